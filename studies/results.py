@@ -123,7 +123,6 @@ class TaskResult:
     failed_solves: npt.NDArray[np.int32]  # (k, m) int32
     law_seconds: FloatArray  # (k,) [s] Wall time inside the laws' own steps
     commands: IntArray  # (k,) Scenarios times samples that they gave a command for
-    seconds: float = 0.0  # [s] Wall time of the whole task
 
     def take(self, places: list[int]) -> TaskResult:
         """The same for some of the designs."""

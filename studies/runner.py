@@ -55,7 +55,7 @@ def run_study(
     """Run every design of a study on the same scenarios and store the results; resumes where a run was stopped.
 
     Raises `StoreError` if the folder holds another study's results, model or seed, is in use, or cannot be written;
-    `ModelError, UnknownNameError` if the scenario model cannot be used; `InputError` for arguments outside what is
+    `ModelError` or `UnknownNameError` if the scenario model cannot be used; `InputError` for arguments outside what is
     allowed; `LdcError` if every design fails, the message names the first and what it raised; if workers or a cluster
     cannot be used.
 

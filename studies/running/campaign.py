@@ -10,7 +10,7 @@ import time
 from collections import defaultdict, deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any, Final, Protocol, TextIO
+from typing import Any, Final, TextIO
 
 import cloudpickle
 import numpy as np
@@ -29,8 +29,8 @@ from studies.study_file import Study
 _LINE_EVERY = 1.0  # seconds between lines
 
 
-class Progress(Protocol):
-    """Told what a run does."""
+class Progress:
+    """What a run reports to; this one shows nothing."""
 
     def stage(self, name: str, total: int) -> None:
         """A new stage of so many scenario runs begins; the one before is over."""
@@ -42,20 +42,7 @@ class Progress(Protocol):
         """Nothing comes any more."""
 
 
-class Silent:
-    """Tells nothing."""
-
-    def stage(self, name: str, total: int) -> None:
-        """Nothing."""
-
-    def advance(self, runs: int) -> None:
-        """Nothing."""
-
-    def close(self) -> None:
-        """Nothing."""
-
-
-class Lines:
+class Lines(Progress):
     """One JSON object a line: stage, scenario runs done and in all, rate and seconds left."""
 
     def __init__(self, stream: TextIO) -> None:
@@ -91,23 +78,20 @@ class Lines:
         self._stream.flush()
         self._reported = now
 
-    def close(self) -> None:
-        """Nothing more."""
 
-
-class Bar:
+class Bar(Progress):
     """A bar on stderr with the rate and the time left."""
 
     def __init__(self) -> None:
+        from rich import progress
         from rich.console import Console
-        from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-        self._bar: Any = Progress(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            TaskProgressColumn(),
-            TextColumn("{task.fields[rate]}"),
-            TimeRemainingColumn(),
+        self._bar: Any = progress.Progress(
+            progress.TextColumn("{task.description}"),
+            progress.BarColumn(),
+            progress.TaskProgressColumn(),
+            progress.TextColumn("{task.fields[rate]}"),
+            progress.TimeRemainingColumn(),
             console=Console(stderr=True),
             transient=True,
         )
@@ -135,7 +119,7 @@ class Bar:
 
 def default_progress(show: bool | None) -> Progress:
     """A bar if requested, or, with None, where stderr is a terminal."""
-    return Bar() if (sys.stderr.isatty() if show is None else show) else Silent()
+    return Bar() if (sys.stderr.isatty() if show is None else show) else Progress()
 
 
 class InOrder:
@@ -309,7 +293,7 @@ class Dispatcher:
         if ended.done is not None:
             self._faults.ended_well()
             # the last pace counts: the first task of a process also loads and compiles
-            self._seconds_a_run[task.designs[0].law] = ended.done.result.seconds / task.runs
+            self._seconds_a_run[task.designs[0].law] = ended.done.seconds / task.runs
             self._give(task, ended.done)
         elif ended.fault is None:
             self._again.append(task)
@@ -360,7 +344,7 @@ class Dispatcher:
         """Hand on whole batches; parts of one wait for the rest."""
         for run in done.failed:
             self._fail(run)
-        if not done.result.keys:
+        if done.result is None:
             return
         whole = done.result if task.whole else self._merge.add(task, done.result)
         if whole is not None:
@@ -371,20 +355,7 @@ class Dispatcher:
         before = self._failed.get(run.key)
         if before is None or run.batch < before:
             self._failed[run.key] = run.batch
-            self._collect(Done(_nothing(self._job), (run,)))
-
-
-def _nothing(job: Job) -> TaskResult:
-    none = np.zeros(0, dtype=np.int64)
-    return TaskResult(
-        (),
-        none,
-        np.zeros((len(job.columns), 0, 0)),
-        np.zeros((0, 0), dtype=np.int8),
-        np.zeros((0, 0), dtype=np.int32),
-        np.zeros(0),
-        none,
-    )
+            self._collect(Done(None, (run,)))
 
 
 def laws_of_this_process() -> bytes:
@@ -493,7 +464,7 @@ class Campaign:
         return queues
 
     def _collect(self, done: Done) -> None:
-        if done.result.keys:
+        if done.result is not None:
             self._waiting.append(done.result)
             self._progress.advance(done.result.status.size)
         self._failed += done.failed

@@ -223,8 +223,9 @@ class Task:
 class Done:
     """What came out of a task."""
 
-    result: TaskResult  # of the designs that ran; may hold none
+    result: TaskResult | None  # of the designs that ran; None where none did
     failed: tuple[FailedRun, ...] = ()  # the others
+    seconds: float = 0.0  # [s] wall time of the whole task
 
 
 _DEPARTURES = 6
@@ -323,9 +324,9 @@ class Simulator:
                     if i not in reasons and room.law_seconds[i]:
                         self._steady(room, takeover, i, reasons)
         ran = [i for i in range(len(task.designs)) if i not in reasons]
-        result = room.result(time.perf_counter() - started)
         failed = tuple(FailedRun((task.designs[i].id, task.convention), task.batch, why) for i, why in reasons.items())
-        return Done(result if len(ran) == len(task.designs) else result.take(ran), failed)
+        result = room.result() if not reasons else room.result().take(ran) if ran else None
+        return Done(result, failed, time.perf_counter() - started)
 
     def uncontrolled(self, task: Task, status: EventStatus) -> TaskResult:
         """The recorded paths with a status, as what counts where a law could not be run; no law's code is called."""
@@ -334,7 +335,7 @@ class Simulator:
             takeover = self.takeover(design.y_s, task.convention, task.scenarios)
             room.put(i, recorded_run(takeover))
             room.status[i, takeover.rows] = status
-        return room.result(0.0)
+        return room.result()
 
     def _together(self, room: _Room, takeover: Takeover, first: int, last: int) -> None:
         """Designs of one threshold in one go over the scenarios, as far as their laws allow."""
@@ -424,12 +425,10 @@ class _Room:
         """Columns, values, status and failed solves of one design in some scenarios."""
         return self.columns, self.values[:, i, rows], self.status[i, rows], self.failed_solves[i, rows]
 
-    def result(self, seconds: float) -> TaskResult:
+    def result(self) -> TaskResult:
         """All of it."""
-        keys = tuple((design.id, self.task.convention) for design in self.task.designs)
-        return TaskResult(
-            keys, self.task.rows, self.values, self.status, self.failed_solves, self.law_seconds, self.commands, seconds
-        )
+        keys, rows = tuple((design.id, self.task.convention) for design in self.task.designs), self.task.rows
+        return TaskResult(keys, rows, self.values, self.status, self.failed_solves, self.law_seconds, self.commands)
 
 
 def _key(y_s: float, convention: Convention, scenarios: Scenarios) -> Key:

@@ -15,21 +15,8 @@ __all__ = ["EXECUTORS", "Ended", "Executor", "Work", "make_executor"]
 def make_executor(
     name: str | None, workers: int | None, address: str | None = None, packages: tuple[str, ...] = ()
 ) -> Executor:
-    """The executor of that name.
-
-    Raises `InputError` for an unknown name, an empty address, or workers of a cluster that is not started here;
-    `LdcError` if a cluster cannot be used.
-
-    Parameters
-    ----------
-    name : {"serial", "processes", "dask"} or None
-        None for processes, or serial where one worker is requested; dask where an address is given.
-    workers : int or None
-        None for one a core.
-    address : str, optional
-        Of a Dask scheduler, or ``"local"``.
-    packages : tuple of str
-        Whose versions must be the same on a cluster, besides those of every study.
+    """The executor of that name: by default processes, one a core; serial where one worker is requested, dask where an
+    address is given, of a scheduler or ``"local"``. The versions of `packages` must be the same on a cluster.
     """
     if address is not None and not address.strip():
         raise InputError(f"dask: {address!r}; allowed: an address such as tcp://host:8786, or 'local'")

@@ -150,19 +150,8 @@ class _UnderWay:
 
 
 class DaskExecutor:
-    """Runs work on a Dask cluster.
-
-    Raises `InputError` if a worker has other versions of the packages that decide numbers; `LdcError` if Dask is not
-    installed, the scheduler does not answer or has no workers, or a worker has no ldctoolkit.
-
-    Parameters
-    ----------
-    address : str
-        Of a scheduler, as ``tcp://host:8786``; ``"local"`` starts a cluster on this machine.
-    workers : int, optional
-        Processes of a local cluster; all cores by default.
-    packages : tuple of str
-        Whose versions must be the same on all workers, besides those of every study.
+    """Runs work on a Dask cluster: at an address such as ``tcp://host:8786``, or with ``"local"`` on this machine, with
+    so many workers. The versions of `packages` must be the same on all of them, besides those of every study.
     """
 
     name = "dask"
