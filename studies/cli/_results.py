@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from studies.cli._console import add_row, console, new_table
+from studies.pages.ranking_markdown import write_markdown
 from studies.ranking.ranking import Ranking, write_csv
 from studies.ranking.verdict import (
-    StudyHead,
     Verdict,
     listed_places,
     more_lines,
@@ -21,7 +21,6 @@ from studies.ranking.verdict import (
     ranking_cells,
     ranking_columns,
     verdict_lines,
-    write_markdown,
 )
 from studies.results import Race, StudyResults
 from studies.storage.manifest import Manifest
@@ -155,21 +154,8 @@ def write_ranking(
     """Write DIR/ranking.csv and, to be read, DIR/ranking.md."""
     path = folder / "ranking.csv"
     write_csv(rankings, path, results.race)
-    write_markdown(rankings, folder / "ranking.md", study_head(study, manifest), found)
+    write_markdown(rankings, folder / "ranking.md", study, manifest, found)
     return path
-
-
-def study_head(study: Study, manifest: Manifest) -> StudyHead:
-    """What stands above a ranking that is read by itself."""
-    return StudyHead(
-        title=study.title or study.name,
-        name=study.name,
-        model=f"{manifest.model} (content {manifest.model_hash[:12]})",
-        synthetic=manifest.model_synthetic,
-        left=study.scenarios.left,
-        right=study.scenarios.right,
-        seed=study.seed,
-    )
 
 
 def ranking_table(ranking: Ranking, top: int = 10) -> Table:

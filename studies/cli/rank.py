@@ -52,16 +52,10 @@ def add_parser(commands: Subparsers) -> None:
 
 def run(chosen: argparse.Namespace) -> None:
     """Carry the command out."""
-    from studies.cli._results import (
-        print_race,
-        print_rankings,
-        rank_summary,
-        stored_robustness,
-        study_head,
-        write_ranking,
-    )
+    from studies.cli._results import print_race, print_rankings, rank_summary, stored_robustness, write_ranking
+    from studies.pages.ranking_markdown import write_markdown
     from studies.ranking.ranking import rank_study, write_csv
-    from studies.ranking.verdict import verdict, write_markdown
+    from studies.ranking.verdict import verdict
     from studies.storage.store import Store
 
     target = None if chosen.output is None else output_file(chosen.output, ".csv", ".md")
@@ -91,7 +85,7 @@ def run(chosen: argparse.Namespace) -> None:
             print_race(results.race)
         print_rankings(rankings, chosen.top, found)
     if target is not None and target.suffix.lower() == ".md":
-        write_markdown(rankings, target, study_head(study, store.manifest), found)
+        write_markdown(rankings, target, study, store.manifest, found)
     elif target is not None:
         write_csv(rankings, target, results.race)
     elif study.ranking == own.ranking:

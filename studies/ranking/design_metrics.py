@@ -23,6 +23,7 @@ from studies.design import NO_CONTROL, Design
 from studies.ranking.inference import row_blocks, row_means
 from studies.ranking.requirements import friction, metric, metric_values
 from studies.results import CaseResults, StudyResults, status_among
+from studies.storage.run_table import release
 
 _FEW = 8  # places up to which what stands there is found without a full sort
 
@@ -150,6 +151,8 @@ def _by_blocks(function: Callable[..., Values], acted: BoolArray, columns: Seque
     starts = range(0, acted.shape[0], size)
     with ThreadPoolExecutor(max(1, min(_MOST_THREADS, os.cpu_count() or 1, len(starts)))) as pool:
         found = list(pool.map(one, starts))
+    for column in columns:
+        release(column)
     return {name: np.concatenate([some[name] for some in found]) for name in found[0]}
 
 

@@ -7,7 +7,6 @@ import html
 import math
 import re
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Final, Literal, Protocol
 
 import numpy as np
@@ -19,10 +18,9 @@ from ldctoolkit.metrics import METRICS
 from ldctoolkit.notebook import CELL
 from studies.design import Design
 from studies.ranking.design_metrics import beyond_friction
-from studies.ranking.ranked_designs import SCORE, RankedDesigns
+from studies.ranking.ranked_designs import RankedDesigns
 from studies.ranking.requirements import G, Miss, metric_values
 from studies.results import StudyResults
-from studies.storage.files import write_text
 
 State = Literal["good", "warning", "bad", "unknown"]
 
@@ -316,25 +314,7 @@ def _try_next(ranking: RankedDesigns, place: int) -> Iterator[str]:
         yield f"{law_title(design)} comes closest; sweep its gains around the nearest design."
 
 
-_ENTITIES: Final = {"&": "&amp;", "<": "&lt;", ">": "&gt;"}
-_MARKS: Final = frozenset("\\`*_[]|~#$")
-_ADDRESS: Final = re.compile(r"(?i)\b(www)(\.)|()(:)(?=\S)")
-_START: Final = re.compile(r"^(\d{1,9})([.)])|^([-+=])")
-
-
-def markdown_text(text: str) -> str:
-    r"""One line of text that a reader of GitHub-flavoured Markdown shows as it is."""
-    line = re.sub(r"[\x00-\x20\x7f\x85\u2028\u2029]+", " ", text).strip()
-    # halves of characters, and what turns the direction of the text that follows
-    line = re.sub("[\ud800-\udfff\u202a-\u202e\u2066-\u2069]", "\ufffd", line)
-    shown = "".join(_ENTITIES.get(one, f"\\{one}" if one in _MARKS else one) for one in line)
-    # no address, emoji or mention: a mark inside the word ends what would be one
-    shown = _ADDRESS.sub(lambda m: f"{m[1] or ''}\\{m[2] or m[4]}", shown).replace("@", "@<!-- -->")
-    return _START.sub(lambda m: f"{m[1]}\\{m[2]}" if m[1] else f"\\{m[3]}", shown)
-
-
 TOP: Final = 20  # rows of a notebook; the winner and the baseline follow where they are further down
-MOST_ROWS: Final = 50  # designs of a Markdown file; those that are named follow
 
 RANKING_METRICS: Final = ("reduction", "a_y_added_peak_p95", "jerk_added_peak_p95", "needless")
 """Metrics beside S of every table that shows a ranking."""
@@ -488,73 +468,6 @@ def more_lines(ranking: RankedDesigns) -> Iterator[str]:
         yield f"{len(ranking.failed):,} design{'' if len(ranking.failed) == 1 else 's'} failed, without metrics."
     if ranking.given_up:
         yield f"{ranking.given_up:,} of {ranking.given_up + len(ranking):,} designs were given up in a race before."
-
-
-# ------------------------------------------------------------------------------------------------ Markdown
-
-
-@dataclasses.dataclass(frozen=True)
-class StudyHead:
-    """What stands above the ranking. Plain text; it is escaped."""
-
-    # Of the study
-    title: str
-    name: str
-    model: str  # The scenario model and its content hash
-    synthetic: bool  # Whether that model was fitted to invented driving
-    # Scenarios
-    left: int
-    right: int
-    seed: int
-
-
-def write_markdown(rankings: Sequence[RankedDesigns], path: str | Path, head: StudyHead, found: Verdict) -> None:
-    """Write rankings as one Markdown file, whole or not at all."""
-    write_text(Path(path), ranking_markdown(rankings, head, found))
-
-
-def ranking_markdown(rankings: Sequence[RankedDesigns], head: StudyHead, found: Verdict) -> str:
-    """The text of ``ranking.md``; the same rankings give the same text."""
-    return "\n".join(_blocks(rankings, head, found))
-
-
-def _blocks(rankings: Sequence[RankedDesigns], head: StudyHead, found: Verdict) -> Iterator[str]:
-    first = rankings[0]
-    yield f"# {markdown_text(head.title)}\n"
-    title, *others = verdict_lines(found)
-    yield f"**{markdown_text(title)}**\n"
-    yield "".join(f"- {markdown_text(line)}\n" for line in (*others, *more_lines(first)))
-    for warning in first.warnings:
-        yield f"> **Warning:** {markdown_text(warning)}\n"
-    places = listed_places(first, MOST_ROWS)
-    columns = ranking_columns(first)
-    headings = [markdown_text(f"{one.title}{f' [{one.unit}]' if one.unit else ''}") for one in columns]
-    rows = ([markdown_text(cell) for cell in ranking_cells(first, place)] for place in places)
-    # a table; cells are escaped already
-    right = [not one.left for one in columns]
-    rule = ["---:" if number else "---" for number in right]
-    yield "".join(f"| {' | '.join(cells)} |\n" for cells in (headings, rule, *rows))
-    if len(places) < len(first):
-        yield f"{len(places):,} of {len(first):,} designs; all of them are in `ranking.csv`.\n"
-    window = "the whole departure" if first.case.window == "departure" else "the time under control"
-    about = f"{SCORE}. Here it is taken over {window}. Intervals hold for all designs at once. {COLUMNS_TEXT}"
-    yield f"{markdown_text(about)}\n"
-    synthetic = "; synthetic, not fitted to recorded driving" if head.synthetic else ""
-    facts = (
-        f"Study: {head.name}",
-        f"Scenario model: {head.model}{synthetic}",
-        f"Scenarios: {head.left + head.right:,} ({head.left:,} left, {head.right:,} right), seed {head.seed}",
-        f"Case: {first.case.label}",
-    )
-    yield "".join(f"- {markdown_text(fact)}\n" for fact in facts)
-    if first.failed:
-        yield "## Failed designs\n"
-        yield "".join(f"- {markdown_text(one.sentence)}\n" for one in first.failed[:MOST_ROWS])
-        if len(first.failed) > MOST_ROWS:
-            yield f"And {len(first.failed) - MOST_ROWS:,} more, see `ranking.csv`.\n"
-    if len(rankings) > 1:
-        yield "## Other cases\n"
-        yield "".join(f"- {markdown_text(line)}\n" for line in other_cases(rankings))
 
 
 def other_cases(rankings: Sequence[RankedDesigns]) -> Iterator[str]:

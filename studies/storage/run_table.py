@@ -7,6 +7,7 @@ import io
 import itertools
 import json
 import math
+import mmap
 import tempfile
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -221,10 +222,20 @@ class AllFailedError(LdcError):
 
 
 def _mapped(shape: tuple[int, ...]) -> FloatArray:
-    """Room in a temporary file that is mapped into memory: the system keeps of it what it has memory for."""
+    """Room in a temporary file that is mapped into memory, where the system keeps what it has room for."""
     with tempfile.TemporaryFile(prefix="ldc-") as file:
-        file.truncate(8 * math.prod(shape))
-        return np.memmap(file, np.float64, mode="r+", shape=shape).view(np.ndarray)
+        size = 8 * math.prod(shape)
+        file.truncate(size)
+        return np.frombuffer(mmap.mmap(file.fileno(), size), dtype=np.float64).reshape(shape)
+
+
+def release(values: Any) -> None:
+    """Give the memory of an array back where its numbers are in a mapped file."""
+    while isinstance(values, np.ndarray):
+        values = values.base
+    mapping = getattr(values, "obj", None)
+    if isinstance(mapping, mmap.mmap) and hasattr(mmap, "MADV_DONTNEED"):
+        mapping.madvise(mmap.MADV_DONTNEED)
 
 
 class RunTable:
@@ -279,6 +290,10 @@ class RunTable:
     _status: npt.NDArray[np.int8]
     _failed_solves: npt.NDArray[np.int32]
     _there: BoolArray
+
+    def release(self) -> None:
+        """Give back the memory of what is in a file."""
+        release(self._metrics)
 
     def has(self, key: RunKey, rows: IntArray) -> bool:
         """Whether a run's results in some scenarios are there."""

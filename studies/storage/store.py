@@ -145,6 +145,7 @@ class Store:
             try:
                 for result in list(parse_part(path, content.result(), windows, n)):
                     table.put(result)
+                table.release()
             except StoreError as error:
                 if not repair:
                     raise StoreError(f"{error}; run the study into this folder again to compute it anew") from None

@@ -79,7 +79,7 @@ def mapping_of(values: Any) -> Any:
     """What an array's numbers are in, in the end."""
     while isinstance(values, np.ndarray):
         values = values.base
-    return values
+    return getattr(values, "obj", None)
 
 
 def test_columns_are_what_the_parts_hold(folder: Path, stored: StudyResults) -> None:
