@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+import numpy.typing as npt
 
 import ldctoolkit
 from ldctoolkit import EventStatus, Scenarios, Setup
@@ -31,7 +32,8 @@ from studies.ranking.inference import (
     spread_is_known,
     with_tails_of_t,
 )
-from studies.ranking.named_vehicles import Drives, drive_on_plants, first_of_each_side
+from studies.ranking.named_vehicles import drive_on_plants, first_of_each_side
+from studies.ranking.verdict import OtherPlants
 from studies.results import FAILED_STATUSES, Case, status_among
 from studies.storage.files import write_text
 
@@ -229,17 +231,10 @@ def _places(ranking: Ranking) -> list[int]:
 SAME = 1e-6  # scores [m s] that differ by less are the same
 
 
-@dataclasses.dataclass(frozen=True)
-class PairedMeans:
-    """Differences of means and their intervals, (k,) [m s] each."""
-
-    difference: FloatArray
-    low: FloatArray
-    high: FloatArray
-
-
-def paired_means(old: FloatArray, new: FloatArray, side: IntArray, confidence: float) -> PairedMeans:
-    """New minus old of k rows on the same n scenarios."""
+def paired_means(
+    old: FloatArray, new: FloatArray, side: IntArray, confidence: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """New minus old of k rows on the same n scenarios: differences of means and their intervals, (k,) [m s] each."""
     change = new - old
     changed = (np.abs(change) > SAME).sum(axis=1)
     difference = row_means(change)
@@ -249,29 +244,10 @@ def paired_means(old: FloatArray, new: FloatArray, side: IntArray, confidence: f
     fewest = 1.0 + math.log2(1.0 / (1.0 - confidence))
     unknown = (changed > 0) & ((changed < fewest) | (not spread_is_known(side)))
     half = np.where(changed == 0, 0.0, np.where(unknown, np.nan, half))
-    return PairedMeans(difference, difference - half, difference + half)
+    return difference, difference - half, difference + half
 
 
 _FORMAT: Final = 2  # to be raised with whatever changes the numbers or the file
-
-
-def content_key(
-    chosen: ChosenDesigns, plants: Sequence[OtherPlant], scenarios: Scenarios, setup: Setup, case: Case
-) -> str:
-    """Sixteen hexadecimal digits."""
-    identity = [
-        _FORMAT,
-        ldctoolkit.__version__,
-        [[design.id, contends] for design, contends in zip(chosen.designs, chosen.contends, strict=True)],
-        [chosen.slow, chosen.unsafe, chosen.more],
-        [dataclasses.asdict(plant) for plant in plants],
-        dataclasses.asdict(setup),
-        dataclasses.asdict(case),
-    ]
-    content = hashlib.sha256(json.dumps(identity, sort_keys=True, separators=(",", ":")).encode())
-    for field in dataclasses.fields(scenarios):
-        content.update(getattr(scenarios, field.name).tobytes())
-    return content.hexdigest()[:16]
 
 
 PER_SIDE: Final = 50
@@ -282,38 +258,28 @@ CONFIDENCE: Final = 0.95  # of every interval by itself
 
 
 @dataclasses.dataclass(frozen=True)
-class Robustness:
+class Robustness(OtherPlants):
     """Designs on p plants; the first plant is the study's own, the first of d designs the reference."""
 
-    key: str  # What it was worked out from; see `studies.robustness.content_key`
-    designs: tuple[str, ...]  # Identifiers, d
+    key: str  # What it was worked out from; see `RobustnessTask.key`
     contends: BoolArray  # (d,) Whether the design is ranked here; see `ChosenDesigns`
     slow: tuple[str, ...]  # Laws that were left out because they take too long
     unsafe: tuple[str, ...]  # Labels of designs that were left out because their law ended or held up its process
     more: int  # Further designs that were left out
-    # Name, a short text, and what differs from the study's plant, p each
-    plants: tuple[str, ...]
-    titles: tuple[str, ...]
-    differences: tuple[str, ...]
+    differences: tuple[str, ...]  # What differs from the study's plant, p
     left_out: tuple[tuple[str, str], ...]  # Plants that cannot be driven on
     # Scenarios of each side
     left: int
     right: int
-    # (p, d) [m s] Means; NaN where the law raised
-    S: FloatArray
-    S_uncorrected: FloatArray
+    S_uncorrected: FloatArray  # (p, d) [m s]
     rank: IntArray  # (p, d) By mean S among the designs that contend; 0 for the others
-    # (p, d) Scenarios that failed, and those of them whose path was lost
-    failures: IntArray
-    diverged: IntArray
+    failures: IntArray  # (p, d) Scenarios that failed
     # (p, d) [m s] Paired change of mean S to the study's plant, and its interval. The interval is NaN where too few
     # scenarios changed, the change too where the law raised
     change: FloatArray
     low: FloatArray
     high: FloatArray
-    # (p, d) [m s] Paired difference of mean S to no control on the same plant, above 0 where the design is worse, and
-    # its interval. NaN as above
-    excess: FloatArray
+    # (p, d) [m s] Interval of `excess`; NaN as above
     excess_low: FloatArray
     excess_high: FloatArray
     rival: IntArray  # (p,) The best of the other designs that contend; -1 where there is none
@@ -364,7 +330,20 @@ class RobustnessTask:
     @property
     def key(self) -> str:
         """Sixteen hexadecimal digits that stand for all of it."""
-        return content_key(self.chosen, self.plants, self.scenarios, self.setup, self.case)
+        chosen = self.chosen
+        identity = [
+            _FORMAT,
+            ldctoolkit.__version__,
+            [[design.id, contends] for design, contends in zip(chosen.designs, chosen.contends, strict=True)],
+            [chosen.slow, chosen.unsafe, chosen.more],
+            [dataclasses.asdict(plant) for plant in self.plants],
+            dataclasses.asdict(self.setup),
+            dataclasses.asdict(self.case),
+        ]
+        content = hashlib.sha256(json.dumps(identity, sort_keys=True, separators=(",", ":")).encode())
+        for field in dataclasses.fields(self.scenarios):
+            content.update(getattr(self.scenarios, field.name).tobytes())
+        return content.hexdigest()[:16]
 
 
 def work_out(task: RobustnessTask) -> Robustness:
@@ -378,14 +357,18 @@ def work_out(task: RobustnessTask) -> Robustness:
     some = {name: getattr(drives, name)[:, :, rows] for name in ("S", "S_uncorrected", "status")}
     drives = dataclasses.replace(drives, **some)
     side = task.scenarios.side[rows]
-    takeovers = [Takeover.build(task.scenarios, setup, y_s=y_s) for y_s in _thresholds(chosen)]
+    thresholds = dict.fromkeys(design.y_s for design in chosen.designs if not design.is_baseline)
+    takeovers = [Takeover.build(task.scenarios, setup, y_s=y_s) for y_s in thresholds]
     v = _trigger_speeds(takeovers)
     gain, phase = design_margins([design.controller(setup.convention) for design in chosen.designs], setup, v)
     contends = np.array(chosen.contends, dtype=np.bool_)
     S = _means(drives.S)
     failed = status_among(drives.status, FAILED_STATUSES)
     change, low, high = _changes(drives.S, side)
-    excess, excess_low, excess_high = _excesses(drives, side)
+    # to no control on the same plant
+    excess, excess_low, excess_high = _paired(
+        drives.S_uncorrected, drives.S, np.all(np.isfinite(drives.S), axis=2), side
+    )
     rival, lead, lead_low, lead_high = _leads(drives.S, S, contends, side)
     return Robustness(
         key=task.key,
@@ -438,10 +421,6 @@ def ranks(S: FloatArray, contends: BoolArray) -> IntArray:
     return np.where(among, 1 + better, 0).astype(np.int64)
 
 
-def _thresholds(chosen: ChosenDesigns) -> list[float]:
-    return list(dict.fromkeys(design.y_s for design in chosen.designs if not design.is_baseline))
-
-
 def _means(values: FloatArray) -> FloatArray:
     """Means over the scenarios; NaN without any."""
     if not values.shape[2]:
@@ -456,11 +435,6 @@ def _changes(S: FloatArray, side: IntArray) -> tuple[FloatArray, FloatArray, Flo
     for end in ends:
         end[0, known[0]] = 0.0
     return ends
-
-
-def _excesses(drives: Drives, side: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Difference to no control on the same plant and its interval, (p, d) each."""
-    return _paired(drives.S_uncorrected, drives.S, np.all(np.isfinite(drives.S), axis=2), side)
 
 
 def _leads(
@@ -481,26 +455,13 @@ def _paired(
     """Difference of the means of scores (..., n) and its interval where that is wanted, NaN elsewhere."""
     difference, low, high = (np.full(where.shape, np.nan) for _ in range(3))
     if where.any() and side.size:
-        found = paired_means(old[where], new[where], side, CONFIDENCE)
-        difference[where], low[where], high[where] = found.difference, found.low, found.high
+        difference[where], low[where], high[where] = paired_means(old[where], new[where], side, CONFIDENCE)
     return difference, low, high
 
 
 NAME: Final = "robustness.json"
 
-_WORDS: Final = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}  # numbers that JSON does not know
-
-_KINDS: Final = {
-    "rank": np.int64, "failures": np.int64, "diverged": np.int64, "rival": np.int64,
-    "contends": np.bool_,
-}  # fmt: skip
-"""What is no array of float64."""
-
-_NO_ARRAYS: Final = (
-    "key", "designs", "slow", "unsafe", "more", "plants", "titles", "differences", "left_out", "left", "right",
-    "raised",
-)  # fmt: skip
-"""Text, numbers, and tuples of them."""
+_KINDS: Final = {"FloatArray": np.float64, "IntArray": np.int64, "BoolArray": np.bool_}
 
 
 def robustness_of(folder: Path, task: RobustnessTask) -> Robustness:
@@ -521,50 +482,32 @@ def stored_of(folder: Path, task: RobustnessTask) -> Robustness | None:
 
 def text_of(robustness: Robustness) -> str:
     """The numbers as JSON; every one of them comes back as it was."""
-    return (
-        json.dumps(_plain(dataclasses.asdict(robustness)), indent=None, separators=(",", ":"), allow_nan=False) + "\n"
-    )
+    content = {
+        name: _plain(value) if isinstance(value, np.ndarray) else value for name, value in vars(robustness).items()
+    }
+    return json.dumps(content, separators=(",", ":"), allow_nan=False) + "\n"
 
 
 def read(path: Path) -> Robustness | None:
-    """Read a file that was written from `text_of`; None where there is none, or it is of another kind.
-
-    Parameters
-    ----------
-    path : Path
-    """
+    """Read a file that was written from `text_of`; None where there is none, or it is of another kind."""
+    kinds = {field.name: _KINDS.get(str(field.type)) for field in dataclasses.fields(Robustness)}
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-        return Robustness(**_fields(content))
+        values: dict[str, Any] = {
+            name: _tuples(value) if kinds[name] is None else np.array(value, dtype=kinds[name])
+            for name, value in content.items()
+        }
+        return Robustness(**values)
     except (OSError, ValueError, TypeError, KeyError, AttributeError):
         return None  # it only saves time: what cannot be read is worked out again
 
 
-def _plain(value: Any) -> Any:
-    if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
-    if isinstance(value, dict):
-        return {name: _plain(one) for name, one in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(one) for one in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return str(value)
-    return value
-
-
-def _fields(content: dict[str, Any]) -> dict[str, Any]:
-    """Fields of a dataclass from JSON."""
-    return {
-        name: _tuples(value) if name in _NO_ARRAYS else np.array(_numbers(value), dtype=_KINDS.get(name, np.float64))
-        for name, value in content.items()
-    }
+def _plain(values: npt.NDArray[Any]) -> Any:
+    """Lists of numbers; text for those that JSON does not know."""
+    plain = values.astype(object)
+    plain[~np.isfinite(values)] = values[~np.isfinite(values)].astype(str)
+    return plain.tolist()
 
 
 def _tuples(value: Any) -> Any:
     return tuple(_tuples(one) for one in value) if isinstance(value, list) else value
-
-
-def _numbers(value: Any) -> Any:
-    if isinstance(value, list):
-        return [_numbers(one) for one in value]
-    return _WORDS[value] if isinstance(value, str) else value

@@ -7,7 +7,7 @@ import html
 import math
 import re
 from collections.abc import Iterator, Sequence
-from typing import Final, Literal, Protocol
+from typing import Final, Literal
 
 import numpy as np
 
@@ -27,32 +27,17 @@ State = Literal["good", "warning", "bad", "unknown"]
 _NEAREST: Final = 3
 
 
-class OtherPlants(Protocol):
+@dataclasses.dataclass(frozen=True)
+class OtherPlants:
     """What a verdict takes from `studies.robustness.Robustness`: d designs on p plants, their own first."""
 
-    @property
-    def designs(self) -> tuple[str, ...]:
-        """Identifiers."""
-
-    @property
-    def plants(self) -> tuple[str, ...]:
-        """Names."""
-
-    @property
-    def titles(self) -> tuple[str, ...]:
-        """The same for people."""
-
-    @property
-    def diverged(self) -> IntArray:
-        """Departures that diverged, (p, d)."""
-
-    @property
-    def excess(self) -> FloatArray:
-        """Mean S minus that without control, (p, d) [m s]."""
-
-    @property
-    def S(self) -> FloatArray:
-        """Mean S, (p, d) [m s]."""
+    designs: tuple[str, ...]  # Identifiers
+    plants: tuple[str, ...]  # Names
+    titles: tuple[str, ...]  # The same for people
+    S: FloatArray  # (p, d) [m s] Mean S; NaN where the law raised
+    diverged: IntArray  # (p, d) Departures that diverged
+    # (p, d) [m s] Paired difference of mean S to no control on the same plant, above 0 where the design is worse
+    excess: FloatArray
 
 
 @dataclasses.dataclass(frozen=True)

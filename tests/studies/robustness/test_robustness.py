@@ -138,12 +138,12 @@ def test_few_changes_have_no_interval() -> None:
     new = old.copy()
     new[1, :5] += 1.0
     new[2, :6] += 1.0
-    found = paired_means(old, new, np.repeat([1, -1], 20), 0.95)
-    assert (found.low[0], found.high[0]) == (0.0, 0.0)
-    assert np.isnan(found.low[1])
-    assert found.low[2] < found.difference[2] < found.high[2]
-    lone = paired_means(old[:1], old[:1] + 0.3, np.array([1] * 39 + [-1]), 0.95)
-    assert np.isnan(lone.low[0])
+    difference, low, high = paired_means(old, new, np.repeat([1, -1], 20), 0.95)
+    assert (low[0], high[0]) == (0.0, 0.0)
+    assert np.isnan(low[1])
+    assert low[2] < difference[2] < high[2]
+    _, low, _ = paired_means(old[:1], old[:1] + 0.3, np.array([1] * 39 + [-1]), 0.95)
+    assert np.isnan(low[0])
 
 
 def test_margins_are_those_of_python_control() -> None:
