@@ -381,41 +381,22 @@ _DROPPED: Final = ("dropped_in_round", "dropped_scenarios", "dropped_S_m_s", "dr
 lower bound of how much worse than the best it is."""
 
 
-_NUMBERS: Final = {
-    "S": METRICS["S"].column,
-    "S_low": "S_low_m_s",
-    "S_high": "S_high_m_s",
-    "S_p95": METRICS["S_p95"].column,
-    "S_cvar95": METRICS["S_cvar95"].column,
-    "S_left": METRICS["S_left"].column,
-    "S_right": METRICS["S_right"].column,
-    "S_uncorrected": "S_uncorrected_m_s",
-    "reduction": METRICS["reduction"].column,
-    "reduction_left": METRICS["reduction_left"].column,
-    "reduction_right": METRICS["reduction_right"].column,
-    "difference": "difference_to_best_m_s",
-    "difference_low": "difference_low_m_s",
-    "difference_high": "difference_high_m_s",
-    "baseline_difference": "baseline_difference_m_s",
-    "baseline_difference_low": "baseline_difference_low_m_s",
-    "baseline_difference_high": "baseline_difference_high_m_s",
-    "set_of_best": "set_of_best",
-    "best_frequency": "best_frequency",
-    "pareto": "pareto",
-    "fresh_S": "fresh_S_m_s",
-    "fresh_low": "fresh_low_m_s",
-    "fresh_high": "fresh_high_m_s",
-    "fresh_difference": "fresh_difference_to_first_m_s",
-    "fresh_difference_low": "fresh_difference_to_first_low_m_s",
-    "fresh_difference_high": "fresh_difference_to_first_high_m_s",
-    "fresh_baseline_difference": "fresh_baseline_difference_m_s",
-    "fresh_baseline_difference_low": "fresh_baseline_difference_low_m_s",
-    "fresh_baseline_difference_high": "fresh_baseline_difference_high_m_s",
-    "fresh_reduction": "fresh_reduction",
-    "optimism": "optimism_m_s",
-    "optimism_low": "optimism_low_m_s",
-    "optimism_high": "optimism_high_m_s",
-}
+def _column_of(name: str) -> str:
+    """Column of a score, or of an interval's end; a pure number has the attribute's name."""
+    if name in ("set_of_best", "best_frequency", "pareto") or "reduction" in name:
+        return name
+    name = "difference_to_best" if name == "difference" else name
+    return f"{name.replace('fresh_difference', 'fresh_difference_to_first')}_m_s"
+
+
+_SCORES: Final = (
+    "S S_low S_high S_p95 S_cvar95 S_left S_right S_uncorrected reduction reduction_left reduction_right "
+    "difference difference_low difference_high baseline_difference baseline_difference_low baseline_difference_high "
+    "set_of_best best_frequency pareto fresh_S fresh_low fresh_high fresh_difference fresh_difference_low "
+    "fresh_difference_high fresh_baseline_difference fresh_baseline_difference_low fresh_baseline_difference_high "
+    "fresh_reduction optimism optimism_low optimism_high"
+)
+_NUMBERS: Final = {name: _column_of(name) for name in _SCORES.split()}
 """Attribute of a ranking -> column: scores with their intervals; the other metrics follow from their table."""
 
 _COUNTS: Final = ("solver_failed", "diverged", "timed_out", "crashed", "beyond_delta_max", "invalid", "failed_solves")
