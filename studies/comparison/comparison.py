@@ -215,12 +215,13 @@ def compare(
     settings = after.study.ranking
     samples = settings.bootstrap if bootstrap is None else bootstrap
     level = settings.confidence if confidence is None else confidence
-    differences = input_differences(before, after)
+    differences = tuple(input_differences(before, after))
     pairs = _shared_cases(before, after)
     every = _shared_scenarios(before, after, differences)
     shared = _driven(every, before.results, after.results)
     if not shared.n:
         raise InputError(f"{before.source}, {after.source}: no shared scenario could be driven under every design")
+    in_old, in_new = held_designs(before.results), held_designs(after.results)
     comparison = Comparison(
         old=before.source,
         new=after.source,
@@ -229,8 +230,8 @@ def compare(
         differences=differences,
         shared=shared,
         cases=tuple(_cases(before, after, pairs, shared, samples, level)),
-        only_old=_only(before.results, after.results),
-        only_new=_only(after.results, before.results),
+        only_old=tuple(one for one in before.results.designs if one.id not in in_new),
+        only_new=tuple(one for one in after.results.designs if one.id not in in_old),
         new_failures=_failed(after.results, ran=before.results),
         repaired=_failed(before.results, ran=after.results),
         failed_in_both=_failed(after.results, failed=before.results),
@@ -355,11 +356,6 @@ def _given_up(*both: StudyResults) -> tuple[Design, ...]:
     return tuple(design for id, design in lost.items() if id in shared)
 
 
-def _only(results: StudyResults, other: StudyResults) -> tuple[Design, ...]:
-    held = held_designs(other)
-    return tuple(design for design in results.designs if design.id not in held)
-
-
 def _failed(
     results: StudyResults, *, ran: StudyResults | None = None, failed: StudyResults | None = None
 ) -> tuple[FailedDesign, ...]:
@@ -405,28 +401,10 @@ def _warnings(comparison: Comparison, left_out: int) -> Iterator[str]:
         )
 
 
-COLUMNS = (
-    "window",
-    "convention",
-    "compared",
-    "verdict",
-    "design_old",
-    "design_new",
-    "label_old",
-    "label_new",
-    "S_old_m_s",
-    "S_new_m_s",
-    "difference_m_s",
-    "difference_low_m_s",
-    "difference_high_m_s",
-    "scenarios",
-    "changed_scenarios",
-    "largest_change_m_s",
-    "largest_change_scenario",
-    "failed_scenarios_old",
-    "failed_scenarios_new",
-    "reason",
-)
+_CASE = "window convention compared verdict design_old design_new label_old label_new"
+_SCORES = "S_old_m_s S_new_m_s difference_m_s difference_low_m_s difference_high_m_s scenarios"
+_CHANGED = "changed_scenarios largest_change_m_s largest_change_scenario failed_scenarios_old failed_scenarios_new"
+COLUMNS = (*_CASE.split(), *_SCORES.split(), *_CHANGED.split(), "reason")
 """Of the CSV file; what a row has no value for is empty."""
 
 
@@ -450,21 +428,18 @@ def comparison_rows(comparison: Comparison) -> Iterator[dict[str, Any]]:
             yield {"compared": "failure", "verdict": verdict, **names, **labels, "reason": one.reason}
 
 
+def _row_of(
+    verdict: str, old: Design, new: Design, scores: Sequence[float], ends: Sequence[float], scenarios: int
+) -> dict[str, Any]:
+    """The columns that designs and winners have: S old, S new and their difference, and the ends of its interval."""
+    names, numbers = _CASE.split()[3:] + _SCORES.split(), [*map(float, scores), *map(_finite, ends)]
+    return dict(zip(names, (verdict, old.id, new.id, old.label, new.label, *numbers, scenarios), strict=True))
+
+
 def _design(comparison: Comparison, case: CaseComparison, i: int) -> dict[str, Any]:
     design, S = case.designs[i], case.S
-    changed = int(S.changed[i])
-    return {
-        "verdict": str(S.verdict[i]),
-        "design_old": design.id,
-        "design_new": design.id,
-        "label_old": design.label,
-        "label_new": design.label,
-        "S_old_m_s": float(S.S_old[i]),
-        "S_new_m_s": float(S.S_new[i]),
-        "difference_m_s": float(S.difference[i]),
-        "difference_low_m_s": _finite(S.low[i]),
-        "difference_high_m_s": _finite(S.high[i]),
-        "scenarios": comparison.shared.n,
+    scores, changed = (S.S_old[i], S.S_new[i], S.difference[i]), int(S.changed[i])
+    return _row_of(str(S.verdict[i]), design, design, scores, (S.low[i], S.high[i]), comparison.shared.n) | {
         "changed_scenarios": changed,
         "largest_change_m_s": float(S.largest[i]),
         "largest_change_scenario": int(comparison.shared.new[S.largest_at[i]]) if changed else None,
@@ -473,20 +448,9 @@ def _design(comparison: Comparison, case: CaseComparison, i: int) -> dict[str, A
     }
 
 
-def _winners(winners: Winners) -> dict[str, Any]:
-    return {
-        "verdict": str(winners.verdict),
-        "design_old": winners.old.id,
-        "design_new": winners.new.id,
-        "label_old": winners.old.label,
-        "label_new": winners.new.label,
-        "S_old_m_s": winners.S_old,
-        "S_new_m_s": winners.S_new,
-        "difference_m_s": winners.difference,
-        "difference_low_m_s": _finite(winners.low),
-        "difference_high_m_s": _finite(winners.high),
-        "scenarios": winners.scenarios,
-    }
+def _winners(one: Winners) -> dict[str, Any]:
+    scores = (one.S_old, one.S_new, one.difference)
+    return _row_of(str(one.verdict), one.old, one.new, scores, (one.low, one.high), one.scenarios)
 
 
 def _finite(value: Any) -> float | None:

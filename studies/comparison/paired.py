@@ -22,7 +22,7 @@ from studies.design import Design
 from studies.ranking.inference import SAME, bootstrap_means, check_confidence, error_parts, lengths, row_means
 from studies.ranking.ranking import Ranking
 from studies.results import Case, CaseResults, StudyResults
-from studies.storage.manifest import Manifest
+from studies.storage.manifest import Manifest, differences
 from studies.storage.store import Store
 from studies.study_file import Study
 
@@ -274,39 +274,25 @@ def held_designs(results: StudyResults) -> dict[str, Design]:
     return {design.id: design for design in every}
 
 
-def input_differences(old: FinishedStudy, new: FinishedStudy) -> tuple[str, ...]:
+def input_differences(old: FinishedStudy, new: FinishedStudy) -> Iterator[str]:
     """What decides the numbers of two studies and is not the same, as ``"vehicle.m: 1000.0 -> 1100.0"``."""
-    return tuple(_differences(old, new))
-
-
-def _differences(old: FinishedStudy, new: FinishedStudy) -> Iterator[str]:
     was, now = old.manifest, new.manifest
     if was.model_hash != now.model_hash:
         texts = [f"{m.model} (content {m.model_hash[:12]})" for m in (was, now)]
         yield f"scenarios.model: {texts[0]} -> {texts[1]}"
     own = "ldctoolkit"
-    yield from _changes({own: was.versions.get(own)}, {own: now.versions.get(own)}, "")
-    yield from _changes(old.study.inputs(), new.study.inputs(), "")
+    yield from _changes(*({own: m.versions.get(own)} for m in (was, now)))
+    yield from _changes(old.study.inputs(), new.study.inputs())
     before, after = (held_designs(side.results) for side in (old, new))
     if before.keys() != after.keys():
         yield f"designs: {len(before)} -> {len(after)}, {len(before.keys() & after.keys())} of them in both"
-    packages = [{k: v for k, v in m.versions.items() if k != own} | {"Python": m.python} for m in (was, now)]
-    yield from _changes(packages[0], packages[1], "")
+    yield from _changes(*({k: v for k, v in m.versions.items() if k != own} | {"Python": m.python} for m in (was, now)))
 
 
-def _changes(old: dict[str, Any], new: dict[str, Any], prefix: str) -> Iterator[str]:
-    for key in {**old, **new}:
-        was, now = old.get(key), new.get(key)
-        if was == now:
-            continue
-        if isinstance(was, dict) and isinstance(now, dict):
-            yield from _changes(was, now, f"{prefix}{key}.")
-        else:
-            yield f"{prefix}{key}: {_text(was)} -> {_text(now)}"
-
-
-def _text(value: Any) -> str:
-    return "not set" if value is None else str(value)
+def _changes(old: dict[str, Any], new: dict[str, Any]) -> Iterator[str]:
+    for key, *values in differences(old, new):
+        was, now = ("not set" if value is None else str(value) for value in values)
+        yield f"{key}: {was} -> {now}"
 
 
 _RIVALS: Final = 30  # designs of each study that could have won: all their pairs share the confidence

@@ -10,7 +10,7 @@ import os
 import platform
 import shlex
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path, PurePath
 from typing import Annotated, Any, Final, TypeVar
 
@@ -348,7 +348,8 @@ def _relative(word: str) -> str:
 
 def refuse_other(folder: Path, found: Manifest, wanted: Manifest) -> None:
     """Raise a `StoreError` that says what differs if two manifests do not belong to the same numbers."""
-    differing = list(differences(found.inputs, wanted.inputs))
+    changes = differences(found.inputs, wanted.inputs)
+    differing = [f"{key}: {_set(was)} there, {_set(now)} now" for key, was, now in changes]
     if found.model_hash != wanted.model_hash:
         was, now = (f"{m.model} (content {m.model_hash[:12]})" for m in (found, wanted))
         differing.insert(0, f"model: {was} there, {now} now")
@@ -360,17 +361,18 @@ def refuse_other(folder: Path, found: Manifest, wanted: Manifest) -> None:
         raise StoreError(f"{folder}: holds another study ({name}): {'; '.join(differing)}; choose another folder")
 
 
-def differences(found: dict[str, Any], wanted: dict[str, Any], prefix: str = "") -> Iterable[str]:
-    """What differs between two `Manifest.inputs`, one text ``"key: X there, Y now"`` each."""
-    for key in {**found, **wanted}:
-        a, b = found.get(key), wanted.get(key)
-        if a == b:
-            continue
-        if isinstance(a, dict) and isinstance(b, dict):
-            yield from differences(a, b, f"{prefix}{key}.")
-        else:
-            was, now = ("not set" if value is None else repr(value) for value in (a, b))
-            yield f"{prefix}{key}: {was} there, {now} now"
+def _set(value: Any) -> str:
+    return "not set" if value is None else repr(value)
+
+
+def differences(old: Mapping[str, Any], new: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any, Any]]:
+    """What differs between two `Manifest.inputs`: the key, and both values; None where one is not set."""
+    for key in {**old, **new}:
+        was, now = old.get(key), new.get(key)
+        if isinstance(was, dict) and isinstance(now, dict):
+            yield from differences(was, now, f"{prefix}{key}.")
+        elif was != now:
+            yield f"{prefix}{key}", was, now
 
 
 def read_manifest(folder: str | Path) -> Manifest:
