@@ -210,27 +210,6 @@ class Study(Part):
 
     Raises `pydantic.ValidationError` from the constructor; `from_toml` and `from_dict` turn it into a `StudyError`.
 
-    Attributes
-    ----------
-    name : str
-        Short name; letters, digits, ``-``, ``_`` and ``.``.
-    title : str
-        For people; the name by default.
-    seed : int
-        Of the scenarios and of the bootstrap.
-    scenarios : ScenarioSettings
-    simulation : SimulationSettings
-    vehicle : VehicleParameters
-    plant : PlantOptions
-        What differs from the ideal plant; nothing by default.
-    report : ReportSettings
-    ranking : RankingSettings
-    race : bool
-        Give up designs that are separable from the best before they have run on all scenarios.
-    search : SearchSettings or None
-        Ask for designs instead of running all that the tables stand for.
-    design : tuple of DesignBlock
-
     Examples
     --------
     >>> from studies import Study
@@ -239,17 +218,18 @@ class Study(Part):
     2
     """
 
-    name: Annotated[str, AfterValidator(_file_name)]
-    title: str = ""
-    seed: int = Field(default=0, ge=0, lt=2**63)
+    name: Annotated[str, AfterValidator(_file_name)]  # Short name; letters, digits, ``-``, ``_`` and ``.``
+    title: str = ""  # For people; the name by default
+    seed: int = Field(default=0, ge=0, lt=2**63)  # Of the scenarios and of the bootstrap
     scenarios: ScenarioSettings = Field(default_factory=ScenarioSettings)
     simulation: SimulationSettings = Field(default_factory=SimulationSettings)
     vehicle: Annotated[VehicleParameters, BeforeValidator(_vehicle)] = Field(default_factory=VehicleParameters)
+    # What differs from the ideal plant; nothing by default
     plant: Annotated[PlantOptions, BeforeValidator(read_plant)] = Field(default_factory=PlantOptions)
     report: ReportSettings = Field(default_factory=ReportSettings)
     ranking: RankingSettings = Field(default_factory=RankingSettings)
-    race: bool = False
-    search: SearchSettings | None = None
+    race: bool = False  # Give up designs that are separable from the best before they have run on all scenarios
+    search: SearchSettings | None = None  # Ask for designs instead of running all that the tables stand for
     design: tuple[DesignBlock, ...]
 
     _folder: Path = PrivateAttr(default_factory=Path)
