@@ -29,27 +29,18 @@ class Actuator:
     without a lag it moves towards u at rate_max, or is u at once. Raises `InputError` for a value outside what is
     allowed.
 
-    Attributes
-    ----------
-    delta_max : float [rad] or None
-        Limit of the angle; None for no limit.
-    rate_max : float [rad/s] or None
-        Limit of the rate; None for no limit.
-    lag : float [s]
-        Time constant; 0 for none, otherwise at least 1e-4.
-    delay : float [s]
-        Pure delay, any part of a sample included.
-
     Examples
     --------
     >>> Actuator(rate_max=0.5, lag=0.1, delay=0.03).ideal
     False
     """
 
+    # Limit of the angle; None for no limit
     delta_max: float | None = declared(None, unit="rad", above=0.0)
+    # Limit of the rate; None for no limit
     rate_max: float | None = declared(None, unit="rad/s", above=0.0)
-    lag: float = declared(0.0, unit="s", least=0.0, most=10.0)
-    delay: float = declared(0.0, unit="s", least=0.0, most=10.0)
+    lag: float = declared(0.0, unit="s", least=0.0, most=10.0)  # Time constant; 0 for none, otherwise at least 1e-4
+    delay: float = declared(0.0, unit="s", least=0.0, most=10.0)  # Pure delay, any part of a sample included
 
     def __post_init__(self) -> None:
         check_declared(self, "actuator")
@@ -69,24 +60,17 @@ class Mismatch:
 
     Raises `InputError` for a range that is not 0 < low <= high.
 
-    Attributes
-    ----------
-    m, I_z, C_af, C_ar : (float, float)
-        Lowest and highest factor on mass, yaw inertia, and the stiffnesses.
-    mu : (float, float)
-        On the friction coefficient; only saturating tyres have one.
-
     Examples
     --------
     >>> Mismatch(m=(0.9, 1.3)).ideal
     False
     """
 
-    m: tuple[float, float] = (1.0, 1.0)
+    m: tuple[float, float] = (1.0, 1.0)  # Lowest and highest factor on mass, yaw inertia, and the stiffnesses
     I_z: tuple[float, float] = (1.0, 1.0)
     C_af: tuple[float, float] = (1.0, 1.0)
     C_ar: tuple[float, float] = (1.0, 1.0)
-    mu: tuple[float, float] = (1.0, 1.0)
+    mu: tuple[float, float] = (1.0, 1.0)  # On the friction coefficient; only saturating tyres have one
 
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
@@ -109,25 +93,17 @@ class Tyres:
 
     Raises `InputError` for a value outside what is allowed.
 
-    Attributes
-    ----------
-    model : {"linear", "magic_formula"}
-        Linear, or Pacejka's Magic Formula without curvature factor: F = mu F_z sin(C atan(C_alpha alpha/(C mu F_z))),
-        with static wheel loads.
-    mu : float
-        Friction coefficient.
-    shape : float
-        Shape factor C, 1 to 2.
-
     Examples
     --------
     >>> Tyres(model="magic_formula", mu=0.3).ideal
     False
     """
 
+    # Linear, or Pacejka's Magic Formula without curvature factor: F = mu F_z sin(C atan(C_alpha alpha/(C mu F_z))),
+    # with static wheel loads
     model: TyreModel = dataclasses.field(default="linear", metadata=declaration(choices=get_args(TyreModel)))
-    mu: float = declared(0.9, above=0.0, most=2.0)
-    shape: float = declared(1.3, least=1.0, most=2.0)
+    mu: float = declared(0.9, above=0.0, most=2.0)  # Friction coefficient
+    shape: float = declared(1.3, least=1.0, most=2.0)  # Shape factor C, 1 to 2
 
     def __post_init__(self) -> None:
         check_declared(self, "tyres")
@@ -150,26 +126,19 @@ class KalmanFilter:
 
     Raises `InputError` for a value that is not > 0.
 
-    Attributes
-    ----------
-    q_y : float [m/s^2/sqrt(Hz)]
-        Density of the lateral acceleration that the model does not know.
-    q_psi : float [rad/s^2/sqrt(Hz)]
-        Density of the yaw acceleration that the model does not know.
-    r_y : float [m]
-        Standard deviation of the measured e_y that the filter is designed for.
-    r_psi : float [rad]
-        Standard deviation of the measured e_psi that the filter is designed for.
-
     Examples
     --------
     >>> KalmanFilter(r_y=0.05).q_y
     0.5
     """
 
+    # [m/s^2/sqrt(Hz)] Density of the lateral acceleration that the model does not know
     q_y: float = declared(0.5, unit="m/s^2/sqrt(Hz)", above=0.0)
+    # [rad/s^2/sqrt(Hz)] Density of the yaw acceleration that the model does not know
     q_psi: float = declared(0.2, unit="rad/s^2/sqrt(Hz)", above=0.0)
+    # [m] Standard deviation of the measured e_y that the filter is designed for
     r_y: float = declared(0.03, unit="m", above=0.0)
+    # [rad] Standard deviation of the measured e_psi that the filter is designed for
     r_psi: float = declared(0.003, unit="rad", above=0.0)
 
     def __post_init__(self) -> None:
@@ -184,41 +153,25 @@ class Sensors:
     trigger, and arrives `delay` later; at each sample the law sees the latest that has arrived. Without a Kalman filter
     the law sees the true rates. Raises `InputError` for a value outside what is allowed, or both `period` and `fps`.
 
-    Attributes
-    ----------
-    e_y_noise, e_psi_noise : float [m], [rad]
-        Standard deviation, independent from frame to frame.
-    e_y_bias, e_psi_bias : float [m], [rad]
-    e_y_step, e_psi_step : float [m], [rad]
-        Step of quantisation; 0 for none.
-    period : float [s]
-        Time between frames, 0.001 to 10; 0 for a frame at every sample. ``fps=30`` stands for ``period=1/30``.
-    delay : float [s]
-        Age of a frame when it arrives.
-    curvature_gain : float
-        Relative error of the curvature that the law previews.
-    curvature_bias : float [1/m]
-        Its constant error.
-    curvature_noise : float [1/m]
-        Standard deviation of a further constant error, one draw per scenario.
-    kalman : KalmanFilter or None
-
     Examples
     --------
     >>> Sensors(e_y_noise=0.05, fps=10, kalman=KalmanFilter()).period
     0.1
     """
 
+    # Standard deviation, independent from frame to frame
     e_y_noise: float = declared(0.0, unit="m", least=0.0)
     e_psi_noise: float = declared(0.0, unit="rad", least=0.0)
     e_y_bias: float = declared(0.0, unit="m")
     e_psi_bias: float = declared(0.0, unit="rad")
-    e_y_step: float = declared(0.0, unit="m", least=0.0)
-    e_psi_step: float = declared(0.0, unit="rad", least=0.0)
+    e_y_step: float = declared(0.0, unit="m", least=0.0)  # Step of quantisation; 0 for none
+    e_psi_step: float = declared(0.0, unit="rad", least=0.0)  # Step of quantisation; 0 for none
+    # [s] Time between frames, 0.001 to 10; 0 for a frame at every sample. ``fps=30`` stands for ``period=1/30``.
     period: float = declared(0.0, unit="s", least=0.0, most=10.0)
-    delay: float = declared(0.0, unit="s", least=0.0, most=10.0)
-    curvature_gain: float = declared(0.0)
-    curvature_bias: float = declared(0.0, unit="1/m")
+    delay: float = declared(0.0, unit="s", least=0.0, most=10.0)  # [s] Age of a frame when it arrives
+    curvature_gain: float = declared(0.0)  # Relative error of the curvature that the law previews
+    curvature_bias: float = declared(0.0, unit="1/m")  # [1/m] Its constant error
+    # [1/m] Standard deviation of a further constant error, one draw per scenario
     curvature_noise: float = declared(0.0, unit="1/m", least=0.0)
     kalman: KalmanFilter | None = dataclasses.field(
         default=None, metadata=declaration(kind=KalmanFilter, description="a Kalman filter")
@@ -254,22 +207,15 @@ class Residuals:
 
     Raises `InputError` for a value outside what is allowed.
 
-    Attributes
-    ----------
-    y, v : bool
-        Add eps_y to the lateral path, eps_v to the speed.
-    bandwidth : float [Hz]
-        Highest frequency.
-
     Examples
     --------
     >>> Residuals(y=True).ideal
     False
     """
 
-    y: bool = declared(False)
-    v: bool = declared(False)
-    bandwidth: float = declared(1.0, unit="Hz", above=0.0, most=5.0)
+    y: bool = declared(False)  # Add eps_y to the lateral path
+    v: bool = declared(False)  # Add eps_v to the speed
+    bandwidth: float = declared(1.0, unit="Hz", above=0.0, most=5.0)  # [Hz] Highest frequency
 
     def __post_init__(self) -> None:
         check_declared(self, "residuals")
@@ -288,16 +234,6 @@ class PlantOptions:
 
     Raises `InputError` for a value outside what is allowed.
 
-    Attributes
-    ----------
-    speed : {"frozen", "profile"}
-        The speed of the trigger, or v(t) of the scenario.
-    actuator : Actuator
-    mismatch : Mismatch
-    tyres : Tyres
-    sensors : Sensors
-    residuals : Residuals
-
     Examples
     --------
     >>> PlantOptions().ideal
@@ -306,6 +242,7 @@ class PlantOptions:
     False
     """
 
+    # The speed of the trigger, or v(t) of the scenario
     speed: Speed = dataclasses.field(
         default="frozen", metadata=declaration(choices=get_args(Speed), description="the speed follows its profile")
     )

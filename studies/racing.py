@@ -83,15 +83,15 @@ def _raced(study: Study, results: StudyResults, mean: FloatArray) -> IntArray:
     """
     if not study.ranking.require:
         return np.arange(len(mean))
-    figures = Ranking.of(
+    ranking = Ranking.of(
         results, results.cases[0], bootstrap=100, setup=study.setup(), D_y=study.report.D_y, vehicles=study.vehicles
     )
     worst = np.full(len(mean), -np.inf)
     for one in requirements_of(study.ranking.require, study.plant):
-        excess = one.excess(metric_values(one.metric.name, figures))
+        excess = one.excess(metric_values(one.metric.name, ranking))
         # a count of none, and a margin that no more scenarios change, have nothing to spare
         spare = 0.0 if not one.limit or one.metric.group == "loop" else _SPARE
-        worst[figures.index] = np.maximum(worst[figures.index], np.where(np.isneginf(excess), -1.0, excess) + spare)
+        worst[ranking.index] = np.maximum(worst[ranking.index], np.where(np.isneginf(excess), -1.0, excess) + spare)
     acting = np.array([not design.is_baseline for design in results.designs])
     clear = np.flatnonzero((worst <= 0.0) & acting)
     best = mean.argmin() if not clear.size else clear[mean[clear].argmin()]

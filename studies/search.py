@@ -191,7 +191,7 @@ def run_search(campaign: Campaign) -> Sequence[Design]:
     return search.asked
 
 
-_RESAMPLES = 100  # of an interval that no one reads: figures do not depend on it
+_RESAMPLES = 100  # of an interval that no one reads: metrics do not depend on it
 
 
 def _values_and_margins(
@@ -234,7 +234,7 @@ class Search:
     half of the proposals go to the laws in turn, the other half to the laws of the best designs so far. A design that
     is proposed again is not run again: Optuna gets its value at once, and the proposal is no trial. A design that
     misses a requirement of the ranking is worse than every one that meets all. Raises `InputError` for a study without
-    ``[search]``, and if Optuna is not installed; `UnknownNameError` for an objective that is no figure.
+    ``[search]``, and if Optuna is not installed; `UnknownNameError` for an objective that is no metric.
 
     Parameters
     ----------

@@ -55,7 +55,7 @@ def _requirements(texts: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(text if text in SETS else _checked(parse_requirement, text).text for text in texts)
 
 
-def _figures(names: tuple[str, ...]) -> tuple[str, ...]:
+def _metric_names(names: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(_checked(metric, name).name for name in names)
 
 
@@ -64,6 +64,9 @@ def _checked(check: Callable[[str], T], text: str) -> T:
         return check(text)
     except LdcError as error:
         raise fail("", str(error)) from None
+
+
+MetricNames = Annotated[tuple[str, ...], BeforeValidator(_names), AfterValidator(_metric_names)]
 
 
 class RankingSettings(Part):
@@ -76,12 +79,7 @@ class RankingSettings(Part):
     baseline: str = ""
     # What a design must meet to be ranked: ``"a_y_peak_p95 <= 3.0"``, or the name of a set: ``"comfort"``
     require: Annotated[tuple[str, ...], BeforeValidator(_names), AfterValidator(_requirements)] = ()
-    pareto: Annotated[tuple[str, ...], BeforeValidator(_names), AfterValidator(_figures)] = (
-        "S",
-        "needless",
-        "a_y_peak_mean",
-        "effort_mean",
-    )  # Metrics of the Pareto front
+    pareto: MetricNames = ("S", "needless", "a_y_peak_mean", "effort_mean")  # Metrics of the Pareto front
     # Named vehicles that `S_worst` and `comfortable_worst` are the worst of. Empty for none; where a requirement, the
     # front or the search requires one of the two, for all
     vehicles: Annotated[tuple[VehicleName, ...], BeforeValidator(_names)] = ()
@@ -96,9 +94,9 @@ class SearchSettings(Part):
     sampler: Literal["tpe", "random", "nsga2"] = "tpe"
     trials: int = Field(default=200, ge=1, le=100_000)  # Designs to try in all
     batch: int = Field(default=16, ge=1, le=10_000)  # Designs requested at once; they run in parallel
-    objectives: Annotated[tuple[str, ...], BeforeValidator(_names), AfterValidator(_figures), Field(min_length=1)] = (
-        "S",
-    )  # Metrics to make small (or large, where more is better): one, or several for a Pareto front
+    objectives: Annotated[
+        tuple[str, ...], BeforeValidator(_names), AfterValidator(_metric_names), Field(min_length=1)
+    ] = ("S",)  # Metrics to make small (or large, where more is better): one, or several for a Pareto front
 
 
 def _condition(entry: Any) -> Any:
@@ -237,7 +235,7 @@ class Study(Part):
     @model_validator(mode="before")
     @classmethod
     def _front_of_the_search(cls, content: Any) -> Any:
-        """Several objectives of a search are the figures of the Pareto front, unless others are written down."""
+        """Several objectives of a search are the metrics of the Pareto front, unless others are written down."""
         if not isinstance(content, dict) or not isinstance(content.get("search"), dict):
             return content
         objectives, ranking = content["search"].get("objectives"), content.get("ranking", {})

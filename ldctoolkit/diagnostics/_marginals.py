@@ -152,21 +152,8 @@ _TAIL: Final = 0.003
 
 
 def box_share(distribution: Distribution, lower: FloatArray, upper: FloatArray, *, points: int = 4093) -> float:
-    """Share of a mixture in a box within its own, by integration.
-
-    Parameters
-    ----------
-    distribution : Distribution
-        The mixture.
-    lower, upper : (d,)
-        The box, in the data's units.
-    points : int
-        Lattice points, an odd prime.
-
-    Returns
-    -------
-    float
-        sum_k eta_k P_k(box)/P_k.
+    """Share of a mixture in a box within its own, lower to upper (d,) in the data's units: sum_k eta_k P_k(box)/P_k, by
+    integration over `points` lattice points, an odd prime.
     """
     whole, ends = distribution.truncated, distribution.transform.forward(np.stack([lower, upper]))
     part = TruncatedNormal(whole.mu, whole.Sigma, ends[0], ends[1], points=points)
@@ -281,18 +268,10 @@ _GRID: Final = 201
 def kolmogorov_limit(effective_events: float, parameters: int) -> float:
     """Kolmogorov distance that events drawn from the model itself exceed in one parameter of d or more in 5 % of cases.
 
-    Parameters
-    ----------
-    effective_events : float
-        Kish's effective number.
-    parameters : int
-        d; each is given 0.05/d (Bonferroni), so that it is 5 % or fewer whatever their dependence.
-
-    Notes
-    -----
-    Kolmogorov's limit distribution with the correction of Vrbik (2018): from 20 events on within 0.6 % of the exact
-    quantile. The model is not fitted again: against events that it was fitted to, a right model stays below this
-    limit more often than 95 %.
+    The effective number is Kish's; each of the d `parameters` is given 0.05/d (Bonferroni), so that it is 5 % or fewer
+    whatever their dependence. Kolmogorov's limit distribution with the correction of Vrbik (2018): from 20 events on
+    within 0.6 % of the exact quantile. The model is not fitted again: against events that it was fitted to, a right
+    model stays below this limit more often than 95 %.
 
     Examples
     --------

@@ -206,15 +206,8 @@ class UncorrectedPath:
 
     @_quiet
     def crossing_time(self, y_s: float) -> FloatArray:
-        """First time at which y(t) exceeds y_s [s], (n,); infinite where it never does.
+        """First time at which y(t) exceeds the trigger threshold y_s [m] >= 0, (n,) [s]; infinite where it never does.
 
-        Parameters
-        ----------
-        y_s : float [m]
-            Trigger threshold, >= 0.
-
-        Notes
-        -----
         With residuals: 16 cells for each half wave of the highest mode, a peak inside a cell included, then a root to
         1e-14 T.
         """
@@ -238,19 +231,8 @@ class UncorrectedPath:
 
     @_quiet
     def front_deepest(self, t_end: FloatArray, l_f: float) -> FloatArray:
-        """Largest distance of the front axle's edge beyond the line over [0, t_end] [m].
-
-        Parameters
-        ----------
-        t_end : (n,) [s]
-            Cut off at T.
-        l_f : float [m]
-            Distance from the centre of gravity to the front axle.
-
-        Returns
-        -------
-        (n,) [m]
-            Largest y + l_f e_psi, with e_psi = arctan of the slope (dy/dt)/v.
+        """Largest distance of the front axle's edge beyond the line over [0, t_end], t_end (n,) [s] cut off at T: y +
+        l_f e_psi (n,) [m], with e_psi = arctan of the slope (dy/dt)/v.
         """
         end = np.minimum(t_end, self.scenarios.T)
         if self._disturbed:

@@ -245,25 +245,8 @@ def merge_results(
     reader: str = "table",
     files: Sequence[SourceFile] = (),
 ) -> Extraction:
-    """The parts of an extraction as a whole.
-
-    Parameters
-    ----------
-    results : iterable of PartResult
-        In the order of the source's parts; a part without anything but problems may stand for the source's own.
-    criteria : Criteria
-        What counted as a departure.
-    preparation : Preparation
-        How recordings were brought to a common form.
-    reader : str
-        Its name.
-    files : sequence of SourceFile
-        What was read.
-
-    Returns
-    -------
-    Extraction
-        Departures, and the account of everything else.
+    """The parts of an extraction as a whole, in the order of the source's parts; a part without anything but problems
+    may stand for the source's own.
     """
     whole = combined_results(results)
     refused = np.sum([account.refused.sum(axis=0) for account in whole.accounts], axis=0, initial=0)

@@ -162,28 +162,15 @@ def signals_of_runs(
 
 @dataclasses.dataclass(frozen=True)
 class Criteria:
-    """What counts as a departure.
+    """What counts as a departure."""
 
-    Attributes
-    ----------
-    vehicle_width : float [m]
-        Width over the wheels' outer edges.
-    min_duration, max_duration : float [s]
-        Both allowed values included.
-    min_speed : float [m/s]
-        The mean speed lies above.
-    max_gap : float [s] or None
-        Longest time step that is not a gap; None: 2.5 median steps of the recording, at least 0.25 s.
-    max_jump : float [m]
-        Largest step of the offset from one sample to the next.
-    """
-
-    vehicle_width: float = 1.9
-    min_duration: float = 0.5
-    max_duration: float = 10.0
-    min_speed: float = 5.0
+    vehicle_width: float = 1.9  # [m] Width over the wheels' outer edges
+    min_duration: float = 0.5  # [s] Both allowed values included
+    max_duration: float = 10.0  # [s] Both allowed values included
+    min_speed: float = 5.0  # [m/s] The mean speed lies above
+    # [s] Longest time step that is not a gap; None: 2.5 median steps of the recording, at least 0.25 s
     max_gap: float | None = None
-    max_jump: float = 0.6
+    max_jump: float = 0.6  # [m] Largest step of the offset from one sample to the next
 
     def __post_init__(self) -> None:
         def refuse(name: str, good: bool, allowed: str) -> None:

@@ -274,23 +274,14 @@ class Preparation:
     """How recordings are brought to a common form.
 
     Raises `InputError` for a value outside its range.
-
-    Attributes
-    ----------
-    step : float [s] or None
-        Time step that they are resampled to; None leaves them as recorded.
-    max_gap : float [s]
-        Longest time between usable samples that resampling bridges.
-    nominal_lane_width : float [m] or None
-        Offset and width of each recording are scaled so that its median lane width is this; None leaves them.
-    yaw_rate_factor : float
-        Multiplies the source's yaw rate; -1 where it is positive to the right after all.
     """
 
-    step: float | None = None
-    max_gap: float = MAX_GAP
+    step: float | None = None  # [s] Time step that they are resampled to; None leaves them as recorded
+    max_gap: float = MAX_GAP  # [s] Longest time between usable samples that resampling bridges
+    # [m] Offset and width of each recording are scaled so that its median lane width is this; None leaves
+    # them
     nominal_lane_width: float | None = None
-    yaw_rate_factor: float = 1.0
+    yaw_rate_factor: float = 1.0  # Multiplies the source's yaw rate; -1 where it is positive to the right after all
 
     def __post_init__(self) -> None:
         def refuse(name: str, good: bool, allowed: str) -> None:

@@ -57,43 +57,22 @@ class Thresholds:
     Nyquist's limit. The others are choices of this toolkit. Raises `InputError` for a value that is not > 0, or a fault
     that starts before its warning.
 
-    Attributes
-    ----------
-    gain_margin : (float, float) [dB]
-        Factor that the loop gain may grow, or shrink, by.
-    phase_margin : (float, float) [rad]
-    disk_margin : (float, float)
-        Balanced (skew 0).
-    delay_margin : (float, float) [samples]
-    damping : (float, float)
-        Damping ratio of the closed loop's poles.
-    sampling : (float, float)
-        Bandwidth over sampling frequency.
-    slowest : (float, float) [s]
-        Time constant of the slowest pole.
-    bend : (float, float) [m]
-        |e_y| in a steady bend on the nominal vehicle.
-    bend_mismatched : (float, float) [m]
-        The same on a vehicle with other tyres.
-    hessian : (float, float)
-        Condition number of the condensed Hessian.
-
     Examples
     --------
     >>> Thresholds(gain_margin=(8.0, 4.0)).disk_margin
     (0.5, 0.25)
     """
 
-    gain_margin: tuple[float, float] = (6.0, 3.0)
-    phase_margin: tuple[float, float] = (math.radians(30.0), math.radians(15.0))
-    disk_margin: tuple[float, float] = (0.5, 0.25)
-    delay_margin: tuple[float, float] = (1.0, 0.5)
-    damping: tuple[float, float] = (0.3, 0.1)
-    sampling: tuple[float, float] = (0.1, 0.5)
-    slowest: tuple[float, float] = (10.0, 100.0)
-    bend: tuple[float, float] = (0.1, 0.3)
-    bend_mismatched: tuple[float, float] = (0.3, 0.6)
-    hessian: tuple[float, float] = (1e6, 1e12)
+    gain_margin: tuple[float, float] = (6.0, 3.0)  # [dB] Factor that the loop gain may grow, or shrink, by
+    phase_margin: tuple[float, float] = (math.radians(30.0), math.radians(15.0))  # [rad]
+    disk_margin: tuple[float, float] = (0.5, 0.25)  # Balanced (skew 0)
+    delay_margin: tuple[float, float] = (1.0, 0.5)  # [samples]
+    damping: tuple[float, float] = (0.3, 0.1)  # Damping ratio of the closed loop's poles
+    sampling: tuple[float, float] = (0.1, 0.5)  # Bandwidth over sampling frequency
+    slowest: tuple[float, float] = (10.0, 100.0)  # [s] Time constant of the slowest pole
+    bend: tuple[float, float] = (0.1, 0.3)  # [m] |e_y| in a steady bend on the nominal vehicle
+    bend_mismatched: tuple[float, float] = (0.3, 0.6)  # [m] The same on a vehicle with other tyres
+    hessian: tuple[float, float] = (1e6, 1e12)  # Condition number of the condensed Hessian
 
     def __post_init__(self) -> None:
         rising = {"sampling", "slowest", "bend", "bend_mismatched", "hessian"}

@@ -52,7 +52,7 @@ class Outcome:
     trajectories: Trajectories | None
     # Every solver call of a law that has a solver
     solver_log: SolverLog = dataclasses.field(default_factory=lambda: SolverLog.of([]))
-    side: IntArray | None = None  # (n,) int or None ``LEFT`` (+1) or ``RIGHT`` (-1), the scenarios' own
+    side: IntArray | None = None  # (n,) int ``LEFT`` (+1) or ``RIGHT`` (-1), the scenarios' own
 
     def _repr_html_(self) -> str:
         """What a notebook shows; means leave out scenarios that cannot be driven."""
@@ -87,7 +87,7 @@ class Run:
     """One design driven from the trigger on: m triggered scenarios in the takeover's order."""
 
     takeover: Takeover
-    area: FloatArray | None  # (m,) [m s] or None Integral of |e_y| from the trigger to T; None where no control acted
+    area: FloatArray | None  # (m,) [m s] Integral of |e_y| from the trigger to T; None where no control acted
     status: npt.NDArray[np.int8]  # As in `Outcome`, arrays of m
     failed_solves: IntArray  # As in `Outcome`, arrays of m
     companions: metrics.MetricValues  # As in `Outcome`, arrays of m

@@ -197,34 +197,21 @@ class ContractSettings:
 
     Raises `InputError` for a value outside what is allowed.
 
-    Attributes
-    ----------
-    scenarios : int
-        Scenarios in one batch, 4 or more.
-    samples : int
-        Time steps of one run, 4 or more.
-    dt : float [s]
-        Sample time.
-    mirror_tolerance : float
-        How far a mirrored command may be from the mirror image, relative to the largest command of the scenario.
-        The default leaves room for sums in another order and for iterative solvers; 0 asks for equal bits.
-    limit_tolerance : float [rad]
-        How far a command may exceed a declared limit: the accuracy of an iterative solver.
-    quiet_tolerance : float [rad]
-        How far a command on a straight road may be from 0.
-
     Examples
     --------
     >>> ContractSettings(mirror_tolerance=0.0).scenarios
     12
     """
 
-    scenarios: int = 12
-    samples: int = 6
-    dt: float = 0.05
+    scenarios: int = 12  # Scenarios in one batch, 4 or more
+    samples: int = 6  # Time steps of one run, 4 or more
+    dt: float = 0.05  # [s] Sample time
+    # How far a mirrored command may be from the mirror image, relative to the largest command of the scenario. The
+    # default leaves room for sums in another order and for iterative solvers; 0 asks for equal bits.
     mirror_tolerance: float = 1e-9
+    # [rad] How far a command may exceed a declared limit: the accuracy of an iterative solver
     limit_tolerance: float = 1e-6
-    quiet_tolerance: float = 0.0
+    quiet_tolerance: float = 0.0  # [rad] How far a command on a straight road may be from 0
 
     def __post_init__(self) -> None:
         for name in ("scenarios", "samples"):

@@ -212,14 +212,8 @@ class BicycleModel:
         return error_dynamics_matrices(self.parameters, checked_speeds(v), self.convention)
 
     def discretize(self, v: npt.ArrayLike, dt: npt.ArrayLike) -> Discretization:
-        """Exact discretisation at n speeds: zero-order hold on delta, first-order hold on psi_l'.
-
-        Parameters
-        ----------
-        v : (n,) [m/s]
-            Speeds, > 0.
-        dt : float or (n,) [s]
-            Step, one for all or one each, >= 0.
+        """Exact discretisation at speeds v (n,) [m/s] > 0, over dt [s] >= 0, one for all or (n,): zero-order hold on
+        delta, first-order hold on psi_l'.
         """
         return discretize(*self.matrices(v), dt)
 

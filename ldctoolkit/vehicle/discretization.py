@@ -103,16 +103,8 @@ class Discretization:
 
 
 def discretize(A: FloatArray, B: FloatArray, E: FloatArray, dt: npt.ArrayLike) -> Discretization:
-    """Discretise n systems dx/dt = A x + B delta + E r exactly.
-
-    Raises `InputError` if a step is negative or not finite.
-
-    Parameters
-    ----------
-    A : (n, 4, 4)
-    B, E : (n, 4)
-    dt : float or (n,) [s]
-        Step, >= 0.
+    """Discretise n systems dx/dt = A x + B delta + E r exactly, A (n, 4, 4), B and E (n, 4), over steps dt [s] >= 0,
+    one for all or (n,). Raises `InputError` if a step is negative or not finite.
 
     Examples
     --------

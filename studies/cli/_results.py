@@ -233,18 +233,13 @@ def _found(results: StudyResults, ranking: Ranking, manifest: Manifest) -> dict[
 
 def _design(ranking: Ranking, i: int) -> dict[str, Any]:
     design = ranking.designs[i]
-    figures = {
-        "S_m_s": ranking.S[i],
-        "S_low_m_s": ranking.S_low[i],
-        "S_high_m_s": ranking.S_high[i],
-        "S_fresh_m_s": ranking.fresh_S[i],
-    }
+    scores = {name: getattr(ranking, name)[i] for name in ("S", "S_low", "S_high")} | {"S_fresh": ranking.fresh_S[i]}
     return {
         "design": design.id,
         "law": design.law,
         "y_s_m": design.y_s,
         "gains": dict(design.gains),
-        **{name: _number(value) for name, value in figures.items()},
+        **{f"{name}_m_s": _number(value) for name, value in scores.items()},
     }
 
 

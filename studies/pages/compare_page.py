@@ -47,29 +47,8 @@ _STYLES: Final = {
 
 
 def write_compare_page(comparison: Comparison, path: str | Path) -> Path:
-    """Write a comparison of two studies as one HTML file that needs nothing else.
-
-    Raises `StoreError` if it cannot be written.
-
-    Parameters
-    ----------
-    comparison : Comparison
-        As `studies.compare` returns it.
-    path : path
-        File to write; whole or not at all.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> from studies import Study, compare, run_study
-    >>> content = {"scenarios": {"left": 20, "right": 20}, "design": [{"law": "none"}, {"law": "lqr"}]}
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     for name, m in (("light", 1000.0), ("heavy", 1300.0)):
-    ...         study = Study.from_dict(content | {"name": name, "vehicle": {"m": m}})
-    ...         _ = run_study(study, directory=f"{folder}/{name}", workers=1)
-    ...     page = write_compare_page(compare(f"{folder}/light", f"{folder}/heavy"), f"{folder}/changes.html")
-    ...     page.read_text(encoding="utf-8")[:15]
-    '<!DOCTYPE html>'
+    """Write a comparison of two studies, as `studies.compare` returns it, to the file `path`: one HTML page that needs
+    nothing else, whole or not at all. Raises `StoreError` if it cannot be written.
     """
     write_text(Path(path), compare_page(comparison))
     return Path(path)

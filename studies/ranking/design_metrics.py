@@ -215,7 +215,7 @@ def tail_metrics(values: FloatArray, percent: int = 95) -> tuple[FloatArray, Flo
 
 @dataclasses.dataclass(frozen=True)
 class CaseMetrics:
-    """Figures of d designs, arrays of d. S is S as it counts: a failed scenario (solver failed, diverged, timed out,
+    """Metrics of d designs, arrays of d. S is S as it counts: a failed scenario (solver failed, diverged, timed out,
     crashed) at least as bad as without control, and never left out. Scenarios that cannot be driven under some
     design have no S: they are left out for all designs and counted in `invalid`.
     """
@@ -339,9 +339,9 @@ def beyond_friction(scenarios: Scenarios, setup: Setup) -> BoolArray:
     return result
 
 
-def in_order(figures: CaseMetrics, order: IntArray) -> dict[str, Any]:
+def in_order(metrics: CaseMetrics, order: IntArray) -> dict[str, Any]:
     """Every figure by name, for some of the designs in the order given."""
-    values = {field.name: getattr(figures, field.name) for field in dataclasses.fields(CaseMetrics)}
+    values = {field.name: getattr(metrics, field.name) for field in dataclasses.fields(CaseMetrics)}
     return {name: v.take(order) if isinstance(v, ReleaseMetrics) else v[order] for name, v in values.items()}
 
 
@@ -366,9 +366,9 @@ _BLOCK: Final = 64  # rows that are compared with the front at once
 
 
 def pareto_costs(names: Sequence[str], *sources: Any) -> FloatArray:
-    """Figures as costs: those of which more is better change their sign."""
+    """Metrics as costs: those of which more is better change their sign."""
     if not names:
-        raise InputError("Pareto front: no figures; allowed: one or more")
+        raise InputError("Pareto front: no metrics; allowed: one or more")
     signs = {"less": 1.0, "more": -1.0}
     return np.stack([signs[metric(name).better] * metric_values(name, *sources) for name in names], axis=1)
 

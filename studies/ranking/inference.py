@@ -246,7 +246,7 @@ class Resampled:
     side: IntArray  # (n,) Stratum of each scenario
     mean: FloatArray  # (d,) [m s]
     deviations: FloatArray  # (B, d) [m s] Mean on a resample minus `mean`
-    # (d, n) [m s] or None `studies.ranking.inference.error_parts`, where they are few enough to be kept
+    # (d, n) [m s] `studies.ranking.inference.error_parts`, where they are few enough to be kept
     parts: FloatArray | None
     df: int  # Degrees of freedom of a standard error
     known: bool = True  # Whether there is a standard error: `studies.ranking.inference.spread_is_known`

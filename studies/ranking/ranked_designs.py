@@ -66,12 +66,12 @@ class FreshScores:
     fresh_baseline_difference_high: FloatArray
     fresh_reduction: FloatArray  # (d,) 1 - mean S / mean S of the baseline
     fresh_unmet: tuple[tuple[str, ...], ...]  # Requirements that a finalist misses on the fresh scenarios
-    # (d,) [m s] How much better the search's figure was than the fresh one, and its interval, for all finalists at
+    # (d,) [m s] How much better the search's score was than the fresh one, and its interval, for all finalists at
     # once: an interval that holds 0 is no more than two draws of scenarios explain
     optimism: FloatArray
     optimism_low: FloatArray
     optimism_high: FloatArray
-    # Whether that figure is the difference to the baseline (where the baseline is a law) or mean S itself
+    # Whether that score is the difference to the baseline (where the baseline is a law) or mean S itself
     optimism_paired: bool
     fresh_scenarios: int  # How many; 0 for none
     fresh_best: int | None  # Position of the finalist with the smallest `fresh_S`
@@ -230,7 +230,7 @@ class RankedDesigns(CaseMetrics, Inference, FreshScores):
     # The requirements, and behind them those of the sets ``stable``, ``comfort`` and ``physical``
     limits: tuple[Requirement, ...]
     baseline: int | None  # Position of the design behind `baseline_difference`
-    # (d,) Ranked designs that no other ranked design beats in one figure of `pareto_metrics` without being worse in
+    # (d,) Ranked designs that no other ranked design beats in one metric of `pareto_metrics` without being worse in
     # another
     pareto: BoolArray
     pareto_metrics: tuple[str, ...]
@@ -239,8 +239,8 @@ class RankedDesigns(CaseMetrics, Inference, FreshScores):
     bootstrap: int  # Resamples
     confidence: float  # Of every family of intervals, and of the set of best
     warnings: tuple[str, ...]  # What a reader must know before comparing designs
-    failed: tuple[FailedDesign, ...] = ()  # Designs whose law failed: they have no rank and no figures
-    given_up: int = 0  # Designs that a race gave up before: they have no rank and no figures either
+    failed: tuple[FailedDesign, ...] = ()  # Designs whose law failed: they have no rank and no metrics
+    given_up: int = 0  # Designs that a race gave up before: they have no rank and no metrics either
     # Whether that race was run by this case's S. If not, `set_of_best` and the other comparisons are of the survivors
     # of another race only, and there is no winner
     raced: bool = True

@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from ldctoolkit import Setup
 
 
-FEW = 50  # scenarios below which intervals are too short by a figure that matters, see docs/ranking.md
+FEW = 50  # scenarios below which intervals are too short by an amount that matters, see docs/ranking.md
 
 FEW_OF_A_SIDE = 10
 
@@ -193,18 +193,18 @@ class Ranking(RankedDesigns):
         reference = find_baseline(baseline, results)
         drivable = DrivableCase.of(case, results.scenarios)
         margins = {} if setup is None else _margins(results, case.case, setup.under(case.case.convention), vehicles)
-        figures = case_metrics(drivable, results.designs, D_y, margins, setup)
-        missed = missed_by(requirements, figures)
-        order = np.lexsort((figures.S, np.array([bool(some) for some in missed]))).astype(np.int64)
+        metrics = case_metrics(drivable, results.designs, D_y, margins, setup)
+        missed = missed_by(requirements, metrics)
+        order = np.lexsort((metrics.S, np.array([bool(some) for some in missed]))).astype(np.int64)
         ranked = sum(not some for some in missed)
-        taken = in_order(figures, order)
+        taken = in_order(metrics, order)
         chance: dict[str, Any] = {"seed": seed, "samples": bootstrap, "confidence": confidence}
         position = None if reference is None else _position(order, reference)
         inference = infer(
             drivable.counted, drivable.scenarios.side, ranked=ranked, baseline=position, rows=order, **chance
         )
         warnings = list(_warnings(drivable, results.designs))
-        if (np.isnan(figures.release.a_y_added_peak_mean) & np.isfinite(figures.release.a_y_peak_mean)).any():
+        if (np.isnan(metrics.release.a_y_added_peak_mean) & np.isfinite(metrics.release.a_y_peak_mean)).any():
             warnings.append(_NOT_RECORDED)
         designs = tuple(results.designs[i] for i in order)
         fresh = no_fresh_scores(len(order), ranked)
@@ -242,7 +242,7 @@ class Ranking(RankedDesigns):
         warnings += warnings_of_sample(drivable.scenarios.side, inference)
         front = np.zeros(len(order), dtype=np.bool_)
         if pareto_metrics and ranked:
-            front[:ranked] = pareto_front(pareto_costs(pareto_metrics, figures)[order[:ranked]])
+            front[:ranked] = pareto_front(pareto_costs(pareto_metrics, metrics)[order[:ranked]])
         S = taken["S"][:ranked]
         rank = np.zeros(len(order), dtype=np.int64)
         rank[:ranked] = np.searchsorted(S, S, side="left") + 1
@@ -272,17 +272,8 @@ class Ranking(RankedDesigns):
 
 
 def rank_study(results: StudyResults, study: Study) -> tuple[Ranking, ...]:
-    """Rank every case of a study with the study's own settings.
-
-    Parameters
-    ----------
-    results : StudyResults
-    study : Study
-
-    Returns
-    -------
-    tuple of Ranking
-        In the order of the cases; the first is the primary one.
+    """Rank every case of a study with the study's own settings; the `results` are in the order of the cases, the
+    primary one first.
     """
     settings = study.ranking
     return tuple(
@@ -469,10 +460,10 @@ def _named(ranking: Ranking, rank: int | str, design: Design, gains: Sequence[st
 
 
 def _given_up(race: Race, ranking: Ranking, gains: Sequence[str]) -> Iterator[dict[str, Any]]:
-    """No rank and no figures: these would stand for fewer scenarios than all others."""
+    """No rank and no metrics: these would stand for fewer scenarios than all others."""
     for one in race.dropped:
-        figures = (one.round, one.scenarios, _field(one.S), _field(one.low))
-        yield _named(ranking, "", one.design, gains) | dict(zip(_DROPPED, figures, strict=True))
+        metrics = (one.round, one.scenarios, _field(one.S), _field(one.low))
+        yield _named(ranking, "", one.design, gains) | dict(zip(_DROPPED, metrics, strict=True))
 
 
 def _optimism_of(ranking: Ranking, i: int) -> str:
@@ -482,7 +473,7 @@ def _optimism_of(ranking: Ranking, i: int) -> str:
 
 
 def _field(value: Any) -> str:
-    """Numbers in full precision, truth values in lower case, nothing for a figure that is taken over no departure."""
+    """Numbers in full precision, truth values in lower case, nothing for a metric that is taken over no departure."""
     if isinstance(value, bool):
         return str(value).lower()
     return "" if value != value else str(value)

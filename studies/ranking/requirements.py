@@ -36,28 +36,11 @@ def metric(name: str) -> Metric:
 
 
 def metric_values(name: str, *sources: Any) -> FloatArray:
-    """Values of a metric, one a design.
+    """Values of a metric, one a design, (d,); NaN where a design has none.
 
-    Raises `UnknownNameError` for an unknown name; `InputError` if no source has it.
-
-    Parameters
-    ----------
-    name : str
-        As `metric` takes it.
-    *sources : Mapping or object
-        Where to look, in this order: mappings by key, objects by attribute, then the attribute `release` of an object.
-        A `studies.Ranking` holds all metrics.
-
-    Returns
-    -------
-    (d,)
-        NaN where a design has none.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> metric_values("S", {"S": np.array([0.2, 0.1])})
-    array([0.2, 0.1])
+    The sources are searched in order: mappings by key, objects by attribute, then the attribute `release` of an object;
+    a `studies.Ranking` holds all metrics. Raises `UnknownNameError` for an unknown name; `InputError` if no source has
+    it.
     """
     wanted = metric(name).name
     for source in sources:

@@ -55,26 +55,21 @@ def gain_value(design: Design, name: str) -> GainValue:
 
 
 def sensitivity(results: StudyResults, study: Study, *, case: int = 0) -> tuple[BlockSensitivity, ...]:
-    """Sobol indices of mean S, block by block and law by law.
+    """Sobol indices of mean S in one case, by its position, block by block and law by law.
 
     Parameters
     ----------
     results : StudyResults
-        Of the study.
     study : Study
     case : int
-        Which case; the primary one by default.
 
     Returns
     -------
     tuple of BlockSensitivity
         One for each law of each ``[[design]]`` table with more than one design. The designs of a full grid give exact
         first-order and total indices of the grid, those of a Saltelli sample estimates of both, those of a Latin
-        hypercube or Sobol sample estimates of the first-order ones.
-
-    Notes
-    -----
-    S counts as in the ranking: failed scenarios at least as bad as without control, undrivable ones for no design.
+        hypercube or Sobol sample estimates of the first-order ones. S counts as in the ranking: failed scenarios at
+        least as bad as without control, undrivable ones for no design.
     """
     chosen = results.cases[case]
     drivable = chosen.drivable
