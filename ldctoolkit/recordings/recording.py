@@ -99,42 +99,6 @@ class Recording:
     `RecordingError` for columns of different lengths, times that fall or are not finite, an empty name, or what is no
     text.
 
-    Attributes
-    ----------
-    name : str
-        Identifier, unique among the recordings of a source. One that had to be made printable ends in a digest, so
-        that two stay two.
-    t : (m,) [s]
-        Time on the recording's own clock, finite; repeated times are allowed, falling ones are not.
-    lane_offset : (m,) [m]
-        Vehicle's centre from the lane's centre, positive to the left.
-    lane_width : (m,) [m]
-        Width of the lane that the vehicle is in.
-    speed : (m,) [m/s]
-        Speed along the road.
-    valid : (m,) bool
-        False where the source itself says that the sample cannot be used.
-    curvature : (m,) [1/m] or None
-        Lane curvature, positive to the left.
-    yaw_rate : (m,) [rad/s] or None
-        Yaw rate, positive to the left; used only where `curvature` is None.
-    lane : (m,) int or None
-        Label of the lane; only equality counts.
-    turn_signal : (m,) int or None
-        +1 left, -1 right, 0 none.
-    heading : (m,) [rad] or None
-        Course over ground, counter-clockwise, NaN where there is none; `yaw_rate` is checked against it.
-    labels : tuple of Label
-        What departures can be grouped by.
-    source : str
-        What it came from, for the account: a file or a folder.
-    lane_scale : float
-        Factor that offset and width were multiplied with; 1 for none.
-    notes : tuple of str
-        What the recording lacks, in words.
-    yaw_rate_measured : (m,) bool or None
-        False where `yaw_rate` was worked out from the heading, which it cannot be checked against; None for nowhere.
-
     Examples
     --------
     >>> t = np.arange(3) * 0.1
@@ -143,21 +107,29 @@ class Recording:
     3
     """
 
+    # Identifier, unique among the recordings of a source. One that had to be made printable ends in a digest, so that
+    # two stay two.
     name: str
+    # (m,) [s] Time on the recording's own clock, finite; repeated times are allowed, falling ones are not
     t: FloatArray
-    lane_offset: FloatArray
-    lane_width: FloatArray
-    speed: FloatArray
-    valid: BoolArray
-    curvature: FloatArray | None = None
+    lane_offset: FloatArray  # (m,) [m] Vehicle's centre from the lane's centre, positive to the left
+    lane_width: FloatArray  # (m,) [m] Width of the lane that the vehicle is in
+    speed: FloatArray  # (m,) [m/s] Speed along the road
+    valid: BoolArray  # (m,) bool False where the source itself says that the sample cannot be used
+    curvature: FloatArray | None = None  # (m,) [1/m] Lane curvature, positive to the left
+    # (m,) [rad/s] Yaw rate, positive to the left; used only where `curvature` is None
     yaw_rate: FloatArray | None = None
-    lane: IntArray | None = None
-    turn_signal: IntArray | None = None
+    lane: IntArray | None = None  # (m,) int Label of the lane; only equality counts
+    turn_signal: IntArray | None = None  # (m,) int +1 left, -1 right, 0 none
+    # (m,) [rad] Course over ground, counter-clockwise, NaN where there is none; `yaw_rate` is checked against
+    # it
     heading: FloatArray | None = None
-    labels: tuple[Label, ...] = ()
-    source: str = ""
-    lane_scale: float = 1.0
-    notes: tuple[str, ...] = ()
+    labels: tuple[Label, ...] = ()  # What departures can be grouped by
+    source: str = ""  # What it came from, for the account: a file or a folder
+    lane_scale: float = 1.0  # Factor that offset and width were multiplied with; 1 for none
+    notes: tuple[str, ...] = ()  # What the recording lacks, as text
+    # (m,) bool False where `yaw_rate` was worked out from the heading, which it cannot be checked against;
+    # None for nowhere
     yaw_rate_measured: BoolArray | None = None
 
     COLUMNS: ClassVar[tuple[str, ...]] = (

@@ -28,22 +28,15 @@ class RecordingPart(Protocol):
 
     It is sent to worker processes, so it is plain data. Which recordings lie in which part depends on the source alone.
     Problems of a whole part are reported under its attribute `shown`, if it has one, or else under its key.
-
-    Attributes
-    ----------
-    key : str
-        Unique in the source, and the same whenever the source is opened again.
-    bytes : int
-        About how much is read, for the progress.
     """
 
     @property
     def key(self) -> str:
-        """Unique in the source."""
+        """Unique in the source, and the same whenever the source is opened again."""
 
     @property
     def bytes(self) -> int:
-        """About how much is read."""
+        """About how much is read, for the progress."""
 
     def read(self) -> Iterator[Recording | Problem]:
         """Recordings in a fixed order, and what could not be used; raises `LdcError` if nothing of it can."""
@@ -57,17 +50,7 @@ def part_name(part: RecordingPart) -> str:
 
 @runtime_checkable
 class RecordingSource(Protocol):
-    """Files that a reader has looked through.
-
-    Attributes
-    ----------
-    parts : sequence of RecordingPart
-        In a fixed order.
-    files : sequence of SourceFile
-        What was found, with digests.
-    problems : sequence of Problem
-        What was seen while looking; parts tell their own while they are read.
-    """
+    """Files that a reader has looked through."""
 
     @property
     def parts(self) -> Sequence[RecordingPart]:
@@ -75,11 +58,11 @@ class RecordingSource(Protocol):
 
     @property
     def files(self) -> Sequence[SourceFile]:
-        """What was found."""
+        """What was found, with digests."""
 
     @property
     def problems(self) -> Sequence[Problem]:
-        """What was seen while looking."""
+        """What was seen while looking; parts report their own while they are read."""
 
 
 P = TypeVar("P", bound=RecordingPart)
@@ -100,17 +83,6 @@ class RecordingReader(Protocol):
 
     Found by the entry-point group ``ldctoolkit.recordings``; the entry point's name is the reader's, its value an
     object (an instance, a class that is made without arguments, or a module) with these members.
-
-    Attributes
-    ----------
-    name : str
-        As given to ``ldc extract --format``.
-    title : str
-        A short text.
-    vehicle_width : float [m]
-        Taken unless the user gives another.
-    step : float [s] or None
-        Step that recordings are resampled to unless the user gives another; None leaves them as they are.
     """
 
     @property
@@ -123,11 +95,11 @@ class RecordingReader(Protocol):
 
     @property
     def vehicle_width(self) -> float:
-        """In m."""
+        """[m] Taken unless the user gives another."""
 
     @property
     def step(self) -> float | None:
-        """In s."""
+        """[s] That recordings are resampled to unless the user gives another; None leaves them as they are."""
 
     def recognise(self, paths: Sequence[Path]) -> str:
         """What was found, in a short text, if these paths are of this kind; otherwise an empty text.

@@ -132,14 +132,14 @@ def test_nothing_and_wrong_shapes() -> None:
             pareto_front(np.zeros(shape))
 
 
-def test_costs_turn_figures_of_which_more_is_better() -> None:
+def test_costs_turn_metrics_of_which_more_is_better() -> None:
     columns = {"S": np.array([1.0, 2.0, 2.0]), "within_dtle": np.array([0.5, 0.9, 0.5])}
     costs = pareto_costs(["S", "dtle_0p3_share"], columns)
     assert costs.tolist() == [[1.0, -0.5], [2.0, -0.9], [2.0, -0.5]]
     assert pareto_front(costs).tolist() == [True, True, False]
     with pytest.raises(UnknownNameError, match="did you mean 'S'"):
         pareto_costs(["SS"], columns)
-    with pytest.raises(InputError, match="no figures"):
+    with pytest.raises(InputError, match="no metrics"):
         pareto_costs([], columns)
 
 
