@@ -20,7 +20,6 @@ from ldctoolkit.recordings import (
     read_departures,
     write_departures,
 )
-from ldctoolkit.recordings.sources import recording_reader
 
 MOST_LETTERS = 600  # of a problem in words: a file's name of up to 255 bytes, and a sentence with a cell cut short
 PATIENCE = 60  # seconds after which an example counts as hanging; the slowest takes well under one
@@ -58,15 +57,6 @@ def check(
     if found.departures.n:
         return "damaged departures" if found.problems else "departures"
     return "problems" if found.problems else "no departure"
-
-
-def recognise(paths: Sequence[Path], reader: str) -> str:
-    """What a reader says of paths."""
-    with warnings.catch_warnings(), _limited():
-        warnings.simplefilter("error")
-        words = recording_reader(reader).recognise(paths)
-    assert isinstance(words, str)
-    return words
 
 
 def _check_departures(found: Extraction) -> None:

@@ -12,11 +12,10 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from helpers import fuzz as making
+from ldctoolkit.recordings import extract_departures, open_recordings
 
 READERS = tuple(making.SOUND)
 SHAPES = [(reader, i) for reader, shapes in making.SOUND.items() for i in range(len(shapes))]
-
-SHAPES_OF = {reader: tuple(range(len(shapes))) for reader, shapes in making.SOUND.items()}
 
 
 def fixed(examples: int) -> settings:
@@ -32,8 +31,8 @@ def test_the_sound_files_hold_departures(tmp_path: Path, reader: str, shape: int
     """Else the damage would be done to nothing."""
     making.write(tmp_path, making.SOUND[reader][shape])
     for format_ in (reader, "auto"):
-        opened = making.open_recordings([tmp_path], format=format_)
-        found = making.extract_departures(opened)
+        opened = open_recordings([tmp_path], format=format_)
+        found = extract_departures(opened)
         assert (opened.reader.name, found.problems) == (reader, ())
         assert found.departures.n == making.DEPARTURES[reader]
 
@@ -42,19 +41,10 @@ Outcomes = Counter[str]
 
 
 def fuzz_damaged_files(reader: str, examples: int) -> Outcomes:
-    """Damaged files of a format, given to its reader."""
-    return _fuzz_damaged(reader, examples, st.just(reader))
-
-
-def fuzz_elsewhere(reader: str, examples: int) -> Outcomes:
-    """Damaged files of a format, given to whichever reader is found, or to another one."""
-    return _fuzz_damaged(reader, examples, st.sampled_from(("auto", "auto", "auto", *READERS)))
-
-
-def _fuzz_damaged(reader: str, examples: int, formats: st.SearchStrategy[str]) -> Outcomes:
+    """Damaged files of a format, given to its reader or to whichever is found."""
     outcomes: Outcomes = Counter()
-    widths = st.sampled_from((None, None, 3.5))
     sound = making.SOUND[reader]
+    formats, widths = st.sampled_from((reader, reader, "auto")), st.sampled_from((None, None, 3.5))
 
     @fixed(examples)
     @example(sound[0], reader, True, None, 0, False)
@@ -92,65 +82,13 @@ def fuzz_bytes(reader: str, examples: int) -> Outcomes:
     return outcomes
 
 
-def fuzz_places(reader: str, examples: int) -> Outcomes:
-    """Sound files beside links in loops, pipes, folders and files that may not be read, odd names; odd paths given."""
-    outcomes: Outcomes = Counter()
-    formats = st.sampled_from((*[reader] * 4, "auto"))
-    given_paths = st.lists(making.PATHS, max_size=2)
-
-    @fixed(examples)
-    @example(0, [], [], 0, reader)
-    @example(0, [], ["none.csv"], 0, reader)
-    @given(st.sampled_from(SHAPES_OF[reader]), making.PLACES, given_paths, st.integers(0, 2), formats)
-    def run(shape: int, places: list[tuple[str, str]], others: list[str], named: int, format_: str) -> None:
-        with tempfile.TemporaryDirectory() as folder:
-            root = Path(folder, "in")
-            root.mkdir()
-            written = making.write(root, making.SOUND[reader][shape])
-            odd = making.put_places(root, places)
-            paths = [[root], written, [*written, *odd]][named] + [Path(f"{root}/{name}") for name in others]
-            outcomes[making.check(paths, format_, table=Path(folder, "d.parquet"))] += 1
-            making.open_again(odd)
-
-    run()
-    return outcomes
-
-
-def fuzz_recognise(reader: str, examples: int) -> Outcomes:
-    """Every reader's first look at anything: words or none."""
-    outcomes: Outcomes = Counter()
-
-    @fixed(examples)
-    @given(making.files_changed(making.SOUND[reader]), making.PLACES, st.lists(making.PATHS, max_size=2))
-    def run(files: dict[str, bytes], places: list[tuple[str, str]], others: list[str]) -> None:
-        with tempfile.TemporaryDirectory() as folder:
-            root = Path(folder, "in")
-            root.mkdir()
-            written = making.write(root, files)  # first: a pipe in a file's place would wait for a reader
-            odd = making.put_places(root, places)
-            paths = [*written, *odd, *(Path(f"{root}/{name}") for name in others)]
-            for name in READERS:
-                for some in (paths, [root], []):
-                    outcomes[f"{name} {bool(making.recognise(some, name))}"] += 1
-            making.open_again(odd)
-
-    run()
-    return outcomes
-
-
-FUZZ = {
-    "damaged": fuzz_damaged_files, "elsewhere": fuzz_elsewhere, "bytes": fuzz_bytes, "places": fuzz_places,
-    "recognise": fuzz_recognise,
-}  # fmt: skip
-FAST = {"damaged": 16, "elsewhere": 5, "bytes": 8, "places": 6, "recognise": 5}
-SLOW = {"damaged": 500, "elsewhere": 200, "bytes": 500, "places": 80, "recognise": 50}
+FUZZ = {"damaged": fuzz_damaged_files, "bytes": fuzz_bytes}
+FAST, SLOW = {"damaged": 20, "bytes": 8}, {"damaged": 600, "bytes": 500}
 
 
 def check_outcomes(kind: str, outcomes: Outcomes, examples: int) -> None:
     """Neither were all files refused, nor did all stay as they were: one example of each is always among them."""
     assert outcomes.total() >= examples
-    if kind == "recognise":
-        return
     found = outcomes["departures"] + outcomes["damaged departures"]
     assert (found > 0) == (kind != "bytes")
     assert outcomes["refused"] > 0 or kind == "bytes"
@@ -189,7 +127,7 @@ def test_names_that_are_no_text(tmp_path: Path) -> None:
     contents = {b"\xff.csv": content, b"a\nb.csv": faulty, b"c.csv": content.replace(b"\nr", b"\nq")}
     for name, one in contents.items():
         Path(os.fsdecode(os.fsencode(tmp_path) + b"/" + name)).write_bytes(one)
-    found = making.extract_departures(making.open_recordings([tmp_path], format="table"))
+    found = extract_departures(open_recordings([tmp_path], format="table"))
     assert sorted(file.name for file in found.provenance.sources) == ["\\udcff.csv", "a\\nb.csv", "c.csv"]
     assert [problem.file for problem in found.problems] == ["a\\nb.csv"] * 2
     assert {account.origin.source for account in found.accounts} == {"\\udcff.csv", "a\\nb.csv", "c.csv"}
