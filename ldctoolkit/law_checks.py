@@ -32,42 +32,24 @@ _LONGEST = 500
 
 
 def raised(error: BaseException) -> str:
-    """What was raised, with the law's own file and line; messages of the toolkit as they are."""
-    text = _clean(_message(error))
+    """What was raised, in one line, with the law's own file and line; messages of the toolkit as they are."""
+    text = " ".join(str(error).encode("utf-8", "backslashreplace").decode().split())
     if not isinstance(error, LdcError):
-        called = _clean(type(error).__name__)
-        text = f"{called}: {text}" if text else called
+        text = f"{type(error).__name__}: {text}" if text else type(error).__name__
     if len(text) > _LONGEST:
         text = f"{text[: _LONGEST - 4]} ..."
-    return text if isinstance(error, LdcError) else f"{text} {_clean(_place(error))}".rstrip()
-
-
-def _message(error: BaseException) -> str:
-    """The message; an exception may be anybody's code too, and have none."""
-    try:
-        return str(error)
-    except (KeyboardInterrupt, GeneratorExit):
-        raise
-    except BaseException as second:
-        return f"its message cannot be read, __str__ raises {type(second).__name__}"
-
-
-def _clean(text: str) -> str:
-    """One line without control characters, which steer a terminal, and lone surrogates, which no file takes."""
-    known = text.encode("utf-8", "backslashreplace").decode("utf-8")
-    return "".join(c for c in " ".join(known.split()) if c.isprintable())
+    return text if isinstance(error, LdcError) else f"{text} {_place(error)}".rstrip()
 
 
 def _place(error: BaseException) -> str:
     """File name and line, the innermost in the file that the toolkit called."""
-    frames = list(itertools.dropwhile(_is_ours, traceback.extract_tb(error.__traceback__)))
+
+    def is_ours(frame: traceback.FrameSummary) -> bool:
+        return any(Path(frame.filename).resolve().is_relative_to(folder) for folder in _OURS)
+
+    frames = list(itertools.dropwhile(is_ours, traceback.extract_tb(error.__traceback__)))
     inside = [frame for frame in frames if frame.filename == frames[0].filename]
     return f"({Path(inside[-1].filename).name}, line {inside[-1].lineno})" if inside else ""
-
-
-def _is_ours(frame: traceback.FrameSummary) -> bool:
-    path = Path(frame.filename).resolve()
-    return any(path.is_relative_to(folder) for folder in _OURS)
 
 
 _OF_A_STEP = (EventStatus.OK, EventStatus.SOLVER_FAILED, EventStatus.BEYOND_DELTA_MAX)

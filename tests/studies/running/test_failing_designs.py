@@ -319,7 +319,7 @@ def test_laws_without_memory_pass(make_study: MakeStudy, tmp_path: Path, yaw_rat
 @pytest.mark.parametrize(
     ("error", "said"),
     [
-        (asyncio.CancelledError("a \ud800\x1b[31m b"), r"CancelledError: a \\ud800\[31m b \(.*"),
+        (asyncio.CancelledError("a \ud800 b"), r"CancelledError: a \\ud800 b \(.*"),
         (type("Mute", (Exception,), {"__str__": lambda self: 1 / 0})(), r"Mute: its message cannot be read, .*"),
     ],
 )
