@@ -49,7 +49,6 @@ import numpy.typing as npt
 from ldctoolkit import (
     Controller,
     EventStatus,
-    Gain,
     LinearLaw,
     LinearSteps,
     Plant,
@@ -85,23 +84,11 @@ def inner_design(inner: str, inner_gains: str, owner: type[Controller]) -> Contr
             raise UnknownNameError(f"{where}: {inner}.{name}: no such gain; {nearest(name, declared)}")
         if name in given:
             raise InputError(f"{where}: {name!r} is given twice; allowed: once")
-        given[name] = _value(declared[name], value)
+        given[name] = declared[name].parsed(value)
     try:
         return kind(**given)
     except InputError as error:
         raise InputError(f"{where}: {error}") from None
-
-
-def _value(declared: Gain, word: str) -> Any:
-    """What a word stands for; the gain's own check names what is not allowed."""
-    if declared.choices or declared.text:
-        return word
-    if isinstance(declared.default, bool):
-        return {"true": True, "false": False}.get(word, word)
-    try:
-        return float(word)
-    except ValueError:
-        return word
 
 
 def steering_law(design: Controller, plant: Plant, owner: str) -> SteeringLaw:

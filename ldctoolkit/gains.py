@@ -66,6 +66,17 @@ class Gain:
             raise InputError(f"{where}: {value!r}; allowed: {kind} from {self.lower:g} to {self.upper:g}{unit}")
         return int(number) if whole else number
 
+    def parsed(self, text: str) -> Any:
+        """What a text stands for; what it cannot be is left to `check`."""
+        if isinstance(self.default, str):
+            return text
+        if isinstance(self.default, bool):
+            return {"true": True, "false": False}.get(text, text)
+        try:
+            return float(text)
+        except ValueError:
+            return text
+
 
 def _number(value: Any) -> float | None:
     """The value as a finite float; None for anything else (numpy scalars are numbers, booleans are not)."""

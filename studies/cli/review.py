@@ -6,8 +6,8 @@ import argparse
 import dataclasses
 import json
 import math
+import os
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from ldctoolkit.errors import InputError, LdcError, UnknownNameError, nearest
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     import numpy as np
 
     from ldctoolkit import Controller, Scenarios
-    from ldctoolkit.gains import Gain
     from ldctoolkit.plant_options import PlantOptions
     from ldctoolkit.review import Review
     from ldctoolkit.review.limits import Finding
@@ -61,10 +60,10 @@ def subjects(chosen: argparse.Namespace) -> list[Subject]:
         if chosen.only:
             raise InputError("--design: goes with a study; a law's gains are given with --gain")
         return [_law(chosen)]
-    if _is_file(f"{chosen.design}/manifest.json"):
+    if os.path.isfile(f"{chosen.design}/manifest.json"):  # noqa: PTH113 - raises nothing, whatever the name
         return list(_of_folder(chosen))
     known = chosen.design in catalog_names() or chosen.design.endswith(".toml")
-    if not known and not _is_file(chosen.design):
+    if not known and not os.path.isfile(chosen.design):  # noqa: PTH113
         names = (*controller_names(), *catalog_names())
         raise UnknownNameError(f"{chosen.design!r}: neither a law, nor a study; {nearest(chosen.design, names)}")
     if chosen.gain:
@@ -125,14 +124,6 @@ def _of_folder(chosen: argparse.Namespace) -> Iterator[Subject]:
         yield dataclasses.replace(subject, stored=tuple(found))
 
 
-def _is_file(path: str) -> bool:
-
-    try:
-        return Path(path).is_file()
-    except OSError:  # a name that is longer than names of files may be
-        return False
-
-
 def _law(chosen: argparse.Namespace) -> Subject:
     from ldctoolkit import controller_class
     from ldctoolkit.gains import find_gain
@@ -142,25 +133,13 @@ def _law(chosen: argparse.Namespace) -> Subject:
 
     kind = controller_class(chosen.design)
     each_once("--gain", chosen.gain)
-    gains = {name: _value(find_gain(kind, name, kind.name), text) for name, text in chosen.gain or ()}
+    gains = {name: find_gain(kind, name, kind.name).parsed(text) for name, text in chosen.gain or ()}
     given = ", ".join(f"{name}={text}" for name, text in chosen.gain or ())
     arguments: dict[str, Any] = {"options": _plant(chosen, PlantOptions())}
     if chosen.dt is not None:
         arguments["dt"] = chosen.dt
     arguments["speeds"] = _speeds(chosen, (SPEEDS[0], SPEEDS[-1]))
     return Subject(f"{kind.title}{', ' if given else ''}{given}", (), kind(**gains), arguments)
-
-
-def _value(declared: Gain, text: str) -> Any:
-    """The text of a gain as what it stands for; what it cannot be is left to the gain's own check."""
-    if isinstance(declared.default, bool):
-        return {"true": True, "false": False}.get(text, text)
-    if isinstance(declared.default, str):
-        return text
-    try:
-        return float(text)
-    except ValueError:
-        return text
 
 
 def _plant(chosen: argparse.Namespace, options: PlantOptions) -> PlantOptions:
@@ -246,19 +225,11 @@ def _angles(triggers: list[Takeover]) -> tuple[np.ndarray, np.ndarray] | None:
     return (angles, np.concatenate([takeover.plant.v for takeover in triggers])) if angles.size else None
 
 
-UNITS: Final = {
-    "v": "m_s",
-    "bend": "rad_s",
-    "slowest": "s",
-    "gain_margin": "dB",
-    "gain_reduction_margin": "dB",
-    "phase_margin": "rad",
-    "delay_margin": "s",
-    "crossover": "rad_s",
-    "bandwidth": "rad_s",
-    "e_y_bend": "m",
-    "e_y_bend_mismatched": "m",
-}
+_OF_UNIT: Final = {
+    "m_s": "v", "rad_s": "bend crossover bandwidth", "s": "slowest delay_margin", "rad": "phase_margin",
+    "dB": "gain_margin gain_reduction_margin", "m": "e_y_bend e_y_bend_mismatched",
+}  # fmt: skip
+UNITS: Final = {name: unit for unit, names in _OF_UNIT.items() for name in names.split()}
 """Number of a loop -> unit at the end of its column; one that is not here is a pure number."""
 
 
