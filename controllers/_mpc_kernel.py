@@ -25,8 +25,6 @@ between runs; all that it calls stands in this file, so that a change compiles i
 
 # mypy: disable-error-code="untyped-decorator, no-any-return"
 
-from __future__ import annotations
-
 from typing import Any, Final
 
 import numba

@@ -12,8 +12,6 @@ G_1, G_2, G_3 the responses to accelerations 1, s and s^2/2 of s = t/dt. So what
 plant, and stiffness at low speed is no trouble. Only the accelerations have a part g that is not linear.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any, Final
 

@@ -11,8 +11,6 @@ closed by driving the model with a shortened step of the commands, until the mer
 the commands, so that every iterate meets them.
 """
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import functools

@@ -20,8 +20,6 @@ Automatica 36(6), 2000; E. Kerrigan, J. Maciejowski, *Soft constraints and exact
 control*, UKACC Control, 2000.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import ClassVar, final
 

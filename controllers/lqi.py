@@ -15,8 +15,6 @@ Lag and delays of actuator and camera are known, as by `lqr`; with ``plant_knowl
 behind a steering lag of 0.2 s and diverges from 28 m/s on.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import ClassVar, final
 

@@ -7,8 +7,6 @@ q_y e_y^2 + q_y_rate (de_y/dt)^2 + q_psi e_psi^2 + q_psi_rate (de_psi/dt)^2 + r_
 joined by the wheel angle and the commands on their way: `controllers.riccati.linear_law`.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import ClassVar, final
 

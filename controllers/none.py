@@ -1,7 +1,5 @@
 """No control: the departure runs as it was recorded. The baseline of every study."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import ClassVar, final
 

@@ -24,8 +24,6 @@ begin there, x~ is predicted up to there with the lane as it will be, and the la
 counts as its present.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import ClassVar, final

@@ -6,8 +6,6 @@ negative for a stable loop. Source: Zhao, Wang, LeBlanc (2017), section IV, gain
 preview with the opposite sign, which steers out of the bend: ``convention="as_printed"``.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import ClassVar, final
 

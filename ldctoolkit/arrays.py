@@ -1,7 +1,5 @@
 """Types of arrays; shapes are given where they are used."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 

@@ -4,8 +4,6 @@ Every leaf also derives from the builtin that a caller would expect, so ``except
 A message names the field (or the file and line), the value, what is allowed and the nearest valid name.
 """
 
-from __future__ import annotations
-
 import difflib
 from collections.abc import Iterable
 from typing import Any

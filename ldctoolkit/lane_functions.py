@@ -5,8 +5,6 @@ Whoever calls them is compiled anew when this file changes only if it looks at i
 
 # mypy: disable-error-code="untyped-decorator, no-untyped-def, no-untyped-call"
 
-from __future__ import annotations
-
 import inspect
 import math
 from typing import Any, Final

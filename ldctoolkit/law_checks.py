@@ -3,8 +3,6 @@
 A type checker finds these mistakes too; here they end in one message that names the controller and what is allowed.
 """
 
-from __future__ import annotations
-
 import itertools
 import traceback
 from pathlib import Path

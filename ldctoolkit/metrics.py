@@ -7,8 +7,6 @@ of the store and of ``ranking.csv``, names in requirements, axes and texts on pa
 Arrays of n scenarios, or of (d, n) for d designs: everything is taken along the last axis.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Callable, Iterator, Mapping

@@ -1,7 +1,5 @@
 """What a notebook shows of an object: escaped HTML without script."""
 
-from __future__ import annotations
-
 import html
 from collections.abc import Iterable
 from typing import Final

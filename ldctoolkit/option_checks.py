@@ -3,8 +3,6 @@
 Checks, the keys of a study file and the settings that a report lists follow from the declaration.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import warnings

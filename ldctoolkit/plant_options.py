@@ -4,8 +4,6 @@ The ideal plant is a linear bicycle at the speed of the trigger, whose steering 
 state the law sees as it is. Every option here takes one of these idealisations away.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from fractions import Fraction

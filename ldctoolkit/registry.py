@@ -1,7 +1,5 @@
 """Controllers by name: registered in the running program, or found by the entry-point group of installed packages."""
 
-from __future__ import annotations
-
 import functools
 import importlib.metadata
 import importlib.util

@@ -1,7 +1,5 @@
 """The installed version, read from the package's metadata so that it stands in one place."""
 
-from __future__ import annotations
-
 import importlib.metadata
 
 __version__ = importlib.metadata.version("ldctoolkit")

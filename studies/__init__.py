@@ -1,7 +1,5 @@
 """Studies: many designs on the same scenarios, stored, ranked and reported."""
 
-from __future__ import annotations
-
 import importlib
 from typing import TYPE_CHECKING, Any
 

@@ -3,8 +3,6 @@
 What numba compiles lies on disk afterwards, beside the code. Two processes compile at the same time.
 """
 
-from __future__ import annotations
-
 import multiprocessing
 
 

@@ -1,7 +1,5 @@
 """Design spaces: the tables ``[[design]]`` of a study file, and what each of their entries stands for."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import math

@@ -1,7 +1,5 @@
 """Extractions of any size: the parts of a source go to workers, are stored as they finish, and joined in order."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import hashlib

@@ -1,7 +1,5 @@
 """The declared options of plant and simulation: read from a study file, and shown to a reader again."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator
 from typing import Any, Final

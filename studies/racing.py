@@ -1,7 +1,5 @@
 """Racing: which designs need no further scenarios, because the best of them is separable from those already."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Sequence

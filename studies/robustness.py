@@ -9,7 +9,7 @@ import math
 import statistics
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, get_type_hints
 
 import numpy as np
 import numpy.typing as npt
@@ -461,7 +461,7 @@ def _paired(
 
 NAME: Final = "robustness.json"
 
-_KINDS: Final = {"FloatArray": np.float64, "IntArray": np.int64, "BoolArray": np.bool_}
+_KINDS: Final[dict[Any, Any]] = {FloatArray: np.float64, IntArray: np.int64, BoolArray: np.bool_}
 
 
 def robustness_of(folder: Path, task: RobustnessTask) -> Robustness:
@@ -490,7 +490,7 @@ def text_of(robustness: Robustness) -> str:
 
 def read(path: Path) -> Robustness | None:
     """Read a file that was written from `text_of`; None where there is none, or it is of another kind."""
-    kinds = {field.name: _KINDS.get(str(field.type)) for field in dataclasses.fields(Robustness)}
+    kinds = {name: _KINDS.get(hint) for name, hint in get_type_hints(Robustness).items()}
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
         values: dict[str, Any] = {

@@ -1,7 +1,5 @@
 """Runs a study: plans its designs, fills its store, scores the finalists again; resumes where a run was stopped."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import logging

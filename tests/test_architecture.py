@@ -1,7 +1,5 @@
 """The shape of the house: imports point down, the wheel names its packages, no circles, no module outgrows its job."""
 
-from __future__ import annotations
-
 import ast
 import subprocess
 import sys

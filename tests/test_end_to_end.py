@@ -1,7 +1,5 @@
 """The main job as a user does it: recordings in, a ranked comparison report out."""
 
-from __future__ import annotations
-
 import csv
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The model's marginals, by integration and a large sample, and joint histograms of two parameters."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Final, Literal
 

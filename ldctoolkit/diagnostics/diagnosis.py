@@ -1,7 +1,5 @@
 """The whole diagnosis of a mixture, or of both sides of a scenario model."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Callable, Iterator, Sequence

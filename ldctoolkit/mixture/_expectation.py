@@ -1,7 +1,5 @@
 """E-step: components as coefficients of the features (1, x_i, x_i x_j), feature sums as weighted moments."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -5,8 +5,6 @@ its sufficient statistics. The products are written out two components at a time
 often. The compiler takes a while to import: callers import this module where they call it.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, Final
 

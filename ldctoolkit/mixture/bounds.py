@@ -1,7 +1,5 @@
 """Bounds read off the data: where a column's density ends abruptly, and where it only thins out."""
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

@@ -1,7 +1,5 @@
 """Compiled loops of paths and random numbers. The compiler takes a while to import: import this where it is called."""
 
-from __future__ import annotations
-
 import math
 from typing import Any, Final, NamedTuple
 

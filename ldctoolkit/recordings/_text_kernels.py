@@ -1,7 +1,5 @@
 """Compiled reading of numbers and keys in the bytes of a table."""
 
-from __future__ import annotations
-
 from typing import Final
 
 import numba

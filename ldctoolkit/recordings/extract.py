@@ -1,7 +1,5 @@
 """Extraction of departures from recordings: part by part, joined in the order of the source."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Final

@@ -1,7 +1,5 @@
 """Lane departures in a recording: stretches beyond the line, and the eight parameters of each."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import Any, Final

@@ -1,7 +1,5 @@
 """Preparation of recordings: resampling, gaps, lane widths and yaw rates; signals in time."""
 
-from __future__ import annotations
-
 import bisect
 import dataclasses
 import math

@@ -1,7 +1,5 @@
 """Quality statistics of an extraction: what was read, kept and dropped, and example events."""
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import itertools

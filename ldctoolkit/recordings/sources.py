@@ -1,7 +1,5 @@
 """Sources of recordings: files and folders of a format, cut into parts, and several sources read as one."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import importlib.metadata

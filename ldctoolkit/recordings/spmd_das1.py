@@ -4,8 +4,6 @@ The lane table has the camera's distances, the other one the vehicle's own signa
 together by device, trip and time, which is in centiseconds.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,5 @@
 """Reader for the SPMD table HV_Primary (data acquisition system 2): lane tracker, vehicle and GPS in one row."""
 
-from __future__ import annotations
-
 import codecs
 import dataclasses
 import re

@@ -1,7 +1,5 @@
 """Plain tables of recordings, CSV or Parquet: the text table, its columns and units, and what is wrong with it."""
 
-from __future__ import annotations
-
 import codecs
 import csv
 import dataclasses

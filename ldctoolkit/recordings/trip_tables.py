@@ -1,7 +1,5 @@
 """Tables of trips: their header, the look through all files, and the rows of single trips."""
 
-from __future__ import annotations
-
 import codecs
 import concurrent.futures
 import dataclasses

@@ -1,7 +1,5 @@
 """The review of one design: every check at every speed, and the findings that follow."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Limits that contradict each other: those of the law, of the actuator, of the bend, of the departure."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Iterator

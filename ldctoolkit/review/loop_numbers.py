@@ -1,7 +1,5 @@
 """Numbers of the linear loop over a range of speeds."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import math

@@ -1,7 +1,5 @@
 """Where a scenario model comes from: its sides, summaries of the departures, and the settings of the fit."""
 
-from __future__ import annotations
-
 import dataclasses
 import importlib.metadata
 import math

@@ -4,8 +4,6 @@ A scenario is driven by itself, whichever loop drives it, so that its numbers ca
 it, on their order or on the number of threads.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import time
 from collections.abc import Callable, Iterable, Iterator

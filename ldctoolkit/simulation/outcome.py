@@ -1,7 +1,5 @@
 """What a simulation returns: raw runs, and outcomes scored over a window."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Sequence

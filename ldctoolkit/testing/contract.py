@@ -1,7 +1,5 @@
 """The contract as a list of faults, as one call that raises, and as a class for pytest."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import ClassVar, Final

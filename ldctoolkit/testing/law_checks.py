@@ -1,7 +1,5 @@
 """The part of the contract that a law keeps once it is prepared."""
 
-from __future__ import annotations
-
 import contextlib
 import copy
 import dataclasses

@@ -6,8 +6,6 @@ scores are integrals and not sums. Everything comes out of one matrix exponentia
 *Computing integrals involving the matrix exponential*, IEEE TAC 23(3), 1978).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

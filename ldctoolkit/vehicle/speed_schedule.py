@@ -5,8 +5,6 @@ few dozen speeds is exact to rounding at every other speed, and nothing need be 
 speeds is fixed: what a scenario gets cannot depend on which others are in its set.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import math

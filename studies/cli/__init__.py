@@ -1,7 +1,5 @@
 """The command ``ldc``: a file each for most subcommands. Nothing heavy is imported before a subcommand runs."""
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import logging

@@ -1,7 +1,5 @@
 """``ldc compare``: what got better or worse between two studies."""
 
-from __future__ import annotations
-
 import argparse
 
 from studies.cli._console import Subparsers, console, output_file, positive_number

@@ -1,7 +1,5 @@
 """``ldc report``: write the report of a study again."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What a comparison of two studies finds, and the files it is written to."""
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import html

@@ -1,7 +1,5 @@
 """The page that compares two studies: winner against winner first, then every design of both."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """How sure the ranking is: intervals of the best designs, fresh scenarios, and whether there are enough departures."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from typing import Final

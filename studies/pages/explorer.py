@@ -1,7 +1,5 @@
 """The departures explorer: single departures with every design's path, and the distributions over all of them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from typing import Final

@@ -1,7 +1,5 @@
 """The page of a fit: whether a scenario model describes its departures, and what it is good enough for."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Iterator
 from pathlib import Path

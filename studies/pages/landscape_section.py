@@ -1,7 +1,5 @@
 """Mean S over what was swept: where the best gains are, and which gain matters."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Sequence

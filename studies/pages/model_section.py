@@ -1,7 +1,5 @@
 """The scenario model: whether the study's departures are like the model and like those that it was fitted to."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """``ranking.md``: a ranking to be read by itself, in Markdown."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The ranking as a table, and the limits: what each asks, and what the designs have."""
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

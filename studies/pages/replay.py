@@ -1,7 +1,5 @@
 """Departures and designs of the explorer: which ones, by a stated rule, and their motion, driven again."""
 
-from __future__ import annotations
-
 import dataclasses
 import difflib
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Other plants: what becomes of the designs on vehicles that are not the study's, and the margins of their loops."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from typing import Final

@@ -1,7 +1,5 @@
 """What failed, and how the study was run: settings, versions, the command and the file that make it again."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from markupsafe import Markup

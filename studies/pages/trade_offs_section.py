@@ -1,7 +1,5 @@
 """What a small score is paid for with: comfort, needless interventions, steering, margins."""
 
-from __future__ import annotations
-
 from typing import Final
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The first screen: the verdict, four lights, and what the score costs in lateral acceleration."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Final
 

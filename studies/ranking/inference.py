@@ -128,14 +128,6 @@ def exact_grid(values: FloatArray, total: int) -> tuple[FloatArray, FloatArray]:
     return grid, unit
 
 
-def percentile_interval(means: FloatArray, confidence: float) -> tuple[FloatArray, FloatArray]:
-    """Percentile interval of every column of (B, d) resampled means."""
-    check_confidence(confidence)
-    tail = 0.5 * (1.0 - confidence)
-    low, high = np.quantile(means, [tail, 1.0 - tail], axis=0)
-    return low, high
-
-
 def check_confidence(confidence: float) -> None:
     """Refuse what is not between 0 and 1."""
     if not 0.0 < confidence < 1.0:
@@ -167,27 +159,28 @@ def lengths(parts: FloatArray) -> FloatArray:
     return paired_errors(parts, np.zeros(parts.shape[1]), 0.0)
 
 
+def _paired_parts(parts: FloatArray, reference: FloatArray) -> Iterator[tuple[slice, FloatArray]]:
+    size = max(1, _SPREAD_ENTRIES // parts.shape[1])
+    for first in range(0, len(parts), size):
+        rows = slice(first, first + size)
+        yield rows, parts[rows] - reference
+
+
 def paired_errors(parts: FloatArray, reference: FloatArray, largest: float) -> FloatArray:
     """Standard error of the mean paired difference of every row to a reference; 0 within the rounding of `largest`."""
-    d, n = parts.shape
-    errors = np.empty(d)
-    size = max(1, _SPREAD_ENTRIES // n)
-    for first in range(0, d, size):
-        block = parts[first : first + size] - reference
+    errors = np.empty(len(parts))
+    for rows, block in _paired_parts(parts, reference):
         block *= block
-        errors[first : first + size] = np.sqrt(block.sum(axis=1))
+        errors[rows] = np.sqrt(block.sum(axis=1))
     errors[errors <= _ROUNDING * largest] = 0.0
     return errors
 
 
 def paired_cubes(parts: FloatArray, reference: FloatArray) -> FloatArray:
     """Third moment of the mean paired difference of every row to a reference, (d,)."""
-    d, n = parts.shape
-    cubes = np.empty(d)
-    size = max(1, _SPREAD_ENTRIES // n)
-    for first in range(0, d, size):
-        block = parts[first : first + size] - reference
-        cubes[first : first + size] = (block * block * block).sum(axis=1)
+    cubes = np.empty(len(parts))
+    for rows, block in _paired_parts(parts, reference):
+        cubes[rows] = (block * block * block).sum(axis=1)
     return cubes
 
 

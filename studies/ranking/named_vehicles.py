@@ -1,7 +1,5 @@
 """Designs on other vehicles than their laws were designed for: the worst of a few named ones, and any plant."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Designs in the order of a ranking, and what fresh scenarios say of the first of them."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from typing import Final

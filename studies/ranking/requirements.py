@@ -1,7 +1,5 @@
 """Metrics of a design by name or alias, requirements on them, ``"a_y_peak_p95 <= 3.0"``, and named sets of these."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import re

@@ -1,7 +1,5 @@
 """The verdict on a ranking, and the ranking as text: terminal, Markdown and notebook."""
 
-from __future__ import annotations
-
 import dataclasses
 import html
 import math
@@ -95,7 +93,13 @@ def verdict(
         if recorded > 0:
             sentences.append(f"In {100 * recorded:.1f} % of departures the recorded path alone is beyond friction.")
         ahead = tuple(_try_next(ranking, place))
-    return Verdict(title, tuple(sentences), tuple(_lights(ranking, place, robustness)), place, nearest, ahead, recorded)
+    lights = (
+        _score_light(ranking, place),
+        _stable_light(ranking, place),
+        _limits_light(ranking, place),
+        _plants_light(ranking, place, robustness),
+    )
+    return Verdict(title, tuple(sentences), lights, place, nearest, ahead, recorded)
 
 
 def law_title(design: Design) -> str:
@@ -180,13 +184,6 @@ def _impossible(ranking: RankedDesigns, place: int) -> str:
     if not peak > most:
         return ""
     return f"a lateral acceleration of {peak:.3g} m/s\u00b2 ({peak / G:.2g} g) is physically impossible"
-
-
-def _lights(ranking: RankedDesigns, place: int, robustness: OtherPlants | None) -> Iterator[Light]:
-    yield _score_light(ranking, place)
-    yield _stable_light(ranking, place)
-    yield _limits_light(ranking, place)
-    yield _plants_light(ranking, place, robustness)
 
 
 def _score_light(ranking: RankedDesigns, place: int) -> Light:

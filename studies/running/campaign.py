@@ -1,7 +1,5 @@
 """A campaign: tasks sent to an executor in order, what comes back stored, and progress shown."""
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import json

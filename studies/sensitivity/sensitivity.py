@@ -15,7 +15,7 @@ from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.gains import GainValue
 from studies.design import Design
 from studies.design_space import THRESHOLD, DesignBlock, LawSpace
-from studies.ranking.inference import bootstrap_deviations, percentile_interval, row_means
+from studies.ranking.inference import bootstrap_deviations, check_confidence, row_means
 from studies.results import CaseResults, StudyResults
 from studies.study_file import RankingSettings, Study
 
@@ -228,7 +228,12 @@ def factorial_indices(S: FloatArray, resampled: FloatArray, levels: Sequence[int
     one, all_ = (shares[~np.isnan(shares).any(axis=1)] for shares in factorial_shares(resampled.reshape(-1, *levels)))
     if not len(one):
         raise InputError("S: the same for all designs in every resample; there is no variance to share out")
-    return Indices(first, *percentile_interval(one, confidence), total, *percentile_interval(all_, confidence))
+    check_confidence(confidence)
+    tail = 0.5 * (1.0 - confidence)
+    low, high, total_low, total_high = (
+        q for some in (one, all_) for q in np.quantile(some, [tail, 1.0 - tail], axis=0)
+    )
+    return Indices(first, low, high, total, total_low, total_high)
 
 
 def saltelli_indices(S: FloatArray, k: int, *, confidence: float, samples: int, seed: int) -> Indices:

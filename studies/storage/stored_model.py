@@ -1,7 +1,5 @@
 """The scenario model of a study, kept in its folder: a report can be made elsewhere."""
 
-from __future__ import annotations
-
 import dataclasses
 import logging
 import math

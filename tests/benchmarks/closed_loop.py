@@ -6,8 +6,6 @@ discrete-time system. Times are the best of several runs; a design's own prepara
 share in neither. Printed with `make bench` as the table that `docs/benchmarks.md` keeps; `--memory` measures the memory
 of 1,000 designs and is called by the script itself. The linear MPC has a script of its own."""
 
-from __future__ import annotations
-
 import dataclasses
 import importlib.metadata
 import platform

@@ -6,8 +6,6 @@ replayed by the toolkit's closed loop, so that S is compared and not the way S i
 scenario; what counts is the time of one scenario-step. The law's time holds all of it: Riccati equation, condensing,
 set-up of solvers, plant and score."""
 
-from __future__ import annotations
-
 import dataclasses
 import time
 

@@ -1,7 +1,5 @@
 """A browser that must stay silent, the rules of axe-core, and the pages to open."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import sys

@@ -1,7 +1,5 @@
 """Every page in a browser: it opens, lies right at all widths, is accessible and light."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

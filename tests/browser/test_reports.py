@@ -1,7 +1,5 @@
 """Report and extraction page in a browser."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Barrier filter: its closed form against a QP, what it promises in the closed loop, and the laws inside."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator
 from typing import Any, ClassVar

@@ -1,7 +1,5 @@
 """Nonlinear MPC against IPOPT on the same problem written plainly, the linear MPC, and an integrator of its model."""
 
-from __future__ import annotations
-
 import dataclasses
 import threading
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """PID and sliding mode."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import ClassVar

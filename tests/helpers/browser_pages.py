@@ -1,7 +1,5 @@
 """The pages that are opened: an ordinary study as `ldc run` leaves it, and studies with something odd about them."""
 
-from __future__ import annotations
-
 import contextlib
 import csv
 import dataclasses

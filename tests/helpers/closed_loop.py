@@ -1,7 +1,5 @@
 """Closed loops and laws for tests."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Callable, Iterable, Iterator

@@ -1,7 +1,5 @@
 """Controllers that come from installed packages by entry points."""
 
-from __future__ import annotations
-
 import dataclasses
 import importlib.metadata
 import sys

@@ -1,7 +1,5 @@
 """Laws that are wrong: what they raise, hand over, or are called."""
 
-from __future__ import annotations
-
 import asyncio
 import dataclasses
 import types

@@ -1,7 +1,5 @@
 """The review finds what was planted, and leaves sound designs alone."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import re

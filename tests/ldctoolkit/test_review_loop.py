@@ -1,7 +1,5 @@
 """The sampled loop behind a review: against integration, the closed loop that studies run, and loops worked by hand."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import math

@@ -1,7 +1,5 @@
 """Scenario model: fit, file, sampling, and the orders of magnitude of the bundled model."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The contract names each fault of a law by the check that it breaks, and finds none where there is none."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import re

@@ -1,7 +1,5 @@
 """Fixtures for the tests of studies: a small study, controllers that exist only in a test."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Iterator
 from pathlib import Path

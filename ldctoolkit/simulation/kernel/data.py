@@ -5,8 +5,6 @@ plant: the scenarios are therefore one array, with the columns named here. The m
 scenarios come in the takeover's order. Nothing that is imported here needs the compiler.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

@@ -9,8 +9,6 @@ look at: a digest of all of them is part of each entry, so that a changed file i
 
 # mypy: disable-error-code="untyped-decorator, no-untyped-def, no-untyped-call, call-arg"
 
-from __future__ import annotations
-
 import hashlib
 from pathlib import Path
 from typing import Any

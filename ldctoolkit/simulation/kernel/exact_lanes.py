@@ -9,8 +9,6 @@ slopes and integral is cut at T and split at a zero.
 
 # mypy: disable-error-code="untyped-decorator, no-untyped-def, no-untyped-call"
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

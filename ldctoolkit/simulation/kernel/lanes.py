@@ -5,8 +5,6 @@ A piece leads from the state in rows `X` to that in rows `N`: a sample on the id
 
 # mypy: disable-error-code="untyped-decorator, no-untyped-def, no-untyped-call"
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

@@ -13,8 +13,6 @@ instructions if its body is long; a short one is unrolled instead, and its lanes
 
 # mypy: disable-error-code="untyped-decorator, no-untyped-def, no-untyped-call"
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

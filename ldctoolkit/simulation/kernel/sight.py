@@ -2,8 +2,6 @@
 
 # mypy: disable-error-code="untyped-decorator, no-untyped-def, no-untyped-call"
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

@@ -1,7 +1,5 @@
 """Where work runs: in this process, in processes of this machine, or on a Dask cluster."""
 
-from __future__ import annotations
-
 import os
 
 from ldctoolkit.errors import InputError, nearest

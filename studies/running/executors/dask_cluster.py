@@ -1,7 +1,5 @@
 """Workers of a Dask cluster: the connection, and tasks on it."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import dataclasses

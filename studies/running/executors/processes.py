@@ -1,7 +1,5 @@
 """Executors: what one is, what runs in its workers, and the processes of this machine."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import faulthandler

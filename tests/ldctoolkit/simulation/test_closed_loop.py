@@ -1,7 +1,5 @@
 """The closed loop against an independent one, and its invariances."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import Any

@@ -1,7 +1,5 @@
 """Scenarios that cannot be driven, and the log of solvers."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from typing import Any, ClassVar

@@ -2,8 +2,6 @@
 
 The reference integrates each departure with scipy to 1e-13, in other coordinates and in the road frame."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Actuator, mismatch, Kalman filter, and functions of the lanes."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """``ldc report`` with departures and designs that are requested."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

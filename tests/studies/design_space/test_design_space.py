@@ -1,7 +1,5 @@
 """Design spaces: what a table stands for, against SciPy's and SALib's own samples, and what each mistake says."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import json

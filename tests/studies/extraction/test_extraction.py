@@ -1,7 +1,5 @@
 """Extractions: plan, parts, workers."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import importlib.metadata

@@ -1,7 +1,5 @@
 """One study, its report and its page, made once for all tests of the report."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

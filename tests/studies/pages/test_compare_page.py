@@ -1,8 +1,6 @@
 # ruff: noqa: RUF001
 """The page of a comparison, and charts."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from pathlib import Path

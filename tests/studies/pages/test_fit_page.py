@@ -1,8 +1,6 @@
 # ruff: noqa: RUF001
 """The pages of a fit and of an extraction."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The scenario model against its departures, accelerations of paths, the notebook of the documentation."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from pathlib import Path

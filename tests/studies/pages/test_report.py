@@ -1,8 +1,6 @@
 # ruff: noqa: RUF001 - the page shows true minus signs and dashes
 """The report as a reader's browser parses it: the verdict first, complete, correct, escaped, the same each time."""
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import re

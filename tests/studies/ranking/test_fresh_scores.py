@@ -1,7 +1,5 @@
 """Finalists on fresh scenarios: scores and differences by another route, the winner, cases without a fresh score."""
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 from pathlib import Path

@@ -15,7 +15,7 @@ from ldctoolkit import EventStatus, Scenarios
 from ldctoolkit.errors import InputError, StoreError
 from ldctoolkit.metrics import RELEASE_METRICS, MetricValues
 from studies import Case, Design, Ranking, StudyResults
-from studies.ranking.inference import bootstrap_means, percentile_interval
+from studies.ranking.inference import bootstrap_means, check_confidence
 from studies.ranking.ranking import write_csv
 
 
@@ -265,7 +265,7 @@ def test_the_control_window_warns_where_y_s_varies(scores: np.ndarray) -> None:
 @pytest.mark.parametrize("confidence", [0.0, 1.0, -1.0, float("nan")])
 def test_a_confidence_outside_its_range_is_refused(confidence: float) -> None:
     with pytest.raises(InputError, match="confidence"):
-        percentile_interval(np.zeros((3, 1)), confidence)
+        check_confidence(confidence)
 
 
 def test_the_csv_names_units_and_keeps_every_digit(tmp_path: Path, scores: np.ndarray) -> None:

@@ -1,7 +1,5 @@
 """Numbers on other plants against plain simulations, textbook intervals, and python-control."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The dispatcher against an executor that kills workers by plan: what is found and stored depends on the plan alone."""
 
-from __future__ import annotations
-
 import dataclasses
 import random
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """A law that is broken does not stop a study: its designs are named with their fault, the others are as ever."""
 
-from __future__ import annotations
-
 import asyncio
 import csv
 import dataclasses

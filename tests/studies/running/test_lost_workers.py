@@ -1,7 +1,5 @@
 """A law that ends or stops its worker: the scenario at fault is found, and everything else is as without it."""
 
-from __future__ import annotations
-
 import dataclasses
 import os
 import signal

@@ -1,7 +1,5 @@
 """Sobol indices against functions whose indices are known, and profiles against direct simulation."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import math

@@ -1,7 +1,5 @@
 """Whatever lies on the disk, every reader gives departures within the criteria or an `LdcError`, nothing else."""
 
-from __future__ import annotations
-
 import os
 import tempfile
 from collections import Counter

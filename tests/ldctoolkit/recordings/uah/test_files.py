@@ -1,7 +1,5 @@
 """UAH-DriveSet: folders of trips, and files at fault."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import pickle
