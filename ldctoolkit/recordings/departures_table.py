@@ -167,19 +167,11 @@ _SIDES: Final = {"left": LEFT, "right": RIGHT}
 
 
 def write_departures(path: str | os.PathLike[str], departures: Departures, provenance: Provenance) -> None:
-    """Write a departures table, whole or not at all.
+    """Write a departures table to `path`, a name that ends in .parquet, whole or not at all; the provenance is kept as
+    JSON in the file's metadata.
 
-    Raises `RecordingError` if the suffix differs, a value is outside what `read_departures` accepts, or the file cannot
-    be written.
-
-    Parameters
-    ----------
-    path : path
-        A name that ends in .parquet; an existing file is replaced.
-    departures : Departures
-        n departures.
-    provenance : Provenance
-        Kept as JSON in the file's metadata.
+    Raises `RecordingError` if the suffix differs, a value of the departures is outside what `read_departures` accepts,
+    or the file cannot be written.
 
     Examples
     --------
@@ -223,21 +215,9 @@ def write_departures(path: str | os.PathLike[str], departures: Departures, prove
 
 
 def read_departures(path: str | os.PathLike[str]) -> tuple[Departures, Provenance]:
-    """Read and check a departures table.
+    """Read and check the departures table at `path`: n departures, perhaps none, and where they come from.
 
     Raises `RecordingError` naming file, column and row (the first row is 1).
-
-    Parameters
-    ----------
-    path : path
-        A file written by `write_departures`.
-
-    Returns
-    -------
-    departures : Departures
-        n departures, perhaps none.
-    provenance : Provenance
-        Where they come from.
 
     Examples
     --------

@@ -38,22 +38,7 @@ TAKEN: Final = frozenset(
 
 
 def extract_part(part: RecordingPart, criteria: Criteria, preparation: Preparation) -> PartResult:
-    """Departures of one part of a source.
-
-    Parameters
-    ----------
-    part : RecordingPart
-        What is read.
-    criteria : Criteria
-        What counts as a departure.
-    preparation : Preparation
-        How recordings are brought to a common form.
-
-    Returns
-    -------
-    PartResult
-        What cannot be used is a problem of it.
-    """
+    """Departures of one part of a source; what cannot be used is a problem of it."""
     return extract_items(_guarded(part), criteria, preparation)
 
 

@@ -86,7 +86,9 @@ def accounts_of(table: RecordingTable, found: Found, origins: tuple[Origin, ...]
     before = np.concatenate([[0], np.cumsum(found.usable)])
     usable = before[table.offsets[1:]] - before[table.offsets[:-1]]
     amounts = [_grouped(values, group, count) for values in (np.ones_like(group), samples, usable)]
-    read, valid = (_grouped(_nanoseconds(seconds), group, count) for seconds in (found.read, found.driven))
+    # a recording of absurd times counts as `LONGEST`
+    whole = (np.rint(np.minimum(seconds, LONGEST) * 1e9).astype(np.int64) for seconds in (found.read, found.driven))
+    read, valid = (_grouped(nanoseconds, group, count) for nanoseconds in whole)
     return tuple(
         Account(
             origin=origin,
@@ -110,23 +112,15 @@ def _grouped(values: IntArray, group: IntArray, count: int) -> IntArray:
     return total
 
 
-def _nanoseconds(seconds: FloatArray) -> IntArray:
-    """Times as whole numbers; a recording of absurd times counts as `LONGEST`."""
-    whole: IntArray = np.rint(np.minimum(seconds, LONGEST) * 1e9).astype(np.int64)
-    return whole
-
-
 def combined_accounts(accounts: Iterable[Account]) -> tuple[Account, ...]:
     """One account an origin, in the order in which the origins first come."""
     of: dict[Origin, list[Account]] = {}
     for account in accounts:
         of.setdefault(account.origin, []).append(account)
-    return tuple(_sum(origin, parts) for origin, parts in of.items())
-
-
-def _sum(origin: Origin, parts: list[Account]) -> Account:
     names = [field.name for field in dataclasses.fields(Account) if field.name != "origin"]
-    return Account(origin, *(sum(getattr(part, name) for part in parts) for name in names))
+    return tuple(
+        Account(origin, *(sum(getattr(part, name) for part in parts) for name in names)) for origin, parts in of.items()
+    )
 
 
 def share_of_widths(widths: IntArray) -> tuple[FloatArray, FloatArray]:

@@ -314,7 +314,7 @@ class OpenedRecordings:
 def open_recordings(
     paths: str | os.PathLike[str] | Iterable[str | os.PathLike[str]], *, format: str = AUTO
 ) -> OpenedRecordings:
-    """Look through files and folders of recordings.
+    """Look through files and folders of recordings of one kind, to be given to `extract_departures`.
 
     Raises `RecordingError` if a path does not exist or is given twice, or nothing of it can be used; `UnknownNameError`
     for a reader that is not known; `InputError` if no path is given; `LdcError` if the reader fails over the paths, or
@@ -323,14 +323,8 @@ def open_recordings(
     Parameters
     ----------
     paths : path or iterable of paths
-        Files or folders of one kind.
     format : str
         Name of a reader; "auto" looks at columns and folders.
-
-    Returns
-    -------
-    OpenedRecordings
-        To be given to `extract_departures`.
 
     Examples
     --------
@@ -386,22 +380,11 @@ def _recognised(paths: list[Path]) -> tuple[RecordingReader, str]:
 def read_recordings(
     paths: str | os.PathLike[str] | Iterable[str | os.PathLike[str]], *, format: str = AUTO
 ) -> Iterator[Recording]:
-    r"""Read driving recordings, and stop at the first fault.
+    r"""Read driving recordings, whole ones in the order of the files, and stop at the first fault.
 
-    `open_recordings` goes on with what is sound, and names what is not. Raises `RecordingError` as `open_recordings`;
-    while iterating, for content that cannot be used, naming file and place.
-
-    Parameters
-    ----------
-    paths : path or iterable of paths
-        Files or folders of one kind.
-    format : str
-        Name of a reader; "auto" looks at columns and folders.
-
-    Returns
-    -------
-    iterator of Recording
-        Whole recordings in the order of the files; the content is read, and checked, while iterating.
+    `paths` and `format` are those of `open_recordings`, which goes on with what is sound, and names what is not. The
+    content is read, and checked, while iterating. Raises `RecordingError` as `open_recordings`; while iterating, for
+    content that cannot be used, naming file and place.
 
     Examples
     --------

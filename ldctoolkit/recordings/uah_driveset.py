@@ -22,12 +22,7 @@ STATES: Final = (DETECTED, 1.0, 0.0, -1.0, -9.0)  # detected, undetected, initia
 MOSTLY: Final = 0.9  # share of lines that must look as the file's name promises
 
 
-@dataclasses.dataclass(frozen=True)
-class Column:
-    """A column that is needed."""
-
-    index: int  # counted from 0
-    name: str  # for messages
+Columns = tuple[tuple[int, str], ...]  # place of a cell, counted from 0, and its name for messages
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,7 +31,7 @@ class TableKind:
 
     title: str  # for messages, with its article
     file: str  # name of the file
-    columns: tuple[Column, ...]  # (k,): columns that are read, the time first; others are passed over
+    columns: Columns  # columns that are read, the time first; others are passed over
     plausible: Callable[[FloatArray], bool]  # says of values, (n, k), whether they can be this table's
 
 
@@ -77,28 +72,21 @@ def _accelerometers_like(values: FloatArray) -> bool:
     return _mostly(np.isin(flag, (0.0, 1.0)) & (np.abs(yaw) <= 360.0))
 
 
-def _columns(*named: tuple[int, str]) -> tuple[Column, ...]:
-    return tuple(Column(index, name) for index, name in named)
-
-
 LANE: Final = TableKind(
-    "a lane table",
-    "PROC_LANE_DETECTION.txt",
-    _columns((0, "time"), (1, "offset"), (3, "lane width"), (4, "state")),
-    _lane_like,
+    "a lane table", "PROC_LANE_DETECTION.txt", ((0, "time"), (1, "offset"), (3, "lane width"), (4, "state")), _lane_like
 )
 
 GPS: Final = TableKind(
     "a GPS table",
     "RAW_GPS.txt",
-    _columns((0, "time"), (1, "speed"), (2, "latitude"), (3, "longitude"), (7, "course")),
+    ((0, "time"), (1, "speed"), (2, "latitude"), (3, "longitude"), (7, "course")),
     _gps_like,
 )
 
 ACCELEROMETERS: Final = TableKind(
     "an accelerometer table",
     "RAW_ACCELEROMETERS.txt",
-    _columns((0, "time"), (1, "flag"), (10, "yaw angle")),
+    ((0, "time"), (1, "flag"), (10, "yaw angle")),
     _accelerometers_like,
 )
 
@@ -111,7 +99,7 @@ MOST_FAULTS: Final = 5  # so many faulty lines of one file are named one by one,
 _LINE_END: Final = re.compile(r"\r\n|\r|\n")
 
 
-def read_number_text(path: Path, shown: str, columns: Sequence[Column]) -> tuple[FloatArray | None, list[Problem]]:
+def read_number_text(path: Path, shown: str, columns: Columns) -> tuple[FloatArray | None, list[Problem]]:
     r"""Read some columns of a file whose values are parted by blanks."""
     text, fault = _read_text(path)
     if fault:
@@ -164,20 +152,20 @@ def _read_text(path: Path) -> tuple[str, str]:
     return text, ""
 
 
-def _fast(text: str, columns: Sequence[Column]) -> FloatArray | None:
+def _fast(text: str, columns: Columns) -> FloatArray | None:
     """All lines at once, (n, k); None if there is any fault."""
     try:
         values: FloatArray = np.loadtxt(
-            io.StringIO(text), comments=None, usecols=[column.index for column in columns], ndmin=2
+            io.StringIO(text), comments=None, usecols=[index for index, _ in columns], ndmin=2
         )
     except (ValueError, OverflowError):
         return None
     return values if (np.abs(values[:, 0]) < LARGEST).all() else None
 
 
-def _tolerant(text: str, columns: Sequence[Column]) -> tuple[FloatArray, list[int], list[tuple[int, str]]]:
+def _tolerant(text: str, columns: Columns) -> tuple[FloatArray, list[int], list[tuple[int, str]]]:
     """Good lines, (n, k), their line numbers, and line and fault of the others."""
-    needed = max(column.index for column in columns) + 1
+    needed = max(columns)[0] + 1
     rows, lines, faults = [], [], []
     for line, content in enumerate(_LINE_END.split(text), start=1):
         tokens = content.split()
@@ -185,14 +173,14 @@ def _tolerant(text: str, columns: Sequence[Column]) -> tuple[FloatArray, list[in
             continue
         row: list[float] = []
         fault = ""
-        for column in columns:
-            value = _number(tokens[column.index]) if column.index < len(tokens) else None
+        for index, name in columns:
+            value = _number(tokens[index]) if index < len(tokens) else None
             if value is None:
-                fault = _fault(tokens, column, needed)
+                fault = _fault(tokens, index, name, needed)
                 break
             row.append(value)
         if not fault and not abs(row[0]) < LARGEST:
-            fault = f"the time is {tokens[columns[0].index][:30]!r}"
+            fault = f"the time is {tokens[columns[0][0]][:30]!r}"
         if fault:
             faults.append((line, fault))
         else:
@@ -201,12 +189,12 @@ def _tolerant(text: str, columns: Sequence[Column]) -> tuple[FloatArray, list[in
     return np.array(rows, dtype=np.float64).reshape(-1, len(columns)), lines, faults
 
 
-def _fault(tokens: Sequence[str], column: Column, needed: int) -> str:
+def _fault(tokens: Sequence[str], index: int, name: str, needed: int) -> str:
     if any("\ufffd" in token for token in tokens):
         return "bytes that are not UTF-8"
-    if column.index >= len(tokens):
+    if index >= len(tokens):
         return f"{len(tokens)} value{'s' * (len(tokens) > 1)} where at least {needed} are needed"
-    return f"{tokens[column.index][:30]!r} where the {column.name} is needed"
+    return f"{tokens[index][:30]!r} where the {name} is needed"
 
 
 def _backwards(t: FloatArray, kept: BoolArray) -> str:

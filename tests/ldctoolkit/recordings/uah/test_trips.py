@@ -14,7 +14,7 @@ from helpers.bits import examples
 from ldctoolkit.recordings.extract import extract_part
 from ldctoolkit.recordings.find_departures import REASONS, Criteria
 from ldctoolkit.recordings.preparation import Preparation, local_slope, merge_repeated, rising_rows, values_at
-from ldctoolkit.recordings.uah_driveset import READER, Column, read_number_text
+from ldctoolkit.recordings.uah_driveset import READER, read_number_text
 
 # times on a fine binary raster: sums and differences are exact, so no comparison hangs on rounding
 TIMES = st.lists(st.integers(0, 400), min_size=0, max_size=30, unique=True).map(lambda ks: np.sort(ks) / 32.0)
@@ -269,7 +269,7 @@ def test_nothing_else_counts(made, planted, truth, tmp_path):
     assert dataclasses.replace(b, **{column: getattr(a, column) for column in a.COLUMNS}) == a
 
 
-COLUMNS = (Column(0, "time"), Column(1, "offset"), Column(3, "lane width"))
+COLUMNS = ((0, "time"), (1, "offset"), (3, "lane width"))
 TOKENS = st.sampled_from(
     ["1", "2.5", "-9", "+3", ".5", "1e3", "-1E-3", "nan", "inf", "x", "1_0", "٣", "0x1", "1,5", "#", '"1"', "NULL", "é"]
 )
