@@ -326,15 +326,7 @@ METRICS: Final[Mapping[str, Metric]] = {**_RANKED, **RELEASE_METRICS}  # every m
 
 
 def reduction(S: FloatArray, S_uncorrected: FloatArray) -> FloatArray:
-    """Reduction 1 - S/S_uncorrected, per scenario; 0 where there was nothing to reduce.
-
-    Parameters
-    ----------
-    S, S_uncorrected : (n,) [m s]
-
-    Returns
-    -------
-    (n,) [1]
+    """Reduction 1 - S/S_uncorrected, per scenario, (n,); 0 where there was nothing to reduce.
 
     Examples
     --------
@@ -351,21 +343,9 @@ def reduction(S: FloatArray, S_uncorrected: FloatArray) -> FloatArray:
 
 
 def share_deeper(deepest: FloatArray, D_y: float) -> float:
-    """Share of departures whose edge goes deeper than D_y beyond the line.
+    """Share of departures whose deepest position (n,) [m] is deeper than D_y [m] beyond the line; 0 for no departures.
 
-    Raises `InputError` if D_y is not a number.
-
-    Parameters
-    ----------
-    deepest : (n,) [m]
-        Deepest position of the edge beyond the line, of one design.
-    D_y : float [m]
-        Depth, Table I: 0.5 m.
-
-    Returns
-    -------
-    float [1]
-        Of all n; 0 for no departures.
+    Raises `InputError` if D_y is not a number; Table I has 0.5 m.
 
     Examples
     --------
@@ -379,20 +359,10 @@ def share_deeper(deepest: FloatArray, D_y: float) -> float:
 
 
 def share_within_dtle(dtle: npt.ArrayLike, limit: float = DTLE_LIMIT) -> float | FloatArray:
-    """Share of scenarios whose distance to lane edge never falls below a limit: dtle >= limit.
+    """Share of scenarios whose smallest distance to lane edge never falls below a limit [m]: dtle >= limit.
 
+    `dtle` is (n,) or (d, n) [m], negative beyond the line; the share is of all n, a float or (d,), 0 for no scenarios.
     Raises `InputError` if the limit is not a number.
-
-    Parameters
-    ----------
-    dtle : (n,) or (d, n) [m]
-        Smallest distance of the front axle's edge to the line, negative beyond it.
-    limit : float [m]
-
-    Returns
-    -------
-    float or (d,) [1]
-        Of all n; 0 for no scenarios.
 
     Examples
     --------
@@ -509,18 +479,8 @@ def needless_share(triggered: npt.ArrayLike, d_y: npt.ArrayLike, limit: float = 
 def back_inside_share(t_back: npt.ArrayLike, triggered: npt.ArrayLike) -> float | FloatArray:
     """Share of the interventions after which the edge is back inside by the end of the settling horizon.
 
-    Raises `InputError` for shapes that do not fit.
-
-    Parameters
-    ----------
-    t_back : (n,) or (d, n) [s]
-        Time until back inside, infinite where it is not.
-    triggered : (n,) or (d, n) bool
-
-    Returns
-    -------
-    float or (d,) [1]
-        Of the triggered scenarios; NaN where there was no intervention.
+    `t_back` is (n,) or (d, n) [s], infinite where the edge is not back; the share is of the scenarios that `triggered`,
+    a float or (d,), NaN where there was no intervention. Raises `InputError` for shapes that do not fit.
 
     Examples
     --------
@@ -534,17 +494,7 @@ def back_inside_share(t_back: npt.ArrayLike, triggered: npt.ArrayLike) -> float 
 def opposite_crossed_share(opposite_crossing: npt.ArrayLike, triggered: npt.ArrayLike) -> float | FloatArray:
     """Share of the interventions that take the vehicle beyond the opposite line: opposite_crossing > 0.
 
-    Raises `InputError` for shapes that do not fit.
-
-    Parameters
-    ----------
-    opposite_crossing : (n,) or (d, n) [m]
-    triggered : (n,) or (d, n) bool
-
-    Returns
-    -------
-    float or (d,) [1]
-        Of the triggered scenarios; NaN where there was no intervention.
+    `opposite_crossing` is (n,) or (d, n) [m]; the share is as that of `back_inside_share`.
 
     Examples
     --------

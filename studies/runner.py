@@ -22,7 +22,7 @@ from studies.running.executors import Executor, make_executor
 from studies.running.tasks import Prefixes, schedule
 from studies.search import run_search
 from studies.storage.files import locked, remove_leftovers
-from studies.storage.manifest import Manifest
+from studies.storage.manifest import Manifest, write_designs
 from studies.storage.run_table import AllFailedError
 from studies.storage.store import FINALISTS, Store, make_folder
 from studies.storage.stored_model import model_notes, write_model
@@ -234,7 +234,7 @@ class _Run:
         study = campaign.study
         if study.search is not None:
             return run_search(campaign), None
-        campaign.store.write_designs(study.designs)
+        write_designs(campaign.store.folder, study.designs)
         if study.race:
             return run_race(campaign)
         campaign.complete(study.designs, len(campaign.scenarios), stage)

@@ -19,6 +19,7 @@ from studies.ranking.design_metrics import pareto_front
 from studies.ranking.ranking import Ranking
 from studies.ranking.requirements import metric, metric_values, requirements_of
 from studies.running.campaign import Campaign
+from studies.storage.manifest import write_designs
 from studies.study_file import SearchSettings, Study
 
 _STREAM: Final = 0x73656172  # of the random numbers of a search
@@ -185,7 +186,7 @@ def run_search(campaign: Campaign) -> Sequence[Design]:
         campaign.table.add_designs(batch)
         # what an earlier run requested is requested again: its table stays until there are more values
         if stored[: len(search.asked)] != search.asked:
-            store.write_designs(search.asked)
+            write_designs(store.folder, search.asked)
         campaign.complete(batch, n, f"designs {len(search.asked) - len(batch) + 1} to {len(search.asked)}")
         search.tell(*_values_and_margins(campaign, batch))
     return search.asked

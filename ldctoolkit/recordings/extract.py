@@ -85,7 +85,8 @@ def extract_items(items: Iterable[Recording | Problem], criteria: Criteria, prep
                 continue
             if recording.samples == 0:
                 continue
-            if batch and (waiting + recording.samples > BATCH or not _alike(batch[0], recording)):
+            kinds = [[getattr(one, name) is None for name in _OPTIONAL] for one in (*batch[:1], recording)]
+            if batch and (waiting + recording.samples > BATCH or kinds[0] != kinds[-1]):
                 search()
             batch.append(recording)
             waiting += recording.samples
@@ -96,10 +97,6 @@ def extract_items(items: Iterable[Recording | Problem], criteria: Criteria, prep
 
 
 _OPTIONAL: Final = ("curvature", "yaw_rate", "lane", "turn_signal")
-
-
-def _alike(one: Recording, other: Recording) -> bool:
-    return all((getattr(one, name) is None) == (getattr(other, name) is None) for name in _OPTIONAL)
 
 
 def table_of(recordings: list[Recording]) -> RecordingTable:

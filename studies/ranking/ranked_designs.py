@@ -20,7 +20,7 @@ from studies.ranking.inference import (
     skewed_widths,
 )
 from studies.ranking.requirements import Miss, Requirement
-from studies.results import Case, FailedDesign, StudyResults
+from studies.results import Case, FailedDesign
 
 
 def choose_winner(resampled: Resampled, set_of_best: BoolArray, meets: BoolArray, confidence: float) -> int | None:
@@ -195,11 +195,6 @@ def lost(before: Resampled, after: Resampled, confidence: float, reference: int 
     centre = means[1] - means[0]
     below, above = skewed_widths(critical, errors, after.cubes(reference) - before.cubes(reference))
     return Interval(centre, errors, centre - below, centre + above, critical)
-
-
-def fresh_case(fresh: StudyResults, case: Case) -> DrivableCase:
-    """A case of the finalists' results, on the fresh scenarios that can be driven."""
-    return DrivableCase.of(next(one for one in fresh.cases if one.case == case), fresh.scenarios)
 
 
 SCORE: Final = (

@@ -32,14 +32,7 @@ from studies.ranking.design_metrics import (
 )
 from studies.ranking.inference import Inference, infer, spread_is_known
 from studies.ranking.named_vehicles import worst_of_vehicles
-from studies.ranking.ranked_designs import (
-    FreshScores,
-    RankedDesigns,
-    SearchScores,
-    fresh_case,
-    fresh_scores,
-    no_fresh_scores,
-)
+from studies.ranking.ranked_designs import FreshScores, RankedDesigns, SearchScores, fresh_scores, no_fresh_scores
 from studies.ranking.requirements import SETS, metric, missed_by, requirements_of
 from studies.ranking.verdict import ranking_html
 from studies.results import Case, CaseResults, Race, StudyResults
@@ -130,10 +123,7 @@ MARGIN_SPEEDS: Final = tuple(range(10, 41, 5))  # speeds [m/s] that the margins 
 
 @dataclasses.dataclass(frozen=True, repr=False)
 class Ranking(RankedDesigns):
-    """Designs of one case, best first; every array has one entry a design in that order. Made with `Ranking.of`.
-
-    Its attributes are those of `RankedDesigns`.
-    """
+    """Designs of one case, best first, made with `Ranking.of`; the attributes are those of `RankedDesigns`."""
 
     def _repr_html_(self) -> str:
         """What a notebook shows."""
@@ -160,31 +150,9 @@ class Ranking(RankedDesigns):
         Raises `InputError` for settings outside what is allowed, a baseline that is not there, or scores that are not
         finite; `UnknownNameError` for a metric or set that does not exist.
 
-        Parameters
-        ----------
-        results : StudyResults
-            Designs and scenarios, and the finalists on fresh ones.
-        case : CaseResults
-            One of its cases.
-        seed : int
-            Of the bootstrap.
-        bootstrap : int
-            Resamples, drawn within each side; all designs see the same ones.
-        confidence : float
-            Of each family of simultaneous intervals, between 0 and 1.
-        D_y : float [m]
-            Depth that counts as deep.
-        baseline : str
-            As `studies.ranking.design_metrics.find_baseline` takes it.
-        require : sequence of str
-            Requirements and names of sets, as `studies.ranking.requirements.requirements_of` takes them.
-        pareto : sequence of str
-            Metrics of the Pareto front; none for no front.
-        setup : Setup, optional
-            What the designs were driven with: for their margins and the friction. Without it margins are NaN.
-        vehicles : sequence of str
-            Named vehicles, of `studies.ranking.named_vehicles.VEHICLES`, that `S_worst` and `comfortable_worst` are
-            the worst of; they need `setup`.
+        The case is one of the results'; the settings are those of ``[ranking]`` in a study file, D_y [m] is the depth
+        that counts as deep. With a `setup`, what the designs were driven with, they have margins, what friction allows
+        is known, and the named `vehicles` are driven; without it margins are NaN.
         """
         options = None if setup is None else setup.options
         requirements = requirements_of(require, options)
@@ -209,7 +177,9 @@ class Ranking(RankedDesigns):
         designs = tuple(results.designs[i] for i in order)
         fresh = no_fresh_scores(len(order), ranked)
         if results.fresh is not None and results.fresh.designs:
-            again, place = fresh_case(results.fresh, case.case), {design.id: k for k, design in enumerate(designs)}
+            place = {design.id: k for k, design in enumerate(designs)}
+            of_case = next(one for one in results.fresh.cases if one.case == case.case)
+            again = DrivableCase.of(of_case, results.fresh.scenarios)
             search = SearchScores(
                 drivable.counted,
                 order,

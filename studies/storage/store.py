@@ -43,7 +43,6 @@ from studies.storage.manifest import (
     read_race,
     read_times,
     refuse_other,
-    write_designs,
     write_failures,
     write_manifest,
     write_times,
@@ -111,10 +110,6 @@ class Store:
         write_manifest(self.folder, manifest)
         self.manifest = manifest
 
-    def write_designs(self, designs: Sequence[Design]) -> None:
-        """Replace the table of designs."""
-        write_designs(self.folder, designs)
-
     def add(self, results: Sequence[TaskResult], failed: Sequence[FailedRun] = ()) -> None:
         """Store finished runs as one part, the times of their laws, and why others failed."""
         if results:
@@ -151,9 +146,9 @@ class Store:
                     raise StoreError(f"{error}; run the study into this folder again to compute it anew") from None
                 messages.append(f"{error}; its results are computed anew")
                 path.unlink()
-        for read, name in ((self._read_times, TIMING_FILE), (self._read_failures, FAILURES)):
+        for kept, read, name in (("times", read_times, TIMING_FILE), ("failures", read_failures, FAILURES)):
             try:
-                read()
+                setattr(self, kept, read(self.folder))
             except StoreError as error:
                 if not repair:
                     raise
@@ -161,12 +156,6 @@ class Store:
                 (self.folder / name).unlink()
         self.broken = tuple(messages)
         return table
-
-    def _read_times(self) -> None:
-        self.times = read_times(self.folder)
-
-    def _read_failures(self) -> None:
-        self.failures = read_failures(self.folder)
 
     def designs(self) -> tuple[Design, ...]:
         """The designs of the study, or those that its search requested."""
