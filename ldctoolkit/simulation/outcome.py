@@ -1,9 +1,8 @@
-"""What a simulation returns: raw runs, and outcomes scored over a window."""
+"""What a simulation returns: scores over a window, and paths."""
 
 import dataclasses
 import math
-from collections.abc import Sequence
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -11,9 +10,7 @@ import numpy.typing as npt
 from ldctoolkit import metrics
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.control import EventStatus, SolverLog
-from ldctoolkit.errors import InputError, nearest
 from ldctoolkit.notebook import outcome_html
-from ldctoolkit.simulation.takeover import Takeover
 
 Window = Literal["departure", "control"]
 
@@ -78,60 +75,3 @@ class Outcome:
     def count(self, status: EventStatus) -> int:
         """Number of scenarios with that status."""
         return int(np.sum(self.status == status))
-
-
-@dataclasses.dataclass(frozen=True)
-class Run:
-    """One design driven from the trigger on: m triggered scenarios in the takeover's order."""
-
-    takeover: Takeover
-    area: FloatArray | None  # (m,) [m s] Integral of |e_y| from the trigger to T; None where no control acted
-    status: npt.NDArray[np.int8]  # As in `Outcome`, arrays of m
-    failed_solves: IntArray  # As in `Outcome`, arrays of m
-    companions: metrics.MetricValues  # As in `Outcome`, arrays of m
-    law_seconds: float  # As in `Outcome`, arrays of m
-    trajectories: Trajectories | None  # Of chosen ones of all n scenarios
-    solver_log: SolverLog = dataclasses.field(default_factory=lambda: SolverLog.of([]))  # As in `Outcome`, arrays of m
-
-    def columns(self, windows: Sequence[Window]) -> FloatArray:
-        """S and S_uncorrected of each of w windows, then the c companions, of the recorded paths, (2 w + c, n)."""
-        over = self.takeover
-        scores = [over.S_uncorrected - (over.S_before if window == "control" else 0.0) for window in windows]
-        recorded = [getattr(over.recorded, name) for name in metrics.METRIC_UNITS]
-        return np.stack([*(S for S in scores for _ in range(2)), *recorded])
-
-    def fill(self, out: FloatArray, windows: Sequence[Window]) -> None:
-        """Write this run's numbers over those of `columns`: the same bits as in `outcome`, without its copies."""
-        over, rows = self.takeover, self.takeover.rows
-        if self.area is not None:
-            for w, window in enumerate(windows):
-                out[2 * w, rows] = self.area + (over.S_before[rows] if window == "departure" else 0.0)
-        for i, name in enumerate(metrics.METRIC_UNITS, start=2 * len(windows)):
-            out[i, rows] = getattr(self.companions, name)
-
-    def outcome(self, window: Window) -> Outcome:
-        """Score the run over a window, with the scenarios in their own order; raises InputError for an unknown one."""
-        if window not in get_args(Window):
-            raise InputError(f"window: {window!r}; {nearest(str(window), get_args(Window))}")
-        over, rows = self.takeover, self.takeover.rows
-        values = self.columns((window,))
-        self.fill(values, (window,))
-        status = np.where(over.valid, EventStatus.NEVER_TRIGGERED, EventStatus.INVALID).astype(np.int8)
-        status[rows] = self.status
-        failed = np.zeros(over.scenarios.n, dtype=np.int64)
-        failed[rows] = self.failed_solves
-        return Outcome(
-            window=window,
-            # copies: a caller that keeps S alone does not keep the rest
-            S=values[0].copy(),
-            S_uncorrected=values[1].copy(),
-            triggered=np.isfinite(over.t_s),
-            status=status,
-            t_s=over.t_s,
-            companions=metrics.MetricValues(**dict(zip(metrics.METRIC_UNITS, values[2:], strict=True))),
-            failed_solves=failed,
-            law_seconds=self.law_seconds,
-            trajectories=self.trajectories,
-            solver_log=self.solver_log.renamed(rows),
-            side=over.scenarios.side,
-        )

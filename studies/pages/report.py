@@ -16,7 +16,6 @@ from studies.pages import (
     ranking_section,
     robustness_section,
     settings_section,
-    trade_offs_section,
     verdict_section,
 )
 from studies.pages.charts import Chart
@@ -41,7 +40,7 @@ SECTIONS: Final[tuple[Callable[[Context], Section], ...]] = (
     verdict_section.section,
     ranking_section.section,
     ranking_section.limits_section,
-    trade_offs_section.section,
+    verdict_section.trade_offs,
     landscape_section.section,
     explorer.section,
     robustness_section.section,

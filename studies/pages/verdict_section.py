@@ -1,4 +1,6 @@
-"""The first screen: the verdict, four lights, and what the score costs in lateral acceleration."""
+"""The first screen, with the verdict and four lights; and the section of trade-offs, what a small score is paid for with:
+comfort, needless interventions, steering, margins.
+"""
 
 from collections.abc import Iterator
 from typing import Final
@@ -9,12 +11,15 @@ from markupsafe import Markup
 from ldctoolkit.metrics import A_Y_LIMIT, METRICS
 from studies.pages.charts import Axis, Chart, Cloud, legend, scatter
 from studies.pages.context import Context, metric_text, name_of
-from studies.pages.shell import Section, bullets, render
+from studies.pages.shell import Cell, Column, Section, TableRow, bullets, figure, paragraphs, render, table
+from studies.pages.text import number, plural
 from studies.ranking.design_metrics import pareto_front
 from studies.ranking.verdict import law_title
 
 SYMBOLS: Final = {"good": "\u2713", "warning": "!", "bad": "\u2715", "unknown": "?"}
 STATES: Final = {"good": "good", "warning": "caution", "bad": "not met", "unknown": "not known"}
+ACROSS: Final = ("jerk_added_peak_p95", "needless", "effort_mean", "within_dtle")
+MOST_ROWS: Final = 15
 MOST_POINTS: Final = 1500
 """Designs in a chart of points; of more, those that rank first and an even share of the others."""
 
@@ -44,6 +49,53 @@ def _warnings(context: Context) -> Iterator[str]:
     elsewhere = {text for one in report.rankings[1:] for text in one.warnings}
     every = dict.fromkeys((*report.warnings, *context.ranking.warnings))
     yield from (text for text in every if text not in elsewhere or text in context.ranking.warnings)
+
+
+def trade_offs(context: Context) -> Section:
+    """The section of trade-offs."""
+    ranking = context.ranking
+    charts = tuple(
+        trade_off(context, name, "S", f"trade-off-{name.replace('_', '-')}")
+        for name in ACROSS
+        if np.isfinite(context.values(name)).any()
+    )
+    front = np.flatnonzero(ranking.pareto)
+    sentence = (
+        f"Pareto front over {', '.join(METRICS[name].title for name in ranking.pareto_metrics)}: "
+        f"{plural(front.size, 'design')} that no other ranked design beats in one metric without being worse "
+        "in another."
+        if ranking.pareto_metrics and ranking.ranked
+        else "There is no Pareto front: no design is ranked."
+        if ranking.pareto_metrics
+        else ""
+    )
+    body = paragraphs(sentence) + figure(
+        charts,
+        "Mean S against another metric, one point a design; filled: meets all requirements. The line is the front of "
+        "these two metrics alone.",
+        cloud_legend(context),
+    )
+    if front.size:
+        names = [name for name in ranking.pareto_metrics if name != "S"]
+        columns = [
+            Column("Rank"), Column("Design", text=True), Column("Mean S", "m\u00b7s"),
+            *(Column(METRICS[name].title, METRICS[name].shown_unit) for name in names),
+        ]  # fmt: skip
+        rows = [
+            TableRow(
+                (
+                    str(ranking.rank[i]),
+                    name_of(ranking.designs[i]),
+                    number(float(ranking.S[i])),
+                    *(Cell(metric_text(name, context.metric(name, i), unit=False)) for name in names),
+                ),
+                "winner" if i == ranking.winner else "",
+            )
+            for i in front[:MOST_ROWS].tolist()
+        ]
+        more = f", the first {MOST_ROWS} of {front.size}" if front.size > MOST_ROWS else ""
+        body += table(f"The Pareto front{more}", columns, rows, head=1)
+    return Section("trade-offs", "Trade-offs", body, charts)
 
 
 def trade_off(context: Context, across: str, up: str, name: str) -> Chart:

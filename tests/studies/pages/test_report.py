@@ -34,7 +34,6 @@ from studies.pages import (
     ranking_section,
     robustness_section,
     settings_section,
-    trade_offs_section,
     verdict_section,
 )
 from studies.pages.context import Context, ReportInput
@@ -236,7 +235,7 @@ def test_trade_offs_list_the_front(results: StudyResults) -> None:
 
     rankings = tuple(Ranking.of(results, case, bootstrap=200, pareto=["S", "effort_mean"]) for case in results.cases)
     made = dataclasses.replace(report_input(results), rankings=rankings)
-    words = said_in(trade_offs_section.section, made)
+    words = said_in(verdict_section.trade_offs, made)
     count = int(rankings[0].pareto.sum())
     assert f"Pareto front over Mean S, Steering effort, mean: {count} designs" in words
 
