@@ -11,9 +11,7 @@ from typing import Any, NoReturn
 
 from ldctoolkit import LdcError, __version__
 from ldctoolkit.option_checks import UnitWarning
-from studies.cli import compare, controllers, extract, fit, rank, report, review, run, sensitivity
-
-_COMMANDS = (extract, fit, review, run, rank, compare, report, sensitivity, controllers)
+from studies.cli import controllers, extract, fit, rank, report, review, run, sensitivity
 
 
 class _Parser(argparse.ArgumentParser):
@@ -31,7 +29,10 @@ def parser() -> argparse.ArgumentParser:
     )
     top.add_argument("--version", action="version", version=f"ldc {__version__}")
     commands = top.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for command in _COMMANDS:
+    for command in (extract, fit, review, run, rank):
+        command.add_parser(commands)
+    report.add_compare_parser(commands)
+    for command in (report, sensitivity, controllers):
         command.add_parser(commands)
     return top
 

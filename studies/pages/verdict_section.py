@@ -1,6 +1,4 @@
-"""The first screen, with the verdict and four lights; and the section of trade-offs, what a small score is paid for with:
-comfort, needless interventions, steering, margins.
-"""
+"""The first screen, verdict and four lights; and the trade-offs: what a small score is paid for with."""
 
 from collections.abc import Iterator
 from typing import Final
