@@ -334,7 +334,3 @@ def test_bad_steps(result: object, message: str) -> None:
 )
 def test_one_clean_line(error: BaseException, line: str) -> None:
     assert raised(error) == line
-
-
-def test_the_longest_line() -> None:
-    assert len(raised(InputError("\ud800" * 400))) == 500

@@ -71,21 +71,6 @@ def test_an_argument_never_meets_a_name_of_the_function() -> None:
     assert translation(function)(2.0, 0.5) == pytest.approx((math.sin(0.5) + 2.0,), rel=1e-15)
 
 
-def test_what_has_no_translation_is_named() -> None:
-    x = casadi.SX.sym("x")
-    with pytest.raises(InputError, match=r"function: 'f' uses OP_ERF; allowed: .*OP_SIN"):
-        numba_function(casadi.Function("f", [x], [casadi.erf(x)]), "f", "F.")
-    with pytest.raises(InputError, match=r"the constant inf; allowed: finite numbers"):
-        numba_function(casadi.Function("f", [x], [x + casadi.inf]), "f", "F.")
-    m = casadi.MX.sym("m")
-    with pytest.raises(InputError, match=r"function: 'f' is a MXFunction; allowed: a function of SX symbols"):
-        numba_function(casadi.Function("f", [m], [casadi.sin(m)]), "f", "F.")
-    with pytest.raises(InputError, match=r"output 'y': 2x2,2nz; allowed: dense"):
-        numba_function(casadi.Function("f", [x], [casadi.diag(casadi.vertcat(x, x))], ["x"], ["y"]), "f", "F.")
-    with pytest.raises(InputError, match=r"input 'x': 0x1(,0nz)?; allowed: dense, at least one entry"):
-        numba_function(casadi.Function("f", [casadi.SX.sym("x", 0)], [1.0], ["x"], ["y"]), "f", "F.")
-
-
 @pytest.mark.parametrize("name", ["lambda", "math"])
 def test_a_name_that_python_cannot_use_is_refused(name: str) -> None:
     x = casadi.SX.sym("x")

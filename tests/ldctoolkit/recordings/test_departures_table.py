@@ -9,11 +9,9 @@ from typing import Any
 import numpy as np
 import polars as pl
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from helpers.recordings import OFFSET, drive, frame_of
-from ldctoolkit.departures import Departures, ExtraColumn, combined_columns, combined_departures
+from ldctoolkit.departures import Departures, ExtraColumn, combined_departures
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings import (
     Label,
@@ -27,7 +25,6 @@ from ldctoolkit.recordings import (
     write_departures,
 )
 from ldctoolkit.recordings.departures_table import COLUMNS, METADATA_KEY
-from ldctoolkit.recordings.preparation import prepare
 from ldctoolkit.version import __version__
 
 
@@ -215,33 +212,6 @@ def test_tables_with_different_columns_are_joined():
     np.testing.assert_array_equal(back["lane_scale"], [np.nan, 1.0])
 
 
-def test_numbers_and_text_under_one_name():
-    """Text wins; a number that is not known is empty text, as it is where the column is missing."""
-    text, numbers = ExtraColumn("x", np.array(["a"])), ExtraColumn("x", np.array([0.5, np.nan]))
-    (joined,) = combined_columns([((text,), 1), ((numbers,), 2), ((), 1)])
-    assert joined.values.tolist() == ["a", "0.5", "", ""]
-    (joined,) = combined_columns([((numbers,), 2), ((), 1)])
-    np.testing.assert_array_equal(joined.values, [0.5, np.nan, np.nan])
-    assert combined_columns([((), 3)]) == ()
-
-
-def test_foreign_columns_of_a_table(tmp_path):
-    """Text and numbers travel along, whatever wrote them; anything else is passed over."""
-    found = extract(drive("a"), drive("b"))
-    path = tmp_path / "d.parquet"
-    write_departures(path, found.departures, found.provenance)
-    metadata = {METADATA_KEY: pl.read_parquet_metadata(path)[METADATA_KEY]}
-    frame = pl.read_parquet(path).with_columns(
-        pl.Series("trip", [7, None]), pl.Series("weather", [None, "rain"]), pl.Series("parts", [[1], [2]])
-    )
-    frame.write_parquet(path, metadata=metadata)
-    departures, _ = read_departures(path)
-    back = columns_of(departures)
-    assert list(back) == ["trip", "weather"]
-    np.testing.assert_array_equal(back["trip"], [7.0, np.nan])
-    assert back["weather"] == ["", "rain"]
-
-
 def test_a_preparation_that_is_not_allowed(tmp_path):
     found = extract(drive("a"))
     path = tmp_path / "d.parquet"
@@ -276,53 +246,3 @@ def test_a_model_is_fitted_to_a_table_with_extra_columns(tmp_path, capsys):
     for model in models:
         model.pop("provenance", None)
     assert models[0] == models[1]
-
-
-TEXT = st.text(st.characters(), max_size=4)  # lone surrogates, too
-
-
-@given(TEXT.filter(bool), TEXT)
-def test_any_text_can_be_printed(name: str, other: str) -> None:
-    one = drive(name, source=other, notes=(other,), labels=(Label(name, other),))
-    for text in (one.name, one.source, one.notes[0], one.labels[0].name, one.labels[0].value):
-        assert text.isprintable()
-        text.encode()
-    if name.isprintable():
-        assert one.name == name
-    # what goes through the preparation is not made printable twice
-    assert dataclasses.replace(prepare(one, Preparation(0.1)), name=one.name).name == one.name
-
-
-NAMES = ("D1\udcff", "D1\udcfe", "D1\\udcff", "a\nb", "a\\nb", "a\x00b", "a b")
-
-
-def test_names_stay_apart() -> None:
-    assert len({drive(name).name for name in NAMES}) == len(NAMES)
-    found = extract_departures([drive(name, source=name) for name in NAMES], vehicle_width=1.8)
-    assert len(set(found.departures.recording.tolist())) == found.departures.n == len(NAMES)
-    json.dumps([found.departures.recording.tolist(), found.warnings]).encode()
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"name": 7}, "a recording's name is of type int; allowed: str"),
-        ({"name": b"a"}, "a recording's name is of type bytes; allowed: str"),
-        ({"name": ""}, "a recording's name is empty"),
-        ({"source": None}, "recording 'a': source is of type NoneType; allowed: str"),
-        ({"notes": "no GPS"}, "recording 'a': notes are 'no GPS'; allowed: a tuple of str"),
-        ({"notes": ("no GPS", 3.5)}, r"recording 'a': notes are \('no GPS', 3.5\); allowed: a tuple of str"),
-        ({"labels": ("driver",)}, r"recording 'a': labels are \('driver',\); allowed: a tuple of Label"),
-    ],
-)
-def test_what_is_no_text_is_refused(changes: dict[str, Any], words: str) -> None:
-    with pytest.raises(RecordingError, match=f"^{words}$"):
-        drive(**changes)
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "words"), [(7, "x", "name is of type int"), ("x", 7, "value is of type int")]
-)
-def test_labels_are_text(name: Any, value: Any, words: str) -> None:
-    with pytest.raises(RecordingError, match=f"^a label's {words}; allowed: str$"):
-        Label(name, value)

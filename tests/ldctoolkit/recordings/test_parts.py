@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from helpers.recordings import OFFSET, T, drive
-from ldctoolkit.errors import InputError, RecordingError, UnknownNameError
+from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings import (
     Criteria,
     Preparation,
@@ -62,21 +62,6 @@ def test_a_part_that_fails_keeps_what_it_gave():
     assert "recording '~': t[1] = -0.1 s after -0.0 s" in str(result.problems[0])
     nothing = extract_part(Part("0-made.txt", ("!",)), Criteria(1.8), Preparation(0.1))
     assert (nothing.departures.n, nothing.accounts, len(nothing.problems)) == (0, (), 1)
-
-
-def test_paths_that_cannot_be_opened(tmp_path):
-    path = tmp_path / "x.csv"
-    path.write_text("a,b\n1,2\n")
-    with pytest.raises(InputError, match="paths: none given"):
-        open_recordings([])
-    with pytest.raises(RecordingError, match=r"x\.csv: given twice"):
-        open_recordings([path, tmp_path / "." / "x.csv"])
-    with pytest.raises(RecordingError, match="nowhere: does not exist"):
-        open_recordings("nowhere")
-    with pytest.raises(RecordingError, match=r"cannot be read|does not exist"):
-        open_recordings("x\0y")
-    with pytest.raises(UnknownNameError, match=r"format 'tabel': no such reader; did you mean 'table'\?"):
-        open_recordings(path, format="tabel")
 
 
 @dataclasses.dataclass(frozen=True)

@@ -121,27 +121,6 @@ def test_a_reader_that_is_at_fault_is_named(install: Callable[..., None], tmp_pa
         sources.recognised_by([tmp_path])
 
 
-@pytest.mark.parametrize(
-    ("error", "words"),
-    [
-        (KeyError("x"), "^format 'flat': open fails with KeyError: 'x'$"),
-        (OSError(5, "no disk"), r"^format 'flat': open fails with OSError: \[Errno 5\] no disk$"),
-        (RecordingError("x.flat: nothing in it"), r"^x\.flat: nothing in it$"),
-        (None, "^format 'flat': open fails with AttributeError: "),
-    ],
-)
-def test_readers_that_open_nothing(install: Any, tmp_path: Path, error: Exception | None, words: str) -> None:
-    class Failing(FlatReader):
-        def open(self, paths: Sequence[Path]) -> Any:
-            if error is not None:
-                raise error
-
-    install(flat=lambda: Failing)
-    (tmp_path / "x.flat").touch()
-    with pytest.raises(LdcError, match=words):
-        open_recordings(tmp_path / "x.flat")
-
-
 def test_two_parts_with_the_same_key(install: Callable[..., None], tmp_path: Path) -> None:
     install(flat=FlatReader)
     paths = [tmp_path / folder / "x.flat" for folder in "ab"]
@@ -224,25 +203,6 @@ def test_a_broken_file_with_a_known_name_is_named(given: str, file: str, kind: s
         open_recordings(tmp_path / file if given == "file" else tmp_path)
     if given == "file":
         assert "no reader" not in str(caught.value)
-
-
-@pytest.mark.parametrize("kind", BROKEN)
-@pytest.mark.parametrize("given", ["files", "folder"])
-def test_a_broken_table_beside_a_good_pair(given: str, kind: str, tmp_path: Path) -> None:
-    content, words = BROKEN[kind]
-    files = {"DataLane.csv": TABLES["spmd-das1"][1].encode(), "DataWsu.csv": WSU.encode(), "HV_Primary.csv": content}
-    for name, text in files.items():
-        (tmp_path / name).write_bytes(text)
-    (tmp_path / "notes.csv").write_text("a,b\n1,2\n")
-    opened = open_recordings([tmp_path / name for name in files] if given == "files" else tmp_path)
-    assert opened.found == ("spmd-das1: 1 of DataLane, 1 of DataWsu; spmd-das2: 1 of HV_Primary by name alone")
-    assert [file.name for file in opened.source.files] == ["DataLane.csv", "DataWsu.csv"]
-    reported = [str(problem) for problem in opened.source.problems if problem.what.startswith("spmd-das2: no trip")]
-    assert len(reported) == 1
-    assert words in reported[0]
-    assert {problem.file for problem in opened.source.problems} == {"HV_Primary.csv"}
-    found = extract_departures(opened)
-    assert [account.origin.source for account in found.accounts] == ["DataLane.csv"]
 
 
 def test_files_given_by_themselves_are_no_problem_of_the_other_reader(tmp_path: Path) -> None:

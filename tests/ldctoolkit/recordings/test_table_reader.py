@@ -20,11 +20,8 @@ from helpers.bits import assert_same_bits, examples
 from helpers.recordings import OFFSET, assert_same, drive, frame_of
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings import extract_departures, read_recordings
-from ldctoolkit.recordings.extract import extract_part
-from ldctoolkit.recordings.find_departures import Criteria
-from ldctoolkit.recordings.preparation import Preparation
-from ldctoolkit.recordings.recording import Problem, Recording, usable_samples
-from ldctoolkit.recordings.sources import open_recordings, part_name
+from ldctoolkit.recordings.recording import Problem, Recording
+from ldctoolkit.recordings.sources import open_recordings
 from ldctoolkit.recordings.table_reader import READER, TablePart
 
 Save = Callable[..., Path]
@@ -340,47 +337,6 @@ def test_a_gzip_file_that_is_cut_short(save: Save) -> None:
     assert 0 <= (last - 1) - 5 * len(recordings) <= 5
 
 
-def test_a_gzip_file_with_a_broken_piece(save: Save) -> None:
-    """Values behind it may be anything, so they are not taken."""
-    rows = "".join(f"r{i},{t / 10},{i % 7 / 10 + t / 1000},3.6,25\n" for i in range(20000) for t in range(5))
-    packed = bytearray(gzip.compress((HEADER + rows).encode()))
-    packed[len(packed) // 2] ^= 255
-    recordings, problems = read(save(bytes(packed), "drive.csv.gz"), save(HEADER + A, "sound.csv"))
-    assert list(recordings) == ["a"]
-    assert "broken gzip after line 1 " in problems[-1].what
-
-
-def test_files_of_the_same_name_are_told_apart(save: Save) -> None:
-    april = save(HEADER + A.replace("0.2,3.6", "far,3.6") + B, "april/drive.csv")
-    june = save(HEADER + B + C, "june/drive.csv")
-    copy = save(HEADER + B + C, "copy/drive.csv")
-    other = save(HEADER + "d,0,0.1,3.6,25\n", "june/other.csv")
-    source = READER.open([april, june, copy, other, april])
-    assert [file.name for file in source.files] == ["april/drive.csv", "june/drive.csv", "other.csv"]
-    assert [part.shown for part in source.parts] == ["april/drive.csv", "june/drive.csv", "other.csv"]
-    assert [part_name(part) for part in source.parts] == [part.shown for part in source.parts]
-    assert [str(problem) for problem in source.problems] == [
-        "copy/drive.csv: holds the same as june/drive.csv, byte by byte; it is left out",
-        "june/drive.csv, line 2: recording 'b' is also in april/drive.csv, line 4; these rows are left out",
-    ]
-    recordings, problems = read(april, june, copy, other)
-    assert {name: one.source for name, one in recordings.items()} == {
-        "b": "april/drive.csv", "c": "june/drive.csv", "d": "other.csv",
-    }  # fmt: skip
-    assert [(one.file, one.place) for one in problems[2:]] == [("april/drive.csv", "line 3")] * 2
-    june.unlink()
-    found = extract_part(source.parts[1], Criteria(vehicle_width=1.8), Preparation())
-    assert [problem.file for problem in found.problems] == ["june/drive.csv"]
-
-
-@pytest.mark.parametrize("word", ["", "NaN", "nan", "NA", "-nan", "#N/A", "null", "inf", "-inf", "1e400"])
-def test_words_for_a_missing_number(word: str, save: Save) -> None:
-    """The same as in any other table of text."""
-    recordings, problems = read(save(HEADER + A.replace("0.2,3.6", f"{word},3.6")))
-    assert problems == []
-    assert usable_samples(recordings["a"]).tolist() == [True, False]
-
-
 def test_many_problems_are_counted(save: Save) -> None:
     rows = "".join(f"r{i},0,0.1,3.6,25\nr{i},0,0.1,3.6,25\n" for i in range(50))
     recordings, problems = read(save(HEADER + A + rows))
@@ -399,21 +355,6 @@ def test_folders(save: Save, tmp_path: Path) -> None:
     assert READER.recognise([tmp_path / "none", tmp_path]) == ""
     with pytest.raises(RecordingError, match="folder"):
         READER.open([tmp_path])
-
-
-def test_a_time_that_no_clock_shows(save: Save) -> None:
-    recordings, problems = read(save(HEADER + A + B.replace("b,0.1,", "b,1e308,") + C.replace("c,0,", "c,1.4e9,")))
-    assert [(name, one.samples) for name, one in recordings.items()] == [("a", 2), ("b", 1)]
-    assert [problem.place for problem in problems] == ["line 7"]
-
-
-def test_a_file_that_is_gone(save: Save) -> None:
-    path = save(HEADER + A)
-    [part] = READER.open([path]).parts
-    path.unlink()
-    [problem] = part.read()
-    assert isinstance(problem, Problem)
-    assert "cannot be read" in problem.what
 
 
 FIELD = st.sampled_from(["0", "1", "2.5", " 3 ", "", "nan", "NULL", "x", "-1e-3", "inf", '"4"'])

@@ -131,21 +131,6 @@ def test_transforms_per_parameter(departures, tmp_path):
     assert set(plain.left_side.transform()) == {"none"}
 
 
-@pytest.mark.parametrize(
-    ("transform", "message"),
-    [
-        ("lgo", r"transform: 'lgo'; did you mean 'log'"),
-        ({"d_y": "sqrt"}, r"transform\['d_y'\]: 'sqrt'; allowed: auto, log, logit, none"),
-        ({"dy": "log"}, r"transform: no parameter 'dy'; did you mean 'd_y'"),
-        ({"T": "log"}, r"transform\['T'\]: 'log' with the bounds 0\.5 to 10; allowed: with one finite bound"),
-        ({"c_0": "logit"}, r"transform\['c_0'\]: 'logit' with the bounds -inf to inf; allowed: with two finite"),
-    ],
-)
-def test_wrong_transforms(departures, transform, message):
-    with pytest.raises(InputError, match=message):
-        fit_scenario_model(departures(40), components=1, transform=transform)
-
-
 def test_a_weight_of_two_is_two_events(departures):
     """Weights 1, 2 and 0 against the rows repeated once, twice and not at all: the same maximum."""
     d = departures(120)
@@ -161,22 +146,6 @@ def test_a_weight_of_two_is_two_events(departures):
     assert left.events == np.count_nonzero(weight[:120])
     assert plain.provenance.left.weight is None
     np.testing.assert_allclose(left.bic, plain.provenance.left.bic, rtol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("weights", "message"),
-    [
-        ([1.0], r"weights: shape \(1,\); allowed: \(80,\)"),
-        (np.r_[np.ones(79), -1.0], r"weights: -1\.0 in departure 79; allowed: finite numbers >= 0"),
-        (np.r_[np.nan, np.ones(79)], r"weights: nan in departure 0"),
-        (["a"] * 80, r"weights: not numbers"),
-        (np.zeros(80), r"departures: 0 left and 0 right; allowed: at least 30 a side"),
-        (np.r_[np.zeros(11), np.ones(69)], r"departures: 29 left and 40 right"),
-    ],
-)
-def test_wrong_weights(departures, weights, message):
-    with pytest.raises(InputError, match=message):
-        fit_scenario_model(departures(40), components=1, weights=weights)
 
 
 def test_the_card_tells_how_the_model_was_made(departures, tmp_path):

@@ -14,7 +14,7 @@ import pytest
 
 from helpers import cli
 from helpers.fuzz import DEPARTURES, SOUND
-from ldctoolkit.errors import RecordingError, StoreError
+from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings import extract_departures, read_departures, read_recordings, sources
 from ldctoolkit.recordings.recording import Problem, Recording, SourceFile
 
@@ -257,30 +257,6 @@ def test_a_page_that_is_not_finished_loses_no_part(folder: Path, ldc: Ldc, monke
         patch.setattr("studies.extraction.make_executor", stopped)  # nothing is left to read
         assert ldc(*words)[0] == 0
     assert sorted(path.name for path in folder.iterdir()) == ["a.csv", "b.csv", "d.parquet", "r.html"]
-
-
-def test_a_page_that_cannot_be_written_is_told(folder: Path, ldc: Ldc, monkeypatch: pytest.MonkeyPatch) -> None:
-    (folder / "a.csv").write_text(recordings(0))
-    # before anything is read, where it can be known
-    with monkeypatch.context() as patch:
-        patch.setattr("os.access", lambda *_: False)
-        code, out, err = ldc("a.csv", "-o", "d.parquet", "--report", "r.html")
-    assert (code, out) == (2, "")
-    assert err == "ldc: error: -o d.parquet: no permission to write into the folder .\n"
-    assert [path.name for path in folder.iterdir()] == ["a.csv"]
-
-    # and otherwise when it is written
-    def full(*_: Any) -> None:
-        raise StoreError("r.html: cannot be written: No space left on device")
-
-    with monkeypatch.context() as patch:
-        patch.setattr("studies.pages.extraction_page.write_text", full)
-        code, out, err = ldc("a.csv", "-o", "d.parquet", "--report", "r.html")
-    assert (code, out) == (2, "")
-    assert err == (
-        "ldc: error: r.html: cannot be written: No space left on device; the departures are written to d.parquet\n"
-    )
-    assert read_departures("d.parquet")[0].n == 10
 
 
 def test_a_folder_without_write_permission_is_told(folder: Path, ldc: Ldc) -> None:

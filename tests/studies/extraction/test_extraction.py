@@ -4,7 +4,6 @@ import contextlib
 import dataclasses
 import importlib.metadata
 import importlib.util
-import io
 import shutil
 import sys
 import threading
@@ -28,7 +27,7 @@ from ldctoolkit.recordings.find_departures import Criteria
 from ldctoolkit.recordings.preparation import Preparation
 from ldctoolkit.recordings.recording import Problem, Recording
 from ldctoolkit.recordings.sources import CombinedReader, FoundParts, OpenedRecordings, recording_reader
-from studies.extraction import NothingReadError, Unread, _program, part_bytes, plan_of, read_part, run_extraction
+from studies.extraction import NothingReadError, _program, part_bytes, plan_of, read_part, run_extraction
 from studies.running.executors import Ended, Work
 from studies.storage.files import locked
 
@@ -150,21 +149,6 @@ def test_there_and_back(make_result: Callable[[], PartResult], kind: str) -> Non
 
 def test_the_same_result_makes_the_same_bytes(make_result: Callable[[], PartResult]) -> None:
     assert part_bytes(make_result()) == part_bytes(make_result())
-
-
-def test_what_is_not_a_part_is_refused(make_result: Callable[[], PartResult]) -> None:
-    good = part_bytes(make_result())
-    text = io.BytesIO()
-    np.savez(
-        text, tree=np.frombuffer(b'{"class": "Problem", "fields": {"file": "", "place": "", "what": ""}}', np.uint8)
-    )
-    objects = io.BytesIO()
-    np.savez(objects, tree=np.array([{"a": 1}], dtype=object))
-    for content in (b"", b"hello", good[:100], good[:-30], text.getvalue(), objects.getvalue()):
-        with pytest.raises(StoreError, match="broken"):
-            read_part(content)
-    with pytest.raises(TypeError):
-        part_bytes(Unread("not a result"))  # type: ignore[arg-type]
 
 
 @examples(150, suppress_health_check=[HealthCheck.function_scoped_fixture])

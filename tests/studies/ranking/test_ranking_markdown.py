@@ -2,14 +2,11 @@
 
 import dataclasses
 import itertools
-import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from markdown_it import MarkdownIt
 
 from helpers.results import results_of
@@ -140,22 +137,3 @@ def test_no_text_turns_what_follows(turn: str) -> None:
     assert markdown_text(f"a{turn}b") == "a\ufffdb"
     assert printable(f"a{turn}b") == "a\ufffdb"
     assert printable("\u05d0\u200f\u2029") == "\u05d0\u200f\u2029"
-
-
-@given(st.text(st.characters(exclude_categories=["Cs", "Cc"]), max_size=40))
-def test_any_text_stays_what_it_is(text: str) -> None:
-    """A Markdown parser gives the text back, in a cell as in a line of a list."""
-    shown = markdown_text(text)
-    assert "\n" not in shown
-    parser = MarkdownIt("commonmark").enable("table")
-    text = re.sub("[\u202a-\u202e\u2066-\u2069]", "\ufffd", text)
-    expected = " ".join(text.replace("\u2028", " ").replace("\u2029", " ").split(" ")).strip()
-    for block in (f"| a |\n| --- |\n| {shown} |\n", f"- {shown}\n"):
-        inline = [token for token in parser.parse(block) if token.type == "inline"]
-        children = inline[-1].children or [] if inline else []
-        assert {child.type for child in children} <= {"text", "html_inline", "text_special"}
-        assert all(child.content == "<!-- -->" for child in children if child.type == "html_inline")
-        got = "".join(child.content for child in children if child.type != "html_inline")
-        if block.startswith("|") and not shown:
-            continue
-        assert re.sub(r"\s+", " ", got).strip() == re.sub(r"\s+", " ", expected).strip()

@@ -26,7 +26,6 @@ from ldctoolkit.metrics import METRIC_COLUMNS, METRIC_UNITS
 from ldctoolkit.simulation import Run, Takeover, loop
 from studies import Study, StudyResults, rank_study, read_manifest, read_results, run_study
 from studies.plant_table import simulation_settings
-from studies.storage.store import Store
 
 pytestmark = pytest.mark.usefixtures("laws")
 
@@ -372,20 +371,6 @@ def test_folders_before_steady_starts(make_study: MakeStudy, reference: StudyRes
     assert rank_study(read_results(path.parent), study)[0].designs
     with pytest.raises(StoreError, match=r"simulation\.start: not set there, 'steady' now; choose another folder$"):
         run_study(make_study(), directory=path.parent)
-
-
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        ("{", "broken"), ("[]", "broken"), ("{}", "broken"),
-        ('{"format_version": 99}', "format 99; this version reads 3"), ('{"format_version": 3}', "broken"),
-    ],
-)  # fmt: skip
-def test_a_broken_manifest_is_named(content: str, message: str, tmp_path: Path) -> None:
-    (tmp_path / "manifest.json").write_text(content)
-    with pytest.raises(StoreError, match=rf"manifest\.json: {message}") as caught:
-        Store.open(tmp_path)
-    assert "\n" not in str(caught.value)
 
 
 def test_a_folder_without_a_study_is_named(tmp_path: Path, make_study: MakeStudy) -> None:

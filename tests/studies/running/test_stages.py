@@ -76,18 +76,6 @@ def test_finalists_of_another_ranking_are_not_shown(
     assert run_study(fewer, directory=tmp_path, workers=1).fresh is not None
 
 
-@pytest.mark.slow
-def test_damaged_finalists_are_refused_and_repaired(make_study: MakeStudy, tmp_path: Path) -> None:
-    study = study_of(make_study)
-    expected = run_study(study, directory=tmp_path, workers=1).fresh
-    (part,) = (tmp_path / "finalists" / "results").glob("part-*")
-    part.write_bytes(part.read_bytes()[:-1])
-    with pytest.raises(StoreError, match=r"finalists/results/part-.*: broken: "):
-        read_results(tmp_path)
-    fresh = run_study(study, directory=tmp_path, workers=1).fresh
-    np.testing.assert_array_equal(fresh.cases[0].S, expected.cases[0].S)
-
-
 def test_a_refused_run_changes_nothing(make_study: MakeStudy, tmp_path: Path) -> None:
     run_study(study_of(make_study), directory=tmp_path, workers=1)
     before = (tmp_path / "manifest.json").read_bytes()

@@ -1,6 +1,5 @@
 """Whatever lies on the disk, every reader gives departures within the criteria or an `LdcError`, nothing else."""
 
-import os
 import tempfile
 from collections import Counter
 from pathlib import Path
@@ -104,29 +103,3 @@ def test_departures_or_a_known_error(kind: str, reader: str) -> None:
 @pytest.mark.parametrize("kind", FUZZ)
 def test_departures_or_a_known_error_at_length(kind: str, reader: str) -> None:
     check_outcomes(kind, FUZZ[kind](reader, SLOW[kind]), SLOW[kind])
-
-
-@pytest.mark.parametrize(("reader", "shape"), SHAPES)
-def test_a_pipe_is_not_waited_for(tmp_path: Path, reader: str, shape: int) -> None:
-    """In the place of any of the files."""
-    for name in making.SOUND[reader][shape]:
-        root = tmp_path / name.replace("/", "_")
-        paths = making.write(root, making.SOUND[reader][shape])
-        (root / name).unlink()
-        os.mkfifo(root / name)
-        assert making.check([root], reader) in ("refused", "departures", "damaged departures")
-        assert making.check(paths, reader) in ("refused", "departures", "damaged departures")
-
-
-def test_names_that_are_no_text(tmp_path: Path) -> None:
-    """A name on the disk may hold any bytes; it is told, and stored, in a form that is text."""
-    content = making.SOUND["table"][0]["drives.csv"]
-    faulty = content.replace(b"3.6", b"wide", 1).replace(b"\nr", b"\np")
-    contents = {b"\xff.csv": content, b"a\nb.csv": faulty, b"c.csv": content.replace(b"\nr", b"\nq")}
-    for name, one in contents.items():
-        Path(os.fsdecode(os.fsencode(tmp_path) + b"/" + name)).write_bytes(one)
-    found = extract_departures(open_recordings([tmp_path], format="table"))
-    assert sorted(file.name for file in found.provenance.sources) == ["\\udcff.csv", "a\\nb.csv", "c.csv"]
-    assert [problem.file for problem in found.problems] == ["a\\nb.csv"] * 2
-    assert {account.origin.source for account in found.accounts} == {"\\udcff.csv", "a\\nb.csv", "c.csv"}
-    assert making.check([tmp_path], "table", table=tmp_path / "d.parquet") == "damaged departures"

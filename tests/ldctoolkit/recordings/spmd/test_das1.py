@@ -156,51 +156,6 @@ def test_columns_are_found_by_name(tmp_path: Path) -> None:
     assert_same(read_all(READER.open([tmp_path]))[0], recordings)
 
 
-@pytest.mark.parametrize("name", ["padded", "quoted", "null", "blank lines", "lf", "no last line end", "exponents"])
-def test_shapes_of_text_that_do_no_harm(tmp_path: Path, name: str) -> None:
-    drives = fleet()[:3]
-    lane, wsu = spmd.write_tables(tmp_path, drives)
-    recordings, _ = read_all(READER.open([tmp_path]))
-    for path in (lane, wsu):
-        text = path.read_bytes().decode("utf-8-sig")
-        head, *rows = text.split("\r\n")
-        rows = rows[:-1]
-        cells = [row.split(",") for row in rows]
-        if name == "padded":
-            cells = [[f" {cell:<10}" for cell in row] for row in cells]
-        elif name == "quoted":
-            cells = [[f'"{cell}"' for cell in row] for row in cells]
-        elif name == "null":
-            unused = spmd.LANE_COLUMNS.index("LaneHeading") if path is lane else spmd.WSU_COLUMNS.index("WiperWsu")
-            cells = [[*row[:unused], "NULL", *row[unused + 1 :]] for row in cells]
-        elif name == "exponents":
-            cells = [[*row[:3], *(f"{float(cell):.17E}" for cell in row[3:])] for row in cells]
-        rows = [",".join(row) for row in cells]
-        if name == "blank lines":
-            rows = [f"{row}\r\n\r\n   " if i % 100 == 0 else row for i, row in enumerate(rows)]
-        end = "\n" if name == "lf" else "\r\n"
-        path.write_bytes(end.join([head, *rows, *([] if name == "no last line end" else [""])]).encode())
-    again, problems = read_all(READER.open([tmp_path]))
-    assert problems == []
-    assert_same(again, recordings)
-
-
-def test_other_tables_of_the_folder_are_passed_over(tmp_path: Path) -> None:
-    inner = tmp_path / "October" / "DAS1"
-    inner.mkdir(parents=True)
-    spmd.write_tables(inner, fleet()[:2])
-    (tmp_path / "DataFrontTargets.csv").write_text("Device,Trip,Time,TargetId\n1,2,3,4\n")
-    (tmp_path / "Trip_Summary_File_DataWsu_April.csv").write_text("DeviceID,TripID\n1,2\n")
-    (tmp_path / "readme.txt").write_text("words")
-    (tmp_path / "picture.png").write_bytes(b"\x89PNG")
-    assert READER.recognise([tmp_path]) == "1 of DataLane, 1 of DataWsu"
-    source = READER.open([tmp_path])
-    assert (source.problems, [one.name for one in source.files]) == ((), ["DataLane.csv", "DataWsu.csv"])
-    assert [one.bytes for one in source.files] == [(inner / one.name).stat().st_size for one in source.files]
-    assert READER.recognise([tmp_path / "DataFrontTargets.csv"]) == ""
-    assert READER.recognise([tmp_path / "picture.png", inner]) == "1 of DataLane, 1 of DataWsu"
-
-
 def test_tables_with_one_name_are_told_apart(tmp_path: Path) -> None:
     for i, month in enumerate(("october", "april")):
         (tmp_path / month).mkdir()

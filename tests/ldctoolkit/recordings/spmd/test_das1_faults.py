@@ -1,7 +1,6 @@
 """What is wrong with a table is named by file and line; the rest is read."""
 
 import gzip
-import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -43,32 +42,6 @@ def put(line: int, text: bytes) -> Callable[[list[bytes]], None]:
         lines[line - 1] = text
 
     return change
-
-
-ABSURD = ("1e308", "-1e308", "inf", "-inf", "1e9", "nan")
-
-
-@pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("one", ABSURD)
-@pytest.mark.parametrize("other", ABSURD)
-def test_absurd_numbers_count_as_missing(tables: tuple[Path, Path], one: str, other: str) -> None:
-    clean, _ = read(*tables)
-    edit(tables[0], put(171, f"7,2,490,{one},{other},0,3,3".encode()))
-    edit(tables[0], put(172, f"7,2,500,-1.8,{other},0,3,3".encode()))
-    # device, trip, time, GPS: valid, ..., heading, speed, ..., CAN: valid, yaw rate, speed
-    edit(tables[1], put(181, f"7,2,590,1,0,42,-83,183,{one},{other},1,1,1,0,1,{one},{other},0,0".encode() + b",0" * 8))
-    edit(tables[1], put(182, f"7,2,600,1,0,42,-83,183,0,25,1,1,1,0,1,0,{other},0,0".encode() + b",0" * 8))
-    recordings, problems = read(*tables)
-    assert problems == []
-    found, sound = recordings["7/2"], clean["7/2"]
-    np.testing.assert_array_equal(found.t, sound.t)
-    for rows, column in (
-        ([49, 50], "lane_offset"), ([49, 50], "lane_width"), ([59], "speed"), ([59], "yaw_rate"), ([59], "heading"),
-    ):  # fmt: skip
-        values = getattr(found, column)
-        assert np.flatnonzero(np.isnan(values)).tolist() == rows, column
-    assert found.speed[60] == 25.0  # that of the GPS
-    assert not found.valid[[49, 50]].any()
 
 
 LINE_FAULTS = [
@@ -195,24 +168,6 @@ def test_pieces_in_any_order_are_put_together_by_time(tables: tuple[Path, Path],
             np.testing.assert_array_equal(getattr(recordings[name], column), getattr(one, column))
 
 
-def test_an_odd_time_does_not_move_a_piece(tables: tuple[Path, Path]) -> None:
-    clean, _ = read(*tables)
-
-    def change(lines: list[bytes]) -> None:
-        one, two = lines[1 : 1 + ROWS], lines[1 + ROWS : 1 + 2 * ROWS]
-        cells = one[0].split(b",")
-        one[0] = b",".join([*cells[:2], b"9000000", *cells[3:]])
-        lines[1 : 1 + 2 * ROWS] = [*one[:60], *two, *one[60:]]
-
-    edit(tables[0], change)
-    recordings, problems = read(*tables)
-    assert [problem.split(": ", 1)[1][:30] for problem in problems] == [
-        "trip 7/1 goes on here, its rows begin in line 2"[:30],
-        "trip 7/1: the time runs backwards"[:30],
-    ]
-    np.testing.assert_array_equal(recordings["7/1"].lane_offset, clean["7/1"].lane_offset[1:])
-
-
 def test_a_trip_in_stretches_is_put_together(tables: tuple[Path, Path]) -> None:
     clean, _ = read(*tables)
 
@@ -255,18 +210,6 @@ def test_tables_whose_clocks_never_meet(tables: tuple[Path, Path]) -> None:
         "DataLane.csv, line 122: trip 7/2: no row of DataWsu.csv lies within 5 centiseconds of any of its rows; "
         "it is left out"
     ]
-
-
-def test_many_faulty_lines_are_counted(tables: tuple[Path, Path]) -> None:
-    def change(lines: list[bytes]) -> None:
-        for i in range(1, 100):
-            lines[i] = b"7,1,1" if i % 2 else b"junk"
-
-    edit(tables[0], change)
-    recordings, problems = read(*tables)
-    assert (samples(recordings), len(problems)) == ([ROWS - 99, ROWS, ROWS], 42)
-    assert problems[20] == "DataLane.csv: 29 more lines do not begin with a trip's numbers"
-    assert problems[41] == "DataLane.csv, line 42: 30 more lines like line 2, to line 100"
 
 
 def test_swapped_files(tables: tuple[Path, Path]) -> None:
@@ -315,51 +258,6 @@ def test_a_file_that_cannot_be_used(tables: tuple[Path, Path], spoil: Callable[[
     with pytest.raises(RecordingError, match="no table DataLane") as error:
         READER.open([lane, tables[1]])
     assert words in str(error.value)
-
-
-@pytest.mark.parametrize("both", [False, True])
-def test_a_header_without_rows(tables: tuple[Path, Path], both: bool) -> None:
-    for path in tables[: 1 + both]:
-        path.write_bytes(path.read_bytes().split(b"\n")[0] + b"\n")
-    reported = r"DataLane\.csv: no usable row" + r"; DataWsu\.csv: no usable row" * both
-    with pytest.raises(RecordingError, match=rf"^spmd-das1: no trip of a table DataLane was found; {reported}$"):
-        READER.open(tables)
-
-
-def test_old_line_ends_and_endless_lines(tables: tuple[Path, Path]) -> None:
-    text = tables[0].read_bytes()
-    tables[0].write_bytes(text + b"7,3," + b"1" * 3_000_000 + b"\r\n7,3,99990,-1.5,1.5,0,3,3\r\n")
-    with pytest.raises(RecordingError, match=r"DataLane.csv: line 362 is longer than 1048576 bytes; it is left out"):
-        READER.open(list(tables))
-    tables[0].write_bytes(text.replace(b"\r\n", b"\r"))
-    with pytest.raises(RecordingError, match=r"DataLane.csv: the first line") as error:
-        READER.open(list(tables))
-    assert "\r" not in str(error.value)
-
-
-def test_a_file_that_cannot_be_opened(tables: tuple[Path, Path], tmp_path: Path) -> None:
-    broken = tmp_path / "DataLane_2.csv"
-    broken.symlink_to(tmp_path / "gone.csv")
-    recordings, problems = read(*tables, broken)
-    assert samples(recordings) == [ROWS] * 3
-    assert problems == ["DataLane_2.csv: cannot be read: No such file or directory; it is left out"]
-
-
-def test_what_is_no_file(tables: tuple[Path, Path], tmp_path: Path) -> None:
-    pipe, loop, folder = tmp_path / "DataLane_pipe.csv", tmp_path / "DataLane_loop.csv", tmp_path / "DataLane_3.csv"
-    os.mkfifo(pipe)
-    loop.symlink_to(loop)
-    folder.mkdir()
-    recordings, problems = read(*tables, pipe, loop, folder)
-    assert samples(recordings) == [ROWS] * 3
-    assert problems == [
-        "DataLane_pipe.csv: cannot be read: it is not a regular file; it is left out",
-        "DataLane_loop.csv: cannot be read: Too many levels of symbolic links; it is left out",
-    ]
-    assert READER.recognise([pipe]) == READER.recognise([loop]) == "1 of DataLane by name alone"
-    assert READER.recognise([folder]) == ""
-    recordings, problems = read(tmp_path)
-    assert (samples(recordings), problems) == ([ROWS] * 3, [])
 
 
 def test_a_file_that_changes_between_looking_and_reading(tables: tuple[Path, Path]) -> None:

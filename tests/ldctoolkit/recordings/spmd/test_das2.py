@@ -189,24 +189,6 @@ def test_faulty_lines_are_named_and_the_rest_is_read(fault: str, write: Write) -
     assert (recordings["10/1"].samples, recordings["10/2"].samples) == (29, 30)
 
 
-def test_of_a_trip_in_two_files_the_first_ones_rows_are_taken(write: Write) -> None:
-    first = write(lines_of(1) + lines_of(2), "october/HV_Primary.csv")
-    second = write(lines_of(3) + lines_of(1)[:20], "april/HV_Primary.csv")
-    recordings, problems = read(first, second)
-    assert {name: one.samples for name, one in recordings.items()} == {"10/1": 30, "10/2": 30, "10/3": 30}
-    assert recordings["10/1"].source == "october/HV_Primary.csv"
-    [problem] = problems
-    assert (problem.file, problem.place) == ("april/HV_Primary.csv", "line 32")
-    assert "october/HV_Primary.csv, line 2" in problem.what
-
-
-def test_the_same_table_under_two_names(write: Write) -> None:
-    lines = lines_of(1)
-    recordings, problems = read(write(lines, "a.csv"), write(lines, "b.csv"))
-    assert list(recordings) == ["10/1"]
-    assert [str(one) for one in problems] == ["b.csv: holds the same as a.csv, byte by byte; it is left out"]
-
-
 def test_without_a_header_most_of_the_first_lines_must_look_right(write: Write) -> None:
     good, other = lines_of(1, cells=45), ["1,1,0,-1.8,1.8,0,3,3"] * 30
     with pytest.raises(RecordingError, match="rows of 45 or 53 cells"):
@@ -230,26 +212,6 @@ WHOLE: dict[str, tuple[Callable[[bytes], bytes], str]] = {
     "header only": (lambda text: text.split(b"\n")[0] + b"\n", "no usable row"),
     "packed": (lambda _: b"PK\3\4" + bytes(range(256)) * 4, "ZIP"),
 }
-
-
-ANYHOW = ("semicolons", "UTF-16")  # these can be in a table without a header, too
-
-
-@pytest.mark.parametrize(
-    ("fault", "header"), [*((fault, True) for fault in WHOLE), *((fault, False) for fault in ANYHOW)]
-)
-def test_a_file_that_cannot_be_used(fault: str, header: bool, write: Write) -> None:
-    damage, words = WHOLE[fault]
-    bad = write(lines_of(1), "bad.csv", header=header)
-    bad.write_bytes(damage(bad.read_bytes()))
-    with pytest.raises(RecordingError, match=words):
-        read(bad)
-    good = write(lines_of(2), "good.csv")
-    recordings, problems = read(bad, good)
-    assert list(recordings) == ["10/2"]
-    [problem] = problems
-    assert problem.file == "bad.csv"
-    assert words in str(problem)
 
 
 def test_columns_that_are_not_needed_may_be_missing(write: Write) -> None:

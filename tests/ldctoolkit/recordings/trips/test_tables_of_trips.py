@@ -230,21 +230,9 @@ def test_any_bytes_give_whole_lines(text_trip_index: bytes, block_bytes: int) ->
         assert one.line == content.count(b"\n", 0, one.begin) + 1
 
 
-@pytest.mark.parametrize("block_bytes", [1 << 16, 1 << 20])
-def test_a_line_longer_than_any_row_ends_the_file(block_bytes: int) -> None:
-    long = b"7,1," + b"1" * (3 << 20)
-    with pytest.raises(RecordingError, match=r"a.csv: line 4 is longer than 1048576 bytes"):
-        indexed(b"7,1,0\n7,1,1\n" + long + b"\n7,1,3\n", block_bytes=block_bytes)
-
-
 def test_rows_that_are_not_sorted_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(trip_index, "MOST_STRETCHES", 10)
     with pytest.raises(
         RecordingError, match=r"a.csv, line 12: more than 10 stretches .*sorted by device, trip and time"
     ):
         indexed(b"7,1,0\n7,2,0\n" * 20)
-
-
-def test_a_file_that_is_not_there(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match=r"a.csv: cannot be read: No such file"):
-        index_trips(tmp_path / "a.csv", 0, 1)

@@ -1,7 +1,6 @@
 """UAH-DriveSet: folders of trips, and files at fault."""
 
 import hashlib
-import os
 import pickle
 import re
 import shutil
@@ -66,14 +65,6 @@ def test_root_driver_trip_or_file(root):
     assert (sorted(part.key for part in again.parts), again.problems) == (sorted(NAMES), ())
 
 
-def test_a_folder_of_here(root, monkeypatch):
-    from pathlib import Path
-
-    monkeypatch.chdir(root / "D1" / sorted(NAMES)[0])
-    (part,) = READER.open([Path()]).parts
-    assert part == READER.open([root]).parts[0]
-
-
 def test_labels_and_sources(root):
     for part in READER.open([root]).parts:
         (recording,) = part.read()
@@ -135,38 +126,6 @@ def test_duplicates(root):
     ]
 
 
-def test_traces_of_archives(root):
-    """A folder of the same name inside, a Mac's shadow folders, other cases of letters."""
-    first, second = sorted(NAMES)[:2]
-    (root / "D1" / first).rename(root / "inner")
-    (root / "D1" / first).mkdir()
-    (root / "inner").rename(root / "D1" / first / first)
-    shadow = root / "__MACOSX" / "D1" / second
-    shadow.mkdir(parents=True)
-    (shadow / f"._{LANE}").write_bytes(b"\0\5\x16\7")
-    (root / "D1" / second / LANE).rename(root / "D1" / second / LANE.lower())
-    source = READER.open([root])
-    assert ([part.key for part in source.parts], source.problems) == (sorted(NAMES), ())
-    assert all(isinstance(item, Recording) for part in source.parts for item in part.read())
-
-
-def test_what_is_no_trip(root, tmp_path):
-    (tmp_path / "other").mkdir()
-    (tmp_path / "drive.csv").write_text("recording,t\n")
-    gone = tmp_path / "gone"
-    others = [tmp_path / "other", tmp_path / "drive.csv", gone, tmp_path / "a\0b"]
-    for path in others:
-        assert READER.recognise([path]) == ""
-        with pytest.raises(RecordingError, match="no trip of UAH-DriveSet that can be used"):
-            READER.open([path])
-    source = READER.open([*others, root])
-    assert len(source.parts) == 4
-    assert [problem.file for problem in source.problems] == ["other", "drive.csv", "gone", "a\\x00b"]
-    assert source.problems[2].what == "does not exist"
-    with pytest.raises(RecordingError, match=r"^other, gone: no trip .*; other: holds no trip: .* \(1 more\)$"):
-        READER.open([others[0], gone])
-
-
 def test_only_trips_that_cannot_be_used(root):
     for name, (driver, _, _) in NAMES.items():
         (root / driver / name / LANE).unlink()
@@ -175,23 +134,7 @@ def test_only_trips_that_cannot_be_used(root):
         READER.open([root])
 
 
-@pytest.mark.skipif(os.name != "posix", reason="links and bytes in names are those of POSIX")
-def test_links_and_odd_names(root):
-    (root / "D1" / "loop").symlink_to(root)
-    (root / "again").symlink_to(root / "D2")
-    odd = os.fsencode(root / "D1") + b"/20151110175713-16km-D1-NORMAL\xff-SECONDARY"
-    small(root / "D1" / "odd", 8)
-    (root / "D1" / "odd").rename(os.fsdecode(odd))
-    source = READER.open([root])
-    found = [item for part in source.parts for item in part.read()]
-    assert all(isinstance(item, Recording) for item in found)
-    names = {one.name for one in found} - set(NAMES)
-    assert len(found) == len(NAMES) + 1
-    assert re.fullmatch(r"20151110175713-16km-D1-NORMAL\\udcff-SECONDARY \([0-9a-f]{8}\)", names.pop())
-
-
 SHOWN = "D1/20151110175712-16km-D1-NORMAL1-SECONDARY"
-LEFT_OUT = "without the offset from the lane's centre the trip is left out"
 
 
 def read(folder):
@@ -241,14 +184,6 @@ def test_a_faulty_line(folder, sound, line, what):
         np.testing.assert_array_equal(getattr(found, column), np.delete(getattr(sound, column), 499))
 
 
-def test_text_in_a_column_that_is_not_read(folder, sound):
-    t = f"{sound.t[499]:.2f}"
-    change(folder / LANE, 500, f"{t} 0.1 bad 3.5 2 \xe4\n")
-    problems, found = read(folder)
-    assert (problems, found.samples) == ([], sound.samples)
-    assert (found.lane_offset[499], found.lane_width[499]) == (-0.1, 3.5)
-
-
 def test_a_truncated_file(folder, sound):
     data = (folder / LANE).read_bytes()
     (folder / LANE).write_bytes(data[:60_001])
@@ -259,34 +194,6 @@ def test_a_truncated_file(folder, sound):
     assert problems[0].startswith(f"/{LANE}, line {whole + 1}: ")
     assert found.samples == whole
     np.testing.assert_array_equal(found.t, sound.t[:whole])
-
-
-def test_many_faulty_lines_are_counted(folder, sound):
-    for number in range(100, 120):
-        change(folder / GPS, number - 60, f"{number} fast 40.5 -3.4 610 6 10 90\n")
-    problems, found = read(folder)
-    faulty = [text for text in problems if ", line" in text]
-    assert len(faulty) == 6
-    assert faulty[0] == f"/{GPS}, line 40: 'fast' where the speed is needed; the line is left out"
-    assert (
-        faulty[5] == f"/{GPS}, line 45 and 14 more: 'fast' where the speed is needed, or alike; the lines are left out"
-    )
-    # and what they cost is told
-    assert problems[6].startswith(f"/{GPS}: it is short or has gaps")
-    assert found.samples == sound.samples
-
-
-@pytest.mark.parametrize(
-    "change",
-    [lambda text: text.replace(" \n", "\n").replace(" ", ";"), lambda text: text.replace(".", ",")],
-    ids=["semicolons", "decimal commas"],
-)
-def test_a_file_that_is_parted_otherwise(folder, change):
-    (folder / LANE).write_text(change((folder / LANE).read_text()))
-    problems, found = read(folder)
-    assert found is None
-    assert re.fullmatch(rf"/{LANE}, line 1 and \d+ more: .* needed; no line can be used", problems[0])
-    assert problems[1] == f": {LEFT_OUT}"
 
 
 def test_a_yaw_rate_from_the_course_is_marked(folder, sound):
@@ -304,49 +211,6 @@ def test_a_yaw_rate_from_the_course_is_marked(folder, sound):
     assert not found.yaw_rate_measured.any()
 
 
-@pytest.mark.parametrize(("line", "number"), [("9.5,0.2,0.0,3.5,2\n", 1), ("9,5 0,2 0,0 3,5 2\n", 3)])
-def test_a_single_line_that_is_parted_otherwise(folder, sound, line, number):
-    change(folder / LANE, number, line)
-    problems, found = read(folder)
-    assert found.samples == sound.samples - 1
-    (problem,) = problems
-    assert problem.startswith(f"/{LANE}, line {number}: ")
-    assert problem.endswith("is needed; the line is left out") or problem.endswith("are needed; the line is left out")
-    np.testing.assert_array_equal(found.t, np.delete(sound.t, number - 1))
-
-
-@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-be", "utf-32"])
-def test_utf_16(folder, encoding):
-    (folder / LANE).write_bytes((folder / LANE).read_text().encode(encoding))
-    problems, found = read(folder)
-    assert found is None
-    assert problems == [f"/{LANE}: it is UTF-16 text, or no text at all; allowed: UTF-8", f": {LEFT_OUT}"]
-
-
-def test_mixed_encodings(folder, sound):
-    """Half of the file was appended by another program."""
-    lines = (folder / GPS).read_text().splitlines(keepends=True)
-    (folder / GPS).write_bytes("".join(lines[:80]).encode() + "".join(lines[80:]).encode("utf-16-le"))
-    problems, found = read(folder)
-    assert problems[0].startswith(f"/{GPS}, line 81: ")
-    early = sound.t < 80.0
-    np.testing.assert_array_equal(found.speed[early], sound.speed[early])
-
-
-@pytest.mark.parametrize("content", [b"", b" \n\r\n", b"\xef\xbb\xbf"])
-@pytest.mark.parametrize("file", [LANE, GPS, YAW])
-def test_empty_files(folder, sound, file, content):
-    (folder / file).write_bytes(content)
-    problems, found = read(folder)
-    assert problems[0] == f"/{file}: it is empty"
-    if file == YAW:
-        np.testing.assert_array_equal(found.speed, sound.speed)
-        assert "the yaw rate there is that of the course" in found.notes[0]
-    else:
-        assert found is None
-        assert len(problems) == 2
-
-
 @pytest.mark.parametrize(("one", "other"), [(LANE, GPS), (LANE, YAW), (GPS, YAW), (GPS, LANE), (YAW, LANE), (YAW, GPS)])
 def test_swapped_files(folder, one, other):
     """A table in another's place is not read as what it is not."""
@@ -355,15 +219,6 @@ def test_swapped_files(folder, one, other):
     assert re.search("are files swapped|no line can be used", problems[0])
     assert problems[0].startswith(f"/{one}")
     assert (found is None) == (one != YAW)
-
-
-def test_another_table_of_five_columns(folder):
-    """The vehicle detection: time, distance, time to impact, vehicles, speed."""
-    rows = "".join(f"{0.1 * i:.2f} -1 -1 {i % 3} {90 + i % 7}\n" for i in range(500))
-    (folder / LANE).write_text(rows)
-    problems, found = read(folder)
-    assert found is None
-    assert problems[0] == f"/{LANE}: its numbers are not those of a lane table; are files swapped?"
 
 
 def test_time_runs_backwards(made, sound, tmp_path):
@@ -379,17 +234,6 @@ def test_time_runs_backwards(made, sound, tmp_path):
     np.testing.assert_array_equal(found.t, np.delete(sound.t, slice(700, 720)))
     early = (found.t < trip.gps[49, 0]) | (found.t > trip.gps[51, 0])
     np.testing.assert_array_equal(found.speed[early], np.delete(sound.speed, slice(700, 720))[early])
-
-
-@pytest.mark.parametrize("changed", [{700: 900.0, 701: 900.0}, {700: 900.0, 900: 0.5}])
-def test_two_odd_times_cost_two_lines(changed, made, sound, tmp_path):
-    """Two neighbours far ahead; one ahead and one behind."""
-    trip = made()
-    trip.lane[list(changed), 0] = list(changed.values())
-    problems, found = read(trip.write(tmp_path))
-    reported = f"the time runs backwards: 900.0 s before {sound.t[701 + (701 in changed)]} s; 2 lines are left out"
-    assert problems == [f"/{LANE}, line 701: {reported}"]
-    np.testing.assert_array_equal(found.t, np.delete(sound.t, list(changed)))
 
 
 def test_a_clock_that_starts_again(made, sound, tmp_path):
@@ -418,16 +262,3 @@ def test_positions_of_another_trip(made, tmp_path):
     problems, found = read(trip.write(tmp_path))
     assert found is None
     assert problems[0].startswith(f"/{GPS}: it holds no speed in time, the trip runs from ")
-
-
-def test_a_file_too_large(folder, monkeypatch):
-    monkeypatch.setattr("ldctoolkit.recordings.uah_driveset.LARGEST_FILE", 1000)
-    problems, found = read(folder)
-    assert found is None
-    assert problems[0].endswith("bytes; a file of one trip has at most 1000")
-
-
-def test_a_file_that_vanishes(folder):
-    (part,) = READER.open([folder]).parts
-    (folder / GPS).unlink()
-    assert "cannot be read: No such file" in str(next(part.read()))

@@ -1,6 +1,5 @@
 """UAH-DriveSet: signals, departures, properties."""
 
-import dataclasses
 import math
 import tempfile
 from pathlib import Path
@@ -249,24 +248,6 @@ def test_a_gap_inside_a_departure(made, planted, truth, tmp_path):
     check(result.departures, (*planted[:2], *planted[3:]), truth)
     (account,) = result.accounts
     assert account.refused.sum() == account.refused[0, REASONS.index("gap")] == 1
-
-
-def test_nothing_else_counts(made, planted, truth, tmp_path):
-    """Blanks, line ends, a byte order mark, columns at the end: the same bits."""
-    folder = made().write(tmp_path / "plain")
-    other = made().write(tmp_path / "other")
-    for file in ("PROC_LANE_DETECTION.txt", "RAW_GPS.txt", "RAW_ACCELEROMETERS.txt"):
-        lines = (folder / file).read_text().splitlines()
-        text = "\ufeff\r\n" + "\r\n\r\n".join("\t" + line.replace(" ", " \t ") + " 7 x" for line in lines)
-        (other / file).write_bytes(text.encode())
-    one, same = extract(folder), extract(other)
-    assert same.problems == ()
-    check(one.departures, planted, truth)
-    np.testing.assert_array_equal(one.departures.matrix(), same.departures.matrix())
-    (a,), (b,) = (list(READER.open([path]).parts[0].read()) for path in (folder, other))
-    for column in a.COLUMNS:
-        np.testing.assert_array_equal(getattr(a, column), getattr(b, column))
-    assert dataclasses.replace(b, **{column: getattr(a, column) for column in a.COLUMNS}) == a
 
 
 COLUMNS = ((0, "time"), (1, "offset"), (3, "lane width"))
