@@ -247,7 +247,7 @@ def _library(functions: tuple[Any, ...], name: str) -> Path | None:
 
 
 def _compile(compiler: str, text: str, target: Path) -> None:
-    """Compile beside the target and rename, so that no one ever sees half a library."""
+    """Compile beside the target and rename, so that half a library is never seen."""
     with tempfile.TemporaryDirectory(dir=target.parent, prefix=".compile-") as folder:
         source, made = Path(folder, "code.c"), Path(folder, "code.so")
         source.write_text(text, encoding="utf-8")

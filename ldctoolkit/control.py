@@ -6,7 +6,7 @@ a law whose type says what it can do:
 - `LinearLaw`: delta = F x + G_yaw_rate psi_l' + G_heading dpsi_l + f_u delta_prev + f_i z, arrays of n;
   behind an actuator also with weights of earlier commands and of the wheels' steering angle;
 - `SteeringLaw`: any other law, one call a time step for all n scenarios at once, with explicit state;
-- `RecordedPath`: no one intervenes, the departure runs as it was recorded.
+- `RecordedPath`: no intervention, the departure runs as it was recorded.
 """
 
 from __future__ import annotations

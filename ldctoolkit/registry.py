@@ -111,7 +111,7 @@ def controller_class(name: str) -> type[Controller]:
     check_not_shadowed(point.value.partition(":")[0].partition(".")[0])
     try:
         loaded = point.load()
-    except Exception as error:  # the file may be anybody's code: whatever it raises must name the controller
+    except Exception as error:  # the file may be third-party code: whatever it raises must name the controller
         kind = "" if isinstance(error, LdcError | ImportError) else f"{type(error).__name__}: "
         raise LdcError(f"controller {name!r} ({point.value}) cannot be loaded: {kind}{error}") from error
     if not (isinstance(loaded, type) and issubclass(loaded, Controller)):

@@ -72,7 +72,7 @@ class PartWork:
             return extract_part(self.part, self.criteria, self.preparation)
         except LdcError as error:
             return Unread(str(error))
-        except Exception as error:  # a reader may be anybody's code
+        except Exception as error:  # a reader may be third-party code
             return Unread(f"{type(error).__name__}: {error}")
 
 
@@ -247,7 +247,7 @@ def holds_parts(path: Path) -> bool:
     """Whether a folder is there that an extraction has left, whatever it was of."""
     try:
         return (path / _MANIFEST).is_file()
-    except OSError:  # no one may look
+    except OSError:  # it may not be read
         return False
 
 
@@ -289,7 +289,7 @@ def _keep_only(path: Path, plan: Plan) -> None:
             differs = what_differs(there, plan) if isinstance(there, dict) else "its manifest is broken"
         except ValueError:
             differs = "its manifest is broken"
-        if not differs and plan["files"]:  # without digests no one knows whether the files are the same
+        if not differs and plan["files"]:  # without digests it is not known whether the files are the same
             return
         if any(_PART.fullmatch(file.name) for file in path.iterdir()):
             _log.warning(

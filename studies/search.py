@@ -192,7 +192,7 @@ def run_search(campaign: Campaign) -> Sequence[Design]:
     return search.asked
 
 
-_RESAMPLES = 100  # of an interval that no one reads: metrics do not depend on it
+_RESAMPLES = 100  # of an interval that is not used: metrics do not depend on it
 
 
 def _values_and_margins(

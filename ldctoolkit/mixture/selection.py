@@ -218,7 +218,7 @@ def in_processes(
                 "a worker process ended abruptly: out of memory, or killed; n_jobs=1 needs no other process"
             ) from None
         finally:
-            # after an error or an interrupt nothing waits for fits that no one will read
+            # after an error or an interrupt nothing waits for fits that are not used
             pool.shutdown(wait=True, kill_workers=True)
 
 
@@ -337,7 +337,7 @@ def select_components(
 
     Notes
     -----
-    With half a million events the curve falls on slowly where more components are worth no one's while, so the
+    With half a million events the curve falls on slowly where more components are not worth it, so the
     least criterion is a poor guide. By the default rule a larger K must be better by more than 10: a difference of
     BIC beyond 10 is very strong evidence (Kass and Raftery). It does not stop a curve that falls by thousands for
     hundredths of a nat per event; `indifference` does.

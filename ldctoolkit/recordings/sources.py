@@ -141,7 +141,7 @@ def recording_reader(name: str) -> RecordingReader:
         reader = point.load()
         if isinstance(reader, type):
             reader = reader()
-    except Exception as error:  # the file may be anybody's code: whatever it raises must name the reader
+    except Exception as error:  # the file may be third-party code: whatever it raises must name the reader
         kind = "" if isinstance(error, LdcError | ImportError) else f"{type(error).__name__}: "
         raise LdcError(f"format {name!r} ({point.value}) cannot be loaded: {kind}{error}") from error
     if not isinstance(reader, RecordingReader):
@@ -357,7 +357,7 @@ def _opened(reader: RecordingReader, paths: list[Path]) -> RecordingSource:
         keys = Counter(part.key for part in source.parts)
     except LdcError:
         raise
-    except Exception as error:  # the reader may be anybody's code
+    except Exception as error:  # the reader may be third-party code
         raise LdcError(f"format {reader.name!r}: open fails with {type(error).__name__}: {error}") from error
     for key, count in keys.items():
         if count > 1:

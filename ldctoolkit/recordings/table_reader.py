@@ -214,7 +214,7 @@ def csv_blocks(path: Path, block_bytes: int) -> Iterator[tuple[list[str], bytes,
 def _next_bytes(stream: IO[bytes] | gzip.GzipFile, size: int) -> tuple[bytes, Exception | None]:
     """The next bytes of a file, about so many, and what ended those of a packed one before their time.
 
-    What a cut leaves is sound. Of bytes that cannot be unpacked no one knows where they went wrong: none is given.
+    What a cut leaves is sound. Where bytes that cannot be unpacked went wrong is not known: none is given.
     """
     if not isinstance(stream, gzip.GzipFile):
         return stream.read(size), None
@@ -280,7 +280,7 @@ def _csv_frames(path: Path, block_bytes: int, faults: list[TableFault], names: S
 
 def _parse(width: int, places: dict[str, int], block: bytes, line: int) -> pl.DataFrame | None:
     """Lines as columns of numbers and texts; `line` is the number of the first. None if they cannot be split."""
-    # positional names: a file may repeat or leave blank the names of columns that no one needs
+    # positional names: a file may repeat or leave blank the names of columns that are not needed
     position = [f"c{i}" for i in range(width)]
     wanted = {name: position[i] for name, i in places.items()}
     text = (",".join(position) + "\n").encode() + block.replace(b"\r\n", b"\n")

@@ -332,7 +332,7 @@ class FoundTable:
     """A table that can be used."""
 
     table: TripTable  # what it is called, and where it is
-    layout: TableLayout  # what the reader said of it
+    layout: TableLayout  # what the reader found of it
     index: TripIndex  # where its trips lie
 
 

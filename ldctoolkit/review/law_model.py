@@ -163,7 +163,7 @@ def guarded(name: str, call: str) -> Iterator[None]:
         yield
     except (LdcError, KeyboardInterrupt, GeneratorExit):
         raise
-    except BaseException as error:  # a controller may be anybody's code, and may call sys.exit
+    except BaseException as error:  # a controller may be third-party code, and may call sys.exit
         raise LdcError(f"controller {name!r}: {call} raised {raised(error)}") from error
 
 

@@ -350,7 +350,7 @@ def design_margins(controllers: Sequence[Controller], setup: Setup, v: npt.Array
     cameras = _cameras(plant, options)
     gain, phase = np.full((2, len(controllers), plant.n), np.nan)
     for row, controller in enumerate(controllers):
-        with contextlib.suppress(Exception):  # a controller may be anybody's code; to run it shows what is wrong
+        with contextlib.suppress(Exception):  # a controller may be third-party code; to run it shows what is wrong
             law = controller.prepare(plant)
             if isinstance(law, LinearLaw):
                 sides = map(controller_side, exact_view(law, plant).models, cameras)

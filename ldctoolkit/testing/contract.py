@@ -143,7 +143,7 @@ def _faults(design: Controller, checks: Iterable[str], settings: ContractSetting
                 yield Fault(called, name, sentence)
         except (KeyboardInterrupt, GeneratorExit):
             raise
-        except BaseException as error:  # a controller may be anybody's code, and may call sys.exit
+        except BaseException as error:  # a controller may be third-party code, and may call sys.exit
             yield Fault(called, name, raised(error))
 
 

@@ -68,7 +68,7 @@ def _kind(kind: type[Controller]) -> str:
 
     try:
         law = get_type_hints(kind.prepare).get("return")
-    except Exception:  # an annotation may be anybody's code
+    except Exception:  # an annotation may be third-party code
         law = None
     words = {LinearLaw: ", linear law", RecordedPath: ", recorded path", SteeringLaw: ", steering law"}
     return next((text for base, text in words.items() if isinstance(law, type) and issubclass(law, base)), "")

@@ -107,7 +107,7 @@ def drive_on_plants(
             over = takeovers[design.y_s]
             try:
                 outcome = drive(design.controller(case.convention), over).outcome(case.window)
-            except Exception as error:  # a controller may be anybody's code
+            except Exception as error:  # a controller may be third-party code
                 failed.append((k, i, raised(error)))
                 continue
             bad = status_among(outcome.status, FAILED_STATUSES)

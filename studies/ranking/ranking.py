@@ -113,7 +113,7 @@ def has_solver(design: Design, convention: Convention) -> bool:
             kind = type(controller.prepare(Plant.build(model, 25.0, 0.05)))
     except (KeyboardInterrupt, GeneratorExit):
         raise
-    except BaseException:  # a controller may be anybody's code
+    except BaseException:  # a controller may be third-party code
         return True
     return issubclass(kind, SteeringLaw) and kind.solver_calls is not SteeringLaw.solver_calls
 

@@ -332,10 +332,10 @@ class Dispatcher:
                 yield fewer
 
     def _harmless(self, task: SimulationTask) -> SimulationTask:
-        """A task that drives no one, on one scenario."""
-        nobody = Design.from_gains(NO_CONTROL, task.designs[0].y_s, {})
+        """A task without control, on one scenario."""
+        passive = Design.from_gains(NO_CONTROL, task.designs[0].y_s, {})
         return dataclasses.replace(
-            task.only((nobody,)), rows=task.rows[:1], scenarios=task.scenarios.take([0]), batch_size=1
+            task.only((passive,)), rows=task.rows[:1], scenarios=task.scenarios.take([0]), batch_size=1
         )
 
     def _give(self, task: Task, done: Done) -> None:

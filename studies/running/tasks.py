@@ -315,7 +315,7 @@ class Simulator:
                 self._together(room, takeover, first, last)
             except _NOT_OF_A_LAW:
                 raise
-            except BaseException:  # a controller may be anybody's code
+            except BaseException:  # a controller may be third-party code
                 # which design it was is not known: one after the other, the one that raises is named
                 for i in range(first, last):
                     self._alone(room, takeover, i, reasons)

@@ -366,7 +366,7 @@ def drive_designs(
 def _counted(design: Design, takeover: Takeover, case: CaseResults) -> FloatArray | str:
     try:
         outcome = drive(design.controller(case.case.convention), takeover).outcome(case.case.window)
-    except Exception as error:  # a controller may be anybody's code
+    except Exception as error:  # a controller may be third-party code
         return raised(error)
     if not np.isfinite(outcome.S[outcome.status != EventStatus.INVALID]).all():
         return "S is not finite in some scenario"

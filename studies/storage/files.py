@@ -116,7 +116,7 @@ def locked(folder: Path) -> Iterator[None]:
     """Hold a folder, as long as the block or the process lives; a killed process holds nothing."""
     try:
         fcntl = importlib.import_module("fcntl")
-    except ImportError:  # Windows: no one guards the folder there
+    except ImportError:  # Windows: the folder is not guarded there
         yield
         return
     try:
@@ -129,7 +129,7 @@ def locked(folder: Path) -> Iterator[None]:
         except BlockingIOError:
             raise StoreError(f"{folder}: another run is writing into this folder; wait for it, or end it") from None
         except OSError:
-            pass  # a file system without locks, as some network ones: no one guards the folder there
+            pass  # a file system without locks, as some network ones: the folder is not guarded there
         yield
 
 
@@ -141,7 +141,7 @@ def remove_leftovers(folder: Path) -> None:
 
 
 def remove_unfinished(path: Path) -> None:
-    """Remove what killed processes had not finished writing of one file; call it only while no one else writes it."""
+    """Remove what killed processes had not finished writing of one file; call it while no other writes it."""
     # as `whole_file` names it, after the process
     name = re.compile(rf"\.{re.escape(path.name)}\.\d+\.part")
     with contextlib.suppress(OSError):

@@ -113,7 +113,7 @@ class LawTime:
 
     @property
     def per_command(self) -> float:
-        """Mean wall time per command [s]; 0 where no one was steered."""
+        """Mean wall time per command [s]; 0 where no steering was needed."""
         return self.seconds / self.commands if self.commands else 0.0
 
     def __add__(self, other: LawTime) -> LawTime:

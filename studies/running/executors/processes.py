@@ -197,7 +197,7 @@ def note(text: str) -> None:
 
 
 def _leave_with(parent: int) -> None:
-    """End this process soon after its parent was killed: no one would read what it computes."""
+    """End this process soon after its parent was killed: what it computes would be lost."""
     while os.getppid() == parent:
         time.sleep(1.0)
     os._exit(1)
