@@ -422,7 +422,10 @@ class Campaign:
             self._forget_failures(designs)
             return
         for key in {(design.id, queue.convention): None for queue in queues for design in queue.designs}:
-            self._remember_faults(key)
+            # scenarios that ended a worker in an earlier run count as well, or a resume could save a design
+            for fault, status in STATUS_OF.items() if self.table.missing(key) < self.table.n else ():
+                for row in self.table.rows_with(key, status):
+                    self._faults.record(key, int(row), fault)
         self._progress.stage(stage, sum(len(queue.designs) * queue.batch.rows.size for queue in queues))
         dispatcher = Dispatcher(
             self._job, self.scenarios, self._executor, self._collect, faults=self._faults, block_size=self._block_size
@@ -434,14 +437,6 @@ class Campaign:
                 self._flush()
                 self._written()
         self._forget_failures(designs)
-
-    def _remember_faults(self, key: RunKey) -> None:
-        """Scenarios that ended a worker in an earlier run count as well, or a resume could save a design."""
-        if self.table.missing(key) == self.table.n:
-            return
-        for fault, status in STATUS_OF.items():
-            for row in self.table.rows_with(key, status):
-                self._faults.record(key, int(row), fault)
 
     def _queues(self, designs: Sequence[Design], size: int) -> list[WorkQueue]:
         """What is missing: convention by convention, law by law, batch by batch."""

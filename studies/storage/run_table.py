@@ -8,6 +8,7 @@ import itertools
 import json
 import math
 import mmap
+import os
 import tempfile
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -223,10 +224,14 @@ class AllFailedError(LdcError):
 
 def _mapped(shape: tuple[int, ...]) -> FloatArray:
     """Room in a temporary file that is mapped into memory, where the system keeps what it has room for."""
-    with tempfile.TemporaryFile(prefix="ldc-") as file:
-        size = 8 * math.prod(shape)
-        file.truncate(size)
-        return np.frombuffer(mmap.mmap(file.fileno(), size), dtype=np.float64).reshape(shape)
+    size = 8 * math.prod(shape)
+    try:
+        with tempfile.TemporaryFile(prefix="ldc-") as file:
+            # a full disk is found now: a page that cannot be written later would end the process
+            os.posix_fallocate(file.fileno(), 0, size)
+            return np.frombuffer(mmap.mmap(file.fileno(), size), dtype=np.float64).reshape(shape)
+    except (OSError, AttributeError):  # no room there, or no such call on this system
+        return np.empty(shape)
 
 
 def release(values: Any) -> None:

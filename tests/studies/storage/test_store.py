@@ -90,6 +90,18 @@ def test_columns_are_what_the_parts_hold(folder: Path, stored: StudyResults) -> 
             np.testing.assert_array_equal(values, table_of(folder, stored, c, column))
 
 
+def test_without_room_on_the_disk_columns_are_in_memory(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(store, "_MOST_IN_MEMORY", 0)
+    monkeypatch.setattr("os.posix_fallocate", full)
+    found = read_results(folder)
+    values = found.cases[0].companions.deepest
+    assert not isinstance(mapping_of(values), mmap.mmap)
+    np.testing.assert_array_equal(values, table_of(folder, found, 0, METRIC_COLUMNS["deepest"]))
+
+
 def test_a_study_gives_the_same_ranking_from_the_parts(folder: Path, study: Study, stored: StudyResults) -> None:
     from_parts = rank_study(stored, study)
     in_memory = run_study(study, directory=folder, workers=1)
