@@ -1,7 +1,7 @@
 """Closed-loop benchmark: the compiled loops against plain references, as ratios from one run.
 
 References, written here in full: a vectorised NumPy loop over time steps, one array a quantity, of the same law on the
-same plant, with S alone or with all companions; one `control.forced_response` call a scenario on the closed loop as a
+same plant, with S alone or with all metrics; one `control.forced_response` call a scenario on the closed loop as a
 discrete-time system. Times are the best of several runs; a design's own preparation is in both of a pair, what designs
 share in neither. Printed with `make bench` as the table that `docs/benchmarks.md` keeps; `--memory` measures the memory
 of 1,000 designs and is called by the script itself. The linear MPC has a script of its own."""
@@ -302,20 +302,20 @@ def main() -> None:
             drive(design, over)
         ours = seconds(lambda design=design: drive(design, event), 20)
         theirs = seconds(lambda design=design: numpy_loop(design, event, event_tables, companions=False), 3)
-        row(f"{name}, to T, all companions, vs NumPy loop with S alone", ours, theirs)
+        row(f"{name}, to T, all metrics, vs NumPy loop with S alone", ours, theirs)
         few = range(0, event.m, 50)
         calls = seconds(lambda design=design, few=few: forced_response_loop(design, event, few), 2)
         forced = event.m / len(few) * calls
-        row(f"{name}, to T, all companions, vs control.forced_response", ours, forced)
+        row(f"{name}, to T, all metrics, vs control.forced_response", ours, forced)
         ours = seconds(lambda design=design: drive(design, whole), 20)
         theirs = seconds(lambda design=design: numpy_loop(design, whole, whole_tables, companions=True), 3)
-        row(f"{name}, to T + 3 s, vs NumPy loop with all companions", ours, theirs)
+        row(f"{name}, to T + 3 s, vs NumPy loop with all metrics", ours, theirs)
         together = [design] * 20
         ours = seconds(lambda together=together: list(drive_many(together, whole)), 3) / len(together)
         row(f"{name}, to T + 3 s, a design of 20 in one call, vs the same", ours, theirs)
         ours = seconds(lambda together=together: list(drive_many(together, event)), 5) / len(together)
         theirs = seconds(lambda design=design: numpy_loop(design, event, event_tables, companions=False), 3)
-        row(f"{name}, to T, all companions, a design of 20 in one call, vs NumPy loop with S alone", ours, theirs)
+        row(f"{name}, to T, all metrics, a design of 20 in one call, vs NumPy loop with S alone", ours, theirs)
         row(f"{name}, the same, vs control.forced_response", ours, forced)
         ours = seconds(lambda together=together: list(drive_many(together, event, score_only=True)), 5) / len(together)
         row(f"{name}, to T, S alone, a design of 20 in one call, vs NumPy loop with S alone", ours, theirs)
