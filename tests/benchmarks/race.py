@@ -17,7 +17,7 @@ import numpy as np
 from closed_loop import machine
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from helpers import races
+from helpers import results as helpers_results
 from ldctoolkit import Scenarios, load_model
 from ldctoolkit.simulation import Takeover, drive_many
 from studies import Study
@@ -73,7 +73,7 @@ def contested(full: np.ndarray, side: np.ndarray, seed: int) -> tuple[int, list[
     for number in range(CONTESTED):
         first = int(rng.integers(len(full) - NEIGHBOURS))
         table = full[rng.permutation(order[first : first + NEIGHBOURS])]
-        kept, share = races.race(table, side, seed=number)
+        kept, share = helpers_results.race(table, side, seed=number)
         lost += not kept[table.mean(axis=1).argmin()]
         shares.append(share)
     return lost, shares
