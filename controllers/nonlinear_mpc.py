@@ -120,9 +120,9 @@ class NonlinearMPCState:
 
     U: FloatArray  # (n, N) [rad] Last commands planned
     has_plan: BoolArray
-    # (n,) int8 1 to 3, the rung of the ladder that the last command came from; 0 before the first
+    # (n,) 1 to 3, the rung of the ladder that the last command came from; 0 before the first
     rung: npt.NDArray[np.int8]
-    iterations: IntArray  # (n,) int Of the last solve
+    iterations: IntArray  # (n,) Of the last solve
     residual: FloatArray  # (n,) [rad] Largest change of a command in its last iteration
     cost: FloatArray  # (n,) Of the last plan: the sum of weighted squares, without penalties
     # (n, delay + 1) [rad] The last commands, the oldest first; this and what follows is NaN before the first sample

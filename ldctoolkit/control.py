@@ -93,9 +93,9 @@ class LinearLaw:
 class SolverCalls:
     """What a solver did for the commands of one sample: a row for each call."""
 
-    place: IntArray  # (k,) int The scenario, by its place in the batch
-    status: IntArray  # (k,) int How the call ended, in the law's own numbers
-    iterations: IntArray  # (k,) int
+    place: IntArray  # (k,) The scenario, by its place in the batch
+    status: IntArray  # (k,) How the call ended, in the law's own numbers
+    iterations: IntArray  # (k,)
     primal_residual: FloatArray  # (k,) In the law's own units; NaN where the solver does not tell
     dual_residual: FloatArray  # (k,) In the law's own units; NaN where the solver does not tell
 

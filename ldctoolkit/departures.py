@@ -82,7 +82,7 @@ def row_index(rows: npt.ArrayLike | slice) -> IntArray | BoolArray | slice:
 class DepartureParameters:
     """The eight parameters of n departures and the side each went to."""
 
-    side: IntArray  # (n,) int ``LEFT`` (+1) or ``RIGHT`` (-1)
+    side: IntArray  # (n,) ``LEFT`` (+1) or ``RIGHT`` (-1)
     T: FloatArray  # (n,) [s] Duration
     d_y: FloatArray  # (n,) [m] Peak lateral departure of the fitted parabola
     sigma_y: FloatArray  # (n,) [m] Standard deviation of y about the parabola
@@ -114,9 +114,9 @@ class DepartureParameters:
 class Departures(DepartureParameters):
     """Departures found in recordings: the parameters and where each came from."""
 
-    recording: npt.NDArray[np.str_]  # (n,) str Identifier of the recording
+    recording: npt.NDArray[np.str_]  # (n,) Identifier of the recording
     start_time: FloatArray  # (n,) [s] Interpolated time of the crossing outwards, on the recording's own clock
-    samples: IntArray  # (n,) int Recorded samples inside the event (the two interpolated crossings are not counted)
+    samples: IntArray  # (n,) Recorded samples inside the event (the two interpolated crossings are not counted)
     extra: tuple[ExtraColumn, ...] = ()  # Columns of the source's own, such as driver or road; they travel along
 
     def take(self, rows: npt.ArrayLike | slice) -> Self:
@@ -131,7 +131,7 @@ class Departures(DepartureParameters):
 class DepartureSignals:
     """Signals of n departures, one after the other in flat arrays (events differ in length)."""
 
-    # (n + 1,) int Event i owns the rows ``offsets[i]:offsets[i + 1]``; the first is the crossing outwards (t = 0, y =
+    # (n + 1,) Event i owns the rows ``offsets[i]:offsets[i + 1]``; the first is the crossing outwards (t = 0, y =
     # 0), the last the crossing back (t = T, y = 0), the ones between are samples
     offsets: IntArray
     t: FloatArray  # (m,) [s] Time since the event's start

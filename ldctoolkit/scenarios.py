@@ -34,7 +34,7 @@ class Scenarios(DepartureParameters):
     Built with `from_arrays`, which checks them, or by ``ScenarioModel.sample``.
     """
 
-    # (n,) int Each scenario's number, 0 to n - 1 when it was made, kept by `take`: what is drawn for a scenario
+    # (n,) Each scenario's number, 0 to n - 1 when it was made, kept by `take`: what is drawn for a scenario
     # follows from the seed and this number
     index: IntArray
 

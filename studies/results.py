@@ -48,9 +48,9 @@ class CaseResults:
     # (d, n) [m s] The recorded path's score over the same window; equal for all designs in the departure window (they
     # may then be one row in memory, not to be written into), dependent on the design's y_s in the control window
     S_uncorrected: FloatArray
-    status: npt.NDArray[np.int8]  # (d, n) int8 `ldctoolkit.EventStatus`
+    status: npt.NDArray[np.int8]  # (d, n) `ldctoolkit.EventStatus`
     companions: MetricValues  # Arrays (d, n)
-    failed_solves: npt.NDArray[np.int32]  # (d, n) int32
+    failed_solves: npt.NDArray[np.int32]  # (d, n)
     # (d,) [s] Mean wall time of the law's own step per command; 0 for a linear law, which has none, NaN where it was
     # not measured. The one number here that another run does not give again.
     law_time: FloatArray
@@ -120,7 +120,7 @@ class TaskResult:
     rows: IntArray  # (m,) Row numbers of the scenarios in the study
     values: FloatArray  # (c, k, m) `Job.columns`
     status: npt.NDArray[np.int8]  # (k, m)
-    failed_solves: npt.NDArray[np.int32]  # (k, m) int32
+    failed_solves: npt.NDArray[np.int32]  # (k, m)
     law_seconds: FloatArray  # (k,) [s] Wall time inside the laws' own steps
     commands: IntArray  # (k,) Scenarios times samples that they gave a command for
 

@@ -169,7 +169,7 @@ class ModelMarginal:
     """
 
     ordered: FloatArray  # (n,) The sample, ascending
-    rank: IntArray  # (knots + 1,) int Where the knots stand in it, ends included
+    rank: IntArray  # (knots + 1,) Where the knots stand in it, ends included
     share: FloatArray  # (knots + 1,) The distribution function there
 
     def cdf(self, x: FloatArray) -> FloatArray:

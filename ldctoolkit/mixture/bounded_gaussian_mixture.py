@@ -271,9 +271,8 @@ class BoundedGaussianMixture:
     # "converged", "max_iter", "stuck" (no step gained, though it is no maximum) or "collapsed" (a component became too
     # thin for the arithmetic; the pass before is kept)
     stop_reason_: str = field(init=False)
-    n_iter_: int = field(
-        init=False
-    )  # Passes, those on few lattice points included; leaps that were refused are not counted
+    # Passes, those on few lattice points included; leaps that were refused are not counted
+    n_iter_: int = field(init=False)
     # Penalised log-likelihood per event at the end of the final run [nats], in standardised coordinates
     lower_bound_: float = field(init=False)
     # (m,) Its history over the final run, on all lattice points; it falls by no more than rounding, 1e-8

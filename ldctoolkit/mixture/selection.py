@@ -257,8 +257,8 @@ _SMALL: Final = 100_000  # up to so many numbers times components to fit, other 
 class Selection:
     """Fits over a range of K, their criteria, and the one that was chosen."""
 
-    n_components: IntArray  # (m,) int The K that could be fitted, ascending
-    n_parameters: IntArray  # (m,) int Free parameters p of each
+    n_components: IntArray  # (m,) The K that could be fitted, ascending
+    n_parameters: IntArray  # (m,) Free parameters p of each
     log_likelihood: FloatArray  # (m,) Log-likelihood per event [nats]
     # (m,) -2 ln L + p ln n, -2 ln L + 2 p, and BIC plus twice the entropy of the shares; lower is better
     bic: FloatArray

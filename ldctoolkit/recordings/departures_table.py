@@ -102,9 +102,9 @@ class Provenance:
     criteria: Criteria = dataclasses.field(default_factory=Criteria)  # What counted as a departure
     refused: Refused = dataclasses.field(default_factory=Refused)  # Candidates that did not
     sources: tuple[SourceFile, ...] = ()  # Files read; empty when the recordings were given as arrays
-    recordings: int = 0  # Amounts read; invalid samples are those marked so and those with a missing number
-    samples: int = 0  # Amounts read; invalid samples are those marked so and those with a missing number
-    invalid_samples: int = 0  # Amounts read; invalid samples are those marked so and those with a missing number
+    recordings: int = 0
+    samples: int = 0
+    invalid_samples: int = 0  # Those marked so and those with a missing number
     hours: float = 0.0  # [h] Time driven: steps between usable neighbours, without gaps
     curvature: str = "none"  # "measured", "yaw_rate", "none" or "mixed"
     warnings: tuple[str, ...] = ()  # What looked wrong with the recordings

@@ -40,16 +40,16 @@ class Account:
     """Counts of all recordings of one origin."""
 
     origin: Origin  # What they came from
-    recordings: int  # Amounts; samples after resampling
-    samples: int  # Amounts; samples after resampling
-    usable: int  # Amounts; samples after resampling
+    recordings: int
+    samples: int  # After resampling
+    usable: int  # Of these samples
     # [ns] Time in steps between neighbours, and between usable neighbours; without gaps. Whole numbers, whose sums do
     # not depend on how the recordings were split.
     read_ns: int
     valid_ns: int
-    departures: IntArray  # (2,) int Left, right
-    refused: IntArray  # (2, k) int Candidates by side of their first crossing and by reason, in the order of `REASONS`
-    # (80,) int Usable samples by lane width, in bins of 0.1 m from 0; the last bin also holds wider ones
+    departures: IntArray  # (2,) Left, right
+    refused: IntArray  # (2, k) Candidates by side of their first crossing and by reason, in the order of `REASONS`
+    # (80,) Usable samples by lane width, in bins of 0.1 m from 0; the last bin also holds wider ones
     widths: IntArray
 
     @property
@@ -163,8 +163,8 @@ _UNITS: Final = (
     (("yaw rate > 1.5", 0.01, "column 'yaw_rate': {share:.0%} of the samples are beyond 1.5 rad/s; the unit looks like "
       "deg/s, rad/s is needed"),),
 )  # fmt: skip
-"""Groups of rules, of which the first that holds speaks: what is counted, the share from which on it holds, and what is
-likely wrong then."""
+"""Groups of rules, of which the first that holds is reported: what is counted, the share from which on it holds, and
+what is likely wrong then."""
 
 
 def unit_counts(
@@ -196,9 +196,9 @@ def unit_warnings(counts: Mapping[str, int], vehicle_width: float) -> list[str]:
 
     found = []
     for group in _UNITS:
-        # of lanes of half their width every offset is large
         holds = (rule for rule in group if share(rule[0]) > rule[1])
         for name, _, text in itertools.islice(holds, 1):
+            # with half the lane's width every offset is large
             if name != "offset > width" or share("width < 2") <= 0.5:
                 found.append(text.format(share=share(name), vehicle_width=vehicle_width))
     return found
@@ -343,7 +343,7 @@ class DrawnEvent:
     """One departure with its signals, outward frame."""
 
     source: str  # Where it was found
-    recording: str  # Where it was found
+    recording: str
     side: int  # `LEFT` or `RIGHT`
     start_time: float  # [s] Of the crossing outwards, on the recording's clock
     parameters: FloatArray  # (8,) In the order of `PARAMETER_NAMES`

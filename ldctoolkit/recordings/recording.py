@@ -115,12 +115,12 @@ class Recording:
     lane_offset: FloatArray  # (m,) [m] Vehicle's centre from the lane's centre, positive to the left
     lane_width: FloatArray  # (m,) [m] Width of the lane that the vehicle is in
     speed: FloatArray  # (m,) [m/s] Speed along the road
-    valid: BoolArray  # (m,) bool False where the source itself says that the sample cannot be used
+    valid: BoolArray  # (m,) False where the source itself says that the sample cannot be used
     curvature: FloatArray | None = None  # (m,) [1/m] Lane curvature, positive to the left
     # (m,) [rad/s] Yaw rate, positive to the left; used only where `curvature` is None
     yaw_rate: FloatArray | None = None
-    lane: IntArray | None = None  # (m,) int Label of the lane; only equality counts
-    turn_signal: IntArray | None = None  # (m,) int +1 left, -1 right, 0 none
+    lane: IntArray | None = None  # (m,) Label of the lane; only equality counts
+    turn_signal: IntArray | None = None  # (m,) +1 left, -1 right, 0 none
     # (m,) [rad] Course over ground, counter-clockwise, NaN where there is none; `yaw_rate` is checked against
     # it
     heading: FloatArray | None = None
@@ -128,7 +128,7 @@ class Recording:
     source: str = ""  # What it came from, for the account: a file or a folder
     lane_scale: float = 1.0  # Factor that offset and width were multiplied with; 1 for none
     notes: tuple[str, ...] = ()  # What the recording lacks, as text
-    # (m,) bool False where `yaw_rate` was worked out from the heading, which it cannot be checked against;
+    # (m,) False where `yaw_rate` was worked out from the heading, which it cannot be checked against;
     # None for nowhere
     yaw_rate_measured: BoolArray | None = None
 

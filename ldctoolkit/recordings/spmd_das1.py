@@ -52,8 +52,8 @@ class Das1Part:
     """Some trips of a lane table, and where the other table holds them."""
 
     key: str  # names the lane table and the first trip
-    lane: TripTable  # the two tables
-    wsu: TripTable  # the two tables
+    lane: TripTable
+    wsu: TripTable
     trips: tuple[TripPlace, ...]  # (tuple of Stretch, tuple of Stretch): each trip's place in both
 
     @property
@@ -155,8 +155,8 @@ _NAMED: Final = re.compile(r"data[ _-]?(lane|wsu)", re.IGNORECASE)
 class SpmdDas1:
     """The reader ``spmd-das1``."""
 
-    name: str = "spmd-das1"  # how it is called
-    title: str = "SPMD tables DataLane and DataWsu"  # how it is called
+    name: str = "spmd-das1"
+    title: str = "SPMD tables DataLane and DataWsu"
     vehicle_width: float = 1.82  # [m]
     step: float | None = 0.1  # [s]: the tables' own
     part_bytes: int = PART_BYTES  # about how much text a part reads

@@ -186,8 +186,8 @@ def signals_of(cells: Cells) -> dict[str, Any]:
 class SpmdDas2:
     """The reader ``spmd-das2``."""
 
-    name: str = "spmd-das2"  # how it is called
-    title: str = "SPMD table HV_Primary"  # how it is called
+    name: str = "spmd-das2"
+    title: str = "SPMD table HV_Primary"
     vehicle_width: float = 1.82  # [m]
     step: float | None = 0.1  # [s]: the table's own
     part_bytes: int = PART_BYTES  # about how much text a part reads

@@ -37,8 +37,8 @@ class TableLayout:
     """How the rows of a table are laid out."""
 
     columns: tuple[str, ...]  # name of each cell
-    begin: int  # byte and number of the line where the rows begin
-    line: int = 2  # byte and number of the line where the rows begin
+    begin: int  # byte where the rows begin
+    line: int = 2  # number of that line
     kind: str = ""  # which table it is, where a reader knows several
     cells: tuple[int, ...] = ()  # allowed numbers of cells in a row; empty for one for each column
 
@@ -332,7 +332,7 @@ class FoundTable:
     """A table that can be used."""
 
     table: TripTable  # what it is called, and where it is
-    layout: TableLayout  # what the reader found of it
+    layout: TableLayout  # as the reader found it
     index: TripIndex  # where its trips lie
 
 

@@ -202,7 +202,7 @@ class LoopNumbers:
 
     v: FloatArray  # (n,) [m/s]
     bend: FloatArray  # (n,) [rad/s] Lane yaw rate of the steady bend
-    stable: BoolArray  # (n,) bool
+    stable: BoolArray  # (n,)
     radius: FloatArray  # (n,) Largest |z| of the closed loop's poles
     damping: FloatArray  # (n,) Smallest damping ratio
     slowest: FloatArray  # (n,) [s] Longest time constant

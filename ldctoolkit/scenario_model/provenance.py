@@ -246,8 +246,8 @@ class SideSummary:
 
     events: int  # Departures used
     n_components: tuple[int, ...]  # The K that were fitted
-    bic: tuple[float, ...]  # Criterion, and log-likelihood per event [nats], of each
-    log_likelihood: tuple[float, ...]  # Criterion, and log-likelihood per event [nats], of each
+    bic: tuple[float, ...]  # Criterion of each
+    log_likelihood: tuple[float, ...]  # Per event [nats], of each
     converged: bool  # Whether the chosen fit reached its tolerance
     moved_inside: tuple[tuple[str, int], ...]  # Events that lay exactly on a bound, per parameter
     redrawn_share: float  # Share of drawn events that fall below the speed floor and are drawn again
@@ -294,7 +294,7 @@ class ModelProvenance:
     seed: int = 0  # Seed of the fit
     warnings: tuple[str, ...] = ()  # What a user of the model should know
     left: SideSummary | None = None  # How each side was fitted
-    right: SideSummary | None = None  # How each side was fitted
+    right: SideSummary | None = None
     # Software behind the numbers, see `software_versions`
     versions: Mapping[str, str] = dataclasses.field(default_factory=dict)
     settings: FitSettings | None = None  # Of the fits

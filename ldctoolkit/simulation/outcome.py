@@ -23,7 +23,7 @@ class Trajectories:
     everywhere where it never triggered.
     """
 
-    rows: IntArray  # (c,) int Row numbers of the scenarios
+    rows: IntArray  # (c,) Row numbers of the scenarios
     t: FloatArray  # (c, k) [s] Time since the departure's start; the first column is the trigger
     x: FloatArray  # (c, k, 4) State (e_y, de_y/dt, e_psi, de_psi/dt)
     delta: FloatArray  # (c, k) [rad] Steering angle of the wheel just after that time; in the last entry, at it
@@ -36,18 +36,18 @@ class Outcome:
     window: Window  # Over which S is integrated: [0, T], or from the trigger to T
     S: FloatArray  # (n,) [m s] Integral of |e_y| under the design
     S_uncorrected: FloatArray  # (n,) [m s] The same of the recorded path
-    triggered: BoolArray  # (n,) bool
-    status: npt.NDArray[np.int8]  # (n,) int8 `EventStatus`
+    triggered: BoolArray  # (n,)
+    status: npt.NDArray[np.int8]  # (n,) `EventStatus`
     t_s: FloatArray  # (n,) [s] Trigger time, infinite where never triggered
     companions: metrics.MetricValues  # Depth, way back, acceleration, jerk and steering, arrays of n
-    failed_solves: IntArray  # (n,) int Commands that came from the fallback law
+    failed_solves: IntArray  # (n,) Commands that came from the fallback law
     # [s] Wall time of the law's own steps, all scenarios together, not reproducible; 0 for a linear law
     law_seconds: float
     # On request; None where no control acted, since there is no path but the recorded one
     trajectories: Trajectories | None
     # Every solver call of a law that has a solver
     solver_log: SolverLog = dataclasses.field(default_factory=lambda: SolverLog.of([]))
-    side: IntArray | None = None  # (n,) int ``LEFT`` (+1) or ``RIGHT`` (-1), the scenarios' own
+    side: IntArray | None = None  # (n,) ``LEFT`` (+1) or ``RIGHT`` (-1), the scenarios' own
 
     def _repr_html_(self) -> str:
         """What a notebook shows; means leave out scenarios that cannot be driven."""

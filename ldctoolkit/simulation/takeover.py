@@ -136,9 +136,9 @@ class Takeover:
     scenarios: Scenarios  # All n
     setup: Setup  # Vehicle, plant, clock and seed
     y_s: float  # [m] Trigger threshold
-    valid: BoolArray  # (n,) bool Scenarios that can be driven at all
+    valid: BoolArray  # (n,) Scenarios that can be driven at all
     path: UncorrectedPath  # Recorded paths of all n
-    rows: IntArray  # (m,) int Which scenarios triggered, in the order used by every array of m
+    rows: IntArray  # (m,) Which scenarios triggered, in the order used by every array of m
     t_s: FloatArray  # (n,) [s] Trigger time, infinite where never triggered
     S_uncorrected: FloatArray  # (n,) [m s] Score of the recorded path over the whole departure; NaN where not valid
     S_before: FloatArray  # (n,) [m s] Its part before the trigger; all of it where never triggered
@@ -148,7 +148,7 @@ class Takeover:
     x_0: FloatArray  # (m, 4) Start states
     # (m,) [rad] Steady steering angle of the recorded path at the trigger: the command before the first
     delta_0: FloatArray
-    # (m,) int Whole steps of dt until the departure ends; descending among scenarios that take as many substeps
+    # (m,) Whole steps of dt until the departure ends; descending among scenarios that take as many substeps
     full_steps: IntArray
     rest: FloatArray  # (m,) [s] What remains after them, 0 <= rest < dt
     plant: Plant  # The nominal vehicle at the trigger speeds: what a design is prepared with

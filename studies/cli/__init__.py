@@ -29,11 +29,9 @@ def parser() -> argparse.ArgumentParser:
     )
     top.add_argument("--version", action="version", version=f"ldc {__version__}")
     commands = top.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for command in (extract, fit, review, run, rank):
-        command.add_parser(commands)
-    report.add_compare_parser(commands)
-    for command in (report, sensitivity, controllers):
-        command.add_parser(commands)
+    before, after = (extract, fit, review, run, rank), (report, sensitivity, controllers)
+    for add in (*(one.add_parser for one in before), report.add_compare_parser, *(one.add_parser for one in after)):
+        add(commands)
     return top
 
 

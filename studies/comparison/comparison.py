@@ -79,15 +79,15 @@ class CaseComparison:
 class Comparison:
     """An old and a new study on shared scenarios."""
 
-    old: str  # Folders
-    new: str  # Folders
-    old_name: str  # Names of the studies
-    new_name: str  # Names of the studies
+    old: str  # Folder
+    new: str
+    old_name: str  # Name of the study
+    new_name: str
     differences: tuple[str, ...]  # What decides the numbers and is not the same, as ``"vehicle.m: 1000.0 -> 1100.0"``
     shared: SharedScenarios  # Those that could be driven in both
     cases: tuple[CaseComparison, ...]  # Cases that both studies have, in the new study's order
     only_old: tuple[Design, ...]  # Designs that one study has results of and the other does not hold
-    only_new: tuple[Design, ...]  # Designs that one study has results of and the other does not hold
+    only_new: tuple[Design, ...]
     # Designs of both studies whose law failed in the new one only, in the old one only, and in both
     new_failures: tuple[FailedDesign, ...]
     repaired: tuple[FailedDesign, ...]

@@ -233,9 +233,9 @@ class Manifest(BaseModel):
 
     format_version: int = FORMAT_VERSION
     study: dict[str, Any]  # Content of the study; `read_study` makes a `Study` of it
-    study_hash: str  # Identity of the study and content hash of the scenario model
+    study_hash: str  # Identity of the study
     model: str  # Name of the model, or its file's name
-    model_hash: str  # Identity of the study and content hash of the scenario model
+    model_hash: str  # Content hash of the scenario model
     model_notes: tuple[str, ...] = ()  # Where the model comes from, for readers
     model_synthetic: bool = False  # Whether it was fitted to invented driving
     inputs: dict[str, Any]  # What decides the numbers of any design
@@ -243,8 +243,8 @@ class Manifest(BaseModel):
     versions: dict[str, str]  # Packages
     python: str
     machine: Machine
-    created: str  # UTC, ISO 8601; `finished` is empty until every design is done
-    finished: str = ""  # UTC, ISO 8601; `finished` is empty until every design is done
+    created: str  # UTC, ISO 8601
+    finished: str = ""  # The same; empty until every design is done
     wall_time_s: float = 0.0  # Summed over all runs into the folder
     executor: str = "serial"  # Where the last run's tasks ran: ``"serial"``, ``"processes"`` or ``"dask"``
     workers: int = 1  # Of the last run
