@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
-from ldctoolkit.departures import LEFT, RIGHT, DepartureParameters
+from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, DepartureParameters
 from ldctoolkit.errors import InputError, nearest
 
 SPEED_FLOOR = 1.0  # lowest speed [m/s] at which a scenario can be replayed: the vehicle model divides by the speed
@@ -81,6 +81,26 @@ class Scenarios(DepartureParameters):
         made = cls.drawn(**given)
         _check_limits(made)
         return made
+
+    @classmethod
+    def from_departures(cls, departures: DepartureParameters) -> Scenarios:
+        """Recorded departures as scenarios, to be replayed in the order of the table.
+
+        Raises `InputError` as `from_arrays`.
+
+        Parameters
+        ----------
+        departures : Departures
+            As `extract_departures` or `read_departures` give them.
+
+        Examples
+        --------
+        >>> from ldctoolkit import load_model
+        >>> drawn = load_model("reference").sample(2, 1, seed=1)  # stands for recorded departures
+        >>> Scenarios.from_departures(drawn).side.tolist()
+        [1, 1, -1]
+        """
+        return cls.from_arrays(side=departures.side, **{name: getattr(departures, name) for name in PARAMETER_NAMES})
 
     @classmethod
     def drawn(cls, **given: npt.ArrayLike) -> Scenarios:
