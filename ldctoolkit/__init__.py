@@ -11,7 +11,14 @@ from ldctoolkit.control import (
     SteeringLaw,
 )
 from ldctoolkit.departure_plot import plot_departure
-from ldctoolkit.departures import DepartureParameters, Departures, DepartureSignals, rebuild_signals, reduce_signals
+from ldctoolkit.departures import (
+    DepartureParameters,
+    Departures,
+    DepartureSignals,
+    Plausibility,
+    rebuild_signals,
+    reduce_signals,
+)
 from ldctoolkit.errors import LdcError
 from ldctoolkit.gains import Gain, gain, option
 from ldctoolkit.mixture import BoundedGaussianMixture
@@ -46,6 +53,7 @@ __all__ = [
     "LinearSteps",
     "Outcome",
     "Plant",
+    "Plausibility",
     "Preview",
     "RecordedPath",
     "ScenarioModel",

@@ -326,6 +326,64 @@ def crossing_time(p: DepartureParameters, y_s: float) -> FloatArray:
     return np.where(triggered, 2.0 * x_s / (v_0 + root), np.inf)
 
 
+def bend_polynomial(p: DepartureParameters) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Coefficients of 1, t and t^2 of d2y/dt2 along the parabola: y = 4 d_y s (1 - s), s = x(t)/d_x."""
+    d_x, v_0, a = p.v_mean * p.T, p.v_mean - 0.5 * p.a_mean * p.T, p.a_mean
+    scale = 4.0 * p.d_y / d_x
+    return scale * (a - 2.0 * v_0**2 / d_x), scale * (-6.0 * v_0 * a / d_x), scale * (-3.0 * a**2 / d_x)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Plausibility:
+    """What the path of a departure may ask of driver and vehicle; beyond it no departure happened, nor can happen.
+
+    Raises `InputError` for a limit that is not above zero; an infinite one is no limit.
+
+    Examples
+    --------
+    >>> from ldctoolkit import Scenarios
+    >>> two = Scenarios.from_arrays(T=[0.5, 2.0], d_y=[0.9, 0.3], v_mean=25.0)
+    >>> Plausibility().holds(two)
+    array([False,  True])
+    """
+
+    y_rate: float = 2.0  # [m/s] Of 4 d_y/T, the lateral speed at the line
+    y_acceleration: float = 4.0  # [m/s^2] Of the largest |d2y/dt2| along the parabola
+    a_y: float = 6.0  # [m/s^2] Of the largest |v^2 c + d2y/dt2|, that of the bend included
+
+    def __post_init__(self) -> None:
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0.0:
+                raise InputError(f"plausibility.{field.name}: {value!r}; allowed: a number above 0")
+
+    def __str__(self) -> str:
+        limits = {
+            "4 d_y/T": (self.y_rate, "m/s"),
+            "|y''|": (self.y_acceleration, "m/s^2"),
+            "|a_y|": (self.a_y, "m/s^2"),
+        }
+        return ", ".join(f"{name} = {value:g} {unit}" for name, (value, unit) in limits.items())
+
+    def holds(self, p: DepartureParameters) -> BoolArray:
+        """Which departures keep all limits, (n,); exact for the path without residuals."""
+        q_0, q_1, q_2 = bend_polynomial(p)
+        ends = np.stack([q_0, q_0 + (q_1 + q_2 * p.T) * p.T])  # the vertex of d2y/dt2 is where the vehicle stands
+        # v^2 c + d2y/dt2 is a cubic in t: its extremes are at the ends, or where its slope is zero
+        v_0, slope = p.v_mean - 0.5 * p.a_mean * p.T, p.dc / p.T
+        k_0, k_1 = q_0 + v_0**2 * p.c_0, q_1 + v_0 * (2.0 * p.a_mean * p.c_0 + v_0 * slope)
+        k_2, k_3 = q_2 + p.a_mean * (p.a_mean * p.c_0 + 2.0 * v_0 * slope), p.a_mean**2 * slope
+        with np.errstate(divide="ignore", invalid="ignore"):
+            # in the form that does not cancel for small k_3
+            half = -(k_2 + np.copysign(np.sqrt(k_2**2 - 3.0 * k_3 * k_1), k_2))
+            inner = np.stack([half / (3.0 * k_3), k_1 / half])
+        t = np.stack([np.zeros(p.n), p.T, *np.clip(np.nan_to_num(inner), 0.0, p.T)])
+        a_y = np.abs(k_0 + t * (k_1 + t * (k_2 + t * k_3))).max(axis=0)
+        return np.asarray(
+            (4.0 * p.d_y <= self.y_rate * p.T) & (np.abs(ends).max(axis=0) <= self.y_acceleration) & (a_y <= self.a_y)
+        )
+
+
 def rebuild_signals(p: DepartureParameters, dt: float) -> DepartureSignals:
     """Rebuild the signals of every departure from its parameters, without the residuals.
 

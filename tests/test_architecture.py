@@ -26,8 +26,6 @@ LEVELS = (
     ("ldctoolkit.recordings",),
     ("ldctoolkit.mixture",),
     ("ldctoolkit.scenarios",),
-    ("ldctoolkit.scenario_model", "ldctoolkit.models"),
-    ("ldctoolkit.diagnostics",),
     ("ldctoolkit.paths",),
     ("ldctoolkit.gains", "ldctoolkit.vehicle"),
     ("ldctoolkit.control", "ldctoolkit.setup"),
@@ -36,6 +34,9 @@ LEVELS = (
     ("ldctoolkit.metrics",),
     ("ldctoolkit.simulation.kernel",),
     ("ldctoolkit.simulation",),
+    # a model is judged by what designs do on its departures
+    ("ldctoolkit.scenario_model", "ldctoolkit.models"),
+    ("ldctoolkit.diagnostics",),
     ("ldctoolkit.departure_plot",),
     ("ldctoolkit",),
     ("ldctoolkit.__main__",),

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, Departures
+from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, DepartureParameters, Departures, Plausibility
 from ldctoolkit.scenario_model import fit_scenario_model
 
 FloatArray = npt.NDArray[np.float64]
@@ -71,6 +71,7 @@ def draw(side: int, n: int, rng: np.random.Generator) -> dict[str, FloatArray]:
     columns = {"T": T, "d_y": d_y, "sigma_y": sigma_y, "v_mean": v_mean, "a_mean": a_mean, "sigma_v": sigma_v}
     columns |= {"c_0": lateral / square, "dc": (DC_BACK * lateral + rest) / square}
     good = (T > 0.5) & (T < 10.0) & (v_mean > 5.0) & (d_y < DEEPEST) & (np.abs(lateral) < MOST_LATERAL)
+    good &= Plausibility().holds(DepartureParameters(np.full(m, side), **columns))
     return {name: columns[name][good][:n] for name in PARAMETER_NAMES}
 
 
@@ -100,6 +101,7 @@ def main() -> None:
     model = fit_scenario_model(
         departures(given.events, SEED),
         components=given.components,
+        transform="auto",
         seed=SEED,
         synthetic=True,
         source_provenance={
@@ -112,6 +114,8 @@ def main() -> None:
     model.save(given.output)
     for label, fit in (("left", model.left), ("right", model.right)):
         print(f"{label}: K = {fit.weights_.size}, {fit.n_iter_} passes, converged {fit.converged_}")
+    for label, side in (("left", model.provenance.left), ("right", model.provenance.right)):
+        print(f"{label}: {side.fidelity.text}")
     print(f"{given.output}: {model.content_hash[:12]}, {time.perf_counter() - started:.1f} s")
 
 

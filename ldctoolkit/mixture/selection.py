@@ -292,6 +292,7 @@ def select_components(
     sample_weight: npt.ArrayLike | None = None,
     random_state: RandomState = None,
     n_jobs: int | None = None,
+    patience: int | None = None,
     progress: Progress | None = None,
     **settings: Any,
 ) -> Selection:
@@ -325,6 +326,9 @@ def select_components(
     n_jobs : int, optional
         Cores to use, all by default. Fits run so many at a time in processes of their own, if they take long enough
         to be worth it. No number depends on it.
+    patience : int, optional
+        The K are fitted one after the other, and larger ones are left out once so many in a row were worse than a
+        smaller one by more than the rule allows.
     progress : callable, optional
         Called as ``progress("K = 3", done, total)`` when fits begin, with the K under way, and once at the end.
     **settings
@@ -371,7 +375,7 @@ def select_components(
         raise InputError(f"X: {'no columns' if x.shape[0] else 'no rows'}")
     events = Events(x, check_sample_weight(sample_weight, x.shape[0]), n_jobs)
     held = split_rows(events, held_out_share, seed) if rule.criterion == "held_out" else None
-    outcomes = _run(Trials(held), models, events, n_jobs, progress)
+    outcomes = _run(Trials(held), models, events, n_jobs, progress, None if patience is None else (patience, rule))
     trials = [outcome for outcome in outcomes if isinstance(outcome, Trial)]
     failures = tuple(outcome for outcome in outcomes if isinstance(outcome, Failure))
     if not trials:
@@ -385,10 +389,11 @@ def _run(
     events: Events,
     n_jobs: int | None,
     progress: Progress | None,
+    patience: tuple[int, Rule] | None = None,
 ) -> list[Outcome]:
     """All fits, in the order of the models; the longest begin first where several run at a time."""
     workers = 1
-    if not multiprocessing.current_process().daemon:
+    if patience is None and not multiprocessing.current_process().daemon:
         size = events.x.size * sum(model.n_components for model in models)
         workers = min(n_jobs or (usable_cores() if size > _SMALL else 1), len(models))
     queue = list(models)
@@ -411,7 +416,20 @@ def _run(
         for i, outcome in ended:
             outcomes[i] = outcome
             report()
+            if patience is not None and _risen(list(outcomes.values()), *patience):
+                break
     return sorted(outcomes.values(), key=lambda outcome: outcome.n_components)
+
+
+def _risen(outcomes: Sequence[Outcome], count: int, rule: Rule) -> bool:
+    """Whether the last `count` fits were all worse than an earlier one by more than the rule allows."""
+    trials = [outcome for outcome in outcomes if isinstance(outcome, Trial)]
+    if len(trials) <= count:
+        return False
+    found = _selection(rule, trials, ())
+    loss = -found.held_out if rule.criterion == "held_out" else getattr(found, rule.criterion)
+    allowed = rule.allowance(trials[0].criteria.events, found.held_out_gap_error)
+    return bool(np.all(loss[-count:] > loss[least(loss)] + allowed[-count:]))
 
 
 def _selection(rule: Rule, trials: Sequence[Trial], failures: tuple[Failure, ...]) -> Selection:

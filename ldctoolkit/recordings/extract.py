@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from ldctoolkit.departures import PARAMETER_COLUMNS, PARAMETER_NAMES, Departures, ExtraColumn
+from ldctoolkit.departures import PARAMETER_COLUMNS, PARAMETER_NAMES, Departures, ExtraColumn, Plausibility
 from ldctoolkit.errors import InputError, LdcError, RecordingError
 from ldctoolkit.recordings.departures_table import Extraction, PartResult, Provenance, Refused, combined_results
 from ldctoolkit.recordings.find_departures import REASONS, Criteria, find_departures
@@ -158,6 +158,7 @@ def extract_departures(
     min_speed: float = 5.0,
     max_gap: float | None = None,
     max_jump: float = 0.6,
+    plausibility: Plausibility | None = None,
     preparation: Preparation | None = None,
 ) -> Extraction:
     """Find the lane departures in driving recordings and reduce each to its eight parameters.
@@ -179,6 +180,8 @@ def extract_departures(
         recordings have no values in a gap that `preparation` does not bridge; by default any such hole is a gap.
     max_jump : float [m]
         Largest step of the offset from one sample to the next.
+    plausibility : Plausibility, optional
+        What the fitted path may ask of driver and vehicle; beyond it a candidate is refused as implausible.
     preparation : Preparation, optional
         Common time step, scale, yaw rate; the reader's step, or recordings as they are, by default.
 
@@ -207,7 +210,13 @@ def extract_departures(
     width, step = (VEHICLE_WIDTH, None) if opened is None else (opened.reader.vehicle_width, opened.reader.step)
     chosen = preparation or Preparation(step=step)
     criteria = Criteria(
-        width if vehicle_width is None else vehicle_width, min_duration, max_duration, min_speed, max_gap, max_jump
+        width if vehicle_width is None else vehicle_width,
+        min_duration,
+        max_duration,
+        min_speed,
+        max_gap,
+        max_jump,
+        plausibility or Plausibility(),
     )
     if not isinstance(recordings, OpenedRecordings):
         return merge_results([extract_items(recordings, criteria, chosen)], criteria, chosen)

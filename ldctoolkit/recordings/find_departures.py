@@ -2,12 +2,13 @@
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
-from ldctoolkit.departures import LEFT, RIGHT, Departures, DepartureSignals, no_departures, reduce_signals
+from ldctoolkit.departures import LEFT, RIGHT, Departures, DepartureSignals, Plausibility, no_departures, reduce_signals
 from ldctoolkit.errors import InputError
 from ldctoolkit.recordings.recording import RecordingTable, usable_samples
 
@@ -169,8 +170,13 @@ class Criteria:
     # [s] Longest time step that is not a gap; None: 2.5 median steps of the recording, at least 0.25 s
     max_gap: float | None = None
     max_jump: float = 0.6  # [m] Largest step of the offset from one sample to the next
+    # What the fitted path may ask of driver and vehicle
+    plausibility: Plausibility = dataclasses.field(default_factory=Plausibility)
 
     def __post_init__(self) -> None:
+        if isinstance(self.plausibility, Mapping):  # as a file holds it
+            object.__setattr__(self, "plausibility", Plausibility(**self.plausibility))
+
         def refuse(name: str, good: bool, allowed: str) -> None:
             if not good:
                 raise InputError(f"{name}: {getattr(self, name)!r}; allowed: {allowed}")
@@ -233,6 +239,7 @@ def find_departures(table: RecordingTable, criteria: Criteria, gap_limit: float 
     )
     parameters = reduce_signals(kept, runs.side[run])
     plausible = (np.abs(parameters.a_mean) <= LARGEST_ACCELERATION) & (_lateral(kept) <= LARGEST_ACCELERATION)
+    plausible &= criteria.plausibility.holds(parameters)
     reason[run[~plausible]] = CODE["implausible"]
     owner = table.recording_index[runs.first[run]]
     departures = Departures(

@@ -5,16 +5,16 @@ from __future__ import annotations
 import dataclasses
 import datetime
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray
-from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, Departures
+from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, DepartureParameters, Departures, Plausibility
 from ldctoolkit.errors import InputError, ModelError, nearest
-from ldctoolkit.mixture import Selection, select_components
-from ldctoolkit.mixture.bounds import auto_bounds
+from ldctoolkit.mixture import BoundedGaussianMixture, Selection, select_components
+from ldctoolkit.mixture._distribution import Transform
 from ldctoolkit.mixture.checks import (
     Events,
     InsideBounds,
@@ -25,10 +25,10 @@ from ldctoolkit.mixture.checks import (
     profile_of,
 )
 from ldctoolkit.recordings import Criteria
+from ldctoolkit.scenario_model.boxes import Bounds, Box, WantedBounds, box_of, wanted_bounds
+from ldctoolkit.scenario_model.fidelity import ENOUGH, Replay, SideFidelity
 from ldctoolkit.scenario_model.model import ScenarioModel
 from ldctoolkit.scenario_model.provenance import (
-    LEAST_LOWER,
-    PHYSICAL_BOUNDS,
     FitSettings,
     ModelProvenance,
     SideModel,
@@ -39,120 +39,11 @@ from ldctoolkit.scenario_model.provenance import (
 )
 from ldctoolkit.version import __version__
 
-End = float | None | Literal["auto"]
-Bounds = Literal["auto", "physical"] | Mapping[str, tuple[End, End] | Literal["auto", "physical"]]
-"""For all parameters one word, or per parameter a word or (lower, upper); None is open."""
+Kind = Literal["auto", "mixture", "smoothed"]
 
-GIVEN: Final = "given"
-CRITERIA: Final = "extraction criteria"
-PHYSICAL: Final = "physical"
-AUTO: Final = "auto"
-
-
-@dataclasses.dataclass(frozen=True)
-class _End:
-    """One wanted end: a value, or with `auto` the furthest that what the data show may reach."""
-
-    value: float
-    origin: str
-    auto: bool = False
-
-
-WantedBounds = Mapping[str, tuple[_End, _End]]
-
-
-@dataclasses.dataclass(frozen=True)
-class Box:
-    """The box of one side."""
-
-    lower: FloatArray  # (8,): in the order of `PARAMETER_NAMES`
-    upper: FloatArray  # (8,): in the order of `PARAMETER_NAMES`
-    origins: tuple[tuple[str, str, str], ...]  # (str, str, str)
-
-
-def wanted_bounds(bounds: Bounds | None, criteria: Criteria | None) -> WantedBounds:
-    """The bounds of each parameter, those of "auto" still to be found in the data."""
-    known = _physical(criteria)
-    if bounds is None or isinstance(bounds, str):
-        per_name: Mapping[str, Any] = {} if bounds is None else dict.fromkeys(PARAMETER_NAMES, _word("bounds", bounds))
-    elif isinstance(bounds, Mapping):
-        per_name = bounds
-    else:
-        raise InputError(f"bounds: {bounds!r}; allowed: 'auto', 'physical', or a mapping of parameters")
-    out = dict(known)
-    for name, entry in per_name.items():
-        if name not in known:
-            raise InputError(f"bounds: no parameter {name!r}; {nearest(str(name), PARAMETER_NAMES)}")
-        out[name] = _wanted(name, entry, known[name])
-    return out
-
-
-def _word(where: str, word: str) -> str:
-    if word not in (AUTO, PHYSICAL):
-        raise InputError(f"{where}: {word!r}; {nearest(word, (AUTO, PHYSICAL))}")
-    return word
-
-
-def _physical(criteria: Criteria | None) -> dict[str, tuple[_End, _End]]:
-    out = {name: (_End(low, PHYSICAL), _End(high, PHYSICAL)) for name, (low, high) in PHYSICAL_BOUNDS.items()}
-    if criteria is not None:  # no event outside them could have been found
-        out["T"] = (_End(criteria.min_duration, CRITERIA), _End(criteria.max_duration, CRITERIA))
-        out["v_mean"] = (_End(criteria.min_speed, CRITERIA), _End(np.inf, PHYSICAL))
-    return out
-
-
-def _furthest(name: str, known: tuple[_End, _End]) -> tuple[_End, _End]:
-    """How far bounds that are read off the data may reach: what was not found, or cannot be driven, is outside."""
-    low, high = known
-    if low.origin != CRITERIA:
-        low = _End(LEAST_LOWER.get(name, -np.inf), PHYSICAL)
-    if high.origin != CRITERIA:
-        high = _End(np.inf, PHYSICAL)
-    return dataclasses.replace(low, auto=True), dataclasses.replace(high, auto=True)
-
-
-def _wanted(name: str, entry: Any, known: tuple[_End, _End]) -> tuple[_End, _End]:
-    where = f"bounds[{name!r}]"
-    if isinstance(entry, str):
-        return _furthest(name, known) if _word(where, entry) == AUTO else known
-    ends: list[_End] = []
-    try:
-        given = tuple(entry)
-        for value, fill, limit in zip(given, (-np.inf, np.inf), _furthest(name, known), strict=True):
-            if isinstance(value, str) and value == AUTO:
-                ends.append(limit)
-            else:
-                ends.append(_End(fill if value is None else float(value), GIVEN))
-    except (TypeError, ValueError):
-        raise InputError(f"{where}: {entry!r}; allowed: 'auto', 'physical' or (lower, upper)") from None
-    least = LEAST_LOWER.get(name, -np.inf)
-    if given[0] is None and least > -np.inf:
-        ends[0] = _End(least, PHYSICAL)  # open as far as can be driven
-    if not (ends[0].value < ends[1].value and ends[0].value >= least):
-        raise InputError(f"{where}: {entry!r}; allowed: {least:g} <= lower < upper")
-    return ends[0], ends[1]
-
-
-def box_of(wanted: WantedBounds, x: FloatArray) -> Box:
-    """The box for the events x (n, 8) of one side."""
-    lower, upper = np.empty(len(PARAMETER_NAMES)), np.empty(len(PARAMETER_NAMES))
-    origins = []
-    for j, name in enumerate(PARAMETER_NAMES):
-        low, high = wanted[name]
-        found = auto_bounds(x[:, [j]]) if low.auto or high.auto else (np.empty(1), np.empty(1))
-        lower[j], low_from = _decided(low, float(found[0][0]), 1.0)
-        upper[j], high_from = _decided(high, float(found[1][0]), -1.0)
-        origins.append((name, low_from, high_from))
-    return Box(lower, upper, tuple(origins))
-
-
-def _decided(end: _End, found: float, inwards: float) -> tuple[float, str]:
-    """The value of an end, and where it comes from."""
-    if not end.auto:
-        return end.value, end.origin
-    further_in = inwards * found >= inwards * end.value
-    return (found, AUTO) if further_in else (end.value, end.origin)
-
+FEW: Final = 2_000  # up to so many departures of a side may be smoothed, and larger K are given up early
+PATIENCE: Final = 2
+"""Of few departures, K that are worse in a row before larger ones are not tried: they take long and gain nothing."""
 
 TRANSFORMS: Final = ("none", "log", "logit", "auto")
 
@@ -167,13 +58,17 @@ class SideSettings:
     transform: dict[str, str]  # of each parameter: ``"none"``, ``"log"``, ``"logit"`` or ``"auto"``
     fit: FitSettings  # choice of K, prior, tolerance, starts
     workers: int | None  # cores; all by default
+    kind: Kind  # what the departures are generated from
+    plausibility: Plausibility  # what can happen
+    vehicle_width: float | None  # [m] of the recordings
     verbose: bool  # report every start and pass on stderr
 
-    def selection(self) -> dict[str, Any]:
-        """Arguments of `select_components` but for the events and the box."""
+    def selection(self, rows: int) -> dict[str, Any]:
+        """Arguments of `select_components` for so many events, but for the events and the box."""
         return dataclasses.asdict(self.fit) | {
             "random_state": self.seed,
             "n_jobs": self.workers,
+            "patience": None if rows > FEW else PATIENCE,
             "verbose": int(self.verbose),
         }
 
@@ -230,8 +125,10 @@ def fit_scenario_model(
     departures: Departures,
     *,
     components: int | Iterable[int] = range(1, 11),
+    kind: Kind = "auto",
     seed: int = 0,
     bounds: Bounds | None = None,
+    plausibility: Plausibility | None = None,
     extraction: Criteria | None = None,
     weights: npt.ArrayLike | None = None,
     transform: str | Mapping[str, str] | None = None,
@@ -240,7 +137,7 @@ def fit_scenario_model(
     indifference: float = 0.0,
     prior_strength: float = 10.0,
     tol: float = 1e-7,
-    n_init: int = 8,
+    n_init: int | None = None,
     max_iter: int = 500,
     workers: int | None = None,
     verbose: bool = False,
@@ -255,8 +152,14 @@ def fit_scenario_model(
     departures : Departures
         Both sides together.
     components : int or iterable of int
-        K, or the K to choose from. A range is cut where the events no longer carry it (two events a free parameter).
-        One K is fitted as requested.
+        K, or the K to choose from. A range is cut where the events no longer carry it (half an event a free
+        parameter). One K is fitted as requested.
+    kind : {"auto", "mixture", "smoothed"}
+        What departures are generated from. ``"mixture"`` is the bounded Gaussian mixture: of the K to choose from, the
+        smallest from the criterion's on that gives the recordings' answer (see `check_fidelity`). ``"smoothed"`` are
+        the departures themselves, resampled with a kernel: a bounded mixture with a component each. ``"auto"`` takes
+        the mixture, or with up to 2,000 departures on a side the smoothed ones where no mixture that was tried gives
+        the recordings' answer; one K as requested stays.
     seed : int
         Seed of the fits.
     bounds : {"physical", "auto"} or mapping, optional
@@ -265,6 +168,8 @@ def fit_scenario_model(
         never beyond the criteria of the extraction or what can be replayed. A mapping has parameter names as keys,
         and as values one of the words or (lower, upper) in SI units, either of them a number, None for open, or
         ``"auto"``; the other parameters keep the default.
+    plausibility : Plausibility, optional
+        What can happen; departures beyond it are left out, and none is generated. Those of the extraction if given.
     extraction : Criteria, optional
         The criteria that the departures were extracted with: no event outside them could have been found.
     weights : (n,), optional
@@ -273,8 +178,10 @@ def fit_scenario_model(
         Map of each parameter before the fit, as in `BoundedGaussianMixture`: one for all, or by name.
     criterion, slack, indifference
         How K is chosen, see `select_components`.
-    prior_strength, tol, n_init, max_iter
+    prior_strength, tol, max_iter
         Of each fit, see `BoundedGaussianMixture`.
+    n_init : int, optional
+        Starts of each fit; 8 by default, 4 with up to 2,000 departures.
     workers : int, optional
         Cores to use, all by default. It changes no number.
     verbose : bool
@@ -322,13 +229,20 @@ def fit_scenario_model(
     check_number("seed", seed, 0, integer=True)
     if seed >= _SEED_END:
         raise InputError(f"seed: {seed}; allowed: below 10^18, the longest whole number of a model file")
+    if kind not in get_args(Kind):
+        raise InputError(f"kind: {kind!r}; {nearest(str(kind), get_args(Kind))}")
+    starts = n_init if n_init is not None else 8 if departures.n > FEW else 4
+    limits = plausibility or (Plausibility() if extraction is None else extraction.plausibility)
     settings = SideSettings(
         components=component_numbers(components),
         seed=int(seed),
         bounds=wanted_bounds(bounds, extraction),
         transform=transforms(transform),
-        fit=fit_settings(criterion, slack, indifference, prior_strength, tol, n_init, max_iter),
+        fit=fit_settings(criterion, slack, indifference, prior_strength, tol, starts, max_iter),
         workers=workers,
+        kind=kind,
+        plausibility=limits,
+        vehicle_width=None if extraction is None else extraction.vehicle_width,
         verbose=verbose,
     )
     events = _events(departures, weights, settings)
@@ -349,7 +263,7 @@ def fit_scenario_model(
         versions=software_versions(),
         settings=settings.fit,
     )
-    model = ScenarioModel(fits["left"].side, fits["right"].side, provenance)
+    model = ScenarioModel(fits["left"].side, fits["right"].side, provenance, limits)
     one, other = (
         dataclasses.replace(fits[label].summary, redrawn_share=model.redrawn_share(side))
         for label, side in (("left", LEFT), ("right", RIGHT))
@@ -360,18 +274,22 @@ def fit_scenario_model(
 def _events(departures: Departures, weights: npt.ArrayLike | None, settings: SideSettings) -> dict[str, SideEvents]:
     """The departures of each side, ready for the fit."""
     weight = None if weights is None else check_weights(weights, departures.n, "weights", "departure")
-    counts = np.ones(departures.n, dtype=bool) if weight is None else weight > 0.0
+    with np.errstate(all="ignore"):  # what is no departure at all is refused later
+        counts = settings.plausibility.holds(departures) | ~np.isfinite(departures.matrix()).all(axis=1)
+    left_out = int((~counts).sum())
+    counts &= True if weight is None else weight > 0.0
     rows = {label: counts & (departures.side == side) for label, side in (("left", LEFT), ("right", RIGHT))}
     left, right = (int(mask.sum()) for mask in rows.values())
     if min(left, right) < LEAST_EVENTS:
-        raise InputError(f"departures: {left} left and {right} right; allowed: at least {LEAST_EVENTS} a side")
+        beyond = f", beside {left_out} that are not plausible" if left_out else ""
+        raise InputError(f"departures: {left} left and {right} right{beyond}; allowed: at least {LEAST_EVENTS} a side")
     every = Events(departures.matrix(), weight, settings.workers)
     return {label: side_events(every.take(mask), label, settings) for label, mask in rows.items()}
 
 
 Progress = Callable[[str, int, int], None]
 
-EVENTS_PER_PARAMETER: Final = 2
+EVENTS_PER_PARAMETER: Final = 0.5
 """A range of K is cut where fewer events than this would stand behind each free parameter."""
 
 _SETTINGS: Final = ("criterion", "slack", "indifference", "prior_strength", "tol", "n_init", "max_iter", "n_jobs")
@@ -404,9 +322,21 @@ def fit_side(
     tried, cut = carried
     notes += cut
     selection, failed = _select(events, tried, settings, progress)
-    best = selection.best
+    chosen = _checked(events, selection, settings)
+    unmapped = set(settings.transform.values()) == {"none"}
+    if settings.kind == "auto" and len(tried) > 1 and n > FEW and unmapped and not chosen.passed:
+        mapped = dataclasses.replace(settings, transform=dict.fromkeys(PARAMETER_NAMES, "auto"))
+        other, failures = _select(events, tried, mapped, progress)
+        found = _checked(events, other, settings)
+        if found.merit > chosen.merit:
+            text = f"{other.reason}, of mapped parameters: without maps the mixture does not agree with the recordings"
+            selection, failed, chosen = other, failures, dataclasses.replace(found, reason=text)
+    best = chosen.mixture
     notes += [f"{label}: K = {K} could not be fitted ({message})" for K, message in failed]
-    notes += [f"{label}: {sentence}" for sentence in best.warnings_]
+    if chosen.kind == "mixture":
+        notes += [f"{label}: {sentence}" for sentence in best.warnings_]
+    if chosen.fidelity is not None and not chosen.fidelity.passed:
+        notes.append(f"{label}: {chosen.fidelity.text}")
     several = len(tried) > 1
     why = "as requested" if isinstance(settings.components, int) else "the only one of the range that the events carry"
     summary = SideSummary(
@@ -414,7 +344,7 @@ def fit_side(
         n_components=tuple(int(K) for K in selection.n_components),
         bic=_curve(selection.bic),
         log_likelihood=_curve(selection.log_likelihood),
-        converged=best.converged_,
+        converged=chosen.kind == "smoothed" or best.converged_,
         moved_inside=events.moved,
         redrawn_share=0.0,
         n_parameters=tuple(int(p) for p in selection.n_parameters),
@@ -422,15 +352,114 @@ def fit_side(
         icl=_curve(selection.icl),
         held_out=_curve(selection.held_out),
         criterion=selection.criterion if several else "",
-        reason=selection.reason if several else f"K = {tried[0]}, {why}",
+        reason=chosen.reason or (selection.reason if several else f"K = {tried[0]}, {why}"),
         failed=failed,
-        passes=best.n_iter_,
-        stop_reason=best.stop_reason_,
+        passes=best.n_iter_ if chosen.kind == "mixture" else None,
+        stop_reason=best.stop_reason_ if chosen.kind == "mixture" else "",
         weight=events.weight,
         bounds_from=events.box.origins,
         source_summary=summarize_events(events.events, events.names),
+        kind=chosen.kind,
+        fidelity=chosen.fidelity,
     )
     return SideFit(SideModel(best, events.names, events.constants), summary, tuple(notes))
+
+
+@dataclasses.dataclass(frozen=True)
+class _Checked:
+    """What departures are generated from, and how it compares with the recorded ones."""
+
+    mixture: BoundedGaussianMixture
+    kind: Literal["mixture", "smoothed"]
+    fidelity: SideFidelity | None  # None where hardly any departure can be drawn or driven
+    alone: float  # share of the answers within intervals that hold for each by itself
+    reason: str = ""  # why not what the criterion chose
+
+    @property
+    def passed(self) -> bool:
+        """Gives the recordings' answer."""
+        return self.fidelity is not None and self.fidelity.passed
+
+    @property
+    def agrees(self) -> bool:
+        """Good enough for other designs too, on few departures."""
+        return self.passed and self.alone >= ENOUGH
+
+    @property
+    def merit(self) -> tuple[float, float]:
+        """The larger, the better it agrees."""
+        return (0.0 if self.fidelity is None else float(self.fidelity.within.mean())), self.alone
+
+
+def _checked(events: SideEvents, selection: Selection, settings: SideSettings) -> _Checked:
+    """The first that gives the recordings' answer: the criterion's K, larger ones, the smoothed departures."""
+    side = LEFT if events.label == "left" else RIGHT
+    recorded = SideModel(selection.best, events.names, events.constants).columns(events.events.x)
+    replay = Replay.of(
+        DepartureParameters(np.full(events.rows, side), **recorded), events.events.weight, settings.vehicle_width
+    )
+
+    def compared(mixture: BoundedGaussianMixture, kind: Literal["mixture", "smoothed"]) -> _Checked:
+        half = SideModel(mixture, events.names, events.constants)
+        model = ScenarioModel(half, half, ModelProvenance({}), settings.plausibility)
+        count = (replay.generated, 0) if side == LEFT else (0, replay.generated)
+        try:
+            check_usable(mixture)
+            return _Checked(mixture, kind, *replay.compared(model.sample(*count, seed=settings.seed)))
+        except (InputError, ModelError):
+            return _Checked(mixture, kind, None, 0.0)
+
+    free = not isinstance(settings.components, int)
+    few = events.rows <= FEW
+    if settings.kind == "smoothed":
+        if not few:
+            raise InputError(f"kind: 'smoothed' with {events.rows} {events.label} departures; allowed: up to {FEW}")
+        return dataclasses.replace(compared(smoothed(events), "smoothed"), reason="smoothed departures, as requested")
+    found = [compared(selection.best, "mixture")]
+    if free and few:
+        for model in selection.models[selection.chosen + 1 :]:
+            if found[-1].agrees:
+                break
+            found.append(compared(model, "mixture"))
+    best = found[-1] if found[-1].agrees else max(found, key=lambda one: one.merit)
+    K = found[0].mixture.n_components
+    if free and few and settings.kind == "auto" and not best.agrees:
+        other = compared(smoothed(events), "smoothed")
+        if other.merit > best.merit:
+            text = f"K = {K}" if len(found) == 1 else f"K = {K} to {found[-1].mixture.n_components}"
+            return dataclasses.replace(other, reason=f"smoothed departures: no mixture with {text} agrees with them")
+    if best is not found[0]:
+        text = f"K = {best.mixture.n_components}, which agrees with the recordings better than K = {K}"
+        best = dataclasses.replace(best, reason=f"{text} ({selection.reason})")
+    return best
+
+
+BANDWIDTH: Final = 0.25
+"""Of Silverman's rule, which oversmooths what has several modes and a boundary: see docs/decisions/0037."""
+
+
+def smoothed(events: SideEvents) -> BoundedGaussianMixture:
+    """The departures themselves with a Gaussian kernel in mapped coordinates; mean and covariance are kept there."""
+    x, varies = events.events.x, events.inside.varies
+    lower, upper = events.box.lower[varies], events.box.upper[varies]
+    transform = Transform.of("auto", lower, upper)
+    y = transform.forward(x)
+    n, d = y.shape
+    share = np.full(n, 1.0 / n) if events.events.weight is None else events.events.weight / events.events.weight.sum()
+    effective = 1.0 / float(share @ share)
+    h = BANDWIDTH * (4.0 / (d + 2)) ** (1.0 / (d + 4)) * effective ** (-1.0 / (d + 4))
+    mean, covariance = share @ y, np.cov(y.T, aweights=share).reshape(d, d)
+    covariance += 1e-6 * np.diag(np.diag(covariance))  # columns that depend on each other
+    kernel = covariance * h**2 / (1.0 + h**2)
+    return BoundedGaussianMixture.from_parameters(
+        share,
+        mean + (y - mean) / np.sqrt(1.0 + h**2),
+        np.tile(kernel, (n, 1, 1)),
+        lower=lower,
+        upper=upper,
+        transform=transform.kinds,
+        names=events.names,
+    )
 
 
 def _curve(values: FloatArray) -> tuple[float, ...]:
@@ -445,7 +474,7 @@ def carried_components(
     n, d, label = events.rows, len(events.names), events.label
     if isinstance(components, int):
         return (components,), ()
-    most = max(1, n // (EVENTS_PER_PARAMETER * (1 + d + d * (d + 1) // 2)))
+    most = max(1, int(n / (EVENTS_PER_PARAMETER * (1 + d + d * (d + 1) // 2))))
     tried = tuple(K for K in components if most >= K)
     if not tried:
         raise InputError(
@@ -462,7 +491,7 @@ def _select(
 ) -> tuple[Selection, tuple[tuple[int, str], ...]]:
     """The fits, and the K that gave no usable one; an error where none did."""
     label, varies = events.label, events.inside.varies
-    arguments: dict[str, Any] = settings.selection() | {
+    arguments: dict[str, Any] = settings.selection(events.rows) | {
         "progress": None if progress is None else lambda text, done, total: progress(f"{label}: {text}", done, total),
         "sample_weight": events.events.weight,
         "lower": events.box.lower[varies],

@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import AfterValidator, Field, ValidationError, field_validator, model_validator
 
 from ldctoolkit.arrays import FloatArray
-from ldctoolkit.departures import PARAMETER_NAMES, PARAMETER_UNITS
+from ldctoolkit.departures import PARAMETER_NAMES, PARAMETER_UNITS, Plausibility
 from ldctoolkit.errors import InputError, ModelError, nearest
 from ldctoolkit.mixture import BoundedGaussianMixture
 from ldctoolkit.scenario_model.provenance import (
@@ -52,7 +52,9 @@ def side_to_json(side: SideModel) -> dict[str, Any]:
     }
 
 
-def model_to_json(left: SideModel, right: SideModel, provenance: ModelProvenance) -> dict[str, Any]:
+def model_to_json(
+    left: SideModel, right: SideModel, provenance: ModelProvenance, plausibility: Plausibility | None
+) -> dict[str, Any]:
     """The whole file as JSON values; the cells of a pair are one string, a tenth of the size of a list."""
     content = dataclasses.asdict(provenance)
     for summary in _summaries(content):
@@ -62,8 +64,17 @@ def model_to_json(left: SideModel, right: SideModel, provenance: ModelProvenance
         "version": VERSION,
         "units": dict(zip(PARAMETER_NAMES, PARAMETER_UNITS, strict=True)),
         "sides": {"left": side_to_json(left), "right": side_to_json(right)},
+        "plausibility": _limits(plausibility),
         "provenance": content,
     }
+
+
+def _limits(plausibility: Plausibility | None) -> dict[str, float | None] | None:
+    """Limits as JSON values; null for none."""
+    if plausibility is None:
+        return None
+    values = dataclasses.asdict(plausibility)
+    return {name: float(value) if math.isfinite(value) else None for name, value in values.items()}
 
 
 def _summaries(provenance: Any) -> Iterator[dict[str, Any]]:
@@ -74,13 +85,15 @@ def _summaries(provenance: Any) -> Iterator[dict[str, Any]]:
             yield summary
 
 
-def content_hash(left: SideModel, right: SideModel) -> str:
+def content_hash(left: SideModel, right: SideModel, plausibility: Plausibility | None) -> str:
     """SHA-256 over all that sampling depends on; the provenance and the file's version are left out."""
     content: dict[str, Any] = {"format": FORMAT, "version": _HASHED_VERSION}
     for name, side in (("left", left), ("right", right)):
         content[name] = side_to_json(side)
         if all(kind == "none" for kind in content[name]["transform"]):
             del content[name]["transform"]
+    if plausibility is not None:
+        content["plausibility"] = _limits(plausibility)
     text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()
 
@@ -124,8 +137,8 @@ def _parse(text: str, file: str) -> Any:
         raise ModelError(f"{file}: broken JSON (nested too deeply)") from None
 
 
-def model_from_json(text: str, file: str) -> tuple[SideModel, SideModel, ModelProvenance]:
-    """Check and build both sides and the provenance."""
+def model_from_json(text: str, file: str) -> tuple[SideModel, SideModel, ModelProvenance, Plausibility | None]:
+    """Check and build both sides, the provenance and the limits."""
     data = _parse(text, file)
     if not isinstance(data, dict):
         raise ModelError(f"{file}: not a scenario model; the file must hold a JSON object")
@@ -148,6 +161,7 @@ def model_from_json(text: str, file: str) -> tuple[SideModel, SideModel, ModelPr
         _built(found.sides.left, f"{file}: sides.left"),
         _built(found.sides.right, f"{file}: sides.right"),
         found.provenance,
+        None if found.plausibility is None else found.plausibility.limits(),
     )
 
 
@@ -226,6 +240,18 @@ class _Sides(Part):
     right: _Side
 
 
+class _Limits(Part):
+    """Limits of plausibility, null for none; a model without this part has none at all."""
+
+    y_rate: float | None = Field(gt=0.0)
+    y_acceleration: float | None = Field(gt=0.0)
+    a_y: float | None = Field(gt=0.0)
+
+    def limits(self) -> Plausibility:
+        """As the model has them."""
+        return Plausibility(**{name: math.inf if value is None else value for name, value in self})
+
+
 class _File(Part):
     """The whole file."""
 
@@ -233,6 +259,7 @@ class _File(Part):
     version: int
     units: dict[str, str]
     sides: _Sides
+    plausibility: _Limits | None = None
     provenance: ModelProvenance
 
     @field_validator("units")

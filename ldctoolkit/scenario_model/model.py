@@ -14,8 +14,17 @@ from typing import Any, Final, Protocol
 
 import numpy as np
 
-from ldctoolkit.arrays import FloatArray, IntArray
-from ldctoolkit.departures import LEFT, PARAMETER_NAMES, PARAMETER_UNITS, RIGHT, Departures, combined_departures
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.departures import (
+    LEFT,
+    PARAMETER_NAMES,
+    PARAMETER_UNITS,
+    RIGHT,
+    DepartureParameters,
+    Departures,
+    Plausibility,
+    combined_departures,
+)
 from ldctoolkit.errors import InputError, ModelError, RecordingError, UnknownNameError, nearest
 from ldctoolkit.mixture import SAMPLE_BLOCK, BoundedGaussianMixture
 from ldctoolkit.mixture.checks import check_number
@@ -148,7 +157,7 @@ _STREAM: Final = {LEFT: 0, RIGHT: 1}
 _SPARE_BLOCKS: Final = 50
 """Blocks drawn per block needed before sampling is given up: one event in fifty must stay above the speed floor."""
 
-_REPORT_EVENTS: Final = 16_384
+_DENSITY_EVENTS: Final = 1_048_576  # behind the probability that a density is divided by
 
 
 class _Drawn(Protocol):
@@ -174,16 +183,15 @@ class _Point:
 class _Source:
     """What the events of a side are drawn from: its distribution, or that under conditions."""
 
-    side: SideModel
+    model: ScenarioModel
+    side: int
     distribution: _Drawn
-    stream: int
 
-    def block(self, block: int, seed: int) -> dict[str, FloatArray]:
-        """The events of one block that can be replayed."""
-        x, _ = self.distribution.sample_block(seed, (self.stream, block))
-        columns = self.side.columns(x)
-        keep = slowest_speed(columns["v_mean"], columns["a_mean"], columns["T"]) >= SPEED_FLOOR
-        return {name: column[keep] for name, column in columns.items()}
+    def block(self, block: int, seed: int) -> DepartureParameters:
+        """The events of one block that can happen and be replayed."""
+        x, _ = self.distribution.sample_block(seed, (_STREAM[self.side], block))
+        drawn = self.model.parameters(self.side, x)
+        return drawn.take(self.model.possible(drawn))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -204,8 +212,10 @@ class ScenarioModel:
     """
 
     left_side: SideModel  # Mixture over the parameters that vary, and the constants
-    right_side: SideModel  # Mixture over the parameters that vary, and the constants
+    right_side: SideModel
     provenance: ModelProvenance  # Where the model comes from
+    # Departures beyond it have no density and are not drawn; None in a model of an earlier version, for no limits
+    plausibility: Plausibility | None = None
 
     @property
     def left(self) -> BoundedGaussianMixture:
@@ -222,7 +232,44 @@ class ScenarioModel:
         """SHA-256 of all that sampling depends on; the same for two fits that gave the same numbers."""
         from ldctoolkit.scenario_model import json_form  # loads pydantic, which not every command needs
 
-        return json_form.content_hash(self.left_side, self.right_side)
+        return json_form.content_hash(self.left_side, self.right_side, self.plausibility)
+
+    def side(self, side: int) -> SideModel:
+        """The model of `LEFT` or `RIGHT` departures."""
+        return self.left_side if side == LEFT else self.right_side
+
+    def parameters(self, side: int, x: FloatArray) -> DepartureParameters:
+        """Departures from rows of a side's mixture (n, d)."""
+        return DepartureParameters(np.full(x.shape[0], side), **self.side(side).columns(x))
+
+    def possible(self, departures: DepartureParameters) -> BoolArray:
+        """Which departures (n,) are plausible, and fast enough all the time to be replayed."""
+        p = departures
+        fast = slowest_speed(p.v_mean, p.a_mean, p.T) >= SPEED_FLOOR
+        return fast if self.plausibility is None else fast & self.plausibility.holds(p)
+
+    def log_density(self, departures: DepartureParameters) -> FloatArray:
+        """Log-density of departures (n,), each on its own side, over the parameters that vary there.
+
+        The mixture's, divided by the probability of what is possible; -inf elsewhere, and where a constant differs.
+
+        Examples
+        --------
+        >>> model = load_model("reference")
+        >>> model.log_density(model.sample(2, 1, seed=1)).shape
+        (3,)
+        """
+        out = np.full(departures.n, -np.inf)
+        for side in (LEFT, RIGHT):
+            half = self.side(side)
+            rows = np.flatnonzero((departures.side == side) & self.possible(departures))
+            for name, value in half.constants:
+                rows = rows[getattr(departures, name)[rows] == value]
+            x = np.column_stack([getattr(departures, name)[rows] for name in half.names])
+            if rows.size:
+                share = 1.0 - self.redrawn_share(side, events=_DENSITY_EVENTS)
+                out[rows] = half.mixture.distribution.log_density(x) - math.log(share)
+        return out
 
     def sample(self, n_left: int, n_right: int, seed: int, given: Given | None = None) -> Scenarios:
         """Draw scenarios, left ones first.
@@ -248,9 +295,9 @@ class ScenarioModel:
 
         Notes
         -----
-        Events are drawn in blocks of one size, each from its own random stream (seed, side, block). An event whose
-        speed falls below ``SPEED_FLOOR`` within the departure is passed over and the next one of the stream taken; the
-        share of such events is ``provenance.left.redrawn_share``, or by `redrawn_share`.
+        Events are drawn in blocks of one size, each from its own random stream (seed, side, block). An event that is
+        not plausible, or whose speed falls below ``SPEED_FLOOR`` within the departure, is passed over and the next one
+        of the stream taken; the share of such events is ``provenance.left.redrawn_share``, or by `redrawn_share`.
 
         Examples
         --------
@@ -268,7 +315,7 @@ class ScenarioModel:
 
     def _source(self, side: int, wanted: tuple[Condition, ...] = ()) -> _Source:
         """What the events of a side are drawn from."""
-        half, label = (self.left_side, "left") if side == LEFT else (self.right_side, "right")
+        half, label = self.side(side), "left" if side == LEFT else "right"
         columns = mixture_conditions(wanted, half, label)
         values = {j: value for j, value in columns.items() if isinstance(value, float)}
         distribution: _Drawn = half.mixture.distribution
@@ -276,13 +323,13 @@ class ScenarioModel:
             distribution = _Point(np.array([values[j] for j in range(len(half.names))]))
         elif columns:
             distribution = half.mixture.distribution.condition(columns)
-        return _Source(half, distribution, _STREAM[side])
+        return _Source(self, side, distribution)
 
     def _draw(self, side: int, n: int, seed: int, wanted: tuple[Condition, ...]) -> dict[str, FloatArray]:
         if n == 0:
             return {name: np.empty(0) for name in PARAMETER_NAMES}
         source = self._source(side, wanted)
-        blocks: list[dict[str, FloatArray]] = []
+        blocks: list[DepartureParameters] = []
         found = 0
         limit = _SPARE_BLOCKS * (1 + n // SAMPLE_BLOCK)
         while found < n:
@@ -290,18 +337,18 @@ class ScenarioModel:
                 share = 1.0 - found / (limit * SAMPLE_BLOCK)
                 word = "left" if side == LEFT else "right"
                 raise ModelError(
-                    f"scenario model ({word}): {share:.1%} of the events fall below {SPEED_FLOOR} m/s and cannot be "
-                    "replayed; the model does not describe driving at speed"
+                    f"scenario model ({word}): {share:.1%} of the events fall below {SPEED_FLOOR} m/s or are not "
+                    "plausible; the model does not describe driving at speed"
                 )
             blocks.append(source.block(len(blocks), seed))
-            found += blocks[-1]["T"].size
-        return {name: np.concatenate([block[name] for block in blocks])[:n] for name in PARAMETER_NAMES}
+            found += blocks[-1].n
+        return {name: np.concatenate([getattr(block, name) for block in blocks])[:n] for name in PARAMETER_NAMES}
 
-    def redrawn_share(self, side: int, seed: int = 0) -> float:
-        """Share of events of a side (LEFT or RIGHT) below the speed floor, from about 16,000 draws."""
+    def redrawn_share(self, side: int, seed: int = 0, events: int = 16_384) -> float:
+        """Share of the mixture's events of a side that are not possible and are drawn again, from so many draws."""
         source = self._source(side)
-        blocks = -(-_REPORT_EVENTS // SAMPLE_BLOCK)
-        kept = sum(source.block(block, seed)["T"].size for block in range(blocks))
+        blocks = -(-events // SAMPLE_BLOCK)
+        kept = sum(source.block(block, seed).n for block in range(blocks))
         return 1.0 - kept / (blocks * SAMPLE_BLOCK)
 
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -319,7 +366,7 @@ class ScenarioModel:
 
         target = Path(path)
         try:
-            data = json_form.model_to_json(self.left_side, self.right_side, self.provenance)
+            data = json_form.model_to_json(self.left_side, self.right_side, self.provenance, self.plausibility)
             text = json.dumps(data, indent=1, allow_nan=False)
         except (TypeError, ValueError) as error:
             raise ModelError(f"{target.name}: the model cannot be written as JSON ({error})") from None

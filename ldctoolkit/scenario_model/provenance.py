@@ -5,7 +5,7 @@ import importlib.metadata
 import math
 import platform
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from ldctoolkit.departures import PARAMETER_NAMES
 from ldctoolkit.errors import ModelError
 from ldctoolkit.mixture import BoundedGaussianMixture
 from ldctoolkit.mixture.checks import Events
+from ldctoolkit.scenario_model.fidelity import SideFidelity
 from ldctoolkit.version import __version__
 
 PHYSICAL_BOUNDS: Final[Mapping[str, tuple[float, float]]] = {
@@ -266,6 +267,9 @@ class SideSummary:
     bounds_from: tuple[tuple[str, str, str], ...] = ()
     # How the departures spread; None where weights rest on too few departures
     source_summary: SourceSummary | None = None
+    kind: Literal["mixture", "smoothed"] = "mixture"  # What departures are generated from
+    # How designs do on generated departures against recorded ones; None in a model of an earlier version
+    fidelity: SideFidelity | None = None
 
 
 @dataclasses.dataclass(frozen=True)

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.control import LinearLaw
+from ldctoolkit.departures import bend_polynomial
 from ldctoolkit.metrics import JERK_WINDOW, METRIC_UNITS, MetricValues
 from ldctoolkit.option_checks import checked_number, checked_seed
 from ldctoolkit.paths.uncorrected import RandomStream, UncorrectedPath, harmless, normals, uniforms
@@ -386,10 +387,7 @@ def _scene(over: Takeover) -> FloatArray:
         data.E_1: E[:, 1],
     }
     columns |= {data.A_11 + j: A[:, 1, j + 1] for j in range(3)}
-    # y = 4 d_y s (1 - s) with s = x(t)/d_x, x = v_0 t + a t^2/2
-    d_x, v_0, a = p.v_mean * p.T, p.v_mean - 0.5 * p.a_mean * p.T, p.a_mean
-    bend = (a - 2.0 * v_0**2 / d_x, -6.0 * v_0 * a / d_x, -3.0 * a**2 / d_x)
-    columns |= {data.BEND + j: 4.0 * p.d_y / d_x * bend[j] for j in range(3)}
+    columns |= {data.BEND + j: coefficient for j, coefficient in enumerate(bend_polynomial(p))}
     tail = [over.driven.modes_v, _earlier_frames(over), _filter(over)]
     scene = np.zeros((m, data.SCENE + sum(part.shape[1] for part in tail)))
     for column, values in columns.items():

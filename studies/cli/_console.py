@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import dataclasses
 import math
 import os
 import sys
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
+    from ldctoolkit.departures import Plausibility
     from ldctoolkit.gains import GainValue
 
 
@@ -183,6 +185,31 @@ def bound(text: str) -> tuple[str, str | tuple[float | str | None, float | str |
         "auto" if end.strip() == "auto" else _number(end, text) if end.strip() else None for end in (low, high)
     )
     return name, (ends[0], ends[1])
+
+
+def add_limit(parser: argparse.ArgumentParser) -> None:
+    """Declare ``--limit``."""
+    parser.add_argument(
+        "--limit",
+        type=lambda text: (named(text)[0], _number(named(text)[1], text)),
+        action="append",
+        metavar="NAME=VALUE",
+        help="a departure beyond it is implausible: y_rate (2 m/s), y_acceleration (4 m/s^2), a_y (6 m/s^2); inf for "
+        "none; repeatable",
+    )
+
+
+def plausibility(given: Sequence[tuple[str, float]] | None, default: Plausibility | None = None) -> Plausibility:
+    """The limits of ``--limit``, the others those of the default."""
+    from ldctoolkit.departures import Plausibility
+    from ldctoolkit.errors import InputError, nearest
+
+    each_once("--limit", given)
+    known = [field.name for field in dataclasses.fields(Plausibility)]
+    for name, _ in given or ():
+        if name not in known:
+            raise InputError(f"--limit: no limit {name!r}; {nearest(name, known)}")
+    return dataclasses.replace(default or Plausibility(), **dict(given or ()))
 
 
 def each_once(option: str, pairs: Sequence[tuple[str, object]] | None) -> None:

@@ -8,7 +8,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from ldctoolkit.errors import InputError
-from studies.cli._console import Subparsers, console, number, output_file, positive_number, progress_bar, warn
+from studies.cli._console import (
+    Subparsers,
+    add_limit,
+    console,
+    number,
+    output_file,
+    plausibility,
+    positive_number,
+    progress_bar,
+    warn,
+)
 
 if TYPE_CHECKING:
     from ldctoolkit.recordings.departures_table import Extraction
@@ -57,6 +67,7 @@ def add_parser(commands: Subparsers) -> None:
     parser.add_argument(
         "--max-jump", type=number, default=0.6, metavar="M", help="largest step of the offset (default: %(default)s)"
     )
+    add_limit(parser)
     parser.add_argument(
         "--workers", type=positive_number, metavar="N", help="processes (default: all cores, or 1 for little)"
     )
@@ -89,7 +100,13 @@ def run(chosen: argparse.Namespace) -> int:
             found = run_extraction(
                 recordings,
                 Criteria(
-                    width, chosen.min_duration, chosen.max_duration, chosen.min_speed, chosen.max_gap, chosen.max_jump
+                    width,
+                    chosen.min_duration,
+                    chosen.max_duration,
+                    chosen.min_speed,
+                    chosen.max_gap,
+                    chosen.max_jump,
+                    plausibility(chosen.limit),
                 ),
                 Preparation(
                     step=recordings.reader.step if chosen.step is None else chosen.step,

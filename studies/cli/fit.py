@@ -69,7 +69,7 @@ def add_parser(commands: Subparsers) -> None:
     )  # fmt: skip
     add("--prior-strength", type=number, default=10.0, metavar="X", help="pseudo-events (default: %(default)s)")
     add("--tol", type=number, default=1e-7, metavar="X", help="nats an event and pass (default: %(default)s)")
-    add("--n-init", type=positive_number, default=8, metavar="N", help="starts (default: %(default)s)")
+    add("--n-init", type=positive_number, metavar="N", help="starts (default: 8; 4 with up to 2,000 departures)")
     add("--seed", type=whole_number, default=0, metavar="N", help="random seed (default: 0)")
     add("--workers", type=positive_number, metavar="N", help="cores to use (default: all); changes no number")
     add(

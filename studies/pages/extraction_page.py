@@ -67,7 +67,8 @@ MEANINGS: Final = {
     "too_few_samples": "fewer than three samples between its crossings",
     "slow": "too slow on average, or the vehicle stops in it",
     "intended": "the turn signal is on towards the departed side",
-    "implausible": "it accelerates or bends more than tyres can do, or the lane is no wider than the vehicle: noise",
+    "implausible": "its path asks more of driver, vehicle or tyres than they can do, or the lane is no wider than the "
+    "vehicle: noise",
 }
 
 
@@ -311,6 +312,7 @@ def facts(extraction: Extraction) -> list[tuple[str, str]]:
         ("Mean speed", f"above {compact(criteria.min_speed)} m/s"),
         ("Longest step that is no gap", gap),
         ("Largest jump of the offset", f"{compact(criteria.max_jump)} m from one sample to the next"),
+        ("Plausible up to", str(criteria.plausibility)),
     ]  # fmt: skip
 
 

@@ -1,0 +1,233 @@
+"""Whether generated departures give the answer of recorded ones: probe designs are driven on both and compared.
+
+The answer of the recordings is uncertain: how much follows from resampling them. A model that differs by more than
+that misleads whoever ranks designs on it, however well its density fits.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from typing import ClassVar, Final, final
+
+import numpy as np
+
+from ldctoolkit.arrays import BoolArray, FloatArray
+from ldctoolkit.control import Controller, LinearLaw
+from ldctoolkit.departures import PARAMETER_NAMES, DepartureParameters
+from ldctoolkit.gains import gain
+from ldctoolkit.metrics import needless
+from ldctoolkit.scenarios import SPEED_CEILING, SPEED_FLOOR, Scenarios, slowest_speed
+from ldctoolkit.setup import Setup
+from ldctoolkit.simulation.loop import drive_many
+from ldctoolkit.simulation.takeover import Takeover
+from ldctoolkit.vehicle import Plant, VehicleParameters
+
+QUANTITIES: Final = ("reduction", "trigger share", "needless", "added a_y p95", "depth p95")
+UNITS: Final = ("", "", "", "m/s^2", "m")
+TRIGGERS: Final = (0.05, 0.25, 0.5, 0.75)  # shares of the recorded departures that do not reach a trigger threshold
+MOST_REPLAYED: Final = 5_000  # departures that are replayed, evenly spread rows
+MOST_GENERATED, FEWEST_GENERATED = 10_000, 3_000
+CONFIDENCE: Final = 0.95
+ENOUGH: Final = 0.93  # share of the values within their intervals from which on a model passes
+
+_RESAMPLES: Final = 400
+_TAIL: Final = 0.95
+# a difference that no designer would act on: absolute in shares, relative otherwise
+_NEGLIGIBLE: Final = np.array([0.03, 0.03, 0.03, 0.05, 0.05])
+_ABSOLUTE: Final = np.array([True, True, True, False, False])
+
+
+@final
+@dataclasses.dataclass(frozen=True)
+class _Preview(Controller):
+    """The paper's law at its own gains."""
+
+    name: ClassVar[str] = "preview"
+    title: ClassVar[str] = "Preview P"
+
+    def prepare(self, plant: Plant) -> LinearLaw:
+        return _law(plant, np.tile([-0.005, 0.0, -0.2, 0.0], (plant.n, 1)), heading=0.2)
+
+
+@final
+@dataclasses.dataclass(frozen=True)
+class _Feedback(Controller):
+    """Steady cornering, and an e_y that would decay with a damping of 0.8 if the vehicle followed at once."""
+
+    name: ClassVar[str] = "feedback"
+    title: ClassVar[str] = "Feedback"
+
+    omega: float = gain(0.4, unit="rad/s", lower=0.1, upper=3.0, description="natural frequency")
+
+    def prepare(self, plant: Plant) -> LinearLaw:
+        delta = plant.steady_state().delta  # per unit of lane yaw rate, so delta/v per unit of lateral acceleration
+        wanted = np.array([self.omega**2, 1.6 * self.omega, 0.0, 0.0])
+        return _law(plant, -(delta / plant.v)[:, None] * wanted, yaw_rate=delta)
+
+
+def _law(plant: Plant, F: FloatArray, *, heading: float = 0.0, yaw_rate: FloatArray | float = 0.0) -> LinearLaw:
+    """All probes preview the lane now and in 2 s, so that they are driven together."""
+    G_yaw_rate, G_heading = np.zeros((2, plant.n, 2))
+    G_yaw_rate[:, 0], G_heading[:, 1] = yaw_rate, heading
+    return LinearLaw(F, np.array([0.0, 2.0]), G_yaw_rate, G_heading, np.zeros(plant.n))
+
+
+PROBES: Final[tuple[Controller, ...]] = (_Preview(), _Feedback(), _Feedback(omega=1.0))
+NAMES: Final = ("Preview P", "feedback 0.4 rad/s", "feedback 1 rad/s")
+
+
+@dataclasses.dataclass(frozen=True)
+class SideFidelity:
+    """The answers of one side: rows are the probes, each at every threshold; columns are `QUANTITIES`."""
+
+    departures: int  # Replayed
+    thresholds: tuple[float, ...]  # [m] y_s
+    replayed: tuple[tuple[float, ...], ...]
+    # Simultaneous intervals of the replayed answer
+    low: tuple[tuple[float, ...], ...]
+    high: tuple[tuple[float, ...], ...]
+    generated: tuple[tuple[float, ...], ...]
+
+    @property
+    def within(self) -> BoolArray:
+        """Which generated answers lie within their intervals, (designs, quantities)."""
+        generated = np.array(self.generated)
+        return np.asarray((generated >= np.array(self.low)) & (generated <= np.array(self.high)))
+
+    @property
+    def passed(self) -> bool:
+        """At least 93 % of the answers lie within."""
+        return bool(self.within.mean() >= ENOUGH)
+
+    @property
+    def designs(self) -> tuple[str, ...]:
+        """Names of the rows."""
+        return tuple(f"{name}, y_s = {y_s:.2f} m" for name in NAMES for y_s in self.thresholds)
+
+    @property
+    def text(self) -> str:
+        """The verdict, one sentence."""
+        within = self.within
+        count, designs = int(within.all(axis=1).sum()), within.shape[0]
+        if self.passed:
+            return (
+                f"the model gives the recordings' answer ({count} of {designs} probe designs lie within the 95 % "
+                f"intervals of {self.departures} replayed departures)"
+            )
+        replayed, generated = np.array(self.replayed), np.array(self.generated)
+        half = 0.5 * (np.array(self.high) - np.array(self.low))
+        gap = np.where(within, 0.0, np.abs(generated - replayed) / np.maximum(half, 1e-12))
+        # the effect of control comes first: it is what designs are ranked by
+        j = 0 if gap[:, 0].any() else int(gap.max(axis=0).argmax())
+        i = int((np.abs(generated - replayed) * (gap > 0.0))[:, j].argmax())
+        one, other = float(replayed[i, j]), float(generated[i, j])
+        where = f"({self.designs[i]}: {_value(j, one)} replayed, {_value(j, other)} generated)"
+        if j == 0:
+            word = "understates" if other < one else "overstates"
+            points = f"{100.0 * abs(other - one):.0f} points"
+            return f"the model {word} the effect of control by {points} {where}: do not use it"
+        word = "small" if other < one else "large"
+        return f"the {QUANTITIES[j]} of the model is too {word} {where}: do not use it"
+
+
+def _value(j: int, value: float) -> str:
+    return f"{100.0 * value:.1f} %" if UNITS[j] == "" else f"{value:.2f} {UNITS[j]}"
+
+
+@dataclasses.dataclass(frozen=True)
+class Replay:
+    """The recordings' answer on one side, which any number of models can be compared with."""
+
+    setup: Setup
+    thresholds: tuple[float, ...]
+    departures: int
+    answer: FloatArray  # (designs, quantities)
+    low: FloatArray
+    high: FloatArray
+    point_low: FloatArray  # of each value by itself
+    point_high: FloatArray
+
+    @property
+    def generated(self) -> int:
+        """Departures to generate: so many that their own error hardly counts."""
+        return min(max(10 * self.departures, FEWEST_GENERATED), MOST_GENERATED)
+
+    @classmethod
+    def of(
+        cls, departures: DepartureParameters, weight: FloatArray | None = None, vehicle_width: float | None = None
+    ) -> Replay:
+        """Drive the departures of one side (n,), each of which stands for `weight` events."""
+        n = departures.n
+        rows = np.arange(min(n, MOST_REPLAYED)) * n // min(n, MOST_REPLAYED)
+        some, drivable = _drivable(departures.take(rows))
+        rows = rows[drivable]
+        share = np.ones(rows.size) if weight is None else weight[rows]
+        thresholds = tuple(round(float(y), 3) for y in np.quantile(some.d_y, TRIGGERS))
+        usual = VehicleParameters()
+        if vehicle_width is not None and vehicle_width < usual.w_l:
+            usual = dataclasses.replace(usual, w_v=vehicle_width)
+        setup = Setup(vehicle=usual)
+        rng = np.random.default_rng(0)
+        weights = share * rng.multinomial(rows.size, np.full(rows.size, 1.0 / rows.size), size=_RESAMPLES)
+        driven = list(_driven(some, setup, thresholds))
+        answer = np.stack([_answers(columns, share[None])[0] for columns in driven])
+        resampled = np.stack([_answers(columns, weights) for columns in driven], axis=1)  # (resamples, designs, 5)
+        tail = 0.5 * (1.0 - CONFIDENCE)
+        point_low, point_high = np.quantile(resampled, (tail, 1.0 - tail), axis=0)
+        half = _NEGLIGIBLE * np.where(_ABSOLUTE, 1.0, np.abs(answer))
+        low, high = np.minimum(point_low, answer - half), np.maximum(point_high, answer + half)
+        return cls(setup, thresholds, rows.size, answer, low, high, point_low, point_high)
+
+    def compared(self, generated: DepartureParameters) -> tuple[SideFidelity, float]:
+        """The answers of generated departures, and the share within intervals that hold for each value by itself."""
+        some, _ = _drivable(generated)
+        every = np.ones((1, some.n))
+        answer = np.stack([_answers(columns, every)[0] for columns in _driven(some, self.setup, self.thresholds)])
+        fidelity = SideFidelity(
+            self.departures, self.thresholds, *map(_rounded, (self.answer, self.low, self.high, answer))
+        )
+        alone = (answer >= self.point_low) & (answer <= self.point_high)
+        return fidelity, float(alone.mean())
+
+
+def _drivable(p: DepartureParameters) -> tuple[Scenarios, BoolArray]:
+    """The departures that can be driven, as scenarios, and which these are."""
+    names = ("side", *PARAMETER_NAMES)
+    drivable = (slowest_speed(p.v_mean, p.a_mean, p.T) >= SPEED_FLOOR) & (p.v_mean < 0.5 * SPEED_CEILING)
+    return Scenarios.drawn(**{name: getattr(p, name)[drivable] for name in names}), drivable
+
+
+def _driven(scenarios: Scenarios, setup: Setup, thresholds: tuple[float, ...]) -> Iterator[FloatArray]:
+    """Columns (6, n) of each design: S, S_uncorrected, triggered, needless, added a_y, depth."""
+    found = {}
+    for y_s in thresholds:
+        for probe, run in enumerate(drive_many(PROBES, Takeover.build(scenarios, setup, y_s=y_s))):
+            one = run.outcome("control")
+            without_need = needless(one.triggered, scenarios.d_y)
+            measured = one.companions.a_y_added_peak, one.companions.deepest
+            found[probe, y_s] = np.stack([one.S, one.S_uncorrected, one.triggered, without_need, *measured])
+    for probe in range(len(PROBES)):
+        for y_s in thresholds:
+            yield found[probe, y_s]
+
+
+def _answers(columns: FloatArray, weights: FloatArray) -> FloatArray:
+    """`QUANTITIES` of one design under each row of weights (B, n): (B, 5)."""
+    S, S_uncorrected, triggered, without_need, a_y, depth = columns
+    total, uncorrected = weights.sum(axis=1), weights @ S_uncorrected
+    reduction = np.divide(uncorrected - weights @ S, uncorrected, out=np.zeros_like(total), where=uncorrected > 0.0)
+    shares = weights @ triggered / total, weights @ without_need / total
+    return np.stack([reduction, *shares, _tail(a_y, weights * triggered), _tail(depth, weights)], axis=1)
+
+
+def _tail(values: FloatArray, weights: FloatArray) -> FloatArray:
+    """95 % quantile of values (n,) under each row of weights (B, n); 0 where nothing has a weight."""
+    order = np.argsort(values, kind="stable")
+    reached = np.cumsum(weights[:, order], axis=1)
+    place = (reached >= _TAIL * reached[:, -1:]).argmax(axis=1)
+    return np.where(reached[:, -1] > 0.0, values[order][place], 0.0)
+
+
+def _rounded(values: FloatArray) -> tuple[tuple[float, ...], ...]:
+    return tuple(tuple(float(f"{value:.5g}") for value in row) for row in values.tolist())
