@@ -30,7 +30,7 @@ from ldctoolkit.recordings import (
     write_departures,
 )
 from ldctoolkit.registry import controller_class, controller_names, register
-from ldctoolkit.scenario_model import ScenarioModel, bundled_models, fit_scenario_model, load_model
+from ldctoolkit.scenario_model import ScenarioModel, bundled_models, check_fidelity, fit_scenario_model, load_model
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
 from ldctoolkit.simulation import Outcome, simulate
@@ -64,6 +64,7 @@ __all__ = [
     "VehicleParameters",
     "__version__",
     "bundled_models",
+    "check_fidelity",
     "controller_class",
     "controller_names",
     "extract_departures",

@@ -1,6 +1,7 @@
 """Scenario models: one bounded Gaussian mixture a side, fitted to departures, kept in one JSON file."""
 
-from ldctoolkit.scenario_model.fit import fit_scenario_model
+from ldctoolkit.scenario_model.fidelity import SideFidelity
+from ldctoolkit.scenario_model.fit import check_fidelity, fit_scenario_model
 from ldctoolkit.scenario_model.model import (
     Given,
     ScenarioModel,
@@ -26,10 +27,12 @@ __all__ = [
     "Given",
     "ModelProvenance",
     "ScenarioModel",
+    "SideFidelity",
     "SideModel",
     "SideSummary",
     "SourceSummary",
     "bundled_models",
+    "check_fidelity",
     "conditions",
     "fit_scenario_model",
     "load_model",

@@ -87,6 +87,13 @@ def conditions(given: Given | None) -> tuple[Condition, ...]:
     return tuple(found[name] for name in PARAMETER_NAMES if name in found)
 
 
+def misleading(model: ScenarioModel) -> list[str]:
+    """What the check of a model against its recordings found wrong, one sentence a side; none where it passed."""
+    sides = ("left", model.provenance.left), ("right", model.provenance.right)
+    checked = [(key, side.fidelity) for key, side in sides if side is not None and side.fidelity is not None]
+    return [f"scenario model, {key}: {fidelity.text}" for key, fidelity in checked if not fidelity.passed]
+
+
 def outside_fit(model: ScenarioModel, given: Given | None) -> list[str]:
     """Conditions that reach beyond what a model was fitted to, one sentence each; none where it holds no summary."""
     found: dict[str, str] = {}
@@ -95,11 +102,15 @@ def outside_fit(model: ScenarioModel, given: Given | None) -> list[str]:
         for one in conditions(given):
             if summary is None or one.name not in summary.names:
                 continue
-            low, *_, high = summary.quantiles[summary.names.index(one.name)]
+            quantiles = summary.quantiles[summary.names.index(one.name)]
             ends = [end for end in (one.low, one.high) if math.isfinite(end)]
-            if any(not low <= end <= high for end in ends):
+            if any(not quantiles[0] <= end <= quantiles[-1] for end in ends):
+                below = np.interp([one.low, one.high], quantiles, summary.probabilities, left=0.0, right=1.0)
+                expected = summary.departures * float(below[1] - below[0])
                 found.setdefault(
-                    one.name, f"given {one}: outside the fitted departures ({key}), {low:.4g} to {high:.4g}"
+                    one.name,
+                    f"given {one}: outside the fitted departures ({key}), {quantiles[0]:.4g} to {quantiles[-1]:.4g}; "
+                    f"about {expected:,.0f} of {summary.departures:,} recorded ones meet it",
                 )
     return list(found.values())
 

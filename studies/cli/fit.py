@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from ldctoolkit.errors import InputError, LdcError
 from studies.cli._console import (
     Subparsers,
+    add_limit,
     bound,
     condition,
     console,
@@ -17,6 +18,7 @@ from studies.cli._console import (
     named,
     number,
     output_file,
+    plausibility,
     positive_number,
     progress_bar,
     warn,
@@ -44,6 +46,11 @@ def add_parser(commands: Subparsers) -> None:
     add("departures", nargs="+", metavar="DEPARTURES.parquet", help="what ldc extract wrote, by the same criteria")
     add("-o", "--output", required=True, metavar="MODEL.json", help="scenario model to write")
     add("--components", type=components, default="1:10", metavar="K", help="K, or a range (default: %(default)s)")
+    add(
+        "--kind", choices=("auto", "mixture", "smoothed"), default="auto",
+        help="what departures are generated from: the mixture, the smoothed departures themselves, or the latter where "
+        "they are few and no mixture gives the recordings' answer (default: %(default)s)",
+    )  # fmt: skip
     add("--criterion", choices=_CRITERIA, default="bic", help="what K is chosen by (default: %(default)s)")
     add(
         "--slack", type=number, metavar="X",
@@ -67,6 +74,7 @@ def add_parser(commands: Subparsers) -> None:
         help="map parameters before the fit: auto, none, or one of them by none, log, logit, auto; repeatable "
         "(default: none)",
     )  # fmt: skip
+    add_limit(parser)
     add("--prior-strength", type=number, default=10.0, metavar="X", help="pseudo-events (default: %(default)s)")
     add("--tol", type=number, default=1e-7, metavar="X", help="nats an event and pass (default: %(default)s)")
     add("--n-init", type=positive_number, metavar="N", help="starts (default: 8; 4 with up to 2,000 departures)")
@@ -131,6 +139,8 @@ def run(chosen: argparse.Namespace) -> None:
             out.print(f"{label}: {summary.events} departures")
             _print_curve(summary, side.mixture.weights_.size)
             out.print(f"{label}: {summary.reason}")
+            if summary.fidelity is not None and summary.fidelity.passed:
+                out.print(f"{label}: {summary.fidelity.text}")
     print(f"scenario model written to {target} (content {model.content_hash[:12]})")
     if chosen.page:
         _write_page(page, model, departures, chosen)
@@ -149,6 +159,8 @@ def _fitted(
         return fit_scenario_model(
             departures,
             components=chosen.components,
+            kind=chosen.kind,
+            plausibility=plausibility(chosen.limit, provenance.criteria.plausibility),
             seed=chosen.seed,
             bounds=bounds,
             extraction=provenance.criteria,

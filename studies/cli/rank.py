@@ -57,6 +57,7 @@ def run(chosen: argparse.Namespace) -> None:
     from studies.ranking.ranking import rank_study, write_csv
     from studies.ranking.verdict import verdict
     from studies.storage.store import Store
+    from studies.storage.stored_model import read_model
 
     target = None if chosen.output is None else output_file(chosen.output, ".csv", ".md")
     store = Store.open(chosen.folder)
@@ -70,9 +71,9 @@ def run(chosen: argparse.Namespace) -> None:
     if results.race is not None and results.race.dropped and not _same_chances(own, study):
         warn("the race gave designs up by the study's own requirements and confidence; they are not ranked")
     rankings = rank_study(results, study)
-    found = verdict(
-        rankings[0], results, study.setup(), stored_robustness(Path(chosen.folder), study, results, rankings[0])
-    )
+    robustness = stored_robustness(Path(chosen.folder), study, results, rankings[0])
+    model = read_model(chosen.folder, store.manifest)
+    found = verdict(rankings[0], results, study.setup(), robustness, model)
     if chosen.baseline:
         ranking = rankings[0]
         if ranking.baseline is None:

@@ -43,6 +43,7 @@ def run(chosen: argparse.Namespace) -> None:
     from studies.ranking.ranking import rank_study
     from studies.ranking.verdict import verdict
     from studies.storage.store import Store
+    from studies.storage.stored_model import read_model
 
     options = ReportOptions.of(chosen, chosen.departure, chosen.design)
     folder = _folder(chosen.study)
@@ -52,7 +53,7 @@ def run(chosen: argparse.Namespace) -> None:
     designs_of_ids(results.designs, options.designs)
     rankings = rank_study(results, study)
     robustness = options.robustness_of(folder, study, results, rankings[0])
-    found = verdict(rankings[0], results, study.setup(), robustness)
+    found = verdict(rankings[0], results, study.setup(), robustness, read_model(folder, store.manifest))
     print(f"ranking: {write_ranking(folder, study, store.manifest, results, rankings, found)}")
     print(f"report:  {write_study_report(folder, study, store.manifest, results, rankings, options, robustness)}")
 

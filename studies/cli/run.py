@@ -63,7 +63,7 @@ SOME_FAILED = 3  # exit code where the study has results, but not of every desig
 
 def run(chosen: argparse.Namespace) -> int:
     """Carry the command out."""
-    from ldctoolkit.scenario_model.model import outside_fit
+    from ldctoolkit.scenario_model.model import misleading, outside_fit
     from studies.cli._results import (
         ReportOptions,
         json_summary,
@@ -82,7 +82,7 @@ def run(chosen: argparse.Namespace) -> int:
     study = load_study(chosen.study)
     model = study_model(study, chosen.model)
     study = with_recorded_widths(study, model, chosen.vehicle_width)
-    for text in outside_fit(model, study.scenarios.given):
+    for text in (*outside_fit(model, study.scenarios.given), *misleading(model)):
         warn(text)
     options = ReportOptions.of(chosen)
     folder = Path(chosen.output or Path("out") / study.name)
@@ -98,7 +98,7 @@ def run(chosen: argparse.Namespace) -> int:
     manifest = read_manifest(folder)
     rankings = rank_study(results, study)
     robustness = options.robustness_of(folder, study, results, rankings[0])
-    found = verdict(rankings[0], results, study.setup(), robustness)
+    found = verdict(rankings[0], results, study.setup(), robustness, model)
     silent = chosen.quiet or chosen.json
     if not silent:
         if results.race is not None:

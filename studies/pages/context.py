@@ -104,7 +104,7 @@ class Context:
     @cached_property
     def verdict(self) -> Verdict:
         """The verdict on the primary case."""
-        return verdict(self.ranking, self.report.results, self.report.setup, self.report.robustness)
+        return verdict(self.ranking, self.report.results, self.report.setup, self.report.robustness, self.report.model)
 
     @property
     def shown(self) -> int:

@@ -14,6 +14,7 @@ from ldctoolkit.departures import PARAMETER_NAMES, Departures
 from ldctoolkit.diagnostics import ModelDiagnostics, SideDiagnostics, diagnose_model
 from ldctoolkit.diagnostics._marginals import COMPARISON_STANDARD_ERRORS, strip_is_off
 from ldctoolkit.scenario_model import ScenarioModel, SideModel, SideSummary
+from ldctoolkit.scenario_model.fidelity import QUANTITIES, UNITS
 from ldctoolkit.version import __version__
 from studies.pages.charts import Axis, Chart, Dot, Series, Style, bars, dots, heat_map, legend, lines
 from studies.pages.settings_section import pairs
@@ -85,6 +86,7 @@ def fit_page(model: ScenarioModel, found: ModelDiagnostics, *, seed: int, drawn:
         ],
         sections=[
             _verdict(model, sides, drawn=drawn),
+            _fidelity(sides),
             _margins(sides),
             _joint(sides),
             _calibration(sides),
@@ -102,30 +104,26 @@ def fit_page(model: ScenarioModel, found: ModelDiagnostics, *, seed: int, drawn:
 
 
 def side_verdict(side: Side) -> str:
-    """What a side of the model is good enough for.
-
-    The numbers of departures are those from which on a model's answer was found to lie within the interval of the
-    recorded departures themselves.
-    """
+    """What a side of the model is good enough for: first of all, whether designs do on it as on its recordings."""
     n, misfits = side.found.effective_events, side.misfits
-    name = side.key.capitalize()
-    if n < FEW:
+    fidelity = None if side.summary is None else side.summary.fidelity
+    name = f"{side.key.capitalize()}:" if fidelity is None else f"{side.key.capitalize()}: {fidelity.text}."
+    if fidelity is not None and not fidelity.passed:
+        return name
+    if fidelity is None and n < FEW:
         return (
-            f"{name}: too few departures for a model ({n:,.0f}; {FEW} at least): rank designs on the recorded "
-            "departures "
-            "instead, or record more."
+            f"{name} too few departures for a model ({n:,.0f}; {FEW} at least): rank designs on the recorded "
+            "departures instead, or record more."
         )
     if misfits:
         return (
-            f"{name}: misfit in {', '.join(misfits)}: good enough for designs that do not depend on it; see "
-            "the margins."
+            f"{name} Misfit in {', '.join(misfits)}: good enough for designs that do not depend on it; see the margins."
         )
     if n < ENOUGH:
         return (
-            f"{name}: good enough for comparing mean S of designs; too few departures ({n:,.0f}) for rare, "
-            "extreme ones."
+            f"{name} Good enough for comparing mean S of designs; too few departures ({n:,.0f}) for rare, extreme ones."
         )
-    return f"{name}: good enough for comparing designs, in their mean S and in the worst 5 % of departures."
+    return f"{name} Good enough for comparing designs, in their mean S and in the worst 5 % of departures."
 
 
 def _verdict(model: ScenarioModel, sides: tuple[Side, ...], *, drawn: bool) -> Section:
@@ -181,6 +179,38 @@ def _source_line(model: ScenarioModel) -> str:
 
 
 # ------------------------------------------------------------------------------------------------ the evidence
+
+
+def _fidelity(sides: tuple[Side, ...]) -> Section:
+    """The answers of probe designs on recorded and on generated departures."""
+    scale = [100.0 if not unit else 1.0 for unit in UNITS]
+    columns = [Column("Design", text=True)]
+    for name, unit in zip(QUANTITIES, UNITS, strict=True):
+        columns += [Column(name.capitalize(), unit or "%"), Column("Replayed", text=True)]
+    body = Markup()
+    for side in sides:
+        found = None if side.summary is None else side.summary.fidelity
+        if found is None:
+            body += paragraphs(f"{side.key.capitalize()}: the model was not checked when it was fitted.")
+            continue
+        rows = []
+        for i, design in enumerate(found.designs):
+            cells: list[Cell | str] = [design]
+            for j, factor in enumerate(scale):
+                once, low, high, generated = (
+                    number(factor * values[i][j], 1 if factor > 1.0 else 2)
+                    for values in (found.replayed, found.low, found.high, found.generated)
+                )
+                cells += [Cell(generated, bad=not found.within[i, j]), f"{once} ({low} to {high})"]
+            rows.append(TableRow(tuple(cells)))
+        title = f"{side.key.capitalize()}: generated departures, and {found.departures:,} replayed ones"
+        body += table(title, columns, rows)
+    note = (
+        "Each probe design is driven on the recorded departures and on generated ones. In brackets: 95 % bootstrap "
+        "interval of the replay, widened to what no designer would act on (3 points of a share, 5 % of a peak). Set "
+        "off: outside. A model passes where at least 93 % of the answers lie within."
+    )
+    return Section("fidelity", "The recordings' answer", body + paragraphs(note))
 
 
 def _margins(sides: tuple[Side, ...]) -> Section:
@@ -313,6 +343,8 @@ def _components(sides: tuple[Side, ...]) -> Section:
     ]  # fmt: skip
     rows = []
     for side in sides:
+        if side.summary is not None and side.summary.kind == "smoothed":
+            continue
         for k, c in sorted(enumerate(side.found.components), key=lambda pair: -pair[1].weight):
             outside = f"{number(c.outside, 2)} ({c.outside_name})" if c.outside > 0 else "inside"
             cells = (
@@ -325,7 +357,11 @@ def _components(sides: tuple[Side, ...]) -> Section:
                 f"{c.condition:.3g}",
             )
             rows.append(TableRow(cells))
-    return Section("components", "Components", table("Components, the heaviest first", columns, rows))
+    body = table("Components, the heaviest first", columns, rows) if rows else Markup()
+    smooth = [side.key for side in sides if side.summary is not None and side.summary.kind == "smoothed"]
+    if smooth:
+        body += paragraphs(f"Smoothed departures, a component each: {' and '.join(smooth)}.")
+    return Section("components", "Components", body)
 
 
 def _selection(sides: tuple[Side, ...]) -> Section:

@@ -1,4 +1,4 @@
-"""The first screen, verdict and four lights; and the trade-offs: what a small score is paid for with."""
+"""The first screen, verdict and lights; and the trade-offs: what a small score is paid for with."""
 
 from collections.abc import Iterator
 from typing import Final

@@ -14,6 +14,8 @@ from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.gains import GainValue
 from ldctoolkit.metrics import METRICS
 from ldctoolkit.notebook import CELL
+from ldctoolkit.scenario_model import ScenarioModel
+from ldctoolkit.scenario_model.model import misleading
 from studies.design import Design
 from studies.ranking.design_metrics import beyond_friction
 from studies.ranking.ranked_designs import RankedDesigns
@@ -40,7 +42,7 @@ class OtherPlants:
 
 @dataclasses.dataclass(frozen=True)
 class Light:
-    """One of the four lights: what it is about, its state, and why."""
+    """One of the lights: what it is about, its state, and why."""
 
     name: str
     state: State
@@ -53,7 +55,7 @@ class Verdict:
 
     title: str  # One line
     sentences: tuple[str, ...]  # Two at most: the score of the design named, and what it breaks or what is nearest
-    lights: tuple[Light, ...]  # Score, stable, limits, other plants; of the design named
+    lights: tuple[Light, ...]  # Score, stable, limits, other plants, of the design named; scenarios
     place: int  # Of the design named, in the ranking
     # Where none meets the requirements: places of the designs with the smallest largest excess
     nearest: tuple[int, ...] = ()
@@ -67,9 +69,13 @@ class Verdict:
 
 
 def verdict(
-    ranking: RankedDesigns, results: StudyResults, setup: Setup | None = None, robustness: OtherPlants | None = None
+    ranking: RankedDesigns,
+    results: StudyResults,
+    setup: Setup | None = None,
+    robustness: OtherPlants | None = None,
+    model: ScenarioModel | None = None,
 ) -> Verdict:
-    """Judge a ranking."""
+    """Judge a ranking; `model` is what generated the scenarios."""
     setup = setup or Setup()
     nearest: tuple[int, ...] = ()
     ahead: tuple[str, ...] = ()
@@ -98,6 +104,7 @@ def verdict(
         _stable_light(ranking, place),
         _limits_light(ranking, place),
         _plants_light(ranking, place, robustness),
+        *_scenarios_light(model),
     )
     return Verdict(title, tuple(sentences), lights, place, nearest, ahead, recorded)
 
@@ -232,6 +239,20 @@ def _limits_light(ranking: RankedDesigns, place: int) -> Light:
         return Light("Limits", "warning", f"Not required, but beyond comfort: {_list(others)}.")
     names = dict.fromkeys([*(one.set or one.text for one in ranking.requirements), "comfort"])
     return Light("Limits", "good", f"Meets {_list(list(names))}.")
+
+
+def _scenarios_light(model: ScenarioModel | None) -> Iterator[Light]:
+    """Whether generated departures give the answer of the recorded ones; none without a model."""
+    if model is None:
+        return
+    sides = [side for side in (model.provenance.left, model.provenance.right) if side is not None and side.fidelity]
+    wrong = misleading(model)
+    if wrong:
+        yield Light("Scenarios", "bad", f"{_capital('; '.join(wrong))}.")
+    elif len(sides) < 2:
+        yield Light("Scenarios", "unknown", "The model does not say whether it gives its recordings' answer.")
+    else:
+        yield Light("Scenarios", "good", "Probe designs do on the model's departures as on the recorded ones.")
 
 
 def _plants_light(ranking: RankedDesigns, place: int, robustness: OtherPlants | None) -> Light:
