@@ -107,7 +107,16 @@ class DepartureParameters:
     def take(self, rows: npt.ArrayLike | slice) -> Self:
         """The chosen departures: an index array, a mask or a slice, applied to every column."""
         index = row_index(rows)
-        return dataclasses.replace(self, **{f.name: getattr(self, f.name)[index] for f in dataclasses.fields(self)})
+        return dataclasses.replace(
+            self, **{f.name: _some(getattr(self, f.name), index) for f in dataclasses.fields(self)}
+        )
+
+
+def _some(column: Any, index: IntArray | BoolArray | slice) -> Any:
+    """Chosen rows of what a departure has: an array, several columns, signals, or nothing."""
+    if isinstance(column, np.ndarray):
+        return column[index]
+    return tuple(one.take(index) for one in column) if isinstance(column, tuple) else column and column.take(index)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -118,13 +127,7 @@ class Departures(DepartureParameters):
     start_time: FloatArray  # (n,) [s] Interpolated time of the crossing outwards, on the recording's own clock
     samples: IntArray  # (n,) Recorded samples inside the event (the two interpolated crossings are not counted)
     extra: tuple[ExtraColumn, ...] = ()  # Columns of the source's own, such as driver or road; they travel along
-
-    def take(self, rows: npt.ArrayLike | slice) -> Self:
-        """The chosen departures: an index array, a mask or a slice, applied to every column."""
-        index = row_index(rows)
-        names = (field.name for field in dataclasses.fields(self) if field.name != "extra")
-        columns = {name: getattr(self, name)[index] for name in names}
-        return dataclasses.replace(self, **columns, extra=tuple(column.take(index) for column in self.extra))
+    signals: DepartureSignals | None = None  # y(t), v(t) and c(t) of each, where they were kept
 
 
 @dataclasses.dataclass(frozen=True)
@@ -148,6 +151,33 @@ class DepartureSignals:
     def samples(self) -> IntArray:
         """Samples between the two crossings, (n,)."""
         return np.diff(self.offsets) - 2
+
+    def take(self, rows: npt.ArrayLike | slice) -> DepartureSignals:
+        """The signals of chosen departures: an index array, a mask or a slice."""
+        chosen = np.arange(self.n)[row_index(rows)]
+        length = np.diff(self.offsets)[chosen]
+        offsets = np.concatenate([[0], np.cumsum(length)])
+        at = np.arange(offsets[-1]) + np.repeat(self.offsets[chosen] - offsets[:-1], length)
+        return DepartureSignals(offsets, self.t[at], self.y[at], self.v[at], self.c[at])
+
+    def integral(self, values: FloatArray) -> FloatArray:
+        """Integral over time of values (m,) since each event's start, (m,), by the trapezoid rule."""
+        step = np.zeros_like(values)
+        step[1:] = 0.5 * (values[1:] + values[:-1]) * np.diff(self.t)
+        step[self.offsets[:-1]] = 0.0
+        # a cumulative sum per event: one over everything would carry the first event's rounding into the last
+        out = np.empty_like(step)
+        length = np.diff(self.offsets)
+        width = int(np.max(length, initial=1))
+        block = max(1, 2**21 // width)  # bounds the padded table's memory
+        for first in range(0, self.n, block):
+            count = length[first : first + block]
+            rows = slice(int(self.offsets[first]), int(self.offsets[first + count.size]))
+            inside = np.arange(width) < count[:, None]
+            padded = np.zeros(inside.shape)
+            padded[inside] = step[rows]
+            out[rows] = np.cumsum(padded, axis=1)[inside]
+        return out
 
 
 def _event_sum(values: FloatArray, starts: IntArray) -> FloatArray:
@@ -200,7 +230,7 @@ def reduce_signals(signals: DepartureSignals, side: npt.ArrayLike) -> DepartureP
         raise InputError(f"signals: event {int(np.argmax(~(duration > 0)))} does not last: its last t is not positive")
 
     event = np.repeat(np.arange(signals.n), np.diff(signals.offsets))
-    x = _distance(signals, starts)
+    x = signals.integral(signals.v)
     d_x = x[last]
     sampled = np.ones(signals.t.size)
     sampled[starts] = sampled[last] = 0.0
@@ -226,26 +256,6 @@ def reduce_signals(signals: DepartureSignals, side: npt.ArrayLike) -> DepartureP
         c_0=c_middle - 0.5 * slope_c * duration,
         dc=slope_c * duration,
     )
-
-
-def _distance(signals: DepartureSignals, starts: IntArray) -> FloatArray:
-    """Distance since each event's start, trapezoid rule, restarted at every event."""
-    step = np.zeros_like(signals.t)
-    step[1:] = 0.5 * (signals.v[1:] + signals.v[:-1]) * np.diff(signals.t)
-    step[starts] = 0.0
-    # a cumulative sum per event: one over everything would carry the first event's rounding into the last
-    out = np.empty_like(step)
-    length = np.diff(signals.offsets)
-    width = int(np.max(length))
-    block = max(1, 2**21 // width)  # bounds the padded table's memory
-    for first in range(0, signals.n, block):
-        count = length[first : first + block]
-        rows = slice(int(signals.offsets[first]), int(signals.offsets[first + count.size]))
-        inside = np.arange(width) < count[:, None]
-        padded = np.zeros(inside.shape)
-        padded[inside] = step[rows]
-        out[rows] = np.cumsum(padded, axis=1)[inside]
-    return out
 
 
 def _regress(
@@ -427,6 +437,18 @@ def combined_departures(parts: Sequence[Departures]) -> Departures:
     """Departures one after the other; an extra column that a part lacks is empty there."""
     if not parts:
         return no_departures()
-    names = [field.name for field in dataclasses.fields(Departures) if field.name != "extra"]
+    names = [field.name for field in dataclasses.fields(Departures) if field.name not in ("extra", "signals")]
     columns: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
-    return Departures(**columns, extra=combined_columns([(part.extra, part.n) for part in parts]))
+    signals = [part.signals for part in parts if part.signals is not None]
+    return Departures(
+        **columns,
+        extra=combined_columns([(part.extra, part.n) for part in parts]),
+        signals=combined_signals(signals) if sum(one.n for one in signals) == columns["T"].size and signals else None,
+    )
+
+
+def combined_signals(parts: Sequence[DepartureSignals]) -> DepartureSignals:
+    """Signals of several tables, one after the other."""
+    lengths = np.concatenate([np.diff(part.offsets) for part in parts])
+    columns = [np.concatenate([getattr(part, name) for part in parts]) for name in ("t", "y", "v", "c")]
+    return DepartureSignals(np.concatenate([[0], np.cumsum(lengths)]), *columns)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, Final
+from collections.abc import Iterator
+from typing import Any, Final, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
-from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, DepartureParameters
+from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, DepartureParameters, DepartureSignals
 from ldctoolkit.errors import InputError, nearest
 
 SPEED_FLOOR = 1.0  # lowest speed [m/s] at which a scenario can be replayed: the vehicle model divides by the speed
@@ -37,6 +38,7 @@ class Scenarios(DepartureParameters):
     # (n,) Each scenario's number, 0 to n - 1 when it was made, kept by `take`: what is drawn for a scenario
     # follows from the seed and this number
     index: IntArray
+    signals: DepartureSignals | None = None  # Recorded paths, driven in place of the parabolas
 
     @classmethod
     def from_arrays(
@@ -83,15 +85,20 @@ class Scenarios(DepartureParameters):
         return made
 
     @classmethod
-    def from_departures(cls, departures: DepartureParameters) -> Scenarios:
+    def from_departures(
+        cls, departures: DepartureParameters, *, path: Literal["parabola", "recorded"] = "parabola"
+    ) -> Scenarios:
         """Recorded departures as scenarios, to be replayed in the order of the table.
 
-        Raises `InputError` as `from_arrays`.
+        Raises `InputError` as `from_arrays`; for a recorded path without signals.
 
         Parameters
         ----------
         departures : Departures
             As `extract_departures` or `read_departures` give them.
+        path : {"parabola", "recorded"}
+            What is driven without control: the fitted parabola, or the recorded y(t), v(t) and c(t), which the
+            extraction keeps on request.
 
         Examples
         --------
@@ -100,7 +107,23 @@ class Scenarios(DepartureParameters):
         >>> Scenarios.from_departures(drawn).side.tolist()
         [1, 1, -1]
         """
-        return cls.from_arrays(side=departures.side, **{name: getattr(departures, name) for name in PARAMETER_NAMES})
+        made = cls.from_arrays(side=departures.side, **{name: getattr(departures, name) for name in PARAMETER_NAMES})
+        if path == "parabola":
+            return made
+        if path != "recorded":
+            raise InputError(f"path: {path!r}; {nearest(str(path), ('parabola', 'recorded'))}")
+        signals = getattr(departures, "signals", None)
+        if signals is None:
+            raise InputError(
+                "path: 'recorded', but the departures hold no signals; extract them with keep_signals=True"
+            )
+        return dataclasses.replace(made, signals=signals)
+
+    def arrays(self) -> Iterator[npt.NDArray[Any]]:
+        """All numbers, always in the same order."""
+        for part in (self, *(() if self.signals is None else (self.signals,))):
+            fields = (getattr(part, field.name) for field in dataclasses.fields(part))
+            yield from (array for array in fields if isinstance(array, np.ndarray))
 
     @classmethod
     def drawn(cls, **given: npt.ArrayLike) -> Scenarios:
@@ -112,7 +135,7 @@ class Scenarios(DepartureParameters):
             raise InputError(f"scenarios: the columns do not have one common length ({error})") from None
         if columns[0].ndim != 1:
             raise InputError(f"scenarios: columns must be one-dimensional, got {columns[0].ndim} dimensions")
-        named = dict(zip(given, (np.array(column) for column in columns), strict=True))
+        named: dict[str, Any] = dict(zip(given, (np.array(column) for column in columns), strict=True))
         _check(named)
         count = columns[0].size
         return cls(side=named.pop("side").astype(np.int64), index=np.arange(count, dtype=np.int64), **named)

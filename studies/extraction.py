@@ -21,7 +21,7 @@ import cloudpickle
 import numpy as np
 
 import ldctoolkit
-from ldctoolkit.departures import Departures, ExtraColumn
+from ldctoolkit.departures import Departures, DepartureSignals, ExtraColumn
 from ldctoolkit.errors import InputError, LdcError, RecordingError, StoreError, plain
 from ldctoolkit.recordings.departures_table import Extraction, PartResult, write_departures
 from ldctoolkit.recordings.extract import extract_part, merge_results
@@ -61,6 +61,7 @@ class PartWork:
     part: RecordingPart  # What is read
     criteria: Criteria  # What counts as a departure
     preparation: Preparation  # How recordings are brought to a common form
+    keep_signals: bool = False  # Whether y(t), v(t) and c(t) of each departure are kept
     time_limit: float = 0.0  # [s] None: how long a file takes depends on the disk
 
     def make_ready(self, kept: dict[str, Any]) -> None:
@@ -69,7 +70,7 @@ class PartWork:
     def run(self, kept: dict[str, Any]) -> PartResult | Unread:  # noqa: ARG002
         """Read the part; a fault in it, or in its reader, ends this part alone."""
         try:
-            return extract_part(self.part, self.criteria, self.preparation)
+            return extract_part(self.part, self.criteria, self.preparation, keep_signals=self.keep_signals)
         except LdcError as error:
             return Unread(str(error))
         except Exception as error:  # a reader may be third-party code
@@ -103,7 +104,13 @@ _DESCRIPTIONS: Final = {
 Plan = dict[str, Any]  # content of a work folder's manifest, as JSON reads it back
 
 
-def plan_of(reader: RecordingReader, source: RecordingSource, criteria: Criteria, preparation: Preparation) -> Plan:
+def plan_of(
+    reader: RecordingReader,
+    source: RecordingSource,
+    criteria: Criteria,
+    preparation: Preparation,
+    keep_signals: bool = False,
+) -> Plan:
     """What decides the numbers of all parts."""
     home = Path(ldctoolkit.__file__).parent
     keys = json.dumps([part.key for part in source.parts])
@@ -118,6 +125,7 @@ def plan_of(reader: RecordingReader, source: RecordingSource, criteria: Criteria
         | {point.dist.name: point.dist.version for point in points if point.dist is not None},
         "criteria": dataclasses.asdict(criteria),
         "preparation": dataclasses.asdict(preparation),
+        "signals": keep_signals,
         "files": [[file.name, file.bytes, file.sha256] for file in source.files],
         "parts": [len(source.parts), hashlib.sha256(keys.encode()).hexdigest()],
     }
@@ -333,7 +341,8 @@ def _checksum(content: bytes) -> str:
 _CLASSES: Final[dict[str, Any]] = {
     kind.__name__: kind
     for kind in (
-        PartResult, Departures, ExtraColumn, Account, Origin, Label, QualityStatistics, Drawn, DrawnEvent, Problem,
+        PartResult, Departures, DepartureSignals, ExtraColumn, Account, Origin, Label, QualityStatistics, Drawn,
+        DrawnEvent, Problem,
     )
 }  # fmt: skip
 """Everything that a result is made of."""
@@ -408,6 +417,7 @@ def run_extraction(
     criteria: Criteria | None = None,
     preparation: Preparation | None = None,
     *,
+    keep_signals: bool = False,
     output: str | os.PathLike[str] | None = None,
     workers: int | None = None,
     dask: str | None = None,
@@ -428,6 +438,9 @@ def run_extraction(
         What counts as a departure; the paper's criteria with the reader's vehicle width by default.
     preparation : Preparation, optional
         How recordings are brought to a common form; the reader's time step by default.
+    keep_signals : bool
+        Keep y(t), v(t) and c(t) of every departure; with an output, in a second table beside it, ``d.signals.parquet``
+        of ``d.parquet``.
     output : path, optional
         Departures table to write. Finished parts wait in a folder of this name with ``.parts`` behind it until all are
         there; then it is removed. Without an output, or with one part alone, nothing is kept; a folder that another
@@ -463,11 +476,11 @@ def run_extraction(
     reader, source = recordings.reader, recordings.source
     criteria = criteria or Criteria(reader.vehicle_width)
     preparation = preparation or Preparation(step=reader.step)
-    works = tuple(PartWork(i, part, criteria, preparation) for i, part in enumerate(source.parts))
+    works = tuple(PartWork(i, part, criteria, preparation, keep_signals) for i, part in enumerate(source.parts))
     with contextlib.ExitStack() as stack:
         store: _Store = _Memory()
         if output is not None and (len(works) > 1 or holds_parts(parts_folder(output))):
-            plan = plan_of(reader, source, criteria, preparation)
+            plan = plan_of(reader, source, criteria, preparation, keep_signals)
             store = stack.enter_context(work_folder(parts_folder(output), plan))
             remove_unfinished(Path(output))
         unread = _fill(store, works, workers, dask, progress)

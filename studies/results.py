@@ -206,6 +206,7 @@ class StudyResults:
     # Designs whose law failed, in any case: they are in no array here, and never ranked
     failed: tuple[FailedDesign, ...] = ()
     fresh: StudyResults | None = None  # The finalists, some of the designs, on scenarios that no design was chosen on
+    replayed: StudyResults | None = None  # The finalists on recorded departures
     race: Race | None = None  # Where designs were given up early: they are in no array here
 
     def _repr_html_(self) -> str:

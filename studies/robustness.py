@@ -341,8 +341,8 @@ class RobustnessTask:
             dataclasses.asdict(self.case),
         ]
         content = hashlib.sha256(json.dumps(identity, sort_keys=True, separators=(",", ":")).encode())
-        for field in dataclasses.fields(self.scenarios):
-            content.update(getattr(self.scenarios, field.name).tobytes())
+        for array in self.scenarios.arrays():
+            content.update(array.tobytes())
         return content.hexdigest()[:16]
 
 

@@ -16,6 +16,7 @@ from studies.design import FOLLOWS_CASE, Design
 from studies.racing import run_race
 from studies.ranking.design_metrics import find_baseline
 from studies.ranking.ranking import Ranking, rank_study
+from studies.replayed import ReplayedDepartures, read_replayed
 from studies.results import Race, StudyResults
 from studies.running.campaign import Campaign, Progress, default_progress
 from studies.running.executors import Executor, make_executor
@@ -24,8 +25,8 @@ from studies.search import run_search
 from studies.storage.files import locked, remove_leftovers
 from studies.storage.manifest import Manifest, write_designs
 from studies.storage.run_table import AllFailedError
-from studies.storage.store import FINALISTS, Store, make_folder
-from studies.storage.stored_model import model_notes, write_model
+from studies.storage.store import FINALISTS, REPLAYED, SCORES, Store, make_folder
+from studies.storage.stored_model import Source, model_notes, with_counts, with_recorded_widths, write_model
 from studies.study_file import Study
 
 _log = logging.getLogger("studies")
@@ -42,7 +43,7 @@ def run_study(
     study: Study,
     *,
     directory: str | Path,
-    model: str | Path | ScenarioModel | None = None,
+    model: str | Path | Source | None = None,
     workers: int | None = None,
     executor: Literal["serial", "processes", "dask"] | None = None,
     dask: str | None = None,
@@ -64,7 +65,8 @@ def run_study(
     directory : path
         Folder of the results; made if need be.
     model : path, str or ScenarioModel, optional
-        Use this scenario model instead of the study's.
+        Use this scenario model instead of the study's. Where a study replays a table, the vehicle and the lane have the
+        widths that its departures were found with, unless the study chooses others.
     workers : int, optional
         Worker processes; all cores by default, 1 runs in this process.
     executor : {"serial", "processes", "dask"}, optional
@@ -98,13 +100,18 @@ def run_study(
     _positive("workers", workers)
     _positive("block_size", block_size)
     _allowed_limit(time_limit)
-    generator = study_model(study, model)
-    named = study.scenarios.model if model is None else "in memory" if generator is model else str(model)
+    source = study_source(study, model)
+    if model is None and isinstance(source, ReplayedDepartures):
+        study = with_recorded_widths(study, source)
+    study = with_counts(study, source)
+    named = study.scenarios.model if model is None else "in memory" if source is model else str(model)
+    if isinstance(source, ReplayedDepartures):
+        named = source.name
     shown = progress if not isinstance(progress, bool | None) else default_progress(progress)
     with contextlib.ExitStack() as stack:
         stack.callback(shown.close)
         chosen = make_executor(executor, workers, dask)
-        run = _Run(generator, named, chosen, shown, time_limit, block_size)
+        run = _Run(source, named, chosen, shown, time_limit, block_size)
         try:
             results = run.whole(study, Path(directory))
         except BaseException:
@@ -124,12 +131,14 @@ def _warn_of_failures(results: StudyResults) -> None:
         _log.warning("failed on fresh scenarios: %s of the finalists; the first, %s", count, first.sentence)
 
 
-def study_model(study: Study, model: str | Path | ScenarioModel | None = None) -> ScenarioModel:
-    """The scenario model of a study: the one given, a bundled one, or a file beside the study file."""
-    if isinstance(model, ScenarioModel):
+def study_source(study: Study, model: str | Path | Source | None = None) -> Source:
+    """What the scenarios of a study come from: the model given, a bundled one, a file beside the study, or a table."""
+    if isinstance(model, Source):
         return model
     if model is not None:
         return load_model(model)
+    if not study.scenarios.model:
+        return read_replayed(study)
     return load_model(study.model_path if study.model_path.suffix else study.scenarios.model)
 
 
@@ -149,8 +158,8 @@ def _positive(name: str, value: int | None) -> None:
 class _Run:
     """What the stages of one run share."""
 
-    generator: ScenarioModel
-    model: str
+    source: Source
+    name: str
     executor: Executor
     progress: Progress
     time_limit: float
@@ -161,41 +170,48 @@ class _Run:
         make_folder(folder)
         with locked(folder):
             results = self.study(study, folder)
-            if not study.ranking.finalists or len(results.designs) < 2:
+            if not study.ranking.finalists or len(results.designs) < 2 or isinstance(self.source, ReplayedDepartures):
                 return results
-            return dataclasses.replace(results, fresh=self.fresh(study, results, folder))
+            best = _finalists(rank_study(results, study)[0], study.ranking.finalists)
+            if not best:
+                return results  # nothing meets the requirements
+            reference = find_baseline(study.ranking.baseline, results)
+            if reference is not None and results.designs[reference] not in best:
+                best = (*best, results.designs[reference])  # so that the gain is known there too
+            again = _finalist_study(study, best)
+            results = dataclasses.replace(results, fresh=self.again(study, again, folder / FINALISTS))
+            if not study.scenarios.replayed:
+                return results
+            table = read_replayed(study)
+            again = again.changed(scenarios={"model": "", "left": None, "right": None})
+            run = dataclasses.replace(self, source=table, name=table.name)
+            return dataclasses.replace(results, replayed=run.again(study, with_counts(again, table), folder / REPLAYED))
 
-    def fresh(self, study: Study, results: StudyResults, folder: Path) -> StudyResults | None:
-        """The finalists on fresh scenarios; None if all of them fail there."""
-        best = _finalists(rank_study(results, study)[0], study.ranking.finalists)
-        if not best:
-            return None  # nothing meets the requirements
-        reference = find_baseline(study.ranking.baseline, results)
-        if reference is not None and results.designs[reference] not in best:
-            best = (*best, results.designs[reference])  # so that the gain is known on fresh scenarios too
-        make_folder(folder / FINALISTS)
+    def again(self, study: Study, again: Study, folder: Path) -> StudyResults | None:
+        """The finalists on other scenarios; None if all of them fail there."""
+        make_folder(folder)
         try:
-            return self.study(_fresh_study(study, best), folder / FINALISTS, stage="finalists", part_of=study.ranked_as)
+            return self.study(again, folder, stage=folder.name, part_of=study.ranked_as)
         except AllFailedError as error:
-            _log.warning("no scores on fresh scenarios: %s", error)
+            _log.warning("no %s: %s", SCORES[folder.name], error)
             return None
 
     def study(self, study: Study, folder: Path, stage: str = "designs", part_of: str = "") -> StudyResults:
         """One study into one folder."""
         started = time.monotonic()
-        wanted = study.scenarios
-        scenarios = self.generator.sample(wanted.left, wanted.right, seed=study.seed, given=wanted.given)
+        source = self.source
+        scenarios = source.sample(*study.scenarios.counts, seed=study.seed, given=study.scenarios.given)
         manifest = Manifest.of(
             study,
-            model=self.model,
-            model_hash=self.generator.content_hash,
-            model_notes=model_notes(self.generator, study.vehicle, study.scenarios.given),
-            model_synthetic=self.generator.provenance.synthetic,
+            model=self.name,
+            model_hash=source.content_hash,
+            model_notes=model_notes(source, study.vehicle, study.scenarios.given),
+            model_synthetic=isinstance(source, ScenarioModel) and source.provenance.synthetic,
             part_of=part_of,
         )
         store = Store.create(folder, manifest, scenarios)
-        if not part_of:  # finalists are drawn from the same model
-            write_model(folder, self.generator)
+        if not part_of and isinstance(source, ScenarioModel):  # finalists are drawn from the same model
+            write_model(folder, source)
         remove_leftovers(folder)
         table = store.load(study.designs, repair=True)
         for message in store.broken:
@@ -249,7 +265,7 @@ def _finalists(ranking: Ranking, most: int) -> tuple[Design, ...]:
     return tuple(ranking.designs[i] for i in chosen)
 
 
-def _fresh_study(study: Study, designs: Sequence[Design]) -> Study:
+def _finalist_study(study: Study, designs: Sequence[Design]) -> Study:
     """The study of some designs on as many fresh scenarios."""
     content = study.content()
     seed = int(np.random.SeedSequence([study.seed, _STREAM]).generate_state(1, np.uint64)[0] >> 1)
@@ -262,7 +278,7 @@ def _fresh_study(study: Study, designs: Sequence[Design]) -> Study:
         "design": [_block(design) for design in designs],
     }
     content["ranking"] |= {"finalists": 0, "require": [], "baseline": ""}
-    return Study.from_dict(content, folder=study.model_path.parent)
+    return Study.from_dict(content, folder=study.folder)
 
 
 def _block(design: Design) -> dict[str, Any]:

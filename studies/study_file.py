@@ -107,12 +107,18 @@ def _condition(entry: Any) -> Any:
 
 
 class ScenarioSettings(Part):
-    """``[scenarios]``: the model that generates them, how many of each side, and which ones."""
+    """``[scenarios]``: the model that generates them or the table that is replayed, how many, and which ones."""
 
-    model: str = "reference"  # Bundled model, or the path of a model file relative to the study file
-    # Number of departures to each side
-    left: int = Field(default=500, ge=0, le=10_000_000)
-    right: int = Field(default=500, ge=0, le=10_000_000)
+    # Bundled model, or the path of a model file relative to the study file; empty where a table is replayed alone
+    model: str = "reference"
+    # Departures table, or one of side and eight parameters, to be replayed; beside a model, by the finalists
+    departures: str = ""
+    table: str = ""
+    weights: str = ""  # Column of the table: events that each departure stands for
+    path: Literal["parabola", "recorded"] = "parabola"  # What of recorded departures is replayed
+    # Number of departures to each side: 500 of a model, all of a table
+    left: int | None = Field(default=None, ge=0, le=10_000_000)
+    right: int | None = Field(default=None, ge=0, le=10_000_000)
     # Only departures with these parameters: a value, or (lower, upper), None for open
     given: dict[str, float | tuple[float | None, float | None]] = Field(default_factory=dict)
 
@@ -131,11 +137,45 @@ class ScenarioSettings(Part):
             given[name] = _condition(value)
         return given
 
+    @model_validator(mode="before")
+    @classmethod
+    def _source(cls, content: Any) -> Any:
+        if not isinstance(content, dict):
+            return content
+        if content.get("departures") or content.get("table"):
+            content = {"model": ""} | content
+        return content if content.get("model") == "" else {"left": 500, "right": 500} | content
+
     @model_validator(mode="after")
     def _some(self) -> Self:
-        if self.left + self.right == 0:
+        if self.left == self.right == 0:
             raise fail("", "left and right are both 0; allowed: at least one scenario")
+        if self.departures and self.table:
+            raise fail("table", f"{self.table!r} with departures; allowed: one of the two")
+        if not (self.model or self.replayed):
+            raise fail("model", "empty; allowed: a model, or departures or table beside it")
+        if self.path == "recorded" and not self.departures:
+            raise fail("path", "'recorded' without departures; allowed: with a departures table and its signals")
+        if self.weights and not self.replayed:
+            raise fail("weights", f"{self.weights!r} without departures or table; allowed: a column of one of them")
         return self
+
+    @property
+    def replayed(self) -> str:
+        """The table that is replayed; empty for none."""
+        return self.departures or self.table
+
+    @property
+    def source(self) -> str:
+        """What the scenarios come from, as a heading."""
+        return "Scenario model" if self.model else "Replayed departures"
+
+    @property
+    def counts(self) -> tuple[int, int]:
+        """Number of departures to each side, of a study that knows its table."""
+        if self.left is None or self.right is None:
+            raise InputError("scenarios: how many departures the table holds is not known yet; run the study")
+        return self.left, self.right
 
 
 MOST_DESIGNS = 100_000  # largest grid of one study; more is a slip of the pen
@@ -353,9 +393,19 @@ class Study(Part):
         return self.ranking.vehicles or (get_args(VehicleName) if worst else ())
 
     @property
+    def folder(self) -> Path:
+        """Where relative paths start."""
+        return self._folder
+
+    @property
     def model_path(self) -> Path:
         """Where the model lies if it is a file and not a bundled name."""
         return self._folder / self.scenarios.model
+
+    def changed(self, **tables: dict[str, Any]) -> Study:
+        """The same study with other entries in some of its tables."""
+        content = self.content()
+        return self.from_dict(content | {k: content[k] | new for k, new in tables.items()}, folder=self._folder)
 
     def content(self) -> dict[str, Any]:
         """Everything in plain JSON types; `from_dict` reads it back."""
@@ -368,6 +418,8 @@ class Study(Part):
         same["scenarios"] = {side: content["scenarios"][side] for side in ("left", "right")}
         if self.scenarios.given:  # a study without conditions keeps the identity it had before there were any
             same["scenarios"]["given"] = content["scenarios"]["given"]
+        if self.scenarios.path == "recorded":
+            same["scenarios"]["path"] = "recorded"
         if self.race:
             same["race"] = True
         return same

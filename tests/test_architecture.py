@@ -45,6 +45,7 @@ LEVELS = (
     # the names that a study file's requirements are checked against
     ("studies.ranking.requirements",),
     ("studies.study_file", "studies.design_space", "studies.plant_table"),
+    ("studies.replayed",),
     ("studies.storage",),
     ("studies.running",),
     ("studies.ranking",),

@@ -5,14 +5,14 @@ from __future__ import annotations
 import dataclasses
 import enum
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Final, Self
+from typing import TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit import departures as dep
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
-from ldctoolkit.departures import DepartureParameters
+from ldctoolkit.departures import PARAMETER_NAMES, DepartureParameters, DepartureSignals
 from ldctoolkit.errors import InputError
 from ldctoolkit.option_checks import checked_seed
 from ldctoolkit.plant_options import Residuals
@@ -82,6 +82,74 @@ _quiet = np.errstate(divide="ignore", invalid="ignore", over="ignore")
 
 
 @dataclasses.dataclass(frozen=True)
+class Recorded:
+    """Recorded signals of n departures as functions of time: straight lines between the samples, held beyond them."""
+
+    signals: DepartureSignals
+    y_area: FloatArray  # (m,) [m s] Integral of y from the start to each sample
+
+    @classmethod
+    def of(cls, signals: DepartureSignals) -> Self:
+        """Recorded signals, made ready."""
+        return cls(signals, signals.integral(signals.y))
+
+    def take(self, rows: IntArray | BoolArray | slice) -> Self:
+        """Those of chosen departures."""
+        return type(self).of(self.signals.take(rows))
+
+    def times(self, rows: IntArray) -> FloatArray:
+        """Times of the samples of departures (k,), side by side, (k, most); the last is repeated."""
+        first, last = self.signals.offsets[rows], self.signals.offsets[rows + 1] - 1
+        places: FloatArray = self.signals.t[
+            np.minimum(first[:, None] + np.arange(np.max(last - first, initial=0) + 1), last[:, None])
+        ]
+        return places
+
+    def _before(self, t: FloatArray) -> tuple[FloatArray, IntArray]:
+        """Times t (n,) or (n, k) held within the departure, and the sample before each, never the last one."""
+        s = self.signals
+        number = np.arange(s.n) if t.ndim == 1 else np.arange(s.n)[:, None]
+        first, last = s.offsets[number], s.offsets[number + 1] - 1
+        held = np.clip(t, 0.0, s.t[last])
+        # departures one after the other on one axis; rounding there is undone by a step
+        span = 1.0 + float(s.t.max(initial=0.0))
+        axis = s.t + span * np.repeat(np.arange(s.n), np.diff(s.offsets))
+        place = np.searchsorted(axis, held + span * number, side="right") - 1
+        place = np.clip(place, first, last - 1)
+        place = np.clip(place - (s.t[place] > held), first, last - 1)
+        return held, place
+
+    def at(self, name: str, t: FloatArray) -> FloatArray:
+        """A signal at times t, (n,) or (n, k)."""
+        t, i = self._before(t)
+        time, values = self.signals.t, getattr(self.signals, name)
+        out: FloatArray = values[i] + (t - time[i]) / (time[i + 1] - time[i]) * (values[i + 1] - values[i])
+        return out
+
+    def area(self, t: FloatArray) -> FloatArray:
+        """Integral of y from 0 to t, (n,) or (n, k) [m s]."""
+        end = self.at("y", t)
+        t, i = self._before(t)
+        out: FloatArray = self.y_area[i] + 0.5 * (t - self.signals.t[i]) * (self.signals.y[i] + end)
+        return out
+
+    def crossing_time(self, y_s: float) -> FloatArray:
+        """First time at which y exceeds y_s, (n,) [s]; infinite where it never does."""
+        s, out = self.signals, np.full(self.signals.n, np.inf)
+        if s.n == 0:
+            return out
+        beyond = np.where(s.y > y_s, np.arange(s.y.size), s.y.size)
+        after = np.minimum.reduceat(beyond, s.offsets[:-1])
+        found = np.flatnonzero(after < s.y.size)
+        b = after[found]
+        a = np.maximum(b - 1, s.offsets[found])
+        rise = s.y[b] - s.y[a]
+        share = np.divide(y_s - s.y[a], rise, out=np.zeros_like(rise), where=rise > 0.0)
+        out[found] = s.t[a] + share * (s.t[b] - s.t[a])
+        return out
+
+
+@dataclasses.dataclass(frozen=True)
 class UncorrectedPath:
     """Recorded paths of n scenarios, functions of the time t since the departure's start.
 
@@ -93,11 +161,14 @@ class UncorrectedPath:
     modes_y: FloatArray
     # (n, J_v) [m/s] Amplitudes b_j of eps_v(t) = sum b_j cos(j pi t/T); no columns without this residual
     modes_v: FloatArray
+    # Recorded y, v and c with straight lines between the samples; the modes then are fitted, and give what needs a
+    # slope: lateral speed and acceleration, and the speed after the trigger
+    recorded: Recorded | None = None
 
     @classmethod
     @_quiet
     def of(cls, scenarios: Scenarios, residuals: Residuals, seed: int) -> Self:
-        """Draw the residuals of every scenario.
+        """Draw the residuals of every scenario, or take the recorded path where the scenarios hold it.
 
         Raises `InputError` for a seed outside what is allowed.
 
@@ -133,6 +204,8 @@ class UncorrectedPath:
         seed = checked_seed(seed)
         none = np.zeros((scenarios.n, 0))
         path = cls(scenarios, none, none)
+        if scenarios.signals is not None:
+            return path._fitted(Recorded.of(scenarios.signals), residuals.bandwidth)
         if residuals.ideal:
             return path
         from ldctoolkit.paths.kernels import shape_lateral_modes, shape_speed_modes
@@ -149,6 +222,26 @@ class UncorrectedPath:
             path = dataclasses.replace(path, modes_y=modes)
         return path
 
+    def _fitted(self, recorded: Recorded, bandwidth: float) -> Self:
+        """With the modes up to the bandwidth, half as many as samples at most, that are nearest to the samples."""
+        T, most = self.scenarios.T, np.maximum(recorded.signals.samples // 2, 1)
+        count = np.minimum(_mode_count(T, bandwidth), most)
+        modes_y, modes_v = np.zeros((2, self.n, int(count.max(initial=1))))
+        path = dataclasses.replace(self, modes_y=modes_y, modes_v=modes_v)
+        for first in range(0, self.n, _AT_ONCE):
+            some = np.arange(first, min(first + _AT_ONCE, self.n))
+            own, t = recorded.take(some), recorded.times(some)
+            used = np.arange(1, modes_y.shape[1] + 1) <= count[some, None]
+            angle = np.pi * (t / T[some, None])[:, :, None] * np.arange(1, modes_y.shape[1] + 1)
+            weight = ((t > 0.0) & (t < T[some, None]))[:, :, None] * used[:, None, :]
+            for modes, wave, name in ((modes_v, np.cos, "v"), (modes_y, np.sin, "y")):
+                plain = path.take(some)  # y is seen along the x of the speed that is fitted first
+                gap = own.at(name, t) - (plain.speed(t) if name == "v" else plain.lateral(t))
+                basis = wave(angle) * weight
+                normal = basis.transpose(0, 2, 1) @ basis + np.eye(used.shape[1]) * np.where(used, 1e-9, 1.0)[:, None]
+                modes[some] = np.linalg.solve(normal, basis.transpose(0, 2, 1) @ gap[:, :, None])[:, :, 0]
+        return dataclasses.replace(path, recorded=recorded)
+
     @property
     def n(self) -> int:
         """Number of scenarios."""
@@ -160,7 +253,11 @@ class UncorrectedPath:
         if not isinstance(index, slice) and index.size == 0:
             index = index.astype(np.int64)
         return dataclasses.replace(
-            self, scenarios=self.scenarios.take(index), modes_y=self.modes_y[index], modes_v=self.modes_v[index]
+            self,
+            scenarios=self.scenarios.take(index),
+            modes_y=self.modes_y[index],
+            modes_v=self.modes_v[index],
+            recorded=self.recorded and self.recorded.take(index),
         )
 
     @_quiet
@@ -171,11 +268,15 @@ class UncorrectedPath:
     @_quiet
     def speed(self, t: FloatArray) -> FloatArray:
         """Speed v(t) [m/s]; v(T) beyond T."""
+        if self.recorded is not None:
+            return self.recorded.at("v", t)
         return self._values("SPEED", dep.speed, np.minimum(t, _like(self.scenarios.T, t)), self._varied)
 
     @_quiet
     def lateral(self, t: FloatArray) -> FloatArray:
         """Distance y(t) of the edge beyond the line [m]."""
+        if self.recorded is not None:  # what was before the departure is not known: the parabola, and its modes
+            return np.where(t < 0.0, self._values("LATERAL", dep.lateral, t, True), self.recorded.at("y", t))
         return self._values("LATERAL", dep.lateral, t, self._disturbed)
 
     @_quiet
@@ -190,12 +291,16 @@ class UncorrectedPath:
 
     @_quiet
     def curvature(self, t: FloatArray) -> FloatArray:
-        """Lane curvature c(t) [1/m], outward; c(T) beyond T. It has no residual."""
+        """Lane curvature c(t) [1/m], outward; c(T) beyond T. It has no drawn residual."""
+        if self.recorded is not None:
+            return self.recorded.at("c", t)
         return dep.curvature(self._shaped(t), t)
 
     @_quiet
     def area(self, t: FloatArray) -> FloatArray:
         """Integral of y from 0 to t [m s]: closed form, or a Gauss rule that is exact to rounding where v has eps_v."""
+        if self.recorded is not None:
+            return self.recorded.area(t)
         if not self._disturbed:
             return dep.lateral_integral(self._shaped(t), t)
         from ldctoolkit.paths.kernels import areas
@@ -211,6 +316,8 @@ class UncorrectedPath:
         With residuals: 16 cells for each half wave of the highest mode, a peak inside a cell included, then a root to
         1e-14 T.
         """
+        if self.recorded is not None:
+            return self.recorded.crossing_time(y_s)
         if not self._disturbed:
             return dep.crossing_time(self.scenarios, y_s)
         from ldctoolkit.paths.kernels import crossings
@@ -223,6 +330,8 @@ class UncorrectedPath:
     def deepest(self, t_end: FloatArray) -> FloatArray:
         """Largest y over [0, t_end] [m]; `t_end` (n,) is cut off at T."""
         end = np.minimum(t_end, self.scenarios.T)
+        if self.recorded is not None:
+            return self._highest_sample(lambda path, t: path.lateral(t), np.zeros_like(end), end)
         if self._disturbed:
             return self._highest("EDGE", 0.0, np.zeros_like(end), end)
         p = self.scenarios
@@ -235,6 +344,11 @@ class UncorrectedPath:
         l_f e_psi (n,) [m], with e_psi = arctan of the slope (dy/dt)/v.
         """
         end = np.minimum(t_end, self.scenarios.T)
+        if self.recorded is not None:
+            return self._highest_sample(
+                lambda path, t: path.lateral(t) + l_f * np.arctan2(path.lateral_rate(t), path.speed(t)),
+                np.zeros_like(end), end,
+            )  # fmt: skip
         if self._disturbed:
             return self._highest("FRONT_EDGE", l_f, np.zeros_like(end), end)
         p = self.scenarios
@@ -268,6 +382,8 @@ class UncorrectedPath:
     def slowest_speed(self, t_0: FloatArray, t_1: FloatArray) -> FloatArray:
         """Lowest speed over [t_0, t_1] [m/s], both (n,), t_0 <= t_1; with eps_v searched like `crossing_time`."""
         start, end = np.minimum(t_0, self.scenarios.T), np.minimum(t_1, self.scenarios.T)
+        if self.recorded is not None:
+            return -self._highest_sample(lambda path, t: -path.speed(t), start, end)
         if self._varied:
             return -self._highest("SLOWNESS", 0.0, start, end)
         return np.minimum(dep.speed(self.scenarios, start), dep.speed(self.scenarios, end))
@@ -320,6 +436,19 @@ class UncorrectedPath:
         kernels.values(self.columns(), getattr(kernels, what), _table(t), out)
         return out.reshape(t.shape)
 
+    def _highest_sample(
+        self, curve: Callable[[UncorrectedPath, FloatArray], FloatArray], t_0: FloatArray, t_1: FloatArray
+    ) -> FloatArray:
+        """Largest value of a curve at the samples in [t_0, t_1] (n,) and at both ends, (n,)."""
+        out = np.empty(self.n)
+        for first in range(0, self.n, _AT_ONCE):
+            some = np.arange(first, min(first + _AT_ONCE, self.n))
+            path = self.take(some)
+            if path.recorded is not None:
+                t = path.recorded.times(np.arange(some.size))
+                out[some] = curve(path, np.clip(t, t_0[some, None], t_1[some, None])).max(axis=1)
+        return out
+
     def _highest(self, which: str, l_f: float, t_0: FloatArray, t_1: FloatArray) -> FloatArray:
         from ldctoolkit.paths import kernels
 
@@ -350,17 +479,13 @@ def _table(t: FloatArray) -> FloatArray:
 
 
 def _as_columns(scenarios: Scenarios) -> Scenarios:
-    return dataclasses.replace(
-        scenarios, **{f.name: getattr(scenarios, f.name)[:, None] for f in dataclasses.fields(scenarios)}
-    )
+    return dataclasses.replace(scenarios, **{name: getattr(scenarios, name)[:, None] for name in PARAMETER_NAMES})
 
 
 def harmless(scenarios: Scenarios, valid: BoolArray) -> Scenarios:
     """The same with a flat departure in place of the rows that cannot be driven."""
     flat = {"T": 1.0, "v_mean": 20.0}
-    columns = {
-        field.name: np.where(valid, getattr(scenarios, field.name), flat.get(field.name, 0.0))
-        for field in dataclasses.fields(scenarios)
-        if field.name not in ("side", "index")
+    columns: dict[str, Any] = {
+        name: np.where(valid, getattr(scenarios, name), flat.get(name, 0.0)) for name in PARAMETER_NAMES
     }
     return dataclasses.replace(scenarios, **columns)

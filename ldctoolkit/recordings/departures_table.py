@@ -12,11 +12,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.departures import (
     LEFT,
     PARAMETER_COLUMNS,
     RIGHT,
     Departures,
+    DepartureSignals,
     ExtraColumn,
     combined_departures,
     no_departures,
@@ -165,10 +167,14 @@ COLUMNS: Final = {
 
 _SIDES: Final = {"left": LEFT, "right": RIGHT}
 
+_SIGNALS: Final = {"t_s": "t", "y_m": "y", "v_m_s": "v", "c_1_m": "c"}
+"""Column of the second table -> field of `DepartureSignals`."""
+
 
 def write_departures(path: str | os.PathLike[str], departures: Departures, provenance: Provenance) -> None:
     """Write a departures table to `path`, a name that ends in .parquet, whole or not at all; the provenance is kept as
-    JSON in the file's metadata.
+    JSON in the file's metadata. Signals, where they were kept, go into a second table, ``d.signals.parquet`` beside
+    ``d.parquet``.
 
     Raises `RecordingError` if the suffix differs, a value of the departures is outside what `read_departures` accepts,
     or the file cannot be written.
@@ -207,15 +213,105 @@ def write_departures(path: str | os.PathLike[str], departures: Departures, prove
         ]
     )
     _check(target.name, table)
+    _write(target, table, {METADATA_KEY: provenance_to_json(provenance)})
+    if departures.signals is not None:
+        _write(signals_path(target), signals_table(departures.signals), {})
+
+
+def _write(target: Path, table: pl.DataFrame, metadata: dict[str, str]) -> None:
     try:
         with whole_file(target) as stream:
-            table.write_parquet(stream, metadata={METADATA_KEY: provenance_to_json(provenance)})
+            table.write_parquet(stream, metadata=metadata)
     except OSError as error:
         raise RecordingError(f"{target}: cannot be written: {error.strerror or error}") from None
 
 
-def read_departures(path: str | os.PathLike[str]) -> tuple[Departures, Provenance]:
-    """Read and check the departures table at `path`: n departures, perhaps none, and where they come from.
+def signals_path(path: str | os.PathLike[str]) -> Path:
+    """Where the signals of a departures table lie."""
+    return Path(path).with_suffix(".signals.parquet")
+
+
+def signals_table(signals: DepartureSignals) -> pl.DataFrame:
+    """Signals as a table: row number of the departure (the first is 0), t, y, v and c."""
+    import polars as pl
+
+    departure = np.repeat(np.arange(signals.n), np.diff(signals.offsets))
+    return pl.DataFrame(
+        {"departure": departure, **{column: getattr(signals, name) for column, name in _SIGNALS.items()}}
+    )
+
+
+def read_signals(path: str | os.PathLike[str], T: FloatArray) -> DepartureSignals:
+    """Read and check a table of signals of n departures, whose durations are T (n,).
+
+    Raises `RecordingError` naming file, column and row.
+    """
+    source = Path(path)
+    table, _ = read_table(source, "a table of signals (ldc extract --signals)")
+    departure, *columns = (column_of(source.name, table, name) for name in ("departure", *_SIGNALS))
+    starts = np.flatnonzero(np.diff(departure, prepend=-1.0))
+    offsets = np.append(starts, departure.size)
+    signals = DepartureSignals(offsets, *columns)
+    t = signals.t
+    with np.errstate(invalid="ignore"):
+        good = np.array_equal(departure[starts], np.arange(T.size)) and bool((np.diff(offsets) > 1).all())
+        good = good and bool(
+            (np.delete(np.diff(t), starts[1:] - 1) > 0.0).all()
+            and (t[starts] == 0.0).all()
+            and np.allclose(t[offsets[1:] - 1], T, rtol=1e-9, atol=0.0)
+        )
+    if not good:
+        raise RecordingError(
+            f"{source.name}: not the signals of these {T.size} departures (their numbers, times or durations differ); "
+            "extract both tables together"
+        )
+    return signals
+
+
+def read_table(source: Path, needed: str) -> tuple[pl.DataFrame, dict[str, str]]:
+    """A Parquet file and its metadata; `needed` says in messages what it should be."""
+    import polars as pl
+
+    check_file(source, needed)
+    try:
+        with source.open("rb") as stream:
+            content = io.BytesIO(stream.read())
+        metadata = pl.read_parquet_metadata(content)
+        content.seek(0)
+        return pl.read_parquet(content), metadata
+    except OSError as error:
+        raise RecordingError(f"{source.name}: cannot be read: {error.strerror or error}") from None
+    except (pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
+        raise RecordingError(f"{source.name}: cannot be read as Parquet: {str(error).splitlines()[0]}") from None
+
+
+def column_of(name: str, table: pl.DataFrame, column: str) -> FloatArray:
+    """A column of finite numbers; `name` is the file, for messages."""
+    import polars as pl
+
+    _need(name, table, column)
+    values = table[column]
+    if not values.dtype.is_numeric():
+        raise RecordingError(f"{name}: column '{column}' is of type {values.dtype}; allowed: numbers")
+    numbers: FloatArray = values.cast(pl.Float64).to_numpy()
+    if not np.isfinite(numbers).all():
+        row = int(np.argmin(np.isfinite(numbers)))
+        raise RecordingError(
+            f"{name}, row {row + 1}: column '{column}' holds {values[row]!r}; allowed: no missing value"
+        )
+    return numbers.copy()
+
+
+def _need(name: str, table: pl.DataFrame, column: str) -> None:
+    if column not in table.columns:
+        others = [other for other in table.columns if other not in COLUMNS]
+        hint = f"; {nearest(column, others)}".replace("allowed:", "columns not known here:") if others else ""
+        raise RecordingError(f"{name}: column '{column}' is missing{hint}")
+
+
+def read_departures(path: str | os.PathLike[str], *, signals: bool = False) -> tuple[Departures, Provenance]:
+    """Read and check the departures table at `path`: n departures, perhaps none, and where they come from; with
+    `signals` also the second table, which `write_departures` put beside it.
 
     Raises `RecordingError` naming file, column and row (the first row is 1).
 
@@ -228,29 +324,16 @@ def read_departures(path: str | os.PathLike[str]) -> tuple[Departures, Provenanc
     import polars as pl
 
     source = Path(path)
-    check_file(source, "a departures table")
-    try:
-        with source.open("rb") as stream:
-            content = io.BytesIO(stream.read())
-        metadata = pl.read_parquet_metadata(content)
-        content.seek(0)
-        table = pl.read_parquet(content)
-    except OSError as error:
-        raise RecordingError(f"{source.name}: cannot be read: {error.strerror or error}") from None
-    except (pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
-        raise RecordingError(f"{source.name}: cannot be read as Parquet: {str(error).splitlines()[0]}") from None
+    table, metadata = read_table(source, "a departures table")
     for column in COLUMNS:
-        if column not in table.columns:
-            others = [name for name in table.columns if name not in COLUMNS]
-            hint = f"; {nearest(column, others)}".replace("allowed:", "columns not known here:") if others else ""
-            raise RecordingError(f"{source.name}: column '{column}' is missing{hint}")
+        _need(source.name, table, column)
     if METADATA_KEY not in metadata:
         raise RecordingError(
             f"{source.name}: no metadata '{METADATA_KEY}': not a departures table; write it with write_departures"
         )
     provenance = provenance_from_json(source.name, metadata[METADATA_KEY])
     _check(source.name, table)
-    numbers = {
+    numbers: dict[str, Any] = {
         field: table[column].cast(pl.Int64 if field == "samples" else pl.Float64).to_numpy().copy()
         for column, field in COLUMNS.items()
         if field not in ("recording", "side")
@@ -261,6 +344,8 @@ def read_departures(path: str | os.PathLike[str]) -> tuple[Departures, Provenanc
         extra=tuple(_extra(table[name]) for name in table.columns if name not in COLUMNS and _known(table[name])),
         **numbers,
     )
+    if signals:
+        departures = dataclasses.replace(departures, signals=read_signals(signals_path(source), departures.T))
     return departures, provenance
 
 

@@ -37,9 +37,11 @@ TAKEN: Final = frozenset(
 """Names of the departures table's own columns; no label has one of them."""
 
 
-def extract_part(part: RecordingPart, criteria: Criteria, preparation: Preparation) -> PartResult:
+def extract_part(
+    part: RecordingPart, criteria: Criteria, preparation: Preparation, *, keep_signals: bool = False
+) -> PartResult:
     """Departures of one part of a source; what cannot be used is a problem of it."""
-    return extract_items(_guarded(part), criteria, preparation)
+    return extract_items(_guarded(part), criteria, preparation, keep_signals=keep_signals)
 
 
 def _guarded(part: RecordingPart) -> Iterator[Recording | Problem]:
@@ -49,7 +51,9 @@ def _guarded(part: RecordingPart) -> Iterator[Recording | Problem]:
         yield Problem(part_name(part), "", f"the rest of this part is left out: {error}")
 
 
-def extract_items(items: Iterable[Recording | Problem], criteria: Criteria, preparation: Preparation) -> PartResult:
+def extract_items(
+    items: Iterable[Recording | Problem], criteria: Criteria, preparation: Preparation, *, keep_signals: bool = False
+) -> PartResult:
     """Departures of recordings.
 
     A recording that cannot be prepared is a problem of the result.
@@ -64,7 +68,7 @@ def extract_items(items: Iterable[Recording | Problem], criteria: Criteria, prep
     def search() -> None:
         nonlocal waiting
         if batch:
-            results.append(_of_batch(batch, criteria, preparation))
+            results.append(_of_batch(batch, criteria, preparation, keep_signals))
             batch.clear()
             waiting = 0
 
@@ -114,13 +118,16 @@ def table_of(recordings: list[Recording]) -> RecordingTable:
     )
 
 
-def _of_batch(recordings: list[Recording], criteria: Criteria, preparation: Preparation) -> PartResult:
+def _of_batch(
+    recordings: list[Recording], criteria: Criteria, preparation: Preparation, keep_signals: bool
+) -> PartResult:
     table, step = table_of(recordings), preparation.step
     limit = None if step is None else max(GAP_STEPS * step, criteria.max_gap or 0.0)
     found = find_departures(table, criteria, limit)
     origins = tuple(Origin(recording.source, recording.labels) for recording in recordings)
     sources = [origins[i].source for i in found.owner]
-    departures = dataclasses.replace(found.departures, extra=_extra(found.departures, found.owner, recordings))
+    extra = _extra(found.departures, found.owner, recordings)
+    departures = dataclasses.replace(found.departures, extra=extra, signals=found.signals if keep_signals else None)
     return PartResult(
         departures=departures,
         accounts=accounts_of(table, found, origins),
@@ -160,6 +167,7 @@ def extract_departures(
     max_jump: float = 0.6,
     plausibility: Plausibility | None = None,
     preparation: Preparation | None = None,
+    keep_signals: bool = False,
 ) -> Extraction:
     """Find the lane departures in driving recordings and reduce each to its eight parameters.
 
@@ -184,6 +192,8 @@ def extract_departures(
         What the fitted path may ask of driver and vehicle; beyond it a candidate is refused as implausible.
     preparation : Preparation, optional
         Common time step, scale, yaw rate; the reader's step, or recordings as they are, by default.
+    keep_signals : bool
+        Keep y(t), v(t) and c(t) of every departure, so that the recorded path itself can be replayed.
 
     Returns
     -------
@@ -219,10 +229,11 @@ def extract_departures(
         plausibility or Plausibility(),
     )
     if not isinstance(recordings, OpenedRecordings):
-        return merge_results([extract_items(recordings, criteria, chosen)], criteria, chosen)
+        found = extract_items(recordings, criteria, chosen, keep_signals=keep_signals)
+        return merge_results([found], criteria, chosen)
     source = recordings.source
     results = [PartResult(problems=tuple(source.problems))]
-    results += [extract_part(part, criteria, chosen) for part in source.parts]
+    results += [extract_part(part, criteria, chosen, keep_signals=keep_signals) for part in source.parts]
     return merge_results(results, criteria, chosen, reader=recordings.reader.name, files=source.files)
 
 

@@ -234,7 +234,7 @@ def find_departures(table: RecordingTable, criteria: Criteria, gap_limit: float 
 
     run, kept, start_time = (
         chosen[verdict == ACCEPTED],
-        _only(signals, verdict == ACCEPTED),
+        signals.take(verdict == ACCEPTED),
         start_time[verdict == ACCEPTED],
     )
     parameters = reduce_signals(kept, runs.side[run])
@@ -256,7 +256,7 @@ def find_departures(table: RecordingTable, criteria: Criteria, gap_limit: float 
     return Found(
         departures=departures,
         owner=owner[plausible],
-        signals=_only(kept, plausible),
+        signals=kept.take(plausible),
         reason=by_candidate,
         side=runs.side[first],
         recording=table.recording_index[runs.first[first]],
@@ -300,16 +300,6 @@ def _lateral(signals: DepartureSignals) -> FloatArray:
         return np.empty(0)
     largest: FloatArray = np.maximum.reduceat(signals.v**2 * np.abs(signals.c), signals.offsets[:-1])
     return largest
-
-
-def _only(signals: DepartureSignals, chosen: BoolArray) -> DepartureSignals:
-    rows = np.repeat(chosen, np.diff(signals.offsets))
-    length = np.diff(signals.offsets)[chosen]
-    return dataclasses.replace(
-        signals,
-        offsets=np.concatenate([[0], np.cumsum(length)]),
-        **{name: getattr(signals, name)[rows] for name in ("t", "y", "v", "c")},
-    )
 
 
 def _judge(

@@ -69,6 +69,10 @@ def add_parser(commands: Subparsers) -> None:
     )
     add_limit(parser)
     parser.add_argument(
+        "--signals", action="store_true",
+        help="keep y, v and curvature over time in a second table, NAME.signals.parquet, to replay the recorded path",
+    )  # fmt: skip
+    parser.add_argument(
         "--workers", type=positive_number, metavar="N", help="processes (default: all cores, or 1 for little)"
     )
     parser.add_argument(
@@ -113,6 +117,7 @@ def run(chosen: argparse.Namespace) -> int:
                     nominal_lane_width=chosen.nominal_lane_width,
                     yaw_rate_factor=1.0 if chosen.yaw_rate_factor is None else chosen.yaw_rate_factor,
                 ),
+                keep_signals=chosen.signals,
                 output=target,
                 workers=chosen.workers,
                 dask=chosen.dask,

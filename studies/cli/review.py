@@ -160,12 +160,14 @@ def _speeds(chosen: argparse.Namespace, default: tuple[float, float] | None) -> 
 
 
 def _of_study(study: Study, chosen: argparse.Namespace) -> Iterator[Subject]:
-    from studies.runner import study_model
+    from studies.runner import study_source
+    from studies.storage.stored_model import with_counts
 
     designs = _chosen(study.designs, chosen.only)
-    wanted, conventions = study.scenarios, study.simulation.convention
-    left, right = min(wanted.left, _MOST_SCENARIOS), min(wanted.right, _MOST_SCENARIOS)
-    scenarios = study_model(study).sample(left, right, seed=study.seed, given=wanted.given)
+    conventions, source = study.simulation.convention, study_source(study)
+    wanted = with_counts(study, source).scenarios
+    left, right = (min(n, _MOST_SCENARIOS) for n in wanted.counts)
+    scenarios = source.sample(left, right, seed=study.seed, given=wanted.given)
     for convention in conventions:
         suffix = f", {convention.replace('_', ' ')}" if len(conventions) > 1 else ""
         for subject in _of_convention(study, designs, scenarios, convention, chosen):

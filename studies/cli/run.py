@@ -30,6 +30,11 @@ def add_parser(commands: Subparsers) -> None:
     parser.add_argument("-o", "--output", metavar="DIR", help="folder of the results (default: out/<study name>)")
     parser.add_argument("--model", metavar="MODEL", help="scenario model instead of the study's: a name or a JSON file")
     parser.add_argument(
+        "--departures",
+        metavar="DEPARTURES.parquet",
+        help="rank designs on these recorded departures themselves; with --model, score the finalists on them too",
+    )
+    parser.add_argument(
         "--vehicle-width",
         type=number,
         metavar="W",
@@ -63,7 +68,7 @@ SOME_FAILED = 3  # exit code where the study has results, but not of every desig
 
 def run(chosen: argparse.Namespace) -> int:
     """Carry the command out."""
-    from ldctoolkit.scenario_model.model import misleading, outside_fit
+    from ldctoolkit.scenario_model.model import ScenarioModel, misleading, outside_fit
     from studies.cli._results import (
         ReportOptions,
         json_summary,
@@ -74,22 +79,28 @@ def run(chosen: argparse.Namespace) -> int:
     )
     from studies.ranking.ranking import rank_study
     from studies.ranking.verdict import verdict
-    from studies.runner import TIME_LIMIT, run_study, study_model
+    from studies.runner import TIME_LIMIT, run_study, study_source
     from studies.storage.manifest import read_manifest
-    from studies.storage.stored_model import with_recorded_widths
+    from studies.storage.stored_model import with_counts, with_recorded_widths
     from studies.study_file import load_study
 
     study = load_study(chosen.study)
-    model = study_model(study, chosen.model)
-    study = with_recorded_widths(study, model, chosen.vehicle_width)
-    for text in (*outside_fit(model, study.scenarios.given), *misleading(model)):
-        warn(text)
+    if chosen.departures is not None:
+        table = {"departures": str(Path(chosen.departures).absolute()), "table": ""}
+        alone = {} if chosen.model is not None else {"model": "", "left": None, "right": None}
+        study = study.changed(scenarios=table | alone)
+    source = study_source(study, chosen.model)
+    study = with_counts(with_recorded_widths(study, source, chosen.vehicle_width), source)
+    model = source if isinstance(source, ScenarioModel) else None
+    if model is not None:
+        for text in (*outside_fit(model, study.scenarios.given), *misleading(model)):
+            warn(text)
     options = ReportOptions.of(chosen)
     folder = Path(chosen.output or Path("out") / study.name)
     results = run_study(
         study,
         directory=folder,
-        model=chosen.model,
+        model=chosen.model if model is not None else source,
         workers=chosen.workers,
         dask=chosen.dask,
         progress=_progress(chosen),
@@ -106,7 +117,8 @@ def run(chosen: argparse.Namespace) -> int:
         print_rankings(rankings, chosen.top, found)
         print(
             f"{study.name}: {len(results.designs)} designs x {len(results.scenarios):,} scenarios, "
-            f"{manifest.wall_time_s:.1f} s, model {manifest.model} ({manifest.model_hash[:12]})"
+            f"{manifest.wall_time_s:.1f} s, {study.scenarios.source.lower()} {manifest.model} "
+            f"({manifest.model_hash[:12]})"
         )
     # files last: what they are called is the last thing on the screen
     ranking_path = write_ranking(folder, study, manifest, results, rankings, found)

@@ -12,6 +12,7 @@ from studies.pages.charts import Axis, Chart, Dot, Series, dots, lines
 from studies.pages.context import Context, interval, name_of
 from studies.pages.shell import Cell, Column, Section, TableRow, figure, paragraphs, table
 from studies.pages.text import difference_text, number, percent, plural
+from studies.ranking.ranking import Ranking
 
 MOST: Final = 12
 
@@ -138,6 +139,9 @@ def _finalists(context: Context) -> Markup:
         Column("Rank"), Column("Finalist", text=True), Column("Mean S", "m\u00b7s"), Column("Fresh S", "m\u00b7s"),
         Column(f"{level} interval", "m\u00b7s"), Column("To the first", "m\u00b7s"), Column("Misses there", text=True),
     ]  # fmt: skip
+    replayed = ranking.replayed_departures
+    if replayed:
+        columns += [Column("Replayed S", "m\u00b7s"), Column(f"{level} interval", "m\u00b7s"), Column("Less", "%")]
     rows = []
     for i in np.flatnonzero(np.isfinite(ranking.fresh_S)).tolist():
         to_first = float(ranking.fresh_difference[i])
@@ -151,8 +155,16 @@ def _finalists(context: Context) -> Markup:
                     interval(float(ranking.fresh_low[i]), float(ranking.fresh_high[i])) or "\u2013",
                     difference_text(to_first) if math.isfinite(to_first) else "\u2013",
                     Cell(", ".join(ranking.fresh_unmet[i]) or "nothing", bad=bool(ranking.fresh_unmet[i])),
+                    *(_on_replayed(ranking, i) if replayed else ()),
                 ),
                 "winner" if i == ranking.winner else "",
             )
         )
-    return table(f"Finalists on {plural(ranking.fresh_scenarios, 'fresh scenario')}", columns, rows, head=1)
+    title = f"Finalists on {plural(ranking.fresh_scenarios, 'fresh scenario')}"
+    title += f", and on {plural(replayed, 'replayed departure')}" if replayed else ""
+    return table(title, columns, rows, head=1)
+
+
+def _on_replayed(ranking: Ranking, i: int) -> tuple[str, str, str]:
+    between = interval(float(ranking.replayed_low[i]), float(ranking.replayed_high[i])) or "\u2013"
+    return number(float(ranking.replayed_S[i])), between, number(100.0 * float(ranking.replayed_reduction[i]), 1)

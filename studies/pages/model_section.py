@@ -172,7 +172,7 @@ def section(context: Context) -> Section:
     found = match(context.scenarios, report.model, source=report.source_departures, given=report.given)
     body = paragraphs(*_sentences(context, found)) + details("Parameter by parameter", _table(found))
     if report.model_notes:
-        body += details("Where the model comes from", bullets(report.model_notes))
+        body += details("Where the departures come from", bullets(report.model_notes))
     return Section("model", "Scenario model", body)
 
 
@@ -180,7 +180,7 @@ def _sentences(context: Context, found: tuple[SideMatch, ...]) -> Iterator[str]:
     report = context.report
     if report.model is not None:
         yield (
-            f"The study scenarios were drawn from the model {report.model_name}; ldc fit writes the page that "
+            f"The study scenarios were drawn from {report.model_name}; ldc fit writes the page that "
             "shows how "
             "well that model fits."
         )

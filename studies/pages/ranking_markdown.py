@@ -71,11 +71,11 @@ def _blocks(rankings: Sequence[Ranking], study: Study, manifest: Manifest, found
     window = "the whole departure" if first.case.window == "departure" else "the time under control"
     about = f"{SCORE}. Here it is taken over {window}. Intervals hold for all designs at once. {COLUMNS_TEXT}"
     yield f"{markdown_text(about)}\n"
-    n_left, n_right = study.scenarios.left, study.scenarios.right
+    n_left, n_right = study.scenarios.counts
     synthetic = "; synthetic, not fitted to recorded driving" if manifest.model_synthetic else ""
     facts = (
         f"Study: {study.name}",
-        f"Scenario model: {manifest.model} (content {manifest.model_hash[:12]}){synthetic}",
+        f"{study.scenarios.source}: {manifest.model} (content {manifest.model_hash[:12]}){synthetic}",
         f"Scenarios: {n_left + n_right:,} ({n_left:,} left, {n_right:,} right), seed {study.seed}",
         f"Case: {first.case.label}",
     )

@@ -228,7 +228,8 @@ def _driven(
 
 def path_acceleration(over: Takeover, places: IntArray, t: FloatArray, x: FloatArray, delta: FloatArray) -> FloatArray:
     """Lateral acceleration of driven paths just after each sample: the axles' forces over the mass, true vehicles."""
-    path, cars = over.driven.take(places), over.vehicles
+    # after the trigger the loop drives the fitted speed and curvature, of recorded paths too
+    path, cars = dataclasses.replace(over.driven.take(places), recorded=None), over.vehicles
     known = np.isfinite(t)
     times = np.where(known, t, 0.0)
     zero = 0.0 * times

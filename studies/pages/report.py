@@ -62,7 +62,7 @@ def report_page(report: ReportInput) -> tuple[str, tuple[Chart, ...]]:
         heading=report.title,
         facts=(
             plural(len(ranking) + len(ranking.failed), "design"),
-            f"{context.every:,} departures" + (f" of the model {report.model_name}" if report.model_name else ""),
+            f"{context.every:,} departures" + (f" of {report.model_name}" if report.model_name else ""),
             ranking.case.label,
             _plant(report),
         ),
@@ -123,7 +123,7 @@ def report_input(
         robustness=robustness,
         study_file=toml_text(study),
         model=read_model(folder, manifest),
-        model_name=manifest.model,
+        model_name=f"the model {manifest.model}" if study.scenarios.model else f"{manifest.model}, replayed",
         given=study.scenarios.given,
         source_departures=source,
         departures=tuple(departures),
@@ -140,8 +140,8 @@ def _of_the_model(manifest: Manifest) -> Iterator[str]:
 
 def _settings(study: Study, manifest: Manifest) -> Iterator[tuple[str, str]]:
     yield "study", f"{study.name} (content {manifest.study_hash})"
-    yield "scenario model", f"{manifest.model} (content {manifest.model_hash[:16]})"
-    yield "scenarios", f"{study.scenarios.left} left, {study.scenarios.right} right"
+    yield study.scenarios.source.lower(), f"{manifest.model} (content {manifest.model_hash[:16]})"
+    yield "scenarios", "{} left, {} right".format(*study.scenarios.counts)
     yield "seed", str(study.seed)
     yield "designs", str(len(study.designs))
     yield "windows of S", ", ".join(study.simulation.window)

@@ -38,7 +38,7 @@ def worst_of_vehicles(
     A number that is not known on one vehicle is not known at all.
     """
     some = first_of_each_side(scenarios, DEPARTURES)
-    content = b"".join(getattr(some, field.name).tobytes() for field in dataclasses.fields(some))
+    content = b"".join(array.tobytes() for array in some.arrays())
     return _worst(names, tuple(designs), _Kept(content, some), setup, case)
 
 

@@ -232,6 +232,12 @@ class RankedDesigns(CaseMetrics, Inference, FreshScores):
     bootstrap: int  # Resamples
     confidence: float  # Of every family of intervals, and of the set of best
     warnings: tuple[str, ...]  # What a reader must know before comparing designs
+    # (d,) [m s] Mean S of the finalists on recorded departures with its interval, and the reduction; NaN for the others
+    replayed_S: FloatArray
+    replayed_low: FloatArray
+    replayed_high: FloatArray
+    replayed_reduction: FloatArray
+    replayed_departures: int  # How many; 0 for none
     failed: tuple[FailedDesign, ...] = ()  # Designs whose law failed: they have no rank and no metrics
     given_up: int = 0  # Designs that a race gave up before: they have no rank and no metrics either
     # Whether that race was run by this case's S. If not, `set_of_best` and the other comparisons are of the survivors

@@ -220,6 +220,7 @@ class Ranking(RankedDesigns):
             **taken,
             **_fields(inference),
             **_fields(fresh),
+            **_replayed(results, case, designs, **chance, D_y=D_y, baseline=baseline),
             case=case.case,
             designs=designs,
             index=order,
@@ -239,6 +240,21 @@ class Ranking(RankedDesigns):
             given_up=given_up,
             raced=raced,
         )
+
+
+def _replayed(results: StudyResults, case: CaseResults, designs: Sequence[Design], **settings: Any) -> dict[str, Any]:
+    """What recorded departures say of the finalists."""
+    columns = {name: np.full(len(designs), np.nan) for name in ("S", "low", "high", "reduction")}
+    there = results.replayed
+    if there is not None and there.designs:
+        settings["bootstrap"] = settings.pop("samples")
+        own = Ranking.of(there, next(one for one in there.cases if one.case == case.case), **settings)
+        place = {design.id: i for i, design in enumerate(designs)}
+        rows = [place[design.id] for design in own.designs]
+        for name, found in zip(columns, (own.S, own.S_low, own.S_high, own.reduction), strict=True):
+            columns[name][rows] = found
+    count = 0 if there is None else there.drivable().scenarios.n
+    return {f"replayed_{name}": column for name, column in columns.items()} | {"replayed_departures": count}
 
 
 def rank_study(results: StudyResults, study: Study) -> tuple[Ranking, ...]:
@@ -355,7 +371,7 @@ _SCORES: Final = (
     "difference difference_low difference_high baseline_difference baseline_difference_low baseline_difference_high "
     "set_of_best best_frequency pareto fresh_S fresh_low fresh_high fresh_difference fresh_difference_low "
     "fresh_difference_high fresh_baseline_difference fresh_baseline_difference_low fresh_baseline_difference_high "
-    "fresh_reduction optimism optimism_low optimism_high"
+    "fresh_reduction optimism optimism_low optimism_high replayed_S replayed_low replayed_high replayed_reduction"
 )
 _NUMBERS: Final = {name: _column_of(name) for name in _SCORES.split()}
 """Attribute of a ranking -> column: scores with their intervals; the other metrics follow from their table."""

@@ -459,6 +459,18 @@ def more_lines(ranking: RankedDesigns) -> Iterator[str]:
         )
     if i is not None and ranking.fresh_difference[i] < 0 and ranking.fresh_difference_high[i] < 0:
         yield "It was not the first on the study scenarios: fresh scenarios separate the two."
+    if i is not None and np.isfinite(ranking.replayed_S[i]):
+        ends = (float(one[i]) for one in (ranking.replayed_S, ranking.replayed_low, ranking.replayed_high))
+        own, lowest, highest = (f"{value:.3f}" for value in ends)
+        saved = float(ranking.replayed_reduction[i])
+        less = f", {100 * abs(saved):.1f} % {'less' if saved >= 0 else 'more'} than without control"
+        yield (
+            f"On {ranking.replayed_departures:,} replayed departures its mean S is {own} m s ({lowest} .. {highest})"
+            f"{less if math.isfinite(saved) else ''}."
+        )
+        finalists = np.where(np.isfinite(ranking.fresh_S) & (ranking.rank > 0), ranking.replayed_S, np.inf)
+        if (best := int(np.nanargmin(finalists))) != i:
+            yield f"The first finalist there is {design_name(ranking.designs[best])}."
     if ranking.ranked < len(ranking):
         left = len(ranking) - ranking.ranked
         yield f"{left:,} of {len(ranking):,} designs break a requirement and are not ranked."

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import importlib
 import re
 from collections.abc import Callable, Iterator
@@ -14,10 +15,14 @@ import numpy as np
 from ldctoolkit import LdcError, Scenarios
 from ldctoolkit.departures import LEFT, PARAMETER_COLUMNS, RIGHT
 from ldctoolkit.errors import StoreError
+from ldctoolkit.recordings.departures_table import read_signals, signals_path, signals_table
 from ldctoolkit.whole_file import whole_file
 
 if TYPE_CHECKING:
     import polars as pl
+
+
+SCENARIOS = "scenarios.parquet"
 
 
 @contextlib.contextmanager
@@ -95,17 +100,27 @@ def scenario_table(scenarios: Scenarios) -> pl.DataFrame:
     )
 
 
+def write_scenarios(folder: Path, scenarios: Scenarios) -> None:
+    """Write the scenarios of a study, and what is replayed of recorded paths."""
+    write_parquet(folder / SCENARIOS, scenario_table(scenarios))
+    if scenarios.signals is not None:
+        write_parquet(signals_path(folder / SCENARIOS), signals_table(scenarios.signals))
+
+
 def read_scenarios(path: Path) -> Scenarios:
-    """Read a table written from `scenario_table`."""
+    """Read a table written from `scenario_table`, and the signals beside it, if any."""
     import polars as pl
 
     schema = {"scenario": pl.UInt32(), "side": pl.String(), **dict.fromkeys(PARAMETER_COLUMNS.values(), pl.Float64())}
     table = read_parquet(path, schema)
     columns = {name: table[column].to_numpy() for name, column in PARAMETER_COLUMNS.items()}
     try:
-        return Scenarios.drawn(side=np.where((table["side"] == "left").to_numpy(), LEFT, RIGHT), **columns)
+        made = Scenarios.drawn(side=np.where((table["side"] == "left").to_numpy(), LEFT, RIGHT), **columns)
+        if signals_path(path).exists():
+            made = dataclasses.replace(made, signals=read_signals(signals_path(path), made.T))
     except LdcError as error:
         raise StoreError(f"{path}: broken: {error}") from None
+    return made
 
 
 _NAME = ".lock"

@@ -264,7 +264,8 @@ class Manifest(BaseModel):
     ) -> Manifest:
         """The manifest of a study that starts now."""
         content = study.content()
-        content["scenarios"]["model"] = PurePath(content["scenarios"]["model"]).name
+        for key in ("model", "departures", "table"):
+            content["scenarios"][key] = PurePath(content["scenarios"][key]).name
         return cls(
             study=content,
             study_hash=study.hash,

@@ -10,6 +10,7 @@
     DIR/race.json                which designs a race gave up, and when; not there without one
     DIR/timing.json              how long the laws took; the one file that a second run does not give again
     DIR/finalists/               the best designs on fresh scenarios: a folder like this one
+    DIR/replayed/                the best designs on recorded departures, where a study has both: a folder like this one
 
 Guarantees. Every file is written whole or not at all. Parts are only ever added; a part's name holds a checksum of its
 content, and writing the same runs again gives the same file. A run is a design under one convention, identified by the
@@ -30,7 +31,7 @@ from ldctoolkit import Scenarios
 from ldctoolkit.errors import StoreError
 from studies.design import Design
 from studies.results import FailedRun, RunKey, StudyResults, TaskResult
-from studies.storage.files import read_scenarios, scenario_table, write_parquet
+from studies.storage.files import SCENARIOS, read_scenarios, write_scenarios
 from studies.storage.manifest import (
     DESIGNS,
     FAILURES,
@@ -60,6 +61,8 @@ from studies.storage.run_table import (
 _log = logging.getLogger("studies")
 
 FINALISTS = "finalists"
+REPLAYED = "replayed"
+SCORES = {FINALISTS: "fresh scores", REPLAYED: "scores on the replayed departures"}
 
 _MOST_IN_MEMORY = 5_000_000  # runs whose companions are kept in memory when a study is read (480 MB)
 
@@ -96,7 +99,7 @@ class Store:
         make_folder(folder)
         store = cls(folder, manifest)
         # the scenarios follow from model and seed, which are the same: writing them again cannot change them
-        write_parquet(folder / "scenarios.parquet", scenario_table(scenarios))
+        write_scenarios(folder, scenarios)
         store.write_manifest(manifest)
         return store
 
@@ -129,7 +132,7 @@ class Store:
 
     def load(self, designs: Sequence[Design] | None = None, *, repair: bool = False) -> RunTable:
         """All stored runs; their times are in `times`, and runs that failed in `failures`, afterwards."""
-        n = self._study.scenarios.left + self._study.scenarios.right
+        n = sum(self._study.scenarios.counts)
         designs = self.designs() if designs is None else designs
         runs = len(designs) * n * len(self._study.simulation.convention)
         mapped = not repair and runs > _MOST_IN_MEMORY
@@ -171,8 +174,8 @@ class Store:
             return ()
 
     def results(self) -> StudyResults:
-        """Everything in memory: all designs that were run to the end, with the finalists' fresh results."""
-        scenarios = read_scenarios(self.folder / "scenarios.parquet")
+        """Everything in memory: all designs that were run to the end, with the finalists' other results."""
+        scenarios = read_scenarios(self.folder / SCENARIOS)
         designs = self.designs()
         if self._study.search is not None and not self.manifest.finished:
             raise StoreError(f"{self.folder}: its search is not over yet; run the study again")
@@ -185,23 +188,25 @@ class Store:
         table = self.load(designs)
         results = table.results(scenarios, self.times, self.failures, source=str(self.folder))
         results = dataclasses.replace(results, race=race)
-        return dataclasses.replace(results, fresh=self._fresh(results))
+        return dataclasses.replace(
+            results, fresh=self._again(FINALISTS, results), replayed=self._again(REPLAYED, results)
+        )
 
-    def _fresh(self, results: StudyResults) -> StudyResults | None:
-        """The finalists on fresh scenarios; None where there are none, or not all yet, or of other results."""
-        folder = self.folder / FINALISTS
+    def _again(self, name: str, results: StudyResults) -> StudyResults | None:
+        """The finalists on other scenarios; None where there are none, or not all yet, or of other results."""
+        folder = self.folder / name
         if not self._study.ranking.finalists or len(results.designs) < 2 or not (folder / "manifest.json").exists():
             return None
         store = Store.open(folder)
         if not store.manifest.finished or store.manifest.part_of != self._study.ranked_as:
-            _log.warning("%s: no fresh scores of this ranking yet; run the study again to have them", self.folder)
+            _log.warning("%s: no %s of this ranking yet; run the study again to have them", self.folder, SCORES[name])
             return None
         try:
-            fresh = store.results()
+            again = store.results()
         except AllFailedError:
             return None
         # a design that failed in this run and not in an earlier one
-        return fresh if {design.id for design in fresh.designs} <= {design.id for design in results.designs} else None
+        return again if {design.id for design in again.designs} <= {design.id for design in results.designs} else None
 
 
 def read_results(folder: str | Path) -> StudyResults:

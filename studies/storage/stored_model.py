@@ -1,6 +1,5 @@
 """The scenario model of a study, kept in its folder: a report can be made elsewhere."""
 
-import dataclasses
 import logging
 import math
 from collections.abc import Iterator, Mapping
@@ -11,6 +10,7 @@ from ldctoolkit import VehicleParameters
 from ldctoolkit.errors import InputError, ModelError, StoreError
 from ldctoolkit.scenario_model import Given, ScenarioModel, SideModel, SideSummary, conditions
 from ldctoolkit.scenario_model.model import outside_fit
+from studies.replayed import ReplayedDepartures
 from studies.storage.manifest import Manifest
 from studies.study_file import Study
 
@@ -54,50 +54,69 @@ _LONGEST = 400
 WARNING = "warning: "  # how a note that is a warning begins
 
 
-def model_notes(
-    model: ScenarioModel, vehicle: VehicleParameters | None = None, given: Given | None = None
-) -> tuple[str, ...]:
+Source = ScenarioModel | ReplayedDepartures
+"""What the scenarios of a study come from."""
+
+
+def model_notes(model: Source, vehicle: VehicleParameters | None = None, given: Given | None = None) -> tuple[str, ...]:
     """Source, size of the fit and warnings of a model, one sentence or line each.
 
     With a vehicle, also whether its width is the one that the departures were found with: a departure is where the
     vehicle's edge is beyond the line. With conditions, also which departures were drawn.
     """
     drawn = "; ".join(map(str, conditions(given)))
-    notes = (*((f"Only departures with {drawn} are drawn from it.",) if drawn else ()), *_notes(model))
-    notes += tuple(f"{WARNING}{text}" for text in outside_fit(model, given))
-    criteria = model.provenance.source.get("criteria")
-    width = criteria.get("vehicle_width") if isinstance(criteria, Mapping) else None
+    notes: tuple[str, ...] = (f"Only departures with {drawn} are taken.",) if drawn else ()
+    if isinstance(model, ScenarioModel):
+        notes += (*_notes(model), *(f"{WARNING}{text}" for text in outside_fit(model, given)))
+    else:
+        notes += model.notes
+    width = _recorded_widths(model)["w_v"]
     if vehicle is None or not isinstance(width, int | float) or abs(width - vehicle.w_v) < 1e-9:
         return notes
     text = f"departures were found with a vehicle {width:g} m wide, the study drives one of w_v = {vehicle.w_v:g} m"
     return (*notes, f"{WARNING}{text} in a lane of w_l = {vehicle.w_l:g} m")
 
 
-def with_recorded_widths(study: Study, model: ScenarioModel, vehicle_width: float | None = None) -> Study:
-    """The study with the vehicle and the lane that its departures were found with, where the model says so. A
-    departure is where the vehicle's edge is beyond the line: another width would not see the same ones.
-    """
-    source, usual = model.provenance.source, VehicleParameters()
+def _recorded_widths(model: Source) -> dict[str, Any]:
+    """Widths of the vehicle and of the lane that departures were found with, where that is known."""
+    source = model.provenance.source if isinstance(model, ScenarioModel) else model.source
     criteria = source.get("criteria")
-    found = {"w_v": criteria.get("vehicle_width") if isinstance(criteria, Mapping) else None}
-    found["w_l"] = source.get("nominal_lane_width")
+    width = criteria.get("vehicle_width") if isinstance(criteria, Mapping) else None
+    return {"w_v": width, "w_l": source.get("nominal_lane_width")}
+
+
+def with_counts(study: Study, model: Source) -> Study:
+    """The study with the number of departures of each side, where it takes all of a table."""
+    wanted = study.scenarios
+    if isinstance(model, ScenarioModel):
+        left, right = (500 if n is None else n for n in (wanted.left, wanted.right))
+    else:
+        left, right = model.counts(wanted.left, wanted.right, wanted.given)
+    return (
+        study
+        if (left, right) == (wanted.left, wanted.right)
+        else study.changed(scenarios={"left": left, "right": right})
+    )
+
+
+def with_recorded_widths(study: Study, model: Source, vehicle_width: float | None = None) -> Study:
+    """The study with the vehicle and the lane that its departures were found with, where that is known. A departure is
+    where the vehicle's edge is beyond the line: another width would not see the same ones.
+    """
+    usual = VehicleParameters()
     changed = {}
-    for name, recorded in found.items():
+    for name, recorded in _recorded_widths(model).items():
         own = getattr(study.vehicle, name)
         if name == "w_v" and vehicle_width is not None:
             changed[name] = float(vehicle_width)
         elif isinstance(recorded, int | float) and abs(recorded - own) > 1e-9:
             if own != getattr(usual, name):
                 raise InputError(
-                    f"vehicle.{name}: {own:g} m in the study, {recorded:g} m in the recordings that the model "
-                    "was fitted "
-                    f"to; allowed: {recorded:g}, or --vehicle-width to decide"
+                    f"vehicle.{name}: {own:g} m in the study, {recorded:g} m in the recordings behind its departures; "
+                    f"allowed: {recorded:g}, or --vehicle-width to decide"
                 )
             changed[name] = float(recorded)
-    if not changed:
-        return study
-    vehicle = dataclasses.asdict(study.vehicle) | changed
-    return type(study).from_dict(study.content() | {"vehicle": vehicle}, folder=study.model_path.parent)
+    return study.changed(vehicle=changed) if changed else study
 
 
 def _notes(model: ScenarioModel) -> Iterator[str]:
@@ -125,8 +144,7 @@ def _fitted(summary: SideSummary | None) -> str:
     weight = "" if summary.weight is None else f" that stand for {summary.weight:,.6g}"
     text = f" from {summary.events:,} departures{weight}"
     if len(summary.n_components) > 1:
-        name = {"held_out": "held-out likelihood"}.get(summary.criterion, summary.criterion.upper() or "BIC")
-        text += f", chosen by {name} among K = {_numbers(summary.n_components)}"
+        text += f", chosen by {summary.criterion.upper() or 'BIC'} among K = {_numbers(summary.n_components)}"
     return text
 
 

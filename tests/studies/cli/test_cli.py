@@ -262,7 +262,7 @@ def test_a_model_brings_its_widths(folder_widths_and_units: Path) -> None:
 
 def test_a_study_that_sets_another_width_is_refused_until_it_is_decided(folder_widths_and_units: Path) -> None:
     message = bad("run", "wide.toml", "--model", "m.json", *RUN, cwd=folder_widths_and_units)
-    assert "vehicle.w_v: 2.1 m in the study, 1.75 m in the recordings that the model was fitted to" in message
+    assert "vehicle.w_v: 2.1 m in the study, 1.75 m in the recordings behind its departures" in message
     assert "--vehicle-width" in message
     good("run", "wide.toml", "--model", "m.json", "--vehicle-width", "2.1", *RUN, cwd=folder_widths_and_units)
     assert vehicle_of(folder_widths_and_units).w_v == 2.1

@@ -159,9 +159,9 @@ def test_what_is_stored_of_a_failing_design_is_no_accident(
 ) -> None:  # fmt: skip
     """The pieces before the first one that it fails on, however often it is run."""
     study = small_study(make_study, [0, 9], scenarios={"left": 20, "right": 20})
-    from studies.runner import study_model
+    from studies.runner import study_source
 
-    speeds = study_model(study).sample(20, 20, seed=study.seed).v_mean
+    speeds = study_source(study).sample(20, 20, seed=study.seed).v_mean
     FAST[0] = float(np.sort(speeds)[-3])
     counts = []
     for _ in range(2):

@@ -14,7 +14,7 @@ import pytest
 from helpers.closed_loop import Unsighted, known
 from ldctoolkit import Controller, EventStatus, Plant, Scenarios, gain, option
 from studies import Study, StudyResults, read_results, run_study
-from studies.runner import study_model
+from studies.runner import study_source
 
 MakeStudy = Callable[..., Study]
 
@@ -64,7 +64,7 @@ def fault() -> Iterator[None]:
 
 
 def scenarios(study: Study) -> Scenarios:
-    return study_model(study).sample(study.scenarios.left, study.scenarios.right, seed=study.seed)
+    return study_source(study).sample(study.scenarios.left, study.scenarios.right, seed=study.seed)
 
 
 def triggered(study: Study, y_s: float) -> tuple[Any, Any]:
