@@ -2,7 +2,6 @@
 
 from ldctoolkit.diagnostics._marginals import (
     Calibration,
-    Comparison,
     Component,
     Marginal,
     ModelDiagnostics,
@@ -19,7 +18,6 @@ from ldctoolkit.diagnostics.diagnosis import diagnose, diagnose_model
 
 __all__ = [
     "Calibration",
-    "Comparison",
     "Component",
     "Marginal",
     "ModelDiagnostics",

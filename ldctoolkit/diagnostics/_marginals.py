@@ -8,6 +8,7 @@ from scipy.special import kolmogi
 
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.mixture import Distribution, TruncatedNormal
+from ldctoolkit.mixture._separation import log_mass
 
 
 @dataclasses.dataclass(frozen=True)
@@ -82,20 +83,6 @@ class PairDensity:
 
 
 @dataclasses.dataclass(frozen=True)
-class Comparison:
-    """Held-out log-likelihood of a bounded mixture, and of one fitted after a logarithm or logit of its parameters."""
-
-    K: int  # Components of both
-    events_fit: int  # Sizes of the two halves, the same for both
-    events_held_out: int  # Sizes of the two halves, the same for both
-    transforms: tuple[tuple[str, str], ...]  # Parameter and its map in the second mixture
-    bounded: float  # Log-likelihood per held-out event, in the data's units [nats]
-    transformed: float  # Log-likelihood per held-out event, in the data's units [nats]
-    difference: float  # transformed - bounded [nats per event]
-    standard_error: float  # Of the difference, paired over the held-out events
-
-
-@dataclasses.dataclass(frozen=True)
 class SideDiagnostics:
     """How well a mixture describes events."""
 
@@ -113,8 +100,6 @@ class SideDiagnostics:
     far_bounds: tuple[tuple[str, str], ...]  # Parameter and end of the finite bounds that they do not come near to
     components: tuple[Component, ...]  # In the order of the mixture
     joint: PairDensity | None  # T against d_y, where both vary
-    comparison: Comparison | None  # None where it cannot be made; `comparison_note` says why
-    comparison_note: str  # Empty where it was made
     warnings: tuple[str, ...]  # What a user should know, as text
 
 
@@ -132,7 +117,6 @@ ILL_CONDITIONED: Final = 1e4  # condition number of a component's correlation ma
 
 STRIP_ERROR: Final = 0.2
 STRIP_STANDARD_ERRORS: Final = 4.0  # both must be exceeded by the error of the mass next to a bound
-COMPARISON_STANDARD_ERRORS: Final = 2.0  # by which one of two mixtures is better on held-out events
 
 
 def strip_is_off(strip: Strip) -> bool:
@@ -154,8 +138,14 @@ def box_share(distribution: Distribution, lower: FloatArray, upper: FloatArray, 
     integration over `points` lattice points, an odd prime.
     """
     whole, ends = distribution.truncated, distribution.transform.forward(np.stack([lower, upper]))
-    part = TruncatedNormal(whole.mu, whole.Sigma, ends[0], ends[1], points=points)
-    shares = np.exp(np.minimum(part.log_probability - whole.log_probability, 0.0))
+    finite = np.flatnonzero(np.isfinite(ends).any(axis=0))
+    if finite.size == 1:  # a normal margin, in closed form
+        j = int(finite[0])
+        z = (ends[:, j, None] - whole.mu[:, j]) / np.sqrt(whole.Sigma[:, j, j])
+        log_probability = log_mass(z[0], z[1])
+    else:
+        log_probability = TruncatedNormal(whole.mu, whole.Sigma, ends[0], ends[1], points=points).log_probability
+    shares = np.exp(np.minimum(log_probability - whole.log_probability, 0.0))
     return float(distribution.weights @ shares)
 
 

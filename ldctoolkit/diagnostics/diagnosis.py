@@ -12,12 +12,10 @@ from ldctoolkit.arrays import FloatArray
 from ldctoolkit.departures import LEFT, RIGHT, Departures
 from ldctoolkit.diagnostics._marginals import (
     BINS,
-    COMPARISON_STANDARD_ERRORS,
     FAR_OUTSIDE,
     ILL_CONDITIONED,
     LEAST_PROBABILITY,
     Calibration,
-    Comparison,
     Component,
     Marginal,
     ModelDiagnostics,
@@ -32,7 +30,7 @@ from ldctoolkit.diagnostics._marginals import (
     model_marginal,
     strip_is_off,
 )
-from ldctoolkit.errors import InputError, LdcError
+from ldctoolkit.errors import InputError
 from ldctoolkit.mixture import BoundedGaussianMixture, Distribution
 from ldctoolkit.mixture.checks import Events as Rows
 from ldctoolkit.mixture.checks import check_number, check_weights, inside_bounds
@@ -47,7 +45,6 @@ class Events:
 
     x: FloatArray  # (n, d): rows
     weight: FloatArray  # (n,): events that each row stands for
-    weighted: bool  # whether the caller gave weights
     outside: tuple[tuple[str, int], ...]  # (str, int): rows left out since they lie outside a bound, per parameter
 
     @property
@@ -87,76 +84,13 @@ def checked_events(
             f"X: {x.shape[0]} of {keep.size} events lie inside the model's bounds; allowed: {LEAST_EVENTS} or more"
         )
     inside = inside_bounds(Rows(x, weight), low, high, names, keep_constant=True)
-    return Events(inside.events.x, weight, weights is not None, counts)
-
-
-MOST_EVENTS: Final = 20_000
-"""Events of both halves together: the standard error is then some 0.005 nats, and more would only cost time."""
-
-_SETTINGS: Final = {"n_init": 2, "tol": 1e-5, "max_iter": 100}
-
-
-def compare_transforms(
-    mixture: BoundedGaussianMixture, names: tuple[str, ...], x: FloatArray, weight: FloatArray | None, seed: int
-) -> Comparison:
-    """Fit both mixtures to one random half of the events and score them on the other half."""
-    rng = np.random.default_rng([seed, 2])
-    chosen = rng.permutation(x.shape[0])[:MOST_EVENTS]
-    fit_rows, test_rows = np.sort(chosen[: chosen.size // 2]), np.sort(chosen[chosen.size // 2 :])
-    transform, K = mixture.distribution.transform, mixture.distribution.weights.size
-    scores: list[FloatArray] = []
-    kinds: tuple[str, ...] = ()
-    for wanted in (None, "auto"):
-        fitted = BoundedGaussianMixture(
-            K,
-            lower=transform.lower,
-            upper=transform.upper,
-            random_state=seed,
-            prior_strength=mixture.prior_strength,
-            step=mixture.step,
-            transform=wanted,
-            names=names,
-            n_jobs=mixture.n_jobs,
-            **_SETTINGS,  # type: ignore[arg-type]
-        ).fit(x[fit_rows], sample_weight=None if weight is None else weight[fit_rows])
-        scores.append(fitted.score_samples(x[test_rows]))
-        kinds = fitted.distribution.transform.kinds
-    share = np.full(test_rows.size, 1.0 / test_rows.size) if weight is None else weight[test_rows]
-    share = share / share.sum()
-    difference = scores[1] - scores[0]
-    mean = float(share @ difference)
-    return Comparison(
-        K=K,
-        events_fit=fit_rows.size,
-        events_held_out=test_rows.size,
-        transforms=tuple((name, kind) for name, kind in zip(names, kinds, strict=True) if kind != "none"),
-        bounded=float(share @ scores[0]),
-        transformed=float(share @ scores[1]),
-        difference=mean,
-        standard_error=float(np.sqrt((share**2) @ (difference - mean) ** 2)),
-    )
-
-
-def comparison_or_reason(
-    mixture: BoundedGaussianMixture, names: tuple[str, ...], x: FloatArray, weight: FloatArray | None, seed: int
-) -> tuple[Comparison | None, str]:
-    """The comparison, or why there is none."""
-    transform = mixture.distribution.transform
-    if not (np.isfinite(transform.lower) | np.isfinite(transform.upper)).any():
-        return None, "no parameter has a finite bound, so there is nothing to transform"
-    half, free = min(x.shape[0], MOST_EVENTS) // 2, mixture.n_parameters()
-    if half < free:
-        return None, f"half of the events, {half}, are fewer than the {free} parameters of the mixture"
-    try:
-        return compare_transforms(mixture, names, x, weight, seed), ""
-    except LdcError as error:
-        return None, f"half of the events could not be fitted ({error})"
+    return Events(inside.events.x, weight, counts)
 
 
 Progress = Callable[[str, int, int], None]
 
 N_MODEL: Final = 200_000  # events drawn from the model
-_STEPS: Final = 4  # what one side reports to `progress`: margins, bounds, comparison, done
+_STEPS: Final = 3  # what one side reports to `progress`: margins, bounds, done
 
 
 def diagnose(
@@ -185,7 +119,7 @@ def diagnose(
     names : sequence of str, optional
         Parameters; by default those of the side or of the mixture, else ``x0``, ``x1``, ...
     seed : int
-        Seed of the model's sample and the split of the comparison.
+        Seed of the model's sample.
     weights : (n,), optional
         Events that each row stands for.
     summary : SideSummary, optional
@@ -236,9 +170,6 @@ def diagnose(
     near, far = strips(distribution, chosen, x, share, events.effective)
     joint = joint_density(distribution, chosen, x, share, drawn)
     table = components(distribution, chosen, x, events.weight)
-    report("held-out likelihood", 2, _STEPS)
-    given = events.weight if events.weighted else None
-    comparison, note = comparison_or_reason(mixture, chosen, x, given, int(seed))
     found = SideDiagnostics(
         label=label,
         names=chosen,
@@ -254,8 +185,6 @@ def diagnose(
         far_bounds=far,
         components=table,
         joint=joint,
-        comparison=comparison,
-        comparison_note=note,
         warnings=(),
     )
     report("done", _STEPS, _STEPS)
@@ -473,12 +402,6 @@ def _misfit(found: SideDiagnostics) -> Iterator[str]:
             for s in off
         )
         yield f"the model's mass next to bounds is not that of the events: {shown}".replace("%", " %")
-    c = found.comparison
-    if c is not None and c.difference > COMPARISON_STANDARD_ERRORS * c.standard_error:
-        yield (
-            f"a mixture after a logarithm or logit of the bounded parameters describes held-out events better, by "
-            f"{c.difference:.3f} +- {c.standard_error:.3f} nats an event"
-        )
 
 
 def _components(found: SideDiagnostics) -> Iterator[str]:
@@ -509,5 +432,3 @@ def _events(found: SideDiagnostics, summary: SideSummary | None) -> Iterator[str
     if found.outside:
         shown = ", ".join(f"{name} {count}" for name, count in found.outside)
         yield f"events outside the model's bounds were left out ({shown})"
-    if found.comparison is None:
-        yield f"no comparison with a transformed mixture: {found.comparison_note}"

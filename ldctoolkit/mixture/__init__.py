@@ -2,7 +2,6 @@
 
 from ldctoolkit.mixture._distribution import SAMPLE_BLOCK, Distribution
 from ldctoolkit.mixture.bounded_gaussian_mixture import BoundedGaussianMixture
-from ldctoolkit.mixture.bounds import auto_bounds
 from ldctoolkit.mixture.selection import Failure, Selection, select_components
 from ldctoolkit.mixture.truncated_normal import TruncatedNormal
 
@@ -13,6 +12,5 @@ __all__ = [
     "Failure",
     "Selection",
     "TruncatedNormal",
-    "auto_bounds",
     "select_components",
 ]

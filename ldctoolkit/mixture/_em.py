@@ -217,6 +217,7 @@ def _x_log_x(x: FloatArray) -> FloatArray:
 
 _SHORT_POINTS: Final = 1021
 _FEW_DIMENSIONS: Final = 3  # up to so many bounded dimensions 1,021 points are enough for a whole fit (ln P to 1e-8)
+_FEW_EVENTS: Final = 2_000  # up to so many events too: their sampling error is far larger than the lattice's
 
 _WINDOW: Final = 5
 _LEAST_WEIGHT: Final = 1e-12
@@ -315,12 +316,12 @@ def fit_components(
 def _fit(data: _Standardised, s: EMSettings, start: Components | None, report: Progress) -> EMResult:
     c = _best_start(data, s, report) if start is None else start
     bounded = int(np.sum(np.isfinite(s.lower) | np.isfinite(s.upper)))
-    passes = 0
-    if bounded > _FEW_DIMENSIONS:
+    passes, many = 0, bounded > _FEW_DIMENSIONS and data.events > _FEW_EVENTS
+    if many:
         # most of the way on few points: many take longer than the pass over the events
         near = _run(data, c, _local_prior(data, c, s), s, s.max_iter, _SHORT_POINTS, report, "nearing")
         c, passes = near.components, near.passes
-    points = moment_points(bounded) if bounded > _FEW_DIMENSIONS else _SHORT_POINTS
+    points = moment_points(bounded) if many else _SHORT_POINTS
     last = _run(data, c, _local_prior(data, c, s), s, max(s.max_iter - passes, 1), points, report)
     return dataclasses.replace(last, passes=passes + last.passes)
 
@@ -465,7 +466,8 @@ def _run(
         history.append(value)
         if report is not None:
             report(f"{word} {len(history) - 1}: {value:.8f} nats an event, gained {value - history[-2]:.2e}")
-        if len(history) > _WINDOW and history[-1] - history[-1 - _WINDOW] < s.tol * _WINDOW:
+        still = not moved.any() and np.array_equal(now.weights, kept.weights)  # the next pass would be this one
+        if still or (len(history) > _WINDOW and history[-1] - history[-1 - _WINDOW] < s.tol * _WINDOW):
             reason = "stuck" if stuck else "converged"
             break
     return EMResult(_components(now), np.array(history), reason, len(history) - 1)

@@ -7,7 +7,7 @@ import math
 import sys
 from collections.abc import Sequence
 from dataclasses import field
-from typing import Any, Final, Literal, Self
+from typing import Any, Final, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +18,6 @@ from ldctoolkit.mixture._distribution import Conditions, Distribution, Transform
 from ldctoolkit.mixture._em import EMSettings, fit_components
 from ldctoolkit.mixture._expectation import Components
 from ldctoolkit.mixture._maximisation import Step
-from ldctoolkit.mixture.bounds import auto_bounds
 from ldctoolkit.mixture.checks import (
     Events,
     Profile,
@@ -179,9 +178,8 @@ class BoundedGaussianMixture:
     ----------
     n_components : int
         K.
-    lower, upper : (d,), float or "auto", optional
-        The box, in the data's units; infinite entries are open, None is open everywhere. ``"auto"`` reads the bounds
-        off the data, see `auto_bounds`.
+    lower, upper : (d,) or float, optional
+        The box, in the data's units; infinite entries are open, None is open everywhere.
     random_state : int or Generator, optional
         Seed of the starts, and of `sample` when it is given none.
     n_init : int
@@ -246,8 +244,8 @@ class BoundedGaussianMixture:
 
     n_components: int = 1
     _: dataclasses.KW_ONLY
-    lower: npt.ArrayLike | Literal["auto"] | None = None
-    upper: npt.ArrayLike | Literal["auto"] | None = None
+    lower: npt.ArrayLike | None = None
+    upper: npt.ArrayLike | None = None
     random_state: RandomState = None
     n_init: int = 8
     short_iter: int = 15
@@ -469,14 +467,6 @@ class BoundedGaussianMixture:
             raise InputError(f"{type(self).__name__}: not fitted yet; call fit first")
         return self._distribution
 
-    def _transform(self, events: Events) -> Transform:
-        d = events.dimension
-        low, high = self.lower, self.upper
-        if "auto" in (_word(low), _word(high)):
-            found = auto_bounds(check_matrix(events.x, d, self.names))
-            low, high = (found[0] if _word(low) == "auto" else low), (found[1] if _word(high) == "auto" else high)
-        return _checked_transform(low, high, self.transform, d)
-
     def _store(self, weights: FloatArray, means: FloatArray, covariances: FloatArray, transform: Transform) -> None:
         truncated = TruncatedNormal(means, covariances, *transform.box())
         self._distribution = Distribution(weights, truncated, transform)
@@ -525,7 +515,7 @@ class BoundedGaussianMixture:
     def _fit_events(self, events: Events) -> Self:
         """Fit to rows that have weights already, on the threads that they name."""
         self._check_settings()
-        transform = self._transform(events)
+        transform = _checked_transform(self.lower, self.upper, self.transform, events.dimension)
         profile = check_events(events, self.n_components, transform.lower, transform.upper, self.names)
         if not transform.identity:
             events = dataclasses.replace(events, x=transform.forward(events.x))
@@ -579,10 +569,6 @@ class BoundedGaussianMixture:
     def _report(self, line: str) -> None:
         if self.verbose:
             print(f"K = {self.n_components}: {line}", file=sys.stderr)
-
-
-def _word(bound: object) -> str:
-    return bound if isinstance(bound, str) else ""
 
 
 def _checked_transform(

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import datetime
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any, Final, Literal, get_args
+from typing import Any, Final, Literal, Self, get_args
 
 import numpy as np
 import numpy.typing as npt
+import threadpoolctl
 
 from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, DepartureParameters, Departures, Plausibility
@@ -25,10 +27,11 @@ from ldctoolkit.mixture.checks import (
     profile_of,
 )
 from ldctoolkit.recordings import Criteria
-from ldctoolkit.scenario_model.boxes import Bounds, Box, WantedBounds, box_of, wanted_bounds
-from ldctoolkit.scenario_model.fidelity import ENOUGH, Replay, SideFidelity
+from ldctoolkit.scenario_model.fidelity import Replay, SideFidelity
 from ldctoolkit.scenario_model.model import ScenarioModel
 from ldctoolkit.scenario_model.provenance import (
+    LEAST_LOWER,
+    PHYSICAL_BOUNDS,
     FitSettings,
     ModelProvenance,
     SideModel,
@@ -42,10 +45,45 @@ from ldctoolkit.version import __version__
 Kind = Literal["auto", "mixture", "smoothed"]
 
 FEW: Final = 2_000  # up to so many departures of a side may be smoothed, and larger K are given up early
-PATIENCE: Final = 2
-"""Of few departures, K that are worse in a row before larger ones are not tried: they take long and gain nothing."""
 
 TRANSFORMS: Final = ("none", "log", "logit", "auto")
+
+Bounds = Mapping[str, tuple[float | None, float | None]]
+"""Parameter -> (lower, upper) in SI units; None is open."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Box:
+    """The box of both sides."""
+
+    lower: FloatArray  # (8,): in the order of `PARAMETER_NAMES`
+    upper: FloatArray  # (8,): in the order of `PARAMETER_NAMES`
+    origins: tuple[tuple[str, str, str], ...]  # (str, str, str): parameter, and where its ends come from
+
+
+def box_of(bounds: Bounds | None, criteria: Criteria | None) -> Box:
+    """Given bounds, else those of the extraction and of physics."""
+    ends = {name: (*pair, "physical", "physical") for name, pair in PHYSICAL_BOUNDS.items()}
+    if criteria is not None:  # no event outside them could have been found
+        found = "extraction criteria"
+        ends["T"] = (criteria.min_duration, criteria.max_duration, found, found)
+        ends["v_mean"] = (criteria.min_speed, np.inf, found, "physical")
+    if bounds is not None and not isinstance(bounds, Mapping):
+        raise InputError(f"bounds: {bounds!r}; allowed: a mapping of parameters")
+    for name, entry in (bounds or {}).items():
+        if name not in ends:
+            raise InputError(f"bounds: no parameter {name!r}; {nearest(str(name), PARAMETER_NAMES)}")
+        least = LEAST_LOWER.get(name, -np.inf)  # open as far as can be driven
+        try:
+            low, high = entry
+            low, high = least if low is None else float(low), np.inf if high is None else float(high)
+        except (TypeError, ValueError):
+            raise InputError(f"bounds[{name!r}]: {entry!r}; allowed: (lower, upper)") from None
+        if not least <= low < high:
+            raise InputError(f"bounds[{name!r}]: {entry!r}; allowed: {least:g} <= lower < upper")
+        ends[name] = (low, high, "physical" if entry[0] is None and least > -np.inf else "given", "given")
+    lower, upper, *_ = zip(*(ends[name] for name in PARAMETER_NAMES), strict=True)
+    return Box(np.array(lower), np.array(upper), tuple((name, *ends[name][2:]) for name in PARAMETER_NAMES))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,7 +92,7 @@ class SideSettings:
 
     components: int | tuple[int, ...]  # K, or the K to choose from in ascending order
     seed: int  # of the fits
-    bounds: WantedBounds  # of each parameter
+    box: Box
     transform: dict[str, str]  # of each parameter: ``"none"``, ``"log"``, ``"logit"`` or ``"auto"``
     fit: FitSettings  # choice of K, prior, tolerance, starts
     workers: int | None  # cores; all by default
@@ -66,16 +104,11 @@ class SideSettings:
     def selection(self, rows: int) -> dict[str, Any]:
         """Arguments of `select_components` for so many events, but for the events and the box."""
         return dataclasses.asdict(self.fit) | {
+            "split_merge": rows > FEW,
             "random_state": self.seed,
             "n_jobs": self.workers,
-            "patience": None if rows > FEW else PATIENCE,
             "verbose": int(self.verbose),
         }
-
-
-def fit_settings(*values: Any) -> FitSettings:
-    """Settings in Python's own numbers, as a file needs them; the fits check them."""
-    return FitSettings(*(value.item() if isinstance(value, np.generic) else value for value in values))
 
 
 def component_numbers(components: int | Iterable[int]) -> int | tuple[int, ...]:
@@ -132,8 +165,8 @@ def fit_scenario_model(
     extraction: Criteria | None = None,
     weights: npt.ArrayLike | None = None,
     transform: str | Mapping[str, str] | None = None,
-    criterion: Literal["bic", "aic", "icl", "held_out"] = "bic",
-    slack: float | None = None,
+    criterion: Literal["bic", "aic"] = "bic",
+    slack: float = 10.0,
     indifference: float = 0.0,
     prior_strength: float = 10.0,
     tol: float = 1e-7,
@@ -155,19 +188,15 @@ def fit_scenario_model(
         K, or the K to choose from. A range is cut where the events no longer carry it (half an event a free
         parameter). One K is fitted as requested.
     kind : {"auto", "mixture", "smoothed"}
-        What departures are generated from. ``"mixture"`` is the bounded Gaussian mixture: of the K to choose from, the
-        smallest from the criterion's on that gives the recordings' answer (see `check_fidelity`). ``"smoothed"`` are
-        the departures themselves, resampled with a kernel: a bounded mixture with a component each. ``"auto"`` takes
-        the mixture, or with up to 2,000 departures on a side the smoothed ones where no mixture that was tried gives
-        the recordings' answer; one K as requested stays.
+        What departures are generated from. ``"mixture"`` is the bounded Gaussian mixture; with up to 2,000 departures
+        on a side, of the K to choose from the smallest from the criterion's on that gives the recordings' answer (see
+        `check_fidelity`). ``"smoothed"`` are the departures themselves, resampled with a kernel: a component each.
+        ``"auto"`` takes those where no such mixture gives the answer; one K as requested stays.
     seed : int
         Seed of the fits.
-    bounds : {"physical", "auto"} or mapping, optional
-        Where the box ends. ``"physical"``, the default, are the criteria of the extraction if given and
-        ``PHYSICAL_BOUNDS`` otherwise. ``"auto"`` reads the ends off the data (`ldctoolkit.mixture.bounds.auto_bounds`),
-        never beyond the criteria of the extraction or what can be replayed. A mapping has parameter names as keys,
-        and as values one of the words or (lower, upper) in SI units, either of them a number, None for open, or
-        ``"auto"``; the other parameters keep the default.
+    bounds : mapping, optional
+        Parameter -> (lower, upper) in SI units, None for open. The others end at the criteria of the extraction if
+        given and at ``PHYSICAL_BOUNDS`` otherwise.
     plausibility : Plausibility, optional
         What can happen; departures beyond it are left out, and none is generated. Those of the extraction if given.
     extraction : Criteria, optional
@@ -181,7 +210,7 @@ def fit_scenario_model(
     prior_strength, tol, max_iter
         Of each fit, see `BoundedGaussianMixture`.
     n_init : int, optional
-        Starts of each fit; 8 by default, 4 with up to 2,000 departures.
+        Starts of each fit; 8 by default, 2 with up to 2,000 departures.
     workers : int, optional
         Cores to use, all by default. It changes no number.
     verbose : bool
@@ -222,7 +251,7 @@ def fit_scenario_model(
     >>> departures = Departures(
     ...     drawn.side, *drawn.matrix().T, np.full(120, "r"), np.zeros(120), np.full(120, 20)
     ... )
-    >>> model = fit_scenario_model(departures, components=1, bounds={"d_y": (0, 1.5), "a_mean": "auto"})
+    >>> model = fit_scenario_model(departures, components=1, bounds={"d_y": (0, 1.5), "dc": (None, None)})
     >>> model.provenance.left.reason
     'K = 1, as requested'
     """
@@ -231,14 +260,15 @@ def fit_scenario_model(
         raise InputError(f"seed: {seed}; allowed: below 10^18, the longest whole number of a model file")
     if kind not in get_args(Kind):
         raise InputError(f"kind: {kind!r}; {nearest(str(kind), get_args(Kind))}")
-    starts = n_init if n_init is not None else 8 if departures.n > FEW else 4
+    starts = n_init if n_init is not None else 8 if departures.n > FEW else 2
     limits = plausibility or (Plausibility() if extraction is None else extraction.plausibility)
+    chosen: tuple[Any, ...] = criterion, slack, indifference, prior_strength, tol, starts, max_iter
     settings = SideSettings(
         components=component_numbers(components),
         seed=int(seed),
-        bounds=wanted_bounds(bounds, extraction),
+        box=box_of(bounds, extraction),
         transform=transforms(transform),
-        fit=fit_settings(criterion, slack, indifference, prior_strength, tol, starts, max_iter),
+        fit=FitSettings(*(value.item() if isinstance(value, np.generic) else value for value in chosen)),
         workers=workers,
         kind=kind,
         plausibility=limits,
@@ -247,7 +277,8 @@ def fit_scenario_model(
     )
     events = _events(departures, weights, settings)
     carried = {label: carried_components(settings.components, side) for label, side in events.items()}
-    fits = {label: fit_side(side, carried[label], settings, progress) for label, side in events.items()}
+    with threadpoolctl.threadpool_limits(1, "blas"):  # small matrices: more threads only wait for each other
+        fits = {label: fit_side(side, carried[label], settings, progress) for label, side in events.items()}
     source: dict[str, Any] = (
         {"description": source_provenance} if isinstance(source_provenance, str) else dict(source_provenance)
     )
@@ -321,13 +352,14 @@ def fit_side(
     ]
     tried, cut = carried
     notes += cut
-    selection, failed = _select(events, tried, settings, progress)
-    chosen = _checked(events, selection, settings)
+    judge = _Judge.of(events, settings)
+    selection, failed = _select(events, tried[:1] if settings.kind == "smoothed" else tried, settings, progress, judge)
+    chosen = judge.choice(selection)
     unmapped = set(settings.transform.values()) == {"none"}
     if settings.kind == "auto" and len(tried) > 1 and n > FEW and unmapped and not chosen.passed:
         mapped = dataclasses.replace(settings, transform=dict.fromkeys(PARAMETER_NAMES, "auto"))
-        other, failures = _select(events, tried, mapped, progress)
-        found = _checked(events, other, settings)
+        other, failures = _select(events, tried, mapped, progress, judge)
+        found = judge.choice(other)
         if found.merit > chosen.merit:
             text = f"{other.reason}, of mapped parameters: without maps the mixture does not agree with the recordings"
             selection, failed, chosen = other, failures, dataclasses.replace(found, reason=text)
@@ -342,15 +374,13 @@ def fit_side(
     summary = SideSummary(
         events=n,
         n_components=tuple(int(K) for K in selection.n_components),
-        bic=_curve(selection.bic),
-        log_likelihood=_curve(selection.log_likelihood),
+        bic=tuple(selection.bic.tolist()),
+        log_likelihood=tuple(selection.log_likelihood.tolist()),
         converged=chosen.kind == "smoothed" or best.converged_,
         moved_inside=events.moved,
         redrawn_share=0.0,
         n_parameters=tuple(int(p) for p in selection.n_parameters),
-        aic=_curve(selection.aic),
-        icl=_curve(selection.icl),
-        held_out=_curve(selection.held_out),
+        aic=tuple(selection.aic.tolist()),
         criterion=selection.criterion if several else "",
         reason=chosen.reason or (selection.reason if several else f"K = {tried[0]}, {why}"),
         failed=failed,
@@ -363,6 +393,9 @@ def fit_side(
         fidelity=chosen.fidelity,
     )
     return SideFit(SideModel(best, events.names, events.constants), summary, tuple(notes))
+
+
+_ENOUGH: Final = 0.93  # share of answers within their own 95 % intervals to be chosen: the verdict's are wider
 
 
 @dataclasses.dataclass(frozen=True)
@@ -383,7 +416,7 @@ class _Checked:
     @property
     def agrees(self) -> bool:
         """Good enough for other designs too, on few departures."""
-        return self.passed and self.alone >= ENOUGH
+        return self.passed and self.alone >= _ENOUGH
 
     @property
     def merit(self) -> tuple[float, float]:
@@ -391,47 +424,69 @@ class _Checked:
         return (0.0 if self.fidelity is None else float(self.fidelity.within.mean())), self.alone
 
 
-def _checked(events: SideEvents, selection: Selection, settings: SideSettings) -> _Checked:
-    """The first that gives the recordings' answer: the criterion's K, larger ones, the smoothed departures."""
-    side = LEFT if events.label == "left" else RIGHT
-    recorded = SideModel(selection.best, events.names, events.constants).columns(events.events.x)
-    replay = Replay.of(
-        DepartureParameters(np.full(events.rows, side), **recorded), events.events.weight, settings.vehicle_width
-    )
+@dataclasses.dataclass(frozen=True)
+class _Judge:
+    """Compares what the departures of a side could be generated from with the recorded ones."""
 
-    def compared(mixture: BoundedGaussianMixture, kind: Literal["mixture", "smoothed"]) -> _Checked:
-        half = SideModel(mixture, events.names, events.constants)
-        model = ScenarioModel(half, half, ModelProvenance({}), settings.plausibility)
-        count = (replay.generated, 0) if side == LEFT else (0, replay.generated)
-        try:
-            check_usable(mixture)
-            return _Checked(mixture, kind, *replay.compared(model.sample(*count, seed=settings.seed)))
-        except (InputError, ModelError):
-            return _Checked(mixture, kind, None, 0.0)
+    events: SideEvents
+    settings: SideSettings
+    replay: Replay
+    known: dict[int, tuple[BoundedGaussianMixture, _Checked]] = dataclasses.field(default_factory=dict)
 
-    free = not isinstance(settings.components, int)
-    few = events.rows <= FEW
-    if settings.kind == "smoothed":
-        if not few:
-            raise InputError(f"kind: 'smoothed' with {events.rows} {events.label} departures; allowed: up to {FEW}")
-        return dataclasses.replace(compared(smoothed(events), "smoothed"), reason="smoothed departures, as requested")
-    found = [compared(selection.best, "mixture")]
-    if free and few:
-        for model in selection.models[selection.chosen + 1 :]:
-            if found[-1].agrees:
-                break
-            found.append(compared(model, "mixture"))
-    best = found[-1] if found[-1].agrees else max(found, key=lambda one: one.merit)
-    K = found[0].mixture.n_components
-    if free and few and settings.kind == "auto" and not best.agrees:
-        other = compared(smoothed(events), "smoothed")
-        if other.merit > best.merit:
-            text = f"K = {K}" if len(found) == 1 else f"K = {K} to {found[-1].mixture.n_components}"
-            return dataclasses.replace(other, reason=f"smoothed departures: no mixture with {text} agrees with them")
-    if best is not found[0]:
-        text = f"K = {best.mixture.n_components}, which agrees with the recordings better than K = {K}"
-        best = dataclasses.replace(best, reason=f"{text} ({selection.reason})")
-    return best
+    @classmethod
+    def of(cls, events: SideEvents, settings: SideSettings) -> Self:
+        """With the answer of the recorded departures."""
+        columns = {name: np.full(events.rows, value) for name, value in events.constants}
+        columns |= dict(zip(events.names, events.events.x.T, strict=True))
+        recorded = DepartureParameters(np.full(events.rows, events.side), **columns)
+        return cls(events, settings, Replay.of(recorded, events.events.weight, settings.vehicle_width))
+
+    def checked(self, mixture: BoundedGaussianMixture, kind: Literal["mixture", "smoothed"] = "mixture") -> _Checked:
+        """A mixture beside the recorded departures; each is driven once."""
+        if id(mixture) not in self.known:
+            half = SideModel(mixture, self.events.names, self.events.constants)
+            model = ScenarioModel(half, half, ModelProvenance({}), self.settings.plausibility)
+            count = (self.replay.generated, 0) if self.events.side == LEFT else (0, self.replay.generated)
+            compared: tuple[SideFidelity | None, float] = None, 0.0
+            with contextlib.suppress(InputError, ModelError):
+                check_usable(mixture)
+                compared = self.replay.compared(model.sample(*count, seed=self.settings.seed))
+            self.known[id(mixture)] = mixture, _Checked(mixture, kind, *compared)
+        return self.known[id(mixture)][1]
+
+    def enough(self, fits: Selection) -> bool:
+        """Whether larger K need not be tried: the criterion has risen, or the last two give the recordings' answer."""
+        return fits.risen or (len(fits.models) > 1 and all(self.checked(one).agrees for one in fits.models[-2:]))
+
+    def choice(self, fits: Selection) -> _Checked:
+        """The first that gives the recordings' answer: the criterion's K, larger ones, the smoothed departures."""
+        few, kind = self.events.rows <= FEW, self.settings.kind
+        if kind == "smoothed":
+            if not few:
+                raise InputError(
+                    f"kind: 'smoothed' with {self.events.rows} {self.events.label} departures; allowed: up to {FEW}"
+                )
+            found = self.checked(smoothed(self.events), "smoothed")
+            return dataclasses.replace(found, reason="smoothed departures, as requested")
+        first = best = self.checked(fits.best)
+        if not few or isinstance(self.settings.components, int):
+            return best
+        last = fits.chosen
+        while not best.agrees and last + 1 < len(fits.models):
+            last += 1
+            best = max(best, self.checked(fits.models[last]), key=lambda one: (one.agrees, *one.merit))
+        K, most = (int(fits.n_components[i]) for i in (fits.chosen, last))
+        if kind == "auto" and not best.agrees:
+            other = self.checked(smoothed(self.events), "smoothed")
+            if other.merit > best.merit:
+                text = f"K = {K}" if most == K else f"K = {K} to {most}"
+                return dataclasses.replace(
+                    other, reason=f"smoothed departures: no mixture with {text} agrees with them"
+                )
+        if best is not first:
+            text = f"K = {best.mixture.n_components}, which agrees with the recordings better than K = {K}"
+            best = dataclasses.replace(best, reason=f"{text} ({fits.reason})")
+        return best
 
 
 BANDWIDTH: Final = 0.25
@@ -482,8 +537,8 @@ def check_fidelity(
     Returns
     -------
     tuple of SideFidelity
-        ``text`` is the verdict, ``passed`` whether at least 93 % of the generated answers lie within the 95 % bootstrap
-        intervals of the replayed ones, or differ by less than what matters (3 points of a share, 5 % of a peak).
+        ``text`` is the verdict, ``passed`` whether all generated answers lie within the 95 % bootstrap intervals of the
+        replayed ones, or differ by less than what matters (3 points of a share, 5 % of a peak).
 
     Examples
     --------
@@ -509,11 +564,6 @@ def check_fidelity(
     return found[0], found[1]
 
 
-def _curve(values: FloatArray) -> tuple[float, ...]:
-    """A criterion of each K; empty where it was not computed."""
-    return tuple(values.tolist()) if np.isfinite(values).all() else ()
-
-
 def carried_components(
     components: int | tuple[int, ...], events: SideEvents
 ) -> tuple[tuple[int, ...], tuple[str, ...]]:
@@ -534,7 +584,7 @@ def carried_components(
 
 
 def _select(
-    events: SideEvents, tried: tuple[int, ...], settings: SideSettings, progress: Progress | None
+    events: SideEvents, tried: tuple[int, ...], settings: SideSettings, progress: Progress | None, judge: _Judge
 ) -> tuple[Selection, tuple[tuple[int, str], ...]]:
     """The fits, and the K that gave no usable one; an error where none did."""
     label, varies = events.label, events.inside.varies
@@ -545,6 +595,7 @@ def _select(
         "upper": events.box.upper[varies],
         "transform": [settings.transform[name] for name in events.names],
         "names": events.names,
+        "enough": judge.enough if events.rows <= FEW else None,
     }
     failed: list[tuple[int, str]] = []
     while True:
@@ -574,6 +625,11 @@ class SideEvents:
     label: str  # ``"left"`` or ``"right"``
     inside: InsideBounds  # the parameters that vary, none on a bound
     box: Box  # of all eight parameters
+
+    @property
+    def side(self) -> int:
+        """`LEFT` or `RIGHT`."""
+        return LEFT if self.label == "left" else RIGHT
 
     @property
     def events(self) -> Events:
@@ -613,7 +669,7 @@ def side_events(events: Events, label: str, settings: SideSettings) -> SideEvent
     x = events.x
     for j in range(x.shape[1]):
         _check(x, j, np.isfinite(x[:, j]), "finite numbers", label)
-    box = box_of(settings.bounds, x)
+    box = settings.box
     for j, (low, high) in enumerate(zip(box.lower, box.upper, strict=True)):
         _check(x, j, (x[:, j] >= low) & (x[:, j] <= high), f"{low:g} to {high:g}", label)
     for name in ("T", "v_mean"):  # as in a departures table

@@ -57,8 +57,9 @@ def model_to_json(
 ) -> dict[str, Any]:
     """The whole file as JSON values; the cells of a pair are one string, a tenth of the size of a list."""
     content = dataclasses.asdict(provenance)
-    for summary in _summaries(content):
-        summary["cells"] = [" ".join(map(str, row)) for row in summary["cells"]]
+    for side in _fitted(content):
+        if summary := side["source_summary"]:
+            summary["cells"] = [" ".join(map(str, row)) for row in summary["cells"]]
     return {
         "format": FORMAT,
         "version": VERSION,
@@ -77,12 +78,11 @@ def _limits(plausibility: Plausibility | None) -> dict[str, float | None] | None
     return {name: float(value) if math.isfinite(value) else None for name, value in values.items()}
 
 
-def _summaries(provenance: Any) -> Iterator[dict[str, Any]]:
+def _fitted(provenance: Any) -> Iterator[dict[str, Any]]:
+    """How each side was fitted, if that is told."""
     for side in ("left", "right") if isinstance(provenance, dict) else ():
-        fitted = provenance.get(side)
-        summary = fitted.get("source_summary") if isinstance(fitted, dict) else None
-        if isinstance(summary, dict):
-            yield summary
+        if isinstance(provenance.get(side), dict):
+            yield provenance[side]
 
 
 def content_hash(left: SideModel, right: SideModel, plausibility: Plausibility | None) -> str:
@@ -149,8 +149,11 @@ def model_from_json(text: str, file: str) -> tuple[SideModel, SideModel, ModelPr
         newer = isinstance(version, int) and version > VERSION
         hint = ": the file is newer, update ldctoolkit" if newer else ""
         raise ModelError(f"{file}: version: {short(version)}; this program reads version {VERSION}{hint}")
-    for summary in _summaries(data.get("provenance")):
-        if isinstance(cells := summary.get("cells"), list):
+    for side in _fitted(data.get("provenance")):
+        for key in ("icl", "held_out"):  # criteria of earlier versions
+            side.pop(key, None)
+        summary = side.get("source_summary")
+        if isinstance(summary, dict) and isinstance(cells := summary.get("cells"), list):
             summary["cells"] = [_shares(text) for text in cells]
     try:
         # as JSON: lists are tuples there, which strict Python values are not
@@ -283,7 +286,7 @@ class _File(Part):
 
 def _check_side(side: SideSummary, path: str) -> None:
     tried = len(side.n_components)
-    for key in ("bic", "log_likelihood", "aic", "icl", "held_out", "n_parameters"):
+    for key in ("bic", "log_likelihood", "aic", "n_parameters"):
         count = len(getattr(side, key))
         if count != tried and (count or key in ("bic", "log_likelihood")):
             raise fail(f"{path}.{key}", f"shape ({count},); allowed: ({tried},)")

@@ -243,27 +243,24 @@ def _rounded(value: float) -> float:
 
 @dataclasses.dataclass(frozen=True)
 class SideSummary:
-    """How one side was fitted. Tuples over K are empty where a criterion was not computed."""
+    """How one side was fitted."""
 
     events: int  # Departures used
     n_components: tuple[int, ...]  # The K that were fitted
-    bic: tuple[float, ...]  # Criterion of each
+    bic: tuple[float, ...]  # Criterion of each, lower is better
     log_likelihood: tuple[float, ...]  # Per event [nats], of each
     converged: bool  # Whether the chosen fit reached its tolerance
     moved_inside: tuple[tuple[str, int], ...]  # Events that lay exactly on a bound, per parameter
     redrawn_share: float  # Share of drawn events that fall below the speed floor and are drawn again
     n_parameters: tuple[int, ...] = ()  # Free parameters of each K
-    aic: tuple[float, ...] = ()  # Other criteria of each K, lower is better
-    icl: tuple[float, ...] = ()  # Other criteria of each K, lower is better
-    held_out: tuple[float, ...] = ()  # Log-likelihood per event [nats] on events that were kept out of the fit
+    aic: tuple[float, ...] = ()  # Other criterion of each K
     criterion: str = ""  # By which K was taken; ``""`` where one K was fitted as requested
     reason: str = ""  # Why this K, as text
     failed: tuple[tuple[int, str], ...] = ()  # The K that could not be fitted, and why
     passes: int | None = None  # Of the chosen fit
     stop_reason: str = ""  # Of the chosen fit, as in `BoundedGaussianMixture`
     weight: float | None = None  # Sum of the weights, where the departures had any
-    # Parameter, and where its lower and upper bound come from: ``"given"``, ``"extraction criteria"``, ``"physical"``
-    # or ``"auto"``
+    # Parameter, and where its lower and upper bound come from: ``"given"``, ``"extraction criteria"`` or ``"physical"``
     bounds_from: tuple[tuple[str, str, str], ...] = ()
     # How the departures spread; None where weights rest on too few departures
     source_summary: SourceSummary | None = None
@@ -277,7 +274,7 @@ class FitSettings:
     """Settings of the fits, the same for both sides."""
 
     criterion: str  # What K is chosen by
-    # The smallest K within this distance of the best criterion is taken; None is the criterion's own
+    # The smallest K within this distance of the best criterion is taken; None: 10, in a model of an earlier version
     slack: float | None
     indifference: float  # The same in nats per event; the larger of the two counts
     prior_strength: float  # Pseudo-events per component

@@ -171,20 +171,10 @@ def condition(text: str) -> tuple[str, float | Interval]:
     return name, interval(rest, text) if ":" in rest else _number(rest, text)
 
 
-def bound(text: str) -> tuple[str, str | tuple[float | str | None, float | str | None]]:
-    """``NAME=LOW:HIGH``, where either end may be ``auto``, or ``NAME=auto`` or ``NAME=physical``."""
+def bound(text: str) -> tuple[str, Interval]:
+    """``NAME=LOW:HIGH``, an empty end is open."""
     name, rest = named(text)
-    if ":" not in rest:
-        if rest not in ("auto", "physical"):
-            raise argparse.ArgumentTypeError(
-                f"{text!r}; allowed: NAME=LOW:HIGH (an empty end is open), NAME=auto or NAME=physical"
-            )
-        return name, rest
-    low, _, high = rest.partition(":")
-    ends = tuple(
-        "auto" if end.strip() == "auto" else _number(end, text) if end.strip() else None for end in (low, high)
-    )
-    return name, (ends[0], ends[1])
+    return name, interval(rest, text)
 
 
 def add_limit(parser: argparse.ArgumentParser) -> None:

@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from ldctoolkit.recordings import Provenance
     from ldctoolkit.scenario_model import ScenarioModel, SideSummary
 
-_CRITERIA = ("bic", "aic", "icl", "held_out")
-
 
 def add_parser(commands: Subparsers) -> None:
     """Declare the commands."""
@@ -51,23 +49,19 @@ def add_parser(commands: Subparsers) -> None:
         help="what departures are generated from: the mixture, the smoothed departures themselves, or the latter where "
         "they are few and no mixture gives the recordings' answer (default: %(default)s)",
     )  # fmt: skip
-    add("--criterion", choices=_CRITERIA, default="bic", help="what K is chosen by (default: %(default)s)")
+    add("--criterion", choices=("bic", "aic"), default="bic", help="what K is chosen by (default: %(default)s)")
     add(
-        "--slack", type=number, metavar="X",
-        help="how far the smallest K may be from the best: units of BIC, AIC, ICL (default: 10), or standard errors "
-        "of the held-out likelihood (default: 1)",
+        "--slack", type=number, default=10.0, metavar="X",
+        help="how far the smallest K may be from the best, in units of the criterion (default: 10)",
     )  # fmt: skip
     add(
         "--indifference", type=number, default=0.0, metavar="X",
         help="the same in nats an event; the larger one counts (default: 0)",
     )  # fmt: skip
     add(
-        "--bounds", choices=("physical", "auto"), default="physical",
-        help="bounds from the extraction and physics, or read off the data (default: %(default)s)",
-    )  # fmt: skip
-    add(
         "--bound", type=bound, action="append", metavar="NAME=LOW:HIGH",
-        help="bounds of one parameter in SI units, an empty end is open; or NAME=auto, NAME=physical; repeatable",
+        help="bounds of one parameter in SI units instead of those of the extraction and of physics; an empty end is "
+        "open; repeatable",
     )  # fmt: skip
     add(
         "--transform", type=transform, action="append", metavar="auto|none|NAME=KIND",
@@ -77,7 +71,7 @@ def add_parser(commands: Subparsers) -> None:
     add_limit(parser)
     add("--prior-strength", type=number, default=10.0, metavar="X", help="pseudo-events (default: %(default)s)")
     add("--tol", type=number, default=1e-7, metavar="X", help="nats an event and pass (default: %(default)s)")
-    add("--n-init", type=positive_number, metavar="N", help="starts (default: 8; 4 with up to 2,000 departures)")
+    add("--n-init", type=positive_number, metavar="N", help="starts (default: 8; 2 with up to 2,000 departures)")
     add("--seed", type=whole_number, default=0, metavar="N", help="random seed (default: 0)")
     add("--workers", type=positive_number, metavar="N", help="cores to use (default: all); changes no number")
     add(
@@ -124,9 +118,10 @@ def run(chosen: argparse.Namespace) -> None:
     pairs: list[tuple[str, str]] = chosen.transform or []
     each_once("--transform", pairs)
     by_name = dict(pairs)
-    bounds, transforms = _bounds(chosen), (dict.fromkeys(PARAMETER_NAMES, by_name.pop("", "none")) | by_name)
+    transforms = dict.fromkeys(PARAMETER_NAMES, by_name.pop("", "none")) | by_name
+    each_once("--bound", chosen.bound)
     departures, provenance = read_all_departures(chosen.departures)
-    model = _fitted(chosen, departures, provenance, bounds, transforms)
+    model = _fitted(chosen, departures, provenance, transforms)
     model.save(target)
     for warning in model.provenance.warnings:
         warn(warning)
@@ -147,11 +142,7 @@ def run(chosen: argparse.Namespace) -> None:
 
 
 def _fitted(
-    chosen: argparse.Namespace,
-    departures: Departures,
-    provenance: Provenance,
-    bounds: dict[str, Any],
-    transforms: dict[str, str],
+    chosen: argparse.Namespace, departures: Departures, provenance: Provenance, transforms: dict[str, str]
 ) -> ScenarioModel:
     from ldctoolkit.scenario_model import fit_scenario_model
 
@@ -162,7 +153,7 @@ def _fitted(
             kind=chosen.kind,
             plausibility=plausibility(chosen.limit, provenance.criteria.plausibility),
             seed=chosen.seed,
-            bounds=bounds,
+            bounds=dict(chosen.bound or ()),
             extraction=provenance.criteria,
             transform=transforms,
             criterion=chosen.criterion,
@@ -176,14 +167,6 @@ def _fitted(
             source_provenance=_source(provenance),
             progress=None if advance is None else lambda _, done, total: advance(done, total),
         )
-
-
-def _bounds(chosen: argparse.Namespace) -> dict[str, Any]:
-    """All bounds, then those of single parameters."""
-    from ldctoolkit.departures import PARAMETER_NAMES
-
-    each_once("--bound", chosen.bound)
-    return dict.fromkeys(PARAMETER_NAMES, chosen.bounds) | dict(chosen.bound or ())
 
 
 def _source(provenance: Provenance) -> dict[str, Any]:
@@ -219,28 +202,16 @@ def _write_page(page: Path, model: ScenarioModel, departures: Departures, chosen
         print(f"page about the fit written to {page}")
 
 
-_COLUMNS = (
-    ("p", "n_parameters", "d"),
-    ("log-likelihood an event", "log_likelihood", ".4f"),
-    ("BIC", "bic", ".1f"),
-    ("AIC", "aic", ".1f"),
-    ("ICL", "icl", ".1f"),
-    ("held-out an event", "held_out", ".4f"),
-)
-
-
 def _print_curve(summary: SideSummary, taken: int) -> None:
     """Every K with its criteria; the one that was taken has a star."""
-    from rich.table import Table
+    from rich.table import Column, Table
 
-    columns = [(title, getattr(summary, key), form) for title, key, form in _COLUMNS if getattr(summary, key)]
-    table = Table()
-    table.add_column("K", justify="right")
-    for title, _, _ in columns:
-        table.add_column(title, justify="right")
-    for i, K in enumerate(summary.n_components):
-        cells = [format(values[i], form) for _, values, form in columns]
-        table.add_row(f"{K}{' *' if taken == K else '  '}", *cells, style="bold" if taken == K else None)
+    titles = ("K", "p", "log-likelihood an event", "BIC", "AIC")
+    table = Table(*(Column(title, justify="right") for title in titles))
+    columns = summary.n_components, summary.n_parameters, summary.log_likelihood, summary.bic, summary.aic
+    for K, p, log_likelihood, bic, aic in zip(*columns, strict=True):
+        cells = f"{K}{' *' if taken == K else '  '}", str(p), f"{log_likelihood:.4f}", f"{bic:.1f}", f"{aic:.1f}"
+        table.add_row(*cells, style="bold" if taken == K else None)
     console().print(table)
 
 

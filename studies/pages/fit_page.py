@@ -1,7 +1,7 @@
 """The page of a fit: whether a scenario model describes its departures, and what it is good enough for."""
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
@@ -12,14 +12,14 @@ from markupsafe import Markup
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.departures import PARAMETER_NAMES, Departures
 from ldctoolkit.diagnostics import ModelDiagnostics, SideDiagnostics, diagnose_model
-from ldctoolkit.diagnostics._marginals import COMPARISON_STANDARD_ERRORS, strip_is_off
+from ldctoolkit.diagnostics._marginals import strip_is_off
 from ldctoolkit.scenario_model import ScenarioModel, SideModel, SideSummary
 from ldctoolkit.scenario_model.fidelity import QUANTITIES, UNITS
 from ldctoolkit.version import __version__
 from studies.pages.charts import Axis, Chart, Dot, Series, Style, bars, dots, heat_map, legend, lines
 from studies.pages.settings_section import pairs
 from studies.pages.shell import Cell, Column, Section, TableRow, bullets, details, figure, make_page, paragraphs, table
-from studies.pages.text import PARAMETER_MEANINGS, compact, number, parameter_label, percent, plural, signed, symbols
+from studies.pages.text import PARAMETER_MEANINGS, compact, number, parameter_label, percent, plural, symbols
 from studies.storage.files import write_text
 from studies.storage.stored_model import WARNING, model_notes
 
@@ -373,12 +373,9 @@ def _selection(sides: tuple[Side, ...]) -> Section:
             continue
         if summary.reason:
             body += paragraphs(f"{side.key.capitalize()}: {summary.reason}.")
-        criteria = [(title, values, digits) for title, values, digits in (
-            ("AIC", summary.aic, 1), ("ICL", summary.icl, 1), ("Held out [nats an event]", summary.held_out, 4),
-        ) if len(values) == len(summary.bic)]  # fmt: skip
         least = min(summary.bic)
         columns = [Column("K"), Column("BIC"), Column("Above the least"), Column("Log-likelihood", "nats an event"),
-                   *(Column(title) for title, _, _ in criteria)]  # fmt: skip
+                   *([Column("AIC")] if summary.aic else [])]  # fmt: skip
         rows = [
             TableRow(
                 (
@@ -386,34 +383,14 @@ def _selection(sides: tuple[Side, ...]) -> Section:
                     number(summary.bic[i], 1),
                     number(summary.bic[i] - least, 1),
                     number(summary.log_likelihood[i], 4),
-                    *(number(values[i], digits) for _, values, digits in criteria),
+                    *(number(value, 1) for value in summary.aic[i : i + 1]),
                 ),
                 "winner" if K == side.K else "",
             )
             for i, K in enumerate(summary.n_components)
         ]
         body += table(f"{side.key.capitalize()}: choice of K; the chosen one is set in bold", columns, rows)
-    return Section("selection", "Choice of K", body + _alternative(sides))
-
-
-def _alternative(sides: tuple[Side, ...]) -> Markup:
-    """The comparison with a mixture after a transform."""
-
-    def sentences() -> Iterator[str]:
-        for side in sides:
-            c, name = side.found.comparison, side.key.capitalize()
-            if c is None:
-                yield f"{name}: not compared with a transformed mixture: {side.found.comparison_note}."
-                continue
-            clear = abs(c.difference) > COMPARISON_STANDARD_ERRORS * c.standard_error
-            which = "transformed" if c.difference > 0 else "bounded"
-            verdict = f"the {which} mixture describes them better" if clear else "no clear difference"
-            yield (
-                f"{name}: on {c.events_held_out:,} held-out events a mixture after a logarithm or logit of the bounded "
-                f"parameters has {signed(c.difference)} \u00b1 {number(c.standard_error)} nats an event: {verdict}."
-            )
-
-    return Markup("<h3>The alternative: a mixture after a transform</h3>") + paragraphs(*sentences())
+    return Section("selection", "Choice of K", body)
 
 
 def _settings(model: ScenarioModel, sides: tuple[Side, ...], seed: int) -> Section:

@@ -42,6 +42,17 @@ def test_a_file_gives_back_every_bit(model, tmp_path):
     assert later.content_hash == model.content_hash
 
 
+def test_criteria_of_earlier_versions_are_dropped(model, text, tmp_path):
+    data = json.loads(text)
+    data["provenance"]["left"] |= {"icl": [340.0, 1100.0], "held_out": [-2.5, -2.4], "criterion": "held_out"}
+    (tmp_path / "m.json").write_text(json.dumps(data))
+    back = load_model(tmp_path / "m.json")
+    assert back.content_hash == model.content_hash
+    assert back.provenance.left == dataclasses.replace(model.provenance.left, criterion="held_out")
+    back.save(tmp_path / "m.json")
+    assert load_model(tmp_path / "m.json").provenance == back.provenance
+
+
 def test_unknown_names_and_missing_files(tmp_path):
     with pytest.raises(UnknownNameError, match="did you mean 'reference'"):
         load_model("refrence")

@@ -153,4 +153,5 @@ def scratch(setting: FloatArray, lookaheads: int, most: int) -> tuple[FloatArray
     The caller keeps it: what a compiled function makes is freed after its last use there, bare views do not count.
     """
     sizes = 2 * lookaheads * LANES, 4 * most * LANES, data.LIMITS
-    return np.zeros(lanes.rings(setting)[-1]), *(np.empty(size) for size in sizes)  # type: ignore[return-value]
+    ends = lanes.rings.py_func(setting)  # plain Python: compiling it for one call would take a second
+    return np.zeros(ends[-1]), *(np.empty(size) for size in sizes)  # type: ignore[return-value]

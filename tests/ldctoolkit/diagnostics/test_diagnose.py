@@ -49,17 +49,8 @@ def test_a_misfit_is_told_in_words(misfit: SideDiagnostics) -> None:
     assert "Kolmogorov distance beyond" in text
     assert "mass next to bounds is not that of the events" in text
     assert "T lower" in text
-    assert "after a logarithm or logit" in text
     assert all(c.distance > c.limit for c in misfit.calibrations[:2])
     assert "c_0" not in text  # the normal margin is described well
-
-
-def test_the_transform_wins_where_it_should(misfit: SideDiagnostics) -> None:
-    comparison = misfit.comparison
-    assert comparison.transforms == (("T", "log"), ("d_y", "log"))
-    assert comparison.difference == pytest.approx(comparison.transformed - comparison.bounded, abs=1e-12)
-    assert comparison.difference > 4 * comparison.standard_error
-    assert (comparison.events_fit, comparison.events_held_out) == (1500, 1500)
 
 
 def test_a_right_model_has_no_warning() -> None:
@@ -69,9 +60,6 @@ def test_a_right_model_has_no_warning() -> None:
     x, _ = model.sample(4000, 8)
     found = diagnose(model, x, n_model=20_000)
     assert found.warnings == ()
-    assert found.comparison.difference < 0
-    # of a right model, its own likelihood: both halves are within a few hundredths of it
-    assert found.comparison.bounded == pytest.approx(model.score(x), abs=0.1)
 
 
 def test_same_seed_same_numbers_whatever_the_order() -> None:
@@ -133,21 +121,6 @@ def test_events_outside_are_left_out_and_counted() -> None:
     assert any("left out (T 2)" in line for line in found.warnings)
 
 
-def test_without_bounds_nothing_is_compared() -> None:
-    model = BoundedGaussianMixture.from_parameters([1.0], [[0.0]], [[[1.0]]])
-    found = diagnose(model, np.random.default_rng(0).normal(size=(50, 1)), n_model=2000)
-    assert found.comparison is None
-    assert "no parameter has a finite bound" in found.comparison_note
-    assert found.strips == ()
-
-
-def test_too_few_events_for_a_comparison_is_said() -> None:
-    found = diagnose(bad_components(), bad_components().sample(16, 1)[0], n_model=2000)
-    assert found.comparison is None
-    assert found.comparison_note == "half of the events, 8, are fewer than the 17 parameters of the mixture"
-    assert any("no comparison with a transformed mixture" in line for line in found.warnings)
-
-
 ONE = BoundedGaussianMixture.from_parameters([1.0], [[0.5]], [[[1.0]]], lower=0.0)
 GOOD = np.linspace(0.1, 2.0, 20)[:, None]
 
@@ -197,7 +170,7 @@ def test_both_sides_and_progress() -> None:
     assert (found.left.label, found.right.label) == ("left", "right")
     assert found.left.names == ("T", "d_y")
     assert found.left.joint is not None
-    assert (steps[0], steps[-1]) == (("left: margins", 0, 8), ("done", 8, 8))
+    assert (steps[0], steps[-1]) == (("left: margins", 0, 6), ("done", 6, 6))
     assert [done for _, done, _ in steps] == sorted({done for _, done, _ in steps})
 
 

@@ -14,7 +14,7 @@ from ldctoolkit.mixture.selection import Rule, choose, in_processes
 
 INF = np.inf
 QUICK = {"n_init": 2, "short_iter": 5, "random_state": 3}
-CURVES = ("n_parameters", "log_likelihood", "bic", "aic", "icl", "held_out", "held_out_error", "held_out_gap_error")
+CURVES = ("n_parameters", "log_likelihood", "bic", "aic")
 
 
 def two_groups(n=600, seed=0):
@@ -88,27 +88,23 @@ def test_criteria_equal_a_brute_force_computation(transform):
                 - 0.5 * np.einsum("ni,ij,nj->n", gap, np.linalg.inv(Sigma), gap)
             )  # fmt: skip
         density = np.exp(log_terms).sum(axis=1)
-        share = np.exp(log_terms) / density[:, None]
         L = np.log(density).sum() - (0.0 if transform is None else Y[:, 0].sum())
         p = K * d + K * d * (d + 1) // 2 + K - 1
-        entropy = -np.sum(share * np.log(np.maximum(share, 1e-300)))
         assert found.n_parameters[i] == p
         # 600 terms of size 1 to 10, each to about 1e-13
         np.testing.assert_allclose(found.log_likelihood[i], L / 600, rtol=1e-10)
         np.testing.assert_allclose(found.aic[i], -2 * L + 2 * p, rtol=1e-10)
         np.testing.assert_allclose(found.bic[i], -2 * L + p * np.log(600), rtol=1e-10)
-        np.testing.assert_allclose(found.icl[i], -2 * L + p * np.log(600) + 2 * entropy, rtol=1e-10)
         np.testing.assert_allclose(found.bic[i], model.bic(X), rtol=1e-10)
-        assert entropy > 0.1 or K == 1  # else the test could not see it
-    assert np.isnan(found.held_out).all()
-    assert np.isnan(found.held_out_error).all()
 
 
-@pytest.mark.parametrize("criterion", [pytest.param("aic", marks=pytest.mark.slow), "icl"])
-def test_the_other_criteria_choose_by_their_own_curve(criterion):
-    found = select_components(two_groups(), [1, 2, 3], lower=0.0, criterion=criterion, slack=0, **QUICK)
-    assert found.chosen == np.argmin(getattr(found, criterion))
-    assert criterion.upper() in found.reason
+def test_aic_chooses_by_its_own_curve():
+    """A hundred heavy-tailed values: twice the log-likelihood gains between 2 and ln 100 a parameter."""
+    X = np.random.default_rng(2).standard_t(4, (100, 1))
+    for criterion, K in (("bic", 1), ("aic", 2)):
+        found = select_components(X, [1, 2], criterion=criterion, slack=0, **QUICK)
+        assert found.best.n_components == K
+        assert found.reason.startswith(f"K = {K}, the smallest whose {criterion.upper()} lies within 0 of the best")
 
 
 def test_weights_count_as_repeated_rows():
@@ -118,49 +114,12 @@ def test_weights_count_as_repeated_rows():
     # one component: no start is drawn, so both fits take the same way
     weighted = select_components(X, [1], sample_weight=times, **options)
     repeated = select_components(np.repeat(X, times, axis=0), [1], **options)
-    for name in CURVES[:5]:
+    for name in CURVES:
         # the stopping point of the fits differs by rounding
         np.testing.assert_allclose(getattr(weighted, name), getattr(repeated, name), rtol=1e-8)
     # two: the weighted fit, seen on the repeated rows
     found = select_components(X, [2], sample_weight=times, **options)
     np.testing.assert_allclose(found.bic[0], found.best.bic(np.repeat(X, times, axis=0)), rtol=1e-10)
-
-
-# ---- held out
-@pytest.mark.parametrize("weighted", [False, True])
-def test_held_out_equals_a_split_made_by_hand(weighted):
-    X = two_groups()
-    weight = np.random.default_rng(5).integers(0, 4, 600).astype(float) if weighted else None
-    found = select_components(
-        X, [1, 2], lower=0.0, criterion="held_out", held_out_share=0.25, sample_weight=weight, **QUICK
-    )
-    held = np.zeros(600, dtype=bool)
-    held[np.random.default_rng([3, 2]).permutation(600)[:150]] = True
-    w = np.ones(600) if weight is None else weight
-    values = []
-    for K in (1, 2):
-        model = BoundedGaussianMixture(K, lower=0.0, **QUICK).fit(X[~held], sample_weight=w[~held])
-        values.append(model.score_samples(X[held]))
-    share = w[held] / w[held].sum()
-    used = np.count_nonzero(share)
-    means = np.array([share @ v for v in values])
-    best = int(np.argmax(means))
-
-    def error(v):
-        return np.sqrt(used / (used - 1) * np.sum(share**2 * (v - share @ v) ** 2))
-
-    # a fit with weights of one may differ from one without by rounding
-    np.testing.assert_allclose(found.held_out, means, rtol=1e-9)
-    np.testing.assert_allclose(found.held_out_error, [error(v) for v in values], rtol=1e-7)
-    np.testing.assert_allclose(found.held_out_gap_error, [error(v - values[best]) for v in values], rtol=1e-6)
-    if not weighted:
-        np.testing.assert_allclose(found.held_out_error[0], values[0].std(ddof=1) / np.sqrt(150), rtol=1e-7)
-    assert found.best.n_components == 2
-    assert "one standard error" in found.reason
-    # the fits that are kept have seen all events
-    plain = select_components(X, [1, 2], lower=0.0, sample_weight=weight, **QUICK)
-    np.testing.assert_array_equal(found.best.means_, plain.best.means_)
-    np.testing.assert_array_equal(found.bic, plain.bic)
 
 
 # ---- the rule
@@ -177,40 +136,36 @@ def test_held_out_equals_a_split_made_by_hand(weighted):
         ([3.0], 0.0, 0),
         ([np.nan, 30.0, 5.0, 4.0], 10.0, 2),
         ([-INF, 30.0, 5.0, INF], 10.0, 2),
-        ([9.0, 8.0, 7.0], [0.0, 1.0, 0.0], 1),  # an allowance of each
     ],
 )
 def test_the_rule_on_made_up_curves(loss, allowed, index):
-    loss = np.array(loss)
-    assert choose(loss, np.broadcast_to(np.array(allowed, dtype=float), loss.shape)) == index
+    assert choose(np.array(loss), allowed) == index
 
 
 def test_no_finite_criterion_is_an_error():
     with pytest.raises(InputError, match="finite criterion"):
-        choose(np.array([np.nan, INF]), np.zeros(2))
+        choose(np.array([np.nan, INF]), 0.0)
 
 
 def test_allowances_are_in_the_units_of_the_criterion():
-    error = np.array([0.3, 0.0])
-    assert Rule.of("bic", None, 0.0).allowance(1000.0, error).tolist() == [10.0, 10.0]
-    assert Rule.of("bic", 3, 0.001).allowance(1000.0, error).tolist() == [3.0, 3.0]
-    assert Rule.of("aic", 3, 0.01).allowance(1000.0, error).tolist() == [20.0, 20.0]
-    np.testing.assert_allclose(Rule.of("held_out", 2, 0.1).allowance(1000.0, error), [0.6, 0.1])
+    assert Rule("bic", 10.0, 0.0, 1000.0).allowance == 10.0
+    assert Rule("bic", 3, 0.001, 1000.0).allowance == 3.0
+    assert Rule("aic", 3, 0.01, 1000.0).allowance == 20.0
 
 
 def test_the_reason_names_k_rule_and_limits():
-    K, same = np.array([1, 2, 3]), np.zeros(3)
-    loss = np.array([90.0, 4.0, 1.0])
-    rule = Rule.of("bic", None, 0.0)
-    assert rule.reason(K, loss, rule.allowance(100.0, same), 1, 100.0) == (
+    K, loss = np.array([1, 2, 3]), np.array([90.0, 4.0, 1.0])
+    rule = Rule("bic", 10.0, 0.0, 100.0)
+    assert rule.reason(K, loss, 1) == (
         "K = 2, the smallest whose BIC lies within 10 of the best (K = 3, better by 3.0); "
         "the best is the last one tried, so more components may be better still"
     )
-    rule = Rule.of("bic", None, 0.5)
-    assert rule.reason(K, loss, rule.allowance(100.0, same), 0, 100.0).startswith(
-        "K = 1, the smallest whose BIC lies within 0.5 nats an event of the best (K = 3"
+    assert (
+        Rule("aic", 10.0, 0.5, 100.0)
+        .reason(K, loss, 0)
+        .startswith("K = 1, the smallest whose AIC lies within 0.5 nats an event of the best (K = 3")
     )
-    assert rule.reason(K[:1], loss[:1], same[:1], 0, 100.0) == "K = 1, the only one there is"
+    assert rule.reason(K[:1], loss[:1], 0) == "K = 1, the only one there is"
 
 
 def test_indifference_takes_the_smaller_model():
@@ -223,11 +178,18 @@ def test_indifference_takes_the_smaller_model():
     assert (plain.best.n_components, just_less.best.n_components, just_more.best.n_components) == (2, 2, 1)
 
 
+def test_larger_k_are_not_tried_once_there_is_enough():
+    """Sixty values of one group: K = 2 is worse than K = 1 by 12.3 units of BIC."""
+    X = np.random.default_rng(0).standard_t(4, (60, 1))
+    for slack, tried in ((10, [1, 2]), (13, [1, 2, 3])):
+        found = select_components(X, [1, 2, 3], slack=slack, enough=lambda fits: fits.risen, **QUICK)
+        assert found.n_components.tolist() == tried
+
+
 # ---- in parallel
-@pytest.mark.parametrize("criterion", [pytest.param("bic", marks=pytest.mark.slow), "held_out"])
-def test_numbers_do_not_depend_on_processes(criterion):
+def test_numbers_do_not_depend_on_processes():
     X = two_groups()
-    options = {"lower": 0.0, "criterion": criterion, "sample_weight": np.linspace(0.5, 2.0, 600), **QUICK}
+    options = {"lower": 0.0, "sample_weight": np.linspace(0.5, 2.0, 600), **QUICK}
     # 201 components are too many for 600 rows
     serial = select_components(X, [1, 2, 201], n_jobs=1, **options)
     parallel = select_components(X, [201, 2, 1], n_jobs=3, **options)
@@ -310,12 +272,6 @@ def test_a_k_that_cannot_be_fitted_is_reported_and_left_out():
     assert found.reason.endswith("; K = 14 could not be fitted")
 
 
-def test_a_k_that_the_other_rows_cannot_carry_fails():
-    options = {"criterion": "held_out", "held_out_share": 0.5, **QUICK}
-    found = select_components(two_groups(40), [1, 2, 8], lower=0.0, **options)
-    assert found.failures[0].message.startswith("without the 20 rows held out: X: 20 rows; allowed")
-
-
 @pytest.mark.parametrize("n_jobs", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_where_all_fail_the_message_is_the_fits(n_jobs):
     X = two_groups()
@@ -337,8 +293,6 @@ def test_where_all_fail_the_message_is_the_fits(n_jobs):
         ({"slack": -1.0}, "slack: -1.0; allowed: a number >= 0"),
         ({"indifference": np.nan}, "indifference: nan"),
         ({"n_jobs": 0}, "n_jobs: 0; allowed: an integer >= 1"),
-        ({"criterion": "held_out", "held_out_share": 1.0}, "held_out_share: 1.0; allowed: a number between 0 and 1"),
-        ({"criterion": "held_out", "held_out_share": 0.001}, "held_out_share: 0.001 holds out 1 of 600 rows"),
         ({"sample_weight": [1.0]}, "sample_weight: shape"),
         ({"X": np.empty((0, 2))}, "X: no rows"),
         ({"X": np.empty((5, 0))}, "X: no columns"),

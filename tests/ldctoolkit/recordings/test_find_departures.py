@@ -1,15 +1,18 @@
 """Departures in recordings: crossings, lane changes, criteria."""
 
+import dataclasses
 from typing import Any
 
 import numpy as np
 import pytest
 
 from helpers.recordings import OFFSET, T, drive
-from ldctoolkit.departures import LEFT, RIGHT
+from ldctoolkit.departures import LEFT, RIGHT, Plausibility
 from ldctoolkit.errors import InputError
 from ldctoolkit.recordings import Criteria, Extraction, Preparation, Recording, extract_departures, open_recordings
 from ldctoolkit.recordings.find_departures import REASONS
+
+NO_LIMITS = Plausibility(y_rate=np.inf, y_acceleration=np.inf, a_y=np.inf)
 
 
 def extract(*recordings: Recording, **criteria: Any) -> Extraction:
@@ -72,8 +75,9 @@ REFUSALS: list[tuple[str, dict[str, Any], dict[str, Any], int]] = [
     ("intended", {"turn_signal": with_value(0, slice(30, 41), 1)}, {}, 1),  # set when crossing out
     ("implausible", {"speed": 60.0 - 9.82 * (T - 3.0)}, {}, 1),
     ("implausible", {"speed": 5.0 + 9.82 * T}, {}, 1),
-    ("implausible", {"curvature": 9.82 / 25.0**2}, {}, 1),
-    ("implausible", {"curvature": -9.82 / 25.0**2}, {}, 1),
+    ("implausible", {"curvature": 9.82 / 25.0**2}, {"plausibility": NO_LIMITS}, 1),
+    ("implausible", {"curvature": -9.82 / 25.0**2}, {"plausibility": NO_LIMITS}, 1),
+    ("implausible", {"curvature": 7.0 / 25.0**2}, {}, 1),
     ("implausible", {"lane_width": with_value(3.6, slice(41, 60), 1.75), "lane_offset": 0.3}, {}, 1),
     # every other reason is stronger
     ("intended", {"speed": 5.0 + 9.82 * T, "turn_signal": with_value(0, slice(48, 52), 1)}, {}, 1),
@@ -110,6 +114,17 @@ def test_refused_with_one_reason(reason, columns, criteria, count, side):
     found = extract(drive(**changed), **criteria)
     assert len(found.departures) == 0
     assert reasons(found) == {reason: count}
+
+
+@pytest.mark.parametrize(
+    ("limit", "asked"), [("y_rate", 4 * 0.3 / 1.9), ("y_acceleration", 8 * 0.3 / 1.9**2), ("a_y", 1 + 8 * 0.3 / 1.9**2)]
+)
+@pytest.mark.parametrize(("share", "expected"), [(1.01, {}), (0.99, {"implausible": 1})])
+def test_a_path_that_asks_more_than_a_limit(limit, asked, share, expected):
+    """0.3 m in 1.9 s at 25 m/s, in a bend of 1 m/s^2 away from the line."""
+    limits = dataclasses.replace(NO_LIMITS, **{limit: share * asked})
+    found = extract(drive(curvature=-1.0 / 25.0**2), plausibility=limits)
+    assert (reasons(found), len(found.departures)) == (expected, 1 - len(expected))
 
 
 @pytest.mark.parametrize("a", [-9.8, 9.8])
@@ -149,9 +164,12 @@ def test_real_recordings(ngsim_recordings):
     # 412 lane changes; some of them within one manoeuvre, or with the edge inside on both of their samples
     assert 330 <= found.refused.lane_change <= 412
     assert found.candidates == len(found.departures) + found.refused.total
-    # two events of half a second with -24 and -19 m/s^2, the noise of five or six speeds
-    assert found.refused.implausible == 2
+    # two events of half a second with -24 and -19 m/s^2, the noise of five or six speeds, and four whose path asks too
+    # much: one for 2.4 m/s at the line, all of them for more than 4 m/s^2
+    assert found.refused.implausible == 6
     assert np.abs(found.departures.a_mean).max() <= 9.81
+    more = extract_departures(recordings, vehicle_width=1.8, plausibility=NO_LIMITS)
+    assert (len(more.departures), more.refused.implausible) == (len(found.departures) + 4, 2)
     assert found.warnings == ("the lane is straight in nearly all samples: c_0 and dc tell nothing",)
     assert found.provenance.sources == recordings.source.files
 
@@ -160,12 +178,12 @@ STEP = 0.125
 
 
 def fate(beyond: int, *, criteria: dict[str, Any] | None = None, **columns: Any) -> str:
-    """Extract a recording with one stretch of some samples beyond the left line; "departure", or why it is refused. It
-    starts and ends on a sample that lies on the line itself, so it lasts (beyond + 1) steps. The lane is 3 m wide, the
-    vehicle 2 m, the speed 16 m/s."""
+    """Extract a recording with one stretch of some samples 1/16 m beyond the left line; "departure", or why it is
+    refused. It starts and ends on a sample that lies on the line itself, so it lasts (beyond + 1) steps. The lane is
+    3 m wide, the vehicle 2 m, the speed 16 m/s."""
     y = np.full(beyond + 12, -0.25)
     y[5:-5] = 0.0
-    y[6:-6] = 0.25
+    y[6:-6] = 0.0625
     one, given = np.ones(y.size), {"lane": np.ones(y.size, dtype=np.int64), "curvature": np.zeros(y.size)} | columns
     base: dict[str, Any] = {"t": STEP * np.arange(y.size), "lane_offset": 0.5 + y, "lane_width": 3.0 * one}
     base |= {"speed": 16.0 * one, "valid": one > 0}
@@ -228,9 +246,10 @@ def test_a_step_of_the_offset_as_large_as_the_limit_is_no_jump(step, expected):
 
 @pytest.mark.parametrize(("reach", "expected"), [(2.8, "lane_change"), (np.nextafter(2.8, 0.0), "departure")])
 def test_an_offset_that_reaches_the_next_lane(reach, expected):
-    """0.7 lane widths; the steps are too small for a jump."""
-    offset = np.concatenate([np.zeros(4), np.linspace(0.0, 2.5, 8), [reach] * 3, np.linspace(2.5, 0.0, 8), np.zeros(4)])
-    assert fate(15, lane=None, lane_offset=offset, lane_width=np.full(27, 4.0)) == expected
+    """0.7 lane widths; the steps are too small for a jump, and the way out and back is a calm one."""
+    out = np.linspace(0.0, 2.5, 24)
+    offset = np.concatenate([np.zeros(4), out, [reach] * 3, out[::-1], np.zeros(4)])
+    assert fate(47, lane=None, lane_offset=offset, lane_width=np.full(59, 4.0)) == expected
 
 
 @pytest.mark.parametrize(

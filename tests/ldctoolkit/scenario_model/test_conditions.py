@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT
+from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, Plausibility
 from ldctoolkit.errors import InputError, RecordingError
 from ldctoolkit.mixture import BoundedGaussianMixture
 from ldctoolkit.recordings import Preparation, Provenance, SourceFile
@@ -20,6 +20,7 @@ from ldctoolkit.scenario_model import (
     FitSettings,
     ModelProvenance,
     ScenarioModel,
+    SideFidelity,
     SideModel,
     SideSummary,
     conditions,
@@ -202,9 +203,9 @@ def test_every_key_of_a_file_is_described():
     section = PAGE[PAGE.index("## File") : PAGE.index("## The bundled model")]
     described = set(re.findall(r"`\.?([a-z_]+)`", section))
     model = load_model("reference")
-    content = model_to_json(model.left_side, model.right_side, model.provenance)
+    content = model_to_json(model.left_side, model.right_side, model.provenance, model.plausibility)
     keys = {*content, *content["sides"]["left"]} - {"sides"}
-    for kind in (ModelProvenance, SideSummary, FitSettings):
+    for kind in (ModelProvenance, SideSummary, SideFidelity, FitSettings, Plausibility):
         keys |= {field.name for field in dataclasses.fields(kind)}
     assert keys <= described, keys - described
     assert f"`, {VERSION} |" in section

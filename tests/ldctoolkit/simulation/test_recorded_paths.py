@@ -150,7 +150,8 @@ def test_a_plant_of_every_option_drives_recorded_paths(departures: Departures) -
 def test_signals_survive_the_second_table(departures: Departures, tmp_path: Path) -> None:
     write_departures(tmp_path / "d.parquet", departures, Provenance())
     back, _ = read_departures(tmp_path / "d.parquet", signals=True)
-    assert back.signals is not None and departures.signals is not None
+    assert back.signals is not None
+    assert departures.signals is not None
     for name in ("offsets", "t", "y", "v", "c"):
         np.testing.assert_array_equal(getattr(back.signals, name), getattr(departures.signals, name))
     assert read_departures(tmp_path / "d.parquet")[0].signals is None

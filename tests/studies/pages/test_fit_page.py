@@ -21,7 +21,7 @@ from ldctoolkit.scenario_model import ScenarioModel
 from studies.pages.extraction_page import extraction_page, extraction_verdict, hours, rate, size, write_extraction_page
 from studies.pages.fit_page import fit_page, write_fit_page
 
-SECTIONS = ["verdict", "margins", "joint", "calibration", "bounds", "components", "selection", "settings"]
+SECTIONS = ["verdict", "fidelity", "margins", "joint", "calibration", "bounds", "components", "selection", "settings"]
 
 
 @pytest.fixture(scope="module")
@@ -58,18 +58,18 @@ def test_self_contained_and_well_formed(page: Page) -> None:
 def test_the_verdict_says_what_it_is_good_enough_for(model: ScenarioModel, found: ModelDiagnostics) -> None:
     words = verdicts(model, found)
     assert words.startswith(
-        "Verdict Left: good enough for comparing mean S of designs; too few departures (400) for rare"
+        "Verdict Left: Good enough for comparing mean S of designs; too few departures (400) for rare"
     )
     few = dataclasses.replace(found, left=dataclasses.replace(found.left, effective_events=80.0))
     assert "Left: too few departures for a model (80; 150 at least): rank designs on the recorded" in verdicts(
         model, few
     )
     many = dataclasses.replace(found, right=dataclasses.replace(found.right, effective_events=5000.0))
-    assert "Right: good enough for comparing designs, in their mean S and in the worst 5 %" in verdicts(model, many)
+    assert "Right: Good enough for comparing designs, in their mean S and in the worst 5 %" in verdicts(model, many)
     first, *others = found.left.calibrations
     off = (dataclasses.replace(first, distance=0.3, limit=0.1), *others)
     misfit = dataclasses.replace(found, left=dataclasses.replace(found.left, calibrations=off))
-    assert "Left: misfit in T: good enough for designs that do not depend on it" in verdicts(model, misfit)
+    assert "Left: Misfit in T: good enough for designs that do not depend on it" in verdicts(model, misfit)
 
 
 def test_says_what_it_is_about(page: Page, model: ScenarioModel) -> None:
@@ -92,6 +92,14 @@ def test_numbers_are_those_of_the_diagnosis(model: ScenarioModel, found: ModelDi
     rows = {row[0]: row[1:] for row in made.filled("calibration")[0]}
     assert rows["dy [m]: peak lateral departure"][:2] == ["43.21", "12.34"]
     assert "checked here against 123 others" in made.words("verdict")
+
+
+def test_aic_stands_beside_bic_where_the_model_has_it(model: ScenarioModel, found: ModelDiagnostics) -> None:
+    left = dataclasses.replace(model.provenance.left, aic=(-140.0, -990.25, -970.0))
+    made = dataclasses.replace(model, provenance=dataclasses.replace(model.provenance, left=left))
+    with_aic, without = Page(fit_page(made, found, seed=3)).filled("selection")[:2]
+    assert with_aic[2] == ["2", "−950.5", "0.0", "1.2000", "−990.2"]
+    assert without[2] == ["2", "−950.5", "0.0", "1.2000"]
 
 
 def test_warnings_are_merged_by_cause(model: ScenarioModel, found: ModelDiagnostics) -> None:
@@ -148,7 +156,7 @@ def test_drawn_departures_are_named(model: ScenarioModel, tmp_path: Path) -> Non
 
 def test_skewed_departures_are_a_misfit(model: ScenarioModel, departures: Departures, tmp_path: Path) -> None:
     write_fit_page(tmp_path / "p", model, skewed(departures))
-    assert "misfit in" in Page((tmp_path / "p").read_text(encoding="utf-8")).words("verdict")
+    assert "Misfit in" in Page((tmp_path / "p").read_text(encoding="utf-8")).words("verdict")
 
 
 def test_too_few_and_nowhere_to_write(model: ScenarioModel, departures: Departures, tmp_path: Path) -> None:

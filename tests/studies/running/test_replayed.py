@@ -170,7 +170,8 @@ def test_finalists_of_a_model_are_scored_on_the_departures_too(table: Departures
     study = study.changed(vehicle={"w_v": 1.75})
     results = run_study(study, directory=tmp_path / "out", workers=1)
     assert results.scenarios.n == 60
-    assert results.fresh is not None and results.replayed is not None
+    assert results.fresh is not None
+    assert results.replayed is not None
     assert {one.id for one in results.replayed.designs} == {one.id for one in results.fresh.designs}
     ranking = rank_study(results, study)[0]
     i = next(k for k, one in enumerate(ranking.designs) if one.y_s == 0.1 and dict(one.gains)["r_delta"] == 500.0)
@@ -247,6 +248,6 @@ def test_the_recorded_path_is_replayed_from_the_second_table(tmp_path: Path) -> 
     parabolas = simulate(LQR(r_delta=500.0), Scenarios.from_departures(found), setup=study.setup(), y_s=0.1).S
     assert np.abs(S - parabolas).max() > 1e-3
     good("report", "out", "--no-robustness", cwd=tmp_path)
+    (tmp_path / "d.signals.parquet").unlink()
     with pytest.raises(LdcError, match=r"d\.signals\.parquet: does not exist; a table of signals"):
-        (tmp_path / "d.signals.parquet").unlink()
         run_study(study, directory=tmp_path / "again", workers=1)

@@ -30,7 +30,8 @@ MISTAKES: list[tuple[dict[str, Any], str]] = [
     ({"name": 3}, "name: 3; allowed: text"),
     (
         {"scenarios": {"lft": 3}},
-        "scenarios.lft: no such key; did you mean 'left'? (allowed: departures, given, left, model, path, right, table, weights)",
+        "scenarios.lft: no such key; did you mean 'left'? "
+        "(allowed: departures, given, left, model, path, right, table, weights)",
     ),
     ({"scenarios": {"given": 3}}, "scenarios.given: 3; allowed: a table of keys"),
     ({"scenarios": {"given": {"v": 3}}}, "scenarios.given: no parameter 'v'; "),

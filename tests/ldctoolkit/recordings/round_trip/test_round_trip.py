@@ -13,6 +13,8 @@ from ldctoolkit.departures import PARAMETER_NAMES
 PAGE = (Path(__file__).parents[4] / "docs" / "recording-biases.md").read_text(encoding="utf-8")
 
 LARGEST = 0.03  # Kolmogorov distance that is allowed to every parameter on each side
+# but to sigma_v: the noise of the speed, 0.01 m/s, is half of its 5 % quantile and hardly leaves a value below itself
+LARGEST_OF = np.array([0.06 if name == "sigma_v" else LARGEST for name in PARAMETER_NAMES])
 
 
 def extracted(folder, drive, noise, **options):
@@ -20,9 +22,9 @@ def extracted(folder, drive, noise, **options):
     return extract_departures(open_recordings(paths, format="spmd-das1"))
 
 
-def check(distances, largest=LARGEST):
+def check(distances):
     reported = {side: dict(zip(PARAMETER_NAMES, row.round(4).tolist(), strict=True)) for side, row in distances.items()}
-    assert max(row.max() for row in distances.values()) < largest, reported
+    assert all((row < LARGEST_OF).all() for row in distances.values()), reported
 
 
 def errors(found, drive):
@@ -140,5 +142,6 @@ def test_a_model_comes_back(page_drive, tmp_path):
     assert pairs.lost + pairs.surplus < 0.5 * LARGEST * N
     assert check_page("With noise", found, page_drive) == 8
     check(making.kolmogorov(found.departures, page_drive.planted.parameters))
-    again = fit_scenario_model(found.departures, components=10, seed=1, n_init=2)
+    # with the maps of the model itself
+    again = fit_scenario_model(found.departures, components=10, seed=1, n_init=2, transform="auto")
     check(making.kolmogorov(again.sample(100_000, 100_000, seed=3), model.sample(100_000, 100_000, seed=4)))
