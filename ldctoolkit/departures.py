@@ -347,7 +347,7 @@ def bend_polynomial(p: DepartureParameters) -> tuple[FloatArray, FloatArray, Flo
 class Plausibility:
     """What the path of a departure may ask of driver and vehicle; beyond it no departure happened, nor can happen.
 
-    Raises `InputError` for a limit that is not above zero; an infinite one is no limit.
+    Raises `InputError` for a limit that is not above zero. An infinite one is no limit, and is kept as None.
 
     Examples
     --------
@@ -357,15 +357,18 @@ class Plausibility:
     array([False,  True])
     """
 
-    y_rate: float = 2.0  # [m/s] Of 4 d_y/T, the lateral speed at the line
-    y_acceleration: float = 4.0  # [m/s^2] Of the largest |d2y/dt2| along the parabola
-    a_y: float = 6.0  # [m/s^2] Of the largest |v^2 c + d2y/dt2|, that of the bend included
+    y_rate: float | None = 2.0  # [m/s] Of 4 d_y/T, the lateral speed at the line
+    y_acceleration: float | None = 4.0  # [m/s^2] Of the largest |d2y/dt2| along the parabola
+    a_y: float | None = 6.0  # [m/s^2] Of the largest |v^2 c + d2y/dt2|, that of the bend included
 
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
-            if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0.0:
+            if value is None:
+                continue
+            if isinstance(value, bool) or not isinstance(value, int | float | np.number) or not value > 0.0:
                 raise InputError(f"plausibility.{field.name}: {value!r}; allowed: a number above 0")
+            object.__setattr__(self, field.name, float(value) if np.isfinite(value) else None)
 
     def __str__(self) -> str:
         limits = {
@@ -373,7 +376,7 @@ class Plausibility:
             "|y''|": (self.y_acceleration, "m/s^2"),
             "|a_y|": (self.a_y, "m/s^2"),
         }
-        return ", ".join(f"{name} = {value:g} {unit}" for name, (value, unit) in limits.items())
+        return ", ".join(f"{name} = {value:g} {unit}" for name, (value, unit) in limits.items() if value is not None)
 
     def holds(self, p: DepartureParameters) -> BoolArray:
         """Which departures keep all limits, (n,); exact for the path without residuals."""
@@ -389,9 +392,9 @@ class Plausibility:
             inner = np.stack([half / (3.0 * k_3), k_1 / half])
         t = np.stack([np.zeros(p.n), p.T, *np.clip(np.nan_to_num(inner), 0.0, p.T)])
         a_y = np.abs(k_0 + t * (k_1 + t * (k_2 + t * k_3))).max(axis=0)
-        return np.asarray(
-            (4.0 * p.d_y <= self.y_rate * p.T) & (np.abs(ends).max(axis=0) <= self.y_acceleration) & (a_y <= self.a_y)
-        )
+        asked = zip((4.0 * p.d_y / p.T, np.abs(ends).max(axis=0), a_y), dataclasses.astuple(self), strict=True)
+        kept = [value <= most for value, most in asked if most is not None]
+        return np.asarray(np.logical_and.reduce([p.T > 0.0, *kept]))
 
 
 def rebuild_signals(p: DepartureParameters, dt: float) -> DepartureSignals:

@@ -102,7 +102,7 @@ def main() -> None:
         found = extracted(case, drives[case.curvature_held])
         print("\n".join(lines(case, drives[case.curvature_held], found)), flush=True)
         if case.name == "noise":
-            again = fit_scenario_model(found, components=10, seed=FIT, n_init=2)
+            again = fit_scenario_model(found, components=10, transform="auto", seed=FIT, n_init=2)
             many = 10 * drawn.n
             distance = making.kolmogorov(again.sample(many, many, seed=3), model.sample(many, many, seed=4))
             fitted = (f"{n} {a:.3f}, {b:.3f}" for n, a, b in zip(PARAMETER_NAMES, *distance.values(), strict=True))

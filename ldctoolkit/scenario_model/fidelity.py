@@ -27,7 +27,7 @@ QUANTITIES: Final = ("reduction", "trigger share", "needless", "added a_y p95", 
 UNITS: Final = ("", "", "", "m/s^2", "m")
 TRIGGERS: Final = (0.05, 0.25, 0.5, 0.75)  # shares of the recorded departures that do not reach a trigger threshold
 MOST_REPLAYED: Final = 5_000  # departures that are replayed, evenly spread rows
-MOST_GENERATED, FEWEST_GENERATED = 10_000, 3_000
+MOST_GENERATED, FEWEST_GENERATED = 10_000, 2_000
 CONFIDENCE: Final = 0.95
 # Of the intervals of each quantity, for all probes at once: the effect of control, which designs are ranked by, is
 # tested by itself, the other four together
@@ -151,8 +151,8 @@ class Replay:
 
     @property
     def generated(self) -> int:
-        """Departures to generate: so many that their own error hardly counts."""
-        return min(max(10 * self.departures, FEWEST_GENERATED), MOST_GENERATED)
+        """Departures to generate: so many that their own error widens that of the replay by a tenth at most."""
+        return min(max(5 * self.departures, FEWEST_GENERATED), MOST_GENERATED)
 
     @classmethod
     def of(

@@ -456,7 +456,7 @@ class _Judge:
 
     def enough(self, fits: Selection) -> bool:
         """Whether larger K need not be tried: the criterion has risen, or the last two give the recordings' answer."""
-        return fits.risen or (len(fits.models) > 1 and all(self.checked(one).agrees for one in fits.models[-2:]))
+        return fits.risen or (len(fits.models) > 1 and all(self.checked(one).agrees for one in fits.models[:-3:-1]))
 
     def choice(self, fits: Selection) -> _Checked:
         """The first that gives the recordings' answer: the criterion's K, larger ones, the smoothed departures."""

@@ -65,17 +65,9 @@ def model_to_json(
         "version": VERSION,
         "units": dict(zip(PARAMETER_NAMES, PARAMETER_UNITS, strict=True)),
         "sides": {"left": side_to_json(left), "right": side_to_json(right)},
-        "plausibility": _limits(plausibility),
+        "plausibility": plausibility and dataclasses.asdict(plausibility),
         "provenance": content,
     }
-
-
-def _limits(plausibility: Plausibility | None) -> dict[str, float | None] | None:
-    """Limits as JSON values; null for none."""
-    if plausibility is None:
-        return None
-    values = dataclasses.asdict(plausibility)
-    return {name: float(value) if math.isfinite(value) else None for name, value in values.items()}
 
 
 def _fitted(provenance: Any) -> Iterator[dict[str, Any]]:
@@ -93,7 +85,7 @@ def content_hash(left: SideModel, right: SideModel, plausibility: Plausibility |
         if all(kind == "none" for kind in content[name]["transform"]):
             del content[name]["transform"]
     if plausibility is not None:
-        content["plausibility"] = _limits(plausibility)
+        content["plausibility"] = dataclasses.asdict(plausibility)
     text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()
 
@@ -164,7 +156,7 @@ def model_from_json(text: str, file: str) -> tuple[SideModel, SideModel, ModelPr
         _built(found.sides.left, f"{file}: sides.left"),
         _built(found.sides.right, f"{file}: sides.right"),
         found.provenance,
-        None if found.plausibility is None else found.plausibility.limits(),
+        None if found.plausibility is None else Plausibility(**dict(found.plausibility)),
     )
 
 
@@ -249,10 +241,6 @@ class _Limits(Part):
     y_rate: float | None = Field(gt=0.0)
     y_acceleration: float | None = Field(gt=0.0)
     a_y: float | None = Field(gt=0.0)
-
-    def limits(self) -> Plausibility:
-        """As the model has them."""
-        return Plausibility(**{name: math.inf if value is None else value for name, value in self})
 
 
 class _File(Part):

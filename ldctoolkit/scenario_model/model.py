@@ -227,6 +227,7 @@ class ScenarioModel:
     provenance: ModelProvenance  # Where the model comes from
     # Departures beyond it have no density and are not drawn; None in a model of an earlier version, for no limits
     plausibility: Plausibility | None = None
+    _excluded: dict[int, float] = dataclasses.field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
     def left(self) -> BoundedGaussianMixture:
@@ -278,8 +279,9 @@ class ScenarioModel:
                 rows = rows[getattr(departures, name)[rows] == value]
             x = np.column_stack([getattr(departures, name)[rows] for name in half.names])
             if rows.size:
-                share = 1.0 - self.redrawn_share(side, events=_DENSITY_EVENTS)
-                out[rows] = half.mixture.distribution.log_density(x) - math.log(share)
+                if side not in self._excluded:
+                    self._excluded[side] = self.redrawn_share(side, events=_DENSITY_EVENTS)
+                out[rows] = half.mixture.distribution.log_density(x) - math.log1p(-self._excluded[side])
         return out
 
     def sample(self, n_left: int, n_right: int, seed: int, given: Given | None = None) -> Scenarios:
@@ -347,6 +349,9 @@ class ScenarioModel:
             if len(blocks) == limit:
                 share = 1.0 - found / (limit * SAMPLE_BLOCK)
                 word = "left" if side == LEFT else "right"
+                if wanted:
+                    texts = " and ".join(map(str, wanted))
+                    raise InputError(f"given: hardly any departure ({word}) with {texts} can happen")
                 raise ModelError(
                     f"scenario model ({word}): {share:.1%} of the events fall below {SPEED_FLOOR} m/s or are not "
                     "plausible; the model does not describe driving at speed"

@@ -70,7 +70,7 @@ def test_holds_equals_a_look_at_every_time(standing):
 
 @pytest.mark.parametrize("name", LIMITS)
 @pytest.mark.parametrize(
-    ("value", "text"), [(0, "0"), (-1.5, "-1.5"), (math.nan, "nan"), (True, "True"), ("2", "'2'"), (None, "None")]
+    ("value", "text"), [(0, "0"), (-1.5, "-1.5"), (math.nan, "nan"), (True, "True"), ("2", "'2'"), ((), "()")]
 )
 def test_a_wrong_limit_gets_one_message(name, value, text):
     with pytest.raises(InputError) as told:

@@ -119,11 +119,11 @@ def test_settings_reach_the_extraction(folder: Path, ldc: Ldc) -> None:
         "--vehicle-width": 1.7, "--step": 0.2, "--nominal-lane-width": 3.5, "--yaw-rate-factor": -1,
         "--min-duration": 0.6, "--max-duration": 9, "--min-speed": 6, "--max-gap": 0.5, "--max-jump": 0.7,
     }  # fmt: skip
-    flat = [word for pair in words.items() for word in pair] + ["--limit", "y_rate=3", "--limit", "a_y=4.5"]
+    flat = [word for pair in words.items() for word in pair] + ["--limit", "y_rate=3", "--limit", "a_y=inf"]
     assert ldc("a.csv", "-o", "d.parquet", *flat)[0] == 0
     departures, provenance = read_departures("d.parquet")
     criteria, preparation = provenance.criteria, provenance.preparation
-    assert dataclasses.astuple(criteria) == (1.7, 0.6, 9, 6, 0.5, 0.7, (3, 4, 4.5))
+    assert dataclasses.astuple(criteria) == (1.7, 0.6, 9, 6, 0.5, 0.7, (3, 4, None))
     assert (preparation.step, preparation.nominal_lane_width, preparation.yaw_rate_factor) == (0.2, 3.5, -1)
     scale = next(column for column in departures.extra if column.name == "lane_scale")
     np.testing.assert_allclose(scale.values.astype(float), 3.5 / 3.6)
