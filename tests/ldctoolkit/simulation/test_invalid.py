@@ -68,7 +68,7 @@ BAD_VALUES = [
 
 def spoiled(scenarios: Scenarios, rows: dict[int, dict[str, float]]) -> Scenarios:
     """Past the checks of `Scenarios.from_arrays`, as a damaged file or someone's own generator would."""
-    columns = {field.name: getattr(scenarios, field.name).copy() for field in dataclasses.fields(scenarios)}
+    columns = {name: array.copy() for name, array in vars(scenarios).items() if array is not None}
     for row, changes in rows.items():
         for name, value in changes.items():
             columns[name][row] = value

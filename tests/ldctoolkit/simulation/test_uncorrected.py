@@ -57,7 +57,7 @@ def test_without_residuals_every_bit_is_that_of_the_closed_forms(shape: tuple[in
     rng = np.random.default_rng(1)
     T = MANY.T.reshape(-1, *(1,) * len(shape))
     t = rng.uniform(-0.2, 1.0, (MANY.n, *shape)) * T
-    p = MANY if not shape else Scenarios(**{k: v[:, None] for k, v in vars(MANY).items()})
+    p = MANY if not shape else Scenarios(**{k: v[:, None] for k, v in vars(MANY).items() if v is not None})
     for name in ("position", "speed", "lateral", "lateral_rate", "lateral_acceleration", "curvature"):
         np.testing.assert_array_equal(getattr(path, name)(t), getattr(dep, name)(p, t), err_msg=name)
     np.testing.assert_array_equal(path.area(t), dep.lateral_integral(p, t))
