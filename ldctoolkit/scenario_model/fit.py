@@ -466,8 +466,7 @@ class _Judge:
                 raise InputError(
                     f"kind: 'smoothed' with {self.events.rows} {self.events.label} departures; allowed: up to {FEW}"
                 )
-            found = self.checked(smoothed(self.events), "smoothed")
-            return dataclasses.replace(found, reason="smoothed departures, as requested")
+            return dataclasses.replace(self._smoothed(), reason="smoothed departures, as requested")
         first = best = self.checked(fits.best)
         if not few or isinstance(self.settings.components, int):
             return best
@@ -477,7 +476,7 @@ class _Judge:
             best = max(best, self.checked(fits.models[last]), key=lambda one: (one.agrees, *one.merit))
         K, most = (int(fits.n_components[i]) for i in (fits.chosen, last))
         if kind == "auto" and not best.agrees:
-            other = self.checked(smoothed(self.events), "smoothed")
+            other = self._smoothed()
             if other.merit > best.merit:
                 text = f"K = {K}" if most == K else f"K = {K} to {most}"
                 return dataclasses.replace(
@@ -488,12 +487,17 @@ class _Judge:
             best = dataclasses.replace(best, reason=f"{text} ({fits.reason})")
         return best
 
+    def _smoothed(self) -> _Checked:
+        """The smoothed departures: the wider kernel that agrees with them, else the better one."""
+        best, *others = (self.checked(smoothed(self.events, width), "smoothed") for width in BANDWIDTHS)
+        return best if best.agrees else max(best, *others, key=lambda one: (one.agrees, *one.merit))
 
-BANDWIDTH: Final = 0.25
+
+BANDWIDTHS: Final = (0.25, 0.125)
 """Of Silverman's rule, which oversmooths what has several modes and a boundary: see docs/decisions/0037."""
 
 
-def smoothed(events: SideEvents) -> BoundedGaussianMixture:
+def smoothed(events: SideEvents, width: float) -> BoundedGaussianMixture:
     """The departures themselves with a Gaussian kernel in mapped coordinates; mean and covariance are kept there."""
     x, varies = events.events.x, events.inside.varies
     lower, upper = events.box.lower[varies], events.box.upper[varies]
@@ -502,7 +506,7 @@ def smoothed(events: SideEvents) -> BoundedGaussianMixture:
     n, d = y.shape
     share = np.full(n, 1.0 / n) if events.events.weight is None else events.events.weight / events.events.weight.sum()
     effective = 1.0 / float(share @ share)
-    h = BANDWIDTH * (4.0 / (d + 2)) ** (1.0 / (d + 4)) * effective ** (-1.0 / (d + 4))
+    h = width * (4.0 / (d + 2)) ** (1.0 / (d + 4)) * effective ** (-1.0 / (d + 4))
     mean, covariance = share @ y, np.cov(y.T, aweights=share).reshape(d, d)
     covariance += 1e-6 * np.diag(np.diag(covariance))  # columns that depend on each other
     kernel = covariance * h**2 / (1.0 + h**2)

@@ -109,8 +109,9 @@ def outside_fit(model: ScenarioModel, given: Given | None) -> list[str]:
                 expected = summary.departures * float(below[1] - below[0])
                 found.setdefault(
                     one.name,
-                    f"given {one}: outside the fitted departures ({key}), {quantiles[0]:.4g} to {quantiles[-1]:.4g}; "
-                    f"about {expected:,.0f} of {summary.departures:,} recorded ones meet it",
+                    f"given {one}: outside the fitted departures ({key}), of which {100 - 100 / len(quantiles):.0f} % "
+                    f"lie from {quantiles[0]:.4g} to {quantiles[-1]:.4g}; about {expected:,.0f} of "
+                    f"{summary.departures:,} recorded ones meet it",
                 )
     return list(found.values())
 

@@ -1,0 +1,204 @@
+"""Whether a scenario model gives the answer of its recordings, and who says so when it does not."""
+
+import dataclasses
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from controllers import PreviewProportional
+from helpers.cli import good, ldc
+from ldctoolkit import Scenarios, Setup, VehicleParameters, check_fidelity, fit_scenario_model, load_model, simulate
+from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, DepartureParameters, Departures, Plausibility
+from ldctoolkit.errors import InputError
+from ldctoolkit.recordings import Criteria, Provenance, extract_departures, open_recordings, write_departures
+from ldctoolkit.scenario_model import ScenarioModel
+
+CRITERIA = Criteria(1.8)
+
+
+def two_kinds(n: int, seed: int = 0) -> Departures:
+    """Quick and shallow ones, and long and deep ones, n a side: one normal lies between them and is neither."""
+    rng = np.random.default_rng(seed)
+    long = rng.random(2 * n) < 0.35
+    columns = {
+        "T": np.where(long, 5.0, 1.2) * np.exp(0.12 * rng.standard_normal(2 * n)),
+        "d_y": np.where(long, 0.7, 0.12) * np.exp(0.15 * rng.standard_normal(2 * n)),
+        "v_mean": 22.0 + 2.0 * rng.standard_normal(2 * n),
+        "a_mean": 0.1 * rng.standard_normal(2 * n),
+        "c_0": 2e-4 * rng.standard_normal(2 * n),
+        "dc": 1e-4 * rng.standard_normal(2 * n),
+    }
+    columns["sigma_y"] = 0.2 * columns["d_y"] * np.exp(0.2 * rng.standard_normal(2 * n))
+    columns["sigma_v"] = 0.05 * np.exp(0.3 * rng.standard_normal(2 * n))
+    side = np.repeat([LEFT, RIGHT], n)
+    assert Plausibility().holds(DepartureParameters(side, **columns)).all()
+    return Departures(
+        side, **{name: columns[name] for name in PARAMETER_NAMES}, recording=np.full(2 * n, "r"),
+        start_time=np.arange(2.0 * n), samples=np.full(2 * n, 20),
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def bad() -> ScenarioModel:
+    return fit_scenario_model(two_kinds(150), components=1, extraction=CRITERIA)
+
+
+@pytest.fixture(scope="module")
+def fine() -> ScenarioModel:
+    return fit_scenario_model(two_kinds(150), extraction=CRITERIA)
+
+
+def test_the_answers_are_those_of_simulate(fine: ScenarioModel) -> None:
+    """Probe 1 is the paper's law: reduction and shares of a replay by another route, with an interval about them."""
+    found = two_kinds(150)
+    fidelity = fine.provenance.left.fidelity
+    assert fidelity.departures == 150
+    np.testing.assert_allclose(fidelity.thresholds, np.quantile(found.d_y[:150], [0.05, 0.25, 0.5, 0.75]), atol=5e-4)
+    scenarios = Scenarios.from_departures(found.take(found.side == LEFT))
+    law, setup = PreviewProportional(K_y=-0.005, K_psi=-0.2, T_lp=2.0), Setup(vehicle=VehicleParameters(w_v=1.8))
+    rng = np.random.default_rng(3)
+    for i, y_s in enumerate(fidelity.thresholds):
+        outcome = simulate(law, scenarios, setup=setup, y_s=y_s, window="control")
+        S, plain = outcome.S, outcome.S_uncorrected
+        reduction, triggered, _, added, depth = fidelity.replayed[i]
+        assert reduction == pytest.approx(1.0 - S.sum() / plain.sum(), abs=2e-5)
+        assert triggered == pytest.approx(outcome.triggered.mean(), abs=1e-5)
+        assert added == pytest.approx(
+            np.quantile(outcome.companions.a_y_added_peak[outcome.triggered], 0.95, method="inverted_cdf"), rel=1e-4
+        )
+        assert depth == pytest.approx(np.quantile(outcome.companions.deepest, 0.95, method="inverted_cdf"), rel=1e-4)
+        rows = rng.integers(0, 150, (2000, 150))
+        spread = (1.0 - S[rows].sum(axis=1) / plain[rows].sum(axis=1)).std()
+        half = 0.5 * (fidelity.high[i][0] - fidelity.low[i][0])
+        assert max(1.9 * spread, 0.0299) < half < max(3.6 * spread, 0.0301)  # for one design, and for twelve at once
+
+
+def test_a_bad_model_is_called_bad(bad: ScenarioModel, fine: ScenarioModel) -> None:
+    for side in (bad.provenance.left, bad.provenance.right):
+        assert not side.fidelity.passed
+        assert re.fullmatch(
+            r"the model (under|over)states the effect of control by \d+ points \([^()]+, y_s = [\d.]+ m: "
+            r"-?[\d.]+ % replayed, -?[\d.]+ % generated\): do not use it",
+            side.fidelity.text,
+        )
+    assert f"left: {bad.provenance.left.fidelity.text}" in bad.provenance.warnings
+    for side in (fine.provenance.left, fine.provenance.right):
+        assert side.fidelity.text == (
+            "the model gives the recordings' answer (all 12 probe designs lie within the 95 % intervals of 150 "
+            "replayed departures)"
+        )
+
+
+def test_the_check_of_other_departures(bad: ScenarioModel, fine: ScenarioModel) -> None:
+    """Of as many fresh ones of the same kind; of too few none."""
+    again = two_kinds(1500, seed=5)
+    assert [side.passed for side in check_fidelity(bad, again)] == [False, False]
+    assert [side.passed for side in check_fidelity(load_model("reference"), as_departures(2000))] == [True, True]
+    with pytest.raises(InputError, match="departures: 0 left and 1500 right; allowed: at least 30 a side"):
+        check_fidelity(fine, again.take(again.side == RIGHT))
+
+
+def as_departures(n: int) -> DepartureParameters:
+    """Drawn from the bundled model: of their own model they have its answer."""
+    return load_model("reference").sample(n, n, seed=1)
+
+
+def test_weights_count(bad: ScenarioModel) -> None:
+    """With all weight on the quick ones, the model of both answers wrong."""
+    found = two_kinds(400, seed=2)
+    quick = (found.T < 2.5).astype(float)
+    alone = check_fidelity(bad, found.take(quick > 0))
+    weighted = check_fidelity(bad, found, weights=quick)
+    np.testing.assert_allclose(weighted[0].replayed, alone[0].replayed, rtol=1e-9)
+
+
+def test_the_verdict_travels_with_the_file(bad: ScenarioModel, tmp_path: Path) -> None:
+    bad.save(tmp_path / "m.json")
+    back = ScenarioModel.load(tmp_path / "m.json")
+    assert back.provenance.left.fidelity == bad.provenance.left.fidelity
+    assert back.content_hash == bad.content_hash
+
+
+def test_terminal_page_and_study_say_that_a_model_is_bad(bad: ScenarioModel, tmp_path: Path) -> None:
+    write_departures(tmp_path / "d.parquet", two_kinds(150), Provenance(criteria=CRITERIA))
+    done = ldc("fit", "d.parquet", "-o", "m.json", "--components", "1", cwd=tmp_path)
+    text = bad.provenance.left.fidelity.text
+    assert done.returncode == 0
+    assert f"ldc: warning: left: {text}" in done.stderr
+    page = re.sub(r"<[^>]+>", " ", (tmp_path / "m.html").read_text())
+    first = page.index("Left: the model")
+    assert page[first : first + 200].startswith(f"Left: {text}".replace("-", "\u2212")[:60])
+    assert "Left: the model" not in page[first + 1 :]
+    (tmp_path / "s.toml").write_text(
+        'name = "s"\n[scenarios]\nmodel = "m.json"\nleft = 8\nright = 8\n[[design]]\nlaw = "none"\n'
+        '[[design]]\nlaw = "lqr"\n'
+    )
+    run = ldc("run", "s.toml", "-o", "out", "--no-robustness", cwd=tmp_path)
+    assert run.returncode == 0
+    assert f"ldc: warning: scenario model, left: {text}" in run.stderr
+    assert "Scenarios: Scenario model, left: the model" in run.stdout
+    for made in ("report.html", "ranking.md"):
+        assert "do not use it" in (tmp_path / "out" / made).read_text()
+    assert "do not use it" in good("rank", "out", cwd=tmp_path)
+
+
+def test_a_model_of_an_earlier_version_says_nothing(fine: ScenarioModel, tmp_path: Path) -> None:
+    card = dataclasses.replace(fine.provenance.left, fidelity=None)
+    old = dataclasses.replace(fine, provenance=dataclasses.replace(fine.provenance, left=card, right=card))
+    old.save(tmp_path / "m.json")
+    (tmp_path / "s.toml").write_text(
+        'name = "s"\n[scenarios]\nmodel = "m.json"\nleft = 8\nright = 8\n[[design]]\nlaw = "none"\n'
+        '[[design]]\nlaw = "lqr"\n'
+    )
+    run = ldc("run", "s.toml", "-o", "out", "--no-robustness", cwd=tmp_path)
+    assert (run.returncode, run.stderr) == (0, "")
+    assert "The model does not say whether it gives its recordings" in (tmp_path / "out" / "report.html").read_text()
+
+
+def test_a_condition_outside_the_data_is_warned_of_with_their_range(fine: ScenarioModel, tmp_path: Path) -> None:
+    fine.save(tmp_path / "m.json")
+    study = '[scenarios]\nmodel = "m.json"\nleft = 8\nright = 8\ngiven = {v_mean = [24.0, 40.0]}\n'
+    (tmp_path / "s.toml").write_text(f'name = "s"\n{study}[[design]]\nlaw = "none"\n')
+    run = ldc("run", "s.toml", "-o", "out", "--no-robustness", cwd=tmp_path)
+    found = re.search(
+        r"given v_mean from 24 to 40 m/s: outside the fitted departures \(left\), of which 93 % lie from ([\d.]+) to "
+        r"([\d.]+); "
+        r"about (\d+) of 150 recorded ones meet it",
+        run.stderr,
+    )
+    assert found, run.stderr
+    v = two_kinds(150).v_mean[:150]
+    np.testing.assert_allclose([float(found[1]), float(found[2])], np.quantile(v, [1 / 30, 29 / 30]), rtol=2e-2)
+    assert abs(int(found[3]) - int((v > 24.0).sum())) <= 2
+
+
+def test_real_recordings(ngsim_recordings: Path) -> None:
+    """K = 1 misleads on both sides; the default gives the recordings' answer (NGSIM US-101)."""
+    found = extract_departures(open_recordings(ngsim_recordings), vehicle_width=1.8)
+    given = {"extraction": found.provenance.criteria}
+    forced = fit_scenario_model(found.departures, components=1, **given).provenance
+    assert forced.left.fidelity.text.startswith("the model understates the effect of control by 1")
+    assert forced.right.fidelity.text.startswith("the model understates the effect of control by 1")
+    default = fit_scenario_model(found.departures, **given).provenance
+    smoothed = fit_scenario_model(found.departures, kind="smoothed", **given).provenance
+    for side in (default.left, default.right, smoothed.left, smoothed.right):
+        assert side.fidelity.passed
+    assert (smoothed.left.kind, smoothed.left.reason) == ("smoothed", "smoothed departures, as requested")
+
+
+def test_smoothed_departures_keep_mean_and_covariance() -> None:
+    """In the logarithm of what is positive, to the error of 40,000 draws; none is a copy of a recorded one."""
+    found = two_kinds(300)
+    model = fit_scenario_model(found, kind="smoothed", bounds={"a_mean": (None, None), "T": (0.0, None)})
+    assert model.left.weights_.size == 300
+    drawn, own = model.sample(40_000, 0, seed=1), found.take(found.side == LEFT)
+    mapped = [
+        np.column_stack([np.log(getattr(some, name)) for name in ("T", "d_y", "sigma_y", "sigma_v")] + [some.a_mean])
+        for some in (own, drawn)
+    ]
+    error = mapped[0].std(axis=0) / 200.0
+    assert (np.abs(mapped[0].mean(axis=0) - mapped[1].mean(axis=0)) < 5.0 * error).all()
+    np.testing.assert_allclose(np.cov(mapped[1].T), np.cov(mapped[0].T), atol=0.03 * mapped[0].std(axis=0).max() ** 2)
+    assert not np.isin(drawn.T, own.T).any()
