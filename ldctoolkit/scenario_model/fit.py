@@ -90,7 +90,7 @@ def box_of(bounds: Bounds | None, criteria: Criteria | None) -> Box:
 class SideSettings:
     """How each side is fitted."""
 
-    components: int | tuple[int, ...]  # K, or the K to choose from in ascending order
+    components: int | tuple[int, ...] | None  # K, or the K to choose from in ascending order
     seed: int  # of the fits
     box: Box
     transform: dict[str, str]  # of each parameter: ``"none"``, ``"log"``, ``"logit"`` or ``"auto"``
@@ -111,11 +111,11 @@ class SideSettings:
         }
 
 
-def component_numbers(components: int | Iterable[int]) -> int | tuple[int, ...]:
+def component_numbers(components: int | Iterable[int] | None) -> int | tuple[int, ...] | None:
     """K, or the K to choose from, in ascending order."""
     if isinstance(components, int | np.integer):
         return check_components([components])[0]
-    return tuple(check_components(components))
+    return None if components is None else tuple(check_components(components))
 
 
 def transforms(transform: str | Mapping[str, str] | None) -> dict[str, str]:
@@ -157,7 +157,7 @@ _SEED_END: Final = 10**18
 def fit_scenario_model(
     departures: Departures,
     *,
-    components: int | Iterable[int] = range(1, 11),
+    components: int | Iterable[int] | None = None,
     kind: Kind = "auto",
     seed: int = 0,
     bounds: Bounds | None = None,
@@ -184,9 +184,9 @@ def fit_scenario_model(
     ----------
     departures : Departures
         Both sides together.
-    components : int or iterable of int
-        K, or the K to choose from. A range is cut where the events no longer carry it (half an event a free
-        parameter). One K is fitted as requested.
+    components : int or iterable of int, optional
+        K, or the K to choose from: 1 to 10, or 1 to 4 with up to 2,000 departures on a side. A range is cut where the
+        events no longer carry it (half an event a free parameter). One K is fitted as requested.
     kind : {"auto", "mixture", "smoothed"}
         What departures are generated from. ``"mixture"`` is the bounded Gaussian mixture; with up to 2,000 departures
         on a side, of the K to choose from the smallest from the criterion's on that gives the recordings' answer (see
@@ -320,11 +320,10 @@ def _events(departures: Departures, weights: npt.ArrayLike | None, settings: Sid
 
 Progress = Callable[[str, int, int], None]
 
-EVENTS_PER_PARAMETER: Final = 0.5
-"""A range of K is cut where fewer events than this would stand behind each free parameter."""
+EVENTS_PER_PARAMETER: Final = 0.5  # a range of K is cut where fewer would stand behind each free parameter
 
+# a complaint about one of these is none about the departures
 _SETTINGS: Final = ("criterion", "slack", "indifference", "prior_strength", "tol", "n_init", "max_iter", "n_jobs")
-"""A complaint about one of these is none about the departures."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -569,12 +568,13 @@ def check_fidelity(
 
 
 def carried_components(
-    components: int | tuple[int, ...], events: SideEvents
+    components: int | tuple[int, ...] | None, events: SideEvents
 ) -> tuple[tuple[int, ...], tuple[str, ...]]:
     """The K that the events of a side carry, and what to say if these are not all."""
     n, d, label = events.rows, len(events.names), events.label
     if isinstance(components, int):
         return (components,), ()
+    components = components or tuple(range(1, 5 if n <= FEW else 11))
     most = max(1, int(n / (EVENTS_PER_PARAMETER * (1 + d + d * (d + 1) // 2))))
     tried = tuple(K for K in components if most >= K)
     if not tried:

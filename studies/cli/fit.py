@@ -43,7 +43,10 @@ def add_parser(commands: Subparsers) -> None:
     add = parser.add_argument
     add("departures", nargs="+", metavar="DEPARTURES.parquet", help="what ldc extract wrote, by the same criteria")
     add("-o", "--output", required=True, metavar="MODEL.json", help="scenario model to write")
-    add("--components", type=components, default="1:10", metavar="K", help="K, or a range (default: %(default)s)")
+    add(
+        "--components", type=components, metavar="K",
+        help="K, or a range (default: 1:10; 1:4 with up to 2,000 departures on a side)",
+    )  # fmt: skip
     add(
         "--kind", choices=("auto", "mixture", "smoothed"), default="auto",
         help="what departures are generated from: the mixture, the smoothed departures themselves, or the latter where "
