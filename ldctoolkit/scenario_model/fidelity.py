@@ -38,6 +38,7 @@ _TAIL: Final = 0.95
 # a difference that no designer would act on: absolute in shares, relative otherwise
 _NEGLIGIBLE: Final = np.array([0.03, 0.03, 0.03, 0.05, 0.05])
 _ABSOLUTE: Final = np.array([True, True, True, False, False])
+_LEAST, _MOST = np.array([-np.inf, 0.0, 0.0, 0.0, 0.0]), np.array([1.0, 1.0, 1.0, np.inf, np.inf])  # that there can be
 
 
 @final
@@ -181,7 +182,8 @@ class Replay:
         largest = np.abs(scaled).max(axis=1)  # (resamples, 5)
         critical = [np.quantile(largest[:, j], level) for j, level in enumerate(_LEVELS)]
         half = np.maximum(critical * error, _NEGLIGIBLE * np.where(_ABSOLUTE, 1.0, np.abs(answer)))
-        return cls(setup, thresholds, rows.size, answer, answer - half, answer + half, point_low, point_high)
+        low, high = np.maximum(answer - half, _LEAST), np.minimum(answer + half, _MOST)
+        return cls(setup, thresholds, rows.size, answer, low, high, point_low, point_high)
 
     def compared(self, generated: DepartureParameters) -> tuple[SideFidelity, float]:
         """The answers of generated departures, and the share within intervals that hold for each value by itself."""

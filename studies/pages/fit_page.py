@@ -189,7 +189,7 @@ def _fidelity(sides: tuple[Side, ...]) -> Section:
     scale = [100.0 if not unit else 1.0 for unit in UNITS]
     columns = [Column("Design", text=True)]
     for name, unit in zip(QUANTITIES, UNITS, strict=True):
-        columns += [Column(name.capitalize(), unit or "%"), Column("Replayed", text=True)]
+        columns += [Column(name.capitalize(), unit.replace("^2", "\u00b2") or "%"), Column("Replay", text=True)]
     body = Markup()
     for side in sides:
         found = None if side.summary is None else side.summary.fidelity

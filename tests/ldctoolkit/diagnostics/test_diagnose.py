@@ -192,9 +192,9 @@ def test_too_few_departures_name_the_side() -> None:
 @pytest.mark.slow
 def test_the_reference_model_describes_its_own_events() -> None:
     model = load_model("reference")
-    rows = departures_of(model, 2000).matrix()[:2000]
+    rows = departures_of(model, 6000).matrix()[:6000]
     found = diagnose(model.left_side, rows, n_model=50_000)
-    assert (found.warnings, sum(one.events for one in found.components)) == ((), pytest.approx(2000))
+    assert (found.warnings, sum(one.events for one in found.components)) == ((), pytest.approx(6000))
     assert found.joint is not None
 
 
