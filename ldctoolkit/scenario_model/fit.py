@@ -44,7 +44,8 @@ from ldctoolkit.version import __version__
 
 Kind = Literal["auto", "mixture", "smoothed"]
 
-FEW: Final = 2_000  # up to so many departures of a side may be smoothed, and larger K are given up early
+FEW: Final = 2_000  # up to so many departures of a side larger K are given up early
+MOST_SMOOTHED: Final = 5_000  # of a side
 
 TRANSFORMS: Final = ("none", "log", "logit", "auto")
 
@@ -459,18 +460,17 @@ class _Judge:
 
     def choice(self, fits: Selection) -> _Checked:
         """The first that gives the recordings' answer: the criterion's K, larger ones, the smoothed departures."""
-        few, kind = self.events.rows <= FEW, self.settings.kind
+        rows, kind = self.events.rows, self.settings.kind
         if kind == "smoothed":
-            if not few:
-                raise InputError(
-                    f"kind: 'smoothed' with {self.events.rows} {self.events.label} departures; allowed: up to {FEW}"
-                )
+            if rows > MOST_SMOOTHED:
+                text = f"kind: 'smoothed' with {rows} {self.events.label} departures; allowed: up to {MOST_SMOOTHED}"
+                raise InputError(text)
             return dataclasses.replace(self._smoothed(), reason="smoothed departures, as requested")
         first = best = self.checked(fits.best)
-        if not few or isinstance(self.settings.components, int):
+        if rows > MOST_SMOOTHED or isinstance(self.settings.components, int):
             return best
         last = fits.chosen
-        while not best.agrees and last + 1 < len(fits.models):
+        while rows <= FEW and not best.agrees and last + 1 < len(fits.models):
             last += 1
             best = max(best, self.checked(fits.models[last]), key=lambda one: (one.agrees, *one.merit))
         K, most = (int(fits.n_components[i]) for i in (fits.chosen, last))

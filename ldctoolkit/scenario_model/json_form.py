@@ -48,7 +48,8 @@ def side_to_json(side: SideModel) -> dict[str, Any]:
         "upper": bounds[1],
         "weights": m.weights_.tolist(),
         "means": m.means_.tolist(),
-        "covariances": m.covariances_.tolist(),
+        # of smoothed departures one, which all share
+        "covariances": m.covariances_[: 1 if (m.covariances_ == m.covariances_[0]).all() else None].tolist(),
     }
 
 
@@ -201,7 +202,8 @@ class _Side(Part):
             if value < LEAST_LOWER.get(name, -np.inf):
                 raise fail(f"constants.{name}", f"{value!r}; allowed: a finite number in range")
         for key, shape in {
-            "transform": (d,), "lower": (d,), "upper": (d,), "means": (K, d), "covariances": (K, d, d)
+            "transform": (d,), "lower": (d,), "upper": (d,), "means": (K, d),
+            "covariances": (1 if len(self.covariances) == 1 else K, d, d),
         }.items():  # fmt: skip
             _shaped(getattr(self, key), shape, key)
         for j, (name, low) in enumerate(zip(self.parameters, self.bounds()[0], strict=True)):
@@ -318,8 +320,11 @@ def _built(side: _Side, where: str) -> SideModel:
     lower, upper = side.bounds()
     try:
         with np.errstate(all="ignore"):  # absurd numbers overflow; what comes out is checked below
+            covariances = np.array(side.covariances)
+            if len(covariances) < len(side.weights):  # one that all share
+                covariances = np.repeat(covariances, len(side.weights), axis=0)
             mixture = BoundedGaussianMixture.from_parameters(
-                side.weights, side.means, side.covariances,
+                side.weights, side.means, covariances,
                 lower=lower, upper=upper, transform=side.transform, names=side.parameters,
             )  # fmt: skip
         check_usable(mixture)

@@ -173,7 +173,7 @@ def test_the_number_of_components_is_checked():
         fit_scenario_model(d, components=range(14, 17))
     with pytest.raises(InputError, match=r"departures \(left\): X: 40 rows; allowed: at least K \(d \+ 1\) = 42"):
         fit_scenario_model(d, components=14)
-    for wrong in ("3", 3.0, [1, "2"], [1.0], True, 0, [0], None):
+    for wrong in ("3", 3.0, [1, "2"], [1.0], True, 0, [0]):
         with pytest.raises(InputError, match=r"components: .*; allowed: an integer >= 1"):
             fit_scenario_model(d, components=wrong)
     with pytest.raises(InputError, match="components: an empty range"):
