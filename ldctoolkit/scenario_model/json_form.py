@@ -72,7 +72,7 @@ def model_to_json(
 
 
 def _fitted(provenance: Any) -> Iterator[dict[str, Any]]:
-    """How each side was fitted, if that is told."""
+    """How each side was fitted, where that is known."""
     for side in ("left", "right") if isinstance(provenance, dict) else ():
         if isinstance(provenance.get(side), dict):
             yield provenance[side]
