@@ -253,13 +253,12 @@ def read_signals(path: str | os.PathLike[str], T: FloatArray) -> DepartureSignal
     offsets = np.append(starts, departure.size)
     signals = DepartureSignals(offsets, *columns)
     t = signals.t
-    with np.errstate(invalid="ignore"):
-        good = np.array_equal(departure[starts], np.arange(T.size)) and bool((np.diff(offsets) > 1).all())
-        good = good and bool(
-            (np.delete(np.diff(t), starts[1:] - 1) > 0.0).all()
-            and (t[starts] == 0.0).all()
-            and np.allclose(t[offsets[1:] - 1], T, rtol=1e-9, atol=0.0)
-        )
+    good = (
+        np.array_equal(departure[starts], np.arange(T.size))
+        and (np.delete(np.diff(t), starts[1:] - 1) > 0.0).all()
+        and (t[starts] == 0.0).all()
+        and np.allclose(t[offsets[1:] - 1], T, rtol=1e-9, atol=0.0)
+    )
     if not good:
         raise RecordingError(
             f"{source.name}: not the signals of these {T.size} departures (their numbers, times or durations differ); "

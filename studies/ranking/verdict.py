@@ -252,7 +252,7 @@ def _scenarios_light(model: ScenarioModel | None) -> Iterator[Light]:
     elif len(sides) < 2:
         yield Light("Scenarios", "unknown", "The model does not say whether it gives its recordings' answer.")
     else:
-        yield Light("Scenarios", "good", "Probe designs do on the model's departures as on the recorded ones.")
+        yield Light("Scenarios", "good", "Probe designs perform on the model's departures as on the recorded ones.")
 
 
 def _plants_light(ranking: RankedDesigns, place: int, robustness: OtherPlants | None) -> Light:

@@ -86,17 +86,17 @@ def _recorded_widths(model: Source) -> dict[str, Any]:
 
 
 def with_counts(study: Study, model: Source) -> Study:
-    """The study with the number of departures of each side, where it takes all of a table."""
+    """The study with the number of departures of each side, where it takes all of a table, or is given a model."""
     wanted = study.scenarios
-    if isinstance(model, ScenarioModel):
-        left, right = (500 if n is None else n for n in (wanted.left, wanted.right))
-    else:
+    if not isinstance(model, ScenarioModel):
         left, right = model.counts(wanted.left, wanted.right, wanted.given)
-    return (
-        study
-        if (left, right) == (wanted.left, wanted.right)
-        else study.changed(scenarios={"left": left, "right": right})
-    )
+        changes: dict[str, Any] = {"left": left, "right": right}
+    elif wanted.model:
+        return study
+    else:  # the table is for its finalists then
+        left, right = (500 if n is None else n for n in (wanted.left, wanted.right))
+        changes = {"model": "given", "left": left, "right": right}
+    return study.changed(scenarios=changes)
 
 
 def with_recorded_widths(study: Study, model: Source, vehicle_width: float | None = None) -> Study:

@@ -216,6 +216,19 @@ def test_the_command_line_ranks_on_departures(table: Departures, tmp_path: Path)
     assert "On 65 replayed departures" in both
 
 
+def test_a_model_beside_a_study_of_departures_generates_its_scenarios(table: Departures, tmp_path: Path) -> None:
+    """500 a side, and the departures are for the finalists."""
+    (tmp_path / "s.toml").write_text(
+        'name = "s"\nscenarios = {departures = "d.parquet"}\nvehicle = {w_v = 1.75}\n[[design]]\nlaw = "none"\n'
+        '[[design]]\nlaw = "lqr"\ny_s = 0.1\n'
+    )
+    out = good("run", "s.toml", "--model", "reference", "-o", "out", "--no-robustness", cwd=tmp_path)
+    assert "s: 2 designs x 1,000 scenarios" in out
+    assert "scenario model reference" in out
+    assert "On 65 replayed departures" in out
+    assert "On 65 replayed departures" in good("rank", "out", cwd=tmp_path)
+
+
 def test_departures_too_slow_to_drive_are_left_out_and_counted(table: Departures, tmp_path: Path) -> None:
     slow = dataclasses.replace(table, v_mean=np.where(np.arange(table.n) < 3, 0.8, table.v_mean), a_mean=0 * table.T)
     write_departures(tmp_path / "slow.parquet", slow, Provenance(criteria=Criteria(1.75)))
