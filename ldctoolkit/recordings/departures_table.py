@@ -108,6 +108,7 @@ class Provenance:
     samples: int = 0
     invalid_samples: int = 0  # Those marked so and those with a missing number
     hours: float = 0.0  # [h] Time driven: steps between usable neighbours, without gaps
+    distance: float = 0.0  # [m] Driven in these hours; 0 in a table of an earlier version: not known
     curvature: str = "none"  # "measured", "yaw_rate", "none" or "mixed"
     warnings: tuple[str, ...] = ()  # What looked wrong with the recordings
     reader: str = "table"  # Name of the reader: "table", "spmd-das1", ...
@@ -145,6 +146,11 @@ class Extraction:
     def hours(self) -> float:
         """Time driven [h], without gaps and invalid samples."""
         return self.provenance.hours
+
+    @property
+    def distance(self) -> float:
+        """Distance driven in these hours [m]."""
+        return self.provenance.distance
 
     @property
     def warnings(self) -> tuple[str, ...]:

@@ -198,7 +198,7 @@ def extract_departures(
     Returns
     -------
     Extraction
-        Departures, refused candidates by reason, hours, warnings.
+        Departures, refused candidates by reason, hours, distance, warnings.
 
     Notes
     -----
@@ -268,6 +268,7 @@ def merge_results(
         samples=samples,
         invalid_samples=samples - usable,
         hours=sum(account.valid_ns for account in whole.accounts) / 3.6e12,
+        distance=sum(account.valid_um for account in whole.accounts) / 1e6,
         curvature="none" if not kinds else kinds[0] if len(kinds) == 1 else "mixed",
         warnings=(*few_usable(samples, usable), *warnings),
         reader=reader,

@@ -201,6 +201,7 @@ class Found:
     recording: IntArray  # (c,): of each candidate: index into `REASONS` or `ACCEPTED`
     read: FloatArray  # (r,) [s]: time between neighbours, and between usable neighbours, without gaps
     driven: FloatArray  # (r,) [s]
+    distance: FloatArray  # (r,) [m]: speed times time over the steps in `driven`, whichever way it points
     usable: BoolArray  # (m,): samples that could be used
     median_step: FloatArray  # (r,) [s]: median time step; NaN for a recording with fewer than two times
 
@@ -213,12 +214,12 @@ def find_departures(table: RecordingTable, criteria: Criteria, gap_limit: float 
     place = np.flatnonzero(usable)
     median_step = median_steps(table)
     limit = _gap_limit(median_step, criteria, gap_limit)
-    read = _seconds(table, np.arange(table.samples), limit, adjacent=False)
+    read = _sums(table, np.arange(table.samples), limit, adjacent=False)
     none = np.empty(0, dtype=np.int64)
     if place.size == 0:
         no_signals = DepartureSignals(np.zeros(1, dtype=np.int64), *([np.empty(0)] * 4))
         driven = np.zeros(table.names.size)
-        return Found(no_departures(), none, no_signals, none, none, none, read, driven, usable, median_step)
+        return Found(no_departures(), none, no_signals, none, none, none, read, driven, driven, usable, median_step)
     same, cause = breaks(table, place, limit, criteria.max_jump)
 
     margin = 0.5 * (criteria.vehicle_width - table.lane_width)
@@ -261,7 +262,8 @@ def find_departures(table: RecordingTable, criteria: Criteria, gap_limit: float 
         side=runs.side[first],
         recording=table.recording_index[runs.first[first]],
         read=read,
-        driven=_seconds(table, place, limit, adjacent=True),
+        driven=_sums(table, place, limit, adjacent=True),
+        distance=_sums(table, place, limit, adjacent=True, speed=np.abs(table.speed[place])),
         usable=usable,
         median_step=median_step,
     )
@@ -285,12 +287,17 @@ def _gap_limit(median_step: FloatArray, criteria: Criteria, gap_limit: float | N
     return np.fmax(GAP_STEPS * median_step, GAP_FLOOR)
 
 
-def _seconds(table: RecordingTable, place: IntArray, limit: FloatArray, *, adjacent: bool) -> FloatArray:
-    """Sum of the steps between chosen samples of each recording, (r,) [s], without gaps."""
+def _sums(
+    table: RecordingTable, place: IntArray, limit: FloatArray, *, adjacent: bool, speed: FloatArray | None = None
+) -> FloatArray:
+    """Sum of the steps between chosen samples of each recording, (r,) [s], without gaps; with their speeds in [m]."""
     owner, step = table.recording_index[place], np.diff(table.t[place])
     counted = (owner[1:] == owner[:-1]) & (step <= limit[owner[1:]])
     if adjacent:
         counted &= np.diff(place) == 1
+    if speed is not None:
+        with np.errstate(over="ignore"):  # of absurd times
+            step = 0.5 * (speed[1:] + speed[:-1]) * step
     return np.bincount(owner[1:][counted], weights=step[counted], minlength=table.names.size).astype(float)
 
 

@@ -47,6 +47,7 @@ class Account:
     # not depend on how the recordings were split.
     read_ns: int
     valid_ns: int
+    valid_um: int  # [um] Distance between usable neighbours, without gaps; whole for the same reason
     departures: IntArray  # (2,) Left, right
     refused: IntArray  # (2, k) Candidates by side of their first crossing and by reason, in the order of `REASONS`
     # (80,) Usable samples by lane width, in bins of 0.1 m from 0; the last bin also holds wider ones
@@ -86,9 +87,10 @@ def accounts_of(table: RecordingTable, found: Found, origins: tuple[Origin, ...]
     before = np.concatenate([[0], np.cumsum(found.usable)])
     usable = before[table.offsets[1:]] - before[table.offsets[:-1]]
     amounts = [_grouped(values, group, count) for values in (np.ones_like(group), samples, usable)]
-    # a recording of absurd times counts as `LONGEST`
+    # a recording of absurd times counts as `LONGEST`, and as 100 m/s for so long
     whole = (np.rint(np.minimum(seconds, LONGEST) * 1e9).astype(np.int64) for seconds in (found.read, found.driven))
     read, valid = (_grouped(nanoseconds, group, count) for nanoseconds in whole)
+    distance = _grouped(np.rint(np.minimum(found.distance, 100.0 * LONGEST) * 1e6).astype(np.int64), group, count)
     return tuple(
         Account(
             origin=origin,
@@ -97,6 +99,7 @@ def accounts_of(table: RecordingTable, found: Found, origins: tuple[Origin, ...]
             usable=int(amounts[2][i]),
             read_ns=int(read[i]),
             valid_ns=int(valid[i]),
+            valid_um=int(distance[i]),
             departures=candidates[i, :, ACCEPTED],
             refused=candidates[i, :, : len(REASONS)],
             widths=widths[i],

@@ -37,6 +37,7 @@ from ldctoolkit.scenario_model.provenance import (
     SideModel,
     SideSummary,
     check_usable,
+    driven,
     software_versions,
     summarize_events,
 )
@@ -217,7 +218,7 @@ def fit_scenario_model(
     verbose : bool
         Tell of every start and pass on stderr.
     source_provenance : mapping or str
-        JSON values that describe the data, kept in the model.
+        JSON values that describe the data, kept in the model; ``"hours"`` [h] and ``"distance"`` [m] are those driven.
     synthetic : bool
         Whether the departures were drawn and not recorded.
     progress : callable, optional
@@ -294,6 +295,7 @@ def fit_scenario_model(
         warnings=tuple(note for fit in fits.values() for note in fit.warnings),
         versions=software_versions(),
         settings=settings.fit,
+        **driven(source),
     )
     model = ScenarioModel(fits["left"].side, fits["right"].side, provenance, limits)
     one, other = (

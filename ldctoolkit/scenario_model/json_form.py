@@ -266,6 +266,9 @@ class _File(Part):
     @field_validator("provenance")
     @classmethod
     def _checked(cls, provenance: ModelProvenance) -> ModelProvenance:
+        for key, value in (("hours", provenance.hours), ("distance", provenance.distance)):
+            if value is not None and not value > 0.0:
+                raise fail(key, f"{value:g}; allowed: a number above 0, or null where it is not known")
         for name, side in (("left", provenance.left), ("right", provenance.right)):
             if side is not None:
                 _check_side(side, name)

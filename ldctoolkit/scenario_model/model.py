@@ -517,6 +517,7 @@ def merged_provenance(names: Sequence[str], found: Sequence[Provenance]) -> Prov
     refused = [dataclasses.asdict(one.refused) for one in found]
     kinds = {one.curvature for one in found}
     readers = {one.reader for one in found}
+    known = all(one.distance > 0.0 or one.hours == 0.0 for one in found)  # the distance, in every table
     return Provenance(
         criteria=first.criteria,
         refused=Refused(**{reason: sum(one[reason] for one in refused) for reason in refused[0]}),
@@ -525,6 +526,7 @@ def merged_provenance(names: Sequence[str], found: Sequence[Provenance]) -> Prov
         samples=sum(one.samples for one in found),
         invalid_samples=sum(one.invalid_samples for one in found),
         hours=sum(one.hours for one in found),
+        distance=math.fsum(one.distance for one in found) if known else 0.0,
         curvature=first.curvature if len(kinds) == 1 else "mixed",
         warnings=tuple(dict.fromkeys(warning for one in found for warning in one.warnings)),
         reader=first.reader if len(readers) == 1 else "mixed",

@@ -299,6 +299,15 @@ class ModelProvenance:
     # Software behind the numbers, see `software_versions`
     versions: Mapping[str, str] = dataclasses.field(default_factory=dict)
     settings: FitSettings | None = None  # Of the fits
+    # [h] and [m] Driven in the recordings; None: not known, as in a synthetic model or one of an earlier version
+    hours: float | None = None
+    distance: float | None = None
+
+
+def driven(source: Mapping[str, Any]) -> dict[str, Any]:
+    """Hours [h] and distance [m] that the data's description tells; None for what is no number above 0."""
+    told = {key: source.get(key) for key in ("hours", "distance")}
+    return {key: float(x) if isinstance(x, int | float) and 0.0 < x < math.inf else None for key, x in told.items()}
 
 
 def software_versions() -> dict[str, str]:

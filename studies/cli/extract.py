@@ -185,7 +185,8 @@ def print_extraction(found: Extraction) -> None:
     from ldctoolkit.departures import LEFT
 
     out = console()
-    out.print(f"{found.candidates} candidates in {found.recordings} recordings, {found.hours:.1f} h")
+    driven = f"{found.hours:.1f} h, {found.distance / 1000.0:,.0f} km"
+    out.print(f"{found.candidates} candidates in {found.recordings} recordings, {driven}")
     table = Table()
     table.add_column("candidate")
     table.add_column("count", justify="right")

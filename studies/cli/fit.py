@@ -177,6 +177,7 @@ def _source(provenance: Provenance) -> dict[str, Any]:
     return {
         "recordings": provenance.recordings,
         "hours": provenance.hours,
+        "distance": provenance.distance,
         "files": [source.name for source in provenance.sources],
         "curvature": provenance.curvature,
         "criteria": dataclasses.asdict(provenance.criteria),

@@ -89,7 +89,7 @@ def extraction_page(extraction: Extraction) -> str:
         heading=f"{plural(n, 'departure')} in {plural(extraction.recordings, 'recording')}",
         facts=[
             f"{left:,} left, {right:,} right",
-            f"{hours(whole.account.hours_valid if whole else 0.0)} h valid",
+            f"{hours(whole.account.hours_valid if whole else 0.0)} h valid, {extraction.distance / 1000.0:,.0f} km",
             plural(len({one.origin.source for one in accounts}), "source"),
             f"format {extraction.provenance.reader}",
         ],

@@ -176,6 +176,8 @@ def _source_line(model: ScenarioModel) -> str:
         parts.append(plural(recordings, "recording"))
     if isinstance(hours, int | float):
         parts.append(f"{hours:.3g} hours")
+    if model.provenance.distance is not None:
+        parts.append(f"{model.provenance.distance / 1000.0:,.0f} km")
     if isinstance(files, list | tuple) and files:
         parts.append(", ".join(map(str, files[:3])) + (f" and {len(files) - 3} more" if len(files) > 3 else ""))
     return f"from {'; '.join(parts)}" if parts else ""

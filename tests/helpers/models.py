@@ -51,7 +51,7 @@ def make_model(**provenance: object) -> ScenarioModel:
     side = SideModel(mixture, NAMES, CONSTANTS)
     settings = {
         "source": {"recordings": 3, "hours": 1.5, "files": ["a & b.csv"]}, "software": "ldctoolkit 0.1.0", "seed": 7,
-        "left": summary, "right": summary,
+        "left": summary, "right": summary, "hours": 1.5, "distance": 72_400.0,
     }  # fmt: skip
     return ScenarioModel(side, side, ModelProvenance(**(settings | provenance)))  # type: ignore[arg-type]
 

@@ -49,6 +49,7 @@ def assert_same(left: Extraction, right: Extraction) -> None:
     assert_same_bits(one, other, "departures")
     assert left.refused == right.refused
     assert (left.hours, left.recordings, left.warnings) == (right.hours, right.recordings, right.warnings)
+    assert left.distance == right.distance
     assert left.provenance.invalid_samples == right.provenance.invalid_samples
 
 
@@ -93,8 +94,8 @@ def make_account(
     widths = np.histogram(rng.normal(3.5, 0.2, 5000), np.arange(WIDTH_BINS + 1) * 0.1)[0]
     return Account(
         origin=origin, recordings=recordings, samples=int(hours * 36_000), usable=int(hours * 30_000),
-        read_ns=int(hours * 3.6e12), valid_ns=int(hours * 3.0e12), departures=np.array(departures, dtype=np.int64),
-        refused=rng.integers(0, 30, (2, len(REASONS))), widths=widths,
+        read_ns=int(hours * 3.6e12), valid_ns=int(hours * 3.0e12), valid_um=int(hours * 6e10),
+        departures=np.array(departures, dtype=np.int64), refused=rng.integers(0, 30, (2, len(REASONS))), widths=widths,
     )  # fmt: skip
 
 
@@ -126,6 +127,7 @@ def make_extraction(
         "samples": sum(one.samples for one in accounts),
         "invalid_samples": sum(one.samples - one.usable for one in accounts),
         "hours": sum(one.hours_valid for one in accounts),
+        "distance": sum(one.valid_um for one in accounts) / 1e6,
         "curvature": "yaw_rate",
         "reader": "uah-driveset",
         "preparation": Preparation(step=0.1),

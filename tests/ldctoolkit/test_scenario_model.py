@@ -42,6 +42,7 @@ def test_the_reference_says_that_it_is_synthetic(reference):
     assert "reference" in bundled_models()
     assert reference.provenance.synthetic
     assert "SYNTHETIC" in reference.provenance.source["description"]
+    assert (reference.provenance.hours, reference.provenance.distance) == (None, None)
     for half in (reference.left_side, reference.right_side):
         assert (half.mixture.weights_.size, half.names) == (10, PARAMETER_NAMES)
     assert reference.provenance.left.converged

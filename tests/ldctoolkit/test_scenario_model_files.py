@@ -42,6 +42,19 @@ def test_a_file_gives_back_every_bit(model, tmp_path):
     assert later.content_hash == model.content_hash
 
 
+def test_hours_and_distance_come_back_and_do_not_enter_the_hash(model, text, tmp_path):
+    path = tmp_path / "m.json"
+    known = dataclasses.replace(model, provenance=dataclasses.replace(model.provenance, hours=1.5, distance=72_000.25))
+    known.save(path)
+    back = load_model(path)
+    assert (back.provenance.hours, back.provenance.distance) == (1.5, 72_000.25)
+    assert (back.provenance, back.content_hash) == (known.provenance, model.content_hash)
+    data = json.loads(text)
+    assert (data["provenance"].pop("hours"), data["provenance"].pop("distance")) == (None, None)
+    path.write_text(json.dumps(data))  # as an earlier version wrote it
+    assert (load_model(path).provenance, load_model(path).content_hash) == (model.provenance, model.content_hash)
+
+
 def test_criteria_of_earlier_versions_are_dropped(model, text, tmp_path):
     data = json.loads(text)
     data["provenance"]["left"] |= {"icl": [340.0, 1100.0], "held_out": [-2.5, -2.4], "criterion": "held_out"}
@@ -148,6 +161,9 @@ LEFT_SIDE = ("sides", "left")
         ((*LEFT_SIDE, "transform", 1), "logit", r"sides\.left: transform: 'logit' for column 1 with 1 finite bounds"),
         ((*LEFT_SIDE, "transform"), KeyError, r"sides\.left\.transform: missing"),
         (("provenance", "versions"), {"numpy": 2}, r"provenance\.versions\.numpy: 2; allowed: text"),
+        (("provenance", "hours"), "1", r"provenance\.hours: '1'; allowed: a number"),
+        (("provenance", "hours"), 0.0, r"provenance\.hours: 0; allowed: a number above 0, or null"),
+        (("provenance", "distance"), -1.5, r"provenance\.distance: -1\.5; allowed: a number above 0, or null"),
         (("provenance", "settings"), 3, r"provenance\.settings: 3; allowed: a table of keys"),
         (("provenance", "settings", "tol"), "x", r"provenance\.settings\.tol: 'x'; allowed: a number"),
         (("provenance", "settings", "tl"), 1, r"provenance\.settings\.tl: no such key; did you mean 'tol'"),

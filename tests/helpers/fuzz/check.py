@@ -88,6 +88,7 @@ def _check_problems(found: Extraction, paths: Sequence[Path]) -> None:
 def _check_account(found: Extraction) -> None:
     provenance = found.provenance
     assert 0.0 <= provenance.hours < np.inf
+    assert 0.0 <= provenance.distance < np.inf
     assert 0 <= provenance.invalid_samples <= provenance.samples
     assert found.departures.n == sum(int(account.departures.sum()) for account in found.accounts)
     assert found.candidates == sum(int(account.candidates.sum()) for account in found.accounts)

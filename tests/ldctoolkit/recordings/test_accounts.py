@@ -51,7 +51,7 @@ def by_hand(recordings: list[Recording]) -> dict[Any, dict[str, Any]]:
     """One recording after the other, one sample after the other."""
     accounts: dict[Any, dict[str, Any]] = {}
     for one in recordings:
-        empty = {"recordings": 0, "samples": 0, "usable": 0, "read": 0.0, "valid": 0.0, "widths": Counter()}
+        empty = {"recordings": 0, "samples": 0, "usable": 0, "read": 0.0, "valid": 0.0, "um": 0, "widths": Counter()}
         account = accounts.setdefault((one.source, one.labels), empty | {"widths": Counter(), "found": Counter()})
         bend = np.zeros(one.samples) if one.curvature is None else one.curvature
         good = [
@@ -63,10 +63,14 @@ def by_hand(recordings: list[Recording]) -> dict[Any, dict[str, Any]]:
         account["usable"] += sum(good)
         steps = [one.t[i] - one.t[i - 1] for i in range(1, one.samples)]
         limit = max(0.25, 2.5 * float(np.median(steps))) if steps else 0.0
+        metres = 0.0
         for i, step in enumerate(steps, start=1):
             if step <= limit:
                 account["read"] += step
                 account["valid"] += step * (good[i] and good[i - 1])
+                if good[i] and good[i - 1]:
+                    metres += 0.5 * (abs(one.speed[i]) + abs(one.speed[i - 1])) * step
+        account["um"] += round(metres * 1e6)
         for i, width in enumerate(one.lane_width.tolist()):
             if good[i]:
                 account["widths"][int(width / 0.1)] += 1
@@ -91,6 +95,7 @@ def test_equals_the_count_by_hand(seed, count):
             hand["usable"],
         )
         assert (account.read_ns, account.valid_ns) == (round(hand["read"] * 1e9), round(hand["valid"] * 1e9))
+        assert account.valid_um == hand["um"]
         assert {int(i): int(account.widths[i]) for i in np.flatnonzero(account.widths)} == dict(hand["widths"])
         reported = Counter()
         for row, side in enumerate(("left", "right")):
@@ -137,6 +142,7 @@ def test_the_provenance_is_the_sum_of_the_accounts():
     assert provenance.samples == sum(account.samples for account in accounts)
     assert provenance.invalid_samples == sum(account.samples - account.usable for account in accounts)
     assert provenance.hours == pytest.approx(sum(account.hours_valid for account in accounts), rel=1e-12)
+    assert provenance.distance == sum(account.valid_um for account in accounts) / 1e6 > 1000.0
     refused = np.sum([account.refused for account in accounts], axis=(0, 1))
     assert [count for _, count in provenance.refused.items()] == refused.tolist()
     assert len(found.departures) == sum(int(account.departures.sum()) for account in accounts)
@@ -161,7 +167,7 @@ def test_numbers_are_whole():
 
 def test_nothing_at_all():
     found = extract_departures([])
-    assert (found.accounts, found.hours, found.recordings, found.candidates) == ((), 0.0, 0, 0)
+    assert (found.accounts, found.hours, found.distance, found.recordings, found.candidates) == ((), 0.0, 0.0, 0, 0)
     assert (len(found.departures), found.refused, found.warnings) == (0, Refused(), ())
     assert merge_results([PartResult()], Criteria(), Preparation()).accounts == ()
 
@@ -170,6 +176,9 @@ def test_absurd_times_do_not_overflow():
     t = np.array([0.0, 1e300, 2e300, 3e300])
     (account,) = extract_departures([drive(t=t, lane_offset=0.0)]).accounts
     assert account.read_ns == account.valid_ns == 10**17
+    fast = drive(t=1e7 * t, lane_offset=0.0, speed=9e8)  # more than a number of 64 bits holds
+    for found in extract_departures([drive(t=t, lane_offset=0.0)]), extract_departures([fast]):
+        assert found.distance == 1e10
 
 
 def test_the_last_bin_holds_what_is_wider():

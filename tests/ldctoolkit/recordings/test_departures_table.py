@@ -58,6 +58,15 @@ def test_round_trip(found, written):
         assert back.dtype.kind == given.dtype.kind
 
 
+def test_a_table_of_an_earlier_version_does_not_know_the_distance(found, written):
+    frame = pl.read_parquet(written)
+    content = json.loads(pl.read_parquet_metadata(written)[METADATA_KEY])
+    # twice 9.9 s at 25 m/s
+    assert (found.distance, content.pop("distance"), read_departures(written)[1].distance) == (495.0, 495.0, 495.0)
+    frame.write_parquet(written, metadata={METADATA_KEY: json.dumps(content)})
+    assert read_departures(written)[1] == dataclasses.replace(found.provenance, distance=0.0)
+
+
 def test_what_the_file_holds(found, written, tmp_path):
     frame = pl.read_parquet(written)
     assert frame.columns == list(COLUMNS)

@@ -311,6 +311,25 @@ def test_the_hours_count_a_step_as_long_as_the_limit():
     assert found.hours * 3600.0 == 0.75
 
 
+def test_the_distance_is_speed_times_time_without_gaps():
+    t = np.arange(1001) * 0.1
+    t = t[(t < 40.05) | (t > 44.95)]  # from 40 to 45 s nothing was recorded
+    found = extract_departures([drive(t=t, lane_offset=0.0, speed=20.0)])
+    assert found.distance == pytest.approx(20.0 * 95.0, rel=1e-9) == 1900.0
+    assert [account.valid_um for account in found.accounts] == [1_900_000_000]
+    # one unusable sample at 10 s takes both of its steps away; the other recording, backwards, counts as driven too
+    lost = drive("b", t=t, lane_offset=0.0, speed=np.where(np.arange(t.size) == 100, np.nan, 20.0))
+    both = extract_departures([lost, drive("c", t=t, lane_offset=0.0, speed=-20.0)])
+    assert both.distance == pytest.approx(1896.0 + 1900.0, rel=1e-9)
+    assert both.hours * 3600.0 == pytest.approx(94.8 + 95.0, rel=1e-9)
+
+
+def test_the_distance_is_the_trapezoid_of_the_speed():
+    t, speed = np.array([0.0, 0.125, 0.25, 0.5, 0.625]), [0.0, 8.0, 8.0, 24.0, 20.0]
+    found = extract_departures([drive(t=t, lane_offset=0.0, speed=speed)], max_gap=0.25)
+    assert found.distance == 0.5 + 1.0 + 4.0 + 2.75
+
+
 WIDTH = 3.6
 VEHICLE = 1.8
 RATE = 20.0

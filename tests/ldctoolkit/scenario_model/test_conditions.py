@@ -188,6 +188,16 @@ def test_empty_files_are_no_recordings() -> None:
     assert [source.name for source in found.sources] == ["0.csv", "D1/RAW_GPS.txt", "1.csv", "D2/RAW_GPS.txt"]
 
 
+def test_hours_and_distances_of_tables_are_summed() -> None:
+    tables = [origin(0, hours=1.5, distance=72_000.25), origin(1), origin(2, hours=0.25, distance=18_000.5)]
+    found = merged_provenance(["a.parquet", "b.parquet", "c.parquet"], tables)
+    assert (found.hours, found.distance) == (1.75, 90_000.75)
+    # driven, but of an earlier version: part of the distance is not the distance
+    tables[1] = origin(1, hours=2.0)
+    found = merged_provenance(["a.parquet", "b.parquet", "c.parquet"], tables)
+    assert (found.hours, found.distance) == (3.75, 0.0)
+
+
 PAGE = (Path(__file__).parents[3] / "docs" / "scenario-model.md").read_text(encoding="utf-8")
 
 

@@ -48,6 +48,20 @@ def test_bounds_default_to_physics_then_to_the_extraction(departures):
     assert model.provenance.source["criteria"] == dataclasses.asdict(extraction)
 
 
+@pytest.mark.parametrize(
+    ("told", "hours", "distance"),
+    [
+        ({"hours": 1.5, "distance": 72_000}, 1.5, 72_000.0),
+        ({"hours": 1.5, "distance": 0.0}, 1.5, None),  # a table of an earlier version
+        ({"hours": "long", "distance": -1.0}, None, None),
+        ("made up", None, None),
+    ],
+)
+def test_the_model_keeps_the_hours_and_the_distance_of_its_recordings(departures, told, hours, distance):
+    origin = fit_scenario_model(departures(40), components=1, source_provenance=told).provenance
+    assert (origin.hours, origin.distance) == (hours, distance)
+
+
 @pytest.mark.slow
 def test_one_end_can_be_open(departures):
     d = departures(300, seed=1, a_mean=np.random.default_rng(0).normal(0.0, 0.3, 600))

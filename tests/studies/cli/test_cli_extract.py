@@ -59,7 +59,8 @@ def test_several_tables_in_one_go(folder: Path, ldc: Ldc) -> None:
         (folder / name).write_text(recordings(10 * i))
     code, out, err = ldc("a.csv", "b.csv", "c.csv", "-o", "d.parquet", "--workers", "1")
     assert code == 0
-    assert out.startswith("format: table (3 recording tables)\n30 candidates in 30 recordings")
+    # 237 s at 21.5 m/s
+    assert out.startswith("format: table (3 recording tables)\n30 candidates in 30 recordings, 0.1 h, 5 km\n")
     assert out.endswith("30 departures written to d.parquet\n")
     assert "warning: no column 'lane'" in err
     departures, provenance = read_departures("d.parquet")

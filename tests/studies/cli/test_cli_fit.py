@@ -32,7 +32,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     made = Departures(
         side=drawn.side, **columns, recording=np.full(300, "r"), start_time=np.arange(300.0), samples=np.full(300, 20)
     )
-    origin = Provenance(criteria=Criteria(min_speed=4.0), refused=Refused(gap=3), recordings=7, hours=1.5)
+    origin = Provenance(
+        criteria=Criteria(min_speed=4.0), refused=Refused(gap=3), recordings=7, hours=1.5, distance=72e3
+    )
     write_departures(folder / "d.parquet", made, origin)
     return folder
 
@@ -58,6 +60,7 @@ def test_the_fit_tells_its_choice_and_writes_its_card(folder: Path) -> None:
     assert not (folder / "m.html").exists()
     card = json.loads((folder / "m.json").read_text())["provenance"]
     assert (card["source"]["refused"]["gap"], card["source"]["criteria"]["min_speed"]) == (3, 4.0)
+    assert (card["hours"], card["distance"], card["source"]["distance"]) == (1.5, 72e3, 72e3)
     assert card["settings"] == {
         "criterion": "aic", "slack": 10.0, "indifference": 0.0, "prior_strength": 20.0, "tol": 1e-4, "n_init": 1,
         "max_iter": 500,

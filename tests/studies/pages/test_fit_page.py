@@ -75,7 +75,7 @@ def test_the_verdict_says_what_it_is_good_enough_for(model: ScenarioModel, found
 def test_says_what_it_is_about(page: Page, model: ScenarioModel) -> None:
     for text in (
         "left: 400 departures, K = 2", "ldctoolkit 0.1.0", model.content_hash[:12], "from 3 recordings; 1.5 "
-            "hours; a & b.csv",
+            "hours; 72 km; a & b.csv",
         "2 events had dy exactly on a bound, moved just inside", "−950.5", "830.5", "Seed of the checks",
     ):  # fmt: skip
         assert text in page.all_words, text
@@ -213,6 +213,7 @@ def test_the_first_numbers_are_those_of_all_accounts(three: Extraction, page_ext
     candidates = 150 + int(refused.sum())
     words = page_extraction_page.words("verdict")
     assert "5.00 h of 6.00 h read are valid (83 %)" in words
+    assert "5.00 h valid, 360 km" in page_extraction_page.all_words
     assert f"{refused.sum():,} of {candidates:,} candidates were refused, most often: {most}." in words
     assert "12 recordings, 216,000 samples, 180,000 of them valid" in page_extraction_page.words("read")
 
