@@ -29,16 +29,44 @@ _LIMITS: Final = (
 
 
 @dataclasses.dataclass(frozen=True)
+class Drifts:
+    """n departures that do not return: straight along the lane, an arc towards the line, straight on from there."""
+
+    lateral_velocity: FloatArray  # (n,) [m/s] At the end of the arc, and from then on
+    radius: FloatArray  # (n,) [m] Of the arc, relative to the lane
+    distance: FloatArray  # (n,) [m] From the edge to the line where the arc begins, at t = 0
+
+    def take(self, rows: IntArray | BoolArray | slice) -> Drifts:
+        """Those of chosen departures."""
+        return Drifts(self.lateral_velocity[rows], self.radius[rows], self.distance[rows])
+
+    def arc(self, v: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """How long the arc takes at speeds v (n,) [s], and the lateral distance that it covers [m]."""
+        angle = np.arcsin(self.lateral_velocity / v)
+        return self.radius * angle / v, 2.0 * self.radius * np.sin(0.5 * angle) ** 2
+
+    def motion(self, v: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Lateral position of the edge, its rate and second derivative at times t, (n,) or (n, k)."""
+        columns = (v, self.radius, self.lateral_velocity, self.distance, self.arc(v)[0])
+        v, radius, rate, distance, end = (one if t.ndim == 1 else one[:, None] for one in columns)
+        angle = v * np.clip(t, 0.0, end) / radius
+        y = 2.0 * radius * np.sin(0.5 * angle) ** 2 - distance + rate * np.maximum(t - end, 0.0)
+        turning = (t >= 0.0) & (t < end)
+        return y, v * np.sin(angle), np.where(turning, v**2 / radius * np.cos(angle), 0.0)
+
+
+@dataclasses.dataclass(frozen=True)
 class Scenarios(DepartureParameters):
     """n departures to be replayed: side and the eight parameters, arrays of n, outward frame.
 
-    Built with `from_arrays`, which checks them, or by ``ScenarioModel.sample``.
+    Built with `from_arrays`, which checks them, `from_drifts`, or by ``ScenarioModel.sample``.
     """
 
     # (n,) Each scenario's number, 0 to n - 1 when it was made, kept by `take`: what is drawn for a scenario
     # follows from the seed and this number
     index: IntArray
     signals: DepartureSignals | None = None  # Recorded paths, driven in place of the parabolas
+    drift: Drifts | None = None  # Paths that do not return, driven in place of the parabolas
 
     @classmethod
     def from_arrays(
@@ -119,9 +147,67 @@ class Scenarios(DepartureParameters):
             )
         return dataclasses.replace(made, signals=signals)
 
+    @classmethod
+    def from_drifts(
+        cls,
+        *,
+        v: npt.ArrayLike,
+        lateral_velocity: npt.ArrayLike,
+        radius: npt.ArrayLike,
+        distance: npt.ArrayLike,
+        T: npt.ArrayLike,
+        c: npt.ArrayLike = 0.0,
+        side: npt.ArrayLike = LEFT,
+    ) -> Scenarios:
+        """Departures of a driver who does not come back, as in the tests of regulations and Euro NCAP.
+
+        Without control the vehicle goes straight along the lane until t = 0, then along an arc towards the line until
+        it has the lateral velocity, then straight on until T. Raises `InputError` naming column, row and what is
+        allowed.
+
+        Parameters
+        ----------
+        v : (n,) [m/s]
+            Speed, 1 to 90.
+        lateral_velocity : (n,) [m/s]
+            Relative to the lane, at the end of the arc; above 0 and below v.
+        radius : (n,) [m]
+            Of the arc, relative to the lane.
+        distance : (n,) [m]
+            From the vehicle's edge to the line where the arc begins.
+        T : (n,) [s]
+            End of the test, up to 600.
+        c : (n,) [1/m]
+            Curvature of the lane, outward frame.
+        side : (n,) int or str
+            As in `from_arrays`.
+
+        Examples
+        --------
+        >>> one = Scenarios.from_drifts(v=20.0, lateral_velocity=0.5, radius=1200.0, distance=1.1, T=8.0)
+        >>> one.drift.arc(one.v_mean)[1].round(3)
+        array([0.375])
+        """
+        given = {"v": v, "lateral_velocity": lateral_velocity, "radius": radius, "distance": distance}
+        columns = np.broadcast_arrays(*(np.atleast_1d(_numbers(name, value)) for name, value in given.items()))
+        speed, rate, arc, away = (np.array(column) for column in columns)
+        for name, values, allowed in (
+            ("lateral_velocity", rate, "> 0"),
+            ("radius", arc, "> 0"),
+            ("distance", away, ">= 0"),
+        ):
+            bad = ~np.isfinite(values) | (values < 0) | ((values == 0) & (allowed == "> 0"))
+            _refuse(bad, name, values, allowed)
+        _refuse(~(rate < speed), "lateral_velocity", rate, "below the speed")
+        made = cls.from_arrays(T=T, d_y=0.0, v_mean=speed, c_0=c, side=side)
+        if made.n != speed.size:
+            raise InputError(f"scenarios: T, c or side has {made.n} rows, v {speed.size}; allowed: one length")
+        drift = Drifts(rate, arc, away)
+        return dataclasses.replace(made, d_y=np.maximum(drift.motion(speed, made.T)[0], 0.0), drift=drift)
+
     def arrays(self) -> Iterator[npt.NDArray[Any]]:
         """All numbers, always in the same order."""
-        for part in (self, *(() if self.signals is None else (self.signals,))):
+        for part in (self, *(one for one in (self.signals, self.drift) if one is not None)):
             fields = (getattr(part, field.name) for field in dataclasses.fields(part))
             yield from (array for array in fields if isinstance(array, np.ndarray))
 

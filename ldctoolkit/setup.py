@@ -15,8 +15,10 @@ from ldctoolkit.vehicle import BicycleModel, Convention, Plant, VehicleParameter
 
 InitialYawRate = Literal["path", "zero"]
 Start = Literal["steady", "printed"]
+Trigger = Literal["distance", "ttlc"]
 PlantKnowledge = Literal["nominal", "ideal"]
 
+TTLC: Final = 1.0  # time to line crossing [s] of a trigger that goes by it
 SETTLE: Final = 3.0  # how long [s] the loop goes on after the departure by default, to see whether it settles
 
 
@@ -52,6 +54,11 @@ class Setup:
     plant_knowledge : {"nominal", "ideal"}
         What a design may know of actuator and camera: their lag and delays, or nothing, as if there were none. Limits,
         noise, bias and mismatch are never known.
+    trigger : {"distance", "ttlc"}
+        Control starts when the edge is further than y_s beyond the line (before it where y_s < 0), or when the time
+        until it will be, at the present lateral velocity, falls below `ttlc`.
+    ttlc : float [s]
+        That time to line crossing, up to 10; only of the trigger ``"ttlc"``.
 
     Examples
     --------
@@ -79,18 +86,31 @@ class Setup:
         default="nominal",
         metadata=declaration(choices=get_args(PlantKnowledge), description="what laws know of actuator and camera"),
     )
+    trigger: Trigger = dataclasses.field(
+        default="distance", metadata=declaration(choices=get_args(Trigger), description="trigger")
+    )
+    ttlc: float = declared(
+        TTLC, unit="s", above=0.0, most=10.0, usual=(0.01, 10.0), description="time to line crossing at the trigger"
+    )
 
     def __post_init__(self) -> None:
         for name, kind in (("vehicle", VehicleParameters), ("options", PlantOptions)):
             if not isinstance(getattr(self, name), kind):
                 raise InputError(f"{name}: {getattr(self, name)!r}; allowed: {kind.__name__}(...)")
         check_declared(self)
+        if self.trigger == "distance" and self.ttlc != TTLC:
+            raise InputError(f"ttlc: {self.ttlc!r} with trigger 'distance'; allowed with trigger = 'ttlc'")
         object.__setattr__(self, "seed", checked_seed(self.seed))
         if self.model.convention != "consistent" and not self.options.tyres.ideal:
             raise InputError(
                 f"convention: {self.convention!r} with tyres.model {self.options.tyres.model!r}; the printed matrix is "
                 "linear; allowed: 'consistent'"
             )
+
+    @property
+    def ahead(self) -> float:
+        """How far the trigger looks ahead [s]."""
+        return self.ttlc if self.trigger == "ttlc" else 0.0
 
     @property
     def model(self) -> BicycleModel:

@@ -455,8 +455,8 @@ def _read_thresholds(entry: Any) -> tuple[float, ...] | Span:
 
 
 def _threshold(value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not (math.isfinite(value) and value >= 0):
-        raise fail("y_s", f"{value!r}; allowed: a finite number >= 0 [m]")
+    if isinstance(value, bool) or not isinstance(value, int | float) or not (math.isfinite(value) and value >= -10):
+        raise fail("y_s", f"{value!r}; allowed: a finite number >= -10 [m], below 0 before the line")
     return float(value) + 0.0
 
 

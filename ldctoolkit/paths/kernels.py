@@ -77,7 +77,7 @@ def fill_normals(seed: int, index: IntArray, stream: int, out: FloatArray) -> No
 
 
 POSITION, SPEED, SPEED_RATE, LATERAL, LATERAL_RATE, LATERAL_ACCELERATION = range(6)
-EDGE, FRONT_EDGE, SLOWNESS = range(3)
+EDGE, FRONT_EDGE, SLOWNESS, AHEAD = range(4)
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
 _CELLS_PER_HALF_WAVE: Final = 16
@@ -197,13 +197,15 @@ def areas(path: Any, t: FloatArray, out: FloatArray) -> None:
 
 @numba.njit(**_OPTIONS, cache=True)  # type: ignore[untyped-decorator]
 def _curve(path: Any, i: int, which: int, l_f: float, t: float) -> Any:
-    """A curve whose extremes are wanted, and its slope."""
+    """A curve whose extremes are wanted, and its slope; `l_f` is a length [m], or how far it looks ahead [s]."""
     if which == SLOWNESS:
         _, v, dv = along(path, i, t)
         return -v, -dv
     _, v, dv, y, dy, ddy = motion(path, i, t)
     if which == EDGE:
         return y, dy
+    if which == AHEAD:
+        return y + l_f * dy, dy + l_f * ddy
     return y + l_f * math.atan2(dy, v), dy + l_f * (ddy * v - dy * dv) / (v**2 + dy**2)
 
 
@@ -279,8 +281,8 @@ def highest(path: Any, which: int, l_f: float, t_0: FloatArray, t_1: FloatArray,
 
 
 @numba.njit(**_OPTIONS, cache=True)  # type: ignore[untyped-decorator]
-def crossings(path: Any, y_s: float, out: FloatArray) -> None:
-    """First time in [0, T] at which y exceeds y_s, into `out` (n,); infinite where it never does."""
+def crossings(path: Any, ahead: float, y_s: float, out: FloatArray) -> None:
+    """First time in [0, T] at which y + ahead dy/dt exceeds y_s, into `out` (n,); infinite where it never does."""
     for i in range(out.size):
         out[i] = np.inf
         T = path.T[i]
@@ -288,22 +290,22 @@ def crossings(path: Any, y_s: float, out: FloatArray) -> None:
         if cells == 0:
             continue
         h = T / cells
-        before, rising = _curve(path, i, EDGE, 0.0, 0.0)
+        before, rising = _curve(path, i, AHEAD, ahead, 0.0)
         if before > y_s or (before == y_s and rising > 0.0):
             out[i] = 0.0
             continue
         for cell in range(cells):
             left = cell * h
             right = T if cell == cells - 1 else (cell + 1) * h
-            value, slope = _curve(path, i, EDGE, 0.0, right)
+            value, slope = _curve(path, i, AHEAD, ahead, right)
             if value > y_s:
-                out[i] = _zero(path, i, EDGE, 0.0, y_s, False, left, right)
+                out[i] = _zero(path, i, AHEAD, ahead, y_s, False, left, right)
                 break
             if rising > 0.0 and slope < 0.0:
-                peak = _zero(path, i, EDGE, 0.0, 0.0, True, left, right)
-                top, _ = _curve(path, i, EDGE, 0.0, peak)
+                peak = _zero(path, i, AHEAD, ahead, 0.0, True, left, right)
+                top, _ = _curve(path, i, AHEAD, ahead, peak)
                 if top > y_s:
-                    out[i] = _zero(path, i, EDGE, 0.0, y_s, False, left, peak)
+                    out[i] = _zero(path, i, AHEAD, ahead, y_s, False, left, peak)
                     break
             rising = slope
 

@@ -16,7 +16,7 @@ from ldctoolkit.departures import PARAMETER_NAMES, DepartureParameters, Departur
 from ldctoolkit.errors import InputError
 from ldctoolkit.option_checks import checked_seed
 from ldctoolkit.plant_options import Residuals
-from ldctoolkit.scenarios import SPEED_CEILING, SPEED_FLOOR, Scenarios, slowest_speed
+from ldctoolkit.scenarios import SPEED_CEILING, SPEED_FLOOR, Drifts, Scenarios, slowest_speed
 
 if TYPE_CHECKING:
     from ldctoolkit.paths.kernels import Path
@@ -151,9 +151,11 @@ class Recorded:
 
 @dataclasses.dataclass(frozen=True)
 class UncorrectedPath:
-    """Recorded paths of n scenarios, functions of the time t since the departure's start.
+    """Paths of n scenarios without control, functions of the time t since the departure's start.
 
-    Built with `of`. Times are (n,) or (n, k); results have their shape.
+    Built with `of`. Times are (n,) or (n, k); results have their shape. What a kind of path has to know: position,
+    lateral rate and acceleration, its area, when it crosses a threshold and how deep it gets. Here it is the recorded
+    parabola with its residuals, or the recorded signals; `DriftPath` is a departure that does not return.
     """
 
     scenarios: Scenarios  # n departures
@@ -167,7 +169,7 @@ class UncorrectedPath:
 
     @classmethod
     @_quiet
-    def of(cls, scenarios: Scenarios, residuals: Residuals, seed: int) -> Self:
+    def of(cls, scenarios: Scenarios, residuals: Residuals, seed: int) -> UncorrectedPath:
         """Draw the residuals of every scenario, or take the recorded path where the scenarios hold it.
 
         Raises `InputError` for a seed outside what is allowed.
@@ -204,6 +206,8 @@ class UncorrectedPath:
         seed = checked_seed(seed)
         none = np.zeros((scenarios.n, 0))
         path = cls(scenarios, none, none)
+        if scenarios.drift is not None:
+            return DriftPath(scenarios, none, none)
         if scenarios.signals is not None:
             return path._fitted(Recorded.of(scenarios.signals), residuals.bandwidth)
         if residuals.ideal:
@@ -222,7 +226,7 @@ class UncorrectedPath:
             path = dataclasses.replace(path, modes_y=modes)
         return path
 
-    def _fitted(self, recorded: Recorded, bandwidth: float) -> Self:
+    def _fitted(self, recorded: Recorded, bandwidth: float) -> UncorrectedPath:
         """With the modes up to the bandwidth, half as many as samples at most, that are nearest to the samples."""
         T, most = self.scenarios.T, np.maximum(recorded.signals.samples // 2, 1)
         count = np.minimum(_mode_count(T, bandwidth), most)
@@ -309,21 +313,50 @@ class UncorrectedPath:
         areas(self.columns(), _table(t), out)
         return out.reshape(t.shape)
 
-    @_quiet
-    def crossing_time(self, y_s: float) -> FloatArray:
-        """First time at which y(t) exceeds the trigger threshold y_s [m] >= 0, (n,) [s]; infinite where it never does.
+    def score(self, t: FloatArray, offset: float) -> FloatArray:
+        """Integral of |e_y| from 0 to t, (n,) [m s], with e_y = y + offset, which a departure has on one side."""
+        return self.area(t) + offset * t
 
-        With residuals: 16 cells for each half wave of the highest mode, a peak inside a cell included, then a root to
-        1e-14 T.
+    @property
+    def back(self) -> FloatArray:
+        """When the edge is back at the line, (n,) [s]."""
+        return self.scenarios.T
+
+    @_quiet
+    def crossing_time(self, y_s: float, ahead: float = 0.0) -> FloatArray:
+        """First time at which y + ahead dy/dt exceeds a threshold y_s [m], (n,) [s]; infinite where it never does.
+
+        With `ahead` [s] it is the time at which the threshold is that far ahead, as the lateral speed is then. Searched
+        for with 16 cells for each half wave of the highest mode, a peak inside a cell included, then a root to 1e-14 T;
+        in closed form for the parabola's own position.
         """
+        if self.recorded is not None and ahead:
+            return self._ahead_of_samples(y_s, ahead)
         if self.recorded is not None:
             return self.recorded.crossing_time(y_s)
-        if not self._disturbed:
-            return dep.crossing_time(self.scenarios, y_s)
+        if not (self._disturbed or ahead):
+            return dep.crossing_time(self.scenarios, y_s) if y_s >= 0.0 else np.zeros(self.n)
         from ldctoolkit.paths.kernels import crossings
 
         out = np.empty(self.n)
-        crossings(self.columns(), float(y_s), out)
+        crossings(self.columns(), float(ahead), float(y_s), out)
+        return out
+
+    def _ahead_of_samples(self, y_s: float, ahead: float) -> FloatArray:
+        """The same of recorded signals: straight lines between the values at the samples."""
+        out = np.full(self.n, np.inf)
+        for first in range(0, self.n, _AT_ONCE):
+            some = np.arange(first, min(first + _AT_ONCE, self.n))
+            path, rows = self.take(some), np.arange(some.size)
+            assert path.recorded is not None
+            t = path.recorded.times(rows)
+            value = path.lateral(t) + ahead * path.lateral_rate(t) - y_s
+            after = np.argmax(value > 0.0, axis=1)
+            before = np.maximum(after - 1, 0)
+            low, high = value[rows, before], value[rows, after]
+            share = np.where(after > 0, low / np.where(low < high, low - high, -1.0), 0.0)
+            found = t[rows, before] + share * (t[rows, after] - t[rows, before])
+            out[some] = np.where(high > 0.0, found, np.inf)
         return out
 
     @_quiet
@@ -455,6 +488,71 @@ class UncorrectedPath:
         out = np.empty(self.n)
         kernels.highest(self.columns(), getattr(kernels, which), float(l_f), t_0, t_1, out)
         return out
+
+
+@dataclasses.dataclass(frozen=True)
+class DriftPath(UncorrectedPath):
+    """Departures that do not return, in closed form: see `Drifts`. They have no residuals; y never falls."""
+
+    @property
+    def drift(self) -> Drifts:
+        """Their numbers."""
+        assert self.scenarios.drift is not None
+        return self.scenarios.drift
+
+    def lateral(self, t: FloatArray) -> FloatArray:
+        """Distance y(t) of the edge beyond the line [m]."""
+        return self.drift.motion(self.scenarios.v_mean, t)[0]
+
+    def lateral_rate(self, t: FloatArray) -> FloatArray:
+        """Lateral speed dy/dt [m/s]."""
+        return self.drift.motion(self.scenarios.v_mean, t)[1]
+
+    def lateral_acceleration(self, t: FloatArray) -> FloatArray:
+        """Second derivative d2y/dt2 [m/s^2], relative to the lane."""
+        return self.drift.motion(self.scenarios.v_mean, t)[2]
+
+    def area(self, t: FloatArray) -> FloatArray:
+        """Integral of y from 0 to t >= 0 [m s]."""
+        drift, v = self.drift, self.scenarios.v_mean
+        end, deep = drift.arc(v)
+        columns = v, drift.radius, drift.lateral_velocity, drift.distance, end, deep
+        v, radius, rate, distance, end, deep = (_like(one, t) for one in columns)
+        inside, after = np.minimum(t, end), np.maximum(t - end, 0.0)
+        arc = radius * (inside - radius / v * np.sin(v * inside / radius))
+        return arc + after * (deep + 0.5 * rate * after) - distance * t
+
+    def score(self, t: FloatArray, offset: float) -> FloatArray:
+        """Integral of |e_y| from 0 to t, (n,) [m s]: the vehicle may start beyond the middle of its lane."""
+        inside = np.minimum(self.crossing_time(-offset), t)
+        return self.area(t) + offset * t - 2.0 * (self.area(inside) + offset * inside)
+
+    @property
+    def back(self) -> FloatArray:
+        """It never is."""
+        return np.full(self.n, np.inf)
+
+    def crossing_time(self, y_s: float, ahead: float = 0.0) -> FloatArray:
+        """First time at which y + ahead dy/dt exceeds y_s, (n,) [s]; infinite where that is after T."""
+        drift, v = self.drift, self.scenarios.v_mean
+        end, deep = drift.arc(v)
+        way, q = drift.distance + y_s, ahead * v / drift.radius
+        # 1 - cos a + q sin a = way/radius, for the tangent of a/2
+        part = np.maximum(way / drift.radius, 0.0)
+        half = np.arctan(part / np.maximum(q + np.sqrt(np.maximum(q**2 + part * (2.0 - part), 0.0)), 1e-300))
+        arc = 2.0 * half * drift.radius / v
+        straight = end + (way - deep) / drift.lateral_velocity - ahead
+        t = np.where(way < 0.0, 0.0, np.where(arc <= end, arc, straight))
+        return np.where(t <= self.scenarios.T, t, np.inf)
+
+    def deepest(self, t_end: FloatArray) -> FloatArray:
+        """Largest y over [0, t_end] [m]; `t_end` (n,) is cut off at T."""
+        return self.lateral(np.minimum(t_end, self.scenarios.T))
+
+    def front_deepest(self, t_end: FloatArray, l_f: float) -> FloatArray:
+        """Largest distance of the front axle's edge beyond the line over [0, t_end], (n,) [m]."""
+        y, rate, _ = self.drift.motion(self.scenarios.v_mean, np.minimum(t_end, self.scenarios.T))
+        return y + l_f * np.arctan2(rate, self.scenarios.v_mean)
 
 
 def _mode_count(T: FloatArray, bandwidth: float) -> IntArray:

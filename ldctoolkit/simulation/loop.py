@@ -31,7 +31,7 @@ from ldctoolkit.metrics import METRIC_UNITS, MetricValues
 from ldctoolkit.mixture.checks import usable_cores
 from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.scenarios import Scenarios
-from ldctoolkit.setup import SETTLE, InitialYawRate, PlantKnowledge, Setup, Start
+from ldctoolkit.setup import SETTLE, TTLC, InitialYawRate, PlantKnowledge, Setup, Start, Trigger
 from ldctoolkit.simulation.kernel import data
 from ldctoolkit.simulation.outcome import Outcome, Trajectories, Window
 from ldctoolkit.simulation.takeover import Tables, Takeover, law_tables, shape_of
@@ -120,6 +120,8 @@ def simulate(
     seed: int = 0,
     settle: float = SETTLE,
     plant_knowledge: PlantKnowledge = "nominal",
+    trigger: Trigger = "distance",
+    ttlc: float = TTLC,
     trajectories: bool | npt.ArrayLike = False,
     threads: int | None = None,
 ) -> Outcome:
@@ -138,10 +140,10 @@ def simulate(
     vehicle : VehicleParameters or BicycleModel, optional
         Table I by default; a `BicycleModel` also chooses the convention.
     y_s : float [m]
-        Trigger threshold: control starts when the edge is further than this beyond the line.
+        Trigger threshold: control starts when the edge is further than this beyond the line; before it where negative.
     window : {"departure", "control"}
         Integrate |e_y| over the whole departure, or from the trigger on (the paper's; not comparable between y_s).
-    dt, initial_yaw_rate, start, options, seed, settle, plant_knowledge
+    dt, initial_yaw_rate, start, options, seed, settle, plant_knowledge, trigger, ttlc
         See `Setup`.
     trajectories : bool or (c,) int
         Keep the paths: of all scenarios, or of those with these row numbers.
@@ -187,6 +189,8 @@ def simulate(
         start=start,
         settle=settle,
         plant_knowledge=plant_knowledge,
+        trigger=trigger,
+        ttlc=ttlc,
     )
     if setup is not None and single != Setup():
         raise InputError("setup: given together with values that it holds; allowed: one of the two")
@@ -476,6 +480,9 @@ def _run_of_scores(
         "dtle": -front,
         "opposite_crossing": np.maximum(score[data.OPPOSITE] - edge, 0.0),
     }
+    # a trigger before the line: the edge may never be outside
+    inside = (takeover.x_0[:, 0] < edge) & (values["deepest"] <= 0.0)
+    values["t_back"] = np.where(inside, takeover.start, values["t_back"])
     companions = MetricValues(**values)
     return Run(takeover, score[data.AREA], status, failed, companions, law_seconds, trajectories)
 

@@ -184,7 +184,7 @@ class Takeover:
         measured = {
             "deepest": self.path.deepest(T),
             "dtle": -self.path.front_deepest(T, self.setup.vehicle.l_f),
-            "t_back": T,
+            "t_back": self.path.back,
         }
         columns = {name: measured.get(name, np.zeros(T.size)) for name in METRIC_UNITS}
         return MetricValues(**{name: np.where(self.valid, column, np.nan) for name, column in columns.items()})
@@ -208,24 +208,24 @@ class Takeover:
         Parameters
         ----------
         scenarios, setup, y_s
-            As in `Takeover`; y_s >= 0.
+            As in `Takeover`; y_s >= -10.
         """
-        y_s = checked_number("y_s", y_s, least=0.0)
+        y_s = checked_number("y_s", y_s, least=-10.0)
         model, options, dt, seed = setup.model, setup.options, setup.dt, setup.seed
         offset = model.parameters.edge_offset
         whole = UncorrectedPath.of(scenarios, options.residuals, seed)
         valid = whole.drivable()
         # rows that cannot be driven are carried along as a departure that never triggers
         path = whole if valid.all() else UncorrectedPath.of(harmless(scenarios, valid), options.residuals, seed)
-        t_s = path.crossing_time(y_s)
+        t_s = path.crossing_time(y_s, setup.ahead)
         T = path.scenarios.T
-        S_uncorrected = path.area(T) + offset * T
+        S_uncorrected = path.score(T, offset)
         at_trigger = path.speed(np.minimum(t_s, T))
         valid = valid & np.isfinite(S_uncorrected) & (at_trigger <= SPEED_RANGE[1])
         triggered = valid & (t_s < T - _SHORTEST_STEP)
         t_s = np.where(triggered, t_s, np.inf)
         ended = np.minimum(t_s, T)
-        S_before = np.where(triggered, path.area(ended) + offset * ended, S_uncorrected)
+        S_before = np.where(triggered, path.score(ended, offset), S_uncorrected)
 
         remaining = np.where(triggered, T - np.where(triggered, t_s, 0.0), -1.0)
         full = np.floor(remaining / dt).astype(np.int64)
@@ -312,9 +312,9 @@ class Tables:
 
     @functools.cached_property
     def recorded(self) -> FloatArray:
-        """With residuals, y'' of the recorded path at the samples up to T and a jerk window before, (m, k, 2)."""
+        """Unless it is a parabola, y'' of the recorded path at the samples to T and a jerk window before, (m, k, 2)."""
         over, dt = self.over, self.over.setup.dt
-        if not (over.driven.modes_y.size or over.driven.modes_v.size):
+        if not (over.driven.modes_y.size or over.driven.modes_v.size or over.scenarios.drift is not None):
             return np.zeros((0, 0, 2))
         samples = np.arange(over.full_steps.max() + math.ceil(JERK_WINDOW / dt) + 2)
         t = over.start[:, None] + dt * samples

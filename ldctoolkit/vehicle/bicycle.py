@@ -93,6 +93,9 @@ class VehicleParameters:
         Lane width.
     w_v : float [m]
         Vehicle width, less than the lane's.
+    steering_ratio : float
+        Angle of the steering wheel over that of the front wheels; an assumption of the usual size, not the paper's. It
+        decides no path, only what is said of the steering wheel.
 
     Examples
     --------
@@ -108,6 +111,7 @@ class VehicleParameters:
     I_z: float = 3344.0
     w_l: float = 3.6
     w_v: float = 1.9
+    steering_ratio: float = 15.0
 
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
