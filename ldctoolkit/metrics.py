@@ -32,6 +32,9 @@ A_Y_LIMIT: Final = 3.0
 JERK_LIMIT: Final = 5.0
 """Largest lateral jerk [m/s^3] that a lane keeping action may induce, averaged over 0.5 s (ISO 11270:2014, 5.4)."""
 
+TAIL: Final = 0.8
+"""Depth of the edge beyond the line [m] from which on a departure counts as one that went badly."""
+
 JERK_WINDOW: Final = 0.5  # moving average [s] of the lateral jerk (ISO 11270)
 
 
@@ -266,6 +269,15 @@ RELEASE_METRICS: Final[Mapping[str, Metric]] = _table(
     *_of("deepest", "mean", "p95"),
     *_of("dtle", "mean", "p5"),
     *_of("dtle", "min", title="DTLE at its worst"),
+    _share(
+        "tail_0p8",
+        "Deeper than 0.8 m",
+        "lane",
+        ("deepest",),
+        lambda _, deepest: (deepest > TAIL).mean(axis=1),
+        digits=2,
+        aliases=("tail_0.8",),
+    ),
     _share(
         "within_dtle",
         "DTLE stays above \u22120.3 m",

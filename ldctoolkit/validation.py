@@ -68,6 +68,13 @@ def _message(problem: Any, content: Any, model: type[BaseModel]) -> str:
     return f"{_path(location)}: {short(value)}; allowed: {allowed}"
 
 
+def as_tuples(value: Any) -> Any:
+    """TOML arrays as tuples: strict validation takes nothing else for a tuple field."""
+    if isinstance(value, dict):
+        return {key: as_tuples(item) for key, item in value.items()}
+    return tuple(as_tuples(item) for item in value) if isinstance(value, list) else value
+
+
 def short(value: object) -> str:
     """A value for a message."""
     text = repr(value)

@@ -4,6 +4,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from studies.assessment import Assessment, assess
     from studies.comparison.comparison import Comparison, compare
     from studies.design import Design
     from studies.extraction import run_extraction
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 
 # loaded on first use, so that the command line answers --help without the data libraries
 _HOMES = {
+    "Assessment": "assessment",
     "Case": "results",
     "CaseResults": "results",
     "Comparison": "comparison.comparison",
@@ -25,6 +27,7 @@ _HOMES = {
     "Ranking": "ranking.ranking",
     "Study": "study_file",
     "StudyResults": "results",
+    "assess": "assessment",
     "compare": "comparison.comparison",
     "plot_convergence": "plotting",
     "plot_distribution": "plotting",
@@ -39,6 +42,7 @@ _HOMES = {
 }
 
 __all__ = [
+    "Assessment",
     "Case",
     "CaseResults",
     "Comparison",
@@ -47,6 +51,7 @@ __all__ = [
     "Ranking",
     "Study",
     "StudyResults",
+    "assess",
     "compare",
     "plot_convergence",
     "plot_distribution",

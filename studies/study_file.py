@@ -31,7 +31,7 @@ from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.scenario_model import conditions
 from ldctoolkit.setup import Setup, simulation_options
 from ldctoolkit.simulation import Window
-from ldctoolkit.validation import Part, fail, first_problem
+from ldctoolkit.validation import Part, as_tuples, fail, first_problem
 from ldctoolkit.vehicle import Convention
 from studies.design import CONVENTION_GAIN, Design
 from studies.design_space import DesignBlock, check_blocks
@@ -356,7 +356,7 @@ class Study(Part):
             Where a relative model path starts.
         """
         try:
-            study = cls.model_validate(_tuples(content))
+            study = cls.model_validate(as_tuples(content))
         except ValidationError as error:
             raise StudyError(f"{source}: {first_problem(error, content, cls, 'study')}") from None
         study._folder = Path(folder)
@@ -415,6 +415,9 @@ class Study(Part):
         """What decides the numbers of any design: not which designs there are, the title, the report or the ranking."""
         content = self.content()
         same = {key: content[key] for key in ("seed", "simulation", "vehicle", "plant")}
+        del same["vehicle"]["steering_ratio"]  # it decides no number of a run
+        if same["simulation"]["trigger"] == "distance":  # as before there was another
+            del same["simulation"]["trigger"], same["simulation"]["ttlc"]
         same["scenarios"] = {side: content["scenarios"][side] for side in ("left", "right")}
         if self.scenarios.given:  # a study without conditions keeps the identity it had before there were any
             same["scenarios"]["given"] = content["scenarios"]["given"]
@@ -446,13 +449,6 @@ class Study(Part):
         settings = self.ranking.model_dump(mode="json")
         text = json.dumps([self.hash, settings, self.scenarios.model], sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()[:16]
-
-
-def _tuples(value: Any) -> Any:
-    """TOML arrays as tuples: strict validation takes nothing else for a tuple field."""
-    if isinstance(value, dict):
-        return {key: _tuples(item) for key, item in value.items()}
-    return tuple(_tuples(item) for item in value) if isinstance(value, list) else value
 
 
 __all__ = [

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from ldctoolkit.departures import Departures
+    from studies.design import Design
     from studies.robustness import Robustness
 
 
@@ -93,6 +94,37 @@ def stored_robustness(folder: Path, study: Study, results: StudyResults, ranking
     from studies.robustness import RobustnessTask, stored_of
 
     return stored_of(folder, RobustnessTask.of(results, ranking, study.setup()))
+
+
+def chosen_designs(designs: Sequence[Design], wanted: Sequence[str]) -> list[Design]:
+    """Those of some labels, or starts of ids, in this order."""
+    from ldctoolkit.errors import InputError, UnknownNameError, nearest
+
+    found: list[Design] = []
+    for one in wanted:
+        some = [design for design in designs if one == design.label or (one and design.id.startswith(one))]
+        if len(some) > 1:
+            raise InputError(f"--design {one!r}: the ids of {len(some)} designs start so; allowed: more of the id")
+        if not some:
+            names = [design.label for design in designs]
+            close = (
+                nearest(one, names) if len(names) <= 20 else f"allowed: an id or a label of the {len(names)} designs"
+            )
+            raise UnknownNameError(f"--design {one!r}: no such design; {close}")
+        found += some
+    return found
+
+
+def verdict_design(folder: str | Path) -> tuple[Study, Design]:
+    """The study of a folder with results, and the design that its verdict names."""
+    from studies.ranking.ranking import rank_study
+    from studies.ranking.verdict import verdict
+    from studies.storage.store import Store
+
+    store = Store.open(folder)
+    study, results = store.manifest.read_study(), store.results()
+    ranking = rank_study(results, study)[0]
+    return study, ranking.designs[verdict(ranking, results, study.setup()).place]
 
 
 _MOST_FAILED = 20

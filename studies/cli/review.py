@@ -160,10 +160,11 @@ def _speeds(chosen: argparse.Namespace, default: tuple[float, float] | None) -> 
 
 
 def _of_study(study: Study, chosen: argparse.Namespace) -> Iterator[Subject]:
+    from studies.cli._results import chosen_designs
     from studies.runner import study_source
     from studies.storage.stored_model import with_counts
 
-    designs = _chosen(study.designs, chosen.only)
+    designs = study.designs if chosen.only is None else chosen_designs(study.designs, [chosen.only])
     conventions, source = study.simulation.convention, study_source(study)
     wanted = with_counts(study, source).scenarios
     left, right = (min(n, _MOST_SCENARIOS) for n in wanted.counts)
@@ -175,7 +176,7 @@ def _of_study(study: Study, chosen: argparse.Namespace) -> Iterator[Subject]:
 
 
 def _of_convention(
-    study: Study, designs: list[Design], scenarios: Scenarios, convention: Convention, chosen: argparse.Namespace
+    study: Study, designs: Sequence[Design], scenarios: Scenarios, convention: Convention, chosen: argparse.Namespace
 ) -> Iterator[Subject]:
     from ldctoolkit.simulation import Takeover
 
@@ -198,17 +199,6 @@ def _of_convention(
             arguments["delta_prev"] = angles
         name = same[0].label.replace(f"y_s={same[0].y_s:g} m", f"y_s={', '.join(f'{y:g}' for y in thresholds)} m")
         yield Subject(name, tuple(d.id for d in same), same[0].controller(convention), arguments)
-
-
-def _chosen(designs: tuple[Design, ...], only: str | None) -> list[Design]:
-    if only is None:
-        return list(designs)
-    found = [design for design in designs if only in (design.id, design.label)]
-    if not found:
-        names = [design.label for design in designs]
-        close = nearest(only, names) if len(names) <= 20 else f"allowed: an id or a label of the {len(names)} designs"
-        raise UnknownNameError(f"--design {only!r}: no such design; {close}")
-    return found
 
 
 def _range(triggers: list[Takeover]) -> tuple[float, float] | None:

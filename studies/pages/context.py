@@ -14,12 +14,11 @@ from ldctoolkit import Scenarios, Setup
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.departures import LEFT
 from ldctoolkit.errors import InputError
-from ldctoolkit.metrics import METRICS
 from studies.design import Design
 from studies.pages.charts import Style, law_styles
 from studies.pages.text import number, true_minus
 from studies.ranking.ranking import Ranking
-from studies.ranking.requirements import metric_values
+from studies.ranking.requirements import metric, metric_values
 from studies.ranking.verdict import Verdict, design_name, verdict
 from studies.results import CaseResults, StudyResults
 
@@ -183,7 +182,7 @@ class Context:
 
 def metric_text(name: str, value: float, *, unit: bool = True) -> str:
     r"""A metric with its own digits, in the unit of the page."""
-    one = METRICS[name]
+    one = metric(name)
     shown = number(one.scale * value, one.digits)
     return f"{shown}\u00a0{one.shown_unit}" if unit and one.shown_unit and math.isfinite(value) else shown
 

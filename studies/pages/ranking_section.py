@@ -10,6 +10,7 @@ from ldctoolkit.metrics import METRICS
 from studies.pages.context import Context, interval, metric_text
 from studies.pages.shell import Cell, Column, Section, TableRow, bullets, render, table
 from studies.pages.text import compact, number, percent, plural, true_minus
+from studies.ranking.requirements import metric
 from studies.ranking.verdict import RANKING_METRICS, gains_text, judged, law_title, other_cases, set_of_best_line
 
 MOST_ROWS: Final = 1000  # designs of the table; all of them are in ranking.csv
@@ -125,7 +126,7 @@ def _operator(operator: str) -> str:
 
 
 def _limit_text(name: str, limit: float) -> str:
-    one = METRICS[name]
+    one = metric(name)
     unit = f"\u00a0{one.shown_unit}" if one.shown_unit else ""
     return f"{compact(float(f'{one.scale * limit:.4g}'))}{unit}"
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 from ldctoolkit.version import __version__
 from studies.pages import (
+    assessment_section,
     confidence_section,
     explorer,
     landscape_section,
@@ -36,10 +37,11 @@ if TYPE_CHECKING:
     from studies.storage.manifest import Manifest
     from studies.study_file import Study
 
-SECTIONS: Final[tuple[Callable[[Context], Section], ...]] = (
+SECTIONS: Final[tuple[Callable[[Context], Section | None], ...]] = (
     verdict_section.section,
     ranking_section.section,
     ranking_section.limits_section,
+    assessment_section.section,
     verdict_section.trade_offs,
     landscape_section.section,
     explorer.section,
@@ -48,13 +50,13 @@ SECTIONS: Final[tuple[Callable[[Context], Section], ...]] = (
     model_section.section,
     settings_section.section,
 )
-"""What makes each section, in the order of the page."""
+"""What makes each section, in the order of the page; one may have nothing to show."""
 
 
 def report_page(report: ReportInput) -> tuple[str, tuple[Chart, ...]]:
     """The report as one HTML document, and its charts."""
     context = Context.of(report)
-    sections = tuple(make(context) for make in SECTIONS)
+    sections = tuple(section for make in SECTIONS if (section := make(context)) is not None)
     ranking = context.ranking
     html = make_page(
         kind="Lane departure correction: comparison of designs",

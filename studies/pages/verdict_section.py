@@ -12,6 +12,7 @@ from studies.pages.context import Context, metric_text, name_of
 from studies.pages.shell import Cell, Column, Section, TableRow, bullets, figure, paragraphs, render, table
 from studies.pages.text import number, plural
 from studies.ranking.design_metrics import pareto_front
+from studies.ranking.requirements import metric
 from studies.ranking.verdict import law_title
 
 SYMBOLS: Final = {"good": "\u2713", "warning": "!", "bad": "\u2715", "unknown": "?"}
@@ -59,7 +60,7 @@ def trade_offs(context: Context) -> Section:
     )
     front = np.flatnonzero(ranking.pareto)
     sentence = (
-        f"Pareto front over {', '.join(METRICS[name].title for name in ranking.pareto_metrics)}: "
+        f"Pareto front over {', '.join(metric(name).title for name in ranking.pareto_metrics)}: "
         f"{plural(front.size, 'design')} that no other ranked design beats in one metric without being worse "
         "in another."
         if ranking.pareto_metrics and ranking.ranked
@@ -77,7 +78,7 @@ def trade_offs(context: Context) -> Section:
         names = [name for name in ranking.pareto_metrics if name != "S"]
         columns = [
             Column("Rank"), Column("Design", text=True), Column("Mean S", "m\u00b7s"),
-            *(Column(METRICS[name].title, METRICS[name].shown_unit) for name in names),
+            *(Column(metric(name).title, metric(name).shown_unit) for name in names),
         ]  # fmt: skip
         rows = [
             TableRow(

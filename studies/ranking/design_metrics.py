@@ -243,6 +243,7 @@ class CaseMetrics:
     invalid: IntArray
     failed_solves: IntArray  # (d,) Commands that were not finite, or came from a fallback
     release: ReleaseMetrics  # What is reported beside S
+    standards: Mapping[str, FloatArray]  # Standard -> (d,) share of its cells that pass; those that were asked for
 
 
 @dataclasses.dataclass(frozen=True)
@@ -285,8 +286,12 @@ def case_metrics(
     D_y: float,
     margins: Margins | None = None,
     setup: Setup | None = None,
+    standards: Mapping[str, Mapping[str, float]] | None = None,
 ) -> CaseMetrics:
-    """Metrics of the designs of a case, in its order. Without `setup`, friction allows every recorded path."""
+    """Metrics of the designs of a case, in its order. Without `setup`, friction allows every recorded path.
+
+    In `standards` each maps designs to the share of its cells that pass.
+    """
     case, scenarios, counted = drivable.case, drivable.scenarios, drivable.counted
     every = np.ones(len(scenarios), dtype=np.bool_)
     rows = (every, scenarios.side == LEFT, scenarios.side == RIGHT)
@@ -327,6 +332,9 @@ def case_metrics(
         invalid=count(EventStatus.INVALID),
         failed_solves=case.failed_solves.sum(axis=1).astype(np.int64),
         release=ReleaseMetrics(**taken),
+        standards={
+            name: np.array([score.get(one.id, np.nan) for one in designs]) for name, score in (standards or {}).items()
+        },
     )
 
 
@@ -342,7 +350,10 @@ def beyond_friction(scenarios: Scenarios, setup: Setup) -> BoolArray:
 def in_order(metrics: CaseMetrics, order: IntArray) -> dict[str, Any]:
     """Every figure by name, for some of the designs in the order given."""
     values = {field.name: getattr(metrics, field.name) for field in dataclasses.fields(CaseMetrics)}
-    return {name: v.take(order) if isinstance(v, ReleaseMetrics) else v[order] for name, v in values.items()}
+    values["standards"] = {name: score[order] for name, score in metrics.standards.items()}
+    plain = ("release", "standards")
+    taken = {name: v[order] for name, v in values.items() if name not in plain}
+    return values | taken | {"release": metrics.release.take(order)}
 
 
 def _mean(values: FloatArray, rows: BoolArray) -> FloatArray:

@@ -273,7 +273,12 @@ class RankedDesigns(CaseMetrics, Inference, FreshScores):
 
     def best_of_each_law(self) -> tuple[int, ...]:
         """Positions of the best design of every law, best law first."""
-        first: dict[str, int] = {}
-        for i, design in enumerate(self.designs):
-            first.setdefault(design.law, i)
-        return tuple(first.values())
+        return best_of_laws(self.designs)
+
+
+def best_of_laws(designs: Sequence[Design]) -> tuple[int, ...]:
+    """Positions of the first design of every law."""
+    first: dict[str, int] = {}
+    for i, design in enumerate(designs):
+        first.setdefault(design.law, i)
+    return tuple(first.values())

@@ -20,6 +20,7 @@ from ldctoolkit.departures import LEFT
 from ldctoolkit.metrics import METRICS, RELEASE_METRICS
 from ldctoolkit.review import design_margins
 from ldctoolkit.vehicle import Convention
+from studies.assessment import assess
 from studies.design import Design
 from studies.ranking.design_metrics import (
     DrivableCase,
@@ -32,10 +33,19 @@ from studies.ranking.design_metrics import (
 )
 from studies.ranking.inference import Inference, infer, spread_is_known
 from studies.ranking.named_vehicles import worst_of_vehicles
-from studies.ranking.ranked_designs import FreshScores, RankedDesigns, SearchScores, fresh_scores, no_fresh_scores
+from studies.ranking.ranked_designs import (
+    FreshScores,
+    RankedDesigns,
+    SearchScores,
+    best_of_laws,
+    fresh_scores,
+    no_fresh_scores,
+)
 from studies.ranking.requirements import SETS, metric, missed_by, requirements_of
-from studies.ranking.verdict import ranking_html
+from studies.ranking.tail import tail_text
+from studies.ranking.verdict import depths, ranking_html
 from studies.results import Case, CaseResults, Race, StudyResults
+from studies.standards import standard_names
 from studies.storage.files import write_text
 from studies.study_file import Study
 
@@ -161,7 +171,9 @@ class Ranking(RankedDesigns):
         reference = find_baseline(baseline, results)
         drivable = DrivableCase.of(case, results.scenarios)
         margins = {} if setup is None else _margins(results, case.case, setup.under(case.case.convention), vehicles)
-        metrics = case_metrics(drivable, results.designs, D_y, margins, setup)
+        asked = tuple(dict.fromkeys(one.metric.name for one in requirements if one.metric.name in standard_names()))
+        standards = {} if setup is None else _standards(asked, results.designs, setup.under(case.case.convention))
+        metrics = case_metrics(drivable, results.designs, D_y, margins, setup, standards)
         missed = missed_by(requirements, metrics)
         order = np.lexsort((metrics.S, np.array([bool(some) for some in missed]))).astype(np.int64)
         ranked = sum(not some for some in missed)
@@ -195,7 +207,9 @@ class Ranking(RankedDesigns):
                 search,
                 [
                     tuple(miss.requirement.text for miss in some)
-                    for some in missed_by(requirements, case_metrics(again, results.fresh.designs, D_y, margins, setup))
+                    for some in missed_by(
+                        requirements, case_metrics(again, results.fresh.designs, D_y, margins, setup, standards)
+                    )
                 ],
                 first_failed=designs[0] in [one.design for one in results.fresh.failed],
                 **chance,
@@ -210,6 +224,9 @@ class Ranking(RankedDesigns):
         if requirements and acting and not any(i < ranked for i in acting):
             fresh = dataclasses.replace(fresh, winner=None)  # to leave the departures alone is no design
         warnings += warnings_of_sample(drivable.scenarios.side, inference)
+        for i in best_of_laws(designs):
+            if not designs[i].is_baseline and (text := tail_text(*depths(results, case, int(order[i])))):
+                warnings.append(f"{designs[i].label} is {text}.")
         front = np.zeros(len(order), dtype=np.bool_)
         if pareto_metrics and ranked:
             front[:ranked] = pareto_front(pareto_costs(pareto_metrics, metrics)[order[:ranked]])
@@ -298,6 +315,20 @@ def _margins_of(keys: tuple[tuple[Any, ...], ...], setup: Setup) -> dict[tuple[A
     controllers = [Design(law, 0.2, gains).controller(setup.convention) for law, gains in keys]
     gain, phase = design_margins(controllers, setup, MARGIN_SPEEDS)
     return dict(zip(keys, zip(gain.min(axis=1).tolist(), phase.min(axis=1).tolist(), strict=True), strict=True))
+
+
+def _standards(names: Sequence[str], designs: Sequence[Design], setup: Setup) -> dict[str, dict[str, float]]:
+    """Share of the cells of each standard that designs pass as stated."""
+    return {name: {one.id: _score(name, one, setup) for one in designs} for name in names}
+
+
+@functools.lru_cache(maxsize=100_000)
+def _score(name: str, design: Design, setup: Setup) -> float:
+    """Kept for the next time; NaN where the law raises, which its run has reported."""
+    try:
+        return assess(design.controller(setup.convention), name, setup, y_s=design.y_s, tolerances=False).score
+    except Exception:  # a controller may be third-party code
+        return math.nan
 
 
 _NOT_RECORDED = (
@@ -416,6 +447,7 @@ def _rows(ranking: Ranking, gains: Sequence[str]) -> Iterator[dict[str, Any]]:
     numbers |= {METRICS[name].column: getattr(ranking, name) for name in ("triggered", "deeper")}
     numbers |= {name: getattr(ranking, name) for name in _COUNTS}
     numbers |= {one.column: getattr(ranking.release, one.name) for one in RELEASE_METRICS.values()}
+    numbers |= {metric(name).column: score for name, score in ranking.standards.items()}
     reasons = [""] * len(ranking) + [one.reason for one in ranking.failed]
     for i, (design, reason) in enumerate(zip(_every(ranking), reasons, strict=True)):
         here = i < len(ranking)

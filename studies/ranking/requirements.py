@@ -13,6 +13,7 @@ from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.errors import InputError, UnknownNameError, nearest
 from ldctoolkit.metrics import A_Y_LIMIT, JERK_LIMIT, METRICS, Metric
 from ldctoolkit.plant_options import PlantOptions
+from studies.standards import load_standard, standard_names
 
 Operator = Literal["<=", "<", ">=", ">"]
 
@@ -24,29 +25,31 @@ _ALIASES: Final = {
 
 
 def metric(name: str) -> Metric:
-    """The metric of a name, of an alias (``ay_p95``), or of a column of ``ranking.csv``."""
+    """The metric of a name, of an alias (``ay_p95``), or of a column of ``ranking.csv``; or the score in a standard."""
     known = _ALIASES.get(name, name)
+    if known in standard_names():
+        title, column = f"{load_standard(known).title}, cells passed", f"{known.replace('-', '_')}_share"
+        return Metric(known, "share", "more", column, title, "lane", 1)
     if known not in METRICS:
         # the beginning of another name, as ``ay``, is too short to be near to anything by its letters
         begun = next((target for alias, target in _ALIASES.items() if name and alias.startswith(name)), name)
-        raise UnknownNameError(f"metric {name!r}: no such metric; {nearest(begun, METRICS)}")
+        raise UnknownNameError(f"metric {name!r}: no such metric; {nearest(begun, (*METRICS, *standard_names()))}")
     return METRICS[known]
 
 
 def metric_values(name: str, *sources: Any) -> FloatArray:
     """Values of a metric, one a design, (d,); NaN where a design has none.
 
-    The sources are searched in order: mappings by key, objects by attribute, then the attribute `release` of an object;
-    a `studies.Ranking` holds all metrics. Raises `UnknownNameError` for an unknown name; `InputError` if no source has
-    it.
+    The sources are searched in order: mappings by key, objects by attribute, then the attributes `release` and
+    `standards` of an object; a `studies.Ranking` holds all metrics. Raises `UnknownNameError` for an unknown name;
+    `InputError` if no source has it.
     """
     wanted = metric(name).name
     for source in sources:
-        values = _lookup(source, wanted)
-        if values is None:
-            values = _lookup(getattr(source, "release", None), wanted)
-        if values is not None:
-            return np.asarray(values, dtype=np.float64)
+        for place in (source, getattr(source, "release", None), getattr(source, "standards", None)):
+            values = _lookup(place, wanted)
+            if values is not None:
+                return np.asarray(values, dtype=np.float64)
     raise InputError(f"metric {wanted}: not among these results")
 
 
@@ -61,7 +64,7 @@ _OPERATORS: Final[Mapping[Operator, Callable[[FloatArray, float], Any]]] = {
     ">": np.greater,
 }
 
-_TEXT: Final = re.compile(r"\s*(?P<name>[A-Za-z]\w*)\s*(?P<operator><=|>=|<|>)\s*(?P<limit>[-+.\w]+)\s*")
+_TEXT: Final = re.compile(r"\s*(?P<name>[A-Za-z][\w.-]*)\s*(?P<operator><=|>=|<|>)\s*(?P<limit>[-+.\w]+)\s*")
 
 
 SETS: Final[Mapping[str, tuple[str, ...]]] = {
@@ -174,10 +177,12 @@ def requirements_of(texts: Sequence[str], options: PlantOptions | None = None) -
 
 
 def parse_requirement(text: str) -> Requirement:
-    """Read a requirement: a metric, an operator and a number, in this order."""
+    """Read a requirement: a metric, an operator and a number, in this order; or a standard, all cells of it."""
+    text = f"{text} >= 1" if text in standard_names() else text
     found = _TEXT.fullmatch(text) if isinstance(text, str) else None
-    if found is None and isinstance(text, str) and re.fullmatch(r"[a-z-]{3,}", text) and text not in _ALIASES:
-        raise UnknownNameError(f"requirement {text!r}: no such set of requirements; {nearest(text, SETS)}")
+    if found is None and isinstance(text, str) and re.fullmatch(r"[a-z0-9-]{3,}", text) and text not in _ALIASES:
+        near = nearest(text, (*SETS, *standard_names()))
+        raise UnknownNameError(f"requirement {text!r}: no such set of requirements; {near}")
     if found is None:
         raise InputError(
             f"requirement {text!r}: cannot be read; allowed: a set ({', '.join(SETS)}), or a metric, one of "

@@ -20,7 +20,8 @@ from studies.design import Design
 from studies.ranking.design_metrics import beyond_friction
 from studies.ranking.ranked_designs import RankedDesigns
 from studies.ranking.requirements import G, Miss, metric_values
-from studies.results import StudyResults
+from studies.ranking.tail import tail_text
+from studies.results import CaseResults, StudyResults
 
 State = Literal["good", "warning", "bad", "unknown"]
 
@@ -55,7 +56,7 @@ class Verdict:
 
     title: str  # One line
     sentences: tuple[str, ...]  # Two at most: the score of the design named, and what it breaks or what is nearest
-    lights: tuple[Light, ...]  # Score, stable, limits, other plants, of the design named; scenarios
+    lights: tuple[Light, ...]  # Score, stable, limits, other plants, tail, of the design named; scenarios
     place: int  # Of the design named, in the ranking
     # Where none meets the requirements: places of the designs with the smallest largest excess
     nearest: tuple[int, ...] = ()
@@ -104,6 +105,7 @@ def verdict(
         _stable_light(ranking, place),
         _limits_light(ranking, place),
         _plants_light(ranking, place, robustness),
+        *_tail_light(ranking, results, place),
         *_scenarios_light(model),
     )
     return Verdict(title, tuple(sentences), lights, place, nearest, ahead, recorded)
@@ -239,6 +241,20 @@ def _limits_light(ranking: RankedDesigns, place: int) -> Light:
         return Light("Limits", "warning", f"Not required, but beyond comfort: {_list(others)}.")
     names = dict.fromkeys([*(one.set or one.text for one in ranking.requirements), "comfort"])
     return Light("Limits", "good", f"Meets {_list(list(names))}.")
+
+
+def depths(results: StudyResults, case: CaseResults, i: int) -> tuple[FloatArray, FloatArray]:
+    """Deepest positions of a design and without control on the departures that every design could be driven on [m]."""
+    passive = [k for k, design in enumerate(results.designs) if design.is_baseline]
+    without = case.companions.deepest[passive[0]] if passive else results.scenarios.d_y
+    return case.companions.deepest[i][case.drivable], without[case.drivable]
+
+
+def _tail_light(ranking: RankedDesigns, results: StudyResults, place: int) -> Iterator[Light]:
+    """Whether the design named goes badly more often than no control does; none where that is not significant."""
+    case = next(one for one in results.cases if one.case == ranking.case)
+    if text := tail_text(*depths(results, case, int(ranking.index[place]))):
+        yield Light("Tail", "bad", f"{_capital(text)}.")
 
 
 def _scenarios_light(model: ScenarioModel | None) -> Iterator[Light]:

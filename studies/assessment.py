@@ -1,0 +1,412 @@
+"""A design in the tests of a regulation or of Euro NCAP: every cell as stated, and at the corners of its tolerances."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import functools
+import io
+import itertools
+import math
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Final, Literal
+
+import numpy as np
+
+from ldctoolkit import Controller, EventStatus, Scenarios, Setup
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.errors import InputError, LdcError
+from ldctoolkit.law_checks import check_controller, raised
+from ldctoolkit.paths.uncorrected import UncorrectedPath
+from ldctoolkit.plant_options import Mismatch, PlantOptions, Residuals
+from ldctoolkit.simulation import Outcome, Takeover, drive
+from studies.ranking.named_vehicles import VEHICLES
+from studies.standards import KM_H, Cells, QuantityName, Standard, load_standard
+from studies.storage.files import write_text
+
+LightName = Literal["green", "amber", "red"]
+
+SEEDS: Final = 3  # of the camera's noise, at every corner with every vehicle
+
+_AFTER: Final = 2.0  # [s] that a test goes on after the largest lateral position, or after the limit was broken
+_RATE: Final = 200.0  # [Hz] at which signals are filtered; at least 100 are asked for
+_WHEEL_CUTOFF, _WHEEL_ORDER = 10.0, 6  # [Hz] Butterworth, forwards and backwards: 12 poles and no phase
+_JERK_CUTOFF, _JERK_ORDER = 0.5, 4  # [Hz]
+_JERK_WINDOW: Final = 0.5  # [s] moving average of the jerk
+_TURNED: Final = 5.0  # [deg] change of the steering wheel angle from which on its rate counts
+
+
+# ------------------------------------------------------------------------------------------------ one drive
+
+
+@dataclasses.dataclass(frozen=True)
+class _Drive:
+    """n cells driven under one variant, sample by sample from the trigger on; without one, along the drift."""
+
+    setup: Setup
+    path: UncorrectedPath
+    outcome: Outcome
+    t: FloatArray  # (n, k) [s] Rising; behind the end the last time again
+    x: FloatArray  # (n, k, 4) State
+    delta: FloatArray  # (n, k) [rad] Steering angle
+    limit: float  # [m] DTLE at which the test is failed; -inf without such a condition
+
+    @classmethod
+    def of(cls, controller: Controller, takeover: Takeover, limit: float) -> _Drive:
+        """Drive a takeover."""
+        outcome = drive(controller, takeover, trajectories=True).outcome("departure")
+        setup, path, n = takeover.setup, takeover.path, takeover.scenarios.n
+        found = outcome.trajectories
+        # where the law never acts, along the drift
+        k = max(math.ceil(float(path.scenarios.T.max()) / setup.dt) + 1, 0 if found is None else found.t.shape[1])
+        t, delta, x = np.full((n, k), np.nan), np.zeros((n, k)), np.zeros((n, k, 4))
+        if found is not None:
+            own = slice(found.t.shape[1])
+            t[:, own], x[:, own], delta[:, own] = found.t, found.x, found.delta
+        never = ~np.isfinite(t[:, 0])
+        if never.any():
+            some = path.take(never)
+            t[never] = some.scenarios.T[:, None] * np.linspace(0.0, 1.0, k)
+            rate, e_y = some.lateral_rate(t[never]), some.lateral(t[never]) + setup.vehicle.edge_offset
+            heading = np.arctan2(rate, some.speed(t[never]))
+            x[never], delta[never] = np.stack([e_y, rate, heading, np.zeros_like(rate)], axis=-1), 0.0
+        last = np.isfinite(t).sum(axis=1) - 1
+        place, rows = np.minimum(np.arange(k), last[:, None]), np.arange(n)[:, None]
+        return cls(setup, path, outcome, t[rows, place], x[rows, place], delta[rows, place], limit)
+
+    @functools.cached_property
+    def largest(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Largest position of the front tyre's outer edge beyond the line until the test ends, when, and the end."""
+        l_f, edge = self.setup.vehicle.l_f, self.setup.vehicle.edge_offset
+        f, slope = self.x[:, :, 0] + l_f * self.x[:, :, 2] - edge, self.x[:, :, 1] + l_f * self.x[:, :, 3]
+        t, row = self.t[:, 1:], np.arange(len(self.t))
+        peaks = _peaks(f, slope, np.diff(self.t, axis=1))
+        deepest = np.maximum.accumulate(peaks, axis=1)
+        reached = np.maximum.accumulate(np.where(peaks >= deepest, t, -np.inf), axis=1)
+
+        def first(events: BoolArray) -> FloatArray:
+            return np.where(events.any(axis=1), t[row, np.argmax(events, axis=1)], np.inf)
+
+        end = np.minimum(first(t - reached >= _AFTER - 1e-9), first(deepest > -self.limit) + _AFTER)
+        end = np.minimum(end, t[:, -1])
+        place = np.maximum((t <= end[:, None] + 1e-9).sum(axis=1) - 1, 0)
+        return deepest[row, place], reached[row, place], end
+
+    def resampled(self, values: FloatArray, before: float) -> tuple[FloatArray, FloatArray]:
+        """Values (n, k) every 1/200 s from a time before the trigger on, (n, m), and the times since the trigger."""
+        since = self.t - self.t[:, :1]
+        times = np.arange(math.ceil((float(since.max()) + before) * _RATE) + 1) / _RATE - before
+        return np.array([np.interp(times, t, row) for t, row in zip(since, values, strict=True)]), times
+
+    def response(self, times: FloatArray) -> BoolArray:
+        """Which times since the trigger (m,) belong to the response: until the test ends, (n, m)."""
+        return np.asarray((times >= 0.0) & (times <= (self.largest[2] - self.t[:, 0])[:, None]))
+
+
+def _peaks(f: FloatArray, slope: FloatArray, h: FloatArray) -> FloatArray:
+    """Largest value of the cubic with these values and slopes (n, k) at the ends of each interval h, (n, k - 1)."""
+    f_0, f_1, m_0, m_1 = f[:, :-1], f[:, 1:], slope[:, :-1] * h, slope[:, 1:] * h
+    a, b = m_0 + m_1 - 2.0 * (f_1 - f_0), 3.0 * (f_1 - f_0) - 2.0 * m_0 - m_1
+    root = np.sqrt(np.maximum(b**2 - 3.0 * a * m_0, 0.0)) - b
+    u = np.clip(np.divide(m_0, root, out=np.zeros_like(root), where=root > 0.0), 0.0, 1.0)
+    inside = f_0 + u * (m_0 + u * (b + u * a))
+    return np.maximum(np.maximum(f_0, f_1), np.where((m_0 > 0.0) & (m_1 < 0.0), inside, -np.inf))
+
+
+def _dtle(run: _Drive) -> FloatArray:
+    """Smallest distance of the front tyre's outer edge to the line until the test ends [m]."""
+    return -run.largest[0]
+
+
+def _wheel_rate(run: _Drive) -> FloatArray:
+    """Largest rate of the steering wheel [deg/s], filtered; NaN where it turns by less than 5 degrees."""
+    from scipy.signal import butter, sosfiltfilt
+
+    wheel, times = run.resampled(np.degrees(run.delta) * run.setup.vehicle.steering_ratio, 1.0)
+    response = run.response(times)
+    turned = np.where(response, wheel, -np.inf).max(axis=1) - np.where(response, wheel, np.inf).min(axis=1)
+    rate = np.diff(wheel, axis=1, append=wheel[:, -1:]) * _RATE
+    filtered: FloatArray = sosfiltfilt(butter(_WHEEL_ORDER, _WHEEL_CUTOFF, fs=_RATE, output="sos"), rate, axis=1)
+    fastest = np.where(response, np.abs(filtered), 0.0).max(axis=1)
+    return np.asarray(np.where(turned >= _TURNED, fastest, np.nan))
+
+
+def _jerk(run: _Drive) -> FloatArray:
+    """Largest lateral jerk [m/s^3]: moving average over 0.5 s of the filtered lateral acceleration."""
+    from scipy.signal import butter, sosfilt, sosfilt_zi
+
+    p, window = run.path.scenarios, round(_JERK_WINDOW * _RATE)
+    rate, times = run.resampled(run.x[:, :, 1], 3.0)
+    before = run.path.lateral_acceleration(run.t[:, 0])  # until the trigger the vehicle is on its path
+    a_y = np.where(times < 0.0, before[:, None], np.diff(rate, axis=1, append=rate[:, -1:]) * _RATE)
+    a_y += (p.v_mean**2 * p.c_0)[:, None]
+    sos = butter(_JERK_ORDER, _JERK_CUTOFF, fs=_RATE, output="sos")
+    filtered, _ = sosfilt(sos, a_y, axis=1, zi=sosfilt_zi(sos)[:, None, :] * a_y[None, :, :1])
+    jerk = np.zeros_like(filtered)
+    jerk[:, window:] = (filtered[:, window:] - filtered[:, :-window]) / _JERK_WINDOW
+    return np.asarray(np.where(run.response(times), np.abs(jerk), 0.0).max(axis=1))
+
+
+def _lateral_velocity_after(run: _Drive) -> FloatArray:
+    """Lateral velocity, either way, two seconds after the smallest DTLE [m/s]."""
+    rows = zip(run.largest[1] + _AFTER, run.t, run.x[:, :, 1], strict=True)
+    return np.asarray(np.abs([np.interp(wanted, t, rate) for wanted, t, rate in rows]))
+
+
+def _of_outcome(name: str) -> Callable[[_Drive], FloatArray]:
+    def values(run: _Drive) -> FloatArray:
+        found: FloatArray = getattr(run.outcome.companions, name)
+        return found
+
+    return values
+
+
+@dataclasses.dataclass(frozen=True)
+class Quantity:
+    """What a condition is about."""
+
+    title: str
+    unit: str
+    at_least: bool  # Whether the limit is a lower one
+    digits: int
+    of: Callable[[_Drive], FloatArray]
+
+
+QUANTITIES: Final[Mapping[QuantityName, Quantity]] = {
+    "dtle": Quantity("DTLE", "m", True, 2, _dtle),
+    "opposite_crossing": Quantity("Opposite line crossed by", "m", False, 2, _of_outcome("opposite_crossing")),
+    "a_y_added_peak": Quantity("Added a_y", "m/s²", False, 2, _of_outcome("a_y_added_peak")),
+    "jerk_added_peak": Quantity("Added jerk", "m/s³", False, 2, _of_outcome("jerk_added_peak")),
+    "jerk": Quantity("Lateral jerk", "m/s³", False, 2, _jerk),
+    "steering_wheel_rate": Quantity("Steering wheel velocity", "°/s", False, 1, _wheel_rate),
+    "lateral_velocity_after": Quantity("Lateral velocity 2 s after", "m/s", False, 2, _lateral_velocity_after),
+}
+"""Every quantity of a condition by its name."""
+
+
+# ------------------------------------------------------------------------------------------------ the assessment
+
+
+@dataclasses.dataclass(frozen=True)
+class Assessment:
+    """A design in n cells of a standard, c conditions, under w variants; the first is the cell as stated.
+
+    As stated, the vehicle is the nominal one and the camera has no noise.
+    """
+
+    standard: Standard
+    cells: Cells
+    variants: tuple[str, ...]  # What differs from the cell as stated; empty for nothing
+    values: FloatArray  # (w, c, n) In the units of `QUANTITIES`; NaN where a condition does not apply
+    limits: FloatArray  # (c, n)
+    met: BoolArray  # (w, c, n)
+    diverged: BoolArray  # (w, n) The vehicle left the road: no condition is met
+    failed_solves: IntArray  # (w, n) Commands that came from the fallback law
+
+    @property
+    def passed(self) -> BoolArray:
+        """Cells whose conditions are all met as stated, (n,)."""
+        return np.asarray(self.met[0].all(axis=0))
+
+    @property
+    def robust(self) -> BoolArray:
+        """Cells whose conditions are met under every variant, (n,)."""
+        return np.asarray(self.met.all(axis=(0, 1)))
+
+    @property
+    def lights(self) -> tuple[LightName, ...]:
+        """Green, amber (passes as stated, fails under some variant) or red, of each cell."""
+        pairs = zip(self.passed.tolist(), self.robust.tolist(), strict=True)
+        return tuple("green" if robust else "amber" if passed else "red" for passed, robust in pairs)
+
+    @property
+    def score(self) -> float:
+        """Share of the standard cells that pass as stated."""
+        return float(self.passed[~self.cells.extended].mean())
+
+    @property
+    def robust_score(self) -> float:
+        """Share of the standard cells that pass under every variant."""
+        return float(self.robust[~self.cells.extended].mean())
+
+    @property
+    def extended_score(self) -> float:
+        """Part of the points of the extended range; NaN where there is none, 0 where the standard range has too few."""
+        if not self.cells.extended.any():
+            return math.nan
+        share = float(self.passed[self.cells.extended].mean())
+        reached = [points for least, points in self.standard.extended_points if share >= least - 1e-9]
+        return max(reached, default=0.0) if self.score >= self.standard.extended_from else 0.0
+
+    def worst(self, condition: int) -> tuple[FloatArray, IntArray]:
+        """The worst value of a condition over all variants, (n,), and which one has it; NaN where it never applies."""
+        values, sign = self.values[:, condition], -1.0 if self._of(condition).at_least else 1.0
+        cost = np.where(self.diverged, np.inf, np.where(np.isnan(values), -np.inf, sign * values))
+        which = np.argmax(cost, axis=0)
+        return values[which, np.arange(self.cells.n)], which
+
+    def _of(self, condition: int) -> Quantity:
+        return QUANTITIES[self.standard.condition[condition].quantity]
+
+    def reason(self, i: int) -> str:
+        """Why a cell is not green: what misses which limit, and under which variant; empty where it is green."""
+        parts = []
+        for c in range(len(self.standard.condition)):
+            missed = ~self.met[:, c, i]
+            if missed.any():
+                of, variant = self._of(c), 0 if missed[0] else int(self.worst(c)[1][i])
+                value = f"{of.title} {self.values[variant, c, i]:.{of.digits}f} {of.unit}"
+                found = "diverged" if self.diverged[variant, i] else value
+                where = f" ({self.variants[variant]})" if variant else ""
+                parts.append(f"{found}, limit {self.limits[c, i]:.{of.digits}f} {of.unit}{where}")
+        return "; ".join(parts).replace("-", "\u2212")
+
+
+def assess(
+    controller: Controller,
+    standard: str | Path | Standard,
+    setup: Setup | None = None,
+    *,
+    y_s: float = 0.2,
+    tolerances: bool = True,
+    seeds: int = SEEDS,
+) -> Assessment:
+    """Run one design through the cells of a standard.
+
+    Raises `UnknownNameError` for an unknown standard; `InputError` for arguments outside what is allowed; `LdcError`
+    where the law raised.
+
+    Parameters
+    ----------
+    controller : Controller
+        The design.
+    standard : str, path or Standard
+        Name in the catalog, a TOML file, or what `load_standard` gives.
+    setup : Setup, optional
+        Vehicle, plant, clock, trigger and seed. The lane is cut to the width that the standard allows; the vehicles
+        that the plant draws are replaced by the named ones of the variants.
+    y_s : float [m]
+        Trigger threshold; below 0 before the line.
+    tolerances : bool
+        Run the variants too: corners of the tolerances of speed and lateral velocity, by vehicles (nominal, light,
+        heavy, soft, stiff), by seeds of the camera's noise.
+    seeds : int
+        How many of these.
+
+    Notes
+    -----
+    A test ends two seconds after the largest lateral position, or two seconds after its DTLE limit was broken. DTLE is
+    the distance of the front tyre's outer edge, at the width of the vehicle, to the line.
+
+    Examples
+    --------
+    >>> from controllers import NoControl
+    >>> assess(NoControl(), "euroncap-2026-elk-road-edge", tolerances=False).score
+    0.0
+    """
+    check_controller(controller)
+    test = standard if isinstance(standard, Standard) else load_standard(standard)
+    given = Setup() if setup is None else setup
+    if not isinstance(given, Setup):
+        raise InputError(f"setup: an object of type {type(given).__name__}; allowed: Setup(...), or None")
+    if isinstance(seeds, bool) or not isinstance(seeds, int) or seeds < 1:
+        raise InputError(f"seeds: {seeds!r}; allowed: a whole number >= 1")
+    width = min(max(given.vehicle.w_l, test.lane_width_m[0]), test.lane_width_m[1])
+    given = dataclasses.replace(given, vehicle=dataclasses.replace(given.vehicle, w_l=width))
+    cells = test.every_cell
+    runs = [_as_stated(test, cells, given), *(_variants(test, cells, given, seeds) if tolerances else ())]
+    limits = np.array([test.limits(one, cells) for one in test.condition])
+    broken = next((float(limits[c, 0]) for c, one in enumerate(test.condition) if one.quantity == "dtle"), -math.inf)
+    values, status, solves = [], [], []
+    for _, on, scenarios in runs:
+        try:
+            takeover = Takeover.build(scenarios, on, y_s=y_s)
+            # a design knows the nominal vehicle
+            run = _Drive.of(controller, dataclasses.replace(takeover, plant=given.plant(takeover.plant.v)), broken)
+        except LdcError:
+            raise
+        except Exception as error:  # a controller may be third-party code
+            raise LdcError(f"law {controller.name!r} in {test.name}: {raised(error)}") from None
+        found = [QUANTITIES[one.quantity].of(run) for one in test.condition]
+        values.append(np.array(found).reshape(len(found), -1, cells.n).swapaxes(0, 1))
+        status.append(run.outcome.status.reshape(-1, cells.n))
+        solves.append(run.outcome.failed_solves.reshape(-1, cells.n))
+    slow = np.array([cells.speed / KM_H < one.from_speed_km_h - 1e-6 for one in test.condition])
+    every = np.where(slow, np.nan, np.concatenate(values))
+    lower = np.array([QUANTITIES[one.quantity].at_least for one in test.condition])[:, None]
+    beyond = np.where(lower, limits - every, every - limits)
+    diverged = np.concatenate(status) == EventStatus.DIVERGED
+    met = (np.isnan(beyond) | (beyond <= 1e-9)) & ~diverged[:, None]
+    names = tuple(name for some, _, _ in runs for name in some)
+    return Assessment(test, cells, names, every, limits, met, diverged, np.concatenate(solves))
+
+
+_Variant = tuple[list[str], Setup, Scenarios]  # Names, what is driven, and the cells once for each name
+
+
+def _as_stated(test: Standard, cells: Cells, given: Setup) -> _Variant:
+    """The nominal vehicle, and a camera without noise."""
+    sensors = dataclasses.replace(given.options.sensors, e_y_noise=0.0, e_psi_noise=0.0, curvature_noise=0.0)
+    options = dataclasses.replace(given.options, mismatch=Mismatch(), sensors=sensors, residuals=Residuals())
+    return [""], given.on(options), test.scenarios(cells, given.vehicle.edge_offset)
+
+
+def _variants(test: Standard, cells: Cells, given: Setup, seeds: int) -> list[_Variant]:
+    """Each vehicle at all corners with all seeds."""
+    speed, rate = test.speed_tolerance_km_h, test.lateral_velocity_tolerance_m_s
+    corners = list(dict.fromkeys(itertools.product((-speed, speed), (-rate, rate))))
+    sensors = given.options.sensors
+    noisy = sensors.e_y_noise or sensors.e_psi_noise or sensors.curvature_noise
+    some = [test.scenarios(cells, given.vehicle.edge_offset, speed=a * KM_H, rate=b) for a, b in corners]
+    off = [f", {a:+g} km/h, {b:+g} m/s" if a or b else "" for a, b in corners]
+    found = []
+    for name in ("nominal", *VEHICLES):
+        fixed = {quantity: (factor, factor) for quantity, factor in VEHICLES.get(name, {}).items()}
+        options: PlantOptions = dataclasses.replace(given.options, mismatch=Mismatch(**fixed), residuals=Residuals())
+        repeated = seeds if noisy else 1
+        names = [f"{name} vehicle{text}" for text in off] * repeated
+        found.append((names, given.on(options), _joined(some * repeated)))
+    return found
+
+
+def _joined(parts: Sequence[Scenarios]) -> Scenarios:
+    """Drifts one after the other, each with a number of its own."""
+    drifts = [one.drift for one in parts if one.drift is not None]
+    return Scenarios.from_drifts(
+        v=np.concatenate([one.v_mean for one in parts]),
+        T=np.concatenate([one.T for one in parts]),
+        c=np.concatenate([one.c_0 for one in parts]),
+        side=np.concatenate([one.side for one in parts]),
+        lateral_velocity=np.concatenate([one.lateral_velocity for one in drifts]),
+        radius=np.concatenate([one.radius for one in drifts]),
+        distance=np.concatenate([one.distance for one in drifts]),
+    )
+
+
+PREDICTIONS: Final = (
+    "design", "standard", "range", "speed_km_h", "lateral_velocity_m_s", "lateral_acceleration_m_s2", "predicted",
+    "light", "quantity", "value", "limit", "worst", "worst_case",
+)  # fmt: skip
+"""Columns of a table of predictions: one row a cell and condition."""
+
+
+def write_predictions(assessments: Sequence[tuple[str, Assessment]], path: str | Path) -> None:
+    """Write what virtual testing predicts of every cell for named designs: one CSV file, whole or not at all."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(PREDICTIONS)
+    for design, one in assessments:
+        for c, condition in enumerate(one.standard.condition):
+            worst, which = one.worst(c)
+            for i in range(one.cells.n):
+                second, bend = f"{one.cells.second[i]:g}", bool(one.cells.bend[i])
+                numbers = (one.values[0, c, i], one.limits[c, i], worst[i])
+                shown = ["" if math.isnan(number) else f"{number:.6g}" for number in numbers]
+                writer.writerow([
+                    design, one.standard.name, "extended" if one.cells.extended[i] else "standard",
+                    f"{one.cells.speed[i] / KM_H:g}", *(("", second) if bend else (second, "")),
+                    "pass" if one.passed[i] else "fail", one.lights[i], condition.quantity, *shown,
+                    one.variants[which[i]],
+                ])  # fmt: skip
+    write_text(Path(path), text.getvalue())

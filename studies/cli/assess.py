@@ -1,0 +1,152 @@
+"""``ldc assess``: designs in the tests of regulations and Euro NCAP."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from studies.cli._console import (
+    Subparsers,
+    add_row,
+    console,
+    each_once,
+    named,
+    new_table,
+    number,
+    positive_number,
+    progress_bar,
+    say,
+)
+
+if TYPE_CHECKING:
+    from ldctoolkit import Controller, Setup
+    from studies.assessment import Assessment
+
+FAILS = 3  # exit code where a cell fails as stated
+
+Subject = tuple[str, "Controller", float, "Setup"]  # Name, law, y_s, and how it is driven
+
+
+def add_parser(commands: Subparsers) -> None:
+    """Declare the command."""
+    parser = commands.add_parser(
+        "assess",
+        help="run designs through the tests of regulations and Euro NCAP",
+        description="Run designs through the cells of standards: departures that do not return, as stated and at the "
+        "corners of their tolerances, on several vehicles. Prints a score each, and writes what is predicted of every "
+        "cell. Exit code 3 where a cell fails as stated.",
+    )
+    add = parser.add_argument
+    add(
+        "designs", nargs="+", metavar="DESIGN",
+        help="a study (name in the catalog or TOML file: all its designs), a folder that ldc run wrote (the design "
+        "that its verdict names), or the name of a law",
+    )  # fmt: skip
+    add(
+        "--standard", action="append", metavar="NAME",
+        help="name of a test, or a TOML file with one (default: all of the catalog); repeatable",
+    )  # fmt: skip
+    add("--design", dest="only", action="append", metavar="LABEL", help="only this design of a study: label or id")
+    add("--gain", type=named, action="append", metavar="NAME=VALUE", help="a gain of a law that is named; repeatable")
+    add("--y-s", type=number, metavar="M", help="trigger threshold of a law that is named in m (default: -0.4)")
+    add("--ttlc", type=number, metavar="S", help="trigger by this time to line crossing in s, of all designs")
+    add(
+        "--plant", default="road-edge", metavar="STUDY",
+        help="study whose plant and vehicle a law that is named is driven with (default: %(default)s)",
+    )  # fmt: skip
+    add("--seeds", type=positive_number, default=3, metavar="N", help="seeds of the camera's noise (default: 3)")
+    add("--no-tolerances", action="store_true", help="cells as stated only")
+    add("-o", "--output", metavar="DIR", help="write DIR/assessment.html and DIR/predictions.csv")
+    parser.set_defaults(run=run)
+
+
+def run(chosen: argparse.Namespace) -> int:
+    """Carry the command out; the exit code says whether a cell fails."""
+    from ldctoolkit.errors import InputError
+    from studies.assessment import assess, write_predictions
+    from studies.pages.assessment_section import score_text, write_assessment_page
+    from studies.standards import load_standard, standard_names
+    from studies.storage.store import make_folder
+
+    tests = [load_standard(name) for name in dict.fromkeys(chosen.standard or standard_names())]
+    subjects = [one for text in chosen.designs for one in _subjects(text, chosen)]
+    if not subjects:
+        raise InputError(f"{' '.join(chosen.designs)}: no design that intervenes; allowed: one or more")
+    if chosen.output is not None:
+        make_folder(Path(chosen.output))
+    found: list[tuple[str, Assessment]] = []
+    with progress_bar("assessing") as advance:
+        for name, controller, y_s, setup in subjects:
+            for test in tests:
+                if advance is not None:
+                    advance(len(found), len(subjects) * len(tests))
+                tolerances = not chosen.no_tolerances
+                one = assess(controller, test, setup, y_s=y_s, tolerances=tolerances, seeds=chosen.seeds)
+                found.append((name, one))
+    out = console()
+    table = new_table(
+        "Tests", ["Design", "Test", "passed\n[%]", "corners\n[%]", "green", "amber", "red"], (0, 1), narrow=True
+    )
+    for name, one in found:
+        counts = (str(one.lights.count(light)) for light in ("green", "amber", "red"))
+        add_row(table, (name, one.standard.name, f"{100 * one.score:.0f}", f"{100 * one.robust_score:.0f}", *counts))
+    out.print(table)
+    for _, one in found if len(found) <= len(tests) else []:
+        say(out, f"{one.standard.name}: {score_text(one)}")
+        say(out, *(f"  {one.cells.name(i)}: {one.lights[i]}: {one.reason(i)}" for i in _first_missed(one)))
+        say(out, *(f"  not assessable: {what.what}: {what.why}" for what in one.standard.not_assessable))
+    if chosen.output is not None:
+        folder = Path(chosen.output)
+        write_predictions(found, folder / "predictions.csv")
+        page = write_assessment_page(found, folder / "assessment.html")
+        say(out, f"predictions: {folder / 'predictions.csv'}", f"page: {page}")
+    return 0 if all(one.passed.all() for _, one in found) else FAILS
+
+
+def _first_missed(one: Assessment) -> list[int]:
+    """The first few cells that are not green, red ones before amber ones."""
+    order = [i for light in ("red", "amber") for i in range(one.cells.n) if one.lights[i] == light]
+    return order[:4]
+
+
+def _subjects(text: str, chosen: argparse.Namespace) -> Iterator[Subject]:
+    """What a name on the command line stands for."""
+    from ldctoolkit import controller_names
+    from ldctoolkit.errors import InputError, UnknownNameError, nearest
+    from studies.cli._results import chosen_designs, verdict_design
+    from studies.study_file import catalog_names, load_study
+
+    if text in controller_names():
+        from ldctoolkit import controller_class
+        from ldctoolkit.gains import find_gain
+        from studies.design import Design
+
+        kind = controller_class(text)
+        each_once("--gain", chosen.gain)
+        gains = {name: find_gain(kind, name, kind.name).parsed(value) for name, value in chosen.gain or ()}
+        study, y_s = load_study(chosen.plant), -0.4 if chosen.y_s is None else chosen.y_s
+        controller = kind(**gains)
+        yield Design.of(controller, y_s).label, controller, y_s, _setup(study.setup(), chosen)
+        return
+    if chosen.gain or chosen.y_s is not None:
+        raise InputError(f"--gain, --y-s: go with the name of a law; {text} has its own designs")
+    if os.path.isfile(f"{text}/manifest.json"):  # noqa: PTH113 - raises nothing, whatever the name
+        study, named_design = verdict_design(text)
+        designs = chosen_designs(study.designs, chosen.only) if chosen.only else [named_design]
+    elif text in catalog_names() or text.endswith(".toml"):
+        study = load_study(text)
+        designs = chosen_designs(study.designs, chosen.only) if chosen.only else list(study.designs)
+    else:
+        names = (*controller_names(), *catalog_names())
+        raise UnknownNameError(f"{text!r}: neither a law, nor a study, nor a folder; {nearest(text, names)}")
+    for design in designs:
+        if not design.is_baseline:
+            yield design.label, design.controller(), design.y_s, _setup(study.setup(), chosen)
+
+
+def _setup(setup: Setup, chosen: argparse.Namespace) -> Setup:
+    return setup if chosen.ttlc is None else dataclasses.replace(setup, trigger="ttlc", ttlc=chosen.ttlc)

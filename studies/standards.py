@@ -1,0 +1,220 @@
+"""Tests of regulations and Euro NCAP as data: their cells, and what a design has to keep in them."""
+
+from __future__ import annotations
+
+import dataclasses
+import tomllib
+from pathlib import Path
+from typing import Annotated, Final, Literal, Self
+
+import numpy as np
+from pydantic import Field, ValidationError, model_validator
+
+from ldctoolkit import Scenarios
+from ldctoolkit.arrays import BoolArray, FloatArray
+from ldctoolkit.departures import RIGHT
+from ldctoolkit.errors import StudyError, UnknownNameError, nearest
+from ldctoolkit.scenarios import Drifts
+from ldctoolkit.validation import Part, as_tuples, fail, first_problem
+
+FOLDER: Final = Path(__file__).parent / "catalog" / "standards"
+
+KM_H: Final = 1.0 / 3.6  # [m/s]
+
+AFTER: Final = 10.0  # [s] that a cell's path goes on after it has reached the line
+
+_FASTEST: Final = (
+    5.0  # lateral velocity [m/s] at which a vehicle that goes straight on in a bend is followed no further
+)
+
+QuantityName = Literal[
+    "dtle",
+    "opposite_crossing",
+    "a_y_added_peak",
+    "jerk_added_peak",
+    "jerk",
+    "steering_wheel_rate",
+    "lateral_velocity_after",
+]
+
+Positive = Annotated[float, Field(gt=0)]
+
+
+class Grid(Part):
+    """``[[cells]]``: speeds by lateral velocities of a drift, or by lateral accelerations of a bend."""
+
+    range: Literal["standard", "extended"] = "standard"
+    speed_km_h: Annotated[tuple[Positive, ...], Field(min_length=1)]
+    lateral_velocity_m_s: tuple[Positive, ...] = ()
+    lateral_acceleration_m_s2: tuple[Positive, ...] = ()
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> Self:
+        if bool(self.lateral_velocity_m_s) == bool(self.lateral_acceleration_m_s2):
+            raise fail("", "allowed: one of lateral_velocity_m_s and lateral_acceleration_m_s2")
+        return self
+
+
+class Drift(Part):
+    """``[drift]``: how a passive driver gets to the line."""
+
+    # (speed [km/h] from which it holds, radius of the arc [m])
+    radius_m: Annotated[tuple[tuple[float, Positive], ...], Field(min_length=1)]
+    lateral_velocity_m_s: tuple[Positive, ...]
+    distance_m: tuple[Positive, ...]  # At each of them: lateral distance that is covered after the arc, to the line
+
+
+class Condition(Part):
+    """``[[condition]]``: what a quantity has to keep in every cell."""
+
+    quantity: QuantityName
+    # One, or one for each lateral velocity of the drift: [m], [m/s], [m/s^2], [m/s^3] or, of the wheel, [deg/s]
+    limit: float | tuple[float, ...]
+    from_speed_km_h: float = 0.0
+
+
+class NotAssessable(Part):
+    """``[[not_assessable]]``: what the standard asks beside, and why no simulation here can answer it."""
+
+    what: str
+    why: str
+
+
+class Standard(Part):
+    """A test: where it is from, its cells, its conditions. Read with `load_standard`."""
+
+    name: str
+    title: str
+    source: str
+    second_hand: bool  # Known from excerpts, not from the text itself
+    lane_width_m: tuple[Positive, Positive]  # Narrowest and widest
+    speed_tolerance_km_h: float = Field(default=0.0, ge=0)
+    lateral_velocity_tolerance_m_s: float = Field(default=0.0, ge=0)
+    extended_from: float = 0.0  # Share of the standard cells from which on the extended range counts
+    extended_points: tuple[tuple[float, float], ...] = ()  # (share of its cells, part of the points from there on)
+    drift: Drift | None = None
+    cells: Annotated[tuple[Grid, ...], Field(min_length=1)]
+    condition: Annotated[tuple[Condition, ...], Field(min_length=1)]
+    not_assessable: tuple[NotAssessable, ...] = ()
+
+    @model_validator(mode="after")
+    def _complete(self) -> Self:
+        drift = self.drift
+        known = () if drift is None else drift.lateral_velocity_m_s
+        for rate in (rate for grid in self.cells for rate in grid.lateral_velocity_m_s):
+            if rate not in known:
+                raise fail("cells", f"lateral_velocity_m_s {rate:g} is not in [drift]; allowed: one of {known}")
+        if drift is not None and len(drift.distance_m) != len(known):
+            raise fail("drift.distance_m", f"{len(drift.distance_m)} values; allowed: one a lateral velocity")
+        for i, one in enumerate(self.condition):
+            if isinstance(one.limit, tuple) and len(one.limit) != len(known):
+                raise fail(f"condition[{i}].limit", f"{len(one.limit)} values; allowed: one a lateral velocity")
+        return self
+
+    @property
+    def every_cell(self) -> Cells:
+        """Its cells, grid by grid, speed by speed."""
+        rows = [
+            (speed, rate, grid.range == "extended")
+            for grid in self.cells
+            for speed in grid.speed_km_h
+            for rate in grid.lateral_velocity_m_s or grid.lateral_acceleration_m_s2
+        ]
+        speed, second, extended = (np.array(column) for column in zip(*rows, strict=True))
+        bend = np.array([not grid.lateral_velocity_m_s for grid in self.cells for _ in range(_size(grid))])
+        return Cells(speed * KM_H, second, bend, extended)
+
+    def limits(self, condition: Condition, cells: Cells) -> FloatArray:
+        """The limit of a condition in each of n cells, (n,)."""
+        if isinstance(condition.limit, tuple):
+            assert self.drift is not None
+            table = dict(zip(self.drift.lateral_velocity_m_s, condition.limit, strict=True))
+            return np.array([table[rate] for rate in cells.second.tolist()])
+        return np.full(cells.n, condition.limit)
+
+    def scenarios(self, cells: Cells, vehicle_offset: float, *, speed: float = 0.0, rate: float = 0.0) -> Scenarios:
+        """The drifts of n cells, on the passenger's side of a country that drives on the right.
+
+        Parameters
+        ----------
+        cells : Cells
+        vehicle_offset : float [m]
+            Between the lines and the vehicle's edges in the middle of the lane.
+        speed, rate : float [m/s]
+            By how much speed and lateral velocity are off; the arc stays that of the cell.
+        """
+        v, kmh = cells.speed + speed, cells.speed / KM_H
+        drifting = ~cells.bend
+        radius, straight = v**2 / np.where(cells.bend, cells.second, 1.0), np.zeros(cells.n)
+        lateral = np.where(cells.bend, np.minimum(_FASTEST, 0.5 * v), cells.second + rate)
+        if self.drift is not None:
+            table = dict(zip(self.drift.lateral_velocity_m_s, self.drift.distance_m, strict=True))
+            straight = np.array([table.get(second, 0.0) for second in cells.second.tolist()])
+            for first, arc in self.drift.radius_m:
+                radius[drifting & (kmh >= first - 1e-6)] = arc
+        arc_time, covered = Drifts(lateral, radius, straight).arc(v)
+        # into a bend the vehicle goes from the middle of the lane, and reaches the line on the arc
+        to_line = np.where(drifting, arc_time + straight / lateral, np.sqrt(2.0 * vehicle_offset * radius) / v)
+        return Scenarios.from_drifts(
+            v=v, lateral_velocity=lateral, radius=radius, side=RIGHT, T=to_line + AFTER,
+            distance=np.where(drifting, covered + straight, vehicle_offset),
+            c=np.where(cells.bend, -1.0 / radius, 0.0),
+        )  # fmt: skip
+
+
+def _size(grid: Grid) -> int:
+    return len(grid.speed_km_h) * len(grid.lateral_velocity_m_s or grid.lateral_acceleration_m_s2)
+
+
+@dataclasses.dataclass(frozen=True)
+class Cells:
+    """n cells of a test."""
+
+    speed: FloatArray  # (n,) [m/s]
+    second: FloatArray  # (n,) Lateral velocity [m/s] of a drift; lateral acceleration [m/s^2] of a bend
+    bend: BoolArray  # (n,) Which of the two
+    extended: BoolArray  # (n,) Whether it is in the extended range
+
+    @property
+    def n(self) -> int:
+        """How many."""
+        return int(self.speed.size)
+
+    def name(self, i: int) -> str:
+        """A cell for a reader: ``"70 km/h, 0.4 m/s"``."""
+        return f"{self.speed[i] / KM_H:.0f} km/h, {self.second[i]:g} {'m/s²' if self.bend[i] else 'm/s'}"
+
+
+def standard_names() -> tuple[str, ...]:
+    """Names of the tests in the catalog, sorted."""
+    return tuple(sorted(path.stem for path in FOLDER.glob("*.toml")))
+
+
+def load_standard(name_or_path: str | Path) -> Standard:
+    """A test of the catalog by its name, or any other by the path of its TOML file.
+
+    Raises `UnknownNameError` for what is neither; `StudyError` naming file, key path, value and what is allowed.
+
+    Examples
+    --------
+    >>> load_standard("euroncap-2026-elk-road-edge").every_cell.n
+    36
+    """
+    path = Path(name_or_path)
+    if str(name_or_path) in standard_names():
+        path = FOLDER / f"{name_or_path}.toml"
+    elif path.suffix != ".toml":
+        raise UnknownNameError(
+            f"standard {str(name_or_path)!r}: neither a file nor in the catalog; "
+            f"{nearest(str(name_or_path), standard_names())}"
+        )
+    try:
+        content = tomllib.loads(path.read_bytes().decode())
+    except OSError as error:
+        raise StudyError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise StudyError(f"{path}: not a TOML file: {error}") from None
+    try:
+        return Standard.model_validate(as_tuples(content))
+    except ValidationError as error:
+        raise StudyError(f"{path}: {first_problem(error, content, Standard, 'standard')}") from None
