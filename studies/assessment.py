@@ -8,7 +8,7 @@ import functools
 import io
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Final, Literal
 
@@ -19,7 +19,7 @@ from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.law_checks import check_controller, raised
 from ldctoolkit.paths.uncorrected import UncorrectedPath
-from ldctoolkit.plant_options import Mismatch, PlantOptions, Residuals
+from ldctoolkit.plant_options import Mismatch, Residuals
 from ldctoolkit.simulation import Outcome, Takeover, drive
 from studies.ranking.named_vehicles import VEHICLES
 from studies.standards import KM_H, Cells, QuantityName, Standard, load_standard
@@ -352,36 +352,19 @@ def _as_stated(test: Standard, cells: Cells, given: Setup) -> _Variant:
     return [""], given.on(options), test.scenarios(cells, given.vehicle.edge_offset)
 
 
-def _variants(test: Standard, cells: Cells, given: Setup, seeds: int) -> list[_Variant]:
+def _variants(test: Standard, cells: Cells, given: Setup, seeds: int) -> Iterator[_Variant]:
     """Each vehicle at all corners with all seeds."""
-    speed, rate = test.speed_tolerance_km_h, test.lateral_velocity_tolerance_m_s
-    corners = list(dict.fromkeys(itertools.product((-speed, speed), (-rate, rate))))
-    sensors = given.options.sensors
+    speed, rate, sensors = test.speed_tolerance_km_h, test.lateral_velocity_tolerance_m_s, given.options.sensors
     noisy = sensors.e_y_noise or sensors.e_psi_noise or sensors.curvature_noise
-    some = [test.scenarios(cells, given.vehicle.edge_offset, speed=a * KM_H, rate=b) for a, b in corners]
-    off = [f", {a:+g} km/h, {b:+g} m/s" if a or b else "" for a, b in corners]
-    found = []
-    for name in ("nominal", *VEHICLES):
-        fixed = {quantity: (factor, factor) for quantity, factor in VEHICLES.get(name, {}).items()}
-        options: PlantOptions = dataclasses.replace(given.options, mismatch=Mismatch(**fixed), residuals=Residuals())
-        repeated = seeds if noisy else 1
-        names = [f"{name} vehicle{text}" for text in off] * repeated
-        found.append((names, given.on(options), _joined(some * repeated)))
-    return found
-
-
-def _joined(parts: Sequence[Scenarios]) -> Scenarios:
-    """Drifts one after the other, each with a number of its own."""
-    drifts = [one.drift for one in parts if one.drift is not None]
-    return Scenarios.from_drifts(
-        v=np.concatenate([one.v_mean for one in parts]),
-        T=np.concatenate([one.T for one in parts]),
-        c=np.concatenate([one.c_0 for one in parts]),
-        side=np.concatenate([one.side for one in parts]),
-        lateral_velocity=np.concatenate([one.lateral_velocity for one in drifts]),
-        radius=np.concatenate([one.radius for one in drifts]),
-        distance=np.concatenate([one.distance for one in drifts]),
-    )
+    corners = list(dict.fromkeys(itertools.product((-speed, speed), (-rate, rate)))) * (seeds if noisy else 1)
+    off = np.repeat(np.array(corners), cells.n, axis=0)
+    offset = given.vehicle.edge_offset
+    scenarios = test.scenarios(cells.times(len(corners)), offset, off[:, 0] * KM_H, off[:, 1])
+    names = [f", {a:+g} km/h, {b:+g} m/s" if a or b else "" for a, b in corners]
+    for vehicle in ("nominal", *VEHICLES):
+        fixed = {quantity: (factor, factor) for quantity, factor in VEHICLES.get(vehicle, {}).items()}
+        options = dataclasses.replace(given.options, mismatch=Mismatch(**fixed), residuals=Residuals())
+        yield [f"{vehicle} vehicle{name}" for name in names], given.on(options), scenarios
 
 
 PREDICTIONS: Final = (

@@ -132,16 +132,13 @@ class Standard(Part):
             return np.array([table[rate] for rate in cells.second.tolist()])
         return np.full(cells.n, condition.limit)
 
-    def scenarios(self, cells: Cells, vehicle_offset: float, *, speed: float = 0.0, rate: float = 0.0) -> Scenarios:
+    def scenarios(
+        self, cells: Cells, offset: float, speed: float | FloatArray = 0.0, rate: float | FloatArray = 0.0
+    ) -> Scenarios:
         """The drifts of n cells, on the passenger's side of a country that drives on the right.
 
-        Parameters
-        ----------
-        cells : Cells
-        vehicle_offset : float [m]
-            Between the lines and the vehicle's edges in the middle of the lane.
-        speed, rate : float [m/s]
-            By how much speed and lateral velocity are off; the arc stays that of the cell.
+        `offset` [m] lies between lines and edges in the middle of the lane. `speed` and `rate` [m/s] say by how much
+        speed and lateral velocity are off; the arc stays that of the cell.
         """
         v, kmh = cells.speed + speed, cells.speed / KM_H
         drifting = ~cells.bend
@@ -154,10 +151,10 @@ class Standard(Part):
                 radius[drifting & (kmh >= first - 1e-6)] = arc
         arc_time, covered = Drifts(lateral, radius, straight).arc(v)
         # into a bend the vehicle goes from the middle of the lane, and reaches the line on the arc
-        to_line = np.where(drifting, arc_time + straight / lateral, np.sqrt(2.0 * vehicle_offset * radius) / v)
+        to_line = np.where(drifting, arc_time + straight / lateral, np.sqrt(2.0 * offset * radius) / v)
         return Scenarios.from_drifts(
             v=v, lateral_velocity=lateral, radius=radius, side=RIGHT, T=to_line + AFTER,
-            distance=np.where(drifting, covered + straight, vehicle_offset),
+            distance=np.where(drifting, covered + straight, offset),
             c=np.where(cells.bend, -1.0 / radius, 0.0),
         )  # fmt: skip
 
@@ -179,6 +176,11 @@ class Cells:
     def n(self) -> int:
         """How many."""
         return int(self.speed.size)
+
+    def times(self, count: int) -> Cells:
+        """All of them so many times, one after the other."""
+        rows = np.tile(np.arange(self.n), count)
+        return Cells(self.speed[rows], self.second[rows], self.bend[rows], self.extended[rows])
 
     def name(self, i: int) -> str:
         """A cell for a reader: ``"70 km/h, 0.4 m/s"``."""
