@@ -203,7 +203,7 @@ def test_every_option_takes_the_ideal_away() -> None:
         ({"options": {}}, "options: {}; allowed: PlantOptions(...)"),
         ({"vehicle": 3}, "vehicle: 3; allowed: VehicleParameters(...)"),
         ({"y_s": "deep"}, "y_s: 'deep'; allowed: a finite number"),
-        ({"y_s": np.float64(-1)}, "y_s: -1.0; allowed: a finite number >= 0"),
+        ({"y_s": np.float64(-11)}, "y_s: -11.0; allowed: a finite number >= -10"),
         ({"settle": True}, "settle: True; allowed: a finite number"),
         ({"settle": 61}, "settle: 61; allowed: a finite number >= 0 and <= 60"),
         ({"threads": 2.5}, "threads: 2.5; allowed: a whole number >= 1"),

@@ -309,7 +309,7 @@ def test_shapes_and_arguments_are_checked() -> None:
 
     with pytest.raises(LdcError, match="'wrong': F has shape"):
         simulate(Wrong(), scenarios, y_s=0.0)
-    bad_values = {"y_s": (-0.1, np.nan), "dt": (0.0, 50.0), "settle": (-0.1, 61.0, np.nan)}
+    bad_values = {"y_s": (-10.1, np.nan), "dt": (0.0, 50.0), "settle": (-0.1, 61.0, np.nan)}
     for name, value in ((name, value) for name, values in bad_values.items() for value in values):
         with pytest.raises(InputError, match=rf"^{name}: {value}; allowed"):
             simulate(LQR(r_delta=100.0), scenarios, **{name: value})  # type: ignore[arg-type]

@@ -142,7 +142,7 @@ def test_other_bad_input_is_named() -> None:
 
 def test_defaults_are_table_i() -> None:
     table = {"C_af": 80000, "C_ar": 80000, "l_f": 1.43, "l_r": 1.47, "m": 1000, "I_z": 3344, "w_l": 3.6, "w_v": 1.9}
-    assert dataclasses.asdict(VehicleParameters()) == table
+    assert dataclasses.asdict(VehicleParameters()) == table | {"steering_ratio": 15}
 
 
 INPUTS, PARAMETERS = tool("nonlinear_plant").INPUTS, tool("nonlinear_plant").PARAMETERS

@@ -294,7 +294,7 @@ MISTAKES: list[tuple[dict[str, Any], str]] = [
     ({"gains": {"on": {"from": 0, "to": 1}}, "sample": SAMPLE}, "gains.on: 0; allowed: true or false"),
     ({"gains": {"K": {"from": -1, "to": -1}}, "sample": SAMPLE}, "gains.K: from and to are both -1; allowed: two diff"),
     ({"gains": {"K": {"from": -1, "two": 0}}, "sample": SAMPLE}, "gains.K.two: no such key; did you mean 'to'?"),
-    ({"y_s": {"from": -0.1, "to": 0.2}, "sample": SAMPLE}, "design[0].y_s: -0.1; allowed: a finite number >= 0 [m]"),
+    ({"y_s": {"from": -11, "to": 0.2}, "sample": SAMPLE}, "design[0].y_s: -11; allowed: a finite number >= -10 [m]"),
     ({"y_s": {"from": 0.1}, "sample": SAMPLE}, "design[0].y_s.to: missing"),
     ({"y_s": {"from": 0.1, "to": 0.2, "scale": "lin"}}, "design[0].y_s.scale: 'lin'; did you mean 'linear'?"),
     ({"sample": 3}, "design[0].sample: 3; allowed: a table of keys"),

@@ -74,7 +74,7 @@ MISTAKES: list[tuple[dict[str, Any], str]] = [
     ({"design": [{}]}, "design[0].law: missing"),
     ({"design": [{"law": "toy"}, {"law": "ty"}]}, "design[1].law: 'ty': no such controller; did you mean 'toy'?"),
     ({"design": [{"law": 3}]}, "design[0].law: 3; allowed: text"),
-    ({"design": [{"law": "toy", "y_s": ["a"]}]}, "design[0].y_s: 'a'; allowed: a finite number >= 0 [m]"),
+    ({"design": [{"law": "toy", "y_s": ["a"]}]}, "design[0].y_s: 'a'; allowed: a finite number >= -10 [m]"),
     ({"design": [{"law": "toy", "gain": {}}]}, "design[0].gain: no such key; did you mean 'gains'?"),
     ({"design": [{"law": "toy", "gains": {"KK": 1}}]}, "design[0].gains.KK: no such gain; did you mean 'K'?"),
     ({"design": [{"law": "toy", "gains": {"K": 1}}]}, "gains.K: 1; allowed: a number from -1 to 0 rad/rad"),
@@ -122,7 +122,7 @@ ALLOWED: list[tuple[str, list[Any], list[Any]]] = [
     ("simulation.settle", [-1e-9, 60.001], [0.0, 60.0]),
     ("report.D_y", [0, -0.1], [1e-9, 10.0]),
     ("seed", [-1, 2**63], [0, 2**63 - 1]),
-    ("design.0.y_s", [-1e-9, float("inf")], [0.0, 1e-9]),
+    ("design.0.y_s", [-10.001, float("inf")], [-10.0, 0.0, 1e-9]),
     ("design.0.sample.count", [0, 100_001], [1, 100_000]),
     ("design.0.sample.seed", [-1, 2**63], [0, 2**63 - 1]),
     ("design.0.gains.K.count", [1, 10_001], [2, 10_000]),
@@ -412,7 +412,7 @@ def test_the_paper_is_run_from_the_printed_start() -> None:
 
 
 def test_the_catalog_loads() -> None:
-    assert {"ideal", "paper", "reality", "trigger-and-gains", "zoo", "zoo-sweep"} == set(catalog_names())
+    assert {"ideal", "paper", "reality", "road-edge", "trigger-and-gains", "zoo", "zoo-sweep"} == set(catalog_names())
     for name in catalog_names():
         study = load_study(name)
         assert study.name == name
