@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import tomllib
 from pathlib import Path
-from typing import Annotated, Final, Literal, Self
+from typing import Annotated, Any, Final, Literal, Self
 
 import numpy as np
 from pydantic import Field, ValidationError, model_validator
@@ -187,6 +187,16 @@ class Cells:
         return f"{self.speed[i] / KM_H:.0f} km/h, {self.second[i]:g} {'m/s²' if self.bend[i] else 'm/s'}"
 
 
+def read_toml(path: Path) -> dict[str, Any]:
+    """What a TOML file holds."""
+    try:
+        return tomllib.loads(path.read_bytes().decode())
+    except OSError as error:
+        raise StudyError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise StudyError(f"{path}: not a TOML file: {error}") from None
+
+
 def standard_names() -> tuple[str, ...]:
     """Names of the tests in the catalog, sorted."""
     return tuple(sorted(path.stem for path in FOLDER.glob("*.toml")))
@@ -210,12 +220,7 @@ def load_standard(name_or_path: str | Path) -> Standard:
             f"standard {str(name_or_path)!r}: neither a file nor in the catalog; "
             f"{nearest(str(name_or_path), standard_names())}"
         )
-    try:
-        content = tomllib.loads(path.read_bytes().decode())
-    except OSError as error:
-        raise StudyError(f"{path}: cannot be read: {error.strerror or error}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise StudyError(f"{path}: not a TOML file: {error}") from None
+    content = read_toml(path)
     try:
         return Standard.model_validate(as_tuples(content))
     except ValidationError as error:

@@ -8,7 +8,6 @@ import hashlib
 import json
 import math
 import re
-import tomllib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self, TypeVar, get_args, get_type_hints
@@ -38,6 +37,7 @@ from studies.design_space import DesignBlock, check_blocks
 from studies.plant_table import read_plant
 from studies.ranking.requirements import SETS, metric, parse_requirement
 from studies.results import Case
+from studies.standards import read_toml
 
 T = TypeVar("T")
 
@@ -332,13 +332,7 @@ class Study(Part):
             TOML file.
         """
         path = Path(path)
-        try:
-            content = tomllib.loads(path.read_bytes().decode())
-        except OSError as error:
-            raise StudyError(f"{path}: cannot be read: {error.strerror or error}") from None
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise StudyError(f"{path}: not a TOML file: {error}") from None
-        return cls.from_dict(content, source=str(path), folder=path.parent)
+        return cls.from_dict(read_toml(path), source=str(path), folder=path.parent)
 
     @classmethod
     def from_dict(cls, content: dict[str, Any], *, source: str = "study", folder: str | Path = ".") -> Study:

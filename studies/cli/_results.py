@@ -106,10 +106,10 @@ def chosen_designs(designs: Sequence[Design], wanted: Sequence[str]) -> list[Des
         if len(some) > 1:
             raise InputError(f"--design {one!r}: the ids of {len(some)} designs start so; allowed: more of the id")
         if not some:
-            names = [design.label for design in designs]
-            close = (
-                nearest(one, names) if len(names) <= 20 else f"allowed: an id or a label of the {len(names)} designs"
-            )
+            close = nearest(one, [design.label for design in designs])
+            if len(designs) > 5:  # the labels of a large study fill a screen
+                allowed = "allowed: a label, or the id in ranking.csv"
+                close = f"{close.partition('? (')[0]}? ({allowed})" if close.startswith("did you mean") else allowed
             raise UnknownNameError(f"--design {one!r}: no such design; {close}")
         found += some
     return found

@@ -4,13 +4,8 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from studies.cli._console import Subparsers, positive_number, progress_bar, warn, whole_number
-
-if TYPE_CHECKING:
-    from studies.design import Design
-    from studies.results import StudyResults
 
 
 def add_parser(commands: Subparsers) -> None:
@@ -41,6 +36,7 @@ def add_parser(commands: Subparsers) -> None:
 def run(chosen: argparse.Namespace) -> None:
     """Carry the command out."""
     from ldctoolkit.errors import InputError
+    from studies.cli._results import chosen_designs
     from studies.cli._tables import print_indices, print_profiles
     from studies.ranking.ranking import rank_study
     from studies.sensitivity.sensitivity import sensitivity
@@ -53,7 +49,7 @@ def run(chosen: argparse.Namespace) -> None:
         raise InputError(f"--case {chosen.case}; allowed: 1 to {len(results.cases)}")
     case = chosen.case - 1
     if chosen.design is not None:
-        middle, role = _design(results, chosen.design), "the chosen design"
+        middle, role = chosen_designs(results.designs, [chosen.design])[0], "the chosen design"
     else:
         ranking = rank_study(results, study)[case]
         # without a design that meets the requirements the first one is the one with the smallest mean S
@@ -70,21 +66,3 @@ def run(chosen: argparse.Namespace) -> None:
     print_indices(blocks, which.label, study.ranking.confidence)
     print_profiles(profiles, middle, role, which.label, study.ranking.confidence)
     print(f"sensitivity: {path}")
-
-
-def _design(results: StudyResults, name: str) -> Design:
-    """The design of a label, or of the start of an id."""
-    from ldctoolkit.errors import InputError, nearest
-
-    found = [design for design in results.designs if name == design.label or (name and design.id.startswith(name))]
-    if len(found) == 1:
-        return found[0]
-    if found:
-        raise InputError(f"--design {name!r}: the ids of {len(found)} designs start so; allowed: more of the id")
-    near = nearest(name, [design.label for design in results.designs])
-    # the labels of a large study fill a screen
-    hint = f"{near.partition('? (')[0]}? ({_ALLOWED})" if near.startswith("did you mean") else _ALLOWED
-    raise InputError(f"--design {name!r}: no such design; {hint}")
-
-
-_ALLOWED = "allowed: a label, or the id in ranking.csv"
