@@ -188,22 +188,19 @@ class Scenarios(DepartureParameters):
         >>> one.drift.arc(one.v_mean)[1].round(3)
         array([0.375])
         """
-        given = {"v": v, "lateral_velocity": lateral_velocity, "radius": radius, "distance": distance}
-        columns = np.broadcast_arrays(*(np.atleast_1d(_numbers(name, value)) for name, value in given.items()))
-        speed, rate, arc, away = (np.array(column) for column in columns)
-        for name, values, allowed in (
-            ("lateral_velocity", rate, "> 0"),
-            ("radius", arc, "> 0"),
-            ("distance", away, ">= 0"),
-        ):
-            bad = ~np.isfinite(values) | (values < 0) | ((values == 0) & (allowed == "> 0"))
-            _refuse(bad, name, values, allowed)
+        given = {"v_mean": v, "lateral_velocity": lateral_velocity, "radius": radius, "distance": distance}
+        columns = [np.atleast_1d(_numbers(name, value)) for name, value in (given | {"T": T, "c_0": c}).items()]
+        try:
+            *numbers, sides = np.broadcast_arrays(*columns, np.asarray(side))
+        except ValueError as error:
+            raise InputError(f"scenarios: the columns do not have one common length ({error})") from None
+        speed, rate, arc, away, end, curvature = (np.array(column) for column in numbers)
+        made = cls.from_arrays(T=end, d_y=0.0, v_mean=speed, c_0=curvature, side=sides)
+        for name, values, low in (("lateral_velocity", rate, 0.0), ("radius", arc, 0.0), ("distance", away, -1e-300)):
+            _refuse(~(np.isfinite(values) & (values > low)), name, values, "> 0" if low == 0.0 else ">= 0")
         _refuse(~(rate < speed), "lateral_velocity", rate, "below the speed")
-        made = cls.from_arrays(T=T, d_y=0.0, v_mean=speed, c_0=c, side=side)
-        if made.n != speed.size:
-            raise InputError(f"scenarios: T, c or side has {made.n} rows, v {speed.size}; allowed: one length")
         drift = Drifts(rate, arc, away)
-        return dataclasses.replace(made, d_y=np.maximum(drift.motion(speed, made.T)[0], 0.0), drift=drift)
+        return dataclasses.replace(made, d_y=np.maximum(drift.motion(speed, end)[0], 0.0), drift=drift)
 
     def arrays(self) -> Iterator[npt.NDArray[Any]]:
         """All numbers, always in the same order."""

@@ -30,6 +30,7 @@ LightName = Literal["green", "amber", "red"]
 SEEDS: Final = 3  # of the camera's noise, at every corner with every vehicle
 
 _AFTER: Final = 2.0  # [s] that a test goes on after the largest lateral position, or after the limit was broken
+_BEFORE: Final = 3.0  # [s] before the trigger at which filters begin
 _RATE: Final = 200.0  # [Hz] at which signals are filtered; at least 100 are asked for
 _WHEEL_CUTOFF, _WHEEL_ORDER = 10.0, 6  # [Hz] Butterworth, forwards and backwards: 12 poles and no phase
 _JERK_CUTOFF, _JERK_ORDER = 0.5, 4  # [Hz]
@@ -50,10 +51,11 @@ class _Drive:
     t: FloatArray  # (n, k) [s] Rising; behind the end the last time again
     x: FloatArray  # (n, k, 4) State
     delta: FloatArray  # (n, k) [rad] Steering angle
-    limit: float  # [m] DTLE at which the test is failed; -inf without such a condition
+    delta_0: FloatArray  # (n,) [rad] Until the trigger
+    limit: FloatArray  # (n,) [m] DTLE at which the test is failed; -inf without such a condition
 
     @classmethod
-    def of(cls, controller: Controller, takeover: Takeover, limit: float) -> _Drive:
+    def of(cls, controller: Controller, takeover: Takeover, limit: FloatArray) -> _Drive:
         """Drive a takeover."""
         outcome = drive(controller, takeover, trajectories=True).outcome("departure")
         setup, path, n = takeover.setup, takeover.path, takeover.scenarios.n
@@ -73,7 +75,9 @@ class _Drive:
             x[never], delta[never] = np.stack([e_y, rate, heading, np.zeros_like(rate)], axis=-1), 0.0
         last = np.isfinite(t).sum(axis=1) - 1
         place, rows = np.minimum(np.arange(k), last[:, None]), np.arange(n)[:, None]
-        return cls(setup, path, outcome, t[rows, place], x[rows, place], delta[rows, place], limit)
+        delta_0 = np.zeros(n)
+        delta_0[takeover.rows] = takeover.delta_0
+        return cls(setup, path, outcome, t[rows, place], x[rows, place], delta[rows, place], delta_0, limit)
 
     @functools.cached_property
     def largest(self) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -88,16 +92,17 @@ class _Drive:
         def first(events: BoolArray) -> FloatArray:
             return np.where(events.any(axis=1), t[row, np.argmax(events, axis=1)], np.inf)
 
-        end = np.minimum(first(t - reached >= _AFTER - 1e-9), first(deepest > -self.limit) + _AFTER)
+        end = np.minimum(first(t - reached >= _AFTER - 1e-9), first(deepest > -self.limit[:, None]) + _AFTER)
         end = np.minimum(end, t[:, -1])
         place = np.maximum((t <= end[:, None] + 1e-9).sum(axis=1) - 1, 0)
         return deepest[row, place], reached[row, place], end
 
-    def resampled(self, values: FloatArray, before: float) -> tuple[FloatArray, FloatArray]:
-        """Values (n, k) every 1/200 s from a time before the trigger on, (n, m), and the times since the trigger."""
+    def resampled(self, values: FloatArray, left: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Values (n, k) every 1/200 s, (n, m), and the times since the trigger; before it the values `left`."""
         since = self.t - self.t[:, :1]
-        times = np.arange(math.ceil((float(since.max()) + before) * _RATE) + 1) / _RATE - before
-        return np.array([np.interp(times, t, row) for t, row in zip(since, values, strict=True)]), times
+        times = np.arange(math.ceil((float(since.max()) + _BEFORE) * _RATE) + 1) / _RATE - _BEFORE
+        rows = zip(since, values, left, strict=True)
+        return np.array([np.interp(times, t, row, left=before) for t, row, before in rows]), times
 
     def response(self, times: FloatArray) -> BoolArray:
         """Which times since the trigger (m,) belong to the response: until the test ends, (n, m)."""
@@ -123,9 +128,11 @@ def _wheel_rate(run: _Drive) -> FloatArray:
     """Largest rate of the steering wheel [deg/s], filtered; NaN where it turns by less than 5 degrees."""
     from scipy.signal import butter, sosfiltfilt
 
-    wheel, times = run.resampled(np.degrees(run.delta) * run.setup.vehicle.steering_ratio, 1.0)
+    ratio = math.degrees(run.setup.vehicle.steering_ratio)
+    wheel, times = run.resampled(ratio * run.delta, ratio * run.delta_0)
     response = run.response(times)
-    turned = np.where(response, wheel, -np.inf).max(axis=1) - np.where(response, wheel, np.inf).min(axis=1)
+    until_end = np.where(response | (times < 0.0), wheel, wheel[:, :1])
+    turned = until_end.max(axis=1) - until_end.min(axis=1)
     rate = np.diff(wheel, axis=1, append=wheel[:, -1:]) * _RATE
     filtered: FloatArray = sosfiltfilt(butter(_WHEEL_ORDER, _WHEEL_CUTOFF, fs=_RATE, output="sos"), rate, axis=1)
     fastest = np.where(response, np.abs(filtered), 0.0).max(axis=1)
@@ -137,7 +144,7 @@ def _jerk(run: _Drive) -> FloatArray:
     from scipy.signal import butter, sosfilt, sosfilt_zi
 
     p, window = run.path.scenarios, round(_JERK_WINDOW * _RATE)
-    rate, times = run.resampled(run.x[:, :, 1], 3.0)
+    rate, times = run.resampled(run.x[:, :, 1], run.x[:, 0, 1])
     before = run.path.lateral_acceleration(run.t[:, 0])  # until the trigger the vehicle is on its path
     a_y = np.where(times < 0.0, before[:, None], np.diff(rate, axis=1, append=rate[:, -1:]) * _RATE)
     a_y += (p.v_mean**2 * p.c_0)[:, None]
@@ -317,13 +324,14 @@ def assess(
     cells = test.every_cell
     runs = [_as_stated(test, cells, given), *(_variants(test, cells, given, seeds) if tolerances else ())]
     limits = np.array([test.limits(one, cells) for one in test.condition])
-    broken = next((float(limits[c, 0]) for c, one in enumerate(test.condition) if one.quantity == "dtle"), -math.inf)
+    broken = next(
+        (limits[c] for c, one in enumerate(test.condition) if one.quantity == "dtle"), np.full(cells.n, -np.inf)
+    )
     values, status, solves = [], [], []
     for _, on, scenarios in runs:
         try:
-            takeover = Takeover.build(scenarios, on, y_s=y_s)
-            # a design knows the nominal vehicle
-            run = _Drive.of(controller, dataclasses.replace(takeover, plant=given.plant(takeover.plant.v)), broken)
+            limit = np.tile(broken, scenarios.n // cells.n)
+            run = _Drive.of(controller, Takeover.build(scenarios, on, y_s=y_s), limit)
         except LdcError:
             raise
         except Exception as error:  # a controller may be third-party code

@@ -106,7 +106,15 @@ class Standard(Part):
                 raise fail("cells", f"lateral_velocity_m_s {rate:g} is not in [drift]; allowed: one of {known}")
         if drift is not None and len(drift.distance_m) != len(known):
             raise fail("drift.distance_m", f"{len(drift.distance_m)} values; allowed: one a lateral velocity")
+        slowest = min(speed for grid in self.cells for speed in grid.speed_km_h)
+        if drift is not None and drift.radius_m[0][0] > slowest:
+            raise fail("drift.radius_m", f"begins at {drift.radius_m[0][0]:g} km/h; allowed: at {slowest:g} or below")
+        if self.lane_width_m[0] > self.lane_width_m[1]:
+            raise fail("lane_width_m", f"{self.lane_width_m}; allowed: narrowest, widest")
+        bends = any(grid.lateral_acceleration_m_s2 for grid in self.cells)
         for i, one in enumerate(self.condition):
+            if isinstance(one.limit, tuple) and bends:
+                raise fail(f"condition[{i}].limit", "a list beside cells in bends; allowed: a number")
             if isinstance(one.limit, tuple) and len(one.limit) != len(known):
                 raise fail(f"condition[{i}].limit", f"{len(one.limit)} values; allowed: one a lateral velocity")
         return self
