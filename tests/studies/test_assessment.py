@@ -15,8 +15,9 @@ from helpers.closed_loop import Constant, Stepped
 from ldctoolkit import Controller, Plant, Setup, VehicleParameters, simulate
 from ldctoolkit.errors import LdcError
 from ldctoolkit.plant_options import Mismatch
+from ldctoolkit.simulation import Takeover
 from studies.assessment import Assessment, assess
-from studies.standards import load_standard, standard_names
+from studies.standards import Standard, load_standard, standard_names
 from studies.study_file import load_study
 
 ROAD_EDGE, DRIVEABILITY = "euroncap-2026-elk-road-edge", "euroncap-2026-driveability"
@@ -32,7 +33,7 @@ def built() -> Setup:
     return load_study("road-edge").setup()
 
 
-def stated(controller: Controller, standard: str, setup: Setup | None = None, *, y_s: float) -> Assessment:
+def stated(controller: Controller, standard: str | Standard, setup: Setup | None = None, *, y_s: float) -> Assessment:
     return assess(controller, standard, setup, y_s=y_s, tolerances=False)
 
 
@@ -79,6 +80,27 @@ def test_a_test_goes_on_two_seconds_after_its_limit_was_broken() -> None:
     ALL(stated(NoControl(), ROAD_EDGE, y_s=9.9).values, found.values, atol=0.05)  # never triggered
     later = stated(NoControl(), "euroncap-2025-elk", y_s=0.2)
     assert np.abs(later.values[0, 0] + 0.3 + 2.0 * later.cells.second).max() < 0.03
+
+
+def test_each_cell_ends_by_its_own_limit() -> None:
+    """With 0.1 m allowed at 0.2 m/s and 0.9 m at 0.5 m/s, the edge gets two seconds farther than each."""
+    text = load_standard(ROAD_EDGE).model_dump()
+    text["condition"] = ({"quantity": "dtle", "limit": (-0.1, -0.1, -0.1, -0.9, -0.1, -0.1)},)
+    found = stated(NoControl(), Standard.model_validate(text), y_s=0.2)
+    ALL(found.values[0, 0, [0, 3]], [-0.5, -1.9], atol=0.03)
+
+
+def test_a_command_that_acts_at_once_turns_the_wheel_from_where_it_stood() -> None:
+    """Without lag the first command is a step; filtered at 10 Hz it is a rate of 20 times its height."""
+    scenarios = load_standard(DRIVEABILITY).scenarios(load_standard(DRIVEABILITY).every_cell, HALF)
+    takeover = Takeover.build(scenarios, Setup(), y_s=-0.4)
+    found = stated(LQR(r_delta=500.0), DRIVEABILITY, y_s=-0.4)
+    kept = simulate(LQR(r_delta=500.0), scenarios, y_s=-0.4, trajectories=True).trajectories
+    assert kept is not None
+    step = np.abs(kept.delta[takeover.rows, 0] - takeover.delta_0) * np.degrees(15.0)
+    fast = np.isfinite(found.values[0, 0, takeover.rows])
+    assert fast.sum() == 20
+    assert (found.values[0, 0, takeover.rows][fast] > 15.0 * step[fast]).all()
 
 
 def pulse(first: int) -> Stepped:

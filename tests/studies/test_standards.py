@@ -133,6 +133,13 @@ def test_a_test_of_ones_own(tmp_path: Path) -> None:
         ("[50]", "[]", "cells[0].speed_km_h: []; allowed: one value or more"),
         ("-0.1", "nan", "nan; allowed: a finite number"),
         ("600.0", "0.0", "drift.radius_m[0][1]: 0.0; allowed: greater than 0"),
+        ("[[0.0, 600.0]]", "[[60.0, 600.0]]", "drift.radius_m: begins at 60 km/h; allowed: at 50 or below"),
+        ("[3.5, 3.7]", "[3.7, 3.5]", "lane_width_m: (3.7, 3.5); allowed: narrowest, widest"),
+        (
+            "-0.1",
+            "[-0.1, -0.2]\n[[cells]]\nspeed_km_h = [70]\nlateral_acceleration_m_s2 = [0.4]",
+            "condition[0].limit: a list beside cells in bends; allowed: a number",
+        ),
         ("[0.7, 0.6]", "[0.7]", "drift.distance_m: 1 values; allowed: one a lateral velocity"),
         ("-0.1", "[-0.1]", "condition[0].limit: 1 values; allowed: one a lateral velocity"),
         ("0.5]\n[[cond", "0.6]\n[[cond", "cells: lateral_velocity_m_s 0.6 is not in [drift]; allowed: one of (0.2, 0"),
