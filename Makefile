@@ -68,6 +68,7 @@ bench: $(VENV)/.bench  ## ratios against named references
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/benchmarks/nonlinear_mpc.py
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/benchmarks/ranking.py
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/benchmarks/report_size.py
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/benchmarks/risk.py
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/benchmarks/study_overhead.py
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/benchmarks/race.py
 

@@ -167,11 +167,7 @@ class NonlinearMPCLaw(SteeringLaw):
 
     def take(self, rows: IntArray, state: NonlinearMPCState) -> tuple[NonlinearMPCLaw, NonlinearMPCState]:
         """Only some scenarios, each with its last plan."""
-        p = self.plant
-        step = dataclasses.replace(
-            p.step, **{f.name: getattr(p.step, f.name)[rows] for f in dataclasses.fields(p.step)}
-        )
-        plant = dataclasses.replace(p, v=p.v[rows], step=step)
+        plant = dataclasses.replace(self.plant, v=self.plant.v[rows])
         kept = {f.name: getattr(state, f.name)[rows] for f in dataclasses.fields(state)}
         return dataclasses.replace(self, plant=plant, columns=self.columns[rows]), NonlinearMPCState(**kept)
 

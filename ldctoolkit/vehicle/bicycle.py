@@ -30,7 +30,6 @@ class Plant:
     model: BicycleModel  # The continuous model
     v: FloatArray  # (n,) [m/s] Speed of each scenario, frozen at the trigger
     dt: float  # [s] Sample time of the controller
-    step: Discretization  # One step of dt at each speed, of the vehicle alone
     lag: float = 0.0  # [s] Time constant of the nominal actuator; 0 for none
     # [s] From the moment that the law sees to the moment at which its command acts: delay of the nominal actuator and
     # `age`
@@ -43,13 +42,18 @@ class Plant:
     def build(
         cls, model: BicycleModel, v: npt.ArrayLike, dt: float, *, lag: float = 0.0, delay: float = 0.0, age: float = 0.0
     ) -> Plant:
-        """Discretise `model` at the speeds `v` (n,) [m/s] with the step `dt` [s]; `delay` includes `age`."""
+        """`model` at the speeds `v` (n,) [m/s] with the step `dt` [s]; `delay` includes `age`."""
         speed = np.atleast_1d(np.asarray(v, dtype=float))
-        return cls(model, speed, float(dt), model.discretize(speed, dt), lag=lag, delay=delay, age=age)
+        return cls(model, speed, float(dt), lag=lag, delay=delay, age=age)
 
     def at(self, v: npt.ArrayLike) -> Plant:
         """The same plant at other speeds (n,) [m/s]."""
         return Plant.build(self.model, v, self.dt, lag=self.lag, delay=self.delay, age=self.age)
+
+    @functools.cached_property
+    def step(self) -> Discretization:
+        """One step of dt at each speed, of the vehicle alone; worked out where it is first wanted."""
+        return self.model.discretize(self.v, self.dt)
 
     @functools.cached_property
     def augmented(self) -> AugmentedStep:

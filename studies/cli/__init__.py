@@ -11,7 +11,7 @@ from typing import Any, NoReturn
 
 from ldctoolkit import LdcError, __version__
 from ldctoolkit.option_checks import UnitWarning
-from studies.cli import controllers, extract, fit, rank, report, review, run, sensitivity
+from studies.cli import assess, controllers, extract, fit, rank, report, review, risk, run, sensitivity
 
 
 class _Parser(argparse.ArgumentParser):
@@ -29,7 +29,7 @@ def parser() -> argparse.ArgumentParser:
     )
     top.add_argument("--version", action="version", version=f"ldc {__version__}")
     commands = top.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    before, after = (extract, fit, review, run, rank), (report, sensitivity, controllers)
+    before, after = (extract, fit, review, assess, run, rank, risk), (report, sensitivity, controllers)
     for add in (*(one.add_parser for one in before), report.add_compare_parser, *(one.add_parser for one in after)):
         add(commands)
     return top

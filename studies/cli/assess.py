@@ -93,7 +93,8 @@ def run(chosen: argparse.Namespace) -> int:
     )
     for name, one in found:
         counts = (str(one.lights.count(light)) for light in ("green", "amber", "red"))
-        add_row(table, (name, one.standard.name, f"{100 * one.score:.0f}", f"{100 * one.robust_score:.0f}", *counts))
+        corners = "\u2013" if chosen.no_tolerances else f"{100 * one.robust_score:.0f}"
+        add_row(table, (name, one.standard.name, f"{100 * one.score:.0f}", corners, *counts))
     out.print(table)
     for _, one in found if len(found) <= len(tests) else []:
         say(out, f"{one.standard.name}: {score_text(one)}")

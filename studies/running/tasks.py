@@ -457,7 +457,7 @@ class SimulationTask(Task):
         if self.job.token not in simulators:
             while len(simulators) >= _JOBS_KEPT:
                 del simulators[next(iter(simulators))]
-            _learn(self.job.laws)
+            learn(self.job.laws)
         _warm_up(_simulator(simulators, self.job), self)
 
     def run(self, kept: dict[str, Any]) -> Done:
@@ -476,7 +476,7 @@ def _simulator(simulators: dict[str, Simulator], job: Job) -> Simulator:
     return simulators[job.token]
 
 
-def _learn(laws: bytes) -> None:
+def learn(laws: bytes) -> None:
     """Make controllers known that no installed package offers."""
     if not laws:
         return

@@ -1,0 +1,182 @@
+"""``ldc risk``: how often departures end deep beyond the line."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import io
+import json
+import os
+import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from studies.cli import _console
+from studies.cli._console import add_row, new_table, number, positive_number, say, whole_number
+
+if TYPE_CHECKING:
+    from ldctoolkit.scenario_model import ScenarioModel
+    from studies.design import Design
+    from studies.risk import Risk
+    from studies.study_file import Study
+
+_MOST_DESIGNS = 20
+_COLORS = {"bad": "red", "warning": "yellow", "good": "green"}
+
+
+def add_parser(commands: _console.Subparsers) -> None:
+    """Declare the command."""
+    parser = commands.add_parser(
+        "risk",
+        help="how often departures end deep beyond the line, with designs and without control",
+        description="Count rare events over many generated departures: depths beyond the line, distances to the lane "
+        "edge, the opposite line, divergence. Writes risk.json, risk.csv, worst.csv and risk.html into DIR; a command "
+        "that was stopped goes on when it is given again.",
+    )
+    parser.add_argument("study", metavar="STUDY", help="name in the catalog, TOML file, or folder that ldc run wrote")
+    about = "label of a design, or how its id starts; repeatable (default: all up to 20, or that of a folder's verdict)"
+    parser.add_argument("--design", action="append", metavar="ID", help=about)
+    parser.add_argument("-n", type=_departures, default=10**6, metavar="N", help="departures, up to 1e9 (default: 1e6)")
+    parser.add_argument("--model", metavar="MODEL", help="scenario model instead of the study's: a name or a JSON file")
+    parser.add_argument(
+        "--seed", type=whole_number, metavar="N", help="of departures and plants (default: the study's)"
+    )
+    parser.add_argument("--workers", type=positive_number, metavar="N", help="processes (default: all cores)")
+    parser.add_argument("--dask", metavar="ADDRESS", help="run on a Dask scheduler, or on this machine: local")
+    about = "depth beyond the line in m; repeatable (default: 0.3 0.5 0.8 1 1.75)"
+    parser.add_argument("--depth", type=number, action="append", metavar="X", help=about)
+    parser.add_argument("-o", "--output", metavar="DIR", help="folder of the results (default: out/<study name>)")
+    parser.add_argument("--json", action="store_true", help="one JSON object on stdout, and no table")
+    parser.set_defaults(run=run)
+
+
+def _departures(text: str) -> int:
+    """``1e7``, ``10_000_000``."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 1 <= value <= 1e9 or value != int(value):
+        raise argparse.ArgumentTypeError(f"{text!r}; allowed: a whole number from 1 to 1e9")
+    return int(value)
+
+
+def run(chosen: argparse.Namespace) -> None:
+    """Carry the command out."""
+    from ldctoolkit.errors import InputError
+    from ldctoolkit.scenario_model import ScenarioModel
+    from studies.pages.risk_page import write_risk_page
+    from studies.risk import DEPTHS, estimate_risk
+    from studies.runner import study_source
+    from studies.storage.stored_model import with_recorded_widths
+
+    study, model, designs, folder = _subject(chosen)
+    source = study_source(study, chosen.model or model)
+    if not isinstance(source, ScenarioModel):
+        raise InputError(f"study {study.name}: recorded departures, which have no tail beyond them; give --model")
+    out = _console.console()
+    risk = estimate_risk(
+        designs,
+        study if model is not None else with_recorded_widths(study, source),  # a folder's study has them already
+        n=chosen.n,
+        seed=chosen.seed,
+        model=source,
+        directory=chosen.output or folder,
+        workers=chosen.workers,
+        dask=chosen.dask,
+        progress=False if chosen.json else None,
+        depths=chosen.depth or DEPTHS,
+        notice=lambda line: print(line, file=sys.stderr) if chosen.json else say(out, line),
+    )
+    target = Path(chosen.output or folder)
+    _write_csv(target / "risk.csv", list(risk.rows()))
+    _write_csv(target / "worst.csv", list(risk.worst_rows()))
+    write_risk_page(risk, target / "risk.html", title=study.title or study.name)
+    active = risk.designs[1:]
+    if chosen.json:
+        lights = {design.id: risk.light(design).state for design in active}
+        answer = {"n": risk.n, "invalid": int(risk.tally.invalid.sum()), "folder": str(target), "lights": lights}
+        print(json.dumps(answer | {"notes": list(risk.notes()), "results": list(risk.rows())}))
+        return
+    for design in active or risk.designs:
+        _print_design(risk, design)
+    say(out, *risk.notes())
+    say(out, *(f"{name}: {target / f'risk.{name}'}" for name in ("csv", "html")))
+
+
+def _subject(chosen: argparse.Namespace) -> tuple[Study, ScenarioModel | None, Sequence[Design], Path]:
+    """The study, the model in its folder, the designs, and where results go by default."""
+    from ldctoolkit.errors import InputError
+    from studies.study_file import load_study
+
+    if not os.path.isfile(f"{chosen.study}/manifest.json"):  # noqa: PTH113 - raises nothing, whatever the name
+        study = load_study(chosen.study)
+        designs = _chosen(study.designs, chosen.design) if chosen.design else study.designs
+        if len([design for design in study.designs if not design.is_baseline]) > _MOST_DESIGNS and not chosen.design:
+            raise InputError(f"study {study.name}: {len(designs)} designs; choose some with --design")
+        if not study.designs:
+            raise InputError(f"study {study.name}: searches its designs; give the folder that ldc run wrote")
+        return study, None, designs, Path("out") / study.name
+    from studies.ranking.ranking import rank_study
+    from studies.ranking.verdict import verdict
+    from studies.storage.store import Store
+    from studies.storage.stored_model import read_model
+
+    store = Store.open(chosen.study)
+    study, results = store.manifest.read_study(), store.results()
+    model, folder = read_model(chosen.study, store.manifest), Path(chosen.study)
+    if chosen.design:
+        return study, model, _chosen(results.designs, chosen.design), folder
+    ranking = rank_study(results, study)[0]
+    return study, model, [ranking.designs[verdict(ranking, results, study.setup()).place]], folder
+
+
+def _chosen(designs: Iterable[Design], names: Iterable[str]) -> list[Design]:
+    from ldctoolkit.errors import InputError, UnknownNameError, nearest
+
+    every, found = list(designs), []
+    for name in names:
+        same = [one for one in every if name == one.label or (name and one.id.startswith(name))]
+        if len(same) > 1:
+            raise InputError(f"--design {name!r}: the ids of {len(same)} designs start so; allowed: more of the id")
+        if not same:
+            labels = [one.label for one in every]
+            close = nearest(name, labels) if len(labels) <= _MOST_DESIGNS else "allowed: a label, or the start of an id"
+            raise UnknownNameError(f"--design {name!r}: no such design; {close}")
+        found += same
+    return found
+
+
+def _write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
+    from studies.storage.files import write_text
+
+    text = io.StringIO()
+    # no control comes first and is compared with nothing: the last row has all columns
+    writer = csv.DictWriter(text, fieldnames=list(rows[-1]), restval="", lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    write_text(path, text.getvalue())
+
+
+def _print_design(risk: Risk, design: Design) -> None:
+    """Its table, light, and what its worst departures have in common."""
+    rates = risk.departure_rates()
+    shown = {"per_1000_km": "per 1,000 km", "per_hour": "per hour"}
+    headings = ("event", "no control", "P", "95 % interval", *(shown[name] for name in rates), "only with\ndesign")
+    table = new_table(f"{design.label}, {risk.n:,} departures", (*headings, "only with\nno control", "design is"))
+    for event in risk.events:
+        found, pair = risk.probability(design, event), risk.against_no_control(design, event)
+        cells = [event, f"{risk.probability(risk.designs[0], event).value:.3g}", f"{found.value:.3g}"]
+        cells += [f"{found.low:.3g} .. {found.high:.3g}", *(f"{rate * found.value:.3g}" for rate in rates.values())]
+        cells += [f"{pair.design_only:,}", f"{pair.no_control_only:,}", pair.text]
+        add_row(table, cells, {1: "red", -1: "green", 0: None}[pair.sign])
+    out = _console.console()
+    out.print(table)
+    if not design.is_baseline:
+        light = risk.light(design)
+        out.print(light.text, style=_COLORS[light.state], markup=False, highlight=False, soft_wrap=True)
+    common = risk.in_common(design)
+    say(out, risk.common_sentence(common))
+    for text in common.warnings:
+        _console.warn(f"{design.label}: {text}")

@@ -1,0 +1,216 @@
+"""Chunks of generated departures: what is drawn, driven and counted of them, in this process or a worker.
+
+Chunk k follows from the seed and k alone, and what is kept of it is counts, whole sums and a few of its deepest
+departures, which add up in any order: no number depends on workers, or on where a run was stopped.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import itertools
+import json
+import time
+from typing import Any, Final, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from ldctoolkit import EventStatus, LdcError, Scenarios, Setup
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, DepartureParameters
+from ldctoolkit.law_checks import raised
+from ldctoolkit.scenario_model import Given, ScenarioModel
+from ldctoolkit.simulation import Run, Takeover, drive_many
+from ldctoolkit.version import __version__
+from studies.design import Design
+from studies.running.tasks import learn
+
+BIN, BINS = 0.05, 60  # [m] of the histogram of depths, and how many; one more is for what is deeper
+_KEPT: Final = 20  # worst departures of a design
+_NONE: Final = -1e9  # where fewer are kept
+_STREAM: Final = 0x7269736B  # keeps these scenarios apart from those that designs were chosen on
+
+QUANTITIES: Final = (*PARAMETER_NAMES, "v^2 c")
+"""What departures are described by: the parameters, and the lane's mean lateral acceleration [m/s^2], outward."""
+
+STEPS: Final = np.array([2.0**34 if name in ("c_0", "dc") else 2.0**20 for name in QUANTITIES])
+"""Parts of a unit in which the quantities are summed up: sums of whole numbers have no order."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Tally:
+    """What is counted of departures, for d designs (no control first), e events and x depths; sides left, right."""
+
+    n: IntArray  # (2,): departures that were driven
+    invalid: IntArray  # (2,): departures that cannot be driven, which are in no other number
+    counts: IntArray  # (d, e, 2): departures with the event
+    only: IntArray  # (d, e, 2): those of them that do not have it without control
+    histogram: IntArray  # (d, 2, BINS + 1): depths
+    status: IntArray  # (d, number of `EventStatus`)
+    failed_solves: IntArray  # (d,)
+    sums: IntArray  # (d, x, q): of `QUANTITIES` in steps, over the departures beyond each depth
+    worst: FloatArray  # (d, _KEPT, 3 + 8): depth [m], index, side, parameters; deepest first; or `_NONE`
+
+    @classmethod
+    def empty(cls, d: int, e: int, x: int) -> Self:
+        """Of no departure."""
+        shapes = [(2,), (2,), (d, e, 2), (d, e, 2), (d, 2, BINS + 1), (d, len(EventStatus)), (d,)]
+        a, b, c, f, g, h, i, j = (np.zeros(one, dtype=np.int64) for one in (*shapes, (d, x, len(QUANTITIES))))
+        return cls(a, b, c, f, g, h, i, j, np.full((d, _KEPT, 3 + len(PARAMETER_NAMES)), _NONE))
+
+    def plus(self, other: Self) -> Self:
+        """Of both."""
+        both = np.concatenate([self.worst, other.worst], axis=1)
+        added = {name: getattr(self, name) + getattr(other, name) for name in vars(self) if name != "worst"}
+        return dataclasses.replace(self, **added, worst=np.stack([rows[_deepest(*rows.T[:2])] for rows in both]))
+
+    def from_json(self, stored: dict[str, Any]) -> Self:
+        """The one that was stored, of this one's shape."""
+        read = {name: np.array(stored[name], dtype=own.dtype) for name, own in vars(self).items()}
+        if any(read[name].shape != own.shape for name, own in vars(self).items()):
+            raise ValueError("numbers are missing")
+        return dataclasses.replace(self, **read)
+
+
+def _deepest(depth: npt.NDArray[Any], index: npt.NDArray[Any]) -> IntArray:
+    """Places of the deepest; of equal ones, those with the smallest number."""
+    return np.lexsort((index, -depth))[:_KEPT]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ChunkJob:
+    """What all chunks share."""
+
+    designs: tuple[Design, ...]  # no control first
+    setup: Setup
+    model: ScenarioModel
+    given: Given | None
+    seed: int
+    chunk: int  # departures in a chunk
+    share: tuple[int, ...]  # left and right departures in proportion
+    depths: tuple[float, ...]
+    dtle_limits: tuple[float, ...]
+    laws: bytes = b""  # controllers that no installed package offers
+    token: int = 0  # of the run in its process
+
+    @property
+    def events(self) -> tuple[str, ...]:
+        """Names of the events, in the order of all arrays."""
+        depths, limits = (f"depth > {x:g} m" for x in self.depths), (f"DTLE < {x:g} m" for x in self.dtle_limits)
+        return (*depths, *limits, "opposite line crossed", "diverged")
+
+    @property
+    def empty(self) -> Tally:
+        """A tally of no departure."""
+        return Tally.empty(len(self.designs), len(self.events), len(self.depths))
+
+    def identity(self) -> dict[str, Any]:
+        """What decides the numbers, n aside: with a larger n the same chunks are followed by others."""
+        setup = hashlib.sha256(repr(self.setup).encode()).hexdigest()[:16]
+        same = {"version": 1, "ldctoolkit": __version__, "designs": [one.id for one in self.designs], "setup": setup}
+        same |= {"model": self.model.content_hash, "given": self.given, "seed": self.seed, "chunk": self.chunk}
+        return dict(json.loads(json.dumps(same | {"left_right": self.share, "events": self.events})))
+
+    def scenarios(self, k: int, size: int) -> Scenarios:
+        """The first departures of chunk k: a function of the seed, k and how many."""
+        first, (share, whole) = k * self.chunk, (self.share[0], sum(self.share))
+        begin, end = ((2 * m * share + whole) // (2 * whole) for m in (first, first + size))  # left ones among m
+        seed = int(np.random.SeedSequence([self.seed, _STREAM, k]).generate_state(1, np.uint64)[0] >> 1)
+        drawn = self.model.sample(end - begin, size - (end - begin), seed=seed, given=self.given)
+        # mismatch and camera noise follow from the setup's seed and this number
+        return dataclasses.replace(drawn, index=drawn.index + first)
+
+    def measure(self, k: int, size: int) -> Tally:
+        """Drive all designs on a chunk; `LdcError` names a design whose law raises."""
+        drawn, tally = self.scenarios(k, size), self.empty
+        over = {y_s: Takeover.build(drawn, self.setup, y_s=y_s) for y_s in {design.y_s for design in self.designs}}
+        valid = np.logical_and.reduce([one.valid for one in over.values()])
+        for j, side in enumerate((LEFT, RIGHT)):
+            tally.n[j] = (valid & (drawn.side == side)).sum()
+            tally.invalid[j] = (~valid & (drawn.side == side)).sum()
+        without = self._count(tally, 0, over[self.designs[0].y_s], None, valid, None)
+        for y_s, takeover in over.items():
+            places = [i for i, design in enumerate(self.designs) if i and design.y_s == y_s]
+            for i, run in zip(places, self._runs(places, takeover), strict=True):
+                self._count(tally, i, takeover, run, valid, without)
+        return tally
+
+    def _runs(self, places: list[int], takeover: Takeover) -> list[Run]:
+        def drive(some: list[int]) -> list[Run]:
+            made = [self.designs[i].controller(self.setup.convention) for i in some]
+            return list(drive_many(made, takeover, threads=1))
+
+        try:
+            return drive(places)
+        except (KeyboardInterrupt, GeneratorExit):
+            raise
+        except BaseException as error:  # a controller may be third-party code
+            if len(places) == 1:
+                raise LdcError(f"{self.designs[places[0]].label}: {raised(error)}") from None
+            # one after the other, the one that raises is named
+            return [run for i in places for run in self._runs([i], takeover)]
+
+    def _count(
+        self, tally: Tally, i: int, over: Takeover, run: Run | None, valid: BoolArray, without: BoolArray | None
+    ) -> BoolArray:
+        """Count design i, `run` is None for no control; which events (e, n) happened."""
+        drawn, status = over.scenarios, np.full(over.scenarios.n, EventStatus.NEVER_TRIGGERED, dtype=np.int64)
+        measured = {name: getattr(over.recorded, name).copy() for name in ("deepest", "dtle", "opposite_crossing")}
+        if run is not None:
+            status[over.rows] = run.status
+            tally.failed_solves[i] = run.failed_solves[valid[over.rows]].sum()
+            for name, column in measured.items():
+                column[over.rows] = getattr(run.companions, name)
+        depth, dtle, opposite = measured.values()
+        if any(np.isnan(column[valid]).any() for column in measured.values()):
+            raise LdcError(f"{self.designs[i].label}: a depth is not a number")
+        beyond = [*(depth > x for x in self.depths), *(dtle < x for x in self.dtle_limits)]
+        found = np.stack([*beyond, opposite > 0.0, status == EventStatus.DIVERGED]) & valid
+        for j, side in enumerate((LEFT, RIGHT)):
+            own = drawn.side == side
+            tally.counts[i, :, j] = (found & own).sum(axis=1)
+            tally.only[i, :, j] = 0 if without is None else (found & ~without & own).sum(axis=1)
+            bins = np.clip(depth[own & valid] / BIN, 0, BINS).astype(np.int64)
+            tally.histogram[i, j] = np.bincount(bins, minlength=BINS + 1)
+        tally.status[i] = np.bincount(status[valid], minlength=len(EventStatus))
+        steps = np.rint(quantities(drawn) * STEPS).astype(np.int64)
+        tally.sums[i] = found[: len(self.depths)].astype(np.int64) @ steps
+        rows = np.flatnonzero(valid)
+        rows = rows[_deepest(depth[rows], drawn.index[rows])]
+        kept = [depth, drawn.index, drawn.side, *(getattr(drawn, name) for name in PARAMETER_NAMES)]
+        tally.worst[i, : rows.size] = np.column_stack(kept)[rows]
+        return found
+
+
+def quantities(p: DepartureParameters) -> FloatArray:
+    """`QUANTITIES` of departures, (n, q)."""
+    return np.column_stack([*(getattr(p, name) for name in PARAMETER_NAMES), p.v_mean**2 * (p.c_0 + 0.5 * p.dc)])
+
+
+_numbers = itertools.count()
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ChunkTask:
+    """A chunk as work for an executor."""
+
+    job: ChunkJob
+    k: int
+    size: int
+    number: int = dataclasses.field(default_factory=lambda: next(_numbers))
+    time_limit: float = 0.0
+
+    def make_ready(self, kept: dict[str, Any]) -> None:
+        """Make the controllers of the job known, once."""
+        if kept.get("risk") != self.job.token:
+            learn(self.job.laws)
+            kept["risk"] = self.job.token
+
+    def run(self, kept: dict[str, Any]) -> tuple[Tally | None, str, float]:  # noqa: ARG002
+        """Counts, or why there are none; seconds."""
+        started = time.perf_counter()
+        try:
+            return self.job.measure(self.k, self.size), "", time.perf_counter() - started
+        except LdcError as error:
+            return None, str(error), 0.0

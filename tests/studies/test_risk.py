@@ -1,0 +1,408 @@
+"""Rare events: counts against direct simulation, intervals against their closed form and their coverage, no number that
+depends on workers or on where a run was stopped."""
+
+import csv
+import dataclasses
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import binomtest
+
+from helpers.bits import assert_same_bits
+from helpers.cli import bad, good, ldc
+from helpers.closed_loop import known
+from ldctoolkit import Controller, LinearLaw, Plant, Scenarios, load_model, simulate
+from ldctoolkit.departures import PARAMETER_NAMES
+from ldctoolkit.errors import InputError, LdcError, StoreError
+from ldctoolkit.scenario_model import ScenarioModel
+from studies import Design, Study
+from studies.ranking.tail import exact_interval, paired_sign
+from studies.risk import Risk, estimate_risk
+from studies.study_file import load_study
+
+PAPER = load_study("paper")
+TABLE_I = PAPER.designs[1]
+EVENTS = (
+    "depth > 0.3 m", "depth > 0.5 m", "depth > 0.8 m", "depth > 1 m", "depth > 1.75 m", "DTLE < -0.1 m",
+    "DTLE < -0.3 m", "opposite line crossed", "diverged",
+)  # fmt: skip
+
+
+# ------------------------------------------------------------------------------------------------ intervals, pairs
+
+
+@pytest.mark.parametrize(("count", "n"), [(0, 1), (1, 1), (3, 20), (7, 10_000_000), (999, 1000), (250, 500)])
+def test_intervals_are_those_of_clopper_and_pearson(count: int, n: int) -> None:
+    expected = binomtest(count, n).proportion_ci(0.95, method="exact")
+    assert exact_interval(count, n) == pytest.approx((expected.low, expected.high), rel=1e-9)
+
+
+@pytest.mark.parametrize("n", [1, 100, 10_000_000])
+def test_without_any_event_or_any_other_the_interval_has_a_closed_form(n: int) -> None:
+    end = 0.025 ** (1 / n)
+    assert exact_interval(0, n) == pytest.approx((0.0, 1 - end), rel=1e-9)
+    assert exact_interval(n, n) == pytest.approx((end, 1.0), rel=1e-9)
+    assert exact_interval(0, 0) == (0.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("b", "c", "sign"),
+    [(0, 0, 0), (0, 5, 0), (0, 6, -1), (6, 0, 1), (9, 2, 0), (10, 2, 1), (2, 10, -1), (5000, 5000, 0), (5200, 4800, 1)],
+)
+def test_pairs_are_separated_by_the_exact_test(b: int, c: int, sign: int) -> None:
+    """0 of 5 has p = 0.0625, 0 of 6 has 0.031; 2 of 11 has 0.065, 2 of 12 has 0.039."""
+    assert paired_sign(b, c) == sign
+
+
+# ------------------------------------------------------------------------------------------------ counts
+
+
+REAL = load_study("trigger-and-gains")
+STEERING = [design for design in REAL.designs if design.law in ("lqr", "lqi") and design.y_s in (0.05, 0.2)][::5]
+
+
+def departures(model: ScenarioModel, seed: int, chunk: int, sizes: list[tuple[int, int]]) -> Iterator[Scenarios]:
+    """What chunks of so many left and right departures hold, drawn directly."""
+    for k, (left, right) in enumerate(sizes):
+        state = np.random.SeedSequence([seed, 0x7269736B, k]).generate_state(1, np.uint64)[0]
+        drawn = model.sample(left, right, seed=int(state >> 1))
+        yield dataclasses.replace(drawn, index=drawn.index + k * chunk)
+
+
+def events_of(design: Design, scenarios: Scenarios, study: Study) -> np.ndarray:
+    out = simulate(design.controller(), scenarios, setup=study.setup(), y_s=design.y_s)
+    depth, dtle = out.companions.deepest, out.companions.dtle
+    beyond = [depth > x for x in (0.3, 0.5, 0.8, 1.0, 1.75)] + [dtle < -0.1, dtle < -0.3]
+    return np.array([*beyond, out.companions.opposite_crossing > 0, out.status == 3])
+
+
+def test_counts_are_those_of_a_direct_simulation() -> None:
+    """A realistic plant, several thresholds, a last chunk that is not whole."""
+    risk = estimate_risk(STEERING, REAL, n=620, chunk=250, workers=1)
+    drawn = list(departures(load_model("reference"), 1, 250, [(125, 125), (125, 125), (60, 60)]))
+    assert risk.events == EVENTS
+    assert risk.n == 620
+    without = np.concatenate([events_of(risk.designs[0], one, REAL) for one in drawn], axis=1)
+    left = np.concatenate([one.side == 1 for one in drawn])
+    for design in STEERING:
+        found = np.concatenate([events_of(design, one, REAL) for one in drawn], axis=1)
+        for j, event in enumerate(EVENTS):
+            pair = risk.against_no_control(design, event)
+            assert risk.probability(design, event).count == found[j].sum()
+            assert risk.probability(design, event, "left").count == (found[j] & left).sum()
+            assert risk.probability(design, event, "right").count == (found[j] & ~left).sum()
+            assert risk.probability(risk.designs[0], event).count == without[j].sum()
+            assert pair.design_only == (found[j] & ~without[j]).sum()
+            assert pair.no_control_only == (without[j] & ~found[j]).sum()
+    assert risk.probability(STEERING[0], "depth > 0.3 m").count > 10
+
+
+def test_the_worst_departures_are_the_deepest_and_are_driven_again_to_the_same_bits() -> None:
+    risk = estimate_risk(STEERING, REAL, n=620, chunk=250, workers=1)
+    drawn = list(departures(load_model("reference"), 1, 250, [(125, 125), (125, 125), (60, 60)]))
+    for design in risk.designs:
+        runs = [simulate(design.controller(), one, setup=REAL.setup(), y_s=design.y_s) for one in drawn]
+        depth = np.concatenate([one.companions.deepest for one in runs])
+        order = np.argsort(-depth)[:20]
+        assert risk.worst(design).index.tolist() == np.concatenate([one.index for one in drawn])[order].tolist()
+        again = simulate(design.controller(), risk.worst(design), setup=risk.setup, y_s=design.y_s)
+        kept = np.array([row["depth_m"] for row in risk.worst_rows(design)])
+        assert_same_bits(again.companions.deepest, kept)
+        assert_same_bits(kept, depth[order])
+
+
+def test_fewer_departures_than_are_kept_and_a_trigger_before_the_line() -> None:
+    design = Design.from_gains("lqr", -0.8, {"r_delta": 100.0})
+    risk = estimate_risk([design], PAPER, n=15, workers=1)
+    depths = [row["depth_m"] for row in risk.worst_rows(design)]
+    assert len(depths) == risk.worst(design).n == 15
+    assert depths == sorted(depths, reverse=True)
+    assert risk.exceedance(design)[1][0] == np.mean(np.array(depths) >= 0.05)
+
+
+def test_what_the_worst_have_in_common_is_the_mean_beyond_the_largest_depth_with_twenty() -> None:
+    risk = estimate_risk([TABLE_I], PAPER, n=2000, chunk=1000, workers=1)
+    drawn = list(departures(load_model("reference"), 1, 1000, [(500, 500)] * 4))
+    depth = np.concatenate([simulate(TABLE_I.controller(), one, setup=PAPER.setup()).deepest for one in drawn[:2]])
+    columns = {name: np.concatenate([getattr(one, name) for one in drawn]) for name in PARAMETER_NAMES}
+    columns["v^2 c"] = columns["v_mean"] ** 2 * (columns["c_0"] + columns["dc"] / 2)
+    common = risk.in_common(TABLE_I)
+    assert (depth > 0.8).sum() >= 20
+    assert (depth > 1.0).sum() < 20
+    assert common.which == f"the {(depth > 0.8).sum()} departures beyond 0.8 m"
+    for name, difference, mean in zip(common.names, common.differences, common.mean, strict=True):
+        worst = columns[name][:2000][depth > 0.8].mean()
+        assert mean == pytest.approx(worst, rel=1e-4, abs=1e-6)
+        expected = (worst - columns[name].mean()) / columns[name].std()
+        assert difference == pytest.approx(expected, abs=1e-3)
+    assert np.all(np.diff(np.abs(common.differences)) <= 0)
+
+
+def test_sides_are_drawn_as_they_were_recorded_and_rates_follow() -> None:
+    """7 left departures to 3 right ones; 10 departures in 2 hours and 100 km are 5 an hour and 100 per 1,000 km."""
+    model = load_model("reference")
+    origin = model.provenance
+    sides = {key: dataclasses.replace(getattr(origin, key), events=n) for key, n in (("left", 7), ("right", 3))}
+    model = dataclasses.replace(model, provenance=dataclasses.replace(origin, **sides, hours=2.0, distance=1e5))
+    risk = estimate_risk([TABLE_I], PAPER, n=1001, chunk=100, model=model, workers=1)
+    assert risk.tally.n.tolist() == [701, 300]
+    assert risk.departure_rates() == {"per_1000_km": 100.0, "per_hour": 5.0}
+    assert risk.departure_rates("right") == {"per_1000_km": 30.0, "per_hour": 1.5}
+    row = next(row for row in risk.rows() if row["event"] == "depth > 0.3 m" and row["side"] == "both")
+    found = risk.probability(risk.designs[0], "depth > 0.3 m")
+    assert row["per_hour"] == 5.0 * found.count / 1001
+    assert row["per_1000_km_high"] == 100.0 * found.high
+    assert estimate_risk([TABLE_I], PAPER, n=10, workers=1).departure_rates() == {}
+
+
+def test_the_papers_law_is_worse_than_no_control_in_the_tail() -> None:
+    """Better up to 0.5 m, worse beyond 0.8 m and 1 m: the mean does not show it."""
+    risk = estimate_risk([TABLE_I], PAPER, n=20_000, workers=1)
+    signs = {event: risk.against_no_control(TABLE_I, event).sign for event in EVENTS}
+    assert signs["depth > 0.3 m"] == -1
+    assert signs["depth > 0.8 m"] == signs["depth > 1 m"] == signs["depth > 1.75 m"] == 1
+    light = risk.light(TABLE_I)
+    assert light.state == "bad"
+    assert light.text.startswith("Worse than no control: depth > 0.8 m (")
+
+
+def test_one_line_says_what_n_can_show() -> None:
+    lines: list[str] = []
+    estimate_risk([TABLE_I], PAPER, n=20_000, workers=1, notice=lines.append)
+    assert len(lines) == 1
+    assert lines[0].endswith("with n = 20,000 nothing below 1.5e-04 can be seen")
+
+
+# ------------------------------------------------------------------------------------------------ resume
+
+
+def assert_same(one: Risk, other: Risk) -> None:
+    assert_same_bits(vars(one.tally), vars(other.tally))
+    assert_same_bits(one.population, other.population)
+
+
+class StoppedError(Exception):
+    """Out of a line on progress."""
+
+
+def stop(line: str) -> None:
+    raise StoppedError(line)
+
+
+def test_a_run_that_was_stopped_goes_on_and_a_finished_one_to_a_larger_n(tmp_path: Path) -> None:
+    small: dict[str, Any] = {"chunk": 250, "workers": 1}
+    with pytest.raises(StoppedError):
+        estimate_risk([TABLE_I], PAPER, n=1100, directory=tmp_path, notice=stop, **small)
+    assert json.loads((tmp_path / "risk.json").read_text())["chunks"] == [[0, 2]]
+    assert_same(
+        estimate_risk([TABLE_I], PAPER, n=1100, directory=tmp_path, **small),
+        estimate_risk([TABLE_I], PAPER, n=1100, **small),
+    )
+    assert_same(
+        estimate_risk([TABLE_I], PAPER, n=1600, directory=tmp_path, **small),
+        estimate_risk([TABLE_I], PAPER, n=1600, **small),
+    )
+    with pytest.raises(StoreError, match=r"holds 1,500 departures; allowed: n of as many or more"):
+        estimate_risk([TABLE_I], PAPER, n=1000, directory=tmp_path, **small)
+
+
+@pytest.mark.slow
+def test_numbers_do_not_depend_on_workers(tmp_path: Path) -> None:
+    """Nor on where a chunk ran: 40 chunks in two processes end in any order."""
+    same: dict[str, Any] = {"n": 20_100, "chunk": 500}
+    one = estimate_risk(STEERING, REAL, workers=1, **same)
+    assert_same(estimate_risk(STEERING, REAL, workers=2, **same), one)
+
+
+KILLED = """
+import sys
+from studies.risk import estimate_risk
+from studies.study_file import load_study
+study = load_study("trigger-and-gains")
+if __name__ == "__main__":
+    estimate_risk([study.designs[-1]], study, n=300_500, workers=2, directory=sys.argv[1])
+"""
+
+
+@pytest.mark.slow
+def test_a_killed_run_goes_on_to_the_same_bits(tmp_path: Path) -> None:
+    script, folder = tmp_path / "killed.py", tmp_path / "out"
+    script.write_text(KILLED, encoding="utf-8")
+    process = subprocess.Popen([sys.executable, str(script), str(folder)])
+    until = time.monotonic() + 120.0
+    while not (folder / "risk.json").exists():
+        assert process.poll() is None
+        assert time.monotonic() < until
+        time.sleep(0.05)
+    process.send_signal(signal.SIGKILL)
+    assert process.wait(60) == -signal.SIGKILL
+    stored = json.loads((folder / "risk.json").read_text())
+    assert 0 < sum(b - a for a, b in stored["chunks"]) < 36
+    assert stored["results"] is None
+    design = REAL.designs[-1]
+    resumed = estimate_risk([design], REAL, n=300_500, workers=1, directory=folder)
+    assert_same(resumed, estimate_risk([design], REAL, n=300_500, workers=2))
+
+
+# ------------------------------------------------------------------------------------------------ coverage
+
+
+TRUTH = {"depth > 0.5 m": 0.05046986, "depth > 1 m": 0.00847753, "depth > 1.75 m": 0.0010431}
+"""Of the paper's law: counted over n = 100,000,000 departures with `estimate_risk([TABLE_I], PAPER, n=10**8,
+seed=20260101)`, 40 minutes on two cores; 95 % intervals are within 0.1 %, 0.3 % and 0.7 % of these."""
+
+
+@pytest.mark.slow
+def test_intervals_cover_the_truth() -> None:
+    """400 seeds of 5,000 departures; exact intervals cover at least as often as they say, and little more."""
+    covered = dict.fromkeys(TRUTH, 0)
+    for seed in range(400):
+        risk = estimate_risk([TABLE_I], PAPER, n=5000, seed=seed, workers=1)
+        for event, truth in TRUTH.items():
+            found = risk.probability(TABLE_I, event)
+            covered[event] += found.low <= truth <= found.high
+    assert all(0.95 <= count / 400 <= 0.99 for count in covered.values()), covered
+
+
+# ------------------------------------------------------------------------------------------------ wrong input
+
+
+@dataclasses.dataclass(frozen=True)
+class Breaks(Controller):
+    name = "breaks"
+    title = "Breaks"
+
+    def prepare(self, plant: Plant) -> LinearLaw:
+        raise ZeroDivisionError("no stiffness")
+
+
+def test_a_law_that_raises_is_named() -> None:
+    with known(Breaks):
+        design = Design.from_gains("breaks", 0.2, {})
+        with pytest.raises(
+            LdcError, match=r"Breaks, y_s=0.2 m: ZeroDivisionError: no stiffness \(test_risk.py, line \d+\)"
+        ):
+            estimate_risk([TABLE_I, design], PAPER, n=100, workers=1)
+
+
+@pytest.mark.parametrize("n", [0, -1, 10**9 + 1, 2.5, True])
+def test_a_number_that_is_none_is_refused(n: Any) -> None:
+    with pytest.raises(InputError, match=r"n: .+; allowed: a whole number from 1 to 1e\+09"):
+        estimate_risk([TABLE_I], PAPER, n=n)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"depths": [0.0]}, r"depths: \[0.0\]; allowed: numbers > 0 \[m\]"),
+        ({"dtle_limits": [float("nan")]}, r"dtle_limits: \[nan\]; allowed: numbers \[m\]"),
+        ({"chunk": 0}, "chunk: 0; allowed: a whole number"),
+    ],
+)
+def test_other_arguments_are_refused(given: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        estimate_risk([TABLE_I], PAPER, n=10, **given)
+
+
+def test_another_estimate_in_the_folder_is_refused(tmp_path: Path) -> None:
+    estimate_risk([TABLE_I], PAPER, n=100, directory=tmp_path, workers=1)
+    before = (tmp_path / "risk.json").read_bytes()
+    with pytest.raises(StoreError, match=r"risk.json: holds another estimate, of other setup, seed; choose another"):
+        estimate_risk([TABLE_I], PAPER, n=100, seed=5, directory=tmp_path, workers=1)
+    with pytest.raises(StoreError, match="of other designs; choose another folder"):
+        estimate_risk([], PAPER, n=100, directory=tmp_path, workers=1)
+    assert (tmp_path / "risk.json").read_bytes() == before
+    (tmp_path / "risk.json").write_text("{}")
+    with pytest.raises(StoreError, match=r"risk.json: broken: 'identity'; remove it to begin again"):
+        estimate_risk([TABLE_I], PAPER, n=100, directory=tmp_path, workers=1)
+
+
+@pytest.mark.slow
+def test_a_law_that_ends_its_process_is_one_message(tmp_path: Path) -> None:
+    with known(Dies):
+        design = Design.from_gains("dies", 0.2, {})
+        with pytest.raises(LdcError, match="a design ends its worker process among departures of chunk 0"):
+            estimate_risk([design], PAPER, n=100, workers=2)
+
+
+@dataclasses.dataclass(frozen=True)
+class Dies(Controller):
+    name = "dies"
+    title = "Dies"
+
+    def prepare(self, plant: Plant) -> LinearLaw:
+        import os
+
+        os._exit(1)
+
+
+# ------------------------------------------------------------------------------------------------ the command
+
+
+def test_the_command_writes_its_files(tmp_path: Path) -> None:
+    out = good("risk", "paper", "-n", "2e3", "--workers", "1", "--depth", "0.5", "--depth", "0.8", cwd=tmp_path)
+    assert "with n = 2,000 nothing below 1.5e-03 can be seen" in out
+    folder = tmp_path / "out" / "paper"
+    rows = list(csv.DictReader((folder / "risk.csv").open(encoding="utf-8")))
+    assert len(rows) == 2 * 6 * 3
+    assert [row["event"] for row in rows[::3]][:3] == ["depth > 0.5 m", "depth > 0.8 m", "DTLE < -0.1 m"]
+    risk = estimate_risk([TABLE_I], PAPER, n=2000, depths=[0.5, 0.8], workers=1)
+    assert [int(row["count"]) for row in rows] == [row["count"] for row in risk.rows()]
+    worst = list(csv.DictReader((folder / "worst.csv").open(encoding="utf-8")))
+    assert float(worst[0]["depth_m"]) == next(risk.worst_rows())["depth_m"]
+    assert {"d_y_m", "v_mean_m_s", "c_0_1_m"} <= set(worst[0])
+    page = (folder / "risk.html").read_text(encoding="utf-8")
+    assert page.count("<section") == 4
+    assert ">nan<" not in page
+    answer = json.loads(good("risk", "paper", "-n", "20_000", "--workers", "1", "-o", "other", "--json", cwd=tmp_path))
+    assert (answer["n"], answer["invalid"]) == (20_000, 0)
+    assert answer["lights"] == {TABLE_I.id: "bad"}
+    assert len(answer["results"]) == 2 * 9 * 3
+
+
+def test_a_folder_of_a_study_gives_the_design_of_its_verdict(tmp_path: Path) -> None:
+    content = {"name": "small", "scenarios": {"left": 20, "right": 20}, "ranking": {"finalists": 0}}
+    content |= {"design": [{"law": "none"}, {"law": "lqr", "y_s": [0.05, 0.3]}]}
+    from studies import run_study
+
+    run_study(Study.from_dict(content), directory=tmp_path / "run", workers=1, progress=False)
+    good("risk", "run", "-n", "200", "--workers", "1", cwd=tmp_path)
+    rows = list(csv.DictReader((tmp_path / "run" / "risk.csv").open(encoding="utf-8")))
+    assert list(dict.fromkeys(row["design"] for row in rows)) == ["No control, y_s=0.05 m", "LQR, y_s=0.05 m"]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("papr",), "did you mean 'paper'?"),
+        (("paper", "-n", "0"), "argument -n: '0'; allowed: a whole number from 1 to 1e9"),
+        (("paper", "-n", "-5"), "argument -n: '-5'; allowed"),
+        (("paper", "-n", "1e10"), "argument -n: '1e10'; allowed"),
+        (("paper", "-n", "nan"), "argument -n: 'nan'; allowed"),
+        (("paper", "--design", "zzz"), "--design 'zzz': no such design"),
+        (("paper", "--depth", "-1"), "depths: [-1.0]; allowed: numbers > 0 [m]"),
+        (("zoo-sweep",), "choose some with --design"),
+        (("paper", "--model", "nowhere"), "nowhere"),
+    ],
+)
+def test_wrong_input_is_one_message(words: tuple[str, ...], message: str, tmp_path: Path) -> None:
+    assert message in bad("risk", *words, cwd=tmp_path)
+
+
+def test_a_study_that_replays_a_table_is_refused(tmp_path: Path) -> None:
+    good("sample", "reference", "-n", "20", "-o", "d.parquet", cwd=tmp_path)
+    (tmp_path / "s.toml").write_text('name = "s"\n[scenarios]\ntable = "d.parquet"\n[[design]]\nlaw = "lqr"\n')
+    done = ldc("risk", "s.toml", "-n", "100", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "study s: recorded departures, which have no tail beyond them; give --model" in done.stderr
+    study = Study.from_toml(tmp_path / "s.toml")
+    with pytest.raises(InputError, match="study s: replays recorded departures, which have no tail beyond themselves"):
+        estimate_risk(study.designs, study, n=100)
