@@ -20,7 +20,7 @@ import numpy as np
 
 from ldctoolkit import EventStatus, LdcError, Scenarios, Setup
 from ldctoolkit.arrays import FloatArray
-from ldctoolkit.departures import LEFT, PARAMETER_COLUMNS, PARAMETER_NAMES, PARAMETER_UNITS, RIGHT
+from ldctoolkit.departures import LEFT, PARAMETER_COLUMNS, PARAMETER_NAMES, PARAMETER_UNITS, RIGHT, DepartureParameters
 from ldctoolkit.errors import InputError, StoreError, nearest
 from ldctoolkit.scenario_model import ScenarioModel
 from studies.design import NO_CONTROL, Design
@@ -28,10 +28,9 @@ from studies.ranking.tail import exact_interval, paired_sign
 from studies.ranking.verdict import Light, State
 from studies.runner import study_source
 from studies.running.campaign import Progress, default_progress, laws_of_this_process
-from studies.running.chunks import BIN, BINS, QUANTITIES, STEPS, ChunkJob, ChunkTask, Tally, quantities
+from studies.running.chunks import BIN, BINS, ChunkJob, ChunkTask, Tally
 from studies.running.executors import Executor, make_executor
-from studies.running.tasks import Faults
-from studies.storage.files import locked, read_bytes, remove_unfinished, write_text
+from studies.storage.files import locked, output_folder, read_bytes, remove_unfinished, write_text
 from studies.study_file import Study
 
 DEPTHS: Final = (0.3, 0.5, 0.8, 1.0, 1.75)  # [m] beyond the line
@@ -42,8 +41,7 @@ CHUNK: Final = 8192  # departures in a chunk: what the model draws of a side in 
 _SLOW_CHUNK: Final = 512  # with a law that takes long, which says so by a smaller batch than is usual
 _USUAL_BATCH: Final = 1000
 
-_ENOUGH: Final = 20  # departures beyond a depth from which on these are looked at, and not the worst alone
-_POPULATION: Final = 4  # chunks behind the population's mean and standard deviation
+_POPULATION: Final = 32_768  # departures behind the population's mean and standard deviation
 _MANY: Final = 0.25  # share of the worst departures at an end of what is known that is worth a warning
 _STORE_EVERY: Final = 5.0  # seconds
 FILE: Final = "risk.json"
@@ -51,49 +49,50 @@ FILE: Final = "risk.json"
 Side = Literal["left", "right"]
 _SIDES: Final = {None: slice(0, 2), "left": slice(0, 1), "right": slice(1, 2)}
 
+_QUANTITIES: Final = dict(zip((*PARAMETER_NAMES, "v^2 c"), (*PARAMETER_UNITS, "m/s^2"), strict=True))
+"""What departures are described by: the parameters, and the lane's mean lateral acceleration, outward; units."""
+
+
+def _quantities(p: DepartureParameters) -> FloatArray:
+    return np.column_stack([*(getattr(p, name) for name in PARAMETER_NAMES), p.v_mean**2 * (p.c_0 + 0.5 * p.dc)])
+
 
 # ------------------------------------------------------------------------------------------------ the result
 
 
 @dataclasses.dataclass(frozen=True)
-class Probability:
-    """Probability of an event in a departure, with its exact 95 % interval."""
+class Event:
+    """How often an event happens with a design, with its exact 95 % interval, and against no control."""
 
     count: int
-    n: int
+    n: int  # departures
     low: float
     high: float
+    design_only: int  # departures with the event under the design alone
+    no_control_only: int
+    sign: int  # 1: the design has it more often than no control, -1: less often, 0: not separable at 5 %
 
     @property
-    def value(self) -> float:
+    def probability(self) -> float:
         """The share; 0 of no departure."""
         return self.count / max(self.n, 1)
 
-
-@dataclasses.dataclass(frozen=True)
-class Pairing:
-    """A design against no control on the same departures."""
-
-    design_only: int  # departures with the event under the design alone
-    no_control_only: int
-    sign: int  # 1: the design has it more often, -1: less often, 0: not separable at 5 %
-
     @property
     def text(self) -> str:
-        """In a few letters."""
+        """The comparison in a few letters."""
         return {1: "worse", -1: "better", 0: "not separable"}[self.sign]
 
 
 @dataclasses.dataclass(frozen=True)
 class Common:
-    """What the worst departures of a design have in common."""
+    """What the worst departures of a design have in common, q quantities, largest difference first."""
 
-    which: str  # which departures these are
-    names: tuple[str, ...]  # (q,) largest difference first
-    differences: FloatArray  # (q,) mean of these minus mean of all, in standard deviations of all
-    mean: FloatArray  # (q,) of these, SI units
-    population: FloatArray  # (q,) mean of all
-    warnings: tuple[str, ...]  # where the worst lie at the end of what is known
+    names: tuple[str, ...]  # (q,)
+    differences: FloatArray  # (q,) Mean of these minus mean of all, in standard deviations of all
+    mean: FloatArray  # (q,) Of these, SI units
+    population: FloatArray  # (q,) Of all
+    sentence: str  # The largest three
+    warnings: tuple[str, ...]  # Where the worst lie at the end of what is known
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -102,9 +101,21 @@ class Risk:
 
     job: ChunkJob
     tally: Tally
-    designs: tuple[Design, ...]  # no control first
-    events: tuple[str, ...]  # as "depth > 0.8 m", "DTLE < -0.3 m", "opposite line crossed", "diverged"
-    setup: Setup  # what departures were driven with
+
+    @property
+    def designs(self) -> tuple[Design, ...]:
+        """The designs, no control first."""
+        return self.job.designs
+
+    @property
+    def events(self) -> tuple[str, ...]:
+        """What is counted: ``"depth > 0.8 m"``, ``"DTLE < -0.3 m"``, ``"opposite line crossed"``, ``"diverged"``."""
+        return self.job.events
+
+    @property
+    def setup(self) -> Setup:
+        """What departures were driven with."""
+        return self.job.setup
 
     @property
     def n(self) -> int:
@@ -113,9 +124,10 @@ class Risk:
 
     @functools.cached_property
     def population(self) -> FloatArray:
-        """Mean and standard deviation of `QUANTITIES` over the first chunks, (2, q): the same wherever these ran."""
-        some = np.concatenate([quantities(self.job.scenarios(k, self.job.chunk)) for k in range(_POPULATION)])
-        return np.stack([some.mean(axis=0), some.std(axis=0)])
+        """Mean and standard deviation of the departures' quantities, (2, q)."""
+        job = dataclasses.replace(self.job, n=_POPULATION, chunk=_POPULATION)
+        values = _quantities(job.scenarios(0))
+        return np.stack([values.mean(axis=0), values.std(axis=0)])
 
     def row(self, design: Design) -> int:
         """Its place among `designs`."""
@@ -123,43 +135,33 @@ class Risk:
             raise InputError(f"design: {design.label!r}; {nearest(design.label, [one.label for one in self.designs])}")
         return self.designs.index(design)
 
-    def _event(self, event: str) -> int:
+    def event(self, design: Design, event: str, side: Side | None = None) -> Event:
+        """How often an event happens in a departure of both sides, or of one, which is ``"left"`` or ``"right"``."""
         if event not in self.events:
             raise InputError(f"event: {event!r}; {nearest(event, self.events)}")
-        return self.events.index(event)
-
-    def probability(self, design: Design, event: str, side: Side | None = None) -> Probability:
-        """How often an event happens in a departure of both sides, or of one, which is ``"left"`` or ``"right"``."""
-        counts = self.tally.counts[self.row(design), self._event(event), _SIDES[side]]
+        i, j, some = self.row(design), self.events.index(event), _SIDES[side]
         # sides are drawn in proportion: the variance of the sum is at most binomial, the exact interval a little wide
-        count, n = int(counts.sum()), int(self.tally.n[_SIDES[side]].sum())
-        return Probability(count, n, *exact_interval(count, n))
-
-    def against_no_control(self, design: Design, event: str, side: Side | None = None) -> Pairing:
-        """The same departures with the design and without control."""
-        i, j, some = self.row(design), self._event(event), _SIDES[side]
-        b = int(self.tally.only[i, j, some].sum())
-        c = int(self.tally.counts[0, j, some].sum() - self.tally.counts[i, j, some].sum()) + b
-        return Pairing(b, c, paired_sign(b, c))
+        count, n = int(self.tally.counts[i, j, some].sum()), int(self.tally.n[some].sum())
+        only = int(self.tally.only[i, j, some].sum())
+        others = int(self.tally.counts[0, j, some].sum()) - count + only
+        return Event(count, n, *exact_interval(count, n), only, others, paired_sign(only, others))
 
     def light(self, design: Design) -> Light:
         """Whether the tail is better than without control; red where it is worse in depth or DTLE, or diverges more."""
         found = {1: list[str](), -1: list[str](), 0: list[str]()}
         for event in self.events:
-            pair = self.against_no_control(design, event)
-            if pair.design_only or pair.no_control_only:
-                shares = (self.probability(one, event).value for one in (design, self.designs[0]))
-                found[pair.sign].append(f"{event} ({' against '.join(f'{share:.3g}' for share in shares)})")
-        worse, better, open_ = (", ".join(found[sign]) for sign in (1, -1, 0))
-        titles = {"worse than no control": worse, "better": better, "not separable": open_}
-        text = "; ".join(f"{title}: {events}" for title, events in titles.items() if events) or "no event differs"
+            own, without = self.event(design, event), self.event(self.designs[0], event)
+            if own.design_only or own.no_control_only:
+                found[own.sign].append(f"{event} ({own.probability:.3g} against {without.probability:.3g})")
+        titles = {"worse than no control": found[1], "better": found[-1], "not separable": found[0]}
+        text = "; ".join(f"{title}: {', '.join(events)}" for title, events in titles.items() if events)
         red = any(not event.startswith("opposite") for event in found[1])
-        state: State = "bad" if red else "good" if better and not worse else "warning"
-        return Light("Tail", state, f"{text[0].upper()}{text[1:]}.")
+        state: State = "bad" if red else "good" if found[-1] and not found[1] else "warning"
+        return Light("Tail", state, f"{text[0].upper()}{text[1:]}." if text else "No event differs.")
 
     def exceedance(self, design: Design) -> tuple[FloatArray, FloatArray]:
         """Depths [m], and the share of departures that reach each of them."""
-        deeper = self.tally.histogram[self.row(design)].sum(axis=0)[::-1].cumsum()[::-1]
+        deeper = self.tally.histogram[self.row(design)][::-1].cumsum()[::-1]
         return BIN * np.arange(1.0, BINS + 1.0), np.asarray(deeper[1:] / max(self.n, 1))
 
     def departure_rates(self, side: Side | None = None) -> dict[str, float]:
@@ -176,14 +178,14 @@ class Risk:
     def notes(self) -> Iterator[str]:
         """What a reader of the numbers has to know, one sentence each."""
         tally, (left, right) = self.tally, self.tally.n
-        source = f"scenario model {self.job.model.content_hash[:12]}, seed {self.job.seed}"
+        source = f"scenario model {self.job.model.content_hash[:12]}, seed {self.setup.seed}"
         yield f"{self.n:,} departures ({left:,} left, {right:,} right), {source}: {resolution(self.n)}."
         if tally.invalid.any():
             yield f"{tally.invalid.sum():,} more cannot be driven and are in no number."
-        for i, design in enumerate(self.designs):
-            failed, steps = tally.status[i, EventStatus.SOLVER_FAILED], tally.failed_solves[i]
-            if steps:
-                yield f"{design.label}: {steps:,} failed solves, in {failed:,} departures or more; all count."
+        for design, status, solves in zip(self.designs, tally.status, tally.failed_solves, strict=True):
+            if solves:
+                failed = status[EventStatus.SOLVER_FAILED]
+                yield f"{design.label}: {solves:,} failed solves, in {failed:,} departures or more; all count."
         if self.departure_rates():
             yield "Rates take the number of departures per hour and per km as known; their intervals are those of P."
         else:
@@ -194,60 +196,44 @@ class Risk:
 
         `simulate` with ``setup=risk.setup`` and the design's y_s drives them to the same bits.
         """
-        kept = self.tally.worst[self.row(design)]
-        side, *columns = kept[kept[:, 1] >= 0.0].T[2:]
+        _, index, side, *columns = self.tally.kept(self.row(design)).T
         made = Scenarios.drawn(side=side, **dict(zip(PARAMETER_NAMES, columns, strict=True)))
-        return dataclasses.replace(made, index=kept[: side.size, 1].astype(np.int64))
+        return dataclasses.replace(made, index=index.astype(np.int64))
 
     def worst_rows(self, *designs: Design) -> Iterator[dict[str, Any]]:
         """One row for each of the worst departures of some designs, of all by default, as ``worst.csv`` holds them."""
         for design in designs or self.designs:
-            for rank, row in enumerate(self.tally.worst[self.row(design)].tolist()):
-                depth, index, side, *parameters = row
-                if index >= 0.0:
-                    one = {"design": design.label, "id": design.id, "rank": rank + 1, "depth_m": depth}
-                    one |= {"scenario": int(index), "side": "left" if side == LEFT else "right"}
-                    yield one | dict(zip(PARAMETER_COLUMNS.values(), parameters, strict=True))
+            for rank, (depth, index, side, *values) in enumerate(self.tally.kept(self.row(design)).tolist(), 1):
+                one = {"design": design.label, "id": design.id, "rank": rank, "depth_m": depth, "scenario": int(index)}
+                one |= {"side": "left" if side == LEFT else "right"}
+                yield one | dict(zip(PARAMETER_COLUMNS.values(), values, strict=True))
 
     def in_common(self, design: Design) -> Common:
-        """What departures beyond the largest depth that has 20 of them have in common, or else the worst ones."""
-        i, worst = self.row(design), self.worst(design)
-        beyond = self.tally.counts[i, : len(self.job.depths)].sum(axis=1)
-        if (beyond >= _ENOUGH).any():
-            j = int(np.flatnonzero(beyond >= _ENOUGH)[-1])
-            mean = self.tally.sums[i, j] / STEPS / beyond[j]
-            which = f"the {beyond[j]:,} departures beyond {self.job.depths[j]:g} m"
-        else:
-            mean, which = quantities(worst).sum(axis=0) / max(worst.n, 1), f"the {worst.n} worst departures"
-        usual, sd = self.population
+        """What the worst departures of a design have in common: where their mean is furthest from that of all."""
+        worst, (usual, sd) = self.worst(design), self.population
+        mean = _quantities(worst).sum(axis=0) / max(worst.n, 1)
         apart = np.divide(mean - usual, sd, out=np.zeros_like(mean), where=sd > 0.0)
         order = np.argsort(-np.abs(apart), kind="stable")
-        warnings = tuple(_at_the_ends(self.job.model, worst))
-        names = tuple(QUANTITIES[q] for q in order)
-        return Common(which, names, apart[order], mean[order], usual[order], warnings)
-
-    @staticmethod
-    def common_sentence(common: Common, most: int = 3) -> str:
-        """The largest differences in one sentence."""
-        shown = zip(common.names[:most], common.differences, common.mean, common.population, strict=False)
-        units = dict(zip(QUANTITIES, (*PARAMETER_UNITS, "m/s^2"), strict=True))
+        names = tuple(tuple(_QUANTITIES)[q] for q in order)
         parts = (
-            f"{name} {mean:.3g} instead of {all_:.3g} {units[name]} ({d:+.1f} sd)" for name, d, mean, all_ in shown
+            f"{name} {mean[q]:.3g} instead of {usual[q]:.3g} {_QUANTITIES[name]} ({apart[q]:+.1f} sd)"
+            for name, q in zip(names[:3], order, strict=False)
         )
-        return f"In common to {common.which}: {', '.join(parts)}."
+        sentence = f"In common to the {worst.n} worst departures: {', '.join(parts)}."
+        warnings = tuple(_at_the_ends(self.job.model, worst))
+        return Common(names, apart[order], mean[order], usual[order], sentence, warnings)
 
     def rows(self) -> Iterator[dict[str, Any]]:
         """One row for every design, event and side, as ``risk.csv`` holds them."""
         for design, event, side in itertools.product(self.designs, self.events, _SIDES):
-            found, row = self.probability(design, event, side), {"design": design.label, "id": design.id}
+            found, row = self.event(design, event, side), {"design": design.label, "id": design.id}
             row |= {"y_s_m": design.y_s, "event": event, "side": side or "both", "count": found.count, "n": found.n}
-            shares = {"": found.value, "_low": found.low, "_high": found.high}
+            shares = {"": found.probability, "_low": found.low, "_high": found.high}
             for name, rate in {"probability": 1.0, **self.departure_rates(side)}.items():
                 row |= {f"{name}{end}": rate * share for end, share in shares.items()}
             if not design.is_baseline:
-                pair = self.against_no_control(design, event, side)
-                row |= {"design_only": pair.design_only, "no_control_only": pair.no_control_only}
-                row |= {"against_no_control": pair.text}
+                row |= {"design_only": found.design_only, "no_control_only": found.no_control_only}
+                row |= {"against_no_control": found.text}
             yield row
 
 
@@ -290,10 +276,10 @@ def _at_the_ends(model: ScenarioModel, worst: Scenarios) -> Iterator[str]:
 class _Estimation:
     """Chunks that are done, and what was counted; kept in a file, if there is a folder."""
 
-    def __init__(self, job: ChunkJob, n: int, folder: Path | None) -> None:
-        self.job, self.n, self.path = job, n, None if folder is None else folder / FILE
+    def __init__(self, job: ChunkJob, folder: Path | None) -> None:
+        self.job, self.path = job, None if folder is None else folder / FILE
         self.done: set[int] = set()
-        self.tally = self.rest = job.empty  # of whole chunks, and of the last one where it is not whole
+        self.tally = job.empty
         self.stored = time.monotonic()
         if self.path is not None and self.path.exists():
             self._read(self.path)
@@ -309,23 +295,16 @@ class _Estimation:
             raise StoreError(f"{path}: broken: {error}; remove it to begin again") from None
         if differ:
             raise StoreError(f"{path}: holds another estimate, of other {', '.join(differ)}; choose another folder")
-        if len(self.done) > self.n // self.job.chunk:
-            least = len(self.done) * self.job.chunk
-            raise StoreError(f"{path}: holds {least:,} departures; allowed: n of as many or more, or another folder")
 
     def tasks(self) -> list[ChunkTask]:
         """What is left to be done."""
-        whole, rest = divmod(self.n, self.job.chunk)
-        tasks = [ChunkTask(self.job, k, self.job.chunk) for k in range(whole) if k not in self.done]
-        return tasks + ([ChunkTask(self.job, whole, rest)] if rest else [])
+        chunks = range(-(-self.job.n // self.job.chunk))
+        return [ChunkTask(self.job, k) for k in chunks if k not in self.done]
 
-    def take(self, task: ChunkTask, tally: Tally) -> None:
+    def take(self, k: int, tally: Tally) -> None:
         """Take the counts of a chunk in."""
-        if task.size == self.job.chunk:
-            self.tally = self.tally.plus(tally)
-            self.done.add(task.k)
-        else:
-            self.rest = tally
+        self.tally = self.tally.plus(tally)
+        self.done.add(k)
         if time.monotonic() - self.stored > _STORE_EVERY:
             self.store()
 
@@ -335,15 +314,11 @@ class _Estimation:
             return
         first = sorted(k for k in self.done if k - 1 not in self.done)
         last = sorted(k + 1 for k in self.done if k + 1 not in self.done)
-        content = {"identity": self.job.identity(), "n": self.n, "chunks": list(zip(first, last, strict=True))}
+        content: dict[str, Any] = {"identity": self.job.identity(), "chunks": list(zip(first, last, strict=True))}
         content |= {"tally": {name: array.tolist() for name, array in vars(self.tally).items()}}
         content |= {"results": None if found is None else list(found.rows())}
         write_text(self.path, json.dumps(content, allow_nan=False) + "\n")
         self.stored = time.monotonic()
-
-    def result(self) -> Risk:
-        """The whole."""
-        return Risk(self.job, self.tally.plus(self.rest), self.job.designs, self.job.events, self.job.setup)
 
 
 def estimate_risk(
@@ -381,7 +356,7 @@ def estimate_risk(
     model : path, str or ScenarioModel, optional
         Instead of the study's.
     directory : path, optional
-        Folder of ``risk.json``: a run that was stopped goes on where it was, and one that is done to a larger n.
+        Folder of ``risk.json``: a run that was stopped goes on where it was.
     workers, executor, dask, progress
         As in `run_study`; no number depends on them.
     depths, dtle_limits : sequence of float [m]
@@ -404,106 +379,85 @@ def estimate_risk(
     >>> risk = estimate_risk(study.designs, study, n=500, workers=1)
     >>> risk.designs[0].law, risk.n, risk.events[2]
     ('none', 500, 'depth > 0.8 m')
-    >>> risk.against_no_control(study.designs[0], "depth > 0.3 m").text
+    >>> risk.event(study.designs[0], "depth > 0.3 m").text
     'better'
     """
-    for name, value, most in (("n", n, MOST), ("chunk", CHUNK if chunk is None else chunk, MOST)):
-        if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= most:
-            raise InputError(f"{name}: {value!r}; allowed: a whole number from 1 to {most:.0e}")
-    job = _job(designs, study, study.seed if seed is None else seed, model, chunk, depths, dtle_limits)
-    chosen = make_executor(executor, workers, dask)
-    shown = progress if not isinstance(progress, bool | None) else default_progress(progress)
-    try:
-        if chosen.isolated:
-            job = dataclasses.replace(job, laws=laws_of_this_process(), token=time.time_ns())
-        if directory is None:
-            return _estimate(_Estimation(job, n, None), chosen, shown, notice)
-        folder = Path(directory)
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise StoreError(f"{folder}: cannot be made: {error.strerror or error}") from None
-        with locked(folder):
-            remove_unfinished(folder / FILE)
-            return _estimate(_Estimation(job, n, folder), chosen, shown, notice)
-    finally:
-        shown.close()
-
-
-def _job(
-    designs: Sequence[Design], study: Study, seed: int, model: str | Path | ScenarioModel | None, chunk: int | None,
-    depths: Sequence[float], dtle_limits: Sequence[float],
-) -> ChunkJob:  # fmt: skip
+    for name, value in (("n", n), ("chunk", CHUNK if chunk is None else chunk)):
+        if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= MOST:
+            raise InputError(f"{name}: {value!r}; allowed: a whole number from 1 to {MOST:.0e}")
     source = study_source(study, model)
     if not isinstance(source, ScenarioModel):
-        raise InputError(
-            f"study {study.name}: replays recorded departures, which have no tail beyond themselves; give model"
-        )
+        raise InputError(f"study {study.name}: recorded departures, which have no tail beyond themselves; give a model")
     for name, values, least in (("depths", depths, 0.0), ("dtle_limits", dtle_limits, -np.inf)):
         if not all(least < x < np.inf for x in values):
             raise InputError(f"{name}: {list(values)}; allowed: numbers{' > 0' if least == 0.0 else ''} [m]")
     active = tuple({one.id: one for one in designs if not one.is_baseline}.values())
     slow = any(design.batch < _USUAL_BATCH for design in active)
-    return ChunkJob(
+    chosen = make_executor(executor, workers, dask)
+    job = ChunkJob(
         designs=(Design.from_gains(NO_CONTROL, active[0].y_s if active else 0.2, {}), *active),
-        setup=dataclasses.replace(study.setup(), seed=seed),
+        setup=dataclasses.replace(study.setup(), seed=study.seed if seed is None else seed),
         model=source,
         given=study.scenarios.given or None,
-        seed=seed,
+        n=n,
         chunk=chunk or (_SLOW_CHUNK if slow else CHUNK),
         share=_recorded(source) or (1, 1),
         depths=tuple(sorted({float(x) for x in depths})),
         dtle_limits=tuple(sorted({float(x) for x in dtle_limits}, reverse=True)),
+        laws=laws_of_this_process() if chosen.isolated else b"",
+        token=time.time_ns(),
     )
+    shown = progress if not isinstance(progress, bool | None) else default_progress(progress)
+    with contextlib.ExitStack() as stack:
+        stack.callback(shown.close)
+        folder = None if directory is None else Path(directory)
+        if folder is not None:
+            output_folder(folder)
+            stack.enter_context(locked(folder))
+            remove_unfinished(folder / FILE)
+        return _estimate(_Estimation(job, folder), chosen, shown, notice)
 
 
 def _estimate(work: _Estimation, executor: Executor, progress: Progress, notice: Callable[[str], None] | None) -> Risk:
-    tasks = work.tasks()
-    total, orderly = sum(task.size for task in tasks), False
-    progress.stage("departures", total)
+    tasks, job, orderly = work.tasks(), work.job, False
+    progress.stage("departures", len(tasks) * job.chunk)
     if notice is not None and not tasks:
-        notice(f"all departures were driven before; {resolution(work.n)}")
+        notice(f"all departures were driven before; {resolution(job.n)}")
     try:
-        for i, (task, tally, seconds) in enumerate(_run(tasks, executor)):
-            work.take(task, tally)
-            progress.advance(task.size)
+        for i, (k, tally, seconds) in enumerate(_run(tasks, executor)):
+            work.take(k, tally)
+            progress.advance(job.chunk)
             # the first chunk of a worker also loads the compiled loops
             if notice is not None and i == min(executor.workers, len(tasks) - 1):
-                whole = total * seconds / task.size / executor.workers
-                shown = f"{whole:.0f} s" if whole < 120.0 else f"{whole / 60.0:,.0f} min"
-                notice(f"{total:,} departures take about {shown}; {resolution(work.n)}")
+                whole = len(tasks) * seconds / executor.workers
+                shown_time = f"{whole:.0f} s" if whole < 120.0 else f"{whole / 60.0:,.0f} min"
+                notice(f"{job.n:,} departures take about {shown_time}; {resolution(job.n)}")
         orderly = True
     finally:
         executor.close(orderly=orderly)
         if not orderly:
             with contextlib.suppress(StoreError):  # why the run ended says more
                 work.store()
-    found = work.result()
+    found = Risk(job, work.tally)
     work.store(found)
     return found
 
 
-def _run(tasks: Sequence[ChunkTask], executor: Executor) -> Iterator[tuple[ChunkTask, Tally, float]]:
-    """Run chunks; one that was under way when a worker died is run once more alone."""
-    waiting, suspects, under_way, faults = deque(tasks), set[int](), 0, Faults()
+def _run(tasks: Sequence[ChunkTask], executor: Executor) -> Iterator[tuple[int, Tally, float]]:
+    """Run chunks; what was lost with a worker that is not to blame is run again."""
+    waiting, under_way = deque(tasks), 0
     while waiting or under_way:
-        most = 1 if suspects or executor.workers == 1 else 2 * executor.workers
-        while waiting and under_way < most:
+        while waiting and under_way < 2 * executor.workers:
             executor.start(waiting.popleft())
             under_way += 1
-        came = executor.wait()
-        faults.came_back(came)
-        for one in came:
+        for one in executor.wait():
             under_way -= 1
-            if one.done is None:
-                if one.fault is not None and faults.guilty(one.task, one.fault, certain=one.certain):
-                    raise LdcError(f"a design ends its worker process among departures of chunk {one.task.k}")
-                suspects |= {one.task.number} if one.fault is not None else set()
+            if one.done is None and one.fault is None:
                 waiting.appendleft(one.task)
                 continue
-            faults.ended_well()
-            suspects.discard(one.task.number)
+            if one.done is None:
+                raise LdcError(f"a worker process ended among departures of chunk {one.task.k}; run it again to go on")
             tally, reason, seconds = one.done
             if tally is None:
                 raise LdcError(reason)
-            yield one.task, tally, seconds
+            yield one.task.k, tally, seconds

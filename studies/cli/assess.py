@@ -70,14 +70,14 @@ def run(chosen: argparse.Namespace) -> int:
     from studies.assessment import assess, write_predictions
     from studies.pages.assessment_section import score_text, write_assessment_page
     from studies.standards import load_standard, standard_names
-    from studies.storage.store import make_folder
+    from studies.storage.files import output_folder
 
     tests = [load_standard(name) for name in dict.fromkeys(chosen.standard or standard_names())]
     subjects = [one for text in chosen.designs for one in _subjects(text, chosen)]
     if not subjects:
         raise InputError(f"{' '.join(chosen.designs)}: no design that intervenes; allowed: one or more")
     if chosen.output is not None:
-        make_folder(Path(chosen.output))
+        output_folder(Path(chosen.output))
     found: list[tuple[str, Assessment]] = []
     with progress_bar("assessing") as advance:
         for name, controller, y_s, setup in subjects:

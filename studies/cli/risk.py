@@ -8,7 +8,7 @@ import io
 import json
 import os
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -108,44 +108,28 @@ def run(chosen: argparse.Namespace) -> None:
 def _subject(chosen: argparse.Namespace) -> tuple[Study, ScenarioModel | None, Sequence[Design], Path]:
     """The study, the model in its folder, the designs, and where results go by default."""
     from ldctoolkit.errors import InputError
+    from studies.cli._results import chosen_designs, verdict_design
+    from studies.storage.manifest import read_manifest
+    from studies.storage.stored_model import read_model
     from studies.study_file import load_study
 
-    if not os.path.isfile(f"{chosen.study}/manifest.json"):  # noqa: PTH113 - raises nothing, whatever the name
-        study = load_study(chosen.study)
-        designs = _chosen(study.designs, chosen.design) if chosen.design else study.designs
-        if len([design for design in study.designs if not design.is_baseline]) > _MOST_DESIGNS and not chosen.design:
-            raise InputError(f"study {study.name}: {len(designs)} designs; choose some with --design")
-        if not study.designs:
-            raise InputError(f"study {study.name}: searches its designs; give the folder that ldc run wrote")
-        return study, None, designs, Path("out") / study.name
-    from studies.ranking.ranking import rank_study
-    from studies.ranking.verdict import verdict
-    from studies.storage.store import Store
-    from studies.storage.stored_model import read_model
-
-    store = Store.open(chosen.study)
-    study, results = store.manifest.read_study(), store.results()
-    model, folder = read_model(chosen.study, store.manifest), Path(chosen.study)
-    if chosen.design:
-        return study, model, _chosen(results.designs, chosen.design), folder
-    ranking = rank_study(results, study)[0]
-    return study, model, [ranking.designs[verdict(ranking, results, study.setup()).place]], folder
-
-
-def _chosen(designs: Iterable[Design], names: Iterable[str]) -> list[Design]:
-    from ldctoolkit.errors import InputError, UnknownNameError, nearest
-
-    every, found = list(designs), []
-    for name in names:
-        same = [one for one in every if name == one.label or (name and one.id.startswith(name))]
-        if len(same) > 1:
-            raise InputError(f"--design {name!r}: the ids of {len(same)} designs start so; allowed: more of the id")
-        if not same:
-            labels = [one.label for one in every]
-            close = nearest(name, labels) if len(labels) <= _MOST_DESIGNS else "allowed: a label, or the start of an id"
-            raise UnknownNameError(f"--design {name!r}: no such design; {close}")
-        found += same
-    return found
+    if os.path.isfile(f"{chosen.study}/manifest.json"):  # noqa: PTH113 - raises nothing, whatever the name
+        study, design = verdict_design(chosen.study)
+        model = read_model(chosen.study, read_manifest(chosen.study))
+        return (
+            study,
+            model,
+            chosen_designs(study.designs, chosen.design) if chosen.design else [design],
+            Path(chosen.study),
+        )
+    study = load_study(chosen.study)
+    designs = chosen_designs(study.designs, chosen.design) if chosen.design else study.designs
+    if not study.designs or sum(not design.is_baseline for design in designs) > _MOST_DESIGNS:
+        named = (
+            f"{len(designs)} designs; choose some with --design" if designs else "searches its designs; give a folder"
+        )
+        raise InputError(f"study {study.name}: {named}")
+    return study, None, designs, Path("out") / study.name
 
 
 def _write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
@@ -166,17 +150,18 @@ def _print_design(risk: Risk, design: Design) -> None:
     headings = ("event", "no control", "P", "95 % interval", *(shown[name] for name in rates), "only with\ndesign")
     table = new_table(f"{design.label}, {risk.n:,} departures", (*headings, "only with\nno control", "design is"))
     for event in risk.events:
-        found, pair = risk.probability(design, event), risk.against_no_control(design, event)
-        cells = [event, f"{risk.probability(risk.designs[0], event).value:.3g}", f"{found.value:.3g}"]
-        cells += [f"{found.low:.3g} .. {found.high:.3g}", *(f"{rate * found.value:.3g}" for rate in rates.values())]
-        cells += [f"{pair.design_only:,}", f"{pair.no_control_only:,}", pair.text]
-        add_row(table, cells, {1: "red", -1: "green", 0: None}[pair.sign])
+        found, without = risk.event(design, event), risk.event(risk.designs[0], event)
+        cells = [event, f"{without.probability:.3g}", f"{found.probability:.3g}"]
+        cells += [f"{found.low:.3g} .. {found.high:.3g}"]
+        cells += [f"{rate * found.probability:.3g}" for rate in rates.values()]
+        cells += [f"{found.design_only:,}", f"{found.no_control_only:,}", found.text]
+        add_row(table, cells, {1: "red", -1: "green", 0: None}[found.sign])
     out = _console.console()
     out.print(table)
     if not design.is_baseline:
         light = risk.light(design)
         out.print(light.text, style=_COLORS[light.state], markup=False, highlight=False, soft_wrap=True)
     common = risk.in_common(design)
-    say(out, risk.common_sentence(common))
+    say(out, common.sentence)
     for text in common.warnings:
         _console.warn(f"{design.label}: {text}")

@@ -16,7 +16,7 @@ from studies.pages.shell import Cell, Column, Section, TableRow, bullets, detail
 from studies.pages.text import figure as digits
 from studies.pages.text import number, parameter_label, plural, symbols, true_minus
 from studies.pages.verdict_section import STATES, SYMBOLS
-from studies.risk import Risk, Side
+from studies.risk import Risk
 from studies.storage.files import write_text
 
 _DASHES: Final = ("", "7 3", "2 2.5", "9 3 2 3")
@@ -24,20 +24,15 @@ _DASHES: Final = ("", "7 3", "2 2.5", "9 3 2 3")
 
 def write_risk_page(risk: Risk, path: str | Path, *, title: str) -> None:
     """Write a risk as one HTML page that needs nothing else, whole or not at all."""
-    write_text(Path(path), risk_page(risk, title=title))
-
-
-def risk_page(risk: Risk, *, title: str) -> str:
-    """The page as one HTML document; the same risk gives the same text."""
-    sections = [_verdict(risk), _probabilities(risk), _curve(risk), _worst(risk)]
-    return make_page(
+    html = make_page(
         kind="Lane departure correction: the tail",
         title=f"{title}: the tail",
         heading=f"{title}: how often departures end deep beyond the line",
         facts=[f"{risk.n:,} departures", f"{plural(len(risk.designs) - 1, 'design')} and no control"],
-        sections=sections,
+        sections=[_verdict(risk), _probabilities(risk), _curve(risk), _worst(risk)],
         footer=f"ldctoolkit {__version__}. Intervals after Clopper and Pearson (1934), 95 %.",
     )
+    write_text(Path(path), html)
 
 
 def _name(design: Design) -> str:
@@ -63,25 +58,21 @@ def _probabilities(risk: Risk) -> Section:
     columns += [Column(shown[name]) for name in risk.departure_rates()]
     columns += [Column("Only with design"), Column("Only with no control"), Column("Design is", text=True)]
 
-    def rows(design: Design, side: Side | None) -> list[TableRow]:
-        out = []
-        for event in risk.events:
-            found, pair = risk.probability(design, event, side), risk.against_no_control(design, event, side)
-            cells: list[Cell | str] = [true_minus(event), *map(digits, (found.value, found.low, found.high))]
-            cells += [f"{found.count:,}", *(digits(rate * found.value) for rate in risk.departure_rates(side).values())]
-            sign = "" if design.is_baseline else pair.text
-            cells += [f"{pair.design_only:,}", f"{pair.no_control_only:,}"] if sign else ["", ""]
-            out.append(TableRow((*cells, Cell(sign, bad=pair.sign > 0, good=pair.sign < 0))))
-        return out
-
     body = Markup()
     for design in risk.designs:
-        body += table(f"{_name(design)}, a departure of either side", columns, rows(design, None))
-        sides: tuple[tuple[Side, int], ...] = (("left", 0), ("right", 1))
-        body += details("Left and right", Markup("").join(
-            table(f"{_name(design)}, {risk.tally.n[j]:,} {side} departures", columns, rows(design, side))
-            for side, j in sides
-        ))  # fmt: skip
+        rows = []
+        for event in risk.events:
+            found = risk.event(design, event)
+            cells: list[Cell | str] = [true_minus(event), *map(digits, (found.probability, found.low, found.high))]
+            cells += [
+                f"{found.count:,}",
+                *(digits(rate * found.probability) for rate in risk.departure_rates().values()),
+            ]
+            compared = () if design.is_baseline else (found.design_only, found.no_control_only)
+            cells += [f"{count:,}" for count in compared] or ["", ""]
+            cells.append(Cell(found.text if compared else "", bad=found.sign > 0, good=found.sign < 0))
+            rows.append(TableRow(tuple(cells)))
+        body += table(f"{_name(design)}, a departure of either side", columns, rows)
     note = (
         "P is a probability per departure, with the ends of its exact 95 % interval. Design and no control are "
         "driven on the same departures: better and worse are exact two-sided tests at 5 % of those departures in "
@@ -111,14 +102,13 @@ def _worst(risk: Risk) -> Section:
     body = Markup()
     for design in risk.designs:
         common = risk.in_common(design)
-        sentence = true_minus(risk.common_sentence(common))
         rows = [
             TableRow(
                 (number(one["depth_m"], 2), str(one["scenario"]), one["side"], *map(digits, list(one.values())[6:]))
             )
             for one in risk.worst_rows(design)
         ]
-        body += Markup("<h3>{}</h3>").format(symbols(_name(design))) + paragraphs(sentence)
+        body += Markup("<h3>{}</h3>").format(symbols(_name(design))) + paragraphs(true_minus(common.sentence))
         body += bullets(common.warnings, "warnings")
         body += details("The worst departures", table(f"{_name(design)}: deepest departures", columns, rows, head=1))
     return Section("worst", "The worst departures", body)

@@ -1,7 +1,7 @@
 """Chunks of generated departures: what is drawn, driven and counted of them, in this process or a worker.
 
-Chunk k follows from the seed and k alone, and what is kept of it is counts, whole sums and a few of its deepest
-departures, which add up in any order: no number depends on workers, or on where a run was stopped.
+Chunk k follows from the seed and k alone, and what is kept of it is counts and a few of its deepest departures, which
+add up in any order: no number depends on workers, or on where a run was stopped.
 """
 
 from __future__ import annotations
@@ -14,11 +14,10 @@ import time
 from typing import Any, Final, Self
 
 import numpy as np
-import numpy.typing as npt
 
 from ldctoolkit import EventStatus, LdcError, Scenarios, Setup
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
-from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, DepartureParameters
+from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT
 from ldctoolkit.law_checks import raised
 from ldctoolkit.scenario_model import Given, ScenarioModel
 from ldctoolkit.simulation import Run, Takeover, drive_many
@@ -31,33 +30,26 @@ _KEPT: Final = 20  # worst departures of a design
 _NONE: Final = -1e9  # where fewer are kept
 _STREAM: Final = 0x7269736B  # keeps these scenarios apart from those that designs were chosen on
 
-QUANTITIES: Final = (*PARAMETER_NAMES, "v^2 c")
-"""What departures are described by: the parameters, and the lane's mean lateral acceleration [m/s^2], outward."""
-
-STEPS: Final = np.array([2.0**34 if name in ("c_0", "dc") else 2.0**20 for name in QUANTITIES])
-"""Parts of a unit in which the quantities are summed up: sums of whole numbers have no order."""
-
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Tally:
-    """What is counted of departures, for d designs (no control first), e events and x depths; sides left, right."""
+    """What is counted of departures, for d designs (no control first) and e events; sides left, right."""
 
     n: IntArray  # (2,): departures that were driven
     invalid: IntArray  # (2,): departures that cannot be driven, which are in no other number
     counts: IntArray  # (d, e, 2): departures with the event
     only: IntArray  # (d, e, 2): those of them that do not have it without control
-    histogram: IntArray  # (d, 2, BINS + 1): depths
+    histogram: IntArray  # (d, BINS + 1): depths
     status: IntArray  # (d, number of `EventStatus`)
     failed_solves: IntArray  # (d,)
-    sums: IntArray  # (d, x, q): of `QUANTITIES` in steps, over the departures beyond each depth
     worst: FloatArray  # (d, _KEPT, 3 + 8): depth [m], index, side, parameters; deepest first; or `_NONE`
 
     @classmethod
-    def empty(cls, d: int, e: int, x: int) -> Self:
+    def empty(cls, d: int, e: int) -> Self:
         """Of no departure."""
-        shapes = [(2,), (2,), (d, e, 2), (d, e, 2), (d, 2, BINS + 1), (d, len(EventStatus)), (d,)]
-        a, b, c, f, g, h, i, j = (np.zeros(one, dtype=np.int64) for one in (*shapes, (d, x, len(QUANTITIES))))
-        return cls(a, b, c, f, g, h, i, j, np.full((d, _KEPT, 3 + len(PARAMETER_NAMES)), _NONE))
+        shapes = (2,), (2,), (d, e, 2), (d, e, 2), (d, BINS + 1), (d, len(EventStatus)), (d,)
+        a, b, c, f, g, h, i = (np.zeros(one, dtype=np.int64) for one in shapes)
+        return cls(a, b, c, f, g, h, i, np.full((d, _KEPT, 3 + len(PARAMETER_NAMES)), _NONE))
 
     def plus(self, other: Self) -> Self:
         """Of both."""
@@ -72,8 +64,13 @@ class Tally:
             raise ValueError("numbers are missing")
         return dataclasses.replace(self, **read)
 
+    def kept(self, i: int) -> FloatArray:
+        """The worst departures of design i."""
+        rows: FloatArray = self.worst[i][self.worst[i, :, 0] > _NONE]
+        return rows
 
-def _deepest(depth: npt.NDArray[Any], index: npt.NDArray[Any]) -> IntArray:
+
+def _deepest(depth: FloatArray, index: FloatArray | IntArray) -> IntArray:
     """Places of the deepest; of equal ones, those with the smallest number."""
     return np.lexsort((index, -depth))[:_KEPT]
 
@@ -86,8 +83,8 @@ class ChunkJob:
     setup: Setup
     model: ScenarioModel
     given: Given | None
-    seed: int
-    chunk: int  # departures in a chunk
+    n: int  # departures in all
+    chunk: int  # departures in a chunk; the last one may be smaller
     share: tuple[int, ...]  # left and right departures in proportion
     depths: tuple[float, ...]
     dtle_limits: tuple[float, ...]
@@ -103,27 +100,28 @@ class ChunkJob:
     @property
     def empty(self) -> Tally:
         """A tally of no departure."""
-        return Tally.empty(len(self.designs), len(self.events), len(self.depths))
+        return Tally.empty(len(self.designs), len(self.events))
 
     def identity(self) -> dict[str, Any]:
-        """What decides the numbers, n aside: with a larger n the same chunks are followed by others."""
+        """What decides the numbers."""
         setup = hashlib.sha256(repr(self.setup).encode()).hexdigest()[:16]
-        same = {"version": 1, "ldctoolkit": __version__, "designs": [one.id for one in self.designs], "setup": setup}
-        same |= {"model": self.model.content_hash, "given": self.given, "seed": self.seed, "chunk": self.chunk}
+        same = {"ldctoolkit": __version__, "designs": [one.id for one in self.designs], "setup": setup, "n": self.n}
+        same |= {"model": self.model.content_hash, "given": self.given, "seed": self.setup.seed, "chunk": self.chunk}
         return dict(json.loads(json.dumps(same | {"left_right": self.share, "events": self.events})))
 
-    def scenarios(self, k: int, size: int) -> Scenarios:
-        """The first departures of chunk k: a function of the seed, k and how many."""
+    def scenarios(self, k: int) -> Scenarios:
+        """The departures of chunk k."""
         first, (share, whole) = k * self.chunk, (self.share[0], sum(self.share))
-        begin, end = ((2 * m * share + whole) // (2 * whole) for m in (first, first + size))  # left ones among m
-        seed = int(np.random.SeedSequence([self.seed, _STREAM, k]).generate_state(1, np.uint64)[0] >> 1)
-        drawn = self.model.sample(end - begin, size - (end - begin), seed=seed, given=self.given)
+        last = min(first + self.chunk, self.n)
+        begin, end = ((2 * m * share + whole) // (2 * whole) for m in (first, last))  # left ones among m
+        seed = int(np.random.SeedSequence([self.setup.seed, _STREAM, k]).generate_state(1, np.uint64)[0] >> 1)
+        drawn = self.model.sample(end - begin, last - first - (end - begin), seed=seed, given=self.given)
         # mismatch and camera noise follow from the setup's seed and this number
         return dataclasses.replace(drawn, index=drawn.index + first)
 
-    def measure(self, k: int, size: int) -> Tally:
+    def measure(self, k: int) -> Tally:
         """Drive all designs on a chunk; `LdcError` names a design whose law raises."""
-        drawn, tally = self.scenarios(k, size), self.empty
+        drawn, tally = self.scenarios(k), self.empty
         over = {y_s: Takeover.build(drawn, self.setup, y_s=y_s) for y_s in {design.y_s for design in self.designs}}
         valid = np.logical_and.reduce([one.valid for one in over.values()])
         for j, side in enumerate((LEFT, RIGHT)):
@@ -137,12 +135,9 @@ class ChunkJob:
         return tally
 
     def _runs(self, places: list[int], takeover: Takeover) -> list[Run]:
-        def drive(some: list[int]) -> list[Run]:
-            made = [self.designs[i].controller(self.setup.convention) for i in some]
-            return list(drive_many(made, takeover, threads=1))
-
         try:
-            return drive(places)
+            made = [self.designs[i].controller(self.setup.convention) for i in places]
+            return list(drive_many(made, takeover, threads=1))
         except (KeyboardInterrupt, GeneratorExit):
             raise
         except BaseException as error:  # a controller may be third-party code
@@ -168,24 +163,16 @@ class ChunkJob:
         beyond = [*(depth > x for x in self.depths), *(dtle < x for x in self.dtle_limits)]
         found = np.stack([*beyond, opposite > 0.0, status == EventStatus.DIVERGED]) & valid
         for j, side in enumerate((LEFT, RIGHT)):
-            own = drawn.side == side
-            tally.counts[i, :, j] = (found & own).sum(axis=1)
-            tally.only[i, :, j] = 0 if without is None else (found & ~without & own).sum(axis=1)
-            bins = np.clip(depth[own & valid] / BIN, 0, BINS).astype(np.int64)
-            tally.histogram[i, j] = np.bincount(bins, minlength=BINS + 1)
+            tally.counts[i, :, j] = (found & (drawn.side == side)).sum(axis=1)
+            if without is not None:
+                tally.only[i, :, j] = (found & ~without & (drawn.side == side)).sum(axis=1)
+        tally.histogram[i] = np.bincount(np.clip(depth[valid] / BIN, 0, BINS).astype(int), minlength=BINS + 1)
         tally.status[i] = np.bincount(status[valid], minlength=len(EventStatus))
-        steps = np.rint(quantities(drawn) * STEPS).astype(np.int64)
-        tally.sums[i] = found[: len(self.depths)].astype(np.int64) @ steps
         rows = np.flatnonzero(valid)
         rows = rows[_deepest(depth[rows], drawn.index[rows])]
         kept = [depth, drawn.index, drawn.side, *(getattr(drawn, name) for name in PARAMETER_NAMES)]
         tally.worst[i, : rows.size] = np.column_stack(kept)[rows]
         return found
-
-
-def quantities(p: DepartureParameters) -> FloatArray:
-    """`QUANTITIES` of departures, (n, q)."""
-    return np.column_stack([*(getattr(p, name) for name in PARAMETER_NAMES), p.v_mean**2 * (p.c_0 + 0.5 * p.dc)])
 
 
 _numbers = itertools.count()
@@ -197,7 +184,6 @@ class ChunkTask:
 
     job: ChunkJob
     k: int
-    size: int
     number: int = dataclasses.field(default_factory=lambda: next(_numbers))
     time_limit: float = 0.0
 
@@ -211,6 +197,6 @@ class ChunkTask:
         """Counts, or why there are none; seconds."""
         started = time.perf_counter()
         try:
-            return self.job.measure(self.k, self.size), "", time.perf_counter() - started
+            return self.job.measure(self.k), "", time.perf_counter() - started
         except LdcError as error:
             return None, str(error), 0.0

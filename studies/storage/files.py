@@ -35,6 +35,15 @@ def stored_file(path: Path) -> Iterator[IO[bytes]]:
         raise StoreError(f"{path}: cannot be written: {error.strerror or error}") from None
 
 
+def output_folder(folder: Path) -> Path:
+    """Make a folder, if it is not there."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StoreError(f"{folder}: cannot be made: {error.strerror or error}") from None
+    return folder
+
+
 def write_text(path: Path, text: str) -> None:
     """Write a text file in UTF-8, whole or not at all."""
     with stored_file(path) as stream:

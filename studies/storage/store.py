@@ -31,7 +31,7 @@ from ldctoolkit import Scenarios
 from ldctoolkit.errors import StoreError
 from studies.design import Design
 from studies.results import FailedRun, RunKey, StudyResults, TaskResult
-from studies.storage.files import SCENARIOS, read_scenarios, write_scenarios
+from studies.storage.files import SCENARIOS, output_folder, read_scenarios, write_scenarios
 from studies.storage.manifest import (
     DESIGNS,
     FAILURES,
@@ -72,10 +72,8 @@ def make_folder(folder: Path) -> None:
     strange = folder.exists() and not (folder / "manifest.json").exists()
     if strange and (not folder.is_dir() or any((folder / "results").glob("*"))):
         raise StoreError(f"{folder}: exists and is not the folder of a study (no manifest.json); choose another")
-    try:
-        (folder / "results").mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise StoreError(f"{folder}: cannot be made: {error.strerror or error}") from None
+    output_folder(folder)
+    output_folder(folder / "results")
 
 
 class Store:

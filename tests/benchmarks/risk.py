@@ -28,7 +28,7 @@ DESIGN = next(one for one in STUDY.designs if one.law == "lqr" and one.y_s == 0.
 def chunks(n: int) -> list[int]:
     """Departures beyond each depth."""
     risk = estimate_risk([DESIGN], STUDY, n=n, workers=1, progress=False)
-    return [risk.probability(DESIGN, f"depth > {x:g} m").count for x in DEPTHS]
+    return [risk.event(DESIGN, f"depth > {x:g} m").count for x in DEPTHS]
 
 
 def one_block(n: int) -> list[int]:
