@@ -221,9 +221,7 @@ def drive(
     return _drive_linear([law], takeover, rows, threads)[0]
 
 
-def drive_many(
-    controllers: Iterable[Controller], takeover: Takeover, *, score_only: bool = False, threads: int | None = None
-) -> Iterator[Run]:
+def drive_many(controllers: Iterable[Controller], takeover: Takeover, *, threads: int | None = None) -> Iterator[Run]:
     """Drive several designs; linear laws go through the compiled loop together, so that scenarios are read once.
 
     Parameters
@@ -231,9 +229,6 @@ def drive_many(
     controllers : iterable of Controller
     takeover, threads
         As in `drive`.
-    score_only : bool
-        Drive linear laws on the ideal plant to T only, which takes less time: their companions are NaN, and what would
-        diverge or fail after T is not seen. S is the same to 1e-6 m s. It changes nothing for other laws and plants.
 
     Yields
     ------
@@ -250,7 +245,7 @@ def drive_many(
             and shape_of(law) == shape_of(waiting[0])
             and law.knows_actuator == waiting[0].knows_actuator
         ):
-            yield from _drive_linear(waiting, takeover, None, threads, score_only)
+            yield from _drive_linear(waiting, takeover, None, threads)
             waiting = []
         if isinstance(law, LinearLaw):
             waiting.append(law)
@@ -259,7 +254,7 @@ def drive_many(
         else:
             yield recorded_run(takeover)
     if waiting:
-        yield from _drive_linear(waiting, takeover, None, threads, score_only)
+        yield from _drive_linear(waiting, takeover, None, threads)
 
 
 def _prepared(controller: Controller, takeover: Takeover) -> Law:
@@ -267,9 +262,7 @@ def _prepared(controller: Controller, takeover: Takeover) -> Law:
     return check_law(controller.prepare(takeover.plant), takeover.m, controller.name)
 
 
-def _drive_linear(
-    laws: list[LinearLaw], takeover: Takeover, rows: IntArray | None, threads: int | None, score_only: bool = False
-) -> list[Run]:
+def _drive_linear(laws: list[LinearLaw], takeover: Takeover, rows: IntArray | None, threads: int | None) -> list[Run]:
     from ldctoolkit.simulation.kernel import entry
 
     tables, d, m = takeover.tables, len(laws), takeover.m
@@ -279,8 +272,7 @@ def _drive_linear(
     table = law_tables(laws, tables.spare_room(d * m * (data.LAW + 2 * lookaheads + past)))
     scene, setting = tables.scene, tables.setting.copy()
     setting[data.COMMANDS] = max(setting[data.COMMANDS], past + 2)
-    columns = 1 if score_only and exactly else data.SCORES
-    score = np.full((d, columns, m), np.nan)  # a scenario that is left out stays visible
+    score = np.full((d, data.SCORES, m), np.nan)  # a scenario that is left out stays visible
     diverged, failed = np.zeros((d, m), dtype=np.bool_), np.zeros((d, m), dtype=np.int64)
     paths, place, found = tables.paths(rows)
 
@@ -466,12 +458,9 @@ def _run_of_scores(
     law_seconds: float,
     trajectories: Trajectories | None,
 ) -> Run:
-    """A run from scores (columns, m), or S alone (1, m), who diverged (m,), and failed commands (m,)."""
+    """A run from scores (SCORES, m), who diverged (m,), and failed commands (m,)."""
     status = np.where(failed > 0, EventStatus.SOLVER_FAILED, EventStatus.OK)
     status = np.where(diverged, EventStatus.DIVERGED, status).astype(np.int8)
-    if score.shape[0] == 1:
-        companions = MetricValues(**dict.fromkeys(METRIC_UNITS, np.full(takeover.m, np.nan)))
-        return Run(takeover, score[0].copy(), status, failed, companions, 0.0, None)
     edge = takeover.setup.vehicle.edge_offset
     # before the trigger the vehicle was on the recorded path
     front = np.maximum(score[data.FRONT] - edge, takeover.front_before)

@@ -317,9 +317,6 @@ def main() -> None:
         theirs = seconds(lambda design=design: numpy_loop(design, event, event_tables, companions=False), 3)
         row(f"{name}, to T, all metrics, a design of 20 in one call, vs NumPy loop with S alone", ours, theirs)
         row(f"{name}, the same, vs control.forced_response", ours, forced)
-        ours = seconds(lambda together=together: list(drive_many(together, event, score_only=True)), 5) / len(together)
-        row(f"{name}, to T, S alone, a design of 20 in one call, vs NumPy loop with S alone", ours, theirs)
-        row(f"{name}, the same, vs control.forced_response", ours, forced)
 
     print("\nWhat other loops and plants cost: LQR, 10,000 scenarios, to T + 3 s, against the ideal plant in lanes.\n")
     print("| case | ms | times the ideal |")

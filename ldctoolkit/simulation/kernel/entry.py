@@ -129,7 +129,7 @@ def _entries(digest: int) -> Any:
         scene, exact, setting, law, times, recorded, paths, chosen, first, last, score, diverged, failed,
         work, g, bend, begun,
     ):  # fmt: skip
-        """Linear laws (d, m, ...) on blocks first to last of the ideal plant; S alone into scores of one column."""
+        """Linear laws (d, m, ...) on blocks first to last of the ideal plant."""
         if digest < 0:
             return
         scene, exact, setting, law, times = _bare(scene), _bare(exact), _bare(setting), _bare(law), _bare(times)

@@ -3,8 +3,7 @@
 Neighbours in the takeover's order last about equally long. Each whole step is a product with the exactly discretised
 plant, the same arithmetic in every lane, so that a scenario's numbers do not depend on its neighbours. What happens
 rarely is looked at one lane at a time: events within a step, steps that T cuts, and last ones that are not whole, which
-are driven with their own exact matrices. S alone takes less: whole steps, in which the quartic with a step's ends,
-slopes and integral is cut at T and split at a zero.
+are driven with their own exact matrices.
 """
 
 # mypy: disable-error-code="untyped-decorator, no-untyped-def, no-untyped-call"
@@ -14,7 +13,7 @@ from typing import Final
 
 import numba
 
-from ldctoolkit.lane_functions import OPTIONS, absolute_area, fma, larger, touches
+from ldctoolkit.lane_functions import OPTIONS, fma, larger, touches
 from ldctoolkit.simulation.kernel import data as at
 from ldctoolkit.simulation.kernel import lanes
 from ldctoolkit.simulation.kernel.lanes import LARGEST, L, copy, length_of
@@ -94,10 +93,9 @@ def _three(w, row, l, x, y, z):
 
 
 @numba.njit(inline="always", **OPTIONS)
-def _step(setting, k, ahead, w, full):
+def _step(setting, k, ahead, w):
     """Command and one whole step of every lane; True if something rare happens in one."""
     dt, offset, bound, l_f = setting[at.DT], setting[at.OFFSET], setting[at.BOUND], setting[at.AXLE]
-    per_step = 1.0 / dt
     B, E_0, E_1, area_x = _B, _E_0, _E_1, _AREA_X
     rare = False
     for l in range(L):
@@ -105,7 +103,7 @@ def _step(setting, k, ahead, w, full):
         x_0, x_1, x_2, x_3 = w[at.X + l], w[at.X + L + l], w[at.X + 2 * L + l], w[at.X + 3 * L + l]
         u, z, c_0, dc = w[at.LAST + l], w[at.Z + l], w[at.V_C_0 + l], w[at.V_DC + l]
         place = (w[at.T_0 + l] + (k + 1) * dt) * w[at.PER_T + l]
-        r_0, r_1 = w[at.LANE + l], fma(dc, min(place, 1.0) if full else place, c_0)
+        r_0, r_1 = w[at.LANE + l], fma(dc, min(place, 1.0), c_0)
         w[at.LANE + l] = r_1
         rate, turn = _ahead(w[at.T + l], w[at.PER_T + l], t, ahead)
         d = fma(w[at.WEIGHTS + l], fma(dc, rate, c_0), w[at.TARGET + l])
@@ -130,85 +128,25 @@ def _step(setting, k, ahead, w, full):
         area = fma(w[at.STEP + at.EX_R_0 * L + l], r_0, fma(w[at.STEP + at.EX_R_1 * L + l], r_1, area))
         w[at.N + l], w[at.N + L + l], w[at.N + 2 * L + l], w[at.N + 3 * L + l] = n_0, n_1, n_2, n_3
         w[at.SIGNED + l] = area
-        if full:
-            counted = w[at.COUNTED + l] > 0.0
-        else:
-            share = min(max(fma(w[at.ENDS + L + l], per_step, w[at.ENDS + l]) - k, 0.0), w[at.ALIVE + l])
-            w[at.COUNTED + l], counted = share, share > 0.0
-            wrong &= counted
+        counted = w[at.COUNTED + l] > 0.0
         event = not abs(n_0) <= bound  # also true for NaN
         event |= counted & ((x_0 * n_0 < 0.0) | touches(x_0, x_1, n_0, n_1, dt))
-        if full:
-            v, q_d, q_r = w[at.V + l], w[at.OF_A + 3 * L + l] * d, w[at.OF_A + 4 * L + l]
-            right = fma(q_r, r_0, _three(w, at.OF_A, l, x_1, x_2, x_3) + q_d)
-            left = fma(q_r, r_1, _three(w, at.OF_A, l, n_1, n_2, n_3) + q_d)
-            w[at.LIMITS + l], w[at.LIMITS + L + l] = fma(v, r_0, right), fma(v, r_1, left)
-            w[at.LIMITS + 2 * L + l], w[at.LIMITS + 3 * L + l] = right, left
-            event |= (w[at.S + at.BACK * L + l] == math.inf) & (n_0 < offset)
-            # an extreme between the samples that may be a new one
-            f_0, f_1 = fma(l_f, x_3, x_1), fma(l_f, n_3, n_1)
-            front = fma(dt, f_0 - f_1, max(fma(l_f, x_2, x_0), fma(l_f, n_2, n_0)))
-            deep, over = fma(dt, x_1 - n_1, max(x_0, n_0)), fma(dt, n_1 - x_1, -min(x_0, n_0))
-            event |= counted & (x_1 > 0.0) & (n_1 < 0.0) & (deep > w[at.S + at.DEEP * L + l])
-            event |= counted & (f_0 > 0.0) & (f_1 < 0.0) & (front > w[at.S + at.FRONT * L + l])
-            event |= (x_1 < 0.0) & (n_1 > 0.0) & (over > max(w[at.S + at.OPPOSITE * L + l], offset))
-        else:
-            event = (event | (share < 1.0)) & counted
+        v, q_d, q_r = w[at.V + l], w[at.OF_A + 3 * L + l] * d, w[at.OF_A + 4 * L + l]
+        right = fma(q_r, r_0, _three(w, at.OF_A, l, x_1, x_2, x_3) + q_d)
+        left = fma(q_r, r_1, _three(w, at.OF_A, l, n_1, n_2, n_3) + q_d)
+        w[at.LIMITS + l], w[at.LIMITS + L + l] = fma(v, r_0, right), fma(v, r_1, left)
+        w[at.LIMITS + 2 * L + l], w[at.LIMITS + 3 * L + l] = right, left
+        event |= (w[at.S + at.BACK * L + l] == math.inf) & (n_0 < offset)
+        # an extreme between the samples that may be a new one
+        f_0, f_1 = fma(l_f, x_3, x_1), fma(l_f, n_3, n_1)
+        front = fma(dt, f_0 - f_1, max(fma(l_f, x_2, x_0), fma(l_f, n_2, n_0)))
+        deep, over = fma(dt, x_1 - n_1, max(x_0, n_0)), fma(dt, n_1 - x_1, -min(x_0, n_0))
+        event |= counted & (x_1 > 0.0) & (n_1 < 0.0) & (deep > w[at.S + at.DEEP * L + l])
+        event |= counted & (f_0 > 0.0) & (f_1 < 0.0) & (front > w[at.S + at.FRONT * L + l])
+        event |= (x_1 < 0.0) & (n_1 > 0.0) & (over > max(w[at.S + at.OPPOSITE * L + l], offset))
         w[at.FLAG + l] = _WRONG if wrong else (1.0 if event else 0.0)
         rare |= event | wrong
     return rare
-
-
-@numba.njit(**OPTIONS)
-def _divide(setting, w):
-    """Integral of |e_y| over a step up to T in every lane, into `SIGNED`; True if a lane needs a closer look.
-
-    What that look wants goes into `WORK`: end, slope, integral and length of the step up to T.
-    """
-    dt, bound, closer = setting[at.DT], setting[at.BOUND], False
-    for l in range(int(setting[at.WIDTH])):
-        s, x_0, n_0, m_0, m_1 = w[at.COUNTED + l], w[at.X + l], w[at.N + l], dt * w[at.X + L + l], dt * w[at.N + L + l]
-        c_4 = 30.0 * (w[at.SIGNED + l] / dt - 0.5 * (x_0 + n_0) - (m_0 - m_1) / 12.0)
-        c_2, c_3 = 3.0 * (n_0 - x_0) - 2.0 * m_0 - m_1 + c_4, 2.0 * (x_0 - n_0) + m_0 + m_1 - 2.0 * c_4
-        m_0, c_2, c_3, c_4 = s * m_0, s * s * c_2, s * s * s * c_3, s * s * s * s * c_4
-        end = x_0 + m_0 + c_2 + c_3 + c_4
-        u = x_0 / (x_0 - end) if x_0 * end < 0.0 else 1.0
-        for _ in range(3):  # Newton's method from the straight line
-            value = fma(u, fma(u, fma(u, fma(u, c_4, c_3), c_2), m_0), x_0)
-            slope = fma(u, fma(u, fma(u, 4.0 * c_4, 3.0 * c_3), 2.0 * c_2), m_0)
-            following = u - value / slope
-            u = following if (following > 0.0) & (following < 1.0) & (u < 1.0) else u
-        to_u = u * fma(u, fma(u, fma(u, fma(u, c_4 / 5.0, c_3 / 4.0), c_2 / 3.0), 0.5 * m_0), x_0)
-        area, length = x_0 + 0.5 * m_0 + c_2 / 3.0 + c_3 / 4.0 + c_4 / 5.0, s * dt
-        w[at.SIGNED + l] = length * (abs(to_u) + abs(area - to_u))
-        slope = (m_0 + 2.0 * c_2 + 3.0 * c_3 + 4.0 * c_4) / max(length, 1e-300)
-        w[at.WORK + l], w[at.WORK + L + l] = end, slope
-        w[at.WORK + 2 * L + l], w[at.WORK + 3 * L + l] = length * area, length
-        look = touches(x_0, w[at.X + L + l], end, slope, length) | (not abs(end) <= bound) | (w[at.FLAG + l] == _WRONG)
-        closer |= look & (s > 0.0)
-    return closer
-
-
-@numba.njit(**OPTIONS)
-def _drive_to_T(setting, k, ahead, w):
-    """Sample k for S alone."""
-    if _step(setting, k, ahead, w, False) and _divide(setting, w):
-        for l in range(L):
-            if w[at.COUNTED + l] > 0.0:
-                w[at.FAILED + l] += 1.0 if w[at.FLAG + l] == _WRONG else 0.0  # the command before it was driven
-                x_0, x_1, end, slope = w[at.X + l], w[at.X + L + l], w[at.WORK + l], w[at.WORK + L + l]
-                length = w[at.WORK + 3 * L + l]
-                if not abs(end) <= setting[at.BOUND]:
-                    lanes.diverge(setting, w, l, w[at.T_0 + l] + k * setting[at.DT], True)
-                    w[at.DIVERGED + l], w[at.COUNTED + l], w[at.ALIVE + l] = 1.0, 0.0, 0.0
-                elif touches(x_0, x_1, end, slope, length):
-                    w[at.SIGNED + l] = absolute_area(x_0, x_1, end, slope, w[at.WORK + 2 * L + l], length)
-    for l in range(int(setting[at.WIDTH])):
-        area = abs(w[at.SIGNED + l]) if w[at.COUNTED + l] > 0.0 else 0.0
-        w[at.S + at.AREA * L + l] += area
-        w[at.LAST + l], w[at.TARGET + l] = w[at.TARGET + l], 0.0
-        w[at.X + l], w[at.X + L + l] = w[at.N + l], w[at.N + L + l]
-        w[at.X + 2 * L + l], w[at.X + 3 * L + l] = w[at.N + 2 * L + l], w[at.N + 3 * L + l]
 
 
 @numba.njit(inline="always", **OPTIONS)
@@ -296,7 +234,7 @@ def advance(exact, setting, w, k, ahead, first, bend, now, paths):
             if k < end and w[at.ALIVE + l] > 0.0:
                 next_cut = min(next_cut, min(full, end) if k < full else (k + 1.0 if k == full else end))
         w[at.NEXT_CUT] = next_cut
-    rare = _step(setting, k, ahead, w, True)
+    rare = _step(setting, k, ahead, w)
     if paths.shape[0]:
         for l in range(L):
             w[at.WHEEL + l] = w[at.TARGET + l]
@@ -337,17 +275,15 @@ def advance(exact, setting, w, k, ahead, first, bend, now, paths):
 
 @numba.njit(**OPTIONS)
 def drive_block(scene, exact, setting, law, times, recorded, paths, chosen, block, score, diverged, failed, tables):
-    """Every design of a law on one block of scenarios; scores into (d, SCORES, m), S alone into (d, 1, m)."""
+    """Every design of a law on one block of scenarios; scores into (d, SCORES, m)."""
     w, g, bend, begun = tables
-    several, score_only, most = times.shape[1] != 1, score.shape[1] == 1, 0
+    several, most = times.shape[1] != 1, 0
     start(scene, exact, setting, block, w, paths, chosen)
     copy(begun, 0, w, 0, _CHANGED)
     for l in range(L):
-        to_T = w[at.ENDS + l] + (1.0 if w[at.ENDS + L + l] > 0.0 else 0.0)
-        most = max(most, int(to_T if score_only else w[at.ENDS + 2 * L + l]))
-    if not score_only:
-        for k in range(most):
-            lanes.lay_bend(setting, recorded, block, k, w, bend, 4 * k * L)
+        most = max(most, int(w[at.ENDS + 2 * L + l]))
+    for k in range(most):
+        lanes.lay_bend(setting, recorded, block, k, w, bend, 4 * k * L)
     for design in range(law.shape[0]):
         copy(w, 0, begun, 0, _CHANGED)
         for l in range(L):
@@ -361,8 +297,5 @@ def drive_block(scene, exact, setting, law, times, recorded, paths, chosen, bloc
         for k in range(most):
             if several:
                 _look_ahead(setting, times, design, k, w, g)
-            if score_only:
-                _drive_to_T(setting, k, ahead, w)
-            else:
-                advance(exact, setting, w, k, ahead, block * L, bend, 4 * k * L, paths)
+            advance(exact, setting, w, k, ahead, block * L, bend, 4 * k * L, paths)
         lanes.hand_over(w, design, block, score, diverged, failed)

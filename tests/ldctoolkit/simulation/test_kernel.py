@@ -305,25 +305,3 @@ def test_threads_must_be_a_number_of_threads() -> None:
     for threads in (0, 2.5, "2", True):
         with pytest.raises(InputError, match=r"threads: .*allowed: a whole number >= 1"):
             drive(LQR(r_delta=100.0), over, threads=threads)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize(
-    "controller", [PreviewProportional(K_y=-0.06, K_psi=-0.1, T_lp=0.0), Stepped(LQR(r_delta=100.0))]
-)
-def test_S_alone_is_the_same_S(controller: Controller) -> None:
-    """The step that T cuts is a piece of a quartic; companions that were not worked out are NaN."""
-    over = closed_loop.takeover(make_scenarios(90, seed=21))
-    whole = drive(controller, over).outcome("departure")
-    (run,) = drive_many([controller], over, score_only=True)
-    alone = run.outcome("departure")
-    at_T = drive(controller, closed_loop.takeover(over.scenarios, settle=0.0))
-    np.testing.assert_allclose(alone.S, whole.S, rtol=0, atol=1e-7)
-    general = isinstance(controller, Stepped)
-    expected = whole if general else at_T.outcome("departure")
-    np.testing.assert_array_equal(alone.status, expected.status)
-    for name in METRICS:
-        values = getattr(alone.companions, name)[alone.triggered]
-        assert np.isfinite(values).any() if general else np.isnan(values).all()
-        np.testing.assert_array_equal(
-            getattr(alone.companions, name)[~alone.triggered], getattr(whole.companions, name)[~alone.triggered]
-        )
