@@ -11,7 +11,7 @@ from typing import Any, NoReturn
 
 from ldctoolkit import LdcError, __version__
 from ldctoolkit.option_checks import UnitWarning
-from studies.cli import assess, controllers, extract, fit, rank, report, review, risk, run, sensitivity
+from studies.cli import assess, controllers, extract, fit, rank, report, review, risk, run
 
 
 class _Parser(argparse.ArgumentParser):
@@ -29,9 +29,8 @@ def parser() -> argparse.ArgumentParser:
     )
     top.add_argument("--version", action="version", version=f"ldc {__version__}")
     commands = top.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    before, after = (extract, fit, review, assess, run, rank, risk), (report, sensitivity, controllers)
-    for add in (*(one.add_parser for one in before), report.add_compare_parser, *(one.add_parser for one in after)):
-        add(commands)
+    for one in (extract, fit, review, assess, run, rank, risk, report, controllers):
+        one.add_parser(commands)
     return top
 
 

@@ -1,4 +1,4 @@
-"""``ldc rank``: rank the stored results of a study again, as the study says or with other settings."""
+"""``ldc rank``: rank the stored results of a study again; ``ldc sensitivity``: which gain matters."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ldctoolkit.errors import InputError
-from studies.cli._console import Subparsers, number, output_file, positive_number, warn
+from studies.cli._console import Subparsers, number, output_file, positive_number, progress_bar, warn, whole_number
 
 if TYPE_CHECKING:
     from studies.study_file import Study
@@ -48,6 +48,7 @@ def add_parser(commands: Subparsers) -> None:
     parser.add_argument("--quiet", action="store_true", help="no table")
     parser.add_argument("--json", action="store_true", help="one JSON object on stdout, and no table")
     parser.set_defaults(run=run)
+    _add_sensitivity(commands)
 
 
 def run(chosen: argparse.Namespace) -> None:
@@ -113,3 +114,56 @@ def _with_settings(study: Study, chosen: argparse.Namespace) -> Study:
 def _same_chances(own: Study, study: Study) -> bool:
     """Whether no other setting was given that decides which design could be the best."""
     return (own.ranking.require, own.ranking.confidence) == (study.ranking.require, study.ranking.confidence)
+
+
+def _add_sensitivity(commands: Subparsers) -> None:
+    parser = commands.add_parser(
+        "sensitivity",
+        help="which gain matters: Sobol indices of S, and a profile around the winner",
+        description="Sobol indices of mean S over the designs of a study that was run, and a one-at-a-time profile "
+        "around its winner, for which missing designs are driven on the study's scenarios. Prints both and writes "
+        "DIR/sensitivity.csv.",
+    )
+    parser.add_argument("folder", metavar="DIR", help="folder that ldc run wrote")
+    add = parser.add_argument
+    add("--design", metavar="ID", help="middle of the profile: a label, an id or its start (default: the winner)")
+    about = "values of a number, at least (default: %(default)s); 0: only the study's, none driven"
+    add("--points", type=whole_number, default=9, metavar="N", help=about)
+    add(
+        "--case", type=positive_number, default=1, metavar="N", help="which case of the study (default: 1, the primary)"
+    )
+    parser.set_defaults(run=_run_sensitivity)
+
+
+def _run_sensitivity(chosen: argparse.Namespace) -> None:
+    """Carry the command out."""
+    from studies.cli._results import chosen_designs
+    from studies.cli._tables import print_indices, print_profiles
+    from studies.ranking.ranking import rank_study
+    from studies.sensitivity.sensitivity import sensitivity
+    from studies.sensitivity.winner_profile import winner_profile, write_sensitivity
+    from studies.storage.store import Store
+
+    store = Store.open(chosen.folder)
+    study, results = store.manifest.read_study(), store.results()
+    if chosen.case > len(results.cases):
+        raise InputError(f"--case {chosen.case}; allowed: 1 to {len(results.cases)}")
+    case = chosen.case - 1
+    if chosen.design is not None:
+        middle, role = chosen_designs(results.designs, [chosen.design])[0], "the chosen design"
+    else:
+        ranking = rank_study(results, study)[case]
+        # without a design that meets the requirements the first one is the one with the smallest mean S
+        middle = ranking.designs[ranking.winner or 0]
+        role = "smallest mean S, not ranked" if ranking.winner is None else "the winner"
+    blocks = sensitivity(results, study, case=case)
+    with progress_bar("profile") as advance:
+        profiles = winner_profile(results, study, middle, case=case, points=chosen.points, advance=advance)
+    path = Path(chosen.folder) / "sensitivity.csv"
+    write_sensitivity(blocks, profiles, path)
+    which = results.cases[case].case
+    if which.window == "control":
+        warn("S over the control window starts at the trigger: designs with different y_s are not comparable there")
+    print_indices(blocks, which.label, study.ranking.confidence)
+    print_profiles(profiles, middle, role, which.label, study.ranking.confidence)
+    print(f"sensitivity: {path}")

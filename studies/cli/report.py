@@ -34,6 +34,7 @@ def add_parser(commands: Subparsers) -> None:
         help="put the design whose id begins like this into the explorer; repeatable",
     )
     parser.set_defaults(run=run)
+    _add_compare(commands)
 
 
 def run(chosen: argparse.Namespace) -> None:
@@ -67,8 +68,7 @@ def _folder(name: str) -> Path:
 SOME_WORSE = 3  # exit code where a design is worse and the caller wants to know
 
 
-def add_compare_parser(commands: Subparsers) -> None:
-    """Declare ``ldc compare``."""
+def _add_compare(commands: Subparsers) -> None:
     parser = commands.add_parser(
         "compare",
         help="what got better or worse between two studies",

@@ -5,9 +5,7 @@ from __future__ import annotations
 import argparse
 import csv
 import io
-import json
 import os
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -47,7 +45,6 @@ def add_parser(commands: _console.Subparsers) -> None:
     about = "depth beyond the line in m; repeatable (default: 0.3 0.5 0.8 1 1.75)"
     parser.add_argument("--depth", type=number, action="append", metavar="X", help=about)
     parser.add_argument("-o", "--output", metavar="DIR", help="folder of the results (default: out/<study name>)")
-    parser.add_argument("--json", action="store_true", help="one JSON object on stdout, and no table")
     parser.set_defaults(run=run)
 
 
@@ -85,21 +82,14 @@ def run(chosen: argparse.Namespace) -> None:
         directory=chosen.output or folder,
         workers=chosen.workers,
         dask=chosen.dask,
-        progress=False if chosen.json else None,
         depths=chosen.depth or DEPTHS,
-        notice=lambda line: print(line, file=sys.stderr) if chosen.json else say(out, line),
+        notice=lambda line: say(out, line),
     )
     target = Path(chosen.output or folder)
     _write_csv(target / "risk.csv", list(risk.rows()))
     _write_csv(target / "worst.csv", list(risk.worst_rows()))
     write_risk_page(risk, target / "risk.html", title=study.title or study.name)
-    active = risk.designs[1:]
-    if chosen.json:
-        lights = {design.id: risk.light(design).state for design in active}
-        answer = {"n": risk.n, "invalid": int(risk.tally.invalid.sum()), "folder": str(target), "lights": lights}
-        print(json.dumps(answer | {"notes": list(risk.notes()), "results": list(risk.rows())}))
-        return
-    for design in active or risk.designs:
+    for design in risk.designs[1:] or risk.designs:
         _print_design(risk, design)
     say(out, *risk.notes())
     say(out, *(f"{name}: {target / f'risk.{name}'}" for name in ("csv", "html")))
