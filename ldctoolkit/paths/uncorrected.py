@@ -328,11 +328,9 @@ class UncorrectedPath:
 
         With `ahead` [s] it is the time at which the threshold is that far ahead, as the lateral speed is then. Searched
         for with 16 cells for each half wave of the highest mode, a peak inside a cell included, then a root to 1e-14 T;
-        in closed form for the parabola's own position.
+        in closed form for the parabola's own position, on the samples for that of recorded signals.
         """
-        if self.recorded is not None and ahead:
-            return self._ahead_of_samples(y_s, ahead)
-        if self.recorded is not None:
+        if self.recorded is not None and not ahead:
             return self.recorded.crossing_time(y_s)
         if not (self._disturbed or ahead):
             return dep.crossing_time(self.scenarios, y_s) if y_s >= 0.0 else np.zeros(self.n)
@@ -340,23 +338,6 @@ class UncorrectedPath:
 
         out = np.empty(self.n)
         crossings(self.columns(), float(ahead), float(y_s), out)
-        return out
-
-    def _ahead_of_samples(self, y_s: float, ahead: float) -> FloatArray:
-        """The same of recorded signals: straight lines between the values at the samples."""
-        out = np.full(self.n, np.inf)
-        for first in range(0, self.n, _AT_ONCE):
-            some = np.arange(first, min(first + _AT_ONCE, self.n))
-            path, rows = self.take(some), np.arange(some.size)
-            assert path.recorded is not None
-            t = path.recorded.times(rows)
-            value = path.lateral(t) + ahead * path.lateral_rate(t) - y_s
-            after = np.argmax(value > 0.0, axis=1)
-            before = np.maximum(after - 1, 0)
-            low, high = value[rows, before], value[rows, after]
-            share = np.where(after > 0, low / np.where(low < high, low - high, -1.0), 0.0)
-            found = t[rows, before] + share * (t[rows, after] - t[rows, before])
-            out[some] = np.where(high > 0.0, found, np.inf)
         return out
 
     @_quiet

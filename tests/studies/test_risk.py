@@ -213,10 +213,11 @@ def test_a_run_that_was_stopped_goes_on(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_numbers_do_not_depend_on_workers(tmp_path: Path) -> None:
-    """Nor on where a chunk ran: 40 chunks in two processes end in any order."""
+    """Nor on where a chunk ran: 40 chunks in two processes, or on a cluster, end in any order."""
     same: dict[str, Any] = {"n": 20_100, "chunk": 500}
     one = estimate_risk(STEERING, REAL, workers=1, **same)
     assert_same(estimate_risk(STEERING, REAL, workers=2, **same), one)
+    assert_same(estimate_risk(STEERING, REAL, workers=2, dask="local", **same), one)
 
 
 KILLED = """
