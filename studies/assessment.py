@@ -161,14 +161,6 @@ def _lateral_velocity_after(run: _Drive) -> FloatArray:
     return np.asarray(np.abs([np.interp(wanted, t, rate) for wanted, t, rate in rows]))
 
 
-def _of_outcome(name: str) -> Callable[[_Drive], FloatArray]:
-    def values(run: _Drive) -> FloatArray:
-        found: FloatArray = getattr(run.outcome.companions, name)
-        return found
-
-    return values
-
-
 @dataclasses.dataclass(frozen=True)
 class Quantity:
     """What a condition is about."""
@@ -177,14 +169,14 @@ class Quantity:
     unit: str
     at_least: bool  # Whether the limit is a lower one
     digits: int
-    of: Callable[[_Drive], FloatArray]
+    of: Callable[[_Drive], FloatArray] | None = None  # None for the metric of that name
 
 
 QUANTITIES: Final[Mapping[QuantityName, Quantity]] = {
     "dtle": Quantity("DTLE", "m", True, 2, _dtle),
-    "opposite_crossing": Quantity("Opposite line crossed by", "m", False, 2, _of_outcome("opposite_crossing")),
-    "a_y_added_peak": Quantity("Added a_y", "m/s²", False, 2, _of_outcome("a_y_added_peak")),
-    "jerk_added_peak": Quantity("Added jerk", "m/s³", False, 2, _of_outcome("jerk_added_peak")),
+    "opposite_crossing": Quantity("Opposite line crossed by", "m", False, 2),
+    "a_y_added_peak": Quantity("Added a_y", "m/s²", False, 2),
+    "jerk_added_peak": Quantity("Added jerk", "m/s³", False, 2),
     "jerk": Quantity("Lateral jerk", "m/s³", False, 2, _jerk),
     "steering_wheel_rate": Quantity("Steering wheel velocity", "°/s", False, 1, _wheel_rate),
     "lateral_velocity_after": Quantity("Lateral velocity 2 s after", "m/s", False, 2, _lateral_velocity_after),
@@ -322,7 +314,7 @@ def assess(
     width = min(max(given.vehicle.w_l, test.lane_width_m[0]), test.lane_width_m[1])
     given = dataclasses.replace(given, vehicle=dataclasses.replace(given.vehicle, w_l=width))
     cells = test.every_cell
-    runs = [_as_stated(test, cells, given), *(_variants(test, cells, given, seeds) if tolerances else ())]
+    runs = list(_variants(test, cells, given, seeds if tolerances else 0))
     limits = np.array([test.limits(one, cells) for one in test.condition])
     broken = next(
         (limits[c] for c, one in enumerate(test.condition) if one.quantity == "dtle"), np.full(cells.n, -np.inf)
@@ -336,7 +328,9 @@ def assess(
             raise
         except Exception as error:  # a controller may be third-party code
             raise LdcError(f"law {controller.name!r} in {test.name}: {raised(error)}") from None
-        found = [QUANTITIES[one.quantity].of(run) for one in test.condition]
+        metrics = run.outcome.companions
+        quantities = ((one.quantity, QUANTITIES[one.quantity].of) for one in test.condition)
+        found = [getattr(metrics, name) if of is None else of(run) for name, of in quantities]
         values.append(np.array(found).reshape(len(found), -1, cells.n).swapaxes(0, 1))
         status.append(run.outcome.status.reshape(-1, cells.n))
         solves.append(run.outcome.failed_solves.reshape(-1, cells.n))
@@ -350,19 +344,17 @@ def assess(
     return Assessment(test, cells, names, every, limits, met, diverged, np.concatenate(solves))
 
 
-_Variant = tuple[list[str], Setup, Scenarios]  # Names, what is driven, and the cells once for each name
+def _variants(test: Standard, cells: Cells, given: Setup, seeds: int) -> Iterator[tuple[list[str], Setup, Scenarios]]:
+    """As stated, then each vehicle at all corners with all seeds: names, what is driven, the cells once for each name.
 
-
-def _as_stated(test: Standard, cells: Cells, given: Setup) -> _Variant:
-    """The nominal vehicle, and a camera without noise."""
-    sensors = dataclasses.replace(given.options.sensors, e_y_noise=0.0, e_psi_noise=0.0, curvature_noise=0.0)
-    options = dataclasses.replace(given.options, mismatch=Mismatch(), sensors=sensors, residuals=Residuals())
-    return [""], given.on(options), test.scenarios(cells, given.vehicle.edge_offset)
-
-
-def _variants(test: Standard, cells: Cells, given: Setup, seeds: int) -> Iterator[_Variant]:
-    """Each vehicle at all corners with all seeds."""
+    As stated, the vehicle is the nominal one and the camera has no noise.
+    """
     speed, rate, sensors = test.speed_tolerance_km_h, test.lateral_velocity_tolerance_m_s, given.options.sensors
+    silent = dataclasses.replace(sensors, e_y_noise=0.0, e_psi_noise=0.0, curvature_noise=0.0)
+    options = dataclasses.replace(given.options, mismatch=Mismatch(), sensors=silent, residuals=Residuals())
+    yield [""], given.on(options), test.scenarios(cells, given.vehicle.edge_offset)
+    if not seeds:
+        return
     noisy = sensors.e_y_noise or sensors.e_psi_noise or sensors.curvature_noise
     corners = list(dict.fromkeys(itertools.product((-speed, speed), (-rate, rate)))) * (seeds if noisy else 1)
     off = np.repeat(np.array(corners), cells.n, axis=0)

@@ -115,8 +115,8 @@ def chosen_designs(designs: Sequence[Design], wanted: Sequence[str]) -> list[Des
     return found
 
 
-def verdict_design(folder: str | Path) -> tuple[Study, Design]:
-    """The study of a folder with results, and the design that its verdict names."""
+def verdict_design(folder: str | Path) -> tuple[Study, Sequence[Design], Design]:
+    """The study of a folder with results, its designs, and the one that its verdict names."""
     from studies.ranking.ranking import rank_study
     from studies.ranking.verdict import verdict
     from studies.storage.store import Store
@@ -124,7 +124,7 @@ def verdict_design(folder: str | Path) -> tuple[Study, Design]:
     store = Store.open(folder)
     study, results = store.manifest.read_study(), store.results()
     ranking = rank_study(results, study)[0]
-    return study, ranking.designs[verdict(ranking, results, study.setup()).place]
+    return study, ranking.designs, ranking.designs[verdict(ranking, results, study.setup()).place]
 
 
 _MOST_FAILED = 20

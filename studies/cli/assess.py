@@ -3,24 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from studies.cli._console import (
-    Subparsers,
-    add_row,
-    console,
-    each_once,
-    named,
-    new_table,
-    number,
-    positive_number,
-    progress_bar,
-    say,
-)
+from studies.cli._console import Subparsers, add_row, console, each_once, named, new_table, number, progress_bar, say
 
 if TYPE_CHECKING:
     from ldctoolkit import Controller, Setup
@@ -53,12 +41,10 @@ def add_parser(commands: Subparsers) -> None:
     add("--design", dest="only", action="append", metavar="LABEL", help="only this design of a study: label or id")
     add("--gain", type=named, action="append", metavar="NAME=VALUE", help="a gain of a law that is named; repeatable")
     add("--y-s", type=number, metavar="M", help="trigger threshold of a law that is named in m (default: -0.4)")
-    add("--ttlc", type=number, metavar="S", help="trigger by this time to line crossing in s, of all designs")
     add(
         "--plant", default="road-edge", metavar="STUDY",
         help="study whose plant and vehicle a law that is named is driven with (default: %(default)s)",
     )  # fmt: skip
-    add("--seeds", type=positive_number, default=3, metavar="N", help="seeds of the camera's noise (default: 3)")
     add("--no-tolerances", action="store_true", help="cells as stated only")
     add("-o", "--output", metavar="DIR", help="write DIR/assessment.html and DIR/predictions.csv")
     parser.set_defaults(run=run)
@@ -84,9 +70,7 @@ def run(chosen: argparse.Namespace) -> int:
             for test in tests:
                 if advance is not None:
                     advance(len(found), len(subjects) * len(tests))
-                tolerances = not chosen.no_tolerances
-                one = assess(controller, test, setup, y_s=y_s, tolerances=tolerances, seeds=chosen.seeds)
-                found.append((name, one))
+                found.append((name, assess(controller, test, setup, y_s=y_s, tolerances=not chosen.no_tolerances)))
     out = console()
     table = new_table(
         "Tests", ["Design", "Test", "passed\n[%]", "corners\n[%]", "green", "amber", "red"], (0, 1), narrow=True
@@ -98,7 +82,8 @@ def run(chosen: argparse.Namespace) -> int:
     out.print(table)
     for _, one in found if len(found) <= len(tests) else []:
         say(out, f"{one.standard.name}: {score_text(one)}")
-        say(out, *(f"  {one.cells.name(i)}: {one.lights[i]}: {one.reason(i)}" for i in _first_missed(one)))
+        missed = [i for light in ("red", "amber") for i in range(one.cells.n) if one.lights[i] == light]
+        say(out, *(f"  {one.cells.name(i)}: {one.lights[i]}: {one.reason(i)}" for i in missed[:4]))
         say(out, *(f"  not assessable: {what.what}: {what.why}" for what in one.standard.not_assessable))
     if chosen.output is not None:
         folder = Path(chosen.output)
@@ -106,12 +91,6 @@ def run(chosen: argparse.Namespace) -> int:
         page = write_assessment_page(found, folder / "assessment.html")
         say(out, f"predictions: {folder / 'predictions.csv'}", f"page: {page}")
     return 0 if all(one.passed.all() for _, one in found) else FAILS
-
-
-def _first_missed(one: Assessment) -> list[int]:
-    """The first few cells that are not green, red ones before amber ones."""
-    order = [i for light in ("red", "amber") for i in range(one.cells.n) if one.lights[i] == light]
-    return order[:4]
 
 
 def _subjects(text: str, chosen: argparse.Namespace) -> Iterator[Subject]:
@@ -131,13 +110,13 @@ def _subjects(text: str, chosen: argparse.Namespace) -> Iterator[Subject]:
         gains = {name: find_gain(kind, name, kind.name).parsed(value) for name, value in chosen.gain or ()}
         study, y_s = load_study(chosen.plant), -0.4 if chosen.y_s is None else chosen.y_s
         controller = kind(**gains)
-        yield Design.of(controller, y_s).label, controller, y_s, _setup(study.setup(), chosen)
+        yield Design.of(controller, y_s).label, controller, y_s, study.setup()
         return
     if chosen.gain or chosen.y_s is not None:
         raise InputError(f"--gain, --y-s: go with the name of a law; {text} has its own designs")
     if os.path.isfile(f"{text}/manifest.json"):  # noqa: PTH113 - raises nothing, whatever the name
-        study, named_design = verdict_design(text)
-        designs = chosen_designs(study.designs, chosen.only) if chosen.only else [named_design]
+        study, every, named_design = verdict_design(text)
+        designs = chosen_designs(every, chosen.only) if chosen.only else [named_design]
     elif text in catalog_names() or text.endswith(".toml"):
         study = load_study(text)
         designs = chosen_designs(study.designs, chosen.only) if chosen.only else list(study.designs)
@@ -146,8 +125,4 @@ def _subjects(text: str, chosen: argparse.Namespace) -> Iterator[Subject]:
         raise UnknownNameError(f"{text!r}: neither a law, nor a study, nor a folder; {nearest(text, names)}")
     for design in designs:
         if not design.is_baseline:
-            yield design.label, design.controller(), design.y_s, _setup(study.setup(), chosen)
-
-
-def _setup(setup: Setup, chosen: argparse.Namespace) -> Setup:
-    return setup if chosen.ttlc is None else dataclasses.replace(setup, trigger="ttlc", ttlc=chosen.ttlc)
+            yield design.label, design.controller(study.setup().convention), design.y_s, study.setup()

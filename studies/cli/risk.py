@@ -37,9 +37,7 @@ def add_parser(commands: _console.Subparsers) -> None:
     parser.add_argument("--design", action="append", metavar="ID", help=about)
     parser.add_argument("-n", type=_departures, default=10**6, metavar="N", help="departures, up to 1e9 (default: 1e6)")
     parser.add_argument("--model", metavar="MODEL", help="scenario model instead of the study's: a name or a JSON file")
-    parser.add_argument(
-        "--seed", type=whole_number, metavar="N", help="of departures and plants (default: the study's)"
-    )
+    parser.add_argument("--seed", type=whole_number, metavar="N", help="of what is drawn (default: the study's)")
     parser.add_argument("--workers", type=positive_number, metavar="N", help="processes (default: all cores)")
     parser.add_argument("--dask", metavar="ADDRESS", help="run on a Dask scheduler, or on this machine: local")
     about = "depth beyond the line in m; repeatable (default: 0.3 0.5 0.8 1 1.75)"
@@ -104,21 +102,15 @@ def _subject(chosen: argparse.Namespace) -> tuple[Study, ScenarioModel | None, S
     from studies.study_file import load_study
 
     if os.path.isfile(f"{chosen.study}/manifest.json"):  # noqa: PTH113 - raises nothing, whatever the name
-        study, design = verdict_design(chosen.study)
-        model = read_model(chosen.study, read_manifest(chosen.study))
-        return (
-            study,
-            model,
-            chosen_designs(study.designs, chosen.design) if chosen.design else [design],
-            Path(chosen.study),
-        )
+        study, every, named = verdict_design(chosen.study)
+        some = chosen_designs(every, chosen.design) if chosen.design else [named]
+        return study, read_model(chosen.study, read_manifest(chosen.study)), some, Path(chosen.study)
     study = load_study(chosen.study)
     designs = chosen_designs(study.designs, chosen.design) if chosen.design else study.designs
-    if not study.designs or sum(not design.is_baseline for design in designs) > _MOST_DESIGNS:
-        named = (
-            f"{len(designs)} designs; choose some with --design" if designs else "searches its designs; give a folder"
-        )
-        raise InputError(f"study {study.name}: {named}")
+    if not study.designs:
+        raise InputError(f"study {study.name}: searches its designs; give the folder that ldc run wrote")
+    if sum(not design.is_baseline for design in designs) > _MOST_DESIGNS:
+        raise InputError(f"study {study.name}: {len(designs)} designs; choose some with --design")
     return study, None, designs, Path("out") / study.name
 
 

@@ -1,7 +1,5 @@
 """How rare is an event: exact intervals of its probability, and whether one design has it more often than another."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ldctoolkit.arrays import FloatArray
@@ -14,23 +12,8 @@ LEVEL = 0.95
 def exact_interval(count: int, n: int, level: float = LEVEL) -> tuple[float, float]:
     """Interval of a probability after Clopper and Pearson, from `count` events in `n` independent trials.
 
-    It covers the true probability at least as often as `level` says, however rare the event is: without any event it
-    ends near 3.7/n at 95 %.
-
-    Raises `InputError` for counts that no trials can give.
-
-    Parameters
-    ----------
-    count : int
-        Trials with the event.
-    n : int
-        All trials; without any, nothing is known: 0 to 1.
-    level : float
-        Confidence level.
-
-    Returns
-    -------
-    low, high : float
+    It covers the true probability at least as often as `level` says. Without any event it ends near 3.7/n at 95 %; of
+    no trials it is 0 to 1. Raises `InputError` for counts that no trials can give.
 
     Examples
     --------
@@ -48,36 +31,15 @@ def exact_interval(count: int, n: int, level: float = LEVEL) -> tuple[float, flo
     return low, high
 
 
-def paired_sign(b: int, c: int, level: float = LEVEL) -> int:
-    """Whether an event is more frequent with a design than with its reference, on the same trials.
+def paired_sign(b: int, c: int) -> int:
+    """1 where a design has an event more often than its reference on the same trials, -1 where less often, else 0.
 
-    An exact two-sided test (McNemar's): where both are alike, a trial in which only one of them has the event is as
-    likely that of the design as that of the reference.
-
-    Raises `InputError` for negative counts.
-
-    Parameters
-    ----------
-    b, c : int
-        Trials in which only the design, and only the reference has the event.
-    level : float
-        Confidence level.
-
-    Returns
-    -------
-    int
-        1 where the design has it more often, -1 where less often, 0 where the trials do not tell.
-
-    Examples
-    --------
-    >>> paired_sign(9, 1), paired_sign(4, 2), paired_sign(0, 20)
-    (1, 0, -1)
+    Of b trials only the design has the event, of c only the reference. McNemar's exact test, two-sided at 5 %: where
+    both are alike, each of these trials is as likely one of the b as one of the c.
     """
     from scipy.stats import binomtest
 
-    if b < 0 or c < 0 or not 0.0 < level < 1.0:
-        raise InputError(f"pairs: {b} and {c} at {level:g}; allowed: counts >= 0, a level between 0 and 1")
-    if b == c or binomtest(b, b + c).pvalue > 1.0 - level:
+    if b == c or binomtest(b, b + c).pvalue > 1.0 - LEVEL:
         return 0
     return 1 if b > c else -1
 
