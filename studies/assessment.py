@@ -79,13 +79,15 @@ class _Drive:
         delta_0[takeover.rows] = takeover.delta_0
         return cls(setup, path, outcome, t[rows, place], x[rows, place], delta[rows, place], delta_0, limit)
 
+    def beyond(self, arm: float) -> FloatArray:
+        """How far the edge of an axle gets beyond the line in each interval [m], (n, k - 1)."""
+        f = self.x[:, :, 0] + arm * self.x[:, :, 2] - self.setup.vehicle.edge_offset
+        return _peaks(f, self.x[:, :, 1] + arm * self.x[:, :, 3], np.diff(self.t, axis=1))
+
     @functools.cached_property
     def largest(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Largest position of the front tyre's outer edge beyond the line until the test ends, when, and the end."""
-        l_f, edge = self.setup.vehicle.l_f, self.setup.vehicle.edge_offset
-        f, slope = self.x[:, :, 0] + l_f * self.x[:, :, 2] - edge, self.x[:, :, 1] + l_f * self.x[:, :, 3]
-        t, row = self.t[:, 1:], np.arange(len(self.t))
-        peaks = _peaks(f, slope, np.diff(self.t, axis=1))
+        t, row, peaks = self.t[:, 1:], np.arange(len(self.t)), self.beyond(self.setup.vehicle.l_f)
         deepest = np.maximum.accumulate(peaks, axis=1)
         reached = np.maximum.accumulate(np.where(peaks >= deepest, t, -np.inf), axis=1)
 
@@ -122,6 +124,12 @@ def _peaks(f: FloatArray, slope: FloatArray, h: FloatArray) -> FloatArray:
 def _dtle(run: _Drive) -> FloatArray:
     """Smallest distance of the front tyre's outer edge to the line until the test ends [m]."""
     return -run.largest[0]
+
+
+def _tyre_distance(run: _Drive) -> FloatArray:
+    """The same of all tyres: in a bend the rear ones stand further out [m]."""
+    rear = np.where(run.t[:, 1:] <= run.largest[2][:, None] + 1e-9, run.beyond(-run.setup.vehicle.l_r), -np.inf)
+    return np.asarray(np.minimum(_dtle(run), -rear.max(axis=1)))
 
 
 def _wheel_rate(run: _Drive) -> FloatArray:
@@ -174,6 +182,7 @@ class Quantity:
 
 QUANTITIES: Final[Mapping[QuantityName, Quantity]] = {
     "dtle": Quantity("DTLE", "m", True, 2, _dtle),
+    "tyre_distance": Quantity("Tyres to the line", "m", True, 2, _tyre_distance),
     "opposite_crossing": Quantity("Opposite line crossed by", "m", False, 2),
     "a_y_added_peak": Quantity("Added a_y", "m/s²", False, 2),
     "jerk_added_peak": Quantity("Added jerk", "m/s³", False, 2),
@@ -198,7 +207,7 @@ class Assessment:
     cells: Cells
     variants: tuple[str, ...]  # What differs from the cell as stated; empty for nothing
     values: FloatArray  # (w, c, n) In the units of `QUANTITIES`; NaN where a condition does not apply
-    limits: FloatArray  # (c, n)
+    limits: FloatArray  # (w, c, n)
     met: BoolArray  # (w, c, n)
     diverged: BoolArray  # (w, n) The vehicle left the road: no condition is met
     failed_solves: IntArray  # (w, n) Commands that came from the fallback law
@@ -254,11 +263,14 @@ class Assessment:
         for c in range(len(self.standard.condition)):
             missed = ~self.met[:, c, i]
             if missed.any():
-                of, variant = self._of(c), 0 if missed[0] else int(self.worst(c)[1][i])
+                of = self._of(c)
+                excess = (-1.0 if of.at_least else 1.0) * (self.values[:, c, i] - self.limits[:, c, i])
+                excess = np.where(self.diverged[:, i], np.inf, np.where(missed, excess, -np.inf))
+                variant = 0 if missed[0] else int(np.argmax(excess))
                 value = f"{of.title} {self.values[variant, c, i]:.{of.digits}f} {of.unit}"
                 found = "diverged" if self.diverged[variant, i] else value
                 where = f" ({self.variants[variant]})" if variant else ""
-                parts.append(f"{found}, limit {self.limits[c, i]:.{of.digits}f} {of.unit}{where}")
+                parts.append(f"{found}, limit {self.limits[variant, c, i]:.{of.digits}f} {of.unit}{where}")
         return "; ".join(parts).replace("-", "\u2212")
 
 
@@ -319,29 +331,37 @@ def assess(
     broken = next(
         (limits[c] for c, one in enumerate(test.condition) if one.quantity == "dtle"), np.full(cells.n, -np.inf)
     )
-    values, status, solves = [], [], []
+    values, status, solves, allowed = [], [], [], []
     for _, on, scenarios in runs:
         try:
             limit = np.tile(broken, scenarios.n // cells.n)
             run = _Drive.of(controller, Takeover.build(scenarios, on, y_s=y_s), limit)
-        except LdcError:
+        except (LdcError, KeyboardInterrupt, GeneratorExit):
             raise
-        except Exception as error:  # a controller may be third-party code
+        except BaseException as error:  # a controller may be third-party code
             raise LdcError(f"law {controller.name!r} in {test.name}: {raised(error)}") from None
         metrics = run.outcome.companions
         quantities = ((one.quantity, QUANTITIES[one.quantity].of) for one in test.condition)
         found = [getattr(metrics, name) if of is None else of(run) for name, of in quantities]
         values.append(np.array(found).reshape(len(found), -1, cells.n).swapaxes(0, 1))
+        own = np.repeat(limits[None], scenarios.n // cells.n, axis=0)
+        for c, one in enumerate(test.condition):
+            if (
+                one.quantity == "lateral_velocity_after" and scenarios.drift is not None
+            ):  # what is driven, if it is more
+                own[:, c] = np.maximum(limits[c].min(), scenarios.drift.lateral_velocity.reshape(-1, cells.n))
+        allowed.append(own)
         status.append(run.outcome.status.reshape(-1, cells.n))
         solves.append(run.outcome.failed_solves.reshape(-1, cells.n))
     slow = np.array([cells.speed / KM_H < one.from_speed_km_h - 1e-6 for one in test.condition])
     every = np.where(slow, np.nan, np.concatenate(values))
     lower = np.array([QUANTITIES[one.quantity].at_least for one in test.condition])[:, None]
-    beyond = np.where(lower, limits - every, every - limits)
+    most = np.concatenate(allowed)
+    beyond = np.where(lower, most - every, every - most)
     diverged = np.concatenate(status) == EventStatus.DIVERGED
     met = (np.isnan(beyond) | (beyond <= 1e-9)) & ~diverged[:, None]
     names = tuple(name for some, _, _ in runs for name in some)
-    return Assessment(test, cells, names, every, limits, met, diverged, np.concatenate(solves))
+    return Assessment(test, cells, names, every, most, met, diverged, np.concatenate(solves))
 
 
 def _variants(test: Standard, cells: Cells, given: Setup, seeds: int) -> Iterator[tuple[list[str], Setup, Scenarios]]:
@@ -384,7 +404,7 @@ def write_predictions(assessments: Sequence[tuple[str, Assessment]], path: str |
             worst, which = one.worst(c)
             for i in range(one.cells.n):
                 second, bend = f"{one.cells.second[i]:g}", bool(one.cells.bend[i])
-                numbers = (one.values[0, c, i], one.limits[c, i], worst[i])
+                numbers = (one.values[0, c, i], one.limits[0, c, i], worst[i])
                 shown = ["" if math.isnan(number) else f"{number:.6g}" for number in numbers]
                 writer.writerow([
                     design, one.standard.name, "extended" if one.cells.extended[i] else "standard",

@@ -3,7 +3,7 @@
 import dataclasses
 import math
 from collections.abc import Sequence
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -81,14 +81,14 @@ def _raced(study: Study, results: StudyResults, mean: FloatArray) -> IntArray:
     """
     if not study.ranking.require:
         return np.arange(len(mean))
-    ranking = Ranking.of(
-        results, results.cases[0], bootstrap=100, setup=study.setup(), D_y=study.report.D_y, vehicles=study.vehicles
-    )
+    asked: dict[str, Any] = {"setup": study.setup(), "vehicles": study.vehicles, "standards": study.standards}
+    ranking = Ranking.of(results, results.cases[0], bootstrap=100, D_y=study.report.D_y, **asked)
     worst = np.full(len(mean), -np.inf)
     for one in requirements_of(study.ranking.require, study.plant):
         excess = one.excess(metric_values(one.metric.name, ranking))
-        # a count of none, and a margin that no more scenarios change, have nothing to spare
-        spare = 0.0 if not one.limit or one.metric.group == "loop" else _SPARE
+        # a count of none, and a margin or a score that no more scenarios change, have nothing to spare
+        fixed = one.metric.group == "loop" or one.metric.name in study.standards
+        spare = 0.0 if not one.limit or fixed else _SPARE
         worst[ranking.index] = np.maximum(worst[ranking.index], np.where(np.isneginf(excess), -1.0, excess) + spare)
     acting = np.array([not design.is_baseline for design in results.designs])
     clear = np.flatnonzero((worst <= 0.0) & acting)

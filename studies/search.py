@@ -215,6 +215,7 @@ def _values_and_margins(
         D_y=study.report.D_y,
         setup=study.setup(),
         vehicles=study.vehicles,
+        standards=study.standards,
     )
     columns = [metric_values(name, ranking) for name in study.search.objectives] if study.search else []
     wanted = requirements_of(study.ranking.require, study.plant)

@@ -29,6 +29,7 @@ _FASTEST: Final = (
 
 QuantityName = Literal[
     "dtle",
+    "tyre_distance",
     "opposite_crossing",
     "a_y_added_peak",
     "jerk_added_peak",

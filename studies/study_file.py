@@ -37,7 +37,7 @@ from studies.design_space import DesignBlock, check_blocks
 from studies.plant_table import read_plant
 from studies.ranking.requirements import SETS, metric, parse_requirement
 from studies.results import Case
-from studies.standards import read_toml
+from studies.standards import read_toml, standard_names
 
 T = TypeVar("T")
 
@@ -380,10 +380,19 @@ class Study(Part):
         )
 
     @property
+    def _asked(self) -> tuple[str, ...]:
+        """What metrics, requirements and objectives the study names."""
+        return (*self.ranking.pareto, *self.ranking.require, *(self.search.objectives if self.search else ()))
+
+    @property
+    def standards(self) -> tuple[str, ...]:
+        """Tests of regulations whose scores are among them."""
+        return tuple(name for name in standard_names() if any(text.startswith(name) for text in self._asked))
+
+    @property
     def vehicles(self) -> tuple[VehicleName, ...]:
         """Named vehicles that designs are driven on beside the study's own."""
-        names = (*self.ranking.pareto, *self.ranking.require, *(self.search.objectives if self.search else ()))
-        worst = any(text.startswith(("S_worst", "comfortable_worst")) for text in names)
+        worst = any(text.startswith(("S_worst", "comfortable_worst")) for text in self._asked)
         return self.ranking.vehicles or (get_args(VehicleName) if worst else ())
 
     @property

@@ -306,8 +306,8 @@ class ModelProvenance:
 
 def driven(source: Mapping[str, Any]) -> dict[str, Any]:
     """Hours [h] and distance [m] that the data's description tells; None for what is no number above 0."""
-    told = {key: source.get(key) for key in ("hours", "distance")}
-    return {key: float(x) if isinstance(x, int | float) and 0.0 < x < math.inf else None for key, x in told.items()}
+    known = {key: source.get(key) for key in ("hours", "distance")}
+    return {key: float(x) if isinstance(x, int | float) and 0.0 < x < math.inf else None for key, x in known.items()}
 
 
 def software_versions() -> dict[str, str]:

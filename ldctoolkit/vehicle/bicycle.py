@@ -99,7 +99,7 @@ class VehicleParameters:
         Vehicle width, less than the lane's.
     steering_ratio : float
         Angle of the steering wheel over that of the front wheels; an assumption of the usual size, not the paper's. It
-        decides no path, only what is said of the steering wheel.
+        decides no path, only the steering wheel's velocity in tests of regulations.
 
     Examples
     --------

@@ -119,6 +119,8 @@ def _subjects(text: str, chosen: argparse.Namespace) -> Iterator[Subject]:
         designs = chosen_designs(every, chosen.only) if chosen.only else [named_design]
     elif text in catalog_names() or text.endswith(".toml"):
         study = load_study(text)
+        if not study.designs:
+            raise InputError(f"study {study.name}: searches its designs; give the folder that ldc run wrote")
         designs = chosen_designs(study.designs, chosen.only) if chosen.only else list(study.designs)
     else:
         names = (*controller_names(), *catalog_names())

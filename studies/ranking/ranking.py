@@ -154,6 +154,7 @@ class Ranking(RankedDesigns):
         pareto: Sequence[str] = (),
         setup: Setup | None = None,
         vehicles: Sequence[str] = (),
+        standards: Sequence[str] = (),
     ) -> Ranking:
         """Rank the designs of one case.
 
@@ -162,7 +163,8 @@ class Ranking(RankedDesigns):
 
         The case is one of the results'; the settings are those of ``[ranking]`` in a study file, D_y [m] is the depth
         that counts as deep. With a `setup`, what the designs were driven with, they have margins, what friction allows
-        is known, and the named `vehicles` are driven; without it margins are NaN.
+        is known, and the named `vehicles` and the cells of the named `standards`, and of those required, are driven;
+        without it margins are NaN.
         """
         options = None if setup is None else setup.options
         requirements = requirements_of(require, options)
@@ -171,9 +173,9 @@ class Ranking(RankedDesigns):
         reference = find_baseline(baseline, results)
         drivable = DrivableCase.of(case, results.scenarios)
         margins = {} if setup is None else _margins(results, case.case, setup.under(case.case.convention), vehicles)
-        asked = tuple(dict.fromkeys(one.metric.name for one in requirements if one.metric.name in standard_names()))
-        standards = {} if setup is None else _standards(asked, results.designs, setup.under(case.case.convention))
-        metrics = case_metrics(drivable, results.designs, D_y, margins, setup, standards)
+        named = (*standards, *pareto_metrics, *(one.metric.name for one in requirements))
+        scores = {} if setup is None else _scores(named, results.designs, setup.under(case.case.convention))
+        metrics = case_metrics(drivable, results.designs, D_y, margins, setup, scores)
         missed = missed_by(requirements, metrics)
         order = np.lexsort((metrics.S, np.array([bool(some) for some in missed]))).astype(np.int64)
         ranked = sum(not some for some in missed)
@@ -208,7 +210,7 @@ class Ranking(RankedDesigns):
                 [
                     tuple(miss.requirement.text for miss in some)
                     for some in missed_by(
-                        requirements, case_metrics(again, results.fresh.designs, D_y, margins, setup, standards)
+                        requirements, case_metrics(again, results.fresh.designs, D_y, margins, setup, scores)
                     )
                 ],
                 first_failed=designs[0] in [one.design for one in results.fresh.failed],
@@ -225,7 +227,7 @@ class Ranking(RankedDesigns):
             fresh = dataclasses.replace(fresh, winner=None)  # to leave the departures alone is no design
         warnings += warnings_of_sample(drivable.scenarios.side, inference)
         for i in best_of_laws(designs):
-            if not designs[i].is_baseline and (text := tail_text(*depths(results, case, int(order[i])))):
+            if not designs[i].is_baseline and (text := tail_text(*depths(results, case, int(order[i]), setup))):
                 warnings.append(f"{designs[i].label} is {text}.")
         front = np.zeros(len(order), dtype=np.bool_)
         if pareto_metrics and ranked:
@@ -292,6 +294,7 @@ def rank_study(results: StudyResults, study: Study) -> tuple[Ranking, ...]:
             pareto=settings.pareto,
             setup=study.setup(),
             vehicles=study.vehicles,
+            standards=study.standards,
         )
         for case in results.cases
     )
@@ -317,14 +320,15 @@ def _margins_of(keys: tuple[tuple[Any, ...], ...], setup: Setup) -> dict[tuple[A
     return dict(zip(keys, zip(gain.min(axis=1).tolist(), phase.min(axis=1).tolist(), strict=True), strict=True))
 
 
-def _standards(names: Sequence[str], designs: Sequence[Design], setup: Setup) -> dict[str, dict[str, float]]:
-    """Share of the cells of each standard that designs pass as stated."""
-    return {name: {one.id: _score(name, one, setup) for one in designs} for name in names}
+def _scores(names: Sequence[str], designs: Sequence[Design], setup: Setup) -> dict[str, dict[str, float]]:
+    """Share of the cells that designs pass as stated, of each standard among some metrics."""
+    standards = [name for name in dict.fromkeys(names) if name in standard_names()]
+    return {name: {one.id: _score(name, one, setup) for one in designs} for name in standards}
 
 
 @functools.lru_cache(maxsize=100_000)
 def _score(name: str, design: Design, setup: Setup) -> float:
-    """Kept for the next time; NaN where the law raises, which its run has reported."""
+    """Kept for the next time; NaN where the law raises, as the report's section says."""
     try:
         return assess(design.controller(setup.convention), name, setup, y_s=design.y_s, tolerances=False).score
     except Exception:  # a controller may be third-party code

@@ -14,6 +14,7 @@ from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.gains import GainValue
 from ldctoolkit.metrics import METRICS
 from ldctoolkit.notebook import CELL
+from ldctoolkit.paths.uncorrected import UncorrectedPath
 from ldctoolkit.scenario_model import ScenarioModel
 from ldctoolkit.scenario_model.model import misleading
 from studies.design import Design
@@ -105,7 +106,7 @@ def verdict(
         _stable_light(ranking, place),
         _limits_light(ranking, place),
         _plants_light(ranking, place, robustness),
-        *_tail_light(ranking, results, place),
+        *_tail_light(ranking, results, setup, place),
         *_scenarios_light(model),
     )
     return Verdict(title, tuple(sentences), lights, place, nearest, ahead, recorded)
@@ -243,17 +244,20 @@ def _limits_light(ranking: RankedDesigns, place: int) -> Light:
     return Light("Limits", "good", f"Meets {_list(list(names))}.")
 
 
-def depths(results: StudyResults, case: CaseResults, i: int) -> tuple[FloatArray, FloatArray]:
+def depths(
+    results: StudyResults, case: CaseResults, i: int, setup: Setup | None = None
+) -> tuple[FloatArray, FloatArray]:
     """Deepest positions of a design and without control on the departures that every design could be driven on [m]."""
-    passive = [k for k, design in enumerate(results.designs) if design.is_baseline]
-    without = case.companions.deepest[passive[0]] if passive else results.scenarios.d_y
-    return case.companions.deepest[i][case.drivable], without[case.drivable]
+    some, on = results.scenarios.take(case.drivable), setup or Setup()
+    return case.companions.deepest[i][case.drivable], UncorrectedPath.of(some, on.options.residuals, on.seed).deepest(
+        some.T
+    )
 
 
-def _tail_light(ranking: RankedDesigns, results: StudyResults, place: int) -> Iterator[Light]:
+def _tail_light(ranking: RankedDesigns, results: StudyResults, setup: Setup, place: int) -> Iterator[Light]:
     """Whether the design named goes badly more often than no control does; none where that is not significant."""
     case = next(one for one in results.cases if one.case == ranking.case)
-    if text := tail_text(*depths(results, case, int(ranking.index[place]))):
+    if text := tail_text(*depths(results, case, int(ranking.index[place]), setup)):
         yield Light("Tail", "bad", f"{_capital(text)}.")
 
 

@@ -82,6 +82,27 @@ def test_a_test_goes_on_two_seconds_after_its_limit_was_broken() -> None:
     assert np.abs(later.values[0, 0] + 0.3 + 2.0 * later.cells.second).max() < 0.03
 
 
+def test_a_corner_may_keep_the_lateral_velocity_that_it_departs_with() -> None:
+    """Without control the velocity stays: 0.65 m/s at the corner of the cell with 0.6 m/s."""
+    found = assess(NoControl(), DRIVEABILITY)
+    assert found.robust_score == 1.0
+    assert found.limits[:, 1, :5].max(axis=0).tolist() == pytest.approx([0.3, 0.35, 0.45, 0.55, 0.65])
+    assert found.limits[0, 1, :5].tolist() == [0.3, 0.3, 0.4, 0.5, 0.6]
+
+
+def test_in_a_bend_the_rear_tyres_count(built: Setup) -> None:
+    """The same drive of the catalog's test, from its trajectories: front and rear edges, to 1 mm."""
+    standard = load_standard("un-r79-b1")
+    scenarios = standard.scenarios(standard.every_cell, HALF)
+    driven = simulate(LQR(r_delta=60000.0), scenarios, y_s=-0.44, setup=quiet(built), trajectories=True).trajectories
+    assert driven is not None
+    e_y, e_psi = driven.x[:, :, 0] - HALF, driven.x[:, :, 2]
+    front, rear = np.nanmax(e_y + 1.43 * e_psi, axis=1), np.nanmax(e_y - 1.47 * e_psi, axis=1)
+    found = stated(LQR(r_delta=60000.0), "un-r79-b1", built, y_s=-0.44).values[0, 0]
+    ALL(found, -np.maximum(front, rear), atol=1e-3)
+    assert ((rear > 0.005) & (front < 0.0)).any()
+
+
 def test_each_cell_ends_by_its_own_limit() -> None:
     """With 0.1 m allowed at 0.2 m/s and 0.9 m at 0.5 m/s, the edge gets two seconds farther than each."""
     text = load_standard(ROAD_EDGE).model_dump()

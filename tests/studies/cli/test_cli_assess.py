@@ -1,13 +1,17 @@
-"""``ldc assess``, standards and the tail as requirements of a study, and what is said of a tail that got worse."""
+"""``ldc assess``, standards and the tail as requirements of a study, and the light of a tail that got worse."""
 
 import csv
+import dataclasses
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from controllers import LQR
 from helpers.cli import bad, good, ldc
+from helpers.closed_loop import known
 from helpers.pages import Page, whole
+from ldctoolkit import Controller, LinearLaw, Plant
 from studies import Study, rank_study, run_study
 from studies.ranking.requirements import parse_requirement, requirements_of
 from studies.ranking.verdict import Verdict, verdict
@@ -182,6 +186,68 @@ def test_a_study_that_requires_the_whole_standard(few: tuple[Path, str], tmp_pat
     good("run", "plain.toml", "-o", "out", "--workers", 1, cwd=tmp_path)
     assert "standards" not in page_at(tmp_path / "out" / "report.html").text
     assert "euroncap" not in (tmp_path / "out" / "ranking.csv").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    "tables",
+    [
+        f'[ranking]\nfinalists = 0\nrequire = ["{ROAD_EDGE}"]\n[search]\ntrials = 4\nbatch = 2',
+        f'[ranking]\nfinalists = 0\n[search]\ntrials = 4\nbatch = 2\nobjectives = ["S", "{ROAD_EDGE}"]',
+        f'[ranking]\nfinalists = 0\npareto = ["S", "{ROAD_EDGE}"]',
+    ],
+    ids=["requirement of a search", "objective", "front"],
+)
+def test_standards_are_metrics_like_others(tables: str, tmp_path: Path) -> None:
+    y_s = "{ from = -0.5, to = 0.2 }" if "search" in tables else "[-0.4, 0.2]"
+    text = f'name = "s"\n[scenarios]\nleft = 5\nright = 5\n{tables}\n[[design]]\nlaw = "lqr"\ny_s = {y_s}\n'
+    (tmp_path / "s.toml").write_text(text, encoding="utf-8")
+    good("run", "s.toml", "-o", "out", "--workers", 1, "--no-robustness", cwd=tmp_path)
+    shares = {row["euroncap_2026_elk_road_edge_share"] for row in rows(tmp_path / "out" / "ranking.csv")}
+    assert "1.0" in shares
+    assert len(shares) > 1
+
+
+def test_a_race_gives_up_what_is_worse_than_a_design_that_passes(tmp_path: Path) -> None:
+    """S is smallest with the earliest trigger, which passes: the later ones are separable from it."""
+    text = f'name = "s"\nrace = true\n[scenarios]\nleft = 300\nright = 300\n[ranking]\nrequire = ["{ROAD_EDGE}"]\n'
+    text += '[[design]]\nlaw = "lqr"\ny_s = [-0.4, 0.2, 0.3, 0.4]\n'
+    (tmp_path / "s.toml").write_text(text, encoding="utf-8")
+    out = good("run", "s.toml", "-o", "out", "--workers", 1, "--no-robustness", cwd=tmp_path)
+    assert "3 of 4 designs given up" in out
+
+
+@dataclasses.dataclass(frozen=True)
+class Picky(Controller):
+    name = "picky"
+    title = "Picky"
+
+    def prepare(self, plant: Plant) -> LinearLaw:
+        if plant.n == 36:  # the cells of the road edge test
+            raise RuntimeError("36 is no number")
+        law = LQR().prepare(plant)
+        assert isinstance(law, LinearLaw)
+        return law
+
+
+def test_a_law_that_raises_in_a_test_is_a_sentence_of_the_report(tmp_path: Path) -> None:
+    content = {"name": "s", "scenarios": {"left": 5, "right": 5}, "ranking": {"finalists": 0, "require": [ROAD_EDGE]}}
+    content |= {"design": [{"law": "none"}, {"law": "picky", "y_s": -0.4}]}
+    with known(Picky):
+        run_study(Study.from_dict(content), directory=tmp_path / "out", workers=1, progress=False)
+        good("report", "out", "--no-robustness", cwd=tmp_path)
+    page = page_at(tmp_path / "out" / "report.html")
+    assert f"{ROAD_EDGE}: law 'picky' in {ROAD_EDGE}: RuntimeError: 36 is no number" in page.words("standards")
+
+
+def test_without_control_the_residuals_count_too(tmp_path: Path) -> None:
+    """A law that never acts, and no design without control in the study: nothing is worse than it was."""
+    content = {"name": "s", "scenarios": {"left": 1000, "right": 1000}, "plant": {"residuals": {"y": True}}}
+    content |= {"ranking": {"bootstrap": 100, "finalists": 0}, "design": [{"law": "lqr", "y_s": 3.0}]}
+    study = Study.from_dict(content)
+    results = run_study(study, directory=tmp_path / "run", workers=1, progress=False)
+    (ranking,) = rank_study(results, study)
+    assert "Tail" not in [one.name for one in verdict(ranking, results, study.setup()).lights]
+    assert not any("0.8 m" in one for one in ranking.warnings)
 
 
 def judged(folder: Path, design: dict[str, Any]) -> tuple[Verdict, tuple[str, ...]]:
