@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from controllers import LQR
+import controllers
 from helpers.cli import bad, good, ldc
 from helpers.closed_loop import known
 from helpers.pages import Page, whole
@@ -224,7 +224,7 @@ class Picky(Controller):
     def prepare(self, plant: Plant) -> LinearLaw:
         if plant.n == 36:  # the cells of the road edge test
             raise RuntimeError("36 is no number")
-        law = LQR().prepare(plant)
+        law = controllers.LQR().prepare(plant)
         assert isinstance(law, LinearLaw)
         return law
 
