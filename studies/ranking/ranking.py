@@ -17,6 +17,7 @@ import numpy.typing as npt
 from ldctoolkit import BicycleModel, EventStatus, LinearLaw, Plant, SteeringLaw, VehicleParameters, controller_class
 from ldctoolkit.arrays import IntArray
 from ldctoolkit.departures import LEFT
+from ldctoolkit.errors import LdcError
 from ldctoolkit.metrics import METRICS, RELEASE_METRICS
 from ldctoolkit.review import design_margins
 from ldctoolkit.vehicle import Convention
@@ -331,7 +332,7 @@ def _score(name: str, design: Design, setup: Setup) -> float:
     """Kept for the next time; NaN where the law raises, as the report's section says."""
     try:
         return assess(design.controller(setup.convention), name, setup, y_s=design.y_s, tolerances=False).score
-    except Exception:  # a controller may be third-party code
+    except LdcError:
         return math.nan
 
 

@@ -3,17 +3,16 @@
 import numpy as np
 
 from ldctoolkit.arrays import FloatArray
-from ldctoolkit.errors import InputError
 from ldctoolkit.metrics import TAIL
 
 LEVEL = 0.95
 
 
-def exact_interval(count: int, n: int, level: float = LEVEL) -> tuple[float, float]:
-    """Interval of a probability after Clopper and Pearson, from `count` events in `n` independent trials.
+def exact_interval(count: int, n: int) -> tuple[float, float]:
+    """Interval of a probability after Clopper and Pearson, 95 %, from `count` events in `n` independent trials.
 
-    It covers the true probability at least as often as `level` says. Without any event it ends near 3.7/n at 95 %; of
-    no trials it is 0 to 1. Raises `InputError` for counts that no trials can give.
+    It covers the true probability in 95 % of the cases at least. Without any event it ends near 3.7/n; of no trials it
+    is 0 to 1.
 
     Examples
     --------
@@ -23,9 +22,7 @@ def exact_interval(count: int, n: int, level: float = LEVEL) -> tuple[float, flo
     """
     from scipy.stats import beta
 
-    if not 0 <= count <= n or not 0.0 < level < 1.0:
-        raise InputError(f"interval: {count} of {n} at {level:g}; allowed: 0 <= count <= n, a level between 0 and 1")
-    outside = (1.0 - level) / 2.0
+    outside = (1.0 - LEVEL) / 2.0
     low = float(beta.ppf(outside, count, n - count + 1)) if count > 0 else 0.0
     high = float(beta.ppf(1.0 - outside, count + 1, n - count)) if count < n else 1.0
     return low, high

@@ -249,9 +249,8 @@ def depths(
 ) -> tuple[FloatArray, FloatArray]:
     """Deepest positions of a design and without control on the departures that every design could be driven on [m]."""
     some, on = results.scenarios.take(case.drivable), setup or Setup()
-    return case.companions.deepest[i][case.drivable], UncorrectedPath.of(some, on.options.residuals, on.seed).deepest(
-        some.T
-    )
+    path = UncorrectedPath.of(some, on.options.residuals, on.seed)
+    return case.companions.deepest[i][case.drivable], path.deepest(some.T)
 
 
 def _tail_light(ranking: RankedDesigns, results: StudyResults, setup: Setup, place: int) -> Iterator[Light]:
