@@ -61,6 +61,8 @@ class Preview:
     yaw_rate: FloatArray  # (n, p) [rad/s] psi_l' = v c at each lookahead time
     # (n, p) [rad] Change of the lane's heading from now to each lookahead time, the integral of psi_l'
     heading: FloatArray
+    # (n,) [rad] Steering angle of the wheels at the moment of the state that is seen; None where it is not measured
+    wheel: FloatArray | None = None
 
 
 @final
@@ -297,8 +299,8 @@ def check_class(controller: type[Controller]) -> None:
 class LinearSteps(SteeringLaw):
     """The formula of `LinearLaw`; its state is z, earlier commands (n, c), the latest first, and the wheel angle.
 
-    The wheel angle is not measured here: it is what the nominal actuator makes of the commands. Sums are made term by
-    term: a scenario's command has the same bits in a batch of any size.
+    The wheel angle is not measured here: it is what the nominal actuator makes of the commands, unless `measured`. Sums
+    are made term by term: a scenario's command has the same bits in a batch of any size.
 
     Examples
     --------
@@ -315,6 +317,7 @@ class LinearSteps(SteeringLaw):
     kept: int  # c
     whole: int  # [samples] Age of the younger command that moves the wheel within a sample
     wheel: FloatArray  # (n, 3) Weights of the wheel angle, that command and the older one in the angle a sample later
+    measured: bool = False  # The wheel angle is that of the preview, as in the compiled loops
 
     @classmethod
     def of(cls, law: LinearLaw, plant: Plant) -> LinearSteps:
@@ -350,9 +353,11 @@ class LinearSteps(SteeringLaw):
         law, (z, past, angle) = self.law, state
         if past is None:
             past, angle = np.repeat(delta_prev[:, None], self.kept, axis=1), delta_prev
-        elif law.f_wheel is not None:
+        elif law.f_wheel is not None and not self.measured:
             young, old = delta_prev if self.whole == 0 else past[:, self.whole - 1], past[:, self.whole]
             angle = self.wheel[:, 0] * angle + self.wheel[:, 1] * young + self.wheel[:, 2] * old
+        if self.measured and preview.wheel is not None:
+            angle = preview.wheel
         delta = law.f_u * delta_prev
         if law.f_i is not None:
             delta += law.f_i * z

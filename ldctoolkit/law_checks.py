@@ -27,6 +27,7 @@ from ldctoolkit.errors import InputError, LdcError
 
 _OURS = tuple(Path(__file__).resolve().parent.parent / package for package in ("ldctoolkit", "studies"))
 _LONGEST = 500
+_LONGEST_AGE = 10.0  # [s] of what is seen: a law may ask for the lane where it was seen
 
 
 def raised(error: BaseException) -> str:
@@ -83,9 +84,10 @@ def check_law(law: object, n: int, name: str) -> Law:
     if callable(times):
         raise InputError(f"{where}: {type(law).__name__}.preview_times is a method; write @property above it")
     _check_array(times, "preview_times", ("p",), where)
-    wrong = ~(np.isfinite(times) & (times >= 0))
+    earliest = 0.0 if isinstance(law, LinearLaw) else -_LONGEST_AGE
+    wrong = ~(np.isfinite(times) & (times >= earliest))
     if wrong.any():
-        raise InputError(f"{where}: preview_times holds {times[wrong][0]:g}; allowed: finite times >= 0 [s]")
+        raise InputError(f"{where}: preview_times holds {times[wrong][0]:g}; allowed: finite times >= {earliest:g} [s]")
     if isinstance(law, LinearLaw):
         p = times.size
         for field, shape in {"F": (n, 4), "G_yaw_rate": (n, p), "G_heading": (n, p), "f_u": (n,)}.items():

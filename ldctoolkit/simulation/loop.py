@@ -328,13 +328,13 @@ def _drive_general(law: SteeringLaw, takeover: Takeover, name: str, rows: IntArr
     law_seconds, sample = 0.0, 0
     calls: list[tuple[IntArray, int, SolverCalls]] = []
     while going.size:
-        shown = np.zeros((m, 4)), np.zeros((m, times.size)), np.zeros((m, times.size))
+        shown = np.zeros((m, 4)), np.zeros((m, times.size)), np.zeros((m, times.size)), np.zeros(m)
         for plant in plants:
             plant.look(sample, times, *shown)
-        x, yaw_rate, heading = (values[batch] for values in shown)
+        x, yaw_rate, heading, wheel = (values[batch] for values in shown)
         t, previous = takeover.start[batch] + sample * takeover.setup.dt, np.where(alive, last, 0.0)[batch]
         started = time.perf_counter()
-        result = law.step(t, x, Preview(yaw_rate, heading), previous.copy(), own)
+        result = law.step(t, x, Preview(yaw_rate, heading, wheel), previous.copy(), own)
         law_seconds += time.perf_counter() - started
         delta, own, status = check_step(result, t.size, name)
         made = law.solver_calls(own)
@@ -380,9 +380,9 @@ class _Stretch:
         self.state = np.zeros((self.blocks.size, lanes.rings(self.setting)[-1]))
         entry.begin(tables.scene[rows], exact, self.setting, self.state, paths, place[rows])
 
-    def look(self, k: int, times: FloatArray, seen: FloatArray, yaw_rate: FloatArray, heading: FloatArray) -> None:
-        """What the law is shown of those that go on: state (m, 4); yaw rate and heading of the lane (m, p) each."""
-        own = seen[self.rows], yaw_rate[self.rows], heading[self.rows]
+    def look(self, k: int, times: FloatArray, *shown: FloatArray) -> None:
+        """What the law is shown of those that go on: state (m, 4); yaw rate, heading of the lane (m, p) each; wheel."""
+        own = [values[self.rows] for values in shown]
         self.entry.look(self.setting, self.state, k, self.blocks, times, *own)
 
     def go_on(self, k: int, command: FloatArray, alive: BoolArray) -> None:

@@ -123,14 +123,14 @@ def scheduled(
     z = 2.0 * np.log(v / low) / math.log(high / low) - 1.0
     from ldctoolkit.lane_functions import clenshaw
 
-    coefficients = np.ascontiguousarray(_coefficients(solve, what)[:, columns])
+    coefficients = np.ascontiguousarray(chebyshev(solve, what)[:, columns])
     values = np.empty((z.size, coefficients.shape[1]))
     clenshaw(z, coefficients, values)
     return values
 
 
 @functools.lru_cache(maxsize=256)
-def _coefficients(solve: Callable[[FloatArray], FloatArray], what: str) -> FloatArray:
+def chebyshev(solve: Callable[[FloatArray], FloatArray], what: str) -> FloatArray:
     """Chebyshev coefficients over log v, (nodes, k)."""
     for nodes in (48, 96, 192):
         z = np.cos(np.pi * (2 * np.arange(nodes) + 1) / (2 * nodes))

@@ -24,7 +24,7 @@ from ldctoolkit.lane_functions import OPTIONS
 from ldctoolkit.metrics import SCENARIO_METRICS
 from ldctoolkit.paths import kernels
 from ldctoolkit.simulation.kernel import data, exact_lanes, lanes, rk4_lanes, sight
-from ldctoolkit.simulation.kernel.data import ALIVE, LANES, SEEN, TARGET
+from ldctoolkit.simulation.kernel.data import ALIVE, LANES, SEEN, TARGET, WHEEL_SEEN
 
 
 def _digest() -> int:
@@ -67,12 +67,13 @@ def _entries(digest: int) -> Any:
                 exact_lanes.start(scene, exact, setting, block, state[block], paths, chosen)
 
     @numba.njit(cache=True, **OPTIONS)
-    def look(setting, state, k, blocks, times, seen, yaw_rate, heading):
-        """What the law sees at sample k of the scenarios of some blocks that go on, into (m, 4) and twice (m, p)."""
+    def look(setting, state, k, blocks, times, seen, yaw_rate, heading, wheel):
+        """What the law sees at sample k of the scenarios of some blocks that go on: (m, 4), twice (m, p), (m,)."""
         if digest < 0:
             return
         setting, state, blocks = _bare(setting), _bare(state), _bare(blocks)
         times, seen, yaw_rate, heading = _bare(times), _bare(seen), _bare(yaw_rate), _bare(heading)
+        wheel = _bare(wheel)
         ahead, noise = np.zeros((1 + 2 * times.shape[0]) * LANES), np.zeros(2 * LANES)
         for block in blocks:
             w = state[block]
@@ -84,6 +85,7 @@ def _entries(digest: int) -> Any:
                 if w[ALIVE + l] > 0.0:
                     for n in range(4):
                         seen[i, n] = w[SEEN + n * LANES + l]
+                    wheel[i] = w[WHEEL_SEEN + l]
                     for j in range(times.shape[0]):
                         yaw_rate[i, j] = ahead[(1 + 2 * j) * LANES + l]
                         heading[i, j] = ahead[(2 + 2 * j) * LANES + l]

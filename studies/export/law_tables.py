@@ -1,0 +1,214 @@
+"""A prepared law as the exported C code takes it: gains as series over speed, and constants."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any, Final
+
+import numpy as np
+
+from controllers._mpc_condensing import SOFT
+from controllers._mpc_law import MPCLaw
+from controllers.barrier_filter import BarrierLaw
+from controllers.pid import PIDLaw
+from controllers.pure_pursuit import PurePursuitLaw
+from controllers.sliding_mode import SlidingModeLaw
+from controllers.stanley import StanleyLaw
+from ldctoolkit import SPEED_RANGE, Controller, LinearLaw, LinearSteps, RecordedPath, Setup, SteeringLaw
+from ldctoolkit.arrays import FloatArray
+from ldctoolkit.errors import InputError
+from ldctoolkit.law_checks import check_controller, check_law
+from ldctoolkit.vehicle import Plant
+from ldctoolkit.vehicle.speed_schedule import chebyshev, filter_columns, scheduled
+
+UNITS: Final = {
+    "F": "rad/m, rad s/m, rad/rad, rad s/rad: feedback on the state", "f_u": "rad/rad: previous command",
+    "G_yaw_rate": "rad s/rad: yaw rate of the lane ahead", "G_heading": "rad/rad: heading of the lane ahead",
+    "f_i": "rad/(m s): integral of e_y", "f_past": "rad/rad: commands before the previous one",
+    "f_wheel": "rad/rad: angle of the wheels", "of_wheel": "rad/rad: angle of the wheels a sample later",
+    "distance": "m: preview distance", "e_psi_ss": "rad s/rad: heading error of steady cornering",
+    "delta_ss": "rad s/rad: steering angle of steady cornering", "slip": "rad s/rad: side slip of the front wheels",
+    "c": "1/s, 1, m/s, m: sliding variable", "drift": "its change over a sample without steering",
+    "cB": "m/(s rad): for a unit of steering angle", "cD": "m/rad: for a change of the lane's yaw rate",
+    "centre": "of the interval of commands, from the state and two yaw rates", "half_width": "rad: half its width",
+    "A": "state after a sample, row by row", "B": "for a command", "K": "LQR gain", "D": "for a change of yaw rate",
+    "PD": "P D", "back": "from the costate to the feedforward", "x_ss": "steady state for a unit of yaw rate",
+    "impulse": "commands after a unit correction", "project": "blocked moves from the plan",
+    "moves": "blocked moves from corrections", "E_0": "for the yaw rate at the start", "E_1": "and at the end",
+    "a_y": "lateral acceleration from state, command, yaw rate", "response": "of a_y (twice) and e_y to a command",
+    "gain": "Kalman gain, row by row", "model_A": "as A, of the filter", "model_B": "for the younger command",
+    "model_E_0": "for the yaw rate before", "model_E_1": "for the yaw rate now", "model_B_old": "for the older command",
+    "model_wheel": "for the angle of the wheels",
+}  # fmt: skip
+"""Units and meaning of the gains that are scheduled over speed."""
+
+
+@dataclasses.dataclass(frozen=True)
+class LawForm:
+    """A law at n speeds."""
+
+    law: str  # Section of the C code
+    gains: dict[str, FloatArray]  # (n, k) each
+    times: FloatArray  # (p,) [s] Lookahead times
+    constants: dict[str, Any] = dataclasses.field(default_factory=dict)
+    sent: int = 1  # Commands that it looks back on
+    heading: bool = False  # It sees the heading of the lane ahead
+    barrier: float = 0.0  # [rad] Limit of the barrier filter around it; 0 for no filter
+    mpc: dict[str, Any] | None = None  # Sizes of a linear MPC
+
+
+def law_form(law: object, dt: float, name: str) -> LawForm:
+    """The form of a prepared law; raises `InputError` for one that has no C code."""
+    if isinstance(law, LinearSteps):
+        inner = law_form(law.law, dt, name)
+        if law.law.f_wheel is None:
+            return inner
+        constants, sent = {"whole": law.whole}, max(inner.sent, law.whole + 2)
+        gains = inner.gains | {"of_wheel": law.wheel}
+        return dataclasses.replace(inner, gains=gains, constants=constants, sent=sent)
+    if isinstance(law, LinearLaw):
+        optional = {"G_heading": law.G_heading, "f_i": law.f_i, "f_past": law.f_past, "f_wheel": law.f_wheel}
+        kept = {key: _wide(value) for key, value in optional.items() if value is not None}
+        gains = {"F": law.F, "f_u": _wide(law.f_u), "G_yaw_rate": law.G_yaw_rate} | kept
+        sent = 1 + (0 if law.f_past is None else law.f_past.shape[1])
+        return LawForm("linear", gains, law.preview_times, sent=sent)
+    if isinstance(law, BarrierLaw):
+        inner = law_form(law.inner, dt, law.inner_name)
+        gains = {"centre": law.centre, "half_width": _wide(law.half_width)} | inner.gains
+        return dataclasses.replace(inner, gains=gains, times=law.preview_times, barrier=law.delta_max)
+    if isinstance(law, MPCLaw):
+        return _mpc_form(law)
+    if isinstance(law, PIDLaw | StanleyLaw | SlidingModeLaw | PurePursuitLaw):
+        constants = {gain.name: getattr(law.design, gain.name) for gain in law.design.gains()}
+        if isinstance(law, PIDLaw):
+            constants["share"] = -math.expm1(-dt / law.design.T_t)
+            names, what = ("distance", "e_psi_ss", "delta_ss"), "pid"
+        elif isinstance(law, StanleyLaw):
+            names, what, constants["l_f"] = ("slip",), "stanley", law.l_f
+        elif isinstance(law, SlidingModeLaw):
+            names, what = ("c", "drift", "cB", "cD", "e_psi_ss", "delta_ss"), "sliding_mode"
+        else:
+            names, what = (), "pure_pursuit"
+            constants |= {"L": law.L, "l_r": law.l_r, "step": law.preview_times[1]}
+        gains = {key: _wide(getattr(law, key)) for key in names}
+        return LawForm(what, gains, law.preview_times, constants, sent=2, heading=what == "pure_pursuit")
+    what = "never steers" if isinstance(law, RecordedPath) else f"prepares a {type(law).__name__}, which has no C code"
+    if name == "nonlinear_mpc":
+        what = "solves a nonlinear program at every sample, in no time that could be stated beforehand"
+    allowed = "a law that prepares a LinearLaw, pid, stanley, pure_pursuit, sliding_mode, barrier_filter, linear_mpc"
+    raise InputError(f"law {name!r}: cannot be exported, it {what}; allowed: {allowed}")
+
+
+def _mpc_form(law: MPCLaw) -> LawForm:
+    c, limits, N, M = law.condensed, law.limits, law.horizon, law.limits.start.size
+    m, n = c.B.shape[1], c.B.shape[0]
+    kinds = [SOFT[k] for k in np.flatnonzero(limits.scale)]
+    # corrections may count either way: one way at every speed
+    signs = np.sign(np.einsum("nii->ni", c.moves))[:, None, :]
+    blocked = {"impulse": c.impulse}
+    if M < N:  # what is 0 but for rounding follows no series
+        blocked = {"project": np.where(np.abs(c.project) < 1e-13, 0.0, c.project), "moves": np.triu(c.moves * signs)}
+    soft = {"E_0": c.E_0, "E_1": c.E_1} if kinds or limits.delay else {}
+    if kinds:
+        soft |= {"a_y": c.a, "response": c.response}
+    gains = {
+        "A": c.A, "B": c.B, "K": c.K, "D": c.D, "PD": c.PD, "back": c.back, "x_ss": c.x_ss, "delta_ss": c.delta_ss,
+        **blocked, **soft,
+    }  # fmt: skip
+    first = [int(np.argmax(limits.group == k)) for k in np.flatnonzero(limits.scale)]
+    sizes = {
+        "N": N, "M": M, "m": m, "delay": limits.delay, "window": limits.window, "kinds": kinds, "sides": limits.sides,
+        "rows": limits.group.size, "lagging": law.lagging, "age": law.age / law.dt, "first": _list(first),
+        "start": _list(limits.start.tolist()), "root": _reals(np.sqrt(limits.weight[limits.scale > 0])),
+        "iterations": 10 * (M + len(kinds)) + 20,
+    }  # fmt: skip
+    constants = {"delta_max": limits.delta_max, "rate_step": limits.rate_step, "window_share": limits.share}
+    constants |= {f"{kind}_scale": limits.scale[k] for k, kind in enumerate(SOFT)}
+    wide = {key: value.reshape(n, -1) for key, value in gains.items()}
+    return LawForm("mpc", wide, law.preview_times, constants, sent=limits.delay + 1, mpc=sizes)
+
+
+def _wide(values: FloatArray) -> FloatArray:
+    return values if values.ndim == 2 else values[:, None]
+
+
+def _list(values: list[int]) -> str:
+    return ", ".join(map(str, values))
+
+
+def _reals(values: FloatArray) -> str:
+    return ", ".join(f"LDC_W({c_number(value)})" for value in values.tolist())
+
+
+def c_number(value: float) -> str:
+    """A number as C writes a floating constant; what single precision takes for 0 is 0."""
+    text = repr(float(value)) if abs(value) > 1e-30 else "0.0"
+    return text if "." in text or "e" not in text else text.replace("e", ".0e")
+
+
+@dataclasses.dataclass(frozen=True)
+class Gains:
+    """The gains of a design at speeds (n,), side by side (n, k); the filter's too where the setup has one."""
+
+    controller: Controller
+    setup: Setup
+
+    def plant(self, v: FloatArray) -> Plant:
+        """What the design knows of the plant."""
+        return self.setup.plant(v)
+
+    def form(self, v: FloatArray) -> LawForm:
+        """The law at these speeds."""
+        plant = self.plant(v)
+        law = check_law(check_controller(self.controller).prepare(plant), plant.n, self.controller.name)
+        return law_form(law, self.setup.dt, self.controller.name)
+
+    def blocks(self, v: FloatArray) -> dict[str, FloatArray]:
+        """Every gain by its name."""
+        gains, sensors = dict(self.form(v).gains), self.setup.options.sensors
+        if sensors.kalman is not None:
+            columns = filter_columns(self.plant(v), sensors.kalman, max(1, round(sensors.period / self.setup.dt)))
+            names = ("gain", "model_A", "model_B", "model_E_0", "model_E_1", "model_B_old", "model_wheel")
+            gains |= dict(zip(names, np.split(columns, (8, 24, 28, 32, 36, 40), axis=1), strict=True))
+        return gains
+
+    def __call__(self, v: FloatArray) -> FloatArray:
+        """As `scheduled` takes it."""
+        return np.concatenate(list(self.blocks(v).values()), axis=1)
+
+
+@dataclasses.dataclass(frozen=True)
+class Schedule:
+    """Series of Chebyshev polynomials over log v, a column for each gain."""
+
+    form: LawForm  # At the fastest speed
+    sizes: dict[str, int]  # Columns of each gain
+    coefficients: FloatArray  # (terms, k)
+    error: float  # Largest against the exact gains, as a share of the largest value of each
+
+    @classmethod
+    def of(cls, controller: Controller, setup: Setup) -> Schedule:
+        """Raises `InputError` for a law that has no C code, `LdcError` for gains that no series follows."""
+        gains = Gains(controller, setup)
+        ends = np.array(SPEED_RANGE)  # a pursuit looks ahead furthest at one of them
+        form = gains.form(ends)
+        sizes = {name: values.shape[1] for name, values in gains.blocks(ends).items()}
+        if not sizes:
+            return cls(form, sizes, np.zeros((0, 0)), 0.0)
+        what = f"gains of {controller.name!r}"
+        series = chebyshev(gains, what)
+        size = np.abs(series).max(axis=0)
+        kept = np.abs(series) > 1e-15 * size
+        series = np.where(kept, series, 0.0)[: int(np.flatnonzero(kept.any(axis=1)).max(initial=0)) + 1]
+        v = np.geomspace(*SPEED_RANGE, 331)
+        exact = gains(v)
+        gap = np.abs(scheduled(gains, v, what) - exact).max(axis=0)
+        error = float((gap / np.maximum(np.abs(exact).max(axis=0), 1e-300)).max())
+        for name in ("G_heading", "f_i", "f_past", "f_wheel"):  # what is 0 at every speed needs no code
+            places = np.repeat(list(sizes), list(sizes.values())) == name
+            if places.any() and not series[:, places].any():
+                series = series[:, ~places]
+                del sizes[name]
+        form = dataclasses.replace(form, heading=form.heading or "G_heading" in sizes)
+        return cls(form, sizes, series, error)
