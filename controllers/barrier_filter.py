@@ -193,8 +193,8 @@ class BarrierLaw(SteeringLaw):
         """The command of the law inside, moved into the interval and the limit."""
         lower, upper = self.interval(x, preview.yaw_rate)
         # laid out as when it runs alone: the order of its sums may depend on it
-        lane = (np.ascontiguousarray(values[:, 2:]) for values in (preview.yaw_rate, preview.heading))
-        ahead = Preview(*lane, preview.wheel)
+        yaw_rate, heading = (np.ascontiguousarray(each[:, 2:]) for each in (preview.yaw_rate, preview.heading))
+        ahead = Preview(yaw_rate, heading, preview.wheel)
         delta, state, status = self.inner.step(t, x, ahead, delta_prev.copy(), state)
         delta, status = np.asarray(delta, dtype=np.float64), np.array(status, dtype=np.int8)
         if delta.shape != lower.shape or status.shape != lower.shape:

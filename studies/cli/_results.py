@@ -115,8 +115,24 @@ def chosen_designs(designs: Sequence[Design], wanted: Sequence[str]) -> list[Des
     return found
 
 
-def verdict_design(folder: str | Path) -> tuple[Study, Sequence[Design], Design]:
-    """The study of a folder with results, its designs, and the one that its verdict names."""
+@dataclasses.dataclass(frozen=True)
+class Judged:
+    """The study of a folder with results, ranked and judged."""
+
+    manifest: Manifest
+    study: Study
+    results: StudyResults
+    ranking: Ranking
+    verdict: Verdict
+
+    @property
+    def design(self) -> Design:
+        """The design that the verdict names."""
+        return self.ranking.designs[self.verdict.place]
+
+
+def judged(folder: str | Path) -> Judged:
+    """Read a folder that ldc run wrote."""
     from studies.ranking.ranking import rank_study
     from studies.ranking.verdict import verdict
     from studies.storage.store import Store
@@ -124,7 +140,7 @@ def verdict_design(folder: str | Path) -> tuple[Study, Sequence[Design], Design]
     store = Store.open(folder)
     study, results = store.manifest.read_study(), store.results()
     ranking = rank_study(results, study)[0]
-    return study, ranking.designs, ranking.designs[verdict(ranking, results, study.setup()).place]
+    return Judged(store.manifest, study, results, ranking, verdict(ranking, results, study.setup()))
 
 
 _MOST_FAILED = 20

@@ -97,7 +97,7 @@ def _subjects(text: str, chosen: argparse.Namespace) -> Iterator[Subject]:
     """What a name on the command line stands for."""
     from ldctoolkit import controller_names
     from ldctoolkit.errors import InputError, UnknownNameError, nearest
-    from studies.cli._results import chosen_designs, verdict_design
+    from studies.cli._results import chosen_designs, judged
     from studies.study_file import catalog_names, load_study
 
     if text in controller_names():
@@ -115,8 +115,9 @@ def _subjects(text: str, chosen: argparse.Namespace) -> Iterator[Subject]:
     if chosen.gain or chosen.y_s is not None:
         raise InputError(f"--gain, --y-s: go with the name of a law; {text} has its own designs")
     if os.path.isfile(f"{text}/manifest.json"):  # noqa: PTH113 - raises nothing, whatever the name
-        study, every, named_design = verdict_design(text)
-        designs = chosen_designs(every, chosen.only) if chosen.only else [named_design]
+        found = judged(text)
+        study = found.study
+        designs = chosen_designs(found.ranking.designs, chosen.only) if chosen.only else [found.design]
     elif text in catalog_names() or text.endswith(".toml"):
         study = load_study(text)
         if not study.designs:

@@ -96,15 +96,14 @@ def run(chosen: argparse.Namespace) -> None:
 def _subject(chosen: argparse.Namespace) -> tuple[Study, ScenarioModel | None, Sequence[Design], Path]:
     """The study, the model in its folder, the designs, and where results go by default."""
     from ldctoolkit.errors import InputError
-    from studies.cli._results import chosen_designs, verdict_design
-    from studies.storage.manifest import read_manifest
+    from studies.cli._results import chosen_designs, judged
     from studies.storage.stored_model import read_model
     from studies.study_file import load_study
 
     if os.path.isfile(f"{chosen.study}/manifest.json"):  # noqa: PTH113 - raises nothing, whatever the name
-        study, every, named = verdict_design(chosen.study)
-        some = chosen_designs(every, chosen.design) if chosen.design else [named]
-        return study, read_model(chosen.study, read_manifest(chosen.study)), some, Path(chosen.study)
+        found = judged(chosen.study)
+        some = chosen_designs(found.ranking.designs, chosen.design) if chosen.design else [found.design]
+        return found.study, read_model(chosen.study, found.manifest), some, Path(chosen.study)
     study = load_study(chosen.study)
     designs = chosen_designs(study.designs, chosen.design) if chosen.design else study.designs
     if not study.designs:

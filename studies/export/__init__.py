@@ -1,1 +1,91 @@
 """The way from a design to an ECU: C code that was run in the loop that ranked it."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+from ldctoolkit import Controller, Scenarios, Setup, load_model
+from ldctoolkit.errors import InputError
+from studies.export.c_code import VECTORS, Code, Origin, changed_files, is_stale, parameters, write_folder
+from studies.export.fmu import write_fmu
+from studies.export.loop_check import Check, check, compiler, record, vectors
+
+__all__ = ["VECTORS", "Check", "Code", "Export", "Origin", "changed_files", "export_c", "is_stale", "parameters"]
+
+DEPARTURES = 1000  # a check drives at least so many scenarios, where there are so many
+
+
+@dataclasses.dataclass(frozen=True)
+class Export:
+    """What an export wrote, and how its code compares with the toolkit's law."""
+
+    files: tuple[Path, ...]
+    check: Check | None  # None where it was not run
+    not_run: str = ""  # Why
+
+
+def export_c(
+    controller: Controller,
+    setup: Setup,
+    y_s: float,
+    folder: str | Path,
+    *,
+    scenarios: Scenarios | None = None,
+    origin: Origin | None = None,
+    run_check: bool = True,
+    fmu: bool = False,
+) -> Export:
+    """Write a design as C99 code with a test bench, and drive that code in the closed loop.
+
+    Raises `InputError` for a law that has no C code, as nonlinear MPC, and for a folder whose files were changed by
+    hand; `LdcError` if the compiler refuses the code.
+
+    Parameters
+    ----------
+    controller : Controller
+        The design.
+    setup : Setup
+        What it is designed for and driven with.
+    y_s : float [m]
+        Trigger threshold.
+    folder : path
+        Where the files go; it is made.
+    scenarios : Scenarios, optional
+        Departures of the check and the test vectors; by default 1,000 of the bundled model ``"reference"``.
+    origin : Origin, optional
+        The study and its verdict, for the header.
+    run_check : bool
+        Compile the code and compare it with the toolkit's law: commands on the same inputs, S in the loop.
+    fmu : bool
+        Pack the code as an FMU too.
+
+    Returns
+    -------
+    Export
+        ``check`` is None without a compiler.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from controllers import LQR
+    >>> few = load_model("reference").sample(20, 20, seed=1)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     made = export_c(LQR(), Setup(), 0.2, folder, scenarios=few, run_check=False)
+    ...     [path.name for path in made.files]
+    ['ldc_controller.c', 'main.c', 'README.md', 'test_vectors.csv', 'ldc_controller.h']
+    """
+    code = Code.of(controller, setup, y_s, origin)
+    if scenarios is None:
+        scenarios = load_model("reference").sample(DEPARTURES // 2, DEPARTURES // 2, seed=setup.seed)
+    recording = record(code, scenarios)
+    if not recording.counts.any():
+        raise InputError(f"scenarios: no departure beyond y_s = {y_s:g} m that does not diverge; allowed: one or more")
+    texts, command, target = write_folder(code, Path(folder), vectors(recording)), compiler(), Path(folder)
+    files = [target / name for name in texts]
+    if fmu:
+        files.append(write_fmu(code, texts, target, command))
+    if not run_check or command is None:
+        why = "not wanted" if not run_check else "no C compiler: neither cc on the path nor the package ziglang"
+        return Export(tuple(files), None, why)
+    return Export(tuple(files), check(recording, command))

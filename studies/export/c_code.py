@@ -10,11 +10,12 @@ import math
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, ClassVar, Final, Self
 
 import numpy as np
 
 from ldctoolkit import SPEED_RANGE, Controller, Setup
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.errors import InputError
 from ldctoolkit.option_checks import checked_number
 from ldctoolkit.version import __version__
@@ -54,7 +55,19 @@ class Origin:
             yield "requirements of the study: met"
 
 
-Field = tuple[str, int, str]  # name, how many, type in C
+_MEANING: Final = {
+    "e_y": "[m] offset of the centre of gravity from the lane's centre", "e_y_rate": "[m/s] its rate",
+    "e_psi": "[rad] heading against the lane", "e_psi_rate": "[rad/s] its rate", "v": "[m/s] speed",
+    "wheel": "[rad] steering angle of the wheels at the moment of the state",
+    "line_left": "[m] left edge beyond the left line, negative inside the lane",
+    "line_right": "[m] right edge beyond the right line", "line_rate": "[m/s] lateral velocity, of the trigger",
+    "heading": "[rad] change of the lane's heading from now until then",
+    "frame_e_y": "[m] offset in the latest frame of the camera; the state above only starts the filter",
+    "frame_e_psi": "[rad] heading in that frame", "frame_new": "1 if no earlier step had this frame",
+    "engage": "1: steer if a departure requires it; 0: hand over",
+}  # fmt: skip
+
+Field = tuple[str, int, str]  # name, size of an array or 0, type in C
 
 
 @dataclasses.dataclass(frozen=True)
@@ -66,6 +79,7 @@ class Code:
     y_s: float  # [m]
     schedule: Schedule
     origin: Origin | None
+    version: ClassVar[str] = __version__
 
     @classmethod
     def of(cls, controller: Controller, setup: Setup, y_s: float, origin: Origin | None = None) -> Self:
@@ -92,20 +106,23 @@ class Code:
     def inputs(self) -> tuple[Field, ...]:
         """Fields of the struct ``ldc_inputs``."""
         form, real = self.schedule.form, "ldc_real"
-        p = form.times.size
         names = ("e_y", "e_y_rate", "e_psi", "e_psi_rate", "v", "wheel", "line_left", "line_right")
-        fields = [(name, 1, real) for name in names]
-        fields += [("line_rate", 1, real)] if self.setup.ahead else []
-        fields += [("curvature", p, real)] + ([("heading", p, real)] if form.heading else [])
+        fields = [(name, 0, real) for name in (*names, *(("line_rate",) if self.setup.ahead else ()))]
+        fields += [(name, form.times.size, real) for name in ("curvature", *(("heading",) if form.heading else ()))]
         if self.filtered:
-            fields += [(name, 1, real) for name in ("frame_e_y", "frame_e_psi", "curvature_seen")]
-            fields += [("frame_new", 1, "int32_t")]
-        return (*fields, ("engage", 1, "int32_t"))
+            fields += [(name, 0, real) for name in ("frame_e_y", "frame_e_psi", "curvature_seen")]
+            fields += [("frame_new", 0, "int32_t")]
+        return (*fields, ("engage", 0, "int32_t"))
 
     @functools.cached_property
     def design(self) -> Design:
         """Law, gains and threshold."""
         return Design.of(self.controller, self.y_s)
+
+    @property
+    def gains(self) -> Gains:
+        """The exact gains, at any speeds."""
+        return Gains(self.controller, self.setup)
 
     def _banner(self, digests: dict[str, str]) -> Iterator[str]:
         p, options, form = self.setup.vehicle, self.setup.options, self.schedule.form
@@ -131,47 +148,54 @@ class Code:
         terms, k = self.schedule.coefficients.shape
         yield f"tables: {k} gains, {terms} Chebyshev terms over log v from {SPEED_RANGE[0]:g} to {SPEED_RANGE[1]:g} m/s"
         yield f"largest error of a table, as a share of its gain's largest value: {self.schedule.error:.1g}"
-        yield f"commands differ from the toolkit's by at most {double:g} rad in double, {single:g} rad in single precision"
+        yield f"largest difference of a command to the toolkit's: {double:g} rad, in single precision {single:g} rad"
         if form.mpc:
-            yield f"linear MPC: a step ends after at most {form.mpc['iterations']} iterations of its solver, by the loop's bound"
+            yield f"solver: at most {form.mpc['iterations']} iterations a step, by the bound of its loop"
         yield ""
-        for name, digest in digests.items():
-            yield f"sha256 {digest} {name}"
+        for name, found in digests.items():
+            yield f"sha256 {found} {name}"
 
     def texts(self, vectors: str) -> dict[str, str]:
         """Every file by its name; the header has the hashes of all, of itself with zeros in the place of its own."""
-        form, schedule, filtered = self.schedule.form, self.schedule, self.setup.options.sensors.kalman
+        form, sizes, ahead = self.schedule.form, self.schedule.sizes, self.setup.ahead
         known = math.floor(self.setup.plant([20.0]).delay / self.setup.dt + 1e-9)
-        sent = max(form.sent, known + 2 if filtered else 1)
-        offsets = np.cumsum([0, *schedule.sizes.values()]).tolist()
-        shown = {k: c_number(v) if isinstance(v, float) else v for k, v in form.constants.items()}
-        points = form.times.size - (2 if form.barrier else 0)
+        ahead_at = ", ".join(f"{t:g}" for t in form.times.round(9))
+        offsets = np.cumsum([0, *sizes.values()]).tolist()
         values: dict[str, Any] = {
-            "title": self.design.label, "law": form.law, "c": shown, "mpc": form.mpc, "heading": form.heading,
-            "has": {**dict.fromkeys(UNITS, 0), **schedule.sizes, "MOVES": schedule.sizes.get("moves", 0)},
-            "places": [(f"AT_{n.upper()}", at, UNITS[n]) for n, at in zip(schedule.sizes, offsets, strict=False)],
-            "columns": offsets[-1], "sent": sent, "points": points, "span": repr(math.log(SPEED_RANGE[1] / SPEED_RANGE[0])),
-            "table": [", ".join(f"LDC_W({c_number(x)})" for x in row) for row in schedule.coefficients.tolist()],
-            "barrier": c_number(form.barrier) if form.barrier else "", "ahead": c_number(self.setup.ahead) if self.setup.ahead else "",
-            "filter": {"known": known} if filtered else None, "age": f"{self.age:g}", "y_s": c_number(self.y_s),
-            "clips": form.law != "linear" or bool(form.barrier), "dots": form.law not in ("pid", "stanley") or bool(form.barrier or filtered),
-            "dt": c_number(self.setup.dt), "v_min": c_number(SPEED_RANGE[0]), "v_max": c_number(SPEED_RANGE[1]),
-            "times": form.times, "times_text": ", ".join(f"{t:g}" for t in form.times.round(9)), "fields": self.inputs,
-            "bound": f"{self.bounds[0]:g}", "float_bound": f"{self.bounds[1]:g}", "version": __version__,
-            "origin": list(self.origin.lines) if self.origin else [], "id": self.design.id,
+            "title": self.design.label, "version": __version__, "id": self.design.id, "fields": self.inputs,
+            "origin": list(self.origin.lines) if self.origin else [],
+            "law": form.law, "mpc": form.mpc, "heading": form.heading, "times": form.times,
+            "times_text": ahead_at,
+            "points": form.times.size - (2 if form.barrier else 0), "has": dict.fromkeys(UNITS, 0) | sizes,
+            "c": {name: c_number(x) if isinstance(x, float) else x for name, x in form.constants.items()},
+            "meaning": _MEANING | {
+                "curvature": f"[1/m] of the lane in {ahead_at} s",
+                "curvature_seen": f"[1/m] of the lane {self.age:g} s ago, where the frame was taken",
+            },
+            "places": [(f"AT_{name.upper()}", at, UNITS[name]) for name, at in zip(sizes, offsets, strict=False)],
+            "table": [", ".join(f"LDC_W({c_number(x)})" for x in row) for row in self.schedule.coefficients.tolist()],
+            "columns": offsets[-1], "span": repr(math.log(SPEED_RANGE[1] / SPEED_RANGE[0])),
+            "barrier": c_number(form.barrier) if form.barrier else "", "ahead": c_number(ahead) if ahead else "",
+            "filter": {"known": known} if self.filtered else None,
+            "sent": max(form.sent, known + 2 if self.filtered else 1),
+            "clips": form.law != "linear" or form.barrier > 0.0,
+            "dots": form.law not in ("pid", "stanley") or form.barrier > 0.0 or self.filtered,
+            "dt": c_number(self.setup.dt), "y_s": c_number(self.y_s), "v_min": c_number(SPEED_RANGE[0]),
+            "v_max": c_number(SPEED_RANGE[1]), "bound": f"{self.bounds[0]:g}", "float_bound": f"{self.bounds[1]:g}",
         }  # fmt: skip
         files = {name: render(name, **values) for name in (SOURCE, "main.c", "README.md")}
         files |= {VECTORS: vectors} if vectors else {}
-        digests = {name: _sha(text) for name, text in files.items()}
+        digests = {name: digest(text) for name, text in files.items()}
         header = render(HEADER, banner=self._banner(digests | {HEADER: _NONE}), **values)
-        return {HEADER: header.replace(_NONE, _sha(header)), **files}
+        return {HEADER: header.replace(_NONE, digest(header)), **files}
 
 
 _NONE: Final = "0" * 64
 _LINE: Final = re.compile(r"^ \* sha256 ([0-9a-f]{64}) (\S+)$", re.MULTILINE)
 
 
-def _sha(text: str) -> str:
+def digest(text: str) -> str:
+    """Its SHA-256."""
     return hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -185,11 +209,13 @@ def _wrapped(first: str, parts: Sequence[str]) -> Iterator[str]:
 def _environment() -> Any:
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
-    loader = PackageLoader("studies.export")
-    return Environment(loader=loader, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True)  # noqa: S701
+    made = Environment(loader=PackageLoader("studies.export"), undefined=StrictUndefined)
+    made.trim_blocks = made.lstrip_blocks = made.keep_trailing_newline = True
+    return made
 
 
 def render(name: str, **values: object) -> str:
+    """A template with its values."""
     text: str = _environment().get_template(name).render(**values)
     return text
 
@@ -198,7 +224,9 @@ def write_folder(code: Code, folder: Path, vectors: str) -> dict[str, str]:
     """Write every file of a design; raises `InputError` for a folder whose files were changed by hand."""
     changed = changed_files(folder)
     if changed:
-        raise InputError(f"{folder}: changed by hand since it was exported: {', '.join(changed)}; allowed: another folder")
+        raise InputError(
+            f"{folder}: changed by hand since it was exported: {', '.join(changed)}; allowed: another folder"
+        )
     files = code.texts(vectors)
     output_folder(folder)
     for name in sorted(files, key=lambda name: name == HEADER):  # the header last: it vouches for the others
@@ -211,19 +239,14 @@ def changed_files(folder: Path) -> list[str]:
     if not (folder / HEADER).is_file():
         return []
     text = read_bytes(folder / HEADER).decode(errors="replace")
-    found = {name: digest for digest, name in _LINE.findall(text)}
-    if HEADER not in found:
-        return [HEADER]
-    wrong = [HEADER] if _sha(text.replace(found.pop(HEADER), _NONE)) != dict(_swap(text))[HEADER] else []
-    for name, digest in found.items():
-        path = folder / name
-        if not path.is_file() or hashlib.sha256(read_bytes(path)).hexdigest() != digest:
-            wrong.append(name)
-    return wrong
+    stated = {name: found for found, name in _LINE.findall(text)}
+    actual = {name: _digest_of(folder / name) for name in stated}
+    actual[HEADER] = digest(text.replace(stated.get(HEADER, _NONE), _NONE))
+    return [name for name, found in actual.items() if found != stated.get(name)]
 
 
-def _swap(text: str) -> Iterator[tuple[str, str]]:
-    return ((name, digest) for digest, name in _LINE.findall(text))
+def _digest_of(path: Path) -> str:
+    return hashlib.sha256(read_bytes(path)).hexdigest() if path.is_file() else ""
 
 
 def is_stale(code: Code, folder: Path) -> bool:
@@ -236,24 +259,20 @@ def is_stale(code: Code, folder: Path) -> bool:
 def parameters(code: Code, kind: str) -> str:
     """The gains of a design over speed, for those who have the law: as JSON, or as a script of MATLAB."""
     v = np.arange(math.ceil(SPEED_RANGE[0]), math.floor(SPEED_RANGE[1]) + 1, dtype=np.float64)
-    gains = Gains(code.controller, code.setup)
-    blocks = {name: values for name, values in gains.blocks(v).items() if name in code.schedule.sizes}
+    blocks = {name: values for name, values in code.gains.blocks(v).items() if name in code.schedule.sizes}
     facts = {"design": code.design.id, "law": code.controller.name, "y_s_m": code.y_s, "dt_s": code.setup.dt}
-    given = {name: value for name, value in code.design.gains}
+    facts |= dict(code.design.gains)
+    times, origin = code.schedule.form.times, list(code.origin.lines) if code.origin else []
     if kind == "json":
         tables = {name: {"unit": UNITS[name], "values": values.tolist()} for name, values in blocks.items()}
-        content = {"ldctoolkit": __version__, **facts, "gains": given, "lookahead_s": code.schedule.form.times.tolist()}
-        content |= {"study": list(code.origin.lines) if code.origin else [], "speed_m_s": v.tolist(), "over_speed": tables}
-        return json.dumps(content, indent=1) + "\n"
-    lines = [f"% ldctoolkit {__version__}: {code.design.label}", *(f"% {line}" for line in code.origin.lines if code.origin)] if code.origin else [
-        f"% ldctoolkit {__version__}: {code.design.label}"]
-    for name, value in (facts | given).items():
-        lines.append(f"ldc.{name} = {value!r};" if not isinstance(value, bool) else f"ldc.{name} = {str(value).lower()};")
-    lines.append(f"ldc.lookahead_s = {_matrix(code.schedule.form.times[None])};")
-    lines.append(f"ldc.speed_m_s = {_matrix(v[:, None])};")
+        content = {"ldctoolkit": __version__, **facts, "study": origin, "lookahead_s": times.tolist()}
+        return json.dumps(content | {"speed_m_s": v.tolist(), "over_speed": tables}, indent=1) + "\n"
+    lines = [f"% ldctoolkit {__version__}: {code.design.label}", *(f"% {line}" for line in origin)]
+    lines += [f"ldc.{name} = {str(x).lower() if isinstance(x, bool) else repr(x)};" for name, x in facts.items()]
+    lines += [f"ldc.lookahead_s = {_matrix(times[None])};", f"ldc.speed_m_s = {_matrix(v[:, None])};"]
     lines += [f"ldc.{name} = {_matrix(values)}; % a row a speed; {UNITS[name]}" for name, values in blocks.items()]
     return "\n".join(lines) + "\n"
 
 
-def _matrix(values: Any) -> str:
-    return "[" + "; ".join(" ".join(repr(float(x)) for x in row) for row in values) + "]"
+def _matrix(values: FloatArray) -> str:
+    return "[" + "; ".join(" ".join(map(repr, row)) for row in values.tolist()) + "]"

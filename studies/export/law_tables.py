@@ -15,7 +15,7 @@ from controllers.pid import PIDLaw
 from controllers.pure_pursuit import PurePursuitLaw
 from controllers.sliding_mode import SlidingModeLaw
 from controllers.stanley import StanleyLaw
-from ldctoolkit import SPEED_RANGE, Controller, LinearLaw, LinearSteps, RecordedPath, Setup, SteeringLaw
+from ldctoolkit import SPEED_RANGE, Controller, LinearLaw, LinearSteps, RecordedPath, Setup
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.errors import InputError
 from ldctoolkit.law_checks import check_controller, check_law
@@ -64,9 +64,8 @@ def law_form(law: object, dt: float, name: str) -> LawForm:
         inner = law_form(law.law, dt, name)
         if law.law.f_wheel is None:
             return inner
-        constants, sent = {"whole": law.whole}, max(inner.sent, law.whole + 2)
-        gains = inner.gains | {"of_wheel": law.wheel}
-        return dataclasses.replace(inner, gains=gains, constants=constants, sent=sent)
+        sent, gains = max(inner.sent, law.whole + 2), inner.gains | {"of_wheel": law.wheel}
+        return dataclasses.replace(inner, gains=gains, constants={"whole": law.whole}, sent=sent)
     if isinstance(law, LinearLaw):
         optional = {"G_heading": law.G_heading, "f_i": law.f_i, "f_past": law.f_past, "f_wheel": law.f_wheel}
         kept = {key: _wide(value) for key, value in optional.items() if value is not None}
@@ -80,7 +79,8 @@ def law_form(law: object, dt: float, name: str) -> LawForm:
     if isinstance(law, MPCLaw):
         return _mpc_form(law)
     if isinstance(law, PIDLaw | StanleyLaw | SlidingModeLaw | PurePursuitLaw):
-        constants = {gain.name: getattr(law.design, gain.name) for gain in law.design.gains()}
+        constants: dict[str, Any] = {gain.name: getattr(law.design, gain.name) for gain in law.design.gains()}
+        names: tuple[str, ...] = ()
         if isinstance(law, PIDLaw):
             constants["share"] = -math.expm1(-dt / law.design.T_t)
             names, what = ("distance", "e_psi_ss", "delta_ss"), "pid"
@@ -89,7 +89,7 @@ def law_form(law: object, dt: float, name: str) -> LawForm:
         elif isinstance(law, SlidingModeLaw):
             names, what = ("c", "drift", "cB", "cD", "e_psi_ss", "delta_ss"), "sliding_mode"
         else:
-            names, what = (), "pure_pursuit"
+            what = "pure_pursuit"
             constants |= {"L": law.L, "l_r": law.l_r, "step": law.preview_times[1]}
         gains = {key: _wide(getattr(law, key)) for key in names}
         return LawForm(what, gains, law.preview_times, constants, sent=2, heading=what == "pure_pursuit")

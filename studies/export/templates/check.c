@@ -3,24 +3,17 @@
 
 #include <time.h>
 
-int32_t ldc_size(int32_t what);
+int32_t ldc_size(int32_t of_state);
 void ldc_batch(int32_t n, const ldc_inputs *in, ldc_state *state, ldc_outputs *out, double *seconds);
 
-int32_t ldc_size(int32_t what)
-{
-    const size_t size = (what == 0) ? sizeof(ldc_inputs) : ((what == 1) ? sizeof(ldc_state) : sizeof(ldc_outputs));
-    return (int32_t)size;
-}
+int32_t ldc_size(int32_t of_state) { return (int32_t)((of_state != 0) ? sizeof(ldc_state) : sizeof(ldc_inputs)); }
 
 void ldc_batch(int32_t n, const ldc_inputs *in, ldc_state *state, ldc_outputs *out, double *seconds)
 {
-    int32_t i;
-    for (i = 0; i < n; i++) {
-        struct timespec a = {0, 0};
-        struct timespec b = {0, 0};
-        if (seconds != NULL) {
-            (void)clock_gettime(CLOCK_MONOTONIC, &a);
-        }
+    struct timespec a = {0, 0};
+    struct timespec b = {0, 0};
+    for (int32_t i = 0; i < n; i++) {
+        if (seconds != NULL) { (void)clock_gettime(CLOCK_MONOTONIC, &a); }
         (void)ldc_step(&in[i], &state[i], &out[i]);
         if (seconds != NULL) {
             (void)clock_gettime(CLOCK_MONOTONIC, &b);
