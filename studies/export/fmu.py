@@ -73,5 +73,5 @@ def _values(code: Code, texts: dict[str, str]) -> dict[str, Any]:
     guid = f"{{{of_code[:8]}-{of_code[8:12]}-{of_code[12:16]}-{of_code[16:20]}-{of_code[20:32]}}}"
     return {
         "guid": guid, "variables": variables, "fields": code.inputs, "dt": repr(code.setup.dt), "id": code.design.id,
-        "title": code.design.label, "version": code.version,
+        "title": code.label, "version": code.version,
     }  # fmt: skip

@@ -69,9 +69,11 @@ def law_form(law: object, dt: float, name: str) -> LawForm:
     if isinstance(law, LinearLaw):
         optional = {"G_heading": law.G_heading, "f_i": law.f_i, "f_past": law.f_past, "f_wheel": law.f_wheel}
         kept = {key: _wide(value) for key, value in optional.items() if value is not None}
-        gains = {"F": law.F, "f_u": _wide(law.f_u), "G_yaw_rate": law.G_yaw_rate} | kept
-        sent = 1 + (0 if law.f_past is None else law.f_past.shape[1])
-        return LawForm("linear", gains, law.preview_times, sent=sent)
+        gains, times = {"F": law.F, "f_u": _wide(law.f_u), "G_yaw_rate": law.G_yaw_rate} | kept, law.preview_times
+        if not times.size:  # C has no empty arrays: a look at the lane that weighs nothing
+            gains["G_yaw_rate"], times = np.zeros((law.F.shape[0], 1)), np.zeros(1)
+            gains.pop("G_heading")
+        return LawForm("linear", gains, times, sent=1 + (0 if law.f_past is None else law.f_past.shape[1]))
     if isinstance(law, BarrierLaw):
         inner = law_form(law.inner, dt, law.inner_name)
         gains = {"centre": law.centre, "half_width": _wide(law.half_width)} | inner.gains
@@ -121,7 +123,7 @@ def _mpc_form(law: MPCLaw) -> LawForm:
         "N": N, "M": M, "m": m, "delay": limits.delay, "window": limits.window, "kinds": kinds, "sides": limits.sides,
         "rows": limits.group.size, "lagging": law.lagging, "age": law.age / law.dt, "first": _list(first),
         "start": _list(limits.start.tolist()), "root": _reals(np.sqrt(limits.weight[limits.scale > 0])),
-        "iterations": 10 * (M + len(kinds)) + 20,
+        "iterations": 10 * (M + len(kinds) + limits.group.size),
     }  # fmt: skip
     constants = {"delta_max": limits.delta_max, "rate_step": limits.rate_step, "window_share": limits.share}
     constants |= {f"{kind}_scale": limits.scale[k] for k, kind in enumerate(SOFT)}

@@ -123,8 +123,9 @@ class Compiled:
             folder = Path(name)
             for file, text in {HEADER: texts[HEADER], SOURCE: texts[SOURCE], "check.c": render("check.c")}.items():
                 (folder / file).write_text(text)
-            compile_c(command, folder, *options, "-Os", "-c", "-fstack-usage", SOURCE)
-            self.size, self.stack = _sizes(folder)
+            if not single:
+                compile_c(command, folder, *options, "-Os", "-c", "-fstack-usage", SOURCE)
+                self.size, self.stack = _sizes(folder)
             compile_c(command, folder, *options, "-O2", "-fPIC", "-shared", SOURCE, "check.c", "-o", "ldc.so", "-lm")
             self.library: Any = self.ffi.dlopen(str(folder / "ldc.so"))
         self.state = int(self.library.ldc_size(1))

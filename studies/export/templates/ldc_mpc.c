@@ -303,6 +303,7 @@ static int32_t solve(ldc_state *s, ldc_work w[LDC_VARIABLES])
             }
         }
     }
+    s->iterations = LDC_ITERATIONS;
     return 0;
 }
 

@@ -1,0 +1,354 @@
+"""Exported C code by itself: warnings, sanitizers, checkers, the test bench, the FMU, and the solver of linear MPC."""
+
+import re
+import shutil
+import subprocess
+import zipfile
+from pathlib import Path
+
+import fmpy
+import fmpy.fmi2
+import fmpy.validation
+import numpy as np
+import pytest
+
+from controllers import LQR, PID, BarrierFilter, LinearMPC, PurePursuit, SlidingMode, Stanley
+from helpers.closed_loop import make_scenarios
+from ldctoolkit import Controller, Preview, Setup
+from ldctoolkit.control import EventStatus
+from ldctoolkit.plant_options import Actuator, PlantOptions
+from studies.export import export_c
+from studies.export.c_code import Code
+from studies.export.loop_check import Compiled, compiler, record, struct
+from studies.study_file import load_study
+
+REALISTIC = load_study("trigger-and-gains").setup()
+STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror", "-pedantic")
+SOFT = LinearMPC(horizon=12, a_y_max=2.0, jerk_max=3.0, e_y_max=1.2)
+LAWS: dict[str, Controller] = {
+    "lqr": LQR(),
+    "barrier around pid": BarrierFilter(inner="pid"),
+    "pid": PID(),
+    "stanley": Stanley(),
+    "pure_pursuit": PurePursuit(),
+    "sliding_mode": SlidingMode(),
+    "mpc": LinearMPC(),
+    "mpc, soft": SOFT,
+    "mpc, blocks": LinearMPC(horizon=30, blocks=8, e_y_max=0.5),
+}
+
+
+def run(*command: object, cwd: Path, text: str | None = None) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [str(word) for word in command], cwd=cwd, input=text, capture_output=True, text=True, check=False
+    )
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return tmp_path / "made"
+
+
+def exported(controller: Controller, folder: Path, setup: Setup = REALISTIC, *, fmu: bool = False) -> Code:
+    made = export_c(controller, setup, 0.1, folder, scenarios=make_scenarios(60), run_check=False, fmu=fmu)
+    assert made.check is None
+    return Code.of(controller, setup, 0.1)
+
+
+# ------------------------------------------------------------------------------------------------ the text
+
+
+@pytest.mark.parametrize("single", [False, True])
+@pytest.mark.parametrize("name", ["lqr", "pure_pursuit", *(pytest.param(x, marks=pytest.mark.slow) for x in LAWS)])
+def test_bench_repeats_the_check_without_warnings(name: str, single: bool, folder: Path) -> None:
+    exported(LAWS[name], folder)
+    precision = ["-DLDC_USE_FLOAT"] if single else []
+    built = run("cc", *STRICT, *precision, "-O2", "main.c", "ldc_controller.c", "-lm", "-o", "bench", cwd=folder)
+    assert built.returncode == 0, built.stderr
+    vectors = (folder / "test_vectors.csv").read_text()
+    done = run("./bench", cwd=folder, text=vectors)
+    assert done.returncode == 0, done.stdout
+    assert re.fullmatch(r"\d{3,4} steps, largest difference \S+ rad, 0 phases differ\n", done.stdout)
+    lines = vectors.splitlines()
+    k = next(i for i in range(1, len(lines)) if lines[i].endswith(",1"))
+    *start, delta, phase = lines[k].split(",")
+    worse = ",".join([*start, repr(float(delta) + 2e-3), phase])
+    assert run("./bench", cwd=folder, text="\n".join([*lines[:k], worse, *lines[k + 1 :], ""])).returncode == 1
+    other = ",".join([*start, delta, "2"])
+    assert run("./bench", cwd=folder, text="\n".join([*lines[:k], other, *lines[k + 1 :], ""])).returncode == 1
+
+
+@pytest.mark.parametrize("name", ["lqr", *(pytest.param(name, marks=pytest.mark.slow) for name in LAWS)])
+def test_cppcheck_has_no_warnings(name: str, folder: Path) -> None:
+    if not shutil.which("cppcheck"):
+        pytest.skip("cppcheck is not installed")
+    exported(LAWS[name], folder)
+    options = (
+        "--enable=warning,portability,performance",
+        "--inconclusive",
+        "--error-exitcode=1",
+        "--std=c99",
+        "--quiet",
+    )
+    done = run("cppcheck", *options, "ldc_controller.c", "main.c", cwd=folder)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+HARNESS = """
+#include "ldc_controller.h"
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+static unsigned long long seed = 88172645463325252ull;
+static double uniform(void)
+{{
+    seed ^= seed << 13;
+    seed ^= seed >> 7;
+    seed ^= seed << 17;
+    return (double)(seed >> 11) / 9007199254740992.0;
+}}
+static double wild(double size)
+{{
+    static const double odd[] = {{NAN, INFINITY, -INFINITY, 1e308, -1e308, 1e-320, 0.0, -0.0, 1000.0, -1000.0, 1000.1}};
+    if (uniform() < 0.002) {{ return odd[(int)(uniform() * 11.0)]; }}
+    return size * (2.0 * uniform() - 1.0) * (uniform() < 0.1 ? 30.0 : 1.0);
+}}
+int main(void)
+{{
+    static ldc_state s;
+    ldc_inputs in;
+    ldc_outputs out;
+    double last = 0.0;
+    long phases[3] = {{0, 0, 0}}, bad = 0;
+    ldc_init(&s);
+    for (long n = 0; n < {steps}; n++) {{
+{fill}
+        if (uniform() < 0.9) {{ in.v = (ldc_real)(1.0 + 89.0 * uniform()); }}
+        in.engage = uniform() < 0.01 ? 0 : 1 + (uniform() < 0.01) * 2147483646;
+        ldc_step(&in, &s, &out);
+        if (!isfinite(out.delta) || out.phase < 0 || out.phase > 2) {{ return 2; }}
+        if (out.status & LDC_INPUT) {{
+            bad++;
+            if ((double)out.delta != last) {{ return 3; }}
+        }} else if (!isfinite(in.v) || in.v < 1 || in.v > 90) {{
+            return 4;
+        }}
+        if (out.iterations < 0 || out.iterations > {bound}) {{ return 5; }}
+        phases[out.phase]++;
+        last = (double)out.delta;
+    }}
+    printf("%ld %ld %ld %ld\\n", phases[0], phases[1], phases[2], bad);
+    return 0;
+}}
+"""
+SIZES = {
+    "v": 60.0,
+    "e_psi": 0.5,
+    "e_psi_rate": 0.5,
+    "wheel": 0.1,
+    "curvature": 0.005,
+    "heading": 0.2,
+    "frame_e_psi": 0.3,
+}
+
+
+@pytest.mark.parametrize("name", ["lqr", *(pytest.param(name, marks=pytest.mark.slow) for name in LAWS)])
+def test_sanitizers_are_quiet_on_wild_inputs(name: str, folder: Path) -> None:
+    code = exported(LAWS[name], folder)
+    fill = []
+    for field, size, kind in code.inputs:
+        value = f"({kind})wild({SIZES.get(field, SIZES.get(field.removesuffix('_seen'), 2.0))})"
+        if kind == "int32_t":
+            value = "(int32_t)(uniform() * 4.0) - 1"
+        fill.append(
+            f"for (int i = 0; i < {size}; i++) {{ in.{field}[i] = {value}; }}" if size else f"in.{field} = {value};"
+        )
+    bound = (code.schedule.form.mpc or {"iterations": 0})["iterations"]
+    (folder / "fuzz.c").write_text(HARNESS.format(steps=100_000, fill="\n".join(fill), bound=bound))
+    for precision in ((), ("-DLDC_USE_FLOAT",)):
+        sanitizers = ("-g", "-O1", "-fsanitize=undefined,address,float-cast-overflow", "-fno-sanitize-recover=all")
+        built = run(
+            "cc", "-std=c99", *sanitizers, *precision, "fuzz.c", "ldc_controller.c", "-lm", "-o", "fuzz", cwd=folder
+        )
+        assert built.returncode == 0, built.stderr
+        done = run("./fuzz", cwd=folder)
+        assert (done.returncode, done.stderr) == (0, "")
+        armed, active, released, bad = map(int, done.stdout.split())
+        assert armed + active + released == 100_000
+        assert min(armed, active, released, bad) > 100
+
+
+# ------------------------------------------------------------------------------------------------ held outputs
+
+
+def test_an_input_out_of_range_holds_output_and_state() -> None:
+    code = Code.of(LQR(), REALISTIC, 0.1)
+    one, rng = Compiled(code, ["cc"]), np.random.default_rng(1)
+    row = np.zeros(1, dtype=struct(code.inputs))
+    row["v"], row["engage"], row["line_left"], row["e_y"], row["frame_e_y"] = 20.0, 1, 0.3, 1.1, 1.1
+    state = one.begin(1)
+    first = one.step(row, state)[0]
+    assert (first["phase"], first["side"], first["status"]) == (1, 1, 0)
+    assert first["delta"] < 0.0
+    for name, value in [
+        ("e_y", np.nan),
+        ("v", 0.5),
+        ("v", 91.0),
+        ("wheel", -np.inf),
+        ("curvature", 1.5),
+        ("e_psi", 1001.0),
+    ]:
+        wrong, before = row.copy(), state.copy()
+        wrong[name] = value
+        held = one.step(wrong, state)[0]
+        assert (held["status"], held["delta"], held["phase"]) == (1, first["delta"], 1)
+        np.testing.assert_array_equal(state, before)
+    row["engage"], row["wheel"] = 0, rng.uniform(-0.05, 0.05)
+    over = one.step(row, state)[0]
+    assert (over["phase"], over["side"], over["delta"]) == (0, 0, row["wheel"][0])
+
+
+def test_the_deeper_side_decides() -> None:
+    code = Code.of(PID(), Setup(), 0.1)
+    one = Compiled(code, ["cc"])
+    row = np.zeros(4, dtype=struct(code.inputs))
+    row["v"], row["engage"] = 20.0, 1
+    row["line_left"], row["line_right"] = [0.1, 0.11, 0.2, -1.0], [0.1, -1.0, 0.3, 0.1000001]
+    np.testing.assert_array_equal(one.step(row, one.begin(4))["side"], [0, 1, -1, -1])
+
+
+# ------------------------------------------------------------------------------------------------ linear MPC
+
+
+@pytest.mark.parametrize("name", ["mpc", "mpc, soft", "mpc, blocks"])
+def test_the_solver_finds_what_the_toolkit_finds(name: str) -> None:
+    """One step from wild states, where many limits are active at once."""
+    setup = Setup(options=PlantOptions(actuator=Actuator(lag=0.1, delay=0.06)))
+    code, rng, n = Code.of(LAWS[name], setup, 0.1), np.random.default_rng(4), 1500
+    v = rng.uniform(5.0, 50.0, n)
+    x = rng.normal(size=(n, 4)) * [1.0, 1.0, 0.05, 0.1] * rng.choice([0.1, 1.0, 3.0], (n, 1))
+    last = rng.uniform(-0.13, 0.13, n)
+    law = LAWS[name].prepare(setup.plant(v))
+    yaw_rate = rng.normal(0.0, 0.02, (n, law.preview_times.size))
+    delta, _, status = law.step(np.zeros(n), x, Preview(yaw_rate, 0.0 * yaw_rate), last, law.init(n))
+    one, row = Compiled(code, ["cc"]), np.zeros(n, dtype=struct(code.inputs))
+    for i, field in enumerate(("e_y", "e_y_rate", "e_psi", "e_psi_rate")):
+        row[field] = x[:, i]
+    row["v"], row["wheel"], row["line_left"], row["engage"] = v, last, 1.0, 1
+    row["curvature"] = yaw_rate / v[:, None]
+    out = one.step(row, one.begin(n))
+    np.testing.assert_array_equal(out["status"] == 8, status == EventStatus.BEYOND_DELTA_MAX)
+    assert 10 < (out["status"] == 8).sum() < n / 2
+    assert ((out["iterations"] > 1) & (out["status"] == 0)).sum() > 300
+    good = status != EventStatus.SOLVER_FAILED
+    assert good.sum() > 0.99 * n
+    assert not (out["status"] & 4).any()
+    np.testing.assert_allclose(out["delta"][good], delta[good], rtol=0.0, atol=1e-7)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["mpc", "mpc, soft", "mpc, blocks"])
+def test_no_step_of_a_million_exceeds_the_bound(name: str) -> None:
+    code, rng, n = Code.of(LAWS[name], REALISTIC, 0.1), np.random.default_rng(7), 1000
+    one, row, seconds = Compiled(code, ["cc"]), np.zeros(n, dtype=struct(code.inputs)), np.zeros(n)
+    state, most, failed, longest = one.begin(n), 0, 0, 0.0
+    sizes = {"e_y_rate": 2.0, "e_psi_rate": 0.3, "wheel": 0.05, "frame_e_y": 2.0, "frame_e_psi": 0.1, "e_y": 2.0}
+    for _ in range(334 if name != "mpc" else 400):
+        row["v"], row["line_left"], row["frame_new"] = rng.uniform(2.0, 80.0, n), 1.0, rng.random(n) > 0.3
+        for field, size in sizes.items():
+            row[field] = rng.normal(0.0, size * rng.choice([0.1, 1.0, 3.0]), n)
+        row["curvature"] = rng.normal(0.0, 0.002, row["curvature"].shape)
+        row["engage"] = rng.random(n) > 0.05
+        out = one.step(row, state, seconds)
+        most, failed = max(most, int(out["iterations"].max())), failed + int((out["status"] & 4).astype(bool).sum())
+        longest = max(longest, float(seconds.max()))
+    bound = code.schedule.form.mpc["iterations"]  # type: ignore[index]
+    print(f"{name}: {most} iterations of {bound}, {failed} fallbacks, longest step {1e6 * longest:.0f} us")
+    assert 20 < most <= bound
+    assert failed == 0
+
+
+# ------------------------------------------------------------------------------------------------ the FMU
+
+
+def test_fmu_gives_the_same_commands(folder: Path) -> None:
+    code = exported(BarrierFilter(inner="lqi"), folder, fmu=True)
+    path = folder / "ldc_controller.fmu"
+    assert fmpy.validation.validate_fmu(str(path)) == []
+    with zipfile.ZipFile(path) as packed:
+        assert {"sources/fmu.c", "sources/ldc_controller.c", "binaries/linux64/ldc_controller.so"} <= set(
+            packed.namelist()
+        )
+    recording = record(code, make_scenarios(20))
+    description, unpacked = fmpy.read_model_description(str(path)), fmpy.extract(str(path))
+    places = {one.name: one.valueReference for one in description.modelVariables}
+    slave = fmpy.fmi2.FMU2Slave(
+        guid=description.guid, unzipDirectory=unpacked, modelIdentifier="ldc_controller", instanceName="one"
+    )
+    slave.instantiate()
+    slave.setupExperiment(startTime=0.0)
+    slave.enterInitializationMode()
+    slave.exitInitializationMode()
+    for i in np.flatnonzero(recording.counts[4])[:4]:
+        for k in np.flatnonzero(recording.counts[:, i]):
+            for name, size, kind in code.inputs:
+                value = np.atleast_1d(recording.inputs[name][k, i]).tolist()
+                own = [places[f"{name}[{j + 1}]" if size else name] for j in range(max(size, 1))]
+                (slave.setReal if kind == "ldc_real" else slave.setInteger)(own, value)
+            slave.doStep(currentCommunicationPoint=k * 0.05, communicationStepSize=0.05)
+            assert slave.getReal([places["delta"]])[0] == pytest.approx(recording.delta[k, i], abs=1e-9)
+            assert slave.getInteger([places["phase"]])[0] == recording.phase[k, i]
+        slave.reset()
+    with pytest.raises(Exception, match="fmi2DoStep failed"):
+        slave.doStep(currentCommunicationPoint=0.0, communicationStepSize=0.01)
+    slave.terminate()
+    slave.freeInstance()
+    shutil.rmtree(unpacked)
+
+
+def test_fmu_in_a_co_simulation(folder: Path) -> None:
+    """The importer's own master: inputs from a table, outputs a step later."""
+    code = exported(PID(), folder, Setup(), fmu=True)
+    recording = record(code, make_scenarios(5))
+    k = np.flatnonzero(recording.counts[:, 0])
+    table = np.zeros(
+        k.size, dtype=[("time", float), *((name if not size else f"{name}[1]", "f8") for name, size, _ in code.inputs)]
+    )
+    table["time"] = np.arange(k.size) * 0.05
+    for name, size, _ in code.inputs:
+        table[f"{name}[1]" if size else name] = recording.inputs[name][k, 0].reshape(-1)
+    found = fmpy.simulate_fmu(
+        str(folder / "ldc_controller.fmu"), stop_time=k.size * 0.05, step_size=0.05, output_interval=0.05,
+        input=table, output=["delta", "phase"],
+    )  # fmt: skip
+    np.testing.assert_allclose(found["delta"][1 : k.size], recording.delta[k[:-1], 0], rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(found["phase"][1 : k.size], recording.phase[k[:-1], 0])
+
+
+def test_sources_of_the_fmu_compile_without_warnings(folder: Path) -> None:
+    exported(PurePursuit(), folder, fmu=True)
+    with zipfile.ZipFile(folder / "ldc_controller.fmu") as packed:
+        packed.extractall(folder)
+    done = run("cc", *STRICT, "-c", "fmu.c", "ldc_controller.c", cwd=folder / "sources")
+    assert (done.returncode, done.stderr) == (0, "")
+    names = run("nm", "-D", "--defined-only", folder / "binaries/linux64/ldc_controller.so", cwd=folder).stdout
+    assert len(re.findall(r" T fmi2\w+", names)) == 34
+
+
+def test_the_same_export_is_the_same_bits(folder: Path, tmp_path: Path) -> None:
+    exported(LQR(), folder, fmu=True)
+    exported(LQR(), tmp_path / "again", fmu=True)
+    for path in sorted(folder.iterdir()):
+        assert path.read_bytes() == (tmp_path / "again" / path.name).read_bytes(), path.name
+
+
+def test_a_compiler_from_a_package(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert compiler() == ["cc"]
+    monkeypatch.setenv("PATH", "")
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: object() if name == "ziglang" else None)
+    found = compiler()
+    assert found is not None
+    assert found[1:] == ["-m", "ziglang", "cc"]
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    assert compiler() is None

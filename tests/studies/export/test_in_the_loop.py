@@ -1,0 +1,183 @@
+"""Exported C code steers in the toolkit's closed loop: the same commands, scores and phases."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from controllers import (
+    LQI,
+    LQR,
+    PID,
+    BarrierFilter,
+    LinearMPC,
+    NoControl,
+    NonlinearMPC,
+    PreviewLQR,
+    PreviewProportional,
+    PurePursuit,
+    SlidingMode,
+    Stanley,
+)  # fmt: skip
+from helpers.closed_loop import Constant, make_scenarios, takeover
+from ldctoolkit import Controller, Setup, VehicleParameters, simulate
+from ldctoolkit.errors import InputError
+from ldctoolkit.plant_options import Actuator, KalmanFilter, PlantOptions, Sensors
+from studies.export.c_code import Code
+from studies.export.law_tables import Schedule
+from studies.export.loop_check import Check, Compiled, check, record, struct
+from studies.study_file import load_study
+
+REALISTIC = load_study("trigger-and-gains").setup()
+LAWS: dict[str, Controller] = {
+    "preview_proportional": PreviewProportional(), "lqr": LQR(), "lqi": LQI(), "preview_lqr": PreviewLQR(),
+    "pid": PID(), "stanley": Stanley(), "pure_pursuit": PurePursuit(), "sliding_mode": SlidingMode(),
+    "barrier": BarrierFilter(), "barrier around lqr": BarrierFilter(inner="lqi", e_y_max=1.0),
+    "mpc": LinearMPC(), "mpc, blocks": LinearMPC(horizon=30, blocks=8),
+    "mpc, soft": LinearMPC(horizon=12, a_y_max=2.0, jerk_max=3.0, e_y_max=1.2),
+}  # fmt: skip
+
+
+def compared(controller: Controller, setup: Setup, y_s: float = 0.1, n: int = 120, seed: int = 5) -> Check:
+    found = check(record(Code.of(controller, setup, y_s), make_scenarios(n, seed)), ["cc"])
+    bound, single = (1e-7, 1e-3) if controller.name == "linear_mpc" else (1e-9, 1e-5)
+    assert found.bounds == (bound, single)
+    assert found.steps > 20 * (found.departures - found.diverged) > 0
+    assert found.delta <= bound
+    assert bound >= found.S
+    assert found.phases == 0
+    assert found.float_delta <= single
+    assert found.float_S <= 1e-3
+    assert found.passed
+    return found
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_every_law_on_the_realistic_plant(name: str) -> None:
+    found = compared(LAWS[name], REALISTIC)
+    assert (found.iterations > 1) == name.startswith("mpc")
+    assert found.size > found.stack > 0
+
+
+def random_design(controller: Controller, rng: np.random.Generator) -> Controller:
+    """Gains within a factor of two of the given ones, whole numbers within a fifth."""
+    changed = {}
+    for gain in controller.gains():
+        value = getattr(controller, gain.name)
+        if isinstance(value, float) and value:
+            changed[gain.name] = float(np.clip(value * math.exp(rng.uniform(-0.7, 0.7)), gain.lower, gain.upper))
+        elif type(value) is int and value:
+            changed[gain.name] = max(1, round(value * rng.uniform(0.8, 1.2)))
+    return dataclasses.replace(controller, **changed)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", LAWS)
+def test_random_designs(name: str) -> None:
+    rng = np.random.default_rng(list(LAWS).index(name))
+    for seed in range(5):
+        compared(random_design(LAWS[name], rng), REALISTIC, y_s=rng.uniform(0.02, 0.3), n=400, seed=seed)
+
+
+SETUPS = {
+    "ideal plant": Setup(),
+    "another sample time and vehicle": Setup(
+        dt=0.02, vehicle=VehicleParameters(m=1500.0, I_z=2500.0, l_f=1.1, w_l=3.2)
+    ),
+    "delay of a part of a sample": Setup(options=PlantOptions(actuator=Actuator(lag=0.1, delay=0.07, rate_max=0.4))),
+    "delay without lag": Setup(options=PlantOptions(actuator=Actuator(delay=0.12))),
+    "a slow camera": Setup(options=PlantOptions(sensors=Sensors(delay=0.08, period=0.15, kalman=KalmanFilter()))),
+    "a filter without a camera": Setup(options=PlantOptions(sensors=Sensors(kalman=KalmanFilter(r_y=0.1)))),
+    "a design that knows no delay": dataclasses.replace(REALISTIC, plant_knowledge="ideal"),
+    "trigger by time": Setup(trigger="ttlc", ttlc=0.4),
+    "trigger by time, filtered": dataclasses.replace(REALISTIC, trigger="ttlc", ttlc=0.4),
+}
+
+
+@pytest.mark.parametrize("setup", SETUPS)
+@pytest.mark.parametrize(
+    "name", ["lqi", *(pytest.param(name, marks=pytest.mark.slow) for name in ("barrier around lqr", "mpc, soft"))]
+)
+def test_other_plants(name: str, setup: str) -> None:
+    compared(LAWS[name], SETUPS[setup], y_s=0.2, n=60)
+
+
+@pytest.mark.parametrize("y_s", [0.0, -0.3])
+def test_triggers_before_the_line(y_s: float) -> None:
+    found = compared(LQR(), REALISTIC, y_s=y_s)
+    assert found.departures == 120
+
+
+def test_a_linear_law_of_ones_own() -> None:
+    compared(Constant(F=(-0.01, -0.01, -0.3, -0.05), f_u=0.2, f_i=-0.001), REALISTIC)
+
+
+def test_the_departure_on_a_clock_of_its_own() -> None:
+    """Sampled from the start of each recorded path, the code takes over at the first sample after the trigger time."""
+    setup = Setup(dt=0.01)
+    over = takeover(make_scenarios(200), y_s=0.1, dt=0.01)
+    code = Code.of(LQR(), setup, 0.1)
+    one = Compiled(code, ["cc"])
+    path, side, state = over.driven, over.triggered.side.astype(float), one.begin(over.m)
+    row, taken = np.zeros(over.m, dtype=struct(code.inputs)), np.full(over.m, -1)
+    row["v"], row["engage"] = over.plant.v, 1
+    for k in range(int(over.triggered.T.max() / 0.01) + 1):
+        y = path.lateral(np.full(over.m, k * 0.01))
+        row["line_left"], row["line_right"] = np.where(side > 0, y, -1.0), np.where(side > 0, -1.0, y)
+        out = one.step(row, state)
+        taken = np.where((taken < 0) & (out["phase"] > 0), k, taken)
+        assert (out["side"][taken >= 0] == side[taken >= 0]).all()
+    expected = np.ceil(over.start / 0.01).astype(int)
+    # an edge that is back below y_s before the next sample is no departure to a sampled controller
+    seen = path.lateral(expected * 0.01) > 0.1
+    assert seen.sum() > 150
+    np.testing.assert_array_equal(taken[seen], expected[seen])
+
+
+def test_the_edge_is_back_when_the_loop_has_it_back() -> None:
+    scenarios, setup = make_scenarios(200), Setup(dt=0.02)
+    outcome = simulate(PID(), scenarios, setup=setup, y_s=0.1)
+    recording = record(Code.of(PID(), setup, 0.1), scenarios)
+    rows = recording.host.over.rows
+    back = outcome.companions.t_back[rows] - outcome.t_s[rows]
+    expected = np.ceil(back / 0.02)
+    released = (recording.phase[4:] == 2).argmax(axis=0)
+    ever = np.isfinite(back) & (expected < recording.counts[4:].sum(axis=0))
+    assert ever.sum() > 100
+    np.testing.assert_array_equal(released[ever], expected[ever])
+
+
+def test_left_and_right_are_the_same_to_the_bit() -> None:
+    scenarios = make_scenarios(60)
+    code = Code.of(LAWS["barrier around lqr"], REALISTIC, 0.1)
+    recording = record(code, scenarios)
+    one, other = Compiled(code, ["cc"]), recording.inputs.copy()
+    for name in [name for name, _, kind in code.inputs if kind == "ldc_real"]:
+        if name not in ("v", "line_left", "line_right"):
+            other[name] = -recording.inputs[name]
+    other["line_left"], other["line_right"] = recording.inputs["line_right"], recording.inputs["line_left"]
+    states = one.begin(recording.host.over.m), one.begin(recording.host.over.m)
+    for mine, mirrored in zip(recording.inputs, other, strict=True):
+        out, back = one.step(mine, states[0]), one.step(mirrored, states[1])
+        np.testing.assert_array_equal(out["delta"], -back["delta"])
+        np.testing.assert_array_equal(out["side"], -back["side"])
+        np.testing.assert_array_equal(out["phase"], back["phase"])
+
+
+def test_gains_follow_the_exact_ones() -> None:
+    for name in ("lqi", "mpc, blocks", "mpc, soft"):
+        assert Schedule.of(LAWS[name], REALISTIC).error < 1e-11
+
+
+@pytest.mark.parametrize(
+    ("controller", "message"),
+    [
+        (NonlinearMPC(), r"law 'nonlinear_mpc': cannot be exported, it solves a nonlinear program at every sample"),
+        (NoControl(), r"law 'none': cannot be exported, it never steers; allowed: a law that prepares a LinearLaw"),
+        (BarrierFilter(inner="nonlinear_mpc"), r"law 'nonlinear_mpc': cannot be exported"),
+    ],
+)
+def test_laws_without_c_code(controller: Controller, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        Code.of(controller, Setup(), 0.1)
