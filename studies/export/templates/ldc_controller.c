@@ -118,8 +118,7 @@ static ldc_work law(ldc_state *s, const ldc_work x[4], const ldc_work r[], const
     /* change of the lane's heading from the centre of gravity to the front axle */
     const ldc_work to_axle = LDC_W({{ c.l_f }}) * (r[0] / s->v);
     const ldc_work e_f = x[0] + (LDC_W({{ c.l_f }}) * (SIN(x[2]) - (LDC_W(0.5) * to_axle)));
-    const ldc_work change = (s->steps > 0) ? (s->sent[0] - s->sent[1]) : LDC_W(0.0);
-    const ldc_work wanted = (g[AT_SLIP] * r[0]) - (x[2] - to_axle) - (LDC_W({{ c.k_d_steer }}) * change)
+    const ldc_work wanted = (g[AT_SLIP] * r[0]) - (x[2] - to_axle) - (LDC_W({{ c.k_d_steer }}) * (s->sent[0] - s->sent[1]))
         - ARCTAN((LDC_W({{ c.k }}) * e_f) / (LDC_W({{ c.k_soft }}) + s->v)) - (LDC_W({{ c.k_d_yaw }}) * x[3]);
     const ldc_work delta = clip(wanted, -LDC_W({{ c.delta_max }}), LDC_W({{ c.delta_max }}));
 {% elif law == "pure_pursuit" %}

@@ -82,7 +82,6 @@ static void moves(ldc_state *s, const ldc_work *g)
 /* Values y of the rows for the plan, their bounds, and what corrections do to them, C; 0 if no command is possible. */
 static int32_t limits(ldc_state *s, const ldc_work *g, ldc_work x[LDC_STATES], const ldc_work r[LDC_N + 1])
 {
-    ldc_work gap;
     int32_t at = LDC_M;
     for (int32_t b = 0; b < LDC_M; b++) {
         s->y[b] = s->U[start[b]];
@@ -100,9 +99,6 @@ static int32_t limits(ldc_state *s, const ldc_work *g, ldc_work x[LDC_STATES], c
     /* angle and rate of the first move are one row */
     s->low[0] = clip(s->sent[0] - STEP, s->low[0], LARGEST);
     s->high[0] = clip(s->sent[0] + STEP, -LARGEST, s->high[0]);
-    gap = s->low[0] - s->high[0];
-    if ((gap > LDC_W(0.0)) && (s->sent[0] > LDC_W(0.0))) { s->high[0] = s->low[0]; }
-    if ((gap > LDC_W(0.0)) && (s->sent[0] <= LDC_W(0.0))) { s->low[0] = s->high[0]; }
 {% if mpc.kinds %}
     for (int32_t n = 0; n < 3; n++) { /* a at the end of a step, just after its start, and e_y */
         for (int32_t j = 0; j < LDC_N; j++) {
@@ -146,7 +142,7 @@ static int32_t limits(ldc_state *s, const ldc_work *g, ldc_work x[LDC_STATES], c
     (void)g;
     (void)x;
     (void)r;
-    return (gap > ROUNDING) ? 0 : 1;
+    return ((s->low[0] - s->high[0]) > ROUNDING) ? 0 : 1;
 }
 
 {% if mpc.kinds %}
@@ -186,20 +182,15 @@ static ldc_work violation(const ldc_state *s, int32_t bound, const ldc_work of[L
     return result;
 }
 
-/* Multipliers of the n held normals whose sum is nearest to `to`, by Cholesky's factors; 0 if they depend on others. */
-static int32_t nearest(ldc_state *s, int32_t n, const ldc_work to[LDC_VARIABLES], ldc_work part[LDC_VARIABLES])
+/* Multipliers of the n held normals, which are independent, whose sum is nearest to `to`, by Cholesky's factors. */
+static void nearest(ldc_state *s, int32_t n, const ldc_work to[LDC_VARIABLES], ldc_work part[LDC_VARIABLES])
 {
-    int32_t good = 1;
     for (int32_t i = 0; i < n; i++) {
         for (int32_t j = 0; j <= i; j++) {
             const ldc_work both = dot(s->held[i], s->held[j], LDC_VARIABLES);
             const ldc_work inner = both - dot(s->factor[i], s->factor[j], j);
-            if (j < i) {
-                s->factor[i][j] = inner / s->factor[j][j];
-            } else {
-                good = (inner > (ROUNDING * both)) ? good : 0;
-                s->factor[i][i] = (inner > (ROUNDING * both)) ? ROOT(inner) : LDC_W(1.0);
-            }
+            const ldc_work least = ROUNDING * both;
+            s->factor[i][j] = (j < i) ? (inner / s->factor[j][j]) : ROOT((inner > least) ? inner : least);
         }
         part[i] = (dot(s->held[i], to, LDC_VARIABLES) - dot(s->factor[i], part, i)) / s->factor[i][i];
     }
@@ -207,7 +198,6 @@ static int32_t nearest(ldc_state *s, int32_t n, const ldc_work to[LDC_VARIABLES]
         for (int32_t j = i + 1; j < n; j++) { part[i] -= s->factor[j][i] * part[j]; }
         part[i] /= s->factor[i][i];
     }
-    return good;
 }
 
 /* The bound that w violates most by more than is rounding; the number of all bounds if there is none. */
@@ -266,7 +256,7 @@ static int32_t solve(ldc_state *s, ldc_work w[LDC_VARIABLES])
             multiplier = LDC_W(0.0);
             adding = 1;
         }
-        if (nearest(s, n, to, part) == 0) { return 0; }
+        nearest(s, n, to, part);
         along = dot(to, to, LDC_VARIABLES);
         full = along;
         for (int32_t i = 0; i < n; i++) {

@@ -1,5 +1,6 @@
 """Exported C code by itself: warnings, sanitizers, checkers, the test bench, the FMU, and the solver of linear MPC."""
 
+import dataclasses
 import re
 import shutil
 import subprocess
@@ -84,7 +85,8 @@ def test_cppcheck_has_no_warnings(name: str, folder: Path) -> None:
         pytest.skip("cppcheck is not installed")
     exported(LAWS[name], folder)
     options = (
-        "--enable=warning,portability,performance",
+        "--enable=all",
+        "--suppress=missingIncludeSystem",
         "--inconclusive",
         "--error-exitcode=1",
         "--std=c99",
@@ -218,7 +220,42 @@ def test_the_deeper_side_decides() -> None:
     np.testing.assert_array_equal(one.step(row, one.begin(4))["side"], [0, 1, -1, -1])
 
 
+def test_an_edge_that_never_reaches_the_line_is_back_at_the_threshold() -> None:
+    one = Compiled(Code.of(PID(), Setup(), -0.3), ["cc"])
+    row = np.zeros(1, dtype=struct(one.code.inputs))
+    row["v"], row["engage"], row["line_right"], state, phases = 20.0, 1, -2.0, one.begin(1), []
+    for line in (-0.4, -0.25, -0.1, -0.2, -0.3, -0.2):
+        row["line_left"] = line
+        phases.append(int(one.step(row, state)["phase"][0]))
+    assert phases == [0, 1, 1, 1, 2, 2]
+    state, phases = one.begin(1), []
+    for line in (-0.2, 0.0, 0.1, -0.01, -0.5):
+        row["line_left"] = line
+        phases.append(int(one.step(row, state)["phase"][0]))
+    assert phases == [1, 1, 1, 2, 2]
+
+
 # ------------------------------------------------------------------------------------------------ linear MPC
+
+
+def test_a_solver_that_takes_too_long_is_replaced() -> None:
+    """Towards the saturated plan at the rate limit, with the bit of status, and never more iterations than stated."""
+    whole, rng, n = Code.of(LAWS["mpc"], REALISTIC, 0.1), np.random.default_rng(3), 300
+    form = whole.schedule.form
+    few = dataclasses.replace(form, mpc=(form.mpc or {}) | {"iterations": 3})
+    short = dataclasses.replace(whole, schedule=dataclasses.replace(whole.schedule, form=few))
+    row = np.zeros(n, dtype=struct(whole.inputs))
+    row["v"], row["engage"], row["line_left"] = rng.uniform(10.0, 40.0, n), 1, 1.0
+    row["e_y"], row["wheel"] = rng.uniform(0.2, 3.0, n), rng.uniform(-0.05, 0.05, n)
+    row["frame_e_y"] = row["e_y"]
+    exact, cut = (one.step(row, one.begin(n)) for one in (Compiled(code, ["cc"]) for code in (whole, short)))
+    failed = cut["status"] == 4
+    assert 30 < failed.sum() < n - 30
+    assert (exact["status"] == 0).all()
+    np.testing.assert_array_equal(cut["iterations"], np.minimum(exact["iterations"], 3))
+    np.testing.assert_array_equal(failed, exact["iterations"] > 3)
+    np.testing.assert_array_equal(cut["delta"][~failed], exact["delta"][~failed])
+    np.testing.assert_allclose(np.abs(cut["delta"] - row["wheel"])[failed], 0.01, rtol=0, atol=1e-15)
 
 
 @pytest.mark.parametrize("name", ["mpc", "mpc, soft", "mpc, blocks"])

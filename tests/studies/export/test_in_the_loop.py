@@ -32,7 +32,7 @@ from studies.study_file import load_study
 REALISTIC = load_study("trigger-and-gains").setup()
 LAWS: dict[str, Controller] = {
     "preview_proportional": PreviewProportional(), "lqr": LQR(), "lqi": LQI(), "preview_lqr": PreviewLQR(),
-    "pid": PID(), "stanley": Stanley(), "pure_pursuit": PurePursuit(), "sliding_mode": SlidingMode(),
+    "pid": PID(), "stanley": Stanley(k_d_steer=0.2), "pure_pursuit": PurePursuit(), "sliding_mode": SlidingMode(),
     "barrier": BarrierFilter(), "barrier around lqr": BarrierFilter(inner="lqi", e_y_max=1.0),
     "mpc": LinearMPC(), "mpc, blocks": LinearMPC(horizon=30, blocks=8),
     "mpc, soft": LinearMPC(horizon=12, a_y_max=2.0, jerk_max=3.0, e_y_max=1.2),
@@ -82,6 +82,7 @@ def test_random_designs(name: str) -> None:
 
 SETUPS = {
     "ideal plant": Setup(),
+    "a window that is no whole number of samples": Setup(dt=0.03, options=PlantOptions(actuator=Actuator(delay=0.03))),
     "another sample time and vehicle": Setup(
         dt=0.02, vehicle=VehicleParameters(m=1500.0, I_z=2500.0, l_f=1.1, w_l=3.2)
     ),
@@ -95,10 +96,15 @@ SETUPS = {
 }
 
 
-@pytest.mark.parametrize("setup", SETUPS)
-@pytest.mark.parametrize(
-    "name", ["lqi", *(pytest.param(name, marks=pytest.mark.slow) for name in ("barrier around lqr", "mpc, soft"))]
-)
+FAST = {("mpc, soft", "ideal plant"), *(("lqi", setup) for setup in SETUPS)}
+CASES = [
+    pytest.param(name, setup, marks=() if (name, setup) in FAST else pytest.mark.slow)
+    for name in ("lqi", "barrier around lqr", "mpc, soft")
+    for setup in SETUPS
+]
+
+
+@pytest.mark.parametrize(("name", "setup"), CASES)
 def test_other_plants(name: str, setup: str) -> None:
     compared(LAWS[name], SETUPS[setup], y_s=0.2, n=60)
 
