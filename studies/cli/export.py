@@ -56,11 +56,6 @@ def run(chosen: argparse.Namespace) -> int:
     setup, folder = study.study.setup(), Path(chosen.output)
     origin = Origin(study.study.name, study.manifest.study_hash, study.manifest.model_hash, study.verdict.title, missed)
     controller, out = design.controller(setup.convention), console()
-    if chosen.format != "c":
-        target = output_folder(folder) / f"ldc_controller.{chosen.format}"
-        write_text(target, parameters(Code.of(controller, setup, design.y_s, origin), chosen.format))
-        say(out, f"gains over speed: {target}")
-        return 0
     if chosen.verify:
         if not (folder / "ldc_controller.h").is_file():
             raise InputError(f"{folder}: holds no export; allowed: a folder that ldc export wrote")
@@ -69,6 +64,11 @@ def run(chosen: argparse.Namespace) -> int:
         text = "stale: not what this study and this version give" if stale else "up to date"
         say(out, f"{folder}: {'changed by hand: ' + ', '.join(changed) if changed else text}")
         return FAILED if changed or stale else 0
+    if chosen.format != "c":
+        target = output_folder(folder) / f"ldc_controller.{chosen.format}"
+        write_text(target, parameters(Code.of(controller, setup, design.y_s, origin), chosen.format))
+        say(out, f"gains over speed: {target}")
+        return 0
     made = export_c(
         controller, setup, design.y_s, folder, scenarios=_scenarios(study, chosen.folder), origin=origin,
         run_check=not chosen.no_check, fmu=chosen.fmu,

@@ -73,14 +73,19 @@ def export_c(
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     made = export_c(LQR(), Setup(), 0.2, folder, scenarios=few, run_check=False)
     ...     [path.name for path in made.files]
-    ['ldc_controller.c', 'main.c', 'README.md', 'test_vectors.csv', 'ldc_controller.h']
+    ['ldc_controller.h', 'ldc_controller.c', 'main.c', 'README.md', 'test_vectors.csv']
     """
+    for name, value, kind in (("setup", setup, Setup), ("scenarios", scenarios, Scenarios | None)):
+        if not isinstance(value, kind):
+            raise InputError(f"{name}: an object of type {type(value).__name__}; allowed: {name.capitalize()}")
+    if not isinstance(folder, str | Path) or not str(folder):
+        raise InputError(f"folder: {folder!r}; allowed: a path")
     code = Code.of(controller, setup, y_s, origin)
     if scenarios is None:
         scenarios = load_model("reference").sample(DEPARTURES // 2, DEPARTURES // 2, seed=setup.seed)
     recording = record(code, scenarios)
     if not recording.counts.any():
-        raise InputError(f"scenarios: no departure beyond y_s = {y_s:g} m that does not diverge; allowed: one or more")
+        raise InputError(f"scenarios: no departure beyond y_s = {y_s:g} m that can be compared; allowed: one or more")
     texts, command, target = write_folder(code, Path(folder), vectors(recording)), compiler(), Path(folder)
     files = [target / name for name in texts]
     if fmu:

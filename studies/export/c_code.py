@@ -26,6 +26,7 @@ from studies.storage.files import output_folder, read_bytes, write_text
 HEADER: Final = "ldc_controller.h"
 SOURCE: Final = "ldc_controller.c"
 VECTORS: Final = "test_vectors.csv"
+FMU: Final = "ldc_controller.fmu"
 
 BOUND: Final = 1e-9  # [rad] Largest difference of a command in double precision, and of S in m s
 MPC_BOUND: Final = 1e-7  # The same of linear MPC
@@ -169,8 +170,8 @@ class Code:
         ahead_at = ", ".join(f"{t:g}" for t in form.times.round(9))
         offsets = np.cumsum([0, *sizes.values()]).tolist()
         values: dict[str, Any] = {
-            "title": self.label, "version": __version__, "id": self.design.id, "fields": self.inputs,
-            "origin": list(self.origin.lines) if self.origin else [],
+            "title": _plain(self.label), "version": __version__, "id": self.design.id, "fields": self.inputs,
+            "origin": list(map(_plain, self.origin.lines)) if self.origin else [],
             "law": form.law, "mpc": form.mpc, "heading": form.heading, "times": form.times,
             "times_text": ahead_at,
             "points": form.times.size - (2 if form.barrier else 0), "has": dict.fromkeys(UNITS, 0) | sizes,
@@ -193,7 +194,7 @@ class Code:
         files = {name: render(name, **values) for name in (SOURCE, "main.c", "README.md")}
         files |= {VECTORS: vectors} if vectors else {}
         digests = {name: digest(text) for name, text in files.items()}
-        header = render(HEADER, banner=self._banner(digests | {HEADER: _NONE}), **values)
+        header = render(HEADER, banner=map(_plain, self._banner(digests | {HEADER: _NONE})), **values)
         return {HEADER: header.replace(_NONE, digest(header)), **files}
 
 
@@ -204,6 +205,14 @@ _LINE: Final = re.compile(r"^ \* sha256 ([0-9a-f]{64}) (\S+)$", re.MULTILINE)
 def digest(text: str) -> str:
     """Its SHA-256."""
     return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _plain(text: str) -> str:
+    """Any text as a line that can stand in a comment of C; indented where it was."""
+    line = " ".join(text.split())
+    return " " * (len(text) - len(text.lstrip(" "))) + line.replace("*/", "* /").replace("/*", "/ *").replace(
+        "??", "? ?"
+    )
 
 
 def _wrapped(first: str, parts: Sequence[str]) -> Iterator[str]:
@@ -233,7 +242,11 @@ def write_folder(code: Code, folder: Path, vectors: str) -> dict[str, str]:
     if changed:
         raise InputError(f"{folder}: changed by hand since the export: {', '.join(changed)}; allowed: another folder")
     files = code.texts(vectors)
+    others = [name for name in files if (folder / name).exists()]
+    if others and HEADER not in others:
+        raise InputError(f"{folder}: holds {', '.join(others)}, which no export wrote; allowed: an empty or new folder")
     output_folder(folder)
+    (folder / FMU).unlink(missing_ok=True)  # of the export before
     for name in sorted(files, key=lambda name: name == HEADER):  # the header last: it vouches for the others
         write_text(folder / name, files[name])
     return files
@@ -272,11 +285,16 @@ def parameters(code: Code, kind: str) -> str:
         tables = {name: {"unit": UNITS[name], "values": values.tolist()} for name, values in blocks.items()}
         content = {"ldctoolkit": __version__, **facts, "study": origin, "lookahead_s": times.tolist()}
         return json.dumps(content | {"speed_m_s": v.tolist(), "over_speed": tables}, indent=1) + "\n"
-    lines = [f"% ldctoolkit {__version__}: {code.label}", *(f"% {line}" for line in origin)]
-    lines += [f"ldc.{name} = {str(x).lower() if isinstance(x, bool) else repr(x)};" for name, x in facts.items()]
+    lines = [f"% {_plain(line)}" for line in (f"ldctoolkit {__version__}: {code.label}", *origin)]
+    lines += [f"ldc.{name} = {_in_matlab(x)};" for name, x in facts.items()]
     lines += [f"ldc.lookahead_s = {_matrix(times[None])};", f"ldc.speed_m_s = {_matrix(v[:, None])};"]
     lines += [f"ldc.{name} = {_matrix(values)}; % a row a speed; {UNITS[name]}" for name, values in blocks.items()]
     return "\n".join(lines) + "\n"
+
+
+def _in_matlab(value: object) -> str:
+    text = str(value).lower() if isinstance(value, bool) else repr(value)
+    return "'" + _plain(value).replace("'", "''") + "'" if isinstance(value, str) else text
 
 
 def _matrix(values: FloatArray) -> str:

@@ -10,11 +10,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from ldctoolkit.errors import InputError
-from studies.export.c_code import HEADER, SOURCE, Code, digest, render
+from studies.export.c_code import FMU, HEADER, SOURCE, Code, digest, render
 from studies.export.loop_check import compile_c
 from studies.storage.files import stored_file
 
-NAME: Final = "ldc_controller.fmu"
 _PLATFORMS: Final = {"Linux": ("linux64", ".so"), "Darwin": ("darwin64", ".dylib"), "Windows": ("win64", ".dll")}
 
 
@@ -35,7 +34,7 @@ def write_fmu(code: Code, texts: dict[str, str], folder: Path, command: Sequence
                 (Path(room) / name).write_bytes(files[f"sources/{name}"])
             compile_c(command, Path(room), *options, "fmu.c", SOURCE, "-o", library, "-lm")
             files[f"binaries/{system}/{library}"] = (Path(room) / library).read_bytes()
-    path = folder / NAME
+    path = folder / FMU
     with stored_file(path) as stream, zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as packed:
         for name, content in files.items():
             packed.writestr(zipfile.ZipInfo(name), content, zipfile.ZIP_DEFLATED)  # no date: the same bits each time

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from ldctoolkit import Controller, EventStatus, LinearLaw, LinearSteps, Plant, Preview, Scenarios, SteeringLaw
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.control import StatusArray
-from ldctoolkit.errors import LdcError
+from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.simulation import Takeover, drive
 from studies.export.c_code import FLOAT_S, HEADER, SOURCE, Code, render
 
@@ -38,7 +38,7 @@ class Check:
 
     scenarios: int
     departures: int  # Of them, those that pass the threshold
-    diverged: int  # Left out: the smallest rounding grows there
+    diverged: int  # Left out: the smallest rounding grows there; and where the toolkit's solver failed
     steps: int
     delta: float  # [rad] Largest difference of a command, on the same inputs
     S: float  # [m s] Largest difference of S, the code in the loop
@@ -63,7 +63,7 @@ class Check:
     @property
     def lines(self) -> tuple[str, ...]:
         """For the terminal."""
-        left_out = f", {self.diverged} that diverge left out" if self.diverged else ""
+        left_out = f", {self.diverged} that diverge or whose solver failed left out" if self.diverged else ""
         return (
             f"in the loop: {self.scenarios} scenarios, {self.departures} departures{left_out}, {self.steps} steps: "
             f"{'passed' if self.passed else 'FAILED'}",
@@ -233,11 +233,14 @@ class _Host:
 
     def _sample(self, k: int, x: FloatArray, preview: Preview) -> Rows:
         over, side, form = self.over, self.side, self.code.schedule.form
-        row, p, per_way = np.zeros(over.m, dtype=struct(self.code.inputs)), form.times.size, side / over.plant.v
+        row, p, v = np.zeros(over.m, dtype=struct(self.code.inputs)), form.times.size, over.plant.v
+        if over.setup.options.speed == "profile":
+            v = over.driven.speed(over.start + k * over.setup.dt)
+        per_way = side / v
         state = x if not self.code.filtered else self.start if k == 0 else np.zeros_like(x)
         for i, name in enumerate(("e_y", "e_y_rate", "e_psi", "e_psi_rate")):
             row[name] = side * state[:, i]
-        row["v"], row["engage"], row["wheel"] = over.plant.v, 1, side * np.asarray(preview.wheel)
+        row["v"], row["engage"], row["wheel"] = v, 1, side * np.asarray(preview.wheel)
         row["curvature"] = per_way[:, None] * preview.yaw_rate[:, :p]
         if form.heading:
             row["heading"] = side[:, None] * preview.heading[:, :p]
@@ -269,12 +272,14 @@ class Recording:
     delta: FloatArray  # (k, m) [rad] In the road's frame; while armed the angle of the wheels
     phase: IntArray  # (k, m)
     counts: BoolArray  # (k, m) Where the departure is still driven, and does not diverge
-    S: FloatArray  # (n,) [m s] NaN where it diverges
+    S: FloatArray  # (n,) [m s] NaN where it diverges, or the toolkit's solver failed
 
 
 def record(code: Code, scenarios: Scenarios) -> Recording:
     """Drive the toolkit's own law, then its commands again without the filter, to see what the code would be shown."""
     host, over = _Host.of(code, scenarios), Takeover.build(scenarios, code.setup, y_s=code.y_s)
+    if not over.m:
+        raise InputError(f"scenarios: no departure beyond y_s = {code.y_s:g} m; allowed: one or more")
     commands: list[FloatArray] = []
     rows = host.early()
 
@@ -298,7 +303,8 @@ def record(code: Code, scenarios: Scenarios) -> Recording:
 
     stepped = drive(_Stand(made=ours), over).outcome("departure")
     host.drive(again)
-    S = np.where(stepped.status == EventStatus.DIVERGED, np.nan, drive(code.controller, over).outcome("departure").S)
+    lost = np.isin(stepped.status, (EventStatus.DIVERGED, EventStatus.SOLVER_FAILED))
+    S = np.where(lost, np.nan, drive(code.controller, over).outcome("departure").S)
     inputs, k = np.stack(rows), np.arange(-_EARLY, len(commands))[:, None]
     counts = (k < over.steps) & np.isfinite(S[over.rows]) & (inputs["engage"] != 0)
     delta = np.concatenate([inputs["wheel"][:_EARLY], host.side * np.stack(commands)])
@@ -339,9 +345,11 @@ def check(recording: Recording, command: Sequence[str]) -> Check:
         state = one.begin(host.over.m)
         for k, some in enumerate(counts):
             out = one.step(recording.inputs[k], state, seconds[k] if one is double else None)[some]
-            worst[i] = max(worst[i], float(np.abs(out["delta"] - recording.delta[k, some]).max(initial=0.0)))
+            gap = np.abs(out["delta"] - recording.delta[k, some]).max(initial=0.0)
+            worst[i] = float(np.maximum(worst[i], gap))  # a command that is not a number stays visible
             if one is double:
-                phases += int((out["phase"] != recording.phase[k, some]).sum())
+                phase, side = recording.phase[k, some], host.side[some]
+                phases += int(((out["phase"] != phase) | (out["side"] != np.where(phase > 0, side, 0.0))).sum())
                 iterations = max(iterations, int(out["iterations"].max(initial=0)))
     S, float_S = (_score_gap(one, recording) for one in (double, single))
     return Check(
@@ -359,4 +367,4 @@ def _score_gap(one: Compiled, recording: Recording) -> float:
     for row in host.early():
         one.step(row, state)
     S = host.drive(lambda row, _: host.side * one.step(row, state)["delta"])
-    return float(np.nanmax(np.abs(S - recording.S), initial=0.0))
+    return float(np.abs(S - recording.S)[np.isfinite(recording.S)].max(initial=0.0))

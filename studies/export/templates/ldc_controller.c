@@ -262,16 +262,16 @@ uint32_t ldc_step(const ldc_inputs *in, ldc_state *state, ldc_outputs *out)
     ldc_state *s = state;
     uint32_t status = LDC_OK;
     int32_t iterations = 0;
+    if (in->engage == 0) {
+        s->phase = LDC_ARMED;
+        s->side = 0;
+    }
     if (usable(in) == 0) {
         status = LDC_INPUT;
     } else {
-        if (in->engage == 0) {
-            ldc_init(s);
-        } else if (s->phase == LDC_ARMED) {
+        if ((s->phase == LDC_ARMED) && (in->engage != 0)) {
             const int32_t side = (beyond(in, 1) >= beyond(in, -1)) ? 1 : -1;
             if (beyond(in, side) > LDC_W({{ y_s }})) { take_over(s, in, side); }
-        } else {
-            /* steering goes on */
         }
         s->output = in->wheel;
         if (s->phase != LDC_ARMED) {

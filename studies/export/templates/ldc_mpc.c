@@ -1,6 +1,6 @@
-#define TOLERANCE (sizeof(ldc_work) == sizeof(float) ? LDC_W(1.0e-5) : LDC_W(1.0e-10)) /* [rad, or share of a limit] */
+#define TOLERANCE (sizeof(ldc_work) == sizeof(float) ? LDC_W(1.0e-5) : LDC_W(1.0e-12)) /* [rad, or share of a limit] */
 #define ROUNDING (sizeof(ldc_work) == sizeof(float) ? LDC_W(1.0e-6) : LDC_W(1.0e-12))
-#define PER_MULTIPLIER (sizeof(ldc_work) == sizeof(float) ? LDC_W(1.0e-6) : LDC_W(1.0e-14))
+#define PER_MULTIPLIER (sizeof(ldc_work) == sizeof(float) ? LDC_W(1.0e-6) : LDC_W(1.0e-16))
 #define STEP LDC_W({{ c.rate_step }}) /* [rad] largest change of the command in a sample */
 
 static const int32_t start[LDC_M + 1] = { {{ mpc.start }}, LDC_N }; /* first sample of each free move */
@@ -182,8 +182,8 @@ static ldc_work violation(const ldc_state *s, int32_t bound, const ldc_work of[L
     return result;
 }
 
-/* Multipliers of the n held normals, which are independent, whose sum is nearest to `to`, by Cholesky's factors. */
-static void nearest(ldc_state *s, int32_t n, const ldc_work to[LDC_VARIABLES], ldc_work part[LDC_VARIABLES])
+/* Solve (A A') part = part in place, A the n held normals, which are independent, by Cholesky's factors. */
+static void gram(ldc_state *s, int32_t n, ldc_work part[LDC_VARIABLES])
 {
     for (int32_t i = 0; i < n; i++) {
         for (int32_t j = 0; j <= i; j++) {
@@ -192,7 +192,7 @@ static void nearest(ldc_state *s, int32_t n, const ldc_work to[LDC_VARIABLES], l
             const ldc_work least = ROUNDING * both;
             s->factor[i][j] = (j < i) ? (inner / s->factor[j][j]) : ROOT((inner > least) ? inner : least);
         }
-        part[i] = (dot(s->held[i], to, LDC_VARIABLES) - dot(s->factor[i], part, i)) / s->factor[i][i];
+        part[i] = (part[i] - dot(s->factor[i], part, i)) / s->factor[i][i];
     }
     for (int32_t i = n - 1; i >= 0; i--) {
         for (int32_t j = i + 1; j < n; j++) { part[i] -= s->factor[j][i] * part[j]; }
@@ -231,8 +231,8 @@ static int32_t worst_bound(const ldc_state *s, const ldc_work w[LDC_VARIABLES], 
  */
 static int32_t solve(ldc_state *s, ldc_work w[LDC_VARIABLES])
 {
-    ldc_work part[LDC_VARIABLES];
-    ldc_work to[LDC_VARIABLES];
+    ldc_work part[LDC_VARIABLES] = {LDC_W(0.0)};
+    ldc_work to[LDC_VARIABLES] = {LDC_W(0.0)};
     ldc_work multiplier = LDC_W(0.0); /* of the bound that is being added */
     int32_t adding = 0;
     int32_t bound = 0;
@@ -256,7 +256,8 @@ static int32_t solve(ldc_state *s, ldc_work w[LDC_VARIABLES])
             multiplier = LDC_W(0.0);
             adding = 1;
         }
-        nearest(s, n, to, part);
+        for (int32_t i = 0; i < n; i++) { part[i] = dot(s->held[i], to, LDC_VARIABLES); }
+        gram(s, n, part);
         along = dot(to, to, LDC_VARIABLES);
         full = along;
         for (int32_t i = 0; i < n; i++) {
@@ -287,7 +288,7 @@ static int32_t solve(ldc_state *s, ldc_work w[LDC_VARIABLES])
             n++;
         } else {
             n--;
-            for (int32_t i = first; i < n; i++) {
+            for (int32_t i = (first < 0) ? 0 : first; i < n; i++) {
                 s->right[i] = s->right[i + 1];
                 (void)memcpy(s->held[i], s->held[i + 1], sizeof(s->held[i]));
             }

@@ -34,6 +34,7 @@ int main(void)
     double begins;
     long rows = 0;
     long wrong = 0;
+    long beyond = 0;
     while (getchar() != '\n') { } /* names of the columns: begins, those of ldc_inputs, delta, phase */
     for (begins = field(); !isnan(begins); begins = field()) { /* 1 in the first row of a departure */
         if (begins > 0.0) { ldc_init(&state); }
@@ -45,10 +46,12 @@ int main(void)
 {% endif %}
 {% endfor %}
         (void)ldc_step(&in, &state, &out);
-        worst = fmax(worst, fabs(field() - (double)out.delta));
+        const double difference = fabs(field() - (double)out.delta);
+        beyond += (difference <= BOUND) ? 0 : 1; /* also where it is not a number */
+        worst = fmax(worst, difference);
         wrong += (out.phase != (int32_t)field()) ? 1 : 0;
         rows++;
     }
     printf("%ld steps, largest difference %.2g rad, %ld phases differ\n", rows, worst, wrong);
-    return ((rows > 0) && (worst <= BOUND) && (wrong == 0)) ? 0 : 1;
+    return ((rows > 0) && (beyond == 0) && (wrong == 0)) ? 0 : 1;
 }

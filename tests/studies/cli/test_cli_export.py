@@ -43,6 +43,12 @@ def test_another_design_with_an_fmu(folder: Path) -> None:
     out = good("export", "plain", "-o", "made", "--design", "Preview P, y_s=0.2 m", "--fmu", "--no-check", cwd=folder)
     assert {path.name for path in (folder / "made").iterdir()} == FILES | {"ldc_controller.fmu"}
     assert out.endswith("in the loop: not run (not wanted)\n")
+    good("export", "plain", "-o", "made", "--no-check", cwd=folder)
+    assert {path.name for path in (folder / "made").iterdir()} == FILES
+    (folder / "README.md").write_text("mine")
+    assert ".: holds README.md, which no export wrote; allowed: an empty or new folder" in bad(
+        "export", "plain", "-o", ".", "--no-check", cwd=folder
+    )
     assert "no such design" in bad("export", "plain", "-o", "made", "--design", "none of them", cwd=folder)
 
 

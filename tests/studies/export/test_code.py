@@ -206,7 +206,11 @@ def test_an_input_out_of_range_holds_output_and_state() -> None:
         held = one.step(wrong, state)[0]
         assert (held["status"], held["delta"], held["phase"]) == (1, first["delta"], 1)
         np.testing.assert_array_equal(state, before)
-    row["engage"], row["wheel"] = 0, rng.uniform(-0.05, 0.05)
+    wrong, kept = row.copy(), state.copy()
+    wrong["e_y"], wrong["engage"] = np.nan, 0  # a host can always take over
+    off = one.step(wrong, state)[0]
+    assert (off["status"], off["delta"], off["phase"], off["side"]) == (1, first["delta"], 0, 0)
+    row["engage"], row["wheel"], state = 0, rng.uniform(-0.05, 0.05), kept
     over = one.step(row, state)[0]
     assert (over["phase"], over["side"], over["delta"]) == (0, 0, row["wheel"][0])
 

@@ -2,6 +2,9 @@
 
 import dataclasses
 import math
+import re
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,9 +24,10 @@ from controllers import (
     Stanley,
 )  # fmt: skip
 from helpers.closed_loop import Constant, make_scenarios, takeover
-from ldctoolkit import Controller, Setup, VehicleParameters, simulate
+from ldctoolkit import Controller, EventStatus, Setup, VehicleParameters, simulate
 from ldctoolkit.errors import InputError
 from ldctoolkit.plant_options import Actuator, KalmanFilter, PlantOptions, Sensors
+from studies.export import Origin, export_c, parameters
 from studies.export.c_code import Code
 from studies.export.law_tables import Schedule
 from studies.export.loop_check import Check, Compiled, check, record, struct
@@ -34,7 +38,7 @@ LAWS: dict[str, Controller] = {
     "preview_proportional": PreviewProportional(), "lqr": LQR(), "lqi": LQI(), "preview_lqr": PreviewLQR(),
     "pid": PID(), "stanley": Stanley(k_d_steer=0.2), "pure_pursuit": PurePursuit(), "sliding_mode": SlidingMode(),
     "barrier": BarrierFilter(), "barrier around lqr": BarrierFilter(inner="lqi", e_y_max=1.0),
-    "mpc": LinearMPC(), "mpc, blocks": LinearMPC(horizon=30, blocks=8),
+    "mpc": LinearMPC(), "mpc, one move": LinearMPC(horizon=1), "mpc, blocks": LinearMPC(horizon=30, blocks=8),
     "mpc, soft": LinearMPC(horizon=12, a_y_max=2.0, jerk_max=3.0, e_y_max=1.2),
 }  # fmt: skip
 
@@ -56,7 +60,7 @@ def compared(controller: Controller, setup: Setup, y_s: float = 0.1, n: int = 12
 @pytest.mark.parametrize("name", LAWS)
 def test_every_law_on_the_realistic_plant(name: str) -> None:
     found = compared(LAWS[name], REALISTIC)
-    assert (found.iterations > 1) == name.startswith("mpc")
+    assert (found.iterations > 0) == name.startswith("mpc")
     assert found.size > found.stack > 0
 
 
@@ -75,9 +79,17 @@ def random_design(controller: Controller, rng: np.random.Generator) -> Controlle
 @pytest.mark.slow
 @pytest.mark.parametrize("name", LAWS)
 def test_random_designs(name: str) -> None:
-    rng = np.random.default_rng(list(LAWS).index(name))
-    for seed in range(5):
-        compared(random_design(LAWS[name], rng), REALISTIC, y_s=rng.uniform(0.02, 0.3), n=400, seed=seed)
+    """Five that keep at least 49 of 50 vehicles on the road: in a loop that is lost, differences grow without end."""
+    rng, found = np.random.default_rng(list(LAWS).index(name)), 0
+    for seed in range(40):
+        design, y_s, scenarios = random_design(LAWS[name], rng), rng.uniform(0.02, 0.3), make_scenarios(150, seed)
+        lost = simulate(design, scenarios, setup=REALISTIC, y_s=y_s).status == EventStatus.DIVERGED
+        if lost.sum() <= 3:
+            assert compared(design, REALISTIC, y_s=y_s, n=150, seed=seed).diverged == lost.sum()
+            found += 1
+        if found == 5:
+            return
+    pytest.fail(f"{found} designs of 40")
 
 
 SETUPS = {
@@ -187,3 +199,32 @@ def test_gains_follow_the_exact_ones() -> None:
 def test_laws_without_c_code(controller: Controller, message: str) -> None:
     with pytest.raises(InputError, match=message):
         Code.of(controller, Setup(), 0.1)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"setup": None}, "setup: an object of type NoneType; allowed: Setup"),
+        ({"scenarios": [1]}, "scenarios: an object of type list; allowed: Scenarios"),
+        ({"folder": ""}, "folder: ''; allowed: a path"),
+        ({"y_s": 3.0}, "scenarios: no departure beyond y_s = 3 m; allowed: one or more"),
+        ({"controller": "lqr"}, "controller: 'lqr'; allowed: a controller instance"),
+    ],
+)
+def test_arguments_are_checked(given: dict[str, Any], message: str, tmp_path: Path) -> None:
+    usual = {"controller": LQR(), "setup": Setup(), "y_s": 0.1, "folder": tmp_path, "scenarios": make_scenarios(5)}
+    with pytest.raises(InputError, match=re.escape(message)):
+        export_c(**(usual | given))
+    assert not list(tmp_path.iterdir())
+
+
+def test_text_that_would_end_a_comment(tmp_path: Path) -> None:
+    law = BarrierFilter(inner_gains="K_y=-0.01,\n K_psi=-0.3")
+    made = export_c(law, Setup(), 0.1, tmp_path, scenarios=make_scenarios(20), origin=Origin("a */ b", "", "", "'??/"))
+    assert made.check is not None
+    assert made.check.passed
+    header = (tmp_path / "ldc_controller.h").read_text()
+    assert " * study: a * / b, hash" in header
+    assert "K_y=-0.01, K_psi=-0.3" in header
+    code = Code.of(law, Setup(), 0.1)
+    assert "ldc.inner_gains = 'K_y=-0.01, K_psi=-0.3';\n" in parameters(code, "m")
