@@ -80,12 +80,12 @@ def random_design(controller: Controller, rng: np.random.Generator) -> Controlle
 @pytest.mark.parametrize("name", LAWS)
 def test_random_designs(name: str) -> None:
     """Five that keep at least 49 of 50 vehicles on the road: in a loop that is lost, differences grow without end."""
-    rng, found = np.random.default_rng(list(LAWS).index(name)), 0
+    rng, found, n = np.random.default_rng(list(LAWS).index(name)), 0, 60 if name.startswith("mpc") else 150
     for seed in range(40):
-        design, y_s, scenarios = random_design(LAWS[name], rng), rng.uniform(0.02, 0.3), make_scenarios(150, seed)
+        design, y_s, scenarios = random_design(LAWS[name], rng), rng.uniform(0.02, 0.3), make_scenarios(n, seed)
         lost = simulate(design, scenarios, setup=REALISTIC, y_s=y_s).status == EventStatus.DIVERGED
-        if lost.sum() <= 3:
-            assert compared(design, REALISTIC, y_s=y_s, n=150, seed=seed).diverged == lost.sum()
+        if lost.sum() <= 0.02 * n:
+            assert compared(design, REALISTIC, y_s=y_s, n=n, seed=seed).diverged == lost.sum()
             found += 1
         if found == 5:
             return
