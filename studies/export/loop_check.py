@@ -281,6 +281,7 @@ def record(code: Code, scenarios: Scenarios) -> Recording:
     if not over.m:
         raise InputError(f"scenarios: no departure beyond y_s = {code.y_s:g} m; allowed: one or more")
     commands: list[FloatArray] = []
+    failed: list[BoolArray] = []
     rows = host.early()
 
     def ours(plant: Plant) -> SteeringLaw:
@@ -291,7 +292,8 @@ def record(code: Code, scenarios: Scenarios) -> Recording:
         own[0] = law.init(plant.n)
 
         def at(_: int, t: FloatArray, x: FloatArray, preview: Preview, last: FloatArray) -> FloatArray:
-            delta, own[0], _status = law.step(t, x, preview, last, own[0])
+            delta, own[0], status = law.step(t, x, preview, last, own[0])
+            failed.append(status == EventStatus.SOLVER_FAILED)
             commands.append(np.where(np.isfinite(delta), delta, last))
             return delta
 
@@ -303,7 +305,8 @@ def record(code: Code, scenarios: Scenarios) -> Recording:
 
     stepped = drive(_Stand(made=ours), over).outcome("departure")
     host.drive(again)
-    lost = np.isin(stepped.status, (EventStatus.DIVERGED, EventStatus.SOLVER_FAILED))
+    lost = stepped.status == EventStatus.DIVERGED
+    lost[over.rows] |= np.any(failed, axis=0)
     S = np.where(lost, np.nan, drive(code.controller, over).outcome("departure").S)
     inputs, k = np.stack(rows), np.arange(-_EARLY, len(commands))[:, None]
     counts = (k < over.steps) & np.isfinite(S[over.rows]) & (inputs["engage"] != 0)

@@ -20,7 +20,7 @@ from ldctoolkit.control import EventStatus
 from ldctoolkit.plant_options import Actuator, PlantOptions
 from studies.export import export_c
 from studies.export.c_code import Code
-from studies.export.loop_check import Compiled, compiler, record, struct
+from studies.export.loop_check import Compiled, check, compiler, record, struct
 from studies.study_file import load_study
 
 REALISTIC = load_study("trigger-and-gains").setup()
@@ -292,8 +292,8 @@ def test_the_solver_finds_what_the_toolkit_finds(name: str) -> None:
 @pytest.mark.parametrize("name", ["mpc", "mpc, soft", "mpc, blocks"])
 def test_no_step_of_a_million_exceeds_the_bound(name: str) -> None:
     code, rng, n = Code.of(LAWS[name], REALISTIC, 0.1), np.random.default_rng(7), 1000
-    one, row, seconds = Compiled(code, ["cc"]), np.zeros(n, dtype=struct(code.inputs)), np.zeros(n)
-    state, most, failed, longest = one.begin(n), 0, 0, 0.0
+    one, row = Compiled(code, ["cc"]), np.zeros(n, dtype=struct(code.inputs))
+    state, most, failed = one.begin(n), 0, 0
     sizes = {"e_y_rate": 2.0, "e_psi_rate": 0.3, "wheel": 0.05, "frame_e_y": 2.0, "frame_e_psi": 0.1, "e_y": 2.0}
     for _ in range(334 if name != "mpc" else 400):
         row["v"], row["line_left"], row["frame_new"] = rng.uniform(2.0, 80.0, n), 1.0, rng.random(n) > 0.3
@@ -301,13 +301,18 @@ def test_no_step_of_a_million_exceeds_the_bound(name: str) -> None:
             row[field] = rng.normal(0.0, size * rng.choice([0.1, 1.0, 3.0]), n)
         row["curvature"] = rng.normal(0.0, 0.002, row["curvature"].shape)
         row["engage"] = rng.random(n) > 0.05
-        out = one.step(row, state, seconds)
+        out = one.step(row, state)
         most, failed = max(most, int(out["iterations"].max())), failed + int((out["status"] & 4).astype(bool).sum())
-        longest = max(longest, float(seconds.max()))
     bound = code.schedule.form.mpc["iterations"]  # type: ignore[index]
-    print(f"{name}: {most} iterations of {bound}, {failed} fallbacks, longest step {1e6 * longest:.0f} us")
     assert 20 < most <= bound
     assert failed == 0
+
+
+def test_departures_in_which_the_toolkit_gave_up_are_left_out() -> None:
+    law = LinearMPC(horizon=8, delta_max=0.01, rate_max=0.02, a_y_max=0.5, jerk_max=0.5, e_y_max=0.5, solver="daqp")
+    found = check(record(Code.of(law, REALISTIC, 0.1), make_scenarios(40)), ["cc"])
+    assert 0 < found.diverged < 40
+    assert found.delta < 1e-4  # 2e-3 with it; the toolkit accepts answers that violate a limit by 1e-5 of it
 
 
 # ------------------------------------------------------------------------------------------------ the FMU
