@@ -22,7 +22,7 @@ def add_parser(commands: Subparsers) -> None:
     parser = commands.add_parser(
         "export",
         help="write a design as C code and prove it in the closed loop",
-        description="Write a design as C99 code with a test bench, compile it, and drive at least 1,000 departures of "
+        description="Write a design as C99 code with a test bench, compile it, and drive at least 1,000 scenarios of "
         "its study with it: commands and S must be the toolkit's. Exit code 3 where they are not, 4 where there is no "
         "C compiler.",
     )
@@ -34,12 +34,12 @@ def add_parser(commands: Subparsers) -> None:
     add("--fmu", action="store_true", help="pack the C code as an FMU too (FMI 2.0, co-simulation)")
     add("--no-check", action="store_true", help="do not compile and drive the code")
     add("--anyway", action="store_true", help="export a design that does not meet the requirements of its study")
-    add("--verify", action="store_true", help="write nothing: say whether FOLDER is unchanged and up to date")
+    add("--verify", action="store_true", help="write nothing: report whether FOLDER is unchanged and up to date")
     parser.set_defaults(run=run)
 
 
 def run(chosen: argparse.Namespace) -> int:
-    """Carry the command out; the exit code says whether the code is proved."""
+    """Carry the command out; the exit code reports whether the code is proved."""
     from ldctoolkit.errors import InputError
     from studies.cli._results import chosen_designs, judged
     from studies.export import Code, Origin, changed_files, export_c, is_stale, parameters
@@ -51,7 +51,7 @@ def run(chosen: argparse.Namespace) -> int:
     if missed and not (chosen.anyway or chosen.verify):
         raise InputError(
             f"{design.label}: does not meet the requirements of study {study.study.name}: {'; '.join(missed)}; "
-            "allowed: another --design, or --anyway, which the header will say"
+            "allowed: another --design, or --anyway, which the header states"
         )
     setup, folder = study.study.setup(), Path(chosen.output)
     origin = Origin(study.study.name, study.manifest.study_hash, study.manifest.model_hash, study.verdict.title, missed)

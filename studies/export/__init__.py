@@ -7,11 +7,11 @@ from pathlib import Path
 
 from ldctoolkit import Controller, Scenarios, Setup, load_model
 from ldctoolkit.errors import InputError
-from studies.export.c_code import VECTORS, Code, Origin, changed_files, is_stale, parameters, write_folder
+from studies.export.c_code import Code, Origin, changed_files, is_stale, parameters, write_folder
 from studies.export.fmu import write_fmu
 from studies.export.loop_check import Check, check, compiler, record, vectors
 
-__all__ = ["VECTORS", "Check", "Code", "Export", "Origin", "changed_files", "export_c", "is_stale", "parameters"]
+__all__ = ["Check", "Code", "Export", "Origin", "changed_files", "export_c", "is_stale", "parameters"]
 
 DEPARTURES = 1000  # a check drives at least so many scenarios, where there are so many
 

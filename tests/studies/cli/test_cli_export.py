@@ -98,7 +98,7 @@ def test_a_design_that_misses_a_requirement(strict: Path) -> None:
     done = ldc(*command, cwd=strict)
     assert (done.returncode, done.stdout) == (2, "")
     assert "LQR, y_s=0.05 m: does not meet the requirements of study before: Needless interventions" in done.stderr
-    assert done.stderr.endswith("; allowed: another --design, or --anyway, which the header will say\n")
+    assert done.stderr.endswith("; allowed: another --design, or --anyway, which the header states\n")
     assert not (strict / "made").exists()
     good(*command, "--anyway", "--no-check", cwd=strict)
     for name, text in (("ldc_controller.h", " * NOT MET by this design"), ("README.md", "\nNOT MET by this design")):
