@@ -257,15 +257,27 @@ def prove(
         multipliers[:] = 0.0
         proved = True
         sums, tolerance = np.zeros(3), _PROVED
-        for a in range(count):
-            row, magnitude = held[a], room[a, -1]
-            for k in range(M):
-                part = magnitude * C[row, k]
-                w[k] -= side[row] * part
-                tolerance = max(tolerance, _ROUNDING * abs(part))
-            multipliers[row] = side[row] * magnitude
-            if limits.group[row] >= 0:
-                sums[limits.group[row]] += magnitude
+        for refined in range(2):
+            for a in range(count):
+                row, magnitude = held[a], room[a, -1]
+                for k in range(M):
+                    part = magnitude * C[row, k]
+                    w[k] -= side[row] * part
+                    tolerance = max(tolerance, _ROUNDING * abs(part))
+                multipliers[row] += side[row] * magnitude
+                if limits.group[row] >= 0:
+                    sums[limits.group[row]] += magnitude
+            if refined or tolerance == _PROVED:
+                break
+            # multipliers this large leave w inexact: once more, for what is left
+            for a in range(count):
+                row = held[a]
+                left, kind = y[row] - (high[row] if side[row] > 0 else low[row]), limits.group[row]
+                for k in range(M):
+                    left += C[row, k] * w[k]
+                slack = sums[kind] / limits.weight[kind] - 1.0 if kind >= 0 and beyond[kind] else 0.0
+                room[a, -1] = side[row] * left - slack
+            _substitute(room, count)
         for kind in range(3):
             slack = sums[kind] / limits.weight[kind] - 1.0
             if beyond[kind]:
@@ -318,9 +330,9 @@ def _magnitudes(
     M, count = C.shape[1], held.size
     for a in range(count):
         row, kind = held[a], limits.group[held[a]]
-        right = y[row] - high[row] if side[row] > 0 else low[row] - y[row]
+        room[a, -1] = y[row] - high[row] if side[row] > 0 else low[row] - y[row]
         if kind >= 0 and beyond[kind]:
-            right += 1.0
+            room[a, -1] += 1.0
         for b in range(a + 1):
             other = held[b]
             total = 0.0
@@ -341,15 +353,23 @@ def _magnitudes(
                 if not total > 1e-12 * diagonal:
                     return row
                 room[a, a] = np.sqrt(total)
+    _substitute(room, count)
+    return -1
+
+
+@numba.njit(**OPTIONS)
+def _substitute(room: FloatArray, count: int) -> None:
+    """Solve with the factor, for room[:, -1] in place."""
+    for a in range(count):
+        total = room[a, -1]
         for k in range(a):
-            right -= room[a, k] * room[k, -1]
-        room[a, -1] = right / room[a, a]
+            total -= room[a, k] * room[k, -1]
+        room[a, -1] = total / room[a, a]
     for a in range(count - 1, -1, -1):
         total = room[a, -1]
         for k in range(a + 1, count):
             total -= room[k, a] * room[k, -1]
         room[a, -1] = total / room[a, a]
-    return -1
 
 
 @numba.njit(**OPTIONS)

@@ -3,13 +3,29 @@
 from __future__ import annotations
 
 import dataclasses
+import platform
+import tempfile
+import uuid
+import zipfile
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Final
 
 from ldctoolkit import Controller, Scenarios, Setup, load_model
 from ldctoolkit.errors import InputError
-from studies.export.c_code import Code, Origin, changed_files, is_stale, parameters, write_folder
-from studies.export.fmu import write_fmu
-from studies.export.loop_check import Check, check, compiler, record, vectors
+from studies.export.c_code import (
+    HEADER,
+    SOURCE,
+    Code,
+    Origin,
+    changed_files,
+    is_stale,
+    parameters,
+    render,
+    write_folder,
+)
+from studies.export.loop_check import Check, check, compile_c, compiler, record, vectors
+from studies.storage.files import stored_file
 
 __all__ = ["Check", "Code", "Export", "Origin", "changed_files", "export_c", "is_stale", "parameters"]
 
@@ -89,8 +105,43 @@ def export_c(
     texts, command, target = write_folder(code, Path(folder), vectors(recording)), compiler(), Path(folder)
     files = [target / name for name in texts]
     if fmu:
-        files.append(write_fmu(code, texts, target, command))
+        files.append(_write_fmu(code, texts, target, command))
     if not run_check or command is None:
         why = "not wanted" if not run_check else "no C compiler: neither cc on the path nor the package ziglang"
         return Export(tuple(files), None, why)
     return Export(tuple(files), check(recording, command))
+
+
+_PLATFORMS: Final = {"Linux": ("linux64", ".so"), "Darwin": ("darwin64", ".dylib"), "Windows": ("win64", ".dll")}
+
+
+def _write_fmu(code: Code, texts: dict[str, str], folder: Path, command: Sequence[str] | None) -> Path:
+    """An FMU of FMI 2.0; without a compiler there is no binary, and the importer compiles the sources."""
+    sizes = [(name, size) for name, size, kind in code.inputs if kind == "ldc_real"]
+    values = {
+        "guid": f"{{{uuid.uuid5(uuid.NAMESPACE_OID, texts[SOURCE] + texts[HEADER])}}}",
+        "reals": [f"{name}[{i + 1}]" if size else name for name, size in sizes for i in range(max(size, 1))],
+        "whole": [name for name, _, kind in code.inputs if kind == "int32_t"], "fields": code.inputs,
+        "dt": repr(code.setup.dt), "id": code.design.id, "title": code.label, "version": code.version,
+    }  # fmt: skip
+    files = {
+        "modelDescription.xml": render("modelDescription.xml", **values).encode(),
+        "sources/fmu.c": render("fmu.c", **values).encode(),
+        **{f"sources/{name}": texts[name].encode() for name in (HEADER, SOURCE)},
+        "documentation/README.md": texts["README.md"].encode(),
+    }
+    if command is not None:
+        if platform.system() not in _PLATFORMS:
+            raise InputError(f"--fmu: no binary for {platform.system()}; allowed on {', '.join(_PLATFORMS)}")
+        system, suffix = _PLATFORMS[platform.system()]
+        library = f"ldc_controller{suffix}"
+        with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as room:
+            for name in ("fmu.c", SOURCE, HEADER):
+                (Path(room) / name).write_bytes(files[f"sources/{name}"])
+            compile_c(command, Path(room), "-std=c99", "-O2", "-fPIC", "-shared", "fmu.c", SOURCE, "-o", library, "-lm")
+            files[f"binaries/{system}/{library}"] = (Path(room) / library).read_bytes()
+    path = folder / "ldc_controller.fmu"
+    with stored_file(path) as stream, zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as packed:
+        for name, content in files.items():
+            packed.writestr(zipfile.ZipInfo(name), content, zipfile.ZIP_DEFLATED)  # no date: the same bits each time
+    return path

@@ -26,7 +26,6 @@ from studies.storage.files import output_folder, read_bytes, write_text
 HEADER: Final = "ldc_controller.h"
 SOURCE: Final = "ldc_controller.c"
 VECTORS: Final = "test_vectors.csv"
-FMU: Final = "ldc_controller.fmu"
 
 BOUND: Final = 1e-9  # [rad] Largest difference of a command in double precision, and of S in m s
 MPC_BOUND: Final = 1e-7  # The same of linear MPC
@@ -246,7 +245,7 @@ def write_folder(code: Code, folder: Path, vectors: str) -> dict[str, str]:
     if others and HEADER not in others:
         raise InputError(f"{folder}: holds {', '.join(others)}, which no export wrote; allowed: an empty or new folder")
     output_folder(folder)
-    (folder / FMU).unlink(missing_ok=True)  # of the export before
+    (folder / "ldc_controller.fmu").unlink(missing_ok=True)  # of the export before
     for name in sorted(files, key=lambda name: name == HEADER):  # the header last: it vouches for the others
         write_text(folder / name, files[name])
     return files

@@ -234,6 +234,7 @@ static int32_t solve(ldc_state *s, ldc_work w[LDC_VARIABLES])
     ldc_work part[LDC_VARIABLES] = {LDC_W(0.0)};
     ldc_work to[LDC_VARIABLES] = {LDC_W(0.0)};
     ldc_work multiplier = LDC_W(0.0); /* of the bound that is being added */
+    int32_t which[LDC_VARIABLES] = {0}; /* held bounds */
     int32_t adding = 0;
     int32_t bound = 0;
     int32_t n = 0; /* bounds held */
@@ -241,6 +242,7 @@ static int32_t solve(ldc_state *s, ldc_work w[LDC_VARIABLES])
 {% if mpc.kinds %}
     for (n = 0; n < {{ mpc.kinds|length }}; n++) { /* at first every slack is held at 0 */
         s->right[n] = root[n];
+        which[n] = LDC_ROWS + n;
         normal(s, LDC_ROWS + n, s->held[n]);
     }
 {% endif %}
@@ -251,7 +253,14 @@ static int32_t solve(ldc_state *s, ldc_work w[LDC_VARIABLES])
         int32_t first = -1; /* held bound whose multiplier is the first to be 0 */
         if (adding == 0) {
             bound = worst_bound(s, w, n);
-            if (bound == (LDC_ROWS + LDC_VARIABLES)) { return 1; }
+            if (bound == (LDC_ROWS + LDC_VARIABLES)) { /* w once more, less what rounding left of the held bounds */
+                for (int32_t i = 0; i < n; i++) { part[i] = violation(s, which[i], s->held[i], w); }
+                gram(s, n, part);
+                for (int32_t i = 0; i < n; i++) {
+                    for (int32_t j = 0; j < LDC_VARIABLES; j++) { w[j] -= part[i] * s->held[i][j]; }
+                }
+                return 1;
+            }
             normal(s, bound, to);
             multiplier = LDC_W(0.0);
             adding = 1;
@@ -284,12 +293,14 @@ static int32_t solve(ldc_state *s, ldc_work w[LDC_VARIABLES])
         for (int32_t i = 0; i < n; i++) { s->right[i] -= step * part[i]; }
         if (adding == 0) {
             s->right[n] = multiplier;
+            which[n] = bound;
             (void)memcpy(s->held[n], to, sizeof(to));
             n++;
         } else {
             n--;
             for (int32_t i = (first < 0) ? 0 : first; i < n; i++) {
                 s->right[i] = s->right[i + 1];
+                which[i] = which[i + 1];
                 (void)memcpy(s->held[i], s->held[i + 1], sizeof(s->held[i]));
             }
         }

@@ -85,12 +85,7 @@ def test_random_designs(name: str) -> None:
         design, y_s, scenarios = random_design(LAWS[name], rng), rng.uniform(0.02, 0.3), make_scenarios(n, seed)
         lost = simulate(design, scenarios, setup=REALISTIC, y_s=y_s).status == EventStatus.DIVERGED
         if lost.sum() <= 0.02 * n:
-            if name == "mpc, soft":  # the toolkit's own tolerance adds up where limits cannot be met: not always 1e-7
-                made = check(record(Code.of(design, REALISTIC, y_s), scenarios), ["cc"])
-                assert made.delta <= 1e-5
-                assert made.phases == 0
-            else:
-                assert compared(design, REALISTIC, y_s=y_s, n=n, seed=seed).diverged == lost.sum()
+            assert compared(design, REALISTIC, y_s=y_s, n=n, seed=seed).diverged == lost.sum()
             found += 1
         if found == 5:
             return
