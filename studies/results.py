@@ -18,7 +18,8 @@ from ldctoolkit.metrics import MetricValues
 from ldctoolkit.notebook import facts_html
 from ldctoolkit.simulation import Window
 from ldctoolkit.vehicle import Convention
-from studies.design import Design
+
+from .design import Design
 
 FAILED_STATUSES: Final = (EventStatus.SOLVER_FAILED, EventStatus.DIVERGED, EventStatus.TIMED_OUT, EventStatus.CRASHED)
 """A scenario with one of these is a failure of the design: it is penalised and counted, and never left out."""

@@ -12,22 +12,23 @@ import numpy as np
 
 from ldctoolkit.errors import InputError, StoreError
 from ldctoolkit.scenario_model import ScenarioModel, load_model
-from studies.design import FOLLOWS_CASE, Design
-from studies.racing import run_race
-from studies.ranking.design_metrics import find_baseline
-from studies.ranking.ranking import Ranking, rank_study
-from studies.replayed import ReplayedDepartures, read_replayed
-from studies.results import Race, StudyResults
-from studies.running.campaign import Campaign, Progress, default_progress
-from studies.running.executors import Executor, make_executor
-from studies.running.tasks import Prefixes, schedule
-from studies.search import run_search
-from studies.storage.files import locked, remove_leftovers
-from studies.storage.manifest import Manifest, write_designs
-from studies.storage.run_table import AllFailedError
-from studies.storage.store import FINALISTS, REPLAYED, SCORES, Store, make_folder
-from studies.storage.stored_model import Source, model_notes, with_counts, with_recorded_widths, write_model
-from studies.study_file import Study
+
+from .design import FOLLOWS_CASE, Design
+from .racing import run_race
+from .ranking.design_metrics import find_baseline
+from .ranking.ranking import Ranking, rank_study
+from .replayed import ReplayedDepartures, read_replayed
+from .results import Race, StudyResults
+from .running.campaign import Campaign, Progress, default_progress
+from .running.executors import Executor, make_executor
+from .running.tasks import Prefixes, schedule
+from .search import run_search
+from .storage.files import locked, remove_leftovers
+from .storage.manifest import Manifest, write_designs
+from .storage.run_table import AllFailedError
+from .storage.store import FINALISTS, REPLAYED, SCORES, Store, make_folder
+from .storage.stored_model import Source, model_notes, with_counts, with_recorded_widths, write_model
+from .study_file import Study
 
 _log = logging.getLogger("studies")
 

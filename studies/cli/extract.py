@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from ldctoolkit.errors import InputError
-from studies.cli._console import (
+
+from ._console import (
     Subparsers,
     add_limit,
     console,
@@ -88,7 +89,8 @@ def run(chosen: argparse.Namespace) -> int:
     from ldctoolkit.recordings.find_departures import Criteria
     from ldctoolkit.recordings.preparation import Preparation
     from ldctoolkit.recordings.sources import open_recordings
-    from studies.extraction import MOST_NAMED, NothingReadError, parts_folder, run_extraction
+
+    from ..extraction import MOST_NAMED, NothingReadError, parts_folder, run_extraction
 
     target = output_file(chosen.output, ".parquet")
     page = None if chosen.report is None else output_file(chosen.report, ".html", option="--report")
@@ -152,7 +154,8 @@ def _page_writer(page: Path, target: Path) -> Callable[[Extraction], None]:
 
     def write(found: Extraction) -> None:
         from ldctoolkit.errors import StoreError
-        from studies.pages.extraction_page import write_extraction_page
+
+        from ..pages.extraction_page import write_extraction_page
 
         try:
             write_extraction_page(page, found)

@@ -21,34 +21,20 @@ from ldctoolkit.errors import LdcError
 from ldctoolkit.metrics import METRICS, RELEASE_METRICS
 from ldctoolkit.review import design_margins
 from ldctoolkit.vehicle import Convention
-from studies.assessment import assess
-from studies.design import Design
-from studies.ranking.design_metrics import (
-    DrivableCase,
-    Margins,
-    case_metrics,
-    find_baseline,
-    in_order,
-    pareto_costs,
-    pareto_front,
-)
-from studies.ranking.inference import Inference, infer, spread_is_known
-from studies.ranking.named_vehicles import worst_of_vehicles
-from studies.ranking.ranked_designs import (
-    FreshScores,
-    RankedDesigns,
-    SearchScores,
-    best_of_laws,
-    fresh_scores,
-    no_fresh_scores,
-)
-from studies.ranking.requirements import SETS, metric, missed_by, requirements_of
-from studies.ranking.tail import tail_text
-from studies.ranking.verdict import depths, ranking_html
-from studies.results import Case, CaseResults, Race, StudyResults
-from studies.standards import standard_names
-from studies.storage.files import write_text
-from studies.study_file import Study
+
+from ..assessment import assess
+from ..design import Design
+from ..results import Case, CaseResults, Race, StudyResults
+from ..standards import standard_names
+from ..storage.files import write_text
+from ..study_file import Study
+from .design_metrics import DrivableCase, Margins, case_metrics, find_baseline, in_order, pareto_costs, pareto_front
+from .inference import Inference, infer, spread_is_known
+from .named_vehicles import worst_of_vehicles
+from .ranked_designs import FreshScores, RankedDesigns, SearchScores, best_of_laws, fresh_scores, no_fresh_scores
+from .requirements import SETS, metric, missed_by, requirements_of
+from .tail import tail_text
+from .verdict import depths, ranking_html
 
 if TYPE_CHECKING:
     from ldctoolkit import Setup
