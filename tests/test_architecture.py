@@ -18,6 +18,7 @@ LEVELS = (
     (
         "ldctoolkit.arrays",
         "ldctoolkit.errors",
+        "ldctoolkit.frames",
         "ldctoolkit.lane_functions",
         "ldctoolkit.package_names",
         "ldctoolkit.version",
