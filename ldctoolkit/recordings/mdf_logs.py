@@ -1,4 +1,4 @@
-"""Reader of ASAM MDF logs (.mf4, .mdf): a channel map says which channel holds what."""
+"""Reader of ASAM MDF logs (.mf4, .mdf, .dat): a channel map says which channel holds what."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ from ldctoolkit.arrays import FloatArray
 from ldctoolkit.errors import InputError, LdcError, RecordingError
 from ldctoolkit.recordings.preparation import LONGEST_GAP, MAX_GAP, MAX_JUMP, rising_rows
 from ldctoolkit.recordings.recording import Problem, Recording, printable, source_file
-from ldctoolkit.recordings.sources import FoundParts, place_of, shown_names
+from ldctoolkit.recordings.sources import FoundParts, find_tables, shown_names
 from ldctoolkit.validation import Part, as_tuples, fail, first_problem
 
-SUFFIXES: Final = (".mf4", ".mdf")
+_NAMES: Final = re.compile(r"\.(mf4|mdf|dat)$", re.IGNORECASE)
 
 _DEG: Final = np.pi / 180.0
 UNITS: Final = {
     "length": {"m": 1.0, "cm": 0.01, "mm": 1e-3, "ft": 0.3048, "in": 0.0254},
     "speed": {"m/s": 1.0, "km/h": 1 / 3.6, "kph": 1 / 3.6, "kmh": 1 / 3.6, "mph": 0.44704, "kn": 1852 / 3600},
     "curvature": {"1/m": 1.0, "m^-1": 1.0, "rad/m": 1.0, "1/km": 1e-3, "km^-1": 1e-3},
-    "yaw rate": {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": _DEG, "°/s": _DEG, "deg/sec": _DEG, "grad/s": _DEG},
+    "yaw rate": {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": _DEG, "°/s": _DEG, "deg/sec": _DEG},
     "time": {"s": 1.0, "": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
 }
 """Factors to SI, by what is measured; capital letters and blanks do not count."""
@@ -155,7 +155,7 @@ class MdfReader:
 
     channels: Path | None = None  # the map, a TOML file
     name: str = "mdf"
-    title: str = "ASAM MDF logs (.mf4, .mdf), with a channel map"
+    title: str = "ASAM MDF logs (.mf4, .mdf, .dat), with a channel map"
     vehicle_width: float = 1.9
     step: float | None = None
 
@@ -168,7 +168,7 @@ class MdfReader:
         """Look through files, or folders that hold them; a log that is no MDF is a problem of its part."""
         logs = _logs(paths)
         if not logs:
-            raise RecordingError(f"{paths[0].name}: no file ends in {' or '.join(SUFFIXES)}")
+            raise RecordingError(f"{paths[0].name}: no MDF log; allowed: files that end in .mf4, .mdf or .dat")
         _check_installed()
         if self.channels is None:
             what = "needs a channel map; allowed: --channels MAP.toml (--list-channels prints one to start from)"
@@ -191,9 +191,16 @@ def _check_installed() -> None:
 
 
 def _logs(paths: Sequence[Path]) -> list[Path]:
-    """Logs among files and in folders, by their names, each once."""
-    inside = (one for path in paths for one in (sorted(path.rglob("*")) if path.is_dir() else [path]))
-    return list({place_of(one): one for one in inside if one.suffix.lower() in SUFFIXES and one.is_file()}.values())
+    """Logs among files and in folders, by their names; any program's data may be called .dat."""
+    return [path for path, _ in find_tables(paths, _NAMES) if _NAMES.search(path.name) and _is_log(path)]
+
+
+def _is_log(path: Path) -> bool:
+    try:
+        with path.open("rb") as stream:
+            return path.suffix.lower() != ".dat" or stream.read(3) == b"MDF"
+    except (OSError, ValueError):  # no file, or a NUL in the name
+        return False
 
 
 def list_channels(path: Path) -> str:
@@ -209,8 +216,8 @@ def list_channels(path: Path) -> str:
         raise RecordingError(f"{path.name}: {error}") from None
 
 
-# The library follows links from block to block of a file, in Python and in C, without end where those of a damaged file
-# form a circle. So logs are read in a process of their own, which can be ended.
+# In a damaged file the library follows links in circles without end, and its C code may write past its memory: of
+# 10,000 files with changed bytes 17 ended the process or never came back. So logs are read in a process of their own.
 
 PATIENCE: Final = 60.0  # [s] for a log to be read, and 1 s more for each megabyte
 MEMORY: Final = 4 << 30  # [bytes] that the process may take, and eight times the log's size
@@ -229,25 +236,30 @@ def _process(owner: int) -> subprocess.Popen[bytes]:  # noqa: ARG001 - one for e
 
 def _ask(path: Path, shown: str, channels: ChannelMap | None) -> Any:
     """What the reading process makes of a log; raises `RecordingError` with its reason, or where it has to be ended."""
+    limit = PATIENCE + path.stat().st_size / 1e6
+    answer, late = None, False
     with _LOCK:
-        process = _process(os.getpid())
-        limit = PATIENCE + path.stat().st_size / 1e6
-        timer = threading.Timer(limit, process.kill)
-        timer.start()
-        answer = None
-        try:
-            process.stdin.write(pickle.dumps((str(path.absolute()), shown, channels)))  # type: ignore[union-attr]
-            process.stdin.flush()  # type: ignore[union-attr]
-            answer = pickle.load(process.stdout)  # type: ignore[arg-type]
-        except (OSError, EOFError, pickle.UnpicklingError):
-            what = f"reading it as MDF crashes, or takes longer than {limit:.0f} s; the file is damaged"
-            raise RecordingError(what) from None
-        finally:
-            timer.cancel()
-            if answer is None:  # also after an interrupt: the next answer would be this one's
-                process.kill()
-                process.communicate()
-                _process.cache_clear()
+        for _ in range(2):  # once more, since memory that an earlier log has spoilt may end the process, too
+            if answer is not None or late:
+                break
+            process = _process(os.getpid())
+            timer = threading.Timer(limit, process.kill)
+            timer.start()
+            try:
+                process.stdin.write(pickle.dumps((str(path.absolute()), shown, channels)))  # type: ignore[union-attr]
+                process.stdin.flush()  # type: ignore[union-attr]
+                answer = pickle.load(process.stdout)  # type: ignore[arg-type]
+            except (OSError, EOFError, pickle.UnpicklingError):
+                late = not timer.is_alive()
+            finally:
+                timer.cancel()
+                if answer is None:  # also after an interrupt: the next answer would be this one's
+                    process.kill()
+                    process.wait()
+                    _process.cache_clear()
+    if answer is None:
+        what = f"takes longer than {limit:.0f} s" if late else "ends the process"
+        raise RecordingError(f"reading it as MDF {what}; the file is damaged")
     if isinstance(answer, RecordingError):
         raise answer
     return answer

@@ -179,12 +179,12 @@ DEPTH: Final = 2  # folders inside a folder are looked into this many levels dow
 _TABLE: Final = re.compile(r"\.(csv|txt|csv\.gz|csv\.bz2|csv\.xz|csv\.zip)$", re.IGNORECASE)
 
 
-def find_tables(paths: Iterable[Path]) -> list[tuple[Path, bool]]:
-    """Files named by the user, and files in named folders that may be tables; each once."""
+def find_tables(paths: Iterable[Path], names: re.Pattern[str] = _TABLE) -> list[tuple[Path, bool]]:
+    """Files named by the user, and files in named folders that may be tables by their names; each once."""
     found: dict[str, tuple[Path, bool]] = {}
     for path in paths:
         named = not os.path.isdir(path)  # noqa: PTH112 - this one raises nothing, whatever the path
-        inside = [path] if named else [one for one in _walk(path, DEPTH) if _TABLE.search(one.name)]
+        inside = [path] if named else [one for one in _walk(path, DEPTH) if names.search(one.name)]
         for one in inside:
             place = place_of(one)
             known = found.get(place)

@@ -1,8 +1,11 @@
 """MDF logs, written by asammdf itself: planted departures come back, units and signs are right, faults are named."""
 
 import dataclasses
+import functools
+import os
 import random
 import re
+import subprocess
 import tomllib
 from collections import Counter
 from pathlib import Path
@@ -293,7 +296,8 @@ def test_a_folder_is_trips_and_a_damaged_one_is_named(tmp_path: Path) -> None:
     for i in range(2):
         (tmp_path / f"day{i}").mkdir()
         write_log(tmp_path / f"day{i}" / "trip.mf4")
-    write_log(tmp_path / "other.mdf", version="3.30")
+    write_log(tmp_path / "other.mdf", version="3.30").rename(tmp_path / "other.dat")
+    (tmp_path / "notes.dat").write_text("no log")
     (tmp_path / "bad.mf4").write_bytes((tmp_path / "day0/trip.mf4").read_bytes()[:5000])
     (tmp_path / "text.mf4").write_text("t,y\n0,1\n")
     (tmp_path / "none.mf4").write_bytes(b"")
@@ -367,9 +371,27 @@ def test_blocks_in_a_circle_end(log: Path, tmp_path: Path, block: bytes, monkeyp
     content[place + 24 : place + 32] = place.to_bytes(8, "little")  # the link to the next block, to itself
     circle = tmp_path / "a.mf4"
     circle.write_bytes(content)
-    assert problem(circle, MAP) == "a.mf4: reading it as MDF crashes, or takes longer than 1 s; the file is damaged"
+    assert problem(circle, MAP) == "a.mf4: reading it as MDF takes longer than 1 s; the file is damaged"
     monkeypatch.undo()
     assert_planted(extract(log))
+
+
+def test_a_log_that_ends_the_process_is_named_and_does_no_harm_to_the_next(
+    log: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As the library's C code does in some damaged files: whichever log is read when it happens is tried once more."""
+    assert_planted(extract(log))
+    process = mdf_logs._process(os.getpid())
+    process.kill()
+    process.wait()
+    assert_planted(extract(log))
+
+    @functools.cache
+    def dies(owner: int) -> subprocess.Popen[bytes]:
+        return subprocess.Popen(["false"], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+
+    monkeypatch.setattr(mdf_logs, "_process", dies)
+    assert problem(log, MAP) == "a.mf4: reading it as MDF ends the process; the file is damaged"
 
 
 def damaged(sound: bytes, rng: random.Random) -> bytes:
@@ -429,6 +451,21 @@ def test_a_map_is_part_of_what_was_read(log: Path) -> None:
     assert sources[0][0] == sources[1][0]
     assert sources[0][1].sha256 != sources[1][1].sha256
     assert dataclasses.replace(found.provenance, sources=()) == dataclasses.replace(other.provenance, sources=())
+
+
+def test_the_pages_map_and_python_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (text,) = cli.blocks("docs/mdf-logs.md", "toml")
+    Path("page.toml").write_text(text)
+    assert mdf_logs.read_channel_map(Path("page.toml")).speed.channel == "VehicleSpeed"
+    page = (cli.ROOT / "docs/mdf-logs.md").read_text(encoding="utf-8")
+    for name, units in mdf_logs.UNITS.items():
+        assert name == "time" or all(unit in page for unit in units), name
+    assert all(f"`{name}`" in page for name in (*mdf_logs.QUANTITIES, *mdf_logs.Channel.model_fields))
+    cli.run_python("docs/mdf-logs.md", {"__name__": "page"})
+    assert capsys.readouterr().out == "4 departures in 1.0 minutes\n"
 
 
 def test_it_is_an_error_of_the_family() -> None:
