@@ -486,9 +486,9 @@ def _at(base: FloatArray, t: FloatArray, values: FloatArray, quantity: str, max_
         longest = max_gap if quantity == "valid" else np.inf  # a switch may be recorded only when it changes
         return np.where((i >= 0) & (since <= longest), values[before], np.nan)
     rise = values[after] - values[before]
-    between = values[before] + since / step * rise
+    between = values[before] + rise / step * since
     if dimension == "length":  # a jump stays one
         beside = np.where(since <= 0.5 * step, values[before], values[after])
         between = np.where(np.abs(rise) > MAX_JUMP, beside, between)
-    inside = (i >= 0) & (i + 1 < t.size) & (step <= max_gap)
-    return np.where(since == 0.0, values[before], np.where(inside, between, np.nan))
+    # beyond the ends, before and after are one sample, and 0/0 is NaN
+    return np.where(since == 0.0, values[before], np.where(step <= max_gap, between, np.nan))

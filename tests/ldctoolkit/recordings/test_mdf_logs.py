@@ -112,6 +112,34 @@ def test_longer_gaps_than_allowed_are_not_bridged(tmp_path: Path) -> None:
     assert_planted(extract(log, "max_gap = 0.6\n" + MAP))
 
 
+def test_a_state_is_held_no_longer_than_a_gap(tmp_path: Path) -> None:
+    content = groups()
+    t = np.arange(0.0, 97.0, 0.1)
+    t = t[(t < 39.2) | (t > 39.8)]
+    content.append(("Second", t, {"Quality": (np.ones(t.size), "")}))
+    log = write_log(tmp_path / "a.mf4", content)
+    channels = MAP + '[[valid]]\nchannel = "Quality"\n'
+    assert_planted(extract(log, channels), missing=(3,))
+    assert_planted(extract(log, "max_gap = 0.8\n" + channels))
+
+
+def test_a_jump_stays_one_and_nothing_is_made_up_at_the_ends(tmp_path: Path) -> None:
+    """A lane change at 2.03 s, between samples of both lines, which have clocks of their own."""
+    t, late = np.arange(0.0, 4.0, 0.04), np.arange(0.013, 3.9, 0.04)
+    content = [
+        ("Left", t, {"LineLeft": (np.where(t < 2.03, 0.2, 3.7), "m"), "Speed": (np.full(t.size, 20.0), "m/s")}),
+        ("Right", late, {"LineRight": (np.where(late < 2.03, -3.3, 0.2), "m")}),
+    ]
+    (tmp_path / "map.toml").write_text(
+        'left_line = {channel = "LineLeft"}\nright_line = {channel = "LineRight"}\nspeed = {channel = "Speed"}'
+    )
+    (recording,) = read_recordings(write_log(tmp_path / "a.mf4", content), channels=tmp_path / "map.toml")
+    known = (t > 0.013) & (t < 3.893)
+    np.testing.assert_array_equal(np.isfinite(recording.lane_width), known)
+    np.testing.assert_allclose(recording.lane_width[known], 3.5)
+    np.testing.assert_allclose(recording.lane_offset[known], np.where(t < 2.03, 1.55, -1.95)[known])
+
+
 # what one of the unit is in SI, by hand
 SI = {
     "LaneOffset": {"m": 1.0, "cm": 0.01, "MM": 0.001, "ft": 0.3048, "in": 0.0254},
