@@ -50,7 +50,10 @@ def _factor(unit: str, dimension: str) -> float | None:
 _LEFT, _RIGHT = r"(left|lft|_l_|_l$|^l_)", r"(right|rgt|_r_|_r$|^r_)"
 _LINE, _TURN = r"(lane|line|mark|dist)", r"(turn|blink|indicat)"
 QUANTITIES: Final = {
-    "lane_offset": ("length", r"(lane|lat|cent).*(off|dev|pos|dist)|(off|dev).*(lane|cent)"),
+    "lane_offset": (
+        "length",
+        rf"^(?!.*{_LEFT}|.*{_RIGHT}).*((lane|lat|cent).*(off|dev|pos|dist)|(off|dev).*(lane|cent))",
+    ),
     "left_line": ("length", rf"^(?!.*width).*({_LINE}.*{_LEFT}|{_LEFT}.*{_LINE})"),
     "right_line": ("length", rf"^(?!.*width).*({_LINE}.*{_RIGHT}|{_RIGHT}.*{_LINE})"),
     "lane_width": ("length", r"lane.*width|width.*lane"),
@@ -58,7 +61,7 @@ QUANTITIES: Final = {
     "curvature": ("curvature", r"curv"),
     "yaw_rate": ("yaw rate", r"yaw.*(rate|vel|spd)|gyro.*z"),
     "valid": ("", r"(lane|line).*(valid|qual|conf|prob)"),
-    "lane": ("", r"lane.*(id|index|num)"),
+    "lane": ("", r"lane.*(id$|id_|index|num)"),
     "turn_signal": ("", rf"^(?!.*{_LEFT}|.*{_RIGHT}).*{_TURN}"),
     "left_signal": ("", rf"{_TURN}.*{_LEFT}|{_LEFT}.*{_TURN}"),
     "right_signal": ("", rf"{_TURN}.*{_RIGHT}|{_RIGHT}.*{_TURN}"),
@@ -110,6 +113,8 @@ class ChannelMap(Part):
             if one.unit is not None and not (dimension and _factor(one.unit, dimension)):
                 allowed = ", ".join(UNITS[dimension]) if dimension else "none, it is a state"
                 raise fail(f"{name}.unit", f"{one.unit!r}, of {one.channel or 'a constant'!r}; allowed: {allowed}")
+            if one.min is not None and name != "valid":
+                raise fail(f"{name}.min", "is a key of valid only")
         lines = self.left_line and self.right_line
         for name in ("lane_offset", "lane_width"):
             if not (getattr(self, name) or lines):
@@ -217,7 +222,7 @@ def list_channels(path: Path) -> str:
 
 
 # In a damaged file the library follows links in circles without end, and its C code may write past its memory: of
-# 10,000 files with changed bytes 17 ended the process or never came back. So logs are read in a process of their own.
+# 10,000 files with changed bytes 18 ended the process or never came back. So logs are read in a process of their own.
 
 PATIENCE: Final = 60.0  # [s] for a log to be read, and 1 s more for each megabyte
 MEMORY: Final = 4 << 30  # [bytes] that the process may take, and eight times the log's size
@@ -255,7 +260,7 @@ def _ask(path: Path, shown: str, channels: ChannelMap | None) -> Any:
                 timer.cancel()
                 if answer is None:  # also after an interrupt: the next answer would be this one's
                     process.kill()
-                    process.wait()
+                    process.communicate()  # closes the pipes
                     _process.cache_clear()
     if answer is None:
         what = f"takes longer than {limit:.0f} s" if late else "ends the process"

@@ -235,6 +235,7 @@ def test_slow_channels_serve_with_a_longer_gap(log: Path) -> None:
          "map.toml: lane_width: missing; needed: this, or left_line and right_line"),
         (MAP.replace('channel = "LaneOffset"', "value = 0.1"),
          "map.toml: lane_offset: is constant; allowed: a channel, at whose times the others are taken"),
+        (MAP.replace("scale = -1", "min = 1", 1), "map.toml: lane_offset.min: is a key of valid only"),
         ("max_gap = 0\n" + MAP, "map.toml: max_gap: 0; allowed: "),
         (MAP[MAP.index("[curvature]"):], "map.toml: speed: missing, and has no default"),
     ],
@@ -354,7 +355,7 @@ def test_the_listed_map_is_one(log: Path) -> None:
     assert guess["yaw_rate"] == {"channel": "YawRate", "unit": "deg/s"}
     assert guess["valid"] == [{"channel": "LaneQuality"}]
     assert guess["turn_signal"] == {"channel": "TurnSignal"}
-    assert "# left_line: no channel looks like it" in out
+    assert all(f"\n# {name}: no channel looks like it\n" in out for name in ("left_line", "right_line", "lane"))
     edited = out.replace('"LaneOffset"', '"LaneOffset"\nscale = -1').replace(
         '"RoadCurvature"', '"RoadCurvature"\nscale=-1'
     )
@@ -494,6 +495,28 @@ def test_the_pages_map_and_python_run(
     assert all(f"`{name}`" in page for name in (*mdf_logs.QUANTITIES, *mdf_logs.Channel.model_fields))
     cli.run_python("docs/mdf-logs.md", {"__name__": "page"})
     assert capsys.readouterr().out == "4 departures in 1.0 minutes\n"
+
+
+@pytest.mark.parametrize(
+    ("quantity", "channel", "unit"),
+    [
+        ("left_line", "Lane_Dist_Left", "m"), ("right_line", "DistToLineRight", "cm"),
+        ("lane_offset", "LatDevCenter", "m"), ("speed", "VehSpd", "km/h"),
+        ("yaw_rate", "ESP_YawRate", "deg/s"), ("curvature", "LaneCurv", "1/m"),
+        ("left_signal", "BlinkerLeft", ""), ("right_signal", "TurnIndicator_Right", ""), ("lane", "LaneIndex", ""),
+    ],
+)  # fmt: skip
+def test_guesses_by_names_and_units(tmp_path: Path, quantity: str, channel: str, unit: str) -> None:
+    t = np.arange(3.0)
+    others = {
+        "WheelSpeedFL": (t, "km/h"),
+        "EngineSpeed": (t, "1/min"),
+        "LeftTemperature": (t, "degC"),
+        channel: (t, unit),
+    }
+    log = write_log(tmp_path / "a.mf4", [("All", t, others)])
+    guess = tomllib.loads(mdf_logs.list_channels(log))
+    assert guess == {quantity: {"channel": channel, **({"unit": unit} if unit else {})}}
 
 
 def test_it_is_an_error_of_the_family() -> None:
