@@ -32,7 +32,12 @@ def test_the_readmes_python_runs(capsys: pytest.CaptureFixture[str]) -> None:
 
 @pytest.mark.parametrize(
     ("page", "lines"),
-    [("docs/simulation.md", 7), ("docs/plant-options.md", 1), ("docs/metrics.md", 4), ("docs/design-review.md", 2)],
+    [
+        ("docs/explanation/closed-loop.md", 7),
+        ("docs/explanation/plant-options.md", 1),
+        ("docs/reference/metrics.md", 4),
+        ("docs/how-to/reviewing-a-design.md", 2),
+    ],
 )
 def test_the_pages_python_runs(page: str, lines: int, capsys: pytest.CaptureFixture[str]) -> None:
     """All blocks of a page in one go; each prints what it says."""
@@ -43,7 +48,8 @@ def test_the_pages_python_runs(page: str, lines: int, capsys: pytest.CaptureFixt
 
 
 def test_the_toml_of_the_plant_options_is_its_python() -> None:
-    (code, *_), (text,) = blocks("docs/plant-options.md", "python"), blocks("docs/plant-options.md", "toml")
+    page = "docs/explanation/plant-options.md"
+    (code, *_), (text,) = blocks(page, "python"), blocks(page, "toml")
     scope: dict[str, object] = {"__name__": "page"}
     exec(compile(code.partition("scenarios =")[0], "plant-options.md", "exec"), scope)
     study = Study.from_dict({"name": "page", "design": [{"law": "none"}], **tomllib.loads(text)})
@@ -60,7 +66,7 @@ def test_pages_link_to_pages_that_exist() -> None:
 
 
 def test_metrics_names_every_companion() -> None:
-    text = (ROOT / "docs/metrics.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs/reference/metrics.md").read_text(encoding="utf-8")
     for name, unit in METRIC_UNITS.items():
         row = re.search(rf"^\| `{name}` \| ([^|]+) \|", text, flags=re.M)
         assert row, name
@@ -68,7 +74,7 @@ def test_metrics_names_every_companion() -> None:
 
 
 def test_plant_options_names_every_field() -> None:
-    text = (ROOT / "docs/plant-options.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs/explanation/plant-options.md").read_text(encoding="utf-8")
     tables: list[type] = [KalmanFilter]
     for field in dataclasses.fields(PlantOptions):
         assert f"## `{field.name}`" in text, field.name
@@ -84,7 +90,7 @@ def guide() -> Iterator[types.ModuleType]:
     """The controllers of the guide, in a module of their own (dataclasses look their module up)."""
     module = types.ModuleType("guide")
     sys.modules["guide"] = module
-    run_python("docs/writing-a-controller.md", module.__dict__)
+    run_python("docs/how-to/my-law.md", module.__dict__)
     yield module
     del sys.modules["guide"]
 

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from ldctoolkit import Setup
 
 
-FEW = 50  # scenarios below which intervals are too short by an amount that matters, see docs/ranking.md
+FEW = 50  # scenarios below which intervals are too short by an amount that matters, see docs/explanation/statistics.md
 
 FEW_OF_A_SIDE = 10
 

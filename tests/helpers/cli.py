@@ -71,7 +71,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def blocks(page: str, language: str) -> list[str]:
-    """The blocks of a page in one language, by its path in the project: ``"docs/cli.md"``."""
+    """The blocks of a page in one language, by its path in the project: ``"docs/reference/commands.md"``."""
     return re.findall(rf"```{language}\n(.*?)```", (ROOT / page).read_text(encoding="utf-8"), flags=re.S)
 
 
