@@ -120,7 +120,19 @@ MARGIN_SPEEDS: Final = tuple(range(10, 41, 5))  # speeds [m/s] that the margins 
 
 @dataclasses.dataclass(frozen=True, repr=False)
 class Ranking(RankedDesigns):
-    """Designs of one case, best first, made with `Ranking.of`; the attributes are those of `RankedDesigns`."""
+    """Designs of one case, best first, made with `Ranking.of`; the attributes are those of `RankedDesigns`.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import ldctoolkit as ldc
+    >>> study = ldc.study(ldc.NoControl, ldc.LQR, name="small", left=20, right=20)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     results = ldc.run_study(study, directory=folder, workers=1)
+    >>> ranking = ldc.rank_study(results, study)[0]
+    >>> ranking.designs[0].law, ranking.S.shape
+    ('lqr', (2,))
+    """
 
     def _repr_html_(self) -> str:
         """What a notebook shows."""
@@ -266,6 +278,16 @@ def _replayed(results: StudyResults, case: CaseResults, designs: Sequence[Design
 def rank_study(results: StudyResults, study: Study) -> tuple[Ranking, ...]:
     """Rank every case of a study with the study's own settings; the `results` are in the order of the cases, the
     primary one first.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import ldctoolkit as ldc
+    >>> study = ldc.study(ldc.NoControl, ldc.LQR, name="small", left=20, right=20)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     results = ldc.run_study(study, directory=folder, workers=1)
+    >>> [design.law for design in ldc.rank_study(results, study)[0].designs]
+    ['lqr', 'none']
     """
     settings = study.ranking
     return tuple(
