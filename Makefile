@@ -65,6 +65,7 @@ test-browser:  # one process: a browser beside another may wait for ever
 	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -m browser
 
 docs: $(VENV)/.docs  ## the documentation into out/docs; a warning is an error
+	@rm -rf docs/reference/generated
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m sphinx -W --keep-going -q -d out/docs-cache docs out/docs
 
 bench: $(VENV)/.bench  ## ratios against named references

@@ -1,5 +1,6 @@
 """Configuration of Sphinx; `make docs` builds the site into out/docs."""
 
+import dataclasses
 import os
 import re
 import sys
@@ -44,8 +45,11 @@ autodoc_member_order = "bysource"
 default_role = "autolink"
 
 
-def escape_bars(_app: Any, _what: str, _name: str, _obj: Any, _options: Any, lines: list[str]) -> None:
-    """|e_y| is an amount in docstrings, and not a substitution."""
+def complete(_app: Any, what: str, _name: str, thing: Any, _options: Any, lines: list[str]) -> None:
+    """Add the fields of a dataclass that its docstring leaves to comments; |e_y| is an amount, and no substitution."""
+    if what == "class" and dataclasses.is_dataclass(thing) and "Attributes\n" not in (thing.__doc__ or ""):
+        known = generated.comments(thing).items()
+        lines += ["", *(f":ivar {name}: {text}" for name, text in known if text != "the same"), ""]
     lines[:] = [
         line if line.lstrip().startswith((">>>", "...")) else re.sub(r"(?<!`)\|", r"\\|", line) for line in lines
     ]
@@ -53,4 +57,4 @@ def escape_bars(_app: Any, _what: str, _name: str, _obj: Any, _options: Any, lin
 
 def setup(app: Any) -> None:
     """Connect."""
-    app.connect("autodoc-process-docstring", escape_bars)
+    app.connect("autodoc-process-docstring", complete)
