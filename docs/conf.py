@@ -11,6 +11,7 @@ sys.path.insert(0, str(Path(__file__).parent / "_ext"))
 os.environ["OPENBLAS_NUM_THREADS"] = "1"  # of the pages' own kernels, too
 
 import generated
+from jupyter_client.connect import ConnectionFileMixin
 
 import ldctoolkit
 
@@ -23,6 +24,8 @@ extensions = ["myst_nb", "numpydoc", "sphinx.ext.autodoc", "sphinx.ext.autosumma
 exclude_patterns = ["_ext", "reference/_generated"]
 templates_path = ["_templates"]
 html_static_path = ["_static"]
+html_css_files = ["site.css"]
+html_sidebars = {page: [] for page in ("index", "tutorial", "contributing")}
 html_theme = "pydata_sphinx_theme"
 html_title = "ldctoolkit"
 html_theme_options = {"secondary_sidebar_items": ["page-toc"], "show_prev_next": False}
@@ -30,6 +33,7 @@ html_copy_source = False
 
 myst_enable_extensions = ["colon_fence"]
 myst_heading_anchors = 4
+ConnectionFileMixin.transport.default_value = "ipc"  # kernels warn of a connection over TCP
 nb_execution_mode = "force"
 nb_execution_raise_on_error = True
 nb_execution_timeout = 300

@@ -144,9 +144,15 @@ def test_the_reference_is_made_of_the_code(tmp_path: Path, monkeypatch: pytest.M
     ]
     assert sorted(made) == sorted(itertools.chain(*included))  # each on one page, once
     assert "| `--bound NAME=LOW:HIGH` | bounds of one parameter in SI units" in made["ldc-fit.md"]
-    assert "| `simulation.settle` | `3.0` | from 0.0 to 60.0 | How long the loop goes on" in made["study-keys.md"]
-    assert "| `ranking.confidence` | `0.95` | above 0 below 1 | Of the intervals" in made["study-keys.md"]
-    assert "| `vehicle.m` | `1000.0` |  | Mass [kg] |" in made["study-keys.md"]
+    assert (
+        "| `simulation.settle` | `3.0` | How long the loop goes on after the departure, 0 to 60"
+        in made["study-keys.md"]
+    )
+    assert (
+        "| `ranking.confidence` | `0.95` | Of the intervals, all designs together; above 0 below 1 |"
+        in made["study-keys.md"]
+    )
+    assert "| `vehicle.m` | `1000.0` | Mass [kg] |" in made["study-keys.md"]
     assert "| `r_delta` | 1/rad^2 | `20000.0` | 0.001 .. 1e+06 | weight on delta^2 |" in made["law-lqr.md"]
     assert "| `a_y_added_peak` | Peak added a_y | m/s^2 | less | interventions | 3 |" in made["scenario-metrics.md"]
     assert not re.search(r"\| *\|$", made["study-keys.md"], flags=re.M)  # every key has a meaning

@@ -123,10 +123,11 @@ def study_keys() -> Iterator[tuple[str, str]]:
         known = attributes(Setup) | comments(study_file.CaseSettings) if part == "simulation" else comments(model)
         for name, field in model.model_fields.items():  # type: ignore[attr-defined]
             if name not in parts and not (part == "" and name in ("vehicle", "plant")):
-                rows.append((code(f"{part}.{name}".strip(".")), _default(field), _allowed(field), known.get(name, "")))
+                text = "; ".join(filter(None, (known[name], _allowed(field))))
+                rows.append((code(f"{part}.{name}".strip(".")), _default(field), text))
     for field in dataclasses.fields(VehicleParameters):
-        rows.append((code(f"vehicle.{field.name}"), code(field.default), "", attributes(VehicleParameters)[field.name]))
-    yield "study-keys.md", table(("key", "default", "allowed", "meaning"), rows)
+        rows.append((code(f"vehicle.{field.name}"), code(field.default), attributes(VehicleParameters)[field.name]))
+    yield "study-keys.md", table(("key", "default", "meaning; allowed"), rows)
 
 
 def metrics() -> Iterator[tuple[str, str]]:
