@@ -96,7 +96,8 @@ def run(chosen: argparse.Namespace) -> int:
     page = None if chosen.report is None else output_file(chosen.report, ".html", option="--report")
     # workers of a cluster start in folders of their own
     paths = [Path(path).absolute() if chosen.dask else Path(path) for path in chosen.paths]
-    recordings = open_recordings(paths, format=chosen.format)
+    with progress_bar("looking at the recordings"):
+        recordings = open_recordings(paths, format=chosen.format)
     refuse_input("-o", target, paths, recordings.source.files)
     if page is not None:
         refuse_input("--report", page, paths, recordings.source.files)
@@ -158,7 +159,8 @@ def _page_writer(page: Path, target: Path) -> Callable[[Extraction], None]:
         from ..pages.extraction_page import write_extraction_page
 
         try:
-            write_extraction_page(page, found)
+            with progress_bar("writing the page"):
+                write_extraction_page(page, found)
         except StoreError as error:
             raise StoreError(f"{error}; the departures are written to {target}") from None
 
