@@ -11,7 +11,6 @@ sys.path.insert(0, str(Path(__file__).parent / "_ext"))
 os.environ["OPENBLAS_NUM_THREADS"] = "1"  # of the pages' own kernels, too
 
 import generated
-from jupyter_client.connect import ConnectionFileMixin
 
 import ldctoolkit
 
@@ -33,7 +32,6 @@ html_copy_source = False
 
 myst_enable_extensions = ["colon_fence"]
 myst_heading_anchors = 4
-ConnectionFileMixin.transport.default_value = "ipc"  # kernels warn of a connection over TCP
 nb_execution_mode = "force"
 nb_execution_raise_on_error = True
 nb_execution_timeout = 300
