@@ -20,6 +20,8 @@ Content = dict[str, Any]
 
 _EXAMPLES: Final = {"delta_max": 0.5, "rate_max": 0.33, "left": 500, "right": 500}  # TOML has no null
 
+_ALWAYS: Final = ("model", "left", "right")  # set always: their defaults depend on whether a table is replayed
+
 
 def study_text(study: Study, about: Sequence[str] = ()) -> str:
     """The study file, a comment at every key, of a study whose tables name one law each, without a sample."""
@@ -39,7 +41,8 @@ def _table(path: str, table: Content, usual: Content, owner: type, about: Conten
             unit, allowed = _declared(owner, key)
             default = "" if path + key == "name" else f"default {_toml(usual[key])}"
             shown = _EXAMPLES[key] if value is None else value
-            yield _line(key, _toml(shown), [unit + about[key], allowed, default], mark or "# " * (value == usual[key]))
+            off = mark or "# " * (value is None or (value == usual[key] and key not in _ALWAYS))
+            yield _line(key, _toml(shown), [unit + about[key], allowed, default], off)
     for key, texts in tables.items():
         hint = get_type_hints(owner)[key]
         kind = (get_args(hint) or (hint,))[0]  # of "KalmanFilter | None" the first

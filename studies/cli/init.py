@@ -51,13 +51,15 @@ def run(chosen: argparse.Namespace) -> None:
     target = output_file(chosen.output or f"{name}.toml", ".toml", option="-o" if chosen.output else "--name")
     if target.exists() and not chosen.force:
         raise InputError(f"{target}: exists; allowed: another -o, or --force to replace it")
-    content = _content(chosen, target) | {"name": name}
-    study = Study.from_dict(content, source=str(target), folder=target.parent)
+    content = _content(chosen, target)
+    study = Study.from_dict(content | {"name": name}, source=str(target), folder=target.parent)
     if chosen.model or chosen.departures:
         study_source(study)  # refused now, and not when the file is run
-    lines = [] if chosen.law else (CATALOG / f"{chosen.study}.toml").read_text(encoding="utf-8").splitlines()
-    about = itertools.takewhile(lambda line: line.startswith("#"), lines)
-    write_text(target, study_text(study, [*about, f"# Run it with: ldc run {target.name}"]))
+    about = [f"# Run it with: ldc run {target.name}"]
+    if chosen.study and content == _of_catalog(chosen.study):  # else what its head says need not hold
+        lines = (CATALOG / f"{chosen.study}.toml").read_text(encoding="utf-8").splitlines()
+        about = [*itertools.takewhile(lambda line: line.startswith("#"), lines), *about]
+    write_text(target, study_text(study, about))
     print(f"study file written to {target}\nrun it with: ldc run {target}")
 
 
@@ -77,16 +79,13 @@ def _content(chosen: argparse.Namespace, target: Path) -> dict[str, Any]:
         content["ranking"]["require"] = chosen.require
     if chosen.plant:
         content["plant"] = _of_catalog(chosen.plant)["plant"]
-
-    def beside(path: str) -> str:
-        return Path(os.path.relpath(path, target.parent)).as_posix()
-
-    if chosen.departures:
-        content["scenarios"] |= {"model": "", "departures": beside(chosen.departures), "left": None, "right": None}
-    if chosen.model:
-        content["scenarios"]["model"] = chosen.model if chosen.model in bundled_models() else beside(chosen.model)
-    if chosen.n:
-        content["scenarios"] |= {"left": (chosen.n + 1) // 2, "right": chosen.n // 2}
+    # paths in a study file start at its folder
+    files = {"departures": chosen.departures, "model": chosen.model if chosen.model not in bundled_models() else None}
+    beside = {key: Path(os.path.relpath(path, target.parent)).as_posix() for key, path in files.items() if path}
+    alone = {"model": "", "left": None, "right": None} if chosen.departures and not chosen.model else {}
+    named = {"model": chosen.model} if chosen.model else {}
+    sides = {"left": (chosen.n + 1) // 2, "right": chosen.n // 2} if chosen.n else {}
+    content["scenarios"] |= alone | named | beside | sides
     return content
 
 
