@@ -1,18 +1,19 @@
 """The controller zoo: one law per file, its registry key the file's name."""
 
-from controllers.barrier_filter import BarrierFilter
-from controllers.linear_mpc import LinearMPC
-from controllers.lqi import LQI
-from controllers.lqr import LQR
-from controllers.none import NoControl
-from controllers.nonlinear_mpc import NonlinearMPC
-from controllers.pid import PID
-from controllers.preview_lqr import PreviewLQR
-from controllers.preview_proportional import PreviewProportional
-from controllers.pure_pursuit import PurePursuit
-from controllers.sliding_mode import SlidingMode
-from controllers.stanley import Stanley
 from ldctoolkit.control import check_class
+
+from .barrier_filter import BarrierFilter
+from .linear_mpc import LinearMPC
+from .lqi import LQI
+from .lqr import LQR
+from .none import NoControl
+from .nonlinear_mpc import NonlinearMPC
+from .pid import PID
+from .preview_lqr import PreviewLQR
+from .preview_proportional import PreviewProportional
+from .pure_pursuit import PurePursuit
+from .sliding_mode import SlidingMode
+from .stanley import Stanley
 
 __all__ = [
     "LQI",

@@ -11,9 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from controllers.riccati import Weights, in_time, regulator
 from ldctoolkit import Plant
 from ldctoolkit.arrays import FloatArray, IntArray
+
+from .riccati import Weights, in_time, regulator
 
 SOFT: tuple[str, ...] = ("a_y", "jerk", "e_y")  # kinds of soft limits, in the order of their rows
 

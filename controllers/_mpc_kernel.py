@@ -31,8 +31,9 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from controllers._mpc_condensing import Condensed, InitialState, Limits
 from ldctoolkit.arrays import FloatArray, IntArray
+
+from ._mpc_condensing import Condensed, InitialState, Limits
 
 __all__ = ["BEYOND", "FREE", "HELD", "OPEN", "assemble", "finish", "sweep"]
 

@@ -16,10 +16,11 @@ from typing import Any, Final, NamedTuple, final
 import numpy as np
 import numpy.typing as npt
 
-from controllers._mpc_condensing import Condensed, InitialState, Limits
 from ldctoolkit import EventStatus, Preview, SolverCalls, SteeringLaw
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.errors import InputError, nearest
+
+from ._mpc_condensing import Condensed, InitialState, Limits
 
 EPS: Final = 1e-6  # tolerance of OSQP, absolute and relative
 
@@ -379,7 +380,7 @@ class MPCLaw(SteeringLaw):
         self, t: FloatArray, x: FloatArray, preview: Preview, delta_prev: FloatArray, state: MPCState
     ) -> tuple[FloatArray, MPCState, npt.NDArray[np.int8]]:
         """First command of the optimal plan, for every scenario."""
-        from controllers import _mpc_kernel as kernel
+        from . import _mpc_kernel as kernel
 
         n, N, M = x.shape[0], self.horizon, self.limits.start.size
         U, delta, how = np.empty((n, N)), np.empty(n), np.empty(n, dtype=np.int8)
@@ -454,7 +455,7 @@ class MPCLaw(SteeringLaw):
         workspaces: Workspaces,
     ) -> list[_Call]:
         """Solve the QPs of some scenarios and enter what comes out; the calls."""
-        from controllers import _mpc_kernel as kernel
+        from . import _mpc_kernel as kernel
 
         M, R = self.limits.start.size, self.limits.group.size
         C, y, low, high = np.empty((rows.size, R, M)), *(np.empty((rows.size, R)) for _ in range(3))

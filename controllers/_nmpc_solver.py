@@ -27,9 +27,10 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from controllers._nmpc_model import SIZE, sample, unpack
 from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.errors import InputError, nearest
+
+from ._nmpc_model import SIZE, sample, unpack
 
 
 class Program(NamedTuple):

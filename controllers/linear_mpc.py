@@ -23,9 +23,10 @@ control*, UKACC Control, 2000.
 import dataclasses
 from typing import ClassVar, final
 
-from controllers._mpc_condensing import Wanted, condense, limits
-from controllers._mpc_law import KNOWN, MPCLaw, check_solver
 from ldctoolkit import Controller, Plant, gain, option
+
+from ._mpc_condensing import Wanted, condense, limits
+from ._mpc_law import KNOWN, MPCLaw, check_solver
 
 
 @final

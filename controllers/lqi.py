@@ -18,8 +18,9 @@ behind a steering lag of 0.2 s and diverges from 28 m/s on.
 import dataclasses
 from typing import ClassVar, final
 
-from controllers.riccati import feedback, linear_law
 from ldctoolkit import Controller, LinearLaw, Plant, gain
+
+from .riccati import feedback, linear_law
 
 
 @final

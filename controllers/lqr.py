@@ -10,8 +10,9 @@ joined by the wheel angle and the commands on their way: `controllers.riccati.li
 import dataclasses
 from typing import ClassVar, final
 
-from controllers.riccati import feedback, linear_law
 from ldctoolkit import Controller, LinearLaw, Plant, gain
+
+from .riccati import feedback, linear_law
 
 
 @final

@@ -32,13 +32,14 @@ from typing import ClassVar, final
 import numpy as np
 import numpy.typing as npt
 
-from controllers._mpc_condensing import SHARES, WINDOW, jerk_window
-from controllers._mpc_law import lane, lookahead
-from controllers._nmpc_model import pack, steady_cornering
-from controllers._nmpc_solver import SoftLimits, Solution, Workspace, workspace
-from controllers.riccati import regulator
 from ldctoolkit import Controller, EventStatus, Plant, Preview, SolverCalls, SteeringLaw, gain
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+
+from ._mpc_condensing import SHARES, WINDOW, jerk_window
+from ._mpc_law import lane, lookahead
+from ._nmpc_model import pack, steady_cornering
+from ._nmpc_solver import SoftLimits, Solution, Workspace, workspace
+from .riccati import regulator
 
 _SCALES = (1.0, 10.0, 0.1)  # units of the soft limits' violations: m/s^2, m/s^3, m
 _SPEED = 8  # place of v in a column

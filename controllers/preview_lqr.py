@@ -30,9 +30,10 @@ from typing import ClassVar, final
 
 import numpy as np
 
-from controllers.riccati import Regulator, in_time, linear_law, regulator
 from ldctoolkit import Controller, LinearLaw, Plant, gain
 from ldctoolkit.arrays import FloatArray
+
+from .riccati import Regulator, in_time, linear_law, regulator
 
 
 @final

@@ -1,5 +1,10 @@
 """Compare lane departure correction designs on realistic, generated lane departures."""
 
+import importlib
+import sys
+from typing import TYPE_CHECKING, Any
+
+from ldctoolkit import package_names
 from ldctoolkit.control import (
     Controller,
     EventStatus,
@@ -38,48 +43,141 @@ from ldctoolkit.vehicle import BicycleModel, Plant, VehicleParameters
 from ldctoolkit.vehicle.speed_schedule import SPEED_RANGE, scheduled
 from ldctoolkit.version import __version__
 
+if TYPE_CHECKING:
+    from controllers import (
+        LQI,
+        LQR,
+        PID,
+        BarrierFilter,
+        LinearMPC,
+        NoControl,
+        NonlinearMPC,
+        PreviewLQR,
+        PreviewProportional,
+        PurePursuit,
+        SlidingMode,
+        Stanley,
+    )
+    from studies import (
+        Assessment,
+        Comparison,
+        Design,
+        Ranking,
+        Study,
+        StudyResults,
+        assess,
+        compare,
+        plot_convergence,
+        plot_distribution,
+        plot_landscape,
+        plot_ranking,
+        plot_trade_off,
+        rank_study,
+        read_results,
+        run_study,
+        study,
+    )
+
+_LAWS = (
+    "LQI", "LQR", "PID", "BarrierFilter", "LinearMPC", "NoControl", "NonlinearMPC", "PreviewLQR",
+    "PreviewProportional", "PurePursuit", "SlidingMode", "Stanley",
+)  # fmt: skip
+_STUDIES = (
+    "Assessment", "Comparison", "Design", "Ranking", "Study", "StudyResults", "assess", "compare",
+    "plot_convergence", "plot_distribution", "plot_landscape", "plot_ranking", "plot_trade_off", "rank_study",
+    "read_results", "run_study", "study",
+)  # fmt: skip
+_LATER = dict.fromkeys(_LAWS, "controllers") | dict.fromkeys(_STUDIES, "studies")
+
 __all__ = [
+    "LQI",
+    "LQR",
+    "PID",
     "SPEED_RANGE",
+    "Assessment",
+    "BarrierFilter",
     "BicycleModel",
     "BoundedGaussianMixture",
+    "Comparison",
     "Controller",
     "DepartureParameters",
     "DepartureSignals",
     "Departures",
+    "Design",
     "EventStatus",
     "Gain",
     "LdcError",
     "LinearLaw",
+    "LinearMPC",
     "LinearSteps",
+    "NoControl",
+    "NonlinearMPC",
     "Outcome",
     "Plant",
     "Plausibility",
     "Preview",
+    "PreviewLQR",
+    "PreviewProportional",
+    "PurePursuit",
+    "Ranking",
     "RecordedPath",
     "ScenarioModel",
     "Scenarios",
     "Setup",
+    "SlidingMode",
     "SolverCalls",
+    "Stanley",
     "SteeringLaw",
+    "Study",
+    "StudyResults",
     "VehicleParameters",
     "__version__",
+    "assess",
     "bundled_models",
     "check_fidelity",
+    "compare",
     "controller_class",
     "controller_names",
+    "controllers",
     "extract_departures",
     "fit_scenario_model",
     "gain",
     "load_model",
     "open_recordings",
     "option",
+    "plot_convergence",
     "plot_departure",
+    "plot_distribution",
+    "plot_landscape",
+    "plot_ranking",
+    "plot_trade_off",
+    "rank_study",
     "read_departures",
     "read_recordings",
+    "read_results",
     "rebuild_signals",
     "reduce_signals",
     "register",
+    "run_study",
     "scheduled",
     "simulate",
+    "studies",
+    "study",
     "write_departures",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Laws and studies are loaded when they are first used."""
+    if name in ("controllers", "studies"):
+        return importlib.import_module(f"ldctoolkit.{name}")
+    if name not in _LATER:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}", name=name, obj=sys.modules[__name__])
+    return getattr(importlib.import_module(f"ldctoolkit.{_LATER[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return __all__
+
+
+package_names.install()

@@ -17,6 +17,7 @@ import enum
 import inspect
 import weakref
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, ClassVar, final
 
 import numpy as np
@@ -71,10 +72,15 @@ class LinearLaw:
     """A law that is linear in what it sees; runs without a call back into Python code of the controller."""
 
     F: FloatArray  # (n, 4) [rad per unit of state] Feedback on (e_y, de_y/dt, e_psi, de_psi/dt)
-    preview_times: FloatArray  # (p,) [s] Lookahead times, 0 is now
-    G_yaw_rate: FloatArray  # (n, p) [rad per rad/s] Weights of the lane's yaw rate there
-    G_heading: FloatArray  # (n, p) [rad/rad] Weights of the lane's heading change until there
-    f_u: FloatArray  # (n,) [rad/rad] Weight of the previous command
+    # What is not given from here on has no weight
+    # (p,) [s] Lookahead times, 0 is now
+    preview_times: FloatArray = dataclasses.field(default_factory=partial(np.zeros, 0))
+    # (n, p) [rad per rad/s] Weights of the lane's yaw rate there
+    G_yaw_rate: FloatArray = dataclasses.field(default_factory=partial(np.zeros, (0, 0)))
+    # (n, p) [rad/rad] Weights of the lane's heading change until there
+    G_heading: FloatArray = dataclasses.field(default_factory=partial(np.zeros, (0, 0)))
+    # (n,) [rad/rad] Weight of the previous command
+    f_u: FloatArray = dataclasses.field(default_factory=partial(np.zeros, 0))
     # (n,) [rad/(m s)] Weight of z, the integral of e_y as the law sees it: z = 0 at the trigger, and z + dt e_y at
     # the next sample
     f_i: FloatArray | None = None
@@ -84,6 +90,12 @@ class LinearLaw:
     # (n,) [rad/rad] Weight of the steering angle of the wheels, as measured at the moment of the state that the law
     # sees: now, or `Plant.age` ago where the design knows the camera's delay
     f_wheel: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        ahead = np.shape(self.preview_times)
+        for name, shape in (("G_yaw_rate", ahead), ("G_heading", ahead), ("f_u", ())):
+            if np.size(getattr(self, name)) == 0:
+                object.__setattr__(self, name, np.zeros((*np.shape(self.F)[:1], *shape)))
 
     @property
     def knows_actuator(self) -> bool:

@@ -9,13 +9,17 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.errors import InputError
+from ldctoolkit.frames import Frame
+
+if TYPE_CHECKING:
+    import polars as pl
 
 
 @dataclasses.dataclass(frozen=True)
@@ -78,8 +82,8 @@ def row_index(rows: npt.ArrayLike | slice) -> IntArray | BoolArray | slice:
     return index
 
 
-@dataclasses.dataclass(frozen=True)
-class DepartureParameters:
+@dataclasses.dataclass(frozen=True, repr=False)
+class DepartureParameters(Frame):
     """The eight parameters of n departures and the side each went to."""
 
     side: IntArray  # (n,) ``LEFT`` (+1) or ``RIGHT`` (-1)
@@ -104,6 +108,19 @@ class DepartureParameters:
         """Columns side by side, (n, 8), in the order of `PARAMETER_NAMES`."""
         return np.column_stack([getattr(self, name) for name in PARAMETER_NAMES])
 
+    def to_polars(self) -> pl.DataFrame:
+        """One row a departure: ``side`` and the parameters, ``v_mean_m_s``; where they were recorded, that too."""
+        import polars as pl
+
+        columns = {"recording": "recording", "start_time_s": "start_time"} if hasattr(self, "recording") else {}
+        values = {column: getattr(self, name) for column, name in columns.items()}
+        side = np.where(self.side == LEFT, "left", "right")
+        return pl.DataFrame(values | {"side": side} | {c: getattr(self, n) for n, c in PARAMETER_COLUMNS.items()})
+
+    def __repr__(self) -> str:
+        left = int((self.side == LEFT).sum())
+        return f"<{type(self).__name__}: {left:,} left, {self.n - left:,} right>"
+
     def take(self, rows: npt.ArrayLike | slice) -> Self:
         """The chosen departures: an index array, a mask or a slice, applied to every column."""
         index = row_index(rows)
@@ -119,7 +136,7 @@ def _some(column: Any, index: IntArray | BoolArray | slice) -> Any:
     return tuple(one.take(index) for one in column) if isinstance(column, tuple) else column and column.take(index)
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, repr=False)
 class Departures(DepartureParameters):
     """Departures found in recordings: the parameters and where each came from."""
 

@@ -44,10 +44,6 @@ class UnknownNameError(LdcError, KeyError):
         return str(self.args[0])  # KeyError would print the repr
 
 
-class ShadowedPackageError(LdcError, ImportError):
-    """A user's own folder hides one of the toolkit's packages."""
-
-
 def nearest(name: str, allowed: Iterable[str]) -> str:
     """Half a sentence that helps someone who mistyped a name.
 

@@ -12,7 +12,7 @@ import numbers
 import re
 from typing import Any, Literal
 
-from ldctoolkit.errors import InputError, UnknownNameError, nearest
+from ldctoolkit.errors import InputError, UnknownNameError, nearest, plain
 
 _KEY = "ldctoolkit.gain"
 
@@ -45,7 +45,7 @@ class Gain:
         owner : str
             What the message names before the gain: the law.
         """
-        where = f"{owner}.{self.name}"
+        where, value = f"{owner}.{self.name}", plain(value)
         if self.choices:
             if value not in self.choices:
                 raise InputError(f"{where}: {value!r}; {nearest(str(value), self.choices)}")

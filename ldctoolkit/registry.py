@@ -2,13 +2,10 @@
 
 import functools
 import importlib.metadata
-import importlib.util
-import sys
 import weakref
-from pathlib import Path
 
 from ldctoolkit.control import Controller, check_class
-from ldctoolkit.errors import InputError, LdcError, ShadowedPackageError, UnknownNameError, nearest
+from ldctoolkit.errors import InputError, LdcError, UnknownNameError, nearest
 from ldctoolkit.gains import undeclared_fields
 
 GROUP = "ldctoolkit.controllers"
@@ -92,9 +89,8 @@ def controller_names() -> tuple[str, ...]:
 def controller_class(name: str) -> type[Controller]:
     """The controller class of that name.
 
-    Raises `UnknownNameError` naming the nearest known controller; `ShadowedPackageError` if a user's own folder hides
-    the package that should hold it; `LdcError` if the installed controller cannot be loaded, or does not follow
-    `Controller`; the message carries the reason.
+    Raises `UnknownNameError` naming the nearest known controller; `LdcError` if the installed controller cannot be
+    loaded, or does not follow `Controller`; the message carries the reason.
 
     Parameters
     ----------
@@ -108,7 +104,6 @@ def controller_class(name: str) -> type[Controller]:
         raise UnknownNameError(f"law {name!r}: no such controller; {nearest(name, controller_names())}")
     if point in _loaded:
         return _loaded[point]
-    check_not_shadowed(point.value.partition(":")[0].partition(".")[0])
     try:
         loaded = point.load()
     except Exception as error:  # the file may be third-party code: whatever it raises must name the controller
@@ -121,27 +116,3 @@ def controller_class(name: str) -> type[Controller]:
         raise LdcError(f"controller {name!r} ({point.value}): its name is {loaded.name!r}; allowed: the same as here")
     _loaded[point] = loaded
     return loaded
-
-
-def check_not_shadowed(package: str) -> None:
-    """Raise if one of the toolkit's own packages is, or would be, imported from a user's folder of the same name.
-    ``controllers`` and ``studies`` are general names; a folder so called in the working directory or on
-    ``PYTHONPATH`` comes before the installed one. Nothing of the user's is run to find out.
-    """
-    if package not in ("controllers", "studies"):
-        return
-    home = Path(__file__).resolve().parent.parent / package
-    module = sys.modules.get(package)
-    if module is not None:
-        places = [*getattr(module, "__path__", []), getattr(module, "__file__", None) or package]
-    else:
-        spec = importlib.util.find_spec(package)
-        if spec is None:
-            return  # not there at all: the import itself says so
-        places = [*(spec.submodule_search_locations or []), spec.origin or package]
-    place = Path(places[0]).resolve()
-    if place == home:
-        return
-    raise ShadowedPackageError(
-        f"{place} shadows the toolkit's own package {package!r} at {home}: rename it, or start Python elsewhere"
-    )

@@ -55,7 +55,7 @@ class Drifts:
         return y, v * np.sin(angle), np.where(turning, v**2 / radius * np.cos(angle), 0.0)
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, repr=False)
 class Scenarios(DepartureParameters):
     """n departures to be replayed: side and the eight parameters, arrays of n, outward frame.
 

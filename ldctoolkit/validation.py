@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Any, Final, get_args, get_type_hints
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import PydanticCustomError
 
@@ -69,7 +70,9 @@ def _message(problem: Any, content: Any, model: type[BaseModel]) -> str:
 
 
 def as_tuples(value: Any) -> Any:
-    """TOML arrays as tuples: strict validation takes nothing else for a tuple field."""
+    """TOML arrays as tuples: strict validation takes nothing else for a tuple field; NumPy's numbers as Python's."""
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
     if isinstance(value, dict):
         return {key: as_tuples(item) for key, item in value.items()}
     return tuple(as_tuples(item) for item in value) if isinstance(value, list) else value

@@ -3,18 +3,20 @@
 import importlib
 from typing import TYPE_CHECKING, Any
 
+import ldctoolkit  # noqa: F401  # an import of this package by its short name ends there
+
 if TYPE_CHECKING:
-    from studies.assessment import Assessment, assess
-    from studies.comparison.comparison import Comparison, compare
-    from studies.design import Design
-    from studies.extraction import run_extraction
-    from studies.plotting import plot_convergence, plot_distribution, plot_landscape, plot_ranking, plot_trade_off
-    from studies.ranking.ranking import Ranking, rank_study
-    from studies.results import Case, CaseResults, StudyResults
-    from studies.runner import run_study
-    from studies.storage.manifest import Manifest, read_manifest
-    from studies.storage.store import read_results
-    from studies.study_file import Study
+    from .assessment import Assessment, assess
+    from .comparison.comparison import Comparison, compare
+    from .design import Design
+    from .extraction import run_extraction
+    from .plotting import plot_convergence, plot_distribution, plot_landscape, plot_ranking, plot_trade_off
+    from .ranking.ranking import Ranking, rank_study
+    from .results import Case, CaseResults, StudyResults
+    from .runner import run_study
+    from .storage.manifest import Manifest, read_manifest
+    from .storage.store import read_results
+    from .study_file import Study, study
 
 # loaded on first use, so that the command line answers --help without the data libraries
 _HOMES = {
@@ -39,6 +41,7 @@ _HOMES = {
     "read_results": "storage.store",
     "run_extraction": "extraction",
     "run_study": "runner",
+    "study": "study_file",
 }
 
 __all__ = [
@@ -63,13 +66,14 @@ __all__ = [
     "read_results",
     "run_extraction",
     "run_study",
+    "study",
 ]
 
 
 def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module 'studies' has no attribute {name!r}")
-    return getattr(importlib.import_module(f"studies.{_HOMES[name]}"), name)
+    return getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), name)
 
 
 def __dir__() -> list[str]:

@@ -21,9 +21,10 @@ from ldctoolkit.law_checks import check_controller, raised
 from ldctoolkit.paths.uncorrected import UncorrectedPath
 from ldctoolkit.plant_options import Mismatch, Residuals
 from ldctoolkit.simulation import Outcome, Takeover, drive
-from studies.ranking.named_vehicles import VEHICLES
-from studies.standards import KM_H, Cells, QuantityName, Standard, load_standard
-from studies.storage.files import write_text
+
+from .ranking.named_vehicles import VEHICLES
+from .standards import KM_H, Cells, QuantityName, Standard, load_standard
+from .storage.files import write_text
 
 LightName = Literal["green", "amber", "red"]
 

@@ -1,4 +1,4 @@
-"""Compile the closed loops once, so that no first run waits for it: ``python -m studies.compile_loops``.
+"""Compile the closed loops once, so that no first run waits for it: ``python -m ldctoolkit.studies.compile_loops``.
 
 What numba compiles lies on disk afterwards, beside the code. Two processes compile at the same time.
 """
@@ -8,8 +8,8 @@ import multiprocessing
 
 def compile_linear() -> None:
     """The loop of linear laws on the ideal plant, and that of laws that are stepped."""
-    from controllers import LQR, PID, LinearMPC
     from ldctoolkit import load_model, simulate
+    from ldctoolkit.controllers import LQR, PID, LinearMPC
 
     scenarios = load_model("reference").sample(6, 6, seed=1)
     for controller in (LQR(), PID(), LinearMPC()):
@@ -18,8 +18,8 @@ def compile_linear() -> None:
 
 def compile_general() -> None:
     """The loop of any plant."""
-    from controllers import LQR
     from ldctoolkit import load_model, simulate
+    from ldctoolkit.controllers import LQR
     from ldctoolkit.plant_options import PlantOptions, Tyres
 
     scenarios = load_model("reference").sample(6, 6, seed=1)

@@ -21,7 +21,8 @@ from ldctoolkit.arrays import FloatArray
 from ldctoolkit.errors import InputError, nearest
 from ldctoolkit.gains import GainValue, declared_gains, find_gain
 from ldctoolkit.validation import Part, fail
-from studies.design import Design
+
+from .design import Design
 
 THRESHOLD: Final = "y_s"  # name of the trigger threshold among the dimensions
 

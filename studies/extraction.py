@@ -38,10 +38,11 @@ from ldctoolkit.recordings.sources import (
     RecordingSource,
     part_name,
 )
-from studies.running.executors import Executor, make_executor
-from studies.running.executors.processes import versions
-from studies.running.tasks import Faults
-from studies.storage.files import locked, read_bytes, remove_leftovers, remove_unfinished, stored_file, write_text
+
+from .running.executors import Executor, make_executor
+from .running.executors.processes import versions
+from .running.tasks import Faults
+from .storage.files import locked, read_bytes, remove_leftovers, remove_unfinished, stored_file, write_text
 
 PACKAGES: Final = ("numpy", "polars", "numba")  # packages that read files or decide numbers
 

@@ -37,19 +37,20 @@ from ldctoolkit import controller_class
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.departures import LEFT, RIGHT
 from ldctoolkit.errors import InputError, nearest
-from studies.design import Design
-from studies.pages import charts
-from studies.pages.confidence_section import interleaved, running_mean
-from studies.pages.landscape_section import swept_axes, values_of
-from studies.pages.text import compact, shorten
-from studies.ranking.design_metrics import pareto_front
-from studies.ranking.requirements import metric, metric_values
+
+from .design import Design
+from .pages import charts
+from .pages.confidence_section import interleaved, running_mean
+from .pages.landscape_section import swept_axes, values_of
+from .pages.text import compact, shorten
+from .ranking.design_metrics import pareto_front
+from .ranking.requirements import metric, metric_values
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from studies.ranking.ranking import Ranking
-    from studies.results import CaseResults, StudyResults
+    from .ranking.ranking import Ranking
+    from .results import CaseResults, StudyResults
 
 __all__ = ["plot_convergence", "plot_distribution", "plot_landscape", "plot_ranking", "plot_trade_off"]
 

@@ -9,15 +9,16 @@ import numpy as np
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.errors import InputError
-from studies.design import Design
-from studies.ranking.design_metrics import find_baseline
-from studies.ranking.inference import SAME, check_confidence, row_means, separable
-from studies.ranking.ranking import Ranking
-from studies.ranking.requirements import metric_values, requirements_of
-from studies.results import Dropped, Race, StudyResults
-from studies.running.campaign import Campaign
-from studies.storage.manifest import write_race
-from studies.study_file import Study
+
+from .design import Design
+from .ranking.design_metrics import find_baseline
+from .ranking.inference import SAME, check_confidence, row_means, separable
+from .ranking.ranking import Ranking
+from .ranking.requirements import metric_values, requirements_of
+from .results import Dropped, Race, StudyResults
+from .running.campaign import Campaign
+from .storage.manifest import write_race
+from .study_file import Study
 
 
 def run_race(campaign: Campaign) -> tuple[Sequence[Design], Race]:

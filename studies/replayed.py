@@ -18,7 +18,8 @@ from ldctoolkit.recordings import read_departures
 from ldctoolkit.recordings.departures_table import column_of, read_table
 from ldctoolkit.scenario_model import Given, conditions
 from ldctoolkit.scenarios import SPEED_FLOOR, slowest_speed
-from studies.study_file import Study
+
+from .study_file import Study
 
 
 @dataclasses.dataclass(frozen=True)

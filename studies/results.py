@@ -6,7 +6,7 @@ import dataclasses
 import functools
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -14,11 +14,16 @@ import numpy.typing as npt
 from ldctoolkit import EventStatus, Scenarios
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.departures import LEFT
-from ldctoolkit.metrics import MetricValues
+from ldctoolkit.frames import Frame
+from ldctoolkit.metrics import METRIC_COLUMNS, MetricValues
 from ldctoolkit.notebook import facts_html
 from ldctoolkit.simulation import Window
 from ldctoolkit.vehicle import Convention
-from studies.design import Design
+
+from .design import Design
+
+if TYPE_CHECKING:
+    import polars as pl
 
 FAILED_STATUSES: Final = (EventStatus.SOLVER_FAILED, EventStatus.DIVERGED, EventStatus.TIMED_OUT, EventStatus.CRASHED)
 """A scenario with one of these is a failure of the design: it is penalised and counted, and never left out."""
@@ -196,8 +201,8 @@ class Race:
     full_runs: int
 
 
-@dataclasses.dataclass(frozen=True)
-class StudyResults:
+@dataclasses.dataclass(frozen=True, repr=False)
+class StudyResults(Frame):
     """Everything a finished study knows."""
 
     designs: tuple[Design, ...]  # d designs, in the study's own order, without those that failed
@@ -212,6 +217,30 @@ class StudyResults:
     def _repr_html_(self) -> str:
         """What a notebook shows: no tables of numbers, these may be large."""
         return facts_html("Study results", self._lines(), "text-align:left")
+
+    def __repr__(self) -> str:
+        return f"<StudyResults: {'; '.join(f'{name} {value}' for name, value in self._lines())}>"
+
+    def to_polars(self) -> pl.DataFrame:
+        """One row for each case, design and scenario: scores, status and every metric."""
+        import polars as pl
+
+        tables = []
+        for case in self.cases:
+            names: dict[str, Any] = {
+                "S_m_s": case.S,
+                "S_uncorrected_m_s": case.S_uncorrected,
+                "failed_solves": case.failed_solves,
+            }
+            names |= {column: getattr(case.companions, name) for name, column in METRIC_COLUMNS.items()}
+            sides = np.where(self.scenarios.side == LEFT, "left", "right")
+            for i, design in enumerate(self.designs):
+                facts: dict[str, Any] = {"window": case.case.window, "convention": case.case.convention}
+                facts |= {"design": design.id, "label": design.label, "law": design.law, "y_s_m": design.y_s}
+                status = [EventStatus(one).name.lower() for one in case.status[i]]
+                values = {"scenario": self.scenarios.index, "side": sides, "status": status}
+                tables.append(pl.DataFrame(facts | values | {name: array[i] for name, array in names.items()}))
+        return pl.concat(tables)
 
     def _lines(self) -> Iterator[tuple[str, str]]:
         laws = Counter(design.law for design in self.designs)

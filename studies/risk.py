@@ -23,15 +23,16 @@ from ldctoolkit.arrays import FloatArray
 from ldctoolkit.departures import LEFT, PARAMETER_COLUMNS, PARAMETER_NAMES, PARAMETER_UNITS, RIGHT, DepartureParameters
 from ldctoolkit.errors import InputError, StoreError, nearest
 from ldctoolkit.scenario_model import ScenarioModel
-from studies.design import NO_CONTROL, Design
-from studies.ranking.tail import exact_interval, paired_sign
-from studies.ranking.verdict import Light, State
-from studies.runner import study_source
-from studies.running.campaign import Progress, default_progress, laws_of_this_process
-from studies.running.chunks import BIN, BINS, ChunkJob, ChunkTask, Tally
-from studies.running.executors import Executor, make_executor
-from studies.storage.files import locked, output_folder, read_bytes, remove_unfinished, write_text
-from studies.study_file import Study
+
+from .design import NO_CONTROL, Design
+from .ranking.tail import exact_interval, paired_sign
+from .ranking.verdict import Light, State
+from .runner import study_source
+from .running.campaign import Progress, default_progress, laws_of_this_process
+from .running.chunks import BIN, BINS, ChunkJob, ChunkTask, Tally
+from .running.executors import Executor, make_executor
+from .storage.files import locked, output_folder, read_bytes, remove_unfinished, write_text
+from .study_file import Study
 
 DEPTHS: Final = (0.3, 0.5, 0.8, 1.0, 1.75)  # [m] beyond the line
 DTLE_LIMITS: Final = (-0.1, -0.3)  # [m]

@@ -22,8 +22,9 @@ from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOpti
 from ldctoolkit.review import SPEEDS, design_margins
 from ldctoolkit.simulation import Takeover
 from ldctoolkit.vehicle import Convention
-from studies.design import Design, is_paper_design
-from studies.ranking.inference import (
+
+from .design import Design, is_paper_design
+from .ranking.inference import (
     degrees_of_freedom,
     error_parts,
     half_widths,
@@ -32,14 +33,14 @@ from studies.ranking.inference import (
     spread_is_known,
     with_tails_of_t,
 )
-from studies.ranking.named_vehicles import drive_on_plants, first_of_each_side
-from studies.ranking.verdict import OtherPlants
-from studies.results import FAILED_STATUSES, Case, status_among
-from studies.storage.files import write_text
+from .ranking.named_vehicles import drive_on_plants, first_of_each_side
+from .ranking.verdict import OtherPlants
+from .results import FAILED_STATUSES, Case, status_among
+from .storage.files import write_text
 
 if TYPE_CHECKING:
-    from studies.ranking.ranking import Ranking
-    from studies.results import StudyResults
+    from .ranking.ranking import Ranking
+    from .results import StudyResults
 
 
 REAL: Final = PlantOptions(

@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import logging
+import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,24 +11,27 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from ldctoolkit.errors import InputError, StoreError
+from ldctoolkit import Scenarios
+from ldctoolkit.departures import LEFT
+from ldctoolkit.errors import InputError, StoreError, plain
 from ldctoolkit.scenario_model import ScenarioModel, load_model
-from studies.design import FOLLOWS_CASE, Design
-from studies.racing import run_race
-from studies.ranking.design_metrics import find_baseline
-from studies.ranking.ranking import Ranking, rank_study
-from studies.replayed import ReplayedDepartures, read_replayed
-from studies.results import Race, StudyResults
-from studies.running.campaign import Campaign, Progress, default_progress
-from studies.running.executors import Executor, make_executor
-from studies.running.tasks import Prefixes, schedule
-from studies.search import run_search
-from studies.storage.files import locked, remove_leftovers
-from studies.storage.manifest import Manifest, write_designs
-from studies.storage.run_table import AllFailedError
-from studies.storage.store import FINALISTS, REPLAYED, SCORES, Store, make_folder
-from studies.storage.stored_model import Source, model_notes, with_counts, with_recorded_widths, write_model
-from studies.study_file import Study
+
+from .design import FOLLOWS_CASE, Design
+from .racing import run_race
+from .ranking.design_metrics import find_baseline
+from .ranking.ranking import Ranking, rank_study
+from .replayed import ReplayedDepartures, read_replayed
+from .results import Race, StudyResults
+from .running.campaign import Campaign, Progress, default_progress
+from .running.executors import Executor, make_executor
+from .running.tasks import Prefixes, schedule
+from .search import run_search
+from .storage.files import locked, remove_leftovers
+from .storage.manifest import Manifest, write_designs
+from .storage.run_table import AllFailedError
+from .storage.store import FINALISTS, REPLAYED, SCORES, Store, make_folder
+from .storage.stored_model import Source, model_notes, with_counts, with_recorded_widths, write_model
+from .study_file import Study
 
 _log = logging.getLogger("studies")
 
@@ -41,9 +45,10 @@ _LEAST: Final = 3
 
 def run_study(
     study: Study,
+    directory: str | Path | None = None,
     *,
-    directory: str | Path,
     model: str | Path | Source | None = None,
+    scenarios: Scenarios | None = None,
     workers: int | None = None,
     executor: Literal["serial", "processes", "dask"] | None = None,
     dask: str | None = None,
@@ -62,11 +67,13 @@ def run_study(
     ----------
     study : Study
         What to run.
-    directory : path
-        Folder of the results; made if need be.
+    directory : path, optional
+        Folder of the results; made if need be. Without one the results are in memory only.
     model : path, str or ScenarioModel, optional
         Use this scenario model instead of the study's. Where a study replays a table, the vehicle and the lane have the
         widths that its departures were found with, unless the study chooses others.
+    scenarios : Scenarios, optional
+        Departures to run on, left ones first, instead of a model or table.
     workers : int, optional
         Worker processes; all cores by default, 1 runs in this process.
     executor : {"serial", "processes", "dask"}, optional
@@ -89,17 +96,23 @@ def run_study(
 
     Examples
     --------
-    >>> import tempfile
-    >>> from studies import Study, run_study
-    >>> study = Study.from_dict({"name": "small", "scenarios": {"left": 5, "right": 5}, "design": [{"law": "none"}]})
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     results = run_study(study, directory=folder, workers=1)
+    >>> import ldctoolkit as ldc
+    >>> results = ldc.run_study(ldc.study(ldc.NoControl, left=5, right=5), workers=1)
     >>> results.cases[0].S.shape
     (1, 10)
     """
-    _positive("workers", workers)
-    _positive("block_size", block_size)
+    workers, block_size = _positive("workers", workers), _positive("block_size", block_size)
     _allowed_limit(time_limit)
+    if directory is None:
+        with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+            return run_study(
+                study, folder, model=model, scenarios=scenarios, workers=workers, executor=executor, dask=dask,
+                progress=progress, block_size=block_size, time_limit=time_limit,
+            )  # fmt: skip
+    if scenarios is not None:
+        left = int((scenarios.side == LEFT).sum())
+        model = ReplayedDepartures("given", dataclasses.replace(scenarios, index=np.arange(scenarios.n)))
+        study = study.changed(scenarios={"left": left, "right": scenarios.n - left})
     source = study_source(study, model)
     if model is None and isinstance(source, ReplayedDepartures):
         study = with_recorded_widths(study, source)
@@ -149,9 +162,11 @@ def _allowed_limit(seconds: object) -> None:
         raise InputError(f"time_limit: {seconds!r}; allowed: {least:g} to {most:g} s, or 0 for none")
 
 
-def _positive(name: str, value: int | None) -> None:
+def _positive(name: str, value: int | None) -> int | None:
+    value = plain(value)
     if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < 1):
         raise InputError(f"{name}: {value!r}; allowed: a whole number >= 1")
+    return value
 
 
 @dataclasses.dataclass(frozen=True)

@@ -13,14 +13,15 @@ import numpy as np
 
 from ldctoolkit.errors import InputError, nearest
 from ldctoolkit.gains import GainValue
-from studies.design import Design
-from studies.design_space import Dimension, LawSpace, Span, rounded
-from studies.ranking.design_metrics import pareto_front
-from studies.ranking.ranking import Ranking
-from studies.ranking.requirements import metric, metric_values, requirements_of
-from studies.running.campaign import Campaign
-from studies.storage.manifest import write_designs
-from studies.study_file import SearchSettings, Study
+
+from .design import Design
+from .design_space import Dimension, LawSpace, Span, rounded
+from .ranking.design_metrics import pareto_front
+from .ranking.ranking import Ranking
+from .ranking.requirements import metric, metric_values, requirements_of
+from .running.campaign import Campaign
+from .storage.manifest import write_designs
+from .study_file import SearchSettings, Study
 
 _STREAM: Final = 0x73656172  # of the random numbers of a search
 _MOST_REPEATS: Final = 100  # so many known designs in a row: the sampler has nothing new to propose

@@ -8,10 +8,11 @@ import hashlib
 import json
 import math
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self, TypeVar, get_args, get_type_hints
 
+import numpy as np
 from pydantic import (
     AfterValidator,
     BeforeValidator,
@@ -23,7 +24,7 @@ from pydantic import (
     model_validator,
 )
 
-from ldctoolkit import LdcError, VehicleParameters
+from ldctoolkit import Controller, LdcError, VehicleParameters, controller_class, controller_names, register
 from ldctoolkit.errors import InputError, StudyError, UnknownNameError, nearest
 from ldctoolkit.option_checks import declaration_of
 from ldctoolkit.plant_options import PlantOptions
@@ -32,12 +33,13 @@ from ldctoolkit.setup import Setup, simulation_options
 from ldctoolkit.simulation import Window
 from ldctoolkit.validation import Part, as_tuples, fail, first_problem
 from ldctoolkit.vehicle import Convention
-from studies.design import CONVENTION_GAIN, Design
-from studies.design_space import DesignBlock, check_blocks
-from studies.plant_table import read_plant
-from studies.ranking.requirements import SETS, metric, parse_requirement
-from studies.results import Case
-from studies.standards import read_toml, standard_names
+
+from .design import CONVENTION_GAIN, Design
+from .design_space import DesignBlock, check_blocks
+from .plant_table import read_plant
+from .ranking.requirements import SETS, metric, parse_requirement
+from .results import Case
+from .standards import read_toml, standard_names
 
 T = TypeVar("T")
 
@@ -494,6 +496,75 @@ def _without_none(value: Any) -> Any:
 
 
 CATALOG: Final = Path(__file__).parent / "catalog"
+
+
+def study(
+    *designs: Controller | type[Controller] | str | dict[str, Any],
+    y_s: float | Sequence[float] = 0.2,
+    name: str = "study",
+    left: int = 500,
+    right: int = 500,
+    require: str | Sequence[str] = (),
+    vehicle: VehicleParameters | None = None,
+    plant: PlantOptions | None = None,
+    seed: int = 0,
+    **tables: Any,
+) -> Study:
+    """Make a study without a file; a class that no package installed is registered for it.
+
+    Raises `StudyError` as `Study.from_dict`, `InputError` for a design that is none.
+
+    Parameters
+    ----------
+    *designs : Controller, type, str or dict
+        Designs, classes or names of laws, or what a ``[[design]]`` table holds, as ``{"law": "lqr", "gains": {...}}``.
+    y_s : float or (k,) float [m]
+        Trigger thresholds of those that bring none.
+    name : str
+        Of the study.
+    left, right : int
+        Departures to each side.
+    require : str or sequence of str
+        Requirements, as ``"a_y_peak_p95 <= 3.0"``.
+    vehicle : VehicleParameters, optional
+        Table I of the paper by default.
+    plant : PlantOptions, optional
+        What differs from the ideal plant.
+    seed : int
+        Of the scenarios and the bootstrap.
+    **tables
+        Any other table of a study file, by its name.
+
+    Examples
+    --------
+    >>> import ldctoolkit as ldc
+    >>> swept = {"law": "lqr", "gains": {"r_delta": [100.0, 300.0]}}
+    >>> study = ldc.study(ldc.NoControl, swept, y_s=[0.1, 0.2], require="a_y_peak_p95 <= 3.0")
+    >>> len(study.designs)
+    6
+    """
+    content: dict[str, Any] = {"name": name, "seed": seed, "design": [_block(one, y_s) for one in designs], **tables}
+    content["scenarios"] = {"left": left, "right": right, **content.get("scenarios", {})}
+    if len(require):
+        content["ranking"] = {"require": require, **content.get("ranking", {})}
+    chosen = {"vehicle": vehicle, "plant": plant}
+    return Study.from_dict(content | {key: value for key, value in chosen.items() if value is not None})
+
+
+def _block(one: object, y_s: float | Sequence[float]) -> dict[str, Any]:
+    """A ``[[design]]`` table."""
+    thresholds = np.atleast_1d(np.asarray(y_s, dtype=np.float64)).tolist()
+    if isinstance(one, dict):
+        return {"y_s": thresholds, **one}
+    law = type(one) if isinstance(one, Controller) else one
+    if isinstance(law, type) and issubclass(law, Controller):
+        if law.name not in controller_names() or controller_class(law.name) is not law:
+            register(law)
+        law = law.name
+    if not isinstance(law, str):
+        raise InputError(f"design: {one!r}; allowed: a controller, its class, the name of a law, or a design table")
+    gains = {gain.name: getattr(one, gain.name) for gain in one.gains()} if isinstance(one, Controller) else {}
+    return {"law": law, "y_s": thresholds, "gains": gains}
 
 
 def catalog_names() -> tuple[str, ...]:

@@ -1,14 +1,16 @@
-"""`controllers` and `studies` are general names: a user's own folders of that name are not taken for the toolkit's."""
+"""`controllers` and `studies` are general names: a user's own folders of that name break nothing."""
 
 import os
 import subprocess
 import sys
-import types
 from pathlib import Path
 
 import pytest
 
-import ldctoolkit.__main__ as launcher
+import controllers.lqr
+import ldctoolkit.controllers.lqr
+import ldctoolkit.studies.ranking
+import studies.ranking
 
 STUDY = """
 name = "tiny"
@@ -27,7 +29,7 @@ FILES = {
     "raising packages": {"__init__.py": "raise RuntimeError('the wrong package')\n"},
 }
 KINDS = (*FILES, "modules")
-LAUNCH = "from ldctoolkit.__main__ import main; sys.exit(main())"
+LAUNCH = "from ldctoolkit.studies.cli import main; sys.exit(main())"
 RUN = ["run", "s.toml", "-o", "o", "--workers", "2", "--no-robustness", "--no-figures"]
 
 
@@ -54,9 +56,7 @@ def python(*arguments: str, cwd: Path, path: str | None = None) -> subprocess.Co
 
 
 def test_the_command_uses_its_own_packages(tmp_path: Path) -> None:
-    folder = write(tmp_path, "raising packages")
-    root = Path(launcher.__file__).resolve().parent.parent
-    done = python("-m", "ldctoolkit", "controllers", "none", cwd=folder, path=f".{os.pathsep}{root}")
+    done = python("-m", "ldctoolkit", "controllers", "none", cwd=write(tmp_path, "raising packages"), path=".")
     assert (done.returncode, done.stderr) == (0, "")
     assert "none: No control" in done.stdout
 
@@ -87,38 +87,50 @@ def test_workers_use_the_toolkits_packages(tmp_path: Path) -> None:
 
 
 LIBRARY = """
-import sys, ldctoolkit
-print({'controllers', 'studies'} & set(sys.modules), flush=True)
-print(ldctoolkit.controller_class('lqr').title)
+import sys, ldctoolkit as ldc
+print({'controllers', 'studies'} & set(sys.modules))
+scenarios = ldc.load_model('reference').sample(3, 3, seed=1)
+print(ldc.controller_class('lqr') is ldc.LQR, ldc.simulate(ldc.LQR(), scenarios, 0.1).S.shape)
+try:
+    import controllers
+    print(controllers.__file__)
+except RuntimeError as error:
+    print(error)
 """
 
 
 @pytest.mark.parametrize("kind", ["packages", *(pytest.param(k, marks=pytest.mark.slow) for k in KINDS[1:])])
-def test_as_a_library_it_works_or_names_the_shadow_in_one_line(kind: str, tmp_path: Path) -> None:
-    """Importing the toolkit alone touches neither package."""
+def test_a_script_beside_folders_of_that_name(kind: str, tmp_path: Path) -> None:
+    """The toolkit uses neither name; the short name is the user's own where the user has one."""
     folder = write(tmp_path, kind)
     done = python("-c", LIBRARY, cwd=folder)
-    touched, *title = done.stdout.splitlines()
-    assert touched == "set()"
-    if done.returncode == 0:
-        assert title == ["LQR"]
-        assert kind == "folders"  # found after the toolkit's own
-        return
-    last = done.stderr.strip().splitlines()[-1]
-    assert last.startswith("ldctoolkit.errors.ShadowedPackageError: ")
-    assert str(folder / "controllers") in last
-    assert "shadows the toolkit's own package 'controllers'" in last
+    assert done.returncode == 0, done.stderr
+    touched, works, theirs = done.stdout.splitlines()
+    assert (touched, works) == ("set()", "True (6,)")
+    if kind == "raising packages":
+        assert theirs == "the wrong package"
+    elif kind != "folders":  # a folder without __init__.py comes after every package
+        assert theirs.startswith(str(folder))
 
 
-def test_a_package_already_there_is_named(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    """Someone imported their own package before the launcher could do anything about it."""
-    mine = types.ModuleType("studies")
-    mine.__path__ = ["/nowhere/studies"]
-    for name in [name for name in sys.modules if name.partition(".")[0] == "studies"]:
-        monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setitem(sys.modules, "studies", mine)
-    monkeypatch.setattr(sys, "path", sys.path[:])
-    assert launcher.main() == 2
-    error = capsys.readouterr().err
-    assert error.startswith("ldc: error: /nowhere/studies shadows the toolkit's own package 'studies' at ")
-    assert error.count("\n") == 1
+ALIASES = """
+import sys
+{}
+import controllers.lqr, ldctoolkit.controllers.lqr, studies.ranking, ldctoolkit.studies.ranking, pickle
+assert controllers is ldctoolkit.controllers and controllers.lqr is ldctoolkit.controllers.lqr
+assert studies is ldctoolkit.studies and studies.ranking is ldctoolkit.studies.ranking
+assert sys.modules["controllers.lqr"].LQR is controllers.LQR is ldctoolkit.controller_class("lqr")
+assert controllers.LQR.__module__ == "ldctoolkit.controllers.lqr"
+assert controllers.lqr.__spec__.name == "ldctoolkit.controllers.lqr"
+from studies import Study
+"""
+
+
+@pytest.mark.parametrize(
+    "first", ["import controllers", "import studies.cli", "import ldctoolkit", "from controllers.lqr import LQR", ""]
+)
+def test_both_names_are_the_same_modules(first: str, tmp_path: Path) -> None:
+    done = python("-c", ALIASES.format(first), cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert controllers.lqr is ldctoolkit.controllers.lqr
+    assert studies.ranking is ldctoolkit.studies.ranking

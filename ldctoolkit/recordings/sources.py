@@ -179,12 +179,12 @@ DEPTH: Final = 2  # folders inside a folder are looked into this many levels dow
 _TABLE: Final = re.compile(r"\.(csv|txt|csv\.gz|csv\.bz2|csv\.xz|csv\.zip)$", re.IGNORECASE)
 
 
-def find_tables(paths: Iterable[Path]) -> list[tuple[Path, bool]]:
-    """Files named by the user, and files in named folders that may be tables; each once."""
+def find_tables(paths: Iterable[Path], names: re.Pattern[str] = _TABLE) -> list[tuple[Path, bool]]:
+    """Files named by the user, and files in named folders that may be tables by their names; each once."""
     found: dict[str, tuple[Path, bool]] = {}
     for path in paths:
         named = not os.path.isdir(path)  # noqa: PTH112 - this one raises nothing, whatever the path
-        inside = [path] if named else [one for one in _walk(path, DEPTH) if _TABLE.search(one.name)]
+        inside = [path] if named else [one for one in _walk(path, DEPTH) if names.search(one.name)]
         for one in inside:
             place = place_of(one)
             known = found.get(place)
@@ -312,7 +312,10 @@ class OpenedRecordings:
 
 
 def open_recordings(
-    paths: str | os.PathLike[str] | Iterable[str | os.PathLike[str]], *, format: str = AUTO
+    paths: str | os.PathLike[str] | Iterable[str | os.PathLike[str]],
+    *,
+    format: str = AUTO,
+    channels: str | os.PathLike[str] | None = None,
 ) -> OpenedRecordings:
     """Look through files and folders of recordings of one kind, to be given to `extract_departures`.
 
@@ -325,6 +328,8 @@ def open_recordings(
     paths : path or iterable of paths
     format : str
         Name of a reader; "auto" looks at columns and folders.
+    channels : path, optional
+        Channel map of MDF logs, a TOML file.
 
     Examples
     --------
@@ -348,6 +353,10 @@ def open_recordings(
             raise RecordingError(f"{path.name}: given twice")
         seen.add(path.resolve())
     reader, found = _recognised(given) if format == AUTO else (recording_reader(format), "")
+    if channels is not None:
+        if not hasattr(reader, "channels"):
+            raise InputError(f"channels: {channels}; format {reader.name!r} takes no channel map; allowed: mdf")
+        reader = dataclasses.replace(reader, channels=Path(channels))  # type: ignore[type-var]
     return OpenedRecordings(reader, _opened(reader, given), found or reader.title)
 
 
@@ -378,13 +387,16 @@ def _recognised(paths: list[Path]) -> tuple[RecordingReader, str]:
 
 
 def read_recordings(
-    paths: str | os.PathLike[str] | Iterable[str | os.PathLike[str]], *, format: str = AUTO
+    paths: str | os.PathLike[str] | Iterable[str | os.PathLike[str]],
+    *,
+    format: str = AUTO,
+    channels: str | os.PathLike[str] | None = None,
 ) -> Iterator[Recording]:
     r"""Read driving recordings, whole ones in the order of the files, and stop at the first fault.
 
-    `paths` and `format` are those of `open_recordings`, which goes on with what is sound, and names what is not. The
-    content is read, and checked, while iterating. Raises `RecordingError` as `open_recordings`; while iterating, for
-    content that cannot be used, naming file and place.
+    `paths`, `format` and `channels` are those of `open_recordings`, which goes on with what is sound, and names what is
+    not. The content is read, and checked, while iterating. Raises `RecordingError` as `open_recordings`; while
+    iterating, for content that cannot be used, naming file and place.
 
     Examples
     --------
@@ -396,7 +408,7 @@ def read_recordings(
     [('a', 2)]
     >>> folder.cleanup()
     """
-    return _sound(open_recordings(paths, format=format))
+    return _sound(open_recordings(paths, format=format, channels=channels))
 
 
 def _sound(opened: OpenedRecordings) -> Iterator[Recording]:

@@ -206,7 +206,7 @@ class _Source:
         return drawn.take(self.model.possible(drawn))
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, repr=False)
 class ScenarioModel:
     """Left and right mixture, their bounds, constants and provenance.
 
@@ -229,6 +229,13 @@ class ScenarioModel:
     # Departures beyond it have no density and are not drawn; None in a model of an earlier version, for no limits
     plausibility: Plausibility | None = None
     _excluded: dict[int, float] = dataclasses.field(default_factory=dict, init=False, repr=False, compare=False)
+
+    def __repr__(self) -> str:
+        left, right = self.left_side, self.right_side
+        text = "synthetic" if self.provenance.synthetic else "fitted"
+        return (
+            f"<ScenarioModel, {text}: {left.mixture.n_components} left, {right.mixture.n_components} right components>"
+        )
 
     @property
     def left(self) -> BoundedGaussianMixture:
@@ -285,7 +292,7 @@ class ScenarioModel:
                 out[rows] = half.mixture.distribution.log_density(x) - math.log1p(-self._excluded[side])
         return out
 
-    def sample(self, n_left: int, n_right: int, seed: int, given: Given | None = None) -> Scenarios:
+    def sample(self, n_left: int, n_right: int, seed: int = 0, given: Given | None = None) -> Scenarios:
         """Draw scenarios, left ones first.
 
         Raises `InputError` if a number or the seed is not a non-negative integer, or a condition names no parameter or

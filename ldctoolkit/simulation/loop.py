@@ -108,10 +108,10 @@ _DROP_BELOW = 0.9  # share of a batch still running below which the others are d
 def simulate(
     controller: Controller,
     scenarios: Scenarios,
+    y_s: float = 0.2,
     *,
     setup: Setup | None = None,
     vehicle: VehicleParameters | BicycleModel | None = None,
-    y_s: float = 0.2,
     dt: float = 0.05,
     window: Window = "departure",
     initial_yaw_rate: InitialYawRate = "path",
@@ -135,12 +135,12 @@ def simulate(
         The design.
     scenarios : Scenarios
         n departures.
+    y_s : float [m]
+        Trigger threshold: control starts when the edge is further than this beyond the line; before it where negative.
     setup : Setup, optional
         Instead of the arguments below that are its fields.
     vehicle : VehicleParameters or BicycleModel, optional
         Table I by default; a `BicycleModel` also chooses the convention.
-    y_s : float [m]
-        Trigger threshold: control starts when the edge is further than this beyond the line; before it where negative.
     window : {"departure", "control"}
         Integrate |e_y| over the whole departure, or from the trigger on (the paper's; not comparable between y_s).
     dt, initial_yaw_rate, start, options, seed, settle, plant_knowledge, trigger, ttlc

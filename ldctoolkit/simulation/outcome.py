@@ -1,8 +1,10 @@
 """What a simulation returns: scores over a window, and paths."""
 
+from __future__ import annotations
+
 import dataclasses
 import math
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -10,7 +12,12 @@ import numpy.typing as npt
 from ldctoolkit import metrics
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.control import EventStatus, SolverLog
+from ldctoolkit.departures import LEFT
+from ldctoolkit.frames import Frame
 from ldctoolkit.notebook import outcome_html
+
+if TYPE_CHECKING:
+    import polars as pl
 
 Window = Literal["departure", "control"]
 
@@ -29,8 +36,8 @@ class Trajectories:
     delta: FloatArray  # (c, k) [rad] Steering angle of the wheel just after that time; in the last entry, at it
 
 
-@dataclasses.dataclass(frozen=True)
-class Outcome:
+@dataclasses.dataclass(frozen=True, repr=False)
+class Outcome(Frame):
     """Scores of one design on n scenarios."""
 
     window: Window  # Over which S is integrated: [0, T], or from the trigger to T
@@ -53,6 +60,23 @@ class Outcome:
         """What a notebook shows; means leave out scenarios that cannot be driven."""
         scores = self.S, self.S_uncorrected, self.deepest
         return outcome_html(self.window, *scores, self.status, self.failed_solves, self.side)
+
+    def to_polars(self) -> pl.DataFrame:
+        """One row a scenario: scores, status, trigger time and every metric."""
+        import polars as pl
+
+        return pl.DataFrame(
+            ({} if self.side is None else {"side": np.where(self.side == LEFT, "left", "right")})
+            | {"S_m_s": self.S, "S_uncorrected_m_s": self.S_uncorrected, "t_s_s": self.t_s}
+            | {"status": [EventStatus(one).name.lower() for one in self.status], "failed_solves": self.failed_solves}
+            | {column: getattr(self.companions, name) for name, column in metrics.METRIC_COLUMNS.items()}
+        )
+
+    def __repr__(self) -> str:
+        return (
+            f"<Outcome of {self.S.size:,} scenarios, {self.window} window: mean S {np.nanmean(self.S):.4f} m s, "
+            f"{np.nanmean(self.S_uncorrected):.4f} m s without control>"
+        )
 
     @property
     def deepest(self) -> FloatArray:

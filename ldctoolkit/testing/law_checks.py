@@ -36,9 +36,9 @@ from ldctoolkit.testing.subject import (
 )
 
 _LOAD = """
-import pickle, sys
+import cloudpickle, pickle, sys
 sys.path[:] = pickle.load(sys.stdin.buffer)
-sys.stdout.buffer.write(pickle.dumps(pickle.loads(pickle.load(sys.stdin.buffer))))
+sys.stdout.buffer.write(cloudpickle.dumps(pickle.loads(pickle.load(sys.stdin.buffer))))
 """
 
 
@@ -71,12 +71,16 @@ def frozen(subject: Subject) -> Iterator[str]:
 
 
 def picklable(subject: Subject) -> Iterator[str]:
-    """A design reaches a worker process, also one that is started afresh."""
+    """A design reaches a worker process, also one that is started afresh, as studies send it: a class of a script or
+    a notebook goes along.
+    """
+    import cloudpickle
+
     design = subject.design
     try:
-        sent = pickle.dumps(design)
+        sent = cloudpickle.dumps(design)
     except Exception as error:  # whatever a class of its own raises
-        yield f"cannot be pickled: {type(error).__name__}: {error}; allowed: a class at the top of a module"
+        yield f"cannot be pickled: {type(error).__name__}: {error}; allowed: fields and names that can be sent"
         return
     if pickle.loads(sent) != design:
         yield "comes back from pickle as another design"

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import FloatArray
-from ldctoolkit.errors import InputError, nearest
+from ldctoolkit.errors import InputError, nearest, plain
 from ldctoolkit.option_checks import warn_of_units
 from ldctoolkit.vehicle.discretization import AugmentedStep, Discretization, augmented, discretize
 
@@ -119,11 +119,12 @@ class VehicleParameters:
 
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
-            value = getattr(self, field.name)
+            value = plain(getattr(self, field.name))
             if isinstance(value, bool) or not isinstance(value, int | float):
                 raise InputError(f"vehicle.{field.name}: {value!r}; allowed: a number > 0")
             if not (math.isfinite(value) and value > 0):
                 raise InputError(f"vehicle.{field.name}: {value!r}; allowed: a finite number > 0")
+            object.__setattr__(self, field.name, value)
         if self.w_v >= self.w_l:
             raise InputError(f"vehicle.w_v: {self.w_v!r} m; allowed: less than the lane's width w_l = {self.w_l!r} m")
         warn_of_units("vehicle", self)

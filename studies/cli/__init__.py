@@ -11,7 +11,8 @@ from typing import Any, NoReturn
 
 from ldctoolkit import LdcError, __version__
 from ldctoolkit.option_checks import UnitWarning
-from studies.cli import assess, controllers, export, extract, fit, rank, report, review, risk, run
+
+from . import assess, controllers, export, extract, fit, rank, report, review, risk, run
 
 
 class _Parser(argparse.ArgumentParser):

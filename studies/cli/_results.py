@@ -10,10 +10,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-from studies.cli._console import add_row, console, new_table
-from studies.pages.ranking_markdown import write_markdown
-from studies.ranking.ranking import Ranking, write_csv
-from studies.ranking.verdict import (
+from ..pages.ranking_markdown import write_markdown
+from ..ranking.ranking import Ranking, write_csv
+from ..ranking.verdict import (
     Verdict,
     listed_places,
     more_lines,
@@ -22,16 +21,18 @@ from studies.ranking.verdict import (
     ranking_columns,
     verdict_lines,
 )
-from studies.results import Race, StudyResults
-from studies.storage.manifest import Manifest
-from studies.study_file import Study
+from ..results import Race, StudyResults
+from ..storage.manifest import Manifest
+from ..study_file import Study
+from ._console import add_row, console, new_table
 
 if TYPE_CHECKING:
     from rich.table import Table
 
     from ldctoolkit.departures import Departures
-    from studies.design import Design
-    from studies.robustness import Robustness
+
+    from ..design import Design
+    from ..robustness import Robustness
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,7 +59,7 @@ class ReportOptions:
         """What DIR/robustness.json holds, worked out first where need be and wanted; None where there is nothing."""
         if not self.robustness or not results.designs or not results.drivable().scenarios.n:
             return stored_robustness(folder, study, results, ranking)
-        from studies.robustness import RobustnessTask, robustness_of
+        from ..robustness import RobustnessTask, robustness_of
 
         return robustness_of(folder, RobustnessTask.of(results, ranking, study.setup()))
 
@@ -74,7 +75,8 @@ def write_study_report(
 ) -> Path:
     """Write DIR/report.html and DIR/figures/."""
     from ldctoolkit.errors import StoreError
-    from studies.pages.report import report_input, write_report
+
+    from ..pages.report import report_input, write_report
 
     report = report_input(
         folder, study, manifest, results, rankings, source=options.source, departures=options.departures,
@@ -91,7 +93,7 @@ def stored_robustness(folder: Path, study: Study, results: StudyResults, ranking
     """What DIR/robustness.json holds of these results; None where there is nothing."""
     if not results.designs or not results.drivable().scenarios.n:
         return None
-    from studies.robustness import RobustnessTask, stored_of
+    from ..robustness import RobustnessTask, stored_of
 
     return stored_of(folder, RobustnessTask.of(results, ranking, study.setup()))
 
@@ -133,9 +135,9 @@ class Judged:
 
 def judged(folder: str | Path) -> Judged:
     """Read a folder that ldc run wrote."""
-    from studies.ranking.ranking import rank_study
-    from studies.ranking.verdict import verdict
-    from studies.storage.store import Store
+    from ..ranking.ranking import rank_study
+    from ..ranking.verdict import verdict
+    from ..storage.store import Store
 
     store = Store.open(folder)
     study, results = store.manifest.read_study(), store.results()

@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from ldctoolkit import controller_class
-from studies.cli._console import add_row, console, gain_text, new_table, say
-from studies.comparison.comparison import CaseComparison, Comparison
-from studies.comparison.paired import Verdict, Winners
-from studies.design import Design
-from studies.sensitivity.sensitivity import BlockSensitivity
-from studies.sensitivity.winner_profile import Profile
+
+from ..comparison.comparison import CaseComparison, Comparison
+from ..comparison.paired import Verdict, Winners
+from ..design import Design
+from ..sensitivity.sensitivity import BlockSensitivity
+from ..sensitivity.winner_profile import Profile
+from ._console import add_row, console, gain_text, new_table, say
 
 if TYPE_CHECKING:
     from rich.console import Console

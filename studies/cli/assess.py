@@ -8,11 +8,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from studies.cli._console import Subparsers, add_row, console, each_once, named, new_table, number, progress_bar, say
+from ._console import Subparsers, add_row, console, each_once, named, new_table, number, progress_bar, say
 
 if TYPE_CHECKING:
     from ldctoolkit import Controller, Setup
-    from studies.assessment import Assessment
+
+    from ..assessment import Assessment
 
 FAILS = 3  # exit code where a cell fails as stated
 
@@ -53,10 +54,11 @@ def add_parser(commands: Subparsers) -> None:
 def run(chosen: argparse.Namespace) -> int:
     """Carry the command out; the exit code says whether a cell fails."""
     from ldctoolkit.errors import InputError
-    from studies.assessment import assess, write_predictions
-    from studies.pages.assessment_section import score_text, write_assessment_page
-    from studies.standards import load_standard, standard_names
-    from studies.storage.files import output_folder
+
+    from ..assessment import assess, write_predictions
+    from ..pages.assessment_section import score_text, write_assessment_page
+    from ..standards import load_standard, standard_names
+    from ..storage.files import output_folder
 
     tests = [load_standard(name) for name in dict.fromkeys(chosen.standard or standard_names())]
     subjects = [one for text in chosen.designs for one in _subjects(text, chosen)]
@@ -97,13 +99,15 @@ def _subjects(text: str, chosen: argparse.Namespace) -> Iterator[Subject]:
     """What a name on the command line stands for."""
     from ldctoolkit import controller_names
     from ldctoolkit.errors import InputError, UnknownNameError, nearest
-    from studies.cli._results import chosen_designs, judged
-    from studies.study_file import catalog_names, load_study
+
+    from ..study_file import catalog_names, load_study
+    from ._results import chosen_designs, judged
 
     if text in controller_names():
         from ldctoolkit import controller_class
         from ldctoolkit.gains import find_gain
-        from studies.design import Design
+
+        from ..design import Design
 
         kind = controller_class(text)
         each_once("--gain", chosen.gain)

@@ -6,7 +6,7 @@ import argparse
 import math
 from typing import TYPE_CHECKING, get_type_hints
 
-from studies.cli._console import Subparsers, add_row, console, new_table, warn
+from ._console import Subparsers, add_row, console, new_table, warn
 
 if TYPE_CHECKING:
     from ldctoolkit import Controller, Gain
@@ -92,7 +92,8 @@ def _interval(lower: float, upper: float) -> str:
 def describe_models(chosen: argparse.Namespace) -> None:
     """Carry ``ldc models`` out."""
     from ldctoolkit.scenario_model import bundled_models, load_model
-    from studies.storage.stored_model import model_notes
+
+    from ..storage.stored_model import model_notes
 
     for name in chosen.model or bundled_models():
         model = load_model(name)

@@ -7,11 +7,12 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from studies.cli._console import Subparsers, console, say
+from ._console import Subparsers, console, say
 
 if TYPE_CHECKING:
     from ldctoolkit import Scenarios
-    from studies.cli._results import Judged
+
+    from ._results import Judged
 
 FAILED = 3  # exit code where the check failed, or a folder was changed or is stale
 NOT_RUN = 4  # where there is no compiler
@@ -41,9 +42,10 @@ def add_parser(commands: Subparsers) -> None:
 def run(chosen: argparse.Namespace) -> int:
     """Carry the command out; the exit code reports whether the code is proved."""
     from ldctoolkit.errors import InputError
-    from studies.cli._results import chosen_designs, judged
-    from studies.export import Code, Origin, changed_files, export_c, is_stale, parameters
-    from studies.storage.files import output_folder, write_text
+
+    from ..export import Code, Origin, changed_files, export_c, is_stale, parameters
+    from ..storage.files import output_folder, write_text
+    from ._results import chosen_designs, judged
 
     study = judged(chosen.folder)
     design = study.design if chosen.design is None else chosen_designs(study.ranking.designs, [chosen.design])[0]
@@ -83,8 +85,8 @@ def run(chosen: argparse.Namespace) -> int:
 
 def _scenarios(study: Judged, folder: str) -> Scenarios:
     """Those of the study; more of the same model where they are few."""
-    from studies.export import DEPARTURES
-    from studies.storage.stored_model import read_model
+    from ..export import DEPARTURES
+    from ..storage.stored_model import read_model
 
     own = study.results.scenarios
     model = read_model(folder, study.manifest) if own.n < DEPARTURES and study.study.scenarios.model else None

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from ldctoolkit.errors import InputError
-from studies.cli._console import (
+
+from ._console import (
     Subparsers,
     add_limit,
     console,
@@ -33,20 +34,24 @@ def add_parser(commands: Subparsers) -> None:
     parser = commands.add_parser(
         "extract",
         help="find lane departures in driving recordings",
-        description="Find the lane departures in driving recordings (plain tables, SPMD, UAH-DriveSet, or what an "
-        "installed reader knows) and write one row each: the eight parameters, side, recording, start time. Every "
-        "refused candidate is counted by reason. Running it again after it was stopped goes on with what is missing. "
-        "Exit code 3: done, but some of the input could not be used; it is named.",
+        description="Find the lane departures in driving recordings (plain tables, MDF logs, SPMD, UAH-DriveSet, or "
+        "what an installed reader knows) and write one row each: the eight parameters, side, recording, start time. "
+        "Every refused candidate is counted by reason. Running it again after it was stopped goes on with what is "
+        "missing. Exit code 3: done, but some of the input could not be used; it is named.",
     )
     parser.add_argument("paths", nargs="+", metavar="PATH", help="files or folders of one format")
     parser.add_argument(
         "--format",
         default="auto",
         metavar="NAME",
-        help="table, spmd-das1, spmd-das2, uah-driveset, or another installed reader (default: auto, which looks at "
-        "columns and folders)",
+        help="table, mdf, spmd-das1, spmd-das2, uah-driveset, or another installed reader (default: auto, which looks "
+        "at columns and folders)",
     )
-    parser.add_argument("-o", "--output", required=True, metavar="FILE.parquet", help="departures table to write")
+    parser.add_argument("-o", "--output", metavar="FILE.parquet", help="departures table to write")
+    parser.add_argument("--channels", metavar="MAP.toml", help="channel map of MDF logs: which channel holds what")
+    parser.add_argument(
+        "--list-channels", action="store_true", help="only print the channels of an MDF log, and a guess of its map"
+    )
     parser.add_argument("--report", metavar="FILE.html", help="also write a page about the quality of what was found")
     parser.add_argument("--vehicle-width", type=number, metavar="M", help="in m (default: the format's; table: 1.9)")
     parser.add_argument(
@@ -85,16 +90,25 @@ def add_parser(commands: Subparsers) -> None:
 
 def run(chosen: argparse.Namespace) -> int:
     """Carry the command out."""
+    if chosen.list_channels:
+        from ldctoolkit.recordings.mdf_logs import list_channels
+
+        print("\n".join(map(list_channels, map(Path, chosen.paths))))
+        return 0
+    if chosen.output is None:
+        raise InputError("-o: not given; allowed: -o FILE.parquet, the departures table to write")
     from ldctoolkit.recordings.find_departures import Criteria
     from ldctoolkit.recordings.preparation import Preparation
     from ldctoolkit.recordings.sources import open_recordings
-    from studies.extraction import MOST_NAMED, NothingReadError, parts_folder, run_extraction
+
+    from ..extraction import MOST_NAMED, NothingReadError, parts_folder, run_extraction
 
     target = output_file(chosen.output, ".parquet")
     page = None if chosen.report is None else output_file(chosen.report, ".html", option="--report")
     # workers of a cluster start in folders of their own
     paths = [Path(path).absolute() if chosen.dask else Path(path) for path in chosen.paths]
-    recordings = open_recordings(paths, format=chosen.format)
+    channels = None if chosen.channels is None else Path(chosen.channels).absolute()
+    recordings = open_recordings(paths, format=chosen.format, channels=channels)
     refuse_input("-o", target, paths, recordings.source.files)
     if page is not None:
         refuse_input("--report", page, paths, recordings.source.files)
@@ -152,7 +166,8 @@ def _page_writer(page: Path, target: Path) -> Callable[[Extraction], None]:
 
     def write(found: Extraction) -> None:
         from ldctoolkit.errors import StoreError
-        from studies.pages.extraction_page import write_extraction_page
+
+        from ..pages.extraction_page import write_extraction_page
 
         try:
             write_extraction_page(page, found)

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ldctoolkit.errors import InputError, LdcError
-from studies.cli._console import (
+
+from ._console import (
     Subparsers,
     add_limit,
     bound,
@@ -189,7 +190,7 @@ def _source(provenance: Provenance) -> dict[str, Any]:
 
 def _write_page(page: Path, model: ScenarioModel, departures: Departures, chosen: argparse.Namespace) -> None:
     """Write the page; the model is kept also where there can be none."""
-    from studies.pages.fit_page import write_fit_page
+    from ..pages.fit_page import write_fit_page
 
     try:
         with progress_bar("checking") as advance:
@@ -250,7 +251,8 @@ def sample(chosen: argparse.Namespace) -> None:
     """Carry ``ldc sample`` out."""
     from ldctoolkit.scenario_model import load_model
     from ldctoolkit.scenario_model.model import outside_fit
-    from studies.storage.files import scenario_table, stored_file, write_parquet
+
+    from ..storage.files import scenario_table, stored_file, write_parquet
 
     target = output_file(chosen.output, ".parquet", ".csv")
     left, right = _numbers(chosen)

@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ldctoolkit.errors import InputError
-from studies.cli._console import Subparsers, number, output_file, positive_number, progress_bar, warn, whole_number
+
+from ._console import Subparsers, number, output_file, positive_number, progress_bar, warn, whole_number
 
 if TYPE_CHECKING:
-    from studies.study_file import Study
+    from ..study_file import Study
 
 
 def add_parser(commands: Subparsers) -> None:
@@ -53,12 +54,12 @@ def add_parser(commands: Subparsers) -> None:
 
 def run(chosen: argparse.Namespace) -> None:
     """Carry the command out."""
-    from studies.cli._results import print_race, print_rankings, rank_summary, stored_robustness, write_ranking
-    from studies.pages.ranking_markdown import write_markdown
-    from studies.ranking.ranking import rank_study, write_csv
-    from studies.ranking.verdict import verdict
-    from studies.storage.store import Store
-    from studies.storage.stored_model import read_model
+    from ..pages.ranking_markdown import write_markdown
+    from ..ranking.ranking import rank_study, write_csv
+    from ..ranking.verdict import verdict
+    from ..storage.store import Store
+    from ..storage.stored_model import read_model
+    from ._results import print_race, print_rankings, rank_summary, stored_robustness, write_ranking
 
     target = None if chosen.output is None else output_file(chosen.output, ".csv", ".md")
     store = Store.open(chosen.folder)
@@ -137,12 +138,12 @@ def _add_sensitivity(commands: Subparsers) -> None:
 
 def _run_sensitivity(chosen: argparse.Namespace) -> None:
     """Carry the command out."""
-    from studies.cli._results import chosen_designs
-    from studies.cli._tables import print_indices, print_profiles
-    from studies.ranking.ranking import rank_study
-    from studies.sensitivity.sensitivity import sensitivity
-    from studies.sensitivity.winner_profile import winner_profile, write_sensitivity
-    from studies.storage.store import Store
+    from ..ranking.ranking import rank_study
+    from ..sensitivity.sensitivity import sensitivity
+    from ..sensitivity.winner_profile import winner_profile, write_sensitivity
+    from ..storage.store import Store
+    from ._results import chosen_designs
+    from ._tables import print_indices, print_profiles
 
     store = Store.open(chosen.folder)
     study, results = store.manifest.read_study(), store.results()

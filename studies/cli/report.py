@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from studies.cli._console import Subparsers, add_report_options, console, output_file, positive_number
+from ._console import Subparsers, add_report_options, console, output_file, positive_number
 
 
 def add_parser(commands: Subparsers) -> None:
@@ -39,12 +39,12 @@ def add_parser(commands: Subparsers) -> None:
 
 def run(chosen: argparse.Namespace) -> None:
     """Carry the command out."""
-    from studies.cli._results import ReportOptions, write_ranking, write_study_report
-    from studies.pages.replay import designs_of_ids, rows_of_numbers
-    from studies.ranking.ranking import rank_study
-    from studies.ranking.verdict import verdict
-    from studies.storage.store import Store
-    from studies.storage.stored_model import read_model
+    from ..pages.replay import designs_of_ids, rows_of_numbers
+    from ..ranking.ranking import rank_study
+    from ..ranking.verdict import verdict
+    from ..storage.store import Store
+    from ..storage.stored_model import read_model
+    from ._results import ReportOptions, write_ranking, write_study_report
 
     options = ReportOptions.of(chosen, chosen.departure, chosen.design)
     folder = _folder(chosen.study)
@@ -99,9 +99,9 @@ def compare_studies(chosen: argparse.Namespace) -> int:
     """Carry ``ldc compare`` out."""
     import json
 
-    from studies.cli._tables import print_comparison
-    from studies.comparison.comparison import compare, comparison_content, write_comparison
-    from studies.pages.compare_page import write_compare_page
+    from ..comparison.comparison import compare, comparison_content, write_comparison
+    from ..pages.compare_page import write_compare_page
+    from ._tables import print_comparison
 
     targets = [output_file(path, ".csv", ".html") for path in chosen.output]
     comparison = compare(chosen.old, chosen.new)

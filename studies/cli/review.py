@@ -11,17 +11,8 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 from ldctoolkit.errors import InputError, LdcError, UnknownNameError, nearest
-from studies.cli._console import (
-    Subparsers,
-    add_row,
-    console,
-    interval,
-    named,
-    new_table,
-    number,
-    output_file,
-    progress_bar,
-)
+
+from ._console import Subparsers, add_row, console, interval, named, new_table, number, output_file, progress_bar
 
 if TYPE_CHECKING:
     import numpy as np
@@ -32,8 +23,9 @@ if TYPE_CHECKING:
     from ldctoolkit.review.limits import Finding
     from ldctoolkit.simulation import Takeover
     from ldctoolkit.vehicle import Convention
-    from studies.design import Design
-    from studies.study_file import Study
+
+    from ..design import Design
+    from ..study_file import Study
 
 
 _MOST_SCENARIOS = 1000
@@ -54,7 +46,8 @@ class Subject:
 def subjects(chosen: argparse.Namespace) -> list[Subject]:
     """The designs that the command line names, each set of gains once."""
     from ldctoolkit import controller_names
-    from studies.study_file import catalog_names, load_study
+
+    from ..study_file import catalog_names, load_study
 
     if chosen.design in controller_names():
         if chosen.only:
@@ -92,10 +85,11 @@ def reviewed_design(subject: Subject) -> Review:
 def _of_folder(chosen: argparse.Namespace) -> Iterator[Subject]:
     """The design that the verdict of a study's results names, or the one that is chosen, with what its results say."""
     from ldctoolkit.review.limits import Finding
-    from studies.ranking.ranking import rank_study
-    from studies.ranking.requirements import G, metric_values
-    from studies.ranking.verdict import verdict
-    from studies.storage.store import Store
+
+    from ..ranking.ranking import rank_study
+    from ..ranking.requirements import G, metric_values
+    from ..ranking.verdict import verdict
+    from ..storage.store import Store
 
     store = Store.open(chosen.design)
     study, results = store.manifest.read_study(), store.results()
@@ -129,7 +123,8 @@ def _law(chosen: argparse.Namespace) -> Subject:
     from ldctoolkit.gains import find_gain
     from ldctoolkit.plant_options import PlantOptions
     from ldctoolkit.review import SPEEDS
-    from studies.cli._console import each_once
+
+    from ._console import each_once
 
     kind = controller_class(chosen.design)
     each_once("--gain", chosen.gain)
@@ -160,9 +155,9 @@ def _speeds(chosen: argparse.Namespace, default: tuple[float, float] | None) -> 
 
 
 def _of_study(study: Study, chosen: argparse.Namespace) -> Iterator[Subject]:
-    from studies.cli._results import chosen_designs
-    from studies.runner import study_source
-    from studies.storage.stored_model import with_counts
+    from ..runner import study_source
+    from ..storage.stored_model import with_counts
+    from ._results import chosen_designs
 
     designs = study.designs if chosen.only is None else chosen_designs(study.designs, [chosen.only])
     conventions, source = study.simulation.convention, study_source(study)
@@ -329,7 +324,7 @@ def _speed_range(text: str) -> tuple[float, float]:
 
 def run(chosen: argparse.Namespace) -> int:
     """Carry the command out; the exit code says whether there is a fault."""
-    from studies.storage.files import write_text
+    from ..storage.files import write_text
 
     target = None if chosen.json is None else output_file(chosen.json, ".json", option="--json")
     wanted = subjects(chosen)

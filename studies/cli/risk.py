@@ -10,14 +10,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from studies.cli import _console
-from studies.cli._console import add_row, new_table, number, positive_number, say, whole_number
+from . import _console
+from ._console import add_row, new_table, number, positive_number, say, whole_number
 
 if TYPE_CHECKING:
     from ldctoolkit.scenario_model import ScenarioModel
-    from studies.design import Design
-    from studies.risk import Risk
-    from studies.study_file import Study
+
+    from ..design import Design
+    from ..risk import Risk
+    from ..study_file import Study
 
 _MOST_DESIGNS = 20
 _COLORS = {"bad": "red", "warning": "yellow", "good": "green"}
@@ -61,10 +62,11 @@ def run(chosen: argparse.Namespace) -> None:
     """Carry the command out."""
     from ldctoolkit.errors import InputError
     from ldctoolkit.scenario_model import ScenarioModel
-    from studies.pages.risk_page import write_risk_page
-    from studies.risk import DEPTHS, estimate_risk
-    from studies.runner import study_source
-    from studies.storage.stored_model import with_recorded_widths
+
+    from ..pages.risk_page import write_risk_page
+    from ..risk import DEPTHS, estimate_risk
+    from ..runner import study_source
+    from ..storage.stored_model import with_recorded_widths
 
     study, model, designs, folder = _subject(chosen)
     source = study_source(study, chosen.model or model)
@@ -96,9 +98,10 @@ def run(chosen: argparse.Namespace) -> None:
 def _subject(chosen: argparse.Namespace) -> tuple[Study, ScenarioModel | None, Sequence[Design], Path]:
     """The study, the model in its folder, the designs, and where results go by default."""
     from ldctoolkit.errors import InputError
-    from studies.cli._results import chosen_designs, judged
-    from studies.storage.stored_model import read_model
-    from studies.study_file import load_study
+
+    from ..storage.stored_model import read_model
+    from ..study_file import load_study
+    from ._results import chosen_designs, judged
 
     if os.path.isfile(f"{chosen.study}/manifest.json"):  # noqa: PTH113 - raises nothing, whatever the name
         found = judged(chosen.study)
@@ -114,7 +117,7 @@ def _subject(chosen: argparse.Namespace) -> tuple[Study, ScenarioModel | None, S
 
 
 def _write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
-    from studies.storage.files import write_text
+    from ..storage.files import write_text
 
     text = io.StringIO()
     # no control comes first and is compared with nothing: the last row has all columns

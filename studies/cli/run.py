@@ -7,10 +7,10 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from studies.cli._console import Subparsers, add_report_options, number, positive_number, warn
+from ._console import Subparsers, add_report_options, number, positive_number, warn
 
 if TYPE_CHECKING:
-    from studies.running.campaign import Progress
+    from ..running.campaign import Progress
 
 
 def add_parser(commands: Subparsers) -> None:
@@ -69,20 +69,14 @@ SOME_FAILED = 3  # exit code where the study has results, but not of every desig
 def run(chosen: argparse.Namespace) -> int:
     """Carry the command out."""
     from ldctoolkit.scenario_model.model import ScenarioModel, misleading, outside_fit
-    from studies.cli._results import (
-        ReportOptions,
-        json_summary,
-        print_race,
-        print_rankings,
-        write_ranking,
-        write_study_report,
-    )
-    from studies.ranking.ranking import rank_study
-    from studies.ranking.verdict import verdict
-    from studies.runner import TIME_LIMIT, run_study, study_source
-    from studies.storage.manifest import read_manifest
-    from studies.storage.stored_model import with_counts, with_recorded_widths
-    from studies.study_file import load_study
+
+    from ..ranking.ranking import rank_study
+    from ..ranking.verdict import verdict
+    from ..runner import TIME_LIMIT, run_study, study_source
+    from ..storage.manifest import read_manifest
+    from ..storage.stored_model import with_counts, with_recorded_widths
+    from ..study_file import load_study
+    from ._results import ReportOptions, json_summary, print_race, print_rankings, write_ranking, write_study_report
 
     study = load_study(chosen.study)
     if chosen.departures is not None:
@@ -133,7 +127,7 @@ def run(chosen: argparse.Namespace) -> int:
 
 
 def _progress(chosen: argparse.Namespace) -> Progress | bool | None:
-    from studies.running.campaign import Lines
+    from ..running.campaign import Lines
 
     if chosen.json:
         return Lines(sys.stdout)

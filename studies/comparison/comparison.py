@@ -14,7 +14,11 @@ import numpy as np
 from ldctoolkit.arrays import BoolArray
 from ldctoolkit.errors import InputError
 from ldctoolkit.notebook import CELL
-from studies.comparison.paired import (
+
+from ..design import Design
+from ..results import Case, CaseResults, FailedDesign, StudyResults
+from ..storage.files import write_text
+from .paired import (
     FinishedStudy,
     PairedDifferences,
     SharedScenarios,
@@ -27,9 +31,6 @@ from studies.comparison.paired import (
     paired_differences,
     share_scenarios,
 )
-from studies.design import Design
-from studies.results import Case, CaseResults, FailedDesign, StudyResults
-from studies.storage.files import write_text
 
 PHRASES: Final = {
     Verdict.BETTER: "better",

@@ -18,13 +18,14 @@ from ldctoolkit.departures import LEFT, RIGHT
 from ldctoolkit.errors import InputError, StoreError
 from ldctoolkit.paths.uncorrected import RandomStream
 from ldctoolkit.plant_options import PlantOptions
-from studies.design import Design
-from studies.ranking.inference import SAME, bootstrap_means, check_confidence, error_parts, lengths, row_means
-from studies.ranking.ranking import Ranking
-from studies.results import Case, CaseResults, StudyResults
-from studies.storage.manifest import Manifest, differences
-from studies.storage.store import Store
-from studies.study_file import Study
+
+from ..design import Design
+from ..ranking.inference import SAME, bootstrap_means, check_confidence, error_parts, lengths, row_means
+from ..ranking.ranking import Ranking
+from ..results import Case, CaseResults, StudyResults
+from ..storage.manifest import Manifest, differences
+from ..storage.store import Store
+from ..study_file import Study
 
 
 @dataclasses.dataclass(frozen=True)

@@ -13,19 +13,10 @@ from typing import Final
 
 from ldctoolkit import Controller, Scenarios, Setup, load_model
 from ldctoolkit.errors import InputError
-from studies.export.c_code import (
-    HEADER,
-    SOURCE,
-    Code,
-    Origin,
-    changed_files,
-    is_stale,
-    parameters,
-    render,
-    write_folder,
-)
-from studies.export.loop_check import Check, check, compile_c, compiler, record, vectors
-from studies.storage.files import stored_file
+
+from ..storage.files import stored_file
+from .c_code import HEADER, SOURCE, Code, Origin, changed_files, is_stale, parameters, render, write_folder
+from .loop_check import Check, check, compile_c, compiler, record, vectors
 
 __all__ = ["Check", "Code", "Export", "Origin", "changed_files", "export_c", "is_stale", "parameters"]
 

@@ -19,9 +19,10 @@ from ldctoolkit.arrays import FloatArray
 from ldctoolkit.errors import InputError
 from ldctoolkit.option_checks import checked_number
 from ldctoolkit.version import __version__
-from studies.design import Design
-from studies.export.law_tables import UNITS, Gains, Schedule, c_number
-from studies.storage.files import output_folder, read_bytes, write_text
+
+from ..design import Design
+from ..storage.files import output_folder, read_bytes, write_text
+from .law_tables import UNITS, Gains, Schedule, c_number
 
 HEADER: Final = "ldc_controller.h"
 SOURCE: Final = "ldc_controller.c"
@@ -224,7 +225,7 @@ def _wrapped(first: str, parts: Sequence[str]) -> Iterator[str]:
 def _environment() -> Any:
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
-    made = Environment(loader=PackageLoader("studies.export"), undefined=StrictUndefined)
+    made = Environment(loader=PackageLoader(__package__), undefined=StrictUndefined)
     made.trim_blocks = made.lstrip_blocks = made.keep_trailing_newline = True
     return made
 

@@ -8,15 +8,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from controllers._mpc_condensing import SOFT
-from controllers._mpc_law import MPCLaw
-from controllers.barrier_filter import BarrierLaw
-from controllers.pid import PIDLaw
-from controllers.pure_pursuit import PurePursuitLaw
-from controllers.sliding_mode import SlidingModeLaw
-from controllers.stanley import StanleyLaw
 from ldctoolkit import SPEED_RANGE, Controller, LinearLaw, LinearSteps, RecordedPath, Setup
 from ldctoolkit.arrays import FloatArray
+from ldctoolkit.controllers import _mpc_condensing, _mpc_law, barrier_filter, pid, pure_pursuit, sliding_mode, stanley
 from ldctoolkit.errors import InputError
 from ldctoolkit.law_checks import check_controller, check_law
 from ldctoolkit.vehicle import Plant
@@ -74,21 +68,21 @@ def law_form(law: object, dt: float, name: str) -> LawForm:
             gains["G_yaw_rate"], times = np.zeros((law.F.shape[0], 1)), np.zeros(1)
             gains.pop("G_heading")
         return LawForm("linear", gains, times, sent=1 + (0 if law.f_past is None else law.f_past.shape[1]))
-    if isinstance(law, BarrierLaw):
+    if isinstance(law, barrier_filter.BarrierLaw):
         inner = law_form(law.inner, dt, law.inner_name)
         gains = {"centre": law.centre, "half_width": _wide(law.half_width)} | inner.gains
         return dataclasses.replace(inner, gains=gains, times=law.preview_times, barrier=law.delta_max)
-    if isinstance(law, MPCLaw):
+    if isinstance(law, _mpc_law.MPCLaw):
         return _mpc_form(law)
-    if isinstance(law, PIDLaw | StanleyLaw | SlidingModeLaw | PurePursuitLaw):
+    if isinstance(law, pid.PIDLaw | stanley.StanleyLaw | sliding_mode.SlidingModeLaw | pure_pursuit.PurePursuitLaw):
         constants: dict[str, Any] = {gain.name: getattr(law.design, gain.name) for gain in law.design.gains()}
         names: tuple[str, ...] = ()
-        if isinstance(law, PIDLaw):
+        if isinstance(law, pid.PIDLaw):
             constants["share"] = -math.expm1(-dt / law.design.T_t)
             names, what = ("distance", "e_psi_ss", "delta_ss"), "pid"
-        elif isinstance(law, StanleyLaw):
+        elif isinstance(law, stanley.StanleyLaw):
             names, what, constants["l_f"] = ("slip",), "stanley", law.l_f
-        elif isinstance(law, SlidingModeLaw):
+        elif isinstance(law, sliding_mode.SlidingModeLaw):
             names, what = ("c", "drift", "cB", "cD", "e_psi_ss", "delta_ss"), "sliding_mode"
         else:
             what = "pure_pursuit"
@@ -102,10 +96,10 @@ def law_form(law: object, dt: float, name: str) -> LawForm:
     raise InputError(f"law {name!r}: cannot be exported, it {what}; allowed: {allowed}")
 
 
-def _mpc_form(law: MPCLaw) -> LawForm:
+def _mpc_form(law: _mpc_law.MPCLaw) -> LawForm:
     c, limits, N, M = law.condensed, law.limits, law.horizon, law.limits.start.size
     m, n = c.B.shape[1], c.B.shape[0]
-    kinds = [SOFT[k] for k in np.flatnonzero(limits.scale)]
+    kinds = [_mpc_condensing.SOFT[k] for k in np.flatnonzero(limits.scale)]
     # corrections may count either way: one way at every speed
     signs = np.sign(np.einsum("nii->ni", c.moves))[:, None, :]
     blocked = {"impulse": c.impulse}
@@ -126,7 +120,7 @@ def _mpc_form(law: MPCLaw) -> LawForm:
         "iterations": 10 * (M + len(kinds) + limits.group.size),
     }  # fmt: skip
     constants = {"delta_max": limits.delta_max, "rate_step": limits.rate_step, "window_share": limits.share}
-    constants |= {f"{kind}_scale": limits.scale[k] for k, kind in enumerate(SOFT)}
+    constants |= {f"{kind}_scale": limits.scale[k] for k, kind in enumerate(_mpc_condensing.SOFT)}
     wide = {key: value.reshape(n, -1) for key, value in gains.items()}
     return LawForm("mpc", wide, law.preview_times, constants, sent=limits.delay + 1, mpc=sizes)
 

@@ -21,7 +21,8 @@ from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.control import StatusArray
 from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.simulation import Takeover, drive
-from studies.export.c_code import FLOAT_S, HEADER, SOURCE, Code, render
+
+from .c_code import FLOAT_S, HEADER, SOURCE, Code, render
 
 WARNINGS: Final = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-pedantic", "-Werror")
 

@@ -12,12 +12,13 @@ from markupsafe import Markup
 
 from ldctoolkit.errors import LdcError
 from ldctoolkit.version import __version__
-from studies.assessment import QUANTITIES, Assessment, LightName, assess
-from studies.pages.context import Context, name_of
-from studies.pages.shell import Cell, Column, Section, TableRow, bullets, make_page, paragraphs, table
-from studies.pages.text import number, percent, plural, true_minus
-from studies.standards import KM_H, standard_names
-from studies.storage.files import write_text
+
+from ..assessment import QUANTITIES, Assessment, LightName, assess
+from ..standards import KM_H, standard_names
+from ..storage.files import write_text
+from .context import Context, name_of
+from .shell import Cell, Column, Section, TableRow, bullets, make_page, paragraphs, table
+from .text import number, percent, plural, true_minus
 
 MOST_REASONS: Final = 40
 USUAL_BATCH: Final = 1000  # departures that a law drives together; one that takes long asks for fewer

@@ -16,8 +16,9 @@ import numpy.typing as npt
 from markupsafe import Markup, escape
 
 from ldctoolkit.arrays import BoolArray, FloatArray
-from studies.design import NO_CONTROL
-from studies.pages.text import compact, printable, shorten, symbols_svg
+
+from ..design import NO_CONTROL
+from .text import compact, printable, shorten, symbols_svg
 
 WIDTH: Final = 420.0  # units of a chart's width: text of 12 units is 10 px high on the narrowest phone
 

@@ -9,25 +9,14 @@ import numpy as np
 from markupsafe import Markup
 
 from ldctoolkit.version import __version__
-from studies.comparison.comparison import PHRASES, CaseComparison, Comparison
-from studies.comparison.paired import Verdict, Winners
-from studies.pages.charts import Axis, Chart, Cloud, Dot, Style, dots, scatter
-from studies.pages.settings_section import pairs
-from studies.pages.shell import (
-    Cell,
-    Column,
-    Section,
-    TableRow,
-    bullets,
-    details,
-    figure,
-    make_page,
-    paragraphs,
-    render,
-    table,
-)
-from studies.pages.text import difference_text, number, percent, plural, signed, symbols
-from studies.storage.files import write_text
+
+from ..comparison.comparison import PHRASES, CaseComparison, Comparison
+from ..comparison.paired import Verdict, Winners
+from ..storage.files import write_text
+from .charts import Axis, Chart, Cloud, Dot, Style, dots, scatter
+from .settings_section import pairs
+from .shell import Cell, Column, Section, TableRow, bullets, details, figure, make_page, paragraphs, render, table
+from .text import difference_text, number, percent, plural, signed, symbols
 
 THRESHOLD: Final = 0.01  # differences of mean S [m s] below this do not matter in practice: 1 cm over 1 s
 

@@ -8,11 +8,12 @@ import numpy as np
 from markupsafe import Markup
 
 from ldctoolkit.arrays import FloatArray, IntArray
-from studies.pages.charts import Axis, Chart, Dot, Series, dots, lines
-from studies.pages.context import Context, interval, name_of
-from studies.pages.shell import Cell, Column, Section, TableRow, figure, paragraphs, table
-from studies.pages.text import difference_text, number, percent, plural
-from studies.ranking.ranking import Ranking
+
+from ..ranking.ranking import Ranking
+from .charts import Axis, Chart, Dot, Series, dots, lines
+from .context import Context, interval, name_of
+from .shell import Cell, Column, Section, TableRow, figure, paragraphs, table
+from .text import difference_text, number, percent, plural
 
 MOST: Final = 12
 

@@ -14,19 +14,21 @@ from ldctoolkit import Scenarios, Setup
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.departures import LEFT
 from ldctoolkit.errors import InputError
-from studies.design import Design
-from studies.pages.charts import Style, law_styles
-from studies.pages.text import number, true_minus
-from studies.ranking.ranking import Ranking
-from studies.ranking.requirements import metric, metric_values
-from studies.ranking.verdict import Verdict, design_name, verdict
-from studies.results import CaseResults, StudyResults
+
+from ..design import Design
+from ..ranking.ranking import Ranking
+from ..ranking.requirements import metric, metric_values
+from ..ranking.verdict import Verdict, design_name, verdict
+from ..results import CaseResults, StudyResults
+from .charts import Style, law_styles
+from .text import number, true_minus
 
 if TYPE_CHECKING:
     from ldctoolkit.departures import Departures
     from ldctoolkit.scenario_model import Given, ScenarioModel
-    from studies.robustness import Robustness
-    from studies.sensitivity.sensitivity import BlockSensitivity
+
+    from ..robustness import Robustness
+    from ..sensitivity.sensitivity import BlockSensitivity
 
 MOST_CURVES = 5  # designs in one chart of curves
 

@@ -11,13 +11,14 @@ from ldctoolkit import EventStatus
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.departures import LEFT
 from ldctoolkit.metrics import A_Y_LIMIT, DTLE_LIMIT, JERK_LIMIT
-from studies.pages.charts import RECORDED, Axis, Chart, Style, ecdf, legend
-from studies.pages.context import MOST_CURVES, Context, name_of, side_rows
-from studies.pages.replay import STATUS_TEXT, Replay, chosen_designs, picked_departures, replay
-from studies.pages.shell import Section, figure, packed, paragraphs, render
-from studies.pages.text import compact, number, percent, plural
-from studies.ranking.verdict import law_title
-from studies.results import status_among
+
+from ..ranking.verdict import law_title
+from ..results import status_among
+from .charts import RECORDED, Axis, Chart, Style, ecdf, legend
+from .context import MOST_CURVES, Context, name_of, side_rows
+from .replay import STATUS_TEXT, Replay, chosen_designs, picked_departures, replay
+from .shell import Section, figure, packed, paragraphs, render
+from .text import compact, number, percent, plural
 
 RESOLUTION: Final = {"y": 1e-3, "delta": 1e-2, "a_y": 1e-2}
 """Steps of the embedded positions [m], steering angles [deg] and accelerations [m/s^2]."""

@@ -21,21 +21,12 @@ from ldctoolkit.recordings.find_departures import REASONS
 from ldctoolkit.recordings.quality import Account, Origin, combined_accounts, share_of_widths
 from ldctoolkit.recordings.sources import CombinedReader
 from ldctoolkit.version import __version__
-from studies.pages.charts import Axis, Chart, Series, Style, bars, legend, lines
-from studies.pages.settings_section import pairs
-from studies.pages.shell import Column, Section, TableRow, bullets, details, figure, make_page, paragraphs, table
-from studies.pages.text import (
-    PARAMETER_MEANINGS,
-    compact,
-    number,
-    parameter_label,
-    percent,
-    plural,
-    printable,
-    shorten,
-    symbols,
-)
-from studies.storage.files import write_text
+
+from ..storage.files import write_text
+from .charts import Axis, Chart, Series, Style, bars, legend, lines
+from .settings_section import pairs
+from .shell import Column, Section, TableRow, bullets, details, figure, make_page, paragraphs, table
+from .text import PARAMETER_MEANINGS, compact, number, parameter_label, percent, plural, printable, shorten, symbols
 
 if TYPE_CHECKING:
     from ldctoolkit.recordings.quality import DrawnEvent

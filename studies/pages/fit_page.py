@@ -17,12 +17,13 @@ from ldctoolkit.diagnostics.diagnosis import N_MODEL
 from ldctoolkit.scenario_model import ScenarioModel, SideModel, SideSummary
 from ldctoolkit.scenario_model.fidelity import QUANTITIES, UNITS
 from ldctoolkit.version import __version__
-from studies.pages.charts import Axis, Chart, Dot, Series, Style, bars, dots, heat_map, legend, lines
-from studies.pages.settings_section import pairs
-from studies.pages.shell import Cell, Column, Section, TableRow, bullets, details, figure, make_page, paragraphs, table
-from studies.pages.text import PARAMETER_MEANINGS, compact, number, parameter_label, percent, plural, symbols
-from studies.storage.files import write_text
-from studies.storage.stored_model import WARNING, model_notes
+
+from ..storage.files import write_text
+from ..storage.stored_model import WARNING, model_notes
+from .charts import Axis, Chart, Dot, Series, Style, bars, dots, heat_map, legend, lines
+from .settings_section import pairs
+from .shell import Cell, Column, Section, TableRow, bullets, details, figure, make_page, paragraphs, table
+from .text import PARAMETER_MEANINGS, compact, number, parameter_label, percent, plural, symbols
 
 Progress = Callable[[str, int, int], None]
 

@@ -10,12 +10,13 @@ from markupsafe import Markup
 
 from ldctoolkit import controller_class
 from ldctoolkit.gains import GainValue
-from studies.design import Design
-from studies.pages.charts import Axis, Chart, Series, heat_map, lines
-from studies.pages.context import Context, metric_text
-from studies.pages.shell import Column, Section, TableRow, figure, paragraphs, table
-from studies.pages.text import compact, number, unit_text
-from studies.sensitivity.sensitivity import BlockSensitivity
+
+from ..design import Design
+from ..sensitivity.sensitivity import BlockSensitivity
+from .charts import Axis, Chart, Series, heat_map, lines
+from .context import Context, metric_text
+from .shell import Column, Section, TableRow, figure, paragraphs, table
+from .text import compact, number, unit_text
 
 MOST_LAWS: Final = 6
 

@@ -14,10 +14,11 @@ from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, Departures
 from ldctoolkit.diagnostics import ModelMarginal, kolmogorov_limit, model_marginal
 from ldctoolkit.scenario_model import Given, ScenarioModel, SideModel, SideSummary, conditions
 from ldctoolkit.scenario_model.model import Condition, mixture_conditions
-from studies.pages.context import Context
-from studies.pages.shell import Cell, Column, Section, TableRow, bullets, details, paragraphs, table
-from studies.pages.text import PARAMETER_UNIT_TEXT as UNITS
-from studies.pages.text import compact, figure, number, percent, plural
+
+from .context import Context
+from .shell import Cell, Column, Section, TableRow, bullets, details, paragraphs, table
+from .text import PARAMETER_UNIT_TEXT as UNITS
+from .text import compact, figure, number, percent, plural
 
 LEAST: Final = 30  # source departures that a comparison needs, as a fit does
 

@@ -5,9 +5,9 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
-from studies.ranking.ranked_designs import SCORE
-from studies.ranking.ranking import Ranking
-from studies.ranking.verdict import (
+from ..ranking.ranked_designs import SCORE
+from ..ranking.ranking import Ranking
+from ..ranking.verdict import (
     COLUMNS_TEXT,
     Verdict,
     listed_places,
@@ -17,9 +17,9 @@ from studies.ranking.verdict import (
     ranking_columns,
     verdict_lines,
 )
-from studies.storage.files import write_text
-from studies.storage.manifest import Manifest
-from studies.study_file import Study
+from ..storage.files import write_text
+from ..storage.manifest import Manifest
+from ..study_file import Study
 
 MOST_ROWS: Final = 50  # designs of a Markdown file; those that are named follow
 

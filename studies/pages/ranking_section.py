@@ -7,11 +7,12 @@ import numpy as np
 from markupsafe import Markup
 
 from ldctoolkit.metrics import METRICS
-from studies.pages.context import Context, interval, metric_text
-from studies.pages.shell import Cell, Column, Section, TableRow, bullets, render, table
-from studies.pages.text import compact, number, percent, plural, true_minus
-from studies.ranking.requirements import metric
-from studies.ranking.verdict import RANKING_METRICS, gains_text, judged, law_title, other_cases, set_of_best_line
+
+from ..ranking.requirements import metric
+from ..ranking.verdict import RANKING_METRICS, gains_text, judged, law_title, other_cases, set_of_best_line
+from .context import Context, interval, metric_text
+from .shell import Cell, Column, Section, TableRow, bullets, render, table
+from .text import compact, number, percent, plural, true_minus
 
 MOST_ROWS: Final = 1000  # designs of the table; all of them are in ranking.csv
 FIRST_ROWS: Final = 20  # rows that are shown before all are requested, and those that are printed

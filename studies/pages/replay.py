@@ -13,9 +13,10 @@ from ldctoolkit.departures import LEFT, RIGHT
 from ldctoolkit.errors import InputError
 from ldctoolkit.paths.uncorrected import UncorrectedPath
 from ldctoolkit.simulation import Takeover, drive
-from studies.design import PAPER_LAW, Design, is_paper_design
-from studies.pages.context import Context
-from studies.results import FAILED_STATUSES
+
+from ..design import PAPER_LAW, Design, is_paper_design
+from ..results import FAILED_STATUSES
+from .context import Context
 
 MOST_DESIGNS: Final = 8
 COUNT: Final = 60  # departures in the explorer beside those requested

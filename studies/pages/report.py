@@ -8,7 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from ldctoolkit.version import __version__
-from studies.pages import (
+
+from ..plant_table import plant_settings, simulation_settings
+from ..sensitivity.sensitivity import sensitivity
+from ..storage.files import write_text
+from ..storage.stored_model import WARNING, read_model
+from ..study_file import toml_text
+from . import (
     assessment_section,
     confidence_section,
     explorer,
@@ -19,23 +25,19 @@ from studies.pages import (
     settings_section,
     verdict_section,
 )
-from studies.pages.charts import Chart
-from studies.pages.context import Context, ReportInput
-from studies.pages.shell import Section, make_page
-from studies.pages.text import plural
-from studies.plant_table import plant_settings, simulation_settings
-from studies.sensitivity.sensitivity import sensitivity
-from studies.storage.files import write_text
-from studies.storage.stored_model import WARNING, read_model
-from studies.study_file import toml_text
+from .charts import Chart
+from .context import Context, ReportInput
+from .shell import Section, make_page
+from .text import plural
 
 if TYPE_CHECKING:
     from ldctoolkit.departures import Departures
-    from studies.ranking.ranking import Ranking
-    from studies.results import StudyResults
-    from studies.robustness import Robustness
-    from studies.storage.manifest import Manifest
-    from studies.study_file import Study
+
+    from ..ranking.ranking import Ranking
+    from ..results import StudyResults
+    from ..robustness import Robustness
+    from ..storage.manifest import Manifest
+    from ..study_file import Study
 
 SECTIONS: Final[tuple[Callable[[Context], Section | None], ...]] = (
     verdict_section.section,

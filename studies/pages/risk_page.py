@@ -10,14 +10,15 @@ from markupsafe import Markup
 
 from ldctoolkit.departures import PARAMETER_NAMES
 from ldctoolkit.version import __version__
-from studies.design import Design
-from studies.pages.charts import COLORS, RECORDED, Axis, Series, Style, legend, lines
-from studies.pages.shell import Cell, Column, Section, TableRow, bullets, details, figure, make_page, paragraphs, table
-from studies.pages.text import figure as digits
-from studies.pages.text import number, parameter_label, plural, symbols, true_minus
-from studies.pages.verdict_section import STATES, SYMBOLS
-from studies.risk import Risk
-from studies.storage.files import write_text
+
+from ..design import Design
+from ..risk import Risk
+from ..storage.files import write_text
+from .charts import COLORS, RECORDED, Axis, Series, Style, legend, lines
+from .shell import Cell, Column, Section, TableRow, bullets, details, figure, make_page, paragraphs, table
+from .text import figure as digits
+from .text import number, parameter_label, plural, symbols, true_minus
+from .verdict_section import STATES, SYMBOLS
 
 _DASHES: Final = ("", "7 3", "2 2.5", "9 3 2 3")
 

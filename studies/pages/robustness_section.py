@@ -7,12 +7,12 @@ from typing import Final
 import numpy as np
 from markupsafe import Markup
 
-from studies.pages.charts import Axis, Chart, Series, lines
-from studies.pages.context import Context, name_of
-from studies.pages.shell import Cell, Column, Section, TableRow, bullets, details, figure, paragraphs, table
-from studies.pages.text import number, percent, plural, signed
-from studies.ranking.verdict import law_title
-from studies.robustness import Robustness
+from ..ranking.verdict import law_title
+from ..robustness import Robustness
+from .charts import Axis, Chart, Series, lines
+from .context import Context, name_of
+from .shell import Cell, Column, Section, TableRow, bullets, details, figure, paragraphs, table
+from .text import number, percent, plural, signed
 
 MOST_LAWS: Final = 4  # designs in the table; their margins too
 

@@ -4,10 +4,10 @@ from collections.abc import Sequence
 
 from markupsafe import Markup
 
-from studies.pages.context import Context
-from studies.pages.explorer import failures
-from studies.pages.shell import Section, bullets, details
-from studies.pages.text import plural, printable, symbols
+from .context import Context
+from .explorer import failures
+from .shell import Section, bullets, details
+from .text import plural, printable, symbols
 
 MOST_FAILED = 50
 

@@ -15,13 +15,14 @@ import numpy.typing as npt
 from markupsafe import Markup, escape
 
 from ldctoolkit.errors import InputError
-from studies.pages.charts import COLORS, Chart
-from studies.pages.text import printable, symbols
+
+from .charts import COLORS, Chart
+from .text import printable, symbols
 
 if TYPE_CHECKING:
     from jinja2 import Environment
 
-_PACKAGE: Final = "studies.pages"
+_PACKAGE: Final = "ldctoolkit.studies.pages"
 
 
 @dataclasses.dataclass(frozen=True)

@@ -7,13 +7,14 @@ import numpy as np
 from markupsafe import Markup
 
 from ldctoolkit.metrics import A_Y_LIMIT, METRICS
-from studies.pages.charts import Axis, Chart, Cloud, legend, scatter
-from studies.pages.context import Context, metric_text, name_of
-from studies.pages.shell import Cell, Column, Section, TableRow, bullets, figure, paragraphs, render, table
-from studies.pages.text import number, plural
-from studies.ranking.design_metrics import pareto_front
-from studies.ranking.requirements import metric
-from studies.ranking.verdict import law_title
+
+from ..ranking.design_metrics import pareto_front
+from ..ranking.requirements import metric
+from ..ranking.verdict import law_title
+from .charts import Axis, Chart, Cloud, legend, scatter
+from .context import Context, metric_text, name_of
+from .shell import Cell, Column, Section, TableRow, bullets, figure, paragraphs, render, table
+from .text import number, plural
 
 SYMBOLS: Final = {"good": "\u2713", "warning": "!", "bad": "\u2715", "unknown": "?"}
 STATES: Final = {"good": "good", "warning": "caution", "bad": "not met", "unknown": "not known"}

@@ -19,11 +19,12 @@ from ldctoolkit.departures import LEFT, RIGHT
 from ldctoolkit.errors import InputError, nearest
 from ldctoolkit.metrics import DTLE_LIMIT, METRICS, RELEASE_METRICS, SCENARIO_METRICS, Interventions, Metric
 from ldctoolkit.paths.uncorrected import UncorrectedPath
-from studies.design import NO_CONTROL, Design
-from studies.ranking.inference import row_blocks, row_means
-from studies.ranking.requirements import friction, metric, metric_values
-from studies.results import CaseResults, StudyResults, status_among
-from studies.storage.run_table import release
+
+from ..design import NO_CONTROL, Design
+from ..results import CaseResults, StudyResults, status_among
+from ..storage.run_table import release
+from .inference import row_blocks, row_means
+from .requirements import friction, metric, metric_values
 
 _FEW = 8  # places up to which what stands there is found without a full sort
 

@@ -15,8 +15,9 @@ from ldctoolkit.law_checks import raised
 from ldctoolkit.metrics import comfortable_share
 from ldctoolkit.plant_options import Mismatch, PlantOptions
 from ldctoolkit.simulation import Takeover, drive
-from studies.design import Design
-from studies.results import FAILED_STATUSES, Case, status_among
+
+from ..design import Design
+from ..results import FAILED_STATUSES, Case, status_among
 
 VEHICLES: Final[Mapping[str, Mapping[str, float]]] = {
     "light": {"m": 0.85, "I_z": 0.85},

@@ -8,19 +8,12 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
-from studies.design import Design
-from studies.ranking.design_metrics import CaseMetrics, DrivableCase, mean_reduction
-from studies.ranking.inference import (
-    SAME,
-    Inference,
-    Interval,
-    Resampled,
-    critical_value,
-    simultaneous_interval,
-    skewed_widths,
-)
-from studies.ranking.requirements import Miss, Requirement
-from studies.results import Case, FailedDesign
+
+from ..design import Design
+from ..results import Case, FailedDesign
+from .design_metrics import CaseMetrics, DrivableCase, mean_reduction
+from .inference import SAME, Inference, Interval, Resampled, critical_value, simultaneous_interval, skewed_widths
+from .requirements import Miss, Requirement
 
 
 def choose_winner(resampled: Resampled, set_of_best: BoolArray, meets: BoolArray, confidence: float) -> int | None:

@@ -18,39 +18,28 @@ from ldctoolkit import BicycleModel, EventStatus, LinearLaw, Plant, SteeringLaw,
 from ldctoolkit.arrays import IntArray
 from ldctoolkit.departures import LEFT
 from ldctoolkit.errors import LdcError
+from ldctoolkit.frames import Frame
 from ldctoolkit.metrics import METRICS, RELEASE_METRICS
 from ldctoolkit.review import design_margins
 from ldctoolkit.vehicle import Convention
-from studies.assessment import assess
-from studies.design import Design
-from studies.ranking.design_metrics import (
-    DrivableCase,
-    Margins,
-    case_metrics,
-    find_baseline,
-    in_order,
-    pareto_costs,
-    pareto_front,
-)
-from studies.ranking.inference import Inference, infer, spread_is_known
-from studies.ranking.named_vehicles import worst_of_vehicles
-from studies.ranking.ranked_designs import (
-    FreshScores,
-    RankedDesigns,
-    SearchScores,
-    best_of_laws,
-    fresh_scores,
-    no_fresh_scores,
-)
-from studies.ranking.requirements import SETS, metric, missed_by, requirements_of
-from studies.ranking.tail import tail_text
-from studies.ranking.verdict import depths, ranking_html
-from studies.results import Case, CaseResults, Race, StudyResults
-from studies.standards import standard_names
-from studies.storage.files import write_text
-from studies.study_file import Study
+
+from ..assessment import assess
+from ..design import Design
+from ..results import Case, CaseResults, Race, StudyResults
+from ..standards import standard_names
+from ..storage.files import write_text
+from ..study_file import Study
+from .design_metrics import DrivableCase, Margins, case_metrics, find_baseline, in_order, pareto_costs, pareto_front
+from .inference import Inference, infer, spread_is_known
+from .named_vehicles import worst_of_vehicles
+from .ranked_designs import FreshScores, RankedDesigns, SearchScores, best_of_laws, fresh_scores, no_fresh_scores
+from .requirements import SETS, metric, missed_by, requirements_of
+from .tail import tail_text
+from .verdict import depths, ranking_html
 
 if TYPE_CHECKING:
+    import polars as pl
+
     from ldctoolkit import Setup
 
 
@@ -133,8 +122,20 @@ MARGIN_SPEEDS: Final = tuple(range(10, 41, 5))  # speeds [m/s] that the margins 
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
-class Ranking(RankedDesigns):
+class Ranking(RankedDesigns, Frame):
     """Designs of one case, best first, made with `Ranking.of`; the attributes are those of `RankedDesigns`."""
+
+    def to_polars(self) -> pl.DataFrame:
+        """One row a design, with the columns of ``ranking.csv``."""
+        import polars as pl
+
+        text = dict.fromkeys(("design", "unmet", "fresh_unmet", "failure"), pl.String)
+        table = _csv_text([self], None)
+        return pl.read_csv(table.encode(), infer_schema_length=None, schema_overrides=text)
+
+    def __repr__(self) -> str:
+        first = self.designs[0].label if self.designs else "none"
+        return f"<Ranking of {len(self):,} designs, {self.case.label}: {first} first>"
 
     def _repr_html_(self) -> str:
         """What a notebook shows."""
@@ -417,6 +418,10 @@ _COUNTS: Final = ("solver_failed", "diverged", "timed_out", "crashed", "beyond_d
 
 def write_csv(rankings: Sequence[Ranking], path: str | Path, race: Race | None = None) -> None:
     """Write rankings as one CSV file, whole or not at all; window and convention name the case."""
+    write_text(Path(path), _csv_text(rankings, race))
+
+
+def _csv_text(rankings: Sequence[Ranking], race: Race | None) -> str:
     dropped = () if race is None else race.dropped
     laws = {design.law for ranking in rankings for design in _every(ranking)} | {one.design.law for one in dropped}
     gains = list(dict.fromkeys(column for law in sorted(laws) for column in _columns_of(law)))
@@ -429,7 +434,7 @@ def write_csv(rankings: Sequence[Ranking], path: str | Path, race: Race | None =
     writer = csv.DictWriter(text, fieldnames=[*rows[0], *_DROPPED], restval="", lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
-    write_text(Path(path), text.getvalue())
+    return text.getvalue()
 
 
 def _every(ranking: Ranking) -> Iterator[Design]:

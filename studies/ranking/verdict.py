@@ -17,12 +17,13 @@ from ldctoolkit.notebook import CELL
 from ldctoolkit.paths.uncorrected import UncorrectedPath
 from ldctoolkit.scenario_model import ScenarioModel
 from ldctoolkit.scenario_model.model import misleading
-from studies.design import Design
-from studies.ranking.design_metrics import beyond_friction
-from studies.ranking.ranked_designs import RankedDesigns
-from studies.ranking.requirements import G, Miss, metric_values
-from studies.ranking.tail import tail_text
-from studies.results import CaseResults, StudyResults
+
+from ..design import Design
+from ..results import CaseResults, StudyResults
+from .design_metrics import beyond_friction
+from .ranked_designs import RankedDesigns
+from .requirements import G, Miss, metric_values
+from .tail import tail_text
 
 State = Literal["good", "warning", "bad", "unknown"]
 

@@ -16,13 +16,14 @@ import numpy as np
 from ldctoolkit import EventStatus, Scenarios, controller_class, registry
 from ldctoolkit.errors import LdcError, StoreError
 from ldctoolkit.vehicle import Convention
-from studies.design import NO_CONTROL, Design
-from studies.results import FailedRun, RunKey, TaskResult
-from studies.running.executors.processes import Ended, Executor, Fault
-from studies.running.tasks import Done, Faults, Job, Prefixes, ScenarioBatch, SimulationTask, Simulator, Task
-from studies.storage.run_table import RunTable
-from studies.storage.store import Store
-from studies.study_file import Study
+
+from ..design import NO_CONTROL, Design
+from ..results import FailedRun, RunKey, TaskResult
+from ..storage.run_table import RunTable
+from ..storage.store import Store
+from ..study_file import Study
+from .executors.processes import Ended, Executor, Fault
+from .tasks import Done, Faults, Job, Prefixes, ScenarioBatch, SimulationTask, Simulator, Task
 
 _LINE_EVERY = 1.0  # seconds between lines
 

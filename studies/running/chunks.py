@@ -22,8 +22,9 @@ from ldctoolkit.law_checks import raised
 from ldctoolkit.scenario_model import Given, ScenarioModel
 from ldctoolkit.simulation import Run, Takeover, drive_many
 from ldctoolkit.version import __version__
-from studies.design import Design
-from studies.running.tasks import learn
+
+from ..design import Design
+from .tasks import learn
 
 BIN, BINS = 0.05, 60  # [m] of the histogram of depths, and how many; one more is for what is deeper
 _KEPT: Final = 20  # worst departures of a design

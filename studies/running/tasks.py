@@ -21,9 +21,10 @@ from ldctoolkit.metrics import METRIC_UNITS
 from ldctoolkit.simulation import Outcome, Run, Takeover, Window, drive, drive_many
 from ldctoolkit.simulation.loop import recorded_run
 from ldctoolkit.vehicle import Convention
-from studies.design import Design
-from studies.results import FailedRun, RunKey, TaskResult
-from studies.running.executors.processes import Ended, Executor, Fault, Work
+
+from ..design import Design
+from ..results import FailedRun, RunKey, TaskResult
+from .executors.processes import Ended, Executor, Fault, Work
 
 _STRIKES: Final = 2
 """A task that has ended its worker so often is cut to find the scenario at fault: once may be bad luck."""

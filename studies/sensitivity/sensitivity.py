@@ -13,11 +13,12 @@ import numpy as np
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.gains import GainValue
-from studies.design import Design
-from studies.design_space import THRESHOLD, DesignBlock, LawSpace
-from studies.ranking.inference import bootstrap_deviations, check_confidence, row_means
-from studies.results import CaseResults, StudyResults
-from studies.study_file import RankingSettings, Study
+
+from ..design import Design
+from ..design_space import THRESHOLD, DesignBlock, LawSpace
+from ..ranking.inference import bootstrap_deviations, check_confidence, row_means
+from ..results import CaseResults, StudyResults
+from ..study_file import RankingSettings, Study
 
 Method = Literal["factorial", "saltelli", "rbd_fast"]
 

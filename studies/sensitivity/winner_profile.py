@@ -18,13 +18,14 @@ from ldctoolkit.errors import InputError
 from ldctoolkit.gains import GainValue
 from ldctoolkit.law_checks import raised
 from ldctoolkit.simulation import Takeover, drive
-from studies.design import Design
-from studies.design_space import THRESHOLD, Choices, Span
-from studies.ranking.inference import Resampled, simultaneous_interval
-from studies.results import FAILED_STATUSES, CaseResults, StudyResults
-from studies.sensitivity.sensitivity import BlockSensitivity, gain_value
-from studies.storage.files import write_text
-from studies.study_file import Study
+
+from ..design import Design
+from ..design_space import THRESHOLD, Choices, Span
+from ..ranking.inference import Resampled, simultaneous_interval
+from ..results import FAILED_STATUSES, CaseResults, StudyResults
+from ..storage.files import write_text
+from ..study_file import Study
+from .sensitivity import BlockSensitivity, gain_value
 
 COLUMNS: Final = (
     *("kind", "block", "law", "dimension", "unit", "method", "designs", "index", "index_low", "index_high"),

@@ -19,10 +19,11 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 import ldctoolkit
 from ldctoolkit.errors import StoreError, StudyError
 from ldctoolkit.vehicle import Convention
-from studies.design import Design
-from studies.results import Dropped, Race, RunKey
-from studies.storage.files import read_parquet, write_parquet, write_text
-from studies.study_file import Study
+
+from ..design import Design
+from ..results import Dropped, Race, RunKey
+from ..study_file import Study
+from .files import read_parquet, write_parquet, write_text
 
 DESIGNS = "designs.parquet"
 

@@ -24,11 +24,12 @@ from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.errors import LdcError, StoreError
 from ldctoolkit.metrics import METRIC_COLUMNS, METRIC_UNITS, MetricValues
 from ldctoolkit.simulation import Window
-from studies.design import Design
-from studies.results import CaseResults, FailedDesign, RunKey, StudyResults, TaskResult
-from studies.storage.files import parse_parquet, read_bytes, stored_file
-from studies.storage.manifest import LawTime
-from studies.study_file import Study
+
+from ..design import Design
+from ..results import CaseResults, FailedDesign, RunKey, StudyResults, TaskResult
+from ..study_file import Study
+from .files import parse_parquet, read_bytes, stored_file
+from .manifest import LawTime
 
 if TYPE_CHECKING:
     import polars as pl

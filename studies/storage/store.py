@@ -29,10 +29,11 @@ from pathlib import Path
 
 from ldctoolkit import Scenarios
 from ldctoolkit.errors import StoreError
-from studies.design import Design
-from studies.results import FailedRun, RunKey, StudyResults, TaskResult
-from studies.storage.files import SCENARIOS, output_folder, read_scenarios, write_scenarios
-from studies.storage.manifest import (
+
+from ..design import Design
+from ..results import FailedRun, RunKey, StudyResults, TaskResult
+from .files import SCENARIOS, output_folder, read_scenarios, write_scenarios
+from .manifest import (
     DESIGNS,
     FAILURES,
     TIMING_FILE,
@@ -48,15 +49,7 @@ from studies.storage.manifest import (
     write_manifest,
     write_times,
 )
-from studies.storage.run_table import (
-    PATTERN,
-    AllFailedError,
-    RunTable,
-    checked_content,
-    parse_part,
-    prefetched,
-    write_part,
-)
+from .run_table import PATTERN, AllFailedError, RunTable, checked_content, parse_part, prefetched, write_part
 
 _log = logging.getLogger("studies")
 

@@ -10,9 +10,10 @@ from ldctoolkit import VehicleParameters
 from ldctoolkit.errors import InputError, ModelError, StoreError
 from ldctoolkit.scenario_model import Given, ScenarioModel, SideModel, SideSummary, conditions
 from ldctoolkit.scenario_model.model import outside_fit
-from studies.replayed import ReplayedDepartures
-from studies.storage.manifest import Manifest
-from studies.study_file import Study
+
+from ..replayed import ReplayedDepartures
+from ..study_file import Study
+from .manifest import Manifest
 
 _log = logging.getLogger("studies")
 

@@ -24,7 +24,7 @@ from ldctoolkit.errors import InputError
 from ldctoolkit.testing import CHECKS, ContractSettings, contract_faults
 from studies import Study
 
-ZOO = [name for name in controller_names() if controller_class(name).__module__.startswith("controllers.")]
+ZOO = [name for name in controller_names() if controller_class(name).__module__.startswith("ldctoolkit.controllers.")]
 
 ITERATIVE = {"linear_mpc", "nonlinear_mpc"}
 """Laws with a solver: mirrored to 1e-9 of the largest command; all others to the bit."""
@@ -94,7 +94,7 @@ def test_the_zoo_is_found_by_entry_points() -> None:
     listed = config["project"]["entry-points"]["ldctoolkit.controllers"]
     assert set(listed) <= set(ZOO)
     for name, value in listed.items():
-        assert value.partition(":")[0] == f"controllers.{name}"
+        assert value.partition(":")[0] == f"ldctoolkit.controllers.{name}"
         assert (Path(controllers.__file__).parent / f"{name}.py").is_file()
         assert controller_class(name).name == name
 

@@ -5,6 +5,7 @@ import math
 import re
 import subprocess
 import sys
+import threading
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -240,12 +241,19 @@ def test_faults_of_designs_are_named(controller: type[Controller], check: str, s
     assert any(re.fullmatch(sentence, fault.sentence) for fault in faults), faults
 
 
-def test_designs_that_worker_processes_cannot_load(tmp_path: Path) -> None:
+def test_designs_on_their_way_to_worker_processes(tmp_path: Path) -> None:
+    """As in a study: a class of a script, a notebook or a function goes along; one that holds a lock does not."""
+
     class Local(LQR):  # type: ignore[misc]
         name = "local"
 
-    (fault,) = contract_faults(Local, checks=["picklable"])
-    assert re.fullmatch(r"cannot be pickled: .*Local.*; allowed: a class at the top of a module", fault.sentence)
+    class Locked(LQR):  # type: ignore[misc]
+        name = "locked"
+        lock = threading.Lock()
+
+    assert contract_faults(Local, checks=["picklable"]) == ()
+    (fault,) = contract_faults(Locked, checks=["picklable"])
+    assert re.fullmatch(r"cannot be pickled: TypeError: .*lock.*; allowed: fields and names that .*", fault.sentence)
 
     code = (
         "import sys, ldctoolkit.testing; print({'pytest', 'numba', 'scipy', 'polars'} & set(sys.modules))\n"
@@ -254,9 +262,7 @@ def test_designs_that_worker_processes_cannot_load(tmp_path: Path) -> None:
         "print(*contract_faults(Main, checks=['picklable']))\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=tmp_path)
-    heavy, fault = done.stdout.splitlines()
-    assert heavy == "set()"
-    assert re.match(r"main: picklable: cannot be loaded in a fresh process: AttributeError: .*'Main'.*", fault)
+    assert done.stdout.splitlines() == ["set()", ""]
 
 
 def test_gains_that_exclude_each_other_or_depend_on_the_vehicle() -> None:

@@ -3,7 +3,8 @@
 import os
 
 from ldctoolkit.errors import InputError, nearest
-from studies.running.executors.processes import Ended, Executor, Work
+
+from .processes import Ended, Executor, Work
 
 EXECUTORS = ("serial", "processes", "dask")
 
@@ -26,15 +27,15 @@ def make_executor(
         raise InputError(f"executor: {name!r} with the address {address}; allowed with an address: 'dask'")
     # each is loaded on first use: a run in this process needs neither loky nor Dask
     if name == "serial":
-        from studies.running.executors.processes import SerialExecutor
+        from .processes import SerialExecutor
 
         return SerialExecutor()
     if name == "dask":
-        from studies.running.executors.dask_cluster import LOCAL, DaskExecutor
+        from .dask_cluster import LOCAL, DaskExecutor
 
         if address and address != LOCAL and workers is not None:
             raise InputError(f"workers: {workers} with the cluster at {address}; allowed: that cluster's own number")
         return DaskExecutor(address or LOCAL, workers, packages)
-    from studies.running.executors.processes import ProcessExecutor
+    from .processes import ProcessExecutor
 
     return ProcessExecutor(workers or os.cpu_count() or 1)

@@ -15,7 +15,8 @@ from concurrent.futures import CancelledError
 from typing import Any, Final
 
 from ldctoolkit.errors import ClusterError, LdcError
-from studies.running.executors.processes import SAME_VERSIONS, Ended, Fault, Work, attempt, check, run_checked, versions
+
+from .processes import SAME_VERSIONS, Ended, Fault, Work, attempt, check, run_checked, versions
 
 LOCAL: Final = "local"  # address that stands for a cluster started on this machine
 

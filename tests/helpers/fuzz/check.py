@@ -31,14 +31,14 @@ class HangError(BaseException):
 
 def check(
     paths: Sequence[Path], format_: str, nominal_lane_width: float | None = None, table: Path | None = None,
-    small_parts: bool = False,
+    small_parts: bool = False, channels: Path | None = None,
 ) -> str:  # fmt: skip
     """Extract, and check what came; tells in a word what it was. With a `table` the departures are written, too; with
     `small_parts` a reader that puts trips together reads each by itself."""
     with warnings.catch_warnings(), _limited():
         warnings.simplefilter("error")
         try:
-            opened = open_recordings(paths, format=format_)
+            opened = open_recordings(paths, format=format_, channels=channels)
             if small_parts and hasattr(opened.reader, "part_bytes"):
                 reader = dataclasses.replace(opened.reader, part_bytes=1)  # type: ignore[type-var]
                 opened = dataclasses.replace(opened, reader=reader, source=reader.open(paths))

@@ -17,7 +17,7 @@ from ldctoolkit.recordings.extract import extract_departures
 from ldctoolkit.recordings.recording import Problem, Recording, SourceFile
 from ldctoolkit.recordings.sources import RecordingPart, RecordingSource, open_recordings
 
-OWN = ("spmd-das1", "spmd-das2", "table", "uah-driveset")
+OWN = ("mdf", "spmd-das1", "spmd-das2", "table", "uah-driveset")
 INSTALLED = importlib.metadata.entry_points
 
 

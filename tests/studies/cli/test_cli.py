@@ -179,7 +179,7 @@ def test_an_interrupt_ends_with_one_line_and_the_study_resumes(workers: int, fol
     (folder / "s.toml").write_text(study)
     # a test runner in the background passes ignored interrupts on to its children: ask for the usual handler
     code = "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
-    code += "from ldctoolkit.__main__ import main; sys.exit(main())"
+    code += "from ldctoolkit.studies.cli import main; sys.exit(main())"
     process = subprocess.Popen(
         [sys.executable, "-c", code, "run", "s.toml", "-o", "o", "--workers", str(workers)],
         cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,

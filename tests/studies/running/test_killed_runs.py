@@ -22,7 +22,7 @@ LONG = 600  # seconds that a whole run may take, on a machine that does other th
 
 OFTEN = """
 import sys
-from ldctoolkit.__main__ import main
+from ldctoolkit.studies.cli import main
 from studies.running import campaign
 
 campaign._STORE_EVERY = 0.3
