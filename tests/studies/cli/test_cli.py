@@ -132,7 +132,7 @@ def test_a_process_starts_without_anything_heavy_and_ends_with_one_line(tmp_path
         (imports if line.startswith("import time:") else others).append(line)
     loaded = {line.rpartition("|")[2].strip() for line in imports}
     heavy = {"polars", "pydantic", "scipy", "matplotlib", "casadi", "control", "osqp", "jinja2", "rich", "qpsolvers"}
-    assert "studies.cli.run" in loaded
+    assert "ldctoolkit.studies.cli.run" in loaded
     assert not loaded & heavy
     (message,) = others
     assert message.startswith("ldc: error: argument COMMAND: invalid choice: 'rnu' (choose from ")
