@@ -187,6 +187,7 @@ class _Run:
             results = self.study(study, folder)
             if not study.ranking.finalists or len(results.designs) < 2 or isinstance(self.source, ReplayedDepartures):
                 return results
+            self.progress.phase("choosing the finalists")
             best = _finalists(rank_study(results, study)[0], study.ranking.finalists)
             if not best:
                 return results  # nothing meets the requirements

@@ -48,6 +48,7 @@ LEVELS = (
     # the names that a study file's requirements are checked against
     ("studies.standards", "studies.ranking.requirements"),
     ("studies.study_file", "studies.design_space", "studies.plant_table"),
+    ("studies.study_template",),
     ("studies.replayed",),
     ("studies.storage",),
     ("studies.running",),

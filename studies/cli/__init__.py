@@ -12,7 +12,7 @@ from typing import Any, NoReturn
 from ldctoolkit import LdcError, __version__
 from ldctoolkit.option_checks import UnitWarning
 
-from . import assess, controllers, export, extract, fit, rank, report, review, risk, run
+from . import assess, controllers, export, extract, fit, init, rank, report, review, risk, run
 
 
 class _Parser(argparse.ArgumentParser):
@@ -30,7 +30,7 @@ def parser() -> argparse.ArgumentParser:
     )
     top.add_argument("--version", action="version", version=f"ldc {__version__}")
     commands = top.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for one in (extract, fit, review, assess, run, rank, risk, report, export, controllers):
+    for one in (extract, fit, review, assess, init, run, rank, risk, report, export, controllers):
         one.add_parser(commands)
     return top
 

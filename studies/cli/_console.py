@@ -16,6 +16,7 @@ from ldctoolkit.errors import InputError
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.progress import Progress
     from rich.table import Table
 
     from ldctoolkit.departures import Plausibility
@@ -122,17 +123,28 @@ def number(text: str) -> float:
     return value
 
 
+_live: list[Progress] = []  # what is on the screen: a phase inside another one is a line below it
+
+
 @contextlib.contextmanager
-def progress_bar(label: str) -> Iterator[Callable[[int, int], None] | None]:
-    """A bar on stderr, updated as ``f(done, total)``; None where stderr is no terminal."""
-    if not sys.stderr.isatty():
+def progress_bar(label: str, *, show: bool = True) -> Iterator[Callable[[int, int], None] | None]:
+    """A phase of a command, as a line on stderr with a bar that ``f(done, total)`` moves; it pulses until then.
+
+    None, and nothing on the screen, where stderr is no terminal.
+    """
+    if not (show and sys.stderr.isatty()):
         yield None
         return
     from rich.console import Console
     from rich.progress import Progress
 
-    with Progress(console=Console(stderr=True), transient=True) as bar:
+    with contextlib.ExitStack() as stack:
+        # stdout stays what it is where it is a file or a pipe
+        new = Progress(console=Console(stderr=True), transient=True, redirect_stdout=sys.stdout.isatty())
+        bar = _live[-1] if _live else stack.enter_context(new)
         task = bar.add_task(label, total=None)
+        _live.append(bar)
+        stack.callback(lambda: _live.pop().remove_task(task))
         yield lambda done, total: bar.update(task, completed=done, total=total)
 
 

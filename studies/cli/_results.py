@@ -24,7 +24,7 @@ from ..ranking.verdict import (
 from ..results import Race, StudyResults
 from ..storage.manifest import Manifest
 from ..study_file import Study
-from ._console import add_row, console, new_table
+from ._console import add_row, console, new_table, progress_bar
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -140,8 +140,9 @@ def judged(folder: str | Path) -> Judged:
     from ..storage.store import Store
 
     store = Store.open(folder)
-    study, results = store.manifest.read_study(), store.results()
-    ranking = rank_study(results, study)[0]
+    with progress_bar("ranking"):
+        study, results = store.manifest.read_study(), store.results()
+        ranking = rank_study(results, study)[0]
     return Judged(store.manifest, study, results, ranking, verdict(ranking, results, study.setup()))
 
 

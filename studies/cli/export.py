@@ -7,7 +7,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ._console import Subparsers, console, say
+from ._console import Subparsers, console, progress_bar, say
 
 if TYPE_CHECKING:
     from ldctoolkit import Scenarios
@@ -71,10 +71,11 @@ def run(chosen: argparse.Namespace) -> int:
         write_text(target, parameters(Code.of(controller, setup, design.y_s, origin), chosen.format))
         say(out, f"gains over speed: {target}")
         return 0
-    made = export_c(
-        controller, setup, design.y_s, folder, scenarios=_scenarios(study, chosen.folder), origin=origin,
-        run_check=not chosen.no_check, fmu=chosen.fmu,
-    )  # fmt: skip
+    with progress_bar("writing, compiling and driving the code"):
+        made = export_c(
+            controller, setup, design.y_s, folder, scenarios=_scenarios(study, chosen.folder), origin=origin,
+            run_check=not chosen.no_check, fmu=chosen.fmu,
+        )  # fmt: skip
     say(out, design.label, *(f"  {path}" for path in made.files))
     if made.check is None:
         say(out, f"in the loop: not run ({made.not_run})")

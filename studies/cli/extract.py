@@ -108,7 +108,8 @@ def run(chosen: argparse.Namespace) -> int:
     # workers of a cluster start in folders of their own
     paths = [Path(path).absolute() if chosen.dask else Path(path) for path in chosen.paths]
     channels = None if chosen.channels is None else Path(chosen.channels).absolute()
-    recordings = open_recordings(paths, format=chosen.format, channels=channels)
+    with progress_bar("looking at the recordings"):
+        recordings = open_recordings(paths, format=chosen.format, channels=channels)
     refuse_input("-o", target, paths, recordings.source.files)
     if page is not None:
         refuse_input("--report", page, paths, recordings.source.files)
@@ -170,7 +171,8 @@ def _page_writer(page: Path, target: Path) -> Callable[[Extraction], None]:
         from ..pages.extraction_page import write_extraction_page
 
         try:
-            write_extraction_page(page, found)
+            with progress_bar("writing the page"):
+                write_extraction_page(page, found)
         except StoreError as error:
             raise StoreError(f"{error}; the departures are written to {target}") from None
 

@@ -124,7 +124,8 @@ def run(chosen: argparse.Namespace) -> None:
     by_name = dict(pairs)
     transforms = dict.fromkeys(PARAMETER_NAMES, by_name.pop("", "none")) | by_name
     each_once("--bound", chosen.bound)
-    departures, provenance = read_all_departures(chosen.departures)
+    with progress_bar("reading departures"):
+        departures, provenance = read_all_departures(chosen.departures)
     model = _fitted(chosen, departures, provenance, transforms)
     model.save(target)
     for warning in model.provenance.warnings:

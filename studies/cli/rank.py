@@ -65,14 +65,16 @@ def run(chosen: argparse.Namespace) -> None:
     store = Store.open(chosen.folder)
     own = store.manifest.read_study()
     study = _with_settings(own, chosen)
-    results = store.results()
+    with progress_bar("reading results"):
+        results = store.results()
     if results.fresh is not None and not _same_chances(own, study):
         # who is a finalist, and what their intervals promise, was decided by the study's own settings
         warn("fresh scores are those of the study's own requirements and confidence; they are left out")
         results = dataclasses.replace(results, fresh=None)
     if results.race is not None and results.race.dropped and not _same_chances(own, study):
         warn("the race gave designs up by the study's own requirements and confidence; they are not ranked")
-    rankings = rank_study(results, study)
+    with progress_bar("ranking"):
+        rankings = rank_study(results, study)
     robustness = stored_robustness(Path(chosen.folder), study, results, rankings[0])
     model = read_model(chosen.folder, store.manifest)
     found = verdict(rankings[0], results, study.setup(), robustness, model)
@@ -153,11 +155,13 @@ def _run_sensitivity(chosen: argparse.Namespace) -> None:
     if chosen.design is not None:
         middle, role = chosen_designs(results.designs, [chosen.design])[0], "the chosen design"
     else:
-        ranking = rank_study(results, study)[case]
+        with progress_bar("ranking"):
+            ranking = rank_study(results, study)[case]
         # without a design that meets the requirements the first one is the one with the smallest mean S
         middle = ranking.designs[ranking.winner or 0]
         role = "smallest mean S, not ranked" if ranking.winner is None else "the winner"
-    blocks = sensitivity(results, study, case=case)
+    with progress_bar("sensitivity"):
+        blocks = sensitivity(results, study, case=case)
     with progress_bar("profile") as advance:
         profiles = winner_profile(results, study, middle, case=case, points=chosen.points, advance=advance)
     path = Path(chosen.folder) / "sensitivity.csv"

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from ._console import Subparsers, add_report_options, console, output_file, positive_number
+from ._console import Subparsers, add_report_options, console, output_file, positive_number, progress_bar
 
 
 def add_parser(commands: Subparsers) -> None:
@@ -52,11 +52,15 @@ def run(chosen: argparse.Namespace) -> None:
     study, results = store.manifest.read_study(), store.results()
     rows_of_numbers(results.drivable().scenarios, options.departures)  # refused before the work begins
     designs_of_ids(results.designs, options.designs)
-    rankings = rank_study(results, study)
-    robustness = options.robustness_of(folder, study, results, rankings[0])
+    with progress_bar("ranking"):
+        rankings = rank_study(results, study)
+    with progress_bar("driving the best on other plants"):
+        robustness = options.robustness_of(folder, study, results, rankings[0])
     found = verdict(rankings[0], results, study.setup(), robustness, read_model(folder, store.manifest))
     print(f"ranking: {write_ranking(folder, study, store.manifest, results, rankings, found)}")
-    print(f"report:  {write_study_report(folder, study, store.manifest, results, rankings, options, robustness)}")
+    with progress_bar("writing the report"):
+        path = write_study_report(folder, study, store.manifest, results, rankings, options, robustness)
+    print(f"report:  {path}")
 
 
 def _folder(name: str) -> Path:
@@ -104,10 +108,11 @@ def compare_studies(chosen: argparse.Namespace) -> int:
     from ._tables import print_comparison
 
     targets = [output_file(path, ".csv", ".html") for path in chosen.output]
-    comparison = compare(chosen.old, chosen.new)
-    for target in targets:
-        write = write_compare_page if target.suffix.lower() == ".html" else write_comparison
-        write(comparison, target)
+    with progress_bar("comparing"):
+        comparison = compare(chosen.old, chosen.new)
+        for target in targets:
+            write = write_compare_page if target.suffix.lower() == ".html" else write_comparison
+            write(comparison, target)
     if chosen.json:
         print(json.dumps(comparison_content(comparison), indent=2, allow_nan=False))
     else:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from . import _console
-from ._console import add_row, new_table, number, positive_number, say, whole_number
+from ._console import add_row, new_table, number, positive_number, progress_bar, say, whole_number
 
 if TYPE_CHECKING:
     from ldctoolkit.scenario_model import ScenarioModel
@@ -88,7 +88,8 @@ def run(chosen: argparse.Namespace) -> None:
     target = Path(chosen.output or folder)
     _write_csv(target / "risk.csv", list(risk.rows()))
     _write_csv(target / "worst.csv", list(risk.worst_rows()))
-    write_risk_page(risk, target / "risk.html", title=study.title or study.name)
+    with progress_bar("writing the page"):
+        write_risk_page(risk, target / "risk.html", title=study.title or study.name)
     for design in risk.designs[1:] or risk.designs:
         _print_design(risk, design)
     say(out, *risk.notes())

@@ -5,9 +5,11 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
-from ._console import Subparsers, add_report_options, number, positive_number, warn
+from ldctoolkit.errors import InputError
+
+from ._console import Subparsers, add_report_options, number, positive_number, progress_bar, warn
 
 if TYPE_CHECKING:
     from ..running.campaign import Progress
@@ -24,6 +26,7 @@ def add_parser(commands: Subparsers) -> None:
     )
     parser.add_argument(
         "study",
+        nargs="?",
         metavar="STUDY",
         help="name in the catalog (ideal, paper, reality, trigger-and-gains, zoo, zoo-sweep) or a TOML file",
     )
@@ -63,6 +66,12 @@ def add_parser(commands: Subparsers) -> None:
     parser.set_defaults(run=run)
 
 
+_NEXT: Final = """STUDY is missing: a name in the catalog, or a TOML file
+  in the catalog: {}
+  ldc run trigger-and-gains                runs one of them
+  ldc init trigger-and-gains -o my.toml    writes it to a file, a comment at every key
+  ldc run my.toml                          runs that file"""
+
 SOME_FAILED = 3  # exit code where the study has results, but not of every design
 
 
@@ -75,9 +84,11 @@ def run(chosen: argparse.Namespace) -> int:
     from ..runner import TIME_LIMIT, run_study, study_source
     from ..storage.manifest import read_manifest
     from ..storage.stored_model import with_counts, with_recorded_widths
-    from ..study_file import load_study
+    from ..study_file import catalog_names, load_study
     from ._results import ReportOptions, json_summary, print_race, print_rankings, write_ranking, write_study_report
 
+    if chosen.study is None:
+        raise InputError(_NEXT.format(", ".join(catalog_names())))
     study = load_study(chosen.study)
     if chosen.departures is not None:
         table = {"departures": str(Path(chosen.departures).absolute()), "table": ""}
@@ -101,10 +112,12 @@ def run(chosen: argparse.Namespace) -> int:
         time_limit=TIME_LIMIT if chosen.time_limit is None else chosen.time_limit,
     )
     manifest = read_manifest(folder)
-    rankings = rank_study(results, study)
-    robustness = options.robustness_of(folder, study, results, rankings[0])
-    found = verdict(rankings[0], results, study.setup(), robustness, model)
     silent = chosen.quiet or chosen.json
+    with progress_bar("ranking", show=not silent):
+        rankings = rank_study(results, study)
+    with progress_bar("driving the best on other plants", show=not silent):
+        robustness = options.robustness_of(folder, study, results, rankings[0])
+    found = verdict(rankings[0], results, study.setup(), robustness, model)
     if not silent:
         if results.race is not None:
             print_race(results.race)
@@ -115,8 +128,9 @@ def run(chosen: argparse.Namespace) -> int:
             f"({manifest.model_hash[:12]})"
         )
     # files last: what they are called is the last thing on the screen
-    ranking_path = write_ranking(folder, study, manifest, results, rankings, found)
-    report_path = write_study_report(folder, study, manifest, results, rankings, options, robustness)
+    with progress_bar("writing ranking and report", show=not silent):
+        ranking_path = write_ranking(folder, study, manifest, results, rankings, found)
+        report_path = write_study_report(folder, study, manifest, results, rankings, options, robustness)
     if chosen.json:
         print(json_summary(results, rankings[0], manifest, ranking_path, report_path, found))
     else:

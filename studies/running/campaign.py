@@ -37,6 +37,9 @@ class Progress:
     def advance(self, runs: int) -> None:
         """So many more scenario runs are done."""
 
+    def phase(self, name: str) -> None:
+        """What takes its time between two stages."""
+
     def close(self) -> None:
         """Nothing comes any more."""
 
@@ -99,11 +102,15 @@ class Bar(Progress):
         self._done, self._started = 0, time.monotonic()
 
     def stage(self, name: str, total: int) -> None:
-        """Begin a bar."""
+        """Begin a bar; without a total it pulses."""
         if self._task is not None:
             self._bar.remove_task(self._task)
         self._done, self._started = 0, time.monotonic()
-        self._task = self._bar.add_task(name, total=max(total, 1), rate="")
+        self._task = self._bar.add_task(name, total=total or None, rate="")
+
+    def phase(self, name: str) -> None:
+        """Show the name."""
+        self.stage(name, 0)
 
     def advance(self, runs: int) -> None:
         """Move the bar."""

@@ -80,7 +80,6 @@ def test_missing_numbers_in_recordings_end_or_are_counted(tmp_path: Path) -> Non
         (["run", "s.toml", "--model", "none.json"], "none.json"),
         (["run", "s.toml", "--workers", "0"], "--workers"),
         (["run", "s.toml", "-o", "s.toml"], "s.toml: exists and is not the folder of a study"),
-        (["run"], "required: STUDY"),
         (["rnu"], "invalid choice: 'rnu'"),
         ([], "required: COMMAND"),
         (["rank", "nowhere"], "nowhere: holds no study"),

@@ -1,0 +1,97 @@
+"""``ldc init``: a commented study file, from a study of the catalog or from a few answers."""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import os
+from pathlib import Path
+from typing import Any, Final
+
+from ldctoolkit.errors import InputError, UnknownNameError, nearest
+
+from ._console import Subparsers, number, output_file, positive_number
+
+_BASE: Final = "trigger-and-gains"  # study whose plant, requirements and counts a file made from answers has
+
+
+def add_parser(commands: Subparsers) -> None:
+    """Declare the command."""
+    parser = commands.add_parser(
+        "init",
+        help="write a commented study file to change and run",
+        description="Write a study file in which every key has a comment: meaning, unit, default, allowed values. It "
+        "is a study of the catalog, or one of the laws given; options replace what the study has.",
+    )
+    add = parser.add_argument
+    add("study", nargs="?", metavar="STUDY", help=f"name in the catalog to start from (with --law: {_BASE})")
+    add("--law", action="append", metavar="LAW", help="compare this law, with no control beside it; repeatable")
+    add("--y-s", nargs="+", type=number, metavar="M", help="trigger thresholds in m (with --law: 0.2)")
+    add("--model", metavar="MODEL", help="scenario model: a name or a JSON file")
+    add("--departures", metavar="FILE.parquet", help="rank on these; with --model, score the finalists on them too")
+    add("-n", type=positive_number, metavar="N", help="departures in all, half of them to each side")
+    add("--require", action="append", metavar="TEXT", help="requirement, as 'a_y_peak_p95 <= 3.0'; repeatable")
+    add("--plant", metavar="STUDY", help="study of the catalog whose plant is taken; ideal: the ideal plant")
+    add("--name", metavar="NAME", help="name of the study (default: that of the file)")
+    add("-o", "--output", metavar="FILE.toml", help="study file to write (default: NAME.toml)")
+    add("--force", action="store_true", help="replace a file that is there")
+    parser.set_defaults(run=run)
+
+
+def run(chosen: argparse.Namespace) -> None:
+    """Carry the command out."""
+    from ..runner import study_source
+    from ..storage.files import write_text
+    from ..study_file import CATALOG, Study, catalog_names
+    from ..study_template import study_text
+
+    if not (chosen.study or chosen.law):
+        raise InputError(f"init: give a study of the catalog or --law; allowed: {', '.join(catalog_names())}")
+    name = chosen.name or (Path(chosen.output).stem if chosen.output else chosen.study or "my-study")
+    target = output_file(chosen.output or f"{name}.toml", ".toml", option="-o" if chosen.output else "--name")
+    if target.exists() and not chosen.force:
+        raise InputError(f"{target}: exists; allowed: another -o, or --force to replace it")
+    content = _content(chosen, target)
+    study = Study.from_dict(content | {"name": name}, source=str(target), folder=target.parent)
+    if chosen.model or chosen.departures:
+        study_source(study)  # refused now, and not when the file is run
+    about = [f"# Run it with: ldc run {target.name}"]
+    if chosen.study and content == _of_catalog(chosen.study):  # else what its head says need not hold
+        lines = (CATALOG / f"{chosen.study}.toml").read_text(encoding="utf-8").splitlines()
+        about = [*itertools.takewhile(lambda line: line.startswith("#"), lines), *about]
+    write_text(target, study_text(study, about))
+    print(f"study file written to {target}\nrun it with: ldc run {target}")
+
+
+def _content(chosen: argparse.Namespace, target: Path) -> dict[str, Any]:
+    """The study of the catalog with what the options replace."""
+    from ldctoolkit import controller_class
+    from ldctoolkit.scenario_model import bundled_models
+
+    content = _of_catalog(chosen.study or _BASE)
+    if chosen.law:
+        laws = [law for law in dict.fromkeys(chosen.law) if controller_class(law).name != "none"]
+        blocks = [{"law": law, "y_s": [0.2], "gains": {}} for law in ("none", *laws)]
+        content |= {"title": "", "design": blocks}
+    for block in content["design"] if chosen.y_s else ():
+        block["y_s"] = block["y_s"] if block["law"] == "none" else chosen.y_s
+    if chosen.require:
+        content["ranking"]["require"] = chosen.require
+    if chosen.plant:
+        content["plant"] = _of_catalog(chosen.plant)["plant"]
+    # paths in a study file start at its folder
+    files = {"departures": chosen.departures, "model": chosen.model if chosen.model not in bundled_models() else None}
+    beside = {key: Path(os.path.relpath(path, target.parent)).as_posix() for key, path in files.items() if path}
+    alone = {"model": "", "left": None, "right": None} if chosen.departures and not chosen.model else {}
+    named = {"model": chosen.model} if chosen.model else {}
+    sides = {"left": (chosen.n + 1) // 2, "right": chosen.n // 2} if chosen.n else {}
+    content["scenarios"] |= alone | named | beside | sides
+    return content
+
+
+def _of_catalog(name: str) -> dict[str, Any]:
+    from ..study_file import catalog_names, load_study
+
+    if name not in catalog_names():
+        raise UnknownNameError(f"study {name!r}: not in the catalog; {nearest(name, catalog_names())}")
+    return load_study(name).content()
