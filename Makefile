@@ -8,7 +8,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: help study test test-all test-long test-slow test-browser ruff lint bench format clean
+.PHONY: help study test test-all test-long test-slow test-browser ruff lint docs bench format clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 14
@@ -34,6 +34,10 @@ $(VENV)/.bench: $(VENV)/.dev
 	$(BIN)/python -m pip install --quiet --editable '.[bench]'
 	@touch $@
 
+$(VENV)/.docs: $(VENV)/.runtime
+	$(BIN)/python -m pip install --quiet --editable '.[docs]'
+	@touch $@
+
 study: $(VENV)/.runtime  ## run the study trigger-and-gains on the bundled model; ranking and report
 	$(BIN)/ldc run trigger-and-gains -o out/trigger-and-gains
 
@@ -52,13 +56,17 @@ test: ruff  ## ruff, and the tests that a change should pass, in minutes
 test-all: test test-long  ## types and the longer tier too: grids, coverage, worker pools, clusters, kills, fuzzing, browser
 
 test-long: $(VENV)/.dev $(VENV)/.axe-core-$(AXE_CORE)
-	@$(MAKE) --no-print-directory -j2 -Otarget test-slow test-browser lint
+	@$(MAKE) --no-print-directory -j2 -Otarget test-slow test-browser lint docs
 
 test-slow:
 	LDC_TESTS=long OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 2 -m "(slow or hypothesis) and not browser"
 
 test-browser:  # one process: a browser beside another may wait for ever
 	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -m browser
+
+docs: $(VENV)/.docs  ## the documentation into out/docs; a warning is an error
+	@rm -rf docs/reference/generated
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m sphinx -W --keep-going -q -d out/docs-cache docs out/docs
 
 bench: $(VENV)/.bench  ## ratios against named references
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/benchmarks/closed_loop.py

@@ -13,7 +13,7 @@ s = r + B'PB (completion of squares along the Riccati recursion; c* is the feedf
 the smallest correction e = c - c* of the unconstrained plan that meets the limits, with an identity Hessian whatever
 the weights and the speed. Where the unconstrained plan meets every limit over the horizon, e = 0 is the QP's solution;
 where the rows held at their bounds one sample ago, moved up by one, prove to be the solution's, no solver is called
-either. `docs/linear-mpc.md` tells the rest: soft limits, blocks, solvers, what happens when a QP is not solved.
+either. The rest is in `docs/explanation/mpc.md`: soft limits, blocks, solvers, QPs that are not solved.
 
 Sources: D. Mayne, J. Rawlings, C. Rao, P. Scokaert, *Constrained model predictive control: stability and optimality*,
 Automatica 36(6), 2000; E. Kerrigan, J. Maciejowski, *Soft constraints and exact penalty functions in model predictive

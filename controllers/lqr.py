@@ -4,7 +4,7 @@ delta = -K(v) (x - x_ss psi_l') + delta_ss(v) psi_l', where (x_ss, delta_ss) is 
 of lane yaw rate, so that a bend of constant curvature leaves no bias (Rajamani, section 3.2). K minimises the sum of
 q_y e_y^2 + q_y_rate (de_y/dt)^2 + q_psi e_psi^2 + q_psi_rate (de_psi/dt)^2 + r_delta delta^2 over the sampled plant
 (`control.dlqr`). Positive to the left (ISO 8855), radians. Behind an actuator or a camera with lag or delay, x is
-joined by the wheel angle and the commands on their way: `controllers.riccati.linear_law`.
+joined by the wheel angle and the commands on their way: `ldctoolkit.controllers.riccati.linear_law`.
 """
 
 import dataclasses

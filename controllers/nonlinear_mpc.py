@@ -9,7 +9,7 @@ sample, P solves the Riccati equation of the linear plant. Hard limits: |u| <= d
 lateral jerk, lane corridor. Positive to the left (ISO 8855), radians.
 
 Method: multiple shooting (H. Bock, K. Plitt, *A multiple shooting algorithm for direct solution of optimal control
-problems*, 1984) and sequential quadratic programming to convergence; `controllers._nmpc_solver` has the steps. Each
+problems*, 1984) and sequential quadratic programming to convergence; `_nmpc_solver` has the steps. Each
 scenario starts from its own last solution, shifted by a sample, or from the LQR's path where that is better.
 
 Ladder. (1) The solution. (2) Where the previous command is so far beyond delta_max that the rate limit does not allow
@@ -139,7 +139,7 @@ class NonlinearMPCLaw(SteeringLaw):
 
     design: NonlinearMPC
     plant: Plant
-    columns: FloatArray  # (n, k) Each scenario's numbers, `controllers._nmpc_model.LAYOUT`
+    columns: FloatArray  # (n, k) Each scenario's numbers, `ldctoolkit.controllers._nmpc_model.LAYOUT`
     soft: SoftLimits | None
 
     @property

@@ -35,7 +35,15 @@ StatusArray = npt.NDArray[np.int8]
 
 
 class EventStatus(enum.IntEnum):
-    """What became of one scenario under one design."""
+    """What became of one scenario under one design.
+
+    Examples
+    --------
+    >>> import ldctoolkit as ldc
+    >>> outcome = ldc.simulate(ldc.LQR(), ldc.load_model("reference").sample(5, 5, seed=1), y_s=0.1)
+    >>> bool((outcome.status == ldc.EventStatus.DIVERGED).any())
+    False
+    """
 
     OK = 0
     """Triggered and driven to the end."""
@@ -57,7 +65,15 @@ class EventStatus(enum.IntEnum):
 
 @dataclasses.dataclass(frozen=True)
 class Preview:
-    """The lane ahead, at the lookahead times that a law requested."""
+    """The lane ahead, at the lookahead times that a law requested.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> ahead = Preview(yaw_rate=np.array([[0.0, 0.02]]), heading=np.array([[0.0, 0.01]]))
+    >>> ahead.yaw_rate.shape
+    (1, 2)
+    """
 
     yaw_rate: FloatArray  # (n, p) [rad/s] psi_l' = v c at each lookahead time
     # (n, p) [rad] Change of the lane's heading from now to each lookahead time, the integral of psi_l'
@@ -69,7 +85,15 @@ class Preview:
 @final
 @dataclasses.dataclass(frozen=True)
 class LinearLaw:
-    """A law that is linear in what it sees; runs without a call back into Python code of the controller."""
+    """A law that is linear in what it sees; runs without a call back into Python code of the controller.
+
+    Examples
+    --------
+    >>> import ldctoolkit as ldc
+    >>> plant = ldc.Plant.build(ldc.BicycleModel(), [20.0, 30.0], 0.05)
+    >>> ldc.LQR().prepare(plant).F.shape
+    (2, 4)
+    """
 
     F: FloatArray  # (n, 4) [rad per unit of state] Feedback on (e_y, de_y/dt, e_psi, de_psi/dt)
     # What is not given from here on has no weight
@@ -105,7 +129,15 @@ class LinearLaw:
 
 @dataclasses.dataclass(frozen=True)
 class SolverCalls:
-    """What a solver did for the commands of one sample: a row for each call."""
+    """What a solver did for the commands of one sample: a row for each call.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> one = np.array([1])
+    >>> SolverCalls(one, 0 * one, 12 * one, 1e-7 * one, 1e-7 * one).of(np.array([2])).iterations
+    array([], dtype=int64)
+    """
 
     place: IntArray  # (k,) The scenario, by its place in the batch
     status: IntArray  # (k,) How the call ended, in the law's own numbers
@@ -152,7 +184,15 @@ class SolverLog:
 
 
 class SteeringLaw(abc.ABC):
-    """Any law, as one call per time step for all n scenarios. Implementations are frozen: state is passed, not kept."""
+    """Any law, as one call per time step for all n scenarios. Implementations are frozen: state is passed, not kept.
+
+    Examples
+    --------
+    >>> import ldctoolkit as ldc
+    >>> plant = ldc.Plant.build(ldc.BicycleModel(), [20.0], 0.05)
+    >>> isinstance(ldc.PID().prepare(plant), SteeringLaw)
+    True
+    """
 
     @property
     @abc.abstractmethod
@@ -227,7 +267,15 @@ class SteeringLaw(abc.ABC):
 @final
 @dataclasses.dataclass(frozen=True)
 class RecordedPath:
-    """No intervention: the scenario keeps its uncorrected path."""
+    """No intervention: the scenario keeps its uncorrected path.
+
+    Examples
+    --------
+    >>> import ldctoolkit as ldc
+    >>> plant = ldc.Plant.build(ldc.BicycleModel(), [20.0], 0.05)
+    >>> ldc.NoControl().prepare(plant)
+    RecordedPath()
+    """
 
 
 Law = LinearLaw | SteeringLaw | RecordedPath
@@ -242,6 +290,14 @@ class Controller(abc.ABC):
     Every declared value is checked when the design is made, so that a wrong one is named where it was written. Raises
     `InputError` from the constructor, for a value outside its declaration, or a class that is not made as described
     here.
+
+    Examples
+    --------
+    >>> import ldctoolkit as ldc
+    >>> ldc.LQR(r_delta=-1.0)
+    Traceback (most recent call last):
+    ...
+    ldctoolkit.errors.InputError: lqr.r_delta: -1.0; allowed: a number from 0.001 to 1e+06 1/rad^2
     """
 
     name: ClassVar[str]
@@ -317,8 +373,7 @@ class LinearSteps(SteeringLaw):
     Examples
     --------
     >>> import numpy as np
-    >>> from controllers.lqr import LQR
-    >>> from ldctoolkit import BicycleModel, Plant
+    >>> from ldctoolkit import LQR, BicycleModel, Plant
     >>> plant = Plant.build(BicycleModel(), [20.0], 0.05)
     >>> LinearSteps.of(LQR().prepare(plant), plant).preview_times
     array([0.])

@@ -61,8 +61,7 @@ def plot_departure(
     --------
     >>> import matplotlib
     >>> matplotlib.use("agg")
-    >>> from controllers import LQR
-    >>> from ldctoolkit import Scenarios, plot_departure, simulate
+    >>> from ldctoolkit import LQR, Scenarios, plot_departure, simulate
     >>> scenarios = Scenarios.from_arrays(T=[3.0], d_y=0.6, v_mean=25.0, side=1)
     >>> ax = plot_departure(simulate(LQR(), scenarios, y_s=0.1, trajectories=True), 0, scenarios=scenarios)
     >>> ax.get_xlabel(), len(ax.get_legend().get_texts())

@@ -84,7 +84,15 @@ def row_index(rows: npt.ArrayLike | slice) -> IntArray | BoolArray | slice:
 
 @dataclasses.dataclass(frozen=True, repr=False)
 class DepartureParameters(Frame):
-    """The eight parameters of n departures and the side each went to."""
+    """The eight parameters of n departures and the side each went to.
+
+    Examples
+    --------
+    >>> import ldctoolkit as ldc
+    >>> drawn = ldc.load_model("reference").sample(2, 1, seed=0)
+    >>> drawn.side.tolist(), drawn.matrix().shape
+    ([1, 1, -1], (3, 8))
+    """
 
     side: IntArray  # (n,) ``LEFT`` (+1) or ``RIGHT`` (-1)
     T: FloatArray  # (n,) [s] Duration
@@ -138,7 +146,19 @@ def _some(column: Any, index: IntArray | BoolArray | slice) -> Any:
 
 @dataclasses.dataclass(frozen=True, repr=False)
 class Departures(DepartureParameters):
-    """Departures found in recordings: the parameters and where each came from."""
+    """Departures found in recordings: the parameters and where each came from.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import ldctoolkit as ldc
+    >>> from ldctoolkit.recordings import Recording
+    >>> t = np.arange(0, 10, 0.1)
+    >>> beyond, one = np.clip(0.3 - 0.3 * (t - 5) ** 2, -0.5, None), np.ones(t.size)
+    >>> drive = Recording("a", t, beyond + 0.85, 3.6 * one, 25.0 * one, one > 0, curvature=0.0 * one)
+    >>> ldc.extract_departures([drive]).departures.recording
+    array(['a'], dtype='<U1')
+    """
 
     recording: npt.NDArray[np.str_]  # (n,) Identifier of the recording
     start_time: FloatArray  # (n,) [s] Interpolated time of the crossing outwards, on the recording's own clock
@@ -149,7 +169,15 @@ class Departures(DepartureParameters):
 
 @dataclasses.dataclass(frozen=True)
 class DepartureSignals:
-    """Signals of n departures, one after the other in flat arrays (events differ in length)."""
+    """Signals of n departures, one after the other in flat arrays (events differ in length).
+
+    Examples
+    --------
+    >>> import ldctoolkit as ldc
+    >>> signals = ldc.rebuild_signals(ldc.Scenarios.from_arrays(T=[2.0, 3.0], d_y=0.3, v_mean=25.0), dt=0.5)
+    >>> signals.offsets
+    array([ 0,  5, 12])
+    """
 
     # (n + 1,) Event i owns the rows ``offsets[i]:offsets[i + 1]``; the first is the crossing outwards (t = 0, y =
     # 0), the last the crossing back (t = T, y = 0), the ones between are samples
@@ -430,6 +458,12 @@ def rebuild_signals(p: DepartureParameters, dt: float) -> DepartureSignals:
     -------
     DepartureSignals
         Samples at 0, dt, 2 dt, ... below T, and at T.
+
+    Examples
+    --------
+    >>> import ldctoolkit as ldc
+    >>> ldc.rebuild_signals(ldc.Scenarios.from_arrays(T=2.0, d_y=0.3, v_mean=25.0), dt=0.5).y.round(3)
+    array([0.   , 0.225, 0.3  , 0.225, 0.   ])
     """
     if not dt > 0:
         raise InputError(f"dt: {dt!r} s; allowed: > 0")

@@ -10,7 +10,17 @@ from typing import Any
 
 
 class LdcError(Exception):
-    """Base of every error that the toolkit raises on purpose."""
+    """Base of every error that the toolkit raises on purpose.
+
+    Examples
+    --------
+    >>> import ldctoolkit as ldc
+    >>> try:
+    ...     ldc.load_model("referense")
+    ... except ldc.LdcError as error:
+    ...     print(type(error).__name__)
+    UnknownNameError
+    """
 
 
 class InputError(LdcError, ValueError):

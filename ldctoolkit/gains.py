@@ -21,7 +21,15 @@ GainValue = float | int | str | bool
 
 @dataclasses.dataclass(frozen=True)
 class Gain:
-    """Declaration of one gain or option of a controller."""
+    """Declaration of one gain or option of a controller.
+
+    Examples
+    --------
+    >>> import ldctoolkit as ldc
+    >>> declared = ldc.LQR.gains()[-1]
+    >>> declared.name, declared.unit, declared.default
+    ('r_delta', '1/rad^2', 20000.0)
+    """
 
     name: str  # Field name on the controller, the literature's symbol
     unit: str  # SI unit, ``"1"`` for a pure number
@@ -140,6 +148,15 @@ def option(default: str, *, choices: tuple[str, ...] | None, description: str) -
         Allowed words; None for any text, which the class then checks itself.
     description : str
         One line.
+
+    Examples
+    --------
+    >>> import dataclasses
+    >>> @dataclasses.dataclass(frozen=True)
+    ... class Law:
+    ...     solver: str = option("osqp", choices=("osqp", "daqp"), description="who solves the QP")
+    >>> Law().solver
+    'osqp'
     """
     allowed = () if choices is None else choices
     return _field(default, "1", -math.inf, math.inf, "linear", allowed, description, text=choices is None)

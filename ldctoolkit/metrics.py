@@ -172,7 +172,7 @@ class Interventions:
 class Metric:
     """One number that a design is judged by."""
 
-    name: str  # What study files and `studies.Ranking` call it
+    name: str  # What study files and `ldctoolkit.Ranking` call it
     # SI unit; ``"share"`` for a part of departures from 0 to 1, ``"count"`` for a number of departures or commands,
     # ``"ratio"`` for a factor, ``"1"`` for another pure number
     unit: str

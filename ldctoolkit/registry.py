@@ -82,7 +82,14 @@ def _installed() -> dict[str, importlib.metadata.EntryPoint]:
 
 
 def controller_names() -> tuple[str, ...]:
-    """Names of all known controllers, sorted."""
+    """Names of all known controllers, sorted.
+
+    Examples
+    --------
+    >>> import ldctoolkit as ldc
+    >>> "lqr" in ldc.controller_names()
+    True
+    """
     return tuple(sorted({*_registered, *_installed()}))
 
 
@@ -96,6 +103,12 @@ def controller_class(name: str) -> type[Controller]:
     ----------
     name : str
         Registry key.
+
+    Examples
+    --------
+    >>> import ldctoolkit as ldc
+    >>> ldc.controller_class("lqr").title
+    'LQR'
     """
     if name in _registered:
         return _registered[name]

@@ -60,6 +60,13 @@ class Scenarios(DepartureParameters):
     """n departures to be replayed: side and the eight parameters, arrays of n, outward frame.
 
     Built with `from_arrays`, which checks them, `from_drifts`, or by ``ScenarioModel.sample``.
+
+    Examples
+    --------
+    >>> import ldctoolkit as ldc
+    >>> drawn = ldc.load_model("reference").sample(3, 2, seed=0)
+    >>> len(drawn), drawn.take(drawn.side > 0).index.tolist()
+    (5, [0, 1, 2])
     """
 
     # (n,) Each scenario's number, 0 to n - 1 when it was made, kept by `take`: what is drawn for a scenario

@@ -202,6 +202,12 @@ class Assessment:
     """A design in n cells of a standard, c conditions, under w variants; the first is the cell as stated.
 
     As stated, the vehicle is the nominal one and the camera has no noise.
+
+    Examples
+    --------
+    >>> import ldctoolkit as ldc
+    >>> ldc.assess(ldc.NoControl(), "euroncap-2026-elk-road-edge", tolerances=False).passed.any()
+    np.False_
     """
 
     standard: Standard
@@ -313,7 +319,7 @@ def assess(
 
     Examples
     --------
-    >>> from controllers import NoControl
+    >>> from ldctoolkit import NoControl
     >>> assess(NoControl(), "euroncap-2026-elk-road-edge", tolerances=False).score
     0.0
     """

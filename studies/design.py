@@ -38,6 +38,12 @@ class Design:
     Notes
     -----
     A run is identified by the design's `id` and the case's convention; together they name one set of numbers.
+
+    Examples
+    --------
+    >>> import ldctoolkit as ldc
+    >>> [design.label for design in ldc.study(ldc.LQR(r_delta=300.0), y_s=[0.1, 0.2]).designs]
+    ['LQR, y_s=0.1 m, r_delta=300', 'LQR, y_s=0.2 m, r_delta=300']
     """
 
     law: str  # Registry name of the controller

@@ -6,7 +6,7 @@ Examples
 >>> import tempfile
 >>> import matplotlib
 >>> matplotlib.use("agg")
->>> from studies import Study, rank_study, run_study
+>>> from ldctoolkit import Study, rank_study, run_study
 >>> design = {"law": "lqr", "y_s": [0.05, 0.1], "gains": {"r_delta": [30.0, 300.0]}}
 >>> study = Study.from_dict({"name": "a", "scenarios": {"left": 20, "right": 20}, "design": [design]})
 >>> with tempfile.TemporaryDirectory() as folder:
@@ -178,6 +178,17 @@ def plot_landscape(
     -------
     Axes
         S in m s. The law's best design of those drawn has a star; cells without a design are empty.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import ldctoolkit as ldc
+    >>> study = ldc.study(ldc.NoControl, ldc.LQR, y_s=[0.1, 0.2], name="small", left=20, right=20)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     results = ldc.run_study(study, directory=folder, workers=1)
+    >>> ranking = ldc.rank_study(results, study)[0]
+    >>> ldc.plot_landscape(ranking, "lqr", x="y_s").get_xlabel()
+    'y_s [m]'
     """
     laws = list(dict.fromkeys(design.law for design in ranking.designs))
     if law is None:
@@ -233,6 +244,17 @@ def plot_ranking(ranking: Ranking, ax: Axes | None = None, top: int = 20) -> Axe
     -------
     Axes
         S in m s. Filled markers are in the set of best; the upright line is no control.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import ldctoolkit as ldc
+    >>> study = ldc.study(ldc.NoControl, ldc.LQR, name="small", left=20, right=20)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     results = ldc.run_study(study, directory=folder, workers=1)
+    >>> ranking = ldc.rank_study(results, study)[0]
+    >>> ldc.plot_ranking(ranking).get_xlabel()
+    'Mean S [m·s]'
     """
     if top < 1:
         raise InputError(f"top: {top}; allowed: 1 or more")
@@ -262,7 +284,7 @@ def plot_trade_off(ranking: Ranking, x: str = "a_y_peak_p95", y: str = "S", ax: 
     ----------
     ranking : Ranking
     x, y : str
-        Metrics, as `studies.ranking.requirements.metric` takes them.
+        Metrics, as `ldctoolkit.studies.ranking.requirements.metric` takes them.
     ax : Axes, optional
 
     Returns
@@ -270,6 +292,17 @@ def plot_trade_off(ranking: Ranking, x: str = "a_y_peak_p95", y: str = "S", ax: 
     Axes
         In the units of the report: shares in per cent, angles in degrees. The winner has a ring. Designs without one
         of the metrics are not drawn, those that miss a requirement are in no front unless all do.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import ldctoolkit as ldc
+    >>> study = ldc.study(ldc.NoControl, ldc.LQR, name="small", left=20, right=20)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     results = ldc.run_study(study, directory=folder, workers=1)
+    >>> ranking = ldc.rank_study(results, study)[0]
+    >>> ldc.plot_trade_off(ranking, x="a_y_peak_p95", y="S").get_xlabel()
+    'Peak a_y, 95 % quantile [m/s²], less is better'
     """
     of_x, of_y = metric(x), metric(y)
     across, up = (one.scale * metric_values(one.name, ranking) for one in (of_x, of_y))
@@ -325,6 +358,17 @@ def plot_distribution(
     -------
     Axes
         S in m s, as it counts: a failed scenario at least as bad as without control.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import ldctoolkit as ldc
+    >>> study = ldc.study(ldc.NoControl, ldc.LQR, name="small", left=20, right=20)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     results = ldc.run_study(study, directory=folder, workers=1)
+    >>> ranking = ldc.rank_study(results, study)[0]
+    >>> ldc.plot_distribution(results, ranking.designs).get_xlabel()
+    'Score S [m·s]'
     """
     if side not in _SIDES:
         raise InputError(f"side: {side!r}; {nearest(side, _SIDES)}")
@@ -373,6 +417,17 @@ def plot_convergence(
     -------
     Axes
         Bands are those of one curve by itself.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import ldctoolkit as ldc
+    >>> study = ldc.study(ldc.NoControl, ldc.LQR, name="small", left=20, right=20)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     results = ldc.run_study(study, directory=folder, workers=1)
+    >>> ranking = ldc.rank_study(results, study)[0]
+    >>> ldc.plot_convergence(results, ranking.designs).get_xlabel()
+    'Number of scenarios'
     """
     results = results.drivable()
     found, chosen = chosen_case(results, case), chosen_designs(results, designs)

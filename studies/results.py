@@ -33,7 +33,14 @@ RunKey = tuple[str, str]  # identifier of a design and a convention: what one si
 
 @dataclasses.dataclass(frozen=True)
 class Case:
-    """One way to score a study: the window of S and the reading of the paper."""
+    """One way to score a study: the window of S and the reading of the paper.
+
+    Examples
+    --------
+    >>> import ldctoolkit as ldc
+    >>> ldc.studies.Case("departure", "as_printed").label
+    'departure window, as printed'
+    """
 
     window: Window
     convention: Convention
@@ -46,7 +53,18 @@ class Case:
 
 @dataclasses.dataclass(frozen=True)
 class CaseResults:
-    """Per-scenario results of all d designs on all n scenarios in one case."""
+    """Per-scenario results of all d designs on all n scenarios in one case.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import ldctoolkit as ldc
+    >>> study = ldc.study(ldc.NoControl, ldc.LQR, name="small", left=20, right=20)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     results = ldc.run_study(study, directory=folder, workers=1)
+    >>> results.cases[0].S.shape
+    (2, 40)
+    """
 
     case: Case
     S: FloatArray  # (d, n) [m s] NaN in a scenario that cannot be driven (`EventStatus.INVALID`), and nowhere else
@@ -203,7 +221,18 @@ class Race:
 
 @dataclasses.dataclass(frozen=True, repr=False)
 class StudyResults(Frame):
-    """Everything a finished study knows."""
+    """Everything a finished study knows.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import ldctoolkit as ldc
+    >>> study = ldc.study(ldc.NoControl, ldc.LQR, name="small", left=20, right=20)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     results = ldc.run_study(study, directory=folder, workers=1)
+    >>> len(results.designs), results.scenarios.n, results.failed
+    (2, 40, ())
+    """
 
     designs: tuple[Design, ...]  # d designs, in the study's own order, without those that failed
     scenarios: Scenarios  # The n scenarios that every design was run on: left ones first

@@ -374,8 +374,8 @@ def estimate_risk(
 
     Examples
     --------
-    >>> from studies import Study
-    >>> from studies.risk import estimate_risk
+    >>> from ldctoolkit import Study
+    >>> from ldctoolkit.studies.risk import estimate_risk
     >>> study = Study.from_dict({"name": "tail", "design": [{"law": "lqr", "y_s": 0.1}]})
     >>> risk = estimate_risk(study.designs, study, n=500, workers=1)
     >>> risk.designs[0].law, risk.n, risk.events[2]

@@ -14,7 +14,7 @@ from ldctoolkit.testing import CHECKS
 
 pytestmark = pytest.mark.slow
 
-GUIDE = "docs/writing-a-controller.md"
+GUIDE = "docs/how-to/my-law.md"
 RUN = "-m ldctoolkit run sweep.toml -o out --no-robustness --no-figures --workers"
 
 

@@ -6,7 +6,8 @@ fitted to any recording. Run from the repository's root::
     python tools/make_reference_model.py
 
 It writes ldctoolkit/models/reference.json. With 30,000 events a side it takes about 50 s on one core; the same
-seed and the same library versions give the same numbers. The population is described in docs/scenario-model.md.
+seed and the same library versions give the same numbers. The population is described in
+docs/explanation/scenario-model.md.
 """
 
 from __future__ import annotations

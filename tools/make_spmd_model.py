@@ -3,7 +3,8 @@
     python tools/make_spmd_model.py --accept-terms -o out/spmd URL [NAME=URL ...] [--sha256 NAME=HEX]
 
 Downloads files, unpacks their tables, extracts departures and fits a model; a stopped run goes on. The addresses of the
-files may change, therefore they are arguments. No published checksum of them is known to us. See docs/spmd-model.md.
+files may change, therefore they are arguments. No published checksum of them is known to us.
+See docs/how-to/spmd-model.md.
 """
 
 from __future__ import annotations

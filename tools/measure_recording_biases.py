@@ -1,4 +1,4 @@
-"""What sampling and noise do to each parameter of a departure: the tables of docs/recording-biases.md.
+"""What sampling and noise do to each parameter of a departure: the tables of docs/explanation/recording-biases.md.
 
 Departures of the bundled model are driven, measured, written as the tables DataLane and DataWsu, extracted and held
 against what was driven. Run from the repository's root::

@@ -136,7 +136,7 @@ def diagnose(
     Marginals of a truncated mixture have no closed form. Shares next to bounds are integrated; a distribution
     function is integrated at 15 values and follows a sample of `n_model` events between them, to 0.0003; joint
     densities are those of the sample. The Kolmogorov limit is that of fresh events, without a refit: see
-    `Calibration` and ``docs/fit-page.md``.
+    `Calibration` and ``docs/how-to/reading-the-report.md``.
 
     Examples
     --------

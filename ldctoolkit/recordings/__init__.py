@@ -3,7 +3,7 @@
 `open_recordings` finds the reader for files or folders of any known kind, `read_recordings` reads them one by one,
 `extract_departures` finds the lane departures in them, and `write_departures` and `read_departures` keep them in a
 departures table. The formats, the rules and the reasons for refusing a candidate are described in
-``docs/recordings.md``.
+``docs/how-to/my-recordings.md``.
 """
 
 from ldctoolkit.recordings.departures_table import (

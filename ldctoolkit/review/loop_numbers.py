@@ -338,8 +338,7 @@ def design_margins(controllers: Sequence[Controller], setup: Setup, v: npt.Array
 
     Examples
     --------
-    >>> from controllers import LQR
-    >>> from ldctoolkit import Setup
+    >>> from ldctoolkit import LQR, Setup
     >>> gain, phase = design_margins([LQR(r_delta=1000.0)], Setup(), [20.0])
     >>> gain.round(1), np.degrees(phase).round()
     (array([[14.3]]), array([[61.]]))

@@ -495,7 +495,7 @@ class _Judge:
 
 
 BANDWIDTHS: Final = (0.25, 0.125)
-"""Of Silverman's rule, which oversmooths what has several modes and a boundary: see docs/decisions/0037."""
+"""Of Silverman's rule, which oversmooths what has several modes and a boundary: docs/explanation/decisions.md, 0037."""
 
 
 def smoothed(events: SideEvents, width: float) -> BoundedGaussianMixture:

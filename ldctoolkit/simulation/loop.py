@@ -161,8 +161,7 @@ def simulate(
 
     Examples
     --------
-    >>> from controllers import NoControl, PreviewProportional
-    >>> from ldctoolkit import Scenarios, simulate
+    >>> from ldctoolkit import NoControl, PreviewProportional, Scenarios, simulate
     >>> scenarios = Scenarios.from_arrays(T=[2.0, 4.0], d_y=[0.3, 0.5], v_mean=[20.0, 28.0])
     >>> simulate(NoControl(), scenarios).reduction
     array([0., 0.])

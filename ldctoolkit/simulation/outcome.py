@@ -38,7 +38,15 @@ class Trajectories:
 
 @dataclasses.dataclass(frozen=True, repr=False)
 class Outcome(Frame):
-    """Scores of one design on n scenarios."""
+    """Scores of one design on n scenarios.
+
+    Examples
+    --------
+    >>> import ldctoolkit as ldc
+    >>> outcome = ldc.simulate(ldc.LQR(), ldc.load_model("reference").sample(5, 5, seed=1), y_s=0.1)
+    >>> outcome.S.shape, bool(outcome.mean_reduction > 0)
+    ((10,), True)
+    """
 
     window: Window  # Over which S is integrated: [0, T], or from the trigger to T
     S: FloatArray  # (n,) [m s] Integral of |e_y| under the design

@@ -89,7 +89,7 @@ def contract_faults(
 
     Examples
     --------
-    >>> from controllers import LQR
+    >>> from ldctoolkit import LQR
     >>> contract_faults(LQR(r_delta=50.0), checks=["mirror", "quiet", "finite"])
     ()
     """
@@ -125,7 +125,7 @@ def check_controller_contract(
 
     Examples
     --------
-    >>> from controllers import LQR
+    >>> from ldctoolkit import LQR
     >>> check_controller_contract(LQR, checks=["batch", "state"])
     """
     faults = contract_faults(controller, designs, checks=checks, settings=settings)
@@ -152,7 +152,7 @@ class ControllerContract:
 
     Examples
     --------
-    >>> from controllers import LQR
+    >>> from ldctoolkit import LQR
     >>> class TestLQR(ControllerContract):
     ...     controller = LQR
     ...     designs = (LQR(r_delta=20.0),)

@@ -25,6 +25,13 @@ class Plant:
     """The vehicle discretised once for a scenario set, shared by every design.
 
     It carries no scenario but the speed at which each is driven, so that a design cannot look at its own examination.
+
+    Examples
+    --------
+    >>> import ldctoolkit as ldc
+    >>> plant = ldc.Plant.build(ldc.BicycleModel(), [20.0, 30.0], 0.05)
+    >>> plant.n, plant.dt
+    (2, 0.05)
     """
 
     model: BicycleModel  # The continuous model

@@ -28,7 +28,7 @@ def add_parser(commands: Subparsers) -> None:
         "study",
         nargs="?",
         metavar="STUDY",
-        help="name in the catalog (ideal, paper, reality, trigger-and-gains, zoo, zoo-sweep) or a TOML file",
+        help="name in the catalog (ideal, paper, reality, road-edge, trigger-and-gains, zoo, zoo-sweep) or a TOML file",
     )
     parser.add_argument("-o", "--output", metavar="DIR", help="folder of the results (default: out/<study name>)")
     parser.add_argument("--model", metavar="MODEL", help="scenario model instead of the study's: a name or a JSON file")

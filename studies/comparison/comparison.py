@@ -78,7 +78,20 @@ class CaseComparison:
 
 @dataclasses.dataclass(frozen=True)
 class Comparison:
-    """An old and a new study on shared scenarios."""
+    """An old and a new study on shared scenarios.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import ldctoolkit as ldc
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     for name, law in (("old", ldc.LQR(r_delta=1000.0)), ("new", ldc.LQR)):
+    ...         study = ldc.study(ldc.NoControl, law, name=name, left=20, right=20)
+    ...         _ = ldc.run_study(study, directory=f"{folder}/{name}", workers=1)
+    ...     comparison = ldc.compare(f"{folder}/old", f"{folder}/new")
+    >>> len(comparison.only_old), len(comparison.only_new)
+    (1, 1)
+    """
 
     old: str  # Folder
     new: str
@@ -197,7 +210,7 @@ def compare(
     Examples
     --------
     >>> import tempfile
-    >>> from studies import Study, compare, run_study
+    >>> from ldctoolkit import Study, compare, run_study
     >>> def study(m):
     ...     content = {"name": "small", "scenarios": {"left": 40, "right": 40}, "vehicle": {"m": m}}
     ...     return Study.from_dict(content | {"design": [{"law": "none"}, {"law": "lqr"}]})

@@ -75,7 +75,7 @@ def export_c(
     Examples
     --------
     >>> import tempfile
-    >>> from controllers import LQR
+    >>> from ldctoolkit import LQR
     >>> few = load_model("reference").sample(20, 20, seed=1)
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     made = export_c(LQR(), Setup(), 0.2, folder, scenarios=few, run_check=False)

@@ -34,8 +34,8 @@ _STYLES: Final = {
 
 
 def write_compare_page(comparison: Comparison, path: str | Path) -> Path:
-    """Write a comparison of two studies, as `studies.compare` returns it, to the file `path`: one HTML page that needs
-    nothing else, whole or not at all. Raises `StoreError` if it cannot be written.
+    """Write a comparison of two studies, as `ldctoolkit.compare` returns it, to the file `path`: one HTML page that
+    needs nothing else, whole or not at all. Raises `StoreError` if it cannot be written.
     """
     write_text(Path(path), compare_page(comparison))
     return Path(path)

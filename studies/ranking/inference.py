@@ -239,10 +239,10 @@ class Resampled:
     side: IntArray  # (n,) Stratum of each scenario
     mean: FloatArray  # (d,) [m s]
     deviations: FloatArray  # (B, d) [m s] Mean on a resample minus `mean`
-    # (d, n) [m s] `studies.ranking.inference.error_parts`, where they are few enough to be kept
+    # (d, n) [m s] `error_parts`, where they are few enough to be kept
     parts: FloatArray | None
     df: int  # Degrees of freedom of a standard error
-    known: bool = True  # Whether there is a standard error: `studies.ranking.inference.spread_is_known`
+    known: bool = True  # Whether there is a standard error: `spread_is_known`
 
     @classmethod
     def of(
@@ -369,7 +369,7 @@ def critical_value(largest: FloatArray, confidence: float, df: int) -> float:
 class Interval:
     """Simultaneous intervals of d means or mean differences, arrays of d in m s."""
 
-    # (d,) [m s] Mean, its standard error, and both ends: `studies.ranking.inference.skewed_widths` from the centre
+    # (d,) [m s] Mean, its standard error, and both ends: `skewed_widths` from the centre
     centre: FloatArray
     error: FloatArray
     low: FloatArray
@@ -519,7 +519,7 @@ def separable(
     tested: scores are skewed, and resampled means are skewed the other way than studentised ones. The interval of
     the difference to the design that came out best needs more: its critical value is the quantile of the largest
     difference over all these r at once. Of skewed scores it is wider, see
-    `studies.ranking.inference.skewed_widths`; `low` is not, for the test of one design is conservative.
+    `skewed_widths`; `low` is not, for the test of one design is conservative.
     """
     return compare_with_best(Resampled.of(scores, side, seed=seed, samples=samples, stream=stream), confidence)
 

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from ldctoolkit import Setup
 
 
-FEW = 50  # scenarios below which intervals are too short by an amount that matters, see docs/ranking.md
+FEW = 50  # scenarios below which intervals are too short by an amount that matters, see docs/explanation/statistics.md
 
 FEW_OF_A_SIDE = 10
 
@@ -123,7 +123,19 @@ MARGIN_SPEEDS: Final = tuple(range(10, 41, 5))  # speeds [m/s] that the margins 
 
 @dataclasses.dataclass(frozen=True, repr=False)
 class Ranking(RankedDesigns, Frame):
-    """Designs of one case, best first, made with `Ranking.of`; the attributes are those of `RankedDesigns`."""
+    """Designs of one case, best first, made with `Ranking.of`; the attributes are those of `RankedDesigns`.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import ldctoolkit as ldc
+    >>> study = ldc.study(ldc.NoControl, ldc.LQR, name="small", left=20, right=20)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     results = ldc.run_study(study, directory=folder, workers=1)
+    >>> ranking = ldc.rank_study(results, study)[0]
+    >>> ranking.designs[0].law, ranking.S.shape
+    ('lqr', (2,))
+    """
 
     def to_polars(self) -> pl.DataFrame:
         """One row a design, with the columns of ``ranking.csv``."""
@@ -281,6 +293,16 @@ def _replayed(results: StudyResults, case: CaseResults, designs: Sequence[Design
 def rank_study(results: StudyResults, study: Study) -> tuple[Ranking, ...]:
     """Rank every case of a study with the study's own settings; the `results` are in the order of the cases, the
     primary one first.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import ldctoolkit as ldc
+    >>> study = ldc.study(ldc.NoControl, ldc.LQR, name="small", left=20, right=20)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     results = ldc.run_study(study, directory=folder, workers=1)
+    >>> [design.law for design in ldc.rank_study(results, study)[0].designs]
+    ['lqr', 'none']
     """
     settings = study.ranking
     return tuple(

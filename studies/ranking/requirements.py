@@ -42,7 +42,7 @@ def metric_values(name: str, *sources: Any) -> FloatArray:
     """Values of a metric, one a design, (d,); NaN where a design has none.
 
     The sources are searched in order: mappings by key, objects by attribute, then the attributes `release` and
-    `standards` of an object; a `studies.Ranking` holds all metrics. Raises `UnknownNameError` for an unknown name;
+    `standards` of an object; a `ldctoolkit.Ranking` holds all metrics. Raises `UnknownNameError` for an unknown name;
     `InputError` if no source has it.
     """
     wanted = metric(name).name

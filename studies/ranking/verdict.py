@@ -32,7 +32,7 @@ _NEAREST: Final = 3
 
 @dataclasses.dataclass(frozen=True)
 class OtherPlants:
-    """What a verdict takes from `studies.robustness.Robustness`: d designs on p plants, their own first."""
+    """What a verdict takes from `ldctoolkit.studies.robustness.Robustness`: d designs on p plants, their own first."""
 
     designs: tuple[str, ...]  # Identifiers
     plants: tuple[str, ...]  # Names

@@ -227,7 +227,19 @@ class Machine(BaseModel):
 
 
 class Manifest(BaseModel):
-    """``manifest.json``."""
+    """``manifest.json``.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import ldctoolkit as ldc
+    >>> study = ldc.study(ldc.NoControl, ldc.LQR, name="small", left=20, right=20)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     results = ldc.run_study(study, directory=folder, workers=1)
+    ...     manifest = ldc.studies.read_manifest(folder)
+    >>> manifest.read_study().name
+    'small'
+    """
 
     # "model" is the scenario model here; pydantic keeps the word for itself otherwise
     model_config = ConfigDict(extra="forbid", frozen=True, protected_namespaces=())
@@ -385,6 +397,17 @@ def read_manifest(folder: str | Path) -> Manifest:
     Parameters
     ----------
     folder : path
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import ldctoolkit as ldc
+    >>> study = ldc.study(ldc.NoControl, ldc.LQR, name="small", left=20, right=20)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     results = ldc.run_study(study, directory=folder, workers=1)
+    ...     manifest = ldc.studies.read_manifest(folder)
+    >>> manifest.read_study() == study
+    True
     """
     path = Path(folder) / "manifest.json"
     try:

@@ -209,5 +209,16 @@ def read_results(folder: str | Path) -> StudyResults:
     ----------
     folder : path
         What `run_study` wrote into.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import ldctoolkit as ldc
+    >>> study = ldc.study(ldc.NoControl, ldc.LQR, name="small", left=20, right=20)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     results = ldc.run_study(study, directory=folder, workers=1)
+    ...     again = ldc.read_results(folder)
+    >>> again.designs == results.designs
+    True
     """
     return Store.open(folder).results()

@@ -3,8 +3,8 @@
 References, written here in full: a vectorised NumPy loop over time steps, one array a quantity, of the same law on the
 same plant, with S alone or with all metrics; one `control.forced_response` call a scenario on the closed loop as a
 discrete-time system. Times are the best of several runs; a design's own preparation is in both of a pair, what designs
-share in neither. Printed with `make bench` as the table that `docs/benchmarks.md` keeps; `--memory` measures the memory
-of 1,000 designs and is called by the script itself. The linear MPC has a script of its own."""
+share in neither. Printed with `make bench` as the table that `docs/explanation/benchmarks.md` keeps; `--memory`
+measures the memory of 1,000 designs and is called by the script itself. The linear MPC has a script of its own."""
 
 import dataclasses
 import importlib.metadata

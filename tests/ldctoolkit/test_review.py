@@ -447,7 +447,7 @@ def test_wrong_thresholds_are_named(pair: Any) -> None:
         Thresholds(gain_margin=pair)
 
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "design-review.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs/how-to/reviewing-a-design.md"
 
 
 def test_the_pages_table_is_that_of_the_thresholds() -> None:

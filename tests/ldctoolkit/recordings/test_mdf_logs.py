@@ -486,14 +486,14 @@ def test_the_pages_map_and_python_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    (text,) = cli.blocks("docs/mdf-logs.md", "toml")
+    (text,) = cli.blocks("docs/how-to/mdf-logs.md", "toml")
     Path("page.toml").write_text(text)
     assert mdf_logs.read_channel_map(Path("page.toml")).speed.channel == "VehicleSpeed"
-    page = (cli.ROOT / "docs/mdf-logs.md").read_text(encoding="utf-8")
+    page = (cli.ROOT / "docs/how-to/mdf-logs.md").read_text(encoding="utf-8")
     for name, units in mdf_logs.UNITS.items():
         assert name == "time" or all(unit in page for unit in units), name
     assert all(f"`{name}`" in page for name in (*mdf_logs.QUANTITIES, *mdf_logs.Channel.model_fields))
-    cli.run_python("docs/mdf-logs.md", {"__name__": "page"})
+    cli.run_python("docs/how-to/mdf-logs.md", {"__name__": "page"})
     assert capsys.readouterr().out == "4 departures in 1.0 minutes\n"
 
 

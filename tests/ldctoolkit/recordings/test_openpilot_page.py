@@ -1,4 +1,4 @@
-"""The lines of docs/openpilot-logs.md, on stand-ins of the messages: a drive of planted departures comes back."""
+"""The lines of docs/how-to/openpilot-logs.md, on stand-ins of the messages: a drive of planted departures comes back."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -45,7 +45,7 @@ def drive() -> Iterator[SimpleNamespace]:
 
 
 def test_the_lines_turn_signs_and_keep_departures(tmp_path: Path) -> None:
-    scope: dict[str, Any] = run_python("docs/openpilot-logs.md", {"__name__": "page"})
+    scope: dict[str, Any] = run_python("docs/how-to/openpilot-logs.md", {"__name__": "page"})
     scope["write_table"](tmp_path / "drive.csv", drive(), "route", camera_left=CAMERA)
     found = extract_departures(open_recordings(tmp_path / "drive.csv"), vehicle_width=VEHICLE)
     departures = found.departures
@@ -62,7 +62,7 @@ def test_the_lines_turn_signs_and_keep_departures(tmp_path: Path) -> None:
 
 
 def test_what_is_not_known_yet_is_missing() -> None:
-    scope: dict[str, Any] = run_python("docs/openpilot-logs.md", {"__name__": "page"})
+    scope: dict[str, Any] = run_python("docs/how-to/openpilot-logs.md", {"__name__": "page"})
     only_model = [one for one in drive() if one.which() == "modelV2"][:2]
     first, second = scope["rows"](only_model, "a")
     assert first[:2] == ("a", 0.0)

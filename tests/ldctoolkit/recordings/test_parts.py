@@ -91,10 +91,10 @@ def log(path: Path, *, driver: str = "driver Ann", side: int = 1) -> None:
 @pytest.fixture
 def guide(tmp_path, monkeypatch):
     """The guide's package, installed as pip leaves a pure one."""
-    site, point = tmp_path / "site", tomllib.loads(blocks("writing-a-reader.md", "toml")[0])["project"]
+    site, point = tmp_path / "site", tomllib.loads(blocks("how-to/my-reader.md", "toml")[0])["project"]
     (site / "lane_logs").mkdir(parents=True)
     (site / "lane_logs" / "__init__.py").write_text("")
-    (site / "lane_logs" / "reader.py").write_text(blocks("writing-a-reader.md", "python")[0], encoding="utf-8")
+    (site / "lane_logs" / "reader.py").write_text(blocks("how-to/my-reader.md", "python")[0], encoding="utf-8")
     info = site / "lane_logs-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {point['name']}\nVersion: {point['version']}\n")
@@ -146,8 +146,8 @@ def test_the_guides_reader(guide):
 
 def test_the_python_of_the_page_runs(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    (code,) = blocks("recordings.md", "python")
-    exec(compile(code, "recordings.md", "exec"), {"__name__": "page"})
+    (code,) = blocks("how-to/my-recordings.md", "python")
+    exec(compile(code, "how-to/my-recordings.md", "exec"), {"__name__": "page"})
     first, second, *_ = capsys.readouterr().out.splitlines()
     assert first.startswith("table ")
     assert second == "3 1.0 minutes"
@@ -156,7 +156,7 @@ def test_the_python_of_the_page_runs(tmp_path, monkeypatch, capsys):
 
 def test_the_page_names_everything():
     """Every format, every reason, every setting that the metadata hold."""
-    text = (DOCS / "recordings.md").read_text(encoding="utf-8")
+    text = (DOCS / "how-to/my-recordings.md").read_text(encoding="utf-8")
     names = [*reader_names(), *REASONS]
     names += [field.name for kind in (Preparation, Provenance) for field in dataclasses.fields(kind)]
     for name in names:

@@ -74,7 +74,7 @@ def asked(T: float, d_y: float, v_mean: float, a_mean: float, c_0: float, dc: fl
 
 
 def one_by_one(recordings: list[Recording]) -> tuple[list[tuple[float, ...]], Counter[str]]:
-    """The rules of docs/recordings.md, walked through with plain loops, for a vehicle of 2 m."""
+    """The rules of docs/how-to/my-recordings.md, walked through with plain loops, for a vehicle of 2 m."""
     events: list[tuple[float, ...]] = []
     refused: Counter[str] = Counter()
     for number, table in enumerate(recordings):

@@ -198,7 +198,7 @@ def test_hours_and_distances_of_tables_are_summed() -> None:
     assert (found.hours, found.distance) == (3.75, 0.0)
 
 
-PAGE = (Path(__file__).parents[3] / "docs" / "scenario-model.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[3] / "docs/explanation/scenario-model.md").read_text(encoding="utf-8")
 
 
 def test_the_code_runs(capsys):

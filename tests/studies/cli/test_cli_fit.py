@@ -160,14 +160,6 @@ def test_wrong_options_get_one_message(options: list[str], message: str, folder:
     assert message in bad("fit", "d.parquet", "-o", "x.json", *options, cwd=folder)
 
 
-def test_every_option_is_described(folder: Path) -> None:
-    options = set(re.findall(r"(?<![\w-])--[a-z][a-z-]*", good("fit", "--help", cwd=folder)))
-    page = (Path(__file__).parents[3] / "docs" / "cli.md").read_text(encoding="utf-8")
-    section = page[page.index("## Options of `ldc fit`") : page.index("## Options of `ldc review`")]
-    described = set(re.findall(r"(?<![\w-])--?[a-z][a-z-]*", section))
-    assert options - {"--help", "--output"} == {option for option in described if option.startswith("--")} - {"--given"}
-
-
 def test_a_page_that_cannot_be_written_is_told_before_the_fit(folder: Path) -> None:
     (folder / "q.html").mkdir(exist_ok=True)
     assert "q.html: is a folder" in bad("fit", "d.parquet", "-o", "q.json", cwd=folder)

@@ -382,8 +382,8 @@ def test_entries_are_read_as_values_or_as_a_range() -> None:
 
 
 def test_the_pages_examples_are_read() -> None:
-    page = (Path(__file__).parents[3] / "docs/design-space.md").read_text(encoding="utf-8")
-    examples = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
+    page = (Path(__file__).parents[3] / "docs/reference/study-file.md").read_text(encoding="utf-8")
+    examples = re.findall(r"```toml\n(.*?)```", page.partition("## Design spaces and search")[2], re.DOTALL)
     found = [Study.from_dict({"name": "a"} | tomllib.loads(example)) for example in examples]
     assert [len(study.designs) for study in found if study.search is None] == [10 + 30, 4, 64]
     assert [len(study.design) for study in found if study.search] == [2]

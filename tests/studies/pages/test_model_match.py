@@ -155,7 +155,7 @@ def test_it_is_that_of_the_linear_model(convention: str) -> None:
 
 
 matplotlib.use("agg")
-PAGE = Path(__file__).resolve().parents[3] / "docs" / "notebooks.md"
+PAGE = Path(__file__).resolve().parents[3] / "docs/gallery/index.md"
 
 
 def test_the_page_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -60,7 +60,7 @@ def test_intervals_hold_on_100_simulated_departures() -> None:
 
 @pytest.mark.slow
 def test_coverage_on_20_000_simulated_departures() -> None:
-    """docs/ranking.md has these figures, of 2,000 draws each."""
+    """docs/explanation/statistics.md has these figures, of 2,000 draws each."""
     scores = scores_of(20_000)
     for n, draws in ((100, 1_000), (200, 1_000), (400, 1_000), (1_000, 500)):
         means, baseline, best, in_set = coverage(scores, n, draws)

@@ -382,8 +382,8 @@ def test_a_ranking_and_its_table_hold_every_figure(small_run: Path, tmp_path: Pa
 
 
 def test_the_page_lists_every_metric_with_unit_and_direction() -> None:
-    """Aggregates need no row of their own: docs/metrics.md holds the metrics that they are taken from."""
-    page = (Path(__file__).parents[3] / "docs/requirements.md").read_text(encoding="utf-8")
+    """Aggregates need no row of their own: docs/reference/metrics.md holds the metrics that they are taken from."""
+    page = (Path(__file__).parents[3] / "docs/how-to/my-requirements.md").read_text(encoding="utf-8")
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in page.splitlines() if line.startswith("| `")]
     named = {name: row for row in rows for name in re.findall(r"`(\w+)`", row[0])}
     assert set(named) <= set(METRICS)

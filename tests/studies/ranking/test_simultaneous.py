@@ -94,8 +94,8 @@ def all_in(truth: np.ndarray, low: np.ndarray, high: np.ndarray) -> bool:
 
 @pytest.mark.slow
 def test_coverage_at_1000_scenarios() -> None:
-    """300 repetitions see a coverage of 0.95 with a standard error of 0.013, from 500 resamples each. docs/ranking.md
-    has the figures of some thousand repetitions."""
+    """300 repetitions see a coverage of 0.95 with a standard error of 0.013, from 500 resamples each.
+    docs/explanation/statistics.md has the figures of some thousand repetitions."""
     found = coverage(Truth.of(DESIGNS, 0.03), 1_000, repetitions=300, samples=500)
     assert 0.93 <= found.S <= 0.97
     assert 0.93 <= found.baseline <= 0.97

@@ -321,7 +321,7 @@ def by_name(profiles: tuple[Profile, ...]) -> dict[str, Profile]:
 
 
 def reach(c: float, g: float) -> float:
-    """Standard errors that an interval goes above a mean of skewness g; see docs/ranking.md."""
+    """Standard errors that an interval goes above a mean of skewness g; see docs/explanation/statistics.md."""
     return c + min(c, max(0.0, g * g * (c**5 + 2 * c**3 - 3 * c) / 18)) + max(0.0, g * (1 + 2 * c * c) / 6)
 
 

@@ -10,7 +10,7 @@ from helpers import round_trip as making
 from ldctoolkit import extract_departures, fit_scenario_model, load_model, open_recordings
 from ldctoolkit.departures import PARAMETER_NAMES
 
-PAGE = (Path(__file__).parents[4] / "docs" / "recording-biases.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[4] / "docs/explanation/recording-biases.md").read_text(encoding="utf-8")
 
 LARGEST = 0.03  # Kolmogorov distance that is allowed to every parameter on each side
 # but to sigma_v: the noise of the speed, 0.01 m/s, is half of its 5 % quantile and hardly leaves a value below itself

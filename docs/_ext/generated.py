@@ -1,0 +1,171 @@
+"""Parts of the reference that the code itself holds: commands, keys of a study file, metrics, gains of the laws.
+
+Each function gives Markdown by file name; `write` puts the files where pages of the reference include them.
+"""
+
+import argparse
+import ast
+import dataclasses
+import inspect
+import math
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, Literal, get_args, get_origin
+
+from pydantic.fields import FieldInfo
+
+from ldctoolkit import Setup, VehicleParameters, controller_class, controller_names
+from ldctoolkit.metrics import GROUPS, METRICS, SCENARIO_METRICS
+from ldctoolkit.studies import study_file
+from ldctoolkit.studies.cli import parser
+from ldctoolkit.studies.cli.controllers import _interval
+from ldctoolkit.studies.design_space import DesignBlock, SampleSettings
+
+
+def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    """A Markdown table."""
+    lines = [tuple(head), ("---",) * len(tuple(head)), *rows]
+    return "".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |\n" for line in lines)
+
+
+def code(text: object) -> str:
+    """Text in a fixed font, empty for nothing."""
+    return f"`{text}`" if str(text) else ""
+
+
+def commands() -> Iterator[tuple[str, str]]:
+    """Every command: what it does, how it is called, its arguments and options."""
+    (sub,) = (one for one in parser()._actions if isinstance(one, argparse._SubParsersAction))
+    rows = ((f"[`ldc {one.dest}`](#ldc-{one.dest})", one.help or "") for one in sub._choices_actions)
+    yield "commands.md", table(("command", "what it does"), rows)
+    for name, one in sub.choices.items():
+        usage = re.sub(r"\s+", " ", one.format_usage().removeprefix("usage: "))
+        formatter = one._get_formatter()
+        rows = (
+            (code(formatter._format_action_invocation(action)), formatter._expand_help(action))
+            for action in one._actions
+            if action.dest != "help"
+        )
+        body = table(("argument or option", "meaning"), rows)
+        yield f"ldc-{name}.md", f"{one.description}\n\n```text\n{usage.strip()}\n```\n\n{body}"
+
+
+def comments(owner: type) -> dict[str, str]:
+    """What the comments above and beside the fields of a class say."""
+    lines = inspect.getsource(owner).splitlines()
+    found = {}
+    for node in ast.parse("\n".join(lines)).body[0].body:  # type: ignore[attr-defined]
+        if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
+            above = node.lineno - 1
+            while lines[above - 1].strip().startswith("#"):
+                above -= 1
+            end = lines[node.end_lineno - 1][node.end_col_offset :]  # type: ignore[operator]
+            texts = [line.strip().lstrip("#") for line in (*lines[above : node.lineno - 1], end)]
+            text = " ".join(" ".join(texts).split()).replace("``", "`")
+            found[node.target.id] = text or "the same"
+    return found
+
+
+def attributes(owner: type) -> dict[str, str]:
+    """What the section Attributes of a docstring says of each field, with its unit."""
+    section = inspect.cleandoc(owner.__doc__ or "").partition("Attributes\n----------\n")[2].partition("\n\n")[0]
+    found = {}
+    for names, kind, text in re.findall(r"^(\S.*?) : (.*)\n((?:    .*\n?)+)", section + "\n", flags=re.M):
+        unit = " ".join(re.findall(r"\[.+\]", kind))
+        words = re.sub(r"`+(\S+?)`+", r"`\1`", " ".join(text.split())).removesuffix(".")
+        found |= dict.fromkeys(names.split(", "), f"{words} {unit}".strip())
+    return found
+
+
+def _choices(annotation: Any) -> Iterator[str]:
+    for one in (annotation, *get_args(annotation)):
+        if get_origin(one) is Literal:
+            yield from map(str, get_args(one))
+        elif one is not annotation:
+            yield from _choices(one)
+
+
+def _allowed(field: FieldInfo) -> str:
+    words = {"gt": "above", "ge": "from", "lt": "below", "le": "to"}
+    limits = {name: getattr(one, name) for one in field.metadata for name in words if hasattr(one, name)}
+    if "ge" in limits:
+        limits.pop("gt", None)
+    numbers = " ".join(f"{words[name]} {value:,}" for name, value in limits.items() if value < 2**62)
+    return numbers or ", ".join(code(one) for one in dict.fromkeys(_choices(field.annotation)))
+
+
+def _default(field: FieldInfo) -> str:
+    value = field.get_default()
+    if field.is_required():
+        return "needed"
+    if isinstance(value, tuple):
+        return ", ".join(code(one) for one in value)
+    return (
+        code(str(value).lower() if isinstance(value, bool) else value) if isinstance(value, str | int | float) else ""
+    )
+
+
+def study_keys() -> Iterator[tuple[str, str]]:
+    """Every key of a study file, from the models that read it."""
+    parts: Mapping[str, type] = {
+        "": study_file.Study,
+        "scenarios": study_file.ScenarioSettings,
+        "simulation": study_file.SimulationSettings,
+        "report": study_file.ReportSettings,
+        "ranking": study_file.RankingSettings,
+        "search": study_file.SearchSettings,
+        "design": DesignBlock,
+        "design.sample": SampleSettings,
+    }
+    rows = []
+    for part, model in parts.items():
+        known = attributes(Setup) | comments(study_file.CaseSettings) if part == "simulation" else comments(model)
+        for name, field in model.model_fields.items():  # type: ignore[attr-defined]
+            if name not in parts and not (part == "" and name in ("vehicle", "plant")):
+                text = "; ".join(filter(None, (known[name], _allowed(field))))
+                rows.append((code(f"{part}.{name}".strip(".")), _default(field), text))
+    for field in dataclasses.fields(VehicleParameters):
+        rows.append((code(f"vehicle.{field.name}"), code(field.default), attributes(VehicleParameters)[field.name]))
+    yield "study-keys.md", table(("key", "default", "meaning; allowed"), rows)
+
+
+def metrics() -> Iterator[tuple[str, str]]:
+    """Metrics of a scenario and of a design."""
+    rows = (
+        (code(name), one.title, one.unit, one.better, one.over, "" if math.isnan(one.limit) else f"{one.limit:g}")
+        for name, one in SCENARIO_METRICS.items()
+    )
+    yield "scenario-metrics.md", table(("metric", "title", "unit", "better", "over", "limit"), rows)
+    text = ""
+    for group, title in GROUPS.items():
+        rows = (
+            (code(one.name), one.title, one.unit, one.better, code(one.column), ", ".join(map(code, one.aliases)))
+            for one in METRICS.values()
+            if one.group == group
+        )
+        text += f"**{title}**\n\n" + table(("metric", "title", "unit", "better", "column", "other names"), rows) + "\n"
+    yield "design-metrics.md", text
+
+
+def laws() -> Iterator[tuple[str, str]]:
+    """The declared gains of every law of the toolkit."""
+    for name in controller_names():
+        rows = []
+        for g in controller_class(name).gains():
+            words = ("true", "false") if isinstance(g.default, bool) else g.choices
+            allowed = ", ".join(map(code, words)) if words else "any text" if g.text else _interval(g.lower, g.upper)
+            default = str(g.default).lower() if isinstance(g.default, bool) else str(g.default)
+            rows.append((code(g.name), "" if g.unit == "1" else g.unit, code(default), allowed, g.description))
+        body = table(("gain", "unit", "default", "allowed", "meaning"), rows) if rows else "It has no gains.\n"
+        yield f"law-{name}.md", f"`{controller_class(name).__name__}`: {controller_class(name).title}.\n\n{body}"
+
+
+def write(folder: Path) -> None:
+    """Write what changed."""
+    folder.mkdir(exist_ok=True)
+    for part in (commands, study_keys, metrics, laws):
+        for name, text in part():
+            path = folder / name
+            if not path.is_file() or path.read_text(encoding="utf-8") != text:
+                path.write_text(text, encoding="utf-8")
