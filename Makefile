@@ -14,7 +14,7 @@ help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 14
 
 $(VENV)/.runtime: pyproject.toml constraints.txt
-	@$(PYTHON) -c 'import sys; sys.exit(0 if (3, 11) <= sys.version_info[:2] <= (3, 13) else "ldctoolkit needs Python 3.11 to 3.13, this is " + sys.version.split()[0] + "; choose one with PYTHON=python3.12")'
+	@$(PYTHON) -c 'import sys; sys.exit(0 if (3, 11) <= sys.version_info[:2] <= (3, 14) else "ldctoolkit needs Python 3.11 to 3.14, this is " + sys.version.split()[0] + "; choose one with PYTHON=python3.12")'
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --editable .
 	@echo "compiling the closed loops, once" && OPENBLAS_NUM_THREADS=1 $(BIN)/python -m ldctoolkit.studies.compile_loops
@@ -55,7 +55,7 @@ test: ruff  ## ruff, and the tests that a change should pass, in minutes
 
 test-all: test test-long  ## types and the longer tier too: grids, coverage, worker pools, clusters, kills, fuzzing, browser
 
-test-long: $(VENV)/.dev $(VENV)/.axe-core-$(AXE_CORE)
+test-long: $(VENV)/.dev $(VENV)/.docs $(VENV)/.axe-core-$(AXE_CORE)
 	@$(MAKE) --no-print-directory -j2 -Otarget test-slow test-browser lint docs
 
 test-slow:

@@ -14,6 +14,12 @@ import generated
 
 import ldctoolkit
 
+# kernels warn of every connection that is not encrypted, also on one machine
+profile = Path(__file__).parents[1] / "out/ipython/profile_default"
+profile.mkdir(parents=True, exist_ok=True)
+(profile / "ipython_kernel_config.py").write_text("c.IPKernelApp.log_level = 'ERROR'\n")
+os.environ["IPYTHONDIR"] = str(profile.parent)
+
 generated.write(Path(__file__).parent / "reference" / "_generated")
 
 project, author = "ldctoolkit", "The ldctoolkit developers"

@@ -7,7 +7,6 @@ import inspect
 import itertools
 import re
 import shlex
-import shutil
 import subprocess
 import sys
 import tomllib
@@ -49,13 +48,7 @@ PAGES = sorted(
     if not path.parts[-2].endswith("generated")
 )
 WITH_PYTHON = [page for page in PAGES if blocks(page, "python")]
-LONG = (
-    "docs/gallery/",
-    "docs/tutorial.md",
-    "docs/how-to/reading",
-    "docs/explanation/risk",
-    "docs/explanation/mpc",
-)
+LONG = ("docs/gallery/", "docs/tutorial.md", "docs/how-to/reading", "docs/explanation/risk", "docs/explanation/mpc")
 PRINTED = {
     "docs/explanation/closed-loop.md": 7,
     "docs/explanation/plant-options.md": 1,
@@ -163,19 +156,6 @@ def test_the_reference_is_made_of_the_code(tmp_path: Path, monkeypatch: pytest.M
     assert not re.search(r"\| *\|$", made["study-keys.md"], flags=re.M)  # every key has a meaning
     for name in METRICS:
         assert f"\n| `{name}` | " in made["design-metrics.md"]
-
-
-@pytest.mark.slow
-def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
-    """Of a copy, beside a `make docs`; that one runs the code as well."""
-    pytest.importorskip("myst_nb", reason="the extra docs is not installed; make docs builds the site")
-    ignored = shutil.ignore_patterns("generated", "_generated")
-    source = shutil.copytree(ROOT / "docs", tmp_path / "docs", ignore=ignored)
-    options = ["-W", "--keep-going", "-q", "-D", "nb_execution_mode=off"]
-    command = [sys.executable, "-m", "sphinx", *options, source, tmp_path / "site"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr) == (0, "")
-    assert "Linear quadratic regulator" in (tmp_path / "site/reference/generated/ldctoolkit.LQR.html").read_text()
 
 
 def test_the_toml_of_the_plant_options_is_its_python() -> None:

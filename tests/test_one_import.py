@@ -64,7 +64,7 @@ def test_own_arrays_vehicle_requirement_and_a_data_frame() -> None:
         "<StudyResults: designs 6: none (2), lqr (2), pid (2); scenarios 20 (10 left, 10 right); "
         "cases departure window, consistent>"
     )
-    assert repr(ranking).startswith("<Ranking of 6 designs, departure window, consistent: LQR, y_s=0.1 m")
+    assert repr(ranking).startswith("<Ranking of 6 designs, departure window, consistent: best 'LQR, y_s=0.1 m")
 
 
 def test_frames_of_departures_and_outcomes() -> None:

@@ -145,10 +145,6 @@ class Ranking(RankedDesigns, Frame):
         table = _csv_text([self], None)
         return pl.read_csv(table.encode(), infer_schema_length=None, schema_overrides=text)
 
-    def __repr__(self) -> str:
-        first = self.designs[0].label if self.designs else "none"
-        return f"<Ranking of {len(self):,} designs, {self.case.label}: {first} first>"
-
     def _repr_html_(self) -> str:
         """What a notebook shows."""
         return ranking_html(self)

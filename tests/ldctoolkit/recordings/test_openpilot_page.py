@@ -1,4 +1,4 @@
-"""The lines of docs/how-to/openpilot-logs.md, on stand-ins of the messages: a drive of planted departures comes back."""
+"""The lines of docs/how-to/openpilot-logs.md, on stand-ins of the messages: planted departures come back."""
 
 from collections.abc import Iterator
 from pathlib import Path
