@@ -53,7 +53,9 @@ def add_parser(commands: Subparsers) -> None:
         "--list-channels", action="store_true", help="only print the channels of an MDF log, and a guess of its map"
     )
     parser.add_argument("--report", metavar="FILE.html", help="also write a page about the quality of what was found")
-    parser.add_argument("--vehicle-width", type=number, metavar="M", help="in m (default: the format's; table: 1.9)")
+    parser.add_argument(
+        "--vehicle-width", type=number, metavar="M", help="width in m (default: the format's; table: 1.9)"
+    )
     parser.add_argument(
         "--step", type=number, metavar="S", help="common time step in s (default: the format's; table: as recorded)"
     )
@@ -61,11 +63,20 @@ def add_parser(commands: Subparsers) -> None:
         "--nominal-lane-width", type=number, metavar="M", help="scale each recording to this median lane width, in m"
     )
     parser.add_argument(
-        "--yaw-rate-factor", type=number, metavar="X", help="multiply the recorded yaw rate (default: 1)"
+        "--yaw-rate-factor",
+        type=number,
+        metavar="X",
+        help="multiply the recorded yaw rate (default: 1; -1: positive to the right)",
     )
-    parser.add_argument("--min-duration", type=number, default=0.5, metavar="S", help="in s (default: %(default)s)")
-    parser.add_argument("--max-duration", type=number, default=10.0, metavar="S", help="in s (default: %(default)s)")
-    parser.add_argument("--min-speed", type=number, default=5.0, metavar="V", help="in m/s (default: %(default)s)")
+    parser.add_argument(
+        "--min-duration", type=number, default=0.5, metavar="S", help="shortest, in s (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--max-duration", type=number, default=10.0, metavar="S", help="longest, in s (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--min-speed", type=number, default=5.0, metavar="V", help="least mean speed in m/s (default: %(default)s)"
+    )
     parser.add_argument(
         "--max-gap", type=number, metavar="S", help="longest time step that is no gap (default: from the recording)"
     )

@@ -3,7 +3,6 @@
 import contextlib
 import dataclasses
 import math
-import re
 import tracemalloc
 import types
 from pathlib import Path
@@ -379,19 +378,6 @@ def test_a_ranking_and_its_table_hold_every_figure(small_run: Path, tmp_path: Pa
     for name, one in METRICS.items():
         assert metric_values(name, ranking).shape == (len(ranking),)
         assert one.column in header
-
-
-def test_the_page_lists_every_metric_with_unit_and_direction() -> None:
-    """Aggregates need no row of their own: docs/reference/metrics.md holds the metrics that they are taken from."""
-    page = (Path(__file__).parents[3] / "docs/how-to/my-requirements.md").read_text(encoding="utf-8")
-    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in page.splitlines() if line.startswith("| `")]
-    named = {name: row for row in rows for name in re.findall(r"`(\w+)`", row[0])}
-    assert set(named) <= set(METRICS)
-    units = str.maketrans({"²": "^2", "³": "^3"})
-    for name, row in named.items():
-        assert METRICS[name].unit in row[1].translate(units).split(", ")
-        assert METRICS[name].better == row[2]
-    assert set(named) >= {name for name, one in METRICS.items() if not one.aggregate}
 
 
 def test_a_time_is_no_metric() -> None:
