@@ -546,7 +546,7 @@ def study(
     >>> swept = {"law": "lqr", "gains": {"r_delta": [100.0, 300.0]}}
     >>> study = ldc.study(ldc.NoControl, swept, y_s=[0.1, 0.2], require="a_y_peak_p95 <= 3.0")
     >>> len(study.designs)
-    6
+    5
     """
     content: dict[str, Any] = {"name": name, "seed": seed, "design": [_block(one, y_s) for one in designs], **tables}
     content["scenarios"] = {"left": left, "right": right, **content.get("scenarios", {})}
@@ -569,7 +569,7 @@ def _block(one: object, y_s: float | Sequence[float]) -> dict[str, Any]:
     if not isinstance(law, str):
         raise InputError(f"design: {one!r}; allowed: a controller, its class, the name of a law, or a design table")
     gains = {gain.name: getattr(one, gain.name) for gain in one.gains()} if isinstance(one, Controller) else {}
-    return {"law": law, "y_s": thresholds, "gains": gains}
+    return {"law": law, "gains": gains} | ({} if law == "none" else {"y_s": thresholds})
 
 
 def catalog_names() -> tuple[str, ...]:

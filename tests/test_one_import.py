@@ -55,16 +55,16 @@ def test_own_arrays_vehicle_requirement_and_a_data_frame() -> None:
     np.testing.assert_array_equal(table["S_m_s"], ranking.S)
     assert table["set_of_best"].to_list() == ranking.set_of_best.tolist()
     rows = results.to_polars()
-    assert rows.shape[0] == 6 * 20
+    assert rows.shape[0] == 5 * 20
     np.testing.assert_array_equal(rows["S_m_s"], results.cases[0].S.ravel())
     one = ldc.simulate(ldc.LQR(r_delta=300.0), results.scenarios, 0.1, vehicle=study.vehicle, options=study.plant)
     np.testing.assert_array_equal(rows.filter(law="lqr", y_s_m=0.1)["S_m_s"], one.S)
     assert study.ranking.require == ("a_y_peak_p95 <= 9",)
     assert repr(results) == (
-        "<StudyResults: designs 6: none (2), lqr (2), pid (2); scenarios 20 (10 left, 10 right); "
+        "<StudyResults: designs 5: none (1), lqr (2), pid (2); scenarios 20 (10 left, 10 right); "
         "cases departure window, consistent>"
     )
-    assert repr(ranking).startswith("<Ranking of 6 designs, departure window, consistent: best 'LQR, y_s=0.1 m")
+    assert repr(ranking).startswith("<Ranking of 5 designs, departure window, consistent: best 'LQR, y_s=0.1 m")
 
 
 def test_frames_of_departures_and_outcomes() -> None:

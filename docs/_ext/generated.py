@@ -15,7 +15,7 @@ from typing import Any, Literal, get_args, get_origin
 
 from pydantic.fields import FieldInfo
 
-from ldctoolkit import Setup, VehicleParameters, controller_class, controller_names
+from ldctoolkit import Setup, VehicleParameters, controllers
 from ldctoolkit.metrics import GROUPS, METRICS, SCENARIO_METRICS
 from ldctoolkit.studies import study_file
 from ldctoolkit.studies.cli import parser
@@ -150,15 +150,15 @@ def metrics() -> Iterator[tuple[str, str]]:
 
 def laws() -> Iterator[tuple[str, str]]:
     """The declared gains of every law of the toolkit."""
-    for name in controller_names():
+    for kind in (getattr(controllers, name) for name in controllers.__all__):
         rows = []
-        for g in controller_class(name).gains():
+        for g in kind.gains():
             words = ("true", "false") if isinstance(g.default, bool) else g.choices
             allowed = ", ".join(map(code, words)) if words else "any text" if g.text else _interval(g.lower, g.upper)
             default = str(g.default).lower() if isinstance(g.default, bool) else str(g.default)
             rows.append((code(g.name), "" if g.unit == "1" else g.unit, code(default), allowed, g.description))
         body = table(("gain", "unit", "default", "allowed", "meaning"), rows) if rows else "It has no gains.\n"
-        yield f"law-{name}.md", f"`{controller_class(name).__name__}`: {controller_class(name).title}.\n\n{body}"
+        yield f"law-{kind.name}.md", f"`{kind.__name__}`: {kind.title}.\n\n{body}"
 
 
 def write(folder: Path) -> None:
