@@ -27,6 +27,7 @@ from ldctoolkit.departures import (
 from ldctoolkit.errors import LdcError
 from ldctoolkit.gains import Gain, gain, option
 from ldctoolkit.mixture import BoundedGaussianMixture
+from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
 from ldctoolkit.recordings import (
     extract_departures,
     open_recordings,
@@ -94,6 +95,7 @@ __all__ = [
     "LQR",
     "PID",
     "SPEED_RANGE",
+    "Actuator",
     "Assessment",
     "BarrierFilter",
     "BicycleModel",
@@ -106,14 +108,17 @@ __all__ = [
     "Design",
     "EventStatus",
     "Gain",
+    "KalmanFilter",
     "LdcError",
     "LinearLaw",
     "LinearMPC",
     "LinearSteps",
+    "Mismatch",
     "NoControl",
     "NonlinearMPC",
     "Outcome",
     "Plant",
+    "PlantOptions",
     "Plausibility",
     "Preview",
     "PreviewLQR",
@@ -121,8 +126,10 @@ __all__ = [
     "PurePursuit",
     "Ranking",
     "RecordedPath",
+    "Residuals",
     "ScenarioModel",
     "Scenarios",
+    "Sensors",
     "Setup",
     "SlidingMode",
     "SolverCalls",
@@ -130,6 +137,7 @@ __all__ = [
     "SteeringLaw",
     "Study",
     "StudyResults",
+    "Tyres",
     "VehicleParameters",
     "__version__",
     "assess",

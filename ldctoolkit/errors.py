@@ -6,7 +6,8 @@ A message names the field (or the file and line), the value, what is allowed and
 
 import difflib
 from collections.abc import Iterable
-from typing import Any
+from types import NoneType, UnionType
+from typing import Any, get_args
 
 
 class LdcError(Exception):
@@ -76,8 +77,19 @@ def nearest(name: str, allowed: Iterable[str]) -> str:
     """
     names = sorted(allowed)
     listing = f"allowed: {', '.join(names)}"
-    close = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
-    return f"did you mean '{close[0]}'? ({listing})" if close else listing
+    lower = {one.lower(): one for one in reversed(names)}
+    close = difflib.get_close_matches(name.lower(), lower, n=1, cutoff=0.5)
+    return f"did you mean '{lower[close[0]]}'? ({listing})" if close else listing
+
+
+def expect(name: str, value: object, kind: type | UnionType) -> None:
+    """Raise `InputError` for an argument of a wrong type."""
+    if not isinstance(value, kind):
+        given = (
+            f"the class {value.__name__}" if isinstance(value, type) else f"an object of type {type(value).__name__}"
+        )
+        kinds = " or ".join("None" if one is NoneType else one.__name__ for one in get_args(kind) or (kind,))
+        raise InputError(f"{name}: {given}; allowed: {kinds}")
 
 
 def plain(value: Any) -> Any:

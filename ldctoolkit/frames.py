@@ -5,6 +5,8 @@ from __future__ import annotations
 import abc
 from typing import TYPE_CHECKING, Any
 
+from ldctoolkit.errors import LdcError
+
 if TYPE_CHECKING:
     import polars as pl
 
@@ -18,6 +20,9 @@ class Frame(abc.ABC):
 
     def to_pandas(self) -> Any:
         """The same as a pandas data frame; pandas is not among the toolkit's own packages."""
-        import pandas  # type: ignore[import-untyped,unused-ignore]
+        try:
+            import pandas  # type: ignore[import-untyped,unused-ignore]
+        except ImportError:
+            raise LdcError("to_pandas: pandas is not installed; allowed: pip install pandas, or to_polars()") from None
 
         return pandas.DataFrame({name: column.to_numpy() for name, column in self.to_polars().to_dict().items()})

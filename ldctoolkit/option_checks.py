@@ -67,6 +67,14 @@ def warn_of_units(name: str, part: object) -> None:
             warnings.warn(slip, UnitWarning, stacklevel=4)
 
 
+def short_repr(part: Any) -> str:
+    """``__repr__`` of a dataclass whose fields all have defaults: what differs from them."""
+    usual = type(part)()
+    values = ((field.name, getattr(part, field.name)) for field in dataclasses.fields(part))
+    shown = (f"{name}={value!r}" for name, value in values if value != getattr(usual, name))
+    return f"{type(part).__name__}({', '.join(shown)})"
+
+
 _KEY = "ldctoolkit.option"
 
 MOST_SEED: Final = 2**63 - 1

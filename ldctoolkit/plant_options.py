@@ -10,7 +10,15 @@ from fractions import Fraction
 from typing import Final, Literal, get_args
 
 from ldctoolkit.errors import InputError, plain
-from ldctoolkit.option_checks import check_declared, checked_number, declaration, declared, is_number, warn_of_units
+from ldctoolkit.option_checks import (
+    check_declared,
+    checked_number,
+    declaration,
+    declared,
+    is_number,
+    short_repr,
+    warn_of_units,
+)
 
 Speed = Literal["frozen", "profile"]
 TyreModel = Literal["linear", "magic_formula"]
@@ -32,6 +40,8 @@ class Actuator:
     >>> Actuator(rate_max=0.5, lag=0.1, delay=0.03).ideal
     False
     """
+
+    __repr__ = short_repr
 
     # Limit of the angle; None for no limit
     delta_max: float | None = declared(None, unit="rad", above=0.0)
@@ -63,6 +73,8 @@ class Mismatch:
     >>> Mismatch(m=(0.9, 1.3)).ideal
     False
     """
+
+    __repr__ = short_repr
 
     m: tuple[float, float] = (1.0, 1.0)  # Lowest and highest factor on mass, yaw inertia, and the stiffnesses
     I_z: tuple[float, float] = (1.0, 1.0)
@@ -97,6 +109,8 @@ class Tyres:
     False
     """
 
+    __repr__ = short_repr
+
     # Linear, or Pacejka's Magic Formula without curvature factor: F = mu F_z sin(C atan(C_alpha alpha/(C mu F_z))),
     # with static wheel loads
     model: TyreModel = dataclasses.field(default="linear", metadata=declaration(choices=get_args(TyreModel)))
@@ -130,6 +144,8 @@ class KalmanFilter:
     0.5
     """
 
+    __repr__ = short_repr
+
     # [m/s^2/sqrt(Hz)] Density of the lateral acceleration that the model does not know
     q_y: float = declared(0.5, unit="m/s^2/sqrt(Hz)", above=0.0)
     # [rad/s^2/sqrt(Hz)] Density of the yaw acceleration that the model does not know
@@ -156,6 +172,8 @@ class Sensors:
     >>> Sensors(e_y_noise=0.05, fps=10, kalman=KalmanFilter()).period
     0.1
     """
+
+    __repr__ = short_repr
 
     # Standard deviation, independent from frame to frame
     e_y_noise: float = declared(0.0, unit="m", least=0.0)
@@ -211,6 +229,8 @@ class Residuals:
     False
     """
 
+    __repr__ = short_repr
+
     y: bool = declared(False)  # Add eps_y to the lateral path
     v: bool = declared(False)  # Add eps_v to the speed
     bandwidth: float = declared(1.0, unit="Hz", above=0.0, most=5.0)  # [Hz] Highest frequency
@@ -239,6 +259,8 @@ class PlantOptions:
     >>> PlantOptions(speed="profile", actuator=Actuator(lag=0.1)).ideal
     False
     """
+
+    __repr__ = short_repr
 
     # The speed of the trigger, or v(t) of the scenario
     speed: Speed = dataclasses.field(

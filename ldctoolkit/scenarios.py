@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import warnings
 from collections.abc import Iterator
 from typing import Any, Final, Literal
 
@@ -12,6 +13,7 @@ import numpy.typing as npt
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, DepartureParameters, DepartureSignals
 from ldctoolkit.errors import InputError, nearest
+from ldctoolkit.option_checks import UnitWarning, unit_slip
 
 SPEED_FLOOR = 1.0  # lowest speed [m/s] at which a scenario can be replayed: the vehicle model divides by the speed
 
@@ -117,6 +119,8 @@ class Scenarios(DepartureParameters):
         given |= {"sigma_v": sigma_v, "c_0": c_0, "dc": dc}
         made = cls.drawn(**given)
         _check_limits(made)
+        if made.n and (slip := unit_slip("v_mean", float(made.v_mean.max()))):
+            warnings.warn(slip, UnitWarning, stacklevel=2)
         return made
 
     @classmethod

@@ -9,7 +9,7 @@ from typing import Final, Literal, get_args
 import numpy.typing as npt
 
 from ldctoolkit.errors import InputError
-from ldctoolkit.option_checks import check_declared, checked_seed, declaration, declaration_of, declared
+from ldctoolkit.option_checks import check_declared, checked_seed, declaration, declaration_of, declared, short_repr
 from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.vehicle import BicycleModel, Convention, Plant, VehicleParameters
 
@@ -69,6 +69,8 @@ class Setup:
     ...
     ldctoolkit.errors.InputError: dt: 0; allowed: a finite number > 0 and <= 10
     """
+
+    __repr__ = short_repr
 
     vehicle: VehicleParameters = dataclasses.field(default_factory=VehicleParameters)
     convention: Convention = "consistent"

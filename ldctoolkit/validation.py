@@ -75,7 +75,7 @@ def as_tuples(value: Any) -> Any:
         value = value.tolist()
     if isinstance(value, dict):
         return {key: as_tuples(item) for key, item in value.items()}
-    return tuple(as_tuples(item) for item in value) if isinstance(value, list) else value
+    return tuple(as_tuples(item) for item in value) if isinstance(value, list | tuple) else value
 
 
 def short(value: object) -> str:

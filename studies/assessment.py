@@ -16,7 +16,7 @@ import numpy as np
 
 from ldctoolkit import Controller, EventStatus, Scenarios, Setup
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
-from ldctoolkit.errors import InputError, LdcError
+from ldctoolkit.errors import InputError, LdcError, expect
 from ldctoolkit.law_checks import check_controller, raised
 from ldctoolkit.paths.uncorrected import UncorrectedPath
 from ldctoolkit.plant_options import Mismatch, Residuals
@@ -324,6 +324,7 @@ def assess(
     0.0
     """
     check_controller(controller)
+    expect("standard", standard, str | Path | Standard)
     test = standard if isinstance(standard, Standard) else load_standard(standard)
     given = Setup() if setup is None else setup
     if not isinstance(given, Setup):

@@ -36,7 +36,7 @@ import numpy as np
 from ldctoolkit import controller_class
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.departures import LEFT, RIGHT
-from ldctoolkit.errors import InputError, nearest
+from ldctoolkit.errors import InputError, expect, nearest
 
 from .design import Design
 from .pages import charts
@@ -44,13 +44,14 @@ from .pages.confidence_section import interleaved, running_mean
 from .pages.landscape_section import swept_axes, values_of
 from .pages.text import compact, shorten
 from .ranking.design_metrics import pareto_front
+from .ranking.ranking import Ranking
 from .ranking.requirements import metric, metric_values
+from .results import StudyResults
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from .ranking.ranking import Ranking
-    from .results import CaseResults, StudyResults
+    from .results import CaseResults
 
 __all__ = ["plot_convergence", "plot_distribution", "plot_landscape", "plot_ranking", "plot_trade_off"]
 
@@ -190,6 +191,7 @@ def plot_landscape(
     >>> ldc.plot_landscape(ranking, "lqr", x="y_s").get_xlabel()
     'y_s [m]'
     """
+    expect("ranking", ranking, Ranking)
     laws = list(dict.fromkeys(design.law for design in ranking.designs))
     if law is None:
         law = ranking.designs[ranking.winner or 0].law
@@ -256,6 +258,7 @@ def plot_ranking(ranking: Ranking, ax: Axes | None = None, top: int = 20) -> Axe
     >>> ldc.plot_ranking(ranking).get_xlabel()
     'Mean S [m·s]'
     """
+    expect("ranking", ranking, Ranking)
     if top < 1:
         raise InputError(f"top: {top}; allowed: 1 or more")
     axes, styles = axes_of(ax), styles_of(ranking.designs)
@@ -304,6 +307,7 @@ def plot_trade_off(ranking: Ranking, x: str = "a_y_peak_p95", y: str = "S", ax: 
     >>> ldc.plot_trade_off(ranking, x="a_y_peak_p95", y="S").get_xlabel()
     'Peak a_y, 95 % quantile [m/s²], less is better'
     """
+    expect("ranking", ranking, Ranking)
     of_x, of_y = metric(x), metric(y)
     across, up = (one.scale * metric_values(one.name, ranking) for one in (of_x, of_y))
     axes, styles = axes_of(ax), styles_of(ranking.designs)
@@ -370,6 +374,7 @@ def plot_distribution(
     >>> ldc.plot_distribution(results, ranking.designs).get_xlabel()
     'Score S [m·s]'
     """
+    expect("results", results, StudyResults)
     if side not in _SIDES:
         raise InputError(f"side: {side!r}; {nearest(side, _SIDES)}")
     results = results.drivable()
@@ -429,6 +434,7 @@ def plot_convergence(
     >>> ldc.plot_convergence(results, ranking.designs).get_xlabel()
     'Number of scenarios'
     """
+    expect("results", results, StudyResults)
     results = results.drivable()
     found, chosen = chosen_case(results, case), chosen_designs(results, designs)
     reference: FloatArray | float = 0.0

@@ -31,6 +31,7 @@ class ReplayedDepartures:
     weights: FloatArray | None = None  # (n,) Events that each stands for
     notes: tuple[str, ...] = ()  # Where they come from, for readers
     source: dict[str, Any] = dataclasses.field(default_factory=dict)  # What is known of them, as a model's source
+    numbered: bool = False  # Whether rows keep their numbers when they are drawn
 
     @property
     def content_hash(self) -> str:
@@ -70,7 +71,7 @@ class ReplayedDepartures:
                 rows = rows[np.sort(rng.choice(rows.size, n, replace=False))]
             chosen.append(rows)
         some = self.scenarios.take(np.concatenate(chosen))
-        return dataclasses.replace(some, index=np.arange(some.n))
+        return some if self.numbered else dataclasses.replace(some, index=np.arange(some.n))
 
     def _rows(self, side: int, given: Given | None) -> IntArray:
         keep = self.scenarios.side == side

@@ -13,7 +13,7 @@ import numpy as np
 
 from ldctoolkit import Scenarios
 from ldctoolkit.departures import LEFT
-from ldctoolkit.errors import InputError, StoreError, plain
+from ldctoolkit.errors import InputError, StoreError, expect, plain
 from ldctoolkit.scenario_model import ScenarioModel, load_model
 
 from .design import FOLLOWS_CASE, Design
@@ -73,7 +73,8 @@ def run_study(
         Use this scenario model instead of the study's. Where a study replays a table, the vehicle and the lane have the
         widths that its departures were found with, unless the study chooses others.
     scenarios : Scenarios, optional
-        Departures to run on, left ones first, instead of a model or table.
+        Departures to run on, instead of a model or table. The results have the left ones first; their ``index``, and
+        the column ``scenario`` of a data frame, is the row here.
     workers : int, optional
         Worker processes; all cores by default, 1 runs in this process.
     executor : {"serial", "processes", "dask"}, optional
@@ -101,6 +102,8 @@ def run_study(
     >>> results.cases[0].S.shape
     (1, 10)
     """
+    expect("study", study, Study)
+    expect("scenarios", scenarios, Scenarios | None)
     workers, block_size = _positive("workers", workers), _positive("block_size", block_size)
     _allowed_limit(time_limit)
     if directory is None:
@@ -111,7 +114,8 @@ def run_study(
             )  # fmt: skip
     if scenarios is not None:
         left = int((scenarios.side == LEFT).sum())
-        model = ReplayedDepartures("given", dataclasses.replace(scenarios, index=np.arange(scenarios.n)))
+        rows = dataclasses.replace(scenarios, index=np.arange(scenarios.n))
+        model = ReplayedDepartures("given", rows, numbered=True)
         study = study.changed(scenarios={"left": left, "right": scenarios.n - left})
     source = study_source(study, model)
     if model is None and isinstance(source, ReplayedDepartures):

@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self, TypeVar, get_args, get_type_hints
 
-import numpy as np
 from pydantic import (
     AfterValidator,
     BeforeValidator,
@@ -278,6 +277,10 @@ class Study(Part):
     design: tuple[DesignBlock, ...]
 
     _folder: Path = PrivateAttr(default_factory=Path)
+
+    def __repr__(self) -> str:
+        designs = f"searches {', '.join(sorted({law for block in self.design for law in block.laws}))}"
+        return f"<Study {self.name!r}: {designs if self.search else f'{len(self.designs):,} designs'}>"
 
     @model_validator(mode="before")
     @classmethod
@@ -549,8 +552,14 @@ def study(
     5
     """
     content: dict[str, Any] = {"name": name, "seed": seed, "design": [_block(one, y_s) for one in designs], **tables}
-    content["scenarios"] = {"left": left, "right": right, **content.get("scenarios", {})}
-    if len(require):
+    given = content.get("scenarios", {})
+    if not isinstance(given, dict):
+        raise InputError(
+            f"scenarios: an object of type {type(given).__name__}; allowed: a table of keys, as "
+            "{'model': 'reference'}; your own departures go into run_study(study, scenarios=...)"
+        )
+    content["scenarios"] = {"left": left, "right": right, **given}
+    if require != ():
         content["ranking"] = {"require": require, **content.get("ranking", {})}
     chosen = {"vehicle": vehicle, "plant": plant}
     return Study.from_dict(content | {key: value for key, value in chosen.items() if value is not None})
@@ -558,18 +567,20 @@ def study(
 
 def _block(one: object, y_s: float | Sequence[float]) -> dict[str, Any]:
     """A ``[[design]]`` table."""
-    thresholds = np.atleast_1d(np.asarray(y_s, dtype=np.float64)).tolist()
     if isinstance(one, dict):
-        return {"y_s": thresholds, **one}
+        return {"y_s": y_s, **one}
     law = type(one) if isinstance(one, Controller) else one
     if isinstance(law, type) and issubclass(law, Controller):
         if law.name not in controller_names() or controller_class(law.name) is not law:
             register(law)
         law = law.name
     if not isinstance(law, str):
-        raise InputError(f"design: {one!r}; allowed: a controller, its class, the name of a law, or a design table")
+        raise InputError(
+            f"design: {one!r}; allowed: a controller, its class, the name of a law, or a design table, "
+            "each an argument of its own"
+        )
     gains = {gain.name: getattr(one, gain.name) for gain in one.gains()} if isinstance(one, Controller) else {}
-    return {"law": law, "gains": gains} | ({} if law == "none" else {"y_s": thresholds})
+    return {"law": law, "gains": gains} | ({} if law == "none" else {"y_s": y_s})
 
 
 def catalog_names() -> tuple[str, ...]:
@@ -582,6 +593,8 @@ def load_study(name_or_path: str | Path) -> Study:
     path = Path(name_or_path)
     if str(name_or_path) in catalog_names():
         return Study.from_toml(CATALOG / f"{name_or_path}.toml")
+    if path.is_dir():
+        raise StudyError(f"{path}: a folder; allowed: a name in the catalog, or a TOML file; ldc rank reads results")
     if path.suffix == ".toml" or path.exists():
         return Study.from_toml(path)
     raise UnknownNameError(

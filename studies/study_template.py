@@ -29,7 +29,10 @@ def study_text(study: Study, about: Sequence[str] = ()) -> str:
     usual = Study.from_dict({"name": "x", "design": [{"law": "none"}]}).content() | {"name": None}
     designs = content.pop("design")
     keys = _table("", content, usual, Study, read_toml(Path(__file__).with_name("study_keys.toml")))
-    note = "# Commented out: keys at their defaults, gains with a range to sweep. SI units, left is positive."
+    note = (
+        "# Commented out: keys at their defaults (an example where the default is none), gains with a range to sweep.\n"
+        "# SI units, left is positive."
+    )
     return "\n".join([*about, note, "", *keys, *(line for block in designs for line in _design(block)), ""])
 
 
@@ -48,7 +51,8 @@ def _table(path: str, table: Content, usual: Content, owner: type, about: Conten
         kind = (get_args(hint) or (hint,))[0]  # of "KalmanFilter | None" the first
         every = TypeAdapter(kind).dump_python(kind(), mode="json")
         off = mark or "# " * (table[key] is None)
-        yield from ("", f"{off}[{path}{key}]  # {texts['about']}")
+        more = "; for a key of it, uncomment this line too" if off else ""
+        yield from ("", f"{off}[{path}{key}]  # {texts['about']}{more}")
         yield from _table(f"{path}{key}.", table[key] or every, every, kind, texts, off)
 
 

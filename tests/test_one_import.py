@@ -1,8 +1,10 @@
 """What a Python session needs, from one import, in a few lines; each as a user would write it."""
 
 import dataclasses
+import re
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +13,7 @@ import pytest
 
 import ldctoolkit as ldc
 from controllers import LQR
+from ldctoolkit.option_checks import UnitWarning
 from ldctoolkit.plant_options import Actuator, PlantOptions
 from studies import Study
 
@@ -67,6 +70,28 @@ def test_own_arrays_vehicle_requirement_and_a_data_frame() -> None:
     assert repr(ranking).startswith("<Ranking of 5 designs, departure window, consistent: best 'LQR, y_s=0.1 m")
 
 
+def test_scenarios_of_ones_own_keep_their_numbers() -> None:
+    """Left ones are driven first; the column ``scenario`` is the row of the arrays, whose draws do not depend on it."""
+    study = ldc.study(ldc.LQR, y_s=0.1, plant=ldc.PlantOptions(sensors=ldc.Sensors(e_y_noise=0.05)))
+    results = ldc.run_study(study, scenarios=arrays(), workers=1)
+    assert results.scenarios.index.tolist() == [*range(1, 20, 2), *range(0, 20, 2)]
+    rows = results.to_polars().sort("scenario")
+    one = ldc.simulate(ldc.LQR(), arrays(), 0.1, setup=study.setup())
+    np.testing.assert_array_equal(rows["S_m_s"], one.S)
+    assert rows["side"][:2].to_list() == ["right", "left"]
+
+
+def test_columns_have_their_types_whatever_they_hold() -> None:
+    study = ldc.study(ldc.NoControl, ldc.LQR, y_s=0.1, left=5, right=5, require="a_y_peak_p95 <= 1e-3")
+    table = ldc.rank_study(ldc.run_study(study, workers=1), study)[0].to_polars()
+    assert table.columns[:6] == ["rank", "law", "y_s_m", "S_m_s", "set_of_best", "unmet"]
+    assert (table["rank"].dtype, table["rank"].null_count()) == (pl.Int64, 2)
+    assert table["fresh_S_m_s"].dtype == pl.Float64
+    text = {name for name, kind in table.schema.items() if kind == pl.String}
+    assert {"law", "unmet", "failure", "design"} <= text
+    assert not any(name.endswith(("_m_s", "_m", "_share")) for name in text)
+
+
 def test_frames_of_departures_and_outcomes() -> None:
     scenarios = arrays()
     outcome = ldc.simulate(ldc.NoControl(), scenarios)
@@ -120,6 +145,17 @@ def test_seeds_have_defaults_and_the_folder_is_optional(tmp_path: Path) -> None:
     assert (tmp_path / "out" / "study.toml").is_file() or list((tmp_path / "out").iterdir())
 
 
+def test_representations_are_short() -> None:
+    plant = ldc.PlantOptions(speed="profile", actuator=ldc.Actuator(lag=0.1))
+    study = ldc.study(ldc.NoControl, ldc.LQR, y_s=[0.1, 0.2], name="two", plant=plant)
+    assert repr(study) == "<Study 'two': 3 designs>"
+    assert repr(plant) == "PlantOptions(speed='profile', actuator=Actuator(lag=0.1))"
+    assert repr(ldc.Setup(dt=0.1)) == "Setup(dt=0.1)"
+    late = ldc.PlantOptions(actuator=ldc.Actuator(delay=2.0))
+    lost = ldc.simulate(ldc.LQR(r_delta=10.0), arrays(), 0.1, setup=ldc.Setup(options=late, plant_knowledge="ideal"))
+    assert re.fullmatch(r"<Outcome of 20 scenarios, departure window: mean S .*, \d+ diverged>", repr(lost))
+
+
 def test_dir_shows_public_names_only() -> None:
     assert dir(ldc) == sorted(ldc.__all__)
     assert {"LQR", "study", "run_study", "simulate", "Scenarios"} <= set(dir(ldc))
@@ -141,6 +177,53 @@ def test_dir_shows_public_names_only() -> None:
 def test_what_is_no_design_is_named(design: object, message: str) -> None:
     with pytest.raises(ldc.LdcError, match=message):
         ldc.study(design)  # type: ignore[arg-type]
+
+
+STUDY = ldc.study(ldc.NoControl, left=2, right=2)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: ldc.study(ldc.LQR, y_s="0.1"), r"^study: design\[0\]\.y_s: '0.1'; allowed: a finite number"),
+        (lambda: ldc.study(ldc.LQR, y_s=True), r"^study: design\[0\]\.y_s: True; allowed: a finite number"),
+        (lambda: ldc.study(ldc.LQR, require=3), r"ranking\.require: 3; allowed: "),
+        (lambda: ldc.study([ldc.LQR, ldc.PID]), r"^design: \[.*; allowed: .*, each an argument of its own$"),
+        (lambda: ldc.study("LQR"), r"no such controller; did you mean 'lqr'\?"),
+        (
+            lambda: ldc.study(ldc.LQR, scenarios=arrays()),
+            r"^scenarios: an object of type Scenarios; allowed: a table of keys, .*run_study\(study, scenarios=",
+        ),
+        (lambda: ldc.run_study("my.toml"), r"^study: an object of type str; allowed: Study$"),
+        (lambda: ldc.run_study(ldc.LQR), r"^study: the class LQR; allowed: Study$"),
+        (
+            lambda: ldc.run_study(STUDY, scenarios={}),
+            r"^scenarios: an object of type dict; allowed: Scenarios or None$",
+        ),
+        (lambda: ldc.rank_study(STUDY, STUDY), r"^results: an object of type Study; allowed: StudyResults$"),
+        (
+            lambda: ldc.rank_study(ldc.run_study(STUDY, workers=1), ldc.study(ldc.PID, name="other")),
+            r"^study: 'other' has none of the designs of the results; allowed: the one that was run$",
+        ),
+        (lambda: ldc.plot_ranking(3), r"^ranking: an object of type int; allowed: Ranking$"),
+        (lambda: ldc.plot_distribution(3), r"^results: an object of type int; allowed: StudyResults$"),
+        (lambda: ldc.assess(ldc.LQR(), 0.1), r"^standard: an object of type float; allowed: str or Path or Standard$"),
+    ],
+)
+def test_arguments_of_a_wrong_type_are_named(call: Callable[[], object], message: str) -> None:
+    with pytest.raises(ldc.LdcError, match=message):
+        call()
+
+
+def test_speeds_that_are_likely_kilometres_an_hour() -> None:
+    with pytest.warns(UnitWarning, match="v_mean: 85 m/s; likely km/h were meant: 23.61 m/s"):
+        ldc.Scenarios.from_arrays(T=3.0, d_y=0.4, v_mean=[80.0, 85.0])
+
+
+def test_without_pandas_one_sentence_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(ldc.LdcError, match=r"^to_pandas: pandas is not installed; allowed: pip install pandas, or"):
+        arrays().to_pandas()
 
 
 def test_a_frozen_law_is_still_a_dataclass() -> None:

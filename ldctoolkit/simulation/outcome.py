@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 Window = Literal["departure", "control"]
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, repr=False)
 class Trajectories:
     """Paths of c chosen scenarios at the controller's samples and at the departure's end T.
 
@@ -81,9 +81,11 @@ class Outcome(Frame):
         )
 
     def __repr__(self) -> str:
+        counts = {one.name.lower(): np.count_nonzero(self.status == one) for one in EventStatus if one}
+        bad = (f", {count:,} {name}" for name, count in counts.items() if count)
         return (
             f"<Outcome of {self.S.size:,} scenarios, {self.window} window: mean S {np.nanmean(self.S):.4f} m s, "
-            f"{np.nanmean(self.S_uncorrected):.4f} m s without control>"
+            f"{np.nanmean(self.S_uncorrected):.4f} m s without control{''.join(bad)}>"
         )
 
     @property

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.errors import InputError, nearest, plain
-from ldctoolkit.option_checks import warn_of_units
+from ldctoolkit.option_checks import short_repr, warn_of_units
 from ldctoolkit.vehicle.discretization import AugmentedStep, Discretization, augmented, discretize
 
 
@@ -113,6 +113,8 @@ class VehicleParameters:
     >>> VehicleParameters().edge_offset
     0.85
     """
+
+    __repr__ = short_repr
 
     C_af: float = 80000.0
     C_ar: float = 80000.0

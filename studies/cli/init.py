@@ -56,6 +56,8 @@ def run(chosen: argparse.Namespace) -> None:
     if chosen.model or chosen.departures:
         study_source(study)  # refused now, and not when the file is run
     about = [f"# Run it with: ldc run {target.name}"]
+    if not chosen.study:
+        about.append(f"# Scenarios, plant and requirements are those of {_BASE}, where no option chose others.")
     if chosen.study and content == _of_catalog(chosen.study):  # else what its head says need not hold
         lines = (CATALOG / f"{chosen.study}.toml").read_text(encoding="utf-8").splitlines()
         about = [*itertools.takewhile(lambda line: line.startswith("#"), lines), *about]

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from ldctoolkit import BicycleModel, EventStatus, LinearLaw, Plant, SteeringLaw, VehicleParameters, controller_class
 from ldctoolkit.arrays import IntArray
 from ldctoolkit.departures import LEFT
-from ldctoolkit.errors import LdcError
+from ldctoolkit.errors import LdcError, StudyError, expect
 from ldctoolkit.frames import Frame
 from ldctoolkit.metrics import METRICS, RELEASE_METRICS
 from ldctoolkit.review import design_margins
@@ -138,12 +138,16 @@ class Ranking(RankedDesigns, Frame):
     """
 
     def to_polars(self) -> pl.DataFrame:
-        """One row a design, with the columns of ``ranking.csv``."""
+        """One row a design, with the columns of ``ranking.csv``: first what names it, its rank and S."""
         import polars as pl
 
-        text = dict.fromkeys(("design", "unmet", "fresh_unmet", "failure"), pl.String)
-        table = _csv_text([self], None)
-        return pl.read_csv(table.encode(), infer_schema_length=None, schema_overrides=text)
+        text = ("design", "unmet", "fresh_unmet", "failure")
+        types = {**dict.fromkeys(text, pl.String), "rank": pl.Int64}
+        table = pl.read_csv(_csv_text([self], None).encode(), infer_schema_length=None, schema_overrides=types)
+        empty = [one.name for one in table if one.dtype == pl.String and one.is_null().all() and one.name not in text]
+        table = table.with_columns(pl.col(empty).cast(pl.Float64))
+        first = ["rank", "law", "y_s_m", "S_m_s", "set_of_best", "unmet"]
+        return table.select(*first, pl.exclude(first))
 
     def _repr_html_(self) -> str:
         """What a notebook shows."""
@@ -287,8 +291,21 @@ def _replayed(results: StudyResults, case: CaseResults, designs: Sequence[Design
 
 
 def rank_study(results: StudyResults, study: Study) -> tuple[Ranking, ...]:
-    """Rank every case of a study with the study's own settings; the `results` are in the order of the cases, the
-    primary one first.
+    """Rank every case of a study with the study's own settings.
+
+    Raises `StudyError` if the results hold none of the study's designs; `InputError` for an argument of a wrong type.
+
+    Parameters
+    ----------
+    results : StudyResults
+        What `run_study` or `read_results` returned.
+    study : Study
+        The study that was run, or one of its designs with other settings for the ranking.
+
+    Returns
+    -------
+    tuple of Ranking
+        One for each case, the primary one first.
 
     Examples
     --------
@@ -300,6 +317,10 @@ def rank_study(results: StudyResults, study: Study) -> tuple[Ranking, ...]:
     >>> [design.law for design in ldc.rank_study(results, study)[0].designs]
     ['lqr', 'none']
     """
+    expect("results", results, StudyResults)
+    expect("study", study, Study)
+    if study.search is None and not {design.id for design in study.designs} & {one.id for one in results.designs}:
+        raise StudyError(f"study: {study.name!r} has none of the designs of the results; allowed: the one that was run")
     settings = study.ranking
     return tuple(
         Ranking.of(

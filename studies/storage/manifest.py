@@ -417,7 +417,7 @@ def read_manifest(folder: str | Path) -> Manifest:
             raise StoreError(f"{path}: format {version!r}; this version reads {FORMAT_VERSION}")
         manifest = Manifest.model_validate(content)
         manifest.read_study()
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         raise StoreError(f"{folder}: holds no study (no manifest.json)") from None
     except OSError as error:
         raise StoreError(f"{path}: cannot be read: {error.strerror or error}") from None
