@@ -15,7 +15,6 @@ import sys
 import threading
 import time
 import tomllib
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -172,7 +171,7 @@ class MdfReader:
         """Look through files, or folders that hold them; a log that is no MDF is a problem of its part."""
         logs = _logs(paths)
         if not logs:
-            raise RecordingError(f"{paths[0].name}: no MDF log; allowed: files that end in .mf4, .mdf or .dat")
+            raise RecordingError(f"{paths[0].name}: no MDF log; allowed: .mf4, .mdf, and .dat that begin with MDF")
         _check_installed()
         if self.channels is None:
             what = "needs a channel map; allowed: --channels MAP.toml (--list-channels prints one to start from)"
@@ -202,7 +201,7 @@ def _logs(paths: Sequence[Path]) -> list[Path]:
 def _is_log(path: Path) -> bool:
     try:
         with path.open("rb") as stream:
-            return path.suffix.lower() != ".dat" or stream.read(3) == b"MDF"
+            return path.suffix.lower() != ".dat" or stream.read(3) in (b"MDF", b"UnF")  # not finalised
     except (OSError, ValueError):  # no file, or a NUL in the name
         return False
 
@@ -346,14 +345,11 @@ def _listing(path: str, shown: str) -> str:
     lines += ["  ".join(map(str.ljust, row, widths)).rstrip() for row in cells]
     lines += ["A guess by names and units. Check it, and the signs: positive is to the left; scale = -1 turns one."]
     text = "".join(f"# {printable(line)}\n" for line in lines)
-    names = Counter(row[0] for row in rows)
     rows.sort(key=lambda row: -row[4])  # of several channels the one that is sampled most often
     for quantity, (dimension, pattern) in QUANTITIES.items():
-        for name, i, group, unit, _, _ in rows:
+        for name, _, group, unit, _, _ in rows:
             if re.search(pattern, name.lower()) and (not dimension or not unit or _factor(unit, dimension)):
-                guess: dict[str, Any] = {"channel": name}
-                if names[name] > 1:
-                    guess["group"] = group or i
+                guess = {"channel": name} | ({"group": group} if group else {})
                 if dimension:
                     guess["unit"] = unit or "?"
                 text += f"\n{'[[valid]]' if quantity == 'valid' else f'[{quantity}]'}\n{tomli_w.dumps(guess)}"
@@ -376,8 +372,6 @@ def _recording(path: str, shown: str, channels: ChannelMap) -> list[Recording | 
             try:
                 group, index = _place(log, one)
                 t, values = _times(log, group), _in_si(log, group, index, one, quantity)
-                if values.shape != t.shape:
-                    raise RecordingError(f"has the shape {values.shape}; allowed: {t.shape}, a number at each time")
                 kept = np.isfinite(t)
                 kept[kept] = rising_rows(t[kept])
                 if not kept.all():
@@ -450,8 +444,8 @@ def _in_si(log: Any, group: int, index: int, one: Channel, quantity: str) -> Flo
 def _numbers(log: Any, group: int, index: int, one: Channel, quantity: str) -> FloatArray:
     """Samples as numbers, texts by the map's `values`; invalid ones are NaN."""
     samples, invalid = log.get(group=group, index=index, samples_only=True, ignore_invalidation_bits=True)
-    if samples.dtype.kind not in "biufSUO":
-        raise RecordingError(f"holds {samples.dtype}; allowed: numbers or texts")
+    if samples.dtype.kind not in "biufSUO" or samples.ndim != 1:
+        raise RecordingError(f"holds {samples.dtype} of the shape {samples.shape}; allowed: a number or text at a time")
     if one.values is not None:
         table = one.values
         numbers = np.array([table.get(_text(sample), np.nan) for sample in samples.tolist()], dtype=np.float64)

@@ -353,6 +353,14 @@ def test_times_that_run_backwards_are_left_out(tmp_path: Path) -> None:
     )
 
 
+def test_an_array_is_refused(tmp_path: Path) -> None:
+    content = groups()
+    pairs = np.zeros(content[0][1].size, dtype=[("LaneOffset", np.float64, (2,))])
+    content[0][2]["LaneOffset"] = (pairs, "cm")
+    text = problem(write_log(tmp_path / "a.mf4", content), MAP)
+    assert re.match(r"a\.mf4: lane_offset: channel 'LaneOffset' holds .*; allowed: a number or text at a time$", text)
+
+
 def test_nan_is_missing(tmp_path: Path) -> None:
     content = groups()
     v = content[1][2]["VehicleSpeed"][0]
@@ -377,6 +385,7 @@ def test_a_folder_is_trips_and_a_damaged_one_is_named(tmp_path: Path) -> None:
         write_log(tmp_path / f"day{i}" / "trip.mf4")
     write_log(tmp_path / "other.mdf", version="3.30").rename(tmp_path / "other.dat")
     (tmp_path / "notes.dat").write_text("no log")
+    (tmp_path / "cut.dat").write_bytes(b"UnFinMF ")
     (tmp_path / "bad.mf4").write_bytes((tmp_path / "day0/trip.mf4").read_bytes()[:5000])
     (tmp_path / "text.mf4").write_text("t,y\n0,1\n")
     (tmp_path / "none.mf4").write_bytes(b"")
@@ -386,10 +395,10 @@ def test_a_folder_is_trips_and_a_damaged_one_is_named(tmp_path: Path) -> None:
         cwd=tmp_path,
     )  # fmt: skip
     assert done.returncode == 3
-    assert "format: mdf (6 MDF logs)\n" in done.stdout
+    assert "format: mdf (7 MDF logs)\n" in done.stdout
     assert "18 candidates in 3 recordings" in done.stdout
     assert "18 departures written to d.parquet" in done.stdout
-    for name in ("bad.mf4", "text.mf4", "none.mf4"):
+    for name in ("bad.mf4", "text.mf4", "none.mf4", "cut.dat"):
         assert re.search(rf"warning: {name}: cannot be read as MDF; it is damaged, or none \(", done.stderr), name
     assert "Traceback" not in done.stderr
 
@@ -399,12 +408,12 @@ def test_the_listed_map_is_one(log: Path) -> None:
     assert out.startswith("# a.mf4: MDF 4.10, 8 channels\n# channel ")
     assert re.search(r"^# RoadCurvature +1 Bus +1/km +50 +4805$", out, flags=re.M)
     guess = tomllib.loads(out)
-    assert guess["lane_offset"] == {"channel": "LaneOffset", "unit": "cm"}
+    assert guess["lane_offset"] == {"channel": "LaneOffset", "group": "Camera", "unit": "cm"}
     assert guess["speed"] == {"channel": "VehicleSpeed", "group": "Bus", "unit": "km/h"}
-    assert guess["curvature"] == {"channel": "RoadCurvature", "unit": "1/km"}
-    assert guess["yaw_rate"] == {"channel": "YawRate", "unit": "deg/s"}
-    assert guess["valid"] == [{"channel": "LaneQuality"}]
-    assert guess["turn_signal"] == {"channel": "TurnSignal"}
+    assert guess["curvature"] == {"channel": "RoadCurvature", "group": "Bus", "unit": "1/km"}
+    assert guess["yaw_rate"] == {"channel": "YawRate", "group": "Bus", "unit": "deg/s"}
+    assert guess["valid"] == [{"channel": "LaneQuality", "group": "Camera"}]
+    assert guess["turn_signal"] == {"channel": "TurnSignal", "group": "Bus"}
     assert all(f"\n# {name}: no channel looks like it\n" in out for name in ("left_line", "right_line", "lane"))
     edited = out.replace('"LaneOffset"', '"LaneOffset"\nscale = -1').replace(
         '"RoadCurvature"', '"RoadCurvature"\nscale=-1'
@@ -523,16 +532,19 @@ def damaged(sound: bytes, rng: random.Random) -> bytes:
     return bytes(content)
 
 
-@pytest.mark.parametrize("count", [300, pytest.param(10_000, marks=pytest.mark.slow)])
+LONG = [pytest.param(seed, 5000, marks=pytest.mark.slow) for seed in (1, 2)]  # 10,000 in all, for two workers
+
+
+@pytest.mark.parametrize(("seed", "count"), [(0, 300), *LONG])
 def test_a_damaged_log_gives_departures_or_a_known_error(
-    tmp_path: Path, count: int, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, seed: int, count: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(mdf_logs, "PATIENCE", 5.0)
-    sound = {version: write_log(tmp_path / f"a{version}{suffix}", groups(20.0), version).read_bytes()
+    monkeypatch.setattr(mdf_logs, "PATIENCE", 1.0)  # a sound one takes some milliseconds
+    sound = {version: write_log(tmp_path / f"a{version}{suffix}", groups(12.0), version).read_bytes()
              for version, suffix in (("4.10", ".mf4"), ("3.30", ".mdf"), ("4.20", ".mf4"))}  # fmt: skip
     channels = tmp_path / "map.toml"
     channels.write_text(MAP)
-    rng = random.Random(count)
+    rng = random.Random(seed)
     outcomes: Counter[str] = Counter()
     folder = tmp_path / "in"
     folder.mkdir()
@@ -591,7 +603,7 @@ def test_guesses_by_names_and_units(tmp_path: Path, quantity: str, channel: str,
     }
     log = write_log(tmp_path / "a.mf4", [("All", t, others)])
     guess = tomllib.loads(mdf_logs.list_channels(log))
-    assert guess == {quantity: {"channel": channel, **({"unit": unit} if unit else {})}}
+    assert guess == {quantity: {"channel": channel, "group": "All", **({"unit": unit} if unit else {})}}
 
 
 def test_it_is_an_error_of_the_family() -> None:
