@@ -18,6 +18,7 @@ from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.mdf_logs import MEMORY, QUANTITIES, UNITS, Channel, ChannelMap, ValidChannel, si_factor
 from ldctoolkit.recordings.preparation import MAX_JUMP, rising_rows, values_at
 from ldctoolkit.recordings.recording import Problem, Recording, printable
+from ldctoolkit.validation import short
 
 
 def serve() -> None:
@@ -201,7 +202,7 @@ def _numbers(log: Any, group: int, index: int, one: Channel, quantity: str) -> F
     elif samples.dtype.kind in "biuf":
         numbers = samples.astype(np.float64)
     else:
-        some = ", ".join(map(repr, list(dict.fromkeys(map(_text, samples.tolist())))[:3]))
+        some = ", ".join(map(short, list(dict.fromkeys(map(_text, samples.tolist())))[:3]))
         raise RecordingError(f"holds texts ({some}); allowed: numbers, or `values` for them in the map")
     if getattr(log.groups[group].channels[index], "flags", 0) & 1:  # of MDF 4: all are invalid, with or without bits
         numbers[:] = np.nan

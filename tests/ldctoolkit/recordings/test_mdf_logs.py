@@ -61,6 +61,14 @@ def test_planted_departures_come_back(tmp_path: Path, version: str, name: str) -
     assert [file.name for file in found.provenance.sources] == [name, "map.toml"]
 
 
+def test_blocks_may_be_compressed_and_times_start_anywhere(tmp_path: Path) -> None:
+    content = [(name, t + 1e6, channels) for name, t, channels in groups()]
+    log = write_log(tmp_path / "a.mf4", content, compression=2)
+    assert log.stat().st_size < 0.8 * write_log(tmp_path / "b.mf4", content).stat().st_size
+    departures = extract(log).departures
+    np.testing.assert_allclose(departures.start_time - 1e6, [one.start for one in PLANTED], atol=STEP)
+
+
 def test_a_yaw_rate_serves_where_there_is_no_curvature(tmp_path: Path) -> None:
     yaw = MAP.replace('[curvature]\nchannel = "RoadCurvature"\nscale = -1', '[yaw_rate]\nchannel = "YawRate"')
     found = extract(write_log(tmp_path / "a.mf4"), yaw)
@@ -319,6 +327,13 @@ def test_texts_may_be_latin_1(tmp_path: Path, version: str, name: str) -> None:
     assert_planted(found, missing=(4,))
 
 
+def test_long_texts_are_cut_in_messages(tmp_path: Path) -> None:
+    t = groups()[0][1]
+    content = [*groups(), ("Notes", t, {"Note": (np.full(t.size, b"x" * 5000), "")})]
+    log = write_log(tmp_path / "a.mf4", content, Note={"encoding": "utf-8"})
+    assert len(problem(log, MAP + '[left_signal]\nchannel = "Note"\n')) < 300
+
+
 def test_two_flags_are_a_turn_signal_and_are_held(tmp_path: Path) -> None:
     """Recorded when they change only, as a logger of events does."""
     content = groups()
@@ -540,8 +555,10 @@ def test_a_damaged_log_gives_departures_or_a_known_error(
     tmp_path: Path, seed: int, count: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(mdf_logs, "PATIENCE", 1.0)  # a sound one takes some milliseconds
-    sound = {version: write_log(tmp_path / f"a{version}{suffix}", groups(12.0), version).read_bytes()
-             for version, suffix in (("4.10", ".mf4"), ("3.30", ".mdf"), ("4.20", ".mf4"))}  # fmt: skip
+    sound = {
+        version: write_log(tmp_path / f"a{version}{suffix}", groups(12.0), version, compression).read_bytes()
+        for version, suffix, compression in (("4.10", ".mf4", 0), ("3.30", ".mdf", 0), ("4.20", ".mf4", 2))
+    }
     channels = tmp_path / "map.toml"
     channels.write_text(MAP)
     rng = random.Random(seed)
