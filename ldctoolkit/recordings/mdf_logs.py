@@ -217,7 +217,7 @@ def list_channels(path: Path) -> str:
 
 
 # In a damaged file the library follows links in circles without end, and its C code may write past its memory: of
-# 10,000 files with changed bytes 18 ended the process or never came back. So logs are read in a process of their own.
+# 10,000 files with changed bytes 21 ended the process or never came back. So logs are read in a process of their own.
 
 PATIENCE: Final = 60.0  # [s] for a log to be read, and 1 s more for each megabyte
 MEMORY: Final = 4 << 30  # [bytes] that the process may take, and eight times the log's size
