@@ -42,8 +42,9 @@ RETRIES = 5  # attempts in a row that bring nothing new
 def address(text: str) -> tuple[str, str]:
     """Name and address of a file: URL, or NAME=URL where the address does not end in its name."""
     name, url = (Path(urlsplit(text).path).name, text) if re.match("https?:", text) else named(text)
-    if not re.match("https?://[^/]", url) or not re.fullmatch(r"[^./\\][^/\\]*", name):
-        raise argparse.ArgumentTypeError(f"{text!r}; allowed: URL or NAME=URL, the http or https address of a file")
+    if not re.fullmatch("https?://[!-.0-~][!-~]*", url) or not re.fullmatch(r"[^./\\][^/\\]*", name):
+        allowed = "URL or NAME=URL, the http or https address of a file, in ASCII without blanks"
+        raise argparse.ArgumentTypeError(f"{text!r}; allowed: {allowed}")
     return name, url
 
 

@@ -2,90 +2,90 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
-import difflib
 import functools
 import importlib.util
+import math
 import os
 import pickle
 import re
 import subprocess
 import sys
 import threading
+import time
 import tomllib
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-import tomli_w
 from pydantic import Field, ValidationError, model_validator
 
-from ldctoolkit.arrays import FloatArray
 from ldctoolkit.errors import InputError, LdcError, RecordingError
-from ldctoolkit.recordings.preparation import LONGEST_GAP, MAX_GAP, MAX_JUMP, rising_rows
-from ldctoolkit.recordings.recording import Problem, Recording, printable, source_file
+from ldctoolkit.recordings.preparation import LONGEST_GAP, MAX_GAP
+from ldctoolkit.recordings.recording import Problem, Recording, source_file
 from ldctoolkit.recordings.sources import FoundParts, find_tables, shown_names
 from ldctoolkit.validation import Part, as_tuples, fail, first_problem
 
 _NAMES: Final = re.compile(r"\.(mf4|mdf|dat)$", re.IGNORECASE)
 
-_DEG: Final = np.pi / 180.0
+_DEG: Final = math.pi / 180.0
 UNITS: Final = {
     "length": {"m": 1.0, "cm": 0.01, "mm": 1e-3, "ft": 0.3048, "in": 0.0254},
     "speed": {"m/s": 1.0, "km/h": 1 / 3.6, "kph": 1 / 3.6, "kmh": 1 / 3.6, "mph": 0.44704, "kn": 1852 / 3600},
     "curvature": {"1/m": 1.0, "m^-1": 1.0, "rad/m": 1.0, "1/km": 1e-3, "km^-1": 1e-3},
     "yaw rate": {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": _DEG, "°/s": _DEG, "deg/sec": _DEG},
     "time": {"s": 1.0, "": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+    "": {},
 }
-"""Factors to SI, by what is measured; capital letters and blanks do not count."""
+"""Factors to SI, by what is measured, none for a state; capital letters and blanks do not count."""
 
 
-def _factor(unit: str, dimension: str) -> float | None:
+def si_factor(unit: str, dimension: str) -> float | None:
+    """SI for one of a unit; None for a unit that is not known."""
     return UNITS[dimension].get(unit.lower().replace(" ", "").replace("⁻¹", "^-1"))
 
 
 _LEFT, _RIGHT = r"(left|lft|_l_|_l$|^l_)", r"(right|rgt|_r_|_r$|^r_)"
-_LINE, _TURN = r"(lane|line|mark|dist)", r"(turn|blink|indicat)"
+_LINE, _TURN, _NO_SIDE = r"(lane|line|mark|dist)", r"(turn|blink|indicat)", rf"^(?!.*{_LEFT}|.*{_RIGHT}).*"
 QUANTITIES: Final = {
-    "lane_offset": (
-        "length",
-        rf"^(?!.*{_LEFT}|.*{_RIGHT}).*((lane|lat|cent).*(off|dev|pos|dist)|(off|dev).*(lane|cent))",
-    ),
+    "lane_offset": ("length", rf"{_NO_SIDE}((lane|lat|cent).*(off|dev|pos|dist)|(off|dev).*(lane|cent))"),
     "left_line": ("length", rf"^(?!.*width).*({_LINE}.*{_LEFT}|{_LEFT}.*{_LINE})"),
     "right_line": ("length", rf"^(?!.*width).*({_LINE}.*{_RIGHT}|{_RIGHT}.*{_LINE})"),
     "lane_width": ("length", r"lane.*width|width.*lane"),
     "speed": ("speed", r"^(?!.*(wh?e?e?l|eng|fan|yaw|lat)).*(speed|spd|veloc)"),
     "curvature": ("curvature", r"curv"),
     "yaw_rate": ("yaw rate", r"yaw.*(rate|vel|spd)|gyro.*z"),
-    "valid": ("", r"(lane|line).*(valid|qual|conf|prob)"),
     "lane": ("", r"lane.*(id$|id_|index|num)"),
-    "turn_signal": ("", rf"^(?!.*{_LEFT}|.*{_RIGHT}).*{_TURN}"),
+    "turn_signal": ("", rf"{_NO_SIDE}{_TURN}"),
     "left_signal": ("", rf"{_TURN}.*{_LEFT}|{_LEFT}.*{_TURN}"),
     "right_signal": ("", rf"{_TURN}.*{_RIGHT}|{_RIGHT}.*{_TURN}"),
+    "valid": ("", r"(lane|line).*(valid|qual|conf|prob)"),
 }
 """What a map may name: what is measured, empty for a state, and the names of channels that may hold it."""
 
 
 class Channel(Part):
-    """What a channel map says of one quantity; in SI it is the value in its unit times `scale`, plus `offset`."""
+    """The channel of one quantity; in SI it is the value in its unit times `scale`, plus `offset`."""
 
-    channel: str = ""  # its name in the log; empty for a constant
+    channel: str  # its name in the log
     group: str | int | None = None  # name of its group or source, or the group's number
     unit: str | None = None  # None for that of the log
     scale: float = 1.0  # -1 where it is positive to the right
     offset: float = 0.0  # in SI
-    value: float | None = None  # a constant
     values: dict[str, float] | None = None  # number of each text or state; those not listed are missing
-    min: float | None = None  # of `valid`: the least value that is valid; None for any above 0
+
+
+class ValidChannel(Channel):
+    """A channel that says whether a sample counts."""
+
+    min: float | None = None  # the least value that is valid; None for any above 0
 
 
 class ChannelMap(Part):
     """Which channel of a log holds what."""
 
     max_gap: float = Field(default=MAX_GAP, gt=0.0, le=LONGEST_GAP)  # [s] longest time between samples that is bridged
+    constant_lane_width: float | None = Field(default=None, gt=0.0)  # [m] in place of any other width
     lane_offset: Channel | None = None
     left_line: Channel | None = None  # position of a line [m] from the vehicle's centre, positive to the left
     right_line: Channel | None = None
@@ -93,7 +93,7 @@ class ChannelMap(Part):
     speed: Channel
     curvature: Channel | None = None
     yaw_rate: Channel | None = None
-    valid: tuple[Channel, ...] = ()  # all must hold
+    valid: tuple[ValidChannel, ...] = ()  # all must hold
     lane: Channel | None = None
     turn_signal: Channel | None = None
     left_signal: Channel | None = None
@@ -101,26 +101,21 @@ class ChannelMap(Part):
 
     def named(self) -> list[tuple[str, Channel]]:
         """Quantities and their channels, that of the lane's position first."""
-        single = [(name, getattr(self, name)) for name in QUANTITIES if name != "valid"]
-        return [(name, one) for name, one in single if one] + [("valid", one) for one in self.valid]
+        single = [(name, one) for name in QUANTITIES if isinstance(one := getattr(self, name), Channel)]
+        return single + [("valid", one) for one in self.valid]
 
     @model_validator(mode="after")
     def _complete(self) -> ChannelMap:
         for name, one in self.named():
             dimension = QUANTITIES[name][0]
-            if bool(one.channel) == (one.value is not None):
-                raise fail(name, "needs a channel, or a value that is constant; allowed: one of both")
-            if one.unit is not None and not (dimension and _factor(one.unit, dimension)):
-                allowed = ", ".join(UNITS[dimension]) if dimension else "none, it is a state"
-                raise fail(f"{name}.unit", f"{one.unit!r}, of {one.channel or 'a constant'!r}; allowed: {allowed}")
-            if one.min is not None and name != "valid":
-                raise fail(f"{name}.min", "is a key of valid only")
+            if one.unit is not None and si_factor(one.unit, dimension) is None:
+                allowed = ", ".join(UNITS[dimension]) or "none, it is a state"
+                raise fail(f"{name}.unit", f"{one.unit!r}, of {one.channel!r}; allowed: {allowed}")
         lines = self.left_line and self.right_line
-        for name in ("lane_offset", "lane_width"):
-            if not (getattr(self, name) or lines):
-                raise fail(name, "missing; needed: this, or left_line and right_line")
-        if not self.named()[0][1].channel:
-            raise fail(self.named()[0][0], "is constant; allowed: a channel, at whose times the others are taken")
+        if not (self.lane_offset or lines):
+            raise fail("lane_offset", "missing; needed: this, or left_line and right_line")
+        if not (self.lane_width or lines or self.constant_lane_width):
+            raise fail("lane_width", "missing; needed: this, left_line and right_line, or constant_lane_width")
         return self
 
 
@@ -149,7 +144,7 @@ class LogPart:
     def read(self) -> Iterator[Recording | Problem]:
         """The recording, and what of it could not be used."""
         try:
-            yield from _ask(Path(self.path), self.shown, self.channels)
+            yield from _ask(self.path, self.bytes, self.shown, self.channels)
         except RecordingError as error:
             yield Problem(self.shown, "", str(error))
 
@@ -173,7 +168,7 @@ class MdfReader:
         """Look through files, or folders that hold them; a log that is no MDF is a problem of its part."""
         logs = _logs(paths)
         if not logs:
-            raise RecordingError(f"{paths[0].name}: no MDF log; allowed: files that end in .mf4, .mdf or .dat")
+            raise RecordingError(f"{paths[0].name}: no MDF log; allowed: .mf4, .mdf, and .dat that begin with MDF")
         _check_installed()
         if self.channels is None:
             what = "needs a channel map; allowed: --channels MAP.toml (--list-channels prints one to start from)"
@@ -181,7 +176,7 @@ class MdfReader:
         channels = read_channel_map(self.channels)
         files = [source_file(path, shown) for path, shown in zip(logs, shown_names(logs), strict=True)]
         parts = tuple(
-            LogPart(str(path), f"{i:05d}-{path.name}", file.bytes, file.name, channels)
+            LogPart(str(path.absolute()), f"{i:05d}-{path.name}", file.bytes, file.name, channels)
             for i, (path, file) in enumerate(zip(logs, files, strict=True))
         )
         return FoundParts(parts, (*files, source_file(self.channels)), ())
@@ -203,7 +198,7 @@ def _logs(paths: Sequence[Path]) -> list[Path]:
 def _is_log(path: Path) -> bool:
     try:
         with path.open("rb") as stream:
-            return path.suffix.lower() != ".dat" or stream.read(3) == b"MDF"
+            return path.suffix.lower() != ".dat" or stream.read(3) in (b"MDF", b"UnF")  # not finalised
     except (OSError, ValueError):  # no file, or a NUL in the name
         return False
 
@@ -214,15 +209,15 @@ def list_channels(path: Path) -> str:
     Raises `RecordingError` for what is no MDF log, `LdcError` without asammdf.
     """
     _check_installed()
-    source_file(path)  # refuses what cannot be read at all
+    size = source_file(path).bytes  # refuses what cannot be read at all
     try:
-        return str(_ask(path, path.name, None))
+        return str(_ask(str(path.absolute()), size, path.name, None))
     except RecordingError as error:
         raise RecordingError(f"{path.name}: {error}") from None
 
 
 # In a damaged file the library follows links in circles without end, and its C code may write past its memory: of
-# 10,000 files with changed bytes 18 ended the process or never came back. So logs are read in a process of their own.
+# 10,000 files with changed bytes 21 ended the process or never came back. So logs are read in a process of their own.
 
 PATIENCE: Final = 60.0  # [s] for a log to be read, and 1 s more for each megabyte
 MEMORY: Final = 4 << 30  # [bytes] that the process may take, and eight times the log's size
@@ -231,7 +226,7 @@ _LOCK: Final = threading.Lock()
 
 @functools.cache
 def _process(owner: int) -> subprocess.Popen[bytes]:  # noqa: ARG001 - one for each process, also where they are forked
-    code = f"import sys; sys.path[:] = {sys.path!r}; from ldctoolkit.recordings.mdf_logs import serve; serve()"
+    code = f"import sys; sys.path[:] = {sys.path!r}; from ldctoolkit.recordings.mdf_content import serve; serve()"
     pipe = subprocess.PIPE
     process = subprocess.Popen([sys.executable, "-c", code], stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL)
     if not (process.stdout and process.stdout.read(1)):
@@ -239,261 +234,31 @@ def _process(owner: int) -> subprocess.Popen[bytes]:  # noqa: ARG001 - one for e
     return process
 
 
-def _ask(path: Path, shown: str, channels: ChannelMap | None) -> Any:
+def _ask(path: str, size: int, shown: str, channels: ChannelMap | None) -> Any:
     """What the reading process makes of a log; raises `RecordingError` with its reason, or where it has to be ended."""
-    limit = PATIENCE + path.stat().st_size / 1e6
-    answer, late = None, False
+    limit = PATIENCE + size / 1e6
     with _LOCK:
         for _ in range(2):  # once more, since memory that an earlier log has spoilt may end the process, too
-            if answer is not None or late:
-                break
-            process = _process(os.getpid())
-            timer = threading.Timer(limit, process.kill)
+            process, answer = _process(os.getpid()), None
+            timer, end = threading.Timer(limit, process.kill), time.monotonic() + limit
             timer.start()
             try:
-                process.stdin.write(pickle.dumps((str(path.absolute()), shown, channels)))  # type: ignore[union-attr]
+                process.stdin.write(pickle.dumps((path, size, shown, channels)))  # type: ignore[union-attr]
                 process.stdin.flush()  # type: ignore[union-attr]
                 answer = pickle.load(process.stdout)  # type: ignore[arg-type]
+                break
             except (OSError, EOFError, pickle.UnpicklingError):
-                late = not timer.is_alive()
+                if time.monotonic() >= end:
+                    what = f"reading it as MDF takes longer than {limit:.0f} s; the file is damaged"
+                    raise RecordingError(what) from None
             finally:
                 timer.cancel()
                 if answer is None:  # also after an interrupt: the next answer would be this one's
                     process.kill()
                     process.communicate()  # closes the pipes
                     _process.cache_clear()
-    if answer is None:
-        what = f"takes longer than {limit:.0f} s" if late else "ends the process"
-        raise RecordingError(f"reading it as MDF {what}; the file is damaged")
+        else:
+            raise RecordingError("reading it as MDF ends the process; the file is damaged")
     if isinstance(answer, RecordingError):
         raise answer
     return answer
-
-
-def serve() -> None:
-    """Answer requests from standard input until it ends."""
-    answers = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # what the library prints
-    import asammdf  # noqa: F401 - takes seconds, which are not the first log's
-
-    answers.write(b"!")
-    answers.flush()
-    with contextlib.suppress(EOFError):
-        while True:
-            path, shown, channels = pickle.load(sys.stdin.buffer)
-            with contextlib.suppress(ImportError, ValueError, OSError):  # not every system has such limits
-                import resource
-
-                most = MEMORY + 8 * Path(path).stat().st_size
-                resource.setrlimit(resource.RLIMIT_AS, (most, resource.getrlimit(resource.RLIMIT_AS)[1]))
-            try:
-                answer: Any = _listing(path, shown) if channels is None else _recording(path, shown, channels)
-            except RecordingError as error:
-                answer = error
-            except BaseException as error:  # whatever a damaged file makes the library raise
-                reason = " ".join(f"{type(error).__name__}: {error}".replace(path, shown).split())[:200]
-                answer = RecordingError(f"cannot be read as MDF; it is damaged, or none ({printable(reason)})")
-            answers.write(pickle.dumps(answer))
-            answers.flush()
-
-
-def _group_names(group: Any, channel: Any) -> list[str]:
-    """Names that a channel's group goes by: its own, in MDF 3 its comment, and those of its sources."""
-    block = group.channel_group
-    names = [block.acq_name if hasattr(block, "acq_name") else block.comment]
-    for source in (getattr(block, "acq_source", None), channel.source):
-        names += [getattr(source, "name", ""), getattr(source, "path", "")]
-    return [name for name in names if name]
-
-
-def _unit(log: Any, group: int, index: int) -> str:
-    return (log.get_channel_unit(group=group, index=index) or "").strip()
-
-
-def _times(log: Any, group: int) -> FloatArray:
-    """Times of a group [s]; those that are not finite, or absurd, are NaN."""
-    home = getattr(log.groups[group].channel_group, "cg_master_index", None)
-    home = group if home is None else home
-    master = log.masters_db.get(home)
-    if master is None:
-        raise RecordingError(f"has no time channel in its group {group}")
-    factor = _factor(_unit(log, home, master), "time")
-    channel = log.groups[home].channels[master]
-    if factor is None or getattr(channel, "sync_type", 1) != 1:
-        raise RecordingError(f"is over {channel.name!r}; allowed: over a time in s, ms, us, ns")
-    t = np.asarray(log.get_master(group), dtype=np.float64) * factor
-    return np.where(np.abs(t) < 1e12, t, np.nan)
-
-
-def _listing(path: str, shown: str) -> str:
-    """What `list_channels` gives."""
-    from asammdf import MDF
-
-    rows: list[tuple[str, int, str, str, float, int]] = []  # name, number and name of its group, unit, rate, samples
-    with MDF(path) as log:
-        for i, group in enumerate(log.groups):
-            with contextlib.suppress(RecordingError):
-                t = _times(log, i)
-                step = float(np.median(np.diff(t))) if t.size > 1 else 0.0
-                rate = 1.0 / step if step > 0.0 else 0.0
-                for j, channel in enumerate(group.channels):
-                    if j != log.masters_db.get(i):
-                        name = next(iter(_group_names(group, channel)), "")
-                        rows.append((channel.name, i, name, _unit(log, i, j), rate, t.size))
-        lines = [f"{shown}: MDF {log.version}, {len(rows)} channels"]
-    cells = [("channel", "group", "unit", "rate [Hz]", "samples")]
-    cells += [(name, f"{i} {group}", unit, f"{rate:.4g}", str(n)) for name, i, group, unit, rate, n in rows]
-    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-    lines += ["  ".join(map(str.ljust, row, widths)).rstrip() for row in cells]
-    lines += ["A guess by names and units. Check it, and the signs: positive is to the left; scale = -1 turns one."]
-    text = "".join(f"# {printable(line)}\n" for line in lines)
-    names, places = Counter(row[0] for row in rows), Counter((row[0], row[2]) for row in rows)
-    rows.sort(key=lambda row: -row[4])  # of several channels the one that is sampled most often
-    for quantity, (dimension, pattern) in QUANTITIES.items():
-        for name, i, group, unit, _, _ in rows:
-            if re.search(pattern, name.lower()) and (not dimension or not unit or _factor(unit, dimension)):
-                guess: dict[str, Any] = {"channel": name}
-                if names[name] > 1:
-                    guess["group"] = group if group and places[name, group] == 1 else i
-                if dimension:
-                    guess["unit"] = unit or "?"
-                text += f"\n{'[[valid]]' if quantity == 'valid' else f'[{quantity}]'}\n{tomli_w.dumps(guess)}"
-                break
-        else:
-            text += f"\n# {quantity}: no channel looks like it\n"
-    return text
-
-
-def _recording(path: str, shown: str, channels: ChannelMap) -> list[Recording | Problem]:
-    """The recording of a log, at the times of the lane's position, and what of it could not be used."""
-    from asammdf import MDF
-
-    problems: dict[int, Problem] = {}
-    found: dict[str, FloatArray] = {}
-    base = np.empty(0)
-    with MDF(path) as log, np.errstate(all="ignore"):
-        valid: Any = True
-        for quantity, one in channels.named():
-            dimension = QUANTITIES[quantity][0]
-            try:
-                if one.value is not None:
-                    factor = _factor(one.unit, dimension) if one.unit else 1.0
-                    values = np.full(base.size, one.value * (factor or 1.0) * one.scale + one.offset)
-                else:
-                    group, index = _place(log, one)
-                    t, values = _times(log, group), _numbers(log, group, index, one, quantity)
-                    if values.shape != t.shape:
-                        raise RecordingError(f"has the shape {values.shape}; allowed: {t.shape}, a number at each time")
-                    kept = np.isfinite(t)
-                    kept[kept] = rising_rows(t[kept])
-                    if not kept.all():
-                        what = f"{np.count_nonzero(~kept)} samples have no time, or one that runs backwards; left out"
-                        problems[group] = Problem(shown, f"group {group}", what)
-                    values = values[kept] * _to_si(one, dimension, _unit(log, group, index)) * one.scale + one.offset
-                    base = base if found else t[kept]
-                    values = _at(base, t[kept], values, quantity, channels.max_gap)
-                    if dimension and not np.isfinite(values).any():
-                        lead = f"at the times of {channels.named()[0][1].channel!r}"
-                        raise RecordingError(f"has no number {lead}, or none within max_gap = {channels.max_gap:g} s")
-            except RecordingError as error:
-                raise RecordingError(f"{quantity}: channel {one.channel!r} {error}") from None
-            if quantity == "valid":
-                valid = valid & (values > 0.0 if one.min is None else values >= one.min)
-            found[quantity] = values
-    if "lane_offset" not in found:
-        found["lane_offset"] = -0.5 * (found["left_line"] + found["right_line"])
-    if "lane_width" not in found:
-        found["lane_width"] = found["left_line"] - found["right_line"]
-    if "lane" in found:
-        valid = valid & np.isfinite(found["lane"])
-        found["lane"] = np.unique(found["lane"], return_inverse=True)[1].astype(np.int64)
-    signs = {"turn_signal": 1.0, "left_signal": 1.0, "right_signal": -1.0}
-    if signals := [sign * np.sign(found[name]) for name, sign in signs.items() if name in found]:
-        found["turn_signal"] = np.sign(np.nansum(signals, axis=0)).astype(np.int64)
-    found["valid"] = np.broadcast_to(valid, base.shape).copy()
-    columns: dict[str, Any] = {name: found[name] for name in Recording.COLUMNS if name in found}
-    return [*problems.values(), Recording(name=shown, t=base, source=shown, **columns)]
-
-
-def _place(log: Any, one: Channel) -> tuple[int, int]:
-    """Group and place of the one channel that is meant; groups without samples do not count beside others."""
-    there = [
-        (i, j, _group_names(group, channel))
-        for i, group in enumerate(log.groups)
-        for j, channel in enumerate(group.channels)
-        if channel.name == one.channel
-    ]
-    fits = [place for place in there if one.group in (None, place[0], *place[2])]
-    fits = [place for place in fits if log.groups[place[0]].channel_group.cycles_nr] or fits
-    if len(fits) == 1:
-        return fits[0][:2]
-    groups = ", ".join(f"{i} ({names[0]})" if names else str(i) for i, _, names in fits or there)
-    if fits:
-        raise RecordingError(f"is there {len(fits)} times, in the groups {groups}; name one as `group`")
-    if there:
-        raise RecordingError(f"is not in the group {one.group!r}; allowed: {groups}")
-    near = difflib.get_close_matches(one.channel, {other.name for group in log.groups for other in group.channels}, n=1)
-    raise RecordingError(f"is not in the log; {f'did you mean {near[0]!r}? ' if near else ''}see --list-channels")
-
-
-def _to_si(one: Channel, dimension: str, own: str) -> float:
-    """Factor to SI of a channel that has its own unit in the log."""
-    if not dimension:
-        return 1.0
-    factor = _factor(own if one.unit is None else one.unit, dimension)
-    if factor is None:
-        allowed = ", ".join(UNITS[dimension])
-        raise RecordingError(f"has the unit {own!r} in the log; allowed: {allowed}, or a `unit` in the map")
-    known = own and any(_factor(own, other) is not None for other in UNITS)
-    if known and _factor(own, dimension) != factor:
-        raise RecordingError(
-            f"is in {own} in the log, in {one.unit} in the map; allowed: the same (where the log is wrong, correct it "
-            "by `scale` and leave `unit` out)"
-        )
-    return factor
-
-
-def _numbers(log: Any, group: int, index: int, one: Channel, quantity: str) -> FloatArray:
-    """Samples as numbers, texts by the map's `values`; invalid ones are NaN."""
-    samples, invalid = log.get(group=group, index=index, samples_only=True, ignore_invalidation_bits=True)
-    if samples.dtype.kind not in "biufSUO":
-        raise RecordingError(f"holds {samples.dtype}; allowed: numbers or texts")
-    if samples.dtype.kind in "biuf" and one.values is None:
-        numbers: FloatArray = samples.astype(np.float64)
-    else:
-        texts = [_text(sample) for sample in samples.tolist()]
-        states = list(dict.fromkeys(texts))
-        if one.values is None and quantity != "lane":
-            some = ", ".join(map(repr, states[:3]))
-            raise RecordingError(f"holds texts ({some}); allowed: numbers, or `values` for them in the map")
-        table = {text: float(i) for i, text in enumerate(states)} if one.values is None else one.values
-        numbers = np.array([table.get(text, np.nan) for text in texts], dtype=np.float64)
-    if invalid is not None:
-        numbers[invalid.astype(bool)] = np.nan
-    return numbers
-
-
-def _text(sample: object) -> str:
-    if isinstance(sample, bytes):
-        return sample.decode("utf-8", "replace").strip("\0 ")
-    return f"{sample:.15g}" if isinstance(sample, int | float) else str(sample)
-
-
-def _at(base: FloatArray, t: FloatArray, values: FloatArray, quantity: str, max_gap: float) -> FloatArray:
-    """Values at other times: states are held, the rest is interpolated; NaN beyond the ends, in gaps, next to NaN."""
-    if t.size == 0:
-        return np.full(base.size, np.nan)
-    i = np.searchsorted(t, base, "right") - 1
-    before, after = np.maximum(i, 0), np.minimum(i + 1, t.size - 1)
-    since, step = base - t[before], t[after] - t[before]
-    dimension = QUANTITIES[quantity][0]
-    if not dimension:
-        longest = max_gap if quantity == "valid" else np.inf  # a switch may be recorded only when it changes
-        return np.where((i >= 0) & (since <= longest), values[before], np.nan)
-    rise = values[after] - values[before]
-    between = values[before] + rise / step * since
-    if dimension == "length":  # a jump stays one
-        beside = np.where(since <= 0.5 * step, values[before], values[after])
-        between = np.where(np.abs(rise) > MAX_JUMP, beside, between)
-    # beyond the ends, before and after are one sample, and 0/0 is NaN
-    return np.where(since == 0.0, values[before], np.where(step <= max_gap, between, np.nan))

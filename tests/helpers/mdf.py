@@ -86,7 +86,9 @@ min = 2
 """
 
 
-def write_log(path: Path, content: Sequence[Group] | None = None, version: str = "4.10", **signals: Any) -> Path:
+def write_log(
+    path: Path, content: Sequence[Group] | None = None, version: str = "4.10", compression: int = 0, **signals: Any
+) -> Path:
     """Write a log; `signals`: further arguments of channels by their names, as ``LaneOffset={"conversion": ...}``."""
     from asammdf import MDF, Signal, Source
 
@@ -102,6 +104,6 @@ def write_log(path: Path, content: Sequence[Group] | None = None, version: str =
                 comment=name,
                 common_timebase=True,
             )
-        saved = log.save(path, overwrite=True)
+        saved = log.save(path, overwrite=True, compression=compression)
     assert saved == path
     return path

@@ -300,6 +300,8 @@ def test_what_holds_no_table_is_one_sentence(
         (["a=ftp://x/DataLane.csv"], "allowed: URL or NAME=URL, the http or https address of a file"),
         (["http://x/"], "allowed: URL or NAME=URL"),
         (["../up=http://x/a"], "allowed: URL or NAME=URL"),
+        (["http://x/Spur%20ä.csv"], "allowed: URL or NAME=URL, the http or https address of a file, in ASCII without"),
+        (["a=http://x/two words.csv"], "allowed: URL or NAME=URL"),
         (["http://x/one/a.csv", "http://x/two/a.csv"], "files of one name: a.csv, a.csv; allowed: others, as NAME=URL"),
         (["http://x/DataLane.csv", "--sha256", "DataLan.csv=00"], "no such file; did you mean 'DataLane.csv'?"),
     ],

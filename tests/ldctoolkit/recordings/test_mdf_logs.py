@@ -6,6 +6,7 @@ import os
 import random
 import re
 import subprocess
+import time
 import tomllib
 from collections import Counter
 from pathlib import Path
@@ -60,6 +61,14 @@ def test_planted_departures_come_back(tmp_path: Path, version: str, name: str) -
     assert [file.name for file in found.provenance.sources] == [name, "map.toml"]
 
 
+def test_blocks_may_be_compressed_and_times_start_anywhere(tmp_path: Path) -> None:
+    content = [(name, t + 1e6, channels) for name, t, channels in groups()]
+    log = write_log(tmp_path / "a.mf4", content, compression=2)
+    assert log.stat().st_size < 0.8 * write_log(tmp_path / "b.mf4", content).stat().st_size
+    departures = extract(log).departures
+    np.testing.assert_allclose(departures.start_time - 1e6, [one.start for one in PLANTED], atol=STEP)
+
+
 def test_a_yaw_rate_serves_where_there_is_no_curvature(tmp_path: Path) -> None:
     yaw = MAP.replace('[curvature]\nchannel = "RoadCurvature"\nscale = -1', '[yaw_rate]\nchannel = "YawRate"')
     found = extract(write_log(tmp_path / "a.mf4"), yaw)
@@ -100,6 +109,26 @@ def test_samples_with_invalidation_bits_are_missing(tmp_path: Path, channel: str
     found = extract(log)
     assert_planted(found, missing=(3,))
     assert found.refused.invalid == 1
+
+
+def test_a_channel_may_be_invalid_as_a_whole(tmp_path: Path) -> None:
+    """By a flag of the channel, without invalidation bits."""
+    from asammdf import MDF
+
+    write_log(tmp_path / "a.mf4")
+    with MDF(tmp_path / "a.mf4") as log:
+        next(one for one in log.groups[1].channels if one.name == "VehicleSpeed").flags |= 1
+        path = log.save(tmp_path / "b.mf4")
+    assert "speed: channel 'VehicleSpeed' has no number at the times of 'LaneOffset'" in problem(path, MAP)
+
+
+def test_a_channels_unit_overrides_that_of_its_conversion(tmp_path: Path) -> None:
+    """Which several channels may share."""
+    content = groups()
+    conversion = {"a": 1.0, "b": 0.0, "unit": "km/h"}
+    name, t, bus = content[1]
+    content[1] = (name, t, bus | {"VehicleSpeed": (speed(t), "m/s")})
+    assert_planted(extract(write_log(tmp_path / "a.mf4", content, VehicleSpeed={"conversion": conversion})))
 
 
 def test_longer_gaps_than_allowed_are_not_bridged(tmp_path: Path) -> None:
@@ -167,7 +196,7 @@ def test_units(tmp_path: Path, channel: str, unit: str, in_the_log: bool) -> Non
     log = write_log(tmp_path / "a.mf4", [("All", t, channels)])
     lines = [f'{COLUMN[one]} = {{channel = "{one}"{"" if one != channel or in_the_log else f", unit = {unit!r}"}}}'
              for one in SI]  # fmt: skip
-    (tmp_path / "map.toml").write_text("\n".join([*lines, 'lane_width = {value = 350, unit = "cm"}']))
+    (tmp_path / "map.toml").write_text("\n".join(["constant_lane_width = 3.5", *lines]))
     (recording,) = read_recordings(log, channels=tmp_path / "map.toml")
     np.testing.assert_allclose(getattr(recording, COLUMN[channel]), TRUE[channel](t), rtol=1e-8)
     np.testing.assert_array_equal(recording.lane_width, 3.5)
@@ -190,8 +219,8 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ("old", "new", "message"),
     [
         ('scale = -1\n[lane_width]', 'unit = "m"\n[lane_width]',
-         "a.mf4: lane_offset: channel 'LaneOffset' is in cm in the log, in m in the map; allowed: the same (where the "
-         "log is wrong, correct it by `scale` and leave `unit` out)"),
+         "a.mf4: lane_offset: channel 'LaneOffset' is in cm in the log, in m in the map; allowed: the same, or no "
+         "`unit` and a `scale` where the log is wrong"),
         ('"LaneOffset"', '"YawRate"',
          "a.mf4: lane_offset: channel 'YawRate' has the unit 'deg/s' in the log; allowed: m, cm, mm, ft, in, or a "
          "`unit` in the map"),
@@ -201,9 +230,11 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ('"LaneOffset"', '"LaneOfset"',
          "a.mf4: lane_offset: channel 'LaneOfset' is not in the log; did you mean 'LaneOffset'? see --list-channels"),
         ('group = "Bus"', '',
-         "a.mf4: speed: channel 'VehicleSpeed' is there 2 times, in the groups 1 (Bus), 2 (GPS); name one as `group`"),
+         "a.mf4: speed: channel 'VehicleSpeed' is in the groups 1 (Bus), 2 (GPS); `group`: not given; allowed: the "
+         "name or number of one"),
         ('group = "Bus"', 'group = "Camera"',
-         "a.mf4: speed: channel 'VehicleSpeed' is not in the group 'Camera'; allowed: 1 (Bus), 2 (GPS)"),
+         "a.mf4: speed: channel 'VehicleSpeed' is in the groups 1 (Bus), 2 (GPS); `group`: 'Camera'; allowed: the "
+         "name or number of one"),
         ('group = "Bus"', 'group = 2',
          "a.mf4: speed: channel 'VehicleSpeed' has no number at the times of 'LaneOffset', or none within max_gap = "
          "0.25 s"),
@@ -222,20 +253,20 @@ def test_slow_channels_serve_with_a_longer_gap(log: Path) -> None:
     ("text", "message"),
     [
         ("speed = 1 2", "map.toml: cannot be read as a channel map in TOML: "),
-        (MAP.replace("[speed]", "[sped]"), "map.toml: sped: no such key; did you mean 'speed'? (allowed: curvature, "),
-        (MAP.replace("scale", "sign", 1), "map.toml: lane_offset.sign: no such key; did you mean "),
+        (MAP.replace("[speed]", "[sped]"), "map.toml: sped: no such key; did you mean 'speed'? (allowed: "),
+        (MAP.replace("scale", "sign", 1), "map.toml: lane_offset.sign: no such key; allowed: channel, "),
         (MAP.replace("scale = -1", "scale = '-1'", 1), "map.toml: lane_offset.scale: '-1'; allowed: a number"),
         (MAP.replace("scale = -1", "unit = 'furlong'", 1),
          "map.toml: lane_offset.unit: 'furlong', of 'LaneOffset'; allowed: m, cm, mm, ft, in"),
         (MAP.replace("min = 2", "unit = 'm'"),
          "map.toml: valid.unit: 'm', of 'LaneQuality'; allowed: none, it is a state"),
-        (MAP.replace('channel = "LaneWidth"', ""),
-         "map.toml: lane_width: needs a channel, or a value that is constant; allowed: one of both"),
+        (MAP.replace('channel = "LaneWidth"', ""), "map.toml: lane_width.channel: missing, and has no default"),
         (MAP.replace('[lane_width]\nchannel = "LaneWidth"', ""),
-         "map.toml: lane_width: missing; needed: this, or left_line and right_line"),
-        (MAP.replace('channel = "LaneOffset"', "value = 0.1"),
-         "map.toml: lane_offset: is constant; allowed: a channel, at whose times the others are taken"),
-        (MAP.replace("scale = -1", "min = 1", 1), "map.toml: lane_offset.min: is a key of valid only"),
+         "map.toml: lane_width: missing; needed: this, left_line and right_line, or constant_lane_width"),
+        ("constant_lane_width = 0\n" + MAP, "map.toml: constant_lane_width: 0; allowed: "),
+        (MAP.replace("[lane_offset]", "[left_line]"),
+         "map.toml: lane_offset: missing; needed: this, or left_line and right_line"),
+        (MAP.replace("scale = -1", "min = 1", 1), "map.toml: lane_offset.min: no such key; allowed: channel, "),
         ("max_gap = 0\n" + MAP, "map.toml: max_gap: 0; allowed: "),
         (MAP[MAP.index("[curvature]"):], "map.toml: speed: missing, and has no default"),
     ],
@@ -267,6 +298,40 @@ def test_texts_are_states(tmp_path: Path) -> None:
     found = extract(log, channels + "values = {LEFT = 1, RIGHT = -1}")
     assert (found.refused.intended, found.refused.invalid) == (2, 1)
     assert_planted(found, missing=(0, 1, 4))
+
+
+@pytest.mark.parametrize("channel", ["turn_signal", "left_signal"])
+def test_numbers_of_a_signal_that_mean_nothing_here_are_named(tmp_path: Path, channel: str) -> None:
+    """In many logs 1 is to the left and 2 to the right: taken as they are, both would be to the left."""
+    content = groups()
+    _, t, bus = content[1]
+    bus["TurnSignal"] = (np.select([(t > 14.0) & (t < 20.0), (t > 61.0) & (t < 66.0)], [2, 1]), "")
+    log = write_log(tmp_path / "a.mf4", content)
+    channels = f'{MAP}[{channel}]\nchannel = "TurnSignal"\n'
+    assert problem(log, channels) == (
+        f"a.mf4: {channel}: channel 'TurnSignal' holds the number 2; allowed: -1, 0, 1, or `values` for them in the map"
+    )
+    if channel == "turn_signal":
+        found = extract(log, channels + "values = {1 = 1, 2 = -1}")
+        assert found.refused.intended == 2
+        assert_planted(found, missing=(1, 4))
+
+
+@pytest.mark.parametrize(("version", "name"), [("4.10", "a.mf4"), ("3.30", "a.mdf")])
+def test_texts_may_be_latin_1(tmp_path: Path, version: str, name: str) -> None:
+    t = groups()[0][1]
+    texts = np.where((t > 61.0) & (t < 66.0), "LÄNKS".encode("latin-1"), b"av")
+    content = [*groups(), ("Switch", t, {"Blink": (texts, "")})]
+    log = write_log(tmp_path / name, content, version, Blink={"encoding": "latin-1"})
+    found = extract(log, MAP + '[left_signal]\nchannel = "Blink"\nvalues = {"LÄNKS" = 1}\n')
+    assert_planted(found, missing=(4,))
+
+
+def test_long_texts_are_cut_in_messages(tmp_path: Path) -> None:
+    t = groups()[0][1]
+    content = [*groups(), ("Notes", t, {"Note": (np.full(t.size, b"x" * 5000), "")})]
+    log = write_log(tmp_path / "a.mf4", content, Note={"encoding": "utf-8"})
+    assert len(problem(log, MAP + '[left_signal]\nchannel = "Note"\n')) < 300
 
 
 def test_two_flags_are_a_turn_signal_and_are_held(tmp_path: Path) -> None:
@@ -303,6 +368,14 @@ def test_times_that_run_backwards_are_left_out(tmp_path: Path) -> None:
     )
 
 
+def test_an_array_is_refused(tmp_path: Path) -> None:
+    content = groups()
+    pairs = np.zeros(content[0][1].size, dtype=[("LaneOffset", np.float64, (2,))])
+    content[0][2]["LaneOffset"] = (pairs, "cm")
+    text = problem(write_log(tmp_path / "a.mf4", content), MAP)
+    assert re.match(r"a\.mf4: lane_offset: channel 'LaneOffset' holds .*; allowed: a number or text at a time$", text)
+
+
 def test_nan_is_missing(tmp_path: Path) -> None:
     content = groups()
     v = content[1][2]["VehicleSpeed"][0]
@@ -327,6 +400,7 @@ def test_a_folder_is_trips_and_a_damaged_one_is_named(tmp_path: Path) -> None:
         write_log(tmp_path / f"day{i}" / "trip.mf4")
     write_log(tmp_path / "other.mdf", version="3.30").rename(tmp_path / "other.dat")
     (tmp_path / "notes.dat").write_text("no log")
+    (tmp_path / "cut.dat").write_bytes(b"UnFinMF ")
     (tmp_path / "bad.mf4").write_bytes((tmp_path / "day0/trip.mf4").read_bytes()[:5000])
     (tmp_path / "text.mf4").write_text("t,y\n0,1\n")
     (tmp_path / "none.mf4").write_bytes(b"")
@@ -336,10 +410,10 @@ def test_a_folder_is_trips_and_a_damaged_one_is_named(tmp_path: Path) -> None:
         cwd=tmp_path,
     )  # fmt: skip
     assert done.returncode == 3
-    assert "format: mdf (6 MDF logs)\n" in done.stdout
+    assert "format: mdf (7 MDF logs)\n" in done.stdout
     assert "18 candidates in 3 recordings" in done.stdout
     assert "18 departures written to d.parquet" in done.stdout
-    for name in ("bad.mf4", "text.mf4", "none.mf4"):
+    for name in ("bad.mf4", "text.mf4", "none.mf4", "cut.dat"):
         assert re.search(rf"warning: {name}: cannot be read as MDF; it is damaged, or none \(", done.stderr), name
     assert "Traceback" not in done.stderr
 
@@ -349,12 +423,12 @@ def test_the_listed_map_is_one(log: Path) -> None:
     assert out.startswith("# a.mf4: MDF 4.10, 8 channels\n# channel ")
     assert re.search(r"^# RoadCurvature +1 Bus +1/km +50 +4805$", out, flags=re.M)
     guess = tomllib.loads(out)
-    assert guess["lane_offset"] == {"channel": "LaneOffset", "unit": "cm"}
+    assert guess["lane_offset"] == {"channel": "LaneOffset", "group": "Camera", "unit": "cm"}
     assert guess["speed"] == {"channel": "VehicleSpeed", "group": "Bus", "unit": "km/h"}
-    assert guess["curvature"] == {"channel": "RoadCurvature", "unit": "1/km"}
-    assert guess["yaw_rate"] == {"channel": "YawRate", "unit": "deg/s"}
-    assert guess["valid"] == [{"channel": "LaneQuality"}]
-    assert guess["turn_signal"] == {"channel": "TurnSignal"}
+    assert guess["curvature"] == {"channel": "RoadCurvature", "group": "Bus", "unit": "1/km"}
+    assert guess["yaw_rate"] == {"channel": "YawRate", "group": "Bus", "unit": "deg/s"}
+    assert guess["valid"] == [{"channel": "LaneQuality", "group": "Camera"}]
+    assert guess["turn_signal"] == {"channel": "TurnSignal", "group": "Bus"}
     assert all(f"\n# {name}: no channel looks like it\n" in out for name in ("left_line", "right_line", "lane"))
     edited = out.replace('"LaneOffset"', '"LaneOffset"\nscale = -1').replace(
         '"RoadCurvature"', '"RoadCurvature"\nscale=-1'
@@ -405,6 +479,31 @@ def test_blocks_in_a_circle_end(log: Path, tmp_path: Path, block: bytes, monkeyp
     assert_planted(extract(log))
 
 
+def test_a_log_that_takes_too_long_is_tried_once(log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where the process is gone before the timer is."""
+    monkeypatch.setattr(mdf_logs, "PATIENCE", -log.stat().st_size / 1e6)
+    kill, kills = subprocess.Popen.kill, []
+
+    def slow(process: subprocess.Popen[bytes]) -> None:
+        kill(process)
+        kills.append(process)
+        time.sleep(0.2)
+
+    monkeypatch.setattr(subprocess.Popen, "kill", slow)
+    assert problem(log, MAP) == "a.mf4: reading it as MDF takes longer than 0 s; the file is damaged"
+    assert len(set(kills)) == 1
+
+
+def test_a_log_that_is_gone_is_a_problem_of_its_own(log: Path, tmp_path: Path) -> None:
+    path, channels = tmp_path / "a.mf4", tmp_path / "map.toml"
+    path.write_bytes(log.read_bytes())
+    channels.write_text(MAP)
+    opened = open_recordings(path, channels=channels)
+    path.unlink()
+    (text,) = extract_departures(opened, vehicle_width=VEHICLE).provenance.problems
+    assert re.match(r"a\.mf4: cannot be read as MDF; it is damaged, or none \(.*a\.mf4", text)
+
+
 def test_a_log_that_ends_the_process_is_named_and_does_no_harm_to_the_next(
     log: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -448,16 +547,21 @@ def damaged(sound: bytes, rng: random.Random) -> bytes:
     return bytes(content)
 
 
-@pytest.mark.parametrize("count", [300, pytest.param(10_000, marks=pytest.mark.slow)])
+LONG = [pytest.param(seed, 5000, marks=pytest.mark.slow) for seed in (1, 2)]  # 10,000 in all, for two workers
+
+
+@pytest.mark.parametrize(("seed", "count"), [(0, 300), *LONG])
 def test_a_damaged_log_gives_departures_or_a_known_error(
-    tmp_path: Path, count: int, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, seed: int, count: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(mdf_logs, "PATIENCE", 5.0)
-    sound = {version: write_log(tmp_path / f"a{version}{suffix}", groups(20.0), version).read_bytes()
-             for version, suffix in (("4.10", ".mf4"), ("3.30", ".mdf"), ("4.20", ".mf4"))}  # fmt: skip
+    monkeypatch.setattr(mdf_logs, "PATIENCE", 1.0)  # a sound one takes some milliseconds
+    sound = {
+        version: write_log(tmp_path / f"a{version}{suffix}", groups(12.0), version, compression).read_bytes()
+        for version, suffix, compression in (("4.10", ".mf4", 0), ("3.30", ".mdf", 0), ("4.20", ".mf4", 2))
+    }
     channels = tmp_path / "map.toml"
     channels.write_text(MAP)
-    rng = random.Random(count)
+    rng = random.Random(seed)
     outcomes: Counter[str] = Counter()
     folder = tmp_path / "in"
     folder.mkdir()
@@ -492,7 +596,7 @@ def test_the_pages_map_and_python_run(
     page = (cli.ROOT / "docs/how-to/mdf-logs.md").read_text(encoding="utf-8")
     for name, units in mdf_logs.UNITS.items():
         assert name == "time" or all(unit in page for unit in units), name
-    assert all(f"`{name}`" in page for name in (*mdf_logs.QUANTITIES, *mdf_logs.Channel.model_fields))
+    assert all(f"`{name}`" in page for name in (*mdf_logs.ChannelMap.model_fields, *mdf_logs.ValidChannel.model_fields))
     cli.run_python("docs/how-to/mdf-logs.md", {"__name__": "page"})
     assert capsys.readouterr().out == "4 departures in 1.0 minutes\n"
 
@@ -516,7 +620,7 @@ def test_guesses_by_names_and_units(tmp_path: Path, quantity: str, channel: str,
     }
     log = write_log(tmp_path / "a.mf4", [("All", t, others)])
     guess = tomllib.loads(mdf_logs.list_channels(log))
-    assert guess == {quantity: {"channel": channel, **({"unit": unit} if unit else {})}}
+    assert guess == {quantity: {"channel": channel, "group": "All", **({"unit": unit} if unit else {})}}
 
 
 def test_it_is_an_error_of_the_family() -> None:
