@@ -38,7 +38,7 @@ def test_the_readmes_python_runs_as_a_script(tmp_path: Path) -> None:
         [sys.executable, "readme.py"], cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False
     )
     assert done.returncode == 0, done.stderr
-    assert "shape: (7, " in done.stdout  # no control, and three designs at two thresholds
+    assert "shape: (7, 5)" in done.stdout  # no control, and three designs at two thresholds
     assert [path.name for path in tmp_path.iterdir()] == ["readme.py"]
 
 
@@ -142,18 +142,16 @@ def test_the_reference_is_made_of_the_code(tmp_path: Path, monkeypatch: pytest.M
     ]
     assert sorted(made) == sorted(itertools.chain(*included))  # each on one page, once
     assert "| `--bound NAME=LOW:HIGH` | bounds of one parameter in SI units" in made["ldc-fit.md"]
-    assert (
-        "| `simulation.settle` | `3.0` | How long the loop goes on after the departure, 0 to 60"
-        in made["study-keys.md"]
-    )
-    assert (
-        "| `ranking.confidence` | `0.95` | Of the intervals, all designs together; above 0 below 1 |"
-        in made["study-keys.md"]
-    )
-    assert "| `vehicle.m` | `1000.0` | Mass [kg] |" in made["study-keys.md"]
+    keys = made["study-keys.md"]
+    assert "| `simulation.settle` | `3.0` | [s] how long the loop goes on after the departure; " in keys
+    assert "| `ranking.confidence` | `0.95` | of the intervals, all designs together; > 0 and < 1 |" in keys
+    assert "| `vehicle.m` | `1000.0` | [kg] mass |" in keys
+    assert "| `plant.actuator.lag` | `0.0` | [s] time constant; 0 for none; >= 0 and <= 10 |" in keys
+    assert "| `name` | needed | short name, " in keys
+    assert "\n| `design.sample.count` |" in keys
     assert "| `r_delta` | 1/rad^2 | `20000.0` | 0.001 .. 1e+06 | weight on delta^2 |" in made["law-lqr.md"]
     assert "| `a_y_added_peak` | Peak added a_y | m/s^2 | less | interventions | 3 |" in made["scenario-metrics.md"]
-    assert not re.search(r"\| *\|$", made["study-keys.md"], flags=re.M)  # every key has a meaning
+    assert not re.search(r"\| *\|$", keys, flags=re.M)  # every key has a meaning
     for name in METRICS:
         assert f"\n| `{name}` | " in made["design-metrics.md"]
 

@@ -5,22 +5,19 @@ Each function gives Markdown by file name; `write` puts the files where pages of
 
 import argparse
 import ast
-import dataclasses
 import inspect
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any, Literal, get_args, get_origin
 
-from pydantic.fields import FieldInfo
-
-from ldctoolkit import Setup, VehicleParameters, controllers
+from ldctoolkit import controllers
 from ldctoolkit.metrics import GROUPS, METRICS, SCENARIO_METRICS
 from ldctoolkit.studies import study_file
 from ldctoolkit.studies.cli import parser
 from ldctoolkit.studies.cli.controllers import _interval
 from ldctoolkit.studies.design_space import DesignBlock, SampleSettings
+from ldctoolkit.studies.study_template import study_text
 
 
 def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
@@ -67,66 +64,21 @@ def comments(owner: type) -> dict[str, str]:
     return found
 
 
-def attributes(owner: type) -> dict[str, str]:
-    """What the section Attributes of a docstring says of each field, with its unit."""
-    section = inspect.cleandoc(owner.__doc__ or "").partition("Attributes\n----------\n")[2].partition("\n\n")[0]
-    found = {}
-    for names, kind, text in re.findall(r"^(\S.*?) : (.*)\n((?:    .*\n?)+)", section + "\n", flags=re.M):
-        unit = " ".join(re.findall(r"\[.+\]", kind))
-        words = re.sub(r"`+(\S+?)`+", r"`\1`", " ".join(text.split())).removesuffix(".")
-        found |= dict.fromkeys(names.split(", "), f"{words} {unit}".strip())
-    return found
-
-
-def _choices(annotation: Any) -> Iterator[str]:
-    for one in (annotation, *get_args(annotation)):
-        if get_origin(one) is Literal:
-            yield from map(str, get_args(one))
-        elif one is not annotation:
-            yield from _choices(one)
-
-
-def _allowed(field: FieldInfo) -> str:
-    words = {"gt": "above", "ge": "from", "lt": "below", "le": "to"}
-    limits = {name: getattr(one, name) for one in field.metadata for name in words if hasattr(one, name)}
-    if "ge" in limits:
-        limits.pop("gt", None)
-    numbers = " ".join(f"{words[name]} {value:,}" for name, value in limits.items() if value < 2**62)
-    return numbers or ", ".join(code(one) for one in dict.fromkeys(_choices(field.annotation)))
-
-
-def _default(field: FieldInfo) -> str:
-    value = field.get_default()
-    if field.is_required():
-        return "needed"
-    if isinstance(value, tuple):
-        return ", ".join(code(one) for one in value)
-    return (
-        code(str(value).lower() if isinstance(value, bool) else value) if isinstance(value, str | int | float) else ""
-    )
-
-
 def study_keys() -> Iterator[tuple[str, str]]:
-    """Every key of a study file, from the models that read it."""
-    parts: Mapping[str, type] = {
-        "": study_file.Study,
-        "scenarios": study_file.ScenarioSettings,
-        "simulation": study_file.SimulationSettings,
-        "report": study_file.ReportSettings,
-        "ranking": study_file.RankingSettings,
-        "search": study_file.SearchSettings,
-        "design": DesignBlock,
-        "design.sample": SampleSettings,
-    }
-    rows = []
-    for part, model in parts.items():
-        known = attributes(Setup) | comments(study_file.CaseSettings) if part == "simulation" else comments(model)
-        for name, field in model.model_fields.items():  # type: ignore[attr-defined]
-            if name not in parts and not (part == "" and name in ("vehicle", "plant")):
-                text = "; ".join(filter(None, (known[name], _allowed(field))))
-                rows.append((code(f"{part}.{name}".strip(".")), _default(field), text))
-    for field in dataclasses.fields(VehicleParameters):
-        rows.append((code(f"vehicle.{field.name}"), code(field.default), attributes(VehicleParameters)[field.name]))
+    """Every key of a study file: what `ldc init` writes, and the keys of a design from the models that read it."""
+    study = study_file.Study.from_dict({"name": "x", "design": [{"law": "none"}]})
+    rows, part = [], ""
+    for line in study_text(study).partition("[[design]]")[0].splitlines():
+        if head := re.match(r"(?:# )?\[([\w.]+)\]  # (.*)", line):
+            part = f"{head[1]}."
+            about = head[2].replace("for a key of it, uncomment this line too", "absent by default")
+            rows.append((f"**`[{head[1]}]`**", "", about))
+        elif key := re.match(r"(?:# )?(\w+) = .*?  # (.*)", line):
+            text, _, default = key[2].rpartition("; default ")
+            rows.append((code(part + key[1]), code(default) if text else "needed", text or key[2]))
+    rows.append(("**`[[design]]`**", "", "designs that are compared; a grid of the values that are set"))
+    for model, part in ((DesignBlock, "design."), (SampleSettings, "design.sample.")):
+        rows += [(code(part + name), "", text) for name, text in comments(model).items()]
     yield "study-keys.md", table(("key", "default", "meaning; allowed"), rows)
 
 

@@ -374,25 +374,6 @@ class UncorrectedPath:
         highest: FloatArray = 4.0 * p.d_y * share * (1.0 - share) + l_f * np.arctan(slope)
         return highest
 
-    @_quiet
-    def peaks(self, start: FloatArray, dt: float, window: float) -> tuple[FloatArray, FloatArray]:
-        """Largest lateral acceleration y'' + v^2 c (n,) [m/s^2] and jerk (n,) [m/s^3] from times start (n,) on.
-
-        They are taken at samples of dt, and at T. The jerk is the moving average over the window [s]; before the start
-        a_y counts as constant, as it does in the metrics of a design.
-        """
-        peaks, T = np.empty((2, self.n)), self.scenarios.T
-        for first in range(0, self.n, _AT_ONCE):
-            some = slice(first, first + _AT_ONCE)
-            path, begin = self.take(some), start[some, None]
-            t = np.minimum(begin + dt * np.arange(np.max((T - start)[some]) // dt + 2), T[some, None])
-            now, then = (
-                path.lateral_acceleration(at) + path.speed(at) ** 2 * path.curvature(at)
-                for at in (t, np.maximum(t - window, begin))
-            )
-            peaks[:, some] = np.abs(now).max(axis=1), np.abs(now - then).max(axis=1) / window
-        return peaks[0], peaks[1]
-
     def slowest_speed(self, t_0: FloatArray, t_1: FloatArray) -> FloatArray:
         """Lowest speed over [t_0, t_1] [m/s], both (n,), t_0 <= t_1; with eps_v searched like `crossing_time`."""
         start, end = np.minimum(t_0, self.scenarios.T), np.minimum(t_1, self.scenarios.T)

@@ -13,11 +13,10 @@ from scipy.optimize import brentq
 
 from helpers.bits import examples
 from helpers.closed_loop import grid, some
-from ldctoolkit import DepartureSignals, Scenarios, Setup, reduce_signals
+from ldctoolkit import DepartureSignals, Scenarios, reduce_signals
 from ldctoolkit import departures as dep
 from ldctoolkit.paths.uncorrected import UncorrectedPath
-from ldctoolkit.plant_options import PlantOptions, Residuals
-from ldctoolkit.simulation import Takeover
+from ldctoolkit.plant_options import Residuals
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -287,19 +286,3 @@ def test_a_path_that_first_goes_inwards_triggers_when_it_is_back() -> None:
     # 0.4 u (1 - u) = 0.2 sin(2 pi u), from where on the parabola is larger
     u = brentq(lambda u: 0.4 * u * (1.0 - u) - 0.2 * np.sin(2.0 * np.pi * u), 0.25, 0.5, xtol=1e-15)
     assert crossing[0] == pytest.approx(4.0 * u, abs=1e-13)
-
-
-@pytest.mark.parametrize("residuals", [OFF, BOTH])
-def test_recorded_peaks_from_the_trigger_on_are_those_of_differences(residuals: Residuals) -> None:
-    over = Takeover.build(MANY, Setup(options=PlantOptions(residuals=residuals)), y_s=0.1)
-    path, start, T, h = over.driven, over.start[:, None], over.driven.scenarios.T[:, None], 2e-5
-    t = np.minimum(start + 0.05 * np.arange(202), T)
-
-    def a(t: FloatArray) -> FloatArray:
-        t = np.minimum(np.maximum(t, start), T - h)
-        bend = path.lateral(t - h) - 2 * path.lateral(t) + path.lateral(t + h)
-        return bend / h**2 + path.speed(t) ** 2 * path.curvature(t)
-
-    a_y, jerk = path.peaks(over.start, 0.05, 0.5)
-    np.testing.assert_allclose(a_y, np.abs(a(t)).max(axis=1), rtol=2e-3, atol=1e-3)
-    np.testing.assert_allclose(jerk, np.abs(a(t) - a(t - 0.5)).max(axis=1) / 0.5, rtol=2e-3, atol=1e-3)
