@@ -326,9 +326,8 @@ def assess(
     check_controller(controller)
     expect("standard", standard, str | Path | Standard)
     test = standard if isinstance(standard, Standard) else load_standard(standard)
-    given = Setup() if setup is None else setup
-    if not isinstance(given, Setup):
-        raise InputError(f"setup: an object of type {type(given).__name__}; allowed: Setup(...), or None")
+    expect("setup", setup, Setup | None)
+    given = setup or Setup()
     if isinstance(seeds, bool) or not isinstance(seeds, int) or seeds < 1:
         raise InputError(f"seeds: {seeds!r}; allowed: a whole number >= 1")
     width = min(max(given.vehicle.w_l, test.lane_width_m[0]), test.lane_width_m[1])

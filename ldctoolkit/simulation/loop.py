@@ -25,7 +25,7 @@ from ldctoolkit.control import (
     SolverLog,
     SteeringLaw,
 )
-from ldctoolkit.errors import InputError, nearest, plain
+from ldctoolkit.errors import InputError, expect, nearest, plain
 from ldctoolkit.law_checks import check_calls, check_controller, check_law, check_step, check_taken
 from ldctoolkit.metrics import METRIC_UNITS, MetricValues
 from ldctoolkit.mixture.checks import usable_cores
@@ -173,8 +173,7 @@ def simulate(
     if not isinstance(scenarios, Scenarios):
         made = "Scenarios.from_arrays(...), ScenarioModel.sample(...)"
         raise InputError(f"scenarios: an object of type {type(scenarios).__name__}; allowed: {made}")
-    if setup is not None and not isinstance(setup, Setup):
-        raise InputError(f"setup: an object of type {type(setup).__name__}; allowed: Setup(...), or None")
+    expect("setup", setup, Setup | None)
     if vehicle is not None and not isinstance(vehicle, BicycleModel | VehicleParameters):
         raise InputError(f"vehicle: {vehicle!r}; allowed: VehicleParameters(...), BicycleModel(...), or None")
     model = vehicle if isinstance(vehicle, BicycleModel) else BicycleModel(vehicle or VehicleParameters())

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Final
 
 from ldctoolkit import Controller, Scenarios, Setup, load_model
-from ldctoolkit.errors import InputError
+from ldctoolkit.errors import InputError, expect
 
 from ..storage.files import stored_file
 from .c_code import HEADER, SOURCE, Code, Origin, changed_files, is_stale, parameters, render, write_folder
@@ -82,9 +82,8 @@ def export_c(
     ...     [path.name for path in made.files]
     ['ldc_controller.h', 'ldc_controller.c', 'main.c', 'README.md', 'test_vectors.csv']
     """
-    for name, value, kind in (("setup", setup, Setup), ("scenarios", scenarios, Scenarios | None)):
-        if not isinstance(value, kind):
-            raise InputError(f"{name}: an object of type {type(value).__name__}; allowed: {name.capitalize()}")
+    expect("setup", setup, Setup)
+    expect("scenarios", scenarios, Scenarios | None)
     if not isinstance(folder, str | Path) or not str(folder):
         raise InputError(f"folder: {folder!r}; allowed: a path")
     code = Code.of(controller, setup, y_s, origin)
