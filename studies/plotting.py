@@ -3,14 +3,12 @@ a new figure, and returns them.
 
 Examples
 --------
->>> import tempfile
 >>> import matplotlib
 >>> matplotlib.use("agg")
 >>> from ldctoolkit import Study, rank_study, run_study
 >>> design = {"law": "lqr", "y_s": [0.05, 0.1], "gains": {"r_delta": [30.0, 300.0]}}
 >>> study = Study.from_dict({"name": "a", "scenarios": {"left": 20, "right": 20}, "design": [design]})
->>> with tempfile.TemporaryDirectory() as folder:
-...     results = run_study(study, directory=folder, workers=1)
+>>> results = run_study(study, workers=1)
 >>> ranking = rank_study(results, study)[0]
 >>> ax = plot_landscape(ranking, y="r_delta")
 >>> ax.get_xlabel(), ax.get_ylabel()
@@ -182,11 +180,9 @@ def plot_landscape(
 
     Examples
     --------
-    >>> import tempfile
     >>> import ldctoolkit as ldc
     >>> study = ldc.study(ldc.NoControl, ldc.LQR, y_s=[0.1, 0.2], name="small", left=20, right=20)
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     results = ldc.run_study(study, directory=folder, workers=1)
+    >>> results = ldc.run_study(study, workers=1)
     >>> ranking = ldc.rank_study(results, study)[0]
     >>> ldc.plot_landscape(ranking, "lqr", x="y_s").get_xlabel()
     'y_s [m]'
@@ -249,11 +245,9 @@ def plot_ranking(ranking: Ranking, ax: Axes | None = None, top: int = 20) -> Axe
 
     Examples
     --------
-    >>> import tempfile
     >>> import ldctoolkit as ldc
     >>> study = ldc.study(ldc.NoControl, ldc.LQR, name="small", left=20, right=20)
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     results = ldc.run_study(study, directory=folder, workers=1)
+    >>> results = ldc.run_study(study, workers=1)
     >>> ranking = ldc.rank_study(results, study)[0]
     >>> ldc.plot_ranking(ranking).get_xlabel()
     'Mean S [m·s]'
@@ -298,11 +292,9 @@ def plot_trade_off(ranking: Ranking, x: str = "a_y_peak_p95", y: str = "S", ax: 
 
     Examples
     --------
-    >>> import tempfile
     >>> import ldctoolkit as ldc
     >>> study = ldc.study(ldc.NoControl, ldc.LQR, name="small", left=20, right=20)
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     results = ldc.run_study(study, directory=folder, workers=1)
+    >>> results = ldc.run_study(study, workers=1)
     >>> ranking = ldc.rank_study(results, study)[0]
     >>> ldc.plot_trade_off(ranking, x="a_y_peak_p95", y="S").get_xlabel()
     'Peak a_y, 95 % quantile [m/s²], less is better'
@@ -365,11 +357,9 @@ def plot_distribution(
 
     Examples
     --------
-    >>> import tempfile
     >>> import ldctoolkit as ldc
     >>> study = ldc.study(ldc.NoControl, ldc.LQR, name="small", left=20, right=20)
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     results = ldc.run_study(study, directory=folder, workers=1)
+    >>> results = ldc.run_study(study, workers=1)
     >>> ranking = ldc.rank_study(results, study)[0]
     >>> ldc.plot_distribution(results, ranking.designs).get_xlabel()
     'Score S [m·s]'
@@ -425,11 +415,9 @@ def plot_convergence(
 
     Examples
     --------
-    >>> import tempfile
     >>> import ldctoolkit as ldc
     >>> study = ldc.study(ldc.NoControl, ldc.LQR, name="small", left=20, right=20)
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     results = ldc.run_study(study, directory=folder, workers=1)
+    >>> results = ldc.run_study(study, workers=1)
     >>> ranking = ldc.rank_study(results, study)[0]
     >>> ldc.plot_convergence(results, ranking.designs).get_xlabel()
     'Number of scenarios'

@@ -57,11 +57,9 @@ class CaseResults:
 
     Examples
     --------
-    >>> import tempfile
     >>> import ldctoolkit as ldc
     >>> study = ldc.study(ldc.NoControl, ldc.LQR, name="small", left=20, right=20)
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     results = ldc.run_study(study, directory=folder, workers=1)
+    >>> results = ldc.run_study(study, workers=1)
     >>> results.cases[0].S.shape
     (2, 40)
     """
@@ -225,11 +223,9 @@ class StudyResults(Frame):
 
     Examples
     --------
-    >>> import tempfile
     >>> import ldctoolkit as ldc
     >>> study = ldc.study(ldc.NoControl, ldc.LQR, name="small", left=20, right=20)
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     results = ldc.run_study(study, directory=folder, workers=1)
+    >>> results = ldc.run_study(study, workers=1)
     >>> len(results.designs), results.scenarios.n, results.failed
     (2, 40, ())
     """

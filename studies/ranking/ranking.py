@@ -127,11 +127,9 @@ class Ranking(RankedDesigns, Frame):
 
     Examples
     --------
-    >>> import tempfile
     >>> import ldctoolkit as ldc
     >>> study = ldc.study(ldc.NoControl, ldc.LQR, name="small", left=20, right=20)
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     results = ldc.run_study(study, directory=folder, workers=1)
+    >>> results = ldc.run_study(study, workers=1)
     >>> ranking = ldc.rank_study(results, study)[0]
     >>> ranking.designs[0].law, ranking.S.shape
     ('lqr', (2,))
@@ -309,11 +307,9 @@ def rank_study(results: StudyResults, study: Study) -> tuple[Ranking, ...]:
 
     Examples
     --------
-    >>> import tempfile
     >>> import ldctoolkit as ldc
     >>> study = ldc.study(ldc.NoControl, ldc.LQR, name="small", left=20, right=20)
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     results = ldc.run_study(study, directory=folder, workers=1)
+    >>> results = ldc.run_study(study, workers=1)
     >>> [design.law for design in ldc.rank_study(results, study)[0].designs]
     ['lqr', 'none']
     """
