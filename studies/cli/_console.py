@@ -107,9 +107,10 @@ def whole_number(text: str) -> int:
 
 def positive_number(text: str) -> int:
     """A whole number >= 1 on the command line."""
-    if whole_number(text) < 1:
-        raise argparse.ArgumentTypeError(f"{text!r}; allowed: a whole number >= 1")
-    return int(text)
+    with contextlib.suppress(argparse.ArgumentTypeError):
+        if whole_number(text) >= 1:
+            return int(text)
+    raise argparse.ArgumentTypeError(f"{text!r}; allowed: a whole number >= 1")
 
 
 def number(text: str) -> float:
