@@ -68,6 +68,9 @@ if TYPE_CHECKING:
         StudyResults,
         assess,
         compare,
+        estimate_risk,
+        export_c,
+        load_study,
         plot_convergence,
         plot_distribution,
         plot_landscape,
@@ -83,12 +86,6 @@ _LAWS = (
     "LQI", "LQR", "PID", "BarrierFilter", "LinearMPC", "NoControl", "NonlinearMPC", "PreviewLQR",
     "PreviewProportional", "PurePursuit", "SlidingMode", "Stanley",
 )  # fmt: skip
-_STUDIES = (
-    "Assessment", "Comparison", "Design", "Ranking", "Study", "StudyResults", "assess", "compare",
-    "plot_convergence", "plot_distribution", "plot_landscape", "plot_ranking", "plot_trade_off", "rank_study",
-    "read_results", "run_study", "study",
-)  # fmt: skip
-_LATER = dict.fromkeys(_LAWS, "controllers") | dict.fromkeys(_STUDIES, "studies")
 
 __all__ = [
     "LQI",
@@ -147,10 +144,13 @@ __all__ = [
     "controller_class",
     "controller_names",
     "controllers",
+    "estimate_risk",
+    "export_c",
     "extract_departures",
     "fit_scenario_model",
     "gain",
     "load_model",
+    "load_study",
     "open_recordings",
     "option",
     "plot_convergence",
@@ -179,9 +179,9 @@ def __getattr__(name: str) -> Any:
     """Laws and studies are loaded when they are first used."""
     if name in ("controllers", "studies"):
         return importlib.import_module(f"ldctoolkit.{name}")
-    if name not in _LATER:
+    if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}", name=name, obj=sys.modules[__name__])
-    return getattr(importlib.import_module(f"ldctoolkit.{_LATER[name]}"), name)
+    return getattr(importlib.import_module(f"ldctoolkit.{'controllers' if name in _LAWS else 'studies'}"), name)
 
 
 def __dir__() -> list[str]:

@@ -9,14 +9,16 @@ if TYPE_CHECKING:
     from .assessment import Assessment, assess
     from .comparison.comparison import Comparison, compare
     from .design import Design
+    from .export import export_c
     from .extraction import run_extraction
     from .plotting import plot_convergence, plot_distribution, plot_landscape, plot_ranking, plot_trade_off
     from .ranking.ranking import Ranking, rank_study
     from .results import Case, CaseResults, StudyResults
+    from .risk import estimate_risk
     from .runner import run_study
     from .storage.manifest import Manifest, read_manifest
     from .storage.store import read_results
-    from .study_file import Study, study
+    from .study_file import Study, load_study, study
 
 # loaded on first use, so that the command line answers --help without the data libraries
 _HOMES = {
@@ -31,6 +33,9 @@ _HOMES = {
     "StudyResults": "results",
     "assess": "assessment",
     "compare": "comparison.comparison",
+    "estimate_risk": "risk",
+    "export_c": "export",
+    "load_study": "study_file",
     "plot_convergence": "plotting",
     "plot_distribution": "plotting",
     "plot_landscape": "plotting",
@@ -56,6 +61,9 @@ __all__ = [
     "StudyResults",
     "assess",
     "compare",
+    "estimate_risk",
+    "export_c",
+    "load_study",
     "plot_convergence",
     "plot_distribution",
     "plot_landscape",

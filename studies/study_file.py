@@ -282,6 +282,8 @@ class Study(Part):
         designs = f"searches {', '.join(sorted({law for block in self.design for law in block.laws}))}"
         return f"<Study {self.name!r}: {designs if self.search else f'{len(self.designs):,} designs'}>"
 
+    __str__ = __repr__
+
     @model_validator(mode="before")
     @classmethod
     def _front_of_the_search(cls, content: Any) -> Any:
@@ -589,7 +591,16 @@ def catalog_names() -> tuple[str, ...]:
 
 
 def load_study(name_or_path: str | Path) -> Study:
-    """A study of the catalog by its name, or any other by the path of its TOML file."""
+    """A study of the catalog by its `name_or_path`, or any other by the path of its TOML file.
+
+    Raises `UnknownNameError` for what is neither; `StudyError` as `Study.from_toml`.
+
+    Examples
+    --------
+    >>> import ldctoolkit as ldc
+    >>> ldc.load_study("paper")
+    <Study 'paper': 2 designs>
+    """
     path = Path(name_or_path)
     if str(name_or_path) in catalog_names():
         return Study.from_toml(CATALOG / f"{name_or_path}.toml")

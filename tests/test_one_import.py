@@ -148,7 +148,7 @@ def test_seeds_have_defaults_and_the_folder_is_optional(tmp_path: Path) -> None:
 def test_representations_are_short() -> None:
     plant = ldc.PlantOptions(speed="profile", actuator=ldc.Actuator(lag=0.1))
     study = ldc.study(ldc.NoControl, ldc.LQR, y_s=[0.1, 0.2], name="two", plant=plant)
-    assert repr(study) == "<Study 'two': 3 designs>"
+    assert repr(study) == str(study) == "<Study 'two': 3 designs>"
     assert repr(plant) == "PlantOptions(speed='profile', actuator=Actuator(lag=0.1))"
     assert repr(ldc.Setup(dt=0.1)) == "Setup(dt=0.1)"
     late = ldc.PlantOptions(actuator=ldc.Actuator(delay=2.0))
