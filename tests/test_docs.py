@@ -47,8 +47,8 @@ PAGES = sorted(
     for path in (ROOT / "docs").rglob("*.md")
     if not path.parts[-2].endswith("generated")
 )
-WITH_PYTHON = [page for page in PAGES if blocks(page, "python")]
-LONG = ("docs/gallery/", "docs/tutorial.md", "docs/how-to/reading", "docs/explanation/risk", "docs/explanation/mpc")
+WITH_PYTHON = [page for page in PAGES if blocks(page, "python")]  # make docs executes the tutorial and the gallery
+LONG = ("docs/gallery/", "docs/how-to/reading", "docs/explanation/risk", "docs/explanation/mpc")
 PRINTED = {
     "docs/explanation/closed-loop.md": 7,
     "docs/explanation/plant-options.md": 1,

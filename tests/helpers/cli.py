@@ -73,7 +73,6 @@ ROOT = Path(__file__).resolve().parents[2]
 def blocks(page: str, language: str) -> list[str]:
     """The blocks of a page in one language, by its path in the project: ``"docs/reference/commands.md"``."""
     text = (ROOT / page).read_text(encoding="utf-8")
-    text = re.sub(r"^```\{code-cell\}.*\n(:.*\n)*", "```python\n", text, flags=re.M)  # of pages that the site executes
     found = re.findall(r"^```([^\n]*)\n(.*?)^```", text, flags=re.M | re.S)
     return [block for kind, block in found if kind == language]
 

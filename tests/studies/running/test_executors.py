@@ -343,7 +343,7 @@ def test_a_dask_scheduler_that_is_killed_ends_the_run(make_study: MakeStudy, tmp
 @pytest.mark.parametrize(
     ("preload", "message"),
     [
-        ("import sys; sys.modules['studies'] = None", r"worker tcp://\S+ cannot run tasks"),
+        ("import sys; sys.modules['ldctoolkit.studies'] = None", r"worker tcp://\S+ cannot run tasks"),
         (
             "import importlib.metadata as m; m.version = lambda n, v=m.version: '0.1' if n == 'scipy' else v(n)",
             r"worker tcp://\S+ has scipy 0\.1",
@@ -387,7 +387,7 @@ def test_a_dask_worker_that_joins_later_is_checked(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_dask_scheduler_without_the_toolkit_is_told(make_study: MakeStudy, tmp_path: Path) -> None:
-    preload = ("--preload", "import sys; sys.modules['studies'] = None")
+    preload = ("--preload", "import sys; sys.modules['ldctoolkit.studies'] = None")
     told = pytest.raises(ClusterError, match="the scheduler cannot run tasks")
     with cluster(tmp_path, workers=1, scheduler=preload) as (address, _), told:
         run_study(make_study(), directory=tmp_path / "results", dask=address)
