@@ -35,7 +35,7 @@ StatusArray = npt.NDArray[np.int8]
 
 
 class EventStatus(enum.IntEnum):
-    """What became of one scenario under one design.
+    """The status of one scenario under one design.
 
     Examples
     --------
