@@ -1,26 +1,5 @@
 """Plots of rankings and results for notebooks and scripts: each draws on the matplotlib axes `ax`, by default those of
 a new figure, and returns them.
-
-Examples
---------
->>> import matplotlib
->>> matplotlib.use("agg")
->>> from ldctoolkit import Study, rank_study, run_study
->>> design = {"law": "lqr", "y_s": [0.05, 0.1], "gains": {"r_delta": [30.0, 300.0]}}
->>> study = Study.from_dict({"name": "a", "scenarios": {"left": 20, "right": 20}, "design": [design]})
->>> results = run_study(study, workers=1)
->>> ranking = rank_study(results, study)[0]
->>> ax = plot_landscape(ranking, y="r_delta")
->>> ax.get_xlabel(), ax.get_ylabel()
-('y_s [m]', 'r_delta [1/rad²]')
->>> len(plot_ranking(ranking).get_yticks())
-4
->>> plot_trade_off(ranking, x="ay_p95").get_xlabel()
-'Peak a_y, 95 % quantile [m/s²], less is better'
->>> len(plot_distribution(results, results.designs, side="left").lines)
-5
->>> plot_convergence(results, [1], to=0).get_ylabel()
-'Mean paired difference of S [m·s]'
 """
 
 from __future__ import annotations

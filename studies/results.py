@@ -18,6 +18,7 @@ from ldctoolkit.frames import Frame
 from ldctoolkit.metrics import METRIC_COLUMNS, MetricValues
 from ldctoolkit.notebook import facts_html
 from ldctoolkit.simulation import Window
+from ldctoolkit.simulation.outcome import STATUS_NAMES
 from ldctoolkit.vehicle import Convention
 
 from .design import Design
@@ -262,8 +263,7 @@ class StudyResults(Frame):
             for i, design in enumerate(self.designs):
                 facts: dict[str, Any] = {"window": case.case.window, "convention": case.case.convention}
                 facts |= {"design": design.id, "label": design.label, "law": design.law, "y_s_m": design.y_s}
-                status = [EventStatus(one).name.lower() for one in case.status[i]]
-                values = {"scenario": self.scenarios.index, "side": sides, "status": status}
+                values = {"scenario": self.scenarios.index, "side": sides, "status": STATUS_NAMES[case.status[i]]}
                 tables.append(pl.DataFrame(facts | values | {name: array[i] for name, array in names.items()}))
         return pl.concat(tables)
 

@@ -113,6 +113,8 @@ def run_study(
                 progress=progress, block_size=block_size, time_limit=time_limit,
             )  # fmt: skip
     if scenarios is not None:
+        if model is not None:
+            raise InputError("model, scenarios: both are given; allowed: one of them")
         left = int((scenarios.side == LEFT).sum())
         rows = dataclasses.replace(scenarios, index=np.arange(scenarios.n))
         model = ReplayedDepartures("given", rows, numbered=True)

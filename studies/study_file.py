@@ -92,11 +92,9 @@ class SearchSettings(Part):
     """``[search]``: designs are not written down but requested, one batch after the other."""
 
     method: Literal["optuna"] = "optuna"
-    # Tree-structured Parzen estimator, random, or a genetic algorithm
     sampler: Literal["tpe", "random", "nsga2"] = "tpe"
     trials: int = Field(default=200, ge=1, le=100_000)  # Designs to try in all
-    # Designs requested at once; a larger batch keeps more workers busy and learns less between designs
-    batch: int = Field(default=16, ge=1, le=10_000)
+    batch: int = Field(default=16, ge=1, le=10_000)  # Designs requested at once; they run in parallel
     objectives: Annotated[
         tuple[str, ...], BeforeValidator(_names), AfterValidator(_metric_names), Field(min_length=1)
     ] = ("S",)  # Metrics to make small (or large, where more is better): one, or several for a Pareto front
@@ -114,17 +112,14 @@ class ScenarioSettings(Part):
 
     # Bundled model, or the path of a model file relative to the study file; empty where a table is replayed alone
     model: str = "reference"
-    # Departures table to be replayed (what `ldc extract` writes), relative to the study file; beside a model, by the
-    # finalists
+    # Departures table, or one of side and eight parameters, to be replayed; beside a model, by the finalists
     departures: str = ""
-    # Or a Parquet table of your own: `side` (`left`, `right`) and `T_s`, `d_y_m`, `sigma_y_m`, `v_mean_m_s`,
-    # `a_mean_m_s2`, `sigma_v_m_s`, `c_0_1_m`, `dc_1_m`, curvature outward
     table: str = ""
     weights: str = ""  # Column of the table: events that each departure stands for
     path: Literal["parabola", "recorded"] = "parabola"  # What of recorded departures is replayed
-    # Departures to the left: 500 of a model, all of a table
+    # Number of departures to each side: 500 of a model, all of a table
     left: int | None = Field(default=None, ge=0, le=10_000_000)
-    right: int | None = Field(default=None, ge=0, le=10_000_000)  # The same to the right
+    right: int | None = Field(default=None, ge=0, le=10_000_000)
     # Only departures with these parameters: a value, or `[lower, upper]` in SI units, `inf` for open
     given: dict[str, float | tuple[float | None, float | None]] = Field(default_factory=dict)
 

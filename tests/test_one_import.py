@@ -1,6 +1,5 @@
 """What a Python session needs, from one import, in a few lines; each as a user would write it."""
 
-import dataclasses
 import re
 import subprocess
 import sys
@@ -142,7 +141,7 @@ def test_seeds_have_defaults_and_the_folder_is_optional(tmp_path: Path) -> None:
     there, gone = ldc.run_study(study, tmp_path / "out", workers=1), ldc.run_study(study, workers=1)
     np.testing.assert_array_equal(there.cases[0].S, gone.cases[0].S)
     assert isinstance(gone.to_polars(), pl.DataFrame)
-    assert (tmp_path / "out" / "study.toml").is_file() or list((tmp_path / "out").iterdir())
+    assert (tmp_path / "out" / "manifest.json").is_file()
 
 
 def test_representations_are_short() -> None:
@@ -200,6 +199,10 @@ STUDY = ldc.study(ldc.NoControl, left=2, right=2)
             lambda: ldc.run_study(STUDY, scenarios={}),
             r"^scenarios: an object of type dict; allowed: Scenarios or None$",
         ),
+        (
+            lambda: ldc.run_study(STUDY, model="reference", scenarios=arrays()),
+            r"^model, scenarios: both are given; allowed: one of them$",
+        ),
         (lambda: ldc.rank_study(STUDY, STUDY), r"^results: an object of type Study; allowed: StudyResults$"),
         (
             lambda: ldc.rank_study(ldc.run_study(STUDY, workers=1), ldc.study(ldc.PID, name="other")),
@@ -224,7 +227,3 @@ def test_without_pandas_one_sentence_says_so(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(ldc.LdcError, match=r"^to_pandas: pandas is not installed; allowed: pip install pandas, or"):
         arrays().to_pandas()
-
-
-def test_a_frozen_law_is_still_a_dataclass() -> None:
-    assert dataclasses.replace(ldc.LQR(), r_delta=5.0).r_delta == 5.0

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     import polars as pl
 
 Window = Literal["departure", "control"]
+STATUS_NAMES = np.array([one.name.lower() for one in EventStatus])  # by the number of each
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
@@ -76,7 +77,7 @@ class Outcome(Frame):
         return pl.DataFrame(
             ({} if self.side is None else {"side": np.where(self.side == LEFT, "left", "right")})
             | {"S_m_s": self.S, "S_uncorrected_m_s": self.S_uncorrected, "t_s_s": self.t_s}
-            | {"status": [EventStatus(one).name.lower() for one in self.status], "failed_solves": self.failed_solves}
+            | {"status": STATUS_NAMES[self.status], "failed_solves": self.failed_solves}
             | {column: getattr(self.companions, name) for name, column in metrics.METRIC_COLUMNS.items()}
         )
 
@@ -84,8 +85,8 @@ class Outcome(Frame):
         counts = {one.name.lower(): np.count_nonzero(self.status == one) for one in EventStatus if one}
         bad = (f", {count:,} {name}" for name, count in counts.items() if count)
         return (
-            f"<Outcome of {self.S.size:,} scenarios, {self.window} window: mean S {np.nanmean(self.S):.4f} m s, "
-            f"{np.nanmean(self.S_uncorrected):.4f} m s without control{''.join(bad)}>"
+            f"<Outcome of {self.S.size:,} scenarios, {self.window} window: mean S {np.mean(self.S):.4f} m s, "
+            f"{np.mean(self.S_uncorrected):.4f} m s without control{''.join(bad)}>"
         )
 
     @property

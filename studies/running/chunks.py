@@ -105,7 +105,7 @@ class ChunkJob:
 
     def identity(self) -> dict[str, Any]:
         """What decides the numbers."""
-        setup = hashlib.sha256(repr(self.setup).encode()).hexdigest()[:16]
+        setup = hashlib.sha256(repr(dataclasses.asdict(self.setup)).encode()).hexdigest()[:16]
         same = {"ldctoolkit": __version__, "designs": [one.id for one in self.designs], "setup": setup, "n": self.n}
         same |= {"model": self.model.content_hash, "given": self.given, "seed": self.setup.seed, "chunk": self.chunk}
         return dict(json.loads(json.dumps(same | {"left_right": self.share, "events": self.events})))
