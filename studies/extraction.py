@@ -419,6 +419,7 @@ def run_extraction(
     preparation: Preparation | None = None,
     *,
     keep_signals: bool = False,
+    force: bool = False,
     output: str | os.PathLike[str] | None = None,
     workers: int | None = None,
     dask: str | None = None,
@@ -427,7 +428,8 @@ def run_extraction(
 ) -> Extraction:
     r"""Find the lane departures in recordings of any size; goes on where an earlier run was stopped.
 
-    Raises `NothingReadError` if no recording could be read; nothing is written; `StoreError` if the folder holds other
+    Raises `NothingReadError` if no recording could be read, `RecordingError` for recordings whose units, signs or
+    references cannot be right; nothing is written; `StoreError` if the folder holds other
     things, is in use, or cannot be written; `InputError` for arguments outside what is allowed; `LdcError` if workers
     or a cluster cannot be used.
 
@@ -442,6 +444,8 @@ def run_extraction(
     keep_signals : bool
         Keep y(t), v(t) and c(t) of every departure; with an output, in a second table beside it, ``d.signals.parquet``
         of ``d.parquet``.
+    force : bool
+        Go on where units, signs or references cannot be what is needed.
     output : path, optional
         Departures table to write. Finished parts wait in a folder of this name with ``.parts`` behind it until all are
         there; then it is removed. Without an output, or with one part alone, nothing is kept; a folder that another
@@ -486,7 +490,7 @@ def run_extraction(
             remove_unfinished(Path(output))
         unread = _fill(store, works, workers, dask, progress)
         results = _in_order(source.problems, works, store, unread)
-        extraction = merge_results(results, criteria, preparation, reader=reader.name, files=source.files)
+        extraction = merge_results(results, criteria, preparation, reader=reader.name, files=source.files, force=force)
         if extraction.recordings == 0:
             store.remove()
             raise NothingReadError(extraction.problems)

@@ -82,6 +82,7 @@ class Refused:
     too_long: int = 0
     too_few_samples: int = 0
     slow: int = 0
+    engaged: int = 0  # A system was steering
     intended: int = 0  # The turn signal was on towards the departed side
     # The mean acceleration, or speed and curvature together, are beyond 9.81 m/s^2, more than tyres can do: noise. Or
     # the lane is no wider than the vehicle: one of its lines is not the lane's.

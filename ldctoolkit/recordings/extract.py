@@ -6,12 +6,16 @@ from typing import Final
 
 import numpy as np
 
+from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.departures import PARAMETER_COLUMNS, PARAMETER_NAMES, Departures, ExtraColumn, Plausibility
 from ldctoolkit.errors import InputError, LdcError, RecordingError
 from ldctoolkit.recordings.departures_table import Extraction, PartResult, Provenance, Refused, combined_results
 from ldctoolkit.recordings.find_departures import REASONS, Criteria, find_departures
-from ldctoolkit.recordings.preparation import Preparation, prepare
+from ldctoolkit.recordings.preparation import MAX_JUMP, Preparation, corrected, prepare, stretches
 from ldctoolkit.recordings.quality import (
+    OFFSET_BINS,
+    OFFSET_STEP,
+    RELATIONS,
     TURN_WINDOW,
     Origin,
     QualityStatistics,
@@ -20,7 +24,14 @@ from ldctoolkit.recordings.quality import (
     quality_statistics,
     unit_warnings,
 )
-from ldctoolkit.recordings.recording import Problem, Recording, RecordingTable, SourceFile
+from ldctoolkit.recordings.recording import (
+    MAX_LANE_WIDTH,
+    MIN_LANE_WIDTH,
+    Problem,
+    Recording,
+    RecordingTable,
+    SourceFile,
+)
 from ldctoolkit.recordings.sources import OpenedRecordings, RecordingPart, part_name
 
 BATCH: Final = 500_000  # samples that are searched together; no number depends on it
@@ -59,7 +70,8 @@ def extract_items(
     A recording that cannot be prepared is a problem of the result.
     """
     results: list[PartResult] = []
-    batch: list[Recording] = []
+    batch: list[tuple[Recording, Recording]] = []  # as the source has them, and prepared
+    widths = criteria.min_lane_width, criteria.max_lane_width
     problems: list[Problem] = []
     waiting = 0
     if criteria.max_gap is not None and criteria.max_gap < preparation.max_gap:
@@ -83,24 +95,29 @@ def extract_items(
                             f"recording {item.name!r}: label {label.name!r}; allowed: a name that is no column of the "
                             "departures table"
                         )
-                recording = prepare(item, preparation, criteria.max_jump)
+                raw = stretches(corrected(item, preparation))
+                pieces = [prepare(piece, preparation, criteria.max_jump, widths) for piece in raw]
             except RecordingError as error:
                 problems.append(Problem(item.source or item.name, "", f"{error}; it is left out"))
                 continue
-            if recording.samples == 0:
-                continue
-            kinds = [[getattr(one, name) is None for name in _OPTIONAL] for one in (*batch[:1], recording)]
-            if batch and (waiting + recording.samples > BATCH or kinds[0] != kinds[-1]):
-                search()
-            batch.append(recording)
-            waiting += recording.samples
+            for pair in zip(raw, pieces, strict=True):
+                if pair[1].samples == 0:
+                    continue
+                if batch and (waiting + pair[0].samples > BATCH or _kinds(pair) != _kinds(batch[0])):
+                    search()
+                batch.append(pair)
+                waiting += pair[0].samples
         else:
             raise InputError(f"recordings: an item is a {type(item).__name__}; allowed: Recording")
     search()
     return combined_results([*results, PartResult(problems=tuple(problems))])
 
 
-_OPTIONAL: Final = ("curvature", "yaw_rate", "lane", "turn_signal")
+_OPTIONAL: Final = ("curvature", "yaw_rate", "lane", "turn_signal", "engaged")
+
+
+def _kinds(recordings: Iterable[Recording]) -> list[bool]:
+    return [getattr(recording, name) is None for recording in recordings for name in _OPTIONAL]
 
 
 def table_of(recordings: list[Recording]) -> RecordingTable:
@@ -119,8 +136,9 @@ def table_of(recordings: list[Recording]) -> RecordingTable:
 
 
 def _of_batch(
-    recordings: list[Recording], criteria: Criteria, preparation: Preparation, keep_signals: bool
+    batch: list[tuple[Recording, Recording]], criteria: Criteria, preparation: Preparation, keep_signals: bool
 ) -> PartResult:
+    raw, recordings = [pair[0] for pair in batch], [pair[1] for pair in batch]
     table, step = table_of(recordings), preparation.step
     limit = None if step is None else max(GAP_STEPS * step, criteria.max_gap or 0.0)
     found = find_departures(table, criteria, limit)
@@ -130,8 +148,8 @@ def _of_batch(
     departures = dataclasses.replace(found.departures, extra=extra, signals=found.signals if keep_signals else None)
     return PartResult(
         departures=departures,
-        accounts=accounts_of(table, found, origins),
-        evidence=quality_statistics(table, found.usable, found.median_step, criteria.vehicle_width, recordings),
+        accounts=accounts_of(table, found, origins, np.array([not recording.continues for recording in recordings])),
+        evidence=quality_statistics(table_of(raw), raw, table, recordings, found, criteria.vehicle_width),
         drawn=example_events(departures, found.signals, sources),
     )
 
@@ -164,14 +182,19 @@ def extract_departures(
     max_duration: float = 10.0,
     min_speed: float = 5.0,
     max_gap: float | None = None,
-    max_jump: float = 0.6,
+    max_jump: float = MAX_JUMP,
     plausibility: Plausibility | None = None,
     preparation: Preparation | None = None,
     keep_signals: bool = False,
+    min_lane_width: float = MIN_LANE_WIDTH,
+    max_lane_width: float = MAX_LANE_WIDTH,
+    keep_engaged: bool = False,
+    force: bool = False,
 ) -> Extraction:
     """Find the lane departures in driving recordings and reduce each to its eight parameters.
 
-    Raises `InputError` for a criterion outside its range; `RecordingError` for recordings that cannot be used.
+    Raises `InputError` for a criterion outside its range; `RecordingError` for recordings that cannot be used, or whose
+    units, signs or references cannot be what is needed.
 
     Parameters
     ----------
@@ -187,13 +210,19 @@ def extract_departures(
         Longest time step that is not a gap; by default 2.5 median steps of the recording, at least 0.25 s. Resampled
         recordings have no values in a gap that `preparation` does not bridge; by default any such hole is a gap.
     max_jump : float [m]
-        Largest step of the offset from one sample to the next.
+        Largest movement of the offset that may be faster than 2.5 m/s; a faster one is a jump of the lane tracker.
     plausibility : Plausibility, optional
         What the fitted path may ask of driver and vehicle; beyond it a candidate is refused as implausible.
     preparation : Preparation, optional
         Common time step, scale, yaw rate; the reader's step, or recordings as they are, by default.
     keep_signals : bool
         Keep y(t), v(t) and c(t) of every departure, so that the recorded path itself can be replayed.
+    min_lane_width, max_lane_width : float [m]
+        A sample with a narrower or a wider lane is invalid.
+    keep_engaged : bool
+        Whether departures and hours count, too, while a system steers (`Recording.engaged`).
+    force : bool
+        Go on where units, signs or references cannot be what is needed; what is doubtful is among the warnings.
 
     Returns
     -------
@@ -227,14 +256,17 @@ def extract_departures(
         max_gap,
         max_jump,
         plausibility or Plausibility(),
+        min_lane_width,
+        max_lane_width,
+        keep_engaged,
     )
     if not isinstance(recordings, OpenedRecordings):
         found = extract_items(recordings, criteria, chosen, keep_signals=keep_signals)
-        return merge_results([found], criteria, chosen)
+        return merge_results([found], criteria, chosen, force=force)
     source = recordings.source
     results = [PartResult(problems=tuple(source.problems))]
     results += [extract_part(part, criteria, chosen, keep_signals=keep_signals) for part in source.parts]
-    return merge_results(results, criteria, chosen, reader=recordings.reader.name, files=source.files)
+    return merge_results(results, criteria, chosen, reader=recordings.reader.name, files=source.files, force=force)
 
 
 def merge_results(
@@ -244,21 +276,34 @@ def merge_results(
     *,
     reader: str = "table",
     files: Sequence[SourceFile] = (),
+    force: bool = False,
 ) -> Extraction:
     """The parts of an extraction as a whole, in the order of the source's parts; a part without anything but problems
-    may stand for the source's own.
+    may stand for the source's own. Raises `RecordingError` for recordings that cannot be what they should, unless
+    forced.
     """
     whole = combined_results(results)
     refused = np.sum([account.refused.sum(axis=0) for account in whole.accounts], axis=0, initial=0)
     counts = np.broadcast_to(refused, (len(REASONS),))
     kinds, samples = whole.evidence.kinds, sum(account.samples for account in whole.accounts)
     usable = sum(account.usable for account in whole.accounts)
-    warnings = quality_warnings(
+    sides = np.sum([account.departures for account in whole.accounts], axis=0, initial=0)
+    doubts = quality_doubts(
         whole.evidence,
         criteria.vehicle_width,
-        preparation.nominal_lane_width,
+        np.broadcast_to(sides, (2,)),
         yaw_rate_factor=preparation.yaw_rate_factor,
+    )
+    if doubts and not force:
+        raise RecordingError(
+            f"the recordings cannot be right: {'; '.join(doubts)}. Correct them, or go on with --force (in Python: "
+            "force=True)"
+        )
+    warnings = doubts + quality_warnings(
+        whole.evidence,
+        preparation.nominal_lane_width,
         labelled=reader == "table",
+        scaled=not any("lane_width" in text or "vehicle width" in text for text in doubts),
     )
     provenance = Provenance(
         criteria=criteria,
@@ -306,31 +351,74 @@ UNEVEN: Final = 1.25
 EDGE: Final = 0.05  # share of the recordings at either end that may have odd lane widths
 
 
-def quality_warnings(
-    evidence: QualityStatistics,
-    vehicle_width: float,
-    nominal_lane_width: float | None,
-    *,
-    yaw_rate_factor: float = 1.0,
-    labelled: bool = True,
+def quality_doubts(
+    evidence: QualityStatistics, vehicle_width: float, sides: IntArray, *, yaw_rate_factor: float = 1.0
 ) -> tuple[str, ...]:
-    """Warnings about units, signs, scale, curvature and repeated recordings; none when everything is plausible."""
+    """What cannot be right: units, signs, references; `sides` are the departures to the left and right, (2,)."""
     found = unit_warnings(dict(evidence.units), vehicle_width)
+    # a wrong unit of the offset makes all of these, too
+    if not any("lane_" in text or "vehicle width" in text for text in found):
+        found += _reference(evidence, sides)
+    return (*found, *_turning(evidence, yaw_rate_factor))
+
+
+def quality_warnings(
+    evidence: QualityStatistics, nominal_lane_width: float | None, *, labelled: bool = True, scaled: bool = True
+) -> tuple[str, ...]:
+    """Warnings about scale, curvature, lanes and repeated recordings; none when everything is plausible."""
+    found = []
     if "none" in evidence.kinds:
         where = "" if evidence.kinds == ("none",) else " in some recordings"
         found.append(f"no column 'curvature' or 'yaw_rate'{where}: the lane's curvature is taken as 0 (c_0 = dc = 0)")
     if labelled and not evidence.lanes:
         found.append("no column 'lane': a lane change is seen only as a jump of the offset by about a lane width")
-    found += _turning(evidence, yaw_rate_factor)
+    if abs(_likeness(evidence.turns[0])) < 0.5 and _known_turns(evidence.turns[0]):
+        found.append(
+            f"yaw rate and GPS heading do not agree (correlation {_likeness(evidence.turns[0]):.2f}): curvatures are "
+            "doubtful"
+        )
     if evidence.bends[0] > 1000 and evidence.bends[1] < 0.001 * evidence.bends[0] and evidence.kinds != ("none",):
         found.append("the lane is straight in nearly all samples: c_0 and dc tell nothing")
-    unit_warned = any("lane_width" in text or "vehicle width" in text for text in found)
-    if nominal_lane_width is None and not unit_warned:
+    if nominal_lane_width is None and scaled:
         found += _scale(evidence)
     found += _twins(evidence)
     total = evidence.names.size
     found += [f"{note}: {count} of {total} recordings" for note, count in evidence.notes]
     return tuple(found)
+
+
+ENOUGH_TIME: Final = 20.0  # [s] of driving that tell whether an offset can be one
+SHARE_BEYOND: Final = 0.3  # share of the time beyond a line that no driver reaches
+SHARE_LONG: Final = 0.08  # the same of stays of more than five seconds
+LARGEST_MEDIAN: Final = 0.4  # [m] of the offset: no driver keeps so far from the lane's centre
+FEWEST_ON_A_SIDE: Final = 20  # departures that show whether there are any to the other side
+SMALLER_SIDE: Final = 0.05  # share of the departures to the other side
+
+_REFERENCES: Final = (
+    "column 'lane_offset': {what}; is it a distance to a line, without a sign, in another unit, or is the camera not "
+    "in the vehicle's centre? The vehicle's centre from the lane's centre is needed, in m, positive to the left"
+)
+
+
+def _reference(evidence: QualityStatistics, sides: IntArray) -> list[str]:
+    """Doubts whether the offset is one."""
+    driven, beyond, long = evidence.stays_ns / 1e9
+    counts, middle = evidence.offsets, OFFSET_BINS // 2
+    what, samples = "", max(int(counts.sum()), 1)
+    median = OFFSET_STEP * (int(np.searchsorted(np.cumsum(counts), 0.5 * samples)) - middle)
+    side = "left" if counts[middle + 1 :].sum() > counts[:middle].sum() else "right"
+    if driven >= ENOUGH_TIME:
+        fewer = min(int(counts[:middle].sum()), int(counts[middle + 1 :].sum()))
+        wide = int(counts[: middle - 6].sum() + counts[middle + 7 :].sum())
+        if fewer == 0 and counts[middle] >= 0.01 * samples and wide >= 0.01 * samples:
+            what = f"it comes to zero and never lies to the {'right' if side == 'left' else 'left'}"
+        elif abs(median) > LARGEST_MEDIAN:
+            what = f"half of the time the vehicle is more than {abs(median):.2f} m to the {side}"
+        elif beyond > SHARE_BEYOND * driven or long > SHARE_LONG * driven:
+            what = f"a wheel is beyond a line in {beyond / driven:.0%} of the time"
+    if not what and sides.sum() >= FEWEST_ON_A_SIDE and sides.min() <= SMALLER_SIDE * sides.sum():
+        what = f"{int(sides.max())} of {int(sides.sum())} departures are to the {'left' if sides[0] else 'right'}"
+    return [_REFERENCES.format(what=what)] if what else []
 
 
 def few_usable(samples: int, usable: int) -> tuple[str, ...]:
@@ -343,36 +431,61 @@ def few_usable(samples: int, usable: int) -> tuple[str, ...]:
     )
 
 
+def _likeness(turns: FloatArray) -> float:
+    """Correlation of two signals, from windows and sums."""
+    _, hh, hr, rr = turns
+    return float(hr / max(np.sqrt(hh * rr), 1e-300))
+
+
+def _known_turns(turns: FloatArray) -> bool:
+    return bool(turns[0] >= FEWEST_TURNS and turns[1] >= LEAST_TURNING**2 * turns[0])
+
+
+_SAID: Final = {"heading": "the heading", "yaw_rate": "the yaw rate", "curvature": "the curvature",
+                "steering": "the steering angle"}  # fmt: skip
+
+
 def _turning(evidence: QualityStatistics, factor: float) -> list[str]:
-    """Yaw rate against heading; the evidence is of yaw rates that were multiplied with `factor`."""
-    windows, hh, hr, rr = evidence.turns
-    if windows < FEWEST_TURNS:
-        return []
-    likeness = hr / max(np.sqrt(hh * rr), 1e-300)
-    if abs(likeness) < 0.5:
-        if hh < LEAST_TURNING**2 * windows:
-            return []
-        return [f"yaw rate and GPS heading do not agree (correlation {likeness:.2f}): curvatures are doubtful"]
-    # the true ratio lies between the two regressions, the first if all noise is the yaw rate's, the second if it is
-    # all the heading's
-    low, high = abs(hr) / hh, rr / abs(hr)
-    scale = 1.0 if low < 1.25 and high > 0.8 else float(np.sqrt(rr / hh))
-    times = "" if scale == 1.0 else f", and {scale:.3g} times as much: another unit?"
-    rate, recorded = "the yaw rate", "it"
-    if factor != 1.0:
-        rate, recorded = f"the yaw rate times {factor:.3g}, as given,", "without the factor it"
-    if likeness < 0.0:
-        return [
-            f"{rate} turns against the GPS heading (correlation {likeness:.2f}){times}; {recorded} is positive to the "
-            f"{'right' if factor > 0.0 else 'left'}: give --yaw-rate-factor {-factor / scale:.3g}, or all curvatures "
-            "have the wrong sign"
-        ]
-    if scale != 1.0:
-        return [
-            f"{rate} is {scale:.3g} times what the GPS heading turns: another unit? "
-            f"(--yaw-rate-factor {factor / scale:.3g} would make them agree)"
-        ]
-    return []
+    """Signals that turn against each other, or by another amount; the yaw rates were multiplied with `factor`."""
+    found: list[str] = []
+    doubted: set[str] = set()
+    for turns, (reference, other) in zip(evidence.turns, RELATIONS, strict=True):
+        likeness = _likeness(turns)
+        if turns[0] < FEWEST_TURNS or abs(likeness) < 0.5 or {reference, other} & doubted:
+            continue
+        _, hh, hr, rr = turns
+        # the true ratio lies between the two regressions, the first if all noise is the second signal's, the second if
+        # it is all the first one's
+        low, high = abs(hr) / hh, rr / abs(hr)
+        scale = 1.0 if (low < 1.25 and high > 0.8) or other == "steering" else float(np.sqrt(rr / hh))
+        if likeness > 0.0 and scale == 1.0:
+            continue
+        doubted.add(other)
+        what, of = _SAID[other], "the GPS heading" if (reference, other) == RELATIONS[0] else _SAID[reference]
+        times = f" times {factor:.3g}, as given," if other == "yaw_rate" and factor != 1.0 else ""
+        if likeness < 0.0:
+            text = f"{what}{times} turns against {of} (correlation {likeness:.2f})"
+            text += "" if scale == 1.0 else f", and {scale:.3g} times as much: another unit?"
+            recorded = "without the factor it" if times else "it" if other == "yaw_rate" else "one of them"
+            text += f"; {recorded} is positive to the {'right' if factor > 0.0 else 'left'}"
+        else:
+            text = f"{what}{times} is {scale:.3g} times what {of} turns: another unit?"
+        if other == "yaw_rate":
+            advice = factor / scale if likeness > 0.0 else -factor / scale
+            end = "or all curvatures have the wrong sign" if likeness < 0.0 else "which would make them agree"
+            text += f" (give --yaw-rate-factor {advice:.3g}, {end})"
+        found.append(text)
+    likeness = _likeness(evidence.sway)
+    if evidence.sway[0] >= FEWEST_SWAYS and likeness < LEAST_SWAY and not doubted:
+        found.append(
+            f"column 'lane_offset': it goes against the vehicle's heading (correlation {likeness:.2f}); it is positive "
+            "to the right, or the heading or yaw rate is"
+        )
+    return found
+
+
+FEWEST_SWAYS: Final = 20 * 31  # points in windows of six seconds; two minutes
+LEAST_SWAY: Final = -0.2  # correlation of offset and heading below which they contradict each other
 
 
 def _scale(evidence: QualityStatistics) -> list[str]:

@@ -10,7 +10,8 @@ import numpy as np
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.departures import LEFT, RIGHT, Departures, DepartureSignals, Plausibility, no_departures, reduce_signals
 from ldctoolkit.errors import InputError
-from ldctoolkit.recordings.recording import RecordingTable, usable_samples
+from ldctoolkit.recordings.preparation import MAX_JUMP, ROUNDING
+from ldctoolkit.recordings.recording import MAX_LANE_WIDTH, MIN_LANE_WIDTH, RecordingTable, usable_samples
 
 REASONS: Final = (
     "lane_change",
@@ -22,6 +23,7 @@ REASONS: Final = (
     "too_long",
     "too_few_samples",
     "slow",
+    "engaged",
     "intended",
     "implausible",
 )
@@ -37,7 +39,18 @@ LARGEST_ACCELERATION: Final = 9.81
 GAP_FLOOR: Final = 0.25
 GAP_STEPS: Final = 2.5
 LANE_JUMP: Final = (0.7, 1.3)
-"""Without a column `lane`: a step of the offset between these multiples of the lane width is a lane change."""
+"""A jump of the offset between these multiples of the lane width is a lane change."""
+
+JUMP_WINDOW: Final = 0.6
+"""Longest time [s] over which a movement is judged: a jump that was smoothed over half a second is seen in it."""
+
+MOST_LAGS: Final = 600  # samples in that time, at most; it bounds the work for absurd clocks
+JUMP_SPEED: Final = 2.5  # [m/s] of the offset; faster than any path that counts as plausible
+WIDTH_JUMP: Final = (0.5, 1.0)
+"""[m], [m/s]: the lane's width moves so far, and so fast, only where a line jumps to another marking."""
+
+SAME_FRAME: Final = 0.005  # [s] closer samples came in one burst, whatever time they were taken at
+LONG_STAY: Final = 5.0  # [s] a driver who strays over a line is back sooner
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,6 +69,11 @@ def median_steps(table: RecordingTable) -> FloatArray:
     recording = table.recording_index
     within = recording[1:] == recording[:-1]
     step, owner = np.diff(table.t)[within], recording[1:][within]
+    if (step <= SAME_FRAME).any():  # the steps between bursts, where these make up most of the time
+        long = step > SAME_FRAME
+        time = [np.bincount(owner, weights, minlength=table.names.size) for weights in (step, step * long)]
+        kept = long | (time[1] <= 0.5 * time[0])[owner]
+        step, owner = step[kept], owner[kept]
     order = np.lexsort((step, owner))
     count = np.bincount(owner, minlength=table.names.size)
     begin = np.cumsum(count) - count
@@ -67,28 +85,87 @@ def median_steps(table: RecordingTable) -> FloatArray:
 
 
 def breaks(
-    table: RecordingTable, place: IntArray, gap_limit: FloatArray, max_jump: float
-) -> tuple[BoolArray, IntArray]:
-    """What lies between each usable sample and the next."""
+    table: RecordingTable, place: IntArray, gap_limit: FloatArray, max_jump: float, edges: dict[int, FloatArray]
+) -> tuple[BoolArray, IntArray, IntArray]:
+    """What lies between each usable sample and the next, and the break's name: the first joint of a movement's."""
     recording = table.recording_index[place]
     same = recording[1:] == recording[:-1]
-    step = np.abs(np.diff(table.lane_offset[place]))
     cause = np.full(same.shape, _NONE)
     # the weakest first: a stronger reason overwrites it
-    cause[step > max_jump] = CODE["jump"]
     cause[np.diff(table.t[place]) > gap_limit[recording[1:]]] = CODE["gap"]
     cause[np.diff(place) > 1] = CODE["invalid"]
+    offset, width = table.lane_offset[place], table.lane_width[place]
+    beyond = np.maximum(edges[LEFT][place], edges[RIGHT][place]) > 0.0
+    jump = _jumps(table.t[place], offset, width, beyond, ~same | (cause != _NONE), max_jump)
+    cause[jump] = CODE["jump"]
+    moved = jump.copy()
     if table.lane is not None:
-        changed = table.lane[place][1:] != table.lane[place][:-1]
-    else:
-        width = 0.5 * (table.lane_width[place][1:] + table.lane_width[place][:-1])
-        changed = (step > max_jump) & (step > LANE_JUMP[0] * width) & (step < LANE_JUMP[1] * width)
-    cause[changed] = CODE["lane_change"]
-    return same, cause
+        changed = same & (table.lane[place][1:] != table.lane[place][:-1])
+        cause[changed] = CODE["lane_change"]
+        moved |= changed
+    # a movement that takes several steps is one break
+    starts = np.flatnonzero(moved & ~np.append(False, moved[:-1]))
+    ends = np.flatnonzero(moved & ~np.append(moved[1:], False)) + 1
+    name = np.arange(same.size)
+    name[moved] = np.repeat(starts, ends - starts)
+    way, lane = np.abs(offset[ends] - offset[starts]), 0.5 * (width[ends] + width[starts])
+    whole = (way > max_jump) & (way > LANE_JUMP[0] * lane) & (way < LANE_JUMP[1] * lane)
+    cause[moved & np.isin(name, starts[whole])] = CODE["lane_change"]
+    return same, cause, name
+
+
+def _jumps(
+    t: FloatArray, offset: FloatArray, width: FloatArray, beyond: BoolArray, barred: BoolArray, max_jump: float
+) -> BoolArray:
+    """Joints between neighbours, (k - 1,), across which offset or width moves too far, too fast; not across `barred`.
+
+    They are looked for where it matters, within `JUMP_WINDOW` of samples with the edge beyond a line. Of two pairs of
+    samples, one inside the other, the closer pair tells where the movement is.
+    """
+    jump, longest = np.zeros(barred.size, dtype=bool), JUMP_WINDOW + ROUNDING
+    begin, end = (
+        np.flatnonzero(beyond & ~np.append(False, beyond[:-1])),
+        np.flatnonzero(beyond & ~np.append(beyond[1:], False)),
+    )
+    low, high = np.maximum(begin - 1, 0), np.minimum(end + 1, t.size - 1)
+    for _ in range(MOST_LAGS):
+        before = (low > 0) & (np.abs(t[begin] - t[low - 1]) <= longest)
+        after = (high < t.size - 1) & (np.abs(t[np.minimum(high + 1, t.size - 1)] - t[end]) <= longest)
+        if not (before.any() or after.any()):
+            break
+        low, high = low - before, high + after
+    count = np.bincount(low, minlength=t.size + 1) - np.bincount(high + 1, minlength=t.size + 1)
+    rows = np.flatnonzero(np.cumsum(count)[:-1])
+    t, offset, width = t[rows], offset[rows], width[rows]
+    taken = np.append(barred, True)[rows[:-1]] | (np.diff(rows) > 1)
+    found = np.zeros(taken.size, dtype=bool)
+    for lag in range(1, min(MOST_LAGS, rows.size)):
+        dt = t[lag:] - t[:-lag]
+        before = np.append(0, np.cumsum(taken))
+        free = before[lag:] == before[:-lag]
+        if lag > 1:
+            free &= dt <= longest
+        if not free.any():
+            break
+        lane = LANE_JUMP[0] * np.minimum(width[lag:], width[:-lag])
+        limit = np.maximum(max_jump, np.minimum(JUMP_SPEED * dt, lane))
+        far = np.abs(offset[lag:] - offset[:-lag]) > limit + ROUNDING
+        far |= np.abs(width[lag:] - width[:-lag]) > np.maximum(WIDTH_JUMP[0], WIDTH_JUMP[1] * dt) + ROUNDING
+        first = np.flatnonzero(free & far)
+        ends = np.bincount(first + lag, minlength=rows.size)
+        found |= np.cumsum(np.bincount(first, minlength=rows.size) - ends)[:-1] > 0
+        taken |= found
+    jump[rows[:-1][found]] = True
+    return jump
 
 
 def find_runs(
-    table: RecordingTable, place: IntArray, edges: dict[int, FloatArray], same: BoolArray, cause: IntArray
+    table: RecordingTable,
+    place: IntArray,
+    edges: dict[int, FloatArray],
+    same: BoolArray,
+    cause: IntArray,
+    name: IntArray,
 ) -> Runs:
     """All runs of a table, in the order of their first sample (left before right)."""
     k = place.size
@@ -108,7 +185,8 @@ def find_runs(
     first, last, side = first[order], last[order], side[order]
     reason = np.minimum(before[first], after[last])
     inner = np.concatenate([[False], same & ~joined, [False]])  # inner[i]: a break between i - 1 and i
-    candidate = _candidates(first, last, inner[first], inner[last + 1])
+    name = np.concatenate([[-1], name, [-1]])
+    candidate = _candidates(inner[first], inner[last + 1], name[first], name[last + 1])
     return Runs(side, place[first], place[last], reason, candidate)
 
 
@@ -120,19 +198,18 @@ def _runs_of_side(beyond: BoolArray, joined: BoolArray) -> tuple[IntArray, IntAr
     return np.flatnonzero(start), np.flatnonzero(end)
 
 
-def _candidates(first: IntArray, last: IntArray, from_break: BoolArray, to_break: BoolArray) -> IntArray:
+def _candidates(from_break: BoolArray, to_break: BoolArray, before: IntArray, after: IntArray) -> IntArray:
     """Label of the candidate of each run: runs that touch the same break are connected."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    run = np.arange(first.size)
-    # a break is named by the sample after it
-    touched = np.concatenate([first[from_break], last[to_break] + 1])
+    run = np.arange(before.size)
+    touched = np.concatenate([before[from_break], after[to_break]])
     runs = np.concatenate([run[from_break], run[to_break]])
     name, node = np.unique(touched, return_inverse=True)
-    size = first.size + name.size
-    graph = coo_array((np.ones(runs.size, dtype=np.int8), (runs, first.size + node)), shape=(size, size))
-    labels = np.asarray(connected_components(graph, directed=False)[1])[: first.size]
+    size = run.size + name.size
+    graph = coo_array((np.ones(runs.size, dtype=np.int8), (runs, run.size + node)), shape=(size, size))
+    labels = np.asarray(connected_components(graph, directed=False)[1])[: run.size]
     return np.unique(labels, return_inverse=True)[1].astype(np.int64)
 
 
@@ -169,9 +246,12 @@ class Criteria:
     min_speed: float = 5.0  # [m/s] The mean speed lies above
     # [s] Longest time step that is not a gap; None: 2.5 median steps of the recording, at least 0.25 s
     max_gap: float | None = None
-    max_jump: float = 0.6  # [m] Largest step of the offset from one sample to the next
+    max_jump: float = MAX_JUMP  # [m] Largest movement of the offset that may be faster than 2.5 m/s
     # What the fitted path may ask of driver and vehicle
     plausibility: Plausibility = dataclasses.field(default_factory=Plausibility)
+    min_lane_width: float = MIN_LANE_WIDTH  # [m] A sample with a narrower or wider lane is invalid
+    max_lane_width: float = MAX_LANE_WIDTH
+    keep_engaged: bool = False  # Whether departures and hours while a system steers count, too
 
     def __post_init__(self) -> None:
         if isinstance(self.plausibility, Mapping):  # as a file holds it
@@ -187,6 +267,10 @@ class Criteria:
         refuse("min_speed", 0.0 <= self.min_speed < math.inf, "0 m/s or more")
         refuse("max_gap", self.max_gap is None or 0.0 < self.max_gap < math.inf, "more than 0 s, or None")
         refuse("max_jump", self.max_jump > 0.0, "more than 0 m")
+        refuse("min_lane_width", 0.0 < self.min_lane_width < math.inf, "more than 0 m")
+        refuse(
+            "max_lane_width", self.min_lane_width < self.max_lane_width < math.inf, "more than min_lane_width, finite"
+        )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -204,6 +288,7 @@ class Found:
     distance: FloatArray  # (r,) [m]: speed times time over the steps in `driven`, whichever way it points
     usable: BoolArray  # (m,): samples that could be used
     median_step: FloatArray  # (r,) [s]: median time step; NaN for a recording with fewer than two times
+    stays: FloatArray  # (2,) [s]: time beyond a line but for lane changes, and that of stays longer than `LONG_STAY`
 
 
 def find_departures(table: RecordingTable, criteria: Criteria, gap_limit: float | None = None) -> Found:
@@ -219,12 +304,14 @@ def find_departures(table: RecordingTable, criteria: Criteria, gap_limit: float 
     if place.size == 0:
         no_signals = DepartureSignals(np.zeros(1, dtype=np.int64), *([np.empty(0)] * 4))
         driven = np.zeros(table.names.size)
-        return Found(no_departures(), none, no_signals, none, none, none, read, driven, driven, usable, median_step)
-    same, cause = breaks(table, place, limit, criteria.max_jump)
-
+        stays = np.zeros(2)
+        return Found(
+            no_departures(), none, no_signals, none, none, none, read, driven, driven, usable, median_step, stays
+        )
     margin = 0.5 * (criteria.vehicle_width - table.lane_width)
     edges = {LEFT: table.lane_offset + margin, RIGHT: -table.lane_offset + margin}
-    runs = find_runs(table, place, edges, same, cause)
+    same, cause, name = breaks(table, place, limit, criteria.max_jump, edges)
+    runs = find_runs(table, place, edges, same, cause, name)
     reason = runs.reason.copy()
 
     chosen = np.flatnonzero(reason == ACCEPTED)
@@ -254,6 +341,10 @@ def find_departures(table: RecordingTable, criteria: Criteria, gap_limit: float 
     by_candidate: IntArray = np.full(count, ACCEPTED, dtype=np.int64)
     np.minimum.at(by_candidate, runs.candidate, reason)
     _, first = np.unique(runs.candidate, return_index=True)
+    stay = (table.t[runs.last] - table.t[runs.first] + np.nan_to_num(median_step)[table.recording_index[runs.first]])[
+        by_candidate[runs.candidate] != CODE["lane_change"]
+    ]
+    driver = place if criteria.keep_engaged or table.engaged is None else place[~table.engaged[place]]
     return Found(
         departures=departures,
         owner=owner[plausible],
@@ -262,10 +353,11 @@ def find_departures(table: RecordingTable, criteria: Criteria, gap_limit: float 
         side=runs.side[first],
         recording=table.recording_index[runs.first[first]],
         read=read,
-        driven=_sums(table, place, limit, adjacent=True),
-        distance=_sums(table, place, limit, adjacent=True, speed=np.abs(table.speed[place])),
+        driven=_sums(table, driver, limit, adjacent=True),
+        distance=_sums(table, driver, limit, adjacent=True, speed=np.abs(table.speed[driver])),
         usable=usable,
         median_step=median_step,
+        stays=np.array([stay.sum(), stay[stay > LONG_STAY].sum()]),
     )
 
 
@@ -280,10 +372,10 @@ def _blanked(table: RecordingTable, usable: BoolArray) -> RecordingTable:
 
 
 def _gap_limit(median_step: FloatArray, criteria: Criteria, gap_limit: float | None) -> FloatArray:
-    if gap_limit is None:
-        gap_limit = criteria.max_gap
-    if gap_limit is not None:
-        return np.full(median_step.shape, gap_limit)
+    if gap_limit is not None:  # resampled; a lane signal with a longer clock of its own is not
+        return np.fmax(gap_limit, 1.5 * median_step)
+    if criteria.max_gap is not None:
+        return np.full(median_step.shape, criteria.max_gap)
     return np.fmax(GAP_STEPS * median_step, GAP_FLOOR)
 
 
@@ -329,16 +421,17 @@ def _judge(
         towards = table.turn_signal[source] == np.repeat(side, np.diff(signals.offsets))
         towards[last] = False  # back inside: a signal set only then says nothing of the departure
         verdict[np.logical_or.reduceat(towards, starts)] = CODE["intended"]
+    if table.engaged is not None and not criteria.keep_engaged:
+        verdict[np.logical_or.reduceat(table.engaged[source], starts)] = CODE["engaged"]
     # a vehicle that stops or reverses covers no distance the parabola could be fitted over
     stands = np.minimum.reduceat(signals.v, starts) <= 0.0
     verdict[stands | ~(d_x > criteria.min_speed * T)] = CODE["slow"]
     verdict[signals.samples < 3] = CODE["too_few_samples"]
     verdict[criteria.max_duration < T] = CODE["too_long"]
     verdict[criteria.min_duration > T] = CODE["too_short"]
-    if table.lane is None:
-        # the tracker may hold on to the lane that was left: so far out, most of the vehicle is in the next one
-        outside = np.abs(table.lane_offset[source]) >= LANE_JUMP[0] * table.lane_width[source]
-        verdict[np.logical_or.reduceat(outside, starts)] = CODE["lane_change"]
+    # the tracker may hold on to the lane that was left: so far out, most of the vehicle is in the next one
+    outside = np.abs(table.lane_offset[source]) >= LANE_JUMP[0] * table.lane_width[source]
+    verdict[np.logical_or.reduceat(outside, starts)] = CODE["lane_change"]
     return verdict
 
 
@@ -351,9 +444,7 @@ def _curvature(table: RecordingTable, usable: BoolArray, median_step: FloatArray
     recording = table.recording_index
     first = np.ones(table.samples, dtype=bool)
     first[1:] = (recording[1:] != recording[:-1]) | (np.diff(table.t) > limit[recording[1:]])
-    width = np.rint(HALF_WINDOW / np.fmax(median_step, 1e-6))
-    half_width = np.nan_to_num(width).astype(np.int64)[recording]
-    return curvature_from_yaw_rate(table.yaw_rate, table.speed, usable, first, half_width)
+    return curvature_from_yaw_rate(table.yaw_rate, table.speed, usable, first, table.t, median_step[recording])
 
 
 HALF_WINDOW: Final = 0.2
@@ -364,14 +455,20 @@ SPEED_FLOOR: Final = 2.0  # below about this speed [m/s] the estimate fades to z
 
 
 def curvature_from_yaw_rate(
-    yaw_rate: FloatArray, speed: FloatArray, usable: BoolArray, first_of_stretch: BoolArray, half_width: IntArray
+    yaw_rate: FloatArray,
+    speed: FloatArray,
+    usable: BoolArray,
+    first_of_stretch: BoolArray,
+    t: FloatArray,
+    step: FloatArray,
 ) -> FloatArray:
     """Curvature that explains the yaw rate best, by least squares over a moving window.
 
     The model is r = c v with c constant over the window, so c = sum(r v) / sum(v^2). Each sample weighs with its v^2,
     hence slow samples, whose r/v is noise, hardly count, and the sum of v^2 is not allowed below that of
-    `SPEED_FLOOR`. The window shrinks at a stretch's ends and never reaches across them. The yaw rate is the
-    vehicle's, not the lane's: during a departure it holds the vehicle's own turning too, which the window averages.
+    `SPEED_FLOOR`. The window shrinks at a stretch's ends and never reaches across them; it is `HALF_WINDOW` of time to
+    either side, however the samples, of typical `step` [s], are spaced. The yaw rate is the vehicle's, not the lane's:
+    during a departure it holds the vehicle's own turning too, which the window averages.
     """
     result = np.full(yaw_rate.shape, np.nan)
     place = np.flatnonzero(usable)
@@ -384,11 +481,22 @@ def curvature_from_yaw_rate(
     starts[1:] = stretch[1:] != stretch[:-1]
     begin = np.flatnonzero(starts)
     length = np.diff(np.append(begin, place.size))
-    low = np.repeat(begin, length)
-    high = np.repeat(begin + length, length)
-    here = np.arange(place.size)
-    low = np.maximum(here - half_width[place], low)
-    high = np.minimum(here + half_width[place] + 1, high)
+    first, last = np.repeat(begin, length), np.repeat(begin + length, length) - 1
+    here, t = np.arange(place.size), t[place]
+    half = HALF_WINDOW + ROUNDING
+    count = np.nan_to_num(half / np.fmax(step[place], ROUNDING)).astype(np.int64)
+    low, high = np.maximum(here - count, first), np.minimum(here + count, last)
+    # what even spacing gives is looked up in time where the spacing is not even
+    odd = (t - t[low] > half) | (t[high] - t > half)
+    odd |= (low > first) & (t - t[low - 1] <= half) | (high < last) & (t[np.minimum(high + 1, last)] - t <= half)
+    if odd.any():
+        stretch = np.repeat(np.arange(begin.size), length)
+        since = t - t[first]
+        clock = since + np.append(0.0, np.cumsum(since[begin + length - 1] + 1.0))[stretch]  # never falls
+        low[odd] = np.searchsorted(clock, clock[odd] - half, "left")
+        high[odd] = np.searchsorted(clock, clock[odd] + half, "right") - 1
+        low, high = np.maximum(low, first), np.minimum(high, last)
+    high += 1
     v, r = speed[place], yaw_rate[place]
     # reduceat over (low, high) pairs: every second sum is a window; each is summed on its own, so no rounding is
     # carried from one recording into the next. The appended zero lets `high` point past the last sample.

@@ -2,6 +2,7 @@
 
 import bisect
 import dataclasses
+import itertools
 import math
 from typing import Any, Final
 
@@ -10,7 +11,7 @@ import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.errors import InputError, RecordingError
-from ldctoolkit.recordings.recording import LARGEST, Recording, usable_samples
+from ldctoolkit.recordings.recording import LARGEST, MAX_LANE_WIDTH, MIN_LANE_WIDTH, Recording, usable_samples
 
 ROUNDING: Final = 1e-6  # times [s] are compared with this allowance: 10.1 - 7.6 is not quite 2.5
 
@@ -49,7 +50,9 @@ def local_slope(t: FloatArray, values: FloatArray, *, half: float, longest: floa
     count = np.ones(t.size)
     sums = np.zeros((4, t.size))  # of s, y, s s, s y; s and y are distances from the sample itself
 
-    for lag in range(1, min(MOST_NEIGHBOURS, t.size - 1) + 1):
+    # of samples closer than that every second one, or third, ...: the window is the same
+    stride = max(1, round(half / (MOST_NEIGHBOURS * max(float(np.median(np.diff(t))), 1e-6)))) if t.size > 1 else 1
+    for lag in range(stride, min(stride * MOST_NEIGHBOURS, t.size - 1) + 1, stride):
         s = t[lag:] - t[:-lag]
         together = (s <= half + ROUNDING) & (stretch[lag:] == stretch[:-lag])
         if not together.any():
@@ -90,6 +93,41 @@ def _longest(times: list[float]) -> list[bool]:
         if taken:
             needed, before = needed - 1, time
     return kept
+
+
+MOST_DROPPED: Final = 0.05
+"""A larger share of rows whose times fall is another drive, not single rows in disorder."""
+
+MOST_CLOCKS: Final = 20  # more stretches than these mean that the rows are not in the order of time at all
+
+
+def clock_stretches(t: FloatArray) -> list[IntArray]:
+    """Rows of each stretch of times that do not fall: single rows in disorder are left out, a clock that starts again
+    begins another stretch.
+    """
+    kept = rising_rows(t)
+    if np.count_nonzero(~kept) <= MOST_DROPPED * t.size:
+        return [np.flatnonzero(kept)]
+    falls = np.flatnonzero(t[1:] < t[:-1]) + 1
+    if falls.size > MOST_CLOCKS:
+        raise RecordingError(f"the times fall in {falls.size} places; allowed: rows in the order of time")
+    return list(np.split(np.arange(t.size), falls))
+
+
+def joins_of(t: FloatArray, rows: IntArray) -> FloatArray:
+    """Times before and after each place where rows between the chosen ones were left out, (k, 2)."""
+    last = np.flatnonzero(np.diff(rows) > 1)
+    return np.column_stack([t[rows[last]], t[rows[last + 1]]])
+
+
+def cut_at(t: FloatArray, joins: FloatArray) -> tuple[BoolArray, BoolArray]:
+    """Where samples at times `t` begin anew after a join, and where they lie inside one, (m,) both."""
+    cut, inside = np.zeros(t.size, dtype=bool), np.zeros(t.size, dtype=bool)
+    for before, after in joins.tolist():
+        first, last = np.searchsorted(t, before, "right"), np.searchsorted(t, after, "left")
+        inside[first:last] = True
+        cut[first : first + 1] = cut[last : last + 1] = True
+    return cut, inside
 
 
 MAX_JUMP: Final = 0.6
@@ -139,7 +177,7 @@ _SLACK: Final = 1e-6  # of a step: a sample on the edge of a window is in it, ho
 _MOST_STEPS: Final = 2**52  # multiples of the step up to here are distinguished by floating point numbers
 
 _NUMBERS: Final = ("lane_offset", "lane_width", "speed", "curvature", "yaw_rate")
-_NAMES: Final = ("lane", "turn_signal", "heading", "yaw_rate_measured")
+_NAMES: Final = ("lane", "turn_signal", "heading", "steering", "engaged", "yaw_rate_measured")
 """Columns of which no mean or median is taken: the nearest usable sample's value counts, of two the earlier one's."""
 
 
@@ -294,18 +332,165 @@ class Preparation:
         refuse("yaw_rate_factor", math.isfinite(factor) and factor != 0.0, "finite, not 0")
 
 
-def prepare(recording: Recording, preparation: Preparation, max_jump: float = MAX_JUMP) -> Recording:
-    """One recording in the common form."""
+def corrected(recording: Recording, preparation: Preparation) -> Recording:
+    """One recording with the factors that are given for its yaw rate and its lengths."""
     if recording.yaw_rate is not None and preparation.yaw_rate_factor != 1.0:
         with np.errstate(over="ignore"):
             yaw_rate = recording.yaw_rate * preparation.yaw_rate_factor
         recording = dataclasses.replace(recording, yaw_rate=yaw_rate)
-    recording = with_yaw_rate(recording)
     if preparation.nominal_lane_width is not None:
         recording = scaled(recording, preparation.nominal_lane_width)
-    if preparation.step is not None:
+    return recording
+
+
+def stretches(recording: Recording) -> list[Recording]:
+    """The pieces between the cuts of a recording; all but the first are said to go on from the one before."""
+    if recording.cut is None or not recording.cut[1:].any():
+        return [recording]
+    ends = [0, *(np.flatnonzero(recording.cut[1:]) + 1).tolist(), recording.samples]
+    pieces = [recording.take(slice(first, last)) for first, last in itertools.pairwise(ends)]
+    return pieces[:1] + [dataclasses.replace(piece, continues=True, notes=()) for piece in pieces[1:]]
+
+
+def prepare(
+    recording: Recording,
+    preparation: Preparation,
+    max_jump: float = MAX_JUMP,
+    widths: tuple[float, float] = (MIN_LANE_WIDTH, MAX_LANE_WIDTH),
+) -> Recording:
+    """One stretch of a recording in the common form."""
+    recording = without_codes(recording, widths)
+    recording, refresh = on_own_clocks(recording)
+    recording = without_frozen(with_yaw_rate(recording))
+    if preparation.step is not None and refresh <= preparation.step:
         recording = resample(recording, preparation.step, preparation.max_gap, max_jump)
     return recording
+
+
+_LIMITS: Final = {"speed": 100.0, "curvature": 0.2, "yaw_rate": 1.5}
+"""No vehicle on a road has more, in SI: such numbers stand for "not available"."""
+
+_CODE_GAPS: Final = {"lane_width": 1.0, "lane_offset": MAX_JUMP, "speed": 10.0, "curvature": 0.01, "yaw_rate": 0.3}
+"""A number that is a column's largest or smallest several times, and so far from all others, is a code, too."""
+
+_CODE_TIMES: Final = 3
+
+
+def without_codes(recording: Recording, widths: tuple[float, float]) -> Recording:
+    """NaN for numbers that stand for "not available", and for lane widths outside their limits."""
+    changed: dict[str, Any] = {}
+    for name, gap in _CODE_GAPS.items():
+        values = getattr(recording, name)
+        if values is None:
+            continue
+        if name == "lane_width":
+            good = (values >= widths[0]) & (values <= widths[1])
+        elif name == "lane_offset":
+            good = ~(np.abs(values) > np.abs(recording.lane_width))
+        else:
+            good = np.abs(values) <= _LIMITS[name]
+        known = values[good & recording.valid & np.isfinite(values)]
+        for end in (known.max(initial=-np.inf), known.min(initial=np.inf)):
+            if np.count_nonzero(known == end) < _CODE_TIMES:
+                continue
+            rest = known[known != end]
+            # a width may be a constant, or two, of a map; other signals move
+            moves = name == "lane_width" or np.count_nonzero(rest[1:] != rest[:-1]) > 0.5 * rest.size
+            if rest.size and moves and np.abs(rest - end).min() > gap:
+                good &= values != end
+        if not good.all():
+            changed[name] = np.where(good, values, np.nan)
+    return dataclasses.replace(recording, **changed) if changed else recording
+
+
+_FEWEST_NEW: Final = 8  # so many new values show how often a signal is refreshed
+_REGULAR: Final = 0.75  # share of the times between them that must be about the same
+
+
+def resolution(values: FloatArray) -> float:
+    """Step that all differences of some numbers are multiples of; 0 if there is none."""
+    distinct = np.unique(values[:: max(1, values.size // 1000)])
+    step = np.diff(distinct[np.isfinite(distinct)])
+    if step.size < 3:
+        return 0.0
+    multiples = step / step.min()
+    return float(step.min()) if (np.abs(multiples - np.rint(multiples)) < 0.05).all() else 0.0
+
+
+def coarse_step(offset: FloatArray) -> float:
+    """The step of an offset that has few values for its samples, [m]; 0 if it has none."""
+    step = resolution(offset)
+    return step if step >= COARSE and offset.size > 10.0 * np.ptp(offset) / step else 0.0
+
+
+def new_rows(t: FloatArray, *columns: FloatArray) -> tuple[IntArray, float]:
+    """Rows in which a signal is there, and new, and the time between them [s]; 0 where that is so in every row."""
+    known = np.flatnonzero(np.all([np.isfinite(values) for values in columns], axis=0))
+    first = columns[0][known]
+    new = np.append(True, np.any([np.diff(values[known]) != 0.0 for values in columns], axis=0))[: known.size]
+    rows = known[new]
+    if not _FEWEST_NEW <= rows.size <= 0.7 * t.size:
+        return rows, 0.0
+    apart, step = np.diff(t[rows]), float(np.median(np.diff(t)))
+    refresh = float(np.median(apart))
+    even = np.abs(apart - refresh) <= max(1.01 * step, 0.25 * refresh)
+    if refresh < 1.5 * step or np.mean(even) < _REGULAR:
+        return rows, 0.0
+    # a slow signal with a coarse step is held as well; its changes are single steps
+    if np.median(np.abs(np.diff(first[new]))) <= 1.5 * resolution(first):
+        return rows, 0.0
+    return rows, refresh
+
+
+def on_own_clocks(recording: Recording) -> tuple[Recording, float]:
+    """The recording at the times when its lane signal is new, which is the clock of all departures, and the time
+    between them [s], 0 where rows are not further apart than that; other signals are interpolated where they are not.
+    """
+    changed: dict[str, Any] = {}
+    notes = list(recording.notes)
+    for name in ("speed", "curvature", "yaw_rate", "steering"):
+        values = getattr(recording, name)
+        if values is not None:
+            rows, refresh = new_rows(recording.t, np.where(np.abs(values) < LARGEST, values, np.nan))
+            if refresh > 0.0:
+                known = merge_repeated(recording.t[rows], values[rows])
+                changed[name] = values_at(recording.t, *known, longest=2.5 * refresh, beyond=refresh)
+                notes.append(f"{name} is new every {refresh:.2g} s only, and interpolated between")
+    lane = np.where(recording.valid, recording.lane_offset, np.nan)
+    rows, refresh = new_rows(recording.t, lane, recording.lane_width)
+    if refresh > 0.0:
+        notes.append(
+            f"the lane is new every {refresh:.2g} s only: departures of less than about {3.0 * refresh:.2g} s cannot "
+            "be found"
+        )
+    coarse = coarse_step(recording.lane_offset[rows])
+    if coarse > 0.0:
+        notes.append(f"lane_offset comes in steps of {coarse:.2g} m")
+    if changed or len(notes) > len(recording.notes):
+        recording = dataclasses.replace(recording, notes=tuple(notes), **changed)
+    return (recording.take(rows), refresh) if refresh > 0.0 else (recording, 0.0)
+
+
+COARSE: Final = 0.05  # [m] coarser steps of the offset are reported
+FROZEN: Final = 1.0  # [s] rows that repeat the one before for longer, while the vehicle moves, are not driving
+
+
+def without_frozen(recording: Recording) -> Recording:
+    """Rows that repeat the one before in all that moves, for longer than `FROZEN`, are invalid."""
+    names = ("lane_offset", "lane_width", "speed", "curvature", "yaw_rate", "heading", "steering")
+    changes = [np.diff(x) != 0.0 for x in (getattr(recording, name) for name in names) if x is not None]
+    moved = np.append(True, np.any(changes, axis=0) | ~(recording.speed[1:] > 1.0))[: recording.samples]
+    begin = np.flatnonzero(moved)
+    length = np.diff(np.append(begin, recording.samples))
+    long = (length > 5) & (recording.t[begin + length - 1] - recording.t[begin] > FROZEN)
+    if not long.any():
+        return recording
+    stuck = np.repeat(long, length) & ~moved
+    # of signals that stand still for long anyway, as made ones do, it says nothing
+    lively = [change for change in changes if 2 * np.count_nonzero(change) > np.count_nonzero(~stuck[1:])]
+    if len(lively) < 2:
+        return recording
+    return dataclasses.replace(recording, valid=recording.valid & ~stuck)
 
 
 def scaled(recording: Recording, nominal: float) -> Recording:

@@ -12,8 +12,9 @@ import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.departures import LEFT, RIGHT, Departures, DepartureSignals
-from ldctoolkit.recordings.find_departures import ACCEPTED, REASONS, Found
-from ldctoolkit.recordings.recording import LARGEST, Label, Recording, RecordingTable, printable
+from ldctoolkit.recordings.find_departures import ACCEPTED, REASONS, Found, median_steps
+from ldctoolkit.recordings.preparation import MAX_JUMP, coarse_step
+from ldctoolkit.recordings.recording import LARGEST, Label, Recording, RecordingTable, printable, usable_samples
 
 WIDTH_STEP: Final = 0.1  # width of a bin of the lane-width histogram [m]
 WIDTH_BINS: Final = 80  # bins from 0 to 8 m; the last also holds what is wider
@@ -70,8 +71,10 @@ class Account:
         return self.valid_ns / 3.6e12
 
 
-def accounts_of(table: RecordingTable, found: Found, origins: tuple[Origin, ...]) -> tuple[Account, ...]:
-    """Accounts of one table of r recordings; `origins` has one of each, (r,)."""
+def accounts_of(
+    table: RecordingTable, found: Found, origins: tuple[Origin, ...], counted: BoolArray
+) -> tuple[Account, ...]:
+    """Accounts of one table of r recordings; `origins` has one of each, (r,), and `counted` is false for a piece."""
     distinct = tuple(dict.fromkeys(origins))
     place = {origin: i for i, origin in enumerate(distinct)}
     group = np.array([place[origin] for origin in origins], dtype=np.int64)
@@ -86,7 +89,7 @@ def accounts_of(table: RecordingTable, found: Found, origins: tuple[Origin, ...]
     candidates = np.bincount(cell, minlength=count * SIDES * kinds).reshape(count, SIDES, kinds)
     before = np.concatenate([[0], np.cumsum(found.usable)])
     usable = before[table.offsets[1:]] - before[table.offsets[:-1]]
-    amounts = [_grouped(values, group, count) for values in (np.ones_like(group), samples, usable)]
+    amounts = [_grouped(values, group, count) for values in (counted.astype(np.int64), samples, usable)]
     # a recording of absurd times counts as `LONGEST`, and as 100 m/s for so long
     whole = (np.rint(np.minimum(seconds, LONGEST) * 1e9).astype(np.int64) for seconds in (found.read, found.driven))
     read, valid = (_grouped(nanoseconds, group, count) for nanoseconds in whole)
@@ -136,7 +139,7 @@ _UNITS: Final = (
     (
         ("speed > 1000", 0.5, "column 'speed': most values are above 1000; the unit looks like mm/s, m/s is needed"),
         ("speed > 60", 0.01, "column 'speed': {share:.0%} of the samples are above 60 m/s (216 km/h); the unit looks "
-         "like km/h, m/s is needed (divide by 3.6)"),
+         "like km/h or mph, m/s is needed (divide by 3.6 or 2.237)"),
         # a city driven at 50 km/h stays below 60 in either unit
         ("speed > 42", 0.5, "column 'speed': most samples are above 42 m/s (150 km/h); if the unit is km/h, divide by "
          "3.6: m/s is needed"),
@@ -157,30 +160,63 @@ _UNITS: Final = (
          "than a lane width from the lane's centre; the offset is measured in m from the centre of the vehicle's own "
          "lane"),
     ),
+    (("coarse offset > 0", 0.5, "column 'lane_offset': it comes in steps of 0.1 m or more, which departures are hardly "
+      "deeper than; a finer signal is needed"),),
     (("step > 2", 0.5, "column 't': the time step is above 2 in most recordings; the unit looks like ms, s is "
       "needed"),),
     (("step < 0.002", 0.5, "column 't': the time step is below 0.002 in most recordings; is the unit minutes or "
       "hours?"),),
-    (("curvature > 0.2", 0.01, "column 'curvature': {share:.0%} of the samples are beyond 0.2 1/m (a radius under 5 "
-      "m); is it a radius or in 1/km? 1/m is needed"),),
-    (("yaw rate > 1.5", 0.01, "column 'yaw_rate': {share:.0%} of the samples are beyond 1.5 rad/s; the unit looks like "
-      "deg/s, rad/s is needed"),),
+    (
+        ("curvature > 0.2", 0.01, "column 'curvature': {share:.0%} of the samples are beyond 0.2 1/m (a radius under 5 "
+         "m); is it a radius or in 1/km? 1/m is needed"),
+        ("v^2 c > 12", 0.01, "column 'curvature': in {share:.0%} of the samples v^2 c is beyond 12 m/s^2, which no "
+         "road asks for; is it in 1/km or degrees, or the speed in km/h? 1/m and m/s are needed"),
+        ("v^2 c > 3", 0.5, "column 'curvature': v^2 c is beyond 3 m/s^2 most of the time, which nobody drives; is it in "
+         "1/km or degrees, or the speed in km/h? 1/m and m/s are needed"),
+    ),
+    (
+        ("yaw rate > 1.5", 0.01, "column 'yaw_rate': {share:.0%} of the samples are beyond 1.5 rad/s; the unit looks "
+         "like deg/s, rad/s is needed"),
+        ("v r > 12", 0.01, "column 'yaw_rate': in {share:.0%} of the samples it is more than a road asks for at that "
+         "speed (v r beyond 12 m/s^2); the unit looks like deg/s, rad/s is needed"),
+        ("v r > 3", 0.5, "column 'yaw_rate': v r is beyond 3 m/s^2 most of the time, which nobody drives; the unit looks "
+         "like deg/s, rad/s is needed"),
+    ),
+    (("heading > 13", 0.01, "column 'heading': {share:.0%} of the samples are beyond two turns; the unit looks like "
+      "degrees, rad is needed"),),
+    (("steering > 13", 0.01, "column 'steering': {share:.0%} of the samples are beyond two turns; the unit looks like "
+      "degrees, rad is needed"),),
 )  # fmt: skip
 """Groups of rules, of which the first that holds is reported: what is counted, the share from which on it holds, and
 what is likely wrong then."""
 
 
 def unit_counts(
-    table: RecordingTable, usable: BoolArray, median_step: FloatArray, vehicle_width: float
+    table: RecordingTable,
+    usable: BoolArray,
+    median_step: FloatArray,
+    vehicle_width: float,
+    recordings: Sequence[Recording] = (),
 ) -> tuple[tuple[str, int], ...]:
     """Count samples and recordings beyond limits."""
-    width, steps = table.lane_width[usable], median_step[np.isfinite(median_step)]
-    values = {"speed": table.speed[usable], "width": width, "offset": np.abs(table.lane_offset[usable]), "step": steps}
-    if table.curvature is not None:
-        values["curvature"] = np.abs(table.curvature[usable])
-    elif table.yaw_rate is not None:
-        values["yaw rate"] = np.abs(table.yaw_rate[usable])
-    counts = {"samples": width.size, "recordings": steps.size}
+    width, known = table.lane_width[usable], median_step[np.isfinite(median_step)]
+    values = {"speed": table.speed[usable], "width": width, "offset": np.abs(table.lane_offset[usable]), "step": known}
+    v = np.abs(values["speed"])
+    with np.errstate(over="ignore", invalid="ignore"):
+        if table.curvature is not None:
+            values["curvature"] = np.abs(table.curvature[usable])
+            values["v^2 c"] = v * v * values["curvature"]
+        if table.yaw_rate is not None:
+            values["yaw rate"] = np.abs(table.yaw_rate[usable])
+            values["v r"] = v * values["yaw rate"]
+    for name in ("heading", "steering"):
+        columns = [np.abs(column) for one in recordings if (column := getattr(one, name)) is not None]
+        if columns:
+            values[name] = np.concatenate(columns)
+    steps = [coarse_step(one.lane_offset[np.isfinite(one.lane_offset)]) for one in recordings]
+    coarse = [one.samples * (step > COARSEST) for one, step in zip(recordings, steps, strict=True)]
+    values["coarse offset"] = np.repeat(1.0, sum(coarse))
+    counts = {"samples": width.size, "recordings": known.size}
     for name, _, _ in itertools.chain(*_UNITS):
         quantity, sign, limit = name.rsplit(" ", 2)
         if quantity in values:
@@ -222,36 +258,54 @@ SMALLEST_TURN: Final = 0.02
 TURN_SPEED: Final = 8.0  # below this speed [m/s] the course over ground is noise
 
 
+COARSEST: Final = 0.099  # [m] such steps of the offset are too coarse for departures
+
+OFFSET_STEP: Final = 0.05  # width of a bin of the histogram of offsets [m]
+OFFSET_BINS: Final = 81  # centred bins from -2 to 2 m; the outer ones also hold what is beyond
+
+RELATIONS: Final = (("heading", "yaw_rate"), ("heading", "curvature"), ("yaw_rate", "curvature"),
+                    ("heading", "steering"), ("yaw_rate", "steering"), ("curvature", "steering"))  # fmt: skip
+"""Signals of which each tells how far the vehicle turns; the first of a pair is what the second is compared with."""
+
+
 @dataclasses.dataclass(frozen=True)
 class QualityStatistics:
-    """Sums and counts over r recordings."""
+    """Sums and counts over r recordings, as the source has them."""
 
     units: tuple[tuple[str, int], ...]  # (str, int): from `unit_counts`
     kinds: tuple[str, ...]  # where the curvature comes from: "measured", "yaw_rate", "none"; sorted
     lanes: bool  # all of them have a column `lane`
-    turns: FloatArray  # (4,)
+    turns: FloatArray  # (6, 4): windows, and the sums of h^2, h r, r^2 over them, for each pair of `RELATIONS`
     bends: IntArray  # (2,): usable samples with a yaw rate or curvature, and those of them that are not straight
     names: npt.NDArray[np.str_]  # (r,): names of the recordings
     fingerprints: npt.NDArray[np.str_]  # (r,): digest of offset, width and speed of each; empty for short ones
     median_widths: FloatArray  # (r,) [m]: median lane width of each, before any scaling
+    sway: FloatArray  # (4,): as `turns`, of the offset and of what the vehicle's heading says of it
+    offsets: IntArray  # (81,): usable samples by offset, in bins of 0.05 m around 0, which itself may be made
+    lane_changes: int  # how often the label of the lane changes
+    stays_ns: IntArray  # (3,) [ns]: time driven, beyond a line, and of that in stays of more than five seconds
     notes: tuple[tuple[str, int], ...] = ()  # (str, int): what recordings lack, as text, and how many lack it
 
 
 def no_statistics() -> QualityStatistics:
     """Of no recordings."""
-    text = np.empty(0, dtype=np.str_)
-    return QualityStatistics((), (), True, np.zeros(4), np.zeros(2, dtype=np.int64), text, text, np.empty(0))
+    text, none = np.empty(0, dtype=np.str_), np.zeros(3, dtype=np.int64)
+    bins = np.zeros(OFFSET_BINS, dtype=np.int64)
+    return QualityStatistics(
+        (), (), True, np.zeros((len(RELATIONS), 4)), none[:2], text, text, np.empty(0), np.zeros(4), bins, 0, none
+    )
 
 
 def quality_statistics(
     table: RecordingTable,
-    usable: BoolArray,
-    median_step: FloatArray,
-    vehicle_width: float,
     recordings: Sequence[Recording],
+    prepared: RecordingTable,
+    common: Sequence[Recording],
+    found: Found,
+    vehicle_width: float,
 ) -> QualityStatistics:
-    """Evidence of one table of r recordings, given also one by one; `vehicle_width` [m] is what was taken."""
-    count = table.names.size
+    """Evidence of r recordings, as one table and one by one: as the source has them, and as they were searched."""
+    count, usable = table.names.size, usable_samples(table)
     medians, prints = np.full(count, np.nan), [""] * count
     for i, recording in enumerate(recordings):
         rows = slice(int(table.offsets[i]), int(table.offsets[i + 1]))
@@ -269,50 +323,122 @@ def quality_statistics(
     if bend is not None:
         curved = np.abs(bend[usable]) > (FLAT if table.curvature is not None else FLAT * table.speed[usable])
         bends[:] = curved.size, np.count_nonzero(curved)
-    turns = [_turns(recording, float(step)) for recording, step in zip(recordings, median_step, strict=True)]
-    notes = Counter(note for recording in recordings for note in recording.notes)
-    kind = "measured" if table.curvature is not None else "none" if table.yaw_rate is None else "yaw_rate"
+    steps = median_steps(table)
+    related = [_related(recording, float(step)) for recording, step in zip(recordings, steps, strict=True)]
+    place = np.rint(table.lane_offset[usable & (table.lane_offset != 0.0)] / OFFSET_STEP) + OFFSET_BINS // 2
+    place = np.clip(place, 0, OFFSET_BINS - 1).astype(np.int64)
+    lane = prepared.lane
+    same = np.diff(prepared.recording_index) == 0
+    stays = np.minimum([found.driven.sum(), *found.stays], LONGEST)
+    kind = "measured" if prepared.curvature is not None else "none" if prepared.yaw_rate is None else "yaw_rate"
     return QualityStatistics(
-        units=unit_counts(table, usable, median_step, vehicle_width),
+        units=unit_counts(table, usable, steps, vehicle_width, recordings),
         kinds=(kind,),
         lanes=table.lane is not None,
-        turns=np.sum(turns, axis=0),
+        turns=np.sum([turns for turns, _ in related], axis=0),
         bends=bends,
         names=table.names,
         fingerprints=np.array(prints, dtype=np.str_),
         median_widths=medians,
-        notes=tuple(notes.items()),
+        sway=np.sum([sway for _, sway in related], axis=0),
+        offsets=np.bincount(place, minlength=OFFSET_BINS),
+        lane_changes=0 if lane is None else int(np.count_nonzero(same & (lane[1:] != lane[:-1]))),
+        stays_ns=np.rint(stays * 1e9).astype(np.int64),
+        notes=tuple(Counter(note for recording in common for note in recording.notes).items()),
     )
 
 
-def _turns(recording: Recording, step: float) -> FloatArray:
-    """Windows and sums of one recording: turns by heading against turns by yaw rate."""
-    if recording.heading is None or recording.yaw_rate is None or not step > 0.0:
-        return np.zeros(4)
+def _related(recording: Recording, step: float) -> tuple[FloatArray, FloatArray]:
+    """Rows of `turns` and `sway` of one recording."""
+    turns, sway = np.zeros((len(RELATIONS), 4)), np.zeros(4)
+    swept = _swept(recording)
+    if not step > 0.0 or not swept:
+        return turns, sway
     lag = max(1, round(TURN_WINDOW / step))
-    if recording.samples <= lag:
-        return np.zeros(4)
-    t, yaw_rate = recording.t, recording.yaw_rate
-    # a window with an unusable number in it is not compared, nor one with a yaw rate that is the heading's own slope
-    known = recording.valid & (np.abs(yaw_rate) < LARGEST)
-    if recording.yaw_rate_measured is not None:
-        known &= recording.yaw_rate_measured
-    rate = np.where(known, yaw_rate, 0.0)
-    with np.errstate(over="ignore", invalid="ignore"):
-        swept = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(t))])
+    for i, (reference, other) in enumerate(RELATIONS):
+        if reference in swept and other in swept and recording.samples > lag:
+            turns[i] = _turns(recording, lag, swept[reference], swept[other])
+    for name in ("heading", "yaw_rate"):
+        if name in swept:
+            sway = _sway(recording, *swept[name])
+            break
+    return turns, sway
+
+
+Swept = tuple[FloatArray, BoolArray]  # angle that the vehicle turned since the start [rad], and where it is known
+
+
+def _swept(recording: Recording) -> dict[str, Swept]:
+    """How far the vehicle turned, by each signal that tells; by the steering angle up to a factor."""
+    swept: dict[str, Swept] = {}
+    if recording.heading is not None:
+        known = recording.valid & (np.abs(recording.heading) < LARGEST)
+        swept["heading"] = np.where(known, recording.heading, 0.0), known
+    for name in ("yaw_rate", "curvature", "steering"):
+        values = getattr(recording, name)
+        if values is None:
+            continue
+        known = recording.valid & (np.abs(values) < LARGEST)
+        if name == "yaw_rate" and recording.yaw_rate_measured is not None:
+            known &= recording.yaw_rate_measured  # else it is the heading's own slope
+        if name != "yaw_rate":
+            known &= np.abs(recording.speed) < LARGEST
+        with np.errstate(over="ignore", invalid="ignore"):
+            rate = np.where(known, values if name == "yaw_rate" else values * recording.speed, 0.0)
+            steps = 0.5 * (rate[1:] + rate[:-1]) * np.diff(recording.t)
+            swept[name] = np.concatenate([[0.0], np.cumsum(steps)]), known
+    return swept
+
+
+def _turns(recording: Recording, lag: int, reference: Swept, other: Swept) -> FloatArray:
+    """Windows and sums of one recording: turns by one signal against those by another."""
+    t, known = recording.t, reference[1] & other[1]
     lost = np.cumsum(~known)
-    course = np.where(np.abs(recording.heading) < LARGEST, recording.heading, np.nan)
-    by_heading = course[lag:] - course[:-lag]
-    by_heading -= 2.0 * np.pi * np.rint(by_heading / (2.0 * np.pi))  # into +-pi
-    by_yaw_rate = swept[lag:] - swept[:-lag]
-    good = np.isfinite(by_heading) & np.isfinite(by_yaw_rate) & (lost[lag:] == lost[:-lag]) & known[:-lag]
+    with np.errstate(over="ignore", invalid="ignore"):
+        h, r = (angle[lag:] - angle[:-lag] for angle, _ in (reference, other))
+        h = h - 2.0 * np.pi * np.rint(h / (2.0 * np.pi))  # a heading into +-pi
+    # a window with an unusable number in it is not compared
+    good = np.isfinite(h) & np.isfinite(r) & (lost[lag:] == lost[:-lag]) & known[:-lag]
     good &= (t[lag:] - t[:-lag] < 1.5 * TURN_WINDOW) & (
         np.fmin(recording.speed[lag:], recording.speed[:-lag]) > TURN_SPEED
     )
-    good &= np.abs(by_heading) > SMALLEST_TURN
-    h, r = by_heading[good], by_yaw_rate[good]
+    good &= np.abs(h) > SMALLEST_TURN
+    return _sums(h[good], r[good])
+
+
+def _sums(h: FloatArray, r: FloatArray) -> FloatArray:
     squares = np.array([np.sum(h * h), np.sum(h * r), np.sum(r * r)])
     return np.concatenate([[float(h.size)], np.rint(squares / GRAIN) * GRAIN])
+
+
+SWAY_WINDOW: Final = 6.0  # [s] over which the offset is held against the vehicle's heading
+_SWAY_STEP: Final = 0.2  # [s]
+
+
+def _sway(recording: Recording, angle: FloatArray, known: BoolArray) -> FloatArray:
+    """Windows and sums: the path across the lane by the heading against the offset, both without what a bend makes."""
+    t = recording.t
+    good = known & recording.valid & np.isfinite(recording.lane_offset) & (recording.speed > TURN_SPEED)
+    good &= recording.speed < LARGEST
+    if np.count_nonzero(good) < 10 or not t[-1] - t[0] < LONGEST:
+        return np.zeros(4)
+    t, offset, angle, v = t[good], recording.lane_offset[good], np.unwrap(angle[good]), recording.speed[good]
+    first = np.arange(t[0], t[-1] - SWAY_WINDOW, SWAY_WINDOW)
+    place = first[:, None] + _SWAY_STEP * np.arange(round(SWAY_WINDOW / _SWAY_STEP) + 1)
+    # a window with a hole in it, or with a jump of the offset, is left out
+    odd = np.append(0, np.cumsum((np.diff(t) > 1.0) | (np.abs(np.diff(offset)) > MAX_JUMP)))
+    ends = np.searchsorted(t, [first, first + SWAY_WINDOW])
+    place = place[odd[ends[0]] == odd[np.minimum(ends[1], t.size - 1)]]
+    if not place.size:
+        return np.zeros(4)
+    heading, speed, across = (np.interp(place, t, values) for values in (angle, v, offset))
+    lateral = speed * (heading - heading[:, :1])
+    path = np.cumsum(lateral, axis=1) * _SWAY_STEP
+    s = np.linspace(-1.0, 1.0, place.shape[1])
+    smooth = np.linalg.qr(np.vander(s, 4))[0]  # what position, heading and bend of the road make of it
+    path, across = (x - (x @ smooth) @ smooth.T for x in (path, across))
+    h, r = path.ravel(), across.ravel()
+    return _sums(h, r)
 
 
 def combined_statistics(parts: Iterable[QualityStatistics]) -> QualityStatistics:
@@ -332,6 +458,10 @@ def combined_statistics(parts: Iterable[QualityStatistics]) -> QualityStatistics
         names=np.concatenate([part.names for part in given]),
         fingerprints=np.concatenate([part.fingerprints for part in given]),
         median_widths=np.concatenate([part.median_widths for part in given]),
+        sway=np.sum([part.sway for part in given], axis=0),
+        offsets=np.sum([part.offsets for part in given], axis=0),
+        lane_changes=sum(part.lane_changes for part in given),
+        stays_ns=np.sum([part.stays_ns for part in given], axis=0),
         notes=tuple(notes.items()),
     )
 

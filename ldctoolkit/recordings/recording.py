@@ -121,9 +121,15 @@ class Recording:
     yaw_rate: FloatArray | None = None
     lane: IntArray | None = None  # (m,) Label of the lane; only equality counts
     turn_signal: IntArray | None = None  # (m,) +1 left, -1 right, 0 none
-    # (m,) [rad] Course over ground, counter-clockwise, NaN where there is none; `yaw_rate` is checked against
+    # (m,) [rad] Course over ground, counter-clockwise, NaN where there is none; yaw rate and offset are checked against
     # it
     heading: FloatArray | None = None
+    steering: FloatArray | None = (
+        None  # (m,) [rad] Steering angle of road wheels or steering wheel, positive to the left
+    )
+    engaged: BoolArray | None = None  # (m,) True while a system steers, not the driver
+    # (m,) True where the source lost samples before this one: nothing is joined or interpolated across
+    cut: BoolArray | None = None
     labels: tuple[Label, ...] = ()  # What departures can be grouped by
     source: str = ""  # What it came from, for the account: a file or a folder
     lane_scale: float = 1.0  # Factor that offset and width were multiplied with; 1 for none
@@ -131,10 +137,11 @@ class Recording:
     # (m,) False where `yaw_rate` was worked out from the heading, which it cannot be checked against;
     # None for nowhere
     yaw_rate_measured: BoolArray | None = None
+    continues: bool = False  # Goes on from the recording before it, of the same name: it counts as no other recording
 
     COLUMNS: ClassVar[tuple[str, ...]] = (
         "t", "lane_offset", "lane_width", "speed", "valid", "curvature", "yaw_rate", "lane", "turn_signal", "heading",
-        "yaw_rate_measured",
+        "steering", "engaged", "cut", "yaw_rate_measured",
     )  # fmt: skip
 
     def __post_init__(self) -> None:
@@ -184,6 +191,9 @@ class Recording:
         return dataclasses.replace(self, **taken)
 
 
+MIN_LANE_WIDTH: Final = 2.0  # [m]
+MAX_LANE_WIDTH: Final = 7.0
+
 LARGEST: Final = 1e9  # a number of this size or more is not a measurement in any unit; its sample is invalid
 
 
@@ -218,6 +228,7 @@ class RecordingTable:
     yaw_rate: FloatArray | None = None  # (m,) [rad/s]: yaw rate, positive to the left
     lane: IntArray | None = None  # (m,): label of the lane; only equality counts
     turn_signal: IntArray | None = None  # (m,): +1 left, -1 right, 0 none
+    engaged: BoolArray | None = None  # (m,): true while a system steers
 
     @property
     def samples(self) -> int:

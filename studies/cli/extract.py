@@ -81,7 +81,25 @@ def add_parser(commands: Subparsers) -> None:
         "--max-gap", type=number, metavar="S", help="longest time step that is no gap (default: from the recording)"
     )
     parser.add_argument(
-        "--max-jump", type=number, default=0.6, metavar="M", help="largest step of the offset (default: %(default)s)"
+        "--max-jump",
+        type=number,
+        default=0.6,
+        metavar="M",
+        help="largest movement of the offset faster than 2.5 m/s, in m (default: %(default)s)",
+    )
+    for least, word, width in (("min", "narrowest", 2.0), ("max", "widest", 7.0)):
+        parser.add_argument(
+            f"--{least}-lane-width",
+            type=number,
+            default=width,
+            metavar="M",
+            help=f"{word} lane of a valid sample, in m (default: %(default)s)",
+        )
+    parser.add_argument(
+        "--keep-engaged", action="store_true", help="count departures and hours while a system steers, too"
+    )
+    parser.add_argument(
+        "--force", action="store_true", help="go on where a unit, a sign or a reference cannot be right"
     )
     add_limit(parser)
     parser.add_argument(
@@ -137,6 +155,9 @@ def run(chosen: argparse.Namespace) -> int:
                     chosen.max_gap,
                     chosen.max_jump,
                     plausibility(chosen.limit),
+                    chosen.min_lane_width,
+                    chosen.max_lane_width,
+                    chosen.keep_engaged,
                 ),
                 Preparation(
                     step=recordings.reader.step if chosen.step is None else chosen.step,
@@ -144,6 +165,7 @@ def run(chosen: argparse.Namespace) -> int:
                     yaw_rate_factor=1.0 if chosen.yaw_rate_factor is None else chosen.yaw_rate_factor,
                 ),
                 keep_signals=chosen.signals,
+                force=chosen.force,
                 output=target,
                 workers=chosen.workers,
                 dask=chosen.dask,
