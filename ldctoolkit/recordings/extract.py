@@ -11,7 +11,7 @@ from ldctoolkit.departures import PARAMETER_COLUMNS, PARAMETER_NAMES, Departures
 from ldctoolkit.errors import InputError, LdcError, RecordingError
 from ldctoolkit.recordings.departures_table import Extraction, PartResult, Provenance, Refused, combined_results
 from ldctoolkit.recordings.find_departures import REASONS, Criteria, find_departures
-from ldctoolkit.recordings.preparation import MAX_JUMP, Preparation, corrected, prepare, stretches
+from ldctoolkit.recordings.preparation import MAX_JUMP, Preparation, corrected, on_own_clocks, prepare, stretches
 from ldctoolkit.recordings.quality import (
     OFFSET_BINS,
     OFFSET_STEP,
@@ -95,7 +95,7 @@ def extract_items(
                             f"recording {item.name!r}: label {label.name!r}; allowed: a name that is no column of the "
                             "departures table"
                         )
-                raw = stretches(corrected(item, preparation))
+                raw = [on_own_clocks(piece) for piece in stretches(corrected(item, preparation))]
                 pieces = [prepare(piece, preparation, criteria.max_jump, widths) for piece in raw]
             except RecordingError as error:
                 problems.append(Problem(item.source or item.name, "", f"{error}; it is left out"))
@@ -390,7 +390,8 @@ def quality_warnings(
 ENOUGH_TIME: Final = 20.0  # [s] of driving that tell whether an offset can be one
 SHARE_BEYOND: Final = 0.3  # share of the time beyond a line that no driver reaches
 SHARE_LONG: Final = 0.08  # the same of stays of more than five seconds
-LARGEST_MEDIAN: Final = 0.4  # [m] of the offset: no driver keeps so far from the lane's centre
+FEWEST_GRAZES: Final = 3  # an offset without its sign turns back at zero each time the vehicle passes the lane's centre
+LARGEST_MEDIAN: Final = 0.55  # [m] of the offset: no driver keeps so far from the lane's centre
 FEWEST_ON_A_SIDE: Final = 20  # departures that show whether there are any to the other side
 SMALLER_SIDE: Final = 0.05  # share of the departures to the other side
 
@@ -407,11 +408,12 @@ def _reference(evidence: QualityStatistics, sides: IntArray) -> list[str]:
     what, samples = "", max(int(counts.sum()), 1)
     median = OFFSET_STEP * (int(np.searchsorted(np.cumsum(counts), 0.5 * samples)) - middle)
     side = "left" if counts[middle + 1 :].sum() > counts[:middle].sum() else "right"
-    if driven >= ENOUGH_TIME:
+    if driven >= ENOUGH_TIME and counts.any():
         fewer = min(int(counts[:middle].sum()), int(counts[middle + 1 :].sum()))
         wide = int(counts[: middle - 6].sum() + counts[middle + 7 :].sum())
-        if fewer == 0 and counts[middle] >= 0.01 * samples and wide >= 0.01 * samples:
-            what = f"it comes to zero and never lies to the {'right' if side == 'left' else 'left'}"
+        dense = 3.0 * counts[middle] >= 0.3 * (counts[middle - 3 : middle + 4].sum() - counts[middle])
+        if fewer == 0 and dense and evidence.grazes >= FEWEST_GRAZES and wide >= 0.01 * samples:
+            what = f"it turns back at zero and never lies to the {'right' if side == 'left' else 'left'}"
         elif abs(median) > LARGEST_MEDIAN:
             what = f"half of the time the vehicle is more than {abs(median):.2f} m to the {side}"
         elif beyond > SHARE_BEYOND * driven or long > SHARE_LONG * driven:
@@ -457,7 +459,9 @@ def _turning(evidence: QualityStatistics, factor: float) -> list[str]:
         # the true ratio lies between the two regressions, the first if all noise is the second signal's, the second if
         # it is all the first one's
         low, high = abs(hr) / hh, rr / abs(hr)
-        scale = 1.0 if (low < 1.25 and high > 0.8) or other == "steering" else float(np.sqrt(rr / hh))
+        # the lane does not turn as the vehicle does, and steering wheels are geared
+        most = {"yaw_rate": 1.25, "curvature": 10.0, "steering": np.inf}[other]
+        scale = 1.0 if low < most and high > 1.0 / most else float(np.sqrt(rr / hh))
         if likeness > 0.0 and scale == 1.0:
             continue
         doubted.add(other)
@@ -475,17 +479,32 @@ def _turning(evidence: QualityStatistics, factor: float) -> list[str]:
             end = "or all curvatures have the wrong sign" if likeness < 0.0 else "which would make them agree"
             text += f" (give --yaw-rate-factor {advice:.3g}, {end})"
         found.append(text)
-    likeness = _likeness(evidence.sway)
-    if evidence.sway[0] >= FEWEST_SWAYS and likeness < LEAST_SWAY and not doubted:
-        found.append(
+    return found if doubted else found + _swaying(evidence.sway)
+
+
+FEWEST_SWAYS: Final = 8  # windows of six seconds
+LEAST_SWAY: Final = -0.2
+"""Correlation of offset and heading below which they contradict each other, and below -1.7 over the root of the
+windows: three times what chance makes of signals that have nothing to do with each other."""
+
+
+def _swaying(sway: FloatArray) -> list[str]:
+    """An offset that moves against the vehicle's heading, or much further or less far than that and the speed say."""
+    windows, hh, hr, rr = sway
+    likeness = _likeness(sway)
+    if windows < FEWEST_SWAYS or abs(likeness) < max(-LEAST_SWAY, 1.7 / np.sqrt(windows)):
+        return []
+    if likeness < 0.0:
+        return [
             f"column 'lane_offset': it goes against the vehicle's heading (correlation {likeness:.2f}); it is positive "
             "to the right, or the heading or yaw rate is"
-        )
-    return found
-
-
-FEWEST_SWAYS: Final = 20 * 31  # points in windows of six seconds; two minutes
-LEAST_SWAY: Final = -0.2  # correlation of offset and heading below which they contradict each other
+        ]
+    if likeness > 0.6 and (hr > 1.6 * hh or rr < 0.6 * hr):
+        return [
+            f"column 'lane_offset': it moves {np.sqrt(rr / hh):.2g} times as far as the vehicle's heading and speed "
+            "say; is it in feet, or the speed in km/h or mph? m and m/s are needed"
+        ]
+    return []
 
 
 def _scale(evidence: QualityStatistics) -> list[str]:

@@ -108,10 +108,30 @@ def breaks(
     ends = np.flatnonzero(moved & ~np.append(moved[1:], False)) + 1
     name = np.arange(same.size)
     name[moved] = np.repeat(starts, ends - starts)
-    way, lane = np.abs(offset[ends] - offset[starts]), 0.5 * (width[ends] + width[starts])
+    pairs = np.column_stack([starts, ends + 1]).ravel()
+    way = np.maximum.reduceat(np.append(offset, -np.inf), pairs)[::2]
+    way = way - np.minimum.reduceat(np.append(offset, np.inf), pairs)[::2]
+    lane = 0.5 * (width[ends] + width[starts])
     whole = (way > max_jump) & (way > LANE_JUMP[0] * lane) & (way < LANE_JUMP[1] * lane)
     cause[moved & np.isin(name, starts[whole])] = CODE["lane_change"]
     return same, cause, name
+
+
+def _spread(marked: BoolArray, t: FloatArray, barred: BoolArray, reach: float) -> BoolArray:
+    """Samples within a time of marked ones, (k,), and next to them; not across a barred joint."""
+    first, last = (np.flatnonzero(marked & ~beside) for beside in (np.roll(marked, 1), np.roll(marked, -1)))
+    if marked[:1].any() and marked[-1]:  # the ends are no neighbours
+        first, last = np.append(0, first), np.append(last, marked.size - 1)
+    low, high, walls = first, last, np.concatenate([[True], barred, [True]])
+    for step in range(MOST_LAGS):
+        before = ~walls[low] & ((t[first] - t[low - 1] <= reach + ROUNDING) | (step == 0))
+        after = ~walls[high + 1] & ((t[np.minimum(high + 1, t.size - 1)] - t[last] <= reach + ROUNDING) | (step == 0))
+        if not (before.any() or after.any()):
+            break
+        low, high = low - before, high + after
+    count = np.bincount(low, minlength=t.size + 1) - np.bincount(high + 1, minlength=t.size + 1)
+    spread: BoolArray = np.cumsum(count)[:-1] > 0
+    return spread
 
 
 def _jumps(
@@ -120,31 +140,19 @@ def _jumps(
     """Joints between neighbours, (k - 1,), across which offset or width moves too far, too fast; not across `barred`.
 
     They are looked for where it matters, within `JUMP_WINDOW` of samples with the edge beyond a line. Of two pairs of
-    samples, one inside the other, the closer pair tells where the movement is.
+    samples, one inside the other, the closer pair tells where the movement is; half a window to either side belongs to
+    it, for one that was smoothed begins earlier and ends later than noise lets be seen.
     """
-    jump, longest = np.zeros(barred.size, dtype=bool), JUMP_WINDOW + ROUNDING
-    begin, end = (
-        np.flatnonzero(beyond & ~np.append(False, beyond[:-1])),
-        np.flatnonzero(beyond & ~np.append(beyond[1:], False)),
-    )
-    low, high = np.maximum(begin - 1, 0), np.minimum(end + 1, t.size - 1)
-    for _ in range(MOST_LAGS):
-        before = (low > 0) & (np.abs(t[begin] - t[low - 1]) <= longest)
-        after = (high < t.size - 1) & (np.abs(t[np.minimum(high + 1, t.size - 1)] - t[end]) <= longest)
-        if not (before.any() or after.any()):
-            break
-        low, high = low - before, high + after
-    count = np.bincount(low, minlength=t.size + 1) - np.bincount(high + 1, minlength=t.size + 1)
-    rows = np.flatnonzero(np.cumsum(count)[:-1])
-    t, offset, width = t[rows], offset[rows], width[rows]
+    rows = np.flatnonzero(_spread(beyond, t, barred, JUMP_WINDOW))
+    at, offset, width = t[rows], offset[rows], width[rows]
     taken = np.append(barred, True)[rows[:-1]] | (np.diff(rows) > 1)
     found = np.zeros(taken.size, dtype=bool)
     for lag in range(1, min(MOST_LAGS, rows.size)):
-        dt = t[lag:] - t[:-lag]
+        dt = at[lag:] - at[:-lag]
         before = np.append(0, np.cumsum(taken))
         free = before[lag:] == before[:-lag]
         if lag > 1:
-            free &= dt <= longest
+            free &= dt <= JUMP_WINDOW + ROUNDING
         if not free.any():
             break
         lane = LANE_JUMP[0] * np.minimum(width[lag:], width[:-lag])
@@ -155,8 +163,10 @@ def _jumps(
         ends = np.bincount(first + lag, minlength=rows.size)
         found |= np.cumsum(np.bincount(first, minlength=rows.size) - ends)[:-1] > 0
         taken |= found
-    jump[rows[:-1][found]] = True
-    return jump
+    moving = np.zeros(t.size, dtype=bool)
+    moving[rows[:-1][found]] = moving[rows[1:][found]] = True
+    moving = _spread(moving, t, barred, 0.5 * JUMP_WINDOW)
+    return moving[:-1] & moving[1:] & ~barred
 
 
 def find_runs(

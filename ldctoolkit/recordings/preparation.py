@@ -333,7 +333,8 @@ class Preparation:
 
 
 def corrected(recording: Recording, preparation: Preparation) -> Recording:
-    """One recording with the factors that are given for its yaw rate and its lengths."""
+    """One recording without codes, with the factors that are given for its yaw rate and its lengths."""
+    recording = without_codes(recording)
     if recording.yaw_rate is not None and preparation.yaw_rate_factor != 1.0:
         with np.errstate(over="ignore"):
             yaw_rate = recording.yaw_rate * preparation.yaw_rate_factor
@@ -358,13 +359,13 @@ def prepare(
     max_jump: float = MAX_JUMP,
     widths: tuple[float, float] = (MIN_LANE_WIDTH, MAX_LANE_WIDTH),
 ) -> Recording:
-    """One stretch of a recording in the common form."""
-    recording = without_codes(recording, widths)
-    recording, refresh = on_own_clocks(recording)
-    recording = without_frozen(with_yaw_rate(recording))
-    if preparation.step is not None and refresh <= preparation.step:
-        recording = resample(recording, preparation.step, preparation.max_gap, max_jump)
-    return recording
+    """One stretch of a recording, on its own clock, in the common form."""
+    recording = without_frozen(with_yaw_rate(within_limits(recording, widths)))
+    step = preparation.step
+    # a lane that is seen so seldom that nothing is bridged stays on its own clock
+    if step is None or (recording.samples > 1 and np.median(np.diff(recording.t)) > max(preparation.max_gap, step)):
+        return recording
+    return resample(recording, step, preparation.max_gap, max_jump)
 
 
 _LIMITS: Final = {"speed": 100.0, "curvature": 0.2, "yaw_rate": 1.5}
@@ -376,30 +377,43 @@ _CODE_GAPS: Final = {"lane_width": 1.0, "lane_offset": MAX_JUMP, "speed": 10.0, 
 _CODE_TIMES: Final = 3
 
 
-def without_codes(recording: Recording, widths: tuple[float, float]) -> Recording:
-    """NaN for numbers that stand for "not available", and for lane widths outside their limits."""
+def without_codes(recording: Recording) -> Recording:
+    """NaN for codes of "not available": the end of a column's range, several times, far from all other numbers."""
     changed: dict[str, Any] = {}
     for name, gap in _CODE_GAPS.items():
         values = getattr(recording, name)
         if values is None:
             continue
-        if name == "lane_width":
-            good = (values >= widths[0]) & (values <= widths[1])
-        elif name == "lane_offset":
-            good = ~(np.abs(values) > np.abs(recording.lane_width))
-        else:
-            good = np.abs(values) <= _LIMITS[name]
-        known = values[good & recording.valid & np.isfinite(values)]
-        for end in (known.max(initial=-np.inf), known.min(initial=np.inf)):
-            if np.count_nonzero(known == end) < _CODE_TIMES:
-                continue
-            rest = known[known != end]
-            # a width may be a constant, or two, of a map; other signals move
-            moves = name == "lane_width" or np.count_nonzero(rest[1:] != rest[:-1]) > 0.5 * rest.size
-            if rest.size and moves and np.abs(rest - end).min() > gap:
-                good &= values != end
-        if not good.all():
-            changed[name] = np.where(good, values, np.nan)
+        known = values[recording.valid & (np.abs(values) < LARGEST)]
+        codes = []
+        while known.size > _CODE_TIMES:
+            for end in (known.max(), known.min()):
+                if not _CODE_TIMES <= np.count_nonzero(known == end) < known.size:
+                    continue
+                rest = known[known != end]
+                if np.abs(rest - end).min() <= gap:
+                    continue
+                # a width may be a constant, or two, of a map; other signals move
+                if name == "lane_width" or np.count_nonzero(rest[1:] != rest[:-1]) > 0.5 * rest.size:
+                    codes.append(end)
+                    known = rest
+                    break
+            else:
+                break
+        if codes:
+            changed[name] = np.where(np.isin(values, codes), np.nan, values)
+    return dataclasses.replace(recording, **changed) if changed else recording
+
+
+def within_limits(recording: Recording, widths: tuple[float, float]) -> Recording:
+    """NaN for numbers that no lane and no vehicle has."""
+    changed: dict[str, Any] = {}
+    good = {"lane_width": (recording.lane_width >= widths[0]) & (recording.lane_width <= widths[1])}
+    good["lane_offset"] = ~(np.abs(recording.lane_offset) > np.abs(recording.lane_width))
+    good |= {name: np.abs(x) <= most for name, most in _LIMITS.items() if (x := getattr(recording, name)) is not None}
+    for name, kept in good.items():
+        if not kept.all():
+            changed[name] = np.where(kept, getattr(recording, name), np.nan)
     return dataclasses.replace(recording, **changed) if changed else recording
 
 
@@ -409,7 +423,7 @@ _REGULAR: Final = 0.75  # share of the times between them that must be about the
 
 def resolution(values: FloatArray) -> float:
     """Step that all differences of some numbers are multiples of; 0 if there is none."""
-    distinct = np.unique(values[:: max(1, values.size // 1000)])
+    distinct = np.unique(values[:: max(1, values.size // 300)])
     step = np.diff(distinct[np.isfinite(distinct)])
     if step.size < 3:
         return 0.0
@@ -420,77 +434,95 @@ def resolution(values: FloatArray) -> float:
 def coarse_step(offset: FloatArray) -> float:
     """The step of an offset that has few values for its samples, [m]; 0 if it has none."""
     step = resolution(offset)
-    return step if step >= COARSE and offset.size > 10.0 * np.ptp(offset) / step else 0.0
+    return step if step > COARSE and offset.size > 5.0 * np.ptp(offset) / step else 0.0
 
 
-def new_rows(t: FloatArray, *columns: FloatArray) -> tuple[IntArray, float]:
-    """Rows in which a signal is there, and new, and the time between them [s]; 0 where that is so in every row."""
-    known = np.flatnonzero(np.all([np.isfinite(values) for values in columns], axis=0))
-    first = columns[0][known]
-    new = np.append(True, np.any([np.diff(values[known]) != 0.0 for values in columns], axis=0))[: known.size]
+_EVERY_ROW: Final = (np.empty(0, dtype=np.int64), 0.0)
+
+
+def new_rows(t: FloatArray, values: FloatArray) -> tuple[IntArray, float]:
+    """Rows in which a signal is there, and new, and the time between them [s]; 0 where that is no clock of its own."""
+    held = np.count_nonzero(values[1:] == values[:-1]) + np.count_nonzero(np.isnan(values))
+    if held < 0.3 * t.size:
+        return _EVERY_ROW
+    known = np.flatnonzero(np.isfinite(values))
+    first = values[known]
+    new = np.append(True, np.diff(first) != 0.0)[: known.size]
     rows = known[new]
     if not _FEWEST_NEW <= rows.size <= 0.7 * t.size:
-        return rows, 0.0
+        return _EVERY_ROW
     apart, step = np.diff(t[rows]), float(np.median(np.diff(t)))
     refresh = float(np.median(apart))
     even = np.abs(apart - refresh) <= max(1.01 * step, 0.25 * refresh)
     if refresh < 1.5 * step or np.mean(even) < _REGULAR:
-        return rows, 0.0
+        return _EVERY_ROW
     # a slow signal with a coarse step is held as well; its changes are single steps
     if np.median(np.abs(np.diff(first[new]))) <= 1.5 * resolution(first):
-        return rows, 0.0
+        return _EVERY_ROW
     return rows, refresh
 
 
-def on_own_clocks(recording: Recording) -> tuple[Recording, float]:
-    """The recording at the times when its lane signal is new, which is the clock of all departures, and the time
-    between them [s], 0 where rows are not further apart than that; other signals are interpolated where they are not.
+def on_own_clocks(recording: Recording) -> Recording:
+    """The recording at the times when its lane signal is new, which is the clock of all departures; other signals are
+    interpolated between the rows in which they are new.
     """
+    t, notes = recording.t, list(recording.notes)
     changed: dict[str, Any] = {}
-    notes = list(recording.notes)
     for name in ("speed", "curvature", "yaw_rate", "steering"):
         values = getattr(recording, name)
         if values is not None:
-            rows, refresh = new_rows(recording.t, np.where(np.abs(values) < LARGEST, values, np.nan))
+            rows, refresh = new_rows(t, np.where(np.abs(values) < LARGEST, values, np.nan))
             if refresh > 0.0:
-                known = merge_repeated(recording.t[rows], values[rows])
-                changed[name] = values_at(recording.t, *known, longest=2.5 * refresh, beyond=refresh)
+                known = merge_repeated(t[rows], values[rows])
+                changed[name] = values_at(t, *known, longest=2.5 * refresh, beyond=refresh)
                 notes.append(f"{name} is new every {refresh:.2g} s only, and interpolated between")
-    lane = np.where(recording.valid, recording.lane_offset, np.nan)
-    rows, refresh = new_rows(recording.t, lane, recording.lane_width)
+    offset = np.where(recording.valid & np.isfinite(recording.lane_width), recording.lane_offset, np.nan)
+    rows, refresh = new_rows(t, offset)
+    if refresh == 0.0 and t.size > 1:  # of a signal that was interpolated the slope is held
+        with np.errstate(divide="ignore", invalid="ignore"):
+            slope = np.diff(offset[:1000]) / np.diff(t[:1000])
+            if np.count_nonzero(np.abs(np.diff(slope)) < 1e-6) > 0.2 * slope.size:
+                bends, longer = new_rows(t[:-1], np.round(np.diff(offset) / np.diff(t), 6))
+                rows, refresh = (bends, longer) if longer > SHORTEST_REFRESH else _EVERY_ROW
     if refresh > 0.0:
-        notes.append(
-            f"the lane is new every {refresh:.2g} s only: departures of less than about {3.0 * refresh:.2g} s cannot "
-            "be found"
-        )
-    coarse = coarse_step(recording.lane_offset[rows])
+        least = f": departures of less than about {3.0 * refresh:.2g} s cannot be found" if refresh > 0.2 else ""
+        notes.append(f"the lane is new every {refresh:.2g} s only{least}")
+    coarse = coarse_step(offset[np.isfinite(offset)])
     if coarse > 0.0:
         notes.append(f"lane_offset comes in steps of {coarse:.2g} m")
-    if changed or len(notes) > len(recording.notes):
+    if len(notes) > len(recording.notes):
         recording = dataclasses.replace(recording, notes=tuple(notes), **changed)
-    return (recording.take(rows), refresh) if refresh > 0.0 else (recording, 0.0)
+    return recording.take(rows) if refresh > 0.0 else recording
 
 
-COARSE: Final = 0.05  # [m] coarser steps of the offset are reported
-FROZEN: Final = 1.0  # [s] rows that repeat the one before for longer, while the vehicle moves, are not driving
+SHORTEST_REFRESH: Final = 0.3  # [s] a lane signal that was interpolated over less makes up no departure
+COARSE: Final = 0.049  # [m] coarser steps of the offset are reported
+
+_FROZEN: Final = (
+    (("lane_offset", "lane_width"), 2.0, 1),
+    (("lane_offset", "lane_width", "speed", "curvature", "yaw_rate", "heading", "steering"), 1.0, 2),
+)
+"""Columns that do not all stand still for longer than a time [s] while the vehicle moves, if so many of them move."""
 
 
 def without_frozen(recording: Recording) -> Recording:
-    """Rows that repeat the one before in all that moves, for longer than `FROZEN`, are invalid."""
-    names = ("lane_offset", "lane_width", "speed", "curvature", "yaw_rate", "heading", "steering")
-    changes = [np.diff(x) != 0.0 for x in (getattr(recording, name) for name in names) if x is not None]
-    moved = np.append(True, np.any(changes, axis=0) | ~(recording.speed[1:] > 1.0))[: recording.samples]
-    begin = np.flatnonzero(moved)
-    length = np.diff(np.append(begin, recording.samples))
-    long = (length > 5) & (recording.t[begin + length - 1] - recording.t[begin] > FROZEN)
-    if not long.any():
+    """Rows that repeat the one before for long, while the vehicle moves, are invalid: they are not driving."""
+    valid = recording.valid
+    if np.count_nonzero(recording.lane_offset[1:] == recording.lane_offset[:-1]) < 5:
         return recording
-    stuck = np.repeat(long, length) & ~moved
-    # of signals that stand still for long anyway, as made ones do, it says nothing
-    lively = [change for change in changes if 2 * np.count_nonzero(change) > np.count_nonzero(~stuck[1:])]
-    if len(lively) < 2:
-        return recording
-    return dataclasses.replace(recording, valid=recording.valid & ~stuck)
+    for names, longest, enough in _FROZEN:
+        changes = [np.diff(x) != 0.0 for x in (getattr(recording, name) for name in names) if x is not None]
+        moved = np.append(True, np.any(changes, axis=0) | ~(recording.speed[1:] > 1.0))[: recording.samples]
+        begin = np.flatnonzero(moved)
+        length = np.diff(np.append(begin, recording.samples))
+        long = (length > 5) & (recording.t[begin + length - 1] - recording.t[begin] > longest)
+        if long.any():
+            stuck = np.repeat(long, length) & ~moved
+            # signals that stand still for long anyway, as made ones do, say nothing
+            rest = np.count_nonzero(~stuck[1:])
+            if sum(2 * np.count_nonzero(change) > rest for change in changes) >= enough:
+                valid = valid & ~stuck
+    return recording if valid is recording.valid else dataclasses.replace(recording, valid=valid)
 
 
 def scaled(recording: Recording, nominal: float) -> Recording:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.departures import LEFT, RIGHT, Departures, DepartureSignals
-from ldctoolkit.recordings.find_departures import ACCEPTED, REASONS, Found, median_steps
+from ldctoolkit.recordings.find_departures import ACCEPTED, REASONS, SAME_FRAME, Found
 from ldctoolkit.recordings.preparation import MAX_JUMP, coarse_step
 from ldctoolkit.recordings.recording import LARGEST, Label, Recording, RecordingTable, printable, usable_samples
 
@@ -141,7 +141,7 @@ _UNITS: Final = (
         ("speed > 60", 0.01, "column 'speed': {share:.0%} of the samples are above 60 m/s (216 km/h); the unit looks "
          "like km/h or mph, m/s is needed (divide by 3.6 or 2.237)"),
         # a city driven at 50 km/h stays below 60 in either unit
-        ("speed > 42", 0.5, "column 'speed': most samples are above 42 m/s (150 km/h); if the unit is km/h, divide by "
+        ("speed > 47", 0.5, "column 'speed': most samples are above 47 m/s (169 km/h); if the unit is km/h, divide by "
          "3.6: m/s is needed"),
     ),
     (("speed < 0", 0.5, "column 'speed': most values are negative; speed along the road is positive"),),
@@ -162,7 +162,7 @@ _UNITS: Final = (
     ),
     (("coarse offset > 0", 0.5, "column 'lane_offset': it comes in steps of 0.1 m or more, which departures are hardly "
       "deeper than; a finer signal is needed"),),
-    (("step > 2", 0.5, "column 't': the time step is above 2 in most recordings; the unit looks like ms, s is "
+    (("step > 12", 0.5, "column 't': the time step is above 12 in most recordings; the unit looks like ms, s is "
       "needed"),),
     (("step < 0.002", 0.5, "column 't': the time step is below 0.002 in most recordings; is the unit minutes or "
       "hours?"),),
@@ -171,16 +171,16 @@ _UNITS: Final = (
          "m); is it a radius or in 1/km? 1/m is needed"),
         ("v^2 c > 12", 0.01, "column 'curvature': in {share:.0%} of the samples v^2 c is beyond 12 m/s^2, which no "
          "road asks for; is it in 1/km or degrees, or the speed in km/h? 1/m and m/s are needed"),
-        ("v^2 c > 3", 0.5, "column 'curvature': v^2 c is beyond 3 m/s^2 most of the time, which nobody drives; is it in "
-         "1/km or degrees, or the speed in km/h? 1/m and m/s are needed"),
+        ("tight c > 0.0056", 0.1, "column 'curvature': in {share:.0%} of the samples the radius is under 180 m at more "
+         "than 3 m/s^2; is it in 1/km or degrees, or the speed in km/h? 1/m and m/s are needed"),
     ),
     (
         ("yaw rate > 1.5", 0.01, "column 'yaw_rate': {share:.0%} of the samples are beyond 1.5 rad/s; the unit looks "
          "like deg/s, rad/s is needed"),
         ("v r > 12", 0.01, "column 'yaw_rate': in {share:.0%} of the samples it is more than a road asks for at that "
          "speed (v r beyond 12 m/s^2); the unit looks like deg/s, rad/s is needed"),
-        ("v r > 3", 0.5, "column 'yaw_rate': v r is beyond 3 m/s^2 most of the time, which nobody drives; the unit looks "
-         "like deg/s, rad/s is needed"),
+        ("tight r > 0.0056", 0.1, "column 'yaw_rate': in {share:.0%} of the samples it asks for a radius under 180 m "
+         "at more than 3 m/s^2; the unit looks like deg/s, rad/s is needed"),
     ),
     (("heading > 13", 0.01, "column 'heading': {share:.0%} of the samples are beyond two turns; the unit looks like "
       "degrees, rad is needed"),),
@@ -189,6 +189,9 @@ _UNITS: Final = (
 )  # fmt: skip
 """Groups of rules, of which the first that holds is reported: what is counted, the share from which on it holds, and
 what is likely wrong then."""
+
+
+SHARP: Final = 3.0  # [m/s^2] more lateral acceleration than most drivers ever ask for
 
 
 def unit_counts(
@@ -201,14 +204,16 @@ def unit_counts(
     """Count samples and recordings beyond limits."""
     width, known = table.lane_width[usable], median_step[np.isfinite(median_step)]
     values = {"speed": table.speed[usable], "width": width, "offset": np.abs(table.lane_offset[usable]), "step": known}
-    v = np.abs(values["speed"])
+    v = np.maximum(np.abs(values["speed"]), 0.1)
     with np.errstate(over="ignore", invalid="ignore"):
         if table.curvature is not None:
-            values["curvature"] = np.abs(table.curvature[usable])
-            values["v^2 c"] = v * v * values["curvature"]
+            c = values["curvature"] = np.abs(table.curvature[usable])
+            values["v^2 c"] = v * v * c
+            values["tight c"] = np.where(values["v^2 c"] > SHARP, c, 0.0)
         if table.yaw_rate is not None:
-            values["yaw rate"] = np.abs(table.yaw_rate[usable])
-            values["v r"] = v * values["yaw rate"]
+            r = values["yaw rate"] = np.abs(table.yaw_rate[usable])
+            values["v r"] = v * r
+            values["tight r"] = np.where(values["v r"] > SHARP, r / v, 0.0)
     for name in ("heading", "steering"):
         columns = [np.abs(column) for one in recordings if (column := getattr(one, name)) is not None]
         if columns:
@@ -261,6 +266,7 @@ TURN_SPEED: Final = 8.0  # below this speed [m/s] the course over ground is nois
 COARSEST: Final = 0.099  # [m] such steps of the offset are too coarse for departures
 
 OFFSET_STEP: Final = 0.05  # width of a bin of the histogram of offsets [m]
+GRAZED: Final = 0.05  # [m]
 OFFSET_BINS: Final = 81  # centred bins from -2 to 2 m; the outer ones also hold what is beyond
 
 RELATIONS: Final = (("heading", "yaw_rate"), ("heading", "curvature"), ("yaw_rate", "curvature"),
@@ -281,8 +287,8 @@ class QualityStatistics:
     fingerprints: npt.NDArray[np.str_]  # (r,): digest of offset, width and speed of each; empty for short ones
     median_widths: FloatArray  # (r,) [m]: median lane width of each, before any scaling
     sway: FloatArray  # (4,): as `turns`, of the offset and of what the vehicle's heading says of it
-    offsets: IntArray  # (81,): usable samples by offset, in bins of 0.05 m around 0, which itself may be made
-    lane_changes: int  # how often the label of the lane changes
+    offsets: IntArray  # (81,): usable samples by offset, in bins of 0.05 m around 0
+    grazes: int  # how often the offset turns back within 0.05 m of zero, on this side of it or the other
     stays_ns: IntArray  # (3,) [ns]: time driven, beyond a line, and of that in stays of more than five seconds
     notes: tuple[tuple[str, int], ...] = ()  # (str, int): what recordings lack, as text, and how many lack it
 
@@ -323,16 +329,15 @@ def quality_statistics(
     if bend is not None:
         curved = np.abs(bend[usable]) > (FLAT if table.curvature is not None else FLAT * table.speed[usable])
         bends[:] = curved.size, np.count_nonzero(curved)
-    steps = median_steps(table)
-    related = [_related(recording, float(step)) for recording, step in zip(recordings, steps, strict=True)]
-    place = np.rint(table.lane_offset[usable & (table.lane_offset != 0.0)] / OFFSET_STEP) + OFFSET_BINS // 2
+    related = [_related(recording) for recording in recordings]
+    place = np.rint(table.lane_offset[usable] / OFFSET_STEP) + OFFSET_BINS // 2
     place = np.clip(place, 0, OFFSET_BINS - 1).astype(np.int64)
-    lane = prepared.lane
-    same = np.diff(prepared.recording_index) == 0
+    away = np.abs(table.lane_offset[usable])
+    turns_back = (away[1:-1] < away[:-2]) & (away[1:-1] <= away[2:]) & (away[1:-1] < GRAZED)
     stays = np.minimum([found.driven.sum(), *found.stays], LONGEST)
     kind = "measured" if prepared.curvature is not None else "none" if prepared.yaw_rate is None else "yaw_rate"
     return QualityStatistics(
-        units=unit_counts(table, usable, steps, vehicle_width, recordings),
+        units=unit_counts(table, usable, found.median_step, vehicle_width, recordings),
         kinds=(kind,),
         lanes=table.lane is not None,
         turns=np.sum([turns for turns, _ in related], axis=0),
@@ -342,16 +347,18 @@ def quality_statistics(
         median_widths=medians,
         sway=np.sum([sway for _, sway in related], axis=0),
         offsets=np.bincount(place, minlength=OFFSET_BINS),
-        lane_changes=0 if lane is None else int(np.count_nonzero(same & (lane[1:] != lane[:-1]))),
+        grazes=int(np.count_nonzero(turns_back)),
         stays_ns=np.rint(stays * 1e9).astype(np.int64),
         notes=tuple(Counter(note for recording in common for note in recording.notes).items()),
     )
 
 
-def _related(recording: Recording, step: float) -> tuple[FloatArray, FloatArray]:
+def _related(recording: Recording) -> tuple[FloatArray, FloatArray]:
     """Rows of `turns` and `sway` of one recording."""
     turns, sway = np.zeros((len(RELATIONS), 4)), np.zeros(4)
     swept = _swept(recording)
+    steps = np.diff(recording.t[:500])
+    step = float(np.median(steps[steps > SAME_FRAME])) if (steps > SAME_FRAME).any() else 0.0
     if not step > 0.0 or not swept:
         return turns, sway
     lag = max(1, round(TURN_WINDOW / step))
@@ -413,6 +420,7 @@ def _sums(h: FloatArray, r: FloatArray) -> FloatArray:
 
 SWAY_WINDOW: Final = 6.0  # [s] over which the offset is held against the vehicle's heading
 _SWAY_STEP: Final = 0.2  # [s]
+MOST_WINDOWS: Final = 40  # of a recording, spread over it
 
 
 def _sway(recording: Recording, angle: FloatArray, known: BoolArray) -> FloatArray:
@@ -422,23 +430,26 @@ def _sway(recording: Recording, angle: FloatArray, known: BoolArray) -> FloatArr
     good &= recording.speed < LARGEST
     if np.count_nonzero(good) < 10 or not t[-1] - t[0] < LONGEST:
         return np.zeros(4)
-    t, offset, angle, v = t[good], recording.lane_offset[good], np.unwrap(angle[good]), recording.speed[good]
+    t, offset, angle, v = t[good], recording.lane_offset[good], angle[good], recording.speed[good]
     first = np.arange(t[0], t[-1] - SWAY_WINDOW, SWAY_WINDOW)
-    place = first[:, None] + _SWAY_STEP * np.arange(round(SWAY_WINDOW / _SWAY_STEP) + 1)
     # a window with a hole in it, or with a jump of the offset, is left out
-    odd = np.append(0, np.cumsum((np.diff(t) > 1.0) | (np.abs(np.diff(offset)) > MAX_JUMP)))
+    odd = np.append(0, np.cumsum((np.diff(t) > 0.5) | (np.abs(np.diff(offset)) > MAX_JUMP)))
     ends = np.searchsorted(t, [first, first + SWAY_WINDOW])
-    place = place[odd[ends[0]] == odd[np.minimum(ends[1], t.size - 1)]]
-    if not place.size:
+    first = first[odd[ends[0]] == odd[np.minimum(ends[1], t.size - 1)]]
+    if not first.size:
         return np.zeros(4)
-    heading, speed, across = (np.interp(place, t, values) for values in (angle, v, offset))
-    lateral = speed * (heading - heading[:, :1])
-    path = np.cumsum(lateral, axis=1) * _SWAY_STEP
-    s = np.linspace(-1.0, 1.0, place.shape[1])
+    first = first[:: -(-first.size // MOST_WINDOWS)]
+    row = np.searchsorted(t, first[:, None] + _SWAY_STEP * np.arange(round(SWAY_WINDOW / _SWAY_STEP) + 1))
+    row = np.minimum(row, t.size - 1)
+    heading = angle[row] - angle[row[:, :1]]
+    heading -= 2.0 * np.pi * np.rint(heading / (2.0 * np.pi))
+    path = np.cumsum(v[row] * heading, axis=1) * _SWAY_STEP
+    s = np.linspace(-1.0, 1.0, row.shape[1])
     smooth = np.linalg.qr(np.vander(s, 4))[0]  # what position, heading and bend of the road make of it
-    path, across = (x - (x @ smooth) @ smooth.T for x in (path, across))
-    h, r = path.ravel(), across.ravel()
-    return _sums(h, r)
+    path, across = (x - (x @ smooth) @ smooth.T for x in (path, offset[row]))
+    sums = _sums(path.ravel(), across.ravel())
+    sums[0] = first.size
+    return sums
 
 
 def combined_statistics(parts: Iterable[QualityStatistics]) -> QualityStatistics:
@@ -460,7 +471,7 @@ def combined_statistics(parts: Iterable[QualityStatistics]) -> QualityStatistics
         median_widths=np.concatenate([part.median_widths for part in given]),
         sway=np.sum([part.sway for part in given], axis=0),
         offsets=np.sum([part.offsets for part in given], axis=0),
-        lane_changes=sum(part.lane_changes for part in given),
+        grazes=sum(part.grazes for part in given),
         stays_ns=np.sum([part.stays_ns for part in given], axis=0),
         notes=tuple(notes.items()),
     )
