@@ -14,6 +14,7 @@ import numpy as np
 
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.errors import RecordingError
+from ldctoolkit.recordings.preparation import cut_at
 from ldctoolkit.recordings.recording import LARGEST, Problem, Recording, SourceFile, measured
 from ldctoolkit.recordings.sources import FoundParts
 from ldctoolkit.recordings.trip_index import Cells, Stretch, TripIndex
@@ -70,18 +71,23 @@ class Das1Part:
         match = nearest_rows(lane.trip, lane.cells["Time"], wsu.trip, wsu.cells["Time"], TOLERANCE)
         signals = _signals(lane.cells, wsu.cells, match)
         ends = np.searchsorted(lane.trip, np.arange(len(self.trips) + 1)).tolist()
+        theirs = np.bincount(wsu.trip, minlength=len(self.trips))
         joined = np.concatenate([[0], np.cumsum(match >= 0)])
         apart: list[tuple[int, str, str]] = []
-        for (stretches, there), begin, end in zip(self.trips, ends[:-1], ends[1:], strict=True):
-            first = stretches[0]
+        for i, (stretches, there) in enumerate(self.trips):
+            first, begin, end = stretches[0], ends[i], ends[i + 1]
             name = f"{first.device}/{first.trip}"
-            if begin == end:
+            if begin == end or (there and not theirs[i]):
                 continue  # every row was left out, and reported
             if there and joined[begin] == joined[end]:
                 near = f"no row of {self.wsu.name} lies within {TOLERANCE:g} centiseconds of any of its rows"
                 apart.append((first.line, "apart", f"trip {name}: {near}; it is left out"))
                 continue
             own = {column: values[begin:end] for column, values in signals.items()}
+            joins = np.concatenate([lane.joins(i), wsu.joins(i)])
+            if joins.size:
+                own["cut"], inside = cut_at(lane.cells["Time"][begin:end], joins)
+                own["valid"] &= ~inside
             yield Recording(name, source=self.lane.name, notes=() if there else (ALONE,), **own)
         yield from grouped_problems(self.lane.name, apart)
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.errors import RecordingError
+from ldctoolkit.recordings.preparation import cut_at
 from ldctoolkit.recordings.recording import Problem, Recording, SourceFile, measured
 from ldctoolkit.recordings.sources import FoundParts
 from ldctoolkit.recordings.trip_index import Cells, Stretch
@@ -136,14 +137,16 @@ class Das2Part:
         columns = signals_of(rows.cells)
         missing = [name for name in OPTIONAL if name not in wanted]
         notes = (f"no column {', '.join(missing)}",) if missing else ()
-        ends = np.searchsorted(rows.trip, np.arange(len(self.trips) + 1))
-        for stretches, begin, end in zip(self.trips, ends[:-1].tolist(), ends[1:].tolist(), strict=True):
+        ends = np.searchsorted(rows.trip, np.arange(len(self.trips) + 1)).tolist()
+        for i, (stretches, begin, end) in enumerate(zip(self.trips, ends[:-1], ends[1:], strict=True)):
             if begin == end:
                 continue  # every row was left out, and reported
             name = f"{stretches[0].device}/{stretches[0].trip}"
             own: dict[str, Any] = {
                 key: None if column is None else column[begin:end] for key, column in columns.items()
             }
+            if (joins := rows.joins(i)).size:
+                own["cut"], _ = cut_at(rows.cells["Time"][begin:end], joins)
             yield Recording(name, source=self.table.name, notes=notes, **own)
 
 

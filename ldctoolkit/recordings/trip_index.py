@@ -201,6 +201,7 @@ class Stretch:
     end: int  # bytes ``begin:end`` of the file; whole lines
     line: int  # number of the first line, the file's first is 1
     lines: int  # how many, blank ones included
+    unkeyed: int = 0  # lines without a key before it in the file
 
 
 @dataclasses.dataclass(frozen=True)
@@ -274,7 +275,7 @@ class _Scan:
         self._most = most_faults
         self._compiled = _compiled() if compiled else None
         self._key: tuple[int, int] | None = None
-        self._first = (0, 0)  # byte and line of the open stretch
+        self._first = (0, 0, 0)  # byte and line of the open stretch, lines without a key before it
         self._last = (0, 0)  # behind it
 
     def add(self, block: bytearray, first: int, last: int, unended: int = 0) -> None:
@@ -299,7 +300,8 @@ class _Scan:
                     after = self._compiled(text, starts, i, bytes(found[0]))
                 if self._key != key:
                     self.close()
-                    self._key, self._first = key, (self._at + start - first, self.line + i)
+                    unkeyed = len(self.faults) + self.more_faults
+                    self._key, self._first = key, (self._at + start - first, self.line + i, unkeyed)
             elif block[start:end].strip():
                 self._fault(bytes(block[start : min(start + _KEY_BYTES, end)]), self.line + i)
             if self._key is not None:  # a blank line stays in its stretch
@@ -314,7 +316,8 @@ class _Scan:
         self.close()
         cells = head.strip(b"\r\n").split(b",")[:2]
         shown = ",".join(cell.decode("utf-8", "replace").strip() for cell in cells)
-        what = f"it begins with {shown[:40]!r}; allowed: numbers of device and trip; the line is left out"
+        begins = "NUL bytes" if "\0" in shown else repr(shown[:40])
+        what = f"it begins with {begins}; allowed: numbers of device and trip; the line is left out"
         if len(self.faults) < self._most:
             self.faults.append(LineFault(line, what))
         else:
@@ -323,8 +326,8 @@ class _Scan:
     def close(self) -> None:
         """End the open stretch."""
         if self._key is not None:
-            (begin, line), (end, after) = self._first, self._last
-            self.stretches.append(Stretch(*self._key, begin, end, line, after - line))
+            (begin, line, unkeyed), (end, after) = self._first, self._last
+            self.stretches.append(Stretch(*self._key, begin, end, line, after - line, unkeyed))
             if len(self.stretches) > MOST_STRETCHES:
                 raise RecordingError(
                     f"{self._file}, line {line}: more than {MOST_STRETCHES} stretches of rows of one trip each; "

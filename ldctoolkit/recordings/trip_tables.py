@@ -13,7 +13,7 @@ import numpy as np
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.errors import RecordingError, nearest
-from ldctoolkit.recordings.preparation import rising_rows
+from ldctoolkit.recordings.preparation import MOST_DROPPED, rising_rows
 from ldctoolkit.recordings.recording import Problem
 from ldctoolkit.recordings.sources import find_tables, shown_names
 from ldctoolkit.recordings.trip_index import Cells, Stretch, TripIndex, index_trips, read_cells
@@ -120,6 +120,12 @@ class TripRows:
     cells: Cells  # m rows
     trip: IntArray  # (m,): to which of the requested trips a row belongs; never falls
     problems: tuple[Problem, ...]  # what was left out
+    cuts: IntArray  # (k,): rows before which others of their trip were left out, or stand elsewhere in the file
+
+    def joins(self, trip: int) -> FloatArray:
+        """Times before and after each of a trip's cuts, (k, 2)."""
+        cuts, t = self.cuts[self.trip[self.cuts] == trip], self.cells["Time"]
+        return np.column_stack([t[cuts - 1], t[cuts]])
 
 
 def collect_trips(
@@ -242,18 +248,23 @@ def read_trips(
     if apart:
         keep = keep[pieces_in_time(trip[keep], np.searchsorted(before, found.row[keep], side="right"), t[keep])]
     forward, back = forward_rows(trip[keep], t[keep])
-    for row, count in back:
+    for row, what in back:
         line, i = int(line_of(found.row[keep[row : row + 1]])[0]), int(keep[row])
         one = trips[int(trip[i])][0]
-        rows = "this line is" if count == 1 else f"{count} lines of the trip are"
-        faults.append((line, "back", f"trip {one.device}/{one.trip}: the time runs backwards; {rows} left out"))
-    if apart or not forward.all() or keep.size < t.size:
+        faults.append((line, "back", f"trip {one.device}/{one.trip}: {what}"))
+    cuts = np.empty(0, dtype=np.int64)
+    if apart or found.faults or not forward.all() or keep.size < t.size:
         keep = keep[forward]
-        trip = trip[keep]
+        trip, place = trip[keep], found.row[keep]
         values = {name: column_[keep] for name, column_ in values.items()}
+        unkeyed = before[1:][np.diff([one.unkeyed for one in pieces]) != 0] - 0.5
+        lost = [[fault.row for fault in found.faults], np.setdiff1d(found.row, place), unkeyed]
+        over = np.diff(np.searchsorted(np.sort(np.concatenate(lost)), place)) != 0
+        over |= ~np.isin(np.diff(np.searchsorted(before, place, side="right")), (0, 1))  # pieces that changed places
+        cuts = np.flatnonzero(over & (np.diff(trip) == 0)) + 1
     faults.sort(key=lambda fault: fault[0])
     named = Cells(tuple(values), tuple(values.values()), found.row[keep], found.lines)
-    return TripRows(named, trip, tuple(grouped_problems(table.name, faults)))
+    return TripRows(named, trip, tuple(grouped_problems(table.name, faults)), cuts)
 
 
 def _read(table: TripTable, pieces: Sequence[Stretch]) -> memoryview:
@@ -292,36 +303,40 @@ def _changed(table: TripTable) -> RecordingError:
 def pieces_in_time(trip: IntArray, piece: IntArray, t: FloatArray) -> IntArray:
     """Order of the rows that puts the pieces of each trip in the order of their median times.
 
-    One time far ahead at the begin of a piece does not move it. Trips whose times never fall from one piece to the next
-    stay as they are.
+    One time far ahead at the begin of a piece does not move it.
     """
-    order = np.arange(t.size)
-    falls = (t[1:] < t[:-1]) & (trip[1:] == trip[:-1])
-    moved = np.isin(trip, trip[1:][falls & (piece[1:] != piece[:-1])])
-    if not moved.any():
-        return order
-    rows = np.flatnonzero(moved)
-    begins = np.flatnonzero(np.diff(piece[rows], prepend=-1))
-    counts = np.diff(begins, append=rows.size)
-    middle = np.lexsort((t[rows], piece[rows]))[begins + (counts - 1) // 2]
-    pieces = np.lexsort((t[rows][middle], trip[rows[begins]]))  # stable: equal ones stay in the order of the file
-    place = np.empty_like(pieces)
-    place[pieces] = np.arange(pieces.size)
-    order[rows] = rows[np.argsort(np.repeat(place, counts), kind="stable")]
+    begins = np.flatnonzero(np.diff(piece, prepend=-1))
+    counts = np.diff(begins, append=t.size)
+    middle = t[np.lexsort((t, piece))[begins + (counts - 1) // 2]]
+    order: IntArray = np.lexsort((np.repeat(middle, counts), trip))  # stable: equal ones stay in the order of the file
     return order
 
 
-def forward_rows(trip: IntArray, t: FloatArray) -> tuple[BoolArray, list[tuple[int, int]]]:
-    """Which rows to keep so that the times of no trip fall."""
+def forward_rows(trip: IntArray, t: FloatArray) -> tuple[BoolArray, list[tuple[int, str]]]:
+    """Which rows to keep so that the times of no trip fall, and a row and words for each trip with others."""
     keep = np.ones(t.size, dtype=bool)
     falls = np.flatnonzero((t[1:] < t[:-1]) & (trip[1:] == trip[:-1]))
-    back: list[tuple[int, int]] = []
+    back: list[tuple[int, str]] = []
     for one in np.unique(trip[falls + 1]):
-        low, high = np.searchsorted(trip, one), np.searchsorted(trip, one, side="right")
-        good = rising_rows(t[low:high])
-        keep[low:high] = good
-        back.append((int(low + np.argmin(good)), int(np.sum(~good))))
+        low, high = np.searchsorted(trip, [one, one + 1])
+        keep[low:high], row, what = rows_in_order(t[low:high])
+        back.append((int(low) + row, what))
     return keep, back
+
+
+def rows_in_order(t: FloatArray) -> tuple[BoolArray, int, str]:
+    """Which rows of a trip to keep so that its times do not fall, none if its clock starts again; one of the others and
+    words for them.
+    """
+    keep = rising_rows(t)
+    if keep.all():
+        return keep, 0, ""
+    count, fall = np.count_nonzero(~keep), int(np.argmax(t[1:] < t[:-1]))
+    words = f"the time runs backwards from {t[fall]:.12g} to {t[fall + 1]:.12g}"
+    if count > MOST_DROPPED * t.size:
+        words += f", and {count} of {t.size} lines are out of order (allowed: {100 * MOST_DROPPED:g} %)"
+        return np.zeros_like(keep), fall + 1, f"{words}; the trip is left out"
+    return keep, int(np.argmin(keep)), f"{words}; {'the line is' if count == 1 else f'{count} lines are'} left out"
 
 
 AT_ONCE: Final = 4  # tables that are read side by side; two keep two cores busy, more than these only make a disk jump

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import io
+import math
 import re
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -13,9 +13,10 @@ import numpy as np
 
 from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.errors import RecordingError
-from ldctoolkit.recordings.preparation import local_slope, merge_repeated, rising_rows, values_at
-from ldctoolkit.recordings.recording import LARGEST, Label, Problem, Recording, SourceFile, source_file
+from ldctoolkit.recordings.preparation import cut_at, joins_of, local_slope, merge_repeated, values_at
+from ldctoolkit.recordings.recording import LARGEST, Label, Problem, Recording, SourceFile, TableFault, source_file
 from ldctoolkit.recordings.sources import FoundParts
+from ldctoolkit.recordings.trip_tables import grouped_problems, rows_in_order
 
 DETECTED: Final = 2.0  # state of the lane estimator in which offset and width can be used
 STATES: Final = (DETECTED, 1.0, 0.0, -1.0, -9.0)  # detected, undetected, initialising, calibrating, missing
@@ -23,6 +24,7 @@ MOSTLY: Final = 0.9  # share of lines that must look as the file's name promises
 
 
 Columns = tuple[tuple[int, str], ...]  # place of a cell, counted from 0, and its name for messages
+Table = tuple[FloatArray, FloatArray]  # values (n, k), the time first; times before and after lines left out (j, 2)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,13 +37,13 @@ class TableKind:
     plausible: Callable[[FloatArray], bool]  # says of values, (n, k), whether they can be this table's
 
 
-def read_table(path: Path, shown: str, kind: TableKind) -> tuple[FloatArray | None, list[Problem]]:
+def read_table(path: Path, shown: str, kind: TableKind) -> tuple[Table | None, list[Problem]]:
     """Columns of a table."""
-    values, problems = read_number_text(path, shown, kind.columns)
-    if values is not None and not kind.plausible(values):
+    table, problems = read_number_text(path, shown, kind.columns)
+    if table is not None and not kind.plausible(table[0]):
         problems.append(Problem(shown, "", f"its numbers are not those of {kind.title}; are files swapped?"))
         return None, problems
-    return values, problems
+    return table, problems
 
 
 def is_course(course: FloatArray) -> BoolArray:
@@ -99,28 +101,31 @@ MOST_FAULTS: Final = 5  # so many faulty lines of one file are named one by one,
 _LINE_END: Final = re.compile(r"\r\n|\r|\n")
 
 
-def read_number_text(path: Path, shown: str, columns: Columns) -> tuple[FloatArray | None, list[Problem]]:
-    r"""Read some columns of a file whose values are parted by blanks."""
+def read_number_text(path: Path, shown: str, columns: Columns) -> tuple[Table | None, list[Problem]]:
+    r"""Read some columns of a file whose values are parted by blanks.
+
+    Raises `TableFault` for a clock that starts again.
+    """
     text, fault = _read_text(path)
     if fault:
         return None, [Problem(shown, "", fault)]
-    values = _fast(text, columns)
-    if values is not None and rising_rows(values[:, 0]).all():
-        return values, []
-    values, lines, faults = _tolerant(text, columns)
-    if values.shape[0] == 0:
+    values, lines, faults = _lines(text, columns)
+    t = values[:, 0]
+    good = np.flatnonzero(np.isfinite(t))
+    if good.size == 0:
         (line, what), count = faults[0], len(faults)
         where = f"line {line}" if count == 1 else f"line {line} and {count - 1} more"
         return None, [Problem(shown, where, f"{what}; no line can be used")]
-    problems = [Problem(shown, f"line {line}", f"{what}; the line is left out") for line, what in faults[:MOST_FAULTS]]
-    if len(faults) > MOST_FAULTS:
-        line, what = faults[MOST_FAULTS]
-        where = f"line {line} and {len(faults) - MOST_FAULTS - 1} more"
-        problems.append(Problem(shown, where, f"{what}, or alike; the lines are left out"))
-    kept = rising_rows(values[:, 0])
+    kept, row, what = rows_in_order(t[good])
+    back = TableFault(f"line {lines[good[row]]}", what)
+    if not kept.any():
+        raise back
+    problems = grouped_problems(
+        shown, ((line, "", f"{what}; the line is left out") for line, what in faults), MOST_FAULTS
+    )
     if not kept.all():
-        problems.append(Problem(shown, f"line {lines[int(np.argmin(kept))]}", _backwards(values[:, 0], kept)))
-    return values[kept], problems
+        problems.append(Problem(shown, back.place, back.what))
+    return (values[good[kept]], joins_of(t, good[kept])), problems
 
 
 def _number(token: str) -> float | None:
@@ -142,7 +147,7 @@ def _read_text(path: Path) -> tuple[str, str]:
         data = path.read_bytes()
     except (OSError, ValueError) as error:
         return "", f"cannot be read: {error.strerror if isinstance(error, OSError) else error}"
-    start = data[:4096]
+    start = data.rstrip(b"\0")[:4096]  # a power failure leaves NUL bytes at the end
     # in UTF-16, digits alternate with NUL; UTF-32 holds even more of them
     if start[:2] in (b"\xff\xfe", b"\xfe\xff") or start.count(0) * 3 > len(start):
         return "", "it is UTF-16 text, or no text at all; allowed: UTF-8"
@@ -152,19 +157,8 @@ def _read_text(path: Path) -> tuple[str, str]:
     return text, ""
 
 
-def _fast(text: str, columns: Columns) -> FloatArray | None:
-    """All lines at once, (n, k); None if there is any fault."""
-    try:
-        values: FloatArray = np.loadtxt(
-            io.StringIO(text), comments=None, usecols=[index for index, _ in columns], ndmin=2
-        )
-    except (ValueError, OverflowError):
-        return None
-    return values if (np.abs(values[:, 0]) < LARGEST).all() else None
-
-
-def _tolerant(text: str, columns: Columns) -> tuple[FloatArray, list[int], list[tuple[int, str]]]:
-    """Good lines, (n, k), their line numbers, and line and fault of the others."""
+def _lines(text: str, columns: Columns) -> tuple[FloatArray, list[int], list[tuple[int, str]]]:
+    """Values of the lines that are not blank, (n, k), NaN in faulty ones, their numbers; line and fault of these."""
     needed = max(columns)[0] + 1
     rows, lines, faults = [], [], []
     for line, content in enumerate(_LINE_END.split(text), start=1):
@@ -172,8 +166,8 @@ def _tolerant(text: str, columns: Columns) -> tuple[FloatArray, list[int], list[
         if not tokens:
             continue
         row: list[float] = []
-        fault = ""
-        for index, name in columns:
+        fault = f"{content.count(chr(0))} NUL bytes" if "\0\0" in content else ""
+        for index, name in () if fault else columns:
             value = _number(tokens[index]) if index < len(tokens) else None
             if value is None:
                 fault = _fault(tokens, index, name, needed)
@@ -183,9 +177,8 @@ def _tolerant(text: str, columns: Columns) -> tuple[FloatArray, list[int], list[
             fault = f"the time is {tokens[columns[0][0]][:30]!r}"
         if fault:
             faults.append((line, fault))
-        else:
-            rows.append(row)
-            lines.append(line)
+        rows.append([math.nan] * len(columns) if fault else row)
+        lines.append(line)
     return np.array(rows, dtype=np.float64).reshape(-1, len(columns)), lines, faults
 
 
@@ -195,16 +188,6 @@ def _fault(tokens: Sequence[str], index: int, name: str, needed: int) -> str:
     if index >= len(tokens):
         return f"{len(tokens)} value{'s' * (len(tokens) > 1)} where at least {needed} are needed"
     return f"{tokens[index][:30]!r} where the {name} is needed"
-
-
-def _backwards(t: FloatArray, kept: BoolArray) -> str:
-    first, count = int(np.argmin(kept)), int(np.sum(~kept))
-    latest, here = t[:first].max(initial=-np.inf), t[first]
-    # what is not behind an earlier row is ahead of the next one that is kept
-    after = latest > here
-    limit = f"after {float(latest)!r} s" if after else f"before {float(t[first:][kept[first:]][0])!r} s"
-    left = "the line is" if count == 1 else f"{count} lines are"
-    return f"the time runs backwards: {float(here)!r} s {limit}; {left} left out"
 
 
 DEPTH: Final = 3  # trips are looked for so many folders below a given one; the dataset's root has them at 2
@@ -403,29 +386,32 @@ class TripFolder:
 
     def read(self) -> Iterator[Recording | Problem]:
         """What is wrong with the files, then the recording, if there can be one."""
-        lane, problems = self._table(self.lane, LANE)
-        yield from problems
-        if lane is None:
-            yield Problem(self.shown, "", "without the offset from the lane's centre the trip is left out")
-            return
-        gps, problems = self._table(self.gps, GPS)
-        yield from problems
-        if gps is None:
-            yield Problem(self.shown, "", "without the speed the trip is left out")
-            return
-        angles, problems = self._table(self.accelerometers, ACCELEROMETERS)
-        yield from problems
-        recording = self._recording(lane, gps, angles)
+        tables: dict[str, Table] = {}
+        for name, kind in ((self.lane, LANE), (self.gps, GPS), (self.accelerometers, ACCELEROMETERS)):
+            shown = f"{self.shown}/{name}"
+            try:
+                table, problems = read_table(Path(self.folder, name), shown, kind) if name else (None, [])
+            except TableFault as fault:
+                yield Problem(shown, fault.place, fault.what)
+                return
+            yield from problems
+            if table is not None:
+                tables[kind.file] = table
+            elif kind is not ACCELEROMETERS:
+                needed = "the offset from the lane's centre" if kind is LANE else "the speed"
+                yield Problem(self.shown, "", f"without {needed} the trip is left out")
+                return
+        joins = np.concatenate([table[1] for table in tables.values()])
+        angles = tables[ACCELEROMETERS.file][0] if ACCELEROMETERS.file in tables else None
+        recording = self._recording(tables[LANE.file][0], tables[GPS.file][0], angles, joins)
         yield from self._lost(recording)
         if np.isfinite(recording.speed).any():
             yield recording
 
-    def _table(self, name: str, kind: TableKind) -> tuple[FloatArray | None, list[Problem]]:
-        return read_table(Path(self.folder, name), f"{self.shown}/{name}", kind) if name else (None, [])
-
-    def _recording(self, lane: FloatArray, gps: FloatArray, angles: FloatArray | None) -> Recording:
+    def _recording(self, lane: FloatArray, gps: FloatArray, angles: FloatArray | None, joins: FloatArray) -> Recording:
         t, x, width, state = lane.T.copy()  # one piece of memory a column
-        valid = (state == DETECTED) & (width > 0.0) & (width < LARGEST) & (np.abs(x) < LARGEST)
+        cut, inside = cut_at(t, joins)
+        valid = (state == DETECTED) & (width > 0.0) & (width < LARGEST) & (np.abs(x) < LARGEST) & ~inside
         # speed at the times `t` [m/s]
         known = (gps[:, 1] >= 0.0) & (gps[:, 1] < LARGEST)  # a phone without a speed says less than 0
         speed = values_at(t, *merge_repeated(gps[known, 0], gps[known, 1] / 3.6), longest=SPEED_STEP, beyond=SPEED_HELD)
@@ -440,6 +426,7 @@ class TripFolder:
             valid=valid,
             yaw_rate=yaw_rate,
             yaw_rate_measured=measured,
+            cut=cut if joins.size else None,
             heading=values_at(t, course_t, course, longest=SPEED_STEP, beyond=SPEED_HELD),
             labels=self.labels,
             source=self.source,
@@ -450,7 +437,7 @@ class TripFolder:
         """Lanes that nothing can be done with, for another file does not go with them."""
         t, lanes = recording.t, int(np.count_nonzero(recording.valid))
         if lanes == 0:
-            yield Problem(f"{self.shown}/{self.lane}", "", "no line has a detected lane (state 2)")
+            yield Problem(f"{self.shown}/{self.lane}", "", "no line with a detected lane (state 2) can be used")
             return
         span = f"the trip runs from {float(t[0])!r} s to {float(t[-1])!r} s"
         known = np.isfinite(recording.speed) & recording.valid

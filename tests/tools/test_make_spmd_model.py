@@ -140,7 +140,9 @@ def test_from_the_server_to_a_checked_model(server: Server, tmp_path: Path, caps
 
 
 def test_tables_of_the_second_fleet(server: Server, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    lines = [spmd.HEADER, *spmd.lines_of(spmd.rows_of(spmd.planted_drive(1, 2)))]
+    drive = spmd.planted_drive(1, 2)
+    drive = dataclasses.replace(drive, yaw_rate=-drive.yaw_rate)  # positive to the right, as in the public sample
+    lines = [spmd.HEADER, *spmd.lines_of(spmd.rows_of(drive))]
     server.files = {"/SPMD.zip": packed(HV_Primary_csv="\n".join(lines).encode(), DataLane_csv=b"other")}
     command = [f"{server.address}/SPMD.zip", "-o", str(tmp_path), "--accept-terms", "--format", "spmd-das2"]
     assert recipe.main([*command, "--yaw-rate-factor", "-1"]) == 2

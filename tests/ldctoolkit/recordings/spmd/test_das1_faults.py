@@ -99,17 +99,19 @@ def test_a_file_that_ends_inside_a_line(tables: tuple[Path, Path]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("times", "kept", "line"),
+    ("times", "left", "line", "words"),
     [
-        ({50: 0}, [50], 172),  # one row with an old time
-        ({50: 99999}, [50], 172),  # one that jumps ahead
-        ({50: 510, 51: 500}, [51], 173),  # two rows changed places
-        (dict.fromkeys(range(50, 53), 300), [50, 51, 52], 172),
-        ({50: 90000, 51: 90010}, [50, 51], 172),  # two neighbours ahead
-        ({50: 90000, 80: 100}, [50, 80], 172),  # one ahead, one behind
+        ({50: 0}, [50], 172, "490 to 0"),  # one row with an old time
+        ({50: 99999}, [50], 172, "99999 to 510"),  # one that jumps ahead
+        ({50: 510, 51: 500}, [51], 173, "510 to 500"),  # two rows changed places
+        (dict.fromkeys(range(50, 53), 300), [50, 51, 52], 172, "490 to 300"),
+        ({50: 90000, 51: 90010}, [50, 51], 172, "90010 to 520"),  # two neighbours ahead
+        ({50: 90000, 80: 100}, [50, 80], 172, "90000 to 510"),  # one ahead, one behind
     ],
 )
-def test_time_that_runs_backwards(tables: tuple[Path, Path], times: dict[int, int], kept: list[int], line: int) -> None:
+def test_time_that_runs_backwards(
+    tables: tuple[Path, Path], times: dict[int, int], left: list[int], line: int, words: str
+) -> None:
     def change(lines: list[bytes]) -> None:
         for row, time in times.items():
             cells = lines[1 + ROWS + row].split(b",")
@@ -119,11 +121,10 @@ def test_time_that_runs_backwards(tables: tuple[Path, Path], times: dict[int, in
     clean, _ = read(*tables)
     edit(tables[0], change)
     recordings, problems = read(*tables)
-    lines = "this line is" if len(kept) == 1 else f"{len(kept)} lines of the trip are"
-    assert problems == [f"DataLane.csv, line {line}: trip 7/2: the time runs backwards; {lines} left out"]
-    assert samples(recordings) == [ROWS, ROWS - len(kept), ROWS]
-    left = np.delete(clean["7/2"].lane_offset, kept)
-    np.testing.assert_array_equal(recordings["7/2"].lane_offset, left)
+    lines = "the line is" if len(left) == 1 else f"{len(left)} lines are"
+    assert problems == [f"DataLane.csv, line {line}: trip 7/2: the time runs backwards from {words}; {lines} left out"]
+    assert samples(recordings) == [ROWS, ROWS - len(left), ROWS]
+    np.testing.assert_array_equal(recordings["7/2"].lane_offset, np.delete(clean["7/2"].lane_offset, left))
 
 
 def test_of_a_trip_in_two_files_the_first_ones_rows_are_taken(tables: tuple[Path, Path], tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """Tables of trips: numbers in their text, and where each trip lies."""
 
+import dataclasses
 import hashlib
 import math
 import re
@@ -165,7 +166,7 @@ def by_hand_trip_index(text_trip_index: bytes) -> tuple[list[Stretch], list[int]
         if not line_trip_index.strip():
             if open_:
                 one = found.pop()
-                found.append(Stretch(one.device, one.trip, one.begin, at, one.line, one.lines + 1))
+                found.append(dataclasses.replace(one, end=at, lines=one.lines + 1))
             continue
         key = [cell.strip(b" \t") for cell in cells[:2]]
         if len(cells) < 3 or not all(re.fullmatch(rb"-?\d+(\.0*)?", cell) for cell in key):
@@ -175,9 +176,9 @@ def by_hand_trip_index(text_trip_index: bytes) -> tuple[list[Stretch], list[int]
         device, trip = (int(float(cell)) for cell in key)
         if open_ and (found[-1].device, found[-1].trip) == (device, trip):
             one = found.pop()
-            found.append(Stretch(device, trip, one.begin, at, one.line, one.lines + 1))
+            found.append(dataclasses.replace(one, end=at, lines=one.lines + 1))
         else:
-            found.append(Stretch(device, trip, begin, at, number, 1))
+            found.append(Stretch(device, trip, begin, at, number, 1, len(faults)))
         open_ = True
     return found, faults
 

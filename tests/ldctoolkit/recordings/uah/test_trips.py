@@ -13,6 +13,7 @@ from helpers.bits import examples
 from ldctoolkit.recordings.extract import extract_part
 from ldctoolkit.recordings.find_departures import REASONS, Criteria
 from ldctoolkit.recordings.preparation import Preparation, local_slope, merge_repeated, rising_rows, values_at
+from ldctoolkit.recordings.recording import TableFault
 from ldctoolkit.recordings.uah_driveset import READER, read_number_text
 
 # times on a fine binary raster: sums and differences are exact, so no comparison hangs on rounding
@@ -57,9 +58,9 @@ def test_local_slope(t, seed):
 
 
 def test_absurd_clocks():
-    # 200,000 samples in one window: too near each other for a slope, and the work is bounded
+    # 200,000 samples in one window: only some of them are taken, so that the work is bounded
     t = np.arange(200_000) * 2.0**-21
-    assert np.isnan(local_slope(t, t, half=0.25, longest=0.5)).all()
+    np.testing.assert_allclose(local_slope(t, t, half=0.25, longest=0.5), 1.0)
     assert np.isnan(local_slope(np.arange(4) * 1e8, np.ones(4), half=0.25, longest=0.5)).all()
     assert local_slope(np.empty(0), np.empty(0), half=0.25, longest=0.5).shape == (0,)
 
@@ -282,13 +283,19 @@ def test_against_plain_python(lines, end, last):
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "a.txt")
         path.write_bytes(text.encode())
-        values, problems = read_number_text(path, "a.txt", COLUMNS)
-    if values is None:
+        try:
+            table, problems = read_number_text(path, "a.txt", COLUMNS)
+        except TableFault:
+            t = np.array(expected)[:, 0]
+            assert 20 * np.sum(~rising_rows(t)) > t.size
+            return
+    if table is None:
         assert (len(problems), expected) == (1, [])
         return
     rows = np.array(expected)
     kept = rising_rows(rows[:, 0])
-    np.testing.assert_array_equal(values, rows[kept])
+    assert 20 * np.sum(~kept) <= kept.size
+    np.testing.assert_array_equal(table[0], rows[kept])
     reported = [problem for problem in problems if "time runs" not in problem.what]
     assert [problem.place for problem in reported][:5] == [f"line {line}" for line in faulty[:5]]
     assert len(problems) - len(reported) == (not kept.all())
