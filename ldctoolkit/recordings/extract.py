@@ -210,7 +210,7 @@ def extract_departures(
         Longest time step that is not a gap; by default 2.5 median steps of the recording, at least 0.25 s. Resampled
         recordings have no values in a gap that `preparation` does not bridge; by default any such hole is a gap.
     max_jump : float [m]
-        Largest movement of the offset that may be faster than 2.5 m/s; a faster one is a jump of the lane tracker.
+        Largest movement of the offset in 0.1 s, over longer times 1.5 m/s more; a larger one is a jump of the tracker.
     plausibility : Plausibility, optional
         What the fitted path may ask of driver and vehicle; beyond it a candidate is refused as implausible.
     preparation : Preparation, optional

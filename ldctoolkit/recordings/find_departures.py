@@ -45,7 +45,8 @@ JUMP_WINDOW: Final = 0.6
 """Longest time [s] over which a movement is judged: a jump that was smoothed over half a second is seen in it."""
 
 MOST_LAGS: Final = 600  # samples in that time, at most; it bounds the work for absurd clocks
-JUMP_SPEED: Final = 2.5  # [m/s] of the offset; faster than any path that counts as plausible
+JUMP_TIME: Final = 0.1  # [s] in which the offset may move by `max_jump`; over longer times it may move on at a speed
+JUMP_SPEED: Final = 1.5  # [m/s]
 WIDTH_JUMP: Final = (0.5, 1.0)
 """[m], [m/s]: the lane's width moves so far, and so fast, only where a line jumps to another marking."""
 
@@ -156,7 +157,8 @@ def _jumps(
         if not free.any():
             break
         lane = LANE_JUMP[0] * np.minimum(width[lag:], width[:-lag])
-        limit = np.maximum(max_jump, np.minimum(JUMP_SPEED * dt, lane))
+        limit = max_jump + JUMP_SPEED * np.maximum(dt - JUMP_TIME, 0.0)
+        limit = np.maximum(np.minimum(limit, lane), max_jump)
         far = np.abs(offset[lag:] - offset[:-lag]) > limit + ROUNDING
         far |= np.abs(width[lag:] - width[:-lag]) > np.maximum(WIDTH_JUMP[0], WIDTH_JUMP[1] * dt) + ROUNDING
         first = np.flatnonzero(free & far)
@@ -256,7 +258,7 @@ class Criteria:
     min_speed: float = 5.0  # [m/s] The mean speed lies above
     # [s] Longest time step that is not a gap; None: 2.5 median steps of the recording, at least 0.25 s
     max_gap: float | None = None
-    max_jump: float = MAX_JUMP  # [m] Largest movement of the offset that may be faster than 2.5 m/s
+    max_jump: float = MAX_JUMP  # [m] Largest movement of the offset in 0.1 s; over longer times 1.5 m/s more
     # What the fitted path may ask of driver and vehicle
     plausibility: Plausibility = dataclasses.field(default_factory=Plausibility)
     min_lane_width: float = MIN_LANE_WIDTH  # [m] A sample with a narrower or wider lane is invalid

@@ -425,22 +425,17 @@ MOST_WINDOWS: Final = 40  # of a recording, spread over it
 
 def _sway(recording: Recording, angle: FloatArray, known: BoolArray) -> FloatArray:
     """Windows and sums: the path across the lane by the heading against the offset, both without what a bend makes."""
-    t = recording.t
-    good = known & recording.valid & np.isfinite(recording.lane_offset) & (recording.speed > TURN_SPEED)
-    good &= recording.speed < LARGEST
-    if np.count_nonzero(good) < 10 or not t[-1] - t[0] < LONGEST:
+    t, offset, v = recording.t, recording.lane_offset, recording.speed
+    if not SWAY_WINDOW < t[-1] - t[0] < LONGEST:
         return np.zeros(4)
-    t, offset, angle, v = t[good], recording.lane_offset[good], angle[good], recording.speed[good]
-    first = np.arange(t[0], t[-1] - SWAY_WINDOW, SWAY_WINDOW)
+    windows = int((t[-1] - t[0]) / SWAY_WINDOW)
+    first = t[0] + SWAY_WINDOW * np.arange(0, windows, -(-windows // MOST_WINDOWS))
+    place = first[:, None] + np.arange(0.0, SWAY_WINDOW, _SWAY_STEP)
+    row = np.minimum(np.searchsorted(t, place), t.size - 1)
     # a window with a hole in it, or with a jump of the offset, is left out
-    odd = np.append(0, np.cumsum((np.diff(t) > 0.5) | (np.abs(np.diff(offset)) > MAX_JUMP)))
-    ends = np.searchsorted(t, [first, first + SWAY_WINDOW])
-    first = first[odd[ends[0]] == odd[np.minimum(ends[1], t.size - 1)]]
-    if not first.size:
-        return np.zeros(4)
-    first = first[:: -(-first.size // MOST_WINDOWS)]
-    row = np.searchsorted(t, first[:, None] + _SWAY_STEP * np.arange(round(SWAY_WINDOW / _SWAY_STEP) + 1))
-    row = np.minimum(row, t.size - 1)
+    good = known[row] & recording.valid[row] & (v[row] > TURN_SPEED) & (v[row] < LARGEST) & (t[row] - place <= 0.5)
+    good[:, 1:] &= np.abs(np.diff(offset[row], axis=1)) <= MAX_JUMP  # False for NaN
+    row = row[good.all(axis=1)]
     heading = angle[row] - angle[row[:, :1]]
     heading -= 2.0 * np.pi * np.rint(heading / (2.0 * np.pi))
     path = np.cumsum(v[row] * heading, axis=1) * _SWAY_STEP
@@ -448,7 +443,7 @@ def _sway(recording: Recording, angle: FloatArray, known: BoolArray) -> FloatArr
     smooth = np.linalg.qr(np.vander(s, 4))[0]  # what position, heading and bend of the road make of it
     path, across = (x - (x @ smooth) @ smooth.T for x in (path, offset[row]))
     sums = _sums(path.ravel(), across.ravel())
-    sums[0] = first.size
+    sums[0] = row.shape[0]
     return sums
 
 

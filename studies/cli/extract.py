@@ -85,7 +85,7 @@ def add_parser(commands: Subparsers) -> None:
         type=number,
         default=0.6,
         metavar="M",
-        help="largest movement of the offset faster than 2.5 m/s, in m (default: %(default)s)",
+        help="largest movement of the offset in 0.1 s, in m (default: %(default)s); over longer times 1.5 m/s more",
     )
     for least, word, width in (("min", "narrowest", 2.0), ("max", "widest", 7.0)):
         parser.add_argument(
