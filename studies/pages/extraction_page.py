@@ -51,12 +51,13 @@ MEANINGS: Final = {
     "lane_change": "the lane changes in it",
     "invalid": "it holds or touches samples that cannot be used",
     "gap": "it holds a gap in time",
-    "jump": "the offset jumps in it",
+    "jump": "the offset or the lane's width jumps in it",
     "cut_by_end": "the recording starts or ends with the edge beyond the line",
     "too_short": "shorter than the shortest duration",
     "too_long": "longer than the longest duration",
     "too_few_samples": "fewer than three samples between its crossings",
     "slow": "too slow on average, or the vehicle stops in it",
+    "engaged": "a system steers in it",
     "intended": "the turn signal is on towards the departed side",
     "implausible": "its path asks more of driver, vehicle or tyres than they can do, or the lane is no wider than the "
     "vehicle: noise",
@@ -302,7 +303,8 @@ def facts(extraction: Extraction) -> list[tuple[str, str]]:
         ("Duration", f"{compact(criteria.min_duration)} to {compact(criteria.max_duration)} s"),
         ("Mean speed", f"above {compact(criteria.min_speed)} m/s"),
         ("Longest step that is no gap", gap),
-        ("Largest jump of the offset", f"{compact(criteria.max_jump)} m from one sample to the next"),
+        ("Largest jump of the offset", f"{compact(criteria.max_jump)} m in 0.1 s"),
+        ("Width of a lane", f"{compact(criteria.min_lane_width)} to {compact(criteria.max_lane_width)} m"),
         ("Plausible up to", str(criteria.plausibility)),
     ]  # fmt: skip
 

@@ -29,6 +29,7 @@ def drive() -> Iterator[SimpleNamespace]:
         yield message(
             "carState", clock, SimpleNamespace(vEgo=float(speed(t)), leftBlinker=flashing, rightBlinker=False)
         )
+        yield message("carControl", clock, SimpleNamespace(latActive=79.0 < t < 81.0))
         if i % 5 == 0:
             r = float(curvature(t) * speed(t))
             rate = SimpleNamespace(x=0.0, y=0.0, z=-r, valid=True)
@@ -49,9 +50,9 @@ def test_the_lines_turn_signs_and_keep_departures(tmp_path: Path) -> None:
     scope["write_table"](tmp_path / "drive.csv", drive(), "route", camera_left=CAMERA)
     found = extract_departures(open_recordings(tmp_path / "drive.csv"), vehicle_width=VEHICLE)
     departures = found.departures
-    # the fifth with its signal on, the fourth where a line is not sure
-    planted = [one for i, one in enumerate(PLANTED) if i not in (3, 4)]
-    assert (found.refused.intended, found.refused.invalid) == (1, 1)
+    # the fifth with its signal on, the fourth where a line is not sure, the sixth while openpilot steers
+    planted = PLANTED[:3]
+    assert (found.refused.intended, found.refused.invalid, found.refused.engaged) == (1, 1, 1)
     assert departures.side.tolist() == [one.side for one in planted]
     np.testing.assert_allclose(departures.start_time, [one.start for one in planted], atol=0.05)
     np.testing.assert_allclose(departures.T, [one.T for one in planted], atol=0.05)
@@ -66,5 +67,5 @@ def test_what_is_not_known_yet_is_missing() -> None:
     only_model = [one for one in drive() if one.which() == "modelV2"][:2]
     first, second = scope["rows"](only_model, "a")
     assert first[:2] == ("a", 0.0)
-    assert first[4:] == (None, None, 1, 0)
+    assert first[4:] == (None, None, 1, 0, 0)
     assert second[1] == pytest.approx(0.05)

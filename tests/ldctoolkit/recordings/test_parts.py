@@ -150,7 +150,7 @@ def test_the_python_of_the_page_runs(tmp_path, monkeypatch, capsys):
     exec(compile(code, "how-to/my-recordings.md", "exec"), {"__name__": "page"})
     first, second, *_ = capsys.readouterr().out.splitlines()
     assert first.startswith("table ")
-    assert second == "3 1.0 minutes"
+    assert second == "8 1.0 minutes"
     assert (tmp_path / "departures.parquet").is_file()
 
 
