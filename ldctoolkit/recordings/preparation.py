@@ -371,8 +371,11 @@ def prepare(
 _LIMITS: Final = {"speed": 100.0, "curvature": 0.2, "yaw_rate": 1.5}
 """No vehicle on a road has more, in SI: such numbers stand for "not available"."""
 
-_CODE_GAPS: Final = {"lane_width": 1.0, "lane_offset": MAX_JUMP, "speed": 10.0, "curvature": 0.01, "yaw_rate": 0.3}
-"""A number that is a column's largest or smallest several times, and so far from all others, is a code, too."""
+_CODES: Final = {
+    "lane_width": (1.0, 10.0), "lane_offset": (MAX_JUMP, 5.0), "speed": (10.0, 60.0), "curvature": (0.01, 0.2),
+    "yaw_rate": (0.3, 1.5),
+}  # fmt: skip
+"""How far from all others a number is that is a code, and how large it is if most samples have it."""
 
 _CODE_TIMES: Final = 3
 
@@ -380,7 +383,7 @@ _CODE_TIMES: Final = 3
 def without_codes(recording: Recording) -> Recording:
     """NaN for codes of "not available": the end of a column's range, several times, far from all other numbers."""
     changed: dict[str, Any] = {}
-    for name, gap in _CODE_GAPS.items():
+    for name, (gap, most) in _CODES.items():
         values = getattr(recording, name)
         if values is None:
             continue
@@ -388,7 +391,8 @@ def without_codes(recording: Recording) -> Recording:
         codes = []
         while known.size > _CODE_TIMES:
             for end in (known.max(), known.min()):
-                if not _CODE_TIMES <= np.count_nonzero(known == end) < known.size:
+                count = np.count_nonzero(known == end)
+                if not _CODE_TIMES <= count < known.size or (2 * count > known.size and np.abs(end) <= most):
                     continue
                 rest = known[known != end]
                 if np.abs(rest - end).min() <= gap:
