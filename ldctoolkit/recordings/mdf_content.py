@@ -8,16 +8,16 @@ import os
 import pickle
 import re
 import sys
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import tomli_w
 
-from ldctoolkit.arrays import FloatArray
+from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.mdf_logs import MEMORY, QUANTITIES, UNITS, Channel, ChannelMap, ValidChannel, si_factor
-from ldctoolkit.recordings.preparation import MAX_JUMP, rising_rows, values_at
-from ldctoolkit.recordings.recording import Problem, Recording, printable
+from ldctoolkit.recordings.preparation import MAX_JUMP, clock_stretches, cut_at, joins_of, values_at
+from ldctoolkit.recordings.recording import LARGEST, Problem, Recording, printable
 from ldctoolkit.validation import short
 
 
@@ -39,7 +39,7 @@ def serve() -> None:
                 resource.setrlimit(resource.RLIMIT_AS, (most, resource.getrlimit(resource.RLIMIT_AS)[1]))
             try:
                 with asammdf.MDF(path) as log:
-                    answer: Any = _listing(log, shown) if channels is None else _recording(log, shown, channels)
+                    answer: Any = _listing(log, shown) if channels is None else _recordings(log, shown, channels)
             except RecordingError as error:
                 answer = error
             except BaseException as error:  # whatever a damaged file makes the library raise
@@ -99,9 +99,13 @@ def _listing(log: Any, shown: str) -> str:
     text = "".join(f"# {printable(line)}\n" for line in lines)
     rows.sort(key=lambda row: -row[4])  # of several channels the one that is sampled most often
     for quantity, (dimension, pattern) in QUANTITIES.items():
-        for name, _, group, unit, _, _ in rows:
+        for name, i, group, unit, _, _ in rows:
             if re.search(pattern, name.lower()) and (not dimension or not unit or si_factor(unit, dimension)):
-                guess = {"channel": name} | ({"group": group} if group else {})
+                same = [row for row in rows if row[0] == name and group in ("", row[2])]
+                units = [row[3] for row in same if row[1] == i]
+                home: str | int = group if len(same) == len(units) else i
+                guess: dict[str, Any] = {"channel": name} | ({} if home == "" else {"group": home})
+                guess |= {"occurrence": units.index(unit) + 1} if len(units) > 1 else {}
                 if dimension:
                     guess["unit"] = unit or "?"
                 text += f"\n{'[[valid]]' if quantity == 'valid' else f'[{quantity}]'}\n{tomli_w.dumps(guess)}"
@@ -111,32 +115,61 @@ def _listing(log: Any, shown: str) -> str:
     return text
 
 
-def _recording(log: Any, shown: str, channels: ChannelMap) -> list[Recording | Problem]:
-    """The recording of a log, at the times of the lane's position, and what of it could not be used."""
+# a quantity, its channel, times and values of all samples, and rows for each time that its clock starts
+_Signal = tuple[str, Channel, FloatArray, FloatArray, list[IntArray]]
+
+
+@np.errstate(all="ignore")
+def _recordings(log: Any, shown: str, channels: ChannelMap) -> list[Recording | Problem]:
+    """The recordings of a log, one for each time that its clock starts, and what of them could not be used."""
     problems: dict[int, Problem] = {}
+    found: list[_Signal] = []
+    for quantity, one in channels.named():
+        try:
+            lead = f"{quantity}: channel {one.channel!r} "
+            group, index = _place(log, one)
+            t, values = _times(log, group), _in_si(log, group, index, one, quantity)
+            lead += "cannot be placed in time: "
+            known = np.flatnonzero(np.isfinite(t))
+            if known.size < 1 + bool(QUANTITIES[quantity][0]):
+                few = ("no samples", "only one sample")[known.size] + " with a time" * (t.size > known.size)
+                raise RecordingError(f"its group {group} has {few}")
+            if known.size > 1 and np.ptp(t[known]) == 0.0:
+                raise RecordingError(f"all times of its group {group} are equal")
+            starts = [known[rows] for rows in clock_stretches(t[known])]
+            found.append((quantity, one, t, values, starts))
+            if len(starts) != len(found[0][-1]):
+                what = f"{len(starts)}, that of {found[0][1].channel!r} is {len(found[0][-1])}; allowed: the same"
+                raise RecordingError(f"the number of starts of its clock is {what}")
+        except RecordingError as error:
+            raise RecordingError(f"{lead}{error}") from None
+        if lost := t.size - sum(rows.size for rows in starts):
+            what = f"{lost} samples have no time, or one that runs backwards; left out"
+            problems[group] = Problem(shown, f"group {group}", what)
+    if len(starts) > 1:
+        problems[-1] = Problem(shown, "", f"the clock starts again; the log is read as {len(starts)} recordings")
+    answer: list[Recording | Problem] = [*problems.values()]
+    for k in range(len(starts)):
+        name = f"{shown} ({k + 1})" if k else shown
+        try:
+            answer.append(Recording(name, source=shown, **_columns(found, k, channels)))
+        except RecordingError as error:
+            answer.append(Problem(name, "", str(error)))
+    return answer
+
+
+def _columns(signals: list[_Signal], k: int, channels: ChannelMap) -> dict[str, Any]:
+    """Columns of the recording of one stretch, at the times of the lane's position."""
     found: dict[str, FloatArray] = {}
-    base = np.empty(0)
-    valid: Any = True
-    with np.errstate(all="ignore"):
-        for quantity, one in channels.named():
-            try:
-                group, index = _place(log, one)
-                t, values = _times(log, group), _in_si(log, group, index, one, quantity)
-                kept = np.isfinite(t)
-                kept[kept] = rising_rows(t[kept])
-                if not kept.all():
-                    what = f"{np.count_nonzero(~kept)} samples have no time, or one that runs backwards; left out"
-                    problems[group] = Problem(shown, f"group {group}", what)
-                base = base if found else t[kept]
-                values = _at(base, t[kept], values[kept], quantity, channels.max_gap)
-                if QUANTITIES[quantity][0] and not np.isfinite(values).any():
-                    lead = f"at the times of {channels.named()[0][1].channel!r}"
-                    raise RecordingError(f"has no number {lead}, or none within max_gap = {channels.max_gap:g} s")
-            except RecordingError as error:
-                raise RecordingError(f"{quantity}: channel {one.channel!r} {error}") from None
-            if isinstance(one, ValidChannel):
-                valid = valid & (values > 0.0 if one.min is None else values >= one.min)
-            found[quantity] = values
+    base = signals[0][2][signals[0][-1][k]]
+    valid = np.ones(base.size, dtype=bool)
+    for quantity, one, t, samples, starts in signals:
+        values = found[quantity] = _at(base, t[starts[k]], samples[starts[k]], quantity, channels.max_gap)
+        if QUANTITIES[quantity][0] and not np.isfinite(values).any():
+            what = f"at the times of {signals[0][1].channel!r}, or none within max_gap = {channels.max_gap:g} s"
+            raise RecordingError(f"{quantity}: channel {one.channel!r} has no number {what}")
+        if isinstance(one, ValidChannel):
+            valid &= values > 0.0 if one.min is None else values >= one.min
     columns: dict[str, Any] = {name: found[name] for name in Recording.COLUMNS if name in found}
     if "lane_offset" not in found:
         columns["lane_offset"] = -0.5 * (found["left_line"] + found["right_line"])
@@ -145,15 +178,18 @@ def _recording(log: Any, shown: str, channels: ChannelMap) -> list[Recording | P
     elif "lane_width" not in found:
         columns["lane_width"] = found["left_line"] - found["right_line"]
     if "lane" in found:
-        valid = valid & np.isfinite(found["lane"])
+        valid &= np.isfinite(found["lane"])
         columns["lane"] = np.unique(found["lane"], return_inverse=True)[1].astype(np.int64)
     if {"turn_signal", "left_signal", "right_signal"} & found.keys():
         off = np.zeros(base.size)
         turn, left, right = (found.get(name, off) for name in ("turn_signal", "left_signal", "right_signal"))
         # what is missing is none, and so are both at once
         columns["turn_signal"] = ((turn > 0.0) | (left > 0.0)).astype(np.int64) - ((turn < 0.0) | (right > 0.0))
-    columns["valid"] = np.broadcast_to(valid, base.shape).copy()
-    return [*problems.values(), Recording(name=shown, t=base, source=shown, **columns)]
+    if "engaged" in found:
+        columns["engaged"] = found["engaged"] > 0.0
+    joins = np.concatenate([joins_of(t, starts[k]) for _, _, t, _, starts in signals])
+    cut, inside = cut_at(base, joins)
+    return columns | {"t": base, "valid": valid & ~inside, "cut": cut if joins.size else None}
 
 
 def _place(log: Any, one: Channel) -> tuple[int, int]:
@@ -166,12 +202,16 @@ def _place(log: Any, one: Channel) -> tuple[int, int]:
     ]
     fits = [place for place in there if one.group in (None, place[0], *place[2])]
     fits = [place for place in fits if log.groups[place[0]].channel_group.cycles_nr] or fits
-    if len(fits) == 1:
-        return fits[0][:2]
+    if len({place[0] for place in fits}) == 1:
+        chosen = fits if one.occurrence is None else fits[one.occurrence - 1 : one.occurrence]
+        if len(chosen) == 1:
+            return chosen[0][:2]
+        what = f"`occurrence`: {one.occurrence or 'not given'}; allowed: 1 to {len(fits)}, in their order"
+        raise RecordingError(f"names {len(fits)} of the channels of group {fits[0][0]}; {what}")
     if there:
         groups = ", ".join(f"{i} ({names[0]})" if names else str(i) for i, _, names in there)
-        chosen = "not given" if one.group is None else repr(one.group)
-        raise RecordingError(f"is in the groups {groups}; `group`: {chosen}; allowed: the name or number of one")
+        given = "not given" if one.group is None else repr(one.group)
+        raise RecordingError(f"is in the groups {groups}; `group`: {given}; allowed: the name or number of one")
     near = difflib.get_close_matches(one.channel, {other.name for group in log.groups for other in group.channels}, n=1)
     raise RecordingError(f"is not in the log; {f'did you mean {near[0]!r}? ' if near else ''}see --list-channels")
 
@@ -224,19 +264,26 @@ def _text(sample: object) -> str:
     return f"{sample:.15g}" if isinstance(sample, int | float) else str(sample)
 
 
+_JUMPS: Final = {"length": MAX_JUMP, "speed": 20.0, "curvature": 0.1, "yaw rate": 0.75, "angle": 1.0}
+"""Samples that differ by more are not interpolated: one of them may stand for "not available"."""
+
+
 def _at(base: FloatArray, t: FloatArray, values: FloatArray, quantity: str, max_gap: float) -> FloatArray:
     """Values at other times: states are held, the rest is interpolated; NaN beyond the ends, in gaps, next to NaN."""
-    if t.size == 0:
-        return np.full(base.size, np.nan)
+    if np.array_equal(base, t):  # sample by sample, also where several share a time
+        return values
+    newest = np.append(t[1:] > t[:-1], True)
+    t, values = t[newest], values[newest]
     i = np.searchsorted(t, base, "right") - 1
     before, after = np.maximum(i, 0), np.minimum(i + 1, t.size - 1)
     dimension = QUANTITIES[quantity][0]
     if not dimension:
         longest = max_gap if quantity == "valid" else np.inf  # a switch may be recorded only when it changes
         return np.where((i >= 0) & (base - t[before] <= longest), values[before], np.nan)
+    if quantity == "heading":
+        known = np.abs(values) < LARGEST
+        values[known] = np.unwrap(values[known])
     between = values_at(base, t, values, longest=max_gap, beyond=0.0)
-    if dimension == "length":  # a jump stays one
-        beside = np.where(base - t[before] <= t[after] - base, values[before], values[after])
-        jump = np.isfinite(between) & (np.abs(values[after] - values[before]) > MAX_JUMP)
-        between = np.where(jump & (base > t[before]), beside, between)
-    return between
+    beside = np.where(base - t[before] <= t[after] - base, values[before], values[after])
+    jump = np.isfinite(between) & (np.abs(values[after] - values[before]) > _JUMPS[dimension])
+    return np.where(jump & (base > t[before]), beside, between)

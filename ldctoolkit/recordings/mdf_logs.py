@@ -24,7 +24,7 @@ from ldctoolkit.errors import InputError, LdcError, RecordingError
 from ldctoolkit.recordings.preparation import LONGEST_GAP, MAX_GAP
 from ldctoolkit.recordings.recording import Problem, Recording, source_file
 from ldctoolkit.recordings.sources import FoundParts, find_tables, shown_names
-from ldctoolkit.validation import Part, as_tuples, fail, first_problem
+from ldctoolkit.validation import Part, as_tuples, fail, first_problem, text_of
 
 _NAMES: Final = re.compile(r"\.(mf4|mdf|dat)$", re.IGNORECASE)
 
@@ -34,6 +34,7 @@ UNITS: Final = {
     "speed": {"m/s": 1.0, "km/h": 1 / 3.6, "kph": 1 / 3.6, "kmh": 1 / 3.6, "mph": 0.44704, "kn": 1852 / 3600},
     "curvature": {"1/m": 1.0, "m^-1": 1.0, "rad/m": 1.0, "1/km": 1e-3, "km^-1": 1e-3},
     "yaw rate": {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": _DEG, "°/s": _DEG, "deg/sec": _DEG},
+    "angle": {"rad": 1.0, "mrad": 1e-3, "deg": _DEG, "°": _DEG},
     "time": {"s": 1.0, "": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
     "": {},
 }
@@ -55,10 +56,13 @@ QUANTITIES: Final = {
     "speed": ("speed", r"^(?!.*(wh?e?e?l|eng|fan|yaw|lat)).*(speed|spd|veloc)"),
     "curvature": ("curvature", r"curv"),
     "yaw_rate": ("yaw rate", r"yaw.*(rate|vel|spd)|gyro.*z"),
+    "heading": ("angle", r"^(?!.*(lane|line|rate|acc|valid|qual)).*(heading|course)"),
+    "steering": ("angle", r"^(?!.*(rate|sp(ee)?d|vel|tor|val|qual)).*(steer.*(ang|whl|wheel)|st_?whl.*ang|swa)"),
     "lane": ("", r"lane.*(id$|id_|index|num)"),
     "turn_signal": ("", rf"{_NO_SIDE}{_TURN}"),
     "left_signal": ("", rf"{_TURN}.*{_LEFT}|{_LEFT}.*{_TURN}"),
     "right_signal": ("", rf"{_TURN}.*{_RIGHT}|{_RIGHT}.*{_TURN}"),
+    "engaged": ("", r"(lka|lks|ldp|lcc|(lat|lane).*(ctrl|contr|assist|keep|cent)).*(activ|_act|act$|engag)"),
     "valid": ("", r"(lane|line).*(valid|qual|conf|prob)"),
 }
 """What a map may name: what is measured, empty for a state, and the names of channels that may hold it."""
@@ -69,6 +73,7 @@ class Channel(Part):
 
     channel: str  # its name in the log
     group: str | int | None = None  # name of its group or source, or the group's number
+    occurrence: int | None = Field(default=None, ge=1)  # which of those that share the name in one group
     unit: str | None = None  # None for that of the log
     scale: float = 1.0  # -1 where it is positive to the right
     offset: float = 0.0  # in SI
@@ -93,11 +98,14 @@ class ChannelMap(Part):
     speed: Channel
     curvature: Channel | None = None
     yaw_rate: Channel | None = None
+    heading: Channel | None = None
+    steering: Channel | None = None
     valid: tuple[ValidChannel, ...] = ()  # all must hold
     lane: Channel | None = None
     turn_signal: Channel | None = None
     left_signal: Channel | None = None
     right_signal: Channel | None = None
+    engaged: Channel | None = None  # above 0 while a system steers
 
     def named(self) -> list[tuple[str, Channel]]:
         """Quantities and their channels, that of the lane's position first."""
@@ -122,18 +130,18 @@ class ChannelMap(Part):
 def read_channel_map(path: Path) -> ChannelMap:
     """Read a channel map in TOML; raises `InputError` naming the file, the key and what is allowed."""
     try:
-        content = as_tuples(tomllib.loads(path.read_text(encoding="utf-8")))
+        content = as_tuples(tomllib.loads(text_of(path.read_bytes())))
         return ChannelMap.model_validate(content)
     except ValidationError as error:
         raise InputError(f"{path.name}: {first_problem(error, content, ChannelMap, 'map')}") from None
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         reason = error.strerror if isinstance(error, OSError) else error
         raise InputError(f"{path.name}: cannot be read as a channel map in TOML: {reason}") from None
 
 
 @dataclasses.dataclass(frozen=True)
 class LogPart:
-    """One log: a recording."""
+    """One log: a recording, or several where its clock starts again."""
 
     path: str
     key: str
@@ -142,7 +150,7 @@ class LogPart:
     channels: ChannelMap
 
     def read(self) -> Iterator[Recording | Problem]:
-        """The recording, and what of it could not be used."""
+        """The recordings, and what of them could not be used."""
         try:
             yield from _ask(self.path, self.bytes, self.shown, self.channels)
         except RecordingError as error:

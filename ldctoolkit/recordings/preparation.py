@@ -438,7 +438,8 @@ def resolution(values: FloatArray) -> float:
 def coarse_step(offset: FloatArray) -> float:
     """The step of an offset that has few values for its samples, [m]; 0 if it has none."""
     step = resolution(offset)
-    return step if step > COARSE and offset.size > 5.0 * np.ptp(offset) / step else 0.0
+    with np.errstate(over="ignore"):  # of absurd numbers
+        return step if step > COARSE and offset.size > 5.0 * np.ptp(offset) / step else 0.0
 
 
 _EVERY_ROW: Final = (np.empty(0, dtype=np.int64), 0.0)
@@ -483,7 +484,7 @@ def on_own_clocks(recording: Recording) -> Recording:
     offset = np.where(recording.valid & np.isfinite(recording.lane_width), recording.lane_offset, np.nan)
     rows, refresh = new_rows(t, offset)
     if refresh == 0.0 and t.size > 1:  # of a signal that was interpolated the slope is held
-        with np.errstate(divide="ignore", invalid="ignore"):
+        with np.errstate(all="ignore"):  # equal times, absurd numbers
             slope = np.diff(offset[:1000]) / np.diff(t[:1000])
             if np.count_nonzero(np.abs(np.diff(slope)) < 1e-6) > 0.2 * slope.size:
                 bends, longer = new_rows(t[:-1], np.round(np.diff(offset) / np.diff(t), 6))

@@ -89,7 +89,10 @@ min = 2
 def write_log(
     path: Path, content: Sequence[Group] | None = None, version: str = "4.10", compression: int = 0, **signals: Any
 ) -> Path:
-    """Write a log; `signals`: further arguments of channels by their names, as ``LaneOffset={"conversion": ...}``."""
+    """Write a log; `signals`: further arguments of channels by their names, as ``LaneOffset={"conversion": ...}``.
+
+    What follows ``#`` in the name of a channel is not written: ``Speed`` and ``Speed#2`` share a name in the log.
+    """
     from asammdf import MDF, Signal, Source
 
     with MDF(version=version) as log:
@@ -97,7 +100,7 @@ def write_log(
             source = Source(name=name, path=name, comment="", source_type=1, bus_type=2)
             log.append(
                 [
-                    Signal(np.asarray(v), t, unit=unit, name=one, source=source, **signals.get(one, {}))
+                    Signal(np.asarray(v), t, unit=unit, name=one.split("#")[0], source=source, **signals.get(one, {}))
                     for one, (v, unit) in channels.items()
                 ],
                 acq_name=name,

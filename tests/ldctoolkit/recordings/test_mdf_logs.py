@@ -6,7 +6,8 @@ import os
 import random
 import re
 import subprocess
-import time
+import sys
+import threading
 import tomllib
 from collections import Counter
 from pathlib import Path
@@ -93,7 +94,7 @@ def test_two_lines_with_clocks_of_their_own_are_one_lane(tmp_path: Path) -> None
     found = extract(write_log(tmp_path / "a.mf4", content), lines)
     assert_planted(found)
     (recording,) = read_recordings(tmp_path / "a.mf4", channels=tmp_path / "map.toml")
-    np.testing.assert_allclose(recording.lane_width[1:], WIDTH, atol=0.01)
+    np.testing.assert_allclose(recording.lane_width[1:], WIDTH, atol=0.012)  # straight lines across kinks
     assert np.isnan(recording.lane_width[0])  # nothing is made up before the first sample
 
 
@@ -389,8 +390,7 @@ def test_empty_groups(tmp_path: Path) -> None:
     assert_planted(extract(write_log(tmp_path / "a.mf4", [empty, *groups()])))
     content = [empty, ("Camera", groups()[0][1], {"LaneWidth": groups()[0][2]["LaneWidth"]})]
     assert problem(write_log(tmp_path / "b.mf4", content), MAP) == (
-        "b.mf4: lane_offset: channel 'LaneOffset' has no number at the times of 'LaneOffset', or none within "
-        "max_gap = 0.25 s"
+        "b.mf4: lane_offset: channel 'LaneOffset' cannot be placed in time: its group 0 has no samples"
     )
 
 
@@ -480,17 +480,28 @@ def test_blocks_in_a_circle_end(log: Path, tmp_path: Path, block: bytes, monkeyp
 
 
 def test_a_log_that_takes_too_long_is_tried_once(log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Also where the process is gone before the timer is."""
-    monkeypatch.setattr(mdf_logs, "PATIENCE", -log.stat().st_size / 1e6)
-    kill, kills = subprocess.Popen.kill, []
+    """Also where the process is gone before the timer is: the reading process never answers, the timer ends last."""
+
+    @functools.cache
+    def waits(owner: int) -> subprocess.Popen[bytes]:
+        code = "import sys; sys.stdin.buffer.read()"  # until it is killed
+        return subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+
+    kill, kills, over = subprocess.Popen.kill, [], threading.Event()
 
     def slow(process: subprocess.Popen[bytes]) -> None:
         kill(process)
         kills.append(process)
-        time.sleep(0.2)
+        if isinstance(threading.current_thread(), threading.Timer):
+            over.wait()
 
+    monkeypatch.setattr(mdf_logs, "PATIENCE", -log.stat().st_size / 1e6)
+    monkeypatch.setattr(mdf_logs, "_process", waits)
     monkeypatch.setattr(subprocess.Popen, "kill", slow)
-    assert problem(log, MAP) == "a.mf4: reading it as MDF takes longer than 0 s; the file is damaged"
+    try:
+        assert problem(log, MAP) == "a.mf4: reading it as MDF takes longer than 0 s; the file is damaged"
+    finally:
+        over.set()
     assert len(set(kills)) == 1
 
 
@@ -598,7 +609,7 @@ def test_the_pages_map_and_python_run(
         assert name == "time" or all(unit in page for unit in units), name
     assert all(f"`{name}`" in page for name in (*mdf_logs.ChannelMap.model_fields, *mdf_logs.ValidChannel.model_fields))
     cli.run_python("docs/how-to/mdf-logs.md", {"__name__": "page"})
-    assert capsys.readouterr().out == "4 departures in 1.0 minutes\n"
+    assert capsys.readouterr().out == "8 departures in 1.0 minutes\n"
 
 
 @pytest.mark.parametrize(
