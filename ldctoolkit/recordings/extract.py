@@ -387,7 +387,7 @@ def quality_warnings(
     return tuple(found)
 
 
-ENOUGH_TIME: Final = 30.0  # [s] of driving that tell whether an offset can be one
+ENOUGH_TIME: Final = 40.0  # [s] of driving that tell whether an offset can be one
 SHARE_BEYOND: Final = 0.4  # share of the time beyond a line that no driver reaches
 SHARE_LONG: Final = 0.08  # the same of stays of more than five seconds
 FEWEST_GRAZES: Final = 3  # an offset without its sign turns back at zero each time the vehicle passes the lane's centre

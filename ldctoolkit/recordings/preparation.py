@@ -431,8 +431,9 @@ def resolution(values: FloatArray) -> float:
     step = np.diff(distinct[np.isfinite(distinct)])
     if step.size < 3:
         return 0.0
-    multiples = step / step.min()
-    return float(step.min()) if (np.abs(multiples - np.rint(multiples)) < 0.05).all() else 0.0
+    with np.errstate(over="ignore", invalid="ignore"):  # of absurd numbers
+        multiples = step / step.min()
+        return float(step.min()) if (np.abs(multiples - np.rint(multiples)) < 0.05).all() else 0.0
 
 
 def coarse_step(offset: FloatArray) -> float:
