@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import dataclasses
 from typing import Any, Final, get_args, get_type_hints
 
@@ -30,6 +31,16 @@ class Part(BaseModel):
     """A table of a file: no unknown keys, no silent conversions, finite numbers."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+def text_of(data: bytes) -> str:
+    """Text in UTF-8, with a byte order mark or without; raises `ValueError` that says what is wrong with any other."""
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) or data[:4].count(0) == 2:
+        raise ValueError("the text is UTF-16; save it as UTF-8")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise ValueError(f"the text is not UTF-8 ({error.reason})") from None
 
 
 def fail(path: str, message: str) -> PydanticCustomError:

@@ -15,7 +15,7 @@ from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.departures import RIGHT
 from ldctoolkit.errors import StudyError, UnknownNameError, nearest
 from ldctoolkit.scenarios import Drifts
-from ldctoolkit.validation import Part, as_tuples, fail, first_problem
+from ldctoolkit.validation import Part, as_tuples, fail, first_problem, text_of
 
 FOLDER: Final = Path(__file__).parent / "catalog" / "standards"
 
@@ -199,10 +199,10 @@ class Cells:
 def read_toml(path: Path) -> dict[str, Any]:
     """What a TOML file holds."""
     try:
-        return tomllib.loads(path.read_bytes().decode())
+        return tomllib.loads(text_of(path.read_bytes()))
     except OSError as error:
         raise StudyError(f"{path}: cannot be read: {error.strerror or error}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except ValueError as error:
         raise StudyError(f"{path}: not a TOML file: {error}") from None
 
 

@@ -5,6 +5,8 @@ import csv
 import dataclasses
 import gzip
 import io
+import itertools
+import re
 import zlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -13,8 +15,8 @@ from typing import IO, Any, Final
 import numpy as np
 import polars as pl
 
-from ldctoolkit.arrays import FloatArray
 from ldctoolkit.errors import RecordingError, nearest
+from ldctoolkit.recordings.preparation import clock_stretches
 from ldctoolkit.recordings.recording import (
     MISSING,
     NO_ROWS,
@@ -26,13 +28,20 @@ from ldctoolkit.recordings.recording import (
     source_file,
 )
 from ldctoolkit.recordings.sources import FoundParts, place_of, shown_names
+from ldctoolkit.validation import text_of
 
-NUMBERS: Final = ("t", "lane_offset", "lane_width", "speed", "curvature", "yaw_rate")
+UNITS: Final = {
+    "t": "s", "lane_offset": "m", "lane_width": "m", "speed": "m/s", "curvature": "1/m", "yaw_rate": "rad/s",
+    "heading": "rad", "steering": "rad",
+}  # fmt: skip
+"""Columns of numbers, and what they are in."""
 
 ROW: Final = "(row)"
 """Column that carries each sample's place in its file: the line of a CSV file, the row of a Parquet file."""
 
 FAULT: Final = "(fault)"  # column that is true for a sample that is at fault, or next to a line that could not be used
+
+CUT: Final = "(cut)"  # column that is true for a sample with a lost line between it and the one before
 
 _VALID: Final = {"1": True, "1.0": True, "true": True, "0": False, "0.0": False, "false": False}
 _SIGNAL: Final = {"1": 1, "1.0": 1, "+1": 1, "left": 1, "-1": -1, "-1.0": -1, "right": -1}
@@ -52,12 +61,12 @@ def typed(frame: pl.DataFrame, word: str, faults: list[TableFault]) -> pl.DataFr
             faults.append(TableFault(f"{word} {frame[ROW][i]}", what))
             marked = marked | bad.fill_null(False).to_numpy()
 
-    columns: list[pl.Series] = [frame[ROW]]
+    columns: list[pl.Series] = [frame[ROW], frame[CUT]]
     for name in frame.columns:
         values = frame[name]
-        if name in (ROW, FAULT):
+        if name in (ROW, FAULT, CUT):
             continue
-        if name in NUMBERS:
+        if name in UNITS:
             if values.dtype == pl.String:
                 strings = values.str.strip_chars()
                 values = strings.cast(pl.Float64, strict=False)
@@ -71,16 +80,17 @@ def typed(frame: pl.DataFrame, word: str, faults: list[TableFault]) -> pl.DataFr
         strings = values.cast(pl.String).str.strip_chars()
         lower = strings.str.to_lowercase()
         if name == "recording":
-            refuse(name, strings.is_null() | (strings == ""), "an identifier of the recording")
-            columns.append(strings)
+            nameless = lower.is_in(MISSING).fill_null(True)
+            refuse(name, nameless, "an identifier of the recording")
+            columns.append(pl.select(pl.when(~nameless).then(strings)).to_series().alias(name))
         elif name == "lane":
             # "3" and "3.0" are one lane whatever the rest of the column holds
             label = strings.str.replace(r"^(-?\d+)\.0+$", "$1")
             columns.append(pl.select(pl.when(~lower.is_in(MISSING)).then(label)).to_series().alias(name))
-        elif name == "valid":
+        elif name in ("valid", "engaged"):
             known = lower.replace_strict(_VALID, default=None, return_dtype=pl.Boolean)
             refuse(name, known.is_null() & ~lower.is_in(MISSING).fill_null(True), "0, 1, false, true")
-            columns.append(known.fill_null(False))
+            columns.append(known.fill_null(False).alias(name))
         else:
             known = lower.replace_strict(_SIGNAL, default=None, return_dtype=pl.Int64)
             off = lower.is_in(_SIGNAL_OFF).fill_null(True)
@@ -92,7 +102,7 @@ def typed(frame: pl.DataFrame, word: str, faults: list[TableFault]) -> pl.DataFr
 def columns_of(frame: pl.DataFrame) -> dict[str, Any]:
     """The columns of a frame as those of a `Recording`, by name; None for one that it lacks."""
 
-    def numbers(name: str) -> FloatArray | None:
+    def column(name: str) -> Any:
         return frame[name].to_numpy() if name in frame.columns else None
 
     valid = frame["valid"].to_numpy() if "valid" in frame.columns else np.ones(frame.height, dtype=bool)
@@ -100,11 +110,10 @@ def columns_of(frame: pl.DataFrame) -> dict[str, Any]:
     if "lane" in frame.columns:
         valid = valid & frame["lane"].is_not_null().to_numpy()
         lane = frame["lane"].rank("dense").fill_null(0).to_numpy().astype(np.int64)
-    signal = frame["turn_signal"].to_numpy() if "turn_signal" in frame.columns else None
-    return {name: numbers(name) for name in NUMBERS} | {"valid": valid, "lane": lane, "turn_signal": signal}
+    return {name: column(name) for name in (*UNITS, "turn_signal", "engaged")} | {"valid": valid, "lane": lane}
 
 
-COLUMNS: Final = (*REQUIRED, "curvature", "yaw_rate", "lane", "valid", "turn_signal")
+COLUMNS: Final = ("recording", *UNITS, "lane", "valid", "turn_signal", "engaged")
 
 LONGEST_LINE: Final = 1 << 20
 """A longer line [bytes] is not CSV; without a limit a binary file would be read into memory as one line."""
@@ -117,7 +126,7 @@ _POLARS: Final = (pl.exceptions.PolarsError, pl.exceptions.PanicException)
 
 
 def frames(path: Path, block_bytes: int, faults: list[TableFault]) -> Iterator[pl.DataFrame]:
-    """Blocks of a recording file: the known columns, typed, with `ROW` and `FAULT`."""
+    """Blocks of a recording file: the known columns, typed, with `ROW`, `FAULT` and `CUT`."""
     seen: set[str] = set()
     present: list[str] = []
     rows = 0
@@ -127,14 +136,16 @@ def frames(path: Path, block_bytes: int, faults: list[TableFault]) -> Iterator[p
         # a column that holds nothing at all is a mistake, not a series of invalid samples
         for name in set(present) - seen:
             values = block[name]
-            if name in NUMBERS:
+            if name in UNITS:
                 seen |= {name} if values.is_finite().any() else set()
-            elif name != "lane" or values.null_count() < values.len():
+            elif name not in ("lane", "recording") or values.null_count() < values.len():
                 seen.add(name)
         yield block
     empty = [name for name in COLUMNS if name in present and name not in seen]
     if rows == 0:
         faults.append(TableFault("", NO_ROWS))
+    elif "recording" in empty:
+        faults[:] = [TableFault("", f"column 'recording' holds no name in any of {rows} rows")]
     elif empty:
         advice = "" if empty[0] in REQUIRED else "; leave the column out if it was not recorded"
         faults.append(TableFault("", f"column '{empty[0]}' holds no number in any of {rows} rows{advice}"))
@@ -148,24 +159,47 @@ def blocks_of(
     return read(path, block_bytes, faults, names)
 
 
-def whole_recordings(blocks: Iterator[pl.DataFrame]) -> Iterator[pl.DataFrame]:
-    """Regroup blocks of rows so that each holds whole recordings: the last recording of a block waits for the next."""
-    waiting: list[pl.DataFrame] = []
+LONGEST_PIECE: Final = 500_000  # a recording of more samples than about this many is handed on in pieces
+WELL_INSIDE: Final = 0.15  # offset, as a share of the lane's width, below which no edge is near a line
+CALM: Final = 2.0  # time [s] before and after a place between two pieces in which the vehicle is well inside its lane
+
+
+def whole_recordings(blocks: Iterator[pl.DataFrame]) -> Iterator[tuple[pl.DataFrame, bool]]:
+    """Regroup blocks of rows so that each holds whole recordings, or a piece of a long one: true if it goes on.
+
+    The last recording of a block waits for the next block.
+    """
+    rest: pl.DataFrame | None = None
     for block in blocks:
         if block.height == 0:
             continue
-        waiting.append(block)
-        last = block["recording"][-1]
-        if waiting[0]["recording"][0] == last:  # one long recording; its blocks are joined once, at its end
-            continue
-        # rows of the block that belong to its last recording, counted from the end
-        other = (block["recording"] != last).reverse().arg_true()
-        tail = int(other[0]) if other.len() else block.height
-        waiting[-1] = block[: block.height - tail]
-        yield pl.concat(waiting)
-        waiting = [block[block.height - tail :]]
-    if waiting:
-        yield pl.concat(waiting)
+        joined = block if rest is None else pl.concat([rest, block])
+        labels = joined["recording"]
+        others = (labels != labels[-1]).arg_true()
+        place = int(others[-1]) + 1 if others.len() else 0  # where the last recording begins
+        if place == 0 and joined.height > LONGEST_PIECE:
+            place = _place_to_part(joined)
+        if place:
+            yield joined[:place], labels[place - 1] == labels[place]
+        rest = joined[place:]
+    if rest is not None:
+        yield rest, False
+
+
+def _place_to_part(frame: pl.DataFrame) -> int:
+    """First row of the next piece: the last one that the vehicle is well inside its lane around, of the second half."""
+    t, offset, width = (frame[name].to_numpy() for name in ("t", "lane_offset", "lane_width"))
+    half = t.size // 2
+    with np.errstate(all="ignore"):
+        share = np.where(width > 0.0, np.abs(offset) / width, np.inf)
+        inside, rises = share < WELL_INSIDE, t[1:] >= t[:-1]
+        inside[1:] &= rises
+        inside[:-1] &= rises
+        inside[0] = inside[-1] = False  # what comes after the end is not known yet
+        outside = np.flatnonzero(~inside)
+        after = np.searchsorted(outside, np.arange(half, t.size))
+        calm = (t[half:] - t[outside[after - 1]] > CALM) & (t[outside[after]] - t[half:] > CALM)
+    return half + int(np.flatnonzero(calm)[-1] if calm.any() else np.argmin(np.nan_to_num(share[half:], nan=np.inf)))
 
 
 def is_parquet(path: Path) -> bool:
@@ -173,42 +207,82 @@ def is_parquet(path: Path) -> bool:
     return path.name.lower().endswith(".parquet")
 
 
-def csv_blocks(path: Path, block_bytes: int) -> Iterator[tuple[list[str], bytes, int]]:
+def csv_blocks(path: Path, block_bytes: int, faults: list[TableFault]) -> Iterator[tuple[list[str], bytes, int]]:
     """Blocks of whole lines of a CSV or CSV.gz file: the header's names, the lines, the number of the first.
 
-    Of a packed file that is cut short the lines before the cut come first, then the error.
+    Comments and units become blank lines; NUL bytes in a row become their number between two of them. Of a packed file
+    that is cut short the lines before the cut come first, then the error.
     """
     with gzip.open(path) if path.name.lower().endswith(".gz") else path.open("rb") as stream:
         line = 0
         try:
-            first = stream.readline(LONGEST_LINE)
+            first, line, nuls = _header_line(stream, LONGEST_LINE)
             if first[:2] == b"\x1f\x8b":
                 raise TableFault("", "the content is gzip; give it a name that ends in .csv.gz")
             if len(first) == LONGEST_LINE:
-                raise TableFault("line 1", f"longer than {LONGEST_LINE} bytes; this is not CSV")
-            header = _csv_header(first)
-            line = 2
-            rest = b""
+                raise TableFault(f"line {line}", f"longer than {LONGEST_LINE} bytes; this is not CSV")
+            header = _csv_header(first, line)
+            if nuls and header[0] not in COLUMNS:
+                raise TableFault(f"line {line}", f"{nuls} NUL bytes stand where the header begins")
+            if nuls:
+                faults.append(TableFault(f"line {line}", f"{nuls} NUL bytes before the header; they are passed over"))
+            line += 1
+            rest, begun, ended = b"", False, False
             broken: Exception | None = None
-            while broken is None:
+            while broken is None and not ended:
                 block, broken = _next_bytes(stream, block_bytes)
-                if not block:
-                    break
+                ended = not block and broken is None
+                if b"\0" in block:  # so that a long row of them takes no memory
+                    block = re.sub(rb"\0+", lambda found: b"\0%d\0" % len(found[0]), block)
                 block = rest + block
-                cut = block.rfind(b"\n") + 1
+                cut = len(block) if ended else block.rfind(b"\n") + 1
                 block, rest = block[:cut], block[cut:]
                 if len(rest) >= LONGEST_LINE and not block:
                     raise TableFault(f"line {line}", f"longer than {LONGEST_LINE} bytes; this is not CSV")
-                if block:
+                count = block.count(b"\n")
+                if b"#" in block:
+                    block = re.sub(rb"(?m)^#[^\n\0]*$", b"", block)
+                if not begun and (found := re.search(rb"(?m)^.*[^\s,].*", block)):
+                    begun = True
+                    place = f"line {line + block[: found.start()].count(10)}"
+                    if b"\0" not in found[0] and _are_units(header, found[0], place):
+                        faults.append(TableFault(place, "a row of units; it is passed over"))
+                        block = block[: found.start()] + block[found.end() :]
+                if block and not block.isspace():
                     yield header, block, line
-                    line += block.count(b"\n")
+                line += count
             if broken is not None:
                 raise broken  # the line that it cuts is lost
-            if rest:
-                yield header, rest, line
         except _BROKEN as error:
             where = f" after line {line - 1}" if line else ""
             raise TableFault("", f"broken gzip{where} ({error}); is the file cut short or not gzip?") from None
+
+
+def _header_line(stream: IO[bytes] | gzip.GzipFile, longest: int) -> tuple[bytes, int, int]:
+    """The first line behind comments and NUL bytes, its number, and how many such bytes there are."""
+    number, nuls = 1, 0
+    while line := stream.readline(longest):
+        text = line.lstrip(b"\0")
+        nuls += len(line) - len(text)
+        comment = text.removeprefix(codecs.BOM_UTF8).lower().startswith((b"#", b"sep="))
+        if not comment and (text.strip() or not nuls):
+            return text if text.endswith(b"\n") or not nuls else text + stream.readline(longest), number, nuls
+        number += text.endswith(b"\n")
+    return b"", number, nuls
+
+
+def _are_units(header: list[str], raw: bytes, place: str) -> bool:
+    """Whether the first line under the header names units; raises `TableFault` for one that is not the needed one."""
+    cells = (cell.strip(' \r"()[]') for cell in raw.decode("utf-8", "replace").split(","))
+    words = {name: word for name, word in zip(header, cells, strict=False) if name in UNITS}
+    words = {name: word for name, word in words.items() if word.lower() not in (*MISSING, "-")}
+    if pl.Series(words.values(), dtype=pl.String).cast(pl.Float64, strict=False).is_not_null().any():
+        return False
+    for name, word in words.items():
+        unit = word.lower().replace(" ", "").replace("sec", "s")
+        if ("1/m" if unit in ("m^-1", "m\u207b\xb9", "rad/m") else unit) != UNITS[name]:
+            raise TableFault(place, f"column '{name}' is in {word!r}; needed: {UNITS[name]}")
+    return bool(words)
 
 
 def _next_bytes(stream: IO[bytes] | gzip.GzipFile, size: int) -> tuple[bytes, Exception | None]:
@@ -219,39 +293,37 @@ def _next_bytes(stream: IO[bytes] | gzip.GzipFile, size: int) -> tuple[bytes, Ex
     if not isinstance(stream, gzip.GzipFile):
         return stream.read(size), None
     pieces: list[bytes] = []
-    count = 0
     try:
-        while count < size and (piece := stream.read1(PACKED_PIECE)):
+        while sum(map(len, pieces)) < size and (piece := stream.read1(PACKED_PIECE)):
             pieces.append(piece)
-            count += len(piece)
     except EOFError as error:
         return b"".join(pieces), error
     return b"".join(pieces), None
 
 
-def _csv_header(first: bytes) -> list[str]:
-    if first.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        raise TableFault("", "the text is UTF-16; save it as UTF-8")
-    try:
-        text = first.decode("utf-8-sig").strip("\r\n")
-    except UnicodeDecodeError as error:
-        raise TableFault("line 1", f"the text is not UTF-8 ({error.reason})") from None
-    if not text.strip():
-        state = "the file is empty" if not first else "line 1 is blank"
+def _csv_header(first: bytes, line: int) -> list[str]:
+    names = [name.strip() for name in _fields(first, line)]
+    if not any(names):
+        state = f"line {line} is blank" if first else "the file is empty" if line == 1 else "no line but comments"
         raise TableFault("", f"{state}; a header is needed: {', '.join(REQUIRED)}, ...")
-    names = [name.strip() for name in _fields(text, 1)]
-    if len(names) == 1 and any(mark in text for mark in ";\t|"):
-        raise TableFault("line 1", f"columns are not separated by commas: {text[:60]!r}")
+    if len(names) == 1 and any(mark in names[0] for mark in ";\t|"):
+        raise TableFault(f"line {line}", f"columns are not separated by commas: {names[0][:60]!r}")
     check_columns(names)
     return names
 
 
-def _fields(text: str, line: int) -> list[str]:
+def _fields(raw: bytes, line: int) -> list[str]:
+    """The cells of a line; raises `TableFault` for one that cannot be split."""
     try:
+        text = text_of(raw).strip("\r\n")
+        if text.count('"') % 2:
+            raise ValueError("a quotation mark is not closed on its line")
         return next(csv.reader([text]), [])
     except csv.Error as error:
         what = "a carriage return stands inside the line" if "\r" in text else str(error)
         raise TableFault(f"line {line}", f"{what}; allowed: lines that end in LF or CR LF") from None
+    except ValueError as error:
+        raise TableFault(f"line {line}", str(error)) from None
 
 
 def check_columns(names: Sequence[str]) -> None:
@@ -270,12 +342,16 @@ def check_columns(names: Sequence[str]) -> None:
 
 def _csv_frames(path: Path, block_bytes: int, faults: list[TableFault], names: Sequence[str]) -> Iterator[pl.DataFrame]:
     """Blocks of whole lines of a CSV or CSV.gz file, parsed."""
-    for header, block, line in csv_blocks(path, block_bytes):
+    lost: list[int] = []
+    before = 0
+    for header, block, line in csv_blocks(path, block_bytes, faults):
         places = {name: header.index(name) for name in names if name in header}
         frame = None if _ends_inside(header, block) else _parse(len(header), places, block, line)
         if frame is None:
-            frame = _parse_faulty(header, places, block, line, faults)
-        yield typed(frame, "line", faults)
+            frame = _parse_faulty(header, places, block, line, faults, lost)
+        rows = np.append(before, frame[ROW].to_numpy())
+        before = int(rows[-1])
+        yield typed(frame.with_columns(pl.Series(CUT, np.diff(np.searchsorted(lost, rows)) > 0)), "line", faults)
 
 
 def _parse(width: int, places: dict[str, int], block: bytes, line: int) -> pl.DataFrame | None:
@@ -284,12 +360,13 @@ def _parse(width: int, places: dict[str, int], block: bytes, line: int) -> pl.Da
     position = [f"c{i}" for i in range(width)]
     wanted = {name: position[i] for name, i in places.items()}
     text = (",".join(position) + "\n").encode() + block.replace(b"\r\n", b"\n")
-    if b'"' in text and _open_quote(text):
+    # the parser must not see a line with an odd number of quotation marks
+    if b"\0" in text or (b'"' in text and any(raw.count(b'"') % 2 for raw in text.split(b"\n"))):
         return None
 
     def read(numbers: type[pl.DataType]) -> pl.DataFrame | None:
         kinds: dict[str, type[pl.DataType]] = dict.fromkeys(position, pl.String)
-        kinds |= {place: numbers for name, place in wanted.items() if name in NUMBERS}
+        kinds |= {place: numbers for name, place in wanted.items() if name in UNITS}
         try:
             frame = pl.read_csv(io.BytesIO(text), schema=kinds, columns=list(wanted.values()), raise_if_empty=False)
         except _POLARS:
@@ -307,24 +384,37 @@ def _parse(width: int, places: dict[str, int], block: bytes, line: int) -> pl.Da
 
 
 def _parse_faulty(
-    header: list[str], places: dict[str, int], block: bytes, line: int, faults: list[TableFault]
+    header: list[str], places: dict[str, int], block: bytes, line: int, faults: list[TableFault], lost: list[int]
 ) -> pl.DataFrame:
     """Lines of which some are at fault: these are left out where they cannot be split, and reported.
 
-    A line left out marks the sample before or behind it that has its recording's name, or else both.
+    A line left out marks the sample before or behind it that has its recording's name, or else both; one with NUL bytes
+    is only `lost`.
     """
     good, numbers, broken = [], [], []
     lines = block.replace(b"\r\n", b"\n").split(b"\n")
     for number, raw in enumerate(lines, line):
-        fault = _fault_of_line(len(header), raw, number)
-        if fault is None and number == line + len(lines) - 1 and _ends_inside(header, block):
-            few = f"{raw.count(b',') + 1} of {len(header)} fields"
-            fault = TableFault(f"line {number}", f"the file ends inside this line, behind {few}")
-        if fault is not None:
+        last = number == line + len(lines) - 1
+        try:
+            if b"\0" in raw:
+                count = sum(map(int, re.findall(rb"\0(\d+)\0", raw)))
+                where = " at the end of the file" if last else ""
+                raise TableFault(f"line {number}", f"{count} NUL bytes{where}; the line is left out")
+            row = _fields(raw, number)
+            if len(row) > len(header):
+                raise TableFault(f"line {number}", f"{len(row)} fields; the header has {len(header)} columns")
+            if last and _ends_inside(header, block):
+                few = f"{raw.count(b',') + 1} of {len(header)} fields"
+                raise TableFault(f"line {number}", f"the file ends inside this line, behind {few}")
+        except TableFault as fault:
             faults.append(fault)
-            broken.append((number, raw.split(b",")[: places["recording"] + 1][-1].strip(b' "')))
-        elif raw.strip():
-            good.append(next(csv.reader([raw.decode()])))
+            if b"\0" in raw:
+                lost.append(number)
+            else:
+                broken.append((number, raw.split(b",")[: places["recording"] + 1][-1].strip(b' "')))
+            continue
+        if raw.strip():
+            good.append(row)
             numbers.append(number)
     cells = {name: [row[i] if i < len(row) else None for row in good] for name, i in places.items()}
     rows = np.array(numbers, dtype=np.int64)
@@ -342,29 +432,6 @@ def _ends_inside(header: list[str], block: bytes) -> bool:
     """Whether the last line has no end and lacks cells: the file was cut. Short lines elsewhere lack values only."""
     last = block[block.rfind(b"\n") + 1 :]
     return bool(last.strip()) and last.count(b",") + 1 < len(header)
-
-
-def _open_quote(text: bytes) -> bool:
-    """Whether any line has an odd number of quotation marks; the CSV parser must not see such a line."""
-    marks = np.frombuffer(text, dtype=np.uint8)
-    ends = np.append(np.flatnonzero(marks == ord("\n")), marks.size)
-    quotes = np.searchsorted(np.flatnonzero(marks == ord('"')), ends)
-    return bool((quotes % 2).any())
-
-
-def _fault_of_line(fields: int, raw: bytes, number: int) -> TableFault | None:
-    """Why a line cannot be split into columns, if it cannot."""
-    place = f"line {number}"
-    try:
-        text = raw.decode("utf-8").rstrip("\r")
-        if text.count('"') % 2:
-            return TableFault(place, "a quotation mark is not closed on its line")
-        found = len(_fields(text, number))
-    except UnicodeDecodeError as error:
-        return TableFault(place, f"the text is not UTF-8 ({error.reason})")
-    except TableFault as error:
-        return error
-    return TableFault(place, f"{found} fields; the header has {fields} columns") if found > fields else None
 
 
 def parquet_names(path: Path) -> list[str]:
@@ -395,7 +462,7 @@ def _parquet_frames(
         if frame.height == 0:
             return
         places = pl.int_range(first + 1, first + frame.height + 1, dtype=pl.Int64).alias(ROW)
-        yield typed(frame.with_columns(places), "row", faults)
+        yield typed(frame.with_columns(places, pl.lit(False).alias(CUT)), "row", faults)
         first += frame.height
 
 
@@ -405,7 +472,7 @@ def _not_parquet(error: BaseException) -> TableFault:
 
 SUFFIXES: Final = (".csv", ".csv.gz", ".parquet")
 
-BLOCK_BYTES: Final = 16 << 20  # about how much text is parsed at once
+BLOCK_BYTES: Final = 8 << 20  # about how much text is parsed at once
 HEADER_BYTES: Final = 1 << 16  # a header is looked for in so many first bytes
 MOST_REPEATED: Final = 20  # so many recordings that two files hold are reported one by one
 
@@ -419,11 +486,11 @@ def header_names(path: Path) -> tuple[str, ...]:
         if name.endswith(".parquet"):
             return tuple(parquet_names(path))
         with gzip.open(path) if name.endswith(".gz") else path.open("rb") as stream:
-            first = stream.readline(HEADER_BYTES)  # no more: the rest may be broken, which is reported when it is read
+            # no more: the rest may be broken, which is reported when it is read
+            first, _, _ = _header_line(stream, HEADER_BYTES)
     except (OSError, EOFError, ValueError, zlib.error, RecordingError):
         return ()
-    utf_16 = first[:2] in (b"\xff\xfe", b"\xfe\xff")
-    line = first.decode("utf-16" if utf_16 else "utf-8-sig", "replace").split("\n", 1)[0]
+    line = first.decode("utf-8-sig", "replace").replace("\0", "").split("\n", 1)[0]  # of UTF-16 the letters
     for mark in ";\t|":
         line = line.replace(mark, ",")
     return tuple(part.strip().strip('"').strip() for part in line.split(","))
@@ -431,12 +498,11 @@ def header_names(path: Path) -> tuple[str, ...]:
 
 def repeated_names(
     paths: Sequence[Path], shown: Sequence[str]
-) -> tuple[tuple[tuple[str, ...], ...], tuple[Problem, ...]]:
-    """Recordings that more than one file holds: the first file's rows are taken."""
+) -> tuple[tuple[tuple[str, ...], ...], tuple[Problem, ...], tuple[str, ...]]:
+    """Recordings that more than one file holds: the first file's rows are taken; and names that end as "a (2)" does."""
     first: dict[str, tuple[int, int]] = {}
     left_out: list[set[str]] = [set() for _ in paths]
     problems: list[Problem] = []
-    more = 0
     for i, path in enumerate(paths):
         word = place_unit(path)
         for name, row in _names(path).items():
@@ -444,16 +510,13 @@ def repeated_names(
             if i == j:
                 continue
             left_out[i].add(name)
-            if len(problems) == MOST_REPEATED:
-                more += 1
-                continue
             what = f"recording {name!r} is also in {shown[j]}, {place_unit(paths[j])} {other}; these rows are left out"
             problems.append(Problem(shown[i], f"{word} {row}", what))
-    if more:
-        problems.append(
-            Problem(shown[-1], "", f"{more} more recordings are in an earlier file, too; they are left out")
-        )
-    return tuple(tuple(sorted(names)) for names in left_out), tuple(problems)
+    if (more := len(problems) - MOST_REPEATED) > 0:
+        what = f"{more} more recordings are in an earlier file, too; they are left out"
+        problems[MOST_REPEATED:] = [Problem(shown[-1], "", what)]
+    numbered = tuple(name for name in first if name.endswith(")"))
+    return tuple(tuple(sorted(names)) for names in left_out), tuple(problems), numbered
 
 
 def place_unit(path: Path) -> str:
@@ -463,8 +526,6 @@ def place_unit(path: Path) -> str:
 
 def _names(path: Path) -> dict[str, int]:
     """First row of each recording of a file, as far as it can be read; faults are reported when it is read in full."""
-    import polars as pl
-
     found: dict[str, int] = {}
     name = pl.col("recording").fill_null("")
     try:
@@ -484,6 +545,18 @@ LARGEST_TIME: Final = 1e20
 """A time of this size or more [s] is none, whatever the clock and its unit; sums of such would overflow."""
 
 
+@dataclasses.dataclass
+class _Reading:
+    """How far a file has been read."""
+
+    seen: dict[str, int] = dataclasses.field(default_factory=dict)  # first row of each recording
+    label: str = ""  # the recording that the rows before belong to
+    name: str = ""  # its name, which is another one behind a clock that starts again; empty if it is left out
+    last: float = -np.inf  # time of its last sample that was given
+    lost: bool = False  # whether rows after that one were left out
+    taken: frozenset[str] = frozenset()  # names that others have, once they are needed
+
+
 @dataclasses.dataclass(frozen=True)
 class TablePart:
     """One file of recordings."""
@@ -494,20 +567,21 @@ class TablePart:
     left_out: tuple[str, ...] = ()  # recordings that another file holds, too
     shown: str = ""  # its name in messages: with as few folders as tell it apart from the others
     block_bytes: int = BLOCK_BYTES  # about how much text is parsed at once
+    numbered: tuple[str, ...] = ()  # names in any of the files that end as "a (2)" does
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "shown", self.shown or Path(self.path).name)
 
     def read(self) -> Iterator[Recording | Problem]:
-        """Recordings in the file's order; one with a fault in any of its rows is left out, and reported."""
+        """Recordings in the file's order; one with a fault in any of its rows is left out, and reported.
+
+        Of a long one only the piece with the fault is.
+        """
         reported = 0
         more: Problem | None = None
         for one in self._items():
-            if isinstance(one, Recording):
-                yield one
-                continue
-            reported += 1
-            if reported <= MOST_PROBLEMS:
+            reported += isinstance(one, Problem)
+            if isinstance(one, Recording) or reported <= MOST_PROBLEMS:
                 yield one
             else:
                 more = one
@@ -520,12 +594,12 @@ class TablePart:
     def _items(self) -> Iterator[Recording | Problem]:
         """Recordings and problems, as they come."""
         faults: list[TableFault] = []
-        seen: dict[str, int] = {}
+        reading = _Reading()
         try:
-            for frame in whole_recordings(_labelled(frames(Path(self.path), self.block_bytes, faults))):
+            for frame, goes_on in whole_recordings(_labelled(frames(Path(self.path), self.block_bytes, faults))):
                 yield from self._problems(faults)
                 faults.clear()
-                yield from self._recordings(frame, seen)
+                yield from self._recordings(frame, goes_on, reading)
         except TableFault as fault:
             faults.append(fault)
         except OSError as error:
@@ -535,47 +609,67 @@ class TablePart:
     def _problems(self, faults: list[TableFault]) -> Iterator[Problem]:
         return (Problem(self.shown, fault.place, fault.what) for fault in faults)
 
-    def _recordings(self, frame: pl.DataFrame, seen: dict[str, int]) -> Iterator[Recording | Problem]:
-        """Those of a frame; `seen` has the first row of each that came before."""
+    def _recordings(self, frame: pl.DataFrame, goes_on: bool, reading: _Reading) -> Iterator[Recording | Problem]:
+        """Those of a frame, or pieces of them."""
         word = place_unit(Path(self.path))
         labels, rows, fault = frame["recording"], frame[ROW].to_numpy(), frame[FAULT].to_numpy()
         starts = np.concatenate([[0], np.flatnonzero((labels != labels.shift(1)).fill_null(False).to_numpy())])
         columns = columns_of(frame)
         timed = np.abs(columns["t"]) < LARGEST_TIME  # False for NaN
-        for name, start, end in zip(
+        count = np.append(0, np.cumsum(1 + frame[CUT].to_numpy()))  # of rows down to each one, with the lost ones
+
+        def problem(i: int, what: str) -> Problem:
+            return Problem(self.shown, f"{word} {rows[i]}", what)
+
+        for label, start, end in zip(
             labels.gather(starts).to_list(), starts.tolist(), [*starts[1:].tolist(), frame.height], strict=True
         ):
+            left = "it is left out"
+            if label == reading.label or (goes_on and end == frame.height):
+                left = f"this piece of it, {word}s {rows[start]} to {rows[end - 1]}, is left out"
+            if label != reading.label:
+                reading.label, reading.last, reading.lost = label, -np.inf, False
+                reading.name = "" if label in self.left_out or label in reading.seen else label
+                if label in reading.seen:
+                    what = f"comes in separate pieces, the first from {word} {reading.seen[label]}; this one is"
+                    yield problem(start, f"recording {label!r} {what} left out")
+                elif reading.name:
+                    reading.seen[label] = int(rows[start])
+            if not reading.name:
+                continue
             place = start + np.flatnonzero(timed[start:end])  # a sample without a time is passed over
             t = columns["t"][place]
-            falls = np.flatnonzero(~(t[1:] > t[:-1])) + 1
-            if name in seen:
-                i = start
-                what = (
-                    f"recording {name!r} comes in separate pieces, the first from {word} {seen[name]}; this one is "
-                    "left out"
-                )
-            elif name in self.left_out:
+            first = start + int(np.argmax(fault[start:end]))
+            what = " has a fault here" if fault[first] else ""
+            try:
+                stretches = clock_stretches(t)
+            except RecordingError as error:
+                first, what = place[int(np.argmax(t[1:] < t[:-1])) + 1], f": {error}"
+            if what:
+                yield problem(first, f"recording {label!r}{what}; {left}")
+                reading.lost = True
                 continue
-            elif fault[start:end].any():
-                i = start + int(np.argmax(fault[start:end]))
-                what = f"recording {name!r} has a fault here; it is left out"
-            elif falls.size:
-                i, first = int(place[falls[0]]), int(falls[0])
-                how = f"comes after t = {float(t[first - 1])!r} s: times are not sorted"
-                what = (
-                    f"column 't', recording {name!r}: t = {float(t[first])!r} s "
-                    f"{'is repeated' if t[first] == t[first - 1] else how}; allowed: times that increase inside a "
-                    f"recording{f' ({falls.size} places in all)' if falls.size > 1 else ''}; it is left out"
-                )
-            else:
-                seen[name] = int(rows[start])
-                if place.size:
-                    here = slice(start, end) if place.size == end - start else place
-                    own: dict[str, Any] = {key: None if one is None else one[here] for key, one in columns.items()}
-                    yield Recording(name=name, source=self.shown, **own)
-                continue
-            seen.setdefault(name, int(rows[start]))
-            yield Problem(self.shown, f"{word} {rows[i]}", what)
+            if sum(map(len, stretches)) < place.size:
+                odd = np.delete(place, np.concatenate(stretches))
+                more = f" ({odd.size} {word}s in all)" if odd.size > 1 else ""
+                what = f"is not in the order of time; the {word} is left out{more}"
+                yield problem(odd[0], f"recording {label!r}: t = {float(columns['t'][odd[0]])!r} s {what}")
+            for at in (place[own] for own in stretches if own.size):
+                if columns["t"][at[0]] < reading.last:
+                    reading.taken = reading.taken or frozenset({*self.numbered, *_names(Path(self.path))})
+                    names = (f"{label} ({number})" for number in itertools.count(2))
+                    reading.name = next(one for one in names if one not in reading.seen and one not in reading.taken)
+                    reading.seen[reading.name], reading.last = int(rows[at[0]]), -np.inf
+                    what = f"the clock starts again here; it is read as another recording {reading.name!r}"
+                    yield problem(at[0], f"recording {label!r}: {what}")
+                continues, then = reading.last > -np.inf, count[at + 1]
+                cut = np.append(continues and then[0] - count[start] + reading.lost > 1, then[1:] - then[:-1] > 1)
+                here = slice(at[0], at[-1] + 1) if at[-1] - at[0] == at.size - 1 else at
+                own: dict[str, Any] = {key: None if one is None else one[here] for key, one in columns.items()}
+                own |= {"cut": cut if cut.any() else None, "continues": continues}
+                yield Recording(reading.name, source=self.shown, **own)
+                reading.last = float(columns["t"][at[-1]])
+            reading.lost = place.size == 0 or at[-1] < end - 1
 
 
 @dataclasses.dataclass(frozen=True)
@@ -611,7 +705,7 @@ class TableReader:
                     # refuse a file whose header lacks a column, or that has no rows at all
                     if is_parquet(path):
                         check_columns(parquet_names(path))
-                    elif next(csv_blocks(path, HEADER_BYTES), None) is None:
+                    elif next(csv_blocks(path, HEADER_BYTES, []), None) is None:
                         raise TableFault("", NO_ROWS)
                     first = known.setdefault(file.sha256, shown)
                     if first == shown:
@@ -630,9 +724,9 @@ class TableReader:
             others = f" (and {len(problems) - 1} more problems)" if len(problems) > 1 else ""
             raise RecordingError(f"{problems[0]}{others}" if problems else "no recording file is given")
         names = [file.name for file in found.values()]
-        left_out, repeated = repeated_names(list(found), names) if len(found) > 1 else (((),), ())
+        left_out, repeated, numbered = repeated_names(list(found), names) if len(found) > 1 else (((),), (), ())
         parts = tuple(
-            TablePart(str(path), f"{i:05d}-{path.name}", file.bytes, left_out[i], file.name, self.block_bytes)
+            TablePart(str(path), f"{i:05d}-{path.name}", file.bytes, left_out[i], file.name, self.block_bytes, numbered)
             for i, (path, file) in enumerate(found.items())
         )
         return FoundParts(parts, tuple(found.values()), (*problems, *repeated))

@@ -27,7 +27,7 @@ from ldctoolkit.scenario_model.provenance import (
     SourceSummary,
     check_usable,
 )
-from ldctoolkit.validation import Part, fail, first_problem, short
+from ldctoolkit.validation import Part, fail, first_problem, short, text_of
 
 FORMAT: Final = "ldctoolkit-scenario-model"
 VERSION: Final = 3
@@ -94,9 +94,7 @@ def content_hash(left: SideModel, right: SideModel, plausibility: Plausibility |
 def read_text(path: Path) -> str:
     """The file's text; a file that cannot be read is a ModelError."""
     try:
-        return path.read_text(encoding="utf-8")
-    except UnicodeDecodeError:
-        raise ModelError(f"{path}: cannot read the scenario model (not UTF-8 text)") from None
+        return text_of(path.read_bytes())
     except (OSError, ValueError) as error:  # ValueError: a NUL in the path
         reason = error.strerror if isinstance(error, OSError) else error
         name = str(path)

@@ -1,0 +1,696 @@
+"""Plain tables at the border of what can be read: clocks, lost lines, units, names that are none, very long ones."""
+
+import codecs
+import dataclasses
+import gzip
+import io
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+import ldctoolkit as ldc
+from ldctoolkit.errors import LdcError, RecordingError
+from ldctoolkit.recordings import open_recordings, read_recordings, table_reader
+from ldctoolkit.recordings.recording import Problem, Recording
+from ldctoolkit.recordings.table_reader import READER
+
+HEADER = "recording,t,lane_offset,lane_width,speed\n"
+KINDS = ("csv", "csv.gz", "parquet")
+TEXTS = ("csv", "csv.gz")
+
+Save = Callable[..., Path]
+
+
+def line(name: str, t: float | str, offset: float | str = 0.1) -> str:
+    return f"{name},{t},{offset},3.6,25\n"
+
+
+def lines(name: str, *times: float | str) -> str:
+    return "".join(line(name, t) for t in times)
+
+
+@pytest.fixture
+def save(tmp_path: Path) -> Save:
+    def write(content: str | bytes, kind: str = "csv", name: str = "drive") -> Path:
+        """A text as a file of that kind."""
+        path = tmp_path / f"{name}.{kind}"
+        data = content if isinstance(content, bytes) else content.encode()
+        if kind == "parquet":
+            pl.read_csv(io.BytesIO(data), infer_schema_length=None).write_parquet(path)
+        else:
+            path.write_bytes(gzip.compress(data) if kind == "csv.gz" else data)
+        return path
+
+    return write
+
+
+def read(*paths: Path, block_bytes: int = 1 << 24) -> tuple[list[Recording], list[str]]:
+    source = dataclasses.replace(READER, block_bytes=block_bytes).open(paths)
+    items = [item for part in source.parts for item in part.read()]
+    problems = [*source.problems, *(item for item in items if isinstance(item, Problem))]
+    return [item for item in items if isinstance(item, Recording)], [str(problem) for problem in problems]
+
+
+def cuts(recording: Recording) -> list[int]:
+    """Samples that nothing is joined to from before."""
+    return [] if recording.cut is None else np.flatnonzero(recording.cut).tolist()
+
+
+def at(kind: str, row: int) -> str:
+    """How a message names the n-th row of a table without odd lines."""
+    return f"row {row}" if kind == "parquet" else f"line {row + 1}"
+
+
+# --- columns
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_heading_steering_and_a_system_that_steers(kind: str, save: Save) -> None:
+    text = (
+        "recording,t,lane_offset,lane_width,speed,heading,steering,engaged\n"
+        "a,0,0.1,3.6,25,1.5,-0.02,true\na,0.1,0.1,3.6,25,,0.5,false\na,0.2,0.1,3.6,25,-3.25,,\n"
+    )
+    [one], problems = read(save(text, kind))
+    assert problems == []
+    np.testing.assert_array_equal(one.heading, [1.5, np.nan, -3.25])
+    np.testing.assert_array_equal(one.steering, [-0.02, 0.5, np.nan])
+    assert one.engaged is not None
+    assert (one.engaged.dtype, one.engaged.tolist()) == (bool, [True, False, False])
+
+
+@pytest.mark.parametrize("kind", TEXTS)
+@pytest.mark.parametrize(
+    ("word", "value"),
+    [("1", True), ("TRUE", True), ("1.0", True), (" true ", True), ("0", False), ("False", False), ("n/a", False)],
+)
+def test_words_for_a_system_that_steers(word: str, value: bool, kind: str, save: Save) -> None:
+    text = HEADER.replace("speed", "speed,engaged") + line("a", 0).strip() + f",{word}\n"
+    [one], problems = read(save(text, kind))
+    assert (problems, one.engaged.tolist()) == ([], [value])  # type: ignore[union-attr]
+
+
+def test_a_table_without_these_columns_has_none(save: Save) -> None:
+    [one], _ = read(save(HEADER + lines("a", 0, 0.1)))
+    assert (one.heading, one.steering, one.engaged, one.cut, one.continues) == (None, None, None, None, False)
+
+
+@pytest.mark.parametrize("column", ["heading", "steering"])
+@pytest.mark.parametrize("kind", TEXTS)
+def test_new_columns_are_checked_as_the_others_are(column: str, kind: str, save: Save) -> None:
+    head = HEADER.replace("speed", f"speed,{column}")
+    found, problems = read(save(head + "a,0,0.1,3.6,25,0.2\na,0.1,0.1,3.6,25,N\nb,0,0.1,3.6,25,0.2\n", kind))
+    assert [one.name for one in found] == ["b"]
+    assert problems == [
+        f"drive.{kind}, line 3: column '{column}' holds 'N'; allowed: numbers",
+        f"drive.{kind}, line 3: recording 'a' has a fault here; it is left out",
+    ]
+    _, problems = read(save(head + "a,0,0.1,3.6,25,\na,0.1,0.1,3.6,25,nan\n", kind))
+    assert problems == [
+        f"drive.{kind}: column '{column}' holds no number in any of 2 rows; leave the column out if it was not recorded"
+    ]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_an_alternating_column_is_passed_on_as_it_is(kind: str, save: Save) -> None:
+    text = HEADER + "".join(f"a,{i / 10},0.1,3.6,{25 if i % 2 else ''}\n" for i in range(6))
+    [one], problems = read(save(text, kind))
+    assert (problems, cuts(one)) == ([], [])
+    np.testing.assert_array_equal(one.speed, [np.nan, 25, np.nan, 25, np.nan, 25])
+
+
+# --- clocks
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_equal_times_are_kept(kind: str, save: Save) -> None:
+    [one], problems = read(save(HEADER + lines("a", 0, 0, 0.1, 0.1, 0.1, 0.2), kind))
+    assert (problems, one.t.tolist(), cuts(one)) == ([], [0.0, 0.0, 0.1, 0.1, 0.1, 0.2], [])
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    ("odd", "first", "said", "expected"),
+    [
+        ({30: "99.0"}, 31, "99.0", [30]),  # ahead of the clock
+        ({30: "0.0"}, 31, "0.0", [30]),  # behind it
+        ({5: "-7.5", 60: "1000.0"}, 6, "-7.5", [5, 59]),
+        ({20: "9.0", 21: "9.1", 40: "0.5"}, 21, "9.0", [20, 38]),
+        ({99: "0.0"}, 100, "0.0", []),  # the last one
+    ],
+)
+def test_single_rows_in_disorder_are_left_out(
+    odd: dict[int, str], first: int, said: str, expected: list[int], kind: str, save: Save
+) -> None:
+    times = [odd.get(i, f"{i / 10:.1f}") for i in range(100)]
+    [one], problems = read(save(HEADER + lines("a", *times), kind))
+    kept = [i for i in range(100) if i not in odd]
+    assert one.t.tolist() == [float(times[i]) for i in kept]
+    assert cuts(one) == expected
+    word, many = (
+        ("row" if kind == "parquet" else "line"),
+        f" ({len(odd)} {'row' if kind == 'parquet' else 'line'}s in all)",
+    )
+    assert problems == [
+        f"drive.{kind}, {at(kind, first)}: recording 'a': t = {said} s is not in the order of time; the {word} is left "
+        f"out{many if len(odd) > 1 else ''}"
+    ]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("rate", [5, 10, 50])
+def test_a_clock_that_starts_again_begins_another_recording(kind: str, rate: int, save: Save) -> None:
+    first, second, third = ([round(i / rate + 3.0, 3) for i in range(n)] for n in (30, 20, 25))
+    text = HEADER + lines("b", 0, 0.1) + lines("a", *first, *second, *third) + lines("c", 0)
+    found, problems = read(save(text, kind))
+    assert [(one.name, one.t.tolist()) for one in found] == [
+        ("b", [0.0, 0.1]), ("a", first), ("a (2)", second), ("a (3)", third), ("c", [0.0]),
+    ]  # fmt: skip
+    assert [cuts(one) for one in found] == [[], [], [], [], []]
+    assert not any(one.continues for one in found)
+    assert problems == [
+        f"drive.{kind}, {at(kind, 33)}: recording 'a': the clock starts again here; it is read as another recording "
+        "'a (2)'",
+        f"drive.{kind}, {at(kind, 53)}: recording 'a': the clock starts again here; it is read as another recording "
+        "'a (3)'",
+    ]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("before", [True, False])
+def test_a_name_that_is_in_use_is_passed_over(kind: str, before: bool, save: Save) -> None:
+    twice, taken = lines("a", 5, 6, 0, 1), lines("a (2)", 7, 8)
+    found, problems = read(save(HEADER + (taken + twice if before else twice + taken), kind))
+    assert {one.name: one.t.tolist() for one in found} == {"a": [5, 6], "a (3)": [0, 1], "a (2)": [7, 8]}
+    assert [text.partition(": ")[2] for text in problems] == [
+        "recording 'a': the clock starts again here; it is read as another recording 'a (3)'"
+    ]
+
+
+def test_a_name_in_another_file_is_in_use_too(save: Save) -> None:
+    one, two = save(HEADER + lines("a", 5, 6, 0, 1), name="one"), save(HEADER + lines("a (2)", 7, 8), name="two")
+    for paths in ((one, two), (two, one)):
+        found, _ = read(*paths)
+        assert {one.name: one.t.tolist() for one in found} == {"a": [5, 6], "a (3)": [0, 1], "a (2)": [7, 8]}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_rows_in_no_order_of_time_are_no_recording(kind: str, save: Save) -> None:
+    times = [t for i in range(30) for t in (i + 1, i)]
+    found, problems = read(save(HEADER + lines("a", *times) + lines("b", 0, 1), kind))
+    assert [one.name for one in found] == ["b"]
+    assert problems == [
+        f"drive.{kind}, {at(kind, 2)}: recording 'a': the times fall in 30 places; allowed: rows in the order of time; "
+        "it is left out"
+    ]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_nothing_is_joined_over_a_sample_without_a_time(kind: str, save: Save) -> None:
+    text = HEADER + lines("a", "", 0, 0.1, "", 0.3, 0.4, "", "", 0.7, "") + lines("b", 0, 0.1)
+    found, problems = read(save(text, kind))
+    assert problems == []
+    assert [(one.name, one.t.tolist(), cuts(one)) for one in found] == [
+        ("a", [0.0, 0.1, 0.3, 0.4, 0.7], [2, 4]),
+        ("b", [0.0, 0.1], []),
+    ]
+
+
+# --- names
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("word", ["nan", "NaN", "NULL", "none", "n/a", "NA", " ", ""])
+def test_a_missing_name_is_no_recording(word: str, kind: str, save: Save) -> None:
+    text = HEADER + lines("a", 0, 0.1) + lines("b", 0, 0.1) + lines(word, 0.2, 0.3) + lines("c", 0) + lines("d", 0, 0.1)
+    found, problems = read(save(text, kind))
+    assert [one.name for one in found] == ["a", "d"]  # the rows may be either neighbour's
+    word, allowed = "row" if kind == "parquet" else "line", "allowed: an identifier of the recording"
+    assert f"{at(kind, 5)}: column 'recording' holds " in problems[0]
+    assert problems[0].endswith(f"; {allowed} (2 {word}s in all)")
+    assert problems[1:] == [
+        f"drive.{kind}, {at(kind, 4)}: recording 'b' has a fault here; it is left out",
+        f"drive.{kind}, {at(kind, 7)}: recording 'c' has a fault here; it is left out",
+    ]
+
+
+@pytest.mark.parametrize("block_bytes", [1 << 24, 60])
+@pytest.mark.parametrize("word", ["nan", ""])
+def test_a_table_without_any_name(word: str, block_bytes: int, save: Save) -> None:
+    path = save(HEADER + lines(word, *range(9)))
+    assert read(path, block_bytes=block_bytes) == (
+        [], ["drive.csv: column 'recording' holds no name in any of 9 rows"],
+    )  # fmt: skip
+    with pytest.raises(RecordingError, match=r"^drive\.csv: column 'recording' holds no name in any of 9 rows$"):
+        list(read_recordings(path))
+
+
+@pytest.mark.parametrize("names", [[np.nan, np.nan], [None, None]])
+def test_a_parquet_table_of_numbers_that_are_no_names(names: list[float | None], tmp_path: Path) -> None:
+    columns = {"t": [0.0, 0.1], "lane_offset": [0.1, 0.1], "lane_width": [3.6, 3.6], "speed": [25.0, 25.0]}
+    frame = pl.DataFrame({"recording": pl.Series(names, dtype=pl.Float64), **columns})
+    frame.write_parquet(tmp_path / "drive.parquet")
+    assert read(tmp_path / "drive.parquet") == (
+        [], ["drive.parquet: column 'recording' holds no name in any of 2 rows"],
+    )  # fmt: skip
+    frame.with_columns(recording=pl.Series([7.0, np.nan])).write_parquet(tmp_path / "drive.parquet")
+    found, problems = read(tmp_path / "drive.parquet")
+    assert found == []
+    assert problems[0].startswith("drive.parquet, row 2: column 'recording' holds nan; allowed: an identifier")
+
+
+# --- long recordings
+
+
+def wandering(n: int, start: int = 0, rate: int = 10) -> str:
+    """A vehicle that is 0.8 m off its lane's centre for 60 of every 200 rows, to either side, and near it else."""
+    rows = []
+    for i in range(start, start + n):
+        offset = (1 if i % 400 < 200 else -1) * (0.8 if i % 200 < 60 else 0.2)
+        rows.append(line("a", f"{i / rate:.2f}", f"{offset:.1f}"))
+    return "".join(rows)
+
+
+@pytest.fixture
+def short_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(table_reader, "LONGEST_PIECE", 500)
+    monkeypatch.setattr(table_reader, "PACKED_PIECE", 256)
+
+
+@pytest.mark.usefixtures("short_pieces")
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("block_bytes", [400, 5000, 20_000])
+@pytest.mark.parametrize("rate", [10, 25])
+def test_a_long_recording_comes_in_pieces(kind: str, block_bytes: int, rate: int, save: Save) -> None:
+    text = HEADER + lines("b", 0, 1) + wandering(4000, rate=rate) + lines("c", 0, 1)
+    found, problems = read(save(text, kind), block_bytes=block_bytes)
+    assert problems == []
+    pieces = [one for one in found if one.name == "a"]
+    assert [one.name for one in found] == ["b", *["a"] * len(pieces), "c"]
+    assert [one.continues for one in found] == [False, False, *[True] * (len(pieces) - 1), False]
+    assert all(one.cut is None for one in found)
+    np.testing.assert_array_equal(np.concatenate([one.t for one in pieces]), np.round(np.arange(4000) / rate, 2))
+    assert len(pieces) >= (8 if block_bytes == 400 else 3)
+    assert max(one.samples for one in pieces) <= 500 + 2 * block_bytes / (64 if kind == "parquet" else 15)
+    for piece in pieces[1:]:  # within 2 s the vehicle is within 0.15 * 3.6 m of its lane's centre
+        first = round(rate * float(piece.t[0])) % 200
+        assert 60 + 2 * rate <= first <= 199 - 2 * rate, first
+
+
+@pytest.mark.usefixtures("short_pieces")
+@pytest.mark.parametrize("block_bytes", [1 << 24, 1000])
+def test_recordings_that_are_not_long_are_whole(block_bytes: int, save: Save) -> None:
+    text = HEADER + "".join(wandering(450).replace("a,", f"{name},") for name in "abcd")
+    found, problems = read(save(text), block_bytes=block_bytes)
+    assert problems == []
+    assert [(one.name, one.samples, one.continues) for one in found] == [(name, 450, False) for name in "abcd"]
+
+
+@pytest.mark.usefixtures("short_pieces")
+def test_the_place_between_two_pieces_is_the_last_calm_one(save: Save) -> None:
+    """Rows 0 to 500 wait, up to t = 50 s. From 40 s to 45.9 s the vehicle is off the centre, and what comes after 50 s
+    is not known: 37.9 s is the last time with more than 2 s to either."""
+    found, _ = read(save(HEADER + wandering(600)), block_bytes=10)
+    assert [one.t[0] for one in found] == [0.0, 37.9]
+
+
+@pytest.mark.usefixtures("short_pieces")
+@pytest.mark.parametrize(("odd", "place"), [("9999", 1), ("0.05", 0)])
+def test_a_time_in_disorder_where_two_pieces_part(odd: str, place: int, save: Save) -> None:
+    """It is not taken for the clock of all that comes before, or behind it."""
+    found, problems = read(save(HEADER + wandering(600).replace("a,37.80,", f"a,{odd},")), block_bytes=10)
+    assert [(one.name, one.continues, cuts(one)) for one in found] == [("a", False, []), ("a", True, [place])]
+    assert sum(one.samples for one in found) == 599
+    assert problems == [
+        f"drive.csv, line 380: recording 'a': t = {float(odd)} s is not in the order of time; the line is left out"
+    ]
+
+
+@pytest.mark.usefixtures("short_pieces")
+@pytest.mark.parametrize(("offset", "place"), [(0.7, 470), (-0.7, 470), ("", 250)])
+def test_a_recording_without_a_calm_place(offset: float | str, place: int, save: Save) -> None:
+    """The nearest to the lane's centre is taken; it lies in the second half."""
+    rows = "".join(line("a", f"{i / 10:.1f}", offset) for i in range(600))
+    rows = rows.replace(line("a", "10.0", offset), line("a", "10.0", 0.0))  # in the first half
+    if offset:
+        rows = rows.replace(line("a", "47.0", offset), line("a", "47.0", 0.55))
+        rows = rows.replace(line("a", "30.0", offset), line("a", "30.0", ""))
+    found, problems = read(save(HEADER + rows), block_bytes=10)
+    assert (problems, [one.samples for one in found]) == ([], [place, 600 - place])
+    assert [one.continues for one in found] == [False, True]
+
+
+@pytest.mark.usefixtures("short_pieces")
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_fault_costs_the_piece_that_it_is_in(kind: str, save: Save) -> None:
+    text = HEADER.replace("speed", "speed,valid") + wandering(2000).replace("\n", ",1\n")
+    path = save(text.replace("a,80.00,0.8,3.6,25,1", "a,80.00,0.8,3.6,25,7"), kind)
+    whole, none = read(save(text, kind, "sound"), block_bytes=2000)
+    found, problems = read(path, block_bytes=2000)
+    assert none == []
+    starts = [one.t[0] for one in whole]
+    (lost,) = [i for i, one in enumerate(whole) if one.t[0] <= 80.0 <= one.t[-1]]
+    assert 0 < lost < len(whole) - 1
+    assert [one.t[0] for one in found] == starts[:lost] + starts[lost + 1 :]
+    assert [one.continues for one in found] == [False] + [True] * (len(found) - 1)
+    assert [cuts(one) for one in found] == [[0] if i == lost else [] for i in range(len(found))]
+    first, last = round(10 * whole[lost].t[0]) + 1, round(10 * whole[lost].t[-1]) + 1
+    word = "row" if kind == "parquet" else "line"
+    shift = kind != "parquet"
+    assert problems[1:] == [
+        f"drive.{kind}, {at(kind, 801)}: recording 'a' has a fault here; this piece of it, {word}s {first + shift} to "
+        f"{last + shift}, is left out"
+    ]
+
+
+@pytest.mark.usefixtures("short_pieces")
+def test_a_fault_in_the_first_piece(save: Save) -> None:
+    """379 rows as above; what comes behind begins the recording."""
+    found, problems = read(save(HEADER + wandering(600).replace("a,1.00,0.8", "a,1.00,far")), block_bytes=10)
+    assert [(one.name, one.t[0], one.continues, cuts(one)) for one in found] == [("a", 37.9, False, [])]
+    assert problems == [
+        "drive.csv, line 12: column 'lane_offset' holds 'far'; allowed: numbers",
+        "drive.csv, line 12: recording 'a' has a fault here; this piece of it, lines 2 to 380, is left out",
+    ]
+
+
+@pytest.mark.usefixtures("short_pieces")
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("first", [480, 700, 1500])
+def test_a_clock_that_starts_again_in_a_long_recording(kind: str, first: int, save: Save) -> None:
+    """Wherever the pieces part, the samples of each drive are one recording's, in pieces."""
+    text = HEADER + wandering(first) + wandering(900) + lines("b", 0, 1)
+    for block_bytes in (300, 3000, 1 << 24):
+        found, problems = read(save(text, kind), block_bytes=block_bytes)
+        t = {name: np.concatenate([one.t for one in found if one.name == name]) for name in ("a", "a (2)", "b")}
+        np.testing.assert_array_equal(t["a"], np.round(np.arange(first) / 10, 2))
+        np.testing.assert_array_equal(t["a (2)"], np.round(np.arange(900) / 10, 2))
+        assert [one.name for one in found if not one.continues] == ["a", "a (2)", "b"]
+        assert problems == [
+            f"drive.{kind}, {at(kind, first + 1)}: recording 'a': the clock starts again here; it is read as another "
+            "recording 'a (2)'"
+        ]
+
+
+@pytest.mark.usefixtures("short_pieces")
+def test_a_clock_that_starts_again_exactly_between_two_pieces(save: Save, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(table_reader, "_place_to_part", lambda frame: 400)
+    text = HEADER + wandering(400) + wandering(400) + wandering(400, start=400)
+    found, problems = read(save(text), block_bytes=400)
+    assert [(one.name, one.samples, one.continues) for one in found] == [
+        ("a", 400, False), ("a (2)", 400, False), ("a (2)", 400, True),
+    ]  # fmt: skip
+    assert [text.partition(": ")[0] for text in problems] == ["drive.csv, line 402"]
+
+
+@pytest.mark.usefixtures("short_pieces")
+@pytest.mark.parametrize("lost", [[399], [400], [399, 400, 401]])
+def test_a_time_that_is_missing_next_to_another_piece(
+    lost: list[int], save: Save, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(table_reader, "_place_to_part", lambda frame: 400)
+    rows = [line("a", "" if i in lost else i / 10) for i in range(700)]
+    found, problems = read(save(HEADER + "".join(rows)), block_bytes=400)
+    assert problems == []
+    assert [(one.continues, cuts(one)) for one in found] == [(False, []), (True, [0])]
+    assert sum(one.samples for one in found) == 700 - len(lost)
+
+
+@pytest.mark.usefixtures("short_pieces")
+def test_lane_labels_and_signals_of_pieces(save: Save) -> None:
+    text = HEADER.replace("speed", "speed,lane,turn_signal")
+    text += "".join(line("a", i / 10).strip() + f",L{i // 300},{'left' if i == 650 else ''}\n" for i in range(900))
+    found, problems = read(save(text), block_bytes=400)
+    assert problems == []
+    lanes = [one.lane for one in found]
+    changes = [t for one in found for t in one.t[1:][np.diff(one.lane) != 0]]  # type: ignore[arg-type]
+    assert (len(lanes), changes) == (2, [30.0, 60.0])
+    assert [one.t[one.turn_signal == 1].tolist() for one in found] == [[], [65.0]]
+
+
+# --- bytes that a power failure leaves
+
+
+@pytest.mark.parametrize("kind", TEXTS)
+@pytest.mark.parametrize("count", [1, 512, 5000, 3_000_000])
+@pytest.mark.parametrize("torn", ["", "a,0.4,0.1,3.6", "a,0.4,0.1,3.6,2"])
+@pytest.mark.parametrize("block_bytes", [1 << 24, 50])
+def test_nul_bytes_at_the_end(kind: str, count: int, torn: str, block_bytes: int, save: Save) -> None:
+    if count > 10_000:
+        block_bytes = max(block_bytes, 1 << 19)
+    text = HEADER + lines("a", 0, 0.1, 0.2, 0.3) + torn + count * "\0"
+    [one], problems = read(save(text, kind), block_bytes=block_bytes)
+    assert (one.t.tolist(), cuts(one)) == ([0.0, 0.1, 0.2, 0.3], [])
+    assert problems == [f"drive.{kind}, line 6: {count} NUL bytes at the end of the file; the line is left out"]
+
+
+@pytest.mark.parametrize("kind", TEXTS)
+@pytest.mark.parametrize("count", [1, 512, 5000, 3_000_000])
+@pytest.mark.parametrize(("before", "after"), [("", "\n"), ("a,0.4,0.", "\n"), ("a,0.", "0.1,3.6,25\n"), ("", ",25\n")])
+@pytest.mark.parametrize("block_bytes", [1 << 24, 50])
+def test_nul_bytes_in_the_middle(kind: str, count: int, before: str, after: str, block_bytes: int, save: Save) -> None:
+    """The lines around stay; nothing is joined across."""
+    if count > 10_000:
+        block_bytes = max(block_bytes, 1 << 19)
+    text = HEADER + lines("a", 0, 0.1, 0.2) + before + count * "\0" + after + lines("a", 0.6, 0.7) + lines("b", 0, 0.1)
+    found, problems = read(save(text, kind), block_bytes=block_bytes)
+    assert [(one.name, one.t.tolist(), cuts(one)) for one in found] == [
+        ("a", [0.0, 0.1, 0.2, 0.6, 0.7], [3]),
+        ("b", [0.0, 0.1], []),
+    ]
+    assert problems == [f"drive.{kind}, line 5: {count} NUL bytes; the line is left out"]
+
+
+def test_a_line_that_nul_bytes_join_to_another_is_not_read(save: Save) -> None:
+    """What is left of the lines at both ends of a block looks like a line."""
+    text = (
+        HEADER + lines("a", 0, 0.1) + "a,0.2,0.1,3.6,2" + 512 * "\0" + "5\n" + "a,107." + 512 * "\0" + "4,0.1,3.6,25\n"
+    )
+    [one], problems = read(save(text + lines("a", 107.5)))
+    assert (one.t.tolist(), cuts(one)) == ([0.0, 0.1, 107.5], [2])
+    assert problems == [f"drive.csv, line {n}: 512 NUL bytes; the line is left out" for n in (4, 5)]
+
+
+def test_nul_bytes_under_the_header_are_no_unit(save: Save) -> None:
+    text = "t,recording,lane_offset,lane_width,speed\n" + 512 * "\0" + "\n0,a,0.1,3.6,25\n0.1,a,0.1,3.6,25\n"
+    [one], problems = read(save(text))
+    assert (one.t.tolist(), problems) == ([0.0, 0.1], ["drive.csv, line 2: 512 NUL bytes; the line is left out"])
+
+
+@pytest.mark.parametrize("kind", TEXTS)
+@pytest.mark.parametrize("count", [1, 512, 5000, 1_048_570, 3_000_000])
+@pytest.mark.parametrize("end", ["", "\n", "\r\n"])
+def test_nul_bytes_at_the_start(kind: str, count: int, end: str, save: Save) -> None:
+    path = save(count * "\0" + end + HEADER + lines("a", 0, 0.1), kind)
+    [one], problems = read(path)
+    assert one.t.tolist() == [0.0, 0.1]
+    assert problems == [
+        f"drive.{kind}, line {2 if end else 1}: {count} NUL bytes before the header; they are passed over"
+    ]
+    assert open_recordings(path).reader.name == "table"
+
+
+def test_nul_bytes_over_the_beginning_of_the_header(save: Save) -> None:
+    """The first column is `valid`: without its name all samples would count."""
+    text = "valid," + HEADER + "0," + line("a", 0)
+    with pytest.raises(RecordingError, match=r"^drive\.csv, line 1: 3 NUL bytes stand where the header begins$"):
+        READER.open([save(3 * "\0" + text[3:])])
+
+
+def test_nothing_but_nul_bytes(save: Save) -> None:
+    with pytest.raises(RecordingError, match=r"^drive\.csv: "):
+        READER.open([save(4096 * "\0")])
+
+
+@pytest.mark.usefixtures("short_pieces")
+def test_nul_bytes_next_to_another_piece(save: Save, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(table_reader, "_place_to_part", lambda frame: 400)
+    rows = [line("a", i / 10) for i in range(700)]
+    rows[400] = 100 * "\0" + rows[400]
+    found, problems = read(save(HEADER + "".join(rows)), block_bytes=400)
+    assert [(one.samples, one.continues, cuts(one)) for one in found] == [(400, False, []), (299, True, [0])]
+    assert problems == ["drive.csv, line 402: 100 NUL bytes; the line is left out"]
+
+
+# --- units
+
+
+UNITS = [
+    ",s,m,m,m/s", '"",s,m,m,m/s', "-,[s],[m],[m],[m/s]", "text,(s),(m),(m),(m/s)", ",sec,M,m,m/sec",
+    " , s , m , m , m / s ", ",s,,,", ",s,-,-,m/s", "[-],[s],[m],[m],[m/s]",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", TEXTS)
+@pytest.mark.parametrize("units", UNITS)
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_a_row_of_units_is_passed_over(kind: str, units: str, end: str, save: Save) -> None:
+    text = (HEADER + units + "\n" + lines("a", 0, 0.1)).replace("\n", end)
+    found, problems = read(save(text, kind))
+    assert [(one.name, one.t.tolist(), cuts(one)) for one in found] == [("a", [0.0, 0.1], [])]
+    assert problems == [f"drive.{kind}, line 2: a row of units; it is passed over"]
+
+
+def test_units_of_all_columns(save: Save) -> None:
+    head = HEADER.replace("speed", "speed,curvature,yaw_rate,heading,steering,valid,other")
+    rows = "".join(line("a", t).strip() + ",0,0,0,0,1,7\n" for t in (0, 0.1))
+    for curvature in ("1/m", "m^-1", "m⁻¹", "rad/m"):
+        text = head + f",s,m,m,m/s,{curvature},rad/s,rad,[rad],bool,km\n" + rows
+        found, problems = read(save(text))
+        assert ([one.samples for one in found], problems) == (
+            [2],
+            ["drive.csv, line 2: a row of units; it is passed over"],
+        )
+
+
+@pytest.mark.parametrize("kind", TEXTS)
+@pytest.mark.parametrize(
+    ("column", "unit", "needed"),
+    [
+        ("t", "ms", "s"), ("t", "[min]", "s"), ("lane_offset", "cm", "m"), ("lane_offset", "mm", "m"),
+        ("lane_width", "ft", "m"), ("speed", "km/h", "m/s"), ("speed", "[mph]", "m/s"), ("speed", "kn", "m/s"),
+        ("curvature", "1/km", "1/m"), ("yaw_rate", "deg/s", "rad/s"), ("yaw_rate", "(°/s)", "rad/s"),
+        ("heading", "deg", "rad"), ("steering", "°", "rad"), ("steering", "mrad", "rad"),
+    ],
+)  # fmt: skip
+def test_a_file_in_another_unit_is_refused(kind: str, column: str, unit: str, needed: str, save: Save) -> None:
+    names = ["recording", "t", "lane_offset", "lane_width", "speed", "curvature", "yaw_rate", "heading", "steering"]
+    sound = ["", "s", "m", "m", "m/s", "1/m", "rad/s", "rad", "rad"]
+    units = [unit if name == column else one for name, one in zip(names, sound, strict=True)]
+    text = ",".join(names) + "\n" + ",".join(units) + "\n" + "a,0,0.1,3.6,25,0,0,0,0\n"
+    shown = unit.strip("[]()")
+    with pytest.raises(RecordingError) as raised:
+        open_recordings(save(text, kind))
+    assert str(raised.value) == f"drive.{kind}, line 2: column '{column}' is in '{shown}'; needed: {needed}"
+
+
+@pytest.mark.parametrize("first", ["a,0,,,", "a,nan,nan,nan,nan", ",,,,", "a,-,-,-,-", "a,inf,x,3.6,25", "a,0,m,m,m/s"])
+def test_a_first_row_that_is_none_of_units(first: str, save: Save) -> None:
+    """It is read, or at fault, as any other row."""
+    found, problems = read(save(HEADER + first + "\n" + lines("b", 0, 0.1)))
+    assert found[-1].t.tolist() == [0.0, 0.1]
+    assert not any("units" in text for text in problems)
+    assert bool(problems) == any(word in first for word in ("-", "x", "m"))
+
+
+def test_only_the_row_under_the_header_holds_units(save: Save) -> None:
+    _, problems = read(save(HEADER + lines("a", 0, 0.1) + ",s,m,m,m/s\n" + lines("b", 0)))
+    assert any("line 4: column 't' holds 's'; allowed: numbers" in text for text in problems)
+
+
+def test_two_files_with_rows_of_units_share_no_recording(save: Save) -> None:
+    one, two = (save(f"{HEADER}-,s,m,m,m/s\n{lines(name, 0, 0.1)}", name=name) for name in "ab")
+    found, problems = read(one, two)
+    assert [one.name for one in found] == ["a", "b"]
+    assert problems == [f"{name}.csv, line 2: a row of units; it is passed over" for name in "ab"]
+
+
+# --- what spreadsheets and editors add
+
+
+@pytest.mark.parametrize("kind", TEXTS)
+@pytest.mark.parametrize(
+    ("before", "shift"),
+    [
+        ("sep=,\n", 1), ("sep=,\r\n", 1), ("SEP=,\n", 1), ("\ufeffsep=,\n", 1), ("\ufeff", 0),
+        ("# a log, of 2024\n", 1), ("\ufeff# one\n#\n# three\n", 3), ("#\r\n", 1),
+    ],
+)  # fmt: skip
+def test_lines_before_the_header(kind: str, before: str, shift: int, save: Save) -> None:
+    path = save(before + HEADER + lines("a", 0, 0.1) + "b,0,far,3.6,25\n", kind)
+    opened = open_recordings(path)
+    assert (opened.reader.name, opened.found) == ("table", "1 recording table")
+    found, problems = read(path)
+    assert [(one.name, one.t.tolist()) for one in found] == [("a", [0.0, 0.1])]
+    assert problems[0] == f"drive.{kind}, line {4 + shift}: column 'lane_offset' holds 'far'; allowed: numbers"
+
+
+@pytest.mark.parametrize("kind", TEXTS)
+@pytest.mark.parametrize("block_bytes", [1 << 24, 40])
+@pytest.mark.parametrize("comment", ["# pause", '# an open " mark', "#,,,,,,,,,", "#"])
+def test_comments_between_rows(kind: str, block_bytes: int, comment: str, save: Save) -> None:
+    text = f"{HEADER}{comment}\n{line('a', 0)}{comment}\r\n{comment}\n{line('a', 0.1)}"
+    text += f"{line('a', 'x')}{line('b', 0)}{comment}"
+    found, problems = read(save(text, kind), block_bytes=block_bytes)
+    assert [(one.name, one.t.tolist(), cuts(one)) for one in found] == [("b", [0.0], [])]
+    assert problems == [
+        f"drive.{kind}, line 7: column 't' holds 'x'; allowed: numbers",
+        f"drive.{kind}, line 7: recording 'a' has a fault here; it is left out",
+    ]
+    [one], problems = read(save(text.replace(line("a", "x"), "").replace(line("b", 0), ""), kind))
+    assert (problems, one.t.tolist(), cuts(one)) == ([], [0.0, 0.1], [])
+
+
+def test_a_row_of_units_below_comments(save: Save) -> None:
+    [one], problems = read(save(f"# log\n{HEADER}# units\n\n,s,m,m,m/s\n# data\n{lines('a', 0, 0.1)}"))
+    assert (one.t.tolist(), problems) == ([0.0, 0.1], ["drive.csv, line 5: a row of units; it is passed over"])
+
+
+def test_a_quoted_name_is_no_comment(save: Save) -> None:
+    [one], problems = read(save(HEADER + line('"#1"', 0)))
+    assert (one.name, problems) == ("#1", [])
+
+
+@pytest.mark.parametrize("kind", TEXTS)
+@pytest.mark.parametrize("mark", [";", "\t", "|"])
+@pytest.mark.parametrize("sep", [True, False])
+@pytest.mark.parametrize("commas", [True, False])
+def test_other_separators_are_refused(kind: str, mark: str, sep: bool, commas: bool, save: Save) -> None:
+    text = (HEADER + lines("a", 0, 0.1)).replace(",", mark)
+    text = (f"sep={mark}\n" if sep else "") + (text.replace(".", ",") if commas else text)
+    with pytest.raises(RecordingError) as raised:
+        open_recordings(save(text, kind))
+    shown = repr(HEADER.strip().replace(",", mark))
+    assert str(raised.value) == f"drive.{kind}, line {1 + sep}: columns are not separated by commas: {shown}"
+
+
+ENCODINGS = ["utf-16", "utf-16-le", "utf-16-be"]
+
+
+@pytest.mark.parametrize("kind", TEXTS)
+@pytest.mark.parametrize("encoding", ENCODINGS)
+@pytest.mark.parametrize("before", ["", "sep=,\n", "# log\n"])
+def test_utf_16_is_refused(kind: str, encoding: str, before: str, save: Save) -> None:
+    with pytest.raises(RecordingError) as raised:
+        open_recordings(save((before + HEADER + lines("a", 0)).encode(encoding), kind), format="table")
+    assert "the text is UTF-16; save it as UTF-8" in str(raised.value)
+    if not before:
+        with pytest.raises(RecordingError) as raised:
+            open_recordings(save((HEADER + lines("a", 0)).encode(encoding), kind))
+        assert str(raised.value) == f"drive.{kind}, line 1: the text is UTF-16; save it as UTF-8"
+
+
+STUDY = b'name = "mine"\n[[design]]\nlaw = "none"\n'
+
+
+def test_a_study_file_with_a_byte_order_mark(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_bytes(STUDY)
+    plain = ldc.load_study(path)
+    path.write_bytes(codecs.BOM_UTF8 + STUDY)
+    assert ldc.load_study(path) == plain
+
+
+def test_a_model_with_a_byte_order_mark(tmp_path: Path) -> None:
+    model = ldc.load_model("reference")
+    model.save(tmp_path / "mine.json")
+    content = (tmp_path / "mine.json").read_bytes()
+    assert json.loads(content)
+    (tmp_path / "mine.json").write_bytes(codecs.BOM_UTF8 + content)
+    assert ldc.load_model(tmp_path / "mine.json").content_hash == model.content_hash
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_a_study_file_and_a_model_in_utf_16(encoding: str, tmp_path: Path) -> None:
+    model = ldc.load_model("reference")
+    model.save(tmp_path / "mine.json")
+    for path, content, load in (
+        (tmp_path / "mine.toml", STUDY, ldc.load_study),
+        (tmp_path / "mine.json", (tmp_path / "mine.json").read_bytes(), ldc.load_model),
+    ):
+        path.write_bytes(content.decode().encode(encoding))
+        with pytest.raises(LdcError, match=r"the text is UTF-16; save it as UTF-8"):
+            load(path)
