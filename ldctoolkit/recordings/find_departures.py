@@ -50,6 +50,9 @@ JUMP_SPEED: Final = 1.5  # [m/s]
 WIDTH_JUMP: Final = (0.5, 1.0)
 """[m], [m/s]: the lane's width moves so far, and so fast, only where a line jumps to another marking."""
 
+AROUND: Final = 10.0  # [s] before and after a departure with which its lane's width is compared
+NARROWER: Final = 0.25  # [m] a lane that is narrower by more for a departure alone is none
+
 SAME_FRAME: Final = 0.005  # [s] closer samples came in one burst, whatever time they were taken at
 LONG_STAY: Final = 5.0  # [s] a driver who strays over a line is back sooner
 
@@ -330,6 +333,9 @@ def find_departures(table: RecordingTable, criteria: Criteria, gap_limit: float 
     curvature = _curvature(table, usable, median_step, limit)
     signals, start_time, source = signals_of_runs(table, runs, chosen, edges, curvature)
     verdict = _judge(table, runs.side[chosen], signals, source, criteria)
+    rows = int(np.nan_to_num(AROUND / np.nanmin(median_step, initial=AROUND)))
+    deepest = np.maximum.reduceat(signals.y, signals.offsets[:-1]) if signals.n else np.empty(0)
+    verdict[_narrower(table, usable, runs.first[chosen], runs.last[chosen], rows) > deepest] = CODE["jump"]
     reason[chosen] = verdict
 
     run, kept, start_time = (
@@ -411,6 +417,23 @@ def _lateral(signals: DepartureSignals) -> FloatArray:
         return np.empty(0)
     largest: FloatArray = np.maximum.reduceat(signals.v**2 * np.abs(signals.c), signals.offsets[:-1])
     return largest
+
+
+def _narrower(table: RecordingTable, usable: BoolArray, first: IntArray, last: IntArray, rows: int) -> FloatArray:
+    """How much narrower the lane is in runs than in some rows before and in some after, on average, (n,) [m]; 0 if less
+    than `NARROWER`. An edge that is not as far beyond the line is there only because a line was another marking.
+    """
+    owner = table.recording_index[first]
+    low = np.maximum(first - rows, table.offsets[owner])
+    high = np.minimum(last + 1 + rows, table.offsets[owner + 1])
+    count, total = (np.append(0.0, np.cumsum(x)) for x in (usable, np.where(usable, table.lane_width, 0.0)))
+
+    def mean(begin: IntArray, end: IntArray) -> FloatArray:
+        number = count[end] - count[begin]
+        return np.where(number > 0, (total[end] - total[begin]) / np.maximum(number, 1.0), np.inf)
+
+    less: FloatArray = np.minimum(mean(low, first), mean(last + 1, high)) - mean(first, last + 1)
+    return np.where(np.isfinite(less) & (less > NARROWER), less, 0.0)
 
 
 def _judge(

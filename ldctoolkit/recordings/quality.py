@@ -169,22 +169,18 @@ _UNITS: Final = (
     (
         ("curvature > 0.2", 0.01, "column 'curvature': {share:.0%} of the samples are beyond 0.2 1/m (a radius under 5 "
          "m); is it a radius or in 1/km? 1/m is needed"),
-        ("v^2 c > 12", 0.01, "column 'curvature': in {share:.0%} of the samples v^2 c is beyond 12 m/s^2, which no "
-         "road asks for; is it in 1/km or degrees, or the speed in km/h? 1/m and m/s are needed"),
-        ("tight c > 0.0056", 0.1, "column 'curvature': in {share:.0%} of the samples the radius is under 180 m at more "
+        ("tight c > 0.006", 0.03, "column 'curvature': {share:.0%} of the samples have a radius under 167 m at more "
          "than 3 m/s^2; is it in 1/km or degrees, or the speed in km/h? 1/m and m/s are needed"),
     ),
     (
         ("yaw rate > 1.5", 0.01, "column 'yaw_rate': {share:.0%} of the samples are beyond 1.5 rad/s; the unit looks "
          "like deg/s, rad/s is needed"),
-        ("v r > 12", 0.01, "column 'yaw_rate': in {share:.0%} of the samples it is more than a road asks for at that "
-         "speed (v r beyond 12 m/s^2); the unit looks like deg/s, rad/s is needed"),
-        ("tight r > 0.0056", 0.1, "column 'yaw_rate': in {share:.0%} of the samples it asks for a radius under 180 m "
-         "at more than 3 m/s^2; the unit looks like deg/s, rad/s is needed"),
+        ("tight r > 0.006", 0.03, "column 'yaw_rate': {share:.0%} of the samples ask for a radius under 167 m at more "
+         "than 3 m/s^2; the unit looks like deg/s, rad/s is needed"),
     ),
-    (("heading > 13", 0.01, "column 'heading': {share:.0%} of the samples are beyond two turns; the unit looks like "
-      "degrees, rad is needed"),),
-    (("steering > 13", 0.01, "column 'steering': {share:.0%} of the samples are beyond two turns; the unit looks like "
+    (("heading > 40", 0.01, "column 'heading': {share:.0%} of the samples are beyond 40; the unit looks like degrees, "
+      "rad is needed"),),
+    (("steering > 40", 0.01, "column 'steering': {share:.0%} of the samples are beyond 40; the unit looks like "
       "degrees, rad is needed"),),
 )  # fmt: skip
 """Groups of rules, of which the first that holds is reported: what is counted, the share from which on it holds, and
@@ -208,12 +204,10 @@ def unit_counts(
     with np.errstate(over="ignore", invalid="ignore"):
         if table.curvature is not None:
             c = values["curvature"] = np.abs(table.curvature[usable])
-            values["v^2 c"] = v * v * c
-            values["tight c"] = np.where(values["v^2 c"] > SHARP, c, 0.0)
+            values["tight c"] = c * (v * v * c > SHARP)
         if table.yaw_rate is not None:
             r = values["yaw rate"] = np.abs(table.yaw_rate[usable])
-            values["v r"] = v * r
-            values["tight r"] = np.where(values["v r"] > SHARP, r / v, 0.0)
+            values["tight r"] = r / v * (v * r > SHARP)
     for name in ("heading", "steering"):
         columns = [np.abs(column) for one in recordings if (column := getattr(one, name)) is not None]
         if columns:
