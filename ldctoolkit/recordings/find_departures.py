@@ -54,7 +54,6 @@ AROUND: Final = 10.0  # [s] before and after a departure with which its lane's w
 NARROWER: Final = 0.25  # [m] a lane that is narrower by more for a departure alone is none
 
 SAME_FRAME: Final = 0.005  # [s] closer samples came in one burst, whatever time they were taken at
-LONG_STAY: Final = 5.0  # [s] a driver who strays over a line is back sooner
 
 
 @dataclasses.dataclass(frozen=True)
@@ -303,7 +302,7 @@ class Found:
     distance: FloatArray  # (r,) [m]: speed times time over the steps in `driven`, whichever way it points
     usable: BoolArray  # (m,): samples that could be used
     median_step: FloatArray  # (r,) [s]: median time step; NaN for a recording with fewer than two times
-    stays: FloatArray  # (2,) [s]: time beyond a line but for lane changes, and that of stays longer than `LONG_STAY`
+    stays: FloatArray  # [s]: time of each stay beyond a line, lane changes apart
 
 
 def find_departures(table: RecordingTable, criteria: Criteria, gap_limit: float | None = None) -> Found:
@@ -319,9 +318,8 @@ def find_departures(table: RecordingTable, criteria: Criteria, gap_limit: float 
     if place.size == 0:
         no_signals = DepartureSignals(np.zeros(1, dtype=np.int64), *([np.empty(0)] * 4))
         driven = np.zeros(table.names.size)
-        stays = np.zeros(2)
         return Found(
-            no_departures(), none, no_signals, none, none, none, read, driven, driven, usable, median_step, stays
+            no_departures(), none, no_signals, none, none, none, read, driven, driven, usable, median_step, np.empty(0)
         )
     margin = 0.5 * (criteria.vehicle_width - table.lane_width)
     edges = {LEFT: table.lane_offset + margin, RIGHT: -table.lane_offset + margin}
@@ -375,7 +373,7 @@ def find_departures(table: RecordingTable, criteria: Criteria, gap_limit: float 
         distance=_sums(table, driver, limit, adjacent=True, speed=np.abs(table.speed[driver])),
         usable=usable,
         median_step=median_step,
-        stays=np.array([stay.sum(), stay[stay > LONG_STAY].sum()]),
+        stays=stay,
     )
 
 

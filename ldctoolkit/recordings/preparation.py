@@ -346,10 +346,11 @@ def corrected(recording: Recording, preparation: Preparation) -> Recording:
 
 def stretches(recording: Recording) -> list[Recording]:
     """The pieces between the cuts of a recording; all but the first are said to go on from the one before."""
-    if recording.cut is None or not recording.cut[1:].any():
+    if recording.cut is None:
         return [recording]
     ends = [0, *(np.flatnonzero(recording.cut[1:]) + 1).tolist(), recording.samples]
-    pieces = [recording.take(slice(first, last)) for first, last in itertools.pairwise(ends)]
+    whole = dataclasses.replace(recording, cut=None)
+    pieces = [whole.take(slice(first, last)) for first, last in itertools.pairwise(ends)]
     return pieces[:1] + [dataclasses.replace(piece, continues=True, notes=()) for piece in pieces[1:]]
 
 

@@ -260,6 +260,7 @@ TURN_SPEED: Final = 8.0  # below this speed [m/s] the course over ground is nois
 COARSEST: Final = 0.099  # [m] such steps of the offset are too coarse for departures
 
 OFFSET_STEP: Final = 0.05  # width of a bin of the histogram of offsets [m]
+LONG_STAY: Final = 5.0  # [s] a driver who strays over a line is back sooner
 GRAZED: Final = 0.05  # [m]
 OFFSET_BINS: Final = 81  # centred bins from -2 to 2 m; the outer ones also hold what is beyond
 
@@ -327,8 +328,13 @@ def quality_statistics(
     place = np.rint(table.lane_offset[usable] / OFFSET_STEP) + OFFSET_BINS // 2
     place = np.clip(place, 0, OFFSET_BINS - 1).astype(np.int64)
     away = np.abs(table.lane_offset[usable])
-    turns_back = (away[1:-1] < away[:-2]) & (away[1:-1] <= away[2:]) & (away[1:-1] < GRAZED)
-    stays = np.minimum([found.driven.sum(), *found.stays], LONGEST)
+    turns_back = np.zeros(away.size, dtype=bool)
+    turns_back[1:-1] = (away[1:-1] < away[:-2]) & (away[1:-1] <= away[2:]) & (away[1:-1] < GRAZED)
+    ends = np.append(0, np.cumsum(usable))[table.offsets[1:-1]]  # not from one recording to the next
+    turns_back[np.concatenate([ends - 1, ends[ends < away.size]])] = False
+    times = (found.driven, found.stays, found.stays[found.stays > LONG_STAY])
+    # whole numbers, whose sums do not depend on how the recordings were split
+    stays_ns = [np.rint(np.minimum(some, LONGEST) * 1e9).astype(np.int64).sum() for some in times]
     kind = "measured" if prepared.curvature is not None else "none" if prepared.yaw_rate is None else "yaw_rate"
     return QualityStatistics(
         units=unit_counts(table, usable, found.median_step, vehicle_width, recordings),
@@ -342,7 +348,7 @@ def quality_statistics(
         sway=np.sum([sway for _, sway in related], axis=0),
         offsets=np.bincount(place, minlength=OFFSET_BINS),
         grazes=int(np.count_nonzero(turns_back)),
-        stays_ns=np.rint(stays * 1e9).astype(np.int64),
+        stays_ns=np.array(stays_ns, dtype=np.int64),
         notes=tuple(Counter(note for recording in common for note in recording.notes).items()),
     )
 
