@@ -362,9 +362,9 @@ def prepare(
 ) -> Recording:
     """One stretch of a recording, on its own clock, in the common form."""
     recording = without_frozen(with_yaw_rate(within_limits(recording, widths)))
-    step = preparation.step
+    step, apart = preparation.step, np.diff(recording.t[:500])
     # a lane that is seen so seldom that nothing is bridged stays on its own clock
-    if step is None or (recording.samples > 1 and np.median(np.diff(recording.t)) > max(preparation.max_gap, step)):
+    if step is None or (apart.size and np.median(apart) > max(preparation.max_gap, step)):
         return recording
     return resample(recording, step, preparation.max_gap, max_jump)
 
@@ -386,7 +386,7 @@ def without_codes(recording: Recording) -> Recording:
     changed: dict[str, Any] = {}
     for name, (gap, most) in _CODES.items():
         values = getattr(recording, name)
-        if values is None:
+        if values is None or not _ends_repeat(values):
             continue
         known = values[recording.valid & (np.abs(values) < LARGEST)]
         codes = []
@@ -408,6 +408,12 @@ def without_codes(recording: Recording) -> Recording:
         if codes:
             changed[name] = np.where(np.isin(values, codes), np.nan, values)
     return dataclasses.replace(recording, **changed) if changed else recording
+
+
+def _ends_repeat(values: FloatArray) -> bool:
+    """Whether an end of the range comes several times, as nearly never; also where a number is missing."""
+    ends = (values.max(initial=-np.inf), values.min(initial=np.inf))
+    return bool(np.isnan(ends[0])) or any(np.count_nonzero(values == end) >= _CODE_TIMES for end in ends)
 
 
 def within_limits(recording: Recording, widths: tuple[float, float]) -> Recording:
@@ -449,10 +455,10 @@ _EVERY_ROW: Final = (np.empty(0, dtype=np.int64), 0.0)
 
 def new_rows(t: FloatArray, values: FloatArray) -> tuple[IntArray, float]:
     """Rows in which a signal is there, and new, and the time between them [s]; 0 where that is no clock of its own."""
-    held = np.count_nonzero(values[1:] == values[:-1]) + np.count_nonzero(np.isnan(values))
+    held = np.count_nonzero(values[1:] == values[:-1]) + np.count_nonzero(values != values)
     if held < 0.3 * t.size:
         return _EVERY_ROW
-    known = np.flatnonzero(np.isfinite(values))
+    known = np.flatnonzero(np.abs(values) < LARGEST)
     first = values[known]
     new = np.append(True, np.diff(first) != 0.0)[: known.size]
     rows = known[new]
@@ -478,7 +484,7 @@ def on_own_clocks(recording: Recording) -> Recording:
     for name in ("speed", "curvature", "yaw_rate", "steering"):
         values = getattr(recording, name)
         if values is not None:
-            rows, refresh = new_rows(t, np.where(np.abs(values) < LARGEST, values, np.nan))
+            rows, refresh = new_rows(t, values)
             if refresh > 0.0:
                 known = merge_repeated(t[rows], values[rows])
                 changed[name] = values_at(t, *known, longest=2.5 * refresh, beyond=refresh)
