@@ -382,7 +382,7 @@ def quality_warnings(
     if nominal_lane_width is None and scaled:
         found += _scale(evidence)
     found += _twins(evidence)
-    total = evidence.names.size
+    total = np.unique(evidence.names).size
     found += [f"{note}: {count} of {total} recordings" for note, count in evidence.notes]
     return tuple(found)
 

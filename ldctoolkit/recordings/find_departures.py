@@ -331,7 +331,7 @@ def find_departures(table: RecordingTable, criteria: Criteria, gap_limit: float 
     curvature = _curvature(table, usable, median_step, limit)
     signals, start_time, source = signals_of_runs(table, runs, chosen, edges, curvature)
     verdict = _judge(table, runs.side[chosen], signals, source, criteria)
-    rows = int(np.nan_to_num(AROUND / np.nanmin(median_step, initial=AROUND)))
+    rows = np.nan_to_num(AROUND / np.fmax(median_step, ROUNDING)).astype(np.int64)
     deepest = np.maximum.reduceat(signals.y, signals.offsets[:-1]) if signals.n else np.empty(0)
     verdict[_narrower(table, usable, runs.first[chosen], runs.last[chosen], rows) > deepest] = CODE["jump"]
     reason[chosen] = verdict
@@ -417,13 +417,13 @@ def _lateral(signals: DepartureSignals) -> FloatArray:
     return largest
 
 
-def _narrower(table: RecordingTable, usable: BoolArray, first: IntArray, last: IntArray, rows: int) -> FloatArray:
+def _narrower(table: RecordingTable, usable: BoolArray, first: IntArray, last: IntArray, rows: IntArray) -> FloatArray:
     """How much narrower the lane is in runs than in some rows before and in some after, on average, (n,) [m]; 0 if less
     than `NARROWER`. An edge that is not as far beyond the line is there only because a line was another marking.
     """
     owner = table.recording_index[first]
-    low = np.maximum(first - rows, table.offsets[owner])
-    high = np.minimum(last + 1 + rows, table.offsets[owner + 1])
+    low = np.maximum(first - rows[owner], table.offsets[owner])
+    high = np.minimum(last + 1 + rows[owner], table.offsets[owner + 1])
     count, total = (np.append(0.0, np.cumsum(x)) for x in (usable, np.where(usable, table.lane_width, 0.0)))
 
     def mean(begin: IntArray, end: IntArray) -> FloatArray:

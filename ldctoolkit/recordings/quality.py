@@ -331,7 +331,7 @@ def quality_statistics(
     turns_back = np.zeros(away.size, dtype=bool)
     turns_back[1:-1] = (away[1:-1] < away[:-2]) & (away[1:-1] <= away[2:]) & (away[1:-1] < GRAZED)
     ends = np.append(0, np.cumsum(usable))[table.offsets[1:-1]]  # not from one recording to the next
-    turns_back[np.concatenate([ends - 1, ends[ends < away.size]])] = False
+    turns_back[np.concatenate([ends[ends > 0] - 1, ends[ends < away.size]])] = False
     times = (found.driven, found.stays, found.stays[found.stays > LONG_STAY])
     # whole numbers, whose sums do not depend on how the recordings were split
     stays_ns = [np.rint(np.minimum(some, LONGEST) * 1e9).astype(np.int64).sum() for some in times]
@@ -349,7 +349,7 @@ def quality_statistics(
         offsets=np.bincount(place, minlength=OFFSET_BINS),
         grazes=int(np.count_nonzero(turns_back)),
         stays_ns=np.array(stays_ns, dtype=np.int64),
-        notes=tuple(Counter(note for recording in common for note in recording.notes).items()),
+        notes=tuple(Counter(note for one in common if not one.continues for note in one.notes).items()),
     )
 
 
