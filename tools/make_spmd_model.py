@@ -147,7 +147,7 @@ def make(chosen: argparse.Namespace) -> int:
         departures, model = folder / "departures.parquet", folder / "model.json"
         extract = ["extract", *map(str, tables), "-o", str(departures), f"--report={folder / 'extraction.html'}"]
         extract += [f"--format={chosen.format}", f"--vehicle-width={chosen.vehicle_width}"]
-        extract += [f"--yaw-rate-factor={chosen.yaw_rate_factor}"]
+        extract += [f"--yaw-rate-factor={chosen.yaw_rate_factor}", *["--force"] * chosen.force]
         fit = ["fit", str(departures), "-o", str(model)]
         for output, command, inputs in ((departures, extract, tables), (model, fit, [departures])):
             states = [(str(path), path.stat().st_size, path.stat().st_mtime_ns) for path in inputs]
@@ -173,6 +173,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add("--format", choices=TABLES, default="spmd-das1", help="which tables (default: %(default)s)")
     add("--vehicle-width", type=number, default=1.82, metavar="M", help="in m (default: %(default)s)")
     add("--yaw-rate-factor", type=number, default=1.0, metavar="X", help="-1 where it is positive to the right")
+    add("--force", action="store_true", help="go on where a unit, a sign or a reference cannot be right")
     chosen = parser.parse_args(arguments)
     print(TERMS)
     if not chosen.accept_terms:

@@ -419,7 +419,7 @@ def _reference(evidence: QualityStatistics, sides: IntArray) -> list[str]:
         elif beyond > SHARE_BEYOND * driven or long > SHARE_LONG * driven:
             what = f"a wheel is beyond a line in {beyond / driven:.0%} of the time"
     if not what and sides.sum() >= FEWEST_ON_A_SIDE and sides.min() <= SMALLER_SIDE * sides.sum():
-        what = f"{int(sides.max())} of {int(sides.sum())} departures are to the {'left' if sides[0] else 'right'}"
+        what = f"{int(sides.max())} of {int(sides.sum())} departures are to the {'left' if sides[0] > sides[1] else 'right'}"
     return [_REFERENCES.format(what=what)] if what else []
 
 

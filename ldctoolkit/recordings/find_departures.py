@@ -302,7 +302,8 @@ class Found:
     distance: FloatArray  # (r,) [m]: speed times time over the steps in `driven`, whichever way it points
     usable: BoolArray  # (m,): samples that could be used
     median_step: FloatArray  # (r,) [s]: median time step; NaN for a recording with fewer than two times
-    stays: FloatArray  # [s]: time of each stay beyond a line, lane changes apart
+    stays: FloatArray  # (k,) [s]: time of each stay beyond a line, lane changes apart
+    stay_recording: IntArray  # (k,): index of the recording of each
 
 
 def find_departures(table: RecordingTable, criteria: Criteria, gap_limit: float | None = None) -> Found:
@@ -319,7 +320,19 @@ def find_departures(table: RecordingTable, criteria: Criteria, gap_limit: float 
         no_signals = DepartureSignals(np.zeros(1, dtype=np.int64), *([np.empty(0)] * 4))
         driven = np.zeros(table.names.size)
         return Found(
-            no_departures(), none, no_signals, none, none, none, read, driven, driven, usable, median_step, np.empty(0)
+            no_departures(),
+            none,
+            no_signals,
+            none,
+            none,
+            none,
+            read,
+            driven,
+            driven,
+            usable,
+            median_step,
+            np.empty(0),
+            none,
         )
     margin = 0.5 * (criteria.vehicle_width - table.lane_width)
     edges = {LEFT: table.lane_offset + margin, RIGHT: -table.lane_offset + margin}
@@ -357,9 +370,9 @@ def find_departures(table: RecordingTable, criteria: Criteria, gap_limit: float 
     by_candidate: IntArray = np.full(count, ACCEPTED, dtype=np.int64)
     np.minimum.at(by_candidate, runs.candidate, reason)
     _, first = np.unique(runs.candidate, return_index=True)
-    stay = (table.t[runs.last] - table.t[runs.first] + np.nan_to_num(median_step)[table.recording_index[runs.first]])[
-        by_candidate[runs.candidate] != CODE["lane_change"]
-    ]
+    stayed = by_candidate[runs.candidate] != CODE["lane_change"]
+    stay_recording = table.recording_index[runs.first[stayed]]
+    stays = table.t[runs.last[stayed]] - table.t[runs.first[stayed]] + np.nan_to_num(median_step)[stay_recording]
     driver = place if criteria.keep_engaged or table.engaged is None else place[~table.engaged[place]]
     return Found(
         departures=departures,
@@ -373,7 +386,8 @@ def find_departures(table: RecordingTable, criteria: Criteria, gap_limit: float 
         distance=_sums(table, driver, limit, adjacent=True, speed=np.abs(table.speed[driver])),
         usable=usable,
         median_step=median_step,
-        stays=stay,
+        stays=stays,
+        stay_recording=stay_recording,
     )
 
 

@@ -260,6 +260,9 @@ TURN_SPEED: Final = 8.0  # below this speed [m/s] the course over ground is nois
 COARSEST: Final = 0.099  # [m] such steps of the offset are too coarse for departures
 
 OFFSET_STEP: Final = 0.05  # width of a bin of the histogram of offsets [m]
+SHORTEST_DRIVE: Final = 20.0
+"""[s] of a recording that shows how a vehicle keeps in its lane; shorter ones may be departures that were cut out."""
+
 LONG_STAY: Final = 5.0  # [s] a driver who strays over a line is back sooner
 GRAZED: Final = 0.05  # [m]
 OFFSET_BINS: Final = 81  # centred bins from -2 to 2 m; the outer ones also hold what is beyond
@@ -308,15 +311,23 @@ def quality_statistics(
     """Evidence of r recordings, as one table and one by one: as the source has them, and as they were searched."""
     count, usable = table.names.size, usable_samples(table)
     medians, prints = np.full(count, np.nan), [""] * count
+    offsets, grazes, drive = np.zeros(OFFSET_BINS, dtype=np.int64), 0, found.read >= SHORTEST_DRIVE
     for i, recording in enumerate(recordings):
         rows = slice(int(table.offsets[i]), int(table.offsets[i + 1]))
         good = usable[rows]
         widths = table.lane_width[rows][good]
         if widths.size:
             medians[i] = np.median(widths) / recording.lane_scale
+        offset = table.lane_offset[rows][good]
+        if drive[i]:
+            place = np.clip(np.rint(offset / OFFSET_STEP) + OFFSET_BINS // 2, 0, OFFSET_BINS - 1)
+            offsets += np.bincount(place.astype(np.int64), minlength=OFFSET_BINS)
+            away = np.abs(offset)
+            back = (away[1:-1] < away[:-2]) & (away[1:-1] <= away[2:]) & (away[1:-1] < GRAZED)
+            grazes += int(np.count_nonzero(back))
         if widths.size >= SHORTEST_TWIN:
             digest = hashlib.blake2b(widths.tobytes(), digest_size=12)
-            digest.update(table.lane_offset[rows][good].tobytes())
+            digest.update(offset.tobytes())
             digest.update(table.speed[rows][good].tobytes())
             prints[i] = digest.hexdigest()
     bend = table.curvature if table.curvature is not None else table.yaw_rate
@@ -325,14 +336,8 @@ def quality_statistics(
         curved = np.abs(bend[usable]) > (FLAT if table.curvature is not None else FLAT * table.speed[usable])
         bends[:] = curved.size, np.count_nonzero(curved)
     related = [_related(recording) for recording in recordings]
-    place = np.rint(table.lane_offset[usable] / OFFSET_STEP) + OFFSET_BINS // 2
-    place = np.clip(place, 0, OFFSET_BINS - 1).astype(np.int64)
-    away = np.abs(table.lane_offset[usable])
-    turns_back = np.zeros(away.size, dtype=bool)
-    turns_back[1:-1] = (away[1:-1] < away[:-2]) & (away[1:-1] <= away[2:]) & (away[1:-1] < GRAZED)
-    ends = np.append(0, np.cumsum(usable))[table.offsets[1:-1]]  # not from one recording to the next
-    turns_back[np.concatenate([ends[ends > 0] - 1, ends[ends < away.size]])] = False
-    times = (found.driven, found.stays, found.stays[found.stays > LONG_STAY])
+    stays = found.stays[drive[found.stay_recording]]
+    times = (found.driven[drive], stays, stays[stays > LONG_STAY])
     # whole numbers, whose sums do not depend on how the recordings were split
     stays_ns = [np.rint(np.minimum(some, LONGEST) * 1e9).astype(np.int64).sum() for some in times]
     kind = "measured" if prepared.curvature is not None else "none" if prepared.yaw_rate is None else "yaw_rate"
@@ -346,8 +351,8 @@ def quality_statistics(
         fingerprints=np.array(prints, dtype=np.str_),
         median_widths=medians,
         sway=np.sum([sway for _, sway in related], axis=0),
-        offsets=np.bincount(place, minlength=OFFSET_BINS),
-        grazes=int(np.count_nonzero(turns_back)),
+        offsets=offsets,
+        grazes=grazes,
         stays_ns=np.array(stays_ns, dtype=np.int64),
         notes=tuple(Counter(note for one in common if not one.continues for note in one.notes).items()),
     )
