@@ -372,11 +372,9 @@ def quality_warnings(
         found.append(f"no column 'curvature' or 'yaw_rate'{where}: the lane's curvature is taken as 0 (c_0 = dc = 0)")
     if labelled and not evidence.lanes:
         found.append("no column 'lane': a lane change is seen only as a jump of the offset by about a lane width")
-    if abs(_likeness(evidence.turns[0])) < 0.5 and _known_turns(evidence.turns[0]):
-        found.append(
-            f"yaw rate and GPS heading do not agree (correlation {_likeness(evidence.turns[0]):.2f}): curvatures are "
-            "doubtful"
-        )
+    (windows, hh, *_), likeness = evidence.turns[0], _likeness(evidence.turns[0])
+    if abs(likeness) < 0.5 and windows >= FEWEST_TURNS and hh >= LEAST_TURNING**2 * windows:
+        found.append(f"yaw rate and GPS heading do not agree (correlation {likeness:.2f}): curvatures are doubtful")
     if evidence.bends[0] > 1000 and evidence.bends[1] < 0.001 * evidence.bends[0] and evidence.kinds != ("none",):
         found.append("the lane is straight in nearly all samples: c_0 and dc tell nothing")
     if nominal_lane_width is None and scaled:
@@ -419,7 +417,7 @@ def _reference(evidence: QualityStatistics, sides: IntArray) -> list[str]:
         elif beyond > SHARE_BEYOND * driven or long > SHARE_LONG * driven:
             what = f"a wheel is beyond a line in {beyond / driven:.0%} of the time"
     if not what and sides.sum() >= FEWEST_ON_A_SIDE and sides.min() <= SMALLER_SIDE * sides.sum():
-        what = f"{int(sides.max())} of {int(sides.sum())} departures are to the {'left' if sides[0] > sides[1] else 'right'}"
+        what = f"{sides.max()} of {sides.sum()} departures are to the {'left' if sides[0] > sides[1] else 'right'}"
     return [_REFERENCES.format(what=what)] if what else []
 
 
@@ -437,10 +435,6 @@ def _likeness(turns: FloatArray) -> float:
     """Correlation of two signals, from windows and sums."""
     _, hh, hr, rr = turns
     return float(hr / max(np.sqrt(hh * rr), 1e-300))
-
-
-def _known_turns(turns: FloatArray) -> bool:
-    return bool(turns[0] >= FEWEST_TURNS and turns[1] >= LEAST_TURNING**2 * turns[0])
 
 
 _SAID: Final = {"heading": "the heading", "yaw_rate": "the yaw rate", "curvature": "the curvature",
