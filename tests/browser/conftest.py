@@ -11,6 +11,8 @@ import pytest
 
 from helpers.browser_pages import Made
 
+LONG = 600_000  # milliseconds that a step may take which is sure to end, on a machine that does other things as well
+
 
 def missing(what: str) -> NoReturn:
     """Skip on a desk, fail where everything must be tested."""
@@ -44,7 +46,8 @@ def browser(chromium: str) -> Iterator[Any]:
     if playwright is None:
         import playwright.sync_api as playwright
     with playwright.sync_playwright() as session:
-        started = session.chromium.launch(executable_path=chromium, args=["--no-sandbox", "--disable-gpu"])
+        arguments = ["--no-sandbox", "--disable-gpu"]
+        started = session.chromium.launch(executable_path=chromium, args=arguments, timeout=LONG)
         yield started
         started.close()
 
@@ -66,7 +69,7 @@ def open_page(browser: Any) -> Iterator[Callable[..., Any]]:
             java_script_enabled=script,
             reduced_motion="reduce",
         )
-        context.set_default_timeout(60_000)
+        context.set_default_timeout(LONG)
         contexts.append(context)
         address = path.resolve().as_uri()
 

@@ -7,7 +7,6 @@ import json
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ from scipy.stats import binomtest
 from helpers.bits import assert_same_bits
 from helpers.cli import bad, good, ldc
 from helpers.closed_loop import known
+from helpers.kills import killing
 from ldctoolkit import Controller, LinearLaw, Plant, Scenarios, load_model, simulate
 from ldctoolkit.departures import PARAMETER_NAMES
 from ldctoolkit.errors import InputError, LdcError, StoreError
@@ -221,33 +221,29 @@ def test_numbers_do_not_depend_on_workers(tmp_path: Path) -> None:
 
 
 KILLED = """
-import sys
-from studies.risk import estimate_risk
+from studies import risk
 from studies.study_file import load_study
+
+risk._STORE_EVERY = -1.0
 study = load_study("trigger-and-gains")
-if __name__ == "__main__":
-    estimate_risk([study.designs[-1]], study, n=300_500, workers=2, directory=sys.argv[1])
+risk.estimate_risk([study.designs[-1]], study, n=60_500, workers=2, directory=sys.argv[1])
 """
 
 
 @pytest.mark.slow
 def test_a_killed_run_goes_on_to_the_same_bits(tmp_path: Path) -> None:
-    script, folder = tmp_path / "killed.py", tmp_path / "out"
-    script.write_text(KILLED, encoding="utf-8")
-    process = subprocess.Popen([sys.executable, str(script), str(folder)])
-    until = time.monotonic() + 120.0
-    while not (folder / "risk.json").exists():
-        assert process.poll() is None
-        assert time.monotonic() < until
-        time.sleep(0.05)
-    process.send_signal(signal.SIGKILL)
-    assert process.wait(60) == -signal.SIGKILL
-    stored = json.loads((folder / "risk.json").read_text())
-    assert 0 < sum(b - a for a, b in stored["chunks"]) < 36
+    """Killed while it writes the counts of three of eight chunks: those of two are there."""
+    code = killing(tmp_path / ".risk.json", 8) + KILLED
+    process = subprocess.run([sys.executable, "-c", code, str(tmp_path)], timeout=600, check=False)
+    assert process.returncode == -signal.SIGKILL
+    assert len(list(tmp_path.glob(".risk.json.*.part"))) == 1
+    stored = json.loads((tmp_path / "risk.json").read_text())
+    assert sum(b - a for a, b in stored["chunks"]) == 2
     assert stored["results"] is None
     design = REAL.designs[-1]
-    resumed = estimate_risk([design], REAL, n=300_500, workers=1, directory=folder)
-    assert_same(resumed, estimate_risk([design], REAL, n=300_500, workers=2))
+    resumed = estimate_risk([design], REAL, n=60_500, workers=1, directory=tmp_path)
+    assert_same(resumed, estimate_risk([design], REAL, n=60_500, workers=2))
+    assert sorted(path.name for path in tmp_path.iterdir()) == [".lock", "risk.json"]
 
 
 # ------------------------------------------------------------------------------------------------ coverage

@@ -1,7 +1,10 @@
 """The number of components, and the criteria that choose it."""
 
+import contextlib
+import functools
 import multiprocessing
 import os
+import time
 
 import numpy as np
 import pytest
@@ -187,15 +190,23 @@ def test_larger_k_are_not_tried_once_there_is_enough():
 
 
 # ---- in parallel
+@contextlib.contextmanager
+def no_process_stays():
+    """None that the block starts; those of other tests may still wait for work."""
+    before = set(multiprocessing.active_children())
+    yield
+    assert set(multiprocessing.active_children()) <= before
+
+
 def test_numbers_do_not_depend_on_processes():
     X = two_groups()
     options = {"lower": 0.0, "sample_weight": np.linspace(0.5, 2.0, 600), **QUICK}
     # 201 components are too many for 600 rows
     serial = select_components(X, [1, 2, 201], n_jobs=1, **options)
-    parallel = select_components(X, [201, 2, 1], n_jobs=3, **options)
+    with no_process_stays():
+        parallel = select_components(X, [201, 2, 1], n_jobs=3, **options)
     assert_same(serial, parallel)
     assert serial.failures[0].n_components == 201
-    assert not multiprocessing.active_children()
 
 
 @pytest.mark.slow
@@ -210,28 +221,33 @@ def _sums(events, factor):
     return factor * float(np.sum(events.weight @ events.x)), isinstance(events.x, np.memmap)
 
 
-def _broken(events, job):
+def _broken(events, job, asleep=None):
     if job == "raise":
+        while not asleep.exists():
+            time.sleep(0.01)
         raise InputError(f"job {job} of {events.x.shape[0]} rows")
     if job == "die":
         os._exit(3)
     if job == "sleep":
-        __import__("time").sleep(600)
+        asleep.touch()
+        time.sleep(600)
+        asleep.unlink()
     return job
 
 
 @pytest.mark.slow
-def test_an_error_in_a_worker_arrives_as_it_is():
-    with pytest.raises(InputError, match="job raise of 600 rows"):
-        list(in_processes(_broken, ["sleep", "raise"], Events(two_groups()), 2))
-    assert not multiprocessing.active_children()
+def test_an_error_in_a_worker_arrives_as_it_is(tmp_path):
+    """And it waits for no other job that is under way."""
+    work = functools.partial(_broken, asleep=tmp_path / "asleep")
+    with no_process_stays(), pytest.raises(InputError, match="job raise of 600 rows"):
+        list(in_processes(work, ["sleep", "raise"], Events(two_groups()), 2))
+    assert (tmp_path / "asleep").exists()
 
 
 @pytest.mark.slow
 def test_a_worker_that_dies_is_told():
-    with pytest.raises(LdcError, match=r"ended abruptly.*n_jobs=1"):
+    with no_process_stays(), pytest.raises(LdcError, match=r"ended abruptly.*n_jobs=1"):
         list(in_processes(_broken, ["die", "x"], Events(two_groups()), 2))
-    assert not multiprocessing.active_children()
 
 
 @pytest.mark.slow
@@ -240,11 +256,9 @@ def test_an_interrupt_ends_the_workers():
         if done:
             raise KeyboardInterrupt
 
-    before = set(multiprocessing.active_children())  # of other tests, if any is still ending
-    with pytest.raises(KeyboardInterrupt) as caught:
-        select_components(two_groups(), range(1, 5), lower=0.0, n_jobs=2, progress=interrupt, **QUICK)
     # at once, not when the traceback and what it holds are dropped
-    assert set(multiprocessing.active_children()) <= before
+    with no_process_stays(), pytest.raises(KeyboardInterrupt) as caught:
+        select_components(two_groups(), range(1, 5), lower=0.0, n_jobs=2, progress=interrupt, **QUICK)
     assert caught.traceback
 
 

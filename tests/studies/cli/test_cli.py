@@ -3,12 +3,9 @@
 import dataclasses
 import json
 import logging
-import os
 import re
-import signal
 import subprocess
 import sys
-import time
 import warnings
 from pathlib import Path
 
@@ -169,6 +166,27 @@ def test_a_command_leaves_the_log_of_its_process_as_it_was(folder: Path) -> None
         log.removeHandler(mine)
 
 
+INTERRUPTED = """
+import os, signal, sys
+from ldctoolkit.studies.cli import main
+from studies.running import campaign
+from studies.storage.store import Store
+
+# a test runner in the background passes ignored interrupts on to its children: ask for the usual handler
+signal.signal(signal.SIGINT, signal.default_int_handler)
+add = Store.add
+
+def interrupted(*content):
+    Store.add = add
+    add(*content)
+    os.killpg(0, signal.SIGINT)
+
+campaign._STORE_EVERY, Store.add = -1.0, interrupted
+sys.exit(main())
+"""
+"""The command with an interrupt as a terminal sends it, to the whole group, when the first result is stored."""
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="interrupts are sent in another way on Windows")
 @pytest.mark.parametrize("workers", [1, 2])
@@ -176,24 +194,13 @@ def test_an_interrupt_ends_with_one_line_and_the_study_resumes(workers: int, fol
     study = STUDY.replace("left = 6", "left = 20000").replace("right = 6", "right = 20000")
     study += '[[design]]\nlaw = "lqr"\ny_s = 0.05\n[design.gains]\nr_delta = { from = 10, to = 5000, count = 300 }\n'
     (folder / "s.toml").write_text(study)
-    # a test runner in the background passes ignored interrupts on to its children: ask for the usual handler
-    code = "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
-    code += "from ldctoolkit.studies.cli import main; sys.exit(main())"
-    process = subprocess.Popen(
-        [sys.executable, "-c", code, "run", "s.toml", "-o", "o", "--workers", str(workers)],
-        cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
+    words = ["run", "s.toml", "-o", "o", "--workers", str(workers)]
+    done = subprocess.run(
+        [sys.executable, "-c", INTERRUPTED, *words], cwd=folder, capture_output=True, text=True, timeout=600,
+        start_new_session=True, check=False,
     )  # fmt: skip
-    try:
-        deadline = time.monotonic() + 300  # the compiler runs first, and machines are busy
-        while not list((folder / "o").glob("results/part-*.parquet")):  # one is written every few seconds
-            assert time.monotonic() < deadline
-            time.sleep(0.05)
-        os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to the whole group
-        out, error = process.communicate(timeout=600)
-    finally:
-        process.kill()
-    assert process.returncode == 130, error
-    assert (error, out) == ("ldc: interrupted\n", "")
+    assert (done.returncode, done.stderr, done.stdout) == (130, "ldc: interrupted\n", "")
+    assert list(folder.glob("o/results/part-*.parquet"))
     # what was finished is there, and what was being computed is not half there
     assert re.search(r"\d+ of 303 designs are not complete \(\d+ % of", bad("rank", "o", cwd=folder))
 

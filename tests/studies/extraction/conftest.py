@@ -56,7 +56,8 @@ class MadePart:
         if self.how == "refused":
             raise RecordingError("nothing here can be used")
         for i in range(3):
-            yield drive(10 * self.seed + i)
+            one = drive(10 * self.seed + i)
+            yield dataclasses.replace(one, speed=3.6 * one.speed) if self.how == "in km/h" else one
             if self.how == "dies" or (self.how == "dies once" and self.times == 1):
                 os.kill(os.getpid(), signal.SIGKILL)
             if self.how == "raises":

@@ -1,15 +1,15 @@
 """An extraction that is killed at any moment, or runs on a cluster: the same table, and nothing is left behind."""
 
 import random
-import shutil
+import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from helpers.kills import killing
 from ldctoolkit.recordings import extract_departures, read_departures
 from ldctoolkit.recordings.sources import open_recordings
 from studies.extraction import run_extraction
@@ -24,12 +24,12 @@ LONG = 600
 def plain_tables(folder: Path) -> None:
     """Recording tables with departures to both sides; the last file but one is broken."""
     generator = np.random.default_rng(3)
-    t = np.arange(0, 8, 0.1)
+    t = np.arange(0, 12, 0.1)
     for i in range(FILES):
         lines = ["recording,t,lane_offset,lane_width,speed,yaw_rate\n"]
         for j in range(40):
             T, peak, v = generator.uniform(1, 4), generator.uniform(0.1, 0.5), generator.uniform(15, 30)
-            offset = (-1) ** j * (np.maximum(peak * (1 - (2 * (t - 4) / T) ** 2), -0.6) + 0.9)
+            offset = (-1) ** j * (np.maximum(peak * (1 - (2 * (t - 6) / T) ** 2), -0.6) + 0.9)
             offset += 0.01 * generator.normal(size=t.size)
             turn = 0.01 * generator.normal(size=t.size)
             name = f"r{i}-{j}"
@@ -46,19 +46,13 @@ def tables(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def start(tables: Path, folder: Path, *words: str) -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        [sys.executable, "-m", "ldctoolkit", "extract", str(tables), "-o", "d.parquet", *words],
-        cwd=folder,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
+def run(tables: Path, folder: Path, workers: int, *, killed_at: int = 0) -> subprocess.CompletedProcess[str]:
+    """The command, killed before it takes that step; 0: it is not."""
+    code = killing(folder, killed_at) + "from ldctoolkit.studies.cli import main; sys.exit(main())"
+    words = ["extract", str(tables), "-o", "d.parquet", "--workers", str(workers)]
+    return subprocess.run(
+        [sys.executable, "-c", code, *words], cwd=folder, capture_output=True, text=True, timeout=LONG, check=False
     )
-
-
-def count(parts: Path) -> int:
-    return len(list(parts.glob("part-*")))
 
 
 @pytest.mark.slow
@@ -67,41 +61,19 @@ def test_kills_lose_nothing_and_leave_nothing_behind(tables: Path, tmp_path: Pat
     whole, killed = tmp_path / "whole", tmp_path / "killed"
     whole.mkdir()
     killed.mkdir()
-    assert start(tables, whole, "--workers", "2").wait(LONG) == 3  # it may have to compile
-    started = time.monotonic()
-    process = start(tables, whole, "--workers", "2")
-    out, err = process.communicate(timeout=LONG)
-    took = time.monotonic() - started
-    assert process.returncode == 3, err
-    chance = random.Random(5)
-    parts = killed / "d.parquet.parts"
-    kept = []
+    expected = run(tables, whole, 2)
+    assert expected.returncode == 3, expected.stderr
+    chance, kept = random.Random(5), []
     for i in range(KILLS):
-        (killed / "d.parquet").unlink(missing_ok=True)  # one that came to its end before it was killed
-        before = count(parts)
-        if before + 8 > FILES:  # all of them are stored: begin anew
-            shutil.rmtree(parts)
-            before = 0
-        process = start(tables, killed, "--workers", "2" if i % 3 else "1")
-        if i % 2:  # when a few more parts are stored, and by turns at any moment
-            more, given_up = chance.randint(1, 8), time.monotonic() + LONG
-            while process.poll() is None and count(parts) < before + more:
-                assert time.monotonic() < given_up
-                time.sleep(0.001)
-        else:
-            time.sleep(chance.uniform(0.0, 0.8) * took)
-        process.kill()
-        process.communicate(timeout=LONG)
-        kept.append(count(parts))
-    (killed / "d.parquet").unlink(missing_ok=True)
-    last = start(tables, killed, "--workers", "2")
-    told, error = last.communicate(timeout=LONG)
-    assert last.returncode == 3, error
-    assert (told, error) == (out, err)
+        assert run(tables, killed, 2 if i % 3 else 1, killed_at=chance.randint(1, 45)).returncode == -signal.SIGKILL
+        kept.append(len(list(killed.glob("d.parquet.parts/part-*"))))
+    last = run(tables, killed, 2)
+    assert last.returncode == 3, last.stderr
+    assert (last.stdout, last.stderr) == (expected.stdout, expected.stderr)
     assert (killed / "d.parquet").read_bytes() == (whole / "d.parquet").read_bytes()
     assert [path.name for path in killed.iterdir()] == ["d.parquet"]
-    # they were killed at different stages, not all of them before or after the work
-    assert any(0 < count < FILES for count in kept), kept
+    # some were killed while they stored parts, others while they removed them
+    assert np.diff(kept).min() < 0 < np.diff(kept).max(), kept
     # and what was written is what the library finds, in one process and without parts
     found = extract_departures(open_recordings(tables))
     assert len(found.departures) > FILES * 12

@@ -24,6 +24,7 @@ from studies import Study, StudyResults, rank_study, run_study
 from studies.running import campaign
 from studies.running.executors import Executor, dask_cluster, make_executor, processes
 from studies.running.tasks import Done
+from studies.storage.store import Store
 
 MakeStudy = Callable[..., Study]
 
@@ -58,7 +59,10 @@ def cluster(
     folder: Path, workers: int = 2, scheduler: tuple[str, ...] = (), later: tuple[str, ...] = ()
 ) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
     """A scheduler and workers as processes of their own, over loopback TCP; the scheduler is the last of them. With
-    `later` there is one more worker, before it; `scheduler` and `later` are more words of the command line."""
+    `later` there is one more worker, before it; `scheduler` and `later` are more words of the command line. All have
+    met when the block begins."""
+    import distributed
+
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
@@ -76,6 +80,8 @@ def cluster(
                     start_new_session=True,
                 )
             )
+        with distributed.Client(address, timeout=LONG, set_as_default=False) as client:
+            client.wait_for_workers(len(processes) - 1, timeout=LONG)
         yield address, [*processes[1:], processes[0]]
     finally:
         for process in processes:
@@ -113,29 +119,31 @@ def test_serial_processes_and_dask_are_equal(study: Study, tmp_path: Path, store
     assert len(expected) == 70 * len(reference.fresh.designs)  # type: ignore[union-attr]
 
 
+def at_the_first_part(patch: pytest.MonkeyPatch, event: Callable[[], None]) -> None:
+    """Each result is a part, and as soon as the first is stored something happens; the run waits for it."""
+    add, left = Store.add, [event]
+
+    def added(*content: Any) -> None:
+        add(*content)
+        if left:
+            left.pop()()
+
+    patch.setattr(campaign, "_STORE_EVERY", -1.0)
+    patch.setattr(Store, "add", added)
+
+
 @pytest.mark.slow
 def test_a_dask_worker_that_is_killed_loses_nothing(
     make_study: MakeStudy, tmp_path: Path, stored_rows: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(campaign, "_STORE_EVERY", 0.3)
-    designs = [{"law": "linear_mpc", "y_s": {"from": 0.05, "to": 0.2, "count": 30}}]
-    study = make_study(design=designs, scenarios={"left": 60, "right": 60})
+    designs = [{"law": "linear_mpc", "y_s": {"from": 0.05, "to": 0.2, "count": 20}}]
+    study = make_study(design=designs, scenarios={"left": 20, "right": 20})
     run_study(study, directory=tmp_path / "serial", executor="serial")
     with cluster(tmp_path) as (address, workers):
-        ended: list[Any] = []
-        runner = threading.Thread(
-            target=lambda: ended.append(run_study(study, directory=tmp_path / "dask", dask=address, block_size=1))
-        )
-        runner.start()
-        # in the midst of it: the first results are there, the last are not
-        while runner.is_alive() and not list((tmp_path / "dask" / "results").glob("part-*")):
-            time.sleep(0.05)
-        killed = workers[0]
-        os.killpg(killed.pid, signal.SIGKILL)  # the worker and the nanny that would start another
-        in_the_midst = runner.is_alive()
-        runner.join(300)
-    assert in_the_midst
-    assert ended
+        # the worker and the nanny that would start another
+        at_the_first_part(monkeypatch, lambda: os.killpg(workers[0].pid, signal.SIGKILL))
+        run_study(study, directory=tmp_path / "dask", dask=address, block_size=1)
+        assert workers[0].wait(LONG) == -signal.SIGKILL
     assert stored_rows(tmp_path / "dask").equals(stored_rows(tmp_path / "serial"))
 
 
@@ -319,24 +327,15 @@ def test_a_task_that_is_sent_again_has_another_key(client: FakeClient) -> None:
 
 
 @pytest.mark.slow
-def test_a_dask_scheduler_that_is_killed_ends_the_run(make_study: MakeStudy, tmp_path: Path) -> None:
-    study = make_study(
-        design=[{"law": "linear_mpc", "y_s": {"from": 0.05, "to": 0.2, "count": 60}}],
-        scenarios={"left": 100, "right": 100},
-    )
+def test_a_dask_scheduler_that_is_killed_ends_the_run(
+    make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    designs = [{"law": "linear_mpc", "y_s": {"from": 0.05, "to": 0.2, "count": 20}}]
+    study = make_study(design=designs, scenarios={"left": 20, "right": 20})
     with cluster(tmp_path) as (address, processes):
-
-        def kill_in_the_midst() -> None:
-            while not list((tmp_path / "dask" / "results").glob("part-*")):
-                time.sleep(0.05)
-            os.killpg(processes[-1].pid, signal.SIGKILL)
-
-        killer = threading.Thread(target=kill_in_the_midst, daemon=True)
-        killer.start()
+        at_the_first_part(monkeypatch, lambda: os.killpg(processes[-1].pid, signal.SIGKILL))
         with pytest.raises(ClusterError, match=LOST):
             run_study(study, directory=tmp_path / "dask", dask=address, block_size=1)
-        killer.join(1)
-        assert not killer.is_alive()
 
 
 @pytest.mark.slow
@@ -359,8 +358,9 @@ def test_a_dask_worker_of_another_kind_is_refused(tmp_path: Path, preload: str, 
 
 
 @pytest.mark.slow
-def test_a_dask_worker_that_joins_later_is_checked(tmp_path: Path) -> None:
+def test_a_dask_worker_that_joins_later_is_checked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The one that was there goes, and one with another SciPy comes: the study ends, and says why."""
+    monkeypatch.setattr(dask_cluster, "_GRACE", float(LONG))
     preload = tmp_path / "other.py"
     preload.write_text(
         "import importlib.metadata as m\nm.version = lambda n, v=m.version: '0.1' if n == 'scipy' else v(n)"
@@ -378,7 +378,7 @@ def test_a_dask_worker_that_joins_later_is_checked(tmp_path: Path) -> None:
         try:
             executor.start(a_task())
             with pytest.raises(InputError, match=r"dask: a worker has scipy 0\.1, the process that sends the work"):
-                listen(executor, 60.0)
+                listen(executor, LONG)
         finally:
             executor.close(orderly=False)
             os.killpg(other.pid, signal.SIGKILL)
@@ -423,12 +423,13 @@ def test_last_output_are_read_by_the_line(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("hurdle", ["raises", "hangs", "is interrupted"])
 def test_giving_up_neither_raises_nor_hangs(client: FakeClient, monkeypatch: pytest.MonkeyPatch, hurdle: str) -> None:
-    release = threading.Event()
+    release, waited = threading.Event(), []
 
     def end(*_: Any, **__: Any) -> None:
         if hurdle == "raises":
             raise OSError("gone")
-        release.wait(60)
+        release.wait(LONG)
+        waited.append(True)
 
     def interrupted(*_: Any) -> None:
         raise KeyboardInterrupt
@@ -448,5 +449,6 @@ def test_giving_up_neither_raises_nor_hangs(client: FakeClient, monkeypatch: pyt
                 patch.setattr(threading.Thread, "join", interrupted)
             on_dask.close(orderly=False)
             here.close(orderly=False)
+        assert not waited
     finally:
         release.set()

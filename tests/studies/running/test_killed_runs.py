@@ -1,18 +1,18 @@
 """A run that is killed at any moment: the next run into its folder ends with what an uninterrupted one would have."""
 
 import csv
-import json
-import os
 import random
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+
+from helpers.kills import killing
+from studies import read_manifest
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes are killed in another way on Windows")
 
@@ -20,15 +20,15 @@ KILLS = 4
 
 LONG = 600  # seconds that a whole run may take, on a machine that does other things as well and has to compile first
 
-OFTEN = """
-import sys
+PROGRAM = """
 from ldctoolkit.studies.cli import main
 from studies.running import campaign
 
-campaign._STORE_EVERY = 0.3
+campaign._STORE_EVERY = -1.0
+campaign.Dispatcher._fitting = lambda *_: 8
 sys.exit(main())
 """
-"""The command, with parts stored so often that some are long before the last result."""
+"""The command with eight designs a task, each task stored as a part: so many steps on a machine of any speed."""
 
 STUDY = """
 name = "killed"
@@ -52,7 +52,6 @@ law = "stanley"
 y_s = [0.05, 0.2]
 [design.gains]
 k = [1.0, 2.0]
-# takes long enough for several parts
 [[design]]
 law = "linear_mpc"
 y_s = [0.05, 0.1, 0.15, 0.2]
@@ -61,40 +60,11 @@ q_y = { from = 1.0, to = 3.0, count = 5 }
 """
 
 
-def start(folder: Path, name: str, *words: str) -> subprocess.Popen[bytes]:
-    return subprocess.Popen(
-        [sys.executable, "-c", OFTEN, "run", "s.toml", "-o", name, "--quiet",
-         "--no-robustness", "--no-figures", *words],
-        cwd=folder,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        start_new_session=True,
-    )  # fmt: skip
-
-
-def kill(process: subprocess.Popen[bytes]) -> None:
-    """The run itself; its workers notice."""
-    os.kill(process.pid, signal.SIGKILL)
-    process.wait(LONG)
-
-
-def finished(folder: Path) -> bool:
-    """Whether all results are stored; what a run does after that takes about as long."""
-    manifest = folder / "manifest.json"
-    return manifest.exists() and bool(json.loads(manifest.read_text(encoding="utf-8"))["finished"])
-
-
-def parts(folder: Path) -> int:
-    return len(list((folder / "results").glob("part-*")))
-
-
-def wait_for_part(folder: Path, process: subprocess.Popen[bytes]) -> None:
-    """Until the run has stored one more part, or has stored everything."""
-    before, given_up = parts(folder), time.monotonic() + LONG
-    while parts(folder) == before and not finished(folder):
-        assert process.poll() is None
-        assert time.monotonic() < given_up
-        time.sleep(0.01)
+def run(folder: Path, name: str, *, killed_at: int = 0) -> int:
+    """The command's exit code; it is killed before it takes that step, and its workers notice. 0: it is not killed."""
+    code = killing(folder / name, killed_at) + PROGRAM
+    words = ["run", "s.toml", "-o", name, "--quiet", "--no-robustness", "--no-figures", "--workers", "2"]
+    return subprocess.run([sys.executable, "-c", code, *words], cwd=folder, timeout=LONG, check=False).returncode
 
 
 def ranking(folder: Path) -> list[dict[str, str]]:
@@ -106,34 +76,16 @@ def ranking(folder: Path) -> list[dict[str, str]]:
 @pytest.mark.slow
 def test_kills_lose_nothing_and_leave_nothing_twice(tmp_path: Path, stored_rows: Callable[..., Any]) -> None:
     (tmp_path / "s.toml").write_text(STUDY, encoding="utf-8")
-    whole = tmp_path / "whole"
-    process, started = start(tmp_path, "whole", "--workers", "2"), time.monotonic()
-    while not finished(whole):
-        assert process.poll() is None
-        time.sleep(0.01)
-    took = time.monotonic() - started
-    while not (whole / "ranking.csv").exists():
-        assert process.poll() is None
-        time.sleep(0.01)
-    kill(process)  # its page is not looked at
-    chance, killed = random.Random(7), tmp_path / "killed"
-    unfinished = []
-    for i in range(KILLS):
-        process = start(tmp_path, "killed", "--workers", "2")
-        # by turns as soon as one more part is stored, or all are, and at any moment, also while it ends
-        if i % 2:
-            time.sleep(chance.uniform(0.0, 0.4) * took)
-        else:
-            wait_for_part(killed, process)
-        kill(process)
-        if not finished(killed):
-            unfinished.append(parts(killed))
-    last = start(tmp_path, "killed", "--workers", "2")
-    _, error = last.communicate(timeout=LONG)
-    assert last.returncode == 0, error
+    whole, killed = tmp_path / "whole", tmp_path / "killed"
+    assert run(tmp_path, "whole") == 0
+    chance, stages = random.Random(10), []
+    for _ in range(KILLS):
+        assert run(tmp_path, "killed", killed_at=chance.randint(1, 80)) == -signal.SIGKILL
+        stages.append((any(killed.glob("results/part-*")), bool(read_manifest(killed).finished)))
+    assert run(tmp_path, "killed") == 0
     for rooms in ((), ("finalists",)):
         assert stored_rows(killed, *rooms).equals(stored_rows(whole, *rooms))
     assert ranking(killed) == ranking(whole)
-    # not all of them were killed before or after the work
-    assert any(unfinished), unfinished
+    # some were killed while results were stored, others when all were
+    assert {(True, False), (True, True)} <= set(stages), stages
     assert not list(killed.rglob(".*.part"))

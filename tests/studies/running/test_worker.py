@@ -17,6 +17,15 @@ def test_a_huge_limit_is_taken_by_this_platform() -> None:
     assert not worker._deadlines
 
 
+@pytest.mark.slow
+def test_a_process_over_its_time_ends() -> None:
+    """Also where the interpreter has no turn, as in C code that does not come back."""
+    code = "import ctypes; from studies.running.executors.processes import _limited\n"
+    code += "with _limited(0.1): ctypes.PyDLL(None).sleep(600)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300, check=False)
+    assert (done.returncode, done.stderr[:17]) == (1, "Timeout (0:00:00.")
+
+
 def test_an_error_of_the_run_is_not_one_of_the_lock(tmp_path: Path) -> None:
     with pytest.raises(PermissionError, match="of the run"), locked(tmp_path):
         raise PermissionError("of the run")
