@@ -15,7 +15,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import cloudpickle
 import numpy as np
@@ -189,6 +189,7 @@ _MANIFEST: Final = "manifest.json"
 _LOCK: Final = ".lock"
 _PART = re.compile(r"part-(\d+)-([0-9a-f]{16})\.npz")
 _DIGITS: Final = 16
+_KEPT_THERE: Final = "finished parts are kept there: move it, or choose another output"
 
 
 class WorkFolder:
@@ -202,21 +203,19 @@ class WorkFolder:
         self._parts: dict[int, Path] = {}
         for file in sorted(path.iterdir()):
             found = _PART.fullmatch(file.name)
-            if found is not None:
-                self._take_in(int(found[1]), file, found[2])
-
-    def _take_in(self, number: int, file: Path, checksum: str) -> None:
-        # all are read once here, so that what is missing is known before anything is computed
-        content = read_bytes(file)
-        try:
-            if _checksum(content) != checksum:
-                raise StoreError("broken: its content is not what was written (the checksum in its name differs)")
-            read_part(content)
-        except StoreError as error:
-            _log.warning("%s: %s; this part is read again", file, error)
-            _unlink(file)
-        else:
-            self._parts[number] = file
+            if found is None:
+                continue
+            # all are read once here, so that what is missing is known before anything is computed
+            content = read_bytes(file)
+            try:
+                if _checksum(content) != found[2]:
+                    raise StoreError("broken: its content is not what was written (the checksum in its name differs)")
+                read_part(content)
+            except StoreError as error:
+                _log.warning("%s: %s; this part is read again", file, error)
+                _unlink(file)
+            else:
+                self._parts[int(found[1])] = file
 
     @property
     def finished(self) -> frozenset[int]:
@@ -252,14 +251,6 @@ def parts_folder(output: str | os.PathLike[str]) -> Path:
     return Path(f"{os.fspath(output)}{SUFFIX}")
 
 
-def holds_parts(path: Path) -> bool:
-    """Whether a folder is there that an extraction has left, whatever it was of."""
-    try:
-        return (path / _MANIFEST).is_file()
-    except OSError:  # it may not be read
-        return False
-
-
 @contextlib.contextmanager
 def work_folder(path: Path, plan: Plan) -> Iterator[WorkFolder]:
     """Hold a work folder, made if need be, with the parts of the same plan that are in it. Parts of another plan are
@@ -269,9 +260,7 @@ def work_folder(path: Path, plan: Plan) -> Iterator[WorkFolder]:
     try:
         path.mkdir(exist_ok=True)
     except FileExistsError:
-        raise StoreError(
-            f"{path}: is no folder; finished parts are kept there: move it, or choose another output"
-        ) from None
+        raise StoreError(f"{path}: is no folder; {_KEPT_THERE}") from None
     except OSError as error:
         raise StoreError(f"{path}: cannot be made: {error.strerror or error}") from None
     with locked(path):
@@ -301,20 +290,14 @@ def _keep_only(path: Path, plan: Plan) -> None:
         if not differs and plan["files"]:  # without digests it is not known whether the files are the same
             return
         if any(_PART.fullmatch(file.name) for file in path.iterdir()):
-            _log.warning(
-                "%s: its parts are of another extraction and are removed (%s)",
-                path,
-                differs or "the files are not known",
-            )
-        _clear(path)
+            why = differs or "the files are not known"
+            _log.warning("%s: its parts are of another extraction and are removed (%s)", path, why)
     else:
         others = [file.name for file in path.iterdir() if file.name != _LOCK and not _PART.fullmatch(file.name)]
         if others:
-            raise StoreError(
-                f"{path}: is not the work folder of an extraction (it holds {sorted(others)[0]}); finished parts are "
-                "kept there: move it, or choose another output"
-            )
-        _clear(path)
+            what = f"is not the work folder of an extraction (it holds {min(others)})"
+            raise StoreError(f"{path}: {what}; {_KEPT_THERE}")
+    _clear(path)
     write_text(manifest, json.dumps(plan, indent=1, ensure_ascii=False) + "\n")
 
 
@@ -484,7 +467,8 @@ def run_extraction(
     works = tuple(PartWork(i, part, criteria, preparation, keep_signals) for i, part in enumerate(source.parts))
     with contextlib.ExitStack() as stack:
         store: _Store = _Memory()
-        if output is not None and (len(works) > 1 or holds_parts(parts_folder(output))):
+        # a folder that another extraction has left is taken over, too; `isfile` raises nothing where it may not be read
+        if output is not None and (len(works) > 1 or os.path.isfile(parts_folder(output) / _MANIFEST)):  # noqa: PTH113
             plan = plan_of(reader, source, criteria, preparation, keep_signals)
             store = stack.enter_context(work_folder(parts_folder(output), plan))
             remove_unfinished(Path(output))
@@ -502,41 +486,19 @@ def run_extraction(
     return extraction
 
 
-class _Store(Protocol):
-    """Where finished parts wait."""
+class _Memory(dict[int, PartResult]):
+    """Finished parts in memory, in place of a `WorkFolder`."""
 
     @property
     def finished(self) -> frozenset[int]:
-        """Numbers of those that are there."""
+        return frozenset(self)
 
-    def write(self, number: int, result: PartResult) -> None:
-        """Keep one."""
-
-    def read(self, number: int) -> PartResult:
-        """Give one back."""
-
-    def remove(self) -> None:
-        """They are not needed any more."""
+    write = dict.__setitem__
+    read = dict.__getitem__
+    remove = dict.clear
 
 
-class _Memory:
-    """Finished parts in memory."""
-
-    def __init__(self) -> None:
-        self._parts: dict[int, PartResult] = {}
-
-    @property
-    def finished(self) -> frozenset[int]:
-        return frozenset(self._parts)
-
-    def write(self, number: int, result: PartResult) -> None:
-        self._parts[number] = result
-
-    def read(self, number: int) -> PartResult:
-        return self._parts[number]
-
-    def remove(self) -> None:
-        self._parts.clear()
+_Store = WorkFolder | _Memory
 
 
 def _fill(
@@ -556,7 +518,13 @@ def _fill(
         workers = min(workers, len(missing))
     executor = make_executor(None, workers, dask, PACKAGES)
     try:
-        _check_sendable(executor, missing[0])
+        dumps = pickle.dumps if executor.name == "dask" else cloudpickle.dumps
+        try:
+            if executor.name != "serial":
+                dumps(missing[0])
+        except Exception as error:  # a third party's part may hold anything
+            what = f"parts of the kind {type(missing[0].part).__name__} cannot be sent to other processes ({error})"
+            raise LdcError(f"{what}; use one worker") from None
         for work, came in send_parts(executor, missing):
             if isinstance(came, Unread):
                 unread[work.number] = came
@@ -570,20 +538,6 @@ def _fill(
         raise
     executor.close(orderly=True)
     return unread
-
-
-def _check_sendable(executor: Executor, work: PartWork) -> None:
-    """Refuse parts that hold more than plain data; a third party's may."""
-    if executor.name == "serial":
-        return
-    dumps = pickle.dumps if executor.name == "dask" else cloudpickle.dumps
-    try:
-        dumps(work)
-    except Exception as error:  # a part may hold anything
-        kind = type(work.part).__name__
-        raise LdcError(
-            f"parts of the kind {kind} cannot be sent to other processes ({error}); use one worker"
-        ) from None
 
 
 def _in_order(

@@ -172,8 +172,6 @@ COLUMNS: Final = {
 }
 """Column of the table -> field of `Departures`; the unit is the end of the column's name."""
 
-_SIDES: Final = {"left": LEFT, "right": RIGHT}
-
 _SIGNALS: Final = {"t_s": "t", "y_m": "y", "v_m_s": "v", "c_1_m": "c"}
 """Column of the second table -> field of `DepartureSignals`."""
 
@@ -199,6 +197,8 @@ def write_departures(path: str | os.PathLike[str], departures: Departures, prove
     """
     import polars as pl
 
+    from ldctoolkit.version import __version__
+
     target = Path(path)
     if target.suffix.lower() != ".parquet":
         raise RecordingError(f"{target.name}: the suffix of a departures table is .parquet")
@@ -220,7 +220,8 @@ def write_departures(path: str | os.PathLike[str], departures: Departures, prove
         ]
     )
     _check(target.name, table)
-    _write(target, table, {METADATA_KEY: provenance_to_json(provenance)})
+    content = {"format_version": FORMAT_VERSION, "ldctoolkit": __version__} | dataclasses.asdict(provenance)
+    _write(target, table, {METADATA_KEY: json.dumps(content, ensure_ascii=False, allow_nan=False)})
     if departures.signals is not None:
         _write(signals_path(target), signals_table(departures.signals), {})
 
@@ -344,30 +345,22 @@ def read_departures(path: str | os.PathLike[str], *, signals: bool = False) -> t
         for column, field in COLUMNS.items()
         if field not in ("recording", "side")
     }
+    extra: list[ExtraColumn] = []
+    for name in table.columns:  # those of the source's own that are neither text nor numbers are passed over
+        values = table[name]
+        if name not in COLUMNS and values.dtype == pl.String:
+            extra.append(ExtraColumn(name, np.array(values.fill_null("").to_list(), dtype=np.str_)))
+        elif name not in COLUMNS and values.dtype.is_numeric():
+            extra.append(ExtraColumn(name, values.cast(pl.Float64).fill_null(float("nan")).to_numpy().copy()))
     departures = Departures(
         side=np.where((table["side"] == "left").to_numpy(), LEFT, RIGHT).astype(np.int64),
         recording=np.array(table["recording"].to_list(), dtype=np.str_),
-        extra=tuple(_extra(table[name]) for name in table.columns if name not in COLUMNS and _known(table[name])),
+        extra=tuple(extra),
         **numbers,
     )
     if signals:
         departures = dataclasses.replace(departures, signals=read_signals(signals_path(source), departures.T))
     return departures, provenance
-
-
-def _known(column: pl.Series) -> bool:
-    """Whether a column of the source's own is text or numbers; others are passed over."""
-    import polars as pl
-
-    return column.dtype == pl.String or column.dtype.is_numeric()
-
-
-def _extra(column: pl.Series) -> ExtraColumn:
-    import polars as pl
-
-    if column.dtype == pl.String:
-        return ExtraColumn(column.name, np.array(column.fill_null("").to_list(), dtype=np.str_))
-    return ExtraColumn(column.name, column.cast(pl.Float64).fill_null(float("nan")).to_numpy().copy())
 
 
 def _check(name: str, table: pl.DataFrame) -> None:
@@ -389,20 +382,12 @@ def _check(name: str, table: pl.DataFrame) -> None:
             allowed = "text" if text else "integers" if whole else "numbers"
             raise RecordingError(f"{name}: column '{column}' is of type {kind}; allowed: {allowed}")
         refuse(column, table[column].is_null() if text else ~table[column].is_finite(), "no missing value")
-    refuse("side", ~table["side"].is_in(list(_SIDES)), "left, right")
+    refuse("side", ~table["side"].is_in(["left", "right"]), "left, right")
     refuse("samples", table["samples"] < 3, "3 or more")
     for column in ("T_s", "v_mean_m_s"):
         refuse(column, table[column] <= 0, "> 0")
     for column in ("d_y_m", "sigma_y_m", "sigma_v_m_s"):
         refuse(column, table[column] < 0, ">= 0")
-
-
-def provenance_to_json(provenance: Provenance) -> str:
-    """Provenance as JSON, with the versions of the format and of the toolkit."""
-    from ldctoolkit.version import __version__
-
-    content = {"format_version": FORMAT_VERSION, "ldctoolkit": __version__}
-    return json.dumps(content | dataclasses.asdict(provenance), ensure_ascii=False, allow_nan=False)
 
 
 def provenance_from_json(name: str, text: str) -> Provenance:

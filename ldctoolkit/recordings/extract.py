@@ -299,7 +299,7 @@ def merge_results(
             f"the recordings cannot be right: {'; '.join(doubts)}. Correct them, or go on with --force (in Python: "
             "force=True)"
         )
-    warnings = doubts + quality_warnings(
+    warnings = quality_warnings(
         whole.evidence,
         preparation.nominal_lane_width,
         labelled=reader == "table",
@@ -315,7 +315,7 @@ def merge_results(
         hours=sum(account.valid_ns for account in whole.accounts) / 3.6e12,
         distance=sum(account.valid_um for account in whole.accounts) / 1e6,
         curvature="none" if not kinds else kinds[0] if len(kinds) == 1 else "mixed",
-        warnings=(*few_usable(samples, usable), *warnings),
+        warnings=(*doubts, *few_usable(samples, usable), *warnings),
         reader=reader,
         preparation=preparation,
         problems=tuple(str(problem) for problem in whole.problems),

@@ -217,7 +217,7 @@ def _place(log: Any, one: Channel) -> tuple[int, int]:
 
 
 def _in_si(log: Any, group: int, index: int, one: Channel, quantity: str) -> FloatArray:
-    """Samples in SI; invalid ones are NaN."""
+    """Samples in SI, texts by the map's `values`; invalid ones are NaN."""
     factor, dimension, own = 1.0, QUANTITIES[quantity][0], _unit(log, group, index)
     if dimension:
         known = si_factor(own if one.unit is None else one.unit, dimension)
@@ -228,11 +228,6 @@ def _in_si(log: Any, group: int, index: int, one: Channel, quantity: str) -> Flo
             what = "the same, or no `unit` and a `scale` where the log is wrong"
             raise RecordingError(f"is in {own} in the log, in {one.unit} in the map; allowed: {what}")
         factor = known
-    return _numbers(log, group, index, one, quantity) * factor * one.scale + one.offset
-
-
-def _numbers(log: Any, group: int, index: int, one: Channel, quantity: str) -> FloatArray:
-    """Samples as numbers, texts by the map's `values`; invalid ones are NaN."""
     samples, invalid = log.get(group=group, index=index, samples_only=True, ignore_invalidation_bits=True)
     if samples.dtype.kind not in "biufSUO" or samples.ndim != 1:
         raise RecordingError(f"holds {samples.dtype} of the shape {samples.shape}; allowed: a number or text at a time")
@@ -251,7 +246,7 @@ def _numbers(log: Any, group: int, index: int, one: Channel, quantity: str) -> F
     other = numbers[np.abs(numbers) > 1.0]
     if quantity.endswith("_signal") and one.values is None and other.size:  # 2 is to the right in many logs
         raise RecordingError(f"holds the number {other[0]:g}; allowed: -1, 0, 1, or `values` for them in the map")
-    return numbers
+    return numbers * factor * one.scale + one.offset
 
 
 def _text(sample: object) -> str:

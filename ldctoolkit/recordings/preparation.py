@@ -364,7 +364,7 @@ def prepare(
     recording = without_frozen(with_yaw_rate(within_limits(recording, widths)))
     step, apart = preparation.step, np.diff(recording.t[:500])
     # a lane that is seen so seldom that nothing is bridged stays on its own clock
-    if step is None or (apart.size and np.median(apart) > max(preparation.max_gap, step)):
+    if step is None or (apart.size and np.median(apart) > max(preparation.max_gap, step) + ROUNDING):
         return recording
     return resample(recording, step, preparation.max_gap, max_jump)
 
@@ -384,11 +384,14 @@ _CODE_TIMES: Final = 3
 def without_codes(recording: Recording) -> Recording:
     """NaN for codes of "not available": the end of a column's range, several times, far from all other numbers."""
     changed: dict[str, Any] = {}
+    sound = bool(recording.valid.all())
     for name, (gap, most) in _CODES.items():
         values = getattr(recording, name)
-        if values is None or not _ends_repeat(values):
+        if values is None:
             continue
-        known = values[recording.valid & (np.abs(values) < LARGEST)]
+        known = values if sound else values[recording.valid]
+        if not LARGEST > known.max(initial=0.0) >= known.min(initial=0.0) > -LARGEST:  # False for NaN
+            known = known[np.abs(known) < LARGEST]
         codes = []
         while known.size > _CODE_TIMES:
             for end in (known.max(), known.min()):
@@ -408,12 +411,6 @@ def without_codes(recording: Recording) -> Recording:
         if codes:
             changed[name] = np.where(np.isin(values, codes), np.nan, values)
     return dataclasses.replace(recording, **changed) if changed else recording
-
-
-def _ends_repeat(values: FloatArray) -> bool:
-    """Whether an end of the range comes several times, as nearly never; also where a number is missing."""
-    ends = (values.max(initial=-np.inf), values.min(initial=np.inf))
-    return bool(np.isnan(ends[0])) or any(np.count_nonzero(values == end) >= _CODE_TIMES for end in ends)
 
 
 def within_limits(recording: Recording, widths: tuple[float, float]) -> Recording:
@@ -498,6 +495,10 @@ def on_own_clocks(recording: Recording) -> Recording:
                 bends, longer = new_rows(t[:-1], np.round(np.diff(offset) / np.diff(t), 6))
                 rows, refresh = (bends, longer) if longer > SHORTEST_REFRESH else _EVERY_ROW
     if refresh > 0.0:
+        # where the lane is lost for longer, rows at the same distance are kept, and are invalid
+        lost = np.flatnonzero(np.isnan(offset))
+        lost = lost[t[lost] - t[rows[np.maximum(np.searchsorted(rows, lost) - 1, 0)]] > 1.25 * refresh]
+        rows = np.union1d(rows, lost[:: max(1, round(refresh / float(np.median(np.diff(t)))))])
         least = f": departures of less than about {3.0 * refresh:.2g} s cannot be found" if refresh > 0.2 else ""
         notes.append(f"the lane is new every {refresh:.2g} s only{least}")
     coarse = coarse_step(offset[np.isfinite(offset)])

@@ -7,13 +7,14 @@ import itertools
 import os
 import re
 import stat
+import textwrap
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Final, Generic, Protocol, TypeVar, runtime_checkable
 
 from ldctoolkit.errors import InputError, LdcError, RecordingError, UnknownNameError, nearest
-from ldctoolkit.recordings.recording import Problem, Recording, SourceFile
+from ldctoolkit.recordings.recording import Problem, Recording, SourceFile, TableFault
 
 GROUP: Final = "ldctoolkit.recordings"  # entry-point group of readers
 
@@ -227,31 +228,32 @@ def shown_names(paths: Sequence[Path]) -> list[str]:
     return names
 
 
-@dataclasses.dataclass(frozen=True)
+def check_columns(
+    columns: Sequence[str], required: Sequence[str], optional: Sequence[str] = (), same: Callable[[str], str] = str
+) -> None:
+    """Refuse a header that lacks a column or repeats one; with ``same=str.lower`` letters may be of either case."""
+    there, known = list(map(same, columns)), list(map(same, (*required, *optional)))
+    for name in (*required, *optional):
+        if (count := there.count(same(name))) > 1:
+            raise TableFault("", f"column '{name}' appears {count} times; allowed: once")
+    for name in required:
+        if same(name) not in there:
+            # the nearest name is looked for among the file's own, which is what its author has to rename
+            unknown = [one for one in columns[:64] if one and same(one) not in known]
+            hint = textwrap.shorten(nearest(name, unknown).replace("allowed:", "columns not known here:"), 400)
+            hint = hint if unknown else "no other column of the file could be it"
+            raise TableFault("", f"column '{name}' is missing; {hint}. Needed: {', '.join(required)}")
+
+
 class CombinedReader:
     """Readers with the same vehicle width and step, for paths that hold files of each."""
 
-    readers: tuple[RecordingReader, ...]  # two or more, by name
-
-    @property
-    def name(self) -> str:
-        """Names of all of them."""
-        return " + ".join(reader.name for reader in self.readers)
-
-    @property
-    def title(self) -> str:
-        """Titles of all of them."""
-        return "; ".join(reader.title for reader in self.readers)
-
-    @property
-    def vehicle_width(self) -> float:
-        """The same for all [m]."""
-        return self.readers[0].vehicle_width
-
-    @property
-    def step(self) -> float | None:
-        """The same for all [s]."""
-        return self.readers[0].step
+    def __init__(self, readers: tuple[RecordingReader, ...]) -> None:
+        self.readers = readers  # two or more, by name
+        self.name = " + ".join(reader.name for reader in readers)
+        self.title = "; ".join(reader.title for reader in readers)
+        self.vehicle_width = readers[0].vehicle_width
+        self.step = readers[0].step
 
     def recognise(self, paths: Sequence[Path]) -> str:
         """What each of them finds."""
@@ -264,12 +266,15 @@ class CombinedReader:
         errors: list[RecordingError] = []
         unread: list[Problem] = []
         owner: dict[str, str] = {}
+        files = [path for path, _ in find_tables(paths)]
+        names = shown_names(files)
         for reader in self.readers:
             try:
                 source = reader.open(paths)
             except RecordingError as error:
                 errors.append(error)
-                unread.append(Problem(_file_for(reader, paths), "", str(error)))
+                known = (name for path, name in zip(files, names, strict=True) if reader.recognise([path]))
+                unread.append(Problem(next(known, paths[0].name), "", str(error)))
                 continue
             sources.append(source)
             for file in source.files:
@@ -280,26 +285,17 @@ class CombinedReader:
                     )
         if not sources:
             raise errors[0]
-        names = [{file.name for file in source.files} for source in sources]
-        read = set().union(*names)
+        owned = [{file.name for file in source.files} for source in sources]
+        read = set().union(*owned)
         problems = [
             problem
-            for source, own in zip(sources, names, strict=True)
+            for source, own in zip(sources, owned, strict=True)
             for problem in source.problems
             if problem.file in own or problem.file not in read  # else a file that another one is for
         ]
         parts = tuple(part for source in sources for part in source.parts)
-        files = tuple(file for source in sources for file in source.files)
-        return FoundParts(parts, files, (*problems, *unread))
-
-
-def _file_for(reader: RecordingReader, paths: Sequence[Path]) -> str:
-    """Name of the first file that a reader knows, or else of the first path."""
-    found = [path for path, _ in find_tables(paths)]
-    for path, name in zip(found, shown_names(found), strict=True):
-        if reader.recognise([path]):
-            return name
-    return paths[0].name
+        found = tuple(file for source in sources for file in source.files)
+        return FoundParts(parts, found, (*problems, *unread))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -357,12 +353,8 @@ def open_recordings(
         if not hasattr(reader, "channels"):
             raise InputError(f"channels: {channels}; format {reader.name!r} takes no channel map; allowed: mdf")
         reader = dataclasses.replace(reader, channels=Path(channels))  # type: ignore[type-var]
-    return OpenedRecordings(reader, _opened(reader, given), found or reader.title)
-
-
-def _opened(reader: RecordingReader, paths: list[Path]) -> RecordingSource:
     try:
-        source = reader.open(paths)
+        source = reader.open(given)
         keys = Counter(part.key for part in source.parts)
     except LdcError:
         raise
@@ -371,7 +363,7 @@ def _opened(reader: RecordingReader, paths: list[Path]) -> RecordingSource:
     for key, count in keys.items():
         if count > 1:
             raise LdcError(f"format {reader.name!r}: {count} parts have the key {key!r}; allowed: a key for each part")
-    return source
+    return OpenedRecordings(reader, source, found or reader.title)
 
 
 def _recognised(paths: list[Path]) -> tuple[RecordingReader, str]:

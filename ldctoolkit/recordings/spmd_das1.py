@@ -15,20 +15,21 @@ import numpy as np
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.preparation import cut_at
-from ldctoolkit.recordings.recording import LARGEST, Problem, Recording, SourceFile, measured
+from ldctoolkit.recordings.recording import LARGEST, Problem, Recording, measured
 from ldctoolkit.recordings.sources import FoundParts
-from ldctoolkit.recordings.trip_index import Cells, Stretch, TripIndex
+from ldctoolkit.recordings.trip_index import Cells, Stretch
 from ldctoolkit.recordings.trip_tables import (
     TableLayout,
     TripTable,
     batches,
-    check_columns,
+    check_trip_columns,
     collect_trips,
     grouped_problems,
     look_through,
     read_header,
     read_trips,
     recognised,
+    text_bytes,
 )
 
 TripPlace = tuple[tuple[Stretch, ...], tuple[Stretch, ...]]
@@ -60,7 +61,7 @@ class Das1Part:
     @property
     def bytes(self) -> int:
         """Text that is read."""
-        return sum(map(trip_bytes, self.trips))
+        return sum(text_bytes(lane + wsu) for lane, wsu in self.trips)
 
     def read(self) -> Iterator[Recording | Problem]:
         """What could not be used, then recordings in the order of the lane table."""
@@ -90,11 +91,6 @@ class Das1Part:
                 own["valid"] &= ~inside
             yield Recording(name, source=self.lane.name, notes=() if there else (ALONE,), **own)
         yield from grouped_problems(self.lane.name, apart)
-
-
-def trip_bytes(trip: TripPlace) -> int:
-    """Text of a trip in both tables."""
-    return sum(one.end - one.begin for stretches in trip for one in stretches)
 
 
 def _signals(lane: Cells, wsu: Cells, match: IntArray) -> dict[str, Any]:
@@ -174,27 +170,13 @@ class SpmdDas1:
     def open(self, paths: Sequence[Path]) -> FoundParts[Das1Part]:
         """Look through the tables for where each trip lies."""
         found, problems = look_through(paths, _named, _layout_of)
-        tables = {kind: [(one.table, one.index) for one in found if one.layout.kind == kind] for kind in _COLUMNS}
-        files = tuple(
-            SourceFile(one.name, index.bytes, index.sha256) for some in tables.values() for one, index in some
-        )
-        parts = self._parts(tables["DataLane"], tables["DataWsu"], problems)
-        return FoundParts(parts, files, tuple(problems))
-
-    def _parts(
-        self,
-        lane: Sequence[tuple[TripTable, TripIndex]],
-        wsu: Sequence[tuple[TripTable, TripIndex]],
-        problems: list[Problem],
-    ) -> tuple[Das1Part, ...]:
-        for kind, some in (("DataLane", lane), ("DataWsu", wsu)):
-            if not some:
-                needed = f"no table {kind} (columns {', '.join((*KEY, *_COLUMNS[kind]))}) was found"
-                raise RecordingError("; ".join([f"spmd-das1: {needed}", *map(str, problems[:5])]))
-        lanes, odd = collect_trips(lane)
-        problems += odd
-        others, odd = collect_trips(wsu)
-        problems += odd
+        tables = {kind: [one for one in found if one.layout.kind == kind] for kind in _COLUMNS}
+        (lanes, odd), (others, odder) = map(collect_trips, tables.values())
+        problems += odd + odder
+        lacking = [f"table {one} (columns {', '.join((*KEY, *_COLUMNS[one]))})" for one in tables if not tables[one]]
+        if lacking or not lanes:
+            what = f"spmd-das1: no {[*lacking, 'trip of a table DataLane'][0]} was found"
+            raise RecordingError("; ".join([what, *map(str, problems[:5])]))
         together = []
         for key, (number, stretches) in lanes.items():
             # a trip that the other table lacks is read as well: it counts, though nothing of it can be used
@@ -203,15 +185,17 @@ class SpmdDas1:
         together.sort(key=lambda trip: trip[:3])
         parts: list[Das1Part] = []
         for batch in batches(
-            together, lambda trip: trip_bytes(trip[3:]), self.part_bytes, lambda one, after: one[:2] != after[:2]
+            together,
+            lambda trip: text_bytes(trip[3] + trip[4]),
+            self.part_bytes,
+            lambda one, after: one[:2] != after[:2],
         ):
             number, other, _, stretches, _ = batch[0]
-            key_ = f"{lane[number][0].name}:{stretches[0].device}/{stretches[0].trip}"
-            parts.append(Das1Part(key_, lane[number][0], wsu[other][0], tuple(trip[3:] for trip in batch)))
-        if not parts:
-            details = "".join(f"; {problem}" for problem in problems[:5])
-            raise RecordingError(f"spmd-das1: no trip of a table DataLane was found{details}")
-        return tuple(parts)
+            lane, wsu = tables["DataLane"][number].table, tables["DataWsu"][other].table
+            key_ = f"{lane.name}:{stretches[0].device}/{stretches[0].trip}"
+            parts.append(Das1Part(key_, lane, wsu, tuple(trip[3:] for trip in batch)))
+        files = tuple(one.file for some in tables.values() for one in some)
+        return FoundParts(tuple(parts), files, tuple(problems))
 
 
 def _kind(columns: Sequence[str]) -> str:
@@ -238,9 +222,9 @@ def _layout_of(path: Path) -> tuple[TableLayout | None, str]:
     if not kind:
         shown = ", ".join(header.columns[:8]) + (", ..." if len(header.columns) > 8 else "")
         return None, f"neither the columns of DataLane nor those of DataWsu: {shown[:120]}; the file is left out"
-    check_columns(header.columns, KEY, _COLUMNS[kind])
+    check_trip_columns(header.columns, KEY, _COLUMNS[kind])
     note = f"the columns are those of {kind}, the name is not; read as {kind}. Are two files swapped?"
-    return TableLayout(header.columns, header.begin, kind=kind), note if _named(path) not in ("", kind) else ""
+    return dataclasses.replace(header, kind=kind), note if _named(path) not in ("", kind) else ""
 
 
 READER: Final = SpmdDas1()

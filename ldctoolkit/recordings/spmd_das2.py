@@ -12,19 +12,20 @@ import numpy as np
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.preparation import cut_at
-from ldctoolkit.recordings.recording import Problem, Recording, SourceFile, measured
+from ldctoolkit.recordings.recording import Problem, Recording, measured
 from ldctoolkit.recordings.sources import FoundParts
 from ldctoolkit.recordings.trip_index import Cells, Stretch
 from ldctoolkit.recordings.trip_tables import (
     TableLayout,
     TripTable,
     batches,
-    check_columns,
+    check_trip_columns,
     collect_trips,
     look_through,
     read_header,
     read_trips,
     recognised,
+    text_bytes,
 )
 
 KEY: Final = ("DeviceID", "Trip")
@@ -69,19 +70,15 @@ LOOKED_AT: Final = 20
 """A table without a header is recognised by so many first lines, of which the first may be an odd one."""
 
 
-def layout_of(path: Path) -> TableLayout | None:
-    """How a file's rows are laid out; None if it is another table."""
+def _layout_of(path: Path) -> tuple[TableLayout | None, str]:
+    """How a file's rows are laid out, or why it is another table."""
     header = read_header(path)
-    lower = {name.lower() for name in header.columns}
-    if {LEFT.lower(), RIGHT.lower()} & lower:
-        check_columns(header.columns, KEY, REQUIRED, OPTIONAL)
-        usual = [name.lower() for name in header.columns] == [name.lower() for name in POSITIONS[: len(header.columns)]]
-        cells = tuple(sorted({*CELLS, len(header.columns)})) if usual else (len(header.columns),)
-        return TableLayout((*header.columns, *POSITIONS[len(header.columns) : max(cells)]), header.begin, cells=cells)
-    return _without_header(path)
-
-
-def _without_header(path: Path) -> TableLayout | None:
+    columns, lower = header.columns, [name.lower() for name in header.columns]
+    if {LEFT.lower(), RIGHT.lower()}.intersection(lower):
+        check_trip_columns(columns, KEY, REQUIRED, OPTIONAL)
+        usual = lower == [name.lower() for name in POSITIONS[: len(columns)]]
+        cells = tuple(sorted({*CELLS, len(columns)})) if usual else (len(columns),)
+        return TableLayout((*columns, *POSITIONS[len(columns) : max(cells)]), header.begin, cells=cells), ""
     try:
         with path.open("rb") as stream:
             lines = [stream.readline(1 << 16) for _ in range(LOOKED_AT)]
@@ -92,9 +89,10 @@ def _without_header(path: Path) -> TableLayout | None:
     filled = [line for line in lines if line.strip()]
     counts = [line.count(b",") + 1 if _has_key(line) else 0 for line in filled]
     # a line may be at fault, but most must look right
-    if 2 * sum(count in CELLS for count in counts) <= len(filled):
-        return None
-    return TableLayout(POSITIONS, begin, line=1, cells=CELLS)
+    if 2 * sum(count in CELLS for count in counts) > len(filled):
+        return TableLayout(POSITIONS, begin, line=1, cells=CELLS), ""
+    needed = f"columns of HV_Primary nor rows of {' or '.join(map(str, CELLS))} cells that begin with numbers"
+    return None, f"neither the {needed}; the file is left out"
 
 
 def _has_key(line: bytes) -> bool:
@@ -127,7 +125,7 @@ class Das2Part:
     @property
     def bytes(self) -> int:
         """Text that is read."""
-        return sum(map(_bytes, self.trips))
+        return sum(map(text_bytes, self.trips))
 
     def read(self) -> Iterator[Recording | Problem]:
         """Recordings in the order of the table; problems come first."""
@@ -148,10 +146,6 @@ class Das2Part:
             if (joins := rows.joins(i)).size:
                 own["cut"], _ = cut_at(rows.cells["Time"][begin:end], joins)
             yield Recording(name, source=self.table.name, notes=notes, **own)
-
-
-def _bytes(trip: Sequence[Stretch]) -> int:
-    return sum(one.end - one.begin for one in trip)
 
 
 def signals_of(cells: Cells) -> dict[str, Any]:
@@ -201,23 +195,19 @@ class SpmdDas2:
 
     def open(self, paths: Sequence[Path]) -> FoundParts[Das2Part]:
         """Look through the tables for where each trip lies."""
-        found, problems = look_through(paths, _named, _layout_and_words)
-        trips, odd = collect_trips([(one.table, one.index) for one in found])
+        found, problems = look_through(paths, _named, _layout_of)
+        trips, odd = collect_trips(found)
         problems += odd
         if not trips:
-            details = "".join(f"; {problem}" for problem in problems[:5])
-            raise RecordingError(f"spmd-das2: no trip of a table HV_Primary was found{details}")
-        files = tuple(SourceFile(one.table.name, one.index.bytes, one.index.sha256) for one in found)
+            what = "spmd-das2: no trip of a table HV_Primary was found"
+            raise RecordingError("; ".join([what, *map(str, problems[:5])]))
         parts: list[Das2Part] = []
         for number, one in enumerate(found):
             own = [stretches for where, stretches in trips.values() if where == number]
-            parts += self._parts(one.table, one.layout, own)
-        return FoundParts(tuple(parts), files, tuple(problems))
-
-    def _parts(self, table: TripTable, layout: TableLayout, trips: Sequence[tuple[Stretch, ...]]) -> Iterator[Das2Part]:
-        for batch in batches(trips, _bytes, self.part_bytes):
-            first = batch[0][0]
-            yield Das2Part(f"{table.name}:{first.device}/{first.trip}", table, layout.cells, batch)
+            for batch in batches(own, text_bytes, self.part_bytes):
+                key = f"{one.table.name}:{batch[0][0].device}/{batch[0][0].trip}"
+                parts.append(Das2Part(key, one.table, one.layout.cells, batch))
+        return FoundParts(tuple(parts), tuple(one.file for one in found), tuple(problems))
 
 
 def _named(path: Path) -> str:
@@ -226,16 +216,8 @@ def _named(path: Path) -> str:
 
 
 def _kind(path: Path) -> str:
-    layout = layout_of(path)
+    layout, _ = _layout_of(path)
     return "" if layout is None else "HV_Primary" if layout.line > 1 else "HV_Primary without a header"
-
-
-def _layout_and_words(path: Path) -> tuple[TableLayout | None, str]:
-    """How a file's rows are laid out, or why it is no such table."""
-    layout = layout_of(path)
-    cells = " or ".join(map(str, CELLS))
-    what = f"neither the columns of HV_Primary nor rows of {cells} cells that begin with numbers; the file is left out"
-    return layout, "" if layout else what
 
 
 READER: Final = SpmdDas2()

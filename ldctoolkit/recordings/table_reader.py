@@ -15,7 +15,7 @@ from typing import IO, Any, Final
 import numpy as np
 import polars as pl
 
-from ldctoolkit.errors import RecordingError, nearest
+from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.preparation import clock_stretches
 from ldctoolkit.recordings.recording import (
     MISSING,
@@ -27,7 +27,8 @@ from ldctoolkit.recordings.recording import (
     TableFault,
     source_file,
 )
-from ldctoolkit.recordings.sources import FoundParts, place_of, shown_names
+from ldctoolkit.recordings.sources import FoundParts, check_columns, place_of, shown_names
+from ldctoolkit.recordings.trip_tables import grouped_problems
 from ldctoolkit.validation import text_of
 
 UNITS: Final = {
@@ -43,9 +44,13 @@ FAULT: Final = "(fault)"  # column that is true for a sample that is at fault, o
 
 CUT: Final = "(cut)"  # column that is true for a sample with a lost line between it and the one before
 
-_VALID: Final = {"1": True, "1.0": True, "true": True, "0": False, "0.0": False, "false": False}
-_SIGNAL: Final = {"1": 1, "1.0": 1, "+1": 1, "left": 1, "-1": -1, "-1.0": -1, "right": -1}
-_SIGNAL_OFF: Final = ("0", "0.0", "-0.0", "none", "off", "null", "nan", "")
+# numbers that words stand for, words for none, and what is allowed
+_SWITCH: Final = ({"1": 1, "1.0": 1, "true": 1, "0": 0, "0.0": 0, "false": 0}, MISSING, "0, 1, false, true")
+_SIGNAL: Final = (
+    {"1": 1, "1.0": 1, "+1": 1, "left": 1, "-1": -1, "-1.0": -1, "right": -1},
+    ("0", "0.0", "-0.0", "none", "off", "null", "nan", ""),
+    "left, right, none, or 1 (left), -1 (right), 0 (none)",
+)
 
 
 def typed(frame: pl.DataFrame, word: str, faults: list[TableFault]) -> pl.DataFrame:
@@ -87,30 +92,22 @@ def typed(frame: pl.DataFrame, word: str, faults: list[TableFault]) -> pl.DataFr
             # "3" and "3.0" are one lane whatever the rest of the column holds
             label = strings.str.replace(r"^(-?\d+)\.0+$", "$1")
             columns.append(pl.select(pl.when(~lower.is_in(MISSING)).then(label)).to_series().alias(name))
-        elif name in ("valid", "engaged"):
-            known = lower.replace_strict(_VALID, default=None, return_dtype=pl.Boolean)
-            refuse(name, known.is_null() & ~lower.is_in(MISSING).fill_null(True), "0, 1, false, true")
-            columns.append(known.fill_null(False).alias(name))
         else:
-            known = lower.replace_strict(_SIGNAL, default=None, return_dtype=pl.Int64)
-            off = lower.is_in(_SIGNAL_OFF).fill_null(True)
-            refuse(name, known.is_null() & ~off, "left, right, none, or 1 (left), -1 (right), 0 (none)")
-            columns.append(known.fill_null(0).alias(name))
+            words, missing, allowed = _SIGNAL if name == "turn_signal" else _SWITCH
+            known = lower.replace_strict(words, default=None, return_dtype=pl.Int64)
+            refuse(name, known.is_null() & ~lower.is_in(missing).fill_null(True), allowed)
+            columns.append(known.fill_null(0).cast(pl.Int64 if words is _SIGNAL[0] else pl.Boolean).alias(name))
     return pl.DataFrame([*columns, pl.Series(FAULT, marked)])
 
 
 def columns_of(frame: pl.DataFrame) -> dict[str, Any]:
-    """The columns of a frame as those of a `Recording`, by name; None for one that it lacks."""
-
-    def column(name: str) -> Any:
-        return frame[name].to_numpy() if name in frame.columns else None
-
-    valid = frame["valid"].to_numpy() if "valid" in frame.columns else np.ones(frame.height, dtype=bool)
-    lane = None
-    if "lane" in frame.columns:
+    """The columns of a frame as those of a `Recording`, by name."""
+    columns: dict[str, Any] = {name: frame[name].to_numpy() for name in COLUMNS[1:] if name in frame.columns}
+    valid = columns.get("valid", np.ones(frame.height, dtype=bool))
+    if "lane" in columns:
         valid = valid & frame["lane"].is_not_null().to_numpy()
-        lane = frame["lane"].rank("dense").fill_null(0).to_numpy().astype(np.int64)
-    return {name: column(name) for name in (*UNITS, "turn_signal", "engaged")} | {"valid": valid, "lane": lane}
+        columns["lane"] = frame["lane"].rank("dense").fill_null(0).to_numpy().astype(np.int64)
+    return columns | {"valid": valid}
 
 
 COLUMNS: Final = ("recording", *UNITS, "lane", "valid", "turn_signal", "engaged")
@@ -126,7 +123,7 @@ _POLARS: Final = (pl.exceptions.PolarsError, pl.exceptions.PanicException)
 
 
 def frames(path: Path, block_bytes: int, faults: list[TableFault]) -> Iterator[pl.DataFrame]:
-    """Blocks of a recording file: the known columns, typed, with `ROW`, `FAULT` and `CUT`."""
+    """Blocks of named rows of a recording file: the known columns, typed, with `ROW`, `FAULT` and `CUT`."""
     seen: set[str] = set()
     present: list[str] = []
     rows = 0
@@ -140,6 +137,10 @@ def frames(path: Path, block_bytes: int, faults: list[TableFault]) -> Iterator[p
                 seen |= {name} if values.is_finite().any() else set()
             elif name not in ("lane", "recording") or values.null_count() < values.len():
                 seen.add(name)
+        nameless = block["recording"].fill_null("") == ""  # such rows mark their neighbours
+        if nameless.any():
+            near = nameless.shift(1).fill_null(False) | nameless.shift(-1).fill_null(False)
+            block = block.with_columns((block[FAULT] | near).alias(FAULT)).filter(~nameless)
         yield block
     empty = [name for name in COLUMNS if name in present and name not in seen]
     if rows == 0:
@@ -221,17 +222,22 @@ def csv_blocks(path: Path, block_bytes: int, faults: list[TableFault]) -> Iterat
                 raise TableFault("", "the content is gzip; give it a name that ends in .csv.gz")
             if len(first) == LONGEST_LINE:
                 raise TableFault(f"line {line}", f"longer than {LONGEST_LINE} bytes; this is not CSV")
-            header = _csv_header(first, line)
+            header = [name.strip() for name in _fields(first, line)]
+            if not any(header):
+                state = f"line {line} is blank" if first else "the file is empty" if line == 1 else "only comments"
+                raise TableFault("", f"{state}; a header is needed: {', '.join(REQUIRED)}, ...")
+            if len(header) == 1 and any(mark in header[0] for mark in ";\t|"):
+                raise TableFault(f"line {line}", f"columns are not separated by commas: {header[0][:60]!r}")
+            check_columns(header, REQUIRED, COLUMNS)
             if nuls and header[0] not in COLUMNS:
                 raise TableFault(f"line {line}", f"{nuls} NUL bytes stand where the header begins")
             if nuls:
                 faults.append(TableFault(f"line {line}", f"{nuls} NUL bytes before the header; they are passed over"))
             line += 1
             rest, begun, ended = b"", False, False
-            broken: Exception | None = None
-            while broken is None and not ended:
-                block, broken = _next_bytes(stream, block_bytes)
-                ended = not block and broken is None
+            while not ended:
+                block = _next_bytes(stream, block_bytes)
+                ended = not block
                 if b"\0" in block:  # so that a long row of them takes no memory
                     block = re.sub(rb"\0+", lambda found: b"\0%d\0" % len(found[0]), block)
                 block = rest + block
@@ -251,8 +257,6 @@ def csv_blocks(path: Path, block_bytes: int, faults: list[TableFault]) -> Iterat
                 if block and not block.isspace():
                     yield header, block, line
                 line += count
-            if broken is not None:
-                raise broken  # the line that it cuts is lost
         except _BROKEN as error:
             where = f" after line {line - 1}" if line else ""
             raise TableFault("", f"broken gzip{where} ({error}); is the file cut short or not gzip?") from None
@@ -285,31 +289,21 @@ def _are_units(header: list[str], raw: bytes, place: str) -> bool:
     return bool(words)
 
 
-def _next_bytes(stream: IO[bytes] | gzip.GzipFile, size: int) -> tuple[bytes, Exception | None]:
-    """The next bytes of a file, about so many, and what ended those of a packed one before their time.
+def _next_bytes(stream: IO[bytes] | gzip.GzipFile, size: int) -> bytes:
+    """The next bytes of a file, about so many; none at its end. What ends a packed one early is raised the next time.
 
     What a cut leaves is sound. Where bytes that cannot be unpacked went wrong is not known: none is given.
     """
     if not isinstance(stream, gzip.GzipFile):
-        return stream.read(size), None
+        return stream.read(size)
     pieces: list[bytes] = []
     try:
         while sum(map(len, pieces)) < size and (piece := stream.read1(PACKED_PIECE)):
             pieces.append(piece)
-    except EOFError as error:
-        return b"".join(pieces), error
-    return b"".join(pieces), None
-
-
-def _csv_header(first: bytes, line: int) -> list[str]:
-    names = [name.strip() for name in _fields(first, line)]
-    if not any(names):
-        state = f"line {line} is blank" if first else "the file is empty" if line == 1 else "no line but comments"
-        raise TableFault("", f"{state}; a header is needed: {', '.join(REQUIRED)}, ...")
-    if len(names) == 1 and any(mark in names[0] for mark in ";\t|"):
-        raise TableFault(f"line {line}", f"columns are not separated by commas: {names[0][:60]!r}")
-    check_columns(names)
-    return names
+    except EOFError:
+        if not pieces:
+            raise
+    return b"".join(pieces)
 
 
 def _fields(raw: bytes, line: int) -> list[str]:
@@ -324,20 +318,6 @@ def _fields(raw: bytes, line: int) -> list[str]:
         raise TableFault(f"line {line}", f"{what}; allowed: lines that end in LF or CR LF") from None
     except ValueError as error:
         raise TableFault(f"line {line}", str(error)) from None
-
-
-def check_columns(names: Sequence[str]) -> None:
-    """Refuse a header that lacks a column or repeats one."""
-    for name in COLUMNS:
-        if names.count(name) > 1:
-            raise TableFault("", f"column '{name}' appears {names.count(name)} times")
-    for name in REQUIRED:
-        if name not in names:
-            # the nearest name is looked for among the file's own, which is what its author has to rename
-            unknown = [given for given in names if given and given not in COLUMNS]
-            hint = nearest(name, unknown) if unknown else "no other column of the file could be it"
-            hint = hint.replace("allowed:", "columns not known here:")
-            raise TableFault("", f"column '{name}' is missing; {hint}. Needed: {', '.join(REQUIRED)}")
 
 
 def _csv_frames(path: Path, block_bytes: int, faults: list[TableFault], names: Sequence[str]) -> Iterator[pl.DataFrame]:
@@ -364,21 +344,20 @@ def _parse(width: int, places: dict[str, int], block: bytes, line: int) -> pl.Da
     if b"\0" in text or (b'"' in text and any(raw.count(b'"') % 2 for raw in text.split(b"\n"))):
         return None
 
-    def read(numbers: type[pl.DataType]) -> pl.DataFrame | None:
-        kinds: dict[str, type[pl.DataType]] = dict.fromkeys(position, pl.String)
+    # the second way is slower, but tolerates blanks and words for "missing", and can say where the fault lies
+    for numbers in (pl.Float64, pl.String):
+        kinds: dict[str, Any] = dict.fromkeys(position, pl.String)
         kinds |= {place: numbers for name, place in wanted.items() if name in UNITS}
         try:
             frame = pl.read_csv(io.BytesIO(text), schema=kinds, columns=list(wanted.values()), raise_if_empty=False)
+            break
         except _POLARS:
-            return None
-        return frame.select(pl.col(place).alias(name) for name, place in wanted.items())
-
-    frame = read(pl.Float64)
-    if frame is None:
-        # slower, but tolerates blanks and words for "missing", and can say where the fault lies
-        frame = read(pl.String)
-    if frame is None or frame.height != block.count(b"\n") + (not block.endswith(b"\n")):
+            continue
+    else:
+        return None
+    if frame.height != block.count(b"\n") + (not block.endswith(b"\n")):
         return None  # a line has too many fields, or a quoted field holds a line break
+    frame = frame.select(pl.col(place).alias(name) for name, place in wanted.items())
     frame = frame.with_columns(pl.int_range(line, line + frame.height, dtype=pl.Int64).alias(ROW))
     return frame.filter(~pl.all_horizontal(pl.col(list(wanted)).is_null()))
 
@@ -451,7 +430,7 @@ def _parquet_frames(
 ) -> Iterator[pl.DataFrame]:
     """Blocks of rows of a Parquet file."""
     there = parquet_names(path)
-    check_columns(there)
+    check_columns(there, REQUIRED, COLUMNS)
     rows, first = max(block_bytes // 64, 1), 0
     lazy = pl.scan_parquet(path, glob=False).select(name for name in names if name in there)
     while True:
@@ -474,26 +453,6 @@ SUFFIXES: Final = (".csv", ".csv.gz", ".parquet")
 
 BLOCK_BYTES: Final = 8 << 20  # about how much text is parsed at once
 HEADER_BYTES: Final = 1 << 16  # a header is looked for in so many first bytes
-MOST_REPEATED: Final = 20  # so many recordings that two files hold are reported one by one
-
-
-def header_names(path: Path) -> tuple[str, ...]:
-    r"""Names in a file's header, whatever parts them; empty if there is none. Raises nothing."""
-    name = path.name.lower()
-    try:
-        if not name.endswith(SUFFIXES) or not path.is_file():
-            return ()
-        if name.endswith(".parquet"):
-            return tuple(parquet_names(path))
-        with gzip.open(path) if name.endswith(".gz") else path.open("rb") as stream:
-            # no more: the rest may be broken, which is reported when it is read
-            first, _, _ = _header_line(stream, HEADER_BYTES)
-    except (OSError, EOFError, ValueError, zlib.error, RecordingError):
-        return ()
-    line = first.decode("utf-8-sig", "replace").replace("\0", "").split("\n", 1)[0]  # of UTF-16 the letters
-    for mark in ";\t|":
-        line = line.replace(mark, ",")
-    return tuple(part.strip().strip('"').strip() for part in line.split(","))
 
 
 def repeated_names(
@@ -501,27 +460,24 @@ def repeated_names(
 ) -> tuple[tuple[tuple[str, ...], ...], tuple[Problem, ...], tuple[str, ...]]:
     """Recordings that more than one file holds: the first file's rows are taken; and names that end as "a (2)" does."""
     first: dict[str, tuple[int, int]] = {}
-    left_out: list[set[str]] = [set() for _ in paths]
+    left_out: list[list[str]] = [[] for _ in paths]
     problems: list[Problem] = []
     for i, path in enumerate(paths):
-        word = place_unit(path)
+        twice: list[tuple[int, str, str]] = []
         for name, row in _names(path).items():
             j, other = first.setdefault(name, (i, row))
-            if i == j:
-                continue
-            left_out[i].add(name)
-            what = f"recording {name!r} is also in {shown[j]}, {place_unit(paths[j])} {other}; these rows are left out"
-            problems.append(Problem(shown[i], f"{word} {row}", what))
-    if (more := len(problems) - MOST_REPEATED) > 0:
-        what = f"{more} more recordings are in an earlier file, too; they are left out"
-        problems[MOST_REPEATED:] = [Problem(shown[-1], "", what)]
+            if i != j:
+                left_out[i].append(name)
+                what = f"recording {name!r} is also in {shown[j]}, {place_unit(paths[j])} {other}"
+                twice.append((row, "", f"{what}; these rows are left out"))
+        problems += grouped_problems(shown[i], twice, word=place_unit(path))
     numbered = tuple(name for name in first if name.endswith(")"))
-    return tuple(tuple(sorted(names)) for names in left_out), tuple(problems), numbered
+    return tuple(map(tuple, map(sorted, left_out))), tuple(problems), numbered
 
 
 def place_unit(path: Path) -> str:
     """What a place in a file is called."""
-    return "row" if path.name.lower().endswith(".parquet") else "line"
+    return "row" if is_parquet(path) else "line"
 
 
 def _names(path: Path) -> dict[str, int]:
@@ -564,52 +520,43 @@ class TablePart:
     path: str  # the file
     key: str  # its place among the source's files, and its name
     bytes: int  # its size
+    shown: str  # its name in messages: with as few folders as tell it apart from the others
     left_out: tuple[str, ...] = ()  # recordings that another file holds, too
-    shown: str = ""  # its name in messages: with as few folders as tell it apart from the others
     block_bytes: int = BLOCK_BYTES  # about how much text is parsed at once
     numbered: tuple[str, ...] = ()  # names in any of the files that end as "a (2)" does
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "shown", self.shown or Path(self.path).name)
 
     def read(self) -> Iterator[Recording | Problem]:
         """Recordings in the file's order; one with a fault in any of its rows is left out, and reported.
 
         Of a long one only the piece with the fault is.
         """
-        reported = 0
-        more: Problem | None = None
-        for one in self._items():
-            reported += isinstance(one, Problem)
-            if isinstance(one, Recording) or reported <= MOST_PROBLEMS:
-                yield one
-            else:
-                more = one
-        if more is not None:
-            count = reported - MOST_PROBLEMS
-            yield Problem(
-                self.shown, "", f"{count} more problem{'s' * (count > 1)}; the last: {more.place}: {more.what}"
-            )
+        count = 0
+        for item in self._items():
+            if isinstance(item, Recording):
+                yield item
+                continue
+            count, last = count + 1, item
+            if count <= MOST_PROBLEMS:
+                yield Problem(self.shown, item.place, item.what)
+        if (more := count - MOST_PROBLEMS) > 0:
+            yield Problem(self.shown, "", f"{more} more problem{'s' * (more > 1)}; the last: {last}")
 
-    def _items(self) -> Iterator[Recording | Problem]:
-        """Recordings and problems, as they come."""
+    def _items(self) -> Iterator[Recording | TableFault]:
+        """Recordings and faults, as they come."""
         faults: list[TableFault] = []
         reading = _Reading()
         try:
-            for frame, goes_on in whole_recordings(_labelled(frames(Path(self.path), self.block_bytes, faults))):
-                yield from self._problems(faults)
+            for frame, goes_on in whole_recordings(frames(Path(self.path), self.block_bytes, faults)):
+                yield from faults
                 faults.clear()
                 yield from self._recordings(frame, goes_on, reading)
         except TableFault as fault:
             faults.append(fault)
         except OSError as error:
             faults.append(TableFault("", f"cannot be read: {error.strerror or error}"))
-        yield from self._problems(faults)
+        yield from faults
 
-    def _problems(self, faults: list[TableFault]) -> Iterator[Problem]:
-        return (Problem(self.shown, fault.place, fault.what) for fault in faults)
-
-    def _recordings(self, frame: pl.DataFrame, goes_on: bool, reading: _Reading) -> Iterator[Recording | Problem]:
+    def _recordings(self, frame: pl.DataFrame, goes_on: bool, reading: _Reading) -> Iterator[Recording | TableFault]:
         """Those of a frame, or pieces of them."""
         word = place_unit(Path(self.path))
         labels, rows, fault = frame["recording"], frame[ROW].to_numpy(), frame[FAULT].to_numpy()
@@ -618,8 +565,8 @@ class TablePart:
         timed = np.abs(columns["t"]) < LARGEST_TIME  # False for NaN
         count = np.append(0, np.cumsum(1 + frame[CUT].to_numpy()))  # of rows down to each one, with the lost ones
 
-        def problem(i: int, what: str) -> Problem:
-            return Problem(self.shown, f"{word} {rows[i]}", what)
+        def fault_at(i: int, what: str) -> TableFault:
+            return TableFault(f"{word} {rows[i]}", what)
 
         for label, start, end in zip(
             labels.gather(starts).to_list(), starts.tolist(), [*starts[1:].tolist(), frame.height], strict=True
@@ -632,7 +579,7 @@ class TablePart:
                 reading.name = "" if label in self.left_out or label in reading.seen else label
                 if label in reading.seen:
                     what = f"comes in separate pieces, the first from {word} {reading.seen[label]}; this one is"
-                    yield problem(start, f"recording {label!r} {what} left out")
+                    yield fault_at(start, f"recording {label!r} {what} left out")
                 elif reading.name:
                     reading.seen[label] = int(rows[start])
             if not reading.name:
@@ -646,14 +593,14 @@ class TablePart:
             except RecordingError as error:
                 first, what = place[int(np.argmax(t[1:] < t[:-1])) + 1], f": {error}"
             if what:
-                yield problem(first, f"recording {label!r}{what}; {left}")
+                yield fault_at(first, f"recording {label!r}{what}; {left}")
                 reading.lost = True
                 continue
             if sum(map(len, stretches)) < place.size:
                 odd = np.delete(place, np.concatenate(stretches))
                 more = f" ({odd.size} {word}s in all)" if odd.size > 1 else ""
                 what = f"is not in the order of time; the {word} is left out{more}"
-                yield problem(odd[0], f"recording {label!r}: t = {float(columns['t'][odd[0]])!r} s {what}")
+                yield fault_at(odd[0], f"recording {label!r}: t = {float(columns['t'][odd[0]])!r} s {what}")
             for at in (place[own] for own in stretches if own.size):
                 if columns["t"][at[0]] < reading.last:
                     reading.taken = reading.taken or frozenset({*self.numbered, *_names(Path(self.path))})
@@ -661,11 +608,11 @@ class TablePart:
                     reading.name = next(one for one in names if one not in reading.seen and one not in reading.taken)
                     reading.seen[reading.name], reading.last = int(rows[at[0]]), -np.inf
                     what = f"the clock starts again here; it is read as another recording {reading.name!r}"
-                    yield problem(at[0], f"recording {label!r}: {what}")
+                    yield fault_at(at[0], f"recording {label!r}: {what}")
                 continues, then = reading.last > -np.inf, count[at + 1]
                 cut = np.append(continues and then[0] - count[start] + reading.lost > 1, then[1:] - then[:-1] > 1)
                 here = slice(at[0], at[-1] + 1) if at[-1] - at[0] == at.size - 1 else at
-                own: dict[str, Any] = {key: None if one is None else one[here] for key, one in columns.items()}
+                own: dict[str, Any] = {key: one[here] for key, one in columns.items()}
                 own |= {"cut": cut if cut.any() else None, "continues": continues}
                 yield Recording(reading.name, source=self.shown, **own)
                 reading.last = float(columns["t"][at[-1]])
@@ -694,39 +641,30 @@ class TableReader:
         known: dict[str, str] = {}
         files = _files(paths)
         for path, shown in zip(files, shown_names(files), strict=True):
-            place, what = "", ""
             try:
                 if path.is_dir():
-                    what = "the folder holds no recording table"
-                elif not path.name.lower().endswith(SUFFIXES):
-                    what = f"the suffix is not known; allowed: {', '.join(SUFFIXES)}"
-                else:
-                    file = source_file(path, shown)
-                    # refuse a file whose header lacks a column, or that has no rows at all
-                    if is_parquet(path):
-                        check_columns(parquet_names(path))
-                    elif next(csv_blocks(path, HEADER_BYTES, []), None) is None:
-                        raise TableFault("", NO_ROWS)
-                    first = known.setdefault(file.sha256, shown)
-                    if first == shown:
-                        found[path] = file
-                    else:
-                        what = f"holds the same as {first}, byte by byte; it is left out"
-            except TableFault as fault:
-                place, what = fault.place, fault.what
-            except RecordingError as error:
-                what = str(error)
-            except (OSError, ValueError) as error:  # a NUL in the name
-                what = f"cannot be read: {(isinstance(error, OSError) and error.strerror) or error}"
-            if what:
-                problems.append(Problem(shown, place, what.removeprefix(f"{path.name}: ")))
+                    raise TableFault("", "the folder holds no recording table")
+                if not path.name.lower().endswith(SUFFIXES):
+                    raise TableFault("", f"the suffix is not known; allowed: {', '.join(SUFFIXES)}")
+                file = source_file(path, shown)
+                # refuse a file whose header lacks a column, or that has no rows at all
+                if is_parquet(path):
+                    check_columns(parquet_names(path), REQUIRED, COLUMNS)
+                elif next(csv_blocks(path, HEADER_BYTES, []), None) is None:
+                    raise TableFault("", NO_ROWS)
+                if (first := known.setdefault(file.sha256, shown)) != shown:
+                    raise TableFault("", f"holds the same as {first}, byte by byte; it is left out")
+                found[path] = file
+            except (OSError, ValueError) as error:  # also a NUL in the name
+                what = (isinstance(error, OSError) and error.strerror) or str(getattr(error, "what", error))
+                problems.append(Problem(shown, getattr(error, "place", ""), what.removeprefix(f"{path.name}: ")))
         if not found:
             others = f" (and {len(problems) - 1} more problems)" if len(problems) > 1 else ""
             raise RecordingError(f"{problems[0]}{others}" if problems else "no recording file is given")
         names = [file.name for file in found.values()]
         left_out, repeated, numbered = repeated_names(list(found), names) if len(found) > 1 else (((),), (), ())
         parts = tuple(
-            TablePart(str(path), f"{i:05d}-{path.name}", file.bytes, left_out[i], file.name, self.block_bytes, numbered)
+            TablePart(str(path), f"{i:05d}-{path.name}", file.bytes, file.name, left_out[i], self.block_bytes, numbered)
             for i, (path, file) in enumerate(found.items())
         )
         return FoundParts(parts, tuple(found.values()), (*problems, *repeated))
@@ -736,7 +674,22 @@ READER: Final = TableReader()
 
 
 def _is_table(path: Path) -> bool:
-    return len(set(REQUIRED) & set(header_names(path))) >= KNOWN_BY
+    """Whether a file is meant as a recording table, whatever parts the names of its header."""
+    name = path.name.lower()
+    try:
+        if not name.endswith(SUFFIXES) or not path.is_file():
+            return False
+        if is_parquet(path):
+            names = parquet_names(path)
+        else:
+            with gzip.open(path) if name.endswith(".gz") else path.open("rb") as stream:
+                # no more: the rest may be broken, which is reported when it is read
+                first, _, _ = _header_line(stream, HEADER_BYTES)
+            line = first.decode("utf-8-sig", "replace").replace("\0", "").split("\n", 1)[0]  # of UTF-16 the letters
+            names = [part.strip(' \t\r"') for part in re.split(r"[,;\t|]", line)]
+    except (OSError, EOFError, ValueError, zlib.error):
+        return False
+    return len(set(REQUIRED).intersection(names)) >= KNOWN_BY
 
 
 def _files(paths: Sequence[Path]) -> list[Path]:
@@ -750,13 +703,3 @@ def _files(paths: Sequence[Path]) -> list[Path]:
         for one in list(filter(_is_table, inside)) or [path]:
             found.setdefault(place_of(one), one)
     return list(found.values())
-
-
-def _labelled(blocks: Iterator[pl.DataFrame]) -> Iterator[pl.DataFrame]:
-    """Rows without a recording's name are left out, and their neighbours marked as rows at fault."""
-    for block in blocks:
-        nameless = block["recording"].fill_null("") == ""
-        if nameless.any():
-            near = nameless.shift(1).fill_null(False) | nameless.shift(-1).fill_null(False)
-            block = block.with_columns((block[FAULT] | near).alias(FAULT)).filter(~nameless)
-        yield block

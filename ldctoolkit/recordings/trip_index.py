@@ -8,7 +8,7 @@ import hashlib
 import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -28,11 +28,10 @@ _LINE_END: Final = 10
 _BLANKS: Final = " \t\r\"'"
 
 
-@dataclasses.dataclass(frozen=True)
-class RowFault:
-    """A line of a text that was left out."""
+class LineFault(NamedTuple):
+    """A line that was left out."""
 
-    row: int  # place of the line in the text, from 0
+    line: int  # its number in a file, or its place in a text, from 0
     kind: str  # faults of one kind are counted together
     what: str  # what is wrong
 
@@ -45,7 +44,7 @@ class Cells:
     values: tuple[FloatArray, ...]  # (m,): one array a column; NaN for a missing value
     row: IntArray  # (m,): place of each line in the text, from 0
     lines: int  # lines of the text, whatever they hold
-    faults: tuple[RowFault, ...] = ()  # lines left out, by place
+    faults: tuple[LineFault, ...] = ()  # lines left out, by place
 
     def __getitem__(self, name: str) -> FloatArray:
         return self.values[self.names.index(name)]
@@ -111,12 +110,10 @@ def read_cells(
     if frame is None or frame.height != row.size:
         frame = parse(source, pl.String)
         if frame is None or frame.height != row.size:  # a text that the library itself cannot split
-            fault = RowFault(int(row[0]) if row.size else 0, "unreadable", "these lines cannot be split into cells")
-            nothing = tuple(np.empty(0) for _ in wanted)
-            return Cells(tuple(wanted), nothing, np.empty(0, dtype=np.int64), lines, (fault,))
+            raise RecordingError("some lines cannot be split into cells")
         frame, row, unreadable = _numbers(frame.select(chosen), row, wanted)
-        faults = sorted([*faults, *unreadable], key=lambda fault: fault.row)
-    return Cells(tuple(wanted), _arrays(frame.select(chosen)), row, lines, tuple(faults))
+        faults += unreadable
+    return Cells(tuple(wanted), _arrays(frame.select(chosen)), row, lines, tuple(sorted(faults)))
 
 
 def _count(bytes_: npt.NDArray[np.uint8], one: bytes) -> int:
@@ -131,7 +128,7 @@ def _arrays(frame: pl.DataFrame) -> tuple[FloatArray, ...]:
 
 def _survey(
     text: bytes, bytes_: npt.NDArray[np.uint8], allowed: tuple[int, ...]
-) -> tuple[IntArray, bytes, list[RowFault]]:
+) -> tuple[IntArray, bytes, list[LineFault]]:
     """Lines that have the right number of cells, their text, and what is wrong with the others."""
     ends = np.flatnonzero(bytes_ == 10)
     if bytes_[-1] != 10:
@@ -139,43 +136,42 @@ def _survey(
     starts = np.concatenate([[0], ends[:-1] + 1])
     found = np.diff(np.searchsorted(np.flatnonzero(bytes_ == 44), ends), prepend=0) + 1
     good = np.isin(found, allowed)
-    faults: list[RowFault] = []
-    plural = " or ".join(map(str, allowed))
-    for i in np.flatnonzero(~good):
-        if not text[starts[i] : ends[i]].strip():
-            continue
-        cells = "1 cell" if found[i] == 1 else f"{found[i]} cells"
-        faults.append(RowFault(int(i), "cells", f"{cells}; the header has {plural} columns"))
+    faults: list[LineFault] = []
+    for i in np.flatnonzero(~good).tolist():
+        line = text[starts[i] : ends[i]]
+        cells = f"{found[i]} cell{'' if found[i] == 1 else 's'}; allowed: {' or '.join(map(str, allowed))}"
+        if line.strip():
+            faults.append(LineFault(i, "cells", f"{line.count(0)} NUL bytes" if b"\0\0" in line else cells))
     strange = np.unique(np.searchsorted(ends, np.flatnonzero(bytes_ >= 128)))
     for i in strange[good[strange]]:
         try:
             text[starts[i] : ends[i]].decode("utf-8")
         except UnicodeDecodeError as error:
             good[i] = False
-            faults.append(RowFault(int(i), "encoding", f"the text is not UTF-8 ({error.reason})"))
+            faults.append(LineFault(int(i), "encoding", f"the text is not UTF-8 ({error.reason})"))
     if not good.all():
         # runs of good lines are copied as they are
         change = np.flatnonzero(np.diff(good.astype(np.int8), prepend=0, append=0))
         text = b"".join(text[starts[a] : ends[b - 1] + 1] for a, b in change.reshape(-1, 2))
-    return np.flatnonzero(good), text, sorted(faults, key=lambda fault: fault.row)
+    return np.flatnonzero(good), text, faults
 
 
 def _numbers(
     frame: pl.DataFrame, row: IntArray, wanted: Sequence[str]
-) -> tuple[pl.DataFrame, IntArray, list[RowFault]]:
+) -> tuple[pl.DataFrame, IntArray, list[LineFault]]:
     """Words as numbers; rows with a word that is neither a number nor stands for none are left out."""
     import polars as pl
 
     strings = frame.with_columns(pl.all().str.strip_chars(_BLANKS))
     values = strings.with_columns(pl.all().cast(pl.Float64, strict=False))
     bad = np.zeros(row.size, dtype=bool)
-    faults: list[RowFault] = []
+    faults: list[LineFault] = []
     for column, name in zip(frame.columns, wanted, strict=True):
         wrong = values[column].is_null() & ~strings[column].str.to_lowercase().is_in(MISSING).fill_null(True)
         new = np.flatnonzero(wrong.to_numpy() & ~bad)
         texts = strings[column].gather(new).to_list()
         faults += [
-            RowFault(int(row[i]), "number", f"column {name!r} holds {text[:40]!r}; allowed: numbers")
+            LineFault(int(row[i]), "number", f"column {name!r} holds {text[:40]!r}; allowed: numbers")
             for i, text in zip(new, texts, strict=True)
         ]
         bad[new] = True
@@ -185,6 +181,7 @@ def _numbers(
 BLOCK_BYTES: Final = 1 << 20
 LONGEST_LINE: Final = 1 << 20  # a longer line [bytes] is not a row of a table
 COMPILED_FROM: Final = 32 << 20  # loading a compiler's library is not worth it for a smaller file [bytes]
+MOST_FAULTS: Final = 20  # lines without a key that are kept; the others are counted
 MOST_STRETCHES: Final = 1_000_000  # more stretches than these mean that the rows are not sorted by trip at all
 
 _KEY: Final = re.compile(rb'[ \t]*"?([+-]?\d{1,15})(?:\.0*)?"?[ \t]*,[ \t]*"?([+-]?\d{1,15})(?:\.0*)?"?[ \t]*,')
@@ -205,14 +202,6 @@ class Stretch:
 
 
 @dataclasses.dataclass(frozen=True)
-class LineFault:
-    """A line that cannot be used, and why."""
-
-    line: int
-    what: str
-
-
-@dataclasses.dataclass(frozen=True)
 class TripIndex:
     """Stretches of a file in its order, and its digest."""
 
@@ -224,13 +213,7 @@ class TripIndex:
 
 
 def index_trips(
-    path: Path,
-    begin: int,
-    line: int,
-    *,
-    block_bytes: int = BLOCK_BYTES,
-    most_faults: int = 20,
-    compiled_from: int = COMPILED_FROM,
+    path: Path, begin: int, line: int, *, block_bytes: int = BLOCK_BYTES, compiled_from: int = COMPILED_FROM
 ) -> TripIndex:
     r"""Find the stretches of lines that belong to one trip each."""
     digest, size, kept = hashlib.sha256(), 0, 0
@@ -240,7 +223,7 @@ def index_trips(
     try:
         # the digest is made beside the search: both leave the interpreter free
         compiled = path.stat().st_size >= compiled_from
-        scan = _Scan(path.name, begin, line, most_faults, compiled)
+        scan = _Scan(begin, line, compiled)
         with path.open("rb", buffering=0) as stream, concurrent.futures.ThreadPoolExecutor(1) as beside:
             while count := stream.readinto(view[kept : kept + block_bytes]):
                 hashed = beside.submit(digest.update, view[kept : kept + count])
@@ -251,10 +234,10 @@ def index_trips(
                 kept = last - cut
                 hashed.result()
                 if kept > LONGEST_LINE:
-                    raise RecordingError(f"{path.name}: line {scan.line} is longer than {LONGEST_LINE} bytes")
+                    raise RecordingError(f"line {scan.line} is longer than {LONGEST_LINE} bytes")
                 view[:kept] = view[cut:last]
     except OSError as error:
-        raise RecordingError(f"{path.name}: cannot be read: {error.strerror or error}") from None
+        raise RecordingError(f"cannot be read: {error.strerror or error}") from None
     if kept:
         buffer[kept] = 10
         scan.add(buffer, 0, kept + 1, unended=1)
@@ -265,15 +248,17 @@ def index_trips(
 class _Scan:
     """State of the search: the stretch that is open, and where the next block begins."""
 
-    def __init__(self, file: str, begin: int, line: int, most_faults: int, compiled: bool) -> None:
+    def __init__(self, begin: int, line: int, compiled: bool) -> None:
         self.stretches: list[Stretch] = []
         self.faults: list[LineFault] = []
         self.more_faults = 0
         self.line = line
-        self._file = file
         self._at = begin
-        self._most = most_faults
-        self._compiled = _compiled() if compiled else None
+        self._compiled: Callable[..., int] | None = None
+        if compiled:
+            from ldctoolkit.recordings._text_kernels import first_other_line
+
+            self._compiled = first_other_line
         self._key: tuple[int, int] | None = None
         self._first = (0, 0, 0)  # byte and line of the open stretch, lines without a key before it
         self._last = (0, 0)  # behind it
@@ -293,17 +278,26 @@ class _Scan:
             found = _KEY.match(block, start, min(start + _KEY_BYTES, end))
             after = i + 1
             if found is not None:
-                key = (int(found[1]), int(found[2]))
-                if self._compiled is None:
-                    after = _other(block, first, begins, i, bytes(found[0]))
+                key, same = (int(found[1]), int(found[2])), bytes(found[0])
+                if self._compiled is not None:
+                    after = self._compiled(text, starts, i, same)
                 else:
-                    after = self._compiled(text, starts, i, bytes(found[0]))
+                    while after < len(begins) and block.startswith(same, first + begins[after]):
+                        after += 1
                 if self._key != key:
                     self.close()
                     unkeyed = len(self.faults) + self.more_faults
                     self._key, self._first = key, (self._at + start - first, self.line + i, unkeyed)
             elif block[start:end].strip():
-                self._fault(bytes(block[start : min(start + _KEY_BYTES, end)]), self.line + i)
+                self.close()
+                cells = bytes(block[start : min(start + _KEY_BYTES, end)]).strip(b"\r\n").split(b",")[:2]
+                shown = ",".join(cell.decode("utf-8", "replace").strip() for cell in cells)
+                begin = "NUL bytes" if "\0" in shown else repr(shown[:40])
+                what = f"it begins with {begin}; allowed: numbers of device and trip; the line is left out"
+                if len(self.faults) < MOST_FAULTS:
+                    self.faults.append(LineFault(self.line + i, "key", what))
+                else:
+                    self.more_faults += 1
             if self._key is not None:  # a blank line stays in its stretch
                 self._last = (self._at + int(ends[after - 1]), self.line + after)
             i = after
@@ -312,39 +306,12 @@ class _Scan:
         if unended and self._key is not None:
             self._last = (min(self._last[0], self._at), self._last[1])
 
-    def _fault(self, head: bytes, line: int) -> None:
-        self.close()
-        cells = head.strip(b"\r\n").split(b",")[:2]
-        shown = ",".join(cell.decode("utf-8", "replace").strip() for cell in cells)
-        begins = "NUL bytes" if "\0" in shown else repr(shown[:40])
-        what = f"it begins with {begins}; allowed: numbers of device and trip; the line is left out"
-        if len(self.faults) < self._most:
-            self.faults.append(LineFault(line, what))
-        else:
-            self.more_faults += 1
-
     def close(self) -> None:
         """End the open stretch."""
         if self._key is not None:
             (begin, line, unkeyed), (end, after) = self._first, self._last
             self.stretches.append(Stretch(*self._key, begin, end, line, after - line, unkeyed))
             if len(self.stretches) > MOST_STRETCHES:
-                raise RecordingError(
-                    f"{self._file}, line {line}: more than {MOST_STRETCHES} stretches of rows of one trip each; "
-                    "allowed: rows sorted by device, trip and time"
-                )
+                what = f"line {line}: more than {MOST_STRETCHES} stretches of rows of one trip each"
+                raise RecordingError(f"{what}; allowed: rows sorted by device, trip and time")
         self._key = None
-
-
-def _compiled() -> Callable[..., int]:
-    from ldctoolkit.recordings._text_kernels import first_other_line
-
-    return first_other_line
-
-
-def _other(block: bytearray, first: int, begins: list[int], i: int, key: bytes) -> int:
-    """First line behind line i that does not begin with the key's bytes."""
-    i += 1
-    while i < len(begins) and block.startswith(key, first + begins[i]):
-        i += 1
-    return i

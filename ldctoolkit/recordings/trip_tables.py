@@ -1,10 +1,8 @@
 """Tables of trips: their header, the look through all files, and the rows of single trips."""
 
-import codecs
 import concurrent.futures
 import dataclasses
 import os
-import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Final, TypeVar
@@ -12,24 +10,17 @@ from typing import Final, TypeVar
 import numpy as np
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
-from ldctoolkit.errors import RecordingError, nearest
+from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.preparation import MOST_DROPPED, rising_rows
-from ldctoolkit.recordings.recording import Problem
-from ldctoolkit.recordings.sources import find_tables, shown_names
+from ldctoolkit.recordings.recording import Problem, SourceFile
+from ldctoolkit.recordings.sources import check_columns, find_tables, shown_names
 from ldctoolkit.recordings.trip_index import Cells, Stretch, TripIndex, index_trips, read_cells
+from ldctoolkit.validation import text_of
 
 LONGEST_HEADER: Final = 1 << 16
 _DELIMITERS: Final = {";": "semicolons", "\t": "tabs", "|": "vertical bars", " ": "blanks"}
 _PACKED: Final = {b"\x1f\x8b": "gzip", b"PK": "a ZIP archive", b"PAR1": "Parquet", b"BZh": "bzip2", b"\xfd7zXZ": "xz"}
 _BLANKS: Final = " \t\r\"'"
-
-
-@dataclasses.dataclass(frozen=True)
-class Header:
-    """First line of a table."""
-
-    columns: tuple[str, ...]  # names, without blanks around them
-    begin: int  # byte where the second line begins
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,29 +34,24 @@ class TableLayout:
     cells: tuple[int, ...] = ()  # allowed numbers of cells in a row; empty for one for each column
 
 
-def read_header(path: Path) -> Header:
+def read_header(path: Path) -> TableLayout:
     """The first line of a comma-separated table in UTF-8."""
     try:
         if path.exists() and not path.is_file():
-            raise RecordingError("it is not a regular file")  # a pipe would be waited for
+            raise ValueError("it is not a regular file")  # a pipe would be waited for
         with path.open("rb") as stream:
             first = stream.readline(LONGEST_HEADER)
-    except (OSError, ValueError) as error:  # a NUL in the name
+        for magic, name in _PACKED.items():
+            if first.startswith(magic):
+                raise ValueError(f"the content is {name}; allowed: plain text, so unpack it")
+        text = text_of(first)
+    except (OSError, ValueError) as error:  # also a NUL in the name
         reason = error.strerror if isinstance(error, OSError) else None
         raise RecordingError(f"cannot be read: {reason or error}") from None
-    for magic, name in _PACKED.items():
-        if first.startswith(magic):
-            raise RecordingError(f"the content is {name}; allowed: plain text, so unpack it")
-    if first.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) or b"\0" in first[:64]:
-        raise RecordingError("the text is UTF-16 or not a text; allowed: UTF-8, so save it as that")
     if not first:
         raise RecordingError("the file is empty; a header is needed")
     if len(first) == LONGEST_HEADER and not first.endswith(b"\n"):
         raise RecordingError(f"the first line is longer than {LONGEST_HEADER} bytes; this is not a table of text")
-    try:
-        text = first.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise RecordingError(f"the first line is not UTF-8 ({error.reason})") from None
     if "\r" in text.rstrip("\r\n"):
         raise RecordingError("the first line holds a carriage return; allowed: lines that end in LF or CR LF")
     names = tuple(name.strip(_BLANKS + "\n") for name in text.split(","))
@@ -73,22 +59,16 @@ def read_header(path: Path) -> Header:
         for mark, what in _DELIMITERS.items():
             if text.strip().count(mark) > 1:
                 raise RecordingError(f"the columns are separated by {what}; allowed: commas")
-    return Header(names, len(first))
+    return TableLayout(names, len(first))
 
 
-def check_columns(
+def check_trip_columns(
     columns: Sequence[str], key: Sequence[str], required: Sequence[str], optional: Sequence[str] = ()
 ) -> None:
-    """Refuse a table of trips whose header lacks a column or repeats one; letters may be of either case."""
-    lower = [name.lower() for name in columns]
-    if lower[: len(key)] != [name.lower() for name in key]:
+    """Refuse a header that does not begin with the key, lacks a column or repeats one."""
+    if [name.lower() for name in columns[: len(key)]] != [name.lower() for name in key]:
         raise RecordingError(f"the first columns are {', '.join(columns[: len(key)])}; allowed: {', '.join(key)}")
-    for name in required:
-        if name.lower() not in lower:
-            raise RecordingError(f"column {name!r} is missing; {textwrap.shorten(nearest(name, columns[:64]), 400)}")
-    for name in (*required, *optional):
-        if lower.count(name.lower()) > 1:
-            raise RecordingError(f"column {name!r} appears {lower.count(name.lower())} times; allowed: once")
+    check_columns(columns, required, optional, same=str.lower)
 
 
 Key = tuple[int, int]
@@ -128,14 +108,26 @@ class TripRows:
         return np.column_stack([t[cuts - 1], t[cuts]])
 
 
-def collect_trips(
-    indexed: Sequence[tuple[TripTable, TripIndex]],
-) -> tuple[dict[Key, tuple[int, tuple[Stretch, ...]]], list[Problem]]:
+@dataclasses.dataclass(frozen=True)
+class FoundTable:
+    """A table that can be used."""
+
+    table: TripTable  # what it is called, and where it is
+    layout: TableLayout  # as the reader found it
+    index: TripIndex  # where its trips lie
+
+    @property
+    def file(self) -> SourceFile:
+        """The table as one of the files that were read."""
+        return SourceFile(self.table.name, self.index.bytes, self.index.sha256)
+
+
+def collect_trips(tables: Sequence[FoundTable]) -> tuple[dict[Key, tuple[int, tuple[Stretch, ...]]], list[Problem]]:
     """Put the stretches of each trip together."""
     trips: dict[Key, tuple[int, tuple[Stretch, ...]]] = {}
     problems: list[Problem] = []
     seen: dict[Key, str] = {}
-    for number, (table, index) in enumerate(indexed):
+    for number, (table, index) in enumerate((one.table, one.index) for one in tables):
         own: dict[Key, list[Stretch]] = {}
         apart: dict[Key, int] = {}
         last: Key | None = None
@@ -145,35 +137,32 @@ def collect_trips(
             if key != last and len(own[key]) > 1 and key not in apart:
                 apart[key] = one.line
             last = key
-        faults = [(fault.line, "key", fault.what) for fault in index.faults]
-        problems += grouped_problems(table.name, faults)
-        if index.more_faults:
-            problems.append(
-                Problem(table.name, "", f"{index.more_faults} more lines do not begin with a trip's numbers")
-            )
-        problems += grouped_problems(
-            table.name,
-            (
-                (line, "apart", f"trip {_shown(key)} goes on here, its rows begin in line {own[key][0].line}; "
-                 "they are put together in the order of time")
-                for key, line in apart.items()
-            ),
-        )  # fmt: skip
-        twice: list[tuple[int, str, str]] = []
+        faults: list[tuple[int, str, str]] = [*index.faults]
+        for key, line in apart.items():
+            what = f"trip {_shown(key)} goes on here, its rows begin in line {own[key][0].line}; they are put together"
+            faults.append((line, "apart", f"{what} in the order of time"))
         for key, stretches in own.items():
             line = stretches[0].line
             if key in seen:
                 what = f"trip {_shown(key)} is also in {seen[key]}; these rows are left out"
-                twice.append((line, "twice", what))
+                faults.append((line, "twice", what))
                 continue
             seen[key] = f"{table.name}, line {line}"
             trips[key] = number, tuple(stretches)
-        problems += grouped_problems(table.name, twice)
+        problems += grouped_problems(table.name, faults)
+        if index.more_faults:
+            what = f"{index.more_faults} more lines do not begin with a trip's numbers"
+            problems.append(Problem(table.name, "", what))
     return trips, problems
 
 
 def _shown(key: Key) -> str:
     return f"{key[0]}/{key[1]}"
+
+
+def text_bytes(stretches: Iterable[Stretch]) -> int:
+    """How much text they are."""
+    return sum(one.end - one.begin for one in stretches)
 
 
 def batches(
@@ -190,19 +179,21 @@ def batches(
             batch, size = [], 0
 
 
-def grouped_problems(file: str, faults: Iterable[tuple[int, str, str]], most: int = MOST_PROBLEMS) -> list[Problem]:
+def grouped_problems(
+    file: str, faults: Iterable[tuple[int, str, str]], most: int = MOST_PROBLEMS, word: str = "line"
+) -> list[Problem]:
     """Problems of a file from (line, kind, words): the first of each kind one by one, the others counted."""
     problems: list[Problem] = []
     seen: dict[str, list[int]] = {}
     for line, kind, what in faults:
         seen.setdefault(kind, []).append(line)
         if len(seen[kind]) <= most:
-            problems.append(Problem(file, f"line {line}", what))
+            problems.append(Problem(file, f"{word} {line}", what))
     for lines in seen.values():
         if len(lines) > most:
             count = len(lines) - most
-            more = f"{count} more line{'s' * (count > 1)} like line {lines[0]}, to line {lines[-1]}"
-            problems.append(Problem(file, f"line {lines[most]}", more))
+            more = f"{count} more {word}{'s' * (count > 1)} like {word} {lines[0]}, to {word} {lines[-1]}"
+            problems.append(Problem(file, f"{word} {lines[most]}", more))
     return problems
 
 
@@ -217,9 +208,9 @@ def read_trips(
     """Read the rows of trips, and leave out those that cannot be used."""
     pieces = [one for stretches in trips for one in stretches]
     text = _read(table, pieces)
-    found = read_cells(text, table.columns, list(wanted.values()), cells=cells)
-    if found.lines != sum(one.lines for one in pieces):
-        raise _changed(table)
+    found = None if text is None else read_cells(text, table.columns, list(wanted.values()), cells=cells)
+    if found is None or found.lines != sum(one.lines for one in pieces):
+        raise RecordingError(f"{table.name}: the file has changed since it was looked through")
     first = np.array([one.line for one in pieces], dtype=np.int64)
     lines = np.array([one.lines for one in pieces], dtype=np.int64)
     before = np.cumsum(lines) - lines
@@ -231,9 +222,10 @@ def read_trips(
         line: IntArray = row - before[piece] + first[piece]
         return line
 
-    at = line_of(np.array([fault.row for fault in found.faults], dtype=np.int64)).tolist()
+    lost_rows = np.array([fault.line for fault in found.faults], dtype=np.int64)
     faults = [
-        (line, fault.kind, f"{fault.what}; the line is left out") for line, fault in zip(at, found.faults, strict=True)
+        (line, fault.kind, f"{fault.what}; the line is left out")
+        for line, fault in zip(line_of(lost_rows).tolist(), found.faults, strict=True)
     ]
     values = dict(zip(wanted, found.values, strict=True))
     trip, t = owner[found.row], values[time]
@@ -258,46 +250,34 @@ def read_trips(
         trip, place = trip[keep], found.row[keep]
         values = {name: column_[keep] for name, column_ in values.items()}
         unkeyed = before[1:][np.diff([one.unkeyed for one in pieces]) != 0] - 0.5
-        lost = [[fault.row for fault in found.faults], np.setdiff1d(found.row, place), unkeyed]
+        lost = [lost_rows, np.setdiff1d(found.row, place), unkeyed]
         over = np.diff(np.searchsorted(np.sort(np.concatenate(lost)), place)) != 0
         over |= ~np.isin(np.diff(np.searchsorted(before, place, side="right")), (0, 1))  # pieces that changed places
         cuts = np.flatnonzero(over & (np.diff(trip) == 0)) + 1
-    faults.sort(key=lambda fault: fault[0])
     named = Cells(tuple(values), tuple(values.values()), found.row[keep], found.lines)
-    return TripRows(named, trip, tuple(grouped_problems(table.name, faults)), cuts)
+    return TripRows(named, trip, tuple(grouped_problems(table.name, sorted(faults))), cuts)
 
 
-def _read(table: TripTable, pieces: Sequence[Stretch]) -> memoryview:
-    """Text of stretches, one after the other; each ends its last line."""
-    text = np.empty(sum(one.end - one.begin for one in pieces) + len(pieces), dtype=np.uint8).data
-    at, changed = 0, False
+def _read(table: TripTable, pieces: Sequence[Stretch]) -> memoryview | None:
+    """Text of stretches, one after the other, each ends its last line; None if the file has changed."""
+    text, at = np.empty(text_bytes(pieces) + len(pieces), dtype=np.uint8).data, 0
     try:
         with open(table.path, "rb", buffering=0) as stream:  # noqa: PTH123 - a path as plain text
-            changed = os.fstat(stream.fileno()).st_size != table.bytes
-            i = 0
-            while i < len(pieces) and not changed:
-                begin, end = pieces[i].begin, pieces[i].end
-                i += 1
-                while i < len(pieces) and pieces[i].begin == end:
-                    end = pieces[i].end
-                    i += 1
-                stream.seek(begin)
-                while begin < end and (count := stream.readinto(text[at : at + end - begin])):
-                    begin += count
+            if os.fstat(stream.fileno()).st_size != table.bytes:
+                return None
+            for piece in pieces:
+                end = at + piece.end - piece.begin
+                stream.seek(piece.begin)
+                while at < end:
+                    if not (count := stream.readinto(text[at:end])):
+                        return None
                     at += count
-                changed = begin < end
                 if at and text[at - 1] != 10:
                     text[at] = 10
                     at += 1
     except OSError as error:
         raise RecordingError(f"{table.name}: cannot be read: {error.strerror or error}") from None
-    if changed:
-        raise _changed(table)
     return text[:at]
-
-
-def _changed(table: TripTable) -> RecordingError:
-    return RecordingError(f"{table.name}: the file has changed since it was looked through")
 
 
 def pieces_in_time(trip: IntArray, piece: IntArray, t: FloatArray) -> IntArray:
@@ -342,15 +322,6 @@ def rows_in_order(t: FloatArray) -> tuple[BoolArray, int, str]:
 AT_ONCE: Final = 4  # tables that are read side by side; two keep two cores busy, more than these only make a disk jump
 
 
-@dataclasses.dataclass(frozen=True)
-class FoundTable:
-    """A table that can be used."""
-
-    table: TripTable  # what it is called, and where it is
-    layout: TableLayout  # as the reader found it
-    index: TripIndex  # where its trips lie
-
-
 def recognised(paths: Sequence[Path], named: Callable[[Path], str], kind_of: Callable[[Path], str]) -> str:
     """How many tables there are of each kind, as text; empty if there are none."""
     kinds: list[str] = []
@@ -380,7 +351,7 @@ def look_through(
     def report(number: int, place: str, what: str) -> None:
         path, by_user = files[number]
         if by_user or named(path):
-            problems_of[number].append(Problem(shown[number], place, what.removeprefix(f"{path.name}: ")))
+            problems_of[number].append(Problem(shown[number], place, what))
 
     for number, (path, _) in enumerate(files):
         try:
@@ -394,29 +365,26 @@ def look_through(
         if what:
             report(number, "", what)
         layouts.append((number, layout))
-    indexes = _index_all([(files[number][0], layout) for number, layout in layouts])
-    found: dict[str, FoundTable] = {}
-    for (number, layout), index in zip(layouts, indexes, strict=True):
-        if isinstance(index, RecordingError):
-            report(number, "", f"{index}; it is left out")
-        elif index.sha256 in found:
-            what = f"holds the same as {found[index.sha256].table.name}, byte by byte; it is left out"
-            problems_of[number].append(Problem(shown[number], "", what))
-        else:
-            if not index.stretches:
-                problems_of[number].append(Problem(shown[number], "", "no usable row"))
-            table = TripTable(shown[number], str(files[number][0].resolve()), layout.columns, index.bytes)
-            found[index.sha256] = FoundTable(table, layout, index)
-    return list(found.values()), [problem for some in problems_of for problem in some]
 
-
-def _index_all(tables: Sequence[tuple[Path, TableLayout]]) -> list[TripIndex | RecordingError]:
-    def index(table: tuple[Path, TableLayout]) -> TripIndex | RecordingError:
-        path, layout = table
+    def index(entry: tuple[int, TableLayout]) -> TripIndex | RecordingError:
+        number, layout = entry
         try:
-            return index_trips(path, layout.begin, layout.line)
+            return index_trips(files[number][0], layout.begin, layout.line)
         except RecordingError as error:
             return error
 
     with concurrent.futures.ThreadPoolExecutor(AT_ONCE) as beside:
-        return list(beside.map(index, tables))
+        indexes = list(beside.map(index, layouts))
+    found: dict[str, FoundTable] = {}
+    for (number, layout), trips in zip(layouts, indexes, strict=True):
+        if isinstance(trips, RecordingError):
+            report(number, "", f"{trips}; it is left out")
+        elif trips.sha256 in found:
+            what = f"holds the same as {found[trips.sha256].table.name}, byte by byte; it is left out"
+            problems_of[number].append(Problem(shown[number], "", what))
+        else:
+            if not trips.stretches:
+                problems_of[number].append(Problem(shown[number], "", "no usable row"))
+            table = TripTable(shown[number], str(files[number][0].resolve()), layout.columns, trips.bytes)
+            found[trips.sha256] = FoundTable(table, layout, trips)
+    return list(found.values()), [problem for some in problems_of for problem in some]

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import codecs
 import dataclasses
-import math
+import os
 import re
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -16,6 +17,7 @@ from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.preparation import cut_at, joins_of, local_slope, merge_repeated, values_at
 from ldctoolkit.recordings.recording import LARGEST, Label, Problem, Recording, SourceFile, TableFault, source_file
 from ldctoolkit.recordings.sources import FoundParts
+from ldctoolkit.recordings.trip_index import read_cells
 from ldctoolkit.recordings.trip_tables import grouped_problems, rows_in_order
 
 DETECTED: Final = 2.0  # state of the lane estimator in which offset and width can be used
@@ -23,7 +25,6 @@ STATES: Final = (DETECTED, 1.0, 0.0, -1.0, -9.0)  # detected, undetected, initia
 MOSTLY: Final = 0.9  # share of lines that must look as the file's name promises
 
 
-Columns = tuple[tuple[int, str], ...]  # place of a cell, counted from 0, and its name for messages
 Table = tuple[FloatArray, FloatArray]  # values (n, k), the time first; times before and after lines left out (j, 2)
 
 
@@ -33,17 +34,8 @@ class TableKind:
 
     title: str  # for messages, with its article
     file: str  # name of the file
-    columns: Columns  # columns that are read, the time first; others are passed over
+    columns: dict[int, str]  # places, from 0, and names of the cells that are read, the time first
     plausible: Callable[[FloatArray], bool]  # says of values, (n, k), whether they can be this table's
-
-
-def read_table(path: Path, shown: str, kind: TableKind) -> tuple[Table | None, list[Problem]]:
-    """Columns of a table."""
-    table, problems = read_number_text(path, shown, kind.columns)
-    if table is not None and not kind.plausible(table[0]):
-        problems.append(Problem(shown, "", f"its numbers are not those of {kind.title}; are files swapped?"))
-        return None, problems
-    return table, problems
 
 
 def is_course(course: FloatArray) -> BoolArray:
@@ -75,21 +67,15 @@ def _accelerometers_like(values: FloatArray) -> bool:
 
 
 LANE: Final = TableKind(
-    "a lane table", "PROC_LANE_DETECTION.txt", ((0, "time"), (1, "offset"), (3, "lane width"), (4, "state")), _lane_like
+    "a lane table", "PROC_LANE_DETECTION.txt", {0: "time", 1: "offset", 3: "lane width", 4: "state"}, _lane_like
 )
 
 GPS: Final = TableKind(
-    "a GPS table",
-    "RAW_GPS.txt",
-    ((0, "time"), (1, "speed"), (2, "latitude"), (3, "longitude"), (7, "course")),
-    _gps_like,
+    "a GPS table", "RAW_GPS.txt", {0: "time", 1: "speed", 2: "latitude", 3: "longitude", 7: "course"}, _gps_like
 )
 
 ACCELEROMETERS: Final = TableKind(
-    "an accelerometer table",
-    "RAW_ACCELEROMETERS.txt",
-    ((0, "time"), (1, "flag"), (10, "yaw angle")),
-    _accelerometers_like,
+    "an accelerometer table", "RAW_ACCELEROMETERS.txt", {0: "time", 1: "flag", 10: "yaw angle"}, _accelerometers_like
 )
 
 
@@ -98,96 +84,53 @@ LARGEST_FILE: Final = 64 << 20
 
 MOST_FAULTS: Final = 5  # so many faulty lines of one file are named one by one, the others are counted
 
-_LINE_END: Final = re.compile(r"\r\n|\r|\n")
 
-
-def read_number_text(path: Path, shown: str, columns: Columns) -> tuple[Table | None, list[Problem]]:
-    r"""Read some columns of a file whose values are parted by blanks.
+def read_table(path: Path, shown: str, kind: TableKind) -> tuple[Table | None, list[Problem]]:
+    r"""Read a table's columns, whose values are parted by blanks.
 
     Raises `TableFault` for a clock that starts again.
     """
-    text, fault = _read_text(path)
-    if fault:
-        return None, [Problem(shown, "", fault)]
-    values, lines, faults = _lines(text, columns)
-    t = values[:, 0]
-    good = np.flatnonzero(np.isfinite(t))
-    if good.size == 0:
-        (line, what), count = faults[0], len(faults)
-        where = f"line {line}" if count == 1 else f"line {line} and {count - 1} more"
-        return None, [Problem(shown, where, f"{what}; no line can be used")]
-    kept, row, what = rows_in_order(t[good])
-    back = TableFault(f"line {lines[good[row]]}", what)
-    if not kept.any():
-        raise back
-    problems = grouped_problems(
-        shown, ((line, "", f"{what}; the line is left out") for line, what in faults), MOST_FAULTS
-    )
-    if not kept.all():
-        problems.append(Problem(shown, back.place, back.what))
-    return (values[good[kept]], joins_of(t, good[kept])), problems
 
+    def refused(what: str, place: str = "") -> tuple[None, list[Problem]]:
+        return None, [Problem(shown, place, what)]
 
-def _number(token: str) -> float | None:
-    """The number that a token is, as NumPy's reader sees it; None if it is none."""
-    if not token.isascii() or "_" in token:
-        return None
-    try:
-        return float(token)
-    except ValueError:
-        return None
-
-
-def _read_text(path: Path) -> tuple[str, str]:
-    """The text, or why there is none."""
     try:
         size = path.stat().st_size
         if size > LARGEST_FILE:
-            return "", f"{size} bytes; a file of one trip has at most {LARGEST_FILE}"
-        data = path.read_bytes()
+            return refused(f"{size} bytes; a file of one trip has at most {LARGEST_FILE}")
+        data = path.read_bytes().removeprefix(codecs.BOM_UTF8)
     except (OSError, ValueError) as error:
-        return "", f"cannot be read: {error.strerror if isinstance(error, OSError) else error}"
-    start = data.rstrip(b"\0")[:4096]  # a power failure leaves NUL bytes at the end
-    # in UTF-16, digits alternate with NUL; UTF-32 holds even more of them
-    if start[:2] in (b"\xff\xfe", b"\xfe\xff") or start.count(0) * 3 > len(start):
-        return "", "it is UTF-16 text, or no text at all; allowed: UTF-8"
-    text = data.decode("utf-8-sig", errors="replace")
-    if not text.strip():
-        return "", "it is empty"
-    return text, ""
-
-
-def _lines(text: str, columns: Columns) -> tuple[FloatArray, list[int], list[tuple[int, str]]]:
-    """Values of the lines that are not blank, (n, k), NaN in faulty ones, their numbers; line and fault of these."""
-    needed = max(columns)[0] + 1
-    rows, lines, faults = [], [], []
-    for line, content in enumerate(_LINE_END.split(text), start=1):
-        tokens = content.split()
-        if not tokens:
-            continue
-        row: list[float] = []
-        fault = f"{content.count(chr(0))} NUL bytes" if "\0\0" in content else ""
-        for index, name in () if fault else columns:
-            value = _number(tokens[index]) if index < len(tokens) else None
-            if value is None:
-                fault = _fault(tokens, index, name, needed)
-                break
-            row.append(value)
-        if not fault and not abs(row[0]) < LARGEST:
-            fault = f"the time is {tokens[columns[0][0]][:30]!r}"
-        if fault:
-            faults.append((line, fault))
-        rows.append([math.nan] * len(columns) if fault else row)
-        lines.append(line)
-    return np.array(rows, dtype=np.float64).reshape(-1, len(columns)), lines, faults
-
-
-def _fault(tokens: Sequence[str], index: int, name: str, needed: int) -> str:
-    if any("\ufffd" in token for token in tokens):
-        return "bytes that are not UTF-8"
-    if index >= len(tokens):
-        return f"{len(tokens)} value{'s' * (len(tokens) > 1)} where at least {needed} are needed"
-    return f"{tokens[index][:30]!r} where the {name} is needed"
+        return refused(f"cannot be read: {error.strerror if isinstance(error, OSError) else error}")
+    # in UTF-16, digits alternate with NUL
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) or data[:4].count(0) == 2:
+        return refused("it is UTF-16 text, or no text at all; allowed: UTF-8")
+    filled = [(number, line) for number, line in enumerate(data.splitlines(), 1) if line.strip()]
+    if not filled:
+        return refused("it is empty")
+    cells = 1 + max(kind.columns)
+    text = b"\n".join(line if b"," in line else b",".join(line.split()[:cells]) for _, line in filled)
+    names = [kind.columns.get(i, "") for i in range(cells)]
+    found = read_cells(text, names, list(kind.columns.values()))
+    t = np.full(len(filled), np.nan)
+    t[found.row] = found.values[0]
+    good = np.abs(found.values[0]) < LARGEST  # False for NaN
+    untimed = [(row, "time", "no usable time") for row in found.row[~good].tolist()]
+    faults = [(filled[row][0], kind_, what) for row, kind_, what in sorted([*found.faults, *untimed])]
+    if not good.any():
+        more = f" and {len(faults) - 1} more" if len(faults) > 1 else ""
+        return refused(f"{faults[0][2]}; no line can be used", f"line {faults[0][0]}{more}")
+    values, rows = np.column_stack(found.values)[good], found.row[good]
+    kept, row, what = rows_in_order(values[:, 0])
+    place = f"line {filled[rows[row]][0]}"
+    if not kept.any():
+        raise TableFault(place, what)
+    if not kind.plausible(values[kept]):
+        return refused(f"its numbers are not those of {kind.title}; are files swapped?")
+    lost = ((line, "", f"{fault}; the line is left out") for line, _, fault in faults)
+    problems = grouped_problems(shown, lost, MOST_FAULTS)
+    if not kept.all():
+        problems.append(Problem(shown, place, what))
+    return (values[kept], joins_of(t, rows[kept])), problems
 
 
 DEPTH: Final = 3  # trips are looked for so many folders below a given one; the dataset's root has them at 2
@@ -225,8 +168,7 @@ class UahDriveset:
         parts: list[TripFolder] = []
         files: list[SourceFile] = []
         seen: set[Path] = set()
-        names: dict[str, str] = {}
-        contents: dict[str, str] = {}
+        known: dict[str, str] = {}  # trips by name and by the lane's digest
         for folder in _folders(paths, problems):
             if folder.path in seen:  # given twice, or inside another one that was given
                 continue
@@ -236,17 +178,14 @@ class UahDriveset:
             except RecordingError as error:
                 problems.append(Problem(folder.shown, "", f"{error}; the trip is left out"))
                 continue
-            if part is None:
-                continue
             lane = digests[0]
-            other = names.get(part.key) or contents.get(lane.sha256)
-            if other:
-                same = "has the same name as" if part.key in names else f"has the same {part.lane} as"
+            if other := known.get(part.key) or known.get(lane.sha256):
+                same = "has the same name as" if part.key in known else f"has the same {part.lane} as"
                 problems.append(Problem(folder.shown, "", f"{same} {other}; it is left out"))
                 continue
-            names[part.key] = folder.shown
+            known[part.key] = folder.shown
             if lane.bytes:
-                contents[lane.sha256] = folder.shown
+                known[lane.sha256] = folder.shown
             parts.append(part)
             files.extend(digests)
         if not parts:
@@ -268,28 +207,23 @@ class _Folder:
     files: dict[str, str]  # those of `_WANTED` that are there: their names on disk
 
     @property
-    def name(self) -> str:
-        return self.path.name
-
-    @property
     def driver_folder(self) -> str:
         parent = self.path.parent.name
         return parent if _DRIVER.fullmatch(parent) else ""
 
     @property
     def shown(self) -> str:
-        return f"{self.driver_folder}/{self.name}" if self.driver_folder else self.name
+        return f"{self.driver_folder}/{self.path.name}" if self.driver_folder else self.path.name
 
 
-def _trip(folder: _Folder, problems: list[Problem]) -> tuple[TripFolder | None, list[SourceFile]]:
-    """The trip in a folder and the digests of its files, the lane's first; None, and a problem, if it has none."""
+def _trip(folder: _Folder, problems: list[Problem]) -> tuple[TripFolder, list[SourceFile]]:
+    """The trip in a folder and the digests of its files, the lane's first."""
     for name, what in ((LANE.file, "the offset from the lane's centre"), (GPS.file, "the speed")):
         if name not in folder.files:
-            problems.append(Problem(f"{folder.shown}/{name}", "", f"is missing; without {what} the trip is left out"))
-            return None, []
-    match = _TRIP.fullmatch(folder.name)
+            raise RecordingError(f"no file {name}, which holds {what}")
+    match = _TRIP.fullmatch(folder.path.name)
     labels: tuple[Label, ...] = ()
-    source = folder.driver_folder or folder.name
+    source = folder.driver_folder or folder.path.name
     if match:
         driver = match["driver"].upper()
         behaviour, road = match["behaviour"].upper(), match["road"].upper()
@@ -302,8 +236,8 @@ def _trip(folder: _Folder, problems: list[Problem]) -> tuple[TripFolder | None, 
     digests = [source_file(folder.path / name, f"{folder.shown}/{name}") for name in names if name]
     size = sum(file.bytes for file in digests)
     lane, gps, accelerometers = names
-    path = str(folder.path)
-    return TripFolder(folder.name, path, folder.shown, lane, gps, accelerometers, size, labels, source), digests
+    name, path = folder.path.name, str(folder.path)
+    return TripFolder(name, path, folder.shown, lane, gps, accelerometers, size, labels, source), digests
 
 
 def _folders(paths: Sequence[Path], problems: list[Problem]) -> Iterator[_Folder]:
@@ -349,11 +283,7 @@ def _walk(folder: Path, depth: int, problems: list[Problem]) -> Iterator[_Folder
         yield _Folder(folder.resolve(), files)
 
 
-def _is_folder(path: Path) -> bool:
-    try:
-        return path.is_dir()
-    except OSError:  # a link into a folder that may not be looked at
-        return False
+_is_folder: Final = os.path.isdir  # this one raises nothing, whatever the path
 
 
 def _count(number: int, word: str) -> str:
@@ -415,7 +345,8 @@ class TripFolder:
         # speed at the times `t` [m/s]
         known = (gps[:, 1] >= 0.0) & (gps[:, 1] < LARGEST)  # a phone without a speed says less than 0
         speed = values_at(t, *merge_repeated(gps[known, 0], gps[known, 1] / 3.6), longest=SPEED_STEP, beyond=SPEED_HELD)
-        course_t, course = _course(gps)
+        known = is_course(gps[:, 4])
+        course_t, course = merge_repeated(gps[known, 0], np.unwrap(-np.radians(gps[known, 4])))
         yaw_rate, measured, notes = _yaw_rate(t, valid, angles, course_t, course)
         return Recording(
             name=self.key,
@@ -440,24 +371,15 @@ class TripFolder:
             yield Problem(f"{self.shown}/{self.lane}", "", "no line with a detected lane (state 2) can be used")
             return
         span = f"the trip runs from {float(t[0])!r} s to {float(t[-1])!r} s"
-        known = np.isfinite(recording.speed) & recording.valid
         if not np.isfinite(recording.speed).any():
             yield Problem(f"{self.shown}/{self.gps}", "", f"it holds no speed in time, {span}; the trip is left out")
-        elif np.count_nonzero(known) < ENOUGH * lanes:
-            what = f"it is short or has gaps: {_percent(known, lanes)} of the samples with a lane have a speed ({span})"
-            yield Problem(f"{self.shown}/{self.gps}", "", f"{what}; the others are left out")
-        if recording.yaw_rate is not None:
-            known = np.isfinite(recording.yaw_rate) & recording.valid
-            if np.count_nonzero(known) < ENOUGH * lanes:
-                what = f"{_percent(known, lanes)} of the samples with a lane have a yaw rate, from yaw angle or course"
-                file = self.accelerometers or self.gps
-                yield Problem(f"{self.shown}/{file}", "", f"{what} ({span}); the others are left out")
-
-
-def _course(gps: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Times [s], and the course at them, counter-clockwise and without jumps [rad]."""
-    known = is_course(gps[:, 4])
-    return merge_repeated(gps[known, 0], np.unwrap(-np.radians(gps[known, 4])))
+            return
+        yaw_file = self.accelerometers or self.gps
+        for file, values, what in ((self.gps, recording.speed, "speed"), (yaw_file, recording.yaw_rate, "yaw rate")):
+            share = 1.0 if values is None else np.count_nonzero(np.isfinite(values) & recording.valid) / lanes
+            if share < ENOUGH:
+                few = f"it is short or has gaps: {share:.0%} of the samples with a lane have a {what} ({span})"
+                yield Problem(f"{self.shown}/{file}", "", f"{few}; the others are left out")
 
 
 def _yaw_rate(
@@ -499,7 +421,3 @@ def _rate_of_angles(t: FloatArray, angles: FloatArray) -> tuple[FloatArray, bool
     rate = local_slope(at, angle, half=YAW_HALF, longest=YAW_STEP)
     known = np.isfinite(rate)
     return values_at(t, at[known], rate[known], longest=YAW_STEP, beyond=YAW_HALF), degrees
-
-
-def _percent(part: BoolArray, of: int) -> str:
-    return f"{100.0 * np.count_nonzero(part) / of:.0f} %"

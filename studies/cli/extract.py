@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Sequence
+import functools
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -53,48 +54,22 @@ def add_parser(commands: Subparsers) -> None:
         "--list-channels", action="store_true", help="only print the channels of an MDF log, and a guess of its map"
     )
     parser.add_argument("--report", metavar="FILE.html", help="also write a page about the quality of what was found")
-    parser.add_argument(
-        "--vehicle-width", type=number, metavar="M", help="width in m (default: the format's; table: 1.9)"
-    )
-    parser.add_argument(
-        "--step", type=number, metavar="S", help="common time step in s (default: the format's; table: as recorded)"
-    )
-    parser.add_argument(
-        "--nominal-lane-width", type=number, metavar="M", help="scale each recording to this median lane width, in m"
-    )
-    parser.add_argument(
-        "--yaw-rate-factor",
-        type=number,
-        metavar="X",
-        help="multiply the recorded yaw rate (default: 1; -1: positive to the right)",
-    )
-    parser.add_argument(
-        "--min-duration", type=number, default=0.5, metavar="S", help="shortest, in s (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--max-duration", type=number, default=10.0, metavar="S", help="longest, in s (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--min-speed", type=number, default=5.0, metavar="V", help="least mean speed in m/s (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--max-gap", type=number, metavar="S", help="longest time step that is no gap (default: from the recording)"
-    )
-    parser.add_argument(
-        "--max-jump",
-        type=number,
-        default=0.6,
-        metavar="M",
-        help="largest movement of the offset in 0.1 s, in m (default: %(default)s); over longer times 1.5 m/s more",
-    )
-    for least, word, width in (("min", "narrowest", 2.0), ("max", "widest", 7.0)):
-        parser.add_argument(
-            f"--{least}-lane-width",
-            type=number,
-            default=width,
-            metavar="M",
-            help=f"{word} lane of a valid sample, in m (default: %(default)s)",
-        )
+    options: tuple[tuple[str, str, float | None, str], ...] = (
+        ("vehicle-width", "M", None, "width in m (default: the format's; table: 1.9)"),
+        ("step", "S", None, "common time step in s (default: the format's; table: as recorded)"),
+        ("nominal-lane-width", "M", None, "scale each recording to this median lane width, in m"),
+        ("yaw-rate-factor", "X", 1.0, "multiply the recorded yaw rate (default: 1; -1: positive to the right)"),
+        ("min-duration", "S", 0.5, "shortest, in s (default: %(default)s)"),
+        ("max-duration", "S", 10.0, "longest, in s (default: %(default)s)"),
+        ("min-speed", "V", 5.0, "least mean speed in m/s (default: %(default)s)"),
+        ("max-gap", "S", None, "longest time step that is no gap (default: from the recording)"),
+        ("max-jump", "M", 0.6, "largest movement of the offset in 0.1 s, in m (default: %(default)s); over longer "
+         "times 1.5 m/s more"),
+        ("min-lane-width", "M", 2.0, "narrowest lane of a valid sample, in m (default: %(default)s)"),
+        ("max-lane-width", "M", 7.0, "widest lane of a valid sample, in m (default: %(default)s)"),
+    )  # fmt: skip
+    for name, unit, default, text in options:
+        parser.add_argument(f"--{name}", type=number, metavar=unit, default=default, help=text)
     parser.add_argument(
         "--keep-engaged", action="store_true", help="count departures and hours while a system steers, too"
     )
@@ -162,7 +137,7 @@ def run(chosen: argparse.Namespace) -> int:
                 Preparation(
                     step=recordings.reader.step if chosen.step is None else chosen.step,
                     nominal_lane_width=chosen.nominal_lane_width,
-                    yaw_rate_factor=1.0 if chosen.yaw_rate_factor is None else chosen.yaw_rate_factor,
+                    yaw_rate_factor=chosen.yaw_rate_factor,
                 ),
                 keep_signals=chosen.signals,
                 force=chosen.force,
@@ -170,7 +145,7 @@ def run(chosen: argparse.Namespace) -> int:
                 workers=chosen.workers,
                 dask=chosen.dask,
                 progress=progress,
-                before_removal=None if page is None else _page_writer(page, target),
+                before_removal=None if page is None else functools.partial(_write_page, page, target),
             )
     except NothingReadError as error:
         if len(error.problems) > MOST_NAMED:
@@ -195,21 +170,17 @@ def run(chosen: argparse.Namespace) -> int:
     return SOME_LEFT_OUT if found.problems else 0
 
 
-def _page_writer(page: Path, target: Path) -> Callable[[Extraction], None]:
-    """Writes the page while the finished parts are still there: the same command then goes on with it."""
+def _write_page(page: Path, target: Path, found: Extraction) -> None:
+    """Write the page while the finished parts are still there: the same command then goes on with it."""
+    from ldctoolkit.errors import StoreError
 
-    def write(found: Extraction) -> None:
-        from ldctoolkit.errors import StoreError
+    from ..pages.extraction_page import write_extraction_page
 
-        from ..pages.extraction_page import write_extraction_page
-
-        try:
-            with progress_bar("writing the page"):
-                write_extraction_page(page, found)
-        except StoreError as error:
-            raise StoreError(f"{error}; the departures are written to {target}") from None
-
-    return write
+    try:
+        with progress_bar("writing the page"):
+            write_extraction_page(page, found)
+    except StoreError as error:
+        raise StoreError(f"{error}; the departures are written to {target}") from None
 
 
 MOST_PROBLEMS: Final = 20

@@ -305,6 +305,7 @@ def facts(extraction: Extraction) -> list[tuple[str, str]]:
         ("Longest step that is no gap", gap),
         ("Largest jump of the offset", f"{compact(criteria.max_jump)} m in 0.1 s"),
         ("Width of a lane", f"{compact(criteria.min_lane_width)} to {compact(criteria.max_lane_width)} m"),
+        ("While a system steers", "counted" if criteria.keep_engaged else "left out"),
         ("Plausible up to", str(criteria.plausibility)),
     ]  # fmt: skip
 

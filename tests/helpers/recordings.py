@@ -16,9 +16,9 @@ from ldctoolkit.recordings.quality import WIDTH_BINS, Account, Drawn, Origin, ex
 from ldctoolkit.recordings.recording import Label, Problem
 
 T = np.arange(100) * 0.1
-OFFSET = 0.9 + np.clip(0.3 * (1.0 - ((T - 5.0) / 0.95) ** 2), -0.4, None)
+OFFSET = 0.9 + np.maximum(0.3 * (1.0 - ((T - 5.0) / 0.95) ** 2), -0.4 - 0.01 * np.abs(T - 5.0))
 """With a vehicle of 1.8 m in a lane of 3.6 m the left edge is beyond the line by y = 0.3 (1 - ((t - 5)/0.95)^2) around
-t = 5 s, that is for 1.9 s, and well inside before and after."""
+t = 5 s, that is for 1.9 s, and well inside before and after; it never stands still for long."""
 
 
 def drive(name: str = "a", t: Any = T, **columns: Any) -> Recording:
@@ -26,7 +26,8 @@ def drive(name: str = "a", t: Any = T, **columns: Any) -> Recording:
     n = len(t)
     given: dict[str, Any] = {"lane_offset": OFFSET, "lane_width": 3.6, "speed": 25.0, "valid": True}
     given |= {"curvature": 0.0, "lane": 1} | columns
-    kinds = {"valid": bool, "lane": np.int64, "turn_signal": np.int64, "yaw_rate_measured": bool}
+    kinds: dict[str, type] = dict.fromkeys(("valid", "engaged", "cut", "yaw_rate_measured"), bool)
+    kinds |= dict.fromkeys(("lane", "turn_signal"), np.int64)
     for column in {*given} & {*Recording.COLUMNS}:
         if given[column] is not None:
             given[column] = np.array(np.broadcast_to(given[column], n), dtype=kinds.get(column, np.float64))
@@ -35,7 +36,7 @@ def drive(name: str = "a", t: Any = T, **columns: Any) -> Recording:
 
 def frame_of(recordings: Iterable[Recording]) -> pl.DataFrame:
     """Recordings as a file would hold them."""
-    names = ("t", "lane_offset", "lane_width", "speed", "valid", "curvature", "yaw_rate", "lane", "turn_signal")
+    names = [name for name in Recording.COLUMNS if name not in ("cut", "yaw_rate_measured")]
     frames = []
     for one in recordings:
         columns = {name: getattr(one, name) for name in names if getattr(one, name) is not None}

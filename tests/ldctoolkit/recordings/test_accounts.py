@@ -38,7 +38,7 @@ def wander(rng: np.random.Generator, name: str) -> Recording:
         name, t, offset, rng.uniform(2.9, 3.9, n), speed, rng.random(n) > 0.02,
         curvature=rng.normal(0.0, 1e-3, n) if rng.random() < 0.7 else None, lane=lane if rng.random() < 0.5 else None,
         turn_signal=rng.choice([-1, 0, 1], n, p=[0.02, 0.96, 0.02]), labels=labels, source=str(rng.choice(SOURCES)),
-        lane_scale=float(rng.choice([1.0, 1.0, 1.25])),
+        lane_scale=float(rng.choice([1.0, 1.0, 1.25])), engaged=rng.random(n) < 0.05 if rng.random() < 0.5 else None,
     )  # fmt: skip
 
 
@@ -67,8 +67,9 @@ def by_hand(recordings: list[Recording]) -> dict[Any, dict[str, Any]]:
         for i, step in enumerate(steps, start=1):
             if step <= limit:
                 account["read"] += step
-                account["valid"] += step * (good[i] and good[i - 1])
-                if good[i] and good[i - 1]:
+                by_driver = one.engaged is None or not one.engaged[i - 1 : i + 1].any()
+                if good[i] and good[i - 1] and by_driver:
+                    account["valid"] += step
                     metres += 0.5 * (abs(one.speed[i]) + abs(one.speed[i - 1])) * step
         account["um"] += round(metres * 1e6)
         for i, width in enumerate(one.lane_width.tolist()):
@@ -114,10 +115,14 @@ def alike(found: Any) -> Any:
 @given(data=st.data(), seed=st.integers(0, 2**32 - 1), step=st.sampled_from([None, 0.1]))
 def test_any_split_gives_the_same_bits(data, seed, step):
     """Batches of any size, parts cut anywhere: departures and their columns, accounts, drawn events, evidence."""
-    recordings = wandering(seed, 8)
+    recordings = [
+        dataclasses.replace(one, cut=np.arange(one.samples) % 37 == 36 if i % 2 else None)
+        for i, one in enumerate(wandering(seed, 8))
+    ]
     # parts come in a fixed order, but how recordings are shared out does not show
     preparation = Preparation(step, nominal_lane_width=data.draw(st.sampled_from([None, 3.4])))
     whole = extract_items(recordings, CRITERIA, preparation)
+    assert whole.problems == ()
     cuts = sorted(data.draw(st.sets(st.integers(1, 7), max_size=4)))
     before = MODULE.BATCH
     try:
@@ -130,12 +135,12 @@ def test_any_split_gives_the_same_bits(data, seed, step):
     split = combined_results(parts)
     for name in ("departures", "accounts", "drawn", "problems"):
         assert_same_bits(getattr(alike(whole), name), getattr(alike(split), name))
-    one, two = (merge_results(results, CRITERIA, preparation) for results in ([whole], parts))
+    one, two = (merge_results(results, CRITERIA, preparation, force=True) for results in ([whole], parts))
     assert_same_bits(alike(one), alike(two))
 
 
 def test_the_provenance_is_the_sum_of_the_accounts():
-    found = extract_departures(wandering(3, 40), vehicle_width=2.0)
+    found = extract_departures(wandering(3, 40), vehicle_width=2.0, force=True)
     accounts, provenance = found.accounts, found.provenance
     assert len(accounts) > 4
     assert provenance.recordings == sum(account.recordings for account in accounts) == 40
@@ -165,6 +170,26 @@ def test_numbers_are_whole():
         assert field.name == "origin" or isinstance(value, int) or value.dtype == np.int64
 
 
+def test_hours_of_a_system_are_read_but_not_driven():
+    """Nor are the metres; the samples can be used all the same."""
+    engaged = np.arange(100) >= 60
+    one = drive(lane_offset=np.zeros(100), engaged=engaged, speed=20.0)
+    for keep, seconds in ((False, 5.9), (True, 9.9)):
+        (account,) = extract_departures([one], keep_engaged=keep).accounts
+        assert (account.read_ns, account.valid_ns) == (9_900_000_000, round(seconds * 1e9))
+        assert (account.valid_um, account.usable) == (round(seconds * 20e6), 100)
+
+
+def test_pieces_of_a_recording_count_once():
+    one = drive(lane_offset=np.zeros(100), cut=np.isin(np.arange(100), [20, 70]), source="x")
+    found = extract_departures([one, drive("b", lane_offset=np.zeros(100), source="y")])
+    assert [(account.origin.source, account.recordings, account.samples) for account in found.accounts] == [
+        ("x", 1, 100), ("y", 1, 100),
+    ]  # fmt: skip
+    assert found.recordings == 2
+    assert [account.read_ns for account in found.accounts] == [9_700_000_000, 9_900_000_000]
+
+
 def test_nothing_at_all():
     found = extract_departures([])
     assert (found.accounts, found.hours, found.distance, found.recordings, found.candidates) == ((), 0.0, 0.0, 0, 0)
@@ -174,16 +199,17 @@ def test_nothing_at_all():
 
 def test_absurd_times_do_not_overflow():
     t = np.array([0.0, 1e300, 2e300, 3e300])
-    (account,) = extract_departures([drive(t=t, lane_offset=0.0)]).accounts
+    (account,) = extract_departures([drive(t=t, lane_offset=0.0)], force=True).accounts
     assert account.read_ns == account.valid_ns == 10**17
-    fast = drive(t=1e7 * t, lane_offset=0.0, speed=9e8)  # more than a number of 64 bits holds
-    for found in extract_departures([drive(t=t, lane_offset=0.0)]), extract_departures([fast]):
-        assert found.distance == 1e10
+    fast = drive(t=1e7 * t, lane_offset=0.0, speed=100.0)  # the product is more than a number of 64 bits holds
+    for one in (drive(t=t, lane_offset=0.0), fast):
+        assert extract_departures([one], force=True).distance == 1e10
 
 
 def test_the_last_bin_holds_what_is_wider():
     width = [0.05, 3.45, 7.95, 8.2, 900.0]
-    (account,) = extract_departures([drive(t=range(5), lane_offset=0.0, lane_width=width)]).accounts
+    one = drive(t=range(5), lane_offset=0.0, lane_width=width)
+    (account,) = extract_departures([one], min_lane_width=0.01, max_lane_width=1000.0, force=True).accounts
     assert {int(i): int(account.widths[i]) for i in np.flatnonzero(account.widths)} == {0: 1, 34: 1, WIDTH_BINS - 1: 3}
     edges, share = share_of_widths(account.widths)
     assert (edges.size, edges[34], share[34]) == (81, pytest.approx(3.4), 0.2)

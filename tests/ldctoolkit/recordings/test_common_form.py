@@ -17,7 +17,19 @@ from helpers.recordings import OFFSET, T, drive
 from ldctoolkit.errors import InputError, RecordingError
 from ldctoolkit.recordings import Preparation, Recording, extract_departures, read_departures, write_departures
 from ldctoolkit.recordings.find_departures import SPEED_FLOOR, curvature_from_yaw_rate
-from ldctoolkit.recordings.preparation import FILLED, NONE, prepare, resample, rising_rows, with_yaw_rate
+from ldctoolkit.recordings.preparation import (
+    FILLED,
+    NONE,
+    coarse_step,
+    corrected,
+    local_slope,
+    on_own_clocks,
+    prepare,
+    resample,
+    rising_rows,
+    stretches,
+    with_yaw_rate,
+)
 
 
 def by_trial(times: list[int]) -> list[bool]:
@@ -101,31 +113,68 @@ def test_a_departure_is_not_lost_for_its_yaw_rate() -> None:
     np.testing.assert_allclose(found.departures.c_0, 1e-3, rtol=1e-6)
 
 
-def estimate(yaw_rate, speed, usable=None, first=None, half_width=5):
+def estimate(yaw_rate, speed, usable=None, first=None, t=None):
+    """At 25 Hz, five samples to either side."""
     n = len(speed)
+    t = 0.04 * np.arange(n) if t is None else t
     usable = np.ones(n, bool) if usable is None else usable
     starts = np.zeros(n, bool)
     starts[0] = True
     if first is not None:
         starts[first] = True
-    return curvature_from_yaw_rate(yaw_rate, speed, usable, starts, np.full(n, half_width))
+    steps = np.diff(t)[np.diff(t) > 0.005]
+    return curvature_from_yaw_rate(yaw_rate, speed, usable, starts, t, np.full(n, np.median(steps)))
 
 
-def test_equals_least_squares_in_every_window():
+def by_least_squares(yaw_rate, speed, usable, stretch, t):
+    """Each sample by itself, over all of its stretch that lie within 0.2 s."""
+    wanted = np.full(len(t), np.nan)
+    for i in np.flatnonzero(usable):
+        window = usable & (stretch == stretch[i]) & (np.abs(t - t[i]) <= 0.2 + 1e-6)
+        wanted[i] = np.linalg.lstsq(speed[window, None], yaw_rate[window], rcond=None)[0][0]
+    return wanted
+
+
+def frames(rng: np.random.Generator, kind: str, n: int = 240) -> np.ndarray:
+    """Times of samples."""
+    if kind.endswith("Hz"):
+        return np.arange(n) / float(kind.split()[0])
+    if kind.startswith("burst"):  # so many frames a millisecond apart, ten times a second
+        count = int(kind.split()[1])
+        return np.repeat(0.1 * np.arange(n // count), count) + 1e-3 * np.tile(np.arange(count), n // count)
+    if kind == "equal":  # two frames of one time
+        return np.repeat(0.05 * np.arange(n // 2), 2)
+    if kind == "jitter":
+        return np.cumsum(rng.uniform(0.01, 0.09, n))
+    if kind == "slow":  # further apart than the window
+        return np.cumsum(rng.uniform(0.15, 0.45, n))
+    return np.cumsum(rng.choice([0.0, 1e-4, 0.02, 0.1, 0.2], n))
+
+
+@pytest.mark.parametrize("origin", [0.0, 1.7e9])
+@pytest.mark.parametrize(
+    "kind", ["10 Hz", "20 Hz", "50 Hz", "100 Hz", "burst 2", "burst 3", "burst 5", "equal", "jitter", "slow", "mixed"]
+)
+def test_equals_least_squares_over_a_fifth_of_a_second(kind, origin):
+    """However samples are spaced."""
     rng = np.random.default_rng(1)
-    v, r = rng.uniform(5, 30, 80), rng.normal(0, 0.05, 80)
-    usable = rng.random(80) > 0.1
-    c = estimate(r, v, usable, first=40)
-    stretch = np.cumsum((np.arange(80) == 40) | ~usable)
-    for i in range(80):
-        if not usable[i]:
-            assert np.isnan(c[i])
-            continue
-        same = np.flatnonzero(usable & (stretch == stretch[i]))
-        here = int(np.flatnonzero(same == i)[0])
-        window = same[max(here - 5, 0) : here + 6]
-        expected = np.linalg.lstsq(v[window, None], r[window], rcond=None)[0][0]
-        np.testing.assert_allclose(c[i], expected, rtol=1e-10)
+    t = origin + frames(rng, kind)
+    v, r = rng.uniform(5, 30, t.size), rng.normal(0, 0.05, t.size)
+    usable = rng.random(t.size) > 0.1
+    c = estimate(r, v, usable, first=t.size // 2, t=t)
+    stretch = np.cumsum((np.arange(t.size) == t.size // 2) | ~usable)
+    np.testing.assert_allclose(c, by_least_squares(r, v, usable, stretch, t), rtol=1e-9, atol=1e-15)
+
+
+def test_a_stretch_of_two_clocks():
+    """At 10 Hz first, then at 100 Hz, then in bursts."""
+    rng = np.random.default_rng(2)
+    parts = [frames(rng, kind) for kind in ("10 Hz", "100 Hz", "burst 5", "20 Hz")]
+    t = np.concatenate([part + 100.0 * i for i, part in enumerate(parts)])
+    v, r = rng.uniform(5, 30, t.size), rng.normal(0, 0.05, t.size)
+    everywhere = np.ones(t.size, bool)
+    wanted = by_least_squares(r, v, everywhere, np.zeros(t.size), t)
+    np.testing.assert_allclose(estimate(r, v, t=t), wanted, rtol=1e-9, atol=1e-15)
 
 
 def test_nothing_crosses_a_gap_or_an_invalid_sample():
@@ -135,6 +184,19 @@ def test_nothing_crosses_a_gap_or_an_invalid_sample():
     usable = np.arange(40) != 20
     r[20] = np.nan
     np.testing.assert_allclose(estimate(r, v, usable), r / v, rtol=1e-12)
+
+
+@pytest.mark.parametrize("rate", [100.0, 1000.0])
+def test_a_slope_of_many_samples_takes_all_of_its_window(rate):
+    """A step of the values shows in the slope as far as half a window away, and no further."""
+    t = np.arange(round(4.0 * rate)) / rate
+    slope = local_slope(t, (t >= 2.0).astype(float), half=0.5, longest=1.0)
+    (seen,) = np.nonzero(np.abs(slope) > 1e-9)
+    tolerance = 0.5 / 50 + 1e-9  # of so many samples every second, third, ...
+    assert 0.0 <= t[seen[0]] - 1.5 <= tolerance
+    assert 0.0 <= 2.5 - t[seen[-1]] <= tolerance
+    # in the middle that of the straight line through as many zeros as ones: 1.5 steps / width
+    assert slope[round(2.0 * rate)] == pytest.approx(1.5, rel=0.03)
 
 
 def test_low_speed_fades_out():
@@ -193,7 +255,7 @@ def test_the_nominal_width(seen, tmp_path):
     factor = 3.5 / seen
     wrong = dataclasses.replace(true, lane_offset=true.lane_offset / factor, lane_width=true.lane_width / factor)
     preparation = Preparation(nominal_lane_width=3.5)
-    prepared = prepare(wrong, preparation)
+    prepared = prepare(corrected(wrong, preparation), preparation)
     assert (prepared.lane_scale, np.median(prepared.lane_width)) == (pytest.approx(factor), pytest.approx(3.5))
     np.testing.assert_allclose(prepared.lane_offset, true.lane_offset)
 
@@ -212,17 +274,17 @@ def test_the_nominal_width(seen, tmp_path):
 
 def test_the_median_is_that_of_usable_samples():
     width = np.full(100, 2.8)
-    width[:80] = 9.0
+    width[:80] = 3.7
     valid = np.arange(100) >= 30
     speed = np.full(100, 25.0)
     speed[30:80] = np.nan
-    assert prepare(
-        drive(lane_width=width, valid=valid, speed=speed), Preparation(nominal_lane_width=3.5)
-    ).lane_scale == (pytest.approx(1.25))
+    one = drive(lane_width=width, valid=valid, speed=speed)
+    assert corrected(one, Preparation(nominal_lane_width=3.5)).lane_scale == pytest.approx(1.25)
+    assert corrected(one, Preparation()).lane_scale == 1.0
     nothing = drive(valid=np.zeros(100, bool))
-    assert prepare(nothing, Preparation(nominal_lane_width=3.5)) is nothing
+    assert corrected(nothing, Preparation(nominal_lane_width=3.5)) is nothing
     # a reader that has scaled already
-    assert prepare(drive(lane_scale=2.0), Preparation(nominal_lane_width=3.6)).lane_scale == pytest.approx(2.0)
+    assert corrected(drive(lane_scale=2.0), Preparation(nominal_lane_width=3.6)).lane_scale == pytest.approx(2.0)
 
 
 def test_the_yaw_rate_factor():
@@ -231,7 +293,233 @@ def test_the_yaw_rate_factor():
     found = extract_departures([one], vehicle_width=1.8, preparation=Preparation(yaw_rate_factor=-1.0))
     np.testing.assert_allclose(found.departures.c_0, 0.02 / 25.0)
     measured = drive(curvature=np.full(100, 1e-3))
-    assert prepare(measured, Preparation(yaw_rate_factor=-1.0)) == measured
+    assert corrected(measured, Preparation(yaw_rate_factor=-1.0)) is measured
+
+
+def lost(one: Recording, name: str, **limits: Any) -> list[int]:
+    """Rows in which a signal is not there any more once a recording is prepared; the others are what they were."""
+    values = getattr(one, name)
+    found = getattr(prepare(corrected(one, Preparation()), Preparation(), **limits), name)
+    gone = ~np.isfinite(found)
+    np.testing.assert_array_equal(found[~gone], values[~gone])
+    return np.flatnonzero(gone).tolist()
+
+
+LIVELY = np.random.default_rng(0).uniform(-0.1, 0.1, 100)
+"""Noise: signals that stand still are not driving."""
+
+
+@pytest.mark.parametrize(
+    ("name", "inside", "outside"),
+    [
+        ("lane_width", 2.0, 1.999), ("lane_width", 7.0, 7.001), ("lane_offset", 3.6, 3.601),
+        ("lane_offset", -3.6, -3.601), ("speed", 100.0, 100.001), ("speed", -100.0, -100.001),
+        ("curvature", 0.2, 0.2001), ("curvature", -0.2, -0.2001), ("yaw_rate", 1.5, 1.5001),
+        ("yaw_rate", -1.5, -1.5001),
+    ],
+)  # fmt: skip
+def test_numbers_that_no_lane_and_no_vehicle_has(name, inside, outside):
+    """Two rows, so that they are no code."""
+    base = {"lane_width": 3.6, "speed": 25.0}.get(name, 0.0)
+    for value, rows in ((inside, []), (outside, [30, 70])):
+        signal = base + LIVELY
+        signal[[30, 70]] = value
+        columns = {"lane_offset": LIVELY} | ({"curvature": None} if name == "yaw_rate" else {}) | {name: signal}
+        one = drive(**columns)
+        assert lost(one, name) == rows
+        if name == "lane_width":
+            assert lost(one, name, widths=(1.0, 9.0)) == []
+    # a width that is not known does not tell how far the offset may be
+    assert lost(drive(lane_offset=LIVELY + 3.0, lane_width=np.nan), "lane_offset") == []
+
+
+@pytest.mark.parametrize(
+    ("name", "base", "gap"),
+    [("lane_width", 3.6, 1.0), ("lane_offset", 0.0, 0.6), ("speed", 25.0, 10.0), ("curvature", 0.0, 0.01),
+     ("yaw_rate", 0.0, 0.3)],
+)  # fmt: skip
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_number_that_stands_for_not_available(name, base, gap, side):
+    """The end of a column's range, three times, far from all others."""
+    rows = np.array([10, 40, 41])
+    for times, share, expected in ((3, 1.01, [10, 40, 41]), (3, 0.99, []), (2, 1.01, [])):
+        signal = base + LIVELY * gap
+        last = signal.max() if side > 0.0 else signal.min()
+        signal[rows[:times]] = last + side * share * gap
+        columns = {"lane_offset": LIVELY} | ({"curvature": None} if name == "yaw_rate" else {}) | {name: signal}
+        assert lost(drive(**columns), name) == expected
+    # an absurd number hides none, nor does one of a row that is not valid
+    for odd, valid in ((side * 1e12, True), (side * 1e3, np.arange(100) != 80), (np.nan, True)):
+        signal[rows], signal[80] = last + side * 1.01 * gap, odd
+        found = getattr(corrected(drive(**(columns | {name: signal, "valid": valid})), Preparation()), name)
+        assert np.flatnonzero(np.isnan(found[:80])).tolist() == [10, 40, 41]
+    signal[80] = base
+    # of several codes all, from the outside in
+    signal[[10, 40, 41, 60, 61, 62]] = last + side * gap * np.array([1.1, 1.1, 1.1, 3.0, 3.0, 3.0])
+    assert lost(drive(**(columns | {name: signal})), name) == [10, 40, 41, 60, 61, 62]
+
+
+@pytest.mark.parametrize(
+    ("name", "base", "most"),
+    [("lane_width", 3.6, 10.0), ("lane_offset", 0.0, 5.0), ("speed", 25.0, 60.0), ("curvature", 0.0, 0.2),
+     ("yaw_rate", 0.0, 1.5)],
+)  # fmt: skip
+def test_a_number_that_most_samples_have_is_a_code_only_if_it_is_large(name, base, most):
+    """Of another unit it may be the signal itself."""
+    for value, rows, lost_rows in ((most, 51, 0), (most, 50, 50), (1.001 * most, 51, 51), (1.001 * most, 97, 97)):
+        signal = base + 0.001 * LIVELY
+        signal[:rows] = value
+        columns = {"lane_offset": LIVELY} | ({"curvature": None} if name == "yaw_rate" else {}) | {name: signal}
+        found = getattr(corrected(drive(**columns), Preparation()), name)
+        assert np.flatnonzero(np.isnan(found)).tolist() == list(range(lost_rows))
+
+
+def test_what_is_no_code():
+    """A made signal that stands still, and steps; the one row in which a constant width differs; what is invalid."""
+    step = np.where(T < 6.0, 0.3, -1.2)
+    assert lost(drive(lane_offset=step), "lane_offset") == []
+    width = np.where(np.arange(100) == 50, 5.0, 3.6)
+    assert lost(drive(lane_offset=LIVELY, lane_width=width), "lane_width") == []
+    for other in (0.0, -3.6, 1e6):
+        width[50] = other
+        assert lost(drive(lane_offset=LIVELY, lane_width=width), "lane_width") == [50]
+    speed = np.where(np.isin(np.arange(100), [10, 40, 41]), 60.0, 25.0 + LIVELY)
+    assert lost(drive(lane_offset=LIVELY, speed=speed, valid=~np.isin(np.arange(100), [40, 41])), "speed") == []
+
+
+def held(values: np.ndarray, rows: int) -> np.ndarray:
+    """Each so many-th value, repeated until the next."""
+    return np.repeat(values[::rows], rows)[: values.size]
+
+
+def road(n: int = 300, seed: int = 0) -> Recording:
+    """At 10 Hz; the offset moves smoothly, the other signals are noise."""
+    rng = np.random.default_rng(seed)
+    t = 0.1 * np.arange(n)
+    columns = {"lane_offset": 0.5 * np.sin(0.9 * t) + 0.01 * rng.normal(size=n), "speed": 25.0 + rng.normal(size=n)}
+    return drive(t=t, **columns, curvature=None, yaw_rate=0.01 * rng.normal(size=n))
+
+
+@pytest.mark.parametrize(("rows", "more"), [(2, ""), (3, ": departures of less than about 0.9 s cannot be found"),
+                                            (5, ": departures of less than about 1.5 s cannot be found")])  # fmt: skip
+def test_the_lane_has_a_clock_of_its_own(rows, more):
+    one = road()
+    slow = dataclasses.replace(one, lane_offset=held(one.lane_offset, rows))
+    found = on_own_clocks(slow)
+    assert found.t.tolist() == one.t[::rows].tolist()
+    for name in ("lane_offset", "speed", "yaw_rate"):  # only the row of the lane counts, as it is
+        assert getattr(found, name).tolist() == getattr(one, name)[::rows].tolist()
+    assert found.notes == (f"the lane is new every {rows / 10:.2g} s only{more}",)
+    assert on_own_clocks(one) is one
+
+
+def test_a_lane_that_was_interpolated_from_a_slow_clock():
+    """Straight lines from second to second: the samples between tell nothing."""
+    one = road()
+    line = np.interp(one.t, one.t[::10], one.lane_offset[::10])
+    found = on_own_clocks(dataclasses.replace(one, lane_offset=line))
+    assert found.t.tolist() == one.t[:-1:10].tolist()
+    assert found.notes == ("the lane is new every 1 s only: departures of less than about 3 s cannot be found",)
+
+
+@pytest.mark.parametrize("name", ["speed", "yaw_rate", "steering"])
+def test_a_signal_with_a_slower_clock_is_interpolated(name):
+    one = road()
+    values = np.random.default_rng(1).normal(25.0, 1.0, 300)
+    one = dataclasses.replace(one, **{name: held(values, 5)})
+    found = on_own_clocks(one)
+    wanted = np.interp(one.t, one.t[::5], values[::5])
+    np.testing.assert_allclose(getattr(found, name), wanted, rtol=1e-12)
+    assert found.notes == (f"{name} is new every 0.5 s only, and interpolated between",)
+    assert found.t.tolist() == one.t.tolist()
+    # not where it was lost for longer
+    holed = held(values, 5)
+    holed[100:130] = np.nan
+    found = getattr(on_own_clocks(dataclasses.replace(one, **{name: holed})), name)
+    np.testing.assert_allclose(found[:95], wanted[:95], rtol=1e-12)
+    assert (found[95:101] == values[95]).all()
+    assert np.flatnonzero(np.isnan(found)).tolist() == list(range(101, 125))
+
+
+def test_signals_without_a_clock_of_their_own():
+    """Coarse ones, of which the value stays the same for a while; few values; times that are not even."""
+    one = road()
+    coarse = np.round(one.lane_offset / 0.02) * 0.02
+    assert on_own_clocks(dataclasses.replace(one, lane_offset=coarse)).samples == 300
+    few = np.where(one.t < 15.0, 0.1, 0.2)
+    assert on_own_clocks(dataclasses.replace(one, lane_offset=few)).samples == 300
+    rng = np.random.default_rng(3)
+    uneven = one.lane_offset[np.maximum.accumulate(np.where(rng.random(300) < 0.4, np.arange(300), 0))]
+    assert on_own_clocks(dataclasses.replace(one, lane_offset=uneven)).samples == 300
+
+
+@pytest.mark.parametrize(("step", "told"), [(0.04, False), (0.05, True), (0.1, True)])
+def test_steps_of_the_offset(step, told):
+    one = road()
+    stepped = dataclasses.replace(one, lane_offset=np.round(one.lane_offset / step) * step)
+    assert coarse_step(stepped.lane_offset) == pytest.approx(step * told)
+    assert on_own_clocks(stepped).notes == ((f"lane_offset comes in steps of {step:.2g} m",) if told else ())
+    # a few samples are on some steps by chance
+    assert coarse_step(stepped.lane_offset[:10]) == 0.0
+
+
+def frozen(**columns: Any) -> list[int]:
+    """Rows that are not valid any more."""
+    one = road()
+    made = {name: np.where(np.isfinite(values), values, getattr(one, name)) for name, values in columns.items()}
+    return np.flatnonzero(~prepare(dataclasses.replace(one, **made), Preparation()).valid).tolist()
+
+
+def stands(value: float, rows: slice) -> np.ndarray:
+    stuck = np.full(300, np.nan)
+    stuck[rows] = value
+    return stuck
+
+
+def test_rows_that_repeat_the_one_before():
+    """The lane alone for more than two seconds, or all signals for more than one; the first row is good."""
+    ten, eleven, twenty, more = slice(100, 111), slice(100, 112), slice(100, 121), slice(100, 122)
+    assert frozen(lane_offset=stands(0.2, twenty)) == []
+    assert frozen(lane_offset=stands(0.2, more)) == list(range(101, 122))
+    assert frozen(lane_offset=stands(0.2, more), speed=stands(1.0, more)) == []  # stands, as the vehicle does
+    assert frozen(lane_offset=stands(0.2, more), speed=stands(1.1, more)) == list(range(101, 122))
+    every = {"lane_offset": 0.2, "speed": 25.0, "yaw_rate": 0.0}
+    assert frozen(**{name: stands(value, ten) for name, value in every.items()}) == []
+    assert frozen(**{name: stands(value, eleven) for name, value in every.items()}) == list(range(101, 112))
+    assert frozen(**{name: stands(value, eleven) for name, value in list(every.items())[:2]}) == []
+    # a signal that stands still in most rows, for less long, says nothing when it does so for longer
+    for rows, expected in ((3, []), (1, list(range(101, 131)))):
+        made = held(road().lane_offset, rows)
+        made[100:131] = 0.2
+        assert frozen(lane_offset=made) == expected
+
+
+def test_stretches_lie_between_the_cuts():
+    one = drive(cut=np.isin(np.arange(100), [0, 30, 31]), notes=("odd",))
+    pieces = stretches(one)
+    assert [piece.t.tolist() for piece in pieces] == [T[:30].tolist(), T[30:31].tolist(), T[31:].tolist()]
+    assert [(piece.continues, piece.notes) for piece in pieces] == [(False, ("odd",)), (True, ()), (True, ())]
+    (whole,) = stretches(drive(cut=np.arange(100) == 0))
+    assert (whole.samples, whole.continues) == (100, False)
+    assert [piece.cut for piece in (whole, *pieces)] == [None] * 4
+    # they count as one
+    found = extract_departures([one], vehicle_width=1.8)
+    assert (found.recordings, [account.recordings for account in found.accounts]) == (1, [1])
+    assert found.warnings == ("odd: 1 of 1 recordings",)
+    # nor are two of its pieces two recordings with a note
+    two = dataclasses.replace(road(), cut=np.arange(300) == 150)
+    slow = dataclasses.replace(two, lane_offset=held(two.lane_offset, 5), lane=np.ones(300, dtype=np.int64))
+    assert extract_departures([slow], vehicle_width=1.8).warnings == (
+        "the lane is new every 0.5 s only: departures of less than about 1.5 s cannot be found: 1 of 1 recordings",
+    )
+
+
+@pytest.mark.parametrize(("apart", "resampled"), [(0.25, True), (0.26, False)])
+def test_a_clock_too_slow_for_any_bridge_is_kept(apart, resampled):
+    one = drive(t=apart * np.arange(100), lane_offset=LIVELY)
+    found = prepare(one, Preparation(step=0.125, max_gap=0.25))
+    assert found.t.tolist() == (0.125 * np.arange(199) if resampled else one.t).tolist()
+    assert prepare(one, Preparation(step=0.5, max_gap=0.1)).samples < 55
 
 
 def test_the_gap_of_the_criteria_rules_resampled_recordings():
@@ -254,7 +542,7 @@ def test_the_gap_of_the_criteria_rules_resampled_recordings():
 
 
 def test_a_recording_that_cannot_be_prepared_is_a_problem():
-    endless = drive("endless", t=np.linspace(0.0, 1e300, 100), source="x.csv")
+    endless = drive("endless", t=[*T[:-1], 1e300], source="x.csv")
     found = extract_departures([endless, drive("b")], vehicle_width=1.8, preparation=Preparation(0.1))
     assert found.departures.recording.tolist() == ["b"]
     (problem,) = found.problems

@@ -67,6 +67,27 @@ def test_a_table_of_an_earlier_version_does_not_know_the_distance(found, written
     assert read_departures(written)[1] == dataclasses.replace(found.provenance, distance=0.0)
 
 
+def test_a_table_of_an_earlier_version_does_not_know_limits_and_systems(found, written):
+    frame = pl.read_parquet(written)
+    content = json.loads(pl.read_parquet_metadata(written)[METADATA_KEY])
+    criteria = [content["criteria"].pop(name) for name in ("min_lane_width", "max_lane_width", "keep_engaged")]
+    assert (criteria, content["refused"].pop("engaged")) == ([2.0, 7.0, False], 0)
+    frame.write_parquet(written, metadata={METADATA_KEY: json.dumps(content)})
+    assert read_departures(written)[1] == found.provenance
+
+
+def test_criteria_and_reasons_come_back(tmp_path):
+    steered = drive("a", engaged=(OFFSET > 1.0).astype(float))
+    chosen = {"vehicle_width": 1.8, "min_lane_width": 2.5, "max_lane_width": 6.5}
+    for keep, departures in ((False, 0), (True, 1)):
+        found = extract_departures([steered], keep_engaged=keep, **chosen)
+        write_departures(tmp_path / "d.parquet", found.departures, found.provenance)
+        back, provenance = read_departures(tmp_path / "d.parquet")
+        assert (back.n, provenance.refused.engaged) == (departures, 1 - departures)
+        assert {name: getattr(provenance.criteria, name) for name in chosen} == chosen
+        assert provenance.criteria.keep_engaged is keep
+
+
 def test_what_the_file_holds(found, written, tmp_path):
     frame = pl.read_parquet(written)
     assert frame.columns == list(COLUMNS)

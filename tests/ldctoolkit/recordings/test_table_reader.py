@@ -400,7 +400,7 @@ def test_against_plain_python(lines: list[tuple[str, str, str]]) -> None:
         path.write_text(HEADER + A.replace("a", "sound") + text)
         found = {
             item.name: item
-            for item in TablePart(str(path), "a", 1).read()
+            for item in TablePart(str(path), "a", 1, "a.csv").read()
             if isinstance(item, Recording)
         }  # fmt: skip
     sound: dict[str, list[tuple[float, float, bool]]] = {}

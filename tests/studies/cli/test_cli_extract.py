@@ -97,6 +97,8 @@ def test_what_cannot_be_used_is_told_and_the_rest_is_written(folder: Path, ldc: 
         (["--nominal-lane-width", "35"], "nominal_lane_width: 35.0; allowed: 2 to 6 m, or None"),
         (["--yaw-rate-factor", "0"], "yaw_rate_factor: 0.0; allowed: finite, not 0"),
         (["--vehicle-width", "18"], "vehicle_width: 18.0; allowed: 0.5 to 4 m"),
+        (["--min-lane-width", "0"], "min_lane_width: 0.0; allowed: more than 0 m"),
+        (["--max-lane-width", "2"], "max_lane_width: 2.0; allowed: more than min_lane_width, finite"),
         (["--report", "r.txt"], "--report r.txt: the name must end in .html"),
         (["--report", "nowhere/r.html"], "--report nowhere/r.html: the folder nowhere does not exist"),
         (["--report", f"{'r' * 300}.html"], "rrr.html: cannot be used: "),
@@ -119,12 +121,14 @@ def test_settings_reach_the_extraction(folder: Path, ldc: Ldc) -> None:
     words = {
         "--vehicle-width": 1.7, "--step": 0.2, "--nominal-lane-width": 3.5, "--yaw-rate-factor": -1,
         "--min-duration": 0.6, "--max-duration": 9, "--min-speed": 6, "--max-gap": 0.5, "--max-jump": 0.7,
+        "--min-lane-width": 2.5, "--max-lane-width": 6.5,
     }  # fmt: skip
     flat = [word for pair in words.items() for word in pair] + ["--limit", "y_rate=3", "--limit", "a_y=inf"]
+    flat += ["--keep-engaged"]
     assert ldc("a.csv", "-o", "d.parquet", *flat)[0] == 0
     departures, provenance = read_departures("d.parquet")
     criteria, preparation = provenance.criteria, provenance.preparation
-    assert dataclasses.astuple(criteria) == (1.7, 0.6, 9, 6, 0.5, 0.7, (3, 4, None))
+    assert dataclasses.astuple(criteria) == (1.7, 0.6, 9, 6, 0.5, 0.7, (3, 4, None), 2.5, 6.5, True)
     assert (preparation.step, preparation.nominal_lane_width, preparation.yaw_rate_factor) == (0.2, 3.5, -1)
     scale = next(column for column in departures.extra if column.name == "lane_scale")
     np.testing.assert_allclose(scale.values.astype(float), 3.5 / 3.6)
@@ -132,6 +136,39 @@ def test_settings_reach_the_extraction(folder: Path, ldc: Ldc) -> None:
     _, provenance = read_departures("d.parquet")
     assert (provenance.criteria.vehicle_width, provenance.preparation.step) == (1.9, None)
     assert dataclasses.astuple(provenance.criteria.plausibility) == (2, 4, 6)
+    widths = provenance.criteria.min_lane_width, provenance.criteria.max_lane_width
+    assert (widths, provenance.criteria.keep_engaged) == ((2.0, 7.0), False)
+
+
+def test_what_cannot_be_right_is_not_written_unless_forced(folder: Path, ldc: Ldc) -> None:
+    """A speed in km/h."""
+    table = pl.read_csv(recordings(0, 30).encode()).with_columns(pl.col("speed") * 3.6)
+    table.write_csv(folder / "a.csv")
+    code, out, err = ldc("a.csv", "-o", "d.parquet", "--report", "r.html")
+    assert (code, out) == (2, "")
+    doubt = "column 'speed': 80% of the samples are above 60 m/s (216 km/h); the unit looks like km/h or mph, m/s is"
+    (line,) = (line for line in err.splitlines() if "error" in line)
+    assert line.startswith(f"ldc: error: the recordings cannot be right: {doubt}")
+    assert line.endswith(". Correct them, or go on with --force (in Python: force=True)")
+    assert [path.name for path in folder.iterdir()] == ["a.csv"]
+    code, out, err = ldc("a.csv", "-o", "d.parquet", "--force")
+    assert code == 0
+    assert out.endswith("departures written to d.parquet\n")
+    assert f"ldc: warning: {doubt}" in err
+    assert read_departures("d.parquet")[1].warnings[0].startswith(doubt)
+
+
+def test_departures_while_a_system_steers(folder: Path, ldc: Ldc) -> None:
+    """In every other of ten recordings."""
+    table = pl.read_csv(recordings(0).encode())
+    odd = pl.col("recording").str.slice(1).cast(pl.Int64) % 2 == 1
+    table.with_columns(odd.alias("engaged")).write_csv(folder / "a.csv")
+    for words, departures, hours in (((), 5, 5 * 7.9 / 3600.0), (("--keep-engaged",), 10, 10 * 7.9 / 3600.0)):
+        code, out, _ = ldc("a.csv", "-o", "d.parquet", *words)
+        assert (code, re.findall(r"refused: engaged +│ +(\d+)", out)) == (0, [str(10 - departures)])
+        found, provenance = read_departures("d.parquet")
+        assert (len(found), provenance.refused.engaged) == (departures, 10 - departures)
+        assert provenance.hours == pytest.approx(hours)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -356,7 +393,8 @@ FAULTS = {
     "spmd-das1": ("DataLane.csv", b"7,1,", b"x,1,", r"DataLane\.csv, line 2: it begins with 'x,1'"),
     "spmd-das2": ("HV_Primary.csv", b"\n7,1,", b"\nx,1,", r"HV_Primary\.csv, line 2: it begins with 'x,1'"),
     "uah-driveset": (
-        "PROC_LANE_DETECTION.txt", b" 2 \n", b" x \n", r"D\d/\S+/PROC_LANE_DETECTION\.txt, line 1: 'x' where",
+        "PROC_LANE_DETECTION.txt", b" 2 \n", b" x \n",
+        r"D\d/\S+/PROC_LANE_DETECTION\.txt, line 1: column 'state' holds 'x'",
     ),
 }  # fmt: skip
 

@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 
 import ldctoolkit
 from helpers.bits import assert_same_bits, examples
-from ldctoolkit.errors import InputError, LdcError, StoreError
+from ldctoolkit.errors import InputError, LdcError, RecordingError, StoreError
 from ldctoolkit.recordings import Extraction, extract_departures, read_departures
 from ldctoolkit.recordings.departures_table import PartResult
 from ldctoolkit.recordings.extract import extract_items
@@ -234,6 +234,21 @@ def test_where_nothing_can_be_read_nothing_is_written(made: Made, tmp_path: Path
     with pytest.raises(NothingReadError, match=f"^file 9: is empty; part 0: .*{words}") as told:
         run_extraction(made(*how), workers=1, output=tmp_path / "d.parquet")
     assert (len(told.value.problems), [path.name for path in tmp_path.iterdir()]) == (1 + len(how), ["notes"])
+
+
+def test_what_cannot_be_right_is_read_once_and_written_if_forced(made: Made, tmp_path: Path) -> None:
+    """What was found in the parts waits for the next run, whatever it is told."""
+    output = tmp_path / "d.parquet"
+    source = made("in km/h", "in km/h", "good")
+    for _ in range(2):
+        with pytest.raises(RecordingError, match=r"^the recordings cannot be right: column 'speed': 67% of"):
+            run_extraction(source, workers=1, output=output)
+        assert not output.exists()
+    found = run_extraction(source, workers=1, output=output, force=True)
+    assert found.warnings[0].startswith("column 'speed': 67% of the samples are above 60 m/s")
+    assert (times(source), found.recordings) == ([1, 1, 1], 9)
+    assert read_departures(output)[1] == found.provenance
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["d.parquet", "notes"]
 
 
 def test_a_part_is_told_by_the_name_that_users_know(made: Made, shown_part: type) -> None:

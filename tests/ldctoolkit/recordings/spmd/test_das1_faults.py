@@ -45,8 +45,8 @@ def put(line: int, text: bytes) -> Callable[[list[bytes]], None]:
 
 
 LINE_FAULTS = [
-    (b"7,2,500,-1.5,1.5,0,3", "7 cells; the header has 8 columns"),
-    (b"7,2,500,-1.5,1.5,0,3,3,9", "9 cells; the header has 8 columns"),
+    (b"7,2,500,-1.5,1.5,0,3", "7 cells; allowed: 8"),
+    (b"7,2,500,-1.5,1.5,0,3,3,9", "9 cells; allowed: 8"),
     (b"7,2,500,-1.5,far,0,3,3", "column 'LaneDistanceRight' holds 'far'; allowed: numbers"),
     (b"7,2,500,-1.5,1;5,0,3,3", "column 'LaneDistanceRight' holds '1;5'; allowed: numbers"),
     (b"7,2,500,-1.5,1.5,\xff\xfe,3,3", "the text is not UTF-8"),
@@ -92,7 +92,7 @@ def test_a_file_that_ends_inside_a_line(tables: tuple[Path, Path]) -> None:
     for path, cells in ((tables[0], 8), (tables[1], 27)):
         path.write_bytes(path.read_bytes().rsplit(b",", 3)[0])
         _, problems = read(*tables)
-        words = f"{path.name}, line 361: {cells - 3} cells; the header has {cells} columns; the line is left out"
+        words = f"{path.name}, line 361: {cells - 3} cells; allowed: {cells}; the line is left out"
         assert problems[-1] == words
     recordings, _ = read(*tables)
     assert samples(recordings) == [ROWS, ROWS, ROWS - 1]
@@ -231,7 +231,7 @@ FILE_FAULTS = [
     (lambda text: text.replace(b",", b"\t"), "the columns are separated by tabs; allowed: commas"),
     (lambda text: text.decode("utf-8-sig").encode("utf-16"), "UTF-16"),
     (lambda text: text.decode("utf-8-sig").encode("utf-16-le"), "UTF-16"),
-    (lambda text: text.replace(b"Device", b"D\xffvice", 1), "the first line is not UTF-8"),
+    (lambda text: text.replace(b"Device", b"D\xffvice", 1), "the text is not UTF-8"),
     (gzip.compress, "the content is gzip"),
     (lambda text: b"PK\x03\x04" + text, "the content is a ZIP archive"),
     (lambda text: text.replace(b"LaneQualityLeft", b"LaneQualtyLeft"), "did you mean 'LaneQualtyLeft'?"),
@@ -277,5 +277,5 @@ def test_departures_beside_faults(tmp_path: Path) -> None:
     result = extract_part(source.parts[0], Criteria(vehicle_width=1.82), Preparation(step=0.1))
     assert result.departures.n == 2 * len(spmd.PLANTED)
     assert [str(one) for one in result.problems] == [
-        "DataLane.csv, line 1801: 4 cells; the header has 8 columns; the line is left out"
+        "DataLane.csv, line 1801: 4 cells; allowed: 8; the line is left out"
     ]

@@ -92,8 +92,8 @@ def test_missing_files(root):
     source = READER.open([root])
     assert [part.key for part in source.parts] == [third, fourth]
     assert [str(problem) for problem in source.problems] == [
-        f"D1/{first}/{LANE}: is missing; without the offset from the lane's centre the trip is left out",
-        f"D1/{second}/{GPS}: is missing; without the speed the trip is left out",
+        f"D1/{first}: no file {LANE}, which holds the offset from the lane's centre; the trip is left out",
+        f"D1/{second}: no file {GPS}, which holds the speed; the trip is left out",
     ]
     assert [file.name for file in source.files] == [
         f"D1/{third}/{LANE}", f"D1/{third}/{GPS}", *(f"D2/{fourth}/{name}" for name in (LANE, GPS, YAW))
@@ -130,7 +130,7 @@ def test_only_trips_that_cannot_be_used(root):
     for name, (driver, _, _) in NAMES.items():
         (root / driver / name / LANE).unlink()
     assert READER.recognise([root]) == "4 trips of 2 drivers"
-    with pytest.raises(RecordingError, match=r"PROC_LANE_DETECTION\.txt: is missing; .* \(3 more\)$"):
+    with pytest.raises(RecordingError, match=r"no file PROC_LANE_DETECTION\.txt, which .* \(3 more\)$"):
         READER.open([root])
 
 
@@ -168,12 +168,12 @@ def change(path, number, line):
 @pytest.mark.parametrize(
     ("line", "what"),
     [
-        ("30.00 abc 0.01 3.5 2\n", "'abc' where the offset is needed"),
-        ("30.00 0.1 0.01 NULL 2\n", "'NULL' where the lane width is needed"),
-        ("30.00 0.1 0.01 3.5\n", "4 values where at least 5 are needed"),
-        ("30.00\n", "1 value where at least 5 are needed"), ("nan 0.1 0.01 3.5 2\n", "the time is 'nan'"),
-        ("1e300 0.1 0.01 3.5 2\n", "the time is '1e300'"), (b"30.00 0.1\xff 0.01 3.5 2\n", "bytes that are not UTF-8"),
-        ("30.00 0.1 0.01 3.5 2\0\n", "'2\\x00' where the state is needed"),
+        ("30.00 abc 0.01 3.5 2\n", "column 'offset' holds 'abc'; allowed: numbers"),
+        ("NULL 0.1 0.01 3.5 2\n", "no usable time"),
+        ("30.00 0.1 0.01 3.5\n", "4 cells; allowed: 5"),
+        ("30.00\n", "1 cell; allowed: 5"), ("nan 0.1 0.01 3.5 2\n", "no usable time"),
+        ("1e300 0.1 0.01 3.5 2\n", "no usable time"), (b"30.00 0.1\xff 0.01 3.5 2\n", "the text is not UTF-8 (invalid start byte)"),
+        ("30.00 0.1 0.01 3.5 2\0\n", "column 'state' holds '2\\x00'; allowed: numbers"),
     ],
 )  # fmt: skip
 def test_a_faulty_line(folder, sound, line, what):

@@ -14,7 +14,7 @@ from ldctoolkit.recordings.extract import extract_part
 from ldctoolkit.recordings.find_departures import REASONS, Criteria
 from ldctoolkit.recordings.preparation import Preparation, local_slope, merge_repeated, rising_rows, values_at
 from ldctoolkit.recordings.recording import TableFault
-from ldctoolkit.recordings.uah_driveset import READER, read_number_text
+from ldctoolkit.recordings.uah_driveset import READER, TableKind, read_table
 
 # times on a fine binary raster: sums and differences are exact, so no comparison hangs on rounding
 TIMES = st.lists(st.integers(0, 400), min_size=0, max_size=30, unique=True).map(lambda ks: np.sort(ks) / 32.0)
@@ -251,9 +251,9 @@ def test_a_gap_inside_a_departure(made, planted, truth, tmp_path):
     assert account.refused.sum() == account.refused[0, REASONS.index("gap")] == 1
 
 
-COLUMNS = ((0, "time"), (1, "offset"), (3, "lane width"))
+KIND = TableKind("a table", "a.txt", {0: "time", 1: "offset", 3: "lane width"}, lambda values: True)
 TOKENS = st.sampled_from(
-    ["1", "2.5", "-9", "+3", ".5", "1e3", "-1E-3", "nan", "inf", "x", "1_0", "٣", "0x1", "1,5", "#", '"1"', "NULL", "é"]
+    ["1", "2.5", "-9", "+3", ".5", "1e3", "-1E-3", "nan", "inf", "x", "1_0", "٣", "0x1", "1;5", "#", '"1"', "NULL", "é"]
 )
 LINES = st.lists(TOKENS, max_size=6).flatmap(
     lambda tokens: st.sampled_from([" ", "  ", "\t"]).map(lambda s: s.join(tokens))
@@ -274,7 +274,7 @@ def test_against_plain_python(lines, end, last):
         try:
             if len(used) < 3 or not "".join(used).isascii() or "_" in "".join(used):
                 raise ValueError
-            row = [float(token) for token in used]
+            row = [float(token.strip('"').replace("NULL", "nan")) for token in used]
             if not abs(row[0]) < 1e9:
                 raise ValueError
             expected.append(row)
@@ -284,7 +284,7 @@ def test_against_plain_python(lines, end, last):
         path = Path(folder, "a.txt")
         path.write_bytes(text.encode())
         try:
-            table, problems = read_number_text(path, "a.txt", COLUMNS)
+            table, problems = read_table(path, "a.txt", KIND)
         except TableFault:
             t = np.array(expected)[:, 0]
             assert 20 * np.sum(~rising_rows(t)) > t.size
