@@ -95,6 +95,8 @@ def extract_items(
                             f"recording {item.name!r}: label {label.name!r}; allowed: a name that is no column of the "
                             "departures table"
                         )
+                if item.samples > 1 and item.t[0] == item.t[-1]:
+                    raise RecordingError(f"recording {item.name!r}: all times are {float(item.t[0])!r} s")
                 raw = [on_own_clocks(piece) for piece in stretches(corrected(item, preparation))]
                 pieces = [prepare(piece, preparation, criteria.max_jump, widths) for piece in raw]
             except RecordingError as error:
@@ -407,14 +409,13 @@ def _reference(evidence: QualityStatistics, sides: IntArray) -> list[str]:
     median = OFFSET_STEP * (int(np.searchsorted(np.cumsum(counts), 0.5 * samples)) - middle)
     side = "left" if counts[middle + 1 :].sum() > counts[:middle].sum() else "right"
     if driven >= ENOUGH_TIME and counts.any():
-        fewer = min(int(counts[:middle].sum()), int(counts[middle + 1 :].sum()))
         wide = int(counts[: middle - 6].sum() + counts[middle + 7 :].sum())
         dense = 3.0 * counts[middle] >= 0.3 * (counts[middle - 3 : middle + 4].sum() - counts[middle])
-        if fewer == 0 and dense and evidence.grazes >= FEWEST_GRAZES and wide >= 0.01 * samples:
+        if evidence.grazes[1:].min() == 0 and dense and evidence.grazes[0] >= FEWEST_GRAZES and wide >= 0.01 * samples:
             what = f"it turns back at zero and never lies to the {'right' if side == 'left' else 'left'}"
         elif abs(median) > LARGEST_MEDIAN:
             what = f"half of the time the vehicle is more than {abs(median):.2f} m to the {side}"
-        elif beyond > SHARE_BEYOND * driven or long > SHARE_LONG * driven:
+        elif beyond > SHARE_BEYOND * driven or long > max(SHARE_LONG * driven, ENOUGH_TIME):
             what = f"a wheel is beyond a line in {beyond / driven:.0%} of the time"
     if not what and sides.sum() >= FEWEST_ON_A_SIDE and sides.min() <= SMALLER_SIDE * sides.sum():
         what = f"{sides.max()} of {sides.sum()} departures are to the {'left' if sides[0] > sides[1] else 'right'}"
@@ -471,6 +472,7 @@ def _turning(evidence: QualityStatistics, factor: float) -> list[str]:
         if other == "yaw_rate":
             advice = factor / scale if likeness > 0.0 else -factor / scale
             end = "or all curvatures have the wrong sign" if likeness < 0.0 else "which would make them agree"
+            end += "" if likeness > 0.0 or reference != "heading" else "; or is the heading a compass course?"
             text += f" (give --yaw-rate-factor {advice:.3g}, {end})"
         found.append(text)
     return found if doubted else found + _swaying(evidence.sway)
@@ -493,7 +495,8 @@ def _swaying(sway: FloatArray) -> list[str]:
             f"column 'lane_offset': it goes against the vehicle's heading (correlation {likeness:.2f}); it is positive "
             "to the right, or the heading or yaw rate is"
         ]
-    if likeness > 0.6 and (hr > 1.6 * hh or rr < 0.6 * hr):
+    # a path that is longer holds the road's bends, too, if it is not very much like the offset
+    if (likeness > 0.6 and hr > 1.6 * hh) or (likeness > 0.85 and rr < 0.6 * hr):
         return [
             f"column 'lane_offset': it moves {np.sqrt(rr / hh):.2g} times as far as the vehicle's heading and speed "
             "say; is it in feet, or the speed in km/h or mph? m and m/s are needed"

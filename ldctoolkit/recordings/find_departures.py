@@ -53,8 +53,6 @@ WIDTH_JUMP: Final = (0.5, 1.0)
 AROUND: Final = 10.0  # [s] before and after a departure with which its lane's width is compared
 NARROWER: Final = 0.25  # [m] a lane that is narrower by more for a departure alone is none
 
-SAME_FRAME: Final = 0.005  # [s] closer samples came in one burst, whatever time they were taken at
-
 
 @dataclasses.dataclass(frozen=True)
 class Runs:
@@ -72,11 +70,11 @@ def median_steps(table: RecordingTable) -> FloatArray:
     recording = table.recording_index
     within = recording[1:] == recording[:-1]
     step, owner = np.diff(table.t)[within], recording[1:][within]
-    if (step <= SAME_FRAME).any():  # the steps between bursts, where these make up most of the time
-        long = step > SAME_FRAME
-        time = [np.bincount(owner, weights, minlength=table.names.size) for weights in (step, step * long)]
-        kept = long | (time[1] <= 0.5 * time[0])[owner]
-        step, owner = step[kept], owner[kept]
+    # the steps between bursts, where there are any; a gap counts little for the mean
+    count, time = (np.bincount(owner, x, table.names.size) for x in (np.ones(step.size), np.minimum(step, 0.5)))
+    mean = time / np.maximum(count, 1.0)
+    long = step > 0.5 * mean[owner]
+    step, owner = step[long], owner[long]
     order = np.lexsort((step, owner))
     count = np.bincount(owner, minlength=table.names.size)
     begin = np.cumsum(count) - count

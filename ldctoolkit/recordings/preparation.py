@@ -372,9 +372,11 @@ def prepare(
 _LIMITS: Final = {"speed": 100.0, "curvature": 0.2, "yaw_rate": 1.5}
 """No vehicle on a road has more, in SI: such numbers stand for "not available"."""
 
+SPIKES: Final = {"speed": 20.0, "yaw_rate": 0.5}  # a single sample further from both of its neighbours is none
+
 _CODES: Final = {
     "lane_width": (1.0, 10.0), "lane_offset": (MAX_JUMP, 5.0), "speed": (10.0, 60.0), "curvature": (0.01, 0.2),
-    "yaw_rate": (0.3, 1.5),
+    "yaw_rate": (0.3, 1.5), "heading": (5.0, 40.0), "steering": (5.0, 40.0),
 }  # fmt: skip
 """How far from all others a number is that is a code, and how large it is if most samples have it."""
 
@@ -402,7 +404,7 @@ def without_codes(recording: Recording) -> Recording:
                 if np.abs(rest - end).min() <= gap:
                     continue
                 # a width may be a constant, or two, of a map; other signals move
-                if name == "lane_width" or np.count_nonzero(rest[1:] != rest[:-1]) > 0.5 * rest.size:
+                if name == "lane_width" or np.unique(rest[:: max(1, rest.size // 100)]).size > min(5, rest.size // 2):
                     codes.append(end)
                     known = rest
                     break
@@ -413,6 +415,17 @@ def without_codes(recording: Recording) -> Recording:
     return dataclasses.replace(recording, **changed) if changed else recording
 
 
+def spikes(values: FloatArray, height: float) -> BoolArray:
+    """Single samples that are higher than both of their neighbours, or lower, by more than a height."""
+    found = np.zeros(values.size, dtype=bool)
+    with np.errstate(over="ignore", invalid="ignore"):
+        step = np.diff(values)
+        far = np.abs(step) > height
+        if far.any():
+            found[1:-1] = far[1:] & far[:-1] & (step[1:] * step[:-1] < 0.0)
+    return found
+
+
 def within_limits(recording: Recording, widths: tuple[float, float]) -> Recording:
     """NaN for numbers that no lane and no vehicle has."""
     changed: dict[str, Any] = {}
@@ -420,6 +433,8 @@ def within_limits(recording: Recording, widths: tuple[float, float]) -> Recordin
     good["lane_offset"] = ~(np.abs(recording.lane_offset) > np.abs(recording.lane_width))
     good |= {name: np.abs(x) <= most for name, most in _LIMITS.items() if (x := getattr(recording, name)) is not None}
     for name, kept in good.items():
+        if name in SPIKES:
+            kept &= ~spikes(getattr(recording, name), SPIKES[name])
         if not kept.all():
             changed[name] = np.where(kept, getattr(recording, name), np.nan)
     return dataclasses.replace(recording, **changed) if changed else recording
@@ -466,8 +481,9 @@ def new_rows(t: FloatArray, values: FloatArray) -> tuple[IntArray, float]:
     even = np.abs(apart - refresh) <= max(1.01 * step, 0.25 * refresh)
     if refresh < 1.5 * step or np.mean(even) < _REGULAR:
         return _EVERY_ROW
-    # a slow signal with a coarse step is held as well; its changes are single steps
-    if np.median(np.abs(np.diff(first[new]))) <= 1.5 * resolution(first):
+    # a slow signal with a coarse step is held as well; its changes are single steps, all of one size
+    change = np.abs(np.diff(first[new]))
+    if np.mean(np.abs(change - np.median(change)) <= 0.01 * np.median(change)) > 0.5:
         return _EVERY_ROW
     return rows, refresh
 
@@ -484,7 +500,8 @@ def on_own_clocks(recording: Recording) -> Recording:
             rows, refresh = new_rows(t, values)
             if refresh > 0.0:
                 known = merge_repeated(t[rows], values[rows])
-                changed[name] = values_at(t, *known, longest=2.5 * refresh, beyond=refresh)
+                between = values_at(t, *known, longest=2.5 * refresh, beyond=refresh)
+                changed[name] = np.where(np.isnan(between), values, between)
                 notes.append(f"{name} is new every {refresh:.2g} s only, and interpolated between")
     offset = np.where(recording.valid & np.isfinite(recording.lane_width), recording.lane_offset, np.nan)
     rows, refresh = new_rows(t, offset)
@@ -543,7 +560,7 @@ def scaled(recording: Recording, nominal: float) -> Recording:
     if widths.size == 0:
         return recording
     factor = nominal / float(np.median(widths))
-    with np.errstate(over="ignore"):  # of absurd numbers, which are not usable
+    with np.errstate(over="ignore", invalid="ignore"):  # of absurd numbers, which are not usable
         return dataclasses.replace(
             recording,
             lane_offset=recording.lane_offset * factor,

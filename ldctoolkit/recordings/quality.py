@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.departures import LEFT, RIGHT, Departures, DepartureSignals
-from ldctoolkit.recordings.find_departures import ACCEPTED, REASONS, SAME_FRAME, Found
+from ldctoolkit.recordings.find_departures import ACCEPTED, REASONS, Found
 from ldctoolkit.recordings.preparation import MAX_JUMP, coarse_step
 from ldctoolkit.recordings.recording import LARGEST, Label, Recording, RecordingTable, printable, usable_samples
 
@@ -230,7 +230,7 @@ def unit_warnings(counts: Mapping[str, int], vehicle_width: float) -> list[str]:
 
     def share(name: str) -> float:
         of = "recordings" if name.startswith("step") else "samples"
-        return counts.get(name, 0) / max(counts.get(of, 0), 1)
+        return min(counts.get(name, 0) / max(counts.get(of, 0), 1), 1.0)
 
     found = []
     for group in _UNITS:
@@ -286,7 +286,7 @@ class QualityStatistics:
     median_widths: FloatArray  # (r,) [m]: median lane width of each, before any scaling
     sway: FloatArray  # (4,): as `turns`, of the offset and of what the vehicle's heading says of it
     offsets: IntArray  # (81,): usable samples by offset, in bins of 0.05 m around 0
-    grazes: int  # how often the offset turns back within 0.05 m of zero, on this side of it or the other
+    grazes: IntArray  # (3,): how often it turns back within 0.05 m of zero; samples to the left, and to the right
     stays_ns: IntArray  # (3,) [ns]: time driven, beyond a line, and of that in stays of more than five seconds
     notes: tuple[tuple[str, int], ...] = ()  # (str, int): what recordings lack, as text, and how many lack it
 
@@ -296,7 +296,7 @@ def no_statistics() -> QualityStatistics:
     text, none = np.empty(0, dtype=np.str_), np.zeros(3, dtype=np.int64)
     bins = np.zeros(OFFSET_BINS, dtype=np.int64)
     return QualityStatistics(
-        (), (), True, np.zeros((len(RELATIONS), 4)), none[:2], text, text, np.empty(0), np.zeros(4), bins, 0, none
+        (), (), True, np.zeros((len(RELATIONS), 4)), none[:2], text, text, np.empty(0), np.zeros(4), bins, none, none
     )
 
 
@@ -311,7 +311,8 @@ def quality_statistics(
     """Evidence of r recordings, as one table and one by one: as the source has them, and as they were searched."""
     count, usable = table.names.size, usable_samples(table)
     medians, prints = np.full(count, np.nan), [""] * count
-    offsets, grazes, drive = np.zeros(OFFSET_BINS, dtype=np.int64), 0, found.read >= SHORTEST_DRIVE
+    offsets, grazes = np.zeros(OFFSET_BINS, dtype=np.int64), np.zeros(3, dtype=np.int64)
+    drive = found.read >= SHORTEST_DRIVE
     for i, recording in enumerate(recordings):
         rows = slice(int(table.offsets[i]), int(table.offsets[i + 1]))
         good = usable[rows]
@@ -324,7 +325,7 @@ def quality_statistics(
             offsets += np.bincount(place.astype(np.int64), minlength=OFFSET_BINS)
             away = np.abs(offset)
             back = (away[1:-1] < away[:-2]) & (away[1:-1] <= away[2:]) & (away[1:-1] < GRAZED)
-            grazes += int(np.count_nonzero(back))
+            grazes += [np.count_nonzero(some) for some in (back, offset > 0.0, offset < 0.0)]
         if widths.size >= SHORTEST_TWIN:
             digest = hashlib.blake2b(widths.tobytes(), digest_size=12)
             digest.update(offset.tobytes())
@@ -363,7 +364,8 @@ def _related(recording: Recording) -> tuple[FloatArray, FloatArray]:
     turns, sway = np.zeros((len(RELATIONS), 4)), np.zeros(4)
     swept = _swept(recording)
     steps = np.diff(recording.t[:500])
-    step = float(np.median(steps[steps > SAME_FRAME])) if (steps > SAME_FRAME).any() else 0.0
+    steps = steps[steps > 0.5 * np.minimum(steps, 0.5).mean()] if steps.size else steps  # not those inside bursts
+    step = float(np.median(steps)) if steps.size else 0.0
     if not step > 0.0 or not swept:
         return turns, sway
     lag = max(1, round(TURN_WINDOW / step))
@@ -439,7 +441,8 @@ def _sway(recording: Recording, angle: FloatArray, known: BoolArray) -> FloatArr
     row = np.minimum(np.searchsorted(t, place), t.size - 1)
     # a window with a hole in it, or with a jump of the offset, is left out
     good = known[row] & recording.valid[row] & (v[row] > TURN_SPEED) & (v[row] < LARGEST) & (t[row] - place <= 0.5)
-    good[:, 1:] &= np.abs(np.diff(offset[row], axis=1)) <= MAX_JUMP  # False for NaN
+    with np.errstate(invalid="ignore"):
+        good[:, 1:] &= np.abs(np.diff(offset[row], axis=1)) <= MAX_JUMP  # False for NaN
     row = row[good.all(axis=1)]
     heading = angle[row] - angle[row[:, :1]]
     heading -= 2.0 * np.pi * np.rint(heading / (2.0 * np.pi))
@@ -471,7 +474,7 @@ def combined_statistics(parts: Iterable[QualityStatistics]) -> QualityStatistics
         median_widths=np.concatenate([part.median_widths for part in given]),
         sway=np.sum([part.sway for part in given], axis=0),
         offsets=np.sum([part.offsets for part in given], axis=0),
-        grazes=sum(part.grazes for part in given),
+        grazes=np.sum([part.grazes for part in given], axis=0),
         stays_ns=np.sum([part.stays_ns for part in given], axis=0),
         notes=tuple(notes.items()),
     )

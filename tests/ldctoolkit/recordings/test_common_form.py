@@ -319,11 +319,11 @@ LIVELY = np.random.default_rng(0).uniform(-0.1, 0.1, 100)
     ],
 )  # fmt: skip
 def test_numbers_that_no_lane_and_no_vehicle_has(name, inside, outside):
-    """Two rows, so that they are no code."""
+    """Two rows, so that they are no code, one beside the other, so that they are no spike."""
     base = {"lane_width": 3.6, "speed": 25.0}.get(name, 0.0)
-    for value, rows in ((inside, []), (outside, [30, 70])):
+    for value, rows in ((inside, []), (outside, [30, 31])):
         signal = base + LIVELY
-        signal[[30, 70]] = value
+        signal[[30, 31]] = value
         columns = {"lane_offset": LIVELY} | ({"curvature": None} if name == "yaw_rate" else {}) | {name: signal}
         one = drive(**columns)
         assert lost(one, name) == rows
@@ -383,8 +383,20 @@ def test_what_is_no_code():
     for other in (0.0, -3.6, 1e6):
         width[50] = other
         assert lost(drive(lane_offset=LIVELY, lane_width=width), "lane_width") == [50]
-    speed = np.where(np.isin(np.arange(100), [10, 40, 41]), 60.0, 25.0 + LIVELY)
+    speed = np.where(np.isin(np.arange(100), [10, 11, 40, 41]), 60.0, 25.0 + LIVELY)
     assert lost(drive(lane_offset=LIVELY, speed=speed, valid=~np.isin(np.arange(100), [40, 41])), "speed") == []
+
+
+@pytest.mark.parametrize(("name", "base", "height"), [("speed", 25.0, 20.0), ("yaw_rate", 0.0, 0.5)])
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_single_sample_far_from_both_of_its_neighbours(name, base, height, side):
+    for share, rows, expected in ((1.001, [50], [50]), (0.999, [50], []), (1.001, [50, 51], []), (1.001, [0, 99], [])):
+        signal = np.full(100, base)
+        signal[rows] += side * share * height
+        columns = {"curvature": None} if name == "yaw_rate" else {}
+        assert lost(drive(lane_offset=LIVELY, **(columns | {name: signal})), name) == expected
+    stairs = base + side * height * np.where(np.arange(100) < 50, 0.0, np.where(np.arange(100) < 51, 1.001, 2.002))
+    assert lost(drive(lane_offset=LIVELY, **({"curvature": None, name: stairs})), name) == []
 
 
 def held(values: np.ndarray, rows: int) -> np.ndarray:

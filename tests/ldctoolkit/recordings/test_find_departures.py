@@ -69,7 +69,7 @@ REFUSALS: list[tuple[str, dict[str, Any], dict[str, Any], int]] = [
     ("too_short", {}, {"min_duration": 2.0}, 1),
     ("too_long", {}, {"max_duration": 1.8}, 1),
     ("slow", {"speed": 4.9}, {}, 1),
-    ("slow", {"speed": with_value(25.0, 50, 0.0)}, {}, 1),  # stops in between
+    ("slow", {"speed": with_value(25.0, slice(49, 52), 0.0)}, {}, 1),  # stops in between
     ("too_few_samples", {}, {"min_duration": 0.0, "vehicle_width": 1.202}, 1),
     ("intended", {"turn_signal": with_value(0, slice(48, 52), 1)}, {}, 1),
     ("intended", {"turn_signal": with_value(0, slice(30, 41), 1)}, {}, 1),  # set when crossing out
