@@ -4,6 +4,7 @@ import bisect
 import dataclasses
 import itertools
 import math
+from collections.abc import Iterable
 from typing import Any, Final
 
 import numpy as np
@@ -334,7 +335,7 @@ class Preparation:
 
 def corrected(recording: Recording, preparation: Preparation) -> Recording:
     """One recording without codes, with the factors that are given for its yaw rate and its lengths."""
-    recording = without_codes(recording)
+    recording = without_codes(recording, (name for name in _CODES if name != "lane_offset"))
     if recording.yaw_rate is not None and preparation.yaw_rate_factor != 1.0:
         with np.errstate(over="ignore"):
             yaw_rate = recording.yaw_rate * preparation.yaw_rate_factor
@@ -383,12 +384,12 @@ _CODES: Final = {
 _CODE_TIMES: Final = 3
 
 
-def without_codes(recording: Recording) -> Recording:
+def without_codes(recording: Recording, names: Iterable[str]) -> Recording:
     """NaN for codes of "not available": the end of a column's range, several times, far from all other numbers."""
     changed: dict[str, Any] = {}
     sound = bool(recording.valid.all())
-    for name, (gap, most) in _CODES.items():
-        values = getattr(recording, name)
+    for name in names:
+        (gap, most), values = _CODES[name], getattr(recording, name)
         if values is None:
             continue
         known = values if sound else values[recording.valid]
@@ -523,7 +524,8 @@ def on_own_clocks(recording: Recording) -> Recording:
         notes.append(f"lane_offset comes in steps of {coarse:.2g} m")
     if len(notes) > len(recording.notes):
         recording = dataclasses.replace(recording, notes=tuple(notes), **changed)
-    return recording.take(rows) if refresh > 0.0 else recording
+    # a held offset repeats itself as a code does
+    return without_codes(recording.take(rows) if refresh > 0.0 else recording, ["lane_offset"])
 
 
 SHORTEST_REFRESH: Final = 0.3  # [s] a lane signal that was interpolated over less makes up no departure

@@ -299,7 +299,7 @@ def test_the_yaw_rate_factor():
 def lost(one: Recording, name: str, **limits: Any) -> list[int]:
     """Rows in which a signal is not there any more once a recording is prepared; the others are what they were."""
     values = getattr(one, name)
-    found = getattr(prepare(corrected(one, Preparation()), Preparation(), **limits), name)
+    found = getattr(prepare(on_own_clocks(corrected(one, Preparation())), Preparation(), **limits), name)
     gone = ~np.isfinite(found)
     np.testing.assert_array_equal(found[~gone], values[~gone])
     return np.flatnonzero(gone).tolist()
@@ -351,7 +351,9 @@ def test_a_number_that_stands_for_not_available(name, base, gap, side):
     # an absurd number hides none, nor does one of a row that is not valid
     for odd, valid in ((side * 1e12, True), (side * 1e3, np.arange(100) != 80), (np.nan, True)):
         signal[rows], signal[80] = last + side * 1.01 * gap, odd
-        found = getattr(corrected(drive(**(columns | {name: signal, "valid": valid})), Preparation()), name)
+        found = getattr(
+            on_own_clocks(corrected(drive(**(columns | {name: signal, "valid": valid})), Preparation())), name
+        )
         assert np.flatnonzero(np.isnan(found[:80])).tolist() == [10, 40, 41]
     signal[80] = base
     # of several codes all, from the outside in
@@ -370,7 +372,7 @@ def test_a_number_that_most_samples_have_is_a_code_only_if_it_is_large(name, bas
         signal = base + 0.001 * LIVELY
         signal[:rows] = value
         columns = {"lane_offset": LIVELY} | ({"curvature": None} if name == "yaw_rate" else {}) | {name: signal}
-        found = getattr(corrected(drive(**columns), Preparation()), name)
+        found = getattr(on_own_clocks(corrected(drive(**columns), Preparation())), name)
         assert np.flatnonzero(np.isnan(found)).tolist() == list(range(lost_rows))
 
 
