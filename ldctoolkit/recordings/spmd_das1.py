@@ -32,8 +32,6 @@ from ldctoolkit.recordings.trip_tables import (
     text_bytes,
 )
 
-TripPlace = tuple[tuple[Stretch, ...], tuple[Stretch, ...]]
-
 TOLERANCE: Final = 5.0
 """Half a step of 10 Hz [centiseconds]: the largest distance in time between rows that belong together."""
 
@@ -56,7 +54,7 @@ class Das1Part:
     key: str  # names the lane table and the first trip
     lane: TripTable
     wsu: TripTable
-    trips: tuple[TripPlace, ...]  # (tuple of Stretch, tuple of Stretch): each trip's place in both
+    trips: tuple[tuple[tuple[Stretch, ...], tuple[Stretch, ...]], ...]  # each trip's place in both
 
     @property
     def bytes(self) -> int:

@@ -233,7 +233,5 @@ def test_any_bytes_give_whole_lines(text_trip_index: bytes, block_bytes: int) ->
 
 def test_rows_that_are_not_sorted_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(trip_index, "MOST_STRETCHES", 10)
-    with pytest.raises(
-        RecordingError, match=r"line 12: more than 10 stretches .*sorted by device, trip and time"
-    ):
+    with pytest.raises(RecordingError, match=r"line 12: more than 10 stretches .*sorted by device, trip and time"):
         indexed(b"7,1,0\n7,2,0\n" * 20)

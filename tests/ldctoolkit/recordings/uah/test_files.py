@@ -172,7 +172,8 @@ def change(path, number, line):
         ("NULL 0.1 0.01 3.5 2\n", "no usable time"),
         ("30.00 0.1 0.01 3.5\n", "4 cells; allowed: 5"),
         ("30.00\n", "1 cell; allowed: 5"), ("nan 0.1 0.01 3.5 2\n", "no usable time"),
-        ("1e300 0.1 0.01 3.5 2\n", "no usable time"), (b"30.00 0.1\xff 0.01 3.5 2\n", "the text is not UTF-8 (invalid start byte)"),
+        ("1e300 0.1 0.01 3.5 2\n", "no usable time"),
+        (b"30.00 0.1\xff 0.01 3.5 2\n", "the text is not UTF-8 (invalid start byte)"),
         ("30.00 0.1 0.01 3.5 2\0\n", "column 'state' holds '2\\x00'; allowed: numbers"),
     ],
 )  # fmt: skip
