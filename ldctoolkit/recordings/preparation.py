@@ -499,7 +499,8 @@ def on_own_clocks(recording: Recording) -> Recording:
         values = getattr(recording, name)
         if values is not None:
             rows, refresh = new_rows(t, values)
-            if refresh > 0.0:
+            # one that is held for so short a time is as good as interpolated
+            if refresh > MAX_GAP + ROUNDING or (refresh > 0.0 and np.isnan(values).any()):
                 known = merge_repeated(t[rows], values[rows])
                 between = values_at(t, *known, longest=2.5 * refresh, beyond=refresh)
                 changed[name] = np.where(np.isnan(between), values, between)

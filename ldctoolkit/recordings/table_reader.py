@@ -224,7 +224,7 @@ def csv_blocks(path: Path, block_bytes: int, faults: list[TableFault]) -> Iterat
                 raise TableFault(f"line {line}", f"longer than {LONGEST_LINE} bytes; this is not CSV")
             header = [name.strip() for name in _fields(first, line)]
             if not any(header):
-                state = f"line {line} is blank" if first else "the file is empty" if line == 1 else "only comments"
+                state = "the file is empty" if line == 1 else "only comments and blank lines"
                 raise TableFault("", f"{state}; a header is needed: {', '.join(REQUIRED)}, ...")
             if len(header) == 1 and any(mark in header[0] for mark in ";\t|"):
                 raise TableFault(f"line {line}", f"columns are not separated by commas: {header[0][:60]!r}")
@@ -263,13 +263,13 @@ def csv_blocks(path: Path, block_bytes: int, faults: list[TableFault]) -> Iterat
 
 
 def _header_line(stream: IO[bytes] | gzip.GzipFile, longest: int) -> tuple[bytes, int, int]:
-    """The first line behind comments and NUL bytes, its number, and how many such bytes there are."""
+    """The first line behind comments, blank lines and NUL bytes, its number, and how many such bytes there are."""
     number, nuls = 1, 0
     while line := stream.readline(longest):
         text = line.lstrip(b"\0")
         nuls += len(line) - len(text)
-        comment = text.removeprefix(codecs.BOM_UTF8).lower().startswith((b"#", b"sep="))
-        if not comment and (text.strip() or not nuls):
+        words = text.removeprefix(codecs.BOM_UTF8).strip()
+        if words and not words.lower().startswith((b"#", b"sep=")):
             return text if text.endswith(b"\n") or not nuls else text + stream.readline(longest), number, nuls
         number += text.endswith(b"\n")
     return b"", number, nuls

@@ -222,7 +222,7 @@ REFUSED_TEXT: dict[str, tuple[str | bytes, str]] = {
     ),
     "no identifier": (PLAIN + ",9,0,3.6,25\n", "line 5: column 'recording' holds None; allowed: an identifier"),
     "empty": ("", "drive.csv: the file is empty; a header is needed: recording, t,"),
-    "blank header": ("\n" + PLAIN, "drive.csv: line 1 is blank; a header is needed"),
+    "blank": ("\n \n# a\n", "drive.csv: only comments and blank lines; a header is needed"),
     "header only": (HEADER, "drive.csv: a header but no rows"),
     "all missing": (HEADER + "a,0,,3.6,25\na,1,nan,3.6,25\n", "column 'lane_offset' holds no number in any of 2 rows"),
     "all lanes missing": (

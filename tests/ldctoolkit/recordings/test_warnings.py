@@ -574,7 +574,7 @@ def test_too_much_of_the_time_beyond_a_line(silent, warned, words):
     [
         ({"stays_ns": (39.9e9, 0.0, 0.0)}, ""),
         ({}, "it turns back at zero and never lies to the right"),
-        ({"offsets": ON_ONE_SIDE["offsets"][::-1], "grazes": (3, 0, 100)}, "turns back at zero and never lies to the left"),
+        ({"offsets": ON_ONE_SIDE["offsets"][::-1], "grazes": (3, 0, 100)}, "at zero and never lies to the left"),
         ({"grazes": (2, 100, 0)}, ""),
         ({"grazes": (3, 99, 1)}, ""),
         ({"offsets": offsets(l0=10, l1=90, l7=1)}, ""),  # less than one in a hundred further than 0.3 m away
