@@ -70,15 +70,21 @@ def median_steps(table: RecordingTable) -> FloatArray:
     recording = table.recording_index
     within = recording[1:] == recording[:-1]
     step, owner = np.diff(table.t)[within], recording[1:][within]
-    # the steps between bursts, where there are any; a gap counts little for the mean
-    count, time = (np.bincount(owner, x, table.names.size) for x in (np.ones(step.size), np.minimum(step, 0.5)))
-    mean = time / np.maximum(count, 1.0)
-    long = step > 0.5 * mean[owner]
-    step, owner = step[long], owner[long]
+    result = _medians(step, owner, table.names.size)
+    count, time = (np.bincount(owner, x, table.names.size) for x in (None, step))
+    bursts = time > 2.0 * result * count
+    if bursts.any():  # the steps between them; a gap counts little
+        mean = np.bincount(owner, np.minimum(step, 0.5), table.names.size) / np.maximum(count, 1)
+        long = step > 0.5 * mean[owner]
+        result = np.where(bursts, _medians(step[long], owner[long], table.names.size), result)
+    return result
+
+
+def _medians(step: FloatArray, owner: IntArray, recordings: int) -> FloatArray:
     order = np.lexsort((step, owner))
-    count = np.bincount(owner, minlength=table.names.size)
+    count = np.bincount(owner, minlength=recordings)
     begin = np.cumsum(count) - count
-    result = np.full(table.names.size, np.nan)
+    result = np.full(recordings, np.nan)
     some = count > 0
     low, high = (begin + (count - 1) // 2)[some], (begin + count // 2)[some]
     result[some] = 0.5 * (step[order[low]] + step[order[high]])

@@ -427,7 +427,10 @@ def _sums(h: FloatArray, r: FloatArray) -> FloatArray:
 
 SWAY_WINDOW: Final = 6.0  # [s] over which the offset is held against the vehicle's heading
 _SWAY_STEP: Final = 0.2  # [s]
-MOST_WINDOWS: Final = 40  # of a recording, spread over it
+MOST_WINDOWS: Final = 20  # of a recording, spread over it
+
+_SMOOTH: Final = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, round(SWAY_WINDOW / _SWAY_STEP)), 4))[0]
+"""What position, heading and bend of the road make of a path in a window: cubics."""
 
 
 def _sway(recording: Recording, angle: FloatArray, known: BoolArray) -> FloatArray:
@@ -437,7 +440,7 @@ def _sway(recording: Recording, angle: FloatArray, known: BoolArray) -> FloatArr
         return np.zeros(4)
     windows = int((t[-1] - t[0]) / SWAY_WINDOW)
     first = t[0] + SWAY_WINDOW * np.arange(0, windows, -(-windows // MOST_WINDOWS))
-    place = first[:, None] + np.arange(0.0, SWAY_WINDOW, _SWAY_STEP)
+    place = first[:, None] + _SWAY_STEP * np.arange(_SMOOTH.shape[0])
     row = np.minimum(np.searchsorted(t, place), t.size - 1)
     # a window with a hole in it, or with a jump of the offset, is left out
     good = known[row] & recording.valid[row] & (v[row] > TURN_SPEED) & (v[row] < LARGEST) & (t[row] - place <= 0.5)
@@ -447,9 +450,7 @@ def _sway(recording: Recording, angle: FloatArray, known: BoolArray) -> FloatArr
     heading = angle[row] - angle[row[:, :1]]
     heading -= 2.0 * np.pi * np.rint(heading / (2.0 * np.pi))
     path = np.cumsum(v[row] * heading, axis=1) * _SWAY_STEP
-    s = np.linspace(-1.0, 1.0, row.shape[1])
-    smooth = np.linalg.qr(np.vander(s, 4))[0]  # what position, heading and bend of the road make of it
-    path, across = (x - (x @ smooth) @ smooth.T for x in (path, offset[row]))
+    path, across = (x - (x @ _SMOOTH) @ _SMOOTH.T for x in (path, offset[row]))
     sums = _sums(path.ravel(), across.ravel())
     sums[0] = row.shape[0]
     return sums
