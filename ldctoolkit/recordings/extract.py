@@ -396,8 +396,8 @@ FEWEST_ON_A_SIDE: Final = 20  # departures that show whether there are any to th
 SMALLER_SIDE: Final = 0.05  # share of the departures to the other side
 
 _REFERENCES: Final = (
-    "column 'lane_offset': {what}; is it a distance to a line, without a sign, in another unit, or is the camera not "
-    "in the vehicle's centre? The vehicle's centre from the lane's centre is needed, in m, positive to the left"
+    "column 'lane_offset': {what}; {likely}? The vehicle's centre from the lane's centre is needed, in m, positive to "
+    "the left"
 )
 
 
@@ -405,7 +405,7 @@ def _reference(evidence: QualityStatistics, sides: IntArray) -> list[str]:
     """Doubts whether the offset is one."""
     driven, beyond, long = evidence.stays_ns / 1e9
     counts, middle = evidence.offsets, OFFSET_BINS // 2
-    what, samples = "", max(int(counts.sum()), 1)
+    what, likely, samples = "", "is it a distance to a line, or is the camera beside the vehicle's centre", counts.sum()
     median = OFFSET_STEP * (int(np.searchsorted(np.cumsum(counts), 0.5 * samples)) - middle)
     side = "left" if counts[middle + 1 :].sum() > counts[:middle].sum() else "right"
     if driven >= ENOUGH_TIME and counts.any():
@@ -413,13 +413,15 @@ def _reference(evidence: QualityStatistics, sides: IntArray) -> list[str]:
         dense = 3.0 * counts[middle] >= 0.3 * (counts[middle - 3 : middle + 4].sum() - counts[middle])
         if evidence.grazes[1:].min() == 0 and dense and evidence.grazes[0] >= FEWEST_GRAZES and wide >= 0.01 * samples:
             what = f"it turns back at zero and never lies to the {'right' if side == 'left' else 'left'}"
+            likely = "has it lost its sign"
         elif abs(median) > LARGEST_MEDIAN:
             what = f"half of the time the vehicle is more than {abs(median):.2f} m to the {side}"
         elif beyond > SHARE_BEYOND * driven or long > max(SHARE_LONG * driven, ENOUGH_TIME):
             what = f"a wheel is beyond a line in {beyond / driven:.0%} of the time"
+            likely = "is it in feet, from another reference, or is the vehicle width too large"
     if not what and sides.sum() >= FEWEST_ON_A_SIDE and sides.min() <= SMALLER_SIDE * sides.sum():
         what = f"{sides.max()} of {sides.sum()} departures are to the {'left' if sides[0] > sides[1] else 'right'}"
-    return [_REFERENCES.format(what=what)] if what else []
+    return [_REFERENCES.format(what=what, likely=likely)] if what else []
 
 
 def few_usable(samples: int, usable: int) -> tuple[str, ...]:

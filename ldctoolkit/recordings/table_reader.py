@@ -37,12 +37,11 @@ UNITS: Final = {
 }  # fmt: skip
 """Columns of numbers, and what they are in."""
 
+# further columns of a frame: the line of a CSV file or row of a Parquet file; whether a sample is at fault or next to a
+# line that could not be used; whether a line was lost between it and the sample before
 ROW: Final = "(row)"
-"""Column that carries each sample's place in its file: the line of a CSV file, the row of a Parquet file."""
-
-FAULT: Final = "(fault)"  # column that is true for a sample that is at fault, or next to a line that could not be used
-
-CUT: Final = "(cut)"  # column that is true for a sample with a lost line between it and the one before
+FAULT: Final = "(fault)"
+CUT: Final = "(cut)"
 
 # numbers that words stand for, words for none, and what is allowed
 _SWITCH: Final = ({"1": 1, "1.0": 1, "true": 1, "0": 0, "0.0": 0, "false": 0}, MISSING, "0, 1, false, true")
@@ -112,11 +111,8 @@ def columns_of(frame: pl.DataFrame) -> dict[str, Any]:
 
 COLUMNS: Final = ("recording", *UNITS, "lane", "valid", "turn_signal", "engaged")
 
-LONGEST_LINE: Final = 1 << 20
-"""A longer line [bytes] is not CSV; without a limit a binary file would be read into memory as one line."""
-
-PACKED_PIECE: Final = 1 << 16
-"""Packed files are unpacked in pieces of so many bytes: what lies before a cut is not lost with it."""
+LONGEST_LINE: Final = 1 << 20  # a longer line [bytes] is not CSV; a binary file would be read as one line
+PACKED_PIECE: Final = 1 << 16  # packed files are unpacked in such pieces [bytes]: what lies before a cut is not lost
 
 _BROKEN: Final = (EOFError, zlib.error, gzip.BadGzipFile)
 _POLARS: Final = (pl.exceptions.PolarsError, pl.exceptions.PanicException)
@@ -496,9 +492,7 @@ def _names(path: Path) -> dict[str, int]:
 
 KNOWN_BY: Final = 3  # a file with so many of the five columns that are needed is meant as a recording table
 MOST_PROBLEMS: Final = 20  # so many problems of one file are reported one by one; the others are counted
-
-LARGEST_TIME: Final = 1e20
-"""A time of this size or more [s] is none, whatever the clock and its unit; sums of such would overflow."""
+LARGEST_TIME: Final = 1e20  # a time of this size or more [s] is none; sums of such would overflow
 
 
 @dataclasses.dataclass
