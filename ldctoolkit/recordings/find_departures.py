@@ -322,22 +322,9 @@ def find_departures(table: RecordingTable, criteria: Criteria, gap_limit: float 
     none = np.empty(0, dtype=np.int64)
     if place.size == 0:
         no_signals = DepartureSignals(np.zeros(1, dtype=np.int64), *([np.empty(0)] * 4))
-        driven = np.zeros(table.names.size)
-        return Found(
-            no_departures(),
-            none,
-            no_signals,
-            none,
-            none,
-            none,
-            read,
-            driven,
-            driven,
-            usable,
-            median_step,
-            np.empty(0),
-            none,
-        )
+        driven, no_stays = np.zeros(table.names.size), np.empty(0)
+        found = no_departures(), none, no_signals, none, none, none, read, driven, driven
+        return Found(*found, usable, median_step, no_stays, none)
     margin = 0.5 * (criteria.vehicle_width - table.lane_width)
     edges = {LEFT: table.lane_offset + margin, RIGHT: -table.lane_offset + margin}
     same, cause, name = breaks(table, place, limit, criteria.max_jump, edges)
@@ -350,7 +337,8 @@ def find_departures(table: RecordingTable, criteria: Criteria, gap_limit: float 
     verdict = _judge(table, runs.side[chosen], signals, source, criteria)
     rows = np.nan_to_num(AROUND / np.fmax(median_step, ROUNDING)).astype(np.int64)
     deepest = np.maximum.reduceat(signals.y, signals.offsets[:-1]) if signals.n else np.empty(0)
-    verdict[_narrower(table, usable, runs.first[chosen], runs.last[chosen], rows) > deepest] = CODE["jump"]
+    narrower = _narrower(table, usable, runs.first[chosen], runs.last[chosen], rows) > deepest
+    verdict[narrower] = np.minimum(verdict[narrower], CODE["jump"])
     reason[chosen] = verdict
 
     run, kept, start_time = (
@@ -442,11 +430,12 @@ def _narrower(table: RecordingTable, usable: BoolArray, first: IntArray, last: I
     owner = table.recording_index[first]
     low = np.maximum(first - rows[owner], table.offsets[owner])
     high = np.minimum(last + 1 + rows[owner], table.offsets[owner + 1])
-    count, total = (np.append(0.0, np.cumsum(x)) for x in (usable, np.where(usable, table.lane_width, 0.0)))
+    count, width = np.append(0, np.cumsum(usable)), np.append(np.where(usable, table.lane_width, 0.0), 0.0)
 
     def mean(begin: IntArray, end: IntArray) -> FloatArray:
-        number = count[end] - count[begin]
-        return np.where(number > 0, (total[end] - total[begin]) / np.maximum(number, 1.0), np.inf)
+        number, pairs = count[end] - count[begin], np.column_stack([begin, end]).ravel()
+        total = np.add.reduceat(width, pairs)[::2] if pairs.size else np.empty(0)
+        return np.where(number > 0, total / np.maximum(number, 1), np.inf)
 
     less: FloatArray = np.minimum(mean(low, first), mean(last + 1, high)) - mean(first, last + 1)
     return np.where(np.isfinite(less) & (less > NARROWER), less, 0.0)
