@@ -268,7 +268,7 @@ def test_broken_json(tmp_path, broken, message):
     with pytest.raises(ModelError, match=message):
         ScenarioModel.load(file)
     file.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(ModelError, match="not UTF-8"):
+    with pytest.raises(ModelError, match="the text is UTF-16; save it as UTF-8"):
         ScenarioModel.load(file)
 
 

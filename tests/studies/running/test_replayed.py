@@ -249,7 +249,8 @@ def test_the_recorded_path_is_replayed_from_the_second_table(tmp_path: Path) -> 
     (tmp_path / "drive.csv").write_text(
         "recording,t,lane_offset,lane_width,speed,curvature\n" + "\n".join(lines) + "\n"
     )
-    good("extract", "drive.csv", "--vehicle-width", "1.9", "--signals", "-o", "d.parquet", cwd=tmp_path)
+    # always left of the lane's centre, which no vehicle is
+    good("extract", "drive.csv", "--vehicle-width", "1.9", "--signals", "--force", "-o", "d.parquet", cwd=tmp_path)
     found, _ = read_departures(tmp_path / "d.parquet", signals=True)
     assert found.n > 10
     study = study_on(tmp_path, departures="d.parquet", path="recorded")
