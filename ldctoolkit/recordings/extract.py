@@ -298,14 +298,11 @@ def merge_results(
     )
     if doubts and not force:
         raise RecordingError(
-            f"the recordings cannot be right: {'; '.join(doubts)}. Correct them, or go on with --force (in Python: "
-            "force=True)"
+            f"the recordings cannot be right: {'; '.join(doubts.values())}. Correct them, or go on with --force (in "
+            "Python: force=True)"
         )
     warnings = quality_warnings(
-        whole.evidence,
-        preparation.nominal_lane_width,
-        labelled=reader == "table",
-        scaled=not any("lane_width" in text or "vehicle width" in text for text in doubts),
+        whole.evidence, preparation.nominal_lane_width, labelled=reader == "table", scaled="width" not in doubts
     )
     provenance = Provenance(
         criteria=criteria,
@@ -317,7 +314,7 @@ def merge_results(
         hours=sum(account.valid_ns for account in whole.accounts) / 3.6e12,
         distance=sum(account.valid_um for account in whole.accounts) / 1e6,
         curvature="none" if not kinds else kinds[0] if len(kinds) == 1 else "mixed",
-        warnings=(*doubts, *few_usable(samples, usable), *warnings),
+        warnings=(*doubts.values(), *few_usable(samples, usable), *warnings),
         reader=reader,
         preparation=preparation,
         problems=tuple(str(problem) for problem in whole.problems),
@@ -355,13 +352,15 @@ EDGE: Final = 0.05  # share of the recordings at either end that may have odd la
 
 def quality_doubts(
     evidence: QualityStatistics, vehicle_width: float, sides: IntArray, *, yaw_rate_factor: float = 1.0
-) -> tuple[str, ...]:
-    """What cannot be right: units, signs, references; `sides` are the departures to the left and right, (2,)."""
+) -> dict[str, str]:
+    """What cannot be right, by what it is of: units, signs, references; `sides` are the departures to the left and
+    right, (2,).
+    """
     found = unit_warnings(dict(evidence.units), vehicle_width)
     # a wrong unit of the offset makes all of these, too
-    if not any("lane_" in text or "vehicle width" in text for text in found):
-        found += _reference(evidence, sides)
-    return (*found, *_turning(evidence, yaw_rate_factor))
+    if not {"width", "offset", "coarse offset"} & found.keys() and (text := _reference(evidence, sides)):
+        found["reference"] = text
+    return found | {f"turns {i}": text for i, text in enumerate(_turning(evidence, yaw_rate_factor))}
 
 
 def quality_warnings(
@@ -374,9 +373,9 @@ def quality_warnings(
         found.append(f"no column 'curvature' or 'yaw_rate'{where}: the lane's curvature is taken as 0 (c_0 = dc = 0)")
     if labelled and not evidence.lanes:
         found.append("no column 'lane': a lane change is seen only as a jump of the offset by about a lane width")
-    (windows, hh, *_), likeness = evidence.turns[0], _likeness(evidence.turns[0])
-    if abs(likeness) < 0.5 and windows >= FEWEST_TURNS and hh >= LEAST_TURNING**2 * windows:
-        found.append(f"yaw rate and GPS heading do not agree (correlation {likeness:.2f}): curvatures are doubtful")
+    (windows, hh, *_), correlation = evidence.turns[0], _correlation(evidence.turns[0])
+    if abs(correlation) < 0.5 and windows >= FEWEST_TURNS and hh >= LEAST_TURNING**2 * windows:
+        found.append(f"yaw rate and GPS heading do not agree (correlation {correlation:.2f}): curvatures are doubtful")
     if evidence.bends[0] > 1000 and evidence.bends[1] < 0.001 * evidence.bends[0] and evidence.kinds != ("none",):
         found.append("the lane is straight in nearly all samples: c_0 and dc tell nothing")
     if nominal_lane_width is None and scaled:
@@ -401,8 +400,8 @@ _REFERENCES: Final = (
 )
 
 
-def _reference(evidence: QualityStatistics, sides: IntArray) -> list[str]:
-    """Doubts whether the offset is one."""
+def _reference(evidence: QualityStatistics, sides: IntArray) -> str:
+    """Why the offset cannot be that of the vehicle's centre from the lane's; empty for no reason."""
     driven, beyond, long = evidence.stays_ns / 1e9
     counts, middle = evidence.offsets, OFFSET_BINS // 2
     what, likely, samples = "", "is it a distance to a line, or is the camera beside the vehicle's centre", counts.sum()
@@ -421,7 +420,7 @@ def _reference(evidence: QualityStatistics, sides: IntArray) -> list[str]:
             likely = "is it in feet, from another reference, or is the vehicle width too large"
     if not what and sides.sum() >= FEWEST_ON_A_SIDE and sides.min() <= SMALLER_SIDE * sides.sum():
         what = f"{sides.max()} of {sides.sum()} departures are to the {'left' if sides[0] > sides[1] else 'right'}"
-    return [_REFERENCES.format(what=what, likely=likely)] if what else []
+    return _REFERENCES.format(what=what, likely=likely) if what else ""
 
 
 def few_usable(samples: int, usable: int) -> tuple[str, ...]:
@@ -434,13 +433,13 @@ def few_usable(samples: int, usable: int) -> tuple[str, ...]:
     )
 
 
-def _likeness(turns: FloatArray) -> float:
+def _correlation(turns: FloatArray) -> float:
     """Correlation of two signals, from windows and sums."""
     _, hh, hr, rr = turns
     return float(hr / max(np.sqrt(hh * rr), 1e-300))
 
 
-_SAID: Final = {"heading": "the heading", "yaw_rate": "the yaw rate", "curvature": "the curvature",
+_SIGNAL_NAMES: Final = {"heading": "the heading", "yaw_rate": "the yaw rate", "curvature": "the curvature",
                 "steering": "the steering angle"}  # fmt: skip
 
 
@@ -449,8 +448,8 @@ def _turning(evidence: QualityStatistics, factor: float) -> list[str]:
     found: list[str] = []
     doubted: set[str] = set()
     for turns, (reference, other) in zip(evidence.turns, RELATIONS, strict=True):
-        likeness = _likeness(turns)
-        if turns[0] < FEWEST_TURNS or abs(likeness) < 0.5 or {reference, other} & doubted:
+        correlation = _correlation(turns)
+        if turns[0] < FEWEST_TURNS or abs(correlation) < 0.5 or {reference, other} & doubted:
             continue
         _, hh, hr, rr = turns
         # the true ratio lies between the two regressions, the first if all noise is the second signal's, the second if
@@ -459,22 +458,25 @@ def _turning(evidence: QualityStatistics, factor: float) -> list[str]:
         # the lane does not turn as the vehicle does, and steering wheels are geared
         most = {"yaw_rate": 1.25, "curvature": 10.0, "steering": np.inf}[other]
         scale = 1.0 if low < most and high > 1.0 / most else float(np.sqrt(rr / hh))
-        if likeness > 0.0 and scale == 1.0:
+        if correlation > 0.0 and scale == 1.0:
             continue
         doubted.add(other)
-        what, of = _SAID[other], "the GPS heading" if (reference, other) == RELATIONS[0] else _SAID[reference]
+        what, of = (
+            _SIGNAL_NAMES[other],
+            "the GPS heading" if (reference, other) == RELATIONS[0] else _SIGNAL_NAMES[reference],
+        )
         times = f" times {factor:.3g}, as given," if other == "yaw_rate" and factor != 1.0 else ""
-        if likeness < 0.0:
-            text = f"{what}{times} turns against {of} (correlation {likeness:.2f})"
+        if correlation < 0.0:
+            text = f"{what}{times} turns against {of} (correlation {correlation:.2f})"
             text += "" if scale == 1.0 else f", and {scale:.3g} times as much: another unit?"
             recorded = "without the factor it" if times else "it" if other == "yaw_rate" else "one of them"
             text += f"; {recorded} is positive to the {'right' if factor > 0.0 else 'left'}"
         else:
             text = f"{what}{times} is {scale:.3g} times what {of} turns: another unit?"
         if other == "yaw_rate":
-            advice = factor / scale if likeness > 0.0 else -factor / scale
-            end = "or all curvatures have the wrong sign" if likeness < 0.0 else "which would make them agree"
-            end += "" if likeness > 0.0 or reference != "heading" else "; or is the heading a compass course?"
+            advice = factor / scale if correlation > 0.0 else -factor / scale
+            end = "or all curvatures have the wrong sign" if correlation < 0.0 else "which would make them agree"
+            end += "" if correlation > 0.0 or reference != "heading" else "; or is the heading a compass course?"
             text += f" (give --yaw-rate-factor {advice:.3g}, {end})"
         found.append(text)
     return found if doubted else found + _swaying(evidence.sway)
@@ -489,16 +491,16 @@ windows: three times what chance makes of signals that have nothing to do with e
 def _swaying(sway: FloatArray) -> list[str]:
     """An offset that moves against the vehicle's heading, or much further or less far than that and the speed say."""
     windows, hh, hr, rr = sway
-    likeness = _likeness(sway)
-    if windows < FEWEST_SWAYS or abs(likeness) < max(-LEAST_SWAY, 1.7 / np.sqrt(windows)):
+    correlation = _correlation(sway)
+    if windows < FEWEST_SWAYS or abs(correlation) < max(-LEAST_SWAY, 1.7 / np.sqrt(windows)):
         return []
-    if likeness < 0.0:
+    if correlation < 0.0:
         return [
-            f"column 'lane_offset': it goes against the vehicle's heading (correlation {likeness:.2f}); it is positive "
-            "to the right, or the heading or yaw rate is"
+            f"column 'lane_offset': it goes against the vehicle's heading (correlation {correlation:.2f}); it is "
+            "positive to the right, or the heading or yaw rate is"
         ]
     # a path that is longer holds the road's bends, too, if it is not very much like the offset
-    if (likeness > 0.6 and hr > 1.6 * hh) or (likeness > 0.85 and rr < 0.6 * hr):
+    if (correlation > 0.6 and hr > 1.6 * hh) or (correlation > 0.85 and rr < 0.6 * hr):
         return [
             f"column 'lane_offset': it moves {np.sqrt(rr / hh):.2g} times as far as the vehicle's heading and speed "
             "say; is it in feet, or the speed in km/h or mph? m and m/s are needed"

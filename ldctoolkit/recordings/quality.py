@@ -225,20 +225,20 @@ def unit_counts(
     return tuple(counts.items())
 
 
-def unit_warnings(counts: Mapping[str, int], vehicle_width: float) -> list[str]:
-    """Warnings as text, none when everything is plausible."""
+def unit_warnings(counts: Mapping[str, int], vehicle_width: float) -> dict[str, str]:
+    """Warnings by what is likely wrong, as "width" or "offset"; none when everything is plausible."""
 
     def share(name: str) -> float:
         of = "recordings" if name.startswith("step") else "samples"
         return min(counts.get(name, 0) / max(counts.get(of, 0), 1), 1.0)
 
-    found = []
+    found: dict[str, str] = {}
     for group in _UNITS:
         holds = (rule for rule in group if share(rule[0]) > rule[1])
         for name, _, text in itertools.islice(holds, 1):
             # with half the lane's width every offset is large
             if name != "offset > width" or share("width < 2") <= 0.5:
-                found.append(text.format(share=share(name), vehicle_width=vehicle_width))
+                found[name.rsplit(" ", 2)[0]] = text.format(share=share(name), vehicle_width=vehicle_width)
     return found
 
 

@@ -121,12 +121,10 @@ class Recording:
     yaw_rate: FloatArray | None = None
     lane: IntArray | None = None  # (m,) Label of the lane; only equality counts
     turn_signal: IntArray | None = None  # (m,) +1 left, -1 right, 0 none
-    # (m,) [rad] Course over ground, counter-clockwise, NaN where there is none; yaw rate and offset are checked against
-    # it
+    # (m,) [rad] Course over ground, counter-clockwise, NaN where there is none; a check of yaw rate and offset
     heading: FloatArray | None = None
-    steering: FloatArray | None = (
-        None  # (m,) [rad] Steering angle of road wheels or steering wheel, positive to the left
-    )
+    # (m,) [rad] Steering angle of the road wheels or the steering wheel, positive to the left
+    steering: FloatArray | None = None
     engaged: BoolArray | None = None  # (m,) True while a system steers, not the driver
     # (m,) True where the source lost samples before this one: nothing is joined or interpolated across
     cut: BoolArray | None = None

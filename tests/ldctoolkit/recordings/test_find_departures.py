@@ -541,7 +541,7 @@ def crossing(side: int, start: float = 10.0, duration: float = 4.0, reach: float
 def drive_lane_changes(way: np.ndarray, offset: np.ndarray, **columns: Any) -> Recording:
     n = way.size
     given = {"lane_width": np.full(n, WIDTH), "speed": np.full(n, 25.0), "valid": np.ones(n, bool)}
-    sway = 0.03 * np.sin(T_LANE_CHANGES)  # nobody drives quite straight on
+    sway = 0.03 * np.sin(T_LANE_CHANGES)  # no driver keeps a perfectly straight line
     return Recording("a", T_LANE_CHANGES, offset + sway, **(given | {"curvature": np.zeros(n)} | columns))
 
 

@@ -203,7 +203,7 @@ def bending(name: str, true_rate: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("pair", RELATIONS, ids="-".join)
 def test_each_pair_of_signals(pair):
-    """The right ones are silent, the steering wheel's gear too; of wrong ones the second is told."""
+    """Signals that agree give no warning, whatever the steering ratio; of two that disagree the second is named."""
     said = {"heading": "the GPS heading" if pair == RELATIONS[0] else "the heading", "yaw_rate": "the yaw rate",
             "curvature": "the curvature", "steering": "the steering angle"}  # fmt: skip
     none = {"heading": None, "yaw_rate": None, "curvature": None}
@@ -468,7 +468,7 @@ def test_plausible_recordings_give_none():
 def reported(sides: tuple[int, int] = (0, 0), **changes: Any) -> tuple[str, ...]:
     plain = dataclasses.replace(no_statistics(), kinds=("yaw_rate",), bends=np.array([10_000, 5_000]))
     evidence = dataclasses.replace(plain, **{name: np.array(value) for name, value in changes.items()})
-    return (*quality_doubts(evidence, 1.8, np.array(sides)), *quality_warnings(evidence, None))
+    return (*quality_doubts(evidence, 1.8, np.array(sides)).values(), *quality_warnings(evidence, None))
 
 
 def turns(pair: int, *sums: float) -> np.ndarray:
@@ -541,6 +541,15 @@ def test_a_wrong_unit_of_the_lane_is_not_a_wrong_reference_too():
     for unit, told in (("width < 2", 1), ("offset > 10", 1), ("width <= vehicle", 1), ("speed < 0", 2)):
         evidence = dataclasses.replace(no_statistics(), units=(*samples, (unit, 600)))
         assert len(quality_doubts(evidence, 1.8, np.array([20, 0]))) == told
+
+
+def test_a_doubtful_scale_is_reported_beside_a_wrong_reference():
+    """Forced: the doubt that names the vehicle width does not stand for one about the lane's width."""
+    wide = 0.6 * np.sin(0.3 * T_EVIDENCE)
+    narrow = drive_evidence(lane_offset=wide, lane_width=np.full(N, 2.4), yaw_rate=None, heading=None)
+    texts = warnings(narrow)
+    assert sum("a wheel is beyond a line" in text for text in texts) == 1
+    assert sum("runs from 2.40 to 2.40 m" in text for text in texts) == 1
 
 
 def offsets(**counts: int) -> np.ndarray:
@@ -663,8 +672,8 @@ def test_a_quarter_of_the_samples_is_enough():
 )  # fmt: skip
 def test_shares_of_samples_or_recordings(name, most, words):
     counts = {"samples": 1000, "recordings": 40}
-    assert unit_warnings(counts | {name: most}, 1.8) == []
-    (warning,) = unit_warnings(counts | {name: most + 1}, 1.8)
+    assert unit_warnings(counts | {name: most}, 1.8) == {}
+    (warning,) = unit_warnings(counts | {name: most + 1}, 1.8).values()
     assert words in warning
 
 

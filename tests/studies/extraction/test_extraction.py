@@ -237,7 +237,7 @@ def test_where_nothing_can_be_read_nothing_is_written(made: Made, tmp_path: Path
 
 
 def test_what_cannot_be_right_is_read_once_and_written_if_forced(made: Made, tmp_path: Path) -> None:
-    """What was found in the parts waits for the next run, whatever it is told."""
+    """The finished parts wait for the next run, forced or not."""
     output = tmp_path / "d.parquet"
     source = made("in km/h", "in km/h", "good")
     for _ in range(2):
