@@ -117,6 +117,7 @@ class BarrierFilter(Controller):
 
     name: ClassVar[str] = "barrier_filter"
     title: ClassVar[str] = "Barrier filter"
+    law_options: ClassVar[tuple[str, ...]] = ("inner",)
 
     inner: str = option("preview_proportional", choices=None, description="name of the law inside")
     inner_gains: str = option("", choices=None, description="gains of the law inside: gain=value, gain=value")

@@ -312,6 +312,9 @@ class Controller(abc.ABC):
     It belongs to the law, so that no number depends on how many workers there are.
     """
 
+    law_options: ClassVar[tuple[str, ...]] = ()
+    """Options whose value is the registry name of another law, as the one inside a filter."""
+
     def __post_init__(self) -> None:
         check_class(type(self))
         for declared in self.gains():

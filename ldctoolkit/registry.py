@@ -1,9 +1,13 @@
 """Controllers by name: registered in the running program, or found by the entry-point group of installed packages."""
 
 import functools
+import hashlib
 import importlib.metadata
 import weakref
+from collections.abc import Iterable, Mapping
+from typing import Any
 
+from ldctoolkit.code_content import content_of
 from ldctoolkit.control import Controller, check_class
 from ldctoolkit.errors import InputError, LdcError, UnknownNameError, nearest
 from ldctoolkit.gains import undeclared_fields
@@ -13,6 +17,7 @@ GROUP = "ldctoolkit.controllers"
 _registered: dict[str, type[Controller]] = {}
 
 _loaded: dict[importlib.metadata.EntryPoint, type[Controller]] = {}  # installed classes that were requested before
+_by_code: dict[tuple[str, str], type[Controller]] = {}  # classes that designs were made with, by name and content
 _sound: weakref.WeakSet[type] = weakref.WeakSet()  # classes that can be used by name
 
 
@@ -91,6 +96,34 @@ def controller_names() -> tuple[str, ...]:
     True
     """
     return tuple(sorted({*_registered, *_installed()}))
+
+
+def laws_inside(kind: type[Controller], gains: Mapping[str, Any]) -> Iterable[type[Controller]]:
+    """Classes of the laws that options of a design name."""
+    for name in kind.law_options:
+        yield controller_class(gains[name] if name in gains else getattr(kind, name))
+
+
+def code_of(kind: type[Controller], gains: Mapping[str, Any]) -> str:
+    """The content of a law's class and of those inside it; empty where all are the toolkit's. It finds the class again."""
+    every = [content for content in map(content_of, (kind, *laws_inside(kind, gains))) if content]
+    code = hashlib.sha256("".join(every).encode()).hexdigest()[:16] if len(every) > 1 else "".join(every)
+    if code:
+        _by_code[kind.name, code] = kind
+    return code
+
+
+def bound_class(name: str, code: str) -> type[Controller]:
+    """The class that a design was made with, or else the present one of its name."""
+    return _by_code.get((name, code)) or controller_class(name)
+
+
+def with_content(name: str, content: str) -> type[Controller] | None:
+    """The class of a name whose content is this one now; None where no such class is known."""
+    for kind in (_by_code.get((name, content)), controller_class(name)):
+        if kind is not None and content_of(kind) == content:
+            return kind
+    return None
 
 
 def controller_class(name: str) -> type[Controller]:

@@ -1,5 +1,25 @@
-"""The installed version, read from the package's metadata so that it stands in one place."""
+"""The installed version, read from the package's metadata so that it stands in one place, and those of packages."""
 
+import functools
 import importlib.metadata
+from typing import Final
 
 __version__ = importlib.metadata.version("ldctoolkit")
+
+DECISIVE: Final = ("ldctoolkit", "numpy", "scipy", "numba", "casadi", "osqp", "qpsolvers", "control")
+"""Packages whose versions decide a number's last bits: the same on every worker, and wherever a study is resumed."""
+
+Versions = tuple[tuple[str, str], ...]  # names of packages and their versions; `"not installed"` where there is none
+
+
+@functools.cache
+def versions(packages: tuple[str, ...] = DECISIVE) -> Versions:
+    """What this process has of some packages."""
+    return tuple((name, _version(name)) for name in packages)
+
+
+def _version(name: str) -> str:
+    try:
+        return importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return "not installed"

@@ -12,6 +12,7 @@ from typing import Any, Final
 from ldctoolkit import Controller, controller_class
 from ldctoolkit.gains import GainValue
 from ldctoolkit.option_checks import UnitWarning, unit_slip
+from ldctoolkit.registry import bound_class, code_of
 from ldctoolkit.vehicle import Convention
 
 PAPER_LAW: Final = "preview_proportional"  # registry name of the paper's law
@@ -37,7 +38,8 @@ class Design:
 
     Notes
     -----
-    A run is identified by the design's `id` and the case's convention; together they name one set of numbers.
+    A run is identified by the design's `id` and the case's convention; together they name one set of numbers. A law of
+    the toolkit is known by its name, any other by the content of its code: an edited law makes other designs.
 
     Examples
     --------
@@ -51,13 +53,14 @@ class Design:
     # Every declared gain and option in the law's own order, defaults included. The option `convention` holds
     # `FOLLOWS_CASE` where the study's case decides it.
     gains: tuple[tuple[str, GainValue], ...]
+    code: str = ""  # Content of the law's code; empty for the toolkit's laws
 
     def __post_init__(self) -> None:
         if slip := unit_slip("y_s", self.y_s):
             warnings.warn(slip, UnitWarning, stacklevel=4)
 
     @classmethod
-    def of(cls, controller: Controller, y_s: float, *, follow_case: bool = False) -> Design:
+    def of(cls, controller: Controller, y_s: float, *, follow_case: bool = False, code: str | None = None) -> Design:
         """The design that a controller and a threshold make.
 
         Parameters
@@ -66,12 +69,15 @@ class Design:
         y_s : float [m]
         follow_case : bool
             Leave the option `convention`, where the law has one, to the case.
+        code : str, optional
+            Content of the law's code, where it is known already.
         """
         gains = tuple(
             (g.name, FOLLOWS_CASE if follow_case and g.name == CONVENTION_GAIN else getattr(controller, g.name))
             for g in controller.gains()
         )
-        return cls(controller.name, float(y_s), gains)
+        code = code_of(type(controller), dict(gains)) if code is None else code
+        return cls(controller.name, float(y_s), gains, code)
 
     @classmethod
     def from_gains(cls, law: str, y_s: float, given: dict[str, Any]) -> Design:
@@ -90,7 +96,12 @@ class Design:
             Reading of the case, for a law that follows it.
         """
         gains = {name: convention if self._follows(name, value) else value for name, value in self.gains}
-        return controller_class(self.law)(**gains)
+        return self.kind(**gains)
+
+    @property
+    def kind(self) -> type[Controller]:
+        """Class of the law that the design was made with."""
+        return bound_class(self.law, self.code)
 
     @staticmethod
     def _follows(name: str, value: GainValue) -> bool:
@@ -99,13 +110,14 @@ class Design:
     @functools.cached_property  # used many times in a run
     def id(self) -> str:
         """Twelve hexadecimal digits that depend on the content only."""
-        content = json.dumps([self.law, self.y_s, self.gains], separators=(",", ":"))
+        parts = [self.law, self.y_s, self.gains, *([self.code] if self.code else [])]
+        content = json.dumps(parts, separators=(",", ":"))
         return hashlib.sha256(content.encode()).hexdigest()[:12]
 
     @property
     def batch(self) -> int:
         """Scenarios that are driven as one batch: the law's own choice."""
-        return controller_class(self.law).batch
+        return self.kind.batch
 
     @property
     def is_baseline(self) -> bool:
@@ -115,7 +127,7 @@ class Design:
     @property
     def changed(self) -> tuple[tuple[str, GainValue], ...]:
         """The gains that differ from their defaults."""
-        declared = controller_class(self.law).gains()
+        declared = self.kind.gains()
         return tuple(
             (name, value)
             for g, (name, value) in zip(declared, self.gains, strict=True)
@@ -126,7 +138,7 @@ class Design:
     def label(self) -> str:
         """Short text for tables and legends: the law's title, y_s, and the gains that differ from their defaults."""
         gains = [f"{name}={_short(value)}" for name, value in self.changed]
-        return ", ".join([controller_class(self.law).title, f"y_s={self.y_s:g} m", *gains])
+        return ", ".join([self.kind.title, f"y_s={self.y_s:g} m", *gains])
 
 
 def _short(value: GainValue) -> str:

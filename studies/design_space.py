@@ -10,7 +10,9 @@ import numpy as np
 from pydantic import (
     Field,
     InstanceOf,
+    PrivateAttr,
     SerializerFunctionWrapHandler,
+    ValidationInfo,
     field_serializer,
     model_serializer,
     model_validator,
@@ -18,11 +20,13 @@ from pydantic import (
 
 from ldctoolkit import Controller, LdcError, controller_class
 from ldctoolkit.arrays import FloatArray
+from ldctoolkit.code_content import content_of
 from ldctoolkit.errors import InputError, nearest
 from ldctoolkit.gains import GainValue, declared_gains, find_gain
+from ldctoolkit.registry import code_of, laws_inside
 from ldctoolkit.validation import Part, fail
 
-from .design import Design
+from .design import CONVENTION_GAIN, Design
 
 THRESHOLD: Final = "y_s"  # name of the trigger threshold among the dimensions
 
@@ -182,11 +186,17 @@ class Condition:
 class LawSpace:
     """What a ``[[design]]`` table says about one law."""
 
-    law: str  # Registry name
+    kind: type[Controller]
     y_s: Dimension  # Trigger thresholds
     # The gains that are set, in the order written; the others keep their defaults
     gains: tuple[tuple[str, Dimension], ...] = ()
     conditions: tuple[Condition, ...] = ()
+    _codes: dict[Any, str] = dataclasses.field(default_factory=dict, init=False, repr=False, compare=False)
+
+    @property
+    def law(self) -> str:
+        """Registry name."""
+        return self.kind.name
 
     @property
     def dimensions(self) -> tuple[tuple[str, Dimension], ...]:
@@ -240,7 +250,11 @@ class LawSpace:
 
     def _design(self, values: Mapping[str, GainValue]) -> Design:
         gains = {name: value for name, value in values.items() if name != THRESHOLD}
-        return Design.from_gains(self.law, float(values[THRESHOLD]), gains)
+        inside = tuple(gains.get(name) for name in self.kind.law_options)
+        if inside not in self._codes:
+            self._codes[inside] = code_of(self.kind, gains)
+        controller, follows = self.kind(**gains), CONVENTION_GAIN not in gains
+        return Design.of(controller, float(values[THRESHOLD]), follow_case=follows, code=self._codes[inside])
 
 
 class SampleSettings(Part):
@@ -321,13 +335,19 @@ class DesignBlock(Part):
     when: dict[str, dict[str, tuple[Any, ...]]] = Field(default_factory=dict)
     sample: SampleSettings | None = None  # Take points of the space instead of the full grid
 
+    _kinds: tuple[type[Controller], ...] = PrivateAttr()
+
+    def model_post_init(self, context: Any) -> None:
+        """Keep the classes that the names stand for now."""
+        self._kinds = _read_laws(self.law, context)[1]
+
     @model_validator(mode="before")
     @classmethod
-    def _check(cls, block: Any) -> Any:
+    def _check(cls, block: Any, info: ValidationInfo) -> Any:
         if not isinstance(block, dict) or "law" not in block:
             return block  # the field's own message says what is missing
         checked = dict(block)
-        names, kinds = _read_laws(block["law"])
+        names, kinds = _read_laws(block["law"], info.context)
         checked["law"] = names[0] if len(names) == 1 else names
         if "y_s" in block:
             checked["y_s"] = _read_thresholds(block["y_s"])
@@ -359,6 +379,21 @@ class DesignBlock(Part):
         return (self.law,) if isinstance(self.law, str) else self.law
 
     @property
+    def kinds(self) -> tuple[type[Controller], ...]:
+        """Their classes."""
+        return self._kinds
+
+    def contents(self) -> dict[str, str]:
+        """Content of the code of each law that is not the toolkit's, by name; also of laws that options name."""
+        kinds = [*self.kinds]
+        for space in self.space():
+            for name, choices in space.gains:
+                if name in space.kind.law_options and isinstance(choices, Choices):
+                    kinds += [law for value in choices.values for law in laws_inside(space.kind, {name: value})]
+        found = {kind.name: content_of(kind) for kind in kinds}
+        return {name: content for name, content in found.items() if content}
+
+    @property
     def size(self) -> int:
         """At most so many designs are made; 0 for a space that only a search can use."""
         spaces = self.space()
@@ -376,8 +411,8 @@ class DesignBlock(Part):
     def space(self) -> tuple[LawSpace, ...]:
         """The space of each law, in the order written."""
         spaces = []
-        for law in self.laws:
-            declared = {gain.name for gain in declared_gains(controller_class(law))}
+        for kind in self.kinds:
+            declared = {gain.name for gain in declared_gains(kind)}
             gains = tuple((name, _dimension(entry)) for name, entry in self.gains.items() if name in declared)
             conditions = tuple(
                 Condition(name, on, values)
@@ -385,7 +420,7 @@ class DesignBlock(Part):
                 if name in declared
                 for on, values in every.items()
             )
-            spaces.append(LawSpace(law, _dimension(self.y_s), gains, conditions))
+            spaces.append(LawSpace(kind, _dimension(self.y_s), gains, conditions))
         return tuple(spaces)
 
     def designs(self) -> list[Design]:
@@ -428,8 +463,8 @@ def _dimension(entry: tuple[Any, ...] | Span) -> Dimension:
     return entry if isinstance(entry, Span) else Choices(entry)
 
 
-def _read_laws(entry: Any) -> tuple[tuple[str, ...], Kinds]:
-    """The laws of a table: names and classes."""
+def _read_laws(entry: Any, classes: Mapping[str, type[Controller]] | None) -> tuple[tuple[str, ...], tuple[Any, ...]]:
+    """The laws of a table: names, and classes, from those given or else by name."""
     names = (entry,) if isinstance(entry, str) else entry
     if not isinstance(names, list | tuple) or not names or not all(isinstance(name, str) for name in names):
         raise fail("law", f"{entry!r}; allowed: text, or a list of different laws")
@@ -438,10 +473,10 @@ def _read_laws(entry: Any) -> tuple[tuple[str, ...], Kinds]:
     kinds = []
     for i, name in enumerate(names):
         try:
-            kinds.append(controller_class(name))
+            kinds.append((classes or {}).get(name) or controller_class(name))
         except LdcError as error:
             raise fail("law" if isinstance(entry, str) else f"law[{i}]", str(error).removeprefix("law ")) from None
-    return tuple(names), kinds
+    return tuple(names), tuple(kinds)
 
 
 def _read_thresholds(entry: Any) -> tuple[float, ...] | Span:

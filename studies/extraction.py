@@ -10,7 +10,6 @@ import logging
 import os
 import pickle
 import re
-import sys
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
@@ -21,6 +20,7 @@ import cloudpickle
 import numpy as np
 
 import ldctoolkit
+from ldctoolkit.code_content import content_of
 from ldctoolkit.departures import Departures, DepartureSignals, ExtraColumn
 from ldctoolkit.errors import InputError, LdcError, RecordingError, StoreError, plain
 from ldctoolkit.recordings.departures_table import Extraction, PartResult, write_departures
@@ -38,9 +38,9 @@ from ldctoolkit.recordings.sources import (
     RecordingSource,
     part_name,
 )
+from ldctoolkit.version import versions
 
 from .running.executors import Executor, make_executor
-from .running.executors.processes import versions
 from .running.tasks import Faults
 from .storage.files import locked, read_bytes, remove_leftovers, remove_unfinished, stored_file, write_text
 
@@ -99,6 +99,7 @@ _DESCRIPTIONS: Final = {
     "files": "the files have changed",
     "parts": "they are divided in another way",
     "program": "the program has changed",
+    "readers": "the code of a reader has changed",
 }
 """What it means where a digest differs."""
 
@@ -121,7 +122,8 @@ def plan_of(
     plan = {
         "format_version": FORMAT_VERSION,
         "reader": reader.name,
-        "program": _program(home, _others(home, reader, source.parts)),
+        "program": _program(home),
+        "readers": _readers(reader, source.parts),
         "versions": dict(versions(("ldctoolkit", *PACKAGES)))
         | {point.dist.name: point.dist.version for point in points if point.dist is not None},
         "criteria": dataclasses.asdict(criteria),
@@ -134,28 +136,21 @@ def plan_of(
     return content
 
 
-def _program(home: Path, others: Iterable[tuple[str, Path]] = ()) -> str:
-    """Digest of the code that decides the numbers: a checkout changes without another version.
-
-    `home` is the toolkit's folder, `others` are names and files of modules outside it.
-    """
-    own = [*(home / "recordings").rglob("*.py"), home / "departures.py"]
-    named = sorted((path.relative_to(home).as_posix(), path) for path in own)
+def _program(home: Path) -> str:
+    """Digest of the toolkit's code that decides the numbers: a checkout changes without another version."""
     digest = hashlib.sha256()
-    for name, path in [*named, *others]:
+    for path in sorted((*(home / "recordings").rglob("*.py"), home / "departures.py")):
         content = path.read_bytes() if path.is_file() else b""
-        digest.update(f"{name} {hashlib.sha256(content).hexdigest()}\n".encode())
+        digest.update(f"{path.relative_to(home).as_posix()} {hashlib.sha256(content).hexdigest()}\n".encode())
     return digest.hexdigest()
 
 
-def _others(home: Path, reader: RecordingReader, parts: Iterable[RecordingPart]) -> Iterator[tuple[str, Path]]:
-    """Names and files of the modules outside the toolkit that a reader and its parts come from, where they have one."""
+def _readers(reader: RecordingReader, parts: Iterable[RecordingPart]) -> list[str]:
+    """Content of the code of readers and parts that are not the toolkit's."""
     readers = reader.readers if isinstance(reader, CombinedReader) else (reader,)
-    modules = {one.__name__ if isinstance(one, ModuleType) else type(one).__module__ for one in readers}
-    for name in sorted(modules | {kind.__module__ for kind in {type(part) for part in parts}}):
-        file = getattr(sys.modules.get(name), "__file__", None)
-        if file is not None and not Path(file).is_relative_to(home):
-            yield name, Path(file)
+    members = (getattr(one, name) for one in readers if isinstance(one, ModuleType) for name in ("recognise", "open"))
+    classes = {type(one) for one in (*readers, *parts) if not isinstance(one, ModuleType)}
+    return sorted(filter(None, map(content_of, (*classes, *members))))
 
 
 def what_differs(there: Plan, now: Plan) -> str:

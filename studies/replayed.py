@@ -31,7 +31,6 @@ class ReplayedDepartures:
     weights: FloatArray | None = None  # (n,) Events that each stands for
     notes: tuple[str, ...] = ()  # Where they come from, for readers
     source: dict[str, Any] = dataclasses.field(default_factory=dict)  # What is known of them, as a model's source
-    numbered: bool = False  # Whether rows keep their numbers when they are drawn
 
     @property
     def content_hash(self) -> str:
@@ -68,10 +67,12 @@ class ReplayedDepartures:
                     np.searchsorted(share, (np.arange(n) + rng.random()) / n, side="right").clip(0, rows.size - 1)
                 ]
             elif n < rows.size:
-                rows = rows[np.sort(rng.choice(rows.size, n, replace=False))]
+                rows = rows[np.sort(rng.permutation(rows.size)[:n])]
             chosen.append(rows)
-        some = self.scenarios.take(np.concatenate(chosen))
-        return some if self.numbered else dataclasses.replace(some, index=np.arange(some.n))
+        rows = np.concatenate(chosen)
+        # a scenario's number is its row in the table; with weights a row may be there more than once
+        index = rows if self.weights is None else np.arange(rows.size)
+        return dataclasses.replace(self.scenarios.take(rows), index=index)
 
     def _rows(self, side: int, given: Given | None) -> IntArray:
         keep = self.scenarios.side == side

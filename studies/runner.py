@@ -116,8 +116,7 @@ def run_study(
         if model is not None:
             raise InputError("model, scenarios: both are given; allowed: one of them")
         left = int((scenarios.side == LEFT).sum())
-        rows = dataclasses.replace(scenarios, index=np.arange(scenarios.n))
-        model = ReplayedDepartures("given", rows, numbered=True)
+        model = ReplayedDepartures("given", dataclasses.replace(scenarios, index=np.arange(scenarios.n)))
         study = study.changed(scenarios={"left": left, "right": scenarios.n - left})
     source = study_source(study, model)
     if model is None and isinstance(source, ReplayedDepartures):
@@ -231,7 +230,7 @@ class _Run:
             model_synthetic=isinstance(source, ScenarioModel) and source.provenance.synthetic,
             part_of=part_of,
         )
-        store = Store.create(folder, manifest, scenarios)
+        store = Store.create(folder, manifest, scenarios, study)
         if not part_of and isinstance(source, ScenarioModel):  # finalists are drawn from the same model
             write_model(folder, source)
         remove_leftovers(folder)
@@ -300,7 +299,7 @@ def _finalist_study(study: Study, designs: Sequence[Design]) -> Study:
         "design": [_block(design) for design in designs],
     }
     content["ranking"] |= {"finalists": 0, "require": [], "baseline": ""}
-    return Study.from_dict(content, folder=study.folder)
+    return study.with_content(content)
 
 
 def _block(design: Design) -> dict[str, Any]:

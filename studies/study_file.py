@@ -8,7 +8,7 @@ import hashlib
 import json
 import math
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self, TypeVar, get_args, get_type_hints
 
@@ -24,6 +24,7 @@ from pydantic import (
 )
 
 from ldctoolkit import Controller, LdcError, VehicleParameters, controller_class, controller_names, register
+from ldctoolkit.code_content import content_of
 from ldctoolkit.errors import InputError, StudyError, UnknownNameError, nearest
 from ldctoolkit.option_checks import declaration_of
 from ldctoolkit.plant_options import PlantOptions
@@ -342,7 +343,14 @@ class Study(Part):
         return cls.from_dict(read_toml(path), source=str(path), folder=path.parent)
 
     @classmethod
-    def from_dict(cls, content: dict[str, Any], *, source: str = "study", folder: str | Path = ".") -> Study:
+    def from_dict(
+        cls,
+        content: dict[str, Any],
+        *,
+        source: str = "study",
+        folder: str | Path = ".",
+        classes: Mapping[str, type[Controller]] | None = None,
+    ) -> Study:
         """Make a study from what a study file holds.
 
         Raises `StudyError` as in `from_toml`.
@@ -355,9 +363,11 @@ class Study(Part):
             What messages name first.
         folder : path
             Where a relative model path starts.
+        classes : mapping, optional
+            Classes of laws by their names; the others are looked up.
         """
         try:
-            study = cls.model_validate(as_tuples(content))
+            study = cls.model_validate(as_tuples(content), context=classes)
         except ValidationError as error:
             raise StudyError(f"{source}: {first_problem(error, content, cls, 'study')}") from None
         study._folder = Path(folder)
@@ -415,7 +425,20 @@ class Study(Part):
     def changed(self, **tables: dict[str, Any]) -> Study:
         """The same study with other entries in some of its tables."""
         content = self.content()
-        return self.from_dict(content | {k: content[k] | new for k, new in tables.items()}, folder=self._folder)
+        return self.with_content(content | {k: content[k] | new for k, new in tables.items()})
+
+    def with_content(self, content: dict[str, Any]) -> Study:
+        """Another study of the same laws, with its files in the same place."""
+        return self.from_dict(content, folder=self._folder, classes=self.classes)
+
+    @property
+    def classes(self) -> dict[str, type[Controller]]:
+        """Classes of its laws by their names; what the names stand for later does not change them."""
+        return {kind.name: kind for block in self.design for kind in block.kinds}
+
+    def laws(self) -> dict[str, str]:
+        """Content of the code of each law that is not the toolkit's, as it is now."""
+        return {name: content for block in self.design for name, content in block.contents().items()}
 
     def content(self) -> dict[str, Any]:
         """Everything in plain JSON types; `from_dict` reads it back."""
@@ -428,23 +451,21 @@ class Study(Part):
         del same["vehicle"]["steering_ratio"]  # it decides no number of a run
         if same["simulation"]["trigger"] == "distance":  # as before there was another
             del same["simulation"]["trigger"], same["simulation"]["ttlc"]
-        same["scenarios"] = {side: content["scenarios"][side] for side in ("left", "right")}
-        if self.scenarios.given:  # a study without conditions keeps the identity it had before there were any
-            same["scenarios"]["given"] = content["scenarios"]["given"]
-        if self.scenarios.path == "recorded":
-            same["scenarios"]["path"] = "recorded"
+        # a scenario is the same however many there are, but for rows that are chosen in proportion to weights
+        keys = ("given", "path", *(("left", "right") if self.scenarios.weights else ()))
+        same["scenarios"] = {key: content["scenarios"][key] for key in keys}
         if self.race:
             same["race"] = True
         return same
 
     def identity(self) -> dict[str, Any]:
-        """What decides the stored numbers: `inputs`, and the designs."""
-        same = self.inputs()
+        """What decides the stored numbers: `inputs`, how many scenarios there are, and the designs."""
+        same = self.inputs() | {"counts": [self.scenarios.left, self.scenarios.right]}
         if self.search is None:
             same["designs"] = [design.id for design in self.designs]
         else:
             content = self.content()
-            same |= {key: content[key] for key in ("search", "design")}
+            same |= {key: content[key] for key in ("search", "design")} | {"laws": self.laws()}
         return same
 
     @property
@@ -515,9 +536,9 @@ def study(
     seed: int = 0,
     **tables: Any,
 ) -> Study:
-    """Make a study without a file; a class that no package installed is registered for it.
+    """Make a study without a file. It keeps the classes that it is given, whatever bears their names later.
 
-    Raises `StudyError` as `Study.from_dict`, `InputError` for a design that is none.
+    Raises `StudyError` as `Study.from_dict`, `InputError` for a design that is none, or two laws of one name.
 
     Parameters
     ----------
@@ -548,7 +569,9 @@ def study(
     >>> len(study.designs)
     5
     """
-    content: dict[str, Any] = {"name": name, "seed": seed, "design": [_block(one, y_s) for one in designs], **tables}
+    classes: dict[str, type[Controller]] = {}
+    blocks = [_block(one, y_s, classes) for one in designs]
+    content: dict[str, Any] = {"name": name, "seed": seed, "design": blocks, **tables}
     given = content.get("scenarios", {})
     if not isinstance(given, dict):
         raise InputError(
@@ -559,10 +582,11 @@ def study(
     if require != ():
         content["ranking"] = {"require": require, **content.get("ranking", {})}
     chosen = {"vehicle": vehicle, "plant": plant}
-    return Study.from_dict(content | {key: value for key, value in chosen.items() if value is not None})
+    content |= {key: value for key, value in chosen.items() if value is not None}
+    return Study.from_dict(content, classes=classes)
 
 
-def _block(one: object, y_s: float | Sequence[float]) -> dict[str, Any]:
+def _block(one: object, y_s: float | Sequence[float], classes: dict[str, type[Controller]]) -> dict[str, Any]:
     """A ``[[design]]`` table."""
     if isinstance(one, dict):
         return {"y_s": y_s, **one}
@@ -570,6 +594,8 @@ def _block(one: object, y_s: float | Sequence[float]) -> dict[str, Any]:
     if isinstance(law, type) and issubclass(law, Controller):
         if law.name not in controller_names() or controller_class(law.name) is not law:
             register(law)
+        if content_of(classes.setdefault(law.name, law)) != content_of(law):
+            raise InputError(f"design: two different laws are named {law.name!r}; allowed: a name for each")
         law = law.name
     if not isinstance(law, str):
         raise InputError(

@@ -332,7 +332,9 @@ class ScenarioModel:
             check_number(name, number, 0, integer=True)
         parts = [self._draw(side, int(n), int(seed), wanted) for side, n in ((LEFT, n_left), (RIGHT, n_right))]
         columns = {name: np.concatenate([part[name] for part in parts]) for name in PARAMETER_NAMES}
-        return Scenarios.drawn(side=np.repeat([LEFT, RIGHT], [n_left, n_right]), **columns)
+        drawn = Scenarios.drawn(side=np.repeat([LEFT, RIGHT], [n_left, n_right]), **columns)
+        # even numbers to the left, odd ones to the right: the same however many there are
+        return dataclasses.replace(drawn, index=np.concatenate([2 * np.arange(n_left), 2 * np.arange(n_right) + 1]))
 
     def _source(self, side: int, wanted: tuple[Condition, ...] = ()) -> _Source:
         """What the events of a side are drawn from."""

@@ -110,8 +110,7 @@ def _with_settings(study: Study, chosen: argparse.Namespace) -> Study:
     changes = {name: value for name, value in changes.items() if value is not None}
     if not changes:
         return study
-    content = study.content()
-    return type(study).from_dict(content | {"ranking": content["ranking"] | changes}, source=chosen.folder)
+    return study.changed(ranking=changes)
 
 
 def _same_chances(own: Study, study: Study) -> bool:

@@ -49,7 +49,7 @@ def values_of(design: Design) -> dict[str, GainValue]:
 
 def swept_axes(designs: Sequence[Design]) -> tuple[SweptAxis, ...]:
     """What the designs of one law differ in: y_s first, then gains in the law's own order."""
-    declared = {g.name: (g.unit, g.scale) for g in controller_class(designs[0].law).gains()}
+    declared = {g.name: (g.unit, g.scale) for g in designs[0].kind.gains()}
     every = [values_of(design) for design in designs]
     axes = []
     for name, (unit, scale) in {"y_s": ("m", "linear"), **declared}.items():
@@ -70,7 +70,7 @@ def section(context: Context) -> Section:
         if len(charts) < MOST_LAWS or not charts:
             charts += found
         elif found:
-            left_out.append(controller_class(ranking.designs[place].law).title)
+            left_out.append(ranking.designs[place].kind.title)
     body = figure(
         charts,
         "Mean S in m\u00b7s over what was swept. Every cell is the best design of the others\u2019 values; "
@@ -152,7 +152,7 @@ def _sampled(context: Context, members: Sequence[int], place: int, axis: SweptAx
     at = np.array([float(values_of(ranking.designs[i])[axis.name]) for i in members])
     S = ranking.S[list(members)]
     order = np.argsort(at, kind="stable")
-    title, law = controller_class(ranking.designs[place].law).title, ranking.designs[place].law
+    title, law = ranking.designs[place].kind.title, ranking.designs[place].law
     log = axis.log and bool((at > 0).all())
     own = Series(title, at[order], np.where(S[order] > 0, S[order], np.nan), context.style(place), points=True)
     best = float(values_of(ranking.designs[place])[axis.name]), float(ranking.S[place])

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final, get_type_hints
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit import BicycleModel, EventStatus, LinearLaw, Plant, SteeringLaw, VehicleParameters, controller_class
+from ldctoolkit import BicycleModel, EventStatus, LinearLaw, Plant, SteeringLaw, VehicleParameters
 from ldctoolkit.arrays import IntArray
 from ldctoolkit.departures import LEFT
 from ldctoolkit.errors import LdcError, StudyError, expect
@@ -344,7 +344,7 @@ def _margins(results: StudyResults, case: Case, setup: Setup, vehicles: Sequence
     unknown = (math.nan, math.nan)
     same: dict[tuple[Any, ...], list[Design]] = {}
     for design in designs:
-        same.setdefault((design.law, design.gains), []).append(design)
+        same.setdefault((design.law, design.gains, design.code), []).append(design)
     margins = _margins_of(tuple(same), setup)
     return {one.id: (*margins[key], *worst.get(one.id, unknown)) for key, some in same.items() for one in some}
 
@@ -352,7 +352,7 @@ def _margins(results: StudyResults, case: Case, setup: Setup, vehicles: Sequence
 @functools.lru_cache(maxsize=8)
 def _margins_of(keys: tuple[tuple[Any, ...], ...], setup: Setup) -> dict[tuple[Any, ...], tuple[float, float]]:
     """Margins of laws with their gains: a run ranks more than once."""
-    controllers = [Design(law, 0.2, gains).controller(setup.convention) for law, gains in keys]
+    controllers = [Design(law, 0.2, gains, code).controller(setup.convention) for law, gains, code in keys]
     gain, phase = design_margins(controllers, setup, MARGIN_SPEEDS)
     return dict(zip(keys, zip(gain.min(axis=1).tolist(), phase.min(axis=1).tolist(), strict=True), strict=True))
 
@@ -458,8 +458,9 @@ def write_csv(rankings: Sequence[Ranking], path: str | Path, race: Race | None =
 
 def _csv_text(rankings: Sequence[Ranking], race: Race | None) -> str:
     dropped = () if race is None else race.dropped
-    laws = {design.law for ranking in rankings for design in _every(ranking)} | {one.design.law for one in dropped}
-    gains = list(dict.fromkeys(column for law in sorted(laws) for column in _columns_of(law)))
+    designs = [*(design for ranking in rankings for design in _every(ranking)), *(one.design for one in dropped)]
+    laws = {design.law: design for design in designs}
+    gains = list(dict.fromkeys(column for _, design in sorted(laws.items()) for column in _columns_of(design)))
     text = io.StringIO()
     rows = [row for ranking in rankings for row in _rows(ranking, gains)]
     if race is not None:
@@ -477,12 +478,12 @@ def _every(ranking: Ranking) -> Iterator[Design]:
     yield from (one.design for one in ranking.failed)
 
 
-def _columns_of(law: str) -> list[str]:
+def _columns_of(design: Design) -> list[str]:
     """Column of every gain of a law; a gain of one name and unit shares its column between laws."""
     units = {"1": "", "samples": ""}
     return [
         g.name + (f"_{unit}" if (unit := units.get(g.unit, g.unit.replace("/", "_per_").replace("^", ""))) else "")
-        for g in controller_class(law).gains()
+        for g in design.kind.gains()
     ]
 
 
@@ -509,7 +510,7 @@ def _rows(ranking: Ranking, gains: Sequence[str]) -> Iterator[dict[str, Any]]:
 def _named(ranking: Ranking, rank: int | str, design: Design, gains: Sequence[str]) -> dict[str, Any]:
     """The columns that say which design in which case."""
     values = dict.fromkeys(gains, "") | dict(
-        zip(_columns_of(design.law), (_field(value) for _, value in design.gains), strict=True)
+        zip(_columns_of(design), (_field(value) for _, value in design.gains), strict=True)
     )
     return {
         "window": ranking.case.window,

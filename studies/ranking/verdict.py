@@ -9,7 +9,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from ldctoolkit import Setup, controller_class
+from ldctoolkit import Setup
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.gains import GainValue
 from ldctoolkit.metrics import METRICS
@@ -115,7 +115,7 @@ def verdict(
 
 def law_title(design: Design) -> str:
     """Title of a design's law."""
-    return controller_class(design.law).title
+    return design.kind.title
 
 
 def gains_text(design: Design, between: str = " = ") -> str:

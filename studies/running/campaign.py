@@ -13,7 +13,7 @@ from typing import Any, Final, TextIO
 import cloudpickle
 import numpy as np
 
-from ldctoolkit import EventStatus, Scenarios, controller_class, registry
+from ldctoolkit import EventStatus, Scenarios, registry
 from ldctoolkit.errors import LdcError, StoreError
 from ldctoolkit.vehicle import Convention
 
@@ -453,9 +453,9 @@ class Campaign:
             laws.setdefault(design.law, []).append(design)
         queues = []
         for convention in self.study.simulation.convention:
-            for law, same in laws.items():
+            for same in laws.values():
                 covered = 0
-                for batch in self.prefixes.batches(controller_class(law).batch):
+                for batch in self.prefixes.batches(same[0].batch):
                     covered += batch.rows.size
                     if covered > size:
                         break

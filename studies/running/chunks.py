@@ -118,7 +118,7 @@ class ChunkJob:
         seed = int(np.random.SeedSequence([self.setup.seed, _STREAM, k]).generate_state(1, np.uint64)[0] >> 1)
         drawn = self.model.sample(end - begin, last - first - (end - begin), seed=seed, given=self.given)
         # mismatch and camera noise follow from the setup's seed and this number
-        return dataclasses.replace(drawn, index=drawn.index + first)
+        return dataclasses.replace(drawn, index=np.arange(first, last))
 
     def measure(self, k: int) -> Tally:
         """Drive all designs on a chunk; `LdcError` names a design whose law raises."""

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from ldctoolkit import EventStatus, LdcError, controller_class
+from ldctoolkit import EventStatus, LdcError
 from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.errors import InputError
 from ldctoolkit.gains import GainValue
@@ -229,7 +229,7 @@ def _profiles(
     interval = simultaneous_interval(resampled, settings.confidence, reference=0)
     numbers = np.stack([resampled.mean, interval.centre, interval.low, interval.high])
     position = {design: i for i, design in enumerate(scored)}
-    gains = controller_class(winner.law).gains()
+    gains = winner.kind.gains()
     units = {gain.name: gain.unit for gain in gains} | {THRESHOLD: "m"}
     bounds = {gain.name: (gain.lower, gain.upper) for gain in gains} | {THRESHOLD: (0.0, math.inf)}
     for name in dict.fromkeys(one.name for one in along):
@@ -266,7 +266,7 @@ def profile_points(results: StudyResults, study: Study, winner: Design, points: 
     written = () if study.search is not None else study.designs
     family = [design for design in dict.fromkeys((*results.designs, *written)) if design.law == winner.law]
     held = frozenset(results.designs)
-    kinds = {gain.name: gain for gain in controller_class(winner.law).gains()}
+    kinds = {gain.name: gain for gain in winner.kind.gains()}
     for name in (THRESHOLD, *(gain for gain, _ in winner.gains)):
         used = list(dict.fromkeys((*(gain_value(one, name) for one in family), *_declared(study, winner.law, name))))
         own = gain_value(winner, name)

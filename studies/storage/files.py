@@ -6,9 +6,9 @@ import contextlib
 import dataclasses
 import importlib
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from ldctoolkit import LdcError, Scenarios
 from ldctoolkit.departures import LEFT, PARAMETER_COLUMNS, RIGHT
 from ldctoolkit.errors import StoreError
 from ldctoolkit.recordings.departures_table import read_signals, signals_path, signals_table
+from ldctoolkit.scenarios import Drifts
 from ldctoolkit.whole_file import whole_file
 
 if TYPE_CHECKING:
@@ -23,6 +24,9 @@ if TYPE_CHECKING:
 
 
 SCENARIOS = "scenarios.parquet"
+
+_DRIFT: Final = {"lateral_velocity": "drift_rate_m_s", "radius": "drift_radius_m", "distance": "drift_distance_m"}
+"""Of paths that do not return: attribute -> column."""
 
 
 @contextlib.contextmanager
@@ -64,31 +68,23 @@ def read_bytes(path: Path) -> bytes:
         raise StoreError(f"{path}: cannot be read: {error.strerror or error}") from None
 
 
-def read_parquet(path: Path, schema: dict[str, Any], *, finite: bool = True) -> pl.DataFrame:
-    """Read a Parquet file and check it as `parse_parquet` does."""
-    return parse_parquet(path, read_bytes(path), schema, finite=finite)
+def read_parquet(path: Path, schema: dict[str, Any], *, optional: dict[str, Any] | None = None) -> pl.DataFrame:
+    """Read a Parquet file and check it as `parse_parquet` does; all or none of the optional columns are there."""
+    data = read_bytes(path)
+    return parse_parquet(path, data, schema, optional=optional)
 
 
 def parse_parquet(
-    path: Path,
-    data: bytes,
-    schema: dict[str, Any],
-    *,
-    finite: bool = True,
-    change: Callable[[pl.DataFrame], pl.DataFrame] | None = None,
+    path: Path, data: bytes, schema: dict[str, Any], *, finite: bool = True, optional: dict[str, Any] | None = None
 ) -> pl.DataFrame:
-    """A table from the bytes of a Parquet file, checked: columns, types, nothing missing, with `finite` all finite.
-
-    `change` makes the columns of this version of those of an earlier one.
-    """
+    """A table from the bytes of a Parquet file, checked: columns, types, nothing missing, with `finite` all finite."""
     import polars as pl
 
     try:
         table = pl.read_parquet(data)
-        table = table if change is None else change(table)
     except pl.exceptions.PolarsError as error:
         raise StoreError(f"{path}: broken: {str(error).splitlines()[0]}") from None
-    if dict(table.schema) != schema:
+    if dict(table.schema) not in (schema, schema | (optional or {})):
         raise StoreError(f"{path}: broken: its columns are {', '.join(table.columns)}; needed: {', '.join(schema)}")
     for column in table.iter_columns():
         if column.null_count() or (finite and column.dtype.is_float() and not column.is_finite().all()):
@@ -97,14 +93,16 @@ def parse_parquet(
 
 
 def scenario_table(scenarios: Scenarios) -> pl.DataFrame:
-    """Scenarios as a table: index, side, eight parameters with their units in the names."""
+    """Scenarios as a table: number, side, eight parameters with their units in the names, and drifts."""
     import polars as pl
 
+    drift = scenarios.drift
     return pl.DataFrame(
         {
-            "scenario": np.arange(len(scenarios), dtype=np.uint32),
+            "scenario": scenarios.index.astype(np.uint32),
             "side": np.where(scenarios.side == LEFT, "left", "right").tolist(),
             **{column: getattr(scenarios, name) for name, column in PARAMETER_COLUMNS.items()},
+            **({column: getattr(drift, name) for name, column in _DRIFT.items()} if drift is not None else {}),
         }
     )
 
@@ -121,10 +119,14 @@ def read_scenarios(path: Path) -> Scenarios:
     import polars as pl
 
     schema = {"scenario": pl.UInt32(), "side": pl.String(), **dict.fromkeys(PARAMETER_COLUMNS.values(), pl.Float64())}
-    table = read_parquet(path, schema)
+    table = read_parquet(path, schema, optional=dict.fromkeys(_DRIFT.values(), pl.Float64()))
     columns = {name: table[column].to_numpy() for name, column in PARAMETER_COLUMNS.items()}
     try:
         made = Scenarios.drawn(side=np.where((table["side"] == "left").to_numpy(), LEFT, RIGHT), **columns)
+        made = dataclasses.replace(made, index=table["scenario"].to_numpy().astype(np.int64))
+        if "drift_radius_m" in table.columns:
+            drift = Drifts(**{name: table[column].to_numpy() for name, column in _DRIFT.items()})
+            made = dataclasses.replace(made, drift=drift)
         if signals_path(path).exists():
             made = dataclasses.replace(made, signals=read_signals(signals_path(path), made.T))
     except LdcError as error:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import datetime
-import importlib.metadata
 import json
 import os
 import platform
@@ -16,9 +15,10 @@ from typing import Annotated, Any, Final, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-import ldctoolkit
-from ldctoolkit.errors import StoreError, StudyError
+from ldctoolkit.errors import StoreError
+from ldctoolkit.registry import with_content
 from ldctoolkit.vehicle import Convention
+from ldctoolkit.version import DECISIVE, versions
 
 from ..design import Design
 from ..results import Dropped, Race, RunKey
@@ -37,14 +37,15 @@ def _schema() -> dict[str, Any]:
         "y_s_m": pl.Float64(),
         "gains": pl.String(),
         "label": pl.String(),
+        "code": pl.String(),
     }
 
 
 def write_designs(folder: Path, designs: Sequence[Design]) -> None:
-    """Write or replace the table: identifier, law, y_s, all gains as JSON, and a label for people."""
+    """Write or replace the table: identifier, law, y_s, all gains as JSON, a label for people, content of the code."""
     import polars as pl
 
-    rows = [(d.id, d.law, d.y_s, json.dumps(dict(d.gains)), d.label) for d in designs]
+    rows = [(d.id, d.law, d.y_s, json.dumps(dict(d.gains)), d.label, d.code) for d in designs]
     write_parquet(folder / DESIGNS, pl.DataFrame(rows, schema=_schema(), orient="row"))
 
 
@@ -53,7 +54,8 @@ def read_designs(path: Path) -> tuple[Design, ...]:
     table = read_parquet(path, _schema())
     try:
         designs = tuple(
-            Design(law, y_s, tuple(json.loads(gains).items())) for _, law, y_s, gains, _ in table.iter_rows()
+            Design(law, y_s, tuple(json.loads(gains).items()), code)
+            for _, law, y_s, gains, _, code in table.iter_rows()
         )
         wrong = [d.id for d, stored in zip(designs, table["design"], strict=True) if d.id != stored]
     except (ValueError, AttributeError) as error:
@@ -198,21 +200,10 @@ def read_race(folder: Path, designs: Sequence[Design], ranked_as: str) -> Race |
     return Race(content.rounds, content.alive, dropped, content.runs, content.full_runs)
 
 
-FORMAT_VERSION: Final = 3
+FORMAT_VERSION: Final = 4
 
-_PACKAGES: Final = (
-    "ldctoolkit",
-    "numpy",
-    "scipy",
-    "polars",
-    "pydantic",
-    "casadi",
-    "control",
-    "osqp",
-    "qpsolvers",
-    "numba",
-    "loky",
-)
+
+_AGAIN: Final = "run it into this folder again: what has changed is computed anew"
 
 
 class Machine(BaseModel):
@@ -247,12 +238,14 @@ class Manifest(BaseModel):
     format_version: int = FORMAT_VERSION
     study: dict[str, Any]  # Content of the study; `read_study` makes a `Study` of it
     study_hash: str  # Identity of the study
+    ranked_as: str  # Identity of its ranking (`Study.ranked_as`)
     model: str  # Name of the model, or its file's name
     model_hash: str  # Content hash of the scenario model
     model_notes: tuple[str, ...] = ()  # Where the model comes from, for readers
     model_synthetic: bool = False  # Whether it was fitted to invented driving
     inputs: dict[str, Any]  # What decides the numbers of any design
     seed: int
+    laws: dict[str, str] = {}  # Content of the code of laws that are not the toolkit's
     versions: dict[str, str]  # Packages
     python: str
     machine: Machine
@@ -282,6 +275,7 @@ class Manifest(BaseModel):
         return cls(
             study=content,
             study_hash=study.hash,
+            ranked_as=study.ranked_as,
             model=PurePath(model).name,
             model_hash=model_hash,
             model_notes=model_notes,
@@ -289,7 +283,8 @@ class Manifest(BaseModel):
             part_of=part_of,
             inputs=study.inputs(),
             seed=study.seed,
-            versions=_versions(),
+            laws=study.laws(),
+            versions=dict(versions((*DECISIVE, "polars", "pydantic", "loky"))),
             python=platform.python_version(),
             machine=Machine(
                 system=f"{platform.system()} {platform.release()}",
@@ -315,26 +310,30 @@ class Manifest(BaseModel):
         }
         return self.model_copy(update=update)
 
-    def read_study(self) -> Study:
-        """The study that was run; one from before there was a choice has the printed start."""
-        simulation = self.study.get("simulation")
-        given = {"simulation": {"start": "printed", **simulation}} if isinstance(simulation, dict) else {}
-        return Study.from_dict(self.study | given, source="manifest.json: study")
+    def other_versions(self) -> str:
+        """Packages that decide numbers and had other versions then; empty for none."""
+        there = ((name, self.versions.get(name, "not installed"), now) for name, now in versions())
+        return ", ".join(f"{name} {was} (now {now})" for name, was, now in there if was != now)
+
+    def read_study(self, *, current: bool = True) -> Study:
+        """The study that was run, with the classes of its laws.
+
+        Raises `StoreError` if their code or the versions of packages are others than then; without `current` the stored
+        numbers can be read, but nothing can be driven again.
+        """
+        classes = {}
+        for name, content in self.laws.items() if current else ():
+            kind = with_content(name, content)
+            if kind is None:
+                raise StoreError(f"law {name!r}: its code has changed since the study was run; {_AGAIN}")
+            classes[name] = kind
+        if current and (others := self.other_versions()):
+            raise StoreError(f"the study was run with {others}; {_AGAIN}")
+        return Study.from_dict(self.study, source="manifest.json: study", classes=classes)
 
 
 def _now() -> str:
     return datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-
-
-def _versions() -> dict[str, str]:
-    found = {}
-    for name in _PACKAGES:
-        try:
-            found[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            continue
-    found["ldctoolkit"] = ldctoolkit.__version__
-    return found
 
 
 def _processor() -> str:
@@ -367,9 +366,6 @@ def refuse_other(folder: Path, found: Manifest, wanted: Manifest) -> None:
     if found.model_hash != wanted.model_hash:
         was, now = (f"{m.model} (content {m.model_hash[:12]})" for m in (found, wanted))
         differing.insert(0, f"model: {was} there, {now} now")
-    was, now = (m.versions.get("ldctoolkit", "?") for m in (found, wanted))
-    if was != now:
-        differing.append(f"ldctoolkit: {was} there, {now} now")
     if differing:
         name = found.study.get("name", "?")
         raise StoreError(f"{folder}: holds another study ({name}): {'; '.join(differing)}; choose another folder")
@@ -414,15 +410,14 @@ def read_manifest(folder: str | Path) -> Manifest:
         content = json.loads(path.read_text(encoding="utf-8"))
         version = content["format_version"]
         if version != FORMAT_VERSION:
-            raise StoreError(f"{path}: format {version!r}; this version reads {FORMAT_VERSION}")
+            raise StoreError(f"{path}: format {version!r}, this version reads {FORMAT_VERSION}; choose another folder")
         manifest = Manifest.model_validate(content)
-        manifest.read_study()
     except (FileNotFoundError, NotADirectoryError):
         raise StoreError(f"{folder}: holds no study (no manifest.json)") from None
     except OSError as error:
         raise StoreError(f"{path}: cannot be read: {error.strerror or error}") from None
     except (ValueError, KeyError, TypeError) as error:
-        if isinstance(error, StudyError | ValidationError):
+        if isinstance(error, ValidationError):
             error = ValueError(str(error).replace("\n", " "))
         raise StoreError(f"{path}: broken: {error}") from None
     return manifest

@@ -53,11 +53,6 @@ def prefetched(function: Callable[[Item], Result], items: Iterable[Item]) -> Ite
 PATTERN = "part-*.parquet"
 
 _ENDLESS = "t_back"  # the companion that may be infinite: the edge is not back inside by the end
-_FORMER = {METRIC_COLUMNS["opposite_crossing"]: "overshoot_m"}  # column of a part -> what earlier versions called it
-
-_ADDED = (METRIC_COLUMNS["a_y_added_peak"], METRIC_COLUMNS["jerk_added_peak"])
-"""Columns that earlier versions did not record: NaN throughout."""
-
 _DIGITS = 16
 
 
@@ -81,13 +76,16 @@ def schema(windows: Sequence[Window]) -> dict[str, Any]:
     }
 
 
-def write_part(folder: Path, results: Sequence[TaskResult], windows: Sequence[Window]) -> Path:
-    """Write results as one part, whole or not at all; the same results in the same order make the same file."""
+def write_part(folder: Path, results: Sequence[TaskResult], windows: Sequence[Window], numbers: IntArray) -> Path:
+    """Write results as one part, whole or not at all; the same results in the same order make the same file.
+
+    A part holds the numbers (n,) of its scenarios, which other scenarios added later do not change.
+    """
     content = io.BytesIO()
     # nearly all columns are noise to a compressor: a fast one loses little
-    _table(results, windows).write_parquet(content, compression="lz4", statistics=False)
+    _table(results, windows, numbers).write_parquet(content, compression="lz4", statistics=False)
     data = content.getbuffer()
-    what = json.dumps([[result.keys, [int(result.rows[0]), int(result.rows[-1])]] for result in results])
+    what = json.dumps([[result.keys, numbers[result.rows[[0, -1]]].tolist()] for result in results])
     name = f"part-{hashlib.sha256(what.encode()).hexdigest()[:_DIGITS]}-{_checksum(data)}.parquet"
     with stored_file(folder / name) as stream:
         stream.write(data)
@@ -98,7 +96,7 @@ def _checksum(data: bytes | memoryview) -> str:
     return hashlib.sha256(data).hexdigest()[:_DIGITS]
 
 
-def _table(results: Sequence[TaskResult], windows: Sequence[Window]) -> pl.DataFrame:
+def _table(results: Sequence[TaskResult], windows: Sequence[Window], numbers: IntArray) -> pl.DataFrame:
     import polars as pl
 
     every = [key for result in results for key in result.keys]
@@ -107,15 +105,17 @@ def _table(results: Sequence[TaskResult], windows: Sequence[Window]) -> pl.DataF
     # names are repeated by the library: a million strings of Python would take longer than the simulation
     repeated = keys[np.repeat(np.arange(counts.size, dtype=np.uint32), counts)]
     columns: dict[str, Any] = {
-        "scenario": np.concatenate([np.tile(result.rows.astype(np.uint32), len(result.keys)) for result in results])
+        "scenario": np.concatenate(
+            [np.tile(numbers[result.rows].astype(np.uint32), len(result.keys)) for result in results]
+        )
     }
     for i, column in enumerate(float_columns(windows).values()):
         columns[column] = np.concatenate([result.values[i].ravel() for result in results])
     columns["status"] = np.concatenate([result.status.ravel() for result in results])
     columns["failed_solves"] = np.concatenate([result.failed_solves.ravel() for result in results])
     types = schema(windows)
-    numbers = pl.DataFrame(columns, schema={name: types[name] for name in columns})
-    return pl.concat([repeated, numbers], how="horizontal")
+    values = pl.DataFrame(columns, schema={name: types[name] for name in columns})
+    return pl.concat([repeated, values], how="horizontal")
 
 
 def checked_content(path: Path) -> bytes:
@@ -126,16 +126,21 @@ def checked_content(path: Path) -> bytes:
     return data
 
 
-def parse_part(path: Path, data: bytes, windows: Sequence[Window], n: int) -> Iterator[TaskResult]:
-    """Results that a part holds, one design and stretch of scenarios at a time."""
-    table = parse_parquet(path, data, schema(windows), finite=False, change=_as_now)
+def parse_part(path: Path, data: bytes, windows: Sequence[Window], numbers: IntArray) -> Iterator[TaskResult]:
+    """Results that a part holds of scenarios with these numbers, one design and stretch of scenarios at a time."""
+    import polars as pl
+
+    order = np.argsort(numbers, kind="stable")
+    table = parse_parquet(path, data, schema(windows), finite=False)
+    place = np.searchsorted(numbers[order], table["scenario"].to_numpy()).clip(0, numbers.size - 1)
+    known = numbers[order[place]] == table["scenario"].to_numpy()
+    if not known.all():  # of a run on more scenarios
+        table, place = table.filter(pl.Series(known)), place[known]
     status, failed = table["status"].to_numpy(), table["failed_solves"].to_numpy()
     columns = list(float_columns(windows).values())
     _check_numbers(path, [table[column] for column in columns], status)
     floats = np.stack([table[column].to_numpy() for column in columns])
-    rows = table["scenario"].to_numpy().astype(np.int64)
-    if rows.size and rows.max() >= n:
-        raise StoreError(f"{path}: broken: scenario {rows.max()}; allowed: 0 to {n - 1}")
+    rows = order[place]
     keys = table.select("design", "convention")
     other = np.zeros(rows.size, dtype=np.bool_)
     for name in ("design", "convention"):
@@ -156,21 +161,11 @@ def parse_part(path: Path, data: bytes, windows: Sequence[Window], n: int) -> It
         )
 
 
-def _as_now(table: pl.DataFrame) -> pl.DataFrame:
-    """A part of an earlier version with the columns of this one."""
-    import polars as pl
-
-    table = table.rename({former: column for column, former in _FORMER.items()}, strict=False)
-    return table.with_columns(pl.lit(np.nan).alias(column) for column in _ADDED if column not in table.columns)
-
-
 def _check_numbers(path: Path, columns: Sequence[pl.Series], status: Any) -> None:
     """Refuse what is no number in a scenario that was driven."""
     driven = status != EventStatus.INVALID
     for column in columns:
         good = column.is_not_nan() if column.name == METRIC_COLUMNS[_ENDLESS] else column.is_finite()
-        if column.name in _ADDED and column.is_nan().all():
-            continue
         if not good.all() and not good.to_numpy()[driven].all():
             raise StoreError(f"{path}: broken: column {column.name} holds a value that is not finite")
 

@@ -14,10 +14,11 @@
 
 Guarantees. Every file is written whole or not at all. Parts are only ever added; a part's name holds a checksum of its
 content, and writing the same runs again gives the same file. A run is a design under one convention, identified by the
-design's content. What a killed study had stored survives it, and the next run into the same folder computes only what
-is missing; a design that failed is missing, and so is tried again. A folder that holds another model, seed, vehicle,
-plant or toolkit version is refused; designs may be added and left out. Absolute paths, the host and the user are not
-recorded, unless a law's own error message names them.
+design's content, which the code of its law belongs to. What a killed study had stored survives it, and the next run
+into the same folder computes only what is missing; a design that failed is missing, and so is tried again. A folder
+that holds another model, seed, vehicle or plant is refused; designs and scenarios may be added and left out. After an
+edit of a law its designs are missing; with another version of the toolkit, or of a package that decides numbers, all
+are. Absolute paths, the host and the user are not recorded, unless a law's own error message names them.
 """
 
 from __future__ import annotations
@@ -28,14 +29,16 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ldctoolkit import Scenarios
-from ldctoolkit.errors import StoreError
+from ldctoolkit.errors import LdcError, StoreError
 
 from ..design import Design
 from ..results import FailedRun, RunKey, StudyResults, TaskResult
+from ..study_file import Study
 from .files import SCENARIOS, output_folder, read_scenarios, write_scenarios
 from .manifest import (
     DESIGNS,
     FAILURES,
+    RACE_FILE,
     TIMING_FILE,
     LawTime,
     Manifest,
@@ -69,35 +72,64 @@ def make_folder(folder: Path) -> None:
     output_folder(folder / "results")
 
 
+def _outdated(former: Manifest, manifest: Manifest) -> list[str]:
+    """Which laws are other code than in the last run, as notices."""
+    changed = [name for name, content in manifest.laws.items() if former.laws.get(name, content) != content]
+    return [f"the code of law {name!r} has changed since the last run: its designs are run again" for name in changed]
+
+
+def _clear(folder: Path) -> None:
+    """Remove all results of other versions; the manifest first, so that none is ever taken for one of these."""
+    names = ("manifest.json", DESIGNS, FAILURES, TIMING_FILE, RACE_FILE)
+    try:
+        for path in (*(folder / name for name in names), *(folder / "results").glob(PATTERN)):
+            path.unlink(missing_ok=True)
+    except OSError as error:
+        raise StoreError(f"{folder}: cannot be cleared: {error.strerror or error}") from None
+
+
 class Store:
     """The folder of one study. Made with `create` or `open`."""
 
-    def __init__(self, folder: Path, manifest: Manifest) -> None:
+    def __init__(self, folder: Path, manifest: Manifest, scenarios: Scenarios, study: Study) -> None:
         self.folder = folder
         self.manifest = manifest
+        self.scenarios = scenarios
+        self.study = study
         self.broken: tuple[str, ...] = ()
         self.times: dict[RunKey, LawTime] = {}
         self.failures: dict[RunKey, str] = {}
-        self._study = manifest.read_study()
 
     @classmethod
-    def create(cls, folder: Path, manifest: Manifest, scenarios: Scenarios) -> Store:
+    def create(cls, folder: Path, manifest: Manifest, scenarios: Scenarios, study: Study) -> Store:
         """Start a folder, or resume the same study in it."""
         if (folder / "manifest.json").exists():
-            found = read_manifest(folder)
-            refuse_other(folder, found, manifest)
-            manifest = found.resumed(manifest)
+            former = read_manifest(folder)
+            refuse_other(folder, former, manifest)
+            notices = _outdated(former, manifest)
+            if others := former.other_versions():
+                notices = [f"was made with {others}; everything is computed anew"]
+                _clear(folder)
+            else:
+                manifest = former.resumed(manifest)
+            for notice in notices if not manifest.part_of else ():
+                _log.warning("%s: %s", folder, notice)
         make_folder(folder)
-        store = cls(folder, manifest)
+        store = cls(folder, manifest, scenarios, study)
         # the scenarios follow from model and seed, which are the same: writing them again cannot change them
         write_scenarios(folder, scenarios)
         store.write_manifest(manifest)
         return store
 
     @classmethod
-    def open(cls, folder: str | Path) -> Store:
-        """Open the folder of a study that was run."""
-        return cls(Path(folder), read_manifest(folder))
+    def open(cls, folder: str | Path, *, current: bool = True) -> Store:
+        """Open the folder of a study that was run; its code is the present one, unless only numbers are read."""
+        manifest, folder = read_manifest(folder), Path(folder)
+        try:
+            study = manifest.read_study(current=current)
+        except LdcError as error:
+            raise StoreError(f"{folder / 'manifest.json'}: {error}") from None
+        return cls(folder, manifest, read_scenarios(folder / SCENARIOS), study)
 
     def write_manifest(self, manifest: Manifest) -> None:
         """Replace the manifest."""
@@ -107,7 +139,7 @@ class Store:
     def add(self, results: Sequence[TaskResult], failed: Sequence[FailedRun] = ()) -> None:
         """Store finished runs as one part, the times of their laws, and why others failed."""
         if results:
-            write_part(self.folder / "results", results, self._study.simulation.window)
+            write_part(self.folder / "results", results, self.study.simulation.window, self.scenarios.index)
             for result in results:
                 for key, seconds, commands in zip(result.keys, result.law_seconds, result.commands, strict=True):
                     self.times[key] = self.times.get(key, LawTime(0.0, 0)) + LawTime(float(seconds), int(commands))
@@ -123,16 +155,16 @@ class Store:
 
     def load(self, designs: Sequence[Design] | None = None, *, repair: bool = False) -> RunTable:
         """All stored runs; their times are in `times`, and runs that failed in `failures`, afterwards."""
-        n = sum(self._study.scenarios.counts)
+        n = self.scenarios.n
         designs = self.designs() if designs is None else designs
-        runs = len(designs) * n * len(self._study.simulation.convention)
+        runs = len(designs) * n * len(self.study.simulation.convention)
         mapped = not repair and runs > _MOST_IN_MEMORY
-        table = RunTable(self._study, n, designs, keep=repair and self._study.search is not None, mapped=mapped)
+        table = RunTable(self.study, n, designs, keep=repair and self.study.search is not None, mapped=mapped)
         messages = []
-        windows = self._study.simulation.window
+        windows = self.study.simulation.window
         for path, content in prefetched(checked_content, sorted((self.folder / "results").glob(PATTERN))):
             try:
-                for result in list(parse_part(path, content.result(), windows, n)):
+                for result in list(parse_part(path, content.result(), windows, self.scenarios.index)):
                     table.put(result)
                 table.release()
             except StoreError as error:
@@ -152,9 +184,7 @@ class Store:
         return table
 
     def designs(self) -> tuple[Design, ...]:
-        """The designs of the study, or those that its search requested."""
-        if self._study.search is None:
-            return self._study.designs
+        """The designs of the last run: those of the study, or those that its search requested."""
         return read_designs(self.folder / DESIGNS)
 
     def known_designs(self) -> tuple[Design, ...]:
@@ -166,18 +196,17 @@ class Store:
 
     def results(self) -> StudyResults:
         """Everything in memory: all designs that were run to the end, with the finalists' other results."""
-        scenarios = read_scenarios(self.folder / SCENARIOS)
         designs = self.designs()
-        if self._study.search is not None and not self.manifest.finished:
+        if self.study.search is not None and not self.manifest.finished:
             raise StoreError(f"{self.folder}: its search is not over yet; run the study again")
-        race = read_race(self.folder, designs, self._study.ranked_as) if self._study.race else None
-        if self._study.race and race is None:
+        race = read_race(self.folder, designs, self.manifest.ranked_as) if self.study.race else None
+        if self.study.race and race is None:
             raise StoreError(f"{self.folder}: its race is not over yet; run the study again")
         if race is not None:
             dropped = {one.design.id for one in race.dropped}
             designs = tuple(design for design in designs if design.id not in dropped)
         table = self.load(designs)
-        results = table.results(scenarios, self.times, self.failures, source=str(self.folder))
+        results = table.results(self.scenarios, self.times, self.failures, source=str(self.folder))
         results = dataclasses.replace(results, race=race)
         return dataclasses.replace(
             results, fresh=self._again(FINALISTS, results), replayed=self._again(REPLAYED, results)
@@ -186,10 +215,11 @@ class Store:
     def _again(self, name: str, results: StudyResults) -> StudyResults | None:
         """The finalists on other scenarios; None where there are none, or not all yet, or of other results."""
         folder = self.folder / name
-        if not self._study.ranking.finalists or len(results.designs) < 2 or not (folder / "manifest.json").exists():
+        if not self.study.ranking.finalists or len(results.designs) < 2 or not (folder / "manifest.json").exists():
             return None
-        store = Store.open(folder)
-        if not store.manifest.finished or store.manifest.part_of != self._study.ranked_as:
+        store = Store.open(folder, current=False)  # the same code and versions as here, or it is not taken
+        there = (store.manifest.part_of, store.manifest.versions)
+        if not store.manifest.finished or there != (self.manifest.ranked_as, self.manifest.versions):
             _log.warning("%s: no %s of this ranking yet; run the study again to have them", self.folder, SCORES[name])
             return None
         try:

@@ -15,8 +15,9 @@ from concurrent.futures import CancelledError
 from typing import Any, Final
 
 from ldctoolkit.errors import ClusterError, LdcError
+from ldctoolkit.version import DECISIVE, versions
 
-from .processes import SAME_VERSIONS, Ended, Fault, Work, attempt, check, run_checked, versions
+from .processes import Ended, Fault, Work, attempt, check, run_checked
 
 LOCAL: Final = "local"  # address that stands for a cluster started on this machine
 
@@ -34,7 +35,7 @@ class Connection:
     """A client of a scheduler that has workers, all of them with the packages of this process."""
 
     def __init__(self, address: str, workers: int | None, packages: tuple[str, ...] = ()) -> None:
-        self.versions = versions((*SAME_VERSIONS, *packages))
+        self.versions = versions((*DECISIVE, *packages))
         try:
             distributed = importlib.import_module("distributed")
         except ImportError:

@@ -3,8 +3,6 @@
 import contextlib
 import dataclasses
 import faulthandler
-import functools
-import importlib.metadata
 import os
 import pickle
 import queue
@@ -18,13 +16,14 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, Future
 from pathlib import Path
-from typing import IO, Any, Final, Literal, Protocol
+from typing import IO, Any, Literal, Protocol
 
 from loky import get_reusable_executor
 from loky.process_executor import BrokenProcessPool
 
 from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.option_checks import UnitWarning
+from ldctoolkit.version import Versions, versions
 
 Fault = Literal["died", "late"]
 
@@ -118,25 +117,6 @@ def attempt(action: Callable[[], object], seconds: float) -> None:
     thread = threading.Thread(target=quietly, daemon=True)
     thread.start()
     thread.join(seconds)
-
-
-SAME_VERSIONS: Final = ("ldctoolkit", "numpy", "scipy", "numba")
-"""Packages whose versions decide a number's last bits: they must be the same here and on every worker."""
-
-Versions = tuple[tuple[str, str], ...]  # names of packages and their versions; `"not installed"` where there is none
-
-
-@functools.cache
-def versions(packages: tuple[str, ...] = SAME_VERSIONS) -> Versions:
-    """What this process has of some packages."""
-    return tuple((name, _version(name)) for name in packages)
-
-
-def _version(name: str) -> str:
-    try:
-        return importlib.metadata.version(name)
-    except importlib.metadata.PackageNotFoundError:
-        return "not installed"
 
 
 def check(sender: Versions, worker: Versions, named: str) -> None:

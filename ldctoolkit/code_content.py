@@ -1,0 +1,285 @@
+"""The content of a designer's code as a hash: of a class, what it inherits and all that both refer to.
+
+Loaded code is hashed, not its text: a class of a notebook has no file, a file may have been edited after its import,
+and two classes of one text may have other closures. Comments and line numbers do not count. Of libraries the version
+counts, of the toolkit nothing: its version stands beside every stored number.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import dis
+import functools
+import hashlib
+import importlib
+import importlib.util
+import sys
+import types
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+_INSTALLED: Final = frozenset({"site-packages", "dist-packages"})  # folders of libraries
+_TOOLKIT: Final = ("ldctoolkit", "controllers", "studies")
+_DIGITS: Final = 16
+
+_BUILT_IN: Final = (
+    types.BuiltinFunctionType,
+    types.GetSetDescriptorType,
+    types.MemberDescriptorType,
+    types.WrapperDescriptorType,
+    types.MethodDescriptorType,
+    types.ClassMethodDescriptorType,
+    np.ufunc,
+)
+
+# Objects that may change while laws run, a cache for one, with their content when they were first met
+_first_met: dict[int, tuple[object, bytes]] = {}
+_under_way: set[int] = set()
+
+
+def content_of(kind: object) -> str:
+    """Sixteen hexadecimal digits of the content of a class or function; empty for what is the toolkit's."""
+    if is_toolkit(getattr(kind, "__module__", None) or ""):
+        return ""
+    return _hashed(kind)[0]
+
+
+def modules_of(kind: object) -> set[str]:
+    """Names of the designer's modules that a class and what it refers to come from."""
+    return _hashed(kind)[1]
+
+
+def is_toolkit(module: str) -> bool:
+    """Whether a module is one of the toolkit's."""
+    top = module.partition(".")[0]
+    return top == "ldctoolkit" or (top in _TOOLKIT and f"ldctoolkit.{top}" in sys.modules and _same(top))
+
+
+def _same(top: str) -> bool:
+    return sys.modules.get(top) is sys.modules[f"ldctoolkit.{top}"]
+
+
+def _hashed(kind: object) -> tuple[str, set[str]]:
+    visitor = _Visitor((getattr(kind, "__module__", None) or "").partition(".")[0])
+    visitor.add(kind)
+    return visitor.digest.hexdigest()[:_DIGITS], visitor.modules
+
+
+class _Visitor:
+    """Feeds a digest with an object and all that it refers to, each once."""
+
+    def __init__(self, package: str) -> None:
+        self.package = package  # the designer's, also where it is installed
+        self.digest = hashlib.sha256()
+        self.modules: set[str] = set()
+        self._place: dict[tuple[Any, ...], int] = {}
+        self._alive: list[object] = []  # so that no number of an object is used twice
+
+    def put(self, *words: object) -> None:
+        for word in words:
+            data = word if isinstance(word, bytes) else str(word).encode(errors="surrogatepass")
+            self.digest.update(b"%d:" % len(data) + data)
+
+    def add(self, value: Any, names: Iterable[str] = ()) -> None:
+        """One object; of a module only what has one of the names."""
+        if value is None or isinstance(value, bool | int | float | complex | str | types.EllipsisType):
+            self.put(type(value).__name__, repr(value))
+        elif isinstance(value, bytes | bytearray):
+            self.put("bytes", bytes(value))
+        elif isinstance(value, np.ndarray | np.generic) and not value.dtype.hasobject:
+            self.put("array", value.dtype.str, value.shape, value.tobytes())
+        elif isinstance(value, tuple):
+            self.put("tuple", len(value))
+            for item in value:
+                self.add(item)
+        elif isinstance(value, frozenset):
+            self.put("set", *sorted(self._apart(item) for item in value))
+        else:
+            # what counts of a module depends on the names
+            key = (id(value), *names) if isinstance(value, types.ModuleType) else (id(value),)
+            if key in self._place:
+                self.put("again", self._place[key])
+            else:
+                self._place[key] = len(self._place)
+                self._alive.append(value)
+                self._object(value, names)
+
+    def _object(self, value: Any, names: Iterable[str]) -> None:
+        if isinstance(value, types.ModuleType):
+            self._module(value, names)
+        elif isinstance(value, types.CodeType):
+            self._code(value)
+        elif isinstance(value, types.FunctionType):
+            self._function(value)
+        elif isinstance(value, type):
+            self._class(value)
+        elif isinstance(value, types.CellType):
+            try:
+                self.add(value.cell_contents)
+            except ValueError:
+                self.put("empty")
+        elif isinstance(value, types.MethodType | staticmethod | classmethod):
+            self.add((value.__func__, getattr(value, "__self__", None)))
+        elif isinstance(value, property):
+            self.add((value.fget, value.fset))
+        elif isinstance(value, functools.partial):
+            self.add((value.func, value.args))
+            self._items(value.keywords)
+        elif (inner := _inside(value)) is not None:  # a decorated function
+            self.put(type(value).__qualname__)
+            self.add(inner)
+        elif isinstance(value, _BUILT_IN):
+            self.put(type(value).__qualname__, getattr(value, "__module__", ""), value.__name__)
+        else:
+            self.put(self._as_first_met(value))
+
+    def _as_first_met(self, value: Any) -> bytes:
+        if id(value) in _under_way:
+            return b"cycle"
+        if id(value) not in _first_met:
+            _under_way.add(id(value))
+            try:
+                _first_met[id(value)] = (value, self._apart(value, _Visitor._state))
+            finally:
+                _under_way.discard(id(value))
+        return _first_met[id(value)][1]
+
+    def _apart(self, value: Any, add: Any = add) -> bytes:
+        """The digest of an object by itself."""
+        other = _Visitor(self.package)
+        add(other, value)
+        self.modules |= other.modules
+        return other.digest.digest()
+
+    def _state(self, value: Any) -> None:
+        """What an object holds."""
+        self.put("object")
+        self.add(type(value))
+        if isinstance(value, set):
+            self.add(frozenset(value))
+        elif isinstance(value, dataclasses.Field):
+            self.add((value.name, value.default, value.default_factory))
+            self._items(value.metadata)
+        elif dataclasses.is_dataclass(value):
+            self._items({field.name: getattr(value, field.name, None) for field in dataclasses.fields(value)})
+        else:
+            try:
+                reduced = value.__reduce_ex__(4)
+            except Exception:  # an object that cannot be copied, as a lock
+                reduced = "closed"
+            if isinstance(reduced, str):
+                self.put(reduced)
+                return
+            for part in reduced[1:]:
+                if isinstance(part, dict):
+                    self._items(part)
+                elif part is not None:
+                    self.add(tuple(part) if hasattr(part, "__next__") else part)
+
+    def _items(self, items: Mapping[Any, Any]) -> None:
+        self.put("items", len(items))
+        for key, item in items.items():
+            self.add((key, item))
+
+    def _library(self, module: str) -> str | None:
+        """Name and version of the library that a module belongs to; None for the designer's own."""
+        top = module.partition(".")[0]
+        if is_toolkit(module):
+            return "ldctoolkit"
+        if not top or top in ("__main__", "__mp_main__", self.package):
+            return None
+        loaded = sys.modules.get(top)
+        spec = getattr(loaded, "__spec__", None) if loaded else importlib.util.find_spec(top)
+        if spec is None:
+            return None
+        places = [Path(place).resolve() for place in spec.submodule_search_locations or (spec.origin or "",)]
+        standard = top in sys.builtin_module_names or top in sys.stdlib_module_names
+        if standard or any(_INSTALLED.intersection(place.parts) for place in places):
+            return f"{top} {getattr(loaded, '__version__', '')}"
+        return None
+
+    def _module(self, module: types.ModuleType, names: Iterable[str]) -> None:
+        library = self._library(module.__name__)
+        self.put("module", module.__name__ if library is None else library)
+        if library is None:
+            self.modules.add(module.__name__)
+            for name in names:
+                if name in vars(module):
+                    self.put(name)
+                    self.add(vars(module)[name], names)
+
+    def _function(self, function: types.FunctionType) -> None:
+        if (library := self._library(function.__module__ or "")) is not None:
+            self.put("library", library, function.__qualname__)
+            return
+        self.modules.add(function.__module__ or "")
+        self.put("function", function.__name__)
+        self.add((function.__code__, function.__defaults__, function.__closure__))
+        self._items(function.__kwdefaults__ or {})
+        self._items(vars(function))
+        names = sorted(_names(function.__code__))
+        for name in names:
+            if name in function.__globals__:
+                self.put(name)
+                self.add(function.__globals__[name], names)
+        for name, level in sorted(_imports(function.__code__)):
+            self._imported(name, level, function.__globals__, names)
+
+    def _imported(self, name: str, level: int, where: dict[str, Any], names: Iterable[str]) -> None:
+        """A module that a function imports while it runs."""
+        try:
+            if level:
+                name = importlib.util.resolve_name("." * level + name, where.get("__package__") or "")
+            if self._library(name) is None:
+                self.add(importlib.import_module(name), names)
+        except Exception:  # the law raises the same when it is run
+            self.put("missing", name)
+
+    def _code(self, code: types.CodeType) -> None:
+        self.put("code", code.co_code, code.co_names, code.co_varnames, code.co_freevars, code.co_flags)
+        self.put(getattr(code, "co_exceptiontable", b""))
+        self.add(code.co_consts)
+
+    def _class(self, kind: type) -> None:
+        if (library := self._library(kind.__module__)) is not None:
+            self.put("library", library, kind.__qualname__)
+            return
+        self.modules.add(kind.__module__)
+        self.put("class", kind.__name__)
+        for base in kind.__bases__:
+            self.add(base)
+        for name, value in sorted(vars(kind).items()):
+            written = isinstance(value, types.FunctionType | staticmethod | classmethod)
+            # what `dataclass` made follows from the fields, what a class statement made from the rest
+            made = name == "_abc_impl" or (name.startswith("__") and not written and name != "__dataclass_fields__")
+            if not made and getattr(getattr(value, "__code__", None), "co_filename", "") != "<string>":
+                self.put(name)
+                self.add(value)
+
+
+def _inside(value: Any) -> Any:
+    """The function inside a static method, a cached property, a cached or a compiled function."""
+    if type(value).__module__.partition(".")[0] == "numba":
+        return getattr(value, "py_func", None)
+    if isinstance(value, functools.cached_property):
+        return value.func
+    return getattr(value, "__wrapped__", None) if not isinstance(value, type) else None
+
+
+def _names(code: types.CodeType) -> set[str]:
+    inner = [one for one in code.co_consts if isinstance(one, types.CodeType)]
+    return {*code.co_names}.union(*map(_names, inner))
+
+
+def _imports(code: types.CodeType) -> set[tuple[str, int]]:
+    """Names and levels of the imports inside a function."""
+    found, before = set(), [0, 0]
+    for step in dis.get_instructions(code):
+        if step.opname == "IMPORT_NAME":
+            found.add((str(step.argval), before[0] if isinstance(before[0], int) else 0))
+        before = [before[1], step.argval]
+    inner = [one for one in code.co_consts if isinstance(one, types.CodeType)]
+    return found.union(*map(_imports, inner))
