@@ -105,7 +105,7 @@ def laws_inside(kind: type[Controller], gains: Mapping[str, Any]) -> Iterable[ty
 
 
 def code_of(kind: type[Controller], gains: Mapping[str, Any]) -> str:
-    """The content of a law's class and of those inside it; empty where all are the toolkit's. It finds the class again."""
+    """The content of a law's class and of the laws inside it, which the class is kept under."""
     every = [content for content in map(content_of, (kind, *laws_inside(kind, gains))) if content]
     code = hashlib.sha256("".join(every).encode()).hexdigest()[:16] if len(every) > 1 else "".join(every)
     if code:
@@ -113,9 +113,29 @@ def code_of(kind: type[Controller], gains: Mapping[str, Any]) -> str:
     return code
 
 
-def bound_class(name: str, code: str) -> type[Controller]:
-    """The class that a design was made with, or else the present one of its name."""
-    return _by_code.get((name, code)) or controller_class(name)
+Keyed = tuple[tuple[tuple[str, str], type[Controller]], ...]
+
+
+def keyed(kinds: Iterable[type[Controller]]) -> Keyed:
+    """Classes with the names and contents that designs of this process know them by."""
+    every = {(kind.name, content_of(kind)): kind for kind in kinds}
+    return tuple((every | {key: kind for key, kind in _by_code.items() if kind in every.values()}).items())
+
+
+def learn(classes: Keyed) -> None:
+    """Make classes of another process known; those of an earlier job are forgotten."""
+    for key, kind in classes:
+        forget(kind.name)
+        register(kind)
+        _by_code[key] = kind
+
+
+def bound_class(name: str, code: str, *, same: bool = False) -> type[Controller]:
+    """The class that a design was made with, or else the present one of its name; with `same` only of the same code."""
+    kind = _by_code.get((name, code)) or controller_class(name)
+    if same and (name, code) not in _by_code and content_of(kind) not in ("", code):
+        raise LdcError(f"law {name!r}: its code is not that of the design; run the study again")
+    return kind
 
 
 def with_content(name: str, content: str) -> type[Controller] | None:

@@ -96,7 +96,7 @@ class Design:
             Reading of the case, for a law that follows it.
         """
         gains = {name: convention if self._follows(name, value) else value for name, value in self.gains}
-        return self.kind(**gains)
+        return bound_class(self.law, self.code, same=True)(**gains)
 
     @property
     def kind(self) -> type[Controller]:

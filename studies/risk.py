@@ -28,7 +28,7 @@ from .design import NO_CONTROL, Design
 from .ranking.tail import exact_interval, paired_sign
 from .ranking.verdict import Light, State
 from .runner import study_source
-from .running.campaign import Progress, default_progress, laws_of_this_process
+from .running.campaign import Progress, default_progress, laws_to_send
 from .running.chunks import BIN, BINS, ChunkJob, ChunkTask, Tally
 from .running.executors import Executor, make_executor
 from .storage.files import locked, output_folder, read_bytes, remove_unfinished, write_text
@@ -405,7 +405,7 @@ def estimate_risk(
         share=_recorded(source) or (1, 1),
         depths=tuple(sorted({float(x) for x in depths})),
         dtle_limits=tuple(sorted({float(x) for x in dtle_limits}, reverse=True)),
-        laws=laws_of_this_process() if chosen.isolated else b"",
+        laws=laws_to_send(design.kind for design in active) if chosen.isolated else b"",
         token=time.time_ns(),
     )
     shown = progress if not isinstance(progress, bool | None) else default_progress(progress)

@@ -13,7 +13,8 @@ from typing import Any, Final, TextIO
 import cloudpickle
 import numpy as np
 
-from ldctoolkit import EventStatus, Scenarios, registry
+from ldctoolkit import Controller, EventStatus, Scenarios, registry
+from ldctoolkit.code_content import content_of, modules_of
 from ldctoolkit.errors import LdcError, StoreError
 from ldctoolkit.vehicle import Convention
 
@@ -364,22 +365,37 @@ class Dispatcher:
             self._collect(Done(None, (run,)))
 
 
-def laws_of_this_process() -> bytes:
-    """The classes that `register` made known here, to be sent along with tasks; empty for none."""
-    classes = registry.registered()
-    if not classes:
+def laws_to_send(kinds: Iterable[type[Controller]]) -> bytes:
+    """Classes that are not the toolkit's, of these and those that `register` made known; empty for none.
+
+    They go by value with their modules: a worker has what is loaded here, whatever its files say. Installed ones that
+    cannot be sent are loaded by the worker itself, which checks their content.
+    """
+    registered = registry.registered()
+    every = [kind for kind in dict.fromkeys((*registered, *kinds)) if content_of(kind)]
+    if not every:
         return b""
-    modules = [sys.modules[module] for module in dict.fromkeys(kind.__module__ for kind in classes)]
-    by_value = [module for module in modules if module.__name__ not in cloudpickle.list_registry_pickle_by_value()]
-    for module in by_value:
-        cloudpickle.register_pickle_by_value(module)
     try:
-        return bytes(cloudpickle.dumps(classes))
-    except Exception as error:  # a class may hold anything
-        names = ", ".join(kind.__name__ for kind in classes)
+        return _pickled(registry.keyed(every), {name for kind in every for name in modules_of(kind)})
+    except Exception:  # a class may hold anything
+        kept = [kind for kind in every if kind in registered]
+    try:
+        return _pickled(registry.keyed(kept), {kind.__module__ for kind in kept}) if kept else b""
+    except Exception as error:
+        names = ", ".join(kind.__name__ for kind in kept)
         raise LdcError(
             f"registered controllers ({names}) cannot be sent to worker processes ({error}); use one worker"
         ) from None
+
+
+def _pickled(content: object, modules: Iterable[str]) -> bytes:
+    """An object with its classes of some modules by value."""
+    known = {*cloudpickle.list_registry_pickle_by_value()}
+    by_value = [sys.modules[name] for name in sorted(modules) if name in sys.modules and name not in known]
+    for module in by_value:
+        cloudpickle.register_pickle_by_value(module)
+    try:
+        return bytes(cloudpickle.dumps(content))
     finally:
         for module in by_value:
             cloudpickle.unregister_pickle_by_value(module)
@@ -514,6 +530,6 @@ def _job(study: Study, store: Store, executor: Executor, time_limit: float) -> J
         token=token.hexdigest()[:16],
         setup=study.setup(),
         windows=study.simulation.window,
-        laws=laws_of_this_process() if executor.isolated else b"",
+        laws=laws_to_send(study.classes.values()) if executor.isolated else b"",
         time_limit=time_limit if executor.isolated else 0.0,
     )

@@ -13,7 +13,7 @@ from typing import Any, Final, Self
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit import EventStatus, LdcError, Scenarios, Setup, controller_class, register, registry
+from ldctoolkit import EventStatus, LdcError, Scenarios, Setup, controller_class, registry
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.errors import InputError
 from ldctoolkit.law_checks import raised
@@ -478,15 +478,13 @@ def _simulator(simulators: dict[str, Simulator], job: Job) -> Simulator:
 
 
 def learn(laws: bytes) -> None:
-    """Make controllers known that no installed package offers."""
+    """Make controllers known that another process has."""
     if not laws:
         return
     import cloudpickle
 
-    for law in cloudpickle.loads(laws):
-        with _lock:
-            registry.forget(law.name)  # of an earlier job
-            register(law)
+    with _lock:
+        registry.learn(cloudpickle.loads(laws))
 
 
 def _warm_up(chosen: Simulator, task: Task) -> None:
