@@ -35,6 +35,10 @@ _BUILT_IN: Final = (
     np.ufunc,
 )
 
+_GENERATED: Final = frozenset(
+    {"__init__", "__repr__", "__eq__", "__hash__", "__setattr__", "__delattr__", "__replace__"}
+)
+
 # Objects that may change while laws run, a cache for one, with their content when they were first met
 _first_met: dict[int, tuple[object, bytes]] = {}
 _under_way: set[int] = set()
@@ -255,7 +259,7 @@ class _Visitor:
             written = isinstance(value, types.FunctionType | staticmethod | classmethod)
             # what `dataclass` made follows from the fields, what a class statement made from the rest
             made = name == "_abc_impl" or (name.startswith("__") and not written and name != "__dataclass_fields__")
-            if not made and getattr(getattr(value, "__code__", None), "co_filename", "") != "<string>":
+            if not made and (name not in _GENERATED or value.__code__.co_filename != "<string>"):
                 self.put(name)
                 self.add(value)
 

@@ -130,10 +130,15 @@ def learn(classes: Keyed) -> None:
         _by_code[key] = kind
 
 
+def is_known(name: str, code: str) -> bool:
+    """Whether the class that a design was made with, or one of the same code, is known."""
+    return (name, code) in _by_code or content_of(controller_class(name)) in ("", code)
+
+
 def bound_class(name: str, code: str, *, same: bool = False) -> type[Controller]:
     """The class that a design was made with, or else the present one of its name; with `same` only of the same code."""
     kind = _by_code.get((name, code)) or controller_class(name)
-    if same and (name, code) not in _by_code and content_of(kind) not in ("", code):
+    if same and not is_known(name, code):
         raise LdcError(f"law {name!r}: its code is not that of the design; run the study again")
     return kind
 

@@ -12,7 +12,7 @@ from typing import Any, Final
 from ldctoolkit import Controller, controller_class
 from ldctoolkit.gains import GainValue
 from ldctoolkit.option_checks import UnitWarning, unit_slip
-from ldctoolkit.registry import bound_class, code_of
+from ldctoolkit.registry import bound_class, code_of, is_known
 from ldctoolkit.vehicle import Convention
 
 PAPER_LAW: Final = "preview_proportional"  # registry name of the paper's law
@@ -113,6 +113,16 @@ class Design:
         parts = [self.law, self.y_s, self.gains, *([self.code] if self.code else [])]
         content = json.dumps(parts, separators=(",", ":"))
         return hashlib.sha256(content.encode()).hexdigest()[:12]
+
+    @property
+    def can_be_driven(self) -> bool:
+        """Whether the law's code is still the one that the design was made with."""
+        return is_known(self.law, self.code)
+
+    @property
+    def key(self) -> tuple[Any, ...]:
+        """Law, threshold and gains: what two studies compare, also where the law's code is another."""
+        return self.law, self.y_s, self.gains
 
     @property
     def batch(self) -> int:

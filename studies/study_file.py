@@ -422,14 +422,14 @@ class Study(Part):
         """Where the model lies if it is a file and not a bundled name."""
         return self._folder / self.scenarios.model
 
-    def changed(self, **tables: dict[str, Any]) -> Study:
+    def changed(self, *, source: str = "study", **tables: dict[str, Any]) -> Study:
         """The same study with other entries in some of its tables."""
         content = self.content()
-        return self.with_content(content | {k: content[k] | new for k, new in tables.items()})
+        return self.with_content(content | {k: content[k] | new for k, new in tables.items()}, source=source)
 
-    def with_content(self, content: dict[str, Any]) -> Study:
+    def with_content(self, content: dict[str, Any], source: str = "study") -> Study:
         """Another study of the same laws, with its files in the same place."""
-        return self.from_dict(content, folder=self._folder, classes=self.classes)
+        return self.from_dict(content, source=source, folder=self._folder, classes=self.classes)
 
     @property
     def classes(self) -> dict[str, type[Controller]]:
@@ -452,20 +452,29 @@ class Study(Part):
         if same["simulation"]["trigger"] == "distance":  # as before there was another
             del same["simulation"]["trigger"], same["simulation"]["ttlc"]
         # a scenario is the same however many there are, but for rows that are chosen in proportion to weights
-        keys = ("given", "path", *(("left", "right") if self.scenarios.weights else ()))
-        same["scenarios"] = {key: content["scenarios"][key] for key in keys}
+        same["scenarios"] = self._counts(content) if self.scenarios.weights else {}
+        if self.scenarios.given:  # a study without conditions keeps the identity it had before there were any
+            same["scenarios"]["given"] = content["scenarios"]["given"]
+        if self.scenarios.path == "recorded":
+            same["scenarios"]["path"] = "recorded"
         if self.race:
             same["race"] = True
         return same
 
+    @staticmethod
+    def _counts(content: dict[str, Any]) -> dict[str, Any]:
+        return {side: content["scenarios"][side] for side in ("left", "right")}
+
     def identity(self) -> dict[str, Any]:
         """What decides the stored numbers: `inputs`, how many scenarios there are, and the designs."""
-        same = self.inputs() | {"counts": [self.scenarios.left, self.scenarios.right]}
+        same = self.inputs()
+        same["scenarios"] |= self._counts(self.content())
         if self.search is None:
             same["designs"] = [design.id for design in self.designs]
         else:
             content = self.content()
-            same |= {key: content[key] for key in ("search", "design")} | {"laws": self.laws()}
+            same |= {key: content[key] for key in ("search", "design")}
+            same |= {"laws": laws} if (laws := self.laws()) else {}
         return same
 
     @property

@@ -110,7 +110,7 @@ def _with_settings(study: Study, chosen: argparse.Namespace) -> Study:
     changes = {name: value for name, value in changes.items() if value is not None}
     if not changes:
         return study
-    return study.changed(ranking=changes)
+    return study.changed(source=chosen.folder, ranking=changes)
 
 
 def _same_chances(own: Study, study: Study) -> bool:

@@ -242,8 +242,8 @@ def compare(
         differences=differences,
         shared=shared,
         cases=tuple(_cases(before, after, pairs, shared, samples, level)),
-        only_old=tuple(one for one in before.results.designs if one.id not in in_new),
-        only_new=tuple(one for one in after.results.designs if one.id not in in_old),
+        only_old=tuple(one for one in before.results.designs if one.key not in in_new),
+        only_new=tuple(one for one in after.results.designs if one.key not in in_old),
         new_failures=_failed(after.results, ran=before.results),
         repaired=_failed(before.results, ran=after.results),
         failed_in_both=_failed(after.results, failed=before.results),
@@ -262,9 +262,9 @@ def _cases(
     bootstrap: int,
     confidence: float,
 ) -> Iterator[CaseComparison]:
-    old_at = {design.id: i for i, design in enumerate(before.results.designs)}
-    at_new = [i for i, design in enumerate(after.results.designs) if design.id in old_at]
-    at_old = [old_at[after.results.designs[i].id] for i in at_new]
+    old_at = {design.key: i for i, design in enumerate(before.results.designs)}
+    at_new = [i for i, design in enumerate(after.results.designs) if design.key in old_at]
+    at_old = [old_at[after.results.designs[i].key] for i in at_new]
     designs = tuple(after.results.designs[i] for i in at_new)
     # all cases together: the intervals hold for every design in every case
     table = paired_differences(
@@ -364,7 +364,7 @@ def _driven(shared: SharedScenarios, old: StudyResults, new: StudyResults) -> Sh
 def _given_up(*both: StudyResults) -> tuple[Design, ...]:
     """Designs that both studies hold, and a race of one of them gave up."""
     shared = set.intersection(*(set(held_designs(results)) for results in both))
-    lost = {one.design.id: one.design for results in both if results.race is not None for one in results.race.dropped}
+    lost = {one.design.key: one.design for results in both if results.race is not None for one in results.race.dropped}
     return tuple(design for id, design in lost.items() if id in shared)
 
 
@@ -372,10 +372,10 @@ def _failed(
     results: StudyResults, *, ran: StudyResults | None = None, failed: StudyResults | None = None
 ) -> tuple[FailedDesign, ...]:
     """Designs that failed here and ran, or failed, there."""
-    where = {one.design.id for one in failed.failed} if failed else set()
+    where = {one.design.key for one in failed.failed} if failed else set()
     if ran:
-        where = set(held_designs(ran)) - {one.design.id for one in ran.failed}
-    return tuple(one for one in results.failed if one.design.id in where)
+        where = set(held_designs(ran)) - {one.design.key for one in ran.failed}
+    return tuple(one for one in results.failed if one.design.key in where)
 
 
 def _warnings(comparison: Comparison, left_out: int) -> Iterator[str]:

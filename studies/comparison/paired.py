@@ -262,17 +262,17 @@ class FinishedStudy:
     @classmethod
     def read(cls, folder: str | Path) -> FinishedStudy:
         """Read the folder of a study."""
-        store = Store.open(folder)
+        store = Store.open(folder, current=False)  # numbers alone: nothing is driven again
         if not store.manifest.finished:
             raise StoreError(f"{folder}: the study is not finished; run it into this folder again to go on")
-        return cls(str(folder), store.manifest, store.manifest.read_study(), store.results())
+        return cls(str(folder), store.manifest, store.study, store.results())
 
 
-def held_designs(results: StudyResults) -> dict[str, Design]:
-    """All designs that a study met, by identifier: with results, failed, or given up in a race."""
+def held_designs(results: StudyResults) -> dict[tuple[Any, ...], Design]:
+    """All designs that a study met, by `Design.key`: with results, failed, or given up in a race."""
     dropped = results.race.dropped if results.race is not None else ()
     every = (*results.designs, *(one.design for one in results.failed), *(one.design for one in dropped))
-    return {design.id: design for design in every}
+    return {design.key: design for design in every}
 
 
 def input_differences(old: FinishedStudy, new: FinishedStudy) -> Iterator[str]:
@@ -283,7 +283,8 @@ def input_differences(old: FinishedStudy, new: FinishedStudy) -> Iterator[str]:
         yield f"scenarios.model: {texts[0]} -> {texts[1]}"
     own = "ldctoolkit"
     yield from _changes(*({own: m.versions.get(own)} for m in (was, now)))
-    yield from _changes(old.study.inputs(), new.study.inputs())
+    yield from _changes(*(s.inputs() | {"scenarios": s.identity()["scenarios"]} for s in (old.study, new.study)))
+    yield from (f"law {name}: other code" for name in was.laws if was.laws[name] != now.laws.get(name, was.laws[name]))
     before, after = (held_designs(side.results) for side in (old, new))
     if before.keys() != after.keys():
         yield f"designs: {len(before)} -> {len(after)}, {len(before.keys() & after.keys())} of them in both"
@@ -324,7 +325,7 @@ class Winners:
     @property
     def same_design(self) -> bool:
         """The same design won both."""
-        return self.old.id == self.new.id
+        return self.old.key == self.new.key
 
 
 def compare_winners(

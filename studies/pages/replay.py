@@ -44,10 +44,8 @@ def rows_of_numbers(scenarios: Scenarios, numbers: Sequence[int]) -> tuple[int, 
     for number in numbers:
         rows = np.flatnonzero(scenarios.index == number)
         if not rows.size:
-            low, high = int(scenarios.index.min()), int(scenarios.index.max())
-            why = "it is a scenario that cannot be driven; " if low <= number <= high else ""
             near = int(scenarios.index[np.argmin(np.abs(scenarios.index - number))])
-            raise InputError(f"departure: {number}; {why}allowed: {low} to {high}, the nearest is {near}")
+            raise InputError(f"departure: {number}; no departure that can be driven has this number, the nearest is {near}")
         found.append(int(rows[0]))
     return tuple(dict.fromkeys(found))
 

@@ -198,8 +198,6 @@ class Ranking(RankedDesigns, Frame):
             drivable.counted, drivable.scenarios.side, ranked=ranked, baseline=position, rows=order, **chance
         )
         warnings = list(_warnings(drivable, results.designs))
-        if (np.isnan(metrics.release.a_y_added_peak_mean) & np.isfinite(metrics.release.a_y_peak_mean)).any():
-            warnings.append(_NOT_RECORDED)
         designs = tuple(results.designs[i] for i in order)
         fresh = no_fresh_scores(len(order), ranked)
         if results.fresh is not None and results.fresh.designs:
@@ -344,9 +342,11 @@ def _margins(results: StudyResults, case: Case, setup: Setup, vehicles: Sequence
     unknown = (math.nan, math.nan)
     same: dict[tuple[Any, ...], list[Design]] = {}
     for design in designs:
-        same.setdefault((design.law, design.gains, design.code), []).append(design)
+        if design.can_be_driven:  # numbers of former code are compared, and have no margins now
+            same.setdefault((design.law, design.gains, design.code), []).append(design)
     margins = _margins_of(tuple(same), setup)
-    return {one.id: (*margins[key], *worst.get(one.id, unknown)) for key, some in same.items() for one in some}
+    known = {one.id: margins[key] for key, some in same.items() for one in some}
+    return {one.id: (*known.get(one.id, unknown), *worst.get(one.id, unknown)) for one in designs}
 
 
 @functools.lru_cache(maxsize=8)
@@ -370,12 +370,6 @@ def _score(name: str, design: Design, setup: Setup) -> float:
         return assess(design.controller(setup.convention), name, setup, y_s=design.y_s, tolerances=False).score
     except LdcError:
         return math.nan
-
-
-_NOT_RECORDED = (
-    "Added peaks of lateral acceleration and jerk are not recorded in these results, which an earlier version stored: "
-    "how many interventions are comfortable is not known. Run the study into another folder to have them."
-)
 
 
 def _fields(part: Inference | FreshScores) -> dict[str, Any]:

@@ -519,7 +519,9 @@ class Campaign:
         """Failures of earlier runs that did not come again."""
         keys = {(design.id, convention) for design in designs for convention in self.study.simulation.convention}
         still = {
-            key: reason for key, reason in self.store.failures.items() if key not in keys or self.table.missing(key)
+            key: reason
+            for key, reason in self.store.failures.items()
+            if key[0] in self.table and (key not in keys or self.table.missing(key))
         }
         self.store.write_failures(still)
 

@@ -321,15 +321,19 @@ class Manifest(BaseModel):
         Raises `StoreError` if their code or the versions of packages are others than then; without `current` the stored
         numbers can be read, but nothing can be driven again.
         """
-        classes = {}
-        for name, content in self.laws.items() if current else ():
-            kind = with_content(name, content)
-            if kind is None:
-                raise StoreError(f"law {name!r}: its code has changed since the study was run; {_AGAIN}")
-            classes[name] = kind
-        if current and (others := self.other_versions()):
+        if not current:
+            return Study.from_dict(self.study, source="study")
+        if others := self.other_versions():
             raise StoreError(f"the study was run with {others}; {_AGAIN}")
-        return Study.from_dict(self.study, source="manifest.json: study", classes=classes)
+        classes: dict[str, Any] = {name: with_content(name, content) for name, content in self.laws.items()}
+        changed = [name for name, kind in classes.items() if kind is None]
+        if not changed:
+            study = Study.from_dict(self.study, source="study", classes=classes)
+            # a law inside another is the present one of its name
+            changed = [name for name, content in study.laws().items() if self.laws.get(name) != content]
+        if changed:
+            raise StoreError(f"law {changed[0]!r}: its code has changed since the study was run; {_AGAIN}")
+        return study
 
 
 def _now() -> str:

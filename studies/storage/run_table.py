@@ -296,6 +296,9 @@ class RunTable:
         """Give back the memory of what is in a file."""
         release(self._metrics)
 
+    def __contains__(self, design: str) -> bool:
+        return design in self._place
+
     def has(self, key: RunKey, rows: IntArray) -> bool:
         """Whether a run's results in some scenarios are there."""
         return bool(self._there[*self._at(key), rows].all())

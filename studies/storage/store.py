@@ -24,6 +24,7 @@ are. Absolute paths, the host and the user are not recorded, unless a law's own 
 from __future__ import annotations
 
 import dataclasses
+import functools
 import logging
 from collections.abc import Sequence
 from pathlib import Path
@@ -91,10 +92,9 @@ def _clear(folder: Path) -> None:
 class Store:
     """The folder of one study. Made with `create` or `open`."""
 
-    def __init__(self, folder: Path, manifest: Manifest, scenarios: Scenarios, study: Study) -> None:
+    def __init__(self, folder: Path, manifest: Manifest, study: Study) -> None:
         self.folder = folder
         self.manifest = manifest
-        self.scenarios = scenarios
         self.study = study
         self.broken: tuple[str, ...] = ()
         self.times: dict[RunKey, LawTime] = {}
@@ -115,8 +115,9 @@ class Store:
             for notice in notices if not manifest.part_of else ():
                 _log.warning("%s: %s", folder, notice)
         make_folder(folder)
-        store = cls(folder, manifest, scenarios, study)
-        # the scenarios follow from model and seed, which are the same: writing them again cannot change them
+        store = cls(folder, manifest, study)
+        store.scenarios = scenarios
+        # the scenarios follow from model and seed, which are the same: those that were there do not change
         write_scenarios(folder, scenarios)
         store.write_manifest(manifest)
         return store
@@ -129,7 +130,12 @@ class Store:
             study = manifest.read_study(current=current)
         except LdcError as error:
             raise StoreError(f"{folder / 'manifest.json'}: {error}") from None
-        return cls(folder, manifest, read_scenarios(folder / SCENARIOS), study)
+        return cls(folder, manifest, study)
+
+    @functools.cached_property
+    def scenarios(self) -> Scenarios:
+        """Those that every design was run on."""
+        return read_scenarios(self.folder / SCENARIOS)
 
     def write_manifest(self, manifest: Manifest) -> None:
         """Replace the manifest."""

@@ -74,7 +74,7 @@ def departures(model: ScenarioModel, seed: int, chunk: int, sizes: list[tuple[in
     for k, (left, right) in enumerate(sizes):
         state = np.random.SeedSequence([seed, 0x7269736B, k]).generate_state(1, np.uint64)[0]
         drawn = model.sample(left, right, seed=int(state >> 1))
-        yield dataclasses.replace(drawn, index=drawn.index + k * chunk)
+        yield dataclasses.replace(drawn, index=np.arange(drawn.n) + k * chunk)
 
 
 def events_of(design: Design, scenarios: Scenarios, study: Study) -> np.ndarray:

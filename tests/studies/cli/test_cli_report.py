@@ -14,12 +14,12 @@ from studies import read_results
 def test_departures_and_designs_are_put_into_the_page(folder: Path) -> None:
     results = read_results(folder / "plain")
     worst = results.designs[int(results.cases[0].S.mean(axis=1).argsort()[-2])].id
-    asked = ("--departure", 249, "--departure", 7, "--design", worst[:8])
+    asked = ("--departure", 248, "--departure", 7, "--design", worst[:8])
     good("report", "plain", *asked, "--no-robustness", "--no-figures", cwd=folder)
     page = (folder / "plain" / "report.html").read_text(encoding="utf-8")
     found = re.search(r'<script type="application/json" id="data">(.*?)</script>', page, re.DOTALL)
     data = json.loads(found[1])["departures"]
-    assert [one["number"] for one in data["departures"][:2]] == ["249", "7"]
+    assert [one["number"] for one in data["departures"][:2]] == ["248", "7"]
     assert all("requested" in one["name"] for one in data["departures"][:2])
     assert "requested" in [design["why"] for design in data["designs"]]
 
@@ -48,7 +48,7 @@ def test_what_lies_in_a_folder_and_how_it_is_written_again(folder: Path) -> None
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        (["--departure", "250"], "departure: 250; allowed: 0 to 249, the nearest is 249"),
+        (["--departure", "500"], "departure: 500; no departure that can be driven has this number, the nearest is 298"),
         (["--design", "not an id"], "design: 'not an id'; no design begins like this, the nearest is"),
     ],
 )

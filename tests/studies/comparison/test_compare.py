@@ -80,9 +80,11 @@ def test_draws_are_shared_with_seed_and_number_only() -> None:
     assert (small.matrix()[every.old] == large.matrix()[every.new]).all()
     assert every.new.tolist() == [*range(30), *range(70, 110)]
     shared = share_scenarios(small, large, both_draw=True)
-    assert (shared.left, shared.right) == (30, 0)  # the right ones stand at other places
-    assert shared.other_draws == 40
-    assert (small.index[shared.old] == large.index[shared.new]).all()
+    assert (shared.left, shared.right, shared.other_draws) == (30, 40, 0)  # a scenario's number is the same in both
+    other_numbers = dataclasses.replace(large, index=np.where(large.side < 0, large.index + 2, large.index))
+    shared = share_scenarios(small, other_numbers, both_draw=True)
+    assert (shared.left, shared.right, shared.other_draws) == (30, 0, 40)
+    assert (small.index[shared.old] == other_numbers.index[shared.new]).all()
     other = share_scenarios(small, large, both_draw=True, same_seed=False)
     assert (other.n, other.other_draws) == (0, 70)
 

@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from SALib.sample import sobol
 from scipy.stats import qmc
 
-from ldctoolkit import Controller, Plant, gain, register, registry
+from ldctoolkit import Controller, Plant, controller_class, gain, register, registry
 from ldctoolkit.errors import InputError, StudyError
 from studies import Design, Study
 from studies.design_space import (
@@ -245,9 +245,9 @@ def test_the_space_of_a_table_is_one_for_each_law() -> None:
         when={"horizon": {"solver": "osqp"}},
         sample={"method": "sobol", "count": 4},
     ).space()
-    assert lqr == LawSpace("lqr", Span(0.1, 0.3), (("r_delta", Span(50.0, 500.0, "log")),))
+    assert lqr == LawSpace(controller_class("lqr"), Span(0.1, 0.3), (("r_delta", Span(50.0, 500.0, "log")),))
     assert mpc == LawSpace(
-        "linear_mpc",
+        controller_class("linear_mpc"),
         Span(0.1, 0.3),
         (
             ("horizon", Span(5, 30, "linear", whole=True)),

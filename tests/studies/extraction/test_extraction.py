@@ -27,7 +27,7 @@ from ldctoolkit.recordings.find_departures import Criteria
 from ldctoolkit.recordings.preparation import Preparation
 from ldctoolkit.recordings.recording import Problem, Recording
 from ldctoolkit.recordings.sources import CombinedReader, FoundParts, OpenedRecordings, recording_reader
-from studies.extraction import NothingReadError, _program, part_bytes, plan_of, read_part, run_extraction
+from studies.extraction import NothingReadError, _program, part_bytes, plan_of, read_part, run_extraction, what_differs
 from studies.running.executors import Ended, Work
 from studies.storage.files import locked
 
@@ -68,6 +68,11 @@ from {parts} import Part
 
 class Reader:
     name, title, vehicle_width, step = "made", "made up", 1.8, 0.1
+    def open(self, paths): return {of_the_reader}
+
+name, title, vehicle_width, step = "made", "made up", 1.8, 0.1
+def recognise(paths): return ""
+def open(paths): return Reader().open(paths)
 """
 PART = """
 import dataclasses
@@ -76,6 +81,7 @@ import dataclasses
 class Part:
     key: str = "a"
     bytes: int = 1
+    def read(self): return {of_the_part}
 """
 
 
@@ -83,50 +89,31 @@ def load(path: Path) -> ModuleType:
     spec = importlib.util.spec_from_file_location(path.stem, path)
     module = importlib.util.module_from_spec(spec)
     sys.modules[path.stem] = module
-    spec.loader.exec_module(module)
+    exec(path.read_text(), vars(module))
     return module
 
 
-@pytest.fixture
-def somebodys(tmp_path: Path) -> Iterator[tuple[Path, Path]]:
-    """Files of a reader and of its parts, loaded."""
-    files = tmp_path / "somebodys_reader.py", tmp_path / "somebodys_parts.py"
-    files[0].write_text(READER.format(parts=files[1].stem))
-    files[1].write_text(PART)
-    load(files[1])
-    load(files[0])
-    yield files
-    for file in files:
-        del sys.modules[file.stem]
-
-
 @pytest.mark.parametrize("how", ["alone", "together", "module"])
-def test_a_readers_own_code_is_reached(somebodys: tuple[Path, Path], how: str) -> None:
-    module: Any = sys.modules[somebodys[0].stem]
-    reader: Any = module.Reader()
-    if how == "together":
-        reader = CombinedReader((recording_reader("table"), reader))
-    elif how == "module":
-        reader = module
-        for name in ("name", "title", "vehicle_width", "step"):
-            setattr(module, name, getattr(module.Reader, name))
+def test_a_readers_own_code_is_reached(tmp_path: Path, how: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    files = tmp_path / "somebodys_reader.py", tmp_path / "somebodys_parts.py"
+    for file in files:
+        monkeypatch.setitem(sys.modules, file.stem, ModuleType(file.stem))
 
-    def program() -> str:
-        source = FoundParts((module.Part(),), (), ())
-        digest = plan_of(reader, source, Criteria(1.8), Preparation())["program"]
-        assert isinstance(digest, str)
-        return digest
+    def plan(of_the_reader: int, of_the_part: int, comment: str = "") -> dict[str, Any]:
+        """Of code that is written, and loaded by an interpreter that has not seen it."""
+        files[0].write_text(READER.format(parts=files[1].stem, of_the_reader=of_the_reader) + comment)
+        files[1].write_text(PART.format(of_the_part=of_the_part) + comment)
+        parts, module = load(files[1]), load(files[0])
+        reader: Any = module if how == "module" else module.Reader()
+        if how == "together":
+            reader = CombinedReader((recording_reader("table"), reader))
+        return plan_of(reader, FoundParts((parts.Part(),), (), ()), Criteria(1.8), Preparation())
 
-    before = program()
-    for file in somebodys:
-        content = file.read_text()
-        file.write_text(f"{content}# another\n")
-        assert program() != before, file
-        file.write_text(content)
-    assert program() == before
-    for file in somebodys:
-        file.unlink()  # as code that is in no file
-    assert program() != before
+    before = plan(1, 1)
+    assert what_differs(before, plan(1, 1, "# a comment")) == ""
+    for other in (plan(2, 1), plan(1, 2)):
+        assert what_differs(before, other) == "the code of a reader has changed"
+    assert plan(1, 1) == before
 
 
 @pytest.fixture(scope="session")
