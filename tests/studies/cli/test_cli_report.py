@@ -48,7 +48,7 @@ def test_what_lies_in_a_folder_and_how_it_is_written_again(folder: Path) -> None
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        (["--departure", "500"], "departure: 500; no departure that can be driven has this number, the nearest is 298"),
+        (["--departure", "500"], "departure: 500; no departure that can be driven has it; the nearest is 298"),
         (["--design", "not an id"], "design: 'not an id'; no design begins like this, the nearest is"),
     ],
 )

@@ -351,7 +351,7 @@ def test_what_a_user_asks_for_is_there(report: ReportInput) -> None:
 
 
 def test_asked_for_but_not_there(results: StudyResults) -> None:
-    with pytest.raises(InputError, match=r"departure: 100; no departure .* the nearest is 98"):
+    with pytest.raises(InputError, match=r"departure: 100; no departure .* the nearest is 99"):
         rows_of_numbers(results.scenarios, [100])
     with pytest.raises(InputError, match=r"design: 'zz'; no design begins like this, the nearest is \w+; allowed"):
         designs_of_ids(results.designs, ["zz"])
