@@ -198,8 +198,6 @@ class Ranking(RankedDesigns, Frame):
             drivable.counted, drivable.scenarios.side, ranked=ranked, baseline=position, rows=order, **chance
         )
         warnings = list(_warnings(drivable, results.designs))
-        if (np.isnan(metrics.release.a_y_added_peak_mean) & np.isfinite(metrics.release.a_y_peak_mean)).any():
-            warnings.append(_NOT_RECORDED)
         designs = tuple(results.designs[i] for i in order)
         fresh = no_fresh_scores(len(order), ranked)
         if results.fresh is not None and results.fresh.designs:
@@ -370,12 +368,6 @@ def _score(name: str, design: Design, setup: Setup) -> float:
         return assess(design.controller(setup.convention), name, setup, y_s=design.y_s, tolerances=False).score
     except LdcError:
         return math.nan
-
-
-_NOT_RECORDED = (
-    "Added peaks of lateral acceleration and jerk are not recorded in these results, which an earlier version stored: "
-    "how many interventions are comfortable is not known. Run the study into another folder to have them."
-)
 
 
 def _fields(part: Inference | FreshScores) -> dict[str, Any]:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import importlib
+import json
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,23 +17,13 @@ from ldctoolkit import LdcError, Scenarios
 from ldctoolkit.departures import LEFT, PARAMETER_COLUMNS, RIGHT
 from ldctoolkit.errors import StoreError
 from ldctoolkit.recordings.departures_table import read_signals, signals_path, signals_table
-from ldctoolkit.whole_file import whole_file
+from ldctoolkit.whole_file import check_parquet, json_text, parquet_bytes, without_checksum, write_whole
 
 if TYPE_CHECKING:
     import polars as pl
 
 
 SCENARIOS = "scenarios.parquet"
-
-
-@contextlib.contextmanager
-def stored_file(path: Path) -> Iterator[IO[bytes]]:
-    """A `whole_file` of a study."""
-    try:
-        with whole_file(path) as stream:
-            yield stream
-    except OSError as error:
-        raise StoreError(f"{path}: cannot be written: {error.strerror or error}") from None
 
 
 def output_folder(folder: Path) -> Path:
@@ -46,14 +37,25 @@ def output_folder(folder: Path) -> Path:
 
 def write_text(path: Path, text: str) -> None:
     """Write a text file in UTF-8, whole or not at all."""
-    with stored_file(path) as stream:
-        stream.write(text.encode())
+    write_whole(path, text.encode(), StoreError)
+
+
+def write_json(path: Path, content: Mapping[str, Any], indent: int | None = 1) -> None:
+    """Write a JSON file with its checksum, whole or not at all."""
+    write_text(path, json_text(content, indent))
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Read a JSON file that `write_json` wrote."""
+    try:
+        return without_checksum(json.loads(read_bytes(path)))
+    except (ValueError, TypeError, AttributeError, RecursionError) as error:
+        raise StoreError(f"{path}: broken: {error}") from None
 
 
 def write_parquet(path: Path, table: pl.DataFrame) -> None:
-    """Write a Parquet file, whole or not at all."""
-    with stored_file(path) as stream:
-        table.write_parquet(stream)
+    """Write a Parquet file with its checksum, whole or not at all."""
+    write_whole(path, parquet_bytes(table), StoreError)
 
 
 def read_bytes(path: Path) -> bytes:
@@ -64,28 +66,22 @@ def read_bytes(path: Path) -> bytes:
         raise StoreError(f"{path}: cannot be read: {error.strerror or error}") from None
 
 
-def read_parquet(path: Path, schema: dict[str, Any], *, finite: bool = True) -> pl.DataFrame:
-    """Read a Parquet file and check it as `parse_parquet` does."""
-    return parse_parquet(path, read_bytes(path), schema, finite=finite)
+def read_parquet(path: Path, schema: dict[str, Any]) -> pl.DataFrame:
+    """Read a Parquet file that `write_parquet` wrote, and check it as `parse_parquet` does."""
+    data = read_bytes(path)
+    try:
+        check_parquet(data)
+    except ValueError as error:
+        raise StoreError(f"{path}: broken: {error}") from None
+    return parse_parquet(path, data, schema)
 
 
-def parse_parquet(
-    path: Path,
-    data: bytes,
-    schema: dict[str, Any],
-    *,
-    finite: bool = True,
-    change: Callable[[pl.DataFrame], pl.DataFrame] | None = None,
-) -> pl.DataFrame:
-    """A table from the bytes of a Parquet file, checked: columns, types, nothing missing, with `finite` all finite.
-
-    `change` makes the columns of this version of those of an earlier one.
-    """
+def parse_parquet(path: Path, data: bytes, schema: dict[str, Any], *, finite: bool = True) -> pl.DataFrame:
+    """A table from the bytes of a Parquet file, checked: columns, types, nothing missing, with `finite` all finite."""
     import polars as pl
 
     try:
         table = pl.read_parquet(data)
-        table = table if change is None else change(table)
     except pl.exceptions.PolarsError as error:
         raise StoreError(f"{path}: broken: {str(error).splitlines()[0]}") from None
     if dict(table.schema) != schema:
@@ -126,7 +122,7 @@ def read_scenarios(path: Path) -> Scenarios:
     try:
         made = Scenarios.drawn(side=np.where((table["side"] == "left").to_numpy(), LEFT, RIGHT), **columns)
         if signals_path(path).exists():
-            made = dataclasses.replace(made, signals=read_signals(signals_path(path), made.T))
+            made = dataclasses.replace(made, signals=read_signals(signals_path(path), made.T, checksum=True))
     except LdcError as error:
         raise StoreError(f"{path}: broken: {error}") from None
     return made

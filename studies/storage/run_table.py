@@ -24,11 +24,12 @@ from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.errors import LdcError, StoreError
 from ldctoolkit.metrics import METRIC_COLUMNS, METRIC_UNITS, MetricValues
 from ldctoolkit.simulation import Window
+from ldctoolkit.whole_file import write_whole
 
 from ..design import Design
 from ..results import CaseResults, FailedDesign, RunKey, StudyResults, TaskResult
 from ..study_file import Study
-from .files import parse_parquet, read_bytes, stored_file
+from .files import parse_parquet, read_bytes
 from .manifest import LawTime
 
 if TYPE_CHECKING:
@@ -53,11 +54,6 @@ def prefetched(function: Callable[[Item], Result], items: Iterable[Item]) -> Ite
 PATTERN = "part-*.parquet"
 
 _ENDLESS = "t_back"  # the companion that may be infinite: the edge is not back inside by the end
-_FORMER = {METRIC_COLUMNS["opposite_crossing"]: "overshoot_m"}  # column of a part -> what earlier versions called it
-
-_ADDED = (METRIC_COLUMNS["a_y_added_peak"], METRIC_COLUMNS["jerk_added_peak"])
-"""Columns that earlier versions did not record: NaN throughout."""
-
 _DIGITS = 16
 
 
@@ -86,15 +82,14 @@ def write_part(folder: Path, results: Sequence[TaskResult], windows: Sequence[Wi
     content = io.BytesIO()
     # nearly all columns are noise to a compressor: a fast one loses little
     _table(results, windows).write_parquet(content, compression="lz4", statistics=False)
-    data = content.getbuffer()
+    data = content.getvalue()
     what = json.dumps([[result.keys, [int(result.rows[0]), int(result.rows[-1])]] for result in results])
     name = f"part-{hashlib.sha256(what.encode()).hexdigest()[:_DIGITS]}-{_checksum(data)}.parquet"
-    with stored_file(folder / name) as stream:
-        stream.write(data)
+    write_whole(folder / name, data, StoreError)
     return folder / name
 
 
-def _checksum(data: bytes | memoryview) -> str:
+def _checksum(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()[:_DIGITS]
 
 
@@ -128,7 +123,7 @@ def checked_content(path: Path) -> bytes:
 
 def parse_part(path: Path, data: bytes, windows: Sequence[Window], n: int) -> Iterator[TaskResult]:
     """Results that a part holds, one design and stretch of scenarios at a time."""
-    table = parse_parquet(path, data, schema(windows), finite=False, change=_as_now)
+    table = parse_parquet(path, data, schema(windows), finite=False)
     status, failed = table["status"].to_numpy(), table["failed_solves"].to_numpy()
     columns = list(float_columns(windows).values())
     _check_numbers(path, [table[column] for column in columns], status)
@@ -156,21 +151,11 @@ def parse_part(path: Path, data: bytes, windows: Sequence[Window], n: int) -> It
         )
 
 
-def _as_now(table: pl.DataFrame) -> pl.DataFrame:
-    """A part of an earlier version with the columns of this one."""
-    import polars as pl
-
-    table = table.rename({former: column for column, former in _FORMER.items()}, strict=False)
-    return table.with_columns(pl.lit(np.nan).alias(column) for column in _ADDED if column not in table.columns)
-
-
 def _check_numbers(path: Path, columns: Sequence[pl.Series], status: Any) -> None:
     """Refuse what is no number in a scenario that was driven."""
     driven = status != EventStatus.INVALID
     for column in columns:
         good = column.is_not_nan() if column.name == METRIC_COLUMNS[_ENDLESS] else column.is_finite()
-        if column.name in _ADDED and column.is_nan().all():
-            continue
         if not good.all() and not good.to_numpy()[driven].all():
             raise StoreError(f"{path}: broken: column {column.name} holds a value that is not finite")
 

@@ -151,9 +151,13 @@ def test_bad_files(written, tmp_path):
         read_departures(tmp_path / "nowhere.parquet")
     with pytest.raises(RecordingError, match="is a folder"):
         read_departures(tmp_path)
-    for content in (b"", b"PAR1", written.read_bytes()[:-7]):
+    for content, message in (
+        (written.read_bytes()[:-7], "its content is not what was written .*; extract it again"),
+        (b"", "cannot be read as Parquet"),
+        (b"PAR1", "cannot be read as Parquet"),
+    ):
         written.write_bytes(content)
-        with pytest.raises(RecordingError, match=r"d\.parquet: cannot be read as Parquet"):
+        with pytest.raises(RecordingError, match=rf"d\.parquet: {message}"):
             read_departures(written)
 
 
