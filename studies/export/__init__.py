@@ -128,7 +128,7 @@ def _write_fmu(code: Code, texts: dict[str, str], folder: Path, command: Sequenc
         library = f"ldc_controller{suffix}"
         with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as room:
             for name in ("fmu.c", SOURCE, HEADER):
-                (Path(room) / name).write_bytes(files[f"sources/{name}"])
+                write_whole(Path(room) / name, files[f"sources/{name}"], StoreError)
             compile_c(command, Path(room), "-std=c99", "-O2", "-fPIC", "-shared", "fmu.c", SOURCE, "-o", library, "-lm")
             files[f"binaries/{system}/{library}"] = (Path(room) / library).read_bytes()
     path = folder / "ldc_controller.fmu"
