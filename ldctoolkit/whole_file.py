@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 CHECKSUM: Final = "checksum"  # entry of a JSON file
 
-_KEY: Final = b"ldctoolkit.checksum"  # of the metadata of a Parquet file
+PARQUET_CHECKSUM: Final = "ldctoolkit.checksum"  # entry of the metadata of a Parquet file
 _MARK: Final = b"ldctoolkit:sha256:"  # how its value begins: with one of both damaged, the other still tells
 _EMPTY: Final = _MARK + 64 * b"0"
 
@@ -62,14 +62,14 @@ def without_checksum(content: dict[str, Any]) -> dict[str, Any]:
 def parquet_bytes(table: "pl.DataFrame", metadata: Mapping[str, str] | None = None) -> bytes:
     """A Parquet file with its checksum."""
     stream = io.BytesIO()
-    table.write_parquet(stream, metadata={**(metadata or {}), _KEY.decode(): _EMPTY.decode()})
+    table.write_parquet(stream, metadata={**(metadata or {}), PARQUET_CHECKSUM: _EMPTY.decode()})
     return stream.getvalue().replace(_EMPTY, _sealed(stream.getvalue()))
 
 
 def check_parquet(data: bytes, *, needed: bool = True) -> None:
     """Raise `ValueError` where a Parquet file is not what was written."""
     at = data.rfind(_MARK)
-    if at < 0 and not needed and _KEY not in data:
+    if at < 0 and not needed and PARQUET_CHECKSUM.encode() not in data:
         return
     end = at + len(_EMPTY)
     if at < 0 or data[at:end] != _sealed(data[:at] + _EMPTY + data[end:]):

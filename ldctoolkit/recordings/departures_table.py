@@ -37,7 +37,7 @@ from ldctoolkit.recordings.quality import (
 )
 from ldctoolkit.recordings.recording import Problem, SourceFile
 from ldctoolkit.recordings.sources import check_file
-from ldctoolkit.whole_file import check_parquet, parquet_bytes, write_whole
+from ldctoolkit.whole_file import PARQUET_CHECKSUM, check_parquet, parquet_bytes, write_whole
 
 if TYPE_CHECKING:
     import polars as pl
@@ -280,7 +280,7 @@ def read_table(source: Path, needed: str, *, checksum: bool = False) -> tuple[pl
     except OSError as error:
         raise RecordingError(f"{source.name}: cannot be read: {error.strerror or error}") from None
     except ValueError as error:
-        advice = "extract it again; a table that was changed on purpose is written with write_departures"
+        advice = f"make it anew, or, if it was changed on purpose, drop its metadata '{PARQUET_CHECKSUM}'"
         raise RecordingError(f"{source.name}: {error}; {advice}") from None
     except (pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
         raise RecordingError(f"{source.name}: cannot be read as Parquet: {str(error).splitlines()[0]}") from None

@@ -152,7 +152,7 @@ def test_bad_files(written, tmp_path):
     with pytest.raises(RecordingError, match="is a folder"):
         read_departures(tmp_path)
     for content, message in (
-        (written.read_bytes()[:-7], "its content is not what was written .*; extract it again"),
+        (written.read_bytes()[:-7], "its content is not what was written .*; make it anew"),
         (b"", "cannot be read as Parquet"),
         (b"PAR1", "cannot be read as Parquet"),
     ):
