@@ -72,7 +72,7 @@ def read_parquet(path: Path, schema: dict[str, Any]) -> pl.DataFrame:
     try:
         check_parquet(data)
     except ValueError as error:
-        raise StoreError(f"{path}: broken: {error}") from None
+        raise StoreError(f"{path}: broken: {error}; run the study into this folder again to write it anew") from None
     return parse_parquet(path, data, schema)
 
 

@@ -425,7 +425,7 @@ def read_manifest(folder: str | Path) -> Manifest:
     except (ValueError, KeyError, TypeError) as error:
         if isinstance(error, StudyError | ValidationError):
             error = ValueError(str(error).replace("\n", " "))
-        raise StoreError(f"{path}: broken: {error}") from None
+        raise StoreError(f"{path}: broken: {error}; run the study into another folder") from None
     return manifest
 
 

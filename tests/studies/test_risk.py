@@ -211,7 +211,7 @@ def test_the_worst_beyond_what_was_recorded_are_named_at_both_ends() -> None:
     for name in ("left", "right"):
         side = getattr(model.provenance, name)
         known = dict(zip(side.source_summary.names, side.source_summary.quantiles, strict=True))
-        wide = {key: (-1e9, 1e9) for key in known} | {"v_mean": (1e3, 1e9), "d_y": (-1e9, -1.0)}
+        wide = dict.fromkeys(known, (-1000000000.0, 1000000000.0)) | {"v_mean": (1e3, 1e9), "d_y": (-1e9, -1.0)}
         summary = dataclasses.replace(side.source_summary, quantiles=tuple(wide[key] for key in known))
         sides[name] = dataclasses.replace(side, source_summary=summary)
     model = dataclasses.replace(model, provenance=dataclasses.replace(model.provenance, **sides))

@@ -161,6 +161,29 @@ def test_bad_files(written, tmp_path):
             read_departures(written)
 
 
+def test_all_bytes_are_checked_before_anything_is_parsed(tmp_path, capfd):
+    """Also those of the checksum and of its names; without one a table is read as it is, as one made by hand."""
+    kept = extract_departures([drive("a"), drive("b", lane_offset=-OFFSET)], vehicle_width=1.8, keep_signals=True)
+    path = tmp_path / "d.parquet"
+    write_departures(path, kept.departures, kept.provenance)
+    for file in (path, tmp_path / "d.signals.parquet"):
+        data = file.read_bytes()
+        checksum = data.index(b"ldctoolkit.checksum")
+        for at in (*range(0, len(data), 97), *range(checksum, checksum + 105)):
+            file.write_bytes(data[:at] + bytes([data[at] ^ 1 << at % 8]) + data[at + 1 :])
+            with pytest.raises(RecordingError, match=f"^{file.name}: its content is not what was written"):
+                read_departures(path, signals=True)
+        file.write_bytes(data)
+    assert capfd.readouterr().err == ""
+    read_departures(path, signals=True)
+    frame = pl.read_parquet(path).with_columns(d_y_m=pl.lit(0.5))
+    frame.write_parquet(path, metadata=pl.read_parquet_metadata(path))
+    with pytest.raises(RecordingError, match=r"if it was changed on purpose, drop its metadata 'ldctoolkit\.checksum'"):
+        read_departures(path)
+    rewrite(path, frame)
+    assert read_departures(path)[0].d_y.tolist() == [0.5, 0.5]
+
+
 def test_nothing_half_written(found, written, tmp_path):
     before = written.read_bytes()
     bad = dataclasses.replace(found.departures, T=np.array([np.nan, 1.0]))

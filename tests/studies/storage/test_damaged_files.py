@@ -1,6 +1,7 @@
 """Bits that flip, and files that are cut: one sentence, or the numbers that were written."""
 
 import dataclasses
+import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from helpers.closed_loop import known
 from helpers.models import one_component_model
 from helpers.recordings import OFFSET, drive
 from ldctoolkit import Controller, LdcError, LinearLaw, Plant
+from ldctoolkit.errors import StoreError
 from ldctoolkit.recordings import extract_departures, read_departures, write_departures
 from ldctoolkit.scenario_model import load_model
 from studies import Study, StudyResults, rank_study, read_manifest, read_results, run_study
@@ -41,6 +43,12 @@ def study_of(folder: Path, **content: Any) -> Study:
     return Study.from_dict(usual | content, folder=folder)
 
 
+def race_of(folder: Path) -> Study:
+    both = {"left": 60, "right": 60, "departures": "d.parquet"}
+    designs = [*DESIGNS, {"law": "fails", "y_s": 0.1}]
+    return study_of(folder, race=True, scenarios={"model": "reference"} | both, design=designs)
+
+
 def risk_of(folder: Path, n: int = 100) -> Any:
     study = study_of(folder, name="risk")
     return estimate_risk(study.designs[1:2], study, n=n, chunk=50, workers=1, directory=folder / "risk").tally
@@ -57,9 +65,7 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     write_departures(folder / "d.parquet", found.departures, found.provenance)
     one_component_model().save(folder / "model.json")
     with known(Fails):
-        both = {"left": 60, "right": 60, "departures": "d.parquet"}
-        designs = [*DESIGNS, {"law": "fails", "y_s": 0.1}]
-        study = study_of(folder, race=True, scenarios={"model": "reference"} | both, design=designs)
+        study = race_of(folder)
         results = run_study(study, directory=folder / "race", workers=1)
         robustness_of(folder / "race", RobustnessTask.of(results, rank_study(results, study)[0], study.setup()))
         paths = study_of(folder, scenarios={"departures": "d.parquet", "path": "recorded"})
@@ -85,8 +91,14 @@ def content_of(folder: Path) -> Any:
 def scores_of(results: StudyResults | None) -> Any:
     if results is None:
         return None
-    cases = [(case.S, case.S_uncorrected, case.status, vars(case.companions), case.law_time) for case in results.cases]
+    cases = [(case.S, case.S_uncorrected, case.status, vars(case.companions)) for case in results.cases]
     return results.designs, results.failed, results.race, cases, scores_of(results.fresh), scores_of(results.replayed)
+
+
+def damaged(data: bytes, rng: np.random.Generator) -> bytes:
+    """One bit is another, or the end is missing."""
+    at = int(rng.integers(len(data)))
+    return data[:at] + (b"" if rng.random() < 0.2 else bytes([data[at] ^ 1 << int(rng.integers(8))]) + data[at + 1 :])
 
 
 def model_of(path: Path) -> Any:
@@ -122,13 +134,7 @@ def test_damage_is_one_sentence_or_changes_no_number(room: Path, capfd: pytest.C
     for k in range(DAMAGES):
         path = files[k % len(files)]
         data = path.read_bytes()
-        changed = bytearray(data)
-        at = int(rng.integers(len(data)))
-        if rng.random() < 0.2:
-            del changed[at:]
-        else:
-            changed[at] ^= 1 << int(rng.integers(8))
-        path.write_bytes(changed)
+        path.write_bytes(damaged(data, rng))
         try:
             found, sentence = read[path](), ""
         except LdcError as error:
@@ -141,6 +147,21 @@ def test_damage_is_one_sentence_or_changes_no_number(room: Path, capfd: pytest.C
         if not sentence:
             # other plants are worked out anew where their file is broken
             one, other = (value[1:] if path.name == "robustness.json" else value for value in (found, sound[path]))
-            assert_same_bits(one, other, f"{path.relative_to(room)}, byte {at}")
+            assert_same_bits(one, other, f"{path.relative_to(room)}, damage {k}")
     assert refused > 0.7 * DAMAGES
     assert "panicked" not in capfd.readouterr().err
+
+
+def test_a_run_into_a_damaged_folder_is_one_sentence_or_gives_the_same_numbers(room: Path, tmp_path: Path) -> None:
+    """What is damaged is made anew, but for the manifest, which says what the folder is."""
+    wanted, study, rng = scores_of(read_results(room / "race")), race_of(room), np.random.default_rng(3)
+    files = [path.relative_to(room / "race") for path in readers(room) if path.is_relative_to(room / "race")]
+    for i, file in enumerate(files[:: 1 if LONG else 3]):
+        folder = shutil.copytree(room / "race", tmp_path / str(i))
+        (folder / file).write_bytes(damaged((folder / file).read_bytes(), rng))
+        if file.name == "manifest.json":
+            with pytest.raises(StoreError, match=r"manifest\.json: "):
+                run_study(study, directory=folder, workers=1)
+            continue
+        assert_same_bits(scores_of(run_study(study, directory=folder, workers=1)), wanted, str(file))
+        assert_same_bits(scores_of(read_results(folder)), wanted, str(file))
