@@ -99,7 +99,7 @@ def read_text(path: Path) -> str:
     except (OSError, ValueError) as error:  # ValueError: a NUL in the path
         reason = error.strerror if isinstance(error, OSError) else error
         name = str(path)
-        shown = name if len(name) <= 60 else name[:57] + "..."
+        shown = name if len(name) <= 60 else "..." + name[-57:]
         raise ModelError(f"{shown}: cannot read the scenario model ({reason})") from None
 
 
