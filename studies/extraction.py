@@ -39,10 +39,11 @@ from ldctoolkit.recordings.sources import (
     part_name,
 )
 from ldctoolkit.version import versions
+from ldctoolkit.whole_file import write_whole
 
 from .running.executors import Executor, make_executor
 from .running.tasks import Faults
-from .storage.files import locked, read_bytes, remove_leftovers, remove_unfinished, stored_file, write_text
+from .storage.files import locked, read_bytes, remove_leftovers, remove_unfinished, write_text
 
 PACKAGES: Final = ("numpy", "polars", "numba")  # packages that read files or decide numbers
 
@@ -221,8 +222,7 @@ class WorkFolder:
         """Store a part, whole or not at all."""
         content = part_bytes(result)
         path = self.path / f"part-{number:06d}-{_checksum(content)}.npz"
-        with stored_file(path) as stream:
-            stream.write(content)
+        write_whole(path, content, StoreError)
         self._parts[number] = path
 
     def read(self, number: int) -> PartResult:

@@ -9,7 +9,6 @@ import contextlib
 import dataclasses
 import functools
 import itertools
-import json
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -31,7 +30,7 @@ from .runner import study_source
 from .running.campaign import Progress, default_progress, laws_to_send
 from .running.chunks import BIN, BINS, ChunkJob, ChunkTask, Tally
 from .running.executors import Executor, make_executor
-from .storage.files import locked, output_folder, read_bytes, remove_unfinished, write_text
+from .storage.files import locked, output_folder, read_json, remove_unfinished, write_json
 from .study_file import Study
 
 DEPTHS: Final = (0.3, 0.5, 0.8, 1.0, 1.75)  # [m] beyond the line
@@ -287,13 +286,14 @@ class _Estimation:
 
     def _read(self, path: Path) -> None:
         try:
-            stored = json.loads(read_bytes(path))
+            stored = read_json(path)
             differ = [name for name, value in self.job.identity().items() if stored["identity"].get(name) != value]
             if not differ:
                 self.done = {k for first, end in stored["chunks"] for k in range(first, end)}
                 self.tally = self.tally.from_json(stored["tally"])
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
-            raise StoreError(f"{path}: broken: {error}; remove it to begin again") from None
+        except (StoreError, ValueError, KeyError, TypeError, AttributeError) as error:
+            text = error if isinstance(error, StoreError) else f"{path}: broken: {error}"
+            raise StoreError(f"{text}; remove it to begin again") from None
         if differ:
             raise StoreError(f"{path}: holds another estimate, of other {', '.join(differ)}; choose another folder")
 
@@ -318,7 +318,7 @@ class _Estimation:
         content: dict[str, Any] = {"identity": self.job.identity(), "chunks": list(zip(first, last, strict=True))}
         content |= {"tally": {name: array.tolist() for name, array in vars(self.tally).items()}}
         content |= {"results": None if found is None else list(found.rows())}
-        write_text(self.path, json.dumps(content, allow_nan=False) + "\n")
+        write_json(self.path, content, indent=None)
         self.stored = time.monotonic()
 
 

@@ -18,6 +18,7 @@ import ldctoolkit
 from ldctoolkit import EventStatus, Scenarios, Setup
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.departures import LEFT
+from ldctoolkit.errors import StoreError
 from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
 from ldctoolkit.review import SPEEDS, design_margins
 from ldctoolkit.simulation import Takeover
@@ -36,7 +37,7 @@ from .ranking.inference import (
 from .ranking.named_vehicles import drive_on_plants, first_of_each_side
 from .ranking.verdict import OtherPlants
 from .results import FAILED_STATUSES, Case, status_among
-from .storage.files import write_text
+from .storage.files import read_json, write_json
 
 if TYPE_CHECKING:
     from .ranking.ranking import Ranking
@@ -471,7 +472,8 @@ def robustness_of(folder: Path, task: RobustnessTask) -> Robustness:
     if found is not None:
         return found
     made = work_out(task)
-    write_text(folder / NAME, text_of(made))
+    content = {name: _plain(value) if isinstance(value, np.ndarray) else value for name, value in vars(made).items()}
+    write_json(folder / NAME, content, indent=None)
     return made
 
 
@@ -481,25 +483,16 @@ def stored_of(folder: Path, task: RobustnessTask) -> Robustness | None:
     return found if found is not None and found.key == task.key else None
 
 
-def text_of(robustness: Robustness) -> str:
-    """The numbers as JSON; every one of them comes back as it was."""
-    content = {
-        name: _plain(value) if isinstance(value, np.ndarray) else value for name, value in vars(robustness).items()
-    }
-    return json.dumps(content, separators=(",", ":"), allow_nan=False) + "\n"
-
-
 def read(path: Path) -> Robustness | None:
-    """Read a file that was written from `text_of`; None where there is none, or it is of another kind."""
+    """Read the file of a study's folder; None where there is none, or it is broken or of another kind."""
     kinds = {name: _KINDS.get(hint) for name, hint in get_type_hints(Robustness).items()}
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
         values: dict[str, Any] = {
             name: _tuples(value) if kinds[name] is None else np.array(value, dtype=kinds[name])
-            for name, value in content.items()
+            for name, value in read_json(path).items()
         }
         return Robustness(**values)
-    except (OSError, ValueError, TypeError, KeyError, AttributeError):
+    except (StoreError, ValueError, TypeError, KeyError, AttributeError):
         return None  # it only saves time: what cannot be read is worked out again
 
 

@@ -147,6 +147,30 @@ def circles(root: Path) -> list[str]:
     return wrong
 
 
+def writes(path: Path) -> bool:
+    """Whether a module opens files to write them, or calls what does."""
+    calls = [node for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(node, ast.Call)]
+    named = [getattr(call.func, "attr", getattr(call.func, "id", "")) for call in calls]
+    modes = [
+        {arg.value for arg in [*call.args, *(key.value for key in call.keywords)] if isinstance(arg, ast.Constant)}
+        for call, name in zip(calls, named, strict=True)
+        if name == "open"
+    ]
+    methods = [call.func.attr for call in calls if isinstance(call.func, ast.Attribute)]
+    return bool({*methods} & {"write_text", "write_bytes", "savefig", "tofile"}) or any(
+        isinstance(mode, str) and {*mode} & {*"wax"} and {*mode} <= {*"waxbt+"} for found in modes for mode in found
+    )
+
+
+def test_files_are_written_in_one_place() -> None:
+    """But for the lock of a folder, the notes of a worker and what a compiler reads, which no one reads afterwards."""
+    found = {path.relative_to(ROOT).as_posix() for path in modules(ROOT).values() if writes(path)}
+    assert found == {
+        "ldctoolkit/whole_file.py", "studies/storage/files.py", "studies/running/executors/processes.py",
+        "controllers/_nmpc_solver.py",
+    }  # fmt: skip
+
+
 def test_imports_point_down() -> None:
     assert upward_imports(ROOT) == []
 

@@ -14,7 +14,8 @@ from pathlib import Path
 from casadi_to_numba import numba_function
 from nonlinear_plant import nonlinear_dynamics
 
-from ldctoolkit.whole_file import whole_file
+from ldctoolkit.errors import LdcError
+from ldctoolkit.whole_file import write_whole
 
 OUTPUT = Path(__file__).resolve().parents[1] / "ldctoolkit" / "vehicle" / "_nonlinear_compiled.py"
 
@@ -47,8 +48,7 @@ def text() -> str:
 
 
 def main() -> None:
-    with whole_file(OUTPUT) as stream:
-        stream.write(text().encode())
+    write_whole(OUTPUT, text().encode(), LdcError)
     print(OUTPUT)
 
 

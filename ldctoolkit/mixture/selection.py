@@ -5,6 +5,7 @@ from __future__ import annotations
 import concurrent.futures
 import contextlib
 import dataclasses
+import io
 import multiprocessing
 import os
 import signal
@@ -31,6 +32,7 @@ from ldctoolkit.mixture.checks import (
     seed_of,
     usable_cores,
 )
+from ldctoolkit.whole_file import write_whole
 
 
 @dataclasses.dataclass(frozen=True)
@@ -90,7 +92,9 @@ def in_processes(
     with tempfile.TemporaryDirectory(prefix="ldc-") as folder:
         paths = [Path(folder, "x.npy")] + [Path(folder, "weight.npy")] * (events.weight is not None)
         for path, values in zip(paths, (events.x, events.weight), strict=False):
-            np.save(path, values, allow_pickle=False)  # type: ignore[arg-type]
+            content = io.BytesIO()
+            np.save(content, values, allow_pickle=False)  # type: ignore[arg-type]
+            write_whole(path, content.getvalue(), LdcError)
         arguments = (os.getpid(), work, paths)
         pool = ProcessPoolExecutor(workers, initializer=_start_worker, initargs=arguments, env=_ONE_THREAD)
         try:

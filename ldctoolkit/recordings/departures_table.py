@@ -37,7 +37,7 @@ from ldctoolkit.recordings.quality import (
 )
 from ldctoolkit.recordings.recording import Problem, SourceFile
 from ldctoolkit.recordings.sources import check_file
-from ldctoolkit.whole_file import whole_file
+from ldctoolkit.whole_file import PARQUET_CHECKSUM, check_parquet, parquet_bytes, write_whole
 
 if TYPE_CHECKING:
     import polars as pl
@@ -221,17 +221,10 @@ def write_departures(path: str | os.PathLike[str], departures: Departures, prove
     )
     _check(target.name, table)
     content = {"format_version": FORMAT_VERSION, "ldctoolkit": __version__} | dataclasses.asdict(provenance)
-    _write(target, table, {METADATA_KEY: json.dumps(content, ensure_ascii=False, allow_nan=False)})
+    metadata = {METADATA_KEY: json.dumps(content, ensure_ascii=False, allow_nan=False)}
+    write_whole(target, parquet_bytes(table, metadata), RecordingError)
     if departures.signals is not None:
-        _write(signals_path(target), signals_table(departures.signals), {})
-
-
-def _write(target: Path, table: pl.DataFrame, metadata: dict[str, str]) -> None:
-    try:
-        with whole_file(target) as stream:
-            table.write_parquet(stream, metadata=metadata)
-    except OSError as error:
-        raise RecordingError(f"{target}: cannot be written: {error.strerror or error}") from None
+        write_whole(signals_path(target), parquet_bytes(signals_table(departures.signals)), RecordingError)
 
 
 def signals_path(path: str | os.PathLike[str]) -> Path:
@@ -249,13 +242,13 @@ def signals_table(signals: DepartureSignals) -> pl.DataFrame:
     )
 
 
-def read_signals(path: str | os.PathLike[str], T: FloatArray) -> DepartureSignals:
-    """Read and check a table of signals of n departures, whose durations are T (n,).
+def read_signals(path: str | os.PathLike[str], T: FloatArray, *, checksum: bool = False) -> DepartureSignals:
+    """Read and check a table of signals of n departures, whose durations are T (n,); with `checksum` it must have one.
 
     Raises `RecordingError` naming file, column and row.
     """
     source = Path(path)
-    table, _ = read_table(source, "a table of signals (ldc extract --signals)")
+    table, _ = read_table(source, "a table of signals (ldc extract --signals)", checksum=checksum)
     departure, *columns = (column_of(source.name, table, name) for name in ("departure", *_SIGNALS))
     starts = np.flatnonzero(np.diff(departure, prepend=-1.0))
     offsets = np.append(starts, departure.size)
@@ -275,19 +268,20 @@ def read_signals(path: str | os.PathLike[str], T: FloatArray) -> DepartureSignal
     return signals
 
 
-def read_table(source: Path, needed: str) -> tuple[pl.DataFrame, dict[str, str]]:
+def read_table(source: Path, needed: str, *, checksum: bool = False) -> tuple[pl.DataFrame, dict[str, str]]:
     """A Parquet file and its metadata; `needed` says in messages what it should be."""
     import polars as pl
 
     check_file(source, needed)
     try:
-        with source.open("rb") as stream:
-            content = io.BytesIO(stream.read())
-        metadata = pl.read_parquet_metadata(content)
-        content.seek(0)
-        return pl.read_parquet(content), metadata
+        data = source.read_bytes()
+        check_parquet(data, needed=checksum)
+        return pl.read_parquet(data), pl.read_parquet_metadata(io.BytesIO(data))
     except OSError as error:
         raise RecordingError(f"{source.name}: cannot be read: {error.strerror or error}") from None
+    except ValueError as error:
+        advice = f"make it anew, or, if it was changed on purpose, drop its metadata '{PARQUET_CHECKSUM}'"
+        raise RecordingError(f"{source.name}: {error}; {advice}") from None
     except (pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
         raise RecordingError(f"{source.name}: cannot be read as Parquet: {str(error).splitlines()[0]}") from None
 

@@ -28,6 +28,7 @@ from ldctoolkit.scenario_model.provenance import (
     check_usable,
 )
 from ldctoolkit.validation import Part, fail, first_problem, short, text_of
+from ldctoolkit.whole_file import CHECKSUM, NOT_AS_WRITTEN, digest
 
 FORMAT: Final = "ldctoolkit-scenario-model"
 VERSION: Final = 3
@@ -98,7 +99,7 @@ def read_text(path: Path) -> str:
     except (OSError, ValueError) as error:  # ValueError: a NUL in the path
         reason = error.strerror if isinstance(error, OSError) else error
         name = str(path)
-        shown = name if len(name) <= 60 else name[:57] + "..."
+        shown = name if len(name) <= 60 else "..." + name[-57:]
         raise ModelError(f"{shown}: cannot read the scenario model ({reason})") from None
 
 
@@ -140,6 +141,7 @@ def model_from_json(text: str, file: str) -> tuple[SideModel, SideModel, ModelPr
         newer = isinstance(version, int) and version > VERSION
         hint = ": the file is newer, update ldctoolkit" if newer else ""
         raise ModelError(f"{file}: version: {short(version)}; this program reads version {VERSION}{hint}")
+    written, content = data.pop(CHECKSUM, None), digest(data)
     for side in _fitted(data.get("provenance")):
         for key in ("icl", "held_out"):  # criteria of earlier versions
             side.pop(key, None)
@@ -151,12 +153,11 @@ def model_from_json(text: str, file: str) -> tuple[SideModel, SideModel, ModelPr
         found = _File.model_validate_json(json.dumps(data))
     except ValidationError as error:
         raise ModelError(f"{file}: {first_problem(error, data, _File, 'file')}") from None
-    return (
-        _built(found.sides.left, f"{file}: sides.left"),
-        _built(found.sides.right, f"{file}: sides.right"),
-        found.provenance,
-        None if found.plausibility is None else Plausibility(**dict(found.plausibility)),
-    )
+    left, right = (_built(getattr(found.sides, name), f"{file}: sides.{name}") for name in ("left", "right"))
+    limits = None if found.plausibility is None else Plausibility(**dict(found.plausibility))
+    if written not in (None, content):  # last: of what was changed by hand, a value that is not allowed says more
+        raise ModelError(f"{file}: {NOT_AS_WRITTEN}; if it was changed on purpose, remove the key '{CHECKSUM}'")
+    return left, right, found.provenance, limits
 
 
 def _shares(text: Any) -> Any:

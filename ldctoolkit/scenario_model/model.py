@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import importlib.resources
-import json
 import math
 import os
 import warnings
@@ -32,7 +31,7 @@ from ldctoolkit.option_checks import UnitWarning, unit_slip
 from ldctoolkit.recordings import Provenance, Refused, read_departures
 from ldctoolkit.scenario_model.provenance import ModelProvenance, SideModel
 from ldctoolkit.scenarios import SPEED_FLOOR, Scenarios, slowest_speed
-from ldctoolkit.whole_file import whole_file
+from ldctoolkit.whole_file import json_text, write_whole
 
 Given = Mapping[str, float | tuple[float | None, float | None]]
 """Parameter -> its value, or (lower, upper) between which it lies; None is open. SI units."""
@@ -393,16 +392,11 @@ class ScenarioModel:
         target = Path(path)
         try:
             data = json_form.model_to_json(self.left_side, self.right_side, self.provenance, self.plausibility)
-            text = json.dumps(data, indent=1, allow_nan=False)
+            text = json_text(data)
         except (TypeError, ValueError) as error:
             raise ModelError(f"{target.name}: the model cannot be written as JSON ({error})") from None
         self._parse(text, target.name)  # what cannot be read back is not written
-        try:
-            with whole_file(target) as stream:
-                stream.write(f"{text}\n".encode())
-        except (OSError, ValueError) as error:  # ValueError: a path without a name, or with a NUL
-            reason = error.strerror if isinstance(error, OSError) else error
-            raise ModelError(f"{target}: cannot write the scenario model ({reason})") from None
+        write_whole(target, text.encode(), ModelError)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> ScenarioModel:

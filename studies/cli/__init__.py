@@ -52,6 +52,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # the reader (head, less) has gone; Python would complain once more while closing stdout
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
+    except OSError as error:  # of stdout, or of the folder for temporary files: a full disk
+        print(f"ldc: error: {error.filename or 'the output'}: {error.strerror or error}", file=sys.stderr)
+        return 2
     return code
 
 

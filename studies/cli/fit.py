@@ -253,7 +253,7 @@ def sample(chosen: argparse.Namespace) -> None:
     from ldctoolkit.scenario_model import load_model
     from ldctoolkit.scenario_model.model import outside_fit
 
-    from ..storage.files import scenario_table, stored_file, write_parquet
+    from ..storage.files import scenario_table, write_parquet, write_text
 
     target = output_file(chosen.output, ".parquet", ".csv")
     left, right = _numbers(chosen)
@@ -266,8 +266,7 @@ def sample(chosen: argparse.Namespace) -> None:
     if target.suffix.lower() == ".parquet":
         write_parquet(target, table)
     else:
-        with stored_file(target) as stream:
-            table.write_csv(stream)
+        write_text(target, table.write_csv())
     print(f"{left} left and {right} right departures written to {target}")
 
 

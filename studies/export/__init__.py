@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import io
 import platform
 import tempfile
 import uuid
@@ -12,9 +13,9 @@ from pathlib import Path
 from typing import Final
 
 from ldctoolkit import Controller, Scenarios, Setup, load_model
-from ldctoolkit.errors import InputError, expect
+from ldctoolkit.errors import InputError, StoreError, expect
+from ldctoolkit.whole_file import write_whole
 
-from ..storage.files import stored_file
 from .c_code import HEADER, SOURCE, Code, Origin, changed_files, is_stale, parameters, render, write_folder
 from .loop_check import Check, check, compile_c, compiler, record, vectors
 
@@ -127,11 +128,13 @@ def _write_fmu(code: Code, texts: dict[str, str], folder: Path, command: Sequenc
         library = f"ldc_controller{suffix}"
         with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as room:
             for name in ("fmu.c", SOURCE, HEADER):
-                (Path(room) / name).write_bytes(files[f"sources/{name}"])
+                write_whole(Path(room) / name, files[f"sources/{name}"], StoreError)
             compile_c(command, Path(room), "-std=c99", "-O2", "-fPIC", "-shared", "fmu.c", SOURCE, "-o", library, "-lm")
             files[f"binaries/{system}/{library}"] = (Path(room) / library).read_bytes()
     path = folder / "ldc_controller.fmu"
-    with stored_file(path) as stream, zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as packed:
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as packed:
         for name, content in files.items():
             packed.writestr(zipfile.ZipInfo(name), content, zipfile.ZIP_DEFLATED)  # no date: the same bits each time
+    write_whole(path, stream.getvalue(), StoreError)
     return path

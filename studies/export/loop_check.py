@@ -22,6 +22,7 @@ from ldctoolkit.control import StatusArray
 from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.simulation import Takeover, drive
 
+from ..storage.files import write_text
 from .c_code import FLOAT_S, HEADER, SOURCE, Code, render
 
 WARNINGS: Final = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-pedantic", "-Werror")
@@ -123,7 +124,7 @@ class Compiled:
         with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as name:
             folder = Path(name)
             for file, text in {HEADER: texts[HEADER], SOURCE: texts[SOURCE], "check.c": render("check.c")}.items():
-                (folder / file).write_text(text)
+                write_text(folder / file, text)
             if not single:
                 compile_c(command, folder, *options, "-Os", "-c", "-fstack-usage", SOURCE)
                 self.size, self.stack = _sizes(folder)

@@ -5,10 +5,11 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import importlib
+import json
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from ldctoolkit.departures import LEFT, PARAMETER_COLUMNS, RIGHT
 from ldctoolkit.errors import StoreError
 from ldctoolkit.recordings.departures_table import read_signals, signals_path, signals_table
 from ldctoolkit.scenarios import Drifts
-from ldctoolkit.whole_file import whole_file
+from ldctoolkit.whole_file import check_parquet, json_text, parquet_bytes, without_checksum, write_whole
 
 if TYPE_CHECKING:
     import polars as pl
@@ -27,16 +28,6 @@ SCENARIOS = "scenarios.parquet"
 
 _DRIFT: Final = {"lateral_velocity": "drift_rate_m_s", "radius": "drift_radius_m", "distance": "drift_distance_m"}
 """Of paths that do not return: attribute -> column."""
-
-
-@contextlib.contextmanager
-def stored_file(path: Path) -> Iterator[IO[bytes]]:
-    """A `whole_file` of a study."""
-    try:
-        with whole_file(path) as stream:
-            yield stream
-    except OSError as error:
-        raise StoreError(f"{path}: cannot be written: {error.strerror or error}") from None
 
 
 def output_folder(folder: Path) -> Path:
@@ -50,14 +41,25 @@ def output_folder(folder: Path) -> Path:
 
 def write_text(path: Path, text: str) -> None:
     """Write a text file in UTF-8, whole or not at all."""
-    with stored_file(path) as stream:
-        stream.write(text.encode())
+    write_whole(path, text.encode(), StoreError)
+
+
+def write_json(path: Path, content: Mapping[str, Any], indent: int | None = 1) -> None:
+    """Write a JSON file with its checksum, whole or not at all."""
+    write_text(path, json_text(content, indent))
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Read a JSON file that `write_json` wrote."""
+    try:
+        return without_checksum(json.loads(read_bytes(path)))
+    except (ValueError, TypeError, AttributeError, RecursionError) as error:
+        raise StoreError(f"{path}: broken: {error}") from None
 
 
 def write_parquet(path: Path, table: pl.DataFrame) -> None:
-    """Write a Parquet file, whole or not at all."""
-    with stored_file(path) as stream:
-        table.write_parquet(stream)
+    """Write a Parquet file with its checksum, whole or not at all."""
+    write_whole(path, parquet_bytes(table), StoreError)
 
 
 def read_bytes(path: Path) -> bytes:
@@ -69,8 +71,14 @@ def read_bytes(path: Path) -> bytes:
 
 
 def read_parquet(path: Path, schema: dict[str, Any], *, optional: dict[str, Any] | None = None) -> pl.DataFrame:
-    """Read a Parquet file and check it as `parse_parquet` does; all or none of the optional columns are there."""
+    """Read a Parquet file that `write_parquet` wrote, and check it as `parse_parquet` does; all or none of the optional
+    columns are there.
+    """
     data = read_bytes(path)
+    try:
+        check_parquet(data)
+    except ValueError as error:
+        raise StoreError(f"{path}: broken: {error}; run the study into this folder again to write it anew") from None
     return parse_parquet(path, data, schema, optional=optional)
 
 
@@ -128,7 +136,7 @@ def read_scenarios(path: Path) -> Scenarios:
             drift = Drifts(**{name: table[column].to_numpy() for name, column in _DRIFT.items()})
             made = dataclasses.replace(made, drift=drift)
         if signals_path(path).exists():
-            made = dataclasses.replace(made, signals=read_signals(signals_path(path), made.T))
+            made = dataclasses.replace(made, signals=read_signals(signals_path(path), made.T, checksum=True))
     except LdcError as error:
         raise StoreError(f"{path}: broken: {error}") from None
     return made

@@ -19,11 +19,12 @@ from ldctoolkit.errors import StoreError
 from ldctoolkit.registry import with_content
 from ldctoolkit.vehicle import Convention
 from ldctoolkit.version import DECISIVE, versions
+from ldctoolkit.whole_file import without_checksum
 
 from ..design import Design
 from ..results import Dropped, Race, RunKey
 from ..study_file import Study
-from .files import read_parquet, write_parquet, write_text
+from .files import read_parquet, write_json, write_parquet
 
 DESIGNS = "designs.parquet"
 
@@ -75,12 +76,12 @@ Kind = TypeVar("Kind", bound=BaseModel)
 def _read_json(path: Path, kind: type[Kind], hint: str) -> Kind | None:
     """A small file of a folder; None where it is missing."""
     try:
-        return kind.model_validate_json(path.read_bytes())
+        return kind.model_validate(without_checksum(json.loads(path.read_bytes())))
     except FileNotFoundError:
         return None
     except OSError as error:
         raise StoreError(f"{path}: cannot be read: {error.strerror or error}") from None
-    except ValidationError:
+    except (ValueError, TypeError, AttributeError, RecursionError):
         raise StoreError(f"{path}: broken; {hint}") from None
 
 
@@ -102,7 +103,7 @@ def write_failures(folder: Path, failures: Mapping[RunKey, str]) -> None:
     for (design, convention), sentence in sorted(failures.items()):
         designs.setdefault(design, {})[convention] = sentence
     if designs:
-        write_text(path, json.dumps({"designs": designs}, indent=1) + "\n")
+        write_json(path, {"designs": designs})
     else:
         path.unlink(missing_ok=True)
 
@@ -154,7 +155,7 @@ def write_times(folder: Path, times: Mapping[RunKey, LawTime]) -> None:
             "commands": time.commands,
             "law_time_us": 1e6 * time.per_command,
         }
-    write_text(folder / TIMING_FILE, json.dumps({"designs": designs}, indent=1) + "\n")
+    write_json(folder / TIMING_FILE, {"designs": designs})
 
 
 class _Dropped(BaseModel):
@@ -183,7 +184,7 @@ def write_race(folder: Path, race: Race, ranked_as: str) -> None:
         "ranked_as": ranked_as,
         "dropped": [dict(zip(names, values, strict=True)) for values in dropped],
     }
-    write_text(folder / RACE_FILE, json.dumps(content, indent=1) + "\n")
+    write_json(folder / RACE_FILE, content)
 
 
 def read_race(folder: Path, designs: Sequence[Design], ranked_as: str) -> Race | None:
@@ -411,11 +412,11 @@ def read_manifest(folder: str | Path) -> Manifest:
     """
     path = Path(folder) / "manifest.json"
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(path.read_bytes())
         version = content["format_version"]
         if version != FORMAT_VERSION:
-            raise StoreError(f"{path}: format {version!r}, this version reads {FORMAT_VERSION}; choose another folder")
-        manifest = Manifest.model_validate(content)
+            raise StoreError(f"{path}: format {version!r}; this version reads {FORMAT_VERSION}; choose another folder")
+        manifest = Manifest.model_validate(without_checksum(content))
     except (FileNotFoundError, NotADirectoryError):
         raise StoreError(f"{folder}: holds no study (no manifest.json)") from None
     except OSError as error:
@@ -423,10 +424,10 @@ def read_manifest(folder: str | Path) -> Manifest:
     except (ValueError, KeyError, TypeError) as error:
         if isinstance(error, ValidationError):
             error = ValueError(str(error).replace("\n", " "))
-        raise StoreError(f"{path}: broken: {error}") from None
+        raise StoreError(f"{path}: broken: {error}; run the study into another folder") from None
     return manifest
 
 
 def write_manifest(folder: Path, manifest: Manifest) -> None:
     """Write or replace the manifest of a folder."""
-    write_text(folder / "manifest.json", manifest.model_dump_json(indent=2) + "\n")
+    write_json(folder / "manifest.json", manifest.model_dump(mode="json"), indent=2)

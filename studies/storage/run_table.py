@@ -24,11 +24,12 @@ from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.errors import LdcError, StoreError
 from ldctoolkit.metrics import METRIC_COLUMNS, METRIC_UNITS, MetricValues
 from ldctoolkit.simulation import Window
+from ldctoolkit.whole_file import write_whole
 
 from ..design import Design
 from ..results import CaseResults, FailedDesign, RunKey, StudyResults, TaskResult
 from ..study_file import Study
-from .files import parse_parquet, read_bytes, stored_file
+from .files import parse_parquet, read_bytes
 from .manifest import LawTime
 
 if TYPE_CHECKING:
@@ -84,15 +85,14 @@ def write_part(folder: Path, results: Sequence[TaskResult], windows: Sequence[Wi
     content = io.BytesIO()
     # nearly all columns are noise to a compressor: a fast one loses little
     _table(results, windows, numbers).write_parquet(content, compression="lz4", statistics=False)
-    data = content.getbuffer()
+    data = content.getvalue()
     what = json.dumps([[result.keys, numbers[result.rows[[0, -1]]].tolist()] for result in results])
     name = f"part-{hashlib.sha256(what.encode()).hexdigest()[:_DIGITS]}-{_checksum(data)}.parquet"
-    with stored_file(folder / name) as stream:
-        stream.write(data)
+    write_whole(folder / name, data, StoreError)
     return folder / name
 
 
-def _checksum(data: bytes | memoryview) -> str:
+def _checksum(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()[:_DIGITS]
 
 

@@ -12,13 +12,14 @@
     DIR/finalists/               the best designs on fresh scenarios: a folder like this one
     DIR/replayed/                the best designs on recorded departures, where a study has both: a folder like this one
 
-Guarantees. Every file is written whole or not at all. Parts are only ever added; a part's name holds a checksum of its
-content, and writing the same runs again gives the same file. A run is a design under one convention, identified by the
-design's content, which the code of its law belongs to. What a killed study had stored survives it, and the next run
-into the same folder computes only what is missing; a design that failed is missing, and so is tried again. A folder
-that holds another model, seed, vehicle or plant is refused; designs and scenarios may be added and left out. After an
-edit of a law its designs are missing; with another version of the toolkit, or of a package that decides numbers, all
-are. Absolute paths, the host and the user are not recorded, unless a law's own error message names them.
+Guarantees. Every file is written whole or not at all, and holds a checksum that is checked when it is read. Parts are
+only ever added; the checksum is in a part's name, and writing the same runs again gives the same file. A run is a
+design under one convention, identified by the design's content, which the code of its law belongs to. What a killed
+study had stored survives it, and the next run into the same folder computes only what is missing; a design that failed
+is missing, and so is tried again. A folder that holds another model, seed, vehicle or plant is refused; designs and
+scenarios may be added and left out. After an edit of a law its designs are missing; with another version of the
+toolkit, or of a package that decides numbers, all are. Absolute paths, the host and the user are not recorded, unless a
+law's own error message names them.
 """
 
 from __future__ import annotations

@@ -117,6 +117,9 @@ def test_the_worst_departures_are_the_deepest_and_are_driven_again_to_the_same_b
         kept = np.array([row["depth_m"] for row in risk.worst_rows(design)])
         assert_same_bits(again.companions.deepest, kept)
         assert_same_bits(kept, depth[order])
+        depths, shares = risk.exceedance(design)
+        np.testing.assert_allclose((depths[0], depths[9], depths[-1]), (0.05, 0.5, 3.0), rtol=1e-12)
+        np.testing.assert_allclose(shares, [np.mean(depth >= x) for x in depths], rtol=0.0, atol=1e-12)
 
 
 def test_fewer_departures_than_are_kept_and_a_trigger_before_the_line() -> None:
@@ -147,11 +150,16 @@ def test_what_the_worst_have_in_common_is_how_far_their_mean_is_from_that_of_all
     assert common.sentence.startswith("In common to the 20 worst departures: v^2 c 0.929 instead of")
 
 
-def test_sides_are_drawn_as_they_were_recorded_and_rates_follow() -> None:
-    """7 left departures to 3 right ones; 10 departures in 2 hours and 100 km are 5 an hour and 100 per 1,000 km."""
+@pytest.mark.parametrize("events", [{"left": (7, None), "right": (3, None)}, {"left": (3, 7.0), "right": (9, 3.0)}])
+def test_sides_are_drawn_as_they_were_recorded_and_rates_follow(events: dict[str, tuple[int, float | None]]) -> None:
+    """7 left departures to 3 right ones, or as many that the recorded ones stand for; 10 departures in 2 hours and
+    100 km are 5 an hour and 100 per 1,000 km.
+    """
     model = load_model("reference")
     origin = model.provenance
-    sides = {key: dataclasses.replace(getattr(origin, key), events=n) for key, n in (("left", 7), ("right", 3))}
+    sides = {
+        key: dataclasses.replace(getattr(origin, key), events=n, weight=weight) for key, (n, weight) in events.items()
+    }
     model = dataclasses.replace(model, provenance=dataclasses.replace(origin, **sides, hours=2.0, distance=1e5))
     risk = estimate_risk([TABLE_I], PAPER, n=1001, chunk=100, model=model, workers=1)
     assert risk.tally.n.tolist() == [701, 300]
@@ -173,6 +181,45 @@ def test_the_papers_law_is_worse_than_no_control_in_the_tail() -> None:
     light = risk.light(TABLE_I)
     assert light.state == "bad"
     assert light.text.startswith("Worse than no control: depth > 0.8 m (")
+
+
+@pytest.mark.parametrize(
+    ("event", "state"),
+    [
+        ("depth > 0.3 m", "bad"), ("DTLE < -0.3 m", "bad"), ("diverged", "bad"), ("opposite line crossed", "warning"),
+        (None, "warning"),
+    ],
+)  # fmt: skip
+def test_what_is_worse_than_without_control_is_red(event: str | None, state: str) -> None:
+    """12 departures that have one event with the design alone; 9 that have another only without it are better."""
+    risk = estimate_risk([TABLE_I], PAPER, n=20, workers=1)
+    counts, only = np.zeros_like(risk.tally.counts), np.zeros_like(risk.tally.only)
+    if event is not None:
+        counts[1, EVENTS.index(event), 0] = only[1, EVENTS.index(event), 0] = 12
+        counts[0, EVENTS.index("depth > 1 m"), 1] = 9
+    made = dataclasses.replace(risk, tally=dataclasses.replace(risk.tally, counts=counts, only=only))
+    assert made.light(TABLE_I).state == state
+    if event is not None:
+        assert [made.event(TABLE_I, one).sign for one in (event, "depth > 1 m")] == [1, -1]
+
+
+def test_the_worst_beyond_what_was_recorded_are_named_at_both_ends() -> None:
+    """Quantiles of the recorded departures that begin above every generated speed, or end below every d_y."""
+    risk = estimate_risk([TABLE_I], PAPER, n=200, workers=1)
+    model = risk.job.model
+    sides = {}
+    for name in ("left", "right"):
+        side = getattr(model.provenance, name)
+        known = dict(zip(side.source_summary.names, side.source_summary.quantiles, strict=True))
+        wide = dict.fromkeys(known, (-1000000000.0, 1000000000.0)) | {"v_mean": (1e3, 1e9), "d_y": (-1e9, -1.0)}
+        summary = dataclasses.replace(side.source_summary, quantiles=tuple(wide[key] for key in known))
+        sides[name] = dataclasses.replace(side, source_summary=summary)
+    model = dataclasses.replace(model, provenance=dataclasses.replace(model.provenance, **sides))
+    made = dataclasses.replace(risk, job=dataclasses.replace(risk.job, model=model))
+    beyond = [text for text in made.in_common(TABLE_I).warnings if "beyond the outermost quantiles" in text]
+    assert [text.split(" beyond")[0] for text in sorted(beyond)] == [
+        "20 of the 20 worst departures have d_y", "20 of the 20 worst departures have v_mean",
+    ]  # fmt: skip
 
 
 def test_one_line_says_what_n_can_show() -> None:
@@ -314,8 +361,8 @@ def test_another_estimate_in_the_folder_is_refused(tmp_path: Path) -> None:
     with pytest.raises(StoreError, match="of other designs; choose another folder"):
         estimate_risk([], PAPER, n=100, directory=tmp_path, workers=1)
     assert (tmp_path / "risk.json").read_bytes() == before
-    (tmp_path / "risk.json").write_text("{}")
-    with pytest.raises(StoreError, match=r"risk.json: broken: 'identity'; remove it to begin again"):
+    (tmp_path / "risk.json").write_bytes(before.replace(b"[[0, 1]]", b"[[0, 9]]"))
+    with pytest.raises(StoreError, match=r"risk.json: broken: .*not what was written.*; remove it to begin again"):
         estimate_risk([TABLE_I], PAPER, n=100, directory=tmp_path, workers=1)
 
 

@@ -172,8 +172,11 @@ def start_worker(folder: str, parent: int) -> None:
 def note(text: str) -> None:
     """Write down what this process does, for whoever finds it dead."""
     if _notes is not None:
-        _notes.write(f"{text}\n")
-        _notes.flush()
+        try:
+            _notes.write(f"{text}\n")
+            _notes.flush()
+        except OSError as error:
+            raise LdcError(f"{_notes.name}: cannot be written: {error.strerror}") from None
 
 
 def _leave_with(parent: int) -> None:

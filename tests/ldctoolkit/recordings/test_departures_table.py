@@ -151,10 +151,37 @@ def test_bad_files(written, tmp_path):
         read_departures(tmp_path / "nowhere.parquet")
     with pytest.raises(RecordingError, match="is a folder"):
         read_departures(tmp_path)
-    for content in (b"", b"PAR1", written.read_bytes()[:-7]):
+    for content, message in (
+        (written.read_bytes()[:-7], "its content is not what was written .*; make it anew"),
+        (b"", "cannot be read as Parquet"),
+        (b"PAR1", "cannot be read as Parquet"),
+    ):
         written.write_bytes(content)
-        with pytest.raises(RecordingError, match=r"d\.parquet: cannot be read as Parquet"):
+        with pytest.raises(RecordingError, match=rf"d\.parquet: {message}"):
             read_departures(written)
+
+
+def test_all_bytes_are_checked_before_anything_is_parsed(tmp_path, capfd):
+    """Also those of the checksum and of its names; without one a table is read as it is, as one made by hand."""
+    kept = extract_departures([drive("a"), drive("b", lane_offset=-OFFSET)], vehicle_width=1.8, keep_signals=True)
+    path = tmp_path / "d.parquet"
+    write_departures(path, kept.departures, kept.provenance)
+    for file in (path, tmp_path / "d.signals.parquet"):
+        data = file.read_bytes()
+        checksum = data.index(b"ldctoolkit.checksum")
+        for at in (*range(0, len(data), 97), *range(checksum, checksum + 105)):
+            file.write_bytes(data[:at] + bytes([data[at] ^ 1 << at % 8]) + data[at + 1 :])
+            with pytest.raises(RecordingError, match=f"^{file.name}: its content is not what was written"):
+                read_departures(path, signals=True)
+        file.write_bytes(data)
+    assert capfd.readouterr().err == ""
+    read_departures(path, signals=True)
+    frame = pl.read_parquet(path).with_columns(d_y_m=pl.lit(0.5))
+    frame.write_parquet(path, metadata=pl.read_parquet_metadata(path))
+    with pytest.raises(RecordingError, match=r"if it was changed on purpose, drop its metadata 'ldctoolkit\.checksum'"):
+        read_departures(path)
+    rewrite(path, frame)
+    assert read_departures(path)[0].d_y.tolist() == [0.5, 0.5]
 
 
 def test_nothing_half_written(found, written, tmp_path):
@@ -274,5 +301,5 @@ def test_a_model_is_fitted_to_a_table_with_extra_columns(tmp_path, capsys):
         models.append(json.loads(Path(model).read_text(encoding="utf-8")))
     capsys.readouterr()
     for model in models:
-        model.pop("provenance", None)
+        del model["provenance"], model["checksum"]
     assert models[0] == models[1]

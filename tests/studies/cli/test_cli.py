@@ -1,12 +1,16 @@
 """The command line: behaviour that all commands share, widths and units."""
 
+import contextlib
 import dataclasses
+import errno
 import json
 import logging
 import re
+import shutil
 import subprocess
 import sys
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +18,11 @@ import pytest
 
 from controllers import LQR
 from helpers.cli import bad, good, ldc, ldc_process
-from ldctoolkit import VehicleParameters, load_model
+from ldctoolkit import Departures, VehicleParameters, load_model, write_departures
+from ldctoolkit.departures import PARAMETER_NAMES
 from ldctoolkit.option_checks import UnitWarning, unit_slip
 from ldctoolkit.plant_options import Actuator, Sensors
+from ldctoolkit.recordings import Provenance
 from ldctoolkit.scenario_model import ScenarioModel
 from ldctoolkit.scenario_model.model import conditions, outside_fit
 from studies import read_manifest
@@ -57,6 +63,68 @@ def recordings(n: int = 120) -> str:
 def folder(tmp_path: Path) -> Path:
     (tmp_path / "s.toml").write_text(STUDY)
     return tmp_path
+
+
+@contextlib.contextmanager
+def no_room() -> Iterator[None]:
+    """No file can hold a byte, whoever writes it: as on a full disk, but for the reason."""
+    resource = pytest.importorskip("resource")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+@pytest.mark.parametrize(
+    ("words", "file"),
+    [
+        ("extract r.csv -o new.parquet --force", "new.parquet"),
+        ("fit d.parquet -o new.json --components 1 --n-init 1 --workers 1", "new.json"),
+        ("sample reference -n 100 -o new.parquet", "new.parquet"),
+        ("sample reference -n 100 -o new.csv", "new.csv"),
+        ("init zoo -o new.toml", "new.toml"),
+        ("run s.toml -o new --workers 1", "new/scenarios.parquet"),
+        ("rank plain -o new.csv", "new.csv"),
+        ("report again --no-robustness", "again/ranking.csv"),
+        ("compare plain again -o new.csv", "new.csv"),
+        ("compare plain again -o new.html", "new.html"),
+        ("risk s.toml -n 100 --workers 1 -o new", "new/risk.json"),
+        ("review lqr --json new.json", "new.json"),
+        ("assess lqr --standard un-r79-b1 --no-tolerances -o new", "new/predictions.csv"),
+        ("export again --format json -o new", "new/ldc_controller.json"),
+    ],
+)
+def test_a_full_disk_is_one_sentence(words: str, file: str, folder: Path, finished: Path) -> None:
+    (folder / "r.csv").write_text(recordings(4))
+    drawn = load_model("reference").sample(60, 60, seed=1)
+    columns = dict(zip(PARAMETER_NAMES, drawn.matrix().T, strict=True))
+    made = Departures(
+        drawn.side, **columns, recording=np.full(120, "r"), start_time=np.arange(120.0), samples=[9] * 120
+    )
+    write_departures(folder / "d.parquet", made, Provenance())
+    for name in ("plain", "again"):
+        shutil.copytree(finished, folder / name)
+
+    def content() -> dict[Path, bytes]:
+        return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file() and path.name != ".lock"}
+
+    before = content()
+    with no_room():
+        done = ldc(*words.split(), cwd=folder)
+    errors = [line for line in done.stderr.splitlines() if not line.startswith("ldc: warning: ")]
+    assert (done.returncode, errors) == (2, [f"ldc: error: {file}: cannot be written: File too large"])
+    assert content() == before
+
+
+def test_an_output_that_cannot_be_written_is_one_sentence(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("builtins.print", lambda *text, file=None: full() if file is None else file.write(*text))
+    done = ldc("sample", "reference", "-n", "10", "-o", "s.csv", cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (2, "ldc: error: the output: No space left on device")
 
 
 def test_missing_numbers_in_recordings_end_or_are_counted(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from helpers.cli import bad, good, ldc
+from helpers.stored import rewrite_json
 
 FILES = {"README.md", "ldc_controller.c", "ldc_controller.h", "main.c", "test_vectors.csv"}
 
@@ -87,9 +88,7 @@ def test_changed_and_stale_folders_are_noticed(folder: Path) -> None:
 def strict(folder: Path) -> Path:
     """The same study with a requirement that its Preview P design misses."""
     path = folder / "plain" / "manifest.json"
-    content = json.loads(path.read_text())
-    content["study"]["ranking"]["require"] = ["needless <= 0.05"]
-    path.write_text(json.dumps(content))
+    rewrite_json(path, lambda content: content["study"]["ranking"].update(require=["needless <= 0.05"]))
     return folder
 
 

@@ -5,6 +5,7 @@ import dataclasses
 import io
 import json
 import math
+import shutil
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from helpers.results import CONTROL, DEPARTURE, case_of
+from helpers.stored import rewrite_json
 from ldctoolkit import EventStatus, Scenarios, load_model
 from ldctoolkit.errors import InputError, StoreError
 from ldctoolkit.paths.uncorrected import RandomStream
@@ -507,8 +509,8 @@ def test_refusals_of_folders(tmp_path: Path, small_run: Path) -> None:
     with pytest.raises(StoreError, match="holds no study"):
         compare(folder, tmp_path)
     (tmp_path / "two").mkdir()
-    manifest = json.loads((folder / "manifest.json").read_text())
-    (tmp_path / "two" / "manifest.json").write_text(json.dumps(manifest | {"finished": ""}))
+    shutil.copy(folder / "manifest.json", tmp_path / "two")
+    rewrite_json(tmp_path / "two" / "manifest.json", lambda manifest: manifest.update(finished=""))
     with pytest.raises(StoreError, match="two: the study is not finished"):
         compare(folder, tmp_path / "two")
 

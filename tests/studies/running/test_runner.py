@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from helpers.results import assert_same_results
+from helpers.stored import rewrite_json
 from ldctoolkit import (
     BicycleModel,
     Controller,
@@ -159,13 +160,11 @@ def test_what_a_resume_adds_up(make_study: MakeStudy, tmp_path: Path) -> None:
             run_study(study, directory=tmp_path / "s", workers=1)
         # as if the first run had taken long
         timing, manifest = tmp_path / "s" / "timing.json", tmp_path / "s" / "manifest.json"
-        content = json.loads(timing.read_text())
-        entry = content["designs"][study.designs[0].id]["consistent"]
-        first = entry["commands"]
-        entry["law_seconds"] = 500.0
-        timing.write_text(json.dumps(content))
-        before = json.loads(manifest.read_text()) | {"wall_time_s": 1000.0, "created": "2020-01-01T00:00:00+00:00"}
-        manifest.write_text(json.dumps(before))
+        this = study.designs[0].id
+        times_before = rewrite_json(timing, lambda x: x["designs"][this]["consistent"].update(law_seconds=500.0))
+        first = times_before["designs"][this]["consistent"]["commands"]
+        long_ago = {"wall_time_s": 1000.0, "created": "2020-01-01T00:00:00+00:00"}
+        before = rewrite_json(manifest, lambda x: x.update(long_ago))
         resumed = run_study(study, directory=tmp_path / "s", workers=1)
         whole = run_study(study, directory=tmp_path / "whole", workers=1)
         after = read_manifest(tmp_path / "s")
@@ -348,7 +347,12 @@ def test_a_folder_of_another_study_is_refused(
 
 def test_another_model_is_refused(make_study: MakeStudy, reference: StudyResults, tmp_path: Path) -> None:
     path = tmp_path / "reference" / "manifest.json"
-    path.write_text(json.dumps(json.loads(path.read_text()) | {"model_hash": "0" * 64}))
+    content = json.loads(path.read_text())
+    path.write_text(json.dumps(content | {"seed": 4}))
+    with pytest.raises(StoreError, match=r"manifest\.json: broken: its content is not what was written"):
+        run_study(make_study(), directory=tmp_path / "reference")
+    path.write_text(json.dumps(content))  # another layout is the same content
+    rewrite_json(path, lambda x: x.update(model_hash="0" * 64))
     with pytest.raises(StoreError, match=r"model: reference \(content 000000000000\) there, reference \(content"):
         run_study(make_study(), directory=tmp_path / "reference")
 

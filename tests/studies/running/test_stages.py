@@ -76,6 +76,24 @@ def test_finalists_of_another_ranking_are_not_shown(
     assert run_study(fewer, directory=tmp_path, workers=1).fresh is not None
 
 
+def test_fresh_scores_of_other_settings_are_not_taken_for_this_rankings(
+    make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Stopped before the finalists of a new ranking were chosen: the old ones are finished, and of the same designs."""
+    run_study(study_of(make_study), directory=tmp_path, workers=1)
+    assert read_results(tmp_path).fresh is not None
+    other = study_of(make_study, ranking={"bootstrap": 200, "finalists": 3, "require": ["S < 10"]})
+    with monkeypatch.context() as patch:
+        patch.setattr("studies.runner.rank_study", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        with pytest.raises(KeyboardInterrupt):
+            run_study(other, directory=tmp_path, workers=1)
+    assert read_manifest(tmp_path / "finalists").finished
+    assert read_results(tmp_path).fresh is None
+    assert "no fresh scores of this ranking yet; run the study again" in caplog.text
+    assert run_study(other, directory=tmp_path, workers=1).fresh is not None
+    assert read_results(tmp_path).fresh is not None
+
+
 def test_a_refused_run_changes_nothing(make_study: MakeStudy, tmp_path: Path) -> None:
     run_study(study_of(make_study), directory=tmp_path, workers=1)
     before = (tmp_path / "manifest.json").read_bytes()

@@ -11,7 +11,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ from studies import Study, StudyResults, read_results, run_study
 from studies.ranking.ranking import rank_study
 from studies.running import campaign
 from studies.storage import store
-from studies.storage.files import read_scenarios, scenario_table
+from studies.storage.files import read_scenarios, write_scenarios
 from studies.storage.manifest import read_manifest
 from studies.storage.run_table import SharedRows, checked_content, parse_part
 from studies.storage.stored_model import MODEL, read_model
@@ -245,7 +245,7 @@ def test_a_model_that_json_does_not_know_runs(tmp_path: Path, caplog: pytest.Log
 
 def test_stored_scenarios_beyond_the_limits_of_new_ones_are_read(tmp_path: Path) -> None:
     odd = Scenarios.drawn(T=2.0, d_y=30.0, v_mean=120.0, a_mean=0.0, c_0=0.1, dc=0.0, sigma_y=0.0, sigma_v=0.0, side=1)
-    scenario_table(odd).write_parquet(tmp_path / "scenarios.parquet")
+    write_scenarios(tmp_path, odd)
     found = read_scenarios(tmp_path / "scenarios.parquet")
     assert (found.v_mean.tolist(), found.d_y.tolist()) == ([120.0], [30.0])
 
@@ -298,21 +298,16 @@ def test_what_fitted_on_a_full_disk_is_kept(make_study: MakeStudy, tmp_path: Pat
 
 def test_a_disk_that_fills_on_the_way(make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """On every machine: the second part finds no room."""
-    from studies.running import campaign
-    from studies.storage import run_table
-
     monkeypatch.setattr(campaign, "_STORE_EVERY", 0.0)
-    whole, written = run_table.stored_file, []
+    whole, written = Path.write_bytes, []
 
-    @contextlib.contextmanager
-    def full(path: Path) -> Iterator[IO[bytes]]:
+    def full(path: Path, data: bytes) -> int:
         written.extend([path] if path.parent.name == "results" else [])
         if len(written) > 1:
-            raise StoreError(f"{path}: cannot be written: {os.strerror(errno.ENOSPC)}")
-        with whole(path) as stream:
-            yield stream
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return whole(path, data)
 
-    monkeypatch.setattr(run_table, "stored_file", full)
+    monkeypatch.setattr(Path, "write_bytes", full)
     with pytest.raises(StoreError, match="No space left on device"):
         run_study(make_study(), directory=tmp_path, workers=1, block_size=1)
     with pytest.raises(
