@@ -17,7 +17,7 @@ from typing import Any, Final
 from ldctoolkit.errors import ClusterError, LdcError
 from ldctoolkit.version import DECISIVE, versions
 
-from .processes import Ended, Fault, Work, attempt, check, run_checked
+from .processes import Ended, Fault, Work, attempt, check, run_checked, worker_versions
 
 LOCAL: Final = "local"  # address that stands for a cluster started on this machine
 
@@ -70,7 +70,7 @@ class Connection:
     def _check_versions(self) -> None:
         """Before anything runs; a worker that comes later checks itself, with each task."""
         with self.asking():
-            request = functools.partial(versions, tuple(name for name, _ in self.versions))
+            request = functools.partial(worker_versions, tuple(name for name, _ in self.versions))
             answers = self.client.run(request, on_error="return")
         for worker, there in answers.items():
             if isinstance(there, OSError):

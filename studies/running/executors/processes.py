@@ -119,6 +119,11 @@ def attempt(action: Callable[[], object], seconds: float) -> None:
     thread.join(seconds)
 
 
+def worker_versions(packages: tuple[str, ...]) -> Versions:
+    """What a worker has; one without this module has not answered."""
+    return versions(packages)
+
+
 def check(sender: Versions, worker: Versions, named: str) -> None:
     """Compare two processes."""
     there = dict(worker)
