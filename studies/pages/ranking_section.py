@@ -97,20 +97,23 @@ def limits_section(context: Context) -> Section:
         Column(_title(context)),
         Column("No control"),
         Column("Designs that meet it"),
+        Column(f"{_title(context)} on {ranking.sample(i)[0]}"),
+        Column(f"{percent(ranking.confidence, 0)} interval there", about="Of each metric by itself"),
     ]
 
     def value(name: str, place: int | None) -> str:
         return "\u2013" if place is None else metric_text(name, context.metric(name, place))
 
     rows = []
-    for one in ranking.limits:
+    for one, estimate in zip(ranking.limits, ranking.estimates(i), strict=True):
         met = one.met(context.values(one.metric.name))
         own = Cell(value(one.metric.name, i), bad=not met[i], good=bool(met[i]))
         limit = f"{_operator(one.operator)} {_limit_text(one.metric.name, one.limit)}"
         required = any(one.text == other.text for other in ranking.requirements)
         origin = (one.set or "own") if required else f"{one.set} (not required)"
         cells = one.metric.title, limit, origin, own, value(one.metric.name, without), f"{int(met.sum()):,}"
-        rows.append(TableRow(cells))
+        there = Cell(metric_text(one.metric.name, estimate.value), bad=not estimate.met, good=not estimate.uncertain)
+        rows.append(TableRow((*cells, there, true_minus(estimate.interval) or "\u2013")))
     named = _named_metrics(context)
     body = render(
         "limits.html",

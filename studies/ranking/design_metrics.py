@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 import os
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any, Final, Self
 
@@ -15,7 +16,7 @@ import numpy.typing as npt
 
 from ldctoolkit import EventStatus, Scenarios, Setup
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
-from ldctoolkit.departures import LEFT, RIGHT
+from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT
 from ldctoolkit.errors import InputError, nearest
 from ldctoolkit.metrics import DTLE_LIMIT, METRICS, RELEASE_METRICS, SCENARIO_METRICS, Interventions, Metric
 from ldctoolkit.paths.uncorrected import UncorrectedPath
@@ -25,6 +26,7 @@ from ..results import CaseResults, StudyResults, status_among
 from ..storage.run_table import release
 from .inference import row_blocks, row_means
 from .requirements import friction, metric, metric_values
+from .tail import binomial_interval, order_statistics
 
 _FEW = 8  # places up to which what stands there is found without a full sort
 
@@ -96,8 +98,7 @@ class ReleaseMetrics:
 
 def release_metrics(case: CaseResults, designs: Sequence[Design], d_y: FloatArray, *, D_y: float) -> Values:
     """Every metric of a design that is taken from those of its scenarios; d_y (n,) [m] is without control."""
-    acted = ~status_among(case.status, (EventStatus.NEVER_TRIGGERED, EventStatus.INVALID))
-    acted[[design.is_baseline for design in designs]] = False
+    acted = _acted(case, designs)
 
     def of(group: Sequence[Metric], names: Sequence[str]) -> Callable[..., Values]:
         def values(acted: BoolArray, *columns: FloatArray) -> Values:
@@ -111,6 +112,69 @@ def release_metrics(case: CaseResults, designs: Sequence[Design], d_y: FloatArra
         names = tuple(dict.fromkeys(name for one in group for name in one.of))
         found |= _by_blocks(of(group, names), acted, [getattr(case.companions, name) for name in names])
     return found
+
+
+def _acted(case: CaseResults, designs: Sequence[Design]) -> BoolArray:
+    acted = ~status_among(case.status, (EventStatus.NEVER_TRIGGERED, EventStatus.INVALID))
+    acted[[design.is_baseline for design in designs]] = False
+    return acted
+
+
+def sampling_intervals(
+    drivable: DrivableCase, designs: Sequence[Design], names: Iterable[str], *, D_y: float, confidence: float
+) -> dict[str, FloatArray]:
+    """Metric -> ends of the interval of each design by itself, (2, d), of those metrics that are quantiles or shares.
+
+    Of the population that the scenarios are drawn from. An end is infinite where there are too few of them. Departures
+    that stand in the sample more than once, as weights ask for, count with Kish's effective number.
+    """
+    case, d_y = drivable.case, drivable.scenarios.d_y
+    departures = np.stack([getattr(drivable.scenarios, name) for name in ("side", *PARAMETER_NAMES)], axis=1)
+    _, place, copies = np.unique(departures, axis=0, return_inverse=True, return_counts=True)
+    order, starts = np.argsort(place, kind="stable"), np.cumsum(copies) - copies
+    without = next((case.companions.dtle[i] for i, design in enumerate(designs) if design.is_baseline), -d_y)
+
+    def ends(one: Metric, acted: BoolArray, *columns: FloatArray) -> Values:
+        if one.share is not None:  # of one departure it is 0 or 1, or NaN where that is none of those counted
+            alone = Interventions(acted.reshape(-1, 1), np.tile(d_y, len(acted))[:, None], D_y)
+            values = np.reshape(one.share(alone, *(column.reshape(-1, 1) for column in columns)), acted.shape)
+        else:
+            of_all = not one.of or SCENARIO_METRICS[one.of[0]].over == "all"
+            values = columns[0] if of_all else np.where(acted, columns[0], np.nan)
+        times = np.add.reduceat(~np.isnan(values)[:, order], starts, axis=1, dtype=np.int64)
+        count, squares = times.sum(axis=1), (times**2).sum(axis=1)
+        n = np.divide(count**2, squares, out=np.zeros(len(count)), where=squares > 0)
+        if p := _quantile_of(one):
+            first, last = order_statistics(np.floor(n), p, confidence)
+            ordered, rows, each = np.sort(values, axis=1), np.arange(len(count)), count / np.maximum(np.floor(n), 1.0)
+            below, above = np.floor(first * each).astype(np.int64), np.ceil(last * each).astype(np.int64)
+            low = np.where(below > 0, ordered[rows, below - 1], -np.inf)
+            high = np.where(above <= count, ordered[rows, np.minimum(above, count) - 1], np.inf)
+        elif one.name == "within_dtle_gain":  # by Bonferroni, of the departures that only one of both keeps within
+            shares = np.stack([(values > 0).mean(axis=1), (values < 0).mean(axis=1)])
+            least, most = binomial_interval(shares * n, n, 0.5 * (1.0 + confidence))
+            low, high = least[0] - most[1], most[0] - least[1]
+        else:
+            low, high = binomial_interval(np.nansum(values, axis=1) / np.maximum(count, 1) * n, n, confidence)
+        return {"low": np.where(count > 0, low, np.nan), "high": np.where(count > 0, high, np.nan)}
+
+    within = [1.0 * (dtle >= DTLE_LIMIT) for dtle in (case.companions.dtle, without)]
+    found = {}
+    for one in map(metric, dict.fromkeys(names)):
+        columns = {"S_p95": [drivable.counted], "triggered": [case.status != EventStatus.NEVER_TRIGGERED],
+                   "within_dtle_gain": [within[0] - within[1]]}.get(one.name)  # fmt: skip
+        if columns is None and (one.share is not None or _quantile_of(one)):
+            columns = [getattr(case.companions, name) for name in one.of]
+        if columns is not None:
+            taken = _by_blocks(functools.partial(ends, one), _acted(case, designs), columns)
+            found[one.name] = np.stack([taken["low"], taken["high"]])
+    return found
+
+
+def _quantile_of(one: Metric) -> float:
+    """Which quantile a metric is; 0 for none."""
+    text = {"S_p95": "p95", "median": "p50"}.get(one.aggregate or one.name, one.aggregate)
+    return float(text[1:]) / 100.0 if re.fullmatch(r"p\d+", text) else 0.0
 
 
 def _groups() -> list[list[Metric]]:

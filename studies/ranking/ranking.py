@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit import BicycleModel, EventStatus, LinearLaw, Plant, SteeringLaw, VehicleParameters, controller_class
-from ldctoolkit.arrays import IntArray
+from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.departures import LEFT
 from ldctoolkit.errors import LdcError, StudyError, expect
 from ldctoolkit.frames import Frame
@@ -29,11 +29,20 @@ from ..results import Case, CaseResults, Race, StudyResults
 from ..standards import standard_names
 from ..storage.files import write_text
 from ..study_file import Study
-from .design_metrics import DrivableCase, Margins, case_metrics, find_baseline, in_order, pareto_costs, pareto_front
+from .design_metrics import (
+    DrivableCase,
+    Margins,
+    case_metrics,
+    find_baseline,
+    in_order,
+    pareto_costs,
+    pareto_front,
+    sampling_intervals,
+)
 from .inference import Inference, infer, spread_is_known
 from .named_vehicles import worst_of_vehicles
 from .ranked_designs import FreshScores, RankedDesigns, SearchScores, best_of_laws, fresh_scores, no_fresh_scores
-from .requirements import SETS, metric, missed_by, requirements_of
+from .requirements import SETS, metric, metric_values, missed_by, requirements_of
 from .tail import tail_text
 from .verdict import depths, ranking_html
 
@@ -197,6 +206,12 @@ class Ranking(RankedDesigns, Frame):
         inference = infer(
             drivable.counted, drivable.scenarios.side, ranked=ranked, baseline=position, rows=order, **chance
         )
+        limited, sampled = [one.metric.name for one in limits], {"D_y": D_y, "confidence": confidence}
+        ends = sampling_intervals(drivable, results.designs, limited, **sampled)
+        intervals = {name: values[:, order] for name, values in ends.items()}
+        intervals["S"] = np.stack([inference.S_low, inference.S_high])
+        fresh_metrics: dict[str, FloatArray] = {}
+        fresh_intervals: dict[str, FloatArray] = {}
         warnings = list(_warnings(drivable, results.designs))
         if (np.isnan(metrics.release.a_y_added_peak_mean) & np.isfinite(metrics.release.a_y_peak_mean)).any():
             warnings.append(_NOT_RECORDED)
@@ -204,8 +219,10 @@ class Ranking(RankedDesigns, Frame):
         fresh = no_fresh_scores(len(order), ranked)
         if results.fresh is not None and results.fresh.designs:
             place = {design.id: k for k, design in enumerate(designs)}
+            positions = np.array([place[design.id] for design in results.fresh.designs], dtype=np.int64)
             of_case = next(one for one in results.fresh.cases if one.case == case.case)
             again = DrivableCase.of(of_case, results.fresh.scenarios)
+            there = case_metrics(again, results.fresh.designs, D_y, margins, setup, scores)
             search = SearchScores(
                 drivable.counted,
                 order,
@@ -217,18 +234,20 @@ class Ranking(RankedDesigns, Frame):
             )
             fresh = fresh_scores(
                 again,
-                np.array([place[design.id] for design in results.fresh.designs], dtype=np.int64),
+                positions,
                 search,
-                [
-                    tuple(miss.requirement.text for miss in some)
-                    for some in missed_by(
-                        requirements, case_metrics(again, results.fresh.designs, D_y, margins, setup, scores)
-                    )
-                ],
+                [tuple(miss.requirement.text for miss in some) for some in missed_by(requirements, there)],
                 first_failed=designs[0] in [one.design for one in results.fresh.failed],
                 **chance,
             )
             warnings += _about_finalists(fresh, ranked)
+            ends = sampling_intervals(again, results.fresh.designs, limited, **sampled)
+            ends["S"] = np.stack([fresh.fresh_low, fresh.fresh_high])[:, positions]
+            names = (*METRICS, *there.standards)
+            values = {name: metric_values(name, there) for name in names}
+            fresh_metrics, fresh_intervals = (
+                {name: _spread(one, positions, len(order)) for name, one in some.items()} for some in (values, ends)
+            )
         given_up = 0 if results.race is None else len(results.race.dropped)
         raced = case.case == results.cases[0].case
         if given_up and not raced:
@@ -259,6 +278,9 @@ class Ranking(RankedDesigns, Frame):
             missed=tuple(missed[i] for i in order),
             requirements=requirements,
             limits=limits,
+            intervals=intervals,
+            fresh_metrics=fresh_metrics,
+            fresh_intervals=fresh_intervals,
             baseline=position,
             pareto=front,
             pareto_metrics=pareto_metrics,
@@ -382,6 +404,13 @@ def _fields(part: Inference | FreshScores) -> dict[str, Any]:
     return {field.name: getattr(part, field.name) for field in dataclasses.fields(part)}
 
 
+def _spread(values: FloatArray, positions: IntArray, d: int) -> FloatArray:
+    """Values (..., k) at their positions among d designs, NaN elsewhere."""
+    result = np.full((*values.shape[:-1], d), np.nan)
+    result[..., positions] = values
+    return result
+
+
 def _position(order: IntArray, index: int) -> int:
     return int(np.flatnonzero(order == index)[0])
 
@@ -493,6 +522,10 @@ def _rows(ranking: Ranking, gains: Sequence[str]) -> Iterator[dict[str, Any]]:
     numbers |= {name: getattr(ranking, name) for name in _COUNTS}
     numbers |= {one.column: getattr(ranking.release, one.name) for one in RELEASE_METRICS.values()}
     numbers |= {metric(name).column: score for name, score in ranking.standards.items()}
+    for fresh, intervals in (("", ranking.intervals), ("fresh_", ranking.fresh_intervals)):
+        for one in (metric(name) for name in intervals if name != "S"):
+            column = f"{fresh}{one.name}_{{}}{one.column.removeprefix(one.name)}"
+            numbers |= dict(zip(map(column.format, ("low", "high")), intervals[one.name], strict=True))
     reasons = [""] * len(ranking) + [one.reason for one in ranking.failed]
     for i, (design, reason) in enumerate(zip(_every(ranking), reasons, strict=True)):
         here = i < len(ranking)
