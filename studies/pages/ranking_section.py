@@ -97,7 +97,7 @@ def limits_section(context: Context) -> Section:
         Column(_title(context)),
         Column("No control"),
         Column("Designs that meet it"),
-        Column(f"{_title(context)} on {ranking.sample(i)[0]}"),
+        Column(f"{_title(context)} on {ranking.sample(i)}"),
         Column(f"{percent(ranking.confidence, 0)} interval there", about="Of each metric by itself"),
     ]
 

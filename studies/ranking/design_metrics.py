@@ -7,7 +7,7 @@ import functools
 import math
 import os
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any, Final, Self
 
@@ -121,9 +121,15 @@ def _acted(case: CaseResults, designs: Sequence[Design]) -> BoolArray:
 
 
 def sampling_intervals(
-    drivable: DrivableCase, designs: Sequence[Design], names: Iterable[str], *, D_y: float, confidence: float
-) -> dict[str, FloatArray]:
-    """Metric -> ends of the interval of each design by itself, (2, d), of those metrics that are quantiles or shares.
+    drivable: DrivableCase,
+    designs: Sequence[Design],
+    metrics: CaseMetrics,
+    names: Sequence[str],
+    *,
+    D_y: float,
+    confidence: float,
+) -> FloatArray:
+    """Values of k metrics, and the ends of the interval of each by itself where it is a quantile or a share, (k, 3, d).
 
     Of the population that the scenarios are drawn from. An end is infinite where there are too few of them. Departures
     that stand in the sample more than once, as weights ask for, count with Kish's effective number.
@@ -159,15 +165,16 @@ def sampling_intervals(
         return {"low": np.where(count > 0, low, np.nan), "high": np.where(count > 0, high, np.nan)}
 
     within = [1.0 * (dtle >= DTLE_LIMIT) for dtle in (case.companions.dtle, without)]
-    found = {}
-    for one in map(metric, dict.fromkeys(names)):
+    found = np.full((len(names), 3, len(designs)), np.nan)
+    for row, one in zip(found, map(metric, names), strict=True):
+        row[0] = metric_values(one.name, metrics)
         columns = {"S_p95": [drivable.counted], "triggered": [case.status != EventStatus.NEVER_TRIGGERED],
                    "within_dtle_gain": [within[0] - within[1]]}.get(one.name)  # fmt: skip
         if columns is None and (one.share is not None or _quantile_of(one)):
             columns = [getattr(case.companions, name) for name in one.of]
         if columns is not None:
             taken = _by_blocks(functools.partial(ends, one), _acted(case, designs), columns)
-            found[one.name] = np.stack([taken["low"], taken["high"]])
+            row[1:] = taken["low"], taken["high"]
     return found
 
 

@@ -1,8 +1,8 @@
 """Designs in the order of a ranking, and what fresh scenarios say of the first of them."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +13,7 @@ from ..design import Design
 from ..results import Case, FailedDesign
 from .design_metrics import CaseMetrics, DrivableCase, mean_reduction
 from .inference import SAME, Inference, Interval, Resampled, critical_value, simultaneous_interval, skewed_widths
-from .requirements import Estimate, Miss, Requirement, metric_values
+from .requirements import Estimate, Miss, Requirement
 
 
 def choose_winner(resampled: Resampled, set_of_best: BoolArray, meets: BoolArray, confidence: float) -> int | None:
@@ -215,11 +215,11 @@ class RankedDesigns(CaseMetrics, Inference, FreshScores):
     requirements: tuple[Requirement, ...]
     # The requirements, and behind them those of the sets ``stable``, ``comfort`` and ``physical``
     limits: tuple[Requirement, ...]
-    # Metric of a limit that is a quantile, a share or mean S -> ends of its interval, (2, d), each by itself
-    intervals: Mapping[str, FloatArray]
-    # Metric -> (d,) and the same ends on the fresh scenarios; NaN for designs that were not driven there
-    fresh_metrics: Mapping[str, FloatArray]
-    fresh_intervals: Mapping[str, FloatArray]
+    # (k, 3, d) Values of the k limited metrics, and the ends of the interval of each by itself: NaN unless it is a
+    # quantile, a share or mean S, whose intervals hold for all designs at once
+    limited: FloatArray
+    fresh_limited: FloatArray  # (k, 3, d) The same on the fresh scenarios; NaN for designs that were not driven there
+    fresh_saved: FloatArray  # (d,) 1 - mean S / mean S without control on the fresh scenarios
     baseline: int | None  # Position of the design behind `baseline_difference`
     # (d,) Ranked designs that no other ranked design beats in one metric of `pareto_metrics` without being worse in
     # another
@@ -264,21 +264,22 @@ class RankedDesigns(CaseMetrics, Inference, FreshScores):
         """For each design, the requirements that it misses, as text."""
         return tuple(tuple(miss.requirement.text for miss in some) for some in self.missed)
 
-    def sample(self, i: int) -> tuple[str, Any]:
-        """The scenarios to judge a design on, fresh ones where it was driven on such, and the metrics there."""
-        if np.isfinite(self.fresh_S[i]):
-            return f"{self.fresh_scenarios:,} fresh scenarios", self.fresh_metrics
-        return f"the {self.scenarios:,} study scenarios", self
+    def sample(self, i: int) -> str:
+        """The scenarios that a design is judged on: fresh ones where it was driven on such."""
+        fresh = bool(np.isfinite(self.fresh_S[i]))
+        return f"{self.fresh_scenarios:,} fresh scenarios" if fresh else f"the {self.scenarios:,} study scenarios"
+
+    def saved(self, i: int) -> float:
+        """1 - mean S / mean S without control there."""
+        return float((self.fresh_saved if np.isfinite(self.fresh_S[i]) else self.reduction)[i])
 
     def estimates(self, i: int) -> tuple[Estimate, ...]:
-        """The limited metrics of a design with their intervals, on its `sample`."""
-        _, source = self.sample(i)
-        intervals = self.intervals if source is self else self.fresh_intervals
-        nothing, fresh = np.full((2, len(self)), np.nan), source is not self
+        """The limited metrics of a design there."""
+        fresh = bool(np.isfinite(self.fresh_S[i]))
+        numbers = (self.fresh_limited if fresh else self.limited)[:, :, i].tolist()
         return tuple(
-            Estimate(one, float(metric_values(one.metric.name, source)[i]), low, high, one in self.requirements, fresh)
-            for one in self.limits
-            for low, high in [intervals.get(one.metric.name, nothing)[:, i].tolist()]
+            Estimate(one, value, low, high, one in self.requirements, fresh)
+            for one, (value, low, high) in zip(self.limits, numbers, strict=True)
         )
 
     @property

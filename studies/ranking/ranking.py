@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit import BicycleModel, EventStatus, LinearLaw, Plant, SteeringLaw, VehicleParameters, controller_class
-from ldctoolkit.arrays import FloatArray, IntArray
+from ldctoolkit.arrays import IntArray
 from ldctoolkit.departures import LEFT
 from ldctoolkit.errors import LdcError, StudyError, expect
 from ldctoolkit.frames import Frame
@@ -42,7 +42,7 @@ from .design_metrics import (
 from .inference import Inference, infer, spread_is_known
 from .named_vehicles import worst_of_vehicles
 from .ranked_designs import FreshScores, RankedDesigns, SearchScores, best_of_laws, fresh_scores, no_fresh_scores
-from .requirements import SETS, metric, metric_values, missed_by, requirements_of
+from .requirements import SETS, metric, missed_by, requirements_of
 from .tail import tail_text
 from .verdict import depths, ranking_html
 
@@ -206,12 +206,11 @@ class Ranking(RankedDesigns, Frame):
         inference = infer(
             drivable.counted, drivable.scenarios.side, ranked=ranked, baseline=position, rows=order, **chance
         )
-        limited, sampled = [one.metric.name for one in limits], {"D_y": D_y, "confidence": confidence}
-        ends = sampling_intervals(drivable, results.designs, limited, **sampled)
-        intervals = {name: values[:, order] for name, values in ends.items()}
-        intervals["S"] = np.stack([inference.S_low, inference.S_high])
-        fresh_metrics: dict[str, FloatArray] = {}
-        fresh_intervals: dict[str, FloatArray] = {}
+        names, sampled = [one.metric.name for one in limits], {"D_y": D_y, "confidence": confidence}
+        limited = sampling_intervals(drivable, results.designs, metrics, names, **sampled)[:, :, order]
+        mean_S = [name == "S" for name in names]
+        limited[mean_S, 1:] = inference.S_low, inference.S_high
+        fresh_limited, fresh_saved = np.full_like(limited, np.nan), np.full(len(order), np.nan)
         warnings = list(_warnings(drivable, results.designs))
         if (np.isnan(metrics.release.a_y_added_peak_mean) & np.isfinite(metrics.release.a_y_peak_mean)).any():
             warnings.append(_NOT_RECORDED)
@@ -241,13 +240,9 @@ class Ranking(RankedDesigns, Frame):
                 **chance,
             )
             warnings += _about_finalists(fresh, ranked)
-            ends = sampling_intervals(again, results.fresh.designs, limited, **sampled)
-            ends["S"] = np.stack([fresh.fresh_low, fresh.fresh_high])[:, positions]
-            names = (*METRICS, *there.standards)
-            values = {name: metric_values(name, there) for name in names}
-            fresh_metrics, fresh_intervals = (
-                {name: _spread(one, positions, len(order)) for name, one in some.items()} for some in (values, ends)
-            )
+            fresh_limited[:, :, positions] = sampling_intervals(again, results.fresh.designs, there, names, **sampled)
+            fresh_limited[mean_S, 1:] = fresh.fresh_low, fresh.fresh_high
+            fresh_saved[positions] = there.reduction
         given_up = 0 if results.race is None else len(results.race.dropped)
         raced = case.case == results.cases[0].case
         if given_up and not raced:
@@ -278,9 +273,9 @@ class Ranking(RankedDesigns, Frame):
             missed=tuple(missed[i] for i in order),
             requirements=requirements,
             limits=limits,
-            intervals=intervals,
-            fresh_metrics=fresh_metrics,
-            fresh_intervals=fresh_intervals,
+            limited=limited,
+            fresh_limited=fresh_limited,
+            fresh_saved=fresh_saved,
             baseline=position,
             pareto=front,
             pareto_metrics=pareto_metrics,
@@ -404,13 +399,6 @@ def _fields(part: Inference | FreshScores) -> dict[str, Any]:
     return {field.name: getattr(part, field.name) for field in dataclasses.fields(part)}
 
 
-def _spread(values: FloatArray, positions: IntArray, d: int) -> FloatArray:
-    """Values (..., k) at their positions among d designs, NaN elsewhere."""
-    result = np.full((*values.shape[:-1], d), np.nan)
-    result[..., positions] = values
-    return result
-
-
 def _position(order: IntArray, index: int) -> int:
     return int(np.flatnonzero(order == index)[0])
 
@@ -522,10 +510,11 @@ def _rows(ranking: Ranking, gains: Sequence[str]) -> Iterator[dict[str, Any]]:
     numbers |= {name: getattr(ranking, name) for name in _COUNTS}
     numbers |= {one.column: getattr(ranking.release, one.name) for one in RELEASE_METRICS.values()}
     numbers |= {metric(name).column: score for name, score in ranking.standards.items()}
-    for fresh, intervals in (("", ranking.intervals), ("fresh_", ranking.fresh_intervals)):
-        for one in (metric(name) for name in intervals if name != "S"):
-            column = f"{fresh}{one.name}_{{}}{one.column.removeprefix(one.name)}"
-            numbers |= dict(zip(map(column.format, ("low", "high")), intervals[one.name], strict=True))
+    for fresh, values in (("", ranking.limited), ("fresh_", ranking.fresh_limited)):
+        for one, ends in zip((one.metric for one in ranking.limits), values[:, 1:], strict=True):
+            if not np.isnan(ends).all():
+                column = f"{fresh}{one.name}_{{}}{one.column.removeprefix(one.name)}"
+                numbers |= dict(zip(map(column.format, ("low", "high")), ends, strict=True))
     reasons = [""] * len(ranking) + [one.reason for one in ranking.failed]
     for i, (design, reason) in enumerate(zip(_every(ranking), reasons, strict=True)):
         here = i < len(ranking)

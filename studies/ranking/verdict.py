@@ -151,9 +151,9 @@ def _of_winner(ranking: RankedDesigns, place: int) -> str:
 
 def _score(ranking: RankedDesigns, i: int) -> str:
     """Of one sample, which it names."""
-    where, source = ranking.sample(i)
-    S, saved = (float(metric_values(name, source)[i]) for name in ("S", "reduction"))
-    low, high = (ranking.intervals if source is ranking else ranking.fresh_intervals)["S"][:, i].tolist()
+    names = ("fresh_S", "fresh_low", "fresh_high") if np.isfinite(ranking.fresh_S[i]) else ("S", "S_low", "S_high")
+    S, low, high = (float(getattr(ranking, name)[i]) for name in names)
+    saved, values = ranking.saved(i), {one.requirement.metric.name: one.value for one in ranking.estimates(i)}
     level = f"{100 * ranking.confidence:g} % interval"
     between = f" ({level} {low:.3f} to {high:.3f})" if math.isfinite(low + high) else ""
     if ranking.designs[i].is_baseline or not math.isfinite(saved):
@@ -165,10 +165,10 @@ def _score(ranking: RankedDesigns, i: int) -> str:
     added = [
         f"{METRICS[name].scale * value:.{METRICS[name].digits}f} {METRICS[name].shown_unit} of {what}"
         for name, what in (("a_y_added_peak_p95", "lateral acceleration"), ("jerk_added_peak_p95", "jerk"))
-        if math.isfinite(value := float(metric_values(name, source)[i]))
+        if math.isfinite(value := values[name])
     ]
     costs = f"; control adds {_list(added)} (95 % quantiles)" if added else ""
-    return f"Mean S {S:.3f} m s on {where}{between}{change}{costs}."
+    return f"Mean S {S:.3f} m s on {ranking.sample(i)}{between}{change}{costs}."
 
 
 def _broken(ranking: RankedDesigns, place: int) -> list[str]:
@@ -194,7 +194,7 @@ def _impossible(ranking: RankedDesigns, place: int) -> str:
 
 
 def _score_light(ranking: RankedDesigns, place: int) -> Light:
-    saved = float(metric_values("reduction", ranking.sample(place)[1])[place])
+    saved = ranking.saved(place)
     if not math.isfinite(saved):
         return Light("Score", "unknown", "There is no score without control to compare with.")
     if saved <= 0:
@@ -240,7 +240,7 @@ def _limits_light(ranking: RankedDesigns, place: int) -> Light:
         return Light("Limits", "bad", f"{_capital(_list(missed))}.")
     if others or close:
         beyond = [f"Not required, but beyond comfort: {_list(others)}."] if others else []
-        near = [f"Met on {ranking.sample(place)[0]}, but not with certainty: {'; '.join(close)}."] if close else []
+        near = [f"Met on {ranking.sample(place)}, but not with certainty: {'; '.join(close)}."] if close else []
         return Light("Limits", "warning", " ".join(beyond + near))
     names = dict.fromkeys([*(one.set or one.text for one in ranking.requirements), "comfort"])
     return Light("Limits", "good", f"Meets {_list(list(names))}.")
@@ -485,7 +485,7 @@ def more_lines(ranking: RankedDesigns) -> Iterator[str]:
             yield f"The first finalist there is {design_name(ranking.designs[best])}."
     if i is not None and (limited := [one for one in ranking.estimates(i) if one.required and one.interval]):
         texts = (one.with_interval(f"{100 * ranking.confidence:g} %") for one in limited)
-        yield f"Required of the winner, on {ranking.sample(i)[0]}: {'; '.join(texts)}."
+        yield f"Required of the winner, on {ranking.sample(i)}: {'; '.join(texts)}."
     if ranking.ranked < len(ranking):
         left = len(ranking) - ranking.ranked
         yield f"{left:,} of {len(ranking):,} designs break a requirement and are not ranked."
