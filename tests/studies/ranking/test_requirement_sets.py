@@ -27,12 +27,12 @@ NAN = math.nan
 DESIGNS = [Design.of(NoControl(), 0.2), *(Design.of(LQR(r_delta=r), 0.1) for r in (100.0, 1000.0, 10_000.0))]
 
 
-def results_of(S: list[float], status: Any = 0, **metrics: Any) -> StudyResults:
-    """No control and three LQR, 20 departures each, with given means and metrics."""
-    spread = np.linspace(0.9, 1.1, 20)
+def results_of(S: list[float], status: Any = 0, n: int = 20, **metrics: Any) -> StudyResults:
+    """No control and three LQR, n departures each, with given means and metrics."""
+    spread = np.linspace(0.9, 1.1, n)
     columns = {name: np.asarray(value, dtype=float)[:, None] for name, value in metrics.items()}
     case = case_of(np.outer(S, spread), status=status, metrics=columns)
-    return StudyResults(tuple(DESIGNS), scenarios_of(20), (case,))
+    return StudyResults(tuple(DESIGNS), scenarios_of(n), (case,))
 
 
 def ranked(results: StudyResults, *require: str, setup: Setup | None = None) -> tuple[Ranking, Verdict]:
@@ -196,7 +196,7 @@ def test_physics_is_a_limit_even_where_nothing_is_required() -> None:
 
 
 def test_lights_of_a_good_design() -> None:
-    results = results_of([9.0, 1.0, 2.0, 3.0], a_y_added_peak=[0, 1.0, 1.0, 1.0])
+    results = results_of([9.0, 1.0, 2.0, 3.0], n=100, a_y_added_peak=[0, 1.0, 1.0, 1.0])
     _, found = ranked(results, "stable", "comfort", setup=Setup())
     assert [one.state for one in found.lights] == ["good", "good", "good", "unknown"]
     assert light(found, "Limits")[1] == "Meets stable and comfort."
