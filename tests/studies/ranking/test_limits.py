@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from controllers import LQR, NoControl
+from controllers import LQR, LinearMPC, NoControl
 from helpers.results import case_of, page_of, report_input, scenarios_of
 from ldctoolkit import EventStatus, Scenarios, Setup
 from studies.design import Design
 from studies.ranking.ranking import Ranking, write_csv
 from studies.ranking.requirements import Estimate
-from studies.ranking.verdict import Light, judged, more_lines, verdict
+from studies.ranking.verdict import Light, OtherPlants, judged, more_lines, verdict
 from studies.results import StudyResults
 
 DESIGNS = (Design.of(NoControl(), 0.2), Design.of(LQR(r_delta=100.0), 0.1))
@@ -235,3 +235,44 @@ def test_table_and_csv_have_the_intervals(tmp_path: Path) -> None:
     assert float(first["fresh_jerk_added_peak_p95_low_m_s3"]) == one.low
     assert float(first["jerk_added_peak_p95_high_m_s3"]) == ranking.limited[1, 2, 0]
     assert "jerk_added_peak_p95_low_m_s3" in ranking.to_polars().columns
+
+
+# ------------------------------------------------------------------------------------------------ other plants
+
+
+def on_plants(S: list[float], adds: list[bool], diverged: list[int] | None = None) -> Light:
+    """The light of one design on its own plant and others: mean S, without control 9, and departures that diverged."""
+    results = study(scenarios_of(100))
+    ranking, count = ranked(results), len(S)
+    names = ("own", "lag", "soft", "easy", "wet")[:count]
+    found = OtherPlants(
+        (DESIGNS[1].id,), names, tuple(name.capitalize() for name in names), tuple(adds), np.array(S)[:, None],
+        np.array(diverged or [0] * count)[:, None], np.array(S)[:, None] - 9.0,
+    )  # fmt: skip
+    (one,) = [one for one in verdict(ranking, results, robustness=found).lights if one.name == "Other plants"]
+    return one
+
+
+def test_the_light_of_other_plants_names_the_worst_that_adds_a_difficulty() -> None:
+    harder = [False, True, True, False, True]
+    found = on_plants([1.0, 1.2, 1.4, 3.0, 1.3], harder)
+    assert (found.state, "Soft" in found.text, "40 % more S" in found.text) == ("good", True, True)
+    found = on_plants([1.0, 1.2, 1.4, 3.0, 2.5], harder)
+    assert (found.state, "Wet" in found.text, "2.5 times its S" in found.text) == ("warning", True, True)
+    assert on_plants([1.0, 0.9, float("nan"), 3.0, 0.8], harder).text == "S rises on none of them."
+    # what takes a difficulty away is not what it is about
+    assert on_plants([1.0, 1.2, 1.4, 9.5, 1.1], harder, [0, 0, 0, 7, 0]).state == "good"
+    assert on_plants([1.0, 1.2, 9.5, 1.0, 1.1], harder).text == "Worse than no control with: Soft."
+    assert on_plants([1.0, 1.2, 1.4, 1.0, 1.1], harder, [1, 1, 2, 1, 3]).text == "It diverges with: Soft, Wet."
+
+
+@pytest.mark.parametrize(("failing", "warned"), [(1, False), (2, True), (10, True)])
+def test_a_tenth_of_the_interventions_with_a_failed_solve_is_warned_of(failing: int, warned: bool) -> None:
+    designs = (DESIGNS[0], Design.of(LinearMPC(), 0.1))
+    status = np.zeros((2, 30), dtype=int)
+    status[1, 20:] = int(EventStatus.NEVER_TRIGGERED)
+    case = case_of(np.ones((2, 30)), status=status)
+    case.failed_solves[1, :failing] = 3
+    ranking = ranked(StudyResults(designs, scenarios_of(30), (case,)))
+    text = f"Commands that were not finite, or came from a law's fallback: {designs[1].label} in {failing} of 20 interv"
+    assert any(one.startswith(text) for one in ranking.warnings) == warned
