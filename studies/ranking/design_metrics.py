@@ -25,6 +25,7 @@ from ..design import NO_CONTROL, Design
 from ..results import CaseResults, StudyResults, status_among
 from ..storage.run_table import release
 from .inference import row_blocks, row_means
+from .named_vehicles import DEPARTURES, first_of_each_side
 from .requirements import friction, metric, metric_values
 from .tail import binomial_interval, order_statistics
 
@@ -121,13 +122,7 @@ def _acted(case: CaseResults, designs: Sequence[Design]) -> BoolArray:
 
 
 def sampling_intervals(
-    drivable: DrivableCase,
-    designs: Sequence[Design],
-    metrics: CaseMetrics,
-    names: Sequence[str],
-    *,
-    D_y: float,
-    confidence: float,
+    drivable: DrivableCase, designs: Sequence[Design], metrics: CaseMetrics, names: list[str], D_y: float, level: float
 ) -> FloatArray:
     """Values of k metrics, and the ends of the interval of each by itself where it is a quantile or a share, (k, 3, d).
 
@@ -151,17 +146,17 @@ def sampling_intervals(
         count, squares = times.sum(axis=1), (times**2).sum(axis=1)
         n = np.divide(count**2, squares, out=np.zeros(len(count)), where=squares > 0)
         if p := _quantile_of(one):
-            first, last = order_statistics(np.floor(n), p, confidence)
+            first, last = order_statistics(np.floor(n), p, level)
             ordered, rows, each = np.sort(values, axis=1), np.arange(len(count)), count / np.maximum(np.floor(n), 1.0)
             below, above = np.floor(first * each).astype(np.int64), np.ceil(last * each).astype(np.int64)
             low = np.where(below > 0, ordered[rows, below - 1], -np.inf)
             high = np.where(above <= count, ordered[rows, np.minimum(above, count) - 1], np.inf)
         elif one.name == "within_dtle_gain":  # by Bonferroni, of the departures that only one of both keeps within
             shares = np.stack([(values > 0).mean(axis=1), (values < 0).mean(axis=1)])
-            least, most = binomial_interval(shares * n, n, 0.5 * (1.0 + confidence))
+            least, most = binomial_interval(shares * n, n, 0.5 * (1.0 + level))
             low, high = least[0] - most[1], most[0] - least[1]
         else:
-            low, high = binomial_interval(np.nansum(values, axis=1) / np.maximum(count, 1) * n, n, confidence)
+            low, high = binomial_interval(np.nansum(values, axis=1) / np.maximum(count, 1) * n, n, level)
         return {"low": np.where(count > 0, low, np.nan), "high": np.where(count > 0, high, np.nan)}
 
     within = [1.0 * (dtle >= DTLE_LIMIT) for dtle in (case.companions.dtle, without)]
@@ -172,7 +167,11 @@ def sampling_intervals(
                    "within_dtle_gain": [within[0] - within[1]]}.get(one.name)  # fmt: skip
         if columns is None and (one.share is not None or _quantile_of(one)):
             columns = [getattr(case.companions, name) for name in one.of]
-        if columns is not None:
+        if one.name == "comfortable_worst":  # whether it acts does not depend on the vehicle
+            driven = np.isin(drivable.scenarios.index, first_of_each_side(drivable.scenarios, DEPARTURES).index)
+            n = _acted(case, designs)[:, driven].sum(axis=1)
+            row[1:] = np.array(binomial_interval(row[0] * n, n, level)) + 0.0 * row[0]
+        elif columns is not None:
             taken = _by_blocks(functools.partial(ends, one), _acted(case, designs), columns)
             row[1:] = taken["low"], taken["high"]
     return found

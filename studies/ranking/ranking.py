@@ -206,8 +206,8 @@ class Ranking(RankedDesigns, Frame):
         inference = infer(
             drivable.counted, drivable.scenarios.side, ranked=ranked, baseline=position, rows=order, **chance
         )
-        names, sampled = [one.metric.name for one in limits], {"D_y": D_y, "confidence": confidence}
-        limited = sampling_intervals(drivable, results.designs, metrics, names, **sampled)[:, :, order]
+        names = [one.metric.name for one in limits]
+        limited = sampling_intervals(drivable, results.designs, metrics, names, D_y, confidence)[:, :, order]
         mean_S = [name == "S" for name in names]
         limited[mean_S, 1:] = inference.S_low, inference.S_high
         fresh_limited, fresh_saved = np.full_like(limited, np.nan), np.full(len(order), np.nan)
@@ -240,7 +240,10 @@ class Ranking(RankedDesigns, Frame):
                 **chance,
             )
             warnings += _about_finalists(fresh, ranked)
-            fresh_limited[:, :, positions] = sampling_intervals(again, results.fresh.designs, there, names, **sampled)
+            found = sampling_intervals(again, results.fresh.designs, there, names, D_y, confidence)
+            worst = [name == "comfortable_worst" for name in names]  # driven on the study's departures only
+            found[worst] = limited[worst][:, :, positions]
+            fresh_limited[:, :, positions] = found
             fresh_limited[mean_S, 1:] = fresh.fresh_low, fresh.fresh_high
             fresh_saved[positions] = there.reduction
         given_up = 0 if results.race is None else len(results.race.dropped)

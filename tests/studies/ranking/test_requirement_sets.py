@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import binomtest
 
 import studies.ranking.named_vehicles
 from controllers import LQR, LinearMPC, NoControl, PreviewProportional
@@ -326,6 +327,20 @@ def test_a_requirement_on_the_worst_drives_all_four(results: StudyResults) -> No
     assert asked.vehicles == ("light", "heavy", "soft", "stiff")
     ranking = rank_study(results, asked)[0]
     assert sum(not missed for missed in ranking.missed) == 2
+    # the interval of a share counts the interventions among the first 50 departures of each side
+    some = Ranking.of(results, results.cases[0], bootstrap=50, setup=asked.setup(), vehicles=["soft"],
+                      require=["comfortable_worst >= 0"])  # fmt: skip
+    side = results.scenarios.side
+    first = np.concatenate([np.flatnonzero(side == one)[:50] for one in (1, -1)])
+    for i, design in enumerate(some.designs):
+        if not design.is_baseline:
+            one, share = some.estimates(i)[0], some.release.comfortable_worst[i]
+            n = int((results.cases[0].status[some.index[i]][first] != EventStatus.NEVER_TRIGGERED).sum())
+            exact = binomtest(round(share * n), n).proportion_ci(0.95, "exact")
+            assert 0 < n <= 100
+            assert (one.value, one.low, one.high) == pytest.approx((share, exact.low, exact.high), rel=1e-9)
+        else:
+            assert np.isnan(some.estimates(i)[0].low)
     np.testing.assert_array_equal(np.sort(ranking.release.S_worst), np.sort(free.release.S_worst))
     assert study(pareto=["S", "comfortable_worst"]).vehicles == asked.vehicles
     assert study().vehicles == ()
