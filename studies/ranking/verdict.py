@@ -232,16 +232,15 @@ def _limits_light(ranking: RankedDesigns, place: int) -> Light:
     limited = [one for one in ranking.estimates(place) if one.requirement.set not in ("stable", "physical")]
     missed = [one.text for one in limited if one.required and not one.met]
     others = [one.text for one in limited if not one.required and not one.met]
-    level = f"{100 * ranking.confidence:g} %"
-    close = [one.with_interval(level) for one in limited if one.met and one.uncertain]
+    close = [one.with_interval(f"{100 * ranking.confidence:g} %") for one in limited if one.met and one.uncertain]
     if impossible:
         return Light("Limits", "bad", f"{_capital(impossible)}.")
     if missed:
         return Light("Limits", "bad", f"{_capital(_list(missed))}.")
-    if others or close:
-        beyond = [f"Not required, but beyond comfort: {_list(others)}."] if others else []
-        near = [f"Met on {ranking.sample(place)}, but not with certainty: {'; '.join(close)}."] if close else []
-        return Light("Limits", "warning", " ".join(beyond + near))
+    doubts = [f"Not required, but beyond comfort: {_list(others)}."] if others else []
+    doubts += [f"Met on {ranking.sample(place)}, but not with certainty: {'; '.join(close)}."] if close else []
+    if doubts:
+        return Light("Limits", "warning", " ".join(doubts))
     names = dict.fromkeys([*(one.set or one.text for one in ranking.requirements), "comfort"])
     return Light("Limits", "good", f"Meets {_list(list(names))}.")
 
