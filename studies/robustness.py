@@ -178,7 +178,6 @@ def _easier(options: PlantOptions) -> Iterator[_Row]:
     yield "no-noise", "Without camera noise", "the camera has no errors", {"sensors": exact}
     yield "no-camera-delay", "Without camera delay", "frames at every sample, at once", {"sensors": prompt}
     yield "no-filter", "Without Kalman filter", "laws see the true rates", {"sensors": no_filter}
-    yield "frozen-speed", "Without speed profile", "the speed of the trigger stays", {"speed": "frozen"}
     yield "no-residuals", "Without residuals", "path and speed are the fitted curves", {"residuals": Residuals()}
     yield "ideal", "Ideal plant", "none of the options of the study\u2019s plant", vars(PlantOptions())
 

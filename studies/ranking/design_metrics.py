@@ -142,8 +142,9 @@ def sampling_intervals(
         else:
             of_all = not one.of or SCENARIO_METRICS[one.of[0]].over == "all"
             values = columns[0] if of_all else np.where(acted, columns[0], np.nan)
-        times = np.add.reduceat(~np.isnan(values)[:, order], starts, axis=1, dtype=np.int64)
-        count, squares = times.sum(axis=1), (times**2).sum(axis=1)
+        known = ~np.isnan(values)
+        times = known if starts.size == order.size else np.add.reduceat(known[:, order], starts, axis=1, dtype=np.int64)
+        count, squares = times.sum(axis=1), (times * times).sum(axis=1)
         n = np.divide(count**2, squares, out=np.zeros(len(count)), where=squares > 0)
         if p := _quantile_of(one):
             first, last = order_statistics(np.floor(n), p, level)

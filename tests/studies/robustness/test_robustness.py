@@ -196,7 +196,6 @@ EASIER_THAN_REAL: dict[str, dict[str, Any]] = {
     "no-noise": dict.fromkeys(NOISE, 0.0),
     "no-camera-delay": {"sensors.delay": 0.0},
     "no-filter": {"sensors.kalman": None},
-    "frozen-speed": {"speed": "frozen"},
     "no-residuals": {"residuals.y": False},
 }
 
