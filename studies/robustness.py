@@ -25,6 +25,7 @@ from ldctoolkit.simulation import Takeover
 from ldctoolkit.vehicle import Convention
 
 from .design import Design, is_paper_design
+from .ranking.design_metrics import beyond_friction
 from .ranking.inference import (
     degrees_of_freedom,
     error_parts,
@@ -34,9 +35,9 @@ from .ranking.inference import (
     spread_is_known,
     with_tails_of_t,
 )
-from .ranking.named_vehicles import drive_on_plants, first_of_each_side
+from .ranking.named_vehicles import VEHICLES, drive_on_plants, first_of_each_side
 from .ranking.verdict import OtherPlants
-from .results import FAILED_STATUSES, Case, status_among
+from .results import Case
 from .storage.files import read_json, write_json
 
 if TYPE_CHECKING:
@@ -54,7 +55,8 @@ REAL: Final = PlantOptions(
 """The plant of the catalog's study `reality`, where the reason for each value stands."""
 
 ANGLE: Final = 0.1  # limit of the steering angle [rad]: about 90 deg at a steering wheel with a ratio of 16
-LIGHT: Final = 0.85  # factor on mass and yaw inertia of a vehicle that is lighter than the laws know it
+FRICTION: Final = 0.5  # of a wet road, or one with gravel
+CAMERA_PERIOD: Final = 1 / 15  # [s] of a slow lane camera
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,18 +67,18 @@ class OtherPlant:
     title: str  # A short text
     what: str  # What is different, with values and units
     options: PlantOptions
+    adds: bool = True  # Whether it adds a difficulty to the study's plant; else it takes one away
 
 
 def other_plants(options: PlantOptions) -> tuple[OtherPlant, ...]:
-    """The variations of a study's plant; an option that it has already is taken away."""
-    plants = [*_actuator(options), *_mismatch(options), *_tyres(options), *_camera(options), *_departure(options)]
-    if options.ideal:
-        what = "the plant of the catalog\u2019s study reality: actuator, mismatch, tyres, camera with filter, speed"
-        plants.append(OtherPlant("together", "Many at once", what, REAL))
-    else:
-        plants.append(
-            OtherPlant("ideal", "Ideal plant", "none of the options of the study\u2019s plant", PlantOptions())
-        )
+    """The variations of a study's plant: those that add a difficulty, then those that take one of its own away."""
+    seen, plants = [options], []
+    for adds, rows in ((True, _harder(options)), (False, _easier(options))):
+        for name, title, what, changes in rows:
+            changed = dataclasses.replace(options, **changes)
+            if changed not in seen:
+                seen.append(changed)
+                plants.append(OtherPlant(name, title, what, changed, adds))
     return tuple(plants)
 
 
@@ -89,94 +91,96 @@ def impossible(plant: OtherPlant, convention: Convention, has_residuals: bool) -
     return ""
 
 
-def _with(options: PlantOptions, name: str, title: str, what: str, **parts: object) -> OtherPlant:
-    return OtherPlant(name, title, what, dataclasses.replace(options, **parts))  # type: ignore[arg-type]
+_Row = tuple[str, str, str, dict[str, Any]]  # name, title, what differs, and the parts that do
+_VEHICLES: Final = {
+    "heavy": ("Heavier vehicle", "mass and yaw inertia"),
+    "light": ("Lighter vehicle", "mass and yaw inertia"),
+    "soft": ("Softer tyres", "cornering stiffness of both axles"),
+    "stiff": ("Stiffer tyres", "cornering stiffness of both axles"),
+}
+_ERRORS: Final = [one.name for one in dataclasses.fields(Sensors) if one.name not in ("period", "delay", "kalman")]
 
 
-def _actuator(options: PlantOptions) -> Iterator[OtherPlant]:
+def _harder(options: PlantOptions) -> Iterator[_Row]:
     own, real = options.actuator, REAL.actuator
-    delay, lag = (0.0 if own.delay else real.delay), (0.0 if own.lag else real.lag)
-    what = f"{delay:g} s from command to actuator" if delay else "no delay"
-    yield _with(options, "delay", "Actuator delay", what, actuator=dataclasses.replace(own, delay=delay))
-    what = f"time constant of {lag:g} s" if lag else "no lag"
-    yield _with(options, "lag", "Actuator lag", what, actuator=dataclasses.replace(own, lag=lag))
+
+    def actuator(**changes: float | None) -> dict[str, Any]:
+        return {"actuator": dataclasses.replace(own, **changes)}  # type: ignore[arg-type]
+
+    if not own.delay:
+        yield "delay", "Actuator delay", f"{real.delay:g} s from command to actuator", actuator(delay=real.delay)
+    if not own.lag:
+        yield "lag", "Actuator lag", f"time constant of {real.lag:g} s", actuator(lag=real.lag)
+    if doubled := {name: min(2.0 * getattr(own, name), 10.0) for name in ("lag", "delay") if getattr(own, name)}:
+        what = ", ".join(f"{name} of the actuator {value:g} s" for name, value in doubled.items())
+        yield "slow-actuator", f"{' and '.join(doubled)} doubled".capitalize(), what, actuator(**doubled)
     if own.rate_max is None and own.delta_max is None:
-        limited = dataclasses.replace(own, rate_max=real.rate_max, delta_max=ANGLE)
         what = f"at most {ANGLE:g} rad and {real.rate_max:g} rad/s at the front wheels"
-    else:
-        limited, what = dataclasses.replace(own, rate_max=None, delta_max=None), "no limits of angle and rate"
-    yield _with(options, "limits", "Steering limits", what, actuator=limited)
-
-
-def _mismatch(options: PlantOptions) -> Iterator[OtherPlant]:
-    own, heavy, soft_stiff = options.mismatch, REAL.mismatch.m[1], REAL.mismatch.C_af
-    none = (1.0, 1.0)
-    if (own.m, own.I_z) == (none, none):
-        for name, title, factor in (("heavy", "Heavier vehicle", heavy), ("light", "Lighter vehicle", LIGHT)):
-            pair = (factor, factor)
-            what = f"mass and yaw inertia times {factor:g}; laws do not know"
-            yield _with(options, name, title, what, mismatch=dataclasses.replace(own, m=pair, I_z=pair))
-    else:
-        mismatch = dataclasses.replace(own, m=none, I_z=none)
-        yield _with(options, "mass", "Mass as known", "mass and yaw inertia as the laws know them", mismatch=mismatch)
-    if (own.C_af, own.C_ar) == (none, none):
-        for name, title, factor in zip(("soft", "stiff"), ("Softer tyres", "Stiffer tyres"), soft_stiff, strict=True):
-            pair = (factor, factor)
-            what = f"cornering stiffness of both axles times {factor:g}; laws do not know"
-            yield _with(options, name, title, what, mismatch=dataclasses.replace(own, C_af=pair, C_ar=pair))
-    else:
-        mismatch = dataclasses.replace(own, C_af=none, C_ar=none)
-        yield _with(options, "stiffness", "Stiffness as known", "cornering stiffness as the laws know it",
-                    mismatch=mismatch)  # fmt: skip
-
-
-def _tyres(options: PlantOptions) -> Iterator[OtherPlant]:
+        yield "limits", "Steering limits", what, actuator(rate_max=real.rate_max, delta_max=ANGLE)
+    for name, factors in VEHICLES.items():
+        ends = [end for field in factors for end in getattr(options.mismatch, field)]
+        if set(ends) == {1.0} or name in ("heavy", "soft"):
+            factor = next(iter(factors.values()))
+            factor = max(factor, 1.1 * max(ends)) if factor > 1.0 else min(factor, 0.9 * min(ends))  # beyond the range
+            title, what = _VEHICLES[name]
+            mismatch = dataclasses.replace(options.mismatch, **dict.fromkeys(factors, (factor, factor)))
+            yield name, title, f"{what} times {factor:g}; laws do not know", {"mismatch": mismatch}
     if options.tyres.ideal:
         what = f"magic formula, friction coefficient {REAL.tyres.mu:g}"
-        yield _with(options, "tyres", "Saturating tyres", what, tyres=REAL.tyres)
-    else:
-        mismatch = dataclasses.replace(options.mismatch, mu=(1.0, 1.0))  # linear tyres have no friction coefficient
-        yield _with(options, "tyres", "Linear tyres", "tyres do not saturate", tyres=Tyres(), mismatch=mismatch)
+        yield "tyres", "Saturating tyres", what, {"tyres": REAL.tyres}
+    mu = FRICTION if options.tyres.ideal or options.tyres.mu > FRICTION else 0.5 * options.tyres.mu
+    tyres = dataclasses.replace(options.tyres, model="magic_formula", mu=mu)
+    yield "friction", f"Friction {mu:g}", f"magic formula, friction coefficient {mu:g}", {"tyres": tyres}
+    yield from _worse_camera(options.sensors)
+    if options.speed == "frozen":
+        what = "the speed follows the departure, it is not frozen at the trigger"
+        yield "speed", "Speed profile", what, {"speed": "profile"}
+    if options.residuals.ideal:
+        what = "the recorded path and speed leave their fitted curves"
+        yield "residuals", "Path residuals", what, {"residuals": Residuals(y=True, v=True)}
+    if options.ideal:
+        what = "the plant of the catalog\u2019s study reality: actuator, mismatch, tyres, camera with filter, speed"
+        yield "together", "Many at once", what, vars(REAL)
 
 
-def _camera(options: PlantOptions) -> Iterator[OtherPlant]:
-    own, real, ideal = options.sensors, REAL.sensors, Sensors()
-    timing = {"period", "delay", "kalman"}
-    errors = [field.name for field in dataclasses.fields(Sensors) if field.name not in timing]
-    if any(getattr(own, name) for name in errors):
-        sensors, what = dataclasses.replace(own, **{name: getattr(ideal, name) for name in errors}), "no errors"
-    else:
-        sensors = dataclasses.replace(own, **{name: getattr(real, name) for name in errors})
+def _worse_camera(own: Sensors) -> Iterator[_Row]:
+    real = REAL.sensors
+
+    def sensors(**changes: Any) -> dict[str, Any]:
+        return {"sensors": dataclasses.replace(own, **changes)}
+
+    noise = {} if any(getattr(own, name) for name in _ERRORS) else {name: getattr(real, name) for name in _ERRORS}
+    if noise:
         what = (
             f"standard deviations of {real.e_y_noise:g} m, {real.e_psi_noise:g} rad, and {real.curvature_noise:g} 1/m "
             "in the curvature"
         )
-    yield _with(options, "noise", "Camera noise", what, sensors=sensors)
-    delay = 0.0 if own.delay or own.period else real.delay
-    sensors = dataclasses.replace(own, delay=delay, period=0.0)
-    what = f"{delay:g} s from light to number" if delay else "frames at every sample, at once"
-    yield _with(options, "camera-delay", "Camera delay", what, sensors=sensors)
+        yield "noise", "Camera noise", what, sensors(**noise)
+    delay, doubled = min(2.0 * own.delay, 10.0) or real.delay, " doubled" if own.delay else ""
+    yield "camera-delay", f"Camera delay{doubled}", f"{delay:g} s from light to number", sensors(delay=delay)
+    slow = max(own.period, CAMERA_PERIOD)
+    if own.period < slow:
+        yield "camera-rate", "15 Hz camera", "15 frames a second", sensors(period=slow)
+    what = f"every second frame of a camera of {1.0 / slow:.3g} Hz is lost"
+    yield "lost-frames", "Lost frames", what, sensors(period=min(2.0 * slow, 10.0))
     if own.kalman is None:
         # without noise a filter knows the state as well as the laws do
-        sensors = dataclasses.replace(own, kalman=real.kalman, **{name: getattr(real, name) for name in errors})
-        what = "it gives no rates: a Kalman filter estimates them from its numbers with the noise above"
-        yield _with(options, "filter", "Camera with filter", what, sensors=sensors)
-    else:
-        sensors = dataclasses.replace(own, kalman=None)
-        yield _with(options, "filter", "No Kalman filter", "laws see the true rates", sensors=sensors)
+        what = "it gives no rates: a Kalman filter estimates them from its numbers, with noise"
+        yield "filter", "Camera with filter", what, sensors(kalman=real.kalman, **noise)
 
 
-def _departure(options: PlantOptions) -> Iterator[OtherPlant]:
-    if options.speed == "frozen":
-        what = "the speed follows the departure, it is not frozen at the trigger"
-        yield _with(options, "speed", "Speed profile", what, speed="profile")
-    else:
-        yield _with(options, "speed", "Frozen speed", "the speed of the trigger stays", speed="frozen")
-    if options.residuals.ideal:
-        what = "the recorded path and speed leave their fitted curves"
-        yield _with(options, "residuals", "Residuals", what, residuals=Residuals(y=True, v=True))
-    else:
-        yield _with(options, "residuals", "No residuals", "path and speed are the fitted curves", residuals=Residuals())
+def _easier(options: PlantOptions) -> Iterator[_Row]:
+    own = options.sensors
+    exact = dataclasses.replace(own, **{name: getattr(Sensors(), name) for name in _ERRORS})
+    prompt, no_filter = dataclasses.replace(own, delay=0.0, period=0.0), dataclasses.replace(own, kalman=None)
+    yield "no-actuator", "Without actuator", "the wheel is at the command, at once", {"actuator": Actuator()}
+    nominal = {"tyres": Tyres(), "mismatch": Mismatch()}
+    yield "nominal", "Nominal vehicle", "the vehicle is as the laws know it, with linear tyres", nominal
+    yield "no-noise", "Without camera noise", "the camera has no errors", {"sensors": exact}
+    yield "no-camera-delay", "Without camera delay", "frames at every sample, at once", {"sensors": prompt}
+    yield "no-filter", "Without Kalman filter", "laws see the true rates", {"sensors": no_filter}
+    yield "no-residuals", "Without residuals", "path and speed are the fitted curves", {"residuals": Residuals()}
+    yield "ideal", "Ideal plant", "none of the options of the study\u2019s plant", vars(PlantOptions())
 
 
 MOST: Final = 10  # designs that steer; no control comes on top, it costs nothing
@@ -249,7 +253,7 @@ def paired_means(
     return difference, difference - half, difference + half
 
 
-_FORMAT: Final = 2  # to be raised with whatever changes the numbers or the file
+_FORMAT: Final = 3  # to be raised with whatever changes the numbers or the file
 
 
 PER_SIDE: Final = 50
@@ -273,23 +277,9 @@ class Robustness(OtherPlants):
     # Scenarios of each side
     left: int
     right: int
-    S_uncorrected: FloatArray  # (p, d) [m s]
-    rank: IntArray  # (p, d) By mean S among the designs that contend; 0 for the others
-    failures: IntArray  # (p, d) Scenarios that failed
-    # (p, d) [m s] Paired change of mean S to the study's plant, and its interval. The interval is NaN where too few
-    # scenarios changed, the change too where the law raised
-    change: FloatArray
-    low: FloatArray
-    high: FloatArray
-    # (p, d) [m s] Interval of `excess`; NaN as above
-    excess_low: FloatArray
-    excess_high: FloatArray
-    rival: IntArray  # (p,) The best of the other designs that contend; -1 where there is none
-    # (p,) [m s] Paired difference of the reference to `rival`, below 0 where the reference is better, and its interval.
-    # NaN without a rival
-    lead: FloatArray
-    lead_low: FloatArray
-    lead_high: FloatArray
+    # (p,) [m s] Lower end of the interval of the paired difference of the reference to the best of the others that
+    # contend: above 0 where that one is better. NaN without one, and where too few scenarios differ
+    behind: FloatArray
     raised: tuple[tuple[int, int, str], ...]  # By position: laws that raised
     v: FloatArray  # (k,) [m/s] Speeds of the margins
     # (d, k) Gain margin on the study's plant, a factor: 0 where the loop is unstable, NaN for a law that is not linear
@@ -319,7 +309,7 @@ class RobustnessTask:
         setup = setup.under(ranking.case.convention)
         scenarios = first_of_each_side(results.drivable().scenarios, per_side)
         has_residuals = bool((scenarios.sigma_y > 0).any() or (scenarios.sigma_v > 0).any())
-        own = OtherPlant("study", "Study\u2019s plant", "the plant that designs were ranked on", setup.options)
+        own = OtherPlant("study", "Study\u2019s plant", "the plant that designs were ranked on", setup.options, False)
         plants, left_out = [own], []
         for plant in other_plants(setup.options):
             reason = impossible(plant, setup.convention, has_residuals)
@@ -365,13 +355,7 @@ def work_out(task: RobustnessTask) -> Robustness:
     gain, phase = design_margins([design.controller(setup.convention) for design in chosen.designs], setup, v)
     contends = np.array(chosen.contends, dtype=np.bool_)
     S = _means(drives.S)
-    failed = status_among(drives.status, FAILED_STATUSES)
-    change, low, high = _changes(drives.S, side)
-    # to no control on the same plant
-    excess, excess_low, excess_high = _paired(
-        drives.S_uncorrected, drives.S, np.all(np.isfinite(drives.S), axis=2), side
-    )
-    rival, lead, lead_low, lead_high = _leads(drives.S, S, contends, side)
+    allowed = ~np.stack([beyond_friction(task.scenarios, setup.on(plant.options)) for plant in task.plants])
     return Robustness(
         key=task.key,
         designs=tuple(design.id for design in chosen.designs),
@@ -381,25 +365,15 @@ def work_out(task: RobustnessTask) -> Robustness:
         more=chosen.more,
         plants=tuple(plant.name for plant in task.plants),
         titles=tuple(plant.title for plant in task.plants),
+        adds=tuple(plant.adds for plant in task.plants),
         differences=tuple(plant.what for plant in task.plants),
         left_out=task.left_out,
         left=int((side == LEFT).sum()),
         right=int((side != LEFT).sum()),
         S=S,
-        S_uncorrected=_means(drives.S_uncorrected),
-        rank=np.stack([ranks(row, contends) for row in S]),
-        failures=failed.sum(axis=2, dtype=np.int64),
-        diverged=(drives.status == EventStatus.DIVERGED).sum(axis=2, dtype=np.int64),
-        change=change,
-        low=low,
-        high=high,
-        excess=excess,
-        excess_low=excess_low,
-        excess_high=excess_high,
-        rival=rival,
-        lead=lead,
-        lead_low=lead_low,
-        lead_high=lead_high,
+        diverged=((drives.status == EventStatus.DIVERGED) & allowed[:, None, rows]).sum(axis=2, dtype=np.int64),
+        excess=_means(drives.S - drives.S_uncorrected),
+        behind=_behind(drives.S, S, contends, side),
         raised=drives.raised,
         v=v,
         gain=gain,
@@ -416,13 +390,6 @@ def _trigger_speeds(takeovers: Sequence[Takeover]) -> FloatArray:
     return np.linspace(low, high, POINTS if high > low else 1)
 
 
-def ranks(S: FloatArray, contends: BoolArray) -> IntArray:
-    """Rank of each design by mean S among those that contend; equal ones (to 1e-6 m s) share it, 0 for the others."""
-    among = contends & ~np.isnan(S)
-    better = (S[None, among] < S[:, None] - SAME).sum(axis=1)
-    return np.where(among, 1 + better, 0).astype(np.int64)
-
-
 def _means(values: FloatArray) -> FloatArray:
     """Means over the scenarios; NaN without any."""
     if not values.shape[2]:
@@ -430,35 +397,15 @@ def _means(values: FloatArray) -> FloatArray:
     return row_means(values.reshape(-1, values.shape[2])).reshape(values.shape[:2])
 
 
-def _changes(S: FloatArray, side: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Change to the first plant and its interval, (p, d) each."""
-    known = np.all(np.isfinite(S), axis=2)
-    ends = _paired(np.broadcast_to(S[0], S.shape), S, known & known[0], side)
-    for end in ends:
-        end[0, known[0]] = 0.0
-    return ends
-
-
-def _leads(
-    S: FloatArray, mean: FloatArray, contends: BoolArray, side: IntArray
-) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
-    """The best other design on each plant, and the difference of the first design to it with its interval."""
-    p, d, n = S.shape
-    if d < 2 or not n:
-        return np.full(p, -1, dtype=np.int64), *_paired(S[:, 0], S[:, 0], np.zeros(p, dtype=np.bool_), side)
+def _behind(S: FloatArray, mean: FloatArray, contends: BoolArray, side: IntArray) -> FloatArray:
+    """See `Robustness.behind`; scores are (p, d, n), their means (p, d)."""
+    low = np.full(len(S), np.nan)
     others = np.where(contends[None, 1:] & ~np.isnan(mean[:, 1:]), mean[:, 1:], np.inf)
-    rival = np.where(np.isfinite(others).any(axis=1) & ~np.isnan(mean[:, 0]), 1 + others.argmin(axis=1), -1)
-    return rival.astype(np.int64), *_paired(S[np.arange(p), rival], S[:, 0], rival >= 0, side)
-
-
-def _paired(
-    old: FloatArray, new: FloatArray, where: BoolArray, side: IntArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Difference of the means of scores (..., n) and its interval where that is wanted, NaN elsewhere."""
-    difference, low, high = (np.full(where.shape, np.nan) for _ in range(3))
-    if where.any() and side.size:
-        difference[where], low[where], high[where] = paired_means(old[where], new[where], side, CONFIDENCE)
-    return difference, low, high
+    there = np.isfinite(others).any(axis=1) & ~np.isnan(mean[:, 0]) if others.size else np.zeros(len(S), dtype=np.bool_)
+    if there.any():
+        rival = S[there, 1 + others[there].argmin(axis=1)]
+        low[there] = paired_means(rival, S[there, 0], side, CONFIDENCE)[1]
+    return low
 
 
 NAME: Final = "robustness.json"

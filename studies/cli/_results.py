@@ -291,6 +291,11 @@ def _design(ranking: Ranking, i: int) -> dict[str, Any]:
         "y_s_m": design.y_s,
         "gains": dict(design.gains),
         **{f"{name}_m_s": _number(value) for name, value in scores.items()},
+        "limits": [
+            {"limit": one.requirement.text, "required": one.required, "met": one.met, "uncertain": one.uncertain}
+            | {"fresh": one.fresh, **{name: _number(getattr(one, name)) for name in ("value", "low", "high")}}
+            for one in ranking.estimates(i)
+        ],
     }
 
 

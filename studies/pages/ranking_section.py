@@ -102,20 +102,24 @@ def limits_section(context: Context) -> Section:
     def value(name: str, place: int | None) -> str:
         return "\u2013" if place is None else metric_text(name, context.metric(name, place))
 
-    rows = []
-    for one in ranking.limits:
+    rows, ends = [], []
+    for one, there in zip(ranking.limits, ranking.estimates(i), strict=True):
         met = one.met(context.values(one.metric.name))
         own = Cell(value(one.metric.name, i), bad=not met[i], good=bool(met[i]))
         limit = f"{_operator(one.operator)} {_limit_text(one.metric.name, one.limit)}"
-        required = any(one.text == other.text for other in ranking.requirements)
-        origin = (one.set or "own") if required else f"{one.set} (not required)"
+        origin = (one.set or "own") if there.required else f"{one.set} (not required)"
         cells = one.metric.title, limit, origin, own, value(one.metric.name, without), f"{int(met.sum()):,}"
         rows.append(TableRow(cells))
-    named = _named_metrics(context)
+        if there.interval:
+            shown = Cell(metric_text(one.metric.name, there.value), bad=not there.met, good=not there.uncertain)
+            ends.append(TableRow((one.metric.title, limit, shown, there.interval)))
+    caption = f"{_title(context)} on {ranking.sample(i)}, each metric with an interval of its own"
+    heads = [*columns[:2], Column("Value"), Column(f"{percent(ranking.confidence, 0)} interval")]
     body = render(
         "limits.html",
         table=table("Limits", columns, rows),
-        metrics=named,
+        certainty=table(caption, heads, ends) if ends else "",
+        metrics=_named_metrics(context),
         recorded=context.verdict.recorded,
         recorded_text=percent(context.verdict.recorded),
     )

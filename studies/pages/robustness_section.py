@@ -58,25 +58,26 @@ def _sentences(context: Context, found: Robustness) -> Iterator[str]:
     """What happens to the reference, most serious first."""
     place_of = {design.id: design for design in context.ranking.designs}
     name = name_of(place_of[found.designs[0]]) if found.designs[0] in place_of else "The first design"
-    plants = range(1, len(found.plants))
+    plants = [p for p, adds in enumerate(found.adds) if adds]
     yield (
         f"{name} on {plural(len(found.plants) - 1, 'other plant')}, {found.n:,} of the study scenarios each "
-        f"({found.left:,} left, {found.right:,} right)."
+        f"({found.left:,} left, {found.right:,} right). {len(plants)} of them add a difficulty to the study\u2019s "
+        "plant: the sentences below and the light of the verdict are about these. The others take one away."
     )
     lost = [found.titles[p] for p in plants if found.diverged[p, 0]]
     if lost:
         yield f"It diverges in some departures with: {', '.join(lost)}."
-    worse = [found.titles[p] for p in plants if found.excess_low[p, 0] > 0 or found.excess[p, 0] > 0]
+    worse = [found.titles[p] for p in plants if found.excess[p, 0] > 0]
     if worse:
         yield f"It is worse than no control with: {', '.join(worse)}."
-    changes = found.change[1:, 0]
+    changes = np.where(found.adds, found.S[:, 0] - found.S[0, 0], np.nan)
     if np.isfinite(changes).any():
-        p = 1 + int(np.nanargmax(changes))
+        p = int(np.nanargmax(changes))
         ratio = found.S[p, 0] / found.S[0, 0] if found.S[0, 0] > 0 else math.nan
-        if changes[p - 1] > 0 and math.isfinite(ratio):
+        if changes[p] > 0 and math.isfinite(ratio):
             rise = f"{ratio:.2g} times" if ratio >= 2.0 else percent(ratio - 1.0, 0) + " more"
             yield f"S rises most with {found.titles[p]} ({found.differences[p]}): {rise}."
-    behind = [found.titles[p] for p in plants if found.rival[p] >= 0 and found.lead_low[p] > 0]
+    behind = [found.titles[p] for p in plants if found.behind[p] > 0]
     if behind:
         yield f"Another of the designs compared is better with: {', '.join(behind)}."
 
@@ -98,7 +99,8 @@ def _table(context: Context, found: Robustness, shown: list[int]) -> Markup:
             lost = int(found.diverged[p, i])
             cells += [Cell(number(S), bad=worse), change, Cell(str(lost) if lost else "0", bad=bool(lost))]
         rows.append(TableRow(tuple(cells)))
-    return table("Mean S on other plants; set off: worse than no control there, or diverged", columns, rows)
+    title = "Mean S on other plants; set off: worse than no control there, or diverged where friction allows the path"
+    return table(title, columns, rows)
 
 
 def _left_out(found: Robustness) -> Iterator[str]:

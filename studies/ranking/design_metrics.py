@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 import os
 import re
@@ -15,7 +16,7 @@ import numpy.typing as npt
 
 from ldctoolkit import EventStatus, Scenarios, Setup
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
-from ldctoolkit.departures import LEFT, RIGHT
+from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT
 from ldctoolkit.errors import InputError, nearest
 from ldctoolkit.metrics import DTLE_LIMIT, METRICS, RELEASE_METRICS, SCENARIO_METRICS, Interventions, Metric
 from ldctoolkit.paths.uncorrected import UncorrectedPath
@@ -24,7 +25,9 @@ from ..design import NO_CONTROL, Design
 from ..results import CaseResults, StudyResults, status_among
 from ..storage.run_table import release
 from .inference import row_blocks, row_means
+from .named_vehicles import DEPARTURES, first_of_each_side
 from .requirements import friction, metric, metric_values
+from .tail import binomial_interval, order_statistics
 
 _FEW = 8  # places up to which what stands there is found without a full sort
 
@@ -96,8 +99,7 @@ class ReleaseMetrics:
 
 def release_metrics(case: CaseResults, designs: Sequence[Design], d_y: FloatArray, *, D_y: float) -> Values:
     """Every metric of a design that is taken from those of its scenarios; d_y (n,) [m] is without control."""
-    acted = ~status_among(case.status, (EventStatus.NEVER_TRIGGERED, EventStatus.INVALID))
-    acted[[design.is_baseline for design in designs]] = False
+    acted = _acted(case, designs)
 
     def of(group: Sequence[Metric], names: Sequence[str]) -> Callable[..., Values]:
         def values(acted: BoolArray, *columns: FloatArray) -> Values:
@@ -111,6 +113,75 @@ def release_metrics(case: CaseResults, designs: Sequence[Design], d_y: FloatArra
         names = tuple(dict.fromkeys(name for one in group for name in one.of))
         found |= _by_blocks(of(group, names), acted, [getattr(case.companions, name) for name in names])
     return found
+
+
+def _acted(case: CaseResults, designs: Sequence[Design]) -> BoolArray:
+    acted = ~status_among(case.status, (EventStatus.NEVER_TRIGGERED, EventStatus.INVALID))
+    acted[[design.is_baseline for design in designs]] = False
+    return acted
+
+
+def sampling_intervals(
+    drivable: DrivableCase, designs: Sequence[Design], metrics: CaseMetrics, names: list[str], D_y: float, level: float
+) -> FloatArray:
+    """Values of k metrics, and the ends of the interval of each by itself where it is a quantile or a share, (k, 3, d).
+
+    Of the population that the scenarios are drawn from. An end is infinite where there are too few of them. Departures
+    that stand in the sample more than once, as weights ask for, count with Kish's effective number.
+    """
+    case, d_y = drivable.case, drivable.scenarios.d_y
+    departures = np.stack([getattr(drivable.scenarios, name) for name in ("side", *PARAMETER_NAMES)], axis=1)
+    _, place, copies = np.unique(departures, axis=0, return_inverse=True, return_counts=True)
+    order, starts = np.argsort(place, kind="stable"), np.cumsum(copies) - copies
+    without = next((case.companions.dtle[i] for i, design in enumerate(designs) if design.is_baseline), -d_y)
+
+    def ends(one: Metric, acted: BoolArray, *columns: FloatArray) -> Values:
+        if one.share is not None:  # of one departure it is 0 or 1, or NaN where that is none of those counted
+            alone = Interventions(acted.reshape(-1, 1), np.tile(d_y, len(acted))[:, None], D_y)
+            values = np.reshape(one.share(alone, *(column.reshape(-1, 1) for column in columns)), acted.shape)
+        else:
+            of_all = not one.of or SCENARIO_METRICS[one.of[0]].over == "all"
+            values = columns[0] if of_all else np.where(acted, columns[0], np.nan)
+        known = ~np.isnan(values)
+        times = known if starts.size == order.size else np.add.reduceat(known[:, order], starts, axis=1, dtype=np.int64)
+        count, squares = times.sum(axis=1), (times * times).sum(axis=1)
+        n = np.divide(count**2, squares, out=np.zeros(len(count)), where=squares > 0)
+        if p := _quantile_of(one):
+            first, last = order_statistics(np.floor(n), p, level)
+            ordered, rows, each = np.sort(values, axis=1), np.arange(len(count)), count / np.maximum(np.floor(n), 1.0)
+            below, above = np.floor(first * each).astype(np.int64), np.ceil(last * each).astype(np.int64)
+            low = np.where(below > 0, ordered[rows, below - 1], -np.inf)
+            high = np.where(above <= count, ordered[rows, np.minimum(above, count) - 1], np.inf)
+        elif one.name == "within_dtle_gain":  # by Bonferroni, of the departures that only one of both keeps within
+            shares = np.stack([(values > 0).mean(axis=1), (values < 0).mean(axis=1)])
+            least, most = binomial_interval(shares * n, n, 0.5 * (1.0 + level))
+            low, high = least[0] - most[1], most[0] - least[1]
+        else:
+            low, high = binomial_interval(np.nansum(values, axis=1) / np.maximum(count, 1) * n, n, level)
+        return {"low": np.where(count > 0, low, np.nan), "high": np.where(count > 0, high, np.nan)}
+
+    within = [1.0 * (dtle >= DTLE_LIMIT) for dtle in (case.companions.dtle, without)]
+    found = np.full((len(names), 3, len(designs)), np.nan)
+    for row, one in zip(found, map(metric, names), strict=True):
+        row[0] = metric_values(one.name, metrics)
+        columns = {"S_p95": [drivable.counted], "triggered": [case.status != EventStatus.NEVER_TRIGGERED],
+                   "within_dtle_gain": [within[0] - within[1]]}.get(one.name)  # fmt: skip
+        if columns is None and (one.share is not None or _quantile_of(one)):
+            columns = [getattr(case.companions, name) for name in one.of]
+        if one.name == "comfortable_worst":  # whether it acts does not depend on the vehicle
+            driven = np.isin(drivable.scenarios.index, first_of_each_side(drivable.scenarios, DEPARTURES).index)
+            n = _acted(case, designs)[:, driven].sum(axis=1)
+            row[1:] = np.array(binomial_interval(row[0] * n, n, level)) + 0.0 * row[0]
+        elif columns is not None:
+            taken = _by_blocks(functools.partial(ends, one), _acted(case, designs), columns)
+            row[1:] = taken["low"], taken["high"]
+    return found
+
+
+def _quantile_of(one: Metric) -> float:
+    """Which quantile a metric is; 0 for none."""
+    text = {"S_p95": "p95", "median": "p50"}.get(one.aggregate or one.name, one.aggregate)
+    return float(text[1:]) / 100.0 if re.fullmatch(r"p\d+", text) else 0.0
 
 
 def _groups() -> list[list[Metric]]:

@@ -13,7 +13,7 @@ from ..design import Design
 from ..results import Case, FailedDesign
 from .design_metrics import CaseMetrics, DrivableCase, mean_reduction
 from .inference import SAME, Inference, Interval, Resampled, critical_value, simultaneous_interval, skewed_widths
-from .requirements import Miss, Requirement
+from .requirements import Estimate, Miss, Requirement
 
 
 def choose_winner(resampled: Resampled, set_of_best: BoolArray, meets: BoolArray, confidence: float) -> int | None:
@@ -215,6 +215,11 @@ class RankedDesigns(CaseMetrics, Inference, FreshScores):
     requirements: tuple[Requirement, ...]
     # The requirements, and behind them those of the sets ``stable``, ``comfort`` and ``physical``
     limits: tuple[Requirement, ...]
+    # (k, 3, d) Values of the k limited metrics, and the ends of the interval of each by itself: NaN unless it is a
+    # quantile, a share or mean S, whose intervals hold for all designs at once
+    limited: FloatArray
+    fresh_limited: FloatArray  # (k, 3, d) The same on the fresh scenarios; NaN for designs that were not driven there
+    fresh_saved: FloatArray  # (d,) 1 - mean S / mean S without control on the fresh scenarios
     baseline: int | None  # Position of the design behind `baseline_difference`
     # (d,) Ranked designs that no other ranked design beats in one metric of `pareto_metrics` without being worse in
     # another
@@ -258,6 +263,24 @@ class RankedDesigns(CaseMetrics, Inference, FreshScores):
     def unmet(self) -> tuple[tuple[str, ...], ...]:
         """For each design, the requirements that it misses, as text."""
         return tuple(tuple(miss.requirement.text for miss in some) for some in self.missed)
+
+    def sample(self, i: int) -> str:
+        """The scenarios that a design is judged on: fresh ones where it was driven on such."""
+        fresh = bool(np.isfinite(self.fresh_S[i]))
+        return f"{self.fresh_scenarios:,} fresh scenarios" if fresh else f"the {self.scenarios:,} study scenarios"
+
+    def saved(self, i: int) -> float:
+        """1 - mean S / mean S without control there."""
+        return float((self.fresh_saved if np.isfinite(self.fresh_S[i]) else self.reduction)[i])
+
+    def estimates(self, i: int) -> tuple[Estimate, ...]:
+        """The limited metrics of a design there."""
+        fresh = bool(np.isfinite(self.fresh_S[i]))
+        numbers = (self.fresh_limited if fresh else self.limited)[:, :, i].tolist()
+        return tuple(
+            Estimate(one, value, low, high, one in self.requirements, fresh)
+            for one, (value, low, high) in zip(self.limits, numbers, strict=True)
+        )
 
     @property
     def survivors_only(self) -> bool:

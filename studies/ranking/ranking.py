@@ -29,7 +29,16 @@ from ..results import Case, CaseResults, Race, StudyResults
 from ..standards import standard_names
 from ..storage.files import write_text
 from ..study_file import Study
-from .design_metrics import DrivableCase, Margins, case_metrics, find_baseline, in_order, pareto_costs, pareto_front
+from .design_metrics import (
+    DrivableCase,
+    Margins,
+    case_metrics,
+    find_baseline,
+    in_order,
+    pareto_costs,
+    pareto_front,
+    sampling_intervals,
+)
 from .inference import Inference, infer, spread_is_known
 from .named_vehicles import worst_of_vehicles
 from .ranked_designs import FreshScores, RankedDesigns, SearchScores, best_of_laws, fresh_scores, no_fresh_scores
@@ -197,13 +206,20 @@ class Ranking(RankedDesigns, Frame):
         inference = infer(
             drivable.counted, drivable.scenarios.side, ranked=ranked, baseline=position, rows=order, **chance
         )
+        names = [one.metric.name for one in limits]
+        limited = sampling_intervals(drivable, results.designs, metrics, names, D_y, confidence)[:, :, order]
+        mean_S = [name == "S" for name in names]
+        limited[mean_S, 1:] = inference.S_low, inference.S_high
+        fresh_limited, fresh_saved = np.full_like(limited, np.nan), np.full(len(order), np.nan)
         warnings = list(_warnings(drivable, results.designs))
         designs = tuple(results.designs[i] for i in order)
         fresh = no_fresh_scores(len(order), ranked)
         if results.fresh is not None and results.fresh.designs:
             place = {design.id: k for k, design in enumerate(designs)}
+            positions = np.array([place[design.id] for design in results.fresh.designs], dtype=np.int64)
             of_case = next(one for one in results.fresh.cases if one.case == case.case)
             again = DrivableCase.of(of_case, results.fresh.scenarios)
+            there = case_metrics(again, results.fresh.designs, D_y, margins, setup, scores)
             search = SearchScores(
                 drivable.counted,
                 order,
@@ -215,18 +231,19 @@ class Ranking(RankedDesigns, Frame):
             )
             fresh = fresh_scores(
                 again,
-                np.array([place[design.id] for design in results.fresh.designs], dtype=np.int64),
+                positions,
                 search,
-                [
-                    tuple(miss.requirement.text for miss in some)
-                    for some in missed_by(
-                        requirements, case_metrics(again, results.fresh.designs, D_y, margins, setup, scores)
-                    )
-                ],
+                [tuple(miss.requirement.text for miss in some) for some in missed_by(requirements, there)],
                 first_failed=designs[0] in [one.design for one in results.fresh.failed],
                 **chance,
             )
             warnings += _about_finalists(fresh, ranked)
+            found = sampling_intervals(again, results.fresh.designs, there, names, D_y, confidence)
+            worst = [name == "comfortable_worst" for name in names]  # driven on the study's departures only
+            found[worst] = limited[worst][:, :, positions]
+            fresh_limited[:, :, positions] = found
+            fresh_limited[mean_S, 1:] = fresh.fresh_low, fresh.fresh_high
+            fresh_saved[positions] = there.reduction
         given_up = 0 if results.race is None else len(results.race.dropped)
         raced = case.case == results.cases[0].case
         if given_up and not raced:
@@ -257,6 +274,9 @@ class Ranking(RankedDesigns, Frame):
             missed=tuple(missed[i] for i in order),
             requirements=requirements,
             limits=limits,
+            limited=limited,
+            fresh_limited=fresh_limited,
+            fresh_saved=fresh_saved,
             baseline=position,
             pareto=front,
             pareto_metrics=pareto_metrics,
@@ -488,6 +508,11 @@ def _rows(ranking: Ranking, gains: Sequence[str]) -> Iterator[dict[str, Any]]:
     numbers |= {name: getattr(ranking, name) for name in _COUNTS}
     numbers |= {one.column: getattr(ranking.release, one.name) for one in RELEASE_METRICS.values()}
     numbers |= {metric(name).column: score for name, score in ranking.standards.items()}
+    for fresh, values in (("", ranking.limited), ("fresh_", ranking.fresh_limited)):
+        for one, ends in zip((one.metric for one in ranking.limits), values[:, 1:], strict=True):
+            if not np.isnan(ends).all():
+                column = f"{fresh}{one.name}_{{}}{one.column.removeprefix(one.name)}"
+                numbers |= dict(zip(map(column.format, ("low", "high")), ends, strict=True))
     reasons = [""] * len(ranking) + [one.reason for one in ranking.failed]
     for i, (design, reason) in enumerate(zip(_every(ranking), reasons, strict=True)):
         here = i < len(ranking)

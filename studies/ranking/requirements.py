@@ -141,6 +141,41 @@ class Miss:
         return f"{of.title} {_shown(of, self.value)}, limit {_shown(of, limit)}{times}"
 
 
+@dataclasses.dataclass(frozen=True)
+class Estimate(Miss):
+    """The value of a limited metric, which may meet its limit, with the interval that the draw of scenarios leaves."""
+
+    low: float  # NaN for a metric without an interval
+    high: float
+    required: bool
+    fresh: bool  # Whether it is taken over the fresh scenarios
+
+    @property
+    def met(self) -> bool:
+        """Whether the value meets the limit."""
+        return bool(self.requirement.met([self.value])[0])
+
+    @property
+    def uncertain(self) -> bool:
+        """Whether the limit lies inside the interval."""
+        low, high = self.requirement.met([self.low, self.high]).tolist()
+        return low != high and not math.isnan(self.low)
+
+    def with_interval(self, level: str) -> str:
+        """The text with the interval, where there is one."""
+        return f"{self.text}, {level} interval {self.interval}" if self.interval else self.text
+
+    @property
+    def interval(self) -> str:
+        """For a reader: ``"4.70 to 5.20 m/s³"``; an end that so few departures do not know is left open."""
+        low, high = (_shown(self.requirement.metric, end) for end in (self.low, self.high))
+        if math.isnan(self.low):
+            return ""
+        if math.isinf(self.low):
+            return "not known" if math.isinf(self.high) else f"at most {high}"
+        return f"at least {low}" if math.isinf(self.high) else f"{low.partition(' ')[0]} to {high}"
+
+
 def _shown(of: Metric, value: float) -> str:
     """A value with the metric's digits, in the unit of a page."""
     return f"{of.scale * value:.{of.digits}f}{f' {of.shown_unit}' if of.shown_unit else ''}".replace("-", "\u2212")

@@ -1,8 +1,9 @@
-"""How rare is an event: exact intervals of its probability, and whether one design has it more often than another."""
+"""Exact intervals of probabilities and quantiles, and whether one design has an event more often than another."""
 
 import numpy as np
+import numpy.typing as npt
 
-from ldctoolkit.arrays import FloatArray
+from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.metrics import TAIL
 
 LEVEL = 0.95
@@ -20,12 +21,32 @@ def exact_interval(count: int, n: int) -> tuple[float, float]:
     >>> low, round(high, 4)
     (0.0, 0.0362)
     """
-    from scipy.stats import beta
+    low, high = binomial_interval(count, n, LEVEL)
+    return float(low), float(high)
 
-    outside = (1.0 - LEVEL) / 2.0
-    low = float(beta.ppf(outside, count, n - count + 1)) if count > 0 else 0.0
-    high = float(beta.ppf(1.0 - outside, count + 1, n - count)) if count < n else 1.0
-    return low, high
+
+def binomial_interval(count: npt.ArrayLike, n: npt.ArrayLike, level: float) -> tuple[FloatArray, FloatArray]:
+    """The same for arrays, whose numbers need not be whole: of weighted events, n is their effective number."""
+    from scipy.special import betaincinv
+
+    events, trials, outside = np.asarray(count), np.asarray(n), (1.0 - level) / 2.0
+    rest = np.maximum(trials - events, 0.0)
+    low = betaincinv(np.maximum(events, 1e-300), rest + 1.0, outside)
+    high = betaincinv(events + 1.0, np.maximum(rest, 1e-300), 1.0 - outside)
+    return np.where(events > 0, low, 0.0), np.where(rest > 0, high, 1.0)
+
+
+def order_statistics(n: npt.ArrayLike, share: float, level: float) -> tuple[IntArray, IntArray]:
+    """Places, from 1 on, of the ordered values that a quantile of what n independent ones come from lies between.
+
+    Whatever the distribution is, it does so with the probability `level` at least (David and Nagaraja, *Order
+    Statistics*, 2003, 7.1). Place 0 or n + 1: there is no such value.
+    """
+    from scipy.stats import binom
+
+    outside = (1.0 - level) / 2.0
+    low, high = (np.asarray(binom.ppf(end, n, share)).astype(np.int64) for end in (outside, 1.0 - outside))
+    return low, high + 1
 
 
 def paired_sign(b: int, c: int) -> int:

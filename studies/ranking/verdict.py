@@ -22,7 +22,7 @@ from ..design import Design
 from ..results import CaseResults, StudyResults
 from .design_metrics import beyond_friction
 from .ranked_designs import RankedDesigns
-from .requirements import G, Miss, metric_values
+from .requirements import G, metric_values
 from .tail import tail_text
 
 State = Literal["good", "warning", "bad", "unknown"]
@@ -37,8 +37,9 @@ class OtherPlants:
     designs: tuple[str, ...]  # Identifiers
     plants: tuple[str, ...]  # Names
     titles: tuple[str, ...]  # The same for people
+    adds: tuple[bool, ...]  # Whether a plant adds a difficulty to the designs' own
     S: FloatArray  # (p, d) [m s] Mean S; NaN where the law raised
-    diverged: IntArray  # (p, d) Departures that diverged
+    diverged: IntArray  # (p, d) Departures that diverged though friction allows their recorded path
     # (p, d) [m s] Paired difference of mean S to no control on the same plant, above 0 where the design is worse
     excess: FloatArray
 
@@ -149,30 +150,25 @@ def _of_winner(ranking: RankedDesigns, place: int) -> str:
 
 
 def _score(ranking: RankedDesigns, i: int) -> str:
-    fresh = bool(np.isfinite(ranking.fresh_S[i]))
-    S, low, high = (
-        (ranking.fresh_S[i], ranking.fresh_low[i], ranking.fresh_high[i])
-        if fresh
-        else (ranking.S[i], ranking.S_low[i], ranking.S_high[i])
-    )
+    """Of one sample, which it names."""
+    names = ("fresh_S", "fresh_low", "fresh_high") if np.isfinite(ranking.fresh_S[i]) else ("S", "S_low", "S_high")
+    S, low, high = (float(getattr(ranking, name)[i]) for name in names)
+    saved, values = ranking.saved(i), {one.requirement.metric.name: one.value for one in ranking.estimates(i)}
     level = f"{100 * ranking.confidence:g} % interval"
-    where = f" on {ranking.fresh_scenarios:,} fresh scenarios" if fresh else ""
-    between = f" ({level} {low:.3f} to {high:.3f})" if math.isfinite(float(low) + float(high)) else ""
-    saved = float(ranking.reduction[i])
+    between = f" ({level} {low:.3f} to {high:.3f})" if math.isfinite(low + high) else ""
     if ranking.designs[i].is_baseline or not math.isfinite(saved):
         change = ""
     elif saved <= -1.0:
         change = f", {1.0 - saved:.3g} times that without control"
     else:
         change = f", {100 * abs(saved):.1f} % {'less' if saved >= 0 else 'more'} than without control"
-    on = " on the study scenarios" if fresh and change else ""
     added = [
         f"{METRICS[name].scale * value:.{METRICS[name].digits}f} {METRICS[name].shown_unit} of {what}"
         for name, what in (("a_y_added_peak_p95", "lateral acceleration"), ("jerk_added_peak_p95", "jerk"))
-        if math.isfinite(value := float(metric_values(name, ranking)[i]))
+        if math.isfinite(value := values[name])
     ]
     costs = f"; control adds {_list(added)} (95 % quantiles)" if added else ""
-    return f"Mean S {S:.3f} m s{where}{between}{change}{on}{costs}."
+    return f"Mean S {S:.3f} m s on {ranking.sample(i)}{between}{change}{costs}."
 
 
 def _broken(ranking: RankedDesigns, place: int) -> list[str]:
@@ -198,7 +194,7 @@ def _impossible(ranking: RankedDesigns, place: int) -> str:
 
 
 def _score_light(ranking: RankedDesigns, place: int) -> Light:
-    saved = float(ranking.reduction[place])
+    saved = ranking.saved(place)
     if not math.isfinite(saved):
         return Light("Score", "unknown", "There is no score without control to compare with.")
     if saved <= 0:
@@ -213,7 +209,7 @@ def _score_light(ranking: RankedDesigns, place: int) -> Light:
 def _stable_light(ranking: RankedDesigns, place: int) -> Light:
     lost, diverged = int(metric_values("lost", ranking)[place]), int(ranking.diverged[place])
     gain, phase = (float(metric_values(name, ranking)[place]) for name in ("gain_margin", "phase_margin"))
-    missed = [miss.text for miss in _missed_of(ranking, place, "stable")]
+    missed = [one.text for one in ranking.estimates(place) if one.requirement.set == "stable" and not one.met]
     if lost:
         return Light("Stable", "bad", f"It diverges in {lost} of {ranking.scenarios:,} departures.")
     if gain == 0.0:
@@ -233,14 +229,18 @@ def _stable_light(ranking: RankedDesigns, place: int) -> Light:
 
 def _limits_light(ranking: RankedDesigns, place: int) -> Light:
     impossible = _impossible(ranking, place)
-    missed = [miss.text for miss in ranking.missed[place] if miss.requirement.set not in ("stable", "physical")]
-    others = [miss.text for miss in _missed_of(ranking, place, "comfort") if miss.text not in missed]
+    limited = [one for one in ranking.estimates(place) if one.requirement.set not in ("stable", "physical")]
+    missed = [one.text for one in limited if one.required and not one.met]
+    others = [one.text for one in limited if not one.required and not one.met]
+    close = [one.with_interval(f"{100 * ranking.confidence:g} %") for one in limited if one.met and one.uncertain]
     if impossible:
         return Light("Limits", "bad", f"{_capital(impossible)}.")
     if missed:
         return Light("Limits", "bad", f"{_capital(_list(missed))}.")
-    if others:
-        return Light("Limits", "warning", f"Not required, but beyond comfort: {_list(others)}.")
+    doubts = [f"Not required, but beyond comfort: {_list(others)}."] if others else []
+    doubts += [f"Met on {ranking.sample(place)}, but not with certainty: {'; '.join(close)}."] if close else []
+    if doubts:
+        return Light("Limits", "warning", " ".join(doubts))
     names = dict.fromkeys([*(one.set or one.text for one in ranking.requirements), "comfort"])
     return Light("Limits", "good", f"Meets {_list(list(names))}.")
 
@@ -280,30 +280,20 @@ def _plants_light(ranking: RankedDesigns, place: int, robustness: OtherPlants | 
     if robustness is None or ranking.designs[place].id not in robustness.designs:
         return Light(name, "unknown", "Not tested on other plants.")
     i = robustness.designs.index(ranking.designs[place].id)
-    others = range(1, len(robustness.plants))
+    others = [p for p, adds in enumerate(robustness.adds) if adds]
     lost = [robustness.titles[p] for p in others if robustness.diverged[p, i] > robustness.diverged[0, i]]
     worse = [robustness.titles[p] for p in others if robustness.excess[p, i] > 0]
     if lost:
         return Light(name, "bad", f"It diverges with: {', '.join(lost)}.")
     if worse:
         return Light(name, "bad", f"Worse than no control with: {', '.join(worse)}.")
-    ratio = robustness.S[1:, i] / robustness.S[0, i] if robustness.S[0, i] > 0 else np.full(len(others), np.nan)
-    if not np.isfinite(ratio).any():
+    ratio = {p: float(robustness.S[p, i] / robustness.S[0, i]) for p in others if robustness.S[0, i] > 0}
+    if not any(map(math.isfinite, ratio.values())):
         return Light(name, "unknown", "Its scores on other plants are not known.")
-    p, most = 1 + int(np.nanargmax(ratio)), float(np.nanmax(ratio))
+    p, most = max(ratio.items(), key=lambda one: one[1] if math.isfinite(one[1]) else 0.0)
     rise = f"{most:.2g} times its S" if most >= 2 else f"{100 * (most - 1):.0f} % more S"
     text = f"Worst on {robustness.titles[p]}: {rise}." if most > 1 else "S rises on none of them."
     return Light(name, "warning" if most > 1.5 else "good", text)
-
-
-def _missed_of(ranking: RankedDesigns, place: int, name: str) -> list[Miss]:
-    """What a design misses of a set, required or not."""
-    found = []
-    for one in ranking.limits:
-        value = float(metric_values(one.metric.name, ranking)[place])
-        if one.set == name and not one.met([value])[0]:
-            found.append(Miss(one, value))
-    return found
 
 
 def _capital(text: str) -> str:
@@ -414,7 +404,8 @@ def judged(ranking: RankedDesigns, place: int) -> str:
         by = f" +{100 * most:.0f}%" if 0.005 <= most < 10 else ""
         found.append(f"breaks {', '.join(sets)}{by}")
     elif ranking.requirements:
-        found.append("meets all")
+        certain = not any(one.required and one.uncertain for one in ranking.estimates(place))
+        found.append("meets all" if certain else "meets all, not with certainty")
     failed = failures(ranking, place)
     if failed:
         found.append(f"failed in {failed:,}")
@@ -491,6 +482,9 @@ def more_lines(ranking: RankedDesigns) -> Iterator[str]:
         finalists = np.where(np.isfinite(ranking.fresh_S) & (ranking.rank > 0), ranking.replayed_S, np.inf)
         if (best := int(np.nanargmin(finalists))) != i:
             yield f"The first finalist there is {design_name(ranking.designs[best])}."
+    if i is not None and (limited := [one for one in ranking.estimates(i) if one.required and one.interval]):
+        texts = (one.with_interval(f"{100 * ranking.confidence:g} %") for one in limited)
+        yield f"Required of the winner, on {ranking.sample(i)}: {'; '.join(texts)}."
     if ranking.ranked < len(ranking):
         left = len(ranking) - ranking.ranked
         yield f"{left:,} of {len(ranking):,} designs break a requirement and are not ranked."

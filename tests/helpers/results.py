@@ -57,9 +57,9 @@ def case_of_outcomes(outcomes: Sequence[Outcome], case: Case = DEPARTURE) -> Cas
 
 
 def scenarios_of(n: int, left: int | None = None) -> Scenarios:
-    """Scenarios of which only side matters; half of them to the left unless that is given."""
+    """Scenarios of which only side matters, no two the same; half of them to the left unless that is given."""
     side = np.where(np.arange(n) < (n // 2 if left is None else left), 1, -1)
-    return Scenarios.from_arrays(T=2.0, d_y=0.3, v_mean=20.0, side=side)
+    return Scenarios.from_arrays(T=2.0, d_y=0.3, v_mean=20.0, dc=1e-9 * np.arange(n), side=side)
 
 
 def results_of(

@@ -268,6 +268,9 @@ def test_the_points_of_the_extended_range(standard: int, extended: int, points: 
     changed = dataclasses.replace(found, met=met)
     assert (changed.score, changed.extended_score) == (standard / 30, points)
     assert np.isnan(stated(LQR(), "euroncap-2025-elk", y_s=-0.4).extended_score)
+    # from exactly so many on
+    at = dataclasses.replace(changed, standard=found.standard.model_copy(update={"extended_from": standard / 30}))
+    assert at.extended_score == {0: 0.0, 2: 0.0, 3: 0.5, 4: 0.5, 5: 0.75, 6: 1.0}[extended]
 
 
 def test_a_vehicle_that_leaves_the_road_meets_nothing() -> None:

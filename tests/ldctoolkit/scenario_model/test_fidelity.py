@@ -14,6 +14,7 @@ from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, DepartureParamet
 from ldctoolkit.errors import InputError
 from ldctoolkit.recordings import Criteria, Provenance, extract_departures, open_recordings, write_departures
 from ldctoolkit.scenario_model import ScenarioModel
+from ldctoolkit.scenario_model.fidelity import SideFidelity
 
 CRITERIA = Criteria(1.8)
 
@@ -112,6 +113,28 @@ def test_weights_count(bad: ScenarioModel) -> None:
     alone = check_fidelity(bad, found.take(quick > 0))
     weighted = check_fidelity(bad, found, weights=quick)
     np.testing.assert_allclose(weighted[0].replayed, alone[0].replayed, rtol=1e-9)
+    # of weights 1 and 3, with the paper's law as it is driven by another route
+    weight = np.where(quick > 0, 3.0, 1.0)
+    found = found.take(found.side == LEFT)
+    scenarios, setup = Scenarios.from_departures(found), Setup(vehicle=VehicleParameters(w_v=1.8))
+    (fidelity, _) = check_fidelity(bad, two_kinds(400, seed=2), weights=weight)
+    law, w = PreviewProportional(K_y=-0.005, K_psi=-0.2, T_lp=2.0), weight[:400]
+    for i, y_s in enumerate(fidelity.thresholds):
+        outcome = simulate(law, scenarios, setup=setup, y_s=y_s, window="control")
+        S, plain = w @ outcome.S, w @ outcome.S_uncorrected
+        assert fidelity.replayed[i][0] == pytest.approx(1.0 - S / plain, abs=2e-5)
+        assert fidelity.replayed[i][1] == pytest.approx(w @ outcome.triggered / w.sum(), abs=1e-5)
+
+
+@pytest.mark.parametrize(("other", "word"), [(0.31, "understates"), (0.69, "overstates")])
+def test_a_smaller_effect_is_understated(other: float, word: str) -> None:
+    rows = {"replayed": (0.5, 0.2, 0.1, 1.0, 0.3), "low": (0.4, 0.1, 0.0, 0.9, 0.2), "high": (0.6, 0.3, 0.2, 1.1, 0.4)}
+    fidelity = SideFidelity(50, (0.2,), **{name: (row,) * 3 for name, row in rows.items()},
+                            generated=((other, 0.2, 0.1, 1.0, 0.3),) * 3)  # fmt: skip
+    assert fidelity.text == (
+        f"the model {word} the effect of control by 19 points (Preview P, y_s = 0.20 m: 50.0 % replayed, "
+        f"{100 * other:.1f} % generated): do not use it"
+    )
 
 
 def test_the_verdict_travels_with_the_file(bad: ScenarioModel, tmp_path: Path) -> None:
@@ -204,3 +227,12 @@ def test_smoothed_departures_keep_mean_and_covariance() -> None:
     np.testing.assert_allclose(total / np.outer(size, size), np.corrcoef(mapped.T), atol=1e-4)
     drawn = model.sample(2000, 0, seed=1)
     assert not np.isin(drawn.T, own.T).any()
+    # the bandwidth of weights 1 and 3 is that of 240 departures, Kish's number of these 300
+    weights = np.tile([1.0, 3.0], 300)
+    mixture = fit_scenario_model(found, kind="smoothed", bounds=bounds, weights=weights).left
+    spread = np.average(
+        (mapped - np.average(mapped, axis=0, weights=weights[:300])) ** 2, axis=0, weights=weights[:300]
+    )
+    h = np.array([0.25, 0.125]) * (4 / 10) ** (1 / 12) * 240 ** (-1 / 12)
+    shares = mixture.covariances_[0].diagonal() / spread
+    assert np.abs(shares[:, None] / (h**2 / (1 + h**2)) - 1).max(axis=0).min() < 5e-3

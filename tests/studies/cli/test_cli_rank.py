@@ -171,6 +171,12 @@ def test_json(folder: Path, rank: Rank) -> None:
     for name, column_name in {"S_m_s": "S_m_s", "S_low_m_s": "S_low_m_s", "S_high_m_s": "S_high_m_s",
                               "S_fresh_m_s": "fresh_S_m_s"}.items():  # fmt: skip
         assert own["winner"][name] == float(first[column_name]) > 0
+    limits = {one["limit"]: one for one in own["winner"]["limits"]}
+    jerk = limits["jerk_added_peak_p95 <= 5"]
+    assert (jerk["required"], jerk["fresh"]) == (False, True)
+    assert jerk["low"] == float(first["fresh_jerk_added_peak_p95_low_m_s3"]) <= jerk["value"]
+    assert jerk["uncertain"] == (jerk["high"] is None or jerk["low"] <= 5.0 < jerk["high"])
+    assert limits["lost <= 0"]["low"] is None
     done = rank("plain", "--json", "--require", "S <= 0.0001")
     other = json.loads(done.stdout)
     assert done.stdout.count("\n") == 1

@@ -7,10 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import binomtest
 
+import studies.ranking.named_vehicles
 from controllers import LQR, LinearMPC, NoControl, PreviewProportional
 from helpers.results import case_of, scenarios_of
-from ldctoolkit import Scenarios, Setup, simulate
+from ldctoolkit import EventStatus, Scenarios, Setup, simulate
 from ldctoolkit.errors import StudyError, UnknownNameError
 from ldctoolkit.metrics import comfortable_share
 from ldctoolkit.plant_options import Actuator, Mismatch, PlantOptions, Tyres
@@ -18,6 +20,7 @@ from ldctoolkit.review import design_margins, review
 from studies import Study, rank_study, run_study
 from studies.cli import main
 from studies.design import Design
+from studies.ranking.named_vehicles import drive_on_plants
 from studies.ranking.ranking import Ranking
 from studies.ranking.requirements import Miss, friction, parse_requirement, requirements_of
 from studies.ranking.verdict import Verdict, judged, verdict, verdict_lines
@@ -27,12 +30,12 @@ NAN = math.nan
 DESIGNS = [Design.of(NoControl(), 0.2), *(Design.of(LQR(r_delta=r), 0.1) for r in (100.0, 1000.0, 10_000.0))]
 
 
-def results_of(S: list[float], status: Any = 0, **metrics: Any) -> StudyResults:
-    """No control and three LQR, 20 departures each, with given means and metrics."""
-    spread = np.linspace(0.9, 1.1, 20)
+def results_of(S: list[float], status: Any = 0, n: int = 20, **metrics: Any) -> StudyResults:
+    """No control and three LQR, n departures each, with given means and metrics."""
+    spread = np.linspace(0.9, 1.1, n)
     columns = {name: np.asarray(value, dtype=float)[:, None] for name, value in metrics.items()}
     case = case_of(np.outer(S, spread), status=status, metrics=columns)
-    return StudyResults(tuple(DESIGNS), scenarios_of(20), (case,))
+    return StudyResults(tuple(DESIGNS), scenarios_of(n), (case,))
 
 
 def ranked(results: StudyResults, *require: str, setup: Setup | None = None) -> tuple[Ranking, Verdict]:
@@ -196,7 +199,7 @@ def test_physics_is_a_limit_even_where_nothing_is_required() -> None:
 
 
 def test_lights_of_a_good_design() -> None:
-    results = results_of([9.0, 1.0, 2.0, 3.0], a_y_added_peak=[0, 1.0, 1.0, 1.0])
+    results = results_of([9.0, 1.0, 2.0, 3.0], n=100, a_y_added_peak=[0, 1.0, 1.0, 1.0])
     _, found = ranked(results, "stable", "comfort", setup=Setup())
     assert [one.state for one in found.lights] == ["good", "good", "good", "unknown"]
     assert light(found, "Limits")[1] == "Meets stable and comfort."
@@ -240,15 +243,18 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> StudyResults:
     return run_study(study(), directory=tmp_path_factory.mktemp("vehicles") / "run")
 
 
-def by_hand(results: StudyResults, r_delta: float, y_s: float, vehicles: dict[str, Any]) -> tuple[float, float]:
+def by_hand(
+    results: StudyResults, r_delta: float, y_s: float, vehicles: dict[str, Any], **road: Any
+) -> tuple[float, float]:
     """Largest mean S and least comfortable share; the law is designed on the nominal vehicle."""
     S, comfortable = [], []
+    mu = {"mu": road["mismatch"].mu} if road else {}
     side = results.scenarios.side
     first = np.concatenate([np.flatnonzero(side == one)[:50] for one in (1, -1)])
     some = results.scenarios.take(first)
     for factors in vehicles.values():
-        mismatch = Mismatch(**{name: (factor, factor) for name, factor in factors.items()})
-        plant = PlantOptions(actuator=Actuator(lag=0.1, rate_max=0.33), mismatch=mismatch)
+        mismatch = Mismatch(**{name: (factor, factor) for name, factor in factors.items()}, **mu)
+        plant = PlantOptions(actuator=Actuator(lag=0.1, rate_max=0.33), **(road | {"mismatch": mismatch}))
         setup = dataclasses.replace(study().setup(), options=plant)
         outcome = simulate(LQR(r_delta=r_delta), some, y_s=y_s, setup=setup, window="departure")
         S.append(outcome.S.mean())
@@ -270,6 +276,50 @@ def test_the_worst_is_that_of_vehicles_changed_by_hand(results: StudyResults, na
         assert ranking.release.comfortable_worst[i] == share
 
 
+def test_the_worst_is_that_of_the_road_and_of_the_departures_at_hand(results: StudyResults) -> None:
+    """On a slippery road, and, one ranking after the other, on other departures."""
+    road = {"tyres": Tyres(model="magic_formula", mu=0.9), "mismatch": Mismatch(mu=(0.1, 0.3))}
+    slippery = PlantOptions(actuator=Actuator(lag=0.1, rate_max=0.33), **road)
+    few = dataclasses.replace(results, scenarios=results.scenarios.take(np.arange(129, -1, -1)))
+    for some, setup, options in (
+        (results, study().setup(), {}), (few, study().setup(), {}),
+        (results, dataclasses.replace(study().setup(), options=slippery), road),
+    ):  # fmt: skip
+        ranking = Ranking.of(some, some.cases[0], bootstrap=50, setup=setup, vehicles=["heavy"])
+        i = next(k for k, design in enumerate(ranking.designs) if not design.is_baseline)
+        design = ranking.designs[i]
+        S, share = by_hand(some, dict(design.gains)["r_delta"], design.y_s, {"heavy": FACTORS["heavy"]}, **options)
+        assert ranking.release.S_worst[i] == pytest.approx(S, rel=1e-12)
+        assert ranking.release.comfortable_worst[i] == share
+
+
+def test_failed_solves_of_named_vehicles_count_as_no_control(
+    results: StudyResults, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An LQR whose first departures fail, though it is better there: they count with S without control."""
+    original, failed = studies.ranking.named_vehicles.drive, []
+
+    class Failing:
+        def __init__(self, run: Any) -> None:
+            self.run = run
+
+        def outcome(self, window: str) -> Any:
+            outcome = self.run.outcome(window)
+            status = outcome.status.copy()
+            status[:30] = int(EventStatus.SOLVER_FAILED)
+            failed.append(dataclasses.replace(outcome, status=status))
+            return failed[-1]
+
+    monkeypatch.setattr("studies.ranking.named_vehicles.drive", lambda *given: Failing(original(*given)))
+    law = (Design.of(LQR(r_delta=3001.0), 0.1),)
+    drives = drive_on_plants(law, [PlantOptions()], results.scenarios, study().setup(), results.cases[0].case)
+    (outcome,) = failed
+    better = outcome.S[:30] < outcome.S_uncorrected[:30]
+    assert better.sum() > 10
+    np.testing.assert_array_equal(drives.S[0, 0, :30], np.maximum(outcome.S, outcome.S_uncorrected)[:30])
+    np.testing.assert_array_equal(drives.S[0, 0, 30:], outcome.S[30:])
+
+
 def test_a_requirement_on_the_worst_drives_all_four(results: StudyResults) -> None:
     free = rank_study(results, study(vehicles=list(FACTORS)))[0]
     limit = float(np.sort(free.release.S_worst)[1]) + 1e-9
@@ -277,6 +327,20 @@ def test_a_requirement_on_the_worst_drives_all_four(results: StudyResults) -> No
     assert asked.vehicles == ("light", "heavy", "soft", "stiff")
     ranking = rank_study(results, asked)[0]
     assert sum(not missed for missed in ranking.missed) == 2
+    # the interval of a share counts the interventions among the first 50 departures of each side
+    some = Ranking.of(results, results.cases[0], bootstrap=50, setup=asked.setup(), vehicles=["soft"],
+                      require=["comfortable_worst >= 0"])  # fmt: skip
+    side = results.scenarios.side
+    first = np.concatenate([np.flatnonzero(side == one)[:50] for one in (1, -1)])
+    for i, design in enumerate(some.designs):
+        if not design.is_baseline:
+            one, share = some.estimates(i)[0], some.release.comfortable_worst[i]
+            n = int((results.cases[0].status[some.index[i]][first] != EventStatus.NEVER_TRIGGERED).sum())
+            exact = binomtest(round(share * n), n).proportion_ci(0.95, "exact")
+            assert 0 < n <= 100
+            assert (one.value, one.low, one.high) == pytest.approx((share, exact.low, exact.high), rel=1e-9)
+        else:
+            assert np.isnan(some.estimates(i)[0].low)
     np.testing.assert_array_equal(np.sort(ranking.release.S_worst), np.sort(free.release.S_worst))
     assert study(pareto=["S", "comfortable_worst"]).vehicles == asked.vehicles
     assert study().vehicles == ()

@@ -94,6 +94,10 @@ def test_some_rows_are_chosen_by_number_and_by_condition(table: Departures, tmp_
     given = {"v_mean": (float(low), float(high))}
     some = run_study(study_on(tmp_path, departures="d.parquet", given=given), directory=tmp_path / "some", workers=1)
     assert some.scenarios.n == int(((table.v_mean >= low) & (table.v_mean <= high)).sum())
+    one = float(table.v_mean[3])
+    alone = run_study(study_on(tmp_path, departures="d.parquet", given={"v_mean": one}), directory=tmp_path / "one",
+                      workers=1)  # fmt: skip
+    assert alone.scenarios.v_mean.tolist() == [one]
     with pytest.raises(InputError, match=r"^scenarios\.left: 41; allowed: up to 40, which d\.parquet holds$"):
         run_study(study_on(tmp_path, departures="d.parquet", left=41), directory=tmp_path / "no", workers=1)
 
@@ -112,6 +116,19 @@ def test_weights_choose_rows_in_proportion(table: Departures, tmp_path: Path) ->
         np.testing.assert_allclose(times, n * weight[own] / weight[own].sum(), atol=1.0)
     with pytest.raises(LdcError, match=r"^d\.parquet: no column 'wort' of numbers; did you mean 'worth'"):
         run_study(study_on(tmp_path, departures="d.parquet", weights="wort"), directory=tmp_path / "no", workers=1)
+
+
+def test_weights_stay_with_their_rows_where_some_cannot_be_driven(tmp_path: Path) -> None:
+    """The first row falls below 1 m/s; 1 and 3 in turn, of which each row of 3 is drawn three times as often."""
+    weight = np.tile([1.0, 3.0], 33)[: LEFT_ROWS + RIGHT_ROWS]
+    found = recorded(worth=weight)
+    found.v_mean[0] = 0.5
+    write_departures(tmp_path / "d.parquet", found, Provenance(criteria=Criteria(1.75)))
+    wanted = {"departures": "d.parquet", "weights": "worth", "left": 400, "right": 0}
+    drawn = run_study(study_on(tmp_path, **wanted), directory=tmp_path / "out", workers=1).scenarios
+    own = (found.side == LEFT) & (np.arange(found.n) > 0)
+    times = np.array([(drawn.T == T).sum() for T in found.T[own]])
+    np.testing.assert_allclose(times, 400 * weight[own] / weight[own].sum(), atol=1.0)
 
 
 def own_table(path: Path, found: Departures, **changes: Any) -> None:
