@@ -15,25 +15,14 @@ import importlib
 import importlib.util
 import sys
 import types
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 _INSTALLED: Final = frozenset({"site-packages", "dist-packages"})  # folders of libraries
-_TOOLKIT: Final = ("ldctoolkit", "controllers", "studies")
 _DIGITS: Final = 16
-
-_BUILT_IN: Final = (
-    types.BuiltinFunctionType,
-    types.GetSetDescriptorType,
-    types.MemberDescriptorType,
-    types.WrapperDescriptorType,
-    types.MethodDescriptorType,
-    types.ClassMethodDescriptorType,
-    np.ufunc,
-)
 
 _GENERATED: Final = frozenset(
     {"__init__", "__repr__", "__eq__", "__hash__", "__setattr__", "__delattr__", "__replace__"}
@@ -46,9 +35,7 @@ _under_way: set[int] = set()
 
 def content_of(kind: object) -> str:
     """Sixteen hexadecimal digits of the content of a class or function; empty for what is the toolkit's."""
-    if is_toolkit(getattr(kind, "__module__", None) or ""):
-        return ""
-    return _hashed(kind)[0]
+    return "" if _top(getattr(kind, "__module__", None)) == "ldctoolkit" else _hashed(kind)[0]
 
 
 def modules_of(kind: object) -> set[str]:
@@ -56,18 +43,13 @@ def modules_of(kind: object) -> set[str]:
     return _hashed(kind)[1]
 
 
-def is_toolkit(module: str) -> bool:
-    """Whether a module is one of the toolkit's."""
-    top = module.partition(".")[0]
-    return top == "ldctoolkit" or (top in _TOOLKIT and f"ldctoolkit.{top}" in sys.modules and _same(top))
-
-
-def _same(top: str) -> bool:
-    return sys.modules.get(top) is sys.modules[f"ldctoolkit.{top}"]
+def _top(module: str | None) -> str:
+    """The package that a module belongs to."""
+    return (module or "").partition(".")[0]
 
 
 def _hashed(kind: object) -> tuple[str, set[str]]:
-    visitor = _Visitor((getattr(kind, "__module__", None) or "").partition(".")[0])
+    visitor = _Visitor(_top(getattr(kind, "__module__", None)))
     visitor.add(kind)
     return visitor.digest.hexdigest()[:_DIGITS], visitor.modules
 
@@ -135,7 +117,7 @@ class _Visitor:
         elif (inner := _inside(value)) is not None:  # a decorated function
             self.put(type(value).__qualname__)
             self.add(inner)
-        elif isinstance(value, _BUILT_IN):
+        elif isinstance(value, np.ufunc) or (_top(type(value).__module__) == "builtins" and hasattr(value, "__name__")):
             self.put(type(value).__qualname__, getattr(value, "__module__", ""), value.__name__)
         else:
             self.put(self._as_first_met(value))
@@ -171,7 +153,7 @@ class _Visitor:
             self._items({field.name: getattr(value, field.name, None) for field in dataclasses.fields(value)})
         else:
             try:
-                reduced = value.__reduce_ex__(4)
+                reduced = _expression(value) or value.__reduce_ex__(4)
             except Exception:  # an object that cannot be copied, as a lock
                 reduced = "closed"
             if isinstance(reduced, str):
@@ -190,20 +172,16 @@ class _Visitor:
 
     def _library(self, module: str) -> str | None:
         """Name and version of the library that a module belongs to; None for the designer's own."""
-        top = module.partition(".")[0]
-        if is_toolkit(module):
-            return "ldctoolkit"
-        if not top or top in ("__main__", "__mp_main__", self.package):
-            return None
+        top = _top(module)
+        if top == "ldctoolkit" or top in sys.stdlib_module_names:
+            return top
         loaded = sys.modules.get(top)
-        spec = getattr(loaded, "__spec__", None) if loaded else importlib.util.find_spec(top)
-        if spec is None:
+        spec = getattr(loaded, "__spec__", None) if loaded else importlib.util.find_spec(top) if top else None
+        if top == self.package or spec is None:
             return None
-        places = [Path(place).resolve() for place in spec.submodule_search_locations or (spec.origin or "",)]
-        standard = top in sys.builtin_module_names or top in sys.stdlib_module_names
-        if standard or any(_INSTALLED.intersection(place.parts) for place in places):
-            return f"{top} {getattr(loaded, '__version__', '')}"
-        return None
+        places = [Path(place) for place in spec.submodule_search_locations or (spec.origin or "",)]
+        installed = any(_INSTALLED.intersection(place.parts) for place in places)
+        return f"{top} {getattr(loaded, '__version__', '')}" if installed else None
 
     def _module(self, module: types.ModuleType, names: Iterable[str]) -> None:
         library = self._library(module.__name__)
@@ -224,7 +202,7 @@ class _Visitor:
         self.add((function.__code__, function.__defaults__, function.__closure__))
         self._items(function.__kwdefaults__ or {})
         self._items(vars(function))
-        names = sorted(_names(function.__code__))
+        names = sorted({name for code in _codes(function.__code__) for name in code.co_names})
         for name in names:
             if name in function.__globals__:
                 self.put(name)
@@ -237,8 +215,8 @@ class _Visitor:
         try:
             if level:
                 name = importlib.util.resolve_name("." * level + name, where.get("__package__") or "")
-            if self._library(name) is None:
-                self.add(importlib.import_module(name), names)
+            library = self._library(name)
+            self.put(library) if library else self.add(importlib.import_module(name), names)
         except Exception:  # the law raises the same when it is run
             self.put("missing", name)
 
@@ -265,25 +243,36 @@ class _Visitor:
 
 
 def _inside(value: Any) -> Any:
-    """The function inside a static method, a cached property, a cached or a compiled function."""
-    if type(value).__module__.partition(".")[0] == "numba":
+    """The function inside a cached property, a cached or a compiled function, or another decorator."""
+    if _top(type(value).__module__) == "numba":
         return getattr(value, "py_func", None)
-    if isinstance(value, functools.cached_property):
-        return value.func
-    return getattr(value, "__wrapped__", None) if not isinstance(value, type) else None
+    return value.func if isinstance(value, functools.cached_property) else getattr(value, "__wrapped__", None)
 
 
-def _names(code: types.CodeType) -> set[str]:
-    inner = [one for one in code.co_consts if isinstance(one, types.CodeType)]
-    return {*code.co_names}.union(*map(_names, inner))
+def _expression(value: Any) -> str:
+    """A symbolic expression of CasADi, which cannot be copied, as text; empty for anything else."""
+    if _top(type(value).__module__) != "casadi" or type(value).__name__ not in ("MX", "SX"):
+        return ""
+    import casadi
+
+    return str(casadi.Function("f", casadi.symvar(value), [value]).serialize())
+
+
+def _codes(code: types.CodeType) -> Iterator[types.CodeType]:
+    """The code of a function and of the functions inside it."""
+    yield code
+    for constant in code.co_consts:
+        if isinstance(constant, types.CodeType):
+            yield from _codes(constant)
 
 
 def _imports(code: types.CodeType) -> set[tuple[str, int]]:
     """Names and levels of the imports inside a function."""
-    found, before = set(), [0, 0]
-    for step in dis.get_instructions(code):
-        if step.opname == "IMPORT_NAME":
-            found.add((str(step.argval), before[0] if isinstance(before[0], int) else 0))
-        before = [before[1], step.argval]
-    inner = [one for one in code.co_consts if isinstance(one, types.CodeType)]
-    return found.union(*map(_imports, inner))
+    found: set[tuple[str, int]] = set()
+    for inner in _codes(code):
+        before: list[Any] = [0, 0]
+        for step in dis.get_instructions(inner):
+            if step.opname == "IMPORT_NAME":
+                found.add((str(step.argval), before[0]))
+            before = [before[1], step.argval]
+    return found

@@ -3,6 +3,8 @@
 import importlib
 import itertools
 import logging
+import os
+import signal
 import subprocess
 import sys
 import textwrap
@@ -15,6 +17,8 @@ import numpy as np
 import pytest
 
 import ldctoolkit as ldc
+from helpers.kills import killing
+from helpers.results import assert_same_results
 from ldctoolkit import registry
 from ldctoolkit.code_content import content_of
 from ldctoolkit.errors import InputError, StoreError
@@ -294,3 +298,33 @@ def test_workers_have_the_loaded_code(folder: Folder, tmp_path: Path) -> None:
             folder.write("helper", "raise SystemExit")
             scores.append(S_of(ldc.run_study(study, workers=2)))
     assert scores[0] == scores[1] == scores[4] == scores[5] != scores[2] == scores[3]
+
+
+@pytest.mark.slow
+def test_a_killed_run_is_resumed_with_edited_code(folder: Folder, tmp_path: Path) -> None:
+    """Parts of the old code are there, and of the law that was not edited."""
+    folder.law()
+    program = (
+        f"import ldctoolkit as ldc; from {folder.path.name}.laws import Mine; from studies.running import campaign; "
+        "campaign._STORE_EVERY = -1.0; study = ldc.study(ldc.NoControl, ldc.LQR, Mine, y_s=[0.05, 0.1, 0.2], "
+        "name='edited', ranking={'finalists': 0, 'bootstrap': 100}, left=8, right=6); "
+        "ldc.run_study(study, 'out', workers=1, block_size=1)"
+    )
+    for step in (24, 30, 36):  # of making, writing and renaming files of the folder
+        words = [sys.executable, "-B", "-c", killing(tmp_path / "out", step) + program]
+        done = subprocess.run(words, cwd=tmp_path, env=os.environ | {"PYTHONPATH": "."}, check=False, timeout=600)
+        assert done.returncode == -signal.SIGKILL
+    assert len(list((tmp_path / "out" / "results").glob("part-*"))) > 2
+    study = study_of(folder.law(factor="0.05"), y_s=[0.05, 0.1, 0.2])
+    assert_same_results(ldc.run_study(study, tmp_path / "out", workers=1), ldc.run_study(study, workers=1))
+
+
+@pytest.mark.slow
+def test_a_dask_worker_that_lives_on_has_the_edited_code(folder: Folder) -> None:
+    distributed = pytest.importorskip("distributed")
+    scores = []
+    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster:
+        for factor in (OLD, NEW, OLD):
+            study = study_of(EDITS["helper"](folder, factor))
+            scores.append(S_of(ldc.run_study(study, dask=cluster.scheduler_address)))
+    assert scores[0] == scores[2] != scores[1]
