@@ -68,11 +68,11 @@ class Scenarios(DepartureParameters):
     >>> import ldctoolkit as ldc
     >>> drawn = ldc.load_model("reference").sample(3, 2, seed=0)
     >>> len(drawn), drawn.take(drawn.side > 0).index.tolist()
-    (5, [0, 1, 2])
+    (5, [0, 2, 4])
     """
 
-    # (n,) Each scenario's number, 0 to n - 1 when it was made, kept by `take`: what is drawn for a scenario
-    # follows from the seed and this number
+    # (n,) Each scenario's number, kept by `take`: what is drawn for a scenario follows from the seed and this number.
+    # Of a model even to the left and odd to the right, however many there are; of arrays 0 to n - 1
     index: IntArray
     signals: DepartureSignals | None = None  # Recorded paths, driven in place of the parabolas
     drift: Drifts | None = None  # Paths that do not return, driven in place of the parabolas

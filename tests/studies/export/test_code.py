@@ -311,7 +311,7 @@ def test_no_step_of_a_million_exceeds_the_bound(name: str) -> None:
 def test_departures_in_which_the_toolkit_gave_up_are_left_out() -> None:
     law = LinearMPC(horizon=8, delta_max=0.01, rate_max=0.02, a_y_max=0.5, jerk_max=0.5, e_y_max=0.5, solver="daqp")
     found = check(record(Code.of(law, REALISTIC, 0.1), load_model("reference").sample(25, 25, seed=3)), ["cc"])
-    assert found.diverged == 1
+    assert found.diverged == 4
     assert found.delta < 1e-5  # 2e-4 with it
 
 
