@@ -18,7 +18,6 @@ from ldctoolkit import Controller, EventStatus, Scenarios, Setup
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.errors import InputError, LdcError, expect
 from ldctoolkit.law_checks import check_controller, raised
-from ldctoolkit.paths.uncorrected import UncorrectedPath
 from ldctoolkit.plant_options import Mismatch, Residuals
 from ldctoolkit.simulation import Outcome, Takeover, drive
 
@@ -46,8 +45,7 @@ _TURNED: Final = 5.0  # [deg] change of the steering wheel angle from which on i
 class _Drive:
     """n cells driven under one variant, sample by sample from the trigger on; without one, along the drift."""
 
-    setup: Setup
-    path: UncorrectedPath
+    over: Takeover
     outcome: Outcome
     t: FloatArray  # (n, k) [s] Rising; behind the end the last time again
     x: FloatArray  # (n, k, 4) State
@@ -59,46 +57,62 @@ class _Drive:
     def of(cls, controller: Controller, takeover: Takeover, limit: FloatArray) -> _Drive:
         """Drive a takeover."""
         outcome = drive(controller, takeover, trajectories=True).outcome("departure")
-        setup, path, n = takeover.setup, takeover.path, takeover.scenarios.n
-        found = outcome.trajectories
+        T, n, found = takeover.path.scenarios.T, takeover.scenarios.n, outcome.trajectories
         # where the law never acts, along the drift
-        k = max(math.ceil(float(path.scenarios.T.max()) / setup.dt) + 1, 0 if found is None else found.t.shape[1])
+        k = max(math.ceil(float(T.max()) / takeover.setup.dt) + 1, 0 if found is None else found.t.shape[1])
         t, delta, x = np.full((n, k), np.nan), np.zeros((n, k)), np.zeros((n, k, 4))
         if found is not None:
             own = slice(found.t.shape[1])
             t[:, own], x[:, own], delta[:, own] = found.t, found.x, found.delta
         never = ~np.isfinite(t[:, 0])
         if never.any():
-            some = path.take(never)
-            t[never] = some.scenarios.T[:, None] * np.linspace(0.0, 1.0, k)
-            rate, e_y = some.lateral_rate(t[never]), some.lateral(t[never]) + setup.vehicle.edge_offset
-            heading = np.arctan2(rate, some.speed(t[never]))
-            x[never], delta[never] = np.stack([e_y, rate, heading, np.zeros_like(rate)], axis=-1), 0.0
+            times = T[:, None] * np.linspace(0.0, 1.0, k)
+            t[never], x[never], delta[never] = times[never], takeover.recorded_state(times)[never], 0.0
         last = np.isfinite(t).sum(axis=1) - 1
         place, rows = np.minimum(np.arange(k), last[:, None]), np.arange(n)[:, None]
         delta_0 = np.zeros(n)
         delta_0[takeover.rows] = takeover.delta_0
-        return cls(setup, path, outcome, t[rows, place], x[rows, place], delta[rows, place], delta_0, limit)
+        return cls(takeover, outcome, t[rows, place], x[rows, place], delta[rows, place], delta_0, limit)
 
-    def beyond(self, arm: float) -> FloatArray:
-        """How far the edge of an axle gets beyond the line in each interval [m], (n, k - 1)."""
-        f = self.x[:, :, 0] + arm * self.x[:, :, 2] - self.setup.vehicle.edge_offset
-        return _peaks(f, self.x[:, :, 1] + arm * self.x[:, :, 3], np.diff(self.t, axis=1))
+    def edge(self, t: FloatArray, arm: float) -> tuple[FloatArray, FloatArray]:
+        """Position of an axle's edge beyond the line [m] and its rate at times t (n,), on the cubics of `_peaks`."""
+        row, j = np.arange(len(t)), np.clip((self.t <= t[:, None]).sum(axis=1) - 1, 0, self.t.shape[1] - 2)
+        before = self.over.recorded_state(np.minimum(t, self.t[:, 0])[:, None])
+        ends = np.where((t < self.t[:, 0])[:, None, None], before, self.x[row[:, None], np.c_[j, j + 1]])
+        f, slope, h = self._edges(ends, arm), ends[..., 1] + arm * ends[..., 3], self.t[row, j + 1] - self.t[row, j]
+        m_0, b, a = (part[:, 0] for part in _cubic(f, slope, h[:, None]))
+        u = np.clip(np.divide(t - self.t[row, j], h, out=np.zeros_like(t), where=h > 0.0), 0.0, 1.0)
+        rate = np.divide(m_0 + u * (2.0 * b + 3.0 * u * a), h, out=slope[:, 0].copy(), where=h > 0.0)
+        return f[:, 0] + u * (m_0 + u * (b + u * a)), rate
+
+    def _edges(self, x: FloatArray, arm: float) -> FloatArray:
+        return np.asarray(x[..., 0] + arm * x[..., 2] - self.over.setup.vehicle.edge_offset)
+
+    def beyond(self, arm: float, end: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """How far the edge of an axle gets beyond the line in each interval until `end` (n,), and when, (n, k - 1)."""
+        return _peaks(self._edges(self.x, arm), self.x[..., 1] + arm * self.x[..., 3], self.t, end[:, None])
 
     @functools.cached_property
     def largest(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Largest position of the front tyre's outer edge beyond the line until the test ends, when, and the end."""
-        t, row, peaks = self.t[:, 1:], np.arange(len(self.t)), self.beyond(self.setup.vehicle.l_f)
+        t, row, l_f = self.t, np.arange(len(self.t)), self.over.setup.vehicle.l_f
+        peaks, when = self.beyond(l_f, t[:, -1])
         deepest = np.maximum.accumulate(peaks, axis=1)
-        reached = np.maximum.accumulate(np.where(peaks >= deepest, t, -np.inf), axis=1)
-
-        def first(events: BoolArray) -> FloatArray:
-            return np.where(events.any(axis=1), t[row, np.argmax(events, axis=1)], np.inf)
-
-        end = np.minimum(first(t - reached >= _AFTER - 1e-9), first(deepest > -self.limit[:, None]) + _AFTER)
-        end = np.minimum(end, t[:, -1])
-        place = np.maximum((t <= end[:, None] + 1e-9).sum(axis=1) - 1, 0)
-        return deepest[row, place], reached[row, place], end
+        reached = np.maximum.accumulate(np.where(peaks >= deepest, when, t[:, :1]), axis=1)
+        before = np.c_[t[:, :1], reached[:, :-1]]
+        settled = np.where(peaks >= deepest, when, t[:, 1:]) - before >= _AFTER
+        end = np.where(settled.any(axis=1), before[row, np.argmax(settled, axis=1)] + _AFTER, t[:, -1])
+        if (broken := deepest[:, -1] > -self.limit).any():
+            place, early = np.argmax(deepest > -self.limit[:, None], axis=1), self.edge(t[:, 0], l_f)[0] > -self.limit
+            low, high = np.where(early, 0.0, t[row, place]), np.where(early, t[:, 0], when[row, place])
+            for _ in range(50):  # bisection: the limit is broken between these times, before the trigger where early
+                middle = 0.5 * (low + high)
+                over = self.edge(middle, l_f)[0] > -self.limit
+                low, high = np.where(over, low, middle), np.where(over, middle, high)
+            end = np.where(broken, np.minimum(end, high + _AFTER), end)
+        peaks, when = self.beyond(l_f, end)
+        place = np.argmax(peaks, axis=1)
+        return peaks[row, place], when[row, place], end
 
     def resampled(self, values: FloatArray, left: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Values (n, k) every 1/200 s, (n, m), and the times since the trigger; before it the values `left`."""
@@ -112,14 +126,23 @@ class _Drive:
         return np.asarray((times >= 0.0) & (times <= (self.largest[2] - self.t[:, 0])[:, None]))
 
 
-def _peaks(f: FloatArray, slope: FloatArray, h: FloatArray) -> FloatArray:
-    """Largest value of the cubic with these values and slopes (n, k) at the ends of each interval h, (n, k - 1)."""
-    f_0, f_1, m_0, m_1 = f[:, :-1], f[:, 1:], slope[:, :-1] * h, slope[:, 1:] * h
-    a, b = m_0 + m_1 - 2.0 * (f_1 - f_0), 3.0 * (f_1 - f_0) - 2.0 * m_0 - m_1
+def _cubic(f: FloatArray, slope: FloatArray, h: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Coefficients of u, u^2, u^3 of the cubics with values f and slopes (n, k) at the ends of intervals h."""
+    rise, m_0, m_1 = f[:, 1:] - f[:, :-1], slope[:, :-1] * h, slope[:, 1:] * h
+    return m_0, 3.0 * rise - 2.0 * m_0 - m_1, m_0 + m_1 - 2.0 * rise
+
+
+def _peaks(f: FloatArray, slope: FloatArray, t: FloatArray, end: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Largest value until `end` (n, 1) of the cubic in each interval between times t (n, k), and when, (n, k - 1)."""
+    h = np.diff(t, axis=1)
+    m_0, b, a = _cubic(f, slope, h)
+    until = np.clip(np.divide(end - t[:, :-1], h, out=np.zeros_like(h), where=h > 0.0), 0.0, 1.0)
     root = np.sqrt(np.maximum(b**2 - 3.0 * a * m_0, 0.0)) - b
     u = np.clip(np.divide(m_0, root, out=np.zeros_like(root), where=root > 0.0), 0.0, 1.0)
-    inside = f_0 + u * (m_0 + u * (b + u * a))
-    return np.maximum(np.maximum(f_0, f_1), np.where((m_0 > 0.0) & (m_1 < 0.0), inside, -np.inf))
+    rise = until * (m_0 + until * (b + until * a))
+    u = np.where((m_0 > 0.0) & (slope[:, 1:] < 0.0) & (u <= until), u, np.where(rise > 0.0, until, 0.0))
+    peaks = f[:, :-1] + u * (m_0 + u * (b + u * a))
+    return np.where(t[:, :-1] <= end, peaks, -np.inf), t[:, :-1] + u * h
 
 
 def _dtle(run: _Drive) -> FloatArray:
@@ -129,7 +152,7 @@ def _dtle(run: _Drive) -> FloatArray:
 
 def _tyre_distance(run: _Drive) -> FloatArray:
     """The same of all tyres: in a bend the rear ones stand further out [m]."""
-    rear = np.where(run.t[:, 1:] <= run.largest[2][:, None] + 1e-9, run.beyond(-run.setup.vehicle.l_r), -np.inf)
+    rear, _ = run.beyond(-run.over.setup.vehicle.l_r, run.largest[2])
     return np.asarray(np.minimum(_dtle(run), -rear.max(axis=1)))
 
 
@@ -137,7 +160,7 @@ def _wheel_rate(run: _Drive) -> FloatArray:
     """Largest rate of the steering wheel [deg/s], filtered; NaN where it turns by less than 5 degrees."""
     from scipy.signal import butter, sosfiltfilt
 
-    ratio = math.degrees(run.setup.vehicle.steering_ratio)
+    ratio = math.degrees(run.over.setup.vehicle.steering_ratio)
     wheel, times = run.resampled(ratio * run.delta, ratio * run.delta_0)
     response = run.response(times)
     until_end = np.where(response | (times < 0.0), wheel, wheel[:, :1])
@@ -152,9 +175,9 @@ def _jerk(run: _Drive) -> FloatArray:
     """Largest lateral jerk [m/s^3]: moving average over 0.5 s of the filtered lateral acceleration."""
     from scipy.signal import butter, sosfilt, sosfilt_zi
 
-    p, window = run.path.scenarios, round(_JERK_WINDOW * _RATE)
+    p, window = run.over.path.scenarios, round(_JERK_WINDOW * _RATE)
     rate, times = run.resampled(run.x[:, :, 1], run.x[:, 0, 1])
-    before = run.path.lateral_acceleration(run.t[:, 0])  # until the trigger the vehicle is on its path
+    before = run.over.path.lateral_acceleration(run.t[:, 0])  # until the trigger the vehicle is on its path
     a_y = np.where(times < 0.0, before[:, None], np.diff(rate, axis=1, append=rate[:, -1:]) * _RATE)
     a_y += (p.v_mean**2 * p.c_0)[:, None]
     sos = butter(_JERK_ORDER, _JERK_CUTOFF, fs=_RATE, output="sos")
@@ -166,8 +189,7 @@ def _jerk(run: _Drive) -> FloatArray:
 
 def _lateral_velocity_after(run: _Drive) -> FloatArray:
     """Lateral velocity, either way, two seconds after the smallest DTLE [m/s]."""
-    rows = zip(run.largest[1] + _AFTER, run.t, run.x[:, :, 1], strict=True)
-    return np.asarray(np.abs([np.interp(wanted, t, rate) for wanted, t, rate in rows]))
+    return np.abs(run.edge(run.largest[1] + _AFTER, 0.0)[1])
 
 
 @dataclasses.dataclass(frozen=True)

@@ -109,7 +109,7 @@ def read_entry(entry: Any, scale: Literal["linear", "log"] = "linear", *, whole:
     """The dimension of a design space that one entry stands for."""
     if not isinstance(entry, dict) or "count" in entry:
         return Choices(expand(entry, scale, whole=whole))
-    first, last, spacing = _ends(entry, scale)
+    first, last, spacing = _ends(entry, scale, whole)
     if first == last:
         raise EntryError("", f"from and to are both {first!r}; allowed: two different numbers")
     return Span(first, last, spacing, whole)
@@ -136,7 +136,7 @@ def expand(entry: Any, scale: Literal["linear", "log"] = "linear", *, whole: boo
 
 
 def _range(entry: dict[str, Any], scale: Literal["linear", "log"], whole: bool) -> list[Any]:
-    first, last, scale = _ends(entry, scale)
+    first, last, scale = _ends(entry, scale, whole)
     if "count" not in entry:
         raise EntryError(".count", "missing; a range is written {from = ..., to = ..., count = ...}")
     count = entry["count"]
@@ -148,7 +148,9 @@ def _range(entry: dict[str, Any], scale: Literal["linear", "log"], whole: bool) 
     return [round(value) for value in values] if whole else values
 
 
-def _ends(entry: dict[str, Any], scale: Literal["linear", "log"]) -> tuple[float, float, Literal["linear", "log"]]:
+def _ends(
+    entry: dict[str, Any], scale: Literal["linear", "log"], whole: bool
+) -> tuple[float, float, Literal["linear", "log"]]:
     """Ends and spacing of a table."""
     for key in entry:
         if key not in RANGE_KEYS:
@@ -159,6 +161,8 @@ def _ends(entry: dict[str, Any], scale: Literal["linear", "log"]) -> tuple[float
         value = entry[key]
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
             raise EntryError(f".{key}", f"{value!r}; allowed: a finite number")
+        if whole and value != int(value):
+            raise EntryError(f".{key}", f"{value!r}; allowed: a whole number")
     first, last = entry["from"], entry["to"]
     one_sign = (first > 0) == (last > 0) and first != 0 and last != 0
     chosen = entry.get("scale", scale if one_sign else "linear")

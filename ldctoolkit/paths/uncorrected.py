@@ -347,32 +347,48 @@ class UncorrectedPath:
         if self.recorded is not None:
             return self._highest_sample(lambda path, t: path.lateral(t), np.zeros_like(end), end)
         if self._disturbed:
-            return self._highest("EDGE", 0.0, np.zeros_like(end), end)
+            return self._highest("EDGE", np.zeros_like(end), end)
         p = self.scenarios
         past = dep.position(p, end) >= 0.5 * p.v_mean * p.T
         return np.where(past, p.d_y, np.maximum(dep.lateral(p, end), 0.0))
 
     @_quiet
-    def front_deepest(self, t_end: FloatArray, l_f: float) -> FloatArray:
-        """Largest distance of the front axle's edge beyond the line over [0, t_end], t_end (n,) [s] cut off at T: y +
-        l_f e_psi (n,) [m], with e_psi = arctan of the slope (dy/dt)/v.
+    def highest(
+        self, curve: Callable[[UncorrectedPath, slice, FloatArray], FloatArray], t_end: FloatArray
+    ) -> FloatArray:
+        """Largest value of a smooth curve over [0, t_end], (n,); t_end (n,) [s] is cut off at T.
+
+        `curve` takes chosen paths, their rows and times (n, k). It is taken at the samples of recorded signals, or
+        at 16 points for each half wave of the highest mode; then parabolas through three points close in on the peak.
         """
-        end = np.minimum(t_end, self.scenarios.T)
-        if self.recorded is not None:
-            return self._highest_sample(
-                lambda path, t: path.lateral(t) + l_f * np.arctan2(path.lateral_rate(t), path.speed(t)),
-                np.zeros_like(end), end,
-            )  # fmt: skip
-        if self._disturbed:
-            return self._highest("FRONT_EDGE", l_f, np.zeros_like(end), end)
-        p = self.scenarios
-        d_x = p.v_mean * p.T
-        # 4 d_y s (1 - s) + l_f arctan(q), q = 4 d_y/d_x (1 - 2 s), is highest where q (1 + q^2) = 8 l_f d_y/d_x^2
-        q = 2.0 / np.sqrt(3.0) * np.sinh(np.arcsinh(12.0 * np.sqrt(3.0) * l_f * p.d_y / d_x**2) / 3.0)
-        share = np.clip(0.5 - l_f / (d_x * (1.0 + q**2)), 0.0, dep.position(p, end) / d_x)
-        slope = 4.0 * p.d_y / d_x * (1.0 - 2.0 * share)
-        highest: FloatArray = 4.0 * p.d_y * share * (1.0 - share) + l_f * np.arctan(slope)
-        return highest
+        out, ends = np.empty(self.n), np.minimum(t_end, self.scenarios.T)
+        for first in range(0, self.n, _AT_ONCE):
+            rows = slice(first, first + _AT_ONCE)
+            path, end = self.take(rows), ends[rows, None]
+            if path.recorded is not None:
+                t = np.clip(path.recorded.times(np.arange(path.n)), 0.0, end)
+            else:
+                modes = np.maximum(_used(path.modes_y), _used(path.modes_v))
+                cells = np.maximum(16 * modes, 8)[:, None]  # its own: no number depends on what stands beside it
+                t = end * np.minimum(np.arange(cells.max() + 1) / cells, 1.0)
+            f = curve(path, rows, t)
+            before, here, after = f[:, :-2], f[:, 1:-1], f[:, 2:]
+            peaks = (here >= np.maximum(before, after)) & (2.0 * here > before + after)
+            vertex = f.copy()
+            vertex[:, 1:-1] += np.where(peaks, (after - before) ** 2 / (8.0 * (2.0 * here - before - after)), 0.0)
+            place = np.argmax(vertex, axis=1)[:, None]
+            step = np.diff(t, axis=1)
+            h = np.take_along_axis(np.maximum(np.c_[step, step[:, -1:]], np.c_[step[:, :1], step]), place, axis=1)
+            middle, best = np.clip(np.take_along_axis(t, place, axis=1), 0.5 * h, end - 0.5 * h), f.max(axis=1)
+            for _ in range(2):
+                left, right = np.maximum(middle - h, 0.0), np.minimum(middle + h, end)
+                f = curve(path, rows, np.concatenate([left, middle, right], axis=1))
+                rise, fall = (f[:, 1:2] - f[:, :1]) / (middle - left), (f[:, 1:2] - f[:, 2:]) / (right - middle)
+                peak = middle + 0.5 * (rise * (right - middle) - fall * (middle - left)) / (rise + fall)
+                middle = np.where(rise + fall > 0.0, np.clip(peak, left, right), middle)
+                best, h = np.maximum(best, f.max(axis=1)), h / 16.0
+            out[rows] = np.maximum(best, curve(path, rows, middle)[:, 0])
+        return out
 
     def slowest_speed(self, t_0: FloatArray, t_1: FloatArray) -> FloatArray:
         """Lowest speed over [t_0, t_1] [m/s], both (n,), t_0 <= t_1; with eps_v searched like `crossing_time`."""
@@ -380,7 +396,7 @@ class UncorrectedPath:
         if self.recorded is not None:
             return -self._highest_sample(lambda path, t: -path.speed(t), start, end)
         if self._varied:
-            return -self._highest("SLOWNESS", 0.0, start, end)
+            return -self._highest("SLOWNESS", start, end)
         return np.minimum(dep.speed(self.scenarios, start), dep.speed(self.scenarios, end))
 
     def drivable(self) -> BoolArray:
@@ -444,11 +460,11 @@ class UncorrectedPath:
                 out[some] = curve(path, np.clip(t, t_0[some, None], t_1[some, None])).max(axis=1)
         return out
 
-    def _highest(self, which: str, l_f: float, t_0: FloatArray, t_1: FloatArray) -> FloatArray:
+    def _highest(self, which: str, t_0: FloatArray, t_1: FloatArray) -> FloatArray:
         from ldctoolkit.paths import kernels
 
         out = np.empty(self.n)
-        kernels.highest(self.columns(), getattr(kernels, which), float(l_f), t_0, t_1, out)
+        kernels.highest(self.columns(), getattr(kernels, which), t_0, t_1, out)
         return out
 
 
@@ -510,11 +526,6 @@ class DriftPath(UncorrectedPath):
     def deepest(self, t_end: FloatArray) -> FloatArray:
         """Largest y over [0, t_end] [m]; `t_end` (n,) is cut off at T."""
         return self.lateral(np.minimum(t_end, self.scenarios.T))
-
-    def front_deepest(self, t_end: FloatArray, l_f: float) -> FloatArray:
-        """Largest distance of the front axle's edge beyond the line over [0, t_end], (n,) [m]."""
-        y, rate, _ = self.drift.motion(self.scenarios.v_mean, np.minimum(t_end, self.scenarios.T))
-        return y + l_f * np.arctan2(rate, self.scenarios.v_mean)
 
 
 def _mode_count(T: FloatArray, bandwidth: float) -> IntArray:
