@@ -304,8 +304,11 @@ class PlantOptions:
         delay, late, period = (whole_multiple(t, dt) for t in (actuator.delay, sensors.delay, sensors.period))
         if (delay, late, period) == (actuator.delay, sensors.delay, sensors.period):
             return self
-        parts = {"actuator": dataclasses.replace(actuator, delay=delay)}
-        return dataclasses.replace(self, **parts, sensors=dataclasses.replace(sensors, delay=late, period=period))
+        actuator, sensors = (
+            dataclasses.replace(actuator, delay=delay),
+            dataclasses.replace(sensors, delay=late, period=period),
+        )
+        return dataclasses.replace(self, actuator=actuator, sensors=sensors)
 
     @property
     def drives_exactly(self) -> bool:

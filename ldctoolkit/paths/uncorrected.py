@@ -61,7 +61,7 @@ def _checked(seed: int, index: npt.ArrayLike, count: int) -> tuple[int, IntArray
     numbers = np.asarray(index)
     if numbers.ndim != 1 or (numbers.size and numbers.dtype.kind not in "iu"):
         raise InputError(f"index: {numbers.ndim} dimensions of {numbers.dtype}; allowed: (n,) whole numbers")
-    numbers = np.ascontiguousarray(numbers, dtype=np.int64)
+    numbers = np.array(numbers, dtype=np.int64)  # a copy: compiled functions take no read-only arrays
     if np.any(numbers < 0):
         i = int(np.argmax(numbers < 0))
         raise InputError(f"index[{i}] = {numbers[i]}; allowed: >= 0")
@@ -218,11 +218,11 @@ class UncorrectedPath:
         most = int(count.max(initial=0))
         if residuals.v:
             modes = normals(seed, scenarios.index, RandomStream.RESIDUAL_V, most)
-            shape_speed_modes(scenarios.sigma_v, count, modes)
+            shape_speed_modes(np.array(scenarios.sigma_v), count, modes)
             path = dataclasses.replace(path, modes_v=modes)
         if residuals.y:
             modes = normals(seed, scenarios.index, RandomStream.RESIDUAL_Y, most)
-            shape_lateral_modes(path.columns(), scenarios.sigma_y, count, modes)
+            shape_lateral_modes(path.columns(), np.array(scenarios.sigma_y), count, modes)
             path = dataclasses.replace(path, modes_y=modes)
         return path
 
@@ -418,7 +418,7 @@ class UncorrectedPath:
         from ldctoolkit.paths.kernels import Path
 
         p = self.scenarios
-        T, d_y, v_mean, a_mean = (np.ascontiguousarray(column) for column in (p.T, p.d_y, p.v_mean, p.a_mean))
+        T, d_y, v_mean, a_mean = (np.array(column) for column in (p.T, p.d_y, p.v_mean, p.a_mean))
         modes_y, modes_v = np.ascontiguousarray(self.modes_y), np.ascontiguousarray(self.modes_v)
         return Path(T, d_y, v_mean, a_mean, modes_y, modes_v, _used(modes_y), _used(modes_v))
 
