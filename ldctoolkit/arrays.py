@@ -13,11 +13,11 @@ BoolArray = npt.NDArray[np.bool_]
 
 def unmasked(values: Any) -> Any:
     """A masked array as a plain one whose masked entries are missing: NaN, or False; anything else as it is."""
-    if not isinstance(values, np.ma.MaskedArray):
+    if not np.ma.isMaskedArray(values):
         return values
     if not np.ma.is_masked(values) or values.dtype.kind == "b":
-        return values.filled(False)
-    return values.astype(np.float64 if values.dtype.kind in "iuf" else np.object_).filled(np.nan)
+        return np.ma.filled(values, False)
+    return np.ma.filled(values.astype(np.float64 if values.dtype.kind in "iuf" else np.object_), np.nan)
 
 
 class ReadOnly:

@@ -43,13 +43,13 @@ _TURNED: Final = 5.0  # [deg] change of the steering wheel angle from which on i
 
 @dataclasses.dataclass(frozen=True)
 class _Drive:
-    """n cells driven under one variant, sample by sample from the trigger on; without one, along the drift."""
+    """n cells driven under one variant, sample by sample; until the trigger, or without one, along the drift."""
 
     over: Takeover
     outcome: Outcome
-    t: FloatArray  # (n, k) [s] Rising; behind the end the last time again
-    x: FloatArray  # (n, k, 4) State
-    delta: FloatArray  # (n, k) [rad] Steering angle
+    t: FloatArray  # (n, e + k) [s] Rising; e before the trigger; behind the end the last time again
+    x: FloatArray  # (n, e + k, 4) State
+    delta: FloatArray  # (n, k) [rad] Steering angle, from the trigger on
     delta_0: FloatArray  # (n,) [rad] Until the trigger
     limit: FloatArray  # (n,) [m] DTLE at which the test is failed; -inf without such a condition
 
@@ -72,25 +72,26 @@ class _Drive:
         place, rows = np.minimum(np.arange(k), last[:, None]), np.arange(n)[:, None]
         delta_0 = np.zeros(n)
         delta_0[takeover.rows] = takeover.delta_0
-        return cls(takeover, outcome, t[rows, place], x[rows, place], delta[rows, place], delta_0, limit)
+        earlier = t[:, :1] * np.linspace(0.0, 1.0, max(math.ceil(t[:, 0].max() / takeover.setup.dt), 1), endpoint=False)
+        x = np.concatenate([takeover.recorded_state(earlier), x[rows, place]], axis=1)
+        return cls(takeover, outcome, np.c_[earlier, t[rows, place]], x, delta[rows, place], delta_0, limit)
 
-    def edge(self, t: FloatArray, arm: float) -> tuple[FloatArray, FloatArray]:
-        """Position of an axle's edge beyond the line [m] and its rate at times t (n,), on the cubics of `_peaks`."""
-        row, j = np.arange(len(t)), np.clip((self.t <= t[:, None]).sum(axis=1) - 1, 0, self.t.shape[1] - 2)
-        before = self.over.recorded_state(np.minimum(t, self.t[:, 0])[:, None])
-        ends = np.where((t < self.t[:, 0])[:, None, None], before, self.x[row[:, None], np.c_[j, j + 1]])
-        f, slope, h = self._edges(ends, arm), ends[..., 1] + arm * ends[..., 3], self.t[row, j + 1] - self.t[row, j]
-        m_0, b, a = (part[:, 0] for part in _cubic(f, slope, h[:, None]))
-        u = np.clip(np.divide(t - self.t[row, j], h, out=np.zeros_like(t), where=h > 0.0), 0.0, 1.0)
-        rate = np.divide(m_0 + u * (2.0 * b + 3.0 * u * a), h, out=slope[:, 0].copy(), where=h > 0.0)
-        return f[:, 0] + u * (m_0 + u * (b + u * a)), rate
-
-    def _edges(self, x: FloatArray, arm: float) -> FloatArray:
-        return np.asarray(x[..., 0] + arm * x[..., 2] - self.over.setup.vehicle.edge_offset)
+    def cubics(self, arm: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """The edge of an axle beyond the line [m] in each interval: coefficients of 1, u, u^2, u^3, (n, e + k - 1)."""
+        f = self.x[:, :, 0] + arm * self.x[:, :, 2] - self.over.setup.vehicle.edge_offset
+        rise, slope, h = np.diff(f, axis=1), self.x[:, :, 1] + arm * self.x[:, :, 3], np.diff(self.t, axis=1)
+        m_0, m_1 = slope[:, :-1] * h, slope[:, 1:] * h
+        return f[:, :-1], m_0, 3.0 * rise - 2.0 * m_0 - m_1, m_0 + m_1 - 2.0 * rise
 
     def beyond(self, arm: float, end: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """How far the edge of an axle gets beyond the line in each interval until `end` (n,), and when, (n, k - 1)."""
-        return _peaks(self._edges(self.x, arm), self.x[..., 1] + arm * self.x[..., 3], self.t, end[:, None])
+        """Largest position of an axle's edge [m] in each interval until `end` (n,), and when, (n, e + k - 1)."""
+        (f_0, m_0, b, a), t, h = self.cubics(arm), self.t[:, :-1], np.diff(self.t, axis=1)
+        until = np.clip(np.divide(end[:, None] - t, h, out=np.zeros_like(h), where=h > 0.0), 0.0, 1.0)
+        root = np.sqrt(np.maximum(b**2 - 3.0 * a * m_0, 0.0)) - b
+        peak = np.clip(np.divide(m_0, root, out=np.zeros_like(root), where=root > 0.0), 0.0, 1.0)
+        last = np.where(until * (m_0 + until * (b + until * a)) > 0.0, until, 0.0)
+        u = np.where((m_0 > 0.0) & (m_0 + 2.0 * b + 3.0 * a < 0.0) & (peak <= until), peak, last)
+        return np.where(t <= end[:, None], f_0 + u * (m_0 + u * (b + u * a)), -np.inf), t + u * h
 
     @functools.cached_property
     def largest(self) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -98,51 +99,39 @@ class _Drive:
         t, row, l_f = self.t, np.arange(len(self.t)), self.over.setup.vehicle.l_f
         peaks, when = self.beyond(l_f, t[:, -1])
         deepest = np.maximum.accumulate(peaks, axis=1)
-        reached = np.maximum.accumulate(np.where(peaks >= deepest, when, t[:, :1]), axis=1)
+        reached = np.maximum.accumulate(np.where(peaks >= deepest, when, 0.0), axis=1)
         before = np.c_[t[:, :1], reached[:, :-1]]
         settled = np.where(peaks >= deepest, when, t[:, 1:]) - before >= _AFTER
         end = np.where(settled.any(axis=1), before[row, np.argmax(settled, axis=1)] + _AFTER, t[:, -1])
-        if (broken := deepest[:, -1] > -self.limit).any():
-            place, early = np.argmax(deepest > -self.limit[:, None], axis=1), self.edge(t[:, 0], l_f)[0] > -self.limit
-            low, high = np.where(early, 0.0, t[row, place]), np.where(early, t[:, 0], when[row, place])
-            for _ in range(50):  # bisection: the limit is broken between these times, before the trigger where early
-                middle = 0.5 * (low + high)
-                over = self.edge(middle, l_f)[0] > -self.limit
-                low, high = np.where(over, low, middle), np.where(over, middle, high)
-            end = np.where(broken, np.minimum(end, high + _AFTER), end)
+        place = np.argmax(deepest > -self.limit[:, None], axis=1)
+        f_0, m_0, b, a = (part[row, place] for part in self.cubics(l_f))
+        low, high = t[row, place], when[row, place]
+        h = np.maximum(t[row, place + 1] - low, 1e-300)
+        for _ in range(50):  # bisection: the limit is broken between these times
+            middle = 0.5 * (low + high)
+            u = (middle - t[row, place]) / h
+            over = f_0 + u * (m_0 + u * (b + u * a)) > -self.limit
+            low, high = np.where(over, low, middle), np.where(over, middle, high)
+        end = np.where(deepest[:, -1] > -self.limit, np.minimum(end, high + _AFTER), end)
         peaks, when = self.beyond(l_f, end)
         place = np.argmax(peaks, axis=1)
         return peaks[row, place], when[row, place], end
 
+    @property
+    def start(self) -> FloatArray:
+        """The trigger, (n, 1) [s]."""
+        return self.t[:, self.t.shape[1] - self.delta.shape[1], None]
+
     def resampled(self, values: FloatArray, left: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Values (n, k) every 1/200 s, (n, m), and the times since the trigger; before it the values `left`."""
-        since = self.t - self.t[:, :1]
+        since = self.t[:, -values.shape[1] :] - self.start
         times = np.arange(math.ceil((float(since.max()) + _BEFORE) * _RATE) + 1) / _RATE - _BEFORE
         rows = zip(since, values, left, strict=True)
         return np.array([np.interp(times, t, row, left=before) for t, row, before in rows]), times
 
     def response(self, times: FloatArray) -> BoolArray:
         """Which times since the trigger (m,) belong to the response: until the test ends, (n, m)."""
-        return np.asarray((times >= 0.0) & (times <= (self.largest[2] - self.t[:, 0])[:, None]))
-
-
-def _cubic(f: FloatArray, slope: FloatArray, h: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Coefficients of u, u^2, u^3 of the cubics with values f and slopes (n, k) at the ends of intervals h."""
-    rise, m_0, m_1 = f[:, 1:] - f[:, :-1], slope[:, :-1] * h, slope[:, 1:] * h
-    return m_0, 3.0 * rise - 2.0 * m_0 - m_1, m_0 + m_1 - 2.0 * rise
-
-
-def _peaks(f: FloatArray, slope: FloatArray, t: FloatArray, end: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Largest value until `end` (n, 1) of the cubic in each interval between times t (n, k), and when, (n, k - 1)."""
-    h = np.diff(t, axis=1)
-    m_0, b, a = _cubic(f, slope, h)
-    until = np.clip(np.divide(end - t[:, :-1], h, out=np.zeros_like(h), where=h > 0.0), 0.0, 1.0)
-    root = np.sqrt(np.maximum(b**2 - 3.0 * a * m_0, 0.0)) - b
-    u = np.clip(np.divide(m_0, root, out=np.zeros_like(root), where=root > 0.0), 0.0, 1.0)
-    rise = until * (m_0 + until * (b + until * a))
-    u = np.where((m_0 > 0.0) & (slope[:, 1:] < 0.0) & (u <= until), u, np.where(rise > 0.0, until, 0.0))
-    peaks = f[:, :-1] + u * (m_0 + u * (b + u * a))
-    return np.where(t[:, :-1] <= end, peaks, -np.inf), t[:, :-1] + u * h
+        return np.asarray((times >= 0.0) & (times <= self.largest[2][:, None] - self.start))
 
 
 def _dtle(run: _Drive) -> FloatArray:
@@ -176,8 +165,9 @@ def _jerk(run: _Drive) -> FloatArray:
     from scipy.signal import butter, sosfilt, sosfilt_zi
 
     p, window = run.over.path.scenarios, round(_JERK_WINDOW * _RATE)
-    rate, times = run.resampled(run.x[:, :, 1], run.x[:, 0, 1])
-    before = run.over.path.lateral_acceleration(run.t[:, 0])  # until the trigger the vehicle is on its path
+    driven = run.x[:, -run.delta.shape[1] :, 1]
+    rate, times = run.resampled(driven, driven[:, 0])
+    before = run.over.path.lateral_acceleration(run.start[:, 0])  # until the trigger the vehicle is on its path
     a_y = np.where(times < 0.0, before[:, None], np.diff(rate, axis=1, append=rate[:, -1:]) * _RATE)
     a_y += (p.v_mean**2 * p.c_0)[:, None]
     sos = butter(_JERK_ORDER, _JERK_CUTOFF, fs=_RATE, output="sos")
@@ -189,7 +179,12 @@ def _jerk(run: _Drive) -> FloatArray:
 
 def _lateral_velocity_after(run: _Drive) -> FloatArray:
     """Lateral velocity, either way, two seconds after the smallest DTLE [m/s]."""
-    return np.abs(run.edge(run.largest[1] + _AFTER, 0.0)[1])
+    t = np.minimum(run.largest[1] + _AFTER, run.t[:, -1])
+    row, j = np.arange(len(t)), np.maximum((run.t < t[:, None]).sum(axis=1) - 1, 0)
+    _, m_0, b, a = (part[row, j] for part in run.cubics(0.0))
+    h = run.t[row, j + 1] - run.t[row, j]
+    u = (t - run.t[row, j]) / h
+    return np.asarray(np.abs(m_0 + u * (2.0 * b + 3.0 * u * a)) / h)
 
 
 @dataclasses.dataclass(frozen=True)

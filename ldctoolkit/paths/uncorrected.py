@@ -38,11 +38,7 @@ def uniforms(seed: int, index: npt.ArrayLike, stream: int, count: int) -> FloatA
     Column j is element j % 2 of the pair at counter j // 2. Philox4x32-10 (Salmon et al., SC11, 2011), 53 bits each;
     0 and 1 themselves do not occur.
     """
-    from ldctoolkit.paths.kernels import fill_uniforms
-
-    seed, numbers, out = _checked(seed, index, count)
-    fill_uniforms(seed, numbers, int(stream), out)
-    return out
+    return _drawn(seed, index, stream, count, normal=False)
 
 
 def normals(seed: int, index: npt.ArrayLike, stream: int, count: int) -> FloatArray:
@@ -50,14 +46,12 @@ def normals(seed: int, index: npt.ArrayLike, stream: int, count: int) -> FloatAr
 
     The transform of Box and Muller (Ann. Math. Statist. 29, 1958) of the uniform numbers; none is beyond 8.6.
     """
-    from ldctoolkit.paths.kernels import fill_normals
-
-    seed, numbers, out = _checked(seed, index, count)
-    fill_normals(seed, numbers, int(stream), out)
-    return out
+    return _drawn(seed, index, stream, count, normal=True)
 
 
-def _checked(seed: int, index: npt.ArrayLike, count: int) -> tuple[int, IntArray, FloatArray]:
+def _drawn(seed: int, index: npt.ArrayLike, stream: int, count: int, *, normal: bool) -> FloatArray:
+    from ldctoolkit.paths.kernels import fill_pairs
+
     numbers = np.asarray(index)
     if numbers.ndim != 1 or (numbers.size and numbers.dtype.kind not in "iu"):
         raise InputError(f"index: {numbers.ndim} dimensions of {numbers.dtype}; allowed: (n,) whole numbers")
@@ -67,7 +61,9 @@ def _checked(seed: int, index: npt.ArrayLike, count: int) -> tuple[int, IntArray
         raise InputError(f"index[{i}] = {numbers[i]}; allowed: >= 0")
     if count < 0:
         raise InputError(f"count: {count!r}; allowed: >= 0")
-    return checked_seed(seed), numbers, np.empty((numbers.size, count))
+    out = np.empty((numbers.size, count))
+    fill_pairs(checked_seed(seed), numbers, int(stream), normal, out)
+    return out
 
 
 FEWEST_MODES: Final = 3
@@ -147,6 +143,9 @@ class Recorded:
         share = np.divide(y_s - s.y[a], rise, out=np.zeros_like(rise), where=rise > 0.0)
         out[found] = s.t[a] + share * (s.t[b] - s.t[a])
         return out
+
+
+Curve = Callable[["UncorrectedPath", slice, FloatArray], FloatArray]  # of paths, their rows and times (n, k); (n, k)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -344,44 +343,39 @@ class UncorrectedPath:
     def deepest(self, t_end: FloatArray) -> FloatArray:
         """Largest y over [0, t_end] [m]; `t_end` (n,) is cut off at T."""
         end = np.minimum(t_end, self.scenarios.T)
-        if self.recorded is not None:
-            return self._highest_sample(lambda path, t: path.lateral(t), np.zeros_like(end), end)
         if self._disturbed:
-            return self._highest("EDGE", np.zeros_like(end), end)
+            return self.highest(lambda path, _, t: path.lateral(t), np.zeros_like(end), end)
         p = self.scenarios
         past = dep.position(p, end) >= 0.5 * p.v_mean * p.T
         return np.where(past, p.d_y, np.maximum(dep.lateral(p, end), 0.0))
 
     @_quiet
-    def highest(
-        self, curve: Callable[[UncorrectedPath, slice, FloatArray], FloatArray], t_end: FloatArray
-    ) -> FloatArray:
-        """Largest value of a smooth curve over [0, t_end], (n,); t_end (n,) [s] is cut off at T.
+    def highest(self, curve: Curve, t_0: FloatArray, t_1: FloatArray) -> FloatArray:
+        """Largest value of a smooth curve over [t_0, t_1], (n,); both (n,) [s], cut off at T.
 
-        `curve` takes chosen paths, their rows and times (n, k). It is taken at the samples of recorded signals, or
-        at 16 points for each half wave of the highest mode; then parabolas through three points close in on the peak.
+        It is taken at the samples of recorded signals, or at 16 points for each half wave of the highest mode; then
+        parabolas through three points close in on the peak.
         """
-        out, ends = np.empty(self.n), np.minimum(t_end, self.scenarios.T)
+        out, starts, ends = np.empty(self.n), np.minimum(t_0, self.scenarios.T), np.minimum(t_1, self.scenarios.T)
         for first in range(0, self.n, _AT_ONCE):
             rows = slice(first, first + _AT_ONCE)
-            path, end = self.take(rows), ends[rows, None]
+            path, start, end = self.take(rows), starts[rows, None], ends[rows, None]
             if path.recorded is not None:
-                t = np.clip(path.recorded.times(np.arange(path.n)), 0.0, end)
+                t = np.clip(path.recorded.times(np.arange(path.n)), start, end)
             else:
                 modes = np.maximum(_used(path.modes_y), _used(path.modes_v))
                 cells = np.maximum(16 * modes, 8)[:, None]  # its own: no number depends on what stands beside it
-                t = end * np.minimum(np.arange(cells.max() + 1) / cells, 1.0)
+                t = start + (end - start) * np.minimum(np.arange(cells.max() + 1) / cells, 1.0)
             f = curve(path, rows, t)
-            before, here, after = f[:, :-2], f[:, 1:-1], f[:, 2:]
-            peaks = (here >= np.maximum(before, after)) & (2.0 * here > before + after)
-            vertex = f.copy()
-            vertex[:, 1:-1] += np.where(peaks, (after - before) ** 2 / (8.0 * (2.0 * here - before - after)), 0.0)
-            place = np.argmax(vertex, axis=1)[:, None]
-            step = np.diff(t, axis=1)
+            low, top, high = f[:, :-2], f[:, 1:-1], f[:, 2:]
+            peaks = (top >= np.maximum(low, high)) & (2.0 * top > low + high)
+            vertex, best = f.copy(), f.max(axis=1)
+            vertex[:, 1:-1] += np.where(peaks, (high - low) ** 2 / (8.0 * (2.0 * top - low - high)), 0.0)
+            place, step = np.argmax(vertex, axis=1)[:, None], np.diff(t, axis=1)
             h = np.take_along_axis(np.maximum(np.c_[step, step[:, -1:]], np.c_[step[:, :1], step]), place, axis=1)
-            middle, best = np.clip(np.take_along_axis(t, place, axis=1), 0.5 * h, end - 0.5 * h), f.max(axis=1)
-            for _ in range(2):
-                left, right = np.maximum(middle - h, 0.0), np.minimum(middle + h, end)
+            middle = np.clip(np.take_along_axis(t, place, axis=1), start + 0.5 * h, end - 0.5 * h)
+            for _ in range(3):
+                left, right = np.maximum(middle - h, start), np.minimum(middle + h, end)
                 f = curve(path, rows, np.concatenate([left, middle, right], axis=1))
                 rise, fall = (f[:, 1:2] - f[:, :1]) / (middle - left), (f[:, 1:2] - f[:, 2:]) / (right - middle)
                 peak = middle + 0.5 * (rise * (right - middle) - fall * (middle - left)) / (rise + fall)
@@ -393,10 +387,8 @@ class UncorrectedPath:
     def slowest_speed(self, t_0: FloatArray, t_1: FloatArray) -> FloatArray:
         """Lowest speed over [t_0, t_1] [m/s], both (n,), t_0 <= t_1; with eps_v searched like `crossing_time`."""
         start, end = np.minimum(t_0, self.scenarios.T), np.minimum(t_1, self.scenarios.T)
-        if self.recorded is not None:
-            return -self._highest_sample(lambda path, t: -path.speed(t), start, end)
         if self._varied:
-            return -self._highest("SLOWNESS", start, end)
+            return -self.highest(lambda path, _, t: -path.speed(t), start, end)
         return np.minimum(dep.speed(self.scenarios, start), dep.speed(self.scenarios, end))
 
     def drivable(self) -> BoolArray:
@@ -446,26 +438,6 @@ class UncorrectedPath:
         out = np.empty(_table(t).shape)
         kernels.values(self.columns(), getattr(kernels, what), _table(t), out)
         return out.reshape(t.shape)
-
-    def _highest_sample(
-        self, curve: Callable[[UncorrectedPath, FloatArray], FloatArray], t_0: FloatArray, t_1: FloatArray
-    ) -> FloatArray:
-        """Largest value of a curve at the samples in [t_0, t_1] (n,) and at both ends, (n,)."""
-        out = np.empty(self.n)
-        for first in range(0, self.n, _AT_ONCE):
-            some = np.arange(first, min(first + _AT_ONCE, self.n))
-            path = self.take(some)
-            if path.recorded is not None:
-                t = path.recorded.times(np.arange(some.size))
-                out[some] = curve(path, np.clip(t, t_0[some, None], t_1[some, None])).max(axis=1)
-        return out
-
-    def _highest(self, which: str, t_0: FloatArray, t_1: FloatArray) -> FloatArray:
-        from ldctoolkit.paths import kernels
-
-        out = np.empty(self.n)
-        kernels.highest(self.columns(), getattr(kernels, which), t_0, t_1, out)
-        return out
 
 
 @dataclasses.dataclass(frozen=True)

@@ -310,7 +310,7 @@ def _front_deepest(path: UncorrectedPath, car: TrueVehicles, setup: Setup, t_end
     def front(some: UncorrectedPath, rows: slice, t: FloatArray) -> FloatArray:
         return some.lateral(t) + car.l_f * _attitude(some, car.columns(rows), steady, t)[0]
 
-    return path.highest(front, t_end)
+    return path.highest(front, np.zeros_like(t_end), t_end)
 
 
 @dataclasses.dataclass(frozen=True)
