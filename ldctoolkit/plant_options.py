@@ -304,11 +304,8 @@ class PlantOptions:
         delay, late, period = (whole_multiple(t, dt) for t in (actuator.delay, sensors.delay, sensors.period))
         if (delay, late, period) == (actuator.delay, sensors.delay, sensors.period):
             return self
-        actuator, sensors = (
-            dataclasses.replace(actuator, delay=delay),
-            dataclasses.replace(sensors, delay=late, period=period),
-        )
-        return dataclasses.replace(self, actuator=actuator, sensors=sensors)
+        actuator, sensors = dataclasses.replace(actuator, delay=delay), dataclasses.replace(sensors, delay=late)
+        return dataclasses.replace(self, actuator=actuator, sensors=dataclasses.replace(sensors, period=period))
 
     @property
     def drives_exactly(self) -> bool:

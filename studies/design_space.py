@@ -27,6 +27,7 @@ from .design import Design
 THRESHOLD: Final = "y_s"  # name of the trigger threshold among the dimensions
 
 RANGE_KEYS: Final = ("count", "from", "scale", "to")
+Scale = Literal["linear", "log"]
 MOST_VALUES: Final = 10_000  # largest number of values of one entry; more is a slip of the pen
 
 
@@ -54,7 +55,7 @@ class Span:
     first: float
     last: float
     # What is even: the numbers, or their logarithms (then both ends have one sign)
-    scale: Literal["linear", "log"] = "linear"
+    scale: Scale = "linear"
     whole: bool = False  # Whole numbers only; the ends are whole
 
     @property
@@ -90,7 +91,7 @@ def rounded(value: float) -> float:
     return float(f"{value:.12g}") + 0.0
 
 
-def _between(a: float, b: float, share: float, scale: Literal["linear", "log"]) -> float:
+def _between(a: float, b: float, share: float, scale: Scale) -> float:
     if scale == "linear":
         return a * (1 - share) + b * share
     logarithm = math.log(abs(a)) * (1 - share) + math.log(abs(b)) * share
@@ -105,7 +106,7 @@ class EntryError(InputError):
         self.path = path
 
 
-def read_entry(entry: Any, scale: Literal["linear", "log"] = "linear", *, whole: bool = False) -> Dimension:
+def read_entry(entry: Any, scale: Scale = "linear", *, whole: bool = False) -> Dimension:
     """The dimension of a design space that one entry stands for."""
     if not isinstance(entry, dict) or "count" in entry:
         return Choices(expand(entry, scale, whole=whole))
@@ -115,7 +116,7 @@ def read_entry(entry: Any, scale: Literal["linear", "log"] = "linear", *, whole:
     return Span(first, last, spacing, whole)
 
 
-def expand(entry: Any, scale: Literal["linear", "log"] = "linear", *, whole: bool = False) -> tuple[Any, ...]:
+def expand(entry: Any, scale: Scale = "linear", *, whole: bool = False) -> tuple[Any, ...]:
     """The values of one entry, in the order written, each once."""
     if isinstance(entry, dict):
         values = _range(entry, scale, whole)
@@ -135,7 +136,7 @@ def expand(entry: Any, scale: Literal["linear", "log"] = "linear", *, whole: boo
     return tuple(seen)
 
 
-def _range(entry: dict[str, Any], scale: Literal["linear", "log"], whole: bool) -> list[Any]:
+def _range(entry: dict[str, Any], scale: Scale, whole: bool) -> list[Any]:
     first, last, scale = _ends(entry, scale, whole)
     if "count" not in entry:
         raise EntryError(".count", "missing; a range is written {from = ..., to = ..., count = ...}")
@@ -148,9 +149,7 @@ def _range(entry: dict[str, Any], scale: Literal["linear", "log"], whole: bool) 
     return [round(value) for value in values] if whole else values
 
 
-def _ends(
-    entry: dict[str, Any], scale: Literal["linear", "log"], whole: bool
-) -> tuple[float, float, Literal["linear", "log"]]:
+def _ends(entry: dict[str, Any], scale: Scale, whole: bool) -> tuple[float, float, Scale]:
     """Ends and spacing of a table."""
     for key in entry:
         if key not in RANGE_KEYS:

@@ -252,9 +252,7 @@ class UncorrectedPath:
 
     def take(self, rows: npt.ArrayLike | slice) -> Self:
         """The chosen paths: an index array, a mask or a slice."""
-        index = rows if isinstance(rows, slice) else np.asarray(rows)
-        if not isinstance(index, slice) and index.size == 0:
-            index = index.astype(np.int64)
+        index = dep.row_index(rows)
         return dataclasses.replace(
             self,
             scenarios=self.scenarios.take(index),

@@ -50,8 +50,7 @@ class Plant(ReadOnly):
         cls, model: BicycleModel, v: npt.ArrayLike, dt: float, *, lag: float = 0.0, delay: float = 0.0, age: float = 0.0
     ) -> Plant:
         """`model` at the speeds `v` (n,) [m/s] with the step `dt` [s]; `delay` includes `age`."""
-        speed = np.atleast_1d(np.asarray(unmasked(v), dtype=float))
-        return cls(model, speed, float(dt), lag=lag, delay=delay, age=age)
+        return cls(model, checked_speeds(v), float(dt), lag=lag, delay=delay, age=age)
 
     def at(self, v: npt.ArrayLike) -> Plant:
         """The same plant at other speeds (n,) [m/s]."""
