@@ -27,7 +27,6 @@ from .design import Design
 THRESHOLD: Final = "y_s"  # name of the trigger threshold among the dimensions
 
 RANGE_KEYS: Final = ("count", "from", "scale", "to")
-Scale = Literal["linear", "log"]
 MOST_VALUES: Final = 10_000  # largest number of values of one entry; more is a slip of the pen
 
 
@@ -55,7 +54,7 @@ class Span:
     first: float
     last: float
     # What is even: the numbers, or their logarithms (then both ends have one sign)
-    scale: Scale = "linear"
+    scale: Literal["linear", "log"] = "linear"
     whole: bool = False  # Whole numbers only; the ends are whole
 
     @property
@@ -91,7 +90,7 @@ def rounded(value: float) -> float:
     return float(f"{value:.12g}") + 0.0
 
 
-def _between(a: float, b: float, share: float, scale: Scale) -> float:
+def _between(a: float, b: float, share: float, scale: Literal["linear", "log"]) -> float:
     if scale == "linear":
         return a * (1 - share) + b * share
     logarithm = math.log(abs(a)) * (1 - share) + math.log(abs(b)) * share
@@ -106,17 +105,17 @@ class EntryError(InputError):
         self.path = path
 
 
-def read_entry(entry: Any, scale: Scale = "linear", *, whole: bool = False) -> Dimension:
+def read_entry(entry: Any, scale: Literal["linear", "log"] = "linear", *, whole: bool = False) -> Dimension:
     """The dimension of a design space that one entry stands for."""
     if not isinstance(entry, dict) or "count" in entry:
         return Choices(expand(entry, scale, whole=whole))
-    first, last, spacing = _ends(entry, scale, whole)
+    first, last, spacing = _ends(entry, scale)
     if first == last:
         raise EntryError("", f"from and to are both {first!r}; allowed: two different numbers")
     return Span(first, last, spacing, whole)
 
 
-def expand(entry: Any, scale: Scale = "linear", *, whole: bool = False) -> tuple[Any, ...]:
+def expand(entry: Any, scale: Literal["linear", "log"] = "linear", *, whole: bool = False) -> tuple[Any, ...]:
     """The values of one entry, in the order written, each once."""
     if isinstance(entry, dict):
         values = _range(entry, scale, whole)
@@ -136,8 +135,8 @@ def expand(entry: Any, scale: Scale = "linear", *, whole: bool = False) -> tuple
     return tuple(seen)
 
 
-def _range(entry: dict[str, Any], scale: Scale, whole: bool) -> list[Any]:
-    first, last, scale = _ends(entry, scale, whole)
+def _range(entry: dict[str, Any], scale: Literal["linear", "log"], whole: bool) -> list[Any]:
+    first, last, scale = _ends(entry, scale)
     if "count" not in entry:
         raise EntryError(".count", "missing; a range is written {from = ..., to = ..., count = ...}")
     count = entry["count"]
@@ -149,7 +148,7 @@ def _range(entry: dict[str, Any], scale: Scale, whole: bool) -> list[Any]:
     return [round(value) for value in values] if whole else values
 
 
-def _ends(entry: dict[str, Any], scale: Scale, whole: bool) -> tuple[float, float, Scale]:
+def _ends(entry: dict[str, Any], scale: Literal["linear", "log"]) -> tuple[float, float, Literal["linear", "log"]]:
     """Ends and spacing of a table."""
     for key in entry:
         if key not in RANGE_KEYS:
@@ -160,8 +159,6 @@ def _ends(entry: dict[str, Any], scale: Scale, whole: bool) -> tuple[float, floa
         value = entry[key]
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
             raise EntryError(f".{key}", f"{value!r}; allowed: a finite number")
-        if whole and value != int(value):
-            raise EntryError(f".{key}", f"{value!r}; allowed: a whole number")
     first, last = entry["from"], entry["to"]
     one_sign = (first > 0) == (last > 0) and first != 0 and last != 0
     chosen = entry.get("scale", scale if one_sign else "linear")
@@ -489,10 +486,10 @@ def _reading(kind: type[Controller], name: str, entry: Any, name_law: bool) -> t
     whole = isinstance(declared.default, int) and not isinstance(declared.default, bool)
     try:
         dimension = read_entry(entry, declared.scale, whole=whole)
+        for end in (entry["from"], entry["to"]) if isinstance(entry, dict) else ():  # not what they are rounded to
+            declared.check(end, kind.name)
         if not isinstance(dimension, Span):
             return tuple(declared.check(value, kind.name) for value in dimension.values)
-        for end in (dimension.first, dimension.last):
-            declared.check(end, kind.name)
     except EntryError as error:
         raise fail(f"gains.{name}{error.path}", str(error)) from None
     except LdcError as error:

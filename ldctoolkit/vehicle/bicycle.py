@@ -14,14 +14,14 @@ from typing import Final, Literal, Protocol, get_args
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.arrays import FloatArray, ReadOnly, unmasked
+from ldctoolkit.arrays import FloatArray, unmasked
 from ldctoolkit.errors import InputError, nearest, plain
 from ldctoolkit.option_checks import short_repr, warn_of_units
 from ldctoolkit.vehicle.discretization import AugmentedStep, Discretization, augmented, discretize
 
 
 @dataclasses.dataclass(frozen=True)
-class Plant(ReadOnly):
+class Plant:
     """The vehicle discretised once for a scenario set, shared by every design.
 
     It carries no scenario but the speed at which each is driven, so that a design cannot look at its own examination.
@@ -175,7 +175,7 @@ class SingleTrack(Protocol):
 
 
 @dataclasses.dataclass(frozen=True)
-class SteadyState(ReadOnly):
+class SteadyState:
     """Steady cornering per unit of lane yaw rate, at each of n speeds."""
 
     delta: FloatArray  # (n,) [rad per rad/s] Steering angle that holds the bend with e_y = 0
