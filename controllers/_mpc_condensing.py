@@ -13,7 +13,6 @@ import numpy as np
 
 from ldctoolkit import Plant
 from ldctoolkit.arrays import FloatArray, IntArray
-from ldctoolkit.plant_options import whole_multiple
 
 from .riccati import Weights, in_time, regulator
 
@@ -137,10 +136,9 @@ def block_starts(horizon: int, blocks: int) -> IntArray:
 
 def jerk_window(dt: float) -> tuple[int, float]:
     """Samples over which jerk is averaged, rounded up, and by how much."""
-    samples = whole_multiple(WINDOW, dt) / dt
-    window = int(np.ceil(samples - 1e-9))
-    share = window - samples
-    return window, share if share > 1e-9 else 0.0
+    window = int(np.ceil(WINDOW / dt - 1e-7))
+    share = window - WINDOW / dt
+    return window, share if share > 1e-7 else 0.0
 
 
 def limits(wanted: Wanted, plant: Plant) -> Limits:

@@ -16,7 +16,7 @@ from typing import Any, Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.arrays import BoolArray, FloatArray, ReadOnly, unmasked
+from ldctoolkit.arrays import BoolArray, FloatArray, unmasked
 from ldctoolkit.errors import InputError
 
 Better = Literal["less", "more"]
@@ -61,7 +61,7 @@ def _column(name: str, unit: str) -> str:
 
 
 @dataclasses.dataclass(frozen=True)
-class MetricValues(ReadOnly):
+class MetricValues:
     """What is reported beside S, one number a scenario: arrays of n, or of (d, n) for d designs.
 
     The first two are about the departure, [0, T]; the others about everything that was driven, [t_s, T + settle]. The

@@ -145,7 +145,7 @@ class Recorded:
         return out
 
 
-Curve = Callable[["UncorrectedPath", slice, FloatArray], FloatArray]  # of paths, their rows and times (n, k); (n, k)
+Curve = Callable[["UncorrectedPath", IntArray, FloatArray], FloatArray]  # of paths, their rows and times (n, k); (n, k)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -355,20 +355,22 @@ class UncorrectedPath:
         parabolas through three points close in on the peak.
         """
         out, starts, ends = np.empty(self.n), np.minimum(t_0, self.scenarios.T), np.minimum(t_1, self.scenarios.T)
-        for first in range(0, self.n, _AT_ONCE):
-            rows = slice(first, first + _AT_ONCE)
+        # cells of each path by itself: no number depends on which others stand beside it
+        cells = np.maximum(16 * np.maximum(_used(self.modes_y), _used(self.modes_v)), 8) * (self.recorded is None)
+        every = [np.flatnonzero(cells == count) for count in np.unique(cells)]
+        for rows in (some[i : i + _AT_ONCE] for some in every for i in range(0, some.size, _AT_ONCE)):
             path, start, end = self.take(rows), starts[rows, None], ends[rows, None]
             if path.recorded is not None:
                 t = np.clip(path.recorded.times(np.arange(path.n)), start, end)
             else:
-                modes = np.maximum(_used(path.modes_y), _used(path.modes_v))
-                cells = np.maximum(16 * modes, 8)[:, None]  # its own: no number depends on what stands beside it
-                t = start + (end - start) * np.minimum(np.arange(cells.max() + 1) / cells, 1.0)
+                t = start + (end - start) * np.linspace(0.0, 1.0, cells[rows[0]] + 1)
             f = curve(path, rows, t)
-            low, top, high = f[:, :-2], f[:, 1:-1], f[:, 2:]
-            peaks = (top >= np.maximum(low, high)) & (2.0 * top > low + high)
             vertex, best = f.copy(), f.max(axis=1)
-            vertex[:, 1:-1] += np.where(peaks, (high - low) ** 2 / (8.0 * (2.0 * top - low - high)), 0.0)
+            if path.recorded is None:  # of the parabolas through a point and its neighbours, or the next two at an end
+                k = np.diff(f, 2, axis=1)[:, [0, *range(f.shape[1] - 2), -1]]
+                s = np.gradient(f, axis=1, edge_order=2)
+                s[:, 0], s[:, -1] = np.maximum(s[:, 0], 0.0), np.minimum(s[:, -1], 0.0)
+                vertex += np.where(np.abs(s) < -k, -0.5 * s**2 / k, 0.0)
             place, step = np.argmax(vertex, axis=1)[:, None], np.diff(t, axis=1)
             h = np.take_along_axis(np.maximum(np.c_[step, step[:, -1:]], np.c_[step[:, :1], step]), place, axis=1)
             middle = np.clip(np.take_along_axis(t, place, axis=1), start + 0.5 * h, end - 0.5 * h)

@@ -74,6 +74,7 @@ class Run:
         over, rows = self.takeover, self.takeover.rows
         values = self.columns((window,))
         self.fill(values, (window,))
+        values.flags.writeable = False  # companions are views of it
         status = np.where(over.valid, EventStatus.NEVER_TRIGGERED, EventStatus.INVALID).astype(np.int8)
         status[rows] = self.status
         failed = np.zeros(over.scenarios.n, dtype=np.int64)

@@ -44,7 +44,7 @@ class TrueVehicles:
         """Continuous-time A (n, 4, 4), B and E (n, 4) of Rajamani's eq. 2.45, each vehicle at its own speed [m/s]."""
         return error_dynamics_matrices(self, checked_speeds(v), convention)
 
-    def columns(self, rows: slice) -> TrueVehicles:
+    def columns(self, rows: IntArray | slice) -> TrueVehicles:
         """Chosen vehicles as columns (n, 1), which broadcast against (n, k)."""
         return dataclasses.replace(self, **{name: getattr(self, name)[rows, None] for name in _DRAWN})
 
@@ -307,7 +307,7 @@ def _front_deepest(path: UncorrectedPath, car: TrueVehicles, setup: Setup, t_end
     """Largest distance y + l_f e_psi of the front axle's edge beyond the line over [0, t_end], (n,) [m]."""
     steady = _steady(setup)
 
-    def front(some: UncorrectedPath, rows: slice, t: FloatArray) -> FloatArray:
+    def front(some: UncorrectedPath, rows: IntArray, t: FloatArray) -> FloatArray:
         return some.lateral(t) + car.l_f * _attitude(some, car.columns(rows), steady, t)[0]
 
     return path.highest(front, np.zeros_like(t_end), t_end)

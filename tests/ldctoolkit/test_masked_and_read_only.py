@@ -65,7 +65,7 @@ BOX = {"lower": [-9.0, -9.0], "upper": [9.0, 9.0]}
             lambda: BoundedGaussianMixture(1, **BOX).fit(ROWS, sample_weight=masked(np.ones(60))),
             "sample_weight: nan in row 1",
         ),
-        (lambda: TruncatedNormal(masked([[0.0, 0.0]]), [np.eye(2)], *BOX.values()), "nan"),
+        (lambda: TruncatedNormal(masked([[0.0, 0.0]]), [np.eye(2)], *BOX.values()), "must be finite numbers"),
         (lambda: Plant.build(BicycleModel(), masked([20.0, 30.0]), 0.05), "v[1] = nan m/s; allowed: finite speeds > 0"),
         (lambda: Recording("a", masked(np.arange(3.0)), *[np.ones(3)] * 3, np.ones(3, bool)), "t[1] is not finite"),
     ],
