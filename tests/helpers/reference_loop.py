@@ -202,7 +202,11 @@ def drive(
     first = min(t_s, path.T) if math.isinf(t_s) else t_s
     loop = _Loop(path, law, options, vehicle, true, first, dt, settle, curvature_draw, noise or {}, known, rtol)
     times = np.linspace(0.0, path.T, 81)  # several to each half wave of a residual
-    heading = CubicSpline(times, [loop.attitude(t)[0] for t in times]) if rtol < 1e-12 else path.course
+    nearly = CubicSpline(times, [loop.attitude(t)[0] for t in times]) if rtol < 1e-12 else path.course
+
+    def heading(t: Times) -> Times:
+        return loop.attitude(float(t))[0] if np.ndim(t) == 0 else nearly(t)
+
     before = [Piece(0.0, min(t_s, path.T), path.e_y, heading)]
     S_recorded = absolute_area([Piece(0.0, path.T, path.e_y, heading)])
     if math.isinf(t_s):
