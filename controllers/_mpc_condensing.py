@@ -136,9 +136,9 @@ def block_starts(horizon: int, blocks: int) -> IntArray:
 
 def jerk_window(dt: float) -> tuple[int, float]:
     """Samples over which jerk is averaged, rounded up, and by how much."""
-    window = int(np.ceil(WINDOW / dt - 1e-9))
+    window = int(np.ceil(WINDOW / dt - 1e-7))
     share = window - WINDOW / dt
-    return window, share if share > 1e-9 else 0.0
+    return window, share if share > 1e-7 else 0.0
 
 
 def limits(wanted: Wanted, plant: Plant) -> Limits:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final, Self
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray, ReadOnly, unmasked
 from ldctoolkit.errors import InputError
 from ldctoolkit.frames import Frame
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 @dataclasses.dataclass(frozen=True)
-class ExtraColumn:
+class ExtraColumn(ReadOnly):
     """One more column of n departures."""
 
     name: str  # of the column in a departures table; a number's name ends with its unit
@@ -168,7 +168,7 @@ class Departures(DepartureParameters):
 
 
 @dataclasses.dataclass(frozen=True)
-class DepartureSignals:
+class DepartureSignals(ReadOnly):
     """Signals of n departures, one after the other in flat arrays (events differ in length).
 
     Examples
@@ -262,7 +262,10 @@ def reduce_signals(signals: DepartureSignals, side: npt.ArrayLike) -> DepartureP
     True
     """
     starts, last = signals.offsets[:-1], signals.offsets[1:] - 1
-    sides = np.asarray(side, dtype=np.int64)
+    sides = np.asarray(unmasked(side))
+    if not np.isin(sides, (LEFT, RIGHT)).all():
+        raise InputError(f"side: {sides[~np.isin(sides, (LEFT, RIGHT))][0]}; allowed: {LEFT} or {RIGHT}")
+    sides = sides.astype(np.int64)
     if signals.n == 0:
         empty = np.empty(0)
         return DepartureParameters(sides, *([empty] * len(PARAMETER_NAMES)))

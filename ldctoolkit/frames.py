@@ -5,13 +5,14 @@ from __future__ import annotations
 import abc
 from typing import TYPE_CHECKING, Any
 
+from ldctoolkit.arrays import ReadOnly
 from ldctoolkit.errors import LdcError
 
 if TYPE_CHECKING:
     import polars as pl
 
 
-class Frame(abc.ABC):
+class Frame(ReadOnly, abc.ABC):
     """What can be a data frame."""
 
     @abc.abstractmethod

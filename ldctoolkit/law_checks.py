@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.arrays import FloatArray
+from ldctoolkit.arrays import FloatArray, unmasked
 from ldctoolkit.control import (
     Controller,
     EventStatus,
@@ -151,13 +151,15 @@ def _check_array(value: Any, field: str, shape: tuple[int | str, ...], where: st
     same = (isinstance(length, str) or length == own for length, own in zip(shape, value.shape, strict=False))
     if value.ndim != len(shape) or not all(same):
         raise InputError(f"{where}: {field} has shape {value.shape}; allowed: {allowed}")
+    if np.ma.is_masked(value):
+        raise InputError(f"{where}: {field} has masked entries; allowed: none")
     _reals(value, field, where)
 
 
 def _reals(value: Any, field: str, where: str) -> npt.NDArray[Any]:
     """The value as an array of real numbers of whatever kind."""
     try:
-        array = np.asarray(value)
+        array = np.asarray(unmasked(value))
     except ValueError:  # rows of different lengths
         array = np.asarray(None)
     if array.dtype.kind not in "iuf":

@@ -16,7 +16,7 @@ from typing import Any, Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.arrays import BoolArray, FloatArray
+from ldctoolkit.arrays import BoolArray, FloatArray, unmasked
 from ldctoolkit.errors import InputError
 
 Better = Literal["less", "more"]
@@ -532,11 +532,12 @@ def _together(**named: npt.ArrayLike) -> tuple[Any, ...]:
     arrays = []
     for name, values in named.items():
         try:
-            array = np.asarray(values) if name == "triggered" else np.asarray(values, dtype=np.float64)
+            array = np.asarray(unmasked(values), dtype=None if name == "triggered" else np.float64)
         except (TypeError, ValueError):
             raise InputError(f"{name}: not an array of numbers") from None
-        if name == "triggered" and array.size and array.dtype != np.bool_:
-            raise InputError(f"triggered: an array of {array.dtype}; allowed: booleans")
+        if name == "triggered" and array.size and (array.dtype != np.bool_ or np.ma.is_masked(values)):
+            masked = " with masked entries" if np.ma.is_masked(values) else ""
+            raise InputError(f"triggered: an array of {array.dtype}{masked}; allowed: booleans")
         arrays.append(array.astype(bool) if name == "triggered" else array)
     shapes = {array.shape for array in arrays}
     largest = max(shapes, key=len)

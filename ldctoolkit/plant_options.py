@@ -27,6 +27,12 @@ _SHORTEST_LAG: Final = 1e-4  # shortest lag [s] that is a lag and not a slip of 
 _SHORTEST_PERIOD: Final = 1e-3  # shortest period [s] of a camera: each frame that is on its way at the trigger is kept
 
 
+def whole_multiple(time: float, dt: float) -> float:
+    """A time [s] >= 0 that is a multiple of dt, or of a simple part of it, but for rounding: that multiple."""
+    near = float(Fraction(time / dt).limit_denominator(100)) * dt
+    return near if 1e-12 * time < abs(near - time) <= 1e-7 * dt + 2e-9 * time else time
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Actuator:
     """Steering actuator: pure delay, then the angle limit, then a first-order lag whose rate is limited.
@@ -211,10 +217,10 @@ class Sensors:
 
     def age(self, dt: float, *, held: bool = False) -> float:
         """Mean age [s] of a frame at the sample, one every dt [s], that first sees it; or, `held`, at any sample."""
-        short, long = sorted((self.period or dt, dt))
+        delay, period = whole_multiple(self.delay, dt), whole_multiple(self.period, dt) or dt
+        short, long = sorted((period, dt))
         grid = short / Fraction(long / short).limit_denominator(100).denominator  # ages are this far apart
-        youngest = math.ceil(self.delay / grid - 1e-6) * grid
-        return youngest + 0.5 * (((self.period or dt) if held else short) - grid)
+        return math.ceil(delay / grid - 1e-9) * grid + 0.5 * ((period if held else short) - grid)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -291,6 +297,15 @@ class PlantOptions:
     def ideal(self) -> bool:
         """Nothing differs from the ideal plant."""
         return self == PlantOptions()
+
+    def sampled(self, dt: float) -> "PlantOptions":
+        """The same; times that are multiples of the sample time dt [s] but for rounding are made so."""
+        actuator, sensors = self.actuator, self.sensors
+        delay, late, period = (whole_multiple(t, dt) for t in (actuator.delay, sensors.delay, sensors.period))
+        if (delay, late, period) == (actuator.delay, sensors.delay, sensors.period):
+            return self
+        actuator, sensors = dataclasses.replace(actuator, delay=delay), dataclasses.replace(sensors, delay=late)
+        return dataclasses.replace(self, actuator=actuator, sensors=dataclasses.replace(sensors, period=period))
 
     @property
     def drives_exactly(self) -> bool:

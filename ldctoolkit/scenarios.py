@@ -10,7 +10,7 @@ from typing import Any, Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray, ReadOnly, unmasked
 from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, DepartureParameters, DepartureSignals
 from ldctoolkit.errors import InputError, nearest
 from ldctoolkit.option_checks import UnitWarning, unit_slip
@@ -31,7 +31,7 @@ _LIMITS: Final = (
 
 
 @dataclasses.dataclass(frozen=True)
-class Drifts:
+class Drifts(ReadOnly):
     """n departures that do not return: straight along the lane, an arc towards the line, straight on from there."""
 
     lateral_velocity: FloatArray  # (n,) [m/s] At the end of the arc, and from then on
@@ -238,7 +238,7 @@ class Scenarios(DepartureParameters):
 def _numbers(name: str, value: npt.ArrayLike) -> FloatArray:
     """A column as floats; sides may be words."""
     try:
-        given = np.asarray(value)
+        given = np.asarray(unmasked(value))
     except ValueError:
         raise InputError(f"scenarios: {name}: rows of different lengths; allowed: one number a row") from None
     sides = {"left": LEFT, "right": RIGHT}

@@ -103,6 +103,7 @@ class Setup:
         if self.trigger == "distance" and self.ttlc != TTLC:
             raise InputError(f"ttlc: {self.ttlc!r} with trigger 'distance'; allowed with trigger = 'ttlc'")
         object.__setattr__(self, "seed", checked_seed(self.seed))
+        object.__setattr__(self, "options", self.options.sampled(self.dt))
         if self.model.convention != "consistent" and not self.options.tyres.ideal:
             raise InputError(
                 f"convention: {self.convention!r} with tyres.model {self.options.tyres.model!r}; the printed matrix is "

@@ -18,7 +18,6 @@ from ldctoolkit import Controller, EventStatus, Scenarios, Setup
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.errors import InputError, LdcError, expect
 from ldctoolkit.law_checks import check_controller, raised
-from ldctoolkit.paths.uncorrected import UncorrectedPath
 from ldctoolkit.plant_options import Mismatch, Residuals
 from ldctoolkit.simulation import Outcome, Takeover, drive
 
@@ -44,14 +43,13 @@ _TURNED: Final = 5.0  # [deg] change of the steering wheel angle from which on i
 
 @dataclasses.dataclass(frozen=True)
 class _Drive:
-    """n cells driven under one variant, sample by sample from the trigger on; without one, along the drift."""
+    """n cells driven under one variant, sample by sample; until the trigger, or without one, along the drift."""
 
-    setup: Setup
-    path: UncorrectedPath
+    over: Takeover
     outcome: Outcome
-    t: FloatArray  # (n, k) [s] Rising; behind the end the last time again
-    x: FloatArray  # (n, k, 4) State
-    delta: FloatArray  # (n, k) [rad] Steering angle
+    t: FloatArray  # (n, e + k) [s] Rising; e before the trigger; behind the end the last time again
+    x: FloatArray  # (n, e + k, 4) State
+    delta: FloatArray  # (n, k) [rad] Steering angle, from the trigger on
     delta_0: FloatArray  # (n,) [rad] Until the trigger
     limit: FloatArray  # (n,) [m] DTLE at which the test is failed; -inf without such a condition
 
@@ -59,67 +57,81 @@ class _Drive:
     def of(cls, controller: Controller, takeover: Takeover, limit: FloatArray) -> _Drive:
         """Drive a takeover."""
         outcome = drive(controller, takeover, trajectories=True).outcome("departure")
-        setup, path, n = takeover.setup, takeover.path, takeover.scenarios.n
-        found = outcome.trajectories
+        T, n, found = takeover.path.scenarios.T, takeover.scenarios.n, outcome.trajectories
         # where the law never acts, along the drift
-        k = max(math.ceil(float(path.scenarios.T.max()) / setup.dt) + 1, 0 if found is None else found.t.shape[1])
+        k = max(math.ceil(float(T.max()) / takeover.setup.dt) + 1, 0 if found is None else found.t.shape[1])
         t, delta, x = np.full((n, k), np.nan), np.zeros((n, k)), np.zeros((n, k, 4))
         if found is not None:
             own = slice(found.t.shape[1])
             t[:, own], x[:, own], delta[:, own] = found.t, found.x, found.delta
         never = ~np.isfinite(t[:, 0])
         if never.any():
-            some = path.take(never)
-            t[never] = some.scenarios.T[:, None] * np.linspace(0.0, 1.0, k)
-            rate, e_y = some.lateral_rate(t[never]), some.lateral(t[never]) + setup.vehicle.edge_offset
-            heading = np.arctan2(rate, some.speed(t[never]))
-            x[never], delta[never] = np.stack([e_y, rate, heading, np.zeros_like(rate)], axis=-1), 0.0
+            times = T[:, None] * np.linspace(0.0, 1.0, k)
+            t[never], x[never], delta[never] = times[never], takeover.recorded_state(times)[never], 0.0
         last = np.isfinite(t).sum(axis=1) - 1
         place, rows = np.minimum(np.arange(k), last[:, None]), np.arange(n)[:, None]
         delta_0 = np.zeros(n)
         delta_0[takeover.rows] = takeover.delta_0
-        return cls(setup, path, outcome, t[rows, place], x[rows, place], delta[rows, place], delta_0, limit)
+        earlier = t[:, :1] * np.linspace(0.0, 1.0, max(math.ceil(t[:, 0].max() / takeover.setup.dt), 1), endpoint=False)
+        x = np.concatenate([takeover.recorded_state(earlier), x[rows, place]], axis=1)
+        return cls(takeover, outcome, np.c_[earlier, t[rows, place]], x, delta[rows, place], delta_0, limit)
 
-    def beyond(self, arm: float) -> FloatArray:
-        """How far the edge of an axle gets beyond the line in each interval [m], (n, k - 1)."""
-        f = self.x[:, :, 0] + arm * self.x[:, :, 2] - self.setup.vehicle.edge_offset
-        return _peaks(f, self.x[:, :, 1] + arm * self.x[:, :, 3], np.diff(self.t, axis=1))
+    def cubics(self, arm: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """The edge of an axle beyond the line [m] in each interval: coefficients of 1, u, u^2, u^3, (n, e + k - 1)."""
+        f = self.x[:, :, 0] + arm * self.x[:, :, 2] - self.over.setup.vehicle.edge_offset
+        rise, slope, h = np.diff(f, axis=1), self.x[:, :, 1] + arm * self.x[:, :, 3], np.diff(self.t, axis=1)
+        m_0, m_1 = slope[:, :-1] * h, slope[:, 1:] * h
+        return f[:, :-1], m_0, 3.0 * rise - 2.0 * m_0 - m_1, m_0 + m_1 - 2.0 * rise
+
+    def beyond(self, arm: float, end: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Largest position of an axle's edge [m] in each interval until `end` (n,), and when, (n, e + k - 1)."""
+        (f_0, m_0, b, a), t, h = self.cubics(arm), self.t[:, :-1], np.diff(self.t, axis=1)
+        until = np.clip(np.divide(end[:, None] - t, h, out=np.zeros_like(h), where=h > 0.0), 0.0, 1.0)
+        root = np.sqrt(np.maximum(b**2 - 3.0 * a * m_0, 0.0)) - b
+        peak = np.clip(np.divide(m_0, root, out=np.zeros_like(root), where=root > 0.0), 0.0, 1.0)
+        last = np.where(until * (m_0 + until * (b + until * a)) > 0.0, until, 0.0)
+        u = np.where((m_0 > 0.0) & (m_0 + 2.0 * b + 3.0 * a < 0.0) & (peak <= until), peak, last)
+        return np.where(t <= end[:, None], f_0 + u * (m_0 + u * (b + u * a)), -np.inf), t + u * h
 
     @functools.cached_property
     def largest(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Largest position of the front tyre's outer edge beyond the line until the test ends, when, and the end."""
-        t, row, peaks = self.t[:, 1:], np.arange(len(self.t)), self.beyond(self.setup.vehicle.l_f)
+        t, row, l_f = self.t, np.arange(len(self.t)), self.over.setup.vehicle.l_f
+        peaks, when = self.beyond(l_f, t[:, -1])
         deepest = np.maximum.accumulate(peaks, axis=1)
-        reached = np.maximum.accumulate(np.where(peaks >= deepest, t, -np.inf), axis=1)
+        reached = np.maximum.accumulate(np.where(peaks >= deepest, when, 0.0), axis=1)
+        before = np.c_[t[:, :1], reached[:, :-1]]
+        settled = np.where(peaks >= deepest, when, t[:, 1:]) - before >= _AFTER
+        end = np.where(settled.any(axis=1), before[row, np.argmax(settled, axis=1)] + _AFTER, t[:, -1])
+        place = np.argmax(deepest > -self.limit[:, None], axis=1)
+        f_0, m_0, b, a = (part[row, place] for part in self.cubics(l_f))
+        low, high = t[row, place], when[row, place]
+        h = np.maximum(t[row, place + 1] - low, 1e-300)
+        for _ in range(50):  # bisection: the limit is broken between these times
+            middle = 0.5 * (low + high)
+            u = (middle - t[row, place]) / h
+            over = f_0 + u * (m_0 + u * (b + u * a)) > -self.limit
+            low, high = np.where(over, low, middle), np.where(over, middle, high)
+        end = np.where(deepest[:, -1] > -self.limit, np.minimum(end, high + _AFTER), end)
+        peaks, when = self.beyond(l_f, end)
+        place = np.argmax(peaks, axis=1)
+        return peaks[row, place], when[row, place], end
 
-        def first(events: BoolArray) -> FloatArray:
-            return np.where(events.any(axis=1), t[row, np.argmax(events, axis=1)], np.inf)
-
-        end = np.minimum(first(t - reached >= _AFTER - 1e-9), first(deepest > -self.limit[:, None]) + _AFTER)
-        end = np.minimum(end, t[:, -1])
-        place = np.maximum((t <= end[:, None] + 1e-9).sum(axis=1) - 1, 0)
-        return deepest[row, place], reached[row, place], end
+    @property
+    def start(self) -> FloatArray:
+        """The trigger, (n, 1) [s]."""
+        return self.t[:, self.t.shape[1] - self.delta.shape[1], None]
 
     def resampled(self, values: FloatArray, left: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Values (n, k) every 1/200 s, (n, m), and the times since the trigger; before it the values `left`."""
-        since = self.t - self.t[:, :1]
+        since = self.t[:, -values.shape[1] :] - self.start
         times = np.arange(math.ceil((float(since.max()) + _BEFORE) * _RATE) + 1) / _RATE - _BEFORE
         rows = zip(since, values, left, strict=True)
         return np.array([np.interp(times, t, row, left=before) for t, row, before in rows]), times
 
     def response(self, times: FloatArray) -> BoolArray:
         """Which times since the trigger (m,) belong to the response: until the test ends, (n, m)."""
-        return np.asarray((times >= 0.0) & (times <= (self.largest[2] - self.t[:, 0])[:, None]))
-
-
-def _peaks(f: FloatArray, slope: FloatArray, h: FloatArray) -> FloatArray:
-    """Largest value of the cubic with these values and slopes (n, k) at the ends of each interval h, (n, k - 1)."""
-    f_0, f_1, m_0, m_1 = f[:, :-1], f[:, 1:], slope[:, :-1] * h, slope[:, 1:] * h
-    a, b = m_0 + m_1 - 2.0 * (f_1 - f_0), 3.0 * (f_1 - f_0) - 2.0 * m_0 - m_1
-    root = np.sqrt(np.maximum(b**2 - 3.0 * a * m_0, 0.0)) - b
-    u = np.clip(np.divide(m_0, root, out=np.zeros_like(root), where=root > 0.0), 0.0, 1.0)
-    inside = f_0 + u * (m_0 + u * (b + u * a))
-    return np.maximum(np.maximum(f_0, f_1), np.where((m_0 > 0.0) & (m_1 < 0.0), inside, -np.inf))
+        return np.asarray((times >= 0.0) & (times <= self.largest[2][:, None] - self.start))
 
 
 def _dtle(run: _Drive) -> FloatArray:
@@ -129,7 +141,7 @@ def _dtle(run: _Drive) -> FloatArray:
 
 def _tyre_distance(run: _Drive) -> FloatArray:
     """The same of all tyres: in a bend the rear ones stand further out [m]."""
-    rear = np.where(run.t[:, 1:] <= run.largest[2][:, None] + 1e-9, run.beyond(-run.setup.vehicle.l_r), -np.inf)
+    rear, _ = run.beyond(-run.over.setup.vehicle.l_r, run.largest[2])
     return np.asarray(np.minimum(_dtle(run), -rear.max(axis=1)))
 
 
@@ -137,7 +149,7 @@ def _wheel_rate(run: _Drive) -> FloatArray:
     """Largest rate of the steering wheel [deg/s], filtered; NaN where it turns by less than 5 degrees."""
     from scipy.signal import butter, sosfiltfilt
 
-    ratio = math.degrees(run.setup.vehicle.steering_ratio)
+    ratio = math.degrees(run.over.setup.vehicle.steering_ratio)
     wheel, times = run.resampled(ratio * run.delta, ratio * run.delta_0)
     response = run.response(times)
     until_end = np.where(response | (times < 0.0), wheel, wheel[:, :1])
@@ -152,9 +164,10 @@ def _jerk(run: _Drive) -> FloatArray:
     """Largest lateral jerk [m/s^3]: moving average over 0.5 s of the filtered lateral acceleration."""
     from scipy.signal import butter, sosfilt, sosfilt_zi
 
-    p, window = run.path.scenarios, round(_JERK_WINDOW * _RATE)
-    rate, times = run.resampled(run.x[:, :, 1], run.x[:, 0, 1])
-    before = run.path.lateral_acceleration(run.t[:, 0])  # until the trigger the vehicle is on its path
+    p, window = run.over.path.scenarios, round(_JERK_WINDOW * _RATE)
+    driven = run.x[:, -run.delta.shape[1] :, 1]
+    rate, times = run.resampled(driven, driven[:, 0])
+    before = run.over.path.lateral_acceleration(run.start[:, 0])  # until the trigger the vehicle is on its path
     a_y = np.where(times < 0.0, before[:, None], np.diff(rate, axis=1, append=rate[:, -1:]) * _RATE)
     a_y += (p.v_mean**2 * p.c_0)[:, None]
     sos = butter(_JERK_ORDER, _JERK_CUTOFF, fs=_RATE, output="sos")
@@ -166,8 +179,12 @@ def _jerk(run: _Drive) -> FloatArray:
 
 def _lateral_velocity_after(run: _Drive) -> FloatArray:
     """Lateral velocity, either way, two seconds after the smallest DTLE [m/s]."""
-    rows = zip(run.largest[1] + _AFTER, run.t, run.x[:, :, 1], strict=True)
-    return np.asarray(np.abs([np.interp(wanted, t, rate) for wanted, t, rate in rows]))
+    t = np.minimum(run.largest[1] + _AFTER, run.t[:, -1])
+    row, j = np.arange(len(t)), np.maximum((run.t < t[:, None]).sum(axis=1) - 1, 0)
+    _, m_0, b, a = (part[row, j] for part in run.cubics(0.0))
+    h = run.t[row, j + 1] - run.t[row, j]
+    u = (t - run.t[row, j]) / h
+    return np.asarray(np.abs(m_0 + u * (2.0 * b + 3.0 * u * a)) / h)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -521,10 +521,10 @@ def _reading(kind: type[Controller], name: str, entry: Any, name_law: bool) -> t
     whole = isinstance(declared.default, int) and not isinstance(declared.default, bool)
     try:
         dimension = read_entry(entry, declared.scale, whole=whole)
+        for end in (entry["from"], entry["to"]) if isinstance(entry, dict) else ():  # not what they are rounded to
+            declared.check(end, kind.name)
         if not isinstance(dimension, Span):
             return tuple(declared.check(value, kind.name) for value in dimension.values)
-        for end in (dimension.first, dimension.last):
-            declared.check(end, kind.name)
     except EntryError as error:
         raise fail(f"gains.{name}{error.path}", str(error)) from None
     except LdcError as error:

@@ -8,7 +8,7 @@ from typing import Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.arrays import FloatArray
+from ldctoolkit.arrays import FloatArray, unmasked
 from ldctoolkit.departures import LEFT, RIGHT, Departures
 from ldctoolkit.diagnostics._marginals import (
     BINS,
@@ -64,7 +64,7 @@ def checked_events(
 ) -> Events:
     """Check, leave out what is outside the box, and move what is on a bound just inside, as the fit does."""
     try:
-        x = np.array(X, dtype=float)
+        x = np.array(unmasked(X), dtype=float)
     except (TypeError, ValueError):
         raise InputError("X: not a table of numbers; allowed: (n, d), one row an event") from None
     d = distribution.dimension

@@ -12,7 +12,7 @@ from typing import Any, Final, Self
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray, unmasked
 from ldctoolkit.errors import InputError, nearest
 from ldctoolkit.mixture._distribution import Conditions, Distribution, Transform
 from ldctoolkit.mixture._em import EMSettings, fit_components
@@ -328,15 +328,13 @@ class BoundedGaussianMixture:
         lower, upper, transform, names
             As for the class.
         """
-        eta, mu = np.asarray(weights, dtype=float), np.asarray(means, dtype=float)
+        eta, mu, Sigma = (np.asarray(unmasked(one), dtype=float) for one in (weights, means, covariances))
         if eta.ndim != 1 or mu.ndim != 2 or mu.shape[0] != eta.shape[0]:
             raise InputError(f"weights {eta.shape}, means {mu.shape}; allowed: (K,) and (K, d)")
         if not (np.all(eta >= 0) and abs(eta.sum() - 1.0) < 1e-6):
             raise InputError(f"weights: sum {eta.sum():.9g}, least {eta.min():g}; allowed: shares >= 0 that sum to 1")
         model = cls(eta.size, lower=lower, upper=upper, transform=transform, names=names)
-        model._store(
-            eta, mu, np.asarray(covariances, dtype=float), _checked_transform(lower, upper, transform, mu.shape[1])
-        )
+        model._store(eta, mu, Sigma, _checked_transform(lower, upper, transform, mu.shape[1]))
         return model
 
     def score_samples(self, X: npt.ArrayLike) -> FloatArray:

@@ -13,7 +13,7 @@ from typing import Final, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray, unmasked
 from ldctoolkit.errors import InputError
 
 Part = TypeVar("Part")
@@ -158,7 +158,7 @@ def column_name(j: int, names: Sequence[str] | None) -> str:
 def as_matrix(X: npt.ArrayLike) -> FloatArray:
     """A float matrix (n, d), not copied where it is one; its numbers are not looked at."""
     try:
-        x = np.asarray(X, dtype=float)
+        x = np.asarray(unmasked(X), dtype=float)
     except (TypeError, ValueError):
         raise InputError("X: not a table of numbers; allowed: an array of shape (n, d)") from None
     if x.ndim != 2:
@@ -229,7 +229,7 @@ def _check_constant(profile: Profile, names: Sequence[str] | None) -> None:
 def check_weights(weights: npt.ArrayLike, rows: int, name: str, row: str = "row") -> FloatArray:
     """Weights (rows,), finite and not negative; messages call them `name`, each of them that of a `row`."""
     try:
-        weight = np.asarray(weights, dtype=float)
+        weight = np.asarray(unmasked(weights), dtype=float)
     except (TypeError, ValueError):
         raise InputError(f"{name}: not numbers; allowed: one number >= 0 a {row}") from None
     if weight.shape != (rows,):
@@ -254,7 +254,7 @@ def check_sample_weight(sample_weight: npt.ArrayLike | None, rows: int) -> Float
 def check_bound_array(value: npt.ArrayLike | None, name: str, fill: float, dimension: int) -> FloatArray:
     """Bounds as (d,) floats; a scalar is repeated, None is open."""
     try:
-        out = np.asarray(fill if value is None else value, dtype=float)
+        out = np.asarray(fill if value is None else unmasked(value), dtype=float)
     except (TypeError, ValueError):
         raise InputError(f"{name}: {value!r}; allowed: a number or {dimension} numbers, inf included") from None
     if out.ndim == 0:

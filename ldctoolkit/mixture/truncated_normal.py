@@ -9,7 +9,7 @@ from typing import Any, Final, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray, unmasked
 from ldctoolkit.errors import InputError, ModelError
 from ldctoolkit.mixture._separation import Restricted, Separation, WhitenedMoments, integrate, separate
 
@@ -210,10 +210,8 @@ class TruncatedNormal:
         points: int | None = None,
         order: IntArray | None = None,
     ) -> None:
-        self.mu = np.asarray(mu, dtype=float)
-        self.Sigma = np.asarray(Sigma, dtype=float)
-        self.lower = np.asarray(lower, dtype=float)
-        self.upper = np.asarray(upper, dtype=float)
+        given = (mu, Sigma, lower, upper)
+        self.mu, self.Sigma, self.lower, self.upper = (np.asarray(unmasked(one), dtype=float) for one in given)
         self._check()
         self._open = np.isneginf(self.lower) & np.isposinf(self.upper)
         self.bounded = np.flatnonzero(~self._open)
@@ -276,7 +274,7 @@ class TruncatedNormal:
         >>> np.round(half.log_density([[0.0], [1.0], [-1.0]])[:, 0], 6).tolist()
         [-0.225791, -0.725791, -inf]
         """
-        rows = np.asarray(x, dtype=float)
+        rows = np.asarray(unmasked(x), dtype=float)
         d = self.mu.shape[1]
         if rows.ndim != 2 or rows.shape[1] != d:
             raise InputError(f"truncated normal: x of shape {rows.shape}; allowed: (n, {d})")

@@ -53,31 +53,21 @@ def normal_pair(seed: Any, index: Any, stream: Any, counter: Any) -> Any:
 
 
 @numba.njit(**_OPTIONS, cache=True)  # type: ignore[untyped-decorator]
-def fill_uniforms(seed: int, index: IntArray, stream: int, out: FloatArray) -> None:
-    """Uniform numbers into `out` (n, count): column j is element j % 2 of the pair at counter j // 2."""
+def fill_pairs(seed: int, index: IntArray, stream: int, normal: bool, out: FloatArray) -> None:
+    """Uniform or normal numbers into `out` (n, count): column j is element j % 2 of the pair at counter j // 2."""
     n, count = out.shape
     for i in range(n):
         for pair in range((count + 1) // 2):
-            first, second = uniform_pair(seed, index[i], stream, pair)
-            out[i, 2 * pair] = first
-            if 2 * pair + 1 < count:
-                out[i, 2 * pair + 1] = second
-
-
-@numba.njit(**_OPTIONS, cache=True)  # type: ignore[untyped-decorator]
-def fill_normals(seed: int, index: IntArray, stream: int, out: FloatArray) -> None:
-    """Standard normal numbers into `out` (n, count), numbered like the uniform ones."""
-    n, count = out.shape
-    for i in range(n):
-        for pair in range((count + 1) // 2):
-            first, second = normal_pair(seed, index[i], stream, pair)
+            if normal:
+                first, second = normal_pair(seed, index[i], stream, pair)
+            else:
+                first, second = uniform_pair(seed, index[i], stream, pair)
             out[i, 2 * pair] = first
             if 2 * pair + 1 < count:
                 out[i, 2 * pair + 1] = second
 
 
 POSITION, SPEED, SPEED_RATE, LATERAL, LATERAL_RATE, LATERAL_ACCELERATION = range(6)
-EDGE, FRONT_EDGE, SLOWNESS, AHEAD = range(4)
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
 _CELLS_PER_HALF_WAVE: Final = 16
@@ -196,28 +186,21 @@ def areas(path: Any, t: FloatArray, out: FloatArray) -> None:
 
 
 @numba.njit(**_OPTIONS, cache=True)  # type: ignore[untyped-decorator]
-def _curve(path: Any, i: int, which: int, l_f: float, t: float) -> Any:
-    """A curve whose extremes are wanted, and its slope; `l_f` is a length [m], or how far it looks ahead [s]."""
-    if which == SLOWNESS:
-        _, v, dv = along(path, i, t)
-        return -v, -dv
-    _, v, dv, y, dy, ddy = motion(path, i, t)
-    if which == EDGE:
-        return y, dy
-    if which == AHEAD:
-        return y + l_f * dy, dy + l_f * ddy
-    return y + l_f * math.atan2(dy, v), dy + l_f * (ddy * v - dy * dv) / (v**2 + dy**2)
+def _curve(path: Any, i: int, ahead: float, t: float) -> Any:
+    """The edge with its rate carried `ahead` seconds on, and the slope of that."""
+    _, _, _, y, dy, ddy = motion(path, i, t)
+    return y + ahead * dy, dy + ahead * ddy
 
 
 @numba.njit(**_OPTIONS, cache=True)  # type: ignore[untyped-decorator]
-def _zero(path: Any, i: int, which: int, l_f: float, level: float, of_slope: bool, low: float, high: float) -> Any:
+def _zero(path: Any, i: int, ahead: float, level: float, of_slope: bool, low: float, high: float) -> Any:
     """Zero of curve - level (or of -slope) between low, where it is <= 0, and high, where it is > 0.
 
     False position after Illinois (Dowell and Jarratt, BIT 11, 1971), halved where that is slow.
     """
-    value, slope = _curve(path, i, which, l_f, low)
+    value, slope = _curve(path, i, ahead, low)
     f_low = -slope if of_slope else value - level
-    value, slope = _curve(path, i, which, l_f, high)
+    value, slope = _curve(path, i, ahead, high)
     f_high = -slope if of_slope else value - level
     last, length = 0, high - low
     for step in range(_PASSES):
@@ -230,7 +213,7 @@ def _zero(path: Any, i: int, which: int, l_f: float, level: float, of_slope: boo
             t = 0.5 * (low + high)
             if not low < t < high:
                 break
-        value, slope = _curve(path, i, which, l_f, t)
+        value, slope = _curve(path, i, ahead, t)
         f = -slope if of_slope else value - level
         if f == 0.0:
             return t
@@ -257,30 +240,6 @@ def _cells(path: Any, i: int, span: float) -> int:
 
 
 @numba.njit(**_OPTIONS, cache=True)  # type: ignore[untyped-decorator]
-def highest(path: Any, which: int, l_f: float, t_0: FloatArray, t_1: FloatArray, out: FloatArray) -> None:
-    """Largest value of a curve over [t_0, t_1] (n,) into `out`; a peak inside a cell is found where its slope is 0."""
-    for i in range(t_0.size):
-        cells = _cells(path, i, t_1[i] - t_0[i])
-        if cells == 0:
-            out[i] = np.nan
-            continue
-        h = (t_1[i] - t_0[i]) / cells
-        before, rising = _curve(path, i, which, l_f, t_0[i])
-        best = before
-        for cell in range(cells):
-            left = t_0[i] + cell * h
-            right = t_1[i] if cell == cells - 1 else t_0[i] + (cell + 1) * h
-            value, slope = _curve(path, i, which, l_f, right)
-            if rising > 0.0 and slope < 0.0:
-                top, _ = _curve(path, i, which, l_f, _zero(path, i, which, l_f, 0.0, True, left, right))
-                best = max(best, top)
-            # also lets a NaN through
-            best = best if best >= value else value
-            rising = slope
-        out[i] = best
-
-
-@numba.njit(**_OPTIONS, cache=True)  # type: ignore[untyped-decorator]
 def crossings(path: Any, ahead: float, y_s: float, out: FloatArray) -> None:
     """First time in [0, T] at which y + ahead dy/dt exceeds y_s, into `out` (n,); infinite where it never does."""
     for i in range(out.size):
@@ -290,22 +249,22 @@ def crossings(path: Any, ahead: float, y_s: float, out: FloatArray) -> None:
         if cells == 0:
             continue
         h = T / cells
-        before, rising = _curve(path, i, AHEAD, ahead, 0.0)
+        before, rising = _curve(path, i, ahead, 0.0)
         if before > y_s or (before == y_s and rising > 0.0):
             out[i] = 0.0
             continue
         for cell in range(cells):
             left = cell * h
             right = T if cell == cells - 1 else (cell + 1) * h
-            value, slope = _curve(path, i, AHEAD, ahead, right)
+            value, slope = _curve(path, i, ahead, right)
             if value > y_s:
-                out[i] = _zero(path, i, AHEAD, ahead, y_s, False, left, right)
+                out[i] = _zero(path, i, ahead, y_s, False, left, right)
                 break
             if rising > 0.0 and slope < 0.0:
-                peak = _zero(path, i, AHEAD, ahead, 0.0, True, left, right)
-                top, _ = _curve(path, i, AHEAD, ahead, peak)
+                peak = _zero(path, i, ahead, 0.0, True, left, right)
+                top, _ = _curve(path, i, ahead, peak)
                 if top > y_s:
-                    out[i] = _zero(path, i, AHEAD, ahead, y_s, False, left, peak)
+                    out[i] = _zero(path, i, ahead, y_s, False, left, peak)
                     break
             rising = slope
 

@@ -38,11 +38,7 @@ def uniforms(seed: int, index: npt.ArrayLike, stream: int, count: int) -> FloatA
     Column j is element j % 2 of the pair at counter j // 2. Philox4x32-10 (Salmon et al., SC11, 2011), 53 bits each;
     0 and 1 themselves do not occur.
     """
-    from ldctoolkit.paths.kernels import fill_uniforms
-
-    seed, numbers, out = _checked(seed, index, count)
-    fill_uniforms(seed, numbers, int(stream), out)
-    return out
+    return _drawn(seed, index, stream, count, normal=False)
 
 
 def normals(seed: int, index: npt.ArrayLike, stream: int, count: int) -> FloatArray:
@@ -50,24 +46,24 @@ def normals(seed: int, index: npt.ArrayLike, stream: int, count: int) -> FloatAr
 
     The transform of Box and Muller (Ann. Math. Statist. 29, 1958) of the uniform numbers; none is beyond 8.6.
     """
-    from ldctoolkit.paths.kernels import fill_normals
-
-    seed, numbers, out = _checked(seed, index, count)
-    fill_normals(seed, numbers, int(stream), out)
-    return out
+    return _drawn(seed, index, stream, count, normal=True)
 
 
-def _checked(seed: int, index: npt.ArrayLike, count: int) -> tuple[int, IntArray, FloatArray]:
+def _drawn(seed: int, index: npt.ArrayLike, stream: int, count: int, *, normal: bool) -> FloatArray:
+    from ldctoolkit.paths.kernels import fill_pairs
+
     numbers = np.asarray(index)
     if numbers.ndim != 1 or (numbers.size and numbers.dtype.kind not in "iu"):
         raise InputError(f"index: {numbers.ndim} dimensions of {numbers.dtype}; allowed: (n,) whole numbers")
-    numbers = np.ascontiguousarray(numbers, dtype=np.int64)
+    numbers = np.array(numbers, dtype=np.int64)  # a copy: compiled functions take no read-only arrays
     if np.any(numbers < 0):
         i = int(np.argmax(numbers < 0))
         raise InputError(f"index[{i}] = {numbers[i]}; allowed: >= 0")
     if count < 0:
         raise InputError(f"count: {count!r}; allowed: >= 0")
-    return checked_seed(seed), numbers, np.empty((numbers.size, count))
+    out = np.empty((numbers.size, count))
+    fill_pairs(checked_seed(seed), numbers, int(stream), normal, out)
+    return out
 
 
 FEWEST_MODES: Final = 3
@@ -149,6 +145,9 @@ class Recorded:
         return out
 
 
+Curve = Callable[["UncorrectedPath", IntArray, FloatArray], FloatArray]  # of paths, their rows and times (n, k); (n, k)
+
+
 @dataclasses.dataclass(frozen=True)
 class UncorrectedPath:
     """Paths of n scenarios without control, functions of the time t since the departure's start.
@@ -218,11 +217,11 @@ class UncorrectedPath:
         most = int(count.max(initial=0))
         if residuals.v:
             modes = normals(seed, scenarios.index, RandomStream.RESIDUAL_V, most)
-            shape_speed_modes(scenarios.sigma_v, count, modes)
+            shape_speed_modes(np.array(scenarios.sigma_v), count, modes)
             path = dataclasses.replace(path, modes_v=modes)
         if residuals.y:
             modes = normals(seed, scenarios.index, RandomStream.RESIDUAL_Y, most)
-            shape_lateral_modes(path.columns(), scenarios.sigma_y, count, modes)
+            shape_lateral_modes(path.columns(), np.array(scenarios.sigma_y), count, modes)
             path = dataclasses.replace(path, modes_y=modes)
         return path
 
@@ -253,9 +252,7 @@ class UncorrectedPath:
 
     def take(self, rows: npt.ArrayLike | slice) -> Self:
         """The chosen paths: an index array, a mask or a slice."""
-        index = rows if isinstance(rows, slice) else np.asarray(rows)
-        if not isinstance(index, slice) and index.size == 0:
-            index = index.astype(np.int64)
+        index = dep.row_index(rows)
         return dataclasses.replace(
             self,
             scenarios=self.scenarios.take(index),
@@ -344,43 +341,54 @@ class UncorrectedPath:
     def deepest(self, t_end: FloatArray) -> FloatArray:
         """Largest y over [0, t_end] [m]; `t_end` (n,) is cut off at T."""
         end = np.minimum(t_end, self.scenarios.T)
-        if self.recorded is not None:
-            return self._highest_sample(lambda path, t: path.lateral(t), np.zeros_like(end), end)
         if self._disturbed:
-            return self._highest("EDGE", 0.0, np.zeros_like(end), end)
+            return self.highest(lambda path, _, t: path.lateral(t), np.zeros_like(end), end)
         p = self.scenarios
         past = dep.position(p, end) >= 0.5 * p.v_mean * p.T
         return np.where(past, p.d_y, np.maximum(dep.lateral(p, end), 0.0))
 
     @_quiet
-    def front_deepest(self, t_end: FloatArray, l_f: float) -> FloatArray:
-        """Largest distance of the front axle's edge beyond the line over [0, t_end], t_end (n,) [s] cut off at T: y +
-        l_f e_psi (n,) [m], with e_psi = arctan of the slope (dy/dt)/v.
+    def highest(self, curve: Curve, t_0: FloatArray, t_1: FloatArray) -> FloatArray:
+        """Largest value of a smooth curve over [t_0, t_1], (n,); both (n,) [s], cut off at T.
+
+        It is taken at the samples of recorded signals, or at 16 points for each half wave of the highest mode; then
+        parabolas through three points close in on the peak.
         """
-        end = np.minimum(t_end, self.scenarios.T)
-        if self.recorded is not None:
-            return self._highest_sample(
-                lambda path, t: path.lateral(t) + l_f * np.arctan2(path.lateral_rate(t), path.speed(t)),
-                np.zeros_like(end), end,
-            )  # fmt: skip
-        if self._disturbed:
-            return self._highest("FRONT_EDGE", l_f, np.zeros_like(end), end)
-        p = self.scenarios
-        d_x = p.v_mean * p.T
-        # 4 d_y s (1 - s) + l_f arctan(q), q = 4 d_y/d_x (1 - 2 s), is highest where q (1 + q^2) = 8 l_f d_y/d_x^2
-        q = 2.0 / np.sqrt(3.0) * np.sinh(np.arcsinh(12.0 * np.sqrt(3.0) * l_f * p.d_y / d_x**2) / 3.0)
-        share = np.clip(0.5 - l_f / (d_x * (1.0 + q**2)), 0.0, dep.position(p, end) / d_x)
-        slope = 4.0 * p.d_y / d_x * (1.0 - 2.0 * share)
-        highest: FloatArray = 4.0 * p.d_y * share * (1.0 - share) + l_f * np.arctan(slope)
-        return highest
+        out, starts, ends = np.empty(self.n), np.minimum(t_0, self.scenarios.T), np.minimum(t_1, self.scenarios.T)
+        # cells of each path by itself: no number depends on which others stand beside it
+        cells = np.maximum(16 * np.maximum(_used(self.modes_y), _used(self.modes_v)), 8) * (self.recorded is None)
+        every = [np.flatnonzero(cells == count) for count in np.unique(cells)]
+        for rows in (some[i : i + _AT_ONCE] for some in every for i in range(0, some.size, _AT_ONCE)):
+            path, start, end = self.take(rows), starts[rows, None], ends[rows, None]
+            if path.recorded is not None:
+                t = np.clip(path.recorded.times(np.arange(path.n)), start, end)
+            else:
+                t = start + (end - start) * np.linspace(0.0, 1.0, cells[rows[0]] + 1)
+            f = curve(path, rows, t)
+            vertex, best = f.copy(), f.max(axis=1)
+            if path.recorded is None:  # of the parabolas through a point and its neighbours, or the next two at an end
+                k = np.diff(f, 2, axis=1)[:, [0, *range(f.shape[1] - 2), -1]]
+                s = np.gradient(f, axis=1, edge_order=2)
+                s[:, 0], s[:, -1] = np.maximum(s[:, 0], 0.0), np.minimum(s[:, -1], 0.0)
+                vertex += np.where(np.abs(s) < -k, -0.5 * s**2 / k, 0.0)
+            place, step = np.argmax(vertex, axis=1)[:, None], np.diff(t, axis=1)
+            h = np.take_along_axis(np.maximum(np.c_[step, step[:, -1:]], np.c_[step[:, :1], step]), place, axis=1)
+            middle = np.clip(np.take_along_axis(t, place, axis=1), start + 0.5 * h, end - 0.5 * h)
+            for _ in range(3):
+                left, right = np.maximum(middle - h, start), np.minimum(middle + h, end)
+                f = curve(path, rows, np.concatenate([left, middle, right], axis=1))
+                rise, fall = (f[:, 1:2] - f[:, :1]) / (middle - left), (f[:, 1:2] - f[:, 2:]) / (right - middle)
+                peak = middle + 0.5 * (rise * (right - middle) - fall * (middle - left)) / (rise + fall)
+                middle = np.where(rise + fall > 0.0, np.clip(peak, left, right), middle)
+                best, h = np.maximum(best, f.max(axis=1)), h / 16.0
+            out[rows] = np.maximum(best, curve(path, rows, middle)[:, 0])
+        return out
 
     def slowest_speed(self, t_0: FloatArray, t_1: FloatArray) -> FloatArray:
         """Lowest speed over [t_0, t_1] [m/s], both (n,), t_0 <= t_1; with eps_v searched like `crossing_time`."""
         start, end = np.minimum(t_0, self.scenarios.T), np.minimum(t_1, self.scenarios.T)
-        if self.recorded is not None:
-            return -self._highest_sample(lambda path, t: -path.speed(t), start, end)
         if self._varied:
-            return -self._highest("SLOWNESS", 0.0, start, end)
+            return -self.highest(lambda path, _, t: -path.speed(t), start, end)
         return np.minimum(dep.speed(self.scenarios, start), dep.speed(self.scenarios, end))
 
     def drivable(self) -> BoolArray:
@@ -402,7 +410,7 @@ class UncorrectedPath:
         from ldctoolkit.paths.kernels import Path
 
         p = self.scenarios
-        T, d_y, v_mean, a_mean = (np.ascontiguousarray(column) for column in (p.T, p.d_y, p.v_mean, p.a_mean))
+        T, d_y, v_mean, a_mean = (np.array(column) for column in (p.T, p.d_y, p.v_mean, p.a_mean))
         modes_y, modes_v = np.ascontiguousarray(self.modes_y), np.ascontiguousarray(self.modes_v)
         return Path(T, d_y, v_mean, a_mean, modes_y, modes_v, _used(modes_y), _used(modes_v))
 
@@ -430,26 +438,6 @@ class UncorrectedPath:
         out = np.empty(_table(t).shape)
         kernels.values(self.columns(), getattr(kernels, what), _table(t), out)
         return out.reshape(t.shape)
-
-    def _highest_sample(
-        self, curve: Callable[[UncorrectedPath, FloatArray], FloatArray], t_0: FloatArray, t_1: FloatArray
-    ) -> FloatArray:
-        """Largest value of a curve at the samples in [t_0, t_1] (n,) and at both ends, (n,)."""
-        out = np.empty(self.n)
-        for first in range(0, self.n, _AT_ONCE):
-            some = np.arange(first, min(first + _AT_ONCE, self.n))
-            path = self.take(some)
-            if path.recorded is not None:
-                t = path.recorded.times(np.arange(some.size))
-                out[some] = curve(path, np.clip(t, t_0[some, None], t_1[some, None])).max(axis=1)
-        return out
-
-    def _highest(self, which: str, l_f: float, t_0: FloatArray, t_1: FloatArray) -> FloatArray:
-        from ldctoolkit.paths import kernels
-
-        out = np.empty(self.n)
-        kernels.highest(self.columns(), getattr(kernels, which), float(l_f), t_0, t_1, out)
-        return out
 
 
 @dataclasses.dataclass(frozen=True)
@@ -510,11 +498,6 @@ class DriftPath(UncorrectedPath):
     def deepest(self, t_end: FloatArray) -> FloatArray:
         """Largest y over [0, t_end] [m]; `t_end` (n,) is cut off at T."""
         return self.lateral(np.minimum(t_end, self.scenarios.T))
-
-    def front_deepest(self, t_end: FloatArray, l_f: float) -> FloatArray:
-        """Largest distance of the front axle's edge beyond the line over [0, t_end], (n,) [m]."""
-        y, rate, _ = self.drift.motion(self.scenarios.v_mean, np.minimum(t_end, self.scenarios.T))
-        return y + l_f * np.arctan2(rate, self.scenarios.v_mean)
 
 
 def _mode_count(T: FloatArray, bandwidth: float) -> IntArray:

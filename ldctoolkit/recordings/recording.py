@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Final
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray, ReadOnly
 from ldctoolkit.errors import RecordingError
 
 
@@ -92,7 +92,7 @@ class Problem:
 
 
 @dataclasses.dataclass(frozen=True)
-class Recording:
+class Recording(ReadOnly):
     """m samples of one drive, in SI units and with the signs of ISO 8855.
 
     What every reader gives. Numbers of samples that cannot be used may be NaN. Texts are made printable. Raises
@@ -143,6 +143,7 @@ class Recording:
     )  # fmt: skip
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         self._check_texts()
         for column in self.COLUMNS:
             values = getattr(self, column)

@@ -312,7 +312,7 @@ def review_plant(
             raise InputError(
                 f"{name}.delay: {delay:g} s with dt = {dt:g} s is {delay / dt:.6g} samples; allowed: at most {LONGEST}"
             )
-    return known_plant(model, v, dt, options, plant_knowledge)
+    return known_plant(model, v, dt, options.sampled(dt), plant_knowledge)
 
 
 def positive(name: str, value: object, unit: str) -> float:
@@ -401,7 +401,7 @@ def review(
     if not is_number(plain(y_s)) or y_s < 0:
         raise InputError(f"y_s: {y_s!r} m; allowed: a finite number >= 0")
     plant = review_plant(model, dt, options, speeds, plant_knowledge)
-    v = plant.v
+    v, options = plant.v, options.sampled(dt)
     identity = _identity(controller)
     view = linear_view(controller, plant)
     if view is None:

@@ -13,7 +13,7 @@ from typing import get_args
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray, unmasked
 from ldctoolkit.control import (
     Controller,
     EventStatus,
@@ -74,6 +74,7 @@ class Run:
         over, rows = self.takeover, self.takeover.rows
         values = self.columns((window,))
         self.fill(values, (window,))
+        values.flags.writeable = False  # companions are views of it
         status = np.where(over.valid, EventStatus.NEVER_TRIGGERED, EventStatus.INVALID).astype(np.int8)
         status[rows] = self.status
         failed = np.zeros(over.scenarios.n, dtype=np.int64)
@@ -413,7 +414,7 @@ def _chosen_rows(trajectories: Chosen, n: int) -> IntArray | None:
     """Row numbers of the scenarios whose paths are kept; None for no paths at all."""
     if isinstance(trajectories, bool | np.bool_):
         return np.arange(n) if trajectories else None
-    rows = np.atleast_1d(np.asarray(trajectories))
+    rows = np.atleast_1d(np.asarray(unmasked(trajectories)))
     if rows.size == 0:
         rows = rows.astype(np.int64)
     if rows.ndim != 1 or rows.dtype.kind not in "iu":

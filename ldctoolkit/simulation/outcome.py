@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit import metrics
-from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray, ReadOnly
 from ldctoolkit.control import EventStatus, SolverLog
 from ldctoolkit.departures import LEFT
 from ldctoolkit.frames import Frame
@@ -24,7 +24,7 @@ STATUS_NAMES = np.array([one.name.lower() for one in EventStatus])  # by the num
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
-class Trajectories:
+class Trajectories(ReadOnly):
     """Paths of c chosen scenarios at the controller's samples and at the departure's end T.
 
     NaN after the end of the settling horizon, after the last sample inside the bound where a scenario diverged, and

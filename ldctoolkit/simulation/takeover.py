@@ -17,7 +17,7 @@ from ldctoolkit.departures import bend_polynomial
 from ldctoolkit.metrics import JERK_WINDOW, METRIC_UNITS, MetricValues
 from ldctoolkit.option_checks import checked_number, checked_seed
 from ldctoolkit.paths.uncorrected import RandomStream, UncorrectedPath, harmless, normals, uniforms
-from ldctoolkit.plant_options import Mismatch, Tyres
+from ldctoolkit.plant_options import Mismatch, Tyres, whole_multiple
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
 from ldctoolkit.simulation.kernel import data
@@ -44,6 +44,10 @@ class TrueVehicles:
         """Continuous-time A (n, 4, 4), B and E (n, 4) of Rajamani's eq. 2.45, each vehicle at its own speed [m/s]."""
         return error_dynamics_matrices(self, checked_speeds(v), convention)
 
+    def columns(self, rows: IntArray | slice) -> TrueVehicles:
+        """Chosen vehicles as columns (n, 1), which broadcast against (n, k)."""
+        return dataclasses.replace(self, **{name: getattr(self, name)[rows, None] for name in _DRAWN})
+
     def steady_state(self, v: npt.ArrayLike, convention: Convention) -> SteadyState:
         """Steering angle and heading error that hold a bend on linear tyres, per unit of lane yaw rate."""
         return steady_cornering(*self.matrices(v, convention))
@@ -59,21 +63,22 @@ class TrueVehicles:
         tyres: Tyres,
         convention: Convention,
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """e_psi, de_psi/dt and steering angle at which e_y'' is `bend` and e_psi'' is 0, (n,) each.
+        """e_psi, de_psi/dt and steering angle at which e_y'' is `bend` and e_psi'' is 0, (n,) or (n, k) each.
 
         Given speed and its rate, de_y/dt, e_y'', the lane's yaw rate and de_psi/dt. Where tyres saturate, a turn beyond
         the friction is that of the largest force.
         """
+        wheelbase, shape, omega = self.l_f + self.l_r, tyres.shape, lane + yaw_error
         if tyres.ideal:
-            # e_psi and delta from the two force balances (Rajamani's eq. 2.45): e_y'' that of the path, e_psi'' = 0
-            A, B, E = self.matrices(v, convention)
-            A[:, 1, 2] += dv
-            system = np.stack([np.stack([A[:, i, 2], B[:, i]], axis=-1) for i in (1, 3)], axis=-2)
-            known = np.stack([A[:, i, 1] * rate + A[:, i, 3] * yaw_error + E[:, i] * lane for i in (1, 3)], axis=-1)
-            wanted = np.stack([bend, np.zeros_like(v)], axis=-1)
-            e_psi, delta = np.linalg.solve(system, (wanted - known)[..., None])[..., 0].T
-            return e_psi, yaw_error, delta
-        wheelbase, shape = self.l_f + self.l_r, tyres.shape
+            # the two force balances of Rajamani's eq. 2.45, for e_y'' that of the path and e_psi'' = 0
+            slip_per_a_y = self.m * self.l_f / (2.0 * self.C_ar * wheelbase)  # of the rear axle
+            v_y = self.l_r * omega  # of a rear axle without slip
+            if convention == "as_printed":
+                v_y = v_y - 2.0 * self.l_r * self.l_f / wheelbase * yaw_error
+            e_psi = ((rate - v_y) / v + slip_per_a_y * (bend + v * lane)) / (1.0 + slip_per_a_y * dv)
+            moment = self.C_af * self.l_f - self.C_ar * self.l_r
+            damping = self.C_af * self.l_f**2 + self.C_ar * self.l_r**2
+            return e_psi, yaw_error, (damping * omega / v - moment * (e_psi - rate / v)) / (self.C_af * self.l_f)
 
         def slip(stiffness: FloatArray, arm: float, share: FloatArray) -> FloatArray:
             """Slip angle at which an axle uses this share of its friction; beyond it, that of the largest force."""
@@ -81,7 +86,7 @@ class TrueVehicles:
             return np.tan(np.arcsin(np.clip(share, -1.0, 1.0)) / shape) * shape * load / stiffness
 
         # without yaw acceleration both axles use the same share; it hardly depends on the angles that follow from it
-        omega, v_y, e_psi, delta = lane + yaw_error, np.zeros_like(v), rate / v, np.zeros_like(v)
+        v_y, e_psi, delta = np.zeros_like(v), rate / v, np.zeros_like(v)
         for _ in range(_ITERATIONS):
             sine, cosine = np.sin(e_psi), np.cos(e_psi)
             across = (bend - dv * sine - yaw_error * (v * cosine - v_y * sine)) / cosine
@@ -174,7 +179,7 @@ class Takeover:
     @property
     def steps(self) -> IntArray:
         """Steps to the end of the settling horizon, a last shorter one of the departure included, (m,)."""
-        settle = math.ceil(self.setup.settle / self.setup.dt - 1e-9)
+        settle = math.ceil(whole_multiple(self.setup.settle, self.setup.dt) / self.setup.dt - 1e-9)
         return self.full_steps + settle + (self.rest > 0.0)
 
     @functools.cached_property
@@ -183,11 +188,15 @@ class Takeover:
         T = self.path.scenarios.T
         measured = {
             "deepest": self.path.deepest(T),
-            "dtle": -self.path.front_deepest(T, self.setup.vehicle.l_f),
+            "dtle": -_front_deepest(self.path, self.every_vehicle, self.setup, T),
             "t_back": self.path.back,
         }
         columns = {name: measured.get(name, np.zeros(T.size)) for name in METRIC_UNITS}
         return MetricValues(**{name: np.where(self.valid, column, np.nan) for name, column in columns.items()})
+
+    def recorded_state(self, t: FloatArray) -> FloatArray:
+        """State of the recorded paths in their steady turns at times t (n, k), (n, k, 4)."""
+        return _state(self.path, self.every_vehicle.columns(slice(None)), _steady(self.setup), t)[0]
 
     @functools.cached_property
     def deepest_before(self) -> FloatArray:
@@ -197,7 +206,13 @@ class Takeover:
     @functools.cached_property
     def front_before(self) -> FloatArray:
         """Deepest position of the front axle's edge before the trigger, (m,) [m]."""
-        return self.driven.front_deepest(self.start, self.setup.vehicle.l_f)
+        return _front_deepest(self.driven, self.vehicles, self.setup, self.start)
+
+    @functools.cached_property
+    def every_vehicle(self) -> TrueVehicles:
+        """The vehicles of all n scenarios."""
+        options, scenarios = self.setup.options, self.path.scenarios
+        return true_vehicles(self.setup.vehicle, options.mismatch, options.tyres, scenarios, self.setup.seed)
 
     @classmethod
     def build(cls, scenarios: Scenarios, setup: Setup, *, y_s: float) -> Takeover:
@@ -264,16 +279,16 @@ class Takeover:
 
 
 def _state(path: UncorrectedPath, car: TrueVehicles, setup: Setup, t: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """State (m, 4) and steering angle (m,) with which the recorded path is driven at times t (m,)."""
+    """State (m, 4) and steering angle (m,) with which the recorded path is driven at times t (m,); or (m, k)."""
     e_psi, yaw_error, delta = _attitude(path, car, setup, t)
     offset = setup.vehicle.edge_offset
-    return np.column_stack([path.lateral(t) + offset, path.lateral_rate(t), e_psi, yaw_error]), delta
+    return np.stack([path.lateral(t) + offset, path.lateral_rate(t), e_psi, yaw_error], axis=-1), delta
 
 
 def _attitude(
     path: UncorrectedPath, car: TrueVehicles, setup: Setup, t: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """e_psi, de_psi/dt and the steering angle with which the recorded path is driven at times t, (m,) each."""
+    """e_psi, de_psi/dt and the steering angle with which the recorded path is driven at times t, (m,) or (m, k)."""
     v, rate, bend = path.speed(t), path.lateral_rate(t), path.lateral_acceleration(t)
     lane = v * path.curvature(t)
     yaw_error = bend / v if setup.initial_yaw_rate == "path" else np.zeros_like(v)
@@ -281,6 +296,21 @@ def _attitude(
         return np.arctan2(rate, v), yaw_error, car.steady_state(v, setup.convention).delta * (lane + bend / v)
     dv = (v - path.speed(t - _SPEED_STEP)) / _SPEED_STEP if setup.options.speed == "profile" else np.zeros_like(v)
     return car.turn(v, dv, rate, bend, lane, yaw_error, setup.options.tyres, setup.convention)
+
+
+def _steady(setup: Setup) -> Setup:
+    """For the recorded path itself, whatever state the loop starts from."""
+    return dataclasses.replace(setup, start="steady", initial_yaw_rate="path")
+
+
+def _front_deepest(path: UncorrectedPath, car: TrueVehicles, setup: Setup, t_end: FloatArray) -> FloatArray:
+    """Largest distance y + l_f e_psi of the front axle's edge beyond the line over [0, t_end], (n,) [m]."""
+    steady = _steady(setup)
+
+    def front(some: UncorrectedPath, rows: IntArray, t: FloatArray) -> FloatArray:
+        return some.lateral(t) + car.l_f * _attitude(some, car.columns(rows), steady, t)[0]
+
+    return path.highest(front, np.zeros_like(t_end), t_end)
 
 
 @dataclasses.dataclass(frozen=True)

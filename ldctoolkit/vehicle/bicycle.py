@@ -14,7 +14,7 @@ from typing import Final, Literal, Protocol, get_args
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.arrays import FloatArray
+from ldctoolkit.arrays import FloatArray, unmasked
 from ldctoolkit.errors import InputError, nearest, plain
 from ldctoolkit.option_checks import short_repr, warn_of_units
 from ldctoolkit.vehicle.discretization import AugmentedStep, Discretization, augmented, discretize
@@ -50,8 +50,7 @@ class Plant:
         cls, model: BicycleModel, v: npt.ArrayLike, dt: float, *, lag: float = 0.0, delay: float = 0.0, age: float = 0.0
     ) -> Plant:
         """`model` at the speeds `v` (n,) [m/s] with the step `dt` [s]; `delay` includes `age`."""
-        speed = np.atleast_1d(np.asarray(v, dtype=float))
-        return cls(model, speed, float(dt), lag=lag, delay=delay, age=age)
+        return cls(model, checked_speeds(v), float(dt), lag=lag, delay=delay, age=age)
 
     def at(self, v: npt.ArrayLike) -> Plant:
         """The same plant at other speeds (n,) [m/s]."""
@@ -289,7 +288,7 @@ def steady_cornering(A: FloatArray, B: FloatArray, E: FloatArray) -> SteadyState
 
 def checked_speeds(v: npt.ArrayLike) -> FloatArray:
     """Speeds (n,) [m/s] as an array."""
-    speed = np.atleast_1d(np.asarray(v, dtype=float))
+    speed = np.atleast_1d(np.asarray(unmasked(v), dtype=float))
     bad = ~(np.isfinite(speed) & (speed > 0))
     if bad.any():
         i = int(np.argmax(bad))

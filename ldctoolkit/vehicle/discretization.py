@@ -15,7 +15,7 @@ import numpy.typing as npt
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.errors import InputError
 
-_WHOLE = 1e-9  # parts of a sample of delay that are rounding
+_WHOLE = 1e-7  # parts of a sample of delay that are rounding
 
 
 @dataclasses.dataclass(frozen=True)

@@ -18,8 +18,9 @@ from ldctoolkit import EventStatus, Scenarios, Setup
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT
 from ldctoolkit.errors import InputError, nearest
-from ldctoolkit.metrics import DTLE_LIMIT, METRICS, RELEASE_METRICS, SCENARIO_METRICS, Interventions, Metric
+from ldctoolkit.metrics import METRICS, RELEASE_METRICS, SCENARIO_METRICS, Interventions, Metric, share_within_dtle
 from ldctoolkit.paths.uncorrected import UncorrectedPath
+from ldctoolkit.simulation import Takeover
 
 from ..design import NO_CONTROL, Design
 from ..results import CaseResults, StudyResults, status_among
@@ -371,8 +372,10 @@ def case_metrics(
     before, before_left, before_right = (_mean(case.S_uncorrected, side) for side in rows)
     S_p95, S_cvar95 = tail_metrics(counted)
     taken = release_metrics(case, designs, scenarios.d_y, D_y=D_y)
-    passive = [i for i, design in enumerate(designs) if design.is_baseline]
-    kept = taken["within_dtle"][passive[0]] if passive else np.mean(-scenarios.d_y >= DTLE_LIMIT)
+    kept = next((taken["within_dtle"][i] for i, design in enumerate(designs) if design.is_baseline), None)
+    if kept is None:
+        without = Takeover.build(scenarios, (setup or Setup()).under(case.case.convention), y_s=0.0)
+        kept = share_within_dtle(without.recorded.dtle)
     taken["within_dtle_gain"] = taken["within_dtle"] - kept
     allowed = np.ones(len(scenarios), dtype=np.bool_) if setup is None else ~beyond_friction(scenarios, setup)
     taken["lost"] = ((case.status == EventStatus.DIVERGED) & allowed).sum(axis=1).astype(np.float64)

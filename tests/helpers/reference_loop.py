@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 from scipy.integrate import solve_ivp
+from scipy.interpolate import CubicSpline
 from scipy.linalg import expm
 from scipy.optimize import brentq, minimize_scalar, root
 
@@ -139,7 +140,7 @@ class Path:
     def e_y(self, t: Times) -> Times:
         return self.side * (self.y(t) + OFFSET)
 
-    def e_psi(self, t: Times) -> Times:
+    def course(self, t: Times) -> Times:
         return self.side * np.arctan2(self.dy(t), self.v(t))
 
     def trigger(self, y_s: float) -> float:
@@ -198,11 +199,18 @@ def drive(
     vehicle = Vehicle() if vehicle is None else vehicle
     true = vehicle if true is None else true
     t_s = path.trigger(y_s)
-    before = [Piece(0.0, min(t_s, path.T), path.e_y, path.e_psi)]
-    S_recorded = absolute_area([Piece(0.0, path.T, path.e_y, path.e_psi)])
+    first = min(t_s, path.T) if math.isinf(t_s) else t_s
+    loop = _Loop(path, law, options, vehicle, true, first, dt, settle, curvature_draw, noise or {}, known, rtol)
+    times = np.linspace(0.0, path.T, 81)  # several to each half wave of a residual
+    nearly = CubicSpline(times, [loop.attitude(t)[0] for t in times]) if rtol < 1e-12 else path.course
+
+    def heading(t: Times) -> Times:
+        return loop.attitude(float(t))[0] if np.ndim(t) == 0 else nearly(t)
+
+    before = [Piece(0.0, min(t_s, path.T), path.e_y, heading)]
+    S_recorded = absolute_area([Piece(0.0, path.T, path.e_y, heading)])
     if math.isinf(t_s):
         return _never_triggered(path, before, S_recorded, true)
-    loop = _Loop(path, law, options, vehicle, true, t_s, dt, settle, curvature_draw, noise or {}, known, rtol)
     loop.run()
     departure = before + [piece for piece in loop.pieces if piece.end <= path.T]
     return Drive(
@@ -309,7 +317,7 @@ class _Loop:
             return found - bend, d_omega - self.yaw_acceleration(t, True)
 
         turn = (self.yaw_rate(t) + bend / v) / v
-        angles = np.array([self.path.e_psi(t) - math.atan(true.l_r * turn), math.atan((true.l_f + true.l_r) * turn)])
+        angles = np.array([self.path.course(t) - math.atan(true.l_r * turn), math.atan((true.l_f + true.l_r) * turn)])
         for more in (8.0, 2.0, 1.0):  # with little friction there are solutions beyond the peak of the force too
             self.true = true.times(mu=more)
             angles = root(left_over, angles, tol=1e-14).x

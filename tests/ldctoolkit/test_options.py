@@ -81,6 +81,7 @@ def test_a_nan_counts_and_is_seen() -> None:
     values, yes = [0.1, NAN, 0.2], np.array([True, True, True])
     no = np.array([True, False, True])
     assert math.isnan(metrics.share_within_dtle(values))
+    assert math.isnan(metrics.share_within_dtle(np.ma.masked_array([0.1, 0.0, 0.2], mask=[0, 1, 0])))
     assert math.isnan(metrics.share_deeper(np.array(values), 0.5))
     assert not metrics.comfortable(values, [0.0] * 3)[1]
     for share in (
@@ -105,6 +106,10 @@ Z3 = np.zeros(3)
         (
             lambda: metrics.back_inside_share([0.1, 0.0], [1.0, 0.0]),
             "triggered: an array of float64; allowed: booleans",
+        ),
+        (
+            lambda: metrics.back_inside_share([0.1, 0.0], np.ma.masked_array([True, False], mask=[0, 1])),
+            "triggered: an array of bool with masked entries; allowed: booleans",
         ),
         (lambda: metrics.back_inside_share(0.1, True), r"t_back \(\), triggered \(\); allowed: \(n,\) or \(d, n\)"),
         (lambda: metrics.needless_share([True, False], [0.1]), r"d_y \(1,\), triggered \(2,\)"),

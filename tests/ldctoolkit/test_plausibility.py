@@ -191,7 +191,9 @@ def test_the_excluded_probability(side):
 
 def test_a_fit_leaves_out_what_is_implausible_and_records_the_limits(tmp_path: Path):
     table = varied_departures(60)
-    table.d_y[::20], table.dc[5::20] = 9.0, 0.1  # 3.6 m/s or more at the line; a bend of 10 m radius
+    d_y, dc = table.d_y.copy(), table.dc.copy()
+    d_y[::20], dc[5::20] = 9.0, 0.1  # 3.6 m/s or more at the line; a bend of 10 m radius
+    table = dataclasses.replace(table, d_y=d_y, dc=dc)
     limits, settings = LIMITS | {"y_rate": 1.5}, {"components": 1, "kind": "mixture", "workers": 1}
     own, kept = Plausibility(y_rate=1.5), within(table, limits)
     assert 80 < kept.sum() <= 108

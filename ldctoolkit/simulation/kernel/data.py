@@ -12,6 +12,7 @@ import numpy as np
 
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.metrics import SCENARIO_METRICS
+from ldctoolkit.plant_options import whole_multiple
 from ldctoolkit.setup import Setup
 from ldctoolkit.vehicle import Plant
 
@@ -182,7 +183,7 @@ def setting_row(setup: Setup, plant: Plant, *, modes: int, bound: float, window:
         OFFSET: setup.vehicle.edge_offset,  # [m] e_y with the edge on the line
         AXLE: setup.vehicle.l_f,  # [m]
         BOUND: bound,  # [m] |e_y| that counts as diverged
-        WINDOW: window / dt,  # samples in the moving average of the jerk
+        WINDOW: whole_multiple(window, dt) / dt,  # samples in the moving average of the jerk
         PROFILE: setup.options.speed == "profile",  # v(t) instead of the trigger's speed
         SATURATING: not setup.options.tyres.ideal,  # tyres
         SHAPE: setup.options.tyres.shape,  # of the tyres

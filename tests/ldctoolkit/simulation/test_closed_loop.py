@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline
 
-from controllers import LQR, LinearMPC, NoControl, PreviewProportional
+from controllers import LQI, LQR, LinearMPC, NoControl, PreviewLQR, PreviewProportional
 from helpers import reference_loop as reference
 from helpers.closed_loop import Constant, InTheRoadFrame, Stepped, assert_same_rows, make_scenarios, with_residuals
 from ldctoolkit import Controller, EventStatus, LinearLaw, Plant, Scenarios, Setup, simulate
@@ -277,6 +277,43 @@ def test_the_printed_start_has_no_side_slip() -> None:
     assert printed[0, 2] == pytest.approx(math.atan(0.133333), abs=1e-6)
     assert (steady[1, 1] - steady[0, 1]) / 1e-4 == pytest.approx(-16.0 / 9.0, abs=1e-3)
     assert (printed[1, 1] - printed[0, 1]) / 1e-4 == pytest.approx(-8.637, abs=0.02)
+
+
+def test_a_path_has_one_distance_to_the_edge_whoever_drives_it() -> None:
+    """By hand: e_psi = y'/v - beta, beta = (v c + y''/v) (l_r/v - l_f m v/(2 C_ar L)) of the steady turn."""
+    values = {"T": [1.1708], "d_y": [0.3426], "v_mean": [8.274], "c_0": [-0.011476]}
+    t = np.linspace(0.0, 1.1708, 100_001)
+    y, rate, bend = 4 * 0.3426 / 1.1708**2 * np.stack([t * (1.1708 - t), 1.1708 - 2 * t, -2.0 + 0 * t])
+    beta = (8.274 * -0.011476 + bend / 8.274) * (1.47 / 8.274 - 1.43 * 1000 * 8.274 / (160_000 * 2.9))
+    front = y + 1.43 * (rate / 8.274 - beta)
+    assert -front.max() == pytest.approx(-0.446, abs=5e-4)
+    for side in ("left", "right"):
+        one = Scenarios.from_arrays(**values, side=side)
+        for start in ("steady", "printed"):
+            assert simulate(NoControl(), one, start=start).companions.dtle[0] == pytest.approx(-front.max(), abs=1e-9)
+        driven = simulate(LQR(), one, y_s=0.2, trajectories=True)
+        e_y, _, e_psi, _ = driven.trajectories.x[0, 0]
+        assert e_y + 1.43 * e_psi - 0.85 == pytest.approx(np.interp(driven.t_s[0], t, front), abs=1e-9)
+
+
+@pytest.mark.parametrize("digits", [9, 10, 11, 15])
+def test_a_delay_is_a_multiple_of_the_sample_time_but_for_rounding(digits: int) -> None:
+    """Of a camera at 30 Hz and an actuator, 0.1 s each, at 1/30 s written with so many digits: S to 1e-6."""
+    scenarios, dt = make_scenarios(12), float(f"{1 / 30:.{digits}f}")
+    for sensors in (Sensors(), Sensors(delay=0.1, fps=30, kalman=KalmanFilter())):
+        options = PlantOptions(actuator=Actuator(delay=0.1), sensors=sensors)
+        for law in (LQR(), LQI(), PreviewLQR(), LinearMPC()):
+            exact, found = (simulate(law, scenarios, 0.1, dt=one, options=options).S for one in (1 / 30, dt))
+            np.testing.assert_allclose(found, exact, rtol=1e-6)
+        assert sensors.age(dt) == pytest.approx(0.0 if sensors.ideal else 0.1, abs=1e-8)
+
+
+@pytest.mark.parametrize("part", [1e-9, 1e-8, 3e-8, 1e-7, 1e-3])
+def test_a_delay_of_any_small_part_of_a_sample_has_a_gain(part: float) -> None:
+    scenarios = make_scenarios(12)
+    late, exact = (simulate(LQR(), scenarios, 0.1, options=PlantOptions(actuator=Actuator(delay=delay))).S
+                   for delay in (0.05 * (1.0 + part), 0.05))  # fmt: skip
+    np.testing.assert_allclose(late, exact, rtol=part + 1e-9)
 
 
 @pytest.mark.slow

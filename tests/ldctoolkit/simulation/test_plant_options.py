@@ -254,7 +254,8 @@ def test_never_triggered_is_the_recorded_path(case: str) -> None:
             assert np.isinf(expected.t_s)
             assert (out.S[i], out.S_uncorrected[i]) == (pytest.approx(expected.S, abs=1e-9), out.S[i])
             for name in METRICS:
-                assert getattr(out.companions, name)[i] == pytest.approx(expected.companions[name], abs=1e-9), name
+                size = 1e-8 if name == "dtle" else 1e-9  # e_psi of saturating tyres is a fixed point, found to 1e-9 rad
+                assert getattr(out.companions, name)[i] == pytest.approx(expected.companions[name], abs=size), name
 
 
 @pytest.mark.slow

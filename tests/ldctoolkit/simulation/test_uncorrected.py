@@ -79,14 +79,14 @@ def test_extremes_in_closed_form_and_searched_equal_a_dense_search(residuals: Re
     end = share * FEW.T
     t = np.minimum(share, 1.0) * dense(path)
     y = path.lateral(t)
-    front = y + 1.43 * np.arctan2(path.lateral_rate(t), path.speed(t))
+    start = np.zeros(FEW.n)
     # a peak between two of 4,000 points lies at most half the second derivative times (T/8000)^2 above them; modes
     # have j <= 20, amplitudes together are below 0.4 m and 2 m/s
     bend = 0.5 * (20.0 * np.pi / 8000.0) ** 2
     for ours, samples, size in (
         (path.deepest(end), y, 0.4),
-        (path.front_deepest(end, 1.43), front, 0.4),
-        (-path.slowest_speed(np.zeros(FEW.n), end), -path.speed(t), 2.0),
+        (path.highest(lambda some, _, t: some.lateral_rate(t) ** 2, start, end), path.lateral_rate(t) ** 2, 40.0),
+        (-path.slowest_speed(start, end), -path.speed(t), 2.0),
     ):
         assert np.all(ours >= samples.max(axis=1) - 1e-13)
         assert np.all(ours <= samples.max(axis=1) + size * bend)

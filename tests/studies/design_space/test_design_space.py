@@ -291,6 +291,8 @@ MISTAKES: list[tuple[dict[str, Any], str]] = [
     ({"gains": {"K": {"from": -2, "to": -0.5}}, "sample": SAMPLE}, "gains.K: -2; allowed: a number from -1 to 0 rad"),
     ({"gains": {"K": {"from": -0.5, "to": 1}}, "sample": SAMPLE}, "gains.K: 1; allowed: a number from -1 to 0 rad"),
     ({"gains": {"N": {"from": 1.5, "to": 3}}, "sample": SAMPLE}, "gains.N: 1.5; allowed: a whole number from 1 to 50"),
+    ({"gains": {"N": {"from": 5.5, "to": 7.5, "count": 3}}}, "gains.N: 5.5; allowed: a whole number from 1 to 50"),
+    ({"gains": {"N": {"from": 5, "to": 7.5, "count": 3}}}, "gains.N: 7.5; allowed: a whole number from 1 to 50"),
     ({"gains": {"on": {"from": 0, "to": 1}}, "sample": SAMPLE}, "gains.on: 0; allowed: true or false"),
     ({"gains": {"K": {"from": -1, "to": -1}}, "sample": SAMPLE}, "gains.K: from and to are both -1; allowed: two diff"),
     ({"gains": {"K": {"from": -1, "two": 0}}, "sample": SAMPLE}, "gains.K.two: no such key; did you mean 'to'?"),
