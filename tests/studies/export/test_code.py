@@ -1,5 +1,6 @@
 """Exported C code by itself: warnings, sanitizers, checkers, the test bench, the FMU, and the solver of linear MPC."""
 
+import ctypes
 import dataclasses
 import re
 import shutil
@@ -14,7 +15,7 @@ import numpy as np
 import pytest
 
 from controllers import LQR, PID, BarrierFilter, LinearMPC, PurePursuit, SlidingMode, Stanley
-from helpers.closed_loop import Constant, make_scenarios
+from helpers.closed_loop import Constant, Table, make_scenarios
 from ldctoolkit import Controller, Preview, Setup, load_model
 from ldctoolkit.control import EventStatus
 from ldctoolkit.plant_options import Actuator, PlantOptions
@@ -33,6 +34,7 @@ LAWS: dict[str, Controller] = {
     "stanley": Stanley(),
     "pure_pursuit": PurePursuit(),
     "sliding_mode": SlidingMode(),
+    "table": Table("clip"),
     "mpc": LinearMPC(),
     "mpc, soft": SOFT,
     "mpc, blocks": LinearMPC(horizon=30, blocks=8, e_y_max=0.5),
@@ -60,7 +62,9 @@ def exported(controller: Controller, folder: Path, setup: Setup = REALISTIC, *, 
 
 
 @pytest.mark.parametrize("single", [False, True])
-@pytest.mark.parametrize("name", ["lqr", "pure_pursuit", *(pytest.param(x, marks=pytest.mark.slow) for x in LAWS)])
+@pytest.mark.parametrize(
+    "name", ["lqr", "pure_pursuit", "table", *(pytest.param(x, marks=pytest.mark.slow) for x in LAWS)]
+)
 def test_bench_repeats_the_check_without_warnings(name: str, single: bool, folder: Path) -> None:
     exported(LAWS[name], folder)
     precision = ["-DLDC_USE_FLOAT"] if single else []
@@ -435,6 +439,23 @@ def test_no_step_of_a_million_exceeds_the_bound(name: str) -> None:
     assert failed == 0
 
 
+def test_single_precision_solves_what_double_solves() -> None:
+    """A small weight of steering, whose solver fails in single precision: it stays in double."""
+    code, rng, n = Code.of(LinearMPC(horizon=30, r_delta=1.0), REALISTIC, 0.1), np.random.default_rng(7), 2000
+    row = np.zeros(n, dtype=struct(code.inputs))
+    row["v"], row["line_left"], row["engage"] = rng.uniform(2.0, 80.0, n), 1.0, 1
+    for field, size in {"e_y": 2.0, "e_y_rate": 2.0, "e_psi": 0.1, "e_psi_rate": 0.3, "wheel": 0.05}.items():
+        row[field] = rng.normal(0.0, size, n)
+    row["frame_e_y"], row["frame_e_psi"] = row["e_y"], row["e_psi"]
+    row["curvature"] = rng.normal(0.0, 0.002, row["curvature"].shape)
+    ones = [Compiled(code, ["cc"], single=single) for single in (False, True)]
+    double, single = (one.step(row, one.begin(n)) for one in ones)
+    assert (double["iterations"] > 5).sum() > 100
+    np.testing.assert_array_equal(single["status"], double["status"])
+    assert not (single["status"] & 4).any()
+    np.testing.assert_allclose(single["delta"], double["delta"], rtol=0.0, atol=1e-5)
+
+
 def test_departures_in_which_the_toolkit_gave_up_are_left_out() -> None:
     law = LinearMPC(horizon=8, delta_max=0.01, rate_max=0.02, a_y_max=0.5, jerk_max=0.5, e_y_max=0.5, solver="daqp")
     found = check(record(Code.of(law, REALISTIC, 0.1), load_model("reference").sample(25, 25, seed=3)), ["cc"])
@@ -477,6 +498,52 @@ def test_fmu_gives_the_same_commands(folder: Path) -> None:
         slave.doStep(currentCommunicationPoint=0.0, communicationStepSize=0.01)
     slave.terminate()
     slave.freeInstance()
+    shutil.rmtree(unpacked)
+
+
+def test_fmu_tells_the_reason_of_an_error(folder: Path) -> None:
+    exported(PID(), folder, Setup(), fmu=True)
+    path = str(folder / "ldc_controller.fmu")
+    description, unpacked = fmpy.read_model_description(path), fmpy.extract(path)
+    told: list[tuple[bytes, int, bytes, bytes]] = []
+    host = fmpy.fmi2.fmi2CallbackFunctions()
+    host.logger = fmpy.fmi2.fmi2CallbackLoggerTYPE(lambda _, *what: told.append(what))
+    slave = fmpy.fmi2.FMU2Slave(
+        guid=description.guid, unzipDirectory=unpacked, modelIdentifier="ldc_controller", instanceName="one"
+    )
+    slave.instantiate(callbacks=host)
+    assert slave.getReal([places.valueReference for places in description.modelVariables if places.name == "v"]) == [
+        20.0
+    ]
+    slave.setReal([0], [0.0])
+    assert told == []
+    for call, function, value in (
+        (lambda: slave.doStep(0.0, 0.01), b"fmi2DoStep", b"0.01 s"),
+        (lambda: slave.setReal([9999], [0.0]), b"fmi2SetReal", b"9999"),
+        (lambda: slave.getReal([9998]), b"fmi2GetReal", b"9998"),
+        (lambda: slave.setInteger([9997], [0]), b"fmi2SetInteger", b"9997"),
+        (lambda: slave.getInteger([9996]), b"fmi2GetInteger", b"9996"),
+        (lambda: slave.getString([0]), b"fmi2GetString", b"not supported"),
+        (slave.cancelStep, b"fmi2CancelStep", b"not supported"),
+    ):
+        with pytest.raises(Exception, match="failed with status 3"):
+            call()
+        ((name, status, category, message),) = told
+        assert (name, status, category) == (b"one", 3, b"logStatusError")
+        assert message.startswith(function + b": ")
+        assert value in message
+        told.clear()
+        slave.reset()  # the host stays known
+    slave.freeInstance()
+    for guid, kind, reason in ((b"{x}", 1, b"GUID"), (description.guid.encode(), 0, b"co-simulation only")):
+        assert slave.fmi2Instantiate(b"two", kind, guid, b"", ctypes.byref(host), 0, 0) is None
+        ((name, status, _, message),) = told
+        assert (name, status) == (b"two", 3)
+        assert reason in message
+        told.clear()
+    mute = slave.fmi2Instantiate(b"three", 1, description.guid.encode(), b"", None, 0, 0)  # a host without a logger
+    assert slave.dll.fmi2DoStep(ctypes.c_void_p(mute), ctypes.c_double(0.0), ctypes.c_double(0.01), 0) == 3
+    slave.dll.fmi2FreeInstance(ctypes.c_void_p(mute))
     shutil.rmtree(unpacked)
 
 
