@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from ldctoolkit.arrays import FloatArray
+from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.plant_options import KalmanFilter
 from ldctoolkit.vehicle import BicycleModel, Plant
@@ -123,15 +123,18 @@ def scheduled(
     z = 2.0 * np.log(v / low) / math.log(high / low) - 1.0
     from ldctoolkit.lane_functions import clenshaw
 
-    coefficients = np.ascontiguousarray(chebyshev(solve, what)[:, columns])
-    values = np.empty((z.size, coefficients.shape[1]))
-    clenshaw(z, coefficients, values)
+    coefficients, smooth = chebyshev(solve)
+    if not smooth.all():
+        raise LdcError(f"{what} change too sharply with speed to be scheduled")
+    wanted = np.ascontiguousarray(coefficients[:, columns])
+    values = np.empty((z.size, wanted.shape[1]))
+    clenshaw(z, wanted, values)
     return values
 
 
 @functools.lru_cache(maxsize=256)
-def chebyshev(solve: Callable[[FloatArray], FloatArray], what: str) -> FloatArray:
-    """Chebyshev coefficients over log v, (nodes, k)."""
+def chebyshev(solve: Callable[[FloatArray], FloatArray]) -> tuple[FloatArray, BoolArray]:
+    """Chebyshev coefficients over log v, (nodes, k), and whether each column has converged."""
     for nodes in (48, 96, 192):
         z = np.cos(np.pi * (2 * np.arange(nodes) + 1) / (2 * nodes))
         values = solve(SPEED_RANGE[0] * (SPEED_RANGE[1] / SPEED_RANGE[0]) ** ((z + 1) / 2))
@@ -139,7 +142,8 @@ def chebyshev(solve: Callable[[FloatArray], FloatArray], what: str) -> FloatArra
         coefficients: FloatArray = 2.0 / nodes * np.einsum("ik,ij->kj", basis, values)  # discrete orthogonality
         coefficients[0] /= 2.0
         scale = np.abs(coefficients).max(axis=0)
-        if np.all(np.abs(coefficients[-3:]).max(axis=0) <= _TAIL * np.maximum(scale, 1e-300)):
-            coefficients.flags.writeable = False
-            return coefficients
-    raise LdcError(f"{what} change too sharply with speed to be scheduled")
+        smooth: BoolArray = np.abs(coefficients[-3:]).max(axis=0) <= _TAIL * np.maximum(scale, 1e-300)
+        if smooth.all():
+            break
+    coefficients.flags.writeable = smooth.flags.writeable = False
+    return coefficients, smooth

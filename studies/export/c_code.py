@@ -22,7 +22,7 @@ from ldctoolkit.version import __version__
 
 from ..design import Design
 from ..storage.files import output_folder, read_bytes, write_text
-from .law_tables import UNITS, Gains, Schedule, c_number
+from .law_tables import UNITS, Gains, Schedule, c_number, reals
 
 HEADER: Final = "ldc_controller.h"
 SOURCE: Final = "ldc_controller.c"
@@ -33,6 +33,7 @@ MPC_BOUND: Final = 1e-7  # The same of linear MPC
 FLOAT_BOUND: Final = 1e-5  # [rad] Of a command in single precision
 MPC_FLOAT_BOUND: Final = 1e-3
 FLOAT_S: Final = 1e-3  # [m s] Of S in single precision, driven in the loop
+HOLD: Final = 0.2  # [s] So long the command is held while inputs are unusable
 
 
 @dataclasses.dataclass(frozen=True)
@@ -127,11 +128,6 @@ class Code:
         changed = [f"{gain.name}={value}" for gain, value in values if value != gain.default]
         return ", ".join([self.controller.title, f"y_s={self.y_s:g} m", *changed])
 
-    @property
-    def gains(self) -> Gains:
-        """The exact gains, at any speeds."""
-        return Gains(self.controller, self.setup)
-
     def _banner(self, digests: dict[str, str]) -> Iterator[str]:
         p, options, form = self.setup.vehicle, self.setup.options, self.schedule.form
         actuator, (double, single) = options.actuator, self.bounds
@@ -155,6 +151,9 @@ class Code:
         yield "gains are those of the speed at the departure and stay until ldc_step hands over"
         terms, k = self.schedule.coefficients.shape
         yield f"tables: {k} gains, {terms} Chebyshev terms over log v from {SPEED_RANGE[0]:g} to {SPEED_RANGE[1]:g} m/s"
+        if self.schedule.knots.size:
+            yield f"of these, {self.schedule.kinked.size} with kinks or steps: polynomials over v in pieces, between"
+            yield from _wrapped("    ", [f"{v:.9g} m/s" for v in self.schedule.knots])
         yield f"largest error of a table, as a share of its gain's largest value: {self.schedule.error:.1g}"
         yield f"largest difference of a command to the toolkit's: {double:g} rad, in single precision {single:g} rad"
         if form.mpc:
@@ -181,7 +180,10 @@ class Code:
                 "curvature_seen": f"[1/m] of the lane {self.age:g} s ago, where the frame was taken",
             },
             "places": [(f"AT_{name.upper()}", at, UNITS[name]) for name, at in zip(sizes, offsets, strict=False)],
-            "table": [", ".join(f"LDC_W({c_number(x)})" for x in row) for row in self.schedule.coefficients.tolist()],
+            "table": list(map(reals, self.schedule.coefficients)), "kinked": self.schedule.kinked.tolist(),
+            "knots": [c_number(v) for v in self.schedule.knots], "hold": math.ceil(HOLD / self.setup.dt - 1e-9),
+            "pieces": [list(map(reals, piece)) for piece in self.schedule.pieces], "hold_time": f"{HOLD:g}",
+            "numbers": sum(max(size, 1) for _, size, _ in self.inputs),
             "columns": offsets[-1], "span": repr(math.log(SPEED_RANGE[1] / SPEED_RANGE[0])),
             "barrier": c_number(form.barrier) if form.barrier else "", "ahead": c_number(ahead) if ahead else "",
             "filter": {"known": known} if self.filtered else None,
@@ -276,8 +278,9 @@ def is_stale(code: Code, folder: Path) -> bool:
 
 def parameters(code: Code, kind: str) -> str:
     """The gains of a design over speed, for those who have the law: as JSON, or as a script of MATLAB."""
-    v = np.arange(math.ceil(SPEED_RANGE[0]), math.floor(SPEED_RANGE[1]) + 1, dtype=np.float64)
-    blocks = {name: values for name, values in code.gains.blocks(v).items() if name in code.schedule.sizes}
+    v = np.union1d(np.arange(SPEED_RANGE[0], SPEED_RANGE[1] + 1.0), code.schedule.knots)
+    blocks = Gains(code.controller, code.setup).blocks(v)
+    blocks = {name: blocks[name] for name in code.schedule.sizes}
     facts = {"design": code.design.id, "law": code.controller.name, "y_s_m": code.y_s, "dt_s": code.setup.dt}
     facts |= dict(code.design.gains)
     times, origin = code.schedule.form.times, list(code.origin.lines) if code.origin else []

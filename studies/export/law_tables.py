@@ -9,12 +9,11 @@ from typing import Any, Final
 import numpy as np
 
 from ldctoolkit import SPEED_RANGE, Controller, LinearLaw, LinearSteps, RecordedPath, Setup
-from ldctoolkit.arrays import FloatArray
+from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.controllers import _mpc_condensing, _mpc_law, barrier_filter, pid, pure_pursuit, sliding_mode, stanley
-from ldctoolkit.errors import InputError
+from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.law_checks import check_controller, check_law
-from ldctoolkit.vehicle import Plant
-from ldctoolkit.vehicle.speed_schedule import chebyshev, filter_columns, scheduled
+from ldctoolkit.vehicle.speed_schedule import chebyshev, filter_columns
 
 UNITS: Final = {
     "F": "rad/m, rad s/m, rad/rad, rad s/rad: feedback on the state", "f_u": "rad/rad: previous command",
@@ -115,8 +114,8 @@ def _mpc_form(law: _mpc_law.MPCLaw) -> LawForm:
     first = [int(np.argmax(limits.group == k)) for k in np.flatnonzero(limits.scale)]
     sizes = {
         "N": N, "M": M, "m": m, "delay": limits.delay, "window": limits.window, "kinds": kinds, "sides": limits.sides,
-        "rows": limits.group.size, "lagging": law.lagging, "age": law.age / law.dt, "first": _list(first),
-        "start": _list(limits.start.tolist()), "root": _reals(np.sqrt(limits.weight[limits.scale > 0])),
+        "rows": limits.group.size, "lagging": law.lagging, "age": law.age / law.dt, "first": first,
+        "start": limits.start.tolist(), "root": reals(np.sqrt(limits.weight[limits.scale > 0])),
         "iterations": 10 * (M + len(kinds) + limits.group.size),
     }  # fmt: skip
     constants = {"delta_max": limits.delta_max, "rate_step": limits.rate_step, "window_share": limits.share}
@@ -129,11 +128,8 @@ def _wide(values: FloatArray) -> FloatArray:
     return values if values.ndim == 2 else values[:, None]
 
 
-def _list(values: list[int]) -> str:
-    return ", ".join(map(str, values))
-
-
-def _reals(values: FloatArray) -> str:
+def reals(values: FloatArray) -> str:
+    """Numbers as C writes them, in its working precision."""
     return ", ".join(f"LDC_W({c_number(value)})" for value in values.tolist())
 
 
@@ -150,13 +146,9 @@ class Gains:
     controller: Controller
     setup: Setup
 
-    def plant(self, v: FloatArray) -> Plant:
-        """What the design knows of the plant."""
-        return self.setup.plant(v)
-
     def form(self, v: FloatArray) -> LawForm:
         """The law at these speeds."""
-        plant = self.plant(v)
+        plant = self.setup.plant(v)
         law = check_law(check_controller(self.controller).prepare(plant), plant.n, self.controller.name)
         return law_form(law, self.setup.dt, self.controller.name)
 
@@ -164,47 +156,123 @@ class Gains:
         """Every gain by its name."""
         gains, sensors = dict(self.form(v).gains), self.setup.options.sensors
         if sensors.kalman is not None:
-            columns = filter_columns(self.plant(v), sensors.kalman, max(1, round(sensors.period / self.setup.dt)))
+            columns = filter_columns(self.setup.plant(v), sensors.kalman, max(1, round(sensors.period / self.setup.dt)))
             names = ("gain", "model_A", "model_B", "model_E_0", "model_E_1", "model_B_old", "model_wheel")
             gains |= dict(zip(names, np.split(columns, (8, 24, 28, 32, 36, 40), axis=1), strict=True))
         return gains
 
     def __call__(self, v: FloatArray) -> FloatArray:
-        """As `scheduled` takes it."""
+        """As `chebyshev` takes it."""
         return np.concatenate(list(self.blocks(v).values()), axis=1)
+
+
+_NO_PIECES: Final = (np.zeros(0), np.zeros((0, 0, 0)))
+_TERMS: Final = 17  # Of a piece, at most
+_SHARE: Final = 1e-9  # Largest error of a table, as a share of the largest value of its gain
+
+
+def _fitted(gains: Gains, kinked: IntArray, low: FloatArray, high: FloatArray) -> tuple[FloatArray, ...]:
+    """Chebyshev series on m intervals of speed, (m, terms, k), and samples: speeds (m, s) and gains (m, s, k)."""
+    nodes = np.cos(np.pi * (2 * np.arange(_TERMS) + 1) / (2 * _TERMS))
+    share = 0.5 * (1.0 + np.append(nodes, np.cos(np.pi * np.arange(_TERMS + 1) / _TERMS)))  # the ends too
+    v = np.clip(low[:, None] + (high - low)[:, None] * share, low[:, None], high[:, None])
+    values = gains(v.ravel())[:, kinked].reshape(*v.shape, -1)
+    weights = np.polynomial.chebyshev.chebvander(nodes, _TERMS - 1) * (2.0 / _TERMS)
+    weights[:, 0] /= 2.0
+    return np.einsum("ij,mik->mjk", weights, values[:, :_TERMS]), v, values
+
+
+def _value(series: FloatArray, low: float, high: float, v: FloatArray) -> FloatArray:
+    z = 2.0 * (v - low) / max(high - low, 1e-300) - 1.0
+    return np.asarray(np.polynomial.chebyshev.chebval(z, series).T)
+
+
+def _in_pieces(gains: Gains, kinked: IntArray, size: FloatArray, what: str) -> tuple[FloatArray, FloatArray]:
+    """Knots (p + 1,) [m/s] and series over v between them (p, terms, k); kinks and steps are found by bisection."""
+
+    def gap(series: FloatArray, v: FloatArray, values: FloatArray, low: float, high: float) -> float:
+        difference = _value(series, low, high, v.ravel()) - values.reshape(-1, kinked.size)
+        return float((np.abs(difference) / size).max())
+
+    low = np.arange(*SPEED_RANGE)
+    high = np.append(np.nextafter(low[1:], 0.0), SPEED_RANGE[1])
+    most, done = 2 * low.size, []
+    while low.size:  # until at the latest an interval is a single number: both sides of a step are exact
+        tried = (*_fitted(gains, kinked, low, high), low, high)
+        good = np.array([gap(*each) <= 2e-3 * _SHARE for each in zip(*tried, strict=True)])  # close to each kink
+        done.append([part[good] for part in tried])
+        low, high = low[~good], high[~good]
+        if low.size > most:
+            raise LdcError(f"{what} change too sharply with speed to be exported")
+        middle = np.maximum(0.5 * (low + high), np.nextafter(low, np.inf))
+        low, high = np.append(low, middle), np.append(np.nextafter(middle, 0.0), high)
+    order = np.argsort(np.concatenate([low for *_, low, _ in done]))
+    every, v, values, low, high = (np.concatenate(parts)[order] for parts in zip(*done, strict=True))
+    knots, pieces, i = [], [], 0
+    while i < low.size:  # as many neighbours as one series follows are one piece
+        piece, end, most = every[i], i + 1, low.size
+        while end < most:
+            j = (end + most + 1) // 2
+            joined = _fitted(gains, kinked, low[i : i + 1], high[j - 1 : j])[0][0]
+            if gap(joined, v[i:j], values[i:j], low[i], high[j - 1]) <= 0.1 * _SHARE:
+                piece, end = joined, j
+            else:
+                most = j - 1
+        knots.append(low[i])
+        pieces.append(piece)
+        i = end
+    return np.array([*knots, SPEED_RANGE[1]]), _trimmed(np.array(pieces))
+
+
+def _trimmed(series: FloatArray) -> FloatArray:
+    """Without coefficients (p, terms, k) that are nothing but rounding, and without terms that have no other."""
+    kept = np.abs(series) > 1e-13 * np.abs(series).max(axis=(0, 1))
+    terms = int(np.flatnonzero(kept.any(axis=(0, 2))).max(initial=0)) + 1
+    return np.where(kept, series, 0.0)[:, :terms]
 
 
 @dataclasses.dataclass(frozen=True)
 class Schedule:
-    """Series of Chebyshev polynomials over log v, a column for each gain."""
+    """Gains over speed, a column for each: series of Chebyshev polynomials over log v, or, where these do not converge
+    because of kinks and steps, over v in pieces.
+    """
 
     form: LawForm  # At the fastest speed
     sizes: dict[str, int]  # Columns of each gain
     coefficients: FloatArray  # (terms, k)
     error: float  # Largest against the exact gains, as a share of the largest value of each
+    kinked: IntArray  # (j,) Columns in pieces
+    knots: FloatArray  # (p + 1,) [m/s]
+    pieces: FloatArray  # (p, terms, j)
 
     @classmethod
     def of(cls, controller: Controller, setup: Setup) -> Schedule:
-        """Raises `InputError` for a law that has no C code, `LdcError` for gains that no series follows."""
+        """Raises `InputError` for a law that has no C code, `LdcError` for gains that no table follows."""
         gains = Gains(controller, setup)
         ends = np.array(SPEED_RANGE)  # a pursuit looks ahead furthest at one of them
         form = gains.form(ends)
         sizes = {name: values.shape[1] for name, values in gains.blocks(ends).items()}
         if not sizes:
-            return cls(form, sizes, np.zeros((0, 0)), 0.0)
+            return cls(form, sizes, np.zeros((0, 0)), 0.0, np.zeros(0, dtype=np.int64), *_NO_PIECES)
         what = f"gains of {controller.name!r}"
-        series = chebyshev(gains, what)
-        size = np.abs(series).max(axis=0)
-        kept = np.abs(series) > 1e-15 * size
-        series = np.where(kept, series, 0.0)[: int(np.flatnonzero(kept.any(axis=1)).max(initial=0)) + 1]
         v = np.geomspace(*SPEED_RANGE, 331)
-        exact = gains(v)
-        gap = np.abs(scheduled(gains, v, what) - exact).max(axis=0)
-        error = float((gap / np.maximum(np.abs(exact).max(axis=0), 1e-300)).max())
+        exact, (series, smooth) = gains(v), chebyshev(gains)
+        size = np.maximum(np.abs(exact).max(axis=0), 1e-300)
+        found = _value(series, -1.0, 1.0, np.linspace(-1.0, 1.0, v.size))
+        rough = ~smooth | (np.abs(found - exact).max(axis=0) > _SHARE * size)
+        kinked = np.flatnonzero(rough)
+        knots, pieces = _in_pieces(gains, kinked, size[kinked], what) if kinked.size else _NO_PIECES
+        for piece, low, high in zip(pieces, knots[:-1], knots[1:], strict=True):
+            inside = (v >= low) & (v <= high)
+            found[np.ix_(inside, kinked)] = _value(piece, low, high, v[inside])
+        error = float((np.abs(found - exact) / size).max())
+        if error > _SHARE:
+            raise LdcError(f"{what} change too sharply with speed to be exported")
         for name in ("G_heading", "f_i", "f_past", "f_wheel"):  # what is 0 at every speed needs no code
             places = np.repeat(list(sizes), list(sizes.values())) == name
             if places.any() and not series[:, places].any():
-                series = series[:, ~places]
+                series, rough = series[:, ~places], rough[~places]
                 del sizes[name]
         form = dataclasses.replace(form, heading=form.heading or "G_heading" in sizes)
-        return cls(form, sizes, series, error)
+        series = _trimmed(np.where(rough, 0.0, series)[None])[0]
+        return cls(form, sizes, series, error, np.flatnonzero(rough), knots, pieces)

@@ -45,6 +45,7 @@ class Check:
     delta: float  # [rad] Largest difference of a command, on the same inputs
     S: float  # [m s] Largest difference of S, the code in the loop
     phases: int  # Steps with another phase
+    failed: int  # Steps, of both precisions, in which the solver of the code failed where the toolkit's did not
     float_delta: float  # [rad] As `delta`, in single precision
     float_S: float  # [m s]
     iterations: int  # Largest of the solver
@@ -59,13 +60,14 @@ class Check:
     def passed(self) -> bool:
         """Whether everything is within its bound."""
         double, single = self.bounds
-        exact = self.delta <= double and double >= self.S and self.phases == 0
+        exact = self.delta <= double and double >= self.S and self.phases == 0 and self.failed == 0
         return exact and self.float_delta <= single and self.float_S <= FLOAT_S
 
     @property
     def lines(self) -> tuple[str, ...]:
         """For the terminal."""
         left_out = f", {self.diverged} that diverge or whose solver failed left out" if self.diverged else ""
+        solver = f"; solver: {self.iterations} iterations at most, failed in {self.failed} steps"
         return (
             f"in the loop: {self.scenarios} scenarios, {self.departures} departures{left_out}, {self.steps} steps: "
             f"{'passed' if self.passed else 'FAILED'}",
@@ -74,7 +76,7 @@ class Check:
             f"  single: commands within {self.float_delta:.1e} rad (bound {self.bounds[1]:g}), S within "
             f"{self.float_S:.1e} m s (bound {FLOAT_S:g})",
             f"  a step: median {1e6 * self.median:.2f} us, longest {1e6 * self.longest:.2f} us, measured on this "
-            f"machine, no worst case{f'; solver: {self.iterations} iterations at most' if self.iterations else ''}",
+            f"machine, no worst case{solver if self.iterations else ''}",
             f"  stack {f'at most {self.stack} bytes' if self.stack else 'unknown'} (sum over functions), code and "
             f"tables {self.size} bytes, state {self.state} bytes",
         )
@@ -345,13 +347,14 @@ def check(recording: Recording, command: Sequence[str]) -> Check:
     """Compile the code and compare: on the inputs of the recording, and steering in the loop."""
     host, counts = recording.host, recording.counts
     double, single = Compiled(host.code, command), Compiled(host.code, command, single=True)
-    seconds, worst, phases, iterations = np.zeros(counts.shape), [0.0, 0.0], 0, 0
+    seconds, worst, phases, failed, iterations = np.zeros(counts.shape), [0.0, 0.0], 0, 0, 0
     for i, one in enumerate((double, single)):
         state = one.begin(host.over.m)
         for k, some in enumerate(counts):
             out = one.step(recording.inputs[k], state, seconds[k] if one is double else None)[some]
             gap = np.abs(out["delta"] - recording.delta[k, some]).max(initial=0.0)
             worst[i] = float(np.maximum(worst[i], gap))  # a command that is not a number stays visible
+            failed += int((out["status"] & 4 != 0).sum())  # LDC_SOLVER_FAILED
             if one is double:
                 phase, side = recording.phase[k, some], host.side[some]
                 phases += int(((out["phase"] != phase) | (out["side"] != np.where(phase > 0, side, 0.0))).sum())
@@ -359,9 +362,10 @@ def check(recording: Recording, command: Sequence[str]) -> Check:
     S, float_S = (_score_gap(one, recording) for one in (double, single))
     return Check(
         scenarios=recording.S.size, departures=host.over.m, diverged=int(np.isnan(recording.S).sum()),
-        steps=int(counts.sum()), delta=worst[0], S=S, phases=phases, float_delta=worst[1], float_S=float_S,
-        iterations=iterations, median=float(np.median(seconds[counts])), longest=float(seconds[counts].max()),
-        stack=double.stack, size=double.size, state=double.state, bounds=host.code.bounds,
+        steps=int(counts.sum()), delta=worst[0], S=S, phases=phases, failed=failed, float_delta=worst[1],
+        float_S=float_S, iterations=iterations, median=float(np.median(seconds[counts])),
+        longest=float(seconds[counts].max()), stack=double.stack, size=double.size, state=double.state,
+        bounds=host.code.bounds,
     )  # fmt: skip
 
 

@@ -98,6 +98,30 @@ class Constant(Controller):
         return LinearLaw(F, np.zeros(0), none, none, f_u[:, 0], f_i[:, 0] if self.f_i else None)
 
 
+TABLES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "interp": lambda v: np.interp(v, [5.0, 15.3, 30.0], [-0.03, -0.01, -0.004]),
+    "clip": lambda v: -0.2 / np.clip(v, 5.0, 100.0 / 3.6),
+    "step": lambda v: np.where(v > 20.0, -0.005, -0.02),
+    "bands": lambda v: np.array([-0.03, -0.02, -0.01, -0.004])[np.digitize(v, [10.0, 50.0 / 3.6, 25.0])],
+    "notch": lambda v: np.where((v >= 20.0) & (v < 20.3), -0.01, -0.012),
+    "noise": lambda v: -0.01 * (1.0 + 1e-6 * np.sin(1e9 * v)),
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Table(Controller):
+    """A linear law with gains that have kinks or steps over speed, on e_y and e_psi, and others that have none."""
+
+    name: ClassVar[str] = "table"
+    title: ClassVar[str] = "Table"
+    kind: str = "interp"
+
+    def prepare(self, plant: Plant) -> LinearLaw:
+        law, found = LQR().prepare(plant), TABLES[self.kind](plant.v)
+        F = np.column_stack([found, law.F[:, 1], 10.0 * found, law.F[:, 3]])
+        return dataclasses.replace(law, F=F)
+
+
 Fault = Callable[[np.ndarray, int], np.ndarray]  # (commands (n,), number of the sample) -> commands (n,)
 
 

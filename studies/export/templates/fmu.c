@@ -2,6 +2,7 @@
 #include "ldc_controller.h"
 
 #include <stddef.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -11,13 +12,45 @@
 #define EXPORT(type) __attribute__((visibility("default"))) type
 #endif
 
-/* what is needed of fmi2TypesPlatform.h, default platform: c is an instance, r are value references */
+/* what is needed of fmi2TypesPlatform.h and fmi2FunctionTypes.h: c is an instance, r are value references */
+enum { OK = 0, ERROR = 3, CO_SIMULATION = 1 };
+typedef struct {
+    void (*log)(void *environment, const char *name, int status, const char *category, const char *message, ...);
+    void *(*allocate)(size_t n, size_t size);
+    void (*release)(void *memory);
+    void (*finished)(void *environment, int status);
+    void *environment;
+} callbacks;
 typedef struct {
     ldc_inputs in;
     ldc_state state;
     ldc_outputs out;
+    callbacks host;
+    char name[128];
 } instance;
-enum { OK = 0, ERROR = 3, CO_SIMULATION = 1 };
+
+/* Tell the host the reason of an error. */
+static int error(const callbacks *host, const char *name, const char *reason)
+{
+    if ((host != NULL) && (host->log != NULL)) { host->log(host->environment, name, ERROR, "logStatusError", reason); }
+    return ERROR; /* no reason has a per cent sign: it is its own format, also for hosts that take no further arguments */
+}
+
+/* As modelDescription.xml says that an instance begins. */
+static void restart(instance *c)
+{
+    ldc_init(&c->state);
+    (void)memset(&c->in, 0, sizeof(c->in));
+    (void)memset(&c->out, 0, sizeof(c->out));
+    c->in.v = (ldc_real)20.0;
+}
+
+static int no_variable(const instance *c, const char *function, unsigned r)
+{
+    char reason[96];
+    (void)snprintf(reason, sizeof(reason), "%s: value reference %u: no such variable", function, r);
+    return error(&c->host, c->name, reason);
+}
 
 static const size_t real_inputs[] = {
 {% for name, size, kind in fields if kind == "ldc_real" %}
@@ -34,26 +67,41 @@ static const size_t whole_outputs[] = {offsetof(ldc_outputs, phase), offsetof(ld
 EXPORT(const char *) fmi2GetTypesPlatform(void) { return "default"; }
 EXPORT(const char *) fmi2GetVersion(void) { return "2.0"; }
 
-EXPORT(void *) fmi2Instantiate(const char *name, int type, const char *guid, const char *resources, const void *callbacks,
+EXPORT(void *) fmi2Instantiate(const char *name, int type, const char *guid, const char *resources, const callbacks *host,
     int visible, int logging)
 {
-    const int fits = (type == CO_SIMULATION) && (guid != NULL) && (strcmp(guid, "{{ guid }}") == 0);
-    (void)name, (void)resources, (void)callbacks, (void)visible, (void)logging;
-    return fits ? calloc(1u, sizeof(instance)) : NULL; /* zeros are what ldc_init leaves */
+    const char *own = (name != NULL) ? name : "";
+    instance *c = NULL;
+    (void)resources, (void)visible, (void)logging; /* errors are told in any case */
+    if (type != CO_SIMULATION) {
+        (void)error(host, own, "fmi2Instantiate: this FMU is for co-simulation only");
+    } else if ((guid == NULL) || (strcmp(guid, "{{ guid }}") != 0)) {
+        (void)error(host, own, "fmi2Instantiate: the GUID is not {{ guid }}: modelDescription.xml of another export");
+    } else {
+        c = calloc(1u, sizeof(instance));
+        if (c == NULL) {
+            (void)error(host, own, "fmi2Instantiate: no memory");
+        } else {
+            restart(c);
+            (void)snprintf(c->name, sizeof(c->name), "%s", own);
+            if (host != NULL) { c->host = *host; }
+        }
+    }
+    return c;
 }
 
 EXPORT(void) fmi2FreeInstance(void *c) { free(c); }
 
 EXPORT(int) fmi2Reset(void *c)
 {
-    (void)memset(c, 0, sizeof(instance));
+    restart((instance *)c);
     return OK;
 }
 
 EXPORT(int) fmi2SetReal(void *c, const unsigned r[], size_t n, const double value[])
 {
     for (size_t i = 0; i < n; i++) {
-        if (r[i] >= COUNT(real_inputs)) { return ERROR; }
+        if (r[i] >= COUNT(real_inputs)) { return no_variable((instance *)c, "fmi2SetReal", r[i]); }
         *(ldc_real *)(void *)((char *)&((instance *)c)->in + real_inputs[r[i]]) = (ldc_real)value[i];
     }
     return OK;
@@ -63,7 +111,7 @@ EXPORT(int) fmi2GetReal(void *c, const unsigned r[], size_t n, double value[])
 {
     instance *one = (instance *)c;
     for (size_t i = 0; i < n; i++) {
-        if (r[i] > COUNT(real_inputs)) { return ERROR; }
+        if (r[i] > COUNT(real_inputs)) { return no_variable(one, "fmi2GetReal", r[i]); }
         value[i] = (r[i] == COUNT(real_inputs)) ? (double)one->out.delta
             : (double)*(ldc_real *)(void *)((char *)&one->in + real_inputs[r[i]]);
     }
@@ -73,7 +121,7 @@ EXPORT(int) fmi2GetReal(void *c, const unsigned r[], size_t n, double value[])
 EXPORT(int) fmi2SetInteger(void *c, const unsigned r[], size_t n, const int value[])
 {
     for (size_t i = 0; i < n; i++) {
-        if (r[i] >= COUNT(whole_inputs)) { return ERROR; }
+        if (r[i] >= COUNT(whole_inputs)) { return no_variable((instance *)c, "fmi2SetInteger", r[i]); }
         *(int32_t *)(void *)((char *)&((instance *)c)->in + whole_inputs[r[i]]) = value[i];
     }
     return OK;
@@ -83,7 +131,7 @@ EXPORT(int) fmi2GetInteger(void *c, const unsigned r[], size_t n, int value[])
 {
     instance *one = (instance *)c;
     for (size_t i = 0; i < n; i++) {
-        if (r[i] >= (COUNT(whole_inputs) + COUNT(whole_outputs))) { return ERROR; }
+        if (r[i] >= (COUNT(whole_inputs) + COUNT(whole_outputs))) { return no_variable(one, "fmi2GetInteger", r[i]); }
         value[i] = (r[i] < COUNT(whole_inputs)) ? *(int32_t *)(void *)((char *)&one->in + whole_inputs[r[i]])
             : *(int32_t *)(void *)((char *)&one->out + whole_outputs[r[i] - COUNT(whole_inputs)]);
     }
@@ -94,7 +142,11 @@ EXPORT(int) fmi2DoStep(void *c, double now, double step, int no_set)
 {
     instance *one = (instance *)c;
     (void)now, (void)no_set;
-    if (!(((step / {{ dt }}) > 0.999) && ((step / {{ dt }}) < 1.001))) { return ERROR; } /* the sample time is fixed */
+    if (!(((step / {{ dt }}) > 0.999) && ((step / {{ dt }}) < 1.001))) {
+        char reason[96];
+        (void)snprintf(reason, sizeof(reason), "fmi2DoStep: a step of %g s; allowed: the sample time, {{ dt }} s", step);
+        return error(&one->host, one->name, reason);
+    }
     (void)ldc_step(&one->in, &one->state, &one->out);
     return OK;
 }
@@ -105,9 +157,9 @@ EXPORT(int) fmi2SetupExperiment(void *c, int a, double b, double t, int d, doubl
 {% for name in ["EnterInitializationMode", "ExitInitializationMode", "Terminate"] %}
 EXPORT(int) fmi2{{ name }}(void *c) { (void)c; return OK; }
 {% endfor %}
-/* not there: the caller gets an error, whatever the arguments */
+/* not there: the caller gets an error and its reason, whatever the arguments */
 {% for name in ["CancelStep", "GetBoolean", "SetBoolean", "GetString", "SetString", "GetFMUstate", "SetFMUstate", "FreeFMUstate",
     "SerializedFMUstateSize", "SerializeFMUstate", "DeSerializeFMUstate", "GetDirectionalDerivative", "SetRealInputDerivatives",
     "GetRealOutputDerivatives", "GetStatus", "GetRealStatus", "GetIntegerStatus", "GetBooleanStatus", "GetStringStatus"] %}
-EXPORT(int) fmi2{{ name }}(void *c) { (void)c; return ERROR; }
+EXPORT(int) fmi2{{ name }}(const instance *c) { return error(&c->host, c->name, "fmi2{{ name }}: not supported"); }
 {% endfor %}

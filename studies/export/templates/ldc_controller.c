@@ -17,26 +17,58 @@
 #define TERMS {{ table|length }}
 
 /* Coefficients of Chebyshev polynomials over log v, from LDC_V_MIN to LDC_V_MAX, a column for each gain. */
-static const ldc_work table[TERMS][LDC_COLUMNS] = {
+static const ldc_work table[TERMS * LDC_COLUMNS] = {
 {% for row in table %}
-    { {{ row }} }{{ "," if not loop.last }}
+    {{ row }}{{ "," if not loop.last }}
 {% endfor %}
 };
+{% if pieces %}
+#define PIECES {{ pieces|length }}
+#define PIECE_TERMS {{ pieces[0]|length }}
+#define KINKED {{ kinked|length }}
 
-/* Gains at a speed, by the recurrence of Clenshaw. */
+/* Gains with kinks or steps over speed: their tables are 0 above and stand here, in pieces from knot to knot, each in
+   polynomials over v: with two terms the gains are linear in between. */
+static const int32_t kinked[KINKED] = { {{ kinked|join(", ") }} };
+static const double knots[PIECES + 1] = { {{ knots|join(", ") }} }; /* [m/s] */
+static const ldc_work pieces[PIECES][PIECE_TERMS * KINKED] = {
+{% for piece in pieces %}
+    {
+{% for row in piece %}
+        {{ row }}{{ "," if not loop.last }}
+{% endfor %}
+    }{{ "," if not loop.last }}
+{% endfor %}
+};
+{% endif %}
+
+/* A column of a table at z in [-1, 1], by the recurrence of Clenshaw. */
+static ldc_work series(const ldc_work *column, int32_t terms, int32_t columns, ldc_work z)
+{
+    ldc_work inner = LDC_W(0.0);
+    ldc_work outer = LDC_W(0.0);
+    for (int32_t n = terms - 1; n > 0; n--) {
+        const ldc_work next = column[n * columns] + ((LDC_W(2.0) * z * inner) - outer);
+        outer = inner;
+        inner = next;
+    }
+    return column[0] + ((z * inner) - outer);
+}
+
+/* Gains at a speed. */
 static void gains_at(ldc_work v, ldc_work gain[LDC_COLUMNS])
 {
     const ldc_work z = ((LDC_W(2.0) * LOG(v / LDC_V_MIN)) / LDC_W({{ span }})) - LDC_W(1.0);
-    for (int32_t k = 0; k < LDC_COLUMNS; k++) {
-        ldc_work inner = LDC_W(0.0);
-        ldc_work outer = LDC_W(0.0);
-        for (int32_t n = TERMS - 1; n > 0; n--) {
-            const ldc_work next = table[n][k] + ((LDC_W(2.0) * z * inner) - outer);
-            outer = inner;
-            inner = next;
-        }
-        gain[k] = table[0][k] + ((z * inner) - outer);
+    for (int32_t k = 0; k < LDC_COLUMNS; k++) { gain[k] = series(&table[k], TERMS, LDC_COLUMNS, z); }
+{% if pieces %}
+    {
+        ldc_work within_piece;
+        int32_t p = 0;
+        for (int32_t i = 1; i < PIECES; i++) { p += ((double)v >= knots[i]) ? 1 : 0; }
+        within_piece = (ldc_work)(((2.0 * ((double)v - knots[p])) / (knots[p + 1] - knots[p])) - 1.0);
+        for (int32_t k = 0; k < KINKED; k++) { gain[kinked[k]] = series(&pieces[p][k], PIECE_TERMS, KINKED, within_piece); }
     }
+{% endif %}
 }
 
 {% endif %}
@@ -171,15 +203,20 @@ static void estimate(ldc_state *s, const ldc_inputs *in, ldc_work side, ldc_work
 }
 
 {% endif %}
+/* Whether a magnitude is at most a limit; by bits, as a compiler may assume that there is nothing but numbers
+   (-ffast-math): in the order of IEEE 754 infinity and NaN are beyond every limit. */
 static int32_t within(ldc_work value, ldc_work limit)
 {
-    return ((value >= -limit) && (value <= limit)) ? 1 : 0; /* 0 for what is not a number, too */
+    const double number[2] = {(double)value, (double)limit};
+    uint64_t bits[2];
+    (void)memcpy(bits, number, sizeof(bits));
+    return ((bits[0] & (UINT64_MAX >> 1)) <= bits[1]) ? 1 : 0;
 }
 
 /* Whether every input is finite and in range. */
 static int32_t usable(const ldc_inputs *in)
 {
-    int32_t good = ((in->v >= LDC_V_MIN) && (in->v <= LDC_V_MAX)) ? 1 : 0;
+    int32_t good = ((within(in->v, LDC_V_MAX) != 0) && (in->v >= LDC_V_MIN)) ? 1 : 0;
 {% for name, size, kind in fields if kind == "ldc_real" %}
 {% set limit = "LDC_MAX_CURVATURE" if name.startswith("curvature") else "LDC_MAX_INPUT" %}
 {% if size %}
@@ -204,6 +241,7 @@ static void take_over(ldc_state *s, const ldc_inputs *in, int32_t side)
     (void)memset(s, 0, sizeof(*s));
     s->phase = LDC_ACTIVE;
     s->side = side;
+    s->measured = in->wheel;
     s->v = in->v;
     s->angle = (ldc_work)side * in->wheel;
     for (int32_t i = 0; i < LDC_SENT; i++) { s->sent[i] = s->angle; }
@@ -262,18 +300,18 @@ uint32_t ldc_step(const ldc_inputs *in, ldc_state *state, ldc_outputs *out)
     ldc_state *s = state;
     uint32_t status = LDC_OK;
     int32_t iterations = 0;
+    if (within(in->wheel, LDC_MAX_INPUT) != 0) { s->measured = in->wheel; }
     if (in->engage == 0) {
         s->phase = LDC_ARMED;
-        s->side = 0;
+        s->handed_over = 0;
     }
     if (usable(in) == 0) {
         status = LDC_INPUT;
     } else {
-        if ((s->phase == LDC_ARMED) && (in->engage != 0)) {
+        if ((s->phase == LDC_ARMED) && (in->engage != 0) && (s->handed_over == 0)) {
             const int32_t side = (beyond(in, 1) >= beyond(in, -1)) ? 1 : -1;
             if (beyond(in, side) > LDC_W({{ y_s }})) { take_over(s, in, side); }
         }
-        s->output = in->wheel;
         if (s->phase != LDC_ARMED) {
             const ldc_work line = (s->side > 0) ? in->line_left : in->line_right;
             s->output = (ldc_work)s->side * steer(s, in, &status);
@@ -286,6 +324,17 @@ uint32_t ldc_step(const ldc_inputs *in, ldc_state *state, ldc_outputs *out)
             }
         }
     }
+    s->unusable = ((status & (LDC_INPUT | LDC_HELD)) != 0u) ? (s->unusable + 1) : 0;
+    if ((s->phase != LDC_ARMED) && (s->unusable > LDC_HOLD_STEPS)) {
+        s->phase = LDC_ARMED;
+        s->handed_over = 1;
+    }
+    if (s->phase == LDC_ARMED) {
+        s->side = 0;
+        s->unusable = 0;
+        s->output = s->measured;
+    }
+    if (s->handed_over != 0) { status |= LDC_HANDED_OVER; }
     out->delta = (ldc_real)s->output;
     out->phase = s->phase;
     out->side = s->side;

@@ -9,14 +9,18 @@
 
 #include <stdint.h>
 
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 /* define LDC_USE_FLOAT for single precision */
 #ifdef LDC_USE_FLOAT
 typedef float ldc_real;
 #else
 typedef double ldc_real;
 #endif
-{% if mpc and mpc.kinds %}
-/* inside, double in any case: multipliers of soft limits are too large for single precision */
+{% if mpc %}
+/* inside, double in any case: in single precision the solver fails where in double it does not */
 typedef double ldc_work;
 #define LDC_W(x) (x)
 {% else %}
@@ -32,16 +36,20 @@ typedef ldc_real ldc_work;
 #define LDC_PREVIEW {{ times|length }} /* points of the lane ahead */
 #define LDC_SENT {{ sent }} /* commands that are kept */
 #define LDC_COLUMNS {{ columns }} /* gains scheduled over speed */
+#ifndef LDC_HOLD_STEPS
+#define LDC_HOLD_STEPS {{ hold }} /* {{ hold_time }} s: so many unusable steps in a row are held, the next one hands over */
+#endif
 
 #define LDC_ARMED 0 /* phase: no steering */
 #define LDC_ACTIVE 1 /* phase: steering since the departure */
 #define LDC_RELEASED 2 /* phase: the edge is back; steering goes on until engage is 0 */
 
 #define LDC_OK 0u
-#define LDC_INPUT 1u /* bit of status: an input is not finite or out of range; output and state are held */
+#define LDC_INPUT 1u /* bit of status: an input is not finite or out of range; the command and the state are held */
 #define LDC_HELD 2u /* the command was not finite: the one before is held */
 #define LDC_SOLVER_FAILED 4u /* a command of the fallback */
 #define LDC_BEYOND 8u /* the hard limits cannot be met: back as fast as the rate allows */
+#define LDC_HANDED_OVER 16u /* steps were unusable for too long: armed, and no new departure until engage has been 0 */
 
 /* Lengths in m, angles in rad, positive to the left (ISO 8855). */
 typedef struct {
@@ -51,7 +59,7 @@ typedef struct {
 } ldc_inputs;
 
 typedef struct {
-    ldc_real delta; /* [rad] steering angle command; while armed the angle of the wheels */
+    ldc_real delta; /* [rad] steering angle command; while armed the angle of the wheels, as last measured */
     int32_t phase;
     int32_t side; /* 1 left, -1 right, 0 armed */
     uint32_t status;
@@ -75,7 +83,10 @@ typedef struct {
     int32_t side;
     int32_t outside; /* the edge has been beyond the line */
     int32_t steps; /* 0 at the departure, then 1 */
-    ldc_work output; /* [rad] last output */
+    int32_t unusable; /* steps in a row with LDC_INPUT or LDC_HELD while steering */
+    int32_t handed_over; /* 1 from LDC_HANDED_OVER on until engage is 0 */
+    ldc_work measured; /* [rad] last usable angle of the wheels */
+    ldc_work output; /* [rad] last command */
     ldc_work v; /* [m/s] speed of the departure */
 {% if columns %}
     ldc_work gain[LDC_COLUMNS]; /* at that speed */
@@ -112,5 +123,9 @@ void ldc_init(ldc_state *state);
 
 /* One sample; returns the status. */
 uint32_t ldc_step(const ldc_inputs *in, ldc_state *state, ldc_outputs *out);
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif

@@ -1,11 +1,11 @@
-#define TOLERANCE (sizeof(ldc_work) == sizeof(float) ? LDC_W(1.0e-5) : LDC_W(1.0e-12)) /* [rad, or share of a limit] */
-#define ROUNDING (sizeof(ldc_work) == sizeof(float) ? LDC_W(1.0e-6) : LDC_W(1.0e-12))
-#define PER_MULTIPLIER (sizeof(ldc_work) == sizeof(float) ? LDC_W(1.0e-6) : LDC_W(1.0e-16))
+#define TOLERANCE 1.0e-12 /* [rad, or share of a limit] */
+#define ROUNDING 1.0e-12
+#define PER_MULTIPLIER 1.0e-16
 #define STEP LDC_W({{ c.rate_step }}) /* [rad] largest change of the command in a sample */
 
-static const int32_t start[LDC_M + 1] = { {{ mpc.start }}, LDC_N }; /* first sample of each free move */
+static const int32_t start[LDC_M + 1] = { {{ mpc.start|join(", ") }}, LDC_N }; /* first sample of each free move */
 {% if mpc.kinds %}
-static const int32_t first_row[] = { {{ mpc.first }} }; /* of each kind of soft limit */
+static const int32_t first_row[] = { {{ mpc.first|join(", ") }} }; /* of each kind of soft limit */
 static const ldc_work root[] = { {{ mpc.root }} }; /* of their weights */
 {% endif %}
 

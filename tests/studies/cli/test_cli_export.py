@@ -84,12 +84,16 @@ def test_changed_and_stale_folders_are_noticed(folder: Path) -> None:
     )
 
 
-@pytest.fixture
-def strict(folder: Path) -> Path:
-    """The same study with a requirement that its Preview P design misses."""
+def require(folder: Path) -> Path:
+    """The same study with a requirement that its LQR design misses."""
     path = folder / "plain" / "manifest.json"
     rewrite_json(path, lambda content: content["study"]["ranking"].update(require=["needless <= 0.05"]))
     return folder
+
+
+@pytest.fixture
+def strict(folder: Path) -> Path:
+    return require(folder)
 
 
 def test_a_design_that_misses_a_requirement(strict: Path) -> None:
@@ -104,6 +108,15 @@ def test_a_design_that_misses_a_requirement(strict: Path) -> None:
         content = (strict / "made" / name).read_text()
         assert f"{text}, exported with --anyway: Needless interventions" in content
         assert "requirements of the study: met" not in content
+
+
+def test_the_verdict_in_the_header_is_verified(folder: Path) -> None:
+    """The same code of the same design: what the study says of it has changed."""
+    command = ("export", "plain", "-o", "made", "--design", "LQR, y_s=0.05 m")
+    good(*command, "--no-check", cwd=folder)
+    require(folder)
+    found = ldc(*command, "--verify", cwd=folder)
+    assert (found.returncode, found.stdout) == (3, "made: stale: not what this study and this version give\n")
 
 
 def test_without_a_compiler(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

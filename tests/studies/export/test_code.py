@@ -1,5 +1,6 @@
 """Exported C code by itself: warnings, sanitizers, checkers, the test bench, the FMU, and the solver of linear MPC."""
 
+import ctypes
 import dataclasses
 import re
 import shutil
@@ -14,7 +15,7 @@ import numpy as np
 import pytest
 
 from controllers import LQR, PID, BarrierFilter, LinearMPC, PurePursuit, SlidingMode, Stanley
-from helpers.closed_loop import make_scenarios
+from helpers.closed_loop import Constant, Table, make_scenarios
 from ldctoolkit import Controller, Preview, Setup, load_model
 from ldctoolkit.control import EventStatus
 from ldctoolkit.plant_options import Actuator, PlantOptions
@@ -33,6 +34,7 @@ LAWS: dict[str, Controller] = {
     "stanley": Stanley(),
     "pure_pursuit": PurePursuit(),
     "sliding_mode": SlidingMode(),
+    "table": Table("clip"),
     "mpc": LinearMPC(),
     "mpc, soft": SOFT,
     "mpc, blocks": LinearMPC(horizon=30, blocks=8, e_y_max=0.5),
@@ -60,7 +62,9 @@ def exported(controller: Controller, folder: Path, setup: Setup = REALISTIC, *, 
 
 
 @pytest.mark.parametrize("single", [False, True])
-@pytest.mark.parametrize("name", ["lqr", "pure_pursuit", *(pytest.param(x, marks=pytest.mark.slow) for x in LAWS)])
+@pytest.mark.parametrize(
+    "name", ["lqr", "pure_pursuit", "table", *(pytest.param(x, marks=pytest.mark.slow) for x in LAWS)]
+)
 def test_bench_repeats_the_check_without_warnings(name: str, single: bool, folder: Path) -> None:
     exported(LAWS[name], folder)
     precision = ["-DLDC_USE_FLOAT"] if single else []
@@ -77,6 +81,68 @@ def test_bench_repeats_the_check_without_warnings(name: str, single: bool, folde
     assert run("./bench", cwd=folder, text="\n".join([*lines[:k], worse, *lines[k + 1 :], ""])).returncode == 1
     other = ",".join([*start, delta, "2"])
     assert run("./bench", cwd=folder, text="\n".join([*lines[:k], other, *lines[k + 1 :], ""])).returncode == 1
+
+
+def test_the_bench_ends_at_the_end_of_its_input(folder: Path) -> None:
+    """Also where the compiler may assume that there is no NaN."""
+    exported(LQR(), folder)
+    vectors = (folder / "test_vectors.csv").read_text()
+    lines = vectors.splitlines()
+    nan = ",".join(["0", "nan", *lines[2].split(",")[2:]])
+    for options in (("-O0",), ("-O3", "-ffast-math")):
+        built = run("cc", *STRICT, *options, "main.c", "ldc_controller.c", "-lm", "-o", "bench", cwd=folder)
+        assert built.returncode == 0, built.stderr
+        for text, code, steps, unread in (
+            (vectors, 0, len(lines) - 1, 0),
+            (vectors.removesuffix("\n"), 0, len(lines) - 1, 0),
+            (vectors.replace("\n", "\r\n"), 0, len(lines) - 1, 0),
+            (vectors[:-5], 1, len(lines) - 2, 1),
+            ("\n".join([*lines[:3], ""]), 0, 2, 0),
+            ("\n".join([*lines[:2], "", lines[2]]), 1, 2, 1),
+            ("\n".join([*lines[:2], nan]), 1, 1, 1),
+            ("\n".join([*lines[:2], lines[2] + ",1"]), 1, 1, 1),
+            (lines[0], 1, 0, 0),
+            ("", 1, 0, 1),
+        ):
+            done = subprocess.run(["./bench"], cwd=folder, input=text, capture_output=True, text=True, timeout=60)
+            assert done.returncode == code, (options, text[-300:], done.stdout)
+            assert done.stdout.startswith(f"{steps} steps, ")
+            assert (f"\n{unread} rows are not " in done.stdout) == (unread > 0)
+
+
+CPP = """
+#include "ldc_controller.h"
+#include <cstdio>
+
+int main()
+{
+    static ldc_state state;
+    ldc_inputs in = ldc_inputs();
+    ldc_outputs out;
+    ldc_init(&state);
+    in.v = 20;
+    in.wheel = static_cast<ldc_real>(0.03125);
+    const uint32_t status = ldc_step(&in, &state, &out);
+    std::printf("%u %d %g\\n", unsigned(status | LDC_OK), int(out.phase), double(out.delta));
+    return 0;
+}
+"""
+
+
+@pytest.mark.parametrize("name", ["lqr", "mpc, soft"])
+def test_a_host_in_cpp(name: str, folder: Path) -> None:
+    if not shutil.which("c++"):
+        pytest.skip("no C++ compiler")
+    exported(LAWS[name], folder)
+    (folder / "host.cpp").write_text(CPP)
+    for precision in ((), ("-DLDC_USE_FLOAT",)):
+        for command in (
+            ("cc", *STRICT, *precision, "-c", "ldc_controller.c"),
+            ("c++", "-std=c++11", *STRICT[1:], "-Wold-style-cast", *precision, "host.cpp", "ldc_controller.o", "-lm"),
+        ):
+            done = run(*command, cwd=folder)
+            assert (done.returncode, done.stderr) == (0, "")
+        assert run("./a.out", cwd=folder).stdout == "0 0 0.03125\n"
 
 
 @pytest.mark.parametrize("name", ["lqr", *(pytest.param(name, marks=pytest.mark.slow) for name in LAWS)])
@@ -121,18 +187,30 @@ int main(void)
     static ldc_state s;
     ldc_inputs in;
     ldc_outputs out;
-    double last = 0.0;
-    long phases[3] = {{0, 0, 0}}, bad = 0;
+    double last = 0.0, wheel = 0.0;
+    long phases[3] = {{0, 0, 0}}, bad = 0, handed_over = 0;
+    int stuck = 0, row = 0;
     ldc_init(&s);
     for (long n = 0; n < {steps}; n++) {{
 {fill}
         if (uniform() < 0.9) {{ in.v = (ldc_real)(1.0 + 89.0 * uniform()); }}
+        stuck = (uniform() < 0.002) ? (int)(uniform() * 20.0) : stuck - 1;
+        if (stuck > 0) {{ in.v = -1; }}
         in.engage = uniform() < 0.01 ? 0 : 1 + (uniform() < 0.01) * 2147483646;
         ldc_step(&in, &s, &out);
         if (!isfinite(out.delta) || out.phase < 0 || out.phase > 2) {{ return 2; }}
+        if (isfinite(in.wheel) && fabs((double)in.wheel) <= 1000.0) {{ wheel = (double)in.wheel; }}
+        if (out.phase == 0 && (out.side != 0 || (double)out.delta != wheel)) {{ return 6; }}
+        row = (out.status & (LDC_INPUT | LDC_HELD)) ? row + 1 : 0;
+        if (out.phase != 0 && row > LDC_HOLD_STEPS) {{ return 7; }}
+        if (out.status & LDC_HANDED_OVER) {{
+            handed_over++;
+            if (out.phase != 0 || in.engage == 0) {{ return 8; }}
+        }}
+        if (out.phase == 0) {{ row = 0; }}
         if (out.status & LDC_INPUT) {{
             bad++;
-            if ((double)out.delta != last) {{ return 3; }}
+            if (out.phase != 0 && (double)out.delta != last) {{ return 3; }}
         }} else if (!isfinite(in.v) || in.v < 1 || in.v > 90) {{
             return 4;
         }}
@@ -140,7 +218,7 @@ int main(void)
         phases[out.phase]++;
         last = (double)out.delta;
     }}
-    printf("%ld %ld %ld %ld\\n", phases[0], phases[1], phases[2], bad);
+    printf("%ld %ld %ld %ld %ld\\n", phases[0], phases[1], phases[2], bad, handed_over);
     return 0;
 }}
 """
@@ -168,51 +246,107 @@ def test_sanitizers_are_quiet_on_wild_inputs(name: str, folder: Path) -> None:
         )
     bound = (code.schedule.form.mpc or {"iterations": 0})["iterations"]
     (folder / "fuzz.c").write_text(HARNESS.format(steps=100_000, fill="\n".join(fill), bound=bound))
-    for precision in ((), ("-DLDC_USE_FLOAT",)):
-        sanitizers = ("-g", "-O1", "-fsanitize=undefined,address,float-cast-overflow", "-fno-sanitize-recover=all")
+    sanitizers = ("-g", "-O1", "-fsanitize=undefined,address,float-cast-overflow", "-fno-sanitize-recover=all")
+    for checks, precision, fast in (
+        (sanitizers, (), ()),
+        (sanitizers, ("-DLDC_USE_FLOAT",), ()),
+        ((), (), ("-O3", "-ffast-math")),
+        ((), ("-DLDC_USE_FLOAT",), ("-O3", "-ffast-math")),
+    ):
+        built = run("cc", "-std=c99", *checks, *precision, *fast, "-c", "ldc_controller.c", cwd=folder)
+        assert built.returncode == 0, built.stderr
         built = run(
-            "cc", "-std=c99", *sanitizers, *precision, "fuzz.c", "ldc_controller.c", "-lm", "-o", "fuzz", cwd=folder
+            "cc", "-std=c99", *checks, *precision, "fuzz.c", "ldc_controller.o", "-lm", "-o", "fuzz", cwd=folder
         )
         assert built.returncode == 0, built.stderr
         done = run("./fuzz", cwd=folder)
         assert (done.returncode, done.stderr) == (0, "")
-        armed, active, released, bad = map(int, done.stdout.split())
+        armed, active, released, bad, handed_over = map(int, done.stdout.split())
         assert armed + active + released == 100_000
-        assert min(armed, active, released, bad) > 100
+        assert min(armed, active, released, bad, handed_over) > 100
 
 
 # ------------------------------------------------------------------------------------------------ held outputs
 
 
-def test_an_input_out_of_range_holds_output_and_state() -> None:
-    code = Code.of(LQR(), REALISTIC, 0.1)
-    one, rng = Compiled(code, ["cc"]), np.random.default_rng(1)
-    row = np.zeros(1, dtype=struct(code.inputs))
-    row["v"], row["engage"], row["line_left"], row["e_y"], row["frame_e_y"] = 20.0, 1, 0.3, 1.1, 1.1
-    state = one.begin(1)
-    first = one.step(row, state)[0]
-    assert (first["phase"], first["side"], first["status"]) == (1, 1, 0)
-    assert first["delta"] < 0.0
-    for name, value in [
-        ("e_y", np.nan),
-        ("v", 0.5),
-        ("v", 91.0),
-        ("wheel", -np.inf),
-        ("curvature", 1.5),
-        ("e_psi", 1001.0),
-    ]:
-        wrong, before = row.copy(), state.copy()
-        wrong[name] = value
-        held = one.step(wrong, state)[0]
-        assert (held["status"], held["delta"], held["phase"]) == (1, first["delta"], 1)
-        np.testing.assert_array_equal(state, before)
-    wrong, kept = row.copy(), state.copy()
-    wrong["e_y"], wrong["engage"] = np.nan, 0  # a host can always take over
-    off = one.step(wrong, state)[0]
-    assert (off["status"], off["delta"], off["phase"], off["side"]) == (1, first["delta"], 0, 0)
-    row["engage"], row["wheel"], state = 0, rng.uniform(-0.05, 0.05), kept
-    over = one.step(row, state)[0]
-    assert (over["phase"], over["side"], over["delta"]) == (0, 0, row["wheel"][0])
+STEERING = {
+    "v": 20.0, "engage": 1, "line_left": 0.3, "e_y": 1.1, "e_psi": 0.0, "curvature": 0.0, "frame_e_y": 1.1,
+    "wheel": 0.01,
+}  # fmt: skip
+UNUSABLE = [("e_y", np.nan), ("v", 0.5), ("v", 91.0), ("wheel", -np.inf), ("curvature", 1.5), ("e_psi", 1001.0)]
+
+
+class Instance:
+    """One instance of the code, and inputs that are changed from step to step."""
+
+    def __init__(self, controller: Controller, setup: Setup = REALISTIC, *, single: bool = False) -> None:
+        self.compiled = Compiled(Code.of(controller, setup, 0.1), ["cc"], single=single)
+        self.state, self.row = self.compiled.begin(1), np.zeros(1, dtype=struct(self.compiled.code.inputs))
+
+    def step(self, **inputs: float) -> tuple[float, int, int]:
+        """Command, phase and status."""
+        for name, value in inputs.items():
+            if name in (self.row.dtype.names or ()):
+                self.row[name] = value
+        out = self.compiled.step(self.row, self.state)[0]
+        assert (out["side"] == 0) == (out["phase"] == 0)
+        return float(out["delta"]), int(out["phase"]), int(out["status"])
+
+
+def test_an_unusable_input_holds_command_and_law() -> None:
+    """As if the step had not been: with the inputs of before, the next command is that of before."""
+    one, other = Instance(LQR()), Instance(LQR())
+    first, phase, status = one.step(**STEERING)
+    assert (phase, status) == (1, 0)
+    assert first < 0.0
+    other.step(**STEERING)
+    for name, value in UNUSABLE:
+        assert one.step(**STEERING | {name: value}) == (first, 1, 1)
+        assert one.step(**STEERING) == other.step(**STEERING)
+        first = one.step(**STEERING)[0]
+        other.step(**STEERING)
+
+
+@pytest.mark.parametrize(("name", "value"), UNUSABLE)
+def test_the_hand_over_with_an_unusable_input(name: str, value: float) -> None:
+    """The angle of the wheels; if that is what cannot be used, the last one that could. Then it can take over again."""
+    one = Instance(LQR())
+    command = one.step(**STEERING)[0]
+    measured = 0.01 if name == "wheel" else 0.02
+    assert one.step(**STEERING | {"engage": 0, "wheel": 0.02, name: value}) == (measured, 0, 1)
+    assert one.step(**STEERING | {"wheel": 0.03, name: value}) == (measured if name == "wheel" else 0.03, 0, 1)
+    assert one.step(**STEERING) == (command, 1, 0)
+    assert one.step(**STEERING | {"engage": 0, "wheel": -0.04}) == (-0.04, 0, 0)
+
+
+@pytest.mark.parametrize(("dt", "held"), [(0.05, 4), (0.03, 7), (0.01, 20)])
+@pytest.mark.parametrize("single", [False, True])
+def test_inputs_that_stay_unusable_are_handed_over(dt: float, held: int, single: bool) -> None:
+    """After 0.2 s; a usable input in between begins the time anew. Only `engage` 0 allows the next departure."""
+    one = Instance(PID(), Setup(dt=dt), single=single)
+    one.step(**STEERING | {"wheel": 0.0625})
+    for _ in range(3):
+        command = one.step(**STEERING)[0]
+        assert [one.step(e_psi=np.nan) for _ in range(held)] == [(command, 1, 1)] * held
+        one.row["e_psi"] = 0.0
+    one.step(line_left=-0.5)
+    command, phase, _ = one.step()
+    assert phase == 2
+    assert [one.step(e_psi=np.nan) for _ in range(held)] == [(command, 2, 1)] * held
+    assert one.step(wheel=0.03125) == (0.03125, 0, 17)
+    assert one.step(wheel=np.nan) == (0.03125, 0, 17)
+    assert one.step(**STEERING | {"wheel": 0.0625}) == (0.0625, 0, 16)
+    assert one.step(engage=0) == (0.0625, 0, 0)
+    assert one.step(engage=1)[1:] == (1, 0)
+
+
+def test_commands_that_stay_not_finite_are_handed_over() -> None:
+    """A law whose integral is beyond all bounds never gets back by itself."""
+    one = Instance(Constant(f_i=-1e300), Setup())
+    first = one.step(**STEERING)[0]
+    assert [one.step() for _ in range(4)] == [(first, 1, 2)] * 4
+    assert one.step() == (0.01, 0, 18)
+    assert one.step() == (0.01, 0, 16)
 
 
 def test_the_deeper_side_decides() -> None:
@@ -308,6 +442,23 @@ def test_no_step_of_a_million_exceeds_the_bound(name: str) -> None:
     assert failed == 0
 
 
+def test_single_precision_solves_what_double_solves() -> None:
+    """A small weight of steering, whose solver fails in single precision: it stays in double."""
+    code, rng, n = Code.of(LinearMPC(horizon=30, r_delta=1.0), REALISTIC, 0.1), np.random.default_rng(7), 2000
+    row = np.zeros(n, dtype=struct(code.inputs))
+    row["v"], row["line_left"], row["engage"] = rng.uniform(2.0, 80.0, n), 1.0, 1
+    for field, size in {"e_y": 2.0, "e_y_rate": 2.0, "e_psi": 0.1, "e_psi_rate": 0.3, "wheel": 0.05}.items():
+        row[field] = rng.normal(0.0, size, n)
+    row["frame_e_y"], row["frame_e_psi"] = row["e_y"], row["e_psi"]
+    row["curvature"] = rng.normal(0.0, 0.002, row["curvature"].shape)
+    ones = [Compiled(code, ["cc"], single=single) for single in (False, True)]
+    double, single = (one.step(row, one.begin(n)) for one in ones)
+    assert (double["iterations"] > 5).sum() > 100
+    np.testing.assert_array_equal(single["status"], double["status"])
+    assert not (single["status"] & 4).any()
+    np.testing.assert_allclose(single["delta"], double["delta"], rtol=0.0, atol=1e-5)
+
+
 def test_departures_in_which_the_toolkit_gave_up_are_left_out() -> None:
     law = LinearMPC(horizon=8, delta_max=0.01, rate_max=0.02, a_y_max=0.5, jerk_max=0.5, e_y_max=0.5, solver="daqp")
     found = check(record(Code.of(law, REALISTIC, 0.1), load_model("reference").sample(25, 25, seed=3)), ["cc"])
@@ -349,6 +500,52 @@ def test_fmu_gives_the_same_commands(folder: Path) -> None:
     with pytest.raises(Exception, match="fmi2DoStep failed"):
         slave.doStep(currentCommunicationPoint=0.0, communicationStepSize=0.01)
     slave.terminate()
+    slave.freeInstance()
+    shutil.rmtree(unpacked)
+
+
+def test_fmu_tells_the_reason_of_an_error(folder: Path) -> None:
+    exported(PID(), folder, Setup(), fmu=True)
+    path = str(folder / "ldc_controller.fmu")
+    description, unpacked = fmpy.read_model_description(path), fmpy.extract(path)
+    told: list[tuple[bytes, int, bytes, bytes]] = []
+    host = fmpy.fmi2.fmi2CallbackFunctions()
+    host.logger = fmpy.fmi2.fmi2CallbackLoggerTYPE(lambda _, *what: told.append(what))
+    slave = fmpy.fmi2.FMU2Slave(
+        guid=description.guid, unzipDirectory=unpacked, modelIdentifier="ldc_controller", instanceName="one"
+    )
+    slave.instantiate(callbacks=host)
+    assert slave.getReal([places.valueReference for places in description.modelVariables if places.name == "v"]) == [
+        20.0
+    ]
+    slave.setReal([0], [0.0])
+    assert told == []
+    for call, function, value in (
+        (lambda: slave.doStep(0.0, 0.01), b"fmi2DoStep", b"0.01 s"),
+        (lambda: slave.setReal([9999], [0.0]), b"fmi2SetReal", b"9999"),
+        (lambda: slave.getReal([9998]), b"fmi2GetReal", b"9998"),
+        (lambda: slave.setInteger([9997], [0]), b"fmi2SetInteger", b"9997"),
+        (lambda: slave.getInteger([9996]), b"fmi2GetInteger", b"9996"),
+        (lambda: slave.getString([0]), b"fmi2GetString", b"not supported"),
+        (slave.cancelStep, b"fmi2CancelStep", b"not supported"),
+    ):
+        with pytest.raises(Exception, match="failed with status 3"):
+            call()
+        ((name, status, category, message),) = told
+        assert (name, status, category) == (b"one", 3, b"logStatusError")
+        assert message.startswith(function + b": ")
+        assert value in message
+        told.clear()
+        slave.reset()  # the host stays known
+    for guid, kind, reason in ((b"{x}", 1, b"GUID"), (description.guid.encode(), 0, b"co-simulation only")):
+        assert slave.fmi2Instantiate(b"two", kind, guid, b"", ctypes.byref(host), 0, 0) is None
+        ((name, status, _, message),) = told
+        assert (name, status) == (b"two", 3)
+        assert reason in message
+        told.clear()
+    mute = slave.fmi2Instantiate(b"three", 1, description.guid.encode(), b"", None, 0, 0)  # a host without a logger
+    assert slave.dll.fmi2DoStep(ctypes.c_void_p(mute), ctypes.c_double(0.0), ctypes.c_double(0.01), 0) == 3
+    slave.dll.fmi2FreeInstance(ctypes.c_void_p(mute))
     slave.freeInstance()
     shutil.rmtree(unpacked)
 

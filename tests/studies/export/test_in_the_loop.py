@@ -1,6 +1,7 @@
 """Exported C code steers in the toolkit's closed loop: the same commands, scores and phases."""
 
 import dataclasses
+import json
 import math
 import re
 from pathlib import Path
@@ -23,9 +24,9 @@ from controllers import (
     SlidingMode,
     Stanley,
 )  # fmt: skip
-from helpers.closed_loop import Constant, make_scenarios, takeover
+from helpers.closed_loop import Constant, Table, make_scenarios, takeover
 from ldctoolkit import Controller, EventStatus, Setup, VehicleParameters, simulate
-from ldctoolkit.errors import InputError
+from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.plant_options import Actuator, KalmanFilter, PlantOptions, Sensors
 from studies.export import Origin, export_c, parameters
 from studies.export.c_code import Code
@@ -108,7 +109,11 @@ SETUPS = {
 }
 
 
-FAST = {("mpc, soft", "ideal plant"), *(("lqi", setup) for setup in SETUPS)}
+FAST = {
+    ("mpc, soft", "ideal plant"),
+    ("barrier around lqr", "delay of a part of a sample"),  # looks back further than its terms do
+    *(("lqi", setup) for setup in SETUPS),
+}
 CASES = [
     pytest.param(name, setup, marks=() if (name, setup) in FAST else pytest.mark.slow)
     for name in ("lqi", "barrier around lqr", "mpc, soft")
@@ -131,6 +136,90 @@ def test_a_linear_law_of_ones_own() -> None:
     compared(Constant(F=(-0.01, -0.01, -0.3, -0.05), f_u=0.2, f_i=-0.001), REALISTIC)
 
 
+@pytest.mark.parametrize(
+    ("kind", "knots", "terms"),
+    [
+        ("interp", [1.0, 5.0, 15.3, 30.0, 90.0], 2),
+        ("clip", [1.0, 5.0, 13.0, 27.7777777777778, 90.0], 17),  # 1/v needs a piece more
+        ("step", [1.0, 20.0, 90.0], 1),
+        ("bands", [1.0, 10.0, 13.8888888888889, 25.0, 90.0], 1),
+        ("notch", [1.0, 20.0, 20.3, 90.0], 1),
+    ],
+)
+def test_gains_with_kinks_and_steps(kind: str, knots: list[float], terms: int) -> None:
+    """Tables between knots that are found, for the gains that need them; the others stay series. Both sides of each
+    knot are right, to the last bit of the speed."""
+    law = Table(kind)
+    code, rng = Code.of(law, Setup(), 0.1), np.random.default_rng(2)
+    schedule = code.schedule
+    np.testing.assert_allclose(schedule.knots, knots, rtol=0.0, atol=1e-7)
+    assert (schedule.kinked.tolist(), schedule.pieces.shape) == ([0, 2], (len(knots) - 1, terms, 2))
+    assert schedule.error < 1e-10
+    assert not schedule.coefficients[:, [0, 2]].any()
+    assert schedule.coefficients[0, [1, 3]].all()
+    for real, tolerance in ((np.float64, 3e-11), (np.float32, 2e-7)):
+        edges = np.array(knots, dtype=real)
+        around = np.concatenate([edges, np.nextafter(edges[1:], real(0)), np.nextafter(edges[:-1], real(99))])
+        v = np.concatenate([around, rng.uniform(1.0, 90.0, 1000).astype(real)])
+        one = Compiled(code, ["cc"], single=real is np.float32)
+        for field, gain in (("e_y", 0), ("e_psi", 2)):
+            row = np.zeros(v.size, dtype=struct(code.inputs))
+            row["v"], row["engage"], row["line_left"], row[field] = v, 1, 1.0, 1.0
+            exact = law.prepare(Setup().plant(v.astype(np.float64))).F[:, gain]
+            np.testing.assert_allclose(one.step(row, one.begin(v.size))["delta"], exact, rtol=0.0, atol=tolerance)
+
+
+@pytest.mark.parametrize("setup", ["ideal plant", "realistic"])
+def test_gains_with_kinks_in_the_loop(setup: str) -> None:
+    found = compared(Table(), SETUPS.get(setup, REALISTIC))
+    assert found.delta < 1e-11
+
+
+def test_knots_in_header_and_parameters(tmp_path: Path) -> None:
+    export_c(Table(), Setup(), 0.1, tmp_path, scenarios=make_scenarios(20), run_check=False)
+    header = (tmp_path / "ldc_controller.h").read_text()
+    assert " * of these, 2 with kinks or steps: polynomials over v in pieces, between\n" in header
+    assert " *     1 m/s, 5 m/s, 15.3 m/s, 30 m/s\n *     90 m/s\n" in header
+    content = json.loads(parameters(Code.of(Table(), Setup(), 0.1), "json"))
+    speeds, F = content["speed_m_s"], content["over_speed"]["F"]["values"]
+    assert (len(speeds), len(F)) == (91, 91)
+    assert speeds[15] == pytest.approx(15.3, abs=1e-8)
+    assert F[15][0] == pytest.approx(-0.01, abs=1e-10)
+
+
+def test_gains_that_no_table_follows() -> None:
+    with pytest.raises(LdcError, match="gains of 'table' change too sharply with speed to be exported"):
+        Code.of(Table("noise"), Setup(), 0.1)
+
+
+USUAL: dict[str, Any] = {
+    "scenarios": 9, "departures": 9, "diverged": 0, "steps": 900, "delta": 1e-9, "S": 1e-9, "phases": 0, "failed": 0,
+    "float_delta": 1e-5, "float_S": 1e-3, "iterations": 0, "median": 1e-7, "longest": 1e-6, "stack": 1, "size": 1,
+    "state": 1, "bounds": (1e-9, 1e-5),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("name", "beyond"),
+    [("delta", 1.1e-9), ("S", 1.1e-9), ("phases", 1), ("failed", 1), ("float_delta", 1.1e-5), ("float_S", 1.1e-3)],
+)
+def test_every_figure_of_the_check_counts(name: str, beyond: float) -> None:
+    assert Check(**USUAL).passed
+    assert not Check(**USUAL | {name: beyond}).passed
+    assert not Check(**USUAL | {name: math.nan}).passed
+
+
+def test_failed_solves_of_the_code_fail_the_check() -> None:
+    """A solver that is stopped early; also where commands and S are within their bounds."""
+    whole = Code.of(LAWS["mpc"], REALISTIC, 0.1)
+    few = dataclasses.replace(whole.schedule.form, mpc=(whole.schedule.form.mpc or {}) | {"iterations": 1})
+    short = dataclasses.replace(whole, schedule=dataclasses.replace(whole.schedule, form=few))
+    found = check(record(short, make_scenarios(30)), ["cc"])
+    assert found.failed > 0
+    assert not found.passed
+    assert f"failed in {found.failed} steps" in found.lines[3]
+
+
 def test_the_departure_on_a_clock_of_its_own() -> None:
     """Sampled from the start of each recorded path, the code takes over at the first sample after the trigger time."""
     setup = Setup(dt=0.01)
@@ -145,7 +234,8 @@ def test_the_departure_on_a_clock_of_its_own() -> None:
         row["line_left"], row["line_right"] = np.where(side > 0, y, -1.0), np.where(side > 0, -1.0, y)
         out = one.step(row, state)
         taken = np.where((taken < 0) & (out["phase"] > 0), k, taken)
-        assert (out["side"][taken >= 0] == side[taken >= 0]).all()
+        steering = (taken >= 0) & (out["status"] == 0)  # far behind its end, a path is an unusable input
+        assert (out["side"][steering] == side[steering]).all()
     expected = np.ceil(over.start / 0.01).astype(int)
     # an edge that is back below y_s before the next sample is no departure to a sampled controller
     seen = path.lateral(expected * 0.01) > 0.1
