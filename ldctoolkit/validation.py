@@ -1,9 +1,16 @@
-"""Checks of what files hold: one strict base for their tables, and messages that name the key path."""
+"""Checks of what files hold: how texts are read, one strict base for their tables, messages that name the key path."""
 
 from __future__ import annotations
 
 import codecs
 import dataclasses
+import json
+import os
+import re
+import stat
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any, Final, get_args, get_type_hints
 
 import numpy as np
@@ -31,6 +38,55 @@ class Part(BaseModel):
     """A table of a file: no unknown keys, no silent conversions, finite numbers."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+LARGEST: Final = 64 << 20  # bytes of a text that is parsed as a whole
+_LARGEST_TOML: Final = 16 << 20  # its parser is far slower
+_TOO_DEEP: Final = "nested too deeply; allowed: 64 levels"
+_LONG_KEY: Final = re.compile(r"""(?<![\w.-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){64}""")
+
+
+def read_regular(path: Path, largest: int | None = LARGEST) -> bytes:
+    """The content of a regular file; raises `OSError`, or `ValueError` for another kind (a pipe would be waited for, a
+    device may give bytes without end) and for a file that is larger.
+    """
+    with open(os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)), "rb") as stream:  # noqa: PTH123
+        if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):
+            raise ValueError("not a regular file")
+        data = stream.read(-1 if largest is None else largest + 1)
+    if largest is not None and len(data) > largest:
+        raise ValueError(f"larger than {largest >> 20} MiB")
+    return data
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """What a file in TOML holds; raises `OSError` or `ValueError`, also for what is nested too deeply."""
+    text = text_of(read_regular(path, _LARGEST_TOML))
+    if _LONG_KEY.search(text):  # the parser's memory grows with the square of the parts of a dotted key
+        raise ValueError(_TOO_DEEP)
+    content: dict[str, Any] = _parsed(lambda: tomllib.loads(text))
+    return content
+
+
+def parse_json(text: str | bytes, **hooks: Any) -> Any:
+    """What JSON holds, with `hooks` of `json.loads`; raises `ValueError`, also for what is nested too deeply."""
+    return _parsed(lambda: json.loads(text, **hooks))
+
+
+def _parsed(parse: Callable[[], Any]) -> Any:
+    try:
+        content = parse()
+    except RecursionError:
+        raise ValueError(_TOO_DEEP) from None
+    level = [content]
+    for _ in range(64):
+        if any(isinstance(item, int) and item.bit_length() > 64 for item in level):
+            raise ValueError("a whole number of more than 64 bits")
+        tables = [list(item.values()) if isinstance(item, dict) else item for item in level]
+        level = [inner for item in tables if isinstance(item, list) for inner in item]
+        if not level:
+            return content
+    raise ValueError(_TOO_DEEP)
 
 
 def text_of(data: bytes) -> str:

@@ -31,7 +31,7 @@ from .runner import study_source
 from .running.campaign import Progress, default_progress, laws_of_this_process
 from .running.chunks import BIN, BINS, ChunkJob, ChunkTask, Tally
 from .running.executors import Executor, make_executor
-from .storage.files import locked, output_folder, read_bytes, remove_unfinished, write_text
+from .storage.files import locked, output_folder, read_json, remove_unfinished, write_text
 from .study_file import Study
 
 DEPTHS: Final = (0.3, 0.5, 0.8, 1.0, 1.75)  # [m] beyond the line
@@ -287,7 +287,7 @@ class _Estimation:
 
     def _read(self, path: Path) -> None:
         try:
-            stored = json.loads(read_bytes(path))
+            stored = read_json(path)
             differ = [name for name, value in self.job.identity().items() if stored["identity"].get(name) != value]
             if not differ:
                 self.done = {k for first, end in stored["chunks"] for k in range(first, end)}

@@ -18,6 +18,7 @@ import ldctoolkit
 from ldctoolkit import EventStatus, Scenarios, Setup
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.departures import LEFT
+from ldctoolkit.errors import StoreError
 from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
 from ldctoolkit.review import SPEEDS, design_margins
 from ldctoolkit.simulation import Takeover
@@ -36,7 +37,7 @@ from .ranking.inference import (
 from .ranking.named_vehicles import drive_on_plants, first_of_each_side
 from .ranking.verdict import OtherPlants
 from .results import FAILED_STATUSES, Case, status_among
-from .storage.files import write_text
+from .storage.files import read_json, write_text
 
 if TYPE_CHECKING:
     from .ranking.ranking import Ranking
@@ -493,13 +494,13 @@ def read(path: Path) -> Robustness | None:
     """Read a file that was written from `text_of`; None where there is none, or it is of another kind."""
     kinds = {name: _KINDS.get(hint) for name, hint in get_type_hints(Robustness).items()}
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = read_json(path)
         values: dict[str, Any] = {
             name: _tuples(value) if kinds[name] is None else np.array(value, dtype=kinds[name])
             for name, value in content.items()
         }
         return Robustness(**values)
-    except (OSError, ValueError, TypeError, KeyError, AttributeError):
+    except (StoreError, ValueError, TypeError, KeyError, AttributeError):
         return None  # it only saves time: what cannot be read is worked out again
 
 

@@ -3,7 +3,6 @@
 import contextlib
 import dataclasses
 import logging
-import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,6 +14,7 @@ from ldctoolkit import Scenarios
 from ldctoolkit.departures import LEFT
 from ldctoolkit.errors import InputError, StoreError, expect, plain
 from ldctoolkit.scenario_model import ScenarioModel, load_model
+from ldctoolkit.surroundings import temporary_folder
 
 from .design import FOLLOWS_CASE, Design
 from .racing import run_race
@@ -107,7 +107,7 @@ def run_study(
     workers, block_size = _positive("workers", workers), _positive("block_size", block_size)
     _allowed_limit(time_limit)
     if directory is None:
-        with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+        with temporary_folder() as folder:
             return run_study(
                 study, folder, model=model, scenarios=scenarios, workers=workers, executor=executor, dask=dask,
                 progress=progress, block_size=block_size, time_limit=time_limit,

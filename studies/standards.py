@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
-import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
 
 import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
-from ldctoolkit import Scenarios
+from ldctoolkit import Scenarios, validation
 from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.departures import RIGHT
 from ldctoolkit.errors import StudyError, UnknownNameError, nearest
 from ldctoolkit.scenarios import Drifts
-from ldctoolkit.validation import Part, as_tuples, fail, first_problem, text_of
+from ldctoolkit.validation import Part, as_tuples, fail, first_problem
 
 FOLDER: Final = Path(__file__).parent / "catalog" / "standards"
 
@@ -197,9 +196,9 @@ class Cells:
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """What a TOML file holds."""
+    """What a TOML file holds; raises `StudyError`."""
     try:
-        return tomllib.loads(text_of(path.read_bytes()))
+        return validation.read_toml(path)
     except OSError as error:
         raise StudyError(f"{path}: cannot be read: {error.strerror or error}") from None
     except ValueError as error:

@@ -8,7 +8,6 @@ import dataclasses
 import multiprocessing
 import os
 import signal
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Generator, Iterable, Sequence
@@ -31,6 +30,7 @@ from ldctoolkit.mixture.checks import (
     seed_of,
     usable_cores,
 )
+from ldctoolkit.surroundings import SAFE_PATH, safe_path, temporary_folder
 
 
 @dataclasses.dataclass(frozen=True)
@@ -87,12 +87,12 @@ def in_processes(
     from loky import ProcessPoolExecutor
     from loky.process_executor import BrokenProcessPool
 
-    with tempfile.TemporaryDirectory(prefix="ldc-") as folder:
+    with temporary_folder() as folder, safe_path():
         paths = [Path(folder, "x.npy")] + [Path(folder, "weight.npy")] * (events.weight is not None)
         for path, values in zip(paths, (events.x, events.weight), strict=False):
             np.save(path, values, allow_pickle=False)  # type: ignore[arg-type]
         arguments = (os.getpid(), work, paths)
-        pool = ProcessPoolExecutor(workers, initializer=_start_worker, initargs=arguments, env=_ONE_THREAD)
+        pool = ProcessPoolExecutor(workers, initializer=_start_worker, initargs=arguments, env=_ONE_THREAD | SAFE_PATH)
         try:
             number = {pool.submit(_run_job, job): i for i, job in enumerate(jobs)}
             pending = set(number)

@@ -23,7 +23,7 @@ from ldctoolkit.departures import (
     combined_departures,
     no_departures,
 )
-from ldctoolkit.errors import InputError, RecordingError, nearest
+from ldctoolkit.errors import RecordingError, nearest
 from ldctoolkit.recordings.find_departures import REASONS, Criteria
 from ldctoolkit.recordings.preparation import Preparation
 from ldctoolkit.recordings.quality import (
@@ -37,6 +37,7 @@ from ldctoolkit.recordings.quality import (
 )
 from ldctoolkit.recordings.recording import Problem, SourceFile
 from ldctoolkit.recordings.sources import check_file
+from ldctoolkit.validation import parse_json
 from ldctoolkit.whole_file import whole_file
 
 if TYPE_CHECKING:
@@ -393,10 +394,10 @@ def _check(name: str, table: pl.DataFrame) -> None:
 def provenance_from_json(name: str, text: str) -> Provenance:
     """Provenance from JSON; `name` is the file, for messages. Raises RecordingError."""
     try:
-        content: dict[str, Any] = json.loads(text)
+        content: dict[str, Any] = parse_json(text)
         found = content.pop("format_version")
         if found != FORMAT_VERSION:
-            raise RecordingError(f"{name}: departures table of format {found!r}; this version reads {FORMAT_VERSION}")
+            raise ValueError(f"departures table of format {found!r}; this version reads {FORMAT_VERSION}")
         content.pop("ldctoolkit", None)
         criteria, refused = Criteria(**content.pop("criteria")), Refused(**content.pop("refused"))
         sources = tuple(SourceFile(**source) for source in content.pop("sources"))
@@ -405,5 +406,5 @@ def provenance_from_json(name: str, text: str) -> Provenance:
         return Provenance(
             criteria=criteria, refused=refused, sources=sources, preparation=preparation, **texts, **content
         )
-    except (json.JSONDecodeError, KeyError, TypeError, AttributeError, InputError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise RecordingError(f"{name}: its metadata '{METADATA_KEY}' cannot be understood: {error}") from None

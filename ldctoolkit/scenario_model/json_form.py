@@ -27,7 +27,7 @@ from ldctoolkit.scenario_model.provenance import (
     SourceSummary,
     check_usable,
 )
-from ldctoolkit.validation import Part, fail, first_problem, short, text_of
+from ldctoolkit.validation import Part, fail, first_problem, parse_json, read_regular, short, text_of
 
 FORMAT: Final = "ldctoolkit-scenario-model"
 VERSION: Final = 3
@@ -94,7 +94,7 @@ def content_hash(left: SideModel, right: SideModel, plausibility: Plausibility |
 def read_text(path: Path) -> str:
     """The file's text; a file that cannot be read is a ModelError."""
     try:
-        return text_of(path.read_bytes())
+        return text_of(read_regular(path))
     except (OSError, ValueError) as error:  # ValueError: a NUL in the path
         reason = error.strerror if isinstance(error, OSError) else error
         name = str(path)
@@ -120,12 +120,14 @@ def _parse(text: str, file: str) -> Any:
         return value if math.isfinite(value) else refuse(token)
 
     try:
-        return json.loads(text, parse_constant=refuse, parse_int=whole, parse_float=number)
+        return parse_json(text, parse_constant=refuse, parse_int=whole, parse_float=number)
     except json.JSONDecodeError as error:
         message = f"{file}, line {error.lineno}, column {error.colno}: broken JSON ({error.msg})"
         raise ModelError(message) from None
-    except RecursionError:
-        raise ModelError(f"{file}: broken JSON (nested too deeply)") from None
+    except ModelError:
+        raise
+    except ValueError as error:
+        raise ModelError(f"{file}: broken JSON ({error})") from None
 
 
 def model_from_json(text: str, file: str) -> tuple[SideModel, SideModel, ModelProvenance, Plausibility | None]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import platform
-import tempfile
 import uuid
 import zipfile
 from collections.abc import Sequence
@@ -13,6 +12,7 @@ from typing import Final
 
 from ldctoolkit import Controller, Scenarios, Setup, load_model
 from ldctoolkit.errors import InputError, expect
+from ldctoolkit.surroundings import temporary_folder
 
 from ..storage.files import stored_file
 from .c_code import HEADER, SOURCE, Code, Origin, changed_files, is_stale, parameters, render, write_folder
@@ -125,7 +125,7 @@ def _write_fmu(code: Code, texts: dict[str, str], folder: Path, command: Sequenc
             raise InputError(f"--fmu: no binary for {platform.system()}; allowed on {', '.join(_PLATFORMS)}")
         system, suffix = _PLATFORMS[platform.system()]
         library = f"ldc_controller{suffix}"
-        with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as room:
+        with temporary_folder() as room:
             for name in ("fmu.c", SOURCE, HEADER):
                 (Path(room) / name).write_bytes(files[f"sources/{name}"])
             compile_c(command, Path(room), "-std=c99", "-O2", "-fPIC", "-shared", "fmu.c", SOURCE, "-o", library, "-lm")

@@ -16,6 +16,7 @@ from ldctoolkit import LdcError, Scenarios
 from ldctoolkit.departures import LEFT, PARAMETER_COLUMNS, RIGHT
 from ldctoolkit.errors import StoreError
 from ldctoolkit.recordings.departures_table import read_signals, signals_path, signals_table
+from ldctoolkit.validation import LARGEST, parse_json, read_regular
 from ldctoolkit.whole_file import whole_file
 
 if TYPE_CHECKING:
@@ -56,12 +57,17 @@ def write_parquet(path: Path, table: pl.DataFrame) -> None:
         table.write_parquet(stream)
 
 
-def read_bytes(path: Path) -> bytes:
-    """The content of a file."""
+def read_bytes(path: Path, largest: int | None = None) -> bytes:
+    """The content of a regular file, of at most so many bytes."""
     try:
-        return path.read_bytes()
-    except OSError as error:
-        raise StoreError(f"{path}: cannot be read: {error.strerror or error}") from None
+        return read_regular(path, largest)
+    except (OSError, ValueError) as error:
+        raise StoreError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
+
+
+def read_json(path: Path) -> Any:
+    """What a file in JSON holds; raises `StoreError`, or `ValueError` for what is no JSON."""
+    return parse_json(read_bytes(path, LARGEST))
 
 
 def read_parquet(path: Path, schema: dict[str, Any], *, finite: bool = True) -> pl.DataFrame:

@@ -18,6 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 import ldctoolkit
 from ldctoolkit.errors import StoreError, StudyError
+from ldctoolkit.validation import parse_json, read_regular
 from ldctoolkit.vehicle import Convention
 
 from ..design import Design
@@ -53,7 +54,7 @@ def read_designs(path: Path) -> tuple[Design, ...]:
     table = read_parquet(path, _schema())
     try:
         designs = tuple(
-            Design(law, y_s, tuple(json.loads(gains).items())) for _, law, y_s, gains, _ in table.iter_rows()
+            Design(law, y_s, tuple(parse_json(gains).items())) for _, law, y_s, gains, _ in table.iter_rows()
         )
         wrong = [d.id for d, stored in zip(designs, table["design"], strict=True) if d.id != stored]
     except (ValueError, AttributeError) as error:
@@ -73,12 +74,12 @@ Kind = TypeVar("Kind", bound=BaseModel)
 def _read_json(path: Path, kind: type[Kind], hint: str) -> Kind | None:
     """A small file of a folder; None where it is missing."""
     try:
-        return kind.model_validate_json(path.read_bytes())
+        return kind.model_validate_json(read_regular(path))
     except FileNotFoundError:
         return None
     except OSError as error:
         raise StoreError(f"{path}: cannot be read: {error.strerror or error}") from None
-    except ValidationError:
+    except ValueError:
         raise StoreError(f"{path}: broken; {hint}") from None
 
 
@@ -411,7 +412,7 @@ def read_manifest(folder: str | Path) -> Manifest:
     """
     path = Path(folder) / "manifest.json"
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = parse_json(read_regular(path))
         version = content["format_version"]
         if version != FORMAT_VERSION:
             raise StoreError(f"{path}: format {version!r}; this version reads {FORMAT_VERSION}")

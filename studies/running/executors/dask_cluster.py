@@ -15,6 +15,7 @@ from concurrent.futures import CancelledError
 from typing import Any, Final
 
 from ldctoolkit.errors import ClusterError, LdcError
+from ldctoolkit.surroundings import safe_path
 
 from .processes import SAME_VERSIONS, Ended, Fault, Work, attempt, check, run_checked, versions
 
@@ -44,6 +45,7 @@ class Connection:
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
         self.client: Any = None
         self._cluster: Any = None
+        self._safe_path = contextlib.ExitStack()
         try:
             self._open(distributed, address, workers)
             self._check_versions()
@@ -54,6 +56,7 @@ class Connection:
     def _open(self, distributed: Any, address: str, workers: int | None) -> None:
         try:
             if address == LOCAL:
+                self._safe_path.enter_context(safe_path())  # for workers that are started later, too
                 self._cluster = distributed.LocalCluster(
                     n_workers=workers, threads_per_worker=1, dashboard_address=None, env=_ONE_THREAD
                 )
@@ -110,8 +113,9 @@ class Connection:
                     self.client.cancel(futures)
             with contextlib.suppress(Exception):
                 self.client.close()
-        if self._cluster is not None:
-            self._cluster.close()
+        with self._safe_path:
+            if self._cluster is not None:
+                self._cluster.close()
 
 
 def lost() -> ClusterError:

@@ -25,6 +25,7 @@ from loky.process_executor import BrokenProcessPool
 
 from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.option_checks import UnitWarning
+from ldctoolkit.surroundings import SAFE_PATH, safe_path, temporary_folder
 
 Fault = Literal["died", "late"]
 
@@ -243,8 +244,6 @@ _CLOSE = 30.0  # seconds that ending the workers may take
 _NOTE = re.compile(r"^(?:task (\d+)|(done|Timeout)\b.*)$", re.MULTILINE)
 """A line of a worker's notes: what it began, that it was done, or the first line of the dump that ends it."""
 
-_folder: tempfile.TemporaryDirectory[str] | None = None
-
 
 class ProcessExecutor:
     """Runs work in worker processes; when one dies the pool is made anew and says which work was under way."""
@@ -280,14 +279,15 @@ class ProcessExecutor:
                 "with fewer workers, or with one, which runs in this process"
             ) from None
 
+    @safe_path()
     def _submit(self, task: Work) -> None:
         if self._pool is None:
             self._pool = get_reusable_executor(
                 self._workers,
                 timeout=_IDLE,
                 initializer=start_worker,
-                initargs=(_notes_folder(), os.getpid()),
-                env=_ONE_THREAD,
+                initargs=(_notes_folder().name, os.getpid()),
+                env=_ONE_THREAD | SAFE_PATH,
                 kill_workers=True,
             )
         future = self._pool.submit(run_task, task)
@@ -329,7 +329,7 @@ class ProcessExecutor:
                 raise error
         self._tasks.clear()
         self._pool = None
-        under_way, late = _last_output(Path(_notes_folder()))
+        under_way, late = _last_output(Path(_notes_folder().name))
         suspects = [task for task in lost if task.number in under_way]
         for task in lost:
             fault: Fault | None = None
@@ -350,12 +350,10 @@ class ProcessExecutor:
         self._tasks.clear()
 
 
-def _notes_folder() -> str:
+@functools.cache
+def _notes_folder() -> tempfile.TemporaryDirectory[str]:
     """Folder in which the workers of this process note what they do."""
-    global _folder
-    if _folder is None:
-        _folder = tempfile.TemporaryDirectory(prefix=f"ldc-{os.getpid()}-")
-    return _folder.name
+    return temporary_folder()
 
 
 def _last_output(folder: Path) -> tuple[set[int], set[int]]:
