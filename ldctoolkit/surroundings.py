@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import hashlib
+import math
 import os
 import platform
 import re
@@ -66,6 +67,18 @@ def sweep() -> None:
                     shutil.rmtree(entry.path, ignore_errors=True)
                 except OSError:
                     pass  # it is another user's process
+
+
+def free_memory() -> float:
+    """Bytes of memory that are free; infinite where the system does not say."""
+    free = math.inf
+    with contextlib.suppress(OSError):
+        found = re.search(r"MemAvailable: *(\d+)", Path("/proc/meminfo").read_text(encoding="ascii"))
+        free = 1024.0 * int(found[1]) if found else free
+    with contextlib.suppress(OSError, ValueError):  # in a container; "max" where there is no limit
+        used, most = (int(Path("/sys/fs/cgroup", f"memory.{name}").read_text()) for name in ("current", "max"))
+        free = min(free, most - used)
+    return free
 
 
 # ------------------------------------------------------------------------------------------------ compiled caches

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
 import functools
-import io
 import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -27,7 +25,7 @@ from ..assessment import assess
 from ..design import Design
 from ..results import Case, CaseResults, Race, StudyResults
 from ..standards import standard_names
-from ..storage.files import write_text
+from ..storage.files import csv_text, write_text
 from ..study_file import Study
 from .design_metrics import DrivableCase, Margins, case_metrics, find_baseline, in_order, pareto_costs, pareto_front
 from .inference import Inference, infer, spread_is_known
@@ -141,7 +139,9 @@ class Ranking(RankedDesigns, Frame):
 
         text = ("design", "unmet", "fresh_unmet", "failure")
         types = {**dict.fromkeys(text, pl.String), "rank": pl.Int64}
-        table = pl.read_csv(_csv_text([self], None).encode(), infer_schema_length=None, schema_overrides=types)
+        table = pl.read_csv(
+            _csv_text([self], None, plain=True).encode(), infer_schema_length=None, schema_overrides=types
+        )
         empty = [one.name for one in table if one.dtype == pl.String and one.is_null().all() and one.name not in text]
         table = table.with_columns(pl.col(empty).cast(pl.Float64))
         first = ["rank", "law", "y_s_m", "S_m_s", "set_of_best", "unmet"]
@@ -456,20 +456,15 @@ def write_csv(rankings: Sequence[Ranking], path: str | Path, race: Race | None =
     write_text(Path(path), _csv_text(rankings, race))
 
 
-def _csv_text(rankings: Sequence[Ranking], race: Race | None) -> str:
+def _csv_text(rankings: Sequence[Ranking], race: Race | None, *, plain: bool = False) -> str:
     dropped = () if race is None else race.dropped
     laws = {design.law for ranking in rankings for design in _every(ranking)} | {one.design.law for one in dropped}
     gains = list(dict.fromkeys(column for law in sorted(laws) for column in _columns_of(law)))
-    text = io.StringIO()
     rows = [row for ranking in rankings for row in _rows(ranking, gains)]
     if race is not None:
         behind = len(rankings[0]) + len(rankings[0].failed)
         rows[behind:behind] = _given_up(race, rankings[0], gains)
-    # what a row has no value for is empty
-    writer = csv.DictWriter(text, fieldnames=[*rows[0], *_DROPPED], restval="", lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue()
+    return csv_text([*rows[0], *_DROPPED], rows, plain=plain)
 
 
 def _every(ranking: Ranking) -> Iterator[Design]:

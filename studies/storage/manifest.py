@@ -431,4 +431,6 @@ def read_manifest(folder: str | Path) -> Manifest:
 
 def write_manifest(folder: Path, manifest: Manifest) -> None:
     """Write or replace the manifest of a folder."""
-    write_text(folder / "manifest.json", manifest.model_dump_json(indent=2) + "\n")
+    write_text(
+        folder / "manifest.json", json.dumps(manifest.model_dump(mode="json"), indent=2, ensure_ascii=False) + "\n"
+    )

@@ -9,6 +9,7 @@ import json
 import math
 import mmap
 import os
+import shutil
 import tempfile
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -24,6 +25,7 @@ from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.errors import LdcError, StoreError
 from ldctoolkit.metrics import METRIC_COLUMNS, METRIC_UNITS, MetricValues
 from ldctoolkit.simulation import Window
+from ldctoolkit.surroundings import free_memory
 
 from ..design import Design
 from ..results import CaseResults, FailedDesign, RunKey, StudyResults, TaskResult
@@ -242,6 +244,23 @@ def release(values: Any) -> None:
     mapping = getattr(values, "obj", None)
     if isinstance(mapping, mmap.mmap) and hasattr(mmap, "MADV_DONTNEED"):
         mapping.madvise(mmap.MADV_DONTNEED)
+
+
+def needs_file(study: Study, n: int) -> bool:
+    """Whether a study's table on n scenarios goes into a mapped file; raises `LdcError` where there is no room for it."""
+    designs = study.search.trials if study.search else len(study.designs)
+    runs, windows = designs * n * len(study.simulation.convention), len(study.simulation.window)
+    kept, mapped, memory = (8 * windows + 6) * runs, 8 * len(METRIC_UNITS) * runs, free_memory()
+    if kept + mapped < 0.5 * memory:
+        return False
+    disk = shutil.disk_usage(tempfile.gettempdir()).free
+    if kept < 0.5 * memory and mapped < disk:
+        return True
+    raise LdcError(
+        f"{designs:,} designs on {n:,} scenarios need {(kept + mapped) / 2**30:,.1f} GiB; there are "
+        f"{memory / 2**30:,.1f} GiB of memory and {disk / 2**30:,.1f} GiB in the folder for temporary files; allowed: "
+        "fewer designs or scenarios"
+    )
 
 
 class RunTable:
