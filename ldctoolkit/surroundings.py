@@ -1,10 +1,9 @@
-"""What may be used that lies outside the program: modules for other processes, temporary folders, compiled caches."""
+"""What lies outside the program: other processes, temporary folders, memory, compiled caches."""
 
 from __future__ import annotations
 
 import contextlib
 import functools
-import hashlib
 import math
 import os
 import platform
@@ -13,60 +12,64 @@ import shutil
 import stat
 import sys
 import tempfile
-import warnings
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
-SAFE_PATH: Final = {"PYTHONSAFEPATH": "1"}
-"""Environment of a Python process that imports nothing from the working directory, as with ``python -P``."""
+_SAFE_PATH: Final = {"PYTHONSAFEPATH": "1"}  # as with `python -P`
+_ONE_THREAD: Final = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS", "POLARS_MAX_THREADS")
+
+WORKERS: Final = dict.fromkeys(_ONE_THREAD, "1") | _SAFE_PATH
+"""Environment of worker processes: they are what runs in parallel, and import nothing from the working directory."""
+
+_LOOK_FOR_PARENT_EVERY: Final = 1.0  # seconds after which a worker notices that no process waits for it
 
 
 @contextlib.contextmanager
 def safe_path() -> Iterator[None]:
     """Let no process that the block starts import modules from the working directory."""
-    before = {name: os.environ.get(name) for name in SAFE_PATH}
-    os.environ.update(SAFE_PATH)
+    before = os.environ.get("PYTHONSAFEPATH")
+    os.environ.update(_SAFE_PATH)
     try:
         yield
     finally:
-        for name, value in before.items():
-            os.environ.pop(name) if value is None else os.environ.__setitem__(name, value)
+        del os.environ["PYTHONSAFEPATH"]
+        os.environ.update({} if before is None else {"PYTHONSAFEPATH": before})
 
 
-# ------------------------------------------------------------------------------------------------ temporary folders
-
-
-@functools.cache
-def _machine() -> str:
-    """Stands for the machine and its process numbers: others may use the same folder for temporary files."""
-    numbers = Path("/proc/self/ns/pid")
-    name = f"{platform.node()} {numbers.readlink() if numbers.is_symlink() else ''}"
-    return hashlib.sha256(name.encode()).hexdigest()[:8]
+def leave_with(parent: int) -> None:
+    """End this process soon after its parent was killed: what it computes would be lost."""
+    while os.getppid() == parent:
+        time.sleep(_LOOK_FOR_PARENT_EVERY)
+    os._exit(1)
 
 
 def temporary_folder() -> tempfile.TemporaryDirectory[str]:
     """A folder that is removed with the object, or by a later process where this one is killed."""
     sweep()
-    return tempfile.TemporaryDirectory(prefix=f"ldc-{_machine()}-{os.getpid()}-", ignore_cleanup_errors=True)
+    # other machines may use the same folder, and their processes are not seen here
+    return tempfile.TemporaryDirectory(prefix=f"ldc-{platform.node()}-{os.getpid()}-", ignore_cleanup_errors=True)
 
 
 @functools.cache
 def sweep() -> None:
     """Remove temporary folders of this user's processes that have ended; once."""
-    if os.name != "posix":
-        return
-    name = re.compile(rf"ldc-(?:{_machine()}-)?(\d{{1,9}})-\w+")
-    with contextlib.suppress(OSError), os.scandir(tempfile.gettempdir()) as entries:
-        for entry in entries:
-            found = name.fullmatch(entry.name)
-            if found and entry.is_dir(follow_symlinks=False) and entry.stat().st_uid == os.geteuid():
-                try:
-                    os.kill(int(found[1]), 0)
-                except ProcessLookupError:
-                    shutil.rmtree(entry.path, ignore_errors=True)
-                except OSError:
-                    pass  # it is another user's process
+    name = re.compile(rf"ldc-(?:{re.escape(platform.node())}-)?(\d{{1,9}})-\w+")
+    with contextlib.suppress(OSError, AttributeError):  # not every system has users
+        for path in Path(tempfile.gettempdir()).iterdir():
+            found, kind = name.fullmatch(path.name), path.lstat()
+            own = stat.S_ISDIR(kind.st_mode) and kind.st_uid == os.geteuid()
+            if found and own and not _runs(int(found[1])):
+                shutil.rmtree(path, ignore_errors=True)
+
+
+def _runs(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except OSError as error:
+        return not isinstance(error, ProcessLookupError)  # another user's does
+    return True
 
 
 def free_memory() -> float:
@@ -81,21 +84,17 @@ def free_memory() -> float:
     return free
 
 
-# ------------------------------------------------------------------------------------------------ compiled caches
-
-
 def private(path: str | os.PathLike[str]) -> bool:
     """Whether a file or folder belongs to the user, and nobody else can write to it or put another in its place."""
     if os.name != "posix":
         return True
     place = Path(path).resolve()
-    if not place.exists():
+    if not place.exists() or place.stat().st_uid not in (0, os.geteuid()):
         return False
     for one in (place, *place.parents):
         found = one.stat()
         loose = found.st_mode & (stat.S_IWOTH if _alone_in(found.st_gid) else stat.S_IWOTH | stat.S_IWGRP)
-        kept = one != place and found.st_mode & stat.S_ISVTX  # nobody can replace what belongs to another there
-        if found.st_uid not in (0, os.geteuid()) or (loose and not kept):
+        if loose and (one == place or not found.st_mode & stat.S_ISVTX):  # there nobody can replace what is another's
             return False
     return True
 
@@ -129,7 +128,8 @@ def guard(caching: Any) -> None:
 
     def ensure_cache_path(locator: Any) -> None:
         locate(locator)
-        if not private(locator.get_cache_path()):
+        last = isinstance(locator, caching.UserWideCacheLocator)  # there must be one, and files are looked at, too
+        if not (last or private(locator.get_cache_path())):
             raise PermissionError(locator.get_cache_path())
 
     class _File(caching.IndexDataCacheFile):  # type: ignore[misc]
@@ -141,17 +141,5 @@ def guard(caching: Any) -> None:
                 raise PermissionError(name)  # as if it were not there
             return super()._load_data(name)
 
-    class _Last(caching.InTreeCacheLocator):  # type: ignore[misc]
-        def get_cache_path(self) -> str:
-            return _last_folder().name
-
     caching._CacheLocator.ensure_cache_path = ensure_cache_path
     caching.IndexDataCacheFile = _File
-    caching.CacheImpl._locator_classes = [*caching.CacheImpl._locator_classes, _Last]
-
-
-@functools.cache
-def _last_folder() -> tempfile.TemporaryDirectory[str]:
-    what = "others can write to every folder that compiled functions could be kept in; NUMBA_CACHE_DIR may name one"
-    warnings.warn(f"{what}: they are compiled anew", stacklevel=2)
-    return temporary_folder()

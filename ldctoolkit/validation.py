@@ -17,7 +17,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import PydanticCustomError
 
-from ldctoolkit.errors import nearest
+from ldctoolkit.errors import LdcError, nearest
 
 _ALLOWED: Final = {
     "model_type": "a table of keys",
@@ -46,25 +46,44 @@ _TOO_DEEP: Final = "nested too deeply; allowed: 64 levels"
 _LONG_KEY: Final = re.compile(r"""(?<![\w.-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){64}""")
 
 
-def read_regular(path: Path, largest: int | None = LARGEST) -> bytes:
-    """The content of a regular file; raises `OSError`, or `ValueError` for another kind (a pipe would be waited for, a
-    device may give bytes without end) and for a file that is larger.
+Kind = Callable[[str], LdcError]  # the class of an error
+
+
+def read_regular(path: Path, kind: Kind, largest: int | None = LARGEST) -> bytes:
+    """The content of a regular file; raises an error of that `kind` for one that cannot be read or is larger, and for
+    what is none: a pipe would be waited for, a device may give bytes without end.
     """
-    with open(os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)), "rb") as stream:  # noqa: PTH123
-        if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):
-            raise ValueError("not a regular file")
-        data = stream.read(-1 if largest is None else largest + 1)
-    if largest is not None and len(data) > largest:
-        raise ValueError(f"larger than {largest >> 20} MiB")
+    try:
+        number = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+        with open(number, "rb") as stream:  # noqa: PTH123 - it is open
+            if not stat.S_ISREG(os.fstat(number).st_mode):
+                raise ValueError(f"is {'a folder' if path.is_dir() else 'not a regular file'}")
+            data = stream.read(-1 if largest is None else largest + 1)
+        if largest is not None and len(data) > largest:
+            raise ValueError(f"larger than {largest >> 20} MiB")
+    except (OSError, ValueError) as error:  # also a NUL in the name
+        raise kind(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
     return data
 
 
-def read_toml(path: Path) -> dict[str, Any]:
-    """What a file in TOML holds; raises `OSError` or `ValueError`, also for what is nested too deeply."""
-    text = text_of(read_regular(path, _LARGEST_TOML))
-    if _LONG_KEY.search(text):  # the parser's memory grows with the square of the parts of a dotted key
-        raise ValueError(_TOO_DEEP)
-    content: dict[str, Any] = _parsed(lambda: tomllib.loads(text))
+def read_text(path: Path, kind: Kind, largest: int = LARGEST) -> str:
+    """The text of a file, read as `read_regular` does."""
+    data = read_regular(path, kind, largest)
+    try:
+        return text_of(data)
+    except ValueError as error:
+        raise kind(f"{path}: cannot be read: {error}") from None
+
+
+def read_toml(path: Path, kind: Kind) -> dict[str, Any]:
+    """What a file in TOML holds; raises an error of that kind, also for what is nested too deeply."""
+    text = read_text(path, kind, _LARGEST_TOML)
+    try:
+        if _LONG_KEY.search(text):  # the parser's memory grows with the square of the parts of a dotted key
+            raise ValueError(_TOO_DEEP)
+        content: dict[str, Any] = _parsed(lambda: tomllib.loads(text))
+    except ValueError as error:
+        raise kind(f"{path}: not a TOML file: {error}") from None
     return content
 
 

@@ -36,8 +36,7 @@ from ldctoolkit.recordings.quality import (
     no_statistics,
 )
 from ldctoolkit.recordings.recording import Problem, SourceFile
-from ldctoolkit.recordings.sources import check_file
-from ldctoolkit.validation import parse_json
+from ldctoolkit.validation import parse_json, read_regular
 from ldctoolkit.whole_file import whole_file
 
 if TYPE_CHECKING:
@@ -280,15 +279,11 @@ def read_table(source: Path, needed: str) -> tuple[pl.DataFrame, dict[str, str]]
     """A Parquet file and its metadata; `needed` says in messages what it should be."""
     import polars as pl
 
-    check_file(source, needed)
     try:
-        with source.open("rb") as stream:
-            content = io.BytesIO(stream.read())
+        content = io.BytesIO(read_regular(source, lambda text: RecordingError(f"{text}; {needed} is needed"), None))
         metadata = pl.read_parquet_metadata(content)
         content.seek(0)
         return pl.read_parquet(content), metadata
-    except OSError as error:
-        raise RecordingError(f"{source.name}: cannot be read: {error.strerror or error}") from None
     except (pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
         raise RecordingError(f"{source.name}: cannot be read as Parquet: {str(error).splitlines()[0]}") from None
 

@@ -128,14 +128,11 @@ class ChannelMap(Part):
 
 def read_channel_map(path: Path) -> ChannelMap:
     """Read a channel map in TOML; raises `InputError` naming the file, the key and what is allowed."""
+    content = as_tuples(read_toml(path, InputError))
     try:
-        content = as_tuples(read_toml(path))
         return ChannelMap.model_validate(content)
     except ValidationError as error:
         raise InputError(f"{path.name}: {first_problem(error, content, ChannelMap, 'map')}") from None
-    except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise InputError(f"{path.name}: cannot be read as a channel map in TOML: {reason}") from None
 
 
 @dataclasses.dataclass(frozen=True)

@@ -19,7 +19,6 @@ from ldctoolkit.recordings.recording import LARGEST, Label, Problem, Recording, 
 from ldctoolkit.recordings.sources import FoundParts
 from ldctoolkit.recordings.trip_index import read_cells
 from ldctoolkit.recordings.trip_tables import grouped_problems, rows_in_order
-from ldctoolkit.validation import read_regular
 
 DETECTED: Final = 2.0  # state of the lane estimator in which offset and width can be used
 STATES: Final = (DETECTED, 1.0, 0.0, -1.0, -9.0)  # detected, undetected, initialising, calibrating, missing
@@ -99,7 +98,7 @@ def read_table(path: Path, shown: str, kind: TableKind) -> tuple[Table | None, l
         size = path.stat().st_size
         if size > LARGEST_FILE:
             return refused(f"{size} bytes; a file of one trip has at most {LARGEST_FILE}")
-        data = read_regular(path, None).removeprefix(codecs.BOM_UTF8)
+        data = path.read_bytes().removeprefix(codecs.BOM_UTF8)
     except (OSError, ValueError) as error:
         return refused(f"cannot be read: {error.strerror if isinstance(error, OSError) else error}")
     # in UTF-16, digits alternate with NUL

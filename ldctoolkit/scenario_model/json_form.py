@@ -8,7 +8,6 @@ import itertools
 import json
 import math
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Annotated, Any, Final, Literal, NoReturn
 
 import numpy as np
@@ -27,7 +26,7 @@ from ldctoolkit.scenario_model.provenance import (
     SourceSummary,
     check_usable,
 )
-from ldctoolkit.validation import Part, fail, first_problem, parse_json, read_regular, short, text_of
+from ldctoolkit.validation import Part, fail, first_problem, parse_json, short
 
 FORMAT: Final = "ldctoolkit-scenario-model"
 VERSION: Final = 3
@@ -89,17 +88,6 @@ def content_hash(left: SideModel, right: SideModel, plausibility: Plausibility |
         content["plausibility"] = dataclasses.asdict(plausibility)
     text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()
-
-
-def read_text(path: Path) -> str:
-    """The file's text; a file that cannot be read is a ModelError."""
-    try:
-        return text_of(read_regular(path))
-    except (OSError, ValueError) as error:  # ValueError: a NUL in the path
-        reason = error.strerror if isinstance(error, OSError) else error
-        name = str(path)
-        shown = name if len(name) <= 60 else name[:57] + "..."
-        raise ModelError(f"{shown}: cannot read the scenario model ({reason})") from None
 
 
 def _parse(text: str, file: str) -> Any:

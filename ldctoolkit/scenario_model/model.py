@@ -32,6 +32,7 @@ from ldctoolkit.option_checks import UnitWarning, unit_slip
 from ldctoolkit.recordings import Provenance, Refused, read_departures
 from ldctoolkit.scenario_model.provenance import ModelProvenance, SideModel
 from ldctoolkit.scenarios import SPEED_FLOOR, Scenarios, slowest_speed
+from ldctoolkit.validation import read_text
 from ldctoolkit.whole_file import whole_file
 
 Given = Mapping[str, float | tuple[float | None, float | None]]
@@ -422,9 +423,7 @@ class ScenarioModel:
             Broken JSON (with line and column), another format or version, or a value that does not fit (with its key
             path).
         """
-        from ldctoolkit.scenario_model.json_form import read_text
-
-        return cls._parse(read_text(Path(path)), str(path))
+        return cls._parse(read_text(Path(path), ModelError), str(path))
 
     @classmethod
     def _parse(cls, text: str, file: str) -> ScenarioModel:

@@ -139,9 +139,8 @@ class Ranking(RankedDesigns, Frame):
 
         text = ("design", "unmet", "fresh_unmet", "failure")
         types = {**dict.fromkeys(text, pl.String), "rank": pl.Int64}
-        table = pl.read_csv(
-            _csv_text([self], None, plain=True).encode(), infer_schema_length=None, schema_overrides=types
-        )
+        content = _csv_text([self], None, plain=True).encode()
+        table = pl.read_csv(content, infer_schema_length=None, schema_overrides=types)
         empty = [one.name for one in table if one.dtype == pl.String and one.is_null().all() and one.name not in text]
         table = table.with_columns(pl.col(empty).cast(pl.Float64))
         first = ["rank", "law", "y_s_m", "S_m_s", "set_of_best", "unmet"]

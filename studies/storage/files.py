@@ -82,10 +82,7 @@ def write_parquet(path: Path, table: pl.DataFrame) -> None:
 
 def read_bytes(path: Path, largest: int | None = None) -> bytes:
     """The content of a regular file, of at most so many bytes."""
-    try:
-        return read_regular(path, largest)
-    except (OSError, ValueError) as error:
-        raise StoreError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
+    return read_regular(path, StoreError, largest)
 
 
 def read_json(path: Path) -> Any:

@@ -73,13 +73,11 @@ Kind = TypeVar("Kind", bound=BaseModel)
 
 def _read_json(path: Path, kind: type[Kind], hint: str) -> Kind | None:
     """A small file of a folder; None where it is missing."""
-    try:
-        return kind.model_validate_json(read_regular(path))
-    except FileNotFoundError:
+    if not path.exists():
         return None
-    except OSError as error:
-        raise StoreError(f"{path}: cannot be read: {error.strerror or error}") from None
-    except ValueError:
+    try:
+        return kind.model_validate_json(read_regular(path, StoreError))
+    except ValidationError:
         raise StoreError(f"{path}: broken; {hint}") from None
 
 
@@ -411,17 +409,15 @@ def read_manifest(folder: str | Path) -> Manifest:
     True
     """
     path = Path(folder) / "manifest.json"
+    if not os.path.exists(path):  # noqa: PTH110 - this one raises nothing, whatever the path
+        raise StoreError(f"{folder}: holds no study (no manifest.json)")
     try:
-        content = parse_json(read_regular(path))
+        content = parse_json(read_regular(path, StoreError))
         version = content["format_version"]
         if version != FORMAT_VERSION:
             raise StoreError(f"{path}: format {version!r}; this version reads {FORMAT_VERSION}")
         manifest = Manifest.model_validate(content)
         manifest.read_study()
-    except (FileNotFoundError, NotADirectoryError):
-        raise StoreError(f"{folder}: holds no study (no manifest.json)") from None
-    except OSError as error:
-        raise StoreError(f"{path}: cannot be read: {error.strerror or error}") from None
     except (ValueError, KeyError, TypeError) as error:
         if isinstance(error, StudyError | ValidationError):
             error = ValueError(str(error).replace("\n", " "))

@@ -247,7 +247,7 @@ def release(values: Any) -> None:
 
 
 def needs_file(study: Study, n: int) -> bool:
-    """Whether a study's table on n scenarios goes into a mapped file; raises `LdcError` where there is no room for it."""
+    """Whether the table of a study on n scenarios is mapped; raises `LdcError` where there is no room for it."""
     designs = study.search.trials if study.search else len(study.designs)
     runs, windows = designs * n * len(study.simulation.convention), len(study.simulation.window)
     kept, mapped, memory = (8 * windows + 6) * runs, 8 * len(METRIC_UNITS) * runs, free_memory()
@@ -273,7 +273,7 @@ class RunTable:
         self.n = n
         self._conventions = study.simulation.convention
         self._windows = study.simulation.window
-        self._mapped = mapped
+        self._mapped = needs_file(study, n) or mapped
         self._uncorrected: dict[tuple[int, int], SharedRows] = {}
         self._place: dict[str, int] = {}
         self._kept: dict[str, list[TaskResult]] | None = {} if keep else None

@@ -49,16 +49,7 @@ from .manifest import (
     write_manifest,
     write_times,
 )
-from .run_table import (
-    PATTERN,
-    AllFailedError,
-    RunTable,
-    checked_content,
-    needs_file,
-    parse_part,
-    prefetched,
-    write_part,
-)
+from .run_table import PATTERN, AllFailedError, RunTable, checked_content, parse_part, prefetched, write_part
 
 _log = logging.getLogger("studies")
 
@@ -135,7 +126,7 @@ class Store:
         n = sum(self._study.scenarios.counts)
         designs = self.designs() if designs is None else designs
         runs = len(designs) * n * len(self._study.simulation.convention)
-        mapped = (not repair and runs > _MOST_IN_MEMORY) or needs_file(self._study, n)
+        mapped = not repair and runs > _MOST_IN_MEMORY
         table = RunTable(self._study, n, designs, keep=repair and self._study.search is not None, mapped=mapped)
         messages = []
         windows = self._study.simulation.window

@@ -15,7 +15,7 @@ from concurrent.futures import CancelledError
 from typing import Any, Final
 
 from ldctoolkit.errors import ClusterError, LdcError
-from ldctoolkit.surroundings import safe_path
+from ldctoolkit.surroundings import WORKERS, safe_path
 
 from .processes import SAME_VERSIONS, Ended, Fault, Work, attempt, check, run_checked, versions
 
@@ -24,9 +24,6 @@ LOCAL: Final = "local"  # address that stands for a cluster started on this mach
 _CONNECT = "15s"
 
 _NOT_THERE: Final = (ModuleNotFoundError, ImportError, AttributeError)
-
-_ONE_THREAD: Final = {"POLARS_MAX_THREADS": "1"}
-"""For workers that are started here; Dask itself keeps the other libraries to one thread."""
 
 _CLOSE = 30.0  # seconds that leaving a cluster may take
 
@@ -58,7 +55,7 @@ class Connection:
             if address == LOCAL:
                 self._safe_path.enter_context(safe_path())  # for workers that are started later, too
                 self._cluster = distributed.LocalCluster(
-                    n_workers=workers, threads_per_worker=1, dashboard_address=None, env=_ONE_THREAD
+                    n_workers=workers, threads_per_worker=1, dashboard_address=None, env=WORKERS
                 )
             self.client = distributed.Client(self._cluster or address, timeout=_CONNECT, name="ldc")
         except (OSError, ValueError) as error:

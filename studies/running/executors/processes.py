@@ -25,7 +25,7 @@ from loky.process_executor import BrokenProcessPool
 
 from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.option_checks import UnitWarning
-from ldctoolkit.surroundings import SAFE_PATH, safe_path, temporary_folder
+from ldctoolkit.surroundings import WORKERS, leave_with, safe_path, temporary_folder
 
 Fault = Literal["died", "late"]
 
@@ -186,7 +186,7 @@ def start_worker(folder: str, parent: int) -> None:
     if hasattr(os, "setpgrp"):
         os.setpgrp()
     if hasattr(os, "getppid"):
-        threading.Thread(target=_leave_with, args=(parent,), daemon=True).start()
+        threading.Thread(target=leave_with, args=(parent,), daemon=True).start()
     _notes = (Path(folder) / str(os.getpid())).open("w", encoding="utf-8")
 
 
@@ -195,13 +195,6 @@ def note(text: str) -> None:
     if _notes is not None:
         _notes.write(f"{text}\n")
         _notes.flush()
-
-
-def _leave_with(parent: int) -> None:
-    """End this process soon after its parent was killed: what it computes would be lost."""
-    while os.getppid() == parent:
-        time.sleep(1.0)
-    os._exit(1)
 
 
 @contextlib.contextmanager
@@ -235,9 +228,6 @@ def _watch(thread: int, deadline: float | None) -> None:
 
 _LISTEN_EVERY = 0.2  # seconds after which an interrupt is noticed at the latest
 _IDLE = 30.0  # seconds after which workers without work end; until then the next run of this process finds them ready
-
-_ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS", "POLARS_MAX_THREADS"), "1")
-"""The workers are what runs in parallel."""
 
 _CLOSE = 30.0  # seconds that ending the workers may take
 
@@ -287,7 +277,7 @@ class ProcessExecutor:
                 timeout=_IDLE,
                 initializer=start_worker,
                 initargs=(_notes_folder().name, os.getpid()),
-                env=_ONE_THREAD | SAFE_PATH,
+                env=WORKERS,
                 kill_workers=True,
             )
         future = self._pool.submit(run_task, task)
