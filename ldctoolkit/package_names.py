@@ -16,19 +16,10 @@ from pathlib import Path
 from types import ModuleType
 from typing import Final
 
-from ldctoolkit.surroundings import guard
+from ldctoolkit.surroundings import guard_caches
 
 _ROOT: Final = Path(__file__).resolve().parent.parent
 _PACKAGES: Final = ("controllers", "studies")
-_CACHING: Final = "numba.core.caching"
-
-
-class _Guarded(importlib.machinery.SourceFileLoader):
-    """Numba's caches, guarded from the start; the library itself is loaded when something is compiled first."""
-
-    def exec_module(self, module: ModuleType) -> None:
-        super().exec_module(module)
-        guard(module)
 
 
 class _Finder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
@@ -36,9 +27,7 @@ class _Finder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
         self, name: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> importlib.machinery.ModuleSpec | None:
         first, _, rest = name.partition(".")
-        if name == _CACHING and (caching := importlib.machinery.PathFinder.find_spec(name, path)) and caching.origin:
-            caching.loader = _Guarded(name, caching.origin)
-            return caching
+        guard_caches()  # whatever is imported behind Numba's caches
         if first == "ldctoolkit" and rest in _PACKAGES:
             folder = _ROOT / rest
             return importlib.util.spec_from_file_location(
@@ -66,8 +55,7 @@ class _Finder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
 def install() -> None:
     """Once, by ``ldctoolkit``. A package that is just being imported by its short name is replaced by the long one."""
     sys.meta_path.insert(0, _Finder())
-    if _CACHING in sys.modules:
-        guard(sys.modules[_CACHING])
+    guard_caches()
     for name in _PACKAGES:
         if name in sys.modules and getattr(sys.modules[name], "__file__", None) == str(_ROOT / name / "__init__.py"):
             sys.modules[name] = importlib.import_module(f"ldctoolkit.{name}")

@@ -56,20 +56,14 @@ def temporary_folder() -> tempfile.TemporaryDirectory[str]:
 def sweep() -> None:
     """Remove temporary folders of this user's processes that have ended; once."""
     name = re.compile(rf"ldc-(?:{re.escape(platform.node())}-)?(\d{{1,9}})-\w+")
-    with contextlib.suppress(OSError, AttributeError):  # not every system has users
-        for path in Path(tempfile.gettempdir()).iterdir():
-            found, kind = name.fullmatch(path.name), path.lstat()
-            own = stat.S_ISDIR(kind.st_mode) and kind.st_uid == os.geteuid()
-            if found and own and not _runs(int(found[1])):
-                shutil.rmtree(path, ignore_errors=True)
-
-
-def _runs(process: int) -> bool:
-    try:
-        os.kill(process, 0)
-    except OSError as error:
-        return not isinstance(error, ProcessLookupError)  # another user's does
-    return True
+    for path in Path(tempfile.gettempdir()).iterdir():
+        found = name.fullmatch(path.name)
+        with contextlib.suppress(OSError, AttributeError):  # another user's process, or a system without users
+            if found and stat.S_ISDIR(path.lstat().st_mode) and path.lstat().st_uid == os.geteuid():
+                try:
+                    os.kill(int(found[1]), 0)
+                except ProcessLookupError:
+                    shutil.rmtree(path, ignore_errors=True)
 
 
 def free_memory() -> float:
@@ -93,23 +87,18 @@ def private(path: str | os.PathLike[str]) -> bool:
         return False
     for one in (place, *place.parents):
         found = one.stat()
-        loose = found.st_mode & (stat.S_IWOTH if _alone_in(found.st_gid) else stat.S_IWOTH | stat.S_IWGRP)
+        loose = found.st_mode & (stat.S_IWOTH if _own_group(found.st_gid) else stat.S_IWOTH | stat.S_IWGRP)
         if loose and (one == place or not found.st_mode & stat.S_ISVTX):  # there nobody can replace what is another's
             return False
     return True
 
 
 @functools.cache
-def _alone_in(group: int) -> bool:
-    """Whether the user is the only member of a group."""
+def _own_group(group: int) -> bool:
+    """Whether a group is the user's private one, which has the user's number and no other members."""
     import grp
-    import pwd
 
-    try:
-        user, found = pwd.getpwuid(os.geteuid()).pw_name, grp.getgrgid(group)
-    except KeyError:
-        return False
-    return found.gr_name == user and set(found.gr_mem) <= {user}
+    return group == os.geteuid() and not any(one.gr_mem for one in grp.getgrall() if one.gr_gid == group)
 
 
 def cache_folder() -> Path:
@@ -119,8 +108,14 @@ def cache_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "ldctoolkit"
 
 
-def guard(caching: Any) -> None:
-    """Let Numba use a cache only where folder and file are `private`, and no settings from the working directory."""
+def guard_caches() -> None:
+    """Let Numba, once it is loaded, use a cache only where folder and file are `private`, and no settings from the
+    working directory.
+    """
+    caching: Any = sys.modules.get("numba.core.caching")
+    if not hasattr(caching, "make_library_cache") or hasattr(caching, "guarded"):  # the last name in it
+        return
+    caching.guarded = True
     config: Any = sys.modules["numba.core.config"]
     config._config_fname = os.devnull
     config.reload_config()

@@ -66,19 +66,11 @@ def read_regular(path: Path, kind: Kind, largest: int | None = LARGEST) -> bytes
     return data
 
 
-def read_text(path: Path, kind: Kind, largest: int = LARGEST) -> str:
-    """The text of a file, read as `read_regular` does."""
-    data = read_regular(path, kind, largest)
-    try:
-        return text_of(data)
-    except ValueError as error:
-        raise kind(f"{path}: cannot be read: {error}") from None
-
-
 def read_toml(path: Path, kind: Kind) -> dict[str, Any]:
     """What a file in TOML holds; raises an error of that kind, also for what is nested too deeply."""
-    text = read_text(path, kind, _LARGEST_TOML)
+    data = read_regular(path, kind, _LARGEST_TOML)
     try:
+        text = text_of(data)
         if _LONG_KEY.search(text):  # the parser's memory grows with the square of the parts of a dotted key
             raise ValueError(_TOO_DEEP)
         content: dict[str, Any] = _parsed(lambda: tomllib.loads(text))
@@ -99,7 +91,7 @@ def _parsed(parse: Callable[[], Any]) -> Any:
         raise ValueError(_TOO_DEEP) from None
     level = [content]
     for _ in range(64):
-        if any(isinstance(item, int) and item.bit_length() > 64 for item in level):
+        if any(isinstance(item, int) and item.bit_length() > 63 for item in level):
             raise ValueError("a whole number of more than 64 bits")
         tables = [list(item.values()) if isinstance(item, dict) else item for item in level]
         level = [inner for item in tables if isinstance(item, list) for inner in item]

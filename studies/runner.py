@@ -28,7 +28,7 @@ from .running.tasks import Prefixes, schedule
 from .search import run_search
 from .storage.files import locked, remove_leftovers
 from .storage.manifest import Manifest, write_designs
-from .storage.run_table import AllFailedError, needs_file
+from .storage.run_table import AllFailedError, check_room
 from .storage.store import FINALISTS, REPLAYED, SCORES, Store, make_folder
 from .storage.stored_model import Source, model_notes, with_counts, with_recorded_widths, write_model
 from .study_file import Study
@@ -188,7 +188,7 @@ class _Run:
 
     def whole(self, study: Study, folder: Path) -> StudyResults:
         """All stages: the study itself, and its finalists on fresh scenarios."""
-        needs_file(study, sum(study.scenarios.counts))  # refused before anything is made
+        check_room(study, sum(study.scenarios.counts))  # before anything is made
         make_folder(folder)
         with locked(folder):
             results = self.study(study, folder)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import base64
 import dataclasses
+import hashlib
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -141,8 +143,6 @@ def details(title: str, body: Markup) -> Markup:
 
 def packed(values: npt.ArrayLike, kind: str = "f4") -> dict[str, str]:
     """An array as the script reads it: flattened, little-endian, base64."""
-    import base64
-
     array = np.asarray(values)
     with np.errstate(over="ignore"):  # a float beyond 32 bits is shown as infinite
         small = array.astype(f"<{kind}")
@@ -165,9 +165,6 @@ def script_json(data: Mapping[str, Any]) -> Markup:
 
 def _hashed(text: str) -> Markup:
     """What a page says of its own style or script, so that a browser uses no other."""
-    import base64
-    import hashlib
-
     return Markup(f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'")
 
 

@@ -9,7 +9,6 @@ import json
 import math
 import mmap
 import os
-import shutil
 import tempfile
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -246,21 +245,16 @@ def release(values: Any) -> None:
         mapping.madvise(mmap.MADV_DONTNEED)
 
 
-def needs_file(study: Study, n: int) -> bool:
-    """Whether the table of a study on n scenarios is mapped; raises `LdcError` where there is no room for it."""
+def check_room(study: Study, n: int) -> None:
+    """Raise `LdcError` where the table of a study on n scenarios is larger than the memory that is free."""
     designs = study.search.trials if study.search else len(study.designs)
-    runs, windows = designs * n * len(study.simulation.convention), len(study.simulation.window)
-    kept, mapped, memory = (8 * windows + 6) * runs, 8 * len(METRIC_UNITS) * runs, free_memory()
-    if kept + mapped < 0.5 * memory:
-        return False
-    disk = shutil.disk_usage(tempfile.gettempdir()).free
-    if kept < 0.5 * memory and mapped < disk:
-        return True
-    raise LdcError(
-        f"{designs:,} designs on {n:,} scenarios need {(kept + mapped) / 2**30:,.1f} GiB; there are "
-        f"{memory / 2**30:,.1f} GiB of memory and {disk / 2**30:,.1f} GiB in the folder for temporary files; allowed: "
-        "fewer designs or scenarios"
-    )
+    runs, numbers = designs * n * len(study.simulation.convention), len(study.simulation.window) + len(METRIC_UNITS)
+    size, free = runs * (8 * numbers + 6), free_memory()
+    if size > free:
+        raise LdcError(
+            f"{designs:,} designs on {n:,} scenarios need {size / 2**30:,.1f} GiB of memory, {free / 2**30:,.1f} are "
+            "free; allowed: fewer designs or scenarios"
+        )
 
 
 class RunTable:
@@ -273,7 +267,7 @@ class RunTable:
         self.n = n
         self._conventions = study.simulation.convention
         self._windows = study.simulation.window
-        self._mapped = needs_file(study, n) or mapped
+        self._mapped = mapped
         self._uncorrected: dict[tuple[int, int], SharedRows] = {}
         self._place: dict[str, int] = {}
         self._kept: dict[str, list[TaskResult]] | None = {} if keep else None
