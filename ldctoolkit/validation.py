@@ -54,16 +54,19 @@ def read_regular(path: Path, kind: Kind, largest: int | None = LARGEST) -> bytes
     what is none: a pipe would be waited for, a device may give bytes without end.
     """
     try:
-        number = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
-        with open(number, "rb") as stream:  # noqa: PTH123 - it is open
-            if not stat.S_ISREG(os.fstat(number).st_mode):
-                raise ValueError(f"is {'a folder' if path.is_dir() else 'not a regular file'}")
+        with open(path, "rb", opener=_open) as stream:
+            if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):
+                raise ValueError("is not a regular file")
             data = stream.read(-1 if largest is None else largest + 1)
         if largest is not None and len(data) > largest:
             raise ValueError(f"larger than {largest >> 20} MiB")
     except (OSError, ValueError) as error:  # also a NUL in the name
         raise kind(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
     return data
+
+
+def _open(name: str, flags: int) -> int:
+    return os.open(name, flags | getattr(os, "O_NONBLOCK", 0))
 
 
 def read_toml(path: Path, kind: Kind) -> dict[str, Any]:

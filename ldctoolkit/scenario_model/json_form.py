@@ -26,12 +26,13 @@ from ldctoolkit.scenario_model.provenance import (
     SourceSummary,
     check_usable,
 )
-from ldctoolkit.validation import Part, fail, first_problem, parse_json, short
+from ldctoolkit.validation import Part, fail, first_problem, parse_json, short, text_of
 
 FORMAT: Final = "ldctoolkit-scenario-model"
 VERSION: Final = 3
 
 _HASHED_VERSION: Final = 1  # stands in the hashed content and never changes: studies resume by the hash
+_WHOLE_DIGITS: Final = 18  # longest whole number of a file: it must fit a float and 64 bits
 
 
 def side_to_json(side: SideModel) -> dict[str, Any]:
@@ -92,15 +93,23 @@ def content_hash(left: SideModel, right: SideModel, plausibility: Plausibility |
 def _parse(text: str | bytes, file: str) -> Any:
     """JSON with finite numbers only."""
 
-    def refuse(token: str) -> NoReturn:
-        raise ModelError(f"{file}: {token[:60]} is no finite number; allowed: finite numbers, null for an open bound")
+    def refuse(token: str, allowed: str = "finite numbers, null for an open bound") -> NoReturn:
+        shown = token if len(token) <= 60 else token[:57] + "..."
+        what = "" if allowed.startswith("whole") else " is not a finite number"
+        raise ModelError(f"{file}: {shown}{what}; allowed: {allowed}")
+
+    def whole(token: str) -> int:
+        if len(token.lstrip("-")) > _WHOLE_DIGITS:
+            refuse(token, f"whole numbers of at most {_WHOLE_DIGITS} digits")
+        return int(token)
 
     def number(token: str) -> float:
         value = float(token)
         return value if math.isfinite(value) else refuse(token)
 
     try:
-        return parse_json(text, parse_constant=refuse, parse_float=number)
+        content = text if isinstance(text, str) else text_of(text)
+        return parse_json(content, parse_constant=refuse, parse_int=whole, parse_float=number)
     except json.JSONDecodeError as error:
         message = f"{file}, line {error.lineno}, column {error.colno}: broken JSON ({error.msg})"
         raise ModelError(message) from None
