@@ -65,7 +65,7 @@ def csv_text(columns: Iterable[str], rows: Iterable[Mapping[str, Any]], *, plain
 
 
 def _cell(value: Any) -> Any:
-    if not isinstance(value, str) or not value.startswith(("=", "+", "-", "@", "\t", "\r")):
+    if not isinstance(value, str) or not (value := value.replace("\r", " ")).startswith(("=", "+", "-", "@", "\t")):
         return value
     try:
         float(value)
