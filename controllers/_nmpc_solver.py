@@ -29,6 +29,7 @@ import numpy as np
 
 from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.errors import InputError, nearest
+from ldctoolkit.surroundings import cache_folder, private
 
 from ._nmpc_model import SIZE, sample, unpack
 
@@ -214,18 +215,8 @@ def compiled(functions: tuple[Any, ...], name: str) -> tuple[Any, ...]:
         return functions
 
 
-def cache_folder() -> Path:
-    """Where libraries are kept: `CACHE`, or the folder that the platform has for caches of the user."""
-    named = os.environ.get(CACHE)
-    if named:
-        return Path(named)
-    if sys.platform == "darwin":
-        return Path.home() / "Library" / "Caches" / "ldctoolkit"
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "ldctoolkit"
-
-
 def _library(functions: tuple[Any, ...], name: str) -> Path | None:
-    """The compiled library, made if it is not there yet; None where it cannot be made."""
+    """The compiled library, made if it is not there yet; None where it cannot be made, or kept from others."""
     compiler = None if sys.platform == "win32" else shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
     if compiler is None:
         return None
@@ -237,10 +228,12 @@ def _library(functions: tuple[Any, ...], name: str) -> Path | None:
     text = str(generator.dump())
     key = hashlib.sha256("\n".join([compiler, *_OPTIONS, platform.platform(), text]).encode()).hexdigest()[:24]
     try:
-        folder = cache_folder()
+        folder = Path(os.environ.get(CACHE) or cache_folder())
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         target = folder / f"{name}-{key}.so"
-        if not target.is_file():
+        if not private(folder):
+            return None
+        if not private(target):
             _compile(compiler, text, target)
     except (OSError, RuntimeError, subprocess.SubprocessError):
         return None
@@ -254,6 +247,7 @@ def _compile(compiler: str, text: str, target: Path) -> None:
         source.write_text(text, encoding="utf-8")
         command = [compiler, *_OPTIONS, "-o", str(made), str(source), "-lm"]
         subprocess.run(command, check=True, capture_output=True, timeout=300)
+        made.chmod(0o700)
         with contextlib.suppress(FileExistsError):
             made.replace(target)
 

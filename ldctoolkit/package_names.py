@@ -16,6 +16,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Final
 
+from ldctoolkit.surroundings import guard_caches
+
 _ROOT: Final = Path(__file__).resolve().parent.parent
 _PACKAGES: Final = ("controllers", "studies")
 
@@ -25,6 +27,7 @@ class _Finder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
         self, name: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> importlib.machinery.ModuleSpec | None:
         first, _, rest = name.partition(".")
+        guard_caches()  # whatever is imported behind Numba's caches
         if first == "ldctoolkit" and rest in _PACKAGES:
             folder = _ROOT / rest
             return importlib.util.spec_from_file_location(
@@ -52,6 +55,7 @@ class _Finder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
 def install() -> None:
     """Once, by ``ldctoolkit``. A package that is just being imported by its short name is replaced by the long one."""
     sys.meta_path.insert(0, _Finder())
+    guard_caches()
     for name in _PACKAGES:
         if name in sys.modules and getattr(sys.modules[name], "__file__", None) == str(_ROOT / name / "__init__.py"):
             sys.modules[name] = importlib.import_module(f"ldctoolkit.{name}")

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
 import functools
-import io
 import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -23,7 +21,7 @@ from ldctoolkit.simulation import Outcome, Takeover, drive
 
 from .ranking.named_vehicles import VEHICLES
 from .standards import KM_H, Cells, QuantityName, Standard, load_standard
-from .storage.files import write_text
+from .storage.files import csv_text, write_text
 
 LightName = Literal["green", "amber", "red"]
 
@@ -420,9 +418,7 @@ PREDICTIONS: Final = (
 
 def write_predictions(assessments: Sequence[tuple[str, Assessment]], path: str | Path) -> None:
     """Write what virtual testing predicts of every cell for named designs: one CSV file, whole or not at all."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(PREDICTIONS)
+    rows = []
     for design, one in assessments:
         for c, condition in enumerate(one.standard.condition):
             worst, which = one.worst(c)
@@ -430,10 +426,10 @@ def write_predictions(assessments: Sequence[tuple[str, Assessment]], path: str |
                 second, bend = f"{one.cells.second[i]:g}", bool(one.cells.bend[i])
                 numbers = (one.values[0, c, i], one.limits[0, c, i], worst[i])
                 shown = ["" if math.isnan(number) else f"{number:.6g}" for number in numbers]
-                writer.writerow([
+                rows.append([
                     design, one.standard.name, "extended" if one.cells.extended[i] else "standard",
                     f"{one.cells.speed[i] / KM_H:g}", *(("", second) if bend else (second, "")),
                     "pass" if one.passed[i] else "fail", one.lights[i], condition.quantity, *shown,
                     one.variants[which[i]],
                 ])  # fmt: skip
-    write_text(Path(path), text.getvalue())
+    write_text(Path(path), csv_text(PREDICTIONS, (dict(zip(PREDICTIONS, row, strict=True)) for row in rows)))

@@ -43,7 +43,7 @@ from ldctoolkit.whole_file import write_whole
 
 from .running.executors import Executor, make_executor
 from .running.tasks import Faults
-from .storage.files import locked, read_bytes, remove_leftovers, remove_unfinished, write_text
+from .storage.files import locked, read_bytes, read_json, remove_leftovers, remove_unfinished, write_text
 
 PACKAGES: Final = ("numpy", "polars", "numba")  # packages that read files or decide numbers
 
@@ -278,7 +278,7 @@ def _keep_only(path: Path, plan: Plan) -> None:
     manifest = path / _MANIFEST
     if manifest.exists():
         try:
-            there = json.loads(read_bytes(manifest))
+            there = read_json(manifest)
             differs = what_differs(there, plan) if isinstance(there, dict) else "its manifest is broken"
         except ValueError:
             differs = "its manifest is broken"

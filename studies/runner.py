@@ -3,7 +3,6 @@
 import contextlib
 import dataclasses
 import logging
-import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,6 +14,7 @@ from ldctoolkit import Scenarios
 from ldctoolkit.departures import LEFT
 from ldctoolkit.errors import InputError, StoreError, expect, plain
 from ldctoolkit.scenario_model import ScenarioModel, load_model
+from ldctoolkit.surroundings import temporary_folder
 
 from .design import FOLLOWS_CASE, Design
 from .racing import run_race
@@ -28,7 +28,7 @@ from .running.tasks import Prefixes, schedule
 from .search import run_search
 from .storage.files import locked, remove_leftovers
 from .storage.manifest import Manifest, write_designs
-from .storage.run_table import AllFailedError
+from .storage.run_table import AllFailedError, check_room
 from .storage.store import FINALISTS, REPLAYED, SCORES, Store, make_folder
 from .storage.stored_model import Source, model_notes, with_counts, with_recorded_widths, write_model
 from .study_file import Study
@@ -107,7 +107,7 @@ def run_study(
     workers, block_size = _positive("workers", workers), _positive("block_size", block_size)
     _allowed_limit(time_limit)
     if directory is None:
-        with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+        with temporary_folder() as folder:
             return run_study(
                 study, folder, model=model, scenarios=scenarios, workers=workers, executor=executor, dask=dask,
                 progress=progress, block_size=block_size, time_limit=time_limit,
@@ -189,6 +189,7 @@ class _Run:
 
     def whole(self, study: Study, folder: Path) -> StudyResults:
         """All stages: the study itself, and its finalists on fresh scenarios."""
+        check_room(study, sum(study.scenarios.counts))  # before anything is made
         make_folder(folder)
         with locked(folder):
             results = self.study(study, folder)

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, Self
+from typing import Annotated, Final, Literal, Self
 
 import numpy as np
 from pydantic import Field, ValidationError, model_validator
@@ -15,7 +14,7 @@ from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.departures import RIGHT
 from ldctoolkit.errors import StudyError, UnknownNameError, nearest
 from ldctoolkit.scenarios import Drifts
-from ldctoolkit.validation import Part, as_tuples, fail, first_problem, text_of
+from ldctoolkit.validation import Part, as_tuples, fail, first_problem, read_toml
 
 FOLDER: Final = Path(__file__).parent / "catalog" / "standards"
 
@@ -196,16 +195,6 @@ class Cells:
         return f"{self.speed[i] / KM_H:.0f} km/h, {self.second[i]:g} {'m/s²' if self.bend[i] else 'm/s'}"
 
 
-def read_toml(path: Path) -> dict[str, Any]:
-    """What a TOML file holds."""
-    try:
-        return tomllib.loads(text_of(path.read_bytes()))
-    except OSError as error:
-        raise StudyError(f"{path}: cannot be read: {error.strerror or error}") from None
-    except ValueError as error:
-        raise StudyError(f"{path}: not a TOML file: {error}") from None
-
-
 def standard_names() -> tuple[str, ...]:
     """Names of the tests in the catalog, sorted."""
     return tuple(sorted(path.stem for path in FOLDER.glob("*.toml")))
@@ -229,7 +218,7 @@ def load_standard(name_or_path: str | Path) -> Standard:
             f"standard {str(name_or_path)!r}: neither a file nor in the catalog; "
             f"{nearest(str(name_or_path), standard_names())}"
         )
-    content = read_toml(path)
+    content = read_toml(path, StudyError)
     try:
         return Standard.model_validate(as_tuples(content))
     except ValidationError as error:

@@ -31,7 +31,7 @@ from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.scenario_model import conditions
 from ldctoolkit.setup import Setup, simulation_options
 from ldctoolkit.simulation import Window
-from ldctoolkit.validation import Part, as_tuples, fail, first_problem
+from ldctoolkit.validation import Part, as_tuples, fail, first_problem, read_toml
 from ldctoolkit.vehicle import Convention
 
 from .design import CONVENTION_GAIN, Design
@@ -39,7 +39,7 @@ from .design_space import DesignBlock, check_blocks
 from .plant_table import read_plant
 from .ranking.requirements import SETS, metric, parse_requirement
 from .results import Case
-from .standards import read_toml, standard_names
+from .standards import standard_names
 
 T = TypeVar("T")
 
@@ -340,7 +340,7 @@ class Study(Part):
             TOML file.
         """
         path = Path(path)
-        return cls.from_dict(read_toml(path), source=str(path), folder=path.parent)
+        return cls.from_dict(read_toml(path, StudyError), source=str(path), folder=path.parent)
 
     @classmethod
     def from_dict(

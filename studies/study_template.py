@@ -9,11 +9,12 @@ from typing import Any, Final, Literal, get_args, get_origin, get_type_hints
 from pydantic import TypeAdapter
 
 from ldctoolkit import Gain, controller_class
+from ldctoolkit.errors import StudyError
 from ldctoolkit.option_checks import declaration_of
 from ldctoolkit.setup import Setup
+from ldctoolkit.validation import read_toml
 
 from .design_space import rounded
-from .standards import read_toml
 from .study_file import SimulationSettings, Study
 
 Content = dict[str, Any]
@@ -28,7 +29,7 @@ def study_text(study: Study, about: Sequence[str] = ()) -> str:
     content = study.content()
     usual = Study.from_dict({"name": "x", "design": [{"law": "none"}]}).content() | {"name": None}
     designs = content.pop("design")
-    keys = _table("", content, usual, Study, read_toml(Path(__file__).with_name("study_keys.toml")))
+    keys = _table("", content, usual, Study, read_toml(Path(__file__).with_name("study_keys.toml"), StudyError))
     note = (
         "# Commented out: keys at their defaults (an example where the default is none), gains with a range to sweep.\n"
         "# SI units, left is positive."

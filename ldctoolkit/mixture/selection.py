@@ -9,9 +9,7 @@ import io
 import multiprocessing
 import os
 import signal
-import tempfile
 import threading
-import time
 from collections.abc import Callable, Generator, Iterable, Sequence
 from pathlib import Path
 from typing import Any, Final, Literal, TypeVar, get_args
@@ -32,6 +30,7 @@ from ldctoolkit.mixture.checks import (
     seed_of,
     usable_cores,
 )
+from ldctoolkit.surroundings import WORKERS, leave_with, safe_path, temporary_folder
 from ldctoolkit.whole_file import write_whole
 
 
@@ -76,10 +75,6 @@ def fit_one(events: Events, model: BoundedGaussianMixture) -> Outcome:
 Job = TypeVar("Job")
 Result = TypeVar("Result")
 _LISTEN_EVERY: Final = 0.2  # seconds after which an interrupt is noticed at the latest
-_LOOK_FOR_PARENT_EVERY: Final = 2.0  # seconds after which a worker notices that no process waits for it
-
-_ONE_THREAD: Final = dict.fromkeys(("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"), "1")
-"""Environment of the workers: the fits are what runs in parallel."""
 
 
 def in_processes(
@@ -89,14 +84,14 @@ def in_processes(
     from loky import ProcessPoolExecutor
     from loky.process_executor import BrokenProcessPool
 
-    with tempfile.TemporaryDirectory(prefix="ldc-") as folder:
+    with temporary_folder() as folder, safe_path():
         paths = [Path(folder, "x.npy")] + [Path(folder, "weight.npy")] * (events.weight is not None)
         for path, values in zip(paths, (events.x, events.weight), strict=False):
             content = io.BytesIO()
             np.save(content, values, allow_pickle=False)  # type: ignore[arg-type]
             write_whole(path, content.getvalue(), LdcError)
         arguments = (os.getpid(), work, paths)
-        pool = ProcessPoolExecutor(workers, initializer=_start_worker, initargs=arguments, env=_ONE_THREAD)
+        pool = ProcessPoolExecutor(workers, initializer=_start_worker, initargs=arguments, env=WORKERS)
         try:
             number = {pool.submit(_run_job, job): i for i, job in enumerate(jobs)}
             pending = set(number)
@@ -121,16 +116,9 @@ def _start_worker(parent: int, work: Callable[[Events, Any], Any], paths: Sequen
     global _task
     # the parent decides what an interrupt means
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_leave_with, args=(parent,), daemon=True).start()
+    threading.Thread(target=leave_with, args=(parent,), daemon=True).start()
     x, weight = [np.load(path, mmap_mode="r", allow_pickle=False) for path in (*paths, paths[0])][:2]
     _task = work, Events(x, weight if len(paths) > 1 else None, 1)
-
-
-def _leave_with(parent: int) -> None:
-    """End this process soon after its parent was killed."""
-    while os.getppid() == parent:
-        time.sleep(_LOOK_FOR_PARENT_EVERY)
-    os._exit(1)
 
 
 def _run_job(job: Any) -> Any:

@@ -23,7 +23,7 @@ from ldctoolkit.departures import (
     combined_departures,
     no_departures,
 )
-from ldctoolkit.errors import InputError, RecordingError, nearest
+from ldctoolkit.errors import RecordingError, nearest
 from ldctoolkit.recordings.find_departures import REASONS, Criteria
 from ldctoolkit.recordings.preparation import Preparation
 from ldctoolkit.recordings.quality import (
@@ -36,7 +36,7 @@ from ldctoolkit.recordings.quality import (
     no_statistics,
 )
 from ldctoolkit.recordings.recording import Problem, SourceFile
-from ldctoolkit.recordings.sources import check_file
+from ldctoolkit.validation import parse_json, read_regular
 from ldctoolkit.whole_file import PARQUET_CHECKSUM, check_parquet, parquet_bytes, write_whole
 
 if TYPE_CHECKING:
@@ -272,13 +272,10 @@ def read_table(source: Path, needed: str, *, checksum: bool = False) -> tuple[pl
     """A Parquet file and its metadata; `needed` says in messages what it should be."""
     import polars as pl
 
-    check_file(source, needed)
     try:
-        data = source.read_bytes()
+        data = read_regular(source, lambda text: RecordingError(f"{text}; {needed} is needed"), None)
         check_parquet(data, needed=checksum)
         return pl.read_parquet(data), pl.read_parquet_metadata(io.BytesIO(data))
-    except OSError as error:
-        raise RecordingError(f"{source.name}: cannot be read: {error.strerror or error}") from None
     except ValueError as error:
         advice = f"make it anew, or, if it was changed on purpose, drop its metadata '{PARQUET_CHECKSUM}'"
         raise RecordingError(f"{source.name}: {error}; {advice}") from None
@@ -387,10 +384,10 @@ def _check(name: str, table: pl.DataFrame) -> None:
 def provenance_from_json(name: str, text: str) -> Provenance:
     """Provenance from JSON; `name` is the file, for messages. Raises RecordingError."""
     try:
-        content: dict[str, Any] = json.loads(text)
+        content: dict[str, Any] = parse_json(text)
         found = content.pop("format_version")
         if found != FORMAT_VERSION:
-            raise RecordingError(f"{name}: departures table of format {found!r}; this version reads {FORMAT_VERSION}")
+            raise ValueError(f"departures table of format {found!r}; this version reads {FORMAT_VERSION}")
         content.pop("ldctoolkit", None)
         criteria, refused = Criteria(**content.pop("criteria")), Refused(**content.pop("refused"))
         sources = tuple(SourceFile(**source) for source in content.pop("sources"))
@@ -399,5 +396,5 @@ def provenance_from_json(name: str, text: str) -> Provenance:
         return Provenance(
             criteria=criteria, refused=refused, sources=sources, preparation=preparation, **texts, **content
         )
-    except (json.JSONDecodeError, KeyError, TypeError, AttributeError, InputError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise RecordingError(f"{name}: its metadata '{METADATA_KEY}' cannot be understood: {error}") from None

@@ -13,7 +13,6 @@ import subprocess
 import sys
 import threading
 import time
-import tomllib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -24,7 +23,7 @@ from ldctoolkit.errors import InputError, LdcError, RecordingError
 from ldctoolkit.recordings.preparation import LONGEST_GAP, MAX_GAP
 from ldctoolkit.recordings.recording import Problem, Recording, source_file
 from ldctoolkit.recordings.sources import FoundParts, find_tables, shown_names
-from ldctoolkit.validation import Part, as_tuples, fail, first_problem, text_of
+from ldctoolkit.validation import Part, as_tuples, fail, first_problem, read_toml
 
 _NAMES: Final = re.compile(r"\.(mf4|mdf|dat)$", re.IGNORECASE)
 
@@ -129,14 +128,11 @@ class ChannelMap(Part):
 
 def read_channel_map(path: Path) -> ChannelMap:
     """Read a channel map in TOML; raises `InputError` naming the file, the key and what is allowed."""
+    content = as_tuples(read_toml(path, InputError))
     try:
-        content = as_tuples(tomllib.loads(text_of(path.read_bytes())))
         return ChannelMap.model_validate(content)
     except ValidationError as error:
         raise InputError(f"{path.name}: {first_problem(error, content, ChannelMap, 'map')}") from None
-    except (OSError, ValueError, RecursionError) as error:
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise InputError(f"{path.name}: cannot be read as a channel map in TOML: {reason}") from None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -205,6 +201,8 @@ def _logs(paths: Sequence[Path]) -> list[Path]:
 
 def _is_log(path: Path) -> bool:
     try:
+        if not path.is_file():  # a pipe would be waited for
+            return False
         with path.open("rb") as stream:
             return path.suffix.lower() != ".dat" or stream.read(3) in (b"MDF", b"UnF")  # not finalised
     except (OSError, ValueError):  # no file, or a NUL in the name
@@ -236,7 +234,7 @@ _LOCK: Final = threading.Lock()
 def _process(owner: int) -> subprocess.Popen[bytes]:  # noqa: ARG001 - one for each process, also where they are forked
     code = f"import sys; sys.path[:] = {sys.path!r}; from ldctoolkit.recordings.mdf_content import serve; serve()"
     pipe = subprocess.PIPE
-    process = subprocess.Popen([sys.executable, "-c", code], stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL)
+    process = subprocess.Popen([sys.executable, "-P", "-c", code], stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL)
     if not (process.stdout and process.stdout.read(1)):
         raise LdcError("MDF logs cannot be read: `import asammdf` fails")
     return process

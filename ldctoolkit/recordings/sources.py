@@ -6,7 +6,6 @@ import importlib.metadata
 import itertools
 import os
 import re
-import stat
 import textwrap
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -409,17 +408,3 @@ def _sound(opened: OpenedRecordings) -> Iterator[Recording]:
         if isinstance(item, Problem):
             raise RecordingError(str(item))
         yield item
-
-
-def check_file(path: Path, needed: str) -> None:
-    """Refuse a path that is not a file; `needed` says in the message what it should be."""
-    try:
-        mode = path.stat().st_mode
-    except (FileNotFoundError, NotADirectoryError):
-        raise RecordingError(f"{path}: does not exist; {needed} is needed") from None
-    except (OSError, ValueError) as error:  # no permission, name too long, a NUL in the name
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise RecordingError(f"{path}: cannot be read: {reason}") from None
-    if not stat.S_ISREG(mode):
-        state = "is a folder" if stat.S_ISDIR(mode) else "is not a regular file"
-        raise RecordingError(f"{path}: {state}; {needed} is needed")

@@ -8,7 +8,6 @@ import itertools
 import json
 import math
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Annotated, Any, Final, Literal, NoReturn
 
 import numpy as np
@@ -27,7 +26,7 @@ from ldctoolkit.scenario_model.provenance import (
     SourceSummary,
     check_usable,
 )
-from ldctoolkit.validation import Part, fail, first_problem, short, text_of
+from ldctoolkit.validation import Part, fail, first_problem, parse_json, short, text_of
 from ldctoolkit.whole_file import CHECKSUM, NOT_AS_WRITTEN, digest
 
 FORMAT: Final = "ldctoolkit-scenario-model"
@@ -92,18 +91,7 @@ def content_hash(left: SideModel, right: SideModel, plausibility: Plausibility |
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def read_text(path: Path) -> str:
-    """The file's text; a file that cannot be read is a ModelError."""
-    try:
-        return text_of(path.read_bytes())
-    except (OSError, ValueError) as error:  # ValueError: a NUL in the path
-        reason = error.strerror if isinstance(error, OSError) else error
-        name = str(path)
-        shown = name if len(name) <= 60 else "..." + name[-57:]
-        raise ModelError(f"{shown}: cannot read the scenario model ({reason})") from None
-
-
-def _parse(text: str, file: str) -> Any:
+def _parse(text: str | bytes, file: str) -> Any:
     """JSON with finite numbers only."""
 
     def refuse(token: str, allowed: str = "finite numbers, null for an open bound") -> NoReturn:
@@ -121,15 +109,18 @@ def _parse(text: str, file: str) -> Any:
         return value if math.isfinite(value) else refuse(token)
 
     try:
-        return json.loads(text, parse_constant=refuse, parse_int=whole, parse_float=number)
+        content = text if isinstance(text, str) else text_of(text)
+        return parse_json(content, parse_constant=refuse, parse_int=whole, parse_float=number)
     except json.JSONDecodeError as error:
         message = f"{file}, line {error.lineno}, column {error.colno}: broken JSON ({error.msg})"
         raise ModelError(message) from None
-    except RecursionError:
-        raise ModelError(f"{file}: broken JSON (nested too deeply)") from None
+    except ModelError:
+        raise
+    except ValueError as error:
+        raise ModelError(f"{file}: broken JSON ({error})") from None
 
 
-def model_from_json(text: str, file: str) -> tuple[SideModel, SideModel, ModelProvenance, Plausibility | None]:
+def model_from_json(text: str | bytes, file: str) -> tuple[SideModel, SideModel, ModelProvenance, Plausibility | None]:
     """Check and build both sides, the provenance and the limits."""
     data = _parse(text, file)
     if not isinstance(data, dict):

@@ -31,6 +31,7 @@ from ldctoolkit.option_checks import UnitWarning, unit_slip
 from ldctoolkit.recordings import Provenance, Refused, read_departures
 from ldctoolkit.scenario_model.provenance import ModelProvenance, SideModel
 from ldctoolkit.scenarios import SPEED_FLOOR, Scenarios, slowest_speed
+from ldctoolkit.validation import read_regular
 from ldctoolkit.whole_file import json_text, write_whole
 
 Given = Mapping[str, float | tuple[float | None, float | None]]
@@ -418,12 +419,10 @@ class ScenarioModel:
             Broken JSON (with line and column), another format or version, or a value that does not fit (with its key
             path).
         """
-        from ldctoolkit.scenario_model.json_form import read_text
-
-        return cls._parse(read_text(Path(path)), str(path))
+        return cls._parse(read_regular(Path(path), ModelError), str(path))
 
     @classmethod
-    def _parse(cls, text: str, file: str) -> ScenarioModel:
+    def _parse(cls, text: str | bytes, file: str) -> ScenarioModel:
         from ldctoolkit.scenario_model import json_form
 
         return cls(*json_form.model_from_json(text, file))
@@ -463,11 +462,7 @@ def load_model(name_or_path: str | os.PathLike[str]) -> ScenarioModel:
         text = (importlib.resources.files("ldctoolkit") / "models" / f"{name}.json").read_text(encoding="utf-8")
         return ScenarioModel._parse(text, f"{name}.json")
     path = Path(name)
-    try:
-        there = path.exists() and name != ""
-    except OSError as error:  # a name too long for a file
-        raise ModelError(f"{name[:60]}...: cannot read the scenario model ({error.strerror})") from None
-    if there:
+    if os.path.exists(name):  # noqa: PTH110 - this one raises nothing, whatever the path
         return ScenarioModel.load(path)
     if path.suffix == ".json" or path.name != name or not isinstance(name_or_path, str):
         raise ModelError(f"{name}: no such file; bundled models: {', '.join(names)}")

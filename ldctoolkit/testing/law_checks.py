@@ -85,7 +85,7 @@ def picklable(subject: Subject) -> Iterator[str]:
     if pickle.loads(sent) != design:
         yield "comes back from pickle as another design"
     given = pickle.dumps([word or str(Path.cwd()) for word in sys.path]) + pickle.dumps(sent)
-    done = subprocess.run([sys.executable, "-c", _LOAD], input=given, capture_output=True, check=False)
+    done = subprocess.run([sys.executable, "-P", "-c", _LOAD], input=given, capture_output=True, check=False)
     if done.returncode:
         last = (done.stderr.decode(errors="replace").strip().splitlines() or ["no message"])[-1]
         yield f"cannot be loaded in a fresh process: {last}; allowed: a class in a module that can be imported"

@@ -11,6 +11,7 @@ from typing import Any, NoReturn
 
 from ldctoolkit import LdcError, __version__
 from ldctoolkit.option_checks import UnitWarning
+from ldctoolkit.surroundings import sweep
 
 from . import assess, controllers, export, extract, fit, init, rank, report, review, risk, run
 
@@ -37,13 +38,17 @@ def parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command."""
+    sweep()
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(AttributeError):  # a stream that is no file
+            stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
     try:
         with _warnings_on_stderr():
             chosen = parser().parse_args(arguments)
             code: int = chosen.run(chosen) or 0
         sys.stdout.flush()
-    except LdcError as error:
-        print(f"ldc: error: {error}", file=sys.stderr)
+    except (LdcError, MemoryError) as error:
+        print(f"ldc: error: {error or 'not enough memory'}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("ldc: interrupted", file=sys.stderr)

@@ -86,13 +86,10 @@ def output_file(path: str, *suffixes: str, option: str = "-o") -> Path:
     target = Path(path)
     if target.suffix.lower() not in suffixes:
         raise InputError(f"{option} {path}: the name must end in {' or '.join(suffixes)}")
-    try:
-        if target.is_dir():
-            raise InputError(f"{option} {path}: is a folder")
-        if not target.parent.is_dir():
-            raise InputError(f"{option} {path}: the folder {target.parent} does not exist")
-    except OSError as error:
-        raise InputError(f"{option} {path}: cannot be used: {error.strerror or error}") from None
+    if target.is_dir():
+        raise InputError(f"{option} {path}: is a folder")
+    if not target.parent.is_dir():
+        raise InputError(f"{option} {path}: the folder {target.parent} does not exist")
     if not os.access(target.parent, os.W_OK):
         raise InputError(f"{option} {path}: no permission to write into the folder {target.parent}")
     return target

@@ -74,8 +74,6 @@ def write_study_report(
     robustness: Robustness | None,
 ) -> Path:
     """Write DIR/report.html and DIR/figures/."""
-    from ldctoolkit.errors import StoreError
-
     from ..pages.report import report_input, write_report
 
     report = report_input(
@@ -83,10 +81,7 @@ def write_study_report(
         shown_designs=options.designs, robustness=robustness,
     )  # fmt: skip
     path = folder / "report.html"
-    try:
-        return write_report(report, path, figures=folder / "figures" if options.figures else None)
-    except OSError as error:
-        raise StoreError(f"{path}: cannot be written: {error.strerror or error}") from None
+    return write_report(report, path, figures=folder / "figures" if options.figures else None)
 
 
 def stored_robustness(folder: Path, study: Study, results: StudyResults, ranking: Ranking) -> Robustness | None:

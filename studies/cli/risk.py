@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import csv
-import io
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from . import _console
 from ._console import add_row, new_table, number, positive_number, progress_bar, say, whole_number
@@ -66,6 +64,7 @@ def run(chosen: argparse.Namespace) -> None:
     from ..pages.risk_page import write_risk_page
     from ..risk import DEPTHS, estimate_risk
     from ..runner import study_source
+    from ..storage.files import csv_text, write_text
     from ..storage.stored_model import with_recorded_widths
 
     study, model, designs, folder = _subject(chosen)
@@ -86,8 +85,9 @@ def run(chosen: argparse.Namespace) -> None:
         notice=lambda line: say(out, line),
     )
     target = Path(chosen.output or folder)
-    _write_csv(target / "risk.csv", list(risk.rows()))
-    _write_csv(target / "worst.csv", list(risk.worst_rows()))
+    for name, rows in (("risk.csv", list(risk.rows())), ("worst.csv", list(risk.worst_rows()))):
+        # no control comes first and is compared with nothing: the last row has all columns
+        write_text(target / name, csv_text(rows[-1], rows))
     with progress_bar("writing the page"):
         write_risk_page(risk, target / "risk.html", title=study.title or study.name)
     for design in risk.designs[1:] or risk.designs:
@@ -115,17 +115,6 @@ def _subject(chosen: argparse.Namespace) -> tuple[Study, ScenarioModel | None, S
     if sum(not design.is_baseline for design in designs) > _MOST_DESIGNS:
         raise InputError(f"study {study.name}: {len(designs)} designs; choose some with --design")
     return study, None, designs, Path("out") / study.name
-
-
-def _write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
-    from ..storage.files import write_text
-
-    text = io.StringIO()
-    # no control comes first and is compared with nothing: the last row has all columns
-    writer = csv.DictWriter(text, fieldnames=list(rows[-1]), restval="", lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    write_text(path, text.getvalue())
 
 
 def _print_design(risk: Risk, design: Design) -> None:

@@ -1,9 +1,7 @@
 """What a comparison of two studies finds, and the files it is written to."""
 
-import csv
 import dataclasses
 import html
-import io
 import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -17,7 +15,7 @@ from ldctoolkit.notebook import CELL
 
 from ..design import Design
 from ..results import Case, CaseResults, FailedDesign, StudyResults
-from ..storage.files import write_text
+from ..storage.files import csv_text, write_text
 from .paired import (
     FinishedStudy,
     PairedDifferences,
@@ -471,12 +469,7 @@ def _finite(value: Any) -> float | None:
 
 def write_comparison(comparison: Comparison, path: str | Path) -> None:
     """Write a comparison as one CSV file, whole or not at all."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, fieldnames=COLUMNS, lineterminator="\n")
-    writer.writeheader()
-    for row in comparison_rows(comparison):
-        writer.writerow({name: "" if value is None else value for name, value in row.items()})
-    write_text(Path(path), text.getvalue())
+    write_text(Path(path), csv_text(COLUMNS, comparison_rows(comparison)))
 
 
 def comparison_content(comparison: Comparison) -> dict[str, Any]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import io
 import platform
-import tempfile
 import uuid
 import zipfile
 from collections.abc import Sequence
@@ -14,6 +13,7 @@ from typing import Final
 
 from ldctoolkit import Controller, Scenarios, Setup, load_model
 from ldctoolkit.errors import InputError, StoreError, expect
+from ldctoolkit.surroundings import temporary_folder
 from ldctoolkit.whole_file import write_whole
 
 from .c_code import HEADER, SOURCE, Code, Origin, changed_files, is_stale, parameters, render, write_folder
@@ -126,7 +126,7 @@ def _write_fmu(code: Code, texts: dict[str, str], folder: Path, command: Sequenc
             raise InputError(f"--fmu: no binary for {platform.system()}; allowed on {', '.join(_PLATFORMS)}")
         system, suffix = _PLATFORMS[platform.system()]
         library = f"ldc_controller{suffix}"
-        with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as room:
+        with temporary_folder() as room:
             for name in ("fmu.c", SOURCE, HEADER):
                 write_whole(Path(room) / name, files[f"sources/{name}"], StoreError)
             compile_c(command, Path(room), "-std=c99", "-O2", "-fPIC", "-shared", "fmu.c", SOURCE, "-o", library, "-lm")

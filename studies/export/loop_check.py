@@ -8,7 +8,6 @@ import math
 import shutil
 import subprocess
 import sys
-import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Final, Self
@@ -21,6 +20,7 @@ from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.control import StatusArray
 from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.simulation import Takeover, drive
+from ldctoolkit.surroundings import temporary_folder
 
 from ..storage.files import write_text
 from .c_code import FLOAT_S, HEADER, SOURCE, Code, render
@@ -89,7 +89,7 @@ def compiler() -> list[str] | None:
     """The command of a C compiler; None without one."""
     if shutil.which("cc"):
         return ["cc"]
-    return [sys.executable, "-m", "ziglang", "cc"] if importlib.util.find_spec("ziglang") else None
+    return [sys.executable, "-P", "-m", "ziglang", "cc"] if importlib.util.find_spec("ziglang") else None
 
 
 def compile_c(command: Sequence[str], folder: Path, *arguments: str) -> None:
@@ -123,7 +123,7 @@ class Compiled:
         self.ffi = cffi.FFI()
         self.ffi.cdef("int ldc_size(int); void ldc_batch(int, void *, void *, void *, double *);")
         options = [*WARNINGS, "-D_POSIX_C_SOURCE=199309L", *(["-DLDC_USE_FLOAT"] if single else [])]
-        with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as name:
+        with temporary_folder() as name:
             folder = Path(name)
             for file, text in {HEADER: texts[HEADER], SOURCE: texts[SOURCE], "check.c": render("check.c")}.items():
                 write_text(folder / file, text)

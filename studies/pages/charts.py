@@ -96,7 +96,7 @@ FILE_STYLE: Final = (
     ".axis{stroke:var(--soft);fill:none}.curve{stroke:var(--c);fill:none;stroke-width:1.8}"
     ".band{fill:var(--c);opacity:.16}.mark{stroke:var(--c);fill:var(--c)}.open{fill:var(--paper)}"
     ".bar{fill:var(--c);opacity:.45}.limit{stroke:var(--bad);fill:none;stroke-dasharray:8 3 2 3}"
-    ".shade{fill:var(--shade);opacity:.6}.front{stroke:var(--soft);fill:none}.ring{stroke:var(--ink);fill:none}"
+    ".on-dark{fill:#fff}.on-light{fill:#000}.shade{fill:var(--shade);opacity:.6}.front{stroke:var(--soft);fill:none}.ring{stroke:var(--ink);fill:none}"
 )
 """Rules for the elements of charts; the page's style sheet has the same with other colours in the dark."""
 
@@ -461,7 +461,7 @@ def heat_map(
             if room:
                 frame.parts.append(
                     f'<text x="{a + 0.5 * width:.1f}" y="{b + 0.5 * depth + 4:.1f}" text-anchor="middle" '
-                    f'style="fill:{ink}">{escape(texts[i][j])}</text>'
+                    f'class="{"on-dark" if share < 0.62 else "on-light"}">{escape(texts[i][j])}</text>'
                 )
             if open_cells is not None and open_cells[i, j]:
                 frame.parts.append(f'<path d="M{a + 3:.1f} {b + 3:.1f}l7 7m0 -7l-7 7" stroke="{ink}" fill="none"/>')

@@ -161,7 +161,7 @@ def _sampled(context: Context, members: Sequence[int], place: int, axis: SweptAx
         [dataclasses.replace(own, low=None)], Axis.around(f"{title}: {axis.label}", at, log=log),
         Axis.around("Mean S [m\u00b7s]", S), ring=best, height=230,
     )  # fmt: skip
-    return dataclasses.replace(chart, body=chart.body.replace('class="curve', 'style="display:none" class="curve', 1))
+    return dataclasses.replace(chart, body=chart.body.replace('class="curve', 'display="none" class="curve', 1))
 
 
 def _sensitivity(blocks: Sequence[BlockSensitivity]) -> Markup:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import base64
 import dataclasses
+import hashlib
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -141,8 +143,6 @@ def details(title: str, body: Markup) -> Markup:
 
 def packed(values: npt.ArrayLike, kind: str = "f4") -> dict[str, str]:
     """An array as the script reads it: flattened, little-endian, base64."""
-    import base64
-
     array = np.asarray(values)
     with np.errstate(over="ignore"):  # a float beyond 32 bits is shown as infinite
         small = array.astype(f"<{kind}")
@@ -163,6 +163,11 @@ def script_json(data: Mapping[str, Any]) -> Markup:
 # ------------------------------------------------------------------------------------------------ the page
 
 
+def _hashed(text: str) -> Markup:
+    """What a page says of its own style or script, so that a browser uses no other."""
+    return Markup(f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'")
+
+
 @cache
 def _environment() -> Environment:
     from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -170,7 +175,7 @@ def _environment() -> Environment:
     made = Environment(
         loader=PackageLoader(_PACKAGE), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    made.filters |= {"symbols": symbols, "printable": printable}
+    made.filters |= {"symbols": symbols, "printable": printable, "hashed": _hashed}
     return made
 
 
@@ -200,8 +205,7 @@ def make_page(
             facts=facts,
             sections=sections,
             footer=footer,
-            colors=COLORS,
-            style=asset("page.css"),
+            style=Markup("".join(f".c{i}{{--c:{color}}}" for i, color in enumerate(COLORS))) + asset("page.css"),
             script=Markup("\n").join(asset(name) for name in ("page.js", *scripts)) if scripts else "",
             data=script_json(data),
         )

@@ -18,7 +18,15 @@ from ldctoolkit import EventStatus, Scenarios, Setup
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT
 from ldctoolkit.errors import InputError, nearest
-from ldctoolkit.metrics import METRICS, RELEASE_METRICS, SCENARIO_METRICS, Interventions, Metric, share_within_dtle
+from ldctoolkit.metrics import (
+    DTLE_LIMIT,
+    METRICS,
+    RELEASE_METRICS,
+    SCENARIO_METRICS,
+    Interventions,
+    Metric,
+    share_within_dtle,
+)
 from ldctoolkit.paths.uncorrected import UncorrectedPath
 from ldctoolkit.simulation import Takeover
 
@@ -122,8 +130,24 @@ def _acted(case: CaseResults, designs: Sequence[Design]) -> BoolArray:
     return acted
 
 
+def _recorded_dtle(drivable: DrivableCase, designs: Sequence[Design], setup: Setup | None) -> FloatArray:
+    """DTLE without control, (n,)."""
+    for i, design in enumerate(designs):
+        if design.is_baseline:
+            dtle: FloatArray = drivable.case.companions.dtle[i]
+            return dtle
+    setup = (setup or Setup()).under(drivable.case.case.convention)
+    return Takeover.build(drivable.scenarios, setup, y_s=0.0).recorded.dtle
+
+
 def sampling_intervals(
-    drivable: DrivableCase, designs: Sequence[Design], metrics: CaseMetrics, names: list[str], D_y: float, level: float
+    drivable: DrivableCase,
+    designs: Sequence[Design],
+    metrics: CaseMetrics,
+    names: list[str],
+    D_y: float,
+    level: float,
+    setup: Setup | None,
 ) -> FloatArray:
     """Values of k metrics, and the ends of the interval of each by itself where it is a quantile or a share, (k, 3, d).
 
@@ -134,7 +158,7 @@ def sampling_intervals(
     departures = np.stack([getattr(drivable.scenarios, name) for name in ("side", *PARAMETER_NAMES)], axis=1)
     _, place, copies = np.unique(departures, axis=0, return_inverse=True, return_counts=True)
     order, starts = np.argsort(place, kind="stable"), np.cumsum(copies) - copies
-    without = next((case.companions.dtle[i] for i, design in enumerate(designs) if design.is_baseline), -d_y)
+    without = _recorded_dtle(drivable, designs, setup)
 
     def ends(one: Metric, acted: BoolArray, *columns: FloatArray) -> Values:
         if one.share is not None:  # of one departure it is 0 or 1, or NaN where that is none of those counted
@@ -372,11 +396,7 @@ def case_metrics(
     before, before_left, before_right = (_mean(case.S_uncorrected, side) for side in rows)
     S_p95, S_cvar95 = tail_metrics(counted)
     taken = release_metrics(case, designs, scenarios.d_y, D_y=D_y)
-    kept = next((taken["within_dtle"][i] for i, design in enumerate(designs) if design.is_baseline), None)
-    if kept is None:
-        without = Takeover.build(scenarios, (setup or Setup()).under(case.case.convention), y_s=0.0)
-        kept = share_within_dtle(without.recorded.dtle)
-    taken["within_dtle_gain"] = taken["within_dtle"] - kept
+    taken["within_dtle_gain"] = taken["within_dtle"] - share_within_dtle(_recorded_dtle(drivable, designs, setup))
     allowed = np.ones(len(scenarios), dtype=np.bool_) if setup is None else ~beyond_friction(scenarios, setup)
     taken["lost"] = ((case.status == EventStatus.DIVERGED) & allowed).sum(axis=1).astype(np.float64)
     nothing = (np.nan,) * len(_BESIDE)

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
 import functools
-import io
 import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -27,7 +25,7 @@ from ..assessment import assess
 from ..design import Design
 from ..results import Case, CaseResults, Race, StudyResults
 from ..standards import standard_names
-from ..storage.files import write_text
+from ..storage.files import csv_text, write_text
 from ..study_file import Study
 from .design_metrics import (
     DrivableCase,
@@ -150,7 +148,8 @@ class Ranking(RankedDesigns, Frame):
 
         text = ("design", "unmet", "fresh_unmet", "failure")
         types = {**dict.fromkeys(text, pl.String), "rank": pl.Int64}
-        table = pl.read_csv(_csv_text([self], None).encode(), infer_schema_length=None, schema_overrides=types)
+        content = _csv_text([self], None, plain=True).encode()
+        table = pl.read_csv(content, infer_schema_length=None, schema_overrides=types)
         empty = [one.name for one in table if one.dtype == pl.String and one.is_null().all() and one.name not in text]
         table = table.with_columns(pl.col(empty).cast(pl.Float64))
         first = ["rank", "law", "y_s_m", "S_m_s", "set_of_best", "unmet"]
@@ -207,7 +206,7 @@ class Ranking(RankedDesigns, Frame):
             drivable.counted, drivable.scenarios.side, ranked=ranked, baseline=position, rows=order, **chance
         )
         names = [one.metric.name for one in limits]
-        limited = sampling_intervals(drivable, results.designs, metrics, names, D_y, confidence)[:, :, order]
+        limited = sampling_intervals(drivable, results.designs, metrics, names, D_y, confidence, setup)[:, :, order]
         mean_S = [name == "S" for name in names]
         limited[mean_S, 1:] = inference.S_low, inference.S_high
         fresh_limited, fresh_saved = np.full_like(limited, np.nan), np.full(len(order), np.nan)
@@ -238,7 +237,7 @@ class Ranking(RankedDesigns, Frame):
                 **chance,
             )
             warnings += _about_finalists(fresh, ranked)
-            found = sampling_intervals(again, results.fresh.designs, there, names, D_y, confidence)
+            found = sampling_intervals(again, results.fresh.designs, there, names, D_y, confidence, setup)
             worst = [name == "comfortable_worst" for name in names]  # driven on the study's departures only
             found[worst] = limited[worst][:, :, positions]
             fresh_limited[:, :, positions] = found
@@ -470,21 +469,16 @@ def write_csv(rankings: Sequence[Ranking], path: str | Path, race: Race | None =
     write_text(Path(path), _csv_text(rankings, race))
 
 
-def _csv_text(rankings: Sequence[Ranking], race: Race | None) -> str:
+def _csv_text(rankings: Sequence[Ranking], race: Race | None, *, plain: bool = False) -> str:
     dropped = () if race is None else race.dropped
     designs = [*(design for ranking in rankings for design in _every(ranking)), *(one.design for one in dropped)]
     laws = {design.law: design for design in designs}
     gains = list(dict.fromkeys(column for _, design in sorted(laws.items()) for column in _columns_of(design)))
-    text = io.StringIO()
     rows = [row for ranking in rankings for row in _rows(ranking, gains)]
     if race is not None:
         behind = len(rankings[0]) + len(rankings[0].failed)
         rows[behind:behind] = _given_up(race, rankings[0], gains)
-    # what a row has no value for is empty
-    writer = csv.DictWriter(text, fieldnames=[*rows[0], *_DROPPED], restval="", lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue()
+    return csv_text([*rows[0], *_DROPPED], rows, plain=plain)
 
 
 def _every(ranking: Ranking) -> Iterator[Design]:

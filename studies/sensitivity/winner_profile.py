@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
-import io
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -23,7 +21,7 @@ from ..design import Design
 from ..design_space import THRESHOLD, Choices, Span
 from ..ranking.inference import Resampled, simultaneous_interval
 from ..results import FAILED_STATUSES, CaseResults, StudyResults
-from ..storage.files import write_text
+from ..storage.files import csv_text, write_text
 from ..study_file import Study
 from .sensitivity import BlockSensitivity, gain_value
 
@@ -37,14 +35,9 @@ COLUMNS: Final = (
 
 def write_sensitivity(blocks: Sequence[BlockSensitivity], profiles: Sequence[Profile], path: str | Path) -> None:
     """Write indices and profiles as one CSV file, whole or not at all."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, fieldnames=COLUMNS, restval="", lineterminator="\n")
-    writer.writeheader()
-    for block in blocks:
-        writer.writerows(_index_rows(block))
-    for profile in profiles:
-        writer.writerows(_profile_rows(profile))
-    write_text(Path(path), text.getvalue())
+    rows = [*(row for block in blocks for row in _index_rows(block))]
+    rows += [row for profile in profiles for row in _profile_rows(profile)]
+    write_text(Path(path), csv_text(COLUMNS, rows))
 
 
 def _index_rows(block: BlockSensitivity) -> Iterator[dict[str, Any]]:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import csv
 import dataclasses
 import importlib
-import json
+import io
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -18,6 +19,7 @@ from ldctoolkit.departures import LEFT, PARAMETER_COLUMNS, RIGHT
 from ldctoolkit.errors import StoreError
 from ldctoolkit.recordings.departures_table import read_signals, signals_path, signals_table
 from ldctoolkit.scenarios import Drifts
+from ldctoolkit.validation import LARGEST, parse_json, read_regular
 from ldctoolkit.whole_file import check_parquet, json_text, parquet_bytes, without_checksum, write_whole
 
 if TYPE_CHECKING:
@@ -40,8 +42,8 @@ def output_folder(folder: Path) -> Path:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file in UTF-8, whole or not at all."""
-    write_whole(path, text.encode(), StoreError)
+    """Write a text file in UTF-8, whole or not at all; what a path has that is no text is written as in messages."""
+    write_whole(path, text.encode(errors="backslashreplace"), StoreError)
 
 
 def write_json(path: Path, content: Mapping[str, Any], indent: int | None = 1) -> None:
@@ -50,11 +52,32 @@ def write_json(path: Path, content: Mapping[str, Any], indent: int | None = 1) -
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """Read a JSON file that `write_json` wrote."""
+    """Read a JSON file that `write_json` wrote; raises `StoreError`."""
     try:
-        return without_checksum(json.loads(read_bytes(path)))
-    except (ValueError, TypeError, AttributeError, RecursionError) as error:
+        return without_checksum(parse_json(read_bytes(path, LARGEST)))
+    except (ValueError, TypeError, AttributeError) as error:
         raise StoreError(f"{path}: broken: {error}") from None
+
+
+def csv_text(columns: Iterable[str], rows: Iterable[Mapping[str, Any]], *, plain: bool = False) -> str:
+    """Rows as CSV, empty where a row has no value. A text that a spreadsheet would run as a formula is written with an
+    apostrophe before it, unless `plain`.
+    """
+    text = io.StringIO()
+    writer = csv.DictWriter(text, fieldnames=list(columns), restval="", lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows if plain else ({name: _cell(value) for name, value in row.items()} for row in rows))
+    return text.getvalue()
+
+
+def _cell(value: Any) -> Any:
+    if not isinstance(value, str) or not (value := value.replace("\r", " ")).startswith(("=", "+", "-", "@", "\t")):
+        return value
+    try:
+        float(value)
+    except ValueError:
+        return f"'{value}"
+    return value
 
 
 def write_parquet(path: Path, table: pl.DataFrame) -> None:
@@ -62,12 +85,9 @@ def write_parquet(path: Path, table: pl.DataFrame) -> None:
     write_whole(path, parquet_bytes(table), StoreError)
 
 
-def read_bytes(path: Path) -> bytes:
-    """The content of a file."""
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise StoreError(f"{path}: cannot be read: {error.strerror or error}") from None
+def read_bytes(path: Path, largest: int | None = None) -> bytes:
+    """The content of a regular file, of at most so many bytes."""
+    return read_regular(path, StoreError, largest)
 
 
 def read_parquet(path: Path, schema: dict[str, Any], *, optional: dict[str, Any] | None = None) -> pl.DataFrame:

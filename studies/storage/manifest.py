@@ -17,6 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ldctoolkit.errors import StoreError
 from ldctoolkit.registry import with_content
+from ldctoolkit.validation import parse_json, read_regular
 from ldctoolkit.vehicle import Convention
 from ldctoolkit.version import DECISIVE, versions
 from ldctoolkit.whole_file import without_checksum
@@ -24,7 +25,7 @@ from ldctoolkit.whole_file import without_checksum
 from ..design import Design
 from ..results import Dropped, Race, RunKey
 from ..study_file import Study
-from .files import read_parquet, write_json, write_parquet
+from .files import read_bytes, read_parquet, write_json, write_parquet
 
 DESIGNS = "designs.parquet"
 
@@ -55,7 +56,7 @@ def read_designs(path: Path) -> tuple[Design, ...]:
     table = read_parquet(path, _schema())
     try:
         designs = tuple(
-            Design(law, y_s, tuple(json.loads(gains).items()), code)
+            Design(law, y_s, tuple(parse_json(gains).items()), code)
             for _, law, y_s, gains, _, code in table.iter_rows()
         )
         wrong = [d.id for d, stored in zip(designs, table["design"], strict=True) if d.id != stored]
@@ -75,13 +76,12 @@ Kind = TypeVar("Kind", bound=BaseModel)
 
 def _read_json(path: Path, kind: type[Kind], hint: str) -> Kind | None:
     """A small file of a folder; None where it is missing."""
-    try:
-        return kind.model_validate(without_checksum(json.loads(path.read_bytes())))
-    except FileNotFoundError:
+    if not path.exists():
         return None
-    except OSError as error:
-        raise StoreError(f"{path}: cannot be read: {error.strerror or error}") from None
-    except (ValueError, TypeError, AttributeError, RecursionError):
+    data = read_bytes(path)
+    try:
+        return kind.model_validate(without_checksum(parse_json(data)))
+    except (ValueError, TypeError, AttributeError):
         raise StoreError(f"{path}: broken; {hint}") from None
 
 
@@ -411,16 +411,14 @@ def read_manifest(folder: str | Path) -> Manifest:
     True
     """
     path = Path(folder) / "manifest.json"
+    if not os.path.exists(path):  # noqa: PTH110 - this one raises nothing, whatever the path
+        raise StoreError(f"{folder}: holds no study (no manifest.json)")
     try:
-        content = json.loads(path.read_bytes())
+        content = parse_json(read_regular(path, StoreError))
         version = content["format_version"]
         if version != FORMAT_VERSION:
             raise StoreError(f"{path}: format {version!r}; this version reads {FORMAT_VERSION}; choose another folder")
         manifest = Manifest.model_validate(without_checksum(content))
-    except (FileNotFoundError, NotADirectoryError):
-        raise StoreError(f"{folder}: holds no study (no manifest.json)") from None
-    except OSError as error:
-        raise StoreError(f"{path}: cannot be read: {error.strerror or error}") from None
     except (ValueError, KeyError, TypeError) as error:
         if isinstance(error, ValidationError):
             error = ValueError(str(error).replace("\n", " "))

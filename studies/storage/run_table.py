@@ -24,6 +24,7 @@ from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.errors import LdcError, StoreError
 from ldctoolkit.metrics import METRIC_COLUMNS, METRIC_UNITS, MetricValues
 from ldctoolkit.simulation import Window
+from ldctoolkit.surroundings import free_memory
 from ldctoolkit.whole_file import write_whole
 
 from ..design import Design
@@ -237,6 +238,18 @@ def release(values: Any) -> None:
     mapping = getattr(values, "obj", None)
     if isinstance(mapping, mmap.mmap) and hasattr(mmap, "MADV_DONTNEED"):
         mapping.madvise(mmap.MADV_DONTNEED)
+
+
+def check_room(study: Study, n: int) -> None:
+    """Raise `LdcError` where the table of a study on n scenarios is larger than the memory that is free."""
+    designs = study.search.trials if study.search else len(study.designs)
+    runs, numbers = designs * n * len(study.simulation.convention), len(study.simulation.window) + len(METRIC_UNITS)
+    size, free = runs * (8 * numbers + 6), free_memory()
+    if size > free:
+        raise LdcError(
+            f"{designs:,} designs on {n:,} scenarios need {size / 2**30:,.1f} GiB of memory, {free / 2**30:,.1f} are "
+            "free; allowed: fewer designs or scenarios"
+        )
 
 
 class RunTable:

@@ -76,11 +76,11 @@ def test_unknown_names_and_missing_files(tmp_path):
     with pytest.raises(ModelError, match="no such file"):
         load_model("absent.json")
     for path in (tmp_path, "nul\0.json", "x" * 300 + ".json", ""):
-        with pytest.raises(ModelError, match="cannot read"):
+        with pytest.raises(ModelError, match="cannot be read"):
             ScenarioModel.load(path)
-    with pytest.raises(ModelError, match="cannot read"):
+    with pytest.raises(ModelError, match="no such file"):
         load_model("x" * 300 + ".json")
-    with pytest.raises(ModelError, match=r"nul.*no such file|cannot read"):
+    with pytest.raises(ModelError, match=r"nul.*no such file|cannot be read"):
         load_model("nul\0.json")
     with pytest.raises(UnknownNameError, match="''"):
         load_model("")

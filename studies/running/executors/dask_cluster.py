@@ -15,6 +15,7 @@ from concurrent.futures import CancelledError
 from typing import Any, Final
 
 from ldctoolkit.errors import ClusterError, LdcError
+from ldctoolkit.surroundings import WORKERS, safe_path
 from ldctoolkit.version import DECISIVE, versions
 
 from .processes import Ended, Fault, Work, attempt, check, run_checked, worker_versions
@@ -24,9 +25,6 @@ LOCAL: Final = "local"  # address that stands for a cluster started on this mach
 _CONNECT = "15s"
 
 _NOT_THERE: Final = (ModuleNotFoundError, ImportError, AttributeError)
-
-_ONE_THREAD: Final = {"POLARS_MAX_THREADS": "1"}
-"""For workers that are started here; Dask itself keeps the other libraries to one thread."""
 
 _CLOSE = 30.0  # seconds that leaving a cluster may take
 
@@ -45,6 +43,7 @@ class Connection:
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
         self.client: Any = None
         self._cluster: Any = None
+        self._safe_path = contextlib.ExitStack()
         try:
             self._open(distributed, address, workers)
             self._check_versions()
@@ -55,8 +54,9 @@ class Connection:
     def _open(self, distributed: Any, address: str, workers: int | None) -> None:
         try:
             if address == LOCAL:
+                self._safe_path.enter_context(safe_path())  # for workers that are started later, too
                 self._cluster = distributed.LocalCluster(
-                    n_workers=workers, threads_per_worker=1, dashboard_address=None, env=_ONE_THREAD
+                    n_workers=workers, threads_per_worker=1, dashboard_address=None, env=WORKERS
                 )
             self.client = distributed.Client(self._cluster or address, timeout=_CONNECT, name="ldc")
         except (OSError, ValueError) as error:
@@ -111,8 +111,9 @@ class Connection:
                     self.client.cancel(futures)
             with contextlib.suppress(Exception):
                 self.client.close()
-        if self._cluster is not None:
-            self._cluster.close()
+        with self._safe_path:
+            if self._cluster is not None:
+                self._cluster.close()
 
 
 def lost() -> ClusterError:

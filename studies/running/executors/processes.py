@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import faulthandler
+import functools
 import os
 import pickle
 import queue
@@ -23,6 +24,7 @@ from loky.process_executor import BrokenProcessPool
 
 from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.option_checks import UnitWarning
+from ldctoolkit.surroundings import WORKERS, leave_with, safe_path, temporary_folder
 from ldctoolkit.version import Versions, versions
 
 Fault = Literal["died", "late"]
@@ -170,7 +172,7 @@ def start_worker(folder: str, parent: int) -> None:
     if hasattr(os, "setpgrp"):
         os.setpgrp()
     if hasattr(os, "getppid"):
-        threading.Thread(target=_leave_with, args=(parent,), daemon=True).start()
+        threading.Thread(target=leave_with, args=(parent,), daemon=True).start()
     _notes = (Path(folder) / str(os.getpid())).open("w", encoding="utf-8")
 
 
@@ -182,13 +184,6 @@ def note(text: str) -> None:
             _notes.flush()
         except OSError as error:
             raise LdcError(f"{_notes.name}: cannot be written: {error.strerror}") from None
-
-
-def _leave_with(parent: int) -> None:
-    """End this process soon after its parent was killed: what it computes would be lost."""
-    while os.getppid() == parent:
-        time.sleep(1.0)
-    os._exit(1)
 
 
 @contextlib.contextmanager
@@ -223,15 +218,10 @@ def _watch(thread: int, deadline: float | None) -> None:
 _LISTEN_EVERY = 0.2  # seconds after which an interrupt is noticed at the latest
 _IDLE = 30.0  # seconds after which workers without work end; until then the next run of this process finds them ready
 
-_ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS", "POLARS_MAX_THREADS"), "1")
-"""The workers are what runs in parallel."""
-
 _CLOSE = 30.0  # seconds that ending the workers may take
 
 _NOTE = re.compile(r"^(?:task (\d+)|(done|Timeout)\b.*)$", re.MULTILINE)
 """A line of a worker's notes: what it began, that it was done, or the first line of the dump that ends it."""
-
-_folder: tempfile.TemporaryDirectory[str] | None = None
 
 
 class ProcessExecutor:
@@ -268,14 +258,15 @@ class ProcessExecutor:
                 "with fewer workers, or with one, which runs in this process"
             ) from None
 
+    @safe_path()
     def _submit(self, task: Work) -> None:
         if self._pool is None:
             self._pool = get_reusable_executor(
                 self._workers,
                 timeout=_IDLE,
                 initializer=start_worker,
-                initargs=(_notes_folder(), os.getpid()),
-                env=_ONE_THREAD,
+                initargs=(_notes_folder().name, os.getpid()),
+                env=WORKERS,
                 kill_workers=True,
             )
         future = self._pool.submit(run_task, task)
@@ -317,7 +308,7 @@ class ProcessExecutor:
                 raise error
         self._tasks.clear()
         self._pool = None
-        under_way, late = _last_output(Path(_notes_folder()))
+        under_way, late = _last_output(Path(_notes_folder().name))
         suspects = [task for task in lost if task.number in under_way]
         for task in lost:
             fault: Fault | None = None
@@ -338,12 +329,10 @@ class ProcessExecutor:
         self._tasks.clear()
 
 
-def _notes_folder() -> str:
+@functools.cache
+def _notes_folder() -> tempfile.TemporaryDirectory[str]:
     """Folder in which the workers of this process note what they do."""
-    global _folder
-    if _folder is None:
-        _folder = tempfile.TemporaryDirectory(prefix=f"ldc-{os.getpid()}-")
-    return _folder.name
+    return temporary_folder()
 
 
 def _last_output(folder: Path) -> tuple[set[int], set[int]]:

@@ -253,7 +253,7 @@ def test_slow_channels_serve_with_a_longer_gap(log: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("speed = 1 2", "map.toml: cannot be read as a channel map in TOML: "),
+        ("speed = 1 2", "map.toml: not a TOML file: "),
         (MAP.replace("[speed]", "[sped]"), "map.toml: sped: no such key; did you mean 'speed'? (allowed: "),
         (MAP.replace("scale", "sign", 1), "map.toml: lane_offset.sign: no such key; allowed: channel, "),
         (MAP.replace("scale = -1", "scale = '-1'", 1), "map.toml: lane_offset.scale: '-1'; allowed: a number"),
@@ -443,7 +443,7 @@ def test_the_listed_map_is_one(log: Path) -> None:
          "ldc: error: a.mf4: needs a channel map; allowed: --channels MAP.toml (--list-channels prints one to start "
          "from)\n"),
         (["a.mf4", "--channels", "none.toml", "-o", "d.parquet"],
-         "ldc: error: none.toml: cannot be read as a channel map in TOML: No such file or directory\n"),
+         "ldc: error: none.toml: cannot be read: No such file or directory\n"),
         (["a.mf4"], "ldc: error: -o: not given; allowed: -o FILE.parquet, the departures table to write\n"),
         (["a.csv", "--channels", "m.toml", "-o", "d.parquet"],
          "ldc: error: channels: /", ),

@@ -224,7 +224,7 @@ def test_the_command_line_ranks_on_departures(table: Departures, tmp_path: Path)
     assert str(tmp_path) not in (tmp_path / "out" / "manifest.json").read_text()
     assert read_results(tmp_path / "out").scenarios.n == 65
     assert "holds another study" in bad("run", "s.toml", "-o", "out", cwd=tmp_path)
-    assert "nowhere.parquet: does not exist" in bad("run", "s.toml", "--departures", "nowhere.parquet", cwd=tmp_path)
+    assert "nowhere.parquet: cannot be read" in bad("run", "s.toml", "--departures", "nowhere.parquet", cwd=tmp_path)
     both = good(
         "run", "s.toml", "--model", "reference", "--departures", "d.parquet", "-o", "both", "--no-robustness",
         "--vehicle-width", "1.75", cwd=tmp_path,
@@ -280,5 +280,5 @@ def test_the_recorded_path_is_replayed_from_the_second_table(tmp_path: Path) -> 
     assert np.abs(S - parabolas).max() > 1e-3
     good("report", "out", "--no-robustness", cwd=tmp_path)
     (tmp_path / "d.signals.parquet").unlink()
-    with pytest.raises(LdcError, match=r"d\.signals\.parquet: does not exist; a table of signals"):
+    with pytest.raises(LdcError, match=r"d\.signals\.parquet: cannot be read: .*; a table of signals"):
         run_study(study, directory=tmp_path / "again", workers=1)

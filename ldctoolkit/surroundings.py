@@ -1,0 +1,140 @@
+"""What lies outside the program: other processes, temporary folders, memory, compiled caches."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import math
+import os
+import platform
+import re
+import shutil
+import stat
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+
+_SAFE_PATH: Final = {"PYTHONSAFEPATH": "1"}  # as with `python -P`
+_ONE_THREAD: Final = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS", "POLARS_MAX_THREADS")
+
+WORKERS: Final = dict.fromkeys(_ONE_THREAD, "1") | _SAFE_PATH
+"""Environment of worker processes: they are what runs in parallel, and import nothing from the working directory."""
+
+_LOOK_FOR_PARENT_EVERY: Final = 1.0  # seconds after which a worker notices that no process waits for it
+
+
+@contextlib.contextmanager
+def safe_path() -> Iterator[None]:
+    """Let no process that the block starts import modules from the working directory."""
+    before = os.environ.get("PYTHONSAFEPATH")
+    os.environ.update(_SAFE_PATH)
+    try:
+        yield
+    finally:
+        del os.environ["PYTHONSAFEPATH"]
+        os.environ.update({} if before is None else {"PYTHONSAFEPATH": before})
+
+
+def leave_with(parent: int) -> None:
+    """End this process soon after its parent was killed: what it computes would be lost."""
+    while os.getppid() == parent:
+        time.sleep(_LOOK_FOR_PARENT_EVERY)
+    os._exit(1)
+
+
+def temporary_folder() -> tempfile.TemporaryDirectory[str]:
+    """A folder that is removed with the object, or by a later process where this one is killed."""
+    sweep()
+    # other machines may use the same folder, and their processes are not seen here
+    return tempfile.TemporaryDirectory(prefix=f"ldc-{platform.node()}-{os.getpid()}-", ignore_cleanup_errors=True)
+
+
+@functools.cache
+def sweep() -> None:
+    """Remove temporary folders of this user's processes that have ended; once."""
+    name = re.compile(rf"ldc-(?:{re.escape(platform.node())}-)?(\d{{1,9}})-\w+")
+    for path in Path(tempfile.gettempdir()).iterdir():
+        found = name.fullmatch(path.name)
+        with contextlib.suppress(OSError, AttributeError):  # another user's process, or a system without users
+            if found and stat.S_ISDIR(path.lstat().st_mode) and path.lstat().st_uid == os.geteuid():
+                try:
+                    os.kill(int(found[1]), 0)
+                except ProcessLookupError:
+                    shutil.rmtree(path, ignore_errors=True)
+
+
+def free_memory() -> float:
+    """Bytes of memory that are free; infinite where the system does not say."""
+    free = math.inf
+    with contextlib.suppress(OSError):
+        found = re.search(r"MemAvailable: *(\d+)", Path("/proc/meminfo").read_text(encoding="ascii"))
+        free = 1024.0 * int(found[1]) if found else free
+    with contextlib.suppress(OSError, ValueError):  # in a container; "max" where there is no limit
+        used, most = (int(Path("/sys/fs/cgroup", f"memory.{name}").read_text()) for name in ("current", "max"))
+        free = min(free, most - used)
+    return free
+
+
+def private(path: str | os.PathLike[str]) -> bool:
+    """Whether a file or folder belongs to the user, and nobody else can write to it or put another in its place."""
+    if os.name != "posix":
+        return True
+    place = Path(path).resolve()
+    if not place.exists() or place.stat().st_uid not in (0, os.geteuid()):
+        return False
+    for one in (place, *place.parents):
+        found = one.stat()
+        loose = found.st_mode & (stat.S_IWOTH if _own_group(found.st_gid) else stat.S_IWOTH | stat.S_IWGRP)
+        if loose and (one == place or not found.st_mode & stat.S_ISVTX):  # there nobody can replace what is another's
+            return False
+    return True
+
+
+@functools.cache
+def _own_group(group: int) -> bool:
+    """Whether a group is the user's private one, which has the user's number and no other members."""
+    import grp
+
+    return group == os.geteuid() and not any(one.gr_mem for one in grp.getgrall() if one.gr_gid == group)
+
+
+def cache_folder() -> Path:
+    """The folder that the platform has for caches of the user, for compiled code."""
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches" / "ldctoolkit"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "ldctoolkit"
+
+
+def guard_caches() -> None:
+    """Let Numba, once it is loaded, use a cache only where folder and file are `private`, and no settings from the
+    working directory.
+    """
+    caching: Any = sys.modules.get("numba.core.caching")
+    if not hasattr(caching, "make_library_cache") or hasattr(caching, "guarded"):  # the last name in it
+        return
+    caching.guarded = True
+    config: Any = sys.modules["numba.core.config"]
+    config._config_fname = os.devnull
+    config.reload_config()
+    locate = caching._CacheLocator.ensure_cache_path
+
+    def ensure_cache_path(locator: Any) -> None:
+        locate(locator)
+        last = isinstance(locator, caching.UserWideCacheLocator)  # there must be one, and files are looked at, too
+        if not (last or private(locator.get_cache_path())):
+            raise PermissionError(locator.get_cache_path())
+
+    class _File(caching.IndexDataCacheFile):  # type: ignore[misc]
+        def _load_index(self) -> Any:
+            return super()._load_index() if private(self._index_path) else {}
+
+        def _load_data(self, name: str) -> Any:
+            if not private(self._data_path(name)):
+                raise PermissionError(name)  # as if it were not there
+            return super()._load_data(name)
+
+    caching._CacheLocator.ensure_cache_path = ensure_cache_path
+    caching.IndexDataCacheFile = _File
