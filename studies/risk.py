@@ -28,9 +28,10 @@ from .design import NO_CONTROL, Design
 from .ranking.tail import exact_interval, paired_sign
 from .ranking.verdict import Light, State
 from .runner import study_source
-from .running.campaign import Progress, default_progress, laws_of_this_process
+from .running.campaign import Progress, displayed, laws_of_this_process
 from .running.chunks import BIN, BINS, ChunkJob, ChunkTask, Tally
 from .running.executors import Executor, make_executor
+from .running.tasks import load_loops
 from .storage.files import locked, output_folder, read_bytes, remove_unfinished, write_text
 from .study_file import Study
 
@@ -408,9 +409,8 @@ def estimate_risk(
         laws=laws_of_this_process() if chosen.isolated else b"",
         token=time.time_ns(),
     )
-    shown = progress if not isinstance(progress, bool | None) else default_progress(progress)
     with contextlib.ExitStack() as stack:
-        stack.callback(shown.close)
+        shown = stack.enter_context(displayed(progress))
         folder = None if directory is None else Path(directory)
         if folder is not None:
             output_folder(folder)
@@ -421,6 +421,10 @@ def estimate_risk(
 
 def _estimate(work: _Estimation, executor: Executor, progress: Progress, notice: Callable[[str], None] | None) -> Risk:
     tasks, job, orderly = work.tasks(), work.job, False
+    if tasks:
+        left, right = (min(count, 99) for count in job.share)
+        some = job.model.sample(left, right, seed=0, given=job.given)
+        load_loops({one.law for one in job.designs}, some, job.setup, min(one.y_s for one in job.designs))
     progress.stage("departures", len(tasks) * job.chunk)
     if notice is not None and not tasks:
         notice(f"all departures were driven before; {resolution(job.n)}")

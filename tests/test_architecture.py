@@ -17,6 +17,7 @@ PACKAGES = ("ldctoolkit", "controllers", "studies")
 LEVELS = (
     (
         "ldctoolkit.arrays",
+        "ldctoolkit.compiling",
         "ldctoolkit.errors",
         "ldctoolkit.frames",
         "ldctoolkit.lane_functions",

@@ -9,10 +9,10 @@ import warnings
 from collections.abc import Iterator, Sequence
 from typing import Any, NoReturn
 
-from ldctoolkit import LdcError, __version__
+from ldctoolkit import LdcError, __version__, compiling
 from ldctoolkit.option_checks import UnitWarning
 
-from . import assess, controllers, export, extract, fit, init, rank, report, review, risk, run
+from . import _console, assess, controllers, export, extract, fit, init, rank, report, review, risk, run
 
 
 class _Parser(argparse.ArgumentParser):
@@ -38,7 +38,7 @@ def parser() -> argparse.ArgumentParser:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command."""
     try:
-        with _warnings_on_stderr():
+        with _warnings_on_stderr(), compiling.shown_by(_console.moving_line):
             chosen = parser().parse_args(arguments)
             code: int = chosen.run(chosen) or 0
         sys.stdout.flush()

@@ -12,6 +12,7 @@ from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
+from ldctoolkit import compiling
 from ldctoolkit.errors import InputError
 
 if TYPE_CHECKING:
@@ -147,6 +148,11 @@ def progress_bar(label: str, *, show: bool = True) -> Iterator[Callable[[int, in
         _live.append(bar)
         stack.callback(lambda: _live.pop().remove_task(task))
         yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+def moving_line(text: str) -> contextlib.AbstractContextManager[object]:
+    """A phase on a terminal, one line on stderr elsewhere."""
+    return progress_bar(text) if sys.stderr.isatty() else compiling.line(text)
 
 
 Interval = tuple[float | None, float | None]  # lower and upper end; None is open

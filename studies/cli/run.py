@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -77,6 +78,21 @@ SOME_FAILED = 3  # exit code where the study has results, but not of every desig
 
 def run(chosen: argparse.Namespace) -> int:
     """Carry the command out."""
+    from ldctoolkit import compiling
+
+    if chosen.study is None:
+        from ..study_file import catalog_names
+
+        raise InputError(_NEXT.format(", ".join(catalog_names())))
+    with progress_bar("starting", show=not (chosen.quiet or chosen.json)):
+        from ..running.campaign import Lines, Progress
+
+        progress = Lines(sys.stdout) if chosen.json else Progress() if chosen.quiet else None
+    with contextlib.nullcontext() if progress is None else compiling.shown_by(progress.compiling):
+        return _run(chosen, progress)
+
+
+def _run(chosen: argparse.Namespace, progress: Progress | None) -> int:
     from ldctoolkit.scenario_model.model import ScenarioModel, misleading, outside_fit
 
     from ..ranking.ranking import rank_study
@@ -84,11 +100,9 @@ def run(chosen: argparse.Namespace) -> int:
     from ..runner import TIME_LIMIT, run_study, study_source
     from ..storage.manifest import read_manifest
     from ..storage.stored_model import with_counts, with_recorded_widths
-    from ..study_file import catalog_names, load_study
+    from ..study_file import load_study
     from ._results import ReportOptions, json_summary, print_race, print_rankings, write_ranking, write_study_report
 
-    if chosen.study is None:
-        raise InputError(_NEXT.format(", ".join(catalog_names())))
     study = load_study(chosen.study)
     if chosen.departures is not None:
         table = {"departures": str(Path(chosen.departures).absolute()), "table": ""}
@@ -108,7 +122,7 @@ def run(chosen: argparse.Namespace) -> int:
         model=chosen.model if model is not None else source,
         workers=chosen.workers,
         dask=chosen.dask,
-        progress=_progress(chosen),
+        progress=progress,
         time_limit=TIME_LIMIT if chosen.time_limit is None else chosen.time_limit,
     )
     manifest = read_manifest(folder)
@@ -138,11 +152,3 @@ def run(chosen: argparse.Namespace) -> int:
         print(f"report:  {report_path}")
     fresh_failed = results.fresh is not None and results.fresh.failed
     return SOME_FAILED if results.failed or fresh_failed else 0
-
-
-def _progress(chosen: argparse.Namespace) -> Progress | bool | None:
-    from ..running.campaign import Lines
-
-    if chosen.json:
-        return Lines(sys.stdout)
-    return False if chosen.quiet else None
