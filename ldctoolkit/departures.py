@@ -117,11 +117,11 @@ class DepartureParameters(Frame):
         return np.column_stack([getattr(self, name) for name in PARAMETER_NAMES])
 
     def to_polars(self) -> pl.DataFrame:
-        """One row a departure: ``side`` and the parameters, ``v_mean_m_s``; where they were recorded, that too."""
+        """One row a departure: its number or where it was recorded, ``side`` and the parameters, ``v_mean_m_s``."""
         import polars as pl
 
-        columns = {"recording": "recording", "start_time_s": "start_time"} if hasattr(self, "recording") else {}
-        values = {column: getattr(self, name) for column, name in columns.items()}
+        columns = {"recording": "recording", "start_time_s": "start_time", "scenario": "index"}
+        values = {column: getattr(self, name) for column, name in columns.items() if hasattr(self, name)}
         side = np.where(self.side == LEFT, "left", "right")
         return pl.DataFrame(values | {"side": side} | {c: getattr(self, n) for n, c in PARAMETER_COLUMNS.items()})
 

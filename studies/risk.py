@@ -206,7 +206,8 @@ class Risk:
         """One row for each of the worst departures of some designs, of all by default, as ``worst.csv`` holds them."""
         for design in designs or self.designs:
             for rank, (depth, index, side, *values) in enumerate(self.tally.kept(self.row(design)).tolist(), 1):
-                one = {"design": design.label, "id": design.id, "rank": rank, "depth_m": depth, "scenario": int(index)}
+                one = {"design": design.id, "label": design.label, "rank": rank}
+                one |= {"deepest_m": depth, "scenario": int(index)}
                 one |= {"side": "left" if side == LEFT else "right"}
                 yield one | dict(zip(PARAMETER_COLUMNS.values(), values, strict=True))
 
@@ -228,7 +229,7 @@ class Risk:
     def rows(self) -> Iterator[dict[str, Any]]:
         """One row for every design, event and side, as ``risk.csv`` holds them."""
         for design, event, side in itertools.product(self.designs, self.events, _SIDES):
-            found, row = self.event(design, event, side), {"design": design.label, "id": design.id}
+            found, row = self.event(design, event, side), {"design": design.id, "label": design.label}
             row |= {"y_s_m": design.y_s, "event": event, "side": side or "both", "count": found.count, "n": found.n}
             shares = {"": found.probability, "_low": found.low, "_high": found.high}
             for name, rate in {"probability": 1.0, **self.departure_rates(side)}.items():

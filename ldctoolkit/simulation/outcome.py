@@ -71,12 +71,14 @@ class Outcome(Frame):
         return outcome_html(self.window, *scores, self.status, self.failed_solves, self.side)
 
     def to_polars(self) -> pl.DataFrame:
-        """One row a scenario: scores, status, trigger time and every metric."""
+        """One row a scenario: scores, trigger time (infinite where never triggered), status and every metric."""
         import polars as pl
 
+        scores = {f"S_{self.window}_m_s": self.S, f"S_uncorrected_{self.window}_m_s": self.S_uncorrected}
         return pl.DataFrame(
             ({} if self.side is None else {"side": np.where(self.side == LEFT, "left", "right")})
-            | {"S_m_s": self.S, "S_uncorrected_m_s": self.S_uncorrected, "t_s_s": self.t_s}
+            | scores
+            | {"t_s_s": self.t_s}
             | {"status": STATUS_NAMES[self.status], "failed_solves": self.failed_solves}
             | {column: getattr(self.companions, name) for name, column in metrics.METRIC_COLUMNS.items()}
         )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import copy
 import dataclasses
 import math
 import os
@@ -44,7 +45,7 @@ def console() -> Console:
 def new_table(title: str, headings: Sequence[str], left: Container[int] = (0,), *, narrow: bool = False) -> Table:
     """A table whose columns `left` are text and all others numbers; neither title nor headings are markup.
 
-    A narrow one has no rules between its columns; its text breaks where the terminal ends, its numbers do not.
+    A narrow one has no rules between its columns, however wide the terminal is.
     """
     from rich import box
     from rich.table import Table
@@ -55,7 +56,7 @@ def new_table(title: str, headings: Sequence[str], left: Container[int] = (0,), 
         padding=(0, 1, 0, 0) if narrow else (0, 1), pad_edge=not narrow,
     )  # fmt: skip
     for i, heading in enumerate(headings):
-        table.add_column(Text(heading), justify="left" if i in left else "right", no_wrap=narrow and i not in left)
+        table.add_column(Text(heading), justify="left" if i in left else "right")
     return table
 
 
@@ -64,6 +65,54 @@ def add_row(table: Table, cells: Iterable[str], style: str | None = None) -> Non
     from rich.text import Text
 
     table.add_row(*map(Text, cells), style=style)
+
+
+_LONGEST_WORD = 16  # columns of a narrow table that a word of text is given before it is broken
+
+
+def print_table(out: Console, table: Table) -> None:
+    """Print a table whose numbers are whole at any width of the terminal.
+
+    Where it is narrow there are no rules, and headings and text break at spaces; columns that do not fit even then
+    follow below, beside the text columns at the left again.
+    """
+    from rich.cells import cell_len
+
+    def longest(parts: Iterable[str]) -> int:
+        return max(map(cell_len, parts), default=0)
+
+    columns, widest, least = table.columns, [], []
+    for column in columns:
+        heading, cells = str(column.header), [str(cell) for cell in column.cells]
+        text = [min(cell_len(word), _LONGEST_WORD) for cell in cells for word in cell.split()]
+        widest.append(longest(line for cell in (heading, *cells) for line in cell.splitlines()))
+        least.append(
+            max(longest(heading.split()), longest(cells) if column.justify == "right" else max(text, default=0))
+        )
+    if table.box is not None and sum(widest) + 3 * len(columns) + 1 <= out.width:
+        out.print(table)
+        return
+    keys = next((i for i, column in enumerate(columns) if i and column.justify == "right"), len(columns))
+    rest = list(range(keys, len(columns)))
+    while True:
+        shown = list(range(keys)) + rest[:1]
+        for i in rest[1:]:
+            if sum(least[j] + 1 for j in (*shown, i)) > out.width:
+                break
+            shown.append(i)
+        widths = {i: widest[i] for i in shown}
+        while sum(widths.values()) + len(shown) > out.width:
+            widths[max(shown, key=lambda i: widths[i] - least[i])] -= 1
+            if all(widths[i] <= least[i] for i in shown):
+                break
+        part = copy.copy(table)
+        part.box, part.padding, part.pad_edge = None, (0, 1, 0, 0), False
+        part.columns = [dataclasses.replace(columns[i], _index=k, width=widths[i]) for k, i in enumerate(shown)]
+        out.print(part)
+        rest, table = rest[len(shown) - keys :], copy.copy(table)
+        if not rest:
+            return
+        table.title = None
 
 
 def say(out: Console, *lines: str) -> None:

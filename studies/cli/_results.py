@@ -24,7 +24,7 @@ from ..ranking.verdict import (
 from ..results import Race, StudyResults
 from ..storage.manifest import Manifest
 from ..study_file import Study
-from ._console import add_row, console, new_table, progress_bar
+from ._console import add_row, console, new_table, print_table, progress_bar
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -152,7 +152,7 @@ _MOST_FAILED = 20
 def print_rankings(rankings: Sequence[Ranking], top: int, found: Verdict) -> None:
     """The primary case in full, the others in a line."""
     out, first = console(), rankings[0]
-    out.print(ranking_table(first, top))
+    print_table(out, ranking_table(first, top))
     title, *others = verdict_lines(found)
     out.print(title, style="bold green" if found.usable and first.winner is not None else "bold red", markup=False,
               emoji=False, highlight=False)  # fmt: skip

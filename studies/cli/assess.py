@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ._console import Subparsers, add_row, console, each_once, named, new_table, number, progress_bar, say
+from ._console import Subparsers, add_row, console, each_once, named, new_table, number, print_table, progress_bar, say
 
 if TYPE_CHECKING:
     from ldctoolkit import Controller, Setup
@@ -81,7 +81,7 @@ def run(chosen: argparse.Namespace) -> int:
         counts = (str(one.lights.count(light)) for light in ("green", "amber", "red"))
         corners = "\u2013" if chosen.no_tolerances else f"{100 * one.robust_score:.0f}"
         add_row(table, (name, one.standard.name, f"{100 * one.score:.0f}", corners, *counts))
-    out.print(table)
+    print_table(out, table)
     for _, one in found if len(found) <= len(tests) else []:
         say(out, f"{one.standard.name}: {score_text(one)}")
         missed = [i for light in ("red", "amber") for i in range(one.cells.n) if one.lights[i] == light]

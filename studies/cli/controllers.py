@@ -6,7 +6,7 @@ import argparse
 import math
 from typing import TYPE_CHECKING
 
-from ._console import Subparsers, add_row, console, new_table, warn
+from ._console import Subparsers, add_row, console, new_table, print_table, warn
 
 if TYPE_CHECKING:
     from ldctoolkit import Controller, Gain
@@ -56,7 +56,7 @@ def run(chosen: argparse.Namespace) -> None:
             cells = (g.name, "" if g.unit == "1" else g.unit, default, allowed, _scale(g), g.description)
             add_row(table, cells)
         if kind.gains():
-            out.print(table)
+            print_table(out, table)
         else:
             out.print(Text.assemble((title, "italic"), ", no gains"))
         out.print()

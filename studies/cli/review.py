@@ -12,7 +12,18 @@ from typing import TYPE_CHECKING, Any, Final
 
 from ldctoolkit.errors import InputError, LdcError, UnknownNameError, nearest
 
-from ._console import Subparsers, add_row, console, interval, named, new_table, number, output_file, progress_bar
+from ._console import (
+    Subparsers,
+    add_row,
+    console,
+    interval,
+    named,
+    new_table,
+    number,
+    output_file,
+    print_table,
+    progress_bar,
+)
 
 if TYPE_CHECKING:
     import numpy as np
@@ -389,7 +400,7 @@ def _print_loop(label: str, review: Review) -> None:
     for i in range(review.loop.v.size):
         cells = [_shown(float(getattr(review.loop, name)[i]), factor, form) for _, name, factor, form in columns]
         add_row(table, cells, None if review.loop.stable[i] else "red")
-    console().print(table)
+    print_table(console(), table)
 
 
 _WORST = ("gain_margin", "phase_margin", "disk_margin", "e_y_bend", "e_y_bend_mismatched")
@@ -410,7 +421,7 @@ def _print_overview(reviewed: Reviewed) -> None:
             cells = [_shown(_worst(getattr(loop, name), name), factor, form) for _, name, factor, form in shown]
         warnings = sum(finding.severity == "warning" for finding in review.findings)
         add_row(table, [label, *cells, str(len(review.faults)), str(warnings)])
-    console().print(table)
+    print_table(console(), table)
 
 
 def _worst(values: np.ndarray, name: str) -> float:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from . import _console
-from ._console import add_row, new_table, number, positive_number, progress_bar, say, whole_number
+from ._console import add_row, new_table, number, positive_number, print_table, progress_bar, say, whole_number
 
 if TYPE_CHECKING:
     from ldctoolkit.scenario_model import ScenarioModel
@@ -142,7 +142,7 @@ def _print_design(risk: Risk, design: Design) -> None:
         cells += [f"{found.design_only:,}", f"{found.no_control_only:,}", found.text]
         add_row(table, cells, {1: "red", -1: "green", 0: None}[found.sign])
     out = _console.console()
-    out.print(table)
+    print_table(out, table)
     if not design.is_baseline:
         light = risk.light(design)
         out.print(light.text, style=_COLORS[light.state], markup=False, highlight=False, soft_wrap=True)

@@ -140,7 +140,7 @@ class Ranking(RankedDesigns, Frame):
         """One row a design, with the columns of ``ranking.csv``: first what names it, its rank and S."""
         import polars as pl
 
-        text = ("design", "unmet", "fresh_unmet", "failure")
+        text = ("design", "label", "unmet", "fresh_unmet", "failure")
         types = {**dict.fromkeys(text, pl.String), "rank": pl.Int64}
         table = pl.read_csv(_csv_text([self], None).encode(), infer_schema_length=None, schema_overrides=types)
         empty = [one.name for one in table if one.dtype == pl.String and one.is_null().all() and one.name not in text]
@@ -517,6 +517,7 @@ def _named(ranking: Ranking, rank: int | str, design: Design, gains: Sequence[st
         "convention": ranking.case.convention,
         "rank": rank,
         "design": design.id,
+        "label": design.label,
         "law": design.law,
         "y_s_m": repr(design.y_s),
         **{f"gain_{name}": value for name, value in values.items()},

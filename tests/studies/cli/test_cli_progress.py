@@ -8,19 +8,12 @@ from pathlib import Path
 import numba
 import pytest
 
-from helpers.cli import good
+from helpers.cli import Terminal, good
 from helpers.recordings import OFFSET, drive, frame_of
 from ldctoolkit import compiling
 from studies.cli import main
 from studies.cli._console import moving_line
 from studies.running import campaign
-
-
-class Terminal(io.StringIO):
-    """A stream that is taken for a terminal."""
-
-    def isatty(self) -> bool:
-        return True
 
 
 def on_terminal(*arguments: str, cwd: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[str, str]:
