@@ -31,14 +31,12 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit import compiling
 from ldctoolkit.arrays import FloatArray, IntArray
 
 from ._mpc_condensing import Condensed, InitialState, Limits
 
 __all__ = ["BEYOND", "FREE", "HELD", "OPEN", "assemble", "finish", "sweep"]
 
-compiling.watch(__name__)
 
 # strict IEEE: a scenario's numbers are the same bits whichever stand beside it
 OPTIONS: Final[dict[str, Any]] = {"nogil": True, "error_model": "numpy"}

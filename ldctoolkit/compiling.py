@@ -9,10 +9,10 @@ from typing import Any, Final
 
 TEXT: Final = "compiling the closed loops, once, about a minute"
 
-Display = Callable[[str], AbstractContextManager[object]]
-"""Shows a text while its block runs."""
+MODULES: Final = {f"ldctoolkit.{m}" for m in ("simulation.kernel.entry", "paths.kernels", "controllers._mpc_kernel")}
+"""Where the functions are that take long."""
 
-_modules: set[str] = set()
+Display = Callable[[str], AbstractContextManager[object]]  # shows a text while its block runs
 
 
 @functools.cache
@@ -33,7 +33,7 @@ _displays: list[Display] = [line]
 
 @contextlib.contextmanager
 def shown_by(display: Display) -> Iterator[None]:
-    """Use another display meanwhile, `contextlib.nullcontext` for none."""
+    """Use another display meanwhile."""
     _displays.append(display)
     try:
         yield
@@ -42,18 +42,13 @@ def shown_by(display: Display) -> Iterator[None]:
 
 
 def silence() -> None:
-    """Show nothing in this process from now on, whose output nobody reads."""
+    """Show nothing in this process from now on."""
     _displays.append(contextlib.nullcontext)
 
 
-def watch(module: str) -> None:
-    """Show it when a function of this module is compiled."""
-    _modules.add(module)
-    _listen()
-
-
 @functools.cache
-def _listen() -> None:
+def listen() -> None:
+    """Have numba tell what it compiles."""
     from numba.core import event
 
     class Listener(event.Listener):
@@ -63,7 +58,7 @@ def _listen() -> None:
 
         def on_start(self, event: Any) -> None:
             function = event.data["dispatcher"]
-            if self.outermost is None and function.py_func.__module__ in _modules:
+            if self.outermost is None and function.py_func.__module__ in MODULES:
                 self.outermost, self.shown = function, contextlib.ExitStack()
                 self.shown.enter_context(_displays[-1](TEXT))
 

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
-from ldctoolkit.errors import InputError
+from ldctoolkit.errors import CheckedArguments, InputError
 from ldctoolkit.frames import Frame
 
 if TYPE_CHECKING:
@@ -389,7 +389,7 @@ def bend_polynomial(p: DepartureParameters) -> tuple[FloatArray, FloatArray, Flo
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Plausibility:
+class Plausibility(CheckedArguments):
     """What the path of a departure may ask of driver and vehicle; beyond it no departure happened, nor can happen.
 
     Raises `InputError` for a limit that is not above zero. An infinite one is no limit, and is kept as None.

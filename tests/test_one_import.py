@@ -1,10 +1,15 @@
 """What a Python session needs, from one import, in a few lines; each as a user would write it."""
 
+import copy
+import dataclasses
+import inspect
+import pickle
 import re
 import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
 import polars as pl
@@ -12,8 +17,11 @@ import pytest
 
 import ldctoolkit as ldc
 from controllers import LQR
+from ldctoolkit.errors import LdcError
 from ldctoolkit.option_checks import UnitWarning
 from ldctoolkit.plant_options import Actuator, PlantOptions
+from ldctoolkit.recordings.find_departures import Criteria
+from ldctoolkit.recordings.preparation import Preparation
 from studies import Study, risk
 from studies.ranking.ranking import write_csv
 
@@ -272,3 +280,56 @@ def test_without_pandas_one_sentence_says_so(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(ldc.LdcError, match=r"^to_pandas: pandas is not installed; allowed: pip install pandas, or"):
         arrays().to_pandas()
+
+
+@dataclasses.dataclass(frozen=True)
+class Own(ldc.Controller):
+    name: ClassVar[str] = "own"
+    title: ClassVar[str] = "Own"
+    K_heading: float = ldc.gain(-0.2, unit="1", description="a gain")
+
+    def prepare(self, plant: ldc.Plant) -> ldc.RecordedPath:
+        return ldc.RecordedPath()
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "near"),
+    [
+        (ldc.LQR, "q_yy", "q_y"), (ldc.LinearMPC, "horizn", "horizon"), (Own, "K_heding", "K_heading"),
+        (ldc.VehicleParameters, "C_aff", "C_af"), (ldc.BicycleModel, "parameter", "parameters"),
+        (ldc.Setup, "trigge", "trigger"), (ldc.PlantOptions, "actuatr", "actuator"), (ldc.Actuator, "lagg", "lag"),
+        (ldc.Sensors, "kalmann", "kalman"), (ldc.KalmanFilter, "r_yy", "r_y"), (ldc.Tyres, "muu", "mu"),
+        (ldc.Mismatch, "Iz", "I_z"), (ldc.Residuals, "bandwith", "bandwidth"), (ldc.Plausibility, "y_rat", "y_rate"),
+        (ldc.LinearLaw, "f_pst", "f_past"), (ldc.BoundedGaussianMixture, "n_component", "n_components"),
+        (Criteria, "min_durations", "min_duration"), (Preparation, "steps", "step"), (ldc.LQR, "title", None),
+    ],
+)  # fmt: skip
+def test_a_wrong_name_of_an_argument_names_the_nearest(kind: Any, name: str, near: str | None) -> None:
+    """A `TypeError` as Python's own, and an error of the toolkit; wherever the name is given."""
+    for make in (lambda: kind(**{name: 1.0}), lambda: dataclasses.replace(kind(), **{name: 1.0})):
+        with pytest.raises(TypeError) as error:
+            make()
+        if kind in (Criteria, ldc.LinearLaw) and "missing" in str(error.value):
+            continue  # there is no kind()
+        assert isinstance(error.value, LdcError)
+        assert (f"did you mean '{near}'?" in str(error.value)) == (near is not None)
+        assert repr(name) in str(error.value)
+
+
+def test_other_calls_stay_as_they_are() -> None:
+    @dataclasses.dataclass(frozen=True, init=False)
+    class Free(ldc.Controller):
+        name: ClassVar[str] = "free"
+        title: ClassVar[str] = "Takes what it is given"
+
+        def __init__(self, **given: float) -> None:
+            self.__dict__.update(given)
+
+        prepare = Own.prepare
+
+    assert Free(anything=2.0).__dict__ == {"anything": 2.0}
+    law = ldc.LQR(5.0, r_delta=3.0)
+    assert copy.deepcopy(law) == pickle.loads(pickle.dumps(law)) == law
+    assert list(inspect.signature(ldc.LQR).parameters) == ["q_y", "q_y_rate", "q_psi", "q_psi_rate", "r_delta"]
+    with pytest.raises(TypeError, match="positional"):
+        ldc.LQR(*range(9))

@@ -9,7 +9,7 @@ import numpy as np
 from ldctoolkit import compiling
 from ldctoolkit.arrays import FloatArray, IntArray
 
-compiling.watch(__name__)
+compiling.listen()
 
 _OPTIONS: Final[dict[str, Any]] = {"nogil": True, "error_model": "numpy"}  # strict IEEE: the same bits in every loop
 

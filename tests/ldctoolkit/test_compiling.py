@@ -15,10 +15,11 @@ TEXT = "compiling the closed loops, once, about a minute"
 
 
 @pytest.fixture
-def watched() -> Callable[[], None]:
+def watched(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
     """A function that is compiled at its first call, together with one that it calls."""
     compiling._print_once.cache_clear()
-    compiling.watch(__name__)
+    compiling.listen()
+    monkeypatch.setattr(compiling, "MODULES", {__name__})
 
     @numba.njit
     def inner(x: float) -> float:

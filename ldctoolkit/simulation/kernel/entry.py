@@ -18,15 +18,13 @@ import numpy as np
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from ldctoolkit import compiling, lane_functions
+from ldctoolkit import lane_functions
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.lane_functions import OPTIONS
 from ldctoolkit.metrics import SCENARIO_METRICS
 from ldctoolkit.paths import kernels
 from ldctoolkit.simulation.kernel import data, exact_lanes, lanes, rk4_lanes, sight
 from ldctoolkit.simulation.kernel.data import ALIVE, LANES, SEEN, TARGET, WHEEL_SEEN
-
-compiling.watch(__name__)
 
 
 def _digest() -> int:

@@ -64,7 +64,8 @@ def test_compiling_is_a_moving_line(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
         loop(1.0)
 
-    compiling.watch(__name__)
+    compiling.listen()
+    monkeypatch.setattr(compiling, "MODULES", {__name__})
     monkeypatch.setattr(campaign, "load_loops", compiles)
     good("init", "ideal", "--law", "lqr", "-n", "20", "-o", "s.toml", cwd=tmp_path)
     text = "compiling the closed loops, once, about a minute"
