@@ -73,9 +73,13 @@ def _data(context: Context, replayed: Replay, every: int) -> dict[str, object]:
             start.append(float(known[0]) if known.size else 0.0)
             for name, table in (("y", paths.y), ("delta", angles), ("a_y", paths.a_y)):
                 values[name].append(np.nan_to_num(table[k, kept]))
+    # what was requested comes first, then where the first design acts
+    requested = [2 * ("requested" in pick.roles) for pick in replayed.picks]
+    opened = int(np.argmax(requested + np.isfinite(replayed.paths[0].t).any(axis=1)))
     joined = {name: np.concatenate([np.empty(0), *some]) for name, some in values.items()}
     return {
         "step": step,
+        "open": opened,
         "resolution": RESOLUTION,
         "departures": [_departure(replayed, k) for k in range(len(replayed.picks))],
         "duration": packed(replayed.scenarios.T),
