@@ -66,9 +66,8 @@ def designs_of_ids(designs: Sequence[Design], prefixes: Sequence[str]) -> tuple[
         if not places:
             near = max(ids, key=lambda name: _likeness(name, prefix.lower()))
             raise InputError(
-                f"design: {prefix!r}; no design begins like this, the nearest is {near}; allowed: the first "
-                "digits of a "
-                "design's id"
+                f"design: {prefix!r}; no design begins like this, the nearest is {near}; allowed: the first digits of "
+                "a design's id"
             )
         found.append(places[0])
     return tuple(dict.fromkeys(found))

@@ -270,9 +270,8 @@ def kept_state(
         return ""
     i = int(np.argmin(same))
     return (
-        "keeps state between runs: the same departure, driven twice, gave "
-        f"S = {values[0, i]:.9g} m s and then {second[0][i]:.9g} m s; "
-        "allowed: state that init makes and step returns"
+        f"keeps state between runs: the same departure, driven twice, gave S = {values[0, i]:.9g} m s and then "
+        f"{second[0][i]:.9g} m s; allowed: state that init makes and step returns"
     )
 
 
