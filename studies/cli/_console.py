@@ -283,16 +283,13 @@ def each_once(option: str, pairs: Sequence[tuple[str, object]] | None) -> None:
 def add_report_options(parser: argparse.ArgumentParser) -> None:
     """Declare what every command that writes a report takes."""
     parser.add_argument(
-        "--source",
-        action="append",
-        metavar="FILE.parquet",
+        "--source", action="append", metavar="FILE.parquet",
         help="departures that the scenario model was fitted to, as ldc extract wrote them: the report compares the "
         "generated ones with them; repeatable",
-    )
+    )  # fmt: skip
     parser.add_argument(
-        "--no-robustness",
-        action="store_true",
-        help="drive no designs on other plants for the report, which takes some seconds the first time: it shows what "
-        "DIR/robustness.json holds of this study, or leaves that section out",
-    )
+        "--no-robustness", action="store_true",
+        help="drive no designs on other plants for the report, which takes some seconds the first time: it shows "
+        "what DIR/robustness.json holds of this study, or leaves that section out",
+    )  # fmt: skip
     parser.add_argument("--no-figures", action="store_true", help="write no figures/: the report's charts as SVG files")

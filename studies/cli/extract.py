@@ -42,17 +42,14 @@ def add_parser(commands: Subparsers) -> None:
     )
     parser.add_argument("paths", nargs="+", metavar="PATH", help="files or folders of one format")
     parser.add_argument(
-        "--format",
-        default="auto",
-        metavar="NAME",
-        help="table, mdf, spmd-das1, spmd-das2, uah-driveset, or another installed reader (default: auto, which looks "
-        "at columns and folders)",
-    )
+        "--format", default="auto", metavar="NAME",
+        help="table, mdf, spmd-das1, spmd-das2, uah-driveset, or another installed reader (default: auto, which "
+        "looks at columns and folders)",
+    )  # fmt: skip
     parser.add_argument("-o", "--output", metavar="FILE.parquet", help="departures table to write")
     parser.add_argument("--channels", metavar="MAP.toml", help="channel map of MDF logs: which channel holds what")
-    parser.add_argument(
-        "--list-channels", action="store_true", help="only print the channels of an MDF log, and a guess of its map"
-    )
+    about = "only print the channels of an MDF log, and a guess of its map"
+    parser.add_argument("--list-channels", action="store_true", help=about)
     parser.add_argument("--report", metavar="FILE.html", help="also write a page about the quality of what was found")
     options: tuple[tuple[str, str, float | None, str], ...] = (
         ("vehicle-width", "M", None, "width in m (default: the format's; table: 1.9)"),
@@ -70,25 +67,17 @@ def add_parser(commands: Subparsers) -> None:
     )  # fmt: skip
     for name, unit, default, text in options:
         parser.add_argument(f"--{name}", type=number, metavar=unit, default=default, help=text)
-    parser.add_argument(
-        "--keep-engaged", action="store_true", help="count departures and hours while a system steers, too"
-    )
-    parser.add_argument(
-        "--force", action="store_true", help="go on where a unit, a sign or a reference cannot be right"
-    )
+    about = "count departures and hours while a system steers, too"
+    parser.add_argument("--keep-engaged", action="store_true", help=about)
+    about = "go on where a unit, a sign or a reference cannot be right"
+    parser.add_argument("--force", action="store_true", help=about)
     add_limit(parser)
-    parser.add_argument(
-        "--signals", action="store_true",
-        help="keep y, v and curvature over time in a second table, NAME.signals.parquet, to replay the recorded path",
-    )  # fmt: skip
-    parser.add_argument(
-        "--workers", type=positive_number, metavar="N", help="processes (default: all cores, or 1 for little)"
-    )
-    parser.add_argument(
-        "--dask",
-        metavar="ADDRESS",
-        help="run on the Dask scheduler at tcp://host:8786, or on a cluster of this machine: local",
-    )
+    about = "keep y, v and curvature over time in a second table, NAME.signals.parquet, to replay the recorded path"
+    parser.add_argument("--signals", action="store_true", help=about)
+    about = "processes (default: all cores, or 1 for little)"
+    parser.add_argument("--workers", type=positive_number, metavar="N", help=about)
+    about = "run on the Dask scheduler at tcp://host:8786, or on a cluster of this machine: local"
+    parser.add_argument("--dask", metavar="ADDRESS", help=about)
     parser.set_defaults(run=run)
 
 

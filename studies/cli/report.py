@@ -14,25 +14,13 @@ def add_parser(commands: Subparsers) -> None:
         description="Write report.html, figures/, ranking.csv and ranking.md from the stored results of a study, "
         "into its folder.",
     )
-    parser.add_argument(
-        "study", metavar="STUDY", help="folder that ldc run wrote, or the name of a study that ran into out/NAME"
-    )
+    about = "folder that ldc run wrote, or the name of a study that ran into out/NAME"
+    parser.add_argument("study", metavar="STUDY", help=about)
     add_report_options(parser)
-    parser.add_argument(
-        "--departure",
-        action="append",
-        type=int,
-        default=[],
-        metavar="N",
-        help="put the departure with this scenario number into the explorer; repeatable",
-    )
-    parser.add_argument(
-        "--design",
-        action="append",
-        default=[],
-        metavar="ID",
-        help="put the design whose id begins like this into the explorer; repeatable",
-    )
+    about = "put the departure with this scenario number into the explorer; repeatable"
+    parser.add_argument("--departure", action="append", type=int, default=[], metavar="N", help=about)
+    about = "put the design whose id begins like this into the explorer; repeatable"
+    parser.add_argument("--design", action="append", default=[], metavar="ID", help=about)
     parser.set_defaults(run=run)
     _add_compare(commands)
 
@@ -81,21 +69,12 @@ def _add_compare(commands: Subparsers) -> None:
     )
     parser.add_argument("old", metavar="OLD", help="folder that ldc run wrote")
     parser.add_argument("new", metavar="NEW", help="folder that ldc run wrote")
-    parser.add_argument(
-        "-o",
-        "--output",
-        action="append",
-        default=[],
-        metavar="FILE",
-        help="write every comparison as FILE.csv, or a page to read as FILE.html; repeatable",
-    )
+    about = "write every comparison as FILE.csv, or a page to read as FILE.html; repeatable"
+    parser.add_argument("-o", "--output", action="append", default=[], metavar="FILE", help=about)
     parser.add_argument("--top", type=positive_number, default=10, metavar="N", help="rows to print (default: 10)")
     parser.add_argument("--json", action="store_true", help="print JSON for scripts instead of tables")
-    parser.add_argument(
-        "--fail-if-worse",
-        action="store_true",
-        help="exit code 3 if a design is worse, or fails only in NEW, or NEW's winner is worse than OLD's",
-    )
+    about = "exit code 3 if a design is worse, or fails only in NEW, or NEW's winner is worse than OLD's"
+    parser.add_argument("--fail-if-worse", action="store_true", help=about)
     parser.set_defaults(run=compare_studies)
 
 

@@ -284,22 +284,14 @@ def add_parser(commands: Subparsers) -> None:
         "gain, phase, delay and disk margins, sampling, limits, conditioning, offset in a bend. Exit code 3 where a "
         "fault was found.",
     )
-    parser.add_argument(
-        "design",
-        metavar="DESIGN",
-        help="name of a law, a study (name in the catalog or TOML file), or a folder that ldc run wrote",
-    )
-    parser.add_argument(
-        "--gain", type=named, action="append", metavar="NAME=VALUE", help="a gain of the law; repeatable"
-    )
+    about = "name of a law, a study (name in the catalog or TOML file), or a folder that ldc run wrote"
+    parser.add_argument("design", metavar="DESIGN", help=about)
+    about = "a gain of the law; repeatable"
+    parser.add_argument("--gain", type=named, action="append", metavar="NAME=VALUE", help=about)
     parser.add_argument("--design", dest="only", metavar="LABEL", help="only this design of the study: its label or id")
     parser.add_argument("--dt", type=_positive, metavar="S", help="sample time in s (default: 0.05, or the study's)")
-    parser.add_argument(
-        "--speed",
-        type=_speed_range,
-        metavar="LOW:HIGH",
-        help="speeds in m/s (default: 10:40, or those at the study's triggers)",
-    )
+    about = "speeds in m/s (default: 10:40, or those at the study's triggers)"
+    parser.add_argument("--speed", type=_speed_range, metavar="LOW:HIGH", help=about)
     parser.add_argument("--points", type=_points, default=13, metavar="N", help="number of speeds (default: 13)")
     for name, meaning in (
         ("delay", "pure delay of the actuator in s"),

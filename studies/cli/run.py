@@ -25,45 +25,24 @@ def add_parser(commands: Subparsers) -> None:
         "ranking.md into DIR; running again into the same DIR computes only what is missing. Exit code 3: done, but "
         "the law of some design failed; the ranking and the report name it.",
     )
-    parser.add_argument(
-        "study",
-        nargs="?",
-        metavar="STUDY",
-        help="name in the catalog (ideal, paper, reality, road-edge, trigger-and-gains, zoo, zoo-sweep) or a TOML file",
-    )
+    about = "name in the catalog (ideal, paper, reality, road-edge, trigger-and-gains, zoo, zoo-sweep) or a TOML file"
+    parser.add_argument("study", nargs="?", metavar="STUDY", help=about)
     parser.add_argument("-o", "--output", metavar="DIR", help="folder of the results (default: out/<study name>)")
     parser.add_argument("--model", metavar="MODEL", help="scenario model instead of the study's: a name or a JSON file")
-    parser.add_argument(
-        "--departures",
-        metavar="DEPARTURES.parquet",
-        help="rank designs on these recorded departures themselves; with --model, score the finalists on them too",
-    )
-    parser.add_argument(
-        "--vehicle-width",
-        type=number,
-        metavar="W",
-        help="drive a vehicle this wide in m (default: that of the recordings behind the model, else the study's)",
-    )
+    about = "rank designs on these recorded departures themselves; with --model, score the finalists on them too"
+    parser.add_argument("--departures", metavar="DEPARTURES.parquet", help=about)
+    about = "drive a vehicle this wide in m (default: that of the recordings behind the model, else the study's)"
+    parser.add_argument("--vehicle-width", type=number, metavar="W", help=about)
     parser.add_argument("--workers", type=positive_number, metavar="N", help="processes (default: all cores)")
-    parser.add_argument(
-        "--dask",
-        metavar="ADDRESS",
-        help="run on the Dask scheduler at tcp://host:8786, or on a cluster of this machine: local",
-    )
-    parser.add_argument(
-        "--time-limit",
-        type=number,
-        metavar="S",
-        help="seconds after which a task is given up and the scenario at fault is found (default: 600; 0: none)",
-    )
+    about = "run on the Dask scheduler at tcp://host:8786, or on a cluster of this machine: local"
+    parser.add_argument("--dask", metavar="ADDRESS", help=about)
+    about = "seconds after which a task is given up and the scenario at fault is found (default: 600; 0: none)"
+    parser.add_argument("--time-limit", type=number, metavar="S", help=about)
     parser.add_argument("--top", type=positive_number, default=10, metavar="N", help="rows to print (default: 10)")
     add_report_options(parser)
     parser.add_argument("--quiet", action="store_true", help="no progress bar and no table")
-    parser.add_argument(
-        "--json",
-        action="store_true",
-        help="one JSON object a line on stdout: progress, then the result; no bar and no table",
-    )
+    about = "one JSON object a line on stdout: progress, then the result; no bar and no table"
+    parser.add_argument("--json", action="store_true", help=about)
     parser.set_defaults(run=run)
 
 
