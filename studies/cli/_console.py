@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from ldctoolkit import compiling
-from ldctoolkit.errors import InputError
+from ldctoolkit.errors import InputError, nearest
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -70,13 +70,15 @@ def add_row(table: Table, cells: Iterable[str], style: str | None = None) -> Non
 _LONGEST_WORD = 16  # columns of a narrow table that a word of text is given before it is broken
 
 
-def print_table(out: Console, table: Table) -> None:
+def print_table(table: Table) -> None:
     """Print a table whose numbers are whole at any width of the terminal.
 
     Where it is narrow there are no rules, and headings and text break at spaces; columns that do not fit even then
     follow below, beside the text columns at the left again.
     """
     from rich.cells import cell_len
+
+    out = console()
 
     def longest(parts: Iterable[str]) -> int:
         return max(map(cell_len, parts), default=0)
@@ -260,7 +262,6 @@ def add_limit(parser: argparse.ArgumentParser) -> None:
 def plausibility(given: Sequence[tuple[str, float]] | None, default: Plausibility | None = None) -> Plausibility:
     """The limits of ``--limit``, the others those of the default."""
     from ldctoolkit.departures import Plausibility
-    from ldctoolkit.errors import InputError, nearest
 
     each_once("--limit", given)
     known = [field.name for field in dataclasses.fields(Plausibility)]
@@ -272,8 +273,6 @@ def plausibility(given: Sequence[tuple[str, float]] | None, default: Plausibilit
 
 def each_once(option: str, pairs: Sequence[tuple[str, object]] | None) -> None:
     """Refuse a name that is given twice."""
-    from ldctoolkit.errors import InputError
-
     names = [name for name, _ in pairs or ()]
     for name in names:
         if names.count(name) > 1:

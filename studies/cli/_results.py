@@ -98,25 +98,6 @@ def stored_robustness(folder: Path, study: Study, results: StudyResults, ranking
     return stored_of(folder, RobustnessTask.of(results, ranking, study.setup()))
 
 
-def chosen_designs(designs: Sequence[Design], wanted: Sequence[str]) -> list[Design]:
-    """Those of some labels, or starts of ids, in this order."""
-    from ldctoolkit.errors import InputError, UnknownNameError, nearest
-
-    found: list[Design] = []
-    for one in wanted:
-        some = [design for design in designs if one == design.label or (one and design.id.startswith(one))]
-        if len(some) > 1:
-            raise InputError(f"--design {one!r}: the ids of {len(some)} designs start so; allowed: more of the id")
-        if not some:
-            close = nearest(one, [design.label for design in designs])
-            if len(designs) > 5:  # the labels of a large study fill a screen
-                allowed = "allowed: a label, or the id in ranking.csv"
-                close = f"{close.partition('? (')[0]}? ({allowed})" if close.startswith("did you mean") else allowed
-            raise UnknownNameError(f"--design {one!r}: no such design; {close}")
-        found += some
-    return found
-
-
 @dataclasses.dataclass(frozen=True)
 class Judged:
     """The study of a folder with results, ranked and judged."""
@@ -152,7 +133,7 @@ _MOST_FAILED = 20
 def print_rankings(rankings: Sequence[Ranking], top: int, found: Verdict) -> None:
     """The primary case in full, the others in a line."""
     out, first = console(), rankings[0]
-    print_table(out, ranking_table(first, top))
+    print_table(ranking_table(first, top))
     title, *others = verdict_lines(found)
     out.print(title, style="bold green" if found.usable and first.winner is not None else "bold red", markup=False,
               emoji=False, highlight=False)  # fmt: skip

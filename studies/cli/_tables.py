@@ -36,7 +36,7 @@ def print_comparison(comparison: Comparison, top: int, out: Console) -> None:
     out.print()
     for i, case in enumerate(comparison.cases):
         if len(case):
-            print_table(out, _table(comparison, case, top if i == 0 else min(top, _TOP_OF_OTHER_CASES)))
+            print_table(_table(comparison, case, top if i == 0 else min(top, _TOP_OF_OTHER_CASES)))
         say(out, *_verdict_lines(case))
         out.print()
     for heading, failed in (
@@ -126,7 +126,7 @@ def print_indices(blocks: Sequence[BlockSensitivity], case: str, confidence: flo
         if block.indices is None:
             say(console(), f"{title}: no Sobol indices: {block.reason}")
         else:
-            print_table(console(), _index_table(block, f"{title}: Sobol indices of mean S, {case}", confidence))
+            print_table(_index_table(block, f"{title}: Sobol indices of mean S, {case}", confidence))
             notes = (block.note, f"{block.designs} designs", f"intervals over {block.interval_over}")
             say(console(), "; ".join(note for note in notes if note))
         console().print()
@@ -138,7 +138,7 @@ def print_profiles(profiles: Sequence[Profile], middle: Design, which: str, case
     if not profiles:
         say(console(), "nothing varies in the designs of this law")
         return
-    print_table(console(), _profile_table(profiles, confidence))
+    print_table(_profile_table(profiles, confidence))
     for profile in profiles:
         if (end := profile.beyond) is not None:
             say(console(), f"{profile.name}: S is least at {gain_text(end)}, the end of its range in this study: "

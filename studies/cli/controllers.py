@@ -56,7 +56,7 @@ def run(chosen: argparse.Namespace) -> None:
             cells = (g.name, "" if g.unit == "1" else g.unit, default, allowed, _scale(g), g.description)
             add_row(table, cells)
         if kind.gains():
-            print_table(out, table)
+            print_table(table)
         else:
             out.print(Text.assemble((title, "italic"), ", no gains"))
         out.print()

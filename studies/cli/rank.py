@@ -131,11 +131,11 @@ def _add_sensitivity(commands: Subparsers) -> None:
 
 def _run_sensitivity(chosen: argparse.Namespace) -> None:
     """Carry the command out."""
+    from ..design import named_designs
     from ..ranking.ranking import rank_study
     from ..sensitivity.sensitivity import sensitivity
     from ..sensitivity.winner_profile import winner_profile, write_sensitivity
     from ..storage.store import Store
-    from ._results import chosen_designs
     from ._tables import print_indices, print_profiles
 
     store = Store.open(chosen.folder)
@@ -144,7 +144,7 @@ def _run_sensitivity(chosen: argparse.Namespace) -> None:
         raise InputError(f"--case {chosen.case}; allowed: 1 to {len(results.cases)}")
     case = chosen.case - 1
     if chosen.design is not None:
-        middle, role = chosen_designs(results.designs, [chosen.design])[0], "the chosen design"
+        middle, role = named_designs(results.designs, [chosen.design])[0], "the chosen design"
     else:
         with progress_bar("ranking"):
             ranking = rank_study(results, study)[case]

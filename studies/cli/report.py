@@ -27,7 +27,8 @@ def add_parser(commands: Subparsers) -> None:
 
 def run(chosen: argparse.Namespace) -> None:
     """Carry the command out."""
-    from ..pages.replay import designs_of_ids, rows_of_numbers
+    from ..design import named_designs
+    from ..pages.replay import rows_of_numbers
     from ..ranking.ranking import rank_study
     from ..ranking.verdict import verdict
     from ..storage.store import Store
@@ -39,7 +40,7 @@ def run(chosen: argparse.Namespace) -> None:
     store = Store.open(folder)
     study, results = store.manifest.read_study(), store.results()
     rows_of_numbers(results.drivable().scenarios, options.departures)  # refused before the work begins
-    designs_of_ids(results.designs, options.designs)
+    named_designs(results.designs, options.designs)
     with progress_bar("ranking"):
         rankings = rank_study(results, study)
     with progress_bar("driving the best on other plants"):

@@ -12,18 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from ldctoolkit.errors import InputError, LdcError, UnknownNameError, nearest
 
-from ._console import (
-    Subparsers,
-    add_row,
-    console,
-    interval,
-    named,
-    new_table,
-    number,
-    output_file,
-    print_table,
-    progress_bar,
-)
+from ._console import Subparsers, add_row, interval, named, new_table, number, output_file, print_table, progress_bar
 
 if TYPE_CHECKING:
     import numpy as np
@@ -166,11 +155,11 @@ def _speeds(chosen: argparse.Namespace, default: tuple[float, float] | None) -> 
 
 
 def _of_study(study: Study, chosen: argparse.Namespace) -> Iterator[Subject]:
+    from ..design import named_designs
     from ..runner import study_source
     from ..storage.stored_model import with_counts
-    from ._results import chosen_designs
 
-    designs = study.designs if chosen.only is None else chosen_designs(study.designs, [chosen.only])
+    designs = study.designs if chosen.only is None else named_designs(study.designs, [chosen.only])
     conventions, source = study.simulation.convention, study_source(study)
     wanted = with_counts(study, source).scenarios
     left, right = (min(n, _MOST_SCENARIOS) for n in wanted.counts)
@@ -392,7 +381,7 @@ def _print_loop(label: str, review: Review) -> None:
     for i in range(review.loop.v.size):
         cells = [_shown(float(getattr(review.loop, name)[i]), factor, form) for _, name, factor, form in columns]
         add_row(table, cells, None if review.loop.stable[i] else "red")
-    print_table(console(), table)
+    print_table(table)
 
 
 _WORST = ("gain_margin", "phase_margin", "disk_margin", "e_y_bend", "e_y_bend_mismatched")
@@ -413,7 +402,7 @@ def _print_overview(reviewed: Reviewed) -> None:
             cells = [_shown(_worst(getattr(loop, name), name), factor, form) for _, name, factor, form in shown]
         warnings = sum(finding.severity == "warning" for finding in review.findings)
         add_row(table, [label, *cells, str(len(review.faults)), str(warnings)])
-    print_table(console(), table)
+    print_table(table)
 
 
 def _worst(values: np.ndarray, name: str) -> float:

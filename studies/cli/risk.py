@@ -100,16 +100,17 @@ def _subject(chosen: argparse.Namespace) -> tuple[Study, ScenarioModel | None, S
     """The study, the model in its folder, the designs, and where results go by default."""
     from ldctoolkit.errors import InputError
 
+    from ..design import named_designs
     from ..storage.stored_model import read_model
     from ..study_file import load_study
-    from ._results import chosen_designs, judged
+    from ._results import judged
 
     if os.path.isfile(f"{chosen.study}/manifest.json"):  # noqa: PTH113 - raises nothing, whatever the name
         found = judged(chosen.study)
-        some = chosen_designs(found.ranking.designs, chosen.design) if chosen.design else [found.design]
+        some = named_designs(found.ranking.designs, chosen.design) if chosen.design else [found.design]
         return found.study, read_model(chosen.study, found.manifest), some, Path(chosen.study)
     study = load_study(chosen.study)
-    designs = chosen_designs(study.designs, chosen.design) if chosen.design else study.designs
+    designs = named_designs(study.designs, chosen.design) if chosen.design else study.designs
     if not study.designs:
         raise InputError(f"study {study.name}: searches its designs; give the folder that ldc run wrote")
     if sum(not design.is_baseline for design in designs) > _MOST_DESIGNS:
@@ -142,7 +143,7 @@ def _print_design(risk: Risk, design: Design) -> None:
         cells += [f"{found.design_only:,}", f"{found.no_control_only:,}", found.text]
         add_row(table, cells, {1: "red", -1: "green", 0: None}[found.sign])
     out = _console.console()
-    print_table(out, table)
+    print_table(table)
     if not design.is_baseline:
         light = risk.light(design)
         out.print(light.text, style=_COLORS[light.state], markup=False, highlight=False, soft_wrap=True)

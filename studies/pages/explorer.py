@@ -73,8 +73,8 @@ def _data(context: Context, replayed: Replay, every: int) -> dict[str, object]:
             for name, table in (("y", paths.y), ("delta", angles), ("a_y", paths.a_y)):
                 values[name].append(np.nan_to_num(table[k, kept]))
     # what was requested comes first, then where the first design acts
-    requested = [2 * ("requested" in pick.roles) for pick in replayed.picks]
-    opened = int(np.argmax(requested + np.isfinite(replayed.paths[0].t).any(axis=1)))
+    acts = np.isfinite(replayed.paths[0].t).any(axis=1)
+    opened = int(np.argmax(acts + np.array([2 * ("requested" in pick.roles) for pick in replayed.picks])))
     joined = {name: np.concatenate([np.empty(0), *some]) for name, some in values.items()}
     return {
         "step": step,

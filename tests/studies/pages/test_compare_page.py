@@ -15,11 +15,11 @@ from controllers import LQR, NoControl, PreviewProportional
 from helpers.pages import EVIL, Page, unpacked, whole
 from helpers.results import invented_scenarios, only, report_input, section_of
 from ldctoolkit import Scenarios
-from ldctoolkit.errors import InputError
+from ldctoolkit.errors import InputError, UnknownNameError
 from studies import Comparison
 from studies.comparison.comparison import CaseComparison
 from studies.comparison.paired import PairedDifferences, SharedScenarios, Verdict, Winners
-from studies.design import Design
+from studies.design import Design, named_designs
 from studies.pages import charts, explorer
 from studies.pages.charts import (
     Axis,
@@ -38,7 +38,7 @@ from studies.pages.charts import (
 )
 from studies.pages.compare_page import compare_page, write_compare_page
 from studies.pages.context import Context, ReportInput
-from studies.pages.replay import chosen_designs, designs_of_ids, picked_departures, replay, rows_of_numbers
+from studies.pages.replay import chosen_designs, picked_departures, replay, rows_of_numbers
 from studies.pages.shell import Cell, Column, TableRow, details, packed, script_json, table
 from studies.pages.text import number, symbols
 from studies.results import Case, FailedDesign, StudyResults
@@ -366,11 +366,11 @@ def test_what_a_user_asks_for_is_there(report: ReportInput) -> None:
 def test_asked_for_but_not_there(results: StudyResults) -> None:
     with pytest.raises(InputError, match=r"departure: 100; allowed: 0 to 99, the nearest is 99"):
         rows_of_numbers(results.scenarios, [100])
-    with pytest.raises(InputError, match=r"design: 'zz'; no design begins like this, the nearest is \w+; allowed"):
-        designs_of_ids(results.designs, ["zz"])
+    with pytest.raises(UnknownNameError, match="'zz': no such design"):
+        named_designs(results.designs, ["zz"])
     same = [dataclasses.replace(results.designs[0]), results.designs[0]]
-    with pytest.raises(InputError, match=r"allowed: more digits"):
-        designs_of_ids(same, [same[0].id[:6]])
+    with pytest.raises(InputError, match="the ids of 2 designs start so"):
+        named_designs(same, [same[0].id[:6]])
 
 
 def test_the_script_draws_what_was_driven(report: ReportInput) -> None:
