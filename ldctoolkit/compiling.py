@@ -9,23 +9,18 @@ from typing import Any, Final
 
 TEXT: Final = "compiling the closed loops, once, about a minute"
 
+# where the functions are that take long
 MODULES: Final = {f"ldctoolkit.{m}" for m in ("simulation.kernel.entry", "paths.kernels", "controllers._mpc_kernel")}
-"""Where the functions are that take long."""
 
 Display = Callable[[str], AbstractContextManager[object]]  # shows a text while its block runs
 
 
 @functools.cache
-def _print_once(text: str) -> None:
+def line(text: str) -> AbstractContextManager[object]:
+    """One line on stderr, in each process the first time."""
     with contextlib.suppress(OSError, ValueError):  # stderr may be closed
         print(text, file=sys.stderr, flush=True)
-
-
-@contextlib.contextmanager
-def line(text: str) -> Iterator[None]:
-    """One line on stderr, in each process the first time."""
-    _print_once(text)
-    yield
+    return contextlib.nullcontext()
 
 
 _displays: list[Display] = [line]
@@ -52,19 +47,19 @@ def listen() -> None:
     from numba.core import event
 
     class Listener(event.Listener):
-        """What is compiled for a function that is compiled is part of it; numba compiles in one thread at a time."""
+        """What a function calls is compiled with it, and shown with it; numba compiles in one thread at a time."""
 
         outermost: Any = None
 
         def on_start(self, event: Any) -> None:
             function = event.data["dispatcher"]
             if self.outermost is None and function.py_func.__module__ in MODULES:
-                self.outermost, self.shown = function, contextlib.ExitStack()
-                self.shown.enter_context(_displays[-1](TEXT))
+                self.outermost, self.shown = function, _displays[-1](TEXT)
+                self.shown.__enter__()
 
         def on_end(self, event: Any) -> None:
             if event.data["dispatcher"] is self.outermost:
                 self.outermost = None
-                self.shown.close()
+                self.shown.__exit__(None, None, None)
 
     event.register("numba:compile", Listener())  # type: ignore[no-untyped-call]

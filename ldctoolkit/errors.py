@@ -68,9 +68,8 @@ class CheckedArguments:
 
         def __new__(cls, *_, **given):
             """Raise `UnknownArgumentError` for a name that `__init__` does not know."""
-            known = _arguments(cls) if given else None
-            for name in given if known else ():
-                if name not in known:
+            for name in given:
+                if name not in (known := _arguments(cls) or given):
                     raise UnknownArgumentError(f"{cls.__name__}: no argument {name!r}; {nearest(name, known)}")
             return super().__new__(cls)
 

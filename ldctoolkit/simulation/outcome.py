@@ -51,10 +51,8 @@ class Trajectories:
 
         Returns
         -------
-        x, y : (c, k) [m]
-            Centre of gravity.
-        heading : (c, k) [rad]
-            Of the body, from the x axis, positive to the left; NaN as in `x`.
+        x, y, heading : (c, k) [m], [m], [rad]
+            Centre of gravity, and the angle of the body from the x axis, positive to the left; NaN as in `x`.
 
         Examples
         --------
@@ -65,6 +63,8 @@ class Trajectories:
         >>> bool(paths.x[0, 0, 0] > 0.0), bool(y[0, 0] < 0.0)
         (True, True)
         """
+        from scipy.integrate import cumulative_simpson
+
         known = np.isfinite(self.t)
         step = float(np.diff(self.t).max(initial=_FINE, where=known[:, 1:]))
         parts = math.ceil(step / _FINE)
@@ -74,20 +74,13 @@ class Trajectories:
         fine = np.column_stack([inside.reshape(t.shape[0], -1), t[:, -1]])
         v = np.where(np.isnan(self.v)[:, None], self.path.speed(fine), self.v[:, None])
         side = self.path.scenarios.side[:, None]
-        lane = _integral(side * v * self.path.curvature(fine), fine)
-        x, y = (_integral(v * wave(lane), fine)[:, ::parts] for wave in (np.cos, np.sin))
-        lane, e_y, e_psi = lane[:, ::parts], side * self.x[:, :, 0], side * self.x[:, :, 2]
+        turn = cumulative_simpson(side * v * self.path.curvature(fine), x=fine, initial=0.0)
+        x, y = (cumulative_simpson(v * wave(turn), x=fine, initial=0.0)[:, ::parts] for wave in (np.cos, np.sin))
+        lane, e_y, e_psi = turn[:, ::parts], side * self.x[:, :, 0], side * self.x[:, :, 2]
         return x - e_y * np.sin(lane), y + e_y * np.cos(lane), lane + e_psi
 
 
 _FINE: Final = 0.01  # [s] step of the integrals along the lane
-
-
-def _integral(values: FloatArray, t: FloatArray) -> FloatArray:
-    from scipy.integrate import cumulative_simpson
-
-    integral: FloatArray = cumulative_simpson(values, x=t, initial=0.0)
-    return integral
 
 
 @dataclasses.dataclass(frozen=True, repr=False)

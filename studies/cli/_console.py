@@ -76,45 +76,30 @@ def print_table(table: Table) -> None:
     Where it is narrow there are no rules, and headings and text break at spaces; columns that do not fit even then
     follow below, beside the text columns at the left again.
     """
-    from rich.cells import cell_len
-
-    out = console()
-
-    def longest(parts: Iterable[str]) -> int:
-        return max(map(cell_len, parts), default=0)
-
-    columns, widest, least = table.columns, [], []
+    out, columns, widest, least = console(), table.columns, [], []
     for column in columns:
         heading, cells = str(column.header), [str(cell) for cell in column.cells]
-        text = [min(cell_len(word), _LONGEST_WORD) for cell in cells for word in cell.split()]
-        widest.append(longest(line for cell in (heading, *cells) for line in cell.splitlines()))
-        least.append(
-            max(longest(heading.split()), longest(cells) if column.justify == "right" else max(text, default=0))
-        )
+        text = cells if column.justify == "right" else [word[:_LONGEST_WORD] for cell in cells for word in cell.split()]
+        widest.append(max(len(line) for cell in (heading, *cells) for line in (cell or " ").splitlines()))
+        least.append(max(map(len, (*heading.split(), *text))))
     if table.box is not None and sum(widest) + 3 * len(columns) + 1 <= out.width:
         out.print(table)
         return
     keys = next((i for i, column in enumerate(columns) if i and column.justify == "right"), len(columns))
-    rest = list(range(keys, len(columns)))
+    part, rest = copy.copy(table), list(range(keys, len(columns)))
+    part.box, part.padding, part.pad_edge = None, (0, 1, 0, 0), False
     while True:
-        shown = list(range(keys)) + rest[:1]
-        for i in rest[1:]:
-            if sum(least[j] + 1 for j in (*shown, i)) > out.width:
-                break
-            shown.append(i)
+        shown = list(range(keys))
+        while rest and (len(shown) == keys or sum(least[i] + 1 for i in (*shown, rest[0])) <= out.width):
+            shown.append(rest.pop(0))
         widths = {i: widest[i] for i in shown}
-        while sum(widths.values()) + len(shown) > out.width:
+        while sum(widths.values()) + len(shown) > out.width and any(widths[i] > least[i] for i in shown):
             widths[max(shown, key=lambda i: widths[i] - least[i])] -= 1
-            if all(widths[i] <= least[i] for i in shown):
-                break
-        part = copy.copy(table)
-        part.box, part.padding, part.pad_edge = None, (0, 1, 0, 0), False
         part.columns = [dataclasses.replace(columns[i], _index=k, width=widths[i]) for k, i in enumerate(shown)]
         out.print(part)
-        rest, table = rest[len(shown) - keys :], copy.copy(table)
+        part.title = None
         if not rest:
             return
-        table.title = None
 
 
 def say(out: Console, *lines: str) -> None:

@@ -65,14 +65,9 @@ class ReportOptions:
 
 
 def write_study_report(
-    folder: Path,
-    study: Study,
-    manifest: Manifest,
-    results: StudyResults,
-    rankings: tuple[Ranking, ...],
-    options: ReportOptions,
-    robustness: Robustness | None,
-) -> Path:
+    folder: Path, study: Study, manifest: Manifest, results: StudyResults, rankings: tuple[Ranking, ...],
+    options: ReportOptions, robustness: Robustness | None,
+) -> Path:  # fmt: skip
     """Write DIR/report.html and DIR/figures/."""
     from ldctoolkit.errors import StoreError
 
@@ -137,9 +132,7 @@ def print_rankings(rankings: Sequence[Ranking], top: int, found: Verdict) -> Non
     title, *others = verdict_lines(found)
     out.print(title, style="bold green" if found.usable and first.winner is not None else "bold red", markup=False,
               emoji=False, highlight=False)  # fmt: skip
-    for line in (*others, *more_lines(first)):
-        out.print(line, markup=False, emoji=False, highlight=False)
-    for line in other_cases(rankings):
+    for line in (*others, *more_lines(first), *other_cases(rankings)):
         out.print(line, markup=False, emoji=False, highlight=False)
     for warning in first.warnings:
         out.print(f"Warning: {warning}", style="yellow", markup=False, emoji=False, highlight=False)

@@ -62,12 +62,7 @@ def add_parser(commands: _console.Subparsers) -> None:
         "--prior-strength", type=_console.number, default=10.0, metavar="X", help="pseudo-events (default: %(default)s)"
     )
     add("--tol", type=_console.number, default=1e-7, metavar="X", help="nats an event and pass (default: %(default)s)")
-    add(
-        "--n-init",
-        type=_console.positive_number,
-        metavar="N",
-        help="starts (default: 8; 2 up to 2,000 departures)",
-    )
+    add("--n-init", type=_console.positive_number, metavar="N", help="starts (default: 8; 2 up to 2,000 departures)")
     add("--seed", type=_console.whole_number, default=0, metavar="N", help="random seed (default: 0)")
     add("--workers", type=_console.positive_number, metavar="N", help="cores to use (default: all); changes no number")
     add(

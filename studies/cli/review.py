@@ -86,17 +86,12 @@ def _of_folder(chosen: argparse.Namespace) -> Iterator[Subject]:
     """The design that the verdict of a study's results names, or the one that is chosen, with what its results say."""
     from ldctoolkit.review.limits import Finding
 
-    from ..ranking.ranking import rank_study
     from ..ranking.requirements import G, metric_values
-    from ..ranking.verdict import verdict
-    from ..storage.store import Store
+    from ._results import judged
 
-    store = Store.open(chosen.design)
-    study, results = store.manifest.read_study(), store.results()
-    ranking = rank_study(results, study)[0]
-    named = ranking.designs[verdict(ranking, results, study.setup()).place].id
-    only = chosen.only or named
-    for subject in _of_study(study, argparse.Namespace(**{**vars(chosen), "only": only})):
+    there = judged(chosen.design)
+    ranking, only = there.ranking, chosen.only or there.design.id
+    for subject in _of_study(there.study, argparse.Namespace(**{**vars(chosen), "only": only})):
         found = []
         for place, design in enumerate(ranking.designs):
             if design.id not in subject.ids:
@@ -104,16 +99,12 @@ def _of_folder(chosen: argparse.Namespace) -> Iterator[Subject]:
             peak, lost = (float(metric_values(name, ranking)[place]) for name in ("a_y_peak_max", "lost"))
             most = next(one.limit for one in ranking.limits if one.set == "physical")
             if peak > most:
-                text = (
-                    f"In the stored results a_y reaches {peak:.3g} m/s^2 ({peak / G:.2g} g), friction "
-                    f"allows {most:.3g} m/s^2"
-                )
+                text = f"In the stored results a_y reaches {peak:.3g} m/s^2 ({peak / G:.2g} g)"
+                text += f", friction allows {most:.3g} m/s^2"
                 found.append(Finding("fault", "friction", text, peak, most, math.nan))
             if lost:
-                text = (
-                    f"In the stored results {lost:.0f} of {ranking.scenarios} departures diverged, though "
-                    "friction allows their path"
-                )
+                text = f"In the stored results {lost:.0f} of {ranking.scenarios} departures diverged"
+                text += ", though friction allows their path"
                 found.append(Finding("fault", "diverged", text, lost, 0.0, math.nan))
         yield dataclasses.replace(subject, stored=tuple(found))
 

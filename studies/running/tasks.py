@@ -14,18 +14,9 @@ from typing import Any, Final, Self
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit import (
-    EventStatus,
-    LdcError,
-    LinearLaw,
-    Scenarios,
-    Setup,
-    SteeringLaw,
-    controller_class,
-    register,
-    registry,
-)
+from ldctoolkit import EventStatus, LdcError, Scenarios, Setup, controller_class, register, registry
 from ldctoolkit.arrays import FloatArray, IntArray
+from ldctoolkit.control import LinearLaw, SteeringLaw
 from ldctoolkit.errors import InputError
 from ldctoolkit.law_checks import declared_law, raised
 from ldctoolkit.metrics import METRIC_UNITS
@@ -504,22 +495,17 @@ def _warm_up(job: Job, task: Task) -> None:
         _warm.add(key)
 
 
-_OF_EACH_END = 8  # scenarios: the slowest may need another loop than the fastest
-
-
 def load_loops(laws: Iterable[str], scenarios: Scenarios, setup: Setup, y_s: float) -> None:
     """Load the compiled loops that some laws need, and compile those that are not on disk; no code of a user runs."""
     names: set[str] = set()
     for law in laws:
-        kind = declared_law(controller_class(law))
-        # a law that declares nothing may be of either kind; one of the toolkit's has a loop of its own beside
+        kind = declared_law(controller_class(law))  # a law that declares nothing may be of either kind
         names |= {"preview_proportional"} if kind is None or issubclass(kind, LinearLaw) else set()
+        # linear MPC has a loop of its own beside
         names |= {law if law == "linear_mpc" else "pid"} if kind is None or issubclass(kind, SteeringLaw) else set()
-    if not names:
-        return
     order = np.argsort(scenarios.v_mean, kind="stable")
-    some = scenarios.take(np.unique([*order[:_OF_EACH_END], *order[-_OF_EACH_END:]]))
+    ends = np.unique([*order[:8], *order[-8:]])  # the slowest may need another loop than the fastest
     with contextlib.suppress(LdcError):  # who needs these scenarios and this plant says what is wrong with them
-        takeover = Takeover.build(some, setup, y_s=y_s)
+        takeover = Takeover.build(scenarios.take(ends), setup, y_s=y_s)
         for name in sorted(names):
             drive(controller_class(name)(), takeover, threads=1)

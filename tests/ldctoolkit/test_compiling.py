@@ -17,7 +17,7 @@ TEXT = "compiling the closed loops, once, about a minute"
 @pytest.fixture
 def watched(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
     """A function that is compiled at its first call, together with one that it calls."""
-    compiling._print_once.cache_clear()
+    compiling.line.cache_clear()
     compiling.listen()
     monkeypatch.setattr(compiling, "MODULES", {__name__})
 

@@ -18,7 +18,7 @@ from rich.console import Console
 
 from helpers.cli import Terminal, bad, ldc
 from studies import Study, read_results, run_study
-from studies.cli import main
+from studies.cli import _console, main
 from studies.cli._console import add_row, new_table, print_table
 from studies.cli._results import print_race
 from studies.design import Design
@@ -142,13 +142,14 @@ def test_no_table_loses_a_digit_at_80_columns(command: str, folder: Path, monkey
 
 
 @pytest.mark.parametrize("width", [30, 41, 64, 80, 200])
-def test_columns_that_do_not_fit_follow_below(width: int) -> None:
+def test_columns_that_do_not_fit_follow_below(width: int, monkeypatch: pytest.MonkeyPatch) -> None:
     headings = ("name of a thing", *(f"number {i}\n[m/s]" for i in range(8)))
     table = new_table("Title", headings)
     cells = [f"{10**i + 0.25:.2f}" for i in range(8)]
     add_row(table, ["a rather long name", *cells])
+    monkeypatch.setattr(_console, "console", lambda: out)
     out = Console(width=width, file=io.StringIO())
-    print_table(out, table)
+    print_table(table)
     lines = out.file.getvalue().splitlines()  # type: ignore[attr-defined]
     words = " ".join(lines).replace("\u2502", " ").split()
     assert [word for word in words if re.fullmatch(r"\d+\.25", word)] == cells
