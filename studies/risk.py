@@ -423,9 +423,7 @@ def estimate_risk(
 def _estimate(work: _Estimation, executor: Executor, progress: Progress, notice: Callable[[str], None] | None) -> Risk:
     tasks, job, orderly = work.tasks(), work.job, False
     if tasks:
-        left, right = (min(count, 99) for count in job.share)
-        some = job.model.sample(left, right, seed=0, given=job.given)
-        load_loops({one.law for one in job.designs}, some, job.setup, min(one.y_s for one in job.designs))
+        load_loops({one.law for one in job.designs}, job.scenarios(0), job.setup, min(one.y_s for one in job.designs))
     progress.stage("departures", len(tasks) * job.chunk)
     if notice is not None and not tasks:
         notice(f"all departures were driven before; {resolution(job.n)}")

@@ -302,7 +302,7 @@ def _drive_linear(laws: list[LinearLaw], takeover: Takeover, rows: IntArray | No
             drive_any(stiff, *other)
             score[:, :, stiff], diverged[:, stiff] = other[0][:, :, stiff], other[1][:, stiff]
             failed[:, stiff] = other[2][:, stiff]
-    kept = _trajectories_of(takeover, paths, rows, found)
+    kept = _kept_paths(takeover, paths, rows, found)
     return [_run_of_scores(takeover, score[i], diverged[i], failed[i], 0.0, kept) for i in range(d)]
 
 
@@ -358,7 +358,7 @@ def _drive_general(law: SteeringLaw, takeover: Takeover, name: str, rows: IntArr
         going = left
     results = [plant.scores() for plant in plants]
     score, diverged = (np.concatenate(values, axis=-1) for values in zip(*results, strict=True))
-    kept = _trajectories_of(takeover, paths, rows, found)
+    kept = _kept_paths(takeover, paths, rows, found)
     run = _run_of_scores(takeover, score, diverged, failed, law_seconds, kept)
     status = np.where(beyond & (run.status == EventStatus.OK), np.int8(EventStatus.BEYOND_DELTA_MAX), run.status)
     return dataclasses.replace(run, status=status, solver_log=SolverLog.of(calls))
@@ -474,7 +474,7 @@ def _run_of_scores(
     return Run(takeover, score[data.AREA], status, failed, companions, law_seconds, trajectories)
 
 
-def _trajectories_of(over: Takeover, paths: FloatArray, rows: IntArray | None, found: IntArray) -> Trajectories | None:
+def _kept_paths(over: Takeover, paths: FloatArray, rows: IntArray | None, found: IntArray) -> Trajectories | None:
     """Paths of the chosen rows; NaN where a scenario never triggered."""
     if rows is None:
         return None

@@ -152,13 +152,10 @@ def positive_number(text: str) -> int:
 
 def number(text: str) -> float:
     """A finite number on the command line."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("nan")
-    if not abs(value) < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text!r}; allowed: a number")
-    return value
+    with contextlib.suppress(ValueError):
+        if math.isfinite(value := float(text)):
+            return value
+    raise argparse.ArgumentTypeError(f"{text!r}; allowed: a number")
 
 
 _live: list[Progress] = []  # what is on the screen: a phase inside another one is a line below it
@@ -203,13 +200,10 @@ def named(text: str) -> tuple[str, str]:
 
 
 def _number(text: str, whole: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if math.isnan(value):
-        raise argparse.ArgumentTypeError(f"{whole!r}: {text!r} is not a number")
-    return value
+    with contextlib.suppress(ValueError):
+        if not math.isnan(value := float(text)):
+            return value
+    raise argparse.ArgumentTypeError(f"{whole!r}: {text!r} is not a number")
 
 
 def interval(text: str, whole: str) -> Interval:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from ..pages.ranking_markdown import write_markdown
-from ..ranking.ranking import Ranking, write_csv
+from ..ranking.ranking import Ranking, rank_study, write_csv
 from ..ranking.verdict import (
     Verdict,
     listed_places,
@@ -24,7 +24,7 @@ from ..ranking.verdict import (
 from ..results import Race, StudyResults
 from ..storage.manifest import Manifest
 from ..study_file import Study
-from ._console import add_row, console, new_table, print_table, progress_bar
+from ._console import add_row, console, new_table, print_table, progress_bar, say
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -111,7 +111,6 @@ class Judged:
 
 def judged(folder: str | Path) -> Judged:
     """Read a folder that ldc run wrote."""
-    from ..ranking.ranking import rank_study
     from ..ranking.verdict import verdict
     from ..storage.store import Store
 
@@ -147,8 +146,7 @@ def _print_failed(ranking: Ranking) -> None:
         return
     out.print(f"{len(failed)} design{'s' if len(failed) > 1 else ''} failed and {'are' if len(failed) > 1 else 'is'} "
               "not ranked:", style="yellow")  # fmt: skip
-    for one in failed[:_MOST_FAILED]:
-        out.print(f"  {one.sentence}", markup=False, emoji=False, highlight=False, soft_wrap=True)
+    say(out, *(f"  {one.sentence}" for one in failed[:_MOST_FAILED]))
     if len(failed) > _MOST_FAILED:
         out.print(f"  and {len(failed) - _MOST_FAILED} more, see ranking.csv")
     out.print()
@@ -224,13 +222,11 @@ def rank_summary(
     results: StudyResults, ranking: Ranking, manifest: Manifest, ranking_csv: Path | None, found: Verdict
 ) -> str:
     """The one line of ``ldc rank --json``: what was found, and with which settings."""
-    baseline = ranking.baseline
+    baseline, winner = ranking.baseline, ranking.winner
     content = {"event": "ranked"} | _found(results, ranking, manifest) | _judged(found)
     content |= {
         "baseline": None if baseline is None else ranking.designs[baseline].id,
-        "baseline_difference_m_s": None if ranking.winner is None else _number(
-            ranking.baseline_difference[ranking.winner]
-        ),
+        "baseline_difference_m_s": None if winner is None else _number(ranking.baseline_difference[winner]),
         "require": list(ranking.require),
         "not_ranked": [design.id for design, missed in zip(ranking.designs, ranking.unmet, strict=True) if missed],
         "pareto": list(ranking.pareto_metrics),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import csv
 import io
 import os
@@ -49,13 +50,10 @@ def add_parser(commands: _console.Subparsers) -> None:
 
 def _departures(text: str) -> int:
     """``1e7``, ``10_000_000``."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 1 <= value <= 1e9 or value != int(value):
-        raise argparse.ArgumentTypeError(f"{text!r}; allowed: a whole number from 1 to 1e9")
-    return int(value)
+    with contextlib.suppress(ValueError):
+        if 1 <= float(text) <= 1e9 and float(text).is_integer():
+            return int(float(text))
+    raise argparse.ArgumentTypeError(f"{text!r}; allowed: a whole number from 1 to 1e9")
 
 
 def run(chosen: argparse.Namespace) -> None:

@@ -464,7 +464,10 @@ class Campaign:
             for fault, status in STATUS_OF.items() if self.table.missing(key) < self.table.n else ():
                 for row in self.table.rows_with(key, status):
                     self._faults.record(key, int(row), fault)
-        self._load_loops(queues)
+        # in this process, each law once: workers would all compile the same
+        laws = {queue.law for queue in queues} - self._loaded
+        self._loaded |= laws
+        load_loops(laws, self.scenarios, self._job.setup, min(one.y_s for queue in queues for one in queue.designs))
         self._progress.stage(stage, sum(len(queue.designs) * queue.batch.rows.size for queue in queues))
         dispatcher = Dispatcher(
             self._job, self.scenarios, self._executor, self._collect, faults=self._faults, block_size=self._block_size
@@ -476,14 +479,6 @@ class Campaign:
                 self._flush()
                 self._written()
         self._forget_failures(designs)
-
-    def _load_loops(self, queues: Sequence[WorkQueue]) -> None:
-        """In this process, once: workers would all compile the same."""
-        laws = {queue.law for queue in queues} - self._loaded
-        if laws:
-            self._loaded |= laws
-            least = min(design.y_s for queue in queues for design in queue.designs)
-            load_loops(laws, self.scenarios, self._job.setup, least)
 
     def _queues(self, designs: Sequence[Design], size: int) -> list[WorkQueue]:
         """What is missing: convention by convention, law by law, batch by batch."""
