@@ -17,7 +17,7 @@ $(VENV)/.runtime: pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(0 if (3, 11) <= sys.version_info[:2] <= (3, 14) else "ldctoolkit needs Python 3.11 to 3.14, this is " + sys.version.split()[0] + "; choose one with PYTHON=python3.12")'
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --editable .
-	@echo "compiling the closed loops, once" && OPENBLAS_NUM_THREADS=1 $(BIN)/python -m ldctoolkit.studies.compile_loops
+	@OPENBLAS_NUM_THREADS=1 $(BIN)/python -m ldctoolkit.studies.compile_loops
 	@touch $@
 
 $(VENV)/.dev: $(VENV)/.runtime

@@ -24,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import FloatArray, IntArray
-from ldctoolkit.errors import InputError
+from ldctoolkit.errors import CheckedArguments, InputError
 from ldctoolkit.gains import Gain, check_declarations, declared_gains, document_gains
 from ldctoolkit.vehicle import Plant
 
@@ -84,7 +84,7 @@ class Preview:
 
 @final
 @dataclasses.dataclass(frozen=True)
-class LinearLaw:
+class LinearLaw(CheckedArguments):
     """A law that is linear in what it sees; runs without a call back into Python code of the controller.
 
     Examples
@@ -284,7 +284,7 @@ Law = LinearLaw | SteeringLaw | RecordedPath
 _checked: weakref.WeakSet[type] = weakref.WeakSet()  # classes that follow `Controller`
 
 
-class Controller(abc.ABC):
+class Controller(CheckedArguments, abc.ABC):
     """A controller design: a frozen dataclass whose fields are made with `gain` and `option`.
 
     Every declared value is checked when the design is made, so that a wrong one is named where it was written. Raises

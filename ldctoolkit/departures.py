@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray, ReadOnly, unmasked
-from ldctoolkit.errors import InputError
+from ldctoolkit.errors import CheckedArguments, InputError
 from ldctoolkit.frames import Frame
 
 if TYPE_CHECKING:
@@ -117,11 +117,11 @@ class DepartureParameters(Frame):
         return np.column_stack([getattr(self, name) for name in PARAMETER_NAMES])
 
     def to_polars(self) -> pl.DataFrame:
-        """One row a departure: ``side`` and the parameters, ``v_mean_m_s``; where they were recorded, that too."""
+        """One row a departure: its number or where it was recorded, ``side`` and the parameters, ``v_mean_m_s``."""
         import polars as pl
 
-        columns = {"recording": "recording", "start_time_s": "start_time"} if hasattr(self, "recording") else {}
-        values = {column: getattr(self, name) for column, name in columns.items()}
+        columns = {"recording": "recording", "start_time_s": "start_time", "scenario": "index"}
+        values = {column: getattr(self, name) for column, name in columns.items() if hasattr(self, name)}
         side = np.where(self.side == LEFT, "left", "right")
         return pl.DataFrame(values | {"side": side} | {c: getattr(self, n) for n, c in PARAMETER_COLUMNS.items()})
 
@@ -392,7 +392,7 @@ def bend_polynomial(p: DepartureParameters) -> tuple[FloatArray, FloatArray, Flo
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Plausibility:
+class Plausibility(CheckedArguments):
     """What the path of a departure may ask of driver and vehicle; beyond it no departure happened, nor can happen.
 
     Raises `InputError` for a limit that is not above zero. An infinite one is no limit, and is kept as None.

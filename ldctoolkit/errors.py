@@ -5,9 +5,11 @@ A message names the field (or the file and line), the value, what is allowed and
 """
 
 import difflib
+import functools
+import inspect
 from collections.abc import Iterable
 from types import NoneType, UnionType
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 
 class LdcError(Exception):
@@ -53,6 +55,30 @@ class UnknownNameError(LdcError, KeyError):
 
     def __str__(self) -> str:
         return str(self.args[0])  # KeyError would print the repr
+
+
+class UnknownArgumentError(LdcError, TypeError):
+    """A keyword argument does not exist; the message names the nearest that does."""
+
+
+class CheckedArguments:
+    """Base of dataclasses that a user fills: a wrong name of a field is named with the nearest right one."""
+
+    if not TYPE_CHECKING:  # what may be given is what `__init__` takes
+
+        def __new__(cls, *_, **given):
+            """Raise `UnknownArgumentError` for a name that `__init__` does not know."""
+            for name in given:
+                if name not in (known := _arguments(cls) or given):
+                    raise UnknownArgumentError(f"{cls.__name__}: no argument {name!r}; {nearest(name, known)}")
+            return super().__new__(cls)
+
+
+@functools.cache
+def _arguments(kind: type) -> tuple[str, ...]:
+    """Names that an `__init__` takes; none where it takes any."""
+    _, *known = inspect.signature(kind.__init__).parameters.values()  # type: ignore[misc]
+    return () if any(one.kind is one.VAR_KEYWORD for one in known) else tuple(one.name for one in known)
 
 
 def nearest(name: str, allowed: Iterable[str]) -> str:

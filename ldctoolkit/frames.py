@@ -17,7 +17,7 @@ class Frame(ReadOnly, abc.ABC):
 
     @abc.abstractmethod
     def to_polars(self) -> pl.DataFrame:
-        """A polars data frame, a unit at the end of each column's name: ``S_m_s``."""
+        """A polars data frame, a unit at the end of each column's name: ``deepest_m``."""
 
     def to_pandas(self) -> Any:
         """The same as a pandas data frame; pandas is not among the toolkit's own packages."""

@@ -14,7 +14,10 @@ import numpy as np
 from numba import types
 from numba.extending import intrinsic
 
+from ldctoolkit import compiling
 from ldctoolkit.arrays import FloatArray
+
+compiling.listen()
 
 # strict arithmetic: no number depends on its neighbours in a vector, nor on what was compiled before, which decides
 # where a compiler that may fuses a product and a sum; division by zero gives infinity as in NumPy

@@ -6,7 +6,7 @@ A type checker finds these mistakes too; here they end in one message that names
 import itertools
 import traceback
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 import numpy as np
 import numpy.typing as npt
@@ -49,6 +49,15 @@ def _place(error: BaseException) -> str:
     frames = list(itertools.dropwhile(is_ours, traceback.extract_tb(error.__traceback__)))
     inside = [frame for frame in frames if frame.filename == frames[0].filename]
     return f"({Path(inside[-1].filename).name}, line {inside[-1].lineno})" if inside else ""
+
+
+def declared_law(controller: type[Controller]) -> type | None:
+    """The kind of law that the annotation of its `prepare` declares; None where there is none."""
+    try:
+        law = get_type_hints(controller.prepare).get("return")
+    except Exception:  # an annotation may be third-party code
+        return None
+    return law if isinstance(law, type) and issubclass(law, LinearLaw | RecordedPath | SteeringLaw) else None
 
 
 _OF_A_STEP = (EventStatus.OK, EventStatus.SOLVER_FAILED, EventStatus.BEYOND_DELTA_MAX)

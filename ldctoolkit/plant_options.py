@@ -9,7 +9,7 @@ import math
 from fractions import Fraction
 from typing import Final, Literal, get_args
 
-from ldctoolkit.errors import InputError, plain
+from ldctoolkit.errors import CheckedArguments, InputError, plain
 from ldctoolkit.option_checks import (
     check_declared,
     checked_number,
@@ -34,7 +34,7 @@ def whole_multiple(time: float, dt: float) -> float:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Actuator:
+class Actuator(CheckedArguments):
     """Steering actuator: pure delay, then the angle limit, then a first-order lag whose rate is limited.
 
     With the delayed, limited command u, the steering angle follows d delta/dt = (u - delta)/lag, cut off at +-rate_max;
@@ -69,7 +69,7 @@ class Actuator:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Mismatch:
+class Mismatch(CheckedArguments):
     """Ranges of factors on the true vehicle, one uniform draw per scenario; the law is designed on the nominal one.
 
     Raises `InputError` for a range that is not 0 < low <= high.
@@ -104,7 +104,7 @@ class Mismatch:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Tyres:
+class Tyres(CheckedArguments):
     """Lateral tyre force.
 
     Raises `InputError` for a value outside what is allowed.
@@ -139,7 +139,7 @@ class Tyres:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class KalmanFilter:
+class KalmanFilter(CheckedArguments):
     """Stationary Kalman filter on the nominal vehicle; it gives the law all four states from the camera's two.
 
     Raises `InputError` for a value that is not > 0.
@@ -166,7 +166,7 @@ class KalmanFilter:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Sensors:
+class Sensors(CheckedArguments):
     """Lane camera: frames of e_y and e_psi, and the curvature ahead. Biases are in the road's frame, positive left.
 
     A frame is value + bias + noise, rounded to the step of quantisation. It is taken every `period`, one of them at the
@@ -224,7 +224,7 @@ class Sensors:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Residuals:
+class Residuals(CheckedArguments):
     """What the eight parameters leave out of the recorded path, drawn anew from sigma_y and sigma_v.
 
     Raises `InputError` for a value outside what is allowed.
@@ -253,7 +253,7 @@ class Residuals:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class PlantOptions:
+class PlantOptions(CheckedArguments):
     """Everything that may differ from the ideal plant.
 
     Raises `InputError` for a value outside what is allowed.

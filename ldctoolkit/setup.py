@@ -8,7 +8,7 @@ from typing import Final, Literal, get_args
 
 import numpy.typing as npt
 
-from ldctoolkit.errors import InputError
+from ldctoolkit.errors import CheckedArguments, InputError
 from ldctoolkit.option_checks import check_declared, checked_seed, declaration, declaration_of, declared, short_repr
 from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.vehicle import BicycleModel, Convention, Plant, VehicleParameters
@@ -23,7 +23,7 @@ SETTLE: Final = 3.0  # how long [s] the loop goes on after the departure by defa
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Setup:
+class Setup(CheckedArguments):
     """How scenarios are driven, whichever design drives them; passed whole from a study to the closed loop.
 
     A field made with `declared` is an option of the simulation: it is checked here, and the table ``[simulation]`` of a

@@ -410,7 +410,7 @@ def _variants(test: Standard, cells: Cells, given: Setup, seeds: int) -> Iterato
 
 
 PREDICTIONS: Final = (
-    "design", "standard", "range", "speed_km_h", "lateral_velocity_m_s", "lateral_acceleration_m_s2", "predicted",
+    "label", "standard", "range", "speed_km_h", "lateral_velocity_m_s", "lateral_acceleration_m_s2", "predicted",
     "light", "quantity", "value", "limit", "worst", "worst_case",
 )  # fmt: skip
 """Columns of a table of predictions: one row a cell and condition."""

@@ -7,9 +7,11 @@ import functools
 import hashlib
 import json
 import warnings
+from collections.abc import Sequence
 from typing import Any, Final
 
 from ldctoolkit import Controller, controller_class
+from ldctoolkit.errors import InputError, UnknownNameError, nearest
 from ldctoolkit.gains import GainValue
 from ldctoolkit.option_checks import UnitWarning, unit_slip
 from ldctoolkit.registry import bound_class, code_of, is_known
@@ -153,3 +155,20 @@ class Design:
 
 def _short(value: GainValue) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def named_designs(designs: Sequence[Design], names: Sequence[str]) -> list[Design]:
+    """Those of some labels, or starts of ids, in this order and each once."""
+    found: dict[str, Design] = {}
+    for name in names:
+        some = [design for design in designs if name == design.label or (name and design.id.startswith(name.lower()))]
+        if len(some) > 1:
+            raise InputError(f"--design {name!r}: the ids of {len(some)} designs start so; allowed: more of the id")
+        if not some:
+            close = nearest(name, [design.label for design in designs])
+            if len(designs) > 5:  # the labels of a large study fill a screen
+                allowed = "allowed: a label, or the id in ranking.csv"
+                close = f"{close.partition('? (')[0]}? ({allowed})" if close.startswith("did you mean") else allowed
+            raise UnknownNameError(f"--design {name!r}: no such design; {close}")
+        found[some[0].id] = some[0]
+    return list(found.values())

@@ -248,23 +248,26 @@ class StudyResults(Frame):
         return f"<StudyResults: {'; '.join(f'{name} {value}' for name, value in self._lines())}>"
 
     def to_polars(self) -> pl.DataFrame:
-        """One row for each case, design and scenario: scores, status and every metric."""
+        """One row for each convention, design and scenario: scores of every window, status and every metric.
+
+        Columns have the names of the stored parts.
+        """
         import polars as pl
 
-        tables = []
-        for case in self.cases:
-            names: dict[str, Any] = {
-                "S_m_s": case.S,
-                "S_uncorrected_m_s": case.S_uncorrected,
-                "failed_solves": case.failed_solves,
+        tables, sides = [], np.where(self.scenarios.side == LEFT, "left", "right")
+        for convention in dict.fromkeys(case.case.convention for case in self.cases):
+            cases = [case for case in self.cases if case.case.convention == convention]  # of each window; else the same
+            columns: dict[str, Any] = {
+                f"{name}_{case.case.window}_m_s": getattr(case, name)
+                for case in cases
+                for name in ("S", "S_uncorrected")
             }
-            names |= {column: getattr(case.companions, name) for name, column in METRIC_COLUMNS.items()}
-            sides = np.where(self.scenarios.side == LEFT, "left", "right")
+            columns |= {column: getattr(cases[0].companions, name) for name, column in METRIC_COLUMNS.items()}
+            columns |= {"status": STATUS_NAMES[cases[0].status], "failed_solves": cases[0].failed_solves}
             for i, design in enumerate(self.designs):
-                facts: dict[str, Any] = {"window": case.case.window, "convention": case.case.convention}
-                facts |= {"design": design.id, "label": design.label, "law": design.law, "y_s_m": design.y_s}
-                values = {"scenario": self.scenarios.index, "side": sides, "status": STATUS_NAMES[case.status[i]]}
-                tables.append(pl.DataFrame(facts | values | {name: array[i] for name, array in names.items()}))
+                facts = {"design": design.id, "label": design.label, "law": design.law, "y_s_m": design.y_s}
+                facts |= {"convention": convention, "scenario": self.scenarios.index, "side": sides}
+                tables.append(pl.DataFrame(facts | {name: array[i] for name, array in columns.items()}))
         return pl.concat(tables)
 
     def _lines(self) -> Iterator[tuple[str, str]]:

@@ -27,9 +27,10 @@ from .design import NO_CONTROL, Design
 from .ranking.tail import exact_interval, paired_sign
 from .ranking.verdict import Light, State
 from .runner import study_source
-from .running.campaign import Progress, default_progress, laws_to_send
+from .running.campaign import Progress, displayed, laws_to_send
 from .running.chunks import BIN, BINS, ChunkJob, ChunkTask, Tally
 from .running.executors import Executor, make_executor
+from .running.tasks import load_loops
 from .storage.files import locked, output_folder, read_json, remove_unfinished, write_json
 from .study_file import Study
 
@@ -204,7 +205,8 @@ class Risk:
         """One row for each of the worst departures of some designs, of all by default, as ``worst.csv`` holds them."""
         for design in designs or self.designs:
             for rank, (depth, index, side, *values) in enumerate(self.tally.kept(self.row(design)).tolist(), 1):
-                one = {"design": design.label, "id": design.id, "rank": rank, "depth_m": depth, "scenario": int(index)}
+                one = {"design": design.id, "label": design.label, "rank": rank}
+                one |= {"deepest_m": depth, "scenario": int(index)}
                 one |= {"side": "left" if side == LEFT else "right"}
                 yield one | dict(zip(PARAMETER_COLUMNS.values(), values, strict=True))
 
@@ -226,7 +228,7 @@ class Risk:
     def rows(self) -> Iterator[dict[str, Any]]:
         """One row for every design, event and side, as ``risk.csv`` holds them."""
         for design, event, side in itertools.product(self.designs, self.events, _SIDES):
-            found, row = self.event(design, event, side), {"design": design.label, "id": design.id}
+            found, row = self.event(design, event, side), {"design": design.id, "label": design.label}
             row |= {"y_s_m": design.y_s, "event": event, "side": side or "both", "count": found.count, "n": found.n}
             shares = {"": found.probability, "_low": found.low, "_high": found.high}
             for name, rate in {"probability": 1.0, **self.departure_rates(side)}.items():
@@ -408,9 +410,8 @@ def estimate_risk(
         laws=laws_to_send(design.kind for design in active) if chosen.isolated else b"",
         token=time.time_ns(),
     )
-    shown = progress if not isinstance(progress, bool | None) else default_progress(progress)
     with contextlib.ExitStack() as stack:
-        stack.callback(shown.close)
+        shown = stack.enter_context(displayed(progress))
         folder = None if directory is None else Path(directory)
         if folder is not None:
             output_folder(folder)
@@ -421,6 +422,8 @@ def estimate_risk(
 
 def _estimate(work: _Estimation, executor: Executor, progress: Progress, notice: Callable[[str], None] | None) -> Risk:
     tasks, job, orderly = work.tasks(), work.job, False
+    if tasks:
+        load_loops({one.law for one in job.designs}, job.scenarios(0), job.setup, min(one.y_s for one in job.designs))
     progress.stage("departures", len(tasks) * job.chunk)
     if notice is not None and not tasks:
         notice(f"all departures were driven before; {resolution(job.n)}")

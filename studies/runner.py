@@ -22,7 +22,7 @@ from .ranking.design_metrics import find_baseline
 from .ranking.ranking import Ranking, rank_study
 from .replayed import ReplayedDepartures, read_replayed
 from .results import Race, StudyResults
-from .running.campaign import Campaign, Progress, default_progress
+from .running.campaign import Campaign, Progress, displayed
 from .running.executors import Executor, make_executor
 from .running.tasks import Prefixes, schedule
 from .search import run_search
@@ -127,9 +127,7 @@ def run_study(
     named = study.scenarios.model if model is None else "in memory" if source is model else str(model)
     if isinstance(source, ReplayedDepartures):
         named = source.name
-    shown = progress if not isinstance(progress, bool | None) else default_progress(progress)
-    with contextlib.ExitStack() as stack:
-        stack.callback(shown.close)
+    with displayed(progress) as shown:
         chosen = make_executor(executor, workers, dask)
         run = _Run(source, named, chosen, shown, time_limit, block_size)
         try:

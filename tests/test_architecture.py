@@ -18,6 +18,7 @@ LEVELS = (
     (
         "ldctoolkit.arrays",
         "ldctoolkit.code_content",
+        "ldctoolkit.compiling",
         "ldctoolkit.errors",
         "ldctoolkit.frames",
         "ldctoolkit.lane_functions",

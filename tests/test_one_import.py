@@ -1,10 +1,15 @@
 """What a Python session needs, from one import, in a few lines; each as a user would write it."""
 
+import copy
+import dataclasses
+import inspect
+import pickle
 import re
 import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
 import polars as pl
@@ -12,9 +17,13 @@ import pytest
 
 import ldctoolkit as ldc
 from controllers import LQR
+from ldctoolkit.errors import LdcError
 from ldctoolkit.option_checks import UnitWarning
 from ldctoolkit.plant_options import Actuator, PlantOptions
-from studies import Study
+from ldctoolkit.recordings.find_departures import Criteria
+from ldctoolkit.recordings.preparation import Preparation
+from studies import Study, risk
+from studies.ranking.ranking import write_csv
 
 OWN_LAW = """
 import dataclasses, numpy as np, ldctoolkit as ldc
@@ -58,9 +67,9 @@ def test_own_arrays_vehicle_requirement_and_a_data_frame() -> None:
     assert table["set_of_best"].to_list() == ranking.set_of_best.tolist()
     rows = results.to_polars()
     assert rows.shape[0] == 5 * 20
-    np.testing.assert_array_equal(rows["S_m_s"], results.cases[0].S.ravel())
+    np.testing.assert_array_equal(rows["S_departure_m_s"], results.cases[0].S.ravel())
     one = ldc.simulate(ldc.LQR(r_delta=300.0), results.scenarios, 0.1, vehicle=study.vehicle, options=study.plant)
-    np.testing.assert_array_equal(rows.filter(law="lqr", y_s_m=0.1)["S_m_s"], one.S)
+    np.testing.assert_array_equal(rows.filter(law="lqr", y_s_m=0.1)["S_departure_m_s"], one.S)
     assert study.ranking.require == ("a_y_peak_p95 <= 9",)
     assert repr(results) == (
         "<StudyResults: designs 5: none (1), lqr (2), pid (2); scenarios 20 (10 left, 10 right); "
@@ -76,7 +85,7 @@ def test_scenarios_of_ones_own_keep_their_numbers() -> None:
     assert results.scenarios.index.tolist() == [*range(1, 20, 2), *range(0, 20, 2)]
     rows = results.to_polars().sort("scenario")
     one = ldc.simulate(ldc.LQR(), arrays(), 0.1, setup=study.setup())
-    np.testing.assert_array_equal(rows["S_m_s"], one.S)
+    np.testing.assert_array_equal(rows["S_departure_m_s"], one.S)
     assert rows["side"][:2].to_list() == ["right", "left"]
 
 
@@ -95,16 +104,60 @@ def test_frames_of_departures_and_outcomes() -> None:
     scenarios = arrays()
     outcome = ldc.simulate(ldc.NoControl(), scenarios)
     frame = outcome.to_polars()
-    assert frame.columns[:6] == ["side", "S_m_s", "S_uncorrected_m_s", "t_s_s", "status", "failed_solves"]
+    scores = ["S_departure_m_s", "S_uncorrected_departure_m_s"]
+    assert frame.columns[:6] == ["side", *scores, "t_s_s", "status", "failed_solves"]
     assert frame["status"].unique().sort().to_list() == ["ok"]
     np.testing.assert_array_equal(frame["deepest_m"], outcome.deepest)
     table = scenarios.to_polars()
     assert table.columns == [
-        "side", "T_s", "d_y_m", "sigma_y_m", "v_mean_m_s", "a_mean_m_s2", "sigma_v_m_s", "c_0_1_m", "dc_1_m"
+        "scenario", "side", "T_s", "d_y_m", "sigma_y_m", "v_mean_m_s", "a_mean_m_s2", "sigma_v_m_s", "c_0_1_m", "dc_1_m"
     ]  # fmt: skip
     assert table["side"][:2].to_list() == ["right", "left"]
     assert repr(scenarios) == "<Scenarios: 10 left, 10 right>"
     assert repr(outcome).startswith("<Outcome of 20 scenarios, departure window: mean S ")
+
+
+def test_a_column_has_one_name_in_files_and_frames(tmp_path: Path) -> None:
+    """Of a run: whatever stands in the stored parts, in CSV files and in data frames."""
+    study = ldc.study(
+        ldc.NoControl, ldc.LQR, y_s=[0.1, 0.3], left=9, right=9,
+        simulation={"window": ["departure", "control"], "convention": ["consistent", "as_printed"]},
+    )  # fmt: skip
+    results = ldc.run_study(study, tmp_path, workers=1)
+    frame, parts = results.to_polars(), pl.read_parquet(tmp_path / "results" / "*.parquet")
+    assert set(frame.columns) == {*parts.columns, "label", "law", "y_s_m", "side"}
+    names = pl.read_parquet(tmp_path / "designs.parquet")
+    key = ["design", "convention", "scenario"]
+    assert frame.height == parts.height == 3 * 2 * 18
+    assert frame["scenario"].max() == 17
+    both = frame.join(parts.join(names, on="design"), on=key, suffix=" stored")
+    assert both.height == frame.height
+    for name in ("label", "y_s_m", "S_departure_m_s", "S_control_m_s", "S_uncorrected_control_m_s", "a_y_peak_m_s2"):
+        assert both[name].to_list() == both[f"{name} stored"].to_list()
+    assert (both["S_control_m_s"] < both["S_departure_m_s"]).any()
+    outcome = ldc.simulate(ldc.LQR(), results.scenarios, 0.1, window="control").to_polars()
+    assert set(outcome.columns) - {"t_s_s"} < set(frame.columns)
+    assert outcome["S_control_m_s"].to_list() == frame.filter(law="lqr", y_s_m=0.1)["S_control_m_s"][:18].to_list()
+    stored = pl.read_parquet(tmp_path / "scenarios.parquet")
+    assert results.scenarios.to_polars().columns == stored.columns
+    ranking = ldc.rank_study(results, study)[0]
+    write_csv([ranking], tmp_path / "ranking.csv")
+    table = ranking.to_polars()
+    assert set(table.columns) == set(pl.read_csv(tmp_path / "ranking.csv").columns)
+    assert table["label"].to_list() == [design.label for design in ranking.designs]
+    assert {"design", "label", "law", "y_s_m"} <= set(table.columns) & set(frame.columns) & set(names.columns)
+    found = risk.estimate_risk(study.designs[-1:], study, n=60, workers=1)
+    for row in (*found.rows(), *found.worst_rows()):
+        assert (row["design"], row["label"]) in [(one.id, one.label) for one in found.designs]
+    assert set(results.scenarios.to_polars().columns) | {"deepest_m"} < set(row)
+
+
+def test_a_departure_that_never_triggers_has_an_infinite_trigger_time_in_a_frame() -> None:
+    scenarios = ldc.Scenarios.from_arrays(T=3.0, d_y=[0.1, 0.6], v_mean=25.0)
+    frame = ldc.simulate(ldc.LQR(), scenarios, 0.2).to_polars()
+    assert frame["status"].to_list() == ["never_triggered", "ok"]
+    assert frame["t_s_s"][0] == np.inf
+    assert 0.0 < frame["t_s_s"][1] < 1.5
 
 
 def test_pandas_frames(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -227,3 +280,56 @@ def test_without_pandas_one_sentence_says_so(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(ldc.LdcError, match=r"^to_pandas: pandas is not installed; allowed: pip install pandas, or"):
         arrays().to_pandas()
+
+
+@dataclasses.dataclass(frozen=True)
+class Own(ldc.Controller):
+    name: ClassVar[str] = "own"
+    title: ClassVar[str] = "Own"
+    K_heading: float = ldc.gain(-0.2, unit="1", description="a gain")
+
+    def prepare(self, plant: ldc.Plant) -> ldc.RecordedPath:
+        return ldc.RecordedPath()
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "near"),
+    [
+        (ldc.LQR, "q_yy", "q_y"), (ldc.LinearMPC, "horizn", "horizon"), (Own, "K_heding", "K_heading"),
+        (ldc.VehicleParameters, "C_aff", "C_af"), (ldc.BicycleModel, "parameter", "parameters"),
+        (ldc.Setup, "trigge", "trigger"), (ldc.PlantOptions, "actuatr", "actuator"), (ldc.Actuator, "lagg", "lag"),
+        (ldc.Sensors, "kalmann", "kalman"), (ldc.KalmanFilter, "r_yy", "r_y"), (ldc.Tyres, "muu", "mu"),
+        (ldc.Mismatch, "Iz", "I_z"), (ldc.Residuals, "bandwith", "bandwidth"), (ldc.Plausibility, "y_rat", "y_rate"),
+        (ldc.LinearLaw, "f_pst", "f_past"), (ldc.BoundedGaussianMixture, "n_component", "n_components"),
+        (Criteria, "min_durations", "min_duration"), (Preparation, "steps", "step"), (ldc.LQR, "title", None),
+    ],
+)  # fmt: skip
+def test_a_wrong_name_of_an_argument_names_the_nearest(kind: Any, name: str, near: str | None) -> None:
+    """A `TypeError` as Python's own, and an error of the toolkit; wherever the name is given."""
+    for make in (lambda: kind(**{name: 1.0}), lambda: dataclasses.replace(kind(), **{name: 1.0})):
+        with pytest.raises(TypeError) as error:
+            make()
+        if kind in (Criteria, ldc.LinearLaw) and "missing" in str(error.value):
+            continue  # there is no kind()
+        assert isinstance(error.value, LdcError)
+        assert (f"did you mean '{near}'?" in str(error.value)) == (near is not None)
+        assert repr(name) in str(error.value)
+
+
+def test_other_calls_stay_as_they_are() -> None:
+    @dataclasses.dataclass(frozen=True, init=False)
+    class Free(ldc.Controller):
+        name: ClassVar[str] = "free"
+        title: ClassVar[str] = "Takes what it is given"
+
+        def __init__(self, **given: float) -> None:
+            self.__dict__.update(given)
+
+        prepare = Own.prepare
+
+    assert Free(anything=2.0).__dict__ == {"anything": 2.0}
+    law = ldc.LQR(5.0, r_delta=3.0)
+    assert copy.deepcopy(law) == pickle.loads(pickle.dumps(law)) == law
+    assert list(inspect.signature(ldc.LQR).parameters) == ["q_y", "q_y_rate", "q_psi", "q_psi_rate", "r_delta"]
+    with pytest.raises(TypeError, match="positional"):
+        ldc.LQR(*range(9))

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray, unmasked
-from ldctoolkit.errors import InputError, nearest
+from ldctoolkit.errors import CheckedArguments, InputError, nearest
 from ldctoolkit.mixture._distribution import Conditions, Distribution, Transform
 from ldctoolkit.mixture._em import EMSettings, fit_components
 from ldctoolkit.mixture._expectation import Components
@@ -168,7 +168,7 @@ def _capital(text: str) -> str:
 
 
 @dataclasses.dataclass(eq=False, repr=False)
-class BoundedGaussianMixture:
+class BoundedGaussianMixture(CheckedArguments):
     """Mixture of K multivariate normals, each truncated to one box and normalised on it.
 
     Follows scikit-learn's conventions (`fit`, `score_samples`, `get_params`, fitted attributes that end in ``_``)

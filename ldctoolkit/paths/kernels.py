@@ -6,7 +6,10 @@ from typing import Any, Final, NamedTuple
 import numba
 import numpy as np
 
+from ldctoolkit import compiling
 from ldctoolkit.arrays import FloatArray, IntArray
+
+compiling.listen()
 
 _OPTIONS: Final[dict[str, Any]] = {"nogil": True, "error_model": "numpy"}  # strict IEEE: the same bits in every loop
 

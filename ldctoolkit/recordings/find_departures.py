@@ -9,7 +9,7 @@ import numpy as np
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.departures import LEFT, RIGHT, Departures, DepartureSignals, Plausibility, no_departures, reduce_signals
-from ldctoolkit.errors import InputError
+from ldctoolkit.errors import CheckedArguments, InputError
 from ldctoolkit.recordings.preparation import MAX_JUMP, ROUNDING
 from ldctoolkit.recordings.recording import MAX_LANE_WIDTH, MIN_LANE_WIDTH, RecordingTable, usable_samples
 
@@ -255,7 +255,7 @@ def signals_of_runs(
 
 
 @dataclasses.dataclass(frozen=True)
-class Criteria:
+class Criteria(CheckedArguments):
     """What counts as a departure."""
 
     vehicle_width: float = 1.9  # [m] Width over the wheels' outer edges

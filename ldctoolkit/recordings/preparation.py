@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
-from ldctoolkit.errors import InputError, RecordingError
+from ldctoolkit.errors import CheckedArguments, InputError, RecordingError
 from ldctoolkit.recordings.recording import LARGEST, MAX_LANE_WIDTH, MIN_LANE_WIDTH, Recording, usable_samples
 
 ROUNDING: Final = 1e-6  # times [s] are compared with this allowance: 10.1 - 7.6 is not quite 2.5
@@ -307,7 +307,7 @@ LONGEST_GAP = 10.0  # longest time [s] that may be bridged; bounds the memory, t
 
 
 @dataclasses.dataclass(frozen=True)
-class Preparation:
+class Preparation(CheckedArguments):
     """How recordings are brought to a common form.
 
     Raises `InputError` for a value outside its range.

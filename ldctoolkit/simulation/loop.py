@@ -303,7 +303,7 @@ def _drive_linear(laws: list[LinearLaw], takeover: Takeover, rows: IntArray | No
             drive_any(stiff, *other)
             score[:, :, stiff], diverged[:, stiff] = other[0][:, :, stiff], other[1][:, stiff]
             failed[:, stiff] = other[2][:, stiff]
-    kept = _trajectories_of(paths, rows, found)
+    kept = _kept_paths(takeover, paths, rows, found)
     return [_run_of_scores(takeover, score[i], diverged[i], failed[i], 0.0, kept) for i in range(d)]
 
 
@@ -359,7 +359,7 @@ def _drive_general(law: SteeringLaw, takeover: Takeover, name: str, rows: IntArr
         going = left
     results = [plant.scores() for plant in plants]
     score, diverged = (np.concatenate(values, axis=-1) for values in zip(*results, strict=True))
-    kept = _trajectories_of(paths, rows, found)
+    kept = _kept_paths(takeover, paths, rows, found)
     run = _run_of_scores(takeover, score, diverged, failed, law_seconds, kept)
     status = np.where(beyond & (run.status == EventStatus.OK), np.int8(EventStatus.BEYOND_DELTA_MAX), run.status)
     return dataclasses.replace(run, status=status, solver_log=SolverLog.of(calls))
@@ -475,11 +475,17 @@ def _run_of_scores(
     return Run(takeover, score[data.AREA], status, failed, companions, law_seconds, trajectories)
 
 
-def _trajectories_of(paths: FloatArray, rows: IntArray | None, found: IntArray) -> Trajectories | None:
+def _kept_paths(over: Takeover, paths: FloatArray, rows: IntArray | None, found: IntArray) -> Trajectories | None:
     """Paths of the chosen rows; NaN where a scenario never triggered."""
     if rows is None:
         return None
     used = np.isfinite(paths[:, :, data.P_TIME]).sum(axis=1).max(initial=1)
     out = np.full((rows.size, int(used), data.PATH), np.nan)
     out[found] = paths[:, : int(used)]
-    return Trajectories(rows, out[:, :, data.P_TIME], out[:, :, data.P_X : data.P_DELTA], out[:, :, data.P_DELTA])
+    at_trigger = np.full(over.scenarios.n, np.nan)
+    if over.setup.options.speed == "frozen":
+        at_trigger[over.rows] = over.plant.v
+    # after the trigger the loop drives the fitted speed and curvature, of recorded paths too
+    path = dataclasses.replace(over.path.take(rows), recorded=None)
+    t, x, delta = out[:, :, data.P_TIME], out[:, :, data.P_X : data.P_DELTA], out[:, :, data.P_DELTA]
+    return Trajectories(rows, t, x, delta, path, at_trigger[rows])

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import FloatArray, unmasked
-from ldctoolkit.errors import InputError, nearest, plain
+from ldctoolkit.errors import CheckedArguments, InputError, nearest, plain
 from ldctoolkit.option_checks import short_repr, warn_of_units
 from ldctoolkit.vehicle.discretization import AugmentedStep, Discretization, augmented, discretize
 
@@ -84,7 +84,7 @@ GRAVITY: Final = 9.81  # gravitational acceleration [m/s^2]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class VehicleParameters:
+class VehicleParameters(CheckedArguments):
     """Single-track vehicle and the lane it drives in; the defaults are the paper's Table I.
 
     Raises `InputError` where a value is not a finite number > 0, or the vehicle is not narrower than the lane.
@@ -184,7 +184,7 @@ class SteadyState:
 
 
 @dataclasses.dataclass(frozen=True)
-class BicycleModel:
+class BicycleModel(CheckedArguments):
     """Error dynamics of one vehicle, for any speeds at once.
 
     Raises `InputError` for an unknown convention.

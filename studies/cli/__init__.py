@@ -9,11 +9,11 @@ import warnings
 from collections.abc import Iterator, Sequence
 from typing import Any, NoReturn
 
-from ldctoolkit import LdcError, __version__
+from ldctoolkit import LdcError, __version__, compiling
 from ldctoolkit.option_checks import UnitWarning
 from ldctoolkit.surroundings import sweep
 
-from . import assess, controllers, export, extract, fit, init, rank, report, review, risk, run
+from . import _console, assess, controllers, export, extract, fit, init, rank, report, review, risk, run
 
 
 class _Parser(argparse.ArgumentParser):
@@ -43,7 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with contextlib.suppress(AttributeError):  # a stream that is no file
             stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
     try:
-        with _warnings_on_stderr():
+        with _warnings_on_stderr(), compiling.shown_by(_console.moving_line):
             chosen = parser().parse_args(arguments)
             code: int = chosen.run(chosen) or 0
         sys.stdout.flush()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import copy
 import dataclasses
 import math
 import os
@@ -12,7 +13,8 @@ from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
-from ldctoolkit.errors import InputError
+from ldctoolkit import compiling
+from ldctoolkit.errors import InputError, nearest
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -43,7 +45,7 @@ def console() -> Console:
 def new_table(title: str, headings: Sequence[str], left: Container[int] = (0,), *, narrow: bool = False) -> Table:
     """A table whose columns `left` are text and all others numbers; neither title nor headings are markup.
 
-    A narrow one has no rules between its columns; its text breaks where the terminal ends, its numbers do not.
+    A narrow one has no rules between its columns, however wide the terminal is.
     """
     from rich import box
     from rich.table import Table
@@ -54,7 +56,7 @@ def new_table(title: str, headings: Sequence[str], left: Container[int] = (0,), 
         padding=(0, 1, 0, 0) if narrow else (0, 1), pad_edge=not narrow,
     )  # fmt: skip
     for i, heading in enumerate(headings):
-        table.add_column(Text(heading), justify="left" if i in left else "right", no_wrap=narrow and i not in left)
+        table.add_column(Text(heading), justify="left" if i in left else "right")
     return table
 
 
@@ -63,6 +65,41 @@ def add_row(table: Table, cells: Iterable[str], style: str | None = None) -> Non
     from rich.text import Text
 
     table.add_row(*map(Text, cells), style=style)
+
+
+_LONGEST_WORD = 16  # columns of a narrow table that a word of text is given before it is broken
+
+
+def print_table(table: Table) -> None:
+    """Print a table whose numbers are whole at any width of the terminal.
+
+    Where it is narrow there are no rules, and headings and text break at spaces; columns that do not fit even then
+    follow below, beside the text columns at the left again.
+    """
+    out, columns, widest, least = console(), table.columns, [], []
+    for column in columns:
+        heading, cells = str(column.header), [str(cell) for cell in column.cells]
+        text = cells if column.justify == "right" else [word[:_LONGEST_WORD] for cell in cells for word in cell.split()]
+        widest.append(max(len(line) for cell in (heading, *cells) for line in (cell or " ").splitlines()))
+        least.append(max(map(len, (*heading.split(), *text))))
+    if table.box is not None and sum(widest) + 3 * len(columns) + 1 <= out.width:
+        out.print(table)
+        return
+    keys = next((i for i, column in enumerate(columns) if i and column.justify == "right"), len(columns))
+    part, rest = copy.copy(table), list(range(keys, len(columns)))
+    part.box, part.padding, part.pad_edge = None, (0, 1, 0, 0), False
+    while True:
+        shown = list(range(keys))
+        while rest and (len(shown) == keys or sum(least[i] + 1 for i in (*shown, rest[0])) <= out.width):
+            shown.append(rest.pop(0))
+        widths = {i: widest[i] for i in shown}
+        while sum(widths.values()) + len(shown) > out.width and any(widths[i] > least[i] for i in shown):
+            widths[max(shown, key=lambda i: widths[i] - least[i])] -= 1
+        part.columns = [dataclasses.replace(columns[i], _index=k, width=widths[i]) for k, i in enumerate(shown)]
+        out.print(part)
+        part.title = None
+        if not rest:
+            return
 
 
 def say(out: Console, *lines: str) -> None:
@@ -112,13 +149,10 @@ def positive_number(text: str) -> int:
 
 def number(text: str) -> float:
     """A finite number on the command line."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("nan")
-    if not abs(value) < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text!r}; allowed: a number")
-    return value
+    with contextlib.suppress(ValueError):
+        if math.isfinite(value := float(text)):
+            return value
+    raise argparse.ArgumentTypeError(f"{text!r}; allowed: a number")
 
 
 _live: list[Progress] = []  # what is on the screen: a phase inside another one is a line below it
@@ -146,6 +180,11 @@ def progress_bar(label: str, *, show: bool = True) -> Iterator[Callable[[int, in
         yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
+def moving_line(text: str) -> contextlib.AbstractContextManager[object]:
+    """A phase on a terminal, one line on stderr elsewhere."""
+    return progress_bar(text) if sys.stderr.isatty() else compiling.line(text)
+
+
 Interval = tuple[float | None, float | None]  # lower and upper end; None is open
 
 
@@ -158,13 +197,10 @@ def named(text: str) -> tuple[str, str]:
 
 
 def _number(text: str, whole: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if math.isnan(value):
-        raise argparse.ArgumentTypeError(f"{whole!r}: {text!r} is not a number")
-    return value
+    with contextlib.suppress(ValueError):
+        if not math.isnan(value := float(text)):
+            return value
+    raise argparse.ArgumentTypeError(f"{whole!r}: {text!r} is not a number")
 
 
 def interval(text: str, whole: str) -> Interval:
@@ -202,7 +238,6 @@ def add_limit(parser: argparse.ArgumentParser) -> None:
 def plausibility(given: Sequence[tuple[str, float]] | None, default: Plausibility | None = None) -> Plausibility:
     """The limits of ``--limit``, the others those of the default."""
     from ldctoolkit.departures import Plausibility
-    from ldctoolkit.errors import InputError, nearest
 
     each_once("--limit", given)
     known = [field.name for field in dataclasses.fields(Plausibility)]
@@ -214,8 +249,6 @@ def plausibility(given: Sequence[tuple[str, float]] | None, default: Plausibilit
 
 def each_once(option: str, pairs: Sequence[tuple[str, object]] | None) -> None:
     """Refuse a name that is given twice."""
-    from ldctoolkit.errors import InputError
-
     names = [name for name, _ in pairs or ()]
     for name in names:
         if names.count(name) > 1:
@@ -225,16 +258,13 @@ def each_once(option: str, pairs: Sequence[tuple[str, object]] | None) -> None:
 def add_report_options(parser: argparse.ArgumentParser) -> None:
     """Declare what every command that writes a report takes."""
     parser.add_argument(
-        "--source",
-        action="append",
-        metavar="FILE.parquet",
+        "--source", action="append", metavar="FILE.parquet",
         help="departures that the scenario model was fitted to, as ldc extract wrote them: the report compares the "
         "generated ones with them; repeatable",
-    )
+    )  # fmt: skip
     parser.add_argument(
-        "--no-robustness",
-        action="store_true",
-        help="drive no designs on other plants for the report, which takes some seconds the first time: it shows what "
-        "DIR/robustness.json holds of this study, or leaves that section out",
-    )
+        "--no-robustness", action="store_true",
+        help="drive no designs on other plants for the report, which takes some seconds the first time: it shows "
+        "what DIR/robustness.json holds of this study, or leaves that section out",
+    )  # fmt: skip
     parser.add_argument("--no-figures", action="store_true", help="write no figures/: the report's charts as SVG files")

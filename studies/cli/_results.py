@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from ..pages.ranking_markdown import write_markdown
-from ..ranking.ranking import Ranking, write_csv
+from ..ranking.ranking import Ranking, rank_study, write_csv
 from ..ranking.verdict import (
     Verdict,
     listed_places,
@@ -24,7 +24,7 @@ from ..ranking.verdict import (
 from ..results import Race, StudyResults
 from ..storage.manifest import Manifest
 from ..study_file import Study
-from ._console import add_row, console, new_table, progress_bar
+from ._console import add_row, console, new_table, print_table, progress_bar, say
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -65,14 +65,9 @@ class ReportOptions:
 
 
 def write_study_report(
-    folder: Path,
-    study: Study,
-    manifest: Manifest,
-    results: StudyResults,
-    rankings: tuple[Ranking, ...],
-    options: ReportOptions,
-    robustness: Robustness | None,
-) -> Path:
+    folder: Path, study: Study, manifest: Manifest, results: StudyResults, rankings: tuple[Ranking, ...],
+    options: ReportOptions, robustness: Robustness | None,
+) -> Path:  # fmt: skip
     """Write DIR/report.html and DIR/figures/."""
     from ..pages.report import report_input, write_report
 
@@ -93,25 +88,6 @@ def stored_robustness(folder: Path, study: Study, results: StudyResults, ranking
     return stored_of(folder, RobustnessTask.of(results, ranking, study.setup()))
 
 
-def chosen_designs(designs: Sequence[Design], wanted: Sequence[str]) -> list[Design]:
-    """Those of some labels, or starts of ids, in this order."""
-    from ldctoolkit.errors import InputError, UnknownNameError, nearest
-
-    found: list[Design] = []
-    for one in wanted:
-        some = [design for design in designs if one == design.label or (one and design.id.startswith(one))]
-        if len(some) > 1:
-            raise InputError(f"--design {one!r}: the ids of {len(some)} designs start so; allowed: more of the id")
-        if not some:
-            close = nearest(one, [design.label for design in designs])
-            if len(designs) > 5:  # the labels of a large study fill a screen
-                allowed = "allowed: a label, or the id in ranking.csv"
-                close = f"{close.partition('? (')[0]}? ({allowed})" if close.startswith("did you mean") else allowed
-            raise UnknownNameError(f"--design {one!r}: no such design; {close}")
-        found += some
-    return found
-
-
 @dataclasses.dataclass(frozen=True)
 class Judged:
     """The study of a folder with results, ranked and judged."""
@@ -130,7 +106,6 @@ class Judged:
 
 def judged(folder: str | Path) -> Judged:
     """Read a folder that ldc run wrote."""
-    from ..ranking.ranking import rank_study
     from ..ranking.verdict import verdict
     from ..storage.store import Store
 
@@ -147,13 +122,11 @@ _MOST_FAILED = 20
 def print_rankings(rankings: Sequence[Ranking], top: int, found: Verdict) -> None:
     """The primary case in full, the others in a line."""
     out, first = console(), rankings[0]
-    out.print(ranking_table(first, top))
+    print_table(ranking_table(first, top))
     title, *others = verdict_lines(found)
     out.print(title, style="bold green" if found.usable and first.winner is not None else "bold red", markup=False,
               emoji=False, highlight=False)  # fmt: skip
-    for line in (*others, *more_lines(first)):
-        out.print(line, markup=False, emoji=False, highlight=False)
-    for line in other_cases(rankings):
+    for line in (*others, *more_lines(first), *other_cases(rankings)):
         out.print(line, markup=False, emoji=False, highlight=False)
     for warning in first.warnings:
         out.print(f"Warning: {warning}", style="yellow", markup=False, emoji=False, highlight=False)
@@ -168,8 +141,7 @@ def _print_failed(ranking: Ranking) -> None:
         return
     out.print(f"{len(failed)} design{'s' if len(failed) > 1 else ''} failed and {'are' if len(failed) > 1 else 'is'} "
               "not ranked:", style="yellow")  # fmt: skip
-    for one in failed[:_MOST_FAILED]:
-        out.print(f"  {one.sentence}", markup=False, emoji=False, highlight=False, soft_wrap=True)
+    say(out, *(f"  {one.sentence}" for one in failed[:_MOST_FAILED]))
     if len(failed) > _MOST_FAILED:
         out.print(f"  and {len(failed) - _MOST_FAILED} more, see ranking.csv")
     out.print()
@@ -245,13 +217,11 @@ def rank_summary(
     results: StudyResults, ranking: Ranking, manifest: Manifest, ranking_csv: Path | None, found: Verdict
 ) -> str:
     """The one line of ``ldc rank --json``: what was found, and with which settings."""
-    baseline = ranking.baseline
+    baseline, winner = ranking.baseline, ranking.winner
     content = {"event": "ranked"} | _found(results, ranking, manifest) | _judged(found)
     content |= {
         "baseline": None if baseline is None else ranking.designs[baseline].id,
-        "baseline_difference_m_s": None if ranking.winner is None else _number(
-            ranking.baseline_difference[ranking.winner]
-        ),
+        "baseline_difference_m_s": None if winner is None else _number(ranking.baseline_difference[winner]),
         "require": list(ranking.require),
         "not_ranked": [design.id for design, missed in zip(ranking.designs, ranking.unmet, strict=True) if missed],
         "pareto": list(ranking.pareto_metrics),

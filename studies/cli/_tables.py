@@ -14,7 +14,7 @@ from ..comparison.paired import Verdict, Winners
 from ..design import Design
 from ..sensitivity.sensitivity import BlockSensitivity
 from ..sensitivity.winner_profile import Profile
-from ._console import add_row, console, gain_text, new_table, say
+from ._console import add_row, console, gain_text, new_table, print_table, say
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -36,7 +36,7 @@ def print_comparison(comparison: Comparison, top: int, out: Console) -> None:
     out.print()
     for i, case in enumerate(comparison.cases):
         if len(case):
-            out.print(_table(comparison, case, top if i == 0 else min(top, _TOP_OF_OTHER_CASES)))
+            print_table(_table(comparison, case, top if i == 0 else min(top, _TOP_OF_OTHER_CASES)))
         say(out, *_verdict_lines(case))
         out.print()
     for heading, failed in (
@@ -126,7 +126,7 @@ def print_indices(blocks: Sequence[BlockSensitivity], case: str, confidence: flo
         if block.indices is None:
             say(console(), f"{title}: no Sobol indices: {block.reason}")
         else:
-            console().print(_index_table(block, f"{title}: Sobol indices of mean S, {case}", confidence))
+            print_table(_index_table(block, f"{title}: Sobol indices of mean S, {case}", confidence))
             notes = (block.note, f"{block.designs} designs", f"intervals over {block.interval_over}")
             say(console(), "; ".join(note for note in notes if note))
         console().print()
@@ -138,7 +138,7 @@ def print_profiles(profiles: Sequence[Profile], middle: Design, which: str, case
     if not profiles:
         say(console(), "nothing varies in the designs of this law")
         return
-    console().print(_profile_table(profiles, confidence))
+    print_table(_profile_table(profiles, confidence))
     for profile in profiles:
         if (end := profile.beyond) is not None:
             say(console(), f"{profile.name}: S is least at {gain_text(end)}, the end of its range in this study: "

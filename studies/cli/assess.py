@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ._console import Subparsers, add_row, console, each_once, named, new_table, number, progress_bar, say
+from ._console import Subparsers, add_row, console, each_once, named, new_table, number, print_table, progress_bar, say
 
 if TYPE_CHECKING:
     from ldctoolkit import Controller, Setup
@@ -81,7 +81,7 @@ def run(chosen: argparse.Namespace) -> int:
         counts = (str(one.lights.count(light)) for light in ("green", "amber", "red"))
         corners = "\u2013" if chosen.no_tolerances else f"{100 * one.robust_score:.0f}"
         add_row(table, (name, one.standard.name, f"{100 * one.score:.0f}", corners, *counts))
-    out.print(table)
+    print_table(table)
     for _, one in found if len(found) <= len(tests) else []:
         say(out, f"{one.standard.name}: {score_text(one)}")
         missed = [i for light in ("red", "amber") for i in range(one.cells.n) if one.lights[i] == light]
@@ -100,8 +100,9 @@ def _subjects(text: str, chosen: argparse.Namespace) -> Iterator[Subject]:
     from ldctoolkit import controller_names
     from ldctoolkit.errors import InputError, UnknownNameError, nearest
 
+    from ..design import named_designs
     from ..study_file import catalog_names, load_study
-    from ._results import chosen_designs, judged
+    from ._results import judged
 
     if text in controller_names():
         from ldctoolkit import controller_class
@@ -121,12 +122,12 @@ def _subjects(text: str, chosen: argparse.Namespace) -> Iterator[Subject]:
     if os.path.isfile(f"{text}/manifest.json"):  # noqa: PTH113 - raises nothing, whatever the name
         found = judged(text)
         study = found.study
-        designs = chosen_designs(found.ranking.designs, chosen.only) if chosen.only else [found.design]
+        designs = named_designs(found.ranking.designs, chosen.only) if chosen.only else [found.design]
     elif text in catalog_names() or text.endswith(".toml"):
         study = load_study(text)
         if not study.designs:
             raise InputError(f"study {study.name}: searches its designs; give the folder that ldc run wrote")
-        designs = chosen_designs(study.designs, chosen.only) if chosen.only else list(study.designs)
+        designs = named_designs(study.designs, chosen.only) if chosen.only else list(study.designs)
     else:
         names = (*controller_names(), *catalog_names())
         raise UnknownNameError(f"{text!r}: neither a law, nor a study, nor a folder; {nearest(text, names)}")

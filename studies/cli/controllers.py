@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import argparse
 import math
-from typing import TYPE_CHECKING, get_type_hints
+from typing import TYPE_CHECKING
 
-from ._console import Subparsers, add_row, console, new_table, warn
+from ._console import Subparsers, add_row, console, new_table, print_table, warn
 
 if TYPE_CHECKING:
     from ldctoolkit import Controller, Gain
@@ -56,22 +56,20 @@ def run(chosen: argparse.Namespace) -> None:
             cells = (g.name, "" if g.unit == "1" else g.unit, default, allowed, _scale(g), g.description)
             add_row(table, cells)
         if kind.gains():
-            out.print(table)
+            print_table(table)
         else:
             out.print(Text.assemble((title, "italic"), ", no gains"))
         out.print()
 
 
 def _kind(kind: type[Controller]) -> str:
-    """What its `prepare` says that it returns; nothing where it does not say."""
+    """The kind of law that it declares; nothing where it does not."""
     from ldctoolkit import LinearLaw, RecordedPath, SteeringLaw
+    from ldctoolkit.law_checks import declared_law
 
-    try:
-        law = get_type_hints(kind.prepare).get("return")
-    except Exception:  # an annotation may be third-party code
-        law = None
     words = {LinearLaw: ", linear law", RecordedPath: ", recorded path", SteeringLaw: ", steering law"}
-    return next((text for base, text in words.items() if isinstance(law, type) and issubclass(law, base)), "")
+    law = declared_law(kind)
+    return next((text for base, text in words.items() if law is not None and issubclass(law, base)), "")
 
 
 def _scale(declared: Gain) -> str:

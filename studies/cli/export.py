@@ -43,12 +43,13 @@ def run(chosen: argparse.Namespace) -> int:
     """Carry the command out; the exit code reports whether the code is proved."""
     from ldctoolkit.errors import InputError
 
+    from ..design import named_designs
     from ..export import Code, Origin, changed_files, export_c, is_stale, parameters
     from ..storage.files import output_folder, write_text
-    from ._results import chosen_designs, judged
+    from ._results import judged
 
     study = judged(chosen.folder)
-    design = study.design if chosen.design is None else chosen_designs(study.ranking.designs, [chosen.design])[0]
+    design = study.design if chosen.design is None else named_designs(study.ranking.designs, [chosen.design])[0]
     missed = tuple(miss.text for miss in study.ranking.missed[study.ranking.designs.index(design)])
     if missed and not (chosen.anyway or chosen.verify):
         raise InputError(

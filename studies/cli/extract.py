@@ -10,17 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 from ldctoolkit.errors import InputError
 
-from ._console import (
-    Subparsers,
-    add_limit,
-    console,
-    number,
-    output_file,
-    plausibility,
-    positive_number,
-    progress_bar,
-    warn,
-)
+from . import _console
 
 if TYPE_CHECKING:
     from ldctoolkit.recordings.departures_table import Extraction
@@ -30,7 +20,7 @@ if TYPE_CHECKING:
 SOME_LEFT_OUT = 3  # exit code where departures were written, but not all of the input could be used
 
 
-def add_parser(commands: Subparsers) -> None:
+def add_parser(commands: _console.Subparsers) -> None:
     """Declare the command."""
     parser = commands.add_parser(
         "extract",
@@ -42,17 +32,14 @@ def add_parser(commands: Subparsers) -> None:
     )
     parser.add_argument("paths", nargs="+", metavar="PATH", help="files or folders of one format")
     parser.add_argument(
-        "--format",
-        default="auto",
-        metavar="NAME",
-        help="table, mdf, spmd-das1, spmd-das2, uah-driveset, or another installed reader (default: auto, which looks "
-        "at columns and folders)",
-    )
+        "--format", default="auto", metavar="NAME",
+        help="table, mdf, spmd-das1, spmd-das2, uah-driveset, or another installed reader (default: auto, which "
+        "looks at columns and folders)",
+    )  # fmt: skip
     parser.add_argument("-o", "--output", metavar="FILE.parquet", help="departures table to write")
     parser.add_argument("--channels", metavar="MAP.toml", help="channel map of MDF logs: which channel holds what")
-    parser.add_argument(
-        "--list-channels", action="store_true", help="only print the channels of an MDF log, and a guess of its map"
-    )
+    about = "only print the channels of an MDF log, and a guess of its map"
+    parser.add_argument("--list-channels", action="store_true", help=about)
     parser.add_argument("--report", metavar="FILE.html", help="also write a page about the quality of what was found")
     options: tuple[tuple[str, str, float | None, str], ...] = (
         ("vehicle-width", "M", None, "width in m (default: the format's; table: 1.9)"),
@@ -69,26 +56,18 @@ def add_parser(commands: Subparsers) -> None:
         ("max-lane-width", "M", 7.0, "widest lane of a valid sample, in m (default: %(default)s)"),
     )  # fmt: skip
     for name, unit, default, text in options:
-        parser.add_argument(f"--{name}", type=number, metavar=unit, default=default, help=text)
-    parser.add_argument(
-        "--keep-engaged", action="store_true", help="count departures and hours while a system steers, too"
-    )
-    parser.add_argument(
-        "--force", action="store_true", help="go on where a unit, a sign or a reference cannot be right"
-    )
-    add_limit(parser)
-    parser.add_argument(
-        "--signals", action="store_true",
-        help="keep y, v and curvature over time in a second table, NAME.signals.parquet, to replay the recorded path",
-    )  # fmt: skip
-    parser.add_argument(
-        "--workers", type=positive_number, metavar="N", help="processes (default: all cores, or 1 for little)"
-    )
-    parser.add_argument(
-        "--dask",
-        metavar="ADDRESS",
-        help="run on the Dask scheduler at tcp://host:8786, or on a cluster of this machine: local",
-    )
+        parser.add_argument(f"--{name}", type=_console.number, metavar=unit, default=default, help=text)
+    about = "count departures and hours while a system steers, too"
+    parser.add_argument("--keep-engaged", action="store_true", help=about)
+    about = "go on where a unit, a sign or a reference cannot be right"
+    parser.add_argument("--force", action="store_true", help=about)
+    _console.add_limit(parser)
+    about = "keep y, v and curvature over time in a second table, NAME.signals.parquet, to replay the recorded path"
+    parser.add_argument("--signals", action="store_true", help=about)
+    about = "processes (default: all cores, or 1 for little)"
+    parser.add_argument("--workers", type=_console.positive_number, metavar="N", help=about)
+    about = "run on the Dask scheduler at tcp://host:8786, or on a cluster of this machine: local"
+    parser.add_argument("--dask", metavar="ADDRESS", help=about)
     parser.set_defaults(run=run)
 
 
@@ -107,18 +86,18 @@ def run(chosen: argparse.Namespace) -> int:
 
     from ..extraction import MOST_NAMED, NothingReadError, parts_folder, run_extraction
 
-    target = output_file(chosen.output, ".parquet")
-    page = None if chosen.report is None else output_file(chosen.report, ".html", option="--report")
+    target = _console.output_file(chosen.output, ".parquet")
+    page = None if chosen.report is None else _console.output_file(chosen.report, ".html", option="--report")
     # workers of a cluster start in folders of their own
     paths = [Path(path).absolute() if chosen.dask else Path(path) for path in chosen.paths]
     channels = None if chosen.channels is None else Path(chosen.channels).absolute()
-    with progress_bar("looking at the recordings"):
+    with _console.progress_bar("looking at the recordings"):
         recordings = open_recordings(paths, format=chosen.format, channels=channels)
     refuse_input("-o", target, paths, recordings.source.files)
     if page is not None:
         refuse_input("--report", page, paths, recordings.source.files)
     try:
-        with progress_bar(f"reading {recordings.reader.name}") as progress:
+        with _console.progress_bar(f"reading {recordings.reader.name}") as progress:
             width = recordings.reader.vehicle_width if chosen.vehicle_width is None else chosen.vehicle_width
             found = run_extraction(
                 recordings,
@@ -129,7 +108,7 @@ def run(chosen: argparse.Namespace) -> int:
                     chosen.min_speed,
                     chosen.max_gap,
                     chosen.max_jump,
-                    plausibility(chosen.limit),
+                    _console.plausibility(chosen.limit),
                     chosen.min_lane_width,
                     chosen.max_lane_width,
                     chosen.keep_engaged,
@@ -154,16 +133,16 @@ def run(chosen: argparse.Namespace) -> int:
     except KeyboardInterrupt:
         folder = parts_folder(target)
         if folder.is_dir():
-            warn(f"what was finished is kept in {folder}; the same command goes on with the rest")
+            _console.warn(f"what was finished is kept in {folder}; the same command goes on with the rest")
         raise
 
     print(f"format: {recordings.reader.name} ({recordings.found})")
     print_problems(found.problems, written=True)
     for warning in found.warnings:
-        warn(warning)
+        _console.warn(warning)
     print_extraction(found)
     if len(found.departures) == 0:
-        warn("no departures were found")
+        _console.warn("no departures were found")
     print(f"{len(found.departures)} departures written to {target}")
     if page is not None:
         print(f"page about the extraction written to {page}")
@@ -177,7 +156,7 @@ def _write_page(page: Path, target: Path, found: Extraction) -> None:
     from ..pages.extraction_page import write_extraction_page
 
     try:
-        with progress_bar("writing the page"):
+        with _console.progress_bar("writing the page"):
             write_extraction_page(page, found)
     except StoreError as error:
         raise StoreError(f"{error}; the departures are written to {target}") from None
@@ -192,31 +171,27 @@ def print_problems(problems: Sequence[Problem], *, written: bool) -> None:
     `written`: whether there is a departures table, which holds them.
     """
     for problem in problems[:MOST_PROBLEMS]:
-        warn(str(problem))
+        _console.warn(str(problem))
     if len(problems) > MOST_PROBLEMS:
         more = len(problems) - MOST_PROBLEMS
         where = "; the departures table holds them all" if written else ""
-        warn(f"and {more:,} more problems, {len(problems):,} in all{where}")
+        _console.warn(f"and {more:,} more problems, {len(problems):,} in all{where}")
 
 
 def print_extraction(found: Extraction) -> None:
     """Candidates, departures by side, refused candidates by reason."""
-    from rich.table import Table
-
     from ldctoolkit.departures import LEFT
 
-    out = console()
     driven = f"{found.hours:.1f} h, {found.distance / 1000.0:,.0f} km"
-    out.print(f"{found.candidates} candidates in {found.recordings} recordings, {driven}")
-    table = Table()
-    table.add_column("candidate")
-    table.add_column("count", justify="right")
+    _console.console().print(f"{found.candidates} candidates in {found.recordings} recordings, {driven}")
+    table = _console.new_table("", ("candidate", "count"))
     left = int((found.departures.side == LEFT).sum())
-    table.add_row("departure, left", str(left))
-    table.add_row("departure, right", str(len(found.departures) - left), end_section=True)
+    _console.add_row(table, ("departure, left", str(left)))
+    _console.add_row(table, ("departure, right", str(len(found.departures) - left)))
+    table.add_section()
     for reason, count in found.refused.items():
-        table.add_row(f"refused: {reason.replace('_', ' ')}", str(count))
-    out.print(table)
+        _console.add_row(table, (f"refused: {reason.replace('_', ' ')}", str(count)))
+    _console.print_table(table)
 
 
 def refuse_input(option: str, target: Path, paths: Sequence[Path], files: Sequence[SourceFile]) -> None:

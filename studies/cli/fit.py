@@ -9,22 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from ldctoolkit.errors import InputError, LdcError
 
-from ._console import (
-    Subparsers,
-    add_limit,
-    bound,
-    condition,
-    console,
-    each_once,
-    named,
-    number,
-    output_file,
-    plausibility,
-    positive_number,
-    progress_bar,
-    warn,
-    whole_number,
-)
+from . import _console
 
 if TYPE_CHECKING:
     from ldctoolkit.departures import Departures
@@ -32,7 +17,7 @@ if TYPE_CHECKING:
     from ldctoolkit.scenario_model import ScenarioModel, SideSummary
 
 
-def add_parser(commands: Subparsers) -> None:
+def add_parser(commands: _console.Subparsers) -> None:
     """Declare the commands."""
     parser = commands.add_parser(
         "fit",
@@ -55,15 +40,15 @@ def add_parser(commands: Subparsers) -> None:
     )  # fmt: skip
     add("--criterion", choices=("bic", "aic"), default="bic", help="what K is chosen by (default: %(default)s)")
     add(
-        "--slack", type=number, default=10.0, metavar="X",
+        "--slack", type=_console.number, default=10.0, metavar="X",
         help="how far the smallest K may be from the best, in units of the criterion (default: 10)",
     )  # fmt: skip
     add(
-        "--indifference", type=number, default=0.0, metavar="X",
+        "--indifference", type=_console.number, default=0.0, metavar="X",
         help="the same in nats an event; the larger one counts (default: 0)",
     )  # fmt: skip
     add(
-        "--bound", type=bound, action="append", metavar="NAME=LOW:HIGH",
+        "--bound", type=_console.bound, action="append", metavar="NAME=LOW:HIGH",
         help="bounds of one parameter in SI units instead of those of the extraction and of physics; an empty end is "
         "open; repeatable",
     )  # fmt: skip
@@ -72,12 +57,14 @@ def add_parser(commands: Subparsers) -> None:
         help="map parameters before the fit: auto, none, or one of them by none, log, logit, auto; repeatable "
         "(default: none)",
     )  # fmt: skip
-    add_limit(parser)
-    add("--prior-strength", type=number, default=10.0, metavar="X", help="pseudo-events (default: %(default)s)")
-    add("--tol", type=number, default=1e-7, metavar="X", help="nats an event and pass (default: %(default)s)")
-    add("--n-init", type=positive_number, metavar="N", help="starts (default: 8; 2 with up to 2,000 departures)")
-    add("--seed", type=whole_number, default=0, metavar="N", help="random seed (default: 0)")
-    add("--workers", type=positive_number, metavar="N", help="cores to use (default: all); changes no number")
+    _console.add_limit(parser)
+    add(
+        "--prior-strength", type=_console.number, default=10.0, metavar="X", help="pseudo-events (default: %(default)s)"
+    )
+    add("--tol", type=_console.number, default=1e-7, metavar="X", help="nats an event and pass (default: %(default)s)")
+    add("--n-init", type=_console.positive_number, metavar="N", help="starts (default: 8; 2 up to 2,000 departures)")
+    add("--seed", type=_console.whole_number, default=0, metavar="N", help="random seed (default: 0)")
+    add("--workers", type=_console.positive_number, metavar="N", help="cores to use (default: all); changes no number")
     add(
         "--page", action=argparse.BooleanOptionalAction, default=True,
         help="write MODEL.html, which shows how well the model fits (default: yes)",
@@ -91,7 +78,7 @@ def components(text: str) -> int | range:
     """``5``, or ``1:10`` with both ends included."""
     first, colon, last = text.partition(":")
     try:
-        low, high = whole_number(first), whole_number(last if colon else first)
+        low, high = _console.whole_number(first), _console.whole_number(last if colon else first)
     except argparse.ArgumentTypeError:
         low, high = 0, 0
     if not 1 <= low <= high <= 100:
@@ -105,14 +92,14 @@ def transform(text: str) -> tuple[str, str]:
         return "", text
     if "=" not in text:
         raise argparse.ArgumentTypeError(f"{text!r}; allowed: auto, none or NAME=KIND")
-    return named(text)
+    return _console.named(text)
 
 
 def run(chosen: argparse.Namespace) -> None:
     """Carry the command out."""
     from ldctoolkit.scenario_model import read_all_departures
 
-    target = output_file(chosen.output, ".json")
+    target = _console.output_file(chosen.output, ".json")
     page = target.with_suffix(".html")
     if chosen.page and page.is_dir():
         raise InputError(f"{page}: is a folder; allowed: a file to write the page to, or --no-page")
@@ -120,17 +107,17 @@ def run(chosen: argparse.Namespace) -> None:
     from ldctoolkit.departures import PARAMETER_NAMES
 
     pairs: list[tuple[str, str]] = chosen.transform or []
-    each_once("--transform", pairs)
+    _console.each_once("--transform", pairs)
     by_name = dict(pairs)
     transforms = dict.fromkeys(PARAMETER_NAMES, by_name.pop("", "none")) | by_name
-    each_once("--bound", chosen.bound)
-    with progress_bar("reading departures"):
+    _console.each_once("--bound", chosen.bound)
+    with _console.progress_bar("reading departures"):
         departures, provenance = read_all_departures(chosen.departures)
     model = _fitted(chosen, departures, provenance, transforms)
     model.save(target)
     for warning in model.provenance.warnings:
-        warn(warning)
-    out = console()
+        _console.warn(warning)
+    out = _console.console()
     for label, side, summary in (
         ("left", model.left_side, model.provenance.left),
         ("right", model.right_side, model.provenance.right),
@@ -151,12 +138,12 @@ def _fitted(
 ) -> ScenarioModel:
     from ldctoolkit.scenario_model import fit_scenario_model
 
-    with progress_bar("fitting") as advance:
+    with _console.progress_bar("fitting") as advance:
         return fit_scenario_model(
             departures,
             components=chosen.components,
             kind=chosen.kind,
-            plausibility=plausibility(chosen.limit, provenance.criteria.plausibility),
+            plausibility=_console.plausibility(chosen.limit, provenance.criteria.plausibility),
             seed=chosen.seed,
             bounds=dict(chosen.bound or ()),
             extraction=provenance.criteria,
@@ -194,7 +181,7 @@ def _write_page(page: Path, model: ScenarioModel, departures: Departures, chosen
     from ..pages.fit_page import write_fit_page
 
     try:
-        with progress_bar("checking") as advance:
+        with _console.progress_bar("checking") as advance:
             write_fit_page(
                 page,
                 model,
@@ -203,28 +190,25 @@ def _write_page(page: Path, model: ScenarioModel, departures: Departures, chosen
                 progress=None if advance is None else lambda _, done, total: advance(done, total),
             )
     except LdcError as error:
-        warn(f"no page about the fit: {error}")
+        _console.warn(f"no page about the fit: {error}")
     else:
         print(f"page about the fit written to {page}")
 
 
 def _print_curve(summary: SideSummary, taken: int) -> None:
     """Every K with its criteria; the one that was taken has a star."""
-    from rich.table import Column, Table
-
-    titles = ("K", "p", "log-likelihood an event", "BIC", "AIC")
-    table = Table(*(Column(title, justify="right") for title in titles))
+    table = _console.new_table("", ("K", "p", "log-likelihood an event", "BIC", "AIC"), left=())
     columns = summary.n_components, summary.n_parameters, summary.log_likelihood, summary.bic, summary.aic
     for K, p, log_likelihood, bic, aic in zip(*columns, strict=True):
         cells = f"{K}{' *' if taken == K else '  '}", str(p), f"{log_likelihood:.4f}", f"{bic:.1f}", f"{aic:.1f}"
-        table.add_row(*cells, style="bold" if taken == K else None)
-    console().print(table)
+        _console.add_row(table, cells, "bold" if taken == K else None)
+    _console.print_table(table)
 
 
 _MOST = 10_000_000  # departures to one side that fit in memory; the same bound as in a study file
 
 
-def _add_sample(commands: Subparsers) -> None:
+def _add_sample(commands: _console.Subparsers) -> None:
     parser = commands.add_parser(
         "sample",
         help="draw scenarios from a scenario model",
@@ -232,18 +216,20 @@ def _add_sample(commands: Subparsers) -> None:
         "numbers and seed give the same file.",
     )
     parser.add_argument("model", metavar="MODEL", help="bundled model or JSON file")
-    parser.add_argument("-n", type=whole_number, metavar="N", help="departures in all, half of them to each side")
-    parser.add_argument("--left", type=whole_number, metavar="N", help="departures to the left")
-    parser.add_argument("--right", type=whole_number, metavar="N", help="departures to the right")
+    parser.add_argument(
+        "-n", type=_console.whole_number, metavar="N", help="departures in all, half of them to each side"
+    )
+    parser.add_argument("--left", type=_console.whole_number, metavar="N", help="departures to the left")
+    parser.add_argument("--right", type=_console.whole_number, metavar="N", help="departures to the right")
     parser.add_argument(
         "--given",
-        type=condition,
+        type=_console.condition,
         action="append",
         metavar="NAME=LOW:HIGH",
         help="only departures with this parameter between two values in SI units (an empty end is open), or at one: "
         "NAME=VALUE; repeatable",
     )
-    parser.add_argument("--seed", type=whole_number, default=0, metavar="N", help="random seed (default: 0)")
+    parser.add_argument("--seed", type=_console.whole_number, default=0, metavar="N", help="random seed (default: 0)")
     parser.add_argument("-o", "--output", required=True, metavar="FILE", help="table to write, .parquet or .csv")
     parser.set_defaults(run=sample)
 
@@ -255,14 +241,14 @@ def sample(chosen: argparse.Namespace) -> None:
 
     from ..storage.files import scenario_table, write_parquet, write_text
 
-    target = output_file(chosen.output, ".parquet", ".csv")
+    target = _console.output_file(chosen.output, ".parquet", ".csv")
     left, right = _numbers(chosen)
-    each_once("--given", chosen.given)
+    _console.each_once("--given", chosen.given)
     given = dict(chosen.given or ())
     model = load_model(chosen.model)
     table = scenario_table(model.sample(left, right, seed=chosen.seed, given=given))
     for text in outside_fit(model, given):
-        warn(text)
+        _console.warn(text)
     if target.suffix.lower() == ".parquet":
         write_parquet(target, table)
     else:

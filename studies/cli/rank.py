@@ -26,23 +26,14 @@ def add_parser(commands: Subparsers) -> None:
     )
     parser.add_argument("folder", metavar="DIR", help="folder that ldc run wrote")
     parser.add_argument(
-        "--require",
-        action="append",
-        metavar="TEXT",
+        "--require", action="append", metavar="TEXT",
         help="what a design must meet to be ranked, as 'ay_p95 <= 3.0', or a set: stable, comfort, lane-edge, "
         "physical; instead of the study's requirements; repeatable; '' for none",
-    )
-    parser.add_argument(
-        "--baseline",
-        metavar="DESIGN",
-        help="design that all are compared with: a law, or the start of an identifier; '' for no control",
-    )
-    parser.add_argument(
-        "--pareto",
-        action="append",
-        metavar="METRIC",
-        help="metric of the Pareto front, instead of the study's; repeatable; '' for no front",
-    )
+    )  # fmt: skip
+    about = "design that all are compared with: a law, or the start of an identifier; '' for no control"
+    parser.add_argument("--baseline", metavar="DESIGN", help=about)
+    about = "metric of the Pareto front, instead of the study's; repeatable; '' for no front"
+    parser.add_argument("--pareto", action="append", metavar="METRIC", help=about)
     parser.add_argument("--confidence", type=number, metavar="P", help="of the intervals, between 0 and 1")
     parser.add_argument("-o", "--output", metavar="FILE", help="write the ranking here, as .csv or .md, not to DIR")
     parser.add_argument("--top", type=positive_number, default=10, metavar="N", help="rows to print (default: 10)")
@@ -139,11 +130,11 @@ def _add_sensitivity(commands: Subparsers) -> None:
 
 def _run_sensitivity(chosen: argparse.Namespace) -> None:
     """Carry the command out."""
+    from ..design import named_designs
     from ..ranking.ranking import rank_study
     from ..sensitivity.sensitivity import sensitivity
     from ..sensitivity.winner_profile import winner_profile, write_sensitivity
     from ..storage.store import Store
-    from ._results import chosen_designs
     from ._tables import print_indices, print_profiles
 
     store = Store.open(chosen.folder)
@@ -152,7 +143,7 @@ def _run_sensitivity(chosen: argparse.Namespace) -> None:
         raise InputError(f"--case {chosen.case}; allowed: 1 to {len(results.cases)}")
     case = chosen.case - 1
     if chosen.design is not None:
-        middle, role = chosen_designs(results.designs, [chosen.design])[0], "the chosen design"
+        middle, role = named_designs(results.designs, [chosen.design])[0], "the chosen design"
     else:
         with progress_bar("ranking"):
             ranking = rank_study(results, study)[case]

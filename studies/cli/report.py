@@ -14,32 +14,21 @@ def add_parser(commands: Subparsers) -> None:
         description="Write report.html, figures/, ranking.csv and ranking.md from the stored results of a study, "
         "into its folder.",
     )
-    parser.add_argument(
-        "study", metavar="STUDY", help="folder that ldc run wrote, or the name of a study that ran into out/NAME"
-    )
+    about = "folder that ldc run wrote, or the name of a study that ran into out/NAME"
+    parser.add_argument("study", metavar="STUDY", help=about)
     add_report_options(parser)
-    parser.add_argument(
-        "--departure",
-        action="append",
-        type=int,
-        default=[],
-        metavar="N",
-        help="put the departure with this scenario number into the explorer; repeatable",
-    )
-    parser.add_argument(
-        "--design",
-        action="append",
-        default=[],
-        metavar="ID",
-        help="put the design whose id begins like this into the explorer; repeatable",
-    )
+    about = "put the departure with this scenario number into the explorer; repeatable"
+    parser.add_argument("--departure", action="append", type=int, default=[], metavar="N", help=about)
+    about = "put the design whose id begins like this into the explorer; repeatable"
+    parser.add_argument("--design", action="append", default=[], metavar="ID", help=about)
     parser.set_defaults(run=run)
     _add_compare(commands)
 
 
 def run(chosen: argparse.Namespace) -> None:
     """Carry the command out."""
-    from ..pages.replay import designs_of_ids, rows_of_numbers
+    from ..design import named_designs
+    from ..pages.replay import rows_of_numbers
     from ..ranking.ranking import rank_study
     from ..ranking.verdict import verdict
     from ..storage.store import Store
@@ -51,7 +40,7 @@ def run(chosen: argparse.Namespace) -> None:
     store = Store.open(folder)
     study, results = store.manifest.read_study(), store.results()
     rows_of_numbers(results.drivable().scenarios, options.departures)  # refused before the work begins
-    designs_of_ids(results.designs, options.designs)
+    named_designs(results.designs, options.designs)
     with progress_bar("ranking"):
         rankings = rank_study(results, study)
     with progress_bar("driving the best on other plants"):
@@ -81,21 +70,12 @@ def _add_compare(commands: Subparsers) -> None:
     )
     parser.add_argument("old", metavar="OLD", help="folder that ldc run wrote")
     parser.add_argument("new", metavar="NEW", help="folder that ldc run wrote")
-    parser.add_argument(
-        "-o",
-        "--output",
-        action="append",
-        default=[],
-        metavar="FILE",
-        help="write every comparison as FILE.csv, or a page to read as FILE.html; repeatable",
-    )
+    about = "write every comparison as FILE.csv, or a page to read as FILE.html; repeatable"
+    parser.add_argument("-o", "--output", action="append", default=[], metavar="FILE", help=about)
     parser.add_argument("--top", type=positive_number, default=10, metavar="N", help="rows to print (default: 10)")
     parser.add_argument("--json", action="store_true", help="print JSON for scripts instead of tables")
-    parser.add_argument(
-        "--fail-if-worse",
-        action="store_true",
-        help="exit code 3 if a design is worse, or fails only in NEW, or NEW's winner is worse than OLD's",
-    )
+    about = "exit code 3 if a design is worse, or fails only in NEW, or NEW's winner is worse than OLD's"
+    parser.add_argument("--fail-if-worse", action="store_true", help=about)
     parser.set_defaults(run=compare_studies)
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from ldctoolkit.errors import InputError, LdcError, UnknownNameError, nearest
 
-from ._console import Subparsers, add_row, console, interval, named, new_table, number, output_file, progress_bar
+from ._console import Subparsers, add_row, interval, named, new_table, number, output_file, print_table, progress_bar
 
 if TYPE_CHECKING:
     import numpy as np
@@ -86,17 +86,12 @@ def _of_folder(chosen: argparse.Namespace) -> Iterator[Subject]:
     """The design that the verdict of a study's results names, or the one that is chosen, with what its results say."""
     from ldctoolkit.review.limits import Finding
 
-    from ..ranking.ranking import rank_study
     from ..ranking.requirements import G, metric_values
-    from ..ranking.verdict import verdict
-    from ..storage.store import Store
+    from ._results import judged
 
-    store = Store.open(chosen.design)
-    study, results = store.manifest.read_study(), store.results()
-    ranking = rank_study(results, study)[0]
-    named = ranking.designs[verdict(ranking, results, study.setup()).place].id
-    only = chosen.only or named
-    for subject in _of_study(study, argparse.Namespace(**{**vars(chosen), "only": only})):
+    there = judged(chosen.design)
+    ranking, only = there.ranking, chosen.only or there.design.id
+    for subject in _of_study(there.study, argparse.Namespace(**{**vars(chosen), "only": only})):
         found = []
         for place, design in enumerate(ranking.designs):
             if design.id not in subject.ids:
@@ -104,16 +99,12 @@ def _of_folder(chosen: argparse.Namespace) -> Iterator[Subject]:
             peak, lost = (float(metric_values(name, ranking)[place]) for name in ("a_y_peak_max", "lost"))
             most = next(one.limit for one in ranking.limits if one.set == "physical")
             if peak > most:
-                text = (
-                    f"In the stored results a_y reaches {peak:.3g} m/s^2 ({peak / G:.2g} g), friction "
-                    f"allows {most:.3g} m/s^2"
-                )
+                text = f"In the stored results a_y reaches {peak:.3g} m/s^2 ({peak / G:.2g} g)"
+                text += f", friction allows {most:.3g} m/s^2"
                 found.append(Finding("fault", "friction", text, peak, most, math.nan))
             if lost:
-                text = (
-                    f"In the stored results {lost:.0f} of {ranking.scenarios} departures diverged, though "
-                    "friction allows their path"
-                )
+                text = f"In the stored results {lost:.0f} of {ranking.scenarios} departures diverged"
+                text += ", though friction allows their path"
                 found.append(Finding("fault", "diverged", text, lost, 0.0, math.nan))
         yield dataclasses.replace(subject, stored=tuple(found))
 
@@ -155,11 +146,11 @@ def _speeds(chosen: argparse.Namespace, default: tuple[float, float] | None) -> 
 
 
 def _of_study(study: Study, chosen: argparse.Namespace) -> Iterator[Subject]:
+    from ..design import named_designs
     from ..runner import study_source
     from ..storage.stored_model import with_counts
-    from ._results import chosen_designs
 
-    designs = study.designs if chosen.only is None else chosen_designs(study.designs, [chosen.only])
+    designs = study.designs if chosen.only is None else named_designs(study.designs, [chosen.only])
     conventions, source = study.simulation.convention, study_source(study)
     wanted = with_counts(study, source).scenarios
     left, right = (min(n, _MOST_SCENARIOS) for n in wanted.counts)
@@ -273,22 +264,14 @@ def add_parser(commands: Subparsers) -> None:
         "gain, phase, delay and disk margins, sampling, limits, conditioning, offset in a bend. Exit code 3 where a "
         "fault was found.",
     )
-    parser.add_argument(
-        "design",
-        metavar="DESIGN",
-        help="name of a law, a study (name in the catalog or TOML file), or a folder that ldc run wrote",
-    )
-    parser.add_argument(
-        "--gain", type=named, action="append", metavar="NAME=VALUE", help="a gain of the law; repeatable"
-    )
+    about = "name of a law, a study (name in the catalog or TOML file), or a folder that ldc run wrote"
+    parser.add_argument("design", metavar="DESIGN", help=about)
+    about = "a gain of the law; repeatable"
+    parser.add_argument("--gain", type=named, action="append", metavar="NAME=VALUE", help=about)
     parser.add_argument("--design", dest="only", metavar="LABEL", help="only this design of the study: its label or id")
     parser.add_argument("--dt", type=_positive, metavar="S", help="sample time in s (default: 0.05, or the study's)")
-    parser.add_argument(
-        "--speed",
-        type=_speed_range,
-        metavar="LOW:HIGH",
-        help="speeds in m/s (default: 10:40, or those at the study's triggers)",
-    )
+    about = "speeds in m/s (default: 10:40, or those at the study's triggers)"
+    parser.add_argument("--speed", type=_speed_range, metavar="LOW:HIGH", help=about)
     parser.add_argument("--points", type=_points, default=13, metavar="N", help="number of speeds (default: 13)")
     for name, meaning in (
         ("delay", "pure delay of the actuator in s"),
@@ -389,7 +372,7 @@ def _print_loop(label: str, review: Review) -> None:
     for i in range(review.loop.v.size):
         cells = [_shown(float(getattr(review.loop, name)[i]), factor, form) for _, name, factor, form in columns]
         add_row(table, cells, None if review.loop.stable[i] else "red")
-    console().print(table)
+    print_table(table)
 
 
 _WORST = ("gain_margin", "phase_margin", "disk_margin", "e_y_bend", "e_y_bend_mismatched")
@@ -410,7 +393,7 @@ def _print_overview(reviewed: Reviewed) -> None:
             cells = [_shown(_worst(getattr(loop, name), name), factor, form) for _, name, factor, form in shown]
         warnings = sum(finding.severity == "warning" for finding in review.findings)
         add_row(table, [label, *cells, str(len(review.faults)), str(warnings)])
-    console().print(table)
+    print_table(table)
 
 
 def _worst(values: np.ndarray, name: str) -> float:

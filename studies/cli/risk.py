@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from . import _console
-from ._console import add_row, new_table, number, positive_number, progress_bar, say, whole_number
+from ._console import add_row, new_table, number, positive_number, print_table, progress_bar, say, whole_number
 
 if TYPE_CHECKING:
     from ldctoolkit.scenario_model import ScenarioModel
@@ -47,13 +48,10 @@ def add_parser(commands: _console.Subparsers) -> None:
 
 def _departures(text: str) -> int:
     """``1e7``, ``10_000_000``."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 1 <= value <= 1e9 or value != int(value):
-        raise argparse.ArgumentTypeError(f"{text!r}; allowed: a whole number from 1 to 1e9")
-    return int(value)
+    with contextlib.suppress(ValueError):
+        if 1 <= float(text) <= 1e9 and float(text).is_integer():
+            return int(float(text))
+    raise argparse.ArgumentTypeError(f"{text!r}; allowed: a whole number from 1 to 1e9")
 
 
 def run(chosen: argparse.Namespace) -> None:
@@ -100,16 +98,17 @@ def _subject(chosen: argparse.Namespace) -> tuple[Study, ScenarioModel | None, S
     """The study, the model in its folder, the designs, and where results go by default."""
     from ldctoolkit.errors import InputError
 
+    from ..design import named_designs
     from ..storage.stored_model import read_model
     from ..study_file import load_study
-    from ._results import chosen_designs, judged
+    from ._results import judged
 
     if os.path.isfile(f"{chosen.study}/manifest.json"):  # noqa: PTH113 - raises nothing, whatever the name
         found = judged(chosen.study)
-        some = chosen_designs(found.ranking.designs, chosen.design) if chosen.design else [found.design]
+        some = named_designs(found.ranking.designs, chosen.design) if chosen.design else [found.design]
         return found.study, read_model(chosen.study, found.manifest), some, Path(chosen.study)
     study = load_study(chosen.study)
-    designs = chosen_designs(study.designs, chosen.design) if chosen.design else study.designs
+    designs = named_designs(study.designs, chosen.design) if chosen.design else study.designs
     if not study.designs:
         raise InputError(f"study {study.name}: searches its designs; give the folder that ldc run wrote")
     if sum(not design.is_baseline for design in designs) > _MOST_DESIGNS:
@@ -131,7 +130,7 @@ def _print_design(risk: Risk, design: Design) -> None:
         cells += [f"{found.design_only:,}", f"{found.no_control_only:,}", found.text]
         add_row(table, cells, {1: "red", -1: "green", 0: None}[found.sign])
     out = _console.console()
-    out.print(table)
+    print_table(table)
     if not design.is_baseline:
         light = risk.light(design)
         out.print(light.text, style=_COLORS[light.state], markup=False, highlight=False, soft_wrap=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -24,45 +25,24 @@ def add_parser(commands: Subparsers) -> None:
         "ranking.md into DIR; running again into the same DIR computes only what is missing. Exit code 3: done, but "
         "the law of some design failed; the ranking and the report name it.",
     )
-    parser.add_argument(
-        "study",
-        nargs="?",
-        metavar="STUDY",
-        help="name in the catalog (ideal, paper, reality, road-edge, trigger-and-gains, zoo, zoo-sweep) or a TOML file",
-    )
+    about = "name in the catalog (ideal, paper, reality, road-edge, trigger-and-gains, zoo, zoo-sweep) or a TOML file"
+    parser.add_argument("study", nargs="?", metavar="STUDY", help=about)
     parser.add_argument("-o", "--output", metavar="DIR", help="folder of the results (default: out/<study name>)")
     parser.add_argument("--model", metavar="MODEL", help="scenario model instead of the study's: a name or a JSON file")
-    parser.add_argument(
-        "--departures",
-        metavar="DEPARTURES.parquet",
-        help="rank designs on these recorded departures themselves; with --model, score the finalists on them too",
-    )
-    parser.add_argument(
-        "--vehicle-width",
-        type=number,
-        metavar="W",
-        help="drive a vehicle this wide in m (default: that of the recordings behind the model, else the study's)",
-    )
+    about = "rank designs on these recorded departures themselves; with --model, score the finalists on them too"
+    parser.add_argument("--departures", metavar="DEPARTURES.parquet", help=about)
+    about = "drive a vehicle this wide in m (default: that of the recordings behind the model, else the study's)"
+    parser.add_argument("--vehicle-width", type=number, metavar="W", help=about)
     parser.add_argument("--workers", type=positive_number, metavar="N", help="processes (default: all cores)")
-    parser.add_argument(
-        "--dask",
-        metavar="ADDRESS",
-        help="run on the Dask scheduler at tcp://host:8786, or on a cluster of this machine: local",
-    )
-    parser.add_argument(
-        "--time-limit",
-        type=number,
-        metavar="S",
-        help="seconds after which a task is given up and the scenario at fault is found (default: 600; 0: none)",
-    )
+    about = "run on the Dask scheduler at tcp://host:8786, or on a cluster of this machine: local"
+    parser.add_argument("--dask", metavar="ADDRESS", help=about)
+    about = "seconds after which a task is given up and the scenario at fault is found (default: 600; 0: none)"
+    parser.add_argument("--time-limit", type=number, metavar="S", help=about)
     parser.add_argument("--top", type=positive_number, default=10, metavar="N", help="rows to print (default: 10)")
     add_report_options(parser)
     parser.add_argument("--quiet", action="store_true", help="no progress bar and no table")
-    parser.add_argument(
-        "--json",
-        action="store_true",
-        help="one JSON object a line on stdout: progress, then the result; no bar and no table",
-    )
+    about = "one JSON object a line on stdout: progress, then the result; no bar and no table"
+    parser.add_argument("--json", action="store_true", help=about)
     parser.set_defaults(run=run)
 
 
@@ -77,6 +57,21 @@ SOME_FAILED = 3  # exit code where the study has results, but not of every desig
 
 def run(chosen: argparse.Namespace) -> int:
     """Carry the command out."""
+    from ldctoolkit import compiling
+
+    if chosen.study is None:
+        from ..study_file import catalog_names
+
+        raise InputError(_NEXT.format(", ".join(catalog_names())))
+    with progress_bar("starting", show=not (chosen.quiet or chosen.json)):
+        from ..running.campaign import Lines, Progress
+
+        progress = Lines(sys.stdout) if chosen.json else Progress() if chosen.quiet else None
+    with contextlib.nullcontext() if progress is None else compiling.shown_by(progress.compiling):
+        return _run(chosen, progress)
+
+
+def _run(chosen: argparse.Namespace, progress: Progress | None) -> int:
     from ldctoolkit.scenario_model.model import ScenarioModel, misleading, outside_fit
 
     from ..ranking.ranking import rank_study
@@ -84,11 +79,9 @@ def run(chosen: argparse.Namespace) -> int:
     from ..runner import TIME_LIMIT, run_study, study_source
     from ..storage.manifest import read_manifest
     from ..storage.stored_model import with_counts, with_recorded_widths
-    from ..study_file import catalog_names, load_study
+    from ..study_file import load_study
     from ._results import ReportOptions, json_summary, print_race, print_rankings, write_ranking, write_study_report
 
-    if chosen.study is None:
-        raise InputError(_NEXT.format(", ".join(catalog_names())))
     study = load_study(chosen.study)
     if chosen.departures is not None:
         table = {"departures": str(Path(chosen.departures).absolute()), "table": ""}
@@ -108,7 +101,7 @@ def run(chosen: argparse.Namespace) -> int:
         model=chosen.model if model is not None else source,
         workers=chosen.workers,
         dask=chosen.dask,
-        progress=_progress(chosen),
+        progress=progress,
         time_limit=TIME_LIMIT if chosen.time_limit is None else chosen.time_limit,
     )
     manifest = read_manifest(folder)
@@ -138,11 +131,3 @@ def run(chosen: argparse.Namespace) -> int:
         print(f"report:  {report_path}")
     fresh_failed = results.fresh is not None and results.fresh.failed
     return SOME_FAILED if results.failed or fresh_failed else 0
-
-
-def _progress(chosen: argparse.Namespace) -> Progress | bool | None:
-    from ..running.campaign import Lines
-
-    if chosen.json:
-        return Lines(sys.stdout)
-    return False if chosen.quiet else None

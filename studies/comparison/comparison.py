@@ -414,7 +414,7 @@ def _warnings(comparison: Comparison, left_out: int) -> Iterator[str]:
 _CASE = "window convention compared verdict design_old design_new label_old label_new"
 _SCORES = "S_old_m_s S_new_m_s difference_m_s difference_low_m_s difference_high_m_s scenarios"
 _CHANGED = "changed_scenarios largest_change_m_s largest_change_scenario failed_scenarios_old failed_scenarios_new"
-COLUMNS = (*_CASE.split(), *_SCORES.split(), *_CHANGED.split(), "reason")
+COLUMNS = (*_CASE.split(), *_SCORES.split(), *_CHANGED.split(), "failure")
 """Of the CSV file; what a row has no value for is empty."""
 
 
@@ -435,7 +435,7 @@ def comparison_rows(comparison: Comparison) -> Iterator[dict[str, Any]]:
         for one in failed:
             names = {"design_old": one.design.id, "design_new": one.design.id}
             labels = {"label_old": one.design.label, "label_new": one.design.label}
-            yield {"compared": "failure", "verdict": verdict, **names, **labels, "reason": one.reason}
+            yield {"compared": "failure", "verdict": verdict, **names, **labels, "failure": one.reason}
 
 
 def _row_of(

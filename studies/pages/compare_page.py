@@ -135,9 +135,8 @@ def _verdict(comparison: Comparison) -> Section:
     )
     if len(first):
         body += paragraphs(
-            f"{plural(len(first), 'design')} in both studies: {counts_text(first)}. Intervals hold for all "
-            "designs in all "
-            f"cases at once, with {percent(comparison.confidence, 0)} confidence."
+            f"{plural(len(first), 'design')} in both studies: {counts_text(first)}. Intervals hold for all designs in "
+            f"all cases at once, with {percent(comparison.confidence, 0)} confidence."
         )
     else:
         body += paragraphs("No design is in both studies: nothing but their winners can be compared.")

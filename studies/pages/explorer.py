@@ -49,9 +49,8 @@ def section(context: Context) -> Section:
     entries = [("No control", RECORDED), *((law_title(context.ranking.designs[i]), context.style(i)) for i in shown)]
     body += Markup("<h3>Distributions</h3>") + figure(
         charts,
-        "Share of departures, or of interventions for what control adds, with less than the value. A "
-        "dash-dotted line is "
-        "a limit of ISO 11270 or Euro NCAP. An axis ends before a few far values.",
+        "Share of departures, or of interventions for what control adds, with less than the value. A dash-dotted line "
+        "is a limit of ISO 11270 or Euro NCAP. An axis ends before a few far values.",
         legend(entries),
     )
     return Section("departures", "Departures", body, charts, data, ("explorer.js",) if data else ())
@@ -73,9 +72,13 @@ def _data(context: Context, replayed: Replay, every: int) -> dict[str, object]:
             start.append(float(known[0]) if known.size else 0.0)
             for name, table in (("y", paths.y), ("delta", angles), ("a_y", paths.a_y)):
                 values[name].append(np.nan_to_num(table[k, kept]))
+    # what was requested comes first, then where the first design acts
+    acts = np.isfinite(replayed.paths[0].t).any(axis=1)
+    opened = int(np.argmax(acts + np.array([2 * ("requested" in pick.roles) for pick in replayed.picks])))
     joined = {name: np.concatenate([np.empty(0), *some]) for name, some in values.items()}
     return {
         "step": step,
+        "open": opened,
         "resolution": RESOLUTION,
         "departures": [_departure(replayed, k) for k in range(len(replayed.picks))],
         "duration": packed(replayed.scenarios.T),
@@ -239,9 +242,8 @@ def worst_sentence(context: Context) -> str:
         return ""
     count = math.ceil(0.05 * S.size)
     return (
-        f"The worst 5 % of departures ({count:,}) make up {percent(float(S[:count].sum() / S.sum()), 0)} of "
-        "the sum of S "
-        f"of {context.shown_name}; their largest S is {compact(float(f'{S[0]:.3g}'))} m\u00b7s."
+        f"The worst 5 % of departures ({count:,}) make up {percent(float(S[:count].sum() / S.sum()), 0)} of the sum of "
+        f"S of {context.shown_name}; their largest S is {compact(float(f'{S[0]:.3g}'))} m\u00b7s."
     )
 
 

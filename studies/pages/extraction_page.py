@@ -415,9 +415,8 @@ def _refusals_section(whole: Row | None, rows: Sequence[Row]) -> Section:
         )
     body = table(f"{sum(whole.refused):,} of {plural(candidates, 'candidate')} refused, by reason", columns, lines_)
     body += paragraphs(
-        "A candidate is a stretch with the vehicle\u2019s edge beyond a line. Each refused one has one "
-        "reason, the first "
-        "that holds in this order."
+        "A candidate is a stretch with the vehicle\u2019s edge beyond a line. Each refused one has one reason, the "
+        "first that holds in this order."
     )
     if len(rows) > 1:
         heads = [Column("Source", text=True), *(Column(reason.replace("_", " ")) for reason in reasons)]

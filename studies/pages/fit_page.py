@@ -135,9 +135,8 @@ def _verdict(model: ScenarioModel, sides: tuple[Side, ...], *, drawn: bool) -> S
     body = Markup("").join(Markup('<p class="verdict">{}</p>').format(symbols(side_verdict(side))) for side in sides)
     body += bullets(warnings, "warnings") or paragraphs("No warnings: no check of this page found anything.")
     body += paragraphs(
-        "Unless a warning says otherwise the model is checked against the departures that it was fitted to: a "
-        "misfit is "
-        "certain, a good fit is weaker evidence than fresh departures would give."
+        "Unless a warning says otherwise the model is checked against the departures that it was fitted to: a misfit "
+        "is certain, a good fit is weaker evidence than fresh departures would give."
     )
     return Section("verdict", "Verdict", body, printed=True)
 
@@ -334,9 +333,8 @@ def _bounds(sides: tuple[Side, ...]) -> Section:
     )
     body = figure(
         [chart],
-        "Error of the model\u2019s share in the strip between a bound and the outermost 5 % of the events, "
-        "with 1.96 standard "
-        "errors. Filled: clearly wrong, by more than 20 % and four standard errors.",
+        "Error of the model\u2019s share in the strip between a bound and the outermost 5 % of the events, with 1.96 "
+        "standard errors. Filled: clearly wrong, by more than 20 % and four standard errors.",
     )
     far = [f"{side.key} {name} {end}" for side in sides for name, end in side.found.far_bounds]
     return Section("bounds", "Bounds", body + paragraphs(f"No events come near: {', '.join(far)}." if far else ""))

@@ -181,9 +181,8 @@ def _sentences(context: Context, found: tuple[SideMatch, ...]) -> Iterator[str]:
     report = context.report
     if report.model is not None:
         yield (
-            f"The study scenarios were drawn from {report.model_name}; ldc fit writes the page that "
-            "shows how "
-            "well that model fits."
+            f"The study scenarios were drawn from {report.model_name}; ldc fit writes the page that shows how well "
+            "that model fits."
         )
     if report.given:
         yield f"Under the conditions: {', '.join(f'{name} {_range(value)}' for name, value in report.given.items())}."
@@ -198,9 +197,8 @@ def _sentences(context: Context, found: tuple[SideMatch, ...]) -> Iterator[str]:
             verdict = "more than chance makes" if gaps[worst].beyond else "no more than chance makes"
             of = f" ({side.source:,})" if side.source and what != "the model" else ""
             yield (
-                f"{side.key.capitalize()}, {plural(side.generated, 'departure')} against {what}{of}: the "
-                "largest gap is in "
-                f"{worst}, {percent(gaps[worst].value)} of departures, {verdict} ({percent(gaps[worst].limit)})."
+                f"{side.key.capitalize()}, {plural(side.generated, 'departure')} against {what}{of}: the largest gap "
+                f"is in {worst}, {percent(gaps[worst].value)} of departures, {verdict} ({percent(gaps[worst].limit)})."
             )
         if side.reason:
             yield f"{side.key.capitalize()}: {side.reason}"

@@ -1,7 +1,6 @@
 """Departures and designs of the explorer: which ones, by a stated rule, and their motion, driven again."""
 
 import dataclasses
-import difflib
 from collections.abc import Sequence
 from typing import Final
 
@@ -14,7 +13,7 @@ from ldctoolkit.errors import InputError
 from ldctoolkit.paths.uncorrected import UncorrectedPath
 from ldctoolkit.simulation import Takeover, drive
 
-from ..design import PAPER_LAW, Design, is_paper_design
+from ..design import PAPER_LAW, is_paper_design, named_designs
 from ..results import FAILED_STATUSES
 from .context import Context
 
@@ -50,33 +49,6 @@ def rows_of_numbers(scenarios: Scenarios, numbers: Sequence[int]) -> tuple[int, 
     return tuple(dict.fromkeys(found))
 
 
-def designs_of_ids(designs: Sequence[Design], prefixes: Sequence[str]) -> tuple[int, ...]:
-    """Positions of the designs whose identifiers begin like this, each once."""
-    ids = [design.id for design in designs]
-    found = []
-    for prefix in prefixes:
-        places = [i for i, name in enumerate(ids) if prefix and name.startswith(prefix.lower())]
-        if len(places) > 1:
-            listed = ", ".join(ids[i] for i in places[:8]) + (f" and {len(places) - 8} more" if len(places) > 8 else "")
-            raise InputError(
-                f"design: {prefix!r}; {len(places)} designs begin like this ({listed}); allowed: more digits"
-            )
-        if not places:
-            near = max(ids, key=lambda name: _likeness(name, prefix.lower()))
-            raise InputError(
-                f"design: {prefix!r}; no design begins like this, the nearest is {near}; allowed: the first "
-                "digits of a "
-                "design's id"
-            )
-        found.append(places[0])
-    return tuple(dict.fromkeys(found))
-
-
-def _likeness(name: str, given: str) -> tuple[int, float]:
-    shared = sum(name.startswith(given[:k]) for k in range(1, len(given) + 1))
-    return shared, difflib.SequenceMatcher(None, given, name).ratio()
-
-
 @dataclasses.dataclass(frozen=True)
 class Chosen:
     """One design of the explorer: its place in the ranking, and why it is there."""
@@ -96,13 +68,12 @@ class Pick:
 def chosen_designs(context: Context) -> tuple[Chosen, ...]:
     """The shown design, those requested, the baseline, the best of each law, Table I, the second of the ranking."""
     ranking = context.ranking
-    place_of = {index: place for place, index in enumerate(ranking.index.tolist())}
-    wanted = designs_of_ids(context.report.results.designs, context.report.shown_designs)
+    wanted = named_designs(ranking.designs, context.report.shown_designs)
     paper = [i for i, design in enumerate(ranking.designs) if is_paper_design(design)]
     own = [i for i, design in enumerate(ranking.designs) if design.law == PAPER_LAW][:1]
     reasons = (
         (context.shown_name.removeprefix("the "), [context.shown]),
-        ("requested", [place_of[i] for i in wanted if i in place_of]),
+        ("requested", [ranking.designs.index(one) for one in wanted]),
         ("baseline", [] if ranking.baseline is None else [ranking.baseline]),
         ("best of its law", [*context.best_of_each_law[1:6], *own]),
         ("Table I of the paper", paper),

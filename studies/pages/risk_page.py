@@ -105,7 +105,7 @@ def _worst(risk: Risk) -> Section:
         common = risk.in_common(design)
         rows = [
             TableRow(
-                (number(one["depth_m"], 2), str(one["scenario"]), one["side"], *map(digits, list(one.values())[6:]))
+                (number(one["deepest_m"], 2), str(one["scenario"]), one["side"], *map(digits, list(one.values())[6:]))
             )
             for one in risk.worst_rows(design)
         ]

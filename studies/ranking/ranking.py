@@ -7,16 +7,17 @@ import functools
 import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, get_type_hints
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit import BicycleModel, EventStatus, LinearLaw, Plant, SteeringLaw, VehicleParameters
+from ldctoolkit import BicycleModel, EventStatus, Plant, SteeringLaw, VehicleParameters
 from ldctoolkit.arrays import IntArray
 from ldctoolkit.departures import LEFT
 from ldctoolkit.errors import LdcError, StudyError, expect
 from ldctoolkit.frames import Frame
+from ldctoolkit.law_checks import declared_law
 from ldctoolkit.metrics import METRICS, RELEASE_METRICS
 from ldctoolkit.review import design_margins
 from ldctoolkit.vehicle import Convention
@@ -113,8 +114,8 @@ def has_solver(design: Design, convention: Convention) -> bool:
     """Whether the design's law declares a solver, by a `solver_calls` of its own; true where that is not known."""
     try:
         controller = design.controller(convention)
-        kind = get_type_hints(type(controller).prepare).get("return")
-        if not (isinstance(kind, type) and issubclass(kind, LinearLaw | SteeringLaw) and kind is not SteeringLaw):
+        kind = declared_law(type(controller))
+        if kind is None or kind is SteeringLaw:
             # its type says nothing; any plant shows what kind of law it makes
             model = BicycleModel(VehicleParameters(), convention)
             kind = type(controller.prepare(Plant.build(model, 25.0, 0.05)))
@@ -146,7 +147,7 @@ class Ranking(RankedDesigns, Frame):
         """One row a design, with the columns of ``ranking.csv``: first what names it, its rank and S."""
         import polars as pl
 
-        text = ("design", "unmet", "fresh_unmet", "failure")
+        text = ("design", "label", "unmet", "fresh_unmet", "failure")
         types = {**dict.fromkeys(text, pl.String), "rank": pl.Int64}
         content = _csv_text([self], None, plain=True).encode()
         table = pl.read_csv(content, infer_schema_length=None, schema_overrides=types)
@@ -530,6 +531,7 @@ def _named(ranking: Ranking, rank: int | str, design: Design, gains: Sequence[st
         "convention": ranking.case.convention,
         "rank": rank,
         "design": design.id,
+        "label": design.label,
         "law": design.law,
         "y_s_m": repr(design.y_s),
         **{f"gain_{name}": value for name, value in values.items()},

@@ -222,8 +222,7 @@ def parse_requirement(text: str) -> Requirement:
     if found is None:
         raise InputError(
             f"requirement {text!r}: cannot be read; allowed: a set ({', '.join(SETS)}), or a metric, one of "
-            f"{', '.join(_OPERATORS)}, "
-            "and a number, as 'a_y_peak_p95 <= 3.0'"
+            f"{', '.join(_OPERATORS)}, and a number, as 'a_y_peak_p95 <= 3.0'"
         )
     try:
         wanted = metric(found["name"])

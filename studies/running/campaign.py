@@ -1,5 +1,6 @@
 """A campaign: tasks sent to an executor in order, what comes back stored, and progress shown."""
 
+import contextlib
 import dataclasses
 import hashlib
 import json
@@ -13,7 +14,7 @@ from typing import Any, Final, TextIO
 import cloudpickle
 import numpy as np
 
-from ldctoolkit import Controller, EventStatus, Scenarios, registry
+from ldctoolkit import Controller, EventStatus, Scenarios, compiling, registry
 from ldctoolkit.code_content import content_of, modules_of
 from ldctoolkit.errors import LdcError, StoreError
 from ldctoolkit.vehicle import Convention
@@ -24,7 +25,7 @@ from ..storage.run_table import RunTable
 from ..storage.store import Store
 from ..study_file import Study
 from .executors.processes import Ended, Executor, Fault
-from .tasks import Done, Faults, Job, Prefixes, ScenarioBatch, SimulationTask, Simulator, Task
+from .tasks import Done, Faults, Job, Prefixes, ScenarioBatch, SimulationTask, Simulator, Task, load_loops
 
 _LINE_EVERY = 1.0  # seconds between lines
 
@@ -41,17 +42,30 @@ class Progress:
     def phase(self, name: str) -> None:
         """What takes its time between two stages."""
 
+    @contextlib.contextmanager
+    def compiling(self, text: str) -> Iterator[None]:
+        """Loops are compiled while the block runs."""
+        self.phase(text)
+        yield
+
     def close(self) -> None:
         """Nothing comes any more."""
 
 
 class Lines(Progress):
-    """One JSON object a line: stage, scenario runs done and in all, rate and seconds left."""
+    """One JSON object a line: stage, scenario runs done and in all, rate and seconds left; or the name of a phase."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
         self._name, self._total, self._done = "", 0, 0
+        self._phases: set[str] = set()
         self._started = self._reported = time.monotonic()
+
+    def phase(self, name: str) -> None:
+        """Write its name, the first time."""
+        if name not in self._phases:
+            self._phases.add(name)
+            self._write({"event": "phase", "phase": name})
 
     def stage(self, name: str, total: int) -> None:
         """Write the first line of a stage."""
@@ -69,17 +83,19 @@ class Lines(Progress):
         now = time.monotonic()
         seconds = now - self._started
         rate = self._done / seconds if self._done and seconds > 0 else None
-        line = {
+        self._reported = now
+        self._write({
             "event": "progress",
             "stage": self._name,
             "done": self._done,
             "total": self._total,
             "runs_per_s": None if rate is None else round(rate, 1),
             "seconds_left": None if rate is None else round((self._total - self._done) / rate, 1),
-        }
+        })  # fmt: skip
+
+    def _write(self, line: dict[str, Any]) -> None:
         self._stream.write(json.dumps(line) + "\n")
         self._stream.flush()
-        self._reported = now
 
 
 class Bar(Progress):
@@ -113,6 +129,13 @@ class Bar(Progress):
         """Show the name."""
         self.stage(name, 0)
 
+    @contextlib.contextmanager
+    def compiling(self, text: str) -> Iterator[None]:
+        """A second line that moves."""
+        task = self._bar.add_task(text, total=None, rate="")
+        yield
+        self._bar.remove_task(task)
+
     def advance(self, runs: int) -> None:
         """Move the bar."""
         self._done += runs
@@ -124,9 +147,15 @@ class Bar(Progress):
         self._bar.stop()
 
 
-def default_progress(show: bool | None) -> Progress:
-    """A bar if requested, or, with None, where stderr is a terminal."""
-    return Bar() if (sys.stderr.isatty() if show is None else show) else Progress()
+@contextlib.contextmanager
+def displayed(progress: bool | Progress | None) -> Iterator[Progress]:
+    """What a run reports to: a bar if requested, or, with None, where stderr is a terminal; it shows compiling too."""
+    show = sys.stderr.isatty() if progress is None else progress
+    shown = (Bar() if show else Progress()) if isinstance(show, bool) else show
+    # where there is no terminal, compiling takes a line, which was not refused
+    elsewhere = contextlib.nullcontext() if progress is None and not show else compiling.shown_by(shown.compiling)
+    with contextlib.closing(shown), elsewhere:
+        yield shown
 
 
 class InOrder:
@@ -432,6 +461,7 @@ class Campaign:
         self._faults = Faults()
         self._waiting: list[TaskResult] = []
         self._failed: list[FailedRun] = []
+        self._loaded: set[str] = set()
         self._stored = time.monotonic()
         self._writer: ThreadPoolExecutor | None = None
         self._writing: Future[None] | None = None
@@ -450,6 +480,10 @@ class Campaign:
             for fault, status in STATUS_OF.items() if self.table.missing(key) < self.table.n else ():
                 for row in self.table.rows_with(key, status):
                     self._faults.record(key, int(row), fault)
+        # in this process, each law once: workers would all compile the same
+        laws = {queue.law for queue in queues} - self._loaded
+        self._loaded |= laws
+        load_loops(laws, self.scenarios, self._job.setup, min(one.y_s for queue in queues for one in queue.designs))
         self._progress.stage(stage, sum(len(queue.designs) * queue.batch.rows.size for queue in queues))
         dispatcher = Dispatcher(
             self._job, self.scenarios, self._executor, self._collect, faults=self._faults, block_size=self._block_size

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import itertools
 import threading
@@ -15,8 +16,9 @@ import numpy.typing as npt
 
 from ldctoolkit import EventStatus, LdcError, Scenarios, Setup, controller_class, registry
 from ldctoolkit.arrays import FloatArray, IntArray
+from ldctoolkit.control import LinearLaw, SteeringLaw
 from ldctoolkit.errors import InputError
-from ldctoolkit.law_checks import raised
+from ldctoolkit.law_checks import declared_law, raised
 from ldctoolkit.metrics import METRIC_UNITS
 from ldctoolkit.simulation import Outcome, Run, Takeover, Window, drive, drive_many
 from ldctoolkit.simulation.loop import recorded_run
@@ -259,9 +261,8 @@ def kept_state(
         return ""
     i = int(np.argmin(same))
     return (
-        "keeps state between runs: the same departure, driven twice, gave "
-        f"S = {values[0, i]:.9g} m s and then {second[0][i]:.9g} m s; "
-        "allowed: state that init makes and step returns"
+        f"keeps state between runs: the same departure, driven twice, gave S = {values[0, i]:.9g} m s and then "
+        f"{second[0][i]:.9g} m s; allowed: state that init makes and step returns"
     )
 
 
@@ -269,10 +270,8 @@ _TAKEOVERS_KEPT = 8
 
 _JOBS_KEPT = 2
 
-_WARM_LAWS = ("preview_proportional", "pid")  # a law of each kind of loop: linear, and step by step
-
 _lock = threading.Lock()
-_warm: set[str] = set()
+_warm: set[tuple[str, str]] = set()  # jobs and laws
 
 _NOT_OF_A_LAW = (KeyboardInterrupt, GeneratorExit)  # what ends a study even where it comes out of a law
 
@@ -459,7 +458,7 @@ class SimulationTask(Task):
             while len(simulators) >= _JOBS_KEPT:
                 del simulators[next(iter(simulators))]
             learn(self.job.laws)
-        _warm_up(_simulator(simulators, self.job), self)
+        _warm_up(self.job, self)
 
     def run(self, kept: dict[str, Any]) -> Done:
         """Drive the designs."""
@@ -487,10 +486,24 @@ def learn(laws: bytes) -> None:
         registry.learn(cloudpickle.loads(laws))
 
 
-def _warm_up(chosen: Simulator, task: Task) -> None:
-    if task.job.token in _warm or not task.job.time_limit:
-        return
-    takeover = chosen.takeover(task.designs[0].y_s, task.convention, task.scenarios.take([0]))
-    for name in _WARM_LAWS:
-        drive(controller_class(name)(), takeover, threads=1)
-    _warm.add(task.job.token)
+def _warm_up(job: Job, task: Task) -> None:
+    key = job.token, task.designs[0].law
+    if key not in _warm and job.time_limit:
+        load_loops({key[1]}, task.scenarios, job.setup.under(task.convention), task.designs[0].y_s)
+        _warm.add(key)
+
+
+def load_loops(laws: Iterable[str], scenarios: Scenarios, setup: Setup, y_s: float) -> None:
+    """Load the compiled loops that some laws need, and compile those that are not on disk; no code of a user runs."""
+    names: set[str] = set()
+    for law in laws:
+        kind = declared_law(controller_class(law))  # a law that declares nothing may be of either kind
+        names |= {"preview_proportional"} if kind is None or issubclass(kind, LinearLaw) else set()
+        # linear MPC has a loop of its own beside
+        names |= {law if law == "linear_mpc" else "pid"} if kind is None or issubclass(kind, SteeringLaw) else set()
+    order = np.argsort(scenarios.v_mean, kind="stable")
+    ends = np.unique([*order[:8], *order[-8:]])  # the slowest may need another loop than the fastest
+    with contextlib.suppress(LdcError):  # who needs these scenarios and this plant says what is wrong with them
+        takeover = Takeover.build(scenarios.take(ends), setup, y_s=y_s)
+        for name in sorted(names):
+            drive(controller_class(name)(), takeover, threads=1)

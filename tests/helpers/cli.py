@@ -15,6 +15,13 @@ from typing import Any
 from studies.cli import main
 
 
+class Terminal(io.StringIO):
+    """A stream that is taken for a terminal."""
+
+    def isatty(self) -> bool:
+        return True
+
+
 def ldc(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
     """Run a command in a folder. A handful of tests use `ldc_process`, for what only a process can show."""
     words = [str(argument) for argument in arguments]

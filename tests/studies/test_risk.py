@@ -114,7 +114,7 @@ def test_the_worst_departures_are_the_deepest_and_are_driven_again_to_the_same_b
         order = np.argsort(-depth)[:20]
         assert risk.worst(design).index.tolist() == np.concatenate([one.index for one in drawn])[order].tolist()
         again = simulate(design.controller(), risk.worst(design), setup=risk.setup, y_s=design.y_s)
-        kept = np.array([row["depth_m"] for row in risk.worst_rows(design)])
+        kept = np.array([row["deepest_m"] for row in risk.worst_rows(design)])
         assert_same_bits(again.companions.deepest, kept)
         assert_same_bits(kept, depth[order])
         depths, shares = risk.exceedance(design)
@@ -125,7 +125,7 @@ def test_the_worst_departures_are_the_deepest_and_are_driven_again_to_the_same_b
 def test_fewer_departures_than_are_kept_and_a_trigger_before_the_line() -> None:
     design = Design.from_gains("lqr", -0.8, {"r_delta": 100.0})
     risk = estimate_risk([design], PAPER, n=15, workers=1)
-    depths = [row["depth_m"] for row in risk.worst_rows(design)]
+    depths = [row["deepest_m"] for row in risk.worst_rows(design)]
     assert len(depths) == risk.worst(design).n == 15
     assert depths == sorted(depths, reverse=True)
     assert risk.exceedance(design)[1][0] == np.mean(np.array(depths) >= 0.05)
@@ -398,7 +398,7 @@ def test_the_command_writes_its_files(tmp_path: Path) -> None:
     risk = estimate_risk([TABLE_I], PAPER, n=2000, depths=[0.5, 0.8], workers=1)
     assert [int(row["count"]) for row in rows] == [row["count"] for row in risk.rows()]
     worst = list(csv.DictReader((folder / "worst.csv").open(encoding="utf-8")))
-    assert float(worst[0]["depth_m"]) == next(risk.worst_rows())["depth_m"]
+    assert float(worst[0]["deepest_m"]) == next(risk.worst_rows())["deepest_m"]
     assert {"d_y_m", "v_mean_m_s", "c_0_1_m"} <= set(worst[0])
     page = (folder / "risk.html").read_text(encoding="utf-8")
     assert page.count("<section") == 4
@@ -415,7 +415,7 @@ def test_a_folder_of_a_study_gives_the_design_of_its_verdict(tmp_path: Path) -> 
     run_study(Study.from_dict(content), directory=tmp_path / "run", workers=1, progress=False)
     good("risk", "run", "-n", "200", "--workers", "1", cwd=tmp_path)
     rows = list(csv.DictReader((tmp_path / "run" / "risk.csv").open(encoding="utf-8")))
-    assert list(dict.fromkeys(row["design"] for row in rows)) == ["No control, y_s=0.05 m", "LQR, y_s=0.05 m"]
+    assert list(dict.fromkeys(row["label"] for row in rows)) == ["No control, y_s=0.05 m", "LQR, y_s=0.05 m"]
 
 
 @pytest.mark.parametrize(

@@ -94,5 +94,6 @@
   document.getElementById("previous").addEventListener("click", () => move(-1));
   document.getElementById("next").addEventListener("click", () => move(1));
   select.addEventListener("change", draw);
+  select.value = E.open;
   draw();
 }

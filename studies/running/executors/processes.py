@@ -22,6 +22,7 @@ from typing import IO, Any, Literal, Protocol
 from loky import get_reusable_executor
 from loky.process_executor import BrokenProcessPool
 
+from ldctoolkit import compiling
 from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.option_checks import UnitWarning
 from ldctoolkit.surroundings import WORKERS, leave_with, safe_path, temporary_folder
@@ -169,6 +170,7 @@ def start_worker(folder: str, parent: int) -> None:
     # and would report an interrupted solve as a failed one
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     warnings.simplefilter("ignore", UnitWarning)  # the parent has shown it
+    compiling.silence()
     if hasattr(os, "setpgrp"):
         os.setpgrp()
     if hasattr(os, "getppid"):

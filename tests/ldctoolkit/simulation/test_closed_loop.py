@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicHermiteSpline
 
 from controllers import LQI, LQR, LinearMPC, NoControl, PreviewLQR, PreviewProportional
@@ -365,3 +366,45 @@ def test_shapes_and_arguments_are_checked() -> None:
         simulate(LQR(r_delta=100.0), scenarios, window="departures")  # type: ignore[arg-type]
     with pytest.raises(InputError, match=r"initial_yaw_rate: 'none'"):
         simulate(LQR(r_delta=100.0), scenarios, initial_yaw_rate="none")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("speed", ["frozen", "profile"])
+def test_paths_in_the_plane_follow_the_lane_on_their_true_side(speed: Any) -> None:
+    """Against the lane's centre line, integrated from the parameters; the same departure to both sides, mirrored."""
+    scenarios = Scenarios.from_arrays(
+        T=4.0, d_y=[0.5, 0.5, 0.1], v_mean=22.0, a_mean=1.5, c_0=0.004, dc=-0.006, side=[1, -1, 1]
+    )  # fmt: skip
+    out = simulate(LQR(), scenarios, 0.2, options=PlantOptions(speed=speed), settle=2.0, trajectories=[1, 2, 0])
+    paths = out.trajectories
+    x, y, heading = paths.world()
+    assert x.shape == y.shape == heading.shape == paths.t.shape
+    assert np.isnan([x[1], y[1], heading[1]]).all()  # it never triggered
+    assert np.isnan(paths.t[1]).all()
+    for i, side in ((0, -1), (2, 1)):
+        t = paths.t[i]
+        start = t[0]
+
+        def v(s: float, start: float = start) -> float:
+            return 22.0 + 1.5 * (min(s if speed == "profile" else start, 4.0) - 2.0)
+
+        def lane(s: float, pose: Any, side: int = side, v: Any = v) -> list[float]:
+            curvature = side * (0.004 - 0.006 * min(s, 4.0) / 4.0)
+            return [v(s) * np.cos(pose[2]), v(s) * np.sin(pose[2]), v(s) * curvature]
+
+        centre = solve_ivp(lane, (start, t[-1]), [0.0, 0.0, 0.0], t_eval=t, rtol=1e-10, atol=1e-12, max_step=0.02).y
+        e_y, e_psi = side * paths.x[i, :, 0], side * paths.x[i, :, 2]
+        np.testing.assert_allclose(heading[i], centre[2] + e_psi, rtol=0, atol=1e-8)
+        # from the centre line at right angles, to the left where positive
+        np.testing.assert_allclose(x[i], centre[0] - e_y * np.sin(centre[2]), rtol=0, atol=1e-6)
+        np.testing.assert_allclose(y[i], centre[1] + e_y * np.cos(centre[2]), rtol=0, atol=1e-6)
+        assert (x[i, 0], y[i, 0]) == (0.0, side * paths.x[i, 0, 0])
+        assert np.sign(y[i, 0]) == side  # left of the centre is positive
+        assert np.sign(heading[i, 20] - e_psi[20]) == side  # a lane that bends outward
+    np.testing.assert_array_equal([x[0], -y[0], -heading[0]], [x[2], y[2], heading[2]])
+
+
+def test_no_path_in_the_plane_without_a_trigger() -> None:
+    one = Scenarios.from_arrays(T=3.0, d_y=0.1, v_mean=25.0)
+    x, y, heading = simulate(LQR(), one, 0.2, trajectories=True).trajectories.world()
+    assert x.shape == (1, 1)
+    assert np.isnan([x, y, heading]).all()

@@ -69,7 +69,7 @@ def test_a_law_that_passes(tmp_path: Path) -> None:
     value, worst = float(found[0].pop("value")), float(found[0].pop("worst"))
     assert (value, worst) == (pytest.approx(0.322, abs=0.001), pytest.approx(0.276, abs=0.001))
     assert ",".join(found[0]) == (
-        "design,standard,range,speed_km_h,lateral_velocity_m_s,lateral_acceleration_m_s2,predicted,light,quantity,"
+        "label,standard,range,speed_km_h,lateral_velocity_m_s,lateral_acceleration_m_s2,predicted,light,quantity,"
         "limit,worst_case"
     )
     expected = [LQR, ROAD_EDGE, "standard", "50", "0.2", "", "pass", "green", "dtle", "-0.1"]

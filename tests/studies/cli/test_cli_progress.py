@@ -5,18 +5,15 @@ import io
 import re
 from pathlib import Path
 
+import numba
 import pytest
 
-from helpers.cli import good
+from helpers.cli import Terminal, good
 from helpers.recordings import OFFSET, drive, frame_of
+from ldctoolkit import compiling
 from studies.cli import main
-
-
-class Terminal(io.StringIO):
-    """A stream that is taken for a terminal."""
-
-    def isatty(self) -> bool:
-        return True
+from studies.cli._console import moving_line
+from studies.running import campaign
 
 
 def on_terminal(*arguments: str, cwd: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[str, str]:
@@ -55,3 +52,31 @@ def test_a_phase_inside_another_is_a_line_below_it(tmp_path: Path, monkeypatch: 
     assert out.startswith("format: table (")
     assert 0 <= err.find("looking at the recordings") < err.find("reading table")
     assert re.search(r"reading table[^\r\n]*\n[^\r\n]*writing the page", err)
+
+
+def test_compiling_is_a_moving_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beside the bar of a run, and where a command has none."""
+
+    def compiles(*arguments: object) -> None:
+        @numba.njit
+        def loop(x: float) -> float:
+            return x
+
+        loop(1.0)
+
+    compiling.listen()
+    monkeypatch.setattr(compiling, "MODULES", {__name__})
+    monkeypatch.setattr(campaign, "load_loops", compiles)
+    good("init", "ideal", "--law", "lqr", "-n", "20", "-o", "s.toml", cwd=tmp_path)
+    text = "compiling the closed loops, once, about a minute"
+    arguments = "run", "s.toml", "--workers", "1"
+    out, err = on_terminal(*arguments, cwd=tmp_path, monkeypatch=monkeypatch)
+    assert 0 <= err.find(text) < err.find("designs ") < err.find("choosing the finalists")
+    assert text not in out
+    for option in ("--json", "--quiet"):
+        out, err = on_terminal(*arguments, option, "-o", option[2:], cwd=tmp_path, monkeypatch=monkeypatch)
+        assert err == ""
+        assert out.count(f'{{"event": "phase", "phase": "{text}"}}\n') == (option == "--json")
+    with contextlib.redirect_stderr(Terminal()) as err, moving_line(text):
+        pass
+    assert text in err.getvalue()

@@ -1,19 +1,25 @@
 """``ldc rank`` as people meet it: the study's own ranking again, other settings, races, one message for wrong input."""
 
+import contextlib
 import csv
+import io
 import json
 import re
 import shutil
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
 import pytest
+from rich.console import Console
 
-from helpers.cli import bad, ldc
+from helpers.cli import Terminal, bad, ldc
 from studies import Study, read_results, run_study
+from studies.cli import _console, main
+from studies.cli._console import add_row, new_table, print_table
 from studies.cli._results import print_race
 from studies.design import Design
 from studies.results import Dropped, Race
@@ -100,6 +106,56 @@ def test_the_table_shows_what_the_file_holds(folder: Path, rank: Rank) -> None:
             assert (cell == "–") == (row[name] == "")  # noqa: RUF001
             assert row[name] == "" or float(cell) == pytest.approx(float(row[name]), abs=6e-3)
         assert ("winner" in verdict) == (row["winner"] == "true")
+
+
+def printed(*arguments: str, cwd: Path, columns: int, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Lines on a terminal so wide, without colours."""
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", str(columns))
+    with contextlib.chdir(cwd), contextlib.redirect_stdout(Terminal()) as out:
+        main(arguments)
+    return re.sub(r"\x1b\[[0-9;]*m", "", out.getvalue()).splitlines()
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "rank plain", "review linear_mpc", "review plain", "compare plain other", "risk plain -n 200 --workers 1",
+        "assess lqr --standard un-r79-b1", "controllers", "sensitivity plain --points 3",
+    ],
+)  # fmt: skip
+def test_no_table_loses_a_digit_at_80_columns(command: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The numbers of a wide terminal, none cut, in lines that fit; sentences below a table may be longer."""
+
+    def numbers(lines: list[str]) -> Counter[str]:
+        return Counter(word for line in lines for word in re.findall(r"[-+]?\d[\d.,e+-]*", line))
+
+    shutil.copytree(folder / "plain", folder / "other")
+    if command.startswith("risk"):  # the first time it also says how long it takes
+        printed(*command.split(), cwd=folder, columns=80, monkeypatch=monkeypatch)
+    wide = printed(*command.split(), cwd=folder, columns=220, monkeypatch=monkeypatch)
+    narrow = printed(*command.split(), cwd=folder, columns=80, monkeypatch=monkeypatch)
+    assert not any("\u2026" in line for line in narrow)
+    # first columns may stand there again
+    assert not numbers(wide) - numbers(narrow), numbers(wide) - numbers(narrow)
+    assert {line for line in narrow if len(line) > 80} <= set(wide)
+
+
+@pytest.mark.parametrize("width", [30, 41, 64, 80, 200])
+def test_columns_that_do_not_fit_follow_below(width: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    headings = ("name of a thing", *(f"number {i}\n[m/s]" for i in range(8)))
+    table = new_table("Title", headings)
+    cells = [f"{10**i + 0.25:.2f}" for i in range(8)]
+    add_row(table, ["a rather long name", *cells])
+    monkeypatch.setattr(_console, "console", lambda: out)
+    out = Console(width=width, file=io.StringIO())
+    print_table(table)
+    lines = out.file.getvalue().splitlines()  # type: ignore[attr-defined]
+    words = " ".join(lines).replace("\u2502", " ").split()
+    assert [word for word in words if re.fullmatch(r"\d+\.25", word)] == cells
+    assert max(map(len, lines)) <= width
+    assert words.count("Title") == 1
+    assert words.count("rather") == {30: 4, 41: 3, 64: 2, 80: 1, 200: 1}[width]
 
 
 def test_the_table_is_readable_at_80_columns(folder: Path) -> None:

@@ -49,7 +49,7 @@ def test_what_lies_in_a_folder_and_how_it_is_written_again(folder: Path) -> None
     ("given", "message"),
     [
         (["--departure", "500"], "departure: 500; no departure that can be driven has it; the nearest is 298"),
-        (["--design", "not an id"], "design: 'not an id'; no design begins like this, the nearest is"),
+        (["--design", "not an id"], "--design 'not an id': no such design"),
     ],
 )
 def test_what_is_not_there_is_refused(folder: Path, given: list[str], message: str) -> None:

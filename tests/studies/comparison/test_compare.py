@@ -528,7 +528,7 @@ def test_files_hold_every_row(tmp_path: Path, scores: np.ndarray) -> None:
         rows = list(csv.DictReader(stream))
     assert list(rows[0]) == list(COLUMNS)
     assert [row["compared"] for row in rows] == ["design"] * 4 + ["winners", "failure"]
-    assert rows[-1]["reason"] == failed[0].reason
+    assert rows[-1]["failure"] == failed[0].reason
     S = comparison.cases[0].S
     for row, i in zip(rows, comparison.cases[0].order, strict=False):
         assert row["design_new"] == comparison.cases[0].designs[i].id

@@ -14,11 +14,12 @@ from hypothesis import strategies as st
 from controllers import LQR, NoControl, PreviewProportional
 from helpers.pages import EVIL, Page, unpacked, whole
 from helpers.results import invented_scenarios, only, report_input, section_of
-from ldctoolkit.errors import InputError
+from ldctoolkit import Scenarios
+from ldctoolkit.errors import InputError, UnknownNameError
 from studies import Comparison
 from studies.comparison.comparison import CaseComparison
 from studies.comparison.paired import PairedDifferences, SharedScenarios, Verdict, Winners
-from studies.design import Design
+from studies.design import Design, named_designs
 from studies.pages import charts, explorer
 from studies.pages.charts import (
     Axis,
@@ -37,7 +38,7 @@ from studies.pages.charts import (
 )
 from studies.pages.compare_page import compare_page, write_compare_page
 from studies.pages.context import Context, ReportInput
-from studies.pages.replay import chosen_designs, designs_of_ids, picked_departures, replay, rows_of_numbers
+from studies.pages.replay import chosen_designs, picked_departures, replay, rows_of_numbers
 from studies.pages.shell import Cell, Column, TableRow, details, packed, script_json, table
 from studies.pages.text import number, symbols
 from studies.results import Case, FailedDesign, StudyResults
@@ -101,6 +102,18 @@ def test_a_difference_without_practical_weight_says_so() -> None:
     page = of_case(winners=small)
     assert "rises by 0.0040 m·s, less than the 0.01 m·s that matter in practice" in page.words("verdict")
     assert page.filled("verdict")[0][1][-1] == "worse, too little to matter"
+
+
+@pytest.mark.parametrize(("difference", "small"), [(-0.25, False), (-0.004, True), (-0.01, False)])
+def test_a_better_winner_has_a_minus_and_its_weight(difference: float, small: bool) -> None:
+    better = dataclasses.replace(WORSE, difference=difference, low=1.5 * difference, high=0.5 * difference,
+                                 S_new=1.0 + difference, verdict=Verdict.BETTER)  # fmt: skip
+    page = of_case(winners=better)
+    row = page.filled("verdict")[0][1]
+    assert row[5] == f"−{-100.0 * difference:.1f}"
+    assert row[-1] == ("better, too little to matter" if small else "better")
+    end = ", less than the 0.01 m·s that matter in practice" if small else "."
+    assert f"falls by {-difference:.4f} m·s{end}" in page.words("verdict")
 
 
 @pytest.mark.parametrize(
@@ -353,11 +366,11 @@ def test_what_a_user_asks_for_is_there(report: ReportInput) -> None:
 def test_asked_for_but_not_there(results: StudyResults) -> None:
     with pytest.raises(InputError, match=r"departure: 100; no departure .* the nearest is 99"):
         rows_of_numbers(results.scenarios, [100])
-    with pytest.raises(InputError, match=r"design: 'zz'; no design begins like this, the nearest is \w+; allowed"):
-        designs_of_ids(results.designs, ["zz"])
+    with pytest.raises(UnknownNameError, match="'zz': no such design"):
+        named_designs(results.designs, ["zz"])
     same = [dataclasses.replace(results.designs[0]), results.designs[0]]
-    with pytest.raises(InputError, match=r"allowed: more digits"):
-        designs_of_ids(same, [same[0].id[:6]])
+    with pytest.raises(InputError, match="the ids of 2 designs start so"):
+        named_designs(same, [same[0].id[:6]])
 
 
 def test_the_script_draws_what_was_driven(report: ReportInput) -> None:
@@ -406,6 +419,45 @@ def test_recorded_paths_begin_and_end_on_the_line(report: ReportInput) -> None:
     ends = np.cumsum(count)
     assert np.abs(y[np.concatenate([[0], ends[:-1]])]).max() < 0.002
     assert np.abs(y[ends - 1]).max() < 0.002
+
+
+def test_recorded_acceleration_is_that_of_the_lane_and_of_the_path() -> None:
+    """y'' of the parabola, outward, and v^2 c, both from the parameters."""
+    T, d_y, v, c_0, dc = np.array([4.0, 5.0]), np.array([0.5, 0.7]), 22.0, 0.003, -0.002
+    scenarios = Scenarios.from_arrays(T=T, d_y=d_y, v_mean=v, c_0=c_0, dc=dc, side=[1, -1])
+    one, _ = section_of(explorer.section, only(Design.of(LQR(), 0.1), scenarios=scenarios))
+    data = one.data
+    assert data is not None
+    count = unpacked(data["recorded"]["count"])
+    a_y = np.split(unpacked(data["recorded"]["a_y"]) * data["resolution"]["a_y"], np.cumsum(count)[:-1])
+    for departure, shown in zip(data["departures"], a_y, strict=True):
+        i = int(departure["number"])
+        t = np.minimum(np.arange(shown.size) * data["step"], T[i])
+        expected = -8.0 * d_y[i] / T[i] ** 2 + v**2 * (c_0 + dc * t / T[i])
+        np.testing.assert_allclose(shown, expected, rtol=0, atol=0.5001 * data["resolution"]["a_y"])
+
+
+def test_the_explorer_opens_where_the_winner_acts() -> None:
+    """Not at its largest S, a departure that it leaves alone; what was requested comes first."""
+    scenarios = Scenarios.from_arrays(
+        T=[9.0, 9.0, 3.0, 3.0, 3.0], d_y=[0.29, 0.29, 0.5, 0.6, 0.55], v_mean=25.0, side=[1, -1, 1, 1, -1]
+    )
+    given = only(Design.of(LQR(), 0.3), scenarios=scenarios)
+    data = section_of(explorer.section, given)[0].data
+    assert data is not None
+    opened = data["departures"][data["open"]]
+    acts = unpacked(data["count"])[: len(data["departures"])] > 0
+    assert "largest S" in data["departures"][0]["name"]
+    assert not acts[0]
+    assert acts[data["open"]]
+    assert int(opened["number"]) >= 2
+    for requested, first in (((0,), "0"), ((1, 3), "3"), ((3, 4), "3")):
+        data = section_of(explorer.section, dataclasses.replace(given, departures=requested))[0].data
+        assert data is not None
+        assert data["departures"][data["open"]]["number"] == first
+    alone = section_of(explorer.section, only(Design.of(LQR(), 3.0), scenarios=scenarios))[0].data
+    assert alone is not None
+    assert alone["open"] == 0
 
 
 def test_a_study_of_no_control_has_no_explorer() -> None:

@@ -131,6 +131,34 @@ def test_warnings_come_once(results: StudyResults) -> None:
     assert words.count("fitted to invented driving") == 1
 
 
+def test_a_warning_of_every_case_stands_there(report: ReportInput) -> None:
+    """One of another case alone stands below, with that case."""
+    first, second = report.rankings
+    every = "Something to know of both cases."
+    first = dataclasses.replace(first, warnings=(*first.warnings, every))
+    second = dataclasses.replace(second, warnings=(*second.warnings, every, "Of the second case only."))
+    given = dataclasses.replace(
+        report, rankings=(first, second), warnings=(*report.warnings, *first.warnings, *second.warnings)
+    )
+    words = page_of(given).words("verdict")
+    assert words.count(every) == 1
+    assert "Of the second case only." not in words
+
+
+def test_the_head_counts_what_is_left_out(results: StudyResults) -> None:
+    """Designs that failed, and departures that cannot be driven."""
+    cases = []
+    for case in results.cases:
+        status, S, S_0 = case.status.copy(), case.S.copy(), case.S_uncorrected.copy()
+        status[:, :3], S[:, :3], S_0[:, :3] = EventStatus.INVALID, np.nan, np.nan
+        cases.append(dataclasses.replace(case, status=status, S=S, S_uncorrected=S_0))
+    failed = FailedDesign(Design.of(LQR(r_delta=77.0), 0.1), "ValueError: no")
+    made = page_of(report_input(dataclasses.replace(results, cases=tuple(cases), failed=(failed,))))
+    assert f"{len(results.designs) + 1} designs" in made.words()
+    assert "100 departures" in made.words()
+    assert "97 study scenarios (57 left, 40 right), 3 more cannot be driven" in made.words("verdict")
+
+
 # ------------------------------------------------------------------------------------------------ numbers
 
 
@@ -198,7 +226,9 @@ def test_all_metrics_are_there(report: ReportInput) -> None:
             "Steering effort, mean [°²·s]" if "Steering effort, mean [°²·s]" in titles else "Steering effort, mean"
         )
     ]
+    rate = table[1 + titles.index("Steering rate, largest")]
     assert i is not None
+    assert rate[1] == f"{57.29577951308232 * report.rankings[0].release.delta_rate_peak_max[i]:.1f} °/s"
     assert row[1] == f"{METRICS['effort_mean'].scale * report.rankings[0].release.effort_mean[i]:.3f} °²·s"
 
 
@@ -266,9 +296,15 @@ def test_two_equal_designs_are_not_separated() -> None:
     S = np.random.default_rng(0).gamma(2.0, 0.3, 40)
     noise = 0.05 * np.random.default_rng(1).normal(size=40)
     designs = [Design.of(LQR(r_delta=100.0), 0.1), Design.of(LQR(r_delta=100.0), 0.2)]
-    words = said_in(confidence_section.section, report_input(scored([S, S + noise], 2 * S, designs)))
+    given = report_input(scored([S, S + noise], 2 * S, designs))
+    words = said_in(confidence_section.section, given)
     assert "the scenarios do not separate the two" in words
-    assert "scenarios separate them with even chances" in words
+    found = re.search(r"about ([\d,]+) scenarios separate them with even chances", words)
+    (ranking,) = given.rankings
+    half = 0.5 * (ranking.difference_high[1] - ranking.difference_low[1])
+    assert found is not None
+    # an interval is as wide as the root of one over the number of scenarios
+    assert float(found[1].replace(",", "")) == pytest.approx(40 * (half / ranking.difference[1]) ** 2, rel=0.06)
 
 
 def test_without_robustness_the_page_says_how_to_get_it(report: ReportInput) -> None:

@@ -1,12 +1,21 @@
 """What a worker process does around a task: the time limit, and the folder that only one run may hold."""
 
+import dataclasses
+import json
+import os
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+import ldctoolkit as ldc
+from helpers.closed_loop import known
+from ldctoolkit import Controller, Scenarios, Setup
 from ldctoolkit.errors import StoreError
+from studies import risk
+from studies.running import campaign, tasks
 from studies.running.executors import processes as worker
 from studies.storage.files import locked
 
@@ -51,3 +60,75 @@ def test_a_worker_whose_parent_was_killed_before_it_began_leaves(tmp_path: Path)
         [sys.executable, "-c", f"{code}; time.sleep(600)"], capture_output=True, text=True, timeout=300, check=False
     )
     assert (done.returncode, done.stderr) == (1, "")
+
+
+@dataclasses.dataclass(frozen=True)
+class Undeclared(Controller):
+    name = "undeclared"
+    title = "Says nothing of its law, and cannot make one"
+
+    def prepare(self, plant):  # type: ignore[no-untyped-def]
+        raise AssertionError("a law of a user runs in a worker only")
+
+
+@pytest.mark.parametrize(
+    ("laws", "driven"),
+    [
+        ({"none"}, []),
+        ({"none", "lqr", "preview_lqr"}, ["preview_proportional"]),
+        ({"stanley", "lqi"}, ["pid", "preview_proportional"]),
+        ({"linear_mpc"}, ["linear_mpc"]),
+        ({"undeclared"}, ["pid", "preview_proportional"]),
+    ],
+)
+def test_only_the_loops_that_laws_need_are_loaded(
+    laws: set[str], driven: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[str] = []
+    monkeypatch.setattr(tasks, "drive", lambda law, over, threads: made.append(law.name) or 1 // over.m)
+    scenarios = Scenarios.from_arrays(T=[3.0] * 30, d_y=[0.8] * 30, v_mean=np.linspace(10.0, 39.0, 30), side=[1] * 30)
+    with known(Undeclared):
+        tasks.load_loops(laws, scenarios, Setup(), 0.2)
+    assert made == driven
+
+
+def test_the_slowest_and_the_fastest_choose_the_loops(monkeypatch: pytest.MonkeyPatch) -> None:
+    speeds: list[float] = []
+    monkeypatch.setattr(tasks, "drive", lambda law, over, threads: speeds.extend(over.plant.v))
+    scenarios = Scenarios.from_arrays(T=[3.0] * 30, d_y=[0.8] * 30, v_mean=np.roll(np.arange(10.0, 40.0), 7), side=1)
+    tasks.load_loops({"lqr"}, scenarios, Setup(), 0.2)
+    assert sorted(speeds) == [*np.arange(10.0, 18.0), *np.arange(32.0, 40.0)]
+
+
+def test_loops_are_loaded_here_before_any_task_starts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where they are not on disk, that compiles them in one process."""
+    order: list[object] = []
+    start = worker.SerialExecutor.start
+    for module in (campaign, risk):
+        monkeypatch.setattr(module, "load_loops", lambda laws, *_: order.append(laws))
+    monkeypatch.setattr(worker.SerialExecutor, "start", lambda self, task: order.append("task") or start(self, task))
+    study = ldc.study(ldc.NoControl, ldc.LQR(r_delta=5000.0), ldc.LQR(), ldc.PID(), left=20, right=20)
+    ldc.run_study(study, workers=1)
+    assert order[:2] == [{"none", "lqr", "pid"}, "task"]
+    order.clear()
+    risk.estimate_risk(study.designs, study, n=20, workers=1)
+    assert order == [{"none", "lqr", "pid"}, "task"]
+
+
+@pytest.mark.slow
+def test_a_first_run_compiles_in_one_process_and_says_so(tmp_path: Path) -> None:
+    """With nothing on disk: one line, first of all; what is on disk afterwards is what a linear law needs."""
+    study = '[[design]]\nlaw = "lqr"\n[[design]]\nlaw = "lqi"\n[scenarios]\nmodel = "reference"\nleft = 9\nright = 9\n'
+    study += "[scenarios.given]\nv_mean = [20.0, 30.0]\n"  # slower ones would be driven by the loop of any plant
+    (tmp_path / "s.toml").write_text(f'name = "s"\n{study}', encoding="utf-8")
+    command = [sys.executable, "-m", "ldctoolkit", "run", "s.toml", "--json", "--workers", "2", "--no-robustness"]
+    done = subprocess.run(
+        command, cwd=tmp_path, env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}, capture_output=True,
+        text=True, timeout=900, check=True,
+    )  # fmt: skip
+    lines = [json.loads(line) for line in done.stdout.splitlines()]
+    assert lines[0] == {"event": "phase", "phase": "compiling the closed loops, once, about a minute"}
+    assert [line["event"] for line in lines].count("phase") == 2  # the other: choosing the finalists
+    assert done.stderr == ""
+    loops = {path.name.split(".")[3].split("-")[0] for path in (tmp_path / "cache").rglob("entry.*.nbi")}
+    assert loops == {"drive_lanes"}

@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import ldctoolkit as ldc
 from ldctoolkit import VehicleParameters, load_model, simulate
 from ldctoolkit.errors import StudyError
 from ldctoolkit.plant_options import PlantOptions
@@ -96,6 +97,24 @@ MISTAKES: list[tuple[dict[str, Any], str]] = [
         "design: the grids make 450000 designs; allowed: at most 100000",
     ),
 ]
+
+
+def test_the_largest_grid_is_allowed(monkeypatch: pytest.MonkeyPatch) -> None:
+    from studies import study_file
+
+    assert study_file.MOST_DESIGNS == 100_000
+    monkeypatch.setattr(study_file, "MOST_DESIGNS", 6)
+    block = {"law": "toy", "gains": {"N": [1, 2, 3, 4, 5, 6]}}
+    assert len(Study.from_dict({"name": "a", "design": [block]}).designs) == 6
+    with pytest.raises(StudyError, match="the grids make 7 designs; allowed: at most 6"):
+        Study.from_dict({"name": "a", "design": [block, {"law": "toy"}]})
+
+
+def test_a_side_in_a_table_of_scenarios_counts() -> None:
+    made = ldc.study(ldc.LQR, scenarios={"left": 40}, right=30).scenarios
+    assert (made.left, made.right) == (40, 30)
+    made = ldc.study(ldc.LQR, scenarios={"right": 40}).scenarios
+    assert (made.left, made.right) == (500, 40)
 
 
 @pytest.mark.parametrize(("parts", "message"), MISTAKES, ids=[message[:40] for _, message in MISTAKES])
