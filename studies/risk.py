@@ -241,7 +241,7 @@ class Risk:
 
 def resolution(n: int) -> str:
     """What n departures cannot show: without any event, its probability is below 3/n with 95 % confidence."""
-    return f"with n = {n:,} nothing below {3.0 / max(n, 1):.1e} can be seen"
+    return f"with n = {n:,} nothing below {3.0 / max(n, 1):.1e} can be detected"
 
 
 def _recorded(model: ScenarioModel) -> tuple[int, ...] | None:

@@ -1,4 +1,4 @@
-"""Whether generated departures give the answer of recorded ones: probe designs are driven on both and compared.
+"""Whether generated departures give the answer of recorded ones: test designs are driven on both and compared.
 
 The answer of the recordings is uncertain: how much follows from resampling them. A model that differs by more than
 that misleads whoever ranks designs on it, however well its density fits.
@@ -114,7 +114,7 @@ class SideFidelity:
         within = self.within
         if self.passed:
             return (
-                f"the model gives the recordings' answer (all {within.shape[0]} probe designs lie within the 95 % "
+                f"the model gives the recordings' answer (all {within.shape[0]} test designs lie within the 95 % "
                 f"intervals of {self.departures:,} replayed departures)"
             )
         replayed, generated = np.array(self.replayed), np.array(self.generated)

@@ -525,7 +525,7 @@ def smoothed(events: SideEvents, width: float) -> BoundedGaussianMixture:
 def check_fidelity(
     model: ScenarioModel, departures: Departures, *, weights: npt.ArrayLike | None = None
 ) -> tuple[SideFidelity, SideFidelity]:
-    """Drive probe designs on recorded departures and on generated ones, and compare: the left side, then the right.
+    """Drive test designs on recorded departures and on generated ones, and compare: the left side, then the right.
 
     Raises `InputError` if a side has fewer than 30 departures that can be driven; `ModelError` if the model cannot be
     sampled.

@@ -327,7 +327,7 @@ def run(chosen: argparse.Namespace) -> int:
         for finding in found.findings:
             print(f"{finding.severity}: {finding.sentence}")
         if not found.findings:
-            print("nothing to object to")
+            print("no findings")
     if target is not None:
         write_text(target, to_json(reviewed))
         print(f"written to {target}")

@@ -80,7 +80,7 @@ def winners_sentence(winners: Winners) -> str:
             Verdict.BETTER: f"falls by {size}{small}.",
             Verdict.WORSE: f"rises by {size}{small}.",
             Verdict.SAME: "is the same.",
-            Verdict.NOT_SEPARATED: "does not change by more than chance makes.",
+            Verdict.NOT_SEPARATED: "changes within sampling error.",
         }
         return start + end[winners.verdict]
     start = f"On shared {which} scenarios the new winner, {winners.new.label}, is "

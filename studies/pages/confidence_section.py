@@ -10,6 +10,7 @@ from markupsafe import Markup
 from ldctoolkit.arrays import FloatArray, IntArray
 
 from ..ranking.ranking import Ranking
+from ..ranking.verdict import optimism_text
 from .charts import Axis, Chart, Dot, Series, dots, lines
 from .context import Context, interval, name_of
 from .shell import Cell, Column, Section, TableRow, figure, paragraphs, table
@@ -50,7 +51,7 @@ def _sentences(context: Context) -> Iterator[str]:
     )
     separated = not ranking.set_of_best[second]
     yield (
-        f"Second: {name}, {difference_text(away)} m\u00b7s to the first{between}; "
+        f"Second: {name}, {difference_text(away)} m\u00b7s from rank 1{between}; "
         f"{'the scenarios separate the two' if separated else 'the scenarios do not separate the two'}."
     )
     if not separated and abs(away) > 1e-6 and math.isfinite(low + high):
@@ -64,17 +65,11 @@ def _sentences(context: Context) -> Iterator[str]:
         yield (
             f"Best of another law: {name_of(ranking.designs[other])}, "
             f"{difference_text(float(ranking.difference[other]))} "
-            f"m\u00b7s to the first, {apart} it."
+            f"m\u00b7s from rank 1, {apart} it."
         )
     i = ranking.winner
     if i is not None and math.isfinite(ranking.optimism[i]):
-        low, high = float(ranking.optimism_low[i]), float(ranking.optimism_high[i])
-        chance = "no more than chance" if low <= 0 <= high else "more than chance"
-        yield (
-            "On fresh scenarios the winner\u2019s score differs by "
-            f"{difference_text(-float(ranking.optimism[i]))} m\u00b7s "
-            f"from that on the study scenarios: {chance}."
-        )
+        yield optimism_text(ranking, i, "m\u00b7s")
 
 
 def _two_digits(count: float) -> int:
@@ -138,7 +133,8 @@ def _finalists(context: Context) -> Markup:
     level = percent(ranking.confidence, 0)
     columns = [
         Column("Rank"), Column("Finalist", text=True), Column("Mean S", "m\u00b7s"), Column("Fresh S", "m\u00b7s"),
-        Column(f"{level} interval", "m\u00b7s"), Column("To the first", "m\u00b7s"), Column("Misses there", text=True),
+        Column(f"{level} interval", "m\u00b7s"), Column("Difference from rank 1", "m\u00b7s"),
+        Column("Requirements missed on fresh scenarios", text=True),
     ]  # fmt: skip
     replayed = ranking.replayed_departures
     if replayed:

@@ -187,7 +187,7 @@ def _source_line(model: ScenarioModel) -> str:
 
 
 def _fidelity(sides: tuple[Side, ...]) -> Section:
-    """The answers of probe designs on recorded and on generated departures."""
+    """The answers of test designs on recorded and on generated departures."""
     scale = [100.0 if not unit else 1.0 for unit in UNITS]
     columns = [Column("Design", text=True)]
     for name, unit in zip(QUANTITIES, UNITS, strict=True):
@@ -211,8 +211,8 @@ def _fidelity(sides: tuple[Side, ...]) -> Section:
         title = f"{side.key.capitalize()}: generated departures, and {found.departures:,} replayed ones"
         body += table(title, columns, rows)
     note = (
-        "Each probe design is driven on the recorded departures and on generated ones. In brackets: 95 % bootstrap "
-        "interval of the replay, for all probe designs at once, and no narrower than what a designer would act on (3 "
+        "Each test design is driven on the recorded departures and on generated ones. In brackets: 95 % bootstrap "
+        "interval of the replay, for all test designs at once, and no narrower than what a designer would act on (3 "
         "points of a share, 5 % of a peak). Set off: outside. A model passes where none is."
     )
     return Section("fidelity", "The recordings' answer", body + paragraphs(note))
@@ -301,7 +301,7 @@ def _calibration(sides: tuple[Side, ...]) -> Section:
                     height=190,
                 )
             )
-    body = table("Kolmogorov distances in per cent of events; set off: beyond what chance allows", columns, rows)
+    body = table("Kolmogorov distances in per cent of events; highlighted: beyond sampling error", columns, rows)
     body += paragraphs(
         "With very many events a distance may be beyond its limit and still too small to matter: below 5 % it is not a "
         "reason to refuse the model."

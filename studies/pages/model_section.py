@@ -194,7 +194,7 @@ def _sentences(context: Context, found: tuple[SideMatch, ...]) -> Iterator[str]:
             if not gaps:
                 continue
             worst = max(gaps, key=lambda name: gaps[name].value / gaps[name].limit)
-            verdict = "more than chance makes" if gaps[worst].beyond else "no more than chance makes"
+            verdict = "beyond sampling error" if gaps[worst].beyond else "within sampling error"
             of = f" ({side.source:,})" if side.source and what != "the model" else ""
             yield (
                 f"{side.key.capitalize()}, {plural(side.generated, 'departure')} against {what}{of}: the largest gap "
@@ -225,4 +225,4 @@ def _table(found: tuple[SideMatch, ...]) -> Markup:
                 for gap in (one.to_model, one.to_source)
             ]
             rows.append(TableRow((f"{one.name}{unit}", side.key, figure(one.median), figure(one.source_median), *gaps)))
-    return table("Kolmogorov distances; set off: more than chance makes", columns, rows)
+    return table("Kolmogorov distances; highlighted: beyond sampling error", columns, rows)

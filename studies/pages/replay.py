@@ -22,7 +22,7 @@ COUNT: Final = 60  # departures in the explorer beside those requested
 
 STATUS_TEXT: Final = {
     EventStatus.OK: "driven to the end",
-    EventStatus.NEVER_TRIGGERED: "never took over",
+    EventStatus.NEVER_TRIGGERED: "no intervention",
     EventStatus.SOLVER_FAILED: "a solve failed, the fallback steered",
     EventStatus.DIVERGED: "diverged",
     EventStatus.TIMED_OUT: "ended by the time limit",

@@ -99,7 +99,8 @@ def _table(context: Context, found: Robustness, shown: list[int]) -> Markup:
             lost = int(found.diverged[p, i])
             cells += [Cell(number(S), bad=worse), change, Cell(str(lost) if lost else "0", bad=bool(lost))]
         rows.append(TableRow(tuple(cells)))
-    title = "Mean S on other plants; set off: worse than no control there, or diverged where friction allows the path"
+    faults = "worse than no control there, or diverged where friction allows the path"
+    title = f"Mean S on other plants; highlighted: {faults}"
     return table(title, columns, rows)
 
 

@@ -97,7 +97,8 @@ def verdict(
     else:
         nearest = _nearest(ranking)
         place = nearest[0]
-        title = f"None of {len(acting)} design{'' if len(acting) == 1 else 's'} meets the limits"
+        only = "The design does not meet the limits"
+        title = only if len(acting) == 1 else f"None of {len(acting)} designs meets the limits"
         misses = [miss.text for miss in ranking.missed[place]]
         sentences = [f"Nearest: {design_name(ranking.designs[place])}; it misses {_list(misses)}."]
         if recorded > 0:
@@ -272,7 +273,7 @@ def _scenarios_light(model: ScenarioModel | None) -> Iterator[Light]:
     elif len(sides) < 2:
         yield Light("Scenarios", "unknown", "The model does not say whether it gives its recordings' answer.")
     else:
-        yield Light("Scenarios", "good", "Probe designs perform on the model's departures as on the recorded ones.")
+        yield Light("Scenarios", "good", "Test designs score the same on generated and recorded departures.")
 
 
 def _plants_light(ranking: RankedDesigns, place: int, robustness: OtherPlants | None) -> Light:
@@ -292,8 +293,25 @@ def _plants_light(ranking: RankedDesigns, place: int, robustness: OtherPlants | 
         return Light(name, "unknown", "Its scores on other plants are not known.")
     p, most = max(ratio.items(), key=lambda one: one[1] if math.isfinite(one[1]) else 0.0)
     rise = f"{most:.2g} times its S" if most >= 2 else f"{100 * (most - 1):.0f} % more S"
-    text = f"Worst on {robustness.titles[p]}: {rise}." if most > 1 else "S rises on none of them."
+    worst = f"Least favourable plant: {_small(robustness.titles[p])}, {rise}."
+    text = worst if most > 1 else "S rises on none of them."
     return Light(name, "warning" if most > 1.5 else "good", text)
+
+
+def optimism_text(ranking: RankedDesigns, i: int, unit: str = "m s") -> str:
+    """How a design scored on fresh scenarios, against the study scenarios that it was chosen on."""
+    change, low, high = ranking.optimism[i], ranking.optimism_low[i], ranking.optimism_high[i]
+    word = "worse" if change > 0 else "better"
+    of = ", as the difference to the baseline," if ranking.optimism_paired else ""
+    chance = "within sampling error" if low <= 0 <= high else "more than sampling error"
+    return (
+        f"On fresh scenarios the winner scored{of} {abs(change):.4f} {unit} {word} than on the study scenarios "
+        f"({low:+.4f} .. {high:+.4f}), {chance}."
+    )
+
+
+def _small(title: str) -> str:
+    return title[:1].lower() + title[1:] if title[1:2].islower() else title
 
 
 def _capital(text: str) -> str:
@@ -462,12 +480,7 @@ def more_lines(ranking: RankedDesigns) -> Iterator[str]:
     if i is not None and ranking.fresh_scenarios and not np.isfinite(ranking.fresh_S[i]):
         yield "The winner of this case was no finalist; it has no fresh score."
     if i is not None and np.isfinite(ranking.optimism[i]):
-        low, high = ranking.optimism_low[i], ranking.optimism_high[i]
-        chance = "within chance" if low <= 0 <= high else "more than chance"
-        yield (
-            f"The study scenarios flattered the winner by {ranking.optimism[i]:+.4f} m s ({low:+.4f} .. "
-            f"{high:+.4f}), {chance}."
-        )
+        yield optimism_text(ranking, i)
     if i is not None and ranking.fresh_difference[i] < 0 and ranking.fresh_difference_high[i] < 0:
         yield "It was not the first on the study scenarios: fresh scenarios separate the two."
     if i is not None and np.isfinite(ranking.replayed_S[i]):

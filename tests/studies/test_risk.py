@@ -226,7 +226,7 @@ def test_one_line_says_what_n_can_show() -> None:
     lines: list[str] = []
     estimate_risk([TABLE_I], PAPER, n=20_000, workers=1, notice=lines.append)
     assert len(lines) == 1
-    assert lines[0].endswith("with n = 20,000 nothing below 1.5e-04 can be seen")
+    assert lines[0].endswith("with n = 20,000 nothing below 1.5e-04 can be detected")
 
 
 # ------------------------------------------------------------------------------------------------ resume
@@ -390,7 +390,7 @@ class Dies(Controller):
 
 def test_the_command_writes_its_files(tmp_path: Path) -> None:
     out = good("risk", "paper", "-n", "2e3", "--workers", "1", "--depth", "0.5", "--depth", "0.8", cwd=tmp_path)
-    assert "with n = 2,000 nothing below 1.5e-03 can be seen" in out
+    assert "with n = 2,000 nothing below 1.5e-03 can be detected" in out
     folder = tmp_path / "out" / "paper"
     rows = list(csv.DictReader((folder / "risk.csv").open(encoding="utf-8")))
     assert len(rows) == 2 * 6 * 3

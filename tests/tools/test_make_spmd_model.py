@@ -119,7 +119,7 @@ def test_from_the_server_to_a_checked_model(server: Server, tmp_path: Path, caps
     printed = capsys.readouterr().out
     assert "https://data.transportation.gov/Automobiles/Safety-Pilot-Model-Deployment-Data/a7qq-9vfe" in printed
     assert printed.index("The terms on that page hold") < printed.index("SPMD.zip: ")
-    assert "right: the model gives the recordings' answer (all 12 probe designs lie within" in printed
+    assert "right: the model gives the recordings' answer (all 12 test designs lie within" in printed
     departures, provenance = read_departures(out / "departures.parquet")
     assert 115 <= len(departures) <= 120
     assert (provenance.criteria.vehicle_width, provenance.preparation.yaw_rate_factor) == (1.82, 1.0)

@@ -87,7 +87,7 @@ def test_a_bad_model_is_called_bad(bad: ScenarioModel, fine: ScenarioModel) -> N
     assert f"left: {bad.provenance.left.fidelity.text}" in bad.provenance.warnings
     for side in (fine.provenance.left, fine.provenance.right):
         assert side.fidelity.text == (
-            "the model gives the recordings' answer (all 12 probe designs lie within the 95 % intervals of 150 "
+            "the model gives the recordings' answer (all 12 test designs lie within the 95 % intervals of 150 "
             "replayed departures)"
         )
 

@@ -46,7 +46,7 @@ def test_a_sound_law(tmp_path: Path) -> None:
     out = reviewed(0, "lqr", "--gain", "r_delta=50", "--gain", "q_y=2", cwd=tmp_path)
     assert out.startswith("LQR, r_delta=50, q_y=2, dt = 0.05 s")
     assert out.count("│") >= 13 * 2
-    assert out.endswith("nothing to object to\n")
+    assert out.endswith("no findings\n")
 
 
 def test_a_fault_and_the_options_of_the_actuator(tmp_path: Path) -> None:
@@ -93,7 +93,7 @@ def test_a_result_folder_says_what_its_results_say(folder: Path) -> None:
     assert re.search(
         r"fault: In the stored results a_y reaches [\d.]+ m/s\^2 \([\d.]+ g\), friction allows 9.81 m/s\^2", out
     )
-    assert "nothing to object to" not in out
+    assert "no findings" not in out
 
 
 @pytest.mark.parametrize(

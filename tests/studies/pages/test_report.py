@@ -288,7 +288,7 @@ def test_a_law_without_a_sweep_has_no_landscape() -> None:
 def test_confidence_tells_the_second_and_what_intervals_leave_out(report: ReportInput) -> None:
     words = said_in(confidence_section.section, report)
     ranking = report.rankings[0]
-    assert f"{ranking.difference[1]:+.4f} m·s to the first" in words
+    assert f"{ranking.difference[1]:+.4f} m·s from rank 1" in words
     assert ("do not separate the two" in words) == bool(ranking.set_of_best[1])
 
 
