@@ -376,14 +376,15 @@ def integrate(box: Separation, points: int) -> WhitenedMoments:
     K, p = box.lower.shape
     grid = lattice(points, p)
     at_once = max(1, _CACHED // points)
-    parts = [_integrate(_component_rows(box, slice(k, k + at_once)), grid) for k in range(0, K, at_once)]
+    parts = [_integrate(component_rows(box, slice(k, k + at_once)), grid) for k in range(0, K, at_once)]
     if len(parts) == 1:
         return parts[0]
     names = [field.name for field in dataclasses.fields(WhitenedMoments)]
     return WhitenedMoments(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
 
 
-def _component_rows(box: Separation, rows: slice) -> Separation:
+def component_rows(box: Separation, rows: slice) -> Separation:
+    """Some of the components."""
     return Separation(**{field.name: getattr(box, field.name)[rows] for field in dataclasses.fields(Separation)})
 
 

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.errors import InputError, ModelError
-from ldctoolkit.mixture._separation import Restricted, Separation, WhitenedMoments, integrate, separate
+from ldctoolkit.mixture._separation import Restricted, Separation, WhitenedMoments, component_rows, integrate, separate
 
 _PLAIN_REJECTION: Final = 0.25  # above this probability of the box plain rejection is the cheaper exact sampler
 
@@ -61,8 +61,6 @@ class Sampler:
         """Points (n, d), strictly inside the box."""
         d = self.mu.size
         out = np.empty((n, d))
-        if n == 0:
-            return out
         rate = self._acceptance()
         found = proposed = 0
         while found < n:
@@ -136,13 +134,10 @@ class Sampler:
 Array = npt.NDArray[Any]
 Fields = TypeVar("Fields", Separation, WhitenedMoments)
 
-MOMENT_POINTS: Final = 4093  # lattice points for up to six bounded dimensions
-_MANY_POINTS: Final = 16381  # lattice points for more of them
-
 
 def moment_points(bounded: int) -> int:
     """Lattice points that give the accuracy promised by `TruncatedNormal` for so many bounded dimensions."""
-    return MOMENT_POINTS if bounded <= 6 else _MANY_POINTS
+    return 4093 if bounded <= 6 else 16381
 
 
 class TruncatedNormal:
@@ -264,9 +259,7 @@ class TruncatedNormal:
     def sampler(self, component: int) -> Sampler:
         """One component made ready for drawing."""
         k = slice(component, component + 1)
-        box = self.box
-        if box is not None:
-            box = dataclasses.replace(box, **{f.name: getattr(box, f.name)[k] for f in dataclasses.fields(box)})
+        box = self.box and component_rows(self.box, k)
         log_p = float(self.log_probability[component])
         return Sampler.of(self.mu[component], self.Sigma[component], self.lower, self.upper, box, log_p)
 
