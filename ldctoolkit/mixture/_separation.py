@@ -96,11 +96,6 @@ class Restricted:
         return out
 
 
-def log_mass(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Logarithm of Phi(b) - Phi(a), for a < b, infinite ends allowed."""
-    return Restricted.of(a, b).log_mass
-
-
 def _quadrature(low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Logarithm of the mass, high - E z and Var z: Gauss-Legendre in the distance from the end nearer to zero."""
     depth = np.maximum(-high, 0.0)
@@ -331,7 +326,7 @@ def integration_order(covariance: FloatArray, lower: FloatArray, upper: FloatArr
     for step in range(p):
         deviation = np.sqrt(np.maximum(np.diagonal(S, axis1=1, axis2=2), 1e-300))
         a, b = (lower - shift) / deviation, (upper - shift) / deviation
-        mass = log_mass(a, b)
+        mass = Restricted.of(a, b).log_mass
         pick = np.argmin(np.where(left, mass, np.inf), axis=1)
         order[:, step], left[rows, pick] = pick, False
         at = (rows, pick)
@@ -361,7 +356,7 @@ def separate(covariance: FloatArray, lower: FloatArray, upper: FloatArray, order
     if p > 1:
         tilt, log_peak = minimax_tilt(strict, a, b)
     else:
-        tilt, log_peak = np.zeros((K, p)), log_mass(a, b)[:, 0]
+        tilt, log_peak = np.zeros((K, p)), Restricted.of(a, b).log_mass[:, 0]
     return Separation(order, factor, strict, a, b, tilt, log_peak)
 
 
