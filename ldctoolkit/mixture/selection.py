@@ -306,29 +306,21 @@ def _run(
     return sorted(outcomes.values(), key=lambda outcome: outcome.n_components)
 
 
-def _curves(trials: Sequence[Trial], events: float) -> dict[str, npt.NDArray[Any]]:
-    """Criteria of each K, under the names of `Selection`."""
-    log_likelihood = np.array([trial.log_likelihood for trial in trials])
-    p = np.array([trial.model.n_parameters() for trial in trials], dtype=np.int64)
-    return {
-        "n_parameters": p,
-        "log_likelihood": log_likelihood / events,
-        "bic": -2.0 * log_likelihood + p * np.log(events),
-        "aic": -2.0 * log_likelihood + 2.0 * p,
-    }
-
-
 def _selection(rule: Rule, trials: Sequence[Trial], failures: tuple[Failure, ...]) -> Selection:
     K = np.array([trial.n_components for trial in trials], dtype=np.int64)
-    curves = _curves(trials, rule.events)
-    loss = curves[rule.criterion]
+    p = np.array([trial.model.n_parameters() for trial in trials], dtype=np.int64)
+    log_likelihood = np.array([trial.log_likelihood for trial in trials])
+    criteria = {"bic": -2.0 * log_likelihood + p * np.log(rule.events), "aic": -2.0 * log_likelihood + 2.0 * p}
+    loss = criteria[rule.criterion]
     chosen = choose(loss, rule.allowance)
     reason = rule.reason(K, loss, chosen)
     if failures:
         reason += f"; K = {', '.join(str(f.n_components) for f in failures)} could not be fitted"
     return Selection(
         n_components=K,
-        **curves,
+        n_parameters=p,
+        log_likelihood=log_likelihood / rule.events,
+        **criteria,
         models=tuple(trial.model for trial in trials),
         failures=failures,
         criterion=rule.criterion,
