@@ -29,6 +29,14 @@ class Events:
     weight: FloatArray | None = None  # (n,): events that each row stands for
     threads: int | None = None  # blocks worked on at a time
 
+    @classmethod
+    def of(cls, X: npt.ArrayLike, sample_weight: npt.ArrayLike | None, threads: int | None) -> Events:
+        """What a caller gave, neither rows nor columns none."""
+        x = as_matrix(X)
+        if x.size == 0:
+            raise InputError(f"X: {'no columns' if x.shape[0] else 'no rows'}")
+        return cls(x, check_sample_weight(sample_weight, x.shape[0]), threads)
+
     @property
     def rows(self) -> int:
         """Number of rows n."""
@@ -335,9 +343,8 @@ def inside_bounds(
     outside = ~varies & ((profile.least < lower) | (profile.most > upper))
     if outside.any():
         j = int(np.argmax(outside))
-        name = f"column {j}" if names is None else f"column {names[j]!r}"
         raise InputError(
-            f"X: {name} is {float(profile.least[j])!r} in all {profile.rows} rows; "
+            f"X: {column_name(j, names)} is {float(profile.least[j])!r} in all {profile.rows} rows; "
             f"allowed: {lower[j]:g} to {upper[j]:g}"
         )
     moved = np.zeros(lower.size, dtype=np.int64)

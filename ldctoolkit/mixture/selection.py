@@ -22,16 +22,7 @@ import numpy.typing as npt
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.errors import InputError, LdcError, nearest
 from ldctoolkit.mixture.bounded_gaussian_mixture import BoundedGaussianMixture
-from ldctoolkit.mixture.checks import (
-    Events,
-    RandomState,
-    as_matrix,
-    check_components,
-    check_number,
-    check_sample_weight,
-    seed_of,
-    usable_cores,
-)
+from ldctoolkit.mixture.checks import Events, RandomState, check_components, check_number, seed_of, usable_cores
 from ldctoolkit.whole_file import write_whole
 
 
@@ -253,11 +244,9 @@ def select_components(
     seed = seed_of(random_state)
     # made here, so that a wrong setting is found before anything starts
     models = [BoundedGaussianMixture(K, random_state=seed, **settings) for K in tried]
-    x = np.ascontiguousarray(as_matrix(X))  # in the order the passes read it
-    if x.size == 0:
-        raise InputError(f"X: {'no columns' if x.shape[0] else 'no rows'}")
-    events = Events(x, check_sample_weight(sample_weight, x.shape[0]), n_jobs)
-    rule = Rule(criterion, slack, indifference, float(x.shape[0] if events.weight is None else events.weight.sum()))
+    events = Events.of(X, sample_weight, n_jobs)
+    events = dataclasses.replace(events, x=np.ascontiguousarray(events.x))  # in the order the passes read it
+    rule = Rule(criterion, slack, indifference, float(events.rows if events.weight is None else events.weight.sum()))
     outcomes = _run(
         models, events, n_jobs, progress, None if enough is None else lambda fits: enough(_selection(rule, fits, ()))
     )
