@@ -242,6 +242,10 @@ class ScenarioModel:
         """The model of `LEFT` or `RIGHT` departures."""
         return self.left_side if side == LEFT else self.right_side
 
+    def parameters(self, side: int, x: FloatArray) -> DepartureParameters:
+        """Departures from rows of a side's mixture (n, d)."""
+        return DepartureParameters(np.full(x.shape[0], side), **self.side(side).columns(x))
+
     def possible(self, departures: DepartureParameters) -> BoolArray:
         """Which departures (n,) are plausible, and fast enough all the time to be replayed."""
         p = departures
@@ -328,7 +332,7 @@ class ScenarioModel:
     def _block(self, side: int, distribution: _Drawn, block: int, seed: int) -> DepartureParameters:
         """The events of one block that can happen and be replayed."""
         x, _ = distribution.sample_block(seed, (_STREAM[side], block))
-        drawn = DepartureParameters(np.full(x.shape[0], side), **self.side(side).columns(x))
+        drawn = self.parameters(side, x)
         return drawn.take(self.possible(drawn))
 
     def _draw(self, side: int, n: int, seed: int, wanted: tuple[Condition, ...]) -> dict[str, FloatArray]:

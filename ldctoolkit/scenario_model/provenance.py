@@ -103,7 +103,7 @@ class SourceSummary:
     effective: float  # Kish's effective number of them
     quantiles: tuple[tuple[float, ...], ...]  # (d, m), SI units: at the probabilities (i + 1/2)/m
     rank_correlations: tuple[float, ...]  # Spearman's, of the pairs (0, 1), (0, 2), ..., (d-2, d-1)
-    # The same pairs: shares in 1/10,000 of b x b cells between the `cell_edges` of both parameters, row by row, the first
+    # The same pairs: shares in 1/10,000 of b x b cells between the `cell_edges` of both, row by row, the first
     # parameter's cells one after the other
     cells: tuple[tuple[int, ...], ...]
 
@@ -116,7 +116,6 @@ class SourceSummary:
     def at(self, probability: float) -> FloatArray:
         """A quantile of each parameter (d,), between those that are kept; the outermost ones beyond them."""
         return np.array([np.interp(probability, self.probabilities, row) for row in self.quantiles])
-
 
 
 def cell_edges(quantiles: FloatArray, b: int) -> FloatArray:

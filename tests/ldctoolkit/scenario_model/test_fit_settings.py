@@ -17,7 +17,7 @@ from ldctoolkit.mixture import Distribution
 from ldctoolkit.mixture.checks import Events
 from ldctoolkit.recordings import Criteria
 from ldctoolkit.scenario_model import ScenarioModel, SourceSummary, fit_scenario_model, load_model, summarize
-from ldctoolkit.scenario_model.provenance import UNIT, summarize_events, weighted_ranks
+from ldctoolkit.scenario_model.provenance import UNIT, cell_edges, summarize_events, weighted_ranks
 
 INF = np.inf
 ANYTHING = Plausibility(y_rate=INF, y_acceleration=INF, a_y=INF)
