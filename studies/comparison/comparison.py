@@ -422,9 +422,9 @@ def comparison_rows(comparison: Comparison) -> Iterator[dict[str, Any]]:
         for i in case.order:
             yield where | {"compared": "design"} | _design(comparison, case, i)
         if case.winners is not None:
-            one = case.winners
-            scores = (one.S_old, one.S_new, one.difference)
-            row = _row_of(str(one.verdict), one.old, one.new, scores, (one.low, one.high), one.scenarios)
+            won = case.winners
+            scores = (won.S_old, won.S_new, won.difference)
+            row = _row_of(str(won.verdict), won.old, won.new, scores, (won.low, won.high), won.scenarios)
             yield where | {"compared": "winners"} | row
     failures = {
         "new failure": comparison.new_failures,
