@@ -60,23 +60,17 @@ class Form:
         q = np.concatenate([np.zeros(self.M), self.root])
         if not self.kinds.size:
             return QP(q, C)
-        hard, soft = C[: self.hard], C[self.hard :]
-        return QP(
-            q,
-            np.block(
-                [
-                    [hard, np.zeros((self.hard, self.kinds.size))],
-                    [soft, -self.slack],
-                    [soft, self.slack],
-                    [np.zeros((self.kinds.size, self.M)), np.eye(self.kinds.size)],
-                ]
-            ),
-        )
+        hard, soft, kinds = C[: self.hard], C[self.hard :], self.kinds.size
+        rows = [
+            [hard, np.zeros((self.hard, kinds))],
+            [soft, -self.slack],
+            [soft, self.slack],
+            [np.zeros((kinds, self.M)), np.eye(kinds)],
+        ]
+        return QP(q, np.block(rows))
 
     def bounds(self, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Of k QPs, from the bounds (k, R) of the rows."""
-        if not self.kinds.size:
-            return low, high
         k, soft, kinds = low.shape[0], low.shape[1] - self.hard, self.kinds.size
         open_below, open_above = np.full((k, soft), -np.inf), np.full((k, soft), np.inf)
         below = [low[:, : self.hard], open_below, low[:, self.hard :], np.zeros((k, kinds))]
@@ -85,17 +79,9 @@ class Form:
 
     def split(self, multipliers: FloatArray) -> FloatArray:
         """Multipliers (k, R) of the rows, as those of the solver's rows."""
-        if not self.kinds.size:
-            return multipliers
-        soft = multipliers[:, self.hard :]
-        k = multipliers.shape[0]
-        parts = [
-            multipliers[:, : self.hard],
-            np.maximum(soft, 0.0),
-            np.minimum(soft, 0.0),
-            np.zeros((k, self.kinds.size)),
-        ]
-        return np.concatenate(parts, axis=1)
+        hard, soft = multipliers[:, : self.hard], multipliers[:, self.hard :]
+        nothing = np.zeros((len(multipliers), self.kinds.size))
+        return np.concatenate([hard, np.maximum(soft, 0.0), np.minimum(soft, 0.0), nothing], axis=1)
 
     def join(self, answer: Answer) -> tuple[FloatArray, FloatArray]:
         """Corrections and slacks (M + 3,), and multipliers (R,), of an answer."""
