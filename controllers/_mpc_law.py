@@ -159,6 +159,7 @@ class Osqp(Workspace):
         import scipy.sparse
 
         self.qp, self.solver = qp, osqp.OSQP()
+        self.solved, self.interrupted = int(osqp.SolverStatus.OSQP_SOLVED), int(osqp.SolverStatus.OSQP_SIGINT)
         m, n = qp.A.shape
         self.solver.setup(
             P=scipy.sparse.eye(n, format="csc"),
@@ -186,22 +187,13 @@ class Osqp(Workspace):
         solver.update(l=low, u=high)
         solver.warm_start(x=-(y @ self.qp.A) - self.qp.q, y=y)
         result = solver.solve(raise_error=False)
-        solved, interrupted = _osqp_statuses()
-        if result.info.status_val == interrupted:
+        if result.info.status_val == self.interrupted:
             raise KeyboardInterrupt  # OSQP catches the signal itself while it solves
         if result.info.rho_updates:
             solver.update_settings(rho=self.rho)  # the next solve starts as this one did
         # only a solved QP is used: OSQP leaves NaN or a placeholder in x for anything else
-        done = result.info.status_val == solved and bool(np.isfinite(result.x).all())
+        done = result.info.status_val == self.solved and bool(np.isfinite(result.x).all())
         return Answer(done, np.array(result.x), np.array(result.y), int(result.info.iter))
-
-
-@functools.cache
-def _osqp_statuses() -> tuple[int, int]:
-    """OSQP's numbers for solved, and for interrupted by the user."""
-    import osqp
-
-    return int(osqp.SolverStatus.OSQP_SOLVED), int(osqp.SolverStatus.OSQP_SIGINT)
 
 
 class Daqp(Workspace):
@@ -451,15 +443,15 @@ class MPCLaw(SteeringLaw):
         starts = form.split(multipliers[rows])
         calls = []
         for k, i in enumerate(rows.tolist()):
-            workspace = workspaces.get(i)
-            if workspace is None:
-                workspace = workspaces[i] = make(self.solver, form.qp(C[k]))
-            answer = workspace.solve(lower[k], upper[k], starts[k])
-            calls.append(_call(i, form.qp(C[k]), lower[k], upper[k], answer))
+            qp = form.qp(C[k])
+            if i not in workspaces:
+                workspaces[i] = make(self.solver, qp)
+            answer = workspaces[i].solve(lower[k], upper[k], starts[k])
+            calls.append(_call(i, qp, lower[k], upper[k], answer))
             rung[i] = Rung.SOLVED
             if not calls[-1].usable:
-                answer = make("daqp", form.qp(C[k])).solve(lower[k], upper[k], np.zeros_like(starts[k]))
-                calls.append(_call(i, form.qp(C[k]), lower[k], upper[k], answer))
+                answer = make("daqp", qp).solve(lower[k], upper[k], np.zeros_like(starts[k]))
+                calls.append(_call(i, qp, lower[k], upper[k], answer))
                 rung[i] = Rung.OTHER_SOLVER
             if not calls[-1].usable:
                 w[i], multipliers[i] = 0.0, 0.0
