@@ -180,11 +180,9 @@ def check_matrix(X: npt.ArrayLike, dimension: int, names: Sequence[str] | None) 
     if x.shape[1] != dimension:
         raise InputError(f"X: {x.shape[1]} columns; allowed: {dimension}, as many as there are bounds")
     if x.size and not (np.isfinite(x.min()) and np.isfinite(x.max()) and max(-x.min(), x.max()) <= LARGEST):
-        _complain(x, ~(np.isfinite(x) & (np.abs(x) <= LARGEST)), _FINITE, names)
+        allowed = f"finite numbers, at most {LARGEST:g} in size"
+        _complain(x, ~(np.isfinite(x) & (np.abs(x) <= LARGEST)), allowed, names)
     return x
-
-
-_FINITE: Final = f"finite numbers, at most {LARGEST:g} in size"
 
 
 def _complain(x: FloatArray, bad: BoolArray, allowed: str, names: Sequence[str] | None) -> None:
