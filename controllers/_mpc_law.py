@@ -60,23 +60,17 @@ class Form:
         q = np.concatenate([np.zeros(self.M), self.root])
         if not self.kinds.size:
             return QP(q, C)
-        hard, soft = C[: self.hard], C[self.hard :]
-        return QP(
-            q,
-            np.block(
-                [
-                    [hard, np.zeros((self.hard, self.kinds.size))],
-                    [soft, -self.slack],
-                    [soft, self.slack],
-                    [np.zeros((self.kinds.size, self.M)), np.eye(self.kinds.size)],
-                ]
-            ),
-        )
+        hard, soft, kinds = C[: self.hard], C[self.hard :], self.kinds.size
+        rows = [
+            [hard, np.zeros((self.hard, kinds))],
+            [soft, -self.slack],
+            [soft, self.slack],
+            [np.zeros((kinds, self.M)), np.eye(kinds)],
+        ]
+        return QP(q, np.block(rows))
 
     def bounds(self, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Of k QPs, from the bounds (k, R) of the rows."""
-        if not self.kinds.size:
-            return low, high
         k, soft, kinds = low.shape[0], low.shape[1] - self.hard, self.kinds.size
         open_below, open_above = np.full((k, soft), -np.inf), np.full((k, soft), np.inf)
         below = [low[:, : self.hard], open_below, low[:, self.hard :], np.zeros((k, kinds))]
@@ -85,17 +79,9 @@ class Form:
 
     def split(self, multipliers: FloatArray) -> FloatArray:
         """Multipliers (k, R) of the rows, as those of the solver's rows."""
-        if not self.kinds.size:
-            return multipliers
-        soft = multipliers[:, self.hard :]
-        k = multipliers.shape[0]
-        parts = [
-            multipliers[:, : self.hard],
-            np.maximum(soft, 0.0),
-            np.minimum(soft, 0.0),
-            np.zeros((k, self.kinds.size)),
-        ]
-        return np.concatenate(parts, axis=1)
+        hard, soft = multipliers[:, : self.hard], multipliers[:, self.hard :]
+        nothing = np.zeros((len(multipliers), self.kinds.size))
+        return np.concatenate([hard, np.maximum(soft, 0.0), np.minimum(soft, 0.0), nothing], axis=1)
 
     def join(self, answer: Answer) -> tuple[FloatArray, FloatArray]:
         """Corrections and slacks (M + 3,), and multipliers (R,), of an answer."""
@@ -173,6 +159,7 @@ class Osqp(Workspace):
         import scipy.sparse
 
         self.qp, self.solver = qp, osqp.OSQP()
+        self.solved, self.interrupted = int(osqp.SolverStatus.OSQP_SOLVED), int(osqp.SolverStatus.OSQP_SIGINT)
         m, n = qp.A.shape
         self.solver.setup(
             P=scipy.sparse.eye(n, format="csc"),
@@ -200,22 +187,13 @@ class Osqp(Workspace):
         solver.update(l=low, u=high)
         solver.warm_start(x=-(y @ self.qp.A) - self.qp.q, y=y)
         result = solver.solve(raise_error=False)
-        solved, interrupted = _osqp_statuses()
-        if result.info.status_val == interrupted:
+        if result.info.status_val == self.interrupted:
             raise KeyboardInterrupt  # OSQP catches the signal itself while it solves
         if result.info.rho_updates:
             solver.update_settings(rho=self.rho)  # the next solve starts as this one did
         # only a solved QP is used: OSQP leaves NaN or a placeholder in x for anything else
-        done = result.info.status_val == solved and bool(np.isfinite(result.x).all())
+        done = result.info.status_val == self.solved and bool(np.isfinite(result.x).all())
         return Answer(done, np.array(result.x), np.array(result.y), int(result.info.iter))
-
-
-@functools.cache
-def _osqp_statuses() -> tuple[int, int]:
-    """OSQP's numbers for solved, and for interrupted by the user."""
-    import osqp
-
-    return int(osqp.SolverStatus.OSQP_SOLVED), int(osqp.SolverStatus.OSQP_SIGINT)
 
 
 class Daqp(Workspace):
@@ -465,15 +443,15 @@ class MPCLaw(SteeringLaw):
         starts = form.split(multipliers[rows])
         calls = []
         for k, i in enumerate(rows.tolist()):
-            workspace = workspaces.get(i)
-            if workspace is None:
-                workspace = workspaces[i] = make(self.solver, form.qp(C[k]))
-            answer = workspace.solve(lower[k], upper[k], starts[k])
-            calls.append(_call(i, form.qp(C[k]), lower[k], upper[k], answer))
+            qp = form.qp(C[k])
+            if i not in workspaces:
+                workspaces[i] = make(self.solver, qp)
+            answer = workspaces[i].solve(lower[k], upper[k], starts[k])
+            calls.append(_call(i, qp, lower[k], upper[k], answer))
             rung[i] = Rung.SOLVED
             if not calls[-1].usable:
-                answer = make("daqp", form.qp(C[k])).solve(lower[k], upper[k], np.zeros_like(starts[k]))
-                calls.append(_call(i, form.qp(C[k]), lower[k], upper[k], answer))
+                answer = make("daqp", qp).solve(lower[k], upper[k], np.zeros_like(starts[k]))
+                calls.append(_call(i, qp, lower[k], upper[k], answer))
                 rung[i] = Rung.OTHER_SOLVER
             if not calls[-1].usable:
                 w[i], multipliers[i] = 0.0, 0.0

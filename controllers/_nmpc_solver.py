@@ -76,13 +76,8 @@ def _roll(ca: Any, N: int, x: Any, u: Any, r_0: Any, r_1: Any, c: Any, f: Any) -
     drive = one.mapaccum("roll_all", N)
 
     x_0, guess, delta_prev = ca.MX.sym("x_0", 4), ca.MX.sym("guess", 1, N), ca.MX.sym("delta_prev")
-    share, r, e_ref, u_ref = (
-        ca.MX.sym("share"),
-        ca.MX.sym("r", 1, N + 1),
-        ca.MX.sym("e_ref", 1, N + 1),
-        ca.MX.sym("u", 1, N),
-    )
-    low, high, c = ca.MX.sym("low", 1, N), ca.MX.sym("high", 1, N), ca.MX.sym("c", SIZE)
+    share, r, e_ref = ca.MX.sym("share"), ca.MX.sym("r", 1, N + 1), ca.MX.sym("e_ref", 1, N + 1)
+    u_ref, low, high, c = ca.MX.sym("u", 1, N), ca.MX.sym("low", 1, N), ca.MX.sym("high", 1, N), ca.MX.sym("c", SIZE)
     same = ca.MX.ones(1, N)
     path = drive(
         ca.vertcat(x_0, delta_prev), guess, share * same, r[:-1], r[1:], e_ref[:-1], u_ref, low, high,
@@ -485,9 +480,7 @@ class Workspace:
     def _bounds(self) -> tuple[FloatArray, FloatArray]:
         """How far each angle and each change may go down and up."""
         U, rate = self.U, self.c[-1]
-        turn = np.empty(self.N)
-        turn[0] = U[0] - self.delta_prev[0]
-        np.subtract(U[1:], U[:-1], out=turn[1:])
+        turn = np.diff(U, prepend=self.delta_prev)
         return np.concatenate([self.low - U, -rate - turn]), np.concatenate([self.high - U, rate - turn])
 
     def _qp(

@@ -38,7 +38,7 @@ from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ._mpc_condensing import SHARES, WINDOW, jerk_window
 from ._mpc_law import lane, lookahead
 from ._nmpc_model import pack, steady_cornering
-from ._nmpc_solver import SoftLimits, Solution, Workspace, workspace
+from ._nmpc_solver import SoftLimits, Workspace, workspace
 from .riccati import regulator
 
 _SCALES = (1.0, 10.0, 0.1)  # units of the soft limits' violations: m/s^2, m/s^3, m
@@ -111,16 +111,10 @@ def _soft_limits(design: NonlinearMPC, dt: float) -> SoftLimits | None:
 
 @dataclasses.dataclass(frozen=True)
 class NonlinearMPCState:
-    """What one step leaves for the next, a row for each scenario.
-
-    Attributes
-    ----------
-    ready : (n,) bool
-        Whether they are a solution.
-    """
+    """What one step leaves for the next, a row for each scenario."""
 
     U: FloatArray  # (n, N) [rad] Last commands planned
-    has_plan: BoolArray
+    has_plan: BoolArray  # (n,) Whether they are a solution
     # (n,) 1 to 3, the rung of the ladder that the last command came from; 0 before the first
     rung: npt.NDArray[np.int8]
     iterations: IntArray  # (n,) Of the last solve
@@ -203,7 +197,7 @@ class NonlinearMPCLaw(SteeringLaw):
             self._begin(work, lane_ahead[i], after, i)
             work.r[:], work.e_ref[:], work.u_ref[:] = r[i], e_ref[i], u_ref[i]
             work.low[:], work.high[:] = low[i], high[i]
-            found = self._solve(work, state.U[i] if state.has_plan[i] else None)
+            found = work.solve(np.append(state.U[i, 1:], state.U[i, -1]) if state.has_plan[i] else None, self.soft)
             wanted = float(found.U[0])
             if found.solved:
                 after.U[i] = found.U
@@ -243,7 +237,3 @@ class NonlinearMPCLaw(SteeringLaw):
             N, k = self.design.horizon, len(sent) - 1
             bend = v * np.concatenate([r[k : k + N], r[k + 1 :], np.zeros(N)])
             work.offset = self.soft.before @ np.array(left[k:] + right[k:]) - self.soft.rows @ bend
-
-    def _solve(self, work: Workspace, last: FloatArray | None) -> Solution:
-        warm = None if last is None else np.append(last[1:], last[-1])
-        return work.solve(warm, self.soft)

@@ -15,12 +15,10 @@ import math
 
 import numpy as np
 
-from ldctoolkit import SPEED_RANGE, BicycleModel, LdcError, LinearLaw, Plant, scheduled
+from ldctoolkit import BicycleModel, LdcError, LinearLaw, Plant, scheduled
 from ldctoolkit.arrays import BoolArray, FloatArray
 
 Weights = tuple[float, float, float, float]
-
-__all__ = ["SPEED_RANGE", "Regulator", "feedback", "in_time", "linear_law", "regulator"]
 
 
 @dataclasses.dataclass(frozen=True)

@@ -8,11 +8,10 @@ from typing import Any, Final
 import numpy as np
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
-from ldctoolkit.errors import InputError
 
 from .design import Design
 from .ranking.design_metrics import find_baseline
-from .ranking.inference import SAME, check_confidence, row_means, separable
+from .ranking.inference import SAME, row_means, separable
 from .ranking.ranking import Ranking
 from .ranking.requirements import metric_values, requirements_of
 from .results import Dropped, Race, StudyResults
@@ -126,9 +125,9 @@ def race_round(
     seed: int,
     confidence: float,
     samples: int,
-    started: int | None = None,
+    started: int,
 ) -> Decision:
-    """Decide which designs go on after a round.
+    """Decide which designs go on after a round, by their scores (k, m) on m scenarios; `started` ones began the race.
 
     The error 1 - confidence is shared out evenly over the rounds - 1 that decide. In each, a design is given up if
     two lower bounds of how much worse it is than the best are both above 1e-6 m s. One is the max-t bootstrap bound
@@ -141,14 +140,6 @@ def race_round(
     are counted as that worst one, in favour of the designs that have them: else a design which diverges now and
     then would be kept for the large spread that this makes.
     """
-    scores, side, decisions = _checked(scores, side, round, rounds, confidence)
-    if started is None:
-        started = len(scores)
-    elif isinstance(started, bool) or not isinstance(started, int | np.integer) or started < len(scores):
-        raise InputError(f"started: {started!r}; allowed: a whole number >= {len(scores)}, the designs left")
-    known = ~np.isnan(scores).any(axis=0)
-    if not known.all():
-        scores, side = scores[:, known], side[known]
     k, m = scores.shape
     mean = row_means(scores) if m else np.full(k, np.nan)
     best = int(mean.argmin())
@@ -156,27 +147,12 @@ def race_round(
     low = np.full(k, -np.inf)
     few = m < LEAST or np.unique(side, return_counts=True)[1].min() < LEAST_A_SIDE
     if not few and k > 1 and round < rounds:
-        error = (1.0 - confidence) / decisions
+        error = (1.0 - confidence) / (rounds - 1)
         counted = _without_outliers(scores, best)
         bound = separable(counted, side, seed=seed, confidence=1.0 - error, samples=samples, stream=round)
         low = np.minimum(bound.low, _cautious_low(scores, mean, error=error, pairs=started - 1))
         low[best] = -np.inf
     return Decision(keep=~(low > SAME), best=best, mean=mean, difference=difference, low=low)
-
-
-def _checked(
-    scores: FloatArray, side: IntArray, round: int, rounds: int, confidence: float
-) -> tuple[FloatArray, IntArray, int]:
-    """Scores and sides as arrays, and the number of rounds that decide."""
-    scores, side = np.asarray(scores, dtype=np.float64), np.asarray(side)
-    if scores.ndim != 2 or not len(scores) or side.shape != scores.shape[1:]:
-        raise InputError(f"scores: shape {scores.shape} with sides {side.shape}; allowed: (k, m) with (m,), k >= 1")
-    if np.isinf(scores).any():
-        raise InputError("scores: infinite in some scenario; allowed: finite numbers, and NaN for one not driven")
-    if not 1 <= round <= rounds:
-        raise InputError(f"round: {round!r}; allowed: 1 to {rounds}, the number of rounds")
-    check_confidence(confidence)
-    return scores, side, max(1, rounds - 1)
 
 
 def _without_outliers(scores: FloatArray, best: int) -> FloatArray:

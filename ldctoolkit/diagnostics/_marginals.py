@@ -8,7 +8,7 @@ from scipy.special import kolmogi
 
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.mixture import Distribution, TruncatedNormal
-from ldctoolkit.mixture._separation import log_mass
+from ldctoolkit.mixture._separation import Restricted
 
 
 @dataclasses.dataclass(frozen=True)
@@ -142,7 +142,7 @@ def box_share(distribution: Distribution, lower: FloatArray, upper: FloatArray, 
     if finite.size == 1:  # a normal margin, in closed form
         j = int(finite[0])
         z = (ends[:, j, None] - whole.mu[:, j]) / np.sqrt(whole.Sigma[:, j, j])
-        log_probability = log_mass(z[0], z[1])
+        log_probability = Restricted.of(z[0], z[1]).log_mass
     else:
         log_probability = TruncatedNormal(whole.mu, whole.Sigma, ends[0], ends[1], points=points).log_probability
     shares = np.exp(np.minimum(log_probability - whole.log_probability, 0.0))

@@ -309,11 +309,6 @@ class Distribution:
         """Components that can be drawn; made when first wanted."""
         return {}
 
-    def _sampler(self, k: int) -> Sampler:
-        if k not in self._samplers:
-            self._samplers[k] = self.truncated.sampler(k)
-        return self._samplers[k]
-
     def sample_block(self, seed: int, key: tuple[int, ...]) -> tuple[FloatArray, IntArray]:
         """`SAMPLE_BLOCK` events and their components, from the random stream named by (seed, key)."""
         rng = np.random.Generator(np.random.Philox(np.random.SeedSequence(seed, spawn_key=key)))
@@ -326,8 +321,10 @@ class Distribution:
         return self._own_columns(self.transform.inverse(y)), label.astype(np.int64)
 
     def _draw(self, k: int, n: int, rng: np.random.Generator) -> FloatArray:
+        if k not in self._samplers:
+            self._samplers[k] = self.truncated.sampler(k)
         try:
-            return self._sampler(k).draw(n, rng)
+            return self._samplers[k].draw(n, rng)
         except ModelError as error:
             raise ModelError(f"component {k}: {error}") from None
 

@@ -15,6 +15,7 @@ do, the other is tried: near a bound the fixed-point step need not point uphill,
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable
 from typing import Final, Literal
 
@@ -77,9 +78,10 @@ def maximise(
     before = objective(stats, prior, now)
     order = now.box.order if now.box is not None else None
     makers: list[Callable[[Statistics, Prior, TruncatedNormal], _NewtonPath | _LeeScottPath]]
-    makers = [_newton_path, _whole_newton_path, _LeeScottPath]
-    if step == "lee_scott":
-        makers = [_LeeScottPath, _newton_path, _whole_newton_path]
+    # with the change of each whitened precision held in its range, where one that runs away does not hold up the rest;
+    # then as it is solved: uphill for certain, where the held one need not be
+    makers = [functools.partial(_newton_path, held=True), functools.partial(_newton_path, held=False)]
+    makers.insert(0 if step == "lee_scott" else 2, _LeeScottPath)
     result = now
     waiting = np.ones(now.mu.shape[0], dtype=bool)
     for make, trials in zip(makers, (_TRIALS, _OTHER_TRIALS, _OTHER_TRIALS), strict=True):
@@ -206,17 +208,7 @@ class _NewtonPath:
         return mu, Sigma, _positive(Sigma)
 
 
-def _newton_path(stats: Statistics, prior: Prior, now: TruncatedNormal) -> _NewtonPath:
-    """With the change of each whitened precision held in its range: one that runs away does not hold up the rest."""
-    return _path(stats, prior, now, held=True)
-
-
-def _whole_newton_path(stats: Statistics, prior: Prior, now: TruncatedNormal) -> _NewtonPath:
-    """As it is solved: uphill for certain, where the held one need not be."""
-    return _path(stats, prior, now, held=False)
-
-
-def _path(stats: Statistics, prior: Prior, now: TruncatedNormal, held: bool) -> _NewtonPath:
+def _newton_path(stats: Statistics, prior: Prior, now: TruncatedNormal, held: bool) -> _NewtonPath:
     b = now.bounded
     f = np.setdiff1d(np.arange(now.mu.shape[1]), b)
     n, n0 = stats.counts, prior.strength

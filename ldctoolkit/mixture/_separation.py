@@ -96,11 +96,6 @@ class Restricted:
         return out
 
 
-def log_mass(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Logarithm of Phi(b) - Phi(a), for a < b, infinite ends allowed."""
-    return Restricted.of(a, b).log_mass
-
-
 def _quadrature(low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Logarithm of the mass, high - E z and Var z: Gauss-Legendre in the distance from the end nearer to zero."""
     depth = np.maximum(-high, 0.0)
@@ -331,7 +326,7 @@ def integration_order(covariance: FloatArray, lower: FloatArray, upper: FloatArr
     for step in range(p):
         deviation = np.sqrt(np.maximum(np.diagonal(S, axis1=1, axis2=2), 1e-300))
         a, b = (lower - shift) / deviation, (upper - shift) / deviation
-        mass = log_mass(a, b)
+        mass = Restricted.of(a, b).log_mass
         pick = np.argmin(np.where(left, mass, np.inf), axis=1)
         order[:, step], left[rows, pick] = pick, False
         at = (rows, pick)
@@ -361,7 +356,7 @@ def separate(covariance: FloatArray, lower: FloatArray, upper: FloatArray, order
     if p > 1:
         tilt, log_peak = minimax_tilt(strict, a, b)
     else:
-        tilt, log_peak = np.zeros((K, p)), log_mass(a, b)[:, 0]
+        tilt, log_peak = np.zeros((K, p)), Restricted.of(a, b).log_mass[:, 0]
     return Separation(order, factor, strict, a, b, tilt, log_peak)
 
 
@@ -376,14 +371,15 @@ def integrate(box: Separation, points: int) -> WhitenedMoments:
     K, p = box.lower.shape
     grid = lattice(points, p)
     at_once = max(1, _CACHED // points)
-    parts = [_integrate(_component_rows(box, slice(k, k + at_once)), grid) for k in range(0, K, at_once)]
+    parts = [_integrate(component_rows(box, slice(k, k + at_once)), grid) for k in range(0, K, at_once)]
     if len(parts) == 1:
         return parts[0]
     names = [field.name for field in dataclasses.fields(WhitenedMoments)]
     return WhitenedMoments(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
 
 
-def _component_rows(box: Separation, rows: slice) -> Separation:
+def component_rows(box: Separation, rows: slice) -> Separation:
+    """Some of the components."""
     return Separation(**{field.name: getattr(box, field.name)[rows] for field in dataclasses.fields(Separation)})
 
 

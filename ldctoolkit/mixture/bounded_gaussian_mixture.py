@@ -22,7 +22,6 @@ from ldctoolkit.mixture.checks import (
     Events,
     Profile,
     RandomState,
-    as_matrix,
     check_bound_array,
     check_events,
     check_matrix,
@@ -505,10 +504,7 @@ class BoundedGaussianMixture(CheckedArguments):
         """
         del y
         self._check_settings()
-        x = as_matrix(X)
-        if x.size == 0:
-            raise InputError(f"X: {'no columns' if x.shape[0] else 'no rows'}")
-        return self._fit_events(Events(x, check_sample_weight(sample_weight, x.shape[0]), self.n_jobs))
+        return self._fit_events(Events.of(X, sample_weight, self.n_jobs))
 
     def _fit_events(self, events: Events) -> Self:
         """Fit to rows that have weights already, on the threads that they name."""

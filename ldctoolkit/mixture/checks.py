@@ -29,6 +29,14 @@ class Events:
     weight: FloatArray | None = None  # (n,): events that each row stands for
     threads: int | None = None  # blocks worked on at a time
 
+    @classmethod
+    def of(cls, X: npt.ArrayLike, sample_weight: npt.ArrayLike | None, threads: int | None) -> Events:
+        """What a caller gave, neither rows nor columns none."""
+        x = as_matrix(X)
+        if x.size == 0:
+            raise InputError(f"X: {'no columns' if x.shape[0] else 'no rows'}")
+        return cls(x, check_sample_weight(sample_weight, x.shape[0]), threads)
+
     @property
     def rows(self) -> int:
         """Number of rows n."""
@@ -172,11 +180,9 @@ def check_matrix(X: npt.ArrayLike, dimension: int, names: Sequence[str] | None) 
     if x.shape[1] != dimension:
         raise InputError(f"X: {x.shape[1]} columns; allowed: {dimension}, as many as there are bounds")
     if x.size and not (np.isfinite(x.min()) and np.isfinite(x.max()) and max(-x.min(), x.max()) <= LARGEST):
-        _complain(x, ~(np.isfinite(x) & (np.abs(x) <= LARGEST)), _FINITE, names)
+        allowed = f"finite numbers, at most {LARGEST:g} in size"
+        _complain(x, ~(np.isfinite(x) & (np.abs(x) <= LARGEST)), allowed, names)
     return x
-
-
-_FINITE: Final = f"finite numbers, at most {LARGEST:g} in size"
 
 
 def _complain(x: FloatArray, bad: BoolArray, allowed: str, names: Sequence[str] | None) -> None:
@@ -335,9 +341,8 @@ def inside_bounds(
     outside = ~varies & ((profile.least < lower) | (profile.most > upper))
     if outside.any():
         j = int(np.argmax(outside))
-        name = f"column {j}" if names is None else f"column {names[j]!r}"
         raise InputError(
-            f"X: {name} is {float(profile.least[j])!r} in all {profile.rows} rows; "
+            f"X: {column_name(j, names)} is {float(profile.least[j])!r} in all {profile.rows} rows; "
             f"allowed: {lower[j]:g} to {upper[j]:g}"
         )
     moved = np.zeros(lower.size, dtype=np.int64)

@@ -20,16 +20,7 @@ import numpy.typing as npt
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.errors import InputError, LdcError, nearest
 from ldctoolkit.mixture.bounded_gaussian_mixture import BoundedGaussianMixture
-from ldctoolkit.mixture.checks import (
-    Events,
-    RandomState,
-    as_matrix,
-    check_components,
-    check_number,
-    check_sample_weight,
-    seed_of,
-    usable_cores,
-)
+from ldctoolkit.mixture.checks import Events, RandomState, check_components, check_number, seed_of, usable_cores
 from ldctoolkit.surroundings import WORKERS, leave_with, safe_path, temporary_folder
 from ldctoolkit.whole_file import write_whole
 
@@ -241,11 +232,9 @@ def select_components(
     seed = seed_of(random_state)
     # made here, so that a wrong setting is found before anything starts
     models = [BoundedGaussianMixture(K, random_state=seed, **settings) for K in tried]
-    x = np.ascontiguousarray(as_matrix(X))  # in the order the passes read it
-    if x.size == 0:
-        raise InputError(f"X: {'no columns' if x.shape[0] else 'no rows'}")
-    events = Events(x, check_sample_weight(sample_weight, x.shape[0]), n_jobs)
-    rule = Rule(criterion, slack, indifference, float(x.shape[0] if events.weight is None else events.weight.sum()))
+    events = Events.of(X, sample_weight, n_jobs)
+    events = dataclasses.replace(events, x=np.ascontiguousarray(events.x))  # in the order the passes read it
+    rule = Rule(criterion, slack, indifference, float(events.rows if events.weight is None else events.weight.sum()))
     outcomes = _run(
         models, events, n_jobs, progress, None if enough is None else lambda fits: enough(_selection(rule, fits, ()))
     )
@@ -294,29 +283,21 @@ def _run(
     return sorted(outcomes.values(), key=lambda outcome: outcome.n_components)
 
 
-def _curves(trials: Sequence[Trial], events: float) -> dict[str, npt.NDArray[Any]]:
-    """Criteria of each K, under the names of `Selection`."""
-    log_likelihood = np.array([trial.log_likelihood for trial in trials])
-    p = np.array([trial.model.n_parameters() for trial in trials], dtype=np.int64)
-    return {
-        "n_parameters": p,
-        "log_likelihood": log_likelihood / events,
-        "bic": -2.0 * log_likelihood + p * np.log(events),
-        "aic": -2.0 * log_likelihood + 2.0 * p,
-    }
-
-
 def _selection(rule: Rule, trials: Sequence[Trial], failures: tuple[Failure, ...]) -> Selection:
     K = np.array([trial.n_components for trial in trials], dtype=np.int64)
-    curves = _curves(trials, rule.events)
-    loss = curves[rule.criterion]
+    p = np.array([trial.model.n_parameters() for trial in trials], dtype=np.int64)
+    log_likelihood = np.array([trial.log_likelihood for trial in trials])
+    criteria = {"bic": -2.0 * log_likelihood + p * np.log(rule.events), "aic": -2.0 * log_likelihood + 2.0 * p}
+    loss = criteria[rule.criterion]
     chosen = choose(loss, rule.allowance)
     reason = rule.reason(K, loss, chosen)
     if failures:
         reason += f"; K = {', '.join(str(f.n_components) for f in failures)} could not be fitted"
     return Selection(
         n_components=K,
-        **curves,
+        n_parameters=p,
+        log_likelihood=log_likelihood / rule.events,
+        **criteria,
         models=tuple(trial.model for trial in trials),
         failures=failures,
         criterion=rule.criterion,

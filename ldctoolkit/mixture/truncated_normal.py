@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray, unmasked
 from ldctoolkit.errors import InputError, ModelError
-from ldctoolkit.mixture._separation import Restricted, Separation, WhitenedMoments, integrate, separate
+from ldctoolkit.mixture._separation import Restricted, Separation, WhitenedMoments, component_rows, integrate, separate
 
 _PLAIN_REJECTION: Final = 0.25  # above this probability of the box plain rejection is the cheaper exact sampler
 
@@ -61,8 +61,6 @@ class Sampler:
         """Points (n, d), strictly inside the box."""
         d = self.mu.size
         out = np.empty((n, d))
-        if n == 0:
-            return out
         rate = self._acceptance()
         found = proposed = 0
         while found < n:
@@ -136,13 +134,10 @@ class Sampler:
 Array = npt.NDArray[Any]
 Fields = TypeVar("Fields", Separation, WhitenedMoments)
 
-MOMENT_POINTS: Final = 4093  # lattice points for up to six bounded dimensions
-_MANY_POINTS: Final = 16381  # lattice points for more of them
-
 
 def moment_points(bounded: int) -> int:
     """Lattice points that give the accuracy promised by `TruncatedNormal` for so many bounded dimensions."""
-    return MOMENT_POINTS if bounded <= 6 else _MANY_POINTS
+    return 4093 if bounded <= 6 else 16381
 
 
 class TruncatedNormal:
@@ -259,71 +254,12 @@ class TruncatedNormal:
             raise InputError("truncated normal: mu and Sigma must be finite numbers")
         check_bounds(self.lower, self.upper)
 
-    def log_density(self, x: npt.ArrayLike) -> FloatArray:
-        """Log-density of each row in each component, (n, K); -inf outside the box.
-
-        Parameters
-        ----------
-        x : (n, d)
-            Rows.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> half = TruncatedNormal([[0.0]], [[[1.0]]], [0.0], [np.inf])
-        >>> np.round(half.log_density([[0.0], [1.0], [-1.0]])[:, 0], 6).tolist()
-        [-0.225791, -0.725791, -inf]
-        """
-        rows = np.asarray(unmasked(x), dtype=float)
-        d = self.mu.shape[1]
-        if rows.ndim != 2 or rows.shape[1] != d:
-            raise InputError(f"truncated normal: x of shape {rows.shape}; allowed: (n, {d})")
-        out = np.empty((rows.shape[0], self.mu.shape[0]))
-        for k, L in enumerate(np.linalg.cholesky(self.Sigma)):
-            z = np.linalg.solve(L, (rows - self.mu[k]).T)
-            constant = 0.5 * d * np.log(2.0 * np.pi) + np.log(np.diagonal(L)).sum() + self.log_probability[k]
-            out[:, k] = -0.5 * np.sum(z * z, axis=0) - constant
-        out[~np.all((rows >= self.lower) & (rows <= self.upper), axis=1)] = -np.inf
-        return out
-
     def sampler(self, component: int) -> Sampler:
         """One component made ready for drawing."""
         k = slice(component, component + 1)
-        box = self.box
-        if box is not None:
-            box = dataclasses.replace(box, **{f.name: getattr(box, f.name)[k] for f in dataclasses.fields(box)})
+        box = self.box and component_rows(self.box, k)
         log_p = float(self.log_probability[component])
         return Sampler.of(self.mu[component], self.Sigma[component], self.lower, self.upper, box, log_p)
-
-    def sample(
-        self, n: int, random_state: int | np.random.Generator | None = None, *, component: int = 0
-    ) -> FloatArray:
-        """Draw exactly from one component.
-
-        Raises `ModelError` if the box has so little probability that neither route finds points (proposals are capped).
-
-        Parameters
-        ----------
-        n : int
-            Number of draws.
-        random_state : int or Generator, optional
-            Seed.
-        component : int
-            Which of the K.
-
-        Returns
-        -------
-        (n, d)
-            Points inside the box.
-
-        Notes
-        -----
-        Plain rejection where P > 0.25, otherwise accept-reject from the tilted proposal (Botev 2017), both exact.
-        """
-        try:
-            return self.sampler(component).draw(max(int(n), 0), np.random.default_rng(random_state))
-        except ModelError as error:
-            raise ModelError(f"component {component}: {error}") from None
 
 
 def _put(mine: Array, rows: IntArray, theirs: Array, which: IntArray) -> Array:

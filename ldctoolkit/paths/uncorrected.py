@@ -426,7 +426,10 @@ class UncorrectedPath:
 
     def _shaped(self, t: FloatArray) -> DepartureParameters:
         """The parameters as columns that broadcast against t."""
-        return self.scenarios if t.ndim == 1 else _as_columns(self.scenarios)
+        p = self.scenarios
+        if t.ndim == 1:
+            return p
+        return dataclasses.replace(p, **{name: getattr(p, name)[:, None] for name in PARAMETER_NAMES})
 
     def _values(
         self, what: str, plain: Callable[[DepartureParameters, FloatArray], FloatArray], t: FloatArray, moved: bool
@@ -519,10 +522,6 @@ def _like(column: FloatArray, t: FloatArray) -> FloatArray:
 
 def _table(t: FloatArray) -> FloatArray:
     return np.ascontiguousarray(t if t.ndim == 2 else t[:, None], dtype=np.float64)
-
-
-def _as_columns(scenarios: Scenarios) -> Scenarios:
-    return dataclasses.replace(scenarios, **{name: getattr(scenarios, name)[:, None] for name in PARAMETER_NAMES})
 
 
 def harmless(scenarios: Scenarios, valid: BoolArray) -> Scenarios:

@@ -151,8 +151,7 @@ def _against_actuator(limits: dict[str, float | None], actuator: Actuator) -> It
 
 
 def _tightest(one: float | None, other: float | None) -> float | None:
-    both = [limit for limit in (one, other) if limit is not None]
-    return min(both) if both else None
+    return min((limit for limit in (one, other) if limit is not None), default=None)
 
 
 def _bend(delta_max: float | None, s: Situation) -> Iterator[Finding]:

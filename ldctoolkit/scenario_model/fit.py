@@ -16,7 +16,7 @@ from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, DepartureParameters, Departures, Plausibility
 from ldctoolkit.errors import InputError, ModelError, nearest
 from ldctoolkit.mixture import BoundedGaussianMixture, Selection, select_components
-from ldctoolkit.mixture._distribution import Transform
+from ldctoolkit.mixture._distribution import KINDS, Transform
 from ldctoolkit.mixture.checks import (
     Events,
     InsideBounds,
@@ -47,8 +47,6 @@ Kind = Literal["auto", "mixture", "smoothed"]
 
 FEW: Final = 2_000  # up to so many departures of a side larger K are given up early
 MOST_SMOOTHED: Final = 5_000  # of a side
-
-TRANSFORMS: Final = ("none", "log", "logit", "auto")
 
 Bounds = Mapping[str, tuple[float | None, float | None]]
 """Parameter -> (lower, upper) in SI units; None is open."""
@@ -133,8 +131,8 @@ def transforms(transform: str | Mapping[str, str] | None) -> dict[str, str]:
 
 
 def _transform(where: str, kind: Any) -> str:
-    if kind not in TRANSFORMS:
-        raise InputError(f"{where}: {kind!r}; {nearest(str(kind), TRANSFORMS)}")
+    if kind not in KINDS:
+        raise InputError(f"{where}: {kind!r}; {nearest(str(kind), KINDS)}")
     return str(kind)
 
 

@@ -134,8 +134,6 @@ def model_from_json(text: str | bytes, file: str) -> tuple[SideModel, SideModel,
         raise ModelError(f"{file}: version: {short(version)}; this program reads version {VERSION}{hint}")
     written, content = data.pop(CHECKSUM, None), digest(data)
     for side in _fitted(data.get("provenance")):
-        for key in ("icl", "held_out"):  # criteria of earlier versions
-            side.pop(key, None)
         summary = side.get("source_summary")
         if isinstance(summary, dict) and isinstance(cells := summary.get("cells"), list):
             summary["cells"] = [_shares(text) for text in cells]

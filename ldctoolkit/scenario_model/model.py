@@ -191,21 +191,6 @@ class _Point:
         return np.tile(self.values, (SAMPLE_BLOCK, 1)), np.zeros(SAMPLE_BLOCK, dtype=np.int64)
 
 
-@dataclasses.dataclass(frozen=True)
-class _Source:
-    """What the events of a side are drawn from: its distribution, or that under conditions."""
-
-    model: ScenarioModel
-    side: int
-    distribution: _Drawn
-
-    def block(self, block: int, seed: int) -> DepartureParameters:
-        """The events of one block that can happen and be replayed."""
-        x, _ = self.distribution.sample_block(seed, (_STREAM[self.side], block))
-        drawn = self.model.parameters(self.side, x)
-        return drawn.take(self.model.possible(drawn))
-
-
 @dataclasses.dataclass(frozen=True, repr=False)
 class ScenarioModel:
     """Left and right mixture, their bounds, constants and provenance.
@@ -336,22 +321,25 @@ class ScenarioModel:
         # even numbers to the left, odd ones to the right: the same however many there are
         return dataclasses.replace(drawn, index=np.concatenate([2 * np.arange(n_left), 2 * np.arange(n_right) + 1]))
 
-    def _source(self, side: int, wanted: tuple[Condition, ...] = ()) -> _Source:
+    def _distribution(self, side: int, wanted: tuple[Condition, ...] = ()) -> _Drawn:
         """What the events of a side are drawn from."""
         half, label = self.side(side), "left" if side == LEFT else "right"
         columns = mixture_conditions(wanted, half, label)
         values = {j: value for j, value in columns.items() if isinstance(value, float)}
-        distribution: _Drawn = half.mixture.distribution
         if len(values) == len(half.names):
-            distribution = _Point(np.array([values[j] for j in range(len(half.names))]))
-        elif columns:
-            distribution = half.mixture.distribution.condition(columns)
-        return _Source(self, side, distribution)
+            return _Point(np.array([values[j] for j in range(len(half.names))]))
+        return half.mixture.distribution.condition(columns) if columns else half.mixture.distribution
+
+    def _block(self, side: int, distribution: _Drawn, block: int, seed: int) -> DepartureParameters:
+        """The events of one block that can happen and be replayed."""
+        x, _ = distribution.sample_block(seed, (_STREAM[side], block))
+        drawn = self.parameters(side, x)
+        return drawn.take(self.possible(drawn))
 
     def _draw(self, side: int, n: int, seed: int, wanted: tuple[Condition, ...]) -> dict[str, FloatArray]:
         if n == 0:
             return {name: np.empty(0) for name in PARAMETER_NAMES}
-        source = self._source(side, wanted)
+        distribution = self._distribution(side, wanted)
         blocks: list[DepartureParameters] = []
         found = 0
         limit = _SPARE_BLOCKS * (1 + n // SAMPLE_BLOCK)
@@ -366,15 +354,14 @@ class ScenarioModel:
                     f"scenario model ({word}): {share:.1%} of the events fall below {SPEED_FLOOR} m/s or are not "
                     "plausible; the model does not describe driving at speed"
                 )
-            blocks.append(source.block(len(blocks), seed))
+            blocks.append(self._block(side, distribution, len(blocks), seed))
             found += blocks[-1].n
         return {name: np.concatenate([getattr(block, name) for block in blocks])[:n] for name in PARAMETER_NAMES}
 
     def redrawn_share(self, side: int, seed: int = 0, events: int = 16_384) -> float:
         """Share of the mixture's events of a side that are not possible and are drawn again, from so many draws."""
-        source = self._source(side)
         blocks = -(-events // SAMPLE_BLOCK)
-        kept = sum(source.block(block, seed).n for block in range(blocks))
+        kept = sum(self._block(side, self._distribution(side), block, seed).n for block in range(blocks))
         return 1.0 - kept / (blocks * SAMPLE_BLOCK)
 
     def save(self, path: str | os.PathLike[str]) -> None:

@@ -103,7 +103,7 @@ class SourceSummary:
     effective: float  # Kish's effective number of them
     quantiles: tuple[tuple[float, ...], ...]  # (d, m), SI units: at the probabilities (i + 1/2)/m
     rank_correlations: tuple[float, ...]  # Spearman's, of the pairs (0, 1), (0, 2), ..., (d-2, d-1)
-    # The same pairs: shares in 1/10,000 of b x b cells between the `edges` of both parameters, row by row, the first
+    # The same pairs: shares in 1/10,000 of b x b cells between the `cell_edges` of both, row by row, the first
     # parameter's cells one after the other
     cells: tuple[tuple[int, ...], ...]
 
@@ -116,28 +116,6 @@ class SourceSummary:
     def at(self, probability: float) -> FloatArray:
         """A quantile of each parameter (d,), between those that are kept; the outermost ones beyond them."""
         return np.array([np.interp(probability, self.probabilities, row) for row in self.quantiles])
-
-    def edges(self, j: int) -> FloatArray:
-        """Edges (b + 1,) of the cells of parameter j: even, from below the first quantile to above the last."""
-        return cell_edges(np.array(self.quantiles[j]), self.b)
-
-    @property
-    def b(self) -> int:
-        """Cells along one parameter."""
-        return math.isqrt(len(self.cells[0])) if self.cells else 0
-
-    def pair(self, i: int, j: int) -> FloatArray:
-        """Shares (b, b) of the departures in the cells of parameters i < j."""
-        return np.array(self.cells[pair_number(i, j, len(self.names))], dtype=float).reshape(self.b, self.b) / UNIT
-
-    def rank_correlation(self, i: int, j: int) -> float:
-        """Of parameters i < j."""
-        return self.rank_correlations[pair_number(i, j, len(self.names))]
-
-
-def pair_number(i: int, j: int, d: int) -> int:
-    """Place of the pair i < j among (0, 1), (0, 2), ..., (d-2, d-1)."""
-    return i * (2 * d - i - 1) // 2 + j - i - 1
 
 
 def cell_edges(quantiles: FloatArray, b: int) -> FloatArray:

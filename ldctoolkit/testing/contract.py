@@ -163,16 +163,13 @@ class ControllerContract:
     designs: ClassVar[Sequence[Controller]] = ()  # More designs of it than the one with all defaults
     settings: ClassVar[ContractSettings] = ContractSettings()  # Size and tolerances
 
-    def _keeps(self, check: str) -> None:
+
+def _test(check: str) -> Callable[[ControllerContract], None]:
+    def test(self: ControllerContract) -> None:
         given = getattr(self, "controller", None)
         if given is None:
             raise InputError(f"{type(self).__name__}.controller: missing; allowed: controller = MyLaw")
         check_controller_contract(given, self.designs, checks=(check,), settings=self.settings)
-
-
-def _test(check: str) -> Callable[[ControllerContract], None]:
-    def test(self: ControllerContract) -> None:
-        self._keeps(check)
 
     test.__doc__ = f"Check `{check}`."
     return test

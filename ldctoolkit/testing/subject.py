@@ -136,15 +136,6 @@ def plant_at(v: FloatArray, dt: float) -> Plant:
     return Plant.build(BicycleModel(), v.copy(), dt)
 
 
-def prepared(design: Controller, v: FloatArray, dt: float) -> SteeringLaw | None:
-    """The law of a design at these speeds, checked; None where it leaves the departure alone."""
-    plant = plant_at(v, dt)
-    law: Law = check_law(design.prepare(plant), v.size, design.name)
-    if isinstance(law, RecordedPath):
-        return None
-    return LinearSteps.of(law, plant) if isinstance(law, LinearLaw) else law
-
-
 class Walk:
     """One run of a law on a road, a sample at a time."""
 
@@ -184,11 +175,6 @@ class Walk:
         while self.k < self.road.samples:
             self.go_on()
         return Commands(np.array([delta for delta, _ in self.sent]), np.array([status for _, status in self.sent]))
-
-
-def commands(law: SteeringLaw, road: Road, dt: float, name: str) -> Commands:
-    """What a law says on a road from beginning to end."""
-    return Walk(law, road, dt, name).to_the_end()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -243,12 +229,16 @@ class Subject:
 
     def law(self, road: Road) -> SteeringLaw | None:
         """The law, prepared anew; None where it leaves the departure alone."""
-        return prepared(self.design, road.v, self.settings.dt)
+        plant = plant_at(road.v, self.settings.dt)
+        law: Law = check_law(self.design.prepare(plant), road.n, self.name)
+        if isinstance(law, RecordedPath):
+            return None
+        return LinearSteps.of(law, plant) if isinstance(law, LinearLaw) else law
 
     def commands(self, road: Road, law: SteeringLaw | None = None) -> Commands | None:
         """What the law says on a road: the one given, or one that is prepared anew."""
         law = self.law(road) if law is None else law
-        return None if law is None else commands(law, road, self.settings.dt, self.name)
+        return None if law is None else Walk(law, road, self.settings.dt, self.name).to_the_end()
 
 
 Check = Callable[[Subject], Iterator[str]]  # yields one sentence for each fault

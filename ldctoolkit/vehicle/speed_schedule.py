@@ -55,26 +55,21 @@ class _FilterGain:
 
         C = np.eye(4)[list(_MEASURED)]
         R = np.diag([self.kalman.r_y**2, self.kalman.r_psi**2])
+        Q = self.dt * np.diag([0.0, self.kalman.q_y**2, 0.0, self.kalman.q_psi**2])
         rows: list[FloatArray] = []
         for A in self.model.discretize(v, self.dt).A:
-            A_p, Q_p = self._over_one_frame(A)
+            A_p, Q_p = np.eye(4), np.zeros((4, 4))
+            for _ in range(self.frame_samples):
+                Q_p = A @ Q_p @ A.T + Q
+                A_p = A @ A_p
             try:
-                P = scipy.linalg.solve_discrete_are(A_p.T, C.T, Q_p, R)
+                P = scipy.linalg.solve_discrete_are(A_p.T, C.T, 0.5 * (Q_p + Q_p.T), R)
             except (np.linalg.LinAlgError, ValueError) as error:
                 speed = v[len(rows)]
                 raise LdcError(f"no Kalman filter at {speed:.3g} m/s, {self.kalman}: {error}") from error
-            rows.append(
-                np.linalg.solve(C @ P @ C.T + R, C @ P).T.ravel()
-            )  # P and the innovation's covariance: symmetric
+            # P and the innovation's covariance are symmetric
+            rows.append(np.linalg.solve(C @ P @ C.T + R, C @ P).T.ravel())
         return np.array(rows)
-
-    def _over_one_frame(self, A: FloatArray) -> tuple[FloatArray, FloatArray]:
-        Q = self.dt * np.diag([0.0, self.kalman.q_y**2, 0.0, self.kalman.q_psi**2])
-        A_p, Q_p = np.eye(4), np.zeros((4, 4))
-        for _ in range(self.frame_samples):
-            Q_p = A @ Q_p @ A.T + Q
-            A_p = A @ A_p
-        return A_p, 0.5 * (Q_p + Q_p.T)
 
 
 SPEED_RANGE: Final = (1.0, 90.0)  # speeds [m/s] for which gains are scheduled

@@ -221,7 +221,10 @@ def compare(
     >>> [str(verdict) for verdict in comparison.cases[0].S.verdict]
     ['same', 'worse']
     """
-    before, after = _read_both(old, new)
+    folders = [Path(side) for side in (old, new) if not isinstance(side, FinishedStudy)]
+    if len(folders) == 2 and folders[0].resolve() == folders[1].resolve():
+        raise InputError(f"{old}, {new}: the same folder twice; allowed: the folders of two studies")
+    before, after = (side if isinstance(side, FinishedStudy) else FinishedStudy.read(side) for side in (old, new))
     settings = after.study.ranking
     samples = settings.bootstrap if bootstrap is None else bootstrap
     level = settings.confidence if confidence is None else confidence
@@ -294,14 +297,6 @@ def _cases(
 def _raced_elsewhere(results: StudyResults, case: Case) -> bool:
     """Whether a race gave up designs that may be the best in this case: it knows the primary case alone."""
     return results.race is not None and bool(results.race.dropped) and results.cases[0].case != case
-
-
-def _read_both(old: str | Path | FinishedStudy, new: str | Path | FinishedStudy) -> tuple[FinishedStudy, FinishedStudy]:
-    folders = [Path(side) for side in (old, new) if not isinstance(side, FinishedStudy)]
-    if len(folders) == 2 and folders[0].resolve() == folders[1].resolve():
-        raise InputError(f"{old}, {new}: the same folder twice; allowed: the folders of two studies")
-    before, after = (side if isinstance(side, FinishedStudy) else FinishedStudy.read(side) for side in (old, new))
-    return before, after
 
 
 def _shared_cases(before: FinishedStudy, after: FinishedStudy) -> CasePairs:
@@ -425,7 +420,10 @@ def comparison_rows(comparison: Comparison) -> Iterator[dict[str, Any]]:
         for i in case.order:
             yield where | {"compared": "design"} | _design(comparison, case, i)
         if case.winners is not None:
-            yield where | {"compared": "winners"} | _winners(case.winners)
+            won = case.winners
+            scores = (won.S_old, won.S_new, won.difference)
+            row = _row_of(str(won.verdict), won.old, won.new, scores, (won.low, won.high), won.scenarios)
+            yield where | {"compared": "winners"} | row
     failures = {
         "new failure": comparison.new_failures,
         "no longer fails": comparison.repaired,
@@ -442,7 +440,8 @@ def _row_of(
     verdict: str, old: Design, new: Design, scores: Sequence[float], ends: Sequence[float], scenarios: int
 ) -> dict[str, Any]:
     """The columns that designs and winners have: S old, S new and their difference, and the ends of its interval."""
-    names, numbers = _CASE.split()[3:] + _SCORES.split(), [*map(float, scores), *map(_finite, ends)]
+    names = _CASE.split()[3:] + _SCORES.split()
+    numbers = [*map(float, scores), *(float(end) if math.isfinite(end) else None for end in ends)]
     return dict(zip(names, (verdict, old.id, new.id, old.label, new.label, *numbers, scenarios), strict=True))
 
 
@@ -456,15 +455,6 @@ def _design(comparison: Comparison, case: CaseComparison, i: int) -> dict[str, A
         "failed_scenarios_old": case.failed_old[i],
         "failed_scenarios_new": case.failed_new[i],
     }
-
-
-def _winners(one: Winners) -> dict[str, Any]:
-    scores = (one.S_old, one.S_new, one.difference)
-    return _row_of(str(one.verdict), one.old, one.new, scores, (one.low, one.high), one.scenarios)
-
-
-def _finite(value: Any) -> float | None:
-    return float(value) if math.isfinite(value) else None
 
 
 def write_comparison(comparison: Comparison, path: str | Path) -> None:

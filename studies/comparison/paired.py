@@ -78,15 +78,13 @@ def share_scenarios(
     """Find the scenarios that two sets share, by content."""
     group = _same_rows(np.concatenate([_rows(old), _rows(new)]))
     old_at, new_at = _pairs(group[: old.n], group[old.n :])
+    every = new_at.size
     if both_draw:
-        every = new_at.size
-        numbers = np.concatenate([old.index, new.index])
-        drawn = _same_rows(np.column_stack([group, numbers]))
+        drawn = _same_rows(np.column_stack([group, np.concatenate([old.index, new.index])]))
         old_at, new_at = _pairs(drawn[: old.n], drawn[old.n :])
         if not same_seed:
             old_at, new_at = old_at[:0], new_at[:0]
-        return SharedScenarios(old_at, new_at, new.side[new_at], every - new_at.size)
-    return SharedScenarios(old_at, new_at, new.side[new_at])
+    return SharedScenarios(old_at, new_at, new.side[new_at], every - new_at.size)
 
 
 def _rows(scenarios: Scenarios) -> FloatArray:
@@ -97,8 +95,7 @@ def _same_rows(table: npt.NDArray[np.generic]) -> IntArray:
     """A number for each row, equal for rows of the same bytes."""
     table = np.ascontiguousarray(table)
     whole = table.view(np.dtype((np.void, table.dtype.itemsize * table.shape[1]))).ravel()
-    group: IntArray = np.unique(whole, return_inverse=True)[1].astype(np.int64).ravel()
-    return group
+    return np.unique(whole, return_inverse=True)[1].astype(np.int64).ravel()
 
 
 def _pairs(old: IntArray, new: IntArray) -> tuple[IntArray, IntArray]:
@@ -182,7 +179,6 @@ def paired_differences(
     moved = np.abs(change) > SAME
     changed = moved.sum(axis=1)
     largest_at = np.abs(change).argmax(axis=1) if n else np.zeros(k, dtype=np.int64)
-    largest = change[np.arange(k), largest_at]
     difference = row_means(change)
     low, high = difference.copy(), difference.copy()
     fewest = 1.0 + math.log2(max(k, 1) / (1.0 - confidence))
@@ -193,8 +189,6 @@ def paired_differences(
         half = _half_widths(change[rows], side, bootstrap, seed, confidence)
         low[rows] -= half
         high[rows] += half
-    verdict = tuple(map(_verdict, changed > 0, low, high))
-    largest = np.where(changed > 0, largest, 0.0)
     return PairedDifferences(
         S_old=row_means(old),
         S_new=row_means(new),
@@ -202,9 +196,9 @@ def paired_differences(
         low=low,
         high=high,
         changed=changed.astype(np.int64),
-        largest=largest,
+        largest=np.where(changed > 0, change[np.arange(k), largest_at], 0.0),
         largest_at=largest_at.astype(np.int64),
-        verdict=verdict,
+        verdict=tuple(map(_verdict, changed > 0, low, high)),
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
+import importlib
 import math
 from collections.abc import Sequence
 from typing import Any, Literal
@@ -15,10 +15,10 @@ from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.gains import GainValue
 
 from ..design import Design
-from ..design_space import THRESHOLD, DesignBlock, LawSpace
+from ..design_space import THRESHOLD, DesignBlock
 from ..ranking.inference import bootstrap_deviations, check_confidence, row_means
 from ..results import CaseResults, StudyResults
-from ..study_file import RankingSettings, Study
+from ..study_file import Study
 
 Method = Literal["factorial", "saltelli", "rbd_fast"]
 
@@ -84,27 +84,6 @@ def sensitivity(results: StudyResults, study: Study, *, case: int = 0) -> tuple[
     )
 
 
-class _NoIndices(Exception):
-    """Says why there are none."""
-
-
-@dataclasses.dataclass(frozen=True)
-class _Scores:
-    """The designs of one block and law, in the order of its table, and which rows of all scores are theirs."""
-
-    space: LawSpace
-    designs: tuple[Design, ...]
-    rows: IntArray
-    counted: FloatArray
-    side: IntArray
-    settings: RankingSettings
-    seed: int
-
-    @functools.cached_property
-    def S(self) -> FloatArray:
-        return row_means(self.counted, self.rows)
-
-
 def _of_block(
     results: StudyResults, study: Study, case: CaseResults, side: IntArray, number: int, block: DesignBlock, law: int
 ) -> BlockSensitivity:
@@ -112,27 +91,33 @@ def _of_block(
     found = BlockSensitivity(number, space.law, space.varying, 0)
     try:
         if study.search is not None:
-            raise _NoIndices("a search asks for designs where S is small; they are no sample of the space")
+            raise LdcError("a search asks for designs where S is small; they are no sample of the space")
         sample = None if block.sample is None else block.samples()[law]
         designs = tuple(space.grid()) if sample is None else sample.designs
         kept = _with_results(results, designs, some=block.sample is not None and block.sample.method != "saltelli")
         row = {design.id: i for i, design in enumerate(results.designs)}
         rows = np.array([row[designs[i].id] for i in kept], dtype=np.int64)
-        chosen = tuple(designs[i] for i in kept)
-        scores = _Scores(space, chosen, rows, case.counted, side, study.ranking, study.seed)
-        if np.ptp(scores.S) <= _SAME:
-            raise _NoIndices("all its designs have the same mean S; there is no variance to share out")
-        found = dataclasses.replace(found, designs=len({design.id for design in scores.designs}))
+        S, confidence = row_means(case.counted, rows), study.ranking.confidence
+        if np.ptp(S) <= _SAME:
+            raise LdcError("all its designs have the same mean S; there is no variance to share out")
+        found = dataclasses.replace(found, designs=len({designs[i].id for i in kept}))
         if sample is None or block.sample is None:
+            levels = _levels(designs, space.varying)
+            bound = min(_MOST_MEANS // S.size, _MOST_PRODUCTS // (S.size * side.size))
+            samples = max(100, min(study.ranking.bootstrap, bound))
+            means = bootstrap_deviations(case.counted, side, samples=samples, seed=study.seed, rows=rows)
+            means += S
+            indices = factorial_indices(S, means, levels, confidence=confidence)
             note = "exact for the grid's points, every one as likely as the others"
-            return dataclasses.replace(found, method="factorial", indices=_of_grid(scores), note=note)
+            return dataclasses.replace(found, method="factorial", indices=indices, note=note)
         if block.sample.method == "saltelli":
-            return dataclasses.replace(found, method="saltelli", indices=_of_saltelli(scores))
+            indices = saltelli_indices(S, len(space.varying), confidence=confidence, seed=study.seed)
+            return dataclasses.replace(found, method="saltelli", indices=indices)
         note = 'first order only; total indices need a full grid or sample.method = "saltelli"'
         note += f"; {len(designs) - len(kept)} failed designs are left out" if len(kept) < len(designs) else ""
-        indices = _of_sample(scores, sample.shares[kept])
+        indices = rbd_fast_indices(sample.shares[kept], S, confidence=confidence, seed=study.seed)
         return dataclasses.replace(found, method="rbd_fast", indices=indices, note=note)
-    except (_NoIndices, LdcError) as error:
+    except LdcError as error:
         return dataclasses.replace(found, reason=str(error))
 
 
@@ -145,41 +130,21 @@ def _with_results(results: StudyResults, designs: Sequence[Design], *, some: boo
     lost = set(ids) - known
     raced = len(lost & given_up)
     if raced:
-        raise _NoIndices(f"the race gave up {raced} of its {len(set(ids))} designs; indices need a run without a race")
+        raise LdcError(f"the race gave up {raced} of its {len(set(ids))} designs; indices need a run without a race")
     if lost and not (some and lost <= failed):
-        raise _NoIndices(f"{len(lost)} of its {len(set(ids))} designs have no results; indices need all of them")
+        raise LdcError(f"{len(lost)} of its {len(set(ids))} designs have no results; indices need all of them")
     return [i for i, name in enumerate(ids) if name in known]
 
 
-def _of_grid(scores: _Scores) -> Indices:
-    columns = [[gain_value(design, name) for design in scores.designs] for name in scores.space.varying]
+def _levels(designs: Sequence[Design], names: Sequence[str]) -> tuple[int, ...]:
+    """How many values each dimension of a full grid takes."""
+    columns = [[gain_value(design, name) for design in designs] for name in names]
     positions = [{value: i for i, value in enumerate(dict.fromkeys(column))} for column in columns]
     levels = tuple(len(position) for position in positions)
     codes = [np.array([at[value] for value in column]) for at, column in zip(positions, columns, strict=True)]
-    place = np.ravel_multi_index(tuple(codes), levels)
-    if not np.array_equal(place, np.arange(math.prod(levels))):
-        raise _NoIndices("conditions on gains leave some combinations out; it is no full grid")
-    bound = min(_MOST_MEANS // place.size, _MOST_PRODUCTS // (place.size * scores.side.size))
-    samples = max(100, min(scores.settings.bootstrap, bound))
-    means = bootstrap_deviations(scores.counted, scores.side, samples=samples, seed=scores.seed, rows=scores.rows)
-    means += scores.S
-    return factorial_indices(scores.S, means, levels, confidence=scores.settings.confidence)
-
-
-def _of_saltelli(scores: _Scores) -> Indices:
-    return saltelli_indices(
-        scores.S,
-        len(scores.space.varying),
-        confidence=scores.settings.confidence,
-        samples=_SALIB_SAMPLES,
-        seed=scores.seed,
-    )
-
-
-def _of_sample(scores: _Scores, shares: FloatArray) -> Indices:
-    return rbd_fast_indices(
-        shares, scores.S, confidence=scores.settings.confidence, samples=_SALIB_SAMPLES, seed=scores.seed
-    )
+    if not np.array_equal(np.ravel_multi_index(tuple(codes), levels), np.arange(math.prod(levels))):
+        raise LdcError("conditions on gains leave some combinations out; it is no full grid")
+    return levels
 
 
 LEAST_RBD_FAST = 64
@@ -237,25 +202,20 @@ def factorial_indices(S: FloatArray, resampled: FloatArray, levels: Sequence[int
     return Indices(first, low, high, total, total_low, total_high)
 
 
-def saltelli_indices(S: FloatArray, k: int, *, confidence: float, samples: int, seed: int) -> Indices:
+def saltelli_indices(S: FloatArray, k: int, *, confidence: float, seed: int) -> Indices:
     """Indices from a Saltelli sample, by SALib; intervals over the sample's base points."""
     if S.ndim != 1 or S.size < 2 * (k + 2) or S.size % (k + 2):
         raise InputError(f"S: shape {S.shape}; allowed: a whole number of times k + 2 = {k + 2} rows, at least two")
-    sobol = _salib("sobol")
-    found = sobol.analyze(
-        _cube(k), S, calc_second_order=False, num_resamples=samples, conf_level=confidence, seed=_salib_seed(seed)
-    )
+    found = _analysed("sobol", k, S, confidence=confidence, seed=seed, calc_second_order=False)
     return Indices(*_around(found["S1"], found["S1_conf"]), *_around(found["ST"], found["ST_conf"]))
 
 
-def rbd_fast_indices(x: FloatArray, S: FloatArray, *, confidence: float, samples: int, seed: int) -> Indices:
+def rbd_fast_indices(x: FloatArray, S: FloatArray, *, confidence: float, seed: int) -> Indices:
     """First-order indices from any even sample, by SALib's RBD-FAST; there are no total ones."""
     if S.size < LEAST_RBD_FAST:
         raise InputError(f"{S.size} designs; allowed: at least {LEAST_RBD_FAST} for first-order indices of a sample")
     k = x.shape[1]
-    found = _salib("rbd_fast").analyze(
-        _cube(k), x, S, M=_HARMONICS, num_resamples=samples, conf_level=confidence, seed=_salib_seed(seed)
-    )
+    found = _analysed("rbd_fast", k, x, S, confidence=confidence, seed=seed, M=_HARMONICS)
     nothing = np.full(k, np.nan)
     return Indices(*_around(found["S1"], found["S1_conf"]), nothing, nothing, nothing)
 
@@ -265,20 +225,14 @@ def _around(index: Any, half: Any) -> tuple[FloatArray, FloatArray, FloatArray]:
     return middle, middle - width, middle + width
 
 
-def _cube(k: int) -> dict[str, Any]:
-    return {"num_vars": k, "names": [str(i) for i in range(k)], "bounds": [[0.0, 1.0]] * k}
-
-
-def _salib_seed(seed: int) -> int:
-    """SALib takes 0 for no seed at all."""
-    return int(np.random.SeedSequence([seed, 0x736F626F]).generate_state(1)[0]) | 1
-
-
-def _salib(name: str) -> Any:
-    import importlib
-
+def _analysed(method: str, k: int, *sample: FloatArray, confidence: float, seed: int, **options: Any) -> Any:
+    """What SALib finds of k dimensions on the unit cube."""
     try:
-        return importlib.import_module(f"SALib.analyze.{name}")
+        analyze = importlib.import_module(f"SALib.analyze.{method}").analyze
     except ImportError:
         message = "Sobol indices of a sample need SALib, which is not installed"
         raise LdcError(f'{message}; install the extra: pip install "ldctoolkit[sensitivity]"') from None
+    cube = {"num_vars": k, "names": [str(i) for i in range(k)], "bounds": [[0.0, 1.0]] * k}
+    # odd: SALib takes 0 for no seed at all
+    seed = int(np.random.SeedSequence([seed, 0x736F626F]).generate_state(1)[0]) | 1
+    return analyze(cube, *sample, num_resamples=_SALIB_SAMPLES, conf_level=confidence, seed=seed, **options)

@@ -221,6 +221,7 @@ def _profiles(
     resampled = Resampled.of(S, side, seed=study.seed, samples=settings.bootstrap)
     interval = simultaneous_interval(resampled, settings.confidence, reference=0)
     numbers = np.stack([resampled.mean, interval.centre, interval.low, interval.high])
+    numbers = np.append(numbers, np.full((4, 1), np.nan), axis=1)  # the last ones are those of a law that failed
     position = {design: i for i, design in enumerate(scored)}
     gains = winner.kind.gains()
     units = {gain.name: gain.unit for gain in gains} | {THRESHOLD: "m"}
@@ -228,10 +229,7 @@ def _profiles(
     for name in dict.fromkeys(one.name for one in along):
         points = [one for one in along if one.name == name]
         designs = tuple(one.design for one in points)
-        own = np.full((4, len(points)), np.nan)
-        for i, design in enumerate(designs):
-            if design in position:
-                own[:, i] = numbers[:, position[design]]
+        own = numbers[:, [position.get(design, -1) for design in designs]]
         yield Profile(
             name,
             units[name],

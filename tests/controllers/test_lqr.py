@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from controllers import LQI, LQR, LinearMPC, PreviewLQR
-from controllers.riccati import SPEED_RANGE, regulator
+from controllers.riccati import regulator
 from helpers.closed_loop import Stepped, grid, moved, some, weights_of
 from ldctoolkit import (
+    SPEED_RANGE,
     BicycleModel,
     Controller,
     EventStatus,

@@ -56,18 +56,6 @@ def test_hours_and_distance_come_back_and_do_not_enter_the_hash(model, text, tmp
     assert (load_model(path).provenance, load_model(path).content_hash) == (model.provenance, model.content_hash)
 
 
-def test_criteria_of_earlier_versions_are_dropped(model, text, tmp_path):
-    data = json.loads(text)
-    del data["checksum"]  # which they did not write
-    data["provenance"]["left"] |= {"icl": [340.0, 1100.0], "held_out": [-2.5, -2.4], "criterion": "held_out"}
-    (tmp_path / "m.json").write_text(json.dumps(data))
-    back = load_model(tmp_path / "m.json")
-    assert back.content_hash == model.content_hash
-    assert back.provenance.left == dataclasses.replace(model.provenance.left, criterion="held_out")
-    back.save(tmp_path / "m.json")
-    assert load_model(tmp_path / "m.json").provenance == back.provenance
-
-
 def test_unknown_names_and_missing_files(tmp_path):
     with pytest.raises(UnknownNameError, match="did you mean 'reference'"):
         load_model("refrence")

@@ -134,11 +134,11 @@ def test_the_shares_are_those_of_the_analysis_of_variance(seed: int, levels: lis
 
 def test_samples_that_do_not_fit_are_refused() -> None:
     with pytest.raises(InputError, match=r"k \+ 2 = 5 rows"):
-        saltelli_indices(np.zeros(12), 3, confidence=0.95, samples=50, seed=0)
+        saltelli_indices(np.zeros(12), 3, confidence=0.95, seed=0)
     with pytest.raises(InputError, match="63 designs; allowed: at least 64"):
-        rbd_fast_indices(np.zeros((63, 1)), np.zeros(63), confidence=0.95, samples=50, seed=0)
+        rbd_fast_indices(np.zeros((63, 1)), np.zeros(63), confidence=0.95, seed=0)
     even = (np.arange(64.0) + 0.5) / 64
-    assert rbd_fast_indices(even[:, None], even, confidence=0.95, samples=50, seed=0).first[0] > 0.9
+    assert rbd_fast_indices(even[:, None], even, confidence=0.95, seed=0).first[0] > 0.9
 
 
 # --- blocks of a study ------------------------------------------------------------------------------------------------
