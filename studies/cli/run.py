@@ -63,7 +63,7 @@ def run(chosen: argparse.Namespace) -> int:
         from ..study_file import catalog_names
 
         raise InputError(_NEXT.format(", ".join(catalog_names())))
-    with progress_bar("starting", show=not (chosen.quiet or chosen.json)):
+    with progress_bar("loading the toolkit", show=not (chosen.quiet or chosen.json)):
         from ..running.campaign import Lines, Progress
 
         progress = Lines(sys.stdout) if chosen.json else Progress() if chosen.quiet else None
