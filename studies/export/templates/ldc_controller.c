@@ -14,59 +14,59 @@
 {% for name, at, unit in places %}
 #define {{ name }} {{ at }} /* {{ unit }} */
 {% endfor %}
-#define TERMS {{ table|length }}
+#define TERMS {{ terms }}
 
-/* Coefficients of Chebyshev polynomials over log v, from LDC_V_MIN to LDC_V_MAX, a column for each gain. */
-static const ldc_work table[TERMS * LDC_COLUMNS] = {
+/* Coefficients of Chebyshev polynomials over log v, from LDC_V_MIN to LDC_V_MAX, a row for each gain. */
+static const ldc_work table[LDC_COLUMNS][TERMS] = {
 {% for row in table %}
-    {{ row }}{{ "," if not loop.last }}
+    { {{ row }} }{{ "," if not loop.last }}
 {% endfor %}
 };
 {% if pieces %}
 #define PIECES {{ pieces|length }}
-#define PIECE_TERMS {{ pieces[0]|length }}
+#define PIECE_TERMS {{ piece_terms }}
 #define KINKED {{ kinked|length }}
 
-/* Gains with kinks or steps over speed: their tables are 0 above and stand here, in pieces from knot to knot, each in
+/* Gains with kinks or steps over speed: their rows are 0 above and stand here, in pieces from knot to knot, each in
    polynomials over v: with two terms the gains are linear in between. */
 static const int32_t kinked[KINKED] = { {{ kinked|join(", ") }} };
 static const double knots[PIECES + 1] = { {{ knots|join(", ") }} }; /* [m/s] */
-static const ldc_work pieces[PIECES][PIECE_TERMS * KINKED] = {
+static const ldc_work pieces[PIECES][KINKED][PIECE_TERMS] = {
 {% for piece in pieces %}
     {
 {% for row in piece %}
-        {{ row }}{{ "," if not loop.last }}
+        { {{ row }} }{{ "," if not loop.last }}
 {% endfor %}
     }{{ "," if not loop.last }}
 {% endfor %}
 };
 {% endif %}
 
-/* A column of a table at z in [-1, 1], by the recurrence of Clenshaw. */
-static ldc_work series(const ldc_work *column, int32_t terms, int32_t columns, ldc_work z)
+/* A series at z in [-1, 1], by the recurrence of Clenshaw. */
+static ldc_work series(const ldc_work *coefficients, int32_t terms, ldc_work z)
 {
     ldc_work inner = LDC_W(0.0);
     ldc_work outer = LDC_W(0.0);
     for (int32_t n = terms - 1; n > 0; n--) {
-        const ldc_work next = column[n * columns] + ((LDC_W(2.0) * z * inner) - outer);
+        const ldc_work next = coefficients[n] + ((LDC_W(2.0) * z * inner) - outer);
         outer = inner;
         inner = next;
     }
-    return column[0] + ((z * inner) - outer);
+    return coefficients[0] + ((z * inner) - outer);
 }
 
 /* Gains at a speed. */
 static void gains_at(ldc_work v, ldc_work gain[LDC_COLUMNS])
 {
     const ldc_work z = ((LDC_W(2.0) * LOG(v / LDC_V_MIN)) / LDC_W({{ span }})) - LDC_W(1.0);
-    for (int32_t k = 0; k < LDC_COLUMNS; k++) { gain[k] = series(&table[k], TERMS, LDC_COLUMNS, z); }
+    for (int32_t k = 0; k < LDC_COLUMNS; k++) { gain[k] = series(table[k], TERMS, z); }
 {% if pieces %}
     {
         ldc_work within_piece;
         int32_t p = 0;
         for (int32_t i = 1; i < PIECES; i++) { p += ((double)v >= knots[i]) ? 1 : 0; }
         within_piece = (ldc_work)(((2.0 * ((double)v - knots[p])) / (knots[p + 1] - knots[p])) - 1.0);
-        for (int32_t k = 0; k < KINKED; k++) { gain[kinked[k]] = series(&pieces[p][k], PIECE_TERMS, KINKED, within_piece); }
+        for (int32_t k = 0; k < KINKED; k++) { gain[kinked[k]] = series(pieces[p][k], PIECE_TERMS, within_piece); }
     }
 {% endif %}
 }
