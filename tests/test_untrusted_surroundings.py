@@ -179,17 +179,19 @@ def test_whose_a_file_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     assert surroundings.private(file)
     assert not surroundings.private(file.parent)
     file.parent.chmod(0o755)
-    file.chmod(0o620)
-    monkeypatch.setattr(surroundings, "_own_group", lambda group: False)
-    assert not surroundings.private(file)
-    monkeypatch.setattr(surroundings, "_own_group", lambda group: True)
-    assert surroundings.private(file)
     owner = file.stat().st_uid
     if owner == 0:
-        os.chown(file, 12345, -1)
+        file.chmod(0o620)
+        assert not surroundings.private(file)
+        os.chown(file, 12345, 12345)
+        assert not surroundings.private(file)
+        monkeypatch.setattr(os, "geteuid", lambda: 12345)
+        assert surroundings.private(file)  # the group is the user's own
+        os.chown(file, -1, 12346)
+        assert not surroundings.private(file)
     else:
         monkeypatch.setattr(os, "geteuid", lambda: owner + 1)
-    assert not surroundings.private(file)
+        assert not surroundings.private(file)
 
 
 def test_no_settings_of_numba_from_the_working_directory(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import io
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -64,14 +64,14 @@ def csv_text(columns: Iterable[str], rows: Iterable[Mapping[str, Any]], *, plain
     return text.getvalue()
 
 
+_FORMULA: Final = re.compile(r"[=@\t]|[+-](?!([\d.]+(e[+-]?\d+)?|inf|nan)$)")
+
+
 def _cell(value: Any) -> Any:
-    if not isinstance(value, str) or not (value := value.replace("\r", " ")).startswith(("=", "+", "-", "@", "\t")):
+    if not isinstance(value, str):
         return value
-    try:
-        float(value)
-    except ValueError:
-        return f"'{value}"
-    return value
+    value = value.replace("\r", " ")  # a line would end there
+    return f"'{value}" if _FORMULA.match(value) else value
 
 
 def write_parquet(path: Path, table: pl.DataFrame) -> None:
