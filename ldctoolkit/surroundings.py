@@ -31,7 +31,7 @@ def safe_path() -> Iterator[None]:
     try:
         yield
     finally:
-        del os.environ["PYTHONSAFEPATH"]
+        os.environ.pop("PYTHONSAFEPATH", None)
         os.environ.update({} if before is None else {"PYTHONSAFEPATH": before})
 
 
@@ -43,9 +43,8 @@ def leave_with(parent: int) -> None:
 
 
 def temporary_folder() -> tempfile.TemporaryDirectory[str]:
-    """A folder that is removed with the object, or by a later process where this one is killed."""
+    """A folder that is removed with the object, or by a later process of this machine where this one is killed."""
     sweep()
-    # other machines may use the same folder, and their processes are not seen here
     return tempfile.TemporaryDirectory(prefix=f"ldc-{platform.node()}-{os.getpid()}-", ignore_cleanup_errors=True)
 
 

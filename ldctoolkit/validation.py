@@ -46,9 +46,7 @@ _LONG_KEY: Final = re.compile(r"""(?<![\w.-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+'
 
 
 def read_regular(path: Path, kind: Callable[[str], LdcError], largest: int | None = LARGEST) -> bytes:
-    """The content of a regular file; raises an error of that `kind` for one that cannot be read or is larger, and for
-    what is none: a pipe would be waited for, a device may give bytes without end.
-    """
+    """The content of a regular file; an error of that `kind` for one that is larger, or none: a pipe would wait."""
     at_once = getattr(os, "O_NONBLOCK", 0)
     try:
         with open(path, "rb", opener=lambda name, flags: os.open(name, flags | at_once)) as stream:

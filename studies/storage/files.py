@@ -54,9 +54,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def csv_text(columns: Iterable[str], rows: Iterable[Mapping[str, Any]], *, plain: bool = False) -> str:
-    """Rows as CSV, empty where a row has no value. A text that a spreadsheet would run as a formula is written with an
-    apostrophe before it, unless `plain`.
-    """
+    """Rows as CSV, empty where there is no value; an apostrophe before what a spreadsheet would run, unless `plain`."""
     text = io.StringIO()
     writer = csv.DictWriter(text, fieldnames=list(columns), restval="", lineterminator="\n")
     writer.writeheader()
