@@ -21,6 +21,10 @@ from ldctoolkit.surroundings import guard_caches
 _ROOT: Final = Path(__file__).resolve().parent.parent
 _PACKAGES: Final = ("controllers", "studies")
 
+_by_name = " -m ldctoolkit" in " ".join(sys.orig_argv) and not sys.flags.safe_path
+if _by_name and Path(sys.path[0]) == Path.cwd() != _ROOT:
+    del sys.path[0]  # `python -m ldctoolkit` looks for modules in the working directory first, which `ldc` does not
+
 
 class _Finder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
     def find_spec(

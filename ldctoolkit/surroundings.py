@@ -17,38 +17,34 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
-_SAFE_PATH: Final = {"PYTHONSAFEPATH": "1"}  # as with `python -P`
-_ONE_THREAD: Final = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS", "POLARS_MAX_THREADS")
-
-WORKERS: Final = dict.fromkeys(_ONE_THREAD, "1") | _SAFE_PATH
+WORKERS: Final = dict.fromkeys(
+    ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS", "POLARS_MAX_THREADS", "PYTHONSAFEPATH"), "1"
+)
 """Environment of worker processes: they are what runs in parallel, and import nothing from the working directory."""
-
-_LOOK_FOR_PARENT_EVERY: Final = 1.0  # seconds after which a worker notices that no process waits for it
 
 
 @contextlib.contextmanager
 def safe_path() -> Iterator[None]:
     """Let no process that the block starts import modules from the working directory."""
     before = os.environ.get("PYTHONSAFEPATH")
-    os.environ.update(_SAFE_PATH)
+    os.environ["PYTHONSAFEPATH"] = "1"  # as with `python -P`
     try:
         yield
     finally:
-        del os.environ["PYTHONSAFEPATH"]
+        os.environ.pop("PYTHONSAFEPATH", None)
         os.environ.update({} if before is None else {"PYTHONSAFEPATH": before})
 
 
 def leave_with(parent: int) -> None:
     """End this process soon after its parent was killed: what it computes would be lost."""
     while os.getppid() == parent:
-        time.sleep(_LOOK_FOR_PARENT_EVERY)
+        time.sleep(1.0)
     os._exit(1)
 
 
 def temporary_folder() -> tempfile.TemporaryDirectory[str]:
-    """A folder that is removed with the object, or by a later process where this one is killed."""
+    """A folder that is removed with the object, or by a later process of this machine where this one is killed."""
     sweep()
-    # other machines may use the same folder, and their processes are not seen here
     return tempfile.TemporaryDirectory(prefix=f"ldc-{platform.node()}-{os.getpid()}-", ignore_cleanup_errors=True)
 
 
@@ -73,8 +69,7 @@ def free_memory() -> float:
         found = re.search(r"MemAvailable: *(\d+)", Path("/proc/meminfo").read_text(encoding="ascii"))
         free = 1024.0 * int(found[1]) if found else free
     with contextlib.suppress(OSError, ValueError):  # in a container; "max" where there is no limit
-        used, most = (int(Path("/sys/fs/cgroup", f"memory.{name}").read_text()) for name in ("current", "max"))
-        free = min(free, most - used)
+        free = min(free, int(Path("/sys/fs/cgroup/memory.max").read_text(encoding="ascii")))
     return free
 
 
@@ -87,18 +82,11 @@ def private(path: str | os.PathLike[str]) -> bool:
         return False
     for one in (place, *place.parents):
         found = one.stat()
-        loose = found.st_mode & (stat.S_IWOTH if _own_group(found.st_gid) else stat.S_IWOTH | stat.S_IWGRP)
+        # a group with the number of a user is that user's alone
+        loose = found.st_mode & (0o002 if found.st_gid == os.geteuid() != 0 else 0o022)
         if loose and (one == place or not found.st_mode & stat.S_ISVTX):  # there nobody can replace what is another's
             return False
     return True
-
-
-@functools.cache
-def _own_group(group: int) -> bool:
-    """Whether a group is the user's private one, which has the user's number and no other members."""
-    import grp
-
-    return group == os.geteuid() and not any(one.gr_mem for one in grp.getgrall() if one.gr_gid == group)
 
 
 def cache_folder() -> Path:
@@ -109,11 +97,9 @@ def cache_folder() -> Path:
 
 
 def guard_caches() -> None:
-    """Let Numba, once it is loaded, use a cache only where folder and file are `private`, and no settings from the
-    working directory.
-    """
+    """Let Numba use caches only where folder and file are `private`, and no settings from the working directory."""
     caching: Any = sys.modules.get("numba.core.caching")
-    if not hasattr(caching, "make_library_cache") or hasattr(caching, "guarded"):  # the last name in it
+    if not hasattr(caching, "make_library_cache") or hasattr(caching, "guarded"):  # its last name: it is loaded
         return
     caching.guarded = True
     config: Any = sys.modules["numba.core.config"]

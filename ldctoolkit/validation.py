@@ -41,20 +41,15 @@ class Part(BaseModel):
 
 
 LARGEST: Final = 64 << 20  # bytes of a text that is parsed as a whole
-_LARGEST_TOML: Final = 16 << 20  # its parser is far slower
 _TOO_DEEP: Final = "nested too deeply; allowed: 64 levels"
 _LONG_KEY: Final = re.compile(r"""(?<![\w.-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){64}""")
 
 
-Kind = Callable[[str], LdcError]  # the class of an error
-
-
-def read_regular(path: Path, kind: Kind, largest: int | None = LARGEST) -> bytes:
-    """The content of a regular file; raises an error of that `kind` for one that cannot be read or is larger, and for
-    what is none: a pipe would be waited for, a device may give bytes without end.
-    """
+def read_regular(path: Path, kind: Callable[[str], LdcError], largest: int | None = LARGEST) -> bytes:
+    """The content of a regular file; an error of that `kind` for one that is larger, or none: a pipe would wait."""
+    at_once = getattr(os, "O_NONBLOCK", 0)
     try:
-        with open(path, "rb", opener=_open) as stream:
+        with open(path, "rb", opener=lambda name, flags: os.open(name, flags | at_once)) as stream:
             if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):
                 raise ValueError("is not a regular file")
             data = stream.read(-1 if largest is None else largest + 1)
@@ -65,13 +60,9 @@ def read_regular(path: Path, kind: Kind, largest: int | None = LARGEST) -> bytes
     return data
 
 
-def _open(name: str, flags: int) -> int:
-    return os.open(name, flags | getattr(os, "O_NONBLOCK", 0))
-
-
-def read_toml(path: Path, kind: Kind) -> dict[str, Any]:
+def read_toml(path: Path, kind: Callable[[str], LdcError]) -> dict[str, Any]:
     """What a file in TOML holds; raises an error of that kind, also for what is nested too deeply."""
-    data = read_regular(path, kind, _LARGEST_TOML)
+    data = read_regular(path, kind, 16 << 20)  # its parser is far slower than that of JSON
     try:
         text = text_of(data)
         if _LONG_KEY.search(text):  # the parser's memory grows with the square of the parts of a dotted key

@@ -149,11 +149,12 @@ class Design:
     @property
     def label(self) -> str:
         """Short text for tables and legends: the law's title, y_s, and the gains that differ from their defaults."""
-        gains = [f"{name}={_short(value)}" for name, value in self.changed]
+        gains = [f"{name}={gain_text(value)}" for name, value in self.changed]
         return ", ".join([self.kind.title, f"y_s={self.y_s:g} m", *gains])
 
 
-def _short(value: GainValue) -> str:
+def gain_text(value: GainValue) -> str:
+    """A gain in tables and labels."""
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 

@@ -263,6 +263,20 @@ def test_the_wheel_lists_its_packages_by_name() -> None:
         assert (ROOT / package / "py.typed").is_file()
 
 
+def test_what_is_imported_is_declared() -> None:
+    from packaging.requirements import Requirement
+
+    config = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    listed = [*config["dependencies"], *(one for extra in config["optional-dependencies"].values() for one in extra)]
+    known = {Requirement(one).name.lower().replace("-", "_") for one in listed} | {*PACKAGES, *sys.stdlib_module_names}
+    for module, path in modules(ROOT).items():
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            names = [one.name for one in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module or ""] if isinstance(node, ast.ImportFrom) and not node.level else []
+            outside = {name.partition(".")[0].lower() for name in names} - known - {"pydantic_core", "pandas"}
+            assert not outside, f"{module} imports {outside}"
+
+
 def test_pins_are_plain_and_satisfy_the_bounds() -> None:
     from packaging.requirements import Requirement
 

@@ -1,11 +1,14 @@
 """Files, folders, terminals and machines that wish no good, or are unlike the developers' own."""
 
+import base64
 import contextlib
+import hashlib
 import importlib
 import io
 import json
 import os
 import pickle
+import re
 import signal
 import stat
 import subprocess
@@ -16,6 +19,7 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+from markupsafe import Markup
 
 from controllers import LQR, _nmpc_solver
 from helpers.cli import bad, good, ldc
@@ -25,6 +29,7 @@ from ldctoolkit.testing.law_checks import picklable
 from ldctoolkit.testing.subject import ContractSettings, Subject
 from studies import load_study, read_manifest
 from studies.cli import main
+from studies.pages.shell import Section, make_page
 from studies.storage.files import csv_text
 from studies.storage.run_table import check_room
 
@@ -66,14 +71,15 @@ def plant(folder: Path, *names: str) -> Path:
     return mark
 
 
-def test_workers_and_their_trackers_import_nothing_from_the_working_directory(folder: Path, tmp_path: Path) -> None:
+def test_workers_and_their_trackers_import_nothing_from_the_working_directory(folder: Path) -> None:
     mark = plant(folder, "psutil", "multiprocessing", "loky", "cloudpickle")
-    command = tmp_path / "bin" / "ldc.py"  # like the installed one: its own folder comes first, not the working one
+    command = folder / "bin" / "ldc.py"  # like the installed one: its own folder comes first, not the working one
     command.parent.mkdir()
     command.write_text("import sys\nfrom ldctoolkit.studies.cli import main\nsys.exit(main())\n")
-    done = python(command, "run", "s.toml", "-o", "o", *RUN, 2, cwd=folder)
-    assert done.returncode == 0, done.stderr
-    assert not mark.exists(), mark.read_text()
+    for number, words in enumerate(((command,), ("-m", "ldctoolkit"))):
+        done = python(*words, "run", "s.toml", "-o", f"o{number}", *RUN, 2, cwd=folder)
+        assert done.returncode == 0, done.stderr
+        assert not mark.exists(), mark.read_text()
 
 
 def test_nor_does_the_check_of_a_law(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -179,17 +185,19 @@ def test_whose_a_file_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     assert surroundings.private(file)
     assert not surroundings.private(file.parent)
     file.parent.chmod(0o755)
-    file.chmod(0o620)
-    monkeypatch.setattr(surroundings, "_own_group", lambda group: False)
-    assert not surroundings.private(file)
-    monkeypatch.setattr(surroundings, "_own_group", lambda group: True)
-    assert surroundings.private(file)
     owner = file.stat().st_uid
     if owner == 0:
-        os.chown(file, 12345, -1)
+        file.chmod(0o620)
+        assert not surroundings.private(file)
+        os.chown(file, 12345, 12345)
+        assert not surroundings.private(file)
+        monkeypatch.setattr(os, "geteuid", lambda: 12345)
+        assert surroundings.private(file)  # the group is the user's own
+        os.chown(file, -1, 12346)
+        assert not surroundings.private(file)
     else:
         monkeypatch.setattr(os, "geteuid", lambda: owner + 1)
-    assert not surroundings.private(file)
+        assert not surroundings.private(file)
 
 
 def test_no_settings_of_numba_from_the_working_directory(tmp_path: Path) -> None:
@@ -307,6 +315,19 @@ def test_cells_are_no_formulas() -> None:
     assert csv_text("abcdefgh", [row]) == "a,b,c,d,e,f,g,h\n'=1+1,'+cmd,'-2+3,'@SUM(1),-0.5,-0.5,1-2,-inf\n"
     assert csv_text("ax", [{"a": "1\r=1", "x": None}, {"a": "@"}]) == "a,x\n1 =1,\n'@,\n"
     assert csv_text("a", [{"a": "=1+1"}], plain=True) == "a\n=1+1\n"
+
+
+def test_a_page_says_which_style_and_script_are_its_own() -> None:
+    section = Section("one", "One", Markup("<p>text</p>"), data={"x": 1}, scripts=("table.js",))
+    page = make_page(kind="Test", title="t", heading="h", facts=(), sections=(section,), footer="f")
+    (policy,) = re.findall(r'<meta http-equiv="Content-Security-Policy" content="([^"]+)">', page)
+    assert page.index(policy) < page.index("<title>")
+    for name, tag in (("style", "style"), ("script", "script")):
+        (text,) = re.findall(rf"<{tag}>(.*?)</{tag}>", page, flags=re.S)
+        digest = base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+        assert f"{name}-src 'sha256-{digest}'" in policy
+    assert policy.startswith("default-src 'none'; ")
+    assert "unsafe" not in policy
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "cp1252", "latin-1", "utf-8"])

@@ -196,13 +196,12 @@ def _check_installed() -> None:
 
 def _logs(paths: Sequence[Path]) -> list[Path]:
     """Logs among files and in folders, by their names; any program's data may be called .dat."""
-    return [path for path, _ in find_tables(paths, _NAMES) if _NAMES.search(path.name) and _is_log(path)]
+    files = (path for path, _ in find_tables(paths, _NAMES) if os.path.isfile(path))  # noqa: PTH113 - it raises nothing
+    return [path for path in files if _NAMES.search(path.name) and _is_log(path)]
 
 
 def _is_log(path: Path) -> bool:
     try:
-        if not path.is_file():  # a pipe would be waited for
-            return False
         with path.open("rb") as stream:
             return path.suffix.lower() != ".dat" or stream.read(3) in (b"MDF", b"UnF")  # not finalised
     except (OSError, ValueError):  # no file, or a NUL in the name

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from ldctoolkit.departures import Plausibility
-    from ldctoolkit.gains import GainValue
 
 
 _WIDTH = 160  # columns where stdout is no terminal: a file or a log has no width of its own
@@ -106,11 +105,6 @@ def say(out: Console, *lines: str) -> None:
     """Lines that stay as they are: whole, and no markup."""
     for line in lines:
         out.print(line, markup=False, emoji=False, highlight=False, soft_wrap=True)
-
-
-def gain_text(value: GainValue) -> str:
-    """A gain in a table."""
-    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def warn(message: str) -> None:

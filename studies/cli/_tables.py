@@ -11,10 +11,10 @@ from ldctoolkit import controller_class
 
 from ..comparison.comparison import CaseComparison, Comparison
 from ..comparison.paired import Verdict, Winners
-from ..design import Design
+from ..design import Design, gain_text
 from ..sensitivity.sensitivity import BlockSensitivity
 from ..sensitivity.winner_profile import Profile
-from ._console import add_row, console, gain_text, new_table, print_table, say
+from ._console import add_row, console, new_table, print_table, say
 
 if TYPE_CHECKING:
     from rich.console import Console

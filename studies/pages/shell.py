@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import base64
 import dataclasses
-import hashlib
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
+from hashlib import sha256
 from importlib import resources
 from typing import TYPE_CHECKING, Any, Final
 
@@ -163,11 +163,6 @@ def script_json(data: Mapping[str, Any]) -> Markup:
 # ------------------------------------------------------------------------------------------------ the page
 
 
-def _hashed(text: str) -> Markup:
-    """What a page says of its own style or script, so that a browser uses no other."""
-    return Markup(f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'")
-
-
 @cache
 def _environment() -> Environment:
     from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -175,7 +170,9 @@ def _environment() -> Environment:
     made = Environment(
         loader=PackageLoader(_PACKAGE), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    made.filters |= {"symbols": symbols, "printable": printable, "hashed": _hashed}
+    made.filters |= {"symbols": symbols, "printable": printable}
+    # of its own style and script, so that a browser uses no other
+    made.filters["sha256"] = lambda text: base64.b64encode(sha256(text.encode()).digest()).decode()
     return made
 
 

@@ -60,9 +60,7 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 def csv_text(columns: Iterable[str], rows: Iterable[Mapping[str, Any]], *, plain: bool = False) -> str:
-    """Rows as CSV, empty where a row has no value. A text that a spreadsheet would run as a formula is written with an
-    apostrophe before it, unless `plain`.
-    """
+    """Rows as CSV, empty where there is no value; an apostrophe before what a spreadsheet would run, unless `plain`."""
     text = io.StringIO()
     writer = csv.DictWriter(text, fieldnames=list(columns), restval="", lineterminator="\n")
     writer.writeheader()
@@ -70,14 +68,14 @@ def csv_text(columns: Iterable[str], rows: Iterable[Mapping[str, Any]], *, plain
     return text.getvalue()
 
 
+_FORMULA: Final = re.compile(r"[=@\t]|[+-](?!([\d.]+(e[+-]?\d+)?|inf|nan)$)")
+
+
 def _cell(value: Any) -> Any:
-    if not isinstance(value, str) or not (value := value.replace("\r", " ")).startswith(("=", "+", "-", "@", "\t")):
+    if not isinstance(value, str):
         return value
-    try:
-        float(value)
-    except ValueError:
-        return f"'{value}"
-    return value
+    value = value.replace("\r", " ")  # a line would end there
+    return f"'{value}" if _FORMULA.match(value) else value
 
 
 def write_parquet(path: Path, table: pl.DataFrame) -> None:

@@ -243,13 +243,10 @@ def release(values: Any) -> None:
 def check_room(study: Study, n: int) -> None:
     """Raise `LdcError` where the table of a study on n scenarios is larger than the memory that is free."""
     designs = study.search.trials if study.search else len(study.designs)
-    runs, numbers = designs * n * len(study.simulation.convention), len(study.simulation.window) + len(METRIC_UNITS)
-    size, free = runs * (8 * numbers + 6), free_memory()
-    if size > free:
-        raise LdcError(
-            f"{designs:,} designs on {n:,} scenarios need {size / 2**30:,.1f} GiB of memory, {free / 2**30:,.1f} are "
-            "free; allowed: fewer designs or scenarios"
-        )
+    numbers, free = len(study.simulation.window) + len(METRIC_UNITS), free_memory()
+    if (size := designs * n * len(study.simulation.convention) * (8 * numbers + 6)) > free:
+        what = f"{designs:,} designs on {n:,} scenarios need {size / 2**30:,.1f} GiB of memory"
+        raise LdcError(f"{what}, {free / 2**30:,.1f} are free; allowed: fewer designs or scenarios")
 
 
 class RunTable:

@@ -48,6 +48,21 @@ def test_opens_in_silence(open_page: Callable[..., Any], made: Any, name: str, s
         assert never not in words
 
 
+def test_no_script_runs_but_the_pages_own(browser: Any, made: Any, tmp_path: Path) -> None:
+    text = made("one-design").path.read_text(encoding="utf-8")
+    planted = text.replace("</main>", '<script>document.title = "planted"</script></main>', 1)
+    titles = []
+    for one in (planted, planted.replace("Content-Security-Policy", "other")):
+        (tmp_path / "page.html").write_text(one, encoding="utf-8")
+        page = browser.new_page()
+        page.goto((tmp_path / "page.html").as_uri())
+        titles.append(page.title())
+        assert page.locator(".script-only:visible").count() > 0  # its own does
+        page.close()
+    assert titles[0] != "planted"
+    assert titles[1] == "planted"
+
+
 def test_one_address_leads_to_a_section(open_page: Callable[..., Any], made: Any) -> None:
     page = open_page(made("ordinary").path)
     page.get_by_role("navigation", name="Sections").get_by_role("link", name="Confidence").press("Enter")

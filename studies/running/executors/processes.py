@@ -173,8 +173,7 @@ def start_worker(folder: str, parent: int) -> None:
     compiling.silence()
     if hasattr(os, "setpgrp"):
         os.setpgrp()
-    if hasattr(os, "getppid"):
-        threading.Thread(target=leave_with, args=(parent,), daemon=True).start()
+    threading.Thread(target=leave_with, args=(parent,), daemon=True).start()
     _notes = (Path(folder) / str(os.getpid())).open("w", encoding="utf-8")
 
 
