@@ -9,8 +9,8 @@ import numpy as np
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.departures import PARAMETER_COLUMNS, PARAMETER_NAMES, Departures, ExtraColumn, Plausibility
 from ldctoolkit.errors import InputError, LdcError, RecordingError
-from ldctoolkit.recordings.departures_table import Extraction, PartResult, Provenance, Refused, combined_results
-from ldctoolkit.recordings.find_departures import REASONS, Criteria, find_departures
+from ldctoolkit.recordings.departures_table import Extraction, PartResult, Provenance, combined_results
+from ldctoolkit.recordings.find_departures import REASONS, Criteria, Refused, find_departures
 from ldctoolkit.recordings.preparation import MAX_JUMP, Preparation, corrected, on_own_clocks, prepare, stretches
 from ldctoolkit.recordings.quality import (
     OFFSET_BINS,

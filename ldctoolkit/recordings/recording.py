@@ -5,8 +5,9 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import stat
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any, ClassVar, Final
+from typing import Any, ClassVar, Final, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -182,11 +183,7 @@ class Recording:
 
     def take(self, rows: IntArray | BoolArray | slice) -> Recording:
         """The same recording with chosen samples."""
-        taken: dict[str, Any] = {}
-        for name in self.COLUMNS:
-            values = getattr(self, name)
-            taken[name] = None if values is None else values[rows]
-        return dataclasses.replace(self, **taken)
+        return changed_columns(self, self.COLUMNS, lambda values: values[rows])
 
 
 MIN_LANE_WIDTH: Final = 2.0  # [m]
@@ -237,6 +234,16 @@ class RecordingTable:
     def recording_index(self) -> IntArray:
         """Index of the recording that each sample belongs to, (m,)."""
         return np.repeat(np.arange(self.names.size), np.diff(self.offsets))
+
+
+Samples = TypeVar("Samples", Recording, RecordingTable)
+
+
+def changed_columns(samples: Samples, names: Iterable[str], change: Callable[[Any], Any]) -> Samples:
+    """The same with other values in some of the columns, as far as they are there."""
+    columns = {name: getattr(samples, name) for name in names}
+    changed = {name: change(values) for name, values in columns.items() if values is not None}
+    return dataclasses.replace(samples, **changed)
 
 
 MISSING: Final = ("", "null", "nan", "na", "n/a", "none", "-nan", "#n/a")
