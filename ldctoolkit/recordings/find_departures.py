@@ -10,7 +10,7 @@ import numpy as np
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.departures import LEFT, RIGHT, Departures, DepartureSignals, Plausibility, reduce_signals
 from ldctoolkit.errors import InputError
-from ldctoolkit.recordings.preparation import MAX_JUMP, ROUNDING
+from ldctoolkit.recordings.preparation import MAX_JUMP, ROUNDING, middle_two
 from ldctoolkit.recordings.recording import (
     MAX_LANE_WIDTH,
     MIN_LANE_WIDTH,
@@ -106,13 +106,10 @@ def median_steps(table: RecordingTable) -> FloatArray:
 
 
 def _medians(step: FloatArray, owner: IntArray, recordings: int) -> FloatArray:
-    order = np.lexsort((step, owner))
     count = np.bincount(owner, minlength=recordings)
-    begin = np.cumsum(count) - count
+    below, above = middle_two(step, owner, count)
     result = np.full(recordings, np.nan)
-    some = count > 0
-    low, high = (begin + (count - 1) // 2)[some], (begin + count // 2)[some]
-    result[some] = 0.5 * (step[order[low]] + step[order[high]])
+    result[count > 0] = 0.5 * (below + above)
     return result
 
 

@@ -8,7 +8,6 @@ from collections.abc import Iterable
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.errors import InputError, RecordingError
@@ -135,42 +134,13 @@ MAX_JUMP: Final = 0.6
 """Offsets [m] further apart are a jump: no value between them is made up, so that it is seen as one later on."""
 
 
-class WindowMedians:
-    """One value a window ``low:high`` of samples; the windows are laid once for all columns."""
-
-    def __init__(
-        self, low: IntArray, high: IntArray, filled: BoolArray, bridged: BoolArray, centre: FloatArray
-    ) -> None:
-        self._low, self._filled = low, filled
-        self._bridged, self._centre = bridged, centre[bridged]
-        count = np.where(filled, high - low, 0)
-        self._single = bool((count <= 1).all())
-        if not self._single:
-            self._window = np.repeat(np.arange(low.size), count)
-            begin = np.cumsum(count) - count
-            self._place = low[self._window] + np.arange(self._window.size) - begin[self._window]
-            self._below, self._above = (begin + (count - 1) // 2)[filled], (begin + count // 2)[filled]
-
-    def of(self, values: FloatArray, t: FloatArray, near: FloatArray | None, max_jump: float = MAX_JUMP) -> FloatArray:
-        """Value of each window."""
-        result = np.full(self._low.size, np.nan)
-        filled, bridged = self._filled, self._bridged
-        if self._single:
-            result[filled] = values[self._low[filled]]
-        else:
-            inside = values[self._place]
-            ordered = inside[np.lexsort((inside, self._window))]
-            below, above = ordered[self._below], ordered[self._above]
-            middle = np.where(below == above, below, 0.5 * (below + above))
-            if near is not None:
-                beside = np.where(np.abs(below - near[filled]) <= np.abs(above - near[filled]), below, above)
-                middle = np.where(above - below > max_jump, beside, middle)
-            result[filled] = middle
-        if bridged.any():
-            after = self._low[bridged]
-            share = (self._centre - t[after - 1]) / (t[after] - t[after - 1])
-            result[bridged] = values[after - 1] + share * (values[after] - values[after - 1])
-        return result
+def middle_two(values: FloatArray, group: IntArray, count: IntArray) -> tuple[FloatArray, FloatArray]:
+    """The two middle values of each group that is not empty; groups follow each other, `count` values in each."""
+    if count.max(initial=0) <= 1:
+        return values, values
+    ordered = values[np.lexsort((values, group))]
+    begin, some = np.cumsum(count) - count, count > 0
+    return ordered[(begin + (count - 1) // 2)[some]], ordered[(begin + count // 2)[some]]
 
 
 MAX_GAP: Final = 0.25  # longest time [s] between two usable samples that is bridged
@@ -212,7 +182,8 @@ def resample(recording: Recording, step: float, max_gap: float = MAX_GAP, max_ju
     filled = high > low
     tu, offset = t[usable], recording.lane_offset[usable]
     nearest = _nearest_in(low, high, tu, centre)
-    times = _times(recording.t, _nearest_in(first, last, t, centre), origin + centre, step)
+    wanted, recorded = origin + centre, recording.t[_nearest_in(first, last, t, centre)]
+    times = np.where(np.abs(recorded - wanted) <= _SLACK * step, recorded, wanted)  # they may differ by rounding only
     stretch = None
     if recording.lane is not None and tu.size:
         # samples of one lane in a row: a window that holds several is cut to that of its nearest sample
@@ -230,18 +201,31 @@ def resample(recording: Recording, step: float, max_gap: float = MAX_GAP, max_ju
     bridged = np.zeros(grid.size, dtype=bool)
     bridged[inside[same]] = True
     kept = filled | bridged | seen
-    good, nearest, centre = (filled | bridged)[kept], nearest[kept], centre[kept]
-    medians = WindowMedians(low[kept], high[kept], filled[kept], bridged[kept], centre)
-
+    # the windows ``low:high`` are laid once for all columns
+    count = np.where(filled, high - low, 0)
+    window = np.repeat(np.arange(grid.size), count)
+    place = (low - np.cumsum(count) + count)[window] + np.arange(window.size)
+    after = low[bridged]
+    share = (centre[bridged] - tu[after - 1]) / (tu[after] - tu[after - 1])
     columns: dict[str, Any] = {}
-    for name in _NUMBERS:
-        values = getattr(recording, name)
-        near = offset[nearest] if name == "lane_offset" and tu.size else None
-        columns[name] = None if values is None else medians.of(values[usable], tu, near, max_jump)
-    for name in _NAMES:
-        values = getattr(recording, name)
-        columns[name] = None if values is None else _taken(values[usable], nearest)
-    return dataclasses.replace(recording, t=times[kept], valid=good, **columns)
+    for name in (*_NUMBERS, *_NAMES):
+        if getattr(recording, name) is None:
+            continue
+        values = getattr(recording, name)[usable]
+        if name in _NAMES:
+            columns[name] = values[nearest[kept]] if tu.size else np.zeros(kept.sum(), values.dtype)
+            continue
+        below, above = middle_two(values[place], window, count)
+        middle = np.where(below == above, below, 0.5 * (below + above))
+        if name == "lane_offset" and tu.size:
+            near = offset[nearest[filled]]
+            beside = np.where(np.abs(below - near) <= np.abs(above - near), below, above)
+            middle = np.where(above - below > max_jump, beside, middle)
+        result = np.full(grid.size, np.nan)
+        result[filled] = middle
+        result[bridged] = values[after - 1] + share * (values[after] - values[after - 1])
+        columns[name] = result[kept]
+    return dataclasses.replace(recording, t=times[kept], valid=(filled | bridged)[kept], **columns)
 
 
 def _windows(t: FloatArray, grid: IntArray, centre: FloatArray, step: float) -> tuple[IntArray, IntArray]:
@@ -256,36 +240,19 @@ def _windows(t: FloatArray, grid: IntArray, centre: FloatArray, step: float) -> 
 
 
 def _nearest_in(low: IntArray, high: IntArray, t: FloatArray, centre: FloatArray) -> IntArray:
-    """Index of the time nearest to each centre, where ``low:high`` are those in its window."""
+    """Index of the time nearest to each centre, where ``low:high`` are those in its window; 0 where there are none."""
     nearest = low.copy()
     others = np.flatnonzero(high - low != 1)
-    nearest[others] = _nearest(t, centre[others])
+    nearest[others] = nearest_times(t, centre[others]) if t.size else 0
     return nearest
 
 
-def _nearest(t: FloatArray, centre: FloatArray) -> IntArray:
-    """Index of the time nearest to each centre, of two the earlier; 0 where there are none at all."""
-    if t.size == 0:
-        return np.zeros(centre.size, dtype=np.int64)
+def nearest_times(t: FloatArray, centre: FloatArray) -> IntArray:
+    """Index of the time nearest to each centre, of two the earlier, of equal ones the first."""
     after = np.minimum(np.searchsorted(t, centre, "left"), t.size - 1)
     before = np.searchsorted(t, t[np.maximum(after - 1, 0)], "left")  # the first of a repeated time
     nearest: IntArray = np.where(np.abs(t[before] - centre) <= np.abs(t[after] - centre), before, after)
     return nearest
-
-
-def _times(t: FloatArray, nearest: IntArray, wanted: FloatArray, step: float) -> FloatArray:
-    """The wanted times; a recorded one in place of one that differs by rounding only."""
-    recorded = t[nearest]
-    times: FloatArray = np.where(np.abs(recorded - wanted) <= _SLACK * step, recorded, wanted)
-    return times
-
-
-def _taken(values: npt.NDArray[Any], places: IntArray) -> npt.NDArray[Any]:
-    """Values at some places; zeros where there are none at all."""
-    if values.size == 0:
-        return np.zeros(places.size, dtype=values.dtype)
-    taken: npt.NDArray[Any] = values[places]
-    return taken
 
 
 def _occupied(t: FloatArray, step: float, max_gap: float) -> IntArray:
