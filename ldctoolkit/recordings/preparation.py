@@ -337,10 +337,9 @@ def prepare(
     return resample(recording, step, preparation.max_gap, max_jump)
 
 
-_LIMITS: Final = {"speed": 100.0, "curvature": 0.2, "yaw_rate": 1.5}
-"""No vehicle on a road has more, in SI: such numbers stand for "not available"."""
-
-SPIKES: Final = {"speed": 20.0, "yaw_rate": 0.5}  # a single sample further from both of its neighbours is none
+LIMITS: Final = {"speed": (100.0, 20.0), "curvature": (0.2, np.inf), "yaw_rate": (1.5, 0.5)}
+"""No vehicle on a road has more, in SI: such numbers stand for "not available"; a single sample further than the second
+number from both of its neighbours is none either."""
 
 _CODES: Final = {
     "lane_width": (1.0, 10.0), "lane_offset": (MAX_JUMP, 5.0), "speed": (10.0, 60.0), "curvature": (0.01, 0.2),
@@ -396,15 +395,13 @@ def spikes(values: FloatArray, height: float) -> BoolArray:
 
 def within_limits(recording: Recording, widths: tuple[float, float]) -> Recording:
     """NaN for numbers that no lane and no vehicle has."""
-    changed: dict[str, Any] = {}
     good = {"lane_width": (recording.lane_width >= widths[0]) & (recording.lane_width <= widths[1])}
     good["lane_offset"] = ~(np.abs(recording.lane_offset) > np.abs(recording.lane_width))
-    good |= {name: np.abs(x) <= most for name, most in _LIMITS.items() if (x := getattr(recording, name)) is not None}
-    for name, kept in good.items():
-        if name in SPIKES:
-            kept &= ~spikes(getattr(recording, name), SPIKES[name])
-        if not kept.all():
-            changed[name] = np.where(kept, getattr(recording, name), np.nan)
+    for name, (most, height) in LIMITS.items():
+        if (values := getattr(recording, name)) is not None:
+            good[name] = (np.abs(values) <= most) & ~spikes(values, height)
+    beyond = [name for name, kept in good.items() if not kept.all()]
+    changed: dict[str, Any] = {name: np.where(good[name], getattr(recording, name), np.nan) for name in beyond}
     return dataclasses.replace(recording, **changed) if changed else recording
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.errors import RecordingError
-from ldctoolkit.recordings.preparation import SPIKES, cut_at, joins_of, local_slope, merge_repeated, spikes, values_at
+from ldctoolkit.recordings.preparation import LIMITS, cut_at, joins_of, local_slope, merge_repeated, spikes, values_at
 from ldctoolkit.recordings.recording import LARGEST, Label, Problem, Recording, SourceFile, TableFault, source_file
 from ldctoolkit.recordings.sources import FoundParts
 from ldctoolkit.recordings.trip_index import read_cells
@@ -344,7 +344,7 @@ class TripFolder:
         valid = (state == DETECTED) & (width > 0.0) & (width < LARGEST) & (np.abs(x) < LARGEST) & ~inside
         # speed at the times `t` [m/s]
         # a phone without a speed says less than 0; what no vehicle drives is not interpolated either
-        known = (gps[:, 1] >= 0.0) & (gps[:, 1] < 360.0) & ~spikes(gps[:, 1], 3.6 * SPIKES["speed"])
+        known = (gps[:, 1] >= 0.0) & (gps[:, 1] < 360.0) & ~spikes(gps[:, 1], 3.6 * LIMITS["speed"][1])
         speed = values_at(t, *merge_repeated(gps[known, 0], gps[known, 1] / 3.6), longest=SPEED_STEP, beyond=SPEED_HELD)
         known = is_course(gps[:, 4])
         course_t, course = merge_repeated(gps[known, 0], np.unwrap(-np.radians(gps[known, 4])))
