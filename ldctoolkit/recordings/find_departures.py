@@ -217,10 +217,11 @@ def find_runs(
     after[place < table.offsets[recording + 1] - 1] = CODE["invalid"]
     before[1:][same] = after[:-1][same] = cause[same]
 
-    found = [_runs_of_side(edges[side][place] > 0.0, joined) for side in (LEFT, RIGHT)]
-    first = np.concatenate([run[0] for run in found])
-    last = np.concatenate([run[1] for run in found])
-    side = np.repeat([LEFT, RIGHT], [run[0].size for run in found])
+    beyond = np.stack([edges[side][place] > 0.0 for side in (LEFT, RIGHT)])
+    linked = beyond[:, 1:] & beyond[:, :-1] & joined
+    row, first = np.nonzero(beyond & ~np.pad(linked, ((0, 0), (1, 0))))
+    _, last = np.nonzero(beyond & ~np.pad(linked, ((0, 0), (0, 1))))
+    side = np.where(row == 0, LEFT, RIGHT)
     order = np.lexsort((-side, first))
     first, last, side = first[order], last[order], side[order]
     reason = np.minimum(before[first], after[last])
@@ -228,14 +229,6 @@ def find_runs(
     name = np.concatenate([[-1], name, [-1]])
     candidate = _candidates(inner[first], inner[last + 1], name[first], name[last + 1])
     return Runs(side, place[first], place[last], reason, candidate)
-
-
-def _runs_of_side(beyond: BoolArray, joined: BoolArray) -> tuple[IntArray, IntArray]:
-    linked = beyond[1:] & beyond[:-1] & joined
-    start, end = beyond.copy(), beyond.copy()
-    start[1:] &= ~linked
-    end[:-1] &= ~linked
-    return np.flatnonzero(start), np.flatnonzero(end)
 
 
 def _candidates(from_break: BoolArray, to_break: BoolArray, before: IntArray, after: IntArray) -> IntArray:
