@@ -52,14 +52,14 @@ def extract_part(
     part: RecordingPart, criteria: Criteria, preparation: Preparation, *, keep_signals: bool = False
 ) -> PartResult:
     """Departures of one part of a source; what cannot be used is a problem of it."""
-    return extract_items(_guarded(part), criteria, preparation, keep_signals=keep_signals)
 
+    def items() -> Iterator[Recording | Problem]:
+        try:
+            yield from part.read()
+        except LdcError as error:
+            yield Problem(part_name(part), "", f"the rest of this part is left out: {error}")
 
-def _guarded(part: RecordingPart) -> Iterator[Recording | Problem]:
-    try:
-        yield from part.read()
-    except LdcError as error:
-        yield Problem(part_name(part), "", f"the rest of this part is left out: {error}")
+    return extract_items(items(), criteria, preparation, keep_signals=keep_signals)
 
 
 def extract_items(

@@ -11,7 +11,14 @@ import numpy as np
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.errors import InputError, RecordingError
-from ldctoolkit.recordings.recording import LARGEST, MAX_LANE_WIDTH, MIN_LANE_WIDTH, Recording, usable_samples
+from ldctoolkit.recordings.recording import (
+    LARGEST,
+    MAX_LANE_WIDTH,
+    MIN_LANE_WIDTH,
+    Recording,
+    changed_columns,
+    usable_samples,
+)
 
 ROUNDING: Final = 1e-6  # times [s] are compared with this allowance: 10.1 - 7.6 is not quite 2.5
 
@@ -71,14 +78,10 @@ def rising_rows(t: FloatArray) -> BoolArray:
     kept = np.ones(t.size, dtype=bool)
     if (t[1:] >= t[:-1]).all():
         return kept
-    # a row that is in order with every other one is in each longest choice; only the rest needs the search
+    # a row that is in order with every other one is in each longest choice; only the rest needs the search, which is
+    # patience sorting from the end
     odd = np.flatnonzero((t < np.maximum.accumulate(t)) | (t > np.minimum.accumulate(t[::-1])[::-1]))
-    kept[odd] = _longest(t[odd].tolist())
-    return kept
-
-
-def _longest(times: list[float]) -> list[bool]:
-    """The same by patience sorting from the end, n log n."""
+    times = t[odd].tolist()
     latest: list[float] = []  # minus the latest time that a choice of each length can begin with
     lengths = []  # of the longest choice that begins with the row; from the end
     for time in reversed(times):
@@ -86,11 +89,9 @@ def _longest(times: list[float]) -> list[bool]:
         lengths.append(length + 1)
         latest[length : length + 1] = [-time]
     needed, before = len(latest), -float("inf")
-    kept = []
-    for time, length in zip(times, reversed(lengths), strict=True):
-        taken = length == needed and time >= before
-        kept.append(taken)
-        if taken:
+    for row, time, length in zip(odd.tolist(), times, reversed(lengths), strict=True):
+        kept[row] = length == needed and time >= before
+        if kept[row]:
             needed, before = needed - 1, time
     return kept
 
@@ -307,9 +308,13 @@ def corrected(recording: Recording, preparation: Preparation) -> Recording:
         with np.errstate(over="ignore"):
             yaw_rate = recording.yaw_rate * preparation.yaw_rate_factor
         recording = dataclasses.replace(recording, yaw_rate=yaw_rate)
-    if preparation.nominal_lane_width is not None:
-        recording = scaled(recording, preparation.nominal_lane_width)
-    return recording
+    if preparation.nominal_lane_width is None:
+        return recording
+    widths = recording.lane_width[usable_samples(recording)]
+    factor = preparation.nominal_lane_width / float(np.median(widths)) if widths.size else 1.0
+    with np.errstate(over="ignore", invalid="ignore"):  # of absurd numbers, which are not usable
+        scaled = changed_columns(recording, ("lane_offset", "lane_width"), lambda values: values * factor)
+    return dataclasses.replace(scaled, lane_scale=recording.lane_scale * factor)
 
 
 def stretches(recording: Recording) -> list[Recording]:
@@ -409,22 +414,17 @@ _FEWEST_NEW: Final = 8  # so many new values show how often a signal is refreshe
 _REGULAR: Final = 0.75  # share of the times between them that must be about the same
 
 
-def resolution(values: FloatArray) -> float:
-    """Step that all differences of some numbers are multiples of; 0 if there is none."""
-    distinct = np.unique(values[:: max(1, values.size // 300)])
-    step = np.diff(distinct[np.isfinite(distinct)])
-    if step.size < 3:
+def coarse_step(offset: FloatArray) -> float:
+    """The step, [m], of an offset that has few values for its samples, all multiples of it apart; 0 if it has none."""
+    distinct = np.unique(offset[:: max(1, offset.size // 300)])
+    steps = np.diff(distinct[np.isfinite(distinct)])
+    step = float(steps.min(initial=np.inf))
+    if steps.size < 3 or step <= COARSE:
         return 0.0
     with np.errstate(over="ignore", invalid="ignore"):  # of absurd numbers
-        multiples = step / step.min()
-        return float(step.min()) if (np.abs(multiples - np.rint(multiples)) < 0.05).all() else 0.0
-
-
-def coarse_step(offset: FloatArray) -> float:
-    """The step of an offset that has few values for its samples, [m]; 0 if it has none."""
-    step = resolution(offset)
-    with np.errstate(over="ignore"):  # of absurd numbers
-        return step if step > COARSE and offset.size > 5.0 * np.ptp(offset) / step else 0.0
+        multiples = steps / step
+        regular = (np.abs(multiples - np.rint(multiples)) < 0.05).all()
+        return step if regular and offset.size > 5.0 * np.ptp(offset) / step else 0.0
 
 
 _EVERY_ROW: Final = (np.empty(0, dtype=np.int64), 0.0)
@@ -519,21 +519,6 @@ def without_frozen(recording: Recording) -> Recording:
         if long.any() and sum(2 * np.count_nonzero(change) > change.size for change in changes) >= enough:
             valid = valid & ~(np.repeat(long, length) & ~moved)
     return recording if valid is recording.valid else dataclasses.replace(recording, valid=valid)
-
-
-def scaled(recording: Recording, nominal: float) -> Recording:
-    """Offset and width times the factor that makes the median width of the usable samples `nominal` [m]."""
-    widths = recording.lane_width[usable_samples(recording)]
-    if widths.size == 0:
-        return recording
-    factor = nominal / float(np.median(widths))
-    with np.errstate(over="ignore", invalid="ignore"):  # of absurd numbers, which are not usable
-        return dataclasses.replace(
-            recording,
-            lane_offset=recording.lane_offset * factor,
-            lane_width=recording.lane_width * factor,
-            lane_scale=recording.lane_scale * factor,
-        )
 
 
 HALF_WINDOW: Final = 1.0  # half the window of the slope [s]: a heading is coarse
