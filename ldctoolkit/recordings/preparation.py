@@ -308,10 +308,10 @@ def corrected(recording: Recording, preparation: Preparation) -> Recording:
         with np.errstate(over="ignore"):
             yaw_rate = recording.yaw_rate * preparation.yaw_rate_factor
         recording = dataclasses.replace(recording, yaw_rate=yaw_rate)
-    if preparation.nominal_lane_width is None:
+    nominal = preparation.nominal_lane_width
+    if nominal is None or not (widths := recording.lane_width[usable_samples(recording)]).size:
         return recording
-    widths = recording.lane_width[usable_samples(recording)]
-    factor = preparation.nominal_lane_width / float(np.median(widths)) if widths.size else 1.0
+    factor = nominal / float(np.median(widths))
     with np.errstate(over="ignore", invalid="ignore"):  # of absurd numbers, which are not usable
         scaled = changed_columns(recording, ("lane_offset", "lane_width"), lambda values: values * factor)
     return dataclasses.replace(scaled, lane_scale=recording.lane_scale * factor)

@@ -223,19 +223,15 @@ def _trip(folder: _Folder, problems: list[Problem]) -> tuple[TripFolder, list[So
             raise RecordingError(f"no file {name}, which holds {what}")
     match = _TRIP.fullmatch(folder.path.name)
     labels: tuple[Label, ...] = ()
-    source = folder.driver_folder or folder.path.name
     if match:
-        driver = match["driver"].upper()
-        behaviour, road = match["behaviour"].upper(), match["road"].upper()
-        labels = (Label("driver", driver), Label("behaviour", behaviour), Label("road", road))
-        source = folder.driver_folder or driver
+        labels = tuple(Label(name, value.upper()) for name, value in match.groupdict().items())
     else:
         what = f"the folder's name is not {_PATTERN}; it is read without driver, behaviour and road"
         problems.append(Problem(folder.shown, "", what))
-    names = [folder.files.get(name, "") for name in _WANTED]
+    lane, gps, accelerometers = names = [folder.files.get(name, "") for name in _WANTED]
     digests = [source_file(folder.path / name, f"{folder.shown}/{name}") for name in names if name]
     size = sum(file.bytes for file in digests)
-    lane, gps, accelerometers = names
+    source = folder.driver_folder or (labels[0].value if labels else folder.path.name)
     name, path = folder.path.name, str(folder.path)
     return TripFolder(name, path, folder.shown, lane, gps, accelerometers, size, labels, source), digests
 
