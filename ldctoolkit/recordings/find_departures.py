@@ -159,8 +159,7 @@ def _spread(marked: BoolArray, t: FloatArray, barred: BoolArray, reach: float) -
             break
         low, high = low - before, high + after
     count = np.bincount(low, minlength=t.size + 1) - np.bincount(high + 1, minlength=t.size + 1)
-    spread: BoolArray = np.cumsum(count)[:-1] > 0
-    return spread
+    return np.cumsum(count)[:-1] > 0
 
 
 def _jumps(

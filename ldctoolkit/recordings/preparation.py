@@ -252,8 +252,7 @@ def nearest_times(t: FloatArray, centre: FloatArray) -> IntArray:
     """Index of the time nearest to each centre, of two the earlier, of equal ones the first."""
     after = np.minimum(np.searchsorted(t, centre, "left"), t.size - 1)
     before = np.searchsorted(t, t[np.maximum(after - 1, 0)], "left")  # the first of a repeated time
-    nearest: IntArray = np.where(np.abs(t[before] - centre) <= np.abs(t[after] - centre), before, after)
-    return nearest
+    return np.where(np.abs(t[before] - centre) <= np.abs(t[after] - centre), before, after)
 
 
 def _occupied(t: FloatArray, step: float, max_gap: float) -> IntArray:

@@ -144,23 +144,6 @@ class Recording:
     )  # fmt: skip
 
     def __post_init__(self) -> None:
-        self._check_texts()
-        for column in self.COLUMNS:
-            values = getattr(self, column)
-            if values is not None and values.shape != (self.samples,):
-                raise RecordingError(
-                    f"recording {self.name!r}: {column} has the shape {values.shape}; allowed: ({self.samples},), as t"
-                )
-        if not np.isfinite(self.t).all():
-            raise RecordingError(f"recording {self.name!r}: t[{int(np.argmin(np.isfinite(self.t)))}] is not finite")
-        if (self.t[1:] < self.t[:-1]).any():
-            i = int(np.argmax(self.t[1:] < self.t[:-1]))
-            raise RecordingError(
-                f"recording {self.name!r}: t[{i + 1}] = {float(self.t[i + 1])!r} s after {float(self.t[i])!r} s; "
-                "allowed: times that do not fall"
-            )
-
-    def _check_texts(self) -> None:
         name = _text(self.name, "a recording's name")
         if not name:
             raise RecordingError("a recording's name is empty")
@@ -175,6 +158,17 @@ class Recording:
                 raise RecordingError(f"{whose} {attribute} are {values!r:.60}; allowed: a tuple of {kind.__name__}")
         object.__setattr__(self, "notes", tuple(map(printable, self.notes)))
         object.__setattr__(self, "labels", tuple(self.labels))
+        for column in self.COLUMNS:
+            values = getattr(self, column)
+            if values is not None and values.shape != (self.samples,):
+                what = f"{column} has the shape {values.shape}; allowed: ({self.samples},), as t"
+                raise RecordingError(f"{whose} {what}")
+        if not np.isfinite(self.t).all():
+            raise RecordingError(f"{whose} t[{int(np.argmin(np.isfinite(self.t)))}] is not finite")
+        if (self.t[1:] < self.t[:-1]).any():
+            i = int(np.argmax(self.t[1:] < self.t[:-1]))
+            what = f"t[{i + 1}] = {float(self.t[i + 1])!r} s after {float(self.t[i])!r} s"
+            raise RecordingError(f"{whose} {what}; allowed: times that do not fall")
 
     @property
     def samples(self) -> int:
@@ -194,8 +188,7 @@ LARGEST: Final = 1e9  # a number of this size or more is not a measurement in an
 
 def measured(values: FloatArray) -> FloatArray:
     """NaN for numbers of absurd size, which are none; sums of such would overflow."""
-    kept: FloatArray = np.where(np.abs(values) < LARGEST, values, np.nan)
-    return kept
+    return np.where(np.abs(values) < LARGEST, values, np.nan)
 
 
 def usable_samples(samples: RecordingTable | Recording) -> BoolArray:

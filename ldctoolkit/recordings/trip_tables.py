@@ -219,8 +219,7 @@ def read_trips(
     def line_of(row: IntArray) -> IntArray:
         piece = np.searchsorted(before, row, side="right") - 1
         # an empty piece would share its place with the next; there is none
-        line: IntArray = row - before[piece] + first[piece]
-        return line
+        return row - before[piece] + first[piece]
 
     lost_rows = np.array([fault.line for fault in found.faults], dtype=np.int64)
     faults = [
