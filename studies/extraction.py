@@ -14,7 +14,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 import cloudpickle
 import numpy as np
@@ -56,18 +56,28 @@ class Unread:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class PartWork:
+class Probe:
+    """Does nothing: tells whether workers live at all."""
+
+    number: int  # Of the work; of a part, its place in its source
+    time_limit: ClassVar[float] = 0.0  # [s] None: how long a file takes depends on the disk
+
+    def make_ready(self, kept: dict[str, Any]) -> None:
+        """Nothing is needed."""
+
+    def run(self, kept: dict[str, Any]) -> Any:  # noqa: ARG002
+        """Say so."""
+        return True
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class PartWork(Probe):
     """Reads one part and finds its departures."""
 
-    number: int  # Place of the part in its source
     part: RecordingPart  # What is read
     criteria: Criteria  # What counts as a departure
     preparation: Preparation  # How recordings are brought to a common form
     keep_signals: bool = False  # Whether y(t), v(t) and c(t) of each departure are kept
-    time_limit: float = 0.0  # [s] None: how long a file takes depends on the disk
-
-    def make_ready(self, kept: dict[str, Any]) -> None:
-        """Nothing is needed."""
 
     def run(self, kept: dict[str, Any]) -> PartResult | Unread:  # noqa: ARG002
         """Read the part; a fault in it, or in its reader, ends this part alone."""
@@ -77,21 +87,6 @@ class PartWork:
             return Unread(str(error))
         except Exception as error:  # a reader may be third-party code
             return Unread(f"{type(error).__name__}: {error}")
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Probe:
-    """Does nothing: tells whether workers live at all."""
-
-    number: int  # Of no part
-    time_limit: float = 0.0  # [s] None
-
-    def make_ready(self, kept: dict[str, Any]) -> None:
-        """Nothing is needed."""
-
-    def run(self, kept: dict[str, Any]) -> bool:  # noqa: ARG002
-        """Say so."""
-        return True
 
 
 FORMAT_VERSION: Final = 1
@@ -159,27 +154,20 @@ def what_differs(there: Plan, now: Plan) -> str:
     found: list[str] = []
     for key in {**now, **there}:
         a, b = there.get(key), now.get(key)
-        if a == b:
-            continue
-        if isinstance(a, dict) and isinstance(b, dict):
-            for name in {**b, **a}:
-                if a.get(name) != b.get(name):
-                    found.append(f"{name}: {_shown(a.get(name))} there, {_shown(b.get(name))} now")
-        elif key in _DESCRIPTIONS:
+        if a != b and key in _DESCRIPTIONS:
             found.append(_DESCRIPTIONS[key])
-        else:
-            found.append(f"{key}: {_shown(a)} there, {_shown(b)} now")
+            continue
+        if not (isinstance(a, dict) and isinstance(b, dict)):
+            a, b = {key: a}, {key: b}
+        for name in {**b, **a}:
+            if a.get(name) != b.get(name):
+                then, new = ("not set" if one.get(name) is None else one[name] for one in (a, b))
+                found.append(f"{name}: {then} there, {new} now")
     more = f"; and {len(found) - 3} more" if len(found) > 3 else ""
     return "; ".join(found[:3]) + more
 
 
-def _shown(value: Any) -> str:
-    return "not set" if value is None else str(value)
-
-
 _log = logging.getLogger("studies")
-
-SUFFIX: Final = ".parts"  # of the folder's name, after the name of the output
 
 _MANIFEST: Final = "manifest.json"
 _LOCK: Final = ".lock"
@@ -243,7 +231,7 @@ class WorkFolder:
 
 def parts_folder(output: str | os.PathLike[str]) -> Path:
     """Where the finished parts of an extraction wait."""
-    return Path(f"{os.fspath(output)}{SUFFIX}")
+    return Path(f"{os.fspath(output)}.parts")
 
 
 @contextlib.contextmanager
@@ -332,7 +320,18 @@ _TREE: Final = "tree"  # entry that holds the JSON
 def part_bytes(result: PartResult) -> bytes:
     """A result as the content of a file."""
     arrays: list[np.ndarray[Any, Any]] = []
-    text = json.dumps(_packed(result, arrays), ensure_ascii=False)
+
+    def packed(value: Any) -> Any:
+        """What JSON does not know; arrays are put aside and named by their place."""
+        if isinstance(value, np.ndarray):
+            arrays.append(value)
+            return {"array": len(arrays) - 1}
+        if type(value).__name__ in _CLASSES:
+            fields = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
+            return {"class": type(value).__name__, "fields": fields}
+        return plain(value)
+
+    text = json.dumps(result, default=packed, ensure_ascii=False)
     content = io.BytesIO()
     entries = {str(i): array for i, array in enumerate(arrays)}
     np.savez(content, allow_pickle=False, **{_TREE: np.frombuffer(text.encode(), dtype=np.uint8)}, **entries)
@@ -350,19 +349,6 @@ def read_part(content: bytes) -> PartResult:
     if not isinstance(result, PartResult):
         raise StoreError(f"broken: holds {type(result).__name__}")
     return result
-
-
-def _packed(value: Any, arrays: list[np.ndarray[Any, Any]]) -> Any:
-    """A tree of what JSON knows; arrays are put aside and named by their place."""
-    if isinstance(value, np.ndarray):
-        arrays.append(value)
-        return {"array": len(arrays) - 1}
-    if dataclasses.is_dataclass(value) and type(value).__name__ in _CLASSES:
-        fields = {field.name: _packed(getattr(value, field.name), arrays) for field in dataclasses.fields(value)}
-        return {"class": type(value).__name__, "fields": fields}
-    if isinstance(value, tuple):
-        return [_packed(item, arrays) for item in value]
-    return plain(value)
 
 
 def _unpacked(value: Any, arrays: Any) -> Any:

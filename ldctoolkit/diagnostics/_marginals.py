@@ -205,32 +205,15 @@ def bin_edges(column: FloatArray, drawn: FloatArray, lower: float, upper: float,
     return np.linspace(low, high, bins + 1)
 
 
-def bin_of(column: FloatArray, edges: FloatArray) -> IntArray:
-    """Bin of each value, -1 outside; the last bin holds its right edge."""
-    place = np.searchsorted(edges, column, side="right") - 1
-    place[column == edges[-1]] = edges.size - 2
-    place[(place >= edges.size - 1) | (column < edges[0])] = -1
-    return place.astype(np.int64)
-
-
 def marginal(name: str, column: FloatArray, weight: FloatArray, model: ModelMarginal, edges: FloatArray) -> Marginal:
     """Histogram of one parameter beside the model's share of each bin; weights sum to one."""
-    place = bin_of(column, edges)
-    seen = place >= 0
-    data = np.bincount(place[seen], weight[seen], edges.size - 1).astype(float)
+    data, _ = np.histogramdd(column[:, None], [edges], weights=weight)
+    beyond = float(weight[(column < edges[0]) | (column > edges[-1])].sum())
     expected = np.diff(model.cdf(edges))
-    return Marginal(name, edges, data, expected, float(weight[~seen].sum()), float(max(0.0, 1.0 - expected.sum())))
+    return Marginal(name, edges, data, expected, beyond, float(max(0.0, 1.0 - expected.sum())))
 
 
 JOINT_BINS: Final = 48
-
-
-def _shares(a: IntArray, b: IntArray, bins: int, weight: FloatArray | None) -> FloatArray:
-    """Share of each cell; events outside the axes count in the total."""
-    seen = (a >= 0) & (b >= 0)
-    counts = np.bincount(a[seen] * bins + b[seen], None if weight is None else weight[seen], bins * bins)
-    total = a.size if weight is None else 1.0
-    return (counts / total).reshape(bins, bins)
 
 
 def joint_density(
@@ -239,14 +222,12 @@ def joint_density(
     """T against d_y, None where one of them does not vary; weights sum to one."""
     if "T" not in names or "d_y" not in names:
         return None
-    edges, data, model = [], [], []
-    for j in (names.index("T"), names.index("d_y")):
-        low, high = (float(end[j]) for end in (distribution.transform.lower, distribution.transform.upper))
-        edges.append(bin_edges(x[:, j], drawn[:, j], low, high, JOINT_BINS))
-        data.append(bin_of(x[:, j], edges[-1]))
-        model.append(bin_of(drawn[:, j], edges[-1]))
-    shares = _shares(data[0], data[1], JOINT_BINS, weight), _shares(model[0], model[1], JOINT_BINS, None)
-    return PairDensity("T", "d_y", edges[0], edges[1], *shares)
+    pair = [names.index("T"), names.index("d_y")]
+    lower, upper = distribution.transform.lower, distribution.transform.upper
+    edges = [bin_edges(x[:, j], drawn[:, j], float(lower[j]), float(upper[j]), JOINT_BINS) for j in pair]
+    data, _ = np.histogramdd(x[:, pair], edges, weights=weight)  # events outside the axes count in the total
+    model, _ = np.histogramdd(drawn[:, pair], edges)
+    return PairDensity("T", "d_y", edges[0], edges[1], data, model / drawn.shape[0])
 
 
 LEVEL: Final = 0.95

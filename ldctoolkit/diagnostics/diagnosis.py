@@ -152,7 +152,7 @@ def diagnose(
     chosen = _names(model, names, distribution.dimension)
     check_number("n_model", n_model, 1000, integer=True)
     check_number("seed", seed, 0, integer=True)
-    report = progress or _silent
+    report = progress or (lambda *_: None)
     events = checked_events(distribution, chosen, X, weights)
     x, share = events.x, events.share
     report("margins", 0, _STEPS)
@@ -189,10 +189,6 @@ def diagnose(
     )
     report("done", _STEPS, _STEPS)
     return dataclasses.replace(found, warnings=warnings_of(found, mixture, summary))
-
-
-def _silent(text: str, done: int, total: int) -> None:
-    del text, done, total
 
 
 def diagnose_model(
@@ -255,19 +251,14 @@ def diagnose_model(
             )
         except InputError as error:
             raise InputError(f"departures ({label}): {error}") from None
-        parts.append(dataclasses.replace(found, warnings=(*found.warnings, *_constants(half, rows, label))))
+        warnings = list(found.warnings)
+        for name, value in half.constants:
+            column = getattr(rows, name)
+            if not np.allclose(column, value, rtol=1e-9, atol=1e-12):
+                shown = f"{float(column.min()):g} to {float(column.max()):g}"
+                warnings.append(f"{label}: the model holds {name} at {value:g}, in the departures it is {shown}")
+        parts.append(dataclasses.replace(found, warnings=tuple(warnings)))
     return ModelDiagnostics(*parts)
-
-
-def _constants(half: SideModel, rows: Departures, label: str) -> tuple[str, ...]:
-    """A parameter that the model holds constant and these departures do not."""
-    out = []
-    for name, value in half.constants:
-        column = getattr(rows, name)
-        if not np.allclose(column, value, rtol=1e-9, atol=1e-12):
-            shown = f"{float(column.min()):g} to {float(column.max()):g}"
-            out.append(f"{label}: the model holds {name} at {value:g}, in the departures it is {shown}")
-    return tuple(out)
 
 
 def _names(model: SideModel | BoundedGaussianMixture, names: Sequence[str] | None, dimension: int) -> tuple[str, ...]:
@@ -364,26 +355,17 @@ def _fit(found: SideDiagnostics, mixture: BoundedGaussianMixture, summary: SideS
         yield "the fit stopped before it had converged"
     K = mixture.distribution.weights.size
     largest = summary is not None and len(summary.n_components) > 1 and max(summary.n_components) == K
-    few = _few(found)
+    d = len(found.names)
+    free = 1 + d + d * (d + 1) // 2  # parameters of one component
+    few = [k for k, one in enumerate(found.components) if one.events < free]
     if few:
         events = ", ".join(f"{found.components[k].events:.1f}" for k in few)
         which = f"component {few[0]} rests" if len(few) == 1 else f"components {', '.join(map(str, few))} rest"
         also = f"K = {K} is the largest that was tried, but " if largest else ""
         advice = ": more departures are needed, not more components" if largest else ""
-        yield f"{also}{which} on fewer effective events ({events}) than the {_free(found)} parameters of one{advice}"
+        yield f"{also}{which} on fewer effective events ({events}) than the {free} parameters of one{advice}"
     elif largest:
         yield f"the chosen K = {K} is the largest that was tried, the best may be larger: try more"
-
-
-def _free(found: SideDiagnostics) -> int:
-    """Parameters of one component."""
-    d = len(found.names)
-    return 1 + d + d * (d + 1) // 2
-
-
-def _few(found: SideDiagnostics) -> list[int]:
-    """Components with fewer effective events than parameters."""
-    return [k for k, one in enumerate(found.components) if one.events < _free(found)]
 
 
 def _misfit(found: SideDiagnostics) -> Iterator[str]:

@@ -6,16 +6,9 @@ departures table. The formats, the rules and the reasons for refusing a candidat
 ``docs/how-to/my-recordings.md``.
 """
 
-from ldctoolkit.recordings.departures_table import (
-    Extraction,
-    PartResult,
-    Provenance,
-    Refused,
-    read_departures,
-    write_departures,
-)
+from ldctoolkit.recordings.departures_table import Extraction, PartResult, Provenance, read_departures, write_departures
 from ldctoolkit.recordings.extract import extract_departures, extract_part, merge_results
-from ldctoolkit.recordings.find_departures import Criteria
+from ldctoolkit.recordings.find_departures import Criteria, Refused
 from ldctoolkit.recordings.preparation import Preparation
 from ldctoolkit.recordings.quality import Account, Drawn, DrawnEvent, Origin
 from ldctoolkit.recordings.recording import Label, Problem, Recording, SourceFile

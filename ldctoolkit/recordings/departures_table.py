@@ -6,7 +6,7 @@ import dataclasses
 import io
 import json
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -24,7 +24,7 @@ from ldctoolkit.departures import (
     no_departures,
 )
 from ldctoolkit.errors import RecordingError, nearest
-from ldctoolkit.recordings.find_departures import REASONS, Criteria
+from ldctoolkit.recordings.find_departures import Criteria, Refused
 from ldctoolkit.recordings.preparation import Preparation
 from ldctoolkit.recordings.quality import (
     Account,
@@ -65,37 +65,6 @@ def combined_results(parts: Iterable[PartResult]) -> PartResult:
         drawn=combined_examples(part.drawn for part in given),
         problems=tuple(problem for part in given for problem in part.problems),
     )
-
-
-@dataclasses.dataclass(frozen=True)
-class Refused:
-    """Refused candidates, counted by reason. One candidate has one reason: the first that holds, in this order."""
-
-    # Something broke into the manoeuvre: the lane changed, samples were invalid, time or offset jumped
-    lane_change: int = 0
-    invalid: int = 0
-    gap: int = 0
-    jump: int = 0
-    cut_by_end: int = 0  # The recording started or ended with the edge beyond the line
-    # Four criteria that were not met; fewer than three samples cannot be reduced to the eight parameters
-    too_short: int = 0
-    too_long: int = 0
-    too_few_samples: int = 0
-    slow: int = 0
-    engaged: int = 0  # A system was steering
-    intended: int = 0  # The turn signal was on towards the departed side
-    # The mean acceleration, or speed and curvature together, are beyond 9.81 m/s^2, more than tyres can do: noise. Or
-    # the lane is no wider than the vehicle: one of its lines is not the lane's.
-    implausible: int = 0
-
-    @property
-    def total(self) -> int:
-        """All refused candidates."""
-        return sum(count for _, count in self.items())
-
-    def items(self) -> Iterator[tuple[str, int]]:
-        """Reason and count, in order of precedence."""
-        return ((reason, getattr(self, reason)) for reason in REASONS)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -9,8 +9,8 @@ import numpy as np
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.departures import PARAMETER_COLUMNS, PARAMETER_NAMES, Departures, ExtraColumn, Plausibility
 from ldctoolkit.errors import InputError, LdcError, RecordingError
-from ldctoolkit.recordings.departures_table import Extraction, PartResult, Provenance, Refused, combined_results
-from ldctoolkit.recordings.find_departures import REASONS, Criteria, find_departures
+from ldctoolkit.recordings.departures_table import Extraction, PartResult, Provenance, combined_results
+from ldctoolkit.recordings.find_departures import REASONS, Criteria, Refused, find_departures
 from ldctoolkit.recordings.preparation import MAX_JUMP, Preparation, corrected, on_own_clocks, prepare, stretches
 from ldctoolkit.recordings.quality import (
     OFFSET_BINS,
@@ -52,14 +52,14 @@ def extract_part(
     part: RecordingPart, criteria: Criteria, preparation: Preparation, *, keep_signals: bool = False
 ) -> PartResult:
     """Departures of one part of a source; what cannot be used is a problem of it."""
-    return extract_items(_guarded(part), criteria, preparation, keep_signals=keep_signals)
 
+    def items() -> Iterator[Recording | Problem]:
+        try:
+            yield from part.read()
+        except LdcError as error:
+            yield Problem(part_name(part), "", f"the rest of this part is left out: {error}")
 
-def _guarded(part: RecordingPart) -> Iterator[Recording | Problem]:
-    try:
-        yield from part.read()
-    except LdcError as error:
-        yield Problem(part_name(part), "", f"the rest of this part is left out: {error}")
+    return extract_items(items(), criteria, preparation, keep_signals=keep_signals)
 
 
 def extract_items(
@@ -124,16 +124,12 @@ def _kinds(recordings: Iterable[Recording]) -> list[bool]:
 
 def table_of(recordings: list[Recording]) -> RecordingTable:
     """Recordings of the same columns as one table."""
-
-    def joined(name: str) -> np.ndarray | None:
-        columns = [getattr(recording, name) for recording in recordings]
-        return None if columns[0] is None else np.concatenate(columns)
-
-    columns = {name: joined(name) for name in ("t", "lane_offset", "lane_width", "speed", "valid", *_OPTIONAL)}
+    names = ("t", "lane_offset", "lane_width", "speed", "valid", *_OPTIONAL)
+    columns = {name: [getattr(recording, name) for recording in recordings] for name in names}
     return RecordingTable(
         names=np.array([recording.name for recording in recordings], dtype=np.str_),
         offsets=np.concatenate([[0], np.cumsum([recording.samples for recording in recordings])]).astype(np.int64),
-        **columns,  # type: ignore[arg-type]
+        **{name: np.concatenate(parts) for name, parts in columns.items() if parts[0] is not None},
     )
 
 
@@ -394,11 +390,6 @@ LARGEST_MEDIAN: Final = 0.55  # [m] of the offset: no driver keeps so far from t
 FEWEST_ON_A_SIDE: Final = 20  # departures that show whether there are any to the other side
 SMALLER_SIDE: Final = 0.05  # share of the departures to the other side
 
-_REFERENCES: Final = (
-    "column 'lane_offset': {what}; {likely}? The vehicle's centre from the lane's centre is needed, in m, positive to "
-    "the left"
-)
-
 
 def _reference(evidence: QualityStatistics, sides: IntArray) -> str:
     """Why the offset cannot be that of the vehicle's centre from the lane's; empty for no reason."""
@@ -420,7 +411,8 @@ def _reference(evidence: QualityStatistics, sides: IntArray) -> str:
             likely = "is it in feet, from another reference, or is the vehicle width too large"
     if not what and sides.sum() >= FEWEST_ON_A_SIDE and sides.min() <= SMALLER_SIDE * sides.sum():
         what = f"{sides.max()} of {sides.sum()} departures are to the {'left' if sides[0] > sides[1] else 'right'}"
-    return _REFERENCES.format(what=what, likely=likely) if what else ""
+    needed = "The vehicle's centre from the lane's centre is needed, in m, positive to the left"
+    return f"column 'lane_offset': {what}; {likely}? {needed}" if what else ""
 
 
 def few_usable(samples: int, usable: int) -> tuple[str, ...]:

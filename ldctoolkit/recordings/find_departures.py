@@ -2,31 +2,56 @@
 
 import dataclasses
 import math
-from collections.abc import Mapping
-from typing import Any, Final
+from collections.abc import Iterator, Mapping
+from typing import Final
 
 import numpy as np
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
-from ldctoolkit.departures import LEFT, RIGHT, Departures, DepartureSignals, Plausibility, no_departures, reduce_signals
+from ldctoolkit.departures import LEFT, RIGHT, Departures, DepartureSignals, Plausibility, reduce_signals
 from ldctoolkit.errors import CheckedArguments, InputError
-from ldctoolkit.recordings.preparation import MAX_JUMP, ROUNDING
-from ldctoolkit.recordings.recording import MAX_LANE_WIDTH, MIN_LANE_WIDTH, RecordingTable, usable_samples
-
-REASONS: Final = (
-    "lane_change",
-    "invalid",
-    "gap",
-    "jump",
-    "cut_by_end",
-    "too_short",
-    "too_long",
-    "too_few_samples",
-    "slow",
-    "engaged",
-    "intended",
-    "implausible",
+from ldctoolkit.recordings.preparation import MAX_JUMP, ROUNDING, middle_two
+from ldctoolkit.recordings.recording import (
+    MAX_LANE_WIDTH,
+    MIN_LANE_WIDTH,
+    RecordingTable,
+    changed_columns,
+    usable_samples,
 )
+
+
+@dataclasses.dataclass(frozen=True)
+class Refused:
+    """Refused candidates, counted by reason. One candidate has one reason: the first that holds, in this order."""
+
+    # Something broke into the manoeuvre: the lane changed, samples were invalid, time or offset jumped
+    lane_change: int = 0
+    invalid: int = 0
+    gap: int = 0
+    jump: int = 0
+    cut_by_end: int = 0  # The recording started or ended with the edge beyond the line
+    # Four criteria that were not met; fewer than three samples cannot be reduced to the eight parameters
+    too_short: int = 0
+    too_long: int = 0
+    too_few_samples: int = 0
+    slow: int = 0
+    engaged: int = 0  # A system was steering
+    intended: int = 0  # The turn signal was on towards the departed side
+    # The mean acceleration, or speed and curvature together, are beyond 9.81 m/s^2, more than tyres can do: noise. Or
+    # the lane is no wider than the vehicle: one of its lines is not the lane's.
+    implausible: int = 0
+
+    @property
+    def total(self) -> int:
+        """All refused candidates."""
+        return sum(count for _, count in self.items())
+
+    def items(self) -> Iterator[tuple[str, int]]:
+        """Reason and count, in order of precedence."""
+        return ((reason, getattr(self, reason)) for reason in REASONS)
+
+
+REASONS: Final = tuple(field.name for field in dataclasses.fields(Refused))
 """Why a candidate is refused; when several hold, the first in this order counts."""
 
 CODE: Final = {reason: code for code, reason in enumerate(REASONS)}
@@ -81,13 +106,10 @@ def median_steps(table: RecordingTable) -> FloatArray:
 
 
 def _medians(step: FloatArray, owner: IntArray, recordings: int) -> FloatArray:
-    order = np.lexsort((step, owner))
     count = np.bincount(owner, minlength=recordings)
-    begin = np.cumsum(count) - count
+    below, above = middle_two(step, owner, count)
     result = np.full(recordings, np.nan)
-    some = count > 0
-    low, high = (begin + (count - 1) // 2)[some], (begin + count // 2)[some]
-    result[some] = 0.5 * (step[order[low]] + step[order[high]])
+    result[count > 0] = 0.5 * (below + above)
     return result
 
 
@@ -137,8 +159,7 @@ def _spread(marked: BoolArray, t: FloatArray, barred: BoolArray, reach: float) -
             break
         low, high = low - before, high + after
     count = np.bincount(low, minlength=t.size + 1) - np.bincount(high + 1, minlength=t.size + 1)
-    spread: BoolArray = np.cumsum(count)[:-1] > 0
-    return spread
+    return np.cumsum(count)[:-1] > 0
 
 
 def _jumps(
@@ -195,10 +216,11 @@ def find_runs(
     after[place < table.offsets[recording + 1] - 1] = CODE["invalid"]
     before[1:][same] = after[:-1][same] = cause[same]
 
-    found = [_runs_of_side(edges[side][place] > 0.0, joined) for side in (LEFT, RIGHT)]
-    first = np.concatenate([run[0] for run in found])
-    last = np.concatenate([run[1] for run in found])
-    side = np.repeat([LEFT, RIGHT], [run[0].size for run in found])
+    beyond = np.stack([edges[side][place] > 0.0 for side in (LEFT, RIGHT)])
+    linked = beyond[:, 1:] & beyond[:, :-1] & joined
+    row, first = np.nonzero(beyond & ~np.pad(linked, ((0, 0), (1, 0))))
+    _, last = np.nonzero(beyond & ~np.pad(linked, ((0, 0), (0, 1))))
+    side = np.where(row == 0, LEFT, RIGHT)
     order = np.lexsort((-side, first))
     first, last, side = first[order], last[order], side[order]
     reason = np.minimum(before[first], after[last])
@@ -206,14 +228,6 @@ def find_runs(
     name = np.concatenate([[-1], name, [-1]])
     candidate = _candidates(inner[first], inner[last + 1], name[first], name[last + 1])
     return Runs(side, place[first], place[last], reason, candidate)
-
-
-def _runs_of_side(beyond: BoolArray, joined: BoolArray) -> tuple[IntArray, IntArray]:
-    linked = beyond[1:] & beyond[:-1] & joined
-    start, end = beyond.copy(), beyond.copy()
-    start[1:] &= ~linked
-    end[:-1] &= ~linked
-    return np.flatnonzero(start), np.flatnonzero(end)
 
 
 def _candidates(from_break: BoolArray, to_break: BoolArray, before: IntArray, after: IntArray) -> IntArray:
@@ -314,17 +328,12 @@ def find_departures(table: RecordingTable, criteria: Criteria, gap_limit: float 
     """Find the departures of one table."""
     usable = usable_samples(table)
     if not usable.all():  # infinities and absurd numbers would only raise floating point warnings further on
-        table = _blanked(table, usable)
+        numbers = ("lane_offset", "lane_width", "speed", "curvature", "yaw_rate")
+        table = changed_columns(table, numbers, lambda values: np.where(usable, values, np.nan))
     place = np.flatnonzero(usable)
     median_step = median_steps(table)
     limit = _gap_limit(median_step, criteria, gap_limit)
     read = _sums(table, np.arange(table.samples), limit, adjacent=False)
-    none = np.empty(0, dtype=np.int64)
-    if place.size == 0:
-        no_signals = DepartureSignals(np.zeros(1, dtype=np.int64), *([np.empty(0)] * 4))
-        driven, no_stays = np.zeros(table.names.size), np.empty(0)
-        found = no_departures(), none, no_signals, none, none, none, read, driven, driven
-        return Found(*found, usable, median_step, no_stays, none)
     margin = 0.5 * (criteria.vehicle_width - table.lane_width)
     edges = {LEFT: table.lane_offset + margin, RIGHT: -table.lane_offset + margin}
     same, cause, name = breaks(table, place, limit, criteria.max_jump, edges)
@@ -336,7 +345,7 @@ def find_departures(table: RecordingTable, criteria: Criteria, gap_limit: float 
     signals, start_time, source = signals_of_runs(table, runs, chosen, edges, curvature)
     verdict = _judge(table, runs.side[chosen], signals, source, criteria)
     rows = np.nan_to_num(AROUND / np.fmax(median_step, ROUNDING)).astype(np.int64)
-    deepest = np.maximum.reduceat(signals.y, signals.offsets[:-1]) if signals.n else np.empty(0)
+    deepest = np.maximum.reduceat(signals.y, signals.offsets[:-1])
     narrower = _narrower(table, usable, runs.first[chosen], runs.last[chosen], rows) > deepest
     verdict[narrower] = np.minimum(verdict[narrower], CODE["jump"])
     reason[chosen] = verdict
@@ -347,7 +356,8 @@ def find_departures(table: RecordingTable, criteria: Criteria, gap_limit: float 
         start_time[verdict == ACCEPTED],
     )
     parameters = reduce_signals(kept, runs.side[run])
-    plausible = (np.abs(parameters.a_mean) <= LARGEST_ACCELERATION) & (_lateral(kept) <= LARGEST_ACCELERATION)
+    lateral = np.maximum.reduceat(kept.v**2 * np.abs(kept.c), kept.offsets[:-1])  # that the curvature requires
+    plausible = (np.abs(parameters.a_mean) <= LARGEST_ACCELERATION) & (lateral <= LARGEST_ACCELERATION)
     plausible &= criteria.plausibility.holds(parameters)
     reason[run[~plausible]] = CODE["implausible"]
     owner = table.recording_index[runs.first[run]]
@@ -383,16 +393,6 @@ def find_departures(table: RecordingTable, criteria: Criteria, gap_limit: float 
     )
 
 
-def _blanked(table: RecordingTable, usable: BoolArray) -> RecordingTable:
-    """The same table with NaN for the numbers of unusable samples."""
-    names = ("lane_offset", "lane_width", "speed", "curvature", "yaw_rate")
-    changed: dict[str, Any] = {}
-    for name in names:
-        values = getattr(table, name)
-        changed[name] = None if values is None else np.where(usable, values, np.nan)
-    return dataclasses.replace(table, **changed)
-
-
 def _gap_limit(median_step: FloatArray, criteria: Criteria, gap_limit: float | None) -> FloatArray:
     if gap_limit is not None:  # resampled; a lane signal with a longer clock of its own is not
         return np.fmax(gap_limit, 1.5 * median_step)
@@ -415,14 +415,6 @@ def _sums(
     return np.bincount(owner[1:][counted], weights=step[counted], minlength=table.names.size).astype(float)
 
 
-def _lateral(signals: DepartureSignals) -> FloatArray:
-    """Largest lateral acceleration that the curvature requires, (n,) [m/s^2]."""
-    if signals.n == 0:
-        return np.empty(0)
-    largest: FloatArray = np.maximum.reduceat(signals.v**2 * np.abs(signals.c), signals.offsets[:-1])
-    return largest
-
-
 def _narrower(table: RecordingTable, usable: BoolArray, first: IntArray, last: IntArray, rows: IntArray) -> FloatArray:
     """How much narrower the lane is in runs than in some rows before and in some after, on average, (n,) [m]; 0 if less
     than `NARROWER`. An edge that is not as far beyond the line is there only because a line was another marking.
@@ -434,8 +426,7 @@ def _narrower(table: RecordingTable, usable: BoolArray, first: IntArray, last: I
 
     def mean(begin: IntArray, end: IntArray) -> FloatArray:
         number, pairs = count[end] - count[begin], np.column_stack([begin, end]).ravel()
-        total = np.add.reduceat(width, pairs)[::2] if pairs.size else np.empty(0)
-        return np.where(number > 0, total / np.maximum(number, 1), np.inf)
+        return np.where(number > 0, np.add.reduceat(width, pairs)[::2] / np.maximum(number, 1), np.inf)
 
     less: FloatArray = np.minimum(mean(low, first), mean(last + 1, high)) - mean(first, last + 1)
     return np.where(np.isfinite(less) & (less > NARROWER), less, 0.0)
@@ -447,8 +438,6 @@ def _judge(
     """Index into `REASONS`, or `ACCEPTED`, of events that have both crossings; accelerations are judged later."""
     starts, last = signals.offsets[:-1], signals.offsets[1:] - 1
     verdict = np.full(signals.n, ACCEPTED)
-    if signals.n == 0:
-        return verdict
     T = signals.t[last]
     step = np.diff(signals.t, append=0.0) * 0.5 * (signals.v + np.append(signals.v[1:], 0.0))
     step[last] = 0.0
@@ -512,14 +501,8 @@ def curvature_from_yaw_rate(
     """
     result = np.full(yaw_rate.shape, np.nan)
     place = np.flatnonzero(usable)
-    if place.size == 0:
-        return result
     # a stretch also ends where an unusable sample was left out
-    starts = np.zeros(place.size, dtype=bool)
-    stretch = np.cumsum(first_of_stretch | ~usable)[place]
-    starts[0] = True
-    starts[1:] = stretch[1:] != stretch[:-1]
-    begin = np.flatnonzero(starts)
+    begin = np.flatnonzero(np.diff(np.cumsum(first_of_stretch | ~usable)[place], prepend=-1))
     length = np.diff(np.append(begin, place.size))
     first, last = np.repeat(begin, length), np.repeat(begin + length, length) - 1
     here, t = np.arange(place.size), t[place]

@@ -8,11 +8,17 @@ from collections.abc import Iterable
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.errors import CheckedArguments, InputError, RecordingError
-from ldctoolkit.recordings.recording import LARGEST, MAX_LANE_WIDTH, MIN_LANE_WIDTH, Recording, usable_samples
+from ldctoolkit.recordings.recording import (
+    LARGEST,
+    MAX_LANE_WIDTH,
+    MIN_LANE_WIDTH,
+    Recording,
+    changed_columns,
+    usable_samples,
+)
 
 ROUNDING: Final = 1e-6  # times [s] are compared with this allowance: 10.1 - 7.6 is not quite 2.5
 
@@ -72,14 +78,10 @@ def rising_rows(t: FloatArray) -> BoolArray:
     kept = np.ones(t.size, dtype=bool)
     if (t[1:] >= t[:-1]).all():
         return kept
-    # a row that is in order with every other one is in each longest choice; only the rest needs the search
+    # a row that is in order with every other one is in each longest choice; only the rest needs the search, which is
+    # patience sorting from the end
     odd = np.flatnonzero((t < np.maximum.accumulate(t)) | (t > np.minimum.accumulate(t[::-1])[::-1]))
-    kept[odd] = _longest(t[odd].tolist())
-    return kept
-
-
-def _longest(times: list[float]) -> list[bool]:
-    """The same by patience sorting from the end, n log n."""
+    times = t[odd].tolist()
     latest: list[float] = []  # minus the latest time that a choice of each length can begin with
     lengths = []  # of the longest choice that begins with the row; from the end
     for time in reversed(times):
@@ -87,11 +89,9 @@ def _longest(times: list[float]) -> list[bool]:
         lengths.append(length + 1)
         latest[length : length + 1] = [-time]
     needed, before = len(latest), -float("inf")
-    kept = []
-    for time, length in zip(times, reversed(lengths), strict=True):
-        taken = length == needed and time >= before
-        kept.append(taken)
-        if taken:
+    for row, time, length in zip(odd.tolist(), times, reversed(lengths), strict=True):
+        kept[row] = length == needed and time >= before
+        if kept[row]:
             needed, before = needed - 1, time
     return kept
 
@@ -135,42 +135,13 @@ MAX_JUMP: Final = 0.6
 """Offsets [m] further apart are a jump: no value between them is made up, so that it is seen as one later on."""
 
 
-class WindowMedians:
-    """One value a window ``low:high`` of samples; the windows are laid once for all columns."""
-
-    def __init__(
-        self, low: IntArray, high: IntArray, filled: BoolArray, bridged: BoolArray, centre: FloatArray
-    ) -> None:
-        self._low, self._filled = low, filled
-        self._bridged, self._centre = bridged, centre[bridged]
-        count = np.where(filled, high - low, 0)
-        self._single = bool((count <= 1).all())
-        if not self._single:
-            self._window = np.repeat(np.arange(low.size), count)
-            begin = np.cumsum(count) - count
-            self._place = low[self._window] + np.arange(self._window.size) - begin[self._window]
-            self._below, self._above = (begin + (count - 1) // 2)[filled], (begin + count // 2)[filled]
-
-    def of(self, values: FloatArray, t: FloatArray, near: FloatArray | None, max_jump: float = MAX_JUMP) -> FloatArray:
-        """Value of each window."""
-        result = np.full(self._low.size, np.nan)
-        filled, bridged = self._filled, self._bridged
-        if self._single:
-            result[filled] = values[self._low[filled]]
-        else:
-            inside = values[self._place]
-            ordered = inside[np.lexsort((inside, self._window))]
-            below, above = ordered[self._below], ordered[self._above]
-            middle = np.where(below == above, below, 0.5 * (below + above))
-            if near is not None:
-                beside = np.where(np.abs(below - near[filled]) <= np.abs(above - near[filled]), below, above)
-                middle = np.where(above - below > max_jump, beside, middle)
-            result[filled] = middle
-        if bridged.any():
-            after = self._low[bridged]
-            share = (self._centre - t[after - 1]) / (t[after] - t[after - 1])
-            result[bridged] = values[after - 1] + share * (values[after] - values[after - 1])
-        return result
+def middle_two(values: FloatArray, group: IntArray, count: IntArray) -> tuple[FloatArray, FloatArray]:
+    """The two middle values of each group that is not empty; groups follow each other, `count` values in each."""
+    if count.max(initial=0) <= 1:
+        return values, values
+    ordered = values[np.lexsort((values, group))]
+    begin, some = np.cumsum(count) - count, count > 0
+    return ordered[(begin + (count - 1) // 2)[some]], ordered[(begin + count // 2)[some]]
 
 
 MAX_GAP: Final = 0.25  # longest time [s] between two usable samples that is bridged
@@ -212,7 +183,8 @@ def resample(recording: Recording, step: float, max_gap: float = MAX_GAP, max_ju
     filled = high > low
     tu, offset = t[usable], recording.lane_offset[usable]
     nearest = _nearest_in(low, high, tu, centre)
-    times = _times(recording.t, _nearest_in(first, last, t, centre), origin + centre, step)
+    wanted, recorded = origin + centre, recording.t[_nearest_in(first, last, t, centre)]
+    times = np.where(np.abs(recorded - wanted) <= _SLACK * step, recorded, wanted)  # they may differ by rounding only
     stretch = None
     if recording.lane is not None and tu.size:
         # samples of one lane in a row: a window that holds several is cut to that of its nearest sample
@@ -230,18 +202,31 @@ def resample(recording: Recording, step: float, max_gap: float = MAX_GAP, max_ju
     bridged = np.zeros(grid.size, dtype=bool)
     bridged[inside[same]] = True
     kept = filled | bridged | seen
-    good, nearest, centre = (filled | bridged)[kept], nearest[kept], centre[kept]
-    medians = WindowMedians(low[kept], high[kept], filled[kept], bridged[kept], centre)
-
+    # the windows ``low:high`` are laid once for all columns
+    count = np.where(filled, high - low, 0)
+    window = np.repeat(np.arange(grid.size), count)
+    place = (low - np.cumsum(count) + count)[window] + np.arange(window.size)
+    after = low[bridged]
+    share = (centre[bridged] - tu[after - 1]) / (tu[after] - tu[after - 1])
     columns: dict[str, Any] = {}
-    for name in _NUMBERS:
-        values = getattr(recording, name)
-        near = offset[nearest] if name == "lane_offset" and tu.size else None
-        columns[name] = None if values is None else medians.of(values[usable], tu, near, max_jump)
-    for name in _NAMES:
-        values = getattr(recording, name)
-        columns[name] = None if values is None else _taken(values[usable], nearest)
-    return dataclasses.replace(recording, t=times[kept], valid=good, **columns)
+    for name in (*_NUMBERS, *_NAMES):
+        if getattr(recording, name) is None:
+            continue
+        values = getattr(recording, name)[usable]
+        if name in _NAMES:
+            columns[name] = values[nearest[kept]] if tu.size else np.zeros(kept.sum(), values.dtype)
+            continue
+        below, above = middle_two(values[place], window, count)
+        middle = np.where(below == above, below, 0.5 * (below + above))
+        if name == "lane_offset" and tu.size:
+            near = offset[nearest[filled]]
+            beside = np.where(np.abs(below - near) <= np.abs(above - near), below, above)
+            middle = np.where(above - below > max_jump, beside, middle)
+        result = np.full(grid.size, np.nan)
+        result[filled] = middle
+        result[bridged] = values[after - 1] + share * (values[after] - values[after - 1])
+        columns[name] = result[kept]
+    return dataclasses.replace(recording, t=times[kept], valid=(filled | bridged)[kept], **columns)
 
 
 def _windows(t: FloatArray, grid: IntArray, centre: FloatArray, step: float) -> tuple[IntArray, IntArray]:
@@ -256,36 +241,18 @@ def _windows(t: FloatArray, grid: IntArray, centre: FloatArray, step: float) -> 
 
 
 def _nearest_in(low: IntArray, high: IntArray, t: FloatArray, centre: FloatArray) -> IntArray:
-    """Index of the time nearest to each centre, where ``low:high`` are those in its window."""
+    """Index of the time nearest to each centre, where ``low:high`` are those in its window; 0 where there are none."""
     nearest = low.copy()
     others = np.flatnonzero(high - low != 1)
-    nearest[others] = _nearest(t, centre[others])
+    nearest[others] = nearest_times(t, centre[others]) if t.size else 0
     return nearest
 
 
-def _nearest(t: FloatArray, centre: FloatArray) -> IntArray:
-    """Index of the time nearest to each centre, of two the earlier; 0 where there are none at all."""
-    if t.size == 0:
-        return np.zeros(centre.size, dtype=np.int64)
+def nearest_times(t: FloatArray, centre: FloatArray) -> IntArray:
+    """Index of the time nearest to each centre, of two the earlier, of equal ones the first."""
     after = np.minimum(np.searchsorted(t, centre, "left"), t.size - 1)
     before = np.searchsorted(t, t[np.maximum(after - 1, 0)], "left")  # the first of a repeated time
-    nearest: IntArray = np.where(np.abs(t[before] - centre) <= np.abs(t[after] - centre), before, after)
-    return nearest
-
-
-def _times(t: FloatArray, nearest: IntArray, wanted: FloatArray, step: float) -> FloatArray:
-    """The wanted times; a recorded one in place of one that differs by rounding only."""
-    recorded = t[nearest]
-    times: FloatArray = np.where(np.abs(recorded - wanted) <= _SLACK * step, recorded, wanted)
-    return times
-
-
-def _taken(values: npt.NDArray[Any], places: IntArray) -> npt.NDArray[Any]:
-    """Values at some places; zeros where there are none at all."""
-    if values.size == 0:
-        return np.zeros(places.size, dtype=values.dtype)
-    taken: npt.NDArray[Any] = values[places]
-    return taken
+    return np.where(np.abs(t[before] - centre) <= np.abs(t[after] - centre), before, after)
 
 
 def _occupied(t: FloatArray, step: float, max_gap: float) -> IntArray:
@@ -340,9 +307,13 @@ def corrected(recording: Recording, preparation: Preparation) -> Recording:
         with np.errstate(over="ignore"):
             yaw_rate = recording.yaw_rate * preparation.yaw_rate_factor
         recording = dataclasses.replace(recording, yaw_rate=yaw_rate)
-    if preparation.nominal_lane_width is not None:
-        recording = scaled(recording, preparation.nominal_lane_width)
-    return recording
+    nominal = preparation.nominal_lane_width
+    if nominal is None or not (widths := recording.lane_width[usable_samples(recording)]).size:
+        return recording
+    factor = nominal / float(np.median(widths))
+    with np.errstate(over="ignore", invalid="ignore"):  # of absurd numbers, which are not usable
+        scaled = changed_columns(recording, ("lane_offset", "lane_width"), lambda values: values * factor)
+    return dataclasses.replace(scaled, lane_scale=recording.lane_scale * factor)
 
 
 def stretches(recording: Recording) -> list[Recording]:
@@ -370,10 +341,9 @@ def prepare(
     return resample(recording, step, preparation.max_gap, max_jump)
 
 
-_LIMITS: Final = {"speed": 100.0, "curvature": 0.2, "yaw_rate": 1.5}
-"""No vehicle on a road has more, in SI: such numbers stand for "not available"."""
-
-SPIKES: Final = {"speed": 20.0, "yaw_rate": 0.5}  # a single sample further from both of its neighbours is none
+LIMITS: Final = {"speed": (100.0, 20.0), "curvature": (0.2, np.inf), "yaw_rate": (1.5, 0.5)}
+"""No vehicle on a road has more, in SI: such numbers stand for "not available"; a single sample further than the second
+number from both of its neighbours is none either."""
 
 _CODES: Final = {
     "lane_width": (1.0, 10.0), "lane_offset": (MAX_JUMP, 5.0), "speed": (10.0, 60.0), "curvature": (0.01, 0.2),
@@ -429,15 +399,13 @@ def spikes(values: FloatArray, height: float) -> BoolArray:
 
 def within_limits(recording: Recording, widths: tuple[float, float]) -> Recording:
     """NaN for numbers that no lane and no vehicle has."""
-    changed: dict[str, Any] = {}
     good = {"lane_width": (recording.lane_width >= widths[0]) & (recording.lane_width <= widths[1])}
     good["lane_offset"] = ~(np.abs(recording.lane_offset) > np.abs(recording.lane_width))
-    good |= {name: np.abs(x) <= most for name, most in _LIMITS.items() if (x := getattr(recording, name)) is not None}
-    for name, kept in good.items():
-        if name in SPIKES:
-            kept &= ~spikes(getattr(recording, name), SPIKES[name])
-        if not kept.all():
-            changed[name] = np.where(kept, getattr(recording, name), np.nan)
+    for name, (most, height) in LIMITS.items():
+        if (values := getattr(recording, name)) is not None:
+            good[name] = (np.abs(values) <= most) & ~spikes(values, height)
+    beyond = [name for name, kept in good.items() if not kept.all()]
+    changed: dict[str, Any] = {name: np.where(good[name], getattr(recording, name), np.nan) for name in beyond}
     return dataclasses.replace(recording, **changed) if changed else recording
 
 
@@ -445,22 +413,17 @@ _FEWEST_NEW: Final = 8  # so many new values show how often a signal is refreshe
 _REGULAR: Final = 0.75  # share of the times between them that must be about the same
 
 
-def resolution(values: FloatArray) -> float:
-    """Step that all differences of some numbers are multiples of; 0 if there is none."""
-    distinct = np.unique(values[:: max(1, values.size // 300)])
-    step = np.diff(distinct[np.isfinite(distinct)])
-    if step.size < 3:
+def coarse_step(offset: FloatArray) -> float:
+    """The step, [m], of an offset that has few values for its samples, all multiples of it apart; 0 if it has none."""
+    distinct = np.unique(offset[:: max(1, offset.size // 300)])
+    steps = np.diff(distinct[np.isfinite(distinct)])
+    step = float(steps.min(initial=np.inf))
+    if steps.size < 3 or step <= COARSE:
         return 0.0
     with np.errstate(over="ignore", invalid="ignore"):  # of absurd numbers
-        multiples = step / step.min()
-        return float(step.min()) if (np.abs(multiples - np.rint(multiples)) < 0.05).all() else 0.0
-
-
-def coarse_step(offset: FloatArray) -> float:
-    """The step of an offset that has few values for its samples, [m]; 0 if it has none."""
-    step = resolution(offset)
-    with np.errstate(over="ignore"):  # of absurd numbers
-        return step if step > COARSE and offset.size > 5.0 * np.ptp(offset) / step else 0.0
+        multiples = steps / step
+        regular = (np.abs(multiples - np.rint(multiples)) < 0.05).all()
+        return step if regular and offset.size > 5.0 * np.ptp(offset) / step else 0.0
 
 
 _EVERY_ROW: Final = (np.empty(0, dtype=np.int64), 0.0)
@@ -555,21 +518,6 @@ def without_frozen(recording: Recording) -> Recording:
         if long.any() and sum(2 * np.count_nonzero(change) > change.size for change in changes) >= enough:
             valid = valid & ~(np.repeat(long, length) & ~moved)
     return recording if valid is recording.valid else dataclasses.replace(recording, valid=valid)
-
-
-def scaled(recording: Recording, nominal: float) -> Recording:
-    """Offset and width times the factor that makes the median width of the usable samples `nominal` [m]."""
-    widths = recording.lane_width[usable_samples(recording)]
-    if widths.size == 0:
-        return recording
-    factor = nominal / float(np.median(widths))
-    with np.errstate(over="ignore", invalid="ignore"):  # of absurd numbers, which are not usable
-        return dataclasses.replace(
-            recording,
-            lane_offset=recording.lane_offset * factor,
-            lane_width=recording.lane_width * factor,
-            lane_scale=recording.lane_scale * factor,
-        )
 
 
 HALF_WINDOW: Final = 1.0  # half the window of the slope [s]: a heading is coarse

@@ -5,14 +5,14 @@ import hashlib
 import itertools
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, Final, TypeVar
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.departures import LEFT, RIGHT, Departures, DepartureSignals
-from ldctoolkit.recordings.find_departures import ACCEPTED, REASONS, Found
+from ldctoolkit.recordings.find_departures import ACCEPTED, Found
 from ldctoolkit.recordings.preparation import MAX_JUMP, coarse_step
 from ldctoolkit.recordings.recording import LARGEST, Label, Recording, RecordingTable, printable, usable_samples
 
@@ -89,33 +89,24 @@ def accounts_of(
     candidates = np.bincount(cell, minlength=count * SIDES * kinds).reshape(count, SIDES, kinds)
     before = np.concatenate([[0], np.cumsum(found.usable)])
     usable = before[table.offsets[1:]] - before[table.offsets[:-1]]
-    amounts = [_grouped(values, group, count) for values in (counted.astype(np.int64), samples, usable)]
     # a recording of absurd times counts as `LONGEST`, and as 100 m/s for so long
-    whole = (np.rint(np.minimum(seconds, LONGEST) * 1e9).astype(np.int64) for seconds in (found.read, found.driven))
-    read, valid = (_grouped(nanoseconds, group, count) for nanoseconds in whole)
-    distance = _grouped(np.rint(np.minimum(found.distance, 100.0 * LONGEST) * 1e6).astype(np.int64), group, count)
+    read, driven = (np.rint(np.minimum(seconds, LONGEST) * 1e9) for seconds in (found.read, found.driven))
+    distance = np.rint(np.minimum(found.distance, 100.0 * LONGEST) * 1e6)
+    amounts = {"recordings": counted, "samples": samples, "usable": usable}
+    amounts |= {"read_ns": read, "valid_ns": driven, "valid_um": distance}
+    totals = {name: np.zeros(count, dtype=np.int64) for name in amounts}
+    for name, values in amounts.items():
+        np.add.at(totals[name], group, values.astype(np.int64))
     return tuple(
         Account(
             origin=origin,
-            recordings=int(amounts[0][i]),
-            samples=int(amounts[1][i]),
-            usable=int(amounts[2][i]),
-            read_ns=int(read[i]),
-            valid_ns=int(valid[i]),
-            valid_um=int(distance[i]),
             departures=candidates[i, :, ACCEPTED],
-            refused=candidates[i, :, : len(REASONS)],
+            refused=candidates[i, :, :ACCEPTED],
             widths=widths[i],
+            **{name: int(total[i]) for name, total in totals.items()},
         )
         for i, origin in enumerate(distinct)
     )
-
-
-def _grouped(values: IntArray, group: IntArray, count: int) -> IntArray:
-    """Sums of whole numbers by group, (count,)."""
-    total = np.zeros(count, dtype=np.int64)
-    np.add.at(total, group, values)
-    return total
 
 
 def combined_accounts(accounts: Iterable[Account]) -> tuple[Account, ...]:
@@ -464,24 +455,18 @@ def combined_statistics(parts: Iterable[QualityStatistics]) -> QualityStatistics
     for part in given:
         units.update(dict(part.units))
         notes.update(dict(part.notes))
+    summed = ("turns", "bends", "sway", "offsets", "grazes", "stays_ns")
+    joined = ("names", "fingerprints", "median_widths")
+    arrays: dict[str, Any] = {name: np.sum([getattr(part, name) for part in given], axis=0) for name in summed}
+    arrays |= {name: np.concatenate([getattr(part, name) for part in given]) for name in joined}
     return QualityStatistics(
         units=tuple(units.items()),
         kinds=tuple(sorted({kind for part in given for kind in part.kinds})),
         lanes=all(part.lanes for part in given),
-        turns=np.sum([part.turns for part in given], axis=0),
-        bends=np.sum([part.bends for part in given], axis=0),
-        names=np.concatenate([part.names for part in given]),
-        fingerprints=np.concatenate([part.fingerprints for part in given]),
-        median_widths=np.concatenate([part.median_widths for part in given]),
-        sway=np.sum([part.sway for part in given], axis=0),
-        offsets=np.sum([part.offsets for part in given], axis=0),
-        grazes=np.sum([part.grazes for part in given], axis=0),
-        stays_ns=np.sum([part.stays_ns for part in given], axis=0),
         notes=tuple(notes.items()),
+        **arrays,
     )
 
-
-T = TypeVar("T")
 
 KEPT: Final = 12  # departures of each kind that are kept of each source and side
 
@@ -519,56 +504,34 @@ class Drawn:
 
 def example_events(departures: Departures, signals: DepartureSignals, sources: list[str]) -> Drawn:
     """The departures to keep of n found ones."""
-    found = list(zip(departures.recording.tolist(), departures.start_time.tolist(), strict=True))
-    lots = [_lot(name, time) for name, time in found]
-    depths = [(-depth, name, time) for depth, (name, time) in zip(departures.d_y.tolist(), found, strict=True)]
     matrix = departures.matrix()
-
-    def event(i: int) -> DrawnEvent:
-        rows = slice(int(signals.offsets[i]), int(signals.offsets[i + 1]))
-        return DrawnEvent(
-            sources[i],
-            str(departures.recording[i]),
-            int(departures.side[i]),
-            float(departures.start_time[i]),
-            matrix[i].copy(),
-            signals.t[rows].copy(),
-            signals.y[rows].copy(),
-            signals.v[rows].copy(),
-            signals.c[rows].copy(),
-            lots[i],
-        )
-
-    deepest: list[DrawnEvent] = []
-    by_lot: list[DrawnEvent] = []
-    for places in _by_source_and_side(list(range(len(sources))), sources, departures.side.tolist()):
-        deepest += [event(i) for i in sorted(places, key=depths.__getitem__)[:KEPT]]
-        by_lot += [event(i) for i in sorted(places, key=lambda i: (lots[i], depths[i]))[:KEPT]]
-    return Drawn(tuple(deepest), tuple(by_lot))
+    ends = signals.offsets.tolist()
+    found: list[DrawnEvent] = []
+    for i, (recording, side, time) in enumerate(
+        zip(departures.recording.tolist(), departures.side.tolist(), departures.start_time.tolist(), strict=True)
+    ):
+        rows = slice(ends[i], ends[i + 1])
+        t, y, v, c = (column[rows].copy() for column in (signals.t, signals.y, signals.v, signals.c))
+        digest = hashlib.blake2b(f"{recording}|{time!r}".encode(), digest_size=7).digest()
+        lot = int.from_bytes(digest, "big")
+        found.append(DrawnEvent(sources[i], recording, side, time, matrix[i].copy(), t, y, v, c, lot))
+    return combined_examples([Drawn(tuple(found), tuple(found))])
 
 
 def combined_examples(parts: Iterable[Drawn]) -> Drawn:
     """The departures to keep of several shares of the work."""
     given = list(parts)
     return Drawn(
-        _best([event for part in given for event in part.deepest], lambda event: event.depth),
-        _best([event for part in given for event in part.by_lot], lambda event: (event.lot, *event.depth)),
+        _best((event for part in given for event in part.deepest), lambda event: event.depth),
+        _best((event for part in given for event in part.by_lot), lambda event: (event.lot, *event.depth)),
     )
 
 
-def _best(events: list[DrawnEvent], key: Callable[[DrawnEvent], tuple[object, ...]]) -> tuple[DrawnEvent, ...]:
-    groups = _by_source_and_side(events, [event.source for event in events], [event.side for event in events])
-    return tuple(event for found in groups for event in sorted(found, key=key)[:KEPT])
-
-
-def _by_source_and_side(items: Sequence[T], sources: Sequence[str], sides: Sequence[int]) -> list[list[T]]:
-    """Items by source and side: sources as they first come, left before right."""
-    groups: dict[str, dict[int, list[T]]] = {}
-    for item, source, side in zip(items, sources, sides, strict=True):
-        groups.setdefault(source, {LEFT: [], RIGHT: []})[side].append(item)
-    return [found for both in groups.values() for found in both.values() if found]
-
-
-def _lot(recording: str, start_time: float) -> int:
-    digest = hashlib.blake2b(f"{recording}|{float(start_time)!r}".encode(), digest_size=7)
-    return int.from_bytes(digest.digest(), "big")
+def _best(events: Iterable[DrawnEvent], key: Callable[[DrawnEvent], tuple[object, ...]]) -> tuple[DrawnEvent, ...]:
+    """The first few of each source and side: sources as they first come, left before right."""
+    groups: dict[str, dict[int, list[DrawnEvent]]] = {}
+    for event in events:
+        groups.setdefault(event.source, {LEFT: [], RIGHT: []})[event.side].append(event)
+    return tuple(
+        event for both in groups.values() for found in both.values() for event in sorted(found, key=key)[:KEPT]
+    )

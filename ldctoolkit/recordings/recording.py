@@ -5,8 +5,9 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import stat
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any, ClassVar, Final
+from typing import Any, ClassVar, Final, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -144,23 +145,6 @@ class Recording(ReadOnly):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self._check_texts()
-        for column in self.COLUMNS:
-            values = getattr(self, column)
-            if values is not None and values.shape != (self.samples,):
-                raise RecordingError(
-                    f"recording {self.name!r}: {column} has the shape {values.shape}; allowed: ({self.samples},), as t"
-                )
-        if not np.isfinite(self.t).all():
-            raise RecordingError(f"recording {self.name!r}: t[{int(np.argmin(np.isfinite(self.t)))}] is not finite")
-        if (self.t[1:] < self.t[:-1]).any():
-            i = int(np.argmax(self.t[1:] < self.t[:-1]))
-            raise RecordingError(
-                f"recording {self.name!r}: t[{i + 1}] = {float(self.t[i + 1])!r} s after {float(self.t[i])!r} s; "
-                "allowed: times that do not fall"
-            )
-
-    def _check_texts(self) -> None:
         name = _text(self.name, "a recording's name")
         if not name:
             raise RecordingError("a recording's name is empty")
@@ -175,6 +159,17 @@ class Recording(ReadOnly):
                 raise RecordingError(f"{whose} {attribute} are {values!r:.60}; allowed: a tuple of {kind.__name__}")
         object.__setattr__(self, "notes", tuple(map(printable, self.notes)))
         object.__setattr__(self, "labels", tuple(self.labels))
+        for column in self.COLUMNS:
+            values = getattr(self, column)
+            if values is not None and values.shape != (self.samples,):
+                what = f"{column} has the shape {values.shape}; allowed: ({self.samples},), as t"
+                raise RecordingError(f"{whose} {what}")
+        if not np.isfinite(self.t).all():
+            raise RecordingError(f"{whose} t[{int(np.argmin(np.isfinite(self.t)))}] is not finite")
+        if (self.t[1:] < self.t[:-1]).any():
+            i = int(np.argmax(self.t[1:] < self.t[:-1]))
+            what = f"t[{i + 1}] = {float(self.t[i + 1])!r} s after {float(self.t[i])!r} s"
+            raise RecordingError(f"{whose} {what}; allowed: times that do not fall")
 
     @property
     def samples(self) -> int:
@@ -183,11 +178,7 @@ class Recording(ReadOnly):
 
     def take(self, rows: IntArray | BoolArray | slice) -> Recording:
         """The same recording with chosen samples."""
-        taken: dict[str, Any] = {}
-        for name in self.COLUMNS:
-            values = getattr(self, name)
-            taken[name] = None if values is None else values[rows]
-        return dataclasses.replace(self, **taken)
+        return changed_columns(self, self.COLUMNS, lambda values: values[rows])
 
 
 MIN_LANE_WIDTH: Final = 2.0  # [m]
@@ -198,8 +189,7 @@ LARGEST: Final = 1e9  # a number of this size or more is not a measurement in an
 
 def measured(values: FloatArray) -> FloatArray:
     """NaN for numbers of absurd size, which are none; sums of such would overflow."""
-    kept: FloatArray = np.where(np.abs(values) < LARGEST, values, np.nan)
-    return kept
+    return np.where(np.abs(values) < LARGEST, values, np.nan)
 
 
 def usable_samples(samples: RecordingTable | Recording) -> BoolArray:
@@ -238,6 +228,16 @@ class RecordingTable:
     def recording_index(self) -> IntArray:
         """Index of the recording that each sample belongs to, (m,)."""
         return np.repeat(np.arange(self.names.size), np.diff(self.offsets))
+
+
+Samples = TypeVar("Samples", Recording, RecordingTable)
+
+
+def changed_columns(samples: Samples, names: Iterable[str], change: Callable[[Any], Any]) -> Samples:
+    """The same with other values in some of the columns, as far as they are there."""
+    columns = {name: getattr(samples, name) for name in names}
+    changed = {name: change(values) for name, values in columns.items() if values is not None}
+    return dataclasses.replace(samples, **changed)
 
 
 MISSING: Final = ("", "null", "nan", "na", "n/a", "none", "-nan", "#n/a")

@@ -151,29 +151,6 @@ def recording_reader(name: str) -> RecordingReader:
     return reader
 
 
-def recognised_by(paths: Sequence[Path]) -> list[tuple[RecordingReader, str]]:
-    """Readers that these paths are for, by name, and what each found."""
-    found = []
-    for reader in map(recording_reader, reader_names()):
-        try:
-            text = reader.recognise(paths)
-        except Exception as error:  # as above
-            raise LdcError(f"format {reader.name!r}: recognise fails with {type(error).__name__}: {error}") from error
-        if text:
-            found.append((reader, text))
-    if not found:
-        raise RecordingError(
-            f"{shown(paths)}: no reader knows such files; allowed: {', '.join(reader_names())} (named with --format, a "
-            "reader says what it misses)"
-        )
-    return found
-
-
-def shown(paths: Sequence[Path]) -> str:
-    """A few paths by their names, for messages."""
-    return ", ".join(path.name or str(path) for path in paths[:3]) + (", ..." if len(paths) > 3 else "")
-
-
 DEPTH: Final = 2  # folders inside a folder are looked into this many levels down
 
 _TABLE: Final = re.compile(r"\.(csv|txt|csv\.gz|csv\.bz2|csv\.xz|csv\.zip)$", re.IGNORECASE)
@@ -362,13 +339,26 @@ def open_recordings(
 
 def _recognised(paths: list[Path]) -> tuple[RecordingReader, str]:
     """The reader for these paths, and what it found; several readers as one where one set of options serves them."""
-    found = recognised_by(paths)
+    found: list[tuple[RecordingReader, str]] = []
+    for reader in map(recording_reader, reader_names()):
+        try:
+            text = reader.recognise(paths)
+        except Exception as error:  # the reader may be third-party code
+            raise LdcError(f"format {reader.name!r}: recognise fails with {type(error).__name__}: {error}") from error
+        if text:
+            found.append((reader, text))
     if len(found) == 1:
         return found[0]
+    shown = ", ".join(path.name or str(path) for path in paths[:3]) + (", ..." if len(paths) > 3 else "")
+    if not found:
+        raise RecordingError(
+            f"{shown}: no reader knows such files; allowed: {', '.join(reader_names())} (named with --format, a "
+            "reader says what it misses)"
+        )
     texts = "; ".join(f"{reader.name}: {text}" for reader, text in found)
     readers = tuple(reader for reader, _ in found)
     if len({(reader.vehicle_width, reader.step) for reader in readers}) > 1:
-        raise RecordingError(f"{shown(paths)}: several readers know such files ({texts}); choose one with --format")
+        raise RecordingError(f"{shown}: several readers know such files ({texts}); choose one with --format")
     return CombinedReader(readers), texts
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.errors import RecordingError
-from ldctoolkit.recordings.preparation import cut_at
+from ldctoolkit.recordings.preparation import cut_at, nearest_times
 from ldctoolkit.recordings.recording import LARGEST, Problem, Recording, measured
 from ldctoolkit.recordings.sources import FoundParts
 from ldctoolkit.recordings.trip_index import Cells, Stretch
@@ -138,10 +138,7 @@ def nearest_rows(
         if np.array_equal(own, theirs) and (own[1:] > own[:-1]).all():  # as usual
             match[low:high] = np.arange(first, last)
             continue
-        place = np.searchsorted(theirs, own)
-        before = np.searchsorted(theirs, theirs[np.maximum(place - 1, 0)])
-        after = np.searchsorted(theirs, theirs[np.minimum(place, theirs.size - 1)])
-        chosen = np.where(np.abs(theirs[before] - own) <= np.abs(theirs[after] - own), before, after)
+        chosen = nearest_times(theirs, own)
         match[low:high] = np.where(np.abs(theirs[chosen] - own) <= tolerance, first + chosen, -1)
     return match
 

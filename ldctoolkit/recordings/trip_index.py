@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 TEXT_COMPILED_FROM: Final = 1 << 20  # loading a compiler's library is not worth it for less
 
-_PIECE: Final = 1 << 17
 _LINE_END: Final = 10
 _BLANKS: Final = " \t\r\"'"
 
@@ -60,9 +59,9 @@ def read_cells(
 ) -> Cells:
     r"""Parse whole lines of numbers.
 
-    A clean text is parsed at once as numbers: plain ones, as recorders write them, by a compiled loop over the bytes,
-    three times as fast as a CSV library, others by the library. If that is not possible, lines are looked through, all
-    together; if that does not help either, the cells are read as words.
+    Plain numbers, as recorders write them, are parsed by a compiled loop over the bytes, three times as fast as a CSV
+    library. If that is not possible, lines are looked through, all together, and the library parses the good ones; if
+    that does not help either, the cells are read as words.
     """
     import polars as pl
 
@@ -73,24 +72,7 @@ def read_cells(
     if bytes_.size == 0:
         return Cells(tuple(wanted), tuple(np.empty(0) for _ in wanted), np.empty(0, dtype=np.int64), 0)
 
-    def parse(
-        source: bytes | bytearray | memoryview, kind: type[pl.DataType], width: int = len(place)
-    ) -> pl.DataFrame | None:
-        kinds: dict[str, type[pl.DataType]] = dict.fromkeys(place[:width], pl.String)
-        kinds |= dict.fromkeys(chosen, kind)
-        try:
-            return pl.read_csv(
-                b"".join((",".join(kinds).encode(), b"\n", source)),
-                schema=kinds,
-                columns=list(dict.fromkeys([*chosen, place[width - 1]])),
-                quote_char=None,
-                truncate_ragged_lines=True,
-                raise_if_empty=False,
-            )
-        except (pl.exceptions.PolarsError, pl.exceptions.PanicException):
-            return None
-
-    lines = _count(bytes_, b"\n") + int(bytes_[-1] != _LINE_END)
+    lines = int(np.count_nonzero(bytes_ == _LINE_END)) + int(bytes_[-1] != _LINE_END)
     if bytes_.size >= compiled_from:
         from ldctoolkit.recordings._text_kernels import plain_numbers
 
@@ -98,32 +80,31 @@ def read_cells(
             numbers = plain_numbers(bytes_, [place.index(name) for name in chosen], number, lines)
             if numbers is not None:
                 return Cells(tuple(wanted), tuple(numbers), np.arange(lines), lines)
-    commas = _count(bytes_, b",")
-    exact = next((number for number in allowed if commas == lines * (number - 1)), 0)
-    if exact and bytes_.max() < 128:
-        frame = parse(text, pl.Float64, exact)
-        # the last cell is nowhere missing, so no line is short; the sum then says that none is long
-        if frame is not None and frame.height == lines and frame[place[exact - 1]].null_count() == 0:
-            return Cells(tuple(wanted), _arrays(frame.select(chosen)), np.arange(lines), lines)
-    row, source, faults = _survey(bytes(text), bytes_, allowed)
-    frame = parse(source, pl.Float64)
-    if frame is None or frame.height != row.size:
-        frame = parse(source, pl.String)
-        if frame is None or frame.height != row.size:  # a text that the library itself cannot split
-            raise RecordingError("some lines cannot be split into cells")
-        frame, row, unreadable = _numbers(frame.select(chosen), row, wanted)
+    row, good, faults = _survey(bytes(text), bytes_, allowed)
+    for kind in (pl.Float64, pl.String):
+        kinds: dict[str, type[pl.DataType]] = dict.fromkeys(place, pl.String)
+        kinds |= dict.fromkeys(chosen, kind)
+        try:
+            frame = pl.read_csv(
+                ",".join(place).encode() + b"\n" + good,
+                schema=kinds,
+                columns=list(dict.fromkeys(chosen)),
+                quote_char=None,
+                truncate_ragged_lines=True,
+                raise_if_empty=False,
+            )
+        except (pl.exceptions.PolarsError, pl.exceptions.PanicException):
+            continue
+        if frame.height == row.size:
+            break
+    else:  # a text that the library itself cannot split
+        raise RecordingError("some lines cannot be split into cells")
+    frame = frame.select(chosen)
+    if kind is pl.String:
+        frame, row, unreadable = _numbers(frame, row, wanted)
         faults += unreadable
-    return Cells(tuple(wanted), _arrays(frame.select(chosen)), row, lines, tuple(sorted(faults)))
-
-
-def _count(bytes_: npt.NDArray[np.uint8], one: bytes) -> int:
-    """How often a byte occurs; in pieces that stay in the cache."""
-    pieces = (bytes_[begin : begin + _PIECE] for begin in range(0, bytes_.size, _PIECE))
-    return sum(int(np.count_nonzero(piece == ord(one))) for piece in pieces)
-
-
-def _arrays(frame: pl.DataFrame) -> tuple[FloatArray, ...]:
-    return tuple(frame[name].fill_null(float("nan")).to_numpy() for name in frame.columns)
+    values = tuple(frame[name].fill_null(float("nan")).to_numpy() for name in chosen)
+    return Cells(tuple(wanted), values, row, lines, tuple(sorted(faults)))
 
 
 def _survey(

@@ -11,7 +11,7 @@ import numpy as np
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.errors import RecordingError
-from ldctoolkit.recordings.preparation import MOST_DROPPED, rising_rows
+from ldctoolkit.recordings.preparation import MOST_DROPPED, middle_two, rising_rows
 from ldctoolkit.recordings.recording import Problem, SourceFile
 from ldctoolkit.recordings.sources import check_columns, find_tables, shown_names
 from ldctoolkit.recordings.trip_index import Cells, Stretch, TripIndex, index_trips, read_cells
@@ -219,8 +219,7 @@ def read_trips(
     def line_of(row: IntArray) -> IntArray:
         piece = np.searchsorted(before, row, side="right") - 1
         # an empty piece would share its place with the next; there is none
-        line: IntArray = row - before[piece] + first[piece]
-        return line
+        return row - before[piece] + first[piece]
 
     lost_rows = np.array([fault.line for fault in found.faults], dtype=np.int64)
     faults = [
@@ -238,11 +237,18 @@ def read_trips(
     keep = np.flatnonzero(timed)
     apart = len(pieces) > len(trips)
     if apart:
-        keep = keep[pieces_in_time(trip[keep], np.searchsorted(before, found.row[keep], side="right"), t[keep])]
-    forward, back = forward_rows(trip[keep], t[keep])
-    for row, what in back:
-        line, i = int(line_of(found.row[keep[row : row + 1]])[0]), int(keep[row])
-        one = trips[int(trip[i])][0]
+        # pieces of a trip in the order of their median times: one time far ahead at the begin of one does not move it
+        piece = np.searchsorted(before, found.row[keep], side="right")
+        begins = np.flatnonzero(np.diff(piece, prepend=-1))
+        counts = np.diff(begins, append=keep.size)
+        middle, _ = middle_two(t[keep], piece, counts)
+        keep = keep[np.lexsort((np.repeat(middle, counts), trip[keep]))]  # stable: equal ones stay in the file's order
+    own, clock = trip[keep], t[keep]
+    forward = np.ones(keep.size, dtype=bool)
+    for i in np.unique(own[1:][(clock[1:] < clock[:-1]) & (own[1:] == own[:-1])]).tolist():
+        low, high = np.searchsorted(own, [i, i + 1])
+        forward[low:high], row, what = rows_in_order(clock[low:high])
+        line, one = int(line_of(found.row[keep[[low + row]]])[0]), trips[i][0]
         faults.append((line, "back", f"trip {one.device}/{one.trip}: {what}"))
     cuts = np.empty(0, dtype=np.int64)
     if apart or found.faults or not forward.all() or keep.size < t.size:
@@ -278,30 +284,6 @@ def _read(table: TripTable, pieces: Sequence[Stretch]) -> memoryview | None:
     except OSError as error:
         raise RecordingError(f"{table.name}: cannot be read: {error.strerror or error}") from None
     return text[:at]
-
-
-def pieces_in_time(trip: IntArray, piece: IntArray, t: FloatArray) -> IntArray:
-    """Order of the rows that puts the pieces of each trip in the order of their median times.
-
-    One time far ahead at the begin of a piece does not move it.
-    """
-    begins = np.flatnonzero(np.diff(piece, prepend=-1))
-    counts = np.diff(begins, append=t.size)
-    middle = t[np.lexsort((t, piece))[begins + (counts - 1) // 2]]
-    order: IntArray = np.lexsort((np.repeat(middle, counts), trip))  # stable: equal ones stay in the order of the file
-    return order
-
-
-def forward_rows(trip: IntArray, t: FloatArray) -> tuple[BoolArray, list[tuple[int, str]]]:
-    """Which rows to keep so that the times of no trip fall, and a row and words for each trip with others."""
-    keep = np.ones(t.size, dtype=bool)
-    falls = np.flatnonzero((t[1:] < t[:-1]) & (trip[1:] == trip[:-1]))
-    back: list[tuple[int, str]] = []
-    for one in np.unique(trip[falls + 1]):
-        low, high = np.searchsorted(trip, [one, one + 1])
-        keep[low:high], row, what = rows_in_order(t[low:high])
-        back.append((int(low) + row, what))
-    return keep, back
 
 
 def rows_in_order(t: FloatArray) -> tuple[BoolArray, int, str]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.errors import RecordingError
-from ldctoolkit.recordings.preparation import SPIKES, cut_at, joins_of, local_slope, merge_repeated, spikes, values_at
+from ldctoolkit.recordings.preparation import LIMITS, cut_at, joins_of, local_slope, merge_repeated, spikes, values_at
 from ldctoolkit.recordings.recording import LARGEST, Label, Problem, Recording, SourceFile, TableFault, source_file
 from ldctoolkit.recordings.sources import FoundParts
 from ldctoolkit.recordings.trip_index import read_cells
@@ -223,19 +223,15 @@ def _trip(folder: _Folder, problems: list[Problem]) -> tuple[TripFolder, list[So
             raise RecordingError(f"no file {name}, which holds {what}")
     match = _TRIP.fullmatch(folder.path.name)
     labels: tuple[Label, ...] = ()
-    source = folder.driver_folder or folder.path.name
     if match:
-        driver = match["driver"].upper()
-        behaviour, road = match["behaviour"].upper(), match["road"].upper()
-        labels = (Label("driver", driver), Label("behaviour", behaviour), Label("road", road))
-        source = folder.driver_folder or driver
+        labels = tuple(Label(name, value.upper()) for name, value in match.groupdict().items())
     else:
         what = f"the folder's name is not {_PATTERN}; it is read without driver, behaviour and road"
         problems.append(Problem(folder.shown, "", what))
-    names = [folder.files.get(name, "") for name in _WANTED]
+    lane, gps, accelerometers = names = [folder.files.get(name, "") for name in _WANTED]
     digests = [source_file(folder.path / name, f"{folder.shown}/{name}") for name in names if name]
     size = sum(file.bytes for file in digests)
-    lane, gps, accelerometers = names
+    source = folder.driver_folder or (labels[0].value if labels else folder.path.name)
     name, path = folder.path.name, str(folder.path)
     return TripFolder(name, path, folder.shown, lane, gps, accelerometers, size, labels, source), digests
 
@@ -344,7 +340,7 @@ class TripFolder:
         valid = (state == DETECTED) & (width > 0.0) & (width < LARGEST) & (np.abs(x) < LARGEST) & ~inside
         # speed at the times `t` [m/s]
         # a phone without a speed says less than 0; what no vehicle drives is not interpolated either
-        known = (gps[:, 1] >= 0.0) & (gps[:, 1] < 360.0) & ~spikes(gps[:, 1], 3.6 * SPIKES["speed"])
+        known = (gps[:, 1] >= 0.0) & (gps[:, 1] < 360.0) & ~spikes(gps[:, 1], 3.6 * LIMITS["speed"][1])
         speed = values_at(t, *merge_repeated(gps[known, 0], gps[known, 1] / 3.6), longest=SPEED_STEP, beyond=SPEED_HELD)
         known = is_course(gps[:, 4])
         course_t, course = merge_repeated(gps[known, 0], np.unwrap(-np.radians(gps[known, 4])))

@@ -15,10 +15,10 @@ from ldctoolkit.diagnostics import SideDiagnostics, Strip, box_share, diagnose, 
 from ldctoolkit.diagnostics._marginals import (
     ModelMarginal,
     bin_edges,
-    bin_of,
     calibrate,
     joint_density,
     kolmogorov_limit,
+    marginal,
     model_marginal,
     strip_is_off,
 )
@@ -389,7 +389,10 @@ def test_bins_end_at_a_bound_that_is_close() -> None:
     edges = bin_edges(x, x, 0.0, INF, 40)
     assert (edges[0], edges[-1]) == (0.0, pytest.approx(np.quantile(x, 0.997)))
     assert bin_edges(x, x, -50.0, INF, 40)[0] == pytest.approx(np.quantile(x, 0.003))
-    assert bin_of(np.array([-0.1, 0.0, edges[-1], edges[-1] + 1.0]), edges).tolist() == [-1, 0, 39, -1]
+    at = np.array([-0.1, 0.0, edges[-1], edges[-1] + 1.0])  # the last bin holds its right edge
+    line = ModelMarginal(np.sort(x), np.array([0, x.size]), np.array([0.0, 1.0]))
+    shown = marginal("T", at, np.array([0.1, 0.2, 0.3, 0.4]), line, edges)
+    assert (shown.data[0], shown.data[39], shown.data.sum(), shown.data_beyond) == (0.2, 0.3, 0.5, 0.5)
 
 
 def test_histogram_and_what_lies_beyond_add_up() -> None:
