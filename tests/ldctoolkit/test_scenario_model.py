@@ -26,8 +26,7 @@ from ldctoolkit.scenarios import SPEED_FLOOR, slowest_speed
 def plane(n, seed=0):
     """n plausible departures a side of which only T and d_y vary."""
     made = departures(n, seed, sigma_y=0.05, v_mean=25.0, a_mean=0.0, sigma_v=0.04, c_0=0.0, dc=0.0)
-    np.minimum(made.d_y, 0.4 * made.T * np.minimum(made.T, 1.0), out=made.d_y)
-    return made
+    return dataclasses.replace(made, d_y=np.minimum(made.d_y, 0.4 * made.T * np.minimum(made.T, 1.0)))
 
 
 @pytest.fixture(scope="module")

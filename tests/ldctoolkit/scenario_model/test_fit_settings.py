@@ -194,8 +194,8 @@ def test_wrong_settings(departures, setting, message):
 def test_a_failed_K_of_a_range_is_a_warning(departures):
     """Half of the events are the same: without a prior a second component shrinks onto them."""
     d = departures(60)
-    for name in ("T", "d_y", "v_mean"):
-        getattr(d, name)[np.arange(120) % 60 < 40] = getattr(d, name)[0]
+    same, columns = np.arange(120) % 60 < 40, {name: getattr(d, name) for name in ("T", "d_y", "v_mean")}
+    d = dataclasses.replace(d, **{name: np.where(same, column[0], column) for name, column in columns.items()})
     model = fit_scenario_model(d, components=[1, 2], prior_strength=0.0, n_init=2)
     assert model.provenance.left.n_components == (1,)
     ((K, message),) = model.provenance.left.failed
