@@ -255,7 +255,7 @@ class Schedule:
         if not sizes:
             return cls(form, sizes, np.zeros((0, 0)), 0.0, np.zeros(0, dtype=np.int64), *_NO_PIECES)
         what = f"gains of {controller.name!r}"
-        v = np.geomspace(*SPEED_RANGE, 331)
+        v = np.geomspace(*SPEED_RANGE, 997)
         exact, (series, smooth) = gains(v), chebyshev(gains)
         size = np.maximum(np.abs(exact).max(axis=0), 1e-300)
         found = _value(series, -1.0, 1.0, np.linspace(-1.0, 1.0, v.size))
