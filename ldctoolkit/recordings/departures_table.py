@@ -36,8 +36,7 @@ from ldctoolkit.recordings.quality import (
     no_statistics,
 )
 from ldctoolkit.recordings.recording import Problem, SourceFile
-from ldctoolkit.validation import parse_json, read_regular
-from ldctoolkit.whole_file import whole_file
+from ldctoolkit.whole_file import parse_json, read_regular, whole_file
 
 if TYPE_CHECKING:
     import polars as pl

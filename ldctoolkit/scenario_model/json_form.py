@@ -26,7 +26,8 @@ from ldctoolkit.scenario_model.provenance import (
     SourceSummary,
     check_usable,
 )
-from ldctoolkit.validation import Part, fail, first_problem, parse_json, short, text_of
+from ldctoolkit.validation import Part, fail, first_problem, short
+from ldctoolkit.whole_file import parse_json, text_of
 
 FORMAT: Final = "ldctoolkit-scenario-model"
 VERSION: Final = 3

@@ -18,8 +18,7 @@ from ldctoolkit import LdcError, Scenarios
 from ldctoolkit.departures import LEFT, PARAMETER_COLUMNS, RIGHT
 from ldctoolkit.errors import StoreError
 from ldctoolkit.recordings.departures_table import read_signals, signals_path, signals_table
-from ldctoolkit.validation import LARGEST, parse_json, read_regular
-from ldctoolkit.whole_file import whole_file
+from ldctoolkit.whole_file import parse_json, read_regular, whole_file
 
 if TYPE_CHECKING:
     import polars as pl
@@ -78,14 +77,14 @@ def write_parquet(path: Path, table: pl.DataFrame) -> None:
         table.write_parquet(stream)
 
 
-def read_bytes(path: Path, largest: int | None = None) -> bytes:
-    """The content of a regular file, of at most so many bytes."""
-    return read_regular(path, StoreError, largest)
+def read_bytes(path: Path) -> bytes:
+    """The content of a regular file."""
+    return read_regular(path, StoreError, None)
 
 
 def read_json(path: Path) -> Any:
     """What a file in JSON holds; raises `StoreError`, or `ValueError` for what is no JSON."""
-    return parse_json(read_bytes(path, LARGEST))
+    return parse_json(read_regular(path, StoreError))
 
 
 def read_parquet(path: Path, schema: dict[str, Any], *, finite: bool = True) -> pl.DataFrame:

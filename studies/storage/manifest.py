@@ -18,8 +18,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 import ldctoolkit
 from ldctoolkit.errors import StoreError, StudyError
-from ldctoolkit.validation import parse_json, read_regular
 from ldctoolkit.vehicle import Convention
+from ldctoolkit.whole_file import parse_json, read_regular
 
 from ..design import Design
 from ..results import Dropped, Race, RunKey
