@@ -43,7 +43,7 @@ from ldctoolkit.whole_file import write_whole
 
 from .running.executors import Executor, make_executor
 from .running.tasks import Faults
-from .storage.files import locked, read_bytes, read_json, remove_leftovers, remove_unfinished, write_text
+from .storage.files import locked, read_bytes, read_json, remove_leftovers, remove_unfinished, write_json
 
 PACKAGES: Final = ("numpy", "polars", "numba")  # packages that read files or decide numbers
 
@@ -266,9 +266,8 @@ def _keep_only(path: Path, plan: Plan) -> None:
     manifest = path / _MANIFEST
     if manifest.exists():
         try:
-            there = read_json(manifest)
-            differs = what_differs(there, plan) if isinstance(there, dict) else "its manifest is broken"
-        except ValueError:
+            differs = what_differs(read_json(manifest), plan)
+        except StoreError:
             differs = "its manifest is broken"
         if not differs and plan["files"]:  # without digests it is not known whether the files are the same
             return
@@ -281,7 +280,7 @@ def _keep_only(path: Path, plan: Plan) -> None:
             what = f"is not the work folder of an extraction (it holds {min(others)})"
             raise StoreError(f"{path}: {what}; {_KEPT_THERE}")
     _clear(path)
-    write_text(manifest, json.dumps(plan, indent=1, ensure_ascii=False) + "\n")
+    write_json(manifest, plan)
 
 
 def _clear(path: Path) -> None:

@@ -14,7 +14,8 @@ from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.departures import RIGHT
 from ldctoolkit.errors import StudyError, UnknownNameError, nearest
 from ldctoolkit.scenarios import Drifts
-from ldctoolkit.validation import Part, as_tuples, fail, first_problem, read_toml
+from ldctoolkit.validation import Part, as_tuples, fail, first_problem
+from ldctoolkit.whole_file import read_toml
 
 FOLDER: Final = Path(__file__).parent / "catalog" / "standards"
 

@@ -31,8 +31,9 @@ from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.scenario_model import conditions
 from ldctoolkit.setup import Setup, simulation_options
 from ldctoolkit.simulation import Window
-from ldctoolkit.validation import Part, as_tuples, fail, first_problem, read_toml
+from ldctoolkit.validation import Part, as_tuples, fail, first_problem
 from ldctoolkit.vehicle import Convention
+from ldctoolkit.whole_file import read_toml
 
 from .design import CONVENTION_GAIN, Design
 from .design_space import DesignBlock, check_blocks

@@ -12,7 +12,7 @@ from ldctoolkit import Gain, controller_class
 from ldctoolkit.errors import StudyError
 from ldctoolkit.option_checks import declaration_of
 from ldctoolkit.setup import Setup
-from ldctoolkit.validation import read_toml
+from ldctoolkit.whole_file import read_toml
 
 from .design_space import rounded
 from .study_file import SimulationSettings, Study

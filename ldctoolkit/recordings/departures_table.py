@@ -36,8 +36,7 @@ from ldctoolkit.recordings.quality import (
     no_statistics,
 )
 from ldctoolkit.recordings.recording import Problem, SourceFile
-from ldctoolkit.validation import parse_json, read_regular
-from ldctoolkit.whole_file import PARQUET_CHECKSUM, check_parquet, parquet_bytes, write_whole
+from ldctoolkit.whole_file import PARQUET_CHECKSUM, check_parquet, parquet_bytes, parse_json, read_regular, write_whole
 
 if TYPE_CHECKING:
     import polars as pl

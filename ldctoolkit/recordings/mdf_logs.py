@@ -23,7 +23,8 @@ from ldctoolkit.errors import InputError, LdcError, RecordingError
 from ldctoolkit.recordings.preparation import LONGEST_GAP, MAX_GAP
 from ldctoolkit.recordings.recording import Problem, Recording, source_file
 from ldctoolkit.recordings.sources import FoundParts, find_tables, shown_names
-from ldctoolkit.validation import Part, as_tuples, fail, first_problem, read_toml
+from ldctoolkit.validation import Part, as_tuples, fail, first_problem
+from ldctoolkit.whole_file import read_toml
 
 _NAMES: Final = re.compile(r"\.(mf4|mdf|dat)$", re.IGNORECASE)
 

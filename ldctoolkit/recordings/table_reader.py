@@ -29,7 +29,7 @@ from ldctoolkit.recordings.recording import (
 )
 from ldctoolkit.recordings.sources import FoundParts, check_columns, place_of, shown_names
 from ldctoolkit.recordings.trip_tables import grouped_problems
-from ldctoolkit.validation import text_of
+from ldctoolkit.whole_file import text_of
 
 UNITS: Final = {
     "t": "s", "lane_offset": "m", "lane_width": "m", "speed": "m/s", "curvature": "1/m", "yaw_rate": "rad/s",

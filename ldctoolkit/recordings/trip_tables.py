@@ -15,7 +15,7 @@ from ldctoolkit.recordings.preparation import MOST_DROPPED, middle_two, rising_r
 from ldctoolkit.recordings.recording import Problem, SourceFile
 from ldctoolkit.recordings.sources import check_columns, find_tables, shown_names
 from ldctoolkit.recordings.trip_index import Cells, Stretch, TripIndex, index_trips, read_cells
-from ldctoolkit.validation import text_of
+from ldctoolkit.whole_file import text_of
 
 LONGEST_HEADER: Final = 1 << 16
 _DELIMITERS: Final = {";": "semicolons", "\t": "tabs", "|": "vertical bars", " ": "blanks"}

@@ -26,8 +26,8 @@ from ldctoolkit.scenario_model.provenance import (
     SourceSummary,
     check_usable,
 )
-from ldctoolkit.validation import Part, fail, first_problem, parse_json, short, text_of
-from ldctoolkit.whole_file import CHECKSUM, NOT_AS_WRITTEN, digest
+from ldctoolkit.validation import Part, fail, first_problem, short
+from ldctoolkit.whole_file import CHECKSUM, NOT_AS_WRITTEN, digest, parse_json, text_of
 
 FORMAT: Final = "ldctoolkit-scenario-model"
 VERSION: Final = 3

@@ -31,8 +31,7 @@ from ldctoolkit.option_checks import UnitWarning, unit_slip
 from ldctoolkit.recordings import Provenance, Refused, read_departures
 from ldctoolkit.scenario_model.provenance import ModelProvenance, SideModel
 from ldctoolkit.scenarios import SPEED_FLOOR, Scenarios, slowest_speed
-from ldctoolkit.validation import read_regular
-from ldctoolkit.whole_file import json_text, write_whole
+from ldctoolkit.whole_file import json_text, read_regular, write_whole
 
 Given = Mapping[str, float | tuple[float | None, float | None]]
 """Parameter -> its value, or (lower, upper) between which it lies; None is open. SI units."""

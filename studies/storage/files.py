@@ -19,8 +19,15 @@ from ldctoolkit.departures import LEFT, PARAMETER_COLUMNS, RIGHT
 from ldctoolkit.errors import StoreError
 from ldctoolkit.recordings.departures_table import read_signals, signals_path, signals_table
 from ldctoolkit.scenarios import Drifts
-from ldctoolkit.validation import LARGEST, parse_json, read_regular
-from ldctoolkit.whole_file import check_parquet, json_text, parquet_bytes, without_checksum, write_whole
+from ldctoolkit.whole_file import (
+    check_parquet,
+    json_text,
+    parquet_bytes,
+    parse_json,
+    read_regular,
+    without_checksum,
+    write_whole,
+)
 
 if TYPE_CHECKING:
     import polars as pl
@@ -54,7 +61,7 @@ def write_json(path: Path, content: Mapping[str, Any], indent: int | None = 1) -
 def read_json(path: Path) -> dict[str, Any]:
     """Read a JSON file that `write_json` wrote; raises `StoreError`."""
     try:
-        return without_checksum(parse_json(read_bytes(path, LARGEST)))
+        return without_checksum(parse_json(read_regular(path, StoreError)))
     except (ValueError, TypeError, AttributeError) as error:
         raise StoreError(f"{path}: broken: {error}") from None
 
@@ -83,9 +90,9 @@ def write_parquet(path: Path, table: pl.DataFrame) -> None:
     write_whole(path, parquet_bytes(table), StoreError)
 
 
-def read_bytes(path: Path, largest: int | None = None) -> bytes:
-    """The content of a regular file, of at most so many bytes."""
-    return read_regular(path, StoreError, largest)
+def read_bytes(path: Path) -> bytes:
+    """The content of a regular file."""
+    return read_regular(path, StoreError, None)
 
 
 def read_parquet(path: Path, schema: dict[str, Any], *, optional: dict[str, Any] | None = None) -> pl.DataFrame:

@@ -17,10 +17,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ldctoolkit.errors import StoreError
 from ldctoolkit.registry import with_content
-from ldctoolkit.validation import parse_json, read_regular
 from ldctoolkit.vehicle import Convention
 from ldctoolkit.version import DECISIVE, versions
-from ldctoolkit.whole_file import without_checksum
+from ldctoolkit.whole_file import parse_json, read_regular, without_checksum
 
 from ..design import Design
 from ..results import Dropped, Race, RunKey

@@ -101,7 +101,7 @@ def test_what_cannot_be_used_is_told_and_the_rest_is_written(folder: Path, ldc: 
         (["--max-lane-width", "2"], "max_lane_width: 2.0; allowed: more than min_lane_width, finite"),
         (["--report", "r.txt"], "--report r.txt: the name must end in .html"),
         (["--report", "nowhere/r.html"], "--report nowhere/r.html: the folder nowhere does not exist"),
-        (["--report", f"{'r' * 300}.html"], "rrr.html: cannot be used: "),
+        (["--report", f"{'r' * 300}.html"], "rrr.html: File name too long"),
         (["a.csv"], "a.csv: given twice"),
         (["none.csv"], "none.csv: does not exist"),
     ],
