@@ -122,7 +122,7 @@ def test_weights_stay_with_their_rows_where_some_cannot_be_driven(tmp_path: Path
     """The first row falls below 1 m/s; 1 and 3 in turn, of which each row of 3 is drawn three times as often."""
     weight = np.tile([1.0, 3.0], 33)[: LEFT_ROWS + RIGHT_ROWS]
     found = recorded(worth=weight)
-    found.v_mean[0] = 0.5
+    found = dataclasses.replace(found, v_mean=np.where(np.arange(found.n) == 0, 0.5, found.v_mean))
     write_departures(tmp_path / "d.parquet", found, Provenance(criteria=Criteria(1.75)))
     wanted = {"departures": "d.parquet", "weights": "worth", "left": 400, "right": 0}
     drawn = run_study(study_on(tmp_path, **wanted), directory=tmp_path / "out", workers=1).scenarios
