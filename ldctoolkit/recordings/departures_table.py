@@ -240,8 +240,8 @@ def read_table(source: Path, needed: str, *, checksum: bool = False) -> tuple[pl
     """A Parquet file and its metadata; `needed` says in messages what it should be."""
     import polars as pl
 
+    data = read_regular(source, lambda text: RecordingError(f"{text}; {needed} is needed"), None)
     try:
-        data = read_regular(source, lambda text: RecordingError(f"{text}; {needed} is needed"), None)
         check_parquet(data, needed=checksum)
         return pl.read_parquet(data), pl.read_parquet_metadata(io.BytesIO(data))
     except ValueError as error:
@@ -283,9 +283,9 @@ def read_departures(path: str | os.PathLike[str], *, signals: bool = False) -> t
 
     Examples
     --------
-    >>> read_departures("nowhere.parquet")
+    >>> read_departures("none.parquet")
     Traceback (most recent call last):
-    ldctoolkit.errors.RecordingError: nowhere.parquet: does not exist; a departures table is needed
+    ldctoolkit.errors.RecordingError: none.parquet: cannot be read: No such file or directory; a departures table is needed
     """
     import polars as pl
 

@@ -69,13 +69,13 @@ def add_row(table: Table, cells: Iterable[str], style: str | None = None) -> Non
 _LONGEST_WORD = 16  # columns of a narrow table that a word of text is given before it is broken
 
 
-def print_table(table: Table) -> None:
+def print_table(table: Table, out: Console | None = None) -> None:
     """Print a table whose numbers are whole at any width of the terminal.
 
     Where it is narrow there are no rules, and headings and text break at spaces; columns that do not fit even then
     follow below, beside the text columns at the left again.
     """
-    out, columns, widest, least = console(), table.columns, [], []
+    out, columns, widest, least = out or console(), table.columns, [], []
     for column in columns:
         heading, cells = str(column.header), [str(cell) for cell in column.cells]
         text = cells if column.justify == "right" else [word[:_LONGEST_WORD] for cell in cells for word in cell.split()]

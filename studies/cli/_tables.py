@@ -36,7 +36,7 @@ def print_comparison(comparison: Comparison, top: int, out: Console) -> None:
     out.print()
     for i, case in enumerate(comparison.cases):
         if len(case):
-            print_table(_table(comparison, case, top if i == 0 else min(top, _TOP_OF_OTHER_CASES)))
+            print_table(_table(comparison, case, top if i == 0 else min(top, _TOP_OF_OTHER_CASES)), out)
         say(out, *_verdict_lines(case))
         out.print()
     for heading, failed in (
