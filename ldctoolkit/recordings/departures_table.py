@@ -240,7 +240,7 @@ def read_table(source: Path, needed: str, *, checksum: bool = False) -> tuple[pl
     """A Parquet file and its metadata; `needed` says in messages what it should be."""
     import polars as pl
 
-    data = read_regular(source, lambda text: RecordingError(f"{text}; {needed} is needed"), None)
+    data = read_regular(source, lambda text: RecordingError(f"{text}; needed: {needed}"), None)
     try:
         check_parquet(data, needed=checksum)
         return pl.read_parquet(data), pl.read_parquet_metadata(io.BytesIO(data))
@@ -283,9 +283,9 @@ def read_departures(path: str | os.PathLike[str], *, signals: bool = False) -> t
 
     Examples
     --------
-    >>> read_departures("none.parquet")
+    >>> read_departures("no.parquet")
     Traceback (most recent call last):
-    ldctoolkit.errors.RecordingError: none.parquet: cannot be read: No such file or directory; a departures table is needed
+    ldctoolkit.errors.RecordingError: no.parquet: cannot be read: No such file or directory; needed: a departures table
     """
     import polars as pl
 
