@@ -279,9 +279,9 @@ def on_plants(S: list[float], adds: list[bool], diverged: list[int] | None = Non
 def test_the_light_of_other_plants_names_the_worst_that_adds_a_difficulty() -> None:
     harder = [False, True, True, False, True]
     found = on_plants([1.0, 1.2, 1.4, 3.0, 1.3], harder)
-    assert (found.state, "Soft" in found.text, "40 % more S" in found.text) == ("good", True, True)
+    assert (found.state, "plant: soft" in found.text, "40 % more S" in found.text) == ("good", True, True)
     found = on_plants([1.0, 1.2, 1.4, 3.0, 2.5], harder)
-    assert (found.state, "Wet" in found.text, "2.5 times its S" in found.text) == ("warning", True, True)
+    assert (found.state, "plant: wet" in found.text, "2.5 times its S" in found.text) == ("warning", True, True)
     assert on_plants([1.0, 0.9, float("nan"), 3.0, 0.8], harder).text == "S rises on none of them."
     # what takes a difficulty away is not what it is about
     assert on_plants([1.0, 1.2, 1.4, 9.5, 1.1], harder, [0, 0, 0, 7, 0]).state == "good"
