@@ -81,8 +81,10 @@ def _outdated(former: Manifest, manifest: Manifest) -> list[str]:
 
 
 def _clear(folder: Path) -> None:
-    """Remove all results of other versions; the manifest first, so that none is ever taken for one of these."""
-    names = ("manifest.json", DESIGNS, FAILURES, TIMING_FILE, RACE_FILE)
+    """Remove all results of other versions. Their manifest stays until it is replaced: a run that is killed here ends
+    with a folder of those versions, and the next one clears the rest.
+    """
+    names = (DESIGNS, FAILURES, TIMING_FILE, RACE_FILE)
     try:
         for path in (*(folder / name for name in names), *(folder / "results").glob(PATTERN)):
             path.unlink(missing_ok=True)

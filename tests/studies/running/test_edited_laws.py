@@ -280,10 +280,22 @@ def test_other_versions_start_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(manifest, "versions", lambda *_: (*versions[:-1], ("osqp", "0.0.1")))
     with pytest.raises(StoreError, match=r"run with osqp .* \(now 0\.0\.1\)"):
         ldc.read_results(tmp_path / "out")
+    unlink = Path.unlink
+
+    def interrupted(path: Path, **rest: Any) -> None:
+        unlink(path, **rest)
+        if path.name.startswith("part-"):
+            raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:  # it is stopped while it clears the folder
+        patch.setattr(Path, "unlink", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            ldc.run_study(study, tmp_path / "out", workers=1)
+    caplog.clear()
     with caplog.at_level(logging.WARNING):
         again = ldc.run_study(study, tmp_path / "out", workers=1)
     assert sum("everything is computed anew" in record.message for record in caplog.records) == 1
-    assert all(path.stat().st_mtime_ns != parts[path] for path in tmp_path.rglob("part-*"))
+    assert all(not path.exists() or path.stat().st_mtime_ns != before for path, before in parts.items())
     assert again.fresh is not None
     np.testing.assert_array_equal(again.cases[0].S, reference.cases[0].S)
 
