@@ -395,6 +395,6 @@ def test_a_compiler_from_a_package(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda name: object() if name == "ziglang" else None)
     found = compiler()
     assert found is not None
-    assert found[1:] == ["-m", "ziglang", "cc"]
+    assert found[1:] == ["-P", "-m", "ziglang", "cc"]
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     assert compiler() is None
