@@ -321,7 +321,7 @@ def read_departures(path: str | os.PathLike[str], *, signals: bool = False) -> t
     --------
     >>> read_departures("nowhere.parquet")
     Traceback (most recent call last):
-    ldctoolkit.errors.RecordingError: nowhere.parquet: does not exist; a departures table is needed
+    ldctoolkit.errors.RecordingError: nowhere.parquet: cannot be read: No such file or directory; a departures table is needed
     """
     import polars as pl
 
