@@ -167,7 +167,7 @@ def test_signals_of_other_departures_are_refused(departures: Departures, tmp_pat
     with pytest.raises(RecordingError, match=r"^d\.signals\.parquet: not the signals of these 1 departures"):
         read_departures(tmp_path / "d.parquet", signals=True)
     (tmp_path / "d.signals.parquet").unlink()
-    with pytest.raises(RecordingError, match=r"d\.signals\.parquet: cannot be read: .*; a table of signals"):
+    with pytest.raises(RecordingError, match=r"d\.signals\.parquet: cannot be read: .*; needed: a table of signals"):
         read_departures(tmp_path / "d.parquet", signals=True)
 
 

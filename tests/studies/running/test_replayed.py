@@ -280,5 +280,5 @@ def test_the_recorded_path_is_replayed_from_the_second_table(tmp_path: Path) -> 
     assert np.abs(S - parabolas).max() > 1e-3
     good("report", "out", "--no-robustness", cwd=tmp_path)
     (tmp_path / "d.signals.parquet").unlink()
-    with pytest.raises(LdcError, match=r"d\.signals\.parquet: cannot be read: .*; a table of signals"):
+    with pytest.raises(LdcError, match=r"d\.signals\.parquet: cannot be read: .*; needed: a table of signals"):
         run_study(study, directory=tmp_path / "again", workers=1)
