@@ -81,7 +81,7 @@ def _arguments(kind: type) -> tuple[str, ...]:
     return () if any(one.kind is one.VAR_KEYWORD for one in known) else tuple(one.name for one in known)
 
 
-def nearest(name: str, allowed: Iterable[str]) -> str:
+def nearest(name: str, allowed: Iterable[str], listing: str = "") -> str:
     """Half a sentence that helps someone who mistyped a name.
 
     Parameters
@@ -90,6 +90,8 @@ def nearest(name: str, allowed: Iterable[str]) -> str:
         The name that was given.
     allowed : iterable of str
         The names that exist.
+    listing : str
+        What stands for all of them where they are too many to be shown.
 
     Returns
     -------
@@ -102,7 +104,7 @@ def nearest(name: str, allowed: Iterable[str]) -> str:
     "did you mean 'lqr'? (allowed: lqr, none)"
     """
     names = sorted(allowed)
-    listing = f"allowed: {', '.join(names)}"
+    listing = f"allowed: {listing or ', '.join(names)}"
     lower = {one.lower(): one for one in reversed(names)}
     close = difflib.get_close_matches(name.lower(), lower, n=1, cutoff=0.5)
     return f"did you mean '{lower[close[0]]}'? ({listing})" if close else listing

@@ -74,7 +74,7 @@ def free_memory() -> float:
 
 
 def private(path: str | os.PathLike[str]) -> bool:
-    """Whether a file or folder belongs to the user, and nobody else can write to it or put another in its place."""
+    """Whether a file or folder belongs to the user, and no other user can write to it or replace it."""
     if os.name != "posix":
         return True
     place = Path(path).resolve()
@@ -84,7 +84,9 @@ def private(path: str | os.PathLike[str]) -> bool:
         found = one.stat()
         # a group with the number of a user is that user's alone
         loose = found.st_mode & (0o002 if found.st_gid == os.geteuid() != 0 else 0o022)
-        if loose and (one == place or not found.st_mode & stat.S_ISVTX):  # there nobody can replace what is another's
+        if loose and (
+            one == place or not found.st_mode & stat.S_ISVTX
+        ):  # in a sticky folder only its owner replaces a file
             return False
     return True
 

@@ -118,7 +118,9 @@ class Design:
 
     @property
     def can_be_driven(self) -> bool:
-        """Whether the law's code is still the one that the design was made with."""
+        """Whether the law's code is still the one that the design was made with, and that of the laws inside it."""
+        if self.kind.law_options:  # those are the present ones of their names
+            return code_of(self.kind, dict(self.gains)) == self.code
         return is_known(self.law, self.code)
 
     @property
@@ -166,10 +168,9 @@ def named_designs(designs: Sequence[Design], names: Sequence[str]) -> list[Desig
         if len(some) > 1:
             raise InputError(f"--design {name!r}: the ids of {len(some)} designs start so; allowed: more of the id")
         if not some:
-            close = nearest(name, [design.label for design in designs])
-            if len(designs) > 5:  # the labels of a large study fill a screen
-                allowed = "allowed: a label, or the id in ranking.csv"
-                close = f"{close.partition('? (')[0]}? ({allowed})" if close.startswith("did you mean") else allowed
+            # the labels of a large study fill a screen
+            listing = "a label, or the id in ranking.csv" if len(designs) > 5 else ""
+            close = nearest(name, [design.label for design in designs], listing)
             raise UnknownNameError(f"--design {name!r}: no such design; {close}")
         found[some[0].id] = some[0]
     return list(found.values())

@@ -387,8 +387,9 @@ class DesignBlock(Part):
         """Content of the code of each law that is not the toolkit's, by name; also of laws that options name."""
         kinds = [*self.kinds]
         for space in self.space():
-            for name, choices in space.gains:
-                if name in space.kind.law_options and isinstance(choices, Choices):
+            for name in space.kind.law_options:
+                choices = dict(space.gains).get(name, Choices((getattr(space.kind, name),)))
+                if isinstance(choices, Choices):  # the name of a law is no number between two ends
                     kinds += [law for value in choices.values for law in laws_inside(space.kind, {name: value})]
         found = {kind.name: content_of(kind) for kind in kinds}
         return {name: content for name, content in found.items() if content}

@@ -1,5 +1,6 @@
 """A design is its code: after an edit old results are not met again, and nothing else is run again."""
 
+import dataclasses
 import importlib
 import itertools
 import logging
@@ -11,7 +12,7 @@ import textwrap
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -244,11 +245,39 @@ def test_a_law_inside_another_is_edited(folder: Folder, tmp_path: Path) -> None:
     registry.register(folder.law())
     filtered = {"law": "barrier_filter", "gains": {"inner": ["mine"], "e_y_max": [9.0]}}
     before = S_of(ldc.run_study(study_of(filtered), tmp_path / "out", workers=1), "barrier_filter")
+    design = study_of(filtered).designs[-1]
+    assert design.can_be_driven
     registry.register(folder.law(factor="0.05"))
+    assert not design.can_be_driven
     with pytest.raises(StoreError, match="law 'mine'"):
         ldc.read_results(tmp_path / "out")
     after = S_of(ldc.run_study(study_of(filtered), tmp_path / "out", workers=1), "barrier_filter")
     assert abs(after - before) > 0.05
+
+
+def test_a_law_that_is_inside_by_default_is_edited(folder: Folder, tmp_path: Path) -> None:
+    """A filter of the designer's, whose study does not name the law inside."""
+
+    @dataclasses.dataclass(frozen=True)
+    class Filter(ldc.Controller):
+        name: ClassVar[str] = "filter_of_mine"
+        title: ClassVar[str] = "Filter"
+        law_options: ClassVar[tuple[str, ...]] = ("inner",)
+        inner: str = ldc.option("mine", choices=None, description="the law inside")
+
+        def prepare(self, plant: ldc.Plant) -> Any:
+            return ldc.controller_class(self.inner)().prepare(plant)
+
+    try:
+        registry.register(folder.law())
+        before = S_of(ldc.run_study(study_of(Filter), tmp_path / "out", workers=1), "filter_of_mine")
+        registry.register(folder.law(factor="0.05"))
+        with pytest.raises(StoreError, match="law 'mine'"):
+            ldc.read_results(tmp_path / "out")
+        after = S_of(ldc.run_study(study_of(Filter), tmp_path / "out", workers=1), "filter_of_mine")
+        assert abs(after - before) > 0.05
+    finally:
+        registry.forget("filter_of_mine")
 
 
 def test_a_report_of_changed_code_is_refused(
