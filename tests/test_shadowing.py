@@ -11,18 +11,8 @@ import controllers.lqr
 import ldctoolkit.controllers.lqr
 import ldctoolkit.studies.ranking
 import studies.ranking
+from helpers.cli import TINY_STUDY
 
-STUDY = """
-name = "tiny"
-[scenarios]
-left = 3
-right = 3
-[ranking]
-bootstrap = 100
-[[design]]
-law = "preview_proportional"
-y_s = [0.1, 0.2]
-"""
 FILES = {
     "packages": {"__init__.py": "mine = True\n", "lqr.py": "class LQR: pass\n"},
     "folders": {"lqr.py": "class LQR: pass\n"},
@@ -41,7 +31,7 @@ def write(folder: Path, kind: str) -> Path:
             (folder / name).mkdir()
             for file, text in FILES[kind].items():
                 (folder / name / file).write_text(text)
-    (folder / "s.toml").write_text(STUDY)
+    (folder / "s.toml").write_text(TINY_STUDY)
     return folder
 
 

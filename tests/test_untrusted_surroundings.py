@@ -22,7 +22,7 @@ import pytest
 from markupsafe import Markup
 
 from controllers import LQR, _nmpc_solver
-from helpers.cli import bad, good, ldc
+from helpers.cli import TINY_STUDY, bad, good, ldc
 from ldctoolkit import LdcError, load_model, surroundings
 from ldctoolkit.recordings.mdf_logs import read_channel_map
 from ldctoolkit.testing.law_checks import picklable
@@ -35,23 +35,12 @@ from studies.storage.run_table import check_room
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="users, modes and pipes of POSIX")
 
-STUDY = """
-name = "tiny"
-[scenarios]
-left = 3
-right = 3
-[ranking]
-bootstrap = 100
-[[design]]
-law = "preview_proportional"
-y_s = [0.1, 0.2]
-"""
 RUN = ("--no-robustness", "--no-figures", "--workers")
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    (tmp_path / "s.toml").write_text(STUDY)
+    (tmp_path / "s.toml").write_text(TINY_STUDY)
     return tmp_path
 
 

@@ -14,6 +14,18 @@ from typing import Any
 
 from studies.cli import main
 
+TINY_STUDY = """
+name = "tiny"
+[scenarios]
+left = 3
+right = 3
+[ranking]
+bootstrap = 100
+[[design]]
+law = "preview_proportional"
+y_s = [0.1, 0.2]
+"""
+
 
 class Terminal(io.StringIO):
     """A stream that is taken for a terminal."""
