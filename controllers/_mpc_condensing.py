@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ldctoolkit import Plant
 from ldctoolkit.arrays import FloatArray, IntArray
+from ldctoolkit.vehicle.bicycle import Plant
 
 from .riccati import Weights, in_time, regulator
 

@@ -16,8 +16,8 @@ from typing import Any, Final, NamedTuple, final
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit import EventStatus, Preview, SolverCalls, SteeringLaw
 from ldctoolkit.arrays import FloatArray, IntArray
+from ldctoolkit.control import EventStatus, Preview, SolverCalls, SteeringLaw
 from ldctoolkit.errors import InputError, nearest
 
 from ._mpc_condensing import Condensed, InitialState, Limits

@@ -17,8 +17,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from ldctoolkit import Plant
 from ldctoolkit.arrays import FloatArray
+from ldctoolkit.vehicle.bicycle import Plant
 
 SHAPE: Final = 1.3  # Pacejka's C of the tyres that the law believes in
 

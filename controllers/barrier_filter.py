@@ -46,21 +46,12 @@ from typing import Any, ClassVar, final
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit import (
-    Controller,
-    EventStatus,
-    LinearLaw,
-    LinearSteps,
-    Plant,
-    Preview,
-    SolverCalls,
-    SteeringLaw,
-    controller_class,
-    gain,
-    option,
-)
 from ldctoolkit.arrays import FloatArray, IntArray
+from ldctoolkit.control import Controller, EventStatus, LinearLaw, LinearSteps, Preview, SolverCalls, SteeringLaw
 from ldctoolkit.errors import InputError, UnknownNameError, nearest
+from ldctoolkit.gains import gain, option
+from ldctoolkit.registry import controller_class
+from ldctoolkit.vehicle.bicycle import Plant
 
 
 def inner_design(inner: str, inner_gains: str, owner: type[Controller]) -> Controller:

@@ -23,7 +23,9 @@ control*, UKACC Control, 2000.
 import dataclasses
 from typing import ClassVar, final
 
-from ldctoolkit import Controller, Plant, gain, option
+from ldctoolkit.control import Controller
+from ldctoolkit.gains import gain, option
+from ldctoolkit.vehicle.bicycle import Plant
 
 from ._mpc_condensing import Wanted, condense, limits
 from ._mpc_law import KNOWN, MPCLaw, check_solver

@@ -18,7 +18,9 @@ behind a steering lag of 0.2 s and diverges from 28 m/s on.
 import dataclasses
 from typing import ClassVar, final
 
-from ldctoolkit import Controller, LinearLaw, Plant, gain
+from ldctoolkit.control import Controller, LinearLaw
+from ldctoolkit.gains import gain
+from ldctoolkit.vehicle.bicycle import Plant
 
 from .riccati import feedback, linear_law
 

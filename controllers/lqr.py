@@ -10,7 +10,9 @@ joined by the wheel angle and the commands on their way: `ldctoolkit.controllers
 import dataclasses
 from typing import ClassVar, final
 
-from ldctoolkit import Controller, LinearLaw, Plant, gain
+from ldctoolkit.control import Controller, LinearLaw
+from ldctoolkit.gains import gain
+from ldctoolkit.vehicle.bicycle import Plant
 
 from .riccati import feedback, linear_law
 

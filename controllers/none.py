@@ -3,7 +3,8 @@
 import dataclasses
 from typing import ClassVar, final
 
-from ldctoolkit import Controller, Plant, RecordedPath
+from ldctoolkit.control import Controller, RecordedPath
+from ldctoolkit.vehicle.bicycle import Plant
 
 
 @final

@@ -32,8 +32,10 @@ from typing import ClassVar, final
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit import Controller, EventStatus, Plant, Preview, SolverCalls, SteeringLaw, gain
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.control import Controller, EventStatus, Preview, SolverCalls, SteeringLaw
+from ldctoolkit.gains import gain
+from ldctoolkit.vehicle.bicycle import Plant
 
 from ._mpc_condensing import SHARES, WINDOW, jerk_window
 from ._mpc_law import lane, lookahead

@@ -30,8 +30,10 @@ from typing import ClassVar, final
 
 import numpy as np
 
-from ldctoolkit import Controller, LinearLaw, Plant, gain
 from ldctoolkit.arrays import FloatArray
+from ldctoolkit.control import Controller, LinearLaw
+from ldctoolkit.gains import gain
+from ldctoolkit.vehicle.bicycle import Plant
 
 from .riccati import Regulator, in_time, linear_law, regulator
 

@@ -11,7 +11,9 @@ from typing import ClassVar, final
 
 import numpy as np
 
-from ldctoolkit import Controller, LinearLaw, Plant, gain, option
+from ldctoolkit.control import Controller, LinearLaw
+from ldctoolkit.gains import gain, option
+from ldctoolkit.vehicle.bicycle import Plant
 
 
 @final

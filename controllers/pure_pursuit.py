@@ -30,9 +30,11 @@ from typing import ClassVar, final
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit import Controller, EventStatus, Plant, Preview, SteeringLaw, gain
 from ldctoolkit.arrays import FloatArray, IntArray
+from ldctoolkit.control import Controller, EventStatus, Preview, SteeringLaw
 from ldctoolkit.errors import InputError
+from ldctoolkit.gains import gain
+from ldctoolkit.vehicle.bicycle import Plant
 
 _STEP = 0.1  # s between two looks at the lane
 

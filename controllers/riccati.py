@@ -15,8 +15,11 @@ import math
 
 import numpy as np
 
-from ldctoolkit import BicycleModel, LdcError, LinearLaw, Plant, scheduled
 from ldctoolkit.arrays import BoolArray, FloatArray
+from ldctoolkit.control import LinearLaw
+from ldctoolkit.errors import LdcError
+from ldctoolkit.vehicle.bicycle import BicycleModel, Plant
+from ldctoolkit.vehicle.speed_schedule import scheduled
 
 Weights = tuple[float, float, float, float]
 

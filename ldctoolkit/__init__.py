@@ -4,7 +4,7 @@ import importlib
 import sys
 from typing import TYPE_CHECKING, Any
 
-from ldctoolkit import package_names
+import ldctoolkit.package_names as package_names
 from ldctoolkit.control import (
     Controller,
     EventStatus,

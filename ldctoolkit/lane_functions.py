@@ -14,7 +14,7 @@ import numpy as np
 from numba import types
 from numba.extending import intrinsic
 
-from ldctoolkit import compiling
+import ldctoolkit.compiling as compiling
 from ldctoolkit.arrays import FloatArray
 
 compiling.listen()

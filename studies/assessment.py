@@ -12,11 +12,13 @@ from typing import Final, Literal
 
 import numpy as np
 
-from ldctoolkit import Controller, EventStatus, Scenarios, Setup
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.control import Controller, EventStatus
 from ldctoolkit.errors import InputError, LdcError, expect
 from ldctoolkit.law_checks import check_controller, raised
 from ldctoolkit.plant_options import Mismatch, Residuals
+from ldctoolkit.scenarios import Scenarios
+from ldctoolkit.setup import Setup
 from ldctoolkit.simulation import Outcome, Takeover, drive
 
 from .ranking.named_vehicles import VEHICLES

@@ -5,9 +5,11 @@ Two processes compile at the same time; a first run compiles in one, and only wh
 
 import multiprocessing
 
-from ldctoolkit import compiling, load_model, simulate
+import ldctoolkit.compiling as compiling
 from ldctoolkit.controllers import LQR, PID, LinearMPC
 from ldctoolkit.plant_options import PlantOptions, Tyres
+from ldctoolkit.scenario_model.model import load_model
+from ldctoolkit.simulation.loop import simulate
 
 _SCENARIOS = load_model("reference").sample(6, 6, seed=1)
 

@@ -10,11 +10,11 @@ import warnings
 from collections.abc import Sequence
 from typing import Any, Final
 
-from ldctoolkit import Controller, controller_class
+from ldctoolkit.control import Controller
 from ldctoolkit.errors import InputError, UnknownNameError, nearest
 from ldctoolkit.gains import GainValue
 from ldctoolkit.option_checks import UnitWarning, unit_slip
-from ldctoolkit.registry import bound_class, code_of, is_known
+from ldctoolkit.registry import bound_class, code_of, controller_class, is_known
 from ldctoolkit.vehicle import Convention
 
 PAPER_LAW: Final = "preview_proportional"  # registry name of the paper's law

@@ -18,12 +18,12 @@ from pydantic import (
     model_validator,
 )
 
-from ldctoolkit import Controller, LdcError, controller_class
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.code_content import content_of
-from ldctoolkit.errors import InputError, nearest
+from ldctoolkit.control import Controller
+from ldctoolkit.errors import InputError, LdcError, nearest
 from ldctoolkit.gains import GainValue, declared_gains, find_gain
-from ldctoolkit.registry import code_of, laws_inside
+from ldctoolkit.registry import code_of, controller_class, laws_inside
 from ldctoolkit.validation import Part, fail
 
 from .design import CONVENTION_GAIN, Design

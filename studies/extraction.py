@@ -19,7 +19,6 @@ from typing import Any, ClassVar, Final
 import cloudpickle
 import numpy as np
 
-import ldctoolkit
 from ldctoolkit.code_content import content_of
 from ldctoolkit.departures import Departures, DepartureSignals, ExtraColumn
 from ldctoolkit.errors import InputError, LdcError, RecordingError, StoreError, plain
@@ -110,7 +109,7 @@ def plan_of(
     keep_signals: bool = False,
 ) -> Plan:
     """What decides the numbers of all parts."""
-    home = Path(ldctoolkit.__file__).parent
+    home = Path(departures.__file__).parent
     keys = json.dumps([part.key for part in source.parts])
     # The package that a reader comes with, and its version; of each, where several work together
     names = reader.name.split(" + ")

@@ -4,11 +4,10 @@ import dataclasses
 from collections.abc import Iterator
 from typing import Any, Final
 
-from ldctoolkit import Setup
 from ldctoolkit.errors import InputError, nearest
 from ldctoolkit.option_checks import declaration_of, kind_of
 from ldctoolkit.plant_options import PlantOptions
-from ldctoolkit.setup import simulation_options
+from ldctoolkit.setup import Setup, simulation_options
 from ldctoolkit.validation import fail
 
 _ALWAYS_SHOWN: Final = ("tyres", "sensors.kalman", "residuals")

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ldctoolkit import controller_class
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.departures import LEFT, RIGHT
 from ldctoolkit.errors import InputError, expect, nearest
+from ldctoolkit.registry import controller_class
 
 from .design import Design
 from .pages import charts

@@ -10,14 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from ldctoolkit import Scenarios
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.departures import LEFT, PARAMETER_COLUMNS, RIGHT
 from ldctoolkit.errors import InputError, LdcError, RecordingError, nearest
 from ldctoolkit.recordings import read_departures
 from ldctoolkit.recordings.departures_table import column_of, read_table
 from ldctoolkit.scenario_model import Given, conditions
-from ldctoolkit.scenarios import SPEED_FLOOR, slowest_speed
+from ldctoolkit.scenarios import SPEED_FLOOR, Scenarios, slowest_speed
 
 from .study_file import Study
 

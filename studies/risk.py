@@ -17,11 +17,13 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from ldctoolkit import EventStatus, LdcError, Scenarios, Setup
 from ldctoolkit.arrays import FloatArray
+from ldctoolkit.control import EventStatus
 from ldctoolkit.departures import LEFT, PARAMETER_COLUMNS, PARAMETER_NAMES, PARAMETER_UNITS, RIGHT, DepartureParameters
-from ldctoolkit.errors import InputError, StoreError, nearest
+from ldctoolkit.errors import InputError, LdcError, StoreError, nearest
 from ldctoolkit.scenario_model import ScenarioModel
+from ldctoolkit.scenarios import Scenarios
+from ldctoolkit.setup import Setup
 
 from .design import NO_CONTROL, Design
 from .ranking.tail import exact_interval, paired_sign

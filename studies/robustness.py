@@ -14,15 +14,17 @@ from typing import TYPE_CHECKING, Any, Final, get_type_hints
 import numpy as np
 import numpy.typing as npt
 
-import ldctoolkit
-from ldctoolkit import EventStatus, Scenarios, Setup
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.control import EventStatus
 from ldctoolkit.departures import LEFT
 from ldctoolkit.errors import StoreError
 from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
 from ldctoolkit.review import SPEEDS, design_margins
+from ldctoolkit.scenarios import Scenarios
+from ldctoolkit.setup import Setup
 from ldctoolkit.simulation import Takeover
 from ldctoolkit.vehicle import Convention
+from ldctoolkit.version import __version__
 
 from .design import Design, is_paper_design
 from .ranking.design_metrics import beyond_friction
@@ -325,7 +327,7 @@ class RobustnessTask:
         chosen = self.chosen
         identity = [
             _FORMAT,
-            ldctoolkit.__version__,
+            __version__,
             [[design.id, contends] for design, contends in zip(chosen.designs, chosen.contends, strict=True)],
             [chosen.slow, chosen.unsafe, chosen.more],
             [dataclasses.asdict(plant) for plant in self.plants],

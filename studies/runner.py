@@ -10,10 +10,10 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from ldctoolkit import Scenarios
 from ldctoolkit.departures import LEFT
 from ldctoolkit.errors import InputError, StoreError, expect, plain
 from ldctoolkit.scenario_model import ScenarioModel, load_model
+from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.surroundings import temporary_folder
 
 from .design import FOLLOWS_CASE, Design

@@ -9,11 +9,10 @@ from typing import Annotated, Final, Literal, Self
 import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
-from ldctoolkit import Scenarios
 from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.departures import RIGHT
 from ldctoolkit.errors import StudyError, UnknownNameError, nearest
-from ldctoolkit.scenarios import Drifts
+from ldctoolkit.scenarios import Drifts, Scenarios
 from ldctoolkit.validation import Part, as_tuples, fail, first_problem
 from ldctoolkit.whole_file import read_toml
 

@@ -23,16 +23,18 @@ from pydantic import (
     model_validator,
 )
 
-from ldctoolkit import Controller, LdcError, VehicleParameters, controller_class, controller_names, register
 from ldctoolkit.code_content import content_of
-from ldctoolkit.errors import InputError, StudyError, UnknownNameError, nearest
+from ldctoolkit.control import Controller
+from ldctoolkit.errors import InputError, LdcError, StudyError, UnknownNameError, nearest
 from ldctoolkit.option_checks import declaration_of
 from ldctoolkit.plant_options import PlantOptions
+from ldctoolkit.registry import controller_class, controller_names, register
 from ldctoolkit.scenario_model import conditions
 from ldctoolkit.setup import Setup, simulation_options
 from ldctoolkit.simulation import Window
 from ldctoolkit.validation import Part, as_tuples, fail, first_problem
 from ldctoolkit.vehicle import Convention
+from ldctoolkit.vehicle.bicycle import VehicleParameters
 from ldctoolkit.whole_file import read_toml
 
 from .design import CONVENTION_GAIN, Design

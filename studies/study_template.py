@@ -8,9 +8,10 @@ from typing import Any, Final, Literal, get_args, get_origin, get_type_hints
 
 from pydantic import TypeAdapter
 
-from ldctoolkit import Gain, controller_class
 from ldctoolkit.errors import StudyError
+from ldctoolkit.gains import Gain
 from ldctoolkit.option_checks import declaration_of
+from ldctoolkit.registry import controller_class
 from ldctoolkit.setup import Setup
 from ldctoolkit.whole_file import read_toml
 

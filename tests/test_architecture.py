@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+import ldctoolkit
+
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("ldctoolkit", "controllers", "studies")
 
@@ -247,13 +249,34 @@ def test_importing_a_package_loads_nothing_heavy(package: str) -> None:
 
 
 def test_the_zoo_uses_public_names_only() -> None:
-    """A law needs nothing that a third party's law could not import."""
-    public = {"ldctoolkit", "ldctoolkit.arrays", "ldctoolkit.errors", "ldctoolkit.surroundings"}
+    """A law needs nothing that a third party's law could not import from the façade."""
+    for module, path in modules(ROOT).items():
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if not module.startswith("controllers.") or not isinstance(node, ast.ImportFrom) or node.level:
+                continue
+            home = node.module or ""
+            if home.startswith("ldctoolkit.") and home.rpartition(".")[2] not in ("arrays", "errors", "surroundings"):
+                assert {alias.name for alias in node.names} <= {*ldctoolkit.__all__}, f"{module} imports of {home}"
+
+
+def imports_the_facade(path: Path) -> bool:
+    """Whether a file imports names that ``ldctoolkit/__init__`` gathers for users."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and node.module == "ldctoolkit" and not node.level:
+            return True
+        if isinstance(node, ast.Import) and any(alias.name == "ldctoolkit" for alias in node.names):
+            return True
+    return False
+
+
+def test_no_file_imports_from_the_facade(tmp_path: Path) -> None:
     found = modules(ROOT)
-    for module, path in found.items():
-        if module.startswith("controllers."):
-            outside = {t for t in imported(path, found) if t.startswith("ldctoolkit")}
-            assert outside <= public, f"{module} imports {outside - public}"
+    assert [
+        module for module, path in found.items() if module not in ("ldctoolkit", "studies") and imports_the_facade(path)
+    ] == []
+    for text in ("from ldctoolkit import simulate\n", "def f():\n    import ldctoolkit as ldc\n"):
+        (tmp_path / "planted.py").write_text(text)
+        assert imports_the_facade(tmp_path / "planted.py")
 
 
 def test_the_wheel_lists_its_packages_by_name() -> None:

@@ -6,7 +6,7 @@ from typing import Any, Final, NamedTuple
 import numba
 import numpy as np
 
-from ldctoolkit import compiling
+import ldctoolkit.compiling as compiling
 from ldctoolkit.arrays import FloatArray, IntArray
 
 compiling.listen()

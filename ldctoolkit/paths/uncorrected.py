@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final, Self
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit import departures as dep
+import ldctoolkit.departures as dep
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.departures import PARAMETER_NAMES, DepartureParameters, DepartureSignals
 from ldctoolkit.errors import InputError

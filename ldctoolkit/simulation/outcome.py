@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit import metrics
+import ldctoolkit.metrics as metrics
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray, ReadOnly
 from ldctoolkit.control import EventStatus, SolverLog
 from ldctoolkit.departures import LEFT

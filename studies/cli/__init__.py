@@ -9,9 +9,11 @@ import warnings
 from collections.abc import Iterator, Sequence
 from typing import Any, NoReturn
 
-from ldctoolkit import LdcError, __version__, compiling
+import ldctoolkit.compiling as compiling
+from ldctoolkit.errors import LdcError
 from ldctoolkit.option_checks import UnitWarning
 from ldctoolkit.surroundings import sweep
+from ldctoolkit.version import __version__
 
 from . import _console, assess, controllers, export, extract, fit, init, rank, report, review, risk, run
 

@@ -13,7 +13,7 @@ from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
-from ldctoolkit import compiling
+import ldctoolkit.compiling as compiling
 from ldctoolkit.errors import InputError, nearest
 
 if TYPE_CHECKING:

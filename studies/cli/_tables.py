@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from ldctoolkit import controller_class
+from ldctoolkit.registry import controller_class
 
 from ..comparison.comparison import CaseComparison, Comparison
 from ..comparison.paired import Verdict, Winners

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 from ._console import Subparsers, add_row, console, each_once, named, new_table, number, print_table, progress_bar, say
 
 if TYPE_CHECKING:
-    from ldctoolkit import Controller, Setup
+    from ldctoolkit.control import Controller
+    from ldctoolkit.setup import Setup
 
     from ..assessment import Assessment
 
@@ -97,16 +98,16 @@ def run(chosen: argparse.Namespace) -> int:
 
 def _subjects(text: str, chosen: argparse.Namespace) -> Iterator[Subject]:
     """What a name on the command line stands for."""
-    from ldctoolkit import controller_names
     from ldctoolkit.errors import InputError, UnknownNameError, nearest
+    from ldctoolkit.registry import controller_names
 
     from ..design import named_designs
     from ..study_file import catalog_names, load_study
     from ._results import judged
 
     if text in controller_names():
-        from ldctoolkit import controller_class
         from ldctoolkit.gains import find_gain
+        from ldctoolkit.registry import controller_class
 
         from ..design import Design
 

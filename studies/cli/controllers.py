@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 from ._console import Subparsers, add_row, console, new_table, print_table, warn
 
 if TYPE_CHECKING:
-    from ldctoolkit import Controller, Gain
+    from ldctoolkit.control import Controller
+    from ldctoolkit.gains import Gain
 
 
 def add_parser(commands: Subparsers) -> None:
@@ -36,7 +37,8 @@ def run(chosen: argparse.Namespace) -> None:
     """Carry the command out."""
     from rich.text import Text
 
-    from ldctoolkit import LdcError, controller_class, controller_names
+    from ldctoolkit.errors import LdcError
+    from ldctoolkit.registry import controller_class, controller_names
 
     out = console()
     for name in chosen.law or controller_names():
@@ -64,7 +66,7 @@ def run(chosen: argparse.Namespace) -> None:
 
 def _kind(kind: type[Controller]) -> str:
     """The kind of law that it declares; nothing where it does not."""
-    from ldctoolkit import LinearLaw, RecordedPath, SteeringLaw
+    from ldctoolkit.control import LinearLaw, RecordedPath, SteeringLaw
     from ldctoolkit.law_checks import declared_law
 
     words = {LinearLaw: ", linear law", RecordedPath: ", recorded path", SteeringLaw: ", steering law"}

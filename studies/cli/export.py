@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from ._console import Subparsers, console, progress_bar, say
 
 if TYPE_CHECKING:
-    from ldctoolkit import Scenarios
+    from ldctoolkit.scenarios import Scenarios
 
     from ._results import Judged
 

@@ -67,7 +67,7 @@ def run(chosen: argparse.Namespace) -> None:
 
 def _content(chosen: argparse.Namespace, target: Path) -> dict[str, Any]:
     """The study of the catalog with what the options replace."""
-    from ldctoolkit import controller_class
+    from ldctoolkit.registry import controller_class
     from ldctoolkit.scenario_model import bundled_models
 
     content = _of_catalog(chosen.study or _BASE)

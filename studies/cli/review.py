@@ -17,10 +17,11 @@ from ._console import Subparsers, add_row, interval, named, new_table, number, o
 if TYPE_CHECKING:
     import numpy as np
 
-    from ldctoolkit import Controller, Scenarios
+    from ldctoolkit.control import Controller
     from ldctoolkit.plant_options import PlantOptions
     from ldctoolkit.review import Review
     from ldctoolkit.review.limits import Finding
+    from ldctoolkit.scenarios import Scenarios
     from ldctoolkit.simulation import Takeover
     from ldctoolkit.vehicle import Convention
 
@@ -45,7 +46,7 @@ class Subject:
 
 def subjects(chosen: argparse.Namespace) -> list[Subject]:
     """The designs that the command line names, each set of gains once."""
-    from ldctoolkit import controller_names
+    from ldctoolkit.registry import controller_names
 
     from ..study_file import catalog_names, load_study
 
@@ -66,9 +67,9 @@ def subjects(chosen: argparse.Namespace) -> list[Subject]:
 
 def reviewed_design(subject: Subject) -> Review:
     """The review of a subject; what a study's design raises is its fault, so that the others are reviewed too."""
-    from ldctoolkit import BicycleModel
     from ldctoolkit.plant_options import PlantOptions
     from ldctoolkit.review import SPEEDS, review, review_plant, without_review
+    from ldctoolkit.vehicle.bicycle import BicycleModel
 
     given, stored = subject.arguments, subject.stored
     dt, options = given.get("dt", 0.05), given.get("options", PlantOptions())
@@ -110,9 +111,9 @@ def _of_folder(chosen: argparse.Namespace) -> Iterator[Subject]:
 
 
 def _law(chosen: argparse.Namespace) -> Subject:
-    from ldctoolkit import controller_class
     from ldctoolkit.gains import find_gain
     from ldctoolkit.plant_options import PlantOptions
+    from ldctoolkit.registry import controller_class
     from ldctoolkit.review import SPEEDS
 
     from ._console import each_once

@@ -57,7 +57,7 @@ SOME_FAILED = 3  # exit code where the study has results, but not of every desig
 
 def run(chosen: argparse.Namespace) -> int:
     """Carry the command out."""
-    from ldctoolkit import compiling
+    import ldctoolkit.compiling as compiling
 
     if chosen.study is None:
         from ..study_file import catalog_names

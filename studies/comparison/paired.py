@@ -12,12 +12,12 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit import Scenarios
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.departures import LEFT, RIGHT
 from ldctoolkit.errors import InputError, StoreError
 from ldctoolkit.paths.uncorrected import RandomStream
 from ldctoolkit.plant_options import PlantOptions
+from ldctoolkit.scenarios import Scenarios
 
 from ..design import Design
 from ..ranking.inference import SAME, bootstrap_means, check_confidence, error_parts, lengths, row_means

@@ -11,8 +11,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from ldctoolkit import Controller, Scenarios, Setup, load_model
+from ldctoolkit.control import Controller
 from ldctoolkit.errors import InputError, StoreError, expect
+from ldctoolkit.scenario_model.model import load_model
+from ldctoolkit.scenarios import Scenarios
+from ldctoolkit.setup import Setup
 from ldctoolkit.surroundings import temporary_folder
 from ldctoolkit.whole_file import write_whole
 

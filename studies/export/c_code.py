@@ -14,10 +14,12 @@ from typing import Any, ClassVar, Final, Self
 
 import numpy as np
 
-from ldctoolkit import SPEED_RANGE, Controller, Setup
 from ldctoolkit.arrays import FloatArray
+from ldctoolkit.control import Controller
 from ldctoolkit.errors import InputError
 from ldctoolkit.option_checks import checked_number
+from ldctoolkit.setup import Setup
+from ldctoolkit.vehicle.speed_schedule import SPEED_RANGE
 from ldctoolkit.version import __version__
 
 from ..design import Design

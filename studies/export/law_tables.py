@@ -8,12 +8,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from ldctoolkit import SPEED_RANGE, Controller, LinearLaw, LinearSteps, RecordedPath, Setup
 from ldctoolkit.arrays import FloatArray, IntArray
+from ldctoolkit.control import Controller, LinearLaw, LinearSteps, RecordedPath
 from ldctoolkit.controllers import _mpc_condensing, _mpc_law, barrier_filter, pid, pure_pursuit, sliding_mode, stanley
 from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.law_checks import check_controller, check_law
-from ldctoolkit.vehicle.speed_schedule import chebyshev, filter_columns
+from ldctoolkit.setup import Setup
+from ldctoolkit.vehicle.speed_schedule import SPEED_RANGE, chebyshev, filter_columns
 
 UNITS: Final = {
     "F": "rad/m, rad s/m, rad/rad, rad s/rad: feedback on the state", "f_u": "rad/rad: previous command",

@@ -15,12 +15,13 @@ from typing import Any, ClassVar, Final, Self
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit import Controller, EventStatus, LinearLaw, LinearSteps, Plant, Preview, Scenarios, SteeringLaw
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
-from ldctoolkit.control import StatusArray
+from ldctoolkit.control import Controller, EventStatus, LinearLaw, LinearSteps, Preview, StatusArray, SteeringLaw
 from ldctoolkit.errors import InputError, LdcError
+from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.simulation import Takeover, drive
 from ldctoolkit.surroundings import temporary_folder
+from ldctoolkit.vehicle.bicycle import Plant
 
 from ..storage.files import write_text
 from .c_code import FLOAT_S, HEADER, SOURCE, Code, render

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from ldctoolkit import Scenarios, Setup
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.departures import LEFT
 from ldctoolkit.errors import InputError
+from ldctoolkit.scenarios import Scenarios
+from ldctoolkit.setup import Setup
 
 from ..design import Design
 from ..ranking.ranking import Ranking

@@ -7,8 +7,8 @@ from typing import Final
 import numpy as np
 from markupsafe import Markup
 
-from ldctoolkit import EventStatus
 from ldctoolkit.arrays import FloatArray
+from ldctoolkit.control import EventStatus
 from ldctoolkit.departures import LEFT
 from ldctoolkit.metrics import A_Y_LIMIT, DTLE_LIMIT, JERK_LIMIT
 

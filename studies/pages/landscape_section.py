@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 from markupsafe import Markup
 
-from ldctoolkit import controller_class
 from ldctoolkit.gains import GainValue
+from ldctoolkit.registry import controller_class
 
 from ..design import Design
 from ..sensitivity.sensitivity import BlockSensitivity

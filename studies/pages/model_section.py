@@ -8,12 +8,12 @@ from typing import Final
 import numpy as np
 from markupsafe import Markup
 
-from ldctoolkit import Scenarios
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, Departures
 from ldctoolkit.diagnostics import ModelMarginal, kolmogorov_limit, model_marginal
 from ldctoolkit.scenario_model import Given, ScenarioModel, SideModel, SideSummary, conditions
 from ldctoolkit.scenario_model.model import Condition, mixture_conditions
+from ldctoolkit.scenarios import Scenarios
 
 from .context import Context
 from .shell import Cell, Column, Section, TableRow, bullets, details, paragraphs, table

@@ -6,11 +6,12 @@ from typing import Final
 
 import numpy as np
 
-from ldctoolkit import Controller, EventStatus, Scenarios
 from ldctoolkit.arrays import FloatArray, IntArray
+from ldctoolkit.control import Controller, EventStatus
 from ldctoolkit.departures import LEFT, RIGHT
 from ldctoolkit.errors import InputError
 from ldctoolkit.paths.uncorrected import UncorrectedPath
+from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.simulation import Takeover, drive
 
 from ..design import PAPER_LAW, is_paper_design, named_designs

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any, Final, Self
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit import EventStatus, Scenarios, Setup
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.control import EventStatus
 from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT
 from ldctoolkit.errors import InputError, nearest
 from ldctoolkit.metrics import (
@@ -28,6 +28,8 @@ from ldctoolkit.metrics import (
     share_within_dtle,
 )
 from ldctoolkit.paths.uncorrected import UncorrectedPath
+from ldctoolkit.scenarios import Scenarios
+from ldctoolkit.setup import Setup
 from ldctoolkit.simulation import Takeover
 
 from ..design import NO_CONTROL, Design

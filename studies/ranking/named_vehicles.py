@@ -8,12 +8,14 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit import EventStatus, Scenarios, Setup
 from ldctoolkit.arrays import FloatArray
+from ldctoolkit.control import EventStatus
 from ldctoolkit.departures import LEFT, RIGHT
 from ldctoolkit.law_checks import raised
 from ldctoolkit.metrics import comfortable_share
 from ldctoolkit.plant_options import Mismatch, PlantOptions
+from ldctoolkit.scenarios import Scenarios
+from ldctoolkit.setup import Setup
 from ldctoolkit.simulation import Takeover, drive
 
 from ..design import Design

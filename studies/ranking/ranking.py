@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit import BicycleModel, EventStatus, Plant, SteeringLaw, VehicleParameters
 from ldctoolkit.arrays import IntArray
+from ldctoolkit.control import EventStatus, SteeringLaw
 from ldctoolkit.departures import LEFT
 from ldctoolkit.errors import LdcError, StudyError, expect
 from ldctoolkit.frames import Frame
@@ -21,6 +21,7 @@ from ldctoolkit.law_checks import declared_law
 from ldctoolkit.metrics import METRICS, RELEASE_METRICS
 from ldctoolkit.review import design_margins
 from ldctoolkit.vehicle import Convention
+from ldctoolkit.vehicle.bicycle import BicycleModel, Plant, VehicleParameters
 
 from ..assessment import assess
 from ..design import Design
@@ -48,7 +49,7 @@ from .verdict import depths, ranking_html
 if TYPE_CHECKING:
     import polars as pl
 
-    from ldctoolkit import Setup
+    from ldctoolkit.setup import Setup
 
 
 FEW = 50  # scenarios below which intervals are too short by an amount that matters, see docs/explanation/statistics.md

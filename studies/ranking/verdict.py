@@ -9,7 +9,6 @@ from typing import Final, Literal
 
 import numpy as np
 
-from ldctoolkit import Setup
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.gains import GainValue
 from ldctoolkit.metrics import METRICS
@@ -17,6 +16,7 @@ from ldctoolkit.notebook import CELL
 from ldctoolkit.paths.uncorrected import UncorrectedPath
 from ldctoolkit.scenario_model import ScenarioModel
 from ldctoolkit.scenario_model.model import misleading
+from ldctoolkit.setup import Setup
 
 from ..design import Design
 from ..results import CaseResults, StudyResults

@@ -14,9 +14,12 @@ from typing import Any, Final, TextIO
 import cloudpickle
 import numpy as np
 
-from ldctoolkit import Controller, EventStatus, Scenarios, compiling, registry
+import ldctoolkit.compiling as compiling
+import ldctoolkit.registry as registry
 from ldctoolkit.code_content import content_of, modules_of
+from ldctoolkit.control import Controller, EventStatus
 from ldctoolkit.errors import LdcError, StoreError
+from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.vehicle import Convention
 
 from ..design import NO_CONTROL, Design

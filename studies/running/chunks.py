@@ -15,11 +15,14 @@ from typing import Any, Final, Self
 
 import numpy as np
 
-from ldctoolkit import EventStatus, LdcError, Scenarios, Setup
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.control import EventStatus
 from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT
+from ldctoolkit.errors import LdcError
 from ldctoolkit.law_checks import raised
 from ldctoolkit.scenario_model import Given, ScenarioModel
+from ldctoolkit.scenarios import Scenarios
+from ldctoolkit.setup import Setup
 from ldctoolkit.simulation import Run, Takeover, drive_many
 from ldctoolkit.version import __version__
 

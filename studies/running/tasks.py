@@ -14,12 +14,15 @@ from typing import Any, Final, Self
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit import EventStatus, LdcError, Scenarios, Setup, controller_class, registry
+import ldctoolkit.registry as registry
 from ldctoolkit.arrays import FloatArray, IntArray
-from ldctoolkit.control import LinearLaw, SteeringLaw
-from ldctoolkit.errors import InputError
+from ldctoolkit.control import EventStatus, LinearLaw, SteeringLaw
+from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.law_checks import declared_law, raised
 from ldctoolkit.metrics import METRIC_UNITS
+from ldctoolkit.registry import controller_class
+from ldctoolkit.scenarios import Scenarios
+from ldctoolkit.setup import Setup
 from ldctoolkit.simulation import Outcome, Run, Takeover, Window, drive, drive_many
 from ldctoolkit.simulation.loop import recorded_run
 from ldctoolkit.vehicle import Convention

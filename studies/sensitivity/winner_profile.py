@@ -10,9 +10,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from ldctoolkit import EventStatus, LdcError
 from ldctoolkit.arrays import BoolArray, FloatArray
-from ldctoolkit.errors import InputError
+from ldctoolkit.control import EventStatus
+from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.gains import GainValue
 from ldctoolkit.law_checks import raised
 from ldctoolkit.simulation import Takeover, drive

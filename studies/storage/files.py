@@ -14,11 +14,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from ldctoolkit import LdcError, Scenarios
 from ldctoolkit.departures import LEFT, PARAMETER_COLUMNS, RIGHT
-from ldctoolkit.errors import StoreError
+from ldctoolkit.errors import LdcError, StoreError
 from ldctoolkit.recordings.departures_table import read_signals, signals_path, signals_table
-from ldctoolkit.scenarios import Drifts
+from ldctoolkit.scenarios import Drifts, Scenarios
 from ldctoolkit.whole_file import (
     check_parquet,
     json_text,

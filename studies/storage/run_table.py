@@ -19,10 +19,11 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit import EventStatus, Scenarios
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.control import EventStatus
 from ldctoolkit.errors import LdcError, StoreError
 from ldctoolkit.metrics import METRIC_COLUMNS, METRIC_UNITS, MetricValues
+from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.simulation import Window
 from ldctoolkit.surroundings import free_memory
 from ldctoolkit.whole_file import write_whole

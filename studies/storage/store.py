@@ -30,8 +30,8 @@ import logging
 from collections.abc import Sequence
 from pathlib import Path
 
-from ldctoolkit import Scenarios
 from ldctoolkit.errors import LdcError, StoreError
+from ldctoolkit.scenarios import Scenarios
 
 from ..design import Design
 from ..results import FailedRun, RunKey, StudyResults, TaskResult

@@ -6,10 +6,10 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from ldctoolkit import VehicleParameters
 from ldctoolkit.errors import InputError, ModelError, StoreError
 from ldctoolkit.scenario_model import Given, ScenarioModel, SideModel, SideSummary, conditions
 from ldctoolkit.scenario_model.model import outside_fit
+from ldctoolkit.vehicle.bicycle import VehicleParameters
 
 from ..replayed import ReplayedDepartures
 from ..study_file import Study

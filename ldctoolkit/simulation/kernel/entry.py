@@ -18,7 +18,7 @@ import numpy as np
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from ldctoolkit import lane_functions
+import ldctoolkit.lane_functions as lane_functions
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.lane_functions import OPTIONS
 from ldctoolkit.metrics import SCENARIO_METRICS

@@ -22,7 +22,7 @@ from typing import IO, Any, Literal, Protocol
 from loky import get_reusable_executor
 from loky.process_executor import BrokenProcessPool
 
-from ldctoolkit import compiling
+import ldctoolkit.compiling as compiling
 from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.option_checks import UnitWarning
 from ldctoolkit.surroundings import WORKERS, leave_with, safe_path, temporary_folder
