@@ -19,6 +19,7 @@ from typing import Any, ClassVar, Final
 import cloudpickle
 import numpy as np
 
+import ldctoolkit.departures as departures
 from ldctoolkit.code_content import content_of
 from ldctoolkit.departures import Departures, DepartureSignals, ExtraColumn
 from ldctoolkit.errors import InputError, LdcError, RecordingError, StoreError, plain
