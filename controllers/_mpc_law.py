@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.control import EventStatus, Preview, SolverCalls, SteeringLaw
-from ldctoolkit.errors import InputError, nearest
+from ldctoolkit.errors import InputError
 
 from ._mpc_condensing import Condensed, InitialState, Limits
 
@@ -130,7 +130,7 @@ def check_solver(word: object, owner: str) -> None:
     there = tuple(name for name in KNOWN if name in ("osqp", "daqp", *_others()))
     if word not in there:
         wrong = "not installed; installed" if word in KNOWN else "no such solver; installed"
-        raise InputError(f"{owner}.solver: {word!r} is {wrong}: {', '.join(there)}; {nearest(str(word), there)}")
+        raise InputError(f"{owner}.solver", f"is {wrong}: {', '.join(there)}", value=word, allowed=there)
 
 
 @functools.cache

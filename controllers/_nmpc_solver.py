@@ -28,7 +28,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from ldctoolkit.arrays import BoolArray, FloatArray
-from ldctoolkit.errors import InputError, nearest
+from ldctoolkit.errors import InputError
 from ldctoolkit.surroundings import cache_folder, private
 
 from ._nmpc_model import SIZE, sample, unpack
@@ -198,7 +198,7 @@ def compiled(functions: tuple[Any, ...], name: str) -> tuple[Any, ...]:
 
     choice = os.environ.get(CODE, "") or "auto"
     if choice not in ("auto", "vm"):
-        raise InputError(f"{CODE}: {choice!r}; {nearest(choice, ('auto', 'vm'))}")
+        raise InputError(CODE, value=choice, allowed=("auto", "vm"))
     library = _library(functions, name) if choice == "auto" else None
     if library is None:
         return functions

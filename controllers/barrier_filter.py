@@ -48,7 +48,7 @@ import numpy.typing as npt
 
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.control import Controller, EventStatus, LinearLaw, LinearSteps, Preview, SolverCalls, SteeringLaw
-from ldctoolkit.errors import InputError, UnknownNameError, nearest
+from ldctoolkit.errors import InputError, UnknownNameError
 from ldctoolkit.gains import gain, option
 from ldctoolkit.registry import controller_class
 from ldctoolkit.vehicle.bicycle import Plant
@@ -59,27 +59,27 @@ def inner_design(inner: str, inner_gains: str, owner: type[Controller]) -> Contr
     try:
         kind = controller_class(inner)
     except UnknownNameError as error:
-        raise UnknownNameError(f"{owner.name}.inner: {str(error).removeprefix('law ')}") from None
+        raise UnknownNameError(f"{owner.name}.inner", f"{str(error).removeprefix('law ')}") from None
     if issubclass(kind, owner):
-        raise InputError(f"{owner.name}.inner: {inner!r}; allowed: a law other than itself")
+        raise InputError(f"{owner.name}.inner", value=inner, allowed="a law other than itself")
     if inner == "none":
-        raise InputError(f"{owner.name}.inner: 'none'; allowed: a law that steers, the recorded path has no command")
+        raise InputError(f"{owner.name}.inner", "'none'", allowed="a law that steers, the recorded path has no command")
     where = f"{owner.name}.inner_gains"
     declared = {gain.name: gain for gain in kind.gains()}
     given: dict[str, Any] = {}
     for entry in inner_gains.split(",") if inner_gains.strip() else ():
         name, equals, value = (part.strip() for part in entry.partition("="))
         if not (name and equals and value):
-            raise InputError(f"{where}: {entry.strip()!r}; allowed: gain=value, separated by commas")
+            raise InputError(where, value=entry.strip(), allowed="gain=value, separated by commas")
         if name not in declared:
-            raise UnknownNameError(f"{where}: {inner}.{name}: no such gain; {nearest(name, declared)}")
+            raise UnknownNameError(where, f"{inner}.{name}: no such gain", allowed=declared)
         if name in given:
-            raise InputError(f"{where}: {name!r} is given twice; allowed: once")
+            raise InputError(where, "is given twice", value=name, allowed="once")
         given[name] = declared[name].parsed(value)
     try:
         return kind(**given)
     except InputError as error:
-        raise InputError(f"{where}: {error}") from None
+        raise InputError(where, f"{error}") from None
 
 
 def steering_law(design: Controller, plant: Plant, owner: str) -> SteeringLaw:
@@ -90,7 +90,7 @@ def steering_law(design: Controller, plant: Plant, owner: str) -> SteeringLaw:
     if isinstance(law, SteeringLaw):
         return law
     what = type(law).__name__
-    raise InputError(f"{owner}.inner: {design.name!r} prepared a {what}; allowed: a LinearLaw or a SteeringLaw")
+    raise InputError(f"{owner}.inner", f"prepared a {what}", value=design.name, allowed="a LinearLaw or a SteeringLaw")
 
 
 @final
@@ -191,7 +191,7 @@ class BarrierLaw(SteeringLaw):
         delta, status = np.asarray(delta, dtype=np.float64), np.array(status, dtype=np.int8)
         if delta.shape != lower.shape or status.shape != lower.shape:
             shapes = f"{delta.shape}, {status.shape}"
-            raise InputError(f"law {self.inner_name!r}: step returned shapes {shapes}; allowed: {lower.shape}")
+            raise InputError(f"law {self.inner_name!r}", f"step returned shapes {shapes}", allowed=lower.shape)
         wrong = ~np.isfinite(delta)
         status[wrong] = EventStatus.SOLVER_FAILED
         wanted = np.where(wrong, delta_prev, delta)

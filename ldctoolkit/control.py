@@ -346,20 +346,22 @@ def check_class(controller: type[Controller]) -> None:
     unseen = any(isinstance(value, dataclasses.Field) for base in controller.__mro__ for value in vars(base).values())
     if unseen or not dataclasses.is_dataclass(controller):
         raise InputError(
-            f"{called}: not a dataclass; write @dataclasses.dataclass(frozen=True) directly above the class"
+            called, "not a dataclass", hint="write @dataclasses.dataclass(frozen=True) directly above the class"
         )
     if not controller.__dataclass_params__.frozen:
-        raise InputError(f"{called}: a dataclass that is not frozen; write @dataclasses.dataclass(frozen=True)")
+        raise InputError(called, "a dataclass that is not frozen", hint="write @dataclasses.dataclass(frozen=True)")
     for attribute in ("name", "title"):
         if any(field.name == attribute for field in dataclasses.fields(controller)):
-            raise InputError(f"{called}.{attribute}: a field of the dataclass; write {attribute}: ClassVar[str] = ...")
+            raise InputError(
+                f"{called}.{attribute}", "a field of the dataclass", hint=f"write {attribute}: ClassVar[str] = ..."
+            )
         value = getattr(controller, attribute, None)
         if not isinstance(value, str) or not value:
             missing = "missing" if value is None else repr(value)
-            raise InputError(f"{called}.{attribute}: {missing}; allowed: a non-empty string, ClassVar[str]")
+            raise InputError(f"{called}.{attribute}", missing, allowed="a non-empty string, ClassVar[str]")
     if inspect.isabstract(controller):
         abstract = ", ".join(sorted(controller.__abstractmethods__))
-        raise InputError(f"{called}: no {abstract}; allowed: a class that defines it")
+        raise InputError(called, f"no {abstract}", allowed="a class that defines it")
     check_declarations(controller)
     document_gains(controller)
     _checked.add(controller)

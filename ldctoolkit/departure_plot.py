@@ -69,15 +69,15 @@ def plot_departure(
     """
     kept, n = outcome.trajectories, outcome.S.size
     if not 0 <= i < n:
-        raise InputError(f"i: {i}; allowed: 0 to {n - 1}")
+        raise InputError("i", value=i, allowed=f"0 to {n - 1}")
     if scenarios is not None and scenarios.n != n:
-        raise InputError(f"scenarios: {scenarios.n}, the outcome has {n}; allowed: those that were driven")
+        raise InputError("scenarios", f"{scenarios.n}, the outcome has {n}", allowed="those that were driven")
     if kept is None:
-        raise InputError("outcome: it holds no paths; drive with trajectories=True a law that intervenes")
+        raise InputError("outcome", "it holds no paths", hint="drive with trajectories=True a law that intervenes")
     at = np.flatnonzero(kept.rows == i)
     if not at.size:
         held = ", ".join(map(str, kept.rows[:5].tolist())) + (", ..." if kept.rows.size > 5 else "")
-        raise InputError(f"i: {i} has no path in this outcome; allowed: {held}")
+        raise InputError("i", f"{i} has no path in this outcome", allowed=held)
     import matplotlib.pyplot as plt
 
     from ldctoolkit.paths.uncorrected import UncorrectedPath

@@ -264,7 +264,7 @@ def reduce_signals(signals: DepartureSignals, side: npt.ArrayLike) -> DepartureP
     starts, last = signals.offsets[:-1], signals.offsets[1:] - 1
     sides = np.asarray(unmasked(side))
     if not np.isin(sides, (LEFT, RIGHT)).all():
-        raise InputError(f"side: {sides[~np.isin(sides, (LEFT, RIGHT))][0]}; allowed: {LEFT} or {RIGHT}")
+        raise InputError("side", f"{sides[~np.isin(sides, (LEFT, RIGHT))][0]}", allowed=f"{LEFT} or {RIGHT}")
     sides = sides.astype(np.int64)
     if signals.n == 0:
         empty = np.empty(0)
@@ -273,9 +273,13 @@ def reduce_signals(signals: DepartureSignals, side: npt.ArrayLike) -> DepartureP
     duration = signals.t[last]
     if np.any(count < 3):
         i = int(np.argmax(count < 3))
-        raise InputError(f"signals: event {i} has {count[i]} samples between its crossings; at least 3 are needed")
+        raise InputError(
+            "signals", f"event {i} has {count[i]} samples between its crossings", hint="at least 3 are needed"
+        )
     if not np.all(duration > 0):
-        raise InputError(f"signals: event {int(np.argmax(~(duration > 0)))} does not last: its last t is not positive")
+        raise InputError(
+            "signals", f"event {int(np.argmax(~(duration > 0)))} does not last: its last t is not positive"
+        )
 
     event = np.repeat(np.arange(signals.n), np.diff(signals.offsets))
     x = signals.integral(signals.v)
@@ -415,7 +419,7 @@ class Plausibility(CheckedArguments):
             if value is None:
                 continue
             if isinstance(value, bool) or not isinstance(value, int | float | np.number) or not value > 0.0:
-                raise InputError(f"plausibility.{field.name}: {value!r}; allowed: a number above 0")
+                raise InputError(f"plausibility.{field.name}", value=value, allowed="a number above 0")
             object.__setattr__(self, field.name, float(value) if np.isfinite(value) else None)
 
     def __str__(self) -> str:
@@ -469,7 +473,7 @@ def rebuild_signals(p: DepartureParameters, dt: float) -> DepartureSignals:
     array([0.   , 0.225, 0.3  , 0.225, 0.   ])
     """
     if not dt > 0:
-        raise InputError(f"dt: {dt!r} s; allowed: > 0")
+        raise InputError("dt", "s", value=dt, allowed="> 0")
     count = np.maximum(np.ceil(p.T / dt - 1e-9).astype(np.int64), 1) + 1
     offsets = np.concatenate([[0], np.cumsum(count)])
     event = np.repeat(np.arange(p.n), count)

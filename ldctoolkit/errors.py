@@ -1,19 +1,54 @@
 """The one family of errors that the toolkit raises on purpose.
 
-Every leaf also derives from the builtin that a caller would expect, so ``except ValueError`` keeps working.
-A message names the field (or the file and line), the value, what is allowed and the nearest valid name.
+An error is data: where it is (`path`), what was given (`value`), what is wrong with it (`problem`), what is `allowed`,
+and a `hint`. The sentence is made where it is shown; no code takes a sentence apart. Every leaf also derives from the
+builtin that a caller would expect, so ``except ValueError`` keeps working.
 """
 
+import copy
 import difflib
 import functools
 import inspect
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
+from os import PathLike
 from types import NoneType, UnionType
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Any, Final, Self, get_args
+
+
+class _NotGiven:
+    def __repr__(self) -> str:
+        return "NOT_GIVEN"
+
+    def __reduce__(self) -> str:
+        return "NOT_GIVEN"
+
+
+NOT_GIVEN: Final = _NotGiven()
+"""`LdcError.value` where nothing was given, or where what was given says nothing."""
 
 
 class LdcError(Exception):
     """Base of every error that the toolkit raises on purpose.
+
+    Parameters
+    ----------
+    path : str or path
+        The field (``"lqr.r_delta"``), the key of a file (``"study.toml: gains.lqr"``), or file and line.
+    problem : str
+        What is wrong, where the value and what is allowed do not say it.
+    value : object
+        What was given; left out where nothing was.
+    allowed : str or collection of str
+        What is allowed: a phrase (``"a number > 0"``), or the names that exist, of which the nearest is proposed.
+    listing : str
+        A phrase that stands for the names where they are too many to be shown.
+    hint : str
+        What to do about it.
+
+    Attributes
+    ----------
+    path, problem, value, allowed, hint
+        As given. `str` makes the sentence of them.
 
     Examples
     --------
@@ -21,9 +56,88 @@ class LdcError(Exception):
     >>> try:
     ...     ldc.load_model("referense")
     ... except ldc.LdcError as error:
-    ...     print(type(error).__name__)
-    UnknownNameError
+    ...     print(type(error).__name__, error.value)
+    UnknownNameError referense
     """
+
+    def __init__(
+        self,
+        path: str | PathLike[str] = "",
+        problem: str = "",
+        *,
+        value: object = NOT_GIVEN,
+        allowed: str | Collection[str] = "",
+        listing: str = "",
+        hint: str = "",
+    ) -> None:
+        self.path = str(path)
+        super().__init__(self.path, problem)
+        self.problem, self.value = problem, value
+        self.allowed, self.listing, self.hint = allowed, listing, hint
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        kept = self.__dict__
+        if not isinstance(self.value, str | float | int | None | _NotGiven):  # it may be anything, also unpicklable
+            kept = kept | {"value": _Repr(short(self.value))}
+        return type(self), (self.path, self.problem), kept
+
+    def __str__(self) -> str:
+        said = self.without_path
+        return f"{self.path}: {said}" if self.path and said else self.path or said
+
+    @property
+    def without_path(self) -> str:
+        """The sentence behind its path: for a list whose rows name the path themselves."""
+        given = "" if self.value is NOT_GIVEN else short(self.value)
+        allowed = self.allowed if isinstance(self.allowed, str) else ""
+        return "; ".join(
+            part
+            for part in (
+                " ".join(part for part in (given, self.problem) if part),
+                f"allowed: {allowed}" if allowed else "",
+                nearest(self._name, self.allowed, self.listing) if not isinstance(self.allowed, str) else "",
+                self.hint,
+            )
+            if part
+        )
+
+    @property
+    def _name(self) -> str:
+        """What a mistyped name is: the value, or the end of the path."""
+        return self.path.rpartition(".")[2] if self.value is NOT_GIVEN else str(self.value)
+
+    def within(self, outer: str, separator: str = ".") -> Self:
+        """The same error, as seen from outside: `outer` stands before its path."""
+        joined = f"{outer}{'' if self.path.startswith('[') else separator}{self.path}" if self.path else outer
+        return self.at(joined if outer else self.path)
+
+    def at(self, path: str) -> Self:
+        """The same error, at another path."""
+        moved = copy.copy(self)
+        moved.path = path
+        return moved
+
+    @classmethod
+    def of(cls, error: "LdcError") -> Self:
+        """The same problem as an error of this class."""
+        made = cls()
+        made.__dict__.update(error.__dict__)
+        return made
+
+
+class _Repr(str):
+    """What a value looked like, where the value itself did not travel."""
+
+    __slots__ = ()
+
+    def __repr__(self) -> str:
+        return str(self)
+
+
+def short(value: object) -> str:
+    """A value for a message."""
+    text = repr(plain(value))
+    return text if len(text) <= 80 else text[:77] + "..."
 
 
 class InputError(LdcError, ValueError):
@@ -31,7 +145,7 @@ class InputError(LdcError, ValueError):
 
 
 class RecordingError(LdcError, ValueError):
-    """A driving recording or a departures table cannot be used; the message names file, column and row."""
+    """A driving recording or a departures table cannot be used; `path` names file, column and row."""
 
 
 class ModelError(LdcError, ValueError):
@@ -39,7 +153,7 @@ class ModelError(LdcError, ValueError):
 
 
 class StudyError(LdcError, ValueError):
-    """A study file is wrong; the message names the key path."""
+    """A study file is wrong; `path` names the key."""
 
 
 class StoreError(LdcError, RuntimeError):
@@ -51,14 +165,11 @@ class ClusterError(LdcError, RuntimeError):
 
 
 class UnknownNameError(LdcError, KeyError):
-    """A name (law, gain, model, catalog study) is not known; the message lists what is."""
-
-    def __str__(self) -> str:
-        return str(self.args[0])  # KeyError would print the repr
+    """A name (law, gain, model, catalog study) is not known; `allowed` lists what is."""
 
 
 class UnknownArgumentError(LdcError, TypeError):
-    """A keyword argument does not exist; the message names the nearest that does."""
+    """A keyword argument does not exist; `allowed` lists what does."""
 
 
 class CheckedArguments:
@@ -70,7 +181,7 @@ class CheckedArguments:
             """Raise `UnknownArgumentError` for a name that `__init__` does not know."""
             for name in given:
                 if name not in (known := _arguments(cls) or given):
-                    raise UnknownArgumentError(f"{cls.__name__}: no argument {name!r}; {nearest(name, known)}")
+                    raise UnknownArgumentError(f"{cls.__name__}.{name}", "no such argument", allowed=known)
             return super().__new__(cls)
 
 
@@ -117,7 +228,7 @@ def expect(name: str, value: object, kind: type | UnionType) -> None:
             f"the class {value.__name__}" if isinstance(value, type) else f"an object of type {type(value).__name__}"
         )
         kinds = " or ".join("None" if one is NoneType else one.__name__ for one in get_args(kind) or (kind,))
-        raise InputError(f"{name}: {given}; allowed: {kinds}")
+        raise InputError(name, given, allowed=kinds)
 
 
 def plain(value: Any) -> Any:

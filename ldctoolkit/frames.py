@@ -24,6 +24,8 @@ class Frame(ReadOnly, abc.ABC):
         try:
             import pandas  # type: ignore[import-untyped,unused-ignore]
         except ImportError:
-            raise LdcError("to_pandas: pandas is not installed; allowed: pip install pandas, or to_polars()") from None
+            raise LdcError(
+                "to_pandas", "pandas is not installed", allowed="pip install pandas, or to_polars()"
+            ) from None
 
         return pandas.DataFrame({name: column.to_numpy() for name, column in self.to_polars().to_dict().items()})

@@ -56,22 +56,22 @@ class Gain:
         where, value = f"{owner}.{self.name}", plain(value)
         if self.choices:
             if value not in self.choices:
-                raise InputError(f"{where}: {value!r}; {nearest(str(value), self.choices)}")
+                raise InputError(where, value=value, allowed=self.choices)
             return str(value)
         if self.text:
             if not isinstance(value, str):
-                raise InputError(f"{where}: {value!r}; allowed: text")
+                raise InputError(where, value=value, allowed="text")
             return str(value)
         if isinstance(self.default, bool):
             if not isinstance(value, bool):
-                raise InputError(f"{where}: {value!r}; allowed: true or false")
+                raise InputError(where, value=value, allowed="true or false")
             return value
         number = _number(value)
         whole = isinstance(self.default, int)
         if number is None or (whole and number != int(number)) or not self.lower <= number <= self.upper:
             kind = "a whole number" if whole else "a number"
             unit = "" if self.unit == "1" else f" {self.unit}"
-            raise InputError(f"{where}: {value!r}; allowed: {kind} from {self.lower:g} to {self.upper:g}{unit}")
+            raise InputError(where, value=value, allowed=f"{kind} from {self.lower:g} to {self.upper:g}{unit}")
         return int(number) if whole else number
 
     def parsed(self, text: str) -> Any:
@@ -219,7 +219,7 @@ def check_declarations(owner: type) -> None:
             declared = _named(field)
             wrong = _contradiction(declared, _kind(field))
             if wrong:
-                raise InputError(f"{owner.__name__}.{declared.name}: {wrong}")
+                raise InputError(f"{owner.__name__}.{declared.name}", wrong)
             try:
                 declared.check(declared.default, owner.__name__)
             except InputError as error:
@@ -264,5 +264,5 @@ def find_gain(owner: Any, name: str, owner_name: str) -> Gain:
     """The declared gain of that name."""
     gains = {g.name: g for g in declared_gains(owner)}
     if name not in gains:
-        raise UnknownNameError(f"{owner_name}.{name}: no such gain; {nearest(name, gains)}")
+        raise UnknownNameError(f"{owner_name}.{name}", "no such gain", allowed=gains)
     return gains[name]

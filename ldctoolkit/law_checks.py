@@ -74,7 +74,7 @@ def check_controller(controller: object) -> Controller:
         example = f"{controller.__name__}()"
     elif isinstance(controller, str):
         example = f"controller_class({controller!r})()"
-    raise InputError(f"controller: {_shown(controller)}; allowed: a controller instance, e.g. {example}")
+    raise InputError("controller", f"{_shown(controller)}", allowed=f"a controller instance, e.g. {example}")
 
 
 def check_law(law: object, n: int, name: str) -> Law:
@@ -86,17 +86,18 @@ def check_law(law: object, n: int, name: str) -> Law:
         return law
     if not isinstance(law, LinearLaw | SteeringLaw):
         raise InputError(
-            f"{where}: prepare returned {_shown(law)}; allowed: a LinearLaw, a RecordedPath, "
-            "or an instance of a subclass of SteeringLaw"
+            where,
+            f"prepare returned {_shown(law)}",
+            allowed="a LinearLaw, a RecordedPath, or an instance of a subclass of SteeringLaw",
         )
     times: Any = law.preview_times
     if callable(times):
-        raise InputError(f"{where}: {type(law).__name__}.preview_times is a method; write @property above it")
+        raise InputError(where, f"{type(law).__name__}.preview_times is a method", hint="write @property above it")
     _check_array(times, "preview_times", ("p",), where)
     earliest = 0.0 if isinstance(law, LinearLaw) else -_LONGEST_AGE
     wrong = ~(np.isfinite(times) & (times >= earliest))
     if wrong.any():
-        raise InputError(f"{where}: preview_times holds {times[wrong][0]:g}; allowed: finite times >= {earliest:g} [s]")
+        raise InputError(where, f"preview_times holds {times[wrong][0]:g}", allowed=f"finite times >= {earliest:g} [s]")
     if isinstance(law, LinearLaw):
         p = times.size
         for field, shape in {"F": (n, 4), "G_yaw_rate": (n, p), "G_heading": (n, p), "f_u": (n,)}.items():
@@ -115,14 +116,14 @@ def check_step(result: object, n: int, name: str) -> tuple[FloatArray, Any, Stat
     where = f"controller {name!r}"
     if not (isinstance(result, tuple) and len(result) == 3):
         shown = f"a tuple of {len(result)}" if isinstance(result, tuple) else _shown(result)
-        raise InputError(f"{where}: step returned {shown}; allowed: a tuple (delta, state, status)")
+        raise InputError(where, f"step returned {shown}", allowed="a tuple (delta, state, status)")
     delta, status = _reals(result[0], "delta", where), _reals(result[2], "status", where)
     if delta.shape != (n,) or status.shape != (n,):
-        raise InputError(f"{where}: step returned shapes {delta.shape}, {status.shape}; allowed: {(n,)}")
+        raise InputError(where, f"step returned shapes {delta.shape}, {status.shape}", allowed=f"{(n,)}")
     if status.any() and not np.isin(status, _OF_A_STEP).all():
         unknown = ~np.isin(status, _OF_A_STEP)
         allowed = ", ".join(f"EventStatus.{one.name} ({one:d})" for one in _OF_A_STEP)
-        raise InputError(f"{where}: step returned status {status[unknown][0]}; allowed: {allowed}")
+        raise InputError(where, f"step returned status {status[unknown][0]}", allowed=allowed)
     return np.array(delta, dtype=np.float64), result[1], status.astype(np.int8)
 
 
@@ -133,10 +134,10 @@ def check_taken(result: object, n: int, name: str, times: FloatArray) -> tuple[S
     if isinstance(result, tuple) and len(result) == 2 and isinstance(result[0], SteeringLaw):
         check_law(result[0], n, name)
         if not np.array_equal(result[0].preview_times, times):
-            raise InputError(f"controller {name!r}: take changed preview_times; allowed: those of the law before")
+            raise InputError(f"controller {name!r}", "take changed preview_times", allowed="those of the law before")
         return result[0], result[1]
     shown = f"a tuple of {len(result)}" if isinstance(result, tuple) else _shown(result)
-    raise InputError(f"controller {name!r}: take returned {shown}; allowed: a tuple (law, state), or None")
+    raise InputError(f"controller {name!r}", f"take returned {shown}", allowed="a tuple (law, state), or None")
 
 
 def check_calls(calls: object, n: int, name: str) -> None:
@@ -149,19 +150,19 @@ def check_calls(calls: object, n: int, name: str) -> None:
         _check_array(getattr(calls, field), field, (calls.place.size,), where)
     outside = (calls.place < 0) | (calls.place >= n)
     if calls.place.dtype.kind not in "iu" or outside.any():
-        raise InputError(f"{where}: place holds {calls.place[outside][:1]}; allowed: whole numbers 0 to {n - 1}")
+        raise InputError(where, f"place holds {calls.place[outside][:1]}", allowed=f"whole numbers 0 to {n - 1}")
 
 
 def _check_array(value: Any, field: str, shape: tuple[int | str, ...], where: str) -> None:
     """Raise if the value is no array of real numbers of that shape; a word stands for any length."""
     allowed = f"({', '.join(map(str, shape))}{',' if len(shape) == 1 else ''})"
     if not isinstance(value, np.ndarray):
-        raise InputError(f"{where}: {field} is {_shown(value)}; allowed: an array of shape {allowed}")
+        raise InputError(where, f"{field} is {_shown(value)}", allowed=f"an array of shape {allowed}")
     same = (isinstance(length, str) or length == own for length, own in zip(shape, value.shape, strict=False))
     if value.ndim != len(shape) or not all(same):
-        raise InputError(f"{where}: {field} has shape {value.shape}; allowed: {allowed}")
+        raise InputError(where, f"{field} has shape {value.shape}", allowed=allowed)
     if np.ma.is_masked(value):
-        raise InputError(f"{where}: {field} has masked entries; allowed: none")
+        raise InputError(where, f"{field} has masked entries", allowed="none")
     _reals(value, field, where)
 
 
@@ -172,7 +173,7 @@ def _reals(value: Any, field: str, where: str) -> npt.NDArray[Any]:
     except ValueError:  # rows of different lengths
         array = np.asarray(None)
     if array.dtype.kind not in "iuf":
-        raise InputError(f"{where}: {field} is {_shown(value)}; allowed: an array of real numbers")
+        raise InputError(where, f"{field} is {_shown(value)}", allowed="an array of real numbers")
     return array
 
 

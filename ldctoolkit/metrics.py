@@ -366,7 +366,7 @@ def share_deeper(deepest: FloatArray, D_y: float) -> float:
     """
     (values,) = _together(deepest=deepest)
     if values.ndim != 1:
-        raise InputError(f"deepest: shape {values.shape}; allowed: (n,)")
+        raise InputError("deepest", f"shape {values.shape}", allowed="(n,)")
     return float(_fraction(values > _number("D_y", D_y), np.isnan(values)))
 
 
@@ -534,20 +534,20 @@ def _together(**named: npt.ArrayLike) -> tuple[Any, ...]:
         try:
             array = np.asarray(unmasked(values), dtype=None if name == "triggered" else np.float64)
         except (TypeError, ValueError):
-            raise InputError(f"{name}: not an array of numbers") from None
+            raise InputError(name, "not an array of numbers") from None
         if name == "triggered" and array.size and (array.dtype != np.bool_ or np.ma.is_masked(values)):
             masked = " with masked entries" if np.ma.is_masked(values) else ""
-            raise InputError(f"triggered: an array of {array.dtype}{masked}; allowed: booleans")
+            raise InputError("triggered", f"an array of {array.dtype}{masked}", allowed="booleans")
         arrays.append(array.astype(bool) if name == "triggered" else array)
     shapes = {array.shape for array in arrays}
     largest = max(shapes, key=len)
     if not largest or any(shape not in (largest, largest[-1:]) for shape in shapes):
         text = ", ".join(f"{name} {array.shape}" for name, array in zip(named, arrays, strict=True))
-        raise InputError(f"shapes: {text}; allowed: (n,) or (d, n), with the same n")
+        raise InputError("shapes", text, allowed="(n,) or (d, n), with the same n")
     return tuple(np.broadcast_to(array, largest) for array in arrays)
 
 
 def _number(name: str, value: float) -> float:
     if not isinstance(value, int | float | np.integer | np.floating) or isinstance(value, bool) or np.isnan(value):
-        raise InputError(f"{name}: {value!r}; allowed: a number")
+        raise InputError(name, value=value, allowed="a number")
     return float(value)

@@ -8,7 +8,7 @@ import math
 import warnings
 from typing import Any, Final
 
-from ldctoolkit.errors import InputError, nearest, plain
+from ldctoolkit.errors import InputError, plain
 
 
 class UnitWarning(UserWarning):
@@ -151,13 +151,13 @@ def _check(owner: Any, field: dataclasses.Field[Any], where: str) -> None:
     if kind is not None:
         if not isinstance(value, kind):
             none = ", or None" if field.default is None else ""
-            raise InputError(f"{where}: {value!r}; allowed: an instance of {kind.__name__}{none}")
+            raise InputError(where, value=value, allowed=f"an instance of {kind.__name__}{none}")
     elif limits.choices:
         if value not in limits.choices:
-            raise InputError(f"{where}: {value!r}; {nearest(str(value), limits.choices)}")
+            raise InputError(where, value=value, allowed=limits.choices)
     elif isinstance(field.default, bool):
         if not isinstance(value, bool):
-            raise InputError(f"{where}: {value!r}; allowed: true or false")
+            raise InputError(where, value=value, allowed="true or false")
     else:
         number = checked_number(where, value, above=limits.above, least=limits.least, most=limits.most)
         object.__setattr__(owner, field.name, number)
@@ -178,7 +178,7 @@ def checked_number(
         (above is None or value > above) and (least is None or value >= least) and (most is None or value <= most)
     ):
         allowed = " ".join(["a finite number", *([" and ".join(bounds)] if bounds else [])])
-        raise InputError(f"{where}: {value!r}; allowed: {allowed}")
+        raise InputError(where, value=value, allowed=allowed)
     return float(value)
 
 
@@ -186,5 +186,5 @@ def checked_seed(seed: object) -> int:
     """The seed as an int, 0 to 2^63 - 1."""
     whole = plain(seed)
     if isinstance(whole, bool) or not isinstance(whole, int) or not 0 <= whole <= MOST_SEED:
-        raise InputError(f"seed: {seed!r}; allowed: a whole number from 0 to 2^63 - 1")
+        raise InputError("seed", value=seed, allowed="a whole number from 0 to 2^63 - 1")
     return whole

@@ -59,7 +59,7 @@ class Actuator(CheckedArguments):
     def __post_init__(self) -> None:
         check_declared(self, "actuator")
         if 0.0 < self.lag < _SHORTEST_LAG:
-            raise InputError(f"actuator.lag: {self.lag!r}; allowed: 0, or at least {_SHORTEST_LAG:g} s")
+            raise InputError("actuator.lag", value=self.lag, allowed=f"0, or at least {_SHORTEST_LAG:g} s")
         warn_of_units("actuator", self)
 
     @property
@@ -94,7 +94,7 @@ class Mismatch(CheckedArguments):
             pair = isinstance(value, tuple | list) and len(value) == 2
             value = tuple(plain(end) for end in value) if pair else plain(value)
             if not (pair and all(is_number(end) for end in value) and 0.0 < value[0] <= value[1]):
-                raise InputError(f"mismatch.{field.name}: {value!r}; allowed: (low, high), 0 < low <= high")
+                raise InputError(f"mismatch.{field.name}", value=value, allowed="(low, high), 0 < low <= high")
             object.__setattr__(self, field.name, (float(value[0]), float(value[1])))
 
     @property
@@ -128,8 +128,9 @@ class Tyres(CheckedArguments):
         for name in ("mu", "shape"):
             if self.ideal and getattr(self, name) != type(self).__dataclass_fields__[name].default:
                 raise InputError(
-                    f"tyres.{name}: {getattr(self, name)!r}; linear tyres have none; "
-                    "allowed with tyres.model = 'magic_formula'"
+                    f"tyres.{name}",
+                    value=getattr(self, name),
+                    hint="linear tyres have none; allowed with tyres.model = 'magic_formula'",
                 )
 
     @property
@@ -204,10 +205,12 @@ class Sensors(CheckedArguments):
         check_declared(self, "sensors")
         if fps is not None:
             if self.period:
-                raise InputError(f"sensors.fps: {fps!r} beside period = {self.period:g} s; allowed: one of the two")
+                raise InputError(
+                    "sensors.fps", f"beside period = {self.period:g} s", value=fps, allowed="one of the two"
+                )
             object.__setattr__(self, "period", 1.0 / checked_number("sensors.fps", fps, least=0.1, most=1000.0))
         if 0.0 < self.period < _SHORTEST_PERIOD:
-            raise InputError(f"sensors.period: {self.period!r}; allowed: 0, or at least {_SHORTEST_PERIOD:g} s")
+            raise InputError("sensors.period", value=self.period, allowed=f"0, or at least {_SHORTEST_PERIOD:g} s")
         warn_of_units("sensors", self)
 
     @property
@@ -244,7 +247,9 @@ class Residuals(CheckedArguments):
     def __post_init__(self) -> None:
         check_declared(self, "residuals")
         if self.ideal and self.bandwidth != type(self).__dataclass_fields__["bandwidth"].default:
-            raise InputError(f"residuals.bandwidth: {self.bandwidth!r}; allowed with residuals.y or residuals.v")
+            raise InputError(
+                "residuals.bandwidth", value=self.bandwidth, hint="allowed with residuals.y or residuals.v"
+            )
 
     @property
     def ideal(self) -> bool:
@@ -289,8 +294,9 @@ class PlantOptions(CheckedArguments):
         check_declared(self)
         if self.tyres.ideal and self.mismatch.mu != (1.0, 1.0):
             raise InputError(
-                f"mismatch.mu: {self.mismatch.mu!r}; linear tyres have no friction coefficient; "
-                "allowed with tyres.model = 'magic_formula'"
+                "mismatch.mu",
+                value=self.mismatch.mu,
+                hint="linear tyres have no friction coefficient; allowed with tyres.model = 'magic_formula'",
             )
 
     @property

@@ -9,7 +9,7 @@ from typing import Any
 
 from ldctoolkit.code_content import content_of
 from ldctoolkit.control import Controller, check_class
-from ldctoolkit.errors import InputError, LdcError, UnknownNameError, nearest
+from ldctoolkit.errors import InputError, LdcError, UnknownNameError
 from ldctoolkit.gains import undeclared_fields
 
 GROUP = "ldctoolkit.controllers"
@@ -45,7 +45,7 @@ def register(controller: type[Controller]) -> type[Controller]:
     ...         return RecordedPath()
     """
     if not (isinstance(controller, type) and issubclass(controller, Controller)):
-        raise InputError(f"register: {controller!r}; allowed: a subclass of Controller")
+        raise InputError("register", value=controller, allowed="a subclass of Controller")
     _check(controller)
     name, known, point = controller.name, _registered.get(controller.name), _installed().get(controller.name)
     if known is not None:
@@ -56,7 +56,7 @@ def register(controller: type[Controller]) -> type[Controller]:
             point.attr == controller.__qualname__ and f"{controller.__module__}.".startswith(f"{point.module}.")
         )
     if not same:
-        raise InputError(f"register: a controller named {name!r} is already registered; choose another name")
+        raise InputError("register", f"a controller named {name!r} is already registered", hint="choose another name")
     _registered[name] = controller
     return controller
 
@@ -77,7 +77,9 @@ def _check(controller: type[Controller]) -> None:
         return
     check_class(controller)
     for field in undeclared_fields(controller):
-        raise InputError(f"{controller.__name__}.{field}: a plain field; allowed: fields made with gain() or option()")
+        raise InputError(
+            f"{controller.__name__}.{field}", "a plain field", allowed="fields made with gain() or option()"
+        )
     _sound.add(controller)
 
 
@@ -139,7 +141,7 @@ def bound_class(name: str, code: str, *, same: bool = False) -> type[Controller]
     """The class that a design was made with, or else the present one of its name; with `same` only of the same code."""
     kind = _by_code.get((name, code)) or controller_class(name)
     if same and not is_known(name, code):
-        raise LdcError(f"law {name!r}: its code is not that of the design; run the study again")
+        raise LdcError(f"law {name!r}", "its code is not that of the design", hint="run the study again")
     return kind
 
 
@@ -172,7 +174,7 @@ def controller_class(name: str) -> type[Controller]:
         return _registered[name]
     point = _installed().get(name)
     if point is None:
-        raise UnknownNameError(f"law {name!r}: no such controller; {nearest(name, controller_names())}")
+        raise UnknownNameError(f"law {name!r}", "no such controller", allowed=controller_names())
     if point in _loaded:
         return _loaded[point]
     try:
@@ -184,6 +186,8 @@ def controller_class(name: str) -> type[Controller]:
         raise LdcError(f"controller {name!r} ({point.value}) is not a subclass of Controller")
     _check(loaded)
     if loaded.name != name:
-        raise LdcError(f"controller {name!r} ({point.value}): its name is {loaded.name!r}; allowed: the same as here")
+        raise LdcError(
+            f"controller {name!r} ({point.value})", f"its name is {loaded.name!r}", allowed="the same as here"
+        )
     _loaded[point] = loaded
     return loaded

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray, ReadOnly, unmasked
 from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, DepartureParameters, DepartureSignals
-from ldctoolkit.errors import InputError, nearest
+from ldctoolkit.errors import InputError
 from ldctoolkit.option_checks import UnitWarning, unit_slip
 
 SPEED_FLOOR = 1.0  # lowest speed [m/s] at which a scenario can be replayed: the vehicle model divides by the speed
@@ -150,11 +150,11 @@ class Scenarios(DepartureParameters):
         if path == "parabola":
             return made
         if path != "recorded":
-            raise InputError(f"path: {path!r}; {nearest(str(path), ('parabola', 'recorded'))}")
+            raise InputError("path", value=path, allowed=("parabola", "recorded"))
         signals = getattr(departures, "signals", None)
         if signals is None:
             raise InputError(
-                "path: 'recorded', but the departures hold no signals; extract them with keep_signals=True"
+                "path", "'recorded', but the departures hold no signals", hint="extract them with keep_signals=True"
             )
         return dataclasses.replace(made, signals=signals)
 
@@ -204,7 +204,7 @@ class Scenarios(DepartureParameters):
         try:
             *numbers, sides = np.broadcast_arrays(*columns, np.asarray(side))
         except ValueError as error:
-            raise InputError(f"scenarios: the columns do not have one common length ({error})") from None
+            raise InputError("scenarios", f"the columns do not have one common length ({error})") from None
         speed, rate, arc, away, end, curvature = (np.array(column) for column in numbers)
         made = cls.from_arrays(T=end, d_y=0.0, v_mean=speed, c_0=curvature, side=sides)
         for name, values, low in (("lateral_velocity", rate, 0.0), ("radius", arc, 0.0), ("distance", away, -1e-300)):
@@ -226,9 +226,9 @@ class Scenarios(DepartureParameters):
         try:
             columns = np.broadcast_arrays(*arrays)
         except ValueError as error:
-            raise InputError(f"scenarios: the columns do not have one common length ({error})") from None
+            raise InputError("scenarios", f"the columns do not have one common length ({error})") from None
         if columns[0].ndim != 1:
-            raise InputError(f"scenarios: columns must be one-dimensional, got {columns[0].ndim} dimensions")
+            raise InputError("scenarios", f"columns must be one-dimensional, got {columns[0].ndim} dimensions")
         named: dict[str, Any] = dict(zip(given, (np.array(column) for column in columns), strict=True))
         _check(named)
         count = columns[0].size
@@ -240,17 +240,17 @@ def _numbers(name: str, value: npt.ArrayLike) -> FloatArray:
     try:
         given = np.asarray(unmasked(value))
     except ValueError:
-        raise InputError(f"scenarios: {name}: rows of different lengths; allowed: one number a row") from None
+        raise InputError("scenarios", f"{name}: rows of different lengths", allowed="one number a row") from None
     sides = {"left": LEFT, "right": RIGHT}
     if name == "side" and given.dtype.kind in "UO":
         for i, word in enumerate(given.ravel().tolist()):
             if word not in sides:
-                raise InputError(f"scenarios: side[{i}] = {word!r}; {nearest(str(word), sides)}")
+                raise InputError("scenarios", f"side[{i}] = {word!r}", allowed=sides)
         given = np.where(given == "left", LEFT, RIGHT)
     if given.dtype.kind not in "iuf":
         for i, one in enumerate(given.ravel().tolist()):
             if isinstance(one, bool) or not isinstance(one, int | float):
-                raise InputError(f"scenarios: {name}[{i}] = {one!r:.40}; allowed: numbers")
+                raise InputError("scenarios", f"{name}[{i}] = {one!r:.40}", allowed="numbers")
     return given.astype(np.float64)
 
 
@@ -258,7 +258,7 @@ def _refuse(bad: BoolArray, name: str, values: npt.NDArray[Any], allowed: str) -
     if bad.any():
         row = int(np.argmax(bad))
         more = f" ({int(bad.sum())} rows in all)" if bad.sum() > 1 else ""
-        raise InputError(f"scenarios: {name}[{row}] = {values[row]:g}; allowed: {allowed}{more}")
+        raise InputError("scenarios", f"{name}[{row}] = {values[row]:g}", allowed=f"{allowed}{more}")
 
 
 def _check(column: dict[str, FloatArray]) -> None:

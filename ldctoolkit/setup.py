@@ -98,16 +98,18 @@ class Setup(CheckedArguments):
     def __post_init__(self) -> None:
         for name, kind in (("vehicle", VehicleParameters), ("options", PlantOptions)):
             if not isinstance(getattr(self, name), kind):
-                raise InputError(f"{name}: {getattr(self, name)!r}; allowed: {kind.__name__}(...)")
+                raise InputError(name, value=getattr(self, name), allowed=f"{kind.__name__}(...)")
         check_declared(self)
         if self.trigger == "distance" and self.ttlc != TTLC:
-            raise InputError(f"ttlc: {self.ttlc!r} with trigger 'distance'; allowed with trigger = 'ttlc'")
+            raise InputError("ttlc", "with trigger 'distance'", value=self.ttlc, hint="allowed with trigger = 'ttlc'")
         object.__setattr__(self, "seed", checked_seed(self.seed))
         object.__setattr__(self, "options", self.options.sampled(self.dt))
         if self.model.convention != "consistent" and not self.options.tyres.ideal:
             raise InputError(
-                f"convention: {self.convention!r} with tyres.model {self.options.tyres.model!r}; the printed matrix is "
-                "linear; allowed: 'consistent'"
+                "convention",
+                f"with tyres.model {self.options.tyres.model!r}; the printed matrix is linear",
+                value=self.convention,
+                allowed="'consistent'",
             )
 
     @property

@@ -346,7 +346,7 @@ def assess(
     expect("setup", setup, Setup | None)
     given = setup or Setup()
     if isinstance(seeds, bool) or not isinstance(seeds, int) or seeds < 1:
-        raise InputError(f"seeds: {seeds!r}; allowed: a whole number >= 1")
+        raise InputError("seeds", value=seeds, allowed="a whole number >= 1")
     width = min(max(given.vehicle.w_l, test.lane_width_m[0]), test.lane_width_m[1])
     given = dataclasses.replace(given, vehicle=dataclasses.replace(given.vehicle, w_l=width))
     cells = test.every_cell
@@ -363,7 +363,7 @@ def assess(
         except (LdcError, KeyboardInterrupt, GeneratorExit):
             raise
         except BaseException as error:  # a controller may be third-party code
-            raise LdcError(f"law {controller.name!r} in {test.name}: {raised(error)}") from None
+            raise LdcError(f"law {controller.name!r} in {test.name}", f"{raised(error)}") from None
         metrics = run.outcome.companions
         quantities = ((one.quantity, QUANTITIES[one.quantity].of) for one in test.condition)
         found = [getattr(metrics, name) if of is None else of(run) for name, of in quantities]

@@ -166,11 +166,11 @@ def named_designs(designs: Sequence[Design], names: Sequence[str]) -> list[Desig
     for name in names:
         some = [design for design in designs if name == design.label or (name and design.id.startswith(name.lower()))]
         if len(some) > 1:
-            raise InputError(f"--design {name!r}: the ids of {len(some)} designs start so; allowed: more of the id")
+            raise InputError(f"--design {name!r}", f"the ids of {len(some)} designs start so", allowed="more of the id")
         if not some:
             # the labels of a large study fill a screen
             listing = "a label, or the id in ranking.csv" if len(designs) > 5 else ""
             close = nearest(name, [design.label for design in designs], listing)
-            raise UnknownNameError(f"--design {name!r}: no such design; {close}")
+            raise UnknownNameError(f"--design {name!r}", "no such design", hint=close)
         found[some[0].id] = some[0]
     return list(found.values())

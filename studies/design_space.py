@@ -219,7 +219,7 @@ class LawSpace:
         names, lists = [], []
         for name, dimension in self.dimensions:
             if not isinstance(dimension, Choices):
-                raise InputError(f"{name}: a range without a count makes no grid")
+                raise InputError(name, "a range without a count makes no grid")
             names.append(name)
             lists.append(dimension.values)
         every = (self.active(dict(zip(names, values, strict=True))) for values in itertools.product(*lists))

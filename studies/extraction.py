@@ -193,7 +193,7 @@ class WorkFolder:
             content = read_bytes(file)
             try:
                 if _checksum(content) != found[2]:
-                    raise StoreError("broken: its content is not what was written (the checksum in its name differs)")
+                    raise StoreError("broken", "its content is not what was written (the checksum in its name differs)")
                 read_part(content)
             except StoreError as error:
                 _log.warning("%s: %s; this part is read again", file, error)
@@ -218,7 +218,7 @@ class WorkFolder:
         path = self._parts[number]
         content = read_bytes(path)
         if not path.stem.endswith(_checksum(content)):
-            raise StoreError(f"{path}: changed while parts were read; run it again to go on")
+            raise StoreError(path, "changed while parts were read", hint="run it again to go on")
         return read_part(content)
 
     def remove(self) -> None:
@@ -243,16 +243,16 @@ def work_folder(path: Path, plan: Plan) -> Iterator[WorkFolder]:
     try:
         path.mkdir(exist_ok=True)
     except FileExistsError:
-        raise StoreError(f"{path}: is no folder; {_KEPT_THERE}") from None
+        raise StoreError(path, "is no folder", hint=_KEPT_THERE) from None
     except OSError as error:
-        raise StoreError(f"{path}: cannot be made: {error.strerror or error}") from None
+        raise StoreError(path, f"cannot be made: {error.strerror or error}") from None
     with locked(path):
         try:
             remove_leftovers(path)
             _keep_only(path, plan)
             folder = WorkFolder(path)
         except OSError as error:  # the run that held it may have ended, and taken it away, at this moment
-            raise StoreError(f"{path}: cannot be used: {error.strerror or error}") from None
+            raise StoreError(path, f"cannot be used: {error.strerror or error}") from None
         try:
             yield folder
         except BaseException:
@@ -278,7 +278,7 @@ def _keep_only(path: Path, plan: Plan) -> None:
         others = [file.name for file in path.iterdir() if file.name != _LOCK and not _PART.fullmatch(file.name)]
         if others:
             what = f"is not the work folder of an extraction (it holds {min(others)})"
-            raise StoreError(f"{path}: {what}; {_KEPT_THERE}")
+            raise StoreError(path, what, hint=_KEPT_THERE)
     _clear(path)
     write_json(manifest, plan)
 
@@ -297,7 +297,7 @@ def _unlink(path: Path) -> None:
     try:
         path.unlink(missing_ok=True)
     except OSError as error:
-        raise StoreError(f"{path}: cannot be removed: {error.strerror or error}") from None
+        raise StoreError(path, f"cannot be removed: {error.strerror or error}") from None
 
 
 def _checksum(content: bytes) -> str:
@@ -344,9 +344,9 @@ def read_part(content: bytes) -> PartResult:
             tree = json.loads(entries[_TREE].tobytes().decode())
             result = _unpacked(tree, entries)
     except Exception as error:  # any byte of it may be another
-        raise StoreError(f"broken: {error or type(error).__name__}") from None
+        raise StoreError("broken", f"{error or type(error).__name__}") from None
     if not isinstance(result, PartResult):
-        raise StoreError(f"broken: holds {type(result).__name__}")
+        raise StoreError("broken", f"holds {type(result).__name__}")
     return result
 
 
@@ -440,7 +440,7 @@ def run_extraction(
     >>> folder.cleanup()
     """
     if workers is not None and (isinstance(workers, bool) or not isinstance(workers, int) or workers < 1):
-        raise InputError(f"workers: {workers!r}; allowed: a whole number >= 1")
+        raise InputError("workers", value=workers, allowed="a whole number >= 1")
     reader, source = recordings.reader, recordings.source
     criteria = criteria or Criteria(reader.vehicle_width)
     preparation = preparation or Preparation(step=reader.step)

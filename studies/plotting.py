@@ -107,10 +107,10 @@ def chosen_case(results: StudyResults, case: str | int) -> CaseResults:
     labels = [one.case.label for one in results.cases]
     if isinstance(case, str):
         if case not in labels:
-            raise InputError(f"case: {case!r}; {nearest(case, labels)}")
+            raise InputError("case", value=case, allowed=labels)
         return results.cases[labels.index(case)]
     if not 0 <= case < len(labels):
-        raise InputError(f"case: {case}; allowed: 0 to {len(labels) - 1}")
+        raise InputError("case", value=case, allowed=f"0 to {len(labels) - 1}")
     return results.cases[case]
 
 
@@ -121,16 +121,16 @@ def chosen_designs(results: StudyResults, designs: Iterable[Design | int]) -> li
     for one in designs:
         if isinstance(one, int):
             if not 0 <= one < len(place):
-                raise InputError(f"designs: {one}; allowed: 0 to {len(place) - 1}")
+                raise InputError("designs", value=one, allowed=f"0 to {len(place) - 1}")
             found.append(one)
         elif one.id in place:
             found.append(place[one.id])
         else:
             raise InputError(
-                f"designs: {one.label} has no results here; allowed: the {len(place)} designs of the study"
+                "designs", f"{one.label} has no results here", allowed=f"the {len(place)} designs of the study"
             )
     if not found:
-        raise InputError("designs: none; allowed: at least one")
+        raise InputError("designs", "none", allowed="at least one")
     return found
 
 
@@ -171,13 +171,13 @@ def plot_landscape(
     if law is None:
         law = ranking.designs[ranking.winner or 0].law
     if law not in laws:
-        raise InputError(f"law: {law!r} has no designs here; {nearest(law, laws)}")
+        raise InputError("law", "has no designs here", value=law, allowed=laws)
     places = [i for i, design in enumerate(ranking.designs) if design.law == law]
     swept = {axis.name: axis for axis in swept_axes([ranking.designs[i] for i in places])}
     for name, wanted in (("x", x), ("y", y)):
         if wanted is not None and wanted not in swept:
             allowed = nearest(wanted, swept) if swept else "its designs differ in nothing"
-            raise InputError(f"{name}: {wanted!r} is not swept in {law}; {allowed}")
+            raise InputError(name, f"is not swept in {law}", value=wanted, hint=allowed)
     across, up = swept[x], None if y is None else swept[y]
     S = np.full((1 if up is None else len(up.values), len(across.values)), np.nan)
     for i in places:
@@ -233,7 +233,7 @@ def plot_ranking(ranking: Ranking, ax: Axes | None = None, top: int = 20) -> Axe
     """
     expect("ranking", ranking, Ranking)
     if top < 1:
-        raise InputError(f"top: {top}; allowed: 1 or more")
+        raise InputError("top", value=top, allowed="1 or more")
     axes, styles = axes_of(ax), styles_of(ranking.designs)
     named = {place for place in (ranking.winner, ranking.baseline) if place is not None}
     places = sorted({*range(min(top, len(ranking))), *named})
@@ -345,12 +345,12 @@ def plot_distribution(
     """
     expect("results", results, StudyResults)
     if side not in _SIDES:
-        raise InputError(f"side: {side!r}; {nearest(side, _SIDES)}")
+        raise InputError("side", value=side, allowed=_SIDES)
     results = results.drivable()
     found, chosen = chosen_case(results, case), chosen_designs(results, designs)
     rows = np.isin(results.scenarios.side, _SIDES[side])
     if not rows.any():
-        raise InputError(f"side: {side!r}; the study has no such scenarios")
+        raise InputError("side", value=side, hint="the study has no such scenarios")
     axes = axes_of(ax)
     recorded = found.S_uncorrected[chosen[0]][rows]
     axes.ecdf(recorded, label="without control", **_RECORDED.line())

@@ -12,7 +12,7 @@ import numpy as np
 
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.departures import LEFT, PARAMETER_COLUMNS, RIGHT
-from ldctoolkit.errors import InputError, LdcError, RecordingError, nearest
+from ldctoolkit.errors import InputError, LdcError, RecordingError
 from ldctoolkit.recordings import read_departures
 from ldctoolkit.recordings.departures_table import column_of, read_table
 from ldctoolkit.scenario_model import Given, conditions
@@ -48,10 +48,12 @@ class ReplayedDepartures:
             worth = rows.size if w is None else round(float(w.sum()) ** 2 / float(w @ w)) if w.any() else 0
             if wanted is not None and (wanted > rows.size if w is None else wanted and not worth):
                 key = "left" if side == LEFT else "right"
-                raise InputError(f"scenarios.{key}: {wanted}; allowed: up to {rows.size}, which {self.name} holds")
+                raise InputError(
+                    f"scenarios.{key}", value=wanted, allowed=f"up to {rows.size}, which {self.name} holds"
+                )
             found.append(worth if wanted is None else wanted)
         if not sum(found):
-            raise InputError(f"scenarios: {self.name} holds no departure to replay under the study's conditions")
+            raise InputError("scenarios", f"{self.name} holds no departure to replay under the study's conditions")
         return found[0], found[1]
 
     def sample(self, n_left: int, n_right: int, seed: int, given: Given | None = None) -> Scenarios:
@@ -97,9 +99,7 @@ def read_replayed(study: Study) -> ReplayedDepartures:
         if wanted.weights:
             known = {column.name: column.values for column in found.extra if column.values.dtype.kind == "f"}
             if wanted.weights not in known:
-                raise RecordingError(
-                    f"{name}: no column {wanted.weights!r} of numbers; {nearest(wanted.weights, known)}"
-                )
+                raise RecordingError(name, f"no column {wanted.weights!r} of numbers", allowed=known)
             weights = np.asarray(known[wanted.weights], dtype=np.float64)
         notes = _notes(name, found.n, int((~drivable).sum()), provenance.hours, wanted.path)
         source = {
@@ -112,12 +112,12 @@ def read_replayed(study: Study) -> ReplayedDepartures:
         table, _ = read_table(path, "a table of departures")
         columns: dict[str, Any] = {own: column_of(name, table, column) for own, column in PARAMETER_COLUMNS.items()}
         if "side" not in table.columns:
-            raise RecordingError(f"{name}: column 'side' is missing; allowed: left, right")
+            raise RecordingError(name, "column 'side' is missing", allowed="left, right")
         weights = column_of(name, table, wanted.weights) if wanted.weights else None
         scenarios = _checked(name, lambda: Scenarios.from_arrays(side=table["side"].to_list(), **columns))
         notes = iter((f"{scenarios.n:,} departures of {name}.",))
     if weights is not None and not ((weights >= 0.0) & np.isfinite(weights)).all():
-        raise RecordingError(f"{name}: column {wanted.weights!r} holds {weights.min():g}; allowed: finite, at least 0")
+        raise RecordingError(name, f"column {wanted.weights!r} holds {weights.min():g}", allowed="finite, at least 0")
     return ReplayedDepartures(name, scenarios, weights, tuple(notes), source)
 
 
@@ -125,7 +125,7 @@ def _checked(name: str, make: Any) -> Scenarios:
     try:
         made: Scenarios = make()
     except LdcError as error:
-        raise InputError(f"{name}: {error}") from None
+        raise InputError(name, f"{error}") from None
     return made
 
 

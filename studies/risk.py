@@ -20,7 +20,7 @@ import numpy as np
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.control import EventStatus
 from ldctoolkit.departures import LEFT, PARAMETER_COLUMNS, PARAMETER_NAMES, PARAMETER_UNITS, RIGHT, DepartureParameters
-from ldctoolkit.errors import InputError, LdcError, StoreError, nearest
+from ldctoolkit.errors import InputError, LdcError, StoreError
 from ldctoolkit.scenario_model import ScenarioModel
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
@@ -135,13 +135,13 @@ class Risk:
     def row(self, design: Design) -> int:
         """Its place among `designs`."""
         if design not in self.designs:
-            raise InputError(f"design: {design.label!r}; {nearest(design.label, [one.label for one in self.designs])}")
+            raise InputError("design", value=design.label, allowed=[one.label for one in self.designs])
         return self.designs.index(design)
 
     def event(self, design: Design, event: str, side: Side | None = None) -> Event:
         """How often an event happens in a departure of both sides, or of one, which is ``"left"`` or ``"right"``."""
         if event not in self.events:
-            raise InputError(f"event: {event!r}; {nearest(event, self.events)}")
+            raise InputError("event", value=event, allowed=self.events)
         i, j, some = self.row(design), self.events.index(event), _SIDES[side]
         # sides are drawn in proportion: the variance of the sum is at most binomial, the exact interval a little wide
         count, n = int(self.tally.counts[i, j, some].sum()), int(self.tally.n[some].sum())
@@ -299,7 +299,9 @@ class _Estimation:
             text = error if isinstance(error, StoreError) else f"{path}: broken: {error}"
             raise StoreError(f"{text}; remove it to begin again") from None
         if differ:
-            raise StoreError(f"{path}: holds another estimate, of other {', '.join(differ)}; choose another folder")
+            raise StoreError(
+                path, f"holds another estimate, of other {', '.join(differ)}", hint="choose another folder"
+            )
 
     def tasks(self) -> list[ChunkTask]:
         """What is left to be done."""
@@ -389,13 +391,15 @@ def estimate_risk(
     """
     for name, value in (("n", n), ("chunk", CHUNK if chunk is None else chunk)):
         if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= MOST:
-            raise InputError(f"{name}: {value!r}; allowed: a whole number from 1 to {MOST:.0e}")
+            raise InputError(name, value=value, allowed=f"a whole number from 1 to {MOST:.0e}")
     source = study_source(study, model)
     if not isinstance(source, ScenarioModel):
-        raise InputError(f"study {study.name}: recorded departures, which have no tail beyond themselves; give a model")
+        raise InputError(
+            f"study {study.name}", "recorded departures, which have no tail beyond themselves", hint="give a model"
+        )
     for name, values, least in (("depths", depths, 0.0), ("dtle_limits", dtle_limits, -np.inf)):
         if not all(least < x < np.inf for x in values):
-            raise InputError(f"{name}: {list(values)}; allowed: numbers{' > 0' if least == 0.0 else ''} [m]")
+            raise InputError(name, f"{list(values)}", allowed=f"numbers{' > 0' if least == 0.0 else ''} [m]")
     active = tuple({one.id: one for one in designs if not one.is_baseline}.values())
     slow = any(design.batch < _USUAL_BATCH for design in active)
     chosen = make_executor(executor, workers, dask)

@@ -114,7 +114,7 @@ def run_study(
             )  # fmt: skip
     if scenarios is not None:
         if model is not None:
-            raise InputError("model, scenarios: both are given; allowed: one of them")
+            raise InputError("model, scenarios", "both are given", allowed="one of them")
         left = int((scenarios.side == LEFT).sum())
         model = ReplayedDepartures("given", dataclasses.replace(scenarios, index=np.arange(scenarios.n)))
         study = study.changed(scenarios={"left": left, "right": scenarios.n - left})
@@ -164,13 +164,13 @@ def _allowed_limit(seconds: object) -> None:
     least, most = _LIMITS
     number = isinstance(seconds, int | float) and not isinstance(seconds, bool)
     if not (number and (seconds == 0 or least <= seconds <= most)):  # type: ignore[operator]
-        raise InputError(f"time_limit: {seconds!r}; allowed: {least:g} to {most:g} s, or 0 for none")
+        raise InputError("time_limit", value=seconds, allowed=f"{least:g} to {most:g} s, or 0 for none")
 
 
 def _positive(name: str, value: int | None) -> int | None:
     value = plain(value)
     if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < 1):
-        raise InputError(f"{name}: {value!r}; allowed: a whole number >= 1")
+        raise InputError(name, value=value, allowed="a whole number >= 1")
     return value
 
 

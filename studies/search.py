@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from ldctoolkit.errors import InputError, nearest
+from ldctoolkit.errors import InputError
 from ldctoolkit.gains import GainValue
 
 from .design import Design
@@ -257,7 +257,7 @@ class Search:
 
     def __init__(self, study: Study) -> None:
         if study.search is None:
-            raise InputError("search: the study has no [search] table")
+            raise InputError("search", "the study has no [search] table")
         self._settings: SearchSettings = study.search
         self._signs = [1.0 if metric(name).better == "less" else -1.0 for name in self._settings.objectives]
         spaces = [space for block in study.design for space in block.space()]
@@ -289,7 +289,7 @@ class Search:
         Raises `InputError` if values of the last batch are missing.
         """
         if self._untold:
-            raise InputError(f"ask: the last batch has no values yet: {', '.join(self._untold)}")
+            raise InputError("ask", f"the last batch has no values yet: {', '.join(self._untold)}")
         while len(self._untold) < self._settings.batch and len(self._asked) < self._settings.trials:
             if self._given:
                 self._add(self._given.pop(0))
@@ -316,13 +316,13 @@ class Search:
         """
         for name in self._untold:
             if name not in values:
-                raise InputError(f"tell: design {name} was proposed and is missing")
+                raise InputError("tell", f"design {name} was proposed and is missing")
         for name, given in values.items():
             if name not in self._untold:
-                raise InputError(f"tell: design {name!r} is not in the last batch; {nearest(name, self._untold)}")
+                raise InputError("tell", f"design {name!r} is not in the last batch", allowed=self._untold)
             if given is not None and len(given) != len(self._signs):
                 allowed = f"allowed: {len(self._signs)}, one for each objective"
-                raise InputError(f"tell: design {name}: {len(given)} values; {allowed}")
+                raise InputError("tell", f"design {name}: {len(given)} values", hint=allowed)
         missed = self._checked_margins(values, margins)
         self._costs |= {name: self._as_costs(values[name]) for name in self._untold}
         self._margins |= missed
@@ -343,7 +343,7 @@ class Search:
         for name, given in found.items():
             if len(given) != self._requirements or any(math.isnan(margin) for margin in given):
                 allowed = f"allowed: {self._requirements} numbers, one for each requirement"
-                raise InputError(f"tell: design {name}: margins {tuple(given)!r}; {allowed}")
+                raise InputError("tell", f"design {name}: margins {tuple(given)!r}", hint=allowed)
         return {name: tuple(float(margin) for margin in given) for name, given in found.items()}
 
     def _as_costs(self, values: Values | None) -> Values | None:

@@ -11,7 +11,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.departures import RIGHT
-from ldctoolkit.errors import StudyError, UnknownNameError, nearest
+from ldctoolkit.errors import StudyError, UnknownNameError
 from ldctoolkit.scenarios import Drifts, Scenarios
 from ldctoolkit.validation import Part, as_tuples, fail, first_problem
 from ldctoolkit.whole_file import read_toml
@@ -215,11 +215,10 @@ def load_standard(name_or_path: str | Path) -> Standard:
         path = FOLDER / f"{name_or_path}.toml"
     elif path.suffix != ".toml":
         raise UnknownNameError(
-            f"standard {str(name_or_path)!r}: neither a file nor in the catalog; "
-            f"{nearest(str(name_or_path), standard_names())}"
+            f"standard {str(name_or_path)!r}", "neither a file nor in the catalog", allowed=standard_names()
         )
     content = read_toml(path, StudyError)
     try:
         return Standard.model_validate(as_tuples(content))
     except ValidationError as error:
-        raise StudyError(f"{path}: {first_problem(error, content, Standard, 'standard')}") from None
+        raise StudyError(path, f"{first_problem(error, content, Standard, 'standard')}") from None

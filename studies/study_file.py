@@ -179,7 +179,7 @@ class ScenarioSettings(Part):
     def counts(self) -> tuple[int, int]:
         """Number of departures to each side, of a study that knows its table."""
         if self.left is None or self.right is None:
-            raise InputError("scenarios: how many departures the table holds is not known yet; run the study")
+            raise InputError("scenarios", "how many departures the table holds is not known yet", hint="run the study")
         return self.left, self.right
 
 
@@ -372,7 +372,7 @@ class Study(Part):
         try:
             study = cls.model_validate(as_tuples(content), context=classes)
         except ValidationError as error:
-            raise StudyError(f"{source}: {first_problem(error, content, cls, 'study')}") from None
+            raise StudyError(source, f"{first_problem(error, content, cls, 'study')}") from None
         study._folder = Path(folder)
         return study
 
@@ -587,8 +587,10 @@ def study(
     given = content.get("scenarios", {})
     if not isinstance(given, dict):
         raise InputError(
-            f"scenarios: an object of type {type(given).__name__}; allowed: a table of keys, as "
-            "{'model': 'reference'}; your own departures go into run_study(study, scenarios=...)"
+            "scenarios",
+            f"an object of type {type(given).__name__}",
+            allowed="a table of keys, as {'model': 'reference'}",
+            hint="your own departures go into run_study(study, scenarios=...)",
         )
     content["scenarios"] = {"left": left, "right": right, **given}
     if require != ():
@@ -607,12 +609,13 @@ def _block(one: object, y_s: float | Sequence[float], classes: dict[str, type[Co
         if law.name not in controller_names() or controller_class(law.name) is not law:
             register(law)
         if content_of(classes.setdefault(law.name, law)) != content_of(law):
-            raise InputError(f"design: two different laws are named {law.name!r}; allowed: a name for each")
+            raise InputError("design", f"two different laws are named {law.name!r}", allowed="a name for each")
         law = law.name
     if not isinstance(law, str):
         raise InputError(
-            f"design: {one!r}; allowed: a controller, its class, the name of a law, or a design table, "
-            "each an argument of its own"
+            "design",
+            value=one,
+            allowed="a controller, its class, the name of a law, or a design table, each an argument of its own",
         )
     gains = {gain.name: getattr(one, gain.name) for gain in one.gains()} if isinstance(one, Controller) else {}
     return {"law": law, "gains": gains} | ({} if law == "none" else {"y_s": y_s})
@@ -638,9 +641,9 @@ def load_study(name_or_path: str | Path) -> Study:
     if str(name_or_path) in catalog_names():
         return Study.from_toml(CATALOG / f"{name_or_path}.toml")
     if path.is_dir():
-        raise StudyError(f"{path}: a folder; allowed: a name in the catalog, or a TOML file; ldc rank reads results")
+        raise StudyError(
+            path, "a folder", allowed="a name in the catalog, or a TOML file", hint="ldc rank reads results"
+        )
     if path.suffix == ".toml" or path.exists():
         return Study.from_toml(path)
-    raise UnknownNameError(
-        f"study {str(name_or_path)!r}: neither a file nor in the catalog; {nearest(str(name_or_path), catalog_names())}"
-    )
+    raise UnknownNameError(f"study {str(name_or_path)!r}", "neither a file nor in the catalog", allowed=catalog_names())

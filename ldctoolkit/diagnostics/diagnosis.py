@@ -66,13 +66,13 @@ def checked_events(
     try:
         x = np.array(unmasked(X), dtype=float)
     except (TypeError, ValueError):
-        raise InputError("X: not a table of numbers; allowed: (n, d), one row an event") from None
+        raise InputError("X", "not a table of numbers", allowed="(n, d), one row an event") from None
     d = distribution.dimension
     if x.ndim != 2 or x.shape[1] != d:
-        raise InputError(f"X: shape {x.shape}; allowed: (n, {d}), the columns {', '.join(names)}")
+        raise InputError("X", f"shape {x.shape}", allowed=f"(n, {d}), the columns {', '.join(names)}")
     if not np.isfinite(x).all():
         row, j = (int(i) for i in np.argwhere(~np.isfinite(x))[0])
-        raise InputError(f"X: {names[j]} = {float(x[row, j])!r} in row {row}; allowed: finite numbers")
+        raise InputError("X", f"{names[j]} = {float(x[row, j])!r} in row {row}", allowed="finite numbers")
     weight = np.ones(x.shape[0]) if weights is None else check_weights(weights, x.shape[0], "weights")
     low, high = distribution.transform.lower, distribution.transform.upper
     beyond = (x < low) | (x > high)
@@ -81,7 +81,7 @@ def checked_events(
     x, weight = x[keep], weight[keep]
     if x.shape[0] < LEAST_EVENTS:
         raise InputError(
-            f"X: {x.shape[0]} of {keep.size} events lie inside the model's bounds; allowed: {LEAST_EVENTS} or more"
+            "X", f"{x.shape[0]} of {keep.size} events lie inside the model's bounds", allowed=f"{LEAST_EVENTS} or more"
         )
     inside = inside_bounds(Rows(x, weight), low, high, names, keep_constant=True)
     return Events(inside.events.x, weight, counts)
@@ -250,7 +250,7 @@ def diagnose_model(
                 half, X, seed=seed, weights=own, summary=summary, label=label, n_model=n_model, progress=report
             )
         except InputError as error:
-            raise InputError(f"departures ({label}): {error}") from None
+            raise InputError(f"departures ({label})", f"{error}") from None
         warnings = list(found.warnings)
         for name, value in half.constants:
             column = getattr(rows, name)
@@ -266,7 +266,7 @@ def _names(model: SideModel | BoundedGaussianMixture, names: Sequence[str] | Non
     if given is None:
         return tuple(f"x{j}" for j in range(dimension))
     if len(given) != dimension:
-        raise InputError(f"names: {len(given)} names; allowed: {dimension}, one a column")
+        raise InputError("names", f"{len(given)} names", allowed=f"{dimension}, one a column")
     return tuple(str(name) for name in given)
 
 

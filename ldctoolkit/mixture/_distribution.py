@@ -11,7 +11,7 @@ from typing import Final, Literal
 import numpy as np
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
-from ldctoolkit.errors import InputError, ModelError, nearest
+from ldctoolkit.errors import InputError, ModelError
 from ldctoolkit.mixture._expectation import Components, log_density, log_terms, shares
 from ldctoolkit.mixture.checks import column_name
 from ldctoolkit.mixture.truncated_normal import Sampler, TruncatedNormal
@@ -37,19 +37,21 @@ class Transform:
             ["none"] * d if wanted is None else [wanted] * d if isinstance(wanted, str) else [str(w) for w in wanted]
         )
         if len(names) != d:
-            raise InputError(f"transform: {len(names)} names; allowed: one name, or {d}, one per column")
+            raise InputError("transform", f"{len(names)} names", allowed=f"one name, or {d}, one per column")
         for name in names:
             if name not in KINDS:
-                raise InputError(f"transform: {name!r}; {nearest(name, KINDS)}")
+                raise InputError("transform", value=name, allowed=KINDS)
         ends = np.isfinite(lower).astype(int) + np.isfinite(upper)
         kinds: list[Kind] = []
         for j, name in enumerate(names):
             if name == "auto":
                 name = ("none", "log", "logit")[ends[j]]
             if name == "log" and ends[j] != 1:
-                raise InputError(f"transform: 'log' for column {j} with {ends[j]} finite bounds; allowed: exactly one")
+                raise InputError(
+                    "transform", f"'log' for column {j} with {ends[j]} finite bounds", allowed="exactly one"
+                )
             if name == "logit" and ends[j] != 2:
-                raise InputError(f"transform: 'logit' for column {j} with {ends[j]} finite bounds; allowed: two")
+                raise InputError("transform", f"'logit' for column {j} with {ends[j]} finite bounds", allowed="two")
             kinds.append("log" if name == "log" else "logit" if name == "logit" else "none")
         return cls(tuple(kinds), lower, upper)
 
@@ -136,7 +138,7 @@ def part_of(transform: Transform, columns: IntArray) -> Transform:
 def intervals(given: Conditions, names: Sequence[str] | None, transform: Transform) -> tuple[FloatArray, FloatArray]:
     """The box's part that meets the conditions; both ends equal where a value is given."""
     if not isinstance(given, Mapping):
-        raise InputError(f"given: {given!r}; allowed: a mapping from columns to values or (lower, upper)")
+        raise InputError("given", value=given, allowed="a mapping from columns to values or (lower, upper)")
     lower, upper = transform.lower.copy(), transform.upper.copy()
     seen: set[int] = set()
     for key, wanted in given.items():
@@ -160,14 +162,14 @@ def _column(key: object, names: Sequence[str] | None, d: int) -> int:
     """Number of a column given by name or number."""
     if isinstance(key, str):
         if names is None:
-            raise InputError(f"given: column {key!r}, but the columns have no names; allowed: numbers 0 to {d - 1}")
+            raise InputError("given", f"column {key!r}, but the columns have no names", allowed=f"numbers 0 to {d - 1}")
         if key not in names:
-            raise InputError(f"given: no column {key!r}; {nearest(key, names)}")
+            raise InputError("given", f"no column {key!r}", allowed=names)
         return list(names).index(key)
     if isinstance(key, int | np.integer) and not isinstance(key, bool) and 0 <= key < d:
         return int(key)
     also = "" if names is None else f", or a name of {', '.join(names)}"
-    raise InputError(f"given: column {key!r}; allowed: a number 0 to {d - 1}{also}")
+    raise InputError("given", f"column {key!r}", allowed=f"a number 0 to {d - 1}{also}")
 
 
 def _ends(wanted: object, where: str) -> tuple[float, float]:
@@ -176,17 +178,17 @@ def _ends(wanted: object, where: str) -> tuple[float, float]:
     if _is_number(wanted):
         value = float(wanted)  # type: ignore[arg-type]
         if not math.isfinite(value):
-            raise InputError(f"{where}: {value!r}; {allowed}")
+            raise InputError(where, value=value, hint=allowed)
         return value, value
     if not isinstance(wanted, tuple | list | np.ndarray) or len(wanted) != 2:
-        raise InputError(f"{where}: {wanted!r}; {allowed}")
+        raise InputError(where, value=wanted, hint=allowed)
     ends: list[float] = []
     for end, fill in zip(wanted, (-math.inf, math.inf), strict=True):
         if end is not None and not _is_number(end):
-            raise InputError(f"{where}: {wanted!r}; {allowed}")
+            raise InputError(where, value=wanted, hint=allowed)
         ends.append(fill if end is None else float(end))
     if not ends[0] < ends[1]:
-        raise InputError(f"{where}: ({ends[0]!r}, {ends[1]!r}); {allowed}")
+        raise InputError(where, f"({ends[0]!r}, {ends[1]!r})", hint=allowed)
     return ends[0], ends[1]
 
 
@@ -284,11 +286,11 @@ class Distribution:
         on it. All shares are logarithms until they are normalised, so a condition may be as rare as it likes.
         """
         if isinstance(self, Conditional):
-            raise InputError("given: the distribution has conditions already; allowed: all conditions at once")
+            raise InputError("given", "the distribution has conditions already", allowed="all conditions at once")
         lower, upper = intervals(given, names, self.transform)
         fixed, free = np.flatnonzero(lower == upper), np.flatnonzero(lower < upper)
         if free.size == 0:
-            raise InputError("given: values for all columns; allowed: at least one column left to draw")
+            raise InputError("given", "values for all columns", allowed="at least one column left to draw")
         t = self.truncated
         with np.errstate(divide="ignore"):
             log_weights = np.log(self.weights) - t.log_probability
@@ -326,7 +328,7 @@ class Distribution:
         try:
             return self._samplers[k].draw(n, rng)
         except ModelError as error:
-            raise ModelError(f"component {k}: {error}") from None
+            raise ModelError(f"component {k}", f"{error}") from None
 
     def _own_columns(self, x: FloatArray) -> FloatArray:
         """Drawn rows as the distribution's rows."""

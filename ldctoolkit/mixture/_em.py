@@ -308,8 +308,10 @@ def fit_components(
         return _fit(data, s, start, report)
     except np.linalg.LinAlgError:
         raise InputError(
-            f"X: the likelihood has no maximum, a component shrinks onto too few distinct events with K = {s.K}, "
-            f"prior_strength = {s.prior_strength:g}; raise prior_strength or fit fewer components"
+            "X",
+            f"the likelihood has no maximum, a component shrinks onto too few distinct events "
+            f"with K = {s.K}, prior_strength = {s.prior_strength:g}",
+            hint="raise prior_strength or fit fewer components",
         ) from None
 
 

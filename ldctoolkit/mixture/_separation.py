@@ -346,7 +346,7 @@ def separate(covariance: FloatArray, lower: FloatArray, upper: FloatArray, order
     try:
         L = np.linalg.cholesky(ordered)
     except np.linalg.LinAlgError:
-        raise InputError("truncated normal: a covariance matrix is not positive definite") from None
+        raise InputError("truncated normal", "a covariance matrix is not positive definite") from None
     diagonal = np.diagonal(L, axis1=1, axis2=2)
     strict = L / diagonal[:, :, None]
     strict[:, np.arange(p), np.arange(p)] = 0.0

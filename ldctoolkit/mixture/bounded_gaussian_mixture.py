@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray, unmasked
-from ldctoolkit.errors import CheckedArguments, InputError, nearest
+from ldctoolkit.errors import CheckedArguments, InputError
 from ldctoolkit.mixture._distribution import Conditions, Distribution, Transform
 from ldctoolkit.mixture._em import EMSettings, fit_components
 from ldctoolkit.mixture._expectation import Components
@@ -296,7 +296,7 @@ class BoundedGaussianMixture(CheckedArguments):
         known = self.get_params()
         for name, value in params.items():
             if name not in known:
-                raise InputError(f"{type(self).__name__}: no parameter {name!r}; {nearest(name, known)}")
+                raise InputError(f"{type(self).__name__}", f"no parameter {name!r}", allowed=known)
             setattr(self, name, value)
         return self
 
@@ -331,7 +331,9 @@ class BoundedGaussianMixture(CheckedArguments):
         if eta.ndim != 1 or mu.ndim != 2 or mu.shape[0] != eta.shape[0]:
             raise InputError(f"weights {eta.shape}, means {mu.shape}; allowed: (K,) and (K, d)")
         if not (np.all(eta >= 0) and abs(eta.sum() - 1.0) < 1e-6):
-            raise InputError(f"weights: sum {eta.sum():.9g}, least {eta.min():g}; allowed: shares >= 0 that sum to 1")
+            raise InputError(
+                "weights", f"sum {eta.sum():.9g}, least {eta.min():g}", allowed="shares >= 0 that sum to 1"
+            )
         model = cls(eta.size, lower=lower, upper=upper, transform=transform, names=names)
         model._store(eta, mu, Sigma, _checked_transform(lower, upper, transform, mu.shape[1]))
         return model
@@ -352,7 +354,7 @@ class BoundedGaussianMixture(CheckedArguments):
         inside = self.distribution.has_density(x)
         if not inside.all():
             row = int(np.argmin(inside))
-            raise InputError(f"X: row {row} is outside the box ({int((~inside).sum())} of {inside.size} rows)")
+            raise InputError("X", f"row {row} is outside the box ({int((~inside).sum())} of {inside.size} rows)")
         return self.distribution.shares(x)
 
     def predict(self, X: npt.ArrayLike) -> IntArray:
@@ -404,7 +406,7 @@ class BoundedGaussianMixture(CheckedArguments):
         values = self.score_samples(X)
         weight = check_sample_weight(sample_weight, values.size)
         if values.size == 0:
-            raise InputError("X: no rows")
+            raise InputError("X", "no rows")
         if weight is None:
             return float(values.sum()), float(values.size)
         used = weight > 0.0  # a row of no weight may lie outside
@@ -461,7 +463,7 @@ class BoundedGaussianMixture(CheckedArguments):
     def distribution(self) -> Distribution:
         """The fitted distribution, apart from how it was fitted."""
         if not hasattr(self, "_distribution"):
-            raise InputError(f"{type(self).__name__}: not fitted yet; call fit first")
+            raise InputError(f"{type(self).__name__}", "not fitted yet", hint="call fit first")
         return self._distribution
 
     def _store(self, weights: FloatArray, means: FloatArray, covariances: FloatArray, transform: Transform) -> None:
@@ -481,7 +483,7 @@ class BoundedGaussianMixture(CheckedArguments):
         if self.n_jobs is not None:
             check_number("n_jobs", self.n_jobs, 1, integer=True)
         if self.step not in ("newton", "lee_scott"):
-            raise InputError(f"step: {self.step!r}; {nearest(str(self.step), ('newton', 'lee_scott'))}")
+            raise InputError("step", value=self.step, allowed=("newton", "lee_scott"))
 
     def fit(self, X: npt.ArrayLike, y: object = None, sample_weight: npt.ArrayLike | None = None) -> Self:
         """Fit by truncated EM.
@@ -554,8 +556,9 @@ class BoundedGaussianMixture(CheckedArguments):
         if self.means_.shape != (self.n_components, location.size):
             K, d = self.means_.shape
             raise InputError(
-                f"warm_start: the last fit has K = {K} and {d} columns; allowed: n_components = {self.n_components} "
-                f"and {location.size} columns, as now"
+                "warm_start",
+                f"the last fit has K = {K} and {d} columns",
+                allowed=f"n_components = {self.n_components} and {location.size} columns, as now",
             )
         mu, Sigma = (self.means_ - location) / scale, self.covariances_ / (scale[:, None] * scale)
         return Components(self.weights_, mu, Sigma, self.log_probabilities_)

@@ -34,7 +34,7 @@ class Events:
         """What a caller gave, neither rows nor columns none."""
         x = as_matrix(X)
         if x.size == 0:
-            raise InputError(f"X: {'no columns' if x.shape[0] else 'no rows'}")
+            raise InputError("X", f"{'no columns' if x.shape[0] else 'no rows'}")
         return cls(x, check_sample_weight(sample_weight, x.shape[0]), threads)
 
     @property
@@ -137,10 +137,10 @@ def profile_of(events: Events) -> Profile:
     """Counts, means, spreads and ranges of all rows."""
     parts = events.map_blocks(Profile.of_block)
     if not parts:
-        raise InputError("X: no rows; allowed: at least one event")
+        raise InputError("X", "no rows", allowed="at least one event")
     profile = functools.reduce(operator.add, parts)
     if profile.events == 0.0:
-        raise InputError(f"X: the weights of all {profile.rows} rows are zero; allowed: at least one event")
+        raise InputError("X", f"the weights of all {profile.rows} rows are zero", allowed="at least one event")
     return profile
 
 
@@ -168,9 +168,9 @@ def as_matrix(X: npt.ArrayLike) -> FloatArray:
     try:
         x = np.asarray(unmasked(X), dtype=float)
     except (TypeError, ValueError):
-        raise InputError("X: not a table of numbers; allowed: an array of shape (n, d)") from None
+        raise InputError("X", "not a table of numbers", allowed="an array of shape (n, d)") from None
     if x.ndim != 2:
-        raise InputError(f"X: shape {x.shape}; allowed: (n, d), one row an event")
+        raise InputError("X", f"shape {x.shape}", allowed="(n, d), one row an event")
     return x
 
 
@@ -178,7 +178,7 @@ def check_matrix(X: npt.ArrayLike, dimension: int, names: Sequence[str] | None) 
     """A finite float matrix (n, dimension)."""
     x = as_matrix(X)
     if x.shape[1] != dimension:
-        raise InputError(f"X: {x.shape[1]} columns; allowed: {dimension}, as many as there are bounds")
+        raise InputError("X", f"{x.shape[1]} columns", allowed=f"{dimension}, as many as there are bounds")
     if x.size and not (np.isfinite(x.min()) and np.isfinite(x.max()) and max(-x.min(), x.max()) <= LARGEST):
         allowed = f"finite numbers, at most {LARGEST:g} in size"
         _complain(x, ~(np.isfinite(x) & (np.abs(x) <= LARGEST)), allowed, names)
@@ -194,8 +194,9 @@ def _complain(x: FloatArray, bad: BoolArray, allowed: str, names: Sequence[str] 
     row = int(np.argmax(bad[:, j]))
     also = f"; also in {', '.join(column_name(k, names) for k in others)}" if others else ""
     raise InputError(
-        f"X: {column_name(j, names)}, row {row}: {float(x[row, j])!r}; allowed: {allowed} "
-        f"({int(bad[:, j].sum())} of {x.shape[0]} rows{also})"
+        "X",
+        f"{column_name(j, names)}, row {row}: {float(x[row, j])!r}",
+        allowed=f"{allowed} ({int(bad[:, j].sum())} of {x.shape[0]} rows{also})",
     )
 
 
@@ -206,7 +207,9 @@ def check_events(events: Events, K: int, lower: FloatArray, upper: FloatArray, n
     d = events.dimension
     check_matrix(events.x, d, names)
     if profile.used < K * (d + 1):
-        raise InputError(f"X: {profile.used} rows; allowed: at least K (d + 1) = {K * (d + 1)} for K = {K}, d = {d}")
+        raise InputError(
+            "X", f"{profile.used} rows", allowed=f"at least K (d + 1) = {K * (d + 1)} for K = {K}, d = {d}"
+        )
     for j in np.flatnonzero(~((profile.least > lower) & (profile.most < upper))):
         bad = np.zeros(events.x.shape, dtype=bool)
         bad[:, j] = ~((events.x[:, j] > lower[j]) & (events.x[:, j] < upper[j]))
@@ -223,13 +226,16 @@ def _check_constant(profile: Profile, names: Sequence[str] | None) -> None:
     if flat.any():
         j = int(np.argmax(flat))
         raise InputError(
-            f"X: {column_name(j, names)} is constant ({float(profile.least[j])!r} in all {profile.rows} rows); "
-            "leave it out of the fit"
+            "X",
+            f"{column_name(j, names)} is constant ({float(profile.least[j])!r} in all {profile.rows} rows)",
+            hint="leave it out of the fit",
         )
     tiny = ~(profile.square > 0.0) | (spread < 1.0 / LARGEST)
     if tiny.any():
         j = int(np.argmax(tiny))
-        raise InputError(f"X: {column_name(j, names)} spreads over {spread[j]:g}; allowed: {1.0 / LARGEST:g} or more")
+        raise InputError(
+            "X", f"{column_name(j, names)} spreads over {spread[j]:g}", allowed=f"{1.0 / LARGEST:g} or more"
+        )
 
 
 def check_weights(weights: npt.ArrayLike, rows: int, name: str, row: str = "row") -> FloatArray:
@@ -237,13 +243,13 @@ def check_weights(weights: npt.ArrayLike, rows: int, name: str, row: str = "row"
     try:
         weight = np.asarray(unmasked(weights), dtype=float)
     except (TypeError, ValueError):
-        raise InputError(f"{name}: not numbers; allowed: one number >= 0 a {row}") from None
+        raise InputError(name, "not numbers", allowed=f"one number >= 0 a {row}") from None
     if weight.shape != (rows,):
-        raise InputError(f"{name}: shape {weight.shape}; allowed: ({rows},), one number a {row}")
+        raise InputError(name, f"shape {weight.shape}", allowed=f"({rows},), one number a {row}")
     bad = ~(np.isfinite(weight) & (weight >= 0.0))
     if bad.any():
         at = int(np.argmax(bad))
-        raise InputError(f"{name}: {float(weight[at])!r} in {row} {at}; allowed: finite numbers >= 0")
+        raise InputError(name, f"in {row} {at}", value=float(weight[at]), allowed="finite numbers >= 0")
     return weight
 
 
@@ -253,7 +259,7 @@ def check_sample_weight(sample_weight: npt.ArrayLike | None, rows: int) -> Float
         return None
     weight = check_weights(sample_weight, rows, "sample_weight")
     if not weight.sum() > 0.0:
-        raise InputError("sample_weight: all zero; allowed: at least one event")
+        raise InputError("sample_weight", "all zero", allowed="at least one event")
     return weight
 
 
@@ -262,11 +268,11 @@ def check_bound_array(value: npt.ArrayLike | None, name: str, fill: float, dimen
     try:
         out = np.asarray(fill if value is None else unmasked(value), dtype=float)
     except (TypeError, ValueError):
-        raise InputError(f"{name}: {value!r}; allowed: a number or {dimension} numbers, inf included") from None
+        raise InputError(name, value=value, allowed=f"a number or {dimension} numbers, inf included") from None
     if out.ndim == 0:
         out = np.full(dimension, float(out))
     if out.shape != (dimension,):
-        raise InputError(f"{name}: shape {out.shape}; allowed: a number or ({dimension},), one per column")
+        raise InputError(name, f"shape {out.shape}", allowed=f"a number or ({dimension},), one per column")
     return out
 
 
@@ -279,18 +285,18 @@ def check_number(name: str, value: object, low: float, *, integer: bool = False,
         good = np.isfinite(number) and (number > low if above else number >= low)
     if not good:
         kind = "an integer" if integer else "a number"
-        raise InputError(f"{name}: {value!r}; allowed: {kind} {'>' if above else '>='} {low:g}")
+        raise InputError(name, value=value, allowed=f"{kind} {'>' if above else '>='} {low:g}")
 
 
 def check_components(components: Iterable[int]) -> list[int]:
     """The K to try, each once, ascending."""
     if isinstance(components, str) or not isinstance(components, Iterable):
-        raise InputError(f"components: {components!r}; allowed: an integer >= 1, or several of them")
+        raise InputError("components", value=components, allowed="an integer >= 1, or several of them")
     given = list(components)
     for K in given:
         check_number("components", K, 1, integer=True)
     if not given:
-        raise InputError("components: an empty range; allowed: at least one number of components")
+        raise InputError("components", "an empty range", allowed="at least one number of components")
     return sorted({int(K) for K in given})
 
 
@@ -342,8 +348,9 @@ def inside_bounds(
     if outside.any():
         j = int(np.argmax(outside))
         raise InputError(
-            f"X: {column_name(j, names)} is {float(profile.least[j])!r} in all {profile.rows} rows; "
-            f"allowed: {lower[j]:g} to {upper[j]:g}"
+            "X",
+            f"{column_name(j, names)} is {float(profile.least[j])!r} in all {profile.rows} rows",
+            allowed=f"{lower[j]:g} to {upper[j]:g}",
         )
     moved = np.zeros(lower.size, dtype=np.int64)
     on_bound = varies & ((profile.least == lower) | (profile.most == upper))

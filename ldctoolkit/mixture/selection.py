@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import FloatArray, IntArray
-from ldctoolkit.errors import InputError, LdcError, nearest
+from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.mixture.bounded_gaussian_mixture import BoundedGaussianMixture
 from ldctoolkit.mixture.checks import Events, RandomState, check_components, check_number, seed_of, usable_cores
 from ldctoolkit.surroundings import WORKERS, leave_with, safe_path, temporary_folder
@@ -321,7 +321,7 @@ class Rule:
 
     def __post_init__(self) -> None:
         if self.criterion not in get_args(Criterion):
-            raise InputError(f"criterion: {self.criterion!r}; {nearest(str(self.criterion), get_args(Criterion))}")
+            raise InputError("criterion", value=self.criterion, allowed=get_args(Criterion))
         check_number("slack", self.slack, 0.0)
         check_number("indifference", self.indifference, 0.0)
 
@@ -353,5 +353,5 @@ def choose(loss: FloatArray, allowed: float) -> int:
     """Index of the first K whose loss lies within the allowance of the least."""
     usable = np.isfinite(loss)
     if not usable.any():
-        raise InputError("components: no fit has a finite criterion; allowed: at least one")
+        raise InputError("components", "no fit has a finite criterion", allowed="at least one")
     return int(np.argmax(usable & (loss <= loss[least(loss)] + allowed)))

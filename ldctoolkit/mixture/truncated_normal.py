@@ -86,8 +86,9 @@ class Sampler:
 
     def _give_up(self) -> ModelError:
         return ModelError(
-            f"truncated normal: its box holds exp({self.log_p:.4g}) of the probability, and no proposal reaches it; "
-            "refit with fewer components or a larger prior_strength"
+            "truncated normal",
+            f"its box holds exp({self.log_p:.4g}) of the probability, and no proposal reaches it",
+            hint="refit with fewer components or a larger prior_strength",
         )
 
     def _place(self, z: FloatArray, rng: np.random.Generator, out: FloatArray) -> None:
@@ -247,11 +248,13 @@ class TruncatedNormal:
         K, d = self.mu.shape if self.mu.ndim == 2 else (-1, -1)
         if K < 1 or self.Sigma.shape != (K, d, d) or self.lower.shape != (d,) or self.upper.shape != (d,):
             raise InputError(
-                f"truncated normal: shapes mu {self.mu.shape}, Sigma {self.Sigma.shape}, lower {self.lower.shape}, "
-                f"upper {self.upper.shape}; allowed: (K, d), (K, d, d), (d,), (d,)"
+                "truncated normal",
+                f"shapes mu {self.mu.shape}, Sigma {self.Sigma.shape}, "
+                f"lower {self.lower.shape}, upper {self.upper.shape}",
+                allowed="(K, d), (K, d, d), (d,), (d,)",
             )
         if not (np.isfinite(self.mu).all() and np.isfinite(self.Sigma).all()):
-            raise InputError("truncated normal: mu and Sigma must be finite numbers")
+            raise InputError("truncated normal", "mu and Sigma must be finite numbers")
         check_bounds(self.lower, self.upper)
 
     def sampler(self, component: int) -> Sampler:
@@ -279,5 +282,5 @@ def check_bounds(lower: FloatArray, upper: FloatArray) -> None:
     if bad.any():
         j = int(np.argmax(bad))
         raise InputError(
-            f"bounds: lower[{j}] = {float(lower[j])!r}, upper[{j}] = {float(upper[j])!r}; allowed: lower < upper"
+            "bounds", f"lower[{j}] = {float(lower[j])!r}, upper[{j}] = {float(upper[j])!r}", allowed="lower < upper"
         )

@@ -54,13 +54,13 @@ def _drawn(seed: int, index: npt.ArrayLike, stream: int, count: int, *, normal: 
 
     numbers = np.asarray(index)
     if numbers.ndim != 1 or (numbers.size and numbers.dtype.kind not in "iu"):
-        raise InputError(f"index: {numbers.ndim} dimensions of {numbers.dtype}; allowed: (n,) whole numbers")
+        raise InputError("index", f"{numbers.ndim} dimensions of {numbers.dtype}", allowed="(n,) whole numbers")
     numbers = np.array(numbers, dtype=np.int64)  # a copy: compiled functions take no read-only arrays
     if np.any(numbers < 0):
         i = int(np.argmax(numbers < 0))
         raise InputError(f"index[{i}] = {numbers[i]}; allowed: >= 0")
     if count < 0:
-        raise InputError(f"count: {count!r}; allowed: >= 0")
+        raise InputError("count", value=count, allowed=">= 0")
     out = np.empty((numbers.size, count))
     fill_pairs(checked_seed(seed), numbers, int(stream), normal, out)
     return out

@@ -169,7 +169,7 @@ def write_departures(path: str | os.PathLike[str], departures: Departures, prove
 
     target = Path(path)
     if target.suffix.lower() != ".parquet":
-        raise RecordingError(f"{target.name}: the suffix of a departures table is .parquet")
+        raise RecordingError(target.name, "the suffix of a departures table is .parquet")
     sides = np.where(departures.side == LEFT, "left", np.where(departures.side == RIGHT, "right", "?"))
     table = pl.DataFrame(
         [
@@ -230,8 +230,9 @@ def read_signals(path: str | os.PathLike[str], T: FloatArray, *, checksum: bool 
     )
     if not good:
         raise RecordingError(
-            f"{source.name}: not the signals of these {T.size} departures (their numbers, times or durations differ); "
-            "extract both tables together"
+            source.name,
+            f"not the signals of these {T.size} departures (their numbers, times or durations differ)",
+            hint="extract both tables together",
         )
     return signals
 
@@ -246,9 +247,9 @@ def read_table(source: Path, needed: str, *, checksum: bool = False) -> tuple[pl
         return pl.read_parquet(data), pl.read_parquet_metadata(io.BytesIO(data))
     except ValueError as error:
         advice = f"make it anew, or, if it was changed on purpose, drop its metadata '{PARQUET_CHECKSUM}'"
-        raise RecordingError(f"{source.name}: {error}; {advice}") from None
+        raise RecordingError(source.name, f"{error}", hint=advice) from None
     except (pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
-        raise RecordingError(f"{source.name}: cannot be read as Parquet: {str(error).splitlines()[0]}") from None
+        raise RecordingError(source.name, f"cannot be read as Parquet: {str(error).splitlines()[0]}") from None
 
 
 def column_of(name: str, table: pl.DataFrame, column: str) -> FloatArray:
@@ -258,12 +259,12 @@ def column_of(name: str, table: pl.DataFrame, column: str) -> FloatArray:
     _need(name, table, column)
     values = table[column]
     if not values.dtype.is_numeric():
-        raise RecordingError(f"{name}: column '{column}' is of type {values.dtype}; allowed: numbers")
+        raise RecordingError(name, f"column '{column}' is of type {values.dtype}", allowed="numbers")
     numbers: FloatArray = values.cast(pl.Float64).to_numpy()
     if not np.isfinite(numbers).all():
         row = int(np.argmin(np.isfinite(numbers)))
         raise RecordingError(
-            f"{name}, row {row + 1}: column '{column}' holds {values[row]!r}; allowed: no missing value"
+            f"{name}, row {row + 1}", f"column '{column}' holds {values[row]!r}", allowed="no missing value"
         )
     return numbers.copy()
 
@@ -272,7 +273,7 @@ def _need(name: str, table: pl.DataFrame, column: str) -> None:
     if column not in table.columns:
         others = [other for other in table.columns if other not in COLUMNS]
         hint = f"; {nearest(column, others)}".replace("allowed:", "columns not known here:") if others else ""
-        raise RecordingError(f"{name}: column '{column}' is missing{hint}")
+        raise RecordingError(name, f"column '{column}' is missing{hint}")
 
 
 def read_departures(path: str | os.PathLike[str], *, signals: bool = False) -> tuple[Departures, Provenance]:
@@ -295,7 +296,7 @@ def read_departures(path: str | os.PathLike[str], *, signals: bool = False) -> t
         _need(source.name, table, column)
     if METADATA_KEY not in metadata:
         raise RecordingError(
-            f"{source.name}: no metadata '{METADATA_KEY}': not a departures table; write it with write_departures"
+            source.name, f"no metadata '{METADATA_KEY}': not a departures table", hint="write it with write_departures"
         )
     provenance = provenance_from_json(source.name, metadata[METADATA_KEY])
     _check(source.name, table)
@@ -331,7 +332,9 @@ def _check(name: str, table: pl.DataFrame) -> None:
             row = bad.arg_max() or 0
             more = f" ({bad.sum()} rows in all)" if (bad.sum() or 0) > 1 else ""
             value = table[column][row]
-            raise RecordingError(f"{name}, row {row + 1}: column '{column}' holds {value!r}; allowed: {allowed}{more}")
+            raise RecordingError(
+                f"{name}, row {row + 1}", f"column '{column}' holds {value!r}", allowed=f"{allowed}{more}"
+            )
 
     for column in COLUMNS:
         kind = table[column].dtype
@@ -339,7 +342,7 @@ def _check(name: str, table: pl.DataFrame) -> None:
         whole = column == "samples"
         if kind != pl.String if text else not (kind.is_integer() if whole else kind.is_numeric()):
             allowed = "text" if text else "integers" if whole else "numbers"
-            raise RecordingError(f"{name}: column '{column}' is of type {kind}; allowed: {allowed}")
+            raise RecordingError(name, f"column '{column}' is of type {kind}", allowed=allowed)
         refuse(column, table[column].is_null() if text else ~table[column].is_finite(), "no missing value")
     refuse("side", ~table["side"].is_in(["left", "right"]), "left, right")
     refuse("samples", table["samples"] < 3, "3 or more")
@@ -365,4 +368,4 @@ def provenance_from_json(name: str, text: str) -> Provenance:
             criteria=criteria, refused=refused, sources=sources, preparation=preparation, **texts, **content
         )
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise RecordingError(f"{name}: its metadata '{METADATA_KEY}' cannot be understood: {error}") from None
+        raise RecordingError(name, f"its metadata '{METADATA_KEY}' cannot be understood: {error}") from None

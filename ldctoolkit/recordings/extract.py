@@ -92,11 +92,12 @@ def extract_items(
                 for label in item.labels:
                     if not label.name or label.name in TAKEN:
                         raise RecordingError(
-                            f"recording {item.name!r}: label {label.name!r}; allowed: a name that is no column of the "
-                            "departures table"
+                            f"recording {item.name!r}",
+                            f"label {label.name!r}",
+                            allowed="a name that is no column of the departures table",
                         )
                 if item.samples > 1 and item.t[0] == item.t[-1]:
-                    raise RecordingError(f"recording {item.name!r}: all times are {float(item.t[0])!r} s")
+                    raise RecordingError(f"recording {item.name!r}", f"all times are {float(item.t[0])!r} s")
                 raw = [on_own_clocks(piece) for piece in stretches(corrected(item, preparation))]
                 pieces = [prepare(piece, preparation, criteria.max_jump, widths) for piece in raw]
             except RecordingError as error:
@@ -110,7 +111,7 @@ def extract_items(
                 batch.append(pair)
                 waiting += pair[0].samples
         else:
-            raise InputError(f"recordings: an item is a {type(item).__name__}; allowed: Recording")
+            raise InputError("recordings", f"an item is a {type(item).__name__}", allowed="Recording")
     search()
     return combined_results([*results, PartResult(problems=tuple(problems))])
 

@@ -291,7 +291,7 @@ class Criteria(CheckedArguments):
 
         def refuse(name: str, good: bool, allowed: str) -> None:
             if not good:
-                raise InputError(f"{name}: {getattr(self, name)!r}; allowed: {allowed}")
+                raise InputError(name, value=getattr(self, name), allowed=allowed)
 
         refuse("vehicle_width", 0.5 <= self.vehicle_width <= 4.0, "0.5 to 4 m")
         refuse("min_duration", 0.0 <= self.min_duration < math.inf, "0 s or more")

@@ -167,7 +167,7 @@ def _columns(signals: list[_Signal], k: int, channels: ChannelMap) -> dict[str, 
         values = found[quantity] = _at(base, t[starts[k]], samples[starts[k]], quantity, channels.max_gap)
         if QUANTITIES[quantity][0] and not np.isfinite(values).any():
             what = f"at the times of {signals[0][1].channel!r}, or none within max_gap = {channels.max_gap:g} s"
-            raise RecordingError(f"{quantity}: channel {one.channel!r} has no number {what}")
+            raise RecordingError(quantity, f"channel {one.channel!r} has no number {what}")
         if isinstance(one, ValidChannel):
             valid &= values > 0.0 if one.min is None else values >= one.min
     columns: dict[str, Any] = {name: found[name] for name in Recording.COLUMNS if name in found}

@@ -133,7 +133,7 @@ def read_channel_map(path: Path) -> ChannelMap:
     try:
         return ChannelMap.model_validate(content)
     except ValidationError as error:
-        raise InputError(f"{path.name}: {first_problem(error, content, ChannelMap, 'map')}") from None
+        raise InputError(path.name, f"{first_problem(error, content, ChannelMap, 'map')}") from None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -173,11 +173,11 @@ class MdfReader:
         """Look through files, or folders that hold them; a log that is no MDF is a problem of its part."""
         logs = _logs(paths)
         if not logs:
-            raise RecordingError(f"{paths[0].name}: no MDF log; allowed: .mf4, .mdf, and .dat that begin with MDF")
+            raise RecordingError(f"{paths[0].name}", "no MDF log", allowed=".mf4, .mdf, and .dat that begin with MDF")
         _check_installed()
         if self.channels is None:
             what = "needs a channel map; allowed: --channels MAP.toml (--list-channels prints one to start from)"
-            raise RecordingError(f"{logs[0].name}: {what}")
+            raise RecordingError(f"{logs[0].name}", what)
         channels = read_channel_map(self.channels)
         files = [source_file(path, shown) for path, shown in zip(logs, shown_names(logs), strict=True)]
         parts = tuple(
@@ -219,7 +219,7 @@ def list_channels(path: Path) -> str:
     try:
         return str(_ask(str(path.absolute()), size, path.name, None))
     except RecordingError as error:
-        raise RecordingError(f"{path.name}: {error}") from None
+        raise RecordingError(path.name, f"{error}") from None
 
 
 # In a damaged file the library follows links in circles without end, and its C code may write past its memory: of

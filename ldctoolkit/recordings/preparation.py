@@ -162,7 +162,7 @@ def resample(recording: Recording, step: float, max_gap: float = MAX_GAP, max_ju
     """
     for name, value in (("step", step), ("max_gap", max_gap)):
         if not 0.0 < value < np.inf:
-            raise InputError(f"{name}: {value!r} s; allowed: more than 0, finite")
+            raise InputError(name, "s", value=value, allowed="more than 0, finite")
     if recording.samples == 0:
         return recording
     origin = recording.t[0]
@@ -170,8 +170,9 @@ def resample(recording: Recording, step: float, max_gap: float = MAX_GAP, max_ju
         t = recording.t - origin
     if not t[-1] <= _MOST_STEPS * step:
         raise RecordingError(
-            f"recording {recording.name!r}: from t = {float(origin)!r} to {float(recording.t[-1])!r} s; too long to be "
-            f"brought to steps of {step!r} s"
+            f"recording {recording.name!r}",
+            f"from t = {float(origin)!r} to {float(recording.t[-1])!r} s",
+            hint=f"too long to be brought to steps of {step!r} s",
         )
     usable = usable_samples(recording)
     grid = _occupied(t, step, max_gap)
@@ -290,7 +291,7 @@ class Preparation(CheckedArguments):
     def __post_init__(self) -> None:
         def refuse(name: str, good: bool, allowed: str) -> None:
             if not good:
-                raise InputError(f"{name}: {getattr(self, name)!r}; allowed: {allowed}")
+                raise InputError(name, value=getattr(self, name), allowed=allowed)
 
         refuse("step", self.step is None or 0.01 <= self.step <= 1.0, "0.01 to 1 s, or None")
         refuse("max_gap", 0.0 < self.max_gap <= LONGEST_GAP, f"more than 0, at most {LONGEST_GAP:g} s")

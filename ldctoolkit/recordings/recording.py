@@ -39,12 +39,12 @@ def source_file(path: Path, name: str = "") -> SourceFile:
     r"""Read a file for its digest."""
     try:
         if not stat.S_ISREG(path.stat().st_mode):  # opening a pipe would wait for ever
-            raise RecordingError(f"{path.name}: is not a regular file")
+            raise RecordingError(path.name, "is not a regular file")
         with path.open("rb") as stream:
             digest = hashlib.file_digest(stream, "sha256")
             size = stream.tell()
     except OSError as error:
-        raise RecordingError(f"{path.name}: cannot be read: {error.strerror or error}") from None
+        raise RecordingError(path.name, f"cannot be read: {error.strerror or error}") from None
     return SourceFile(name or path.name, size, digest.hexdigest())
 
 

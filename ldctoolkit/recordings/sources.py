@@ -136,7 +136,7 @@ def recording_reader(name: str) -> RecordingReader:
     """
     point = _installed().get(name)
     if point is None:
-        raise UnknownNameError(f"format {name!r}: no such reader; {nearest(name, (AUTO, *reader_names()))}")
+        raise UnknownNameError(f"format {name!r}", "no such reader", allowed=(AUTO, *reader_names()))
     try:
         reader = point.load()
         if isinstance(reader, type):
@@ -145,9 +145,9 @@ def recording_reader(name: str) -> RecordingReader:
         kind = "" if isinstance(error, LdcError | ImportError) else f"{type(error).__name__}: "
         raise LdcError(f"format {name!r} ({point.value}) cannot be loaded: {kind}{error}") from error
     if not isinstance(reader, RecordingReader):
-        raise LdcError(f"format {name!r} ({point.value}): allowed: name, title, vehicle_width, step, recognise, open")
+        raise LdcError(f"format {name!r} ({point.value})", "allowed: name, title, vehicle_width, step, recognise, open")
     if reader.name != name:
-        raise LdcError(f"format {name!r} ({point.value}): its name is {reader.name!r}; allowed: the same as here")
+        raise LdcError(f"format {name!r} ({point.value})", f"its name is {reader.name!r}", allowed="the same as here")
     return reader
 
 
@@ -256,8 +256,9 @@ class CombinedReader:
             for file in source.files:
                 if owner.setdefault(file.sha256, reader.name) != reader.name:
                     raise RecordingError(
-                        f"{file.name}: several readers know such files ({self.recognise(paths)}); choose one with "
-                        "--format"
+                        file.name,
+                        f"several readers know such files ({self.recognise(paths)})",
+                        hint="choose one with --format",
                     )
         if not sources:
             raise errors[0]
@@ -311,18 +312,18 @@ def open_recordings(
     """
     given = [Path(path) for path in ([paths] if isinstance(paths, str | os.PathLike) else paths)]
     if not given:
-        raise InputError("paths: none given; at least one file or folder of recordings is needed")
+        raise InputError("paths", "none given", hint="at least one file or folder of recordings is needed")
     seen: set[Path] = set()
     for path in given:
         if not os.path.exists(path):  # noqa: PTH110 - this one raises nothing, whatever the path
-            raise RecordingError(f"{path}: does not exist")
+            raise RecordingError(path, "does not exist")
         if path.resolve() in seen:
-            raise RecordingError(f"{path.name}: given twice")
+            raise RecordingError(path.name, "given twice")
         seen.add(path.resolve())
     reader, found = _recognised(given) if format == AUTO else (recording_reader(format), "")
     if channels is not None:
         if not hasattr(reader, "channels"):
-            raise InputError(f"channels: {channels}; format {reader.name!r} takes no channel map; allowed: mdf")
+            raise InputError("channels", f"{channels}; format {reader.name!r} takes no channel map", allowed="mdf")
         reader = dataclasses.replace(reader, channels=Path(channels))  # type: ignore[type-var]
     try:
         source = reader.open(given)
@@ -330,10 +331,12 @@ def open_recordings(
     except LdcError:
         raise
     except Exception as error:  # the reader may be third-party code
-        raise LdcError(f"format {reader.name!r}: open fails with {type(error).__name__}: {error}") from error
+        raise LdcError(f"format {reader.name!r}", f"open fails with {type(error).__name__}: {error}") from error
     for key, count in keys.items():
         if count > 1:
-            raise LdcError(f"format {reader.name!r}: {count} parts have the key {key!r}; allowed: a key for each part")
+            raise LdcError(
+                f"format {reader.name!r}", f"{count} parts have the key {key!r}", allowed="a key for each part"
+            )
     return OpenedRecordings(reader, source, found or reader.title)
 
 
@@ -344,7 +347,9 @@ def _recognised(paths: list[Path]) -> tuple[RecordingReader, str]:
         try:
             text = reader.recognise(paths)
         except Exception as error:  # the reader may be third-party code
-            raise LdcError(f"format {reader.name!r}: recognise fails with {type(error).__name__}: {error}") from error
+            raise LdcError(
+                f"format {reader.name!r}", f"recognise fails with {type(error).__name__}: {error}"
+            ) from error
         if text:
             found.append((reader, text))
     if len(found) == 1:
@@ -352,13 +357,14 @@ def _recognised(paths: list[Path]) -> tuple[RecordingReader, str]:
     shown = ", ".join(path.name or str(path) for path in paths[:3]) + (", ..." if len(paths) > 3 else "")
     if not found:
         raise RecordingError(
-            f"{shown}: no reader knows such files; allowed: {', '.join(reader_names())} (named with --format, a "
-            "reader says what it misses)"
+            shown,
+            "no reader knows such files",
+            allowed=f"{', '.join(reader_names())} (named with --format, a reader says what it misses)",
         )
     texts = "; ".join(f"{reader.name}: {text}" for reader, text in found)
     readers = tuple(reader for reader, _ in found)
     if len({(reader.vehicle_width, reader.step) for reader in readers}) > 1:
-        raise RecordingError(f"{shown}: several readers know such files ({texts}); choose one with --format")
+        raise RecordingError(shown, f"several readers know such files ({texts})", hint="choose one with --format")
     return CombinedReader(readers), texts
 
 

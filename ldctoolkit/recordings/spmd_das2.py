@@ -83,7 +83,7 @@ def _layout_of(path: Path) -> tuple[TableLayout | None, str]:
         with path.open("rb") as stream:
             lines = [stream.readline(1 << 16) for _ in range(LOOKED_AT)]
     except OSError as error:
-        raise RecordingError(f"cannot be read: {error.strerror or error}") from None
+        raise RecordingError("cannot be read", f"{error.strerror or error}") from None
     begin = len(codecs.BOM_UTF8) if lines[0].startswith(codecs.BOM_UTF8) else 0
     lines[0] = lines[0][begin:]
     filled = [line for line in lines if line.strip()]

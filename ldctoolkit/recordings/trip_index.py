@@ -218,7 +218,7 @@ def index_trips(
                     raise RecordingError(f"line {scan.line} is longer than {LONGEST_LINE} bytes")
                 view[:kept] = view[cut:last]
     except OSError as error:
-        raise RecordingError(f"cannot be read: {error.strerror or error}") from None
+        raise RecordingError("cannot be read", f"{error.strerror or error}") from None
     if kept:
         buffer[kept] = 10
         scan.add(buffer, 0, kept + 1, unended=1)

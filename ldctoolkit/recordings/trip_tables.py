@@ -47,7 +47,7 @@ def read_header(path: Path) -> TableLayout:
         text = text_of(first)
     except (OSError, ValueError) as error:  # also a NUL in the name
         reason = error.strerror if isinstance(error, OSError) else None
-        raise RecordingError(f"cannot be read: {reason or error}") from None
+        raise RecordingError("cannot be read", f"{reason or error}") from None
     if not first:
         raise RecordingError("the file is empty; a header is needed")
     if len(first) == LONGEST_HEADER and not first.endswith(b"\n"):
@@ -210,7 +210,7 @@ def read_trips(
     text = _read(table, pieces)
     found = None if text is None else read_cells(text, table.columns, list(wanted.values()), cells=cells)
     if found is None or found.lines != sum(one.lines for one in pieces):
-        raise RecordingError(f"{table.name}: the file has changed since it was looked through")
+        raise RecordingError(table.name, "the file has changed since it was looked through")
     first = np.array([one.line for one in pieces], dtype=np.int64)
     lines = np.array([one.lines for one in pieces], dtype=np.int64)
     before = np.cumsum(lines) - lines
@@ -282,7 +282,7 @@ def _read(table: TripTable, pieces: Sequence[Stretch]) -> memoryview | None:
                     text[at] = 10
                     at += 1
     except OSError as error:
-        raise RecordingError(f"{table.name}: cannot be read: {error.strerror or error}") from None
+        raise RecordingError(table.name, f"cannot be read: {error.strerror or error}") from None
     return text[:at]
 
 

@@ -192,7 +192,7 @@ class UahDriveset:
             shown = ", ".join(path.name or str(path) for path in paths)
             first = f"; {problems[0]}" if problems else ""
             more = f" ({len(problems) - 1} more)" if len(problems) > 1 else ""
-            raise RecordingError(f"{shown}: no trip of UAH-DriveSet that can be used{first}{more}")
+            raise RecordingError(shown, f"no trip of UAH-DriveSet that can be used{first}{more}")
         return FoundParts(tuple(parts), tuple(files), tuple(problems))
 
 

@@ -306,11 +306,13 @@ def review_plant(
     v = checked_speeds(speeds)
     if v.size == 0 or v.max() > SPEED_RANGE[1] or v.min() < SPEED_RANGE[0]:
         shown = f"{v.min():g} to {v.max():g} m/s" if v.size else "none"
-        raise InputError(f"speeds: {shown}; allowed: one or more from {SPEED_RANGE[0]:g} to {SPEED_RANGE[1]:g} m/s")
+        raise InputError("speeds", shown, allowed=f"one or more from {SPEED_RANGE[0]:g} to {SPEED_RANGE[1]:g} m/s")
     for name, delay in (("actuator", options.actuator.delay), ("sensors", options.sensors.delay)):
         if delay > LONGEST * dt * (1 + 1e-9):
             raise InputError(
-                f"{name}.delay: {delay:g} s with dt = {dt:g} s is {delay / dt:.6g} samples; allowed: at most {LONGEST}"
+                f"{name}.delay",
+                f"{delay:g} s with dt = {dt:g} s is {delay / dt:.6g} samples",
+                allowed=f"at most {LONGEST}",
             )
     return known_plant(model, v, dt, options.sampled(dt), plant_knowledge)
 
@@ -319,7 +321,7 @@ def positive(name: str, value: object, unit: str) -> float:
     """A finite number above 0."""
     given = plain(value)
     if not is_number(given) or not given > 0:
-        raise InputError(f"{name}: {given!r} {unit}; allowed: a finite number > 0")
+        raise InputError(name, unit, value=given, allowed="a finite number > 0")
     return float(given)
 
 
@@ -399,7 +401,7 @@ def review(
     model = BicycleModel() if model is None else model
     dt, a_y = positive("dt", dt, "s"), positive("a_y", a_y, "m/s^2")
     if not is_number(plain(y_s)) or y_s < 0:
-        raise InputError(f"y_s: {y_s!r} m; allowed: a finite number >= 0")
+        raise InputError("y_s", "m", value=y_s, allowed="a finite number >= 0")
     plant = review_plant(model, dt, options, speeds, plant_knowledge)
     v, options = plant.v, options.sampled(dt)
     identity = _identity(controller)
@@ -446,6 +448,8 @@ def _angles(given: tuple[npt.ArrayLike, npt.ArrayLike]) -> tuple[FloatArray, Flo
     angles, v = (np.atleast_1d(np.asarray(values, dtype=np.float64)) for values in given)
     if angles.ndim != 1 or angles.shape != v.shape or not angles.size or not np.isfinite([angles, v]).all():
         raise InputError(
-            f"delta_prev: angles of shape {angles.shape}, speeds of shape {v.shape}; allowed: finite numbers, (m,) each"
+            "delta_prev",
+            f"angles of shape {angles.shape}, speeds of shape {v.shape}",
+            allowed="finite numbers, (m,) each",
         )
     return angles, v

@@ -164,7 +164,7 @@ def guarded(name: str, call: str) -> Iterator[None]:
     except (LdcError, KeyboardInterrupt, GeneratorExit):
         raise
     except BaseException as error:  # a controller may be third-party code, and may call sys.exit
-        raise LdcError(f"controller {name!r}: {call} raised {raised(error)}") from error
+        raise LdcError(f"controller {name!r}", f"{call} raised {raised(error)}") from error
 
 
 PULSE: Final = np.array([1e-3, 1e-3, 1e-4, 1e-4, 1e-4, 1e-4])
@@ -270,7 +270,7 @@ def _after(controller: Controller, plant: Plant, inputs: FloatArray, samples: in
     q, n, name = inputs.shape[0], plant.n, controller.name
     law = _prepared(controller, plant.at(np.tile(plant.v, q)))
     if not isinstance(law, SteeringLaw):
-        raise LdcError(f"controller {name!r}: prepare gives laws of different kinds for other speeds")
+        raise LdcError(f"controller {name!r}", "prepare gives laws of different kinds for other speeds")
     first = inputs.reshape(q * n, 6)
     with guarded(name, "preview_times"):
         times = np.asarray(law.preview_times, dtype=np.float64)

@@ -9,7 +9,7 @@ import numpy as np
 
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.control import Controller
-from ldctoolkit.errors import InputError, nearest
+from ldctoolkit.errors import InputError
 from ldctoolkit.option_checks import is_number
 from ldctoolkit.plant_options import Actuator
 
@@ -39,7 +39,7 @@ class Finding:
 
     def __post_init__(self) -> None:
         if self.severity not in get_args(Severity):
-            raise InputError(f"severity: {self.severity!r}; {nearest(str(self.severity), get_args(Severity))}")
+            raise InputError("severity", value=self.severity, allowed=get_args(Severity))
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -77,13 +77,15 @@ class Thresholds:
         for field in dataclasses.fields(self):
             pair = getattr(self, field.name)
             if not (isinstance(pair, tuple) and len(pair) == 2):
-                raise InputError(f"thresholds.{field.name}: {pair!r}; allowed: (warning, fault)")
+                raise InputError(f"thresholds.{field.name}", value=pair, allowed="(warning, fault)")
             if not all(is_number(value) and value > 0 for value in pair):
-                raise InputError(f"thresholds.{field.name}: {pair!r}; allowed: numbers > 0")
+                raise InputError(f"thresholds.{field.name}", value=pair, allowed="numbers > 0")
             ordered = pair[0] <= pair[1] if field.name in rising else pair[0] >= pair[1]
             if not ordered:
                 word = ">=" if field.name in rising else "<="
-                raise InputError(f"thresholds.{field.name}: {pair!r}; allowed: (warning, fault), fault {word} warning")
+                raise InputError(
+                    f"thresholds.{field.name}", value=pair, allowed=f"(warning, fault), fault {word} warning"
+                )
 
 
 _NO_HORIZON = 1.0  # time [s] within which a law without a horizon should have its limits back

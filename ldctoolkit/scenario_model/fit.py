@@ -14,7 +14,7 @@ import threadpoolctl
 
 from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, DepartureParameters, Departures, Plausibility
-from ldctoolkit.errors import InputError, ModelError, nearest
+from ldctoolkit.errors import InputError, ModelError
 from ldctoolkit.mixture import BoundedGaussianMixture, Selection, select_components
 from ldctoolkit.mixture._distribution import KINDS, Transform
 from ldctoolkit.mixture.checks import (
@@ -69,18 +69,18 @@ def box_of(bounds: Bounds | None, criteria: Criteria | None) -> Box:
         ends["T"] = (criteria.min_duration, criteria.max_duration, found, found)
         ends["v_mean"] = (criteria.min_speed, np.inf, found, "physical")
     if bounds is not None and not isinstance(bounds, Mapping):
-        raise InputError(f"bounds: {bounds!r}; allowed: a mapping of parameters")
+        raise InputError("bounds", value=bounds, allowed="a mapping of parameters")
     for name, entry in (bounds or {}).items():
         if name not in ends:
-            raise InputError(f"bounds: no parameter {name!r}; {nearest(str(name), PARAMETER_NAMES)}")
+            raise InputError("bounds", f"no parameter {name!r}", allowed=PARAMETER_NAMES)
         least = LEAST_LOWER.get(name, -np.inf)  # open as far as can be driven
         try:
             low, high = entry
             low, high = least if low is None else float(low), np.inf if high is None else float(high)
         except (TypeError, ValueError):
-            raise InputError(f"bounds[{name!r}]: {entry!r}; allowed: (lower, upper)") from None
+            raise InputError(f"bounds[{name!r}]", value=entry, allowed="(lower, upper)") from None
         if not least <= low < high:
-            raise InputError(f"bounds[{name!r}]: {entry!r}; allowed: {least:g} <= lower < upper")
+            raise InputError(f"bounds[{name!r}]", value=entry, allowed=f"{least:g} <= lower < upper")
         ends[name] = (low, high, "physical" if entry[0] is None and least > -np.inf else "given", "given")
     lower, upper, *_ = zip(*(ends[name] for name in PARAMETER_NAMES), strict=True)
     return Box(np.array(lower), np.array(upper), tuple((name, *ends[name][2:]) for name in PARAMETER_NAMES))
@@ -125,14 +125,14 @@ def transforms(transform: str | Mapping[str, str] | None) -> dict[str, str]:
     out = dict.fromkeys(PARAMETER_NAMES, "none")
     for name, kind in transform.items():
         if name not in out:
-            raise InputError(f"transform: no parameter {name!r}; {nearest(str(name), PARAMETER_NAMES)}")
+            raise InputError("transform", f"no parameter {name!r}", allowed=PARAMETER_NAMES)
         out[name] = _transform(f"transform[{name!r}]", kind)
     return out
 
 
 def _transform(where: str, kind: Any) -> str:
     if kind not in KINDS:
-        raise InputError(f"{where}: {kind!r}; {nearest(str(kind), KINDS)}")
+        raise InputError(where, value=kind, allowed=KINDS)
     return str(kind)
 
 
@@ -144,8 +144,10 @@ def check_transform(wanted: Mapping[str, str], lower: FloatArray, upper: FloatAr
         if finite != needed:
             allowed = "one finite bound" if needed == 1 else "two finite bounds"
             raise InputError(
-                f"transform[{name!r}]: {wanted[name]!r} with the bounds {lower[j]:g} to {upper[j]:g}; allowed: with "
-                f"{allowed}"
+                f"transform[{name!r}]",
+                f"with the bounds {lower[j]:g} to {upper[j]:g}",
+                value=wanted[name],
+                allowed=f"with {allowed}",
             )
 
 
@@ -257,9 +259,9 @@ def fit_scenario_model(
     """
     check_number("seed", seed, 0, integer=True)
     if seed >= _SEED_END:
-        raise InputError(f"seed: {seed}; allowed: below 10^18, the longest whole number of a model file")
+        raise InputError("seed", value=seed, allowed="below 10^18, the longest whole number of a model file")
     if kind not in get_args(Kind):
-        raise InputError(f"kind: {kind!r}; {nearest(str(kind), get_args(Kind))}")
+        raise InputError("kind", value=kind, allowed=get_args(Kind))
     starts = n_init if n_init is not None else 8 if departures.n > FEW else 2
     limits = plausibility or (Plausibility() if extraction is None else extraction.plausibility)
     chosen: tuple[Any, ...] = criterion, slack, indifference, prior_strength, tol, starts, max_iter
@@ -314,7 +316,9 @@ def _events(departures: Departures, weights: npt.ArrayLike | None, settings: Sid
     left, right = (int(mask.sum()) for mask in rows.values())
     if min(left, right) < LEAST_EVENTS:
         beyond = f", beside {left_out} that are not plausible" if left_out else ""
-        raise InputError(f"departures: {left} left and {right} right{beyond}; allowed: at least {LEAST_EVENTS} a side")
+        raise InputError(
+            "departures", f"{left} left and {right} right{beyond}", allowed=f"at least {LEAST_EVENTS} a side"
+        )
     every = Events(departures.matrix(), weight, settings.workers)
     return {label: side_events(every.take(mask), label, settings) for label, mask in rows.items()}
 
@@ -556,7 +560,7 @@ def check_fidelity(
     rows = [np.flatnonzero(possible & (departures.side == side)) for side in (LEFT, RIGHT)]
     if min(map(len, rows)) < LEAST_EVENTS:
         left, right = map(len, rows)
-        raise InputError(f"departures: {left} left and {right} right; allowed: at least {LEAST_EVENTS} a side")
+        raise InputError("departures", f"{left} left and {right} right", allowed=f"at least {LEAST_EVENTS} a side")
     criteria = model.provenance.source.get("criteria")
     width = criteria.get("vehicle_width") if isinstance(criteria, Mapping) else None
     found = []
@@ -579,8 +583,9 @@ def carried_components(
     tried = tuple(K for K in components if most >= K)
     if not tried:
         raise InputError(
-            f"components: {components[0]} and more; allowed: a range that begins at {most} or below, "
-            f"{n} {label} departures carry no more"
+            "components",
+            f"{components[0]} and more",
+            allowed=f"a range that begins at {most} or below, {n} {label} departures carry no more",
         )
     if len(tried) == len(components):
         return tried, ()
@@ -616,7 +621,7 @@ def _select(
         except ModelError as error:
             tried = tuple(int(K) for K in selection.n_components if taken != K)
             if not tried:
-                raise ModelError(f"departures ({label}): {error}") from None
+                raise ModelError(f"departures ({label})", f"{error}") from None
             failed.append((taken, str(error)))
         else:
             return selection, tuple(sorted(failed))
@@ -684,7 +689,9 @@ def side_events(events: Events, label: str, settings: SideSettings) -> SideEvent
         profile = profile_of(events)
     inside = inside_bounds(events, box.lower, box.upper, PARAMETER_NAMES, profile=profile)
     if not inside.varies.any():
-        raise InputError(f"departures ({label}): all {profile.rows} events are equal; there is nothing to fit")
+        raise InputError(
+            f"departures ({label})", f"all {profile.rows} events are equal", hint="there is nothing to fit"
+        )
     return SideEvents(label, inside, box)
 
 
@@ -693,6 +700,7 @@ def _check(x: FloatArray, j: int, good: BoolArray, allowed: str, label: str) -> 
     if not good.all():
         event = int(np.argmin(good))
         raise InputError(
-            f"departures ({label}): {PARAMETER_NAMES[j]} = {float(x[event, j])!r} in event {event}; allowed: {allowed} "
-            f"({int((~good).sum())} of {good.size} events)"
+            f"departures ({label})",
+            f"{PARAMETER_NAMES[j]} = {float(x[event, j])!r} in event {event}",
+            allowed=f"{allowed} ({int((~good).sum())} of {good.size} events)",
         )

@@ -97,7 +97,7 @@ def _parse(text: str | bytes, file: str) -> Any:
     def refuse(token: str, allowed: str = "finite numbers, null for an open bound") -> NoReturn:
         shown = token if len(token) <= 60 else token[:57] + "..."
         what = "" if allowed.startswith("whole") else " is not a finite number"
-        raise ModelError(f"{file}: {shown}{what}; allowed: {allowed}")
+        raise ModelError(file, f"{shown}{what}", allowed=allowed)
 
     def whole(token: str) -> int:
         if len(token.lstrip("-")) > _WHOLE_DIGITS:
@@ -117,21 +117,21 @@ def _parse(text: str | bytes, file: str) -> Any:
     except ModelError:
         raise
     except ValueError as error:
-        raise ModelError(f"{file}: broken JSON ({error})") from None
+        raise ModelError(file, f"broken JSON ({error})") from None
 
 
 def model_from_json(text: str | bytes, file: str) -> tuple[SideModel, SideModel, ModelProvenance, Plausibility | None]:
     """Check and build both sides, the provenance and the limits."""
     data = _parse(text, file)
     if not isinstance(data, dict):
-        raise ModelError(f"{file}: not a scenario model; the file must hold a JSON object")
+        raise ModelError(file, "not a scenario model", hint="the file must hold a JSON object")
     if data.get("format") != FORMAT:
-        raise ModelError(f"{file}: format: {short(data.get('format'))}; allowed: {FORMAT!r}")
+        raise ModelError(file, f"format: {short(data.get('format'))}", allowed=f"{FORMAT!r}")
     version = data.get("version")
     if type(version) is not int or version != VERSION:
         newer = isinstance(version, int) and version > VERSION
         hint = ": the file is newer, update ldctoolkit" if newer else ""
-        raise ModelError(f"{file}: version: {short(version)}; this program reads version {VERSION}{hint}")
+        raise ModelError(file, f"version: {short(version)}", hint=f"this program reads version {VERSION}{hint}")
     written, content = data.pop(CHECKSUM, None), digest(data)
     for side in _fitted(data.get("provenance")):
         summary = side.get("source_summary")
@@ -141,11 +141,11 @@ def model_from_json(text: str | bytes, file: str) -> tuple[SideModel, SideModel,
         # as JSON: lists are tuples there, which strict Python values are not
         found = _File.model_validate_json(json.dumps(data))
     except ValidationError as error:
-        raise ModelError(f"{file}: {first_problem(error, data, _File, 'file')}") from None
+        raise ModelError(file, f"{first_problem(error, data, _File, 'file')}") from None
     left, right = (_built(getattr(found.sides, name), f"{file}: sides.{name}") for name in ("left", "right"))
     limits = None if found.plausibility is None else Plausibility(**dict(found.plausibility))
     if written not in (None, content):  # last: of what was changed by hand, a value that is not allowed says more
-        raise ModelError(f"{file}: {NOT_AS_WRITTEN}; if it was changed on purpose, remove the key '{CHECKSUM}'")
+        raise ModelError(file, NOT_AS_WRITTEN, hint=f"if it was changed on purpose, remove the key '{CHECKSUM}'")
     return left, right, found.provenance, limits
 
 
@@ -320,6 +320,6 @@ def _built(side: _Side, where: str) -> SideModel:
             )  # fmt: skip
         check_usable(mixture)
     except (InputError, ModelError) as error:
-        raise ModelError(f"{where}: {error}") from None
+        raise ModelError(where, f"{error}") from None
     constants = tuple((name, side.constants[name]) for name in PARAMETER_NAMES if name in side.constants)
     return SideModel(mixture, side.parameters, constants)

@@ -24,7 +24,7 @@ from ldctoolkit.departures import (
     Plausibility,
     combined_departures,
 )
-from ldctoolkit.errors import InputError, ModelError, RecordingError, UnknownNameError, nearest
+from ldctoolkit.errors import InputError, ModelError, RecordingError, UnknownNameError
 from ldctoolkit.mixture import SAMPLE_BLOCK, BoundedGaussianMixture
 from ldctoolkit.mixture.checks import check_number
 from ldctoolkit.option_checks import UnitWarning, unit_slip
@@ -72,11 +72,11 @@ def conditions(given: Given | None) -> tuple[Condition, ...]:
     ['T above 3 s', 'v_mean from 25 to 35 m/s', 'c_0 = 0.001 1/m']
     """
     if given is not None and not isinstance(given, Mapping):
-        raise InputError(f"given: {given!r}; allowed: a mapping of parameters")
+        raise InputError("given", value=given, allowed="a mapping of parameters")
     found = {}
     for name, wanted in (given or {}).items():
         if name not in PARAMETER_NAMES:
-            raise InputError(f"given: no parameter {name!r}; {nearest(str(name), PARAMETER_NAMES)}")
+            raise InputError("given", f"no parameter {name!r}", allowed=PARAMETER_NAMES)
         low, high = _ends(name, wanted)
         slip = unit_slip(name, low) or unit_slip(name, high if math.isfinite(high) else 0.0)
         if slip:
@@ -119,16 +119,16 @@ def _ends(name: str, wanted: Any) -> tuple[float, float]:
     allowed = "allowed: a number, or (lower, upper) with lower < upper, None for open"
     pair = (wanted, wanted) if _is_number(wanted) and math.isfinite(wanted) else wanted
     if not isinstance(pair, tuple | list) or len(pair) != 2:
-        raise InputError(f"given[{name!r}]: {wanted!r}; {allowed}")
+        raise InputError(f"given[{name!r}]", value=wanted, hint=allowed)
     ends = []
     for end, fill in zip(pair, (-math.inf, math.inf), strict=True):
         if end is not None and not _is_number(end):
-            raise InputError(f"given[{name!r}]: {wanted!r}; {allowed}")
+            raise InputError(f"given[{name!r}]", value=wanted, hint=allowed)
         ends.append(fill if end is None else float(end))
     low, high = ends
     one_value = pair is not wanted or low == high
     if not low <= high or (one_value and not math.isfinite(low)):
-        raise InputError(f"given[{name!r}]: {wanted!r}; {allowed}")
+        raise InputError(f"given[{name!r}]", value=wanted, hint=allowed)
     return low, high
 
 
@@ -149,16 +149,18 @@ def mixture_conditions(
             value = constants[condition.name]
             if not low <= value <= high:
                 raise InputError(
-                    f"given[{condition.name!r}]: {condition}; allowed: {value:g}, as in every {label} departure of "
-                    "this model"
+                    f"given[{condition.name!r}]",
+                    f"{condition}",
+                    allowed=f"{value:g}, as in every {label} departure of this model",
                 )
             continue
         j = side.names.index(condition.name)
         a, b = float(lower[j]), float(upper[j])
         if (not a < low < b) if low == high else (high <= a or low >= b):
             raise InputError(
-                f"given[{condition.name!r}]: {condition}; allowed: between {a:g} and {b:g}, the bounds of the {label} "
-                "departures of this model"
+                f"given[{condition.name!r}]",
+                f"{condition}",
+                allowed=f"between {a:g} and {b:g}, the bounds of the {label} departures of this model",
             )
         out[j] = low if low == high else (max(low, a), min(high, b))
     return out
@@ -348,10 +350,11 @@ class ScenarioModel:
                 word = "left" if side == LEFT else "right"
                 if wanted:
                     texts = " and ".join(map(str, wanted))
-                    raise InputError(f"given: hardly any departure ({word}) with {texts} can happen")
+                    raise InputError("given", f"hardly any departure ({word}) with {texts} can happen")
                 raise ModelError(
-                    f"scenario model ({word}): {share:.1%} of the events fall below {SPEED_FLOOR} m/s or are not "
-                    "plausible; the model does not describe driving at speed"
+                    f"scenario model ({word})",
+                    f"{share:.1%} of the events fall below {SPEED_FLOOR} m/s or are not plausible",
+                    hint="the model does not describe driving at speed",
                 )
             blocks.append(self._block(side, distribution, len(blocks), seed))
             found += blocks[-1].n
@@ -381,7 +384,7 @@ class ScenarioModel:
             data = json_form.model_to_json(self.left_side, self.right_side, self.provenance, self.plausibility)
             text = json_text(data)
         except (TypeError, ValueError) as error:
-            raise ModelError(f"{target.name}: the model cannot be written as JSON ({error})") from None
+            raise ModelError(target.name, f"the model cannot be written as JSON ({error})") from None
         self._parse(text, target.name)  # what cannot be read back is not written
         write_whole(target, text.encode(), ModelError)
 
@@ -451,8 +454,8 @@ def load_model(name_or_path: str | os.PathLike[str]) -> ScenarioModel:
     if os.path.exists(name):  # noqa: PTH110 - this one raises nothing, whatever the path
         return ScenarioModel.load(path)
     if path.suffix == ".json" or path.name != name or not isinstance(name_or_path, str):
-        raise ModelError(f"{name}: no such file; bundled models: {', '.join(names)}")
-    raise UnknownNameError(f"scenario model {name!r}: neither a bundled model nor a file; {nearest(name, names)}")
+        raise ModelError(name, "no such file", hint=f"bundled models: {', '.join(names)}")
+    raise UnknownNameError(f"scenario model {name!r}", "neither a bundled model nor a file", allowed=names)
 
 
 def read_all_departures(paths: Sequence[str | os.PathLike[str]]) -> tuple[Departures, Provenance]:
@@ -464,7 +467,7 @@ def read_all_departures(paths: Sequence[str | os.PathLike[str]]) -> tuple[Depart
     given = [Path(path).absolute() for path in paths]
     for path in given:
         if given.count(path) > 1:
-            raise RecordingError(f"{path.name}: given more than once; allowed: every table once")
+            raise RecordingError(path.name, "given more than once", allowed="every table once")
     tables = [read_departures(path) for path in paths]
     names = [Path(path).name for path in paths]
     provenance = merged_provenance(names, [found for _, found in tables])
@@ -488,15 +491,17 @@ def merged_provenance(names: Sequence[str], found: Sequence[Provenance]) -> Prov
             for key, value in dataclasses.asdict(getattr(one, kind)).items():
                 if value != theirs[key]:
                     raise RecordingError(
-                        f"{name}: extracted with {key} = {value!r}, {names[0]} with {theirs[key]!r}; "
-                        f"allowed: tables of the same {kind}"
+                        name,
+                        f"extracted with {key} = {value!r}, {names[0]} with {theirs[key]!r}",
+                        allowed=f"tables of the same {kind}",
                     )
         for source in one.sources:
             # empty files are all alike
             if source.bytes and seen.setdefault(source.sha256, name) != name:
                 raise RecordingError(
-                    f"{name}: holds departures of {source.name}, as does {seen[source.sha256]}; "
-                    "allowed: every recording once"
+                    name,
+                    f"holds departures of {source.name}, as does {seen[source.sha256]}",
+                    allowed="every recording once",
                 )
     refused = [dataclasses.asdict(one.refused) for one in found]
     kinds = {one.curvature for one in found}

@@ -61,7 +61,7 @@ def check_usable(mixture: BoundedGaussianMixture) -> None:
     """Refuse a mixture that cannot be sampled; a fit and a file go through this one check."""
     if not np.isfinite(mixture.log_probabilities_).all():
         k = int(np.argmin(np.isfinite(mixture.log_probabilities_)))
-        raise ModelError(f"component {k}: the probability of its box is not a number that a computer can hold")
+        raise ModelError(f"component {k}", "the probability of its box is not a number that a computer can hold")
     try:
         with np.errstate(over="raise", divide="raise", invalid="raise"):
             mixture.distribution.check_samplable()

@@ -25,7 +25,7 @@ from ldctoolkit.control import (
     SolverLog,
     SteeringLaw,
 )
-from ldctoolkit.errors import InputError, expect, nearest, plain
+from ldctoolkit.errors import InputError, expect, plain
 from ldctoolkit.law_checks import check_calls, check_controller, check_law, check_step, check_taken
 from ldctoolkit.metrics import METRIC_UNITS, MetricValues
 from ldctoolkit.mixture.checks import usable_cores
@@ -70,7 +70,7 @@ class Run:
     def outcome(self, window: Window) -> Outcome:
         """Score the run over a window, with the scenarios in their own order; raises InputError for an unknown one."""
         if window not in get_args(Window):
-            raise InputError(f"window: {window!r}; {nearest(str(window), get_args(Window))}")
+            raise InputError("window", value=window, allowed=get_args(Window))
         over, rows = self.takeover, self.takeover.rows
         values = self.columns((window,))
         self.fill(values, (window,))
@@ -170,13 +170,13 @@ def simulate(
     array([ True,  True])
     """
     if isinstance(controller, Scenarios):
-        raise InputError("controller, scenarios: swapped; allowed: simulate(controller, scenarios)")
+        raise InputError("controller, scenarios", "swapped", allowed="simulate(controller, scenarios)")
     if not isinstance(scenarios, Scenarios):
         made = "Scenarios.from_arrays(...), ScenarioModel.sample(...)"
-        raise InputError(f"scenarios: an object of type {type(scenarios).__name__}; allowed: {made}")
+        raise InputError("scenarios", f"an object of type {type(scenarios).__name__}", allowed=made)
     expect("setup", setup, Setup | None)
     if vehicle is not None and not isinstance(vehicle, BicycleModel | VehicleParameters):
-        raise InputError(f"vehicle: {vehicle!r}; allowed: VehicleParameters(...), BicycleModel(...), or None")
+        raise InputError("vehicle", value=vehicle, allowed="VehicleParameters(...), BicycleModel(...), or None")
     model = vehicle if isinstance(vehicle, BicycleModel) else BicycleModel(vehicle or VehicleParameters())
     single = Setup(
         vehicle=model.parameters,
@@ -192,7 +192,7 @@ def simulate(
         ttlc=ttlc,
     )
     if setup is not None and single != Setup():
-        raise InputError("setup: given together with values that it holds; allowed: one of the two")
+        raise InputError("setup", "given together with values that it holds", allowed="one of the two")
     takeover = Takeover.build(scenarios, single if setup is None else setup, y_s=y_s)
     return drive(controller, takeover, trajectories=trajectories, threads=threads).outcome(window)
 
@@ -418,12 +418,12 @@ def _chosen_rows(trajectories: Chosen, n: int) -> IntArray | None:
     if rows.size == 0:
         rows = rows.astype(np.int64)
     if rows.ndim != 1 or rows.dtype.kind not in "iu":
-        raise InputError("trajectories: allowed: true, false, or a list of row numbers of scenarios")
+        raise InputError("trajectories", "allowed: true, false, or a list of row numbers of scenarios")
     outside = (rows < 0) | (rows >= n)
     if outside.any():
-        raise InputError(f"trajectories: no scenario {rows[outside][0]}; allowed: 0 to {n - 1}")
+        raise InputError("trajectories", f"no scenario {rows[outside][0]}", allowed=f"0 to {n - 1}")
     if np.unique(rows).size != rows.size:
-        raise InputError("trajectories: a row number is given twice; allowed: each once")
+        raise InputError("trajectories", "a row number is given twice", allowed="each once")
     return rows.astype(np.int64)
 
 
@@ -431,7 +431,7 @@ def _in_threads(work: Callable[[int, int], None], count: int, threads: int | Non
     """Call ``work(first, last)`` on stretches of `count` things; the stretches do not depend on the threads."""
     chosen = plain(threads)
     if chosen is not None and (isinstance(chosen, bool) or not isinstance(chosen, int) or chosen < 1):
-        raise InputError(f"threads: {chosen!r}; allowed: a whole number >= 1")
+        raise InputError("threads", value=chosen, allowed="a whole number >= 1")
     firsts = range(0, count, least)
     number = min(usable_cores() if threads is None else threads, len(firsts))
     if number <= 1:

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import ClassVar, Final
 
 from ldctoolkit.control import Controller
-from ldctoolkit.errors import InputError, LdcError, nearest
+from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.law_checks import check_controller, raised
 from ldctoolkit.testing import law_checks
 from ldctoolkit.testing.subject import Check, ContractSettings, Subject
@@ -96,7 +96,7 @@ def contract_faults(
     chosen = _chosen(checks)
     settings = ContractSettings() if settings is None else settings
     if not isinstance(settings, ContractSettings):
-        raise InputError(f"settings: {settings!r}; allowed: ContractSettings(...), or None")
+        raise InputError("settings", value=settings, allowed="ContractSettings(...), or None")
     first = controller() if isinstance(controller, type) and issubclass(controller, Controller) else controller
     every = [check_controller(design) for design in (first, *designs)]
     return tuple(fault for design in dict.fromkeys(every) for fault in _faults(design, chosen, settings))
@@ -106,11 +106,11 @@ def _chosen(checks: object) -> tuple[str, ...]:
     """Names of checks, each one known."""
     given = (checks,) if isinstance(checks, str) else CHECKS if checks is None else checks
     if not isinstance(given, Iterable):
-        raise InputError(f"checks: {given!r}; allowed: one or more of {', '.join(CHECKS)}")
+        raise InputError("checks", value=given, allowed=f"one or more of {', '.join(CHECKS)}")
     chosen = tuple(given)
     for name in chosen:
         if not isinstance(name, str) or name not in CHECKS:
-            raise InputError(f"checks: {name!r}; {nearest(str(name), CHECKS)}")
+            raise InputError("checks", value=name, allowed=CHECKS)
     return chosen
 
 
@@ -168,7 +168,7 @@ def _test(check: str) -> Callable[[ControllerContract], None]:
     def test(self: ControllerContract) -> None:
         given = getattr(self, "controller", None)
         if given is None:
-            raise InputError(f"{type(self).__name__}.controller: missing; allowed: controller = MyLaw")
+            raise InputError(f"{type(self).__name__}.controller", "missing", allowed="controller = MyLaw")
         check_controller_contract(given, self.designs, checks=(check,), settings=self.settings)
 
     test.__doc__ = f"Check `{check}`."

@@ -203,12 +203,12 @@ class ContractSettings:
         for name in ("scenarios", "samples"):
             value = plain(getattr(self, name))
             if isinstance(value, bool) or not (isinstance(value, int) and value >= 4):
-                raise InputError(f"{name}: {getattr(self, name)!r}; allowed: a whole number >= 4")
+                raise InputError(name, value=getattr(self, name), allowed="a whole number >= 4")
         if not (is_number(plain(self.dt)) and self.dt > 0):
-            raise InputError(f"dt: {self.dt!r}; allowed: a number > 0 [s]")
+            raise InputError("dt", value=self.dt, allowed="a number > 0 [s]")
         for name in ("mirror_tolerance", "limit_tolerance", "quiet_tolerance"):
             if not (is_number(plain(getattr(self, name))) and getattr(self, name) >= 0):
-                raise InputError(f"{name}: {getattr(self, name)!r}; allowed: a number >= 0")
+                raise InputError(name, value=getattr(self, name), allowed="a number >= 0")
 
 
 @dataclasses.dataclass(frozen=True)

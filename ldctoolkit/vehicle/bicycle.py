@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import FloatArray, unmasked
-from ldctoolkit.errors import CheckedArguments, InputError, nearest, plain
+from ldctoolkit.errors import CheckedArguments, InputError, plain
 from ldctoolkit.option_checks import short_repr, warn_of_units
 from ldctoolkit.vehicle.discretization import AugmentedStep, Discretization, augmented, discretize
 
@@ -129,12 +129,14 @@ class VehicleParameters(CheckedArguments):
         for field in dataclasses.fields(self):
             value = plain(getattr(self, field.name))
             if isinstance(value, bool) or not isinstance(value, int | float):
-                raise InputError(f"vehicle.{field.name}: {value!r}; allowed: a number > 0")
+                raise InputError(f"vehicle.{field.name}", value=value, allowed="a number > 0")
             if not (math.isfinite(value) and value > 0):
-                raise InputError(f"vehicle.{field.name}: {value!r}; allowed: a finite number > 0")
+                raise InputError(f"vehicle.{field.name}", value=value, allowed="a finite number > 0")
             object.__setattr__(self, field.name, value)
         if self.w_v >= self.w_l:
-            raise InputError(f"vehicle.w_v: {self.w_v!r} m; allowed: less than the lane's width w_l = {self.w_l!r} m")
+            raise InputError(
+                "vehicle.w_v", "m", value=self.w_v, allowed=f"less than the lane's width w_l = {self.w_l!r} m"
+            )
         warn_of_units("vehicle", self)
 
     @property
@@ -208,7 +210,7 @@ class BicycleModel(CheckedArguments):
 
     def __post_init__(self) -> None:
         if self.convention not in get_args(Convention):
-            raise InputError(f"convention: {self.convention!r}; {nearest(str(self.convention), get_args(Convention))}")
+            raise InputError("convention", value=self.convention, allowed=get_args(Convention))
 
     def matrices(self, v: npt.ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Continuous-time A, B, E of Rajamani's eq. 2.45.

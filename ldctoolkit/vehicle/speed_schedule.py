@@ -114,7 +114,9 @@ def scheduled(
     outside = ~((v >= low) & (v <= high))
     if outside.any():
         i = int(np.argmax(outside))
-        raise InputError(f"speed at the trigger: {v[i]:g} m/s; allowed for scheduled gains: {low:g} to {high:g}")
+        raise InputError(
+            "speed at the trigger", f"{v[i]:g} m/s", hint=f"allowed for scheduled gains: {low:g} to {high:g}"
+        )
     z = 2.0 * np.log(v / low) / math.log(high / low) - 1.0
     from ldctoolkit.lane_functions import clenshaw
 

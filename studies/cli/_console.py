@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 import ldctoolkit.compiling as compiling
-from ldctoolkit.errors import InputError, nearest
+from ldctoolkit.errors import InputError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -116,13 +116,13 @@ def output_file(path: str, *suffixes: str, option: str = "-o") -> Path:
     """The path that an option gave, checked before any long work starts."""
     target = Path(path)
     if target.suffix.lower() not in suffixes:
-        raise InputError(f"{option} {path}: the name must end in {' or '.join(suffixes)}")
+        raise InputError(f"{option} {path}", f"the name must end in {' or '.join(suffixes)}")
     if target.is_dir():
-        raise InputError(f"{option} {path}: is a folder")
+        raise InputError(f"{option} {path}", "is a folder")
     if not target.parent.is_dir():
-        raise InputError(f"{option} {path}: the folder {target.parent} does not exist")
+        raise InputError(f"{option} {path}", f"the folder {target.parent} does not exist")
     if not os.access(target.parent, os.W_OK):
-        raise InputError(f"{option} {path}: no permission to write into the folder {target.parent}")
+        raise InputError(f"{option} {path}", f"no permission to write into the folder {target.parent}")
     return target
 
 
@@ -237,7 +237,7 @@ def plausibility(given: Sequence[tuple[str, float]] | None, default: Plausibilit
     known = [field.name for field in dataclasses.fields(Plausibility)]
     for name, _ in given or ():
         if name not in known:
-            raise InputError(f"--limit: no limit {name!r}; {nearest(name, known)}")
+            raise InputError("--limit", f"no limit {name!r}", allowed=known)
     return dataclasses.replace(default or Plausibility(), **dict(given or ()))
 
 
@@ -246,7 +246,7 @@ def each_once(option: str, pairs: Sequence[tuple[str, object]] | None) -> None:
     names = [name for name, _ in pairs or ()]
     for name in names:
         if names.count(name) > 1:
-            raise InputError(f"{option} {name}: given {names.count(name)} times; allowed: once a name")
+            raise InputError(f"{option} {name}", f"given {names.count(name)} times", allowed="once a name")
 
 
 def add_report_options(parser: argparse.ArgumentParser) -> None:

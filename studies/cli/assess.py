@@ -64,7 +64,7 @@ def run(chosen: argparse.Namespace) -> int:
     tests = [load_standard(name) for name in dict.fromkeys(chosen.standard or standard_names())]
     subjects = [one for text in chosen.designs for one in _subjects(text, chosen)]
     if not subjects:
-        raise InputError(f"{' '.join(chosen.designs)}: no design that intervenes; allowed: one or more")
+        raise InputError(f"{' '.join(chosen.designs)}", "no design that intervenes", allowed="one or more")
     if chosen.output is not None:
         output_folder(Path(chosen.output))
     found: list[tuple[str, Assessment]] = []
@@ -98,7 +98,7 @@ def run(chosen: argparse.Namespace) -> int:
 
 def _subjects(text: str, chosen: argparse.Namespace) -> Iterator[Subject]:
     """What a name on the command line stands for."""
-    from ldctoolkit.errors import InputError, UnknownNameError, nearest
+    from ldctoolkit.errors import InputError, UnknownNameError
     from ldctoolkit.registry import controller_names
 
     from ..design import named_designs
@@ -119,7 +119,7 @@ def _subjects(text: str, chosen: argparse.Namespace) -> Iterator[Subject]:
         yield Design.of(controller, y_s).label, controller, y_s, study.setup()
         return
     if chosen.gain or chosen.y_s is not None:
-        raise InputError(f"--gain, --y-s: go with the name of a law; {text} has its own designs")
+        raise InputError("--gain, --y-s", "go with the name of a law", hint=f"{text} has its own designs")
     if os.path.isfile(f"{text}/manifest.json"):  # noqa: PTH113 - raises nothing, whatever the name
         found = judged(text)
         study = found.study
@@ -127,11 +127,11 @@ def _subjects(text: str, chosen: argparse.Namespace) -> Iterator[Subject]:
     elif text in catalog_names() or text.endswith(".toml"):
         study = load_study(text)
         if not study.designs:
-            raise InputError(f"study {study.name}: searches its designs; give the folder that ldc run wrote")
+            raise InputError(f"study {study.name}", "searches its designs", hint="give the folder that ldc run wrote")
         designs = named_designs(study.designs, chosen.only) if chosen.only else list(study.designs)
     else:
         names = (*controller_names(), *catalog_names())
-        raise UnknownNameError(f"{text!r}: neither a law, nor a study, nor a folder; {nearest(text, names)}")
+        raise UnknownNameError(f"{text!r}", "neither a law, nor a study, nor a folder", allowed=names)
     for design in designs:
         if not design.is_baseline:
             yield design.label, design.controller(study.setup().convention), design.y_s, study.setup()

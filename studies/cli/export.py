@@ -53,15 +53,16 @@ def run(chosen: argparse.Namespace) -> int:
     missed = tuple(miss.text for miss in study.ranking.missed[study.ranking.designs.index(design)])
     if missed and not (chosen.anyway or chosen.verify):
         raise InputError(
-            f"{design.label}: does not meet the requirements of study {study.study.name}: {'; '.join(missed)}; "
-            "allowed: another --design, or --anyway, which the header states"
+            design.label,
+            f"does not meet the requirements of study {study.study.name}: {'; '.join(missed)}",
+            allowed="another --design, or --anyway, which the header states",
         )
     setup, folder = study.study.setup(), Path(chosen.output)
     origin = Origin(study.study.name, study.manifest.study_hash, study.manifest.model_hash, study.verdict.title, missed)
     controller, out = design.controller(setup.convention), console()
     if chosen.verify:
         if not (folder / "ldc_controller.h").is_file():
-            raise InputError(f"{folder}: holds no export; allowed: a folder that ldc export wrote")
+            raise InputError(folder, "holds no export", allowed="a folder that ldc export wrote")
         changed = changed_files(folder)
         stale = not changed and is_stale(Code.of(controller, setup, design.y_s, origin), folder)
         text = "stale: not what this study and this version give" if stale else "up to date"

@@ -79,7 +79,7 @@ def run(chosen: argparse.Namespace) -> int:
         print("\n".join(map(list_channels, map(Path, chosen.paths))))
         return 0
     if chosen.output is None:
-        raise InputError("-o: not given; allowed: -o FILE.parquet, the departures table to write")
+        raise InputError("-o", "not given", allowed="-o FILE.parquet, the departures table to write")
     from ldctoolkit.recordings.find_departures import Criteria
     from ldctoolkit.recordings.preparation import Preparation
     from ldctoolkit.recordings.sources import open_recordings
@@ -202,8 +202,8 @@ def refuse_input(option: str, target: Path, paths: Sequence[Path], files: Sequen
         return
     for path in paths:
         if target.samefile(path):
-            raise InputError(f"{option} {target}: is the input {path}; allowed: a file that is not read")
+            raise InputError(f"{option} {target}", f"is the input {path}", allowed="a file that is not read")
         if path.is_dir() and target.resolve().is_relative_to(path.resolve()):
             one = source_file(target)
             if any((one.bytes, one.sha256) == (file.bytes, file.sha256) for file in files):
-                raise InputError(f"{option} {target}: is an input, in {path}; allowed: a file that is not read")
+                raise InputError(f"{option} {target}", f"is an input, in {path}", allowed="a file that is not read")

@@ -102,7 +102,7 @@ def run(chosen: argparse.Namespace) -> None:
     target = _console.output_file(chosen.output, ".json")
     page = target.with_suffix(".html")
     if chosen.page and page.is_dir():
-        raise InputError(f"{page}: is a folder; allowed: a file to write the page to, or --no-page")
+        raise InputError(page, "is a folder", allowed="a file to write the page to, or --no-page")
     # The transform of all parameters, then those of single ones
     from ldctoolkit.departures import PARAMETER_NAMES
 
@@ -266,5 +266,5 @@ def _numbers(chosen: argparse.Namespace) -> tuple[int, int]:
     if max(left, right) > _MOST:
         raise InputError(f"{max(left, right)} departures to one side; allowed: up to {_MOST}")
     if left + right == 0:
-        raise InputError("no departures requested: give -n, or --left and --right")
+        raise InputError("no departures requested", "give -n, or --left and --right")
     return left, right

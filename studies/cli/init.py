@@ -8,7 +8,7 @@ import os
 from pathlib import Path
 from typing import Any, Final
 
-from ldctoolkit.errors import InputError, UnknownNameError, nearest
+from ldctoolkit.errors import InputError, UnknownNameError
 
 from ._console import Subparsers, number, output_file, positive_number
 
@@ -46,11 +46,11 @@ def run(chosen: argparse.Namespace) -> None:
     from ..study_template import study_text
 
     if not (chosen.study or chosen.law):
-        raise InputError(f"init: give a study of the catalog or --law; allowed: {', '.join(catalog_names())}")
+        raise InputError("init", "give a study of the catalog or --law", allowed=f"{', '.join(catalog_names())}")
     name = chosen.name or (Path(chosen.output).stem if chosen.output else chosen.study or "my-study")
     target = output_file(chosen.output or f"{name}.toml", ".toml", option="-o" if chosen.output else "--name")
     if target.exists() and not chosen.force:
-        raise InputError(f"{target}: exists; allowed: another -o, or --force to replace it")
+        raise InputError(target, "exists", allowed="another -o, or --force to replace it")
     content = _content(chosen, target)
     study = Study.from_dict(content | {"name": name}, source=str(target), folder=target.parent)
     if chosen.model or chosen.departures:
@@ -95,5 +95,5 @@ def _of_catalog(name: str) -> dict[str, Any]:
     from ..study_file import catalog_names, load_study
 
     if name not in catalog_names():
-        raise UnknownNameError(f"study {name!r}: not in the catalog; {nearest(name, catalog_names())}")
+        raise UnknownNameError(f"study {name!r}", "not in the catalog", allowed=catalog_names())
     return load_study(name).content()

@@ -73,8 +73,9 @@ def run(chosen: argparse.Namespace) -> None:
         ranking = rankings[0]
         if ranking.baseline is None:
             raise InputError(
-                f"--baseline {chosen.baseline}: it failed or was given up in a race, and has no results to compare "
-                "with; allowed: a design with metrics in ranking.csv"
+                f"--baseline {chosen.baseline}",
+                "it failed or was given up in a race, and has no results to compare with",
+                allowed="a design with metrics in ranking.csv",
             )
     if not (chosen.quiet or chosen.json):
         if results.race is not None:

@@ -10,7 +10,7 @@ import os
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
-from ldctoolkit.errors import InputError, LdcError, UnknownNameError, nearest
+from ldctoolkit.errors import InputError, LdcError, UnknownNameError
 
 from ._console import Subparsers, add_row, interval, named, new_table, number, output_file, print_table, progress_bar
 
@@ -52,16 +52,16 @@ def subjects(chosen: argparse.Namespace) -> list[Subject]:
 
     if chosen.design in controller_names():
         if chosen.only:
-            raise InputError("--design: goes with a study; a law's gains are given with --gain")
+            raise InputError("--design", "goes with a study", hint="a law's gains are given with --gain")
         return [_law(chosen)]
     if os.path.isfile(f"{chosen.design}/manifest.json"):  # noqa: PTH113 - raises nothing, whatever the name
         return list(_of_folder(chosen))
     known = chosen.design in catalog_names() or chosen.design.endswith(".toml")
     if not known and not os.path.isfile(chosen.design):  # noqa: PTH113
         names = (*controller_names(), *catalog_names())
-        raise UnknownNameError(f"{chosen.design!r}: neither a law, nor a study; {nearest(chosen.design, names)}")
+        raise UnknownNameError(f"{chosen.design!r}", "neither a law, nor a study", allowed=names)
     if chosen.gain:
-        raise InputError("--gain: goes with the name of a law; a study has its own gains")
+        raise InputError("--gain", "goes with the name of a law", hint="a study has its own gains")
     return list(_of_study(load_study(chosen.design), chosen))
 
 

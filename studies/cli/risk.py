@@ -68,7 +68,9 @@ def run(chosen: argparse.Namespace) -> None:
     study, model, designs, folder = _subject(chosen)
     source = study_source(study, chosen.model or model)
     if not isinstance(source, ScenarioModel):
-        raise InputError(f"study {study.name}: recorded departures, which have no tail beyond them; give --model")
+        raise InputError(
+            f"study {study.name}", "recorded departures, which have no tail beyond them", hint="give --model"
+        )
     out = _console.console()
     risk = estimate_risk(
         designs,
@@ -110,9 +112,9 @@ def _subject(chosen: argparse.Namespace) -> tuple[Study, ScenarioModel | None, S
     study = load_study(chosen.study)
     designs = named_designs(study.designs, chosen.design) if chosen.design else study.designs
     if not study.designs:
-        raise InputError(f"study {study.name}: searches its designs; give the folder that ldc run wrote")
+        raise InputError(f"study {study.name}", "searches its designs", hint="give the folder that ldc run wrote")
     if sum(not design.is_baseline for design in designs) > _MOST_DESIGNS:
-        raise InputError(f"study {study.name}: {len(designs)} designs; choose some with --design")
+        raise InputError(f"study {study.name}", f"{len(designs)} designs", hint="choose some with --design")
     return study, None, designs, Path("out") / study.name
 
 

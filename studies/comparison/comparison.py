@@ -223,7 +223,7 @@ def compare(
     """
     folders = [Path(side) for side in (old, new) if not isinstance(side, FinishedStudy)]
     if len(folders) == 2 and folders[0].resolve() == folders[1].resolve():
-        raise InputError(f"{old}, {new}: the same folder twice; allowed: the folders of two studies")
+        raise InputError(f"{old}, {new}", "the same folder twice", allowed="the folders of two studies")
     before, after = (side if isinstance(side, FinishedStudy) else FinishedStudy.read(side) for side in (old, new))
     settings = after.study.ranking
     samples = settings.bootstrap if bootstrap is None else bootstrap
@@ -233,7 +233,7 @@ def compare(
     every = _shared_scenarios(before, after, differences)
     shared = _driven(every, before.results, after.results)
     if not shared.n:
-        raise InputError(f"{before.source}, {after.source}: no shared scenario could be driven under every design")
+        raise InputError(f"{before.source}, {after.source}", "no shared scenario could be driven under every design")
     in_old, in_new = held_designs(before.results), held_designs(after.results)
     comparison = Comparison(
         old=before.source,
@@ -305,8 +305,9 @@ def _shared_cases(before: FinishedStudy, after: FinishedStudy) -> CasePairs:
     if not pairs:
         was, now = ("; ".join(c.case.label for c in side.results.cases) for side in (before, after))
         raise InputError(
-            f"{before.source}, {after.source}: no case in both: the old study has {was}, the new one {now}; run one of "
-            "them again with a window and a convention of the other in [simulation]"
+            f"{before.source}, {after.source}",
+            f"no case in both: the old study has {was}, the new one {now}",
+            hint="run one of them again with a window and a convention of the other in [simulation]",
         )
     return pairs
 
@@ -318,9 +319,11 @@ def _shared_scenarios(before: FinishedStudy, after: FinishedStudy, differences: 
     where = f"{before.source}, {after.source}: no scenario in both"
     if shared.other_draws:
         raise InputError(
-            f"{where}: {shared.other_draws} departures are the same, but both plants draw numbers for them (noise, "
-            "mismatch, residuals); these follow from the seed and the scenario's number, which differ; run one of them "
-            "again with the other's seed and number of left scenarios"
+            where,
+            f"{shared.other_draws} departures are the same, but both plants draw numbers for them "
+            "(noise, mismatch, residuals)",
+            hint="these follow from the seed and the scenario's number, which differ; run one of them again with the "
+            "other's seed and number of left scenarios",
         )
     reasons = [text for text in differences if text.startswith(("scenarios", "seed", "ldctoolkit", "numpy"))]
     why = f" ({'; '.join(reasons)})" if reasons else ""

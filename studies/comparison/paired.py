@@ -258,7 +258,7 @@ class FinishedStudy:
         """Read the folder of a study."""
         store = Store.open(folder, current=False)  # numbers alone: nothing is driven again
         if not store.manifest.finished:
-            raise StoreError(f"{folder}: the study is not finished; run it into this folder again to go on")
+            raise StoreError(folder, "the study is not finished", hint="run it into this folder again to go on")
         return cls(str(folder), store.manifest, store.study, store.results())
 
 

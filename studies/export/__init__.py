@@ -89,13 +89,15 @@ def export_c(
     expect("setup", setup, Setup)
     expect("scenarios", scenarios, Scenarios | None)
     if not isinstance(folder, str | Path) or not str(folder):
-        raise InputError(f"folder: {folder!r}; allowed: a path")
+        raise InputError("folder", value=folder, allowed="a path")
     code = Code.of(controller, setup, y_s, origin)
     if scenarios is None:
         scenarios = load_model("reference").sample(DEPARTURES // 2, DEPARTURES // 2, seed=setup.seed)
     recording = record(code, scenarios)
     if not recording.counts.any():
-        raise InputError(f"scenarios: no departure beyond y_s = {y_s:g} m that can be compared; allowed: one or more")
+        raise InputError(
+            "scenarios", f"no departure beyond y_s = {y_s:g} m that can be compared", allowed="one or more"
+        )
     texts, command, target = write_folder(code, Path(folder), vectors(recording)), compiler(), Path(folder)
     files = [target / name for name in texts]
     if fmu:
@@ -126,7 +128,7 @@ def _write_fmu(code: Code, texts: dict[str, str], folder: Path, command: Sequenc
     }
     if command is not None:
         if platform.system() not in _PLATFORMS:
-            raise InputError(f"--fmu: no binary for {platform.system()}; allowed on {', '.join(_PLATFORMS)}")
+            raise InputError("--fmu", f"no binary for {platform.system()}", hint=f"allowed on {', '.join(_PLATFORMS)}")
         system, suffix = _PLATFORMS[platform.system()]
         library = f"ldc_controller{suffix}"
         with temporary_folder() as room:

@@ -245,11 +245,11 @@ def write_folder(code: Code, folder: Path, vectors: str) -> dict[str, str]:
     """Write every file of a design; raises `InputError` for a folder whose files were changed by hand."""
     changed = changed_files(folder)
     if changed:
-        raise InputError(f"{folder}: changed by hand since the export: {', '.join(changed)}; allowed: another folder")
+        raise InputError(folder, f"changed by hand since the export: {', '.join(changed)}", allowed="another folder")
     files = code.texts(vectors)
     others = [name for name in files if (folder / name).exists()]
     if others and HEADER not in others:
-        raise InputError(f"{folder}: holds {', '.join(others)}, which no export wrote; allowed: an empty or new folder")
+        raise InputError(folder, f"holds {', '.join(others)}, which no export wrote", allowed="an empty or new folder")
     output_folder(folder)
     (folder / "ldc_controller.fmu").unlink(missing_ok=True)  # of the export before
     for name in sorted(files, key=lambda name: name == HEADER):  # the header last: it vouches for the others

@@ -93,7 +93,7 @@ def law_form(law: object, dt: float, name: str) -> LawForm:
     if name == "nonlinear_mpc":
         what = "solves a nonlinear program at every sample, in no time that could be stated beforehand"
     allowed = "a law that prepares a LinearLaw, pid, stanley, pure_pursuit, sliding_mode, barrier_filter, linear_mpc"
-    raise InputError(f"law {name!r}: cannot be exported, it {what}; allowed: {allowed}")
+    raise InputError(f"law {name!r}", f"cannot be exported, it {what}", allowed=allowed)
 
 
 def _mpc_form(law: _mpc_law.MPCLaw) -> LawForm:

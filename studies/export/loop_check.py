@@ -98,7 +98,7 @@ def compile_c(command: Sequence[str], folder: Path, *arguments: str) -> None:
     done = subprocess.run([*command, *arguments], cwd=folder, capture_output=True, text=True, check=False)
     if done.returncode:
         lines = done.stderr.strip().splitlines() or ["no message"]
-        raise LdcError(f"{' '.join(command)}: {next((line for line in lines if 'error' in line), lines[0])}")
+        raise LdcError(f"{' '.join(command)}", f"{next((line for line in lines if 'error' in line), lines[0])}")
 
 
 def struct(fields: Sequence[tuple[str, int, str]], *, single: bool = False) -> np.dtype[np.void]:
@@ -284,7 +284,7 @@ def record(code: Code, scenarios: Scenarios) -> Recording:
     """Drive the toolkit's own law, then its commands again without the filter, to see what the code would be shown."""
     host, over = _Host.of(code, scenarios), Takeover.build(scenarios, code.setup, y_s=code.y_s)
     if not over.m:
-        raise InputError(f"scenarios: no departure beyond y_s = {code.y_s:g} m; allowed: one or more")
+        raise InputError("scenarios", f"no departure beyond y_s = {code.y_s:g} m", allowed="one or more")
     commands: list[FloatArray] = []
     failed: list[BoolArray] = []
     rows = host.early()

@@ -77,15 +77,17 @@ class Context:
         results = report.results
         if not results.designs or not results.cases or results.scenarios.n == 0:
             raise InputError(
-                "report: the results hold no designs, no cases or no scenarios; allowed: at least one of each"
+                "report", "the results hold no designs, no cases or no scenarios", allowed="at least one of each"
             )
         if len(report.rankings) != len(results.cases):
             raise InputError(
-                f"report: {len(report.rankings)} rankings for {len(results.cases)} cases; allowed: one per case"
+                "report", f"{len(report.rankings)} rankings for {len(results.cases)} cases", allowed="one per case"
             )
         every, results = results.scenarios.n, results.drivable()
         if results.scenarios.n == 0:
-            raise InputError("report: no scenario could be driven under every design; there is nothing to report on")
+            raise InputError(
+                "report", "no scenario could be driven under every design", hint="there is nothing to report on"
+            )
         return cls(dataclasses.replace(report, results=results), every)
 
     @property

@@ -45,7 +45,9 @@ def rows_of_numbers(scenarios: Scenarios, numbers: Sequence[int]) -> tuple[int, 
         rows = np.flatnonzero(scenarios.index == number)
         if not rows.size:
             near = int(scenarios.index[np.argmin(np.abs(scenarios.index - number))])
-            raise InputError(f"departure: {number}; no departure that can be driven has it; the nearest is {near}")
+            raise InputError(
+                "departure", value=number, hint=f"no departure that can be driven has it; the nearest is {near}"
+            )
         found.append(int(rows[0]))
     return tuple(dict.fromkeys(found))
 

@@ -147,7 +147,7 @@ def packed(values: npt.ArrayLike, kind: str = "f4") -> dict[str, str]:
     with np.errstate(over="ignore"):  # a float beyond 32 bits is shown as infinite
         small = array.astype(f"<{kind}")
     if kind != "f4" and not np.array_equal(small.astype(np.int64), array.astype(np.int64)):
-        raise InputError(f"packed: values from {array.min()} to {array.max()} do not fit {kind}")
+        raise InputError("packed", f"values from {array.min()} to {array.max()} do not fit {kind}")
     return {"type": kind, "data": base64.b64encode(small.tobytes()).decode("ascii")}
 
 
@@ -156,7 +156,7 @@ def script_json(data: Mapping[str, Any]) -> Markup:
     try:
         text = json.dumps(data, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
     except ValueError as error:
-        raise InputError(f"report data: {error}") from None
+        raise InputError("report data", f"{error}") from None
     return Markup(text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029"))
 
 

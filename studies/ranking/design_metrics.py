@@ -17,7 +17,7 @@ import numpy.typing as npt
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.control import EventStatus
 from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT
-from ldctoolkit.errors import InputError, nearest
+from ldctoolkit.errors import InputError
 from ldctoolkit.metrics import (
     DTLE_LIMIT,
     METRICS,
@@ -269,8 +269,10 @@ def find_baseline(baseline: str, results: StudyResults) -> int | None:
         return None
     laws = list(dict.fromkeys(design.law for design in (*results.designs, *gone)))
     raise InputError(
-        f"ranking.baseline: {baseline!r} is no law of this study, nor the start of a design's identifier "
-        f"({_FEWEST_DIGITS} digits or more); {nearest(baseline, laws)}"
+        "ranking.baseline",
+        f"is no law of this study, nor the start of a design's identifier ({_FEWEST_DIGITS} digits or more)",
+        value=baseline,
+        allowed=laws,
     )
 
 
@@ -281,8 +283,10 @@ def _found(baseline: str, designs: Sequence[Design]) -> list[int]:
     of_start = [i for i, design in enumerate(designs) if design.id.startswith(baseline)]
     if len(of_start) > 1:
         raise InputError(
-            f"ranking.baseline: {baseline!r} is the start of {len(of_start)} identifiers; allowed: more digits, as "
-            f"{designs[of_start[0]].id!r}"
+            "ranking.baseline",
+            f"is the start of {len(of_start)} identifiers",
+            value=baseline,
+            allowed=f"more digits, as {designs[of_start[0]].id!r}",
         )
     return of_start
 
@@ -359,12 +363,14 @@ class DrivableCase:
         """Leave out what cannot be driven."""
         status, rows = case.status, case.drivable
         if not rows.any():
-            raise InputError("results: no scenario could be driven under every design; there is nothing to rank")
+            raise InputError(
+                "results", "no scenario could be driven under every design", hint="there is nothing to rank"
+            )
         if not rows.all():
             case, scenarios = case.take(rows), scenarios.take(np.flatnonzero(rows))
         counted = case.counted
         if not np.isfinite(counted).all():
-            raise InputError("results: S is not finite in some scenario; a mean would drop or hide it")
+            raise InputError("results", "S is not finite in some scenario", hint="a mean would drop or hide it")
         return cls(case, scenarios, counted, status)
 
     @property
@@ -476,7 +482,7 @@ _BLOCK: Final = 64  # rows that are compared with the front at once
 def pareto_costs(names: Sequence[str], *sources: Any) -> FloatArray:
     """Metrics as costs: those of which more is better change their sign."""
     if not names:
-        raise InputError("Pareto front: no metrics; allowed: one or more")
+        raise InputError("Pareto front", "no metrics", allowed="one or more")
     signs = {"less": 1.0, "more": -1.0}
     return np.stack([signs[metric(name).better] * metric_values(name, *sources) for name in names], axis=1)
 
@@ -485,7 +491,7 @@ def pareto_front(costs: npt.ArrayLike) -> BoolArray:
     """Which rows are not dominated: no other row is at most as large in every column and smaller in one."""
     values = np.asarray(costs, dtype=np.float64)
     if values.ndim != 2 or values.shape[1] < 1:
-        raise InputError(f"costs: shape {values.shape}; allowed: (d, k) with k >= 1")
+        raise InputError("costs", f"shape {values.shape}", allowed="(d, k) with k >= 1")
     front = np.zeros(values.shape[0], dtype=np.bool_)
     rows = np.flatnonzero(~np.isnan(values).any(axis=1))
     rows = rows[np.lexsort(values[rows].T[::-1])]  # now no row dominates one before it

@@ -101,7 +101,7 @@ def weight_blocks(side: IntArray, *, samples: int, seed: int, stream: int = 0) -
     """How often each scenario is drawn in each resample, in blocks (b, n) that hold `samples` rows together."""
     n = side.size
     if samples < 1 or n < 1:
-        raise InputError(f"bootstrap: {samples} samples of {n} scenarios; allowed: at least one of each")
+        raise InputError("bootstrap", f"{samples} samples of {n} scenarios", allowed="at least one of each")
     strata = [np.flatnonzero(side == which) for which in np.unique(side)]
     generator = np.random.default_rng(np.random.SeedSequence([seed, _STREAM, stream]))
     size = max(1, _WEIGHT_ENTRIES // n)
@@ -131,7 +131,7 @@ def exact_grid(values: FloatArray, total: int) -> tuple[FloatArray, FloatArray]:
 def check_confidence(confidence: float) -> None:
     """Refuse what is not between 0 and 1."""
     if not 0.0 < confidence < 1.0:
-        raise InputError(f"confidence: {confidence!r}; allowed: between 0 and 1")
+        raise InputError("confidence", value=confidence, allowed="between 0 and 1")
 
 
 _SPREAD_ENTRIES = 64_000  # differences held at once; they stay in the cache

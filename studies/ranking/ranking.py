@@ -335,7 +335,9 @@ def rank_study(results: StudyResults, study: Study) -> tuple[Ranking, ...]:
     expect("results", results, StudyResults)
     expect("study", study, Study)
     if study.search is None and not {design.id for design in study.designs} & {one.id for one in results.designs}:
-        raise StudyError(f"study: {study.name!r} has none of the designs of the results; allowed: the one that was run")
+        raise StudyError(
+            "study", "has none of the designs of the results", value=study.name, allowed="the one that was run"
+        )
     settings = study.ranking
     return tuple(
         Ranking.of(

@@ -34,7 +34,8 @@ def metric(name: str) -> Metric:
     if known not in METRICS:
         # the beginning of another name, as ``ay``, is too short to be near to anything by its letters
         begun = next((target for alias, target in _ALIASES.items() if name and alias.startswith(name)), name)
-        raise UnknownNameError(f"metric {name!r}: no such metric; {nearest(begun, (*METRICS, *standard_names()))}")
+        known_names = (*METRICS, *standard_names())
+        raise UnknownNameError(f"metric {name!r}", "no such metric; " + nearest(begun, known_names))
     return METRICS[known]
 
 
@@ -51,7 +52,7 @@ def metric_values(name: str, *sources: Any) -> FloatArray:
             values = _lookup(place, wanted)
             if values is not None:
                 return np.asarray(values, dtype=np.float64)
-    raise InputError(f"metric {wanted}: not among these results")
+    raise InputError(f"metric {wanted}", "not among these results")
 
 
 def _lookup(source: Any, name: str) -> Any:
@@ -218,16 +219,18 @@ def parse_requirement(text: str) -> Requirement:
     found = _TEXT.fullmatch(text) if isinstance(text, str) else None
     if found is None and isinstance(text, str) and re.fullmatch(r"[a-z0-9-]{3,}", text) and text not in _ALIASES:
         near = nearest(text, (*SETS, *standard_names()))
-        raise UnknownNameError(f"requirement {text!r}: no such set of requirements; {near}")
+        raise UnknownNameError(f"requirement {text!r}", "no such set of requirements", hint=near)
     if found is None:
         raise InputError(
-            f"requirement {text!r}: cannot be read; allowed: a set ({', '.join(SETS)}), or a metric, one of "
-            f"{', '.join(_OPERATORS)}, and a number, as 'a_y_peak_p95 <= 3.0'"
+            f"requirement {text!r}",
+            "cannot be read",
+            allowed=f"a set ({', '.join(SETS)}), or a metric, one of {', '.join(_OPERATORS)}, and a number, "
+            "as 'a_y_peak_p95 <= 3.0'",
         )
     try:
         wanted = metric(found["name"])
     except UnknownNameError as error:
-        raise UnknownNameError(f"requirement {text!r}: {error}") from None
+        raise UnknownNameError(f"requirement {text!r}", f"{error}") from None
     try:
         limit = float(found["limit"])
     except ValueError:
@@ -235,6 +238,6 @@ def parse_requirement(text: str) -> Requirement:
     lower, upper = {"share": (0.0, 1.0), "count": (0.0, math.inf)}.get(wanted.unit, (-math.inf, math.inf))
     if not (math.isfinite(limit) and lower <= limit <= upper):
         kind = {"share": "a share from 0 to 1", "count": "a number >= 0"}.get(wanted.unit, "a finite number")
-        raise InputError(f"requirement {text!r}: the limit is {found['limit']}; allowed: {kind}")
+        raise InputError(f"requirement {text!r}", f"the limit is {found['limit']}", allowed=kind)
     operator: Any = found["operator"]
     return Requirement(wanted, operator, limit + 0.0)

@@ -146,7 +146,7 @@ class ChunkJob:
             raise
         except BaseException as error:  # a controller may be third-party code
             if len(places) == 1:
-                raise LdcError(f"{self.designs[places[0]].label}: {raised(error)}") from None
+                raise LdcError(f"{self.designs[places[0]].label}", f"{raised(error)}") from None
             # one after the other, the one that raises is named
             return [run for i in places for run in self._runs([i], takeover)]
 
@@ -163,7 +163,7 @@ class ChunkJob:
                 column[over.rows] = getattr(run.companions, name)
         depth, dtle, opposite = measured.values()
         if any(np.isnan(column[valid]).any() for column in measured.values()):
-            raise LdcError(f"{self.designs[i].label}: a depth is not a number")
+            raise LdcError(f"{self.designs[i].label}", "a depth is not a number")
         beyond = [*(depth > x for x in self.depths), *(dtle < x for x in self.dtle_limits)]
         found = np.stack([*beyond, opposite > 0.0, status == EventStatus.DIVERGED]) & valid
         for j, side in enumerate((LEFT, RIGHT)):

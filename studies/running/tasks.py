@@ -142,7 +142,7 @@ class Prefixes:
 def schedule(n: int) -> tuple[int, ...]:
     """Number of scenarios after each round of a race over n: 100, then twice as many every time, and all at the end."""
     if isinstance(n, bool) or not isinstance(n, int | np.integer) or n < 1:
-        raise InputError(f"n: {n!r}; allowed: a whole number >= 1")
+        raise InputError("n", value=n, allowed="a whole number >= 1")
     sizes, size = [], FIRST_ROUND
     while size * _WORTH_A_ROUND <= n:
         sizes.append(size)
@@ -154,7 +154,7 @@ def prefix_rows(side: IntArray, m: int) -> IntArray:
     """The scenarios of a round: the first ones of each side, as many as is its share."""
     side = np.asarray(side)
     if not 1 <= m <= side.size:
-        raise InputError(f"m: {m!r}; allowed: 1 to {side.size}, the number of scenarios")
+        raise InputError("m", value=m, allowed=f"1 to {side.size}, the number of scenarios")
     which, counts = np.unique(side, return_counts=True)
     # cumulative shares, rounded: each count rises with m, and together they make m
     ends = np.floor(np.cumsum(counts) * m / side.size + 0.5).astype(np.int64)

@@ -193,7 +193,7 @@ def factorial_indices(S: FloatArray, resampled: FloatArray, levels: Sequence[int
     # a resample in which nothing differs has no indices
     one, all_ = (shares[~np.isnan(shares).any(axis=1)] for shares in factorial_shares(resampled.reshape(-1, *levels)))
     if not len(one):
-        raise InputError("S: the same for all designs in every resample; there is no variance to share out")
+        raise InputError("S", "the same for all designs in every resample", hint="there is no variance to share out")
     check_confidence(confidence)
     tail = 0.5 * (1.0 - confidence)
     low, high, total_low, total_high = (
@@ -205,7 +205,7 @@ def factorial_indices(S: FloatArray, resampled: FloatArray, levels: Sequence[int
 def saltelli_indices(S: FloatArray, k: int, *, confidence: float, seed: int) -> Indices:
     """Indices from a Saltelli sample, by SALib; intervals over the sample's base points."""
     if S.ndim != 1 or S.size < 2 * (k + 2) or S.size % (k + 2):
-        raise InputError(f"S: shape {S.shape}; allowed: a whole number of times k + 2 = {k + 2} rows, at least two")
+        raise InputError("S", f"shape {S.shape}", allowed=f"a whole number of times k + 2 = {k + 2} rows, at least two")
     found = _analysed("sobol", k, S, confidence=confidence, seed=seed, calc_second_order=False)
     return Indices(*_around(found["S1"], found["S1_conf"]), *_around(found["ST"], found["ST_conf"]))
 

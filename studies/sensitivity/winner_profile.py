@@ -182,9 +182,9 @@ def winner_profile(
         One for each dimension that varies in the study's designs of that law, the threshold first; empty for none.
     """
     if winner not in results.designs:
-        raise InputError(f"design {winner.id}: not among the results")
+        raise InputError(f"design {winner.id}", "not among the results")
     if points < 0:
-        raise InputError(f"points: {points}; allowed: 0 or more")
+        raise InputError("points", value=points, allowed="0 or more")
     chosen = results.cases[case]
     row = {design: i for i, design in enumerate(results.designs)}
     along = list(profile_points(results, study, winner, points))
@@ -215,7 +215,7 @@ def _profiles(
     S = np.stack([table[design] for design in scored])
     columns = case.drivable & np.isfinite(S).all(axis=0)
     if not columns.any():
-        raise InputError("results: no scenario could be driven under every design; there is no profile")
+        raise InputError("results", "no scenario could be driven under every design", hint="there is no profile")
     S = S[:, columns]
     side, settings = results.scenarios.side[columns], study.ranking
     resampled = Resampled.of(S, side, seed=study.seed, samples=settings.bootstrap)

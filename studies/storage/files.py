@@ -43,7 +43,7 @@ def output_folder(folder: Path) -> Path:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise StoreError(f"{folder}: cannot be made: {error.strerror or error}") from None
+        raise StoreError(folder, f"cannot be made: {error.strerror or error}") from None
     return folder
 
 
@@ -62,7 +62,7 @@ def read_json(path: Path) -> dict[str, Any]:
     try:
         return without_checksum(parse_json(read_regular(path, StoreError)))
     except (ValueError, TypeError, AttributeError) as error:
-        raise StoreError(f"{path}: broken: {error}") from None
+        raise StoreError(path, f"broken: {error}") from None
 
 
 def csv_text(columns: Iterable[str], rows: Iterable[Mapping[str, Any]], *, plain: bool = False) -> str:
@@ -102,7 +102,9 @@ def read_parquet(path: Path, schema: dict[str, Any], *, optional: dict[str, Any]
     try:
         check_parquet(data)
     except ValueError as error:
-        raise StoreError(f"{path}: broken: {error}; run the study into this folder again to write it anew") from None
+        raise StoreError(
+            path, f"broken: {error}", hint="run the study into this folder again to write it anew"
+        ) from None
     return parse_parquet(path, data, schema, optional=optional)
 
 
@@ -115,12 +117,14 @@ def parse_parquet(
     try:
         table = pl.read_parquet(data)
     except pl.exceptions.PolarsError as error:
-        raise StoreError(f"{path}: broken: {str(error).splitlines()[0]}") from None
+        raise StoreError(path, f"broken: {str(error).splitlines()[0]}") from None
     if dict(table.schema) not in (schema, schema | (optional or {})):
-        raise StoreError(f"{path}: broken: its columns are {', '.join(table.columns)}; needed: {', '.join(schema)}")
+        raise StoreError(
+            path, f"broken: its columns are {', '.join(table.columns)}", hint=f"needed: {', '.join(schema)}"
+        )
     for column in table.iter_columns():
         if column.null_count() or (finite and column.dtype.is_float() and not column.is_finite().all()):
-            raise StoreError(f"{path}: broken: column {column.name} holds a value that is missing or not finite")
+            raise StoreError(path, f"broken: column {column.name} holds a value that is missing or not finite")
     return table
 
 
@@ -162,7 +166,7 @@ def read_scenarios(path: Path) -> Scenarios:
         if signals_path(path).exists():
             made = dataclasses.replace(made, signals=read_signals(signals_path(path), made.T, checksum=True))
     except LdcError as error:
-        raise StoreError(f"{path}: broken: {error}") from None
+        raise StoreError(path, f"broken: {error}") from None
     return made
 
 
@@ -180,12 +184,12 @@ def locked(folder: Path) -> Iterator[None]:
     try:
         stream = (folder / _NAME).open("ab")
     except OSError as error:
-        raise StoreError(f"{folder}: cannot be written: {error.strerror or error}") from None
+        raise StoreError(folder, f"cannot be written: {error.strerror or error}") from None
     with stream:
         try:
             fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise StoreError(f"{folder}: another run is writing into this folder; wait for it, or end it") from None
+            raise StoreError(folder, "another run is writing into this folder", hint="wait for it, or end it") from None
         except OSError:
             pass  # a file system without locks, as some network ones: the folder is not guarded there
         yield

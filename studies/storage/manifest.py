@@ -60,9 +60,9 @@ def read_designs(path: Path) -> tuple[Design, ...]:
         )
         wrong = [d.id for d, stored in zip(designs, table["design"], strict=True) if d.id != stored]
     except (ValueError, AttributeError) as error:
-        raise StoreError(f"{path}: broken: {error}") from None
+        raise StoreError(path, f"broken: {error}") from None
     if wrong:
-        raise StoreError(f"{path}: broken: design {wrong[0]} is not what its row says")
+        raise StoreError(path, f"broken: design {wrong[0]} is not what its row says")
     return designs
 
 
@@ -81,7 +81,7 @@ def _read_json(path: Path, kind: type[Kind], hint: str) -> Kind | None:
     try:
         return kind.model_validate(without_checksum(parse_json(data)))
     except (ValueError, TypeError, AttributeError):
-        raise StoreError(f"{path}: broken; {hint}") from None
+        raise StoreError(path, "broken", hint=hint) from None
 
 
 class _Failures(BaseModel):
@@ -332,7 +332,7 @@ class Manifest(BaseModel):
             # a law inside another is the present one of its name
             changed = [name for name, content in study.laws().items() if self.laws.get(name) != content]
         if changed:
-            raise StoreError(f"law {changed[0]!r}: its code has changed since the study was run; {_AGAIN}")
+            raise StoreError(f"law {changed[0]!r}", "its code has changed since the study was run", hint=_AGAIN)
         return study
 
 
@@ -372,7 +372,7 @@ def refuse_other(folder: Path, found: Manifest, wanted: Manifest) -> None:
         differing.insert(0, f"model: {was} there, {now} now")
     if differing:
         name = found.study.get("name", "?")
-        raise StoreError(f"{folder}: holds another study ({name}): {'; '.join(differing)}; choose another folder")
+        raise StoreError(folder, f"holds another study ({name}): {'; '.join(differing)}", hint="choose another folder")
 
 
 def _set(value: Any) -> str:
@@ -411,17 +411,19 @@ def read_manifest(folder: str | Path) -> Manifest:
     """
     path = Path(folder) / "manifest.json"
     if not os.path.exists(path):  # noqa: PTH110 - this one raises nothing, whatever the path
-        raise StoreError(f"{folder}: holds no study (no manifest.json)")
+        raise StoreError(folder, "holds no study (no manifest.json)")
     try:
         content = parse_json(read_regular(path, StoreError))
         version = content["format_version"]
         if version != FORMAT_VERSION:
-            raise StoreError(f"{path}: format {version!r}; this version reads {FORMAT_VERSION}; choose another folder")
+            raise StoreError(
+                path, f"format {version!r}", hint=f"this version reads {FORMAT_VERSION}; choose another folder"
+            )
         manifest = Manifest.model_validate(without_checksum(content))
     except (ValueError, KeyError, TypeError) as error:
         if isinstance(error, ValidationError):
             error = ValueError(str(error).replace("\n", " "))
-        raise StoreError(f"{path}: broken: {error}; run the study into another folder") from None
+        raise StoreError(path, f"broken: {error}", hint="run the study into another folder") from None
     return manifest
 
 

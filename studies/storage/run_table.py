@@ -124,7 +124,7 @@ def checked_content(path: Path) -> bytes:
     """The content of a part, as it was written."""
     data = read_bytes(path)
     if not path.stem.endswith(f"-{_checksum(data)}"):
-        raise StoreError(f"{path}: broken: its content is not what was written (the checksum in its name differs)")
+        raise StoreError(path, "broken: its content is not what was written (the checksum in its name differs)")
     return data
 
 
@@ -169,7 +169,7 @@ def _check_numbers(path: Path, columns: Sequence[pl.Series], status: Any) -> Non
     for column in columns:
         good = column.is_not_nan() if column.name == METRIC_COLUMNS[_ENDLESS] else column.is_finite()
         if not good.all() and not good.to_numpy()[driven].all():
-            raise StoreError(f"{path}: broken: column {column.name} holds a value that is not finite")
+            raise StoreError(path, f"broken: column {column.name} holds a value that is not finite")
 
 
 class SharedRows:
@@ -374,11 +374,13 @@ class RunTable:
                 if key in failures:
                     lost[key] = failures[key]
         if np.count_nonzero(~there) > len(lost):
-            raise StoreError(f"{source}: {self._incomplete(wanted, there, lost, some_there)}; run the study again")
+            raise StoreError(source, f"{self._incomplete(wanted, there, lost, some_there)}", hint="run the study again")
         failed = _failed_designs(wanted, self._conventions, lost)
         if wanted and len(failed) == len(wanted):
             first = failed[0].sentence
-            raise AllFailedError(f"{source}: every design failed; the first, {first}; all of them are in failures.json")
+            raise AllFailedError(
+                source, "every design failed", hint=f"the first, {first}; all of them are in failures.json"
+            )
         gone = {one.design.id for one in failed}
         kept = [i for i, design in enumerate(wanted) if design.id not in gone]
         ran = tuple(wanted[i] for i in kept)

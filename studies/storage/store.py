@@ -69,7 +69,7 @@ def make_folder(folder: Path) -> None:
     """Make the folder of a study, if it is not there."""
     strange = folder.exists() and not (folder / "manifest.json").exists()
     if strange and (not folder.is_dir() or any((folder / "results").glob("*"))):
-        raise StoreError(f"{folder}: exists and is not the folder of a study (no manifest.json); choose another")
+        raise StoreError(folder, "exists and is not the folder of a study (no manifest.json)", hint="choose another")
     output_folder(folder)
     output_folder(folder / "results")
 
@@ -89,7 +89,7 @@ def _clear(folder: Path) -> None:
         for path in (*(folder / name for name in names), *(folder / "results").glob(PATTERN)):
             path.unlink(missing_ok=True)
     except OSError as error:
-        raise StoreError(f"{folder}: cannot be cleared: {error.strerror or error}") from None
+        raise StoreError(folder, f"cannot be cleared: {error.strerror or error}") from None
 
 
 class Store:
@@ -132,7 +132,7 @@ class Store:
         try:
             study = manifest.read_study(current=current)
         except LdcError as error:
-            raise StoreError(f"{folder / 'manifest.json'}: {error}") from None
+            raise StoreError(f"{folder / 'manifest.json'}", f"{error}") from None
         return cls(folder, manifest, study)
 
     @functools.cached_property
@@ -207,10 +207,10 @@ class Store:
         """Everything in memory: all designs that were run to the end, with the finalists' other results."""
         designs = self.designs()
         if self.study.search is not None and not self.manifest.finished:
-            raise StoreError(f"{self.folder}: its search is not over yet; run the study again")
+            raise StoreError(self.folder, "its search is not over yet", hint="run the study again")
         race = read_race(self.folder, designs, self.manifest.ranked_as) if self.study.race else None
         if self.study.race and race is None:
-            raise StoreError(f"{self.folder}: its race is not over yet; run the study again")
+            raise StoreError(self.folder, "its race is not over yet", hint="run the study again")
         if race is not None:
             dropped = {one.design.id for one in race.dropped}
             designs = tuple(design for design in designs if design.id not in dropped)

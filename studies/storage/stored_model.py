@@ -43,8 +43,9 @@ def read_model(folder: str | Path, manifest: Manifest) -> ScenarioModel | None:
         raise StoreError(f"{error}; run the study into this folder again to write it anew") from None
     if model.content_hash != manifest.model_hash:
         raise StoreError(
-            f"{path}: holds the model {model.content_hash[:12]}, the study's is {manifest.model_hash[:12]}; run the "
-            "study into this folder again to write it anew"
+            path,
+            f"holds the model {model.content_hash[:12]}, the study's is {manifest.model_hash[:12]}",
+            hint="run the study into this folder again to write it anew",
         )
     return model
 
@@ -113,8 +114,9 @@ def with_recorded_widths(study: Study, model: Source, vehicle_width: float | Non
         elif isinstance(recorded, int | float) and abs(recorded - own) > 1e-9:
             if own != getattr(usual, name):
                 raise InputError(
-                    f"vehicle.{name}: {own:g} m in the study, {recorded:g} m in the recordings behind its departures; "
-                    f"allowed: {recorded:g}, or --vehicle-width to decide"
+                    f"vehicle.{name}",
+                    f"{own:g} m in the study, {recorded:g} m in the recordings behind its departures",
+                    allowed=f"{recorded:g}, or --vehicle-width to decide",
                 )
             changed[name] = float(recorded)
     return study.changed(vehicle=changed) if changed else study

@@ -2,7 +2,7 @@
 
 import os
 
-from ldctoolkit.errors import InputError, nearest
+from ldctoolkit.errors import InputError
 
 from .processes import Ended, Executor, Work
 
@@ -18,13 +18,13 @@ def make_executor(
     address is given, of a scheduler or ``"local"``. The versions of `packages` must be the same on a cluster.
     """
     if address is not None and not address.strip():
-        raise InputError(f"dask: {address!r}; allowed: an address such as tcp://host:8786, or 'local'")
+        raise InputError("dask", value=address, allowed="an address such as tcp://host:8786, or 'local'")
     if name is None:
         name = "dask" if address else "serial" if workers == 1 else "processes"
     if name not in EXECUTORS:
-        raise InputError(f"executor: {name!r}; {nearest(name, EXECUTORS)}")
+        raise InputError("executor", value=name, allowed=EXECUTORS)
     if address and name != "dask":
-        raise InputError(f"executor: {name!r} with the address {address}; allowed with an address: 'dask'")
+        raise InputError("executor", f"with the address {address}", value=name, hint="allowed with an address: 'dask'")
     # each is loaded on first use: a run in this process needs neither loky nor Dask
     if name == "serial":
         from .processes import SerialExecutor
@@ -34,7 +34,7 @@ def make_executor(
         from .dask_cluster import LOCAL, DaskExecutor
 
         if address and address != LOCAL and workers is not None:
-            raise InputError(f"workers: {workers} with the cluster at {address}; allowed: that cluster's own number")
+            raise InputError("workers", f"{workers} with the cluster at {address}", allowed="that cluster's own number")
         return DaskExecutor(address or LOCAL, workers, packages)
     from .processes import ProcessExecutor
 

@@ -60,12 +60,12 @@ class Connection:
                 )
             self.client = distributed.Client(self._cluster or address, timeout=_CONNECT, name="ldc")
         except (OSError, ValueError) as error:
-            raise LdcError(f"dask: no scheduler answers at {address} ({error or 'no reply'})") from None
+            raise LdcError("dask", f"no scheduler answers at {address} ({error or 'no reply'})") from None
         with self.asking():
             try:
                 self.client.wait_for_workers(1, timeout=30)
             except TimeoutError:
-                raise ClusterError(f"dask: the scheduler at {address} has no workers") from None
+                raise ClusterError("dask", f"the scheduler at {address} has no workers") from None
 
     def _check_versions(self) -> None:
         """Before anything runs; a worker that comes later checks itself, with each task."""
@@ -118,7 +118,7 @@ class Connection:
 
 def lost() -> ClusterError:
     """The scheduler has gone, or has dropped the work."""
-    return ClusterError("dask: the connection to the scheduler is lost; what was stored is kept: run it again")
+    return ClusterError("dask", "the connection to the scheduler is lost", hint="what was stored is kept: run it again")
 
 
 def unreadable(error: Exception) -> bool:
@@ -129,8 +129,9 @@ def unreadable(error: Exception) -> bool:
 def unable(who: str, error: object) -> ClusterError:
     """A scheduler or worker cannot read a task."""
     return ClusterError(
-        f"dask: {who} cannot run tasks ({error}); allowed: ldctoolkit in the same version on the scheduler and on "
-        "every worker"
+        "dask",
+        f"{who} cannot run tasks ({error})",
+        allowed="ldctoolkit in the same version on the scheduler and on every worker",
     )
 
 
@@ -249,8 +250,9 @@ class DaskExecutor:
             _log.warning("dask: all workers have gone; the run waits %g s for others", _GRACE)
         elif now - self._deserted_since > _GRACE:
             raise ClusterError(
-                f"dask: all workers have gone, and none has come for {_GRACE:g} s; what was stored is kept: run "
-                "it again"
+                "dask",
+                f"all workers have gone, and none has come for {_GRACE:g} s",
+                hint="what was stored is kept: run it again",
             )
 
     def close(self, *, orderly: bool) -> None:

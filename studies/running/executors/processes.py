@@ -133,8 +133,9 @@ def check(sender: Versions, worker: Versions, named: str) -> None:
     for name, version in sender:
         if there.get(name) != version:
             raise InputError(
-                f"dask: {named} has {name} {there.get(name)}, the process that sends the work {version}; allowed: the "
-                "same version everywhere, or numbers would depend on where they were computed"
+                "dask",
+                f"{named} has {name} {there.get(name)}, the process that sends the work {version}",
+                allowed="the same version everywhere, or numbers would depend on where they were computed",
             )
 
 
@@ -184,7 +185,7 @@ def note(text: str) -> None:
             _notes.write(f"{text}\n")
             _notes.flush()
         except OSError as error:
-            raise LdcError(f"{_notes.name}: cannot be written: {error.strerror}") from None
+            raise LdcError(_notes.name, f"cannot be written: {error.strerror}") from None
 
 
 @contextlib.contextmanager
