@@ -9,7 +9,6 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from controllers import LQR
 from ldctoolkit import (
     Controller,
     EventStatus,
@@ -22,6 +21,7 @@ from ldctoolkit import (
     option,
     register,
 )
+from ldctoolkit.controllers import LQR
 from ldctoolkit.errors import InputError
 from ldctoolkit.gains import declared_gains
 from ldctoolkit.law_checks import check_controller, check_law, check_step, raised

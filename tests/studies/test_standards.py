@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ldctoolkit.errors import StudyError
-from studies.standards import Cells, load_standard, standard_names
+from ldctoolkit.studies.standards import Cells, load_standard, standard_names
 
 ROAD_EDGE = "euroncap-2026-elk-road-edge"
 DRIFTING = (ROAD_EDGE, "euroncap-2025-elk", "euroncap-2026-driveability")

@@ -17,12 +17,12 @@ import pytest
 from rich.console import Console
 
 from helpers.cli import Terminal, bad, ldc
-from studies import Study, read_results, run_study
-from studies.cli import _console, main
-from studies.cli._console import add_row, new_table, print_table
-from studies.cli._results import print_race
-from studies.design import Design
-from studies.results import Dropped, Race
+from ldctoolkit.studies import Study, read_results, run_study
+from ldctoolkit.studies.cli import _console, main
+from ldctoolkit.studies.cli._console import add_row, new_table, print_table
+from ldctoolkit.studies.cli._results import print_race
+from ldctoolkit.studies.design import Design
+from ldctoolkit.studies.results import Dropped, Race
 
 RACE: dict[str, Any] = {
     "race": True,

@@ -17,10 +17,10 @@ import ldctoolkit as ldc
 from ldctoolkit import VehicleParameters, load_model, simulate
 from ldctoolkit.errors import StudyError
 from ldctoolkit.plant_options import PlantOptions
-from studies import Case, Design, Study
-from studies.design_space import expand
-from studies.plant_table import differences, plant_settings
-from studies.study_file import catalog_names, load_study
+from ldctoolkit.studies import Case, Design, Study
+from ldctoolkit.studies.design_space import expand
+from ldctoolkit.studies.plant_table import differences, plant_settings
+from ldctoolkit.studies.study_file import catalog_names, load_study
 
 pytestmark = pytest.mark.usefixtures("laws")
 
@@ -100,7 +100,7 @@ MISTAKES: list[tuple[dict[str, Any], str]] = [
 
 
 def test_the_largest_grid_is_allowed(monkeypatch: pytest.MonkeyPatch) -> None:
-    from studies import study_file
+    from ldctoolkit.studies import study_file
 
     assert study_file.MOST_DESIGNS == 100_000
     monkeypatch.setattr(study_file, "MOST_DESIGNS", 6)
