@@ -9,8 +9,8 @@ from typing import Any
 
 from ldctoolkit.code_content import content_of
 from ldctoolkit.control import Controller, check_class
+from ldctoolkit.declared import undeclared_fields
 from ldctoolkit.errors import InputError, LdcError, UnknownNameError
-from ldctoolkit.gains import undeclared_fields
 
 GROUP = "ldctoolkit.controllers"
 

@@ -10,8 +10,9 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
+from ldctoolkit.declared import checked_number, checked_whole
 from ldctoolkit.departures import LEFT
-from ldctoolkit.errors import InputError, StoreError, expect, plain
+from ldctoolkit.errors import InputError, StoreError, expect
 from ldctoolkit.scenario_model import ScenarioModel, load_model
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.surroundings import temporary_folder
@@ -104,8 +105,11 @@ def run_study(
     """
     expect("study", study, Study)
     expect("scenarios", scenarios, Scenarios | None)
-    workers, block_size = _positive("workers", workers), _positive("block_size", block_size)
-    _allowed_limit(time_limit)
+    workers = None if workers is None else checked_whole("workers", workers, lower=1)
+    block_size = None if block_size is None else checked_whole("block_size", block_size, lower=1)
+    if time_limit != 0:
+        least, most = _LIMITS
+        checked_number("time_limit", time_limit, lower=least, upper=most, unit="s (0 for none)")
     if directory is None:
         with temporary_folder() as folder:
             return run_study(
@@ -158,20 +162,6 @@ def study_source(study: Study, model: str | Path | Source | None = None) -> Sour
     if not study.scenarios.model:
         return read_replayed(study)
     return load_model(study.model_path if study.model_path.suffix else study.scenarios.model)
-
-
-def _allowed_limit(seconds: object) -> None:
-    least, most = _LIMITS
-    number = isinstance(seconds, int | float) and not isinstance(seconds, bool)
-    if not (number and (seconds == 0 or least <= seconds <= most)):  # type: ignore[operator]
-        raise InputError("time_limit", value=seconds, allowed=f"{least:g} to {most:g} s, or 0 for none")
-
-
-def _positive(name: str, value: int | None) -> int | None:
-    value = plain(value)
-    if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < 1):
-        raise InputError(name, value=value, allowed="a whole number >= 1")
-    return value
 
 
 @dataclasses.dataclass(frozen=True)

@@ -17,8 +17,8 @@ import pytest
 
 import ldctoolkit as ldc
 from ldctoolkit.controllers import LQR
+from ldctoolkit.declared import UnitWarning
 from ldctoolkit.errors import LdcError
-from ldctoolkit.option_checks import UnitWarning
 from ldctoolkit.plant_options import Actuator, PlantOptions
 from ldctoolkit.recordings.find_departures import Criteria
 from ldctoolkit.recordings.preparation import Preparation

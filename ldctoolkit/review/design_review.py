@@ -10,10 +10,9 @@ import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.control import Controller
+from ldctoolkit.declared import GainValue, is_number
 from ldctoolkit.errors import InputError, LdcError, plain
-from ldctoolkit.gains import GainValue
 from ldctoolkit.law_checks import check_controller
-from ldctoolkit.option_checks import is_number
 from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.review.law_model import LARGER, PULSE, LinearView, linear_view
 from ldctoolkit.review.limits import Finding, Severity, Situation, Thresholds, limit_findings, limit_of

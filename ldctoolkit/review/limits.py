@@ -9,8 +9,8 @@ import numpy as np
 
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.control import Controller
+from ldctoolkit.declared import is_number
 from ldctoolkit.errors import InputError
-from ldctoolkit.option_checks import is_number
 from ldctoolkit.plant_options import Actuator
 
 Severity = Literal["fault", "warning", "note"]

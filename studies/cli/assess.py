@@ -106,7 +106,7 @@ def _subjects(text: str, chosen: argparse.Namespace) -> Iterator[Subject]:
     from ._results import judged
 
     if text in controller_names():
-        from ldctoolkit.gains import find_gain
+        from ldctoolkit.declared import find_gain
         from ldctoolkit.registry import controller_class
 
         from ..design import Design

@@ -111,7 +111,7 @@ def _of_folder(chosen: argparse.Namespace) -> Iterator[Subject]:
 
 
 def _law(chosen: argparse.Namespace) -> Subject:
-    from ldctoolkit.gains import find_gain
+    from ldctoolkit.declared import find_gain
     from ldctoolkit.plant_options import PlantOptions
     from ldctoolkit.registry import controller_class
     from ldctoolkit.review import SPEEDS

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from markupsafe import Markup
 
-from ldctoolkit.gains import GainValue
+from ldctoolkit.declared import GainValue
 from ldctoolkit.registry import controller_class
 
 from ..design import Design

@@ -17,6 +17,7 @@ import numpy.typing as npt
 import ldctoolkit.registry as registry
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.control import EventStatus, LinearLaw, SteeringLaw
+from ldctoolkit.declared import checked_whole
 from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.law_checks import declared_law, raised
 from ldctoolkit.metrics import METRIC_UNITS
@@ -141,13 +142,12 @@ class Prefixes:
 
 def schedule(n: int) -> tuple[int, ...]:
     """Number of scenarios after each round of a race over n: 100, then twice as many every time, and all at the end."""
-    if isinstance(n, bool) or not isinstance(n, int | np.integer) or n < 1:
-        raise InputError("n", value=n, allowed="a whole number >= 1")
+    n = checked_whole("n", n, lower=1)
     sizes, size = [], FIRST_ROUND
     while size * _WORTH_A_ROUND <= n:
         sizes.append(size)
         size *= 2
-    return (*sizes, int(n))
+    return (*sizes, n)
 
 
 def prefix_rows(side: IntArray, m: int) -> IntArray:

@@ -22,8 +22,8 @@ from ldctoolkit import (
     register,
 )
 from ldctoolkit.controllers import LQR
+from ldctoolkit.declared import declared_gains
 from ldctoolkit.errors import InputError
-from ldctoolkit.gains import declared_gains
 from ldctoolkit.law_checks import check_controller, check_law, check_step, raised
 
 

@@ -19,8 +19,8 @@ import pytest
 from helpers.cli import bad, good, ldc, ldc_process
 from ldctoolkit import Departures, VehicleParameters, load_model, write_departures
 from ldctoolkit.controllers import LQR
+from ldctoolkit.declared import UnitWarning, unit_slip
 from ldctoolkit.departures import PARAMETER_NAMES
-from ldctoolkit.option_checks import UnitWarning, unit_slip
 from ldctoolkit.plant_options import Actuator, Sensors
 from ldctoolkit.recordings import Provenance
 from ldctoolkit.scenario_model import ScenarioModel

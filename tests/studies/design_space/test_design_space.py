@@ -26,7 +26,6 @@ from ldctoolkit.studies.design_space import (
     Choices,
     Condition,
     DesignBlock,
-    EntryError,
     LawSpace,
     SampleSettings,
     Span,
@@ -379,7 +378,7 @@ def test_entries_are_read_as_values_or_as_a_range() -> None:
     assert read_entry({"from": 3, "to": 1, "count": 3}) == Choices(expand({"from": 3, "to": 1, "count": 3}))
     assert read_entry({"from": -3, "to": -1}, "log", whole=True) == Span(-3, -1, "log", whole=True)
     assert read_entry({"from": -3, "to": 1}, "log").scale == "linear"  # type: ignore[union-attr]
-    with pytest.raises(EntryError, match="both ends of one sign"):
+    with pytest.raises(InputError, match="both ends of one sign"):
         read_entry({"from": 0, "to": 1, "scale": "log"})
 
 
