@@ -17,7 +17,7 @@ import numpy.typing as npt
 import ldctoolkit.registry as registry
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.control import EventStatus, LinearLaw, SteeringLaw
-from ldctoolkit.errors import InputError, LdcError
+from ldctoolkit.errors import LdcError
 from ldctoolkit.law_checks import declared_law, raised
 from ldctoolkit.metrics import METRIC_UNITS
 from ldctoolkit.registry import controller_class
@@ -101,13 +101,6 @@ class Faults:
         self.workers_live = True
 
 
-FIRST_ROUND: Final = 100
-"""Scenarios of the first round: with fewer, tails as far out as many designs need are guesswork."""
-
-_WORTH_A_ROUND = 1.5
-"""A round is held where it leaves out a third of all scenarios or more; a later one would save little."""
-
-
 @dataclasses.dataclass(frozen=True, eq=False)
 class ScenarioBatch:
     """Scenarios that are driven as one batch."""
@@ -116,51 +109,10 @@ class ScenarioBatch:
     rows: IntArray  # (m,): row numbers of the scenarios, rising
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Prefixes:
-    """Nested prefixes of a study's scenarios, each side in proportion."""
-
-    side: IntArray  # (n,): of all scenarios
-    stops: tuple[int, ...]  # sizes of the prefixes, rising; the last is n
-
-    def rows(self, size: int) -> IntArray:
-        """Row numbers of the first `size` scenarios, rising: about the same share of each side."""
-        return prefix_rows(self.side, size)
-
-    def batches(self, size: int) -> tuple[ScenarioBatch, ...]:
-        """All scenarios in batches of at most `size`, none across the end of a prefix."""
-        found: list[ScenarioBatch] = []
-        for first, last in zip((0, *self.stops), self.stops, strict=False):
-            before = self.rows(first) if first else np.zeros(0, dtype=np.int64)
-            new = np.setdiff1d(self.rows(last), before, assume_unique=True)
-            count = -(-new.size // size)
-            # even shares of both sides would change no number; stretches are simpler to name
-            found += [ScenarioBatch(len(found) + i, rows) for i, rows in enumerate(np.array_split(new, count))]
-        return tuple(found)
-
-
-def schedule(n: int) -> tuple[int, ...]:
-    """Number of scenarios after each round of a race over n: 100, then twice as many every time, and all at the end."""
-    if isinstance(n, bool) or not isinstance(n, int | np.integer) or n < 1:
-        raise InputError("n", value=n, allowed="a whole number >= 1")
-    sizes, size = [], FIRST_ROUND
-    while size * _WORTH_A_ROUND <= n:
-        sizes.append(size)
-        size *= 2
-    return (*sizes, int(n))
-
-
-def prefix_rows(side: IntArray, m: int) -> IntArray:
-    """The scenarios of a round: the first ones of each side, as many as is its share."""
-    side = np.asarray(side)
-    if not 1 <= m <= side.size:
-        raise InputError("m", value=m, allowed=f"1 to {side.size}, the number of scenarios")
-    which, counts = np.unique(side, return_counts=True)
-    # cumulative shares, rounded: each count rises with m, and together they make m
-    ends = np.floor(np.cumsum(counts) * m / side.size + 0.5).astype(np.int64)
-    taken = np.diff(ends, prepend=0)
-    rows = [np.flatnonzero(side == one)[:count] for one, count in zip(which, taken, strict=True)]
-    return np.sort(np.concatenate(rows))
+def batches(n: int, size: int) -> tuple[ScenarioBatch, ...]:
+    """All n scenarios in stretches of at most `size`."""
+    stretches = np.array_split(np.arange(n), -(-n // size))
+    return tuple(ScenarioBatch(number, rows) for number, rows in enumerate(stretches))
 
 
 _numbers = itertools.count()
