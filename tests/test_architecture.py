@@ -59,7 +59,7 @@ LEVELS = (
     ("studies.storage",),
     ("studies.running",),
     ("studies.ranking", "studies.assessment"),
-    ("studies.racing", "studies.search"),
+    ("studies.search",),
     ("studies.runner", "studies.compile_loops"),
     (
         "studies.comparison",
