@@ -1,10 +1,19 @@
 """Compare lane departure correction designs on realistic, generated lane departures."""
 
-import importlib
 import sys
+from pathlib import Path
+
+_folder = Path(__file__).resolve().parent
+
+_started_by_name = " -m ldctoolkit" in " ".join(sys.orig_argv) and not sys.flags.safe_path
+if _started_by_name and Path(sys.path[0]) == Path.cwd() != _folder.parent:
+    del sys.path[0]  # `python -m` looks for modules in the working directory first, which `ldc` does not
+if not (_folder / "studies").is_dir():
+    __path__.append(str(_folder.parent))  # a checkout, where `controllers` and `studies` lie beside this package
+
+import importlib
 from typing import TYPE_CHECKING, Any
 
-import ldctoolkit.package_names as package_names
 from ldctoolkit.control import (
     Controller,
     EventStatus,
@@ -45,7 +54,7 @@ from ldctoolkit.vehicle.speed_schedule import SPEED_RANGE, scheduled
 from ldctoolkit.version import __version__
 
 if TYPE_CHECKING:
-    from controllers import (
+    from ldctoolkit.controllers import (
         LQI,
         LQR,
         PID,
@@ -59,7 +68,7 @@ if TYPE_CHECKING:
         SlidingMode,
         Stanley,
     )
-    from studies import (
+    from ldctoolkit.studies import (
         Assessment,
         Comparison,
         Design,
@@ -186,6 +195,3 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return __all__
-
-
-package_names.install()

@@ -3,7 +3,8 @@
 import importlib
 from typing import TYPE_CHECKING, Any
 
-import ldctoolkit  # noqa: F401  # an import of this package by its short name ends there
+if __name__ == "studies":  # in a checkout, whose root is on Python's path
+    raise ImportError("studies: the name of this package is ldctoolkit.studies", name="studies")
 
 if TYPE_CHECKING:
     from .assessment import Assessment, assess
@@ -80,7 +81,7 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     if name not in _HOMES:
-        raise AttributeError(f"module 'studies' has no attribute {name!r}")
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), name)
 
 

@@ -18,14 +18,12 @@ from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.surroundings import temporary_folder
 
 from .design import FOLLOWS_CASE, Design
-from .racing import run_race
 from .ranking.design_metrics import find_baseline
 from .ranking.ranking import Ranking, rank_study
 from .replayed import ReplayedDepartures, read_replayed
-from .results import Race, StudyResults
+from .results import StudyResults
 from .running.campaign import Campaign, Progress, displayed
 from .running.executors import Executor, make_executor
-from .running.tasks import Prefixes, schedule
 from .search import run_search
 from .storage.files import locked, remove_leftovers
 from .storage.manifest import Manifest, write_designs
@@ -228,11 +226,9 @@ class _Run:
         table = store.load(study.designs, repair=True)
         for message in store.broken:
             _log.warning(message)
-        n = len(scenarios)
         campaign = Campaign(
             study,
             scenarios,
-            Prefixes(scenarios.side, (schedule(n) if study.race else (n,))),
             store,
             table,
             self.executor,
@@ -242,7 +238,7 @@ class _Run:
         )
         complete = False
         try:
-            designs, race = self._designs(campaign, stage)
+            designs = self._designs(campaign, stage)
             complete = True
         finally:
             ended = store.manifest.ended(
@@ -254,19 +250,16 @@ class _Run:
             # where the disk is full, why the run ended says more than that this cannot be written either
             with contextlib.suppress(*(() if complete else (StoreError,))):
                 store.write_manifest(ended)
-        results = table.results(scenarios, store.times, store.failures, source=study.name, designs=designs)
-        return dataclasses.replace(results, race=race)
+        return table.results(scenarios, store.times, store.failures, source=study.name, designs=designs)
 
-    def _designs(self, campaign: Campaign, stage: str) -> tuple[Sequence[Design], Race | None]:
-        """Run what the study requires; the designs that went all the way, and how a race went."""
+    def _designs(self, campaign: Campaign, stage: str) -> Sequence[Design]:
+        """Run what the study requires; the designs that were run."""
         study = campaign.study
         if study.search is not None:
-            return run_search(campaign), None
+            return run_search(campaign)
         write_designs(campaign.store.folder, study.designs)
-        if study.race:
-            return run_race(campaign)
-        campaign.complete(study.designs, len(campaign.scenarios), stage)
-        return study.designs, None
+        campaign.complete(study.designs, stage)
+        return study.designs
 
 
 def _finalists(ranking: Ranking, most: int) -> tuple[Design, ...]:
@@ -285,7 +278,6 @@ def _finalist_study(study: Study, designs: Sequence[Design]) -> Study:
         "name": "finalists",
         "title": f"Finalists of {study.title or study.name}",
         "seed": seed,
-        "race": False,
         "search": None,
         "design": [_block(design) for design in designs],
     }

@@ -267,7 +267,6 @@ class Study(Part):
     plant: Annotated[PlantOptions, BeforeValidator(read_plant)] = Field(default_factory=PlantOptions)
     report: ReportSettings = Field(default_factory=ReportSettings)
     ranking: RankingSettings = Field(default_factory=RankingSettings)
-    race: bool = False  # Give up designs that are separable from the best before they have run on all scenarios
     search: SearchSettings | None = None  # Ask for designs instead of running all that the tables stand for
     design: tuple[DesignBlock, ...]
 
@@ -297,8 +296,6 @@ class Study(Part):
             raise InputError("design", "no designs", allowed="one [[design]] table or more")
         check_blocks(self.design, searched=self.search is not None)
         size = 0 if self.search else sum(block.size for block in self.design)
-        if self.race and self.search is not None:
-            raise InputError("race", "true with [search]", allowed="one of the two")
         if size > MOST_DESIGNS:
             raise InputError("design", f"the grids make {size} designs", allowed=f"at most {MOST_DESIGNS}")
         return self
@@ -455,8 +452,6 @@ class Study(Part):
             same["scenarios"]["given"] = content["scenarios"]["given"]
         if self.scenarios.path == "recorded":
             same["scenarios"]["path"] = "recorded"
-        if self.race:
-            same["race"] = True
         return same
 
     @staticmethod

@@ -1,7 +1,9 @@
 """The shape of the house: imports point down, the wheel names its packages, no circles, no module outgrows its job."""
 
 import ast
+import os
 import re
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -24,7 +26,6 @@ LEVELS = (
         "ldctoolkit.errors",
         "ldctoolkit.frames",
         "ldctoolkit.lane_functions",
-        "ldctoolkit.package_names",
         "ldctoolkit.surroundings",
         "ldctoolkit.version",
         "ldctoolkit.whole_file",
@@ -58,7 +59,7 @@ LEVELS = (
     ("studies.storage",),
     ("studies.running",),
     ("studies.ranking", "studies.assessment"),
-    ("studies.racing", "studies.search"),
+    ("studies.search",),
     ("studies.runner", "studies.compile_loops"),
     (
         "studies.comparison",
@@ -181,11 +182,10 @@ def test_imports_point_down() -> None:
 
 def test_the_short_names_are_not_imported() -> None:
     """They may be folders of the user's: relative imports, or the long names."""
-    for module, path in modules(ROOT).items():
-        text = path.read_text(encoding="utf-8")
-        if module == "ldctoolkit":  # for type checkers alone
-            text = text.partition("if TYPE_CHECKING")[0]
-        assert not re.search(r"^\s*(from|import) (controllers|studies)\b", text, flags=re.M), module
+    paths = [*modules(ROOT).values(), *(ROOT / "tools").rglob("*.py"), *(ROOT / "tests").rglob("*.py")]
+    short = re.compile(r"(^|[\"';])\s*(from|import) (controllers|studies)\b(?!\.?\{)", flags=re.M)
+    mine = (Path(__file__), ROOT / "tests/test_shadowing.py")
+    assert [path for path in paths if path not in mine and short.search(path.read_text(encoding="utf-8"))] == []
 
 
 def test_no_circles_of_files() -> None:
@@ -243,7 +243,8 @@ def test_a_room_without_a_level_is_found(plant: Callable[[str, str], Path]) -> N
 def test_importing_a_package_loads_nothing_heavy(package: str) -> None:
     """A call of the command line should not wait for a compiler that it does not need."""
     heavy = {"numba", "scipy", "control", "casadi", "polars", "matplotlib", "osqp", "sklearn"}
-    code = f"import sys, {package}; print(*sorted({heavy} & set(sys.modules)))"
+    name = package if package == "ldctoolkit" else f"ldctoolkit.{package}"
+    code = f"import sys, {name}; print(*sorted({heavy} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
     assert done.stdout.split() == []
 
@@ -279,11 +280,29 @@ def test_no_file_imports_from_the_facade(tmp_path: Path) -> None:
         assert imports_the_facade(tmp_path / "planted.py")
 
 
-def test_the_wheel_lists_its_packages_by_name() -> None:
+def test_the_wheel_holds_one_package(tmp_path: Path) -> None:
+    """Laid out as the wheel is, it is complete, and nothing beside it is a part of it."""
     config = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-    assert config["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"] == list(PACKAGES)
-    for package in PACKAGES:
-        assert (ROOT / package / "py.typed").is_file()
+    wheel = config["tool"]["hatch"]["build"]["targets"]["wheel"]
+    places = {folder: wheel["sources"].get(folder, folder) for folder in wheel["only-include"]}
+    assert places == {"ldctoolkit": "ldctoolkit"} | {name: f"ldctoolkit/{name}" for name in PACKAGES[1:]}
+    for folder, place in places.items():
+        assert (ROOT / folder / "py.typed").is_file()
+        shutil.copytree(
+            ROOT / folder, tmp_path / place, ignore=shutil.ignore_patterns("__pycache__", *wheel["exclude"])
+        )
+    code = (
+        "import ldctoolkit as ldc\nfrom ldctoolkit.controllers.lqr import LQR\n"
+        "from ldctoolkit.studies import cli, standards\n"
+        "assert LQR is ldc.LQR is ldc.controller_class('lqr'); print(*ldc.__path__)\n"
+        "ldc.load_model('reference'); ldc.load_study('paper'); standards.load_standard('iso-11270')\n"
+        "raise SystemExit(cli.main(['init', 'paper']))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(tmp_path)},
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert done.stdout.splitlines()[0] == str(tmp_path / "ldctoolkit")
 
 
 def test_what_is_imported_is_declared() -> None:

@@ -19,17 +19,15 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-import controllers
 import ldctoolkit
-import studies
 from helpers.cli import ROOT, blocks, run_python
 from helpers.closed_loop import Stepped
-from ldctoolkit import Scenarios, controller_class, register, registry, simulate
+from ldctoolkit import Scenarios, controller_class, controllers, register, registry, simulate, studies
 from ldctoolkit.metrics import METRIC_UNITS, METRICS
 from ldctoolkit.plant_options import KalmanFilter, PlantOptions
+from ldctoolkit.studies import Study
+from ldctoolkit.studies.cli import parser
 from ldctoolkit.testing import contract_faults
-from studies import Study
-from studies.cli import parser
 
 
 def test_the_readmes_python_runs_as_a_script(tmp_path: Path) -> None:

@@ -16,14 +16,14 @@ import polars as pl
 import pytest
 
 import ldctoolkit as ldc
-from controllers import LQR
+from ldctoolkit.controllers import LQR
 from ldctoolkit.declared import UnitWarning
 from ldctoolkit.errors import LdcError
 from ldctoolkit.plant_options import Actuator, PlantOptions
 from ldctoolkit.recordings.find_departures import Criteria
 from ldctoolkit.recordings.preparation import Preparation
-from studies import Study, risk
-from studies.ranking.ranking import write_csv
+from ldctoolkit.studies import Study, risk
+from ldctoolkit.studies.ranking.ranking import write_csv
 
 OWN_LAW = """
 import dataclasses, numpy as np, ldctoolkit as ldc

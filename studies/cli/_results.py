@@ -21,7 +21,7 @@ from ..ranking.verdict import (
     ranking_columns,
     verdict_lines,
 )
-from ..results import Race, StudyResults
+from ..results import StudyResults
 from ..storage.manifest import Manifest
 from ..study_file import Study
 from ._console import add_row, console, new_table, print_table, progress_bar, say
@@ -147,31 +147,10 @@ def _print_failed(ranking: Ranking) -> None:
     out.print()
 
 
-def print_race(race: Race) -> None:
-    """One line a round, and what the race saved."""
-    out = console()
-    before = len(race.dropped) + race.alive[-1]
-    for i, (size, alive) in enumerate(zip(race.rounds, race.alive, strict=True), start=1):
-        given_up = f"{before - alive} of {before} design{'' if before == 1 else 's'} given up"
-        out.print(f"round {i}: {size:,} scenario{'' if size == 1 else 's'}, {given_up}", highlight=False)
-        before = alive
-    share = 100 * race.runs / race.full_runs
-    number = len(race.dropped)
-    were = "1 design was" if number == 1 else f"{number} designs were"
-    out.print(
-        f"race: {race.runs:,} scenario runs, {share:.1f} % of the full study's; {were} separable from the best and "
-        f"{'was' if number == 1 else 'were'} given up, see ranking.csv\n",
-        highlight=False,
-        soft_wrap=True,
-    )
-
-
-def write_ranking(
-    folder: Path, study: Study, manifest: Manifest, results: StudyResults, rankings: Sequence[Ranking], found: Verdict
-) -> Path:
+def write_ranking(folder: Path, study: Study, manifest: Manifest, rankings: Sequence[Ranking], found: Verdict) -> Path:
     """Write DIR/ranking.csv and, to be read, DIR/ranking.md."""
     path = folder / "ranking.csv"
-    write_csv(rankings, path, results.race)
+    write_csv(rankings, path)
     write_markdown(rankings, folder / "ranking.md", study, manifest, found)
     return path
 
@@ -234,7 +213,6 @@ def rank_summary(
 
 
 def _found(results: StudyResults, ranking: Ranking, manifest: Manifest) -> dict[str, Any]:
-    race = results.race
     return {
         "study": manifest.study.get("name", ""),
         "study_hash": manifest.study_hash,
@@ -243,7 +221,6 @@ def _found(results: StudyResults, ranking: Ranking, manifest: Manifest) -> dict[
         "failed_designs": len(results.failed),
         "winner": None if ranking.winner is None else _design(ranking, ranking.winner),
         "set_of_best": [ranking.designs[i].id for i in range(len(ranking)) if ranking.set_of_best[i]],
-        "race": race and {"dropped": len(race.dropped), "runs": race.runs, "full_runs": race.full_runs},
     }
 
 

@@ -95,13 +95,13 @@ def winners_sentence(winners: Winners) -> str:
 
 def _verdict(comparison: Comparison) -> Section:
     first = comparison.cases[0]
-    lead = winners_sentence(first.winners) if first.winners else no_winners_sentence(first)
+    lead = winners_sentence(first.winners) if first.winners else NO_WINNERS
     body = Markup('<p class="verdict">{}</p>').format(symbols(lead))
     rows = []
     for case in comparison.cases:
         winners = case.winners
         if winners is None:
-            rows.append(TableRow((case.case.label, "\u2013", "", "", "", "", "", no_winners_sentence(case))))
+            rows.append(TableRow((case.case.label, "\u2013", "", "", "", "", "", NO_WINNERS)))
             continue
         change = signed(100.0 * winners.difference / winners.S_old, 1) if winners.S_old > 0 else "\u2013"
         phrase = PHRASES[winners.verdict]
@@ -154,14 +154,7 @@ def counts_text(case: CaseComparison) -> str:
     return ", ".join(f"{case.count(verdict):,} {PHRASES[verdict]}" for verdict in Verdict)
 
 
-def no_winners_sentence(case: CaseComparison) -> str:
-    """Why winners are not compared."""
-    if case.raced_elsewhere:
-        return (
-            "Winners are not compared here: a race of one of the studies gave designs up by their scores in another "
-            "case, and the best one of this case may be among them."
-        )
-    return "No design of one of the studies meets its requirements: there is no winner to compare."
+NO_WINNERS: Final = "No design of one of the studies meets its requirements: there is no winner to compare."
 
 
 def interval_text(low: float, high: float) -> str:

@@ -162,7 +162,6 @@ def _settings(study: Study, manifest: Manifest) -> Iterator[tuple[str, str]]:
     yield "requirements", ", ".join(study.ranking.require) or "none"
     yield "Pareto front over", ", ".join(study.ranking.pareto) or "none"
     yield "finalists on fresh scenarios", f"{study.ranking.finalists} at most"
-    yield "race", "yes" if study.race else "no"
     yield "finished", manifest.finished or "not finished"
     yield "wall time", f"{manifest.wall_time_s:.1f} s, {manifest.workers} worker processes"
 

@@ -23,11 +23,6 @@ def section(context: Context) -> Section:
         body += Markup("<p>{} failed and {} not ranked:</p>{}").format(
             plural(len(failed), "design"), "is" if len(failed) == 1 else "are", bullets(listed)
         )
-    race = report.results.race
-    if race is not None:
-        body += Markup("<p>{} given up in a race, after {}.</p>").format(
-            plural(len(race.dropped), "design"), plural(len(race.rounds), "round")
-        )
     facts = [*report.settings, *report.versions]
     body += details("All settings, versions and the machine", pairs(facts))
     if report.command:

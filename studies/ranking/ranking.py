@@ -25,7 +25,7 @@ from ldctoolkit.vehicle.bicycle import BicycleModel, Plant, VehicleParameters
 
 from ..assessment import assess
 from ..design import Design
-from ..results import Case, CaseResults, Race, StudyResults
+from ..results import Case, CaseResults, StudyResults
 from ..standards import standard_names
 from ..storage.files import csv_text, write_text
 from ..study_file import Study
@@ -150,7 +150,7 @@ class Ranking(RankedDesigns, Frame):
 
         text = ("design", "label", "unmet", "fresh_unmet", "failure")
         types = {**dict.fromkeys(text, pl.String), "rank": pl.Int64}
-        content = _csv_text([self], None, plain=True).encode()
+        content = _csv_text([self], plain=True).encode()
         table = pl.read_csv(content, infer_schema_length=None, schema_overrides=types)
         empty = [one.name for one in table if one.dtype == pl.String and one.is_null().all() and one.name not in text]
         table = table.with_columns(pl.col(empty).cast(pl.Float64))
@@ -245,11 +245,6 @@ class Ranking(RankedDesigns, Frame):
             fresh_limited[:, :, positions] = found
             fresh_limited[mean_S, 1:] = fresh.fresh_low, fresh.fresh_high
             fresh_saved[positions] = there.reduction
-        given_up = 0 if results.race is None else len(results.race.dropped)
-        raced = case.case == results.cases[0].case
-        if given_up and not raced:
-            fresh = dataclasses.replace(fresh, winner=None)
-            warnings.append(_not_raced(results, given_up))
         acting = [i for i, design in enumerate(designs) if not design.is_baseline]
         if requirements and acting and not any(i < ranked for i in acting):
             fresh = dataclasses.replace(fresh, winner=None)  # to leave the departures alone is no design
@@ -287,8 +282,6 @@ class Ranking(RankedDesigns, Frame):
             confidence=confidence,
             warnings=tuple(warnings),
             failed=results.failed,
-            given_up=given_up,
-            raced=raced,
         )
 
 
@@ -419,14 +412,6 @@ def _about_finalists(fresh: FreshScores, ranked: int) -> Iterator[str]:
             yield f"Design # {i + 1} misses {', '.join(missed)} on the fresh scenarios and is not the winner."
 
 
-def _not_raced(results: StudyResults, given_up: int) -> str:
-    return (
-        f"This case was not raced: {given_up} of {given_up + len(results.designs)} designs were given up by S of "
-        f"{results.cases[0].case.label}, and one of them may be the best here. Ranks, differences and the set of best "
-        "are of the survivors only, and there is no winner; run the study without a race to rank this case."
-    )
-
-
 def _warnings(drivable: DrivableCase, designs: Sequence[Design]) -> Iterator[str]:
     case = drivable.case
     if drivable.left_out:
@@ -440,11 +425,6 @@ def _warnings(drivable: DrivableCase, designs: Sequence[Design]) -> Iterator[str
             "Designs with different y_s are not comparable here; use the departure window."
         )
     yield from warnings_of(case, designs)
-
-
-_DROPPED: Final = ("dropped_in_round", "dropped_scenarios", "dropped_S_m_s", "dropped_low_m_s")
-"""Columns of a design that a race gave up: after which round and on how many scenarios, its mean S on them, and the
-lower bound of how much worse than the best it is."""
 
 
 def _column_of(name: str) -> str:
@@ -468,21 +448,16 @@ _NUMBERS: Final = {name: _column_of(name) for name in _SCORES.split()}
 _COUNTS: Final = ("solver_failed", "diverged", "timed_out", "crashed", "beyond_delta_max", "invalid", "failed_solves")
 
 
-def write_csv(rankings: Sequence[Ranking], path: str | Path, race: Race | None = None) -> None:
+def write_csv(rankings: Sequence[Ranking], path: str | Path) -> None:
     """Write rankings as one CSV file, whole or not at all; window and convention name the case."""
-    write_text(Path(path), _csv_text(rankings, race))
+    write_text(Path(path), _csv_text(rankings))
 
 
-def _csv_text(rankings: Sequence[Ranking], race: Race | None, *, plain: bool = False) -> str:
-    dropped = () if race is None else race.dropped
-    designs = [*(design for ranking in rankings for design in _every(ranking)), *(one.design for one in dropped)]
-    laws = {design.law: design for design in designs}
+def _csv_text(rankings: Sequence[Ranking], *, plain: bool = False) -> str:
+    laws = {design.law: design for ranking in rankings for design in _every(ranking)}
     gains = list(dict.fromkeys(column for _, design in sorted(laws.items()) for column in _columns_of(design)))
     rows = [row for ranking in rankings for row in _rows(ranking, gains)]
-    if race is not None:
-        behind = len(rankings[0]) + len(rankings[0].failed)
-        rows[behind:behind] = _given_up(race, rankings[0], gains)
-    return csv_text([*rows[0], *_DROPPED], rows, plain=plain)
+    return csv_text(rows[0], rows, plain=plain)
 
 
 def _every(ranking: Ranking) -> Iterator[Design]:
@@ -539,13 +514,6 @@ def _named(ranking: Ranking, rank: int | str, design: Design, gains: Sequence[st
         "y_s_m": repr(design.y_s),
         **{f"gain_{name}": value for name, value in values.items()},
     }
-
-
-def _given_up(race: Race, ranking: Ranking, gains: Sequence[str]) -> Iterator[dict[str, Any]]:
-    """No rank and no metrics: these would stand for fewer scenarios than all others."""
-    for one in race.dropped:
-        metrics = (one.round, one.scenarios, _field(one.S), _field(one.low))
-        yield _named(ranking, "", one.design, gains) | dict(zip(_DROPPED, metrics, strict=True))
 
 
 def _optimism_of(ranking: Ranking, i: int) -> str:

@@ -141,8 +141,6 @@ def _list(parts: list[str]) -> str:
 
 def _of_winner(ranking: RankedDesigns, place: int) -> str:
     name = design_name(ranking.designs[place])
-    if ranking.survivors_only:
-        return f"No winner: this case was not raced; the best design may have been given up. First: {name}"
     if ranking.winner is None:
         return f"No winner: no finalist meets the requirements on the fresh scenarios. First: {name}"
     if ranking.requirements:
@@ -455,7 +453,7 @@ def verdict_lines(found: Verdict) -> list[str]:
 def set_of_best_line(ranking: RankedDesigns) -> str:
     """What these scenarios do not separate; empty where there is nothing to say of it."""
     size, level = int(ranking.set_of_best.sum()), f"{100 * ranking.confidence:g} % confidence"
-    if not ranking.ranked or ranking.survivors_only or len(ranking) == 1:
+    if not ranking.ranked or len(ranking) == 1:
         return ""
     if size == 1:
         return f"Set of best: the first design alone, with {level}."
@@ -463,7 +461,7 @@ def set_of_best_line(ranking: RankedDesigns) -> str:
 
 
 def more_lines(ranking: RankedDesigns) -> Iterator[str]:
-    """What else a reader should know: the set of best, fresh scenarios, failures, a race."""
+    """What else a reader should know: the set of best, fresh scenarios, failures."""
     if set_of_best := set_of_best_line(ranking):
         yield set_of_best
     i, b = ranking.winner, ranking.baseline
@@ -508,8 +506,6 @@ def more_lines(ranking: RankedDesigns) -> Iterator[str]:
         )
     if ranking.failed:
         yield f"{len(ranking.failed):,} design{'' if len(ranking.failed) == 1 else 's'} failed, without metrics."
-    if ranking.given_up:
-        yield f"{ranking.given_up:,} of {ranking.given_up + len(ranking):,} designs were given up in a race before."
 
 
 def other_cases(rankings: Sequence[RankedDesigns]) -> Iterator[str]:

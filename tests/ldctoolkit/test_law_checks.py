@@ -9,7 +9,6 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from controllers import LQR
 from helpers.errors import assert_fields
 from ldctoolkit import (
     Controller,
@@ -23,6 +22,7 @@ from ldctoolkit import (
     option,
     register,
 )
+from ldctoolkit.controllers import LQR
 from ldctoolkit.declared import declared_gains
 from ldctoolkit.errors import InputError
 from ldctoolkit.law_checks import check_controller, check_law, check_step, raised

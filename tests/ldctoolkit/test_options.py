@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from controllers import LQR
 from helpers.errors import assert_fields
 from ldctoolkit import Scenarios, Setup, metrics, simulate
+from ldctoolkit.controllers import LQR
 from ldctoolkit.errors import InputError
 from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
 

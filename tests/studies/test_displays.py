@@ -13,11 +13,11 @@ import matplotlib.axes
 import numpy as np
 import pytest
 
-from controllers import LQR, NoControl
 from helpers.pages import Page
 from ldctoolkit import EventStatus, Scenarios, controller_class, plot_departure, simulate
+from ldctoolkit.controllers import LQR, NoControl
 from ldctoolkit.errors import InputError, UnknownNameError
-from studies import (
+from ldctoolkit.studies import (
     Ranking,
     Study,
     StudyResults,
@@ -30,7 +30,7 @@ from studies import (
     rank_study,
     run_study,
 )
-from studies.plotting import law_styles
+from ldctoolkit.studies.plotting import law_styles
 
 EVIL = "<script>alert(1)</script>"
 STUDY: dict[str, Any] = {
@@ -146,7 +146,7 @@ def test_an_outcome_without_scenarios_to_speak_of() -> None:
 
 def test_showing_a_ranking_loads_no_templates_and_no_plots() -> None:
     code = (
-        "import sys, studies.ranking.ranking, studies.comparison.comparison\n"
+        "import sys, ldctoolkit.studies.ranking.ranking, ldctoolkit.studies.comparison.comparison\n"
         "print(*sorted({'jinja2', 'matplotlib', 'polars'} & set(sys.modules)))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -279,7 +279,7 @@ def test_a_title_with_a_dollar_sign_is_text(ranking_plotting: Ranking, ax: matpl
 
 
 def test_departure(ax: matplotlib.axes.Axes) -> None:
-    from controllers import LQR, NoControl
+    from ldctoolkit.controllers import LQR, NoControl
 
     scenarios = Scenarios.from_arrays(T=[3.0, 2.0], d_y=[0.6, 0.02], v_mean=25.0, side=[1, -1])
     outcome = simulate(LQR(r_delta=100.0), scenarios, y_s=0.1, trajectories=True)
@@ -327,7 +327,7 @@ def test_trade_off_has_the_units_of_the_report(ranking_plotting: Ranking, ax: ma
 
 
 def test_paths_on_the_same_axes_differ(ax: matplotlib.axes.Axes) -> None:
-    from controllers import LQR
+    from ldctoolkit.controllers import LQR
 
     scenarios = Scenarios.from_arrays(T=[3.0], d_y=0.6, v_mean=25.0, side=1)
     for r_delta in (30.0, 300.0, 3000.0):

@@ -8,7 +8,7 @@ import pytest
 
 from helpers.errors import assert_fields
 from ldctoolkit.errors import StudyError
-from studies.standards import Cells, load_standard, standard_names
+from ldctoolkit.studies.standards import Cells, load_standard, standard_names
 
 ROAD_EDGE = "euroncap-2026-elk-road-edge"
 DRIFTING = (ROAD_EDGE, "euroncap-2025-elk", "euroncap-2026-driveability")

@@ -10,7 +10,7 @@ import pytest
 from helpers.cli import bad, good, ldc
 from helpers.recordings import OFFSET, drive, frame_of
 from ldctoolkit import controller_class, controller_names, load_model
-from studies.study_file import Study, catalog_names, load_study
+from ldctoolkit.studies.study_file import Study, catalog_names, load_study
 
 KEY = re.compile(r"# (\w+ = .*)")
 

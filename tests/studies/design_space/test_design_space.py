@@ -22,8 +22,8 @@ from scipy.stats import qmc
 from helpers.errors import assert_fields
 from ldctoolkit import Controller, Plant, controller_class, gain, register, registry
 from ldctoolkit.errors import InputError, StudyError
-from studies import Design, Study
-from studies.design_space import (
+from ldctoolkit.studies import Design, Study
+from ldctoolkit.studies.design_space import (
     Choices,
     Condition,
     DesignBlock,
