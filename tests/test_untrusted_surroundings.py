@@ -25,7 +25,7 @@ from controllers import LQR, _nmpc_solver
 from helpers.cli import TINY_STUDY, bad, good, ldc
 from ldctoolkit import LdcError, load_model, surroundings
 from ldctoolkit.recordings.mdf_logs import read_channel_map
-from ldctoolkit.testing.law_checks import picklable
+from ldctoolkit.testing.contract import picklable
 from ldctoolkit.testing.subject import ContractSettings, Subject
 from studies import load_study, read_manifest
 from studies.cli import main
