@@ -181,7 +181,7 @@ class CheckedArguments:
             """Raise `UnknownArgumentError` for a name that `__init__` does not know."""
             for name in given:
                 if name not in (known := _arguments(cls) or given):
-                    raise UnknownArgumentError(f"{cls.__name__}.{name}", "no such argument", allowed=known)
+                    raise UnknownArgumentError(cls.__name__, "is no argument", value=name, allowed=tuple(known))
             return super().__new__(cls)
 
 

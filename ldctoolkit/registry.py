@@ -174,7 +174,7 @@ def controller_class(name: str) -> type[Controller]:
         return _registered[name]
     point = _installed().get(name)
     if point is None:
-        raise UnknownNameError(f"law {name!r}", "no such controller", allowed=controller_names())
+        raise UnknownNameError("law", "is no controller", value=name, allowed=controller_names())
     if point in _loaded:
         return _loaded[point]
     try:

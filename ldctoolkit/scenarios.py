@@ -245,7 +245,7 @@ def _numbers(name: str, value: npt.ArrayLike) -> FloatArray:
     if name == "side" and given.dtype.kind in "UO":
         for i, word in enumerate(given.ravel().tolist()):
             if word not in sides:
-                raise InputError("scenarios", f"side[{i}] = {word!r}", allowed=sides)
+                raise InputError(f"scenarios: side[{i}]", value=word, allowed=sides)
         given = np.where(given == "left", LEFT, RIGHT)
     if given.dtype.kind not in "iuf":
         for i, one in enumerate(given.ravel().tolist()):

@@ -215,7 +215,7 @@ def load_standard(name_or_path: str | Path) -> Standard:
         path = FOLDER / f"{name_or_path}.toml"
     elif path.suffix != ".toml":
         raise UnknownNameError(
-            f"standard {str(name_or_path)!r}", "neither a file nor in the catalog", allowed=standard_names()
+            "standard", "is neither a file nor in the catalog", value=str(name_or_path), allowed=standard_names()
         )
     content = read_toml(path, StudyError)
     try:

@@ -646,4 +646,6 @@ def load_study(name_or_path: str | Path) -> Study:
         )
     if path.suffix == ".toml" or path.exists():
         return Study.from_toml(path)
-    raise UnknownNameError(f"study {str(name_or_path)!r}", "neither a file nor in the catalog", allowed=catalog_names())
+    raise UnknownNameError(
+        "study", "is neither a file nor in the catalog", value=str(name_or_path), allowed=catalog_names()
+    )

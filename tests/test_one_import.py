@@ -241,7 +241,7 @@ STUDY = ldc.study(ldc.NoControl, left=2, right=2)
         (lambda: ldc.study(ldc.LQR, y_s=True), r"^study: design\[0\]\.y_s: True; allowed: a finite number"),
         (lambda: ldc.study(ldc.LQR, require=3), r"ranking\.require: 3; allowed: "),
         (lambda: ldc.study([ldc.LQR, ldc.PID]), r"^design: \[.*; allowed: .*, each an argument of its own$"),
-        (lambda: ldc.study("LQR"), r"no such controller; did you mean 'lqr'\?"),
+        (lambda: ldc.study("LQR"), r"is no controller; did you mean 'lqr'\?"),
         (
             lambda: ldc.study(ldc.LQR, scenarios=arrays()),
             r"^scenarios: an object of type Scenarios; allowed: a table of keys, .*run_study\(study, scenarios=",

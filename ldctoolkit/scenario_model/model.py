@@ -76,7 +76,7 @@ def conditions(given: Given | None) -> tuple[Condition, ...]:
     found = {}
     for name, wanted in (given or {}).items():
         if name not in PARAMETER_NAMES:
-            raise InputError("given", f"no parameter {name!r}", allowed=PARAMETER_NAMES)
+            raise InputError("given", "is no parameter", value=name, allowed=PARAMETER_NAMES)
         low, high = _ends(name, wanted)
         slip = unit_slip(name, low) or unit_slip(name, high if math.isfinite(high) else 0.0)
         if slip:
@@ -455,7 +455,7 @@ def load_model(name_or_path: str | os.PathLike[str]) -> ScenarioModel:
         return ScenarioModel.load(path)
     if path.suffix == ".json" or path.name != name or not isinstance(name_or_path, str):
         raise ModelError(name, "no such file", hint=f"bundled models: {', '.join(names)}")
-    raise UnknownNameError(f"scenario model {name!r}", "neither a bundled model nor a file", allowed=names)
+    raise UnknownNameError("scenario model", "is neither a bundled model nor a file", value=name, allowed=names)
 
 
 def read_all_departures(paths: Sequence[str | os.PathLike[str]]) -> tuple[Departures, Provenance]:

@@ -59,7 +59,7 @@ def subjects(chosen: argparse.Namespace) -> list[Subject]:
     known = chosen.design in catalog_names() or chosen.design.endswith(".toml")
     if not known and not os.path.isfile(chosen.design):  # noqa: PTH113
         names = (*controller_names(), *catalog_names())
-        raise UnknownNameError(f"{chosen.design!r}", "neither a law, nor a study", allowed=names)
+        raise UnknownNameError("design", "is neither a law, nor a study", value=chosen.design, allowed=names)
     if chosen.gain:
         raise InputError("--gain", "goes with the name of a law", hint="a study has its own gains")
     return list(_of_study(load_study(chosen.design), chosen))

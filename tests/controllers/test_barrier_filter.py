@@ -358,7 +358,7 @@ def test_the_defaults_stand_a_real_actuator(actuator: Actuator) -> None:
 @pytest.mark.parametrize(
     ("given", "error", "message"),
     [
-        ({"inner": "lqq"}, UnknownNameError, r"barrier_filter\.inner: 'lqq': no such controller; did you mean 'lq"),
+        ({"inner": "lqq"}, UnknownNameError, r"barrier_filter\.inner: 'lqq' is no controller; did you mean 'lq"),
         (
             {"inner": "none"},
             InputError,

@@ -124,10 +124,10 @@ def test_without_a_model_recorded_departures_are_replayed(tmp_path: Path) -> Non
     ("arguments", "message"),
     [
         ([], "init: give a study of the catalog or --law; allowed: ideal, paper, reality"),
-        (["papr"], "study 'papr': not in the catalog; did you mean 'paper'?"),
-        (["there.toml"], "study 'there.toml': not in the catalog"),
+        (["papr"], "study: 'papr' is not in the catalog; did you mean 'paper'?"),
+        (["there.toml"], "study: 'there.toml' is not in the catalog"),
         (["--law", "lqq"], "did you mean 'lqr'?"),
-        (["--law", "lqr", "--plant", "idea"], "study 'idea': not in the catalog; did you mean 'ideal'?"),
+        (["--law", "lqr", "--plant", "idea"], "study: 'idea' is not in the catalog; did you mean 'ideal'?"),
         (["--law", "lqr", "--y-s", "-11"], "my-study.toml: design[1].y_s: -11.0; allowed: a finite number >= -10 [m]"),
         (["--law", "lqr", "--require", "a_y_peak_p59 <= 3"], "my-study.toml: ranking.require: "),
         (["--law", "lqr", "--model", "none.json"], "none.json"),

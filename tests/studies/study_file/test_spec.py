@@ -35,7 +35,7 @@ MISTAKES: list[tuple[dict[str, Any], str]] = [
         "(allowed: departures, given, left, model, path, right, table, weights)",
     ),
     ({"scenarios": {"given": 3}}, "scenarios.given: 3; allowed: a table of keys"),
-    ({"scenarios": {"given": {"v": 3}}}, "scenarios.given: no parameter 'v'; "),
+    ({"scenarios": {"given": {"v": 3}}}, "scenarios.given: 'v' is no parameter; "),
     ({"scenarios": {"given": {"v_mean": "fast"}}}, "scenarios.given.v_mean: 'fast'; allowed: a number, or (lower"),
     ({"scenarios": {"given": {"v_mean": [35, 25]}}}, "scenarios.given.v_mean: (35, 25); allowed: a number, or (lower"),
     ({"scenarios": {"given": {"v_mean": True}}}, "scenarios.given.v_mean: True; allowed: a number"),
