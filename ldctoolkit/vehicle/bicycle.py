@@ -287,5 +287,5 @@ def checked_speeds(v: npt.ArrayLike) -> FloatArray:
     bad = ~(np.isfinite(speed) & (speed > 0))
     if bad.any():
         i = int(np.argmax(bad))
-        raise InputError(f"v[{i}] = {speed[i]:g} m/s; allowed: finite speeds > 0")
+        raise InputError(f"v[{i}]", "m/s", value=float(speed[i]), allowed="a finite number > 0")
     return speed

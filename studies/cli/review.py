@@ -19,8 +19,7 @@ if TYPE_CHECKING:
 
     from ldctoolkit.control import Controller
     from ldctoolkit.plant_options import PlantOptions
-    from ldctoolkit.review import Review
-    from ldctoolkit.review.limits import Finding
+    from ldctoolkit.review import Finding, Review
     from ldctoolkit.scenarios import Scenarios
     from ldctoolkit.simulation import Takeover
     from ldctoolkit.vehicle import Convention
@@ -85,7 +84,7 @@ def reviewed_design(subject: Subject) -> Review:
 
 def _of_folder(chosen: argparse.Namespace) -> Iterator[Subject]:
     """The design that the verdict of a study's results names, or the one that is chosen, with what its results say."""
-    from ldctoolkit.review.limits import Finding
+    from ldctoolkit.review import Finding
 
     from ..ranking.requirements import G, metric_values
     from ._results import judged

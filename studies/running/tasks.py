@@ -16,8 +16,6 @@ import numpy as np
 import ldctoolkit.registry as registry
 from ldctoolkit.arrays import IntArray
 from ldctoolkit.control import EventStatus, LinearLaw, SteeringLaw
-from ldctoolkit.declared import checked_whole
-
 from ldctoolkit.errors import LdcError
 from ldctoolkit.law_checks import declared_law, raised
 from ldctoolkit.metrics import METRIC_UNITS

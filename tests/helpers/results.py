@@ -17,10 +17,8 @@ from ldctoolkit.studies.design import Design
 from ldctoolkit.studies.pages.context import Context, ReportInput
 from ldctoolkit.studies.pages.report import report_page
 from ldctoolkit.studies.pages.shell import Section
-from ldctoolkit.studies.racing import race_round
 from ldctoolkit.studies.ranking.ranking import Ranking
 from ldctoolkit.studies.results import Case, CaseResults, StudyResults, per_scenario
-from ldctoolkit.studies.running.tasks import prefix_rows, schedule
 
 DEPARTURE, CONTROL = Case("departure", "consistent"), Case("control", "consistent")
 

@@ -22,7 +22,7 @@ from ldctoolkit import EventStatus, Scenarios, load_model
 from ldctoolkit.errors import InputError, StoreError
 from ldctoolkit.paths.uncorrected import RandomStream
 from ldctoolkit.plant_options import Mismatch, PlantOptions, Residuals, Sensors
-from ldctoolkit.studies import Case, CaseResults, Comparison, Manifest, Study, StudyResults, compare
+from ldctoolkit.studies import CaseResults, Comparison, Manifest, Study, StudyResults, compare
 from ldctoolkit.studies.cli._tables import print_comparison
 from ldctoolkit.studies.comparison.comparison import COLUMNS, comparison_content, write_comparison
 from ldctoolkit.studies.comparison.paired import (
@@ -33,7 +33,7 @@ from ldctoolkit.studies.comparison.paired import (
     share_scenarios,
 )
 from ldctoolkit.studies.ranking.inference import weight_blocks
-from ldctoolkit.studies.results import Dropped, FailedDesign, Race
+from ldctoolkit.studies.results import FailedDesign
 
 
 def scenarios_of(n: int, left: int | None = None, seed: int = 0) -> Scenarios:

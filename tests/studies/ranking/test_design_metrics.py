@@ -31,7 +31,7 @@ from ldctoolkit.studies.ranking.design_metrics import (
 from ldctoolkit.studies.ranking.inference import Inference, bootstrap_deviations, infer, row_blocks, row_means
 from ldctoolkit.studies.ranking.ranking import warnings_of_sample, write_csv
 from ldctoolkit.studies.ranking.requirements import metric, metric_values, parse_requirement
-from ldctoolkit.studies.results import Dropped, FailedDesign, Race
+from ldctoolkit.studies.results import FailedDesign
 
 
 @given(st.integers(1, 70), st.integers(0, 10**6), st.sampled_from([50, 90, 95, 99]))

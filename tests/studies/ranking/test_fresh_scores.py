@@ -14,7 +14,7 @@ from ldctoolkit.studies import Case, Design, Ranking, StudyResults
 from ldctoolkit.studies.ranking.inference import Resampled
 from ldctoolkit.studies.ranking.ranked_designs import choose_winner, lost
 from ldctoolkit.studies.ranking.ranking import write_csv
-from ldctoolkit.studies.results import Dropped, FailedDesign, Race
+from ldctoolkit.studies.results import FailedDesign
 
 pytestmark = pytest.mark.usefixtures("laws")
 

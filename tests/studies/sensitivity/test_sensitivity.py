@@ -22,7 +22,7 @@ from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.scenario_model import load_model
 from ldctoolkit.studies import Case, Design, Study, StudyResults
 from ldctoolkit.studies.ranking.inference import bootstrap_means
-from ldctoolkit.studies.results import Dropped, FailedDesign, Race
+from ldctoolkit.studies.results import FailedDesign
 from ldctoolkit.studies.sensitivity.sensitivity import (
     BlockSensitivity,
     factorial_shares,
