@@ -15,7 +15,6 @@ from ldctoolkit.control import (
     SolverCalls,
     SteeringLaw,
 )
-from ldctoolkit.departure_plot import plot_departure
 from ldctoolkit.departures import (
     DepartureParameters,
     Departures,
@@ -72,6 +71,7 @@ if TYPE_CHECKING:
         export_c,
         load_study,
         plot_convergence,
+        plot_departure,
         plot_distribution,
         plot_landscape,
         plot_ranking,
