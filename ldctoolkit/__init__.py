@@ -81,6 +81,7 @@ if TYPE_CHECKING:
         export_c,
         load_study,
         plot_convergence,
+        plot_departure,
         plot_distribution,
         plot_landscape,
         plot_ranking,

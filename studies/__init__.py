@@ -12,7 +12,14 @@ if TYPE_CHECKING:
     from .design import Design
     from .export import export_c
     from .extraction import run_extraction
-    from .plotting import plot_convergence, plot_distribution, plot_landscape, plot_ranking, plot_trade_off
+    from .plotting import (
+        plot_convergence,
+        plot_departure,
+        plot_distribution,
+        plot_landscape,
+        plot_ranking,
+        plot_trade_off,
+    )
     from .ranking.ranking import Ranking, rank_study
     from .results import Case, CaseResults, StudyResults
     from .risk import estimate_risk
@@ -38,6 +45,7 @@ _HOMES = {
     "export_c": "export",
     "load_study": "study_file",
     "plot_convergence": "plotting",
+    "plot_departure": "plotting",
     "plot_distribution": "plotting",
     "plot_landscape": "plotting",
     "plot_ranking": "plotting",
@@ -66,6 +74,7 @@ __all__ = [
     "export_c",
     "load_study",
     "plot_convergence",
+    "plot_departure",
     "plot_distribution",
     "plot_landscape",
     "plot_ranking",

@@ -46,7 +46,6 @@ LEVELS = (
     # a model is judged by what designs do on its departures
     ("ldctoolkit.scenario_model", "ldctoolkit.models"),
     ("ldctoolkit.diagnostics",),
-    ("ldctoolkit.departure_plot",),
     ("ldctoolkit",),
     ("ldctoolkit.__main__",),
     ("controllers",),
