@@ -25,7 +25,6 @@ from ldctoolkit.control import (
     SteeringLaw,
 )
 from ldctoolkit.declared import Gain, gain, option
-from ldctoolkit.departure_plot import plot_departure
 from ldctoolkit.departures import (
     DepartureParameters,
     Departures,

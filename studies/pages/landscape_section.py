@@ -10,7 +10,6 @@ from markupsafe import Markup
 
 from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.declared import GainValue
-from ldctoolkit.gains import GainValue
 from ldctoolkit.registry import controller_class
 
 from ..design import Design

@@ -30,7 +30,7 @@ from ldctoolkit.studies import (
     rank_study,
     run_study,
 )
-from ldctoolkit.studies.plotting import law_styles
+from ldctoolkit.studies.pages.charts import law_styles
 
 EVIL = "<script>alert(1)</script>"
 STUDY: dict[str, Any] = {
@@ -146,7 +146,7 @@ def test_an_outcome_without_scenarios_to_speak_of() -> None:
 
 def test_showing_a_ranking_loads_no_templates_and_no_plots() -> None:
     code = (
-        "import sys, ldctoolkit.studies.ranking.ranking, ldctoolkit.studies.comparison.comparison\n"
+        "import sys, studies.ranking.ranking, studies.comparison.comparison\n"
         "print(*sorted({'jinja2', 'matplotlib', 'polars'} & set(sys.modules)))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -281,7 +281,7 @@ def test_a_title_with_a_dollar_sign_is_text(ranking_plotting: Ranking, ax: matpl
 
 
 def test_departure(ax: matplotlib.axes.Axes) -> None:
-    from ldctoolkit.controllers import LQR, NoControl
+    from controllers import LQR, NoControl
 
     scenarios = Scenarios.from_arrays(T=[3.0, 2.0], d_y=[0.6, 0.02], v_mean=25.0, side=[1, -1])
     outcome = simulate(LQR(r_delta=100.0), scenarios, y_s=0.1, trajectories=True)
@@ -329,7 +329,7 @@ def test_trade_off_has_the_units_of_the_report(ranking_plotting: Ranking, ax: ma
 
 
 def test_paths_on_the_same_axes_differ(ax: matplotlib.axes.Axes) -> None:
-    from ldctoolkit.controllers import LQR
+    from controllers import LQR
 
     scenarios = Scenarios.from_arrays(T=[3.0], d_y=0.6, v_mean=25.0, side=1)
     for r_delta in (30.0, 300.0, 3000.0):

@@ -21,7 +21,19 @@ from ldctoolkit.studies.comparison.comparison import CaseComparison
 from ldctoolkit.studies.comparison.paired import PairedDifferences, SharedScenarios, Verdict, Winners
 from ldctoolkit.studies.design import Design, named_designs
 from ldctoolkit.studies.pages import charts, explorer
-from ldctoolkit.studies.pages.charts import Axis, Dot, Series, Style, bars, dots, ecdf, heat_map, law_styles, nice_step
+from ldctoolkit.studies.pages.charts import (
+    Axis,
+    Chart,
+    Dot,
+    Series,
+    Style,
+    bars,
+    dots,
+    ecdf,
+    heat_map,
+    law_styles,
+    nice_step,
+)
 from ldctoolkit.studies.pages.compare_page import compare_page, write_compare_page
 from ldctoolkit.studies.pages.context import Context, ReportInput
 from ldctoolkit.studies.pages.replay import chosen_designs, picked_departures, replay, rows_of_numbers
@@ -46,7 +58,7 @@ CASE = CaseComparison(Case("departure", "consistent"), DESIGNS, S, (3, 1, 0, 2),
 SHARED = SharedScenarios(np.arange(5), np.array([10, 11, 12, 13, 14]), np.array([1, 1, 1, -1, -1]), 3)
 COMPARISON = Comparison(
     "out/old", "out/new", "before", "after", ("plant.actuator.lag: 0.0 -> 0.2",), SHARED, (CASE,),
-    (Design.of(PreviewProportional(), 0.2),), (Design.of(LQR(), 0.3),), (), (), (), 200, 0.95,
+    (Design.of(PreviewProportional(), 0.2),), (Design.of(LQR(), 0.3),), (), (), (), (), 200, 0.95,
 )  # fmt: skip
 NOTHING = np.zeros(0)
 NONE = PairedDifferences(
@@ -174,6 +186,7 @@ def test_no_design_in_both_and_no_winner() -> None:
     page = of_case(designs=(), S=NONE, failed_old=(), failed_new=(), winners=None)
     assert "No design is in both studies" in page.words("verdict")
     assert "there is no winner to compare" in page.words("verdict")
+    assert "Winners are not compared here: a race" in of_case(winners=None, raced_elsewhere=True).words("verdict")
 
 
 def test_charts_hold_the_changes(page: Page) -> None:
