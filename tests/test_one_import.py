@@ -183,7 +183,7 @@ def test_numbers_of_numpy_are_numbers() -> None:
     assert study == ldc.study({"law": "lqr", "gains": {"r_delta": [30.0, 300.0]}}, y_s=[0.1, 0.2, 0.3],
                               left=5, right=5, seed=2)  # fmt: skip
     assert Study.from_dict(study.content()).hash == study.hash
-    with pytest.raises(ldc.LdcError, match=r"vehicle\.m: True; allowed: a number > 0"):
+    with pytest.raises(ldc.LdcError, match=r"vehicle\.m: True; allowed: a finite number > 0 kg"):
         ldc.VehicleParameters(m=np.bool_(True))
 
 
