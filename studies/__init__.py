@@ -36,7 +36,12 @@ _MODULES = {
     "export": ("export_c",),
     "extraction": ("run_extraction",),
     "plotting": (
-        "plot_convergence", "plot_departure", "plot_distribution", "plot_landscape", "plot_ranking", "plot_trade_off",
+        "plot_convergence",
+        "plot_departure",
+        "plot_distribution",
+        "plot_landscape",
+        "plot_ranking",
+        "plot_trade_off",
     ),
     "ranking.ranking": ("Ranking", "rank_study"),
     "results": ("Case", "CaseResults", "StudyResults"),
