@@ -27,8 +27,9 @@ from ..assessment import assess
 from ..design import Design
 from ..results import Case, CaseResults, Race, StudyResults
 from ..standards import standard_names
-from ..storage.files import csv_text, write_text
+from ..storage.files import write_text
 from ..study_file import Study
+from ..tables import Table, to_csv, to_polars
 from .design_metrics import (
     DrivableCase,
     Margins,
@@ -148,12 +149,7 @@ class Ranking(RankedDesigns, Frame):
         """One row a design, with the columns of ``ranking.csv``: first what names it, its rank and S."""
         import polars as pl
 
-        text = ("design", "label", "unmet", "fresh_unmet", "failure")
-        types = {**dict.fromkeys(text, pl.String), "rank": pl.Int64}
-        content = _csv_text([self], None, plain=True).encode()
-        table = pl.read_csv(content, infer_schema_length=None, schema_overrides=types)
-        empty = [one.name for one in table if one.dtype == pl.String and one.is_null().all() and one.name not in text]
-        table = table.with_columns(pl.col(empty).cast(pl.Float64))
+        table = to_polars(_table([self], None)).with_columns(pl.col("rank").cast(pl.Int64))
         first = ["rank", "law", "y_s_m", "S_m_s", "set_of_best", "unmet"]
         return table.select(*first, pl.exclude(first))
 
@@ -470,10 +466,11 @@ _COUNTS: Final = ("solver_failed", "diverged", "timed_out", "crashed", "beyond_d
 
 def write_csv(rankings: Sequence[Ranking], path: str | Path, race: Race | None = None) -> None:
     """Write rankings as one CSV file, whole or not at all; window and convention name the case."""
-    write_text(Path(path), _csv_text(rankings, race))
+    write_text(Path(path), to_csv(_table(rankings, race)))
 
 
-def _csv_text(rankings: Sequence[Ranking], race: Race | None, *, plain: bool = False) -> str:
+def _table(rankings: Sequence[Ranking], race: Race | None) -> Table:
+    """The numbers of every design, in SI units."""
     dropped = () if race is None else race.dropped
     designs = [*(design for ranking in rankings for design in _every(ranking)), *(one.design for one in dropped)]
     laws = {design.law: design for design in designs}
@@ -482,7 +479,7 @@ def _csv_text(rankings: Sequence[Ranking], race: Race | None, *, plain: bool = F
     if race is not None:
         behind = len(rankings[0]) + len(rankings[0].failed)
         rows[behind:behind] = _given_up(race, rankings[0], gains)
-    return csv_text([*rows[0], *_DROPPED], rows, plain=plain)
+    return Table.of([*rows[0], *_DROPPED], rows, text=("design", "label", "unmet", "fresh_unmet", "failure"))
 
 
 def _every(ranking: Ranking) -> Iterator[Design]:
@@ -515,20 +512,18 @@ def _rows(ranking: Ranking, gains: Sequence[str]) -> Iterator[dict[str, Any]]:
     for i, (design, reason) in enumerate(zip(_every(ranking), reasons, strict=True)):
         here = i < len(ranking)
         yield {
-            **_named(ranking, int(ranking.rank[i]) if here and ranking.rank[i] else "", design, gains),
-            **{name: _field(column[i].item()) if here else "" for name, column in numbers.items()},
+            **_named(ranking, int(ranking.rank[i]) or None if here else None, design, gains),
+            **{name: column[i] if here else None for name, column in numbers.items()},
             "unmet": "; ".join(ranking.unmet[i]) if here else "",
             "fresh_unmet": "; ".join(ranking.fresh_unmet[i]) if here else "",
-            "optimism_of": _optimism_of(ranking, i) if here else "",
+            "optimism_of": _optimism_of(ranking, i) if here else None,
             "failure": reason,
         }
 
 
-def _named(ranking: Ranking, rank: int | str, design: Design, gains: Sequence[str]) -> dict[str, Any]:
+def _named(ranking: Ranking, rank: int | None, design: Design, gains: Sequence[str]) -> dict[str, Any]:
     """The columns that say which design in which case."""
-    values = dict.fromkeys(gains, "") | dict(
-        zip(_columns_of(design), (_field(value) for _, value in design.gains), strict=True)
-    )
+    values = dict(zip(_columns_of(design), (value for _, value in design.gains), strict=True))
     return {
         "window": ranking.case.window,
         "convention": ranking.case.convention,
@@ -536,26 +531,19 @@ def _named(ranking: Ranking, rank: int | str, design: Design, gains: Sequence[st
         "design": design.id,
         "label": design.label,
         "law": design.law,
-        "y_s_m": repr(design.y_s),
-        **{f"gain_{name}": value for name, value in values.items()},
+        "y_s_m": design.y_s,
+        **{f"gain_{name}": values.get(name) for name in gains},
     }
 
 
 def _given_up(race: Race, ranking: Ranking, gains: Sequence[str]) -> Iterator[dict[str, Any]]:
     """No rank and no metrics: these would stand for fewer scenarios than all others."""
     for one in race.dropped:
-        metrics = (one.round, one.scenarios, _field(one.S), _field(one.low))
-        yield _named(ranking, "", one.design, gains) | dict(zip(_DROPPED, metrics, strict=True))
+        metrics = (one.round, one.scenarios, one.S, one.low)
+        yield _named(ranking, None, one.design, gains) | dict(zip(_DROPPED, metrics, strict=True))
 
 
-def _optimism_of(ranking: Ranking, i: int) -> str:
+def _optimism_of(ranking: Ranking, i: int) -> str | None:
     if np.isnan(ranking.optimism[i]):
-        return ""
+        return None
     return "baseline_difference" if ranking.optimism_paired else "S"
-
-
-def _field(value: Any) -> str:
-    """Numbers in full precision, truth values in lower case, nothing for a metric that is taken over no departure."""
-    if isinstance(value, bool):
-        return str(value).lower()
-    return "" if value != value else str(value)

@@ -26,8 +26,8 @@ from studies.pages.compare_page import compare_page, write_compare_page
 from studies.pages.context import Context, ReportInput
 from studies.pages.replay import chosen_designs, picked_departures, replay, rows_of_numbers
 from studies.pages.shell import Cell, Column, TableRow, details, packed, script_json, table
-from studies.pages.text import number, symbols
 from studies.results import Case, FailedDesign, StudyResults
+from studies.text import number, symbols
 
 DESIGNS = (Design.of(NoControl(), 0.2), *(Design.of(LQR(), y_s) for y_s in (0.05, 0.1, 0.2)))
 S = PairedDifferences(
