@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import math
 from typing import Final, Literal, Protocol, get_args
 
 import numpy as np
@@ -16,7 +15,7 @@ import numpy.typing as npt
 
 from ldctoolkit.arrays import FloatArray, unmasked
 from ldctoolkit.errors import CheckedArguments, InputError, plain
-from ldctoolkit.option_checks import short_repr, warn_of_units
+from ldctoolkit.option_checks import checked_number, short_repr, warn_of_units
 from ldctoolkit.vehicle.discretization import AugmentedStep, Discretization, augmented, discretize
 
 
@@ -128,15 +127,10 @@ class VehicleParameters(CheckedArguments):
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
             value = plain(getattr(self, field.name))
-            if isinstance(value, bool) or not isinstance(value, int | float):
-                raise InputError(f"vehicle.{field.name}", value=value, allowed="a number > 0")
-            if not (math.isfinite(value) and value > 0):
-                raise InputError(f"vehicle.{field.name}", value=value, allowed="a finite number > 0")
+            checked_number(f"vehicle.{field.name}", value, above=0.0)
             object.__setattr__(self, field.name, value)
         if self.w_v >= self.w_l:
-            raise InputError(
-                "vehicle.w_v", "m", value=self.w_v, allowed=f"less than the lane's width w_l = {self.w_l!r} m"
-            )
+            raise InputError("vehicle.w_v", "m", value=self.w_v, allowed=f"less than the lane's width, {self.w_l!r} m")
         warn_of_units("vehicle", self)
 
     @property

@@ -19,8 +19,7 @@ if TYPE_CHECKING:
 
     from ldctoolkit.control import Controller
     from ldctoolkit.plant_options import PlantOptions
-    from ldctoolkit.review import Review
-    from ldctoolkit.review import Finding
+    from ldctoolkit.review import Finding, Review
     from ldctoolkit.scenarios import Scenarios
     from ldctoolkit.simulation import Takeover
     from ldctoolkit.vehicle import Convention
