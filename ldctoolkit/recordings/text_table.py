@@ -165,9 +165,9 @@ def _survey(text: bytes, layout: Layout) -> tuple[IntArray, bytes, list[LineFaul
     """Lines that can be split, their text, and what is wrong with the others."""
     bytes_ = np.frombuffer(text, dtype=np.uint8)
     marks = np.flatnonzero((bytes_ == _COMMA) | (bytes_ == _LINE_END))
+    last = np.flatnonzero(bytes_[marks] == _LINE_END)
     if bytes_.size and bytes_[-1] != _LINE_END:
-        marks = np.append(marks, bytes_.size)
-    last = np.flatnonzero(np.append(bytes_, _LINE_END)[marks] != _COMMA)
+        marks, last = np.append(marks, bytes_.size), np.append(last, marks.size)
     ends, cells = marks[last], np.diff(last, prepend=-1)
 
     def lines_with(*values: int) -> IntArray:

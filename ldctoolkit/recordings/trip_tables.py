@@ -72,7 +72,7 @@ def check_trip_columns(
     check_columns(columns, required, optional, same=str.lower)
 
 
-BLOCK_BYTES: Final = 1 << 20  # text that is looked through at once
+BLOCK_BYTES: Final = 4 << 20  # text that is looked through at once
 MOST_FAULTS: Final = 20  # lines without a key that are reported one by one; the others are counted
 MOST_STRETCHES: Final = 1_000_000  # more stretches than these mean that the rows are not sorted by trip at all
 

@@ -333,7 +333,7 @@ class TripFolder:
         valid = (state == DETECTED) & (width > 0.0) & (width < LARGEST) & (np.abs(x) < LARGEST) & ~inside
         # speed at the times `t` [m/s]
         # a phone without a speed says less than 0; what no vehicle drives is not interpolated either
-        known = (gps[:, 1] >= 0.0) & (gps[:, 1] < 360.0) & ~spikes(gps[:, 1], 3.6 * LIMITS["speed"][1])
+        known = (gps[:, 1] >= 0.0) & (gps[:, 1] < 360.0) & ~spikes(gps[:, 1], 3.6 * LIMITS["speed"].spike)
         speed = values_at(t, *merge_repeated(gps[known, 0], gps[known, 1] / 3.6), longest=SPEED_STEP, beyond=SPEED_HELD)
         known = is_course(gps[:, 4])
         course_t, course = merge_repeated(gps[known, 0], np.unwrap(-np.radians(gps[known, 4])))
