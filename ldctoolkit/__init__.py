@@ -25,7 +25,6 @@ from ldctoolkit.control import (
     SteeringLaw,
 )
 from ldctoolkit.declared import Gain, gain, option
-from ldctoolkit.departure_plot import plot_departure
 from ldctoolkit.departures import (
     DepartureParameters,
     Departures,
@@ -54,143 +53,34 @@ from ldctoolkit.vehicle.speed_schedule import SPEED_RANGE, scheduled
 from ldctoolkit.version import __version__
 
 if TYPE_CHECKING:
-    from ldctoolkit.controllers import (
-        LQI,
-        LQR,
-        PID,
-        BarrierFilter,
-        LinearMPC,
-        NoControl,
-        NonlinearMPC,
-        PreviewLQR,
-        PreviewProportional,
-        PurePursuit,
-        SlidingMode,
-        Stanley,
-    )
-    from ldctoolkit.studies import (
-        Assessment,
-        Comparison,
-        Design,
-        Ranking,
-        Study,
-        StudyResults,
-        assess,
-        compare,
-        estimate_risk,
-        export_c,
-        load_study,
-        plot_convergence,
-        plot_distribution,
-        plot_landscape,
-        plot_ranking,
-        plot_trade_off,
-        rank_study,
-        read_results,
-        run_study,
-        study,
-    )
-
-_LAWS = (
-    "LQI", "LQR", "PID", "BarrierFilter", "LinearMPC", "NoControl", "NonlinearMPC", "PreviewLQR",
-    "PreviewProportional", "PurePursuit", "SlidingMode", "Stanley",
-)  # fmt: skip
+    from ldctoolkit.controllers import *
+    from ldctoolkit.studies import *
 
 __all__ = [
-    "LQI",
-    "LQR",
-    "PID",
-    "SPEED_RANGE",
-    "Actuator",
-    "Assessment",
-    "BarrierFilter",
-    "BicycleModel",
-    "BoundedGaussianMixture",
-    "Comparison",
-    "Controller",
-    "DepartureParameters",
-    "DepartureSignals",
-    "Departures",
-    "Design",
-    "EventStatus",
-    "Gain",
-    "KalmanFilter",
-    "LdcError",
-    "LinearLaw",
-    "LinearMPC",
-    "LinearSteps",
-    "Mismatch",
-    "NoControl",
-    "NonlinearMPC",
-    "Outcome",
-    "Plant",
-    "PlantOptions",
-    "Plausibility",
-    "Preview",
-    "PreviewLQR",
-    "PreviewProportional",
-    "PurePursuit",
-    "Ranking",
-    "RecordedPath",
-    "Residuals",
-    "ScenarioModel",
-    "Scenarios",
-    "Sensors",
-    "Setup",
-    "SlidingMode",
-    "SolverCalls",
-    "Stanley",
-    "SteeringLaw",
-    "Study",
-    "StudyResults",
-    "Tyres",
-    "VehicleParameters",
-    "__version__",
-    "assess",
-    "bundled_models",
-    "check_fidelity",
-    "compare",
-    "controller_class",
-    "controller_names",
-    "controllers",
-    "estimate_risk",
-    "export_c",
-    "extract_departures",
-    "fit_scenario_model",
-    "gain",
-    "load_model",
-    "load_study",
-    "open_recordings",
-    "option",
-    "plot_convergence",
-    "plot_departure",
-    "plot_distribution",
-    "plot_landscape",
-    "plot_ranking",
-    "plot_trade_off",
-    "rank_study",
-    "read_departures",
-    "read_recordings",
-    "read_results",
-    "rebuild_signals",
-    "reduce_signals",
-    "register",
-    "run_study",
-    "scheduled",
-    "simulate",
-    "studies",
-    "study",
-    "write_departures",
-]
+    "LQI", "LQR", "PID", "SPEED_RANGE", "Actuator", "Assessment", "BarrierFilter", "BicycleModel",
+    "BoundedGaussianMixture", "Comparison", "Controller", "DepartureParameters", "DepartureSignals", "Departures",
+    "Design", "EventStatus", "Gain", "KalmanFilter", "LdcError", "LinearLaw", "LinearMPC", "LinearSteps", "Mismatch",
+    "NoControl", "NonlinearMPC", "Outcome", "Plant", "PlantOptions", "Plausibility", "Preview", "PreviewLQR",
+    "PreviewProportional", "PurePursuit", "Ranking", "RecordedPath", "Residuals", "ScenarioModel", "Scenarios",
+    "Sensors", "Setup", "SlidingMode", "SolverCalls", "Stanley", "SteeringLaw", "Study", "StudyResults", "Tyres",
+    "VehicleParameters", "__version__", "assess", "bundled_models", "check_fidelity", "compare", "controller_class",
+    "controller_names", "controllers", "estimate_risk", "export_c", "extract_departures", "fit_scenario_model", "gain",
+    "load_model", "load_study", "open_recordings", "option", "plot_convergence", "plot_departure", "plot_distribution",
+    "plot_landscape", "plot_ranking", "plot_trade_off", "rank_study", "read_departures", "read_recordings",
+    "read_results", "rebuild_signals", "reduce_signals", "register", "run_study", "scheduled", "simulate", "studies",
+    "study", "write_departures",
+]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:
     """Laws and studies are loaded when they are first used."""
     if name in ("controllers", "studies"):
-        return importlib.import_module(f"ldctoolkit.{name}")
-    if name not in __all__:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}", name=name, obj=sys.modules[__name__])
-    return getattr(importlib.import_module(f"ldctoolkit.{'controllers' if name in _LAWS else 'studies'}"), name)
+        return importlib.import_module(f"{__name__}.{name}")
+    for package in ("controllers", "studies") if name in __all__ else ():
+        module = importlib.import_module(f"{__name__}.{package}")
+        if name in module.__all__:
+            return getattr(module, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}", name=name, obj=sys.modules[__name__])
 
 
 def __dir__() -> list[str]:

@@ -127,9 +127,7 @@ class VehicleParameters(CheckedArguments):
     def __post_init__(self) -> None:
         check_declared(self, "vehicle")
         if self.w_v >= self.w_l:
-            raise InputError(
-                "vehicle.w_v", "m", value=self.w_v, allowed=f"less than the lane's width w_l = {self.w_l!r} m"
-            )
+            raise InputError("vehicle.w_v", "m", value=self.w_v, allowed=f"less than the lane's width, {self.w_l!r} m")
         warn_of_units("vehicle", self)
 
     @property
@@ -287,5 +285,5 @@ def checked_speeds(v: npt.ArrayLike) -> FloatArray:
     bad = ~(np.isfinite(speed) & (speed > 0))
     if bad.any():
         i = int(np.argmax(bad))
-        raise InputError(f"v[{i}] = {speed[i]:g} m/s; allowed: finite speeds > 0")
+        raise InputError(f"v[{i}]", "m/s", value=float(speed[i]), allowed="a finite number > 0")
     return speed
