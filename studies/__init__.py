@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from .extraction import run_extraction
     from .plotting import plot_convergence, plot_distribution, plot_landscape, plot_ranking, plot_trade_off
     from .ranking.ranking import Ranking, rank_study
-    from .results import Case, CaseResults, StudyResults
+    from .results import StudyResults
     from .risk import estimate_risk
     from .runner import run_study
     from .storage.manifest import Manifest, read_manifest
@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 # loaded on first use, so that the command line answers --help without the data libraries
 _HOMES = {
     "Assessment": "assessment",
-    "Case": "results",
-    "CaseResults": "results",
     "Comparison": "comparison.comparison",
     "Design": "design",
     "Manifest": "storage.manifest",
@@ -51,8 +49,6 @@ _HOMES = {
 
 __all__ = [
     "Assessment",
-    "Case",
-    "CaseResults",
     "Comparison",
     "Design",
     "Manifest",

@@ -28,7 +28,6 @@ from .results import StudyResults
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from .results import CaseResults
 
 __all__ = ["plot_convergence", "plot_distribution", "plot_landscape", "plot_ranking", "plot_trade_off"]
 
@@ -89,7 +88,7 @@ def styles_of(designs: Iterable[Design]) -> dict[str, LineStyle]:
     return law_styles(design.law for design in designs)
 
 
-def curve_styles(results: StudyResults, case: CaseResults, chosen: Sequence[int]) -> list[LineStyle]:
+def curve_styles(results: StudyResults, chosen: Sequence[int]) -> list[LineStyle]:
     """A style for each curve: that of the law, or, where two are of one law, one of its own.
 
     Laws stand in the order of their least mean S, as in a ranking without requirements.
@@ -97,21 +96,9 @@ def curve_styles(results: StudyResults, case: CaseResults, chosen: Sequence[int]
     laws = [results.designs[i].law for i in chosen]
     if len(set(laws)) < len(laws):
         return list(law_styles(map(str, range(len(laws)))).values())
-    mean = np.array([np.mean(S) for S in case.counted])
+    mean = np.array([np.mean(S) for S in results.counted])
     styles = styles_of(results.designs[i] for i in np.argsort(mean, kind="stable").tolist())
     return [styles[law] for law in laws]
-
-
-def chosen_case(results: StudyResults, case: str | int) -> CaseResults:
-    """A case by its position or its label."""
-    labels = [one.case.label for one in results.cases]
-    if isinstance(case, str):
-        if case not in labels:
-            raise InputError("case", value=case, allowed=labels)
-        return results.cases[labels.index(case)]
-    if not 0 <= case < len(labels):
-        raise InputError("case", value=case, allowed=f"0 to {len(labels) - 1}")
-    return results.cases[case]
 
 
 def chosen_designs(results: StudyResults, designs: Iterable[Design | int]) -> list[int]:
@@ -162,7 +149,7 @@ def plot_landscape(
     >>> import ldctoolkit as ldc
     >>> study = ldc.study(ldc.NoControl, ldc.LQR, y_s=[0.1, 0.2], name="small", left=20, right=20)
     >>> results = ldc.run_study(study, workers=1)
-    >>> ranking = ldc.rank_study(results, study)[0]
+    >>> ranking = ldc.rank_study(results, study)
     >>> ldc.plot_landscape(ranking, "lqr", x="y_s").get_xlabel()
     'y_s [m]'
     """
@@ -227,7 +214,7 @@ def plot_ranking(ranking: Ranking, ax: Axes | None = None, top: int = 20) -> Axe
     >>> import ldctoolkit as ldc
     >>> study = ldc.study(ldc.NoControl, ldc.LQR, name="small", left=20, right=20)
     >>> results = ldc.run_study(study, workers=1)
-    >>> ranking = ldc.rank_study(results, study)[0]
+    >>> ranking = ldc.rank_study(results, study)
     >>> ldc.plot_ranking(ranking).get_xlabel()
     'Mean S [m·s]'
     """
@@ -247,7 +234,7 @@ def plot_ranking(ranking: Ranking, ax: Axes | None = None, top: int = 20) -> Axe
     axes.set_yticks(range(len(places)), [_name(ranking, place) for place in places], parse_math=False)
     axes.set_ylim(len(places) - 0.5, -0.5)
     axes.set_xlabel("Mean S [m·s]")
-    axes.set_title(ranking.case.label, parse_math=False)
+    axes.set_title(ranking.label, parse_math=False)
     return axes
 
 
@@ -274,7 +261,7 @@ def plot_trade_off(ranking: Ranking, x: str = "a_y_peak_p95", y: str = "S", ax: 
     >>> import ldctoolkit as ldc
     >>> study = ldc.study(ldc.NoControl, ldc.LQR, name="small", left=20, right=20)
     >>> results = ldc.run_study(study, workers=1)
-    >>> ranking = ldc.rank_study(results, study)[0]
+    >>> ranking = ldc.rank_study(results, study)
     >>> ldc.plot_trade_off(ranking, x="a_y_peak_p95", y="S").get_xlabel()
     'Peak a_y, 95 % quantile [m/s²], less is better'
     """
@@ -308,16 +295,11 @@ def _name(ranking: Ranking, place: int) -> str:
 
 
 def plot_distribution(
-    results: StudyResults,
-    designs: Iterable[Design | int] = (0,),
-    ax: Axes | None = None,
-    *,
-    case: str | int = 0,
-    side: str = "both",
+    results: StudyResults, designs: Iterable[Design | int] = (0,), ax: Axes | None = None, *, side: str = "both"
 ) -> Axes:
     """Empirical distribution of S with and without control.
 
-    Raises `InputError` for a case, side or design that is not there.
+    Raises `InputError` for a side or design that is not there.
 
     Parameters
     ----------
@@ -325,8 +307,6 @@ def plot_distribution(
     designs : iterable of Design or int
         Designs of the study, or their positions in ``results.designs``.
     ax : Axes, optional
-    case : str or int
-        Label or position of the case.
     side : {"both", "left", "right"}
 
     Returns
@@ -339,24 +319,24 @@ def plot_distribution(
     >>> import ldctoolkit as ldc
     >>> study = ldc.study(ldc.NoControl, ldc.LQR, name="small", left=20, right=20)
     >>> results = ldc.run_study(study, workers=1)
-    >>> ranking = ldc.rank_study(results, study)[0]
+    >>> ranking = ldc.rank_study(results, study)
     >>> ldc.plot_distribution(results, ranking.designs).get_xlabel()
     'Score S [m·s]'
     """
     expect("results", results, StudyResults)
     if side not in _SIDES:
         raise InputError("side", value=side, allowed=_SIDES)
-    results = results.drivable()
-    found, chosen = chosen_case(results, case), chosen_designs(results, designs)
+    results = results.on_drivable()
+    chosen = chosen_designs(results, designs)
     rows = np.isin(results.scenarios.side, _SIDES[side])
     if not rows.any():
         raise InputError("side", value=side, hint="the study has no such scenarios")
     axes = axes_of(ax)
-    recorded = found.S_uncorrected[chosen[0]][rows]
+    recorded = results.S_uncorrected[chosen[0]][rows]
     axes.ecdf(recorded, label="without control", **_RECORDED.line())
-    for i, style in zip(chosen, curve_styles(results, found, chosen), strict=True):
+    for i, style in zip(chosen, curve_styles(results, chosen), strict=True):
         label = shorten(results.designs[i].label, 60)
-        axes.ecdf(found.counted[i][rows], label=label, **style.line())
+        axes.ecdf(results.counted[i][rows], label=label, **style.line())
     axes.set_xlim(0.0, max(float(np.quantile(recorded, 0.995)), 1e-3))
     axes.set_xlabel("Score S [m·s]")
     axes.set_ylabel("Share of departures with less")
@@ -369,12 +349,11 @@ def plot_convergence(
     designs: Sequence[Design | int] = (0,),
     ax: Axes | None = None,
     *,
-    case: str | int = 0,
     to: Design | int | None = None,
 ) -> Axes:
     """Mean S over the first k scenarios with a band of 1.96 standard errors, left and right ones interleaved.
 
-    Raises `InputError` for a case or design that is not there.
+    Raises `InputError` for a design that is not there.
 
     Parameters
     ----------
@@ -382,8 +361,6 @@ def plot_convergence(
     designs : sequence of Design or int
         Designs of the study, or their positions in ``results.designs``.
     ax : Axes, optional
-    case : str or int
-        Label or position of the case.
     to : Design or int, optional
         Draw paired differences to this design.
 
@@ -397,20 +374,20 @@ def plot_convergence(
     >>> import ldctoolkit as ldc
     >>> study = ldc.study(ldc.NoControl, ldc.LQR, name="small", left=20, right=20)
     >>> results = ldc.run_study(study, workers=1)
-    >>> ranking = ldc.rank_study(results, study)[0]
+    >>> ranking = ldc.rank_study(results, study)
     >>> ldc.plot_convergence(results, ranking.designs).get_xlabel()
     'Number of scenarios'
     """
     expect("results", results, StudyResults)
-    results = results.drivable()
-    found, chosen = chosen_case(results, case), chosen_designs(results, designs)
+    results = results.on_drivable()
+    chosen = chosen_designs(results, designs)
     reference: FloatArray | float = 0.0
     if to is not None:
-        reference = found.counted[chosen_designs(results, [to])[0]]
+        reference = results.counted[chosen_designs(results, [to])[0]]
     order = interleaved(results.scenarios.side)
     axes = axes_of(ax)
-    for i, style in zip(chosen, curve_styles(results, found, chosen), strict=True):
-        count, mean, error = running_mean((found.counted[i] - reference)[order])
+    for i, style in zip(chosen, curve_styles(results, chosen), strict=True):
+        count, mean, error = running_mean((results.counted[i] - reference)[order])
         axes.fill_between(count, mean - error, mean + error, color=style.color, alpha=0.16, linewidth=0)
         axes.plot(count, mean, label=shorten(results.designs[i].label, 60), **style.line())
     _plain_log(axes, order.size)

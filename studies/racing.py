@@ -38,9 +38,8 @@ def run_race(campaign: Campaign) -> tuple[Sequence[Design], Race]:
             designs=alive,
             rows=campaign.prefixes.rows(size),
         )
-        case = results.cases[0]
-        drivable = case.drivable
-        counted = case.counted[:, drivable]
+        drivable = results.drivable
+        counted = results.counted[:, drivable]
         raced = _raced(study, results, counted.mean(axis=1))
         decision = race_round(
             counted[raced],
@@ -62,9 +61,7 @@ def run_race(campaign: Campaign) -> tuple[Sequence[Design], Race]:
         gone = {design.id for design in (*(one.design for one in dropped), *failed)}
         alive = [design for design in alive if design.id not in gone]
         counts.append(len(alive))
-    full = len(study.designs) * len(campaign.scenarios)
-    conventions = len(study.simulation.convention)
-    race = Race(rounds, tuple(counts), tuple(dropped), runs * conventions, full * conventions)
+    race = Race(rounds, tuple(counts), tuple(dropped), runs, len(study.designs) * len(campaign.scenarios))
     write_race(store.folder, race, study.ranked_as)
     left = {design.id for design in (*alive, *failed)}
     return [design for design in study.designs if design.id in left], race
@@ -82,7 +79,7 @@ def _raced(study: Study, results: StudyResults, mean: FloatArray) -> IntArray:
     if not study.ranking.require:
         return np.arange(len(mean))
     asked: dict[str, Any] = {"setup": study.setup(), "vehicles": study.vehicles, "standards": study.standards}
-    ranking = Ranking.of(results, results.cases[0], bootstrap=100, D_y=study.report.D_y, **asked)
+    ranking = Ranking.of(results, bootstrap=100, D_y=study.report.D_y, **asked)
     worst = np.full(len(mean), -np.inf)
     for one in requirements_of(study.ranking.require, study.plant):
         excess = one.excess(metric_values(one.metric.name, ranking))

@@ -61,7 +61,7 @@ def _table(path: str, table: Content, usual: Content, owner: type, about: Conten
 def _declared(owner: Any, key: str) -> tuple[str, str]:
     """The unit of a key, and what is allowed."""
     fields = getattr(Setup if owner is SimulationSettings else owner, "__dataclass_fields__", {})
-    if key in fields and key != "convention":  # a study may have several
+    if key in fields:
         one = declaration_of(fields[key])
         least, most = one.usual or (one.least, one.most)
         bounds = [(">", None if one.usual else one.above), (">=", least), ("<=", most)]

@@ -9,9 +9,9 @@ from markupsafe import Markup
 from ldctoolkit.metrics import METRICS
 
 from ..ranking.requirements import metric
-from ..ranking.verdict import RANKING_METRICS, gains_text, judged, law_title, other_cases, set_of_best_line
+from ..ranking.verdict import RANKING_METRICS, gains_text, judged, law_title, set_of_best_line
 from .context import Context, interval, metric_text
-from .shell import Cell, Column, Section, TableRow, bullets, render, table
+from .shell import Cell, Column, Section, TableRow, render, table
 from .text import compact, number, percent, plural, true_minus
 
 MOST_ROWS: Final = 1000  # designs of the table; all of them are in ranking.csv
@@ -41,7 +41,7 @@ def section(context: Context) -> Section:
         columns.append(Column("Fresh S", "m\u00b7s", key="fresh", about="Mean S on the fresh scenarios"))
     columns.append(Column("Verdict", text=True))
     rows = table(
-        f"{plural(len(ranking), 'design')}, {ranking.case.label}", columns,
+        f"{plural(len(ranking), 'design')}, {ranking.label}", columns,
         (_line(context, place, place in named) for place in places), id="designs", sortable=True, head=1,
     )  # fmt: skip
     body = render(
@@ -51,7 +51,6 @@ def section(context: Context) -> Section:
         listed=len(places),
         later=len(places) - sum(_shown_first(place, place in named) for place in places),
         set_of_best=set_of_best_line(ranking),
-        others=bullets(true_minus(line) for line in other_cases(context.report.rankings)),
     )
     return Section("ranking", "Ranking", body, scripts=("table.js",), printed=True)
 

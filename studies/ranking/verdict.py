@@ -4,7 +4,7 @@ import dataclasses
 import html
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Final, Literal
 
 import numpy as np
@@ -19,7 +19,7 @@ from ldctoolkit.scenario_model.model import misleading
 from ldctoolkit.setup import Setup
 
 from ..design import Design
-from ..results import CaseResults, StudyResults
+from ..results import StudyResults
 from .design_metrics import beyond_friction
 from .ranked_designs import RankedDesigns
 from .requirements import G, metric_values
@@ -83,7 +83,7 @@ def verdict(
     setup = setup or Setup()
     nearest: tuple[int, ...] = ()
     ahead: tuple[str, ...] = ()
-    some = results.drivable().scenarios
+    some = results.on_drivable().scenarios
     recorded = float(beyond_friction(some, setup).mean()) if some.n else 0.0
     acting = [i for i, design in enumerate(ranking.designs) if not design.is_baseline]
     meeting = [i for i in range(ranking.ranked) if not ranking.designs[i].is_baseline]
@@ -141,8 +141,6 @@ def _list(parts: list[str]) -> str:
 
 def _of_winner(ranking: RankedDesigns, place: int) -> str:
     name = design_name(ranking.designs[place])
-    if ranking.survivors_only:
-        return f"No winner: this case was not raced; the best design may have been given up. First: {name}"
     if ranking.winner is None:
         return f"No winner: no finalist meets the requirements on the fresh scenarios. First: {name}"
     if ranking.requirements:
@@ -246,19 +244,16 @@ def _limits_light(ranking: RankedDesigns, place: int) -> Light:
     return Light("Limits", "good", f"Meets {_list(list(names))}.")
 
 
-def depths(
-    results: StudyResults, case: CaseResults, i: int, setup: Setup | None = None
-) -> tuple[FloatArray, FloatArray]:
+def depths(results: StudyResults, i: int, setup: Setup | None = None) -> tuple[FloatArray, FloatArray]:
     """Deepest positions of a design and without control on the departures that every design could be driven on [m]."""
-    some, on = results.scenarios.take(case.drivable), setup or Setup()
+    some, on = results.scenarios.take(results.drivable), setup or Setup()
     path = UncorrectedPath.of(some, on.options.residuals, on.seed)
-    return case.companions.deepest[i][case.drivable], path.deepest(some.T)
+    return results.companions.deepest[i][results.drivable], path.deepest(some.T)
 
 
 def _tail_light(ranking: RankedDesigns, results: StudyResults, setup: Setup, place: int) -> Iterator[Light]:
     """Whether the design named goes badly more often than no control does; none where that is not significant."""
-    case = next(one for one in results.cases if one.case == ranking.case)
-    if text := tail_text(*depths(results, case, int(ranking.index[place]), setup)):
+    if text := tail_text(*depths(results, int(ranking.index[place]), setup)):
         yield Light("Tail", "bad", f"{_capital(text)}.")
 
 
@@ -455,7 +450,7 @@ def verdict_lines(found: Verdict) -> list[str]:
 def set_of_best_line(ranking: RankedDesigns) -> str:
     """What these scenarios do not separate; empty where there is nothing to say of it."""
     size, level = int(ranking.set_of_best.sum()), f"{100 * ranking.confidence:g} % confidence"
-    if not ranking.ranked or ranking.survivors_only or len(ranking) == 1:
+    if not ranking.ranked or len(ranking) == 1:
         return ""
     if size == 1:
         return f"Set of best: the first design alone, with {level}."
@@ -478,7 +473,7 @@ def more_lines(ranking: RankedDesigns) -> Iterator[str]:
                 f"{high:+.4f}) on the {where} scenarios."
             )
     if i is not None and ranking.fresh_scenarios and not np.isfinite(ranking.fresh_S[i]):
-        yield "The winner of this case was no finalist; it has no fresh score."
+        yield "The winner was no finalist; it has no fresh score."
     if i is not None and np.isfinite(ranking.optimism[i]):
         yield optimism_text(ranking, i)
     if i is not None and ranking.fresh_difference[i] < 0 and ranking.fresh_difference_high[i] < 0:
@@ -512,16 +507,6 @@ def more_lines(ranking: RankedDesigns) -> Iterator[str]:
         yield f"{ranking.given_up:,} of {ranking.given_up + len(ranking):,} designs were given up in a race before."
 
 
-def other_cases(rankings: Sequence[RankedDesigns]) -> Iterator[str]:
-    """A line for each case that is not the primary one, and what it alone warns of."""
-    for one in rankings[1:]:
-        if one.winner is None:
-            yield f"{one.case.label}: no winner."
-        else:
-            yield f"{one.case.label}: {design_name(one.designs[one.winner])}; mean S {one.S[one.winner]:.3f} m s."
-        yield from (f"{one.case.label}: {text}" for text in one.warnings if text not in rankings[0].warnings)
-
-
 # ------------------------------------------------------------------------------------------------ notebooks
 
 
@@ -540,7 +525,7 @@ def ranking_html(ranking: RankedDesigns, top: int = TOP) -> str:
         best = "No winner." if ranking.ranked else "None meets the requirements."
     texts = "<br>".join(html.escape(_MINUS.sub("\u2212", text)) for text in (best, *more_lines(ranking)))
     warnings = "".join(f"<br><b>Warning:</b> {html.escape(text)}" for text in ranking.warnings)
-    title = f"{len(ranking):,} design{'' if len(ranking) == 1 else 's'} by mean S, {ranking.case.label}"
+    title = f"{len(ranking):,} design{'' if len(ranking) == 1 else 's'} by mean S, {ranking.label}"
     more = len(ranking) - len(places)
     foot = f"<div>and {more:,} more</div>" if more > 0 else ""
     return (

@@ -245,7 +245,7 @@ def test_without_control_the_residuals_count_too(tmp_path: Path) -> None:
     content |= {"ranking": {"bootstrap": 100, "finalists": 0}, "design": [{"law": "lqr", "y_s": 3.0}]}
     study = Study.from_dict(content)
     results = run_study(study, directory=tmp_path / "run", workers=1, progress=False)
-    (ranking,) = rank_study(results, study)
+    ranking = rank_study(results, study)
     assert "Tail" not in [one.name for one in verdict(ranking, results, study.setup()).lights]
     assert not any("0.8 m" in one for one in ranking.warnings)
 
@@ -256,7 +256,7 @@ def judged(folder: Path, design: dict[str, Any]) -> tuple[Verdict, tuple[str, ..
     content |= {"ranking": {"bootstrap": 100, "finalists": 0}, "design": [{"law": "none", "y_s": 0.2}, design]}
     study = Study.from_dict(content)
     results = run_study(study, directory=folder / "run", workers=1, progress=False)
-    (ranking,) = rank_study(results, study)
+    ranking = rank_study(results, study)
     return verdict(ranking, results, study.setup()), ranking.warnings
 
 
