@@ -99,7 +99,7 @@ MISTAKES: list[tuple[dict[str, Any], str, Any, str | set[str]]] = [
         "a whole number from 1 to 50 samples",
     ),
     ({"design": [{"law": "toy", "gains": {"on": 1}}]}, "design[0].gains.on", 1, "true or false"),
-    ({"design": [{"law": "toy", "gains": {"K": []}}]}, "design[0].gains.K", ..., "one value or more"),
+    ({"design": [{"law": "toy", "gains": {"K": []}}]}, "design[0].gains.K", ..., "1 to 10000"),
     (
         {"design": [{"law": "toy", "gains": {"convention": "case"}}]},
         "design[0].gains.convention",
