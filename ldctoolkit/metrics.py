@@ -310,7 +310,7 @@ def reduction(S: FloatArray, S_uncorrected: FloatArray) -> FloatArray:
     return 1.0 - ratio
 
 
-# Three rules hold for every share. It is taken along the last axis: of arrays of n it is a float, of (d, n) it is (d,). A
+# Three rules hold for every share. It is taken along the last axis: of arrays of n it is a float, of (d, n) (d,). A
 # share of all scenarios is 0 where there are none; a share of the interventions, of the scenarios that `triggered`, is
 # NaN without any, since it is then a share of nothing. And no scenario is dropped in silence: a NaN among the values
 # counted gives NaN. Each raises `InputError` for shapes that do not fit, and for a limit that is no finite number.

@@ -25,7 +25,6 @@ LEVELS = (
         "ldctoolkit.code_content",
         "ldctoolkit.compiling",
         "ldctoolkit.errors",
-        "ldctoolkit.frames",
         "ldctoolkit.lane_functions",
         "ldctoolkit.surroundings",
         "ldctoolkit.version",
