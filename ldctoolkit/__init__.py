@@ -24,7 +24,7 @@ from ldctoolkit.control import (
     SolverCalls,
     SteeringLaw,
 )
-from ldctoolkit.departure_plot import plot_departure
+from ldctoolkit.declared import Gain, gain, option
 from ldctoolkit.departures import (
     DepartureParameters,
     Departures,
@@ -34,7 +34,6 @@ from ldctoolkit.departures import (
     reduce_signals,
 )
 from ldctoolkit.errors import LdcError
-from ldctoolkit.gains import Gain, gain, option
 from ldctoolkit.mixture import BoundedGaussianMixture
 from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
 from ldctoolkit.recordings import (

@@ -17,8 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, unmasked
+from ldctoolkit.declared import checked_number
 from ldctoolkit.errors import InputError
-from ldctoolkit.option_checks import checked_number
 
 Better = Literal["less", "more"]
 Over = Literal["all", "interventions"]
@@ -313,7 +313,7 @@ def reduction(S: FloatArray, S_uncorrected: FloatArray) -> FloatArray:
 # Three rules hold for every share. It is taken along the last axis: of arrays of n it is a float, of (d, n) (d,). A
 # share of all scenarios is 0 where there are none; a share of the interventions, of the scenarios that `triggered`, is
 # NaN without any, since it is then a share of nothing. And no scenario is dropped in silence: a NaN among the values
-# counted gives NaN. Each raises `InputError` for shapes that do not fit, and for a limit that is no finite number.
+# counted gives NaN. Each raises `InputError` for shapes that do not fit, and for a limit that is no number.
 
 
 def share_deeper(deepest: npt.ArrayLike, D_y: float) -> float | FloatArray:
@@ -325,7 +325,7 @@ def share_deeper(deepest: npt.ArrayLike, D_y: float) -> float | FloatArray:
     0.5
     """
     (values,) = _of_one_shape(deepest=deepest)
-    return _fraction(values > checked_number("D_y", D_y), np.isnan(values))
+    return _fraction(values > checked_number("D_y", D_y, finite=False), np.isnan(values))
 
 
 def share_within_dtle(dtle: npt.ArrayLike, limit: float = DTLE_LIMIT) -> float | FloatArray:
@@ -337,7 +337,7 @@ def share_within_dtle(dtle: npt.ArrayLike, limit: float = DTLE_LIMIT) -> float |
     0.5
     """
     (values,) = _of_one_shape(dtle=dtle)
-    return _fraction(values >= checked_number("limit", limit), np.isnan(values))
+    return _fraction(values >= checked_number("limit", limit, finite=False), np.isnan(values))
 
 
 def comfortable(
@@ -356,7 +356,10 @@ def comfortable(
     array([ True, False, False])
     """
     a_y, jerk = _of_one_shape(a_y_added_peak=a_y_added_peak, jerk_added_peak=jerk_added_peak)
-    limits = checked_number("a_y_limit", a_y_limit), checked_number("jerk_limit", jerk_limit)
+    limits = (
+        checked_number("a_y_limit", a_y_limit, finite=False),
+        checked_number("jerk_limit", jerk_limit, finite=False),
+    )
     result: BoolArray = (a_y <= limits[0]) & (jerk <= limits[1])
     return result
 
@@ -393,7 +396,7 @@ def needless(triggered: npt.ArrayLike, d_y: npt.ArrayLike, limit: float = DTLE_L
     array([ True, False, False])
     """
     depth, flags = _of_one_shape(d_y=d_y, triggered=triggered)
-    result: BoolArray = flags & (-depth >= checked_number("limit", limit))
+    result: BoolArray = flags & (-depth >= checked_number("limit", limit, finite=False))
     return result
 
 

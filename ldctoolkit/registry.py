@@ -9,8 +9,8 @@ from typing import Any
 
 from ldctoolkit.code_content import content_of
 from ldctoolkit.control import Controller, check_class
+from ldctoolkit.declared import undeclared_fields
 from ldctoolkit.errors import InputError, LdcError, UnknownNameError
-from ldctoolkit.gains import undeclared_fields
 
 GROUP = "ldctoolkit.controllers"
 
@@ -174,7 +174,7 @@ def controller_class(name: str) -> type[Controller]:
         return _registered[name]
     point = _installed().get(name)
     if point is None:
-        raise UnknownNameError("law", "no such controller", value=name, allowed=controller_names())
+        raise UnknownNameError("law", "is no controller", value=name, allowed=controller_names())
     if point not in _loaded:
         _loaded[point] = _load(name, point)
     return _loaded[point]

@@ -12,7 +12,14 @@ if TYPE_CHECKING:
     from .design import Design
     from .export import export_c
     from .extraction import run_extraction
-    from .plotting import plot_convergence, plot_distribution, plot_landscape, plot_ranking, plot_trade_off
+    from .plotting import (
+        plot_convergence,
+        plot_departure,
+        plot_distribution,
+        plot_landscape,
+        plot_ranking,
+        plot_trade_off,
+    )
     from .ranking.ranking import Ranking, rank_study
     from .results import Case, CaseResults, StudyResults
     from .risk import estimate_risk
@@ -28,7 +35,14 @@ _MODULES = {
     "design": ("Design",),
     "export": ("export_c",),
     "extraction": ("run_extraction",),
-    "plotting": ("plot_convergence", "plot_distribution", "plot_landscape", "plot_ranking", "plot_trade_off"),
+    "plotting": (
+        "plot_convergence",
+        "plot_departure",
+        "plot_distribution",
+        "plot_landscape",
+        "plot_ranking",
+        "plot_trade_off",
+    ),
     "ranking.ranking": ("Ranking", "rank_study"),
     "results": ("Case", "CaseResults", "StudyResults"),
     "risk": ("estimate_risk",),
@@ -40,9 +54,9 @@ _MODULES = {
 
 __all__ = [
     "Assessment", "Case", "CaseResults", "Comparison", "Design", "Manifest", "Ranking", "Study", "StudyResults",
-    "assess", "compare", "estimate_risk", "export_c", "load_study", "plot_convergence", "plot_distribution",
-    "plot_landscape", "plot_ranking", "plot_trade_off", "rank_study", "read_manifest", "read_results", "run_extraction",
-    "run_study", "study",
+    "assess", "compare", "estimate_risk", "export_c", "load_study", "plot_convergence", "plot_departure",
+    "plot_distribution", "plot_landscape", "plot_ranking", "plot_trade_off", "rank_study", "read_manifest",
+    "read_results", "run_extraction", "run_study", "study",
 ]  # fmt: skip
 
 

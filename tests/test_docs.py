@@ -143,8 +143,8 @@ def test_the_reference_is_made_of_the_code(tmp_path: Path, monkeypatch: pytest.M
     keys = made["study-keys.md"]
     assert "| `simulation.settle` | `3.0` | [s] how long the loop goes on after the departure; " in keys
     assert "| `ranking.confidence` | `0.95` | of the intervals, all designs together; > 0 and < 1 |" in keys
-    assert "| `vehicle.m` | `1000.0` | [kg] mass |" in keys
-    assert "| `plant.actuator.lag` | `0.0` | [s] time constant; 0 for none; >= 0 and <= 10 |" in keys
+    assert "| `vehicle.m` | `1000.0` | [kg] mass; > 0 |" in keys
+    assert "| `plant.actuator.lag` | `0.0` | [s] time constant; 0 for none; from 0 to 10 |" in keys
     assert "| `name` | needed | short name, " in keys
     assert "\n| `design.sample.count` |" in keys
     assert "| `r_delta` | 1/rad^2 | `20000.0` | 0.001 .. 1e+06 | weight on delta^2 |" in made["law-lqr.md"]

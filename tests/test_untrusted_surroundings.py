@@ -30,7 +30,7 @@ from ldctoolkit.studies.cli import main
 from ldctoolkit.studies.pages.shell import Section, make_page
 from ldctoolkit.studies.storage.files import csv_text
 from ldctoolkit.studies.storage.run_table import check_room
-from ldctoolkit.testing.law_checks import picklable
+from ldctoolkit.testing.contract import picklable
 from ldctoolkit.testing.subject import ContractSettings, Subject
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="users, modes and pipes of POSIX")

@@ -19,8 +19,8 @@ import pytest
 from helpers.cli import bad, good, ldc, ldc_process
 from ldctoolkit import Departures, VehicleParameters, load_model, write_departures
 from ldctoolkit.controllers import LQR
+from ldctoolkit.declared import UnitWarning, unit_slip
 from ldctoolkit.departures import PARAMETER_NAMES
-from ldctoolkit.option_checks import UnitWarning, unit_slip
 from ldctoolkit.plant_options import Actuator, Sensors
 from ldctoolkit.recordings import Provenance
 from ldctoolkit.scenario_model import ScenarioModel
@@ -139,7 +139,7 @@ def test_missing_numbers_in_recordings_end_or_are_counted(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["run", "papr"], "study 'papr': neither a file nor in the catalog; did you mean 'paper'?"),
+        (["run", "papr"], "study: 'papr' is neither a file nor in the catalog; did you mean 'paper'?"),
         (["run", "none.toml"], "none.toml: cannot be read: No such file or directory"),
         (["run", "s.toml", "--model", "referenc"], "did you mean 'reference'"),
         (["run", "s.toml", "--model", "none.json"], "none.json"),

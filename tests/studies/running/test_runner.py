@@ -149,7 +149,7 @@ def test_what_a_resume_adds_up(make_study: MakeStudy, tmp_path: Path) -> None:
 
         def prepare(self, plant: Plant) -> Any:
             prepared.append(plant.n)
-            if len(prepared) == 3:  # after the first batch, of which a few are driven once more
+            if len(prepared) == 2:  # after the first batch
                 raise KeyboardInterrupt
             return super().prepare(plant)
 

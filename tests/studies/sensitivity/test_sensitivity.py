@@ -22,7 +22,7 @@ from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.scenario_model import load_model
 from ldctoolkit.studies import Case, Design, Study, StudyResults
 from ldctoolkit.studies.ranking.inference import bootstrap_means
-from ldctoolkit.studies.results import Dropped, FailedDesign, Race
+from ldctoolkit.studies.results import FailedDesign
 from ldctoolkit.studies.sensitivity.sensitivity import (
     BlockSensitivity,
     factorial_shares,
@@ -262,9 +262,6 @@ def test_why_there_are_no_indices_is_said() -> None:
     a = study.designs
     assert "same mean S" in only(sensitivity(results_of(study, lambda d: 1.0), study)).reason
 
-    race = Race((3, 6), (3, 2), (Dropped(a[2], 1, 3, 1.0, 0.5, 0.1),), 15, 18)
-    fewer = results_of(study, ishigami, designs=a[:2], race=race)
-    assert "the race gave up 1 of its 3 designs" in only(sensitivity(fewer, study)).reason
     failed = results_of(study, ishigami, designs=a[:2], failed=(FailedDesign(a[2], "raised"),))
     assert "1 of its 3 designs have no results" in only(sensitivity(failed, study)).reason
 
