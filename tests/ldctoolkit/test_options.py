@@ -113,7 +113,7 @@ Z3 = np.zeros(3)
         ),
         (lambda: metrics.back_inside_share(0.1, True), r"t_back \(\), triggered \(\); allowed: \(n,\) or \(d, n\)"),
         (lambda: metrics.needless_share([True, False], [0.1]), r"d_y \(1,\), triggered \(2,\)"),
-        (lambda: metrics.needless([True], [0.1], NAN), "limit: nan; allowed: a finite number"),
+        (lambda: metrics.needless([True], [0.1], NAN), "limit: nan; allowed: a number"),
         (lambda: metrics.share_within_dtle([0.1], limit="deep"), "limit: 'deep'"),  # type: ignore[arg-type]
         (lambda: metrics.share_within_dtle(["a"]), "dtle: not an array of numbers"),
         (lambda: metrics.share_deeper(Z3, NAN), "D_y: nan"),
