@@ -27,12 +27,14 @@ from ldctoolkit.recordings.quality import (
 from ldctoolkit.recordings.recording import (
     MAX_LANE_WIDTH,
     MIN_LANE_WIDTH,
+    OpenedRecordings,
     Problem,
     Recording,
+    RecordingPart,
     RecordingTable,
     SourceFile,
+    part_name,
 )
-from ldctoolkit.recordings.sources import OpenedRecordings, RecordingPart, part_name
 
 BATCH: Final = 500_000  # samples that are searched together; no number depends on it
 SOURCE: Final = "source"  # column of the departures table that tells the source where there are several
@@ -295,8 +297,9 @@ def merge_results(
     )
     if doubts and not force:
         raise RecordingError(
-            f"the recordings cannot be right: {'; '.join(doubts.values())}. Correct them, or go on with --force (in "
-            "Python: force=True)"
+            "",
+            f"the recordings cannot be right: {'; '.join(doubts.values())}",
+            hint="correct them, or go on with --force (in Python: force=True)",
         )
     warnings = quality_warnings(
         whole.evidence, preparation.nominal_lane_width, labelled=reader == "table", scaled="width" not in doubts

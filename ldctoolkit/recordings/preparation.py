@@ -111,7 +111,7 @@ def clock_stretches(t: FloatArray) -> list[IntArray]:
         return [np.flatnonzero(kept)]
     falls = np.flatnonzero(t[1:] < t[:-1]) + 1
     if falls.size > MOST_CLOCKS:
-        raise RecordingError(f"the times fall in {falls.size} places; allowed: rows in the order of time")
+        raise RecordingError("", f"the times fall in {falls.size} places", allowed="rows in the order of time")
     return list(np.split(np.arange(t.size), falls))
 
 

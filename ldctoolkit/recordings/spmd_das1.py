@@ -15,8 +15,7 @@ import numpy as np
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.preparation import cut_at, nearest_times
-from ldctoolkit.recordings.recording import LARGEST, Problem, Recording, measured
-from ldctoolkit.recordings.sources import FoundParts
+from ldctoolkit.recordings.recording import LARGEST, FoundParts, Problem, Recording, measured
 from ldctoolkit.recordings.text_table import Cells, LineFault
 from ldctoolkit.recordings.trip_tables import (
     Stretch,
@@ -27,6 +26,7 @@ from ldctoolkit.recordings.trip_tables import (
     collect_trips,
     grouped_problems,
     look_through,
+    no_trips,
     read_header,
     read_trips,
     recognised,
@@ -174,8 +174,7 @@ class SpmdDas1:
         problems += odd + odder
         lacking = [f"table {one} (columns {', '.join((*KEY, *_COLUMNS[one]))})" for one in tables if not tables[one]]
         if lacking or not lanes:
-            what = f"spmd-das1: no {[*lacking, 'trip of a table DataLane'][0]} was found"
-            raise RecordingError("; ".join([what, *map(str, problems[:5])]))
+            raise RecordingError("spmd-das1", no_trips([*lacking, "trip of a table DataLane"][0], problems))
         together = []
         for key, (number, stretches) in lanes.items():
             # a trip that the other table lacks is read as well: it counts, though nothing of it can be used

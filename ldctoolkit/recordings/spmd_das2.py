@@ -12,8 +12,7 @@ import numpy as np
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.preparation import cut_at
-from ldctoolkit.recordings.recording import Problem, Recording, measured
-from ldctoolkit.recordings.sources import FoundParts
+from ldctoolkit.recordings.recording import FoundParts, Problem, Recording, measured
 from ldctoolkit.recordings.text_table import Cells
 from ldctoolkit.recordings.trip_tables import (
     Stretch,
@@ -23,6 +22,7 @@ from ldctoolkit.recordings.trip_tables import (
     check_trip_columns,
     collect_trips,
     look_through,
+    no_trips,
     read_header,
     read_trips,
     recognised,
@@ -84,7 +84,7 @@ def _layout_of(path: Path) -> tuple[TableLayout | None, str]:
         with path.open("rb") as stream:
             lines = [stream.readline(1 << 16) for _ in range(LOOKED_AT)]
     except OSError as error:
-        raise RecordingError("cannot be read", f"{error.strerror or error}") from None
+        raise RecordingError("", f"cannot be read: {error.strerror}") from None
     begin = len(codecs.BOM_UTF8) if lines[0].startswith(codecs.BOM_UTF8) else 0
     lines[0] = lines[0][begin:]
     filled = [line for line in lines if line.strip()]
@@ -200,8 +200,7 @@ class SpmdDas2:
         trips, odd = collect_trips(found)
         problems += odd
         if not trips:
-            what = "spmd-das2: no trip of a table HV_Primary was found"
-            raise RecordingError("; ".join([what, *map(str, problems[:5])]))
+            raise RecordingError("spmd-das2", no_trips("trip of a table HV_Primary", problems))
         parts: list[Das2Part] = []
         for number, one in enumerate(found):
             own = [stretches for where, stretches in trips.values() if where == number]

@@ -16,8 +16,16 @@ import polars as pl
 from ldctoolkit.arrays import BoolArray
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.preparation import clock_stretches
-from ldctoolkit.recordings.recording import Problem, Recording, SourceFile, source_file
-from ldctoolkit.recordings.sources import FoundParts, check_columns, place_of, shown_names
+from ldctoolkit.recordings.recording import (
+    FoundParts,
+    Problem,
+    Recording,
+    SourceFile,
+    check_columns,
+    place_of,
+    shown_names,
+    source_file,
+)
 from ldctoolkit.recordings.text_table import (
     LONGEST_LINE,
     MISSING,
@@ -280,7 +288,7 @@ def _are_units(header: list[str], raw: bytes, place: str) -> bool:
     for name, word in words.items():
         unit = word.lower().replace(" ", "").replace("sec", "s")
         if ("1/m" if unit in ("m^-1", "m\u207b\xb9", "rad/m") else unit) != UNITS[name]:
-            raise RecordingError(place, f"column '{name}' is in {word!r}; needed: {UNITS[name]}")
+            raise RecordingError(place, f"column '{name}' is in {word!r}", hint=f"needed: {UNITS[name]}")
     return bool(words)
 
 
@@ -316,7 +324,7 @@ def parquet_names(path: Path) -> list[str]:
     try:
         str(path).encode()
     except UnicodeEncodeError:
-        raise RecordingError("", "its path is not UTF-8; allowed for Parquet: names in UTF-8") from None
+        raise RecordingError("", "its path is not UTF-8", allowed="for Parquet names in UTF-8") from None
     try:
         return list(pl.read_parquet_schema(path))
     except _POLARS as error:
@@ -539,7 +547,7 @@ class TableReader:
                 if path.is_dir():
                     raise RecordingError("", "the folder holds no recording table")
                 if not path.name.lower().endswith(SUFFIXES):
-                    raise RecordingError("", f"the suffix is not known; allowed: {', '.join(SUFFIXES)}")
+                    raise RecordingError("", "the suffix is not known", allowed=", ".join(SUFFIXES))
                 file = source_file(path, shown)
                 # refuse a file whose header lacks a column, or that has no rows at all
                 if is_parquet(path):

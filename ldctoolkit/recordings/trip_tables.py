@@ -14,8 +14,7 @@ import numpy as np
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.preparation import MOST_DROPPED, middle_two, rising_rows
-from ldctoolkit.recordings.recording import Problem, SourceFile
-from ldctoolkit.recordings.sources import check_columns, find_tables, shown_names
+from ldctoolkit.recordings.recording import Problem, SourceFile, check_columns, find_tables, shown_names
 from ldctoolkit.recordings.text_table import BLANKS, ByteArray, Cells, Layout, LineFault, blocks, read_numbers
 from ldctoolkit.whole_file import text_of
 
@@ -39,27 +38,29 @@ def read_header(path: Path) -> TableLayout:
     """The first line of a comma-separated table in UTF-8."""
     try:
         if path.exists() and not path.is_file():
-            raise ValueError("it is not a regular file")  # a pipe would be waited for
+            raise RecordingError("", "cannot be read: it is not a regular file")  # a pipe would be waited for
         with path.open("rb") as stream:
             first = stream.readline(LONGEST_HEADER)
         for magic, name in _PACKED.items():
             if first.startswith(magic):
-                raise ValueError(f"the content is {name}; allowed: plain text, so unpack it")
+                raise RecordingError("", f"cannot be read: the content is {name}", allowed="plain text, so unpack it")
         text = text_of(first)
+    except RecordingError:
+        raise
     except (OSError, ValueError) as error:  # also a NUL in the name
-        reason = error.strerror if isinstance(error, OSError) else None
-        raise RecordingError("cannot be read", f"{reason or error}") from None
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise RecordingError("", f"cannot be read: {reason}") from None
     if not first:
-        raise RecordingError("the file is empty; a header is needed")
+        raise RecordingError("", "the file is empty; a header is needed")
     if len(first) == LONGEST_HEADER and not first.endswith(b"\n"):
-        raise RecordingError(f"the first line is longer than {LONGEST_HEADER} bytes; this is not a table of text")
+        raise RecordingError("", f"the first line is longer than {LONGEST_HEADER} bytes; this is not a table of text")
     if "\r" in text.rstrip("\r\n"):
-        raise RecordingError("the first line holds a carriage return; allowed: lines that end in LF or CR LF")
+        raise RecordingError("", "the first line holds a carriage return", allowed="lines that end in LF or CR LF")
     names = tuple(name.strip(BLANKS + "\n") for name in text.split(","))
     if len(names) == 1:
         for mark, what in _DELIMITERS.items():
             if text.strip().count(mark) > 1:
-                raise RecordingError(f"the columns are separated by {what}; allowed: commas")
+                raise RecordingError("", f"the columns are separated by {what}", allowed="commas")
     return TableLayout(names, len(first))
 
 
@@ -68,7 +69,8 @@ def check_trip_columns(
 ) -> None:
     """Refuse a header that does not begin with the key, lacks a column or repeats one."""
     if [name.lower() for name in columns[: len(key)]] != [name.lower() for name in key]:
-        raise RecordingError(f"the first columns are {', '.join(columns[: len(key)])}; allowed: {', '.join(key)}")
+        first = ", ".join(columns[: len(key)])
+        raise RecordingError("", f"the first columns are {first}", allowed=", ".join(key))
     check_columns(columns, required, optional, same=str.lower)
 
 
@@ -449,22 +451,22 @@ def look_through(
     problems_of: list[list[Problem]] = [[] for _ in files]
     layouts: list[tuple[int, TableLayout]] = []
 
-    def report(number: int, place: str, what: str) -> None:
+    def report(number: int, error: RecordingError, outcome: str = "") -> None:
         path, by_user = files[number]
         if by_user or named(path):
-            problems_of[number].append(Problem(shown[number], place, what))
+            problems_of[number].append(Problem.of(shown[number], error, outcome))
 
     for number, (path, _) in enumerate(files):
         try:
             layout, what = layout_of(path)
         except RecordingError as error:
-            report(number, "", f"{error}; it is left out")
+            report(number, error, "it is left out")
             continue
         if layout is None:
-            report(number, "line 1", what)
+            report(number, RecordingError("line 1", what))
             continue
         if what:
-            report(number, "", what)
+            report(number, RecordingError("", what))
         layouts.append((number, layout))
 
     def index(entry: tuple[int, TableLayout]) -> TripIndex | RecordingError:
@@ -479,7 +481,7 @@ def look_through(
     found: dict[str, FoundTable] = {}
     for (number, layout), trips in zip(layouts, indexes, strict=True):
         if isinstance(trips, RecordingError):
-            report(number, "", f"{trips}; it is left out")
+            report(number, trips, "it is left out")
         elif trips.sha256 in found:
             what = f"holds the same as {found[trips.sha256].table.name}, byte by byte; it is left out"
             problems_of[number].append(Problem(shown[number], "", what))
@@ -489,3 +491,8 @@ def look_through(
             table = TripTable(shown[number], str(files[number][0].resolve()), layout.columns, trips.bytes)
             found[trips.sha256] = FoundTable(table, layout, trips)
     return list(found.values()), [problem for some in problems_of for problem in some]
+
+
+def no_trips(what: str, problems: Sequence[Problem]) -> str:
+    """What was not found, and the first problems."""
+    return "; ".join([f"no {what} was found", *map(str, problems[:5])])

@@ -15,8 +15,7 @@ import numpy as np
 from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.preparation import LIMITS, cut_at, joins_of, local_slope, merge_repeated, spikes, values_at
-from ldctoolkit.recordings.recording import LARGEST, Label, Problem, Recording, SourceFile, source_file
-from ldctoolkit.recordings.sources import FoundParts
+from ldctoolkit.recordings.recording import LARGEST, FoundParts, Label, Problem, Recording, SourceFile, source_file
 from ldctoolkit.recordings.text_table import Layout, LineFault, read_numbers
 from ldctoolkit.recordings.trip_tables import grouped_problems, rows_in_order
 
@@ -138,7 +137,7 @@ _WANTED: Final = (LANE.file, GPS.file, ACCELEROMETERS.file)
 
 @dataclasses.dataclass(frozen=True)
 class UahDriveset:
-    r"""The reader; see `ldctoolkit.recordings.sources.RecordingReader`."""
+    r"""The reader; see `ldctoolkit.recordings.recording.RecordingReader`."""
 
     name: str = "uah-driveset"
     title: str = "UAH-DriveSet v1: trips in folders, a phone's lane detection, positions and yaw angles"
@@ -212,7 +211,7 @@ def _trip(folder: _Folder, problems: list[Problem]) -> tuple[TripFolder, list[So
     """The trip in a folder and the digests of its files, the lane's first."""
     for name, what in ((LANE.file, "the offset from the lane's centre"), (GPS.file, "the speed")):
         if name not in folder.files:
-            raise RecordingError(f"no file {name}, which holds {what}")
+            raise RecordingError("", f"no file {name}, which holds {what}")
     match = _TRIP.fullmatch(folder.path.name)
     labels: tuple[Label, ...] = ()
     if match:
