@@ -56,13 +56,13 @@ class PartResult:
 
 def combined_results(parts: Iterable[PartResult]) -> PartResult:
     """Several shares as one, in their order."""
-    given = list(parts)
+    parts = list(parts)
     return PartResult(
-        departures=combined_departures([part.departures for part in given]),
-        accounts=combined_accounts(account for part in given for account in part.accounts),
-        evidence=combined_statistics(part.evidence for part in given),
-        drawn=combined_examples(part.drawn for part in given),
-        problems=tuple(problem for part in given for problem in part.problems),
+        departures=combined_departures([part.departures for part in parts]),
+        accounts=combined_accounts(account for part in parts for account in part.accounts),
+        evidence=combined_statistics(part.evidence for part in parts),
+        drawn=combined_examples(part.drawn for part in parts),
+        problems=tuple(problem for part in parts for problem in part.problems),
     )
 
 
@@ -352,9 +352,9 @@ def provenance_from_json(name: str, text: str) -> Provenance:
     """Provenance from JSON; `name` is the file, for messages. Raises RecordingError."""
     try:
         content: dict[str, Any] = parse_json(text)
-        found = content.pop("format_version")
-        if found != FORMAT_VERSION:
-            raise ValueError(f"departures table of format {found!r}; this version reads {FORMAT_VERSION}")
+        version = content.pop("format_version")
+        if version != FORMAT_VERSION:
+            raise ValueError(f"departures table of format {version!r}; this version reads {FORMAT_VERSION}")
         content.pop("ldctoolkit", None)
         criteria, refused = Criteria(**content.pop("criteria")), Refused(**content.pop("refused"))
         sources = tuple(SourceFile(**source) for source in content.pop("sources"))

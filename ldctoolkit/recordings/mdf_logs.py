@@ -121,16 +121,16 @@ class ChannelMap(Part):
 
     def named(self) -> list[tuple[str, Channel]]:
         """Quantities and their channels, that of the lane's position first."""
-        single = [(name, one) for name in QUANTITIES if isinstance(one := getattr(self, name), Channel)]
-        return single + [("valid", one) for one in self.valid]
+        single = [(name, channel) for name in QUANTITIES if isinstance(channel := getattr(self, name), Channel)]
+        return single + [("valid", channel) for channel in self.valid]
 
     @model_validator(mode="after")
     def _complete(self) -> ChannelMap:
-        for name, one in self.named():
+        for name, channel in self.named():
             dimension = QUANTITIES[name][0]
-            if one.unit is not None and si_factor(one.unit, dimension) is None:
+            if channel.unit is not None and si_factor(channel.unit, dimension) is None:
                 allowed = ", ".join(UNITS[dimension]) or "none, it is a state"
-                raise fail(f"{name}.unit", f"{one.unit!r}, of {one.channel!r}; allowed: {allowed}")
+                raise fail(f"{name}.unit", f"{channel.unit!r}, of {channel.channel!r}; allowed: {allowed}")
         lines = self.left_line and self.right_line
         if not (self.lane_offset or lines):
             raise fail("lane_offset", "missing; needed: this, or left_line and right_line")
@@ -178,8 +178,8 @@ class MdfReader:
 
     def recognise(self, paths: Sequence[Path]) -> str:
         """How many logs there are."""
-        found = len(_logs(paths))
-        return f"{found} MDF log{'s' * (found > 1)}" if found else ""
+        count = len(_logs(paths))
+        return f"{count} MDF log{'s' * (count > 1)}" if count else ""
 
     def open(self, paths: Sequence[Path]) -> FoundParts[LogPart]:
         """Look through files, or folders that hold them; a log that is no MDF is a problem of its part."""
@@ -324,8 +324,8 @@ def _group_names(group: Any, channel: Any) -> list[str]:
 
 
 def _unit(log: Any, group: int, index: int) -> str:
-    own = getattr(log.groups[group].channels[index], "unit", "")  # of MDF 4; it overrides that of a shared conversion
-    return (own or log.get_channel_unit(group=group, index=index) or "").strip()
+    unit = getattr(log.groups[group].channels[index], "unit", "")  # of MDF 4; it overrides that of a shared conversion
+    return (unit or log.get_channel_unit(group=group, index=index) or "").strip()
 
 
 def _times(log: Any, group: int, name: str = "") -> FloatArray:
@@ -394,7 +394,7 @@ def _recordings(log: Any, shown: str, channels: ChannelMap) -> list[Recording | 
     signals: list[_Signal] = []
     for quantity, channel in channels.named():
         try:
-            group, index = _place(log, channel)
+            group, index = _locate(log, channel)
             t, values = _times(log, group, channel.channel), _in_si(log, group, index, channel, quantity)
         except RecordingError as error:
             raise error.within(quantity) from None
@@ -430,83 +430,87 @@ def _recordings(log: Any, shown: str, channels: ChannelMap) -> list[Recording | 
 
 def _columns(signals: list[_Signal], k: int, channels: ChannelMap) -> dict[str, Any]:
     """Columns of the recording of one stretch, at the times of the lane's position."""
-    found: dict[str, FloatArray] = {}
+    values_of: dict[str, FloatArray] = {}
     base = signals[0][2][signals[0][-1][k]]
     valid = np.ones(base.size, dtype=bool)
-    for quantity, one, t, samples, starts in signals:
-        values = found[quantity] = _at(base, t[starts[k]], samples[starts[k]], quantity, channels.max_gap)
+    for quantity, channel, t, samples, starts in signals:
+        values = values_of[quantity] = _at(base, t[starts[k]], samples[starts[k]], quantity, channels.max_gap)
         if QUANTITIES[quantity][0] and not np.isfinite(values).any():
             what = f"at the times of {signals[0][1].channel!r}, or none within max_gap = {channels.max_gap:g} s"
-            raise RecordingError(quantity, f"channel {one.channel!r} has no number {what}")
-        if isinstance(one, ValidChannel):
-            valid &= values > 0.0 if one.min is None else values >= one.min
-    columns: dict[str, Any] = {name: found[name] for name in Recording.COLUMNS if name in found}
-    if "lane_offset" not in found:
-        columns["lane_offset"] = -0.5 * (found["left_line"] + found["right_line"])
+            raise RecordingError(quantity, f"channel {channel.channel!r} has no number {what}")
+        if isinstance(channel, ValidChannel):
+            valid &= values > 0.0 if channel.min is None else values >= channel.min
+    columns: dict[str, Any] = {name: values_of[name] for name in Recording.COLUMNS if name in values_of}
+    if "lane_offset" not in values_of:
+        columns["lane_offset"] = -0.5 * (values_of["left_line"] + values_of["right_line"])
     if channels.constant_lane_width is not None:
         columns["lane_width"] = np.full(base.size, channels.constant_lane_width)
-    elif "lane_width" not in found:
-        columns["lane_width"] = found["left_line"] - found["right_line"]
-    if "lane" in found:
-        valid &= np.isfinite(found["lane"])
-        columns["lane"] = np.unique(found["lane"], return_inverse=True)[1].astype(np.int64)
-    if {"turn_signal", "left_signal", "right_signal"} & found.keys():
+    elif "lane_width" not in values_of:
+        columns["lane_width"] = values_of["left_line"] - values_of["right_line"]
+    if "lane" in values_of:
+        valid &= np.isfinite(values_of["lane"])
+        columns["lane"] = np.unique(values_of["lane"], return_inverse=True)[1].astype(np.int64)
+    if {"turn_signal", "left_signal", "right_signal"} & values_of.keys():
         off = np.zeros(base.size)
-        turn, left, right = (found.get(name, off) for name in ("turn_signal", "left_signal", "right_signal"))
+        turn, left, right = (values_of.get(name, off) for name in ("turn_signal", "left_signal", "right_signal"))
         # what is missing is none, and so are both at once
         columns["turn_signal"] = ((turn > 0.0) | (left > 0.0)).astype(np.int64) - ((turn < 0.0) | (right > 0.0))
-    if "engaged" in found:
-        columns["engaged"] = found["engaged"] > 0.0
+    if "engaged" in values_of:
+        columns["engaged"] = values_of["engaged"] > 0.0
     joins = np.concatenate([joins_of(t, starts[k]) for _, _, t, _, starts in signals])
     cut, inside = cut_at(base, joins)
     return columns | {"t": base, "valid": valid & ~inside, "cut": cut if joins.size else None}
 
 
-def _place(log: Any, one: Channel) -> tuple[int, int]:
+def _locate(log: Any, entry: Channel) -> tuple[int, int]:
     """Group and place of the one channel that is meant; groups without samples do not count beside others."""
-    there = [
+    candidates = [
         (i, j, _group_names(group, channel))
         for i, group in enumerate(log.groups)
         for j, channel in enumerate(group.channels)
-        if channel.name == one.channel
+        if channel.name == entry.channel
     ]
-    fits = [place for place in there if one.group in (None, place[0], *place[2])]
-    fits = [place for place in fits if log.groups[place[0]].channel_group.cycles_nr] or fits
-    if len({place[0] for place in fits}) == 1:
-        chosen = fits if one.occurrence is None else fits[one.occurrence - 1 : one.occurrence]
-        if len(chosen) == 1:
-            return chosen[0][:2]
-        what = f"names {len(fits)} of the channels of group {fits[0][0]}; `occurrence`: {one.occurrence or 'not given'}"
-        raise RecordingError("", f"channel {one.channel!r} {what}", allowed=f"1 to {len(fits)}, in their order")
-    if there:
-        groups = ", ".join(f"{i} ({names[0]})" if names else str(i) for i, _, names in there)
-        given = "not given" if one.group is None else repr(one.group)
-        what = f"channel {one.channel!r} is in the groups {groups}; `group`: {given}"
+    fits = [candidate for candidate in candidates if entry.group in (None, candidate[0], *candidate[2])]
+    fits = [candidate for candidate in fits if log.groups[candidate[0]].channel_group.cycles_nr] or fits
+    if len({candidate[0] for candidate in fits}) == 1:
+        matches = fits if entry.occurrence is None else fits[entry.occurrence - 1 : entry.occurrence]
+        if len(matches) == 1:
+            return matches[0][:2]
+        what = (
+            f"names {len(fits)} of the channels of group {fits[0][0]}; `occurrence`: {entry.occurrence or 'not given'}"
+        )
+        raise RecordingError("", f"channel {entry.channel!r} {what}", allowed=f"1 to {len(fits)}, in their order")
+    if candidates:
+        groups = ", ".join(f"{i} ({names[0]})" if names else str(i) for i, _, names in candidates)
+        stated = "not given" if entry.group is None else repr(entry.group)
+        what = f"channel {entry.channel!r} is in the groups {groups}; `group`: {stated}"
         raise RecordingError("", what, allowed="the name or number of one")
-    near = difflib.get_close_matches(one.channel, {other.name for group in log.groups for other in group.channels}, n=1)
+    near = difflib.get_close_matches(
+        entry.channel, {other.name for group in log.groups for other in group.channels}, n=1
+    )
     hint = f"{f'did you mean {near[0]!r}? ' if near else ''}see --list-channels"
-    raise RecordingError("", f"channel {one.channel!r} is not in the log", hint=hint)
+    raise RecordingError("", f"channel {entry.channel!r} is not in the log", hint=hint)
 
 
-def _in_si(log: Any, group: int, index: int, one: Channel, quantity: str) -> FloatArray:
+def _in_si(log: Any, group: int, index: int, entry: Channel, quantity: str) -> FloatArray:
     """Samples in SI, texts by the map's `values`; invalid ones are NaN."""
-    factor, dimension, own = 1.0, QUANTITIES[quantity][0], _unit(log, group, index)
-    name = f"channel {one.channel!r}"
+    factor, dimension, unit = 1.0, QUANTITIES[quantity][0], _unit(log, group, index)
+    name = f"channel {entry.channel!r}"
     if dimension:
-        known = si_factor(own if one.unit is None else one.unit, dimension)
+        known = si_factor(unit if entry.unit is None else entry.unit, dimension)
         if known is None:
             allowed = f"{', '.join(UNITS[dimension])}, or a `unit` in the map"
-            raise RecordingError("", f"{name} has the unit {own!r} in the log", allowed=allowed)
-        if own and si_factor(own, dimension) != known and any(si_factor(own, other) for other in UNITS):
+            raise RecordingError("", f"{name} has the unit {unit!r} in the log", allowed=allowed)
+        if unit and si_factor(unit, dimension) != known and any(si_factor(unit, other) for other in UNITS):
             allowed = "the same, or no `unit` and a `scale` where the log is wrong"
-            raise RecordingError("", f"{name} is in {own} in the log, in {one.unit} in the map", allowed=allowed)
+            raise RecordingError("", f"{name} is in {unit} in the log, in {entry.unit} in the map", allowed=allowed)
         factor = known
     samples, invalid = log.get(group=group, index=index, samples_only=True, ignore_invalidation_bits=True)
     if samples.dtype.kind not in "biufSUO" or samples.ndim != 1:
         what = f"{name} holds {samples.dtype} of the shape {samples.shape}"
         raise RecordingError("", what, allowed="a number or text at a time")
-    if one.values is not None:
-        table = one.values
+    if entry.values is not None:
+        table = entry.values
         numbers = np.array([table.get(_text(sample), np.nan) for sample in samples.tolist()], dtype=np.float64)
     elif samples.dtype.kind in "biuf":
         numbers = samples.astype(np.float64)
@@ -518,10 +522,10 @@ def _in_si(log: Any, group: int, index: int, one: Channel, quantity: str) -> Flo
     elif invalid is not None:
         numbers[invalid.astype(bool)] = np.nan
     other = numbers[np.abs(numbers) > 1.0]
-    if quantity.endswith("_signal") and one.values is None and other.size:  # 2 is to the right in many logs
+    if quantity.endswith("_signal") and entry.values is None and other.size:  # 2 is to the right in many logs
         allowed = "-1, 0, 1, or `values` for them in the map"
         raise RecordingError("", f"{name} holds the number {other[0]:g}", allowed=allowed)
-    return numbers * factor * one.scale + one.offset
+    return numbers * factor * entry.scale + entry.offset
 
 
 def _text(sample: object) -> str:

@@ -399,15 +399,15 @@ _TABLE: Final = re.compile(r"\.(csv|txt|csv\.gz|csv\.bz2|csv\.xz|csv\.zip)$", re
 
 def find_tables(paths: Iterable[Path], names: re.Pattern[str] = _TABLE) -> list[tuple[Path, bool]]:
     """Files named by the user, and files in named folders that may be tables by their names; each once."""
-    found: dict[str, tuple[Path, bool]] = {}
+    tables: dict[str, tuple[Path, bool]] = {}
     for path in paths:
         named = not os.path.isdir(path)  # noqa: PTH112 - this one raises nothing, whatever the path
-        inside = [path] if named else [one for one in _walk(path, DEPTH) if names.search(one.name)]
-        for one in inside:
-            place = place_of(one)
-            known = found.get(place)
-            found[place] = (known[0] if known else one, named or (known is not None and known[1]))
-    return list(found.values())
+        inside = [path] if named else [file for file in _walk(path, DEPTH) if names.search(file.name)]
+        for file in inside:
+            where = place_of(file)
+            known = tables.get(where)
+            tables[where] = (known[0] if known else file, named or (known is not None and known[1]))
+    return list(tables.values())
 
 
 def place_of(path: Path) -> str:
@@ -420,15 +420,15 @@ def place_of(path: Path) -> str:
 
 def _walk(folder: Path, depth: int) -> Iterator[Path]:
     try:
-        inside = sorted(folder.iterdir(), key=lambda one: one.name)
+        inside = sorted(folder.iterdir(), key=lambda entry: entry.name)
     except OSError:
         return
-    for one in inside:
-        if os.path.isdir(one):  # noqa: PTH112
-            if depth > 0 and not one.name.startswith("."):
-                yield from _walk(one, depth - 1)
-        elif not one.name.startswith(".") and os.path.isfile(one):  # noqa: PTH113
-            yield one
+    for entry in inside:
+        if os.path.isdir(entry):  # noqa: PTH112
+            if depth > 0 and not entry.name.startswith("."):
+                yield from _walk(entry, depth - 1)
+        elif not entry.name.startswith(".") and os.path.isfile(entry):  # noqa: PTH113
+            yield entry
 
 
 def shown_names(paths: Sequence[Path]) -> list[str]:
@@ -449,14 +449,14 @@ def check_columns(
     columns: Sequence[str], required: Sequence[str], optional: Sequence[str] = (), same: Callable[[str], str] = str
 ) -> None:
     """Refuse a header that lacks a column or repeats one; with ``same=str.lower`` letters may be of either case."""
-    there, known = list(map(same, columns)), list(map(same, (*required, *optional)))
+    present, known = list(map(same, columns)), list(map(same, (*required, *optional)))
     for name in (*required, *optional):
-        if (count := there.count(same(name))) > 1:
+        if (count := present.count(same(name))) > 1:
             raise RecordingError("", f"column '{name}' appears {count} times", allowed="once")
     for name in required:
-        if same(name) not in there:
+        if same(name) not in present:
             # the nearest name is looked for among the file's own, which is what its author has to rename
-            unknown = [one for one in columns[:64] if one and same(one) not in known]
+            unknown = [other for other in columns[:64] if other and same(other) not in known]
             raise missing_column(name, unknown, f"needed: {', '.join(required)}")
 
 
@@ -590,7 +590,7 @@ def open_recordings(
 
 def _recognised(paths: list[Path]) -> tuple[RecordingReader, str]:
     """The reader for these paths, and what it found; several readers as one where one set of options serves them."""
-    found: list[tuple[RecordingReader, str]] = []
+    matches: list[tuple[RecordingReader, str]] = []
     for reader in map(recording_reader, reader_names()):
         try:
             text = reader.recognise(paths)
@@ -599,18 +599,18 @@ def _recognised(paths: list[Path]) -> tuple[RecordingReader, str]:
                 f"format {reader.name!r}", f"recognise fails with {type(error).__name__}: {error}"
             ) from error
         if text:
-            found.append((reader, text))
-    if len(found) == 1:
-        return found[0]
+            matches.append((reader, text))
+    if len(matches) == 1:
+        return matches[0]
     shown = ", ".join(path.name or str(path) for path in paths[:3]) + (", ..." if len(paths) > 3 else "")
-    if not found:
+    if not matches:
         raise RecordingError(
             shown,
             "no reader knows such files",
             allowed=f"{', '.join(reader_names())} (named with --format, a reader says what it misses)",
         )
-    texts = "; ".join(f"{reader.name}: {text}" for reader, text in found)
-    readers = tuple(reader for reader, _ in found)
+    texts = "; ".join(f"{reader.name}: {text}" for reader, text in matches)
+    readers = tuple(reader for reader, _ in matches)
     if len({(reader.vehicle_width, reader.step) for reader in readers}) > 1:
         raise RecordingError(shown, f"several readers know such files ({texts})", hint="choose one with --format")
     return CombinedReader(readers), texts
