@@ -346,22 +346,22 @@ class MPCLaw(SteeringLaw):
         from . import _mpc_kernel as kernel
 
         n, N, M = x.shape[0], self.horizon, self.limits.start.size
-        U, delta, how = np.empty((n, N)), np.empty(n), np.empty(n, dtype=np.int8)
+        U, delta, result = np.empty((n, N)), np.empty(n), np.empty(n, dtype=np.int8)
         w, multipliers = np.zeros((n, M + 3)), np.zeros_like(state.multipliers)
         initial = self._initial_state(x, preview.yaw_rate, delta_prev, state)
         before = (state.multipliers, state.slack)
         proves = not self.always_solve
-        kernel.sweep(self.condensed, self.limits, proves, initial, *before, U, delta, w, multipliers, how)
+        kernel.sweep(self.condensed, self.limits, proves, initial, *before, U, delta, w, multipliers, result)
 
-        rung = np.where(how == kernel.HELD, np.int8(Rung.HELD), np.int8(Rung.FREE))
-        beyond = how == kernel.BEYOND
+        rung = np.where(result == kernel.HELD, np.int8(Rung.HELD), np.int8(Rung.FREE))
+        beyond = result == kernel.BEYOND
         if beyond.any():
             # widened to what can be reached, the limits leave one first command: back, as fast as the rate allows
             delta[beyond] = (delta_prev - np.sign(delta_prev) * self.limits.rate_step)[beyond]
             rung[beyond] = Rung.RELAXED
         calls: list[_Call] = []
         workspaces = state.workspaces
-        rows = np.flatnonzero(how == kernel.OPEN)
+        rows = np.flatnonzero(result == kernel.OPEN)
         if rows.size:
             workspaces = Workspaces(workspaces)
             calls = self._solve(rows, initial, U, delta, w, multipliers, rung, workspaces)

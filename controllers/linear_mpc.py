@@ -8,16 +8,7 @@ LQR with curvature preview, exactly. The plant is the one behind the nominal act
 radians. Use it where limits matter: a designer's choice of comfort or of a weak actuator; where they do not, `lqr`
 gives the same commands for nothing.
 
-Form of the QP. With the LQR gain K and w_j = -K z_j + c_j the cost is s sum (c_j - c*_j)^2 plus a constant, where
-s = r + B'PB (completion of squares along the Riccati recursion; c* is the feedforward from the preview). So the QP is:
-the smallest correction e = c - c* of the unconstrained plan that meets the limits, with an identity Hessian whatever
-the weights and the speed. Where the unconstrained plan meets every limit over the horizon, e = 0 is the QP's solution;
-where the rows held at their bounds one sample ago, moved up by one, prove to be the solution's, no solver is called
-either. The rest is in `docs/explanation/mpc.md`: soft limits, blocks, solvers, QPs that are not solved.
-
-Sources: D. Mayne, J. Rawlings, C. Rao, P. Scokaert, *Constrained model predictive control: stability and optimality*,
-Automatica 36(6), 2000; E. Kerrigan, J. Maciejowski, *Soft constraints and exact penalty functions in model predictive
-control*, UKACC Control, 2000.
+Form of the QP, soft limits, blocks, solvers, QPs that are not solved: `docs/explanation/mpc.md`.
 """
 
 import dataclasses

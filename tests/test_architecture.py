@@ -24,6 +24,7 @@ LEVELS = (
         "ldctoolkit.errors",
         "ldctoolkit.frames",
         "ldctoolkit.lane_functions",
+        "ldctoolkit.numba_internals",
         "ldctoolkit.package_names",
         "ldctoolkit.surroundings",
         "ldctoolkit.version",
