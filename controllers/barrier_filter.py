@@ -22,8 +22,8 @@ import numpy.typing as npt
 
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.control import Controller, EventStatus, LinearLaw, LinearSteps, Preview, SolverCalls, SteeringLaw
+from ldctoolkit.declared import gain, option
 from ldctoolkit.errors import InputError, UnknownNameError
-from ldctoolkit.gains import gain, option
 from ldctoolkit.registry import controller_class
 from ldctoolkit.vehicle.bicycle import Plant
 

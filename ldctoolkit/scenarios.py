@@ -11,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray, ReadOnly, unmasked
+from ldctoolkit.declared import UnitWarning, unit_slip
 from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, DepartureParameters, DepartureSignals
 from ldctoolkit.errors import InputError
-from ldctoolkit.option_checks import UnitWarning, unit_slip
 
 SPEED_FLOOR = 1.0  # lowest speed [m/s] at which a scenario can be replayed: the vehicle model divides by the speed
 

@@ -16,14 +16,14 @@ import polars as pl
 import pytest
 
 import ldctoolkit as ldc
-from controllers import LQR
+from ldctoolkit.controllers import LQR
+from ldctoolkit.declared import UnitWarning
 from ldctoolkit.errors import LdcError
-from ldctoolkit.option_checks import UnitWarning
 from ldctoolkit.plant_options import Actuator, PlantOptions
 from ldctoolkit.recordings.find_departures import Criteria
 from ldctoolkit.recordings.preparation import Preparation
-from studies import Study, risk
-from studies.ranking.ranking import write_csv
+from ldctoolkit.studies import Study, risk
+from ldctoolkit.studies.ranking.ranking import write_csv
 
 OWN_LAW = """
 import dataclasses, numpy as np, ldctoolkit as ldc
@@ -183,7 +183,7 @@ def test_numbers_of_numpy_are_numbers() -> None:
     assert study == ldc.study({"law": "lqr", "gains": {"r_delta": [30.0, 300.0]}}, y_s=[0.1, 0.2, 0.3],
                               left=5, right=5, seed=2)  # fmt: skip
     assert Study.from_dict(study.content()).hash == study.hash
-    with pytest.raises(ldc.LdcError, match=r"vehicle\.m: True; allowed: a number > 0"):
+    with pytest.raises(ldc.LdcError, match=r"vehicle\.m: True; allowed: a finite number > 0 kg"):
         ldc.VehicleParameters(m=np.bool_(True))
 
 

@@ -10,10 +10,9 @@ import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.control import Controller
+from ldctoolkit.declared import GainValue, checked_number, is_number
 from ldctoolkit.errors import InputError, LdcError
-from ldctoolkit.gains import GainValue
 from ldctoolkit.law_checks import check_controller
-from ldctoolkit.option_checks import checked_number, is_number
 from ldctoolkit.plant_options import Actuator, PlantOptions
 from ldctoolkit.review.law_model import LARGER, PULSE, LinearView, linear_view
 from ldctoolkit.review.loop_numbers import BEND_ERROR, MISMATCH, LoopNumbers, loop_numbers
@@ -478,7 +477,7 @@ def review(
     model = BicycleModel() if model is None else model
     dt, a_y, y_s = (
         checked_number("dt", dt, above=0.0), checked_number("a_y", a_y, above=0.0),
-        checked_number("y_s", y_s, least=0.0),
+        checked_number("y_s", y_s, lower=0.0),
     )  # fmt: skip
     plant = review_plant(model, dt, options, speeds, plant_knowledge)
     v, options = plant.v, options.sampled(dt)

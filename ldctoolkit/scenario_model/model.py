@@ -14,6 +14,7 @@ from typing import Any, Final, Protocol
 import numpy as np
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.declared import UnitWarning, unit_slip
 from ldctoolkit.departures import (
     LEFT,
     PARAMETER_NAMES,
@@ -27,7 +28,6 @@ from ldctoolkit.departures import (
 from ldctoolkit.errors import InputError, ModelError, RecordingError, UnknownNameError
 from ldctoolkit.mixture import SAMPLE_BLOCK, BoundedGaussianMixture
 from ldctoolkit.mixture.checks import check_number
-from ldctoolkit.option_checks import UnitWarning, unit_slip
 from ldctoolkit.recordings import Provenance, Refused, read_departures
 from ldctoolkit.scenario_model.provenance import ModelProvenance, SideModel
 from ldctoolkit.scenarios import SPEED_FLOOR, Scenarios, slowest_speed

@@ -25,7 +25,8 @@ from ldctoolkit.control import (
     SolverLog,
     SteeringLaw,
 )
-from ldctoolkit.errors import InputError, expect, plain
+from ldctoolkit.declared import checked_whole
+from ldctoolkit.errors import InputError, expect
 from ldctoolkit.law_checks import check_calls, check_controller, check_law, check_step, check_taken
 from ldctoolkit.metrics import METRIC_UNITS, MetricValues
 from ldctoolkit.mixture.checks import usable_cores
@@ -427,11 +428,8 @@ def _path_rows(trajectories: PathChoice, n: int) -> IntArray | None:
 
 def _in_threads(work: Callable[[int, int], None], count: int, threads: int | None, least: int) -> None:
     """Call ``work(first, last)`` on stretches of `count` things; the stretches do not depend on the threads."""
-    number = plain(threads)
-    if number is not None and (isinstance(number, bool) or not isinstance(number, int) or number < 1):
-        raise InputError("threads", value=number, allowed="a whole number >= 1")
     firsts = range(0, count, least)
-    number = min(usable_cores() if number is None else number, len(firsts))
+    number = min(usable_cores() if threads is None else checked_whole("threads", threads, lower=1), len(firsts))
     if number <= 1:
         work(0, count)
         return

@@ -17,8 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.control import Controller, EventStatus, LinearLaw, RecordedPath, check_class
+from ldctoolkit.declared import Gain, GainValue, undeclared_fields
 from ldctoolkit.errors import InputError, LdcError, expect
-from ldctoolkit.gains import Gain, GainValue, undeclared_fields
 from ldctoolkit.law_checks import check_controller, check_law, check_step, raised
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.simulation import simulate

@@ -13,9 +13,9 @@ import numpy.typing as npt
 
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.control import Controller, Law, LinearLaw, LinearSteps, Preview, RecordedPath, SteeringLaw
-from ldctoolkit.errors import InputError, LdcError, plain
+from ldctoolkit.declared import check_declared, declared
+from ldctoolkit.errors import LdcError
 from ldctoolkit.law_checks import check_law, check_step, check_taken
-from ldctoolkit.option_checks import check_declared, declared
 from ldctoolkit.simulation import BOUND
 from ldctoolkit.vehicle import BicycleModel, Plant
 from ldctoolkit.vehicle.speed_schedule import SPEED_RANGE
@@ -175,22 +175,18 @@ class ContractSettings:
     12
     """
 
-    scenarios: int = 12  # Scenarios in one batch, 4 or more
-    samples: int = 6  # Time steps of one run, 4 or more
+    scenarios: int = declared(12, lower=4)  # Scenarios in one batch, 4 or more
+    samples: int = declared(6, lower=4)  # Time steps of one run, 4 or more
     dt: float = declared(0.05, unit="s", above=0.0)  # [s] Sample time
     # How far a mirrored command may be from the mirror image, relative to the largest command of the scenario. The
     # default leaves room for sums in another order and for iterative solvers; 0 asks for equal bits.
-    mirror_tolerance: float = declared(1e-9, least=0.0)
+    mirror_tolerance: float = declared(1e-9, lower=0.0)
     # [rad] How far a command may exceed a declared limit: the accuracy of an iterative solver
-    limit_tolerance: float = declared(1e-6, unit="rad", least=0.0)
+    limit_tolerance: float = declared(1e-6, unit="rad", lower=0.0)
     # [rad] How far a command on a straight road may be from 0
-    quiet_tolerance: float = declared(0.0, unit="rad", least=0.0)
+    quiet_tolerance: float = declared(0.0, unit="rad", lower=0.0)
 
     def __post_init__(self) -> None:
-        for name in ("scenarios", "samples"):
-            value = plain(getattr(self, name))
-            if isinstance(value, bool) or not (isinstance(value, int) and value >= 4):
-                raise InputError(name, value=value, allowed="a whole number >= 4")
         check_declared(self)
 
 

@@ -15,7 +15,8 @@ from ldctoolkit.notebook import CELL
 
 from ..design import Design
 from ..results import Case, CaseResults, FailedDesign, StudyResults
-from ..storage.files import csv_text, write_text
+from ..storage.files import write_text
+from ..tables import Table, to_csv
 from .paired import (
     FinishedStudy,
     PairedDifferences,
@@ -51,12 +52,8 @@ class CaseComparison:
     # Shared scenarios that failed (solver failed, diverged, timed out, crashed)
     failed_old: tuple[int, ...]
     failed_new: tuple[int, ...]
-    # The new study's winner against the old one's; None where no design meets the requirements of one of them, or a
-    # race was in another case
+    # The new study's winner against the old one's; None where no design meets the requirements of one of them
     winners: Winners | None
-    # A race gave designs up by their scores in another case. Its best design here may be among them, so that there is
-    # no winner to compare
-    raced_elsewhere: bool = False
 
     def __len__(self) -> int:
         return len(self.designs)
@@ -104,7 +101,6 @@ class Comparison:
     new_failures: tuple[FailedDesign, ...]
     repaired: tuple[FailedDesign, ...]
     failed_in_both: tuple[FailedDesign, ...]
-    given_up: tuple[Design, ...]  # Designs of both studies that a race gave up in one of them
     bootstrap: int  # Resamples
     confidence: float  # Of the intervals, all designs and cases together
     warnings: tuple[str, ...] = ()
@@ -132,8 +128,7 @@ class Comparison:
         else:
             summary = f"no design in both, {first.case.label}"
         failed = f"; {len(self.new_failures)} failed only in the new study" if self.new_failures else ""
-        nothing = "not compared" if first.raced_elsewhere else "no winner"
-        winners = nothing if first.winners is None else PHRASES[first.winners.verdict]
+        winners = "no winner" if first.winners is None else PHRASES[first.winners.verdict]
         return f"{shared}; {summary}{failed}; the new winner against the old one: {winners}."
 
 
@@ -248,7 +243,6 @@ def compare(
         new_failures=_failed(after.results, ran=before.results),
         repaired=_failed(before.results, ran=after.results),
         failed_in_both=_failed(after.results, failed=before.results),
-        given_up=_given_up(before.results, after.results),
         bootstrap=samples,
         confidence=level,
     )
@@ -278,25 +272,16 @@ def _cases(
     )
     fresh = _shared_fresh(before, after)
     for i, (case_old, case_new) in enumerate(pairs):
-        raced_elsewhere = any(_raced_elsewhere(side.results, case_new.case) for side in (before, after))
         yield CaseComparison(
             case=case_new.case,
             designs=designs,
             S=table.take(range(i * len(designs), (i + 1) * len(designs))),
             failed_old=tuple(case_old.failed[at_old][:, shared.old].sum(axis=1).tolist()),
             failed_new=tuple(case_new.failed[at_new][:, shared.new].sum(axis=1).tolist()),
-            winners=None
-            if raced_elsewhere
-            else compare_winners(
+            winners=compare_winners(
                 before, after, case_new.case, shared, fresh, bootstrap=bootstrap, confidence=confidence
             ),
-            raced_elsewhere=raced_elsewhere,
         )
-
-
-def _raced_elsewhere(results: StudyResults, case: Case) -> bool:
-    """Whether a race gave up designs that may be the best in this case: it knows the primary case alone."""
-    return results.race is not None and bool(results.race.dropped) and results.cases[0].case != case
 
 
 def _shared_cases(before: FinishedStudy, after: FinishedStudy) -> CasePairs:
@@ -357,13 +342,6 @@ def _driven(shared: SharedScenarios, old: StudyResults, new: StudyResults) -> Sh
     return shared.take(rows)
 
 
-def _given_up(*both: StudyResults) -> tuple[Design, ...]:
-    """Designs that both studies hold, and a race of one of them gave up."""
-    shared = set.intersection(*(set(held_designs(results)) for results in both))
-    lost = {one.design.key: one.design for results in both if results.race is not None for one in results.race.dropped}
-    return tuple(design for id, design in lost.items() if id in shared)
-
-
 def _failed(
     results: StudyResults, *, ran: StudyResults | None = None, failed: StudyResults | None = None
 ) -> tuple[FailedDesign, ...]:
@@ -388,24 +366,13 @@ def _warnings(comparison: Comparison, left_out: int) -> Iterator[str]:
         )
     if shared.n < _FEW:
         yield f"Only {shared.n} shared scenario{'' if shared.n == 1 else 's'}: the intervals are rough."
-    elsewhere = [case.case.label for case in comparison.cases if case.raced_elsewhere]
-    if elsewhere:
-        yield (
-            f"Winners are not compared in {'; '.join(elsewhere)}: a race of one of the studies gave designs up by "
-            "their S in its primary case alone, and the best one here may be among them. Run it without a race."
-        )
-    if any(case.winners is None and not case.raced_elsewhere for case in comparison.cases):
+    if any(case.winners is None for case in comparison.cases):
         yield "No design of one of the studies meets its requirements in some case: there is no winner to compare."
     in_control = [case.winners for case in comparison.cases if case.winners and case.case.window == "control"]
     if any(winners.old.y_s != winners.new.y_s for winners in in_control):
         yield (
             "S over the control window starts at the trigger, which moves with y_s: a later trigger gives a smaller S. "
             "Winners with different y_s are not comparable there."
-        )
-    if comparison.given_up:
-        yield (
-            f"Designs of both studies that a race in one of them gave up early: {len(comparison.given_up)}; they are "
-            "not compared."
         )
 
 
@@ -462,7 +429,7 @@ def _design(comparison: Comparison, case: CaseComparison, i: int) -> dict[str, A
 
 def write_comparison(comparison: Comparison, path: str | Path) -> None:
     """Write a comparison as one CSV file, whole or not at all."""
-    write_text(Path(path), csv_text(COLUMNS, comparison_rows(comparison)))
+    write_text(Path(path), to_csv(Table.of(COLUMNS, comparison_rows(comparison))))
 
 
 def comparison_content(comparison: Comparison) -> dict[str, Any]:
@@ -484,6 +451,5 @@ def comparison_content(comparison: Comparison) -> dict[str, Any]:
         "warnings": list(comparison.warnings),
         "only_old": [design.id for design in comparison.only_old],
         "only_new": [design.id for design in comparison.only_new],
-        "given_up": [design.id for design in comparison.given_up],
         "rows": list(comparison_rows(comparison)),
     }

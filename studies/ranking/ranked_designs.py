@@ -67,8 +67,7 @@ class FreshScores:
     fresh_scenarios: int  # How many; 0 for none
     fresh_best: int | None  # Position of the finalist with the smallest `fresh_S`
     # Position of the design to take, see `choose_winner`; without fresh scenarios the first of the ranking. None where
-    # no design is ranked, where no finalist meets the requirements on the fresh scenarios, or where a race gave designs
-    # up by another case
+    # no design is ranked, or no finalist meets the requirements on the fresh scenarios
     winner: int | None
 
 
@@ -237,10 +236,6 @@ class RankedDesigns(CaseMetrics, Inference, FreshScores):
     replayed_reduction: FloatArray
     replayed_departures: int  # How many; 0 for none
     failed: tuple[FailedDesign, ...] = ()  # Designs whose law failed: they have no rank and no metrics
-    given_up: int = 0  # Designs that a race gave up before: they have no rank and no metrics either
-    # Whether that race was run by this case's S. If not, `set_of_best` and the other comparisons are of the survivors
-    # of another race only, and there is no winner
-    raced: bool = True
 
     def __len__(self) -> int:
         return len(self.designs)
@@ -281,11 +276,6 @@ class RankedDesigns(CaseMetrics, Inference, FreshScores):
             Estimate(one, value, low, high, one in self.requirements, fresh)
             for one, (value, low, high) in zip(self.limits, numbers, strict=True)
         )
-
-    @property
-    def survivors_only(self) -> bool:
-        """Whether designs were given up by S of another case, which may have been the best of this one."""
-        return self.given_up > 0 and not self.raced
 
     def best_of_each_law(self) -> tuple[int, ...]:
         """Positions of the best design of every law, best law first."""

@@ -25,10 +25,11 @@ from ldctoolkit.vehicle.bicycle import BicycleModel, Plant, VehicleParameters
 
 from ..assessment import assess
 from ..design import Design
-from ..results import Case, CaseResults, Race, StudyResults
+from ..results import Case, CaseResults, StudyResults
 from ..standards import standard_names
-from ..storage.files import csv_text, write_text
+from ..storage.files import write_text
 from ..study_file import Study
+from ..tables import Table, to_csv, to_polars
 from .design_metrics import (
     DrivableCase,
     Margins,
@@ -148,12 +149,7 @@ class Ranking(RankedDesigns, Frame):
         """One row a design, with the columns of ``ranking.csv``: first what names it, its rank and S."""
         import polars as pl
 
-        text = ("design", "label", "unmet", "fresh_unmet", "failure")
-        types = {**dict.fromkeys(text, pl.String), "rank": pl.Int64}
-        content = _csv_text([self], None, plain=True).encode()
-        table = pl.read_csv(content, infer_schema_length=None, schema_overrides=types)
-        empty = [one.name for one in table if one.dtype == pl.String and one.is_null().all() and one.name not in text]
-        table = table.with_columns(pl.col(empty).cast(pl.Float64))
+        table = to_polars(_table([self])).with_columns(pl.col("rank").cast(pl.Int64))
         first = ["rank", "law", "y_s_m", "S_m_s", "set_of_best", "unmet"]
         return table.select(*first, pl.exclude(first))
 
@@ -245,11 +241,6 @@ class Ranking(RankedDesigns, Frame):
             fresh_limited[:, :, positions] = found
             fresh_limited[mean_S, 1:] = fresh.fresh_low, fresh.fresh_high
             fresh_saved[positions] = there.reduction
-        given_up = 0 if results.race is None else len(results.race.dropped)
-        raced = case.case == results.cases[0].case
-        if given_up and not raced:
-            fresh = dataclasses.replace(fresh, winner=None)
-            warnings.append(_not_raced(results, given_up))
         acting = [i for i, design in enumerate(designs) if not design.is_baseline]
         if requirements and acting and not any(i < ranked for i in acting):
             fresh = dataclasses.replace(fresh, winner=None)  # to leave the departures alone is no design
@@ -287,8 +278,6 @@ class Ranking(RankedDesigns, Frame):
             confidence=confidence,
             warnings=tuple(warnings),
             failed=results.failed,
-            given_up=given_up,
-            raced=raced,
         )
 
 
@@ -419,14 +408,6 @@ def _about_finalists(fresh: FreshScores, ranked: int) -> Iterator[str]:
             yield f"Design # {i + 1} misses {', '.join(missed)} on the fresh scenarios and is not the winner."
 
 
-def _not_raced(results: StudyResults, given_up: int) -> str:
-    return (
-        f"This case was not raced: {given_up} of {given_up + len(results.designs)} designs were given up by S of "
-        f"{results.cases[0].case.label}, and one of them may be the best here. Ranks, differences and the set of best "
-        "are of the survivors only, and there is no winner; run the study without a race to rank this case."
-    )
-
-
 def _warnings(drivable: DrivableCase, designs: Sequence[Design]) -> Iterator[str]:
     case = drivable.case
     if drivable.left_out:
@@ -440,11 +421,6 @@ def _warnings(drivable: DrivableCase, designs: Sequence[Design]) -> Iterator[str
             "Designs with different y_s are not comparable here; use the departure window."
         )
     yield from warnings_of(case, designs)
-
-
-_DROPPED: Final = ("dropped_in_round", "dropped_scenarios", "dropped_S_m_s", "dropped_low_m_s")
-"""Columns of a design that a race gave up: after which round and on how many scenarios, its mean S on them, and the
-lower bound of how much worse than the best it is."""
 
 
 def _column_of(name: str) -> str:
@@ -468,21 +444,17 @@ _NUMBERS: Final = {name: _column_of(name) for name in _SCORES.split()}
 _COUNTS: Final = ("solver_failed", "diverged", "timed_out", "crashed", "beyond_delta_max", "invalid", "failed_solves")
 
 
-def write_csv(rankings: Sequence[Ranking], path: str | Path, race: Race | None = None) -> None:
+def write_csv(rankings: Sequence[Ranking], path: str | Path) -> None:
     """Write rankings as one CSV file, whole or not at all; window and convention name the case."""
-    write_text(Path(path), _csv_text(rankings, race))
+    write_text(Path(path), to_csv(_table(rankings)))
 
 
-def _csv_text(rankings: Sequence[Ranking], race: Race | None, *, plain: bool = False) -> str:
-    dropped = () if race is None else race.dropped
-    designs = [*(design for ranking in rankings for design in _every(ranking)), *(one.design for one in dropped)]
-    laws = {design.law: design for design in designs}
+def _table(rankings: Sequence[Ranking]) -> Table:
+    """The numbers of every design, in SI units."""
+    laws = {design.law: design for ranking in rankings for design in _every(ranking)}
     gains = list(dict.fromkeys(column for _, design in sorted(laws.items()) for column in _columns_of(design)))
     rows = [row for ranking in rankings for row in _rows(ranking, gains)]
-    if race is not None:
-        behind = len(rankings[0]) + len(rankings[0].failed)
-        rows[behind:behind] = _given_up(race, rankings[0], gains)
-    return csv_text([*rows[0], *_DROPPED], rows, plain=plain)
+    return Table.of(rows[0], rows, text=("design", "label", "unmet", "fresh_unmet", "failure"))
 
 
 def _every(ranking: Ranking) -> Iterator[Design]:
@@ -515,20 +487,18 @@ def _rows(ranking: Ranking, gains: Sequence[str]) -> Iterator[dict[str, Any]]:
     for i, (design, reason) in enumerate(zip(_every(ranking), reasons, strict=True)):
         here = i < len(ranking)
         yield {
-            **_named(ranking, int(ranking.rank[i]) if here and ranking.rank[i] else "", design, gains),
-            **{name: _field(column[i].item()) if here else "" for name, column in numbers.items()},
+            **_named(ranking, int(ranking.rank[i]) or None if here else None, design, gains),
+            **{name: column[i] if here else None for name, column in numbers.items()},
             "unmet": "; ".join(ranking.unmet[i]) if here else "",
             "fresh_unmet": "; ".join(ranking.fresh_unmet[i]) if here else "",
-            "optimism_of": _optimism_of(ranking, i) if here else "",
+            "optimism_of": _optimism_of(ranking, i) if here else None,
             "failure": reason,
         }
 
 
-def _named(ranking: Ranking, rank: int | str, design: Design, gains: Sequence[str]) -> dict[str, Any]:
+def _named(ranking: Ranking, rank: int | None, design: Design, gains: Sequence[str]) -> dict[str, Any]:
     """The columns that say which design in which case."""
-    values = dict.fromkeys(gains, "") | dict(
-        zip(_columns_of(design), (_field(value) for _, value in design.gains), strict=True)
-    )
+    values = dict(zip(_columns_of(design), (value for _, value in design.gains), strict=True))
     return {
         "window": ranking.case.window,
         "convention": ranking.case.convention,
@@ -536,26 +506,12 @@ def _named(ranking: Ranking, rank: int | str, design: Design, gains: Sequence[st
         "design": design.id,
         "label": design.label,
         "law": design.law,
-        "y_s_m": repr(design.y_s),
-        **{f"gain_{name}": value for name, value in values.items()},
+        "y_s_m": design.y_s,
+        **{f"gain_{name}": values.get(name) for name in gains},
     }
 
 
-def _given_up(race: Race, ranking: Ranking, gains: Sequence[str]) -> Iterator[dict[str, Any]]:
-    """No rank and no metrics: these would stand for fewer scenarios than all others."""
-    for one in race.dropped:
-        metrics = (one.round, one.scenarios, _field(one.S), _field(one.low))
-        yield _named(ranking, "", one.design, gains) | dict(zip(_DROPPED, metrics, strict=True))
-
-
-def _optimism_of(ranking: Ranking, i: int) -> str:
+def _optimism_of(ranking: Ranking, i: int) -> str | None:
     if np.isnan(ranking.optimism[i]):
-        return ""
+        return None
     return "baseline_difference" if ranking.optimism_paired else "S"
-
-
-def _field(value: Any) -> str:
-    """Numbers in full precision, truth values in lower case, nothing for a metric that is taken over no departure."""
-    if isinstance(value, bool):
-        return str(value).lower()
-    return "" if value != value else str(value)

@@ -7,7 +7,6 @@
     DIR/designs.parquet          the designs: identifier, law, y_s, gains
     DIR/results/part-*.parquet   per-scenario results of some designs, one row a scenario
     DIR/failures.json            designs whose law failed, and why; not there if none did
-    DIR/race.json                which designs a race gave up, and when; not there without one
     DIR/timing.json              how long the laws took; the one file that a second run does not give again
     DIR/finalists/               the best designs on fresh scenarios: a folder like this one
     DIR/replayed/                the best designs on recorded departures, where a study has both: a folder like this one
@@ -40,14 +39,12 @@ from .files import SCENARIOS, output_folder, read_scenarios, write_scenarios
 from .manifest import (
     DESIGNS,
     FAILURES,
-    RACE_FILE,
     TIMING_FILE,
     LawTime,
     Manifest,
     read_designs,
     read_failures,
     read_manifest,
-    read_race,
     read_times,
     refuse_other,
     write_failures,
@@ -84,7 +81,7 @@ def _clear(folder: Path) -> None:
     """Remove all results of other versions. Their manifest stays until it is replaced: a run that is killed here ends
     with a folder of those versions, and the next one clears the rest.
     """
-    names = (DESIGNS, FAILURES, TIMING_FILE, RACE_FILE)
+    names = (DESIGNS, FAILURES, TIMING_FILE)
     try:
         for path in (*(folder / name for name in names), *(folder / "results").glob(PATTERN)):
             path.unlink(missing_ok=True)
@@ -208,15 +205,8 @@ class Store:
         designs = self.designs()
         if self.study.search is not None and not self.manifest.finished:
             raise StoreError(self.folder, "its search is not over yet", hint="run the study again")
-        race = read_race(self.folder, designs, self.manifest.ranked_as) if self.study.race else None
-        if self.study.race and race is None:
-            raise StoreError(self.folder, "its race is not over yet", hint="run the study again")
-        if race is not None:
-            dropped = {one.design.id for one in race.dropped}
-            designs = tuple(design for design in designs if design.id not in dropped)
         table = self.load(designs)
         results = table.results(self.scenarios, self.times, self.failures, source=str(self.folder))
-        results = dataclasses.replace(results, race=race)
         return dataclasses.replace(
             results, fresh=self._again(FINALISTS, results), replayed=self._again(REPLAYED, results)
         )

@@ -20,12 +20,12 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from helpers import results as helpers_results
 from ldctoolkit import Scenarios, load_model
 from ldctoolkit.simulation import Takeover, drive_many
-from studies import Study
-from studies.design import Design
-from studies.racing import race_round
-from studies.results import FAILED_STATUSES
-from studies.running.tasks import prefix_rows, schedule
-from studies.study_file import load_study
+from ldctoolkit.studies import Study
+from ldctoolkit.studies.design import Design
+from ldctoolkit.studies.racing import race_round
+from ldctoolkit.studies.results import FAILED_STATUSES
+from ldctoolkit.studies.running.tasks import prefix_rows, schedule
+from ldctoolkit.studies.study_file import load_study
 
 NEIGHBOURS, CONTESTED = 60, 20
 

@@ -9,10 +9,6 @@ import pytest
 import qpsolvers
 import scipy.sparse as sp
 
-from controllers import LQR, LinearMPC, PreviewProportional
-from controllers.barrier_filter import BarrierFilter
-from controllers.lqi import LQI
-from controllers.preview_lqr import PreviewLQR
 from helpers.closed_loop import Stepped, Unsighted, known, some
 from ldctoolkit import (
     BicycleModel,
@@ -27,9 +23,13 @@ from ldctoolkit import (
     gain,
     simulate,
 )
+from ldctoolkit.controllers import LQR, LinearMPC, PreviewProportional
+from ldctoolkit.controllers.barrier_filter import BarrierFilter
+from ldctoolkit.controllers.lqi import LQI
+from ldctoolkit.controllers.preview_lqr import PreviewLQR
 from ldctoolkit.errors import NOT_GIVEN, InputError, LdcError, StudyError
 from ldctoolkit.plant_options import Actuator, KalmanFilter, PlantOptions, Sensors
-from studies import Study
+from ldctoolkit.studies import Study
 
 DT = 0.05
 

@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from controllers import LQR
 from helpers.models import varied_departures
 from ldctoolkit import (
     BicycleModel,
@@ -18,6 +17,7 @@ from ldctoolkit import (
     reduce_signals,
     simulate,
 )
+from ldctoolkit.controllers import LQR
 from ldctoolkit.errors import LdcError
 from ldctoolkit.mixture.truncated_normal import TruncatedNormal
 from ldctoolkit.recordings import Recording

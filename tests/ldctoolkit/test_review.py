@@ -10,7 +10,6 @@ import control
 import numpy as np
 import pytest
 
-from controllers import LQR, BarrierFilter, LinearMPC, NoControl, PreviewProportional
 from ldctoolkit import (
     BicycleModel,
     Controller,
@@ -25,6 +24,7 @@ from ldctoolkit import (
     gain,
     option,
 )
+from ldctoolkit.controllers import LQR, BarrierFilter, LinearMPC, NoControl, PreviewProportional
 from ldctoolkit.errors import InputError
 from ldctoolkit.plant_options import Actuator, KalmanFilter, PlantOptions, Sensors
 from ldctoolkit.review import Finding, Review, Thresholds, review

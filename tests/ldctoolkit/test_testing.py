@@ -12,9 +12,9 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from controllers import LQR
 from ldctoolkit import BicycleModel, Controller, EventStatus, LinearLaw, Plant, SteeringLaw, gain, option
 from ldctoolkit.control import LinearSteps, RecordedPath
+from ldctoolkit.controllers import LQR
 from ldctoolkit.errors import InputError
 from ldctoolkit.simulation import BOUND
 from ldctoolkit.testing import (
@@ -257,7 +257,7 @@ def test_designs_on_their_way_to_worker_processes(tmp_path: Path) -> None:
 
     code = (
         "import sys, ldctoolkit.testing; print({'pytest', 'numba', 'scipy', 'polars'} & set(sys.modules))\n"
-        "from controllers import LQR\nfrom ldctoolkit.testing import contract_faults\n"
+        "from ldctoolkit.controllers import LQR\nfrom ldctoolkit.testing import contract_faults\n"
         "class Main(LQR):\n    name = 'main'\n"
         "print(*contract_faults(Main, checks=['picklable']))\n"
     )

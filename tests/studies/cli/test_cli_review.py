@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from controllers import LQR
 from helpers.cli import bad, good, ldc, printed_rows
 from ldctoolkit import LinearLaw, Plant
+from ldctoolkit.controllers import LQR
 
 STUDY = """
 name = "tiny"

@@ -22,12 +22,18 @@ from ldctoolkit import EventStatus, Scenarios, load_model
 from ldctoolkit.errors import InputError, StoreError
 from ldctoolkit.paths.uncorrected import RandomStream
 from ldctoolkit.plant_options import Mismatch, PlantOptions, Residuals, Sensors
-from studies import Case, CaseResults, Comparison, Manifest, Study, StudyResults, compare
-from studies.cli._tables import print_comparison
-from studies.comparison.comparison import COLUMNS, comparison_content, write_comparison
-from studies.comparison.paired import FinishedStudy, Verdict, drawn_streams, paired_differences, share_scenarios
-from studies.ranking.inference import weight_blocks
-from studies.results import Dropped, FailedDesign, Race
+from ldctoolkit.studies import CaseResults, Comparison, Manifest, Study, StudyResults, compare
+from ldctoolkit.studies.cli._tables import print_comparison
+from ldctoolkit.studies.comparison.comparison import COLUMNS, comparison_content, write_comparison
+from ldctoolkit.studies.comparison.paired import (
+    FinishedStudy,
+    Verdict,
+    drawn_streams,
+    paired_differences,
+    share_scenarios,
+)
+from ldctoolkit.studies.ranking.inference import weight_blocks
+from ldctoolkit.studies.results import FailedDesign
 
 
 def scenarios_of(n: int, left: int | None = None, seed: int = 0) -> Scenarios:
@@ -382,58 +388,6 @@ def test_failed_designs(scores: np.ndarray) -> None:
     both = compare(old, changed(old, failed=old.results.failed))
     assert [one.design for one in both.failed_in_both] == [every[3]]
     assert not both.any_worse
-
-
-def test_designs_that_a_race_gave_up_are_named_and_not_compared(scores: np.ndarray) -> None:
-    every = study_of(4).designs
-    dropped = Dropped(every[3], round=1, scenarios=100, S=3.0, difference=0.5, low=0.1)
-    race = Race(rounds=(100, 400), alive=(3, 3), dropped=(dropped,), runs=1300, full_runs=1600)
-    raced = changed(finished(scores[:3], of=4, rows=[0, 1, 2], race=True), race=race)
-    comparison = compare(finished(scores, source="old"), raced)
-    assert (len(comparison.cases[0]), comparison.given_up, comparison.only_old) == (3, (every[3],), ())
-    assert comparison.differences == ("race: not set -> True",)
-
-
-def raced(scores: np.ndarray, *, dropped: bool = True, primary: Case = DEPARTURE, **parts: Any) -> FinishedStudy:
-    """Three of four designs, raced in one case; it has results in both windows. Design 3 was perhaps given up."""
-    every = study_of(4).designs
-    other = DEPARTURE if primary == CONTROL else CONTROL
-    cases = [case_of(scores[:3], case=primary), case_of(scores[:3], case=other)]
-    gone = (Dropped(every[3], round=1, scenarios=100, S=3.0, difference=0.5, low=0.1),) if dropped else ()
-    race = Race(rounds=(100, 400), alive=(3, 3), dropped=gone, runs=1300, full_runs=1600)
-    return changed(finished(scores[:3], of=4, rows=[0, 1, 2], cases=cases, race=True, **parts), race=race)
-
-
-@pytest.mark.parametrize("old_is_raced", [False, True])
-def test_winners_of_cases_that_were_not_raced_are_not_compared(scores: np.ndarray, old_is_raced: bool) -> None:
-    """The full study's best design of the control window was given up for its S in the departure window."""
-    control = scores.copy()
-    control[3] = scores.min(axis=0) - 1.0
-    full = finished(scores, source="full", cases=[case_of(scores), case_of(control, case=CONTROL)])
-    one, other = (raced(scores), full) if old_is_raced else (full, raced(scores))
-    comparison = compare(one, other)
-    first, second = comparison.cases
-    assert first.winners is not None
-    assert (first.raced_elsewhere, second.raced_elsewhere) == (False, True)
-    assert second.winners is None
-    assert len(second) == 3  # designs of both are still compared, one by one
-    assert not comparison.any_worse
-    (told,) = [text for text in comparison.warnings if "Winners are not compared" in text]
-    assert "in control window, consistent: a race" in told
-    assert not any("no winner to compare" in text for text in comparison.warnings)
-    rows = comparison_content(comparison)["rows"]
-    assert [row["window"] for row in rows if row["compared"] == "winners"] == ["departure"]
-
-
-def test_winners_of_the_raced_case_and_of_races_that_gave_nothing_up_are_compared(scores: np.ndarray) -> None:
-    full = finished(scores, source="full", cases=[case_of(scores), case_of(scores, case=CONTROL)])
-    whole = compare(full, raced(scores, dropped=False))
-    assert [case.winners is None for case in whole.cases] == [False, False]
-    # the primary case is that of the raced study, not of the other one
-    turned = compare(raced(scores, primary=CONTROL), full)
-    assert [case.case for case in turned.cases] == [DEPARTURE, CONTROL]
-    assert [case.winners is None for case in turned.cases] == [True, False]
-    assert "against the old one: not compared." in turned.summary
 
 
 @pytest.mark.parametrize(("d", "title"), [(1, "1 design in both studies"), (2, "2 designs in both studies")])

@@ -11,9 +11,9 @@ from scipy import stats
 
 from helpers.results import race
 from ldctoolkit.errors import InputError
-from studies.racing import Decision, race_round
-from studies.running.tasks import prefix_rows, schedule
-from studies.study_file import load_study
+from ldctoolkit.studies.racing import Decision, race_round
+from ldctoolkit.studies.running.tasks import prefix_rows, schedule
+from ldctoolkit.studies.study_file import load_study
 
 LINEAR = {"none", "preview_proportional", "lqr", "lqi", "preview_lqr"}
 

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from helpers.results import CONTROL, DEPARTURE
+from helpers.results import DEPARTURE
 from helpers.results import results_of as given_results
-from studies import Case, Design, Ranking, StudyResults
-from studies.ranking.inference import Resampled
-from studies.ranking.ranked_designs import choose_winner, lost
-from studies.ranking.ranking import write_csv
-from studies.results import Dropped, FailedDesign, Race
+from ldctoolkit.studies import Case, Design, Ranking, StudyResults
+from ldctoolkit.studies.ranking.inference import Resampled
+from ldctoolkit.studies.ranking.ranked_designs import choose_winner, lost
+from ldctoolkit.studies.ranking.ranking import write_csv
+from ldctoolkit.studies.results import FailedDesign
 
 pytestmark = pytest.mark.usefixtures("laws")
 
@@ -207,18 +207,3 @@ def test_where_the_first_fails_on_fresh_scenarios_the_next_one_wins(scores: np.n
     results = dataclasses.replace(results_of(scores, (0, 1, 2, 3)), fresh=fresh)
     ranking = Ranking.of(results, results.cases[0])
     assert (ranking.winner, ranking.fresh_difference[1]) == (1, 0.0)
-
-
-def test_a_case_that_was_not_raced_has_no_winner_and_says_so(scores: np.ndarray, again: np.ndarray) -> None:
-    dropped = tuple(Dropped(design(4 + i), 1, 50, 3.0, 1.0, 0.5) for i in range(2))
-    race = Race(rounds=(50, 400), alive=(4, 4), dropped=dropped, runs=1, full_runs=2)
-    results = results_of(scores, (0, 1, 2, 3), (DEPARTURE, CONTROL))
-    results = dataclasses.replace(results, race=race, fresh=results_of(again[1:3], (1, 2), (DEPARTURE, CONTROL)))
-    raced, other = (Ranking.of(results, case) for case in results.cases)
-    assert (raced.winner, raced.survivors_only, raced.given_up) == (0, False, 2)
-    assert not raced.warnings
-    assert (other.winner, other.survivors_only) == (None, True)
-    assert any(text.startswith("This case was not raced: 2 of 6 designs were given up") for text in other.warnings)
-    # a race that gave nobody up changes nothing
-    nobody = dataclasses.replace(results, race=dataclasses.replace(race, dropped=()))
-    assert Ranking.of(nobody, nobody.cases[1]).winner == 0

@@ -9,14 +9,14 @@ import numpy as np
 import polars as pl
 import pytest
 
-from controllers import LQR
 from helpers.cli import bad, good
 from ldctoolkit import Scenarios, Setup, VehicleParameters, load_model, simulate
+from ldctoolkit.controllers import LQR
 from ldctoolkit.departures import LEFT, PARAMETER_COLUMNS, PARAMETER_NAMES, RIGHT, Departures, ExtraColumn
 from ldctoolkit.errors import InputError, LdcError, StudyError
 from ldctoolkit.recordings import Criteria, Provenance, write_departures
-from studies import Study, read_results, run_study
-from studies.ranking.ranking import rank_study
+from ldctoolkit.studies import Study, read_results, run_study
+from ldctoolkit.studies.ranking.ranking import rank_study
 
 LEFT_ROWS, RIGHT_ROWS = 40, 25
 
