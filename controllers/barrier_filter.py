@@ -4,10 +4,10 @@ delta = argmin (delta - delta_inner)^2 subject to |e_y| <= e_y_max being kept, w
 centre from the lane's centre, positive to the left (ISO 8855); the edge is on the line at e_y = (w_l - w_v)/2, 0.85 m
 with the default vehicle. Both sides have a barrier, h = e_y_max - e_y and h = e_y_max + e_y.
 
-Closed form. With w = (gamma_1, dt, 0, 0) and x+ = A x + B delta + E_0 r_0 + E_1 r_1 both conditions are linear in
-delta,
+The condition on each is psi(k+1) >= (1 - gamma_2) psi(k) with psi = gamma_1 h + dt dh/dt. With w = (gamma_1, dt, 0, 0)
+and x+ = A x + B delta + E_0 r_0 + E_1 r_1 both are linear in delta, an interval of constant width to which it is clipped,
 
-    |w'B delta - ((1 - gamma_2) w'x - w'(A x + E_0 r_0 + E_1 r_1))| <= gamma_1 gamma_2 e_y_max,
+    |w'B delta - ((1 - gamma_2) w'x - w'(A x + E_0 r_0 + E_1 r_1))| <= gamma_1 gamma_2 e_y_max.
 
 Details: `docs/reference/laws.md`.
 """

@@ -24,10 +24,8 @@ from ldctoolkit.control import Controller, EventStatus, Preview, SolverCalls, St
 from ldctoolkit.declared import gain
 from ldctoolkit.vehicle.bicycle import Plant
 
-from ._mpc_condensing import SHARES, WINDOW, jerk_window
-from ._mpc_law import lane, lookahead
-from ._nmpc_model import pack, steady_cornering
-from ._nmpc_solver import SoftLimits, Workspace, workspace
+from ._mpc_condensing import SHARES, WINDOW, jerk_window, lane, lookahead
+from ._nmpc_solver import SoftLimits, Workspace, pack, steady_cornering, workspace
 from .riccati import regulator
 
 _SCALES = (1.0, 10.0, 0.1)  # units of the soft limits' violations: m/s^2, m/s^3, m
@@ -122,7 +120,7 @@ class NonlinearMPCLaw(SteeringLaw):
 
     design: NonlinearMPC
     plant: Plant
-    columns: FloatArray  # (n, k) Each scenario's numbers, `ldctoolkit.controllers._nmpc_model.LAYOUT`
+    columns: FloatArray  # (n, k) Each scenario's numbers, `LAYOUT` of the solver
     soft: SoftLimits | None
 
     @property
