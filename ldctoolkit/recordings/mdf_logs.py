@@ -23,7 +23,7 @@ import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
 from ldctoolkit.arrays import FloatArray, IntArray
-from ldctoolkit.errors import InputError, LdcError, RecordingError
+from ldctoolkit.errors import InputError, LdcError, RecordingError, short
 from ldctoolkit.recordings.preparation import LIMITS, LONGEST_GAP, MAX_GAP, clock_stretches, cut_at, joins_of, values_at
 from ldctoolkit.recordings.recording import (
     LARGEST,
