@@ -223,7 +223,7 @@ class LawSpace:
         if inside not in self._codes:
             self._codes[inside] = code_of(self.kind, gains)
         controller, follows = self.kind(**gains), CONVENTION_GAIN not in gains
-        return Design.of(controller, float(values[THRESHOLD]), follow_case=follows, code=self._codes[inside])
+        return Design.of(controller, float(values[THRESHOLD]), follow_study=follows, code=self._codes[inside])
 
 
 class SampleSettings(Part):

@@ -25,8 +25,8 @@ LEVELS = (
         "ldctoolkit.code_content",
         "ldctoolkit.compiling",
         "ldctoolkit.errors",
-        "ldctoolkit.frames",
         "ldctoolkit.lane_functions",
+        "ldctoolkit.numba_internals",
         "ldctoolkit.surroundings",
         "ldctoolkit.version",
         "ldctoolkit.whole_file",
@@ -46,10 +46,12 @@ LEVELS = (
     ("ldctoolkit.simulation",),
     # a model is judged by what designs do on its departures
     ("ldctoolkit.scenario_model", "ldctoolkit.models"),
-    ("ldctoolkit.diagnostics",),
+    ("ldctoolkit.diagnostics", "ldctoolkit.review"),
+    ("ldctoolkit.testing",),
     ("ldctoolkit",),
     ("ldctoolkit.__main__",),
     ("controllers",),
+    ("studies.text", "studies.tables"),
     ("studies.design", "studies.results"),
     # the names that a study file's requirements are checked against
     ("studies.standards", "studies.ranking.requirements"),
