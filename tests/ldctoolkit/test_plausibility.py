@@ -69,13 +69,12 @@ def test_holds_equals_a_look_at_every_time(standing):
 
 
 @pytest.mark.parametrize("name", LIMITS)
-@pytest.mark.parametrize(
-    ("value", "text"), [(0, "0"), (-1.5, "-1.5"), (math.nan, "nan"), (True, "True"), ("2", "'2'"), ((), "()")]
-)
-def test_a_wrong_limit_gets_one_message(name, value, text):
-    with pytest.raises(InputError) as told:
+@pytest.mark.parametrize("value", [0, -1.5, math.nan, True, "2", ()])
+def test_a_wrong_limit_is_refused(name, value):
+    with pytest.raises(InputError) as error:
         Plausibility(**{name: value})
-    assert str(told.value) == f"plausibility.{name}: {text}; allowed: a number above 0"
+    assert (error.value.path, error.value.allowed) == (f"plausibility.{name}", "a number > 0")
+    assert error.value.value is value
 
 
 def test_an_infinite_limit_is_none():
