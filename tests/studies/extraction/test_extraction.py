@@ -38,6 +38,14 @@ from ldctoolkit.studies.extraction import (
 )
 from ldctoolkit.studies.running.executors import Ended, Work
 from ldctoolkit.studies.storage.files import locked
+from ldctoolkit.recordings.recording import (
+    CombinedReader,
+    FoundParts,
+    OpenedRecordings,
+    Problem,
+    Recording,
+    recording_reader,
+from ldctoolkit.studies.extraction import NothingReadError, _program, part_bytes, plan_of, read_part, run_extraction, what_differs
 
 HOME = Path(ldctoolkit.__file__).parent
 
