@@ -26,6 +26,7 @@ LEVELS = (
         "ldctoolkit.compiling",
         "ldctoolkit.errors",
         "ldctoolkit.lane_functions",
+        "ldctoolkit.numba_internals",
         "ldctoolkit.surroundings",
         "ldctoolkit.version",
         "ldctoolkit.whole_file",
