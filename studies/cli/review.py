@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from ldctoolkit.plant_options import PlantOptions
     from ldctoolkit.review import Finding, Review
     from ldctoolkit.review.loop_numbers import LoopNumbers
-    from ldctoolkit.scenarios import Scenarios
     from ldctoolkit.simulation import Takeover
 
     from ..design import Design

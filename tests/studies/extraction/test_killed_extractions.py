@@ -12,7 +12,6 @@ import pytest
 from helpers.kills import killing
 from ldctoolkit.recordings import extract_departures, read_departures
 from ldctoolkit.recordings.recording import open_recordings
-from ldctoolkit.recordings.sources import open_recordings
 from ldctoolkit.studies.extraction import run_extraction
 
 FILES = 40
