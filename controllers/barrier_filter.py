@@ -5,7 +5,7 @@ centre from the lane's centre, positive to the left (ISO 8855); the edge is on t
 with the default vehicle. Both sides have a barrier, h = e_y_max - e_y and h = e_y_max + e_y.
 
 The condition on each is psi(k+1) >= (1 - gamma_2) psi(k) with psi = gamma_1 h + dt dh/dt. With w = (gamma_1, dt, 0, 0)
-and x+ = A x + B delta + E_0 r_0 + E_1 r_1 both are linear in delta, an interval of constant width it is clipped to,
+and x+ = A x + B delta + E_0 r_0 + E_1 r_1 both are linear in delta, an interval of constant width; it is clipped to
 
     |w'B delta - ((1 - gamma_2) w'x - w'(A x + E_0 r_0 + E_1 r_1))| <= gamma_1 gamma_2 e_y_max.
 
