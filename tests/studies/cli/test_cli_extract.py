@@ -149,7 +149,7 @@ def test_what_cannot_be_right_is_not_written_unless_forced(folder: Path, ldc: Ld
     doubt = "column 'speed': 80% of the samples are above 60 m/s (216 km/h); the unit looks like km/h or mph, m/s is"
     (line,) = (line for line in err.splitlines() if "error" in line)
     assert line.startswith(f"ldc: error: the recordings cannot be right: {doubt}")
-    assert line.endswith(". Correct them, or go on with --force (in Python: force=True)")
+    assert line.endswith("; correct them, or go on with --force (in Python: force=True)")
     assert [path.name for path in folder.iterdir()] == ["a.csv"]
     code, out, err = ldc("a.csv", "-o", "d.parquet", "--force")
     assert code == 0
