@@ -7,9 +7,9 @@ from typing import Final
 import numpy as np
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.declared import check_declared, declared
 from ldctoolkit.departures import LEFT, RIGHT, Departures, DepartureSignals, Plausibility, reduce_signals
 from ldctoolkit.errors import CheckedArguments, InputError
-from ldctoolkit.option_checks import check_declared, declared
 from ldctoolkit.recordings.preparation import MAX_JUMP, ROUNDING, middle_two
 from ldctoolkit.recordings.recording import (
     MAX_LANE_WIDTH,
@@ -273,11 +273,11 @@ class Criteria(CheckedArguments):
     """What counts as a departure."""
 
     # Width over the wheels' outer edges
-    vehicle_width: float = declared(1.9, unit="m", least=0.5, most=4.0)
+    vehicle_width: float = declared(1.9, unit="m", lower=0.5, upper=4.0)
     # Both allowed values included
-    min_duration: float = declared(0.5, unit="s", least=0.0)
+    min_duration: float = declared(0.5, unit="s", lower=0.0)
     max_duration: float = declared(10.0, unit="s")
-    min_speed: float = declared(5.0, unit="m/s", least=0.0)  # The mean speed lies above
+    min_speed: float = declared(5.0, unit="m/s", lower=0.0)  # The mean speed lies above
     # Longest time step that is not a gap; None: 2.5 median steps of the recording, at least 0.25 s
     max_gap: float | None = declared(None, unit="s", above=0.0)
     max_jump: float = declared(MAX_JUMP, unit="m", above=0.0)  # Of the offset in 0.1 s; over longer times 1.5 m/s more

@@ -23,7 +23,7 @@ import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
 from ldctoolkit.arrays import FloatArray, IntArray
-from ldctoolkit.errors import InputError, LdcError, RecordingError
+from ldctoolkit.errors import InputError, LdcError, RecordingError, short
 from ldctoolkit.recordings.preparation import LIMITS, LONGEST_GAP, MAX_GAP, clock_stretches, cut_at, joins_of, values_at
 from ldctoolkit.recordings.recording import (
     LARGEST,
@@ -35,7 +35,7 @@ from ldctoolkit.recordings.recording import (
     shown_names,
     source_file,
 )
-from ldctoolkit.validation import Part, as_tuples, fail, first_problem, short
+from ldctoolkit.validation import Part, as_tuples, fail, first_problem
 from ldctoolkit.whole_file import read_toml
 
 _NAMES: Final = re.compile(r"\.(mf4|mdf|dat)$", re.IGNORECASE)
@@ -145,7 +145,7 @@ def read_channel_map(path: Path) -> ChannelMap:
     try:
         return ChannelMap.model_validate(content)
     except ValidationError as error:
-        raise InputError(path.name, first_problem(error, content, ChannelMap, "map")) from None
+        raise first_problem(error, content, ChannelMap, "map").within(path.name, ": ") from None
 
 
 @dataclasses.dataclass(frozen=True)

@@ -9,8 +9,8 @@ from typing import Any, Final
 import numpy as np
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.declared import check_declared, checked_number, declared
 from ldctoolkit.errors import CheckedArguments, InputError, RecordingError
-from ldctoolkit.option_checks import check_declared, checked_number, declared
 from ldctoolkit.recordings.recording import (
     LARGEST,
     MAX_LANE_WIDTH,
@@ -280,11 +280,11 @@ class Preparation(CheckedArguments):
     """
 
     # Time step that they are resampled to; None leaves them as recorded
-    step: float | None = declared(None, unit="s", least=0.01, most=1.0)
+    step: float | None = declared(None, unit="s", lower=0.01, upper=1.0)
     # Longest time between usable samples that resampling bridges
-    max_gap: float = declared(MAX_GAP, unit="s", above=0.0, most=LONGEST_GAP)
+    max_gap: float = declared(MAX_GAP, unit="s", above=0.0, upper=LONGEST_GAP)
     # Offset and width of each recording are scaled so that its median lane width is this; None leaves them
-    nominal_lane_width: float | None = declared(None, unit="m", least=2.0, most=6.0)
+    nominal_lane_width: float | None = declared(None, unit="m", lower=2.0, upper=6.0)
     # Multiplies the source's yaw rate; -1 where it is positive to the right after all
     yaw_rate_factor: float = declared(1.0)
 
