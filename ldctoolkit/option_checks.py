@@ -182,6 +182,15 @@ def checked_number(
     return float(value)
 
 
+def checked_whole(where: str, value: object, *, least: int = 1, most: int | None = None) -> int:
+    """A whole number within limits."""
+    whole = plain(value)
+    if isinstance(whole, bool) or not isinstance(whole, int) or whole < least or (most is not None and whole > most):
+        limits = f">= {least}" if most is None else f"from {least} to {most:g}"
+        raise InputError(where, value=value, allowed=f"a whole number {limits}")
+    return whole
+
+
 def checked_seed(seed: object) -> int:
     """The seed as an int, 0 to 2^63 - 1."""
     whole = plain(seed)

@@ -12,6 +12,7 @@ import numpy as np
 
 from ldctoolkit.departures import LEFT
 from ldctoolkit.errors import InputError, StoreError, expect, plain
+from ldctoolkit.option_checks import checked_whole, is_number
 from ldctoolkit.scenario_model import ScenarioModel, load_model
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.surroundings import temporary_folder
@@ -21,11 +22,12 @@ from .ranking.design_metrics import find_baseline
 from .ranking.ranking import Ranking, rank_study
 from .replayed import ReplayedDepartures, read_replayed
 from .results import StudyResults
-from .running.campaign import Campaign, Progress, displayed
-from .running.executors import Executor, make_executor
+from .running.campaign import Campaign
+from .running.executors import make_executor
+from .running.work import Executor, Progress, closing, displayed
 from .search import run_search
-from .storage.files import locked, remove_leftovers
 from .storage.manifest import Manifest, write_designs
+from .storage.parts import locked, remove_unfinished
 from .storage.run_table import AllFailedError, check_room
 from .storage.store import FINALISTS, REPLAYED, SCORES, Store, make_folder
 from .storage.stored_model import Source, model_notes, with_counts, with_recorded_widths, write_model
@@ -102,8 +104,11 @@ def run_study(
     """
     expect("study", study, Study)
     expect("scenarios", scenarios, Scenarios | None)
-    workers, block_size = _positive("workers", workers), _positive("block_size", block_size)
-    _allowed_limit(time_limit)
+    if block_size is not None:
+        checked_whole("block_size", block_size)
+    if not (is_number(plain(time_limit)) and (time_limit == 0 or _LIMITS[0] <= time_limit <= _LIMITS[1])):
+        limits = "{:g} to {:g} s, or 0 for none".format(*_LIMITS)
+        raise InputError("time_limit", value=time_limit, allowed=limits)
     if directory is None:
         with temporary_folder() as folder:
             return run_study(
@@ -125,15 +130,9 @@ def run_study(
     named = study.scenarios.model if model is None else "in memory" if source is model else str(model)
     if isinstance(source, ReplayedDepartures):
         named = source.name
-    with displayed(progress) as shown:
-        chosen = make_executor(executor, workers, dask)
-        run = _Run(source, named, chosen, shown, time_limit, block_size)
-        try:
-            results = run.whole(study, Path(directory))
-        except BaseException:
-            chosen.close(orderly=False)
-            raise
-        chosen.close(orderly=True)
+    chosen = make_executor(executor, workers, dask)
+    with displayed(progress) as shown, closing(chosen):
+        results = _Run(source, named, chosen, shown, time_limit, block_size).whole(study, Path(directory))
     _warn_of_failures(results)
     return results
 
@@ -156,20 +155,6 @@ def study_source(study: Study, model: str | Path | Source | None = None) -> Sour
     if not study.scenarios.model:
         return read_replayed(study)
     return load_model(study.model_path if study.model_path.suffix else study.scenarios.model)
-
-
-def _allowed_limit(seconds: object) -> None:
-    least, most = _LIMITS
-    number = isinstance(seconds, int | float) and not isinstance(seconds, bool)
-    if not (number and (seconds == 0 or least <= seconds <= most)):  # type: ignore[operator]
-        raise InputError("time_limit", value=seconds, allowed=f"{least:g} to {most:g} s, or 0 for none")
-
-
-def _positive(name: str, value: int | None) -> int | None:
-    value = plain(value)
-    if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < 1):
-        raise InputError(name, value=value, allowed="a whole number >= 1")
-    return value
 
 
 @dataclasses.dataclass(frozen=True)
@@ -232,7 +217,8 @@ class _Run:
         store = Store.create(folder, manifest, scenarios, study)
         if not part_of and isinstance(source, ScenarioModel):  # finalists are drawn from the same model
             write_model(folder, source)
-        remove_leftovers(folder)
+        for room in (folder, folder / "results"):
+            remove_unfinished(room)
         table = store.load(study.designs, repair=True)
         for message in store.broken:
             _log.warning(message)

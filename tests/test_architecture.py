@@ -170,7 +170,7 @@ def test_files_are_written_in_one_place() -> None:
     """But for the lock of a folder, the notes of a worker and what a compiler reads, which no one reads afterwards."""
     found = {path.relative_to(ROOT).as_posix() for path in modules(ROOT).values() if writes(path)}
     assert found == {
-        "ldctoolkit/whole_file.py", "studies/storage/files.py", "studies/running/executors/processes.py",
+        "ldctoolkit/whole_file.py", "studies/storage/parts.py", "studies/running/executors.py",
         "controllers/_nmpc_solver.py",
     }  # fmt: skip
 

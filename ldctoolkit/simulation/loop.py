@@ -25,10 +25,11 @@ from ldctoolkit.control import (
     SolverLog,
     SteeringLaw,
 )
-from ldctoolkit.errors import InputError, expect, plain
+from ldctoolkit.errors import InputError, expect
 from ldctoolkit.law_checks import check_calls, check_controller, check_law, check_step, check_taken
 from ldctoolkit.metrics import METRIC_UNITS, MetricValues
 from ldctoolkit.mixture.checks import usable_cores
+from ldctoolkit.option_checks import checked_whole
 from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import SETTLE, TTLC, InitialYawRate, PlantKnowledge, Setup, Start, Trigger
@@ -429,9 +430,8 @@ def _chosen_rows(trajectories: Chosen, n: int) -> IntArray | None:
 
 def _in_threads(work: Callable[[int, int], None], count: int, threads: int | None, least: int) -> None:
     """Call ``work(first, last)`` on stretches of `count` things; the stretches do not depend on the threads."""
-    chosen = plain(threads)
-    if chosen is not None and (isinstance(chosen, bool) or not isinstance(chosen, int) or chosen < 1):
-        raise InputError("threads", value=chosen, allowed="a whole number >= 1")
+    if threads is not None:
+        threads = checked_whole("threads", threads)
     firsts = range(0, count, least)
     number = min(usable_cores() if threads is None else threads, len(firsts))
     if number <= 1:

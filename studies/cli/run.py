@@ -13,7 +13,7 @@ from ldctoolkit.errors import InputError
 from ._console import Subparsers, add_report_options, number, positive_number, progress_bar, warn
 
 if TYPE_CHECKING:
-    from ..running.campaign import Progress
+    from ..running.work import Progress
 
 
 def add_parser(commands: Subparsers) -> None:
@@ -64,7 +64,7 @@ def run(chosen: argparse.Namespace) -> int:
 
         raise InputError(_NEXT.format(", ".join(catalog_names())))
     with progress_bar("loading the toolkit", show=not (chosen.quiet or chosen.json)):
-        from ..running.campaign import Lines, Progress
+        from ..running.work import Lines, Progress
 
         progress = Lines(sys.stdout) if chosen.json else Progress() if chosen.quiet else None
     with contextlib.nullcontext() if progress is None else compiling.shown_by(progress.compiling):

@@ -9,7 +9,7 @@ import os
 import platform
 import shlex
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePath
 from typing import Annotated, Any, Final, TypeVar
 
@@ -25,6 +25,7 @@ from ..design import Design
 from ..results import RunKey
 from ..study_file import Study
 from .files import read_bytes, read_parquet, write_json, write_parquet
+from .parts import difference_texts
 
 DESIGNS = "designs.parquet"
 
@@ -321,28 +322,13 @@ def _relative(word: str) -> str:
 
 def refuse_other(folder: Path, found: Manifest, wanted: Manifest) -> None:
     """Raise a `StoreError` that says what differs if two manifests do not belong to the same numbers."""
-    changes = differences(found.inputs, wanted.inputs)
-    differing = [f"{key}: {_set(was)} there, {_set(now)} now" for key, was, now in changes]
+    differing = difference_texts(found.inputs, wanted.inputs)
     if found.model_hash != wanted.model_hash:
         was, now = (f"{m.model} (content {m.model_hash[:12]})" for m in (found, wanted))
         differing.insert(0, f"model: {was} there, {now} now")
     if differing:
         name = found.study.get("name", "?")
         raise StoreError(folder, f"holds another study ({name}): {'; '.join(differing)}", hint="choose another folder")
-
-
-def _set(value: Any) -> str:
-    return "not set" if value is None else repr(value)
-
-
-def differences(old: Mapping[str, Any], new: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any, Any]]:
-    """What differs between two `Manifest.inputs`: the key, and both values; None where one is not set."""
-    for key in {**old, **new}:
-        was, now = old.get(key), new.get(key)
-        if isinstance(was, dict) and isinstance(now, dict):
-            yield from differences(was, now, f"{prefix}{key}.")
-        elif was != now:
-            yield f"{prefix}{key}", was, now
 
 
 def read_manifest(folder: str | Path) -> Manifest:

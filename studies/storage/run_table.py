@@ -26,13 +26,13 @@ from ldctoolkit.metrics import METRIC_COLUMNS, METRIC_UNITS, MetricValues
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.simulation import Window
 from ldctoolkit.surroundings import free_memory
-from ldctoolkit.whole_file import write_whole
 
 from ..design import Design
 from ..results import CaseResults, FailedDesign, RunKey, StudyResults, TaskResult
 from ..study_file import Study
-from .files import parse_parquet, read_bytes
+from .files import parse_parquet
 from .manifest import LawTime
+from .parts import write_part
 
 if TYPE_CHECKING:
     import polars as pl
@@ -79,23 +79,16 @@ def schema(windows: Sequence[Window]) -> dict[str, Any]:
     }
 
 
-def write_part(folder: Path, results: Sequence[TaskResult], windows: Sequence[Window], numbers: IntArray) -> Path:
-    """Write results as one part, whole or not at all; the same results in the same order make the same file.
+def write_results(folder: Path, results: Sequence[TaskResult], windows: Sequence[Window], numbers: IntArray) -> Path:
+    """Write results as one part; the same results in the same order make the same file.
 
-    A part holds the numbers (n,) of its scenarios, which other scenarios added later do not change.
+    It holds the numbers (n,) of its scenarios, which other scenarios added later do not change.
     """
     content = io.BytesIO()
     # nearly all columns are noise to a compressor: a fast one loses little
     _table(results, windows, numbers).write_parquet(content, compression="lz4", statistics=False)
-    data = content.getvalue()
     what = json.dumps([[result.keys, numbers[result.rows[[0, -1]]].tolist()] for result in results])
-    name = f"part-{hashlib.sha256(what.encode()).hexdigest()[:_DIGITS]}-{_checksum(data)}.parquet"
-    write_whole(folder / name, data, StoreError)
-    return folder / name
-
-
-def _checksum(data: bytes) -> str:
-    return hashlib.sha256(data).hexdigest()[:_DIGITS]
+    return write_part(folder, hashlib.sha256(what.encode()).hexdigest()[:_DIGITS], content.getvalue(), "parquet")
 
 
 def _table(results: Sequence[TaskResult], windows: Sequence[Window], numbers: IntArray) -> pl.DataFrame:
@@ -118,14 +111,6 @@ def _table(results: Sequence[TaskResult], windows: Sequence[Window], numbers: In
     types = schema(windows)
     values = pl.DataFrame(columns, schema={name: types[name] for name in columns})
     return pl.concat([repeated, values], how="horizontal")
-
-
-def checked_content(path: Path) -> bytes:
-    """The content of a part, as it was written."""
-    data = read_bytes(path)
-    if not path.stem.endswith(f"-{_checksum(data)}"):
-        raise StoreError(path, "broken: its content is not what was written (the checksum in its name differs)")
-    return data
 
 
 def parse_part(path: Path, data: bytes, windows: Sequence[Window], numbers: IntArray) -> Iterator[TaskResult]:

@@ -51,7 +51,8 @@ from .manifest import (
     write_manifest,
     write_times,
 )
-from .run_table import PATTERN, AllFailedError, RunTable, checked_content, parse_part, prefetched, write_part
+from .parts import read_part
+from .run_table import PATTERN, AllFailedError, RunTable, parse_part, prefetched, write_results
 
 _log = logging.getLogger("studies")
 
@@ -145,7 +146,7 @@ class Store:
     def add(self, results: Sequence[TaskResult], failed: Sequence[FailedRun] = ()) -> None:
         """Store finished runs as one part, the times of their laws, and why others failed."""
         if results:
-            write_part(self.folder / "results", results, self.study.simulation.window, self.scenarios.index)
+            write_results(self.folder / "results", results, self.study.simulation.window, self.scenarios.index)
             for result in results:
                 for key, seconds, commands in zip(result.keys, result.law_seconds, result.commands, strict=True):
                     self.times[key] = self.times.get(key, LawTime(0.0, 0)) + LawTime(float(seconds), int(commands))
@@ -168,7 +169,7 @@ class Store:
         table = RunTable(self.study, n, designs, keep=repair and self.study.search is not None, mapped=mapped)
         messages = []
         windows = self.study.simulation.window
-        for path, content in prefetched(checked_content, sorted((self.folder / "results").glob(PATTERN))):
+        for path, content in prefetched(read_part, sorted((self.folder / "results").glob(PATTERN))):
             try:
                 for result in list(parse_part(path, content.result(), windows, self.scenarios.index)):
                     table.put(result)

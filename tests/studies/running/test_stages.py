@@ -10,7 +10,7 @@ import pytest
 from ldctoolkit.errors import InputError, StoreError
 from studies import Study, rank_study, read_manifest, read_results, run_study
 from studies.running import campaign
-from studies.storage.files import locked
+from studies.storage.parts import locked
 from studies.storage.store import Store
 
 MakeStudy = Callable[..., Study]
