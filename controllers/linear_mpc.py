@@ -24,7 +24,7 @@ import dataclasses
 from typing import ClassVar, final
 
 from ldctoolkit.control import Controller
-from ldctoolkit.gains import gain, option
+from ldctoolkit.declared import gain, option
 from ldctoolkit.vehicle.bicycle import Plant
 
 from ._mpc_condensing import Wanted, condense, limits

@@ -32,8 +32,8 @@ import numpy.typing as npt
 
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.control import Controller, EventStatus, Preview, SteeringLaw
+from ldctoolkit.declared import gain
 from ldctoolkit.errors import InputError
-from ldctoolkit.gains import gain
 from ldctoolkit.vehicle.bicycle import Plant
 
 _STEP = 0.1  # s between two looks at the lane

@@ -14,9 +14,9 @@ import numpy as np
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.control import Controller, EventStatus
+from ldctoolkit.declared import checked_whole
 from ldctoolkit.errors import LdcError, expect
 from ldctoolkit.law_checks import check_controller, raised
-from ldctoolkit.option_checks import checked_whole
 from ldctoolkit.plant_options import Mismatch, Residuals
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
@@ -346,7 +346,7 @@ def assess(
     test = standard if isinstance(standard, Standard) else load_standard(standard)
     expect("setup", setup, Setup | None)
     given = setup or Setup()
-    checked_whole("seeds", seeds)
+    seeds = checked_whole("seeds", seeds, lower=1)
     width = min(max(given.vehicle.w_l, test.lane_width_m[0]), test.lane_width_m[1])
     given = dataclasses.replace(given, vehicle=dataclasses.replace(given.vehicle, w_l=width))
     cells = test.every_cell

@@ -16,9 +16,9 @@ import cloudpickle
 
 import ldctoolkit.departures as departures
 from ldctoolkit.code_content import content_of
+from ldctoolkit.declared import checked_whole
 from ldctoolkit.departures import Departures, DepartureSignals, ExtraColumn
 from ldctoolkit.errors import LdcError, RecordingError
-from ldctoolkit.option_checks import checked_whole
 from ldctoolkit.recordings.departures_table import Extraction, PartResult, write_departures
 from ldctoolkit.recordings.extract import extract_part, merge_results
 from ldctoolkit.recordings.find_departures import Criteria
@@ -212,7 +212,7 @@ def run_extraction(
     1
     >>> folder.cleanup()
     """
-    workers = None if workers is None else checked_whole("workers", workers)
+    workers = None if workers is None else checked_whole("workers", workers, lower=1)
     reader, source = recordings.reader, recordings.source
     criteria = criteria or Criteria(reader.vehicle_width)
     preparation = preparation or Preparation(step=reader.step)

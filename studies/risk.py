@@ -18,9 +18,9 @@ import numpy as np
 
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.control import EventStatus
+from ldctoolkit.declared import checked_whole
 from ldctoolkit.departures import LEFT, PARAMETER_COLUMNS, PARAMETER_NAMES, PARAMETER_UNITS, RIGHT, DepartureParameters
 from ldctoolkit.errors import InputError, LdcError, StoreError
-from ldctoolkit.option_checks import checked_whole
 from ldctoolkit.scenario_model import ScenarioModel
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
@@ -342,7 +342,7 @@ def estimate_risk(
     'better'
     """
     for name, value in (("n", n), ("chunk", CHUNK if chunk is None else chunk)):
-        checked_whole(name, value, most=MOST)
+        checked_whole(name, value, lower=1, upper=MOST)
     source = study_source(study, model)
     if not isinstance(source, ScenarioModel):
         raise InputError(

@@ -10,9 +10,9 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
+from ldctoolkit.declared import checked_number, checked_whole
 from ldctoolkit.departures import LEFT
-from ldctoolkit.errors import InputError, StoreError, expect, plain
-from ldctoolkit.option_checks import checked_whole, is_number
+from ldctoolkit.errors import InputError, StoreError, expect
 from ldctoolkit.scenario_model import ScenarioModel, load_model
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.surroundings import temporary_folder
@@ -104,11 +104,10 @@ def run_study(
     """
     expect("study", study, Study)
     expect("scenarios", scenarios, Scenarios | None)
-    if block_size is not None:
-        checked_whole("block_size", block_size)
-    if not (is_number(plain(time_limit)) and (time_limit == 0 or _LIMITS[0] <= time_limit <= _LIMITS[1])):
-        limits = "{:g} to {:g} s, or 0 for none".format(*_LIMITS)
-        raise InputError("time_limit", value=time_limit, allowed=limits)
+    block_size = None if block_size is None else checked_whole("block_size", block_size, lower=1)
+    if time_limit != 0:
+        least, most = _LIMITS
+        checked_number("time_limit", time_limit, lower=least, upper=most, unit="s (0 for none)")
     if directory is None:
         with temporary_folder() as folder:
             return run_study(

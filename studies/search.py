@@ -11,8 +11,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from ldctoolkit.declared import GainValue
 from ldctoolkit.errors import InputError
-from ldctoolkit.gains import GainValue
 
 from .design import Design
 from .design_space import Dimension, LawSpace, Span, rounded

@@ -12,9 +12,9 @@ import numpy.typing as npt
 
 import ldctoolkit.departures as dep
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.declared import checked_seed
 from ldctoolkit.departures import PARAMETER_NAMES, DepartureParameters, DepartureSignals
 from ldctoolkit.errors import InputError
-from ldctoolkit.option_checks import checked_seed
 from ldctoolkit.plant_options import Residuals
 from ldctoolkit.scenarios import SPEED_CEILING, SPEED_FLOOR, Drifts, Scenarios, slowest_speed
 

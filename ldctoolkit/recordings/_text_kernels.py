@@ -6,7 +6,10 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+import ldctoolkit.compiling as compiling
 from ldctoolkit.arrays import FloatArray, IntArray
+
+compiling.listen()
 
 _POWERS: Final[FloatArray] = np.array([10.0**power for power in range(23)])
 _LARGEST: Final = 2**53

@@ -14,11 +14,10 @@ import numpy as np
 import tomli_w
 
 from ldctoolkit.arrays import FloatArray, IntArray
-from ldctoolkit.errors import RecordingError
+from ldctoolkit.errors import RecordingError, short
 from ldctoolkit.recordings.mdf_logs import MEMORY, QUANTITIES, UNITS, Channel, ChannelMap, ValidChannel, si_factor
 from ldctoolkit.recordings.preparation import MAX_JUMP, clock_stretches, cut_at, joins_of, values_at
 from ldctoolkit.recordings.recording import LARGEST, Problem, Recording, printable
-from ldctoolkit.validation import short
 
 
 def serve() -> None:

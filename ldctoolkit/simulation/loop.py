@@ -25,11 +25,11 @@ from ldctoolkit.control import (
     SolverLog,
     SteeringLaw,
 )
+from ldctoolkit.declared import checked_whole
 from ldctoolkit.errors import InputError, expect
 from ldctoolkit.law_checks import check_calls, check_controller, check_law, check_step, check_taken
 from ldctoolkit.metrics import METRIC_UNITS, MetricValues
 from ldctoolkit.mixture.checks import usable_cores
-from ldctoolkit.option_checks import checked_whole
 from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import SETTLE, TTLC, InitialYawRate, PlantKnowledge, Setup, Start, Trigger
@@ -430,10 +430,8 @@ def _chosen_rows(trajectories: Chosen, n: int) -> IntArray | None:
 
 def _in_threads(work: Callable[[int, int], None], count: int, threads: int | None, least: int) -> None:
     """Call ``work(first, last)`` on stretches of `count` things; the stretches do not depend on the threads."""
-    if threads is not None:
-        threads = checked_whole("threads", threads)
     firsts = range(0, count, least)
-    number = min(usable_cores() if threads is None else threads, len(firsts))
+    number = min(usable_cores() if threads is None else checked_whole("threads", threads, lower=1), len(firsts))
     if number <= 1:
         work(0, count)
         return

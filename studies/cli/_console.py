@@ -237,7 +237,7 @@ def plausibility(given: Sequence[tuple[str, float]] | None, default: Plausibilit
     known = [field.name for field in dataclasses.fields(Plausibility)]
     for name, _ in given or ():
         if name not in known:
-            raise InputError("--limit", f"no limit {name!r}", allowed=known)
+            raise InputError("--limit", "is no limit", value=name, allowed=known)
     return dataclasses.replace(default or Plausibility(), **dict(given or ()))
 
 

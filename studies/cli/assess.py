@@ -106,7 +106,7 @@ def _subjects(text: str, chosen: argparse.Namespace) -> Iterator[Subject]:
     from ._results import judged
 
     if text in controller_names():
-        from ldctoolkit.gains import find_gain
+        from ldctoolkit.declared import find_gain
         from ldctoolkit.registry import controller_class
 
         from ..design import Design
@@ -131,7 +131,7 @@ def _subjects(text: str, chosen: argparse.Namespace) -> Iterator[Subject]:
         designs = named_designs(study.designs, chosen.only) if chosen.only else list(study.designs)
     else:
         names = (*controller_names(), *catalog_names())
-        raise UnknownNameError(f"{text!r}", "neither a law, nor a study, nor a folder", allowed=names)
+        raise UnknownNameError("design", "is neither a law, nor a study, nor a folder", value=text, allowed=names)
     for design in designs:
         if not design.is_baseline:
             yield design.label, design.controller(study.setup().convention), design.y_s, study.setup()

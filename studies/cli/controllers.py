@@ -10,7 +10,7 @@ from ._console import Subparsers, add_row, console, new_table, print_table, warn
 
 if TYPE_CHECKING:
     from ldctoolkit.control import Controller
-    from ldctoolkit.gains import Gain
+    from ldctoolkit.declared import Gain
 
 
 def add_parser(commands: Subparsers) -> None:

@@ -19,8 +19,7 @@ if TYPE_CHECKING:
 
     from ldctoolkit.control import Controller
     from ldctoolkit.plant_options import PlantOptions
-    from ldctoolkit.review import Review
-    from ldctoolkit.review.limits import Finding
+    from ldctoolkit.review import Finding, Review
     from ldctoolkit.scenarios import Scenarios
     from ldctoolkit.simulation import Takeover
     from ldctoolkit.vehicle import Convention
@@ -59,7 +58,7 @@ def subjects(chosen: argparse.Namespace) -> list[Subject]:
     known = chosen.design in catalog_names() or chosen.design.endswith(".toml")
     if not known and not os.path.isfile(chosen.design):  # noqa: PTH113
         names = (*controller_names(), *catalog_names())
-        raise UnknownNameError(f"{chosen.design!r}", "neither a law, nor a study", allowed=names)
+        raise UnknownNameError("design", "is neither a law, nor a study", value=chosen.design, allowed=names)
     if chosen.gain:
         raise InputError("--gain", "goes with the name of a law", hint="a study has its own gains")
     return list(_of_study(load_study(chosen.design), chosen))
@@ -85,7 +84,7 @@ def reviewed_design(subject: Subject) -> Review:
 
 def _of_folder(chosen: argparse.Namespace) -> Iterator[Subject]:
     """The design that the verdict of a study's results names, or the one that is chosen, with what its results say."""
-    from ldctoolkit.review.limits import Finding
+    from ldctoolkit.review import Finding
 
     from ..ranking.requirements import G, metric_values
     from ._results import judged
@@ -111,7 +110,7 @@ def _of_folder(chosen: argparse.Namespace) -> Iterator[Subject]:
 
 
 def _law(chosen: argparse.Namespace) -> Subject:
-    from ldctoolkit.gains import find_gain
+    from ldctoolkit.declared import find_gain
     from ldctoolkit.plant_options import PlantOptions
     from ldctoolkit.registry import controller_class
     from ldctoolkit.review import SPEEDS

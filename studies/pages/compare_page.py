@@ -13,7 +13,7 @@ from ldctoolkit.version import __version__
 from ..comparison.comparison import PHRASES, CaseComparison, Comparison
 from ..comparison.paired import Verdict, Winners
 from ..storage.files import write_text
-from .charts import Axis, Chart, Cloud, Dot, Style, dots, scatter
+from .charts import Axis, Chart, Dot, Series, Style, dots
 from .settings_section import pairs
 from .shell import Cell, Column, Section, TableRow, bullets, details, figure, make_page, paragraphs, render, table
 from .text import difference_text, number, percent, plural, signed, symbols
@@ -263,13 +263,11 @@ def _case_charts(case: CaseComparison) -> Iterator[Chart]:
         own = np.array([i for i in range(len(case)) if S.verdict[i] is verdict], dtype=np.int64)
         if own.size:
             tips = tuple(f"{case.designs[i].label}: {PHRASES[verdict]}" for i in own)
-            clouds.append(Cloud(S.S_old[own], S.S_new[own], style, np.ones(own.size, dtype=np.bool_), tips))
+            clouds.append(Series(PHRASES[verdict], S.S_old[own], S.S_new[own], style, kind="points", tips=tips))
     both = Axis.around("", S.S_old, S.S_new)
-    ends_of = np.array([both.low, both.high])
     x, y = Axis("Old mean S [m\u00b7s]", both.low, both.high), Axis("New mean S [m\u00b7s]", both.low, both.high)
-    yield scatter(
-        f"scatter-{name}", f"{case.case.label}: old against new mean S", clouds, x, y, front=None, diagonal=ends_of
-    )
+    title = f"{case.case.label}: old against new mean S"
+    yield Chart(f"scatter-{name}", title, x, y, clouds, diagonal=True, height=290.0)
 
 
 def _only_one(comparison: Comparison) -> Section:

@@ -1,7 +1,7 @@
 """How sure the ranking is: intervals of the best designs, fresh scenarios, and whether there are enough departures."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Final
 
 import numpy as np
@@ -11,7 +11,7 @@ from ldctoolkit.arrays import FloatArray, IntArray
 
 from ..ranking.ranking import Ranking
 from ..ranking.verdict import optimism_text
-from .charts import Axis, Chart, Dot, Series, dots, lines
+from .charts import Axis, Chart, Dot, Series, Style, dots
 from .context import Context, interval, name_of
 from .shell import Cell, Column, Section, TableRow, figure, paragraphs, table
 from .text import difference_text, number, percent, plural
@@ -93,18 +93,21 @@ def _charts(context: Context) -> Iterator[Chart]:
     near = [level] if level < 2.0 * max((v for v in ends if math.isfinite(v)), default=0.0) else []
     yield dots("intervals", "Mean S with intervals", rows, Axis.around("Mean S [m\u00b7s]", ends, near),
                at=level if near else None, at_text="no control")  # fmt: skip
-    order = interleaved(context.scenarios.side)
-    series = []
-    for i in sorted(dict.fromkeys((context.shown, *context.best_of_each_law[:3]))):
-        count, mean, error = running_mean(context.S(i)[order])
-        label = name_of(ranking.designs[i])
-        series.append(Series(label, count.astype(np.float64), mean, context.style(i), mean - error, mean + error))
-    settled = [one.y[one.x >= min(20, order.size)] for one in series]
-    if order.size > 2:
-        x = Axis("Number of scenarios", 2.0, float(order.size), log=True)
-        yield lines(
-            "convergence", "Mean S over the first scenarios", series, x, Axis.around("Mean S [m\u00b7s]", *settled)
-        )
+    if context.scenarios.n > 2:
+        shown = sorted(dict.fromkeys((context.shown, *context.best_of_each_law[:3])))
+        curves = [(name_of(ranking.designs[i]), context.S(i), context.style(i)) for i in shown]
+        yield convergence(curves, context.scenarios.side)
+
+
+def convergence(curves: Sequence[tuple[str, FloatArray, Style]], side: IntArray) -> Chart:
+    """Mean of values (n,) over the first scenarios, left and right ones interleaved, with 1.96 standard errors."""
+    order, series = interleaved(side), []
+    for name, values, style in curves:
+        count, mean, error = running_mean(values[order])
+        series.append(Series(name, count.astype(np.float64), mean, style, mean - error, mean + error))
+    x = Axis("Number of scenarios", 2.0, float(max(order.size, 3)), log=True)
+    y = Axis.around("Mean S [m\u00b7s]", *(curve.y[curve.x >= min(20, order.size)] for curve in series))
+    return Chart("convergence", "Mean S over the first scenarios", x, y, series)
 
 
 def interleaved(side: IntArray) -> IntArray:

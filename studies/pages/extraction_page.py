@@ -23,7 +23,7 @@ from ldctoolkit.recordings.sources import CombinedReader
 from ldctoolkit.version import __version__
 
 from ..storage.files import write_text
-from .charts import Axis, Chart, Series, Style, bars, legend, lines
+from .charts import Axis, Chart, Series, Style, bars, legend
 from .settings_section import pairs
 from .shell import Column, Section, TableRow, bullets, details, figure, make_page, paragraphs, table
 from .text import PARAMETER_MEANINGS, compact, number, parameter_label, percent, plural, printable, shorten, symbols
@@ -593,9 +593,8 @@ def _signal(
     low, high = float(min(values.min(), fitted.min())), float(max(values.max(), fitted.max()))
     room = max(0.06 * (high - low), {"y [m]": 0.05, "v [m/s]": 0.5}.get(label, 0.25))
     y = Axis(label, low - room, high + room)
-    samples = dataclasses.replace(SIDE[side], dash="0 1000")
-    return lines(
+    return Chart(
         "event", f"Departure to the {side}, {shorten(event.recording, 100)}: {label}, samples and fit",
-        [Series("samples", t, values, samples, points=True), Series("fit", at, fitted, FIT)],
-        Axis("Time since the crossing [s]", 0.0, float(at[-1]) or 1.0), y, height=170,
+        Axis("Time since the crossing [s]", 0.0, float(at[-1]) or 1.0), y,
+        [Series("samples", t, values, SIDE[side], kind="points"), Series("fit", at, fitted, FIT)], height=170,
     )  # fmt: skip

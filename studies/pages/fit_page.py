@@ -20,7 +20,7 @@ from ldctoolkit.version import __version__
 
 from ..storage.files import write_text
 from ..storage.stored_model import WARNING, model_notes
-from .charts import Axis, Chart, Dot, Series, Style, bars, dots, heat_map, legend, lines
+from .charts import Axis, Chart, Dot, Series, Style, bars, dots, heat_map, legend
 from .settings_section import pairs
 from .shell import Cell, Column, Section, TableRow, bullets, details, figure, make_page, paragraphs, table
 from .text import PARAMETER_MEANINGS, compact, number, parameter_label, percent, plural, symbols
@@ -291,12 +291,12 @@ def _calibration(sides: tuple[Side, ...]) -> Section:
         if series:
             y = Axis.around("Difference [%]", *(one.y for one in series), [0.0])
             charts.append(
-                lines(
+                Chart(
                     f"calibration-{name}",
                     f"Calibration of {name}",
-                    series,
                     Axis(f"u of {name}", 0.0, 1.0),
                     y,
+                    series,
                     level=0.0,
                     height=190,
                 )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 from markupsafe import Markup
@@ -11,16 +10,14 @@ from markupsafe import Markup
 from ldctoolkit.departures import PARAMETER_NAMES
 from ldctoolkit.version import __version__
 
-from ..design import Design
+from ..design import NO_CONTROL, Design
 from ..risk import Risk
 from ..storage.files import write_text
-from .charts import COLORS, RECORDED, Axis, Series, Style, legend, lines
+from .charts import Axis, Chart, Series, law_styles, legend
 from .shell import Cell, Column, Section, TableRow, bullets, details, figure, make_page, paragraphs, table
 from .text import figure as digits
 from .text import number, parameter_label, plural, symbols, true_minus
 from .verdict_section import STATES, SYMBOLS
-
-_DASHES: Final = ("", "7 3", "2 2.5", "9 3 2 3")
 
 
 def write_risk_page(risk: Risk, path: str | Path, *, title: str) -> None:
@@ -83,13 +80,19 @@ def _probabilities(risk: Risk) -> Section:
 
 
 def _curve(risk: Risk) -> Section:
-    series = []
-    for i, design in enumerate(risk.designs):
+    series, styles = [], law_styles(NO_CONTROL if design.is_baseline else design.id for design in risk.designs)
+    for design in risk.designs:
         x, share = risk.exceedance(design)
-        style = Style((i - 1) % len(COLORS), _DASHES[(i - 1) // len(COLORS) % len(_DASHES)], "o") if i else RECORDED
-        series.append(Series(_name(design), x, np.where(share > 0.0, share, np.nan), style))
+        series.append(
+            Series(
+                _name(design),
+                x,
+                np.where(share > 0.0, share, np.nan),
+                styles[NO_CONTROL if design.is_baseline else design.id],
+            )
+        )
     y = Axis("P(depth beyond)", 0.5 / max(risk.n, 1), 1.0, log=True)
-    chart = lines("exceedance", "Probability that a departure gets deeper", series, Axis("Depth [m]", 0.0, 3.0), y)
+    chart = Chart("exceedance", "Probability that a departure gets deeper", Axis("Depth [m]", 0.0, 3.0), y, series)
     text = (
         f"Share of departures that get deeper, on a log scale; below {digits(3.0 / max(risk.n, 1), 2)} chance decides."
     )

@@ -9,7 +9,7 @@ from markupsafe import Markup
 
 from ..ranking.verdict import law_title
 from ..robustness import Robustness
-from .charts import Axis, Chart, Series, lines
+from .charts import Axis, Chart, Series
 from .context import Context, name_of
 from .shell import Cell, Column, Section, TableRow, bullets, details, figure, paragraphs, table
 from .text import number, percent, plural, signed
@@ -126,10 +126,11 @@ def _margins(context: Context, found: Robustness) -> Iterator[Chart]:
             if not np.isnan(values).all():
                 known = np.minimum(values, 20.0 if name == "gain" else 180.0)
                 series.append(
-                    Series(law_title(context.ranking.designs[place]), found.v, known, context.style(place), points=True)
+                    Series(
+                        law_title(context.ranking.designs[place]), found.v, known, context.style(place), kind="marked"
+                    )
                 )
         if series and found.v.size > 1:
             y = Axis.around(title, *(one.y for one in series), [level], zero=True)
-            yield lines(
-                f"margin-{name}", title, series, Axis.around("Speed [m/s]", found.v), y, level=level, height=230
-            )
+            x = Axis.around("Speed [m/s]", found.v)
+            yield Chart(f"margin-{name}", title, x, y, series, level=level, height=230)

@@ -7,8 +7,8 @@ import math
 import re
 from typing import TYPE_CHECKING
 
+from ldctoolkit.declared import GainValue
 from ldctoolkit.departures import PARAMETER_NAMES, PARAMETER_UNITS
-from ldctoolkit.gains import GainValue
 
 if TYPE_CHECKING:
     from markupsafe import Markup

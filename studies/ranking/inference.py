@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.declared import checked_number
 from ldctoolkit.errors import InputError
 
 T = TypeVar("T", bound=np.generic)
@@ -130,7 +131,7 @@ def exact_grid(values: FloatArray, total: int) -> tuple[FloatArray, FloatArray]:
 
 def check_confidence(confidence: float) -> None:
     """Refuse what is not between 0 and 1."""
-    if not 0.0 < confidence < 1.0:
+    if not 0.0 < checked_number("confidence", confidence) < 1.0:
         raise InputError("confidence", value=confidence, allowed="between 0 and 1")
 
 

@@ -10,7 +10,7 @@ from typing import Final, Literal
 import numpy as np
 
 from ldctoolkit.arrays import FloatArray, IntArray
-from ldctoolkit.gains import GainValue
+from ldctoolkit.declared import GainValue
 from ldctoolkit.metrics import METRICS
 from ldctoolkit.notebook import CELL
 from ldctoolkit.paths.uncorrected import UncorrectedPath

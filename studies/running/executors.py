@@ -27,8 +27,8 @@ from loky import get_reusable_executor
 from loky.process_executor import BrokenProcessPool
 
 import ldctoolkit.compiling as compiling
+from ldctoolkit.declared import UnitWarning, checked_whole
 from ldctoolkit.errors import ClusterError, InputError, LdcError
-from ldctoolkit.option_checks import UnitWarning, checked_whole
 from ldctoolkit.surroundings import WORKERS, leave_with, safe_path, temporary_folder
 from ldctoolkit.version import DECISIVE, Versions, versions
 
@@ -47,7 +47,7 @@ def make_executor(
     """The executor of that name: by default processes, one a core; serial where one worker is requested, dask where an
     address is given, of a scheduler or ``"local"``. The versions of `packages` must be the same on a cluster.
     """
-    workers = None if workers is None else checked_whole("workers", workers)
+    workers = None if workers is None else checked_whole("workers", workers, lower=1)
     if address is not None and not address.strip():
         raise InputError("dask", value=address, allowed="an address such as tcp://host:8786, or 'local'")
     name = name or ("dask" if address else "serial" if workers == 1 else "processes")

@@ -11,8 +11,8 @@ from typing import Any, Literal
 import numpy as np
 
 from ldctoolkit.arrays import FloatArray, IntArray
+from ldctoolkit.declared import GainValue
 from ldctoolkit.errors import InputError, LdcError
-from ldctoolkit.gains import GainValue
 
 from ..design import Design
 from ..design_space import THRESHOLD, DesignBlock

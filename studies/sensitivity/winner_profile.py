@@ -12,8 +12,8 @@ import numpy as np
 
 from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.control import EventStatus
+from ldctoolkit.declared import GainValue
 from ldctoolkit.errors import InputError, LdcError
-from ldctoolkit.gains import GainValue
 from ldctoolkit.law_checks import raised
 from ldctoolkit.simulation import Takeover, drive
 

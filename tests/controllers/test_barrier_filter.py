@@ -9,10 +9,6 @@ import pytest
 import qpsolvers
 import scipy.sparse as sp
 
-from controllers import LQR, LinearMPC, PreviewProportional
-from controllers.barrier_filter import BarrierFilter
-from controllers.lqi import LQI
-from controllers.preview_lqr import PreviewLQR
 from helpers.closed_loop import Stepped, Unsighted, known, some
 from ldctoolkit import (
     BicycleModel,
@@ -27,9 +23,13 @@ from ldctoolkit import (
     gain,
     simulate,
 )
+from ldctoolkit.controllers import LQR, LinearMPC, PreviewProportional
+from ldctoolkit.controllers.barrier_filter import BarrierFilter
+from ldctoolkit.controllers.lqi import LQI
+from ldctoolkit.controllers.preview_lqr import PreviewLQR
 from ldctoolkit.errors import InputError, LdcError, StudyError, UnknownNameError
 from ldctoolkit.plant_options import Actuator, KalmanFilter, PlantOptions, Sensors
-from studies import Study
+from ldctoolkit.studies import Study
 
 DT = 0.05
 
@@ -358,7 +358,7 @@ def test_the_defaults_stand_a_real_actuator(actuator: Actuator) -> None:
 @pytest.mark.parametrize(
     ("given", "error", "message"),
     [
-        ({"inner": "lqq"}, UnknownNameError, r"barrier_filter\.inner: 'lqq': no such controller; did you mean 'lq"),
+        ({"inner": "lqq"}, UnknownNameError, r"barrier_filter\.inner: 'lqq' is no controller; did you mean 'lq"),
         (
             {"inner": "none"},
             InputError,

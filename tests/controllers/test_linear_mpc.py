@@ -10,11 +10,11 @@ import osqp
 import pytest
 import qpsolvers
 
-import controllers._mpc_law as module
-from controllers import LinearMPC
-from controllers._mpc_law import QP, Answer, Rung, Workspace, make
+import ldctoolkit.controllers._mpc_law as module
 from helpers.closed_loop import some
 from ldctoolkit import BicycleModel, EventStatus, Plant, Preview, Scenarios, simulate
+from ldctoolkit.controllers import LinearMPC
+from ldctoolkit.controllers._mpc_law import QP, Answer, Rung, Workspace, make
 from ldctoolkit.errors import InputError
 
 DT = 0.05

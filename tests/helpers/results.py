@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from controllers import LQR, NoControl, PreviewProportional
 from helpers.bits import assert_same_bits
 from helpers.pages import Page, whole
 from ldctoolkit import BicycleModel, Outcome, Scenarios, Setup, VehicleParameters, simulate
+from ldctoolkit.controllers import LQR, NoControl, PreviewProportional
 from ldctoolkit.metrics import METRIC_UNITS, MetricValues
-from studies.design import Design
-from studies.pages.context import Context, ReportInput
-from studies.pages.report import report_page
-from studies.pages.shell import Section
-from studies.ranking.ranking import Ranking
-from studies.results import Case, CaseResults, StudyResults, per_scenario
+from ldctoolkit.studies.design import Design
+from ldctoolkit.studies.pages.context import Context, ReportInput
+from ldctoolkit.studies.pages.report import report_page
+from ldctoolkit.studies.pages.shell import Section
+from ldctoolkit.studies.ranking.ranking import Ranking
+from ldctoolkit.studies.results import Case, CaseResults, StudyResults, per_scenario
 
 DEPARTURE, CONTROL = Case("departure", "consistent"), Case("control", "consistent")
 

@@ -7,15 +7,14 @@ from typing import Any
 
 import pytest
 
-import controllers
 from helpers.cli import bad, good, ldc
 from helpers.closed_loop import known
 from helpers.pages import Page, whole
-from ldctoolkit import Controller, LinearLaw, Plant
-from studies import Study, rank_study, run_study
-from studies.ranking.requirements import parse_requirement, requirements_of
-from studies.ranking.verdict import Verdict, verdict
-from studies.study_file import load_study
+from ldctoolkit import Controller, LinearLaw, Plant, controllers
+from ldctoolkit.studies import Study, rank_study, run_study
+from ldctoolkit.studies.ranking.requirements import parse_requirement, requirements_of
+from ldctoolkit.studies.ranking.verdict import Verdict, verdict
+from ldctoolkit.studies.study_file import load_study
 
 ROAD_EDGE, DRIVEABILITY = "euroncap-2026-elk-road-edge", "euroncap-2026-driveability"
 LQR = "LQR, y_s=-0.4 m"
@@ -124,7 +123,7 @@ def test_gains_trigger_and_time_to_line_crossing(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("lrq",), "'lrq': neither a law, nor a study, nor a folder; did you mean 'lqr'?"),
+        (("lrq",), "'lrq' is neither a law, nor a study, nor a folder; did you mean 'lqr'?"),
         (("lqr", "--standard", "euroncap-2026-elk-roadedge"), f"did you mean '{ROAD_EDGE}'?"),
         (
             ("road-edge", "--gain", "r_delta=3"),

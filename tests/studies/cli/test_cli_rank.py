@@ -16,8 +16,8 @@ import pytest
 from rich.console import Console
 
 from helpers.cli import Terminal, bad, ldc
-from studies.cli import _console, main
-from studies.cli._console import add_row, new_table, print_table
+from ldctoolkit.studies.cli import _console, main
+from ldctoolkit.studies.cli._console import add_row, new_table, print_table
 
 
 @pytest.fixture

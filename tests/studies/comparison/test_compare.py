@@ -22,12 +22,18 @@ from ldctoolkit import EventStatus, Scenarios, load_model
 from ldctoolkit.errors import InputError, StoreError
 from ldctoolkit.paths.uncorrected import RandomStream
 from ldctoolkit.plant_options import Mismatch, PlantOptions, Residuals, Sensors
-from studies import CaseResults, Comparison, Manifest, Study, StudyResults, compare
-from studies.cli._tables import print_comparison
-from studies.comparison.comparison import COLUMNS, comparison_content, write_comparison
-from studies.comparison.paired import FinishedStudy, Verdict, drawn_streams, paired_differences, share_scenarios
-from studies.ranking.inference import weight_blocks
-from studies.results import FailedDesign
+from ldctoolkit.studies import CaseResults, Comparison, Manifest, Study, StudyResults, compare
+from ldctoolkit.studies.cli._tables import print_comparison
+from ldctoolkit.studies.comparison.comparison import COLUMNS, comparison_content, write_comparison
+from ldctoolkit.studies.comparison.paired import (
+    FinishedStudy,
+    Verdict,
+    drawn_streams,
+    paired_differences,
+    share_scenarios,
+)
+from ldctoolkit.studies.ranking.inference import weight_blocks
+from ldctoolkit.studies.results import FailedDesign
 
 
 def scenarios_of(n: int, left: int | None = None, seed: int = 0) -> Scenarios:

@@ -25,9 +25,9 @@ from ldctoolkit.recordings.find_departures import Criteria
 from ldctoolkit.recordings.preparation import Preparation
 from ldctoolkit.recordings.recording import Problem, Recording, SourceFile
 from ldctoolkit.recordings.sources import CombinedReader, FoundParts, OpenedRecordings, recording_reader
-from studies.extraction import PART_CLASSES, NothingReadError, _program, plan_of, run_extraction
-from studies.running.work import Ended, Work
-from studies.storage.parts import decoded, difference_texts, encoded, locked
+from ldctoolkit.studies.extraction import PART_CLASSES, NothingReadError, _program, plan_of, run_extraction
+from ldctoolkit.studies.running.work import Ended, Work
+from ldctoolkit.studies.storage.parts import decoded, difference_texts, encoded, locked
 
 HOME = Path(ldctoolkit.__file__).parent
 
@@ -105,8 +105,9 @@ def test_a_readers_own_code_is_reached(tmp_path: Path, how: str, monkeypatch: py
         reader: Any = module if how == "module" else module.Reader()
         if how == "together":
             reader = CombinedReader((recording_reader("table"), reader))
-        files = (SourceFile("a", 1, "0" * 64),)
-        return plan_of(reader, FoundParts((parts.Part(),), files, ()), Criteria(1.8), Preparation())
+        return plan_of(
+            reader, FoundParts((parts.Part(),), (SourceFile("a", 1, "0" * 64),), ()), Criteria(1.8), Preparation()
+        )
 
     before = plan(1, 1)
     assert plan(1, 1, "# a comment") == before
@@ -337,9 +338,9 @@ def test_parts_of_another_extraction_are_never_used(
     if change == "manifest":
         (folder / "manifest.json").write_text("{")
     if change == "program":
-        monkeypatch.setattr("studies.extraction._program", lambda *_: "another")
+        monkeypatch.setattr("ldctoolkit.studies.extraction._program", lambda *_: "another")
     if change == "versions":
-        monkeypatch.setattr("studies.extraction.versions", lambda names: dict.fromkeys(names, "0.1"))
+        monkeypatch.setattr("ldctoolkit.studies.extraction.versions", lambda names: dict.fromkeys(names, "0.1"))
     found = run_extraction(source, preparation=preparation, workers=1, output=output)
     assert times(source)[:3] == [2, 2, 2]
     monkeypatch.undo()
@@ -415,7 +416,7 @@ class Mortal:
 @contextlib.contextmanager
 def on(executor: Mortal, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     with monkeypatch.context() as patch:
-        patch.setattr("studies.extraction.make_executor", lambda *_: executor)
+        patch.setattr("ldctoolkit.studies.extraction.make_executor", lambda *_: executor)
         yield
 
 
@@ -476,10 +477,10 @@ def test_finished_parts_need_no_workers(made: Made, tmp_path: Path, monkeypatch:
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("studies.extraction.write_departures", killed)
+        patch.setattr("ldctoolkit.studies.extraction.write_departures", killed)
         with pytest.raises(KeyboardInterrupt):
             run_extraction(source, workers=1, output=tmp_path / "d.parquet")
-        patch.setattr("studies.extraction.make_executor", killed)
+        patch.setattr("ldctoolkit.studies.extraction.make_executor", killed)
         with pytest.raises(KeyboardInterrupt):
             run_extraction(source, workers=1, output=tmp_path / "d.parquet")
     assert run_extraction(source, workers=1, output=tmp_path / "d.parquet").recordings == 6

@@ -8,8 +8,8 @@ import pytest
 from helpers.pages import Page
 from helpers.results import PRIMARY, grid, invented_scenarios, page_of, report_input, run
 from ldctoolkit import EventStatus
-from studies.pages.context import ReportInput
-from studies.results import Case, StudyResults
+from ldctoolkit.studies.pages.context import ReportInput
+from ldctoolkit.studies.results import Case, StudyResults
 
 
 @pytest.fixture(scope="session")

@@ -17,8 +17,8 @@ from helpers.results import case_of
 from ldctoolkit import EventStatus, Scenarios
 from ldctoolkit.errors import InputError, LdcError, UnknownNameError
 from ldctoolkit.metrics import METRICS
-from studies import CaseResults, Design, StudyResults, rank_study, read_manifest, read_results
-from studies.ranking.design_metrics import (
+from ldctoolkit.studies import CaseResults, Design, StudyResults, rank_study, read_manifest, read_results
+from ldctoolkit.studies.ranking.design_metrics import (
     find_baseline,
     masked_max,
     masked_mean,
@@ -28,10 +28,10 @@ from studies.ranking.design_metrics import (
     pareto_front,
     tail_metrics,
 )
-from studies.ranking.inference import Inference, bootstrap_deviations, infer, row_blocks, row_means
-from studies.ranking.ranking import warnings_of_sample, write_csv
-from studies.ranking.requirements import metric, metric_values, parse_requirement
-from studies.results import FailedDesign
+from ldctoolkit.studies.ranking.inference import Inference, bootstrap_deviations, infer, row_blocks, row_means
+from ldctoolkit.studies.ranking.ranking import warnings_of_sample, write_csv
+from ldctoolkit.studies.ranking.requirements import metric, metric_values, parse_requirement
+from ldctoolkit.studies.results import FailedDesign
 
 
 @given(st.integers(1, 70), st.integers(0, 10**6), st.sampled_from([50, 90, 95, 99]))

@@ -10,11 +10,11 @@ import scipy.stats
 
 from helpers.results import DEPARTURE
 from helpers.results import results_of as given_results
-from studies import Case, Design, Ranking, StudyResults
-from studies.ranking.inference import Resampled
-from studies.ranking.ranked_designs import choose_winner, lost
-from studies.ranking.ranking import write_csv
-from studies.results import FailedDesign
+from ldctoolkit.studies import Case, Design, Ranking, StudyResults
+from ldctoolkit.studies.ranking.inference import Resampled
+from ldctoolkit.studies.ranking.ranked_designs import choose_winner, lost
+from ldctoolkit.studies.ranking.ranking import write_csv
+from ldctoolkit.studies.results import FailedDesign
 
 pytestmark = pytest.mark.usefixtures("laws")
 

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from controllers import LQR, LinearMPC, NoControl
 from helpers.results import case_of, page_of, report_input, scenarios_of
 from ldctoolkit import EventStatus, Scenarios, Setup
-from studies.design import Design
-from studies.ranking.ranking import Ranking, write_csv
-from studies.ranking.requirements import Estimate
-from studies.ranking.verdict import Light, OtherPlants, judged, more_lines, verdict
-from studies.results import StudyResults
+from ldctoolkit.controllers import LQR, LinearMPC, NoControl
+from ldctoolkit.studies.design import Design
+from ldctoolkit.studies.ranking.ranking import Ranking, write_csv
+from ldctoolkit.studies.ranking.requirements import Estimate
+from ldctoolkit.studies.ranking.verdict import Light, OtherPlants, judged, more_lines, verdict
+from ldctoolkit.studies.results import StudyResults
 
 DESIGNS = (Design.of(NoControl(), 0.2), Design.of(LQR(r_delta=100.0), 0.1))
 JERK = "jerk_added_peak_p95"

@@ -9,22 +9,22 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-import studies.ranking.named_vehicles
-from controllers import LQR, LinearMPC, NoControl, PreviewProportional
+import ldctoolkit.studies.ranking.named_vehicles as named_vehicles
 from helpers.results import case_of, scenarios_of
 from ldctoolkit import EventStatus, Scenarios, Setup, simulate
+from ldctoolkit.controllers import LQR, LinearMPC, NoControl, PreviewProportional
 from ldctoolkit.errors import StudyError, UnknownNameError
 from ldctoolkit.metrics import comfortable_share
 from ldctoolkit.plant_options import Actuator, Mismatch, PlantOptions, Tyres
 from ldctoolkit.review import design_margins, review
-from studies import Study, rank_study, run_study
-from studies.cli import main
-from studies.design import Design
-from studies.ranking.named_vehicles import drive_on_plants
-from studies.ranking.ranking import Ranking
-from studies.ranking.requirements import Miss, friction, parse_requirement, requirements_of
-from studies.ranking.verdict import Verdict, judged, verdict, verdict_lines
-from studies.results import StudyResults
+from ldctoolkit.studies import Study, rank_study, run_study
+from ldctoolkit.studies.cli import main
+from ldctoolkit.studies.design import Design
+from ldctoolkit.studies.ranking.named_vehicles import drive_on_plants
+from ldctoolkit.studies.ranking.ranking import Ranking
+from ldctoolkit.studies.ranking.requirements import Miss, friction, parse_requirement, requirements_of
+from ldctoolkit.studies.ranking.verdict import Verdict, judged, verdict, verdict_lines
+from ldctoolkit.studies.results import StudyResults
 
 NAN = math.nan
 DESIGNS = [Design.of(NoControl(), 0.2), *(Design.of(LQR(r_delta=r), 0.1) for r in (100.0, 1000.0, 10_000.0))]
@@ -297,7 +297,7 @@ def test_failed_solves_of_named_vehicles_count_as_no_control(
     results: StudyResults, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """An LQR whose first departures fail, though it is better there: they count with S without control."""
-    original, failed = studies.ranking.named_vehicles.drive, []
+    original, failed = named_vehicles.drive, []
 
     class Failing:
         def __init__(self, run: Any) -> None:
@@ -310,7 +310,7 @@ def test_failed_solves_of_named_vehicles_count_as_no_control(
             failed.append(dataclasses.replace(outcome, status=status))
             return failed[-1]
 
-    monkeypatch.setattr("studies.ranking.named_vehicles.drive", lambda *given: Failing(original(*given)))
+    monkeypatch.setattr("ldctoolkit.studies.ranking.named_vehicles.drive", lambda *given: Failing(original(*given)))
     law = (Design.of(LQR(r_delta=3001.0), 0.1),)
     drives = drive_on_plants(law, [PlantOptions()], results.scenarios, study().setup(), results.cases[0].case)
     (outcome,) = failed

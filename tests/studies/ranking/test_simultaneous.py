@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from helpers.bits import examples
 from ldctoolkit.errors import InputError
-from studies.ranking.inference import (
+from ldctoolkit.studies.ranking.inference import (
     Resampled,
     Separation,
     bootstrap_deviations,

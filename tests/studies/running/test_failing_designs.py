@@ -17,8 +17,8 @@ from helpers.closed_loop import Unsighted, known
 from helpers.results import assert_same_results
 from ldctoolkit import Controller, EventStatus, LdcError, Plant, gain, registry
 from ldctoolkit.errors import StoreError
-from studies import Study, rank_study, read_results, run_study
-from studies.cli import main
+from ldctoolkit.studies import Study, rank_study, read_results, run_study
+from ldctoolkit.studies.cli import main
 
 SLOW = pytest.mark.slow
 MakeStudy = Callable[..., Study]
@@ -146,7 +146,7 @@ def test_a_failed_design_is_tried_again(
 
 
 def test_failures_survive_an_interrupt(make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from studies.running.tasks import Simulator
+    from ldctoolkit.studies.running.tasks import Simulator
 
     study = make_study(design=[GOOD[0], {"law": "broken_step", "y_s": 0.3}, {"law": "toy", "y_s": 0.4}])
     run = Simulator.run
@@ -182,7 +182,7 @@ def test_failing_in_one_case_is_in_none(make_study: MakeStudy, tmp_path: Path, m
 
 
 def test_a_fault_of_no_law_ends_all(make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from studies.running.tasks import Simulator
+    from ldctoolkit.studies.running.tasks import Simulator
 
     def broken_takeover(*settings: Any) -> None:
         raise LdcError("no such plant")

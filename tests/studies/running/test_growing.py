@@ -10,7 +10,7 @@ import pytest
 
 import ldctoolkit as ldc
 from helpers.results import assert_same_results
-from studies.running import tasks
+from ldctoolkit.studies.running import tasks
 
 NOISY = {
     "actuator": {"lag": 0.1, "delay": 0.07},

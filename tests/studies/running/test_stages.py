@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from ldctoolkit.errors import InputError, StoreError
-from studies import Study, rank_study, read_manifest, read_results, run_study
-from studies.running import campaign
-from studies.storage.parts import locked
-from studies.storage.store import Store
+from ldctoolkit.studies import Study, rank_study, read_manifest, read_results, run_study
+from ldctoolkit.studies.running import campaign
+from ldctoolkit.studies.storage.parts import locked
+from ldctoolkit.studies.storage.store import Store
 
 MakeStudy = Callable[..., Study]
 
@@ -83,7 +83,7 @@ def test_fresh_scores_of_other_settings_are_not_taken_for_this_rankings(
     assert read_results(tmp_path).fresh is not None
     other = study_of(make_study, ranking={"bootstrap": 200, "finalists": 3, "require": ["S < 10"]})
     with monkeypatch.context() as patch:
-        patch.setattr("studies.runner.rank_study", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        patch.setattr("ldctoolkit.studies.runner.rank_study", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
         with pytest.raises(KeyboardInterrupt):
             run_study(other, directory=tmp_path, workers=1)
     assert read_manifest(tmp_path / "finalists").finished

@@ -20,10 +20,10 @@ from helpers.results import results_of as given_results
 from ldctoolkit import Controller, EventStatus, LinearLaw, Plant, Scenarios, gain, simulate
 from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.scenario_model import load_model
-from studies import Case, Design, Study, StudyResults
-from studies.ranking.inference import bootstrap_means
-from studies.results import FailedDesign
-from studies.sensitivity.sensitivity import (
+from ldctoolkit.studies import Case, Design, Study, StudyResults
+from ldctoolkit.studies.ranking.inference import bootstrap_means
+from ldctoolkit.studies.results import FailedDesign
+from ldctoolkit.studies.sensitivity.sensitivity import (
     BlockSensitivity,
     factorial_shares,
     gain_value,
@@ -31,7 +31,7 @@ from studies.sensitivity.sensitivity import (
     saltelli_indices,
     sensitivity,
 )
-from studies.sensitivity.winner_profile import COLUMNS, Profile, winner_profile, write_sensitivity
+from ldctoolkit.studies.sensitivity.winner_profile import COLUMNS, Profile, winner_profile, write_sensitivity
 
 ISHIGAMI_FIRST = (0.3139, 0.4424, 0.0)
 ISHIGAMI_TOTAL = (0.5576, 0.4424, 0.2437)

@@ -17,11 +17,11 @@ from ldctoolkit import Controller, LdcError, LinearLaw, Plant
 from ldctoolkit.errors import StoreError
 from ldctoolkit.recordings import extract_departures, read_departures, write_departures
 from ldctoolkit.scenario_model import load_model
-from studies import Study, StudyResults, rank_study, read_manifest, read_results, run_study
-from studies.risk import estimate_risk
-from studies.robustness import RobustnessTask, robustness_of, stored_of
-from studies.storage.store import Store
-from studies.storage.stored_model import read_model
+from ldctoolkit.studies import Study, StudyResults, rank_study, read_manifest, read_results, run_study
+from ldctoolkit.studies.risk import estimate_risk
+from ldctoolkit.studies.robustness import RobustnessTask, robustness_of, stored_of
+from ldctoolkit.studies.storage.store import Store
+from ldctoolkit.studies.storage.stored_model import read_model
 
 DAMAGES = 600 if LONG else 60
 
