@@ -225,6 +225,8 @@ def _keep_only(path: Path, plan: dict[str, Any], replace: bool, meanings: Mappin
         try:
             texts = difference_texts(read_json(manifest), plan, meanings)
         except StoreError:
+            if not replace:
+                raise
             texts = ["its manifest is broken"]
         if not texts:
             return

@@ -156,7 +156,7 @@ def test_a_table_of_the_eight_parameters_is_replayed(table: Departures, tmp_path
         ({"T_s": float("nan")}, "own.parquet, row 1: column 'T_s' holds nan; allowed: no missing value"),
         ({"dc_1_m": "x"}, "own.parquet: column 'dc_1_m' is of type String; allowed: numbers"),
         ({"side": None}, "own.parquet: column 'side' is missing; allowed: left, right"),
-        ({"side": "port"}, "own.parquet: scenarios: side[0] = 'port'"),
+        ({"side": "port"}, "own.parquet: scenarios: side[0]: 'port'"),
     ],
 )
 def test_a_bad_table_gets_one_message(table: Departures, tmp_path: Path, changes: dict[str, Any], message: str) -> None:

@@ -253,8 +253,9 @@ def test_what_is_told_wrongly_is_refused_and_changes_nothing() -> None:
 def test_a_study_without_search_or_with_an_unknown_objective_is_refused() -> None:
     with pytest.raises(InputError, match=r"no \[search\] table"):
         Search(Study.from_dict({"name": "s", "design": [{"law": "none"}]}))
-    with pytest.raises(StudyError, match="'T': no such metric"):
+    with pytest.raises(StudyError) as refused:
         Search(make(ONE_LAW, objectives=["T"]))
+    assert refused.value.value == "T"
 
 
 def test_without_optuna_the_message_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
