@@ -63,7 +63,7 @@ def inner_design(inner: str, inner_gains: str, owner: type[Controller]) -> Contr
     if issubclass(kind, owner):
         raise InputError(f"{owner.name}.inner", value=inner, allowed="a law other than itself")
     if inner == "none":
-        raise InputError(f"{owner.name}.inner", "'none'", allowed="a law that steers, the recorded path has no command")
+        raise InputError(f"{owner.name}.inner", value=inner, allowed="a law that steers")
     where = f"{owner.name}.inner_gains"
     declared = {gain.name: gain for gain in kind.gains()}
     given: dict[str, Any] = {}
@@ -74,12 +74,12 @@ def inner_design(inner: str, inner_gains: str, owner: type[Controller]) -> Contr
         if name not in declared:
             raise UnknownNameError(f"{where}: {inner}.{name}", "no such gain", allowed=declared)
         if name in given:
-            raise InputError(where, "is given twice", value=name, allowed="once")
+            raise InputError(f"{where}: {inner}.{name}", "is given twice", allowed="once")
         given[name] = declared[name].parsed(value)
     try:
         return kind(**given)
     except InputError as error:
-        raise InputError(where, f"{error}") from None
+        raise error.within(where, ": ") from None
 
 
 def steering_law(design: Controller, plant: Plant, owner: str) -> SteeringLaw:

@@ -55,8 +55,8 @@ _MODULES = {
 __all__ = [
     "Assessment", "Case", "CaseResults", "Comparison", "Design", "Manifest", "Ranking", "Study", "StudyResults",
     "assess", "compare", "estimate_risk", "export_c", "load_study", "plot_convergence", "plot_departure",
-    "plot_distribution", "plot_landscape", "plot_ranking", "plot_trade_off", "rank_study", "read_manifest", "read_results", "run_extraction",
-    "run_study", "study",
+    "plot_distribution", "plot_landscape", "plot_ranking", "plot_trade_off", "rank_study", "read_manifest",
+    "read_results", "run_extraction", "run_study", "study",
 ]  # fmt: skip
 
 

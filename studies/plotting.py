@@ -21,10 +21,10 @@ from .design import Design
 from .pages.charts import RECORDED, Axis, Chart, Dot, Series, Style, dots, ecdf, law_styles
 from .pages.confidence_section import convergence
 from .pages.landscape_section import landscape, swept_axes
-from .pages.text import shorten
 from .pages.verdict_section import scatter_of_metrics
 from .ranking.ranking import Ranking
 from .results import StudyResults
+from .text import shorten
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -334,7 +334,7 @@ def test_no_file_imports_from_the_facade(text: str, tmp_path: Path) -> None:
 
 
 SENTENCES = {
-    "controllers/barrier_filter.py", "controllers/riccati.py", "ldctoolkit/gains.py", "ldctoolkit/law_checks.py",
+    "controllers/barrier_filter.py", "controllers/riccati.py", "ldctoolkit/declared.py", "ldctoolkit/law_checks.py",
     "ldctoolkit/mixture/_distribution.py", "ldctoolkit/mixture/bounded_gaussian_mixture.py",
     "ldctoolkit/mixture/selection.py", "ldctoolkit/paths/uncorrected.py", "ldctoolkit/recordings/departures_table.py",
     "ldctoolkit/recordings/extract.py", "ldctoolkit/recordings/mdf_content.py", "ldctoolkit/recordings/mdf_logs.py",

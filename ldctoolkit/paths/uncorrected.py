@@ -58,7 +58,7 @@ def _drawn(seed: int, index: npt.ArrayLike, stream: int, count: int, *, normal: 
     numbers = np.array(numbers, dtype=np.int64)  # a copy: compiled functions take no read-only arrays
     if np.any(numbers < 0):
         i = int(np.argmax(numbers < 0))
-        raise InputError(f"index[{i}] = {numbers[i]}; allowed: >= 0")
+        raise InputError(f"index[{i}]", value=int(numbers[i]), allowed="a whole number >= 0")
     if count < 0:
         raise InputError("count", value=count, allowed=">= 0")
     out = np.empty((numbers.size, count))

@@ -173,7 +173,7 @@ def _condition(A: FloatArray, B: FloatArray, Q: FloatArray, r: float, horizon: i
     try:
         _, P, _ = control.dlqr(A, B[:, None], Q, np.array([[r]]))
     except (np.linalg.LinAlgError, control.ControlArgument, ValueError) as error:
-        raise LdcError(f"no terminal cost for the condensed Hessian: {error}") from error
+        raise LdcError("condensed Hessian", f"no terminal cost: {error}") from error
     columns = [B]
     for _ in range(horizon - 1):
         columns.append(A @ columns[-1])

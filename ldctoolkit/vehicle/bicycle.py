@@ -127,9 +127,7 @@ class VehicleParameters(CheckedArguments):
     def __post_init__(self) -> None:
         check_declared(self, "vehicle")
         if self.w_v >= self.w_l:
-            raise InputError(
-                "vehicle.w_v", "m", value=self.w_v, allowed=f"less than the lane's width w_l = {self.w_l!r} m"
-            )
+            raise InputError("vehicle.w_v", "m", value=self.w_v, allowed=f"less than the lane's width, {self.w_l!r} m")
         warn_of_units("vehicle", self)
 
     @property

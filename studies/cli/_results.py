@@ -12,23 +12,13 @@ from typing import TYPE_CHECKING, Any, Self
 
 from ..pages.ranking_markdown import write_markdown
 from ..ranking.ranking import Ranking, rank_study, write_csv
-from ..ranking.verdict import (
-    Verdict,
-    listed_places,
-    more_lines,
-    other_cases,
-    ranking_cells,
-    ranking_columns,
-    verdict_lines,
-)
+from ..ranking.verdict import Verdict, listed_places, more_lines, other_cases, ranking_table, verdict_lines
 from ..results import StudyResults
 from ..storage.manifest import Manifest
 from ..study_file import Study
-from ._console import add_row, console, new_table, print_table, progress_bar, say
+from ._console import console, print_table, progress_bar, say
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from ldctoolkit.departures import Departures
 
     from ..design import Design
@@ -122,7 +112,7 @@ _MOST_FAILED = 20
 def print_rankings(rankings: Sequence[Ranking], top: int, found: Verdict) -> None:
     """The primary case in full, the others in a line."""
     out, first = console(), rankings[0]
-    print_table(ranking_table(first, top))
+    print_table(ranking_table(first, listed_places(first, top)), narrow=True)
     title, *others = verdict_lines(found)
     out.print(title, style="bold green" if found.usable and first.winner is not None else "bold red", markup=False,
               emoji=False, highlight=False)  # fmt: skip
@@ -153,24 +143,6 @@ def write_ranking(folder: Path, study: Study, manifest: Manifest, rankings: Sequ
     write_csv(rankings, path)
     write_markdown(rankings, folder / "ranking.md", study, manifest, found)
     return path
-
-
-def ranking_table(ranking: Ranking, top: int = 10) -> Table:
-    """The first `top` designs, the best of each law, the winner and the baseline."""
-    columns = ranking_columns(ranking)
-    titles = [one.title.replace("needless", "need-\nless") for one in columns]
-    table = new_table(
-        f"{len(ranking)} designs by mean S, {ranking.case.label}",
-        [f"{title}\n[{one.unit}]" if one.unit else title for title, one in zip(titles, columns, strict=True)],
-        left=[i for i, one in enumerate(columns) if one.left],
-        narrow=True,
-    )
-    shown = listed_places(ranking, top)
-    for previous, i in zip([-1, *shown], shown, strict=False):
-        if i > previous + 1:
-            table.add_section()
-        add_row(table, ranking_cells(ranking, i), "bold" if i == ranking.winner else None)
-    return table
 
 
 def json_summary(

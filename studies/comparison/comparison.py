@@ -15,7 +15,8 @@ from ldctoolkit.notebook import CELL
 
 from ..design import Design
 from ..results import Case, CaseResults, FailedDesign, StudyResults
-from ..storage.files import csv_text, write_text
+from ..storage.files import write_text
+from ..tables import Table, to_csv
 from .paired import (
     FinishedStudy,
     PairedDifferences,
@@ -428,7 +429,7 @@ def _design(comparison: Comparison, case: CaseComparison, i: int) -> dict[str, A
 
 def write_comparison(comparison: Comparison, path: str | Path) -> None:
     """Write a comparison as one CSV file, whole or not at all."""
-    write_text(Path(path), csv_text(COLUMNS, comparison_rows(comparison)))
+    write_text(Path(path), to_csv(Table.of(COLUMNS, comparison_rows(comparison))))
 
 
 def comparison_content(comparison: Comparison) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from markupsafe import Markup, escape
 from ldctoolkit.arrays import BoolArray, FloatArray
 
 from ..design import NO_CONTROL
-from .text import compact, printable, shorten, symbols_svg
+from ..text import compact, printable, shorten, symbols_svg
 
 WIDTH: Final = 420.0  # units of a chart's width: text of 12 units is 10 px high on the narrowest phone
 

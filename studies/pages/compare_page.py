@@ -13,10 +13,11 @@ from ldctoolkit.version import __version__
 from ..comparison.comparison import PHRASES, CaseComparison, Comparison
 from ..comparison.paired import Verdict, Winners
 from ..storage.files import write_text
+from ..tables import Cell, Column, Row, Table, to_html
+from ..text import difference_text, number, percent, plural, signed, symbols
 from .charts import Axis, Chart, Dot, Series, Style, dots
 from .settings_section import pairs
-from .shell import Cell, Column, Section, TableRow, bullets, details, figure, make_page, paragraphs, render, table
-from .text import difference_text, number, percent, plural, signed, symbols
+from .shell import Section, bullets, details, figure, make_page, paragraphs, render
 
 THRESHOLD: Final = 0.01  # differences of mean S [m s] below this do not matter in practice: 1 cm over 1 s
 
@@ -101,13 +102,13 @@ def _verdict(comparison: Comparison) -> Section:
     for case in comparison.cases:
         winners = case.winners
         if winners is None:
-            rows.append(TableRow((case.case.label, "\u2013", "", "", "", "", "", NO_WINNERS)))
+            rows.append(Row((case.case.label, "\u2013", "", "", "", "", "", NO_WINNERS)))
             continue
         change = signed(100.0 * winners.difference / winners.S_old, 1) if winners.S_old > 0 else "\u2013"
         phrase = PHRASES[winners.verdict]
         small = winners.verdict in (Verdict.BETTER, Verdict.WORSE) and abs(winners.difference) < THRESHOLD
         rows.append(
-            TableRow(
+            Row(
                 (
                     case.case.label,
                     f"{winners.scenarios:,} {'fresh' if winners.fresh else 'study'} scenarios",
@@ -130,9 +131,8 @@ def _verdict(comparison: Comparison) -> Section:
         Column("New \u2212 "
             "old", "m\u00b7s"), Column("Change", "%"), Column("Interval", "m\u00b7s"), Column("Verdict", text=True),
     ]  # fmt: skip
-    body += table(
-        f"Mean S of the winners; differences from {THRESHOLD:g} m\u00b7s on matter in practice", columns, rows
-    )
+    title = f"Mean S of the winners; differences from {THRESHOLD:g} m\u00b7s on matter in practice"
+    body += to_html(Table(title, columns, rows))
     if len(first):
         body += paragraphs(
             f"{plural(len(first), 'design')} in both studies: {counts_text(first)}. Intervals hold for all designs in "
@@ -175,10 +175,10 @@ def _differences(comparison: Comparison) -> Section:
     else:
         columns = [Column("Input", text=True), Column("Old \u2192 new", text=True)]
         rows = [
-            TableRow((key, value.replace(" -> ", " \u2192 ")))
+            Row((key, value.replace(" -> ", " \u2192 ")))
             for key, _, value in (one.partition(": ") for one in comparison.differences)
         ]
-        body = table("What decides the numbers and differs", columns, rows)
+        body = to_html(Table("What decides the numbers and differs", columns, rows))
     return Section("differences", "What differs", body)
 
 
@@ -193,11 +193,12 @@ def _designs(comparison: Comparison) -> Section:
 def _case_table(comparison: Comparison, case: CaseComparison, id: str) -> Markup:
     S, shared = case.S, comparison.shared
     columns = [
-        Column("Verdict", text=True), Column("Design", text=True), Column("Old S", "m\u00b7s", key="old"),
-        Column("New S", "m\u00b7s", key="new"), Column("New \u2212 "
-            "old", "m\u00b7s", key="difference"), Column("Interval", "m\u00b7s"),
+        Column("Verdict", text=True), Column("Design", text=True), Column("Old S", "m\u00b7s", ".4f", key="old"),
+        Column("New S", "m\u00b7s", ".4f", key="new"), Column("New \u2212 "
+            "old", "m\u00b7s", difference_text, key="difference"), Column("Interval", "m\u00b7s"),
         Column("Scenarios changed", key="changed"), Column("Largest change", "m\u00b7s"), Column("Failed, old / new"),
     ]  # fmt: skip
+    numbers = np.stack([S.S_old, S.S_new, S.difference], axis=1)
     rows = []
     for k, i in enumerate(case.order[:MOST_ROWS]):
         changed, failed = int(S.changed[i]), (case.failed_old[i], case.failed_new[i])
@@ -206,19 +207,17 @@ def _case_table(comparison: Comparison, case: CaseComparison, id: str) -> Markup
         cells = (
             Cell(PHRASES[verdict], bad=verdict is Verdict.WORSE, good=verdict is Verdict.BETTER),
             case.designs[i].label,
-            Cell(number(float(S.S_old[i]), 4), float(S.S_old[i])),
-            Cell(number(float(S.S_new[i]), 4), float(S.S_new[i])),
-            Cell(difference_text(float(S.difference[i])), float(S.difference[i])),
+            *numbers[i].tolist(),
             interval_text(float(S.low[i]), float(S.high[i])),
-            Cell(f"{changed:,}", float(changed)),
+            changed,
             f"{difference_text(float(S.largest[i]))}{at}" if changed else "\u2013",
             f"{failed[0]:,} / {failed[1]:,}" if any(failed) else "\u2013",
         )
-        rows.append(TableRow(cells, later=k >= FIRST_ROWS))
+        rows.append(Row(cells, later=k >= FIRST_ROWS))
+    table = Table(f"{case.case.label}: {counts_text(case)}", columns, rows, head=1)
     return render(
-        "compare.html", id=id, table=table(f"{case.case.label}: "
-            f"{counts_text(case)}", columns, rows, id=id, sortable=True, head=1),
-        count=len(case), listed=len(rows), later=max(0, len(rows) - FIRST_ROWS),
+        "compare.html", id=id, table=to_html(table, id=id, sortable=True), count=len(case), listed=len(rows),
+        later=max(0, len(rows) - FIRST_ROWS),
     )  # fmt: skip
 
 

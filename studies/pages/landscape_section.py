@@ -1,12 +1,10 @@
 """Mean S over what was swept: where the best gains are, and which gain matters."""
 
 import dataclasses
-import math
 from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from markupsafe import Markup
 
 from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.declared import GainValue
@@ -15,10 +13,11 @@ from ldctoolkit.registry import controller_class
 from ..design import Design
 from ..ranking.ranking import Ranking
 from ..sensitivity.sensitivity import BlockSensitivity
+from ..tables import Column, Row, Table, to_html
+from ..text import compact, unit_text
 from .charts import Axis, Chart, Series, Style, heat_map
 from .context import Context, metric_text
-from .shell import Column, Section, TableRow, figure, paragraphs, table
-from .text import compact, number, unit_text
+from .shell import Section, figure, paragraphs
 
 MOST_LAWS: Final = 6
 _MOST_VALUES: Final = 14  # of a quantity whose values make cells
@@ -85,7 +84,11 @@ def section(context: Context) -> Section:
         body += paragraphs(f"Not shown: {', '.join(left_out)}.")
     blocks = [block for block in context.report.sensitivity if block.indices is not None]
     if blocks:
-        body += _sensitivity(blocks)
+        title = "Which gain matters: Sobol indices of mean S over the designs tested"
+        body += to_html(index_table(blocks, title, ranking.confidence)) + paragraphs(
+            "Total index: share of the variance of mean S that would be left if all other gains were fixed. It depends "
+            "on the range swept."
+        )
     return Section("landscape", "Gain landscape", body, tuple(charts))
 
 
@@ -156,34 +159,18 @@ def _sampled(context: Context, place: int, axis: SweptAxis) -> Chart:
     )  # fmt: skip
 
 
-def _sensitivity(blocks: Sequence[BlockSensitivity]) -> Markup:
-    columns = [
-        Column("Law", text=True), Column("Gain", text=True), Column("Total index"), Column("Interval"),
-        Column("First-order index"),
-    ]  # fmt: skip
+def index_table(blocks: Sequence[BlockSensitivity], title: str, confidence: float) -> Table:
+    """Sobol indices of blocks of designs, the gain that matters most first."""
+    columns = [Column("Law", text=True), Column("Gain", text=True)]
+    for name in ("First order", "Total"):
+        columns += [Column(name, form=".3f"), Column(f"{100 * confidence:g} % interval", form=".3f")]
     rows = []
     for block in blocks:
-        found = block.indices
-        if found is None:
-            continue
-        total = np.nan_to_num(np.where(np.isnan(found.total), found.first, found.total))
-        for j in np.argsort(-total, kind="stable").tolist():
-            known = math.isfinite(found.total[j])
-            low, high = (found.total_low, found.total_high) if known else (found.first_low, found.first_high)
-            rows.append(
-                TableRow(
-                    (
-                        controller_class(block.law).title,
-                        block.names[j],
-                        number(float(found.total[j]), 2),
-                        f"{number(float(low[j]), 2)} to {number(float(high[j]), 2)}",
-                        number(float(found.first[j]), 2),
-                    )
-                )
-            )
-    return table(
-        "Which gain matters: Sobol indices of mean S over the designs tested", columns, rows, head=1
-    ) + paragraphs(
-        "Total index: share of the variance of mean S that would be left if all other gains were fixed. It depends on "
-        "the range swept."
-    )
+        if (shares := block.indices) is not None:
+            weight = np.where(np.isnan(shares.total), shares.first, shares.total)
+            numbers = np.stack([getattr(shares, field.name) for field in dataclasses.fields(shares)], axis=1)
+            for j in np.argsort(-weight, kind="stable").tolist():
+                first, first_low, first_high, total, low, high = numbers[j].tolist()
+                cells = (first, (first_low, first_high), total, (low, high))
+                rows.append(Row([controller_class(block.law).title, block.names[j], *cells]))
+    return Table(title, columns, rows, head=1)

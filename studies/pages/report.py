@@ -14,6 +14,7 @@ from ..sensitivity.sensitivity import sensitivity
 from ..storage.files import write_text
 from ..storage.stored_model import WARNING, read_model
 from ..study_file import toml_text
+from ..text import plural
 from . import (
     assessment_section,
     confidence_section,
@@ -28,7 +29,6 @@ from . import (
 from .charts import Chart
 from .context import Context, ReportInput
 from .shell import Section, make_page
-from .text import plural
 
 if TYPE_CHECKING:
     from ldctoolkit.departures import Departures

@@ -4,10 +4,10 @@ from collections.abc import Sequence
 
 from markupsafe import Markup
 
+from ..text import plural, printable, symbols
 from .context import Context
 from .explorer import failures
 from .shell import Section, bullets, details
-from .text import plural, printable, symbols
 
 MOST_FAILED = 50
 

@@ -12,11 +12,12 @@ from ldctoolkit.metrics import A_Y_LIMIT
 from ..ranking.design_metrics import pareto_front
 from ..ranking.ranking import Ranking
 from ..ranking.requirements import metric, metric_values
-from ..ranking.verdict import law_title
+from ..ranking.verdict import design_name, law_title
+from ..tables import Column, Row, Table, to_html
+from ..text import plural
 from .charts import Axis, Chart, Series, Style, legend
-from .context import Context, metric_text, name_of
-from .shell import Cell, Column, Section, TableRow, bullets, figure, paragraphs, render, table
-from .text import number, plural
+from .context import Context, metric_text
+from .shell import Section, bullets, figure, paragraphs, render
 
 SYMBOLS: Final = {"good": "\u2713", "warning": "!", "bad": "\u2715", "unknown": "?"}
 STATES: Final = {"good": "good", "warning": "caution", "bad": "not met", "unknown": "not known"}
@@ -78,25 +79,17 @@ def trade_offs(context: Context) -> Section:
         cloud_legend(context),
     )
     if front.size:
-        names = [name for name in ranking.pareto_metrics if name != "S"]
-        columns = [
-            Column("Rank"), Column("Design", text=True), Column("Mean S", "m\u00b7s"),
-            *(Column(metric(name).title, metric(name).shown_unit) for name in names),
-        ]  # fmt: skip
+        names = ["S", *(name for name in ranking.pareto_metrics if name != "S")]
+        columns = [Column("Rank"), Column("Design", text=True)]
+        columns += [Column(of.title, of.shown_unit, f".{of.digits}f") for of in map(metric, names)]
+        numbers = np.stack([metric(name).scale * context.values(name) for name in names], axis=1)
         rows = [
-            TableRow(
-                (
-                    str(ranking.rank[i]),
-                    name_of(ranking.designs[i]),
-                    number(float(ranking.S[i])),
-                    *(Cell(metric_text(name, context.metric(name, i), unit=False)) for name in names),
-                ),
-                "winner" if i == ranking.winner else "",
-            )
+            Row([int(ranking.rank[i]), design_name(ranking.designs[i]), *numbers[i].tolist()],
+                "winner" if i == ranking.winner else "")
             for i in front[:MOST_ROWS].tolist()
-        ]
+        ]  # fmt: skip
         more = f", the first {MOST_ROWS} of {front.size}" if front.size > MOST_ROWS else ""
-        body += table(f"The Pareto front{more}", columns, rows, head=1)
+        body += to_html(Table(f"The Pareto front{more}", columns, rows, head=1))
     return Section("trade-offs", "Trade-offs", body, charts)
 
 
@@ -126,7 +119,7 @@ def scatter_of_metrics(
         rows = places[laws[places] == law]
         if rows.size:
             tips = tuple(
-                f"{name_of(ranking.designs[i])}: {of_y.title} {metric_text(up, y[i] / of_y.scale)}, "
+                f"{design_name(ranking.designs[i])}: {of_y.title} {metric_text(up, y[i] / of_y.scale)}, "
                 f"{of_x.title} {metric_text(across, x[i] / of_x.scale)}"
                 for i in rows
             )

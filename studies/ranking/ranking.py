@@ -27,8 +27,9 @@ from ..assessment import assess
 from ..design import Design
 from ..results import Case, CaseResults, StudyResults
 from ..standards import standard_names
-from ..storage.files import csv_text, write_text
+from ..storage.files import write_text
 from ..study_file import Study
+from ..tables import Table, to_csv, to_polars
 from .design_metrics import (
     DrivableCase,
     Margins,
@@ -148,12 +149,7 @@ class Ranking(RankedDesigns, Frame):
         """One row a design, with the columns of ``ranking.csv``: first what names it, its rank and S."""
         import polars as pl
 
-        text = ("design", "label", "unmet", "fresh_unmet", "failure")
-        types = {**dict.fromkeys(text, pl.String), "rank": pl.Int64}
-        content = _csv_text([self], plain=True).encode()
-        table = pl.read_csv(content, infer_schema_length=None, schema_overrides=types)
-        empty = [one.name for one in table if one.dtype == pl.String and one.is_null().all() and one.name not in text]
-        table = table.with_columns(pl.col(empty).cast(pl.Float64))
+        table = to_polars(_table([self])).with_columns(pl.col("rank").cast(pl.Int64))
         first = ["rank", "law", "y_s_m", "S_m_s", "set_of_best", "unmet"]
         return table.select(*first, pl.exclude(first))
 
@@ -450,14 +446,15 @@ _COUNTS: Final = ("solver_failed", "diverged", "timed_out", "crashed", "beyond_d
 
 def write_csv(rankings: Sequence[Ranking], path: str | Path) -> None:
     """Write rankings as one CSV file, whole or not at all; window and convention name the case."""
-    write_text(Path(path), _csv_text(rankings))
+    write_text(Path(path), to_csv(_table(rankings)))
 
 
-def _csv_text(rankings: Sequence[Ranking], *, plain: bool = False) -> str:
+def _table(rankings: Sequence[Ranking]) -> Table:
+    """The numbers of every design, in SI units."""
     laws = {design.law: design for ranking in rankings for design in _every(ranking)}
     gains = list(dict.fromkeys(column for _, design in sorted(laws.items()) for column in _columns_of(design)))
     rows = [row for ranking in rankings for row in _rows(ranking, gains)]
-    return csv_text(rows[0], rows, plain=plain)
+    return Table.of(rows[0], rows, text=("design", "label", "unmet", "fresh_unmet", "failure"))
 
 
 def _every(ranking: Ranking) -> Iterator[Design]:
@@ -490,20 +487,18 @@ def _rows(ranking: Ranking, gains: Sequence[str]) -> Iterator[dict[str, Any]]:
     for i, (design, reason) in enumerate(zip(_every(ranking), reasons, strict=True)):
         here = i < len(ranking)
         yield {
-            **_named(ranking, int(ranking.rank[i]) if here and ranking.rank[i] else "", design, gains),
-            **{name: _field(column[i].item()) if here else "" for name, column in numbers.items()},
+            **_named(ranking, int(ranking.rank[i]) or None if here else None, design, gains),
+            **{name: column[i] if here else None for name, column in numbers.items()},
             "unmet": "; ".join(ranking.unmet[i]) if here else "",
             "fresh_unmet": "; ".join(ranking.fresh_unmet[i]) if here else "",
-            "optimism_of": _optimism_of(ranking, i) if here else "",
+            "optimism_of": _optimism_of(ranking, i) if here else None,
             "failure": reason,
         }
 
 
-def _named(ranking: Ranking, rank: int | str, design: Design, gains: Sequence[str]) -> dict[str, Any]:
+def _named(ranking: Ranking, rank: int | None, design: Design, gains: Sequence[str]) -> dict[str, Any]:
     """The columns that say which design in which case."""
-    values = dict.fromkeys(gains, "") | dict(
-        zip(_columns_of(design), (_field(value) for _, value in design.gains), strict=True)
-    )
+    values = dict(zip(_columns_of(design), (value for _, value in design.gains), strict=True))
     return {
         "window": ranking.case.window,
         "convention": ranking.case.convention,
@@ -511,19 +506,12 @@ def _named(ranking: Ranking, rank: int | str, design: Design, gains: Sequence[st
         "design": design.id,
         "label": design.label,
         "law": design.law,
-        "y_s_m": repr(design.y_s),
-        **{f"gain_{name}": value for name, value in values.items()},
+        "y_s_m": design.y_s,
+        **{f"gain_{name}": values.get(name) for name in gains},
     }
 
 
-def _optimism_of(ranking: Ranking, i: int) -> str:
+def _optimism_of(ranking: Ranking, i: int) -> str | None:
     if np.isnan(ranking.optimism[i]):
-        return ""
+        return None
     return "baseline_difference" if ranking.optimism_paired else "S"
-
-
-def _field(value: Any) -> str:
-    """Numbers in full precision, truth values in lower case, nothing for a metric that is taken over no departure."""
-    if isinstance(value, bool):
-        return str(value).lower()
-    return "" if value != value else str(value)

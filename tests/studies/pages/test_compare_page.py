@@ -38,8 +38,8 @@ from ldctoolkit.studies.pages.compare_page import compare_page, write_compare_pa
 from ldctoolkit.studies.pages.context import Context, ReportInput
 from ldctoolkit.studies.pages.replay import chosen_designs, picked_departures, replay, rows_of_numbers
 from ldctoolkit.studies.pages.shell import Cell, Column, TableRow, details, packed, script_json, table
-from ldctoolkit.studies.pages.text import number, symbols
 from ldctoolkit.studies.results import Case, FailedDesign, StudyResults
+from ldctoolkit.studies.text import number, symbols
 
 DESIGNS = (Design.of(NoControl(), 0.2), *(Design.of(LQR(), y_s) for y_s in (0.05, 0.1, 0.2)))
 S = PairedDifferences(
