@@ -262,7 +262,7 @@ class Campaign:
         try:
             writing.result()
         except StoreError as error:
-            raise StoreError(f"{error}; what was finished before is stored: run the study again to go on") from None
+            raise error.hinted("what was finished before is stored: run the study again to go on") from None
 
     def _forget_failures(self, designs: Sequence[Design]) -> None:
         """Failures of earlier runs that did not come again."""

@@ -32,6 +32,7 @@ from ldctoolkit.errors import ClusterError, InputError, LdcError
 from ldctoolkit.surroundings import WORKERS, leave_with, safe_path, temporary_folder
 from ldctoolkit.version import DECISIVE, Versions, versions
 
+from ..storage.files import first_line
 from .work import Ended, Executor, Fault, Work
 
 EXECUTORS: Final = ("serial", "processes", "dask")
@@ -231,8 +232,9 @@ class ProcessExecutor:
                 self._submit(work)
         except (BrokenProcessPool, OSError) as error:
             self._pool = None
+            reason = first_line(error) or type(error).__name__
             raise LdcError(
-                problem=f"worker processes cannot start ({str(error).strip() or type(error).__name__})",
+                problem=f"worker processes cannot start ({reason})",
                 hint="what was stored is kept: run it again with fewer workers, or with one, which runs in this "
                 "process",
             ) from None
@@ -489,13 +491,11 @@ class DaskExecutor:
                     return None
         try:
             return future.result(timeout=_ANSWER)
-        except RuntimeError as error:
-            if "deserializ" in str(error).lower():
-                raise _unable("the scheduler", error.__cause__ or "it cannot read a task") from None
-            raise
         except Exception as error:
-            # Dask hands on some errors as their text alone
-            if isinstance(error, _NOT_THERE) or str(error).startswith(tuple(kind.__name__ for kind in _NOT_THERE)):
+            text = str(error)  # Dask hands on some errors as their text alone
+            if isinstance(error, RuntimeError) and "deserializ" in text.lower():
+                raise _unable("the scheduler", error.__cause__ or "it cannot read a task") from None
+            if isinstance(error, _NOT_THERE) or text.startswith(tuple(kind.__name__ for kind in _NOT_THERE)):
                 raise _unable("a worker", error) from None
             raise
 

@@ -167,7 +167,7 @@ class _Room:
         if not np.isfinite(values[: 2 * len(windows)]).all():
             driven = self.status[i] != EventStatus.INVALID
             if not np.isfinite(values[: 2 * len(windows), driven]).all():
-                raise LdcError("S is not finite in some scenario")
+                raise LdcError("S", "not finite in some scenario")
         self.failed_solves[i] = 0
         self.failed_solves[i, rows] = run.failed_solves
         self.law_seconds[i] = run.law_seconds

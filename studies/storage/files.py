@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -46,6 +45,12 @@ def output_folder(folder: Path) -> Path:
 def write_text(path: Path, text: str) -> None:
     """Write a text file in UTF-8, whole or not at all; what a path has that is no text is written as in messages."""
     write_whole(path, text.encode(errors="backslashreplace"), StoreError)
+
+
+def first_line(error: Exception) -> str:
+    """What another library's error says, without the rest."""
+    text = str(error)
+    return text.partition("\n")[0].strip()
 
 
 def write_json(path: Path, content: Mapping[str, Any], indent: int | None = 1) -> None:
@@ -94,7 +99,7 @@ def parse_parquet(
     try:
         table = pl.read_parquet(data)
     except pl.exceptions.PolarsError as error:
-        raise StoreError(path, f"broken: {str(error).splitlines()[0]}") from None
+        raise StoreError(path, f"broken: {first_line(error)}") from None
     if dict(table.schema) not in (schema, schema | (optional or {})):
         raise StoreError(
             path, f"broken: its columns are {', '.join(table.columns)}", hint=f"needed: {', '.join(schema)}"

@@ -281,7 +281,7 @@ class Manifest(BaseModel):
         if not current:
             return Study.from_dict(self.study, source="study")
         if others := self.other_versions():
-            raise StoreError(f"the study was run with {others}; {_AGAIN}")
+            raise StoreError("versions", f"the study was run with {others}", hint=_AGAIN)
         classes: dict[str, Any] = {name: with_content(name, content) for name, content in self.laws.items()}
         changed = [name for name, kind in classes.items() if kind is None]
         if not changed:
@@ -364,7 +364,7 @@ def read_manifest(folder: str | Path) -> Manifest:
         manifest = Manifest.model_validate(without_checksum(content))
     except (ValueError, KeyError, TypeError) as error:
         if isinstance(error, ValidationError):
-            error = ValueError(str(error).replace("\n", " "))
+            error = ValueError("; ".join(f"{'.'.join(map(str, one['loc']))}: {one['msg']}" for one in error.errors()))
         raise StoreError(path, f"broken: {error}", hint="run the study into another folder") from None
     return manifest
 

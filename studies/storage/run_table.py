@@ -232,7 +232,7 @@ def check_room(study: Study, n: int) -> None:
     numbers, free = len(study.simulation.window) + len(METRIC_UNITS), free_memory()
     if (size := designs * n * len(study.simulation.convention) * (8 * numbers + 6)) > free:
         what = f"{designs:,} designs on {n:,} scenarios need {size / 2**30:,.1f} GiB of memory"
-        raise LdcError(f"{what}, {free / 2**30:,.1f} are free; allowed: fewer designs or scenarios")
+        raise LdcError(problem=f"{what}, {free / 2**30:,.1f} are free", allowed="fewer designs or scenarios")
 
 
 class RunTable:

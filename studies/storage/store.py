@@ -130,7 +130,7 @@ class Store:
         try:
             study = manifest.read_study(current=current)
         except LdcError as error:
-            raise StoreError(f"{folder / 'manifest.json'}", f"{error}") from None
+            raise StoreError.of(error.within(str(folder / "manifest.json"), ": ")) from None
         return cls(folder, manifest, study)
 
     @functools.cached_property
@@ -176,7 +176,7 @@ class Store:
                 table.release()
             except StoreError as error:
                 if not repair:
-                    raise StoreError(f"{error}; run the study into this folder again to compute it anew") from None
+                    raise error.hinted("run the study into this folder again to compute it anew") from None
                 messages.append(f"{error}; its results are computed anew")
                 path.unlink()
         for kept, read, name in (("times", read_times, TIMING_FILE), ("failures", read_failures, FAILURES)):
