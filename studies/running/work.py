@@ -3,12 +3,11 @@
 import contextlib
 import dataclasses
 import itertools
-import json
 import sys
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any, Final, Literal, Protocol, Self, TextIO, TypeVar
+from typing import Any, Final, Literal, Protocol, Self, TypeVar
 
 import ldctoolkit.compiling as compiling
 from ldctoolkit.errors import LdcError
@@ -210,9 +209,6 @@ def map_on(executor: Executor, function: Callable[[Item], Result], items: Iterab
         yield result[0]
 
 
-_LINE_EVERY: Final = 1.0  # seconds between lines
-
-
 class Progress:
     """What a run reports to; this one shows nothing."""
 
@@ -233,51 +229,6 @@ class Progress:
 
     def close(self) -> None:
         """Nothing comes any more."""
-
-
-class Lines(Progress):
-    """One JSON object a line: stage, scenario runs done and in all, rate and seconds left; or the name of a phase."""
-
-    def __init__(self, stream: TextIO) -> None:
-        self._stream = stream
-        self._name, self._total, self._done = "", 0, 0
-        self._phases: set[str] = set()
-        self._started = self._reported = time.monotonic()
-
-    def phase(self, name: str) -> None:
-        """Write its name, the first time."""
-        if name not in self._phases:
-            self._phases.add(name)
-            self._write({"event": "phase", "phase": name})
-
-    def stage(self, name: str, total: int) -> None:
-        """Write the first line of a stage."""
-        self._name, self._total, self._done = name, total, 0
-        self._started = time.monotonic()
-        self._report()
-
-    def advance(self, runs: int) -> None:
-        """Write a line if the last one is old, or this is the stage's last."""
-        self._done += runs
-        if self._done >= self._total or time.monotonic() - self._reported > _LINE_EVERY:
-            self._report()
-
-    def _report(self) -> None:
-        self._reported = time.monotonic()
-        seconds = self._reported - self._started
-        rate = self._done / seconds if self._done and seconds > 0 else None
-        self._write({
-            "event": "progress",
-            "stage": self._name,
-            "done": self._done,
-            "total": self._total,
-            "runs_per_s": None if rate is None else round(rate, 1),
-            "seconds_left": None if rate is None else round((self._total - self._done) / rate, 1),
-        })  # fmt: skip
-
-    def _write(self, line: dict[str, Any]) -> None:
-        self._stream.write(json.dumps(line) + "\n")
-        self._stream.flush()
 
 
 class Bar(Progress):

@@ -15,7 +15,7 @@ import logging
 import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import numpy as np
 
@@ -108,76 +108,51 @@ def difference_texts(
     return texts
 
 
-class Parts(Protocol):
-    """Finished parts by number."""
+class Parts:
+    """Finished parts of one plan by number; in memory without a folder. Made by `planned_parts`, which holds it."""
 
-    @property
-    def finished(self) -> frozenset[int]:
-        """Numbers of the parts that are there."""
-
-    def write(self, number: int, value: Any) -> None:
-        """Store a part."""
-
-    def read(self, number: int) -> Any:
-        """A part that is there."""
-
-    def remove(self) -> None:
-        """Remove all of them."""
-
-
-class PartsInMemory(dict[int, Any]):
-    """Parts that end with this process."""
-
-    @property
-    def finished(self) -> frozenset[int]:
-        """Numbers of the parts that are there."""
-        return frozenset(self)
-
-    write = dict.__setitem__
-    read = dict.__getitem__
-    remove = dict.clear
-
-
-class PartFolder:
-    """Parts in a folder, of one plan. Made by `planned_parts`, which holds it for this process."""
-
-    def __init__(self, path: Path, classes: Mapping[str, type]) -> None:
-        self.path = path
+    def __init__(self, folder: Path | None, classes: Mapping[str, type]) -> None:
+        self._folder = folder
         self._classes = classes
-        self._paths: dict[int, Path] = {}
-        for file in sorted(path.iterdir()):
+        self._parts: dict[int, Any] = {}  # paths, or the parts themselves
+        for file in sorted(folder.iterdir()) if folder is not None else ():
             if (found := _PART.fullmatch(file.name)) and found[2] == "json":
                 # all are read once here, so that what is missing is known before anything is computed
-                self._paths[int(found[1])] = file
+                self._parts[int(found[1])] = file
                 try:
                     self.read(int(found[1]))
                 except StoreError as error:
                     _log.warning("%s; this part is computed again", error)
-                    _unlink(self._paths.pop(int(found[1])))
+                    _unlink(self._parts.pop(int(found[1])))
 
     @property
     def finished(self) -> frozenset[int]:
         """Numbers of the parts that are there."""
-        return frozenset(self._paths)
+        return frozenset(self._parts)
 
     def write(self, number: int, value: Any) -> None:
         """Store a part: dataclasses of the folder's classes, arrays, tuples and what JSON knows."""
-        self._paths[number] = write_part(self.path, f"{number:06d}", encoded(value), "json")
+        folder = self._folder
+        self._parts[number] = value if folder is None else write_part(folder, f"{number:06d}", encoded(value), "json")
 
     def read(self, number: int) -> Any:
         """A part that is there."""
-        content = read_part(self._paths[number])
+        if self._folder is None:
+            return self._parts[number]
+        content = read_part(self._parts[number])
         try:
             return decoded(content, self._classes)
-        except Exception as error:  # of another version
-            raise StoreError(self._paths[number], f"broken: {error or type(error).__name__}") from None
+        except Exception as error:  # any content may have a checksum
+            raise StoreError(self._parts[number], f"broken: {error or type(error).__name__}") from None
 
     def remove(self) -> None:
         """Remove everything that this program wrote, and the folder if nothing else is in it."""
-        _clear(self.path)
-        _unlink(self.path / _LOCK)
-        with contextlib.suppress(OSError):
-            self.path.rmdir()
+        self._parts.clear()
+        if self._folder is not None:
+            _clear(self._folder)
+            _unlink(self._folder / _LOCK)
+            with contextlib.suppress(OSError):
+                self._folder.rmdir()
 
 
 @contextlib.contextmanager
@@ -195,7 +170,7 @@ def planned_parts(
     without a finished part is removed when the block ends in an error.
     """
     if path is None:
-        yield PartsInMemory()
+        yield Parts(None, classes)
         return
     try:
         path.mkdir(exist_ok=True)
@@ -207,7 +182,7 @@ def planned_parts(
         try:
             remove_unfinished(path)
             _keep_only(path, {"format_version": FORMAT_VERSION, **json.loads(json.dumps(plan))}, replace, meanings)
-            parts = PartFolder(path, classes)
+            parts = Parts(path, classes)
         except OSError as error:  # the run that held it may have ended, and removed it, at this moment
             raise StoreError(path, f"cannot be used: {error.strerror or error}") from None
         try:
