@@ -31,8 +31,8 @@ _EMPTY: Final = _MARK + 64 * b"0"
 NOT_AS_WRITTEN: Final = "its content is not what was written (its checksum differs)"
 
 
-def write_whole(path: Path, content: bytes, error: type[LdcError]) -> None:
-    """Make `content` the file `path`, or raise `error` and leave no trace."""
+def write_whole(path: Path, content: bytes, kind: type[LdcError]) -> None:
+    """Make `content` the file `path`, or raise an error of that kind and leave no trace."""
     try:
         part = path.with_name(f".{path.name}.{os.getpid()}.part")
         try:
@@ -41,9 +41,8 @@ def write_whole(path: Path, content: bytes, error: type[LdcError]) -> None:
         finally:
             with contextlib.suppress(OSError):
                 part.unlink(missing_ok=True)
-    except (OSError, ValueError) as problem:  # ValueError: a path without a name, or with a NUL
-        reason = problem.strerror if isinstance(problem, OSError) else problem
-        raise error(path, f"cannot be written: {reason or problem}") from None
+    except (OSError, ValueError) as error:  # ValueError: a path without a name, or with a NUL
+        raise kind(path, f"cannot be written: {getattr(error, 'strerror', None) or error}") from None
 
 
 def digest(content: Mapping[str, Any]) -> str:
@@ -89,7 +88,7 @@ _TOO_DEEP: Final = "nested too deeply; allowed: 64 levels"
 _LONG_KEY: Final = re.compile(r"""(?<![\w.-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){64}""")
 
 
-def read_regular(path: Path, kind: type[LdcError], largest: int | None = LARGEST, hint: str = "") -> bytes:
+def read_regular(path: Path, kind: Callable[[Path, str], LdcError], largest: int | None = LARGEST) -> bytes:
     """The content of a regular file; an error of that `kind` for one that is larger, or none: a pipe would wait."""
     at_once = getattr(os, "O_NONBLOCK", 0)
     try:
@@ -100,7 +99,7 @@ def read_regular(path: Path, kind: type[LdcError], largest: int | None = LARGEST
         if largest is not None and len(data) > largest:
             raise ValueError(f"larger than {largest >> 20} MiB")
     except (OSError, ValueError) as error:  # also a NUL in the name
-        raise kind(path, f"cannot be read: {getattr(error, 'strerror', None) or error}", hint=hint) from None
+        raise kind(path, f"cannot be read: {getattr(error, 'strerror', None) or error}") from None
     return data
 
 

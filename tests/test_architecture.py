@@ -25,7 +25,6 @@ LEVELS = (
         "ldctoolkit.code_content",
         "ldctoolkit.compiling",
         "ldctoolkit.errors",
-        "ldctoolkit.frames",
         "ldctoolkit.lane_functions",
         "ldctoolkit.surroundings",
         "ldctoolkit.version",
@@ -46,10 +45,12 @@ LEVELS = (
     ("ldctoolkit.simulation",),
     # a model is judged by what designs do on its departures
     ("ldctoolkit.scenario_model", "ldctoolkit.models"),
-    ("ldctoolkit.diagnostics",),
+    ("ldctoolkit.diagnostics", "ldctoolkit.review"),
+    ("ldctoolkit.testing",),
     ("ldctoolkit",),
     ("ldctoolkit.__main__",),
     ("controllers",),
+    ("studies.text", "studies.tables"),
     ("studies.design", "studies.results"),
     # the names that a study file's requirements are checked against
     ("studies.standards", "studies.ranking.requirements"),

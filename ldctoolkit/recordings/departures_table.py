@@ -241,7 +241,7 @@ def read_table(source: Path, needed: str, *, checksum: bool = False) -> tuple[pl
     """A Parquet file and its metadata; `needed` says in messages what it should be."""
     import polars as pl
 
-    data = read_regular(source, RecordingError, None, f"needed: {needed}")
+    data = read_regular(source, lambda *what: RecordingError(*what, hint=f"needed: {needed}"), None)
     try:
         check_parquet(data, needed=checksum)
         return pl.read_parquet(data), pl.read_parquet_metadata(io.BytesIO(data))

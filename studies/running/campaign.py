@@ -18,10 +18,9 @@ from ldctoolkit.code_content import content_of, modules_of
 from ldctoolkit.control import Controller, EventStatus
 from ldctoolkit.errors import LdcError, StoreError
 from ldctoolkit.scenarios import Scenarios
-from ldctoolkit.vehicle import Convention
 
 from ..design import Design
-from ..results import FailedRun, RunKey, TaskResult
+from ..results import FailedRun, TaskResult
 from ..storage.run_table import RunTable
 from ..storage.store import Store
 from ..study_file import Study
@@ -36,30 +35,30 @@ class Assembly:
     """
 
     def __init__(self) -> None:
-        self._expected: dict[RunKey, deque[int]] = defaultdict(deque)
-        self._early: dict[RunKey, dict[int, TaskResult]] = defaultdict(dict)
-        self._pieces: dict[tuple[RunKey, int], list[TaskResult]] = defaultdict(list)
+        self._expected: dict[str, deque[int]] = defaultdict(deque)
+        self._early: dict[str, dict[int, TaskResult]] = defaultdict(dict)
+        self._pieces: dict[tuple[str, int], list[TaskResult]] = defaultdict(list)
 
-    def expect(self, keys: Iterable[RunKey], batch: int) -> None:
+    def expect(self, designs: Iterable[Design], batch: int) -> None:
         """A batch of some designs will come, after those that were announced before."""
-        for key in keys:
-            self._expected[key].append(batch)
+        for design in designs:
+            self._expected[design.id].append(batch)
 
     def take(self, task: Task, result: TaskResult) -> Iterator[TaskResult]:
         """Results that can be handed on, now that these are there."""
         if result.rows.size < task.batch_size:
-            pieces = self._pieces[result.keys[0], task.batch]
+            pieces = self._pieces[result.ids[0], task.batch]
             pieces.append(result)
             if sum(piece.rows.size for piece in pieces) < task.batch_size:
                 return
-            result = _joined(self._pieces.pop((result.keys[0], task.batch)))
-        now = [i for i, key in enumerate(result.keys) if self._expected[key] and self._expected[key][0] == task.batch]
-        for i in set(range(len(result.keys))) - set(now):
-            self._early[result.keys[i]][task.batch] = result.take([i])
+            result = _joined(self._pieces.pop((result.ids[0], task.batch)))
+        now = [i for i, id in enumerate(result.ids) if self._expected[id] and self._expected[id][0] == task.batch]
+        for i in set(range(len(result.ids))) - set(now):
+            self._early[result.ids[i]][task.batch] = result.take([i])
         if now:
-            yield result if len(now) == len(result.keys) else result.take(now)
+            yield result if len(now) == len(result.ids) else result.take(now)
         for i in now:
-            expected, early = self._expected[result.keys[i]], self._early[result.keys[i]]
+            expected, early = self._expected[result.ids[i]], self._early[result.ids[i]]
             expected.popleft()
             while expected and expected[0] in early:
                 yield early.pop(expected.popleft())
@@ -102,7 +101,6 @@ _FAULTS: Final[dict[Fault, tuple[EventStatus, str]]] = {
 class _Missing:
     """Designs of one law that still have to run on one batch of scenarios."""
 
-    convention: Convention
     batch: int
     rows: IntArray
     designs: Sequence[Design]  # by rising y_s: designs of one threshold share a takeover
@@ -131,13 +129,13 @@ class Campaign:
         self._job = Job(
             token=hashlib.sha256(identity.encode()).hexdigest()[:16],
             setup=study.setup(),
-            windows=study.simulation.window,
+            window=study.simulation.window,
             laws=laws_to_send(study.classes.values()) if executor.isolated else b"",
             time_limit=time_limit if executor.isolated else 0.0,
         )
         self._seconds_a_run: dict[str, float] = {}  # of each law
-        self._faults: dict[RunKey, dict[int, Fault]] = defaultdict(dict)  # by row number
-        self._failed: dict[RunKey, int] = {}  # the first batch that it failed on
+        self._faults: dict[str, dict[int, Fault]] = defaultdict(dict)  # by row number
+        self._failed: dict[str, int] = {}  # the first batch that it failed on
         self._assembly = Assembly()
         self._results: list[TaskResult] = []  # to be stored
         self._failures: list[FailedRun] = []
@@ -154,11 +152,11 @@ class Campaign:
         missing = self._missing(designs)
         self._assembly, self._failed = Assembly(), {}
         for part in missing:
-            self._assembly.expect(((design.id, part.convention) for design in part.designs), part.batch)
+            self._assembly.expect(part.designs, part.batch)
         # scenarios that ended a worker in an earlier run count as well, or a resume could save a design
-        for key in {(design.id, part.convention): None for part in missing for design in part.designs}:
-            for fault, (status, _) in _FAULTS.items() if self.table.missing(key) < self.table.n else ():
-                self._faults[key] |= dict.fromkeys(self.table.rows_with(key, status).tolist(), fault)
+        for id in {design.id for part in missing for design in part.designs}:
+            for fault, (status, _) in _FAULTS.items() if self.table.missing(id) < self.table.n else ():
+                self._faults[id] |= dict.fromkeys(self.table.rows_with(id, status).tolist(), fault)
         if missing:
             # in this process, each law once: workers would all compile the same
             laws = {part.designs[0].law for part in missing} - self._loaded
@@ -175,17 +173,16 @@ class Campaign:
         self._forget_failures(designs)
 
     def _missing(self, designs: Sequence[Design]) -> list[_Missing]:
-        """What is missing: convention by convention, law by law, batch by batch."""
+        """What is missing: law by law, batch by batch."""
         laws: dict[str, list[Design]] = defaultdict(list)
         for design in sorted(designs, key=lambda design: design.y_s):
             laws[design.law].append(design)
         n, missing = len(self.scenarios), []
-        for convention in self.study.simulation.convention:
-            for law in dict.fromkeys(design.law for design in designs):
-                for batch, rows in enumerate(np.array_split(np.arange(n), -(-n // laws[law][0].batch))):
-                    left = [d for d in laws[law] if not self.table.has((d.id, convention), rows)]
-                    if left:
-                        missing.append(_Missing(convention, batch, rows, left))
+        for law in dict.fromkeys(design.law for design in designs):
+            for batch, rows in enumerate(np.array_split(np.arange(n), -(-n // laws[law][0].batch))):
+                left = [design for design in laws[law] if not self.table.has(design.id, rows)]
+                if left:
+                    missing.append(_Missing(batch, rows, left))
         return missing
 
     def _tasks(self, missing: Iterable[_Missing]) -> Iterator[Task]:
@@ -194,7 +191,7 @@ class Campaign:
             while first < len(part.designs):
                 designs = tuple(part.designs[first : first + (self._block_size or self._fitting(part))])
                 first += len(designs)
-                yield Task(self._job, part.convention, designs, part.rows, scenarios, part.batch, part.rows.size)
+                yield Task(self._job, designs, part.rows, scenarios, part.batch, part.rows.size)
 
     def _fitting(self, part: _Missing) -> int:
         """Designs that take about half a second."""
@@ -204,9 +201,7 @@ class Campaign:
 
     def _still_needed(self, task: Task) -> Task | None:
         """The task without designs that have failed on this batch or an earlier one."""
-        failed = [
-            self._failed.get((design.id, task.convention), task.batch + 1) <= task.batch for design in task.designs
-        ]
+        failed = [self._failed.get(design.id, task.batch + 1) <= task.batch for design in task.designs]
         if not any(failed):
             return task
         left = tuple(design for design, out in zip(task.designs, failed, strict=True) if not out)
@@ -215,12 +210,12 @@ class Campaign:
     def _take(self, task: Task, done: Done | Lost) -> None:
         """Store what came out of a task: results of whole batches, and designs that failed."""
         if isinstance(done, Lost):
-            key = (task.designs[0].id, task.convention)
-            self._faults[key][int(task.rows[0])] = done.fault
-            if len(self._faults[key]) > _MOST_FAULTS:
-                named = ", ".join(f"{row} ({_FAULTS[fault][1]})" for row, fault in sorted(self._faults[key].items()))
-                self._fail(FailedRun(key, task.batch, f"ends or stops its worker process in scenarios {named}"))
-                self._failed[key] = -1  # what is left of earlier batches would end workers too
+            id = task.designs[0].id
+            self._faults[id][int(task.rows[0])] = done.fault
+            if len(self._faults[id]) > _MOST_FAULTS:
+                named = ", ".join(f"{row} ({_FAULTS[fault][1]})" for row, fault in sorted(self._faults[id].items()))
+                self._fail(FailedRun(id, task.batch, f"ends or stops its worker process in scenarios {named}"))
+                self._failed[id] = -1  # what is left of earlier batches would end workers too
                 return
             done = Done(Simulator(self._job).uncontrolled(task, _FAULTS[done.fault][0]))
         else:
@@ -236,8 +231,8 @@ class Campaign:
             self._flush()
 
     def _fail(self, run: FailedRun) -> None:
-        if run.batch < self._failed.get(run.key, run.batch + 1):
-            self._failed[run.key] = run.batch
+        if run.batch < self._failed.get(run.id, run.batch + 1):
+            self._failed[run.id] = run.batch
             self._failures.append(run)
 
     def _flush(self) -> None:
@@ -266,11 +261,11 @@ class Campaign:
 
     def _forget_failures(self, designs: Sequence[Design]) -> None:
         """Failures of earlier runs that did not come again."""
-        keys = {(design.id, convention) for design in designs for convention in self.study.simulation.convention}
+        run = {design.id for design in designs}
         still = {
-            key: reason
-            for key, reason in self.store.failures.items()
-            if key[0] in self.table and (key not in keys or self.table.missing(key))
+            id: reason
+            for id, reason in self.store.failures.items()
+            if id in self.table and (id not in run or self.table.missing(id))
         }
         self.store.write_failures(still)
 

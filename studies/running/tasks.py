@@ -24,7 +24,6 @@ from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
 from ldctoolkit.simulation import Run, Takeover, Window, drive, drive_many
 from ldctoolkit.simulation.loop import recorded_run
-from ldctoolkit.vehicle import Convention
 
 from ..design import NO_CONTROL, Design
 from ..results import FailedRun, TaskResult
@@ -36,16 +35,10 @@ class Job:
     """What all designs of a study share."""
 
     token: str  # tells one job from another
-    setup: Setup  # of the first convention; tasks name theirs
-    windows: tuple[Window, ...]
+    setup: Setup
+    window: Window
     laws: bytes = b""  # controller classes that no installed package offers; empty where there are none
     time_limit: float = 0.0  # [s]: of one task; 0 for none
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """Names of the floating-point columns of a result."""
-        scores = [f"{name}_{window}" for window in self.windows for name in ("S", "S_uncorrected")]
-        return (*scores, *METRIC_UNITS)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -57,6 +50,8 @@ class Done:
     seconds: float = 0.0  # [s] wall time of the whole task
 
 
+_SCORES = 2  # first columns of a result: S and S_uncorrected
+
 _TAKEOVERS_KEPT = 8
 
 _JOBS_KEPT = 2
@@ -66,7 +61,7 @@ _warm: set[tuple[str, str]] = set()  # jobs and laws
 
 _NOT_OF_A_LAW = (KeyboardInterrupt, GeneratorExit)  # what ends a study even where it comes out of a law
 
-Key = tuple[float, Convention, bytes]
+Key = tuple[float, bytes]
 
 
 class Simulator:
@@ -76,13 +71,13 @@ class Simulator:
         self.job = job
         self._takeovers: OrderedDict[Key, Takeover] = OrderedDict()
 
-    def takeover(self, y_s: float, convention: Convention, scenarios: Scenarios) -> Takeover:
+    def takeover(self, y_s: float, scenarios: Scenarios) -> Takeover:
         """The scenarios at their triggers."""
-        key = _key(y_s, convention, scenarios)
+        key = _key(y_s, scenarios)
         if key not in self._takeovers:
             while len(self._takeovers) >= _TAKEOVERS_KEPT:
                 self._takeovers.popitem(last=False)
-            self._takeovers[key] = Takeover.build(scenarios, self.job.setup.under(convention), y_s=y_s)
+            self._takeovers[key] = Takeover.build(scenarios, self.job.setup, y_s=y_s)
         self._takeovers.move_to_end(key)
         return self._takeovers[key]
 
@@ -93,7 +88,7 @@ class Simulator:
         reasons: dict[int, str] = {}
         for first, last in _same_threshold(task.designs):
             # what this raises is no fault of a law
-            takeover = self.takeover(task.designs[first].y_s, task.convention, task.scenarios)
+            takeover = self.takeover(task.designs[first].y_s, task.scenarios)
             try:
                 self._together(room, takeover, first, last)
             except _NOT_OF_A_LAW:
@@ -103,7 +98,7 @@ class Simulator:
                 for i in range(first, last):
                     self._alone(room, takeover, i, reasons)
         ran = [i for i in range(len(task.designs)) if i not in reasons]
-        failed = tuple(FailedRun((task.designs[i].id, task.convention), task.batch, why) for i, why in reasons.items())
+        failed = tuple(FailedRun(task.designs[i].id, task.batch, why) for i, why in reasons.items())
         result = room.result() if not reasons else room.result().take(ran) if ran else None
         return Done(result, failed, time.perf_counter() - started)
 
@@ -111,14 +106,14 @@ class Simulator:
         """The recorded paths with a status, as what counts where a law could not be run; no law's code is called."""
         room = _Room(task)
         for i, design in enumerate(task.designs):
-            takeover = self.takeover(design.y_s, task.convention, task.scenarios)
+            takeover = self.takeover(design.y_s, task.scenarios)
             room.put(i, recorded_run(takeover))
             room.status[i, takeover.rows] = status
         return room.result()
 
     def _together(self, room: _Room, takeover: Takeover, first: int, last: int) -> None:
         """Designs of one threshold in one go over the scenarios, as far as their laws allow."""
-        convention = room.task.convention
+        convention = self.job.setup.convention
         controllers = [design.controller(convention) for design in room.task.designs[first:last]]
         # all of them before any is taken in: what one raises leaves the others as they were
         for i, run in zip(range(first, last), list(drive_many(controllers, takeover, threads=1)), strict=True):
@@ -139,9 +134,8 @@ class _Room:
     def __init__(self, task: Task) -> None:
         self.task = task
         self.rows = task.rows.size
-        self.columns = task.job.columns
         k = len(task.designs)
-        self.values = np.empty((len(self.columns), k, self.rows))
+        self.values = np.empty((_SCORES + len(METRIC_UNITS), k, self.rows))
         self.status = np.empty((k, self.rows), dtype=np.int8)
         self.failed_solves = np.empty((k, self.rows), dtype=np.int32)
         self.law_seconds = np.zeros(k)
@@ -152,8 +146,8 @@ class _Room:
         self._commands = 0
 
     def put(self, i: int, run: Run) -> None:
-        """Results of one design; two windows are two ways to score the same run."""
-        over, windows = run.takeover, self.task.job.windows
+        """Results of one design."""
+        over, windows = run.takeover, (self.task.job.window,)
         if over is not self._takeover:  # designs of one threshold share what they do not change
             self._takeover, self._recorded = over, run.columns(windows)
             self._not_driven = np.where(over.valid, EventStatus.NEVER_TRIGGERED, EventStatus.INVALID).astype(np.int8)
@@ -164,9 +158,9 @@ class _Room:
         run.fill(values, windows)
         self.status[i] = self._not_driven
         self.status[i, rows] = run.status
-        if not np.isfinite(values[: 2 * len(windows)]).all():
+        if not np.isfinite(values[:_SCORES]).all():
             driven = self.status[i] != EventStatus.INVALID
-            if not np.isfinite(values[: 2 * len(windows), driven]).all():
+            if not np.isfinite(values[:_SCORES, driven]).all():
                 raise LdcError("S", "not finite in some scenario")
         self.failed_solves[i] = 0
         self.failed_solves[i, rows] = run.failed_solves
@@ -175,12 +169,12 @@ class _Room:
 
     def result(self) -> TaskResult:
         """All of it."""
-        keys, rows = tuple((design.id, self.task.convention) for design in self.task.designs), self.task.rows
-        return TaskResult(keys, rows, self.values, self.status, self.failed_solves, self.law_seconds, self.commands)
+        ids, rows = tuple(design.id for design in self.task.designs), self.task.rows
+        return TaskResult(ids, rows, self.values, self.status, self.failed_solves, self.law_seconds, self.commands)
 
 
-def _key(y_s: float, convention: Convention, scenarios: Scenarios) -> Key:
-    return y_s, convention, scenarios.index.tobytes()
+def _key(y_s: float, scenarios: Scenarios) -> Key:
+    return y_s, scenarios.index.tobytes()
 
 
 def _same_threshold(designs: tuple[Design, ...]) -> list[tuple[int, int]]:
@@ -195,7 +189,6 @@ class Task(Work):
     """Some designs on some scenarios. Tasks of one job in one process share their simulator, hence takeovers."""
 
     job: Job
-    convention: Convention
     designs: tuple[Design, ...]  # k designs of one law, by rising y_s
     rows: IntArray  # (m,): row numbers of the scenarios in the study
     scenarios: Scenarios  # these m scenarios
@@ -221,7 +214,7 @@ class Task(Work):
             learn(self.job.laws)
         law = self.designs[0].law
         if self.time_limit and (self.job.token, law) not in _warm:
-            load_loops({law}, self.scenarios, self.job.setup.under(self.convention), self.designs[0].y_s)
+            load_loops({law}, self.scenarios, self.job.setup, self.designs[0].y_s)
             _warm.add((self.job.token, law))
 
     def run(self, kept: dict[str, Any]) -> Done:
