@@ -40,7 +40,7 @@ def read_model(folder: str | Path, manifest: Manifest) -> ScenarioModel | None:
     try:
         model = ScenarioModel.load(path)
     except ModelError as error:
-        raise StoreError(f"{error}; run the study into this folder again to write it anew") from None
+        raise StoreError.of(error.hinted("run the study into this folder again to write it anew")) from None
     if model.content_hash != manifest.model_hash:
         raise StoreError(
             path,

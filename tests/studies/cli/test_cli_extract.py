@@ -369,7 +369,7 @@ def test_a_table_may_lie_beside_what_it_was_made_of(folder: Path, ldc: Ldc) -> N
 def test_workers_are_processes_where_much_is_read(folder: Path, ldc: Ldc, monkeypatch: pytest.MonkeyPatch) -> None:
     """One file, or little, is read in this process; much in as many as there are cores."""
     import ldctoolkit.studies.extraction as runner
-    from ldctoolkit.studies.running.executors.processes import SerialExecutor
+    from ldctoolkit.studies.running.executors import SerialExecutor
 
     asked: list[Any] = []
 
