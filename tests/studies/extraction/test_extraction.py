@@ -29,20 +29,9 @@ from ldctoolkit.recordings.recording import (
     OpenedRecordings,
     Problem,
     Recording,
+    SourceFile,
     recording_reader,
 )
-from ldctoolkit.studies.extraction import (
-    NothingReadError,
-    _program,
-    part_bytes,
-    plan_of,
-    read_part,
-    run_extraction,
-    what_differs,
-from ldctoolkit.studies.running.executors import Ended, Work
-from ldctoolkit.studies.storage.files import locked
-from ldctoolkit.recordings.recording import Problem, Recording, SourceFile
-from ldctoolkit.recordings.sources import CombinedReader, FoundParts, OpenedRecordings, recording_reader
 from ldctoolkit.studies.extraction import PART_CLASSES, NothingReadError, _program, plan_of, run_extraction
 from ldctoolkit.studies.running.work import Ended, Work
 from ldctoolkit.studies.storage.parts import decoded, difference_texts, encoded, locked
