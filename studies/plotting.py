@@ -22,7 +22,7 @@ from .pages.landscape_section import swept_axes, values_of
 from .pages.text import compact, shorten
 from .ranking.design_metrics import pareto_front
 from .ranking.ranking import Ranking
-from .ranking.requirements import metric, metric_values
+from .requirements import metric, metric_values
 from .results import StudyResults
 
 if TYPE_CHECKING:
@@ -247,7 +247,7 @@ def plot_trade_off(ranking: Ranking, x: str = "a_y_peak_p95", y: str = "S", ax: 
     ----------
     ranking : Ranking
     x, y : str
-        Metrics, as `ldctoolkit.studies.ranking.requirements.metric` takes them.
+        Metrics, as `ldctoolkit.studies.requirements.metric` takes them.
     ax : Axes, optional
 
     Returns

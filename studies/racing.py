@@ -10,13 +10,15 @@ import numpy as np
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 
 from .design import Design
+from .measures import measured
 from .ranking.design_metrics import find_baseline
 from .ranking.inference import SAME, row_means, separable
 from .ranking.ranking import Ranking
-from .ranking.requirements import metric_values, requirements_of
+from .requirements import metric_values, requirements_of
 from .results import Dropped, Race, StudyResults
 from .running.campaign import Campaign
 from .storage.manifest import write_race
+from .storage.store import Store
 from .study_file import Study
 
 
@@ -40,7 +42,7 @@ def run_race(campaign: Campaign) -> tuple[Sequence[Design], Race]:
         )
         drivable = results.drivable
         counted = results.counted[:, drivable]
-        raced = _raced(study, results, counted.mean(axis=1))
+        raced = _raced(study, store, results, counted.mean(axis=1))
         decision = race_round(
             counted[raced],
             results.scenarios.side[drivable],
@@ -70,7 +72,7 @@ def run_race(campaign: Campaign) -> tuple[Sequence[Design], Race]:
 _SPARE = 0.1  # part of every limit that the design compared with keeps in reserve: more scenarios may cost it
 
 
-def _raced(study: Study, results: StudyResults, mean: FloatArray) -> IntArray:
+def _raced(study: Study, store: Store, results: StudyResults, mean: FloatArray) -> IntArray:
     """Designs that a round may give up: those no better than the best one that clearly meets the requirements.
 
     A better one that misses a requirement now may meet it on more scenarios; one that is worse can only lose. Without
@@ -78,6 +80,7 @@ def _raced(study: Study, results: StudyResults, mean: FloatArray) -> IntArray:
     """
     if not study.ranking.require:
         return np.arange(len(mean))
+    results = measured(results, store.measures, study.setup(), study.vehicles, study.standards)
     asked: dict[str, Any] = {"setup": study.setup(), "vehicles": study.vehicles, "standards": study.standards}
     ranking = Ranking.of(results, bootstrap=100, D_y=study.report.D_y, **asked)
     worst = np.full(len(mean), -np.inf)

@@ -17,6 +17,7 @@ from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.surroundings import temporary_folder
 
 from .design import FOLLOWS_STUDY, Design
+from .measures import measured
 from .racing import run_race
 from .ranking.design_metrics import find_baseline
 from .ranking.ranking import Ranking, rank_study
@@ -253,6 +254,10 @@ class _Run:
         complete = False
         try:
             designs, race = self._designs(campaign, stage)
+            results = table.results(scenarios, store.times, store.failures, source=study.name, designs=designs)
+            if not part_of:
+                self.progress.phase("loop margins, named vehicles and standards")
+                results = measured(results, store.measures, study.setup(), study.vehicles, study.standards)
             complete = True
         finally:
             ended = store.manifest.ended(
@@ -264,7 +269,6 @@ class _Run:
             # where the disk is full, why the run ended says more than that this cannot be written either
             with contextlib.suppress(*(() if complete else (StoreError,))):
                 store.write_manifest(ended)
-        results = table.results(scenarios, store.times, store.failures, source=study.name, designs=designs)
         return dataclasses.replace(results, race=race)
 
     def _designs(self, campaign: Campaign, stage: str) -> tuple[Sequence[Design], Race | None]:

@@ -40,7 +40,7 @@ from ldctoolkit.whole_file import read_toml
 from .design import CONVENTION_GAIN, Design
 from .design_space import DesignBlock, check_blocks
 from .plant_table import read_plant
-from .ranking.requirements import SETS, metric, parse_requirement
+from .requirements import SETS, metric, parse_requirement
 from .standards import standard_names
 
 T = TypeVar("T")

@@ -18,8 +18,8 @@ from ldctoolkit.setup import Setup
 
 from ..design import Design
 from ..ranking.ranking import Ranking
-from ..ranking.requirements import metric, metric_values
 from ..ranking.verdict import Verdict, design_name, verdict
+from ..requirements import metric, metric_values
 from ..results import StudyResults
 from .charts import Style, law_styles
 from .text import number, true_minus

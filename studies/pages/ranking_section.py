@@ -8,8 +8,8 @@ from markupsafe import Markup
 
 from ldctoolkit.metrics import METRICS
 
-from ..ranking.requirements import metric
 from ..ranking.verdict import RANKING_METRICS, gains_text, judged, law_title, set_of_best_line
+from ..requirements import metric
 from .context import Context, interval, metric_text
 from .shell import Cell, Column, Section, TableRow, render, table
 from .text import compact, number, percent, plural, true_minus

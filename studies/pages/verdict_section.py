@@ -9,8 +9,8 @@ from markupsafe import Markup
 from ldctoolkit.metrics import A_Y_LIMIT, METRICS
 
 from ..ranking.design_metrics import pareto_front
-from ..ranking.requirements import metric
 from ..ranking.verdict import law_title
+from ..requirements import metric
 from .charts import Axis, Chart, Cloud, legend, scatter
 from .context import Context, metric_text, name_of
 from .shell import Cell, Column, Section, TableRow, bullets, figure, paragraphs, render, table

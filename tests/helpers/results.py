@@ -16,6 +16,7 @@ from ldctoolkit.metrics import MetricValues
 from ldctoolkit.simulation import Window
 from ldctoolkit.vehicle import Convention
 from studies.design import Design
+from studies.measures import measured
 from studies.pages.context import Context, ReportInput
 from studies.pages.report import report_page
 from studies.pages.shell import Section
@@ -23,6 +24,7 @@ from studies.racing import race_round
 from studies.ranking.ranking import Ranking
 from studies.results import StudyResults, per_scenario
 from studies.running.tasks import prefix_rows, schedule
+from studies.storage.measure_table import MeasureTable
 
 
 def per_scenario_numbers(
@@ -135,6 +137,7 @@ def run(
 def report_input(results: StudyResults, **changes: object) -> ReportInput:
     require = changes.pop("require", ())
     setup: Any = changes.get("setup", Setup())
+    results = measured(results, MeasureTable(), setup)
     ranking = Ranking.of(results, bootstrap=200, require=require, setup=setup)  # type: ignore[arg-type]
     given = {
         "title": "Trigger threshold and gains",

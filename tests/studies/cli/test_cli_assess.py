@@ -13,8 +13,8 @@ from helpers.closed_loop import known
 from helpers.pages import Page, whole
 from ldctoolkit import Controller, LinearLaw, Plant
 from studies import Study, rank_study, run_study
-from studies.ranking.requirements import parse_requirement, requirements_of
 from studies.ranking.verdict import Verdict, verdict
+from studies.requirements import parse_requirement, requirements_of
 from studies.study_file import load_study
 
 ROAD_EDGE, DRIVEABILITY = "euroncap-2026-elk-road-edge", "euroncap-2026-driveability"

@@ -30,7 +30,7 @@ from studies.ranking.design_metrics import (
 )
 from studies.ranking.inference import Inference, bootstrap_deviations, infer, row_blocks, row_means
 from studies.ranking.ranking import warnings_of_sample, write_csv
-from studies.ranking.requirements import metric, metric_values, parse_requirement
+from studies.requirements import metric, metric_values, parse_requirement
 from studies.results import Dropped, FailedDesign, Race
 
 

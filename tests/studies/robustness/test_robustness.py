@@ -18,7 +18,7 @@ from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOpti
 from ldctoolkit.review import design_margins
 from ldctoolkit.vehicle import Plant
 from studies.design import Design
-from studies.ranking.named_vehicles import drive_on_plants
+from studies.measures import drive_on_plants
 from studies.ranking.ranking import Ranking
 from studies.results import StudyResults
 from studies.robustness import (
