@@ -31,9 +31,12 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+import ldctoolkit.compiling as compiling
 from ldctoolkit.arrays import FloatArray, IntArray
 
 from ._mpc_condensing import Condensed, InitialState, Limits
+
+compiling.listen()
 
 __all__ = ["BEYOND", "FREE", "HELD", "OPEN", "assemble", "finish", "sweep"]
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 import abc
 import dataclasses
 import enum
-import functools
 from typing import Any, Final, NamedTuple, final
 
 import numpy as np
@@ -22,14 +21,7 @@ from ldctoolkit.errors import InputError
 
 from ._mpc_condensing import Condensed, InitialState, Limits
 
-EPS: Final = 1e-6  # tolerance of OSQP, absolute and relative
-
-KNOWN: Final = (
-    "osqp", "daqp", "clarabel", "copt", "cvxopt", "ecos", "gurobi", "highs", "hpipm", "jaxopt_osqp", "kvxopt", "mosek",
-    "nppro", "pdhcg", "piqp", "proxqp", "pyqpmad", "qpalm", "qpax", "qpoases", "qpswift", "qtqp", "quadprog", "scs",
-    "sip",
-)  # fmt: skip
-"""Names of solvers: OSQP and DAQP through their own interfaces, the others as qpsolvers names them."""
+EPS: Final = 1e-6  # Tolerance of OSQP, absolute and relative
 
 
 @dataclasses.dataclass(frozen=True)
@@ -123,21 +115,14 @@ class Workspaces(dict[int, Workspace]):
         return Workspaces, ()
 
 
-def check_solver(word: object, owner: str) -> None:
-    """Raise unless a solver of that name is installed."""
-    if word in ("osqp", "daqp"):
-        return
-    there = tuple(name for name in KNOWN if name in ("osqp", "daqp", *_others()))
-    if word not in there:
-        wrong = "not installed; installed" if word in KNOWN else "no such solver; installed"
-        raise InputError(f"{owner}.solver", f"is {wrong}: {', '.join(there)}", value=word, allowed=there)
+def check_solver(solver: str, owner: str) -> None:
+    """Raise unless a solver of that name is installed: OSQP and DAQP always are, others as qpsolvers names them."""
+    if solver not in ("osqp", "daqp"):
+        import qpsolvers
 
-
-@functools.cache
-def _others() -> tuple[str, ...]:
-    import qpsolvers
-
-    return tuple(qpsolvers.available_solvers)
+        installed = {"osqp", "daqp", *qpsolvers.available_solvers}
+        if solver not in installed:
+            raise InputError(f"{owner}.solver", "no such solver is installed", value=solver, allowed=sorted(installed))
 
 
 def make(solver: str, qp: QP) -> Workspace:

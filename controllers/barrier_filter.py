@@ -48,8 +48,8 @@ import numpy.typing as npt
 
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.control import Controller, EventStatus, LinearLaw, LinearSteps, Preview, SolverCalls, SteeringLaw
+from ldctoolkit.declared import gain, option
 from ldctoolkit.errors import InputError, UnknownNameError
-from ldctoolkit.gains import gain, option
 from ldctoolkit.registry import controller_class
 from ldctoolkit.vehicle.bicycle import Plant
 
@@ -59,11 +59,11 @@ def inner_design(inner: str, inner_gains: str, owner: type[Controller]) -> Contr
     try:
         kind = controller_class(inner)
     except UnknownNameError as error:
-        raise UnknownNameError(f"{owner.name}.inner", f"{str(error).removeprefix('law ')}") from None
+        raise error.at(f"{owner.name}.inner") from None
     if issubclass(kind, owner):
         raise InputError(f"{owner.name}.inner", value=inner, allowed="a law other than itself")
     if inner == "none":
-        raise InputError(f"{owner.name}.inner", "'none'", allowed="a law that steers, the recorded path has no command")
+        raise InputError(f"{owner.name}.inner", value=inner, allowed="a law that steers")
     where = f"{owner.name}.inner_gains"
     declared = {gain.name: gain for gain in kind.gains()}
     given: dict[str, Any] = {}
@@ -72,14 +72,14 @@ def inner_design(inner: str, inner_gains: str, owner: type[Controller]) -> Contr
         if not (name and equals and value):
             raise InputError(where, value=entry.strip(), allowed="gain=value, separated by commas")
         if name not in declared:
-            raise UnknownNameError(where, f"{inner}.{name}: no such gain", allowed=declared)
+            raise UnknownNameError(f"{where}: {inner}.{name}", "no such gain", allowed=declared)
         if name in given:
-            raise InputError(where, "is given twice", value=name, allowed="once")
+            raise InputError(f"{where}: {inner}.{name}", "is given twice", allowed="once")
         given[name] = declared[name].parsed(value)
     try:
         return kind(**given)
     except InputError as error:
-        raise InputError(where, f"{error}") from None
+        raise error.within(where, ": ") from None
 
 
 def steering_law(design: Controller, plant: Plant, owner: str) -> SteeringLaw:
@@ -191,7 +191,7 @@ class BarrierLaw(SteeringLaw):
         delta, status = np.asarray(delta, dtype=np.float64), np.array(status, dtype=np.int8)
         if delta.shape != lower.shape or status.shape != lower.shape:
             shapes = f"{delta.shape}, {status.shape}"
-            raise InputError(f"law {self.inner_name!r}", f"step returned shapes {shapes}", allowed=lower.shape)
+            raise InputError(f"law {self.inner_name!r}", f"step returned shapes {shapes}", allowed=str(lower.shape))
         wrong = ~np.isfinite(delta)
         status[wrong] = EventStatus.SOLVER_FAILED
         wanted = np.where(wrong, delta_prev, delta)

@@ -24,11 +24,11 @@ import dataclasses
 from typing import ClassVar, final
 
 from ldctoolkit.control import Controller
-from ldctoolkit.gains import gain, option
+from ldctoolkit.declared import gain, option
 from ldctoolkit.vehicle.bicycle import Plant
 
 from ._mpc_condensing import Wanted, condense, limits
-from ._mpc_law import KNOWN, MPCLaw, check_solver
+from ._mpc_law import MPCLaw, check_solver
 
 
 @final
@@ -62,12 +62,12 @@ class LinearMPC(Controller):
         1e3, unit="rad^2", lower=1e-3, upper=1e6, scale="log", description="weight of going beyond a soft limit"
     )
     blocks: int = gain(0, unit="1", lower=0, upper=100, description="number of free moves; 0 for one a sample")
-    solver: str = option("osqp", choices=KNOWN, description="QP solver")
+    solver: str = option("osqp", choices=None, description="QP solver: osqp, daqp, or another of qpsolvers")
     always_solve: bool = gain(False, unit="1", description="call the solver also where the solution is known without")
 
     def __post_init__(self) -> None:
-        check_solver(self.solver, self.name)
         super().__post_init__()
+        check_solver(self.solver, self.name)
 
     def prepare(self, plant: Plant) -> MPCLaw:
         """Solve the Riccati equation, and condense what the limits need, for every scenario's speed."""

@@ -34,7 +34,7 @@ import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.control import Controller, EventStatus, Preview, SolverCalls, SteeringLaw
-from ldctoolkit.gains import gain
+from ldctoolkit.declared import gain
 from ldctoolkit.vehicle.bicycle import Plant
 
 from ._mpc_condensing import SHARES, WINDOW, jerk_window

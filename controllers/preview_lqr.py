@@ -32,7 +32,7 @@ import numpy as np
 
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.control import Controller, LinearLaw
-from ldctoolkit.gains import gain
+from ldctoolkit.declared import gain
 from ldctoolkit.vehicle.bicycle import Plant
 
 from .riccati import Regulator, in_time, linear_law, regulator

@@ -32,8 +32,8 @@ import numpy.typing as npt
 
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.control import Controller, EventStatus, Preview, SteeringLaw
+from ldctoolkit.declared import gain
 from ldctoolkit.errors import InputError
-from ldctoolkit.gains import gain
 from ldctoolkit.vehicle.bicycle import Plant
 
 _STEP = 0.1  # s between two looks at the lane
@@ -64,7 +64,7 @@ class PurePursuit(Controller):
         """
         p = plant.model.parameters
         if self.l_min <= p.l_r:
-            raise InputError("pure_pursuit.l_min", f"{self.l_min:g} m", allowed=f"more than l_r = {p.l_r:g} m")
+            raise InputError("pure_pursuit.l_min", "m", value=self.l_min, allowed=f"more than l_r = {p.l_r:g} m")
         ahead = np.maximum(self.l_min, self.T_lp * plant.v) - p.l_r
         of_heading, of_yaw_rate = _integral(ahead / plant.v)
         return PurePursuitLaw(

@@ -47,7 +47,7 @@ import numpy.typing as npt
 
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.control import Controller, EventStatus, Preview, SteeringLaw
-from ldctoolkit.gains import gain
+from ldctoolkit.declared import gain
 from ldctoolkit.vehicle.bicycle import Plant
 
 

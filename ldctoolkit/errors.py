@@ -9,6 +9,7 @@ import copy
 import difflib
 import functools
 import inspect
+import re
 from collections.abc import Collection, Iterable
 from os import PathLike
 from types import NoneType, UnionType
@@ -104,7 +105,7 @@ class LdcError(Exception):
     @property
     def _name(self) -> str:
         """What a mistyped name is: the value, or the end of the path."""
-        return self.path.rpartition(".")[2] if self.value is NOT_GIVEN else str(self.value)
+        return re.split("[. ]", self.path)[-1] if self.value is NOT_GIVEN else str(self.value)
 
     def within(self, outer: str, separator: str = ".") -> Self:
         """The same error, as seen from outside: `outer` stands before its path."""
@@ -181,7 +182,7 @@ class CheckedArguments:
             """Raise `UnknownArgumentError` for a name that `__init__` does not know."""
             for name in given:
                 if name not in (known := _arguments(cls) or given):
-                    raise UnknownArgumentError(f"{cls.__name__}.{name}", "no such argument", allowed=known)
+                    raise UnknownArgumentError(cls.__name__, "is no argument", value=name, allowed=tuple(known))
             return super().__new__(cls)
 
 

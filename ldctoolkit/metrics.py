@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, unmasked
+from ldctoolkit.declared import checked_number
 from ldctoolkit.errors import InputError
 
 Better = Literal["less", "more"]
@@ -367,7 +368,7 @@ def share_deeper(deepest: FloatArray, D_y: float) -> float:
     (values,) = _together(deepest=deepest)
     if values.ndim != 1:
         raise InputError("deepest", f"shape {values.shape}", allowed="(n,)")
-    return float(_fraction(values > _number("D_y", D_y), np.isnan(values)))
+    return float(_fraction(values > checked_number("D_y", D_y, finite=False), np.isnan(values)))
 
 
 def share_within_dtle(dtle: npt.ArrayLike, limit: float = DTLE_LIMIT) -> float | FloatArray:
@@ -382,7 +383,7 @@ def share_within_dtle(dtle: npt.ArrayLike, limit: float = DTLE_LIMIT) -> float |
     0.5
     """
     (values,) = _together(dtle=dtle)
-    return _fraction(values >= _number("limit", limit), np.isnan(values))
+    return _fraction(values >= checked_number("limit", limit, finite=False), np.isnan(values))
 
 
 def comfortable(
@@ -414,7 +415,9 @@ def comfortable(
     array([ True, False, False])
     """
     a_y, jerk = _together(a_y_added_peak=a_y_added_peak, jerk_added_peak=jerk_added_peak)
-    result: BoolArray = (a_y <= _number("a_y_limit", a_y_limit)) & (jerk <= _number("jerk_limit", jerk_limit))
+    a_y_limit = checked_number("a_y_limit", a_y_limit, finite=False)
+    jerk_limit = checked_number("jerk_limit", jerk_limit, finite=False)
+    result: BoolArray = (a_y <= a_y_limit) & (jerk <= jerk_limit)
     return result
 
 
@@ -466,7 +469,7 @@ def needless(triggered: npt.ArrayLike, d_y: npt.ArrayLike, limit: float = DTLE_L
     array([ True, False, False])
     """
     depth, flags = _together(d_y=d_y, triggered=triggered)
-    result: BoolArray = flags & (-depth >= _number("limit", limit))
+    result: BoolArray = flags & (-depth >= checked_number("limit", limit, finite=False))
     return result
 
 
@@ -545,9 +548,3 @@ def _together(**named: npt.ArrayLike) -> tuple[Any, ...]:
         text = ", ".join(f"{name} {array.shape}" for name, array in zip(named, arrays, strict=True))
         raise InputError("shapes", text, allowed="(n,) or (d, n), with the same n")
     return tuple(np.broadcast_to(array, largest) for array in arrays)
-
-
-def _number(name: str, value: float) -> float:
-    if not isinstance(value, int | float | np.integer | np.floating) or isinstance(value, bool) or np.isnan(value):
-        raise InputError(name, value=value, allowed="a number")
-    return float(value)

@@ -11,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray, ReadOnly, unmasked
+from ldctoolkit.declared import UnitWarning, unit_slip
 from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, DepartureParameters, DepartureSignals
 from ldctoolkit.errors import InputError
-from ldctoolkit.option_checks import UnitWarning, unit_slip
 
 SPEED_FLOOR = 1.0  # lowest speed [m/s] at which a scenario can be replayed: the vehicle model divides by the speed
 
@@ -245,7 +245,7 @@ def _numbers(name: str, value: npt.ArrayLike) -> FloatArray:
     if name == "side" and given.dtype.kind in "UO":
         for i, word in enumerate(given.ravel().tolist()):
             if word not in sides:
-                raise InputError("scenarios", f"side[{i}] = {word!r}", allowed=sides)
+                raise InputError(f"scenarios: side[{i}]", value=word, allowed=sides)
         given = np.where(given == "left", LEFT, RIGHT)
     if given.dtype.kind not in "iuf":
         for i, one in enumerate(given.ravel().tolist()):

@@ -11,9 +11,8 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 from ldctoolkit.control import Controller
+from ldctoolkit.declared import GainValue, UnitWarning, unit_slip
 from ldctoolkit.errors import InputError, UnknownNameError, nearest
-from ldctoolkit.gains import GainValue
-from ldctoolkit.option_checks import UnitWarning, unit_slip
 from ldctoolkit.registry import bound_class, code_of, controller_class, is_known
 from ldctoolkit.vehicle import Convention
 

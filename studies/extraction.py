@@ -21,8 +21,9 @@ import numpy as np
 
 import ldctoolkit.departures as departures
 from ldctoolkit.code_content import content_of
+from ldctoolkit.declared import checked_whole
 from ldctoolkit.departures import Departures, DepartureSignals, ExtraColumn
-from ldctoolkit.errors import InputError, LdcError, RecordingError, StoreError, plain
+from ldctoolkit.errors import LdcError, RecordingError, StoreError, plain
 from ldctoolkit.recordings.departures_table import Extraction, PartResult, write_departures
 from ldctoolkit.recordings.extract import extract_part, merge_results
 from ldctoolkit.recordings.find_departures import Criteria
@@ -439,8 +440,7 @@ def run_extraction(
     1
     >>> folder.cleanup()
     """
-    if workers is not None and (isinstance(workers, bool) or not isinstance(workers, int) or workers < 1):
-        raise InputError("workers", value=workers, allowed="a whole number >= 1")
+    workers = None if workers is None else checked_whole("workers", workers, lower=1)
     reader, source = recordings.reader, recordings.source
     criteria = criteria or Criteria(reader.vehicle_width)
     preparation = preparation or Preparation(step=reader.step)

@@ -99,7 +99,7 @@ def read_replayed(study: Study) -> ReplayedDepartures:
         if wanted.weights:
             known = {column.name: column.values for column in found.extra if column.values.dtype.kind == "f"}
             if wanted.weights not in known:
-                raise RecordingError(name, f"no column {wanted.weights!r} of numbers", allowed=known)
+                raise RecordingError(name, "is no column of numbers", value=wanted.weights, allowed=known)
             weights = np.asarray(known[wanted.weights], dtype=np.float64)
         notes = _notes(name, found.n, int((~drivable).sum()), provenance.hours, wanted.path)
         source = {

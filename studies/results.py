@@ -118,32 +118,6 @@ class FailedDesign:
         return f"design {self.design.id} ({self.design.label}): {self.reason}"
 
 
-@dataclasses.dataclass(frozen=True)
-class Dropped:
-    """A design that a race gave up."""
-
-    design: Design
-    round: int  # After which round, from 1 on
-    scenarios: int  # How many scenarios it had been run on
-    S: float  # [m s] Its mean S on them
-    # [m s] Mean S minus that of the best of that round on the same scenarios, and the lower end of its simultaneous
-    # interval, which was above 0
-    difference: float
-    low: float
-
-
-@dataclasses.dataclass(frozen=True)
-class Race:
-    """How a race went."""
-
-    rounds: tuple[int, ...]  # Number of scenarios after each round
-    alive: tuple[int, ...]  # Designs that were left after each round
-    dropped: tuple[Dropped, ...]  # In the order in which they were given up
-    # Scenario runs of this race, and of the study without one
-    runs: int
-    full_runs: int
-
-
 @dataclasses.dataclass(frozen=True, repr=False)
 class StudyResults(Frame):
     """Everything a finished study knows: results of all d designs on all n scenarios.
@@ -176,7 +150,6 @@ class StudyResults(Frame):
     measures: Mapping[str, FloatArray] = dataclasses.field(default_factory=dict)
     fresh: StudyResults | None = None  # The finalists, some of the designs, on scenarios that no design was chosen on
     replayed: StudyResults | None = None  # The finalists on recorded departures
-    race: Race | None = None  # Where designs were given up early: they are in no array here
 
     def _repr_html_(self) -> str:
         """What a notebook shows: no tables of numbers, these may be large."""
@@ -258,5 +231,3 @@ class StudyResults(Frame):
             yield "designs that failed", f"{len(self.failed):,}"
         if self.fresh is not None:
             yield "finalists", f"{len(self.fresh.designs):,} on {self.fresh.scenarios.n:,} fresh scenarios"
-        if self.race is not None:
-            yield "given up in a race", f"{len(self.race.dropped):,}"

@@ -11,8 +11,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from ldctoolkit.declared import GainValue
 from ldctoolkit.errors import InputError
-from ldctoolkit.gains import GainValue
 
 from .design import Design
 from .design_space import Dimension, LawSpace, Span, rounded
@@ -181,7 +181,7 @@ def run_search(campaign: Campaign) -> Sequence[Design]:
 
     What the store holds is not run again: the same study requires the same designs.
     """
-    study, store, n = campaign.study, campaign.store, len(campaign.scenarios)
+    study, store = campaign.study, campaign.store
     search = Search(study)
     stored = store.known_designs()
     while batch := search.ask():
@@ -189,7 +189,7 @@ def run_search(campaign: Campaign) -> Sequence[Design]:
         # what an earlier run requested is requested again: its table stays until there are more values
         if stored[: len(search.asked)] != search.asked:
             write_designs(store.folder, search.asked)
-        campaign.complete(batch, n, f"designs {len(search.asked) - len(batch) + 1} to {len(search.asked)}")
+        campaign.complete(batch, f"designs {len(search.asked) - len(batch) + 1} to {len(search.asked)}")
         search.tell(*_values_and_margins(campaign, batch))
     return search.asked
 

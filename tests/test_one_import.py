@@ -16,14 +16,14 @@ import polars as pl
 import pytest
 
 import ldctoolkit as ldc
-from controllers import LQR
+from ldctoolkit.controllers import LQR
+from ldctoolkit.declared import UnitWarning
 from ldctoolkit.errors import LdcError
-from ldctoolkit.option_checks import UnitWarning
 from ldctoolkit.plant_options import Actuator, PlantOptions
 from ldctoolkit.recordings.find_departures import Criteria
 from ldctoolkit.recordings.preparation import Preparation
-from studies import Study, risk
-from studies.ranking.ranking import write_csv
+from ldctoolkit.studies import Study, risk
+from ldctoolkit.studies.ranking.ranking import write_csv
 
 OWN_LAW = """
 import dataclasses, numpy as np, ldctoolkit as ldc
@@ -182,7 +182,7 @@ def test_numbers_of_numpy_are_numbers() -> None:
     assert study == ldc.study({"law": "lqr", "gains": {"r_delta": [30.0, 300.0]}}, y_s=[0.1, 0.2, 0.3],
                               left=5, right=5, seed=2)  # fmt: skip
     assert Study.from_dict(study.content()).hash == study.hash
-    with pytest.raises(ldc.LdcError, match=r"vehicle\.m: True; allowed: a number > 0"):
+    with pytest.raises(ldc.LdcError, match=r"vehicle\.m: True; allowed: a finite number > 0 kg"):
         ldc.VehicleParameters(m=np.bool_(True))
 
 
@@ -240,7 +240,7 @@ STUDY = ldc.study(ldc.NoControl, left=2, right=2)
         (lambda: ldc.study(ldc.LQR, y_s=True), r"^study: design\[0\]\.y_s: True; allowed: a finite number"),
         (lambda: ldc.study(ldc.LQR, require=3), r"ranking\.require: 3; allowed: "),
         (lambda: ldc.study([ldc.LQR, ldc.PID]), r"^design: \[.*; allowed: .*, each an argument of its own$"),
-        (lambda: ldc.study("LQR"), r"no such controller; did you mean 'lqr'\?"),
+        (lambda: ldc.study("LQR"), r"is no controller; did you mean 'lqr'\?"),
         (
             lambda: ldc.study(ldc.LQR, scenarios=arrays()),
             r"^scenarios: an object of type Scenarios; allowed: a table of keys, .*run_study\(study, scenarios=",

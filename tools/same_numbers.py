@@ -37,7 +37,9 @@ KEPT = ROOT / "out" / "same-numbers"
 MEASURED = {"law_time_us"}
 """Columns of ranking.csv that are measured times."""
 
-ABOUT_THE_RUN = {"created", "versions", "version", "toolkit", "seconds", "duration_s", "path", "paths", "file", "files"}
+ABOUT_THE_RUN = {
+    "checksum", "created", "versions", "version", "toolkit", "seconds", "duration_s", "path", "paths", "file", "files",
+}  # fmt: skip
 """Keys of a model file that tell when, where and with what it was made."""
 
 

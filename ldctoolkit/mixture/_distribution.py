@@ -164,7 +164,7 @@ def _column(key: object, names: Sequence[str] | None, d: int) -> int:
         if names is None:
             raise InputError("given", f"column {key!r}, but the columns have no names", allowed=f"numbers 0 to {d - 1}")
         if key not in names:
-            raise InputError("given", f"no column {key!r}", allowed=names)
+            raise InputError("given", "is no column", value=key, allowed=names)
         return list(names).index(key)
     if isinstance(key, int | np.integer) and not isinstance(key, bool) and 0 <= key < d:
         return int(key)

@@ -296,7 +296,7 @@ class BoundedGaussianMixture(CheckedArguments):
         known = self.get_params()
         for name, value in params.items():
             if name not in known:
-                raise InputError(f"{type(self).__name__}", f"no parameter {name!r}", allowed=known)
+                raise InputError(type(self).__name__, "is no parameter", value=name, allowed=known)
             setattr(self, name, value)
         return self
 

@@ -12,9 +12,9 @@ import numpy.typing as npt
 
 import ldctoolkit.departures as dep
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.declared import checked_seed
 from ldctoolkit.departures import PARAMETER_NAMES, DepartureParameters, DepartureSignals
 from ldctoolkit.errors import InputError
-from ldctoolkit.option_checks import checked_seed
 from ldctoolkit.plant_options import Residuals
 from ldctoolkit.scenarios import SPEED_CEILING, SPEED_FLOOR, Drifts, Scenarios, slowest_speed
 
@@ -58,7 +58,7 @@ def _drawn(seed: int, index: npt.ArrayLike, stream: int, count: int, *, normal: 
     numbers = np.array(numbers, dtype=np.int64)  # a copy: compiled functions take no read-only arrays
     if np.any(numbers < 0):
         i = int(np.argmax(numbers < 0))
-        raise InputError(f"index[{i}] = {numbers[i]}; allowed: >= 0")
+        raise InputError(f"index[{i}]", value=int(numbers[i]), allowed="a whole number >= 0")
     if count < 0:
         raise InputError("count", value=count, allowed=">= 0")
     out = np.empty((numbers.size, count))

@@ -1,13 +1,13 @@
 """Lane departures in a recording: stretches beyond the line, and the eight parameters of each."""
 
 import dataclasses
-import math
 from collections.abc import Iterator, Mapping
 from typing import Final
 
 import numpy as np
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.declared import check_declared, declared
 from ldctoolkit.departures import LEFT, RIGHT, Departures, DepartureSignals, Plausibility, reduce_signals
 from ldctoolkit.errors import CheckedArguments, InputError
 from ldctoolkit.recordings.preparation import MAX_JUMP, ROUNDING, middle_two
@@ -272,37 +272,29 @@ def signals_of_runs(
 class Criteria(CheckedArguments):
     """What counts as a departure."""
 
-    vehicle_width: float = 1.9  # [m] Width over the wheels' outer edges
-    min_duration: float = 0.5  # [s] Both allowed values included
-    max_duration: float = 10.0  # [s] Both allowed values included
-    min_speed: float = 5.0  # [m/s] The mean speed lies above
-    # [s] Longest time step that is not a gap; None: 2.5 median steps of the recording, at least 0.25 s
-    max_gap: float | None = None
-    max_jump: float = MAX_JUMP  # [m] Largest movement of the offset in 0.1 s; over longer times 1.5 m/s more
+    # Width over the wheels' outer edges
+    vehicle_width: float = declared(1.9, unit="m", lower=0.5, upper=4.0)
+    # Both allowed values included
+    min_duration: float = declared(0.5, unit="s", lower=0.0)
+    max_duration: float = declared(10.0, unit="s")
+    min_speed: float = declared(5.0, unit="m/s", lower=0.0)  # The mean speed lies above
+    # Longest time step that is not a gap; None: 2.5 median steps of the recording, at least 0.25 s
+    max_gap: float | None = declared(None, unit="s", above=0.0)
+    max_jump: float = declared(MAX_JUMP, unit="m", above=0.0)  # Of the offset in 0.1 s; over longer times 1.5 m/s more
     # What the fitted path may ask of driver and vehicle
     plausibility: Plausibility = dataclasses.field(default_factory=Plausibility)
-    min_lane_width: float = MIN_LANE_WIDTH  # [m] A sample with a narrower or wider lane is invalid
-    max_lane_width: float = MAX_LANE_WIDTH
-    keep_engaged: bool = False  # Whether departures and hours while a system steers count, too
+    # A sample with a narrower or wider lane is invalid
+    min_lane_width: float = declared(MIN_LANE_WIDTH, unit="m", above=0.0)
+    max_lane_width: float = declared(MAX_LANE_WIDTH, unit="m")
+    keep_engaged: bool = declared(False)  # Whether departures and hours while a system steers count, too
 
     def __post_init__(self) -> None:
         if isinstance(self.plausibility, Mapping):  # as a file holds it
             object.__setattr__(self, "plausibility", Plausibility(**self.plausibility))
-
-        def refuse(name: str, good: bool, allowed: str) -> None:
-            if not good:
-                raise InputError(name, value=getattr(self, name), allowed=allowed)
-
-        refuse("vehicle_width", 0.5 <= self.vehicle_width <= 4.0, "0.5 to 4 m")
-        refuse("min_duration", 0.0 <= self.min_duration < math.inf, "0 s or more")
-        refuse("max_duration", self.min_duration < self.max_duration < math.inf, "more than min_duration, finite")
-        refuse("min_speed", 0.0 <= self.min_speed < math.inf, "0 m/s or more")
-        refuse("max_gap", self.max_gap is None or 0.0 < self.max_gap < math.inf, "more than 0 s, or None")
-        refuse("max_jump", self.max_jump > 0.0, "more than 0 m")
-        refuse("min_lane_width", 0.0 < self.min_lane_width < math.inf, "more than 0 m")
-        refuse(
-            "max_lane_width", self.min_lane_width < self.max_lane_width < math.inf, "more than min_lane_width, finite"
-        )
+        check_declared(self)
+        for least, most in (("min_duration", "max_duration"), ("min_lane_width", "max_lane_width")):
+            if not getattr(self, least) < getattr(self, most):
+                raise InputError(most, value=getattr(self, most), allowed=f"more than {least}")
 
 
 @dataclasses.dataclass(frozen=True)

@@ -8,17 +8,16 @@ import os
 import pickle
 import re
 import sys
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 import tomli_w
 
 from ldctoolkit.arrays import FloatArray, IntArray
-from ldctoolkit.errors import RecordingError
+from ldctoolkit.errors import RecordingError, short
 from ldctoolkit.recordings.mdf_logs import MEMORY, QUANTITIES, UNITS, Channel, ChannelMap, ValidChannel, si_factor
-from ldctoolkit.recordings.preparation import MAX_JUMP, clock_stretches, cut_at, joins_of, values_at
+from ldctoolkit.recordings.preparation import LIMITS, clock_stretches, cut_at, joins_of, values_at
 from ldctoolkit.recordings.recording import LARGEST, Problem, Recording, printable
-from ldctoolkit.validation import short
 
 
 def serve() -> None:
@@ -259,10 +258,6 @@ def _text(sample: object) -> str:
     return f"{sample:.15g}" if isinstance(sample, int | float) else str(sample)
 
 
-_JUMPS: Final = {"length": MAX_JUMP, "speed": 20.0, "curvature": 0.1, "yaw rate": 0.75, "angle": 1.0}
-"""Samples that differ by more are not interpolated: one of them may stand for "not available"."""
-
-
 def _at(base: FloatArray, t: FloatArray, values: FloatArray, quantity: str, max_gap: float) -> FloatArray:
     """Values at other times: states are held, the rest is interpolated; NaN beyond the ends, in gaps, next to NaN."""
     if np.array_equal(base, t):  # sample by sample, also where several share a time
@@ -271,8 +266,7 @@ def _at(base: FloatArray, t: FloatArray, values: FloatArray, quantity: str, max_
     t, values = t[newest], values[newest]
     i = np.searchsorted(t, base, "right") - 1
     before, after = np.maximum(i, 0), np.minimum(i + 1, t.size - 1)
-    dimension = QUANTITIES[quantity][0]
-    if not dimension:
+    if not QUANTITIES[quantity][0]:
         longest = max_gap if quantity == "valid" else np.inf  # a switch may be recorded only when it changes
         return np.where((i >= 0) & (base - t[before] <= longest), values[before], np.nan)
     if quantity == "heading":
@@ -280,5 +274,6 @@ def _at(base: FloatArray, t: FloatArray, values: FloatArray, quantity: str, max_
         values[known] = np.unwrap(values[known])
     between = values_at(base, t, values, longest=max_gap, beyond=0.0)
     beside = np.where(base - t[before] <= t[after] - base, values[before], values[after])
-    jump = np.isfinite(between) & (np.abs(values[after] - values[before]) > _JUMPS[dimension])
+    limits = LIMITS.get(quantity, LIMITS["lane_offset"])  # else of a line
+    jump = np.isfinite(between) & (np.abs(values[after] - values[before]) > limits.jump)
     return np.where(jump & (base > t[before]), beside, between)

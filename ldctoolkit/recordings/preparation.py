@@ -3,13 +3,13 @@
 import bisect
 import dataclasses
 import itertools
-import math
 from collections.abc import Iterable
 from typing import Any, Final
 
 import numpy as np
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.declared import check_declared, checked_number, declared
 from ldctoolkit.errors import CheckedArguments, InputError, RecordingError
 from ldctoolkit.recordings.recording import (
     LARGEST,
@@ -160,9 +160,7 @@ def resample(recording: Recording, step: float, max_gap: float = MAX_GAP, max_ju
     of a window that are a jump apart, the one nearer to the nearest sample's is taken, not their mean. Where the lane
     changes in a window, only samples in the nearest sample's lane count.
     """
-    for name, value in (("step", step), ("max_gap", max_gap)):
-        if not 0.0 < value < np.inf:
-            raise InputError(name, "s", value=value, allowed="more than 0, finite")
+    step, max_gap = checked_number("step", step, above=0.0), checked_number("max_gap", max_gap, above=0.0)
     if recording.samples == 0:
         return recording
     origin = recording.t[0]
@@ -281,29 +279,24 @@ class Preparation(CheckedArguments):
     Raises `InputError` for a value outside its range.
     """
 
-    step: float | None = None  # [s] Time step that they are resampled to; None leaves them as recorded
-    max_gap: float = MAX_GAP  # [s] Longest time between usable samples that resampling bridges
-    # [m] Offset and width of each recording are scaled so that its median lane width is this; None leaves
-    # them
-    nominal_lane_width: float | None = None
-    yaw_rate_factor: float = 1.0  # Multiplies the source's yaw rate; -1 where it is positive to the right after all
+    # Time step that they are resampled to; None leaves them as recorded
+    step: float | None = declared(None, unit="s", lower=0.01, upper=1.0)
+    # Longest time between usable samples that resampling bridges
+    max_gap: float = declared(MAX_GAP, unit="s", above=0.0, upper=LONGEST_GAP)
+    # Offset and width of each recording are scaled so that its median lane width is this; None leaves them
+    nominal_lane_width: float | None = declared(None, unit="m", lower=2.0, upper=6.0)
+    # Multiplies the source's yaw rate; -1 where it is positive to the right after all
+    yaw_rate_factor: float = declared(1.0)
 
     def __post_init__(self) -> None:
-        def refuse(name: str, good: bool, allowed: str) -> None:
-            if not good:
-                raise InputError(name, value=getattr(self, name), allowed=allowed)
-
-        refuse("step", self.step is None or 0.01 <= self.step <= 1.0, "0.01 to 1 s, or None")
-        refuse("max_gap", 0.0 < self.max_gap <= LONGEST_GAP, f"more than 0, at most {LONGEST_GAP:g} s")
-        width = self.nominal_lane_width
-        refuse("nominal_lane_width", width is None or 2.0 <= width <= 6.0, "2 to 6 m, or None")
-        factor = self.yaw_rate_factor
-        refuse("yaw_rate_factor", math.isfinite(factor) and factor != 0.0, "finite, not 0")
+        check_declared(self)
+        if self.yaw_rate_factor == 0.0:
+            raise InputError("yaw_rate_factor", value=0.0, allowed="a finite number, not 0")
 
 
 def corrected(recording: Recording, preparation: Preparation) -> Recording:
     """One recording without codes, with the factors that are given for its yaw rate and its lengths."""
-    recording = without_codes(recording, (name for name in _CODES if name != "lane_offset"))
+    recording = without_codes(recording, (name for name in LIMITS if name != "lane_offset"))
     if recording.yaw_rate is not None and preparation.yaw_rate_factor != 1.0:
         with np.errstate(over="ignore"):
             yaw_rate = recording.yaw_rate * preparation.yaw_rate_factor
@@ -342,15 +335,26 @@ def prepare(
     return resample(recording, step, preparation.max_gap, max_jump)
 
 
-LIMITS: Final = {"speed": (100.0, 20.0), "curvature": (0.2, np.inf), "yaw_rate": (1.5, 0.5)}
-"""No vehicle on a road has more, in SI: such numbers stand for "not available"; a single sample further than the second
-number from both of its neighbours is none either."""
+@dataclasses.dataclass(frozen=True)
+class SignalLimits:
+    """What a signal's numbers tell of themselves, in SI."""
 
-_CODES: Final = {
-    "lane_width": (1.0, 10.0), "lane_offset": (MAX_JUMP, 5.0), "speed": (10.0, 60.0), "curvature": (0.01, 0.2),
-    "yaw_rate": (0.3, 1.5), "heading": (5.0, 40.0), "steering": (5.0, 40.0),
-}  # fmt: skip
-"""How far from all others a number is that is a code, and how large it is if most samples have it."""
+    code_gap: float  # how far from all others a number is that is a code
+    code_size: float  # how large a code is at most if most samples have it
+    jump: float  # samples of a log that differ by more are not interpolated: one may stand for "not available"
+    largest: float = np.inf  # no vehicle on a road has more: such numbers stand for "not available"
+    spike: float = np.inf  # a single sample further from both of its neighbours is none
+
+
+LIMITS: Final = {
+    "lane_width": SignalLimits(code_gap=1.0, code_size=10.0, jump=MAX_JUMP),
+    "lane_offset": SignalLimits(code_gap=MAX_JUMP, code_size=5.0, jump=MAX_JUMP),
+    "speed": SignalLimits(code_gap=10.0, code_size=60.0, jump=20.0, largest=100.0, spike=20.0),
+    "curvature": SignalLimits(code_gap=0.01, code_size=0.2, jump=0.1, largest=0.2),
+    "yaw_rate": SignalLimits(code_gap=0.3, code_size=1.5, jump=0.75, largest=1.5, spike=0.5),
+    "heading": SignalLimits(code_gap=5.0, code_size=40.0, jump=1.0),
+    "steering": SignalLimits(code_gap=5.0, code_size=40.0, jump=1.0),
+}
 
 _CODE_TIMES: Final = 3
 
@@ -360,7 +364,7 @@ def without_codes(recording: Recording, names: Iterable[str]) -> Recording:
     changed: dict[str, Any] = {}
     sound = bool(recording.valid.all())
     for name in names:
-        (gap, most), values = _CODES[name], getattr(recording, name)
+        limits, values = LIMITS[name], getattr(recording, name)
         if values is None:
             continue
         known = values if sound else values[recording.valid]
@@ -370,10 +374,12 @@ def without_codes(recording: Recording, names: Iterable[str]) -> Recording:
         while known.size > _CODE_TIMES:
             for end in (known.max(), known.min()):
                 count = np.count_nonzero(known == end)
-                if not _CODE_TIMES <= count < known.size or (2 * count > known.size and np.abs(end) <= most):
+                if not _CODE_TIMES <= count < known.size or (
+                    2 * count > known.size and np.abs(end) <= limits.code_size
+                ):
                     continue
                 rest = known[known != end]
-                if np.abs(rest - end).min() <= gap:
+                if np.abs(rest - end).min() <= limits.code_gap:
                     continue
                 # a width may be a constant, or two, of a map; other signals move
                 if name == "lane_width" or np.unique(rest[:: max(1, rest.size // 100)]).size > min(5, rest.size // 2):
@@ -402,9 +408,9 @@ def within_limits(recording: Recording, widths: tuple[float, float]) -> Recordin
     """NaN for numbers that no lane and no vehicle has."""
     good = {"lane_width": (recording.lane_width >= widths[0]) & (recording.lane_width <= widths[1])}
     good["lane_offset"] = ~(np.abs(recording.lane_offset) > np.abs(recording.lane_width))
-    for name, (most, height) in LIMITS.items():
+    for name in ("speed", "curvature", "yaw_rate"):
         if (values := getattr(recording, name)) is not None:
-            good[name] = (np.abs(values) <= most) & ~spikes(values, height)
+            good[name] = (np.abs(values) <= LIMITS[name].largest) & ~spikes(values, LIMITS[name].spike)
     beyond = [name for name, kept in good.items() if not kept.all()]
     changed: dict[str, Any] = {name: np.where(good[name], getattr(recording, name), np.nan) for name in beyond}
     return dataclasses.replace(recording, **changed) if changed else recording

@@ -36,16 +36,17 @@ def printable(text: str) -> str:
 
 
 def source_file(path: Path, name: str = "") -> SourceFile:
-    r"""Read a file for its digest."""
+    """Read a file for its digest; raises `RecordingError` under its name."""
+    name = name or path.name
     try:
         if not stat.S_ISREG(path.stat().st_mode):  # opening a pipe would wait for ever
-            raise RecordingError(path.name, "is not a regular file")
+            raise RecordingError(name, "is not a regular file")
         with path.open("rb") as stream:
             digest = hashlib.file_digest(stream, "sha256")
             size = stream.tell()
     except OSError as error:
-        raise RecordingError(path.name, f"cannot be read: {error.strerror or error}") from None
-    return SourceFile(name or path.name, size, digest.hexdigest())
+        raise RecordingError(name, f"cannot be read: {error.strerror}") from None
+    return SourceFile(name, size, digest.hexdigest())
 
 
 def _text(value: object, what: str) -> str:
@@ -87,6 +88,11 @@ class Problem:
     def __post_init__(self) -> None:
         for name in ("file", "place", "what"):
             object.__setattr__(self, name, printable(getattr(self, name)))
+
+    @classmethod
+    def of(cls, file: str, error: RecordingError, outcome: str = "") -> Problem:
+        """What an error says of a file; its path is the place in it."""
+        return cls(file, error.path, "; ".join(text for text in (error.without_path, outcome) if text))
 
     def __str__(self) -> str:
         return f"{self.file}, {self.place}: {self.what}" if self.place else f"{self.file}: {self.what}"
@@ -238,19 +244,3 @@ def changed_columns(samples: Samples, names: Iterable[str], change: Callable[[An
     columns = {name: getattr(samples, name) for name in names}
     changed = {name: change(values) for name, values in columns.items() if values is not None}
     return dataclasses.replace(samples, **changed)
-
-
-MISSING: Final = ("", "null", "nan", "na", "n/a", "none", "-nan", "#n/a")
-"""In lower case, without blanks around them."""
-
-
-REQUIRED: Final = ("recording", "t", "lane_offset", "lane_width", "speed")
-NO_ROWS: Final = "a header but no rows; at least one sample is needed"
-
-
-class TableFault(RecordingError):
-    """What is wrong with a recording table, and where: "line 7", or empty for the file as a whole."""
-
-    def __init__(self, place: str, what: str) -> None:
-        super().__init__(f"{place}: {what}" if place else what)
-        self.place, self.what = place, what

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Final, Generic, Protocol, TypeVar, runtime_checkable
 
 from ldctoolkit.errors import InputError, LdcError, RecordingError, UnknownNameError, nearest
-from ldctoolkit.recordings.recording import Problem, Recording, SourceFile, TableFault
+from ldctoolkit.recordings.recording import Problem, Recording, SourceFile
 
 GROUP: Final = "ldctoolkit.recordings"  # entry-point group of readers
 
@@ -136,7 +136,7 @@ def recording_reader(name: str) -> RecordingReader:
     """
     point = _installed().get(name)
     if point is None:
-        raise UnknownNameError(f"format {name!r}", "no such reader", allowed=(AUTO, *reader_names()))
+        raise UnknownNameError("format", "is no reader", value=name, allowed=(AUTO, *reader_names()))
     try:
         reader = point.load()
         if isinstance(reader, type):
@@ -211,14 +211,14 @@ def check_columns(
     there, known = list(map(same, columns)), list(map(same, (*required, *optional)))
     for name in (*required, *optional):
         if (count := there.count(same(name))) > 1:
-            raise TableFault("", f"column '{name}' appears {count} times; allowed: once")
+            raise RecordingError("", f"column '{name}' appears {count} times; allowed: once")
     for name in required:
         if same(name) not in there:
             # the nearest name is looked for among the file's own, which is what its author has to rename
             unknown = [one for one in columns[:64] if one and same(one) not in known]
             hint = textwrap.shorten(nearest(name, unknown).replace("allowed:", "columns not known here:"), 400)
             hint = hint if unknown else "no other column of the file could be it"
-            raise TableFault("", f"column '{name}' is missing; {hint}. Needed: {', '.join(required)}")
+            raise RecordingError("", f"column '{name}' is missing; {hint}. Needed: {', '.join(required)}")
 
 
 class CombinedReader:

@@ -17,8 +17,9 @@ from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.preparation import cut_at, nearest_times
 from ldctoolkit.recordings.recording import LARGEST, Problem, Recording, measured
 from ldctoolkit.recordings.sources import FoundParts
-from ldctoolkit.recordings.trip_index import Cells, Stretch
+from ldctoolkit.recordings.text_table import Cells, LineFault
 from ldctoolkit.recordings.trip_tables import (
+    Stretch,
     TableLayout,
     TripTable,
     batches,
@@ -72,7 +73,7 @@ class Das1Part:
         ends = np.searchsorted(lane.trip, np.arange(len(self.trips) + 1)).tolist()
         theirs = np.bincount(wsu.trip, minlength=len(self.trips))
         joined = np.concatenate([[0], np.cumsum(match >= 0)])
-        apart: list[tuple[int, str, str]] = []
+        apart: list[LineFault] = []
         for i, (stretches, there) in enumerate(self.trips):
             first, begin, end = stretches[0], ends[i], ends[i + 1]
             name = f"{first.device}/{first.trip}"
@@ -80,7 +81,7 @@ class Das1Part:
                 continue  # every row was left out, and reported
             if there and joined[begin] == joined[end]:
                 near = f"no row of {self.wsu.name} lies within {TOLERANCE:g} centiseconds of any of its rows"
-                apart.append((first.line, "apart", f"trip {name}: {near}; it is left out"))
+                apart.append(LineFault(first.line, "apart", f"trip {name}: {near}; it is left out"))
                 continue
             own = {column: values[begin:end] for column, values in signals.items()}
             joins = np.concatenate([lane.joins(i), wsu.joins(i)])

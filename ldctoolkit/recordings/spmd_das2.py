@@ -14,8 +14,9 @@ from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.preparation import cut_at
 from ldctoolkit.recordings.recording import Problem, Recording, measured
 from ldctoolkit.recordings.sources import FoundParts
-from ldctoolkit.recordings.trip_index import Cells, Stretch
+from ldctoolkit.recordings.text_table import Cells
 from ldctoolkit.recordings.trip_tables import (
+    Stretch,
     TableLayout,
     TripTable,
     batches,
@@ -156,7 +157,7 @@ def signals_of(cells: Cells) -> dict[str, Any]:
     """
 
     def column(name: str) -> FloatArray:
-        if name not in cells.names:
+        if name not in cells.columns:
             return np.full(cells.row.size, np.nan)
         return measured(cells[name])
 
@@ -173,7 +174,7 @@ def signals_of(cells: Cells) -> dict[str, Any]:
         "lane_width": width,
         "speed": np.where(np.isfinite(speed), speed, np.where(gps, column(GPS_SPEED), np.nan)),
         "valid": seen & agree & (width > 0.0),
-        "yaw_rate": np.radians(column(YAW_RATE)) if YAW_RATE in cells.names else None,
+        "yaw_rate": np.radians(column(YAW_RATE)) if YAW_RATE in cells.columns else None,
         "heading": np.where(gps, -np.radians(column(GPS_HEADING)), np.nan),
         "turn_signal": signal.astype(np.int64),
     }

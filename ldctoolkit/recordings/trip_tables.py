@@ -1,8 +1,10 @@
-"""Tables of trips: their header, the look through all files, and the rows of single trips."""
+"""Tables of trips: their header, an index of where each trip lies in a file, and the rows of single trips."""
 
 import concurrent.futures
 import dataclasses
+import hashlib
 import os
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Final, TypeVar
@@ -14,13 +16,12 @@ from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.preparation import MOST_DROPPED, middle_two, rising_rows
 from ldctoolkit.recordings.recording import Problem, SourceFile
 from ldctoolkit.recordings.sources import check_columns, find_tables, shown_names
-from ldctoolkit.recordings.trip_index import Cells, Stretch, TripIndex, index_trips, read_cells
+from ldctoolkit.recordings.text_table import BLANKS, ByteArray, Cells, Layout, LineFault, blocks, read_numbers
 from ldctoolkit.whole_file import text_of
 
 LONGEST_HEADER: Final = 1 << 16
 _DELIMITERS: Final = {";": "semicolons", "\t": "tabs", "|": "vertical bars", " ": "blanks"}
 _PACKED: Final = {b"\x1f\x8b": "gzip", b"PK": "a ZIP archive", b"PAR1": "Parquet", b"BZh": "bzip2", b"\xfd7zXZ": "xz"}
-_BLANKS: Final = " \t\r\"'"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,7 +55,7 @@ def read_header(path: Path) -> TableLayout:
         raise RecordingError(f"the first line is longer than {LONGEST_HEADER} bytes; this is not a table of text")
     if "\r" in text.rstrip("\r\n"):
         raise RecordingError("the first line holds a carriage return; allowed: lines that end in LF or CR LF")
-    names = tuple(name.strip(_BLANKS + "\n") for name in text.split(","))
+    names = tuple(name.strip(BLANKS + "\n") for name in text.split(","))
     if len(names) == 1:
         for mark, what in _DELIMITERS.items():
             if text.strip().count(mark) > 1:
@@ -71,9 +72,130 @@ def check_trip_columns(
     check_columns(columns, required, optional, same=str.lower)
 
 
+BLOCK_BYTES: Final = 4 << 20  # text that is looked through at once
+MOST_FAULTS: Final = 20  # lines without a key that are reported one by one; the others are counted
+MOST_STRETCHES: Final = 1_000_000  # more stretches than these mean that the rows are not sorted by trip at all
+
+_KEY: Final = re.compile(rb'[ \t]*"?([+-]?\d{1,15})(?:\.0*)?"?[ \t]*,[ \t]*"?([+-]?\d{1,15})(?:\.0*)?"?[ \t]*,')
+_KEY_BYTES: Final = 128  # a key is looked for in this many first bytes of a line
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Stretch:
+    """Neighbouring lines of one trip."""
+
+    device: int
+    trip: int
+    begin: int  # bytes ``begin:end`` of the file are whole lines
+    end: int
+    line: int  # number of the first line, the file's first is 1
+    lines: int  # how many, blank ones included
+    unkeyed: int = 0  # lines without a key before it in the file
+
+
+@dataclasses.dataclass(frozen=True)
+class TripIndex:
+    """Stretches of a file in its order, and its digest."""
+
+    stretches: tuple[Stretch, ...]
+    faults: tuple[LineFault, ...]  # the first lines that have no key
+    more_faults: int  # how many more there are
+    bytes: int  # size of the file
+    sha256: str  # digest of its content, hexadecimal
+
+
+def index_trips(path: Path, begin: int, line: int, *, block_bytes: int = BLOCK_BYTES) -> TripIndex:
+    """Find the stretches of lines that belong to one trip each, from byte `begin` on, which is in that `line`."""
+    scan = _Scan(begin)
+    try:
+        with path.open("rb") as stream, concurrent.futures.ThreadPoolExecutor(1) as beside:
+            digest = hashlib.sha256(stream.read(begin))
+            for block, first in blocks(stream, block_bytes, line):
+                hashed = beside.submit(digest.update, block)  # both leave the interpreter free
+                scan.add(block, first)
+                hashed.result()
+    except OSError as error:
+        raise RecordingError("", f"cannot be read: {error.strerror or error}") from None
+    scan.close()
+    return TripIndex(tuple(scan.stretches), tuple(scan.faults), scan.more_faults, scan.at, digest.hexdigest())
+
+
+class _Scan:
+    """State of the search: the stretch that is open, and where the next block begins."""
+
+    def __init__(self, begin: int) -> None:
+        self.stretches: list[Stretch] = []
+        self.faults: list[LineFault] = []
+        self.more_faults = 0
+        self.at = begin
+        self._key: tuple[int, int] | None = None
+        self._first = (0, 0, 0)  # byte and line of the open stretch, lines without a key before it
+        self._last = (0, 0)  # behind it
+
+    def add(self, block: bytes, line: int) -> None:
+        """Take a block of whole lines, the first of that number."""
+        text = np.frombuffer(block, dtype=np.uint8)
+        ends = np.flatnonzero(text == ord("\n")) + 1
+        if text[-1] != ord("\n"):
+            ends = np.append(ends, text.size)
+        starts = np.append(0, ends[:-1])
+        i = 0
+        while i < starts.size:
+            start, end = int(starts[i]), int(ends[i])
+            match = _KEY.match(block, start, min(start + _KEY_BYTES, end))
+            after = i + 1
+            if match is not None:
+                key = int(match[1]), int(match[2])
+                after = _first_other(text, starts, after, np.frombuffer(match[0], dtype=np.uint8))
+                if self._key != key:
+                    self.close()
+                    unkeyed = len(self.faults) + self.more_faults
+                    self._key, self._first = key, (self.at + start, line + i, unkeyed)
+            elif block[start:end].strip():
+                self.close()
+                if len(self.faults) < MOST_FAULTS:
+                    self.faults.append(LineFault(line + i, "key", _no_key(block[start : min(start + _KEY_BYTES, end)])))
+                else:
+                    self.more_faults += 1
+            if self._key is not None:  # a blank line stays in its stretch
+                self._last = (self.at + int(ends[after - 1]), line + after)
+            i = after
+        self.at += text.size
+
+    def close(self) -> None:
+        """End the open stretch."""
+        if self._key is not None:
+            (begin, line, unkeyed), (end, after) = self._first, self._last
+            self.stretches.append(Stretch(*self._key, begin, end, line, after - line, unkeyed))
+            if len(self.stretches) > MOST_STRETCHES:
+                many = f"more than {MOST_STRETCHES} stretches of rows of one trip each"
+                raise RecordingError(f"line {line}", many, allowed="rows sorted by device, trip and time")
+        self._key = None
+
+
+def _first_other(text: ByteArray, starts: IntArray, line: int, key: ByteArray) -> int:
+    """The first line from `line` on that does not begin with the key's bytes; looked for in growing steps."""
+    step = 16
+    while line < starts.size:
+        places = np.minimum(starts[line : line + step, None] + np.arange(key.size), text.size - 1)
+        other = (text[places] != key).any(axis=1)
+        if other.any():
+            return line + int(np.argmax(other))
+        line, step = line + step, 2 * step
+    return int(starts.size)
+
+
+def _no_key(begin: bytes) -> str:
+    cells = begin.strip(b"\r\n").split(b",")[:2]
+    shown = ",".join(cell.decode("utf-8", "replace").strip() for cell in cells)
+    what = "NUL bytes" if "\0" in shown else repr(shown[:40])
+    return f"it begins with {what}; allowed: numbers of device and trip; the line is left out"
+
+
 Key = tuple[int, int]
 T = TypeVar("T")
 
+CHANGED: Final = "the file has changed since it was looked through"
 MOST_PROBLEMS: Final = 20  # problems of one kind that are reported one by one; the others are counted
 LARGEST_TIME: Final = 1e11  # a time of this size or more, in the table's own unit, is none
 
@@ -137,15 +259,15 @@ def collect_trips(tables: Sequence[FoundTable]) -> tuple[dict[Key, tuple[int, tu
             if key != last and len(own[key]) > 1 and key not in apart:
                 apart[key] = one.line
             last = key
-        faults: list[tuple[int, str, str]] = [*index.faults]
+        faults = [*index.faults]
         for key, line in apart.items():
             what = f"trip {_shown(key)} goes on here, its rows begin in line {own[key][0].line}; they are put together"
-            faults.append((line, "apart", f"{what} in the order of time"))
+            faults.append(LineFault(line, "apart", f"{what} in the order of time"))
         for key, stretches in own.items():
             line = stretches[0].line
             if key in seen:
                 what = f"trip {_shown(key)} is also in {seen[key]}; these rows are left out"
-                faults.append((line, "twice", what))
+                faults.append(LineFault(line, "twice", what))
                 continue
             seen[key] = f"{table.name}, line {line}"
             trips[key] = number, tuple(stretches)
@@ -180,15 +302,16 @@ def batches(
 
 
 def grouped_problems(
-    file: str, faults: Iterable[tuple[int, str, str]], most: int = MOST_PROBLEMS, word: str = "line"
+    file: str, faults: Iterable[LineFault], most: int = MOST_PROBLEMS, word: str = "line"
 ) -> list[Problem]:
-    """Problems of a file from (line, kind, words): the first of each kind one by one, the others counted."""
+    """Problems of a file: the first of each kind one by one, the others counted."""
     problems: list[Problem] = []
     seen: dict[str, list[int]] = {}
-    for line, kind, what in faults:
-        seen.setdefault(kind, []).append(line)
-        if len(seen[kind]) <= most:
-            problems.append(Problem(file, f"{word} {line}", what))
+    for fault in faults:
+        lines = seen.setdefault(fault.kind, [])
+        lines.append(fault.line)
+        if len(lines) <= most:
+            problems.append(Problem(file, f"{word} {fault.line}", fault.what))
     for lines in seen.values():
         if len(lines) > most:
             count = len(lines) - most
@@ -203,14 +326,14 @@ def read_trips(
     wanted: Mapping[str, str],
     *,
     time: str,
-    cells: Sequence[int] = (),
+    cells: tuple[int, ...] = (),
 ) -> TripRows:
     """Read the rows of trips, and leave out those that cannot be used."""
     pieces = [one for stretches in trips for one in stretches]
-    text = _read(table, pieces)
-    found = None if text is None else read_cells(text, table.columns, list(wanted.values()), cells=cells)
-    if found is None or found.lines != sum(one.lines for one in pieces):
-        raise RecordingError(table.name, "the file has changed since it was looked through")
+    layout = Layout({name: table.columns.index(name) for name in wanted.values()}, cells or (len(table.columns),))
+    found = read_numbers(_read(table, pieces), layout)
+    if found.lines != sum(one.lines for one in pieces):
+        raise RecordingError(table.name, CHANGED)
     first = np.array([one.line for one in pieces], dtype=np.int64)
     lines = np.array([one.lines for one in pieces], dtype=np.int64)
     before = np.cumsum(lines) - lines
@@ -223,15 +346,15 @@ def read_trips(
 
     lost_rows = np.array([fault.line for fault in found.faults], dtype=np.int64)
     faults = [
-        (line, fault.kind, f"{fault.what}; the line is left out")
+        LineFault(line, fault.kind, f"{fault.what}; the line is left out")
         for line, fault in zip(line_of(lost_rows).tolist(), found.faults, strict=True)
     ]
-    values = dict(zip(wanted, found.values, strict=True))
+    values = dict(zip(wanted, found.columns.values(), strict=True))
     trip, t = owner[found.row], values[time]
     timed = np.abs(t) < LARGEST_TIME  # False for NaN
     column = wanted[time]
     faults += [
-        (line, "time", f"column {column!r} holds no usable time; the line is left out")
+        LineFault(line, "time", f"column {column!r} holds no usable time; the line is left out")
         for line in line_of(found.row[~timed]).tolist()
     ]
     keep = np.flatnonzero(timed)
@@ -249,7 +372,7 @@ def read_trips(
         low, high = np.searchsorted(own, [i, i + 1])
         forward[low:high], row, what = rows_in_order(clock[low:high])
         line, one = int(line_of(found.row[keep[[low + row]]])[0]), trips[i][0]
-        faults.append((line, "back", f"trip {one.device}/{one.trip}: {what}"))
+        faults.append(LineFault(line, "back", f"trip {one.device}/{one.trip}: {what}"))
     cuts = np.empty(0, dtype=np.int64)
     if apart or found.faults or not forward.all() or keep.size < t.size:
         keep = keep[forward]
@@ -260,30 +383,26 @@ def read_trips(
         over = np.diff(np.searchsorted(np.sort(np.concatenate(lost)), place)) != 0
         over |= ~np.isin(np.diff(np.searchsorted(before, place, side="right")), (0, 1))  # pieces that changed places
         cuts = np.flatnonzero(over & (np.diff(trip) == 0)) + 1
-    named = Cells(tuple(values), tuple(values.values()), found.row[keep], found.lines)
-    return TripRows(named, trip, tuple(grouped_problems(table.name, sorted(faults))), cuts)
+    return TripRows(
+        Cells(values, found.row[keep], found.lines), trip, tuple(grouped_problems(table.name, sorted(faults))), cuts
+    )
 
 
-def _read(table: TripTable, pieces: Sequence[Stretch]) -> memoryview | None:
-    """Text of stretches, one after the other, each ends its last line; None if the file has changed."""
-    text, at = np.empty(text_bytes(pieces) + len(pieces), dtype=np.uint8).data, 0
+def _read(table: TripTable, pieces: Sequence[Stretch]) -> bytes:
+    """Text of stretches, one after the other, each ends its last line."""
+    text: list[bytes] = []
     try:
-        with open(table.path, "rb", buffering=0) as stream:  # noqa: PTH123 - a path as plain text
+        with open(table.path, "rb") as stream:  # noqa: PTH123 - a path as plain text
             if os.fstat(stream.fileno()).st_size != table.bytes:
-                return None
+                raise RecordingError(table.name, CHANGED)
             for piece in pieces:
-                end = at + piece.end - piece.begin
                 stream.seek(piece.begin)
-                while at < end:
-                    if not (count := stream.readinto(text[at:end])):
-                        return None
-                    at += count
-                if at and text[at - 1] != 10:
-                    text[at] = 10
-                    at += 1
+                text.append(stream.read(piece.end - piece.begin))
+                if not text[-1].endswith(b"\n"):
+                    text.append(b"\n")
     except OSError as error:
         raise RecordingError(table.name, f"cannot be read: {error.strerror or error}") from None
-    return text[:at]
+    return b"".join(text)
 
 
 def rows_in_order(t: FloatArray) -> tuple[BoolArray, int, str]:

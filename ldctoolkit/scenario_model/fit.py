@@ -72,7 +72,7 @@ def box_of(bounds: Bounds | None, criteria: Criteria | None) -> Box:
         raise InputError("bounds", value=bounds, allowed="a mapping of parameters")
     for name, entry in (bounds or {}).items():
         if name not in ends:
-            raise InputError("bounds", f"no parameter {name!r}", allowed=PARAMETER_NAMES)
+            raise InputError("bounds", "is no parameter", value=name, allowed=PARAMETER_NAMES)
         least = LEAST_LOWER.get(name, -np.inf)  # open as far as can be driven
         try:
             low, high = entry
@@ -125,7 +125,7 @@ def transforms(transform: str | Mapping[str, str] | None) -> dict[str, str]:
     out = dict.fromkeys(PARAMETER_NAMES, "none")
     for name, kind in transform.items():
         if name not in out:
-            raise InputError("transform", f"no parameter {name!r}", allowed=PARAMETER_NAMES)
+            raise InputError("transform", "is no parameter", value=name, allowed=PARAMETER_NAMES)
         out[name] = _transform(f"transform[{name!r}]", kind)
     return out
 

@@ -15,7 +15,7 @@ from pydantic import AfterValidator, Field, ValidationError, field_validator, mo
 
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.departures import PARAMETER_NAMES, PARAMETER_UNITS, Plausibility
-from ldctoolkit.errors import InputError, ModelError, nearest
+from ldctoolkit.errors import InputError, ModelError, nearest, short
 from ldctoolkit.mixture import BoundedGaussianMixture
 from ldctoolkit.scenario_model.provenance import (
     LEAST_LOWER,
@@ -26,7 +26,7 @@ from ldctoolkit.scenario_model.provenance import (
     SourceSummary,
     check_usable,
 )
-from ldctoolkit.validation import Part, fail, first_problem, short
+from ldctoolkit.validation import Part, fail, first_problem
 from ldctoolkit.whole_file import CHECKSUM, NOT_AS_WRITTEN, digest, parse_json, text_of
 
 FORMAT: Final = "ldctoolkit-scenario-model"

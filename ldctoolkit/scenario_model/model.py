@@ -14,6 +14,7 @@ from typing import Any, Final, Protocol
 import numpy as np
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.declared import UnitWarning, unit_slip
 from ldctoolkit.departures import (
     LEFT,
     PARAMETER_NAMES,
@@ -27,7 +28,6 @@ from ldctoolkit.departures import (
 from ldctoolkit.errors import InputError, ModelError, RecordingError, UnknownNameError
 from ldctoolkit.mixture import SAMPLE_BLOCK, BoundedGaussianMixture
 from ldctoolkit.mixture.checks import check_number
-from ldctoolkit.option_checks import UnitWarning, unit_slip
 from ldctoolkit.recordings import Provenance, Refused, read_departures
 from ldctoolkit.scenario_model.provenance import ModelProvenance, SideModel
 from ldctoolkit.scenarios import SPEED_FLOOR, Scenarios, slowest_speed
@@ -76,7 +76,7 @@ def conditions(given: Given | None) -> tuple[Condition, ...]:
     found = {}
     for name, wanted in (given or {}).items():
         if name not in PARAMETER_NAMES:
-            raise InputError("given", f"no parameter {name!r}", allowed=PARAMETER_NAMES)
+            raise InputError("given", "is no parameter", value=name, allowed=PARAMETER_NAMES)
         low, high = _ends(name, wanted)
         slip = unit_slip(name, low) or unit_slip(name, high if math.isfinite(high) else 0.0)
         if slip:
@@ -455,7 +455,7 @@ def load_model(name_or_path: str | os.PathLike[str]) -> ScenarioModel:
         return ScenarioModel.load(path)
     if path.suffix == ".json" or path.name != name or not isinstance(name_or_path, str):
         raise ModelError(name, "no such file", hint=f"bundled models: {', '.join(names)}")
-    raise UnknownNameError(f"scenario model {name!r}", "neither a bundled model nor a file", allowed=names)
+    raise UnknownNameError("scenario model", "is neither a bundled model nor a file", value=name, allowed=names)
 
 
 def read_all_departures(paths: Sequence[str | os.PathLike[str]]) -> tuple[Departures, Provenance]:

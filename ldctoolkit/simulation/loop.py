@@ -25,7 +25,8 @@ from ldctoolkit.control import (
     SolverLog,
     SteeringLaw,
 )
-from ldctoolkit.errors import InputError, expect, plain
+from ldctoolkit.declared import checked_whole
+from ldctoolkit.errors import InputError, expect
 from ldctoolkit.law_checks import check_calls, check_controller, check_law, check_step, check_taken
 from ldctoolkit.metrics import METRIC_UNITS, MetricValues
 from ldctoolkit.mixture.checks import usable_cores
@@ -172,8 +173,8 @@ def simulate(
     if isinstance(controller, Scenarios):
         raise InputError("controller, scenarios", "swapped", allowed="simulate(controller, scenarios)")
     if not isinstance(scenarios, Scenarios):
-        made = "Scenarios.from_arrays(...), ScenarioModel.sample(...)"
-        raise InputError("scenarios", f"an object of type {type(scenarios).__name__}", allowed=made)
+        allowed = "Scenarios.from_arrays(...), ScenarioModel.sample(...)"
+        raise InputError("scenarios", f"an object of type {type(scenarios).__name__}", allowed=allowed)
     expect("setup", setup, Setup | None)
     if vehicle is not None and not isinstance(vehicle, BicycleModel | VehicleParameters):
         raise InputError("vehicle", value=vehicle, allowed="VehicleParameters(...), BicycleModel(...), or None")
@@ -418,10 +419,10 @@ def _chosen_rows(trajectories: Chosen, n: int) -> IntArray | None:
     if rows.size == 0:
         rows = rows.astype(np.int64)
     if rows.ndim != 1 or rows.dtype.kind not in "iu":
-        raise InputError("trajectories", "allowed: true, false, or a list of row numbers of scenarios")
+        raise InputError("trajectories", value=trajectories, allowed="true, false, or row numbers of scenarios")
     outside = (rows < 0) | (rows >= n)
     if outside.any():
-        raise InputError("trajectories", f"no scenario {rows[outside][0]}", allowed=f"0 to {n - 1}")
+        raise InputError("trajectories", "no such scenario", value=int(rows[outside][0]), allowed=f"0 to {n - 1}")
     if np.unique(rows).size != rows.size:
         raise InputError("trajectories", "a row number is given twice", allowed="each once")
     return rows.astype(np.int64)
@@ -429,11 +430,8 @@ def _chosen_rows(trajectories: Chosen, n: int) -> IntArray | None:
 
 def _in_threads(work: Callable[[int, int], None], count: int, threads: int | None, least: int) -> None:
     """Call ``work(first, last)`` on stretches of `count` things; the stretches do not depend on the threads."""
-    chosen = plain(threads)
-    if chosen is not None and (isinstance(chosen, bool) or not isinstance(chosen, int) or chosen < 1):
-        raise InputError("threads", value=chosen, allowed="a whole number >= 1")
     firsts = range(0, count, least)
-    number = min(usable_cores() if threads is None else threads, len(firsts))
+    number = min(usable_cores() if threads is None else checked_whole("threads", threads, lower=1), len(firsts))
     if number <= 1:
         work(0, count)
         return

@@ -13,9 +13,9 @@ import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.control import LinearLaw
+from ldctoolkit.declared import checked_number, checked_seed
 from ldctoolkit.departures import bend_polynomial
 from ldctoolkit.metrics import JERK_WINDOW, METRIC_UNITS, MetricValues
-from ldctoolkit.option_checks import checked_number, checked_seed
 from ldctoolkit.paths.uncorrected import RandomStream, UncorrectedPath, harmless, normals, uniforms
 from ldctoolkit.plant_options import Mismatch, Tyres, whole_multiple
 from ldctoolkit.scenarios import Scenarios
@@ -225,7 +225,7 @@ class Takeover:
         scenarios, setup, y_s
             As in `Takeover`; y_s >= -10.
         """
-        y_s = checked_number("y_s", y_s, least=-10.0)
+        y_s = checked_number("y_s", y_s, lower=-10.0, unit="m")
         model, options, dt, seed = setup.model, setup.options, setup.dt, setup.seed
         offset = model.parameters.edge_offset
         whole = UncorrectedPath.of(scenarios, options.residuals, seed)

@@ -8,15 +8,14 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import math
 from typing import Final, Literal, Protocol, get_args
 
 import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import FloatArray, unmasked
-from ldctoolkit.errors import CheckedArguments, InputError, plain
-from ldctoolkit.option_checks import short_repr, warn_of_units
+from ldctoolkit.declared import check_declared, declared, short_repr, warn_of_units
+from ldctoolkit.errors import CheckedArguments, InputError
 from ldctoolkit.vehicle.discretization import AugmentedStep, Discretization, augmented, discretize
 
 
@@ -115,28 +114,20 @@ class VehicleParameters(CheckedArguments):
 
     __repr__ = short_repr
 
-    C_af: float = 80000.0
-    C_ar: float = 80000.0
-    l_f: float = 1.43
-    l_r: float = 1.47
-    m: float = 1000.0
-    I_z: float = 3344.0
-    w_l: float = 3.6
-    w_v: float = 1.9
-    steering_ratio: float = 15.0
+    C_af: float = declared(80000.0, unit="N/rad", above=0.0)
+    C_ar: float = declared(80000.0, unit="N/rad", above=0.0)
+    l_f: float = declared(1.43, unit="m", above=0.0)
+    l_r: float = declared(1.47, unit="m", above=0.0)
+    m: float = declared(1000.0, unit="kg", above=0.0)
+    I_z: float = declared(3344.0, unit="kg m^2", above=0.0)
+    w_l: float = declared(3.6, unit="m", above=0.0)
+    w_v: float = declared(1.9, unit="m", above=0.0)
+    steering_ratio: float = declared(15.0, above=0.0)
 
     def __post_init__(self) -> None:
-        for field in dataclasses.fields(self):
-            value = plain(getattr(self, field.name))
-            if isinstance(value, bool) or not isinstance(value, int | float):
-                raise InputError(f"vehicle.{field.name}", value=value, allowed="a number > 0")
-            if not (math.isfinite(value) and value > 0):
-                raise InputError(f"vehicle.{field.name}", value=value, allowed="a finite number > 0")
-            object.__setattr__(self, field.name, value)
+        check_declared(self, "vehicle")
         if self.w_v >= self.w_l:
-            raise InputError(
-                "vehicle.w_v", "m", value=self.w_v, allowed=f"less than the lane's width w_l = {self.w_l!r} m"
-            )
+            raise InputError("vehicle.w_v", "m", value=self.w_v, allowed=f"less than the lane's width, {self.w_l!r} m")
         warn_of_units("vehicle", self)
 
     @property
@@ -294,5 +285,5 @@ def checked_speeds(v: npt.ArrayLike) -> FloatArray:
     bad = ~(np.isfinite(speed) & (speed > 0))
     if bad.any():
         i = int(np.argmax(bad))
-        raise InputError(f"v[{i}] = {speed[i]:g} m/s; allowed: finite speeds > 0")
+        raise InputError(f"v[{i}]", "m/s", value=float(speed[i]), allowed="a finite number > 0")
     return speed

@@ -12,16 +12,17 @@ from ldctoolkit.registry import controller_class
 from ..comparison.comparison import Comparison
 from ..comparison.paired import Verdict, Winners
 from ..design import Design, gain_text
+from ..pages.landscape_section import index_table
 from ..sensitivity.sensitivity import BlockSensitivity
 from ..sensitivity.winner_profile import Profile
-from ._console import add_row, console, new_table, print_table, say
+from ..tables import Column, Row, Table
+from ._console import console, print_table, say
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.table import Table
 
 
-_STYLE: Final = {Verdict.WORSE: "red", Verdict.BETTER: "green", Verdict.NOT_SEPARATED: "", Verdict.SAME: "dim"}
+_STYLE: Final = {Verdict.WORSE: "bad", Verdict.BETTER: "good", Verdict.NOT_SEPARATED: "", Verdict.SAME: "same"}
 _MOST_LISTED: Final = 20
 
 
@@ -63,14 +64,12 @@ def _table(comparison: Comparison, top: int) -> Table:
     """Worse designs first; those that are the same are counted below."""
     designs = f"{len(comparison)} design{'' if len(comparison) == 1 else 's'}"
     title = f"{designs} in both studies, {comparison.shared.n:,} shared scenarios, {comparison.label}"
-    headings = ("verdict", "design", "old S\n[m s]", "new S\n[m s]", "new - old\n[m s]",
-                f"{100 * comparison.confidence:g}%\ninterval", "scenarios\nchanged", "largest change\n[m s]",
-                "failed\nold, new")  # fmt: skip
-    table = new_table(title, headings, left=(0, 1))
+    headings = ("old S", "new S", "new - old", f"{100 * comparison.confidence:g} % interval", "scenarios changed",
+                "largest change", "failed old, new")  # fmt: skip
+    columns = [Column("verdict", text=True), Column("design", text=True), *map(Column, headings)]
     order, verdict = comparison.order, comparison.S.verdict
-    for i in [i for i in order if verdict[i] is not Verdict.SAME][:top] or order[:top]:
-        add_row(table, _cells(comparison, i), _STYLE[verdict[i]] or None)
-    return table
+    shown = [i for i in order if verdict[i] is not Verdict.SAME][:top] or list(order[:top])
+    return Table(title, columns, [Row(_cells(comparison, i), _STYLE[verdict[i]]) for i in shown])
 
 
 def _cells(comparison: Comparison, i: int) -> list[str]:
@@ -124,7 +123,7 @@ def print_indices(blocks: Sequence[BlockSensitivity], label: str, confidence: fl
         if block.indices is None:
             say(console(), f"{title}: no Sobol indices: {block.reason}")
         else:
-            print_table(_index_table(block, f"{title}: Sobol indices of mean S, {label}", confidence))
+            print_table(index_table([block], f"{title}: Sobol indices of mean S, {label}", confidence))
             notes = (block.note, f"{block.designs} designs", f"intervals over {block.interval_over}")
             say(console(), "; ".join(note for note in notes if note))
         console().print()
@@ -146,39 +145,18 @@ def print_profiles(profiles: Sequence[Profile], middle: Design, which: str, labe
                 say(console(), f"{profile.name} = {gain_text(value)}: {reason}")
 
 
-def _index_table(block: BlockSensitivity, title: str, confidence: float) -> Table:
-    found, interval = block.indices, f"{100 * confidence:g}%\ninterval"
-    table = new_table(title, ("dimension", "first order", interval, "total", interval))
-    if found is None:
-        return table
-    weight = np.where(np.isnan(found.total), found.first, found.total)
-    for i in np.argsort(-weight, kind="stable"):
-        row = [block.names[i], f"{found.first[i]:.3f}", f"{found.first_low[i]:.3f} .. {found.first_high[i]:.3f}"]
-        if np.isnan(found.total[i]):
-            row += ["-", "-"]
-        else:
-            row += [f"{found.total[i]:.3f}", f"{found.total_low[i]:.3f} .. {found.total_high[i]:.3f}"]
-        add_row(table, row)
-    return table
-
-
 def _profile_table(profiles: Sequence[Profile], confidence: float) -> Table:
-    interval = f"{100 * confidence:g}%\ninterval"
-    headings = ("dimension", "value", "from", "to", "values\n(driven)", "S moves by\n[m s]")
-    table = new_table("", (*headings, "least S at", "there\n[m s]", interval))
+    columns = [
+        Column("dimension", text=True), Column("value"), Column("from"), Column("to"), Column("values (driven)"),
+        Column("S moves by", "m\u00b7s", ".4f"), Column("least S at"), Column("there", "m\u00b7s", "+.4f"),
+        Column(f"{100 * confidence:g} % interval", "m\u00b7s", "+.4f"),
+    ]  # fmt: skip
+    rows = []
     for one in sorted(profiles, key=lambda profile: -profile.spread):
-        unit = "" if one.unit == "1" else f" {one.unit}"
-        best = one.best
-        row = [
-            one.name,
-            f"{gain_text(one.values[one.at])}{unit}",
-            gain_text(one.values[0]),
-            gain_text(one.values[-1]),
-            f"{len(one.values)} ({int((~one.stored).sum())})",
-            f"{one.spread:.4f}",
-            gain_text(one.values[best]),
-            f"{one.difference[best]:+.4f}",
-            f"{one.low[best]:+.4f} .. {one.high[best]:+.4f}",
-        ]
-        add_row(table, row)
-    return table
+        unit, best = "" if one.unit == "1" else f" {one.unit}", one.best
+        ends = gain_text(one.values[0]), gain_text(one.values[-1])
+        driven = f"{len(one.values)} ({int((~one.stored).sum())})"
+        there = float(one.difference[best]), (float(one.low[best]), float(one.high[best]))
+        middle, least = f"{gain_text(one.values[one.at])}{unit}", gain_text(one.values[best])
+        rows.append(Row([one.name, middle, *ends, driven, one.spread, least, *there]))
+    return Table("", columns, rows)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from ldctoolkit.errors import InputError, LdcError
 
+from ..tables import Column, Row, Table
 from . import _console
 
 if TYPE_CHECKING:
@@ -197,12 +198,14 @@ def _write_page(page: Path, model: ScenarioModel, departures: Departures, chosen
 
 def _print_curve(summary: SideSummary, taken: int) -> None:
     """Every K with its criteria; the one that was taken has a star."""
-    table = _console.new_table("", ("K", "p", "log-likelihood an event", "BIC", "AIC"), left=())
-    columns = summary.n_components, summary.n_parameters, summary.log_likelihood, summary.bic, summary.aic
-    for K, p, log_likelihood, bic, aic in zip(*columns, strict=True):
-        cells = f"{K}{' *' if taken == K else '  '}", str(p), f"{log_likelihood:.4f}", f"{bic:.1f}", f"{aic:.1f}"
-        _console.add_row(table, cells, "bold" if taken == K else None)
-    _console.print_table(table)
+    columns = [Column("K"), Column("p"), Column("log-likelihood an event", form=".4f"), Column("BIC", form=".1f"),
+               Column("AIC", form=".1f")]  # fmt: skip
+    numbers = summary.n_components, summary.n_parameters, summary.log_likelihood, summary.bic, summary.aic
+    rows = [
+        Row([f"{K}{' *' if taken == K else '  '}", *row], "winner" if taken == K else "")
+        for K, *row in zip(*numbers, strict=True)
+    ]
+    _console.print_table(Table("", columns, rows))
 
 
 _MOST = 10_000_000  # departures to one side that fit in memory; the same bound as in a study file

@@ -95,5 +95,5 @@ def _of_catalog(name: str) -> dict[str, Any]:
     from ..study_file import catalog_names, load_study
 
     if name not in catalog_names():
-        raise UnknownNameError(f"study {name!r}", "not in the catalog", allowed=catalog_names())
+        raise UnknownNameError("study", "is not in the catalog", value=name, allowed=catalog_names())
     return load_study(name).content()

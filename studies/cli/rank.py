@@ -50,7 +50,7 @@ def run(chosen: argparse.Namespace) -> None:
     from ..ranking.verdict import verdict
     from ..storage.store import Store
     from ..storage.stored_model import read_model
-    from ._results import print_race, print_ranking, rank_summary, stored_robustness, write_ranking
+    from ._results import print_ranking, rank_summary, stored_robustness, write_ranking
 
     target = None if chosen.output is None else output_file(chosen.output, ".csv", ".md")
     store = Store.open(chosen.folder)
@@ -62,8 +62,6 @@ def run(chosen: argparse.Namespace) -> None:
         # who is a finalist, and what their intervals promise, was decided by the study's own settings
         warn("fresh scores are those of the study's own requirements and confidence; they are left out")
         results = dataclasses.replace(results, fresh=None)
-    if results.race is not None and results.race.dropped and not _same_chances(own, study):
-        warn("the race gave designs up by the study's own requirements and confidence; they are not ranked")
     with progress_bar("ranking"):
         ranking = rank_study(results, study)
     robustness = stored_robustness(Path(chosen.folder), study, results, ranking)
@@ -72,19 +70,17 @@ def run(chosen: argparse.Namespace) -> None:
     if chosen.baseline and ranking.baseline is None:
         raise InputError(
             f"--baseline {chosen.baseline}",
-            "it failed or was given up in a race, and has no results to compare with",
+            "it failed, and has no results to compare with",
             allowed="a design with metrics in ranking.csv",
         )
     if not (chosen.quiet or chosen.json):
-        if results.race is not None:
-            print_race(results.race)
         print_ranking(ranking, chosen.top, found)
     if target is not None and target.suffix.lower() == ".md":
         write_markdown(ranking, target, study, store.manifest, found)
     elif target is not None:
-        write_csv(ranking, target, results.race)
+        write_csv(ranking, target)
     elif study.ranking == own.ranking:
-        target = write_ranking(Path(chosen.folder), study, store.manifest, results, ranking, found)
+        target = write_ranking(Path(chosen.folder), study, store.manifest, ranking, found)
     if chosen.json:
         print(rank_summary(results, ranking, store.manifest, target, found))
     elif target is not None:

@@ -46,7 +46,7 @@ def run(chosen: argparse.Namespace) -> None:
     with progress_bar("driving the best on other plants"):
         robustness = options.robustness_of(folder, study, results, ranking)
     found = verdict(ranking, results, study.setup(), robustness, read_model(folder, store.manifest))
-    print(f"ranking: {write_ranking(folder, study, store.manifest, results, ranking, found)}")
+    print(f"ranking: {write_ranking(folder, study, store.manifest, ranking, found)}")
     with progress_bar("writing the report"):
         path = write_study_report(folder, study, store.manifest, results, ranking, options, robustness)
     print(f"report:  {path}")

@@ -15,7 +15,8 @@ from ldctoolkit.simulation import Window
 
 from ..design import Design
 from ..results import FailedDesign, StudyResults
-from ..storage.files import csv_text, write_text
+from ..storage.files import write_text
+from ..tables import Table, to_csv
 from .paired import (
     FinishedStudy,
     PairedDifferences,
@@ -81,7 +82,6 @@ class Comparison:
     new_failures: tuple[FailedDesign, ...]
     repaired: tuple[FailedDesign, ...]
     failed_in_both: tuple[FailedDesign, ...]
-    given_up: tuple[Design, ...]  # Designs of both studies that a race gave up in one of them
     bootstrap: int  # Resamples
     confidence: float  # Of the intervals, all designs together
     warnings: tuple[str, ...] = ()
@@ -255,7 +255,6 @@ def compare(
         new_failures=_failed(after.results, ran=before.results),
         repaired=_failed(before.results, ran=after.results),
         failed_in_both=_failed(after.results, failed=before.results),
-        given_up=_given_up(before.results, after.results),
         **chance,
     )
     return dataclasses.replace(comparison, warnings=tuple(_warnings(comparison, every.n - shared.n)))
@@ -308,13 +307,6 @@ def _driven(shared: SharedScenarios, old: StudyResults, new: StudyResults) -> Sh
     return shared.take(old.drivable[shared.old] & new.drivable[shared.new])
 
 
-def _given_up(*both: StudyResults) -> tuple[Design, ...]:
-    """Designs that both studies hold, and a race of one of them gave up."""
-    shared = set.intersection(*(set(held_designs(results)) for results in both))
-    lost = {one.design.key: one.design for results in both if results.race is not None for one in results.race.dropped}
-    return tuple(design for id, design in lost.items() if id in shared)
-
-
 def _failed(
     results: StudyResults, *, ran: StudyResults | None = None, failed: StudyResults | None = None
 ) -> tuple[FailedDesign, ...]:
@@ -346,11 +338,6 @@ def _warnings(comparison: Comparison, left_out: int) -> Iterator[str]:
         yield (
             "S over the control window starts at the trigger, which moves with y_s: a later trigger gives a smaller S. "
             "Winners with different y_s are not comparable there."
-        )
-    if comparison.given_up:
-        yield (
-            f"Designs of both studies that a race in one of them gave up early: {len(comparison.given_up)}; they are "
-            "not compared."
         )
 
 
@@ -404,7 +391,7 @@ def _design(comparison: Comparison, i: int) -> dict[str, Any]:
 
 def write_comparison(comparison: Comparison, path: str | Path) -> None:
     """Write a comparison as one CSV file, whole or not at all."""
-    write_text(Path(path), csv_text(COLUMNS, comparison_rows(comparison)))
+    write_text(Path(path), to_csv(Table.of(COLUMNS, comparison_rows(comparison))))
 
 
 def comparison_content(comparison: Comparison) -> dict[str, Any]:
@@ -427,6 +414,5 @@ def comparison_content(comparison: Comparison) -> dict[str, Any]:
         "warnings": list(comparison.warnings),
         "only_old": [design.id for design in comparison.only_old],
         "only_new": [design.id for design in comparison.only_new],
-        "given_up": [design.id for design in comparison.given_up],
         "rows": list(comparison_rows(comparison)),
     }

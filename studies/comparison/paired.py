@@ -263,10 +263,8 @@ class FinishedStudy:
 
 
 def held_designs(results: StudyResults) -> dict[tuple[Any, ...], Design]:
-    """All designs that a study met, by `Design.key`: with results, failed, or given up in a race."""
-    dropped = results.race.dropped if results.race is not None else ()
-    every = (*results.designs, *(one.design for one in results.failed), *(one.design for one in dropped))
-    return {design.key: design for design in every}
+    """All designs that a study met, by `Design.key`: with results, or failed."""
+    return {design.key: design for design in (*results.designs, *(failure.design for failure in results.failed))}
 
 
 def input_differences(old: FinishedStudy, new: FinishedStudy) -> Iterator[str]:

@@ -13,10 +13,11 @@ from ldctoolkit.version import __version__
 from ..comparison.comparison import PHRASES, Comparison
 from ..comparison.paired import Verdict, Winners
 from ..storage.files import write_text
-from .charts import Axis, Chart, Cloud, Dot, Style, dots, scatter
+from ..tables import Cell, Column, Row, Table, to_html
+from ..text import difference_text, number, percent, plural, signed, symbols
+from .charts import Axis, Chart, Dot, Series, Style, dots
 from .settings_section import pairs
-from .shell import Cell, Column, Section, TableRow, bullets, details, figure, make_page, paragraphs, render, table
-from .text import difference_text, number, percent, plural, signed, symbols
+from .shell import Section, bullets, details, figure, make_page, paragraphs, render
 
 THRESHOLD: Final = 0.01  # differences of mean S [m s] below this do not matter in practice: 1 cm over 1 s
 
@@ -120,7 +121,7 @@ def _verdict(comparison: Comparison) -> Section:
             Column("Verdict", text=True),
         ]  # fmt: skip
         title = f"Mean S of the winners; differences from {THRESHOLD:g} m\u00b7s on matter in practice"
-        body += table(title, columns, [TableRow(cells)])
+        body += to_html(Table(title, columns, [Row(cells)]))
     if len(comparison):
         body += paragraphs(
             f"{plural(len(comparison), 'design')} in both studies: {counts_text(comparison)}. Intervals hold for all "
@@ -163,10 +164,10 @@ def _differences(comparison: Comparison) -> Section:
     else:
         columns = [Column("Input", text=True), Column("Old \u2192 new", text=True)]
         rows = [
-            TableRow((key, value.replace(" -> ", " \u2192 ")))
+            Row((key, value.replace(" -> ", " \u2192 ")))
             for key, _, value in (one.partition(": ") for one in comparison.differences)
         ]
-        body = table("What decides the numbers and differs", columns, rows)
+        body = to_html(Table("What decides the numbers and differs", columns, rows))
     return Section("differences", "What differs", body)
 
 
@@ -182,11 +183,12 @@ def _designs(comparison: Comparison) -> Section:
 def _design_table(comparison: Comparison) -> Markup:
     S, shared, id = comparison.S, comparison.shared, "designs-1"
     columns = [
-        Column("Verdict", text=True), Column("Design", text=True), Column("Old S", "m\u00b7s", key="old"),
-        Column("New S", "m\u00b7s", key="new"), Column("New \u2212 "
-            "old", "m\u00b7s", key="difference"), Column("Interval", "m\u00b7s"),
+        Column("Verdict", text=True), Column("Design", text=True), Column("Old S", "m\u00b7s", ".4f", key="old"),
+        Column("New S", "m\u00b7s", ".4f", key="new"), Column("New \u2212 "
+            "old", "m\u00b7s", difference_text, key="difference"), Column("Interval", "m\u00b7s"),
         Column("Scenarios changed", key="changed"), Column("Largest change", "m\u00b7s"), Column("Failed, old / new"),
     ]  # fmt: skip
+    numbers = np.stack([S.S_old, S.S_new, S.difference], axis=1)
     rows = []
     for k, i in enumerate(comparison.order[:MOST_ROWS]):
         changed, failed = int(S.changed[i]), (comparison.failed_old[i], comparison.failed_new[i])
@@ -195,19 +197,17 @@ def _design_table(comparison: Comparison) -> Markup:
         cells = (
             Cell(PHRASES[verdict], bad=verdict is Verdict.WORSE, good=verdict is Verdict.BETTER),
             comparison.designs[i].label,
-            Cell(number(float(S.S_old[i]), 4), float(S.S_old[i])),
-            Cell(number(float(S.S_new[i]), 4), float(S.S_new[i])),
-            Cell(difference_text(float(S.difference[i])), float(S.difference[i])),
+            *numbers[i].tolist(),
             interval_text(float(S.low[i]), float(S.high[i])),
-            Cell(f"{changed:,}", float(changed)),
+            changed,
             f"{difference_text(float(S.largest[i]))}{at}" if changed else "\u2013",
             f"{failed[0]:,} / {failed[1]:,}" if any(failed) else "\u2013",
         )
-        rows.append(TableRow(cells, later=k >= FIRST_ROWS))
+        rows.append(Row(cells, later=k >= FIRST_ROWS))
+    table = Table(f"{_title(comparison.label)}: {counts_text(comparison)}", columns, rows, head=1)
     return render(
-        "compare.html", id=id, table=table(f"{_title(comparison.label)}: "
-            f"{counts_text(comparison)}", columns, rows, id=id, sortable=True, head=1),
-        count=len(comparison), listed=len(rows), later=max(0, len(rows) - FIRST_ROWS),
+        "compare.html", id=id, table=to_html(table, id=id, sortable=True), count=len(comparison), listed=len(rows),
+        later=max(0, len(rows) - FIRST_ROWS),
     )  # fmt: skip
 
 
@@ -250,11 +250,11 @@ def _charts(comparison: Comparison) -> Iterator[Chart]:
         own = np.array([i for i in range(len(comparison)) if S.verdict[i] is verdict], dtype=np.int64)
         if own.size:
             tips = tuple(f"{comparison.designs[i].label}: {PHRASES[verdict]}" for i in own)
-            clouds.append(Cloud(S.S_old[own], S.S_new[own], style, np.ones(own.size, dtype=np.bool_), tips))
+            clouds.append(Series(PHRASES[verdict], S.S_old[own], S.S_new[own], style, kind="points", tips=tips))
     both = Axis.around("", S.S_old, S.S_new)
-    ends_of = np.array([both.low, both.high])
     x, y = Axis("Old mean S [m\u00b7s]", both.low, both.high), Axis("New mean S [m\u00b7s]", both.low, both.high)
-    yield scatter("scatter", f"{label}: old against new mean S", clouds, x, y, front=None, diagonal=ends_of)
+    title = f"{label}: old against new mean S"
+    yield Chart("scatter", title, x, y, clouds, diagonal=True, height=290.0)
 
 
 def _only_one(comparison: Comparison) -> Section:

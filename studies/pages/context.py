@@ -16,13 +16,12 @@ from ldctoolkit.errors import InputError
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
 
-from ..design import Design
 from ..ranking.ranking import Ranking
-from ..ranking.verdict import Verdict, design_name, verdict
+from ..ranking.verdict import Verdict, verdict
 from ..requirements import metric, metric_values
 from ..results import StudyResults
+from ..text import number
 from .charts import Style, law_styles
-from .text import number, true_minus
 
 if TYPE_CHECKING:
     from ldctoolkit.departures import Departures
@@ -184,16 +183,6 @@ def metric_text(name: str, value: float, *, unit: bool = True) -> str:
     one = metric(name)
     shown = number(one.scale * value, one.digits)
     return f"{shown}\u00a0{one.shown_unit}" if unit and one.shown_unit and math.isfinite(value) else shown
-
-
-def name_of(design: Design) -> str:
-    """A design in a sentence: law, threshold, gains."""
-    return true_minus(design_name(design))
-
-
-def interval(low: float, high: float, digits: int = 3) -> str:
-    """Both ends; empty where there is no interval."""
-    return f"{number(low, digits)} to {number(high, digits)}" if math.isfinite(low + high) else ""
 
 
 def side_rows(context: Context) -> Iterator[tuple[str, np.ndarray]]:

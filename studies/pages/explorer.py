@@ -12,13 +12,13 @@ from ldctoolkit.control import EventStatus
 from ldctoolkit.departures import LEFT
 from ldctoolkit.metrics import A_Y_LIMIT, DTLE_LIMIT, JERK_LIMIT
 
-from ..ranking.verdict import law_title
+from ..ranking.verdict import design_name, law_title
 from ..results import status_among
+from ..text import compact, number, percent, plural
 from .charts import RECORDED, Axis, Chart, Style, ecdf, legend
-from .context import MOST_CURVES, Context, name_of, side_rows
+from .context import MOST_CURVES, Context, side_rows
 from .replay import STATUS_TEXT, Replay, chosen_designs, picked_departures, replay
 from .shell import Section, figure, packed, paragraphs, render
-from .text import compact, number, percent, plural
 
 RESOLUTION: Final = {"y": 1e-3, "delta": 1e-2, "a_y": 1e-2}
 """Steps of the embedded positions [m], steering angles [deg] and accelerations [m/s^2]."""
@@ -84,7 +84,7 @@ def _data(context: Context, replayed: Replay, every: int) -> dict[str, object]:
         "duration": packed(replayed.scenarios.T),
         "designs": [
             {
-                "name": name_of(context.ranking.designs[one.place]),
+                "name": design_name(context.ranking.designs[one.place]),
                 "why": one.why,
                 "style": context.style(one.place).name,
                 "dash": context.style(one.place).dash,
@@ -232,7 +232,7 @@ def failure_sentences(context: Context) -> Iterator[str]:
                 more = " and others" if rows.size > 5 else ""
                 parts.append(f"{STATUS_TEXT[which]} in {plural(rows.size, 'departure')} (no. {numbers}{more})")
         if parts:
-            yield f"{name_of(context.ranking.designs[place])}: {'; '.join(parts)}."
+            yield f"{design_name(context.ranking.designs[place])}: {'; '.join(parts)}."
 
 
 def worst_sentence(context: Context) -> str:

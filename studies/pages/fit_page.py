@@ -20,10 +20,11 @@ from ldctoolkit.version import __version__
 
 from ..storage.files import write_text
 from ..storage.stored_model import WARNING, model_notes
-from .charts import Axis, Chart, Dot, Series, Style, bars, dots, heat_map, legend, lines
+from ..tables import Cell, Column, Row, Table, Value, to_html
+from ..text import PARAMETER_MEANINGS, compact, number, parameter_label, percent, plural, symbols
+from .charts import Axis, Chart, Dot, Series, Style, bars, dots, heat_map, legend
 from .settings_section import pairs
-from .shell import Cell, Column, Section, TableRow, bullets, details, figure, make_page, paragraphs, table
-from .text import PARAMETER_MEANINGS, compact, number, parameter_label, percent, plural, symbols
+from .shell import Section, bullets, details, figure, make_page, paragraphs
 
 Progress = Callable[[str, int, int], None]
 
@@ -200,16 +201,16 @@ def _fidelity(sides: tuple[Side, ...]) -> Section:
             continue
         rows = []
         for i, design in enumerate(found.designs):
-            cells: list[Cell | str] = [design]
+            cells: list[Cell | Value] = [design]
             for j, factor in enumerate(scale):
                 once, low, high, generated = (
                     number(factor * values[i][j], 1 if factor > 1.0 else 2)
                     for values in (found.replayed, found.low, found.high, found.generated)
                 )
                 cells += [Cell(generated, bad=not found.within[i, j]), f"{once} ({low} to {high})"]
-            rows.append(TableRow(tuple(cells)))
+            rows.append(Row(tuple(cells)))
         title = f"{side.key.capitalize()}: generated departures, and {found.departures:,} replayed ones"
-        body += table(title, columns, rows)
+        body += to_html(Table(title, columns, rows))
     note = (
         "Each test design is driven on the recorded departures and on generated ones. In brackets: 95 % bootstrap "
         "interval of the replay, for all test designs at once, and no narrower than what a designer would act on (3 "
@@ -274,7 +275,7 @@ def _calibration(sides: tuple[Side, ...]) -> Section:
         columns += [Column(f"{side.key.capitalize()}: distance", "%"), Column("Limit", "%"), Column("Reached at")]
     rows, charts = [], []
     for name in PARAMETER_NAMES:
-        cells: list[Cell | str] = [f"{parameter_label(name)}: {PARAMETER_MEANINGS[name]}"]
+        cells: list[Cell | Value] = [f"{parameter_label(name)}: {PARAMETER_MEANINGS[name]}"]
         series = []
         for side in sides:
             one = next((c for c in side.found.calibrations if c.name == name), None)
@@ -287,21 +288,23 @@ def _calibration(sides: tuple[Side, ...]) -> Section:
                 compact(float(f"{one.position:.3g}")),
             ]
             series.append(Series(side.key, one.u, 100.0 * one.difference, SIDE[side.key]))
-        rows.append(TableRow(tuple(cells)))
+        rows.append(Row(tuple(cells)))
         if series:
             y = Axis.around("Difference [%]", *(one.y for one in series), [0.0])
             charts.append(
-                lines(
+                Chart(
                     f"calibration-{name}",
                     f"Calibration of {name}",
-                    series,
                     Axis(f"u of {name}", 0.0, 1.0),
                     y,
+                    series,
                     level=0.0,
                     height=190,
                 )
             )
-    body = table("Kolmogorov distances in per cent of events; highlighted: beyond sampling error", columns, rows)
+    body = to_html(
+        Table("Kolmogorov distances in per cent of events; highlighted: beyond sampling error", columns, rows)
+    )
     body += paragraphs(
         "With very many events a distance may be beyond its limit and still too small to matter: below 5 % it is not a "
         "reason to refuse the model."
@@ -360,8 +363,8 @@ def _components(sides: tuple[Side, ...]) -> Section:
                 outside,
                 f"{c.condition:.3g}",
             )
-            rows.append(TableRow(cells))
-    body = table("Components, the heaviest first", columns, rows) if rows else Markup()
+            rows.append(Row(cells))
+    body = to_html(Table("Components, the heaviest first", columns, rows)) if rows else Markup()
     smooth = [side.key for side in sides if side.summary is not None and side.summary.kind == "smoothed"]
     if smooth:
         body += paragraphs(f"Smoothed departures, a component each: {' and '.join(smooth)}.")
@@ -381,7 +384,7 @@ def _selection(sides: tuple[Side, ...]) -> Section:
         columns = [Column("K"), Column("BIC"), Column("Above the least"), Column("Log-likelihood", "nats an event"),
                    *([Column("AIC")] if summary.aic else [])]  # fmt: skip
         rows = [
-            TableRow(
+            Row(
                 (
                     str(K),
                     number(summary.bic[i], 1),
@@ -393,7 +396,7 @@ def _selection(sides: tuple[Side, ...]) -> Section:
             )
             for i, K in enumerate(summary.n_components)
         ]
-        body += table(f"{side.key.capitalize()}: choice of K; the chosen one is set in bold", columns, rows)
+        body += to_html(Table(f"{side.key.capitalize()}: choice of K; the chosen one is set in bold", columns, rows))
     return Section("selection", "Choice of K", body)
 
 

@@ -1,42 +1,18 @@
 """``ranking.md``: a ranking to be read by itself, in Markdown."""
 
-import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
 from ..ranking.ranked_designs import SCORE
 from ..ranking.ranking import Ranking
-from ..ranking.verdict import (
-    COLUMNS_TEXT,
-    Verdict,
-    listed_places,
-    more_lines,
-    ranking_cells,
-    ranking_columns,
-    verdict_lines,
-)
+from ..ranking.verdict import COLUMNS_TEXT, Verdict, listed_places, more_lines, ranking_table, verdict_lines
 from ..storage.files import write_text
 from ..storage.manifest import Manifest
 from ..study_file import Study
+from ..tables import markdown_text, to_markdown
 
 MOST_ROWS: Final = 50  # designs of a Markdown file; those that are named follow
-
-_ENTITIES: Final = {"&": "&amp;", "<": "&lt;", ">": "&gt;"}
-_MARKS: Final = frozenset("\\`*_[]|~#$")
-_ADDRESS: Final = re.compile(r"(?i)\b(www)(\.)|()(:)(?=\S)")
-_START: Final = re.compile(r"^(\d{1,9})([.)])|^([-+=])")
-
-
-def markdown_text(text: str) -> str:
-    r"""One line of text that a reader of GitHub-flavoured Markdown shows as it is."""
-    line = re.sub(r"[\x00-\x20\x7f\x85\u2028\u2029]+", " ", text).strip()
-    # halves of characters, and what turns the direction of the text that follows
-    line = re.sub("[\ud800-\udfff\u202a-\u202e\u2066-\u2069]", "\ufffd", line)
-    shown = "".join(_ENTITIES.get(one, f"\\{one}" if one in _MARKS else one) for one in line)
-    # no address, emoji or mention: a mark inside the word ends what would be one
-    shown = _ADDRESS.sub(lambda m: f"{m[1] or ''}\\{m[2] or m[4]}", shown).replace("@", "@<!-- -->")
-    return _START.sub(lambda m: f"{m[1]}\\{m[2]}" if m[1] else f"\\{m[3]}", shown)
 
 
 def write_markdown(ranking: Ranking, path: Path, study: Study, manifest: Manifest, found: Verdict) -> None:
@@ -57,13 +33,7 @@ def _blocks(ranking: Ranking, study: Study, manifest: Manifest, found: Verdict) 
     for warning in ranking.warnings:
         yield f"> **Warning:** {markdown_text(warning)}\n"
     places = listed_places(ranking, MOST_ROWS)
-    columns = ranking_columns(ranking)
-    headings = [markdown_text(f"{one.title}{f' [{one.unit}]' if one.unit else ''}") for one in columns]
-    rows = ([markdown_text(cell) for cell in ranking_cells(ranking, place)] for place in places)
-    # a table; cells are escaped already
-    right = [not one.left for one in columns]
-    rule = ["---:" if number else "---" for number in right]
-    yield "".join(f"| {' | '.join(cells)} |\n" for cells in (headings, rule, *rows))
+    yield to_markdown(ranking_table(ranking, places))
     if len(places) < len(ranking):
         yield f"{len(places):,} of {len(ranking):,} designs; all of them are in `ranking.csv`.\n"
     window = "the whole departure" if ranking.window == "departure" else "the time under control"

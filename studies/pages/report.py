@@ -14,6 +14,7 @@ from ..sensitivity.sensitivity import sensitivity
 from ..storage.files import write_text
 from ..storage.stored_model import WARNING, read_model
 from ..study_file import toml_text
+from ..text import plural
 from . import (
     assessment_section,
     confidence_section,
@@ -28,7 +29,6 @@ from . import (
 from .charts import Chart
 from .context import Context, ReportInput
 from .shell import Section, make_page
-from .text import plural
 
 if TYPE_CHECKING:
     from ldctoolkit.departures import Departures
@@ -162,7 +162,6 @@ def _settings(study: Study, manifest: Manifest) -> Iterator[tuple[str, str]]:
     yield "requirements", ", ".join(study.ranking.require) or "none"
     yield "Pareto front over", ", ".join(study.ranking.pareto) or "none"
     yield "finalists on fresh scenarios", f"{study.ranking.finalists} at most"
-    yield "race", "yes" if study.race else "no"
     yield "finished", manifest.finished or "not finished"
     yield "wall time", f"{manifest.wall_time_s:.1f} s, {manifest.workers} worker processes"
 

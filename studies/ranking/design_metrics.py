@@ -253,15 +253,14 @@ _FEWEST_DIGITS = 6  # of an identifier, so that no law's name is taken for one
 
 
 def find_baseline(baseline: str, results: StudyResults) -> int | None:
-    """Position of the baseline in `results.designs`; None where it failed, was given up, or there is none."""
+    """Position of the baseline in `results.designs`; None where it failed, or there is none."""
     here = _found(baseline or NO_CONTROL, results.designs)
     if here:
         return here[0]
-    dropped = () if results.race is None else results.race.dropped
-    gone = [*(one.design for one in results.failed), *(one.design for one in dropped)]
-    if not baseline or _found(baseline, gone):
+    failed = [failure.design for failure in results.failed]
+    if not baseline or _found(baseline, failed):
         return None
-    laws = list(dict.fromkeys(design.law for design in (*results.designs, *gone)))
+    laws = list(dict.fromkeys(design.law for design in (*results.designs, *failed)))
     raise InputError(
         "ranking.baseline",
         f"is no law of this study, nor the start of a design's identifier ({_FEWEST_DIGITS} digits or more)",

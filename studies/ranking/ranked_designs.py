@@ -69,7 +69,7 @@ class FreshScores:
     fresh_scenarios: int  # How many; 0 for none
     fresh_best: int | None  # Position of the finalist with the smallest `fresh_S`
     # Position of the design to take, see `choose_winner`; without fresh scenarios the first of the ranking. None where
-    # no design is ranked, and where no finalist meets the requirements on the fresh scenarios
+    # no design is ranked, or no finalist meets the requirements on the fresh scenarios
     winner: int | None
 
 
@@ -240,7 +240,6 @@ class RankedDesigns(DesignMetrics, Inference, FreshScores):
     replayed_reduction: FloatArray
     replayed_departures: int  # How many; 0 for none
     failed: tuple[FailedDesign, ...] = ()  # Designs whose law failed: they have no rank and no metrics
-    given_up: int = 0  # Designs that a race gave up before: they have no rank and no metrics either
 
     def __len__(self) -> int:
         return len(self.designs)

@@ -19,10 +19,11 @@ from ldctoolkit.metrics import METRICS, RELEASE_METRICS
 
 from ..design import Design
 from ..requirements import SETS, metric, missed_by, requirements_of
-from ..results import Race, StudyResults
+from ..results import StudyResults
 from ..standards import standard_names
-from ..storage.files import csv_text, write_text
+from ..storage.files import write_text
 from ..study_file import Study
+from ..tables import Table, to_csv, to_polars
 from .design_metrics import (
     DrivableResults,
     design_metrics,
@@ -122,12 +123,7 @@ class Ranking(RankedDesigns, Frame):
         """One row a design, with the columns of ``ranking.csv``: first what names it, its rank and S."""
         import polars as pl
 
-        text = ("design", "label", "unmet", "fresh_unmet", "failure")
-        types = {**dict.fromkeys(text, pl.String), "rank": pl.Int64}
-        content = _csv_text(self, None, plain=True).encode()
-        table = pl.read_csv(content, infer_schema_length=None, schema_overrides=types)
-        empty = [one.name for one in table if one.dtype == pl.String and one.is_null().all() and one.name not in text]
-        table = table.with_columns(pl.col(empty).cast(pl.Float64))
+        table = to_polars(_table(self)).with_columns(pl.col("rank").cast(pl.Int64))
         first = ["rank", "law", "y_s_m", "S_m_s", "set_of_best", "unmet"]
         return table.select(*first, pl.exclude(first))
 
@@ -218,7 +214,6 @@ class Ranking(RankedDesigns, Frame):
             fresh_limited[:, :, positions] = found
             fresh_limited[mean_S, 1:] = fresh.fresh_low, fresh.fresh_high
             fresh_saved[positions] = there.reduction
-        given_up = 0 if results.race is None else len(results.race.dropped)
         acting = [i for i, design in enumerate(designs) if not design.is_baseline]
         if requirements and acting and not any(i < ranked for i in acting):
             fresh = dataclasses.replace(fresh, winner=None)  # to leave the departures alone is no design
@@ -257,7 +252,6 @@ class Ranking(RankedDesigns, Frame):
             confidence=confidence,
             warnings=tuple(warnings),
             failed=results.failed,
-            given_up=given_up,
         )
 
 
@@ -361,11 +355,6 @@ def _warnings(drivable: DrivableResults) -> Iterator[str]:
     yield from warnings_of(results)
 
 
-_DROPPED: Final = ("dropped_in_round", "dropped_scenarios", "dropped_S_m_s", "dropped_low_m_s")
-"""Columns of a design that a race gave up: after which round and on how many scenarios, its mean S on them, and the
-lower bound of how much worse than the best it is."""
-
-
 def _column_of(name: str) -> str:
     """Column of a score, or of an interval's end; a pure number has the attribute's name."""
     if name in ("set_of_best", "best_frequency", "pareto") or "reduction" in name:
@@ -387,18 +376,17 @@ _NUMBERS: Final = {name: _column_of(name) for name in _SCORES.split()}
 _COUNTS: Final = ("solver_failed", "diverged", "timed_out", "crashed", "beyond_delta_max", "invalid", "failed_solves")
 
 
-def write_csv(ranking: Ranking, path: str | Path, race: Race | None = None) -> None:
+def write_csv(ranking: Ranking, path: str | Path) -> None:
     """Write a ranking as a CSV file, whole or not at all."""
-    write_text(Path(path), _csv_text(ranking, race))
+    write_text(Path(path), to_csv(_table(ranking)))
 
 
-def _csv_text(ranking: Ranking, race: Race | None, *, plain: bool = False) -> str:
-    dropped = () if race is None else race.dropped
-    designs = [*_every(ranking), *(one.design for one in dropped)]
-    laws = {design.law: design for design in designs}
+def _table(ranking: Ranking) -> Table:
+    """The numbers of every design, in SI units."""
+    laws = {design.law: design for design in _every(ranking)}
     gains = list(dict.fromkeys(column for _, design in sorted(laws.items()) for column in _columns_of(design)))
-    rows = [*_rows(ranking, gains), *([] if race is None else _given_up(race, ranking, gains))]
-    return csv_text([*rows[0], *_DROPPED], rows, plain=plain)
+    rows = list(_rows(ranking, gains))
+    return Table.of(rows[0], rows, text=("design", "label", "unmet", "fresh_unmet", "failure"))
 
 
 def _every(ranking: Ranking) -> Iterator[Design]:
@@ -431,20 +419,18 @@ def _rows(ranking: Ranking, gains: Sequence[str]) -> Iterator[dict[str, Any]]:
     for i, (design, reason) in enumerate(zip(_every(ranking), reasons, strict=True)):
         here = i < len(ranking)
         yield {
-            **_named(ranking, int(ranking.rank[i]) if here and ranking.rank[i] else "", design, gains),
-            **{name: _field(column[i].item()) if here else "" for name, column in numbers.items()},
+            **_named(ranking, int(ranking.rank[i]) or None if here else None, design, gains),
+            **{name: column[i] if here else None for name, column in numbers.items()},
             "unmet": "; ".join(ranking.unmet[i]) if here else "",
             "fresh_unmet": "; ".join(ranking.fresh_unmet[i]) if here else "",
-            "optimism_of": _optimism_of(ranking, i) if here else "",
+            "optimism_of": _optimism_of(ranking, i) if here else None,
             "failure": reason,
         }
 
 
-def _named(ranking: Ranking, rank: int | str, design: Design, gains: Sequence[str]) -> dict[str, Any]:
+def _named(ranking: Ranking, rank: int | None, design: Design, gains: Sequence[str]) -> dict[str, Any]:
     """The columns that say which design it is."""
-    values = dict.fromkeys(gains, "") | dict(
-        zip(_columns_of(design), (_field(value) for _, value in design.gains), strict=True)
-    )
+    values = dict(zip(_columns_of(design), (value for _, value in design.gains), strict=True))
     return {
         "window": ranking.window,
         "convention": ranking.convention,
@@ -452,26 +438,12 @@ def _named(ranking: Ranking, rank: int | str, design: Design, gains: Sequence[st
         "design": design.id,
         "label": design.label,
         "law": design.law,
-        "y_s_m": repr(design.y_s),
-        **{f"gain_{name}": value for name, value in values.items()},
+        "y_s_m": design.y_s,
+        **{f"gain_{name}": values.get(name) for name in gains},
     }
 
 
-def _given_up(race: Race, ranking: Ranking, gains: Sequence[str]) -> Iterator[dict[str, Any]]:
-    """No rank and no metrics: these would stand for fewer scenarios than all others."""
-    for one in race.dropped:
-        metrics = (one.round, one.scenarios, _field(one.S), _field(one.low))
-        yield _named(ranking, "", one.design, gains) | dict(zip(_DROPPED, metrics, strict=True))
-
-
-def _optimism_of(ranking: Ranking, i: int) -> str:
+def _optimism_of(ranking: Ranking, i: int) -> str | None:
     if np.isnan(ranking.optimism[i]):
-        return ""
+        return None
     return "baseline_difference" if ranking.optimism_paired else "S"
-
-
-def _field(value: Any) -> str:
-    """Numbers in full precision, truth values in lower case, nothing for a metric that is taken over no departure."""
-    if isinstance(value, bool):
-        return str(value).lower()
-    return "" if value != value else str(value)

@@ -27,7 +27,7 @@ from ..storage.run_table import RunTable
 from ..storage.store import Store
 from ..study_file import Study
 from .executors.processes import Ended, Executor, Fault
-from .tasks import Done, Faults, Job, Prefixes, ScenarioBatch, SimulationTask, Simulator, Task, load_loops
+from .tasks import Done, Faults, Job, ScenarioBatch, SimulationTask, Simulator, Task, batches, load_loops
 
 _LINE_EVERY = 1.0  # seconds between lines
 
@@ -443,7 +443,6 @@ class Campaign:
         self,
         study: Study,
         scenarios: Scenarios,
-        prefixes: Prefixes,
         store: Store,
         table: RunTable,
         executor: Executor,
@@ -452,7 +451,7 @@ class Campaign:
         time_limit: float,
         block_size: int | None,
     ) -> None:
-        self.study, self.scenarios, self.prefixes = study, scenarios, prefixes
+        self.study, self.scenarios = study, scenarios
         self.store, self.table = store, table
         self._executor, self._progress = executor, progress
         self._block_size = block_size
@@ -465,12 +464,12 @@ class Campaign:
         self._writer: ThreadPoolExecutor | None = None
         self._writing: Future[None] | None = None
 
-    def complete(self, designs: Sequence[Design], size: int, stage: str) -> None:
-        """Run what is missing of some designs on the first `size` scenarios.
+    def complete(self, designs: Sequence[Design], stage: str) -> None:
+        """Run what is missing of some designs.
 
         Whatever happens, what was finished is stored before this returns.
         """
-        queues = self._queues(designs, size)
+        queues = self._queues(designs)
         if not queues:
             self._forget_failures(designs)
             return
@@ -495,18 +494,14 @@ class Campaign:
                 self._written()
         self._forget_failures(designs)
 
-    def _queues(self, designs: Sequence[Design], size: int) -> list[WorkQueue]:
+    def _queues(self, designs: Sequence[Design]) -> list[WorkQueue]:
         """What is missing: law by law, batch by batch."""
         laws: dict[str, list[Design]] = {}
         for design in designs:
             laws.setdefault(design.law, []).append(design)
         queues = []
         for same in laws.values():
-            covered = 0
-            for batch in self.prefixes.batches(same[0].batch):
-                covered += batch.rows.size
-                if covered > size:
-                    break
+            for batch in batches(len(self.scenarios), same[0].batch):
                 todo = [design for design in same if not self.table.has(design.id, batch.rows)]
                 if todo:
                     queues.append(WorkQueue(batch, todo))

@@ -12,18 +12,17 @@ from collections.abc import Iterable
 from typing import Any, Final, Self
 
 import numpy as np
-import numpy.typing as npt
 
 import ldctoolkit.registry as registry
-from ldctoolkit.arrays import FloatArray, IntArray
+from ldctoolkit.arrays import IntArray
 from ldctoolkit.control import EventStatus, LinearLaw, SteeringLaw
-from ldctoolkit.errors import InputError, LdcError
+from ldctoolkit.errors import LdcError
 from ldctoolkit.law_checks import declared_law, raised
 from ldctoolkit.metrics import METRIC_UNITS
 from ldctoolkit.registry import controller_class
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
-from ldctoolkit.simulation import Outcome, Run, Takeover, Window, drive, drive_many
+from ldctoolkit.simulation import Run, Takeover, Window, drive, drive_many
 from ldctoolkit.simulation.loop import recorded_run
 
 from ..design import Design
@@ -100,13 +99,6 @@ class Faults:
         self.workers_live = True
 
 
-FIRST_ROUND: Final = 100
-"""Scenarios of the first round: with fewer, tails as far out as many designs need are guesswork."""
-
-_WORTH_A_ROUND = 1.5
-"""A round is held where it leaves out a third of all scenarios or more; a later one would save little."""
-
-
 @dataclasses.dataclass(frozen=True, eq=False)
 class ScenarioBatch:
     """Scenarios that are driven as one batch."""
@@ -115,53 +107,13 @@ class ScenarioBatch:
     rows: IntArray  # (m,): row numbers of the scenarios, rising
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Prefixes:
-    """Nested prefixes of a study's scenarios, each side in proportion."""
-
-    side: IntArray  # (n,): of all scenarios
-    stops: tuple[int, ...]  # sizes of the prefixes, rising; the last is n
-
-    def rows(self, size: int) -> IntArray:
-        """Row numbers of the first `size` scenarios, rising: about the same share of each side."""
-        return prefix_rows(self.side, size)
-
-    def batches(self, size: int) -> tuple[ScenarioBatch, ...]:
-        """All scenarios in batches of at most `size`, none across the end of a prefix."""
-        found: list[ScenarioBatch] = []
-        for first, last in zip((0, *self.stops), self.stops, strict=False):
-            before = self.rows(first) if first else np.zeros(0, dtype=np.int64)
-            new = np.setdiff1d(self.rows(last), before, assume_unique=True)
-            count = -(-new.size // size)
-            # even shares of both sides would change no number; stretches are simpler to name
-            found += [ScenarioBatch(len(found) + i, rows) for i, rows in enumerate(np.array_split(new, count))]
-        return tuple(found)
+def batches(n: int, size: int) -> tuple[ScenarioBatch, ...]:
+    """All n scenarios in stretches of at most `size`."""
+    stretches = np.array_split(np.arange(n), -(-n // size))
+    return tuple(ScenarioBatch(number, rows) for number, rows in enumerate(stretches))
 
 
-def schedule(n: int) -> tuple[int, ...]:
-    """Number of scenarios after each round of a race over n: 100, then twice as many every time, and all at the end."""
-    if isinstance(n, bool) or not isinstance(n, int | np.integer) or n < 1:
-        raise InputError("n", value=n, allowed="a whole number >= 1")
-    sizes, size = [], FIRST_ROUND
-    while size * _WORTH_A_ROUND <= n:
-        sizes.append(size)
-        size *= 2
-    return (*sizes, int(n))
-
-
-def prefix_rows(side: IntArray, m: int) -> IntArray:
-    """The scenarios of a round: the first ones of each side, as many as is its share."""
-    side = np.asarray(side)
-    if not 1 <= m <= side.size:
-        raise InputError("m", value=m, allowed=f"1 to {side.size}, the number of scenarios")
-    which, counts = np.unique(side, return_counts=True)
-    # cumulative shares, rounded: each count rises with m, and together they make m
-    ends = np.floor(np.cumsum(counts) * m / side.size + 0.5).astype(np.int64)
-    taken = np.diff(ends, prepend=0)
-    rows = [np.flatnonzero(side == one)[:count] for one, count in zip(which, taken, strict=True)]
-    return np.sort(np.concatenate(rows))
-
-
+_SCORES = 2  # first columns of a result: S and S_uncorrected
 _numbers = itertools.count()
 
 
@@ -226,37 +178,6 @@ class Done:
     seconds: float = 0.0  # [s] wall time of the whole task
 
 
-_DEPARTURES = 6
-
-_SCORES = 2  # first columns of a result: S and S_uncorrected
-_SAME = 1e-9  # of S: sums in another order, in a batch of another size, are no state
-_SAME_METRIC = 1e-6  # of the companions: peaks and rates magnify what S averages
-
-
-def first_departures(takeover: Takeover) -> tuple[IntArray, Takeover]:
-    """The first few departures that trigger: their row numbers (k,), and a takeover of them alone."""
-    rows = np.sort(takeover.rows)[:_DEPARTURES]
-    return rows, Takeover.build(takeover.scenarios.take(rows), takeover.setup, y_s=takeover.y_s)
-
-
-def kept_state(
-    values: FloatArray, status: npt.NDArray[np.int8], failed_solves: npt.NDArray[np.int32], again: Outcome
-) -> str:
-    """A sentence if departures have other numbers when they are driven once more; empty if they do not."""
-    metrics = [getattr(again.companions, name) for name in METRIC_UNITS]
-    same = (status == again.status) & (failed_solves == again.failed_solves)
-    for column, (first, second) in enumerate(zip(values, (again.S, again.S_uncorrected, *metrics), strict=True)):
-        most = _SAME if column < _SCORES else _SAME_METRIC
-        same &= np.isclose(first, second, rtol=most, atol=most, equal_nan=True)
-    if same.all():
-        return ""
-    i = int(np.argmin(same))
-    return (
-        f"keeps state between runs: the same departure, driven twice, gave S = {values[0, i]:.9g} m s and then "
-        f"{again.S[i]:.9g} m s; allowed: state that init makes and step returns"
-    )
-
-
 _TAKEOVERS_KEPT = 8
 
 _JOBS_KEPT = 2
@@ -270,32 +191,24 @@ Key = tuple[float, bytes]
 
 
 class Simulator:
-    """Runs tasks of one job; keeps the last few takeovers, which designs of one threshold share.
-
-    Every design of a `SteeringLaw` drives a few departures of its first batch once more, and fails if they do not give
-    the numbers that are stored. So its fate does not depend on the order, the tasks or the workers, with one exception
-    that no check can rule out: a law with hidden state of the whole process, which settles before this design runs or
-    changes only after it, behaves here as what ran before in the same process made it.
-    """
+    """Runs tasks of one job; keeps the last few takeovers, which designs of one threshold share."""
 
     def __init__(self, job: Job) -> None:
         self.job = job
         self._takeovers: OrderedDict[Key, Takeover] = OrderedDict()
-        self._few: dict[Key, tuple[IntArray, Takeover]] = {}
 
     def takeover(self, y_s: float, scenarios: Scenarios) -> Takeover:
         """The scenarios at their triggers."""
         key = _key(y_s, scenarios)
         if key not in self._takeovers:
             while len(self._takeovers) >= _TAKEOVERS_KEPT:
-                oldest, _ = self._takeovers.popitem(last=False)
-                self._few.pop(oldest, None)
+                self._takeovers.popitem(last=False)
             self._takeovers[key] = Takeover.build(scenarios, self.job.setup, y_s=y_s)
         self._takeovers.move_to_end(key)
         return self._takeovers[key]
 
     def run(self, task: Task) -> Done:
-        """Every design of a task; one whose law raises, gives what no law may give, or keeps state, has failed."""
+        """Every design of a task; one whose law raises, or gives what no law may give, has failed."""
         started = time.perf_counter()
         room = _Room(task)
         reasons: dict[int, str] = {}
@@ -310,10 +223,6 @@ class Simulator:
                 # which design it was is not known: one after the other, the one that raises is named
                 for i in range(first, last):
                     self._alone(room, takeover, i, reasons)
-            if task.batch == 0:
-                for i in range(first, last):
-                    if i not in reasons and room.law_seconds[i]:
-                        self._steady(room, takeover, i, reasons)
         ran = [i for i in range(len(task.designs)) if i not in reasons]
         failed = tuple(FailedRun(task.designs[i].id, task.batch, why) for i, why in reasons.items())
         result = room.result() if not reasons else room.result().take(ran) if ran else None
@@ -343,29 +252,6 @@ class Simulator:
             raise
         except BaseException as error:
             reasons[i] = raised(error)
-
-    def _steady(self, room: _Room, takeover: Takeover, i: int, reasons: dict[int, str]) -> None:
-        """Drive a few departures once more: they have to give the same numbers."""
-        task, design = room.task, room.task.designs[i]
-        convention, window = self.job.setup.convention, self.job.window
-        key = _key(design.y_s, task.scenarios)
-        if key not in self._few:
-            self._few[key] = first_departures(takeover)
-        rows, few = self._few[key]
-        if not rows.size:
-            return
-        try:
-            again = drive(design.controller(convention), few, threads=1)
-            reason = kept_state(*room.some(i, rows), again.outcome(window))
-            if reason:  # state, or a law that depends on its neighbours? all of them once more tell
-                again = drive(design.controller(convention), takeover, threads=1)
-                reason = kept_state(*room.some(i, np.arange(room.rows)), again.outcome(window))
-        except _NOT_OF_A_LAW:
-            raise
-        except BaseException as error:  # it did not raise the first time
-            reason = f"driven a second time: {raised(error)}"
-        if reason:
-            reasons[i] = reason
 
 
 class _Room:
@@ -406,10 +292,6 @@ class _Room:
         self.failed_solves[i, rows] = run.failed_solves
         self.law_seconds[i] = run.law_seconds
         self.commands[i] = self._commands
-
-    def some(self, i: int, rows: IntArray) -> tuple[FloatArray, npt.NDArray[np.int8], npt.NDArray[np.int32]]:
-        """Values, status and failed solves of one design in some scenarios."""
-        return self.values[:, i, rows], self.status[i, rows], self.failed_solves[i, rows]
 
     def result(self) -> TaskResult:
         """All of it."""

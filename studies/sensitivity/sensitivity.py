@@ -11,8 +11,8 @@ from typing import Any, Literal
 import numpy as np
 
 from ldctoolkit.arrays import FloatArray
+from ldctoolkit.declared import GainValue
 from ldctoolkit.errors import InputError, LdcError
-from ldctoolkit.gains import GainValue
 
 from ..design import Design
 from ..design_space import THRESHOLD, DesignBlock
@@ -119,12 +119,8 @@ def _with_results(results: StudyResults, designs: Sequence[Design], *, some: boo
     """Positions of the designs with results: all of them, unless a few that failed may be left out."""
     known = {design.id for design in results.designs}
     failed = {one.design.id for one in results.failed}
-    given_up = {one.design.id for one in results.race.dropped} if results.race else set()
     ids = [design.id for design in designs]
     lost = set(ids) - known
-    raced = len(lost & given_up)
-    if raced:
-        raise LdcError(f"the race gave up {raced} of its {len(set(ids))} designs; indices need a run without a race")
     if lost and not (some and lost <= failed):
         raise LdcError(f"{len(lost)} of its {len(set(ids))} designs have no results; indices need all of them")
     return [i for i, name in enumerate(ids) if name in known]

@@ -12,8 +12,8 @@ import numpy as np
 
 from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.control import EventStatus
+from ldctoolkit.declared import GainValue
 from ldctoolkit.errors import InputError, LdcError
-from ldctoolkit.gains import GainValue
 from ldctoolkit.law_checks import raised
 from ldctoolkit.simulation import Takeover, Window, drive
 
@@ -21,8 +21,9 @@ from ..design import Design
 from ..design_space import THRESHOLD, Choices, Span
 from ..ranking.inference import Resampled, simultaneous_interval
 from ..results import FAILED_STATUSES, StudyResults
-from ..storage.files import csv_text, write_text
+from ..storage.files import write_text
 from ..study_file import Study
+from ..tables import Table, to_csv
 from .sensitivity import BlockSensitivity, gain_value
 
 COLUMNS: Final = (
@@ -37,7 +38,7 @@ def write_sensitivity(blocks: Sequence[BlockSensitivity], profiles: Sequence[Pro
     """Write indices and profiles as one CSV file, whole or not at all."""
     rows = [*(row for block in blocks for row in _index_rows(block))]
     rows += [row for profile in profiles for row in _profile_rows(profile)]
-    write_text(Path(path), csv_text(COLUMNS, rows))
+    write_text(Path(path), to_csv(Table.of(COLUMNS, rows)))
 
 
 def _index_rows(block: BlockSensitivity) -> Iterator[dict[str, Any]]:
@@ -54,16 +55,13 @@ def _index_rows(block: BlockSensitivity) -> Iterator[dict[str, Any]]:
         for kind, numbers in kinds.items():
             if np.isnan(numbers[0][i]):
                 continue
-            index, low, high = (_field(values[i]) for values in numbers)
             yield {
                 "kind": kind,
                 **shared,
                 "dimension": name,
                 "method": block.method,
                 "designs": block.designs,
-                "index": index,
-                "index_low": low,
-                "index_high": high,
+                **{f"index{end}": values[i] for end, values in zip(("", "_low", "_high"), numbers, strict=True)},
                 "interval_over": block.interval_over,
                 "note": block.note,
             }
@@ -76,21 +74,15 @@ def _profile_rows(profile: Profile) -> Iterator[dict[str, Any]]:
             "law": design.law,
             "dimension": profile.name,
             "unit": profile.unit,
-            "value": _field(value),
+            "value": value,
             "design": design.id,
-            "S_m_s": _field(profile.S[i].item()),
-            "difference_m_s": _field(profile.difference[i].item()),
-            "difference_low_m_s": _field(profile.low[i].item()),
-            "difference_high_m_s": _field(profile.high[i].item()),
-            "stored": _field(bool(profile.stored[i])),
+            "S_m_s": profile.S[i],
+            "difference_m_s": profile.difference[i],
+            "difference_low_m_s": profile.low[i],
+            "difference_high_m_s": profile.high[i],
+            "stored": bool(profile.stored[i]),
             "note": profile.failures[i],
         }
-
-
-def _field(value: Any) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    return "" if value != value else str(value)
 
 
 POINTS = 9  # values of a numeric dimension that a profile has at least

@@ -1,4 +1,4 @@
-"""The manifest of a result folder, and its tables: designs, scenarios, failures, races."""
+"""The manifest of a result folder, and its tables: designs, failures, times."""
 
 from __future__ import annotations
 
@@ -21,7 +21,6 @@ from ldctoolkit.version import DECISIVE, versions
 from ldctoolkit.whole_file import parse_json, read_regular, without_checksum
 
 from ..design import Design
-from ..results import Dropped, Race
 from ..study_file import Study
 from .files import read_bytes, read_parquet, write_json, write_parquet
 
@@ -67,7 +66,6 @@ def read_designs(path: Path) -> tuple[Design, ...]:
 
 FAILURES = "failures.json"
 TIMING_FILE = "timing.json"
-RACE_FILE = "race.json"
 
 Kind = TypeVar("Kind", bound=BaseModel)
 
@@ -143,49 +141,6 @@ def write_times(folder: Path, times: Mapping[str, LawTime]) -> None:
         for design, time in sorted(times.items())
     }
     write_json(folder / TIMING_FILE, {"designs": designs})
-
-
-class _Dropped(BaseModel):
-    design: str
-    round: int
-    scenarios: int
-    S_m_s: float
-    difference_m_s: float
-    low_m_s: float
-
-
-class _Race(BaseModel):
-    ranked_as: str
-    rounds: tuple[int, ...]
-    alive: tuple[int, ...]
-    dropped: tuple[_Dropped, ...]
-    runs: int
-    full_runs: int
-
-
-def write_race(folder: Path, race: Race, ranked_as: str) -> None:
-    """Write or replace the file; `ranked_as` tells which designs and settings it is the race of."""
-    dropped = [(one.design.id, one.round, one.scenarios, one.S, one.difference, one.low) for one in race.dropped]
-    names = tuple(_Dropped.model_fields)
-    content = dataclasses.asdict(race) | {
-        "ranked_as": ranked_as,
-        "dropped": [dict(zip(names, values, strict=True)) for values in dropped],
-    }
-    write_json(folder / RACE_FILE, content)
-
-
-def read_race(folder: Path, designs: Sequence[Design], ranked_as: str) -> Race | None:
-    """What a folder knows of its race; None where the file is missing, or that of other designs or settings."""
-    content = _read_json(folder / RACE_FILE, _Race, "run the study into this folder again to make it anew")
-    if content is None or content.ranked_as != ranked_as:
-        return None
-    by_id = {design.id: design for design in designs}
-    dropped = tuple(
-        Dropped(by_id[one.design], one.round, one.scenarios, one.S_m_s, one.difference_m_s, one.low_m_s)
-        for one in content.dropped
-        if one.design in by_id
-    )
-    return Race(content.rounds, content.alive, dropped, content.runs, content.full_runs)
 
 
 FORMAT_VERSION: Final = 5

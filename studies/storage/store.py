@@ -8,7 +8,6 @@
     DIR/results/part-*.parquet   per-scenario results of some designs, one row a scenario
     DIR/measures.parquet         loop margins of the designs, and what was asked for on named vehicles and in standards
     DIR/failures.json            designs whose law failed, and why; not there if none did
-    DIR/race.json                which designs a race gave up, and when; not there without one
     DIR/timing.json              how long the laws took; the one file that a second run does not give again
     DIR/finalists/               the best designs on fresh scenarios: a folder like this one
     DIR/replayed/                the best designs on recorded departures, where a study has both: a folder like this one
@@ -42,14 +41,12 @@ from .files import SCENARIOS, output_folder, read_scenarios, write_scenarios
 from .manifest import (
     DESIGNS,
     FAILURES,
-    RACE_FILE,
     TIMING_FILE,
     LawTime,
     Manifest,
     read_designs,
     read_failures,
     read_manifest,
-    read_race,
     read_times,
     refuse_other,
     write_failures,
@@ -87,7 +84,7 @@ def _clear(folder: Path) -> None:
     """Remove all results of other versions. Their manifest stays until it is replaced: a run that is killed here ends
     with a folder of those versions, and the next one clears the rest.
     """
-    names = (DESIGNS, FAILURES, TIMING_FILE, RACE_FILE, MEASURES)
+    names = (DESIGNS, FAILURES, TIMING_FILE, MEASURES)
     try:
         for path in (*(folder / name for name in names), *(folder / "results").glob(PATTERN)):
             path.unlink(missing_ok=True)
@@ -216,19 +213,13 @@ class Store:
         designs = self.designs()
         if self.study.search is not None and not self.manifest.finished:
             raise StoreError(self.folder, "its search is not over yet", hint="run the study again")
-        race = read_race(self.folder, designs, self.manifest.ranked_as) if self.study.race else None
-        if self.study.race and race is None:
-            raise StoreError(self.folder, "its race is not over yet", hint="run the study again")
-        if race is not None:
-            dropped = {one.design.id for one in race.dropped}
-            designs = tuple(design for design in designs if design.id not in dropped)
         table = self.load(designs)
         results = table.results(self.scenarios, self.times, self.failures, source=str(self.folder))
         measures = self.measures.of(results.designs)
         if "gain_margin" not in measures and not self.manifest.part_of:
             _log.warning("%s: no loop margins of these designs yet; run the study again to have them", self.folder)
         fresh, replayed = (self._again(name, results) for name in (FINALISTS, REPLAYED))
-        return dataclasses.replace(results, race=race, measures=measures, fresh=fresh, replayed=replayed)
+        return dataclasses.replace(results, measures=measures, fresh=fresh, replayed=replayed)
 
     def _again(self, name: str, results: StudyResults) -> StudyResults | None:
         """The finalists on other scenarios; None where there are none, or not all yet, or of other results."""

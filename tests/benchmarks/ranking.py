@@ -19,7 +19,7 @@ from closed_loop import machine
 
 from ldctoolkit import Scenarios
 from ldctoolkit.metrics import MetricValues
-from studies import Design, Ranking, StudyResults
+from ldctoolkit.studies import Design, Ranking, StudyResults
 
 SHAPES = ((1_000, 1_000), (100, 10_000), (10_000, 100))
 SAMPLES, SOME = 2_000, 5

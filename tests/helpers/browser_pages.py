@@ -11,16 +11,16 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from controllers import LQR, NoControl, PreviewProportional
 from helpers.models import make_departures, make_model, skewed
 from helpers.results import grid, invented_scenarios, report_input, run
 from ldctoolkit import Controller, EventStatus, RecordedPath, option, register
-from studies.cli import main
-from studies.design import Design
-from studies.pages.fit_page import write_fit_page
-from studies.pages.report import write_report
-from studies.ranking.ranking import Ranking
-from studies.results import per_scenario
+from ldctoolkit.controllers import LQR, NoControl, PreviewProportional
+from ldctoolkit.studies.cli import main
+from ldctoolkit.studies.design import Design
+from ldctoolkit.studies.pages.fit_page import write_fit_page
+from ldctoolkit.studies.pages.report import write_report
+from ldctoolkit.studies.ranking.ranking import Ranking
+from ldctoolkit.studies.results import per_scenario
 
 ORDINARY = """
 name = "ordinary"

@@ -1,4 +1,4 @@
-"""Results, races and reports made for tests."""
+"""Results and reports made for tests."""
 
 import dataclasses
 import itertools
@@ -8,23 +8,21 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from controllers import LQR, NoControl, PreviewProportional
 from helpers.bits import assert_same_bits
 from helpers.pages import Page, whole
 from ldctoolkit import BicycleModel, Outcome, Scenarios, Setup, VehicleParameters, simulate
+from ldctoolkit.controllers import LQR, NoControl, PreviewProportional
 from ldctoolkit.metrics import MetricValues
 from ldctoolkit.simulation import Window
+from ldctoolkit.studies.design import Design
+from ldctoolkit.studies.measures import measured
+from ldctoolkit.studies.pages.context import Context, ReportInput
+from ldctoolkit.studies.pages.report import report_page
+from ldctoolkit.studies.pages.shell import Section
+from ldctoolkit.studies.ranking.ranking import Ranking
+from ldctoolkit.studies.results import StudyResults, per_scenario
+from ldctoolkit.studies.storage.measure_table import MeasureTable
 from ldctoolkit.vehicle import Convention
-from studies.design import Design
-from studies.measures import measured
-from studies.pages.context import Context, ReportInput
-from studies.pages.report import report_page
-from studies.pages.shell import Section
-from studies.racing import race_round
-from studies.ranking.ranking import Ranking
-from studies.results import StudyResults, per_scenario
-from studies.running.tasks import prefix_rows, schedule
-from studies.storage.measure_table import MeasureTable
 
 
 def per_scenario_numbers(
@@ -84,23 +82,6 @@ def assert_same_results(one: StudyResults, other: StudyResults) -> None:
     assert (one.designs, one.label) == (other.designs, other.label)
     for name in ("scenarios", "S", "S_uncorrected", "status", "companions", "failed_solves"):
         assert_same_bits(getattr(one, name), getattr(other, name), name)
-
-
-def race(
-    scores: np.ndarray, side: np.ndarray, *, seed: int, samples: int = 2000, confidence: float = 0.95
-) -> tuple[np.ndarray, float]:
-    """Which designs reach the end (d,), and the share of scenario runs that the race takes."""
-    d, n = scores.shape
-    designs, runs, before, rounds = np.arange(d), 0, 0, schedule(n)
-    for number, m in enumerate(rounds, 1):
-        runs, before = runs + designs.size * (m - before), m
-        rows = prefix_rows(side, m)
-        decision = race_round(
-            scores[np.ix_(designs, rows)], side[rows], round=number, rounds=len(rounds), seed=seed,
-            confidence=confidence, samples=samples, started=d,
-        )  # fmt: skip
-        designs = designs[decision.keep]
-    return np.isin(np.arange(d), designs), runs / (d * n)
 
 
 def invented_scenarios(n_left: int, n_right: int, seed: int = 1) -> Scenarios:

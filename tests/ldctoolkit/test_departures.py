@@ -189,7 +189,7 @@ def test_nothing_in_nothing_out() -> None:
         ({"c_0": 0.04, "dc": [0.0, 0.08]}, r"dc\[1\] = 0.08; allowed: a curvature"),
         ({"T": ["2"]}, r"T\[0\] = '2'; allowed: numbers"),
         ({"T": [1.0, None]}, r"T\[1\] = None; allowed: numbers"),
-        ({"side": ["left", "rihgt"]}, r"side\[1\] = 'rihgt'; did you mean 'right'\? \(allowed: left, right\)"),
+        ({"side": ["left", "rihgt"]}, r"side\[1\]: 'rihgt'; did you mean 'right'\? \(allowed: left, right\)"),
         ({"T": [[1.0], [1.0, 2.0]]}, "T: rows of different lengths"),
         ({"c_0": [0.0, 0.0, 0.0]}, "one common length"),
         ({"c_0": [[0.0]]}, "one-dimensional"),

@@ -9,8 +9,8 @@ from typing import Any, ClassVar
 
 import pytest
 
-from controllers import LQR
 from ldctoolkit import Controller, Plant, RecordedPath, controller_class, gain, register, registry
+from ldctoolkit.controllers import LQR
 from ldctoolkit.errors import InputError, LdcError
 
 

@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from controllers import LQR
 from helpers.models import varied_departures
 from ldctoolkit import (
     BicycleModel,
@@ -18,6 +17,7 @@ from ldctoolkit import (
     reduce_signals,
     simulate,
 )
+from ldctoolkit.controllers import LQR
 from ldctoolkit.errors import LdcError
 from ldctoolkit.mixture.truncated_normal import TruncatedNormal
 from ldctoolkit.recordings import Recording
@@ -66,7 +66,7 @@ BOX = {"lower": [-9.0, -9.0], "upper": [9.0, 9.0]}
             "sample_weight: nan in row 1",
         ),
         (lambda: TruncatedNormal(masked([[0.0, 0.0]]), [np.eye(2)], *BOX.values()), "must be finite numbers"),
-        (lambda: Plant.build(BicycleModel(), masked([20.0, 30.0]), 0.05), "v[1] = nan m/s; allowed: finite speeds > 0"),
+        (lambda: Plant.build(BicycleModel(), masked([20.0, 30.0]), 0.05), "v[1]: nan m/s; allowed"),
         (lambda: Recording("a", masked(np.arange(3.0)), *[np.ones(3)] * 3, np.ones(3, bool)), "t[1] is not finite"),
     ],
 )

@@ -10,7 +10,7 @@ import pytest
 
 from helpers.closed_loop import Unsighted, known
 from ldctoolkit import Controller, EventStatus, LinearLaw, Plant, gain, option
-from studies import Study, run_study
+from ldctoolkit.studies import Study, run_study
 
 
 @dataclasses.dataclass(frozen=True)

@@ -13,11 +13,11 @@ import matplotlib.axes
 import numpy as np
 import pytest
 
-from controllers import LQR, NoControl
 from helpers.pages import Page
 from ldctoolkit import EventStatus, Scenarios, controller_class, plot_departure, simulate
+from ldctoolkit.controllers import LQR, NoControl
 from ldctoolkit.errors import InputError, UnknownNameError
-from studies import (
+from ldctoolkit.studies import (
     Ranking,
     Study,
     StudyResults,
@@ -30,7 +30,7 @@ from studies import (
     rank_study,
     run_study,
 )
-from studies.plotting import law_styles
+from ldctoolkit.studies.pages.charts import law_styles
 
 EVIL = "<script>alert(1)</script>"
 STUDY: dict[str, Any] = {
@@ -262,7 +262,9 @@ def test_landscape_over_one_quantity_is_its_profile(ranking_plotting: Ranking, a
     for design, S in zip(ranking_plotting.designs, ranking_plotting.S, strict=True):
         if design.law == "lqr":
             best[design.y_s] = min(float(S), best.get(design.y_s, np.inf))
-    np.testing.assert_allclose(ax.lines[0].get_ydata(), [best[y_s] for y_s in sorted(best)])
+    level, profile, _ = ax.lines
+    np.testing.assert_allclose(profile.get_ydata(), [best[y_s] for y_s in sorted(best)])
+    assert set(level.get_ydata()) == {ranking_plotting.S_uncorrected[0]}
 
 
 def test_a_title_with_a_dollar_sign_is_text(ranking_plotting: Ranking, ax: matplotlib.axes.Axes) -> None:
@@ -306,11 +308,11 @@ def test_laws_look_as_in_the_report(
     lines = {str(line.get_label()): line for line in ax.lines}
     for law in laws:
         if law != "none":  # it has no acceleration of an intervention
-            assert lines[controller_class(law).title].get_color() == styles[law].color
+            assert lines[controller_class(law).title].get_color() == styles[law].hex
     ax.clear()
     first = {law: next(i for i, design in enumerate(results_plotting.designs) if design.law == law) for law in laws[:2]}
     plot_distribution(results_plotting, first.values(), ax)
-    assert [line.get_color() for line in ax.lines[1:]] == [styles[law].color for law in first]
+    assert [line.get_color() for line in ax.lines[1:]] == [styles[law].hex for law in first]
 
 
 def test_trade_off_has_the_units_of_the_report(ranking_plotting: Ranking, ax: matplotlib.axes.Axes) -> None:

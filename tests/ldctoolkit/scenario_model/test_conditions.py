@@ -129,8 +129,8 @@ def test_a_side_that_is_not_drawn_need_not_meet_a_condition(reference, constant)
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"v": 3.0}, r"given: no parameter 'v'; "),
-        ({"v_mea": 3.0}, r"given: no parameter 'v_mea'; did you mean 'v_mean'"),
+        ({"v": 3.0}, r"given: 'v' is no parameter; "),
+        ({"v_mea": 3.0}, r"given: 'v_mea' is no parameter; did you mean 'v_mean'"),
         ([("v_mean", 3.0)], r"given: \[.*\]; allowed: a mapping"),
         ({"v_mean": "fast"}, r"given\['v_mean'\]: 'fast'; allowed: a number, or \(lower, upper\)"),
         ({"v_mean": True}, r"given\['v_mean'\]: True; allowed"),

@@ -96,7 +96,7 @@ def test_zeros_on_a_bound_are_moved_inside_and_counted(departures):
         ({"d_y": (np.nan, 1.0)}, r"bounds\['d_y'\]: .*allowed: 0 <= lower < upper"),
         ({"c_0": (0.0, 0.0)}, r"bounds\['c_0'\]: .*allowed: -inf <= lower < upper"),
         ({"T": (0.5, 1.0)}, r"departures \(left\): T = .* in event \d+; allowed: 0\.5 to 1 \(\d+ of 39 events\)"),
-        ({"dy": (0.0, 1.0)}, r"bounds: no parameter 'dy'; did you mean 'd_y'"),
+        ({"dy": (0.0, 1.0)}, r"bounds: 'dy' is no parameter; did you mean 'd_y'"),
     ],
 )
 def test_wrong_bounds(departures, bounds, message):

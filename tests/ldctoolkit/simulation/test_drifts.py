@@ -9,11 +9,11 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
-from controllers import LQR, NoControl
 from helpers.bits import assert_same_bits
 from helpers.closed_loop import Constant, values
 from helpers.reference_loop import Vehicle
 from ldctoolkit import Scenarios, Setup, VehicleParameters, simulate
+from ldctoolkit.controllers import LQR, NoControl
 from ldctoolkit.departures import DepartureSignals
 from ldctoolkit.errors import InputError
 from ldctoolkit.paths.uncorrected import UncorrectedPath

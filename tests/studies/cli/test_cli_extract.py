@@ -87,8 +87,8 @@ def test_what_cannot_be_used_is_told_and_the_rest_is_written(folder: Path, ldc: 
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--format", "tabel"], "format 'tabel': no such reader; did you mean 'table'?"),
-        (["--format", "spmd"], "format 'spmd': no such reader; did you mean 'spmd-das"),
+        (["--format", "tabel"], "format: 'tabel' is no reader; did you mean 'table'?"),
+        (["--format", "spmd"], "format: 'spmd' is no reader; did you mean 'spmd-das"),
         (["--format", "spmd-das1"], "a.csv"),
         (["--workers", "0"], "--workers"),
         (["--workers", "2", "--dask", "tcp://h:1"], "workers: 2 with the cluster at tcp://h:1"),
@@ -287,13 +287,13 @@ def test_a_page_that_is_not_finished_loses_no_part(folder: Path, ldc: Ldc, monke
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("studies.pages.extraction_page.extraction_page", stopped)
+        patch.setattr("ldctoolkit.studies.pages.extraction_page.extraction_page", stopped)
         code, out, err = ldc(*words)
     assert (code, out) == (130, "")
     assert "what was finished is kept in d.parquet.parts; the same command goes on" in err
     assert len(list((folder / "d.parquet.parts").glob("part-*"))) == 2
     with monkeypatch.context() as patch:
-        patch.setattr("studies.extraction.make_executor", stopped)  # nothing is left to read
+        patch.setattr("ldctoolkit.studies.extraction.make_executor", stopped)  # nothing is left to read
         assert ldc(*words)[0] == 0
     assert sorted(path.name for path in folder.iterdir()) == ["a.csv", "b.csv", "d.parquet", "r.html"]
 
@@ -368,8 +368,8 @@ def test_a_table_may_lie_beside_what_it_was_made_of(folder: Path, ldc: Ldc) -> N
 
 def test_workers_are_processes_where_much_is_read(folder: Path, ldc: Ldc, monkeypatch: pytest.MonkeyPatch) -> None:
     """One file, or little, is read in this process; much in as many as there are cores."""
-    import studies.extraction as runner
-    from studies.running.executors.processes import SerialExecutor
+    import ldctoolkit.studies.extraction as runner
+    from ldctoolkit.studies.running.executors.processes import SerialExecutor
 
     asked: list[Any] = []
 

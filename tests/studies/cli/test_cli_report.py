@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from helpers.cli import bad, good
-from studies import read_results
+from ldctoolkit.studies import read_results
 
 
 @pytest.mark.slow

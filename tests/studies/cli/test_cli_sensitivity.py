@@ -8,7 +8,7 @@ import polars as pl
 import pytest
 
 from helpers.cli import bad, good, ldc, printed_rows
-from studies import Study, read_results, run_study
+from ldctoolkit.studies import Study, read_results, run_study
 
 STUDY = {
     "name": "tiny",

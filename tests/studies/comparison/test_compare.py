@@ -22,12 +22,18 @@ from ldctoolkit import EventStatus, Scenarios, load_model
 from ldctoolkit.errors import InputError, StoreError
 from ldctoolkit.paths.uncorrected import RandomStream
 from ldctoolkit.plant_options import Mismatch, PlantOptions, Residuals, Sensors
-from studies import Comparison, Manifest, Study, StudyResults, compare
-from studies.cli._tables import print_comparison
-from studies.comparison.comparison import COLUMNS, comparison_content, write_comparison
-from studies.comparison.paired import FinishedStudy, Verdict, drawn_streams, paired_differences, share_scenarios
-from studies.ranking.inference import weight_blocks
-from studies.results import Dropped, FailedDesign, Race
+from ldctoolkit.studies import Comparison, Manifest, Study, StudyResults, compare
+from ldctoolkit.studies.cli._tables import print_comparison
+from ldctoolkit.studies.comparison.comparison import COLUMNS, comparison_content, write_comparison
+from ldctoolkit.studies.comparison.paired import (
+    FinishedStudy,
+    Verdict,
+    drawn_streams,
+    paired_differences,
+    share_scenarios,
+)
+from ldctoolkit.studies.ranking.inference import weight_blocks
+from ldctoolkit.studies.results import FailedDesign
 
 
 def scenarios_of(n: int, left: int | None = None, seed: int = 0) -> Scenarios:
@@ -376,16 +382,6 @@ def test_failed_designs(scores: np.ndarray) -> None:
     both = compare(old, changed(old, failed=old.results.failed))
     assert [one.design for one in both.failed_in_both] == [every[3]]
     assert not both.any_worse
-
-
-def test_designs_that_a_race_gave_up_are_named_and_not_compared(scores: np.ndarray) -> None:
-    every = study_of(4).designs
-    dropped = Dropped(every[3], round=1, scenarios=100, S=3.0, difference=0.5, low=0.1)
-    race = Race(rounds=(100, 400), alive=(3, 3), dropped=(dropped,), runs=1300, full_runs=1600)
-    raced = changed(finished(scores[:3], of=4, rows=[0, 1, 2], race=True), race=race)
-    comparison = compare(finished(scores, source="old"), raced)
-    assert (len(comparison), comparison.given_up, comparison.only_old) == (3, (every[3],), ())
-    assert comparison.differences == ("race: not set -> True",)
 
 
 @pytest.mark.parametrize(("d", "title"), [(1, "1 design in both studies"), (2, "2 designs in both studies")])

@@ -8,8 +8,8 @@ import pytest
 from helpers.pages import Page
 from helpers.results import grid, invented_scenarios, page_of, report_input, run
 from ldctoolkit import EventStatus
-from studies.pages.context import ReportInput
-from studies.results import StudyResults
+from ldctoolkit.studies.pages.context import ReportInput
+from ldctoolkit.studies.results import StudyResults
 
 
 @pytest.fixture(scope="session")

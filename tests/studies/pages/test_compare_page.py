@@ -11,18 +11,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from controllers import LQR, NoControl, PreviewProportional
 from helpers.pages import EVIL, Page, unpacked, whole
 from helpers.results import invented_scenarios, only, report_input, section_of
 from ldctoolkit import Scenarios
+from ldctoolkit.controllers import LQR, NoControl, PreviewProportional
 from ldctoolkit.errors import InputError, UnknownNameError
-from studies import Comparison
-from studies.comparison.paired import PairedDifferences, SharedScenarios, Verdict, Winners
-from studies.design import Design, named_designs
-from studies.pages import charts, explorer
-from studies.pages.charts import (
+from ldctoolkit.studies import Comparison
+from ldctoolkit.studies.comparison.paired import PairedDifferences, SharedScenarios, Verdict, Winners
+from ldctoolkit.studies.design import Design, named_designs
+from ldctoolkit.studies.pages import charts, explorer
+from ldctoolkit.studies.pages.charts import (
     Axis,
-    Cloud,
+    Chart,
     Dot,
     Series,
     Style,
@@ -31,16 +31,14 @@ from studies.pages.charts import (
     ecdf,
     heat_map,
     law_styles,
-    lines,
     nice_step,
-    scatter,
 )
-from studies.pages.compare_page import compare_page, write_compare_page
-from studies.pages.context import Context, ReportInput
-from studies.pages.replay import chosen_designs, picked_departures, replay, rows_of_numbers
-from studies.pages.shell import Cell, Column, TableRow, details, packed, script_json, table
-from studies.pages.text import number, symbols
-from studies.results import FailedDesign, StudyResults
+from ldctoolkit.studies.pages.compare_page import compare_page, write_compare_page
+from ldctoolkit.studies.pages.context import Context, ReportInput
+from ldctoolkit.studies.pages.replay import chosen_designs, picked_departures, replay, rows_of_numbers
+from ldctoolkit.studies.pages.shell import Cell, Column, TableRow, details, packed, script_json, table
+from ldctoolkit.studies.results import FailedDesign, StudyResults
+from ldctoolkit.studies.text import number, symbols
 
 DESIGNS = (Design.of(NoControl(), 0.2), *(Design.of(LQR(), y_s) for y_s in (0.05, 0.1, 0.2)))
 S = PairedDifferences(
@@ -233,23 +231,24 @@ def test_log_axes_have_tens() -> None:
 
 def test_points_are_where_the_numbers_are() -> None:
     x, y = np.array([0.0, 5.0, 10.0]), np.array([1.0, 3.0, 2.0])
-    cloud = Cloud(x, y, BLUE, np.array([True, True, True]), ("a", "b", "c"))
-    found = points(scatter("s", "title", [cloud], Axis("x", 0.0, 10.0), Axis("y", 0.0, 4.0)).body)
+    cloud = Series("", x, y, BLUE, kind="points", tips=("a", "b", "c"))
+    found = points(Chart("s", "title", Axis("x", 0.0, 10.0), Axis("y", 0.0, 4.0), [cloud]).body)
     assert [a for a, _ in found] == pytest.approx([58.0, 234.0, 410.0], abs=0.1)
     assert found[0][1] > found[2][1] > found[1][1]
 
 
 def test_a_missing_number_is_no_point() -> None:
-    cloud = Cloud(np.array([1.0, np.nan]), np.array([1.0, 2.0]), BLUE, np.array([True, True]), ("a", "b"))
-    assert len(points(scatter("s", "t", [cloud], Axis("x", 0, 2), Axis("y", 0, 2)).body)) == 1
+    cloud = Series("", np.array([1.0, np.nan]), np.array([1.0, 2.0]), BLUE, kind="points")
+    assert len(points(Chart("s", "t", Axis("x", 0, 2), Axis("y", 0, 2), [cloud]).body)) == 1
 
 
 def test_curves_bands_limits_and_rings() -> None:
     x = np.linspace(0.0, 1.0, 5)
-    one = Series("a <b>", x, x, BLUE, low=x - 0.1, high=x + 0.1, points=True)
-    body = lines(
-        "l", "t", [one], Axis("x", 0, 1), Axis("y", 0, 1), limit=(0.5, "limit"), level=0.3, ring=(1.0, 1.0)
+    one = Series("a <b>", x, x, BLUE, low=x - 0.1, high=x + 0.1, kind="marked")
+    body = Chart(
+        "l", "t", Axis("x", 0, 1), Axis("y", 0, 1), [one], limit=(0.5, "limit"), level=0.3, ring=(1.0, 1.0, "")
     ).body
+    assert body.count('class="mark c0"') == 5
     assert body.count('class="band c0"') == 1
     assert "a &lt;b&gt;" in body
     assert body.count('class="limit"') == body.count('class="ring"') == 1

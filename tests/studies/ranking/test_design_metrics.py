@@ -17,8 +17,8 @@ from helpers.results import results_of
 from ldctoolkit import EventStatus
 from ldctoolkit.errors import InputError, LdcError, UnknownNameError
 from ldctoolkit.metrics import METRICS
-from studies import Design, StudyResults, rank_study, read_manifest, read_results
-from studies.ranking.design_metrics import (
+from ldctoolkit.studies import Design, StudyResults, rank_study, read_manifest, read_results
+from ldctoolkit.studies.ranking.design_metrics import (
     find_baseline,
     masked_max,
     masked_mean,
@@ -28,10 +28,10 @@ from studies.ranking.design_metrics import (
     pareto_front,
     tail_metrics,
 )
-from studies.ranking.inference import Inference, bootstrap_deviations, infer, row_blocks, row_means
-from studies.ranking.ranking import warnings_of_sample, write_csv
-from studies.requirements import metric, metric_values, parse_requirement
-from studies.results import Dropped, FailedDesign, Race
+from ldctoolkit.studies.ranking.inference import Inference, bootstrap_deviations, infer, row_blocks, row_means
+from ldctoolkit.studies.ranking.ranking import warnings_of_sample, write_csv
+from ldctoolkit.studies.requirements import metric, metric_values, parse_requirement
+from ldctoolkit.studies.results import FailedDesign
 
 
 @given(st.integers(1, 70), st.integers(0, 10**6), st.sampled_from([50, 90, 95, 99]))
@@ -146,9 +146,8 @@ NONE = Design.from_gains("none", 0.2, {})
 LQR = tuple(Design.from_gains("lqr", y_s, {}) for y_s in (0.1, 0.2))
 
 
-def results(*designs: Design, failed: tuple[Design, ...] = (), dropped: tuple[Design, ...] = ()) -> StudyResults:
-    race = Race((10,), (1,), tuple(Dropped(one, 1, 10, 1.0, 0.5, 0.4) for one in dropped), 20, 40)
-    parts = {"failed": tuple(FailedDesign(one, "it broke") for one in failed), "race": race}
+def results(*designs: Design, failed: tuple[Design, ...] = ()) -> StudyResults:
+    parts = {"failed": tuple(FailedDesign(one, "it broke") for one in failed)}
     return results_of(np.ones((len(designs), 2)), designs, parts=parts)
 
 
@@ -161,10 +160,9 @@ def test_a_law_an_identifier_or_no_word() -> None:
     assert find_baseline("", results(*LQR)) is None
 
 
-def test_a_baseline_that_failed_or_was_given_up_is_no_mistake_of_the_file() -> None:
+def test_a_baseline_that_failed_is_no_mistake_of_the_file() -> None:
     assert find_baseline("none", results(*LQR, failed=(NONE,))) is None
-    assert find_baseline("none", results(*LQR, dropped=(NONE,))) is None
-    assert find_baseline("lqr", results(LQR[1], NONE, dropped=(LQR[0],))) == 0
+    assert find_baseline("lqr", results(LQR[1], NONE, failed=(LQR[0],))) == 0
 
 
 @pytest.mark.parametrize("word", ["lqq", "f00baa", LQR[0].id[:5]])

@@ -9,11 +9,11 @@ import pytest
 import scipy.stats
 
 from helpers.results import results_of as given_results
-from studies import Design, Ranking, StudyResults
-from studies.ranking.inference import Resampled
-from studies.ranking.ranked_designs import choose_winner, lost
-from studies.ranking.ranking import write_csv
-from studies.results import Dropped, FailedDesign, Race
+from ldctoolkit.studies import Design, Ranking, StudyResults
+from ldctoolkit.studies.ranking.inference import Resampled
+from ldctoolkit.studies.ranking.ranked_designs import choose_winner, lost
+from ldctoolkit.studies.ranking.ranking import write_csv
+from ldctoolkit.studies.results import FailedDesign
 
 pytestmark = pytest.mark.usefixtures("laws")
 
@@ -205,11 +205,3 @@ def test_where_the_first_fails_on_fresh_scenarios_the_next_one_wins(scores: np.n
     results = dataclasses.replace(results_of(scores, (0, 1, 2, 3)), fresh=fresh)
     ranking = Ranking.of(results)
     assert (ranking.winner, ranking.fresh_difference[1]) == (1, 0.0)
-
-
-def test_a_race_leaves_winner_and_warnings_as_they_are(scores: np.ndarray, again: np.ndarray) -> None:
-    dropped = tuple(Dropped(design(4 + i), 1, 50, 3.0, 1.0, 0.5) for i in range(2))
-    race = Race(rounds=(50, 400), alive=(4, 4), dropped=dropped, runs=1, full_runs=2)
-    results = dataclasses.replace(results_of(scores, (0, 1, 2, 3)), race=race, fresh=results_of(again[1:3], (1, 2)))
-    raced = Ranking.of(results)
-    assert (raced.winner, raced.given_up, raced.warnings) == (0, 2, ())

@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from controllers import LQR, LinearMPC, NoControl
 from helpers.results import page_of, report_input, results_of, scenarios_of
 from ldctoolkit import EventStatus, Scenarios, Setup
-from studies.design import Design
-from studies.measures import measured
-from studies.ranking.ranking import Ranking, write_csv
-from studies.ranking.verdict import Light, OtherPlants, judged, more_lines, verdict
-from studies.requirements import Estimate
-from studies.results import StudyResults
-from studies.storage.measure_table import MeasureTable
+from ldctoolkit.controllers import LQR, LinearMPC, NoControl
+from ldctoolkit.studies.design import Design
+from ldctoolkit.studies.measures import measured
+from ldctoolkit.studies.ranking.ranking import Ranking, write_csv
+from ldctoolkit.studies.ranking.verdict import Light, OtherPlants, judged, more_lines, verdict
+from ldctoolkit.studies.requirements import Estimate
+from ldctoolkit.studies.results import StudyResults
+from ldctoolkit.studies.storage.measure_table import MeasureTable
 
 DESIGNS = (Design.of(NoControl(), 0.2), Design.of(LQR(r_delta=100.0), 0.1))
 JERK = "jerk_added_peak_p95"

@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from controllers import NoControl
 from helpers.results import results_of as given_results
 from ldctoolkit import EventStatus, Scenarios, simulate
+from ldctoolkit.controllers import NoControl
 from ldctoolkit.errors import InputError, StoreError
 from ldctoolkit.metrics import RELEASE_METRICS, MetricValues
-from studies import Design, Ranking, StudyResults
-from studies.ranking.inference import bootstrap_means, check_confidence
-from studies.ranking.ranking import write_csv
+from ldctoolkit.studies import Design, Ranking, StudyResults
+from ldctoolkit.studies.ranking.inference import bootstrap_means, check_confidence
+from ldctoolkit.studies.ranking.ranking import write_csv
 
 
 def results_of(

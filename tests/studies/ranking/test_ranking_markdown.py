@@ -10,14 +10,14 @@ import pytest
 from markdown_it import MarkdownIt
 
 from helpers.results import results_of
-from studies.design import Design
-from studies.pages.ranking_markdown import MOST_ROWS, markdown_text, ranking_markdown, write_markdown
-from studies.pages.text import printable
-from studies.ranking.ranking import Ranking
-from studies.ranking.verdict import Verdict, listed_places, verdict
-from studies.results import FailedDesign
-from studies.storage.manifest import Manifest
-from studies.study_file import Study
+from ldctoolkit.studies.design import Design
+from ldctoolkit.studies.pages.ranking_markdown import MOST_ROWS, markdown_text, ranking_markdown, write_markdown
+from ldctoolkit.studies.ranking.ranking import Ranking
+from ldctoolkit.studies.ranking.verdict import Verdict, listed_places, verdict
+from ldctoolkit.studies.results import FailedDesign
+from ldctoolkit.studies.storage.manifest import Manifest
+from ldctoolkit.studies.study_file import Study
+from ldctoolkit.studies.text import printable
 
 EVIL = "<script>alert(1)</script>"
 CONTENT = {

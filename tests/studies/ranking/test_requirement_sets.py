@@ -9,23 +9,23 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-import studies.measures
-from controllers import LQR, LinearMPC, NoControl, PreviewProportional
+import ldctoolkit.studies.measures as measures
 from helpers.results import results_of as given_results
 from ldctoolkit import EventStatus, Scenarios, Setup, simulate
+from ldctoolkit.controllers import LQR, LinearMPC, NoControl, PreviewProportional
 from ldctoolkit.errors import StudyError, UnknownNameError
 from ldctoolkit.metrics import comfortable_share
 from ldctoolkit.plant_options import Actuator, Mismatch, PlantOptions, Tyres
 from ldctoolkit.review import design_margins, review
-from studies import Study, rank_study, run_study
-from studies.cli import main
-from studies.design import Design
-from studies.measures import drive_on_plants, measured
-from studies.ranking.ranking import Ranking
-from studies.ranking.verdict import Verdict, judged, verdict, verdict_lines
-from studies.requirements import Miss, friction, parse_requirement, requirements_of
-from studies.results import StudyResults
-from studies.storage.measure_table import MeasureTable
+from ldctoolkit.studies import Study, rank_study, run_study
+from ldctoolkit.studies.cli import main
+from ldctoolkit.studies.design import Design
+from ldctoolkit.studies.measures import drive_on_plants, measured
+from ldctoolkit.studies.ranking.ranking import Ranking
+from ldctoolkit.studies.ranking.verdict import Verdict, judged, verdict, verdict_lines
+from ldctoolkit.studies.requirements import Miss, friction, parse_requirement, requirements_of
+from ldctoolkit.studies.results import StudyResults
+from ldctoolkit.studies.storage.measure_table import MeasureTable
 
 NAN = math.nan
 DESIGNS = [Design.of(NoControl(), 0.2), *(Design.of(LQR(r_delta=r), 0.1) for r in (100.0, 1000.0, 10_000.0))]
@@ -299,7 +299,7 @@ def test_failed_solves_of_named_vehicles_count_as_no_control(
     results: StudyResults, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """An LQR whose first departures fail, though it is better there: they count with S without control."""
-    original, failed = studies.measures.drive, []
+    original, failed = measures.drive, []
 
     class Failing:
         def __init__(self, run: Any) -> None:
@@ -312,7 +312,7 @@ def test_failed_solves_of_named_vehicles_count_as_no_control(
             failed.append(dataclasses.replace(outcome, status=status))
             return failed[-1]
 
-    monkeypatch.setattr("studies.measures.drive", lambda *given: Failing(original(*given)))
+    monkeypatch.setattr("ldctoolkit.studies.measures.drive", lambda *given: Failing(original(*given)))
     law = (Design.of(LQR(r_delta=3001.0), 0.1),)
     drives = drive_on_plants(law, [PlantOptions()], results.scenarios, study().setup(), results.window)
     (outcome,) = failed

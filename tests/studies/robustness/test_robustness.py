@@ -10,18 +10,17 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from controllers import LQR, LinearMPC, NoControl, PreviewProportional
 from helpers.bits import assert_same_bits
 from helpers.results import results_of_outcomes
 from ldctoolkit import BicycleModel, Controller, EventStatus, Scenarios, Setup, VehicleParameters, register, simulate
+from ldctoolkit.controllers import LQR, LinearMPC, NoControl, PreviewProportional
 from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
 from ldctoolkit.review import design_margins
-from ldctoolkit.vehicle import Plant
-from studies.design import Design
-from studies.measures import drive_on_plants
-from studies.ranking.ranking import Ranking
-from studies.results import StudyResults
-from studies.robustness import (
+from ldctoolkit.studies.design import Design
+from ldctoolkit.studies.measures import drive_on_plants
+from ldctoolkit.studies.ranking.ranking import Ranking
+from ldctoolkit.studies.results import StudyResults
+from ldctoolkit.studies.robustness import (
     MOST,
     NAME,
     Robustness,
@@ -34,7 +33,8 @@ from studies.robustness import (
     stored_of,
     work_out,
 )
-from studies.study_file import load_study
+from ldctoolkit.studies.study_file import load_study
+from ldctoolkit.vehicle import Plant
 
 SETUP = Setup(settle=1.0, seed=5)
 
@@ -375,7 +375,7 @@ def test_numbers_are_stored_and_worked_out_again_for_anything_else(
         calls.append(wanted.key)
         return dataclasses.replace(found, key=wanted.key)
 
-    monkeypatch.setattr("studies.robustness.work_out", count)
+    monkeypatch.setattr("ldctoolkit.studies.robustness.work_out", count)
     assert stored_of(tmp_path, task) is None
     assert robustness_of(tmp_path, task) is not None
     json.loads((tmp_path / "robustness.json").read_text(), parse_constant=pytest.fail)  # numbers that JSON knows only

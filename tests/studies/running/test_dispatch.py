@@ -12,9 +12,9 @@ import pytest
 from helpers.closed_loop import Unsighted, known
 from ldctoolkit import Controller, EventStatus, Plant, gain
 from ldctoolkit.errors import LdcError
-from studies import Study, read_results, run_study, runner
-from studies.running.executors import Ended
-from studies.running.tasks import Simulator, Task
+from ldctoolkit.studies import Study, read_results, run_study, runner
+from ldctoolkit.studies.running.executors import Ended
+from ldctoolkit.studies.running.tasks import Simulator, Task
 
 MakeStudy = Callable[..., Study]
 
@@ -159,7 +159,7 @@ def test_what_is_stored_of_a_failing_design_is_no_accident(
 ) -> None:  # fmt: skip
     """The pieces before the first one that it fails on, however often it is run."""
     study = small_study(make_study, [0, 9], scenarios={"left": 20, "right": 20})
-    from studies.runner import study_source
+    from ldctoolkit.studies.runner import study_source
 
     speeds = study_source(study).sample(20, 20, seed=study.seed).v_mean
     FAST[0] = float(np.sort(speeds)[-3])

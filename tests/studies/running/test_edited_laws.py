@@ -23,8 +23,8 @@ from helpers.results import assert_same_results
 from ldctoolkit import registry
 from ldctoolkit.code_content import content_of
 from ldctoolkit.errors import InputError, StoreError
-from studies.cli import main
-from studies.running import tasks
+from ldctoolkit.studies.cli import main
+from ldctoolkit.studies.running import tasks
 
 LAW = """
 import dataclasses
@@ -300,7 +300,7 @@ def test_a_report_of_changed_code_is_refused(
 
 
 def test_other_versions_start_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: Any) -> None:
-    from studies.storage import manifest
+    from ldctoolkit.studies.storage import manifest
 
     study = study_of(ranking={"finalists": 2, "bootstrap": 100})
     reference = ldc.run_study(study, tmp_path / "out", workers=1)
@@ -346,7 +346,8 @@ def test_a_killed_run_is_resumed_with_edited_code(folder: Folder, tmp_path: Path
     """Parts of the old code are there, and of the law that was not edited."""
     folder.law()
     program = (
-        f"import ldctoolkit as ldc; from {folder.path.name}.laws import Mine; from studies.running import campaign; "
+        f"import ldctoolkit as ldc; from {folder.path.name}.laws import Mine; "
+        "from ldctoolkit.studies.running import campaign; "
         "campaign._STORE_EVERY = -1.0; study = ldc.study(ldc.NoControl, ldc.LQR, Mine, y_s=[0.05, 0.1, 0.2], "
         "name='edited', ranking={'finalists': 0, 'bootstrap': 100}, left=8, right=6); "
         "ldc.run_study(study, 'out', workers=1, block_size=1)"

@@ -20,11 +20,11 @@ import pytest
 from loky.process_executor import BrokenProcessPool
 
 from ldctoolkit.errors import ClusterError, InputError, LdcError
-from studies import Study, StudyResults, rank_study, run_study
-from studies.running import campaign
-from studies.running.executors import Executor, dask_cluster, make_executor, processes
-from studies.running.tasks import Done
-from studies.storage.store import Store
+from ldctoolkit.studies import Study, StudyResults, rank_study, run_study
+from ldctoolkit.studies.running import campaign
+from ldctoolkit.studies.running.executors import Executor, dask_cluster, make_executor, processes
+from ldctoolkit.studies.running.tasks import Done
+from ldctoolkit.studies.storage.store import Store
 
 MakeStudy = Callable[..., Study]
 

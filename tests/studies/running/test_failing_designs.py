@@ -17,14 +17,12 @@ from helpers.closed_loop import Unsighted, known
 from helpers.results import assert_same_results
 from ldctoolkit import Controller, EventStatus, LdcError, Plant, gain, registry
 from ldctoolkit.errors import StoreError
-from studies import Study, rank_study, read_results, run_study
-from studies.cli import main
+from ldctoolkit.studies import Study, rank_study, read_results, run_study
+from ldctoolkit.studies.cli import main
 
 SLOW = pytest.mark.slow
 MakeStudy = Callable[..., Study]
 pytestmark = pytest.mark.usefixtures("laws", "broken_laws")
-
-MEMORY: list[float] = []  # what a law must not have
 
 
 @dataclasses.dataclass(frozen=True)
@@ -44,9 +42,6 @@ class BrokenLaw(Unsighted):
                 return "straight on", state, good
             case "nan":
                 return np.full(n, np.nan), state, good
-            case "state":
-                MEMORY.append(1.0)
-                return np.full(n, -1e-6 * len(MEMORY)), state, good
         return np.zeros(n), state, good
 
 
@@ -71,14 +66,12 @@ FAULTS = {
     "exit": r"SystemExit: no licence \(test_failing_designs\.py, line \d+\)",
     "shape": r"controller 'broken_shape': step returned shapes \(\d+, 1\), \(\d+,\); allowed: \(\d+,\)",
     "type": r"controller 'broken_type': delta is 'straight on'; allowed: an array of real numbers",
-    "state": r"keeps state between runs: the same departure, driven twice, gave S = \S+ m s and then \S+ m.*",
 }
 LAWS = [broken(how) for how in (*FAULTS, "nan")]
 
 
 @pytest.fixture
 def broken_laws() -> Iterator[None]:
-    MEMORY.clear()
     with known(*LAWS):
         yield
 
@@ -150,7 +143,7 @@ def test_a_failed_design_is_tried_again(
 
 
 def test_failures_survive_an_interrupt(make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from studies.running.tasks import Simulator
+    from ldctoolkit.studies.running.tasks import Simulator
 
     study = make_study(design=[GOOD[0], {"law": "broken_step", "y_s": 0.3}, {"law": "toy", "y_s": 0.4}])
     run = Simulator.run
@@ -173,7 +166,7 @@ def test_failures_survive_an_interrupt(make_study: MakeStudy, tmp_path: Path, mo
 
 
 def test_a_fault_of_no_law_ends_all(make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from studies.running.tasks import Simulator
+    from ldctoolkit.studies.running.tasks import Simulator
 
     def broken_takeover(*settings: Any) -> None:
         raise LdcError("no such plant")
@@ -250,52 +243,6 @@ def test_exit_code_where_all_fail(study_file: Path, tmp_path: Path, capsys: pyte
     assert main(["run", str(study_file), "-o", str(tmp_path / "out"), "--workers", "1"]) == 2
     assert capsys.readouterr().err.startswith("ldc: error: mine: every design failed; the first, design ")
     assert not (tmp_path / "out" / "ranking.csv").exists()
-
-
-@dataclasses.dataclass(frozen=True)
-class MemoryLaw(BrokenLaw):
-    """Commands of a design's first run differ from those of all others."""
-
-    key: object
-
-    def init(self, n: int) -> int:
-        RUNS[self.key] = RUNS.get(self.key, 0) + 1
-        return RUNS[self.key]
-
-    def step(self, t: Any, x: Any, preview: Any, delta_prev: Any, state: int) -> Any:
-        return np.full(t.size, -1e-4 * (self.how == "settles" and state == 1)), state, np.zeros(t.size, dtype=np.int8)
-
-
-RUNS: dict[object, int] = {}
-
-
-def prepare_with_memory(self: Any, plant: Plant) -> BrokenLaw:
-    return MemoryLaw("settles" if self.K in (2.0, 3.0) else "no more", (self.K, plant.model.convention))
-
-
-@pytest.mark.parametrize(
-    ("workers", "block_size", "K"), [(1, 1, [1, 2, 3]), (1, 9, [3, 1, 2]), pytest.param(2, 1, [2, 3, 1], marks=SLOW)]
-)
-def test_each_design_is_asked_whether_it_keeps_state(
-    make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, workers: int, block_size: int, K: list[int]
-) -> None:
-    """Also after its first run, and whatever stands before it; the design of the same law that does not, is ranked."""
-    RUNS.clear()
-    monkeypatch.setattr(Broken, "prepare", prepare_with_memory)
-    study = make_study(design=[{"law": "broken_state", "gains": {"K": K}}])
-    results = run_study(study, directory=tmp_path, workers=workers, block_size=block_size)
-    assert {dict(one.design.gains)["K"] for one in results.failed} == {2.0, 3.0}
-    assert [dict(design.gains)["K"] for design in results.designs] == [1.0]
-    for one in results.failed:
-        assert re.fullmatch(FAULTS["state"], one.reason)
-
-
-@pytest.mark.parametrize(("yaw_rate", "plant"), [("path", {}), ("zero", {"speed": "profile"})])
-def test_laws_without_memory_pass(make_study: MakeStudy, tmp_path: Path, yaw_rate: str, plant: dict[str, Any]) -> None:
-    simulation = {"initial_yaw_rate": yaw_rate, "settle": 1.0}
-    designs = [{"law": law, "y_s": 0.05} for law in ("stanley", "pid", "linear_mpc")]
-    study = make_study(design=designs, simulation=simulation, plant=plant)
-    assert not run_study(study, directory=tmp_path, workers=1).failed
 
 
 def test_strange_exceptions_are_named_too(

@@ -10,7 +10,7 @@ import pytest
 
 import ldctoolkit as ldc
 from helpers.results import assert_same_results
-from studies.running import tasks
+from ldctoolkit.studies.running import tasks
 
 NOISY = {
     "actuator": {"lag": 0.1, "delay": 0.07},
@@ -29,7 +29,7 @@ def noisy(left: int, right: int, **tables: Any) -> ldc.Study:
 
 @pytest.fixture
 def driven(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """Scenarios of each run of a design, but for those that are driven once more to find hidden state."""
+    """Scenarios of each run of a design."""
     counts: list[int] = []
     drive_many = tasks.drive_many
 
@@ -41,15 +41,13 @@ def driven(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     return counts
 
 
-@pytest.mark.parametrize("race", [False, True])
 def test_more_scenarios_are_those_of_a_study_that_began_with_them(
-    tmp_path: Path, driven: list[int], race: bool, caplog: pytest.LogCaptureFixture
+    tmp_path: Path, driven: list[int], caplog: pytest.LogCaptureFixture
 ) -> None:
-    options = {"race": race}
-    small = ldc.run_study(noisy(6, 9, **options), tmp_path / "out", workers=1)
-    whole = ldc.run_study(noisy(15, 10, **options), tmp_path / "whole", workers=1)
+    small = ldc.run_study(noisy(6, 9), tmp_path / "out", workers=1)
+    whole = ldc.run_study(noisy(15, 10), tmp_path / "whole", workers=1)
     with caplog.at_level(logging.WARNING):
-        grown = ldc.run_study(noisy(15, 10, **options), tmp_path / "out", workers=1)
+        grown = ldc.run_study(noisy(15, 10), tmp_path / "out", workers=1)
     assert not caplog.records
     assert_same_results(grown, whole)
     assert_same_results(ldc.read_results(tmp_path / "out"), whole)
@@ -57,10 +55,10 @@ def test_more_scenarios_are_those_of_a_study_that_began_with_them(
     assert rows.size == 15
     np.testing.assert_array_equal(grown.S[:, rows], small.S)
     driven.clear()
-    ldc.run_study(noisy(15, 10, **options), tmp_path / "out", workers=1)
+    ldc.run_study(noisy(15, 10), tmp_path / "out", workers=1)
     assert driven == []
     # and back: what is there of more scenarios is not in the way
-    assert_same_results(ldc.run_study(noisy(6, 9, **options), tmp_path / "out", workers=1), small)
+    assert_same_results(ldc.run_study(noisy(6, 9), tmp_path / "out", workers=1), small)
     assert driven == []
     assert_same_results(ldc.read_results(tmp_path / "out"), small)
 

@@ -14,9 +14,9 @@ import pytest
 
 from helpers.closed_loop import Unsighted, known
 from ldctoolkit import Controller, EventStatus, Plant, Scenarios, gain, option
-from studies import Study, StudyResults, read_results, run_study
-from studies.runner import study_source
-from studies.running.executors import processes
+from ldctoolkit.studies import Study, StudyResults, read_results, run_study
+from ldctoolkit.studies.runner import study_source
+from ldctoolkit.studies.running.executors import processes
 
 MakeStudy = Callable[..., Study]
 

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-import studies.measures
+import ldctoolkit.studies.measures as measures
 from ldctoolkit.errors import InputError, StoreError
-from studies import Study, rank_study, read_results, run_study
-from studies.storage.manifest import read_manifest
+from ldctoolkit.studies import Study, rank_study, read_results, run_study
+from ldctoolkit.studies.storage.manifest import read_manifest
 
 STANDARD = "euroncap-2026-elk-road-edge"
 CONTENT: dict[str, Any] = {
@@ -35,8 +35,9 @@ def no_drive(monkeypatch: pytest.MonkeyPatch) -> None:
     def driven(*_: Any, **__: Any) -> None:
         raise AssertionError("a design is driven")
 
-    for name in ("ldctoolkit.simulation.loop.drive_many", "ldctoolkit.simulation.drive", "studies.measures.drive",
-                 "studies.measures.assess", "studies.measures.design_margins"):  # fmt: skip
+    simulation, run = "ldctoolkit.simulation", "ldctoolkit.studies.measures"
+    for name in (f"{simulation}.loop.drive_many", f"{simulation}.drive", f"{run}.drive", f"{run}.assess",
+                 f"{run}.design_margins"):  # fmt: skip
         monkeypatch.setattr(name, driven)
 
 
@@ -69,13 +70,13 @@ def test_a_run_measures_what_is_missing_and_nothing_else(
     """Another vehicle, then nothing new: the same numbers as in one run of all."""
     shutil.copytree(folder, tmp_path / "copy")
     driven: list[list[str]] = []
-    drive_on_plants = studies.measures.drive_on_plants
+    drive_on_plants = measures.drive_on_plants
 
     def counted(designs: Any, *more: Any) -> Any:
         driven.append([design.id for design in designs])
         return drive_on_plants(designs, *more)
 
-    monkeypatch.setattr(studies.measures, "drive_on_plants", counted)
+    monkeypatch.setattr(measures, "drive_on_plants", counted)
     both = Study.from_dict(CONTENT | {"ranking": CONTENT["ranking"] | {"vehicles": ["heavy", "soft"]}})
     results = run_study(both, tmp_path / "copy", workers=1)
     assert driven == [[design.id for design in both.designs]]

@@ -9,14 +9,14 @@ import numpy as np
 import polars as pl
 import pytest
 
-from controllers import LQR
 from helpers.cli import bad, good
 from ldctoolkit import Scenarios, Setup, VehicleParameters, load_model, simulate
+from ldctoolkit.controllers import LQR
 from ldctoolkit.departures import LEFT, PARAMETER_COLUMNS, PARAMETER_NAMES, RIGHT, Departures, ExtraColumn
 from ldctoolkit.errors import InputError, LdcError, StudyError
 from ldctoolkit.recordings import Criteria, Provenance, write_departures
-from studies import Study, read_results, run_study
-from studies.ranking.ranking import rank_study
+from ldctoolkit.studies import Study, read_results, run_study
+from ldctoolkit.studies.ranking.ranking import rank_study
 
 LEFT_ROWS, RIGHT_ROWS = 40, 25
 
@@ -114,7 +114,7 @@ def test_weights_choose_rows_in_proportion(table: Departures, tmp_path: Path) ->
         own = table.side == side
         times = np.array([(many.T[many.side == side] == T).sum() for T in table.T[own]])
         np.testing.assert_allclose(times, n * weight[own] / weight[own].sum(), atol=1.0)
-    with pytest.raises(LdcError, match=r"^d\.parquet: no column 'wort' of numbers; did you mean 'worth'"):
+    with pytest.raises(LdcError, match=r"^d\.parquet: 'wort' is no column of numbers; did you mean 'worth'"):
         run_study(study_on(tmp_path, departures="d.parquet", weights="wort"), directory=tmp_path / "no", workers=1)
 
 

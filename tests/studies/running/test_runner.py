@@ -25,7 +25,7 @@ from ldctoolkit import (
 from ldctoolkit.errors import InputError, StoreError, UnknownNameError
 from ldctoolkit.metrics import METRIC_COLUMNS, METRIC_UNITS
 from ldctoolkit.simulation import Run, Takeover, loop
-from studies import Study, StudyResults, rank_study, read_manifest, read_results, run_study
+from ldctoolkit.studies import Study, StudyResults, rank_study, read_manifest, read_results, run_study
 
 pytestmark = pytest.mark.usefixtures("laws")
 
@@ -149,7 +149,7 @@ def test_what_a_resume_adds_up(make_study: MakeStudy, tmp_path: Path) -> None:
 
         def prepare(self, plant: Plant) -> Any:
             prepared.append(plant.n)
-            if len(prepared) == 3:  # after the first batch, of which a few are driven once more
+            if len(prepared) == 2:  # after the first batch
                 raise KeyboardInterrupt
             return super().prepare(plant)
 
@@ -237,7 +237,7 @@ def test_a_study_resumes_where_it_was_stopped(
     make_study: MakeStudy, reference: StudyResults, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """An interrupt after a few designs; then only the rest is computed, with the same bits."""
-    from studies.running import tasks
+    from ldctoolkit.studies.running import tasks
 
     drives: list[Controller] = []
 
@@ -362,7 +362,7 @@ def test_a_folder_without_a_study_is_named(tmp_path: Path, make_study: MakeStudy
 
 
 def test_the_manifest_tells_what_ran(reference: StudyResults, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from studies.storage.manifest import _command
+    from ldctoolkit.studies.storage.manifest import _command
 
     text = (tmp_path / "reference" / "manifest.json").read_text()
     manifest = read_manifest(tmp_path / "reference")

@@ -20,10 +20,10 @@ from helpers.results import results_of_outcomes
 from ldctoolkit import Controller, EventStatus, LinearLaw, Plant, Scenarios, gain, simulate
 from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.scenario_model import load_model
-from studies import Design, Study, StudyResults
-from studies.ranking.inference import bootstrap_means
-from studies.results import Dropped, FailedDesign, Race
-from studies.sensitivity.sensitivity import (
+from ldctoolkit.studies import Design, Study, StudyResults
+from ldctoolkit.studies.ranking.inference import bootstrap_means
+from ldctoolkit.studies.results import FailedDesign
+from ldctoolkit.studies.sensitivity.sensitivity import (
     BlockSensitivity,
     factorial_shares,
     gain_value,
@@ -31,7 +31,7 @@ from studies.sensitivity.sensitivity import (
     saltelli_indices,
     sensitivity,
 )
-from studies.sensitivity.winner_profile import COLUMNS, Profile, winner_profile, write_sensitivity
+from ldctoolkit.studies.sensitivity.winner_profile import COLUMNS, Profile, winner_profile, write_sensitivity
 
 ISHIGAMI_FIRST = (0.3139, 0.4424, 0.0)
 ISHIGAMI_TOTAL = (0.5576, 0.4424, 0.2437)
@@ -258,9 +258,6 @@ def test_why_there_are_no_indices_is_said() -> None:
     a = study.designs
     assert "same mean S" in only(sensitivity(results_of(study, lambda d: 1.0), study)).reason
 
-    race = Race((3, 6), (3, 2), (Dropped(a[2], 1, 3, 1.0, 0.5, 0.1),), 15, 18)
-    fewer = results_of(study, ishigami, designs=a[:2], race=race)
-    assert "the race gave up 1 of its 3 designs" in only(sensitivity(fewer, study)).reason
     failed = results_of(study, ishigami, designs=a[:2], failed=(FailedDesign(a[2], "raised"),))
     assert "1 of its 3 designs have no results" in only(sensitivity(failed, study)).reason
 

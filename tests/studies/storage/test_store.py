@@ -22,14 +22,14 @@ from helpers.bits import examples
 from ldctoolkit import Scenarios, load_model
 from ldctoolkit.errors import StoreError
 from ldctoolkit.metrics import METRIC_COLUMNS, METRIC_UNITS
-from studies import Study, StudyResults, read_results, run_study
-from studies.ranking.ranking import rank_study
-from studies.running import campaign
-from studies.storage import store
-from studies.storage.files import read_scenarios, write_scenarios
-from studies.storage.manifest import read_manifest
-from studies.storage.run_table import SharedRows, checked_content, parse_part
-from studies.storage.stored_model import MODEL, read_model
+from ldctoolkit.studies import Study, StudyResults, read_results, run_study
+from ldctoolkit.studies.ranking.ranking import rank_study
+from ldctoolkit.studies.running import campaign
+from ldctoolkit.studies.storage import store
+from ldctoolkit.studies.storage.files import read_scenarios, write_scenarios
+from ldctoolkit.studies.storage.manifest import read_manifest
+from ldctoolkit.studies.storage.run_table import SharedRows, checked_content, parse_part
+from ldctoolkit.studies.storage.stored_model import MODEL, read_model
 
 N = 12
 
@@ -134,7 +134,7 @@ def test_other_columns_are_checked(folder: Path, study: Study, tmp_path: Path, m
     """A part whose checksum is right and whose numbers are not."""
     import polars as pl
 
-    from studies.storage.run_table import checked_content
+    from ldctoolkit.studies.storage.run_table import checked_content
 
     monkeypatch.setattr(store, "_MOST_IN_MEMORY", 0)
     shutil.copytree(folder, tmp_path / "copy")
@@ -353,8 +353,8 @@ def test_only_what_is_bad_is_computed_anew(
     make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stored_rows: Callable[..., Any],
     caplog: pytest.LogCaptureFixture,
 ) -> None:  # fmt: skip
-    from studies.running import campaign
-    from studies.running.tasks import Simulator
+    from ldctoolkit.studies.running import campaign
+    from ldctoolkit.studies.running.tasks import Simulator
 
     with monkeypatch.context() as patch:
         patch.setattr(campaign, "_STORE_EVERY", 0.0)
