@@ -277,7 +277,7 @@ def test_a_title_with_a_dollar_sign_is_text(ranking_plotting: Ranking, ax: matpl
 
 
 def test_departure(ax: matplotlib.axes.Axes) -> None:
-    from controllers import LQR, NoControl
+    from ldctoolkit.controllers import LQR, NoControl
 
     scenarios = Scenarios.from_arrays(T=[3.0, 2.0], d_y=[0.6, 0.02], v_mean=25.0, side=[1, -1])
     outcome = simulate(LQR(r_delta=100.0), scenarios, y_s=0.1, trajectories=True)
@@ -325,7 +325,7 @@ def test_trade_off_has_the_units_of_the_report(ranking_plotting: Ranking, ax: ma
 
 
 def test_paths_on_the_same_axes_differ(ax: matplotlib.axes.Axes) -> None:
-    from controllers import LQR
+    from ldctoolkit.controllers import LQR
 
     scenarios = Scenarios.from_arrays(T=[3.0], d_y=0.6, v_mean=25.0, side=1)
     for r_delta in (30.0, 300.0, 3000.0):
