@@ -18,6 +18,7 @@ from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.surroundings import temporary_folder
 
 from .design import FOLLOWS_STUDY, Design
+from .measures import measured
 from .ranking.design_metrics import find_baseline
 from .ranking.ranking import Ranking, rank_study
 from .replayed import ReplayedDepartures, read_replayed
@@ -234,6 +235,10 @@ class _Run:
         complete = False
         try:
             designs = self._designs(campaign, stage)
+            results = table.results(scenarios, store.times, store.failures, source=study.name, designs=designs)
+            if not part_of:
+                self.progress.phase("loop margins, named vehicles and standards")
+                results = measured(results, store.measures, study.setup(), study.vehicles, study.standards)
             complete = True
         finally:
             ended = store.manifest.ended(
@@ -245,7 +250,7 @@ class _Run:
             # where the disk is full, why the run ended says more than that this cannot be written either
             with contextlib.suppress(*(() if complete else (StoreError,))):
                 store.write_manifest(ended)
-        return table.results(scenarios, store.times, store.failures, source=study.name, designs=designs)
+        return results
 
     def _designs(self, campaign: Campaign, stage: str) -> Sequence[Design]:
         """Run what the study requires; the designs that were run."""

@@ -9,8 +9,8 @@ from markupsafe import Markup
 
 from ldctoolkit.metrics import METRICS
 
-from ..ranking.requirements import metric
 from ..ranking.verdict import ranking_table, set_of_best_line
+from ..requirements import metric
 from ..tables import Cell, Column, Row, Table, to_html
 from ..text import DASH, compact, percent
 from .context import Context, metric_text

@@ -12,8 +12,8 @@ from helpers.closed_loop import known
 from helpers.pages import Page, whole
 from ldctoolkit import Controller, LinearLaw, Plant, controllers
 from ldctoolkit.studies import Study, rank_study, run_study
-from ldctoolkit.studies.ranking.requirements import parse_requirement, requirements_of
 from ldctoolkit.studies.ranking.verdict import Verdict, verdict
+from ldctoolkit.studies.requirements import parse_requirement, requirements_of
 from ldctoolkit.studies.study_file import load_study
 
 ROAD_EDGE, DRIVEABILITY = "euroncap-2026-elk-road-edge", "euroncap-2026-driveability"
