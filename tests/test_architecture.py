@@ -50,7 +50,7 @@ LEVELS = (
     ("ldctoolkit",),
     ("ldctoolkit.__main__",),
     ("controllers",),
-    ("studies.design", "studies.results"),
+    ("studies.design", "studies.results", "studies.tables", "studies.text"),
     # the names that a study file's requirements are checked against
     ("studies.standards", "studies.ranking.requirements"),
     ("studies.study_file", "studies.design_space", "studies.plant_table"),
