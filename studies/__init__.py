@@ -21,7 +21,7 @@ if TYPE_CHECKING:
         plot_trade_off,
     )
     from .ranking.ranking import Ranking, rank_study
-    from .results import Case, CaseResults, StudyResults
+    from .results import StudyResults
     from .risk import estimate_risk
     from .runner import run_study
     from .storage.manifest import Manifest, read_manifest
@@ -44,7 +44,7 @@ _MODULES = {
         "plot_trade_off",
     ),
     "ranking.ranking": ("Ranking", "rank_study"),
-    "results": ("Case", "CaseResults", "StudyResults"),
+    "results": ("StudyResults",),
     "risk": ("estimate_risk",),
     "runner": ("run_study",),
     "storage.manifest": ("Manifest", "read_manifest"),
@@ -53,7 +53,7 @@ _MODULES = {
 }
 
 __all__ = [
-    "Assessment", "Case", "CaseResults", "Comparison", "Design", "Manifest", "Ranking", "Study", "StudyResults",
+    "Assessment", "Comparison", "Design", "Manifest", "Ranking", "Study", "StudyResults",
     "assess", "compare", "estimate_risk", "export_c", "load_study", "plot_convergence", "plot_departure",
     "plot_distribution", "plot_landscape", "plot_ranking", "plot_trade_off", "rank_study", "read_manifest",
     "read_results", "run_extraction", "run_study", "study",

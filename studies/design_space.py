@@ -3,25 +3,24 @@
 import dataclasses
 import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from typing import Any, Final, Literal, Self
 
 import numpy as np
-from pydantic import (
-    Field,
-    InstanceOf,
-    PrivateAttr,
-    SerializerFunctionWrapHandler,
-    ValidationInfo,
-    field_serializer,
-    model_serializer,
-    model_validator,
-)
+from pydantic import Field, InstanceOf, PrivateAttr, ValidationInfo, model_serializer, model_validator
 
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.code_content import content_of
 from ldctoolkit.control import Controller
-from ldctoolkit.declared import GainValue, checked_choice, checked_number, checked_whole, declared_gains, find_gain
+from ldctoolkit.declared import (
+    GainValue,
+    Scale,
+    checked_choice,
+    checked_number,
+    checked_whole,
+    declared_gains,
+    find_gain,
+)
 from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.registry import code_of, controller_class, laws_inside
 from ldctoolkit.validation import Part
@@ -59,7 +58,7 @@ class Span:
     first: float
     last: float
     # What is even: the numbers, or their logarithms (then both ends have one sign)
-    scale: Literal["linear", "log"] = "linear"
+    scale: Scale = "linear"
     whole: bool = False  # Whole numbers only; the ends are whole
 
     @property
@@ -95,14 +94,14 @@ def rounded(value: float) -> float:
     return float(f"{value:.12g}") + 0.0
 
 
-def _between(a: float, b: float, share: float, scale: Literal["linear", "log"]) -> float:
+def _between(a: float, b: float, share: float, scale: Scale) -> float:
     if scale == "linear":
         return a * (1 - share) + b * share
     logarithm = math.log(abs(a)) * (1 - share) + math.log(abs(b)) * share
     return math.copysign(math.exp(logarithm), a)
 
 
-def read_entry(entry: Any, scale: Literal["linear", "log"] = "linear", *, whole: bool = False) -> Dimension:
+def read_entry(entry: Any, scale: Scale = "linear", *, whole: bool = False) -> Dimension:
     """The dimension of a design space that one entry stands for."""
     if not isinstance(entry, dict) or "count" in entry:
         return Choices(expand(entry, scale, whole=whole))
@@ -112,39 +111,26 @@ def read_entry(entry: Any, scale: Literal["linear", "log"] = "linear", *, whole:
     return Span(first, last, spacing, whole)
 
 
-def expand(entry: Any, scale: Literal["linear", "log"] = "linear", *, whole: bool = False) -> tuple[Any, ...]:
+def expand(entry: Any, scale: Scale = "linear", *, whole: bool = False) -> tuple[Any, ...]:
     """The values of one entry, in the order written, each once."""
+    values = entry if isinstance(entry, list | tuple) else [entry]
     if isinstance(entry, dict):
-        values = _range(entry, scale, whole)
-    elif isinstance(entry, list | tuple):
-        if not entry:
-            raise InputError("", "an empty list", allowed="one value or more")
-        if len(entry) > MOST_VALUES:
-            raise InputError("", f"{len(entry)} values", allowed=f"at most {MOST_VALUES}")
-        values = list(entry)
-    else:
-        values = [entry]
-    seen: list[Any] = []
-    for value in values:
-        # True == 1 in Python, not in a study file
-        if not any(value == other and type(value) is type(other) for other in seen):
-            seen.append(value)
-    return tuple(seen)
+        first, last, spacing = _ends(entry, scale)
+        if "count" not in entry:
+            raise InputError("count", "missing", hint=_WRITTEN)
+        count = checked_whole("count", entry["count"], lower=2, upper=MOST_VALUES)
+        points = np.geomspace(first, last, count) if spacing == "log" else np.linspace(first, last, count)
+        values = [float(first), *map(rounded, points[1:-1].tolist()), float(last)]  # the ends stay as written
+        values = [round(value) for value in values] if whole else values
+    if not 1 <= len(values) <= MOST_VALUES:
+        raise InputError("", f"{len(values)} values", allowed=f"1 to {MOST_VALUES}")
+    # True == 1 in Python, not in a study file; what cannot be a key is no value of a gain either
+    keys = ((type(value), value if isinstance(value, Hashable) else repr(value)) for value in values)
+    return tuple(dict(zip(keys, values, strict=True)).values())
 
 
-def _range(entry: dict[str, Any], scale: Literal["linear", "log"], whole: bool) -> list[Any]:
-    first, last, scale = _ends(entry, scale)
-    if "count" not in entry:
-        raise InputError("count", "missing", hint=_WRITTEN)
-    count = checked_whole("count", entry["count"], lower=2, upper=MOST_VALUES)
-    points = np.geomspace(first, last, count) if scale == "log" else np.linspace(first, last, count)
-    values = [rounded(value) for value in points.tolist()]
-    values[0], values[-1] = float(first), float(last)  # the ends stay as written
-    return [round(value) for value in values] if whole else values
-
-
-def _ends(entry: dict[str, Any], scale: Literal["linear", "log"]) -> tuple[float, float, Literal["linear", "log"]]:
-    """Ends and spacing of a table."""
+def _ends(entry: dict[str, Any], scale: Scale) -> tuple[float, float, Scale]:
+    """Ends and spacing of a range."""
     for key in entry:
         if key not in RANGE_KEYS:
             raise InputError(key, "no such key", allowed=RANGE_KEYS)
@@ -204,24 +190,19 @@ class LawSpace:
 
     def grid(self) -> Iterator[Design]:
         """Every design once, the threshold slowest, in the order written."""
-        names, lists = [], []
         for name, dimension in self.dimensions:
-            if not isinstance(dimension, Choices):
+            if isinstance(dimension, Span):
                 raise InputError(name, "a range without a count makes no grid")
-            names.append(name)
-            lists.append(dimension.values)
+        names = [name for name, _ in self.dimensions]
+        lists = [dimension.values for _, dimension in self.dimensions if isinstance(dimension, Choices)]
         every = (self.active(dict(zip(names, values, strict=True))) for values in itertools.product(*lists))
-        if not self.conditions:  # then all differ
-            return map(self._design, every)
         return map(self._design, {tuple(values.items()): values for values in every}.values())
 
     def at(self, shares: FloatArray) -> tuple[Design, ...]:
         """The designs at points of the unit cube; two points may be one design."""
-        varying = self.varying
-        fixed = {name: dimension.at(0.0) for name, dimension in self.dimensions}
-        dimensions = [dimension for name, dimension in self.dimensions if name in varying]
-        rows = (zip(varying, dimensions, row, strict=True) for row in shares.tolist())
-        return tuple(self.design(fixed | {name: dim.at(share) for name, dim, share in row}) for row in rows)
+        varying = [(name, dimension) for name, dimension in self.dimensions if dimension.size != 1]
+        rows = (zip(varying, row, strict=True) for row in shares.tolist())
+        return tuple(self.design({name: dimension.at(share) for (name, dimension), share in row}) for row in rows)
 
     def design(self, values: Mapping[str, GainValue]) -> Design:
         """The design of one value for each dimension."""
@@ -242,7 +223,7 @@ class LawSpace:
         if inside not in self._codes:
             self._codes[inside] = code_of(self.kind, gains)
         controller, follows = self.kind(**gains), CONVENTION_GAIN not in gains
-        return Design.of(controller, float(values[THRESHOLD]), follow_case=follows, code=self._codes[inside])
+        return Design.of(controller, float(values[THRESHOLD]), follow_study=follows, code=self._codes[inside])
 
 
 class SampleSettings(Part):
@@ -276,7 +257,15 @@ def unit_points(sample: SampleSettings, dimensions: int) -> FloatArray:
     if not dimensions:
         return np.zeros((1, 0))
     if sample.method == "saltelli":
-        return _saltelli(sample, dimensions)
+        try:
+            from SALib.sample import sobol
+        except ImportError:
+            problem, hint = "needs SALib, which is not installed", 'pip install "ldctoolkit[sensitivity]"'
+            raise InputError("design.sample.method", problem, value="saltelli", hint=hint) from None
+        names, bounds = [str(i) for i in range(dimensions)], [[0.0, 1.0]] * dimensions
+        cube = {"num_vars": dimensions, "names": names, "bounds": bounds}
+        points = sobol.sample(cube, sample.count, calc_second_order=False, seed=sample.seed)
+        return np.asarray(points, dtype=np.float64)
     from scipy.stats import qmc
 
     rng = np.random.default_rng(sample.seed)
@@ -285,19 +274,6 @@ def unit_points(sample: SampleSettings, dimensions: int) -> FloatArray:
     else:
         # drawn as a power of two and cut: the same points, and SciPy has nothing to warn of
         points = qmc.Sobol(dimensions, rng=rng).random_base2((sample.count - 1).bit_length())[: sample.count]
-    return np.asarray(points, dtype=np.float64)
-
-
-def _saltelli(sample: SampleSettings, dimensions: int) -> FloatArray:
-    try:
-        from SALib.sample import sobol
-    except ImportError:
-        hint = 'install the extra: pip install "ldctoolkit[sensitivity]"'
-        raise InputError(
-            "design.sample.method", "needs SALib, which is not installed", value="saltelli", hint=hint
-        ) from None
-    cube = {"num_vars": dimensions, "names": [str(i) for i in range(dimensions)], "bounds": [[0.0, 1.0]] * dimensions}
-    points = sobol.sample(cube, sample.count, calc_second_order=False, seed=sample.seed)
     return np.asarray(points, dtype=np.float64)
 
 
@@ -349,19 +325,12 @@ class DesignBlock(Part):
                 checked["when"] = _read_conditions(kinds, when, checked["gains"])
         return checked
 
-    @field_serializer("y_s")
-    def _written_threshold(self, entry: Any) -> Any:
-        return _written(entry)
-
-    @field_serializer("gains")
-    def _written_gains(self, gains: dict[str, Any]) -> dict[str, Any]:
-        return {name: _written(entry) for name, entry in gains.items()}
-
-    @model_serializer(mode="wrap")
-    def _without_defaults(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+    @model_serializer
+    def _content(self) -> dict[str, Any]:
+        gains = {name: _written(entry) for name, entry in self.gains.items()}
+        content = {"law": self.law, "y_s": _written(self.y_s), "gains": gains}
         # a full grid is reported as it was before there were samples and conditions
-        content: dict[str, Any] = handler(self)
-        return {key: value for key, value in content.items() if value or key not in ("sample", "when")}
+        return content | {key: value for key in ("when", "sample") if (value := getattr(self, key))}
 
     @property
     def laws(self) -> tuple[str, ...]:
@@ -403,21 +372,19 @@ class DesignBlock(Part):
         """The space of each law, in the order written."""
         spaces = []
         for kind in self.kinds:
-            declared = {gain.name for gain in declared_gains(kind)}
-            gains = tuple((name, _dimension(entry)) for name, entry in self.gains.items() if name in declared)
+            names = {gain.name for gain in declared_gains(kind)}
+            gains = tuple((name, _dimension(entry)) for name, entry in self.gains.items() if name in names)
             conditions = tuple(
                 Condition(name, on, values)
-                for name, every in self.when.items()
-                if name in declared
-                for on, values in every.items()
+                for name in self.when
+                if name in names
+                for on, values in self.when[name].items()
             )
             spaces.append(LawSpace(kind, _dimension(self.y_s), gains, conditions))
         return tuple(spaces)
 
     def designs(self) -> list[Design]:
-        """The full grid, laws slowest, then thresholds, in the order written; or the sample, in which one may be
-        twice.
-        """
+        """The full grid, laws slowest, then thresholds, in the order written; or the sample, which may have doubles."""
         if self.sample is None:
             return [design for space in self.space() for design in space.grid()]
         return [design for sample in self.samples() for design in sample.designs]
@@ -426,11 +393,8 @@ class DesignBlock(Part):
         """The sample of each law, in the order written; empty for a table without ``sample``."""
         if self.sample is None:
             return ()
-        found = []
-        for space in self.space():
-            shares = unit_points(self.sample, len(space.varying))
-            found.append(LawSample(space, shares, space.at(shares)))
-        return tuple(found)
+        points = [(space, unit_points(self.sample, len(space.varying))) for space in self.space()]
+        return tuple(LawSample(space, shares, space.at(shares)) for space, shares in points)
 
 
 def check_blocks(blocks: Sequence[DesignBlock], *, searched: bool) -> None:
@@ -528,29 +492,27 @@ def _read_conditions(
     kinds: Kinds, when: dict[str, Any], gains: dict[str, Any]
 ) -> dict[str, dict[str, tuple[Any, ...]]]:
     """``[design.when]``: gain -> other gain -> the values of the other for which the gain varies."""
-    read = {name: _condition_table(kinds, name, table, gains) for name, table in when.items()}
-    for name, others in read.items():
-        for on in others:
-            if on in read:
-                raise InputError(f"when.{name}.{on}", "has a condition itself", allowed="a gain without one")
-    return read
+    conditions: dict[str, dict[str, tuple[Any, ...]]] = {}
+    for name, table in when.items():
+        path = f"when.{name}"
+        if name not in gains:
+            raise InputError(path, "no such gain in [design.gains]", allowed=[*gains])
+        if not isinstance(table, dict) or not table:
+            raise InputError(path, value=table, allowed="a table of other gains and their values")
+        for on in table:
+            if on not in gains or on == name:
+                others = [other for other in gains if other != name]
+                raise InputError(f"{path}.{on}", "no such other gain in [design.gains]", allowed=others)
+            if on in when:
+                raise InputError(f"{path}.{on}", "has a condition itself", allowed="a gain without one")
+        conditions[name] = {on: _condition(kinds, name, on, entry, gains[on]) for on, entry in table.items()}
+    return conditions
 
 
-def _condition_table(kinds: Kinds, name: str, table: Any, gains: dict[str, Any]) -> dict[str, tuple[Any, ...]]:
-    """``[design.when.NAME]``: other gain -> its values."""
-    path = f"when.{name}"
-    if name not in gains:
-        raise InputError(path, "no such gain in [design.gains]", allowed=[*gains])
-    if not isinstance(table, dict) or not table:
-        raise InputError(path, value=table, allowed="a table of other gains and their values")
-    return {on: _condition(kinds, name, on, entry, gains) for on, entry in table.items()}
-
-
-def _condition(kinds: Kinds, name: str, on: str, entry: Any, gains: dict[str, Any]) -> tuple[Any, ...]:
+def _condition(kinds: Kinds, name: str, on: str, entry: Any, known: tuple[Any, ...] | Span) -> tuple[Any, ...]:
+    """The values of the gain `on` for which the gain `name` varies, each among the `known` ones."""
     path = f"when.{name}.{on}"
-    if on not in gains or on == name:
-        raise InputError(path, "no such other gain in [design.gains]", allowed=[*{*gains} - {name}])
-    if isinstance(gains[on], Span):
+    if isinstance(known, Span):
         raise InputError(path, f"gains.{on} is a range without a count", allowed="a gain with a list of values")
     for kind in _declaring(kinds, name, "when"):
         if all(gain.name != on for gain in declared_gains(kind)):
@@ -560,6 +522,6 @@ def _condition(kinds: Kinds, name: str, on: str, entry: Any, gains: dict[str, An
     except InputError as error:
         raise error.within(path) from None
     for value in values:
-        if not any(value == known and isinstance(value, bool) == isinstance(known, bool) for known in gains[on]):
-            raise InputError(path, f"is not among gains.{on}", value=value, allowed=[*map(str, gains[on])])
+        if not any(value == other and isinstance(value, bool) == isinstance(other, bool) for other in known):
+            raise InputError(path, f"is not among gains.{on}", value=value, allowed=[*map(str, known)])
     return values

@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     from ldctoolkit.scenarios import Scenarios
     from ldctoolkit.simulation.outcome import Outcome
 
-    from .results import CaseResults
-
 __all__ = [
     "plot_convergence", "plot_departure", "plot_distribution", "plot_landscape", "plot_ranking", "plot_trade_off",
 ]  # fmt: skip
@@ -171,7 +169,7 @@ def plot_landscape(
     >>> import ldctoolkit as ldc
     >>> study = ldc.study(ldc.NoControl, ldc.LQR, y_s=[0.1, 0.2], name="small", left=20, right=20)
     >>> results = ldc.run_study(study, workers=1)
-    >>> ranking = ldc.rank_study(results, study)[0]
+    >>> ranking = ldc.rank_study(results, study)
     >>> ldc.plot_landscape(ranking, "lqr", x="y_s").get_xlabel()
     'y_s [m]'
     """
@@ -216,7 +214,7 @@ def plot_ranking(ranking: Ranking, ax: Axes | None = None, top: int = 20) -> Axe
     >>> import ldctoolkit as ldc
     >>> study = ldc.study(ldc.NoControl, ldc.LQR, name="small", left=20, right=20)
     >>> results = ldc.run_study(study, workers=1)
-    >>> ranking = ldc.rank_study(results, study)[0]
+    >>> ranking = ldc.rank_study(results, study)
     >>> ldc.plot_ranking(ranking).get_xlabel()
     'Mean S [m·s]'
     """
@@ -233,7 +231,7 @@ def plot_ranking(ranking: Ranking, ax: Axes | None = None, top: int = 20) -> Axe
         rows.append([Dot(f"{rank}{design.label}", S, low, high, style, open=not ranking.set_of_best[i])])
     x = Axis("Mean S [m·s]", -math.inf, math.inf)
     axes = draw(dots("ranking", "Mean S", rows, x, at=float(ranking.S_uncorrected[0])), ax)
-    axes.set_title(ranking.case.label, parse_math=False)
+    axes.set_title(ranking.label, parse_math=False)
     return axes
 
 
@@ -261,7 +259,7 @@ def plot_trade_off(ranking: Ranking, x: str = "a_y_peak_p95", y: str = "S", ax: 
     >>> import ldctoolkit as ldc
     >>> study = ldc.study(ldc.NoControl, ldc.LQR, name="small", left=20, right=20)
     >>> results = ldc.run_study(study, workers=1)
-    >>> ranking = ldc.rank_study(results, study)[0]
+    >>> ranking = ldc.rank_study(results, study)
     >>> ldc.plot_trade_off(ranking, x="a_y_peak_p95", y="S").get_xlabel()
     'Peak a_y, 95 % quantile [m/s²], less is better'
     """
@@ -272,18 +270,6 @@ def plot_trade_off(ranking: Ranking, x: str = "a_y_peak_p95", y: str = "S", ax: 
 
 
 # ------------------------------------------------------------------------------------------------ of results
-
-
-def _case(results: StudyResults, case: str | int) -> CaseResults:
-    """A case by its position or its label."""
-    labels = [one.case.label for one in results.cases]
-    if isinstance(case, str):
-        if case not in labels:
-            raise InputError("case", value=case, allowed=labels)
-        return results.cases[labels.index(case)]
-    if not 0 <= case < len(labels):
-        raise InputError("case", value=case, allowed=f"0 to {len(labels) - 1}")
-    return results.cases[case]
 
 
 def _positions(results: StudyResults, designs: Iterable[Design | int]) -> list[int]:
@@ -305,32 +291,27 @@ def _positions(results: StudyResults, designs: Iterable[Design | int]) -> list[i
     return rows
 
 
-def _curves(case: CaseResults, results: StudyResults, rows: Sequence[int]) -> list[tuple[str, FloatArray, Style]]:
+def _curves(results: StudyResults, rows: Sequence[int]) -> list[tuple[str, FloatArray, Style]]:
     """Label, counted S and style of designs: the style of the law, or, where two are of one law, one of its own.
 
     Laws stand in the order of their least mean S, as in a ranking without requirements.
     """
     designs = results.designs
     keys = [designs[i].law for i in rows]
-    mean = np.array([np.mean(S) for S in case.counted])
+    mean = np.array([np.mean(S) for S in results.counted])
     styles = law_styles(designs[i].law for i in np.argsort(mean, kind="stable").tolist())
     if len(set(keys)) < len(keys):
         keys = [str(k) for k in range(len(keys))]
         styles = law_styles(keys)
-    return [(designs[i].label, case.counted[i], styles[key]) for i, key in zip(rows, keys, strict=True)]
+    return [(designs[i].label, results.counted[i], styles[key]) for i, key in zip(rows, keys, strict=True)]
 
 
 def plot_distribution(
-    results: StudyResults,
-    designs: Iterable[Design | int] = (0,),
-    ax: Axes | None = None,
-    *,
-    case: str | int = 0,
-    side: str = "both",
+    results: StudyResults, designs: Iterable[Design | int] = (0,), ax: Axes | None = None, *, side: str = "both"
 ) -> Axes:
     """Empirical distribution of S with and without control.
 
-    Raises `InputError` for a case, side or design that is not there.
+    Raises `InputError` for a side or design that is not there.
 
     Parameters
     ----------
@@ -338,8 +319,6 @@ def plot_distribution(
     designs : iterable of Design or int
         Designs of the study, or their positions in ``results.designs``.
     ax : Axes, optional
-    case : str or int
-        Label or position of the case.
     side : {"both", "left", "right"}
 
     Returns
@@ -352,21 +331,21 @@ def plot_distribution(
     >>> import ldctoolkit as ldc
     >>> study = ldc.study(ldc.NoControl, ldc.LQR, name="small", left=20, right=20)
     >>> results = ldc.run_study(study, workers=1)
-    >>> ranking = ldc.rank_study(results, study)[0]
+    >>> ranking = ldc.rank_study(results, study)
     >>> ldc.plot_distribution(results, ranking.designs).get_xlabel()
     'Score S [m·s]'
     """
     expect("results", results, StudyResults)
     if side not in _SIDES:
         raise InputError("side", value=side, allowed=_SIDES)
-    results = results.drivable()
-    scores, chosen = _case(results, case), _positions(results, designs)
+    results = results.on_drivable()
+    chosen = _positions(results, designs)
     of_side = np.isin(results.scenarios.side, _SIDES[side])
     if not of_side.any():
         raise InputError("side", value=side, hint="the study has no such scenarios")
-    recorded = scores.S_uncorrected[chosen[0]][of_side]
+    recorded = results.S_uncorrected[chosen[0]][of_side]
     samples = [("without control", recorded, RECORDED)]
-    samples += [(label, S[of_side], style) for label, S, style in _curves(scores, results, chosen)]
+    samples += [(label, S[of_side], style) for label, S, style in _curves(results, chosen)]
     x = Axis("Score S [m·s]", 0.0, max(float(np.quantile(recorded, 0.995)), 1e-3))
     share = "Share of departures with less"
     return draw(ecdf("distribution", "Distribution of S", samples, x, share, most=recorded.size), ax)
@@ -377,12 +356,11 @@ def plot_convergence(
     designs: Sequence[Design | int] = (0,),
     ax: Axes | None = None,
     *,
-    case: str | int = 0,
     to: Design | int | None = None,
 ) -> Axes:
     """Mean S over the first k scenarios with a band of 1.96 standard errors, left and right ones interleaved.
 
-    Raises `InputError` for a case or design that is not there.
+    Raises `InputError` for a design that is not there.
 
     Parameters
     ----------
@@ -390,8 +368,6 @@ def plot_convergence(
     designs : sequence of Design or int
         Designs of the study, or their positions in ``results.designs``.
     ax : Axes, optional
-    case : str or int
-        Label or position of the case.
     to : Design or int, optional
         Draw paired differences to this design.
 
@@ -405,17 +381,16 @@ def plot_convergence(
     >>> import ldctoolkit as ldc
     >>> study = ldc.study(ldc.NoControl, ldc.LQR, name="small", left=20, right=20)
     >>> results = ldc.run_study(study, workers=1)
-    >>> ranking = ldc.rank_study(results, study)[0]
+    >>> ranking = ldc.rank_study(results, study)
     >>> ldc.plot_convergence(results, ranking.designs).get_xlabel()
     'Number of scenarios'
     """
     expect("results", results, StudyResults)
-    results = results.drivable()
-    scores = _case(results, case)
-    curves = _curves(scores, results, _positions(results, designs))
+    results = results.on_drivable()
+    curves = _curves(results, _positions(results, designs))
     label = "Mean S [m·s]"
     if to is not None:
-        reference, label = scores.counted[_positions(results, [to])[0]], "Mean paired difference of S [m·s]"
+        reference, label = results.counted[_positions(results, [to])[0]], "Mean paired difference of S [m·s]"
         curves = [(name, values - reference, style) for name, values, style in curves]
     chart = convergence(curves, results.scenarios.side)
     return draw(dataclasses.replace(chart, y=Axis(label, -math.inf, math.inf)), ax)

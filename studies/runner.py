@@ -17,7 +17,7 @@ from ldctoolkit.scenario_model import ScenarioModel, load_model
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.surroundings import temporary_folder
 
-from .design import FOLLOWS_CASE, Design
+from .design import FOLLOWS_STUDY, Design
 from .ranking.design_metrics import find_baseline
 from .ranking.ranking import Ranking, rank_study
 from .replayed import ReplayedDepartures, read_replayed
@@ -98,7 +98,7 @@ def run_study(
     --------
     >>> import ldctoolkit as ldc
     >>> results = ldc.run_study(ldc.study(ldc.NoControl, left=5, right=5), workers=1)
-    >>> results.cases[0].S.shape
+    >>> results.S.shape
     (1, 10)
     """
     expect("study", study, Study)
@@ -182,7 +182,7 @@ class _Run:
             if not study.ranking.finalists or len(results.designs) < 2 or isinstance(self.source, ReplayedDepartures):
                 return results
             self.progress.phase("choosing the finalists")
-            best = _finalists(rank_study(results, study)[0], study.ranking.finalists)
+            best = _finalists(rank_study(results, study), study.ranking.finalists)
             if not best:
                 return results  # nothing meets the requirements
             reference = find_baseline(study.ranking.baseline, results)
@@ -286,5 +286,5 @@ def _finalist_study(study: Study, designs: Sequence[Design]) -> Study:
 
 
 def _block(design: Design) -> dict[str, Any]:
-    gains = {name: value for name, value in design.gains if value != FOLLOWS_CASE}
+    gains = {name: value for name, value in design.gains if value != FOLLOWS_STUDY}
     return {"law": design.law, "y_s": design.y_s, "gains": gains}

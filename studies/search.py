@@ -203,14 +203,12 @@ def _values_and_margins(
     study, store = campaign.study, campaign.store
     values: dict[str, Values | None] = {design.id: None for design in batch}
     margins: dict[str, Values] = {}
-    conventions = study.simulation.convention
-    ran = [design for design in batch if not any(campaign.table.missing((design.id, c)) for c in conventions)]
+    ran = [design for design in batch if not campaign.table.missing(design.id)]
     if not ran:
         return values, margins
     results = campaign.table.results(campaign.scenarios, store.times, {}, source=str(store.folder), designs=ran)
     ranking = Ranking.of(
         results,
-        results.cases[0],
         seed=study.seed,
         bootstrap=_RESAMPLES,
         D_y=study.report.D_y,

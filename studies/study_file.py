@@ -40,7 +40,6 @@ from .design import CONVENTION_GAIN, Design
 from .design_space import DesignBlock, check_blocks
 from .plant_table import read_plant, read_table
 from .ranking.requirements import SETS, metric, parse_requirement
-from .results import Case
 from .standards import standard_names
 
 T = TypeVar("T")
@@ -189,13 +188,11 @@ class ScenarioSettings(Part):
 MOST_DESIGNS = 100_000  # largest grid of one study; more is a slip of the pen
 
 
-def _one_or_many(entry: Any) -> Any:
-    values = (entry,) if isinstance(entry, str) else entry
-    if not isinstance(values, list | tuple):
-        return entry
-    if not values or len(set(map(str, values))) != len(values):
-        raise InputError(value=entry, allowed="a name, or a list of different names")
-    return tuple(values)
+def _single(entry: Any) -> Any:
+    if isinstance(entry, list | tuple):
+        hint = "a study for each of the others: ldc compare compares two"
+        raise InputError(value=list(entry), allowed="one value", hint=hint)
+    return entry
 
 
 def _file_name(name: str) -> str:
@@ -205,13 +202,11 @@ def _file_name(name: str) -> str:
     return name
 
 
-class CaseSettings(Part):
-    """Which cases designs are scored in: windows x conventions."""
+class ScoreSettings(Part):
+    """What S is: the window that it is integrated over, and the reading of the paper."""
 
-    # Windows of S; the first is the primary one
-    window: Annotated[tuple[Window, ...], BeforeValidator(_one_or_many)] = ("departure",)
-    # Readings of the paper; the first is the primary one
-    convention: Annotated[tuple[Convention, ...], BeforeValidator(_one_or_many)] = ("consistent",)
+    window: Annotated[Window, BeforeValidator(_single)] = "departure"
+    convention: Annotated[Convention, BeforeValidator(_single)] = "consistent"
 
 
 def _options() -> Iterator[tuple[str, Any]]:
@@ -223,10 +218,10 @@ def _options() -> Iterator[tuple[str, Any]]:
 
 
 if TYPE_CHECKING:
-    SimulationSettings = CaseSettings
+    SimulationSettings = ScoreSettings
 else:
-    SimulationSettings = create_model("SimulationSettings", __base__=CaseSettings, **dict(_options()))
-    """``[simulation]``: the cases, and the simulation options of a `Setup`."""
+    SimulationSettings = create_model("SimulationSettings", __base__=ScoreSettings, **dict(_options()))
+    """``[simulation]``: window and convention, and the simulation options of a `Setup`."""
 
 
 class ReportSettings(Part):
@@ -315,12 +310,11 @@ class Study(Part):
         raise InputError("ranking.baseline", "no such law", value=baseline, allowed=laws, hint=hint)
 
     @model_validator(mode="after")
-    def _setups(self) -> Self:
-        for convention in self.simulation.convention:
-            try:
-                self.setup(convention)
-            except InputError as error:
-                raise error.within("simulation") from None
+    def _valid_setup(self) -> Self:
+        try:
+            self.setup()
+        except InputError as error:
+            raise error.within("simulation") from None
         return self
 
     @classmethod
@@ -376,16 +370,11 @@ class Study(Part):
         every = (design for block in self.design for design in block.designs())
         return tuple({design.id: design for design in every}.values())
 
-    @property
-    def cases(self) -> tuple[Case, ...]:
-        """Windows x conventions; the first is the primary case."""
-        return tuple(Case(w, c) for w in self.simulation.window for c in self.simulation.convention)
-
-    def setup(self, convention: Convention | None = None) -> Setup:
-        """What all runs of the study share, in one of its conventions; the first by default."""
+    def setup(self) -> Setup:
+        """What all runs of the study share."""
         return Setup(
             vehicle=self.vehicle,
-            convention=convention or self.simulation.convention[0],
+            convention=self.simulation.convention,
             options=self.plant,
             seed=self.seed,
             **{field.name: getattr(self.simulation, field.name) for field in simulation_options()},

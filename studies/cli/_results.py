@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 from ..pages.ranking_markdown import write_markdown
 from ..ranking.ranking import Ranking, rank_study, write_csv
-from ..ranking.verdict import Verdict, listed_places, more_lines, other_cases, ranking_table, verdict_lines
+from ..ranking.verdict import Verdict, listed_places, more_lines, ranking_table, verdict_lines
 from ..results import StudyResults
 from ..storage.manifest import Manifest
 from ..study_file import Study
@@ -47,7 +47,7 @@ class ReportOptions:
 
     def robustness_of(self, folder: Path, study: Study, results: StudyResults, ranking: Ranking) -> Robustness | None:
         """What DIR/robustness.json holds, worked out first where need be and wanted; None where there is nothing."""
-        if not self.robustness or not results.designs or not results.drivable().scenarios.n:
+        if not self.robustness or not results.designs or not results.on_drivable().scenarios.n:
             return stored_robustness(folder, study, results, ranking)
         from ..robustness import RobustnessTask, robustness_of
 
@@ -55,14 +55,14 @@ class ReportOptions:
 
 
 def write_study_report(
-    folder: Path, study: Study, manifest: Manifest, results: StudyResults, rankings: tuple[Ranking, ...],
+    folder: Path, study: Study, manifest: Manifest, results: StudyResults, ranking: Ranking,
     options: ReportOptions, robustness: Robustness | None,
 ) -> Path:  # fmt: skip
     """Write DIR/report.html and DIR/figures/."""
     from ..pages.report import report_input, write_report
 
     report = report_input(
-        folder, study, manifest, results, rankings, source=options.source, departures=options.departures,
+        folder, study, manifest, results, ranking, source=options.source, departures=options.departures,
         shown_designs=options.designs, robustness=robustness,
     )  # fmt: skip
     path = folder / "report.html"
@@ -71,7 +71,7 @@ def write_study_report(
 
 def stored_robustness(folder: Path, study: Study, results: StudyResults, ranking: Ranking) -> Robustness | None:
     """What DIR/robustness.json holds of these results; None where there is nothing."""
-    if not results.designs or not results.drivable().scenarios.n:
+    if not results.designs or not results.on_drivable().scenarios.n:
         return None
     from ..robustness import RobustnessTask, stored_of
 
@@ -102,26 +102,26 @@ def judged(folder: str | Path) -> Judged:
     store = Store.open(folder)
     with progress_bar("ranking"):
         study, results = store.manifest.read_study(), store.results()
-        ranking = rank_study(results, study)[0]
+        ranking = rank_study(results, study)
     return Judged(store.manifest, study, results, ranking, verdict(ranking, results, study.setup()))
 
 
 _MOST_FAILED = 20
 
 
-def print_rankings(rankings: Sequence[Ranking], top: int, found: Verdict) -> None:
-    """The primary case in full, the others in a line."""
-    out, first = console(), rankings[0]
-    print_table(ranking_table(first, listed_places(first, top)), narrow=True)
+def print_ranking(ranking: Ranking, top: int, found: Verdict) -> None:
+    """The table, the verdict, and what else a reader should know."""
+    out = console()
+    print_table(ranking_table(ranking, listed_places(ranking, top)), narrow=True)
     title, *others = verdict_lines(found)
-    out.print(title, style="bold green" if found.usable and first.winner is not None else "bold red", markup=False,
+    out.print(title, style="bold green" if found.usable and ranking.winner is not None else "bold red", markup=False,
               emoji=False, highlight=False)  # fmt: skip
-    for line in (*others, *more_lines(first), *other_cases(rankings)):
+    for line in (*others, *more_lines(ranking)):
         out.print(line, markup=False, emoji=False, highlight=False)
-    for warning in first.warnings:
+    for warning in ranking.warnings:
         out.print(f"Warning: {warning}", style="yellow", markup=False, emoji=False, highlight=False)
     out.print()
-    _print_failed(first)
+    _print_failed(ranking)
 
 
 def _print_failed(ranking: Ranking) -> None:
@@ -137,11 +137,11 @@ def _print_failed(ranking: Ranking) -> None:
     out.print()
 
 
-def write_ranking(folder: Path, study: Study, manifest: Manifest, rankings: Sequence[Ranking], found: Verdict) -> Path:
+def write_ranking(folder: Path, study: Study, manifest: Manifest, ranking: Ranking, found: Verdict) -> Path:
     """Write DIR/ranking.csv and, to be read, DIR/ranking.md."""
     path = folder / "ranking.csv"
-    write_csv(rankings, path)
-    write_markdown(rankings, folder / "ranking.md", study, manifest, found)
+    write_csv(ranking, path)
+    write_markdown(ranking, folder / "ranking.md", study, manifest, found)
     return path
 
 

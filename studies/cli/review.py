@@ -23,9 +23,7 @@ if TYPE_CHECKING:
     from ldctoolkit.plant_options import PlantOptions
     from ldctoolkit.review import Finding, Review
     from ldctoolkit.review.loop_numbers import LoopNumbers
-    from ldctoolkit.scenarios import Scenarios
     from ldctoolkit.simulation import Takeover
-    from ldctoolkit.vehicle import Convention
 
     from ..design import Design
     from ..study_file import Study
@@ -147,27 +145,18 @@ def _speeds(chosen: argparse.Namespace, default: tuple[float, float] | None) -> 
 
 
 def _of_study(study: Study, chosen: argparse.Namespace) -> Iterator[Subject]:
+    from ldctoolkit.simulation import Takeover
+
     from ..design import named_designs
     from ..runner import study_source
     from ..storage.stored_model import with_counts
 
     designs = study.designs if chosen.only is None else named_designs(study.designs, [chosen.only])
-    conventions, source = study.simulation.convention, study_source(study)
+    source = study_source(study)
     wanted = with_counts(study, source).scenarios
     left, right = (min(n, _MOST_SCENARIOS) for n in wanted.counts)
     scenarios = source.sample(left, right, seed=study.seed, given=wanted.given)
-    for convention in conventions:
-        suffix = f", {convention.replace('_', ' ')}" if len(conventions) > 1 else ""
-        for subject in _of_convention(study, designs, scenarios, convention, chosen):
-            yield dataclasses.replace(subject, label=f"{subject.label}{suffix}")
-
-
-def _of_convention(
-    study: Study, designs: Sequence[Design], scenarios: Scenarios, convention: Convention, chosen: argparse.Namespace
-) -> Iterator[Subject]:
-    from ldctoolkit.simulation import Takeover
-
-    setup = study.setup(convention)
+    setup = study.setup()
     options = _plant(chosen, setup.options)
     dt = setup.dt if chosen.dt is None else chosen.dt
     triggers = {y_s: Takeover.build(scenarios, setup, y_s=y_s) for y_s in sorted({design.y_s for design in designs})}
@@ -185,7 +174,7 @@ def _of_convention(
         if angles is not None:
             arguments["delta_prev"] = angles
         name = same[0].label.replace(f"y_s={same[0].y_s:g} m", f"y_s={', '.join(f'{y:g}' for y in thresholds)} m")
-        yield Subject(name, tuple(d.id for d in same), same[0].controller(convention), arguments)
+        yield Subject(name, tuple(d.id for d in same), same[0].controller(setup.convention), arguments)
 
 
 def _range(triggers: list[Takeover]) -> tuple[float, float] | None:

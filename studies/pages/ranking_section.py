@@ -10,11 +10,11 @@ from markupsafe import Markup
 from ldctoolkit.metrics import METRICS
 
 from ..ranking.requirements import metric
-from ..ranking.verdict import other_cases, ranking_table, set_of_best_line
+from ..ranking.verdict import ranking_table, set_of_best_line
 from ..tables import Cell, Column, Row, Table, to_html
 from ..text import DASH, compact, percent
 from .context import Context, metric_text
-from .shell import Section, bullets, render
+from .shell import Section, render
 
 MOST_ROWS: Final = 1000  # designs of the table; all of them are in ranking.csv
 FIRST_ROWS: Final = 20  # rows that are shown before all are requested, and those that are printed
@@ -40,7 +40,6 @@ def section(context: Context) -> Section:
         listed=len(places),
         later=sum(row.later for row in rows),
         set_of_best=set_of_best_line(ranking),
-        others=bullets(line for line in other_cases(context.report.rankings)),
     )
     return Section("ranking", "Ranking", body, scripts=("table.js",), printed=True)
 

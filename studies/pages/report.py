@@ -67,7 +67,7 @@ def report_page(report: ReportInput) -> tuple[str, tuple[Chart, ...]]:
         facts=(
             plural(len(ranking) + len(ranking.failed), "design"),
             f"{context.every:,} departures" + (f" of {report.model_name}" if report.model_name else ""),
-            ranking.case.label,
+            ranking.label,
             _plant(report),
         ),
         sections=sections,
@@ -103,7 +103,7 @@ def report_input(
     study: Study,
     manifest: Manifest,
     results: StudyResults,
-    rankings: tuple[Ranking, ...],
+    ranking: Ranking,
     *,
     source: Departures | None = None,
     departures: Sequence[int] = (),
@@ -115,12 +115,12 @@ def report_input(
         title=study.title or study.name,
         study_name=study.name,
         results=results,
-        rankings=rankings,
+        ranking=ranking,
         setup=study.setup(),
         settings=tuple(_settings(study, manifest)),
         versions=tuple(_versions(manifest)),
         model_notes=manifest.model_notes,
-        warnings=tuple(dict.fromkeys((*_of_the_model(manifest), *(w for r in rankings for w in r.warnings)))),
+        warnings=tuple(dict.fromkeys((*_of_the_model(manifest), *ranking.warnings))),
         synthetic=manifest.model_synthetic,
         command=manifest.command,
         sensitivity=sensitivity(results, study),
@@ -148,8 +148,8 @@ def _settings(study: Study, manifest: Manifest) -> Iterator[tuple[str, str]]:
     yield "scenarios", "{} left, {} right".format(*study.scenarios.counts)
     yield "seed", str(study.seed)
     yield "designs", str(len(study.designs))
-    yield "windows of S", ", ".join(study.simulation.window)
-    yield "conventions", ", ".join(name.replace("_", " ") for name in study.simulation.convention)
+    yield "window of S", study.simulation.window
+    yield "convention", study.simulation.convention.replace("_", " ")
     yield from simulation_settings(study.setup())
     yield "plant", "ideal" if study.plant.ideal else "not ideal"
     yield from ((f"plant.{key}", value) for key, value in plant_settings(study.plant))

@@ -49,9 +49,7 @@ def _warnings(context: Context) -> Iterator[str]:
     report = context.report
     if report.synthetic:
         yield "The scenario model is synthetic: it was fitted to invented driving, not to recordings."
-    elsewhere = {text for one in report.rankings[1:] for text in one.warnings}
-    every = dict.fromkeys((*report.warnings, *context.ranking.warnings))
-    yield from (text for text in every if text not in elsewhere or text in context.ranking.warnings)
+    yield from dict.fromkeys((*report.warnings, *context.ranking.warnings))
 
 
 def trade_offs(context: Context) -> Section:

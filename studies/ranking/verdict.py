@@ -16,7 +16,7 @@ from ldctoolkit.scenario_model.model import misleading
 from ldctoolkit.setup import Setup
 
 from ..design import Design
-from ..results import CaseResults, StudyResults
+from ..results import StudyResults
 from ..tables import Cell, Column, Row, Table, Value, notebook_html
 from .design_metrics import beyond_friction
 from .ranked_designs import RankedDesigns
@@ -81,7 +81,7 @@ def verdict(
     setup = setup or Setup()
     nearest: tuple[int, ...] = ()
     ahead: tuple[str, ...] = ()
-    some = results.drivable().scenarios
+    some = results.on_drivable().scenarios
     recorded = float(beyond_friction(some, setup).mean()) if some.n else 0.0
     acting = [i for i, design in enumerate(ranking.designs) if not design.is_baseline]
     meeting = [i for i in range(ranking.ranked) if not ranking.designs[i].is_baseline]
@@ -242,19 +242,16 @@ def _limits_light(ranking: RankedDesigns, place: int) -> Light:
     return Light("Limits", "good", f"Meets {_list(list(names))}.")
 
 
-def depths(
-    results: StudyResults, case: CaseResults, i: int, setup: Setup | None = None
-) -> tuple[FloatArray, FloatArray]:
+def depths(results: StudyResults, i: int, setup: Setup | None = None) -> tuple[FloatArray, FloatArray]:
     """Deepest positions of a design and without control on the departures that every design could be driven on [m]."""
-    some, on = results.scenarios.take(case.drivable), setup or Setup()
+    some, on = results.scenarios.take(results.drivable), setup or Setup()
     path = UncorrectedPath.of(some, on.options.residuals, on.seed)
-    return case.companions.deepest[i][case.drivable], path.deepest(some.T)
+    return results.companions.deepest[i][results.drivable], path.deepest(some.T)
 
 
 def _tail_light(ranking: RankedDesigns, results: StudyResults, setup: Setup, place: int) -> Iterator[Light]:
     """Whether the design named goes badly more often than no control does; none where that is not significant."""
-    case = next(one for one in results.cases if one.case == ranking.case)
-    if text := tail_text(*depths(results, case, int(ranking.index[place]), setup)):
+    if text := tail_text(*depths(results, int(ranking.index[place]), setup)):
         yield Light("Tail", "bad", f"{_capital(text)}.")
 
 
@@ -384,7 +381,7 @@ def ranking_table(ranking: RankedDesigns, places: Sequence[int]) -> Table:
         ]  # fmt: skip
         kind = "winner" if i == ranking.winner else "baseline" if i == ranking.baseline else ""
         rows.append(Row(cells, kind, apart=i > before + 1))
-    title = f"{len(ranking):,} design{'' if len(ranking) == 1 else 's'} by mean S, {ranking.case.label}"
+    title = f"{len(ranking):,} design{'' if len(ranking) == 1 else 's'} by mean S, {ranking.label}"
     return Table(title, columns, rows, head=1)
 
 
@@ -455,7 +452,7 @@ def more_lines(ranking: RankedDesigns) -> Iterator[str]:
                 f"{high:+.4f}) on the {where} scenarios."
             )
     if i is not None and ranking.fresh_scenarios and not np.isfinite(ranking.fresh_S[i]):
-        yield "The winner of this case was no finalist; it has no fresh score."
+        yield "The winner was no finalist; it has no fresh score."
     if i is not None and np.isfinite(ranking.optimism[i]):
         yield optimism_text(ranking, i)
     if i is not None and ranking.fresh_difference[i] < 0 and ranking.fresh_difference_high[i] < 0:
@@ -485,16 +482,6 @@ def more_lines(ranking: RankedDesigns) -> Iterator[str]:
         )
     if ranking.failed:
         yield f"{len(ranking.failed):,} design{'' if len(ranking.failed) == 1 else 's'} failed, without metrics."
-
-
-def other_cases(rankings: Sequence[RankedDesigns]) -> Iterator[str]:
-    """A line for each case that is not the primary one, and what it alone warns of."""
-    for one in rankings[1:]:
-        if one.winner is None:
-            yield f"{one.case.label}: no winner."
-        else:
-            yield f"{one.case.label}: {design_name(one.designs[one.winner])}; mean S {one.S[one.winner]:.3f} m s."
-        yield from (f"{one.case.label}: {text}" for text in one.warnings if text not in rankings[0].warnings)
 
 
 def ranking_html(ranking: RankedDesigns, top: int = TOP) -> str:

@@ -24,10 +24,9 @@ from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
 from ldctoolkit.simulation import Run, Takeover, Window, drive, drive_many
 from ldctoolkit.simulation.loop import recorded_run
-from ldctoolkit.vehicle import Convention
 
 from ..design import Design
-from ..results import FailedRun, RunKey, TaskResult
+from ..results import FailedRun, TaskResult
 from .executors.processes import Ended, Executor, Fault, Work
 
 _STRIKES: Final = 2
@@ -46,7 +45,7 @@ class Faults:
 
     def __init__(self) -> None:
         self._strikes: dict[int, int] = {}
-        self._scenarios: dict[RunKey, dict[int, Fault]] = {}
+        self._scenarios: dict[str, dict[int, Fault]] = {}
         self._lost = 0
         self.workers_live = False
 
@@ -63,9 +62,9 @@ class Faults:
         """Another task, with some of the designs, is as suspect as this one."""
         self._strikes[other.number] = self._strikes.get(task.number, 0)
 
-    def record(self, key: RunKey, row: int, fault: Fault) -> str:
+    def record(self, id: str, row: int, fault: Fault) -> str:
         """Note a scenario at fault; a sentence if the design has failed with that."""
-        rows = self._scenarios.setdefault(key, {})
+        rows = self._scenarios.setdefault(id, {})
         rows[row] = fault
         if len(rows) <= _MOST_SCENARIOS:
             return ""
@@ -114,6 +113,7 @@ def batches(n: int, size: int) -> tuple[ScenarioBatch, ...]:
     return tuple(ScenarioBatch(number, rows) for number, rows in enumerate(stretches))
 
 
+_SCORES = 2  # first columns of a result: S and S_uncorrected
 _numbers = itertools.count()
 
 
@@ -122,16 +122,10 @@ class Job:
     """What all designs of a study share."""
 
     token: str  # tells one job from another
-    setup: Setup  # of the first convention; tasks name theirs
-    windows: tuple[Window, ...]
+    setup: Setup
+    window: Window
     laws: bytes = b""  # controller classes that no installed package offers; empty where there are none
     time_limit: float = 0.0  # [s]: of one task; 0 for none
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """Names of the floating-point columns of a result."""
-        scores = [f"{name}_{window}" for window in self.windows for name in ("S", "S_uncorrected")]
-        return (*scores, *METRIC_UNITS)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -139,7 +133,6 @@ class Task:
     """Some designs on some scenarios."""
 
     job: Job
-    convention: Convention
     designs: tuple[Design, ...]  # k designs of one law, by rising y_s
     rows: IntArray  # (m,): row numbers of the scenarios in the study
     scenarios: Scenarios  # these m scenarios
@@ -194,7 +187,7 @@ _warm: set[tuple[str, str]] = set()  # jobs and laws
 
 _NOT_OF_A_LAW = (KeyboardInterrupt, GeneratorExit)  # what ends a study even where it comes out of a law
 
-Key = tuple[float, Convention, bytes]
+Key = tuple[float, bytes]
 
 
 class Simulator:
@@ -204,13 +197,13 @@ class Simulator:
         self.job = job
         self._takeovers: OrderedDict[Key, Takeover] = OrderedDict()
 
-    def takeover(self, y_s: float, convention: Convention, scenarios: Scenarios) -> Takeover:
+    def takeover(self, y_s: float, scenarios: Scenarios) -> Takeover:
         """The scenarios at their triggers."""
-        key = _key(y_s, convention, scenarios)
+        key = _key(y_s, scenarios)
         if key not in self._takeovers:
             while len(self._takeovers) >= _TAKEOVERS_KEPT:
                 self._takeovers.popitem(last=False)
-            self._takeovers[key] = Takeover.build(scenarios, self.job.setup.under(convention), y_s=y_s)
+            self._takeovers[key] = Takeover.build(scenarios, self.job.setup, y_s=y_s)
         self._takeovers.move_to_end(key)
         return self._takeovers[key]
 
@@ -221,7 +214,7 @@ class Simulator:
         reasons: dict[int, str] = {}
         for first, last in _same_threshold(task.designs):
             # what this raises is no fault of a law
-            takeover = self.takeover(task.designs[first].y_s, task.convention, task.scenarios)
+            takeover = self.takeover(task.designs[first].y_s, task.scenarios)
             try:
                 self._together(room, takeover, first, last)
             except _NOT_OF_A_LAW:
@@ -231,7 +224,7 @@ class Simulator:
                 for i in range(first, last):
                     self._alone(room, takeover, i, reasons)
         ran = [i for i in range(len(task.designs)) if i not in reasons]
-        failed = tuple(FailedRun((task.designs[i].id, task.convention), task.batch, why) for i, why in reasons.items())
+        failed = tuple(FailedRun(task.designs[i].id, task.batch, why) for i, why in reasons.items())
         result = room.result() if not reasons else room.result().take(ran) if ran else None
         return Done(result, failed, time.perf_counter() - started)
 
@@ -239,14 +232,14 @@ class Simulator:
         """The recorded paths with a status, as what counts where a law could not be run; no law's code is called."""
         room = _Room(task)
         for i, design in enumerate(task.designs):
-            takeover = self.takeover(design.y_s, task.convention, task.scenarios)
+            takeover = self.takeover(design.y_s, task.scenarios)
             room.put(i, recorded_run(takeover))
             room.status[i, takeover.rows] = status
         return room.result()
 
     def _together(self, room: _Room, takeover: Takeover, first: int, last: int) -> None:
         """Designs of one threshold in one go over the scenarios, as far as their laws allow."""
-        convention = room.task.convention
+        convention = self.job.setup.convention
         controllers = [design.controller(convention) for design in room.task.designs[first:last]]
         # all of them before any is taken in: what one raises leaves the others as they were
         for i, run in zip(range(first, last), list(drive_many(controllers, takeover, threads=1)), strict=True):
@@ -267,9 +260,8 @@ class _Room:
     def __init__(self, task: Task) -> None:
         self.task = task
         self.rows = task.rows.size
-        self.columns = task.job.columns
         k = len(task.designs)
-        self.values = np.empty((len(self.columns), k, self.rows))
+        self.values = np.empty((_SCORES + len(METRIC_UNITS), k, self.rows))
         self.status = np.empty((k, self.rows), dtype=np.int8)
         self.failed_solves = np.empty((k, self.rows), dtype=np.int32)
         self.law_seconds = np.zeros(k)
@@ -280,8 +272,8 @@ class _Room:
         self._commands = 0
 
     def put(self, i: int, run: Run) -> None:
-        """Results of one design; two windows are two ways to score the same run."""
-        over, windows = run.takeover, self.task.job.windows
+        """Results of one design."""
+        over, windows = run.takeover, (self.task.job.window,)
         if over is not self._takeover:  # designs of one threshold share what they do not change
             self._takeover, self._recorded = over, run.columns(windows)
             self._not_driven = np.where(over.valid, EventStatus.NEVER_TRIGGERED, EventStatus.INVALID).astype(np.int8)
@@ -292,9 +284,9 @@ class _Room:
         run.fill(values, windows)
         self.status[i] = self._not_driven
         self.status[i, rows] = run.status
-        if not np.isfinite(values[: 2 * len(windows)]).all():
+        if not np.isfinite(values[:_SCORES]).all():
             driven = self.status[i] != EventStatus.INVALID
-            if not np.isfinite(values[: 2 * len(windows), driven]).all():
+            if not np.isfinite(values[:_SCORES, driven]).all():
                 raise LdcError("S is not finite in some scenario")
         self.failed_solves[i] = 0
         self.failed_solves[i, rows] = run.failed_solves
@@ -303,12 +295,12 @@ class _Room:
 
     def result(self) -> TaskResult:
         """All of it."""
-        keys, rows = tuple((design.id, self.task.convention) for design in self.task.designs), self.task.rows
-        return TaskResult(keys, rows, self.values, self.status, self.failed_solves, self.law_seconds, self.commands)
+        ids, rows = tuple(design.id for design in self.task.designs), self.task.rows
+        return TaskResult(ids, rows, self.values, self.status, self.failed_solves, self.law_seconds, self.commands)
 
 
-def _key(y_s: float, convention: Convention, scenarios: Scenarios) -> Key:
-    return y_s, convention, scenarios.index.tobytes()
+def _key(y_s: float, scenarios: Scenarios) -> Key:
+    return y_s, scenarios.index.tobytes()
 
 
 def _same_threshold(designs: tuple[Design, ...]) -> list[tuple[int, int]]:
@@ -365,7 +357,7 @@ def learn(laws: bytes) -> None:
 def _warm_up(job: Job, task: Task) -> None:
     key = job.token, task.designs[0].law
     if key not in _warm and job.time_limit:
-        load_loops({key[1]}, task.scenarios, job.setup.under(task.convention), task.designs[0].y_s)
+        load_loops({key[1]}, task.scenarios, job.setup, task.designs[0].y_s)
         _warm.add(key)
 
 

@@ -12,8 +12,8 @@
     DIR/replayed/                the best designs on recorded departures, where a study has both: a folder like this one
 
 Guarantees. Every file is written whole or not at all, and holds a checksum that is checked when it is read. Parts are
-only ever added; the checksum is in a part's name, and writing the same runs again gives the same file. A run is a
-design under one convention, identified by the design's content, which the code of its law belongs to. What a killed
+only ever added; the checksum is in a part's name, and writing the same runs again gives the same file. A run is
+identified by its design's content, which the code of its law belongs to. What a killed
 study had stored survives it, and the next run into the same folder computes only what is missing; a design that failed
 is missing, and so is tried again. A folder that holds another model, seed, vehicle or plant is refused; designs and
 scenarios may be added and left out. After an edit of a law its designs are missing; with another version of the
@@ -33,7 +33,7 @@ from ldctoolkit.errors import LdcError, StoreError
 from ldctoolkit.scenarios import Scenarios
 
 from ..design import Design
-from ..results import FailedRun, RunKey, StudyResults, TaskResult
+from ..results import FailedRun, StudyResults, TaskResult
 from ..study_file import Study
 from .files import SCENARIOS, output_folder, read_scenarios, write_scenarios
 from .manifest import (
@@ -97,8 +97,8 @@ class Store:
         self.manifest = manifest
         self.study = study
         self.broken: tuple[str, ...] = ()
-        self.times: dict[RunKey, LawTime] = {}
-        self.failures: dict[RunKey, str] = {}
+        self.times: dict[str, LawTime] = {}
+        self.failures: dict[str, str] = {}
 
     @classmethod
     def create(cls, folder: Path, manifest: Manifest, scenarios: Scenarios, study: Study) -> Store:
@@ -147,13 +147,13 @@ class Store:
         if results:
             write_part(self.folder / "results", results, self.study.simulation.window, self.scenarios.index)
             for result in results:
-                for key, seconds, commands in zip(result.keys, result.law_seconds, result.commands, strict=True):
-                    self.times[key] = self.times.get(key, LawTime(0.0, 0)) + LawTime(float(seconds), int(commands))
+                for id, seconds, commands in zip(result.ids, result.law_seconds, result.commands, strict=True):
+                    self.times[id] = self.times.get(id, LawTime(0.0, 0)) + LawTime(float(seconds), int(commands))
             write_times(self.folder, self.times)
         if failed:
-            self.write_failures(self.failures | {run.key: run.reason for run in failed})
+            self.write_failures(self.failures | {run.id: run.reason for run in failed})
 
-    def write_failures(self, failures: dict[RunKey, str]) -> None:
+    def write_failures(self, failures: dict[str, str]) -> None:
         """Replace what is known of failed runs."""
         if failures != self.failures:
             write_failures(self.folder, failures)
@@ -163,14 +163,14 @@ class Store:
         """All stored runs; their times are in `times`, and runs that failed in `failures`, afterwards."""
         n = self.scenarios.n
         designs = self.designs() if designs is None else designs
-        runs = len(designs) * n * len(self.study.simulation.convention)
-        mapped = not repair and runs > _MOST_IN_MEMORY
+        mapped = not repair and len(designs) * n > _MOST_IN_MEMORY
         table = RunTable(self.study, n, designs, keep=repair and self.study.search is not None, mapped=mapped)
         messages = []
-        windows = self.study.simulation.window
         for path, content in prefetched(checked_content, sorted((self.folder / "results").glob(PATTERN))):
             try:
-                for result in list(parse_part(path, content.result(), windows, self.scenarios.index)):
+                for result in list(
+                    parse_part(path, content.result(), self.study.simulation.window, self.scenarios.index)
+                ):
                     table.put(result)
                 table.release()
             except StoreError as error:

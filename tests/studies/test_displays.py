@@ -57,7 +57,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> StudyResults:
 
 @pytest.fixture(scope="module")
 def ranking(results: StudyResults) -> Ranking:
-    return rank_study(results, Study.from_dict(STUDY))[0]
+    return rank_study(results, Study.from_dict(STUDY))
 
 
 def test_ranking(ranking: Ranking) -> None:
@@ -93,7 +93,7 @@ def test_text_of_users_is_text(ranking: Ranking) -> None:
 
 
 def test_nothing_ranked_and_one_design(results: StudyResults) -> None:
-    none = Ranking.of(results, results.cases[0], bootstrap=50, require=["S <= 0"])
+    none = Ranking.of(results, bootstrap=50, require=["S <= 0"])
     assert "None meets the requirements." in none._repr_html_()
     assert {row[0] for row in rows_of(none._repr_html_())[1:]} == {"–"}  # noqa: RUF001
 
@@ -101,7 +101,7 @@ def test_nothing_ranked_and_one_design(results: StudyResults) -> None:
 def test_results(results: StudyResults) -> None:
     lines = {row[0]: row[1] for row in rows_of(results._repr_html_())}
     assert (lines["designs"], lines["scenarios"]) == ("25: none (1), lqr (24)", "50 (30 left, 20 right)")
-    assert lines["cases"] == results.cases[0].case.label
+    assert lines["S"] == results.label
 
 
 @pytest.mark.slow
@@ -114,9 +114,9 @@ def test_comparison(results: StudyResults, tmp_path: Path) -> None:
     assert EVIL not in text
     assert html.escape(found.summary) in text
     row = rows_of(text)[1]
-    assert row[0] == str(found.cases[0].S.verdict[0])
-    assert float(row[2]) == pytest.approx(found.cases[0].S.S_old[0], abs=6e-5)
-    assert float(row[4].replace("\u2212", "-")) == pytest.approx(found.cases[0].S.difference[0], rel=1e-3)
+    assert row[0] == str(found.S.verdict[0])
+    assert float(row[2]) == pytest.approx(found.S.S_old[0], abs=6e-5)
+    assert float(row[4].replace("\u2212", "-")) == pytest.approx(found.S.difference[0], rel=1e-3)
     assert "-" not in "".join(row[2:])
     assert text.count("white-space:nowrap") == 5 * (len(rows_of(text)) - 1)
 
@@ -180,7 +180,7 @@ def results_plotting(study: Study, tmp_path_factory: pytest.TempPathFactory) -> 
 
 @pytest.fixture(scope="module")
 def ranking_plotting(study: Study, results_plotting: StudyResults) -> Ranking:
-    return rank_study(results_plotting, study)[0]
+    return rank_study(results_plotting, study)
 
 
 @pytest.fixture
@@ -224,17 +224,13 @@ def test_trade_off(ranking_plotting: Ranking, ax: matplotlib.axes.Axes) -> None:
 def test_distribution(results_plotting: StudyResults, ax: matplotlib.axes.Axes) -> None:
     plot_distribution(results_plotting, [1, results_plotting.designs[2]], ax, side="left")
     left = results_plotting.scenarios.side > 0
-    for line, S in zip(
-        ax.lines, (results_plotting.cases[0].S_uncorrected[1], *results_plotting.cases[0].counted[1:3]), strict=True
-    ):
+    for line, S in zip(ax.lines, (results_plotting.S_uncorrected[1], *results_plotting.counted[1:3]), strict=True):
         x = np.sort(np.asarray(line.get_xdata(), dtype=float))
         np.testing.assert_allclose(x[np.isfinite(x)][-left.sum() :], np.sort(S[left]))
     with pytest.raises(InputError, match="side: 'lift'"):
         plot_distribution(results_plotting, side="lift")
     with pytest.raises(InputError, match="designs: 99; allowed: 0 to 7"):
         plot_distribution(results_plotting, [99])
-    with pytest.raises(InputError, match="case: 'departure windw, consistent'"):
-        plot_distribution(results_plotting, case="departure windw, consistent")
 
 
 def test_convergence_ends_at_the_mean(

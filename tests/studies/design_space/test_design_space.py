@@ -317,7 +317,7 @@ MISTAKES: list[tuple[dict[str, Any], str, Any, str | set[str]]] = [
     ({**MPC, "when": {"blocks": {"solvr": "osqp"}}}, "when.blocks.solvr", ..., {"solver"}),
     ({**MPC, "when": {"blocks": {"blocks": 3}}}, "when.blocks.blocks", ..., {"horizon"}),
     ({**MPC, "when": {"blocks": {"solver": "osq"}}}, "when.blocks.solver", "osq", {"osqp"}),
-    ({**MPC, "when": {"blocks": {"solver": []}}}, "when.blocks.solver", ..., "one value or more"),
+    ({**MPC, "when": {"blocks": {"solver": []}}}, "when.blocks.solver", ..., "1 to 10000"),
     (
         {**MPC, "when": {"blocks": {"solver": "osqp"}, "horizon": {"blocks": 3}}},
         "when.horizon.blocks",

@@ -40,11 +40,11 @@ DESIGNS = [
 
 @pytest.fixture
 def study(make_study: MakeStudy) -> Study:
-    """Linear laws and others, noise and mismatch, two cases, finalists: all that could depend on the split."""
+    """Linear laws and others, noise and mismatch, finalists: all that could depend on the split."""
     return make_study(
         scenarios={"left": 40, "right": 30},
         ranking={"bootstrap": 300, "finalists": 3},
-        simulation={"window": ["departure", "control"]},
+        simulation={"window": "control"},
         plant={
             "mismatch": {"m": [1.0, 1.3]},
             "sensors": {"e_y_noise": 0.03, "delay": 0.1, "kalman": {}},

@@ -53,7 +53,7 @@ def test_more_scenarios_are_those_of_a_study_that_began_with_them(
     assert_same_results(ldc.read_results(tmp_path / "out"), whole)
     rows = np.flatnonzero(np.isin(whole.scenarios.index, small.scenarios.index))
     assert rows.size == 15
-    np.testing.assert_array_equal(grown.cases[0].S[:, rows], small.cases[0].S)
+    np.testing.assert_array_equal(grown.S[:, rows], small.S)
     driven.clear()
     ldc.run_study(noisy(15, 10), tmp_path / "out", workers=1)
     assert driven == []
@@ -78,7 +78,7 @@ def test_two_sizes_are_compared_on_what_both_have(tmp_path: Path) -> None:
         ldc.run_study(noisy(*counts), tmp_path / name, workers=1)
     compared = ldc.compare(tmp_path / "small", tmp_path / "large")
     assert (compared.shared.left, compared.shared.right, compared.shared.other_draws) == (8, 6, 0)
-    assert all((case.S.difference == 0.0).all() for case in compared.cases)
+    assert (compared.S.difference == 0.0).all()
     assert compared.differences == ("scenarios.left: 8 -> 12", "scenarios.right: 6 -> 20")
 
 
@@ -103,7 +103,7 @@ def test_given_scenarios_are_read_back(tmp_path: Path, how: str, make_study: Cal
         == results.scenarios.index.tolist()
         == np.argsort(-given.side, kind="stable").tolist()
     )
-    for design, S in zip(back.designs, back.cases[0].S, strict=True):
+    for design, S in zip(back.designs, back.S, strict=True):
         again = ldc.simulate(design.controller(), back.scenarios, design.y_s, setup=noisy(1, 1).setup())
         np.testing.assert_array_equal(again.S, S)
     assert (back.scenarios.drift is None) == (how == "drawn")

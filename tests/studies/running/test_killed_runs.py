@@ -37,7 +37,6 @@ seed = 5
 left = 100
 right = 100
 [simulation]
-convention = ["consistent", "as_printed"]
 [ranking]
 bootstrap = 200
 finalists = 5

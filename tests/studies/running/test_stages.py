@@ -46,10 +46,10 @@ def test_finalists_are_the_best_on_other_scenarios(make_study: MakeStudy, tmp_pa
     assert "none" in [design.law for design in fresh.designs]
     assert 3 <= len(fresh.designs) <= 4
     assert not np.isin(fresh.scenarios.d_y, results.scenarios.d_y).any()
-    best = rank_study(results, study)[0].designs[0]
+    best = rank_study(results, study).designs[0]
     assert best in fresh.designs
     again = read_results(tmp_path)
-    np.testing.assert_array_equal(again.fresh.cases[0].S, fresh.cases[0].S)
+    np.testing.assert_array_equal(again.fresh.S, fresh.S)
     none = study_of(make_study, ranking={"finalists": 0})
     assert run_study(none, directory=tmp_path, workers=1).fresh is None
     assert read_results(tmp_path).fresh is None
@@ -130,7 +130,7 @@ def test_a_search_goes_on_where_it_was_stopped(
     for folder in ("s", "whole"):
         results = run_study(study, directory=tmp_path / folder, workers=1)
         assert results.designs == whole.designs
-        np.testing.assert_array_equal(read_results(tmp_path / folder).cases[0].S, whole.cases[0].S)
+        np.testing.assert_array_equal(read_results(tmp_path / folder).S, whole.S)
     assert stored_rows(tmp_path / "s").equals(stored_rows(tmp_path / "whole"))
     assert read_manifest(tmp_path / "s").finished
 

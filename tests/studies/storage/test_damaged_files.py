@@ -67,7 +67,7 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     with known(Fails):
         study = zoo_of(folder)
         results = run_study(study, directory=folder / "zoo", workers=1)
-        robustness_of(folder / "zoo", RobustnessTask.of(results, rank_study(results, study)[0], study.setup()))
+        robustness_of(folder / "zoo", RobustnessTask.of(results, rank_study(results, study), study.setup()))
         paths = study_of(folder, scenarios={"departures": "d.parquet", "path": "recorded"})
         run_study(paths, directory=folder / "paths", workers=1)
         risk_of(folder)
@@ -81,7 +81,7 @@ def content_of(folder: Path) -> Any:
     store.load(results.designs)
     manifest = read_manifest(folder)
     model = read_model(folder, manifest)
-    ranking = rank_study(results, manifest.read_study())[0]
+    ranking = rank_study(results, manifest.read_study())
     task = RobustnessTask.of(results, ranking, manifest.read_study().setup())
     plants = stored_of(folder, task)
     scenarios = {f"{f.name}": getattr(results.scenarios, f.name) for f in dataclasses.fields(results.scenarios)}
@@ -91,8 +91,8 @@ def content_of(folder: Path) -> Any:
 def scores_of(results: StudyResults | None) -> Any:
     if results is None:
         return None
-    cases = [(case.S, case.S_uncorrected, case.status, vars(case.companions)) for case in results.cases]
-    return results.designs, results.failed, cases, scores_of(results.fresh), scores_of(results.replayed)
+    numbers = results.S, results.S_uncorrected, results.status, vars(results.companions)
+    return results.designs, results.failed, numbers, scores_of(results.fresh), scores_of(results.replayed)
 
 
 def damaged(data: bytes, rng: np.random.Generator) -> bytes:
