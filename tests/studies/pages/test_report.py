@@ -22,11 +22,10 @@ from ldctoolkit.studies.pages import (
     landscape_section,
     ranking_section,
     robustness_section,
-    settings_section,
     verdict_section,
 )
 from ldctoolkit.studies.pages.context import Context, ReportInput
-from ldctoolkit.studies.pages.report import report_page, write_report
+from ldctoolkit.studies.pages.report import report_page, settings_section, write_report
 from ldctoolkit.studies.results import FailedDesign, StudyResults
 
 LIMITS = ("stable", "comfort", "physical")
@@ -283,7 +282,7 @@ def test_without_robustness_the_page_says_how_to_get_it(report: ReportInput) -> 
 
 def test_failed_designs_are_listed(results: StudyResults) -> None:
     failed = FailedDesign(Design.of(LQR(r_delta=77.0), 0.1), f"ValueError: {EVIL}")
-    words = said_in(settings_section.section, report_input(dataclasses.replace(results, failed=(failed,))))
+    words = said_in(settings_section, report_input(dataclasses.replace(results, failed=(failed,))))
     assert "1 design failed and is not ranked:" in words
     assert "r_δ=77" in words or "rδ=77" in words
 

@@ -11,7 +11,8 @@ from markdown_it import MarkdownIt
 
 from helpers.results import results_of
 from ldctoolkit.studies.design import Design
-from ldctoolkit.studies.pages.ranking_markdown import MOST_ROWS, ranking_markdown, write_markdown
+from ldctoolkit.studies.pages.ranking_section import MOST_MARKDOWN_ROWS as MOST_ROWS
+from ldctoolkit.studies.pages.ranking_section import ranking_markdown, write_markdown
 from ldctoolkit.studies.ranking.ranking import Ranking
 from ldctoolkit.studies.ranking.verdict import Verdict, listed_places, verdict
 from ldctoolkit.studies.results import FailedDesign
