@@ -12,11 +12,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.arrays import IntArray
+from ldctoolkit.arrays import Frame, IntArray
 from ldctoolkit.control import EventStatus, SteeringLaw
 from ldctoolkit.departures import LEFT
 from ldctoolkit.errors import LdcError, StudyError, expect
-from ldctoolkit.frames import Frame
 from ldctoolkit.law_checks import declared_law
 from ldctoolkit.metrics import METRICS, RELEASE_METRICS
 from ldctoolkit.review import design_margins

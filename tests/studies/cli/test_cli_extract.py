@@ -15,7 +15,7 @@ import pytest
 from helpers import cli
 from helpers.fuzz import DEPARTURES, SOUND
 from ldctoolkit.errors import RecordingError
-from ldctoolkit.recordings import extract_departures, read_departures, read_recordings, sources
+from ldctoolkit.recordings import extract_departures, read_departures, read_recordings, recording
 from ldctoolkit.recordings.recording import Problem, Recording, SourceFile
 
 HEADER = "recording,t,lane_offset,lane_width,speed\n"
@@ -214,17 +214,17 @@ class MadeReader:
 @pytest.fixture
 def third_party(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None]]:
     """Install readers for the length of a test."""
-    there = dict(sources._installed())
+    there = dict(recording._installed())
 
     def install(*readers: MadeReader) -> None:
         for reader in readers:
             there[reader.name] = types.SimpleNamespace(load=lambda reader=reader: reader, value="made:READER")  # type: ignore[assignment]
 
     with monkeypatch.context() as patch:
-        patch.setattr(sources, "_installed", lambda: there)
-        sources.recording_reader.cache_clear()
+        patch.setattr(recording, "_installed", lambda: there)
+        recording.recording_reader.cache_clear()
         yield install
-    sources.recording_reader.cache_clear()
+    recording.recording_reader.cache_clear()
 
 
 def test_a_third_partys_reader(folder: Path, ldc: Ldc, third_party: Callable[..., None]) -> None:

@@ -25,8 +25,14 @@ from ldctoolkit.recordings.departures_table import PartResult
 from ldctoolkit.recordings.extract import extract_items
 from ldctoolkit.recordings.find_departures import Criteria
 from ldctoolkit.recordings.preparation import Preparation
-from ldctoolkit.recordings.recording import Problem, Recording
-from ldctoolkit.recordings.sources import CombinedReader, FoundParts, OpenedRecordings, recording_reader
+from ldctoolkit.recordings.recording import (
+    CombinedReader,
+    FoundParts,
+    OpenedRecordings,
+    Problem,
+    Recording,
+    recording_reader,
+)
 from ldctoolkit.studies.extraction import (
     NothingReadError,
     _program,
