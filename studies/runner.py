@@ -31,7 +31,7 @@ from .storage.manifest import Manifest, write_designs
 from .storage.parts import locked, remove_unfinished
 from .storage.run_table import AllFailedError, check_room
 from .storage.store import FINALISTS, REPLAYED, SCORES, Store, make_folder
-from .storage.stored_model import Source, model_notes, with_counts, with_recorded_widths, write_model
+from .storage.stored_model import Source, model_notes, model_warnings, with_counts, with_recorded_widths, write_model
 from .study_file import Study
 
 _log = logging.getLogger("studies")
@@ -210,7 +210,8 @@ class _Run:
             study,
             model=self.name,
             model_hash=source.content_hash,
-            model_notes=model_notes(source, study.vehicle, study.scenarios.given),
+            model_notes=model_notes(source, study.scenarios.given),
+            model_warnings=tuple(model_warnings(source, study.vehicle, study.scenarios.given)),
             model_synthetic=isinstance(source, ScenarioModel) and source.provenance.synthetic,
             part_of=part_of,
         )
