@@ -11,12 +11,8 @@ from markupsafe import Markup
 
 from ldctoolkit.metrics import METRICS
 
-from ..ranking.verdict import ranking_table, set_of_best_line
-from ..requirements import metric
-from ..tables import Cell, Column, Row, Table, to_html
 from ..ranking.ranked_designs import SCORE
 from ..ranking.ranking import Ranking
-from ..ranking.requirements import metric
 from ..ranking.verdict import (
     COLUMNS_TEXT,
     Verdict,
@@ -26,6 +22,7 @@ from ..ranking.verdict import (
     set_of_best_line,
     verdict_lines,
 )
+from ..requirements import metric
 from ..storage.files import write_text
 from ..storage.manifest import Manifest
 from ..study_file import Study
