@@ -441,8 +441,9 @@ def rebuild_signals(p: DepartureParameters, dt: float) -> DepartureSignals:
 
 def no_departures() -> Departures:
     """A table without rows."""
-    whole, numbers = np.empty(0, dtype=np.int64), [np.empty(0)] * len(PARAMETER_NAMES)
-    return Departures(whole, *numbers, np.empty(0, dtype=np.str_), np.empty(0), whole)
+    whole = np.empty(0, dtype=np.int64)
+    numbers: dict[str, Any] = dict.fromkeys((*PARAMETER_NAMES, "start_time"), np.empty(0))
+    return Departures(side=whole, recording=np.empty(0, dtype=np.str_), samples=whole, **numbers)
 
 
 def combined_departures(parts: Sequence[Departures]) -> Departures:
@@ -469,4 +470,5 @@ def combined_departures(parts: Sequence[Departures]) -> Departures:
         offsets = np.concatenate([[0], np.cumsum(length)])
         signals = DepartureSignals(offsets, *(joined(name, recorded) for name in "tyvc"))
     names = [field.name for field in dataclasses.fields(Departures) if field.name not in ("extra", "signals")]
-    return Departures(*map(joined, names), extra=tuple(extra), signals=signals)
+    columns: dict[str, Any] = {name: joined(name) for name in names}
+    return Departures(**columns, extra=tuple(extra), signals=signals)

@@ -18,6 +18,7 @@ from ldctoolkit import (
     Outcome,
     Plant,
     Preview,
+    RecordedPath,
     Scenarios,
     Setup,
     SteeringLaw,
@@ -29,7 +30,19 @@ from ldctoolkit.metrics import METRIC_UNITS
 from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.simulation import Run, Takeover
 
+frozen = dataclasses.dataclass(frozen=True)
+
 METRICS = tuple(METRIC_UNITS)  # names of what a run measures for each scenario beside S
+
+
+class Idle(Controller):
+    """Leaves the departure alone; a dataclass is made of it where a test needs one."""
+
+    name: ClassVar[str] = "idle"
+    title: ClassVar[str] = "Idle"
+
+    def prepare(self, plant: Plant) -> RecordedPath:
+        return RecordedPath()
 
 
 def takeover(

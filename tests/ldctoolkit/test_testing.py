@@ -3,8 +3,6 @@
 import dataclasses
 import math
 import re
-import subprocess
-import sys
 import threading
 from pathlib import Path
 from typing import Any, ClassVar
@@ -12,6 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
+from helpers.cli import python
 from ldctoolkit import BicycleModel, Controller, EventStatus, LinearLaw, Plant, SteeringLaw, gain, option
 from ldctoolkit.control import LinearSteps, RecordedPath
 from ldctoolkit.controllers import LQR
@@ -261,8 +260,7 @@ def test_designs_on_their_way_to_worker_processes(tmp_path: Path) -> None:
         "class Main(LQR):\n    name = 'main'\n"
         "print(*contract_faults(Main, checks=['picklable']))\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=tmp_path)
-    assert done.stdout.splitlines() == ["set()", ""]
+    assert python("-c", code, cwd=tmp_path).splitlines() == ["set()", ""]
 
 
 def test_gains_that_exclude_each_other_or_depend_on_the_vehicle() -> None:
