@@ -12,7 +12,7 @@ callers import this module where they call it. All that an entry calls stands he
 
 # mypy: disable-error-code="untyped-decorator, no-any-return"
 
-from typing import Final
+from typing import Any, Final
 
 import numba
 import numpy as np
@@ -20,7 +20,6 @@ import numpy.typing as npt
 
 import ldctoolkit.compiling as compiling
 from ldctoolkit.arrays import FloatArray, IntArray
-from ldctoolkit.numba_internals import OPTIONS
 
 from ._mpc_condensing import Condensed, InitialState, Limits
 
@@ -28,6 +27,9 @@ compiling.listen()
 
 __all__ = ["BEYOND", "FREE", "HELD", "OPEN", "assemble", "finish", "sweep"]
 
+
+# strict arithmetic: a scenario's numbers are the same bits whichever stand beside it
+OPTIONS: Final[dict[str, Any]] = {"nogil": True, "error_model": "numpy"}
 
 _INSIDE: Final = 1e-12  # The plan without limits counts as inside them up to this [rad, or share of a soft limit]
 

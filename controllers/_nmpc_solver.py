@@ -402,13 +402,13 @@ def _library(functions: tuple[Any, ...], name: str) -> Path | None:
 def _compile(compiler: str, text: str, target: Path) -> None:
     """Compile beside the target and rename, so that half a library is never seen."""
     with tempfile.TemporaryDirectory(dir=target.parent, prefix=".compile-") as folder:
-        source, made = Path(folder, "code.c"), Path(folder, "code.so")
+        source, library = Path(folder, "code.c"), Path(folder, "code.so")
         source.write_text(text, encoding="utf-8")
-        command = [compiler, *_OPTIONS, "-o", str(made), str(source), "-lm"]
+        command = [compiler, *_OPTIONS, "-o", str(library), str(source), "-lm"]
         subprocess.run(command, check=True, capture_output=True, timeout=300)
-        made.chmod(0o700)
+        library.chmod(0o700)
         with contextlib.suppress(FileExistsError):
-            made.replace(target)
+            library.replace(target)
 
 
 MAX_ITERATIONS: Final = 60
@@ -466,8 +466,8 @@ class _Call:
 
     def __init__(self, function: Any, inputs: list[FloatArray]) -> None:
         self.outputs = [np.zeros(function.nnz_out(k)) for k in range(function.n_out())]
-        self._kept = function, inputs, function.buffer()
-        buffer, self.run = self._kept[2]
+        self._references = function, inputs, function.buffer()
+        buffer, self.run = self._references[2]
         for k, array in enumerate(inputs):
             if array.size != function.nnz_in(k):
                 raise ValueError(f"{function.name()}: input {k} has {array.size} numbers, not {function.nnz_in(k)}")
@@ -525,10 +525,10 @@ class Workspace:
         step, gap = np.inf, 0.0
         recent, blind = [merit], _BLIND
         for iteration in range(1, MAX_ITERATIONS + 1):
-            found = self._direction(rows, soft)
-            if found is None:
+            direction = self._direction(rows, soft)
+            if direction is None:
                 return self._end(False, iteration, step, J)
-            dU, row_change, newton = found
+            dU, row_change, newton = direction
             step = float(np.max(np.abs(dU)))
             pull = self.J_t[0] + self.g @ dU + 0.5 * dU @ (self.H @ dU)
             if soft is not None and rows is not None and row_change is not None:
@@ -691,7 +691,7 @@ _LOCAL = threading.local()
 
 def workspace(N: int, soft: bool) -> Workspace:
     """Workspace of the calling thread for a horizon, with or without soft limits."""
-    kept: dict[tuple[int, bool], Workspace] = _LOCAL.__dict__.setdefault("kept", {})
-    if (N, soft) not in kept:
-        kept[N, soft] = Workspace(N, soft)
-    return kept[N, soft]
+    workspaces: dict[tuple[int, bool], Workspace] = _LOCAL.__dict__.setdefault("workspaces", {})
+    if (N, soft) not in workspaces:
+        workspaces[N, soft] = Workspace(N, soft)
+    return workspaces[N, soft]

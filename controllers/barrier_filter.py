@@ -4,8 +4,8 @@ delta = argmin (delta - delta_inner)^2 subject to |e_y| <= e_y_max being kept, w
 centre from the lane's centre, positive to the left (ISO 8855); the edge is on the line at e_y = (w_l - w_v)/2, 0.85 m
 with the default vehicle. Both sides have a barrier, h = e_y_max - e_y and h = e_y_max + e_y.
 
-The condition on each is psi(k+1) >= (1 - gamma_2) psi(k) with psi = gamma_1 h + dt dh/dt. With w = (gamma_1, dt, 0, 0)
-and x+ = A x + B delta + E_0 r_0 + E_1 r_1 both are linear in delta, an interval of constant width; it is clipped to
+The condition on each is psi(k+1) >= (1 - gamma_2) psi(k) with psi = gamma_1 h + dt dh/dt. With w = (gamma_1, dt, 0,
+0) and x+ = A x + B delta + E_0 r_0 + E_1 r_1 both are linear in delta: it is clipped to an interval of constant width,
 
     |w'B delta - ((1 - gamma_2) w'x - w'(A x + E_0 r_0 + E_1 r_1))| <= gamma_1 gamma_2 e_y_max.
 
@@ -160,16 +160,16 @@ class BarrierLaw(SteeringLaw):
         lower, upper = self.interval(x, preview.yaw_rate)
         # laid out as when it runs alone: the order of its sums may depend on it
         yaw_rate, heading = (np.ascontiguousarray(each[:, 2:]) for each in (preview.yaw_rate, preview.heading))
-        ahead = Preview(yaw_rate, heading, preview.wheel)
-        delta, state, status = self.inner.step(t, x, ahead, delta_prev.copy(), state)
+        inner_preview = Preview(yaw_rate, heading, preview.wheel)
+        delta, state, status = self.inner.step(t, x, inner_preview, delta_prev.copy(), state)
         delta, status = np.asarray(delta, dtype=np.float64), np.array(status, dtype=np.int8)
         if delta.shape != lower.shape or status.shape != lower.shape:
             shapes = f"{delta.shape}, {status.shape}"
             raise InputError(f"law {self.inner_name!r}", f"step returned shapes {shapes}", allowed=str(lower.shape))
         wrong = ~np.isfinite(delta)
         status[wrong] = EventStatus.SOLVER_FAILED
-        wanted = np.where(wrong, delta_prev, delta)
-        return np.clip(np.clip(wanted, lower, upper), -self.delta_max, self.delta_max), state, status
+        unfiltered = np.where(wrong, delta_prev, delta)
+        return np.clip(np.clip(unfiltered, lower, upper), -self.delta_max, self.delta_max), state, status
 
     def take(self, rows: IntArray, state: Any) -> tuple[BarrierLaw, Any] | None:
         """Only some scenarios, where the law inside can be cut down."""

@@ -27,7 +27,7 @@ from ldctoolkit.declared import gain, option
 from ldctoolkit.errors import InputError
 from ldctoolkit.vehicle.bicycle import Plant
 
-from ._mpc_condensing import Condensed, InitialState, Limits, Wanted, condense, lane, limits, lookahead
+from ._mpc_condensing import Condensed, InitialState, Limits, MPCSettings, condense, lane, limits, lookahead
 
 
 @final
@@ -70,7 +70,7 @@ class LinearMPC(Controller):
 
     def prepare(self, plant: Plant) -> MPCLaw:
         """Solve the Riccati equation, and condense what the limits need, for every scenario's speed."""
-        wanted = Wanted(
+        settings = MPCSettings(
             horizon=self.horizon,
             weights=(self.q_y, self.q_y_rate, self.q_psi, self.q_psi_rate),
             r_delta=self.r_delta,
@@ -80,7 +80,7 @@ class LinearMPC(Controller):
             soft_weight=self.soft_weight,
             blocks=self.blocks,
         )
-        known = condense(plant, wanted), limits(wanted, plant), plant.dt, plant.lag > 0.0, plant.age
+        known = condense(plant, settings), limits(settings, plant), plant.dt, plant.lag > 0.0, plant.age
         return MPCLaw(*known, self.solver, self.always_solve)
 
 
@@ -158,7 +158,7 @@ class Form:
 
 @dataclasses.dataclass(frozen=True)
 class Answer:
-    """What a solver found."""
+    """Answer of a solver."""
 
     solved: bool  # The solver says so; otherwise w and y are not to be used
     w: FloatArray  # (variables,)
@@ -292,14 +292,15 @@ class Reference(Workspace):
         problem = qpsolvers.Problem(shaped(np.eye(A.shape[1])), self.qp.q, shaped(G), h)
         try:
             solution = qpsolvers.solve_problem(problem, solver=self.solver)
+            x, z = solution.x, solution.z
         except (qpsolvers.QPError, ArithmeticError, ValueError):
+            x = z = None
+        if x is None or z is None or not solution.found or not np.isfinite(x).all():
             return Answer(False, np.zeros(A.shape[1]), np.zeros(A.shape[0]), 0)
-        if not solution.found or solution.x is None or solution.z is None or not np.isfinite(solution.x).all():
-            return Answer(False, np.zeros(A.shape[1]), np.zeros(A.shape[0]), 0)
-        found = np.zeros(A.shape[0])
-        found[above] += solution.z[: above.sum()]
-        found[below] -= solution.z[above.sum() :]
-        return Answer(True, np.asarray(solution.x), found, 0)
+        multipliers = np.zeros(A.shape[0])
+        multipliers[above] += z[: above.sum()]
+        multipliers[below] -= z[above.sum() :]
+        return Answer(True, np.asarray(x), multipliers, 0)
 
 
 _ACCEPTED: Final = 1e-5
@@ -385,8 +386,8 @@ class MPCLaw(SteeringLaw):
         """Only some scenarios, each with what it has."""
         law = dataclasses.replace(self, condensed=self.condensed.take(rows))
         kept = Workspaces({k: state.workspaces[i] for k, i in enumerate(rows.tolist()) if i in state.workspaces})
-        own = (getattr(state, name)[rows] for name in ("multipliers", "slack", "rung", "sent", "wheel", "past"))
-        multipliers, slack, rung, *actuator = own
+        parts = (getattr(state, name)[rows] for name in ("multipliers", "slack", "rung", "sent", "wheel", "past"))
+        multipliers, slack, rung, *actuator = parts
         return law, MPCState(multipliers, slack, rung, _calls([]), kept, *actuator)
 
     def solver_calls(self, state: MPCState) -> SolverCalls:
@@ -494,9 +495,9 @@ class MPCLaw(SteeringLaw):
                 rung[i] = Rung.OTHER_SOLVER
             if not calls[-1].usable:
                 w[i], multipliers[i] = 0.0, 0.0
-                wanted = min(max(delta[i], -self.limits.delta_max), self.limits.delta_max)
+                saturated = min(max(delta[i], -self.limits.delta_max), self.limits.delta_max)
                 step = self.limits.rate_step
-                delta[i] = initial.prev[i] + min(max(wanted - initial.prev[i], -step), step)
+                delta[i] = initial.prev[i] + min(max(saturated - initial.prev[i], -step), step)
                 rung[i] = Rung.SATURATED
                 continue
             w[i], multipliers[i] = form.join(answer)

@@ -169,8 +169,8 @@ class NonlinearMPCLaw(SteeringLaw):
         delta = np.empty(n)
         after.sent[:] = np.column_stack([state.sent[:, 1:], delta_prev])
         after.sent[:] = np.where(np.isnan(after.sent), delta_prev[:, None], after.sent)
-        lane_ahead = lane(preview.yaw_rate, self.plant.dt, self.plant.age)
-        r = lane_ahead[:, self._delay :]
+        lane_rate = lane(preview.yaw_rate, self.plant.dt, self.plant.age)
+        r = lane_rate[:, self._delay :]
         steady = steady_cornering(self.plant, d.mu, np.concatenate([r, 0.5 * (r[:, :-1] + r[:, 1:])], axis=1))
         e_ref, u_ref = steady.e_psi[:, : N + 1], steady.delta[:, N + 1 :]
         rate = d.rate_max * self.plant.dt
@@ -181,24 +181,24 @@ class NonlinearMPCLaw(SteeringLaw):
         work = workspace(N, self.soft is not None)
         for i in range(n):
             work.x_0[:], work.delta_prev[0], work.c[:] = x[i], delta_prev[i], self.columns[i]
-            self._begin(work, lane_ahead[i], after, i)
+            self._begin(work, lane_rate[i], after, i)
             work.r[:], work.e_ref[:], work.u_ref[:] = r[i], e_ref[i], u_ref[i]
             work.low[:], work.high[:] = low[i], high[i]
-            found = work.solve(np.append(state.U[i, 1:], state.U[i, -1]) if state.has_plan[i] else None, self.soft)
-            wanted = float(found.U[0])
-            if found.solved:
-                after.U[i] = found.U
+            solution = work.solve(np.append(state.U[i, 1:], state.U[i, -1]) if state.has_plan[i] else None, self.soft)
+            command = float(solution.U[0])
+            if solution.solved:
+                after.U[i] = solution.U
                 after.rung[i] = 2 if relaxed[i] else 1
             else:
                 after.rung[i] = 3
                 K = self.columns[i, -5:-1]
-                wanted = float(u_ref[i, 0] - K @ work.x_0 + K[2] * e_ref[i, 0])
-                wanted = min(max(wanted, low[i, 0]), high[i, 0]) if np.isfinite(wanted) else 0.0
-            after.has_plan[i] = found.solved
-            after.iterations[i], after.residual[i], after.cost[i] = found.iterations, found.step, found.cost
-            wanted = min(max(wanted, low[i, 0]), high[i, 0])
+                command = float(u_ref[i, 0] - K @ work.x_0 + K[2] * e_ref[i, 0])
+                command = min(max(command, low[i, 0]), high[i, 0]) if np.isfinite(command) else 0.0
+            after.has_plan[i] = solution.solved
+            after.iterations[i], after.residual[i], after.cost[i] = solution.iterations, solution.step, solution.cost
+            command = min(max(command, low[i, 0]), high[i, 0])
             # a sum with 0 turns -0 into 0
-            delta[i] = min(max(wanted, delta_prev[i] - rate), delta_prev[i] + rate) + 0.0
+            delta[i] = min(max(command, delta_prev[i] - rate), delta_prev[i] + rate) + 0.0
             if not self._delay:
                 after.past[i, 1, -1] = self._added(work, delta[i], r[i])
         status = np.array([EventStatus.OK, EventStatus.OK, EventStatus.BEYOND_DELTA_MAX, EventStatus.SOLVER_FAILED])

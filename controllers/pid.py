@@ -90,8 +90,8 @@ class PIDLaw(SteeringLaw):
         r = preview.yaw_rate[:, 0]
         e_p = x[:, 0] + self.distance * (x[:, 2] - self.e_psi_ss * r)
         e_p_rate = x[:, 1] + self.distance * x[:, 3]
-        wanted = d.K_p * e_p + state + d.K_d * e_p_rate + self.delta_ss * r
-        delta = np.clip(wanted, -d.delta_max, d.delta_max)
+        u = d.K_p * e_p + state + d.K_d * e_p_rate + self.delta_ss * r
+        delta = np.clip(u, -d.delta_max, d.delta_max)
         share = -math.expm1(-self.dt / d.T_t)
-        integral = state + self.dt * d.K_i * e_p + share * (delta - wanted)
+        integral = state + self.dt * d.K_i * e_p + share * (delta - u)
         return delta, integral, np.full(delta.size, EventStatus.OK, dtype=np.int8)

@@ -127,6 +127,6 @@ class PurePursuitLaw(SteeringLaw):
         along = self.ahead + self.l_r * cos  # from the rear axle to the goal, along and across the lane
         across = self.lane_offset(preview) - x[:, 0] + self.l_r * sin
         to_left = cos * across - sin * along  # D sin(alpha)
-        wanted = np.arctan(2.0 * self.L * to_left / (along * along + across * across))
-        delta = np.clip(wanted, -self.design.delta_max, self.design.delta_max)
+        unlimited = np.arctan(2.0 * self.L * to_left / (along * along + across * across))
+        delta = np.clip(unlimited, -self.design.delta_max, self.design.delta_max)
         return delta, None, np.full(delta.size, EventStatus.OK, dtype=np.int8)

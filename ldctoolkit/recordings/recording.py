@@ -376,7 +376,7 @@ def recording_reader(name: str) -> RecordingReader:
     """
     point = _installed().get(name)
     if point is None:
-        raise UnknownNameError(f"format {name!r}", "no such reader", allowed=(AUTO, *reader_names()))
+        raise UnknownNameError("format", "is no reader", value=name, allowed=(AUTO, *reader_names()))
     try:
         reader = point.load()
         if isinstance(reader, type):

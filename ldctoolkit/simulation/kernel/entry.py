@@ -11,7 +11,8 @@ from typing import Any
 import numba
 import numpy as np
 
-from ldctoolkit import lane_functions, numba_internals
+import ldctoolkit.lane_functions as lane_functions
+import ldctoolkit.numba_internals as numba_internals
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.metrics import SCENARIO_METRICS
 from ldctoolkit.numba_internals import OPTIONS, source_version, uncounted

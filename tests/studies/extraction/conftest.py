@@ -98,10 +98,10 @@ def made(folder: Path, *how: str, digest: str = "0" * 64, kind: type[MadePart] =
 
 def content(found: Extraction) -> tuple[Any, ...]:
     """All that an extraction holds, comparable bit for bit."""
-    from ldctoolkit.studies.extraction import part_bytes
+    from ldctoolkit.studies.storage.parts import encoded
 
     whole = PartResult(found.departures, found.accounts, drawn=found.drawn, problems=found.problems)
-    return found.provenance, part_bytes(whole)
+    return found.provenance, encoded(whole)
 
 
 @pytest.fixture(name="made")
