@@ -78,7 +78,6 @@ bench: $(VENV)/.bench  ## ratios against named references
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/benchmarks/report_size.py
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/benchmarks/risk.py
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/benchmarks/study_overhead.py
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/benchmarks/race.py
 
 format: $(VENV)/.dev  ## rewrite the code in the project's format
 	$(BIN)/ruff check --fix .

@@ -1,5 +1,8 @@
 """The controller zoo: one law per file, its registry key the file's name."""
 
+if __name__ == "controllers":  # in a checkout, whose root is on Python's path
+    raise ImportError("controllers: the name of this package is ldctoolkit.controllers", name="controllers")
+
 from ldctoolkit.control import check_class
 
 from .barrier_filter import BarrierFilter

@@ -254,3 +254,18 @@ def _apply(M: FloatArray, x: FloatArray) -> FloatArray:
     """M x for a stack of matrices (n, 4, 4) and vectors (n, 4)."""
     product: FloatArray = np.einsum("nij,nj->ni", M, x)
     return product
+
+
+def lookahead(samples: int, dt: float, age: float) -> FloatArray:
+    """Lookahead times for `lane`."""
+    ahead = np.arange(samples + 1) * dt - age
+    return np.asarray([0.0, dt, *np.maximum(ahead, 0.0)] if age else ahead, dtype=np.float64)
+
+
+def lane(r: FloatArray, dt: float, age: float) -> FloatArray:
+    """Yaw rate of the lane (n, samples + 1) from the moment on that the law sees, by a straight line before now."""
+    if not age:
+        return r
+    behind = np.minimum(np.arange(r.shape[1] - 2) - age / dt, 0.0)
+    result: FloatArray = r[:, 2:] + behind * (r[:, 1:2] - r[:, :1])
+    return result

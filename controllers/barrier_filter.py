@@ -4,38 +4,12 @@ delta = argmin (delta - delta_inner)^2 subject to |e_y| <= e_y_max being kept, w
 centre from the lane's centre, positive to the left (ISO 8855); the edge is on the line at e_y = (w_l - w_v)/2, 0.85 m
 with the default vehicle. Both sides have a barrier, h = e_y_max - e_y and h = e_y_max + e_y.
 
-Conditions. The command acts on the second derivative of h (relative degree two), so h is replaced by the barrier of
-first degree psi = gamma_1 h + dt dh/dt (high-order barrier functions: W. Xiao, C. Belta, *Control barrier functions for
-systems with high relative degree*, CDC 2019), which is >= 0 where h, going on at its rate, loses at most the share
-gamma_1 of itself in one sample. On it the discrete-time condition of A. Agrawal, K. Sreenath, *Discrete control
-barrier functions for safety-critical control of discrete systems with application to bipedal robot navigation*, RSS
-2017, is imposed exactly, one sample ahead on the sampled plant with the lane's yaw rate now and then:
+The condition on each is psi(k+1) >= (1 - gamma_2) psi(k) with psi = gamma_1 h + dt dh/dt. With w = (gamma_1, dt, 0, 0)
+and x+ = A x + B delta + E_0 r_0 + E_1 r_1 both are linear in delta, an interval of constant width; it is clipped to
 
-    psi(k+1) >= (1 - gamma_2) psi(k).
+    |w'B delta - ((1 - gamma_2) w'x - w'(A x + E_0 r_0 + E_1 r_1))| <= gamma_1 gamma_2 e_y_max.
 
-psi >= 0 is thus kept, and reached again exponentially where it does not hold at the trigger. With psi >= 0 at all
-samples and dh/dt a straight line between them, h(k+1) >= h(k) (2 - gamma_1)/(2 + gamma_1) > 0, and h >= 0 between them
-too; the vehicle's own dynamics bend that line by little. While one side's condition holds the command, the states
-behind it decay: checked from 1 to 90 m/s, slowest, and least damped, at both ends.
-
-Closed form. With w = (gamma_1, dt, 0, 0) and x+ = A x + B delta + E_0 r_0 + E_1 r_1 both conditions are linear in
-delta,
-
-    |w'B delta - ((1 - gamma_2) w'x - w'(A x + E_0 r_0 + E_1 r_1))| <= gamma_1 gamma_2 e_y_max,
-
-an interval of constant width. It is never empty, so the two sides cannot contradict each other, and the QP (A. Ames,
-X. Xu, J. Grizzle, P. Tabuada, *Control barrier function based quadratic programs for safety critical systems*, IEEE TAC
-62(8), 2017) is a clip. The command is then clipped to +-delta_max, which has priority: where the limit is short of the
-interval, the command is the limit on its side, and the corridor may be left. Its rate is not limited.
-
-The inner law sees what it would see alone; its `delta_prev` is the command that this filter gave. Where its command is
-not finite, the command before goes through the filter instead, with `EventStatus.SOLVER_FAILED`.
-
-Assumptions: the nominal vehicle at the speed of the trigger, all states seen. Use it to give a law of your choice a
-bound on depth: where the bound is not near, and within delta_max, its command is that of the law inside. Small
-gamma_1/dt and gamma_2/dt [1/s] intervene early and gently, large ones late and hard (at 30 m/s the defaults damp the
-vehicle behind an active barrier by 0.3 and stand a steering lag of 0.2 s; gammas of 0.2 and 0.3 do not stand a lag of
-0.1 s with a delay of 0.1 s): the lateral acceleration that stops a drift u at the edge is about gamma_1 u/dt.
+Details: `docs/reference/laws.md`.
 """
 
 from __future__ import annotations
@@ -48,8 +22,8 @@ import numpy.typing as npt
 
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.control import Controller, EventStatus, LinearLaw, LinearSteps, Preview, SolverCalls, SteeringLaw
+from ldctoolkit.declared import gain, option
 from ldctoolkit.errors import InputError, UnknownNameError
-from ldctoolkit.gains import gain, option
 from ldctoolkit.registry import controller_class
 from ldctoolkit.vehicle.bicycle import Plant
 
@@ -63,7 +37,7 @@ def inner_design(inner: str, inner_gains: str, owner: type[Controller]) -> Contr
     if issubclass(kind, owner):
         raise InputError(f"{owner.name}.inner", value=inner, allowed="a law other than itself")
     if inner == "none":
-        raise InputError(f"{owner.name}.inner", "'none'", allowed="a law that steers, the recorded path has no command")
+        raise InputError(f"{owner.name}.inner", value=inner, allowed="a law that steers")
     where = f"{owner.name}.inner_gains"
     declared = {gain.name: gain for gain in kind.gains()}
     given: dict[str, Any] = {}
@@ -74,12 +48,12 @@ def inner_design(inner: str, inner_gains: str, owner: type[Controller]) -> Contr
         if name not in declared:
             raise UnknownNameError(f"{where}: {inner}.{name}", "no such gain", allowed=declared)
         if name in given:
-            raise InputError(where, "is given twice", value=name, allowed="once")
+            raise InputError(f"{where}: {inner}.{name}", "is given twice", allowed="once")
         given[name] = declared[name].parsed(value)
     try:
         return kind(**given)
     except InputError as error:
-        raise InputError(where, f"{error}") from None
+        raise error.within(where, ": ") from None
 
 
 def steering_law(design: Controller, plant: Plant, owner: str) -> SteeringLaw:

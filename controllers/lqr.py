@@ -11,7 +11,7 @@ import dataclasses
 from typing import ClassVar, final
 
 from ldctoolkit.control import Controller, LinearLaw
-from ldctoolkit.gains import gain
+from ldctoolkit.declared import gain
 from ldctoolkit.vehicle.bicycle import Plant
 
 from .riccati import feedback, linear_law

@@ -8,20 +8,7 @@ sample, P solves the Riccati equation of the linear plant. Hard limits: |u| <= d
 |u_j - u_(j-1)| <= rate_max dt, u_(-1) the previous command. Soft limits, held by exact penalties: lateral acceleration,
 lateral jerk, lane corridor. Positive to the left (ISO 8855), radians.
 
-Method: multiple shooting (H. Bock, K. Plitt, *A multiple shooting algorithm for direct solution of optimal control
-problems*, 1984) and sequential quadratic programming to convergence; `_nmpc_solver` has the steps. Each
-scenario starts from its own last solution, shifted by a sample, or from the LQR's path where that is better.
-
-Ladder. (1) The solution. (2) Where the previous command is so far beyond delta_max that the rate limit does not allow
-a return within one sample, the limit of the angle is relaxed to what the rate allows; the solution goes back as
-fast as it can, with `EventStatus.BEYOND_DELTA_MAX`. (3) Where the iterations do not end in a solution: the LQR with
-steady cornering, clipped to delta_max and moved towards by at most rate_max dt, with `EventStatus.SOLVER_FAILED`.
-
-Delay and lag of the actuator that the plant knows count as one pure delay in whole samples: the plan starts at the
-state that the commands on their way lead to.
-
-When to use it: near the tyres' limits, low friction or harsh limits, where the linear MPC plans forces that the tyres
-do not have. Elsewhere `linear_mpc` commands the same at a fraction of the cost.
+Method, failed solves, delay and lag: `docs/explanation/mpc.md`; steps of the method: `_nmpc_solver`.
 """
 
 from __future__ import annotations
@@ -34,13 +21,11 @@ import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.control import Controller, EventStatus, Preview, SolverCalls, SteeringLaw
-from ldctoolkit.gains import gain
+from ldctoolkit.declared import gain
 from ldctoolkit.vehicle.bicycle import Plant
 
-from ._mpc_condensing import SHARES, WINDOW, jerk_window
-from ._mpc_law import lane, lookahead
-from ._nmpc_model import pack, steady_cornering
-from ._nmpc_solver import SoftLimits, Workspace, workspace
+from ._mpc_condensing import SHARES, WINDOW, jerk_window, lane, lookahead
+from ._nmpc_solver import SoftLimits, Workspace, pack, steady_cornering, workspace
 from .riccati import regulator
 
 _SCALES = (1.0, 10.0, 0.1)  # units of the soft limits' violations: m/s^2, m/s^3, m
@@ -135,7 +120,7 @@ class NonlinearMPCLaw(SteeringLaw):
 
     design: NonlinearMPC
     plant: Plant
-    columns: FloatArray  # (n, k) Each scenario's numbers, `ldctoolkit.controllers._nmpc_model.LAYOUT`
+    columns: FloatArray  # (n, k) Each scenario's numbers, `LAYOUT` of the solver
     soft: SoftLimits | None
 
     @property

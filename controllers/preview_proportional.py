@@ -12,7 +12,7 @@ from typing import ClassVar, final
 import numpy as np
 
 from ldctoolkit.control import Controller, LinearLaw
-from ldctoolkit.gains import gain, option
+from ldctoolkit.declared import gain, option
 from ldctoolkit.vehicle.bicycle import Plant
 
 

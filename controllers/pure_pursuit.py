@@ -9,16 +9,6 @@ the curvature 2 sin(alpha)/D, and a vehicle with wheel base L drives it at
 The goal point lies on the centre line at l_d = max(l_min, T_lp v) ahead of the rear axle, measured along the lane;
 D is the straight distance to it. The lane ahead is drawn from the previewed heading with small angles, as in the error
 dynamics: it is s long and integral of v dpsi_l to the left at s metres ahead.
-
-How long it takes to the goal, (l_d - l_r)/v, differs from scenario to scenario, but the lookahead times are the same
-for all. So the lane is seen every 0.1 s, and its lateral position follows by integrating the cubic through heading and
-yaw rate at both ends of each interval. That is exact while curvature is linear in time (the heading is then a
-quadratic); in the one interval in which the seen lane ends and curvature becomes constant it is off by 1e-5 m at most
-in usual departures.
-
-Use it as the simplest geometric law: one gain, smooth, robust. It knows no side slip and so leaves an offset in a bend
-at speed, and a short T_lp at high speed is badly damped (the default has a damping of 0.5 at 40 m/s on the default
-vehicle, 0.7 at 10 m/s).
 """
 
 from __future__ import annotations
@@ -32,8 +22,8 @@ import numpy.typing as npt
 
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.control import Controller, EventStatus, Preview, SteeringLaw
+from ldctoolkit.declared import gain
 from ldctoolkit.errors import InputError
-from ldctoolkit.gains import gain
 from ldctoolkit.vehicle.bicycle import Plant
 
 _STEP = 0.1  # s between two looks at the lane
@@ -64,7 +54,7 @@ class PurePursuit(Controller):
         """
         p = plant.model.parameters
         if self.l_min <= p.l_r:
-            raise InputError("pure_pursuit.l_min", f"{self.l_min:g} m", allowed=f"more than l_r = {p.l_r:g} m")
+            raise InputError("pure_pursuit.l_min", "m", value=self.l_min, allowed=f"more than l_r = {p.l_r:g} m")
         ahead = np.maximum(self.l_min, self.T_lp * plant.v) - p.l_r
         of_heading, of_yaw_rate = _integral(ahead / plant.v)
         return PurePursuitLaw(

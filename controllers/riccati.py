@@ -136,7 +136,7 @@ class _Riccati:
         closed = full - inputs[:, :, None] * np.where(poor[:, None], 0.0, K)[:, None, :]
         poor |= ~(np.abs(np.linalg.eigvals(closed)).max(axis=1) < 1.0)
         if poor.any():
-            raise LdcError(f"no LQR at {v[poor.argmax()]:.3g} m/s for {self.what}: no stabilising gain was found")
+            raise LdcError(self.what, f"no stabilising LQR gain at {v[poor.argmax()]:.3g} m/s")
         return K if self.q_i is not None else np.concatenate([K, P.reshape(m, -1)], axis=1)
 
 

@@ -1,10 +1,19 @@
 """Compare lane departure correction designs on realistic, generated lane departures."""
 
-import importlib
 import sys
+from pathlib import Path
+
+_folder = Path(__file__).resolve().parent
+
+_started_by_name = " -m ldctoolkit" in " ".join(sys.orig_argv) and not sys.flags.safe_path
+if _started_by_name and Path(sys.path[0]) == Path.cwd() != _folder.parent:
+    del sys.path[0]  # `python -m` looks for modules in the working directory first, which `ldc` does not
+if not (_folder / "studies").is_dir():
+    __path__.append(str(_folder.parent))  # a checkout, where `controllers` and `studies` lie beside this package
+
+import importlib
 from typing import TYPE_CHECKING, Any
 
-import ldctoolkit.package_names as package_names
 from ldctoolkit.control import (
     Controller,
     EventStatus,
@@ -15,7 +24,7 @@ from ldctoolkit.control import (
     SolverCalls,
     SteeringLaw,
 )
-from ldctoolkit.departure_plot import plot_departure
+from ldctoolkit.declared import Gain, gain, option
 from ldctoolkit.departures import (
     DepartureParameters,
     Departures,
@@ -25,7 +34,6 @@ from ldctoolkit.departures import (
     reduce_signals,
 )
 from ldctoolkit.errors import LdcError
-from ldctoolkit.gains import Gain, gain, option
 from ldctoolkit.mixture import BoundedGaussianMixture
 from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
 from ldctoolkit.recordings import (
@@ -45,147 +53,35 @@ from ldctoolkit.vehicle.speed_schedule import SPEED_RANGE, scheduled
 from ldctoolkit.version import __version__
 
 if TYPE_CHECKING:
-    from controllers import (
-        LQI,
-        LQR,
-        PID,
-        BarrierFilter,
-        LinearMPC,
-        NoControl,
-        NonlinearMPC,
-        PreviewLQR,
-        PreviewProportional,
-        PurePursuit,
-        SlidingMode,
-        Stanley,
-    )
-    from studies import (
-        Assessment,
-        Comparison,
-        Design,
-        Ranking,
-        Study,
-        StudyResults,
-        assess,
-        compare,
-        estimate_risk,
-        export_c,
-        load_study,
-        plot_convergence,
-        plot_distribution,
-        plot_landscape,
-        plot_ranking,
-        plot_trade_off,
-        rank_study,
-        read_results,
-        run_study,
-        study,
-    )
-
-_LAWS = (
-    "LQI", "LQR", "PID", "BarrierFilter", "LinearMPC", "NoControl", "NonlinearMPC", "PreviewLQR",
-    "PreviewProportional", "PurePursuit", "SlidingMode", "Stanley",
-)  # fmt: skip
+    from ldctoolkit.controllers import *
+    from ldctoolkit.studies import *
 
 __all__ = [
-    "LQI",
-    "LQR",
-    "PID",
-    "SPEED_RANGE",
-    "Actuator",
-    "Assessment",
-    "BarrierFilter",
-    "BicycleModel",
-    "BoundedGaussianMixture",
-    "Comparison",
-    "Controller",
-    "DepartureParameters",
-    "DepartureSignals",
-    "Departures",
-    "Design",
-    "EventStatus",
-    "Gain",
-    "KalmanFilter",
-    "LdcError",
-    "LinearLaw",
-    "LinearMPC",
-    "LinearSteps",
-    "Mismatch",
-    "NoControl",
-    "NonlinearMPC",
-    "Outcome",
-    "Plant",
-    "PlantOptions",
-    "Plausibility",
-    "Preview",
-    "PreviewLQR",
-    "PreviewProportional",
-    "PurePursuit",
-    "Ranking",
-    "RecordedPath",
-    "Residuals",
-    "ScenarioModel",
-    "Scenarios",
-    "Sensors",
-    "Setup",
-    "SlidingMode",
-    "SolverCalls",
-    "Stanley",
-    "SteeringLaw",
-    "Study",
-    "StudyResults",
-    "Tyres",
-    "VehicleParameters",
-    "__version__",
-    "assess",
-    "bundled_models",
-    "check_fidelity",
-    "compare",
-    "controller_class",
-    "controller_names",
-    "controllers",
-    "estimate_risk",
-    "export_c",
-    "extract_departures",
-    "fit_scenario_model",
-    "gain",
-    "load_model",
-    "load_study",
-    "open_recordings",
-    "option",
-    "plot_convergence",
-    "plot_departure",
-    "plot_distribution",
-    "plot_landscape",
-    "plot_ranking",
-    "plot_trade_off",
-    "rank_study",
-    "read_departures",
-    "read_recordings",
-    "read_results",
-    "rebuild_signals",
-    "reduce_signals",
-    "register",
-    "run_study",
-    "scheduled",
-    "simulate",
-    "studies",
-    "study",
-    "write_departures",
-]
+    "LQI", "LQR", "PID", "SPEED_RANGE", "Actuator", "Assessment", "BarrierFilter", "BicycleModel",
+    "BoundedGaussianMixture", "Comparison", "Controller", "DepartureParameters", "DepartureSignals", "Departures",
+    "Design", "EventStatus", "Gain", "KalmanFilter", "LdcError", "LinearLaw", "LinearMPC", "LinearSteps", "Mismatch",
+    "NoControl", "NonlinearMPC", "Outcome", "Plant", "PlantOptions", "Plausibility", "Preview", "PreviewLQR",
+    "PreviewProportional", "PurePursuit", "Ranking", "RecordedPath", "Residuals", "ScenarioModel", "Scenarios",
+    "Sensors", "Setup", "SlidingMode", "SolverCalls", "Stanley", "SteeringLaw", "Study", "StudyResults", "Tyres",
+    "VehicleParameters", "__version__", "assess", "bundled_models", "check_fidelity", "compare", "controller_class",
+    "controller_names", "controllers", "estimate_risk", "export_c", "extract_departures", "fit_scenario_model", "gain",
+    "load_model", "load_study", "open_recordings", "option", "plot_convergence", "plot_departure", "plot_distribution",
+    "plot_landscape", "plot_ranking", "plot_trade_off", "rank_study", "read_departures", "read_recordings",
+    "read_results", "rebuild_signals", "reduce_signals", "register", "run_study", "scheduled", "simulate", "studies",
+    "study", "write_departures",
+]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:
     """Laws and studies are loaded when they are first used."""
     if name in ("controllers", "studies"):
-        return importlib.import_module(f"ldctoolkit.{name}")
-    if name not in __all__:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}", name=name, obj=sys.modules[__name__])
-    return getattr(importlib.import_module(f"ldctoolkit.{'controllers' if name in _LAWS else 'studies'}"), name)
+        return importlib.import_module(f"{__name__}.{name}")
+    for package in ("controllers", "studies") if name in __all__ else ():
+        module = importlib.import_module(f"{__name__}.{package}")
+        if name in module.__all__:
+            return getattr(module, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}", name=name, obj=sys.modules[__name__])
 
 
 def __dir__() -> list[str]:
     return __all__
-
-
-package_names.install()

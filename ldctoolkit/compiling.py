@@ -1,4 +1,4 @@
-"""Shows that closed loops are compiled, which numba does at the first call; it keeps them on disk."""
+"""Numba in this program: closed loops are compiled at the first call, which is shown, and kept on disk."""
 
 import contextlib
 import functools
@@ -6,6 +6,8 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from typing import Any, Final
+
+from ldctoolkit.surroundings import guard_caches
 
 TEXT: Final = "compiling the closed loops, once, about a minute"
 
@@ -43,7 +45,8 @@ def silence() -> None:
 
 @functools.cache
 def listen() -> None:
-    """Have numba tell what it compiles."""
+    """Have numba tell what it compiles, and use no cache that others can write; before functions are declared."""
+    guard_caches()
     from numba.core import event
 
     class Listener(event.Listener):

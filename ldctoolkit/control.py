@@ -24,8 +24,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import FloatArray, IntArray
+from ldctoolkit.declared import Gain, check_declarations, declared_gains, document_gains
 from ldctoolkit.errors import CheckedArguments, InputError
-from ldctoolkit.gains import Gain, check_declarations, declared_gains, document_gains
 from ldctoolkit.vehicle import Plant
 
 State = tuple[FloatArray, FloatArray | None, FloatArray]

@@ -14,9 +14,8 @@ from typing import TYPE_CHECKING, Any, Final, Self
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.arrays import BoolArray, FloatArray, IntArray, ReadOnly, unmasked
+from ldctoolkit.arrays import BoolArray, FloatArray, Frame, IntArray, ReadOnly, unmasked
 from ldctoolkit.errors import CheckedArguments, InputError
-from ldctoolkit.frames import Frame
 
 if TYPE_CHECKING:
     import polars as pl

@@ -9,12 +9,12 @@ import numpy.typing as npt
 from scipy.special import kolmogi
 
 from ldctoolkit.arrays import FloatArray, IntArray
+from ldctoolkit.declared import checked_seed, checked_whole
 from ldctoolkit.departures import LEFT, RIGHT, Departures
 from ldctoolkit.errors import InputError
 from ldctoolkit.mixture import BoundedGaussianMixture, Distribution, TruncatedNormal
 from ldctoolkit.mixture._separation import Restricted
-from ldctoolkit.mixture.checks import Events, check_matrix, check_weights, inside_bounds, whole_number
-from ldctoolkit.option_checks import checked_seed
+from ldctoolkit.mixture.checks import Events, check_matrix, check_weights, inside_bounds
 from ldctoolkit.scenario_model import ScenarioModel, SideModel, SideSummary
 
 N_MODEL: Final = 200_000  # events drawn from the model
@@ -147,7 +147,7 @@ def diagnose(
     mixture = model.mixture if isinstance(model, SideModel) else model
     distribution = mixture.distribution
     parameters = _names(model, names, distribution.dimension)
-    n_model, seed = whole_number("n_model", n_model, 1000), checked_seed(seed)
+    n_model, seed = checked_whole("n_model", n_model, lower=1000), checked_seed(seed)
     x, weight, outside = _events(distribution, parameters, X, weights)
     share = weight / weight.sum()
     effective = float(weight.sum() ** 2 / (weight**2).sum())

@@ -9,6 +9,7 @@ import copy
 import difflib
 import functools
 import inspect
+import re
 from collections.abc import Collection, Iterable
 from os import PathLike
 from types import NoneType, UnionType
@@ -104,7 +105,7 @@ class LdcError(Exception):
     @property
     def _name(self) -> str:
         """What a mistyped name is: the value, or the end of the path."""
-        return self.path.rpartition(".")[2] if self.value is NOT_GIVEN else str(self.value)
+        return re.split("[. ]", self.path)[-1] if self.value is NOT_GIVEN else str(self.value)
 
     def within(self, outer: str, separator: str = ".") -> Self:
         """The same error, as seen from outside: `outer` stands before its path."""

@@ -9,16 +9,8 @@ import math
 from fractions import Fraction
 from typing import Final, Literal, get_args
 
-from ldctoolkit.errors import CheckedArguments, InputError, plain
-from ldctoolkit.option_checks import (
-    check_declared,
-    checked_number,
-    declaration,
-    declared,
-    is_number,
-    short_repr,
-    warn_of_units,
-)
+from ldctoolkit.declared import check_declared, checked_number, declarations, declared, short_repr, warn_of_units
+from ldctoolkit.errors import CheckedArguments, InputError
 
 Speed = Literal["frozen", "profile"]
 TyreModel = Literal["linear", "magic_formula"]
@@ -53,8 +45,8 @@ class Actuator(CheckedArguments):
     delta_max: float | None = declared(None, unit="rad", above=0.0)
     # Limit of the rate; None for no limit
     rate_max: float | None = declared(None, unit="rad/s", above=0.0)
-    lag: float = declared(0.0, unit="s", least=0.0, most=10.0)  # Time constant; 0 for none, otherwise at least 1e-4
-    delay: float = declared(0.0, unit="s", least=0.0, most=10.0)  # Pure delay, any part of a sample included
+    lag: float = declared(0.0, unit="s", lower=0.0, upper=10.0)  # Time constant; 0 for none, otherwise at least 1e-4
+    delay: float = declared(0.0, unit="s", lower=0.0, upper=10.0)  # Pure delay, any part of a sample included
 
     def __post_init__(self) -> None:
         check_declared(self, "actuator")
@@ -82,20 +74,16 @@ class Mismatch(CheckedArguments):
 
     __repr__ = short_repr
 
-    m: tuple[float, float] = (1.0, 1.0)  # Lowest and highest factor on mass, yaw inertia, and the stiffnesses
-    I_z: tuple[float, float] = (1.0, 1.0)
-    C_af: tuple[float, float] = (1.0, 1.0)
-    C_ar: tuple[float, float] = (1.0, 1.0)
-    mu: tuple[float, float] = (1.0, 1.0)  # On the friction coefficient; only saturating tyres have one
+    # Lowest and highest factor on mass, yaw inertia, and the stiffnesses
+    m: tuple[float, float] = declared((1.0, 1.0), above=0.0, pair="ascending")
+    I_z: tuple[float, float] = declared((1.0, 1.0), above=0.0, pair="ascending")
+    C_af: tuple[float, float] = declared((1.0, 1.0), above=0.0, pair="ascending")
+    C_ar: tuple[float, float] = declared((1.0, 1.0), above=0.0, pair="ascending")
+    # On the friction coefficient; only saturating tyres have one
+    mu: tuple[float, float] = declared((1.0, 1.0), above=0.0, pair="ascending")
 
     def __post_init__(self) -> None:
-        for field in dataclasses.fields(self):
-            value = getattr(self, field.name)
-            pair = isinstance(value, tuple | list) and len(value) == 2
-            value = tuple(plain(end) for end in value) if pair else plain(value)
-            if not (pair and all(is_number(end) for end in value) and 0.0 < value[0] <= value[1]):
-                raise InputError(f"mismatch.{field.name}", value=value, allowed="(low, high), 0 < low <= high")
-            object.__setattr__(self, field.name, (float(value[0]), float(value[1])))
+        check_declared(self, "mismatch")
 
     @property
     def ideal(self) -> bool:
@@ -119,14 +107,14 @@ class Tyres(CheckedArguments):
 
     # Linear, or Pacejka's Magic Formula without curvature factor: F = mu F_z sin(C atan(C_alpha alpha/(C mu F_z))),
     # with static wheel loads
-    model: TyreModel = dataclasses.field(default="linear", metadata=declaration(choices=get_args(TyreModel)))
-    mu: float = declared(0.9, above=0.0, most=2.0)  # Friction coefficient
-    shape: float = declared(1.3, least=1.0, most=2.0)  # Shape factor C, 1 to 2
+    model: TyreModel = declared("linear", choices=get_args(TyreModel))
+    mu: float = declared(0.9, above=0.0, upper=2.0)  # Friction coefficient
+    shape: float = declared(1.3, lower=1.0, upper=2.0)  # Shape factor C, 1 to 2
 
     def __post_init__(self) -> None:
         check_declared(self, "tyres")
         for name in ("mu", "shape"):
-            if self.ideal and getattr(self, name) != type(self).__dataclass_fields__[name].default:
+            if self.ideal and getattr(self, name) != declarations(Tyres)[name].default:
                 raise InputError(
                     f"tyres.{name}",
                     value=getattr(self, name),
@@ -183,22 +171,20 @@ class Sensors(CheckedArguments):
     __repr__ = short_repr
 
     # Standard deviation, independent from frame to frame
-    e_y_noise: float = declared(0.0, unit="m", least=0.0)
-    e_psi_noise: float = declared(0.0, unit="rad", least=0.0)
+    e_y_noise: float = declared(0.0, unit="m", lower=0.0)
+    e_psi_noise: float = declared(0.0, unit="rad", lower=0.0)
     e_y_bias: float = declared(0.0, unit="m")
     e_psi_bias: float = declared(0.0, unit="rad")
-    e_y_step: float = declared(0.0, unit="m", least=0.0)  # Step of quantisation; 0 for none
-    e_psi_step: float = declared(0.0, unit="rad", least=0.0)  # Step of quantisation; 0 for none
+    e_y_step: float = declared(0.0, unit="m", lower=0.0)  # Step of quantisation; 0 for none
+    e_psi_step: float = declared(0.0, unit="rad", lower=0.0)  # Step of quantisation; 0 for none
     # [s] Time between frames, 0.001 to 10; 0 for a frame at every sample. ``fps=30`` stands for ``period=1/30``.
-    period: float = declared(0.0, unit="s", least=0.0, most=10.0)
-    delay: float = declared(0.0, unit="s", least=0.0, most=10.0)  # [s] Age of a frame when it arrives
+    period: float = declared(0.0, unit="s", lower=0.0, upper=10.0)
+    delay: float = declared(0.0, unit="s", lower=0.0, upper=10.0)  # [s] Age of a frame when it arrives
     curvature_gain: float = declared(0.0)  # Relative error of the curvature that the law previews
     curvature_bias: float = declared(0.0, unit="1/m")  # [1/m] Its constant error
     # [1/m] Standard deviation of a further constant error, one draw per scenario
-    curvature_noise: float = declared(0.0, unit="1/m", least=0.0)
-    kalman: KalmanFilter | None = dataclasses.field(
-        default=None, metadata=declaration(kind=KalmanFilter, description="a Kalman filter")
-    )
+    curvature_noise: float = declared(0.0, unit="1/m", lower=0.0)
+    kalman: KalmanFilter | None = declared(None, kind=KalmanFilter, description="a Kalman filter")
     fps: dataclasses.InitVar[float | None] = None
 
     def __post_init__(self, fps: float | None) -> None:
@@ -208,7 +194,9 @@ class Sensors(CheckedArguments):
                 raise InputError(
                     "sensors.fps", f"beside period = {self.period:g} s", value=fps, allowed="one of the two"
                 )
-            object.__setattr__(self, "period", 1.0 / checked_number("sensors.fps", fps, least=0.1, most=1000.0))
+            object.__setattr__(
+                self, "period", 1.0 / checked_number("sensors.fps", fps, lower=0.1, upper=1000.0, unit="Hz")
+            )
         if 0.0 < self.period < _SHORTEST_PERIOD:
             raise InputError("sensors.period", value=self.period, allowed=f"0, or at least {_SHORTEST_PERIOD:g} s")
         warn_of_units("sensors", self)
@@ -242,11 +230,11 @@ class Residuals(CheckedArguments):
 
     y: bool = declared(False)  # Add eps_y to the lateral path
     v: bool = declared(False)  # Add eps_v to the speed
-    bandwidth: float = declared(1.0, unit="Hz", above=0.0, most=5.0)  # [Hz] Highest frequency
+    bandwidth: float = declared(1.0, unit="Hz", above=0.0, upper=5.0)  # [Hz] Highest frequency
 
     def __post_init__(self) -> None:
         check_declared(self, "residuals")
-        if self.ideal and self.bandwidth != type(self).__dataclass_fields__["bandwidth"].default:
+        if self.ideal and self.bandwidth != declarations(Residuals)["bandwidth"].default:
             raise InputError(
                 "residuals.bandwidth", value=self.bandwidth, hint="allowed with residuals.y or residuals.v"
             )
@@ -274,21 +262,14 @@ class PlantOptions(CheckedArguments):
     __repr__ = short_repr
 
     # The speed of the trigger, or v(t) of the scenario
-    speed: Speed = dataclasses.field(
-        default="frozen", metadata=declaration(choices=get_args(Speed), description="the speed follows its profile")
+    speed: Speed = declared("frozen", choices=get_args(Speed), description="the speed follows its profile")
+    actuator: Actuator = declared(Actuator, description="a steering actuator")
+    mismatch: Mismatch = declared(
+        Mismatch, description="vehicles that differ from the one that the laws were designed on"
     )
-    actuator: Actuator = dataclasses.field(
-        default_factory=Actuator, metadata=declaration(description="a steering actuator")
-    )
-    mismatch: Mismatch = dataclasses.field(
-        default_factory=Mismatch,
-        metadata=declaration(description="vehicles that differ from the one that the laws were designed on"),
-    )
-    tyres: Tyres = dataclasses.field(default_factory=Tyres, metadata=declaration(description="saturating tyres"))
-    sensors: Sensors = dataclasses.field(default_factory=Sensors, metadata=declaration(description="a lane camera"))
-    residuals: Residuals = dataclasses.field(
-        default_factory=Residuals, metadata=declaration(description="residuals of the recorded path")
-    )
+    tyres: Tyres = declared(Tyres, description="saturating tyres")
+    sensors: Sensors = declared(Sensors, description="a lane camera")
+    residuals: Residuals = declared(Residuals, description="residuals of the recorded path")
 
     def __post_init__(self) -> None:
         check_declared(self)

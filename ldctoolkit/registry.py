@@ -9,8 +9,8 @@ from typing import Any
 
 from ldctoolkit.code_content import content_of
 from ldctoolkit.control import Controller, check_class
+from ldctoolkit.declared import undeclared_fields
 from ldctoolkit.errors import InputError, LdcError, UnknownNameError
-from ldctoolkit.gains import undeclared_fields
 
 GROUP = "ldctoolkit.controllers"
 
@@ -45,7 +45,7 @@ def register(controller: type[Controller]) -> type[Controller]:
     ...         return RecordedPath()
     """
     if not (isinstance(controller, type) and issubclass(controller, Controller)):
-        raise InputError("register", value=controller, allowed="a subclass of Controller")
+        raise InputError("controller", value=controller, allowed="a subclass of Controller")
     _check(controller)
     name, known, point = controller.name, _registered.get(controller.name), _installed().get(controller.name)
     if known is not None:
@@ -56,7 +56,9 @@ def register(controller: type[Controller]) -> type[Controller]:
             point.attr == controller.__qualname__ and f"{controller.__module__}.".startswith(f"{point.module}.")
         )
     if not same:
-        raise InputError("register", f"a controller named {name!r} is already registered", hint="choose another name")
+        raise InputError(
+            f"{controller.__name__}.name", "of another controller, too", value=name, hint="choose another name"
+        )
     _registered[name] = controller
     return controller
 
@@ -77,9 +79,7 @@ def _check(controller: type[Controller]) -> None:
         return
     check_class(controller)
     for field in undeclared_fields(controller):
-        raise InputError(
-            f"{controller.__name__}.{field}", "a plain field", allowed="fields made with gain() or option()"
-        )
+        raise InputError(f"{controller.__name__}.{field}", "a plain field", allowed="one made with gain() or option()")
     _sound.add(controller)
 
 
@@ -108,8 +108,8 @@ def laws_inside(kind: type[Controller], gains: Mapping[str, Any]) -> Iterable[ty
 
 def code_of(kind: type[Controller], gains: Mapping[str, Any]) -> str:
     """The content of a law's class and of the laws inside it, which the class is kept under."""
-    every = [content for content in map(content_of, (kind, *laws_inside(kind, gains))) if content]
-    code = hashlib.sha256("".join(every).encode()).hexdigest()[:16] if len(every) > 1 else "".join(every)
+    contents = [content for content in map(content_of, (kind, *laws_inside(kind, gains))) if content]
+    code = hashlib.sha256("".join(contents).encode()).hexdigest()[:16] if len(contents) > 1 else "".join(contents)
     if code:
         _by_code[kind.name, code] = kind
     return code
@@ -141,7 +141,7 @@ def bound_class(name: str, code: str, *, same: bool = False) -> type[Controller]
     """The class that a design was made with, or else the present one of its name; with `same` only of the same code."""
     kind = _by_code.get((name, code)) or controller_class(name)
     if same and not is_known(name, code):
-        raise LdcError(f"law {name!r}", "its code is not that of the design", hint="run the study again")
+        raise LdcError("law", "its code is not that of the design", value=name, hint="run the study again")
     return kind
 
 
@@ -156,8 +156,8 @@ def with_content(name: str, content: str) -> type[Controller] | None:
 def controller_class(name: str) -> type[Controller]:
     """The controller class of that name.
 
-    Raises `UnknownNameError` naming the nearest known controller; `LdcError` if the installed controller cannot be
-    loaded, or does not follow `Controller`; the message carries the reason.
+    Raises `UnknownNameError` for a name that is not known; `LdcError` if the installed controller cannot be loaded, or
+    does not follow `Controller`.
 
     Parameters
     ----------
@@ -175,19 +175,21 @@ def controller_class(name: str) -> type[Controller]:
     point = _installed().get(name)
     if point is None:
         raise UnknownNameError("law", "is no controller", value=name, allowed=controller_names())
-    if point in _loaded:
-        return _loaded[point]
+    if point not in _loaded:
+        _loaded[point] = _load(name, point)
+    return _loaded[point]
+
+
+def _load(name: str, point: importlib.metadata.EntryPoint) -> type[Controller]:
+    where = f"controller {name!r} ({point.value})"
     try:
         loaded = point.load()
-    except Exception as error:  # the file may be third-party code: whatever it raises must name the controller
+    except Exception as error:  # whatever third-party code raises
         kind = "" if isinstance(error, LdcError | ImportError) else f"{type(error).__name__}: "
-        raise LdcError(f"controller {name!r} ({point.value}) cannot be loaded: {kind}{error}") from error
+        raise LdcError(where, f"cannot be loaded: {kind}{error}") from error
     if not (isinstance(loaded, type) and issubclass(loaded, Controller)):
-        raise LdcError(f"controller {name!r} ({point.value}) is not a subclass of Controller")
+        raise LdcError(where, value=loaded, allowed="a subclass of Controller")
     _check(loaded)
     if loaded.name != name:
-        raise LdcError(
-            f"controller {name!r} ({point.value})", f"its name is {loaded.name!r}", allowed="the same as here"
-        )
-    _loaded[point] = loaded
+        raise LdcError(f"{where}: name", value=loaded.name, allowed=repr(name))
     return loaded

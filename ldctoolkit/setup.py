@@ -8,8 +8,8 @@ from typing import Final, Literal, get_args
 
 import numpy.typing as npt
 
+from ldctoolkit.declared import Declaration, check_declared, checked_seed, declarations, declared, short_repr
 from ldctoolkit.errors import CheckedArguments, InputError
-from ldctoolkit.option_checks import check_declared, checked_seed, declaration, declaration_of, declared, short_repr
 from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.vehicle import BicycleModel, Convention, Plant, VehicleParameters
 
@@ -26,9 +26,9 @@ SETTLE: Final = 3.0  # how long [s] the loop goes on after the departure by defa
 class Setup(CheckedArguments):
     """How scenarios are driven, whichever design drives them; passed whole from a study to the closed loop.
 
-    A field made with `declared` is an option of the simulation: it is checked here, and the table ``[simulation]`` of a
-    study file and the settings of a report have it too. Raises `InputError` for a value outside what is allowed, or
-    values that exclude each other.
+    A number or word made with `declared` is an option of the simulation: it is checked here, and the table
+    ``[simulation]`` of a study file and the settings of a report have it too. Raises `InputError` for a value outside
+    what is allowed, or values that exclude each other.
 
     Attributes
     ----------
@@ -67,38 +67,30 @@ class Setup(CheckedArguments):
     >>> Setup(dt=0)
     Traceback (most recent call last):
     ...
-    ldctoolkit.errors.InputError: dt: 0; allowed: a finite number > 0 and <= 10
+    ldctoolkit.errors.InputError: dt: 0; allowed: a finite number > 0 and <= 10 s
     """
 
     __repr__ = short_repr
 
-    vehicle: VehicleParameters = dataclasses.field(default_factory=VehicleParameters)
+    vehicle: VehicleParameters = declared(VehicleParameters)
     convention: Convention = "consistent"
-    options: PlantOptions = dataclasses.field(default_factory=PlantOptions)
+    options: PlantOptions = declared(PlantOptions)
     seed: int = 0
-    dt: float = declared(0.05, unit="s", above=0.0, most=10.0, usual=(1e-3, 1.0), description="sample time dt")
-    initial_yaw_rate: InitialYawRate = dataclasses.field(
-        default="path", metadata=declaration(choices=get_args(InitialYawRate), description="initial yaw rate")
+    dt: float = declared(0.05, unit="s", above=0.0, upper=10.0, usual=(1e-3, 1.0), description="sample time dt")
+    initial_yaw_rate: InitialYawRate = declared(
+        "path", choices=get_args(InitialYawRate), description="initial yaw rate"
     )
-    start: Start = dataclasses.field(
-        default="steady", metadata=declaration(choices=get_args(Start), description="state at the trigger")
+    start: Start = declared("steady", choices=get_args(Start), description="state at the trigger")
+    settle: float = declared(SETTLE, unit="s", lower=0.0, upper=60.0, description="settling after the end")
+    plant_knowledge: PlantKnowledge = declared(
+        "nominal", choices=get_args(PlantKnowledge), description="what laws know of actuator and camera"
     )
-    settle: float = declared(SETTLE, unit="s", least=0.0, most=60.0, description="settling after the end")
-    plant_knowledge: PlantKnowledge = dataclasses.field(
-        default="nominal",
-        metadata=declaration(choices=get_args(PlantKnowledge), description="what laws know of actuator and camera"),
-    )
-    trigger: Trigger = dataclasses.field(
-        default="distance", metadata=declaration(choices=get_args(Trigger), description="trigger")
-    )
+    trigger: Trigger = declared("distance", choices=get_args(Trigger), description="trigger")
     ttlc: float = declared(
-        TTLC, unit="s", above=0.0, most=10.0, usual=(0.01, 10.0), description="time to line crossing at the trigger"
+        TTLC, unit="s", above=0.0, upper=10.0, usual=(0.01, 10.0), description="time to line crossing at the trigger"
     )
 
     def __post_init__(self) -> None:
-        for name, kind in (("vehicle", VehicleParameters), ("options", PlantOptions)):
-            if not isinstance(getattr(self, name), kind):
-                raise InputError(name, value=getattr(self, name), allowed=f"{kind.__name__}(...)")
         check_declared(self)
         if self.trigger == "distance" and self.ttlc != TTLC:
             raise InputError("ttlc", "with trigger 'distance'", value=self.ttlc, hint="allowed with trigger = 'ttlc'")
@@ -145,6 +137,6 @@ def known_plant(
     return Plant.build(model, v, dt, lag=options.actuator.lag, delay=options.actuator.delay + age, age=age)
 
 
-def simulation_options() -> Iterator[dataclasses.Field[object]]:
+def simulation_options() -> Iterator[Declaration]:
     """The fields of a `Setup` that are options of the simulation."""
-    return (field for field in dataclasses.fields(Setup) if declaration_of(field).description)
+    return (declaration for declaration in declarations(Setup).values() if declaration.kind is None)

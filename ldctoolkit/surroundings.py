@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import importlib
 import math
 import os
 import platform
@@ -98,13 +99,11 @@ def cache_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "ldctoolkit"
 
 
+@functools.cache
 def guard_caches() -> None:
     """Let Numba use caches only where folder and file are `private`, and no settings from the working directory."""
-    caching: Any = sys.modules.get("numba.core.caching")
-    if not hasattr(caching, "make_library_cache") or hasattr(caching, "guarded"):  # its last name: it is loaded
-        return
-    caching.guarded = True
-    config: Any = sys.modules["numba.core.config"]
+    caching: Any = importlib.import_module("numba.core.caching")
+    config: Any = importlib.import_module("numba.core.config")
     config._config_fname = os.devnull
     config.reload_config()
     locate = caching._CacheLocator.ensure_cache_path

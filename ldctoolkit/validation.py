@@ -1,4 +1,8 @@
-"""Checks of what files hold: one strict base for their tables, and messages that name the key path."""
+"""Checks of what files hold: one strict base for their tables, and errors at the key path.
+
+A validator raises `InputError` at a path below the validated value; `first_problem` makes one error of what pydantic
+collects.
+"""
 
 from __future__ import annotations
 
@@ -7,9 +11,8 @@ from typing import Any, Final, get_args, get_type_hints
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
-from pydantic_core import PydanticCustomError
 
-from ldctoolkit.errors import nearest
+from ldctoolkit.errors import InputError, LdcError
 
 _ALLOWED: Final = {
     "model_type": "a table of keys",
@@ -32,41 +35,40 @@ class Part(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
-def fail(path: str, message: str) -> PydanticCustomError:
+def fail(path: str, message: str) -> InputError:
     """What a validator raises: the key path below the validated value, and what is wrong."""
-    return PydanticCustomError("checked", "{message}", {"path": path, "message": message})
+    return InputError(path, message)
 
 
-def first_problem(error: ValidationError, content: Any, model: type[BaseModel], whole: str) -> str:
-    """The first problem of what was read, as a message; behind it the number of others in the `whole`."""
+def first_problem(error: ValidationError, content: Any, model: type[BaseModel], whole: str) -> InputError:
+    """The first problem of what was read, at its key path; its hint counts the others in the `whole`."""
     problems = error.errors(include_url=False)
     # a wrong key often causes a missing one; the key that was written is what the author can look up
-    problems.sort(key=lambda p: p["type"] == "missing")
-    others = len(problems) - 1
-    more = f" (and {others} more problem{'s' if others > 1 else ''} in this {whole})" if others else ""
-    return f"{_message(problems[0], content, model)}{more}"
+    problems.sort(key=lambda problem: problem["type"] == "missing")
+    first, others = _problem(problems[0], content, model), len(problems) - 1
+    if others:
+        more = f"{others} more problem{'s' if others > 1 else ''} in this {whole}"
+        first.hint = f"{first.hint}; {more}" if first.hint else more
+    return first
 
 
-def _message(problem: Any, content: Any, model: type[BaseModel]) -> str:
-    location = list(problem["loc"])
-    if problem["type"] == "checked":
-        path = _path([*location, *([problem["ctx"]["path"]] if problem["ctx"]["path"] else [])])
-        return f"{path}: {problem['ctx']['message']}" if path else str(problem["ctx"]["message"])
-    if problem["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
-        keys = _keys(model, location[:-1])
-        return f"{_path(location)}: no such key; {nearest(str(location[-1]), keys)}"
-    if problem["type"] == "missing":
-        return f"{_path(location)}: missing, and has no default"
+def _problem(problem: Any, content: Any, model: type[BaseModel]) -> InputError:
+    location, kind = list(problem["loc"]), problem["type"]
+    if isinstance(raised := problem.get("ctx", {}).get("error"), LdcError):
+        return InputError.of(raised).within(_path(location))
+    if kind in ("extra_forbidden", "unexpected_keyword_argument"):
+        return InputError(_path(location), "no such key", allowed=_keys(model, location[:-1]))
+    if kind == "missing":
+        return InputError(_path(location), "missing, and has no default")
     value = _look_up(content, location)
     if location and isinstance(location[-1], int) and not isinstance(_look_up(content, location[:-1]), list | tuple):
         location.pop()  # a scalar was written where a list is allowed too
-    if problem["type"] == "literal_error":
-        options = [option.strip(" '") for option in problem["ctx"]["expected"].replace(" or ", ",").split(",")]
-        return f"{_path(location)}: {short(value)}; {nearest(str(value), options)}"
-    allowed = _ALLOWED.get(problem["type"], problem["msg"].removeprefix("Input should be "))
-    if allowed == "a list" and isinstance(value, dict):
+    allowed: Any = _ALLOWED.get(kind, problem["msg"].removeprefix("Input should be "))
+    if kind == "literal_error":
+        allowed = [word.strip(" '") for word in problem["ctx"]["expected"].replace(" or ", ",").split(",")]
+    elif allowed == "a list" and isinstance(value, dict):
         allowed = "a list of tables: write [[...]] with two brackets"
-    return f"{_path(location)}: {short(value)}; allowed: {allowed}"
+    return InputError(_path(location), value=value, allowed=allowed)
 
 
 def as_tuples(value: Any) -> Any:
@@ -78,17 +80,8 @@ def as_tuples(value: Any) -> Any:
     return tuple(as_tuples(item) for item in value) if isinstance(value, list | tuple) else value
 
 
-def short(value: object) -> str:
-    """A value for a message."""
-    text = repr(value)
-    return text if len(text) <= 60 else text[:57] + "..."
-
-
 def _path(location: list[Any]) -> str:
-    text = ""
-    for part in location:
-        text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else str(part)
-    return text
+    return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location).removeprefix(".")
 
 
 def _look_up(content: Any, location: list[Any]) -> Any:

@@ -14,7 +14,8 @@ import numpy as np
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.control import Controller, EventStatus
-from ldctoolkit.errors import InputError, LdcError, expect
+from ldctoolkit.declared import checked_whole
+from ldctoolkit.errors import LdcError, expect
 from ldctoolkit.law_checks import check_controller, raised
 from ldctoolkit.plant_options import Mismatch, Residuals
 from ldctoolkit.scenarios import Scenarios
@@ -23,7 +24,8 @@ from ldctoolkit.simulation import Outcome, Takeover, drive
 
 from .ranking.named_vehicles import VEHICLES
 from .standards import KM_H, Cells, QuantityName, Standard, load_standard
-from .storage.files import csv_text, write_text
+from .storage.files import write_text
+from .tables import Column, Row, Table, to_csv
 
 LightName = Literal["green", "amber", "red"]
 
@@ -345,8 +347,7 @@ def assess(
     test = standard if isinstance(standard, Standard) else load_standard(standard)
     expect("setup", setup, Setup | None)
     given = setup or Setup()
-    if isinstance(seeds, bool) or not isinstance(seeds, int) or seeds < 1:
-        raise InputError("seeds", value=seeds, allowed="a whole number >= 1")
+    seeds = checked_whole("seeds", seeds, lower=1)
     width = min(max(given.vehicle.w_l, test.lane_width_m[0]), test.lane_width_m[1])
     given = dataclasses.replace(given, vehicle=dataclasses.replace(given.vehicle, w_l=width))
     cells = test.every_cell
@@ -428,10 +429,10 @@ def write_predictions(assessments: Sequence[tuple[str, Assessment]], path: str |
                 second, bend = f"{one.cells.second[i]:g}", bool(one.cells.bend[i])
                 numbers = (one.values[0, c, i], one.limits[0, c, i], worst[i])
                 shown = ["" if math.isnan(number) else f"{number:.6g}" for number in numbers]
-                rows.append([
+                rows.append(Row([
                     design, one.standard.name, "extended" if one.cells.extended[i] else "standard",
                     f"{one.cells.speed[i] / KM_H:g}", *(("", second) if bend else (second, "")),
                     "pass" if one.passed[i] else "fail", one.lights[i], condition.quantity, *shown,
                     one.variants[which[i]],
-                ])  # fmt: skip
-    write_text(Path(path), csv_text(PREDICTIONS, (dict(zip(PREDICTIONS, row, strict=True)) for row in rows)))
+                ]))  # fmt: skip
+    write_text(Path(path), to_csv(Table("", [Column(name) for name in PREDICTIONS], rows)))

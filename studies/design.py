@@ -11,9 +11,8 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 from ldctoolkit.control import Controller
+from ldctoolkit.declared import GainValue, UnitWarning, unit_slip
 from ldctoolkit.errors import InputError, UnknownNameError, nearest
-from ldctoolkit.gains import GainValue
-from ldctoolkit.option_checks import UnitWarning, unit_slip
 from ldctoolkit.registry import bound_class, code_of, controller_class, is_known
 from ldctoolkit.vehicle import Convention
 
@@ -31,7 +30,8 @@ CONVENTION_GAIN: Final = "convention"
 """Name of the option through which a law declares that it knows the two readings of the paper."""
 
 NO_CONTROL: Final = "none"  # registry name of the law that never intervenes
-FOLLOWS_CASE: Final = "case"  # value of that option in a design that leaves the reading to the study's case
+FOLLOWS_STUDY: Final = "case"
+"""Value of that option in a design that leaves the reading to the study; part of the design's identifier."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,8 +40,8 @@ class Design:
 
     Notes
     -----
-    A run is identified by the design's `id` and the case's convention; together they name one set of numbers. A law of
-    the toolkit is known by its name, any other by the content of its code: an edited law makes other designs.
+    In a study the design's `id` names one set of numbers. A law of the toolkit is known by its name, any other by the
+    content of its code: an edited law makes other designs.
 
     Examples
     --------
@@ -53,7 +53,7 @@ class Design:
     law: str  # Registry name of the controller
     y_s: float  # [m] Trigger threshold
     # Every declared gain and option in the law's own order, defaults included. The option `convention` holds
-    # `FOLLOWS_CASE` where the study's case decides it.
+    # `FOLLOWS_STUDY` where the study decides it.
     gains: tuple[tuple[str, GainValue], ...]
     code: str = ""  # Content of the law's code; empty for the toolkit's laws
 
@@ -62,20 +62,20 @@ class Design:
             warnings.warn(slip, UnitWarning, stacklevel=4)
 
     @classmethod
-    def of(cls, controller: Controller, y_s: float, *, follow_case: bool = False, code: str | None = None) -> Design:
+    def of(cls, controller: Controller, y_s: float, *, follow_study: bool = False, code: str | None = None) -> Design:
         """The design that a controller and a threshold make.
 
         Parameters
         ----------
         controller : Controller
         y_s : float [m]
-        follow_case : bool
-            Leave the option `convention`, where the law has one, to the case.
+        follow_study : bool
+            Leave the option `convention`, where the law has one, to the study.
         code : str, optional
             Content of the law's code, where it is known already.
         """
         gains = tuple(
-            (g.name, FOLLOWS_CASE if follow_case and g.name == CONVENTION_GAIN else getattr(controller, g.name))
+            (g.name, FOLLOWS_STUDY if follow_study and g.name == CONVENTION_GAIN else getattr(controller, g.name))
             for g in controller.gains()
         )
         code = code_of(type(controller), dict(gains)) if code is None else code
@@ -87,7 +87,7 @@ class Design:
 
         Raises `UnknownNameError` for an unknown law; `InputError` for a gain outside its declaration.
         """
-        return cls.of(controller_class(law)(**given), y_s, follow_case=CONVENTION_GAIN not in given)
+        return cls.of(controller_class(law)(**given), y_s, follow_study=CONVENTION_GAIN not in given)
 
     def controller(self, convention: Convention = "consistent") -> Controller:
         """Build the controller anew from plain data (workers receive designs, not controllers).
@@ -95,7 +95,7 @@ class Design:
         Parameters
         ----------
         convention : {"consistent", "as_printed"}
-            Reading of the case, for a law that follows it.
+            Reading of the study, for a law that follows it.
         """
         gains = {name: convention if self._follows(name, value) else value for name, value in self.gains}
         return bound_class(self.law, self.code, same=True)(**gains)
@@ -107,7 +107,7 @@ class Design:
 
     @staticmethod
     def _follows(name: str, value: GainValue) -> bool:
-        return name == CONVENTION_GAIN and value == FOLLOWS_CASE
+        return name == CONVENTION_GAIN and value == FOLLOWS_STUDY
 
     @functools.cached_property  # used many times in a run
     def id(self) -> str:

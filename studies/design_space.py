@@ -3,34 +3,34 @@
 import dataclasses
 import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from typing import Any, Final, Literal, Self
 
 import numpy as np
-from pydantic import (
-    Field,
-    InstanceOf,
-    PrivateAttr,
-    SerializerFunctionWrapHandler,
-    ValidationInfo,
-    field_serializer,
-    model_serializer,
-    model_validator,
-)
+from pydantic import Field, InstanceOf, PrivateAttr, ValidationInfo, model_serializer, model_validator
 
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.code_content import content_of
 from ldctoolkit.control import Controller
-from ldctoolkit.errors import InputError, LdcError, nearest
-from ldctoolkit.gains import GainValue, declared_gains, find_gain
+from ldctoolkit.declared import (
+    GainValue,
+    Scale,
+    checked_choice,
+    checked_number,
+    checked_whole,
+    declared_gains,
+    find_gain,
+)
+from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.registry import code_of, controller_class, laws_inside
-from ldctoolkit.validation import Part, fail
+from ldctoolkit.validation import Part
 
 from .design import CONVENTION_GAIN, Design
 
 THRESHOLD: Final = "y_s"  # name of the trigger threshold among the dimensions
 
 RANGE_KEYS: Final = ("count", "from", "scale", "to")
+_WRITTEN: Final = "a range is written {from = ..., to = ..., count = ...}"
 MOST_VALUES: Final = 10_000  # largest number of values of one entry; more is a slip of the pen
 
 
@@ -58,7 +58,7 @@ class Span:
     first: float
     last: float
     # What is even: the numbers, or their logarithms (then both ends have one sign)
-    scale: Literal["linear", "log"] = "linear"
+    scale: Scale = "linear"
     whole: bool = False  # Whole numbers only; the ends are whole
 
     @property
@@ -94,83 +94,57 @@ def rounded(value: float) -> float:
     return float(f"{value:.12g}") + 0.0
 
 
-def _between(a: float, b: float, share: float, scale: Literal["linear", "log"]) -> float:
+def _between(a: float, b: float, share: float, scale: Scale) -> float:
     if scale == "linear":
         return a * (1 - share) + b * share
     logarithm = math.log(abs(a)) * (1 - share) + math.log(abs(b)) * share
     return math.copysign(math.exp(logarithm), a)
 
 
-class EntryError(InputError):
-    """An entry of a study file is wrong; `path` says where inside the entry."""
-
-    def __init__(self, path: str, message: str) -> None:
-        super().__init__(message)
-        self.path = path
-
-
-def read_entry(entry: Any, scale: Literal["linear", "log"] = "linear", *, whole: bool = False) -> Dimension:
+def read_entry(entry: Any, scale: Scale = "linear", *, whole: bool = False) -> Dimension:
     """The dimension of a design space that one entry stands for."""
     if not isinstance(entry, dict) or "count" in entry:
         return Choices(expand(entry, scale, whole=whole))
     first, last, spacing = _ends(entry, scale)
     if first == last:
-        raise EntryError("", f"from and to are both {first!r}; allowed: two different numbers")
+        raise InputError("", "both from and to", value=first, allowed="two different numbers")
     return Span(first, last, spacing, whole)
 
 
-def expand(entry: Any, scale: Literal["linear", "log"] = "linear", *, whole: bool = False) -> tuple[Any, ...]:
+def expand(entry: Any, scale: Scale = "linear", *, whole: bool = False) -> tuple[Any, ...]:
     """The values of one entry, in the order written, each once."""
+    values = entry if isinstance(entry, list | tuple) else [entry]
     if isinstance(entry, dict):
-        values = _range(entry, scale, whole)
-    elif isinstance(entry, list | tuple):
-        if not entry:
-            raise EntryError("", "an empty list; allowed: one value or more")
-        if len(entry) > MOST_VALUES:
-            raise EntryError("", f"{len(entry)} values; allowed: at most {MOST_VALUES}")
-        values = list(entry)
-    else:
-        values = [entry]
-    seen: list[Any] = []
-    for value in values:
-        # True == 1 in Python, not in a study file
-        if not any(value == other and type(value) is type(other) for other in seen):
-            seen.append(value)
-    return tuple(seen)
+        first, last, spacing = _ends(entry, scale)
+        if "count" not in entry:
+            raise InputError("count", "missing", hint=_WRITTEN)
+        count = checked_whole("count", entry["count"], lower=2, upper=MOST_VALUES)
+        points = np.geomspace(first, last, count) if spacing == "log" else np.linspace(first, last, count)
+        values = [float(first), *map(rounded, points[1:-1].tolist()), float(last)]  # the ends stay as written
+        values = [round(value) for value in values] if whole else values
+    if not 1 <= len(values) <= MOST_VALUES:
+        raise InputError("", f"{len(values)} values", allowed=f"1 to {MOST_VALUES}")
+    # True == 1 in Python, not in a study file; what cannot be a key is no value of a gain either
+    keys = ((type(value), value if isinstance(value, Hashable) else repr(value)) for value in values)
+    return tuple(dict(zip(keys, values, strict=True)).values())
 
 
-def _range(entry: dict[str, Any], scale: Literal["linear", "log"], whole: bool) -> list[Any]:
-    first, last, scale = _ends(entry, scale)
-    if "count" not in entry:
-        raise EntryError(".count", "missing; a range is written {from = ..., to = ..., count = ...}")
-    count = entry["count"]
-    if isinstance(count, bool) or not isinstance(count, int) or not 2 <= count <= MOST_VALUES:
-        raise EntryError(".count", f"{count!r}; allowed: a whole number from 2 to {MOST_VALUES}")
-    points = np.geomspace(first, last, count) if scale == "log" else np.linspace(first, last, count)
-    values = [rounded(value) for value in points.tolist()]
-    values[0], values[-1] = float(first), float(last)  # the ends stay as written
-    return [round(value) for value in values] if whole else values
-
-
-def _ends(entry: dict[str, Any], scale: Literal["linear", "log"]) -> tuple[float, float, Literal["linear", "log"]]:
-    """Ends and spacing of a table."""
+def _ends(entry: dict[str, Any], scale: Scale) -> tuple[float, float, Scale]:
+    """Ends and spacing of a range."""
     for key in entry:
         if key not in RANGE_KEYS:
-            raise EntryError(f".{key}", f"no such key; {nearest(key, RANGE_KEYS)}")
+            raise InputError(key, "no such key", allowed=RANGE_KEYS)
     for key in ("from", "to"):
         if key not in entry:
-            raise EntryError(f".{key}", "missing; a range is written {from = ..., to = ..., count = ...}")
-        value = entry[key]
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-            raise EntryError(f".{key}", f"{value!r}; allowed: a finite number")
+            raise InputError(key, "missing", hint=_WRITTEN)
+        checked_number(key, entry[key])
     first, last = entry["from"], entry["to"]
     one_sign = (first > 0) == (last > 0) and first != 0 and last != 0
-    chosen = entry.get("scale", scale if one_sign else "linear")
-    if chosen not in ("linear", "log"):
-        raise EntryError(".scale", f"{chosen!r}; {nearest(str(chosen), ('linear', 'log'))}")
-    if chosen == "log" and not one_sign:
-        raise EntryError(".scale", f"'log' from {first!r} to {last!r}; allowed: both ends of one sign, neither zero")
-    return first, last, "log" if chosen == "log" else "linear"
+    spacing = checked_choice("scale", entry.get("scale", scale if one_sign else "linear"), ("linear", "log"))
+    if spacing == "log" and not one_sign:
+        allowed = "both ends of one sign, neither zero"
+        raise InputError("scale", f"from {first!r} to {last!r}", value="log", allowed=allowed)
+    return first, last, "log" if spacing == "log" else "linear"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -216,24 +190,19 @@ class LawSpace:
 
     def grid(self) -> Iterator[Design]:
         """Every design once, the threshold slowest, in the order written."""
-        names, lists = [], []
         for name, dimension in self.dimensions:
-            if not isinstance(dimension, Choices):
+            if isinstance(dimension, Span):
                 raise InputError(name, "a range without a count makes no grid")
-            names.append(name)
-            lists.append(dimension.values)
+        names = [name for name, _ in self.dimensions]
+        lists = [dimension.values for _, dimension in self.dimensions if isinstance(dimension, Choices)]
         every = (self.active(dict(zip(names, values, strict=True))) for values in itertools.product(*lists))
-        if not self.conditions:  # then all differ
-            return map(self._design, every)
         return map(self._design, {tuple(values.items()): values for values in every}.values())
 
     def at(self, shares: FloatArray) -> tuple[Design, ...]:
         """The designs at points of the unit cube; two points may be one design."""
-        varying = self.varying
-        fixed = {name: dimension.at(0.0) for name, dimension in self.dimensions}
-        dimensions = [dimension for name, dimension in self.dimensions if name in varying]
-        rows = (zip(varying, dimensions, row, strict=True) for row in shares.tolist())
-        return tuple(self.design(fixed | {name: dim.at(share) for name, dim, share in row}) for row in rows)
+        varying = [(name, dimension) for name, dimension in self.dimensions if dimension.size != 1]
+        rows = (zip(varying, row, strict=True) for row in shares.tolist())
+        return tuple(self.design({name: dimension.at(share) for (name, dimension), share in row}) for row in rows)
 
     def design(self, values: Mapping[str, GainValue]) -> Design:
         """The design of one value for each dimension."""
@@ -254,7 +223,7 @@ class LawSpace:
         if inside not in self._codes:
             self._codes[inside] = code_of(self.kind, gains)
         controller, follows = self.kind(**gains), CONVENTION_GAIN not in gains
-        return Design.of(controller, float(values[THRESHOLD]), follow_case=follows, code=self._codes[inside])
+        return Design.of(controller, float(values[THRESHOLD]), follow_study=follows, code=self._codes[inside])
 
 
 class SampleSettings(Part):
@@ -272,8 +241,8 @@ class SampleSettings(Part):
     def _balanced(self) -> Self:
         if self.method == "saltelli" and self.count & (self.count - 1):
             below = 1 << (self.count.bit_length() - 1)
-            message = f"{self.count}; allowed with 'saltelli': a power of two, e.g. {below} or {2 * below}"
-            raise fail("count", message)
+            allowed = f"a power of two, e.g. {below} or {2 * below}"
+            raise InputError("count", "with method 'saltelli'", value=self.count, allowed=allowed)
         return self
 
     def points(self, dimensions: int) -> int:
@@ -288,7 +257,15 @@ def unit_points(sample: SampleSettings, dimensions: int) -> FloatArray:
     if not dimensions:
         return np.zeros((1, 0))
     if sample.method == "saltelli":
-        return _saltelli(sample, dimensions)
+        try:
+            from SALib.sample import sobol
+        except ImportError:
+            problem, hint = "needs SALib, which is not installed", 'pip install "ldctoolkit[sensitivity]"'
+            raise InputError("design.sample.method", problem, value="saltelli", hint=hint) from None
+        names, bounds = [str(i) for i in range(dimensions)], [[0.0, 1.0]] * dimensions
+        cube = {"num_vars": dimensions, "names": names, "bounds": bounds}
+        points = sobol.sample(cube, sample.count, calc_second_order=False, seed=sample.seed)
+        return np.asarray(points, dtype=np.float64)
     from scipy.stats import qmc
 
     rng = np.random.default_rng(sample.seed)
@@ -297,17 +274,6 @@ def unit_points(sample: SampleSettings, dimensions: int) -> FloatArray:
     else:
         # drawn as a power of two and cut: the same points, and SciPy has nothing to warn of
         points = qmc.Sobol(dimensions, rng=rng).random_base2((sample.count - 1).bit_length())[: sample.count]
-    return np.asarray(points, dtype=np.float64)
-
-
-def _saltelli(sample: SampleSettings, dimensions: int) -> FloatArray:
-    try:
-        from SALib.sample import sobol
-    except ImportError:
-        message = "design.sample.method: 'saltelli' needs SALib, which is not installed"
-        raise InputError(f'{message}; install the extra: pip install "ldctoolkit[sensitivity]"') from None
-    cube = {"num_vars": dimensions, "names": [str(i) for i in range(dimensions)], "bounds": [[0.0, 1.0]] * dimensions}
-    points = sobol.sample(cube, sample.count, calc_second_order=False, seed=sample.seed)
     return np.asarray(points, dtype=np.float64)
 
 
@@ -359,19 +325,12 @@ class DesignBlock(Part):
                 checked["when"] = _read_conditions(kinds, when, checked["gains"])
         return checked
 
-    @field_serializer("y_s")
-    def _written_threshold(self, entry: Any) -> Any:
-        return _written(entry)
-
-    @field_serializer("gains")
-    def _written_gains(self, gains: dict[str, Any]) -> dict[str, Any]:
-        return {name: _written(entry) for name, entry in gains.items()}
-
-    @model_serializer(mode="wrap")
-    def _without_defaults(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+    @model_serializer
+    def _content(self) -> dict[str, Any]:
+        gains = {name: _written(entry) for name, entry in self.gains.items()}
+        content = {"law": self.law, "y_s": _written(self.y_s), "gains": gains}
         # a full grid is reported as it was before there were samples and conditions
-        content: dict[str, Any] = handler(self)
-        return {key: value for key, value in content.items() if value or key not in ("sample", "when")}
+        return content | {key: value for key in ("when", "sample") if (value := getattr(self, key))}
 
     @property
     def laws(self) -> tuple[str, ...]:
@@ -413,21 +372,19 @@ class DesignBlock(Part):
         """The space of each law, in the order written."""
         spaces = []
         for kind in self.kinds:
-            declared = {gain.name for gain in declared_gains(kind)}
-            gains = tuple((name, _dimension(entry)) for name, entry in self.gains.items() if name in declared)
+            names = {gain.name for gain in declared_gains(kind)}
+            gains = tuple((name, _dimension(entry)) for name, entry in self.gains.items() if name in names)
             conditions = tuple(
                 Condition(name, on, values)
-                for name, every in self.when.items()
-                if name in declared
-                for on, values in every.items()
+                for name in self.when
+                if name in names
+                for on, values in self.when[name].items()
             )
             spaces.append(LawSpace(kind, _dimension(self.y_s), gains, conditions))
         return tuple(spaces)
 
     def designs(self) -> list[Design]:
-        """The full grid, laws slowest, then thresholds, in the order written; or the sample, in which one may be
-        twice.
-        """
+        """The full grid, laws slowest, then thresholds, in the order written; or the sample, which may have doubles."""
         if self.sample is None:
             return [design for space in self.space() for design in space.grid()]
         return [design for sample in self.samples() for design in sample.designs]
@@ -436,22 +393,18 @@ class DesignBlock(Part):
         """The sample of each law, in the order written; empty for a table without ``sample``."""
         if self.sample is None:
             return ()
-        found = []
-        for space in self.space():
-            shares = unit_points(self.sample, len(space.varying))
-            found.append(LawSample(space, shares, space.at(shares)))
-        return tuple(found)
+        points = [(space, unit_points(self.sample, len(space.varying))) for space in self.space()]
+        return tuple(LawSample(space, shares, space.at(shares)) for space, shares in points)
 
 
 def check_blocks(blocks: Sequence[DesignBlock], *, searched: bool) -> None:
     """Refuse tables that do not fit a study with a search, or one without."""
     for i, block in enumerate(blocks):
         if searched and block.sample is not None:
-            message = "a study with [search] asks for its designs itself; allowed: no sample"
-            raise fail(f"design[{i}].sample", message)
+            raise InputError(f"design[{i}].sample", "in a study with [search]", allowed="no sample")
         if not searched and block.sample is None and block.uncounted:
-            message = "missing; allowed without it: a table with [design.sample], or a study with [search]"
-            raise fail(f"design[{i}].{block.uncounted}.count", message)
+            hint = "allowed without it: a table with [design.sample], or a study with [search]"
+            raise InputError(f"design[{i}].{block.uncounted}.count", "missing", hint=hint)
 
 
 def _written(entry: Any) -> Any:
@@ -468,15 +421,15 @@ def _read_laws(entry: Any, classes: Mapping[str, type[Controller]] | None) -> tu
     """The laws of a table: names, and classes, from those given or else by name."""
     names = (entry,) if isinstance(entry, str) else entry
     if not isinstance(names, list | tuple) or not names or not all(isinstance(name, str) for name in names):
-        raise fail("law", f"{entry!r}; allowed: text, or a list of different laws")
+        raise InputError("law", value=entry, allowed="text, or a list of different laws")
     if len(set(names)) != len(names):
-        raise fail("law", f"{entry!r}; allowed: each law once")
+        raise InputError("law", value=entry, allowed="each law once")
     kinds = []
     for i, name in enumerate(names):
         try:
             kinds.append((classes or {}).get(name) or controller_class(name))
         except LdcError as error:
-            raise fail("law" if isinstance(entry, str) else f"law[{i}]", str(error).removeprefix("law ")) from None
+            raise InputError.of(error).at("law" if isinstance(entry, str) else f"law[{i}]") from None
     return tuple(names), tuple(kinds)
 
 
@@ -484,17 +437,15 @@ def _read_thresholds(entry: Any) -> tuple[float, ...] | Span:
     """The trigger thresholds [m] of a table."""
     try:
         dimension = read_entry(entry)
-    except EntryError as error:
-        raise fail(f"y_s{error.path}", str(error)) from None
+    except InputError as error:
+        raise error.within("y_s") from None
     if isinstance(dimension, Span):
         return dataclasses.replace(dimension, first=_threshold(dimension.first), last=_threshold(dimension.last))
     return tuple(_threshold(value) for value in dimension.values)
 
 
 def _threshold(value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not (math.isfinite(value) and value >= -10):
-        raise fail("y_s", f"{value!r}; allowed: a finite number >= -10 [m], below 0 before the line")
-    return float(value) + 0.0
+    return checked_number("y_s", value, lower=-10.0, unit="m, below 0 before the line") + 0.0
 
 
 def _read_gain(kinds: Kinds, name: str, entry: Any) -> tuple[Any, ...] | Span:
@@ -503,8 +454,8 @@ def _read_gain(kinds: Kinds, name: str, entry: Any) -> tuple[Any, ...] | Span:
     (first, reading), *others = readings.items()
     for law, other in others:
         if other != reading:
-            message = f"{first!r} and {law!r} space this range differently"
-            raise fail(f"gains.{name}", f"{message}; allowed: a list, a range with scale, or a [[design]] for each law")
+            allowed = "a list, a range with scale, or a [[design]] for each law"
+            raise InputError(f"gains.{name}", f"{first!r} and {law!r} space this range differently", allowed=allowed)
     return reading
 
 
@@ -512,70 +463,65 @@ def _declaring(kinds: Kinds, name: str, table: str) -> Kinds:
     found = [kind for kind in kinds if any(gain.name == name for gain in declared_gains(kind))]
     if not found:
         every = {gain.name for kind in kinds for gain in declared_gains(kind)}
-        raise fail(f"{table}.{name}", f"no such gain; {nearest(name, every)}")
+        raise InputError(f"{table}.{name}", "no such gain", allowed=every)
     return found
 
 
 def _reading(kind: type[Controller], name: str, entry: Any, name_law: bool) -> tuple[Any, ...] | Span:
     """What one law takes an entry for, every value checked."""
     declared = find_gain(kind, name, kind.name)
-    whole = isinstance(declared.default, int) and not isinstance(declared.default, bool)
+    path = f"gains.{name}"
     try:
-        dimension = read_entry(entry, declared.scale, whole=whole)
+        dimension = read_entry(entry, declared.scale, whole=declared.whole)
+    except InputError as error:
+        raise error.within(path) from None
+    try:
         for end in (entry["from"], entry["to"]) if isinstance(entry, dict) else ():  # not what they are rounded to
             declared.check(end, kind.name)
         if not isinstance(dimension, Span):
             return tuple(declared.check(value, kind.name) for value in dimension.values)
-    except EntryError as error:
-        raise fail(f"gains.{name}{error.path}", str(error)) from None
-    except LdcError as error:
-        raise _outside(f"gains.{name}", error, kind, name, name_law) from None
-    number = int if whole else float
+    except InputError as error:
+        outside = error.at(path)
+        outside.problem = f"for {kind.name!r}" if name_law else ""
+        raise outside from None
+    number = int if declared.whole else float
     return dataclasses.replace(dimension, first=number(dimension.first), last=number(dimension.last))
-
-
-def _outside(path: str, error: LdcError, kind: type[Controller], name: str, name_law: bool) -> Exception:
-    # the path in the study file says more than the law's own prefix
-    message = str(error).removeprefix(f"{kind.name}.{name}: ")
-    return fail(path, f"{message} ({kind.name})" if name_law else message)
 
 
 def _read_conditions(
     kinds: Kinds, when: dict[str, Any], gains: dict[str, Any]
 ) -> dict[str, dict[str, tuple[Any, ...]]]:
     """``[design.when]``: gain -> other gain -> the values of the other for which the gain varies."""
-    read = {name: _condition_table(kinds, name, table, gains) for name, table in when.items()}
-    for name, others in read.items():
-        for on in others:
-            if on in read:
-                raise fail(f"when.{name}.{on}", f"{on!r} has a condition itself; allowed: a gain without one")
-    return read
+    conditions: dict[str, dict[str, tuple[Any, ...]]] = {}
+    for name, table in when.items():
+        path = f"when.{name}"
+        if name not in gains:
+            raise InputError(path, "no such gain in [design.gains]", allowed=[*gains])
+        if not isinstance(table, dict) or not table:
+            raise InputError(path, value=table, allowed="a table of other gains and their values")
+        for on in table:
+            if on not in gains or on == name:
+                others = [other for other in gains if other != name]
+                raise InputError(f"{path}.{on}", "no such other gain in [design.gains]", allowed=others)
+            if on in when:
+                raise InputError(f"{path}.{on}", "has a condition itself", allowed="a gain without one")
+        conditions[name] = {on: _condition(kinds, name, on, entry, gains[on]) for on, entry in table.items()}
+    return conditions
 
 
-def _condition_table(kinds: Kinds, name: str, table: Any, gains: dict[str, Any]) -> dict[str, tuple[Any, ...]]:
-    """``[design.when.NAME]``: other gain -> its values."""
-    path = f"when.{name}"
-    if name not in gains:
-        raise fail(path, f"no such gain in [design.gains]; {nearest(name, gains)}")
-    if not isinstance(table, dict) or not table:
-        raise fail(path, f"{table!r}; allowed: a table of other gains and their values")
-    return {on: _condition(kinds, name, on, entry, gains) for on, entry in table.items()}
-
-
-def _condition(kinds: Kinds, name: str, on: str, entry: Any, gains: dict[str, Any]) -> tuple[Any, ...]:
+def _condition(kinds: Kinds, name: str, on: str, entry: Any, known: tuple[Any, ...] | Span) -> tuple[Any, ...]:
+    """The values of the gain `on` for which the gain `name` varies, each among the `known` ones."""
     path = f"when.{name}.{on}"
-    if on not in gains or on == name:
-        raise fail(path, f"no such other gain in [design.gains]; {nearest(on, set(gains) - {name})}")
-    if isinstance(gains[on], Span):
-        raise fail(path, f"gains.{on} is a range without a count; allowed: a gain with a list of values")
+    if isinstance(known, Span):
+        raise InputError(path, f"gains.{on} is a range without a count", allowed="a gain with a list of values")
     for kind in _declaring(kinds, name, "when"):
         if all(gain.name != on for gain in declared_gains(kind)):
-            raise fail(path, f"no gain of {kind.name!r}, which has {name!r}; allowed: a gain of the same law")
+            raise InputError(path, f"no gain of {kind.name!r}, which has {name!r}", allowed="a gain of the same law")
     try:
         values = expand(entry)
-    except EntryError as error:
-        raise fail(path + error.path, str(error)) from None
+    except InputError as error:
+        raise error.within(path) from None
     for value in values:
-        if not any(value == known and isinstance(value, bool) == isinstance(known, bool) for known in gains[on]):
-            raise fail(path, f"{value!r} is not among gains.{on}; {nearest(str(value), map(str, gains[on]))}")
+        if not any(value == other and isinstance(value, bool) == isinstance(other, bool) for other in known):
+            raise InputError(path, f"is not among gains.{on}", value=value, allowed=[*map(str, known)])
     return values

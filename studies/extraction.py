@@ -21,18 +21,20 @@ import numpy as np
 
 import ldctoolkit.departures as departures
 from ldctoolkit.code_content import content_of
+from ldctoolkit.declared import checked_whole
 from ldctoolkit.departures import Departures, DepartureSignals, ExtraColumn
-from ldctoolkit.errors import InputError, LdcError, RecordingError, StoreError, plain
+from ldctoolkit.errors import LdcError, RecordingError, StoreError, plain
 from ldctoolkit.recordings.departures_table import Extraction, PartResult, write_departures
 from ldctoolkit.recordings.extract import extract_part, merge_results
 from ldctoolkit.recordings.find_departures import Criteria
 from ldctoolkit.recordings.preparation import Preparation
 from ldctoolkit.recordings.quality import Account, Drawn, DrawnEvent, Origin, QualityStatistics
-from ldctoolkit.recordings.recording import Label, Problem
-from ldctoolkit.recordings.sources import (
+from ldctoolkit.recordings.recording import (
     GROUP,
     CombinedReader,
+    Label,
     OpenedRecordings,
+    Problem,
     RecordingPart,
     RecordingReader,
     RecordingSource,
@@ -399,7 +401,7 @@ def run_extraction(
     Parameters
     ----------
     recordings : OpenedRecordings
-        From `ldctoolkit.recordings.sources.open_recordings`.
+        From `ldctoolkit.recordings.recording.open_recordings`.
     criteria : Criteria, optional
         What counts as a departure; the paper's criteria with the reader's vehicle width by default.
     preparation : Preparation, optional
@@ -431,7 +433,7 @@ def run_extraction(
     Examples
     --------
     >>> import pathlib, tempfile
-    >>> from ldctoolkit.recordings.sources import open_recordings
+    >>> from ldctoolkit.recordings.recording import open_recordings
     >>> folder = tempfile.TemporaryDirectory()
     >>> path = pathlib.Path(folder.name, "drive.csv")
     >>> _ = path.write_text("recording,t,lane_offset,lane_width,speed\na,0,0.1,3.6,25\na,0.1,0.2,3.6,25\n")
@@ -439,8 +441,7 @@ def run_extraction(
     1
     >>> folder.cleanup()
     """
-    if workers is not None and (isinstance(workers, bool) or not isinstance(workers, int) or workers < 1):
-        raise InputError("workers", value=workers, allowed="a whole number >= 1")
+    workers = None if workers is None else checked_whole("workers", workers, lower=1)
     reader, source = recordings.reader, recordings.source
     criteria = criteria or Criteria(reader.vehicle_width)
     preparation = preparation or Preparation(step=reader.step)

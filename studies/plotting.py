@@ -1,143 +1,149 @@
-"""Plots of rankings and results for notebooks and scripts: each draws on the matplotlib axes `ax`, by default those of
-a new figure, and returns them.
-"""
+"""Plots for notebooks and scripts: charts of the pages on matplotlib axes, by default those of a new figure."""
 
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.departures import LEFT, RIGHT
-from ldctoolkit.errors import InputError, expect, nearest
+from ldctoolkit.errors import InputError, expect
+from ldctoolkit.paths.uncorrected import UncorrectedPath
+from ldctoolkit.plant_options import Residuals
 from ldctoolkit.registry import controller_class
+from ldctoolkit.vehicle import VehicleParameters
 
 from .design import Design
-from .pages import charts
-from .pages.confidence_section import interleaved, running_mean
-from .pages.landscape_section import swept_axes, values_of
-from .pages.text import compact, shorten
-from .ranking.design_metrics import pareto_front
+from .pages.charts import RECORDED, Axis, Chart, Dot, Series, Style, dots, ecdf, law_styles
+from .pages.confidence_section import convergence
+from .pages.landscape_section import landscape, swept_axes
+from .pages.verdict_section import scatter_of_metrics
 from .ranking.ranking import Ranking
-from .ranking.requirements import metric, metric_values
 from .results import StudyResults
+from .text import shorten
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from .results import CaseResults
+    from ldctoolkit.scenarios import Scenarios
+    from ldctoolkit.simulation.outcome import Outcome
 
-__all__ = ["plot_convergence", "plot_distribution", "plot_landscape", "plot_ranking", "plot_trade_off"]
+__all__ = [
+    "plot_convergence", "plot_departure", "plot_distribution", "plot_landscape", "plot_ranking", "plot_trade_off",
+]  # fmt: skip
 
-_SIDES = {"both": (LEFT, RIGHT), "left": (LEFT,), "right": (RIGHT,)}
-
-
-@dataclasses.dataclass(frozen=True)
-class LineStyle:
-    """How one law, or the recorded path, is drawn: colour, dash in line widths, matplotlib marker."""
-
-    color: str
-    dash: tuple[float, ...]
-    marker: str
-
-    @classmethod
-    def of(cls, style: charts.Style) -> LineStyle:
-        """The style that the report's charts have."""
-        color = "#595959" if style.color < 0 else charts.COLORS[style.color]
-        marker = {"d": "D", "x": "X"}.get(style.marker, style.marker)
-        return cls(color, tuple(float(part) for part in style.dash.split()), marker)
-
-    def line(self) -> dict[str, Any]:
-        """Keyword arguments of ``Axes.plot``."""
-        return {"color": self.color, "linestyle": (0, self.dash) if self.dash else "-"}
+_SIDES: Final = {"both": (LEFT, RIGHT), "left": (LEFT,), "right": (RIGHT,)}
+_SOFT: Final = "#767676"
+_MARKERS: Final = {"d": "D", "x": "X", "|": "X"}
+_PATH: Final = "path-with-control"  # identifier of the lines of paths, by which they are counted
 
 
-def law_styles(laws: Iterable[str]) -> dict[str, LineStyle]:
-    """One style a law, as the report has them."""
-    return {law: LineStyle.of(style) for law, style in charts.law_styles(laws).items()}
+# ------------------------------------------------------------------------------------------------ charts on axes
 
 
-_RECORDED = LineStyle.of(charts.RECORDED)
+def draw(chart: Chart, ax: Axes | None = None, *, legend: bool = True) -> Axes:
+    """Draw a chart of the pages; a user's text is no formula: it may hold a dollar sign."""
+    if ax is None:
+        import matplotlib.pyplot as plt
+
+        ax = plt.subplots(layout="constrained")[1]
+    if chart.level is not None:
+        ax.axhline(chart.level, color=_SOFT, linewidth=1.0, linestyle="--", zorder=1)
+    for line, color in ((chart.upright, _SOFT), (chart.limit, "#b3261e")):
+        if line is not None:
+            ax.axvline(line[0], color=color, linewidth=1.0, linestyle="--", zorder=1)
+    if chart.diagonal:
+        ax.axline((chart.x.low, chart.x.low), slope=1.0, color=_SOFT, linewidth=1.0, zorder=1)
+    if chart.front is not None and chart.front[0].size:
+        ax.step(*chart.front, where="post", color=_SOFT, linewidth=1.0, zorder=1, label="Pareto front")
+    for series in chart.series:
+        _draw_series(series, ax)
+    if chart.cells is not None:
+        edges = (np.arange(size + 1) - 0.5 for size in chart.cells.values.T.shape)
+        mesh = ax.pcolormesh(*edges, chart.cells.values, cmap="viridis")
+        ax.figure.colorbar(mesh, ax=ax, label=chart.cells.label)
+        if chart.cells.crossed is not None:
+            rows, columns = np.nonzero(chart.cells.crossed & np.isfinite(chart.cells.values))
+            ax.plot(columns, rows, linestyle="none", marker="x", color="#ffffff")
+    for at, dot in enumerate(dot for row in chart.rows for dot in row):
+        if math.isfinite(dot.low + dot.high):
+            ax.hlines(at, dot.low, dot.high, color=dot.style.hex, linewidth=1.6)
+        ax.plot(dot.value, at, markersize=6, **_points(dot.style, filled=not dot.open))
+    if chart.ring is not None and math.isfinite(sum(chart.ring[:2])):
+        x, y, label = chart.ring
+        look: dict[str, Any] = (
+            {"marker": "*", "color": "#ffffff"} if chart.cells is not None else {"marker": "o", "color": "none"}
+        )
+        ax.plot(x, y, markersize=13, markeredgecolor="#000000", linestyle="none", label=label or None, **look)
+    if chart.rows:
+        labels = [shorten(dot.label, 60) for row in chart.rows for dot in row]
+        ax.set_yticks(range(len(labels)), labels, parse_math=False)
+        ax.set_ylim(len(labels) - 0.5, -0.5)
+        _set_axis("x", chart.x, ax)
+    else:
+        _set_axis("x", chart.x, ax)
+        _set_axis("y", chart.y, ax)
+    if legend and chart.series:
+        for text in ax.legend().get_texts():
+            text.set_parse_math(False)
+    return ax
 
 
-def axes_of(ax: Axes | None) -> Axes:
-    """The given axes, or those of a new figure of pyplot, which a notebook shows by itself."""
-    if ax is not None:
-        return ax
-    import matplotlib.pyplot as plt
-
-    new: Axes = plt.subplots(layout="constrained")[1]
-    return new
-
-
-def plain_legend(axes: Axes) -> None:
-    """A legend whose text is no formula: a user's title may hold a dollar sign."""
-    for text in axes.legend().get_texts():
-        text.set_parse_math(False)
-
-
-def point_style(style: LineStyle) -> dict[str, Any]:
-    """Keyword arguments of ``Axes.plot`` for points of a law."""
-    return {"color": style.color, "marker": "X" if style.marker == "|" else style.marker, "linestyle": "none"}
-
-
-def styles_of(designs: Iterable[Design]) -> dict[str, LineStyle]:
-    """One style a law, the law of the first design first: with those of a ranking as the report has them."""
-    return law_styles(design.law for design in designs)
+def _draw_series(series: Series, ax: Axes) -> None:
+    label, color = shorten(series.label, 60), series.style.hex
+    line: dict[str, Any] = {"color": color, "linestyle": "-"}
+    if series.style.dash:
+        line["linestyle"] = (0, tuple(float(part) for part in series.style.dash.split()))
+    if series.low is not None and series.high is not None:
+        ax.fill_between(series.x, series.low, series.high, color=color, alpha=0.16, linewidth=0)
+    if series.kind in ("bars", "outline"):
+        ax.stairs(series.y, series.x, fill=series.kind == "bars", alpha=0.5, label=label, color=color)
+    elif series.kind == "points":
+        filled = np.ones(series.x.shape, dtype=bool) if series.filled is None else series.filled
+        for state in (False, True):
+            if (rows := filled == state).any():
+                look = _points(series.style, filled=state)
+                ax.plot(series.x[rows], series.y[rows], label=label, alpha=0.8, **look)
+                label = ""
+    else:
+        if series.kind in ("marked", "started"):
+            line |= {"marker": _points(series.style)["marker"], "markevery": [0] if series.kind == "started" else None}
+        line["drawstyle"] = "steps-post" if series.kind == "steps" else "default"
+        ax.plot(series.x, series.y, label=label, **line)
 
 
-def curve_styles(results: StudyResults, case: CaseResults, chosen: Sequence[int]) -> list[LineStyle]:
-    """A style for each curve: that of the law, or, where two are of one law, one of its own.
-
-    Laws stand in the order of their least mean S, as in a ranking without requirements.
-    """
-    laws = [results.designs[i].law for i in chosen]
-    if len(set(laws)) < len(laws):
-        return list(law_styles(map(str, range(len(laws)))).values())
-    mean = np.array([np.mean(S) for S in case.counted])
-    styles = styles_of(results.designs[i] for i in np.argsort(mean, kind="stable").tolist())
-    return [styles[law] for law in laws]
+def _points(style: Style, *, filled: bool = True) -> dict[str, Any]:
+    """Keyword arguments of ``Axes.plot`` for points."""
+    face = style.hex if filled else "none"
+    return {"color": style.hex, "marker": _MARKERS.get(style.marker, style.marker), "linestyle": "none",
+            "markerfacecolor": face}  # fmt: skip
 
 
-def chosen_case(results: StudyResults, case: str | int) -> CaseResults:
-    """A case by its position or its label."""
-    labels = [one.case.label for one in results.cases]
-    if isinstance(case, str):
-        if case not in labels:
-            raise InputError("case", value=case, allowed=labels)
-        return results.cases[labels.index(case)]
-    if not 0 <= case < len(labels):
-        raise InputError("case", value=case, allowed=f"0 to {len(labels) - 1}")
-    return results.cases[case]
+def _set_axis(name: str, axis: Axis, ax: Axes) -> None:
+    """Label, ends and ticks of one axis."""
+    getattr(ax, f"set_{name}label")(axis.label, parse_math=False)
+    if axis.log:
+        getattr(ax, f"set_{name}scale")("log")
+        values, texts = zip(*axis.ticks(300.0), strict=True)
+        getattr(ax, f"set_{name}ticks")(values, texts)
+        ax.minorticks_off()
+    elif axis.categories:
+        getattr(ax, f"set_{name}ticks")(range(len(axis.categories)), axis.categories, parse_math=False)
+    if math.isfinite(axis.low + axis.high):
+        getattr(ax, f"set_{name}lim")(axis.low, axis.high)
 
 
-def chosen_designs(results: StudyResults, designs: Iterable[Design | int]) -> list[int]:
-    """Positions of designs in the results."""
-    place = {design.id: i for i, design in enumerate(results.designs)}
-    found = []
-    for one in designs:
-        if isinstance(one, int):
-            if not 0 <= one < len(place):
-                raise InputError("designs", value=one, allowed=f"0 to {len(place) - 1}")
-            found.append(one)
-        elif one.id in place:
-            found.append(place[one.id])
-        else:
-            raise InputError(
-                "designs", f"{one.label} has no results here", allowed=f"the {len(place)} designs of the study"
-            )
-    if not found:
-        raise InputError("designs", "none", allowed="at least one")
-    return found
+# ------------------------------------------------------------------------------------------------ of a ranking
 
 
 def plot_landscape(
     ranking: Ranking, law: str | None = None, x: str = "y_s", y: str | None = None, ax: Axes | None = None
 ) -> Axes:
-    """Least mean S over one or two swept quantities of a law, at the best of all the others.
+    """Mean S over one or two swept quantities of a law, of the best design of all the other values.
 
     Raises `InputError` for a law without designs, or a quantity that is not swept.
 
@@ -155,14 +161,15 @@ def plot_landscape(
     Returns
     -------
     Axes
-        S in m s. The law's best design of those drawn has a star; cells without a design are empty.
+        S in m s of the design that ranks first in each cell. The law's first design is marked; a cross marks cells
+        without a design that meets the requirements, cells without a design are empty.
 
     Examples
     --------
     >>> import ldctoolkit as ldc
     >>> study = ldc.study(ldc.NoControl, ldc.LQR, y_s=[0.1, 0.2], name="small", left=20, right=20)
     >>> results = ldc.run_study(study, workers=1)
-    >>> ranking = ldc.rank_study(results, study)[0]
+    >>> ranking = ldc.rank_study(results, study)
     >>> ldc.plot_landscape(ranking, "lqr", x="y_s").get_xlabel()
     'y_s [m]'
     """
@@ -172,35 +179,15 @@ def plot_landscape(
         law = ranking.designs[ranking.winner or 0].law
     if law not in laws:
         raise InputError("law", "has no designs here", value=law, allowed=laws)
-    places = [i for i, design in enumerate(ranking.designs) if design.law == law]
-    swept = {axis.name: axis for axis in swept_axes([ranking.designs[i] for i in places])}
-    for name, wanted in (("x", x), ("y", y)):
-        if wanted is not None and wanted not in swept:
-            allowed = nearest(wanted, swept) if swept else "its designs differ in nothing"
-            raise InputError(name, f"is not swept in {law}", value=wanted, hint=allowed)
+    swept = {axis.name: axis for axis in swept_axes([design for design in ranking.designs if design.law == law])}
+    for name, quantity in (("x", x), ("y", y)):
+        if quantity is not None and quantity not in swept:
+            allowed = swept or "none: its designs differ in nothing"
+            raise InputError(name, f"is not swept in {law}", value=quantity, allowed=allowed)
+    first = next(i for i, design in enumerate(ranking.designs) if design.law == law)
     across, up = swept[x], None if y is None else swept[y]
-    S = np.full((1 if up is None else len(up.values), len(across.values)), np.nan)
-    for i in places:
-        values = values_of(ranking.designs[i])
-        cell = (0 if up is None else up.values.index(values[up.name]), across.values.index(values[across.name]))
-        S[cell] = np.fmin(S[cell], ranking.S[i])
-    row, column = np.unravel_index(int(np.nanargmin(S)), S.shape)
-    axes = axes_of(ax)
-    labels = [compact(value) for value in across.values]
-    if up is None:
-        style = styles_of(ranking.designs)[law]
-        axes.plot(range(len(labels)), S[0], **(point_style(style) | style.line()))
-        axes.axhline(float(ranking.S_uncorrected[places[0]]), color="#767676", linewidth=1.0, linestyle="--")
-        axes.plot(column, S[0, column], marker="*", markersize=13, color="#ffffff", markeredgecolor="#000000")
-        axes.set_ylabel("Mean S [m·s]")
-    else:
-        mesh = axes.pcolormesh(np.arange(len(labels) + 1) - 0.5, np.arange(len(up.values) + 1) - 0.5, S, cmap="viridis")
-        axes.plot(column, row, marker="*", markersize=13, color="#ffffff", markeredgecolor="#000000")
-        axes.set_yticks(range(len(up.values)), [compact(value) for value in up.values], parse_math=False)
-        axes.set_ylabel(up.label, parse_math=False)
-        axes.figure.colorbar(mesh, ax=axes, label="Mean S [m·s]")
-    axes.set_xticks(range(len(labels)), labels, parse_math=False)
-    axes.set_xlabel(across.label, parse_math=False)
+    chart = landscape(ranking, first, law_styles(laws)[law], across, up)
+    axes = draw(dataclasses.replace(chart, x=dataclasses.replace(chart.x, label=across.label)), ax, legend=False)
     axes.set_title(controller_class(law).title, parse_math=False)
     return axes
 
@@ -227,27 +214,24 @@ def plot_ranking(ranking: Ranking, ax: Axes | None = None, top: int = 20) -> Axe
     >>> import ldctoolkit as ldc
     >>> study = ldc.study(ldc.NoControl, ldc.LQR, name="small", left=20, right=20)
     >>> results = ldc.run_study(study, workers=1)
-    >>> ranking = ldc.rank_study(results, study)[0]
+    >>> ranking = ldc.rank_study(results, study)
     >>> ldc.plot_ranking(ranking).get_xlabel()
     'Mean S [m·s]'
     """
     expect("ranking", ranking, Ranking)
     if top < 1:
         raise InputError("top", value=top, allowed="1 or more")
-    axes, styles = axes_of(ax), styles_of(ranking.designs)
+    styles = law_styles(design.law for design in ranking.designs)
     named = {place for place in (ranking.winner, ranking.baseline) if place is not None}
-    places = sorted({*range(min(top, len(ranking))), *named})
-    for row, place in enumerate(places):
-        style = styles[ranking.designs[place].law]
-        if np.isfinite(ranking.S_low[place]) and np.isfinite(ranking.S_high[place]):
-            axes.hlines(row, ranking.S_low[place], ranking.S_high[place], color=style.color, linewidth=1.6)
-        fill = style.color if ranking.set_of_best[place] else "none"
-        axes.plot(ranking.S[place], row, markersize=6, **(point_style(style) | {"markerfacecolor": fill}))
-    axes.axvline(float(ranking.S_uncorrected[0]), color="#767676", linewidth=1.0, linestyle="--")
-    axes.set_yticks(range(len(places)), [_name(ranking, place) for place in places], parse_math=False)
-    axes.set_ylim(len(places) - 0.5, -0.5)
-    axes.set_xlabel("Mean S [m·s]")
-    axes.set_title(ranking.case.label, parse_math=False)
+    rows = []
+    for i in sorted({*range(min(top, len(ranking))), *named}):
+        rank = f"{ranking.rank[i]}. " if ranking.rank[i] else ""
+        S, low, high = (float(values[i]) for values in (ranking.S, ranking.S_low, ranking.S_high))
+        style, design = styles[ranking.designs[i].law], ranking.designs[i]
+        rows.append([Dot(f"{rank}{design.label}", S, low, high, style, open=not ranking.set_of_best[i])])
+    x = Axis("Mean S [m·s]", -math.inf, math.inf)
+    axes = draw(dots("ranking", "Mean S", rows, x, at=float(ranking.S_uncorrected[0])), ax)
+    axes.set_title(ranking.label, parse_math=False)
     return axes
 
 
@@ -266,58 +250,68 @@ def plot_trade_off(ranking: Ranking, x: str = "a_y_peak_p95", y: str = "S", ax: 
     Returns
     -------
     Axes
-        In the units of the report: shares in per cent, angles in degrees. The winner has a ring. Designs without one
-        of the metrics are not drawn, those that miss a requirement are in no front unless all do.
+        In the units of the report: shares in per cent, angles in degrees. The winner has a ring; filled designs meet
+        all requirements. Designs without one of the metrics are not drawn, those that miss a requirement are in no
+        front unless all do.
 
     Examples
     --------
     >>> import ldctoolkit as ldc
     >>> study = ldc.study(ldc.NoControl, ldc.LQR, name="small", left=20, right=20)
     >>> results = ldc.run_study(study, workers=1)
-    >>> ranking = ldc.rank_study(results, study)[0]
+    >>> ranking = ldc.rank_study(results, study)
     >>> ldc.plot_trade_off(ranking, x="a_y_peak_p95", y="S").get_xlabel()
     'Peak a_y, 95 % quantile [m/s²], less is better'
     """
     expect("ranking", ranking, Ranking)
-    of_x, of_y = metric(x), metric(y)
-    across, up = (one.scale * metric_values(one.name, ranking) for one in (of_x, of_y))
-    axes, styles = axes_of(ax), styles_of(ranking.designs)
-    shown = np.isfinite(across) & np.isfinite(up)
-    laws = np.array([design.law for design in ranking.designs])
-    for law, style in styles.items():
-        rows = shown & (laws == law)
-        if rows.any():
-            title = shorten(controller_class(law).title, 60)
-            axes.plot(across[rows], up[rows], label=title, alpha=0.8, **point_style(style))
-    front = _front(across, up, ranking.rank > 0, of_x.better, of_y.better)
-    if front.size:
-        axes.step(across[front], up[front], where="post", color="#767676", linewidth=1.0, zorder=1,
-                  label="Pareto front")  # fmt: skip
-    if ranking.winner is not None and shown[ranking.winner]:
-        axes.plot(across[ranking.winner], up[ranking.winner], marker="o", markersize=13, color="none",
-                  markeredgecolor="#000000", linestyle="none", label="winner")  # fmt: skip
-    axes.set_xlabel(f"{of_x.label}, {of_x.better} is better", parse_math=False)
-    axes.set_ylabel(f"{of_y.label}, {of_y.better} is better", parse_math=False)
-    plain_legend(axes)
-    return axes
+    return draw(
+        scatter_of_metrics(ranking, x, y, law_styles(design.law for design in ranking.designs), ranking.winner), ax
+    )
 
 
-def _name(ranking: Ranking, place: int) -> str:
-    rank = f"{ranking.rank[place]}. " if ranking.rank[place] else ""
-    return shorten(f"{rank}{ranking.designs[place].label}", 60)
+# ------------------------------------------------------------------------------------------------ of results
+
+
+def _positions(results: StudyResults, designs: Iterable[Design | int]) -> list[int]:
+    """Positions of designs in the results."""
+    known = {design.id: i for i, design in enumerate(results.designs)}
+    rows = []
+    for design in designs:
+        if isinstance(design, int):
+            if not 0 <= design < len(known):
+                raise InputError("designs", value=design, allowed=f"0 to {len(known) - 1}")
+            rows.append(design)
+        elif design.id in known:
+            rows.append(known[design.id])
+        else:
+            allowed = f"the {len(known)} designs of the study"
+            raise InputError("designs", f"{design.label} has no results here", allowed=allowed)
+    if not rows:
+        raise InputError("designs", "none", allowed="at least one")
+    return rows
+
+
+def _curves(results: StudyResults, rows: Sequence[int]) -> list[tuple[str, FloatArray, Style]]:
+    """Label, counted S and style of designs: the style of the law, or, where two are of one law, one of its own.
+
+    Laws stand in the order of their least mean S, as in a ranking without requirements.
+    """
+    designs = results.designs
+    keys = [designs[i].law for i in rows]
+    mean = np.array([np.mean(S) for S in results.counted])
+    styles = law_styles(designs[i].law for i in np.argsort(mean, kind="stable").tolist())
+    if len(set(keys)) < len(keys):
+        keys = [str(k) for k in range(len(keys))]
+        styles = law_styles(keys)
+    return [(designs[i].label, results.counted[i], styles[key]) for i, key in zip(rows, keys, strict=True)]
 
 
 def plot_distribution(
-    results: StudyResults,
-    designs: Iterable[Design | int] = (0,),
-    ax: Axes | None = None,
-    *,
-    case: str | int = 0,
-    side: str = "both",
+    results: StudyResults, designs: Iterable[Design | int] = (0,), ax: Axes | None = None, *, side: str = "both"
 ) -> Axes:
     """Empirical distribution of S with and without control.
 
-    Raises `InputError` for a case, side or design that is not there.
+    Raises `InputError` for a side or design that is not there.
 
     Parameters
     ----------
@@ -325,8 +319,6 @@ def plot_distribution(
     designs : iterable of Design or int
         Designs of the study, or their positions in ``results.designs``.
     ax : Axes, optional
-    case : str or int
-        Label or position of the case.
     side : {"both", "left", "right"}
 
     Returns
@@ -339,29 +331,24 @@ def plot_distribution(
     >>> import ldctoolkit as ldc
     >>> study = ldc.study(ldc.NoControl, ldc.LQR, name="small", left=20, right=20)
     >>> results = ldc.run_study(study, workers=1)
-    >>> ranking = ldc.rank_study(results, study)[0]
+    >>> ranking = ldc.rank_study(results, study)
     >>> ldc.plot_distribution(results, ranking.designs).get_xlabel()
     'Score S [m·s]'
     """
     expect("results", results, StudyResults)
     if side not in _SIDES:
         raise InputError("side", value=side, allowed=_SIDES)
-    results = results.drivable()
-    found, chosen = chosen_case(results, case), chosen_designs(results, designs)
-    rows = np.isin(results.scenarios.side, _SIDES[side])
-    if not rows.any():
+    results = results.on_drivable()
+    chosen = _positions(results, designs)
+    of_side = np.isin(results.scenarios.side, _SIDES[side])
+    if not of_side.any():
         raise InputError("side", value=side, hint="the study has no such scenarios")
-    axes = axes_of(ax)
-    recorded = found.S_uncorrected[chosen[0]][rows]
-    axes.ecdf(recorded, label="without control", **_RECORDED.line())
-    for i, style in zip(chosen, curve_styles(results, found, chosen), strict=True):
-        label = shorten(results.designs[i].label, 60)
-        axes.ecdf(found.counted[i][rows], label=label, **style.line())
-    axes.set_xlim(0.0, max(float(np.quantile(recorded, 0.995)), 1e-3))
-    axes.set_xlabel("Score S [m·s]")
-    axes.set_ylabel("Share of departures with less")
-    plain_legend(axes)
-    return axes
+    recorded = results.S_uncorrected[chosen[0]][of_side]
+    samples = [("without control", recorded, RECORDED)]
+    samples += [(label, S[of_side], style) for label, S, style in _curves(results, chosen)]
+    x = Axis("Score S [m·s]", 0.0, max(float(np.quantile(recorded, 0.995)), 1e-3))
+    share = "Share of departures with less"
+    return draw(ecdf("distribution", "Distribution of S", samples, x, share, most=recorded.size), ax)
 
 
 def plot_convergence(
@@ -369,12 +356,11 @@ def plot_convergence(
     designs: Sequence[Design | int] = (0,),
     ax: Axes | None = None,
     *,
-    case: str | int = 0,
     to: Design | int | None = None,
 ) -> Axes:
     """Mean S over the first k scenarios with a band of 1.96 standard errors, left and right ones interleaved.
 
-    Raises `InputError` for a case or design that is not there.
+    Raises `InputError` for a design that is not there.
 
     Parameters
     ----------
@@ -382,8 +368,6 @@ def plot_convergence(
     designs : sequence of Design or int
         Designs of the study, or their positions in ``results.designs``.
     ax : Axes, optional
-    case : str or int
-        Label or position of the case.
     to : Design or int, optional
         Draw paired differences to this design.
 
@@ -397,48 +381,99 @@ def plot_convergence(
     >>> import ldctoolkit as ldc
     >>> study = ldc.study(ldc.NoControl, ldc.LQR, name="small", left=20, right=20)
     >>> results = ldc.run_study(study, workers=1)
-    >>> ranking = ldc.rank_study(results, study)[0]
+    >>> ranking = ldc.rank_study(results, study)
     >>> ldc.plot_convergence(results, ranking.designs).get_xlabel()
     'Number of scenarios'
     """
     expect("results", results, StudyResults)
-    results = results.drivable()
-    found, chosen = chosen_case(results, case), chosen_designs(results, designs)
-    reference: FloatArray | float = 0.0
+    results = results.on_drivable()
+    curves = _curves(results, _positions(results, designs))
+    label = "Mean S [m·s]"
     if to is not None:
-        reference = found.counted[chosen_designs(results, [to])[0]]
-    order = interleaved(results.scenarios.side)
-    axes = axes_of(ax)
-    for i, style in zip(chosen, curve_styles(results, found, chosen), strict=True):
-        count, mean, error = running_mean((found.counted[i] - reference)[order])
-        axes.fill_between(count, mean - error, mean + error, color=style.color, alpha=0.16, linewidth=0)
-        axes.plot(count, mean, label=shorten(results.designs[i].label, 60), **style.line())
-    _plain_log(axes, order.size)
-    axes.set_xlabel("Number of scenarios")
-    axes.set_ylabel("Mean S [m·s]" if to is None else "Mean paired difference of S [m·s]")
-    plain_legend(axes)
+        reference, label = results.counted[_positions(results, [to])[0]], "Mean paired difference of S [m·s]"
+        curves = [(name, values - reference, style) for name, values, style in curves]
+    chart = convergence(curves, results.scenarios.side)
+    return draw(dataclasses.replace(chart, y=Axis(label, -math.inf, math.inf)), ax)
+
+
+# ------------------------------------------------------------------------------------------------ of an outcome
+
+
+def plot_departure(
+    outcome: Outcome,
+    i: int,
+    ax: Axes | None = None,
+    *,
+    scenarios: Scenarios | None = None,
+    vehicle: VehicleParameters | None = None,
+    label: str = "with control",
+) -> Axes:
+    """Draw the path of one scenario under control, from the trigger on.
+
+    Raises `InputError` if the outcome holds no trajectories, or not of this scenario.
+
+    Parameters
+    ----------
+    outcome : Outcome
+        With trajectories.
+    i : int
+        Number of the scenario.
+    ax : Axes, optional
+        To draw on; those of a new figure by default.
+    scenarios : Scenarios, optional
+        Those that were driven; the path without control, rebuilt from its parameters, is drawn too.
+    vehicle : VehicleParameters, optional
+        The one that was driven; the default one otherwise.
+    label : str
+        Of the path under control, in the legend.
+
+    Returns
+    -------
+    Axes
+        Position of the vehicle's edge beyond the line [m], outward, against the time since the crossing [s]. The marker
+        is the trigger; a scenario that never triggered has no path under control. Paths on the same axes differ in
+        colour, dash and marker.
+
+    Examples
+    --------
+    >>> import matplotlib
+    >>> matplotlib.use("agg")
+    >>> from ldctoolkit import LQR, Scenarios, plot_departure, simulate
+    >>> scenarios = Scenarios.from_arrays(T=[3.0], d_y=0.6, v_mean=25.0, side=1)
+    >>> ax = plot_departure(simulate(LQR(), scenarios, y_s=0.1, trajectories=True), 0, scenarios=scenarios)
+    >>> ax.get_xlabel(), len(ax.get_legend().get_texts())
+    ('Time since the crossing [s]', 2)
+    """
+    paths, n = outcome.trajectories, outcome.S.size
+    if not 0 <= i < n:
+        raise InputError("i", value=i, allowed=f"0 to {n - 1}")
+    if scenarios is not None and scenarios.n != n:
+        raise InputError("scenarios", f"{scenarios.n}, the outcome has {n}", allowed="those that were driven")
+    if paths is None:
+        raise InputError("outcome", "it holds no paths", hint="drive with trajectories=True a law that intervenes")
+    at = np.flatnonzero(paths.rows == i)
+    if not at.size:
+        held = ", ".join(map(str, paths.rows[:5].tolist())) + (", ..." if paths.rows.size > 5 else "")
+        raise InputError("i", f"{i} has no path in this outcome", allowed=held)
+    before = 0 if ax is None else sum(line.get_gid() == _PATH for line in ax.lines)
+    series = []
+    if scenarios is not None:
+        scenario = scenarios.take([i])
+        t = np.linspace(0.0, float(scenario.T[0]), 201)
+        y = UncorrectedPath.of(scenario, Residuals(), 0).lateral(t[None, :])[0]
+        series.append(Series("without control", t, y, RECORDED))
+    driven = np.isfinite(paths.t[at[0]])
+    if driven.any():
+        t = paths.t[at[0], driven]
+        y = paths.x[at[0], driven, 0] - (vehicle or VehicleParameters()).edge_offset
+        style = law_styles(map(str, range(before + 1)))[str(before)]
+        series.append(Series(label, t, y, style, kind="started"))
+    x, y_axis = (
+        Axis(text, -math.inf, math.inf) for text in ("Time since the crossing [s]", "Edge beyond the line [m]")
+    )
+    chart = Chart("departure", f"Scenario {i}", x, y_axis, series, level=None if before else 0.0)
+    axes = draw(chart, ax)
+    if driven.any():
+        axes.lines[-1].set_gid(_PATH)
+    axes.set_title(f"Scenario {i}")
     return axes
-
-
-def _plain_log(axes: Axes, n: int) -> None:
-    """A logarithmic axis of counts with the numbers written out."""
-    from matplotlib.ticker import FixedLocator, NullLocator
-
-    axes.set_xscale("log")
-    axes.set_xlim(2, max(n, 3))
-    ticks = [t for k in range(8) for t in (10**k, 2 * 10**k, 5 * 10**k) if 2 <= t <= n and (t < 10_000 or t == 10**k)]
-    axes.xaxis.set_major_locator(FixedLocator(ticks))
-    axes.xaxis.set_minor_locator(NullLocator())
-    axes.xaxis.set_major_formatter(lambda value, _: f"{value:,.0f}")
-
-
-def _front(x: FloatArray, y: FloatArray, ranked: BoolArray, better_x: str, better_y: str) -> IntArray:
-    """Places on the Pareto front of two metrics, from the best of the first one on; of ranked designs where any is."""
-    signs = np.array([[1.0 if better == "less" else -1.0] for better in (better_x, better_y)])
-    values = np.stack([x, y])
-    allowed = np.isfinite(values).all(axis=0)
-    if (allowed & ranked).any():
-        allowed &= ranked
-    costs = np.where(allowed, signs * values, np.nan).T
-    front = np.flatnonzero(pareto_front(costs))
-    return front[np.lexsort(costs[front].T[::-1])]

@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.arrays import BoolArray, FloatArray, Frame, IntArray
 from ldctoolkit.control import EventStatus
 from ldctoolkit.departures import LEFT
-from ldctoolkit.frames import Frame
 from ldctoolkit.metrics import METRIC_COLUMNS, MetricValues
 from ldctoolkit.notebook import facts_html
 from ldctoolkit.scenarios import Scenarios
@@ -30,85 +29,10 @@ if TYPE_CHECKING:
 FAILED_STATUSES: Final = (EventStatus.SOLVER_FAILED, EventStatus.DIVERGED, EventStatus.TIMED_OUT, EventStatus.CRASHED)
 """A scenario with one of these is a failure of the design: it is penalised and counted, and never left out."""
 
-RunKey = tuple[str, str]  # identifier of a design and a convention: what one simulation is called
 
-
-@dataclasses.dataclass(frozen=True)
-class Case:
-    """One way to score a study: the window of S and the reading of the paper.
-
-    Examples
-    --------
-    >>> import ldctoolkit as ldc
-    >>> ldc.studies.Case("departure", "as_printed").label
-    'departure window, as printed'
-    """
-
-    window: Window
-    convention: Convention
-
-    @property
-    def label(self) -> str:
-        """``"departure window, consistent"``."""
-        return f"{self.window} window, {self.convention.replace('_', ' ')}"
-
-
-@dataclasses.dataclass(frozen=True)
-class CaseResults:
-    """Per-scenario results of all d designs on all n scenarios in one case.
-
-    Examples
-    --------
-    >>> import ldctoolkit as ldc
-    >>> study = ldc.study(ldc.NoControl, ldc.LQR, name="small", left=20, right=20)
-    >>> results = ldc.run_study(study, workers=1)
-    >>> results.cases[0].S.shape
-    (2, 40)
-    """
-
-    case: Case
-    S: FloatArray  # (d, n) [m s] NaN in a scenario that cannot be driven (`EventStatus.INVALID`), and nowhere else
-    # (d, n) [m s] The recorded path's score over the same window; equal for all designs in the departure window (they
-    # may then be one row in memory, not to be written into), dependent on the design's y_s in the control window
-    S_uncorrected: FloatArray
-    status: npt.NDArray[np.int8]  # (d, n) `ldctoolkit.EventStatus`
-    companions: MetricValues  # Arrays (d, n)
-    failed_solves: npt.NDArray[np.int32]  # (d, n)
-    # (d,) [s] Mean wall time of the law's own step per command; 0 for a linear law, which has none, NaN where it was
-    # not measured. The one number here that another run does not give again.
-    law_time: FloatArray
-
-    @property
-    def failed(self) -> BoolArray:
-        """Where a design did not do its work, (d, n): a solve failed, it diverged, took too long or crashed."""
-        return status_among(self.status, FAILED_STATUSES)
-
-    @functools.cached_property
-    def counted(self) -> FloatArray:
-        """S as it counts in a ranking, (d, n) [m s]: a failed scenario at least as bad as without control.
-
-        It is S itself where nothing failed. Not to be written into.
-        """
-        failed = self.failed
-        if not failed.any():
-            return self.S
-        counted = self.S.copy()
-        # row by row: where all scores without control are the same row, there is no table of them
-        for i in np.flatnonzero(failed.any(axis=1)).tolist():
-            counted[i, failed[i]] = np.maximum(self.S[i, failed[i]], self.S_uncorrected[i, failed[i]])
-        return counted
-
-    @property
-    def drivable(self) -> BoolArray:
-        """Scenarios that every design could be driven on, (n,)."""
-        result: BoolArray = (self.status != EventStatus.INVALID).all(axis=0)
-        return result
-
-    def take(self, columns: BoolArray) -> CaseResults:
-        """The same for some of the scenarios."""
-        changes: dict[str, Any] = {name: getattr(self, name)[:, columns] for name in ("S", "status", "failed_solves")}
-        changes["S_uncorrected"] = _take_columns(self.S_uncorrected, columns)
-        return dataclasses.replace(self, **changes, companions=per_scenario(self.companions, lambda a: a[:, columns]))
+def score_label(window: Window, convention: Convention) -> str:
+    """Window of S and reading of the paper: ``"departure window, consistent"``."""
+    return f"{window} window, {convention.replace('_', ' ')}"
 
 
 def status_among(status: npt.NDArray[np.int8], which: Sequence[EventStatus]) -> BoolArray:
@@ -139,9 +63,9 @@ def per_scenario(companions: MetricValues, change: Any) -> MetricValues:
 class TaskResult:
     """Results of k designs on m scenarios."""
 
-    keys: tuple[RunKey, ...]  # Design id and convention, k of them
+    ids: tuple[str, ...]  # (k,) Identifiers of the designs
     rows: IntArray  # (m,) Row numbers of the scenarios in the study
-    values: FloatArray  # (c, k, m) `Job.columns`
+    values: FloatArray  # (c, k, m) S, S_uncorrected and the metrics of `MetricValues`
     status: npt.NDArray[np.int8]  # (k, m)
     failed_solves: npt.NDArray[np.int32]  # (k, m)
     law_seconds: FloatArray  # (k,) [s] Wall time inside the laws' own steps
@@ -151,7 +75,7 @@ class TaskResult:
         """The same for some of the designs."""
         return dataclasses.replace(
             self,
-            keys=tuple(self.keys[i] for i in places),
+            ids=tuple(self.ids[i] for i in places),
             values=self.values[:, places],
             status=self.status[places],
             failed_solves=self.failed_solves[places],
@@ -175,7 +99,7 @@ class TaskResult:
 class FailedRun:
     """A run that a law's own fault ended."""
 
-    key: RunKey  # Design id and convention
+    id: str  # Identifier of the design
     batch: int  # Number of the batch of scenarios in which it did
     reason: str  # One sentence
 
@@ -193,53 +117,36 @@ class FailedDesign:
         return f"design {self.design.id} ({self.design.label}): {self.reason}"
 
 
-@dataclasses.dataclass(frozen=True)
-class Dropped:
-    """A design that a race gave up."""
-
-    design: Design
-    round: int  # After which round, from 1 on
-    scenarios: int  # How many scenarios it had been run on
-    S: float  # [m s] Its mean S on them
-    # [m s] Mean S minus that of the best of that round on the same scenarios, and the lower end of its simultaneous
-    # interval, which was above 0
-    difference: float
-    low: float
-
-
-@dataclasses.dataclass(frozen=True)
-class Race:
-    """How a race went."""
-
-    rounds: tuple[int, ...]  # Number of scenarios after each round
-    alive: tuple[int, ...]  # Designs that were left after each round
-    dropped: tuple[Dropped, ...]  # In the order in which they were given up
-    # Scenario runs of this race, and of the study without one
-    runs: int
-    full_runs: int
-
-
 @dataclasses.dataclass(frozen=True, repr=False)
 class StudyResults(Frame):
-    """Everything a finished study knows.
+    """Everything a finished study knows: results of all d designs on all n scenarios.
 
     Examples
     --------
     >>> import ldctoolkit as ldc
     >>> study = ldc.study(ldc.NoControl, ldc.LQR, name="small", left=20, right=20)
     >>> results = ldc.run_study(study, workers=1)
-    >>> len(results.designs), results.scenarios.n, results.failed
-    (2, 40, ())
+    >>> results.S.shape, len(results.designs), results.scenarios.n, results.failed
+    ((2, 40), 2, 40, ())
     """
 
     designs: tuple[Design, ...]  # d designs, in the study's own order, without those that failed
     scenarios: Scenarios  # The n scenarios that every design was run on: left ones first
-    cases: tuple[CaseResults, ...]  # The first one is the study's primary case
-    # Designs whose law failed, in any case: they are in no array here, and never ranked
-    failed: tuple[FailedDesign, ...] = ()
+    window: Window  # Of S
+    convention: Convention  # Reading of the paper
+    S: FloatArray  # (d, n) [m s] NaN in a scenario that cannot be driven (`EventStatus.INVALID`), and nowhere else
+    # (d, n) [m s] The recorded path's score over the same window; equal for all designs in the departure window (they
+    # may then be one row in memory, not to be written into), dependent on the design's y_s in the control window
+    S_uncorrected: FloatArray
+    status: npt.NDArray[np.int8]  # (d, n) `ldctoolkit.EventStatus`
+    companions: MetricValues  # Arrays (d, n)
+    failed_solves: npt.NDArray[np.int32]  # (d, n)
+    # (d,) [s] Mean wall time of the law's own step per command; 0 for a linear law, which has none, NaN where it was
+    # not measured. The one number here that another run does not give again.
+    law_time: FloatArray
+    failed: tuple[FailedDesign, ...] = ()  # Designs whose law failed: they are in no array here, and never ranked
     fresh: StudyResults | None = None  # The finalists, some of the designs, on scenarios that no design was chosen on
     replayed: StudyResults | None = None  # The finalists on recorded departures
-    race: Race | None = None  # Where designs were given up early: they are in no array here
 
     def _repr_html_(self) -> str:
         """What a notebook shows: no tables of numbers, these may be large."""
@@ -248,27 +155,64 @@ class StudyResults(Frame):
     def __repr__(self) -> str:
         return f"<StudyResults: {'; '.join(f'{name} {value}' for name, value in self._lines())}>"
 
+    @property
+    def label(self) -> str:
+        """Window of S and reading of the paper: ``"departure window, consistent"``."""
+        return score_label(self.window, self.convention)
+
+    @property
+    def failed_runs(self) -> BoolArray:
+        """Where a design did not do its work, (d, n): a solve failed, it diverged, took too long or crashed."""
+        return status_among(self.status, FAILED_STATUSES)
+
+    @functools.cached_property
+    def counted(self) -> FloatArray:
+        """S as it counts in a ranking, (d, n) [m s]: a failed scenario at least as bad as without control.
+
+        It is S itself where nothing failed. Not to be written into.
+        """
+        failed = self.failed_runs
+        if not failed.any():
+            return self.S
+        counted = self.S.copy()
+        # row by row: where all scores without control are the same row, there is no table of them
+        for i in np.flatnonzero(failed.any(axis=1)).tolist():
+            counted[i, failed[i]] = np.maximum(self.S[i, failed[i]], self.S_uncorrected[i, failed[i]])
+        return counted
+
+    @property
+    def drivable(self) -> BoolArray:
+        """Scenarios that every design could be driven on, (n,)."""
+        result: BoolArray = (self.status != EventStatus.INVALID).all(axis=0)
+        return result
+
+    def take(self, columns: BoolArray) -> StudyResults:
+        """The same for some of the scenarios."""
+        changes: dict[str, Any] = {name: getattr(self, name)[:, columns] for name in ("S", "status", "failed_solves")}
+        changes["S_uncorrected"] = _take_columns(self.S_uncorrected, columns)
+        changes["companions"] = per_scenario(self.companions, lambda a: a[:, columns])
+        return dataclasses.replace(self, scenarios=self.scenarios.take(np.flatnonzero(columns)), **changes)
+
+    def on_drivable(self) -> StudyResults:
+        """The same without the scenarios that some design could not be driven on; often all of it."""
+        rows = self.drivable
+        return self if rows.all() else self.take(rows)
+
     def to_polars(self) -> pl.DataFrame:
-        """One row for each convention, design and scenario: scores of every window, status and every metric.
+        """One row for each design and scenario: score, status and every metric.
 
         Columns have the names of the stored parts.
         """
         import polars as pl
 
         tables, sides = [], np.where(self.scenarios.side == LEFT, "left", "right")
-        for convention in dict.fromkeys(case.case.convention for case in self.cases):
-            cases = [case for case in self.cases if case.case.convention == convention]  # of each window; else the same
-            columns: dict[str, Any] = {
-                f"{name}_{case.case.window}_m_s": getattr(case, name)
-                for case in cases
-                for name in ("S", "S_uncorrected")
-            }
-            columns |= {column: getattr(cases[0].companions, name) for name, column in METRIC_COLUMNS.items()}
-            columns |= {"status": STATUS_NAMES[cases[0].status], "failed_solves": cases[0].failed_solves}
-            for i, design in enumerate(self.designs):
-                facts = {"design": design.id, "label": design.label, "law": design.law, "y_s_m": design.y_s}
-                facts |= {"convention": convention, "scenario": self.scenarios.index, "side": sides}
-                tables.append(pl.DataFrame(facts | {name: array[i] for name, array in columns.items()}))
+        columns: dict[str, Any] = {f"{name}_{self.window}_m_s": getattr(self, name) for name in ("S", "S_uncorrected")}
+        columns |= {column: getattr(self.companions, name) for name, column in METRIC_COLUMNS.items()}
+        columns |= {"status": STATUS_NAMES[self.status], "failed_solves": self.failed_solves}
+        for i, design in enumerate(self.designs):
+            facts = {"design": design.id, "label": design.label, "law": design.law, "y_s_m": design.y_s}
+            facts |= {"scenario": self.scenarios.index, "side": sides}
+            tables.append(pl.DataFrame(facts | {name: array[i] for name, array in columns.items()}))
         return pl.concat(tables)
 
     def _lines(self) -> Iterator[tuple[str, str]]:
@@ -277,22 +221,10 @@ class StudyResults(Frame):
         yield "designs", f"{len(self.designs):,}: {listed}" if listed else "0"
         left = int((self.scenarios.side == LEFT).sum())
         yield "scenarios", f"{self.scenarios.n:,} ({left:,} left, {self.scenarios.n - left:,} right)"
-        yield "cases", "; ".join(case.case.label for case in self.cases)
-        for case in self.cases:
-            failed = int(case.failed.sum())
-            if failed:
-                yield f"failed runs, {case.case.label}", f"{failed:,} of {case.status.size:,}"
+        yield "S", self.label
+        if failed := int(self.failed_runs.sum()):
+            yield "failed runs", f"{failed:,} of {self.status.size:,}"
         if self.failed:
             yield "designs that failed", f"{len(self.failed):,}"
         if self.fresh is not None:
             yield "finalists", f"{len(self.fresh.designs):,} on {self.fresh.scenarios.n:,} fresh scenarios"
-        if self.race is not None:
-            yield "given up in a race", f"{len(self.race.dropped):,}"
-
-    def drivable(self) -> StudyResults:
-        """The same without the scenarios that some design could not be driven on in some case; often all of it."""
-        rows = np.logical_and.reduce([case.drivable for case in self.cases])
-        if rows.all():
-            return self
-        cases = tuple(case.take(rows) for case in self.cases)
-        return dataclasses.replace(self, scenarios=self.scenarios.take(np.flatnonzero(rows)), cases=cases)

@@ -19,6 +19,7 @@ import numpy as np
 
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.control import EventStatus
+from ldctoolkit.declared import checked_whole
 from ldctoolkit.departures import LEFT, PARAMETER_COLUMNS, PARAMETER_NAMES, PARAMETER_UNITS, RIGHT, DepartureParameters
 from ldctoolkit.errors import InputError, LdcError, StoreError
 from ldctoolkit.scenario_model import ScenarioModel
@@ -389,9 +390,8 @@ def estimate_risk(
     >>> risk.event(study.designs[0], "depth > 0.3 m").text
     'better'
     """
-    for name, value in (("n", n), ("chunk", CHUNK if chunk is None else chunk)):
-        if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= MOST:
-            raise InputError(name, value=value, allowed=f"a whole number from 1 to {MOST:.0e}")
+    n = checked_whole("n", n, lower=1, upper=MOST)
+    chunk = None if chunk is None else checked_whole("chunk", chunk, lower=1, upper=MOST)
     source = study_source(study, model)
     if not isinstance(source, ScenarioModel):
         raise InputError(

@@ -22,7 +22,7 @@ from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOpti
 from ldctoolkit.review import SPEEDS, design_margins
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
-from ldctoolkit.simulation import Takeover
+from ldctoolkit.simulation import Takeover, Window
 from ldctoolkit.vehicle import Convention
 from ldctoolkit.version import __version__
 
@@ -39,7 +39,6 @@ from .ranking.inference import (
 )
 from .ranking.named_vehicles import VEHICLES, drive_on_plants, first_of_each_side
 from .ranking.verdict import OtherPlants
-from .results import Case
 from .storage.files import read_json, write_json
 
 if TYPE_CHECKING:
@@ -302,14 +301,13 @@ class RobustnessTask:
     plants: tuple[OtherPlant, ...]  # The study's own first
     left_out: tuple[tuple[str, str], ...]
     scenarios: Scenarios
-    setup: Setup  # In the convention of the case
-    case: Case
+    setup: Setup
+    window: Window  # Of S
 
     @classmethod
     def of(cls, results: StudyResults, ranking: Ranking, setup: Setup, per_side: int = PER_SIDE) -> RobustnessTask:
         """The task that a study sets."""
-        setup = setup.under(ranking.case.convention)
-        scenarios = first_of_each_side(results.drivable().scenarios, per_side)
+        scenarios = first_of_each_side(results.on_drivable().scenarios, per_side)
         has_residuals = bool((scenarios.sigma_y > 0).any() or (scenarios.sigma_v > 0).any())
         own = OtherPlant("study", "Study\u2019s plant", "the plant that designs were ranked on", setup.options, False)
         plants, left_out = [own], []
@@ -319,7 +317,7 @@ class RobustnessTask:
                 left_out.append((plant.title, reason))
             else:
                 plants.append(plant)
-        return cls(chosen_designs(ranking), tuple(plants), tuple(left_out), scenarios, setup, ranking.case)
+        return cls(chosen_designs(ranking), tuple(plants), tuple(left_out), scenarios, setup, ranking.window)
 
     @property
     def key(self) -> str:
@@ -332,7 +330,7 @@ class RobustnessTask:
             [chosen.slow, chosen.unsafe, chosen.more],
             [dataclasses.asdict(plant) for plant in self.plants],
             dataclasses.asdict(self.setup),
-            dataclasses.asdict(self.case),
+            self.window,
         ]
         content = hashlib.sha256(json.dumps(identity, sort_keys=True, separators=(",", ":")).encode())
         for array in self.scenarios.arrays():
@@ -343,7 +341,8 @@ class RobustnessTask:
 def work_out(task: RobustnessTask) -> Robustness:
     """Drive the designs of a task on its plants, and look at their loops."""
     chosen, setup = task.chosen, task.setup
-    drives = drive_on_plants(chosen.designs, [plant.options for plant in task.plants], task.scenarios, setup, task.case)
+    plants = [plant.options for plant in task.plants]
+    drives = drive_on_plants(chosen.designs, plants, task.scenarios, setup, task.window)
     # every plant and design on the same scenarios, or their means could not be compared
     known = np.isfinite(drives.S)
     ran = np.any(known, axis=2)

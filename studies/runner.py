@@ -10,21 +10,20 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
+from ldctoolkit.declared import checked_number, checked_whole
 from ldctoolkit.departures import LEFT
-from ldctoolkit.errors import InputError, StoreError, expect, plain
+from ldctoolkit.errors import InputError, StoreError, expect
 from ldctoolkit.scenario_model import ScenarioModel, load_model
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.surroundings import temporary_folder
 
-from .design import FOLLOWS_CASE, Design
-from .racing import run_race
+from .design import FOLLOWS_STUDY, Design
 from .ranking.design_metrics import find_baseline
 from .ranking.ranking import Ranking, rank_study
 from .replayed import ReplayedDepartures, read_replayed
-from .results import Race, StudyResults
+from .results import StudyResults
 from .running.campaign import Campaign, Progress, displayed
 from .running.executors import Executor, make_executor
-from .running.tasks import Prefixes, schedule
 from .search import run_search
 from .storage.files import locked, remove_leftovers
 from .storage.manifest import Manifest, write_designs
@@ -99,13 +98,16 @@ def run_study(
     --------
     >>> import ldctoolkit as ldc
     >>> results = ldc.run_study(ldc.study(ldc.NoControl, left=5, right=5), workers=1)
-    >>> results.cases[0].S.shape
+    >>> results.S.shape
     (1, 10)
     """
     expect("study", study, Study)
     expect("scenarios", scenarios, Scenarios | None)
-    workers, block_size = _positive("workers", workers), _positive("block_size", block_size)
-    _allowed_limit(time_limit)
+    workers = None if workers is None else checked_whole("workers", workers, lower=1)
+    block_size = None if block_size is None else checked_whole("block_size", block_size, lower=1)
+    if time_limit != 0:
+        least, most = _LIMITS
+        checked_number("time_limit", time_limit, lower=least, upper=most, unit="s (0 for none)")
     if directory is None:
         with temporary_folder() as folder:
             return run_study(
@@ -160,20 +162,6 @@ def study_source(study: Study, model: str | Path | Source | None = None) -> Sour
     return load_model(study.model_path if study.model_path.suffix else study.scenarios.model)
 
 
-def _allowed_limit(seconds: object) -> None:
-    least, most = _LIMITS
-    number = isinstance(seconds, int | float) and not isinstance(seconds, bool)
-    if not (number and (seconds == 0 or least <= seconds <= most)):  # type: ignore[operator]
-        raise InputError("time_limit", value=seconds, allowed=f"{least:g} to {most:g} s, or 0 for none")
-
-
-def _positive(name: str, value: int | None) -> int | None:
-    value = plain(value)
-    if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < 1):
-        raise InputError(name, value=value, allowed="a whole number >= 1")
-    return value
-
-
 @dataclasses.dataclass(frozen=True)
 class _Run:
     """What the stages of one run share."""
@@ -194,7 +182,7 @@ class _Run:
             if not study.ranking.finalists or len(results.designs) < 2 or isinstance(self.source, ReplayedDepartures):
                 return results
             self.progress.phase("choosing the finalists")
-            best = _finalists(rank_study(results, study)[0], study.ranking.finalists)
+            best = _finalists(rank_study(results, study), study.ranking.finalists)
             if not best:
                 return results  # nothing meets the requirements
             reference = find_baseline(study.ranking.baseline, results)
@@ -238,11 +226,9 @@ class _Run:
         table = store.load(study.designs, repair=True)
         for message in store.broken:
             _log.warning(message)
-        n = len(scenarios)
         campaign = Campaign(
             study,
             scenarios,
-            Prefixes(scenarios.side, (schedule(n) if study.race else (n,))),
             store,
             table,
             self.executor,
@@ -252,7 +238,7 @@ class _Run:
         )
         complete = False
         try:
-            designs, race = self._designs(campaign, stage)
+            designs = self._designs(campaign, stage)
             complete = True
         finally:
             ended = store.manifest.ended(
@@ -264,19 +250,16 @@ class _Run:
             # where the disk is full, why the run ended says more than that this cannot be written either
             with contextlib.suppress(*(() if complete else (StoreError,))):
                 store.write_manifest(ended)
-        results = table.results(scenarios, store.times, store.failures, source=study.name, designs=designs)
-        return dataclasses.replace(results, race=race)
+        return table.results(scenarios, store.times, store.failures, source=study.name, designs=designs)
 
-    def _designs(self, campaign: Campaign, stage: str) -> tuple[Sequence[Design], Race | None]:
-        """Run what the study requires; the designs that went all the way, and how a race went."""
+    def _designs(self, campaign: Campaign, stage: str) -> Sequence[Design]:
+        """Run what the study requires; the designs that were run."""
         study = campaign.study
         if study.search is not None:
-            return run_search(campaign), None
+            return run_search(campaign)
         write_designs(campaign.store.folder, study.designs)
-        if study.race:
-            return run_race(campaign)
-        campaign.complete(study.designs, len(campaign.scenarios), stage)
-        return study.designs, None
+        campaign.complete(study.designs, stage)
+        return study.designs
 
 
 def _finalists(ranking: Ranking, most: int) -> tuple[Design, ...]:
@@ -295,7 +278,6 @@ def _finalist_study(study: Study, designs: Sequence[Design]) -> Study:
         "name": "finalists",
         "title": f"Finalists of {study.title or study.name}",
         "seed": seed,
-        "race": False,
         "search": None,
         "design": [_block(design) for design in designs],
     }
@@ -304,5 +286,5 @@ def _finalist_study(study: Study, designs: Sequence[Design]) -> Study:
 
 
 def _block(design: Design) -> dict[str, Any]:
-    gains = {name: value for name, value in design.gains if value != FOLLOWS_CASE}
+    gains = {name: value for name, value in design.gains if value != FOLLOWS_STUDY}
     return {"law": design.law, "y_s": design.y_s, "gains": gains}

@@ -11,8 +11,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from ldctoolkit.declared import GainValue
 from ldctoolkit.errors import InputError
-from ldctoolkit.gains import GainValue
 
 from .design import Design
 from .design_space import Dimension, LawSpace, Span, rounded
@@ -180,7 +180,7 @@ def run_search(campaign: Campaign) -> Sequence[Design]:
 
     What the store holds is not run again: the same study requires the same designs.
     """
-    study, store, n = campaign.study, campaign.store, len(campaign.scenarios)
+    study, store = campaign.study, campaign.store
     search = Search(study)
     stored = store.known_designs()
     while batch := search.ask():
@@ -188,7 +188,7 @@ def run_search(campaign: Campaign) -> Sequence[Design]:
         # what an earlier run requested is requested again: its table stays until there are more values
         if stored[: len(search.asked)] != search.asked:
             write_designs(store.folder, search.asked)
-        campaign.complete(batch, n, f"designs {len(search.asked) - len(batch) + 1} to {len(search.asked)}")
+        campaign.complete(batch, f"designs {len(search.asked) - len(batch) + 1} to {len(search.asked)}")
         search.tell(*_values_and_margins(campaign, batch))
     return search.asked
 
@@ -203,14 +203,12 @@ def _values_and_margins(
     study, store = campaign.study, campaign.store
     values: dict[str, Values | None] = {design.id: None for design in batch}
     margins: dict[str, Values] = {}
-    conventions = study.simulation.convention
-    ran = [design for design in batch if not any(campaign.table.missing((design.id, c)) for c in conventions)]
+    ran = [design for design in batch if not campaign.table.missing(design.id)]
     if not ran:
         return values, margins
     results = campaign.table.results(campaign.scenarios, store.times, {}, source=str(store.folder), designs=ran)
     ranking = Ranking.of(
         results,
-        results.cases[0],
         seed=study.seed,
         bootstrap=_RESAMPLES,
         D_y=study.report.D_y,

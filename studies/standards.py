@@ -11,9 +11,9 @@ from pydantic import Field, ValidationError, model_validator
 
 from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.departures import RIGHT
-from ldctoolkit.errors import StudyError, UnknownNameError
+from ldctoolkit.errors import InputError, StudyError, UnknownNameError
 from ldctoolkit.scenarios import Drifts, Scenarios
-from ldctoolkit.validation import Part, as_tuples, fail, first_problem
+from ldctoolkit.validation import Part, as_tuples, first_problem
 from ldctoolkit.whole_file import read_toml
 
 FOLDER: Final = Path(__file__).parent / "catalog" / "standards"
@@ -51,7 +51,7 @@ class Grid(Part):
     @model_validator(mode="after")
     def _one_kind(self) -> Self:
         if bool(self.lateral_velocity_m_s) == bool(self.lateral_acceleration_m_s2):
-            raise fail("", "allowed: one of lateral_velocity_m_s and lateral_acceleration_m_s2")
+            raise InputError(allowed="one of lateral_velocity_m_s and lateral_acceleration_m_s2")
         return self
 
 
@@ -103,20 +103,24 @@ class Standard(Part):
         known = () if drift is None else drift.lateral_velocity_m_s
         for rate in (rate for grid in self.cells for rate in grid.lateral_velocity_m_s):
             if rate not in known:
-                raise fail("cells", f"lateral_velocity_m_s {rate:g} is not in [drift]; allowed: one of {known}")
+                raise InputError(
+                    "cells", "is no lateral_velocity_m_s of [drift]", value=rate, allowed=f"one of {known}"
+                )
         if drift is not None and len(drift.distance_m) != len(known):
-            raise fail("drift.distance_m", f"{len(drift.distance_m)} values; allowed: one a lateral velocity")
+            raise InputError("drift.distance_m", f"{len(drift.distance_m)} values", allowed="one a lateral velocity")
         slowest = min(speed for grid in self.cells for speed in grid.speed_km_h)
         if drift is not None and drift.radius_m[0][0] > slowest:
-            raise fail("drift.radius_m", f"begins at {drift.radius_m[0][0]:g} km/h; allowed: at {slowest:g} or below")
+            first = drift.radius_m[0][0]
+            raise InputError("drift.radius_m", f"begins at {first:g} km/h", allowed=f"at {slowest:g} or below")
         if self.lane_width_m[0] > self.lane_width_m[1]:
-            raise fail("lane_width_m", f"{self.lane_width_m}; allowed: narrowest, widest")
+            raise InputError("lane_width_m", value=self.lane_width_m, allowed="narrowest, widest")
         bends = any(grid.lateral_acceleration_m_s2 for grid in self.cells)
-        for i, one in enumerate(self.condition):
-            if isinstance(one.limit, tuple) and bends:
-                raise fail(f"condition[{i}].limit", "a list beside cells in bends; allowed: a number")
-            if isinstance(one.limit, tuple) and len(one.limit) != len(known):
-                raise fail(f"condition[{i}].limit", f"{len(one.limit)} values; allowed: one a lateral velocity")
+        for i, condition in enumerate(self.condition):
+            path, limit = f"condition[{i}].limit", condition.limit
+            if isinstance(limit, tuple) and bends:
+                raise InputError(path, "a list beside cells in bends", allowed="a number")
+            if isinstance(limit, tuple) and len(limit) != len(known):
+                raise InputError(path, f"{len(limit)} values", allowed="one a lateral velocity")
         return self
 
     @property
@@ -221,4 +225,4 @@ def load_standard(name_or_path: str | Path) -> Standard:
     try:
         return Standard.model_validate(as_tuples(content))
     except ValidationError as error:
-        raise StudyError(path, f"{first_problem(error, content, Standard, 'standard')}") from None
+        raise StudyError.of(first_problem(error, content, Standard, "standard").within(str(path), ": ")) from None

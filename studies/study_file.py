@@ -25,23 +25,21 @@ from pydantic import (
 
 from ldctoolkit.code_content import content_of
 from ldctoolkit.control import Controller
-from ldctoolkit.errors import InputError, LdcError, StudyError, UnknownNameError, nearest
-from ldctoolkit.option_checks import declaration_of
+from ldctoolkit.errors import InputError, LdcError, StudyError, UnknownNameError
 from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.registry import controller_class, controller_names, register
 from ldctoolkit.scenario_model import conditions
 from ldctoolkit.setup import Setup, simulation_options
 from ldctoolkit.simulation import Window
-from ldctoolkit.validation import Part, as_tuples, fail, first_problem
+from ldctoolkit.validation import Part, as_tuples, first_problem
 from ldctoolkit.vehicle import Convention
 from ldctoolkit.vehicle.bicycle import VehicleParameters
 from ldctoolkit.whole_file import read_toml
 
 from .design import CONVENTION_GAIN, Design
 from .design_space import DesignBlock, check_blocks
-from .plant_table import read_plant
+from .plant_table import read_plant, read_table
 from .ranking.requirements import SETS, metric, parse_requirement
-from .results import Case
 from .standards import standard_names
 
 T = TypeVar("T")
@@ -52,23 +50,26 @@ VehicleName = Literal["light", "heavy", "soft", "stiff"]
 def _names(entry: Any) -> Any:
     values = (entry,) if isinstance(entry, str) else entry
     if isinstance(values, list | tuple) and len(set(map(str, values))) != len(values):
-        raise fail("", f"{entry!r}; allowed: each once")
+        raise InputError(value=entry, allowed="each once")
     return tuple(values) if isinstance(values, list | tuple) else entry
 
 
 def _requirements(texts: tuple[str, ...]) -> tuple[str, ...]:
-    return tuple(text if text in SETS else _checked(parse_requirement, text).text for text in texts)
+    return _read(texts, lambda text: text if text in SETS else parse_requirement(text).text)
 
 
 def _metric_names(names: tuple[str, ...]) -> tuple[str, ...]:
-    return tuple(_checked(metric, name).name for name in names)
+    return _read(names, lambda name: metric(name).name)
 
 
-def _checked(check: Callable[[str], T], text: str) -> T:
-    try:
-        return check(text)
-    except LdcError as error:
-        raise fail("", str(error)) from None
+def _read(texts: tuple[str, ...], read: Callable[[str], str]) -> tuple[str, ...]:
+    values = []
+    for i, text in enumerate(texts):
+        try:
+            values.append(read(text))
+        except LdcError as error:
+            raise InputError.of(error).at(f"[{i}]" if len(texts) > 1 else "") from None
+    return tuple(values)
 
 
 MetricNames = Annotated[tuple[str, ...], BeforeValidator(_names), AfterValidator(_metric_names)]
@@ -137,8 +138,7 @@ class ScenarioSettings(Part):
             try:
                 conditions({name: value})
             except InputError as error:
-                key, _, message = str(error).partition(": ")
-                raise fail("" if key == "given" else name, message) from None
+                raise error.at("" if error.path == "given" else name) from None
             given[name] = _condition(value)
         return given
 
@@ -154,15 +154,17 @@ class ScenarioSettings(Part):
     @model_validator(mode="after")
     def _some(self) -> Self:
         if self.left == self.right == 0:
-            raise fail("", "left and right are both 0; allowed: at least one scenario")
+            raise InputError("", "left and right are both 0", allowed="at least one scenario")
         if self.departures and self.table:
-            raise fail("table", f"{self.table!r} with departures; allowed: one of the two")
+            raise InputError("table", "with departures", value=self.table, allowed="one of the two")
         if not (self.model or self.replayed):
-            raise fail("model", "empty; allowed: a model, or departures or table beside it")
+            raise InputError("model", "empty", allowed="a model, or departures or table beside it")
         if self.path == "recorded" and not self.departures:
-            raise fail("path", "'recorded' without departures; allowed: with a departures table and its signals")
+            allowed = "with a departures table and its signals"
+            raise InputError("path", "without departures", value=self.path, allowed=allowed)
         if self.weights and not self.replayed:
-            raise fail("weights", f"{self.weights!r} without departures or table; allowed: a column of one of them")
+            allowed = "a column of one of them"
+            raise InputError("weights", "without departures or table", value=self.weights, allowed=allowed)
         return self
 
     @property
@@ -186,45 +188,40 @@ class ScenarioSettings(Part):
 MOST_DESIGNS = 100_000  # largest grid of one study; more is a slip of the pen
 
 
-def _one_or_many(entry: Any) -> Any:
-    values = (entry,) if isinstance(entry, str) else entry
-    if not isinstance(values, list | tuple):
-        return entry
-    if not values or len(set(map(str, values))) != len(values):
-        raise fail("", f"{entry!r}; allowed: a name, or a list of different names")
-    return tuple(values)
+def _single(entry: Any) -> Any:
+    if isinstance(entry, list | tuple):
+        hint = "a study for each of the others: ldc compare compares two"
+        raise InputError(value=list(entry), allowed="one value", hint=hint)
+    return entry
 
 
 def _file_name(name: str) -> str:
     # it names a folder by default
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,79}", name):
-        raise fail("", f"{name!r}; allowed: up to 80 letters, digits, '-', '_' and '.', a letter or digit first")
+        raise InputError(value=name, allowed="up to 80 letters, digits, '-', '_' and '.', a letter or digit first")
     return name
 
 
-class CaseSettings(Part):
-    """Which cases designs are scored in: windows x conventions."""
+class ScoreSettings(Part):
+    """What S is: the window that it is integrated over, and the reading of the paper."""
 
-    # Windows of S; the first is the primary one
-    window: Annotated[tuple[Window, ...], BeforeValidator(_one_or_many)] = ("departure",)
-    # Readings of the paper; the first is the primary one
-    convention: Annotated[tuple[Convention, ...], BeforeValidator(_one_or_many)] = ("consistent",)
+    window: Annotated[Window, BeforeValidator(_single)] = "departure"
+    convention: Annotated[Convention, BeforeValidator(_single)] = "consistent"
 
 
 def _options() -> Iterator[tuple[str, Any]]:
     """The options of the simulation, as `Setup` declares them, for pydantic."""
     hints = get_type_hints(Setup)
-    for field in simulation_options():
-        limits = declaration_of(field)
-        least, most = limits.usual or (limits.least, limits.most)
-        yield field.name, (hints[field.name], Field(default=field.default, gt=limits.above, ge=least, le=most))
+    for option in simulation_options():
+        check = dataclasses.replace(option.in_files, name="").check  # pydantic knows the name
+        yield option.name, (Annotated[hints[option.name], BeforeValidator(check)], option.default)
 
 
 if TYPE_CHECKING:
-    SimulationSettings = CaseSettings
+    SimulationSettings = ScoreSettings
 else:
-    SimulationSettings = create_model("SimulationSettings", __base__=CaseSettings, **dict(_options()))
-    """``[simulation]``: the cases, and the simulation options of a `Setup`."""
+    SimulationSettings = create_model("SimulationSettings", __base__=ScoreSettings, **dict(_options()))
+    """``[simulation]``: window and convention, and the simulation options of a `Setup`."""
 
 
 class ReportSettings(Part):
@@ -236,16 +233,10 @@ class ReportSettings(Part):
 def _vehicle(entry: Any) -> Any:
     if not isinstance(entry, dict):
         return entry
-    allowed = {field.name for field in dataclasses.fields(VehicleParameters)}
-    for key in entry:
-        if key not in allowed:
-            raise fail(key, f"no such key; {nearest(str(key), allowed)}")
     try:
-        parameters = VehicleParameters(**entry)
-        return VehicleParameters(**{name: float(value) for name, value in dataclasses.asdict(parameters).items()})
+        return read_table(VehicleParameters, entry)
     except InputError as error:
-        path, _, message = str(error).removeprefix("vehicle.").partition(": ")
-        raise fail(path, message) from None
+        raise error.at(error.path.removeprefix("vehicle.")) from None
 
 
 class Study(Part):
@@ -271,7 +262,6 @@ class Study(Part):
     plant: Annotated[PlantOptions, BeforeValidator(read_plant)] = Field(default_factory=PlantOptions)
     report: ReportSettings = Field(default_factory=ReportSettings)
     ranking: RankingSettings = Field(default_factory=RankingSettings)
-    race: bool = False  # Give up designs that are separable from the best before they have run on all scenarios
     search: SearchSettings | None = None  # Ask for designs instead of running all that the tables stand for
     design: tuple[DesignBlock, ...]
 
@@ -298,13 +288,11 @@ class Study(Part):
     @model_validator(mode="after")
     def _grid_size(self) -> Self:
         if not self.design:
-            raise fail("design", "no designs; allowed: one [[design]] table or more")
+            raise InputError("design", "no designs", allowed="one [[design]] table or more")
         check_blocks(self.design, searched=self.search is not None)
         size = 0 if self.search else sum(block.size for block in self.design)
-        if self.race and self.search is not None:
-            raise fail("race", "true with [search]; allowed: one of the two")
         if size > MOST_DESIGNS:
-            raise fail("design", f"the grids make {size} designs; allowed: at most {MOST_DESIGNS}")
+            raise InputError("design", f"the grids make {size} designs", allowed=f"at most {MOST_DESIGNS}")
         return self
 
     @model_validator(mode="after")
@@ -316,19 +304,17 @@ class Study(Part):
         if re.fullmatch(r"[0-9a-f]{6,12}", baseline):
             if self.search or any(design.id.startswith(baseline) for design in self.designs):
                 return self
-            raise fail("ranking.baseline", f"{baseline!r}; no design's identifier begins so; see ranking.csv for them")
-        raise fail(
-            "ranking.baseline", f"{baseline!r}; allowed: a law or the start of an identifier; {nearest(baseline, laws)}"
-        )
+            hint = "ranking.csv lists the identifiers"
+            raise InputError("ranking.baseline", "starts no design's identifier", value=baseline, hint=hint)
+        hint = "or the start of a design's identifier"
+        raise InputError("ranking.baseline", "no such law", value=baseline, allowed=laws, hint=hint)
 
     @model_validator(mode="after")
-    def _setups(self) -> Self:
-        for convention in self.simulation.convention:
-            try:
-                self.setup(convention)
-            except InputError as error:
-                path, _, message = str(error).partition(": ")
-                raise fail(f"simulation.{path}", message) from None
+    def _valid_setup(self) -> Self:
+        try:
+            self.setup()
+        except InputError as error:
+            raise error.within("simulation") from None
         return self
 
     @classmethod
@@ -372,7 +358,7 @@ class Study(Part):
         try:
             study = cls.model_validate(as_tuples(content), context=classes)
         except ValidationError as error:
-            raise StudyError(source, f"{first_problem(error, content, cls, 'study')}") from None
+            raise StudyError.of(first_problem(error, content, cls, "study").within(source, ": ")) from None
         study._folder = Path(folder)
         return study
 
@@ -384,16 +370,11 @@ class Study(Part):
         every = (design for block in self.design for design in block.designs())
         return tuple({design.id: design for design in every}.values())
 
-    @property
-    def cases(self) -> tuple[Case, ...]:
-        """Windows x conventions; the first is the primary case."""
-        return tuple(Case(w, c) for w in self.simulation.window for c in self.simulation.convention)
-
-    def setup(self, convention: Convention | None = None) -> Setup:
-        """What all runs of the study share, in one of its conventions; the first by default."""
+    def setup(self) -> Setup:
+        """What all runs of the study share."""
         return Setup(
             vehicle=self.vehicle,
-            convention=convention or self.simulation.convention[0],
+            convention=self.simulation.convention,
             options=self.plant,
             seed=self.seed,
             **{field.name: getattr(self.simulation, field.name) for field in simulation_options()},
@@ -460,8 +441,6 @@ class Study(Part):
             same["scenarios"]["given"] = content["scenarios"]["given"]
         if self.scenarios.path == "recorded":
             same["scenarios"]["path"] = "recorded"
-        if self.race:
-            same["race"] = True
         return same
 
     @staticmethod

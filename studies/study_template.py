@@ -1,5 +1,6 @@
 """The text of a study file with a comment at every key: meaning, unit, default, allowed values."""
 
+import dataclasses
 import itertools
 import json
 from collections.abc import Iterable, Iterator, Sequence
@@ -8,9 +9,8 @@ from typing import Any, Final, Literal, get_args, get_origin, get_type_hints
 
 from pydantic import TypeAdapter
 
+from ldctoolkit.declared import Gain, declarations
 from ldctoolkit.errors import StudyError
-from ldctoolkit.gains import Gain
-from ldctoolkit.option_checks import declaration_of
 from ldctoolkit.registry import controller_class
 from ldctoolkit.setup import Setup
 from ldctoolkit.whole_file import read_toml
@@ -60,25 +60,19 @@ def _table(path: str, table: Content, usual: Content, owner: type, about: Conten
 
 def _declared(owner: Any, key: str) -> tuple[str, str]:
     """The unit of a key, and what is allowed."""
-    fields = getattr(Setup if owner is SimulationSettings else owner, "__dataclass_fields__", {})
-    if key in fields and key != "convention":  # a study may have several
-        one = declaration_of(fields[key])
-        least, most = one.usual or (one.least, one.most)
-        bounds = [(">", None if one.usual else one.above), (">=", least), ("<=", most)]
-        return _unit(one.unit), " or ".join(one.choices) or _limits(bounds)
+    kind = Setup if owner is SimulationSettings else owner
+    if dataclasses.is_dataclass(kind) and key in (declared := declarations(kind)):
+        return _unit(declared[key].unit), declared[key].in_files.limits
     info = owner.model_fields[key]
     signs = {"gt": ">", "ge": ">=", "le": "<=", "lt": "<"}
-    bounds = [(sign, getattr(one, name, None)) for one in info.metadata for name, sign in signs.items()]
-    return "", " or ".join(_choices(info.annotation)) or _limits(bounds)
+    bounds = [(sign, getattr(limit, name, None)) for limit in info.metadata for name, sign in signs.items()]
+    limits = " and ".join(f"{sign} {end:g}" for sign, end in bounds if end is not None and abs(end) < 1e18)
+    return "", " or ".join(_choices(info.annotation)) or limits
 
 
 def _choices(annotation: Any) -> tuple[str, ...]:
     args = get_args(annotation)
     return args if get_origin(annotation) is Literal else tuple(itertools.chain(*map(_choices, args)))
-
-
-def _limits(bounds: Iterable[tuple[str, float | None]]) -> str:
-    return " and ".join(f"{sign} {end:g}" for sign, end in bounds if end is not None and abs(end) < 1e18)
 
 
 def _unit(unit: str) -> str:
@@ -107,8 +101,7 @@ def _design(block: Content) -> Iterator[str]:
     if kind.gains():
         yield "[design.gains]  # a value, a list, or a range: { from, to, count, scale }; together they make a grid"
     for gain in kind.gains():
-        allowed = " or ".join(gain.choices) or _limits([(">=", gain.lower), ("<=", gain.upper)])
-        notes = [_unit(gain.unit) + gain.description, allowed, f"default {_toml(gain.default)}"]
+        notes = [_unit(gain.unit) + gain.description, gain.limits, f"default {_toml(gain.default)}"]
         swept = gain.name not in gains
         yield _line(gain.name, _sweep(gain) if swept else _toml(gains[gain.name]), notes, "# " * swept)
 

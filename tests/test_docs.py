@@ -19,17 +19,15 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-import controllers
 import ldctoolkit
-import studies
 from helpers.cli import ROOT, blocks, run_python
 from helpers.closed_loop import Stepped
-from ldctoolkit import Scenarios, controller_class, register, registry, simulate
+from ldctoolkit import Scenarios, controller_class, controllers, register, registry, simulate, studies
 from ldctoolkit.metrics import METRIC_UNITS, METRICS
 from ldctoolkit.plant_options import KalmanFilter, PlantOptions
+from ldctoolkit.studies import Study
+from ldctoolkit.studies.cli import parser
 from ldctoolkit.testing import contract_faults
-from studies import Study
-from studies.cli import parser
 
 
 def test_the_readmes_python_runs_as_a_script(tmp_path: Path) -> None:
@@ -145,8 +143,8 @@ def test_the_reference_is_made_of_the_code(tmp_path: Path, monkeypatch: pytest.M
     keys = made["study-keys.md"]
     assert "| `simulation.settle` | `3.0` | [s] how long the loop goes on after the departure; " in keys
     assert "| `ranking.confidence` | `0.95` | of the intervals, all designs together; > 0 and < 1 |" in keys
-    assert "| `vehicle.m` | `1000.0` | [kg] mass |" in keys
-    assert "| `plant.actuator.lag` | `0.0` | [s] time constant; 0 for none; >= 0 and <= 10 |" in keys
+    assert "| `vehicle.m` | `1000.0` | [kg] mass; > 0 |" in keys
+    assert "| `plant.actuator.lag` | `0.0` | [s] time constant; 0 for none; from 0 to 10 |" in keys
     assert "| `name` | needed | short name, " in keys
     assert "\n| `design.sample.count` |" in keys
     assert "| `r_delta` | 1/rad^2 | `20000.0` | 0.001 .. 1e+06 | weight on delta^2 |" in made["law-lqr.md"]

@@ -7,120 +7,80 @@ from pathlib import Path
 
 import pytest
 
-import controllers.lqr
-import ldctoolkit.controllers.lqr
-import ldctoolkit.studies.ranking
-import studies.ranking
 from helpers.cli import TINY_STUDY
 
 FILES = {
-    "packages": {"__init__.py": "mine = True\n", "lqr.py": "class LQR: pass\n"},
-    "folders": {"lqr.py": "class LQR: pass\n"},
-    "raising packages": {"__init__.py": "raise RuntimeError('the wrong package')\n"},
+    "packages": {"controllers/__init__.py": "mine = True\n", "controllers/lqr.py": "class LQR: pass\n"},
+    "folders": {"controllers/lqr.py": "class LQR: pass\n"},
+    "raising packages": {f"{name}/__init__.py": "raise RuntimeError\n" for name in ("controllers", "studies")},
+    "modules": {"controllers.py": "mine = True\n", "studies.py": "mine = True\n"},
 }
-KINDS = (*FILES, "modules")
-LAUNCH = "from ldctoolkit.studies.cli import main; sys.exit(main())"
+MAIN = "from ldctoolkit.studies.cli import main; sys.exit(main())"
 RUN = ["run", "s.toml", "-o", "o", "--workers", "2", "--no-robustness", "--no-figures"]
 
 
 def write(folder: Path, kind: str) -> Path:
-    for name in ("controllers", "studies"):
-        if kind == "modules":
-            (folder / f"{name}.py").write_text("mine = True\n")
-        else:
-            (folder / name).mkdir()
-            for file, text in FILES[kind].items():
-                (folder / name / file).write_text(text)
-    (folder / "s.toml").write_text(TINY_STUDY)
+    for file, text in FILES[kind].items() | {("s.toml", TINY_STUDY)}:
+        (folder / file).parent.mkdir(exist_ok=True)
+        (folder / file).write_text(text)
     return folder
 
 
-def python(*arguments: str, cwd: Path, path: str | None = None) -> subprocess.CompletedProcess[str]:
-    environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
-    if path is not None:
-        environment["PYTHONPATH"] = path
-    return subprocess.run(
+def python(*arguments: str, cwd: Path, path: str = "") -> str:
+    """Standard output; ``path`` is PYTHONPATH."""
+    done = subprocess.run(
         [sys.executable, *arguments],
-        cwd=cwd, env=environment, capture_output=True, text=True, timeout=300, check=False,
+        cwd=cwd, env=os.environ | {"PYTHONPATH": path}, capture_output=True, text=True, timeout=300, check=False,
     )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return done.stdout
 
 
-def test_the_command_uses_its_own_packages(tmp_path: Path) -> None:
-    done = python("-m", "ldctoolkit", "controllers", "none", cwd=write(tmp_path, "raising packages"), path=".")
-    assert (done.returncode, done.stderr) == (0, "")
-    assert "none: No control" in done.stdout
+def test_the_command_uses_the_toolkits_packages(tmp_path: Path) -> None:
+    folder = write(tmp_path, "raising packages")
+    assert "none: No control" in python("-m", "ldctoolkit", "controllers", "none", cwd=folder, path=".")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("path", [None, "."], ids=["no PYTHONPATH", "PYTHONPATH=."])
-@pytest.mark.parametrize("kind", KINDS)
-def test_it_does_so_however_it_is_started(kind: str, tmp_path: Path, path: str | None) -> None:
-    done = python("-c", f"import sys; {LAUNCH}", "controllers", "lqr", cwd=write(tmp_path, kind), path=path)
-    assert done.returncode == 0, done.stderr
-    assert "r_delta" in done.stdout
+@pytest.mark.parametrize("path", ["", "."], ids=["no PYTHONPATH", "PYTHONPATH=."])
+@pytest.mark.parametrize("kind", FILES)
+def test_it_does_so_however_it_is_started(kind: str, tmp_path: Path, path: str) -> None:
+    folder = write(tmp_path, kind)
+    assert "r_delta" in python("-c", f"import sys; {MAIN}", "controllers", "lqr", cwd=folder, path=path)
 
 
 @pytest.mark.slow
 def test_workers_use_the_toolkits_packages(tmp_path: Path) -> None:
     """Also those that start afresh, as on macOS and Windows: a new interpreter, whose path begins with this folder."""
     folder = write(tmp_path, "raising packages")
-    done = python("-m", "ldctoolkit", *RUN, cwd=folder, path=".")
-    assert done.returncode == 0, done.stderr
+    python("-m", "ldctoolkit", *RUN, cwd=folder, path=".")
     assert (folder / "o" / "report.html").is_file()
-    (folder / "main.py").write_text(
-        "import sys, multiprocessing\n"
-        "if __name__ == '__main__':\n"
-        f"    multiprocessing.set_start_method('spawn'); {LAUNCH}\n"
-    )
-    done = python("main.py", *RUN[:3], "again", *RUN[4:], cwd=folder, path=".")
-    assert done.returncode == 0, done.stderr
+    start = "import sys, multiprocessing\nif __name__ == '__main__':\n    multiprocessing.set_start_method('spawn'); "
+    (folder / "main.py").write_text(f"{start}{MAIN}\n")
+    python("main.py", *RUN[:3], "again", *RUN[4:], cwd=folder, path=".")
 
 
 LIBRARY = """
-import sys, ldctoolkit as ldc
-print({'controllers', 'studies'} & set(sys.modules))
+import sys, ldctoolkit as ldc, ldctoolkit.studies.ranking.ranking
 scenarios = ldc.load_model('reference').sample(3, 3, seed=1)
-print(ldc.controller_class('lqr') is ldc.LQR, ldc.simulate(ldc.LQR(), scenarios, 0.1).S.shape)
-try:
-    import controllers
-    print(controllers.__file__)
-except RuntimeError as error:
-    print(error)
+assert ldc.controller_class('lqr') is ldc.LQR is ldc.controllers.lqr.LQR
+assert ldc.simulate(ldc.LQR(), scenarios, 0.1).S.shape == (6,)
+assert not {'controllers', 'studies'} & set(sys.modules)
 """
 
 
-@pytest.mark.parametrize("kind", ["packages", *(pytest.param(k, marks=pytest.mark.slow) for k in KINDS[1:])])
+@pytest.mark.parametrize("kind", ["packages", *(pytest.param(k, marks=pytest.mark.slow) for k in [*FILES][1:])])
 def test_a_script_beside_folders_of_that_name(kind: str, tmp_path: Path) -> None:
-    """The toolkit uses neither name; the short name is the user's own where the user has one."""
+    """The toolkit uses neither name, which is the user's."""
+    theirs = "import controllers; print(controllers.__file__)\n" if kind in ("packages", "modules") else ""
     folder = write(tmp_path, kind)
-    done = python("-c", LIBRARY, cwd=folder)
-    assert done.returncode == 0, done.stderr
-    touched, works, theirs = done.stdout.splitlines()
-    assert (touched, works) == ("set()", "True (6,)")
-    if kind == "raising packages":
-        assert theirs == "the wrong package"
-    elif kind != "folders":  # a folder without __init__.py comes after every package
-        assert theirs.startswith(str(folder))
+    printed = python("-c", LIBRARY + theirs, cwd=folder)
+    assert printed.startswith(str(folder) if theirs else "")
 
 
-ALIASES = """
-import sys
-{}
-import controllers.lqr, ldctoolkit.controllers.lqr, studies.ranking, ldctoolkit.studies.ranking, pickle
-assert controllers is ldctoolkit.controllers and controllers.lqr is ldctoolkit.controllers.lqr
-assert studies is ldctoolkit.studies and studies.ranking is ldctoolkit.studies.ranking
-assert sys.modules["controllers.lqr"].LQR is controllers.LQR is ldctoolkit.controller_class("lqr")
-assert controllers.LQR.__module__ == "ldctoolkit.controllers.lqr"
-assert controllers.lqr.__spec__.name == "ldctoolkit.controllers.lqr"
-from studies import Study
-"""
-
-
-@pytest.mark.parametrize(
-    "first", ["import controllers", "import studies.cli", "import ldctoolkit", "from controllers.lqr import LQR", ""]
-)
-def test_both_names_are_the_same_modules(first: str, tmp_path: Path) -> None:
-    done = python("-c", ALIASES.format(first), cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert controllers.lqr is ldctoolkit.controllers.lqr
-    assert studies.ranking is ldctoolkit.studies.ranking
+@pytest.mark.parametrize("name", ["controllers", "studies"])
+def test_in_a_checkout_no_second_copy_of_a_package_is_imported(name: str, tmp_path: Path) -> None:
+    """Its root is on Python's path, and with it both folders."""
+    check = f"try:\n    import {name}\nexcept ImportError as error:\n    print(error.name)\n"
+    root = Path(__file__).resolve().parents[1]
+    assert python("-c", check, cwd=tmp_path, path=str(root)) == f"{name}\n"

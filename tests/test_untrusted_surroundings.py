@@ -21,17 +21,17 @@ from types import ModuleType
 import pytest
 from markupsafe import Markup
 
-from controllers import LQR, _nmpc_solver
-from helpers.cli import TINY_STUDY, bad, good, ldc
-from ldctoolkit import LdcError, load_model, surroundings
+from helpers.cli import ROOT, TINY_STUDY, bad, good, ldc
+from ldctoolkit import LdcError, compiling, load_model, surroundings
+from ldctoolkit.controllers import LQR, _nmpc_solver
 from ldctoolkit.recordings.mdf_logs import read_channel_map
-from ldctoolkit.testing.law_checks import picklable
+from ldctoolkit.studies import load_study, read_manifest
+from ldctoolkit.studies.cli import main
+from ldctoolkit.studies.pages.shell import Section, make_page
+from ldctoolkit.studies.storage.files import csv_text
+from ldctoolkit.studies.storage.run_table import check_room
+from ldctoolkit.testing.contract import picklable
 from ldctoolkit.testing.subject import ContractSettings, Subject
-from studies import load_study, read_manifest
-from studies.cli import main
-from studies.pages.shell import Section, make_page
-from studies.storage.files import csv_text
-from studies.storage.run_table import check_room
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="users, modes and pipes of POSIX")
 
@@ -124,7 +124,8 @@ KERNEL = "import numba\n@numba.njit(cache=True)\ndef f(x):\n    return x + 1\n"
 
 @pytest.fixture
 def kernel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[], Path]:
-    """Imports a compiled function and calls it; the folder of its cache."""
+    """Imports a compiled function and calls it, as the toolkit's are; the folder of its cache."""
+    compiling.listen()
     (tmp_path / "planted_kernel.py").write_text(KERNEL)
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "own"))
@@ -190,10 +191,33 @@ def test_whose_a_file_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
         assert not surroundings.private(file)
 
 
-def test_no_settings_of_numba_from_the_working_directory(tmp_path: Path) -> None:
+CACHED = [
+    ".".join(("ldctoolkit", *path.relative_to(ROOT).with_suffix("").parts)).replace(
+        "ldctoolkit.ldctoolkit", "ldctoolkit"
+    )
+    for folder in ("ldctoolkit", "controllers", "studies")
+    for path in sorted((ROOT / folder).rglob("*.py"))
+    if "cache=True" in path.read_text(encoding="utf-8")
+]
+
+
+@pytest.mark.parametrize("module", CACHED)
+def test_no_settings_of_numba_from_the_working_directory(module: str, tmp_path: Path) -> None:
+    """Whichever module with a cache is imported first; its functions were declared behind the guard."""
     (tmp_path / ".numba_config.yaml").write_text("cache_dir: planted\n")
-    code = "import ldctoolkit, numba.core.dispatcher; print(repr(numba.core.config.CACHE_DIR))"
-    assert python("-c", code, cwd=tmp_path).stdout == f"{os.environ.get('NUMBA_CACHE_DIR', '')!r}\n"
+    code = (
+        f"import {module} as module, numba\n"
+        "print(repr(numba.core.config.CACHE_DIR))\n"
+        "for function in vars(module).values():\n"
+        "    if getattr(getattr(function, '_cache', None), 'cache_path', None):\n"
+        "        assert type(function._cache._cache_file).__name__ == '_File'\n"
+        "        print('guarded' if 'planted' not in function.stats.cache_path else 'planted')\n"
+    )
+    done = python("-c", code, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    directory, *functions = done.stdout.splitlines()
+    assert directory == repr(os.environ.get("NUMBA_CACHE_DIR", ""))
+    assert {*functions} == {"guarded"}
 
 
 def test_compiled_c_code_is_the_users_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -26,9 +26,9 @@ from urllib.parse import urlsplit
 
 from ldctoolkit import LdcError, __version__, check_fidelity, load_model, read_departures
 from ldctoolkit.errors import InputError, RecordingError, nearest
-from studies.cli import main as ldc
-from studies.cli._console import named, number, progress_bar
-from studies.storage.files import locked, output_folder, write_text
+from ldctoolkit.studies.cli import main as ldc
+from ldctoolkit.studies.cli._console import named, number, progress_bar
+from ldctoolkit.studies.storage.files import locked, output_folder, write_text
 
 TERMS = """\
 Data set:  Safety Pilot Model Deployment Data (identifier a7qq-9vfe)

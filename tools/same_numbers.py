@@ -5,6 +5,7 @@
 Both trees make, with the same files and on this machine, a departures table, a scenario model, and all studies of the
 base commit's catalog; then everything that holds numbers is compared by content: columns by their names, rows by their
 keys, NaN equal to NaN. Measured times and the texts around the numbers do not count. Exit code 1 if anything differs.
+A base study with several windows and conventions is compared with one study here for each of their combinations.
 
 There are no stored results to compare with, since processors differ in the last bit. What the base commit made is kept
 in out/same-numbers/, so that one base can be used many times.
@@ -14,6 +15,8 @@ from __future__ import annotations
 
 import argparse
 import csv
+import dataclasses
+import itertools
 import json
 import os
 import re
@@ -34,7 +37,9 @@ KEPT = ROOT / "out" / "same-numbers"
 MEASURED = {"law_time_us"}
 """Columns of ranking.csv that are measured times."""
 
-ABOUT_THE_RUN = {"created", "versions", "version", "toolkit", "seconds", "duration_s", "path", "paths", "file", "files"}
+ABOUT_THE_RUN = {
+    "checksum", "created", "versions", "version", "toolkit", "seconds", "duration_s", "path", "paths", "file", "files",
+}  # fmt: skip
 """Keys of a model file that tell when, where and with what it was made."""
 
 
@@ -51,13 +56,14 @@ def main() -> int:
     catalog = {path.stem: path for path in sorted((tree / "studies" / "catalog").glob("*.toml"))}
     names = chosen.studies or list(catalog)
     inputs = place / "inputs"
-    write_inputs(inputs, {name: catalog[name] for name in names}, chosen.scenarios)
+    studies = list(write_inputs(inputs, {name: catalog[name] for name in names}, chosen.scenarios))
 
     base, here = place / "base", place / "here"
     shutil.rmtree(here, ignore_errors=True)
-    for where, code in ((base, tree), (here, ROOT)):
-        make(where, code, inputs, names)
-    differences = [text for name in ("model", *names) for text in compare(base / name, here / name, name)]
+    make(base, tree, inputs, names)
+    make(here, ROOT, inputs / "here", [study.name for study in studies])
+    differences = list(compare(base / "model", here / "model", Compared("model")))
+    differences += [text for study in studies for text in compare(base / study.base, here / study.name, study)]
     print(*differences, sep="\n", end="\n" if differences else "")
     print(f"{len(differences)} differences from {commit[:12]}" if differences else f"the numbers of {commit[:12]}")
     return 1 if differences else 0
@@ -75,15 +81,37 @@ def worktree(commit: str) -> Path:
     return place
 
 
-def write_inputs(folder: Path, studies: dict[str, Path], scenarios: int) -> None:
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "recordings.csv").write_text("".join(recordings()), encoding="utf-8")
+@dataclasses.dataclass(frozen=True)
+class Compared:
+    """A study here, and what it is compared with."""
+
+    name: str
+    base: str = ""  # Name in the base
+    window: str = "departure"
+    convention: str = "consistent"
+    whole: bool = True  # Whether it is the first combination, whose finalists the base drove
+
+
+def write_inputs(folder: Path, studies: dict[str, Path], scenarios: int) -> Iterator[Compared]:
+    (folder / "here").mkdir(parents=True, exist_ok=True)
+    for where in (folder, folder / "here"):
+        (where / "recordings.csv").write_text("".join(recordings()), encoding="utf-8")
     for name, path in studies.items():
         text = path.read_text(encoding="utf-8")
         for key in ("left", "right"):
             text = re.sub(rf"(?m)^{key} = \d+", f"{key} = {scenarios}", text)
-        tomllib.loads(text)
         (folder / f"{name}.toml").write_text(text, encoding="utf-8")
+        simulation = tomllib.loads(text).get("simulation", {})
+        windows, conventions = (
+            [values] if isinstance(values := simulation.get(key, default), str) else values
+            for key, default in (("window", "departure"), ("convention", "consistent"))
+        )
+        for i, (window, convention) in enumerate(itertools.product(windows, conventions)):
+            study = Compared(f"{name}-{window}-{convention}" if i else name, name, window, convention, not i)
+            for key, value in (("window", window), ("convention", convention)):
+                text = re.sub(rf"(?m)^{key} = .*", f'{key} = "{value}"', text)
+            (folder / "here" / f"{study.name}.toml").write_text(text, encoding="utf-8")
+            yield study
 
 
 def recordings(count: int = 160) -> Iterator[str]:
@@ -121,28 +149,35 @@ def ldc(code: Path, *words: object) -> None:
         sys.exit(f"ldc {' '.join(map(str, words))}: exit code {done.returncode}\n{done.stderr}")
 
 
-def compare(base: Path, here: Path, name: str) -> Iterator[str]:
+def compare(base: Path, here: Path, study: Compared) -> Iterator[str]:
+    name = study.name
     for folder in sorted({path.parent.relative_to(base) for path in base.rglob("*.parquet")}):
         for kind in sorted({path.stem.partition("-")[0] for path in (base / folder).glob("*.parquet")}):
-            one, other = (table(root / folder, kind) for root in (base, here))
-            yield from (f"{name}: {folder / kind}: {text}" for text in columns(one, other))
-    for path in sorted(base.rglob("ranking.csv")):
-        one, other = (ranking(root / path.relative_to(base)) for root in (base, here))
+            if study.whole or folder in (Path(), Path("results")):
+                one, other = (table(root / folder, kind, study) for root in (base, here))
+                yield from (f"{name}: {folder / kind}: {text}" for text in columns(one, other))
+    for path in sorted(base.rglob("ranking.csv")) if study.whole else ():
+        one, other = (ranking(root / path.relative_to(base), study) for root in (base, here))
         yield from (f"{name}: {path.relative_to(base)}: {text}" for text in columns(one, other))
     if name == "model":
         one, other = (json.loads((root / "model.json").read_text(encoding="utf-8")) for root in (base, here))
         yield from (f"{name}: model.json{text}" for text in values(one, other))
 
 
-def table(folder: Path, kind: str) -> dict[str, list[Any]]:
+def table(folder: Path, kind: str, study: Compared) -> dict[str, list[Any]]:
     found = pl.concat([pl.read_parquet(path) for path in sorted(folder.glob(f"{kind}*.parquet"))], how="diagonal")
-    keys = [key for key in ("design", "convention", "scenario") if key in found.columns]
+    if "convention" in found.columns:
+        found = found.filter(convention=study.convention).drop("convention")
+    other = "control" if study.window == "departure" else "departure"
+    found = found.drop(f"S_{other}_m_s", f"S_uncorrected_{other}_m_s", strict=False)
+    keys = [key for key in ("design", "scenario") if key in found.columns]
     return dict(found.sort(keys).to_dict(as_series=False)) if keys else dict(found.to_dict(as_series=False))
 
 
-def ranking(path: Path) -> dict[str, list[Any]]:
+def ranking(path: Path, study: Compared) -> dict[str, list[Any]]:
     with path.open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
+    rows = [row for row in rows if (row["window"], row["convention"]) == (study.window, study.convention)]
     return {key: [row[key] for row in rows] for key in rows[0] if key not in MEASURED}
 
 

@@ -11,9 +11,9 @@ from typing import Final, Literal
 import numpy as np
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.declared import is_number
 from ldctoolkit.errors import InputError, ModelError, plain
 from ldctoolkit.mixture.truncated_normal import Sampler, TruncatedNormal
-from ldctoolkit.option_checks import is_number
 
 Kind = Literal["none", "log", "logit"]
 

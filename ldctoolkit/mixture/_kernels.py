@@ -11,7 +11,10 @@ from typing import Any, Final
 import numba
 import numpy as np
 
+import ldctoolkit.compiling as compiling
 from ldctoolkit.arrays import FloatArray, IntArray
+
+compiling.listen()
 
 _ROWS: Final = 256
 _FLOOR: Final = -100.0

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray, unmasked
+from ldctoolkit.declared import checked_number, checked_whole
 from ldctoolkit.errors import CheckedArguments, InputError
 from ldctoolkit.mixture._distribution import Conditions, Distribution, Transform
 from ldctoolkit.mixture._em import EMSettings, StopReason, fit_components
@@ -28,10 +29,8 @@ from ldctoolkit.mixture.checks import (
     profile_of,
     seed_of,
     sums_of,
-    whole_number,
 )
 from ldctoolkit.mixture.truncated_normal import TruncatedNormal, check_bounds
-from ldctoolkit.option_checks import checked_number
 
 _LEAST_LOG_P: Final = -20.0
 """Below this ln P the box lies some 6 standard deviations off: only the density inside still says something."""
@@ -392,7 +391,7 @@ class BoundedGaussianMixture(CheckedArguments):
         True
         """
         seed = seed_of(self.random_state if random_state is None else random_state)
-        return self._given(given).sample(whole_number("n_samples", n_samples, 0), seed)
+        return self._given(given).sample(checked_whole("n_samples", n_samples, lower=0), seed)
 
     def _given(self, given: Conditions | None) -> Distribution:
         return self.distribution if given is None else self.distribution.condition(given, self.names)
@@ -430,14 +429,14 @@ class BoundedGaussianMixture(CheckedArguments):
             has no maximum.
         """
         if self.n_jobs is not None:
-            whole_number("n_jobs", self.n_jobs, 1)
+            checked_whole("n_jobs", self.n_jobs, lower=1)
         return self.fit_events(Events.of(X, sample_weight, self.n_jobs))
 
     def fit_events(self, events: Events) -> Self:
         """Fit to rows that have weights already, on the threads that they name."""
-        counts = {name: whole_number(name, getattr(self, name), 1) for name in _COUNTS}
-        tol = checked_number("tol", self.tol, least=0.0)
-        prior_strength = checked_number("prior_strength", self.prior_strength, least=0.0)
+        counts = {name: checked_whole(name, getattr(self, name), lower=1) for name in _COUNTS}
+        tol = checked_number("tol", self.tol, lower=0.0)
+        prior_strength = checked_number("prior_strength", self.prior_strength, lower=0.0)
         seed = seed_of(self.random_state)
         transform = self._checked_transform(events.dimension)
         profile = check_events(events, counts["n_components"], transform.lower, transform.upper, self.names)

@@ -14,7 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray, unmasked
-from ldctoolkit.errors import InputError, plain
+from ldctoolkit.declared import checked_seed, checked_whole
+from ldctoolkit.errors import InputError
 
 Part = TypeVar("Part")
 Work = Callable[[FloatArray, FloatArray | None], Part]  # from the rows (m, d) of a block and their weights (m,), if any
@@ -263,19 +264,11 @@ def check_bound_array(value: npt.ArrayLike | None, name: str, fill: float, dimen
     return out
 
 
-def whole_number(name: str, value: object, least: int) -> int:
-    """A whole number of at least `least`."""
-    number = plain(value)
-    if isinstance(number, bool) or not isinstance(number, int) or number < least:
-        raise InputError(name, value=value, allowed=f"a whole number >= {least}")
-    return number
-
-
 def check_components(components: Iterable[int]) -> list[int]:
     """The K to try, each once, ascending."""
     if isinstance(components, str) or not isinstance(components, Iterable):
         raise InputError("components", value=components, allowed="a whole number >= 1, or several of them")
-    tried = sorted({whole_number("components", K, 1) for K in components})
+    tried = sorted({checked_whole("components", K, lower=1) for K in components})
     if not tried:
         raise InputError("components", "an empty range", allowed="at least one number of components")
     return tried
@@ -283,11 +276,10 @@ def check_components(components: Iterable[int]) -> list[int]:
 
 def seed_of(random_state: RandomState) -> int:
     """An integer seed; None gives a fresh one, a Generator is advanced once."""
-    if random_state is None:
-        return int(np.random.SeedSequence().generate_state(1, np.uint64)[0])
-    if isinstance(random_state, np.random.Generator):
-        return int(random_state.integers(2**63))
-    return whole_number("random_state", random_state, 0)
+    generator = np.random.default_rng() if random_state is None else random_state
+    if isinstance(generator, np.random.Generator):
+        return int(generator.integers(2**63))
+    return checked_seed(generator, "random_state")
 
 
 _STEP: Final = 1e-3  # a value on a bound moves inside by at most this part of the column's spread

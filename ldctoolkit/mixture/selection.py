@@ -16,9 +16,10 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import FloatArray, IntArray
+from ldctoolkit.declared import checked_whole
 from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.mixture.bounded_gaussian_mixture import BoundedGaussianMixture
-from ldctoolkit.mixture.checks import Events, RandomState, check_components, seed_of, usable_cores, whole_number
+from ldctoolkit.mixture.checks import Events, RandomState, check_components, seed_of, usable_cores
 from ldctoolkit.surroundings import WORKERS, leave_with, safe_path
 
 ALLOWANCE: Final = 10.0
@@ -162,7 +163,7 @@ def select_components(
     """
     tried = check_components(components)
     if n_jobs is not None:
-        whole_number("n_jobs", n_jobs, 1)
+        checked_whole("n_jobs", n_jobs, lower=1)
     seed = seed_of(random_state)
     # built here, so that a wrong setting is refused before anything starts
     models = [BoundedGaussianMixture(K, random_state=seed, **settings) for K in tried]

@@ -1,35 +1,47 @@
 """Plain tables of recordings, CSV or Parquet: the text table, its columns and units, and what is wrong with it."""
 
 import codecs
-import csv
 import dataclasses
 import gzip
-import io
 import itertools
 import re
 import zlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import IO, Any, Final
+from typing import Any, Final
 
 import numpy as np
 import polars as pl
 
+from ldctoolkit.arrays import BoolArray
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.preparation import clock_stretches
 from ldctoolkit.recordings.recording import (
-    MISSING,
-    NO_ROWS,
-    REQUIRED,
+    FoundParts,
     Problem,
     Recording,
     SourceFile,
-    TableFault,
+    check_columns,
+    place_of,
+    shown_names,
     source_file,
 )
-from ldctoolkit.recordings.sources import FoundParts, check_columns, place_of, shown_names
+from ldctoolkit.recordings.text_table import (
+    LONGEST_LINE,
+    MISSING,
+    Layout,
+    LineFault,
+    Stream,
+    as_numbers,
+    blocks,
+    cells_of,
+    open_text,
+    parse,
+)
 from ldctoolkit.recordings.trip_tables import grouped_problems
-from ldctoolkit.whole_file import text_of
+
+REQUIRED: Final = ("recording", "t", "lane_offset", "lane_width", "speed")
+NO_ROWS: Final = "a header but no rows; at least one sample is needed"
 
 UNITS: Final = {
     "t": "s", "lane_offset": "m", "lane_width": "m", "speed": "m/s", "curvature": "1/m", "yaw_rate": "rad/s",
@@ -52,51 +64,49 @@ _SIGNAL: Final = (
 )
 
 
-def typed(frame: pl.DataFrame, word: str, faults: list[TableFault]) -> pl.DataFrame:
+Fault = RecordingError  # its path is the line or row
+
+
+def typed(frame: pl.DataFrame, word: str, faults: list[Fault]) -> pl.DataFrame:
     """Typed columns; the first value of a column that does not fit is a fault, all of them are marked."""
     marked = frame[FAULT].to_numpy() if FAULT in frame.columns else np.zeros(frame.height, dtype=bool)
-
-    def refuse(name: str, bad: pl.Series, allowed: str) -> None:
-        nonlocal marked
-        if bad.any():
-            i = bad.arg_max() or 0
-            more = f" ({bad.sum()} {word}s in all)" if (bad.sum() or 0) > 1 else ""
-            what = f"column '{name}' holds {frame[name][i]!r}; allowed: {allowed}{more}"
-            faults.append(TableFault(f"{word} {frame[ROW][i]}", what))
-            marked = marked | bad.fill_null(False).to_numpy()
-
     columns: list[pl.Series] = [frame[ROW], frame[CUT]]
     for name in frame.columns:
-        values = frame[name]
         if name in (ROW, FAULT, CUT):
             continue
-        if name in UNITS:
-            if values.dtype == pl.String:
-                strings = values.str.strip_chars()
-                values = strings.cast(pl.Float64, strict=False)
-                refuse(name, values.is_null() & ~strings.str.to_lowercase().is_in(MISSING).fill_null(True), "numbers")
-            elif not values.dtype.is_numeric() and values.dtype != pl.Null:
-                raise TableFault("", f"column '{name}' is of type {values.dtype}; allowed: numbers")
-            columns.append(values.cast(pl.Float64).fill_null(float("nan")).alias(name))
-            continue
-        if values.dtype.is_nested() or values.dtype in (pl.Binary, pl.Duration):
-            raise TableFault("", f"column '{name}' is of type {values.dtype}; allowed: text or numbers")
-        strings = values.cast(pl.String).str.strip_chars()
-        lower = strings.str.to_lowercase()
-        if name == "recording":
-            nameless = lower.is_in(MISSING).fill_null(True)
-            refuse(name, nameless, "an identifier of the recording")
-            columns.append(pl.select(pl.when(~nameless).then(strings)).to_series().alias(name))
-        elif name == "lane":
-            # "3" and "3.0" are one lane whatever the rest of the column holds
-            label = strings.str.replace(r"^(-?\d+)\.0+$", "$1")
-            columns.append(pl.select(pl.when(~lower.is_in(MISSING)).then(label)).to_series().alias(name))
-        else:
-            words, missing, allowed = _SIGNAL if name == "turn_signal" else _SWITCH
-            known = lower.replace_strict(words, default=None, return_dtype=pl.Int64)
-            refuse(name, known.is_null() & ~lower.is_in(missing).fill_null(True), allowed)
-            columns.append(known.fill_null(0).cast(pl.Int64 if words is _SIGNAL[0] else pl.Boolean).alias(name))
+        column, bad, allowed = _typed_column(name, frame[name])
+        columns.append(column.alias(name))
+        if bad.any():
+            i, count = int(np.argmax(bad)), np.count_nonzero(bad)
+            more = f" ({count} {word}s in all)" if count > 1 else ""
+            what = f"column '{name}' holds {frame[name][i]!r}"
+            faults.append(RecordingError(f"{word} {frame[ROW][i]}", what, allowed=f"{allowed}{more}"))
+            marked = marked | bad
     return pl.DataFrame([*columns, pl.Series(FAULT, marked)])
+
+
+def _typed_column(name: str, values: pl.Series) -> tuple[pl.Series, BoolArray, str]:
+    """A column in its type, where a value does not fit, and what is allowed."""
+    kind = values.dtype
+    if name in UNITS:
+        if kind != pl.String and not kind.is_numeric() and kind != pl.Null:
+            raise RecordingError("", f"column '{name}' is of type {kind}", allowed="numbers")
+        numbers, bad = as_numbers(values)
+        return pl.Series(numbers), bad, "numbers"
+    if kind.is_nested() or kind in (pl.Binary, pl.Duration):
+        raise RecordingError("", f"column '{name}' is of type {kind}", allowed="text or numbers")
+    texts = values.cast(pl.String).str.strip_chars()
+    lower = texts.str.to_lowercase()
+    missing = lower.is_in(MISSING).fill_null(True)
+    if name in ("recording", "lane"):
+        # lanes "3" and "3.0" are one, whatever the rest of the column holds
+        texts = texts.str.replace(r"^(-?\d+)\.0+$", "$1") if name == "lane" else texts
+        bad = missing.to_numpy() & (name == "recording")
+        return pl.select(pl.when(~missing).then(texts)).to_series(), bad, "an identifier of the recording"
+    words, none, allowed = _SIGNAL if name == "turn_signal" else _SWITCH
+    known = lower.replace_strict(words, default=None, return_dtype=pl.Int64)
+    bad = (known.is_null() & ~lower.is_in(none).fill_null(True)).to_numpy()
+    return known.fill_null(0).cast(pl.Int64 if words is _SIGNAL[0] else pl.Boolean), bad, allowed
 
 
 def columns_of(frame: pl.DataFrame) -> dict[str, Any]:
@@ -111,14 +121,12 @@ def columns_of(frame: pl.DataFrame) -> dict[str, Any]:
 
 COLUMNS: Final = ("recording", *UNITS, "lane", "valid", "turn_signal", "engaged")
 
-LONGEST_LINE: Final = 1 << 20  # a longer line [bytes] is not CSV; a binary file would be read as one line
-PACKED_PIECE: Final = 1 << 16  # packed files are unpacked in such pieces [bytes]: what lies before a cut is not lost
-
+LINE_END: Final = b"\n"
 _BROKEN: Final = (EOFError, zlib.error, gzip.BadGzipFile)
 _POLARS: Final = (pl.exceptions.PolarsError, pl.exceptions.PanicException)
 
 
-def frames(path: Path, block_bytes: int, faults: list[TableFault]) -> Iterator[pl.DataFrame]:
+def frames(path: Path, block_bytes: int, faults: list[Fault]) -> Iterator[pl.DataFrame]:
     """Blocks of named rows of a recording file: the known columns, typed, with `ROW`, `FAULT` and `CUT`."""
     seen: set[str] = set()
     present: list[str] = []
@@ -140,16 +148,16 @@ def frames(path: Path, block_bytes: int, faults: list[TableFault]) -> Iterator[p
         yield block
     empty = [name for name in COLUMNS if name in present and name not in seen]
     if rows == 0:
-        faults.append(TableFault("", NO_ROWS))
+        faults.append(RecordingError("", NO_ROWS))
     elif "recording" in empty:
-        faults[:] = [TableFault("", f"column 'recording' holds no name in any of {rows} rows")]
+        faults[:] = [RecordingError("", f"column 'recording' holds no name in any of {rows} rows")]
     elif empty:
         advice = "" if empty[0] in REQUIRED else "; leave the column out if it was not recorded"
-        faults.append(TableFault("", f"column '{empty[0]}' holds no number in any of {rows} rows{advice}"))
+        faults.append(RecordingError("", f"column '{empty[0]}' holds no number in any of {rows} rows{advice}"))
 
 
 def blocks_of(
-    path: Path, block_bytes: int, faults: list[TableFault], names: Sequence[str] = COLUMNS
+    path: Path, block_bytes: int, faults: list[Fault], names: Sequence[str] = COLUMNS
 ) -> Iterator[pl.DataFrame]:
     """The same for some of the columns, whatever they hold."""
     read = _parquet_frames if is_parquet(path) else _csv_frames
@@ -173,12 +181,12 @@ def whole_recordings(blocks: Iterator[pl.DataFrame]) -> Iterator[tuple[pl.DataFr
         joined = block if rest is None else pl.concat([rest, block])
         labels = joined["recording"]
         others = (labels != labels[-1]).arg_true()
-        place = int(others[-1]) + 1 if others.len() else 0  # where the last recording begins
-        if place == 0 and joined.height > LONGEST_PIECE:
-            place = _place_to_part(joined)
-        if place:
-            yield joined[:place], labels[place - 1] == labels[place]
-        rest = joined[place:]
+        begin = int(others[-1]) + 1 if others.len() else 0  # where the last recording begins
+        if begin == 0 and joined.height > LONGEST_PIECE:
+            begin = _place_to_part(joined)
+        if begin:
+            yield joined[:begin], labels[begin - 1] == labels[begin]
+        rest = joined[begin:]
     if rest is not None:
         yield rest, False
 
@@ -204,61 +212,60 @@ def is_parquet(path: Path) -> bool:
     return path.name.lower().endswith(".parquet")
 
 
-def csv_blocks(path: Path, block_bytes: int, faults: list[TableFault]) -> Iterator[tuple[list[str], bytes, int]]:
+def csv_blocks(path: Path, block_bytes: int, faults: list[Fault]) -> Iterator[tuple[list[str], bytes, int]]:
     """Blocks of whole lines of a CSV or CSV.gz file: the header's names, the lines, the number of the first.
 
-    Comments and units become blank lines; NUL bytes in a row become their number between two of them. Of a packed file
-    that is cut short the lines before the cut come first, then the error.
+    Comments and units become blank lines. Of a packed file that is cut short the lines before the cut come first, then
+    the error.
     """
-    with gzip.open(path) if path.name.lower().endswith(".gz") else path.open("rb") as stream:
-        line = 0
-        try:
-            first, line, nuls = _header_line(stream, LONGEST_LINE)
-            if first[:2] == b"\x1f\x8b":
-                raise TableFault("", "the content is gzip; give it a name that ends in .csv.gz")
-            if len(first) == LONGEST_LINE:
-                raise TableFault(f"line {line}", f"longer than {LONGEST_LINE} bytes; this is not CSV")
-            header = [name.strip() for name in _fields(first, line)]
-            if not any(header):
-                state = "the file is empty" if line == 1 else "only comments and blank lines"
-                raise TableFault("", f"{state}; a header is needed: {', '.join(REQUIRED)}, ...")
-            if len(header) == 1 and any(mark in header[0] for mark in ";\t|"):
-                raise TableFault(f"line {line}", f"columns are not separated by commas: {header[0][:60]!r}")
-            check_columns(header, REQUIRED, COLUMNS)
-            if nuls and header[0] not in COLUMNS:
-                raise TableFault(f"line {line}", f"{nuls} NUL bytes stand where the header begins")
-            if nuls:
-                faults.append(TableFault(f"line {line}", f"{nuls} NUL bytes before the header; they are passed over"))
-            line += 1
-            rest, begun, ended = b"", False, False
-            while not ended:
-                block = _next_bytes(stream, block_bytes)
-                ended = not block
-                if b"\0" in block:  # so that a long row of them takes no memory
-                    block = re.sub(rb"\0+", lambda found: b"\0%d\0" % len(found[0]), block)
-                block = rest + block
-                cut = len(block) if ended else block.rfind(b"\n") + 1
-                block, rest = block[:cut], block[cut:]
-                if len(rest) >= LONGEST_LINE and not block:
-                    raise TableFault(f"line {line}", f"longer than {LONGEST_LINE} bytes; this is not CSV")
-                count = block.count(b"\n")
+    line = 0  # the next one, once the header has been read
+    try:
+        with open_text(path) as stream:
+            header, number = _header(stream, faults)
+            line, begun = number + 1, False
+            for block, first in blocks(stream, block_bytes, line, count_nuls=True):
+                line = first + block.count(LINE_END)
                 if b"#" in block:
                     block = re.sub(rb"(?m)^#[^\n\0]*$", b"", block)
-                if not begun and (found := re.search(rb"(?m)^.*[^\s,].*", block)):
+                if not begun and (row := re.search(rb"(?m)^.*[^\s,].*", block)):
                     begun = True
-                    place = f"line {line + block[: found.start()].count(10)}"
-                    if b"\0" not in found[0] and _are_units(header, found[0], place):
-                        faults.append(TableFault(place, "a row of units; it is passed over"))
-                        block = block[: found.start()] + block[found.end() :]
+                    place = f"line {first + block.count(LINE_END, 0, row.start())}"
+                    if b"\0" not in row[0] and _are_units(header, row[0], place):
+                        faults.append(RecordingError(place, "a row of units; it is passed over"))
+                        block = block[: row.start()] + block[row.end() :]
                 if block and not block.isspace():
-                    yield header, block, line
-                line += count
-        except _BROKEN as error:
-            where = f" after line {line - 1}" if line else ""
-            raise TableFault("", f"broken gzip{where} ({error}); is the file cut short or not gzip?") from None
+                    yield header, block, first
+    except _BROKEN as error:
+        where = f" after line {line - 1}" if line else ""
+        raise RecordingError("", f"broken gzip{where} ({error}); is the file cut short or not gzip?") from None
 
 
-def _header_line(stream: IO[bytes] | gzip.GzipFile, longest: int) -> tuple[bytes, int, int]:
+def _header(stream: Stream, faults: list[Fault]) -> tuple[list[str], int]:
+    """The header's names, and the number of its line."""
+    first, line, nuls = _header_line(stream, LONGEST_LINE)
+    place = f"line {line}"
+    if first[:2] == b"\x1f\x8b":
+        raise RecordingError("", "the content is gzip; give it a name that ends in .csv.gz")
+    if len(first) == LONGEST_LINE:
+        raise RecordingError(place, f"longer than {LONGEST_LINE} bytes; this is not CSV")
+    try:
+        header = [name.strip() for name in cells_of(first)]
+    except ValueError as error:
+        raise RecordingError(place, str(error)) from None
+    if not any(header):
+        state = "the file is empty" if line == 1 else "only comments and blank lines"
+        raise RecordingError("", f"{state}; a header is needed: {', '.join(REQUIRED)}, ...")
+    if len(header) == 1 and any(mark in header[0] for mark in ";\t|"):
+        raise RecordingError(place, f"columns are not separated by commas: {header[0][:60]!r}")
+    check_columns(header, REQUIRED, COLUMNS)
+    if nuls and header[0] not in COLUMNS:
+        raise RecordingError(place, f"{nuls} NUL bytes stand where the header begins")
+    if nuls:
+        faults.append(RecordingError(place, f"{nuls} NUL bytes before the header; they are passed over"))
+    return header, line
+
+
+def _header_line(stream: Stream, longest: int) -> tuple[bytes, int, int]:
     """The first line behind comments, blank lines and NUL bytes, its number, and how many such bytes there are."""
     number, nuls = 1, 0
     while line := stream.readline(longest):
@@ -272,7 +279,7 @@ def _header_line(stream: IO[bytes] | gzip.GzipFile, longest: int) -> tuple[bytes
 
 
 def _are_units(header: list[str], raw: bytes, place: str) -> bool:
-    """Whether the first line under the header names units; raises `TableFault` for one that is not the needed one."""
+    """Whether the first line under the header names units; raises `RecordingError` for another unit than is needed."""
     cells = (cell.strip(' \r"()[]') for cell in raw.decode("utf-8", "replace").split(","))
     words = {name: word for name, word in zip(header, cells, strict=False) if name in UNITS}
     words = {name: word for name, word in words.items() if word.lower() not in (*MISSING, "-")}
@@ -281,132 +288,35 @@ def _are_units(header: list[str], raw: bytes, place: str) -> bool:
     for name, word in words.items():
         unit = word.lower().replace(" ", "").replace("sec", "s")
         if ("1/m" if unit in ("m^-1", "m\u207b\xb9", "rad/m") else unit) != UNITS[name]:
-            raise TableFault(place, f"column '{name}' is in {word!r}; needed: {UNITS[name]}")
+            raise RecordingError(place, f"column '{name}' is in {word!r}", hint=f"needed: {UNITS[name]}")
     return bool(words)
 
 
-def _next_bytes(stream: IO[bytes] | gzip.GzipFile, size: int) -> bytes:
-    """The next bytes of a file, about so many; none at its end. What ends a packed one early is raised the next time.
-
-    What a cut leaves is sound. Where bytes that cannot be unpacked went wrong is not known: none is given.
-    """
-    if not isinstance(stream, gzip.GzipFile):
-        return stream.read(size)
-    pieces: list[bytes] = []
-    try:
-        while sum(map(len, pieces)) < size and (piece := stream.read1(PACKED_PIECE)):
-            pieces.append(piece)
-    except EOFError:
-        if not pieces:
-            raise
-    return b"".join(pieces)
-
-
-def _fields(raw: bytes, line: int) -> list[str]:
-    """The cells of a line; raises `TableFault` for one that cannot be split."""
-    try:
-        text = text_of(raw).strip("\r\n")
-        if text.count('"') % 2:
-            raise ValueError("a quotation mark is not closed on its line")
-        return next(csv.reader([text]), [])
-    except csv.Error as error:
-        what = "a carriage return stands inside the line" if "\r" in text else str(error)
-        raise TableFault(f"line {line}", f"{what}; allowed: lines that end in LF or CR LF") from None
-    except ValueError as error:
-        raise TableFault(f"line {line}", str(error)) from None
-
-
-def _csv_frames(path: Path, block_bytes: int, faults: list[TableFault], names: Sequence[str]) -> Iterator[pl.DataFrame]:
-    """Blocks of whole lines of a CSV or CSV.gz file, parsed."""
-    lost: list[int] = []
+def _csv_frames(path: Path, block_bytes: int, faults: list[Fault], names: Sequence[str]) -> Iterator[pl.DataFrame]:
+    """Blocks of whole lines of a CSV or CSV.gz file, parsed; lines that cannot be split are left out, and reported."""
+    lost: list[int] = []  # lines with NUL bytes
     before = 0
     for header, block, line in csv_blocks(path, block_bytes, faults):
         places = {name: header.index(name) for name in names if name in header}
-        frame = None if _ends_inside(header, block) else _parse(len(header), places, block, line)
-        if frame is None:
-            frame = _parse_faulty(header, places, block, line, faults, lost)
-        rows = np.append(before, frame[ROW].to_numpy())
-        before = int(rows[-1])
-        yield typed(frame.with_columns(pl.Series(CUT, np.diff(np.searchsorted(lost, rows)) > 0)), "line", faults)
-
-
-def _parse(width: int, places: dict[str, int], block: bytes, line: int) -> pl.DataFrame | None:
-    """Lines as columns of numbers and texts; `line` is the number of the first. None if they cannot be split."""
-    # positional names: a file may repeat or leave blank the names of columns that are not needed
-    position = [f"c{i}" for i in range(width)]
-    wanted = {name: position[i] for name, i in places.items()}
-    text = (",".join(position) + "\n").encode() + block.replace(b"\r\n", b"\n")
-    # the parser must not see a line with an odd number of quotation marks
-    if b"\0" in text or (b'"' in text and any(raw.count(b'"') % 2 for raw in text.split(b"\n"))):
-        return None
-
-    # the second way is slower, but tolerates blanks and words for "missing", and can say where the fault lies
-    for numbers in (pl.Float64, pl.String):
-        kinds: dict[str, Any] = dict.fromkeys(position, pl.String)
-        kinds |= {place: numbers for name, place in wanted.items() if name in UNITS}
-        try:
-            frame = pl.read_csv(io.BytesIO(text), schema=kinds, columns=list(wanted.values()), raise_if_empty=False)
-            break
-        except _POLARS:
-            continue
-    else:
-        return None
-    if frame.height != block.count(b"\n") + (not block.endswith(b"\n")):
-        return None  # a line has too many fields, or a quoted field holds a line break
-    frame = frame.select(pl.col(place).alias(name) for name, place in wanted.items())
-    frame = frame.with_columns(pl.int_range(line, line + frame.height, dtype=pl.Int64).alias(ROW))
-    return frame.filter(~pl.all_horizontal(pl.col(list(wanted)).is_null()))
-
-
-def _parse_faulty(
-    header: list[str], places: dict[str, int], block: bytes, line: int, faults: list[TableFault], lost: list[int]
-) -> pl.DataFrame:
-    """Lines of which some are at fault: these are left out where they cannot be split, and reported.
-
-    A line left out marks the sample before or behind it that has its recording's name, or else both; one with NUL bytes
-    is only `lost`.
-    """
-    good, numbers, broken = [], [], []
-    lines = block.replace(b"\r\n", b"\n").split(b"\n")
-    for number, raw in enumerate(lines, line):
-        last = number == line + len(lines) - 1
-        try:
-            if b"\0" in raw:
-                count = sum(map(int, re.findall(rb"\0(\d+)\0", raw)))
-                where = " at the end of the file" if last else ""
-                raise TableFault(f"line {number}", f"{count} NUL bytes{where}; the line is left out")
-            row = _fields(raw, number)
-            if len(row) > len(header):
-                raise TableFault(f"line {number}", f"{len(row)} fields; the header has {len(header)} columns")
-            if last and _ends_inside(header, block):
-                few = f"{raw.count(b',') + 1} of {len(header)} fields"
-                raise TableFault(f"line {number}", f"the file ends inside this line, behind {few}")
-        except TableFault as fault:
-            faults.append(fault)
-            if b"\0" in raw:
-                lost.append(number)
-            else:
-                broken.append((number, raw.split(b",")[: places["recording"] + 1][-1].strip(b' "')))
-            continue
-        if raw.strip():
-            good.append(row)
-            numbers.append(number)
-    cells = {name: [row[i] if i < len(row) else None for row in good] for name, i in places.items()}
-    rows = np.array(numbers, dtype=np.int64)
-    near = np.zeros(rows.size, dtype=bool)
-    for number, name_there in broken:
-        after = int(np.searchsorted(rows, number))
-        around = [i for i in (after - 1, after) if 0 <= i < rows.size]
-        same = [i for i in around if (cells["recording"][i] or "").strip().encode() == name_there]
-        near[same or around] = True
-    frame = pl.DataFrame(cells, schema=dict.fromkeys(places, pl.String))
-    return frame.with_columns(pl.Series(ROW, rows), pl.Series(FAULT, near))
-
-
-def _ends_inside(header: list[str], block: bytes) -> bool:
-    """Whether the last line has no end and lacks cells: the file was cut. Short lines elsewhere lack values only."""
-    last = block[block.rfind(b"\n") + 1 :]
-    return bool(last.strip()) and last.count(b",") + 1 < len(header)
+        frame, rows, line_faults = parse(block, Layout(places, (len(header),), quoted=True), UNITS.keys() & places)
+        near = np.zeros(rows.size, dtype=bool)
+        for fault in line_faults:
+            left = "; the line is left out" if fault.kind == "nul" else ""
+            faults.append(RecordingError(f"line {line + fault.line}", f"{fault.what}{left}"))
+            if fault.kind == "nul":
+                lost.append(line + fault.line)
+                continue
+            # it marks the row before or behind it that has its recording's name, or else both
+            name = fault.text.split(b",")[: places["recording"] + 1][-1].strip(b' "\r')
+            after = int(np.searchsorted(rows, fault.line))
+            around = [i for i in (after - 1, after) if 0 <= i < rows.size]
+            near[[i for i in around if (frame["recording"][i] or "").strip().encode() == name] or around] = True
+        rows += line
+        cut = np.diff(np.searchsorted(lost, np.append(before, rows))) > 0
+        before = int(rows[-1]) if rows.size else before
+        yield typed(
+            frame.with_columns(pl.Series(ROW, rows), pl.Series(FAULT, near), pl.Series(CUT, cut)), "line", faults
+        )
 
 
 def parquet_names(path: Path) -> list[str]:
@@ -414,21 +324,19 @@ def parquet_names(path: Path) -> list[str]:
     try:
         str(path).encode()
     except UnicodeEncodeError:
-        raise TableFault("", "its path is not UTF-8; allowed for Parquet: names in UTF-8") from None
+        raise RecordingError("", "its path is not UTF-8", allowed="for Parquet names in UTF-8") from None
     try:
         return list(pl.read_parquet_schema(path))
     except _POLARS as error:
         raise _not_parquet(error) from None
 
 
-def _parquet_frames(
-    path: Path, block_bytes: int, faults: list[TableFault], names: Sequence[str]
-) -> Iterator[pl.DataFrame]:
+def _parquet_frames(path: Path, block_bytes: int, faults: list[Fault], names: Sequence[str]) -> Iterator[pl.DataFrame]:
     """Blocks of rows of a Parquet file."""
-    there = parquet_names(path)
-    check_columns(there, REQUIRED, COLUMNS)
+    present = parquet_names(path)
+    check_columns(present, REQUIRED, COLUMNS)
     rows, first = max(block_bytes // 64, 1), 0
-    lazy = pl.scan_parquet(path, glob=False).select(name for name in names if name in there)
+    lazy = pl.scan_parquet(path, glob=False).select(name for name in names if name in present)
     while True:
         try:
             frame = lazy.slice(first, rows).collect()
@@ -441,8 +349,8 @@ def _parquet_frames(
         first += frame.height
 
 
-def _not_parquet(error: BaseException) -> TableFault:
-    return TableFault("", f"cannot be read as Parquet: {str(error).splitlines()[0]}")
+def _not_parquet(error: BaseException) -> RecordingError:
+    return RecordingError("", f"cannot be read as Parquet: {str(error).splitlines()[0]}")
 
 
 SUFFIXES: Final = (".csv", ".csv.gz", ".parquet")
@@ -459,13 +367,13 @@ def repeated_names(
     left_out: list[list[str]] = [[] for _ in paths]
     problems: list[Problem] = []
     for i, path in enumerate(paths):
-        twice: list[tuple[int, str, str]] = []
+        twice: list[LineFault] = []
         for name, row in _names(path).items():
             j, other = first.setdefault(name, (i, row))
             if i != j:
                 left_out[i].append(name)
                 what = f"recording {name!r} is also in {shown[j]}, {place_unit(paths[j])} {other}"
-                twice.append((row, "", f"{what}; these rows are left out"))
+                twice.append(LineFault(row, "", f"{what}; these rows are left out"))
         problems += grouped_problems(shown[i], twice, word=place_unit(path))
     numbered = tuple(name for name in first if name.endswith(")"))
     return tuple(map(tuple, map(sorted, left_out))), tuple(problems), numbered
@@ -478,16 +386,16 @@ def place_unit(path: Path) -> str:
 
 def _names(path: Path) -> dict[str, int]:
     """First row of each recording of a file, as far as it can be read; faults are reported when it is read in full."""
-    found: dict[str, int] = {}
+    first_rows: dict[str, int] = {}
     name = pl.col("recording").fill_null("")
     try:
         for block in blocks_of(path, BLOCK_BYTES, [], ("recording",)):
             first = block.filter((name != name.shift(1)).fill_null(True) & (name != ""))
             for label, row in first.select("recording", ROW).iter_rows():
-                found.setdefault(label, row)
+                first_rows.setdefault(label, row)
     except (RecordingError, OSError):
         pass
-    return found
+    return first_rows
 
 
 KNOWN_BY: Final = 3  # a file with so many of the five columns that are needed is meant as a recording table
@@ -531,26 +439,26 @@ class TablePart:
                 continue
             count, last = count + 1, item
             if count <= MOST_PROBLEMS:
-                yield Problem(self.shown, item.place, item.what)
+                yield Problem.of(self.shown, item)
         if (more := count - MOST_PROBLEMS) > 0:
             yield Problem(self.shown, "", f"{more} more problem{'s' * (more > 1)}; the last: {last}")
 
-    def _items(self) -> Iterator[Recording | TableFault]:
+    def _items(self) -> Iterator[Recording | Fault]:
         """Recordings and faults, as they come."""
-        faults: list[TableFault] = []
+        faults: list[Fault] = []
         reading = _Reading()
         try:
             for frame, goes_on in whole_recordings(frames(Path(self.path), self.block_bytes, faults)):
                 yield from faults
                 faults.clear()
                 yield from self._recordings(frame, goes_on, reading)
-        except TableFault as fault:
+        except RecordingError as fault:
             faults.append(fault)
         except OSError as error:
-            faults.append(TableFault("", f"cannot be read: {error.strerror or error}"))
+            faults.append(RecordingError("", f"cannot be read: {error.strerror or error}"))
         yield from faults
 
-    def _recordings(self, frame: pl.DataFrame, goes_on: bool, reading: _Reading) -> Iterator[Recording | TableFault]:
+    def _recordings(self, frame: pl.DataFrame, goes_on: bool, reading: _Reading) -> Iterator[Recording | Fault]:
         """Those of a frame, or pieces of them."""
         word = place_unit(Path(self.path))
         labels, rows, fault = frame["recording"], frame[ROW].to_numpy(), frame[FAULT].to_numpy()
@@ -559,8 +467,8 @@ class TablePart:
         timed = np.abs(columns["t"]) < LARGEST_TIME  # False for NaN
         count = np.append(0, np.cumsum(1 + frame[CUT].to_numpy()))  # of rows down to each one, with the lost ones
 
-        def fault_at(i: int, what: str) -> TableFault:
-            return TableFault(f"{word} {rows[i]}", what)
+        def fault_at(i: int, what: str) -> RecordingError:
+            return RecordingError(f"{word} {rows[i]}", what)
 
         for label, start, end in zip(
             labels.gather(starts).to_list(), starts.tolist(), [*starts[1:].tolist(), frame.height], strict=True
@@ -578,39 +486,43 @@ class TablePart:
                     reading.seen[label] = int(rows[start])
             if not reading.name:
                 continue
-            place = start + np.flatnonzero(timed[start:end])  # a sample without a time is passed over
-            t = columns["t"][place]
+            timed_rows = start + np.flatnonzero(timed[start:end])  # a sample without a time is passed over
+            t = columns["t"][timed_rows]
             first = start + int(np.argmax(fault[start:end]))
             what = " has a fault here" if fault[first] else ""
             try:
                 stretches = clock_stretches(t)
             except RecordingError as error:
-                first, what = place[int(np.argmax(t[1:] < t[:-1])) + 1], f": {error}"
+                first, what = timed_rows[int(np.argmax(t[1:] < t[:-1])) + 1], f": {error}"
             if what:
                 yield fault_at(first, f"recording {label!r}{what}; {left}")
                 reading.lost = True
                 continue
-            if sum(map(len, stretches)) < place.size:
-                odd = np.delete(place, np.concatenate(stretches))
-                more = f" ({odd.size} {word}s in all)" if odd.size > 1 else ""
+            if sum(map(len, stretches)) < timed_rows.size:
+                disordered = np.delete(timed_rows, np.concatenate(stretches))
+                more = f" ({disordered.size} {word}s in all)" if disordered.size > 1 else ""
                 what = f"is not in the order of time; the {word} is left out{more}"
-                yield fault_at(odd[0], f"recording {label!r}: t = {float(columns['t'][odd[0]])!r} s {what}")
-            for at in (place[own] for own in stretches if own.size):
+                yield fault_at(
+                    disordered[0], f"recording {label!r}: t = {float(columns['t'][disordered[0]])!r} s {what}"
+                )
+            for at in (timed_rows[piece] for piece in stretches if piece.size):
                 if columns["t"][at[0]] < reading.last:
                     reading.taken = reading.taken or frozenset({*self.numbered, *_names(Path(self.path))})
                     names = (f"{label} ({number})" for number in itertools.count(2))
-                    reading.name = next(one for one in names if one not in reading.seen and one not in reading.taken)
+                    reading.name = next(
+                        value for value in names if value not in reading.seen and value not in reading.taken
+                    )
                     reading.seen[reading.name], reading.last = int(rows[at[0]]), -np.inf
                     what = f"the clock starts again here; it is read as another recording {reading.name!r}"
                     yield fault_at(at[0], f"recording {label!r}: {what}")
                 continues, then = reading.last > -np.inf, count[at + 1]
                 cut = np.append(continues and then[0] - count[start] + reading.lost > 1, then[1:] - then[:-1] > 1)
                 here = slice(at[0], at[-1] + 1) if at[-1] - at[0] == at.size - 1 else at
-                own: dict[str, Any] = {key: one[here] for key, one in columns.items()}
-                own |= {"cut": cut if cut.any() else None, "continues": continues}
-                yield Recording(reading.name, source=self.shown, **own)
+                piece: dict[str, Any] = {key: value[here] for key, value in columns.items()}
+                piece |= {"cut": cut if cut.any() else None, "continues": continues}
+                yield Recording(reading.name, source=self.shown, **piece)
                 reading.last = float(columns["t"][at[-1]])
-            reading.lost = place.size == 0 or at[-1] < end - 1
+            reading.lost = timed_rows.size == 0 or at[-1] < end - 1
 
 
 @dataclasses.dataclass(frozen=True)
@@ -625,43 +537,44 @@ class TableReader:
 
     def recognise(self, paths: Sequence[Path]) -> str:
         """What was found, if one of the files has a recording table's header; otherwise an empty text."""
-        found = sum(map(_is_table, _files(paths)))
-        return f"{found} recording table{'s' * (found > 1)}" if found else ""
+        count = sum(map(_is_table, _files(paths)))
+        return f"{count} recording table{'s' * (count > 1)}" if count else ""
 
     def open(self, paths: Sequence[Path]) -> FoundParts[TablePart]:
         """Look through files, or folders that hold them."""
         problems: list[Problem] = []
-        found: dict[Path, SourceFile] = {}
+        accepted: dict[Path, SourceFile] = {}
         known: dict[str, str] = {}
         files = _files(paths)
         for path, shown in zip(files, shown_names(files), strict=True):
             try:
                 if path.is_dir():
-                    raise TableFault("", "the folder holds no recording table")
+                    raise RecordingError("", "the folder holds no recording table")
                 if not path.name.lower().endswith(SUFFIXES):
-                    raise TableFault("", f"the suffix is not known; allowed: {', '.join(SUFFIXES)}")
+                    raise RecordingError("", "the suffix is not known", allowed=", ".join(SUFFIXES))
                 file = source_file(path, shown)
                 # refuse a file whose header lacks a column, or that has no rows at all
                 if is_parquet(path):
                     check_columns(parquet_names(path), REQUIRED, COLUMNS)
                 elif next(csv_blocks(path, HEADER_BYTES, []), None) is None:
-                    raise TableFault("", NO_ROWS)
+                    raise RecordingError("", NO_ROWS)
                 if (first := known.setdefault(file.sha256, shown)) != shown:
-                    raise TableFault("", f"holds the same as {first}, byte by byte; it is left out")
-                found[path] = file
-            except (OSError, ValueError) as error:  # also a NUL in the name
-                what = (isinstance(error, OSError) and error.strerror) or str(getattr(error, "what", error))
-                problems.append(Problem(shown, getattr(error, "place", ""), what.removeprefix(f"{path.name}: ")))
-        if not found:
+                    raise RecordingError("", f"holds the same as {first}, byte by byte; it is left out")
+                accepted[path] = file
+            except RecordingError as error:
+                problems.append(Problem.of(shown, error.at("") if error.path == shown else error))
+            except OSError as error:
+                problems.append(Problem(shown, "", f"cannot be read: {error.strerror}"))
+        if not accepted:
             others = f" (and {len(problems) - 1} more problems)" if len(problems) > 1 else ""
             raise RecordingError(f"{problems[0]}{others}" if problems else "no recording file is given")
-        names = [file.name for file in found.values()]
-        left_out, repeated, numbered = repeated_names(list(found), names) if len(found) > 1 else (((),), (), ())
+        names = [file.name for file in accepted.values()]
+        left_out, repeated, numbered = repeated_names(list(accepted), names) if len(accepted) > 1 else (((),), (), ())
         parts = tuple(
             TablePart(str(path), f"{i:05d}-{path.name}", file.bytes, file.name, left_out[i], self.block_bytes, numbered)
-            for i, (path, file) in enumerate(found.items())
+            for i, (path, file) in enumerate(accepted.items())
         )
-        return FoundParts(parts, tuple(found.values()), (*problems, *repeated))
+        return FoundParts(parts, tuple(accepted.values()), (*problems, *repeated))
 
 
 READER: Final = TableReader()
@@ -676,7 +589,7 @@ def _is_table(path: Path) -> bool:
         if is_parquet(path):
             names = parquet_names(path)
         else:
-            with gzip.open(path) if name.endswith(".gz") else path.open("rb") as stream:
+            with open_text(path) as stream:
                 # no more: the rest may be broken, which is reported when it is read
                 first, _, _ = _header_line(stream, HEADER_BYTES)
             line = first.decode("utf-8-sig", "replace").replace("\0", "").split("\n", 1)[0]  # of UTF-16 the letters
@@ -688,12 +601,12 @@ def _is_table(path: Path) -> bool:
 
 def _files(paths: Sequence[Path]) -> list[Path]:
     """The files, each once; of a folder those with a recording table's suffix and columns, or else the folder."""
-    found: dict[str, Path] = {}
+    files: dict[str, Path] = {}
     for path in paths:
         try:
             inside = sorted(path.iterdir()) if path.is_dir() else []
         except (OSError, ValueError):
             inside = []  # opening it tells why
-        for one in list(filter(_is_table, inside)) or [path]:
-            found.setdefault(place_of(one), one)
-    return list(found.values())
+        for file in list(filter(_is_table, inside)) or [path]:
+            files.setdefault(place_of(file), file)
+    return list(files.values())

@@ -15,9 +15,8 @@ import numpy as np
 from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.preparation import LIMITS, cut_at, joins_of, local_slope, merge_repeated, spikes, values_at
-from ldctoolkit.recordings.recording import LARGEST, Label, Problem, Recording, SourceFile, TableFault, source_file
-from ldctoolkit.recordings.sources import FoundParts
-from ldctoolkit.recordings.trip_index import read_cells
+from ldctoolkit.recordings.recording import LARGEST, FoundParts, Label, Problem, Recording, SourceFile, source_file
+from ldctoolkit.recordings.text_table import Layout, LineFault, read_numbers
 from ldctoolkit.recordings.trip_tables import grouped_problems, rows_in_order
 
 DETECTED: Final = 2.0  # state of the lane estimator in which offset and width can be used
@@ -34,7 +33,7 @@ class TableKind:
 
     title: str  # for messages, with its article
     file: str  # name of the file
-    columns: dict[int, str]  # places, from 0, and names of the cells that are read, the time first
+    columns: dict[str, int]  # names and places, from 0, of the cells that are read, the time first
     plausible: Callable[[FloatArray], bool]  # says of values, (n, k), whether they can be this table's
 
 
@@ -67,15 +66,15 @@ def _accelerometers_like(values: FloatArray) -> bool:
 
 
 LANE: Final = TableKind(
-    "a lane table", "PROC_LANE_DETECTION.txt", {0: "time", 1: "offset", 3: "lane width", 4: "state"}, _lane_like
+    "a lane table", "PROC_LANE_DETECTION.txt", {"time": 0, "offset": 1, "lane width": 3, "state": 4}, _lane_like
 )
 
 GPS: Final = TableKind(
-    "a GPS table", "RAW_GPS.txt", {0: "time", 1: "speed", 2: "latitude", 3: "longitude", 7: "course"}, _gps_like
+    "a GPS table", "RAW_GPS.txt", {"time": 0, "speed": 1, "latitude": 2, "longitude": 3, "course": 7}, _gps_like
 )
 
 ACCELEROMETERS: Final = TableKind(
-    "an accelerometer table", "RAW_ACCELEROMETERS.txt", {0: "time", 1: "flag", 10: "yaw angle"}, _accelerometers_like
+    "an accelerometer table", "RAW_ACCELEROMETERS.txt", {"time": 0, "flag": 1, "yaw angle": 10}, _accelerometers_like
 )
 
 
@@ -85,52 +84,44 @@ LARGEST_FILE: Final = 64 << 20
 MOST_FAULTS: Final = 5  # so many faulty lines of one file are named one by one, the others are counted
 
 
-def read_table(path: Path, shown: str, kind: TableKind) -> tuple[Table | None, list[Problem]]:
-    r"""Read a table's columns, whose values are parted by blanks.
+def read_table(path: Path, shown: str, kind: TableKind) -> tuple[Table, list[Problem]]:
+    """Read a table's columns, whose values are parted by blanks; without rows where its clock starts again.
 
-    Raises `TableFault` for a clock that starts again.
+    Raises `RecordingError` for a file that is no such table.
     """
-
-    def refused(what: str, place: str = "") -> tuple[None, list[Problem]]:
-        return None, [Problem(shown, place, what)]
-
     try:
         size = path.stat().st_size
         if size > LARGEST_FILE:
-            return refused(f"{size} bytes; a file of one trip has at most {LARGEST_FILE}")
+            raise RecordingError("", f"{size} bytes; a file of one trip has at most {LARGEST_FILE}")
         data = path.read_bytes().removeprefix(codecs.BOM_UTF8)
-    except (OSError, ValueError) as error:
-        return refused(f"cannot be read: {error.strerror if isinstance(error, OSError) else error}")
+    except OSError as error:
+        raise RecordingError("", f"cannot be read: {error.strerror}") from None
     # in UTF-16, digits alternate with NUL
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) or data[:4].count(0) == 2:
-        return refused("it is UTF-16 text, or no text at all; allowed: UTF-8")
+        raise RecordingError("", "it is UTF-16 text, or no text at all", allowed="UTF-8")
     filled = [(number, line) for number, line in enumerate(data.splitlines(), 1) if line.strip()]
     if not filled:
-        return refused("it is empty")
-    cells = 1 + max(kind.columns)
+        raise RecordingError("", "it is empty")
+    cells = 1 + max(kind.columns.values())
     text = b"\n".join(line if b"," in line else b",".join(line.split()[:cells]) for _, line in filled)
-    names = [kind.columns.get(i, "") for i in range(cells)]
-    found = read_cells(text, names, list(kind.columns.values()))
-    t = np.full(len(filled), np.nan)
-    t[found.row] = found.values[0]
-    good = np.abs(found.values[0]) < LARGEST  # False for NaN
-    untimed = [(row, "time", "no usable time") for row in found.row[~good].tolist()]
-    faults = [(filled[row][0], kind_, what) for row, kind_, what in sorted([*found.faults, *untimed])]
-    if not good.any():
+    numbers = read_numbers(text, Layout(kind.columns, (cells,)))
+    timed = np.abs(numbers["time"]) < LARGEST  # False for NaN
+    untimed = [LineFault(row, "time", "no usable time") for row in numbers.row[~timed].tolist()]
+    faults = [fault._replace(line=filled[fault.line][0]) for fault in sorted([*numbers.faults, *untimed])]
+    if not timed.any():
         more = f" and {len(faults) - 1} more" if len(faults) > 1 else ""
-        return refused(f"{faults[0][2]}; no line can be used", f"line {faults[0][0]}{more}")
-    values, rows = np.column_stack(found.values)[good], found.row[good]
-    kept, row, what = rows_in_order(values[:, 0])
-    place = f"line {filled[rows[row]][0]}"
-    if not kept.any():
-        raise TableFault(place, what)
-    if not kind.plausible(values[kept]):
-        return refused(f"its numbers are not those of {kind.title}; are files swapped?")
-    lost = ((line, "", f"{fault}; the line is left out") for line, _, fault in faults)
-    problems = grouped_problems(shown, lost, MOST_FAULTS)
-    if not kept.all():
-        problems.append(Problem(shown, place, what))
-    return (values[kept], joins_of(t, rows[kept])), problems
+        raise RecordingError(f"line {faults[0].line}{more}", f"{faults[0].what}; no line can be used")
+    values, rows = np.column_stack([*numbers.columns.values()])[timed], numbers.row[timed]
+    t = np.full(len(filled), np.nan)
+    t[rows] = values[:, 0]
+    forward, row, what = rows_in_order(values[:, 0])
+    order = [] if forward.all() else [Problem(shown, f"line {filled[rows[row]][0]}", what)]
+    if not forward.any():
+        return (values[:0], np.empty((0, 2))), order
+    if not kind.plausible(values[forward]):
+        raise RecordingError("", f"its numbers are not those of {kind.title}; are files swapped?")
+    lost = (fault._replace(kind="", what=f"{fault.what}; the line is left out") for fault in faults)
+    return (values[forward], joins_of(t, rows[forward])), [*grouped_problems(shown, lost, MOST_FAULTS), *order]
 
 
 DEPTH: Final = 3  # trips are looked for so many folders below a given one; the dataset's root has them at 2
@@ -146,7 +137,7 @@ _WANTED: Final = (LANE.file, GPS.file, ACCELEROMETERS.file)
 
 @dataclasses.dataclass(frozen=True)
 class UahDriveset:
-    r"""The reader; see `ldctoolkit.recordings.sources.RecordingReader`."""
+    r"""The reader; see `ldctoolkit.recordings.recording.RecordingReader`."""
 
     name: str = "uah-driveset"
     title: str = "UAH-DriveSet v1: trips in folders, a phone's lane detection, positions and yaw angles"
@@ -220,7 +211,7 @@ def _trip(folder: _Folder, problems: list[Problem]) -> tuple[TripFolder, list[So
     """The trip in a folder and the digests of its files, the lane's first."""
     for name, what in ((LANE.file, "the offset from the lane's centre"), (GPS.file, "the speed")):
         if name not in folder.files:
-            raise RecordingError(f"no file {name}, which holds {what}")
+            raise RecordingError("", f"no file {name}, which holds {what}")
     match = _TRIP.fullmatch(folder.path.name)
     labels: tuple[Label, ...] = ()
     if match:
@@ -242,18 +233,18 @@ def _folders(paths: Sequence[Path], problems: list[Problem]) -> Iterator[_Folder
         shown = path.name or "."
         try:
             resolved = path.resolve()
-            there = resolved.exists()
+            exists = resolved.exists()
         except (OSError, ValueError, RuntimeError):  # a NUL in the name, a loop of links
-            there = False
-        if not there:
+            exists = False
+        if not exists:
             problems.append(Problem(shown, "", "does not exist"))
             continue
         if resolved.name.upper() in map(str.upper, _WANTED) and not _is_folder(resolved):
             resolved = resolved.parent
-        found = list(_walk(resolved, DEPTH, problems)) if _is_folder(resolved) else []
-        if not found:
+        trips = list(_walk(resolved, DEPTH, problems)) if _is_folder(resolved) else []
+        if not trips:
             problems.append(Problem(shown, "", f"holds no trip: no folder {_PATTERN} and no file {LANE.file}"))
-        yield from found
+        yield from trips
 
 
 def _walk(folder: Path, depth: int, problems: list[Problem]) -> Iterator[_Folder]:
@@ -262,20 +253,20 @@ def _walk(folder: Path, depth: int, problems: list[Problem]) -> Iterator[_Folder
     except OSError as error:
         problems.append(Problem(folder.name, "", f"cannot be read: {error.strerror or error}"))
         return
-    wanted = {name.upper(): name for name in _WANTED}
-    files = {wanted[entry.name.upper()]: entry.name for entry in inside if entry.name.upper() in wanted}
+    spelled = {name.upper(): name for name in _WANTED}
+    files = {spelled[entry.name.upper()]: entry.name for entry in inside if entry.name.upper() in spelled}
     if LANE.file in files:
         yield _Folder(folder.resolve(), files)
         return
-    found = False
+    any_trip = False
     if depth > 0:
         for entry in inside:
             # archives from a Mac hold a shadow of every folder
             if not entry.name.startswith((".", "__")) and _is_folder(entry):
                 for trip in _walk(entry, depth - 1, problems):
-                    found = True
+                    any_trip = True
                     yield trip
-    if not found and _TRIP.fullmatch(folder.name):
+    if not any_trip and _TRIP.fullmatch(folder.name):
         yield _Folder(folder.resolve(), files)
 
 
@@ -317,12 +308,13 @@ class TripFolder:
             shown = f"{self.shown}/{name}"
             try:
                 table, problems = read_table(Path(self.folder, name), shown, kind) if name else (None, [])
-            except TableFault as fault:
-                yield Problem(shown, fault.place, fault.what)
-                return
+            except RecordingError as error:
+                table, problems = None, [Problem.of(shown, error)]
             yield from problems
             if table is not None:
                 tables[kind.file] = table
+                if not table[0].size:
+                    return
             elif kind is not ACCELEROMETERS:
                 needed = "the offset from the lane's centre" if kind is LANE else "the speed"
                 yield Problem(self.shown, "", f"without {needed} the trip is left out")
@@ -340,7 +332,7 @@ class TripFolder:
         valid = (state == DETECTED) & (width > 0.0) & (width < LARGEST) & (np.abs(x) < LARGEST) & ~inside
         # speed at the times `t` [m/s]
         # a phone without a speed says less than 0; what no vehicle drives is not interpolated either
-        known = (gps[:, 1] >= 0.0) & (gps[:, 1] < 360.0) & ~spikes(gps[:, 1], 3.6 * LIMITS["speed"][1])
+        known = (gps[:, 1] >= 0.0) & (gps[:, 1] < 360.0) & ~spikes(gps[:, 1], 3.6 * LIMITS["speed"].spike)
         speed = values_at(t, *merge_repeated(gps[known, 0], gps[known, 1] / 3.6), longest=SPEED_STEP, beyond=SPEED_HELD)
         known = is_course(gps[:, 4])
         course_t, course = merge_repeated(gps[known, 0], np.unwrap(-np.radians(gps[known, 4])))

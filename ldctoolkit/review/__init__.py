@@ -1,7 +1,16 @@
 """Review of a design before a study: poles, margins, sampling, limits, conditioning, steady bends."""
 
-from ldctoolkit.review.design_review import BEND, SPEEDS, Review, review, review_plant, without_review
-from ldctoolkit.review.limits import Finding, Severity, Thresholds
+from ldctoolkit.review.design_review import (
+    BEND,
+    SPEEDS,
+    Finding,
+    Review,
+    Severity,
+    Thresholds,
+    review,
+    review_plant,
+    without_review,
+)
 from ldctoolkit.review.loop_numbers import MISMATCH, LoopNumbers, design_margins
 
 __all__ = [

@@ -1,27 +1,151 @@
-"""The review of one design: every check at every speed, and the findings that follow."""
+"""The review of one design: its loop against thresholds, its limits against each other, and what is left out."""
 
 import dataclasses
 import math
 from collections.abc import Iterator
-from typing import Final
+from typing import Any, Final, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.control import Controller
-from ldctoolkit.errors import InputError, LdcError, plain
-from ldctoolkit.gains import GainValue
+from ldctoolkit.declared import GainValue, checked_number, is_number
+from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.law_checks import check_controller
-from ldctoolkit.option_checks import is_number
-from ldctoolkit.plant_options import PlantOptions
+from ldctoolkit.plant_options import Actuator, PlantOptions
 from ldctoolkit.review.law_model import LARGER, PULSE, LinearView, linear_view
-from ldctoolkit.review.limits import Finding, Severity, Situation, Thresholds, limit_findings, limit_of
 from ldctoolkit.review.loop_numbers import BEND_ERROR, MISMATCH, LoopNumbers, loop_numbers
 from ldctoolkit.setup import PlantKnowledge, known_plant
 from ldctoolkit.vehicle import BicycleModel, Plant
 from ldctoolkit.vehicle.bicycle import checked_speeds
 from ldctoolkit.vehicle.speed_schedule import SPEED_RANGE
+
+Severity = Literal["fault", "warning", "note"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Finding:
+    """One result of a review.
+
+    Raises `InputError` for an unknown severity.
+
+    Examples
+    --------
+    >>> Finding("note", "linear", "The law is linear.").severity
+    'note'
+    """
+
+    # A fault makes the design useless or dangerous somewhere in the range, a warning is worth a second look, a note
+    # says what the numbers stand on
+    severity: Severity
+    name: str  # The check
+    sentence: str  # The result, what is allowed, what helps
+    value: float = math.nan  # The worst value, in SI units; NaN where there is none
+    allowed: float = math.nan  # Where the finding starts; NaN where there is none
+    v: float = math.nan  # [m/s] Speed of the worst value; NaN where it does not depend on the speed
+
+    def __post_init__(self) -> None:
+        if self.severity not in get_args(Severity):
+            raise InputError("severity", value=self.severity, allowed=get_args(Severity))
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Thresholds:
+    """Where findings start. A pair is (warning, fault).
+
+    Gain and phase margin, and the damping that goes with the latter, are the lower ends of what is usual: gain margin 2
+    to 5, phase margin 30 to 60 degrees (K. J. Astrom, R. M. Murray, *Feedback Systems*, section on stability margins).
+    A disk margin of 0.5 stands for gain that changes by a factor of 1.67 and phase that changes by 28 degrees, one of
+    the two, or part of both at a time (P. Seiler, A. Packard, P. Gahinet, *An Introduction to Disk Margins*, IEEE
+    Control Systems Magazine 40(5), 2020). Faults are at half of these. Sampling ten times faster than the bandwidth is
+    a usual lower end (K. J. Astrom, B. Wittenmark, *Computer-Controlled Systems*); half the sampling frequency is
+    Nyquist's limit. The others are choices of this toolkit. Raises `InputError` for a value that is not > 0, or a fault
+    that starts before its warning.
+
+    Examples
+    --------
+    >>> Thresholds(gain_margin=(8.0, 4.0)).disk_margin
+    (0.5, 0.25)
+    """
+
+    gain_margin: tuple[float, float] = (6.0, 3.0)  # [dB] Factor that the loop gain may grow, or shrink, by
+    phase_margin: tuple[float, float] = (math.radians(30.0), math.radians(15.0))  # [rad]
+    disk_margin: tuple[float, float] = (0.5, 0.25)  # Balanced (skew 0)
+    delay_margin: tuple[float, float] = (1.0, 0.5)  # [samples]
+    damping: tuple[float, float] = (0.3, 0.1)  # Damping ratio of the closed loop's poles
+    sampling: tuple[float, float] = (0.1, 0.5)  # Bandwidth over sampling frequency
+    slowest: tuple[float, float] = (10.0, 100.0)  # [s] Time constant of the slowest pole
+    bend: tuple[float, float] = (0.1, 0.3)  # [m] |e_y| in a steady bend on the nominal vehicle
+    bend_mismatched: tuple[float, float] = (0.3, 0.6)  # [m] The same on a vehicle with other tyres
+    hessian: tuple[float, float] = (1e6, 1e12)  # Condition number of the condensed Hessian
+
+    def __post_init__(self) -> None:
+        for field in dataclasses.fields(self):
+            pair, rising = getattr(self, field.name), field.name in _LARGE_IS_BAD
+            numbers = isinstance(pair, tuple) and len(pair) == 2 and all(is_number(x) and x > 0 for x in pair)
+            if not numbers or (pair[0] > pair[1] if rising else pair[0] < pair[1]):
+                allowed = f"(warning, fault), numbers > 0, fault {'>=' if rising else '<='} warning"
+                raise InputError(f"thresholds.{field.name}", value=pair, allowed=allowed)
+
+
+_LARGE_IS_BAD: Final = {"sampling", "slowest", "bend", "bend_mismatched", "hessian"}
+
+
+def _at(
+    severity: Severity, name: str, v: FloatArray, i: int, text: str, value: float = math.nan, allowed: float = math.nan
+) -> Finding:
+    """A finding at the i-th speed."""
+    return Finding(severity, name, f"At {v[i]:.3g} m/s {text}", float(value), allowed, float(v[i]))
+
+
+def _count(affected: BoolArray, of: str = "at {} of {} speeds") -> str:
+    """How many of several speeds, or departures, are affected."""
+    return f" (so {of.format(int(affected.sum()), affected.size)})" if affected.size > 1 else ""
+
+
+# ------------------------------------------------------------------------------------------------ the law by itself
+
+_NONLINEAR: Final = 0.05  # Relative difference of the answers to small and larger pulses from which it is reported
+_UNEXPLAINED: Final = 0.02  # Part of a pulse response that the model of the memory may miss without a report
+
+
+def law_findings(controller: Controller, view: LinearView, v: FloatArray) -> Iterator[Finding]:
+    """Findings on a law by itself."""
+    bound = limit_of(controller, "e_y_max")
+    if not view.finite.all():
+        text = "the law gives commands that are not finite numbers near straight, centred driving."
+        yield _at("fault", "finite", v, int(np.argmin(view.finite)), f"{text} Nothing else can be said about its loop.")
+    elif not view.quiet.all():
+        text = "the law steers while driving straight and centred."
+        yield _at("fault", "quiet", v, int(np.argmin(view.quiet)), text)
+    if view.finite.all() and not view.exact:
+        memory = f"a memory of order {view.order}" if view.order else "no memory"
+        text = (
+            "The law is not linear by its type: poles and margins are those of its answers to pulses of "
+            f"{PULSE[0]:g} m, {PULSE[1]:g} m/s and {PULSE[2]:g} rad around straight driving, which show {memory}."
+        )
+        yield Finding("note", "linearised", text)
+        i = int(np.argmax(view.nonlinearity))
+        if view.nonlinearity[i] > _NONLINEAR:
+            text = (
+                f"the answers to pulses {LARGER:g} times larger differ from proportional ones by "
+                f"{100 * view.nonlinearity[i]:.2g} % of the largest: poles and margins hold for small deviations only."
+            )
+            yield _at("note", "nonlinear", v, i, text, view.nonlinearity[i], _NONLINEAR)
+        i = int(np.argmax(view.unexplained))
+        if view.unexplained[i] > _UNEXPLAINED:
+            text = (
+                f"{100 * view.unexplained[i]:.2g} % of the law's answer to a pulse are not those of a small linear "
+                "system: poles and margins may be wrong."
+            )
+            yield _at("warning", "memory", v, i, text, view.unexplained[i], _UNEXPLAINED)
+    if bound is not None and not view.exact:
+        text = f"The law keeps |e_y| <= e_y_max = {bound:g} m by itself: the loop while that bound holds the command"
+        yield Finding("note", "bound", f"{text} is not looked at, poles and margins are those far from it.")
+
+
+# ------------------------------------------------------------------------------------------------ the loop
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,146 +157,87 @@ class Check:
     limits: tuple[float, float]  # Where a warning starts, and a fault
     text: str  # Half a sentence with {value}
     help: str  # What helps, a sentence without its full stop
-    # How values are shown
-    factor: float = 1.0
     unit: str = ""
+    factor: float = 1.0  # From SI units to those that are shown
     at_least: bool = True  # Small values are the bad ones
 
-    def finding(self, v: FloatArray) -> Finding | None:
-        """The finding at the worst speed, None where all is well."""
+    def findings(self, v: FloatArray) -> Iterator[Finding]:
+        """The finding at the worst speed, none where all is well."""
         sign = -1.0 if self.at_least else 1.0
         badness = np.where(np.isnan(self.values), -math.inf, sign * self.values)
-        i = int(np.argmax(badness))
-        warning, fault = sign * self.limits[0], sign * self.limits[1]
-        if not badness[i] > warning:
-            return None
-        severity: Severity = "fault" if badness[i] > fault else "warning"
-        value, word = float(self.values[i]), "at least" if self.at_least else "at most"
-        shown = self.text.format(value=self._shown(value))
-        sentence = (
-            f"At {v[i]:.3g} m/s {shown}; allowed: {word} {self._shown(self.limits[0])}{share(badness > warning)}. "
-            f"{self.help}."
-        )
-        return Finding(severity, self.name, sentence, value, self.limits[0], float(v[i]))
-
-    def _shown(self, value: float) -> str:
-        return f"{value * self.factor:.3g} {self.unit}".rstrip()
-
-
-def share(where: BoolArray) -> str:
-    """How many of several speeds are meant."""
-    return f" (so at {int(where.sum())} of {where.size} speeds)" if where.size > 1 else ""
+        i, warning, fault = int(np.argmax(badness)), sign * self.limits[0], sign * self.limits[1]
+        if badness[i] > warning:
+            value, limit = (f"{x * self.factor:.3g} {self.unit}".rstrip() for x in (self.values[i], self.limits[0]))
+            bound = f"{'at least' if self.at_least else 'at most'} {limit}{_count(badness > warning)}"
+            text = f"{self.text.format(value=value)}; allowed: {bound}. {self.help}."
+            severity: Severity = "fault" if badness[i] > fault else "warning"
+            yield _at(severity, self.name, v, i, text, self.values[i], self.limits[0])
 
 
 def loop_findings(numbers: LoopNumbers, controller: Controller, dt: float, thresholds: Thresholds) -> Iterator[Finding]:
-    """What the numbers of a loop say."""
-    softer = _softer(controller)
-    yield from _instability(numbers, dt, softer)
-    sampling = 2.0 * math.pi / dt
-    beyond = float(numbers.bandwidth.max()) > 0.5 * sampling
-    above = ", above the Nyquist frequency, which is half of it" if beyond else ""
-    checks = (
-        *_margins(numbers, dt, thresholds, softer),
-        *_bends(numbers, thresholds),
-        Check(
-            "sampling",
-            numbers.bandwidth / sampling,
-            thresholds.sampling,
-            f"the loop's bandwidth is {{value}} of the sampling frequency of {sampling:.3g} rad/s{above}",
-            f"Lower the gains or sample faster than every {dt:g} s",
-            at_least=False,
-        ),
-    )
-    for check in checks:
-        found = check.finding(numbers.v)
-        if found is not None:
-            yield found
-
-
-def _instability(numbers: LoopNumbers, dt: float, softer: str) -> Iterator[Finding]:
-    v, i = numbers.v, int(np.argmax(numbers.radius))
-    radius = float(numbers.radius[i])
-    where = share(~numbers.stable)
-    if not numbers.stable.all() and radius > 1.0 + 1e-6:
+    """Findings on the numbers of a loop."""
+    n, v, softer = numbers, numbers.v, _softer(controller)
+    if not n.stable.all():
+        i = int(np.argmax(n.radius))
         text = (
-            f"At {v[i]:.3g} m/s the closed loop is unstable: a deviation grows by a factor of {_factor(radius)} a "
-            f"sample of {dt:g} s{where}. {softer}, or shorten delay and lag."
+            f"a deviation is never corrected: a pole of the closed loop lies on the stability limit{_count(~n.stable)}."
+            " Give the law a gain on both e_y and e_psi."
         )
-        yield Finding("fault", "stability", text, radius, 1.0, float(v[i]))
-    elif not numbers.stable.all():
+        if n.radius[i] > 1.0 + 1e-6:
+            digits = max(2, 1 - math.floor(math.log10(n.radius[i] - 1.0)))  # As many as tell it from 1
+            factor = f"{n.radius[i]:.3g}" if n.radius[i] >= 1.1 else f"{n.radius[i]:.{digits}f}"
+            text = (
+                f"the closed loop is unstable: a deviation grows by a factor of {factor} a sample of {dt:g} s"
+                f"{_count(~n.stable)}. {softer}, or shorten delay and lag."
+            )
+        yield _at("fault", "stability", v, i, text, n.radius[i], 1.0)
+    other_tyres = f"on tyres that are {100 * MISMATCH:g} % softer or stiffer than the law knows"
+    unstable = np.isinf(n.e_y_bend_mismatched)
+    if unstable.any():
+        text = f"the closed loop is unstable {other_tyres}{_count(unstable)}. {softer}, or shorten delay and lag."
+        yield _at("fault", "stability_mismatched", v, int(np.argmax(unstable)), text)
+    for check in _checks(numbers, dt, thresholds, softer, other_tyres):
+        yield from check.findings(v)
+    i, wrong = int(np.argmax(n.bend_error)), n.bend_error > BEND_ERROR
+    if wrong.any():
         text = (
-            f"At {v[i]:.3g} m/s a deviation is never corrected: a pole of the closed loop lies on the stability limit"
-            f"{where}. Give the law a gain on both e_y and e_psi."
+            f"the law is not linear in a steady bend: its command there differs by {100 * n.bend_error[i]:.3g} % from "
+            f"what small deviations predict. Offsets in the bend are left out ({int(wrong.sum())} of {wrong.size} "
+            "speeds)."
         )
-        yield Finding("fault", "stability", text, radius, 1.0, float(v[i]))
-    lost = np.isinf(numbers.e_y_bend_mismatched)
-    if lost.any():
-        at = float(v[int(np.argmax(lost))])
-        text = (
-            f"At {at:.3g} m/s the closed loop is unstable on tyres that are {100 * MISMATCH:g} % softer or stiffer "
-            f"than the law knows{share(lost)}. {softer}, or shorten delay and lag."
-        )
-        yield Finding("fault", "stability_mismatched", text, v=at)
+        yield _at("note", "bend_not_linear", v, i, text, n.bend_error[i], BEND_ERROR)
 
 
-def _factor(radius: float) -> str:
-    """A factor above 1 with as many digits as tell it from 1."""
-    digits = max(2, 1 - math.floor(math.log10(radius - 1.0)))
-    return f"{radius:.3g}" if radius >= 1.1 else f"{radius:.{digits}f}"
-
-
-def _margins(numbers: LoopNumbers, dt: float, t: Thresholds, softer: str) -> Iterator[Check]:
-    stable = numbers.stable
-    yield Check(
-        "gain_margin", numbers.gain_margin, t.gain_margin, "the loop has a gain margin of {value}", softer, 1, "dB"
-    )
-    yield Check(
-        "gain_reduction_margin",
-        numbers.gain_reduction_margin,
-        t.gain_margin,
-        "the loop gets unstable if its gain shrinks by {value}",
-        "Weigh e_psi and the rates more against e_y",
-        unit="dB",
-    )
-    in_degrees = 180.0 / math.pi
-    text = "the loop has a phase margin of {value}"
-    yield Check("phase_margin", numbers.phase_margin, t.phase_margin, text, softer, in_degrees, "deg")
-    yield Check("disk_margin", numbers.disk_margin, t.disk_margin, "the loop has a disk margin of {value}", softer)
-    samples = (t.delay_margin[0] * dt, t.delay_margin[1] * dt)
-    text = "the loop stands no more additional delay than {value}"
-    yield Check("delay_margin", numbers.delay_margin, samples, text, softer, 1000.0, "ms")
-    damping = np.where(stable, numbers.damping, np.nan)
-    yield Check("damping", damping, t.damping, "the closed loop has a damping ratio of {value}", softer)
-    slowest = np.where(stable, numbers.slowest, np.nan)
-    text = "the slowest pole of the closed loop has a time constant of {value}"
-    yield Check(
-        "slowest_pole", slowest, t.slowest, text, "Raise the gain on e_y or its integral", unit="s", at_least=False
-    )
-    yield Check(
-        "hessian",
-        numbers.hessian_condition,
-        t.hessian,
-        "the condensed Hessian has a condition number of {value}",
-        "Raise r_delta against the other weights or shorten the horizon",
-        at_least=False,
-    )
-
-
-def _bends(numbers: LoopNumbers, t: Thresholds) -> Iterator[Check]:
-    largest = float((numbers.bend * numbers.v).max())
-    bend = f"a steady bend of {largest:.3g} m/s^2 leaves an offset of {{value}}"
-    nominal, other = np.abs(numbers.e_y_bend), np.abs(numbers.e_y_bend_mismatched)
-    help_ = "Add curvature feedforward or integral action, or raise the gain on e_y"
-    yield Check("bend", nominal, t.bend, bend, help_, unit="m", at_least=False)
-    yield Check(
-        "bend_mismatched",
-        np.where(np.isinf(other), np.nan, other),
-        t.bend_mismatched,
-        f"on tyres that are {100 * MISMATCH:g} % softer or stiffer than the law knows {bend}",
-        "Add integral action or raise the gain on e_y",
-        unit="m",
-        at_least=False,
-    )
+def _checks(numbers: LoopNumbers, dt: float, t: Thresholds, softer: str, other_tyres: str) -> tuple[Check, ...]:
+    n, sampling = numbers, 2.0 * math.pi / dt
+    damping, slowest = (np.where(n.stable, values, np.nan) for values in (n.damping, n.slowest))
+    offset = f"a steady bend of {(n.bend * n.v).max():.3g} m/s^2 leaves an offset of {{value}}"
+    nominal, mismatched = np.abs(n.e_y_bend), np.abs(n.e_y_bend_mismatched)
+    beyond = ", above the Nyquist frequency, which is half of it" if n.bandwidth.max() > 0.5 * sampling else ""
+    rate = f"the loop's bandwidth is {{value}} of the sampling frequency of {sampling:.3g} rad/s{beyond}"
+    delay = (t.delay_margin[0] * dt, t.delay_margin[1] * dt)
+    return (
+        Check("gain_margin", n.gain_margin, t.gain_margin, "the loop has a gain margin of {value}", softer, "dB"),
+        Check("gain_reduction_margin", n.gain_reduction_margin, t.gain_margin,
+              "the loop gets unstable if its gain shrinks by {value}", "Weigh e_psi and the rates more against e_y",
+              "dB"),
+        Check("phase_margin", n.phase_margin, t.phase_margin, "the loop has a phase margin of {value}", softer, "deg",
+              180.0 / math.pi),
+        Check("disk_margin", n.disk_margin, t.disk_margin, "the loop has a disk margin of {value}", softer),
+        Check("delay_margin", n.delay_margin, delay, "the loop stands no more additional delay than {value}", softer,
+              "ms", 1000.0),
+        Check("damping", damping, t.damping, "the closed loop has a damping ratio of {value}", softer),
+        Check("slowest_pole", slowest, t.slowest, "the slowest pole of the closed loop has a time constant of {value}",
+              "Raise the gain on e_y or its integral", "s", at_least=False),
+        Check("hessian", n.hessian_condition, t.hessian, "the condensed Hessian has a condition number of {value}",
+              "Raise r_delta against the other weights or shorten the horizon", at_least=False),
+        Check("bend", nominal, t.bend, offset,
+              "Add curvature feedforward or integral action, or raise the gain on e_y", "m", at_least=False),
+        Check("bend_mismatched", np.where(np.isinf(mismatched), np.nan, mismatched), t.bend_mismatched,
+              f"{other_tyres} {offset}", "Add integral action or raise the gain on e_y", "m", at_least=False),
+        Check("sampling", n.bandwidth / sampling, t.sampling, rate,
+              f"Lower the gains or sample faster than every {dt:g} s", at_least=False),
+    )  # fmt: skip
 
 
 def _softer(controller: Controller) -> str:
@@ -185,76 +250,100 @@ def _softer(controller: Controller) -> str:
     return f"Lower {', '.join(gains)} in size" if gains else "Make the law softer"
 
 
-_NONLINEAR = 0.05  # relative difference of the answers to small and larger pulses from which it is reported
-_IN_THE_LOOP = ("period", "delay", "kalman")  # what of the camera the loop holds
-_UNEXPLAINED = 0.02  # part of a pulse response that the model of the memory may leave out untold
+# ------------------------------------------------------------------------------------------------ limits
+
+_NO_HORIZON: Final = 1.0  # [s] Time within which a law without a horizon should have its limits back
+_RARE: Final = 0.01  # Share of departures below which wheels beyond the limits are a warning
+_OFF_AT_0: Final = ("a_y_max", "jerk_max", "e_y_max")
+_ROUNDING: Final = 1e-9
 
 
-def law_findings(view: LinearView, v: FloatArray) -> Iterator[Finding]:
-    """What can be stated of a law by itself."""
-    if not view.finite.all():
-        at = float(v[int(np.argmin(view.finite))])
-        text = f"At {at:.3g} m/s the law gives commands that are not finite numbers near straight, centred driving."
-        yield Finding("fault", "finite", f"{text} Nothing else can be said about its loop.", v=at)
-        return
-    if not view.quiet.all():
-        at = float(v[int(np.argmin(view.quiet))])
-        yield Finding("fault", "quiet", f"At {at:.3g} m/s the law steers while driving straight and centred.", v=at)
-    if view.exact:
-        return
-    memory = f"a memory of order {view.order}" if view.order else "no memory"
-    yield Finding(
-        "note",
-        "linearised",
-        f"The law is not linear by its type: poles and margins are those of its answers to pulses of {PULSE[0]:g} m, "
-        f"{PULSE[1]:g} m/s and {PULSE[2]:g} rad around straight driving, which show {memory}.",
-    )
-    i = int(np.argmax(view.nonlinearity))
-    if view.nonlinearity[i] > _NONLINEAR:
-        yield Finding(
-            "note",
-            "nonlinear",
-            f"At {v[i]:.3g} m/s the answers to pulses {LARGER:g} times larger differ from proportional ones by "
-            f"{100 * view.nonlinearity[i]:.2g} % of the largest: poles and margins hold for small deviations only.",
-            float(view.nonlinearity[i]),
-            _NONLINEAR,
-            float(v[i]),
-        )
-    i = int(np.argmax(view.unexplained))
-    if view.unexplained[i] > _UNEXPLAINED:
-        yield Finding(
-            "warning",
-            "memory",
-            f"At {v[i]:.3g} m/s {100 * view.unexplained[i]:.2g} % of the law's answer to a pulse are not those of a "
-            "small linear system: poles and margins may be wrong.",
-            float(view.unexplained[i]),
-            _UNEXPLAINED,
-            float(v[i]),
-        )
+def limit_of(controller: Controller, name: str) -> float | None:
+    """A limit that a design declares and has set, None otherwise."""
+    value: Any = getattr(controller, name) if any(g.name == name for g in controller.gains()) else None
+    if not is_number(value) or value < 0:
+        return None
+    return None if value == 0 and name in _OFF_AT_0 else float(value)
 
 
-def bound_notes(controller: Controller, view: LinearView) -> Iterator[Finding]:
-    """What a review does not see of a law that keeps a corridor."""
-    bound = limit_of(controller, "e_y_max")
-    if bound is not None and not view.exact:
-        text = f"The law keeps |e_y| <= e_y_max = {bound:g} m by itself: the loop while that bound holds the command"
-        yield Finding("note", "bound", f"{text} is not looked at, poles and margins are those far from it.")
+def limit_findings(
+    controller: Controller, actuator: Actuator, v: FloatArray, dt: float, steady: FloatArray, a_y: FloatArray,
+    at_trigger: tuple[FloatArray, FloatArray], e_y_trigger: float,
+) -> Iterator[Finding]:  # fmt: skip
+    """Contradictions between the limits of the law, of the actuator, of the bend and of the departure.
 
-
-def bend_notes(numbers: LoopNumbers) -> Iterator[Finding]:
-    """Offsets in a bend that are left out because the law is not linear up to them."""
-    i, wrong = int(np.argmax(numbers.bend_error)), numbers.bend_error > BEND_ERROR
-    if wrong.any():
+    `steady` and `a_y` (n,) are the angle [rad] and acceleration [m/s^2] of the bend at speeds v, `at_trigger` angles
+    and speeds (m,) of the wheels at triggers, `e_y_trigger` the offset there [m].
+    """
+    limits = {name: limit_of(controller, name) for name in ("delta_max", "rate_max", "a_y_max", "e_y_max")}
+    tightest = {}
+    for name, unit, word in (("delta_max", "rad", "angle"), ("rate_max", "rad/s", "rate")):
+        law, wheel = limits[name], getattr(actuator, name)
+        tightest[name] = min((limit for limit in (law, wheel) if limit is not None), default=None)
+        if law is not None and wheel is not None and law > wheel * (1 + _ROUNDING):
+            text = (
+                f"The law counts on {name} = {law:g} {unit}, the actuator gives {wheel:g} {unit}: what lies between is "
+                f"commanded and not steered. Set {name} of the law to at most {wheel:g}."
+            )
+            yield Finding("warning", f"actuator_{word}", text, law, wheel)
+    delta_max, rate_max = tightest["delta_max"], tightest["rate_max"]
+    a_y_max, e_y_max = limits["a_y_max"], limits["e_y_max"]
+    if delta_max is not None:
+        i = int(np.argmax(np.abs(steady)))
+        needed = abs(float(steady[i]))
+        if needed > delta_max * (1 + _ROUNDING):
+            text = (
+                f"a bend of {a_y[i]:.3g} m/s^2 needs {needed:.3g} rad of steering; the limit delta_max is "
+                f"{delta_max:.3g} rad. Raise delta_max or leave out such speeds."
+            )
+            yield _at("fault", "angle_in_bend", v, i, text, needed, delta_max)
+        if rate_max is not None:
+            yield from _initial_angle(delta_max, rate_max, getattr(controller, "horizon", None), dt, *at_trigger)
+        reached = delta_max * a_y / np.maximum(np.abs(steady), 1e-12)
+        if a_y_max is not None and (reached < a_y_max).any():
+            i = int(np.argmin(reached))
+            text = (
+                f"Up to {v[reached < a_y_max].max():.3g} m/s steady cornering at delta_max = {delta_max:g} rad stays "
+                f"below a_y_max = {a_y_max:g} m/s^2 ({reached[i]:.2g} m/s^2 at {v[i]:.3g} m/s): delta_max counts there."
+            )
+            yield Finding("note", "acceleration_limit", text, float(reached[i]), a_y_max, float(v[i]))
+    if e_y_max is not None and e_y_max <= e_y_trigger:
         text = (
-            f"At {numbers.v[i]:.3g} m/s the law is not linear in a steady bend: its command there differs by "
-            f"{100 * numbers.bend_error[i]:.3g} % from what small deviations predict. Offsets in the bend are left "
-            f"out ({int(wrong.sum())} of {wrong.size} speeds)."
+            f"The law's corridor e_y_max = {e_y_max:g} m is left already at the trigger, where e_y is "
+            f"{e_y_trigger:.3g} m. Widen e_y_max or trigger earlier."
         )
-        yield Finding("note", "bend_not_linear", text, float(numbers.bend_error[i]), BEND_ERROR, float(numbers.v[i]))
+        yield Finding("warning", "corridor", text, e_y_max, e_y_trigger)
+
+
+def _initial_angle(
+    delta_max: float, rate_max: float, horizon: object, dt: float, delta_prev: FloatArray, v: FloatArray
+) -> Iterator[Finding]:
+    """Wheels that stand beyond the limit at the trigger, and cannot be brought back in one sample."""
+    step, angles = rate_max * dt, np.abs(delta_prev)
+    beyond = angles - delta_max > step * (1 + _ROUNDING)
+    if not beyond.any():
+        return
+    i = int(np.argmax(angles))
+    samples = f"{math.ceil((angles[i] - delta_max) / step - _ROUNDING)}" if step > 0 else "all"
+    reach, whose = math.ceil(_NO_HORIZON / dt), "a second has"
+    if isinstance(horizon, int) and not isinstance(horizon, bool):
+        reach, whose = horizon, "its horizon is"
+    text = (
+        f"the wheels may stand at {angles[i]:.3g} rad when the law takes over: beyond delta_max = {delta_max:g} rad by "
+        f"more than rate_max dt = {step:.3g} rad{_count(beyond, 'in {} of {} departures')}. No command keeps both "
+        f"limits, for {samples} samples ({whose} {reach} samples). Raise delta_max or rate_max."
+    )
+    severity: Severity = "warning" if beyond.mean() < _RARE else "fault"
+    yield _at(severity, "initial_angle", v, i, text, angles[i], delta_max + step)
+
+
+# ------------------------------------------------------------------------------------------------ the review
+
+_IN_THE_LOOP: Final = ("period", "delay", "kalman")  # Options of the camera that the loop holds
 
 
 def plant_notes(options: PlantOptions) -> Iterator[Finding]:
-    """What of a plant the review leaves out."""
+    """Note on the options of a plant that the review leaves out."""
     sensors = options.sensors
     words = {
         "the speed profile": options.speed == "profile",
@@ -268,13 +357,11 @@ def plant_notes(options: PlantOptions) -> Iterator[Finding]:
     }
     left_out = [text for text, holds in words.items() if holds]
     if left_out:
-        yield Finding(
-            "note", "left_out", f"The study's plant has more than the review looks at: {', '.join(left_out)}."
-        )
+        text = f"The study's plant has more than the review looks at: {', '.join(left_out)}."
+        yield Finding("note", "left_out", text)
 
 
-LONGEST: Final = 200
-"""Samples of delay of the actuator, or of the camera, up to which the loop is worked out: each one is a state."""
+LONGEST: Final = 200  # Longest delay of actuator or camera [samples]: each sample is a state of the loop
 
 
 def review_plant(
@@ -302,37 +389,26 @@ def review_plant(
     >>> review_plant(BicycleModel(), 0.05, PlantOptions(), [20.0, 30.0]).n
     2
     """
-    dt = positive("dt", dt, "s")
-    v = checked_speeds(speeds)
-    if v.size == 0 or v.max() > SPEED_RANGE[1] or v.min() < SPEED_RANGE[0]:
-        shown = f"{v.min():g} to {v.max():g} m/s" if v.size else "none"
-        raise InputError("speeds", shown, allowed=f"one or more from {SPEED_RANGE[0]:g} to {SPEED_RANGE[1]:g} m/s")
+    dt, v = checked_number("dt", dt, above=0.0), checked_speeds(speeds)
+    outside = v[(v < SPEED_RANGE[0]) | (v > SPEED_RANGE[1])]
+    if v.size == 0 or outside.size:
+        allowed = f"one or more from {SPEED_RANGE[0]:g} to {SPEED_RANGE[1]:g} m/s"
+        raise InputError("speeds", value=outside.tolist()[0] if outside.size else [], allowed=allowed)
     for name, delay in (("actuator", options.actuator.delay), ("sensors", options.sensors.delay)):
         if delay > LONGEST * dt * (1 + 1e-9):
-            raise InputError(
-                f"{name}.delay",
-                f"{delay:g} s with dt = {dt:g} s is {delay / dt:.6g} samples",
-                allowed=f"at most {LONGEST}",
-            )
+            problem = f"s is {delay / dt:.6g} samples of {dt:g} s"
+            raise InputError(f"{name}.delay", problem, value=delay, allowed=f"at most {LONGEST} samples")
     return known_plant(model, v, dt, options.sampled(dt), plant_knowledge)
 
 
-def positive(name: str, value: object, unit: str) -> float:
-    """A finite number above 0."""
-    given = plain(value)
-    if not is_number(given) or not given > 0:
-        raise InputError(name, unit, value=given, allowed="a finite number > 0")
-    return float(given)
-
-
-SPEEDS = tuple(float(v) for v in np.linspace(10.0, 40.0, 13))  # speeds [m/s] that are looked at by default
-BEND = 2.0  # lateral acceleration [m/s^2] of the steady bend
-TIGHTEST = 50.0  # radius [m] of the tightest bend: below 10 m/s it is this one, with less lateral acceleration
+SPEEDS = tuple(float(v) for v in np.linspace(10.0, 40.0, 13))  # Default speeds [m/s]
+BEND = 2.0  # Lateral acceleration [m/s^2] of the steady bend
+TIGHTEST = 50.0  # Radius [m] of the tightest bend: below 10 m/s it is this one, with less lateral acceleration
 
 
 @dataclasses.dataclass(frozen=True)
 class Review:
-    """What the review of a design found."""
+    """Numbers of the loop and findings of one design."""
 
     law: str  # Registry name
     title: str
@@ -391,17 +467,18 @@ def review(
     Examples
     --------
     >>> from ldctoolkit import controller_class
-    >>> found = review(controller_class("lqr")(), speeds=[20.0, 30.0])
-    >>> found.faults, bool(found.loop.stable.all())
+    >>> lqr = review(controller_class("lqr")(), speeds=[20.0, 30.0])
+    >>> lqr.faults, bool(lqr.loop.stable.all())
     ((), True)
     """
     check_controller(controller)
     options = PlantOptions() if options is None else options
     thresholds = Thresholds() if thresholds is None else thresholds
     model = BicycleModel() if model is None else model
-    dt, a_y = positive("dt", dt, "s"), positive("a_y", a_y, "m/s^2")
-    if not is_number(plain(y_s)) or y_s < 0:
-        raise InputError("y_s", "m", value=y_s, allowed="a finite number >= 0")
+    dt, a_y, y_s = (
+        checked_number("dt", dt, above=0.0), checked_number("a_y", a_y, above=0.0),
+        checked_number("y_s", y_s, lower=0.0),
+    )  # fmt: skip
     plant = review_plant(model, dt, options, speeds, plant_knowledge)
     v, options = plant.v, options.sampled(dt)
     identity = _identity(controller)
@@ -409,17 +486,17 @@ def review(
     if view is None:
         sentence = f"{controller.title} leaves the recorded path alone: there is no loop to review."
         return Review(*identity, dt, None, (Finding("note", "recorded_path", sentence),))
-    findings = [*law_findings(view, v), *bound_notes(controller, view)]
+    findings = list(law_findings(controller, view, v))
     bend = np.minimum(a_y / v, v / TIGHTEST)
     numbers = None
     if view.finite.all():
         numbers = loop_numbers(controller, view, plant, options, bend)
-        findings += [*loop_findings(numbers, controller, dt, thresholds), *bend_notes(numbers)]
+        findings += loop_findings(numbers, controller, dt, thresholds)
     steady = plant.steady_state().delta * bend
     i = int(np.argmax(np.abs(steady)))
-    angles, at = _angles((steady[i], v[i]) if delta_prev is None else delta_prev)
-    trigger = model.parameters.edge_offset + float(y_s)
-    findings += limit_findings(controller, Situation(v, dt, steady, bend * v, angles, at, trigger, options.actuator))
+    at_trigger = _angles((steady[i], v[i]) if delta_prev is None else delta_prev)
+    e_y_trigger = model.parameters.edge_offset + y_s
+    findings += limit_findings(controller, options.actuator, v, dt, steady, bend * v, at_trigger, e_y_trigger)
     findings += plant_notes(options)
     order = {"fault": 0, "warning": 1, "note": 2}
     return Review(*identity, dt, numbers, tuple(sorted(findings, key=lambda finding: order[finding.severity])))
@@ -447,9 +524,6 @@ def _angles(given: tuple[npt.ArrayLike, npt.ArrayLike]) -> tuple[FloatArray, Flo
     """Steering angles at triggers and their speeds, both (m,)."""
     angles, v = (np.atleast_1d(np.asarray(values, dtype=np.float64)) for values in given)
     if angles.ndim != 1 or angles.shape != v.shape or not angles.size or not np.isfinite([angles, v]).all():
-        raise InputError(
-            "delta_prev",
-            f"angles of shape {angles.shape}, speeds of shape {v.shape}",
-            allowed="finite numbers, (m,) each",
-        )
+        shapes = f"angles of shape {angles.shape}, speeds of shape {v.shape}"
+        raise InputError("delta_prev", shapes, allowed="finite numbers, (m,) each")
     return angles, v

@@ -31,7 +31,7 @@ from ldctoolkit.vehicle.discretization import AugmentedStep, augmented
 
 ComplexArray = npt.NDArray[np.complex128]
 
-_ENTRIES = 4_000_000  # numbers of a block of matrices: a long delay makes large ones
+_ENTRIES: Final = 4_000_000  # Numbers in a block of matrices: a long delay makes large ones
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,12 +58,11 @@ class System:
 
 @dataclasses.dataclass(frozen=True)
 class Camera:
-    """What stands between the vehicle's state and the law."""
+    """Delay and filter between the vehicle's state and the law."""
 
     delay: float  # [samples] Age of e_y and e_psi, which count as linear between samples; rates are true
     age: float  # [samples] Age of the wheel angle that the law and the filter see; linear between samples too
-    # (4, 2) or None Gain of the Kalman filter that rebuilds all four states; None for no filter
-    gain: FloatArray | None
+    gain: FloatArray | None  # (4, 2) Of the Kalman filter that rebuilds all four states; None for no filter
     step: AugmentedStep  # One sample of the filter's nominal vehicle and actuator, n = 1
 
 
@@ -82,25 +81,25 @@ def sampled_vehicle(A: FloatArray, B: FloatArray, E: FloatArray, dt: float, actu
 def controller_side(law: LawModel, camera: Camera) -> System:
     """Camera, filter and law with its earlier commands: inputs (x, wheel angle, lane yaw rate), output the command."""
     d, a = (math.ceil(age - 1e-9) for age in (camera.delay, camera.age))
-    kal, own, step = 4 if camera.gain is not None else 0, law.A.shape[0], camera.step
+    n_filter, n_law, step = 4 if camera.gain is not None else 0, law.A.shape[0], camera.step
     at_wheel, at_filter = 2 * d, 2 * d + a
-    at_law, last = at_filter + kal, at_filter + kal + own
+    at_law, last = at_filter + n_filter, at_filter + n_filter + n_law
     size = last + 1 + step.whole
 
     def signal(*terms: tuple[int, float]) -> FloatArray:
         """A signal as weights of the states, then of the inputs (x, wheel, r)."""
         row = np.zeros(size + 6)
-        for place, weight in terms:
-            row[place] += weight
+        for state, weight in terms:
+            row[state] += weight
         return row
 
     following = np.zeros((size, size + 6))
 
-    def aged(now: FloatArray, place: int, whole: int, age: float) -> FloatArray:
-        """What signals (w, size + 6) were `age` samples ago, `whole` rounded up; earlier ones from a state on."""
+    def aged(now: FloatArray, first: int, whole: int, age: float) -> FloatArray:
+        """Signals (w, size + 6) `age` samples ago, `whole` rounded up; earlier ones are states from `first` on."""
         width = now.shape[0]
-        past = np.vstack([now, *(signal((place + j, 1.0)) for j in range(width * whole))])
-        following[place : place + width * whole] = past[: width * whole]
+        past = np.vstack([now, *(signal((first + j, 1.0)) for j in range(width * whole))])
+        following[first : first + width * whole] = past[: width * whole]
         younger, older = (past[width * j : width * (j + 1)] for j in (max(whole - 1, 0), whole))
         return older + (whole - age) * (younger - older)
 
@@ -114,11 +113,11 @@ def controller_side(law: LawModel, camera: Camera) -> System:
         predicted = np.array([signal((at_filter + i, 1.0)) for i in range(4)])
         seen = predicted + camera.gain @ (frame - predicted[[0, 2]])
     u = np.vstack([seen, signal((last, 1.0)), r, wheel])
-    states = np.array([signal((at_law + i, 1.0)) for i in range(own)]).reshape(own, size + 6)
+    states = np.array([signal((at_law + i, 1.0)) for i in range(n_law)]).reshape(n_law, size + 6)
     delta = law.C @ states + law.D @ u
     commands = [delta, *(signal((last + i, 1.0)) for i in range(step.whole + 1))]
 
-    if kal:
+    if n_filter:
         inputs = [(step.B, commands[step.whole]), (step.B_old, commands[step.whole + 1]), (step.E_0 + step.E_1, r)]
         if step.A.shape[1] > 4:
             inputs.append((step.A[:, :, 4], wheel))
@@ -170,10 +169,10 @@ def guarded(name: str, call: str) -> Iterator[None]:
 PULSE: Final = np.array([1e-3, 1e-3, 1e-4, 1e-4, 1e-4, 1e-4])
 """Size of the pulses in m, m/s, rad, rad/s, rad, rad/s: small enough for limits not to bind."""
 
-LARGER: Final = 30.0  # the answers to pulses so many times larger tell whether the law is linear there
-_SAMPLES = 17  # samples of a pulse response
-_MEMORY = 1e-4  # part of the first answer below which a later one is no memory but rounding
-_ORDER = 1e-3  # part of the largest singular value below which another one is no state
+LARGER: Final = 30.0  # A law is linear if its answers to pulses so many times larger are
+_SAMPLES: Final = 17  # Samples of a pulse response
+_MEMORY: Final = 1e-4  # Part of the first answer below which a later one is rounding
+_ORDER: Final = 1e-3  # Part of the largest singular value below which another one is no state
 
 
 @dataclasses.dataclass(frozen=True)
@@ -188,15 +187,14 @@ class LawModel:
 
 @dataclasses.dataclass(frozen=True)
 class LinearView:
-    """A law at n speeds as linear systems, and how far that is true."""
+    """A law at n speeds as linear systems, and the error of that."""
 
-    models: tuple[LawModel, ...]  # One a speed
+    models: tuple[LawModel, ...]  # n
     exact: bool  # The law is linear by its type
     quiet: BoolArray  # (n,) Its command at straight, centred driving is zero
     finite: BoolArray  # (n,) All its answers are numbers
     nonlinearity: FloatArray  # (n,) Largest relative difference between answers to small pulses and to `LARGER` ones
-    # (n,) Part of the pulse response, relative to its largest value, that the model's memory does not give
-    unexplained: FloatArray
+    unexplained: FloatArray  # (n,) Error of the model's pulse response, relative to the response's largest value
 
     @property
     def order(self) -> int:
@@ -216,13 +214,13 @@ def linear_view(controller: Controller, plant: Plant) -> LinearView | None:
 
 def _prepared(controller: Controller, plant: Plant) -> LinearLaw | SteeringLaw | RecordedPath:
     with guarded(controller.name, "prepare"):
-        made = controller.prepare(plant)
+        law = controller.prepare(plant)
     with guarded(controller.name, "preview_times"):
-        return check_law(made, plant.n, controller.name)
+        return check_law(law, plant.n, controller.name)
 
 
 def exact_view(law: LinearLaw, plant: Plant) -> LinearView:
-    """A law that is linear by its type."""
+    """A linear law as linear systems."""
     n = plant.n
     bend = law.G_yaw_rate.sum(axis=1) + law.G_heading @ law.preview_times
     D = np.column_stack([law.F, law.f_u, bend, np.zeros(n) if law.f_wheel is None else law.f_wheel])
@@ -266,7 +264,7 @@ def first_answers(controller: Controller, plant: Plant, inputs: FloatArray) -> F
 
 
 def _after(controller: Controller, plant: Plant, inputs: FloatArray, samples: int) -> FloatArray:
-    """Commands while the first sample shows the inputs (q, n, 6), and later ones nothing; (samples, q, n)."""
+    """Commands (samples, q, n) for the inputs (q, n, 6) at the first sample, and zeros later."""
     q, n, name = inputs.shape[0], plant.n, controller.name
     law = _prepared(controller, plant.at(np.tile(plant.v, q)))
     if not isinstance(law, SteeringLaw):
@@ -279,16 +277,16 @@ def _after(controller: Controller, plant: Plant, inputs: FloatArray, samples: in
     answers = np.zeros((samples, q, n))
     for k in range(samples):
         u = first if k == 0 else np.zeros_like(first)
-        ahead = Preview(np.tile(u[:, 5:], (1, times.size)), u[:, 5:] * times)
+        preview = Preview(np.tile(u[:, 5:], (1, times.size)), u[:, 5:] * times)
         with guarded(name, "step"):
-            result = law.step(np.full(q * n, k * plant.dt), u[:, :4].copy(), ahead, u[:, 4].copy(), state)
+            result = law.step(np.full(q * n, k * plant.dt), u[:, :4].copy(), preview, u[:, 4].copy(), state)
         delta, state, _ = check_step(result, q * n, name)
         answers[k] = delta.reshape(q, n)
     return answers
 
 
 def _with_memory(response: FloatArray) -> tuple[LawModel, float]:
-    """The smallest system with a pulse response (samples, 6) to pulses of the size `PULSE`, and what it leaves out."""
+    """The smallest system with a pulse response (samples, 6) to pulses of the size `PULSE`, and its relative error."""
     D, later = np.append(response[0] / PULSE, 0.0), response[1:]
     scale = np.abs(response).max()
     if not np.abs(later).max() > _MEMORY * scale:

@@ -1,10 +1,10 @@
-"""Numbers of the linear loop over a range of speeds."""
+"""Numbers of the linear loop over a range of speeds: poles, margins, bandwidth, conditioning, offset in a bend."""
 
 import contextlib
 import dataclasses
 import math
 from collections.abc import Sequence
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -26,18 +26,15 @@ from ldctoolkit.review.law_model import (
 from ldctoolkit.setup import Setup
 from ldctoolkit.vehicle import BicycleModel, Plant
 
-_STABLE: Final = 1.0 - 1e-6
-"""Largest |z| of a pole that counts as stable: the vehicle's two integrators come out as 1 only to 1e-8."""
-
-_RINGING: Final = 0.5  # smallest |z| of a pole whose damping is looked at: faster ones are gone within two samples
+_STABLE: Final = 1.0 - 1e-6  # Largest |z| of a stable pole: the vehicle's two integrators come out as 1 only to 1e-8
+_RINGING: Final = 0.5  # Smallest |z| of a pole whose damping counts: faster ones have decayed within two samples
 
 _FREQUENCIES: Final = 1000
 _LOWEST: Final = 1e-3  # [rad/s]
-_BEYOND: Final = 100.0  # Nyquist frequencies up to which the bandwidth is looked for
+_BEYOND: Final = 100.0  # Nyquist frequencies up to which the bandwidth is searched
 
 
-@dataclasses.dataclass(frozen=True)
-class Poles:
+class Poles(NamedTuple):
     """The closed loop's poles in short."""
 
     stable: bool  # All decay
@@ -60,8 +57,7 @@ def poles(closed_A: FloatArray, dt: float) -> Poles:
     return Poles(radius <= _STABLE, radius, damping, round(slowest, 12))
 
 
-@dataclasses.dataclass(frozen=True)
-class Margins:
+class Margins(NamedTuple):
     """Stability margins of a loop, infinite where nothing of that kind makes it unstable."""
 
     gain: float  # [dB] How much the gain may grow
@@ -106,9 +102,9 @@ def bandwidth(A: FloatArray, B: FloatArray, lag: float, controller: System, dt: 
     """Highest frequency [rad/s] at which the loop's gain is 1 before it is sampled; 0 where it is below 1."""
     nyquist = math.pi / dt
     omega = np.geomspace(min(_LOWEST, 1e-3 * nyquist), _BEYOND * nyquist, 2 * _FREQUENCIES)
-    own = np.minimum(omega, nyquist)  # beyond, a sampled law only repeats itself
     x = np.linalg.solve(1j * omega[:, None, None] * np.eye(4) - A, np.asarray(B, dtype=complex)[None, :, None])[..., 0]
-    K = controller.response(np.exp(1j * own * dt))[:, 0, :5]
+    # beyond the Nyquist frequency a sampled law repeats itself
+    K = controller.response(np.exp(1j * np.minimum(omega, nyquist) * dt))[:, 0, :5]
     gain = np.abs(np.einsum("mi,mi->m", K[:, :4], x) + K[:, 4]) / np.abs(1.0 + 1j * omega * lag)
     above = np.flatnonzero(gain >= 1.0)
     if not above.size:
@@ -121,11 +117,11 @@ def bandwidth(A: FloatArray, B: FloatArray, lag: float, controller: System, dt: 
     return float(omega[i] * (omega[i + 1] / omega[i]) ** (low / (low - high)))
 
 
-_GRID: Final = 300  # frequencies of `quick_margins`: its margins are those of `margins` to one per cent
+_GRID: Final = 300  # Frequencies of `quick_margins`: enough for one per cent
 
 
 def quick_margins(loops: Sequence[Loop], dt: float) -> tuple[FloatArray, FloatArray]:
-    """Gain and phase margin of loops of one size, as `margins` has them, in a hundredth of the time."""
+    """Gain and phase margin of loops of one size: those of `margins` to one per cent, in a hundredth of the time."""
     closed = np.stack([loop.closed_A for loop in loops])
     stable = np.asarray(np.isfinite(closed).all(axis=(1, 2)))
     stable[stable] = np.abs(np.linalg.eigvals(closed[stable])).max(axis=1) <= _STABLE
@@ -177,7 +173,7 @@ def _condition(A: FloatArray, B: FloatArray, Q: FloatArray, r: float, horizon: i
     try:
         _, P, _ = control.dlqr(A, B[:, None], Q, np.array([[r]]))
     except (np.linalg.LinAlgError, control.ControlArgument, ValueError) as error:
-        raise LdcError(f"no terminal cost for the condensed Hessian: {error}") from error
+        raise LdcError("condensed Hessian", f"no terminal cost: {error}") from error
     columns = [B]
     for _ in range(horizon - 1):
         columns.append(A @ columns[-1])
@@ -192,13 +188,13 @@ def _condition(A: FloatArray, B: FloatArray, Q: FloatArray, r: float, horizon: i
     return float(np.linalg.cond(0.5 * (H + H.T)))
 
 
-BEND_ERROR = 0.05  # part of a command in a bend that the linearisation may miss
-MISMATCH = 0.2  # relative error of the cornering stiffness of each axle, up and down
+BEND_ERROR: Final = 0.05  # Largest relative error of the linearisation in a bend up to which its offset counts
+MISMATCH: Final = 0.2  # Relative error of the cornering stiffness of each axle, up and down
 
 
 @dataclasses.dataclass(frozen=True)
 class LoopNumbers:
-    """What the linear loop is like at n speeds; margins and bends are NaN where the closed loop is unstable."""
+    """Numbers of the linear loop at n speeds; margins and bends are NaN where the closed loop is unstable."""
 
     v: FloatArray  # (n,) [m/s]
     bend: FloatArray  # (n,) [rad/s] Lane yaw rate of the steady bend
@@ -206,8 +202,8 @@ class LoopNumbers:
     radius: FloatArray  # (n,) Largest |z| of the closed loop's poles
     damping: FloatArray  # (n,) Smallest damping ratio
     slowest: FloatArray  # (n,) [s] Longest time constant
-    gain_margin: FloatArray  # (n,) [dB] Factor by which the gain may grow, and shrink
-    gain_reduction_margin: FloatArray  # (n,) [dB] Factor by which the gain may grow, and shrink
+    gain_margin: FloatArray  # (n,) [dB] Factor by which the gain may grow
+    gain_reduction_margin: FloatArray  # (n,) [dB] Factor by which the gain may shrink
     phase_margin: FloatArray  # (n,) [rad]
     delay_margin: FloatArray  # (n,) [s]
     disk_margin: FloatArray  # (n,)
@@ -235,35 +231,20 @@ def loop_numbers(
     for i, law in enumerate(view.models):
         side = controller_side(law, cameras[i])
         loop = Loop.of(sampled_vehicle(A[i], B[i], E[i], dt, actuator), side)
-        p = poles(loop.closed_A, dt)
-        row: list[float] = [p.stable, p.radius, p.damping, p.slowest]
+        p, m, offsets = poles(loop.closed_A, dt), Margins(*[math.nan] * 6), [math.nan] * 2
         if p.stable:
             m = margins(loop.open, dt)
-            r = float(bend[i])
-            row += [m.gain, m.gain_reduction, m.phase, m.delay, m.disk, m.crossover]
-            inputs[0, i] = loop.steady() * r
             worst = _worst([(a[i], b[i], e[i]) for a, b, e in others], side, dt, options)
-            if worst is not None:
-                inputs[1, i] = worst * r
-            offset = math.inf if worst is None else inputs[1, i, 0]
-            row += [bandwidth(A[i], B[i], actuator.lag, side, dt), inputs[0, i, 0], offset]
-        else:
-            row += [math.nan] * 6 + [bandwidth(A[i], B[i], actuator.lag, side, dt)] + [math.nan] * 2
-        rows.append(row)
-    columns = np.array(rows, dtype=float).T
+            inputs[0, i] = loop.steady() * bend[i]
+            inputs[1, i] = 0.0 if worst is None else worst * bend[i]
+            offsets = [inputs[0, i, 0], math.inf if worst is None else inputs[1, i, 0]]
+        rows.append([*p, *m, bandwidth(A[i], B[i], actuator.lag, side, dt), *offsets])
+    stable, *columns = np.array(rows, dtype=float).T
     errors = _errors(controller, view, plant, inputs)
     for column, error in zip(columns[-2:], errors, strict=True):
         column[(error > BEND_ERROR) & np.isfinite(column)] = math.nan
-    condition = hessian_condition(controller, plant)
-    names = [field.name for field in dataclasses.fields(LoopNumbers)][3:-2]
-    return LoopNumbers(
-        v=plant.v.copy(),
-        bend=bend,
-        stable=columns[0].astype(bool),
-        bend_error=errors.max(axis=0),
-        hessian_condition=condition,
-        **dict(zip(names, columns[1:], strict=True)),
-    )
+    columns += [errors.max(axis=0), hessian_condition(controller, plant)]
+    return LoopNumbers(plant.v.copy(), bend, stable.astype(bool), *columns)
 
 
 def _worst(
@@ -280,15 +261,14 @@ def _worst(
 
 
 def _errors(controller: Controller, view: LinearView, plant: Plant, inputs: FloatArray) -> FloatArray:
-    """How far a law's commands at inputs (q, n, 6) are from linear ones, (q, n); 0 where its memory matters too."""
-    errors = np.zeros(inputs.shape[:2])
+    """Relative errors (q, n) of a law's linear commands at inputs (q, n, 6); 0 where it has a memory."""
     without = np.array([not model.A.size for model in view.models])
     if view.exact or not without.any():
-        return errors
+        return np.zeros(inputs.shape[:2])
     terms = inputs * np.array([model.D[:6] for model in view.models])
-    apart = np.abs(first_answers(controller, plant, inputs) - terms.sum(axis=2))
-    apart = np.where(np.isnan(apart), math.inf, apart)
-    return np.where(without, apart / np.maximum(np.abs(terms).max(axis=2), 1e-9), 0.0)
+    error = np.abs(first_answers(controller, plant, inputs) - terms.sum(axis=2))
+    error = np.where(np.isnan(error), math.inf, error)
+    return np.where(without, error / np.maximum(np.abs(terms).max(axis=2), 1e-9), 0.0)
 
 
 def _with_stiffness(plant: Plant, front: float, rear: float) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -299,12 +279,8 @@ def _with_stiffness(plant: Plant, front: float, rear: float) -> tuple[FloatArray
 
 
 def _cameras(plant: Plant, options: PlantOptions) -> list[Camera]:
-    """The camera at each speed, its frames as old as they are on average.
-
-    What the law knows of actuator and camera, its filter knows too.
-    """
-    sensors = options.sensors
-    gains: list[FloatArray | None] = [None] * plant.n
+    """The camera at each speed, its frames as old as they are on average; its filter knows what the law knows."""
+    sensors, gains = options.sensors, [None] * plant.n
     if sensors.kalman is not None:
         from ldctoolkit.vehicle.speed_schedule import filter_gain
 

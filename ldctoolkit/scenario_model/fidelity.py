@@ -14,8 +14,8 @@ import numpy as np
 
 from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.control import Controller, LinearLaw
+from ldctoolkit.declared import gain
 from ldctoolkit.departures import PARAMETER_NAMES, DepartureParameters
-from ldctoolkit.gains import gain
 from ldctoolkit.metrics import needless
 from ldctoolkit.scenarios import SPEED_CEILING, SPEED_FLOOR, Scenarios, slowest_speed
 from ldctoolkit.setup import Setup

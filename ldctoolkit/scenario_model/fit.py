@@ -13,13 +13,13 @@ import numpy.typing as npt
 import threadpoolctl
 
 from ldctoolkit.arrays import BoolArray, FloatArray
+from ldctoolkit.declared import checked_seed
 from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, DepartureParameters, Departures, Plausibility
 from ldctoolkit.errors import InputError, ModelError, plain
 from ldctoolkit.mixture import BoundedGaussianMixture, Selection, select_components
 from ldctoolkit.mixture._distribution import Transform
 from ldctoolkit.mixture.checks import Events, InsideBounds, check_components, check_weights, inside_bounds, profile_of
 from ldctoolkit.mixture.selection import FitEach, Progress
-from ldctoolkit.option_checks import checked_seed
 from ldctoolkit.recordings import Criteria
 from ldctoolkit.scenario_model.fidelity import Replay, SideFidelity
 from ldctoolkit.scenario_model.model import ScenarioModel

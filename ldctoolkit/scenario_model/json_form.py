@@ -13,10 +13,10 @@ import numpy as np
 from pydantic import Field, ValidationError
 
 from ldctoolkit.arrays import FloatArray
+from ldctoolkit.declared import checked_number
 from ldctoolkit.departures import PARAMETER_NAMES, PARAMETER_UNITS, Plausibility
 from ldctoolkit.errors import InputError, ModelError
 from ldctoolkit.mixture import BoundedGaussianMixture
-from ldctoolkit.option_checks import checked_number
 from ldctoolkit.scenario_model.provenance import (
     LEAST_LOWER,
     UNIT,
@@ -147,7 +147,7 @@ def model_from_json(text: str | bytes, file: str) -> tuple[SideModel, SideModel,
         # as JSON: lists are tuples there, which strict Python values are not
         parsed = _File.model_validate_json(json.dumps(data))
     except ValidationError as error:
-        raise ModelError(file, first_problem(error, data, _File, "file")) from None
+        raise ModelError.of(first_problem(error, data, _File, "file").within(file, ": ")) from None
     try:
         _check_units(parsed.units)
         for name in ("left", "right"):
@@ -224,7 +224,7 @@ def _check_side(path: str, side: _Side) -> None:
         allowed = f"each of {', '.join(PARAMETER_NAMES)} once, here or among the constants"
         raise InputError(f"{path}.parameters", value=side.parameters, allowed=allowed)
     for name, value in side.constants.items():
-        checked_number(f"{path}.constants.{name}", value, least=LEAST_LOWER.get(name))
+        checked_number(f"{path}.constants.{name}", value, lower=LEAST_LOWER.get(name, -np.inf))
     for key, shape in {
         "transform": (d,), "lower": (d,), "upper": (d,), "means": (K, d),
         "covariances": (1 if len(side.covariances) == 1 else K, d, d),
@@ -297,7 +297,7 @@ def _check_summary(path: str, summary: SourceSummary) -> None:
             raise InputError(f"{path}.quantiles[{j}]", "not ascending")
     _check_shape(f"{path}.rank_correlations", summary.rank_correlations, (pairs,))
     for i, value in enumerate(summary.rank_correlations):
-        checked_number(f"{path}.rank_correlations[{i}]", value, least=-1.0, most=1.0)
+        checked_number(f"{path}.rank_correlations[{i}]", value, lower=-1.0, upper=1.0)
     allowed = f"{pairs} strings, each of the same b x b shares in 1/{UNIT} that sum to {UNIT} at most"
     if len(summary.cells) != pairs:
         raise InputError(f"{path}.cells", f"{len(summary.cells)} strings", allowed=allowed)

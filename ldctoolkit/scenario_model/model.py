@@ -14,6 +14,7 @@ from typing import Final, Protocol
 import numpy as np
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.declared import UnitWarning, checked_seed, checked_whole, unit_slip
 from ldctoolkit.departures import (
     LEFT,
     PARAMETER_NAMES,
@@ -27,8 +28,6 @@ from ldctoolkit.departures import (
 from ldctoolkit.errors import InputError, ModelError, RecordingError, UnknownNameError
 from ldctoolkit.mixture import SAMPLE_BLOCK, BoundedGaussianMixture
 from ldctoolkit.mixture._distribution import interval_of
-from ldctoolkit.mixture.checks import whole_number
-from ldctoolkit.option_checks import UnitWarning, checked_seed, unit_slip
 from ldctoolkit.recordings import Provenance, Refused, read_departures
 from ldctoolkit.scenario_model.provenance import ModelProvenance, SideModel
 from ldctoolkit.scenarios import SPEED_FLOOR, Scenarios, slowest_speed
@@ -289,7 +288,7 @@ class ScenarioModel:
         True
         """
         wanted = conditions(given)
-        n_left, n_right = whole_number("n_left", n_left, 0), whole_number("n_right", n_right, 0)
+        n_left, n_right = checked_whole("n_left", n_left, lower=0), checked_whole("n_right", n_right, lower=0)
         seed = checked_seed(seed)
         parts = [self._draw(side, n, seed, wanted) for side, n in ((LEFT, n_left), (RIGHT, n_right))]
         columns = {name: np.concatenate([part[name] for part in parts]) for name in PARAMETER_NAMES}

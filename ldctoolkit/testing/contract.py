@@ -1,43 +1,421 @@
-"""The contract as a list of faults, as one call that raises, and as a class for pytest."""
+"""The contract of a controller: its checks, one call that raises, and a class for pytest."""
 
+import contextlib
+import copy
 import dataclasses
+import json
+import math
+import pickle
+import subprocess
+import sys
+import tomllib
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import ClassVar, Final
+from pathlib import Path
+from typing import Any, ClassVar, Final
 
-from ldctoolkit.control import Controller
-from ldctoolkit.errors import InputError, LdcError
-from ldctoolkit.law_checks import check_controller, raised
-from ldctoolkit.testing import law_checks
-from ldctoolkit.testing.subject import Check, ContractSettings, Subject
+import numpy as np
+import numpy.typing as npt
 
-_TESTS: Final[dict[str, str]] = {
-    "declared": "everything_it_takes_is_declared",
-    "frozen": "designs_are_frozen",
-    "picklable": "designs_reach_worker_processes",
-    "bounds": "bounds_are_enforced",
-    "toml": "gains_round_trip_through_toml",
-    "interface": "shapes_types_and_the_plant",
-    "repeatable": "same_input_same_output",
-    "mirror": "mirrored_input_gives_the_mirrored_command",
-    "quiet": "quiet_on_a_straight_centred_road",
-    "finite": "commands_are_finite",
-    "limits": "declared_limits_are_kept",
-    "inputs": "inputs_are_left_as_they_are",
-    "state": "runs_share_no_state",
-    "batch": "scenarios_do_not_depend_on_each_other",
-    "take": "take_changes_no_command",
-    "ended": "ended_scenarios_do_no_harm",
-    "extremes": "extreme_gains_give_finite_commands",
-}
-"""Check -> its test in a `ControllerContract`, behind ``test_``."""
+from ldctoolkit.control import Controller, EventStatus, LinearLaw, RecordedPath, check_class
+from ldctoolkit.declared import Gain, GainValue, undeclared_fields
+from ldctoolkit.errors import InputError, LdcError, expect
+from ldctoolkit.law_checks import check_controller, check_law, check_step, raised
+from ldctoolkit.scenarios import Scenarios
+from ldctoolkit.simulation import simulate
+from ldctoolkit.testing.subject import (
+    Commands,
+    ContractSettings,
+    Road,
+    Subject,
+    arrays_in,
+    corners,
+    difference,
+    first_of,
+    plant_at,
+    shown,
+    straight,
+)
 
-CHECKS: Final[dict[str, Check]] = {name: getattr(law_checks, name) for name in _TESTS}
+Check = Callable[[Subject], Iterator[str]]  # Yields one sentence for each fault
+
+CHECKS: Final[dict[str, Check]] = {}
 """Name -> check; the first line of a check's documentation states what it requires."""
+
+_TESTS: Final[dict[str, str]] = {}  # Name of a check -> its test in a `ControllerContract`, behind ``test_``
+_STEERING: Final[set[str]] = set()  # Checks that a law passes that leaves the departure alone
+
+
+def _check(test: str, *, steering: bool = False) -> Callable[[Check], Check]:
+    """Add a check to the contract; with `steering`, for laws that steer only."""
+
+    def added(check: Check) -> Check:
+        CHECKS[check.__name__], _TESTS[check.__name__] = check, test
+        if steering:
+            _STEERING.add(check.__name__)
+        return check
+
+    return added
+
+
+_LOAD = """
+import cloudpickle, pickle, sys
+sys.path[:] = pickle.load(sys.stdin.buffer)
+sys.stdout.buffer.write(cloudpickle.dumps(pickle.loads(pickle.load(sys.stdin.buffer))))
+"""
+
+
+@_check("everything_it_takes_is_declared")
+def declared(subject: Subject) -> Iterator[str]:
+    """The class follows `Controller`, and everything that it takes is declared and described."""
+    kind = type(subject.design)
+    check_class(kind)
+    for name in undeclared_fields(kind):
+        yield f"{kind.__name__}.{name} is a plain field; allowed: gain(...), option(...), or field(init=False)"
+    for gain in kind.gains():
+        for attribute in ("unit", "description"):
+            if not getattr(gain, attribute):
+                yield f"{kind.__name__}.{gain.name}: its {attribute} is empty; allowed: some words"
+
+
+@_check("designs_are_frozen")
+def frozen(subject: Subject) -> Iterator[str]:
+    """A design cannot be changed, equals its copy, and can be a key."""
+    design = subject.design
+    for gain in design.gains():
+        try:
+            setattr(design, gain.name, getattr(design, gain.name))
+        except dataclasses.FrozenInstanceError:
+            continue
+        yield f"{gain.name} can be set on a finished design; allowed: a frozen dataclass"
+    again = dataclasses.replace(design)  # type: ignore[type-var]
+    if again != design or copy.deepcopy(design) != design:
+        yield "a design made from the same values does not equal it; allowed: the comparison of a dataclass"
+    elif hash(again) != hash(design):
+        yield "two equal designs have different hashes; allowed: the hash of a frozen dataclass"
+
+
+@_check("designs_reach_worker_processes")
+def picklable(subject: Subject) -> Iterator[str]:
+    """A design reaches a worker process, also a new one, together with the class of a script or a notebook."""
+    import cloudpickle
+
+    design = subject.design
+    try:
+        sent = cloudpickle.dumps(design)
+    except Exception as error:  # a class may raise anything
+        yield f"cannot be pickled: {type(error).__name__}: {error}; allowed: fields and names that can be sent"
+        return
+    if pickle.loads(sent) != design:
+        yield "comes back from pickle as another design"
+    given = pickle.dumps([word or str(Path.cwd()) for word in sys.path]) + pickle.dumps(sent)
+    done = subprocess.run([sys.executable, "-P", "-c", _LOAD], input=given, capture_output=True, check=False)
+    if done.returncode:
+        last = (done.stderr.decode(errors="replace").strip().splitlines() or ["no message"])[-1]
+        yield f"cannot be loaded in a fresh process: {last}; allowed: a class in a module that can be imported"
+    elif pickle.loads(done.stdout) != design:
+        yield "comes back from a fresh process as another design"
+
+
+@_check("bounds_are_enforced")
+def bounds(subject: Subject) -> Iterator[str]:
+    """Values outside the declaration are refused."""
+    for gain in subject.design.gains():
+        for value in _outside(gain):
+            try:
+                dataclasses.replace(subject.design, **{gain.name: value})  # type: ignore[type-var]
+            except InputError:
+                continue
+            yield f"{gain.name} = {value!r} is taken; allowed: an InputError, as __post_init__ of Controller raises it"
+
+
+@_check("gains_round_trip_through_toml")
+def toml(subject: Subject) -> Iterator[str]:
+    """The gains, written as a study file and read again, make the same design."""
+    design = subject.design
+    values = {gain.name: getattr(design, gain.name) for gain in design.gains()}
+    text = "\n".join(["[design.gains]", *(f"{name} = {_word(value)}" for name, value in values.items())])
+    try:
+        read: dict[str, Any] = tomllib.loads(text)["design"]["gains"]
+    except tomllib.TOMLDecodeError as error:
+        yield f"its gains are no TOML: {error}"
+        return
+    again = dataclasses.replace(design, **read)  # type: ignore[type-var]
+    for name, value in values.items():
+        back = getattr(again, name)
+        if back != value or type(back) is not type(value):
+            yield f"{name} = {value!r} comes back from TOML as {back!r}"
+    if again != design:
+        yield "comes back from TOML as another design"
+
+
+def _outside(gain: Gain) -> Iterator[Any]:
+    if gain.choices:
+        yield "".join(gain.choices) + "x"
+    elif gain.text or isinstance(gain.default, bool):
+        yield 0.5
+    else:
+        yield math.nan
+        yield from (value for value in (gain.lower - 1.0, gain.upper + 1.0) if math.isfinite(value))
+
+
+def _word(value: GainValue) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return json.dumps(value, ensure_ascii=False) if isinstance(value, str) else repr(value)
+
+
+@_check("shapes_types_and_the_plant")
+def interface(subject: Subject) -> Iterator[str]:
+    """`prepare` and `step` give what the interface promises, for any number of scenarios; the plant stays as it is."""
+    road = subject.bends()
+    for n in (road.n, 1, 0):
+        part = road.take(np.arange(n))
+        plant = plant_at(part.v, subject.settings.dt)
+        plant.steady_state()
+        before = copy.deepcopy(plant)
+        law = check_law(subject.design.prepare(plant), n, subject.name)
+        arrays = [(*arrays_in(each), *arrays_in(each.steady_state())) for each in (plant, before)]
+        if not all(map(_same, *arrays)):
+            yield "prepare changes the arrays of the plant in place; allowed: new arrays"
+        if isinstance(law, LinearLaw | RecordedPath) or n == 0:
+            continue  # where nothing triggers, no step is taken
+        walk = subject.walk(part, law)
+        result = law.step(*walk.seen(), walk.state)
+        check_step(result, n, subject.name)
+        delta, _, status = result
+        for name, value, allowed in (("delta", delta, "float64"), ("status", status, "int8")):
+            kind = str(getattr(value, "dtype", type(value).__name__))
+            if kind != allowed:
+                yield f"step returned {name} of type {kind}; allowed: an array of {allowed}"
+
+
+@_check("same_input_same_output")
+def repeatable(subject: Subject) -> Iterator[str]:
+    """The same input gives the same output: of gain law twice, of a law made anew, and in the closed loop."""
+    road, design = subject.bends(), subject.design
+    before = copy.deepcopy(design)
+    if subject.steers:
+        law = subject.law(road)
+        first = subject.commands(road, law)
+        yield from difference(first, subject.commands(road, law), "a second run of the same law")
+        yield from difference(first, subject.commands(road), "a law prepared anew")
+    scenarios = Scenarios.from_arrays(T=[1.0, 2.0], d_y=[0.4, 0.6], v_mean=[28.0, 14.0], c_0=1e-3, side=[1, -1])
+    S, again = (simulate(design, scenarios, y_s=0.1, dt=subject.settings.dt, settle=0.5).S for _ in range(2))
+    if not np.array_equal(S, again, equal_nan=True):
+        i = int(np.flatnonzero(again != S)[0])
+        yield f"S is {shown(S[i])} and {shown(again[i])} m s in two simulations of the same departure"
+    if not np.isfinite(S).all():
+        yield f"S of a simulated departure is {shown(S[~np.isfinite(S)][0])}; allowed: a finite number"
+    if design != before or vars(design) != vars(before):
+        yield "the design changes while it is used; allowed: laws that leave it as it is"
+
+
+@_check("mirrored_input_gives_the_mirrored_command", steering=True)
+def mirror(subject: Subject) -> Iterator[str]:
+    """Mirrored input gives the mirrored command."""
+    road, tolerance = subject.bends(), subject.settings.mirror_tolerance
+    delta, mirrored = subject.commands(road).delta, subject.commands(road.mirrored()).delta
+    allowed = tolerance * np.maximum(np.abs(delta), np.abs(mirrored)).max(axis=0, initial=0.0)
+    wrong = np.abs(delta + mirrored) > allowed
+    if wrong.any():
+        k, i = first_of(wrong)
+        yield (
+            f"the command is {shown(delta[k, i])} rad and {shown(mirrored[k, i])} rad on the mirrored road, at "
+            f"sample {k} of scenario {i}; allowed: the negative to {allowed[i]:.3g} rad"
+        )
+
+
+@_check("quiet_on_a_straight_centred_road", steering=True)
+def quiet(subject: Subject) -> Iterator[str]:
+    """Nothing to do, nothing done: the command is 0 on a straight road, centred."""
+    sent = subject.commands(straight(subject.settings.scenarios, subject.settings.samples))
+    wrong = ~(np.abs(sent.delta) <= subject.settings.quiet_tolerance)
+    if wrong.any():
+        k, i = first_of(wrong)
+        yield f"the command is {shown(sent.delta[k, i])} rad at sample {k} on a straight, centred road; allowed: 0"
+    failed = sent.status != EventStatus.OK
+    if failed.any():
+        yield f"{int(failed.sum())} commands on a straight, centred road have the status SOLVER_FAILED; allowed: none"
+
+
+@_check("commands_are_finite", steering=True)
+def finite(subject: Subject) -> Iterator[str]:
+    """Commands are finite for every state that the simulation drives."""
+    for road in (subject.bends(), corners(subject.settings.samples)):
+        yield from _not_finite(road, subject.commands(road))
+
+
+@_check("declared_limits_are_kept", steering=True)
+def limits(subject: Subject) -> Iterator[str]:
+    """The law keeps the gains `delta_max` [rad] and `rate_max` [rad/s], where it declares them.
+
+    The rate has priority: from a command beyond `delta_max` a law with a limit of the rate comes back as fast as that
+    allows.
+    """
+    values = {gain.name: float(getattr(subject.design, gain.name)) for gain in subject.design.gains()
+              if gain.name in ("delta_max", "rate_max")}  # fmt: skip
+    if not values:
+        return
+    step = values.get("rate_max", np.inf) * subject.settings.dt
+    room = subject.settings.limit_tolerance
+    for road in (subject.bends(), corners(subject.settings.samples)):
+        sent = subject.commands(road)
+        before = np.vstack([road.delta_0, sent.delta[:-1]])
+        back = np.abs(before) - step if np.isfinite(step) else np.zeros_like(before)
+        for excess, name in (
+            (np.abs(sent.delta) - np.maximum(values.get("delta_max", np.inf), back), "delta_max"),
+            (np.abs(sent.delta - before) - step, "rate_max"),
+        ):
+            if (excess > room).any():
+                k, i = first_of(excess > room)
+                yield (
+                    f"the command goes from {shown(before[k, i])} to {shown(sent.delta[k, i])} rad in gain sample of "
+                    f"{subject.settings.dt:g} s, at sample {k} of scenario {i}; allowed by {name} = {values[name]:g}: "
+                    f"{excess[k, i]:.3g} rad less"
+                )
+                break
+
+
+@_check("inputs_are_left_as_they_are", steering=True)
+def inputs(subject: Subject) -> Iterator[str]:
+    """A step leaves what it is given as it is: its arguments, and the arrays of the state."""
+    road = subject.bends()
+    walk = subject.walk(road)
+    reported: set[str] = set()
+    for k in range(road.samples):
+        t, x, preview, delta_prev = given = walk.seen()
+        arrays = [("t", t), ("x", x), ("preview.yaw_rate", preview.yaw_rate), ("preview.heading", preview.heading),
+                  ("delta_prev", delta_prev), *(("state", array) for array in arrays_in(walk.state))]  # fmt: skip
+        copies = [array.copy() for _, array in arrays]
+        walk.go_on(given)
+        for (name, array), copied in zip(arrays, copies, strict=True):
+            if name not in reported and not _same(array, copied):
+                reported.add(name)
+                yield f"step changes {name} in place, at sample {k}; allowed: new arrays"
+
+
+@_check("runs_share_no_state", steering=True)
+def state(subject: Subject) -> Iterator[str]:
+    """Two runs of one law share nothing: in turns, sample by sample, their commands are those of separate runs."""
+    road = subject.bends()
+    mirrored = road.mirrored()
+    other = dataclasses.replace(mirrored, x=mirrored.x[:, ::-1])
+    separate = subject.commands(road), subject.commands(other)
+    law = subject.law(road)
+    walks = [subject.walk(each, law) for each in (road, other)]
+    for _ in range(road.samples):
+        for walk in walks:
+            walk.go_on()
+    for alone, walk in zip(separate, walks, strict=True):
+        yield from difference(alone, walk.to_the_end(), "two runs in turns, against one after the other")
+
+
+@_check("scenarios_do_not_depend_on_each_other", steering=True)
+def batch(subject: Subject) -> Iterator[str]:
+    """A scenario's commands do not depend on its place, on its neighbours, or on how many there are."""
+    road = subject.bends()
+    whole = subject.commands(road)
+    every = np.arange(road.n)
+    for rows, what in (
+        (every[::-1], "the scenarios in reverse order"),
+        (every[::2], "every other scenario alone"),
+        (every[: road.n // 2], "the first half of the scenarios alone"),
+        (every[-1:], "the last scenario alone"),
+    ):
+        yield from difference(whole.take(rows), subject.commands(road.take(rows)), what)
+
+
+@_check("take_changes_no_command", steering=True)
+def take(subject: Subject) -> Iterator[str]:
+    """`take` changes no command of those that go on, also a second time."""
+    road = subject.bends()
+    whole, walk, rows = subject.commands(road), subject.walk(road), np.arange(road.n)
+    walk.go_on()
+    for part in (slice(1, None, 2), slice(0, None, 2), slice(0, 1)):
+        if not walk.take(np.arange(rows.size)[part]):
+            return  # ended scenarios are then shown to it as zeros
+        rows = rows[part]
+        walk.sent.clear()
+        first = walk.k
+        walk.go_on()
+        alone = Commands(whole.delta[first : first + 1, rows], whole.status[first : first + 1, rows])
+        yield from difference(alone, walk.commands(), f"after take, at sample {first} of the run")
+
+
+@_check("ended_scenarios_do_no_harm", steering=True)
+def ended(subject: Subject) -> Iterator[str]:
+    """Scenarios that have ended, shown as zeros, do no harm: neither to the law nor to those that go on."""
+    road = subject.bends()
+    over = np.arange(road.n) % 3 == 0
+    whole, walk = subject.commands(road), subject.walk(road.ended(np.flatnonzero(over)))
+    for _ in range(road.samples):
+        walk.go_on()
+        walk.previous[over] = 0.0
+    going = np.flatnonzero(~over)
+    yield from difference(whole.take(going), walk.to_the_end().take(going), "beside scenarios that have ended")
+
+
+@_check("extreme_gains_give_finite_commands")
+def extremes(subject: Subject) -> Iterator[str]:
+    """Each gain at the ends of its range, the others as they are: commands stay finite.
+
+    Ends that are infinite are left out. A design that its own class refuses with an `InputError` is no fault, since
+    gains may exclude each other; nor one that `prepare` refuses with an `InputError` that names the gain, since what
+    is allowed may depend on the vehicle; nor is a word of an option that needs a package which is not installed.
+    """
+    road = subject.bends().take(np.arange(4))
+    for gain in subject.design.gains():
+        for design in _variants(subject.design, gain):
+            label = f"{gain.name} = {getattr(design, gain.name)!r}"
+            try:
+                variant = Subject(design, subject.settings)
+                faults = list(_not_finite(road, variant.commands(road))) if variant.steers else []
+            except (KeyboardInterrupt, GeneratorExit):
+                raise
+            except BaseException as error:  # a law may also call sys.exit
+                named = isinstance(error, InputError) and error.path.endswith(f".{gain.name}")
+                absent = bool(gain.choices) and isinstance(error, LdcError | ImportError)
+                if not (named or absent):
+                    yield f"{label}: {type(error).__name__}: {error}; allowed: finite commands"
+                continue
+            yield from (f"{label}: {fault}" for fault in faults)
+
+
+def _variants(design: Controller, gain: Gain) -> Iterator[Controller]:
+    """The design with another value of a gain: the ends of its range, or the other words."""
+    present = getattr(design, gain.name)
+    values: tuple[Any, ...] = () if gain.text else (gain.lower, gain.upper)
+    if gain.choices:
+        values = gain.choices
+    elif isinstance(gain.default, bool):
+        values = (not present,)
+    for value in values:
+        if value != present and (isinstance(value, str) or np.isfinite(value)):
+            with contextlib.suppress(InputError):
+                yield dataclasses.replace(design, **{gain.name: value})  # type: ignore[type-var]
+
+
+def _not_finite(road: Road, sent: Commands) -> Iterator[str]:
+    wrong = ~np.isfinite(sent.delta)
+    if wrong.any():
+        k, i = first_of(wrong)
+        seen = ", ".join(f"{value:.3g}" for value in road.x[k, i])
+        yield (
+            f"the command is {shown(sent.delta[k, i])} at {road.v[i]:.3g} m/s, x = ({seen}), sample {k} of scenario "
+            f"{i} ({int(wrong.sum())} of {wrong.size} are not finite); allowed: finite commands"
+        )
+
+
+def _same(a: npt.NDArray[Any], b: npt.NDArray[Any]) -> bool:
+    return np.array_equal(a, b, equal_nan=a.dtype.kind in "fc")
+
+
+# ------------------------------------------------------------------------------------------------ the contract
 
 
 @dataclasses.dataclass(frozen=True)
 class Fault:
-    """One thing that a design does against the contract."""
+    """One breach of the contract by a design."""
 
     design: str  # Name of the law, and the gains that differ from their defaults
     check: str  # Key of `CHECKS`
@@ -48,7 +426,7 @@ class Fault:
 
 
 class ContractError(LdcError, AssertionError):
-    """A controller breaks its contract; the message holds one line a fault.
+    """A controller breaks its contract; one line of the message for each fault.
 
     Attributes
     ----------
@@ -67,7 +445,7 @@ def contract_faults(
     checks: str | Iterable[str] | None = None,
     settings: ContractSettings | None = None,
 ) -> tuple[Fault, ...]:
-    """Everything that a controller does against the contract.
+    """Every breach of the contract by a controller.
 
     Raises `InputError` if what is given is no controller, or a check is not known.
 
@@ -93,25 +471,17 @@ def contract_faults(
     >>> contract_faults(LQR(r_delta=50.0), checks=["mirror", "quiet", "finite"])
     ()
     """
-    chosen = _chosen(checks)
-    settings = ContractSettings() if settings is None else settings
-    if not isinstance(settings, ContractSettings):
-        raise InputError("settings", value=settings, allowed="ContractSettings(...), or None")
-    first = controller() if isinstance(controller, type) and issubclass(controller, Controller) else controller
-    every = [check_controller(design) for design in (first, *designs)]
-    return tuple(fault for design in dict.fromkeys(every) for fault in _faults(design, chosen, settings))
-
-
-def _chosen(checks: object) -> tuple[str, ...]:
-    """Names of checks, each one known."""
     given = (checks,) if isinstance(checks, str) else CHECKS if checks is None else checks
-    if not isinstance(given, Iterable):
-        raise InputError("checks", value=given, allowed=f"one or more of {', '.join(CHECKS)}")
-    chosen = tuple(given)
-    for name in chosen:
+    expect("checks", given, Iterable)
+    names = tuple(given)
+    for name in names:
         if not isinstance(name, str) or name not in CHECKS:
             raise InputError("checks", value=name, allowed=CHECKS)
-    return chosen
+    expect("settings", settings, ContractSettings | None)
+    first = controller() if isinstance(controller, type) and issubclass(controller, Controller) else controller
+    every = [check_controller(design) for design in (first, *designs)]
+    subjects = [Subject(design, settings or ContractSettings()) for design in dict.fromkeys(every)]
+    return tuple(fault for subject in subjects for fault in _faults(subject, names))
 
 
 def check_controller_contract(
@@ -121,7 +491,7 @@ def check_controller_contract(
     checks: str | Iterable[str] | None = None,
     settings: ContractSettings | None = None,
 ) -> None:
-    """Raise a `ContractError` if a controller breaks the contract, one line a fault; parameters as `contract_faults`.
+    """Raise a `ContractError` with every fault of a controller; parameters as `contract_faults`.
 
     Examples
     --------
@@ -133,18 +503,20 @@ def check_controller_contract(
         raise ContractError(faults)
 
 
-def _faults(design: Controller, checks: Iterable[str], settings: ContractSettings) -> Iterator[Fault]:
-    changed = [f"{one.name}={getattr(design, one.name)}" for one in design.gains()
-               if getattr(design, one.name) != one.default]  # fmt: skip
-    called = ", ".join([design.name, *changed])
+def _faults(subject: Subject, checks: Iterable[str]) -> Iterator[Fault]:
+    design = subject.design
+    changed = [f"{gain.name}={getattr(design, gain.name)}" for gain in design.gains()
+               if getattr(design, gain.name) != gain.default]  # fmt: skip
+    label = ", ".join([design.name, *changed])
     for name in checks:
         try:
-            for sentence in CHECKS[name](Subject(design, settings)):
-                yield Fault(called, name, sentence)
+            if name not in _STEERING or subject.steers:
+                for sentence in CHECKS[name](subject):
+                    yield Fault(label, name, sentence)
         except (KeyboardInterrupt, GeneratorExit):
             raise
         except BaseException as error:  # a controller may be third-party code, and may call sys.exit
-            yield Fault(called, name, raised(error))
+            yield Fault(label, name, raised(error))
 
 
 class ControllerContract:
@@ -175,5 +547,5 @@ def _test(check: str) -> Callable[[ControllerContract], None]:
     return test
 
 
-for _check, _name in _TESTS.items():
-    setattr(ControllerContract, f"test_{_name}", _test(_check))
+for _name, _test_name in _TESTS.items():
+    setattr(ControllerContract, f"test_{_test_name}", _test(_name))

@@ -1,10 +1,11 @@
-"""What one check looks at, and the text of its faults."""
+"""The subject of a check: a design, the roads that it is driven on, and its commands there."""
 
 from __future__ import annotations
 
 import dataclasses
+import functools
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -12,9 +13,9 @@ import numpy.typing as npt
 
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.control import Controller, Law, LinearLaw, LinearSteps, Preview, RecordedPath, SteeringLaw
-from ldctoolkit.errors import InputError, plain
+from ldctoolkit.declared import check_declared, declared
+from ldctoolkit.errors import LdcError
 from ldctoolkit.law_checks import check_law, check_step, check_taken
-from ldctoolkit.option_checks import is_number
 from ldctoolkit.simulation import BOUND
 from ldctoolkit.vehicle import BicycleModel, Plant
 from ldctoolkit.vehicle.speed_schedule import SPEED_RANGE
@@ -51,14 +52,8 @@ class Road:
 
     def take(self, rows: IntArray) -> Road:
         """Some of the scenarios."""
-        return Road(
-            v=self.v[rows],
-            x=self.x[:, rows],
-            yaw_rate=self.yaw_rate[:, rows],
-            yaw_change=self.yaw_change[:, rows],
-            delta_0=self.delta_0[rows],
-            start=self.start[rows],
-        )
+        arrays = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        return Road(**{name: a[rows] if a.ndim == 1 else a[:, rows] for name, a in arrays.items()})
 
     def mirrored(self) -> Road:
         """Left for right."""
@@ -92,15 +87,8 @@ def bends(n: int, samples: int, seed: int = 1) -> Road:
 
 def straight(n: int, samples: int) -> Road:
     """In the lane's centre, the wheels straight."""
-    zeros = np.zeros((samples, n))
-    return Road(
-        v=np.linspace(*SPEED_RANGE, n),
-        x=np.zeros((samples, n, 4)),
-        yaw_rate=zeros,
-        yaw_change=zeros,
-        delta_0=np.zeros(n),
-        start=np.zeros(n),
-    )
+    zeros, v = np.zeros((samples, n)), np.linspace(*SPEED_RANGE, n)
+    return Road(v, np.zeros((samples, n, 4)), zeros, zeros, np.zeros(n), np.zeros(n))
 
 
 def corners(samples: int) -> Road:
@@ -109,14 +97,9 @@ def corners(samples: int) -> Road:
     v = np.tile([SPEED_RANGE[0], 5.0, 25.0, SPEED_RANGE[1]], 4)
     n = v.size
     turns = np.where(np.arange(n) % 3 == 0, -0.5, 0.5) * np.ones((samples, 1))
-    return Road(
-        v=v,
-        x=np.array(_FARTHEST) * signs * np.ones((samples, 1, 1)),
-        yaw_rate=turns,
-        yaw_change=0.1 * turns,
-        delta_0=np.where(np.arange(n) % 2 == 0, 0.4, -0.4),
-        start=np.linspace(0.0, 30.0, n),
-    )
+    x = np.array(_FARTHEST) * signs * np.ones((samples, 1, 1))
+    delta_0 = np.where(np.arange(n) % 2 == 0, 0.4, -0.4)
+    return Road(v, x, turns, 0.1 * turns, delta_0, np.linspace(0.0, 30.0, n))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -148,17 +131,16 @@ class Walk:
         self.sent: list[tuple[FloatArray, npt.NDArray[np.int8]]] = []
 
     def seen(self) -> tuple[FloatArray, FloatArray, Preview, FloatArray]:
-        """What the law is shown next: arrays of its own."""
+        """Arguments of the next step, in new arrays."""
         road, k = self.road, self.k
         return road.start + k * self.dt, road.x[k].copy(), road.preview(k, self.times), self.previous.copy()
 
-    def go_on(self) -> None:
+    def go_on(self, seen: tuple[FloatArray, FloatArray, Preview, FloatArray] | None = None) -> None:
         """Take one sample."""
-        result = self.law.step(*self.seen(), self.state)
+        result = self.law.step(*(self.seen() if seen is None else seen), self.state)
         delta, self.state, status = check_step(result, self.road.n, self.name)
         self.sent.append((delta.copy(), status))
-        # as the closed loop does
-        self.previous = np.where(np.isfinite(delta), delta, self.previous)
+        self.previous = np.where(np.isfinite(delta), delta, self.previous)  # as the closed loop does
         self.k += 1
 
     def take(self, rows: IntArray) -> bool:
@@ -174,6 +156,10 @@ class Walk:
         """Take all samples that are left."""
         while self.k < self.road.samples:
             self.go_on()
+        return self.commands()
+
+    def commands(self) -> Commands:
+        """Commands so far."""
         return Commands(np.array([delta for delta, _ in self.sent]), np.array([status for _, status in self.sent]))
 
 
@@ -189,26 +175,19 @@ class ContractSettings:
     12
     """
 
-    scenarios: int = 12  # Scenarios in one batch, 4 or more
-    samples: int = 6  # Time steps of one run, 4 or more
-    dt: float = 0.05  # [s] Sample time
+    scenarios: int = declared(12, lower=4)  # Scenarios in one batch, 4 or more
+    samples: int = declared(6, lower=4)  # Time steps of one run, 4 or more
+    dt: float = declared(0.05, unit="s", above=0.0)  # [s] Sample time
     # How far a mirrored command may be from the mirror image, relative to the largest command of the scenario. The
     # default leaves room for sums in another order and for iterative solvers; 0 asks for equal bits.
-    mirror_tolerance: float = 1e-9
+    mirror_tolerance: float = declared(1e-9, lower=0.0)
     # [rad] How far a command may exceed a declared limit: the accuracy of an iterative solver
-    limit_tolerance: float = 1e-6
-    quiet_tolerance: float = 0.0  # [rad] How far a command on a straight road may be from 0
+    limit_tolerance: float = declared(1e-6, unit="rad", lower=0.0)
+    # [rad] How far a command on a straight road may be from 0
+    quiet_tolerance: float = declared(0.0, unit="rad", lower=0.0)
 
     def __post_init__(self) -> None:
-        for name in ("scenarios", "samples"):
-            value = plain(getattr(self, name))
-            if isinstance(value, bool) or not (isinstance(value, int) and value >= 4):
-                raise InputError(name, value=getattr(self, name), allowed="a whole number >= 4")
-        if not (is_number(plain(self.dt)) and self.dt > 0):
-            raise InputError("dt", value=self.dt, allowed="a number > 0 [s]")
-        for name in ("mirror_tolerance", "limit_tolerance", "quiet_tolerance"):
-            if not (is_number(plain(getattr(self, name))) and getattr(self, name) >= 0):
-                raise InputError(name, value=getattr(self, name), allowed="a number >= 0")
+        check_declared(self)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -227,39 +206,48 @@ class Subject:
         """The road that most checks use."""
         return bends(self.settings.scenarios, self.settings.samples)
 
-    def law(self, road: Road) -> SteeringLaw | None:
-        """The law, prepared anew; None where it leaves the departure alone."""
-        plant = plant_at(road.v, self.settings.dt)
-        law: Law = check_law(self.design.prepare(plant), road.n, self.name)
+    @functools.cached_property
+    def steers(self) -> bool:
+        """Whether its law steers, or leaves the departure alone."""
+        return not isinstance(self._prepared(self.bends()), RecordedPath)
+
+    def _prepared(self, road: Road) -> Law:
+        return check_law(self.design.prepare(plant_at(road.v, self.settings.dt)), road.n, self.name)
+
+    def law(self, road: Road) -> SteeringLaw:
+        """The law, prepared anew."""
+        law = self._prepared(road)
         if isinstance(law, RecordedPath):
-            return None
-        return LinearSteps.of(law, plant) if isinstance(law, LinearLaw) else law
+            raise LdcError(f"controller {self.name!r}", "a law that steers once and leaves the departure alone later")
+        return LinearSteps.of(law, plant_at(road.v, self.settings.dt)) if isinstance(law, LinearLaw) else law
 
-    def commands(self, road: Road, law: SteeringLaw | None = None) -> Commands | None:
-        """What the law says on a road: the one given, or one that is prepared anew."""
-        law = self.law(road) if law is None else law
-        return None if law is None else Walk(law, road, self.settings.dt, self.name).to_the_end()
+    def walk(self, road: Road, law: SteeringLaw | None = None) -> Walk:
+        """A run of the given law, or of the law prepared anew."""
+        return Walk(self.law(road) if law is None else law, road, self.settings.dt, self.name)
+
+    def commands(self, road: Road, law: SteeringLaw | None = None) -> Commands:
+        """Commands on a road of the given law, or of the law prepared anew."""
+        return self.walk(road, law).to_the_end()
 
 
-Check = Callable[[Subject], Iterator[str]]  # yields one sentence for each fault
-
-
-def difference(one: Commands | None, other: Commands | None, what: str) -> Iterator[str]:
+def difference(a: Commands, b: Commands, comparison: str) -> Iterator[str]:
     """A sentence on the first command or status that is not the same to the bit; nothing where all are."""
-    if one is None or other is None:
-        if one is not other:
-            yield f"{what}: a law that steers one time and leaves the departure alone the other"
-        return
     for field, unit in (("delta", " rad"), ("status", "")):
-        a, b = getattr(one, field), getattr(other, field)
-        wrong = (a != b) & ~(np.isnan(a) & np.isnan(b))
+        x, y = getattr(a, field), getattr(b, field)
+        wrong = (x != y) & ~(np.isnan(x) & np.isnan(y))
         if wrong.any():
-            k, i = (int(place[0]) for place in np.nonzero(wrong))
+            k, i = first_of(wrong)
             yield (
-                f"{what}: {field} is {shown(a[k, i])}{unit} and {shown(b[k, i])}{unit} at sample {k} of scenario {i} "
-                f"({int(wrong.sum())} of {wrong.size} differ); allowed: the same to the bit"
+                f"{comparison}: {field} is {shown(x[k, i])}{unit} and {shown(y[k, i])}{unit} at sample {k} of scenario "
+                f"{i} ({int(wrong.sum())} of {wrong.size} differ); allowed: the same to the bit"
             )
             return
+
+
+def first_of(wrong: npt.NDArray[np.bool_]) -> tuple[int, int]:
+    """Sample and scenario of the first entry that is true."""
+    k, i = np.argwhere(wrong)[0]
+    return int(k), int(i)
 
 
 def shown(value: Any) -> str:
@@ -268,16 +256,12 @@ def shown(value: Any) -> str:
 
 
 def arrays_in(value: Any, depth: int = 4) -> Iterator[npt.NDArray[Any]]:
-    """The arrays that a state is made of: itself, or inside tuples, lists, dictionaries and dataclasses."""
+    """The arrays of a state: itself, or inside tuples, lists, dictionaries and dataclasses."""
     if isinstance(value, np.ndarray):
         yield value
     elif depth > 0:
-        parts: list[Any] = []
-        if isinstance(value, list | tuple):
-            parts = list(value)
-        elif isinstance(value, dict):
-            parts = list(value.values())
-        elif dataclasses.is_dataclass(value) and not isinstance(value, type):
+        parts = value.values() if isinstance(value, dict) else value if isinstance(value, list | tuple) else ()
+        if dataclasses.is_dataclass(value) and not isinstance(value, type):
             parts = [getattr(value, field.name, None) for field in dataclasses.fields(value)]
         for part in parts:
             yield from arrays_in(part, depth - 1)

@@ -8,15 +8,14 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import math
 from typing import Final, Literal, Protocol, get_args
 
 import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import FloatArray, unmasked
-from ldctoolkit.errors import CheckedArguments, InputError, plain
-from ldctoolkit.option_checks import short_repr, warn_of_units
+from ldctoolkit.declared import check_declared, declared, short_repr, warn_of_units
+from ldctoolkit.errors import CheckedArguments, InputError
 from ldctoolkit.vehicle.discretization import AugmentedStep, Discretization, augmented, discretize
 
 
@@ -24,7 +23,7 @@ from ldctoolkit.vehicle.discretization import AugmentedStep, Discretization, aug
 class Plant:
     """The vehicle discretised once for a scenario set, shared by every design.
 
-    It carries no scenario but the speed at which each is driven, so that a design cannot look at its own examination.
+    It carries nothing of a scenario but its speed, so that a design cannot fit the scenarios that it is scored on.
 
     Examples
     --------
@@ -38,12 +37,8 @@ class Plant:
     v: FloatArray  # (n,) [m/s] Speed of each scenario, frozen at the trigger
     dt: float  # [s] Sample time of the controller
     lag: float = 0.0  # [s] Time constant of the nominal actuator; 0 for none
-    # [s] From the moment that the law sees to the moment at which its command acts: delay of the nominal actuator and
-    # `age`
-    delay: float = 0.0
-    # [s] How old a frame of the nominal camera is, on average, when the law first sees it. The lane ahead is that of
-    # the present.
-    age: float = 0.0
+    delay: float = 0.0  # [s] From what the law sees to the effect of its command: of the nominal actuator, and `age`
+    age: float = 0.0  # [s] Mean age of a frame of the nominal camera when the law first sees it; 0 of the lane ahead
 
     @classmethod
     def build(
@@ -58,12 +53,12 @@ class Plant:
 
     @functools.cached_property
     def step(self) -> Discretization:
-        """One step of dt at each speed, of the vehicle alone; worked out where it is first wanted."""
+        """One step of dt at each speed, of the vehicle alone; computed at its first use."""
         return self.model.discretize(self.v, self.dt)
 
     @functools.cached_property
     def augmented(self) -> AugmentedStep:
-        """One sample behind the actuator at each speed, as what the law sees moves on; worked out once."""
+        """One sample behind the actuator at each speed; computed once."""
         return augmented(*self.model.matrices(self.v), self.dt, lag=self.lag, delay=self.delay)
 
     @property
@@ -72,7 +67,7 @@ class Plant:
         return int(self.v.shape[0])
 
     def steady_state(self) -> SteadyState:
-        """Steady cornering at each scenario's speed, per unit of lane yaw rate; worked out once for all designs."""
+        """Steady cornering at each scenario's speed, per unit of lane yaw rate; computed once for all designs."""
         return self._steady_state
 
     @functools.cached_property
@@ -115,28 +110,20 @@ class VehicleParameters(CheckedArguments):
 
     __repr__ = short_repr
 
-    C_af: float = 80000.0
-    C_ar: float = 80000.0
-    l_f: float = 1.43
-    l_r: float = 1.47
-    m: float = 1000.0
-    I_z: float = 3344.0
-    w_l: float = 3.6
-    w_v: float = 1.9
-    steering_ratio: float = 15.0
+    C_af: float = declared(80000.0, unit="N/rad", above=0.0)
+    C_ar: float = declared(80000.0, unit="N/rad", above=0.0)
+    l_f: float = declared(1.43, unit="m", above=0.0)
+    l_r: float = declared(1.47, unit="m", above=0.0)
+    m: float = declared(1000.0, unit="kg", above=0.0)
+    I_z: float = declared(3344.0, unit="kg m^2", above=0.0)
+    w_l: float = declared(3.6, unit="m", above=0.0)
+    w_v: float = declared(1.9, unit="m", above=0.0)
+    steering_ratio: float = declared(15.0, above=0.0)
 
     def __post_init__(self) -> None:
-        for field in dataclasses.fields(self):
-            value = plain(getattr(self, field.name))
-            if isinstance(value, bool) or not isinstance(value, int | float):
-                raise InputError(f"vehicle.{field.name}", value=value, allowed="a number > 0")
-            if not (math.isfinite(value) and value > 0):
-                raise InputError(f"vehicle.{field.name}", value=value, allowed="a finite number > 0")
-            object.__setattr__(self, field.name, value)
+        check_declared(self, "vehicle")
         if self.w_v >= self.w_l:
-            raise InputError(
-                "vehicle.w_v", "m", value=self.w_v, allowed=f"less than the lane's width w_l = {self.w_l!r} m"
-            )
+            raise InputError("vehicle.w_v", "m", value=self.w_v, allowed=f"less than the lane's width, {self.w_l!r} m")
         warn_of_units("vehicle", self)
 
     @property
@@ -181,8 +168,7 @@ class SteadyState:
     """Steady cornering per unit of lane yaw rate, at each of n speeds."""
 
     delta: FloatArray  # (n,) [rad per rad/s] Steering angle that holds the bend with e_y = 0
-    # (n,) [rad per rad/s] Heading error that belongs to it (the vehicle's side slip, with its sign turned)
-    e_psi: FloatArray
+    e_psi: FloatArray  # (n,) [rad per rad/s] Heading error there: minus the vehicle's side slip
 
 
 @dataclasses.dataclass(frozen=True)
@@ -294,5 +280,5 @@ def checked_speeds(v: npt.ArrayLike) -> FloatArray:
     bad = ~(np.isfinite(speed) & (speed > 0))
     if bad.any():
         i = int(np.argmax(bad))
-        raise InputError(f"v[{i}] = {speed[i]:g} m/s; allowed: finite speeds > 0")
+        raise InputError(f"v[{i}]", "m/s", value=float(speed[i]), allowed="a finite number > 0")
     return speed

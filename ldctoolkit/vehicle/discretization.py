@@ -113,9 +113,10 @@ def discretize(A: FloatArray, B: FloatArray, E: FloatArray, dt: npt.ArrayLike) -
     """
     n, states = B.shape
     step = np.broadcast_to(np.asarray(dt, dtype=float), (n,)).copy()
-    if not np.all(np.isfinite(step) & (step >= 0)):
-        i = int(np.argmax(~(np.isfinite(step) & (step >= 0))))
-        raise InputError(f"dt[{i}] = {step[i]:g} s; allowed: finite steps >= 0")
+    bad = ~(np.isfinite(step) & (step >= 0))
+    if bad.any():
+        i = int(np.argmax(bad))
+        raise InputError(f"dt[{i}]", "s", value=float(step[i]), allowed="a finite step >= 0")
     # z = (integral of x[0], x, delta, r, r+ - r); the last rises from 0, so r(s) = r + (r+ - r) s/dt
     size = states + 4
     delta, rate, rise = states + 1, states + 2, states + 3

@@ -66,7 +66,7 @@ class _FilterGain:
                 P = scipy.linalg.solve_discrete_are(A_p.T, C.T, 0.5 * (Q_p + Q_p.T), R)
             except (np.linalg.LinAlgError, ValueError) as error:
                 speed = v[len(rows)]
-                raise LdcError(f"no Kalman filter at {speed:.3g} m/s, {self.kalman}: {error}") from error
+                raise LdcError(f"{self.kalman}", f"no Kalman filter at {speed:.3g} m/s: {error}") from error
             # P and the innovation's covariance are symmetric
             rows.append(np.linalg.solve(C @ P @ C.T + R, C @ P).T.ravel())
         return np.array(rows)
@@ -114,15 +114,14 @@ def scheduled(
     outside = ~((v >= low) & (v <= high))
     if outside.any():
         i = int(np.argmax(outside))
-        raise InputError(
-            "speed at the trigger", f"{v[i]:g} m/s", hint=f"allowed for scheduled gains: {low:g} to {high:g}"
-        )
+        allowed = f"{low:g} to {high:g} m/s for scheduled gains"
+        raise InputError("speed at the trigger", "m/s", value=float(v[i]), allowed=allowed)
     z = 2.0 * np.log(v / low) / math.log(high / low) - 1.0
     from ldctoolkit.lane_functions import clenshaw
 
     coefficients, smooth = chebyshev(solve)
     if not smooth.all():
-        raise LdcError(f"{what} change too sharply with speed to be scheduled")
+        raise LdcError(what, "change too sharply with speed to be scheduled")
     wanted = np.ascontiguousarray(coefficients[:, columns])
     values = np.empty((z.size, wanted.shape[1]))
     clenshaw(z, wanted, values)

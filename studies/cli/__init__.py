@@ -10,8 +10,8 @@ from collections.abc import Iterator, Sequence
 from typing import Any, NoReturn
 
 import ldctoolkit.compiling as compiling
+from ldctoolkit.declared import UnitWarning
 from ldctoolkit.errors import LdcError
-from ldctoolkit.option_checks import UnitWarning
 from ldctoolkit.surroundings import sweep
 from ldctoolkit.version import __version__
 

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import copy
 import dataclasses
 import math
 import os
 import sys
-from collections.abc import Callable, Container, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
@@ -19,9 +18,10 @@ from ldctoolkit.errors import InputError
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import Progress
-    from rich.table import Table
 
     from ldctoolkit.departures import Plausibility
+
+    from ..tables import Table
 
 
 _WIDTH = 160  # columns where stdout is no terminal: a file or a log has no width of its own
@@ -41,62 +41,59 @@ def console() -> Console:
     return Console() if sys.stdout.isatty() else Console(width=_WIDTH)
 
 
-def new_table(title: str, headings: Sequence[str], left: Container[int] = (0,), *, narrow: bool = False) -> Table:
-    """A table whose columns `left` are text and all others numbers; neither title nor headings are markup.
-
-    A narrow one has no rules between its columns, however wide the terminal is.
-    """
-    from rich import box
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(
-        title=Text(title, style="table.title"), title_justify="left", box=None if narrow else box.HEAVY_HEAD,
-        padding=(0, 1, 0, 0) if narrow else (0, 1), pad_edge=not narrow,
-    )  # fmt: skip
-    for i, heading in enumerate(headings):
-        table.add_column(Text(heading), justify="left" if i in left else "right")
-    return table
-
-
-def add_row(table: Table, cells: Iterable[str], style: str | None = None) -> None:
-    """One row more; cells are no markup."""
-    from rich.text import Text
-
-    table.add_row(*map(Text, cells), style=style)
-
-
+_STYLES = {"winner": "bold", "bad": "red", "warning": "yellow", "good": "green", "same": "dim"}
 _LONGEST_WORD = 16  # columns of a narrow table that a word of text is given before it is broken
 
 
-def print_table(table: Table, out: Console | None = None) -> None:
-    """Print a table whose numbers are whole at any width of the terminal.
+def print_table(table: Table, out: Console | None = None, *, narrow: bool = False) -> None:
+    """Print a table whose numbers are whole at any width of the terminal; no text in it is markup.
 
-    Where it is narrow there are no rules, and headings and text break at spaces; columns that do not fit even then
-    follow below, beside the text columns at the left again.
+    Where it is narrow, or is to be, there are no rules, and headings and text break at spaces; columns that do not fit
+    even then follow below, beside the text columns at the left again.
     """
-    out, columns, widest, least = out or console(), table.columns, [], []
-    for column in columns:
-        heading, cells = str(column.header), [str(cell) for cell in column.cells]
-        text = cells if column.justify == "right" else [word[:_LONGEST_WORD] for cell in cells for word in cell.split()]
-        widest.append(max(len(line) for cell in (heading, *cells) for line in (cell or " ").splitlines()))
-        least.append(max(map(len, (*heading.split(), *text))))
-    if table.box is not None and sum(widest) + 3 * len(columns) + 1 <= out.width:
-        out.print(table)
-        return
-    keys = next((i for i, column in enumerate(columns) if i and column.justify == "right"), len(columns))
-    part, rest = copy.copy(table), list(range(keys, len(columns)))
-    part.box, part.padding, part.pad_edge = None, (0, 1, 0, 0), False
+    from rich import box
+    from rich.table import Table as Grid
+    from rich.text import Text
+
+    out = out or console()
+    heads = [f"{one.title}\n[{one.unit}]" if one.unit else one.title for one in table.columns]
+    rows = [table.texts(row) for row in table.rows]
+    full, whole, least = [], [], []  # widths of a column: as it is, with a broken heading, with broken text too
+    for j, (column, head) in enumerate(zip(table.columns, heads, strict=True)):
+        cells = [row[j] for row in rows]
+        words = [word[:_LONGEST_WORD] for cell in cells for word in cell.split()] if column.text else cells
+        full.append(max(len(line) for cell in (head, *cells) for line in (cell or " ").splitlines()))
+        whole.append(max(map(len, (*head.split(), *cells))))
+        least.append(max(map(len, (*head.split(), *words))))
+    ruled = not narrow and sum(whole) + 3 * len(heads) + 1 <= out.width
+    keys = next((j for j, column in enumerate(table.columns) if j and not column.text), len(heads))
+    shown, rest, title = list(range(keys)), list(range(keys, len(heads))), table.title
+    between, smallest = (3, whole) if ruled else (1, least)
     while True:
-        shown = list(range(keys))
-        while rest and (len(shown) == keys or sum(least[i] + 1 for i in (*shown, rest[0])) <= out.width):
+        while rest and (ruled or len(shown) == keys or sum(least[j] + 1 for j in (*shown, rest[0])) <= out.width):
             shown.append(rest.pop(0))
-        widths = {i: widest[i] for i in shown}
-        while sum(widths.values()) + len(shown) > out.width and any(widths[i] > least[i] for i in shown):
-            widths[max(shown, key=lambda i: widths[i] - least[i])] -= 1
-        part.columns = [dataclasses.replace(columns[i], _index=k, width=widths[i]) for k, i in enumerate(shown)]
-        out.print(part)
-        part.title = None
+        widths = {j: full[j] for j in shown}
+        while sum(widths.values()) + between * len(shown) + ruled > out.width and any(
+            widths[j] > smallest[j] for j in shown
+        ):
+            widths[max(shown, key=lambda j: widths[j] - smallest[j])] -= 1
+        grid = Grid(
+            title=Text(title, style="table.title") if title else None, title_justify="left", pad_edge=ruled,
+            box=box.HEAVY_HEAD if ruled else None, padding=(0, 1) if ruled else (0, 1, 0, 0),
+        )  # fmt: skip
+        for j in shown:
+            grid.add_column(
+                Text(heads[j]), justify="left" if table.columns[j].text else "right", width=None if ruled else widths[j]
+            )
+        for row, texts in zip(table.rows, rows, strict=True):
+            if row.apart:
+                grid.add_section()
+            states = [cell for _, cell in table.cells(row)]
+            styles = ["bad" if cell.bad else "good" if cell.good else "" for cell in states]
+            shown_cells = (Text(texts[j], style=_STYLES.get(styles[j], "")) for j in shown)
+            grid.add_row(*shown_cells, style=_STYLES.get(row.kind))
+        out.print(grid)
+        shown, title = list(range(keys)), ""
         if not rest:
             return
 

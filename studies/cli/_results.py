@@ -12,23 +12,13 @@ from typing import TYPE_CHECKING, Any, Self
 
 from ..pages.ranking_markdown import write_markdown
 from ..ranking.ranking import Ranking, rank_study, write_csv
-from ..ranking.verdict import (
-    Verdict,
-    listed_places,
-    more_lines,
-    other_cases,
-    ranking_cells,
-    ranking_columns,
-    verdict_lines,
-)
-from ..results import Race, StudyResults
+from ..ranking.verdict import Verdict, listed_places, more_lines, ranking_table, verdict_lines
+from ..results import StudyResults
 from ..storage.manifest import Manifest
 from ..study_file import Study
-from ._console import add_row, console, new_table, print_table, progress_bar, say
+from ._console import console, print_table, progress_bar, say
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from ldctoolkit.departures import Departures
 
     from ..design import Design
@@ -57,7 +47,7 @@ class ReportOptions:
 
     def robustness_of(self, folder: Path, study: Study, results: StudyResults, ranking: Ranking) -> Robustness | None:
         """What DIR/robustness.json holds, worked out first where need be and wanted; None where there is nothing."""
-        if not self.robustness or not results.designs or not results.drivable().scenarios.n:
+        if not self.robustness or not results.designs or not results.on_drivable().scenarios.n:
             return stored_robustness(folder, study, results, ranking)
         from ..robustness import RobustnessTask, robustness_of
 
@@ -65,14 +55,14 @@ class ReportOptions:
 
 
 def write_study_report(
-    folder: Path, study: Study, manifest: Manifest, results: StudyResults, rankings: tuple[Ranking, ...],
+    folder: Path, study: Study, manifest: Manifest, results: StudyResults, ranking: Ranking,
     options: ReportOptions, robustness: Robustness | None,
 ) -> Path:  # fmt: skip
     """Write DIR/report.html and DIR/figures/."""
     from ..pages.report import report_input, write_report
 
     report = report_input(
-        folder, study, manifest, results, rankings, source=options.source, departures=options.departures,
+        folder, study, manifest, results, ranking, source=options.source, departures=options.departures,
         shown_designs=options.designs, robustness=robustness,
     )  # fmt: skip
     path = folder / "report.html"
@@ -81,7 +71,7 @@ def write_study_report(
 
 def stored_robustness(folder: Path, study: Study, results: StudyResults, ranking: Ranking) -> Robustness | None:
     """What DIR/robustness.json holds of these results; None where there is nothing."""
-    if not results.designs or not results.drivable().scenarios.n:
+    if not results.designs or not results.on_drivable().scenarios.n:
         return None
     from ..robustness import RobustnessTask, stored_of
 
@@ -112,26 +102,26 @@ def judged(folder: str | Path) -> Judged:
     store = Store.open(folder)
     with progress_bar("ranking"):
         study, results = store.manifest.read_study(), store.results()
-        ranking = rank_study(results, study)[0]
+        ranking = rank_study(results, study)
     return Judged(store.manifest, study, results, ranking, verdict(ranking, results, study.setup()))
 
 
 _MOST_FAILED = 20
 
 
-def print_rankings(rankings: Sequence[Ranking], top: int, found: Verdict) -> None:
-    """The primary case in full, the others in a line."""
-    out, first = console(), rankings[0]
-    print_table(ranking_table(first, top))
+def print_ranking(ranking: Ranking, top: int, found: Verdict) -> None:
+    """The table, the verdict, and what else a reader should know."""
+    out = console()
+    print_table(ranking_table(ranking, listed_places(ranking, top)), narrow=True)
     title, *others = verdict_lines(found)
-    out.print(title, style="bold green" if found.usable and first.winner is not None else "bold red", markup=False,
+    out.print(title, style="bold green" if found.usable and ranking.winner is not None else "bold red", markup=False,
               emoji=False, highlight=False)  # fmt: skip
-    for line in (*others, *more_lines(first), *other_cases(rankings)):
+    for line in (*others, *more_lines(ranking)):
         out.print(line, markup=False, emoji=False, highlight=False)
-    for warning in first.warnings:
+    for warning in ranking.warnings:
         out.print(f"Warning: {warning}", style="yellow", markup=False, emoji=False, highlight=False)
     out.print()
-    _print_failed(first)
+    _print_failed(ranking)
 
 
 def _print_failed(ranking: Ranking) -> None:
@@ -147,51 +137,12 @@ def _print_failed(ranking: Ranking) -> None:
     out.print()
 
 
-def print_race(race: Race) -> None:
-    """One line a round, and what the race saved."""
-    out = console()
-    before = len(race.dropped) + race.alive[-1]
-    for i, (size, alive) in enumerate(zip(race.rounds, race.alive, strict=True), start=1):
-        given_up = f"{before - alive} of {before} design{'' if before == 1 else 's'} given up"
-        out.print(f"round {i}: {size:,} scenario{'' if size == 1 else 's'}, {given_up}", highlight=False)
-        before = alive
-    share = 100 * race.runs / race.full_runs
-    number = len(race.dropped)
-    were = "1 design was" if number == 1 else f"{number} designs were"
-    out.print(
-        f"race: {race.runs:,} scenario runs, {share:.1f} % of the full study's; {were} separable from the best and "
-        f"{'was' if number == 1 else 'were'} given up, see ranking.csv\n",
-        highlight=False,
-        soft_wrap=True,
-    )
-
-
-def write_ranking(
-    folder: Path, study: Study, manifest: Manifest, results: StudyResults, rankings: Sequence[Ranking], found: Verdict
-) -> Path:
+def write_ranking(folder: Path, study: Study, manifest: Manifest, ranking: Ranking, found: Verdict) -> Path:
     """Write DIR/ranking.csv and, to be read, DIR/ranking.md."""
     path = folder / "ranking.csv"
-    write_csv(rankings, path, results.race)
-    write_markdown(rankings, folder / "ranking.md", study, manifest, found)
+    write_csv(ranking, path)
+    write_markdown(ranking, folder / "ranking.md", study, manifest, found)
     return path
-
-
-def ranking_table(ranking: Ranking, top: int = 10) -> Table:
-    """The first `top` designs, the best of each law, the winner and the baseline."""
-    columns = ranking_columns(ranking)
-    titles = [one.title.replace("needless", "need-\nless") for one in columns]
-    table = new_table(
-        f"{len(ranking)} designs by mean S, {ranking.case.label}",
-        [f"{title}\n[{one.unit}]" if one.unit else title for title, one in zip(titles, columns, strict=True)],
-        left=[i for i, one in enumerate(columns) if one.left],
-        narrow=True,
-    )
-    shown = listed_places(ranking, top)
-    for previous, i in zip([-1, *shown], shown, strict=False):
-        if i > previous + 1:
-            table.add_section()
-        add_row(table, ranking_cells(ranking, i), "bold" if i == ranking.winner else None)
-    return table
 
 
 def json_summary(
@@ -234,7 +185,6 @@ def rank_summary(
 
 
 def _found(results: StudyResults, ranking: Ranking, manifest: Manifest) -> dict[str, Any]:
-    race = results.race
     return {
         "study": manifest.study.get("name", ""),
         "study_hash": manifest.study_hash,
@@ -243,7 +193,6 @@ def _found(results: StudyResults, ranking: Ranking, manifest: Manifest) -> dict[
         "failed_designs": len(results.failed),
         "winner": None if ranking.winner is None else _design(ranking, ranking.winner),
         "set_of_best": [ranking.designs[i].id for i in range(len(ranking)) if ranking.set_of_best[i]],
-        "race": race and {"dropped": len(race.dropped), "runs": race.runs, "full_runs": race.full_runs},
     }
 
 

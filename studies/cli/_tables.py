@@ -9,36 +9,35 @@ import numpy as np
 
 from ldctoolkit.registry import controller_class
 
-from ..comparison.comparison import CaseComparison, Comparison
+from ..comparison.comparison import Comparison
 from ..comparison.paired import Verdict, Winners
 from ..design import Design, gain_text
+from ..pages.landscape_section import index_table
 from ..sensitivity.sensitivity import BlockSensitivity
 from ..sensitivity.winner_profile import Profile
-from ._console import add_row, console, new_table, print_table, say
+from ..tables import Column, Row, Table
+from ._console import console, print_table, say
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.table import Table
 
 
-_STYLE: Final = {Verdict.WORSE: "red", Verdict.BETTER: "green", Verdict.NOT_SEPARATED: "", Verdict.SAME: "dim"}
-_TOP_OF_OTHER_CASES: Final = 3
+_STYLE: Final = {Verdict.WORSE: "bad", Verdict.BETTER: "good", Verdict.NOT_SEPARATED: "", Verdict.SAME: "same"}
 _MOST_LISTED: Final = 20
 
 
 def print_comparison(comparison: Comparison, top: int, out: Console) -> None:
-    """What differs between the inputs first, then the cases, the failures, the warnings and one sentence."""
+    """What differs between the inputs first, then the designs, the failures, the warnings and one sentence."""
     say(out, f"old: {comparison.old} ({comparison.old_name})", f"new: {comparison.new} ({comparison.new_name})")
     if comparison.differences:
         say(out, "Inputs that differ, old -> new:", *(f"  {text}" for text in comparison.differences))
     else:
         say(out, "The inputs are the same: what differs below is in the code of a law, or in the machine.")
     out.print()
-    for i, case in enumerate(comparison.cases):
-        if len(case):
-            print_table(_table(comparison, case, top if i == 0 else min(top, _TOP_OF_OTHER_CASES)), out)
-        say(out, *_verdict_lines(case))
-        out.print()
+    if len(comparison):
+        print_table(_table(comparison, top), out)
+    say(out, *_verdict_lines(comparison))
+    out.print()
     for heading, failed in (
         ("failed only in the new study, worse:", comparison.new_failures),
         ("failed only in the old study:", comparison.repaired),
@@ -61,27 +60,25 @@ def _some(lines: Sequence[str]) -> Iterator[str]:
         yield f"  and {len(lines) - _MOST_LISTED} more"
 
 
-def _table(comparison: Comparison, case: CaseComparison, top: int) -> Table:
+def _table(comparison: Comparison, top: int) -> Table:
     """Worse designs first; those that are the same are counted below."""
-    designs = f"{len(case)} design{'' if len(case) == 1 else 's'}"
-    title = f"{designs} in both studies, {comparison.shared.n:,} shared scenarios, {case.case.label}"
-    headings = ("verdict", "design", "old S\n[m s]", "new S\n[m s]", "new - old\n[m s]",
-                f"{100 * comparison.confidence:g}%\ninterval", "scenarios\nchanged", "largest change\n[m s]",
-                "failed\nold, new")  # fmt: skip
-    table = new_table(title, headings, left=(0, 1))
-    shown = [i for i in case.order if case.S.verdict[i] is not Verdict.SAME][:top] or list(case.order[:top])
-    for i in shown:
-        add_row(table, _cells(comparison, case, i), _STYLE[case.S.verdict[i]] or None)
-    return table
+    designs = f"{len(comparison)} design{'' if len(comparison) == 1 else 's'}"
+    title = f"{designs} in both studies, {comparison.shared.n:,} shared scenarios, {comparison.label}"
+    headings = ("old S", "new S", "new - old", f"{100 * comparison.confidence:g} % interval", "scenarios changed",
+                "largest change", "failed old, new")  # fmt: skip
+    columns = [Column("verdict", text=True), Column("design", text=True), *map(Column, headings)]
+    order, verdict = comparison.order, comparison.S.verdict
+    shown = [i for i in order if verdict[i] is not Verdict.SAME][:top] or list(order[:top])
+    return Table(title, columns, [Row(_cells(comparison, i), _STYLE[verdict[i]]) for i in shown])
 
 
-def _cells(comparison: Comparison, case: CaseComparison, i: int) -> list[str]:
-    S, changed = case.S, int(case.S.changed[i])
+def _cells(comparison: Comparison, i: int) -> list[str]:
+    S, changed = comparison.S, int(comparison.S.changed[i])
     at = f" (no. {comparison.shared.new[S.largest_at[i]]})"
-    failed = (case.failed_old[i], case.failed_new[i])
+    failed = (comparison.failed_old[i], comparison.failed_new[i])
     return [
         str(S.verdict[i]),
-        case.designs[i].label,
+        comparison.designs[i].label,
         f"{S.S_old[i]:.4f}",
         f"{S.S_new[i]:.4f}",
         f"{S.difference[i]:+.2g}" if abs(S.difference[i]) < 1e-4 else f"{S.difference[i]:+.4f}",
@@ -101,12 +98,12 @@ def _interval(low: float, high: float) -> str:
     return f"{low:+{digits}} .. {high:+{digits}}"
 
 
-def _verdict_lines(case: CaseComparison) -> Iterator[str]:
-    same = case.count(Verdict.SAME)
+def _verdict_lines(comparison: Comparison) -> Iterator[str]:
+    same = comparison.count(Verdict.SAME)
     if same:
-        yield f"the same within 1e-6 m s: {same} of {len(case)} designs"
-    if case.winners is not None:
-        yield f"{case.case.label}: {_winners_sentence(case.winners)}"
+        yield f"the same within 1e-6 m s: {same} of {len(comparison)} designs"
+    if comparison.winners is not None:
+        yield f"{comparison.label}: {_winners_sentence(comparison.winners)}"
 
 
 def _winners_sentence(winners: Winners) -> str:
@@ -119,22 +116,22 @@ def _winners_sentence(winners: Winners) -> str:
     return f"{who}: {winners.verdict}, {numbers} on {on}"
 
 
-def print_indices(blocks: Sequence[BlockSensitivity], case: str, confidence: float) -> None:
+def print_indices(blocks: Sequence[BlockSensitivity], label: str, confidence: float) -> None:
     """One table for every block with indices, and one line for every other."""
     for block in blocks:
         title = f"design[{block.block}], {controller_class(block.law).title}"
         if block.indices is None:
             say(console(), f"{title}: no Sobol indices: {block.reason}")
         else:
-            print_table(_index_table(block, f"{title}: Sobol indices of mean S, {case}", confidence))
+            print_table(index_table([block], f"{title}: Sobol indices of mean S, {label}", confidence))
             notes = (block.note, f"{block.designs} designs", f"intervals over {block.interval_over}")
             say(console(), "; ".join(note for note in notes if note))
         console().print()
 
 
-def print_profiles(profiles: Sequence[Profile], middle: Design, which: str, case: str, confidence: float) -> None:
+def print_profiles(profiles: Sequence[Profile], middle: Design, which: str, label: str, confidence: float) -> None:
     """One line for every dimension, the one that moves S most first; `which` says what the design in the middle is."""
-    say(console(), f"Around {middle.label} ({middle.id}), {which}, one at a time, {case}:")
+    say(console(), f"Around {middle.label} ({middle.id}), {which}, one at a time, {label}:")
     if not profiles:
         say(console(), "nothing varies in the designs of this law")
         return
@@ -148,39 +145,18 @@ def print_profiles(profiles: Sequence[Profile], middle: Design, which: str, case
                 say(console(), f"{profile.name} = {gain_text(value)}: {reason}")
 
 
-def _index_table(block: BlockSensitivity, title: str, confidence: float) -> Table:
-    found, interval = block.indices, f"{100 * confidence:g}%\ninterval"
-    table = new_table(title, ("dimension", "first order", interval, "total", interval))
-    if found is None:
-        return table
-    weight = np.where(np.isnan(found.total), found.first, found.total)
-    for i in np.argsort(-weight, kind="stable"):
-        row = [block.names[i], f"{found.first[i]:.3f}", f"{found.first_low[i]:.3f} .. {found.first_high[i]:.3f}"]
-        if np.isnan(found.total[i]):
-            row += ["-", "-"]
-        else:
-            row += [f"{found.total[i]:.3f}", f"{found.total_low[i]:.3f} .. {found.total_high[i]:.3f}"]
-        add_row(table, row)
-    return table
-
-
 def _profile_table(profiles: Sequence[Profile], confidence: float) -> Table:
-    interval = f"{100 * confidence:g}%\ninterval"
-    headings = ("dimension", "value", "from", "to", "values\n(driven)", "S moves by\n[m s]")
-    table = new_table("", (*headings, "least S at", "there\n[m s]", interval))
+    columns = [
+        Column("dimension", text=True), Column("value"), Column("from"), Column("to"), Column("values (driven)"),
+        Column("S moves by", "m\u00b7s", ".4f"), Column("least S at"), Column("there", "m\u00b7s", "+.4f"),
+        Column(f"{100 * confidence:g} % interval", "m\u00b7s", "+.4f"),
+    ]  # fmt: skip
+    rows = []
     for one in sorted(profiles, key=lambda profile: -profile.spread):
-        unit = "" if one.unit == "1" else f" {one.unit}"
-        best = one.best
-        row = [
-            one.name,
-            f"{gain_text(one.values[one.at])}{unit}",
-            gain_text(one.values[0]),
-            gain_text(one.values[-1]),
-            f"{len(one.values)} ({int((~one.stored).sum())})",
-            f"{one.spread:.4f}",
-            gain_text(one.values[best]),
-            f"{one.difference[best]:+.4f}",
-            f"{one.low[best]:+.4f} .. {one.high[best]:+.4f}",
-        ]
-        add_row(table, row)
-    return table
+        unit, best = "" if one.unit == "1" else f" {one.unit}", one.best
+        ends = gain_text(one.values[0]), gain_text(one.values[-1])
+        driven = f"{len(one.values)} ({int((~one.stored).sum())})"
+        there = float(one.difference[best]), (float(one.low[best]), float(one.high[best]))
+        middle, least = f"{gain_text(one.values[one.at])}{unit}", gain_text(one.values[best])
+        rows.append(Row([one.name, middle, *ends, driven, one.spread, least, *there]))
+    return Table("", columns, rows)

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ._console import Subparsers, add_row, console, each_once, named, new_table, number, print_table, progress_bar, say
+from ._console import Subparsers, console, each_once, named, number, print_table, progress_bar, say
 
 if TYPE_CHECKING:
     from ldctoolkit.control import Controller
@@ -57,7 +57,7 @@ def run(chosen: argparse.Namespace) -> int:
     from ldctoolkit.errors import InputError
 
     from ..assessment import assess, write_predictions
-    from ..pages.assessment_section import score_text, write_assessment_page
+    from ..pages.assessment_section import score_text, scores, write_assessment_page
     from ..standards import load_standard, standard_names
     from ..storage.files import output_folder
 
@@ -75,14 +75,7 @@ def run(chosen: argparse.Namespace) -> int:
                     advance(len(found), len(subjects) * len(tests))
                 found.append((name, assess(controller, test, setup, y_s=y_s, tolerances=not chosen.no_tolerances)))
     out = console()
-    table = new_table(
-        "Tests", ["Design", "Test", "passed\n[%]", "corners\n[%]", "green", "amber", "red"], (0, 1), narrow=True
-    )
-    for name, one in found:
-        counts = (str(one.lights.count(light)) for light in ("green", "amber", "red"))
-        corners = "\u2013" if chosen.no_tolerances else f"{100 * one.robust_score:.0f}"
-        add_row(table, (name, one.standard.name, f"{100 * one.score:.0f}", corners, *counts))
-    print_table(table)
+    print_table(scores(found), out, narrow=True)
     for _, one in found if len(found) <= len(tests) else []:
         say(out, f"{one.standard.name}: {score_text(one)}")
         missed = [i for light in ("red", "amber") for i in range(one.cells.n) if one.lights[i] == light]
@@ -106,7 +99,7 @@ def _subjects(text: str, chosen: argparse.Namespace) -> Iterator[Subject]:
     from ._results import judged
 
     if text in controller_names():
-        from ldctoolkit.gains import find_gain
+        from ldctoolkit.declared import find_gain
         from ldctoolkit.registry import controller_class
 
         from ..design import Design

@@ -6,11 +6,12 @@ import argparse
 import math
 from typing import TYPE_CHECKING
 
-from ._console import Subparsers, add_row, console, new_table, print_table, warn
+from ..tables import Column, Row, Table
+from ._console import Subparsers, console, print_table, warn
 
 if TYPE_CHECKING:
     from ldctoolkit.control import Controller
-    from ldctoolkit.gains import Gain
+    from ldctoolkit.declared import Gain
 
 
 def add_parser(commands: Subparsers) -> None:
@@ -50,15 +51,15 @@ def run(chosen: argparse.Namespace) -> None:
             warn(str(error))  # one broken third-party law does not hide the others
             continue
         title = f"{name}: {kind.title}{_kind(kind)}"
-        table = new_table(title, ("gain", "unit", "default", "allowed", "scale", "meaning"), left=range(6))
+        rows = []
         for g in kind.gains():
             words = ("true", "false") if isinstance(g.default, bool) else g.choices
             allowed = ", ".join(words) if words else "any text" if g.text else _interval(g.lower, g.upper)
             default = str(g.default).lower() if isinstance(g.default, bool) else str(g.default)
-            cells = (g.name, "" if g.unit == "1" else g.unit, default, allowed, _scale(g), g.description)
-            add_row(table, cells)
-        if kind.gains():
-            print_table(table)
+            rows.append(Row([g.name, "" if g.unit == "1" else g.unit, default, allowed, _scale(g), g.description]))
+        if rows:
+            headings = ("gain", "unit", "default", "allowed", "scale", "meaning")
+            print_table(Table(title, [Column(heading, text=True) for heading in headings], rows), out)
         else:
             out.print(Text.assemble((title, "italic"), ", no gains"))
         out.print()

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 from ldctoolkit.errors import InputError
 
+from ..tables import Column, Row, Table
 from . import _console
 
 if TYPE_CHECKING:
@@ -82,7 +83,7 @@ def run(chosen: argparse.Namespace) -> int:
         raise InputError("-o", "not given", allowed="-o FILE.parquet, the departures table to write")
     from ldctoolkit.recordings.find_departures import Criteria
     from ldctoolkit.recordings.preparation import Preparation
-    from ldctoolkit.recordings.sources import open_recordings
+    from ldctoolkit.recordings.recording import open_recordings
 
     from ..extraction import MOST_NAMED, NothingReadError, parts_folder, run_extraction
 
@@ -184,14 +185,11 @@ def print_extraction(found: Extraction) -> None:
 
     driven = f"{found.hours:.1f} h, {found.distance / 1000.0:,.0f} km"
     _console.console().print(f"{found.candidates} candidates in {found.recordings} recordings, {driven}")
-    table = _console.new_table("", ("candidate", "count"))
     left = int((found.departures.side == LEFT).sum())
-    _console.add_row(table, ("departure, left", str(left)))
-    _console.add_row(table, ("departure, right", str(len(found.departures) - left)))
-    table.add_section()
-    for reason, count in found.refused.items():
-        _console.add_row(table, (f"refused: {reason.replace('_', ' ')}", str(count)))
-    _console.print_table(table)
+    rows = [Row(["departure, left", left]), Row(["departure, right", len(found.departures) - left])]
+    for k, (reason, count) in enumerate(found.refused.items()):
+        rows.append(Row([f"refused: {reason.replace('_', ' ')}", count], apart=k == 0))
+    _console.print_table(Table("", [Column("candidate", text=True), Column("count")], rows))
 
 
 def refuse_input(option: str, target: Path, paths: Sequence[Path], files: Sequence[SourceFile]) -> None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from ldctoolkit.errors import InputError, LdcError
 
+from ..tables import Column, Row, Table
 from . import _console
 
 if TYPE_CHECKING:
@@ -173,12 +174,13 @@ def _write_page(page: Path, model: ScenarioModel, departures: Departures, seed: 
 
 def _print_curve(summary: SideSummary, taken: int) -> None:
     """Every K with its BIC; the one that was taken has a star."""
-    table = _console.new_table("", ("K", "p", "log-likelihood an event", "BIC"), left=())
-    columns = summary.n_components, summary.n_parameters, summary.log_likelihood, summary.bic
-    for K, p, log_likelihood, bic in zip(*columns, strict=True):
-        cells = f"{K}{' *' if taken == K else '  '}", str(p), f"{log_likelihood:.4f}", f"{bic:.1f}"
-        _console.add_row(table, cells, "bold" if taken == K else None)
-    _console.print_table(table)
+    columns = [Column("K"), Column("p"), Column("log-likelihood an event", form=".4f"), Column("BIC", form=".1f")]
+    numbers = summary.n_components, summary.n_parameters, summary.log_likelihood, summary.bic
+    rows = [
+        Row([f"{K}{' *' if taken == K else '  '}", *row], "winner" if taken == K else "")
+        for K, *row in zip(*numbers, strict=True)
+    ]
+    _console.print_table(Table("", columns, rows))
 
 
 _MOST = 10_000_000  # departures to one side that fit in memory; the same bound as in a study file

@@ -50,7 +50,7 @@ def run(chosen: argparse.Namespace) -> None:
     from ..ranking.verdict import verdict
     from ..storage.store import Store
     from ..storage.stored_model import read_model
-    from ._results import print_race, print_rankings, rank_summary, stored_robustness, write_ranking
+    from ._results import print_ranking, rank_summary, stored_robustness, write_ranking
 
     target = None if chosen.output is None else output_file(chosen.output, ".csv", ".md")
     store = Store.open(chosen.folder)
@@ -62,33 +62,27 @@ def run(chosen: argparse.Namespace) -> None:
         # who is a finalist, and what their intervals promise, was decided by the study's own settings
         warn("fresh scores are those of the study's own requirements and confidence; they are left out")
         results = dataclasses.replace(results, fresh=None)
-    if results.race is not None and results.race.dropped and not _same_chances(own, study):
-        warn("the race gave designs up by the study's own requirements and confidence; they are not ranked")
     with progress_bar("ranking"):
-        rankings = rank_study(results, study)
-    robustness = stored_robustness(Path(chosen.folder), study, results, rankings[0])
+        ranking = rank_study(results, study)
+    robustness = stored_robustness(Path(chosen.folder), study, results, ranking)
     model = read_model(chosen.folder, store.manifest)
-    found = verdict(rankings[0], results, study.setup(), robustness, model)
-    if chosen.baseline:
-        ranking = rankings[0]
-        if ranking.baseline is None:
-            raise InputError(
-                f"--baseline {chosen.baseline}",
-                "it failed or was given up in a race, and has no results to compare with",
-                allowed="a design with metrics in ranking.csv",
-            )
+    found = verdict(ranking, results, study.setup(), robustness, model)
+    if chosen.baseline and ranking.baseline is None:
+        raise InputError(
+            f"--baseline {chosen.baseline}",
+            "it failed, and has no results to compare with",
+            allowed="a design with metrics in ranking.csv",
+        )
     if not (chosen.quiet or chosen.json):
-        if results.race is not None:
-            print_race(results.race)
-        print_rankings(rankings, chosen.top, found)
+        print_ranking(ranking, chosen.top, found)
     if target is not None and target.suffix.lower() == ".md":
-        write_markdown(rankings, target, study, store.manifest, found)
+        write_markdown(ranking, target, study, store.manifest, found)
     elif target is not None:
-        write_csv(rankings, target, results.race)
+        write_csv(ranking, target)
     elif study.ranking == own.ranking:
-        target = write_ranking(Path(chosen.folder), study, store.manifest, results, rankings, found)
+        target = write_ranking(Path(chosen.folder), study, store.manifest, ranking, found)
     if chosen.json:
-        print(rank_summary(results, rankings[0], store.manifest, target, found))
+        print(rank_summary(results, ranking, store.manifest, target, found))
     elif target is not None:
         print(f"ranking: {target}")
 
@@ -123,9 +117,6 @@ def _add_sensitivity(commands: Subparsers) -> None:
     add("--design", metavar="ID", help="middle of the profile: a label, an id or its start (default: the winner)")
     about = "values of a number, at least (default: %(default)s); 0: only the study's, none driven"
     add("--points", type=whole_number, default=9, metavar="N", help=about)
-    add(
-        "--case", type=positive_number, default=1, metavar="N", help="which case of the study (default: 1, the primary)"
-    )
     parser.set_defaults(run=_run_sensitivity)
 
 
@@ -140,26 +131,22 @@ def _run_sensitivity(chosen: argparse.Namespace) -> None:
 
     store = Store.open(chosen.folder)
     study, results = store.manifest.read_study(), store.results()
-    if chosen.case > len(results.cases):
-        raise InputError(f"--case {chosen.case}; allowed: 1 to {len(results.cases)}")
-    case = chosen.case - 1
     if chosen.design is not None:
         middle, role = named_designs(results.designs, [chosen.design])[0], "the chosen design"
     else:
         with progress_bar("ranking"):
-            ranking = rank_study(results, study)[case]
+            ranking = rank_study(results, study)
         # without a design that meets the requirements the first one is the one with the smallest mean S
         middle = ranking.designs[ranking.winner or 0]
         role = "smallest mean S, not ranked" if ranking.winner is None else "the winner"
     with progress_bar("sensitivity"):
-        blocks = sensitivity(results, study, case=case)
+        blocks = sensitivity(results, study)
     with progress_bar("profile") as advance:
-        profiles = winner_profile(results, study, middle, case=case, points=chosen.points, advance=advance)
+        profiles = winner_profile(results, study, middle, points=chosen.points, advance=advance)
     path = Path(chosen.folder) / "sensitivity.csv"
     write_sensitivity(blocks, profiles, path)
-    which = results.cases[case].case
-    if which.window == "control":
+    if results.window == "control":
         warn("S over the control window starts at the trigger: designs with different y_s are not comparable there")
-    print_indices(blocks, which.label, study.ranking.confidence)
-    print_profiles(profiles, middle, role, which.label, study.ranking.confidence)
+    print_indices(blocks, results.label, study.ranking.confidence)
+    print_profiles(profiles, middle, role, results.label, study.ranking.confidence)
     print(f"sensitivity: {path}")

@@ -39,16 +39,16 @@ def run(chosen: argparse.Namespace) -> None:
     folder = _folder(chosen.study)
     store = Store.open(folder)
     study, results = store.manifest.read_study(), store.results()
-    rows_of_numbers(results.drivable().scenarios, options.departures)  # refused before the work begins
+    rows_of_numbers(results.on_drivable().scenarios, options.departures)  # refused before the work begins
     named_designs(results.designs, options.designs)
     with progress_bar("ranking"):
-        rankings = rank_study(results, study)
+        ranking = rank_study(results, study)
     with progress_bar("driving the best on other plants"):
-        robustness = options.robustness_of(folder, study, results, rankings[0])
-    found = verdict(rankings[0], results, study.setup(), robustness, read_model(folder, store.manifest))
-    print(f"ranking: {write_ranking(folder, study, store.manifest, results, rankings, found)}")
+        robustness = options.robustness_of(folder, study, results, ranking)
+    found = verdict(ranking, results, study.setup(), robustness, read_model(folder, store.manifest))
+    print(f"ranking: {write_ranking(folder, study, store.manifest, ranking, found)}")
     with progress_bar("writing the report"):
-        path = write_study_report(folder, study, store.manifest, results, rankings, options, robustness)
+        path = write_study_report(folder, study, store.manifest, results, ranking, options, robustness)
     print(f"report:  {path}")
 
 

@@ -10,20 +10,20 @@ import os
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
+
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.errors import InputError, LdcError, UnknownNameError
 
-from ._console import Subparsers, add_row, interval, named, new_table, number, output_file, print_table, progress_bar
+from ..tables import Column, Row, Table
+from ._console import Subparsers, interval, named, number, output_file, print_table, progress_bar
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from ldctoolkit.control import Controller
     from ldctoolkit.plant_options import PlantOptions
-    from ldctoolkit.review import Review
-    from ldctoolkit.review.limits import Finding
-    from ldctoolkit.scenarios import Scenarios
+    from ldctoolkit.review import Finding, Review
+    from ldctoolkit.review.loop_numbers import LoopNumbers
     from ldctoolkit.simulation import Takeover
-    from ldctoolkit.vehicle import Convention
 
     from ..design import Design
     from ..study_file import Study
@@ -85,7 +85,7 @@ def reviewed_design(subject: Subject) -> Review:
 
 def _of_folder(chosen: argparse.Namespace) -> Iterator[Subject]:
     """The design that the verdict of a study's results names, or the one that is chosen, with what its results say."""
-    from ldctoolkit.review.limits import Finding
+    from ldctoolkit.review import Finding
 
     from ..ranking.requirements import G, metric_values
     from ._results import judged
@@ -111,7 +111,7 @@ def _of_folder(chosen: argparse.Namespace) -> Iterator[Subject]:
 
 
 def _law(chosen: argparse.Namespace) -> Subject:
-    from ldctoolkit.gains import find_gain
+    from ldctoolkit.declared import find_gain
     from ldctoolkit.plant_options import PlantOptions
     from ldctoolkit.registry import controller_class
     from ldctoolkit.review import SPEEDS
@@ -137,8 +137,6 @@ def _plant(chosen: argparse.Namespace, options: PlantOptions) -> PlantOptions:
 
 
 def _speeds(chosen: argparse.Namespace, default: tuple[float, float] | None) -> np.ndarray | None:
-    import numpy as np
-
     ends = chosen.speed or default
     if ends is None:
         return None
@@ -147,27 +145,18 @@ def _speeds(chosen: argparse.Namespace, default: tuple[float, float] | None) -> 
 
 
 def _of_study(study: Study, chosen: argparse.Namespace) -> Iterator[Subject]:
+    from ldctoolkit.simulation import Takeover
+
     from ..design import named_designs
     from ..runner import study_source
     from ..storage.stored_model import with_counts
 
     designs = study.designs if chosen.only is None else named_designs(study.designs, [chosen.only])
-    conventions, source = study.simulation.convention, study_source(study)
+    source = study_source(study)
     wanted = with_counts(study, source).scenarios
     left, right = (min(n, _MOST_SCENARIOS) for n in wanted.counts)
     scenarios = source.sample(left, right, seed=study.seed, given=wanted.given)
-    for convention in conventions:
-        suffix = f", {convention.replace('_', ' ')}" if len(conventions) > 1 else ""
-        for subject in _of_convention(study, designs, scenarios, convention, chosen):
-            yield dataclasses.replace(subject, label=f"{subject.label}{suffix}")
-
-
-def _of_convention(
-    study: Study, designs: Sequence[Design], scenarios: Scenarios, convention: Convention, chosen: argparse.Namespace
-) -> Iterator[Subject]:
-    from ldctoolkit.simulation import Takeover
-
-    setup = study.setup(convention)
+    setup = study.setup()
     options = _plant(chosen, setup.options)
     dt = setup.dt if chosen.dt is None else chosen.dt
     triggers = {y_s: Takeover.build(scenarios, setup, y_s=y_s) for y_s in sorted({design.y_s for design in designs})}
@@ -185,7 +174,7 @@ def _of_convention(
         if angles is not None:
             arguments["delta_prev"] = angles
         name = same[0].label.replace(f"y_s={same[0].y_s:g} m", f"y_s={', '.join(f'{y:g}' for y in thresholds)} m")
-        yield Subject(name, tuple(d.id for d in same), same[0].controller(convention), arguments)
+        yield Subject(name, tuple(d.id for d in same), same[0].controller(setup.convention), arguments)
 
 
 def _range(triggers: list[Takeover]) -> tuple[float, float] | None:
@@ -198,8 +187,6 @@ def _range(triggers: list[Takeover]) -> tuple[float, float] | None:
 
 def _angles(triggers: list[Takeover]) -> tuple[np.ndarray, np.ndarray] | None:
     """Steering angles at the triggers and the speeds there."""
-    import numpy as np
-
     angles = np.concatenate([takeover.delta_0 for takeover in triggers])
     return (angles, np.concatenate([takeover.plant.v for takeover in triggers])) if angles.size else None
 
@@ -318,10 +305,13 @@ def run(chosen: argparse.Namespace) -> int:
             if advance is not None:
                 advance(done, len(wanted))
             reviewed.append((subject.label, subject.ids, reviewed_design(subject)))
-    if len(reviewed) == 1:
-        _print_loop(reviewed[0][0], reviewed[0][2])
+    label, _, first = reviewed[0]
+    if len(reviewed) > 1:
+        print_table(_of_designs(reviewed))
+    elif first.loop is None:
+        print(label)
     else:
-        _print_overview(reviewed)
+        print_table(_of_speeds(label, first.loop, first.dt))
     for label, _, found in reviewed:
         if len(reviewed) > 1:
             print(f"\n{label}")
@@ -335,71 +325,50 @@ def run(chosen: argparse.Namespace) -> int:
     return FAULT if any(found.faults for _, _, found in reviewed) else 0
 
 
-_COLUMNS = (
-    ("v [m/s]", "v", 1.0, ".3g"),
-    ("slowest pole [s]", "slowest", 1.0, ".3g"),
-    ("damping", "damping", 1.0, ".2f"),
-    ("gain margin [dB]", "gain_margin", 1.0, ".1f"),
-    ("phase margin [deg]", "phase_margin", 180.0 / math.pi, ".1f"),
-    ("delay margin [ms]", "delay_margin", 1000.0, ".0f"),
-    ("disk margin", "disk_margin", 1.0, ".2f"),
-    ("crossover [rad/s]", "crossover", 1.0, ".3g"),
-    ("e_y in a bend [m]", "e_y_bend", 1.0, ".3f"),
-    ("other tyres [m]", "e_y_bend_mismatched", 1.0, ".3f"),
-)
-"""Heading, number of the loop, factor and format."""
+_COLUMNS: Final = {
+    "v": (Column("v", "m/s", ".3g"), 1.0),
+    "slowest": (Column("slowest pole", "s", ".3g"), 1.0),
+    "damping": (Column("damping", form=".2f"), 1.0),
+    "gain_margin": (Column("gain margin", "dB", ".1f"), 1.0),
+    "phase_margin": (Column("phase margin", "deg", ".1f"), 180.0 / math.pi),
+    "delay_margin": (Column("delay margin", "ms", ".0f"), 1000.0),
+    "disk_margin": (Column("disk margin", form=".2f"), 1.0),
+    "crossover": (Column("crossover", "rad/s", ".3g"), 1.0),
+    "e_y_bend": (Column("e_y in a bend", "m", ".3f"), 1.0),
+    "e_y_bend_mismatched": (Column("other tyres", "m", ".3f"), 1.0),
+    "hessian_condition": (Column("condition", form=".2g"), 1.0),
+}
+"""Number of a loop -> its column and the factor to the column's unit."""
 
-
-def _shown(value: float, factor: float, form: str) -> str:
-    if math.isnan(value):
-        return "-"
-    if math.isinf(value):
-        return "inf"
-    text = format(value * factor, form)
-    return text if float(text) else text.lstrip("-")
-
-
-def _print_loop(label: str, review: Review) -> None:
-    """Every speed of one design."""
-    if review.loop is None:
-        print(label)
-        return
-    columns = list(_COLUMNS)
-    if not all(map(math.isnan, review.loop.hessian_condition)):
-        columns.append(("condition", "hessian_condition", 1.0, ".2g"))
-    table = new_table(
-        f"{label}, dt = {review.dt:g} s", [heading.replace(" [", "\n[") for heading, *_ in columns], left=()
-    )
-    for i in range(review.loop.v.size):
-        cells = [_shown(float(getattr(review.loop, name)[i]), factor, form) for _, name, factor, form in columns]
-        add_row(table, cells, None if review.loop.stable[i] else "red")
-    print_table(table)
-
-
-_WORST = ("gain_margin", "phase_margin", "disk_margin", "e_y_bend", "e_y_bend_mismatched")
+_WORST: Final = ("gain_margin", "phase_margin", "disk_margin", "e_y_bend", "e_y_bend_mismatched")
 """What is reported of a design among others, at its worst speed."""
 
 
-def _print_overview(reviewed: Reviewed) -> None:
+def _of_speeds(label: str, loop: LoopNumbers, dt: float) -> Table:
+    """Every speed of one design."""
+    names = [name for name in _COLUMNS if name != "hessian_condition" or not np.isnan(loop.hessian_condition).all()]
+    values = np.column_stack([_COLUMNS[name][1] * getattr(loop, name) for name in names]).tolist()
+    rows = [Row(row, "" if stable else "bad") for row, stable in zip(values, loop.stable, strict=True)]
+    return Table(f"{label}, dt = {dt:g} s", [_COLUMNS[name][0] for name in names], rows)
+
+
+def _of_designs(reviewed: Reviewed) -> Table:
     """One row a design, the worst of all speeds."""
-    shown = [column for column in _COLUMNS if column[1] in _WORST]
-    headings = ("design", *(column[0] for column in shown), "faults", "warnings")
-    table = new_table("worst of all speeds", headings)
+    columns = [Column("design", text=True), *(_COLUMNS[name][0] for name in _WORST), Column("faults"),
+               Column("warnings")]  # fmt: skip
+    rows = []
     for label, _, review in reviewed:
-        cells = ["-"] * len(shown)
-        if review.loop is not None and not review.loop.stable.all():
-            cells = ["unstable", *cells[1:]]
-        elif review.loop is not None:
-            loop = review.loop
-            cells = [_shown(_worst(getattr(loop, name), name), factor, form) for _, name, factor, form in shown]
+        loop, cells = review.loop, [math.nan] * len(_WORST)
+        if loop is not None and loop.stable.all():
+            cells = [_COLUMNS[name][1] * _worst(getattr(loop, name), name) for name in _WORST]
+        unstable = loop is not None and not loop.stable.all()
         warnings = sum(finding.severity == "warning" for finding in review.findings)
-        add_row(table, [label, *cells, str(len(review.faults)), str(warnings)])
-    print_table(table)
+        first = "unstable" if unstable else cells[0]
+        rows.append(Row([label, first, *cells[1:], len(review.faults), warnings]))
+    return Table("worst of all speeds", columns, rows)
 
 
-def _worst(values: np.ndarray, name: str) -> float:
-    import numpy as np
-
+def _worst(values: FloatArray, name: str) -> float:
     known = values[~np.isnan(values)]
     if not known.size:
         return math.nan

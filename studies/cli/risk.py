@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from . import _console
-from ._console import add_row, new_table, number, positive_number, print_table, progress_bar, say, whole_number
+from ._console import number, positive_number, print_table, progress_bar, say, whole_number
 
 if TYPE_CHECKING:
     from ldctoolkit.scenario_model import ScenarioModel
@@ -62,8 +62,9 @@ def run(chosen: argparse.Namespace) -> None:
     from ..pages.risk_page import write_risk_page
     from ..risk import DEPTHS, estimate_risk
     from ..runner import study_source
-    from ..storage.files import csv_text, write_text
+    from ..storage.files import write_text
     from ..storage.stored_model import with_recorded_widths
+    from ..tables import Table, to_csv
 
     study, model, designs, folder = _subject(chosen)
     source = study_source(study, chosen.model or model)
@@ -87,7 +88,7 @@ def run(chosen: argparse.Namespace) -> None:
     target = Path(chosen.output or folder)
     for name, rows in (("risk.csv", list(risk.rows())), ("worst.csv", list(risk.worst_rows()))):
         # no control comes first and is compared with nothing: the last row has all columns
-        write_text(target / name, csv_text(rows[-1], rows))
+        write_text(target / name, to_csv(Table.of(rows[-1], rows)))
     with progress_bar("writing the page"):
         write_risk_page(risk, target / "risk.html", title=study.title or study.name)
     for design in risk.designs[1:] or risk.designs:
@@ -120,19 +121,10 @@ def _subject(chosen: argparse.Namespace) -> tuple[Study, ScenarioModel | None, S
 
 def _print_design(risk: Risk, design: Design) -> None:
     """Its table, light, and what its worst departures have in common."""
-    rates = risk.departure_rates()
-    shown = {"per_1000_km": "per 1,000 km", "per_hour": "per hour"}
-    headings = ("event", "no control", "P", "95 % interval", *(shown[name] for name in rates), "only with\ndesign")
-    table = new_table(f"{design.label}, {risk.n:,} departures", (*headings, "only with\nno control", "design is"))
-    for event in risk.events:
-        found, without = risk.event(design, event), risk.event(risk.designs[0], event)
-        cells = [event, f"{without.probability:.3g}", f"{found.probability:.3g}"]
-        cells += [f"{found.low:.3g} .. {found.high:.3g}"]
-        cells += [f"{rate * found.probability:.3g}" for rate in rates.values()]
-        cells += [f"{found.design_only:,}", f"{found.no_control_only:,}", found.text]
-        add_row(table, cells, {1: "red", -1: "green", 0: None}[found.sign])
+    from ..pages.risk_page import probabilities
+
     out = _console.console()
-    print_table(table)
+    print_table(probabilities(risk, design), out)
     if not design.is_baseline:
         light = risk.light(design)
         out.print(light.text, style=_COLORS[light.state], markup=False, highlight=False, soft_wrap=True)

@@ -80,7 +80,7 @@ def _run(chosen: argparse.Namespace, progress: Progress | None) -> int:
     from ..storage.manifest import read_manifest
     from ..storage.stored_model import with_counts, with_recorded_widths
     from ..study_file import load_study
-    from ._results import ReportOptions, json_summary, print_race, print_rankings, write_ranking, write_study_report
+    from ._results import ReportOptions, json_summary, print_ranking, write_ranking, write_study_report
 
     study = load_study(chosen.study)
     if chosen.departures is not None:
@@ -107,14 +107,12 @@ def _run(chosen: argparse.Namespace, progress: Progress | None) -> int:
     manifest = read_manifest(folder)
     silent = chosen.quiet or chosen.json
     with progress_bar("ranking", show=not silent):
-        rankings = rank_study(results, study)
+        ranking = rank_study(results, study)
     with progress_bar("driving the best on other plants", show=not silent):
-        robustness = options.robustness_of(folder, study, results, rankings[0])
-    found = verdict(rankings[0], results, study.setup(), robustness, model)
+        robustness = options.robustness_of(folder, study, results, ranking)
+    found = verdict(ranking, results, study.setup(), robustness, model)
     if not silent:
-        if results.race is not None:
-            print_race(results.race)
-        print_rankings(rankings, chosen.top, found)
+        print_ranking(ranking, chosen.top, found)
         print(
             f"{study.name}: {len(results.designs)} designs x {len(results.scenarios):,} scenarios, "
             f"{manifest.wall_time_s:.1f} s, {study.scenarios.source.lower()} {manifest.model} "
@@ -122,10 +120,10 @@ def _run(chosen: argparse.Namespace, progress: Progress | None) -> int:
         )
     # files last: what they are called is the last thing on the screen
     with progress_bar("writing ranking and report", show=not silent):
-        ranking_path = write_ranking(folder, study, manifest, results, rankings, found)
-        report_path = write_study_report(folder, study, manifest, results, rankings, options, robustness)
+        ranking_path = write_ranking(folder, study, manifest, ranking, found)
+        report_path = write_study_report(folder, study, manifest, results, ranking, options, robustness)
     if chosen.json:
-        print(json_summary(results, rankings[0], manifest, ranking_path, report_path, found))
+        print(json_summary(results, ranking, manifest, ranking_path, report_path, found))
     else:
         print(f"ranking: {ranking_path}")
         print(f"report:  {report_path}")

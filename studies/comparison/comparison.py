@@ -9,13 +9,14 @@ from typing import Any, Final
 
 import numpy as np
 
-from ldctoolkit.arrays import BoolArray
 from ldctoolkit.errors import InputError
 from ldctoolkit.notebook import CELL
+from ldctoolkit.simulation import Window
 
 from ..design import Design
-from ..results import Case, CaseResults, FailedDesign, StudyResults
-from ..storage.files import csv_text, write_text
+from ..results import FailedDesign, StudyResults
+from ..storage.files import write_text
+from ..tables import Table, to_csv
 from .paired import (
     FinishedStudy,
     PairedDifferences,
@@ -38,45 +39,14 @@ PHRASES: Final = {
 }
 """Verdict -> how a sentence says it."""
 
-TOP: Final = 20  # rows, of the primary case
-
-
-@dataclasses.dataclass(frozen=True)
-class CaseComparison:
-    """The k designs that both studies ran, in one case; arrays have one entry a design, in the new study's order."""
-
-    case: Case
-    designs: tuple[Design, ...]
-    S: PairedDifferences  # Mean S in both studies, their difference with its interval, and the verdict
-    # Shared scenarios that failed (solver failed, diverged, timed out, crashed)
-    failed_old: tuple[int, ...]
-    failed_new: tuple[int, ...]
-    # The new study's winner against the old one's; None where no design meets the requirements of one of them, or a
-    # race was in another case
-    winners: Winners | None
-    # A race gave designs up by their scores in another case. Its best design here may be among them, so that there is
-    # no winner to compare
-    raced_elsewhere: bool = False
-
-    def __len__(self) -> int:
-        return len(self.designs)
-
-    def count(self, verdict: Verdict) -> int:
-        """Number of designs with this verdict."""
-        return self.S.verdict.count(verdict)
-
-    @property
-    def order(self) -> tuple[int, ...]:
-        """Positions of the designs: worse ones first, then better, not separated, unchanged; large changes first."""
-        rank = [Verdict.WORSE, Verdict.BETTER, Verdict.NOT_SEPARATED, Verdict.SAME].index
-        return tuple(
-            sorted(range(len(self)), key=lambda i: (rank(self.S.verdict[i]), -abs(float(self.S.difference[i]))))
-        )
+TOP: Final = 20  # rows of a notebook
 
 
 @dataclasses.dataclass(frozen=True)
 class Comparison:
     """An old and a new study on shared scenarios.
+
+    Both ran k designs; what is known of each has one entry a design, in the new study's order.
 
     Examples
     --------
@@ -97,55 +67,72 @@ class Comparison:
     new_name: str
     differences: tuple[str, ...]  # What decides the numbers and is not the same, as ``"vehicle.m: 1000.0 -> 1100.0"``
     shared: SharedScenarios  # Those that could be driven in both
-    cases: tuple[CaseComparison, ...]  # Cases that both studies have, in the new study's order
+    window: Window  # Of S
+    label: str  # Window of S, and reading of the paper
+    designs: tuple[Design, ...]  # The k designs
+    S: PairedDifferences  # Mean S in both studies, their difference with its interval, and the verdict
+    # Shared scenarios that failed (solver failed, diverged, timed out, crashed)
+    failed_old: tuple[int, ...]
+    failed_new: tuple[int, ...]
+    # The new study's winner against the old one's; None where no design meets the requirements of one of them
+    winners: Winners | None
     only_old: tuple[Design, ...]  # Designs that one study has results of and the other does not hold
     only_new: tuple[Design, ...]
     # Designs of both studies whose law failed in the new one only, in the old one only, and in both
     new_failures: tuple[FailedDesign, ...]
     repaired: tuple[FailedDesign, ...]
     failed_in_both: tuple[FailedDesign, ...]
-    given_up: tuple[Design, ...]  # Designs of both studies that a race gave up in one of them
     bootstrap: int  # Resamples
-    confidence: float  # Of the intervals, all designs and cases together
+    confidence: float  # Of the intervals, all designs together
     warnings: tuple[str, ...] = ()
 
     def _repr_html_(self) -> str:
         """What a notebook shows."""
         return comparison_html(self)
 
+    def __len__(self) -> int:
+        return len(self.designs)
+
+    def count(self, verdict: Verdict) -> int:
+        """Number of designs with this verdict."""
+        return self.S.verdict.count(verdict)
+
     @property
-    def any_worse(self) -> bool:
-        """A design is worse in some case, fails now, or the new winner is worse than the old one."""
-        return bool(self.new_failures) or any(
-            case.count(Verdict.WORSE) or (case.winners is not None and case.winners.verdict is Verdict.WORSE)
-            for case in self.cases
+    def order(self) -> tuple[int, ...]:
+        """Positions of the designs: worse ones first, then better, not separated, unchanged; large changes first."""
+        rank = [Verdict.WORSE, Verdict.BETTER, Verdict.NOT_SEPARATED, Verdict.SAME].index
+        return tuple(
+            sorted(range(len(self)), key=lambda i: (rank(self.S.verdict[i]), -abs(float(self.S.difference[i]))))
         )
 
     @property
+    def any_worse(self) -> bool:
+        """A design is worse, fails now, or the new winner is worse than the old one."""
+        winner_is_worse = self.winners is not None and self.winners.verdict is Verdict.WORSE
+        return bool(self.new_failures) or winner_is_worse or self.count(Verdict.WORSE) > 0
+
+    @property
     def summary(self) -> str:
-        """One sentence: how many designs of the primary case got better, worse, stayed or are not separated."""
+        """One sentence: how many designs got better, worse, stayed or are not separated."""
         shared = f"{self.shared.n:,} shared scenarios ({self.shared.left:,} left, {self.shared.right:,} right)"
-        first = self.cases[0]
-        if len(first):
-            counts = ", ".join(f"{first.count(verdict)} {PHRASES[verdict]}" for verdict in Verdict)
-            summary = f"{len(first)} design{'s' if len(first) > 1 else ''} in both, {first.case.label}: {counts}"
+        if len(self):
+            counts = ", ".join(f"{self.count(verdict)} {PHRASES[verdict]}" for verdict in Verdict)
+            summary = f"{len(self)} design{'s' if len(self) > 1 else ''} in both, {self.label}: {counts}"
         else:
-            summary = f"no design in both, {first.case.label}"
+            summary = f"no design in both, {self.label}"
         failed = f"; {len(self.new_failures)} failed only in the new study" if self.new_failures else ""
-        nothing = "not compared" if first.raced_elsewhere else "no winner"
-        winners = nothing if first.winners is None else PHRASES[first.winners.verdict]
+        winners = "no winner" if self.winners is None else PHRASES[self.winners.verdict]
         return f"{shared}; {summary}{failed}; the new winner against the old one: {winners}."
 
 
 def comparison_html(comparison: Comparison, top: int = TOP) -> str:
     """A comparison as HTML without script."""
-    case = comparison.cases[0]
     names = ("verdict", "design", "old S [m s]", "new S [m s]", "new \u2212 old [m s]", "interval")
     headings = "".join(f'<th scope="col" style="text-align:left;{CELL}">{html.escape(name)}</th>' for name in names)
-    rows = "".join(_row(case, i) for i in case.order[:top])
+    rows = "".join(_row(comparison, i) for i in comparison.order[:top])
     differs = "".join(f"<br>{html.escape(text)}" for text in comparison.differences)
     warnings = "".join(f"<br><b>Warning:</b> {html.escape(text)}" for text in comparison.warnings)
-    more = len(case) - min(top, len(case))
+    more = max(0, len(comparison) - top)
     return (
         f'<div style="overflow-x:auto"><div><b>{html.escape(comparison.old_name)} &rarr; '
         f"{html.escape(comparison.new_name)}</b><br>{html.escape(comparison.summary)}{differs}{warnings}</div>"
@@ -154,11 +141,11 @@ def comparison_html(comparison: Comparison, top: int = TOP) -> str:
     )
 
 
-def _row(case: CaseComparison, i: int) -> str:
-    S = case.S
+def _row(comparison: Comparison, i: int) -> str:
+    S = comparison.S
     interval = f"{S.low[i]:+.4f} to {S.high[i]:+.4f}" if np.isfinite(S.low[i] + S.high[i]) else "too few changed"
     numbers = (f"{S.S_old[i]:.4f}", f"{S.S_new[i]:.4f}", f"{S.difference[i]:+.4g}", interval)
-    cells = (str(S.verdict[i]), case.designs[i].label, *(one.replace("-", "\u2212") for one in numbers))
+    cells = (str(S.verdict[i]), comparison.designs[i].label, *(one.replace("-", "\u2212") for one in numbers))
     # only a design's label may break
     styles = (CELL + ";white-space:nowrap" * (column != 1) for column in range(len(cells)))
     shown = (
@@ -169,8 +156,6 @@ def _row(case: CaseComparison, i: int) -> str:
 
 
 _FEW = 200  # shared scenarios below which intervals are rough
-
-CasePairs = list[tuple[CaseResults, CaseResults]]
 
 
 def compare(
@@ -183,7 +168,7 @@ def compare(
     """Compare two finished studies on the scenarios that they share.
 
     Raises `StoreError` if a folder holds no study, or one that is broken or not finished; `InputError` if the studies
-    cannot be compared: the same folder twice, no scenario or no case in both.
+    cannot be compared: the same folder twice, two windows of S, no scenario in both.
 
     Parameters
     ----------
@@ -192,7 +177,7 @@ def compare(
     bootstrap : int, optional
         Resamples of the scenarios; the new study's by default.
     confidence : float, optional
-        Of the intervals, all designs and cases together; the new study's by default.
+        Of the intervals, all designs together; the new study's by default.
 
     Returns
     -------
@@ -218,7 +203,7 @@ def compare(
     ...     comparison = compare(f"{folder}/1000", f"{folder}/1300")
     >>> comparison.differences
     ('vehicle.m: 1000.0 -> 1300.0',)
-    >>> [str(verdict) for verdict in comparison.cases[0].S.verdict]
+    >>> [str(verdict) for verdict in comparison.S.verdict]
     ['same', 'worse']
     """
     folders = [Path(side) for side in (old, new) if not isinstance(side, FinishedStudy)]
@@ -229,12 +214,22 @@ def compare(
     samples = settings.bootstrap if bootstrap is None else bootstrap
     level = settings.confidence if confidence is None else confidence
     differences = tuple(input_differences(before, after))
-    pairs = _shared_cases(before, after)
+    if before.results.window != after.results.window:
+        raise InputError(
+            f"{before.source}, {after.source}",
+            f"S of the {before.results.window} window in the old study, of the {after.results.window} window in the "
+            "new one",
+            hint="run one of them again with the other's window in [simulation]",
+        )
     every = _shared_scenarios(before, after, differences)
     shared = _driven(every, before.results, after.results)
     if not shared.n:
         raise InputError(f"{before.source}, {after.source}", "no shared scenario could be driven under every design")
     in_old, in_new = held_designs(before.results), held_designs(after.results)
+    old_at = {design.key: i for i, design in enumerate(before.results.designs)}
+    at_new = [i for i, design in enumerate(after.results.designs) if design.key in old_at]
+    at_old = [old_at[after.results.designs[i].key] for i in at_new]
+    chance: dict[str, Any] = {"bootstrap": samples, "confidence": level}
     comparison = Comparison(
         old=before.source,
         new=after.source,
@@ -242,74 +237,33 @@ def compare(
         new_name=after.study.name,
         differences=differences,
         shared=shared,
-        cases=tuple(_cases(before, after, pairs, shared, samples, level)),
+        window=after.results.window,
+        label=_label(before.results, after.results),
+        designs=tuple(after.results.designs[i] for i in at_new),
+        S=paired_differences(
+            before.results.counted[at_old][:, shared.old],
+            after.results.counted[at_new][:, shared.new],
+            shared.side,
+            seed=after.study.seed,
+            **chance,
+        ),
+        failed_old=tuple(before.results.failed_runs[at_old][:, shared.old].sum(axis=1).tolist()),
+        failed_new=tuple(after.results.failed_runs[at_new][:, shared.new].sum(axis=1).tolist()),
+        winners=compare_winners(before, after, shared, _shared_fresh(before, after), **chance),
         only_old=tuple(one for one in before.results.designs if one.key not in in_new),
         only_new=tuple(one for one in after.results.designs if one.key not in in_old),
         new_failures=_failed(after.results, ran=before.results),
         repaired=_failed(before.results, ran=after.results),
         failed_in_both=_failed(after.results, failed=before.results),
-        given_up=_given_up(before.results, after.results),
-        bootstrap=samples,
-        confidence=level,
+        **chance,
     )
     return dataclasses.replace(comparison, warnings=tuple(_warnings(comparison, every.n - shared.n)))
 
 
-def _cases(
-    before: FinishedStudy,
-    after: FinishedStudy,
-    pairs: CasePairs,
-    shared: SharedScenarios,
-    bootstrap: int,
-    confidence: float,
-) -> Iterator[CaseComparison]:
-    old_at = {design.key: i for i, design in enumerate(before.results.designs)}
-    at_new = [i for i, design in enumerate(after.results.designs) if design.key in old_at]
-    at_old = [old_at[after.results.designs[i].key] for i in at_new]
-    designs = tuple(after.results.designs[i] for i in at_new)
-    # all cases together: the intervals hold for every design in every case
-    table = paired_differences(
-        np.concatenate([case.counted[at_old][:, shared.old] for case, _ in pairs]),
-        np.concatenate([case.counted[at_new][:, shared.new] for _, case in pairs]),
-        shared.side,
-        seed=after.study.seed,
-        bootstrap=bootstrap,
-        confidence=confidence,
-    )
-    fresh = _shared_fresh(before, after)
-    for i, (case_old, case_new) in enumerate(pairs):
-        raced_elsewhere = any(_raced_elsewhere(side.results, case_new.case) for side in (before, after))
-        yield CaseComparison(
-            case=case_new.case,
-            designs=designs,
-            S=table.take(range(i * len(designs), (i + 1) * len(designs))),
-            failed_old=tuple(case_old.failed[at_old][:, shared.old].sum(axis=1).tolist()),
-            failed_new=tuple(case_new.failed[at_new][:, shared.new].sum(axis=1).tolist()),
-            winners=None
-            if raced_elsewhere
-            else compare_winners(
-                before, after, case_new.case, shared, fresh, bootstrap=bootstrap, confidence=confidence
-            ),
-            raced_elsewhere=raced_elsewhere,
-        )
-
-
-def _raced_elsewhere(results: StudyResults, case: Case) -> bool:
-    """Whether a race gave up designs that may be the best in this case: it knows the primary case alone."""
-    return results.race is not None and bool(results.race.dropped) and results.cases[0].case != case
-
-
-def _shared_cases(before: FinishedStudy, after: FinishedStudy) -> CasePairs:
-    there = {case.case: case for case in before.results.cases}
-    pairs = [(there[case.case], case) for case in after.results.cases if case.case in there]
-    if not pairs:
-        was, now = ("; ".join(c.case.label for c in side.results.cases) for side in (before, after))
-        raise InputError(
-            f"{before.source}, {after.source}",
-            f"no case in both: the old study has {was}, the new one {now}",
-            hint="run one of them again with a window and a convention of the other in [simulation]",
-        )
-    return pairs
+def _label(old: StudyResults, new: StudyResults) -> str:
+    if old.convention == new.convention:
+        return new.label
+    return f"{old.label} -> {new.convention.replace('_', ' ')}"
 
 
 def _shared_scenarios(before: FinishedStudy, after: FinishedStudy, differences: Sequence[str]) -> SharedScenarios:
@@ -349,19 +303,8 @@ def _shared_fresh(before: FinishedStudy, after: FinishedStudy) -> SharedScenario
 
 
 def _driven(shared: SharedScenarios, old: StudyResults, new: StudyResults) -> SharedScenarios:
-    """Those that every design of both could be driven on, in every case."""
-    rows: BoolArray = np.ones(shared.n, dtype=np.bool_)
-    for results, at in ((old, shared.old), (new, shared.new)):
-        for case in results.cases:
-            rows &= case.drivable[at]
-    return shared.take(rows)
-
-
-def _given_up(*both: StudyResults) -> tuple[Design, ...]:
-    """Designs that both studies hold, and a race of one of them gave up."""
-    shared = set.intersection(*(set(held_designs(results)) for results in both))
-    lost = {one.design.key: one.design for results in both if results.race is not None for one in results.race.dropped}
-    return tuple(design for id, design in lost.items() if id in shared)
+    """Those that every design of both could be driven on."""
+    return shared.take(old.drivable[shared.old] & new.drivable[shared.new])
 
 
 def _failed(
@@ -388,45 +331,31 @@ def _warnings(comparison: Comparison, left_out: int) -> Iterator[str]:
         )
     if shared.n < _FEW:
         yield f"Only {shared.n} shared scenario{'' if shared.n == 1 else 's'}: the intervals are rough."
-    elsewhere = [case.case.label for case in comparison.cases if case.raced_elsewhere]
-    if elsewhere:
-        yield (
-            f"Winners are not compared in {'; '.join(elsewhere)}: a race of one of the studies gave designs up by "
-            "their S in its primary case alone, and the best one here may be among them. Run it without a race."
-        )
-    if any(case.winners is None and not case.raced_elsewhere for case in comparison.cases):
-        yield "No design of one of the studies meets its requirements in some case: there is no winner to compare."
-    in_control = [case.winners for case in comparison.cases if case.winners and case.case.window == "control"]
-    if any(winners.old.y_s != winners.new.y_s for winners in in_control):
+    winners = comparison.winners
+    if winners is None:
+        yield "No design of one of the studies meets its requirements: there is no winner to compare."
+    elif comparison.window == "control" and winners.old.y_s != winners.new.y_s:
         yield (
             "S over the control window starts at the trigger, which moves with y_s: a later trigger gives a smaller S. "
             "Winners with different y_s are not comparable there."
         )
-    if comparison.given_up:
-        yield (
-            f"Designs of both studies that a race in one of them gave up early: {len(comparison.given_up)}; they are "
-            "not compared."
-        )
 
 
-_CASE = "window convention compared verdict design_old design_new label_old label_new"
+_NAMES = "compared verdict design_old design_new label_old label_new"
 _SCORES = "S_old_m_s S_new_m_s difference_m_s difference_low_m_s difference_high_m_s scenarios"
 _CHANGED = "changed_scenarios largest_change_m_s largest_change_scenario failed_scenarios_old failed_scenarios_new"
-COLUMNS = (*_CASE.split(), *_SCORES.split(), *_CHANGED.split(), "failure")
+COLUMNS = (*_NAMES.split(), *_SCORES.split(), *_CHANGED.split(), "failure")
 """Of the CSV file; what a row has no value for is empty."""
 
 
 def comparison_rows(comparison: Comparison) -> Iterator[dict[str, Any]]:
-    """One row a case and design, one a case for its winners if it has some, and one for each design that failed."""
-    for case in comparison.cases:
-        where = {"window": str(case.case.window), "convention": str(case.case.convention)}
-        for i in case.order:
-            yield where | {"compared": "design"} | _design(comparison, case, i)
-        if case.winners is not None:
-            won = case.winners
-            scores = (won.S_old, won.S_new, won.difference)
-            row = _row_of(str(won.verdict), won.old, won.new, scores, (won.low, won.high), won.scenarios)
-            yield where | {"compared": "winners"} | row
+    """One row for each design, one for the winners if there are some, and one for each design that failed."""
+    for i in comparison.order:
+        yield {"compared": "design"} | _design(comparison, i)
+    if (won := comparison.winners) is not None:
+        scores = (won.S_old, won.S_new, won.difference)
+        row = _row_of(str(won.verdict), won.old, won.new, scores, (won.low, won.high), won.scenarios)
+        yield {"compared": "winners"} | row
     failures = {
         "new failure": comparison.new_failures,
         "no longer fails": comparison.repaired,
@@ -443,26 +372,26 @@ def _row_of(
     verdict: str, old: Design, new: Design, scores: Sequence[float], ends: Sequence[float], scenarios: int
 ) -> dict[str, Any]:
     """The columns that designs and winners have: S old, S new and their difference, and the ends of its interval."""
-    names = _CASE.split()[3:] + _SCORES.split()
+    names = _NAMES.split()[1:] + _SCORES.split()
     numbers = [*map(float, scores), *(float(end) if math.isfinite(end) else None for end in ends)]
     return dict(zip(names, (verdict, old.id, new.id, old.label, new.label, *numbers, scenarios), strict=True))
 
 
-def _design(comparison: Comparison, case: CaseComparison, i: int) -> dict[str, Any]:
-    design, S = case.designs[i], case.S
+def _design(comparison: Comparison, i: int) -> dict[str, Any]:
+    design, S = comparison.designs[i], comparison.S
     scores, changed = (S.S_old[i], S.S_new[i], S.difference[i]), int(S.changed[i])
     return _row_of(str(S.verdict[i]), design, design, scores, (S.low[i], S.high[i]), comparison.shared.n) | {
         "changed_scenarios": changed,
         "largest_change_m_s": float(S.largest[i]),
         "largest_change_scenario": int(comparison.shared.new[S.largest_at[i]]) if changed else None,
-        "failed_scenarios_old": case.failed_old[i],
-        "failed_scenarios_new": case.failed_new[i],
+        "failed_scenarios_old": comparison.failed_old[i],
+        "failed_scenarios_new": comparison.failed_new[i],
     }
 
 
 def write_comparison(comparison: Comparison, path: str | Path) -> None:
     """Write a comparison as one CSV file, whole or not at all."""
-    write_text(Path(path), csv_text(COLUMNS, comparison_rows(comparison)))
+    write_text(Path(path), to_csv(Table.of(COLUMNS, comparison_rows(comparison))))
 
 
 def comparison_content(comparison: Comparison) -> dict[str, Any]:
@@ -471,6 +400,7 @@ def comparison_content(comparison: Comparison) -> dict[str, Any]:
     return {
         "old": {"folder": comparison.old, "study": comparison.old_name},
         "new": {"folder": comparison.new, "study": comparison.new_name},
+        "S": comparison.label,
         "summary": comparison.summary,
         "worse": comparison.any_worse,
         "differences": list(comparison.differences),
@@ -484,6 +414,5 @@ def comparison_content(comparison: Comparison) -> dict[str, Any]:
         "warnings": list(comparison.warnings),
         "only_old": [design.id for design in comparison.only_old],
         "only_new": [design.id for design in comparison.only_new],
-        "given_up": [design.id for design in comparison.given_up],
         "rows": list(comparison_rows(comparison)),
     }

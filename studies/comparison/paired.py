@@ -22,7 +22,7 @@ from ldctoolkit.scenarios import Scenarios
 from ..design import Design
 from ..ranking.inference import SAME, bootstrap_means, check_confidence, error_parts, lengths, row_means
 from ..ranking.ranking import Ranking
-from ..results import Case, CaseResults, StudyResults
+from ..results import StudyResults
 from ..storage.manifest import Manifest, differences
 from ..storage.store import Store
 from ..study_file import Study
@@ -263,10 +263,8 @@ class FinishedStudy:
 
 
 def held_designs(results: StudyResults) -> dict[tuple[Any, ...], Design]:
-    """All designs that a study met, by `Design.key`: with results, failed, or given up in a race."""
-    dropped = results.race.dropped if results.race is not None else ()
-    every = (*results.designs, *(one.design for one in results.failed), *(one.design for one in dropped))
-    return {design.key: design for design in every}
+    """All designs that a study met, by `Design.key`: with results, or failed."""
+    return {design.key: design for design in (*results.designs, *(failure.design for failure in results.failed))}
 
 
 def input_differences(old: FinishedStudy, new: FinishedStudy) -> Iterator[str]:
@@ -325,20 +323,19 @@ class Winners:
 def compare_winners(
     before: FinishedStudy,
     after: FinishedStudy,
-    case: Case,
     shared: SharedScenarios,
     fresh: SharedScenarios | None,
     *,
     bootstrap: int,
     confidence: float,
 ) -> Winners | None:
-    """Compare the winners of two studies in one case.
+    """Compare the winners of two studies.
 
     Winners are chosen by their scores, so an interval for one pair that was fixed beforehand would be too narrow.
     The interval here holds for all pairs of a design that could have won the old study and one that could have won
     the new one: the finalists on fresh scenarios, or else those that rank first, up to 30 of each.
     """
-    rankings = (_ranking(before, case), _ranking(after, case))
+    rankings = (_ranking(before), _ranking(after))
     if rankings[0].winner is None or rankings[1].winner is None:
         return None
     results = (before.results, after.results)
@@ -349,8 +346,8 @@ def compare_winners(
     most = max(1, min(_RIVALS, math.isqrt(_MOST_ENTRIES // shared.n)))
     rivals = [_rivals(ranking, one, most) for ranking, one in zip(rankings, results, strict=True)]
     scores_old, scores_new = (
-        _find(one, ranking.case).counted[chosen][:, rows]
-        for one, ranking, chosen, rows in zip(results, rankings, rivals, (shared.old, shared.new), strict=True)
+        one.counted[chosen][:, rows]
+        for one, chosen, rows in zip(results, rivals, (shared.old, shared.new), strict=True)
     )
     pairs = paired_differences(
         np.repeat(scores_old, len(scores_new), axis=0),
@@ -375,16 +372,11 @@ def compare_winners(
     )
 
 
-def _find(results: StudyResults, case: Case) -> CaseResults:
-    return next(one for one in results.cases if one.case == case)
-
-
-def _ranking(side: FinishedStudy, case: Case) -> Ranking:
+def _ranking(side: FinishedStudy) -> Ranking:
     """The study's own ranking, as far as it decides who wins."""
     study = side.study
     return Ranking.of(
         side.results,
-        _find(side.results, case),
         seed=study.seed,
         bootstrap=study.ranking.bootstrap,
         confidence=study.ranking.confidence,
@@ -396,7 +388,7 @@ def _ranking(side: FinishedStudy, case: Case) -> Ranking:
 
 
 def _with_winner(side: FinishedStudy, ranking: Ranking) -> StudyResults | None:
-    """The finalists' fresh results; None without the winner: other cases may have one that is no finalist."""
+    """The finalists' fresh results; None where the winner is not among them."""
     fresh = side.results.fresh
     if fresh is None or ranking.winner is None:
         return None

@@ -16,8 +16,8 @@ import numpy as np
 
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.control import Controller
+from ldctoolkit.declared import checked_number
 from ldctoolkit.errors import InputError
-from ldctoolkit.option_checks import checked_number
 from ldctoolkit.setup import Setup
 from ldctoolkit.vehicle.speed_schedule import SPEED_RANGE
 from ldctoolkit.version import __version__
@@ -88,7 +88,7 @@ class Code:
     @classmethod
     def of(cls, controller: Controller, setup: Setup, y_s: float, origin: Origin | None = None) -> Self:
         """Raises `InputError` for a law that has no C code."""
-        y_s = checked_number("y_s", y_s, least=-10.0)
+        y_s = checked_number("y_s", y_s, lower=-10.0, unit="m")
         return cls(controller, setup, y_s, Schedule.of(controller, setup), origin)
 
     @property

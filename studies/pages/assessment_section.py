@@ -14,11 +14,13 @@ from ldctoolkit.errors import LdcError
 from ldctoolkit.version import __version__
 
 from ..assessment import QUANTITIES, Assessment, LightName, assess
+from ..ranking.verdict import design_name
 from ..standards import KM_H, standard_names
 from ..storage.files import write_text
-from .context import Context, name_of
-from .shell import Cell, Column, Section, TableRow, bullets, make_page, paragraphs, table
-from .text import number, percent, plural, true_minus
+from ..tables import Cell, Column, Row, Table, to_html
+from ..text import number, percent, plural, symbols
+from .context import Context
+from .shell import Section, bullets, make_page, paragraphs
 
 MOST_REASONS: Final = 40
 USUAL_BATCH: Final = 1000  # departures that a law drives together; one that takes long asks for fewer
@@ -37,7 +39,7 @@ def section(context: Context) -> Section | None:
     design, setup = context.ranking.designs[context.shown], context.report.setup
     if not names:
         return None
-    body = paragraphs(f"{name_of(design)}, on the study's plant.")
+    body = paragraphs(f"{design_name(design)}, on the study's plant.")
     slow = design.batch < USUAL_BATCH
     if slow:
         body += paragraphs("As stated only, since the law takes long: ldc assess drives the corners too.")
@@ -96,14 +98,11 @@ def _grids(found: Assessment) -> Iterator[Markup]:
     for seconds, speeds in shapes.items():
         unit = "m/s\u00b2" if cells.bend[place[speeds[0], seconds[0]]] else "m/s"
         columns = [Column("Speed", "km/h"), *(Column(f"{second:g}", unit) for second in seconds)]
-        rows = [
-            TableRow((f"{speed / KM_H:.0f}", *(_cell(found, place[speed, second]) for second in seconds)))
-            for speed in speeds
-        ]
+        rows = [Row([f"{speed / KM_H:.0f}", *(_cell(found, place[speed, v]) for v in seconds)]) for speed in speeds]
         titles = (
             f"{QUANTITIES[one.quantity].title} [{QUANTITIES[one.quantity].unit}]" for one in found.standard.condition
         )
-        yield table("; ".join(titles), columns, rows)
+        yield to_html(Table("; ".join(titles), columns, rows))
 
 
 def _cell(found: Assessment, i: int) -> Cell:
@@ -115,7 +114,7 @@ def _cell(found: Assessment, i: int) -> Cell:
         more = f"\u00a0({number(worst, digits)})" if len(found.variants) > 1 and math.isfinite(worst) else ""
         parts.append(number(value, digits) + more)
     mark = Markup('<span class="light {}" role="img" aria-label="{}">{}</span> {}')
-    return Cell(mark.format(kind, meaning, symbol, "; ".join(parts)), float(found.values[0, 0, i]))
+    return Cell(text=mark.format(kind, meaning, symbol, symbols("; ".join(parts))))
 
 
 def _reasons(found: Assessment) -> Iterator[str]:
@@ -129,21 +128,27 @@ def _reasons(found: Assessment) -> Iterator[str]:
             yield f"And {len(some) - MOST_REASONS} more {light} cells."
 
 
-def write_assessment_page(found: Sequence[tuple[str, Assessment]], path: str | Path) -> Path:
-    """Write the page of named designs in tests: one HTML file that needs nothing else, whole or not at all."""
+def scores(found: Sequence[tuple[str, Assessment]]) -> Table:
+    """The scores of named designs in tests; at every corner of the tolerances, where they were driven."""
     columns = [
-        Column("Design", text=True), Column("Test", text=True), Column("Standard cells", "%"),
-        Column("At every corner", "%"), Column("Extended points", "%"), Column("Green"), Column("Amber"), Column("Red"),
+        Column("Design", text=True), Column("Test", text=True), Column("Standard cells", "%", ".0f"),
+        Column("At every corner", "%", ".0f"), Column("Extended points", "%", ".0f"), Column("Green"), Column("Amber"),
+        Column("Red"),
     ]  # fmt: skip
     rows = []
     for name, one in found:
-        counts = [str(one.lights.count(light)) for light in _SHOWN]
-        shares = [number(100.0 * share, 0) for share in (one.score, one.robust_score, one.extended_score)]
-        rows.append(TableRow((true_minus(name), one.standard.title, *shares, *counts)))
-    sections = [Section("verdict", "Scores", table("Each design in each test", columns, rows))]
+        robust = one.robust_score if len(one.variants) > 1 else math.nan
+        shares = [100.0 * share for share in (one.score, robust, one.extended_score)]
+        rows.append(Row([name, one.standard.name, *shares, *(one.lights.count(light) for light in _SHOWN)]))
+    return Table("Each design in each test", columns, rows)
+
+
+def write_assessment_page(found: Sequence[tuple[str, Assessment]], path: str | Path) -> Path:
+    """Write the page of named designs in tests: one HTML file that needs nothing else, whole or not at all."""
+    sections = [Section("verdict", "Scores", to_html(scores(found)))]
     several = len({name for name, _ in found}) > 1
     for k, (name, one) in enumerate(found, 1):
-        title = f"{true_minus(name)}: {one.standard.title}" if several else one.standard.title
+        title = f"{name}: {one.standard.title}" if several else one.standard.title
         sections.append(Section(f"test-{k}", title, assessed(one)))
     html = make_page(
         kind="Lane departure correction: tests of regulations and Euro NCAP",

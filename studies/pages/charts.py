@@ -1,15 +1,15 @@
-"""Charts of the pages as SVG: lines, dots with interval, bars, heat map, empirical distribution, scatter.
+"""Charts as values: axes, series, rows of intervals, cells and limits; and their drawing as SVG for the pages.
 
-A chart is text that is made once: it stands in the page as it is, and with `Chart.document` as a file. Colours are
-classes, so that the page's style sheet sets them for light, dark and print.
+A page holds `Chart.svg`, a file `Chart.document`, and `ldctoolkit.studies.plotting` draws the same value on matplotlib
+axes. Colours of the SVG are classes, so that the page's style sheet sets them for light, dark and print.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterable, Sequence
-from typing import Final
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Final, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +18,7 @@ from markupsafe import Markup, escape
 from ldctoolkit.arrays import BoolArray, FloatArray
 
 from ..design import NO_CONTROL
-from .text import compact, printable, shorten, symbols_svg
+from ..text import compact, printable, shorten, symbols_svg
 
 WIDTH: Final = 420.0  # units of a chart's width: text of 12 units is 10 px high on the narrowest phone
 
@@ -29,6 +29,8 @@ _DASHES: Final = ("", "7 3", "2 2.5", "9 3 2 3", "5 2 5 6")
 _MARKERS: Final = "osdvx^"
 _LEFT, _RIGHT, _TOP, _BOTTOM = 58.0, 10.0, 10.0, 44.0
 _CHARACTER: Final = 6.4  # width of a character of the labels [units]
+_ROW, _BETWEEN_ROWS, _ROWS_TOP = 14.0, 8.0, 22.0  # of a chart of intervals [units]
+_VIRIDIS: Final = ("#440154", "#46327e", "#365c8d", "#277f8e", "#1fa187", "#4ac16d", "#a0da39", "#fde725")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -44,6 +46,11 @@ class Style:
         """Class of the style sheet."""
         return "recorded" if self.color < 0 else f"c{self.color}"
 
+    @property
+    def hex(self) -> str:
+        """The colour on white."""
+        return "#595959" if self.color < 0 else COLORS[self.color]
+
 
 RECORDED: Final = Style(-1, "2 2.5", "|")  # the departure as it was recorded, without control
 
@@ -55,70 +62,28 @@ def law_styles(laws: Iterable[str]) -> dict[str, Style]:
         if law not in styles:
             k = len(styles) - (NO_CONTROL in styles)
             dash = _DASHES[(k + k // len(COLORS)) % len(_DASHES)]
-            own = Style(k % len(COLORS), dash, _MARKERS[k % len(_MARKERS)])
-            styles[law] = RECORDED if law == NO_CONTROL else own
+            style = Style(k % len(COLORS), dash, _MARKERS[k % len(_MARKERS)])
+            styles[law] = RECORDED if law == NO_CONTROL else style
     return styles
 
 
-@dataclasses.dataclass(frozen=True)
-class Chart:
-    """A chart."""
-
-    name: str  # Letters, digits and dashes; the file's name
-    title: str  # For a screen reader
-    height: float
-    body: str  # SVG elements
-    width: float = WIDTH
-
-    @property
-    def svg(self) -> Markup:
-        """The chart as an element of a page."""
-        return Markup(
-            f'<svg class="chart" role="img" viewBox="0 0 {self.width:g} {self.height:g}" '
-            f'aria-label="{escape(printable(self.title))}">{self.body}</svg>'
-        )
-
-    @property
-    def document(self) -> str:
-        """The chart as a file of its own."""
-        style = "".join(f".c{i}{{--c:{color}}}" for i, color in enumerate(COLORS))
-        return (
-            f'<svg xmlns="http://www.w3.org/2000/svg" class="chart" width="{1.6 * self.width:g}" '
-            f'height="{1.6 * self.height:g}" viewBox="0 0 {self.width:g} {self.height:g}">'
-            f"<title>{escape(printable(self.title))}</title><style>{style}{FILE_STYLE}</style>"
-            f'<rect width="100%" height="100%" fill="#fff"/>{self.body}</svg>\n'
-        )
-
-
-FILE_STYLE: Final = (
-    ".chart{font:12px sans-serif;--ink:#222;--soft:#666;--grid:#ddd;--paper:#fff;--bad:#b3261e;--shade:#f3d9d6}"
-    ".recorded{--c:#595959}text{fill:var(--ink)}.soft{fill:var(--soft)}.grid{stroke:var(--grid);fill:none}"
-    ".axis{stroke:var(--soft);fill:none}.curve{stroke:var(--c);fill:none;stroke-width:1.8}"
-    ".band{fill:var(--c);opacity:.16}.mark{stroke:var(--c);fill:var(--c)}.open{fill:var(--paper)}"
-    ".bar{fill:var(--c);opacity:.45}.limit{stroke:var(--bad);fill:none;stroke-dasharray:8 3 2 3}"
-    ".on-dark{fill:#fff}.on-light{fill:#000}.shade{fill:var(--shade);opacity:.6}.front{stroke:var(--soft);fill:none}.ring{stroke:var(--ink);fill:none}"
-)
-"""Rules for the elements of charts; the page's style sheet has the same with other colours in the dark."""
-
-
-# ------------------------------------------------------------------------------------------------ axes
+# ------------------------------------------------------------------------------------------------ values
 
 
 @dataclasses.dataclass(frozen=True)
 class Axis:
-    """One axis."""
+    """One axis: label with its unit, and its ends."""
 
-    label: str  # Quantity and unit
-    # Its ends
-    low: float
+    label: str
+    low: float  # infinite ends: matplotlib chooses them
     high: float
     log: bool = False
-    categories: tuple[str, ...] = ()  # Names at 0, 1, ... instead of numbers
+    categories: tuple[str, ...] = ()  # names at 0, 1, ... instead of numbers
 
     @classmethod
     def around(cls, label: str, *values: npt.ArrayLike, zero: bool = False, log: bool = False) -> Axis:
         """An axis that holds all finite values with some room; `zero` begins it at 0."""
-        known = np.concatenate([np.ravel(np.asarray(one, dtype=np.float64)) for one in values] or [np.empty(0)])
+        known = np.concatenate([np.ravel(np.asarray(part, dtype=np.float64)) for part in values] or [np.empty(0)])
         known = known[np.isfinite(known) & (known > 0 if log else True)]
         low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
         if log:
@@ -126,6 +91,11 @@ class Axis:
         low = min(low, 0.0) if zero else low
         room = 0.05 * (high - low) or 0.5 * abs(high) or 0.5
         return cls(label, low if zero and low == 0.0 else low - room, high + room)
+
+    @classmethod
+    def of_names(cls, label: str, names: Sequence[str]) -> Axis:
+        """An axis of categories, a unit each."""
+        return cls(label, -0.5, len(names) - 0.5, categories=tuple(names))
 
     def at(self, values: npt.ArrayLike) -> FloatArray:
         """Place between 0 and 1 along the axis; what lies outside is put at its end."""
@@ -140,16 +110,16 @@ class Axis:
         """Values and their text, as many as the length [units] has room for."""
         if self.categories:
             every = max(1, math.ceil(len(self.categories) * 15 / room))
-            return [(float(i), name) for i, name in enumerate(self.categories) if i % every == 0]
+            return [(float(i), shorten(name, 18)) for i, name in enumerate(self.categories) if i % every == 0]
         if self.log:
             tens = range(math.floor(math.log10(self.low)), math.ceil(math.log10(self.high)) + 1)
             near = [m * 10.0**k for k in tens for m in ((1, 2, 5) if len(tens) < 4 else (1,))]
-            return [(one, compact(one)) for one in near if self.low <= one <= self.high]
+            return [(value, compact(value)) for value in near if self.low <= value <= self.high]
         step = nice_step(self.high - self.low, max(2, int(room / 55)))
         first = math.ceil(self.low / step - 1e-9)
         digits = max(0, -math.floor(math.log10(step) + 1e-9))
         values = [k * step for k in range(first, math.floor(self.high / step + 1e-9) + 1)]
-        return [(one, f"{one:.{digits}f}".replace("-", "\u2212") if abs(one) > 1e-12 else "0") for one in values]
+        return [(x, f"{x:.{digits}f}".replace("-", "\u2212") if abs(x) > 1e-12 else "0") for x in values]
 
 
 def nice_step(span: float, most: int) -> float:
@@ -157,6 +127,161 @@ def nice_step(span: float, most: int) -> float:
     rough = max(span, 1e-300) / most
     ten = 10.0 ** math.floor(math.log10(rough))
     return next(m * ten for m in (1.0, 2.0, 5.0, 10.0) if m * ten >= rough * (1 - 1e-9))
+
+
+Kind = Literal["line", "steps", "marked", "started", "points", "bars", "outline"]
+"""A line, with steps, with all points or the first one marked; points alone; a histogram, filled or as a line."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Series:
+    """Numbers that are drawn in one style."""
+
+    label: str
+    x: FloatArray  # (n,), of a histogram the n + 1 edges of its bins
+    y: FloatArray  # (n,)
+    style: Style
+    low: FloatArray | None = None  # (n,) ends of a band around a line
+    high: FloatArray | None = None
+    kind: Kind = "line"
+    filled: BoolArray | None = None  # (n,) points that are filled; all by default
+    tips: tuple[str, ...] = ()  # text that a point shows under the pointer
+
+
+@dataclasses.dataclass(frozen=True)
+class Dot:
+    """A value with its interval beside a label; `open` draws the marker without filling."""
+
+    label: str
+    value: float
+    low: float
+    high: float
+    style: Style
+    open: bool = False
+    tip: str = ""
+
+
+@dataclasses.dataclass(frozen=True)
+class Cells:
+    """Values of a heat map (r, c) with their texts; NaN stays empty, `crossed` cells have a cross."""
+
+    values: FloatArray
+    texts: Sequence[Sequence[str]]
+    crossed: BoolArray | None = None
+    label: str = ""  # what they are, with the unit
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Chart:
+    """A chart. It holds series, or rows of intervals, or the cells of a heat map."""
+
+    name: str  # letters, digits and dashes; the file's name
+    title: str  # for a screen reader
+    x: Axis
+    y: Axis
+    series: Sequence[Series] = ()
+    rows: Sequence[Sequence[Dot]] = ()  # several in one row stand below each other; `y` is not used
+    cells: Cells | None = None
+    limit: tuple[float, str] | None = None  # upright, with its text; what lies beyond is shaded
+    level: float | None = None  # a dashed line across
+    upright: tuple[float, str] | None = None  # a dashed upright line with its text
+    front: tuple[FloatArray, FloatArray] | None = None  # corners of a Pareto front
+    diagonal: bool = False
+    ring: tuple[float, float, str] | None = None  # the point that is marked, and what it is
+    height: float = 270.0
+
+    @property
+    def frame(self) -> _Frame:
+        """The drawing."""
+        if self.rows:
+            return _intervals(self)
+        frame = _Frame(self.x, self.y, self.height)
+        return _heat_map(self, self.cells, frame) if self.cells is not None else _curves(self, frame)
+
+    @property
+    def body(self) -> str:
+        """SVG elements."""
+        return "".join(self.frame.parts)
+
+    @property
+    def svg(self) -> Markup:
+        """The chart as an element of a page."""
+        frame = self.frame
+        return Markup(
+            f'<svg class="chart" role="img" viewBox="0 0 {WIDTH:g} {frame.height:g}" '
+            f'aria-label="{escape(printable(self.title))}">{"".join(frame.parts)}</svg>'
+        )
+
+    @property
+    def document(self) -> str:
+        """The chart as a file of its own."""
+        frame, style = self.frame, "".join(f".c{i}{{--c:{color}}}" for i, color in enumerate(COLORS))
+        return (
+            f'<svg xmlns="http://www.w3.org/2000/svg" class="chart" width="{1.6 * WIDTH:g}" '
+            f'height="{1.6 * frame.height:g}" viewBox="0 0 {WIDTH:g} {frame.height:g}">'
+            f"<title>{escape(printable(self.title))}</title><style>{style}{FILE_STYLE}</style>"
+            f'<rect width="100%" height="100%" fill="#fff"/>{"".join(frame.parts)}</svg>\n'
+        )
+
+
+def ecdf(
+    name: str, title: str, samples: Sequence[tuple[str, FloatArray, Style]], x: Axis, y_label: str,
+    *, limit: tuple[float, str] | None = None, most: int = 200,
+) -> Chart:  # fmt: skip
+    """Empirical distribution functions, at `most` quantiles where there are more values."""
+    series = []
+    for label, values, style in samples:
+        known = np.sort(values[~np.isnan(values)])
+        if known.size:
+            share = np.arange(1, known.size + 1) / known.size
+            rows = np.unique(np.linspace(0, known.size - 1, min(known.size, most)).astype(int))
+            steps = np.append(x.low, known[rows]), np.append(0.0, share[rows])
+            series.append(Series(label, *steps, style, kind="steps"))
+    return Chart(name, title, x, Axis(y_label, 0.0, 1.0), series, limit=limit)
+
+
+def bars(
+    name: str, title: str, edges: FloatArray, shares: Sequence[tuple[str, FloatArray, Style]], x_label: str,
+    y_label: str, *, outlines: Sequence[tuple[str, FloatArray, Style]] = (), height: float = 200.0,
+) -> Chart:  # fmt: skip
+    """Histograms as bars, and others over the same bins as outlines."""
+    series = [Series(label, edges, values, style, kind="bars") for label, values, style in shares]
+    series += [Series(label, edges, values, style, kind="outline") for label, values, style in outlines]
+    highest = max((float(np.max(drawn.y, initial=0.0)) for drawn in series), default=0.0)
+    x = Axis(x_label, float(edges[0]), float(edges[-1]))
+    return Chart(name, title, x, Axis(y_label, 0.0, 1.06 * highest or 1.0), series, height=height)
+
+
+def dots(
+    name: str, title: str, rows: Sequence[Sequence[Dot]], x: Axis, *, at: float | None = None, at_text: str = ""
+) -> Chart:
+    """Values with intervals, a row each; `at` is an upright dashed line."""
+    return Chart(name, title, x, Axis("", 0.0, 1.0), rows=rows, upright=None if at is None else (at, at_text))
+
+
+def heat_map(
+    name: str, title: str, values: FloatArray, texts: Sequence[Sequence[str]], x: tuple[str, Sequence[str]],
+    y: tuple[str, Sequence[str]], *, ring: tuple[int, int] | None = None, open_cells: BoolArray | None = None,
+    label: str = "",
+) -> Chart:  # fmt: skip
+    """Cells with their numbers: dark is small; a ring marks row and column of one, a cross those of `open_cells`."""
+    height = _TOP + _BOTTOM + max(26.0 * len(values), 60.0)
+    marked = None if ring is None else (float(ring[1]), float(ring[0]), "")
+    cells = Cells(values, texts, open_cells, label)
+    return Chart(name, title, Axis.of_names(*x), Axis.of_names(*y), cells=cells, ring=marked, height=height)
+
+
+# ------------------------------------------------------------------------------------------------ SVG
+
+FILE_STYLE: Final = (
+    ".chart{font:12px sans-serif;--ink:#222;--soft:#666;--grid:#ddd;--paper:#fff;--bad:#b3261e;--shade:#f3d9d6}"
+    ".recorded{--c:#595959}text{fill:var(--ink)}.soft{fill:var(--soft)}.grid{stroke:var(--grid);fill:none}"
+    ".axis{stroke:var(--soft);fill:none}.curve{stroke:var(--c);fill:none;stroke-width:1.8}"
+    ".band{fill:var(--c);opacity:.16}.mark{stroke:var(--c);fill:var(--c)}.open{fill:var(--paper)}"
+    ".bar{fill:var(--c);opacity:.45}.limit{stroke:var(--bad);fill:none;stroke-dasharray:8 3 2 3}"
+    ".on-dark{fill:#fff}.on-light{fill:#000}.shade{fill:var(--shade);opacity:.6}.front{stroke:var(--soft);fill:none}.ring{stroke:var(--ink);fill:none}"
+)
+"""Rules for the elements of charts; the page's style sheet has the same with other colours in the dark."""
 
 
 class _Frame:
@@ -169,6 +294,7 @@ class _Frame:
             left = max(_LEFT, 28.0 + _CHARACTER * longest)
         self.x, self.y, self.left, self.top = x, y, left, top
         self.width, self.height = WIDTH - left - _RIGHT, height
+        self.bottom, self.right = top + self.depth, WIDTH - _RIGHT
         self.parts: list[str] = []
 
     def px(self, values: npt.ArrayLike) -> FloatArray:
@@ -177,68 +303,173 @@ class _Frame:
     def py(self, values: npt.ArrayLike) -> FloatArray:
         return self.top + self.depth * (1.0 - self.y.at(values))
 
-    def axes(self, *, grid_y: bool = True) -> None:
-        bottom, right = self.top + self.depth, self.left + self.width
-        lines, end = "", -math.inf
+    def text(self, x: float, y: float, text: str, anchor: str = "middle", kind: str = "") -> None:
+        named = f' class="{kind}"' if kind else ""
+        self.parts.append(f'<text{named} x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}">{symbols_svg(text)}</text>')
+
+    def draw(self, kind: str, path: str, style: Style | None = None, label: str = "", *, dashed: bool = True) -> None:
+        """A path of a class, in a style."""
+        dash = f' stroke-dasharray="{style.dash}"' if dashed and style is not None and style.dash else ""
+        title = f"<title>{escape(printable(label))}</title>" if label else ""
+        name = f"{kind} {style.name}" if style is not None else kind
+        self.parts.append(f'<path class="{name}"{dash} d="{path}"' + (f">{title}</path>" if title else "/>"))
+
+    def axes(self, *, grid_x: bool = True, grid_y: bool = True) -> None:
+        grid, end = "", -math.inf
         for value, text in self.x.ticks(self.width):
             at, half = float(self.px(value)), 0.5 * _CHARACTER * len(text) + 3
             shown = min(at, WIDTH - half)
-            lines += f"M{at:.1f} {self.top:g}V{bottom:g}"
+            grid += f"M{at:.1f} {self.top:g}V{self.bottom:g}" if grid_x else ""
             if shown - half > end:
-                self.parts.append(
-                    f'<text x="{shown:.1f}" y="{bottom + 15:g}" text-anchor="middle">{escape(text)}</text>'
-                )
+                self.text(shown, self.bottom + 15, text)
                 end = shown + half
         for value, text in self.y.ticks(1.4 * self.depth):
             at = float(self.py(value))
-            if grid_y:
-                lines += f"M{self.left:g} {at:.1f}H{right:g}"
-            self.parts.append(
-                f'<text x="{self.left - 6:g}" y="{at + 4:.1f}" text-anchor="end">{symbols_svg(text)}</text>'
-            )
-        self.parts.insert(0, f'<path class="grid" d="{lines}"/>')
-        self.parts.append(f'<path class="axis" d="M{self.left:g} {self.top:g}V{bottom:g}H{right:g}"/>')
-        middle = self.left + 0.5 * self.width
+            grid += f"M{self.left:g} {at:.1f}H{self.right:g}" if grid_y else ""
+            self.text(self.left - 6, at + 4, text, "end")
+        if grid:
+            self.parts.insert(0, f'<path class="grid" d="{grid}"/>')
+        self.draw("axis", f"M{self.left:g} {self.top:g}V{self.bottom:g}H{self.right:g}")
         if self.x.label:
-            self.parts.append(
-                f'<text class="soft" x="{middle:g}" y="{bottom + 34:g}" text-anchor="middle">'
-                f"{symbols_svg(self.x.label)}</text>"
-            )
+            self.text(self.left + 0.5 * self.width, self.bottom + 34, self.x.label, kind="soft")
         if self.y.label:
-            y = self.top + 0.5 * self.depth
             self.parts.append(
-                f'<text class="soft" transform="translate(13 {y:g}) rotate(-90)" text-anchor="middle">'
-                f"{symbols_svg(self.y.label)}</text>"
+                f'<text class="soft" transform="translate(13 {self.top + 0.5 * self.depth:g}) rotate(-90)" '
+                f'text-anchor="middle">{symbols_svg(self.y.label)}</text>'
             )
 
     def path(self, x: npt.ArrayLike, y: npt.ArrayLike, *, steps: bool = False) -> str:
         """A line through the finite points."""
         px, py = self.px(x), self.py(y)
         known = np.isfinite(px) & np.isfinite(py)
-        px, py = px[known], py[known]
-        if not px.size:
-            return ""
-        if steps:
-            rest = "".join(f"H{a:.1f}V{b:.1f}" for a, b in zip(px[1:].tolist(), py[1:].tolist(), strict=True))
-            return f"M{px[0]:.1f} {py[0]:.1f}{rest}"
-        return "M" + "L".join(f"{a:.1f} {b:.1f}" for a, b in zip(px.tolist(), py.tolist(), strict=True))
+        pairs = list(zip(px[known].tolist(), py[known].tolist(), strict=True))
+        if steps and pairs:
+            return f"M{pairs[0][0]:.1f} {pairs[0][1]:.1f}" + "".join(f"H{a:.1f}V{b:.1f}" for a, b in pairs[1:])
+        return "M" + "L".join(f"{a:.1f} {b:.1f}" for a, b in pairs) if pairs else ""
 
-    def limit_x(self, value: float, text: str, *, beyond: bool = True) -> None:
+    def limit(self, value: float, text: str) -> None:
         """A limit on the horizontal axis; what lies beyond is shaded."""
-        at, right = float(self.px(value)), self.left + self.width
-        if beyond and at < right:
+        at = float(self.px(value))
+        if at < self.right:
+            width = self.right - at
             self.parts.append(
-                f'<rect class="shade" x="{at:.1f}" y="{self.top:g}" width="{right - at:.1f}" height="{self.depth:g}"/>'
+                f'<rect class="shade" x="{at:.1f}" y="{self.top:g}" width="{width:.1f}" height="{self.depth:g}"/>'
             )
-        self.parts.append(f'<path class="limit" d="M{at:.1f} {self.top:g}V{self.top + self.depth:g}"/>')
-        end = "end" if at + _CHARACTER * len(text) > right else "start"
-        shift = -4 if end == "end" else 4
-        self.parts.append(
-            f'<text class="soft" x="{at + shift:.1f}" y="{self.top + 12:g}" text-anchor="{end}">{escape(text)}</text>'
-        )
+        self.draw("limit", f"M{at:.1f} {self.top:g}V{self.bottom:g}")
+        end = at + _CHARACTER * len(text) > self.right
+        self.text(at - 4 if end else at + 4, self.top + 12, text, "end" if end else "start", "soft")
 
-    def chart(self, name: str, title: str) -> Chart:
-        return Chart(name, title, self.height, "".join(self.parts))
+
+def _curves(chart: Chart, frame: _Frame) -> _Frame:
+    """Curves, points and histograms."""
+    frame.axes()
+    if chart.diagonal:
+        corners = [chart.x.low, chart.x.high]
+        frame.draw("front", frame.path(corners, corners))
+    if chart.limit is not None:
+        frame.limit(*chart.limit)
+    if chart.front is not None and chart.front[0].size > 1:
+        frame.draw("front", frame.path(*chart.front, steps=True))
+    if chart.level is not None:
+        frame.draw("curve", f"M{frame.left:g} {float(frame.py(chart.level)):.1f}H{frame.right:g}", RECORDED)
+    for series in chart.series:
+        if series.low is not None and series.high is not None:
+            known = np.isfinite(series.low) & np.isfinite(series.high)
+            x, ends = series.x[known], (series.high[known], series.low[known][::-1])
+            if around := frame.path(np.concatenate([x, x[::-1]]), np.concatenate(ends)):
+                frame.draw("band", f"{around}Z", series.style, dashed=False)
+        if series.kind in ("bars", "outline"):
+            heights = np.concatenate([[0.0], np.repeat(series.y, 2), [0.0]])
+            filled = series.kind == "bars"
+            around = frame.path(np.repeat(series.x, 2), heights)
+            frame.draw("bar" if filled else "curve", around, series.style, dashed=not filled)
+        elif series.kind != "points":
+            path = frame.path(series.x, series.y, steps=series.kind == "steps")
+            frame.draw("curve", path, series.style, series.label)
+            if series.kind in ("marked", "started"):
+                places = list(_places(frame, series))
+                shown = places if series.kind == "marked" else places[:1]
+                frame.parts += [marker(series.style, a, b, 3.0) for a, b, _, _ in shown]
+    for above in (False, True):  # filled points lie above hollow ones
+        frame.parts += [
+            marker(series.style, a, b, 3.6, filled=filled, tip=tip)
+            for series in chart.series
+            if series.kind == "points"
+            for a, b, filled, tip in _places(frame, series)
+            if filled == above
+        ]
+    if chart.ring is not None and math.isfinite(sum(chart.ring[:2])):
+        x, y = frame.px(chart.ring[0]), frame.py(chart.ring[1])
+        frame.parts.append(f'<circle class="ring" cx="{x:.1f}" cy="{y:.1f}" r="8"/>')
+    return frame
+
+
+def _places(frame: _Frame, series: Series) -> Iterator[tuple[float, float, bool, str]]:
+    """Where the finite points of a series are, whether each is filled, and its tip."""
+    n = series.x.size
+    filled = [True] * n if series.filled is None else series.filled.tolist()
+    for a, b, *shown in zip(
+        frame.px(series.x).tolist(), frame.py(series.y).tolist(), filled, series.tips or ("",) * n, strict=True
+    ):
+        if math.isfinite(a + b):
+            yield a, b, *shown
+
+
+def _intervals(chart: Chart) -> _Frame:
+    """Values with intervals, the rows from the top."""
+    depth = max(sum(_ROW * len(row) + _BETWEEN_ROWS for row in chart.rows), 60.0)
+    labels = [shorten(row[0].label, 34) for row in chart.rows]
+    left = min(30.0 + _CHARACTER * max(map(len, labels), default=0), 0.55 * WIDTH)
+    height = depth + _BOTTOM + _ROWS_TOP
+    frame = _Frame(chart.x, Axis("", 0.0, 1.0, categories=("",)), height, left=left, top=_ROWS_TOP)
+    frame.axes(grid_y=False)
+    if chart.upright is not None:
+        at = float(frame.px(chart.upright[0]))
+        frame.draw("curve", f"M{at:.1f} {frame.top:g}V{frame.bottom:g}", RECORDED)
+        frame.text(at, 14, chart.upright[1], "end" if at > 0.75 * WIDTH else "middle", "soft")
+    y = frame.top + 4.0
+    for row, label in zip(chart.rows, labels, strict=True):
+        frame.text(left - 8, y + 0.5 * _ROW * len(row) + 4, label, "end")
+        for dot in row:
+            middle = y + 0.5 * _ROW
+            if math.isfinite(dot.low + dot.high):
+                a, b = frame.px([dot.low, dot.high])
+                frame.draw("curve", f"M{a:.1f} {middle:.1f}H{b:.1f}", dot.style, dashed=False)
+            if math.isfinite(dot.value):
+                at, tip = float(frame.px(dot.value)), dot.tip or dot.label
+                frame.parts.append(marker(dot.style, at, middle, filled=not dot.open, tip=tip))
+            y += _ROW
+        y += _BETWEEN_ROWS
+    return frame
+
+
+def _heat_map(chart: Chart, cells: Cells, frame: _Frame) -> _Frame:
+    """Cells with their numbers: dark is small."""
+    frame.axes(grid_x=False, grid_y=False)
+    rows, columns = cells.values.shape
+    width, depth = frame.width / columns, frame.depth / rows
+    known = cells.values[np.isfinite(cells.values)]
+    low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
+    room = max(len(text) for line in cells.texts for text in line) * _CHARACTER < width - 2
+    for i, j in np.argwhere(np.isfinite(cells.values)).tolist():
+        share = (cells.values[i, j] - low) / ((high - low) or 1.0)
+        a, b = frame.left + j * width, frame.top + (rows - 1 - i) * depth
+        dark, text = share < 0.62, cells.texts[i][j]
+        ink = "#fff" if dark else "#000"
+        frame.parts.append(
+            f'<rect x="{a:.1f}" y="{b:.1f}" width="{width + 0.3:.1f}" height="{depth + 0.3:.1f}" '
+            f'fill="{_VIRIDIS[min(int(8 * share), 7)]}"><title>{escape(text)}</title></rect>'
+        )
+        if room and text:
+            frame.text(a + 0.5 * width, b + 0.5 * depth + 4, text, kind="on-dark" if dark else "on-light")
+        if cells.crossed is not None and cells.crossed[i, j]:
+            frame.parts.append(f'<path d="M{a + 3:.1f} {b + 3:.1f}l7 7m0 -7l-7 7" stroke="{ink}" fill="none"/>')
+        if chart.ring is not None and chart.ring[:2] == (j, i):
+            frame.parts.append(
+                f'<rect x="{a + 1.5:.1f}" y="{b + 1.5:.1f}" width="{width - 3:.1f}" height="{depth - 3:.1f}" '
+                f'fill="none" stroke="{ink}" stroke-width="2.5"/>'
+            )
+    return frame
 
 
 def marker(style: Style, x: float, y: float, size: float = 4.0, *, filled: bool = True, tip: str = "") -> str:
@@ -269,275 +500,3 @@ def legend(entries: Sequence[tuple[str, Style]], *, points: bool = False) -> Mar
             f"{escape(shorten(label, 60))}</li>"
         )
     return Markup(f'<ul class="legend">{"".join(items)}</ul>')
-
-
-# ------------------------------------------------------------------------------------------------ the six charts
-
-
-@dataclasses.dataclass(frozen=True)
-class Series:
-    """One curve, with a band where `low` and `high` are given."""
-
-    label: str
-    x: FloatArray
-    y: FloatArray
-    style: Style
-    low: FloatArray | None = None
-    high: FloatArray | None = None
-    points: bool = False
-    steps: bool = False
-
-
-def lines(
-    name: str,
-    title: str,
-    series: Sequence[Series],
-    x: Axis,
-    y: Axis,
-    *,
-    limit: tuple[float, str] | None = None,
-    level: float | None = None,
-    ring: tuple[float, float] | None = None,
-    height: float = 270.0,
-) -> Chart:
-    """Curves; `limit` is upright with its text, `level` a horizontal dashed line, `ring` marks a point."""
-    frame = _Frame(x, y, height)
-    frame.axes()
-    if limit is not None:
-        frame.limit_x(*limit)
-    if level is not None:
-        at, right = float(frame.py(level)), frame.left + frame.width
-        frame.parts.append(
-            f'<path class="curve recorded" stroke-dasharray="2 2.5" d="M{frame.left:g} {at:.1f}H{right:g}"/>'
-        )
-    for one in series:
-        if one.low is not None and one.high is not None:
-            there = np.isfinite(one.low) & np.isfinite(one.high)
-            across = np.concatenate([one.x[there], one.x[there][::-1]])
-            around = frame.path(across, np.concatenate([one.high[there], one.low[there][::-1]]))
-            if around:
-                frame.parts.append(f'<path class="band {one.style.name}" d="{around}Z"/>')
-        dash = f' stroke-dasharray="{one.style.dash}"' if one.style.dash else ""
-        frame.parts.append(
-            f'<path class="curve {one.style.name}"{dash} d="{frame.path(one.x, one.y, steps=one.steps)}">'
-            f"<title>{escape(printable(one.label))}</title></path>"
-        )
-        if one.points:
-            places = zip(frame.px(one.x).tolist(), frame.py(one.y).tolist(), strict=True)
-            frame.parts += [marker(one.style, a, b, 3.0) for a, b in places if math.isfinite(a + b)]
-    if ring is not None:
-        frame.parts.append(f'<circle class="ring" cx="{frame.px(ring[0]):.1f}" cy="{frame.py(ring[1]):.1f}" r="7"/>')
-    return frame.chart(name, title)
-
-
-def ecdf(
-    name: str,
-    title: str,
-    samples: Sequence[tuple[str, FloatArray, Style]],
-    x: Axis,
-    y_label: str,
-    *,
-    limit: tuple[float, str] | None = None,
-) -> Chart:
-    """Empirical distribution functions, at 200 quantiles where there are more values."""
-    series = []
-    for label, values, style in samples:
-        known = np.sort(values[~np.isnan(values)])
-        if known.size:
-            share = np.arange(1, known.size + 1) / known.size
-            some = np.unique(np.linspace(0, known.size - 1, min(known.size, 200)).astype(int))
-            series.append(Series(label, np.append(x.low, known[some]), np.append(0.0, share[some]), style, steps=True))
-    return lines(name, title, series, x, Axis(y_label, 0.0, 1.0), limit=limit)
-
-
-@dataclasses.dataclass(frozen=True)
-class Dot:
-    """A value with its interval beside a label; `open` draws the marker without filling."""
-
-    label: str
-    value: float
-    low: float
-    high: float
-    style: Style
-    open: bool = False
-    tip: str = ""
-
-
-def dots(
-    name: str, title: str, rows: Sequence[Sequence[Dot]], x: Axis, *, at: float | None = None, at_text: str = ""
-) -> Chart:
-    """Values with intervals, a row each, several in one row below each other; `at` is an upright dashed line."""
-    step = 14.0
-    depth = max(sum(step * len(row) + 8.0 for row in rows), 60.0)
-    labels = [shorten(row[0].label, 34) for row in rows]
-    left = min(30.0 + _CHARACTER * max(map(len, labels), default=0), 0.55 * WIDTH)
-    frame = _Frame(x, Axis("", 0.0, 1.0, categories=("",)), depth + _BOTTOM + 22.0, left=left, top=22.0)
-    frame.axes(grid_y=False)
-    if at is not None:
-        place = float(frame.px(at))
-        frame.parts.append(
-            f'<path class="curve recorded" stroke-dasharray="2 2.5" d="M{place:.1f} 22V{22 + depth:g}"/>'
-        )
-        anchor = "end" if place > 0.75 * WIDTH else "middle"
-        frame.parts.append(f'<text class="soft" x="{place:.1f}" y="14" text-anchor="{anchor}">{escape(at_text)}</text>')
-    y = 22.0 + 4.0
-    for row, label in zip(rows, labels, strict=True):
-        frame.parts.append(
-            f'<text x="{left - 8:g}" y="{y + 0.5 * step * len(row) + 4:.1f}" '
-            f'text-anchor="end">{symbols_svg(label)}</text>'
-        )
-        for one in row:
-            middle = y + 0.5 * step
-            if math.isfinite(one.low + one.high):
-                a, b = float(frame.px(one.low)), float(frame.px(one.high))
-                frame.parts.append(f'<path class="curve {one.style.name}" d="M{a:.1f} {middle:.1f}H{b:.1f}"/>')
-            if math.isfinite(one.value):
-                place = float(frame.px(one.value))
-                frame.parts.append(marker(one.style, place, middle, filled=not one.open, tip=one.tip or one.label))
-            y += step
-        y += 8.0
-    return frame.chart(name, title)
-
-
-def bars(
-    name: str,
-    title: str,
-    edges: FloatArray,
-    shares: Sequence[tuple[str, FloatArray, Style]],
-    x_label: str,
-    y_label: str,
-    *,
-    outlines: Sequence[tuple[str, FloatArray, Style]] = (),
-    height: float = 200.0,
-) -> Chart:
-    """Histograms as bars, and others over the same bins as outlines."""
-    highest = max((float(np.max(one, initial=0.0)) for _, one, _ in (*shares, *outlines)), default=0.0)
-    axis = Axis(x_label, float(edges[0]), float(edges[-1]))
-    frame = _Frame(axis, Axis(y_label, 0.0, 1.06 * highest or 1.0), height)
-    frame.axes()
-    for outlined, some in ((False, shares), (True, outlines)):
-        for _, values, style in some:
-            around = frame.path(np.repeat(edges, 2), np.concatenate([[0.0], np.repeat(values, 2), [0.0]]))
-            dash = f' stroke-dasharray="{style.dash}"' if outlined and style.dash else ""
-            kind = "curve" if outlined else "bar"
-            frame.parts.append(f'<path class="{kind} {style.name}"{dash} d="{around}"/>')
-    return frame.chart(name, title)
-
-
-_VIRIDIS: Final = ("#440154", "#46327e", "#365c8d", "#277f8e", "#1fa187", "#4ac16d", "#a0da39", "#fde725")
-
-
-def heat_map(
-    name: str,
-    title: str,
-    values: FloatArray,
-    texts: Sequence[Sequence[str]],
-    x: tuple[str, Sequence[str]],
-    y: tuple[str, Sequence[str]],
-    *,
-    ring: tuple[int, int] | None = None,
-    open_cells: BoolArray | None = None,
-) -> Chart:
-    """Cells with their numbers: dark is small; a ring marks one, a cross those of `open_cells`; NaN stays empty."""
-    rows, columns = values.shape
-    left = min(30.0 + _CHARACTER * max(len(one) for one in y[1]), 150.0)
-    height = _TOP + _BOTTOM + max(26.0 * rows, 60.0)
-    frame = _Frame(Axis(x[0], 0.0, 1.0), Axis(y[0], 0.0, 1.0), height, left=max(left, _LEFT))
-    width, depth = frame.width / columns, frame.depth / rows
-    known = values[np.isfinite(values)]
-    low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
-    room = max(len(text) for line in texts for text in line) * _CHARACTER < width - 2
-    for i in range(rows):
-        for j in range(columns):
-            if not math.isfinite(values[i, j]):
-                continue
-            share = (values[i, j] - low) / ((high - low) or 1.0)
-            a, b = frame.left + j * width, frame.top + (rows - 1 - i) * depth
-            frame.parts.append(
-                f'<rect x="{a:.1f}" y="{b:.1f}" width="{width + 0.3:.1f}" height="{depth + 0.3:.1f}" '
-                f'fill="{_VIRIDIS[min(int(8 * share), 7)]}"><title>{escape(texts[i][j])}</title></rect>'
-            )
-            ink = "#fff" if share < 0.62 else "#000"
-            if room:
-                frame.parts.append(
-                    f'<text x="{a + 0.5 * width:.1f}" y="{b + 0.5 * depth + 4:.1f}" text-anchor="middle" '
-                    f'class="{"on-dark" if share < 0.62 else "on-light"}">{escape(texts[i][j])}</text>'
-                )
-            if open_cells is not None and open_cells[i, j]:
-                frame.parts.append(f'<path d="M{a + 3:.1f} {b + 3:.1f}l7 7m0 -7l-7 7" stroke="{ink}" fill="none"/>')
-            if ring == (i, j):
-                frame.parts.append(
-                    f'<rect x="{a + 1.5:.1f}" y="{b + 1.5:.1f}" width="{width - 3:.1f}" height="{depth - 3:.1f}" '
-                    f'fill="none" stroke="{ink}" stroke-width="2.5"/>'
-                )
-    end = -math.inf
-    for j, text in enumerate(x[1]):
-        at = frame.left + (j + 0.5) * width
-        if at - 0.5 * _CHARACTER * len(text) > end:
-            frame.parts.append(
-                f'<text x="{at:.1f}" y="{frame.top + frame.depth + 15:.1f}" text-anchor="middle">{escape(text)}</text>'
-            )
-            end = at + 0.5 * _CHARACTER * len(text) + 3
-    for i, text in enumerate(y[1]):
-        at = frame.top + (rows - 0.5 - i) * depth
-        frame.parts.append(
-            f'<text x="{frame.left - 6:g}" y="{at + 4:.1f}" text-anchor="end">{escape(shorten(text, 18))}</text>'
-        )
-    middle, bottom = frame.left + 0.5 * frame.width, frame.top + frame.depth
-    frame.parts.append(
-        f'<text class="soft" x="{middle:g}" y="{bottom + 34:g}" text-anchor="middle">{symbols_svg(x[0])}</text>'
-    )
-    if y[0]:
-        frame.parts.append(
-            f'<text class="soft" transform="translate(13 {frame.top + 0.5 * frame.depth:g}) rotate(-90)" '
-            f'text-anchor="middle">{symbols_svg(y[0])}</text>'
-        )
-    return frame.chart(name, title)
-
-
-@dataclasses.dataclass(frozen=True)
-class Cloud:
-    """Points of one law; those that meet the limits are filled."""
-
-    x: FloatArray
-    y: FloatArray
-    style: Style
-    filled: BoolArray
-    tips: tuple[str, ...]
-
-
-def scatter(
-    name: str,
-    title: str,
-    clouds: Sequence[Cloud],
-    x: Axis,
-    y: Axis,
-    *,
-    limit: tuple[float, str] | None = None,
-    front: tuple[FloatArray, FloatArray] | None = None,
-    ring: tuple[float, float] | None = None,
-    diagonal: FloatArray | None = None,
-    height: float = 290.0,
-) -> Chart:
-    """Points of designs, a limit with what lies beyond it shaded, the front of the two, a ring around one point."""
-    frame = _Frame(x, y, height)
-    frame.axes()
-    if diagonal is not None:
-        frame.parts.append(f'<path class="front" d="{frame.path(diagonal, diagonal)}"/>')
-    if limit is not None:
-        frame.limit_x(*limit)
-    if front is not None and front[0].size > 1:
-        frame.parts.append(f'<path class="front" d="{frame.path(*front, steps=True)}"/>')
-    for above in (False, True):  # filled points lie above hollow ones
-        for cloud in clouds:
-            places = zip(
-                frame.px(cloud.x).tolist(), frame.py(cloud.y).tolist(), cloud.filled.tolist(), cloud.tips, strict=True
-            )
-            frame.parts += [
-                marker(cloud.style, a, b, 3.6, filled=filled, tip=tip)
-                for a, b, filled, tip in places
-                if math.isfinite(a + b) and bool(filled) == above
-            ]
-    if ring is not None and math.isfinite(ring[0] + ring[1]):
-        frame.parts.append(f'<circle class="ring" cx="{frame.px(ring[0]):.1f}" cy="{frame.py(ring[1]):.1f}" r="8"/>')
-    return frame.chart(name, title)

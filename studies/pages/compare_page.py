@@ -10,13 +10,14 @@ from markupsafe import Markup
 
 from ldctoolkit.version import __version__
 
-from ..comparison.comparison import PHRASES, CaseComparison, Comparison
+from ..comparison.comparison import PHRASES, Comparison
 from ..comparison.paired import Verdict, Winners
 from ..storage.files import write_text
-from .charts import Axis, Chart, Cloud, Dot, Style, dots, scatter
+from ..tables import Cell, Column, Row, Table, to_html
+from ..text import difference_text, number, percent, plural, signed, symbols
+from .charts import Axis, Chart, Dot, Series, Style, dots
 from .settings_section import pairs
-from .shell import Cell, Column, Section, TableRow, bullets, details, figure, make_page, paragraphs, render, table
-from .text import difference_text, number, percent, plural, signed, symbols
+from .shell import Section, bullets, details, figure, make_page, paragraphs, render
 
 THRESHOLD: Final = 0.01  # differences of mean S [m s] below this do not matter in practice: 1 cm over 1 s
 
@@ -50,8 +51,8 @@ def compare_page(comparison: Comparison) -> str:
         heading=f"{comparison.old_name} \u2192 {comparison.new_name}",
         facts=[
             f"{shared.n:,} shared scenarios ({shared.left:,} left, {shared.right:,} right)",
-            f"{plural(len(comparison.cases[0]), 'design')} in both",
-            comparison.cases[0].case.label,
+            f"{plural(len(comparison), 'design')} in both",
+            _title(comparison.label),
         ],
         sections=[
             _verdict(comparison),
@@ -94,49 +95,37 @@ def winners_sentence(winners: Winners) -> str:
 
 
 def _verdict(comparison: Comparison) -> Section:
-    first = comparison.cases[0]
-    lead = winners_sentence(first.winners) if first.winners else no_winners_sentence(first)
+    winners = comparison.winners
+    lead = winners_sentence(winners) if winners else NO_WINNERS
     body = Markup('<p class="verdict">{}</p>').format(symbols(lead))
-    rows = []
-    for case in comparison.cases:
-        winners = case.winners
-        if winners is None:
-            rows.append(TableRow((case.case.label, "\u2013", "", "", "", "", "", no_winners_sentence(case))))
-            continue
+    if winners:
         change = signed(100.0 * winners.difference / winners.S_old, 1) if winners.S_old > 0 else "\u2013"
         phrase = PHRASES[winners.verdict]
         small = winners.verdict in (Verdict.BETTER, Verdict.WORSE) and abs(winners.difference) < THRESHOLD
-        rows.append(
-            TableRow(
-                (
-                    case.case.label,
-                    f"{winners.scenarios:,} {'fresh' if winners.fresh else 'study'} scenarios",
-                    number(winners.S_old, 4),
-                    number(winners.S_new, 4),
-                    difference_text(winners.difference),
-                    change,
-                    interval_text(winners.low, winners.high),
-                    Cell(
-                        (f"{phrase}, too little to matter" if small else phrase),
-                        bad=winners.verdict is Verdict.WORSE,
-                        good=winners.verdict is Verdict.BETTER,
-                    ),
-                )
-            )
+        cells = (
+            f"{winners.scenarios:,} {'fresh' if winners.fresh else 'study'} scenarios",
+            number(winners.S_old, 4),
+            number(winners.S_new, 4),
+            difference_text(winners.difference),
+            change,
+            interval_text(winners.low, winners.high),
+            Cell(
+                (f"{phrase}, too little to matter" if small else phrase),
+                bad=winners.verdict is Verdict.WORSE,
+                good=winners.verdict is Verdict.BETTER,
+            ),
         )
-    columns = [
-        Column("Case", text=True), Column("On", text=True), Column("Old "
-            "winner", "m\u00b7s"), Column("New winner", "m\u00b7s"),
-        Column("New \u2212 "
-            "old", "m\u00b7s"), Column("Change", "%"), Column("Interval", "m\u00b7s"), Column("Verdict", text=True),
-    ]  # fmt: skip
-    body += table(
-        f"Mean S of the winners; differences from {THRESHOLD:g} m\u00b7s on matter in practice", columns, rows
-    )
-    if len(first):
+        columns = [
+            Column("On", text=True), Column("Old winner", "m\u00b7s"), Column("New winner", "m\u00b7s"),
+            Column("New \u2212 old", "m\u00b7s"), Column("Change", "%"), Column("Interval", "m\u00b7s"),
+            Column("Verdict", text=True),
+        ]  # fmt: skip
+        title = f"Mean S of the winners; differences from {THRESHOLD:g} m\u00b7s on matter in practice"
+        body += to_html(Table(title, columns, [Row(cells)]))
+    if len(comparison):
         body += paragraphs(
-            f"{plural(len(first), 'design')} in both studies: {counts_text(first)}. Intervals hold for all designs in "
-            f"all cases at once, with {percent(comparison.confidence, 0)} confidence."
+            f"{plural(len(comparison), 'design')} in both studies: {counts_text(comparison)}. Intervals hold for all "
+            f"designs at once, with {percent(comparison.confidence, 0)} confidence."
         )
     else:
         body += paragraphs("No design is in both studies: nothing but their winners can be compared.")
@@ -149,19 +138,12 @@ def _verdict(comparison: Comparison) -> Section:
     return Section("verdict", "Verdict", body, printed=True)
 
 
-def counts_text(case: CaseComparison) -> str:
+def counts_text(comparison: Comparison) -> str:
     """How many designs are better, worse, not separated, the same."""
-    return ", ".join(f"{case.count(verdict):,} {PHRASES[verdict]}" for verdict in Verdict)
+    return ", ".join(f"{comparison.count(verdict):,} {PHRASES[verdict]}" for verdict in Verdict)
 
 
-def no_winners_sentence(case: CaseComparison) -> str:
-    """Why winners are not compared."""
-    if case.raced_elsewhere:
-        return (
-            "Winners are not compared here: a race of one of the studies gave designs up by their scores in another "
-            "case, and the best one of this case may be among them."
-        )
-    return "No design of one of the studies meets its requirements: there is no winner to compare."
+NO_WINNERS: Final = "No design of one of the studies meets its requirements: there is no winner to compare."
 
 
 def interval_text(low: float, high: float) -> str:
@@ -182,55 +164,55 @@ def _differences(comparison: Comparison) -> Section:
     else:
         columns = [Column("Input", text=True), Column("Old \u2192 new", text=True)]
         rows = [
-            TableRow((key, value.replace(" -> ", " \u2192 ")))
+            Row((key, value.replace(" -> ", " \u2192 ")))
             for key, _, value in (one.partition(": ") for one in comparison.differences)
         ]
-        body = table("What decides the numbers and differs", columns, rows)
+        body = to_html(Table("What decides the numbers and differs", columns, rows))
     return Section("differences", "What differs", body)
 
 
+def _title(label: str) -> str:
+    return label.replace(" -> ", " \u2192 ")
+
+
 def _designs(comparison: Comparison) -> Section:
-    body = Markup()
-    for number_, case in enumerate(comparison.cases, 1):
-        if len(case):
-            body += _case_table(comparison, case, f"designs-{number_}")
-    return Section("designs", "Designs", body or paragraphs("No design is in both studies."), scripts=("table.js",))
+    body = _design_table(comparison) if len(comparison) else paragraphs("No design is in both studies.")
+    return Section("designs", "Designs", body, scripts=("table.js",))
 
 
-def _case_table(comparison: Comparison, case: CaseComparison, id: str) -> Markup:
-    S, shared = case.S, comparison.shared
+def _design_table(comparison: Comparison) -> Markup:
+    S, shared, id = comparison.S, comparison.shared, "designs-1"
     columns = [
-        Column("Verdict", text=True), Column("Design", text=True), Column("Old S", "m\u00b7s", key="old"),
-        Column("New S", "m\u00b7s", key="new"), Column("New \u2212 "
-            "old", "m\u00b7s", key="difference"), Column("Interval", "m\u00b7s"),
+        Column("Verdict", text=True), Column("Design", text=True), Column("Old S", "m\u00b7s", ".4f", key="old"),
+        Column("New S", "m\u00b7s", ".4f", key="new"), Column("New \u2212 "
+            "old", "m\u00b7s", difference_text, key="difference"), Column("Interval", "m\u00b7s"),
         Column("Scenarios changed", key="changed"), Column("Largest change", "m\u00b7s"), Column("Failed, old / new"),
     ]  # fmt: skip
+    numbers = np.stack([S.S_old, S.S_new, S.difference], axis=1)
     rows = []
-    for k, i in enumerate(case.order[:MOST_ROWS]):
-        changed, failed = int(S.changed[i]), (case.failed_old[i], case.failed_new[i])
+    for k, i in enumerate(comparison.order[:MOST_ROWS]):
+        changed, failed = int(S.changed[i]), (comparison.failed_old[i], comparison.failed_new[i])
         at = f" (no. {int(shared.new[S.largest_at[i]])})"
         verdict = S.verdict[i]
         cells = (
             Cell(PHRASES[verdict], bad=verdict is Verdict.WORSE, good=verdict is Verdict.BETTER),
-            case.designs[i].label,
-            Cell(number(float(S.S_old[i]), 4), float(S.S_old[i])),
-            Cell(number(float(S.S_new[i]), 4), float(S.S_new[i])),
-            Cell(difference_text(float(S.difference[i])), float(S.difference[i])),
+            comparison.designs[i].label,
+            *numbers[i].tolist(),
             interval_text(float(S.low[i]), float(S.high[i])),
-            Cell(f"{changed:,}", float(changed)),
+            changed,
             f"{difference_text(float(S.largest[i]))}{at}" if changed else "\u2013",
             f"{failed[0]:,} / {failed[1]:,}" if any(failed) else "\u2013",
         )
-        rows.append(TableRow(cells, later=k >= FIRST_ROWS))
+        rows.append(Row(cells, later=k >= FIRST_ROWS))
+    table = Table(f"{_title(comparison.label)}: {counts_text(comparison)}", columns, rows, head=1)
     return render(
-        "compare.html", id=id, table=table(f"{case.case.label}: "
-            f"{counts_text(case)}", columns, rows, id=id, sortable=True, head=1),
-        count=len(case), listed=len(rows), later=max(0, len(rows) - FIRST_ROWS),
+        "compare.html", id=id, table=to_html(table, id=id, sortable=True), count=len(comparison), listed=len(rows),
+        later=max(0, len(rows) - FIRST_ROWS),
     )  # fmt: skip
 
 
 def _changes(comparison: Comparison) -> Section:
-    charts = [chart for case in comparison.cases for chart in _case_charts(case)]
+    charts = list(_charts(comparison))
     body = figure(
         charts,
         "Left: the largest differences of mean S, new minus old, with their intervals. Right: mean S in the old study "
@@ -239,11 +221,11 @@ def _changes(comparison: Comparison) -> Section:
     return Section("changes", "Largest changes", body or paragraphs("No design is in both studies."), tuple(charts))
 
 
-def _case_charts(case: CaseComparison) -> Iterator[Chart]:
-    S = case.S
-    if not len(case):
+def _charts(comparison: Comparison) -> Iterator[Chart]:
+    S = comparison.S
+    if not len(comparison):
         return
-    name = case.case.label.replace(" ", "-").replace(",", "")
+    label = _title(comparison.label)
     order = [i for i in np.argsort(-np.abs(S.difference), kind="stable").tolist() if S.difference[i] != 0][
         :MOST_CHANGED
     ]
@@ -251,7 +233,7 @@ def _case_charts(case: CaseComparison) -> Iterator[Chart]:
         rows = [
             [
                 Dot(
-                    case.designs[i].label,
+                    comparison.designs[i].label,
                     float(S.difference[i]),
                     float(S.low[i]),
                     float(S.high[i]),
@@ -262,21 +244,17 @@ def _case_charts(case: CaseComparison) -> Iterator[Chart]:
         ]
         ends = [value for (one,) in rows for value in (one.value, one.low, one.high)]
         axis = Axis.around("New \u2212 old mean S [m\u00b7s]", ends, [0.0])
-        yield dots(
-            f"changes-{name}", f"{case.case.label}: differences of mean S", rows, axis, at=0.0, at_text="no change"
-        )
+        yield dots("changes", f"{label}: differences of mean S", rows, axis, at=0.0, at_text="no change")
     clouds = []
     for verdict, style in _STYLES.items():
-        own = np.array([i for i in range(len(case)) if S.verdict[i] is verdict], dtype=np.int64)
+        own = np.array([i for i in range(len(comparison)) if S.verdict[i] is verdict], dtype=np.int64)
         if own.size:
-            tips = tuple(f"{case.designs[i].label}: {PHRASES[verdict]}" for i in own)
-            clouds.append(Cloud(S.S_old[own], S.S_new[own], style, np.ones(own.size, dtype=np.bool_), tips))
+            tips = tuple(f"{comparison.designs[i].label}: {PHRASES[verdict]}" for i in own)
+            clouds.append(Series(PHRASES[verdict], S.S_old[own], S.S_new[own], style, kind="points", tips=tips))
     both = Axis.around("", S.S_old, S.S_new)
-    ends_of = np.array([both.low, both.high])
     x, y = Axis("Old mean S [m\u00b7s]", both.low, both.high), Axis("New mean S [m\u00b7s]", both.low, both.high)
-    yield scatter(
-        f"scatter-{name}", f"{case.case.label}: old against new mean S", clouds, x, y, front=None, diagonal=ends_of
-    )
+    title = f"{label}: old against new mean S"
+    yield Chart("scatter", title, x, y, clouds, diagonal=True, height=290.0)
 
 
 def _only_one(comparison: Comparison) -> Section:

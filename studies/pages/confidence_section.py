@@ -1,20 +1,20 @@
 """How sure the ranking is: intervals of the best designs, fresh scenarios, and whether there are enough departures."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Final
 
 import numpy as np
-from markupsafe import Markup
 
 from ldctoolkit.arrays import FloatArray, IntArray
 
 from ..ranking.ranking import Ranking
-from ..ranking.verdict import optimism_text
-from .charts import Axis, Chart, Dot, Series, dots, lines
-from .context import Context, interval, name_of
-from .shell import Cell, Column, Section, TableRow, figure, paragraphs, table
-from .text import difference_text, number, percent, plural
+from ..ranking.verdict import design_name, optimism_text
+from ..tables import Cell, Column, Row, Table, to_html
+from ..text import DASH, difference_text, percent, plural
+from .charts import Axis, Chart, Dot, Series, Style, dots
+from .context import Context
+from .shell import Section, figure, paragraphs
 
 MOST: Final = 12
 
@@ -30,7 +30,7 @@ def section(context: Context) -> Section:
         "scenarios, with 1.96 standard errors of each point.",
     )
     if context.ranking.fresh_scenarios:
-        body += _finalists(context)
+        body += to_html(_finalists(context.ranking))
     return Section("confidence", "Confidence", body, charts)
 
 
@@ -42,7 +42,7 @@ def _sentences(context: Context) -> Iterator[str]:
     if not rivals:
         return
     second = rivals[0]
-    name = name_of(ranking.designs[second])
+    name = design_name(ranking.designs[second])
     away, low, high = (
         float(one[second]) for one in (ranking.difference, ranking.difference_low, ranking.difference_high)
     )
@@ -63,7 +63,7 @@ def _sentences(context: Context) -> Iterator[str]:
     if other is not None and other != second:
         apart = "separated from" if not ranking.set_of_best[other] else "not separated from"
         yield (
-            f"Best of another law: {name_of(ranking.designs[other])}, "
+            f"Best of another law: {design_name(ranking.designs[other])}, "
             f"{difference_text(float(ranking.difference[other]))} "
             f"m\u00b7s from rank 1, {apart} it."
         )
@@ -82,7 +82,7 @@ def _charts(context: Context) -> Iterator[Chart]:
     shown = list(dict.fromkeys((context.shown, *range(min(6, len(ranking))), *context.best_of_each_law)))[:MOST]
     rows = []
     for i in sorted(shown):
-        name, style = name_of(ranking.designs[i]), context.style(i)
+        name, style = design_name(ranking.designs[i]), context.style(i)
         own = [Dot(name, float(ranking.S[i]), float(ranking.S_low[i]), float(ranking.S_high[i]), style)]
         if math.isfinite(ranking.fresh_S[i]):
             S, low, high = (float(one[i]) for one in (ranking.fresh_S, ranking.fresh_low, ranking.fresh_high))
@@ -93,18 +93,21 @@ def _charts(context: Context) -> Iterator[Chart]:
     near = [level] if level < 2.0 * max((v for v in ends if math.isfinite(v)), default=0.0) else []
     yield dots("intervals", "Mean S with intervals", rows, Axis.around("Mean S [m\u00b7s]", ends, near),
                at=level if near else None, at_text="no control")  # fmt: skip
-    order = interleaved(context.scenarios.side)
-    series = []
-    for i in sorted(dict.fromkeys((context.shown, *context.best_of_each_law[:3]))):
-        count, mean, error = running_mean(context.S(i)[order])
-        label = name_of(ranking.designs[i])
-        series.append(Series(label, count.astype(np.float64), mean, context.style(i), mean - error, mean + error))
-    settled = [one.y[one.x >= min(20, order.size)] for one in series]
-    if order.size > 2:
-        x = Axis("Number of scenarios", 2.0, float(order.size), log=True)
-        yield lines(
-            "convergence", "Mean S over the first scenarios", series, x, Axis.around("Mean S [m\u00b7s]", *settled)
-        )
+    if context.scenarios.n > 2:
+        shown = sorted(dict.fromkeys((context.shown, *context.best_of_each_law[:3])))
+        curves = [(design_name(ranking.designs[i]), context.S(i), context.style(i)) for i in shown]
+        yield convergence(curves, context.scenarios.side)
+
+
+def convergence(curves: Sequence[tuple[str, FloatArray, Style]], side: IntArray) -> Chart:
+    """Mean of values (n,) over the first scenarios, left and right ones interleaved, with 1.96 standard errors."""
+    order, series = interleaved(side), []
+    for name, values, style in curves:
+        count, mean, error = running_mean(values[order])
+        series.append(Series(name, count.astype(np.float64), mean, style, mean - error, mean + error))
+    x = Axis("Number of scenarios", 2.0, float(max(order.size, 3)), log=True)
+    y = Axis.around("Mean S [m\u00b7s]", *(curve.y[curve.x >= min(20, order.size)] for curve in series))
+    return Chart("convergence", "Mean S over the first scenarios", x, y, series)
 
 
 def interleaved(side: IntArray) -> IntArray:
@@ -128,40 +131,33 @@ def running_mean(values: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
     return counts, total / counts + values.mean(), 1.96 * np.sqrt(variance / counts)
 
 
-def _finalists(context: Context) -> Markup:
-    ranking = context.ranking
-    level = percent(ranking.confidence, 0)
+def _finalists(ranking: Ranking) -> Table:
+    """The finalists on the fresh scenarios, and on recorded departures."""
+    interval = f"{percent(ranking.confidence, 0)} interval"
     columns = [
-        Column("Rank"), Column("Finalist", text=True), Column("Mean S", "m\u00b7s"), Column("Fresh S", "m\u00b7s"),
-        Column(f"{level} interval", "m\u00b7s"), Column("Difference from rank 1", "m\u00b7s"),
+        Column("Rank"), Column("Finalist", text=True), Column("Mean S", "m\u00b7s", ".3f"),
+        Column("Fresh S", "m\u00b7s", ".3f"), Column(interval, "m\u00b7s", ".3f"),
+        Column("Difference from rank 1", "m\u00b7s", difference_text),
         Column("Requirements missed on fresh scenarios", text=True),
     ]  # fmt: skip
-    replayed = ranking.replayed_departures
-    if replayed:
-        columns += [Column("Replayed S", "m\u00b7s"), Column(f"{level} interval", "m\u00b7s"), Column("Less", "%")]
+    title = f"Finalists on {plural(ranking.fresh_scenarios, 'fresh scenario')}"
+    if ranking.replayed_departures:
+        title += f", and on {plural(ranking.replayed_departures, 'replayed departure')}"
+        columns += [Column("Replayed S", "m\u00b7s", ".3f"), Column(interval, "m\u00b7s", ".3f"),
+                    Column("Less", "%", ".1f")]  # fmt: skip
+    numbers = np.stack([
+        ranking.S, ranking.fresh_S, ranking.fresh_low, ranking.fresh_high, ranking.fresh_difference,
+        ranking.replayed_S, ranking.replayed_low, ranking.replayed_high, 100.0 * ranking.replayed_reduction,
+    ], axis=1)  # fmt: skip
     rows = []
     for i in np.flatnonzero(np.isfinite(ranking.fresh_S)).tolist():
-        to_first = float(ranking.fresh_difference[i])
-        rows.append(
-            TableRow(
-                (
-                    str(ranking.rank[i]) if ranking.rank[i] else "\u2013",
-                    name_of(ranking.designs[i]),
-                    number(float(ranking.S[i])),
-                    number(float(ranking.fresh_S[i])),
-                    interval(float(ranking.fresh_low[i]), float(ranking.fresh_high[i])) or "\u2013",
-                    difference_text(to_first) if math.isfinite(to_first) else "\u2013",
-                    Cell(", ".join(ranking.fresh_unmet[i]) or "nothing", bad=bool(ranking.fresh_unmet[i])),
-                    *(_on_replayed(ranking, i) if replayed else ()),
-                ),
-                "winner" if i == ranking.winner else "",
-            )
-        )
-    title = f"Finalists on {plural(ranking.fresh_scenarios, 'fresh scenario')}"
-    title += f", and on {plural(replayed, 'replayed departure')}" if replayed else ""
-    return table(title, columns, rows, head=1)
-
-
-def _on_replayed(ranking: Ranking, i: int) -> tuple[str, str, str]:
-    between = interval(float(ranking.replayed_low[i]), float(ranking.replayed_high[i])) or "\u2013"
-    return number(float(ranking.replayed_S[i])), between, number(100.0 * float(ranking.replayed_reduction[i]), 1)
+        S, fresh, low, high, to_first, *replayed = numbers[i].tolist()
+        unmet = ", ".join(ranking.fresh_unmet[i])
+        cells = [
+            int(ranking.rank[i]) or DASH, design_name(ranking.designs[i]), S, fresh, (low, high), to_first,
+            Cell(unmet or "nothing", bad=bool(unmet)),
+        ]  # fmt: skip
+        if ranking.replayed_departures:
+            cells += [replayed[0], (replayed[1], replayed[2]), replayed[3]]
+        rows.append(Row(cells, "winner" if i == ranking.winner else ""))
+    return Table(title, columns, rows, head=1)

@@ -16,13 +16,12 @@ from ldctoolkit.errors import InputError
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
 
-from ..design import Design
 from ..ranking.ranking import Ranking
 from ..ranking.requirements import metric, metric_values
-from ..ranking.verdict import Verdict, design_name, verdict
-from ..results import CaseResults, StudyResults
+from ..ranking.verdict import Verdict, verdict
+from ..results import StudyResults
+from ..text import number
 from .charts import Style, law_styles
-from .text import number, true_minus
 
 if TYPE_CHECKING:
     from ldctoolkit.departures import Departures
@@ -43,8 +42,8 @@ class ReportInput:
     title: str  # For people
     study_name: str  # The study's short name
     results: StudyResults  # Scores of all designs
-    rankings: tuple[Ranking, ...]  # One per case, in the order of ``results.cases``; the first is the primary one
-    # How scenarios were driven, in the first convention; example paths are simulated again with it
+    ranking: Ranking  # Of these results
+    # How scenarios were driven; example paths are simulated again with it
     setup: Setup = dataclasses.field(default_factory=Setup)
     settings: tuple[tuple[str, str], ...] = ()  # The study's settings, seeds and hashes, in the order to be shown
     versions: tuple[tuple[str, str], ...] = ()  # Software and machine
@@ -55,7 +54,7 @@ class ReportInput:
     study_file: str = ""  # Text of a study file that does, with every default written out
     departures: tuple[int, ...] = ()  # Numbers of departures that the explorer shows beside those of its own rule
     shown_designs: tuple[str, ...] = ()  # Identifiers of designs that it shows likewise, or how they begin
-    sensitivity: tuple[BlockSensitivity, ...] = ()  # Which gain matters, of the primary case; none leaves that part out
+    sensitivity: tuple[BlockSensitivity, ...] = ()  # Which gain matters; none leaves that part out
     robustness: Robustness | None = None  # Some designs on other plants; without it they were not driven
     model: ScenarioModel | None = None  # What generated the scenarios
     model_name: str = ""  # Its name; empty where no model generated them
@@ -75,15 +74,9 @@ class Context:
     def of(cls, report: ReportInput) -> Self:
         """Check the input."""
         results = report.results
-        if not results.designs or not results.cases or results.scenarios.n == 0:
-            raise InputError(
-                "report", "the results hold no designs, no cases or no scenarios", allowed="at least one of each"
-            )
-        if len(report.rankings) != len(results.cases):
-            raise InputError(
-                "report", f"{len(report.rankings)} rankings for {len(results.cases)} cases", allowed="one per case"
-            )
-        every, results = results.scenarios.n, results.drivable()
+        if not results.designs or results.scenarios.n == 0:
+            raise InputError("report", "the results hold no designs or no scenarios", allowed="at least one of each")
+        every, results = results.scenarios.n, results.on_drivable()
         if results.scenarios.n == 0:
             raise InputError(
                 "report", "no scenario could be driven under every design", hint="there is nothing to report on"
@@ -92,13 +85,13 @@ class Context:
 
     @property
     def ranking(self) -> Ranking:
-        """Of the primary case."""
-        return self.report.rankings[0]
+        """The ranking of the results."""
+        return self.report.ranking
 
     @property
-    def case(self) -> CaseResults:
-        """Results of the primary case."""
-        return self.report.results.cases[0]
+    def results(self) -> StudyResults:
+        """What the study knows of the scenarios that can be driven."""
+        return self.report.results
 
     @property
     def scenarios(self) -> Scenarios:
@@ -107,7 +100,7 @@ class Context:
 
     @cached_property
     def verdict(self) -> Verdict:
-        """The verdict on the primary case."""
+        """The verdict on the ranking."""
         return verdict(self.ranking, self.report.results, self.report.setup, self.report.robustness, self.report.model)
 
     @property
@@ -150,12 +143,12 @@ class Context:
 
     def S(self, place: int) -> FloatArray:
         """Scores of a design as they count, (n,) [m s]."""
-        result: FloatArray = self.case.counted[self.ranking.index[place]]
+        result: FloatArray = self.results.counted[self.ranking.index[place]]
         return result
 
     def S_uncorrected(self, place: int) -> FloatArray:
         """Scores without control over the same window, (n,) [m s]."""
-        result: FloatArray = self.case.S_uncorrected[self.ranking.index[place]]
+        result: FloatArray = self.results.S_uncorrected[self.ranking.index[place]]
         return result
 
     def metric(self, name: str, place: int) -> float:
@@ -190,16 +183,6 @@ def metric_text(name: str, value: float, *, unit: bool = True) -> str:
     one = metric(name)
     shown = number(one.scale * value, one.digits)
     return f"{shown}\u00a0{one.shown_unit}" if unit and one.shown_unit and math.isfinite(value) else shown
-
-
-def name_of(design: Design) -> str:
-    """A design in a sentence: law, threshold, gains."""
-    return true_minus(design_name(design))
-
-
-def interval(low: float, high: float, digits: int = 3) -> str:
-    """Both ends; empty where there is no interval."""
-    return f"{number(low, digits)} to {number(high, digits)}" if math.isfinite(low + high) else ""
 
 
 def side_rows(context: Context) -> Iterator[tuple[str, np.ndarray]]:

@@ -12,13 +12,13 @@ from ldctoolkit.control import EventStatus
 from ldctoolkit.departures import LEFT
 from ldctoolkit.metrics import A_Y_LIMIT, DTLE_LIMIT, JERK_LIMIT
 
-from ..ranking.verdict import law_title
+from ..ranking.verdict import design_name, law_title
 from ..results import status_among
+from ..text import compact, number, percent, plural
 from .charts import RECORDED, Axis, Chart, Style, ecdf, legend
-from .context import MOST_CURVES, Context, name_of, side_rows
+from .context import MOST_CURVES, Context, side_rows
 from .replay import STATUS_TEXT, Replay, chosen_designs, picked_departures, replay
 from .shell import Section, figure, packed, paragraphs, render
-from .text import compact, number, percent, plural
 
 RESOLUTION: Final = {"y": 1e-3, "delta": 1e-2, "a_y": 1e-2}
 """Steps of the embedded positions [m], steering angles [deg] and accelerations [m/s^2]."""
@@ -84,7 +84,7 @@ def _data(context: Context, replayed: Replay, every: int) -> dict[str, object]:
         "duration": packed(replayed.scenarios.T),
         "designs": [
             {
-                "name": name_of(context.ranking.designs[one.place]),
+                "name": design_name(context.ranking.designs[one.place]),
                 "why": one.why,
                 "style": context.style(one.place).name,
                 "dash": context.style(one.place).dash,
@@ -144,13 +144,13 @@ def _recorded(replayed: Replay, step: float) -> dict[str, FloatArray]:
 
 def _facts(context: Context, replayed: Replay) -> list[list[list[str]]]:
     """Text of S, reduction, deepest crossing, added acceleration and fate, for every design and departure."""
-    case, rows = context.case, [pick.row for pick in replayed.picks]
+    results, rows = context.results, [pick.row for pick in replayed.picks]
     every = []
     for chosen in replayed.designs:
         i = int(context.ranking.index[chosen.place])
-        S, S_0 = case.counted[i][rows], case.S_uncorrected[i][rows]
-        deepest, a_y = case.companions.deepest[i][rows], case.companions.a_y_added_peak[i][rows]
-        status = case.status[i][rows]
+        S, S_0 = results.counted[i][rows], results.S_uncorrected[i][rows]
+        deepest, a_y = results.companions.deepest[i][rows], results.companions.a_y_added_peak[i][rows]
+        status = results.status[i][rows]
         saved = 1.0 - np.divide(S, S_0, out=np.ones_like(S), where=S_0 > 0)
         every.append(
             [
@@ -172,7 +172,7 @@ def _facts(context: Context, replayed: Replay) -> list[list[list[str]]]:
 
 def _distributions(context: Context) -> Iterator[Chart]:
     """S of each side, deepest crossing, and what control adds."""
-    ranking, case = context.ranking, context.case
+    ranking, results = context.ranking, context.results
     shown = context.best_of_each_law[:MOST_CURVES]
     for name, rows in side_rows(context):
         recorded = context.S_uncorrected(context.shown)[rows]
@@ -188,7 +188,7 @@ def _distributions(context: Context) -> Iterator[Chart]:
         ("a_y_added_peak", "Added a_y", "Added a_y [m/s\u00b2]", (A_Y_LIMIT, "ISO 11270")),
         ("jerk_added_peak", "Added jerk", "Added jerk over 0.5 s [m/s\u00b3]", (JERK_LIMIT, "ISO 11270")),
     ):
-        table, sign = getattr(case.companions, name), -1.0 if name == "dtle" else 1.0
+        table, sign = getattr(results.companions, name), -1.0 if name == "dtle" else 1.0
         samples = []
         if name == "deepest":
             samples.append(("No control", context.scenarios.d_y, RECORDED))
@@ -197,7 +197,7 @@ def _distributions(context: Context) -> Iterator[Chart]:
         for i, (law, style) in zip(index, titles, strict=True):
             values = sign * table[i]
             if "added" in name:
-                values = values[~status_among(case.status[i], (EventStatus.NEVER_TRIGGERED, EventStatus.INVALID))]
+                values = values[~status_among(results.status[i], (EventStatus.NEVER_TRIGGERED, EventStatus.INVALID))]
             samples.append((law, values, style))
         if any(np.isfinite(values).any() for _, values, _ in samples):
             of = "Share of interventions" if "added" in name else "Share of departures"
@@ -221,9 +221,9 @@ def _curve(
 
 def failure_sentences(context: Context) -> Iterator[str]:
     """Departures in which a law did not do its work, of the shown design and of the best of each law."""
-    case = context.case
+    results = context.results
     for place in dict.fromkeys((context.shown, *context.best_of_each_law)):
-        status = case.status[int(context.ranking.index[place])]
+        status = results.status[int(context.ranking.index[place])]
         parts = []
         for which in (EventStatus.DIVERGED, EventStatus.SOLVER_FAILED, EventStatus.TIMED_OUT, EventStatus.CRASHED):
             rows = np.flatnonzero(status == which)
@@ -232,7 +232,7 @@ def failure_sentences(context: Context) -> Iterator[str]:
                 more = " and others" if rows.size > 5 else ""
                 parts.append(f"{STATUS_TEXT[which]} in {plural(rows.size, 'departure')} (no. {numbers}{more})")
         if parts:
-            yield f"{name_of(context.ranking.designs[place])}: {'; '.join(parts)}."
+            yield f"{design_name(context.ranking.designs[place])}: {'; '.join(parts)}."
 
 
 def worst_sentence(context: Context) -> str:

@@ -19,14 +19,15 @@ from ldctoolkit.recordings import Extraction, RecordingReader, recording_reader
 from ldctoolkit.recordings.extract import SCALE, SOURCE
 from ldctoolkit.recordings.find_departures import REASONS
 from ldctoolkit.recordings.quality import Account, Origin, combined_accounts, share_of_widths
-from ldctoolkit.recordings.sources import CombinedReader
+from ldctoolkit.recordings.recording import CombinedReader
 from ldctoolkit.version import __version__
 
 from ..storage.files import write_text
-from .charts import Axis, Chart, Series, Style, bars, legend, lines
+from ..tables import Column, Row, Table, to_html
+from ..text import PARAMETER_MEANINGS, compact, number, parameter_label, percent, plural, printable, shorten, symbols
+from .charts import Axis, Chart, Series, Style, bars, legend
 from .settings_section import pairs
-from .shell import Column, Section, TableRow, bullets, details, figure, make_page, paragraphs, table
-from .text import PARAMETER_MEANINGS, compact, number, parameter_label, percent, plural, printable, shorten, symbols
+from .shell import Section, bullets, details, figure, make_page, paragraphs
 
 if TYPE_CHECKING:
     from ldctoolkit.recordings.quality import DrawnEvent
@@ -106,7 +107,7 @@ def extraction_page(extraction: Extraction) -> str:
 
 
 @dataclasses.dataclass(frozen=True)
-class Row:
+class SourceRow:
     """Counts of some recordings: a title, their sum, and the sources or label values that it stands for."""
 
     title: str
@@ -130,18 +131,18 @@ class Row:
         return dict(zip(REASONS, self.account.refused[side].tolist(), strict=True))
 
 
-def total(accounts: Sequence[Account]) -> Row | None:
+def total(accounts: Sequence[Account]) -> SourceRow | None:
     """All together; None where nothing was read."""
     joined = combined_accounts(dataclasses.replace(one, origin=Origin()) for one in accounts)
-    return Row("All", joined[0]) if joined else None
+    return SourceRow("All", joined[0]) if joined else None
 
 
-def by_source(accounts: Sequence[Account], most: int = MOST_ROWS) -> tuple[Row, ...]:
+def by_source(accounts: Sequence[Account], most: int = MOST_ROWS) -> tuple[SourceRow, ...]:
     """One row a source, in the order of the accounts; beyond `most` the ones with the fewest hours make one row."""
     return _rows([dataclasses.replace(one, origin=Origin(one.origin.source)) for one in accounts], most)
 
 
-def by_label(accounts: Sequence[Account], name: str, most: int = MOST_ROWS) -> tuple[Row, ...]:
+def by_label(accounts: Sequence[Account], name: str, most: int = MOST_ROWS) -> tuple[SourceRow, ...]:
     """One row a value of a label, D2 before D10; recordings without it come last. `most` as in `by_source`."""
 
     def value(one: Account) -> str:
@@ -157,18 +158,20 @@ def _natural(text: str) -> list[tuple[int, int, str]]:
     return [(1, 0, part) if k % 2 == 0 else (0, len(part), part) for k, part in enumerate(parts)]
 
 
-def _rows(accounts: Sequence[Account], most: int) -> tuple[Row, ...]:
+def _rows(accounts: Sequence[Account], most: int) -> tuple[SourceRow, ...]:
     joined = combined_accounts(accounts)
     longest = set(range(len(joined)))
     if len(joined) > most:
         longest = set(sorted(longest, key=lambda i: -joined[i].read_ns)[: most - 1])
     rows = [
-        Row(one.origin.source or NOT_KNOWN, one, (one.origin.source,)) for i, one in enumerate(joined) if i in longest
+        SourceRow(one.origin.source or NOT_KNOWN, one, (one.origin.source,))
+        for i, one in enumerate(joined)
+        if i in longest
     ]
     rest = [one for i, one in enumerate(joined) if i not in longest]
     if rest:
         (gathered,) = combined_accounts(dataclasses.replace(one, origin=Origin()) for one in rest)
-        rows.append(Row(f"{len(rest):,} more", gathered, tuple(one.origin.source for one in rest)))
+        rows.append(SourceRow(f"{len(rest):,} more", gathered, tuple(one.origin.source for one in rest)))
     return tuple(rows)
 
 
@@ -223,7 +226,7 @@ def extraction_verdict(left: int, right: int) -> str:
     return f"Good enough for a scenario model, and for the worst 5 % of departures ({counted})."
 
 
-def _verdict(extraction: Extraction, whole: Row | None) -> Section:
+def _verdict(extraction: Extraction, whole: SourceRow | None) -> Section:
     body = Markup('<p class="verdict">{}</p>').format(symbols(extraction_verdict(*side_counts(extraction))))
     if whole is not None:
         account = whole.account
@@ -245,11 +248,11 @@ def _verdict(extraction: Extraction, whole: Row | None) -> Section:
     if problems:
         first = f", the first {MOST_PROBLEMS} of {len(problems):,}" if len(problems) > MOST_PROBLEMS else ""
         rows = [
-            TableRow((shorten(one.file, 300), shorten(one.place, 300), shorten(one.what, 1000)))
+            Row((shorten(one.file, 300), shorten(one.place, 300), shorten(one.what, 1000)))
             for one in problems[:MOST_PROBLEMS]
         ]
         columns = [Column("File", text=True), Column("Place", text=True), Column("What", text=True)]
-        found = table(f"What could not be used, or only in part{first}", columns, rows)
+        found = to_html(Table(f"What could not be used, or only in part{first}", columns, rows))
         body += found if len(rows) <= 10 else details(f"{plural(len(problems), 'problem')} with the files", found)
     else:
         body += paragraphs("No problems: every file was read whole.")
@@ -261,11 +264,10 @@ def _read(extraction: Extraction) -> Section:
     body = pairs(facts(extraction))
     if sources:
         columns = [Column("File", text=True), Column("Size"), Column("SHA-256", text=True)]
-        rows = [TableRow((shorten(one.name, 300), size(one.bytes), one.sha256[:12])) for one in sources[:MOST_FILES]]
+        rows = [Row([shorten(one.name, 300), size(one.bytes), one.sha256[:12]]) for one in sources[:MOST_FILES]]
         first = f", the first {MOST_FILES}" if len(sources) > MOST_FILES else ""
-        body += details(
-            "Files", table(f"{plural(len(sources), 'file')}{first}; twelve digits of each SHA-256", columns, rows)
-        )
+        title = f"{plural(len(sources), 'file')}{first}; twelve digits of each SHA-256"
+        body += details("Files", to_html(Table(title, columns, rows)))
     return Section("read", "What was read", body)
 
 
@@ -344,34 +346,22 @@ def curvature_text(extraction: Extraction) -> str:
     return text if factor == 1.0 else f"{text}; yaw rate times {compact(factor)}"
 
 
-def _amounts(rows: Sequence[Row], head: str, whole: Row | None = None) -> Markup:
+def _amounts(rows: Sequence[SourceRow], head: str, whole: SourceRow | None = None) -> Markup:
     columns = [
-        Column(head, text=True), Column("Recordings"), Column("Hours read"), Column("Valid"), Column("Left"),
-        Column("Right"), Column("Per valid hour, left"), Column("right"), Column("Refused"),
+        Column(head, text=True), Column("Recordings"), Column("Hours read", form=hours), Column("Valid", form=hours),
+        Column("Left"), Column("Right"), Column("Per valid hour, left", form=rate), Column("right", form=rate),
+        Column("Refused"),
     ]  # fmt: skip
     out = []
     for row in (*rows, *([whole] if whole else [])):
-        account, (left, right) = row.account, row.departures
-        valid = account.hours_valid
-        out.append(
-            TableRow(
-                (
-                    shorten(row.title, 200),
-                    f"{account.recordings:,}",
-                    hours(account.hours_read),
-                    hours(valid),
-                    f"{left:,}",
-                    f"{right:,}",
-                    *(rate(count / valid if valid > 0 else math.nan) for count in (left, right)),
-                    f"{sum(row.refused):,}",
-                ),
-                "winner" if row is whole else "",
-            )
-        )
-    return table(f"By {head.lower()}", columns, out)
+        account, valid = row.account, row.account.hours_valid
+        rates = (count / valid if valid > 0 else math.nan for count in row.departures)
+        amounts = [account.recordings, account.hours_read, valid, *row.departures, *rates, sum(row.refused)]
+        out.append(Row([shorten(row.title, 200), *amounts], "winner" if row is whole else ""))
+    return to_html(Table(f"By {head.lower()}", columns, out))
 
 
-def _amounts_section(extraction: Extraction, whole: Row | None, rows: Sequence[Row]) -> Section:
+def _amounts_section(extraction: Extraction, whole: SourceRow | None, rows: Sequence[SourceRow]) -> Section:
     if whole is None:
         return Section("sides", "Hours and departures", paragraphs("Nothing was read from these recordings."))
     body = _amounts(rows, "Source", whole if len(rows) > 1 else None)
@@ -386,34 +376,23 @@ def _amounts_section(extraction: Extraction, whole: Row | None, rows: Sequence[R
     return Section("sides", "Hours and departures", body)
 
 
-def _refusals_section(whole: Row | None, rows: Sequence[Row]) -> Section:
+def _refusals_section(whole: SourceRow | None, rows: Sequence[SourceRow]) -> Section:
     reasons = [] if whole is None else [r for r in REASONS if whole.refusals(0)[r] or whole.refusals(1)[r]]
     if whole is None or not reasons:
         text = "No candidate was refused." if whole else "Nothing was read from these recordings."
         return Section("refusals", "Refused", paragraphs(text))
     candidates = int(whole.account.candidates.sum())
     columns = [
-        Column("Reason", text=True),
-        Column("The candidate", text=True),
-        Column("Left"),
-        Column("Right"),
-        Column("Of all candidates", "%"),
+        Column("Reason", text=True), Column("The candidate", text=True), Column("Left"), Column("Right"),
+        Column("Of all candidates", "%", ".1f"),
+    ]  # fmt: skip
+    counts = {reason: (whole.refusals(0)[reason], whole.refusals(1)[reason]) for reason in reasons}
+    lines = [
+        Row([reason.replace("_", " "), MEANINGS[reason], *pair, 100.0 * sum(pair) / candidates])
+        for reason, pair in counts.items()
     ]
-    lines_ = []
-    for reason in reasons:
-        left, right = whole.refusals(0)[reason], whole.refusals(1)[reason]
-        lines_.append(
-            TableRow(
-                (
-                    reason.replace("_", " "),
-                    MEANINGS[reason],
-                    f"{left:,}",
-                    f"{right:,}",
-                    number(100 * (left + right) / candidates, 1),
-                )
-            )
-        )
-    body = table(f"{sum(whole.refused):,} of {plural(candidates, 'candidate')} refused, by reason", columns, lines_)
+    title = f"{sum(whole.refused):,} of {plural(candidates, 'candidate')} refused, by reason"
+    body = to_html(Table(title, columns, lines))
     body += paragraphs(
         "A candidate is a stretch with the vehicle\u2019s edge beyond a line. Each refused one has one reason, the "
         "first that holds in this order."
@@ -421,18 +400,18 @@ def _refusals_section(whole: Row | None, rows: Sequence[Row]) -> Section:
     if len(rows) > 1:
         heads = [Column("Source", text=True), *(Column(reason.replace("_", " ")) for reason in reasons)]
         cells = [
-            TableRow((shorten(row.title, 200), *(f"{row.refusals(0)[r]:,} / {row.refusals(1)[r]:,}" for r in reasons)))
+            Row([shorten(row.title, 200), *(f"{row.refusals(0)[r]:,} / {row.refusals(1)[r]:,}" for r in reasons)])
             for row in rows
         ]
-        body += details("By source", table("Refused by source and reason: left / right", heads, cells))
+        body += details("By source", to_html(Table("Refused by source and reason: left / right", heads, cells)))
     return Section("refusals", "Refused", body)
 
 
-def _parameters(extraction: Extraction, rows: Sequence[Row]) -> Section:
+def _parameters(extraction: Extraction, rows: Sequence[SourceRow]) -> Section:
     departures = extraction.departures
     if not departures.n:
         return Section("parameters", "Parameters", paragraphs("No departures were found."))
-    charts, lines_ = [], []
+    charts, lines = [], []
     for name in PARAMETER_NAMES:
         values = np.asarray(getattr(departures, name), dtype=np.float64)
         # edges of bins over nearly all values
@@ -441,27 +420,15 @@ def _parameters(extraction: Extraction, rows: Sequence[Row]) -> Section:
         if high <= low:
             low, high = low - 0.5, high + 0.5
         edges = np.linspace(low, high, int(np.clip(3 * np.cbrt(known.size), 8, MOST_BINS)) + 1)
-        shares, cells = [], []
+        shares, cells = [], list[float]()
         for side, which in (("left", LEFT), ("right", RIGHT)):
             own = values[departures.side == which]
-            cells += (
-                [compact(float(f"{q:.3g}")) for q in np.quantile(own, (0.05, 0.5, 0.95))]
-                if own.size
-                else ["\u2013"] * 3
-            )
+            cells += np.quantile(own, (0.05, 0.5, 0.95)).tolist() if own.size else [math.nan] * 3
             if own.size:
                 shares.append((side, 100.0 * np.histogram(own, edges)[0] / own.size, SIDE[side]))
-        charts.append(
-            bars(
-                f"parameter-{name}",
-                f"{name}, {PARAMETER_MEANINGS[name]}",
-                edges,
-                shares,
-                parameter_label(name),
-                "Share per bin [%]",
-            )
-        )
-        lines_.append(TableRow((f"{parameter_label(name)}: {PARAMETER_MEANINGS[name]}", *cells)))
+        title = f"{name}, {PARAMETER_MEANINGS[name]}"
+        charts.append(bars(f"parameter-{name}", title, edges, shares, parameter_label(name), "Share per bin [%]"))
+        lines.append(Row([f"{parameter_label(name)}: {PARAMETER_MEANINGS[name]}", *cells]))
     left, right = side_counts(extraction)
     key = legend(
         [(f"left, {plural(left, 'departure')}", SIDE["left"]), (f"right, {plural(right, 'departure')}", SIDE["right"])]
@@ -474,35 +441,29 @@ def _parameters(extraction: Extraction, rows: Sequence[Row]) -> Section:
     )
     columns = [
         Column("Parameter", text=True),
-        *(Column(f"{side} {q}") for side in ("Left", "Right") for q in ("5 %", "median", "95 %")),
+        *(Column(f"{side} {q}", form=".3g") for side in ("Left", "Right") for q in ("5 %", "median", "95 %")),
     ]
-    body += table("Parameters in numbers", columns, lines_)
+    body += to_html(Table("Parameters in numbers", columns, lines))
     if len(rows) > 1:
         body += details("Medians by source", _medians(extraction, rows))
     return Section("parameters", "Parameters", body)
 
 
-def _medians(extraction: Extraction, rows: Sequence[Row]) -> Markup:
+def _medians(extraction: Extraction, rows: Sequence[SourceRow]) -> Markup:
     departures = extraction.departures
     column = next((one.values for one in departures.extra if one.name == SOURCE), None)
     source = np.full(departures.n, "", dtype=object) if column is None else column.astype(str)
     out = []
     for row in rows:
         own = np.isin(source, row.sources)
-        cells = [
-            compact(float(f"{np.median(getattr(departures, n)[own]):.3g}")) if own.any() else "\u2013"
-            for n in PARAMETER_NAMES
-        ]
-        out.append(TableRow((shorten(row.title, 200), f"{int(own.sum()):,}", *cells)))
-    columns = [
-        Column("Source", text=True),
-        Column("Departures"),
-        *(Column(parameter_label(n)) for n in PARAMETER_NAMES),
-    ]
-    return table("Medians of both sides", columns, out)
+        medians = [float(np.median(getattr(departures, n)[own])) if own.any() else math.nan for n in PARAMETER_NAMES]
+        out.append(Row([shorten(row.title, 200), int(own.sum()), *medians]))
+    columns = [Column("Source", text=True), Column("Departures")]
+    columns += [Column(parameter_label(name), form=".3g") for name in PARAMETER_NAMES]
+    return to_html(Table("Medians of both sides", columns, out))
 
 
-def _widths(extraction: Extraction, whole: Row | None, rows: Sequence[Row]) -> Section:
+def _widths(extraction: Extraction, whole: SourceRow | None, rows: Sequence[SourceRow]) -> Section:
     if whole is None or not whole.account.widths.any():
         return Section("widths", "Lane width", paragraphs("No valid samples."))
     edges, share = share_of_widths(whole.account.widths)
@@ -526,14 +487,13 @@ def _widths(extraction: Extraction, whole: Row | None, rows: Sequence[Row]) -> S
         [chart], f"Share of the valid samples in bins of 0.1 m{scaled}; median {number(_median_width(whole), 2)} m."
     )
     if len(rows) > 1:
-        out = [TableRow((shorten(row.title, 200), number(_median_width(row), 2))) for row in rows]
-        body += details(
-            "By source", table("Median lane width", [Column("Source", text=True), Column("Median", "m")], out)
-        )
+        out = [Row([shorten(row.title, 200), _median_width(row)]) for row in rows]
+        columns = [Column("Source", text=True), Column("Median", "m", ".2f")]
+        body += details("By source", to_html(Table("Median lane width", columns, out)))
     return Section("widths", "Lane width", body)
 
 
-def _median_width(row: Row) -> float:
+def _median_width(row: SourceRow) -> float:
     counts = row.account.widths
     if not counts.any():
         return math.nan
@@ -593,9 +553,8 @@ def _signal(
     low, high = float(min(values.min(), fitted.min())), float(max(values.max(), fitted.max()))
     room = max(0.06 * (high - low), {"y [m]": 0.05, "v [m/s]": 0.5}.get(label, 0.25))
     y = Axis(label, low - room, high + room)
-    samples = dataclasses.replace(SIDE[side], dash="0 1000")
-    return lines(
+    return Chart(
         "event", f"Departure to the {side}, {shorten(event.recording, 100)}: {label}, samples and fit",
-        [Series("samples", t, values, samples, points=True), Series("fit", at, fitted, FIT)],
-        Axis("Time since the crossing [s]", 0.0, float(at[-1]) or 1.0), y, height=170,
+        Axis("Time since the crossing [s]", 0.0, float(at[-1]) or 1.0), y,
+        [Series("samples", t, values, SIDE[side], kind="points"), Series("fit", at, fitted, FIT)], height=170,
     )  # fmt: skip

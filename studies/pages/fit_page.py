@@ -18,10 +18,11 @@ from ldctoolkit.version import __version__
 
 from ..storage.files import write_text
 from ..storage.stored_model import WARNING, model_notes
-from .charts import Axis, Chart, Series, Style, bars, heat_map, legend, lines
+from ..tables import Cell, Column, Row, Table, Value, to_html
+from ..text import PARAMETER_MEANINGS, compact, number, parameter_label, plural, symbols
+from .charts import Axis, Chart, Series, Style, bars, heat_map, legend
 from .settings_section import pairs
-from .shell import Cell, Column, Section, TableRow, bullets, figure, make_page, paragraphs, table
-from .text import PARAMETER_MEANINGS, compact, number, parameter_label, plural, symbols
+from .shell import Section, bullets, figure, make_page, paragraphs
 
 Progress = Callable[[str, int, int], None]
 
@@ -196,16 +197,16 @@ def _fidelity(sides: tuple[Side, ...]) -> Section:
             continue
         rows = []
         for i, design in enumerate(fidelity.designs):
-            cells: list[Cell | str] = [design]
+            cells: list[Cell | Value] = [design]
             for j, factor in enumerate(scale):
                 replayed, low, high, generated = (
                     number(factor * values[i][j], 1 if factor > 1.0 else 2)
                     for values in (fidelity.replayed, fidelity.low, fidelity.high, fidelity.generated)
                 )
                 cells += [Cell(generated, bad=not fidelity.within[i, j]), f"{replayed} ({low} to {high})"]
-            rows.append(TableRow(tuple(cells)))
+            rows.append(Row(tuple(cells)))
         title = f"{side.title}: generated departures, and {fidelity.departures:,} replayed ones"
-        body += table(title, columns, rows)
+        body += to_html(Table(title, columns, rows))
     note = (
         "Each test design is driven on the recorded departures and on generated ones. In brackets: 95 % bootstrap "
         "interval of the replay, for all test designs at once, and no narrower than what a designer would act on (3 "
@@ -234,11 +235,13 @@ def _margins(sides: tuple[Side, ...]) -> Section:
         columns += [Column(f"{side.title}: distance", "%"), Column("Limit", "%"), Column("Reached at")]
     by_name = [{c.name: c for c in side.diagnostics.calibrations} for side in sides]
     rows = [
-        TableRow((f"{parameter_label(name)}: {PARAMETER_MEANINGS[name]}",
+        Row((f"{parameter_label(name)}: {PARAMETER_MEANINGS[name]}",
                   *(cell for side in by_name for cell in _calibration_cells(side.get(name)))))
         for name in PARAMETER_NAMES
     ]  # fmt: skip
-    body += table("Kolmogorov distances in per cent of events; highlighted: beyond sampling error", columns, rows)
+    body += to_html(
+        Table("Kolmogorov distances in per cent of events; highlighted: beyond sampling error", columns, rows)
+    )
     body += paragraphs(
         "With very many events a distance may be beyond its limit and still too small to matter: below 5 % it is not a "
         "reason to refuse the model."
@@ -246,7 +249,7 @@ def _margins(sides: tuple[Side, ...]) -> Section:
     return Section("margins", "Margins", body)
 
 
-def _calibration_cells(calibration: Calibration | None) -> tuple[Cell | str, ...]:
+def _calibration_cells(calibration: Calibration | None) -> tuple[Cell | Value, ...]:
     if calibration is None:
         return "constant", "", ""
     distance = Cell(number(100 * calibration.distance, 2), bad=calibration.distance > calibration.limit)
@@ -290,23 +293,21 @@ def _selection(sides: tuple[Side, ...]) -> Section:
         K, bic = np.array(summary.n_components, dtype=float), np.array(summary.bic)
         above = bic - bic.min()
         if K.size > 1:
-            series.append(Series(side.key, K, above, SIDE[side.key], points=True))
+            series.append(Series(side.key, K, above, SIDE[side.key]))
         columns = [Column("K"), Column("BIC"), Column("Above the least"), Column("Log-likelihood", "nats an event")]
         rows = [
-            TableRow(
+            Row(
                 (str(k), number(summary.bic[i], 1), number(above[i], 1), number(summary.log_likelihood[i], 4)),
                 "winner" if k == side.K else "",
             )
             for i, k in enumerate(summary.n_components)
         ]
-        body += table(f"{side.title}: choice of K; the chosen one is set in bold", columns, rows)
+        body += to_html(Table(f"{side.title}: choice of K; the chosen one is set in bold", columns, rows))
     if series:
         x = Axis("K", min(curve.x[0] for curve in series), max(curve.x[-1] for curve in series))
         y = Axis.around("BIC above the least", *(curve.y for curve in series), [0.0])
         key = legend([(curve.label, curve.style) for curve in series])
-        body += key + figure(
-            [lines("bic", "BIC", series, x, y)], "BIC above its least value by number of components K."
-        )
+        body += figure([Chart("bic", "BIC", x, y, series)], "BIC above its least value, by K.", key)
     return Section("selection", "Choice of K", body)
 
 

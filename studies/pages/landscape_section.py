@@ -1,24 +1,26 @@
 """Mean S over what was swept: where the best gains are, and which gain matters."""
 
 import dataclasses
-import math
 from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from markupsafe import Markup
 
-from ldctoolkit.gains import GainValue
+from ldctoolkit.arrays import BoolArray, FloatArray
+from ldctoolkit.declared import GainValue
 from ldctoolkit.registry import controller_class
 
 from ..design import Design
+from ..ranking.ranking import Ranking
 from ..sensitivity.sensitivity import BlockSensitivity
-from .charts import Axis, Chart, Series, heat_map, lines
+from ..tables import Column, Row, Table, to_html
+from ..text import compact, unit_text
+from .charts import Axis, Chart, Series, Style, heat_map
 from .context import Context, metric_text
-from .shell import Column, Section, TableRow, figure, paragraphs, table
-from .text import compact, number, unit_text
+from .shell import Section, figure, paragraphs
 
 MOST_LAWS: Final = 6
+_MOST_VALUES: Final = 14  # of a quantity whose values make cells
 
 
 @dataclasses.dataclass(frozen=True)
@@ -82,115 +84,93 @@ def section(context: Context) -> Section:
         body += paragraphs(f"Not shown: {', '.join(left_out)}.")
     blocks = [block for block in context.report.sensitivity if block.indices is not None]
     if blocks:
-        body += _sensitivity(blocks)
+        title = "Which gain matters: Sobol indices of mean S over the designs tested"
+        body += to_html(index_table(blocks, title, ranking.confidence)) + paragraphs(
+            "Total index: share of the variance of mean S that would be left if all other gains were fixed. It depends "
+            "on the range swept."
+        )
     return Section("landscape", "Gain landscape", body, tuple(charts))
 
 
 def _charts(context: Context, place: int) -> list[Chart]:
-    """One chart a law: the two axes that move the best S most; a line for a single one."""
+    """One chart a law: the two axes that move the best S most; a line for a single one; points of a sample."""
     ranking, law = context.ranking, context.ranking.designs[place].law
-    members = [i for i, design in enumerate(ranking.designs) if design.law == law]
-    axes = swept_axes([ranking.designs[i] for i in members])
+    axes = swept_axes([design for design in ranking.designs if design.law == law])
     if not axes:
         return []
-    best = values_of(ranking.designs[place])
-    title, name = controller_class(law).title, f"landscape-{law.replace('_', '-')}"
-    grid_axes = [axis for axis in axes if len(axis.values) <= 14]
+    grid_axes = [axis for axis in axes if len(axis.values) <= _MOST_VALUES]
     if len(grid_axes) < min(len(axes), 2):
-        return [_sampled(context, members, place, axis) for axis in axes[:2] if axis.numeric]
+        return [_sampled(context, place, axis) for axis in axes[:2] if axis.numeric]
 
-    def cells(x: SweptAxis, y: SweptAxis | None) -> tuple[np.ndarray, np.ndarray]:
-        S = np.full((len(y.values) if y else 1, len(x.values)), np.nan)
-        met = np.zeros(S.shape, dtype=np.bool_)
-        for i in members:
-            values = values_of(ranking.designs[i])
-            at = (y.values.index(values[y.name]) if y else 0, x.values.index(values[x.name]))
-            admissible = not ranking.missed[i]
-            if (admissible and not met[at]) or (admissible == met[at] and not S[at] <= ranking.S[i]):
-                S[at] = ranking.S[i]
-            met[at] |= admissible
-        return S, met
-
-    spread = {}
-    for axis in grid_axes:
-        S, _ = cells(axis, None)
+    def spread(axis: SweptAxis) -> float:
+        S = best_of_cells(ranking, law, axis)[0]
         known = S[np.isfinite(S)]
-        spread[axis.name] = float(np.log(known.max() / known.min())) if known.size > 1 and known.min() > 0 else 0.0
-    first = sorted(grid_axes, key=lambda axis: -spread[axis.name])[:2]
-    if len(first) == 1:
-        (x,) = first
-        S, _ = cells(x, None)
-        return [_line(context, x, S[0], title, name, place)]
-    x, y = first
-    S, met = cells(x, y)
-    texts = [[metric_text("S", value, unit=False) for value in row] for row in S.tolist()]
-    at = y.values.index(best[y.name]), x.values.index(best[x.name])
-    return [
-        heat_map(
-            name, f"{title}: mean S [m\u00b7s]", S, texts, (f"{title}: {x.label}", [compact(v) for v in x.values]),
-            (y.label, [compact(v) for v in y.values]), ring=at, open_cells=~met,
-        )
-    ]  # fmt: skip
+        return float(np.log(known.max() / known.min())) if known.size > 1 and known.min() > 0 else 0.0
+
+    return [landscape(ranking, place, context.style(place), *sorted(grid_axes, key=lambda axis: -spread(axis))[:2])]
 
 
-def _line(context: Context, x: SweptAxis, S: np.ndarray, title: str, name: str, place: int) -> Chart:
-    at = np.arange(len(x.values), dtype=np.float64)
-    level = float(context.ranking.S_uncorrected[place])
-    names = tuple(compact(value) for value in x.values)
-    axis = Axis(f"{title}: {x.label}", -0.3, len(names) - 0.7, categories=names)
-    best = x.values.index(values_of(context.ranking.designs[place])[x.name])
-    return lines(
-        name, f"{title}: mean S over {x.name}", [Series(title, at, S, context.style(place), points=True)], axis,
-        Axis.around("Mean S [m\u00b7s]", S, [level]), level=level, ring=(float(best), float(S[best])), height=230,
+def best_of_cells(ranking: Ranking, law: str, x: SweptAxis, y: SweptAxis | None = None) -> tuple[FloatArray, BoolArray]:
+    """Mean S of the design that ranks first in each cell, (r, c), and whether it meets the requirements."""
+    S = np.full((len(y.values) if y else 1, len(x.values)), np.nan)
+    met = np.zeros(S.shape, dtype=np.bool_)
+    for i in reversed(range(len(ranking))):
+        if ranking.designs[i].law == law:
+            values = values_of(ranking.designs[i])
+            at = y.values.index(values[y.name]) if y else 0, x.values.index(values[x.name])
+            S[at], met[at] = ranking.S[i], not ranking.missed[i]
+    return S, met
+
+
+def landscape(ranking: Ranking, place: int, style: Style, x: SweptAxis, y: SweptAxis | None = None) -> Chart:
+    """Mean S over one or two swept quantities of the law of a design, which is marked."""
+    design = ranking.designs[place]
+    title, name = design.kind.title, f"landscape-{design.law.replace('_', '-')}"
+    S, met = best_of_cells(ranking, design.law, x, y)
+    best, names, label = values_of(design), tuple(compact(value) for value in x.values), f"{title}: {x.label}"
+    across = x.values.index(best[x.name])
+    if y is not None:
+        texts = [[metric_text("S", value, unit=False) for value in row] for row in S.tolist()]
+        return heat_map(
+            name, f"{title}: mean S [m\u00b7s]", S, texts, (label, names), (y.label, [compact(v) for v in y.values]),
+            ring=(y.values.index(best[y.name]), across), open_cells=~met, label="Mean S [m\u00b7s]",
+        )  # fmt: skip
+    level = float(ranking.S_uncorrected[place])
+    return Chart(
+        name, f"{title}: mean S over {x.name}", Axis(label, -0.3, len(names) - 0.7, categories=names),
+        Axis.around("Mean S [m\u00b7s]", S, [level]),
+        [Series(title, np.arange(len(names), dtype=np.float64), S[0], style, kind="marked")],
+        level=level, ring=(float(across), float(S[0, across]), ""), height=230,
     )  # fmt: skip
 
 
-def _sampled(context: Context, members: Sequence[int], place: int, axis: SweptAxis) -> Chart:
+def _sampled(context: Context, place: int, axis: SweptAxis) -> Chart:
     """Designs of a sample as points over one quantity."""
-    ranking = context.ranking
+    ranking, design = context.ranking, context.ranking.designs[place]
+    members = [i for i, other in enumerate(ranking.designs) if other.law == design.law]
     at = np.array([float(values_of(ranking.designs[i])[axis.name]) for i in members])
-    S = ranking.S[list(members)]
-    order = np.argsort(at, kind="stable")
-    title, law = ranking.designs[place].kind.title, ranking.designs[place].law
-    log = axis.log and bool((at > 0).all())
-    own = Series(title, at[order], np.where(S[order] > 0, S[order], np.nan), context.style(place), points=True)
-    best = float(values_of(ranking.designs[place])[axis.name]), float(ranking.S[place])
-    chart = lines(
-        f"landscape-{law}-{axis.name}".replace("_", "-"), f"{title}: mean S over {axis.name}",
-        [dataclasses.replace(own, low=None)], Axis.around(f"{title}: {axis.label}", at, log=log),
-        Axis.around("Mean S [m\u00b7s]", S), ring=best, height=230,
+    title, S = design.kind.title, ranking.S[members]
+    return Chart(
+        f"landscape-{design.law}-{axis.name}".replace("_", "-"), f"{title}: mean S over {axis.name}",
+        Axis.around(f"{title}: {axis.label}", at, log=axis.log and bool((at > 0).all())),
+        Axis.around("Mean S [m\u00b7s]", S),
+        [Series(title, at, np.where(S > 0, S, np.nan), context.style(place), kind="points")],
+        ring=(float(values_of(design)[axis.name]), float(ranking.S[place]), ""), height=230,
     )  # fmt: skip
-    return dataclasses.replace(chart, body=chart.body.replace('class="curve', 'display="none" class="curve', 1))
 
 
-def _sensitivity(blocks: Sequence[BlockSensitivity]) -> Markup:
-    columns = [
-        Column("Law", text=True), Column("Gain", text=True), Column("Total index"), Column("Interval"),
-        Column("First-order index"),
-    ]  # fmt: skip
+def index_table(blocks: Sequence[BlockSensitivity], title: str, confidence: float) -> Table:
+    """Sobol indices of blocks of designs, the gain that matters most first."""
+    columns = [Column("Law", text=True), Column("Gain", text=True)]
+    for name in ("First order", "Total"):
+        columns += [Column(name, form=".3f"), Column(f"{100 * confidence:g} % interval", form=".3f")]
     rows = []
     for block in blocks:
-        found = block.indices
-        if found is None:
-            continue
-        total = np.nan_to_num(np.where(np.isnan(found.total), found.first, found.total))
-        for j in np.argsort(-total, kind="stable").tolist():
-            known = math.isfinite(found.total[j])
-            low, high = (found.total_low, found.total_high) if known else (found.first_low, found.first_high)
-            rows.append(
-                TableRow(
-                    (
-                        controller_class(block.law).title,
-                        block.names[j],
-                        number(float(found.total[j]), 2),
-                        f"{number(float(low[j]), 2)} to {number(float(high[j]), 2)}",
-                        number(float(found.first[j]), 2),
-                    )
-                )
-            )
-    return table(
-        "Which gain matters: Sobol indices of mean S over the designs tested", columns, rows, head=1
-    ) + paragraphs(
-        "Total index: share of the variance of mean S that would be left if all other gains were fixed. It depends on "
-        "the range swept."
-    )
+        if (shares := block.indices) is not None:
+            weight = np.where(np.isnan(shares.total), shares.first, shares.total)
+            numbers = np.stack([getattr(shares, field.name) for field in dataclasses.fields(shares)], axis=1)
+            for j in np.argsort(-weight, kind="stable").tolist():
+                first, first_low, first_high, total, low, high = numbers[j].tolist()
+                cells = (first, (first_low, first_high), total, (low, high))
+                rows.append(Row([controller_class(block.law).title, block.names[j], *cells]))
+    return Table(title, columns, rows, head=1)

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
-from markupsafe import Markup
 
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, Departures
@@ -15,10 +14,10 @@ from ldctoolkit.scenario_model import Given, ScenarioModel, SideModel, SideSumma
 from ldctoolkit.scenario_model.model import Condition, mixture_conditions
 from ldctoolkit.scenarios import Scenarios
 
+from ..tables import Cell, Column, Row, Table, to_html
+from ..text import compact, figure, parameter_label, percent, plural
 from .context import Context
-from .shell import Cell, Column, Section, TableRow, bullets, details, paragraphs, table
-from .text import PARAMETER_UNIT_TEXT as UNITS
-from .text import compact, figure, number, percent, plural
+from .shell import Section, bullets, details, paragraphs
 
 LEAST: Final = 30  # source departures that a comparison needs, as a fit does
 
@@ -171,7 +170,7 @@ def section(context: Context) -> Section:
     """The section."""
     report = context.report
     found = match(context.scenarios, report.model, source=report.source_departures, given=report.given)
-    body = paragraphs(*_sentences(context, found)) + details("Parameter by parameter", _table(found))
+    body = paragraphs(*_sentences(context, found)) + details("Parameter by parameter", to_html(_table(found)))
     if report.model_notes:
         body += details("Where the departures come from", bullets(report.model_notes))
     return Section("model", "Scenario model", body)
@@ -211,18 +210,18 @@ def _range(value: object) -> str:
     return str(value)
 
 
-def _table(found: tuple[SideMatch, ...]) -> Markup:
+def _table(found: tuple[SideMatch, ...]) -> Table:
     columns = [
-        Column("Parameter", text=True), Column("Side", text=True), Column("Median"), Column("Source median"),
-        Column("Gap to the model", "%"), Column("Gap to the source", "%"),
+        Column("Parameter", text=True), Column("Side", text=True), Column("Median", form=figure),
+        Column("Source median", form=figure), Column("Gap to the model", "%", ".1f"),
+        Column("Gap to the source", "%", ".1f"),
     ]  # fmt: skip
     rows = []
     for side in found:
         for one in side.parameters:
-            unit = f" [{UNITS[one.name]}]" if UNITS.get(one.name) else ""
-            gaps = [
-                Cell("\u2013") if gap is None else Cell(number(100 * gap.value, 1), bad=gap.beyond)
+            gaps = (
+                Cell(math.nan if gap is None else 100.0 * gap.value, bad=gap is not None and gap.beyond)
                 for gap in (one.to_model, one.to_source)
-            ]
-            rows.append(TableRow((f"{one.name}{unit}", side.key, figure(one.median), figure(one.source_median), *gaps)))
-    return table("Kolmogorov distances; highlighted: beyond sampling error", columns, rows)
+            )
+            rows.append(Row([parameter_label(one.name), side.key, one.median, one.source_median, *gaps]))
+    return Table("Kolmogorov distances; highlighted: beyond sampling error", columns, rows)

@@ -1,74 +1,42 @@
 """``ranking.md``: a ranking to be read by itself, in Markdown."""
 
-import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
 from ..ranking.ranked_designs import SCORE
 from ..ranking.ranking import Ranking
-from ..ranking.verdict import (
-    COLUMNS_TEXT,
-    Verdict,
-    listed_places,
-    more_lines,
-    other_cases,
-    ranking_cells,
-    ranking_columns,
-    verdict_lines,
-)
+from ..ranking.verdict import COLUMNS_TEXT, Verdict, listed_places, more_lines, ranking_table, verdict_lines
 from ..storage.files import write_text
 from ..storage.manifest import Manifest
 from ..study_file import Study
+from ..tables import markdown_text, to_markdown
 
 MOST_ROWS: Final = 50  # designs of a Markdown file; those that are named follow
 
-_ENTITIES: Final = {"&": "&amp;", "<": "&lt;", ">": "&gt;"}
-_MARKS: Final = frozenset("\\`*_[]|~#$")
-_ADDRESS: Final = re.compile(r"(?i)\b(www)(\.)|()(:)(?=\S)")
-_START: Final = re.compile(r"^(\d{1,9})([.)])|^([-+=])")
+
+def write_markdown(ranking: Ranking, path: Path, study: Study, manifest: Manifest, found: Verdict) -> None:
+    """Write a ranking as a Markdown file, whole or not at all."""
+    write_text(path, ranking_markdown(ranking, study, manifest, found))
 
 
-def markdown_text(text: str) -> str:
-    r"""One line of text that a reader of GitHub-flavoured Markdown shows as it is."""
-    line = re.sub(r"[\x00-\x20\x7f\x85\u2028\u2029]+", " ", text).strip()
-    # halves of characters, and what turns the direction of the text that follows
-    line = re.sub("[\ud800-\udfff\u202a-\u202e\u2066-\u2069]", "\ufffd", line)
-    shown = "".join(_ENTITIES.get(one, f"\\{one}" if one in _MARKS else one) for one in line)
-    # no address, emoji or mention: a mark inside the word ends what would be one
-    shown = _ADDRESS.sub(lambda m: f"{m[1] or ''}\\{m[2] or m[4]}", shown).replace("@", "@<!-- -->")
-    return _START.sub(lambda m: f"{m[1]}\\{m[2]}" if m[1] else f"\\{m[3]}", shown)
+def ranking_markdown(ranking: Ranking, study: Study, manifest: Manifest, found: Verdict) -> str:
+    """The text of ``ranking.md``; the same ranking gives the same text."""
+    return "\n".join(_blocks(ranking, study, manifest, found))
 
 
-def write_markdown(rankings: Sequence[Ranking], path: Path, study: Study, manifest: Manifest, found: Verdict) -> None:
-    """Write rankings as one Markdown file, whole or not at all."""
-    write_text(path, ranking_markdown(rankings, study, manifest, found))
-
-
-def ranking_markdown(rankings: Sequence[Ranking], study: Study, manifest: Manifest, found: Verdict) -> str:
-    """The text of ``ranking.md``; the same rankings give the same text."""
-    return "\n".join(_blocks(rankings, study, manifest, found))
-
-
-def _blocks(rankings: Sequence[Ranking], study: Study, manifest: Manifest, found: Verdict) -> Iterator[str]:
-    first = rankings[0]
+def _blocks(ranking: Ranking, study: Study, manifest: Manifest, found: Verdict) -> Iterator[str]:
     yield f"# {markdown_text(study.title or study.name)}\n"
     title, *others = verdict_lines(found)
     yield f"**{markdown_text(title)}**\n"
-    yield "".join(f"- {markdown_text(line)}\n" for line in (*others, *more_lines(first)))
-    for warning in first.warnings:
+    yield "".join(f"- {markdown_text(line)}\n" for line in (*others, *more_lines(ranking)))
+    for warning in ranking.warnings:
         yield f"> **Warning:** {markdown_text(warning)}\n"
-    places = listed_places(first, MOST_ROWS)
-    columns = ranking_columns(first)
-    headings = [markdown_text(f"{one.title}{f' [{one.unit}]' if one.unit else ''}") for one in columns]
-    rows = ([markdown_text(cell) for cell in ranking_cells(first, place)] for place in places)
-    # a table; cells are escaped already
-    right = [not one.left for one in columns]
-    rule = ["---:" if number else "---" for number in right]
-    yield "".join(f"| {' | '.join(cells)} |\n" for cells in (headings, rule, *rows))
-    if len(places) < len(first):
-        yield f"{len(places):,} of {len(first):,} designs; all of them are in `ranking.csv`.\n"
-    window = "the whole departure" if first.case.window == "departure" else "the time under control"
+    places = listed_places(ranking, MOST_ROWS)
+    yield to_markdown(ranking_table(ranking, places))
+    if len(places) < len(ranking):
+        yield f"{len(places):,} of {len(ranking):,} designs; all of them are in `ranking.csv`.\n"
+    window = "the whole departure" if ranking.window == "departure" else "the time under control"
     about = f"{SCORE}. Here it is taken over {window}. Intervals hold for all designs at once. {COLUMNS_TEXT}"
     yield f"{markdown_text(about)}\n"
     n_left, n_right = study.scenarios.counts
@@ -77,14 +45,11 @@ def _blocks(rankings: Sequence[Ranking], study: Study, manifest: Manifest, found
         f"Study: {study.name}",
         f"{study.scenarios.source}: {manifest.model} (content {manifest.model_hash[:12]}){synthetic}",
         f"Scenarios: {n_left + n_right:,} ({n_left:,} left, {n_right:,} right), seed {study.seed}",
-        f"Case: {first.case.label}",
+        f"S: {ranking.label}",
     )
     yield "".join(f"- {markdown_text(fact)}\n" for fact in facts)
-    if first.failed:
+    if ranking.failed:
         yield "## Failed designs\n"
-        yield "".join(f"- {markdown_text(one.sentence)}\n" for one in first.failed[:MOST_ROWS])
-        if len(first.failed) > MOST_ROWS:
-            yield f"And {len(first.failed) - MOST_ROWS:,} more, see `ranking.csv`.\n"
-    if len(rankings) > 1:
-        yield "## Other cases\n"
-        yield "".join(f"- {markdown_text(line)}\n" for line in other_cases(rankings))
+        yield "".join(f"- {markdown_text(one.sentence)}\n" for one in ranking.failed[:MOST_ROWS])
+        if len(ranking.failed) > MOST_ROWS:
+            yield f"And {len(ranking.failed) - MOST_ROWS:,} more, see `ranking.csv`.\n"

@@ -110,13 +110,13 @@ def picked_departures(context: Context, designs: Sequence[Chosen], count: int = 
 
 def _named(context: Context, designs: Sequence[Chosen]) -> list[tuple[int, str]]:
     """What a reader wants to see of the first design: its failures, worst, median and best departures of each side."""
-    case, place = context.case, designs[0].place
+    results, place = context.results, designs[0].place
     index, S = int(context.ranking.index[place]), context.S(place)
-    deepest, a_y = case.companions.deepest[index], case.companions.a_y_added_peak[index]
-    acted = case.status[index] != EventStatus.NEVER_TRIGGERED
+    deepest, a_y = results.companions.deepest[index], results.companions.a_y_added_peak[index]
+    acted = results.status[index] != EventStatus.NEVER_TRIGGERED
     found = []
     for chosen in designs:
-        status = case.status[int(context.ranking.index[chosen.place])]
+        status = results.status[int(context.ranking.index[chosen.place])]
         rows = np.flatnonzero(np.isin(status, FAILED_STATUSES))
         if rows.size:
             design = context.ranking.designs[chosen.place]
@@ -173,19 +173,19 @@ def replay(context: Context, picks: tuple[Pick, ...], designs: tuple[Chosen, ...
 def _driven(
     context: Context, picks: tuple[Pick, ...], scenarios: Scenarios, chosen: Chosen
 ) -> tuple[DesignPaths, float]:
-    setup, case, design = context.report.setup, context.case, context.ranking.designs[chosen.place]
+    setup, results, design = context.report.setup, context.results, context.ranking.designs[chosen.place]
     index = int(context.ranking.index[chosen.place])
     rows = np.array([pick.row for pick in picks], dtype=np.int64)
-    again = ~np.isin(case.status[index][rows], _NOT_AGAIN)
+    again = ~np.isin(results.status[index][rows], _NOT_AGAIN)
     if design.batch < Controller.batch:  # a law that takes long says so by a small batch
         again[design.batch :] = False
     some = np.flatnonzero(again)
     nothing = DesignPaths(*(np.full((len(picks), 0), np.nan) for _ in range(4)))
     if not some.size:
         return nothing, 0.0
-    over = Takeover.build(scenarios.take(some), setup.under(case.case.convention), y_s=design.y_s)
-    outcome = drive(design.controller(case.case.convention), over, trajectories=True).outcome(case.case.window)
-    stored = case.S[index][rows[some]]
+    over = Takeover.build(scenarios.take(some), setup, y_s=design.y_s)
+    outcome = drive(design.controller(setup.convention), over, trajectories=True).outcome(results.window)
+    stored = results.S[index][rows[some]]
     off = float(np.max(np.abs(outcome.S - stored) / np.maximum(np.abs(stored), 1e-9)))
     kept = outcome.trajectories
     if kept is None:  # the law never intervenes

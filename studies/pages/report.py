@@ -14,6 +14,7 @@ from ..sensitivity.sensitivity import sensitivity
 from ..storage.files import write_text
 from ..storage.stored_model import WARNING, read_model
 from ..study_file import toml_text
+from ..text import plural
 from . import (
     assessment_section,
     confidence_section,
@@ -28,7 +29,6 @@ from . import (
 from .charts import Chart
 from .context import Context, ReportInput
 from .shell import Section, make_page
-from .text import plural
 
 if TYPE_CHECKING:
     from ldctoolkit.departures import Departures
@@ -67,7 +67,7 @@ def report_page(report: ReportInput) -> tuple[str, tuple[Chart, ...]]:
         facts=(
             plural(len(ranking) + len(ranking.failed), "design"),
             f"{context.every:,} departures" + (f" of {report.model_name}" if report.model_name else ""),
-            ranking.case.label,
+            ranking.label,
             _plant(report),
         ),
         sections=sections,
@@ -103,7 +103,7 @@ def report_input(
     study: Study,
     manifest: Manifest,
     results: StudyResults,
-    rankings: tuple[Ranking, ...],
+    ranking: Ranking,
     *,
     source: Departures | None = None,
     departures: Sequence[int] = (),
@@ -115,12 +115,12 @@ def report_input(
         title=study.title or study.name,
         study_name=study.name,
         results=results,
-        rankings=rankings,
+        ranking=ranking,
         setup=study.setup(),
         settings=tuple(_settings(study, manifest)),
         versions=tuple(_versions(manifest)),
         model_notes=manifest.model_notes,
-        warnings=tuple(dict.fromkeys((*_of_the_model(manifest), *(w for r in rankings for w in r.warnings)))),
+        warnings=tuple(dict.fromkeys((*_of_the_model(manifest), *ranking.warnings))),
         synthetic=manifest.model_synthetic,
         command=manifest.command,
         sensitivity=sensitivity(results, study),
@@ -148,8 +148,8 @@ def _settings(study: Study, manifest: Manifest) -> Iterator[tuple[str, str]]:
     yield "scenarios", "{} left, {} right".format(*study.scenarios.counts)
     yield "seed", str(study.seed)
     yield "designs", str(len(study.designs))
-    yield "windows of S", ", ".join(study.simulation.window)
-    yield "conventions", ", ".join(name.replace("_", " ") for name in study.simulation.convention)
+    yield "window of S", study.simulation.window
+    yield "convention", study.simulation.convention.replace("_", " ")
     yield from simulation_settings(study.setup())
     yield "plant", "ideal" if study.plant.ideal else "not ideal"
     yield from ((f"plant.{key}", value) for key, value in plant_settings(study.plant))
@@ -162,7 +162,6 @@ def _settings(study: Study, manifest: Manifest) -> Iterator[tuple[str, str]]:
     yield "requirements", ", ".join(study.ranking.require) or "none"
     yield "Pareto front over", ", ".join(study.ranking.pareto) or "none"
     yield "finalists on fresh scenarios", f"{study.ranking.finalists} at most"
-    yield "race", "yes" if study.race else "no"
     yield "finished", manifest.finished or "not finished"
     yield "wall time", f"{manifest.wall_time_s:.1f} s, {manifest.workers} worker processes"
 

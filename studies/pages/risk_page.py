@@ -11,16 +11,17 @@ from markupsafe import Markup
 from ldctoolkit.departures import PARAMETER_NAMES
 from ldctoolkit.version import __version__
 
-from ..design import Design
+from ..design import NO_CONTROL, Design
 from ..risk import Risk
 from ..storage.files import write_text
-from .charts import COLORS, RECORDED, Axis, Series, Style, legend, lines
-from .shell import Cell, Column, Section, TableRow, bullets, details, figure, make_page, paragraphs, table
-from .text import figure as digits
-from .text import number, parameter_label, plural, symbols, true_minus
+from ..tables import Cell, Column, Row, Table, Value, to_html
+from ..text import figure as digits
+from ..text import parameter_label, plural, symbols
+from .charts import Axis, Chart, Series, law_styles, legend
+from .shell import Section, bullets, details, figure, make_page, paragraphs
 from .verdict_section import STATES, SYMBOLS
 
-_DASHES: Final = ("", "7 3", "2 2.5", "9 3 2 3")
+_RATES: Final = {"per_1000_km": "Per 1,000 km", "per_hour": "Per hour"}
 
 
 def write_risk_page(risk: Risk, path: str | Path, *, title: str) -> None:
@@ -48,32 +49,36 @@ def _verdict(risk: Risk) -> Section:
             '<li class="{0}"><span class="light {0}" role="img" aria-label="{1}">{2}</span><b>{3}</b>'
             "<span>{4}</span></li>"
         ).format(light.state, STATES[light.state], SYMBOLS[light.state], light.name,
-                 symbols(true_minus(f"{design.label}: {light.text}")))  # fmt: skip
+                 symbols(f"{design.label}: {light.text}"))  # fmt: skip
     body = Markup('<ul class="lights" aria-label="Lights">{}</ul>').format(items) if items else Markup()
-    return Section("verdict", "Verdict", body + paragraphs(*map(true_minus, risk.notes())), printed=True)
+    return Section("verdict", "Verdict", body + paragraphs(*risk.notes()), printed=True)
+
+
+def probabilities(risk: Risk, design: Design) -> Table:
+    """How often each event happens with a design, and against no control."""
+    rates = risk.departure_rates()
+    columns = [
+        Column("Event", text=True), Column("No control", form=digits), Column("P", form=digits),
+        Column("95 % interval", form=digits), Column("Departures"),
+        *(Column(_RATES[name], form=digits) for name in rates),
+        Column("Only with design"), Column("Only with no control"), Column("Design is", text=True),
+    ]  # fmt: skip
+    rows = []
+    for event in risk.events:
+        of, without = risk.event(design, event), risk.event(risk.designs[0], event)
+        shares: list[Cell | Value] = [without.probability, of.probability, (of.low, of.high), of.count]
+        compared: list[Cell | Value] = [
+            of.design_only,
+            of.no_control_only,
+            Cell(of.text, bad=of.sign > 0, good=of.sign < 0),
+        ]
+        per = [rate * of.probability for rate in rates.values()]
+        rows.append(Row([event, *shares, *per, *([None, None, None] if design.is_baseline else compared)]))
+    return Table(f"{_name(design)}, {risk.n:,} departures of either side", columns, rows)
 
 
 def _probabilities(risk: Risk) -> Section:
-    shown = {"per_1000_km": "Per 1,000 km", "per_hour": "Per hour"}
-    columns = [Column("Event", text=True), Column("P"), Column("From"), Column("To"), Column("Departures")]
-    columns += [Column(shown[name]) for name in risk.departure_rates()]
-    columns += [Column("Only with design"), Column("Only with no control"), Column("Design is", text=True)]
-
-    body = Markup()
-    for design in risk.designs:
-        rows = []
-        for event in risk.events:
-            found = risk.event(design, event)
-            cells: list[Cell | str] = [true_minus(event), *map(digits, (found.probability, found.low, found.high))]
-            cells += [
-                f"{found.count:,}",
-                *(digits(rate * found.probability) for rate in risk.departure_rates().values()),
-            ]
-            compared = () if design.is_baseline else (found.design_only, found.no_control_only)
-            cells += [f"{count:,}" for count in compared] or ["", ""]
-            cells.append(Cell(found.text if compared else "", bad=found.sign > 0, good=found.sign < 0))
-            rows.append(TableRow(tuple(cells)))
-        body += table(f"{_name(design)}, a departure of either side", columns, rows)
+    body = Markup().join(to_html(probabilities(risk, design)) for design in risk.designs)
     note = (
         "P is a probability per departure, with the ends of its exact 95 % interval. Design and no control are "
         "driven on the same departures: better and worse are exact two-sided tests at 5 % of those departures in "
@@ -83,13 +88,19 @@ def _probabilities(risk: Risk) -> Section:
 
 
 def _curve(risk: Risk) -> Section:
-    series = []
-    for i, design in enumerate(risk.designs):
+    series, styles = [], law_styles(NO_CONTROL if design.is_baseline else design.id for design in risk.designs)
+    for design in risk.designs:
         x, share = risk.exceedance(design)
-        style = Style((i - 1) % len(COLORS), _DASHES[(i - 1) // len(COLORS) % len(_DASHES)], "o") if i else RECORDED
-        series.append(Series(_name(design), x, np.where(share > 0.0, share, np.nan), style))
+        series.append(
+            Series(
+                _name(design),
+                x,
+                np.where(share > 0.0, share, np.nan),
+                styles[NO_CONTROL if design.is_baseline else design.id],
+            )
+        )
     y = Axis("P(depth beyond)", 0.5 / max(risk.n, 1), 1.0, log=True)
-    chart = lines("exceedance", "Probability that a departure gets deeper", series, Axis("Depth [m]", 0.0, 3.0), y)
+    chart = Chart("exceedance", "Probability that a departure gets deeper", Axis("Depth [m]", 0.0, 3.0), y, series)
     text = (
         f"Share of departures that get deeper, on a log scale; below {digits(3.0 / max(risk.n, 1), 2)} chance decides."
     )
@@ -98,18 +109,13 @@ def _curve(risk: Risk) -> Section:
 
 
 def _worst(risk: Risk) -> Section:
-    columns = [Column("Depth", "m"), Column("Scenario"), Column("Side", text=True)]
-    columns += [Column(parameter_label(name)) for name in PARAMETER_NAMES]
+    columns = [Column("Depth", "m", ".2f"), Column("Scenario", form="d"), Column("Side", text=True)]
+    columns += [Column(parameter_label(name), form=digits) for name in PARAMETER_NAMES]
     body = Markup()
     for design in risk.designs:
         common = risk.in_common(design)
-        rows = [
-            TableRow(
-                (number(one["deepest_m"], 2), str(one["scenario"]), one["side"], *map(digits, list(one.values())[6:]))
-            )
-            for one in risk.worst_rows(design)
-        ]
-        body += Markup("<h3>{}</h3>").format(symbols(_name(design))) + paragraphs(true_minus(common.sentence))
-        body += bullets(common.warnings, "warnings")
-        body += details("The worst departures", table(f"{_name(design)}: deepest departures", columns, rows, head=1))
+        rows = [Row(list(row.values())[3:]) for row in risk.worst_rows(design)]
+        table = Table(f"{_name(design)}: deepest departures", columns, rows, head=1)
+        body += Markup("<h3>{}</h3>").format(symbols(_name(design))) + paragraphs(common.sentence)
+        body += bullets(common.warnings, "warnings") + details("The worst departures", to_html(table))
     return Section("worst", "The worst departures", body)

@@ -5,14 +5,14 @@ from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
-from markupsafe import Markup
 
-from ..ranking.verdict import law_title
+from ..ranking.verdict import design_name, law_title
 from ..robustness import Robustness
-from .charts import Axis, Chart, Series, lines
-from .context import Context, name_of
-from .shell import Cell, Column, Section, TableRow, bullets, details, figure, paragraphs, table
-from .text import number, percent, plural, signed
+from ..tables import Cell, Column, Row, Table, Value, to_html
+from ..text import percent, plural
+from .charts import Axis, Chart, Series
+from .context import Context
+from .shell import Section, bullets, details, figure, paragraphs
 
 MOST_LAWS: Final = 4  # designs in the table; their margins too
 
@@ -27,7 +27,7 @@ def section(context: Context) -> Section:
         return Section("robustness", "Other plants", body)
     charts = tuple(_margins(context, found))
     shown = [i for i, _ in _shown(context, found)]
-    body = paragraphs(*_sentences(context, found)) + _table(context, found, shown) + bullets(_left_out(found))
+    body = paragraphs(*_sentences(context, found)) + to_html(_table(context, found, shown)) + bullets(_left_out(found))
     if charts:
         body += details(
             "Margins of the loop over speed",
@@ -57,7 +57,7 @@ def _shown(context: Context, found: Robustness) -> Iterator[tuple[int, int]]:
 def _sentences(context: Context, found: Robustness) -> Iterator[str]:
     """What happens to the reference, most serious first."""
     place_of = {design.id: design for design in context.ranking.designs}
-    name = name_of(place_of[found.designs[0]]) if found.designs[0] in place_of else "The first design"
+    name = design_name(place_of[found.designs[0]]) if found.designs[0] in place_of else "The first design"
     plants = [p for p, adds in enumerate(found.adds) if adds]
     yield (
         f"{name} on {plural(len(found.plants) - 1, 'other plant')}, {found.n:,} of the study scenarios each "
@@ -82,26 +82,26 @@ def _sentences(context: Context, found: Robustness) -> Iterator[str]:
         yield f"Another of the designs compared is better with: {', '.join(behind)}."
 
 
-def _table(context: Context, found: Robustness, shown: list[int]) -> Markup:
+def _table(context: Context, found: Robustness, shown: list[int]) -> Table:
     by_id = {design.id: design for design in context.ranking.designs}
     columns = [Column("Plant", text=True), Column("Differs in", text=True)]
     for i in shown:
         title = law_title(by_id[found.designs[i]])
-        columns += [Column(f"{title}: S", "m\u00b7s"), Column("Change"), Column("Diverged")]
+        columns += [
+            Column(f"{title}: S", "m\u00b7s", ".3f"),
+            Column("Change", "%", "+.0f"),
+            Column("Diverged", form="d"),
+        ]
     rows = []
-    for p, (title, what) in enumerate(zip(found.titles, found.differences, strict=True)):
-        cells: list[Cell | str] = [title, what]
+    for p, what in enumerate(zip(found.titles, found.differences, strict=True)):
+        cells: list[Cell | Value] = [*what]
         for i in shown:
-            S, own = float(found.S[p, i]), float(found.S[0, i])
-            share = S / own - 1.0 if own > 0 else math.nan
-            worse = bool(found.excess[p, i] > 0)
-            change = "" if not p else "\u2013" if not math.isfinite(share) else f"{signed(100.0 * share, 0)}\u00a0%"
-            lost = int(found.diverged[p, i])
-            cells += [Cell(number(S), bad=worse), change, Cell(str(lost) if lost else "0", bad=bool(lost))]
-        rows.append(TableRow(tuple(cells)))
+            S, unchanged, lost = float(found.S[p, i]), float(found.S[0, i]), int(found.diverged[p, i])
+            change = 100.0 * (S / unchanged - 1.0) if unchanged > 0 else math.nan
+            cells += [Cell(S, bad=bool(found.excess[p, i] > 0)), change if p else None, Cell(lost, bad=bool(lost))]
+        rows.append(Row(cells))
     faults = "worse than no control there, or diverged where friction allows the path"
-    title = f"Mean S on other plants; highlighted: {faults}"
-    return table(title, columns, rows)
+    return Table(f"Mean S on other plants; highlighted: {faults}", columns, rows)
 
 
 def _left_out(found: Robustness) -> Iterator[str]:
@@ -126,10 +126,11 @@ def _margins(context: Context, found: Robustness) -> Iterator[Chart]:
             if not np.isnan(values).all():
                 known = np.minimum(values, 20.0 if name == "gain" else 180.0)
                 series.append(
-                    Series(law_title(context.ranking.designs[place]), found.v, known, context.style(place), points=True)
+                    Series(
+                        law_title(context.ranking.designs[place]), found.v, known, context.style(place), kind="marked"
+                    )
                 )
         if series and found.v.size > 1:
             y = Axis.around(title, *(one.y for one in series), [level], zero=True)
-            yield lines(
-                f"margin-{name}", title, series, Axis.around("Speed [m/s]", found.v), y, level=level, height=230
-            )
+            x = Axis.around("Speed [m/s]", found.v)
+            yield Chart(f"margin-{name}", title, x, y, series, level=level, height=230)

@@ -4,10 +4,10 @@ from collections.abc import Sequence
 
 from markupsafe import Markup
 
+from ..text import plural, printable, symbols
 from .context import Context
 from .explorer import failures
 from .shell import Section, bullets, details
-from .text import plural, printable, symbols
 
 MOST_FAILED = 50
 
@@ -22,11 +22,6 @@ def section(context: Context) -> Section:
             listed.append(f"and {len(failed) - MOST_FAILED} more, see ranking.csv")
         body += Markup("<p>{} failed and {} not ranked:</p>{}").format(
             plural(len(failed), "design"), "is" if len(failed) == 1 else "are", bullets(listed)
-        )
-    race = report.results.race
-    if race is not None:
-        body += Markup("<p>{} given up in a race, after {}.</p>").format(
-            plural(len(race.dropped), "design"), plural(len(race.rounds), "round")
         )
     facts = [*report.settings, *report.versions]
     body += details("All settings, versions and the machine", pairs(facts))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import dataclasses
 import json
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from hashlib import sha256
@@ -14,12 +13,12 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import numpy.typing as npt
-from markupsafe import Markup, escape
+from markupsafe import Markup
 
 from ldctoolkit.errors import InputError
 
+from ..text import printable, symbols
 from .charts import COLORS, Chart
-from .text import printable, symbols
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -39,77 +38,6 @@ class Section:
     data: Mapping[str, object] | None = None
     scripts: tuple[str, ...] = ()  # Files under ``templates``; each is put into the page once
     printed: bool = False  # Whether it is printed
-
-
-# ------------------------------------------------------------------------------------------------ tables
-
-
-@dataclasses.dataclass(frozen=True)
-class Column:
-    """One column."""
-
-    title: str
-    unit: str = ""
-    key: str = ""  # What the search calls it: ``S``, ``y_s``; empty for a column that is not searched by value
-    text: bool = False  # Whether it holds text and not numbers
-    about: str = ""  # What it means; shown when the pointer rests on the heading
-
-
-@dataclasses.dataclass(frozen=True)
-class Cell:
-    """One cell; `value` is what it is sorted by, `bad` sets it off."""
-
-    text: str | Markup
-    value: float | None = None
-    bad: bool = False
-    good: bool = False
-
-
-@dataclasses.dataclass(frozen=True)
-class TableRow:
-    """One row; `kind` is a class of the style sheet, `later` hides it until all rows are requested."""
-
-    cells: tuple[Cell | str, ...]
-    kind: str = ""
-    later: bool = False
-
-
-def table(
-    caption: str,
-    columns: Sequence[Column],
-    rows: Iterable[TableRow],
-    *,
-    id: str = "",
-    sortable: bool = False,
-    head: int = 0,
-) -> Markup:
-    """A table in a frame that scrolls sideways."""
-    out = [f'<div class="scroll" tabindex="0" role="region" aria-label="{escape(caption)}"><table']
-    out.append(f' id="{id}"' if id else "")
-    out.append(f"{' data-sortable' if sortable else ''}><caption>{symbols(caption)}</caption><thead><tr>")
-    for one in columns:
-        unit = f" <small>[{symbols(one.unit)}]</small>" if one.unit else ""
-        about = f' title="{escape(one.about)}"' if one.about else ""
-        key = f' data-key="{escape(one.key)}"' if one.key else ""
-        kind = "" if one.text else ' class="n"'
-        out.append(f'<th scope="col"{kind}{about}{key}>{symbols(one.title)}{unit}</th>')
-    out.append("</tr></thead><tbody>")
-    for row in rows:
-        kinds = " ".join(filter(None, (row.kind, "later" if row.later else "")))
-        out.append(f'<tr class="{kinds}">' if kinds else "<tr>")
-        for j, (column, given) in enumerate(zip(columns, row.cells, strict=True)):
-            cell = Cell(given) if isinstance(given, str) else given
-            shown = cell.text if isinstance(cell.text, Markup) else symbols(cell.text)
-            names = " ".join(
-                filter(None, ("" if column.text else "n", "bad" if cell.bad else "good" if cell.good else ""))
-            )
-            kind = f' class="{names}"' if names else ""
-            value = "" if cell.value is None or math.isnan(cell.value) else f' data-v="{cell.value:.9g}"'
-            tag = 'th scope="row"' if j == head else "td"
-            out.append(f"<{tag}{kind}{value}>{shown}</{tag[:2]}>")
-        out.append("</tr>")
-    out.append("</tbody></table></div>")
-    return Markup("".join(out))
 
 
 def paragraphs(*sentences: str) -> Markup:

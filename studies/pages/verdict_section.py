@@ -1,20 +1,23 @@
 """The first screen, verdict and lights; and the trade-offs: what a small score is paid for with."""
 
-from collections.abc import Iterator
+import dataclasses
+from collections.abc import Iterator, Mapping
 from typing import Final
 
 import numpy as np
 from markupsafe import Markup
 
-from ldctoolkit.metrics import A_Y_LIMIT, METRICS
+from ldctoolkit.metrics import A_Y_LIMIT
 
 from ..ranking.design_metrics import pareto_front
-from ..ranking.requirements import metric
-from ..ranking.verdict import law_title
-from .charts import Axis, Chart, Cloud, legend, scatter
-from .context import Context, metric_text, name_of
-from .shell import Cell, Column, Section, TableRow, bullets, figure, paragraphs, render, table
-from .text import number, plural
+from ..ranking.ranking import Ranking
+from ..ranking.requirements import metric, metric_values
+from ..ranking.verdict import design_name, law_title
+from ..tables import Column, Row, Table, to_html
+from ..text import plural
+from .charts import Axis, Chart, Series, Style, legend
+from .context import Context, metric_text
+from .shell import Section, bullets, figure, paragraphs, render
 
 SYMBOLS: Final = {"good": "\u2713", "warning": "!", "bad": "\u2715", "unknown": "?"}
 STATES: Final = {"good": "good", "warning": "caution", "bad": "not met", "unknown": "not known"}
@@ -26,7 +29,7 @@ MOST_POINTS: Final = 1500
 
 def section(context: Context) -> Section:
     """The section."""
-    chart = trade_off(context, "a_y_added_peak_p95", "S", "trade-off")
+    chart = trade_off(context, "a_y_added_peak_p95", "trade-off")
     body = render(
         "verdict.html",
         verdict=context.verdict,
@@ -46,16 +49,14 @@ def _warnings(context: Context) -> Iterator[str]:
     report = context.report
     if report.synthetic:
         yield "The scenario model is synthetic: it was fitted to invented driving, not to recordings."
-    elsewhere = {text for one in report.rankings[1:] for text in one.warnings}
-    every = dict.fromkeys((*report.warnings, *context.ranking.warnings))
-    yield from (text for text in every if text not in elsewhere or text in context.ranking.warnings)
+    yield from dict.fromkeys((*report.warnings, *context.ranking.warnings))
 
 
 def trade_offs(context: Context) -> Section:
     """The section of trade-offs."""
     ranking = context.ranking
     charts = tuple(
-        trade_off(context, name, "S", f"trade-off-{name.replace('_', '-')}")
+        trade_off(context, name, f"trade-off-{name.replace('_', '-')}")
         for name in ACROSS
         if np.isfinite(context.values(name)).any()
     )
@@ -76,66 +77,67 @@ def trade_offs(context: Context) -> Section:
         cloud_legend(context),
     )
     if front.size:
-        names = [name for name in ranking.pareto_metrics if name != "S"]
-        columns = [
-            Column("Rank"), Column("Design", text=True), Column("Mean S", "m\u00b7s"),
-            *(Column(metric(name).title, metric(name).shown_unit) for name in names),
-        ]  # fmt: skip
+        names = ["S", *(name for name in ranking.pareto_metrics if name != "S")]
+        columns = [Column("Rank"), Column("Design", text=True)]
+        columns += [Column(of.title, of.shown_unit, f".{of.digits}f") for of in map(metric, names)]
+        numbers = np.stack([metric(name).scale * context.values(name) for name in names], axis=1)
         rows = [
-            TableRow(
-                (
-                    str(ranking.rank[i]),
-                    name_of(ranking.designs[i]),
-                    number(float(ranking.S[i])),
-                    *(Cell(metric_text(name, context.metric(name, i), unit=False)) for name in names),
-                ),
-                "winner" if i == ranking.winner else "",
-            )
+            Row([int(ranking.rank[i]), design_name(ranking.designs[i]), *numbers[i].tolist()],
+                "winner" if i == ranking.winner else "")
             for i in front[:MOST_ROWS].tolist()
-        ]
+        ]  # fmt: skip
         more = f", the first {MOST_ROWS} of {front.size}" if front.size > MOST_ROWS else ""
-        body += table(f"The Pareto front{more}", columns, rows, head=1)
+        body += to_html(Table(f"The Pareto front{more}", columns, rows, head=1))
     return Section("trade-offs", "Trade-offs", body, charts)
 
 
-def trade_off(context: Context, across: str, up: str, name: str) -> Chart:
-    """Two metrics of all designs against each other."""
-    ranking = context.ranking
-    of_x, of_y = METRICS[across], METRICS[up]
-    x, y = of_x.scale * context.values(across), of_y.scale * context.values(up)
+def trade_off(context: Context, across: str, name: str) -> Chart:
+    """Mean S of all designs against another metric, with its limit."""
+    limit = limit_of(context, across)
+    chart = scatter_of_metrics(context.ranking, across, "S", context.styles, context.shown, limit, MOST_POINTS)
+    return dataclasses.replace(chart, name=name)
+
+
+def scatter_of_metrics(
+    ranking: Ranking, across: str, up: str, styles: Mapping[str, Style], marked: int | None,
+    limit: float | None = None, most: int | None = None,
+) -> Chart:  # fmt: skip
+    """Two metrics of all designs, or of `most`, against each other, with the Pareto front of the two."""
+    of_x, of_y = metric(across), metric(up)
+    x, y = (of.scale * metric_values(of.name, ranking) for of in (of_x, of_y))
     known = np.isfinite(x) & np.isfinite(y)
     places = np.flatnonzero(known)
-    if places.size > MOST_POINTS:
-        first = places[: MOST_POINTS // 2]
-        rest = places[MOST_POINTS // 2 :]
-        places = np.concatenate([first, rest[:: max(1, rest.size // (MOST_POINTS // 2))]])
+    if most is not None and places.size > most:
+        rest = places[most // 2 :]
+        places = np.concatenate([places[: most // 2], rest[:: max(1, rest.size // (most // 2))]])
     admissible = np.array([not missed for missed in ranking.missed])
     laws = np.array([design.law for design in ranking.designs])
     clouds = []
-    for law, style in context.styles.items():
-        own = places[laws[places] == law]
-        if own.size:
+    for law, style in styles.items():
+        rows = places[laws[places] == law]
+        if rows.size:
             tips = tuple(
-                f"{name_of(ranking.designs[i])}: {of_y.title} {metric_text(up, y[i] / of_y.scale)}, "
+                f"{design_name(ranking.designs[i])}: {of_y.title} {metric_text(up, y[i] / of_y.scale)}, "
                 f"{of_x.title} {metric_text(across, x[i] / of_x.scale)}"
-                for i in own
+                for i in rows
             )
-            clouds.append(Cloud(x[own], y[own], style, admissible[own], tips))
-    signs = np.array([1.0 if one.better == "less" else -1.0 for one in (of_x, of_y)])
+            title = law_title(ranking.designs[rows[0]])
+            clouds.append(Series(title, x[rows], y[rows], style, kind="points", filled=admissible[rows], tips=tips))
+    signs = np.array([1.0 if of.better == "less" else -1.0 for of in (of_x, of_y)])
     contenders = np.flatnonzero(known & (admissible if (known & admissible).any() else known))
-    front = contenders[pareto_front(np.stack([x, y], axis=1)[contenders] * signs)]
-    front = front[np.argsort(x[front], kind="stable")]
-    limit = limit_of(context, across)
+    costs = np.stack([x, y], axis=1) * signs
+    front = contenders[pareto_front(costs[contenders])]
+    front = front[np.lexsort(costs[front].T[::-1])]
     # far points would squeeze the rest: beyond the limit a logarithm
     wide = known.any() and float(x[known].max()) > 8.0 * max(float(np.median(x[known])), 1e-12)
     log = bool(wide and (x[known] > 0).all())
     ends = x if limit is None else np.append(x, limit * of_x.scale)
-    axis = Axis.around(of_x.label, ends[np.isfinite(ends)], log=log, zero=not log)
-    i = context.shown
-    return scatter(
-        name, f"{of_y.title} against {of_x.title}, one point a design", clouds, axis,
-        Axis.around(of_y.label, y[known]), limit=None if limit is None else (limit * of_x.scale, "limit"),
-        front=(x[front], y[front]), ring=(float(x[i]), float(y[i])),
+    return Chart(
+        "trade-off", f"{of_y.title} against {of_x.title}, one point a design",
+        Axis.around(f"{of_x.label}, {of_x.better} is better", ends[np.isfinite(ends)], log=log, zero=not log),
+        Axis.around(f"{of_y.label}, {of_y.better} is better", y[known]), clouds, height=290.0,
+        limit=None if limit is None else (limit * of_x.scale, "limit"), front=(x[front], y[front]),
+        ring=None if marked is None else (float(x[marked]), float(y[marked]), "winner"),
     )  # fmt: skip
 
 

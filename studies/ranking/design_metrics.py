@@ -1,4 +1,4 @@
-"""Metrics of the designs of a case: means, tails, shares, counts, what a release requires, and the Pareto front."""
+"""Metrics of the designs of a study: means, tails, shares, counts, what a release requires, and the Pareto front."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from ldctoolkit.setup import Setup
 from ldctoolkit.simulation import Takeover
 
 from ..design import NO_CONTROL, Design
-from ..results import CaseResults, StudyResults, status_among
+from ..results import StudyResults, status_among
 from ..storage.run_table import release
 from .inference import row_blocks, row_means
 from .named_vehicles import DEPARTURES, first_of_each_side
@@ -108,9 +108,9 @@ class ReleaseMetrics:
         return ReleaseMetrics(**{name: getattr(self, name)[order] for name in RELEASE_METRICS})
 
 
-def release_metrics(case: CaseResults, designs: Sequence[Design], d_y: FloatArray, *, D_y: float) -> Values:
-    """Every metric of a design that is taken from those of its scenarios; d_y (n,) [m] is without control."""
-    acted = _acted(case, designs)
+def release_metrics(results: StudyResults, *, D_y: float) -> Values:
+    """Every metric of a design that is taken from those of its scenarios."""
+    acted, d_y = _acted(results), results.scenarios.d_y
 
     def of(group: Sequence[Metric], names: Sequence[str]) -> Callable[..., Values]:
         def values(acted: BoolArray, *columns: FloatArray) -> Values:
@@ -122,45 +122,39 @@ def release_metrics(case: CaseResults, designs: Sequence[Design], d_y: FloatArra
     found: Values = {}
     for group in _groups():
         names = tuple(dict.fromkeys(name for one in group for name in one.of))
-        found |= _by_blocks(of(group, names), acted, [getattr(case.companions, name) for name in names])
+        found |= _by_blocks(of(group, names), acted, [getattr(results.companions, name) for name in names])
     return found
 
 
-def _acted(case: CaseResults, designs: Sequence[Design]) -> BoolArray:
-    acted = ~status_among(case.status, (EventStatus.NEVER_TRIGGERED, EventStatus.INVALID))
-    acted[[design.is_baseline for design in designs]] = False
+def _acted(results: StudyResults) -> BoolArray:
+    acted = ~status_among(results.status, (EventStatus.NEVER_TRIGGERED, EventStatus.INVALID))
+    acted[[design.is_baseline for design in results.designs]] = False
     return acted
 
 
-def _recorded_dtle(drivable: DrivableCase, designs: Sequence[Design], setup: Setup | None) -> FloatArray:
+def _recorded_dtle(results: StudyResults, setup: Setup | None) -> FloatArray:
     """DTLE without control, (n,)."""
-    for i, design in enumerate(designs):
+    for i, design in enumerate(results.designs):
         if design.is_baseline:
-            dtle: FloatArray = drivable.case.companions.dtle[i]
+            dtle: FloatArray = results.companions.dtle[i]
             return dtle
-    setup = (setup or Setup()).under(drivable.case.case.convention)
-    return Takeover.build(drivable.scenarios, setup, y_s=0.0).recorded.dtle
+    setup = setup or Setup(convention=results.convention)
+    return Takeover.build(results.scenarios, setup, y_s=0.0).recorded.dtle
 
 
 def sampling_intervals(
-    drivable: DrivableCase,
-    designs: Sequence[Design],
-    metrics: CaseMetrics,
-    names: list[str],
-    D_y: float,
-    level: float,
-    setup: Setup | None,
+    results: StudyResults, metrics: DesignMetrics, names: list[str], D_y: float, level: float, setup: Setup | None
 ) -> FloatArray:
     """Values of k metrics, and the ends of the interval of each by itself where it is a quantile or a share, (k, 3, d).
 
     Of the population that the scenarios are drawn from. An end is infinite where there are too few of them. Departures
     that stand in the sample more than once, as weights ask for, count with Kish's effective number.
     """
-    case, d_y = drivable.case, drivable.scenarios.d_y
-    departures = np.stack([getattr(drivable.scenarios, name) for name in ("side", *PARAMETER_NAMES)], axis=1)
+    d_y = results.scenarios.d_y
+    departures = np.stack([getattr(results.scenarios, name) for name in ("side", *PARAMETER_NAMES)], axis=1)
     _, place, copies = np.unique(departures, axis=0, return_inverse=True, return_counts=True)
     order, starts = np.argsort(place, kind="stable"), np.cumsum(copies) - copies
-    without = _recorded_dtle(drivable, designs, setup)
+    without = _recorded_dtle(results, setup)
 
     def ends(one: Metric, acted: BoolArray, *columns: FloatArray) -> Values:
         if one.share is not None:  # of one departure it is 0 or 1, or NaN where that is none of those counted
@@ -187,20 +181,20 @@ def sampling_intervals(
             low, high = binomial_interval(np.nansum(values, axis=1) / np.maximum(count, 1) * n, n, level)
         return {"low": np.where(count > 0, low, np.nan), "high": np.where(count > 0, high, np.nan)}
 
-    within = [1.0 * (dtle >= DTLE_LIMIT) for dtle in (case.companions.dtle, without)]
-    found = np.full((len(names), 3, len(designs)), np.nan)
+    within = [1.0 * (dtle >= DTLE_LIMIT) for dtle in (results.companions.dtle, without)]
+    found = np.full((len(names), 3, len(results.designs)), np.nan)
     for row, one in zip(found, map(metric, names), strict=True):
         row[0] = metric_values(one.name, metrics)
-        columns = {"S_p95": [drivable.counted], "triggered": [case.status != EventStatus.NEVER_TRIGGERED],
+        columns = {"S_p95": [results.counted], "triggered": [results.status != EventStatus.NEVER_TRIGGERED],
                    "within_dtle_gain": [within[0] - within[1]]}.get(one.name)  # fmt: skip
         if columns is None and (one.share is not None or _quantile_of(one)):
-            columns = [getattr(case.companions, name) for name in one.of]
+            columns = [getattr(results.companions, name) for name in one.of]
         if one.name == "comfortable_worst":  # whether it acts does not depend on the vehicle
-            driven = np.isin(drivable.scenarios.index, first_of_each_side(drivable.scenarios, DEPARTURES).index)
-            n = _acted(case, designs)[:, driven].sum(axis=1)
+            driven = np.isin(results.scenarios.index, first_of_each_side(results.scenarios, DEPARTURES).index)
+            n = _acted(results)[:, driven].sum(axis=1)
             row[1:] = np.array(binomial_interval(row[0] * n, n, level)) + 0.0 * row[0]
         elif columns is not None:
-            taken = _by_blocks(functools.partial(ends, one), _acted(case, designs), columns)
+            taken = _by_blocks(functools.partial(ends, one), _acted(results), columns)
             row[1:] = taken["low"], taken["high"]
     return found
 
@@ -259,15 +253,14 @@ _FEWEST_DIGITS = 6  # of an identifier, so that no law's name is taken for one
 
 
 def find_baseline(baseline: str, results: StudyResults) -> int | None:
-    """Position of the baseline in `results.designs`; None where it failed, was given up, or there is none."""
+    """Position of the baseline in `results.designs`; None where it failed, or there is none."""
     here = _found(baseline or NO_CONTROL, results.designs)
     if here:
         return here[0]
-    dropped = () if results.race is None else results.race.dropped
-    gone = [*(one.design for one in results.failed), *(one.design for one in dropped)]
-    if not baseline or _found(baseline, gone):
+    failed = [failure.design for failure in results.failed]
+    if not baseline or _found(baseline, failed):
         return None
-    laws = list(dict.fromkeys(design.law for design in (*results.designs, *gone)))
+    laws = list(dict.fromkeys(design.law for design in (*results.designs, *failed)))
     raise InputError(
         "ranking.baseline",
         f"is no law of this study, nor the start of a design's identifier ({_FEWEST_DIGITS} digits or more)",
@@ -317,7 +310,7 @@ def tail_metrics(values: FloatArray, percent: int = 95) -> tuple[FloatArray, Flo
 
 
 @dataclasses.dataclass(frozen=True)
-class CaseMetrics:
+class DesignMetrics:
     """Metrics of d designs, arrays of d. S is S as it counts: a failed scenario (solver failed, diverged, timed out,
     crashed) at least as bad as without control, and never left out. Scenarios that cannot be driven under some
     design have no S: they are left out for all designs and counted in `invalid`.
@@ -350,33 +343,28 @@ class CaseMetrics:
 
 
 @dataclasses.dataclass(frozen=True)
-class DrivableCase:
-    """A case on the scenarios that can be driven under every design."""
+class DrivableResults:
+    """Results on the scenarios that can be driven under every design."""
 
-    case: CaseResults
-    scenarios: Scenarios  # The n of them
-    counted: FloatArray  # (d, n) [m s] `CaseResults.counted`
+    results: StudyResults
     status: npt.NDArray[np.int8]  # (d, m) Of all scenarios, those that cannot be driven included
 
     @classmethod
-    def of(cls, case: CaseResults, scenarios: Scenarios) -> Self:
+    def of(cls, results: StudyResults) -> Self:
         """Leave out what cannot be driven."""
-        status, rows = case.status, case.drivable
-        if not rows.any():
+        some = results.on_drivable()
+        if not some.scenarios.n:
             raise InputError(
                 "results", "no scenario could be driven under every design", hint="there is nothing to rank"
             )
-        if not rows.all():
-            case, scenarios = case.take(rows), scenarios.take(np.flatnonzero(rows))
-        counted = case.counted
-        if not np.isfinite(counted).all():
+        if not np.isfinite(some.counted).all():
             raise InputError("results", "S is not finite in some scenario", hint="a mean would drop or hide it")
-        return cls(case, scenarios, counted, status)
+        return cls(some, results.status)
 
     @property
     def left_out(self) -> int:
         """Number of scenarios that are left out."""
-        return int(self.status.shape[1]) - len(self.scenarios)
+        return int(self.status.shape[1]) - len(self.results.scenarios)
 
 
 Margins = Mapping[str, tuple[float, float, float, float]]
@@ -385,28 +373,28 @@ Margins = Mapping[str, tuple[float, float, float, float]]
 _BESIDE = ("gain_margin", "phase_margin", "S_worst", "comfortable_worst")
 
 
-def case_metrics(
-    drivable: DrivableCase,
-    designs: Sequence[Design],
+def design_metrics(
+    drivable: DrivableResults,
     D_y: float,
     margins: Margins | None = None,
     setup: Setup | None = None,
     standards: Mapping[str, Mapping[str, float]] | None = None,
-) -> CaseMetrics:
-    """Metrics of the designs of a case, in its order. Without `setup`, friction allows every recorded path.
+) -> DesignMetrics:
+    """Metrics of the designs, in their own order. Without `setup`, friction allows every recorded path.
 
     In `standards` each maps designs to the share of its cells that pass.
     """
-    case, scenarios, counted = drivable.case, drivable.scenarios, drivable.counted
+    results, designs = drivable.results, drivable.results.designs
+    scenarios, counted = results.scenarios, results.counted
     every = np.ones(len(scenarios), dtype=np.bool_)
     rows = (every, scenarios.side == LEFT, scenarios.side == RIGHT)
     S, S_left, S_right = (_mean(counted, side) for side in rows)
-    before, before_left, before_right = (_mean(case.S_uncorrected, side) for side in rows)
+    before, before_left, before_right = (_mean(results.S_uncorrected, side) for side in rows)
     S_p95, S_cvar95 = tail_metrics(counted)
-    taken = release_metrics(case, designs, scenarios.d_y, D_y=D_y)
-    taken["within_dtle_gain"] = taken["within_dtle"] - share_within_dtle(_recorded_dtle(drivable, designs, setup))
+    taken = release_metrics(results, D_y=D_y)
+    taken["within_dtle_gain"] = taken["within_dtle"] - share_within_dtle(_recorded_dtle(results, setup))
     allowed = np.ones(len(scenarios), dtype=np.bool_) if setup is None else ~beyond_friction(scenarios, setup)
-    taken["lost"] = ((case.status == EventStatus.DIVERGED) & allowed).sum(axis=1).astype(np.float64)
+    taken["lost"] = ((results.status == EventStatus.DIVERGED) & allowed).sum(axis=1).astype(np.float64)
     nothing = (np.nan,) * len(_BESIDE)
     beside = np.array([(margins or {}).get(design.id, nothing) for design in designs], dtype=np.float64)
     taken |= dict(zip(_BESIDE, beside.reshape(-1, len(_BESIDE)).T, strict=True))
@@ -415,7 +403,7 @@ def case_metrics(
         result: IntArray = (drivable.status == status).sum(axis=1).astype(np.int64)
         return result
 
-    return CaseMetrics(
+    return DesignMetrics(
         S=S,
         S_left=S_left,
         S_right=S_right,
@@ -425,7 +413,7 @@ def case_metrics(
         reduction=mean_reduction(S, before),
         reduction_left=mean_reduction(S_left, before_left),
         reduction_right=mean_reduction(S_right, before_right),
-        triggered=(case.status != EventStatus.NEVER_TRIGGERED).mean(axis=1),
+        triggered=(results.status != EventStatus.NEVER_TRIGGERED).mean(axis=1),
         deeper=taken.pop("deeper"),
         solver_failed=count(EventStatus.SOLVER_FAILED),
         diverged=count(EventStatus.DIVERGED),
@@ -433,7 +421,7 @@ def case_metrics(
         crashed=count(EventStatus.CRASHED),
         beyond_delta_max=count(EventStatus.BEYOND_DELTA_MAX),
         invalid=count(EventStatus.INVALID),
-        failed_solves=case.failed_solves.sum(axis=1).astype(np.int64),
+        failed_solves=results.failed_solves.sum(axis=1).astype(np.int64),
         release=ReleaseMetrics(**taken),
         standards={
             name: np.array([score.get(one.id, np.nan) for one in designs]) for name, score in (standards or {}).items()
@@ -450,9 +438,9 @@ def beyond_friction(scenarios: Scenarios, setup: Setup) -> BoolArray:
     return result
 
 
-def in_order(metrics: CaseMetrics, order: IntArray) -> dict[str, Any]:
+def in_order(metrics: DesignMetrics, order: IntArray) -> dict[str, Any]:
     """Every figure by name, for some of the designs in the order given."""
-    values = {field.name: getattr(metrics, field.name) for field in dataclasses.fields(CaseMetrics)}
+    values = {field.name: getattr(metrics, field.name) for field in dataclasses.fields(DesignMetrics)}
     values["standards"] = {name: score[order] for name, score in metrics.standards.items()}
     plain = ("release", "standards")
     taken = {name: v[order] for name, v in values.items() if name not in plain}

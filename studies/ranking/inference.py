@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.declared import checked_number
 from ldctoolkit.errors import InputError
 
 T = TypeVar("T", bound=np.generic)
@@ -130,7 +131,7 @@ def exact_grid(values: FloatArray, total: int) -> tuple[FloatArray, FloatArray]:
 
 def check_confidence(confidence: float) -> None:
     """Refuse what is not between 0 and 1."""
-    if not 0.0 < confidence < 1.0:
+    if not 0.0 < checked_number("confidence", confidence) < 1.0:
         raise InputError("confidence", value=confidence, allowed="between 0 and 1")
 
 
@@ -506,10 +507,8 @@ class Separation:
         return result
 
 
-def separable(
-    scores: FloatArray, side: IntArray, *, seed: int, confidence: float, samples: int, stream: int = 0
-) -> Separation:
-    """Compare k designs with the best of them on common scenarios.
+def compare_with_best(resampled: Resampled, confidence: float, contenders: int | None = None) -> Separation:
+    """Compare k designs with the best of them on common scenarios; only the first `contenders` can be the best.
 
     Design r is tested against all others as if it were the best, and is `clear` when some design beats it by more
     than c_r standard errors of their paired difference; c_r is the quantile of the largest studentised difference
@@ -518,14 +517,9 @@ def separable(
     worked out for some of them, evenly over the ranks. Differences count in both directions, though only one is
     tested: scores are skewed, and resampled means are skewed the other way than studentised ones. The interval of
     the difference to the design that came out best needs more: its critical value is the quantile of the largest
-    difference over all these r at once. Of skewed scores it is wider, see
-    `skewed_widths`; `low` is not, for the test of one design is conservative.
+    difference over all these r at once. Of skewed scores it is wider, see `skewed_widths`; `low` is not, for the
+    test of one design is conservative.
     """
-    return compare_with_best(Resampled.of(scores, side, seed=seed, samples=samples, stream=stream), confidence)
-
-
-def compare_with_best(resampled: Resampled, confidence: float, contenders: int | None = None) -> Separation:
-    """As `separable`, of resampled scores; only the first `contenders` can be the best."""
     check_confidence(confidence)
     k = resampled.mean.size if contenders is None else contenders
     best = int(np.argmin(resampled.mean[:k]))

@@ -16,10 +16,10 @@ from ldctoolkit.metrics import comfortable_share
 from ldctoolkit.plant_options import Mismatch, PlantOptions
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
-from ldctoolkit.simulation import Takeover, drive
+from ldctoolkit.simulation import Takeover, Window, drive
 
 from ..design import Design
-from ..results import FAILED_STATUSES, Case, status_among
+from ..results import FAILED_STATUSES, status_among
 
 VEHICLES: Final[Mapping[str, Mapping[str, float]]] = {
     "light": {"m": 0.85, "I_z": 0.85},
@@ -34,7 +34,7 @@ Worst = Mapping[str, tuple[float, float]]  # design -> its S_worst [m s] and com
 
 
 def worst_of_vehicles(
-    names: tuple[str, ...], designs: Sequence[Design], scenarios: Scenarios, setup: Setup, case: Case
+    names: tuple[str, ...], designs: Sequence[Design], scenarios: Scenarios, setup: Setup, window: Window
 ) -> Worst:
     """The largest mean S and the least comfortable share over named vehicles, on the first departures of each side.
 
@@ -42,7 +42,7 @@ def worst_of_vehicles(
     """
     some = first_of_each_side(scenarios, DEPARTURES)
     content = b"".join(array.tobytes() for array in some.arrays())
-    return _worst(names, tuple(designs), _Kept(content, some), setup, case)
+    return _worst(names, tuple(designs), _Kept(content, some), setup, window)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,7 +52,7 @@ class _Kept:
 
 
 @functools.lru_cache(maxsize=8)
-def _worst(names: tuple[str, ...], designs: tuple[Design, ...], kept: _Kept, setup: Setup, case: Case) -> Worst:
+def _worst(names: tuple[str, ...], designs: tuple[Design, ...], kept: _Kept, setup: Setup, window: Window) -> Worst:
     """Kept for the next time: a run ranks more than once."""
     plants = []
     for name in names:
@@ -60,7 +60,7 @@ def _worst(names: tuple[str, ...], designs: tuple[Design, ...], kept: _Kept, set
         # friction is of the road, not of the vehicle
         mismatch = Mismatch(mu=setup.options.mismatch.mu, **fixed)
         plants.append(dataclasses.replace(setup.options, mismatch=mismatch))
-    drives = drive_on_plants(designs, plants, kept.scenarios, setup, case)
+    drives = drive_on_plants(designs, plants, kept.scenarios, setup, window)
     driven = drives.status != EventStatus.INVALID
     S = np.where(driven, drives.S, 0.0).sum(axis=2) / np.maximum(driven.sum(axis=2), 1)
     S_worst = np.where(driven.any(axis=2), S, np.nan).max(axis=0)
@@ -89,11 +89,11 @@ def first_of_each_side(scenarios: Scenarios, most: int) -> Scenarios:
 
 
 def drive_on_plants(
-    designs: Sequence[Design], plants: Sequence[PlantOptions], scenarios: Scenarios, setup: Setup, case: Case
+    designs: Sequence[Design], plants: Sequence[PlantOptions], scenarios: Scenarios, setup: Setup, window: Window
 ) -> Drives:
     """Drive every design on every plant; each by itself, so that no number depends on another.
 
-    The setup is in the convention of the case; its own plant does not count.
+    The setup's own plant does not count.
     """
     shape = (len(plants), len(designs), scenarios.n)
     S, S_uncorrected = np.full(shape, np.nan), np.full(shape, np.nan)
@@ -109,7 +109,7 @@ def drive_on_plants(
                 takeovers[design.y_s] = dataclasses.replace(over, plant=setup.plant(over.plant.v))
             over = takeovers[design.y_s]
             try:
-                outcome = drive(design.controller(case.convention), over).outcome(case.window)
+                outcome = drive(design.controller(setup.convention), over).outcome(window)
             except Exception as error:  # a controller may be third-party code
                 failed.append((k, i, raised(error)))
                 continue

@@ -8,10 +8,12 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.simulation import Window
+from ldctoolkit.vehicle import Convention
 
 from ..design import Design
-from ..results import Case, FailedDesign
-from .design_metrics import CaseMetrics, DrivableCase, mean_reduction
+from ..results import FailedDesign, score_label
+from .design_metrics import DesignMetrics, DrivableResults, mean_reduction
 from .inference import SAME, Inference, Interval, Resampled, critical_value, simultaneous_interval, skewed_widths
 from .requirements import Estimate, Miss, Requirement
 
@@ -67,8 +69,7 @@ class FreshScores:
     fresh_scenarios: int  # How many; 0 for none
     fresh_best: int | None  # Position of the finalist with the smallest `fresh_S`
     # Position of the design to take, see `choose_winner`; without fresh scenarios the first of the ranking. None where
-    # no design is ranked, where no finalist meets the requirements on the fresh scenarios, or where a race gave designs
-    # up by another case
+    # no design is ranked, or no finalist meets the requirements on the fresh scenarios
     winner: int | None
 
 
@@ -94,7 +95,7 @@ class SearchScores:
 
 
 def fresh_scores(
-    drivable: DrivableCase,
+    drivable: DrivableResults,
     positions: IntArray,
     search: SearchScores,
     unmet: Sequence[tuple[str, ...]],
@@ -108,8 +109,9 @@ def fresh_scores(
     d = len(search.scores)
     order = np.argsort(positions, kind="stable")
     positions, unmet = positions[order], [unmet[i] for i in order.tolist()]
+    results = drivable.results
     every = Resampled.of(
-        drivable.counted, drivable.scenarios.side, seed=seed, samples=samples, stream=_STREAM, rows=order
+        results.counted, results.scenarios.side, seed=seed, samples=samples, stream=_STREAM, rows=order
     )
     rows = np.flatnonzero(
         (positions < search.ranked)
@@ -164,7 +166,7 @@ def fresh_scores(
         tuple(texts.get(i, ()) for i in range(d)),
         *optimism,
         paired,
-        len(drivable.scenarios),
+        results.scenarios.n,
         int(finalists[np.argmin(resampled.mean)]) if finalists.size else None,
         winner,
     )
@@ -197,13 +199,14 @@ SCORE: Final = (
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
-class RankedDesigns(CaseMetrics, Inference, FreshScores):
-    """Designs of one case, best first; every array has one entry a design in that order. Beside the fields below it
-    has those of `CaseMetrics` (means, tails, reductions, shares, counts and `release`), of `Inference` (intervals,
+class RankedDesigns(DesignMetrics, Inference, FreshScores):
+    """Designs, best first; every array has one entry a design in that order. Beside the fields below it
+    has those of `DesignMetrics` (means, tails, reductions, shares, counts and `release`), of `Inference` (intervals,
     set of best) and of `FreshScores` (the finalists and the winner).
     """
 
-    case: Case  # Window and convention
+    window: Window  # Of S
+    convention: Convention  # Reading of the paper
     # d designs: those that meet all requirements, smallest mean S first, equal ones in the study's order; then the
     # others in the same way
     designs: tuple[Design, ...]
@@ -237,17 +240,18 @@ class RankedDesigns(CaseMetrics, Inference, FreshScores):
     replayed_reduction: FloatArray
     replayed_departures: int  # How many; 0 for none
     failed: tuple[FailedDesign, ...] = ()  # Designs whose law failed: they have no rank and no metrics
-    given_up: int = 0  # Designs that a race gave up before: they have no rank and no metrics either
-    # Whether that race was run by this case's S. If not, `set_of_best` and the other comparisons are of the survivors
-    # of another race only, and there is no winner
-    raced: bool = True
 
     def __len__(self) -> int:
         return len(self.designs)
 
     def __repr__(self) -> str:
         best = f"best {self.designs[0].label!r}, mean S {self.S[0]:.4g} m s" if self.ranked else "none is ranked"
-        return f"<Ranking of {len(self)} designs, {self.case.label}: {best}>"
+        return f"<Ranking of {len(self)} designs, {self.label}: {best}>"
+
+    @property
+    def label(self) -> str:
+        """Window of S and reading of the paper: ``"departure window, consistent"``."""
+        return score_label(self.window, self.convention)
 
     @property
     def ranked(self) -> int:
@@ -281,11 +285,6 @@ class RankedDesigns(CaseMetrics, Inference, FreshScores):
             Estimate(one, value, low, high, one in self.requirements, fresh)
             for one, (value, low, high) in zip(self.limits, numbers, strict=True)
         )
-
-    @property
-    def survivors_only(self) -> bool:
-        """Whether designs were given up by S of another case, which may have been the best of this one."""
-        return self.given_up > 0 and not self.raced
 
     def best_of_each_law(self) -> tuple[int, ...]:
         """Positions of the best design of every law, best law first."""

@@ -12,11 +12,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.arrays import IntArray
+from ldctoolkit.arrays import Frame, IntArray
 from ldctoolkit.control import EventStatus, SteeringLaw
 from ldctoolkit.departures import LEFT
 from ldctoolkit.errors import LdcError, StudyError, expect
-from ldctoolkit.frames import Frame
 from ldctoolkit.law_checks import declared_law
 from ldctoolkit.metrics import METRICS, RELEASE_METRICS
 from ldctoolkit.review import design_margins
@@ -25,14 +24,15 @@ from ldctoolkit.vehicle.bicycle import BicycleModel, Plant, VehicleParameters
 
 from ..assessment import assess
 from ..design import Design
-from ..results import Case, CaseResults, Race, StudyResults
+from ..results import StudyResults
 from ..standards import standard_names
-from ..storage.files import csv_text, write_text
+from ..storage.files import write_text
 from ..study_file import Study
+from ..tables import Table, to_csv, to_polars
 from .design_metrics import (
-    DrivableCase,
+    DrivableResults,
     Margins,
-    case_metrics,
+    design_metrics,
     find_baseline,
     in_order,
     pareto_costs,
@@ -86,17 +86,17 @@ _OFTEN = 0.1  # share of a design's interventions with a failed solve from which
 _NAMED = 3  # designs that a warning names
 
 
-def warnings_of(case: CaseResults, designs: Sequence[Design]) -> Iterator[str]:
+def warnings_of(results: StudyResults) -> Iterator[str]:
     """Sentences that name designs: from the first command where it cannot be a fallback, else where it is often."""
     wrong, often = [], []
-    for i in np.flatnonzero((case.failed_solves > 0).any(axis=1)).tolist():
-        design, failed_solves, status = designs[i], case.failed_solves[i], case.status[i]
+    for i in np.flatnonzero((results.failed_solves > 0).any(axis=1)).tolist():
+        design, failed_solves, status = results.designs[i], results.failed_solves[i], results.status[i]
         driven = ~np.isin(status, (EventStatus.NEVER_TRIGGERED, EventStatus.INVALID))
         failing, total = int((failed_solves[driven] > 0).sum()), int(driven.sum())
         if not failing:
             continue
         name = f"{design.label} in {failing:,} of {total:,} interventions"
-        if not has_solver(design, case.case.convention):
+        if not has_solver(design, results.convention):
             wrong.append(name)
         elif failing >= _OFTEN * total:
             often.append(name)
@@ -132,14 +132,14 @@ MARGIN_SPEEDS: Final = tuple(range(10, 41, 5))  # speeds [m/s] that the margins 
 
 @dataclasses.dataclass(frozen=True, repr=False)
 class Ranking(RankedDesigns, Frame):
-    """Designs of one case, best first, made with `Ranking.of`; the attributes are those of `RankedDesigns`.
+    """Designs, best first, made with `Ranking.of`; the attributes are those of `RankedDesigns`.
 
     Examples
     --------
     >>> import ldctoolkit as ldc
     >>> study = ldc.study(ldc.NoControl, ldc.LQR, name="small", left=20, right=20)
     >>> results = ldc.run_study(study, workers=1)
-    >>> ranking = ldc.rank_study(results, study)[0]
+    >>> ranking = ldc.rank_study(results, study)
     >>> ranking.designs[0].law, ranking.S.shape
     ('lqr', (2,))
     """
@@ -148,12 +148,7 @@ class Ranking(RankedDesigns, Frame):
         """One row a design, with the columns of ``ranking.csv``: first what names it, its rank and S."""
         import polars as pl
 
-        text = ("design", "label", "unmet", "fresh_unmet", "failure")
-        types = {**dict.fromkeys(text, pl.String), "rank": pl.Int64}
-        content = _csv_text([self], None, plain=True).encode()
-        table = pl.read_csv(content, infer_schema_length=None, schema_overrides=types)
-        empty = [one.name for one in table if one.dtype == pl.String and one.is_null().all() and one.name not in text]
-        table = table.with_columns(pl.col(empty).cast(pl.Float64))
+        table = to_polars(_table(self)).with_columns(pl.col("rank").cast(pl.Int64))
         first = ["rank", "law", "y_s_m", "S_m_s", "set_of_best", "unmet"]
         return table.select(*first, pl.exclude(first))
 
@@ -165,7 +160,6 @@ class Ranking(RankedDesigns, Frame):
     def of(
         cls,
         results: StudyResults,
-        case: CaseResults,
         *,
         seed: int = 0,
         bootstrap: int = 2000,
@@ -178,53 +172,51 @@ class Ranking(RankedDesigns, Frame):
         vehicles: Sequence[str] = (),
         standards: Sequence[str] = (),
     ) -> Ranking:
-        """Rank the designs of one case.
+        """Rank the designs of a study.
 
         Raises `InputError` for settings outside what is allowed, a baseline that is not there, or scores that are not
         finite; `UnknownNameError` for a metric or set that does not exist.
 
-        The case is one of the results'; the settings are those of ``[ranking]`` in a study file, D_y [m] is the depth
-        that counts as deep. With a `setup`, what the designs were driven with, they have margins, what friction allows
-        is known, and the named `vehicles` and the cells of the named `standards`, and of those required, are driven;
-        without it margins are NaN.
+        The settings are those of ``[ranking]`` in a study file, D_y [m] is the depth that counts as deep. With a
+        `setup`, what the designs were driven with, they have margins, what friction allows is known, and the named
+        `vehicles` and the cells of the named `standards`, and of those required, are driven; without it margins are
+        NaN.
         """
         options = None if setup is None else setup.options
         requirements = requirements_of(require, options)
         limits = requirements_of((*require, *(name for name in SETS if name != "lane-edge")), options)
         pareto_metrics = tuple(metric(name).name for name in pareto)
         reference = find_baseline(baseline, results)
-        drivable = DrivableCase.of(case, results.scenarios)
-        margins = {} if setup is None else _margins(results, case.case, setup.under(case.case.convention), vehicles)
+        drivable = DrivableResults.of(results)
+        margins = {} if setup is None else _margins(results, setup, vehicles)
         named = (*standards, *pareto_metrics, *(one.metric.name for one in requirements))
-        scores = {} if setup is None else _scores(named, results.designs, setup.under(case.case.convention))
-        metrics = case_metrics(drivable, results.designs, D_y, margins, setup, scores)
+        scores = {} if setup is None else _scores(named, results.designs, setup)
+        metrics = design_metrics(drivable, D_y, margins, setup, scores)
+        counted, side = drivable.results.counted, drivable.results.scenarios.side
         missed = missed_by(requirements, metrics)
         order = np.lexsort((metrics.S, np.array([bool(some) for some in missed]))).astype(np.int64)
         ranked = sum(not some for some in missed)
         taken = in_order(metrics, order)
         chance: dict[str, Any] = {"seed": seed, "samples": bootstrap, "confidence": confidence}
         position = None if reference is None else _position(order, reference)
-        inference = infer(
-            drivable.counted, drivable.scenarios.side, ranked=ranked, baseline=position, rows=order, **chance
-        )
+        inference = infer(counted, side, ranked=ranked, baseline=position, rows=order, **chance)
         names = [one.metric.name for one in limits]
-        limited = sampling_intervals(drivable, results.designs, metrics, names, D_y, confidence, setup)[:, :, order]
+        limited = sampling_intervals(drivable.results, metrics, names, D_y, confidence, setup)[:, :, order]
         mean_S = [name == "S" for name in names]
         limited[mean_S, 1:] = inference.S_low, inference.S_high
         fresh_limited, fresh_saved = np.full_like(limited, np.nan), np.full(len(order), np.nan)
-        warnings = list(_warnings(drivable, results.designs))
+        warnings = list(_warnings(drivable))
         designs = tuple(results.designs[i] for i in order)
         fresh = no_fresh_scores(len(order), ranked)
         if results.fresh is not None and results.fresh.designs:
             place = {design.id: k for k, design in enumerate(designs)}
             positions = np.array([place[design.id] for design in results.fresh.designs], dtype=np.int64)
-            of_case = next(one for one in results.fresh.cases if one.case == case.case)
-            again = DrivableCase.of(of_case, results.fresh.scenarios)
-            there = case_metrics(again, results.fresh.designs, D_y, margins, setup, scores)
+            again = DrivableResults.of(results.fresh)
+            there = design_metrics(again, D_y, margins, setup, scores)
             search = SearchScores(
-                drivable.counted,
+                counted,
                 order,
-                drivable.scenarios.side,
+                side,
                 inference.set_of_best,
                 ranked,
                 position,
@@ -239,23 +231,18 @@ class Ranking(RankedDesigns, Frame):
                 **chance,
             )
             warnings += _about_finalists(fresh, ranked)
-            found = sampling_intervals(again, results.fresh.designs, there, names, D_y, confidence, setup)
+            found = sampling_intervals(again.results, there, names, D_y, confidence, setup)
             worst = [name == "comfortable_worst" for name in names]  # driven on the study's departures only
             found[worst] = limited[worst][:, :, positions]
             fresh_limited[:, :, positions] = found
             fresh_limited[mean_S, 1:] = fresh.fresh_low, fresh.fresh_high
             fresh_saved[positions] = there.reduction
-        given_up = 0 if results.race is None else len(results.race.dropped)
-        raced = case.case == results.cases[0].case
-        if given_up and not raced:
-            fresh = dataclasses.replace(fresh, winner=None)
-            warnings.append(_not_raced(results, given_up))
         acting = [i for i, design in enumerate(designs) if not design.is_baseline]
         if requirements and acting and not any(i < ranked for i in acting):
             fresh = dataclasses.replace(fresh, winner=None)  # to leave the departures alone is no design
-        warnings += warnings_of_sample(drivable.scenarios.side, inference)
+        warnings += warnings_of_sample(side, inference)
         for i in best_of_laws(designs):
-            if not designs[i].is_baseline and (text := tail_text(*depths(results, case, int(order[i]), setup))):
+            if not designs[i].is_baseline and (text := tail_text(*depths(results, int(order[i]), setup))):
                 warnings.append(f"{designs[i].label} is {text}.")
         front = np.zeros(len(order), dtype=np.bool_)
         if pareto_metrics and ranked:
@@ -267,8 +254,9 @@ class Ranking(RankedDesigns, Frame):
             **taken,
             **_fields(inference),
             **_fields(fresh),
-            **_replayed(results, case, designs, **chance, D_y=D_y, baseline=baseline),
-            case=case.case,
+            **_replayed(results, designs, **chance, D_y=D_y, baseline=baseline),
+            window=results.window,
+            convention=results.convention,
             designs=designs,
             index=order,
             rank=rank,
@@ -281,34 +269,32 @@ class Ranking(RankedDesigns, Frame):
             baseline=position,
             pareto=front,
             pareto_metrics=pareto_metrics,
-            scenarios=len(drivable.scenarios),
+            scenarios=side.size,
             D_y=D_y,
             bootstrap=bootstrap,
             confidence=confidence,
             warnings=tuple(warnings),
             failed=results.failed,
-            given_up=given_up,
-            raced=raced,
         )
 
 
-def _replayed(results: StudyResults, case: CaseResults, designs: Sequence[Design], **settings: Any) -> dict[str, Any]:
+def _replayed(results: StudyResults, designs: Sequence[Design], **settings: Any) -> dict[str, Any]:
     """What recorded departures say of the finalists."""
     columns = {name: np.full(len(designs), np.nan) for name in ("S", "low", "high", "reduction")}
     there = results.replayed
     if there is not None and there.designs:
         settings["bootstrap"] = settings.pop("samples")
-        own = Ranking.of(there, next(one for one in there.cases if one.case == case.case), **settings)
+        own = Ranking.of(there, **settings)
         place = {design.id: i for i, design in enumerate(designs)}
         rows = [place[design.id] for design in own.designs]
         for name, found in zip(columns, (own.S, own.S_low, own.S_high, own.reduction), strict=True):
             columns[name][rows] = found
-    count = 0 if there is None else there.drivable().scenarios.n
+    count = 0 if there is None else int(there.drivable.sum())
     return {f"replayed_{name}": column for name, column in columns.items()} | {"replayed_departures": count}
 
 
-def rank_study(results: StudyResults, study: Study) -> tuple[Ranking, ...]:
-    """Rank every case of a study with the study's own settings.
+def rank_study(results: StudyResults, study: Study) -> Ranking:
+    """Rank the designs of a study with the study's own settings.
 
     Raises `StudyError` if the results hold none of the study's designs; `InputError` for an argument of a wrong type.
 
@@ -321,15 +307,14 @@ def rank_study(results: StudyResults, study: Study) -> tuple[Ranking, ...]:
 
     Returns
     -------
-    tuple of Ranking
-        One for each case, the primary one first.
+    Ranking
 
     Examples
     --------
     >>> import ldctoolkit as ldc
     >>> study = ldc.study(ldc.NoControl, ldc.LQR, name="small", left=20, right=20)
     >>> results = ldc.run_study(study, workers=1)
-    >>> [design.law for design in ldc.rank_study(results, study)[0].designs]
+    >>> [design.law for design in ldc.rank_study(results, study).designs]
     ['lqr', 'none']
     """
     expect("results", results, StudyResults)
@@ -339,29 +324,25 @@ def rank_study(results: StudyResults, study: Study) -> tuple[Ranking, ...]:
             "study", "has none of the designs of the results", value=study.name, allowed="the one that was run"
         )
     settings = study.ranking
-    return tuple(
-        Ranking.of(
-            results,
-            case,
-            seed=study.seed,
-            bootstrap=settings.bootstrap,
-            confidence=settings.confidence,
-            D_y=study.report.D_y,
-            baseline=settings.baseline,
-            require=settings.require,
-            pareto=settings.pareto,
-            setup=study.setup(),
-            vehicles=study.vehicles,
-            standards=study.standards,
-        )
-        for case in results.cases
+    return Ranking.of(
+        results,
+        seed=study.seed,
+        bootstrap=settings.bootstrap,
+        confidence=settings.confidence,
+        D_y=study.report.D_y,
+        baseline=settings.baseline,
+        require=settings.require,
+        pareto=settings.pareto,
+        setup=study.setup(),
+        vehicles=study.vehicles,
+        standards=study.standards,
     )
 
 
-def _margins(results: StudyResults, case: Case, setup: Setup, vehicles: Sequence[str]) -> Margins:
+def _margins(results: StudyResults, setup: Setup, vehicles: Sequence[str]) -> Margins:
     """Margins of every design, which do not depend on its threshold, and its worst numbers of named vehicles."""
     designs = results.designs
-    worst = worst_of_vehicles(tuple(vehicles), designs, results.scenarios, setup, case) if vehicles else {}
+    worst = worst_of_vehicles(tuple(vehicles), designs, results.scenarios, setup, results.window) if vehicles else {}
     unknown = (math.nan, math.nan)
     same: dict[tuple[Any, ...], list[Design]] = {}
     for design in designs:
@@ -419,32 +400,19 @@ def _about_finalists(fresh: FreshScores, ranked: int) -> Iterator[str]:
             yield f"Design # {i + 1} misses {', '.join(missed)} on the fresh scenarios and is not the winner."
 
 
-def _not_raced(results: StudyResults, given_up: int) -> str:
-    return (
-        f"This case was not raced: {given_up} of {given_up + len(results.designs)} designs were given up by S of "
-        f"{results.cases[0].case.label}, and one of them may be the best here. Ranks, differences and the set of best "
-        "are of the survivors only, and there is no winner; run the study without a race to rank this case."
-    )
-
-
-def _warnings(drivable: DrivableCase, designs: Sequence[Design]) -> Iterator[str]:
-    case = drivable.case
+def _warnings(drivable: DrivableResults) -> Iterator[str]:
+    results = drivable.results
     if drivable.left_out:
         yield (
             f"{drivable.left_out} of {drivable.status.shape[1]} scenarios cannot be driven (a parameter is not finite "
             "or has the wrong sign, or the speed leaves 1 to 90 m/s); no metric of any design counts them."
         )
-    if case.case.window == "control" and len({design.y_s for design in designs}) > 1:
+    if results.window == "control" and len({design.y_s for design in results.designs}) > 1:
         yield (
             "S over the control window starts at the trigger, which moves with y_s: a later trigger gives a smaller S. "
             "Designs with different y_s are not comparable here; use the departure window."
         )
-    yield from warnings_of(case, designs)
-
-
-_DROPPED: Final = ("dropped_in_round", "dropped_scenarios", "dropped_S_m_s", "dropped_low_m_s")
-"""Columns of a design that a race gave up: after which round and on how many scenarios, its mean S on them, and the
-lower bound of how much worse than the best it is."""
+    yield from warnings_of(results)
 
 
 def _column_of(name: str) -> str:
@@ -468,21 +436,17 @@ _NUMBERS: Final = {name: _column_of(name) for name in _SCORES.split()}
 _COUNTS: Final = ("solver_failed", "diverged", "timed_out", "crashed", "beyond_delta_max", "invalid", "failed_solves")
 
 
-def write_csv(rankings: Sequence[Ranking], path: str | Path, race: Race | None = None) -> None:
-    """Write rankings as one CSV file, whole or not at all; window and convention name the case."""
-    write_text(Path(path), _csv_text(rankings, race))
+def write_csv(ranking: Ranking, path: str | Path) -> None:
+    """Write a ranking as a CSV file, whole or not at all."""
+    write_text(Path(path), to_csv(_table(ranking)))
 
 
-def _csv_text(rankings: Sequence[Ranking], race: Race | None, *, plain: bool = False) -> str:
-    dropped = () if race is None else race.dropped
-    designs = [*(design for ranking in rankings for design in _every(ranking)), *(one.design for one in dropped)]
-    laws = {design.law: design for design in designs}
+def _table(ranking: Ranking) -> Table:
+    """The numbers of every design, in SI units."""
+    laws = {design.law: design for design in _every(ranking)}
     gains = list(dict.fromkeys(column for _, design in sorted(laws.items()) for column in _columns_of(design)))
-    rows = [row for ranking in rankings for row in _rows(ranking, gains)]
-    if race is not None:
-        behind = len(rankings[0]) + len(rankings[0].failed)
-        rows[behind:behind] = _given_up(race, rankings[0], gains)
-    return csv_text([*rows[0], *_DROPPED], rows, plain=plain)
+    rows = list(_rows(ranking, gains))
+    return Table.of(rows[0], rows, text=("design", "label", "unmet", "fresh_unmet", "failure"))
 
 
 def _every(ranking: Ranking) -> Iterator[Design]:
@@ -515,47 +479,31 @@ def _rows(ranking: Ranking, gains: Sequence[str]) -> Iterator[dict[str, Any]]:
     for i, (design, reason) in enumerate(zip(_every(ranking), reasons, strict=True)):
         here = i < len(ranking)
         yield {
-            **_named(ranking, int(ranking.rank[i]) if here and ranking.rank[i] else "", design, gains),
-            **{name: _field(column[i].item()) if here else "" for name, column in numbers.items()},
+            **_named(ranking, int(ranking.rank[i]) or None if here else None, design, gains),
+            **{name: column[i] if here else None for name, column in numbers.items()},
             "unmet": "; ".join(ranking.unmet[i]) if here else "",
             "fresh_unmet": "; ".join(ranking.fresh_unmet[i]) if here else "",
-            "optimism_of": _optimism_of(ranking, i) if here else "",
+            "optimism_of": _optimism_of(ranking, i) if here else None,
             "failure": reason,
         }
 
 
-def _named(ranking: Ranking, rank: int | str, design: Design, gains: Sequence[str]) -> dict[str, Any]:
-    """The columns that say which design in which case."""
-    values = dict.fromkeys(gains, "") | dict(
-        zip(_columns_of(design), (_field(value) for _, value in design.gains), strict=True)
-    )
+def _named(ranking: Ranking, rank: int | None, design: Design, gains: Sequence[str]) -> dict[str, Any]:
+    """The columns that say which design it is."""
+    values = dict(zip(_columns_of(design), (value for _, value in design.gains), strict=True))
     return {
-        "window": ranking.case.window,
-        "convention": ranking.case.convention,
+        "window": ranking.window,
+        "convention": ranking.convention,
         "rank": rank,
         "design": design.id,
         "label": design.label,
         "law": design.law,
-        "y_s_m": repr(design.y_s),
-        **{f"gain_{name}": value for name, value in values.items()},
+        "y_s_m": design.y_s,
+        **{f"gain_{name}": values.get(name) for name in gains},
     }
 
 
-def _given_up(race: Race, ranking: Ranking, gains: Sequence[str]) -> Iterator[dict[str, Any]]:
-    """No rank and no metrics: these would stand for fewer scenarios than all others."""
-    for one in race.dropped:
-        metrics = (one.round, one.scenarios, _field(one.S), _field(one.low))
-        yield _named(ranking, "", one.design, gains) | dict(zip(_DROPPED, metrics, strict=True))
-
-
-def _optimism_of(ranking: Ranking, i: int) -> str:
+def _optimism_of(ranking: Ranking, i: int) -> str | None:
     if np.isnan(ranking.optimism[i]):
-        return ""
+        return None
     return "baseline_difference" if ranking.optimism_paired else "S"
-
-
-def _field(value: Any) -> str:
-    """Numbers in full precision, truth values in lower case, nothing for a metric that is taken over no departure."""
-    if isinstance(value, bool):
-        return str(value).lower()
-    return "" if value != value else str(value)

@@ -35,7 +35,7 @@ def metric(name: str) -> Metric:
         # the beginning of another name, as ``ay``, is too short to be near to anything by its letters
         begun = next((target for alias, target in _ALIASES.items() if name and alias.startswith(name)), name)
         known_names = (*METRICS, *standard_names())
-        raise UnknownNameError(f"metric {name!r}", "no such metric; " + nearest(begun, known_names))
+        raise UnknownNameError("metric", "is no metric", value=name, hint=nearest(begun, known_names))
     return METRICS[known]
 
 

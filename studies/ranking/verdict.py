@@ -1,25 +1,23 @@
 """The verdict on a ranking, and the ranking as text: terminal, Markdown and notebook."""
 
 import dataclasses
-import html
 import math
-import re
 from collections.abc import Iterator, Sequence
 from typing import Final, Literal
 
 import numpy as np
 
 from ldctoolkit.arrays import FloatArray, IntArray
-from ldctoolkit.gains import GainValue
+from ldctoolkit.declared import GainValue
 from ldctoolkit.metrics import METRICS
-from ldctoolkit.notebook import CELL
 from ldctoolkit.paths.uncorrected import UncorrectedPath
 from ldctoolkit.scenario_model import ScenarioModel
 from ldctoolkit.scenario_model.model import misleading
 from ldctoolkit.setup import Setup
 
 from ..design import Design
-from ..results import CaseResults, StudyResults
+from ..results import StudyResults
+from ..tables import Cell, Column, Row, Table, Value, notebook_html
 from .design_metrics import beyond_friction
 from .ranked_designs import RankedDesigns
 from .requirements import G, metric_values
@@ -83,7 +81,7 @@ def verdict(
     setup = setup or Setup()
     nearest: tuple[int, ...] = ()
     ahead: tuple[str, ...] = ()
-    some = results.drivable().scenarios
+    some = results.on_drivable().scenarios
     recorded = float(beyond_friction(some, setup).mean()) if some.n else 0.0
     acting = [i for i, design in enumerate(ranking.designs) if not design.is_baseline]
     meeting = [i for i in range(ranking.ranked) if not ranking.designs[i].is_baseline]
@@ -141,8 +139,6 @@ def _list(parts: list[str]) -> str:
 
 def _of_winner(ranking: RankedDesigns, place: int) -> str:
     name = design_name(ranking.designs[place])
-    if ranking.survivors_only:
-        return f"No winner: this case was not raced; the best design may have been given up. First: {name}"
     if ranking.winner is None:
         return f"No winner: no finalist meets the requirements on the fresh scenarios. First: {name}"
     if ranking.requirements:
@@ -246,19 +242,16 @@ def _limits_light(ranking: RankedDesigns, place: int) -> Light:
     return Light("Limits", "good", f"Meets {_list(list(names))}.")
 
 
-def depths(
-    results: StudyResults, case: CaseResults, i: int, setup: Setup | None = None
-) -> tuple[FloatArray, FloatArray]:
+def depths(results: StudyResults, i: int, setup: Setup | None = None) -> tuple[FloatArray, FloatArray]:
     """Deepest positions of a design and without control on the departures that every design could be driven on [m]."""
-    some, on = results.scenarios.take(case.drivable), setup or Setup()
+    some, on = results.scenarios.take(results.drivable), setup or Setup()
     path = UncorrectedPath.of(some, on.options.residuals, on.seed)
-    return case.companions.deepest[i][case.drivable], path.deepest(some.T)
+    return results.companions.deepest[i][results.drivable], path.deepest(some.T)
 
 
 def _tail_light(ranking: RankedDesigns, results: StudyResults, setup: Setup, place: int) -> Iterator[Light]:
     """Whether the design named goes badly more often than no control does; none where that is not significant."""
-    case = next(one for one in results.cases if one.case == ranking.case)
-    if text := tail_text(*depths(results, case, int(ranking.index[place]), setup)):
+    if text := tail_text(*depths(results, int(ranking.index[place]), setup)):
         yield Light("Tail", "bad", f"{_capital(text)}.")
 
 
@@ -350,65 +343,46 @@ TOP: Final = 20  # rows of a notebook; the winner and the baseline follow where 
 RANKING_METRICS: Final = ("reduction", "a_y_added_peak_p95", "jerk_added_peak_p95", "needless")
 """Metrics beside S of every table that shows a ranking."""
 
-_DASH: Final = "\u2013"
-_MINUS: Final = re.compile(r"(?<![\w.])-(?=\d)")
-_LEFT: Final = f"text-align:left;{CELL}"
-_RIGHT: Final = f"text-align:right;white-space:nowrap;{CELL}"
-
-
-@dataclasses.dataclass(frozen=True)
-class TextColumn:
-    """One column of a ranking: heading, unit, and whether it stands to the left."""
-
-    title: str
-    unit: str = ""
-    left: bool = False
-
-
-def ranking_columns(ranking: RankedDesigns) -> tuple[TextColumn, ...]:
-    """The columns of every text that shows a ranking, in their order."""
-    return (
-        TextColumn("#"),
-        TextColumn("law", left=True),
-        TextColumn("y_s", "m"),
-        TextColumn("gains", left=True),
-        TextColumn(f"S, {100 * ranking.confidence:g} %", "m s"),
-        TextColumn("less", "%"),
-        TextColumn("a_y", "m/s2"),
-        TextColumn("jerk", "m/s3"),
-        TextColumn("needless", "%"),
-        TextColumn("verdict", left=True),
-    )
-
-
 COLUMNS_TEXT: Final = (
-    "less: reduction of S against no control. a_y, jerk: 95 % quantile of what control adds to the recorded "
-    "path. needless: "
-    "share of departures with an intervention that stay within 0.3 m by themselves."
+    "Less: reduction of mean S against no control. a_y, jerk: 95 % quantile of what control adds to the recorded path. "
+    "Needless: share of departures with an intervention that stay within 0.3 m by themselves."
 )
 """What the short headings mean."""
 
 
-def ranking_cells(ranking: RankedDesigns, i: int) -> list[str]:
-    """The cells of one design, in the order of `ranking_columns`."""
-    design = ranking.designs[i]
-    low, high = float(ranking.S_low[i]), float(ranking.S_high[i])
-    return [
-        str(ranking.rank[i]) if ranking.rank[i] else _DASH,
-        law_title(design),
-        f"{design.y_s:g}",
-        gains_text(design, " "),
-        f"{ranking.S[i]:.3f}" + (f" {low:.2f}..{high:.2f}" if math.isfinite(low + high) else ""),
-        *(
-            _number(METRICS[name].scale * float(metric_values(name, ranking)[i]), METRICS[name].digits)
-            for name in RANKING_METRICS
-        ),
-        judged(ranking, i),
+def ranking_table(ranking: RankedDesigns, places: Sequence[int]) -> Table:
+    """Designs of a ranking by their places, for every reader."""
+    heads = zip(("Less", "a_y", "Jerk", "Needless"), map(METRICS.__getitem__, RANKING_METRICS), strict=True)
+    level = f"{100 * ranking.confidence:g} % interval"
+    columns = [
+        Column("Rank", key="rank"),
+        Column("Law", text=True),
+        Column("y_s", "m", "g", key="y_s", about="Trigger threshold"),
+        Column("Gains", text=True, about="Gains that differ from their defaults"),
+        Column("Mean S", "m\u00b7s", ".3f", key="S"),
+        Column(level, "m\u00b7s", ".3f", about="Of mean S, for all designs at once"),
+        *(Column(head, of.shown_unit, f".{of.digits}f", key=head.lower(), about=of.title) for head, of in heads),
+        *([Column("Fresh S", "m\u00b7s", ".3f", key="fresh", about="Mean S on the fresh scenarios")]
+          if ranking.fresh_scenarios else []),
+        Column("Verdict", text=True),
     ]  # fmt: skip
-
-
-def _number(value: float, digits: int) -> str:
-    return f"{value:.{digits}f}" if math.isfinite(value) else _DASH
+    metrics = {name: METRICS[name].scale * metric_values(name, ranking) for name in RANKING_METRICS}
+    rows = []
+    for before, i in zip([-1, *places], places, strict=False):
+        design, missed = ranking.designs[i], {miss.requirement.metric.name for miss in ranking.missed[i]}
+        rank, S, low, high, fresh = (
+            float(values[i]) for values in (ranking.rank, ranking.S, ranking.S_low, ranking.S_high, ranking.fresh_S)
+        )
+        cells: list[Cell | Value] = [
+            int(rank) or math.nan, law_title(design), design.y_s, gains_text(design, "="), S, (low, high),
+            *(Cell(float(values[i]), bad=name in missed) for name, values in metrics.items()),
+            *([fresh] if ranking.fresh_scenarios else []),
+            Cell(judged(ranking, i), bad=bool(missed)),
+        ]  # fmt: skip
+        kind = "winner" if i == ranking.winner else "baseline" if i == ranking.baseline else ""
+        rows.append(Row(cells, kind, apart=i > before + 1))
+    title = f"{len(ranking):,} design{'' if len(ranking) == 1 else 's'} by mean S, {ranking.label}"
+    return Table(title, columns, rows, head=1)
 
 
 def judged(ranking: RankedDesigns, place: int) -> str:
@@ -455,7 +429,7 @@ def verdict_lines(found: Verdict) -> list[str]:
 def set_of_best_line(ranking: RankedDesigns) -> str:
     """What these scenarios do not separate; empty where there is nothing to say of it."""
     size, level = int(ranking.set_of_best.sum()), f"{100 * ranking.confidence:g} % confidence"
-    if not ranking.ranked or ranking.survivors_only or len(ranking) == 1:
+    if not ranking.ranked or len(ranking) == 1:
         return ""
     if size == 1:
         return f"Set of best: the first design alone, with {level}."
@@ -463,7 +437,7 @@ def set_of_best_line(ranking: RankedDesigns) -> str:
 
 
 def more_lines(ranking: RankedDesigns) -> Iterator[str]:
-    """What else a reader should know: the set of best, fresh scenarios, failures, a race."""
+    """What else a reader should know: the set of best, fresh scenarios, failures."""
     if set_of_best := set_of_best_line(ranking):
         yield set_of_best
     i, b = ranking.winner, ranking.baseline
@@ -478,7 +452,7 @@ def more_lines(ranking: RankedDesigns) -> Iterator[str]:
                 f"{high:+.4f}) on the {where} scenarios."
             )
     if i is not None and ranking.fresh_scenarios and not np.isfinite(ranking.fresh_S[i]):
-        yield "The winner of this case was no finalist; it has no fresh score."
+        yield "The winner was no finalist; it has no fresh score."
     if i is not None and np.isfinite(ranking.optimism[i]):
         yield optimism_text(ranking, i)
     if i is not None and ranking.fresh_difference[i] < 0 and ranking.fresh_difference_high[i] < 0:
@@ -508,56 +482,13 @@ def more_lines(ranking: RankedDesigns) -> Iterator[str]:
         )
     if ranking.failed:
         yield f"{len(ranking.failed):,} design{'' if len(ranking.failed) == 1 else 's'} failed, without metrics."
-    if ranking.given_up:
-        yield f"{ranking.given_up:,} of {ranking.given_up + len(ranking):,} designs were given up in a race before."
-
-
-def other_cases(rankings: Sequence[RankedDesigns]) -> Iterator[str]:
-    """A line for each case that is not the primary one, and what it alone warns of."""
-    for one in rankings[1:]:
-        if one.winner is None:
-            yield f"{one.case.label}: no winner."
-        else:
-            yield f"{one.case.label}: {design_name(one.designs[one.winner])}; mean S {one.S[one.winner]:.3f} m s."
-        yield from (f"{one.case.label}: {text}" for text in one.warnings if text not in rankings[0].warnings)
-
-
-# ------------------------------------------------------------------------------------------------ notebooks
 
 
 def ranking_html(ranking: RankedDesigns, top: int = TOP) -> str:
-    """A ranking as HTML without script; everything in it is escaped."""
-    places = listed_places(ranking, top)
-    head = "".join(
-        f'<th scope="col" style="{_LEFT if one.left else _RIGHT}">{html.escape(one.title)}'
-        f"{f'<br>[{html.escape(one.unit)}]' if one.unit else ''}</th>"
-        for one in ranking_columns(ranking)
-    )
-    rows = "".join(_html_row(ranking, place) for place in places)
+    """What a notebook shows of a ranking."""
+    table = ranking_table(ranking, listed_places(ranking, top))
     if ranking.winner is not None:
         best = f"Winner: {design_name(ranking.designs[ranking.winner])}."
     else:
         best = "No winner." if ranking.ranked else "None meets the requirements."
-    texts = "<br>".join(html.escape(_MINUS.sub("\u2212", text)) for text in (best, *more_lines(ranking)))
-    warnings = "".join(f"<br><b>Warning:</b> {html.escape(text)}" for text in ranking.warnings)
-    title = f"{len(ranking):,} design{'' if len(ranking) == 1 else 's'} by mean S, {ranking.case.label}"
-    more = len(ranking) - len(places)
-    foot = f"<div>and {more:,} more</div>" if more > 0 else ""
-    return (
-        f'<div style="overflow-x:auto"><div><b>{html.escape(title)}</b><br>{texts}{warnings}</div>'
-        f'<table style="border-collapse:collapse;font-variant-numeric:tabular-nums"><thead><tr>{head}</tr></thead>'
-        f"<tbody>{rows}</tbody></table>{foot}</div>"
-    )
-
-
-def _html_row(ranking: RankedDesigns, place: int) -> str:
-    bold = ";font-weight:bold" if place == ranking.winner else ""
-    cells = zip(ranking_columns(ranking), ranking_cells(ranking, place), strict=True)
-    return (
-        "<tr>"
-        + "".join(
-            f'<td style="{_LEFT if one.left else _RIGHT}{bold}">{html.escape(_MINUS.sub(chr(0x2212), cell))}</td>'
-            for one, cell in cells
-        )
-        + "</tr>"
-    )
+    return notebook_html((best, *more_lines(ranking)), ranking.warnings, table, len(ranking) - len(table.rows))

@@ -20,15 +20,14 @@ from ldctoolkit.code_content import content_of, modules_of
 from ldctoolkit.control import Controller, EventStatus
 from ldctoolkit.errors import LdcError, StoreError
 from ldctoolkit.scenarios import Scenarios
-from ldctoolkit.vehicle import Convention
 
 from ..design import NO_CONTROL, Design
-from ..results import FailedRun, RunKey, TaskResult
+from ..results import FailedRun, TaskResult
 from ..storage.run_table import RunTable
 from ..storage.store import Store
 from ..study_file import Study
 from .executors.processes import Ended, Executor, Fault
-from .tasks import Done, Faults, Job, Prefixes, ScenarioBatch, SimulationTask, Simulator, Task, load_loops
+from .tasks import Done, Faults, Job, ScenarioBatch, SimulationTask, Simulator, Task, batches, load_loops
 
 _LINE_EVERY = 1.0  # seconds between lines
 
@@ -168,27 +167,27 @@ class InOrder:
     """
 
     def __init__(self) -> None:
-        self._wanted: dict[RunKey, deque[int]] = defaultdict(deque)
-        self._early: dict[RunKey, dict[int, TaskResult]] = {}
+        self._wanted: dict[str, deque[int]] = defaultdict(deque)
+        self._early: dict[str, dict[int, TaskResult]] = {}
 
-    def expect(self, keys: Iterable[RunKey], batch: int) -> None:
+    def expect(self, ids: Iterable[str], batch: int) -> None:
         """A batch of some designs will come, after those that were announced before."""
-        for key in keys:
-            self._wanted[key].append(batch)
+        for id in ids:
+            self._wanted[id].append(batch)
 
     def take(self, batch: int, result: TaskResult) -> Iterator[TaskResult]:
         """Results that can be handed on, now that these are there."""
-        now = [i for i, key in enumerate(result.keys) if self._wanted[key] and self._wanted[key][0] == batch]
+        now = [i for i, id in enumerate(result.ids) if self._wanted[id] and self._wanted[id][0] == batch]
         arrived = set(now)
-        for i, key in enumerate(result.keys):
+        for i, id in enumerate(result.ids):
             if i not in arrived:
-                self._early.setdefault(key, {})[batch] = result.take([i])
+                self._early.setdefault(id, {})[batch] = result.take([i])
         if not now:
             return
-        yield result if len(now) == len(result.keys) else result.take(now)
+        yield result if len(now) == len(result.ids) else result.take(now)
         for i in now:
-            key = result.keys[i]
-            wanted, early = self._wanted[key], self._early.get(key, {})
+            id = result.ids[i]
+            wanted, early = self._wanted[id], self._early.get(id, {})
             wanted.popleft()
             while wanted and wanted[0] in early:
                 yield early.pop(wanted.popleft())
@@ -198,11 +197,11 @@ class Merge:
     """Keeps results of parts of batches until the rest is there."""
 
     def __init__(self) -> None:
-        self._parts: dict[tuple[RunKey, int], list[TaskResult]] = {}
+        self._parts: dict[tuple[str, int], list[TaskResult]] = {}
 
     def add(self, task: Task, result: TaskResult) -> TaskResult | None:
         """Take in results of one design on a part of a batch; the whole batch, once it is complete."""
-        key = (result.keys[0], task.batch)
+        key = (result.ids[0], task.batch)
         parts = self._parts.setdefault(key, [])
         parts.append(result)
         if sum(part.rows.size for part in parts) < task.batch_size:
@@ -233,8 +232,7 @@ STATUS_OF: Final[dict[Fault, EventStatus]] = {"died": EventStatus.CRASHED, "late
 class WorkQueue:
     """Designs of one law that still have to run on one batch of scenarios."""
 
-    def __init__(self, convention: Convention, batch: ScenarioBatch, designs: Iterable[Design]) -> None:
-        self.convention = convention
+    def __init__(self, batch: ScenarioBatch, designs: Iterable[Design]) -> None:
         self.batch = batch
         # designs of one threshold share a takeover
         self.designs = deque(sorted(designs, key=lambda design: design.y_s))
@@ -270,12 +268,12 @@ class Dispatcher:
         self._faults = faults
         self._merge = Merge()
         self._in_order = InOrder()
-        self._failed: dict[RunKey, int] = {}
+        self._failed: dict[str, int] = {}
 
     def run(self, queues: Sequence[WorkQueue]) -> None:
         """Run everything; returns when nothing is left."""
         for queue in queues:
-            self._in_order.expect(((design.id, queue.convention) for design in queue.designs), queue.batch.number)
+            self._in_order.expect((design.id for design in queue.designs), queue.batch.number)
         tasks = self._tasks(deque(queues))
         following = next(tasks, None)
         while following or self._again or self._alone or self._under_way:
@@ -308,14 +306,12 @@ class Dispatcher:
             while queue.designs and len(designs) < count:
                 design = queue.designs.popleft()
                 # a design that has failed on an earlier batch is out
-                if self._failed.get((design.id, queue.convention), queue.batch.number) >= queue.batch.number:
+                if self._failed.get(design.id, queue.batch.number) >= queue.batch.number:
                     designs.append(design)
             if designs:
                 rows = queue.batch.rows
                 scenarios = self._scenarios.take(rows)
-                yield SimulationTask(
-                    self._job, queue.convention, tuple(designs), rows, scenarios, queue.batch.number, rows.size
-                )
+                yield SimulationTask(self._job, tuple(designs), rows, scenarios, queue.batch.number, rows.size)
 
     def _fitting(self, queue: WorkQueue) -> int:
         """Designs that take about half a second."""
@@ -351,20 +347,20 @@ class Dispatcher:
             # the halves go first: what is left of the study waits for no other death
             self._alone.extendleft(reversed(halves))
             return
-        key = (task.designs[0].id, task.convention)
-        reason = self._faults.record(key, int(task.rows[0]), fault)
+        id = task.designs[0].id
+        reason = self._faults.record(id, int(task.rows[0]), fault)
         if reason:
             self._faults.check_workers(self._executor, self._harmless(task))
-            self._fail(FailedRun(key, task.batch, reason))
-            self._alone = deque(self._without(key, self._alone))
-            self._again = deque(self._without(key, self._again))
+            self._fail(FailedRun(id, task.batch, reason))
+            self._alone = deque(self._without(id, self._alone))
+            self._again = deque(self._without(id, self._again))
         else:
             self._give(task, Done(Simulator(self._job).uncontrolled(task, STATUS_OF[fault])))
 
-    def _without(self, key: RunKey, tasks: Iterable[SimulationTask]) -> Iterator[SimulationTask]:
+    def _without(self, id: str, tasks: Iterable[SimulationTask]) -> Iterator[SimulationTask]:
         """The same tasks without a design that has failed; those of its fellows are as suspect as before."""
         for task in tasks:
-            rest = tuple(design for design in task.designs if (design.id, task.convention) != key)
+            rest = tuple(design for design in task.designs if design.id != id)
             if len(rest) == len(task.designs):
                 yield task
             elif rest:
@@ -391,9 +387,9 @@ class Dispatcher:
                 self._collect(Done(result))
 
     def _fail(self, run: FailedRun) -> None:
-        before = self._failed.get(run.key)
+        before = self._failed.get(run.id)
         if before is None or run.batch < before:
-            self._failed[run.key] = run.batch
+            self._failed[run.id] = run.batch
             self._collect(Done(None, (run,)))
 
 
@@ -447,7 +443,6 @@ class Campaign:
         self,
         study: Study,
         scenarios: Scenarios,
-        prefixes: Prefixes,
         store: Store,
         table: RunTable,
         executor: Executor,
@@ -456,7 +451,7 @@ class Campaign:
         time_limit: float,
         block_size: int | None,
     ) -> None:
-        self.study, self.scenarios, self.prefixes = study, scenarios, prefixes
+        self.study, self.scenarios = study, scenarios
         self.store, self.table = store, table
         self._executor, self._progress = executor, progress
         self._block_size = block_size
@@ -469,20 +464,20 @@ class Campaign:
         self._writer: ThreadPoolExecutor | None = None
         self._writing: Future[None] | None = None
 
-    def complete(self, designs: Sequence[Design], size: int, stage: str) -> None:
-        """Run what is missing of some designs on the first `size` scenarios.
+    def complete(self, designs: Sequence[Design], stage: str) -> None:
+        """Run what is missing of some designs.
 
         Whatever happens, what was finished is stored before this returns.
         """
-        queues = self._queues(designs, size)
+        queues = self._queues(designs)
         if not queues:
             self._forget_failures(designs)
             return
-        for key in {(design.id, queue.convention): None for queue in queues for design in queue.designs}:
+        for id in {design.id: None for queue in queues for design in queue.designs}:
             # scenarios that ended a worker in an earlier run count as well, or a resume could save a design
-            for fault, status in STATUS_OF.items() if self.table.missing(key) < self.table.n else ():
-                for row in self.table.rows_with(key, status):
-                    self._faults.record(key, int(row), fault)
+            for fault, status in STATUS_OF.items() if self.table.missing(id) < self.table.n else ():
+                for row in self.table.rows_with(id, status):
+                    self._faults.record(id, int(row), fault)
         # in this process, each law once: workers would all compile the same
         laws = {queue.law for queue in queues} - self._loaded
         self._loaded |= laws
@@ -499,22 +494,17 @@ class Campaign:
                 self._written()
         self._forget_failures(designs)
 
-    def _queues(self, designs: Sequence[Design], size: int) -> list[WorkQueue]:
-        """What is missing: convention by convention, law by law, batch by batch."""
+    def _queues(self, designs: Sequence[Design]) -> list[WorkQueue]:
+        """What is missing: law by law, batch by batch."""
         laws: dict[str, list[Design]] = {}
         for design in designs:
             laws.setdefault(design.law, []).append(design)
         queues = []
-        for convention in self.study.simulation.convention:
-            for same in laws.values():
-                covered = 0
-                for batch in self.prefixes.batches(same[0].batch):
-                    covered += batch.rows.size
-                    if covered > size:
-                        break
-                    todo = [d for d in same if not self.table.has((d.id, convention), batch.rows)]
-                    if todo:
-                        queues.append(WorkQueue(convention, batch, todo))
+        for same in laws.values():
+            for batch in batches(len(self.scenarios), same[0].batch):
+                todo = [design for design in same if not self.table.has(design.id, batch.rows)]
+                if todo:
+                    queues.append(WorkQueue(batch, todo))
         return queues
 
     def _collect(self, done: Done) -> None:
@@ -554,11 +544,11 @@ class Campaign:
 
     def _forget_failures(self, designs: Sequence[Design]) -> None:
         """Failures of earlier runs that did not come again."""
-        keys = {(design.id, convention) for design in designs for convention in self.study.simulation.convention}
+        ids = {design.id for design in designs}
         still = {
-            key: reason
-            for key, reason in self.store.failures.items()
-            if key[0] in self.table and (key not in keys or self.table.missing(key))
+            id: reason
+            for id, reason in self.store.failures.items()
+            if id in self.table and (id not in ids or self.table.missing(id))
         }
         self.store.write_failures(still)
 
@@ -568,7 +558,7 @@ def _job(study: Study, store: Store, executor: Executor, time_limit: float) -> J
     return Job(
         token=token.hexdigest()[:16],
         setup=study.setup(),
-        windows=study.simulation.window,
+        window=study.simulation.window,
         laws=laws_to_send(study.classes.values()) if executor.isolated else b"",
         time_limit=time_limit if executor.isolated else 0.0,
     )

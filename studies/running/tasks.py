@@ -8,27 +8,25 @@ import itertools
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import Any, Final, Self
 
 import numpy as np
-import numpy.typing as npt
 
 import ldctoolkit.registry as registry
-from ldctoolkit.arrays import FloatArray, IntArray
+from ldctoolkit.arrays import IntArray
 from ldctoolkit.control import EventStatus, LinearLaw, SteeringLaw
-from ldctoolkit.errors import InputError, LdcError
+from ldctoolkit.errors import LdcError
 from ldctoolkit.law_checks import declared_law, raised
 from ldctoolkit.metrics import METRIC_UNITS
 from ldctoolkit.registry import controller_class
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
-from ldctoolkit.simulation import Outcome, Run, Takeover, Window, drive, drive_many
+from ldctoolkit.simulation import Run, Takeover, Window, drive, drive_many
 from ldctoolkit.simulation.loop import recorded_run
-from ldctoolkit.vehicle import Convention
 
 from ..design import Design
-from ..results import FailedRun, RunKey, TaskResult
+from ..results import FailedRun, TaskResult
 from .executors.processes import Ended, Executor, Fault, Work
 
 _STRIKES: Final = 2
@@ -47,7 +45,7 @@ class Faults:
 
     def __init__(self) -> None:
         self._strikes: dict[int, int] = {}
-        self._scenarios: dict[RunKey, dict[int, Fault]] = {}
+        self._scenarios: dict[str, dict[int, Fault]] = {}
         self._lost = 0
         self.workers_live = False
 
@@ -64,9 +62,9 @@ class Faults:
         """Another task, with some of the designs, is as suspect as this one."""
         self._strikes[other.number] = self._strikes.get(task.number, 0)
 
-    def record(self, key: RunKey, row: int, fault: Fault) -> str:
+    def record(self, id: str, row: int, fault: Fault) -> str:
         """Note a scenario at fault; a sentence if the design has failed with that."""
-        rows = self._scenarios.setdefault(key, {})
+        rows = self._scenarios.setdefault(id, {})
         rows[row] = fault
         if len(rows) <= _MOST_SCENARIOS:
             return ""
@@ -101,13 +99,6 @@ class Faults:
         self.workers_live = True
 
 
-FIRST_ROUND: Final = 100
-"""Scenarios of the first round: with fewer, tails as far out as many designs need are guesswork."""
-
-_WORTH_A_ROUND = 1.5
-"""A round is held where it leaves out a third of all scenarios or more; a later one would save little."""
-
-
 @dataclasses.dataclass(frozen=True, eq=False)
 class ScenarioBatch:
     """Scenarios that are driven as one batch."""
@@ -116,53 +107,13 @@ class ScenarioBatch:
     rows: IntArray  # (m,): row numbers of the scenarios, rising
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Prefixes:
-    """Nested prefixes of a study's scenarios, each side in proportion."""
-
-    side: IntArray  # (n,): of all scenarios
-    stops: tuple[int, ...]  # sizes of the prefixes, rising; the last is n
-
-    def rows(self, size: int) -> IntArray:
-        """Row numbers of the first `size` scenarios, rising: about the same share of each side."""
-        return prefix_rows(self.side, size)
-
-    def batches(self, size: int) -> tuple[ScenarioBatch, ...]:
-        """All scenarios in batches of at most `size`, none across the end of a prefix."""
-        found: list[ScenarioBatch] = []
-        for first, last in zip((0, *self.stops), self.stops, strict=False):
-            before = self.rows(first) if first else np.zeros(0, dtype=np.int64)
-            new = np.setdiff1d(self.rows(last), before, assume_unique=True)
-            count = -(-new.size // size)
-            # even shares of both sides would change no number; stretches are simpler to name
-            found += [ScenarioBatch(len(found) + i, rows) for i, rows in enumerate(np.array_split(new, count))]
-        return tuple(found)
+def batches(n: int, size: int) -> tuple[ScenarioBatch, ...]:
+    """All n scenarios in stretches of at most `size`."""
+    stretches = np.array_split(np.arange(n), -(-n // size))
+    return tuple(ScenarioBatch(number, rows) for number, rows in enumerate(stretches))
 
 
-def schedule(n: int) -> tuple[int, ...]:
-    """Number of scenarios after each round of a race over n: 100, then twice as many every time, and all at the end."""
-    if isinstance(n, bool) or not isinstance(n, int | np.integer) or n < 1:
-        raise InputError("n", value=n, allowed="a whole number >= 1")
-    sizes, size = [], FIRST_ROUND
-    while size * _WORTH_A_ROUND <= n:
-        sizes.append(size)
-        size *= 2
-    return (*sizes, int(n))
-
-
-def prefix_rows(side: IntArray, m: int) -> IntArray:
-    """The scenarios of a round: the first ones of each side, as many as is its share."""
-    side = np.asarray(side)
-    if not 1 <= m <= side.size:
-        raise InputError("m", value=m, allowed=f"1 to {side.size}, the number of scenarios")
-    which, counts = np.unique(side, return_counts=True)
-    # cumulative shares, rounded: each count rises with m, and together they make m
-    ends = np.floor(np.cumsum(counts) * m / side.size + 0.5).astype(np.int64)
-    taken = np.diff(ends, prepend=0)
-    rows = [np.flatnonzero(side == one)[:count] for one, count in zip(which, taken, strict=True)]
-    return np.sort(np.concatenate(rows))
-
-
+_SCORES = 2  # first columns of a result: S and S_uncorrected
 _numbers = itertools.count()
 
 
@@ -171,16 +122,10 @@ class Job:
     """What all designs of a study share."""
 
     token: str  # tells one job from another
-    setup: Setup  # of the first convention; tasks name theirs
-    windows: tuple[Window, ...]
+    setup: Setup
+    window: Window
     laws: bytes = b""  # controller classes that no installed package offers; empty where there are none
     time_limit: float = 0.0  # [s]: of one task; 0 for none
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """Names of the floating-point columns of a result."""
-        scores = [f"{name}_{window}" for window in self.windows for name in ("S", "S_uncorrected")]
-        return (*scores, *METRIC_UNITS)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -188,7 +133,6 @@ class Task:
     """Some designs on some scenarios."""
 
     job: Job
-    convention: Convention
     designs: tuple[Design, ...]  # k designs of one law, by rising y_s
     rows: IntArray  # (m,): row numbers of the scenarios in the study
     scenarios: Scenarios  # these m scenarios
@@ -234,41 +178,6 @@ class Done:
     seconds: float = 0.0  # [s] wall time of the whole task
 
 
-_DEPARTURES = 6
-
-_SAME = 1e-9  # of S: sums in another order, in a batch of another size, are no state
-_SAME_METRIC = 1e-6  # of the companions: peaks and rates magnify what S averages
-
-
-def first_departures(takeover: Takeover) -> tuple[IntArray, Takeover]:
-    """The first few departures that trigger: their row numbers (k,), and a takeover of them alone."""
-    rows = np.sort(takeover.rows)[:_DEPARTURES]
-    return rows, Takeover.build(takeover.scenarios.take(rows), takeover.setup, y_s=takeover.y_s)
-
-
-def kept_state(
-    columns: Sequence[str],
-    values: FloatArray,
-    status: npt.NDArray[np.int8],
-    failed_solves: npt.NDArray[np.int32],
-    again: Sequence[Outcome],
-) -> str:
-    """A sentence if departures have other numbers when they are driven once more; empty if they do not."""
-    scores = [numbers for outcome in again for numbers in (outcome.S, outcome.S_uncorrected)]
-    second = [*scores, *(getattr(again[0].companions, name) for name in METRIC_UNITS)]
-    same = (status == again[0].status) & (failed_solves == again[0].failed_solves)
-    for column, (name, numbers) in enumerate(zip(columns, second, strict=True)):
-        most = _SAME_METRIC if name in METRIC_UNITS else _SAME
-        same &= np.isclose(values[column], numbers, rtol=most, atol=most, equal_nan=True)
-    if same.all():
-        return ""
-    i = int(np.argmin(same))
-    return (
-        f"keeps state between runs: the same departure, driven twice, gave S = {values[0, i]:.9g} m s and then "
-        f"{second[0][i]:.9g} m s; allowed: state that init makes and step returns"
-    )
-
-
 _TAKEOVERS_KEPT = 8
 
 _JOBS_KEPT = 2
@@ -278,42 +187,34 @@ _warm: set[tuple[str, str]] = set()  # jobs and laws
 
 _NOT_OF_A_LAW = (KeyboardInterrupt, GeneratorExit)  # what ends a study even where it comes out of a law
 
-Key = tuple[float, Convention, bytes]
+Key = tuple[float, bytes]
 
 
 class Simulator:
-    """Runs tasks of one job; keeps the last few takeovers, which designs of one threshold share.
-
-    Every design of a `SteeringLaw` drives a few departures of its first batch once more, and fails if they do not give
-    the numbers that are stored. So its fate does not depend on the order, the tasks or the workers, with one exception
-    that no check can rule out: a law with hidden state of the whole process, which settles before this design runs or
-    changes only after it, behaves here as what ran before in the same process made it.
-    """
+    """Runs tasks of one job; keeps the last few takeovers, which designs of one threshold share."""
 
     def __init__(self, job: Job) -> None:
         self.job = job
         self._takeovers: OrderedDict[Key, Takeover] = OrderedDict()
-        self._few: dict[Key, tuple[IntArray, Takeover]] = {}
 
-    def takeover(self, y_s: float, convention: Convention, scenarios: Scenarios) -> Takeover:
+    def takeover(self, y_s: float, scenarios: Scenarios) -> Takeover:
         """The scenarios at their triggers."""
-        key = _key(y_s, convention, scenarios)
+        key = _key(y_s, scenarios)
         if key not in self._takeovers:
             while len(self._takeovers) >= _TAKEOVERS_KEPT:
-                oldest, _ = self._takeovers.popitem(last=False)
-                self._few.pop(oldest, None)
-            self._takeovers[key] = Takeover.build(scenarios, self.job.setup.under(convention), y_s=y_s)
+                self._takeovers.popitem(last=False)
+            self._takeovers[key] = Takeover.build(scenarios, self.job.setup, y_s=y_s)
         self._takeovers.move_to_end(key)
         return self._takeovers[key]
 
     def run(self, task: Task) -> Done:
-        """Every design of a task; one whose law raises, gives what no law may give, or keeps state, has failed."""
+        """Every design of a task; one whose law raises, or gives what no law may give, has failed."""
         started = time.perf_counter()
         room = _Room(task)
         reasons: dict[int, str] = {}
         for first, last in _same_threshold(task.designs):
             # what this raises is no fault of a law
-            takeover = self.takeover(task.designs[first].y_s, task.convention, task.scenarios)
+            takeover = self.takeover(task.designs[first].y_s, task.scenarios)
             try:
                 self._together(room, takeover, first, last)
             except _NOT_OF_A_LAW:
@@ -322,12 +223,8 @@ class Simulator:
                 # which design it was is not known: one after the other, the one that raises is named
                 for i in range(first, last):
                     self._alone(room, takeover, i, reasons)
-            if task.batch == 0:
-                for i in range(first, last):
-                    if i not in reasons and room.law_seconds[i]:
-                        self._steady(room, takeover, i, reasons)
         ran = [i for i in range(len(task.designs)) if i not in reasons]
-        failed = tuple(FailedRun((task.designs[i].id, task.convention), task.batch, why) for i, why in reasons.items())
+        failed = tuple(FailedRun(task.designs[i].id, task.batch, why) for i, why in reasons.items())
         result = room.result() if not reasons else room.result().take(ran) if ran else None
         return Done(result, failed, time.perf_counter() - started)
 
@@ -335,14 +232,14 @@ class Simulator:
         """The recorded paths with a status, as what counts where a law could not be run; no law's code is called."""
         room = _Room(task)
         for i, design in enumerate(task.designs):
-            takeover = self.takeover(design.y_s, task.convention, task.scenarios)
+            takeover = self.takeover(design.y_s, task.scenarios)
             room.put(i, recorded_run(takeover))
             room.status[i, takeover.rows] = status
         return room.result()
 
     def _together(self, room: _Room, takeover: Takeover, first: int, last: int) -> None:
         """Designs of one threshold in one go over the scenarios, as far as their laws allow."""
-        convention = room.task.convention
+        convention = self.job.setup.convention
         controllers = [design.controller(convention) for design in room.task.designs[first:last]]
         # all of them before any is taken in: what one raises leaves the others as they were
         for i, run in zip(range(first, last), list(drive_many(controllers, takeover, threads=1)), strict=True):
@@ -356,31 +253,6 @@ class Simulator:
         except BaseException as error:
             reasons[i] = raised(error)
 
-    def _steady(self, room: _Room, takeover: Takeover, i: int, reasons: dict[int, str]) -> None:
-        """Drive a few departures once more: they have to give the same numbers."""
-        task, design = room.task, room.task.designs[i]
-        key = _key(design.y_s, task.convention, task.scenarios)
-        if key not in self._few:
-            self._few[key] = first_departures(takeover)
-        rows, few = self._few[key]
-        if not rows.size:
-            return
-        try:
-            again = drive(design.controller(task.convention), few, threads=1)
-            reason = kept_state(*room.some(i, rows), self._outcomes(again))
-            if reason:  # state, or a law that depends on its neighbours? all of them once more tell
-                again = drive(design.controller(task.convention), takeover, threads=1)
-                reason = kept_state(*room.some(i, np.arange(room.rows)), self._outcomes(again))
-        except _NOT_OF_A_LAW:
-            raise
-        except BaseException as error:  # it did not raise the first time
-            reason = f"driven a second time: {raised(error)}"
-        if reason:
-            reasons[i] = reason
-
-    def _outcomes(self, run: Run) -> list[Outcome]:
-        return [run.outcome(window) for window in self.job.windows]
-
 
 class _Room:
     """Room for the results of a task."""
@@ -388,9 +260,8 @@ class _Room:
     def __init__(self, task: Task) -> None:
         self.task = task
         self.rows = task.rows.size
-        self.columns = task.job.columns
         k = len(task.designs)
-        self.values = np.empty((len(self.columns), k, self.rows))
+        self.values = np.empty((_SCORES + len(METRIC_UNITS), k, self.rows))
         self.status = np.empty((k, self.rows), dtype=np.int8)
         self.failed_solves = np.empty((k, self.rows), dtype=np.int32)
         self.law_seconds = np.zeros(k)
@@ -401,8 +272,8 @@ class _Room:
         self._commands = 0
 
     def put(self, i: int, run: Run) -> None:
-        """Results of one design; two windows are two ways to score the same run."""
-        over, windows = run.takeover, self.task.job.windows
+        """Results of one design."""
+        over, windows = run.takeover, (self.task.job.window,)
         if over is not self._takeover:  # designs of one threshold share what they do not change
             self._takeover, self._recorded = over, run.columns(windows)
             self._not_driven = np.where(over.valid, EventStatus.NEVER_TRIGGERED, EventStatus.INVALID).astype(np.int8)
@@ -413,29 +284,23 @@ class _Room:
         run.fill(values, windows)
         self.status[i] = self._not_driven
         self.status[i, rows] = run.status
-        if not np.isfinite(values[: 2 * len(windows)]).all():
+        if not np.isfinite(values[:_SCORES]).all():
             driven = self.status[i] != EventStatus.INVALID
-            if not np.isfinite(values[: 2 * len(windows), driven]).all():
+            if not np.isfinite(values[:_SCORES, driven]).all():
                 raise LdcError("S is not finite in some scenario")
         self.failed_solves[i] = 0
         self.failed_solves[i, rows] = run.failed_solves
         self.law_seconds[i] = run.law_seconds
         self.commands[i] = self._commands
 
-    def some(
-        self, i: int, rows: IntArray
-    ) -> tuple[tuple[str, ...], FloatArray, npt.NDArray[np.int8], npt.NDArray[np.int32]]:
-        """Columns, values, status and failed solves of one design in some scenarios."""
-        return self.columns, self.values[:, i, rows], self.status[i, rows], self.failed_solves[i, rows]
-
     def result(self) -> TaskResult:
         """All of it."""
-        keys, rows = tuple((design.id, self.task.convention) for design in self.task.designs), self.task.rows
-        return TaskResult(keys, rows, self.values, self.status, self.failed_solves, self.law_seconds, self.commands)
+        ids, rows = tuple(design.id for design in self.task.designs), self.task.rows
+        return TaskResult(ids, rows, self.values, self.status, self.failed_solves, self.law_seconds, self.commands)
 
 
-def _key(y_s: float, convention: Convention, scenarios: Scenarios) -> Key:
-    return y_s, convention, scenarios.index.tobytes()
+def _key(y_s: float, scenarios: Scenarios) -> Key:
+    return y_s, scenarios.index.tobytes()
 
 
 def _same_threshold(designs: tuple[Design, ...]) -> list[tuple[int, int]]:
@@ -492,7 +357,7 @@ def learn(laws: bytes) -> None:
 def _warm_up(job: Job, task: Task) -> None:
     key = job.token, task.designs[0].law
     if key not in _warm and job.time_limit:
-        load_loops({key[1]}, task.scenarios, job.setup.under(task.convention), task.designs[0].y_s)
+        load_loops({key[1]}, task.scenarios, job.setup, task.designs[0].y_s)
         _warm.add(key)
 
 

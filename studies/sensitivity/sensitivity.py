@@ -10,14 +10,14 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ldctoolkit.arrays import FloatArray, IntArray
+from ldctoolkit.arrays import FloatArray
+from ldctoolkit.declared import GainValue
 from ldctoolkit.errors import InputError, LdcError
-from ldctoolkit.gains import GainValue
 
 from ..design import Design
 from ..design_space import THRESHOLD, DesignBlock
 from ..ranking.inference import bootstrap_deviations, check_confidence, row_means
-from ..results import CaseResults, StudyResults
+from ..results import StudyResults
 from ..study_file import Study
 
 Method = Literal["factorial", "saltelli", "rbd_fast"]
@@ -55,14 +55,13 @@ def gain_value(design: Design, name: str) -> GainValue:
     return design.y_s if name == THRESHOLD else dict(design.gains)[name]
 
 
-def sensitivity(results: StudyResults, study: Study, *, case: int = 0) -> tuple[BlockSensitivity, ...]:
-    """Sobol indices of mean S in one case, by its position, block by block and law by law.
+def sensitivity(results: StudyResults, study: Study) -> tuple[BlockSensitivity, ...]:
+    """Sobol indices of mean S, block by block and law by law.
 
     Parameters
     ----------
     results : StudyResults
     study : Study
-    case : int
 
     Returns
     -------
@@ -72,22 +71,17 @@ def sensitivity(results: StudyResults, study: Study, *, case: int = 0) -> tuple[
         hypercube or Sobol sample estimates of the first-order ones. S counts as in the ranking: failed scenarios at
         least as bad as without control, undrivable ones for no design.
     """
-    chosen = results.cases[case]
-    drivable = chosen.drivable
-    side = results.scenarios.side[drivable]
-    chosen = chosen if drivable.all() else chosen.take(drivable)
+    results = results.on_drivable()
     return tuple(
-        _of_block(results, study, chosen, side, number, block, law)
+        _of_block(results, study, number, block, law)
         for number, block in enumerate(study.design)
         for law, space in enumerate(block.space())
         if space.varying
     )
 
 
-def _of_block(
-    results: StudyResults, study: Study, case: CaseResults, side: IntArray, number: int, block: DesignBlock, law: int
-) -> BlockSensitivity:
-    space = block.space()[law]
+def _of_block(results: StudyResults, study: Study, number: int, block: DesignBlock, law: int) -> BlockSensitivity:
+    space, side = block.space()[law], results.scenarios.side
     found = BlockSensitivity(number, space.law, space.varying, 0)
     try:
         if study.search is not None:
@@ -97,7 +91,7 @@ def _of_block(
         kept = _with_results(results, designs, some=block.sample is not None and block.sample.method != "saltelli")
         row = {design.id: i for i, design in enumerate(results.designs)}
         rows = np.array([row[designs[i].id] for i in kept], dtype=np.int64)
-        S, confidence = row_means(case.counted, rows), study.ranking.confidence
+        S, confidence = row_means(results.counted, rows), study.ranking.confidence
         if np.ptp(S) <= _SAME:
             raise LdcError("all its designs have the same mean S; there is no variance to share out")
         found = dataclasses.replace(found, designs=len({designs[i].id for i in kept}))
@@ -105,7 +99,7 @@ def _of_block(
             levels = _levels(designs, space.varying)
             bound = min(_MOST_MEANS // S.size, _MOST_PRODUCTS // (S.size * side.size))
             samples = max(100, min(study.ranking.bootstrap, bound))
-            means = bootstrap_deviations(case.counted, side, samples=samples, seed=study.seed, rows=rows)
+            means = bootstrap_deviations(results.counted, side, samples=samples, seed=study.seed, rows=rows)
             means += S
             indices = factorial_indices(S, means, levels, confidence=confidence)
             note = "exact for the grid's points, every one as likely as the others"
@@ -125,12 +119,8 @@ def _with_results(results: StudyResults, designs: Sequence[Design], *, some: boo
     """Positions of the designs with results: all of them, unless a few that failed may be left out."""
     known = {design.id for design in results.designs}
     failed = {one.design.id for one in results.failed}
-    given_up = {one.design.id for one in results.race.dropped} if results.race else set()
     ids = [design.id for design in designs]
     lost = set(ids) - known
-    raced = len(lost & given_up)
-    if raced:
-        raise LdcError(f"the race gave up {raced} of its {len(set(ids))} designs; indices need a run without a race")
     if lost and not (some and lost <= failed):
         raise LdcError(f"{len(lost)} of its {len(set(ids))} designs have no results; indices need all of them")
     return [i for i, name in enumerate(ids) if name in known]

@@ -12,17 +12,18 @@ import numpy as np
 
 from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.control import EventStatus
+from ldctoolkit.declared import GainValue
 from ldctoolkit.errors import InputError, LdcError
-from ldctoolkit.gains import GainValue
 from ldctoolkit.law_checks import raised
-from ldctoolkit.simulation import Takeover, drive
+from ldctoolkit.simulation import Takeover, Window, drive
 
 from ..design import Design
 from ..design_space import THRESHOLD, Choices, Span
 from ..ranking.inference import Resampled, simultaneous_interval
-from ..results import FAILED_STATUSES, CaseResults, StudyResults
-from ..storage.files import csv_text, write_text
+from ..results import FAILED_STATUSES, StudyResults
+from ..storage.files import write_text
 from ..study_file import Study
+from ..tables import Table, to_csv
 from .sensitivity import BlockSensitivity, gain_value
 
 COLUMNS: Final = (
@@ -37,7 +38,7 @@ def write_sensitivity(blocks: Sequence[BlockSensitivity], profiles: Sequence[Pro
     """Write indices and profiles as one CSV file, whole or not at all."""
     rows = [*(row for block in blocks for row in _index_rows(block))]
     rows += [row for profile in profiles for row in _profile_rows(profile)]
-    write_text(Path(path), csv_text(COLUMNS, rows))
+    write_text(Path(path), to_csv(Table.of(COLUMNS, rows)))
 
 
 def _index_rows(block: BlockSensitivity) -> Iterator[dict[str, Any]]:
@@ -54,16 +55,13 @@ def _index_rows(block: BlockSensitivity) -> Iterator[dict[str, Any]]:
         for kind, numbers in kinds.items():
             if np.isnan(numbers[0][i]):
                 continue
-            index, low, high = (_field(values[i]) for values in numbers)
             yield {
                 "kind": kind,
                 **shared,
                 "dimension": name,
                 "method": block.method,
                 "designs": block.designs,
-                "index": index,
-                "index_low": low,
-                "index_high": high,
+                **{f"index{end}": values[i] for end, values in zip(("", "_low", "_high"), numbers, strict=True)},
                 "interval_over": block.interval_over,
                 "note": block.note,
             }
@@ -76,21 +74,15 @@ def _profile_rows(profile: Profile) -> Iterator[dict[str, Any]]:
             "law": design.law,
             "dimension": profile.name,
             "unit": profile.unit,
-            "value": _field(value),
+            "value": value,
             "design": design.id,
-            "S_m_s": _field(profile.S[i].item()),
-            "difference_m_s": _field(profile.difference[i].item()),
-            "difference_low_m_s": _field(profile.low[i].item()),
-            "difference_high_m_s": _field(profile.high[i].item()),
-            "stored": _field(bool(profile.stored[i])),
+            "S_m_s": profile.S[i],
+            "difference_m_s": profile.difference[i],
+            "difference_low_m_s": profile.low[i],
+            "difference_high_m_s": profile.high[i],
+            "stored": bool(profile.stored[i]),
             "note": profile.failures[i],
         }
-
-
-def _field(value: Any) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    return "" if value != value else str(value)
 
 
 POINTS = 9  # values of a numeric dimension that a profile has at least
@@ -152,7 +144,6 @@ def winner_profile(
     study: Study,
     winner: Design,
     *,
-    case: int = 0,
     points: int = POINTS,
     advance: Callable[[int, int], None] | None = None,
 ) -> tuple[Profile, ...]:
@@ -168,8 +159,6 @@ def winner_profile(
     study : Study
     winner : Design
         One of the designs in the results.
-    case : int
-        Which case; the primary one by default.
     points : int
         Numbers of which the study holds fewer are filled up to so many, evenly over the range that its tables declare,
         whose ends are always among them, and driven on the study's scenarios; 0 takes only what the study holds.
@@ -185,18 +174,17 @@ def winner_profile(
         raise InputError(f"design {winner.id}", "not among the results")
     if points < 0:
         raise InputError("points", value=points, allowed="0 or more")
-    chosen = results.cases[case]
     row = {design: i for i, design in enumerate(results.designs)}
     along = list(profile_points(results, study, winner, points))
     missing = tuple(dict.fromkeys(one.design for one in along if one.design not in row))
-    driven = drive_designs(results, study, chosen, (winner, *missing), advance) if missing else {}
+    driven = drive_designs(results, study, (winner, *missing), advance) if missing else {}
     at_winner = row[winner]
     if missing:
-        check_reproduced(winner, driven[winner], chosen.counted[at_winner])
+        check_reproduced(winner, driven[winner], results.counted[at_winner])
     reasons = {design: found for design, found in driven.items() if isinstance(found, str)}
     table = {design: found for design, found in driven.items() if not isinstance(found, str)}
-    table |= {one.design: chosen.counted[row[one.design]] for one in along if one.design in row}
-    return tuple(_profiles(along, winner, table, reasons, row, results, study, chosen))
+    table |= {one.design: results.counted[row[one.design]] for one in along if one.design in row}
+    return tuple(_profiles(along, winner, table, reasons, row, results, study))
 
 
 def _profiles(
@@ -207,13 +195,12 @@ def _profiles(
     row: Mapping[Design, int],
     results: StudyResults,
     study: Study,
-    case: CaseResults,
 ) -> Iterator[Profile]:
     if not along:
         return
     scored = list(dict.fromkeys((winner, *(one.design for one in along if one.design in table))))
     S = np.stack([table[design] for design in scored])
-    columns = case.drivable & np.isfinite(S).all(axis=0)
+    columns = results.drivable & np.isfinite(S).all(axis=0)
     if not columns.any():
         raise InputError("results", "no scenario could be driven under every design", hint="there is no profile")
     S = S[:, columns]
@@ -337,27 +324,24 @@ _AS_STORED = 1e-6  # scores [m s] that are driven anew differ from the stored on
 
 
 def drive_designs(
-    results: StudyResults,
-    study: Study,
-    case: CaseResults,
-    designs: Sequence[Design],
-    advance: Callable[[int, int], None] | None = None,
+    results: StudyResults, study: Study, designs: Sequence[Design], advance: Callable[[int, int], None] | None = None
 ) -> dict[Design, FloatArray | str]:
     """Drive designs on all scenarios of a study; one takeover serves every design of a threshold."""
     found: dict[Design, FloatArray | str] = {}
+    setup = study.setup()
     for y_s in dict.fromkeys(design.y_s for design in designs):
-        takeover = Takeover.build(results.scenarios, study.setup(case.case.convention), y_s=y_s)
+        takeover = Takeover.build(results.scenarios, setup, y_s=y_s)
         for design in designs:
             if design.y_s == y_s:
-                found[design] = _counted(design, takeover, case)
+                found[design] = _counted(design, takeover, results.window)
                 if advance is not None:
                     advance(len(found), len(designs))
     return found
 
 
-def _counted(design: Design, takeover: Takeover, case: CaseResults) -> FloatArray | str:
+def _counted(design: Design, takeover: Takeover, window: Window) -> FloatArray | str:
     try:
-        outcome = drive(design.controller(case.case.convention), takeover).outcome(case.case.window)
+        outcome = drive(design.controller(takeover.setup.convention), takeover).outcome(window)
     except Exception as error:  # a controller may be third-party code
         return raised(error)
     if not np.isfinite(outcome.S[outcome.status != EventStatus.INVALID]).all():

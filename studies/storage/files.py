@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-import csv
 import dataclasses
 import importlib
-import io
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -63,25 +61,6 @@ def read_json(path: Path) -> dict[str, Any]:
         return without_checksum(parse_json(read_regular(path, StoreError)))
     except (ValueError, TypeError, AttributeError) as error:
         raise StoreError(path, f"broken: {error}") from None
-
-
-def csv_text(columns: Iterable[str], rows: Iterable[Mapping[str, Any]], *, plain: bool = False) -> str:
-    """Rows as CSV, empty where there is no value; an apostrophe before what a spreadsheet would run, unless `plain`."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, fieldnames=list(columns), restval="", lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows if plain else ({name: _cell(value) for name, value in row.items()} for row in rows))
-    return text.getvalue()
-
-
-_FORMULA: Final = re.compile(r"[=@\t]|[+-](?!([\d.]+(e[+-]?\d+)?|inf|nan)$)")
-
-
-def _cell(value: Any) -> Any:
-    if not isinstance(value, str):
-        return value
-    value = value.replace("\r", " ")  # a line would end there
-    return f"'{value}" if _FORMULA.match(value) else value
 
 
 def write_parquet(path: Path, table: pl.DataFrame) -> None:

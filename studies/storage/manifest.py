@@ -1,4 +1,4 @@
-"""The manifest of a result folder, and its tables: designs, scenarios, failures, races."""
+"""The manifest of a result folder, and its tables: designs, failures, times."""
 
 from __future__ import annotations
 
@@ -17,12 +17,10 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ldctoolkit.errors import StoreError
 from ldctoolkit.registry import with_content
-from ldctoolkit.vehicle import Convention
 from ldctoolkit.version import DECISIVE, versions
 from ldctoolkit.whole_file import parse_json, read_regular, without_checksum
 
 from ..design import Design
-from ..results import Dropped, Race, RunKey
 from ..study_file import Study
 from .files import read_bytes, read_parquet, write_json, write_parquet
 
@@ -68,7 +66,6 @@ def read_designs(path: Path) -> tuple[Design, ...]:
 
 FAILURES = "failures.json"
 TIMING_FILE = "timing.json"
-RACE_FILE = "race.json"
 
 Kind = TypeVar("Kind", bound=BaseModel)
 
@@ -85,24 +82,20 @@ def _read_json(path: Path, kind: type[Kind], hint: str) -> Kind | None:
 
 
 class _Failures(BaseModel):
-    designs: dict[str, dict[Convention, str]]
+    designs: dict[str, str]
 
 
-def read_failures(folder: Path) -> dict[RunKey, str]:
-    """Why runs failed, of those that did; none where the file is missing."""
+def read_failures(folder: Path) -> dict[str, str]:
+    """Why designs failed, of those that did; none where the file is missing."""
     content = _read_json(folder / FAILURES, _Failures, "it holds which designs failed, and why")
-    designs = content.designs if content else {}
-    return {(design, one): text for design, sentences in designs.items() for one, text in sentences.items()}
+    return content.designs if content else {}
 
 
-def write_failures(folder: Path, failures: Mapping[RunKey, str]) -> None:
-    """Write or replace the failures of a folder, sorted by design and convention; no file where there are none."""
+def write_failures(folder: Path, failures: Mapping[str, str]) -> None:
+    """Write or replace the failures of a folder, sorted by design; no file where there are none."""
     path = folder / FAILURES
-    designs: dict[str, dict[str, str]] = {}
-    for (design, convention), sentence in sorted(failures.items()):
-        designs.setdefault(design, {})[convention] = sentence
-    if designs:
-        write_json(path, {"designs": designs})
+    if failures:
+        write_json(path, {"designs": dict(sorted(failures.items()))})
     else:
         path.unlink(missing_ok=True)
 
@@ -130,77 +123,27 @@ class _Time(BaseModel):
 
 
 class _Times(BaseModel):
-    designs: dict[str, dict[Convention, _Time]]
+    designs: dict[str, _Time]
 
 
-def read_times(folder: Path) -> dict[RunKey, LawTime]:
-    """Times of the laws, of the runs for which they are known; none where the file is missing."""
+def read_times(folder: Path) -> dict[str, LawTime]:
+    """Times of the laws, of the designs for which they are known; none where the file is missing."""
     hint = "it holds how long the laws took and nothing else: remove it to go on without"
     content = _read_json(folder / TIMING_FILE, _Times, hint)
     designs = content.designs if content else {}
-    return {
-        (design, convention): LawTime(entry.law_seconds, entry.commands)
-        for design, entries in designs.items()
-        for convention, entry in entries.items()
+    return {design: LawTime(entry.law_seconds, entry.commands) for design, entry in designs.items()}
+
+
+def write_times(folder: Path, times: Mapping[str, LawTime]) -> None:
+    """Write or replace the times of a folder, sorted by design."""
+    designs = {
+        design: {"law_seconds": time.seconds, "commands": time.commands, "law_time_us": 1e6 * time.per_command}
+        for design, time in sorted(times.items())
     }
-
-
-def write_times(folder: Path, times: Mapping[RunKey, LawTime]) -> None:
-    """Write or replace the times of a folder, sorted by design and convention."""
-    designs: dict[str, dict[str, Any]] = {}
-    for (design, convention), time in sorted(times.items()):
-        designs.setdefault(design, {})[convention] = {
-            "law_seconds": time.seconds,
-            "commands": time.commands,
-            "law_time_us": 1e6 * time.per_command,
-        }
     write_json(folder / TIMING_FILE, {"designs": designs})
 
 
-class _Dropped(BaseModel):
-    design: str
-    round: int
-    scenarios: int
-    S_m_s: float
-    difference_m_s: float
-    low_m_s: float
-
-
-class _Race(BaseModel):
-    ranked_as: str
-    rounds: tuple[int, ...]
-    alive: tuple[int, ...]
-    dropped: tuple[_Dropped, ...]
-    runs: int
-    full_runs: int
-
-
-def write_race(folder: Path, race: Race, ranked_as: str) -> None:
-    """Write or replace the file; `ranked_as` tells which designs and settings it is the race of."""
-    dropped = [(one.design.id, one.round, one.scenarios, one.S, one.difference, one.low) for one in race.dropped]
-    names = tuple(_Dropped.model_fields)
-    content = dataclasses.asdict(race) | {
-        "ranked_as": ranked_as,
-        "dropped": [dict(zip(names, values, strict=True)) for values in dropped],
-    }
-    write_json(folder / RACE_FILE, content)
-
-
-def read_race(folder: Path, designs: Sequence[Design], ranked_as: str) -> Race | None:
-    """What a folder knows of its race; None where the file is missing, or that of other designs or settings."""
-    content = _read_json(folder / RACE_FILE, _Race, "run the study into this folder again to make it anew")
-    if content is None or content.ranked_as != ranked_as:
-        return None
-    by_id = {design.id: design for design in designs}
-    dropped = tuple(
-        Dropped(by_id[one.design], one.round, one.scenarios, one.S_m_s, one.difference_m_s, one.low_m_s)
-        for one in content.dropped
-        if one.design in by_id
-    )
-    return Race(content.rounds, content.alive, dropped, content.runs, content.full_runs)
-
-
-FORMAT_VERSION: Final = 4
+FORMAT_VERSION: Final = 5
 
 
 _AGAIN: Final = "run it into this folder again: what has changed is computed anew"
@@ -416,9 +359,8 @@ def read_manifest(folder: str | Path) -> Manifest:
         content = parse_json(read_regular(path, StoreError))
         version = content["format_version"]
         if version != FORMAT_VERSION:
-            raise StoreError(
-                path, f"format {version!r}", hint=f"this version reads {FORMAT_VERSION}; choose another folder"
-            )
+            hint = "run the study into another folder"
+            raise StoreError(path, "of another format", value=version, allowed=str(FORMAT_VERSION), hint=hint)
         manifest = Manifest.model_validate(without_checksum(content))
     except (ValueError, KeyError, TypeError) as error:
         if isinstance(error, ValidationError):

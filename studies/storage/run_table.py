@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import io
-import itertools
 import json
 import math
 import mmap
@@ -29,7 +28,7 @@ from ldctoolkit.surroundings import free_memory
 from ldctoolkit.whole_file import write_whole
 
 from ..design import Design
-from ..results import CaseResults, FailedDesign, RunKey, StudyResults, TaskResult
+from ..results import FailedDesign, StudyResults, TaskResult
 from ..study_file import Study
 from .files import parse_parquet, read_bytes
 from .manifest import LawTime
@@ -59,36 +58,34 @@ _ENDLESS = "t_back"  # the companion that may be infinite: the edge is not back 
 _DIGITS = 16
 
 
-def float_columns(windows: Sequence[Window]) -> dict[str, str]:
-    """Name of a result's column -> its column in a part, in the order of `TaskResult.values`."""
-    scores = {f"{name}_{window}": f"{name}_{window}_m_s" for window in windows for name in ("S", "S_uncorrected")}
-    return scores | METRIC_COLUMNS
+def float_columns(window: Window) -> tuple[str, ...]:
+    """Columns of a part in the order of `TaskResult.values`."""
+    return f"S_{window}_m_s", f"S_uncorrected_{window}_m_s", *METRIC_COLUMNS.values()
 
 
-def schema(windows: Sequence[Window]) -> dict[str, Any]:
+def schema(window: Window) -> dict[str, Any]:
     """Columns of a part and their types."""
     import polars as pl
 
     return {
         "design": pl.String(),
-        "convention": pl.String(),
         "scenario": pl.UInt32(),
-        **dict.fromkeys(float_columns(windows).values(), pl.Float64()),
+        **dict.fromkeys(float_columns(window), pl.Float64()),
         "status": pl.Int8(),
         "failed_solves": pl.Int32(),
     }
 
 
-def write_part(folder: Path, results: Sequence[TaskResult], windows: Sequence[Window], numbers: IntArray) -> Path:
+def write_part(folder: Path, results: Sequence[TaskResult], window: Window, numbers: IntArray) -> Path:
     """Write results as one part, whole or not at all; the same results in the same order make the same file.
 
     A part holds the numbers (n,) of its scenarios, which other scenarios added later do not change.
     """
     content = io.BytesIO()
     # nearly all columns are noise to a compressor: a fast one loses little
-    _table(results, windows, numbers).write_parquet(content, compression="lz4", statistics=False)
+    _table(results, window, numbers).write_parquet(content, compression="lz4", statistics=False)
     data = content.getvalue()
-    what = json.dumps([[result.keys, numbers[result.rows[[0, -1]]].tolist()] for result in results])
+    what = json.dumps([[result.ids, numbers[result.rows[[0, -1]]].tolist()] for result in results])
     name = f"part-{hashlib.sha256(what.encode()).hexdigest()[:_DIGITS]}-{_checksum(data)}.parquet"
     write_whole(folder / name, data, StoreError)
     return folder / name
@@ -98,26 +95,23 @@ def _checksum(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()[:_DIGITS]
 
 
-def _table(results: Sequence[TaskResult], windows: Sequence[Window], numbers: IntArray) -> pl.DataFrame:
+def _table(results: Sequence[TaskResult], window: Window, numbers: IntArray) -> pl.DataFrame:
     import polars as pl
 
-    every = [key for result in results for key in result.keys]
-    keys = pl.DataFrame(every, schema=["design", "convention"], orient="row")
-    counts = np.concatenate([np.full(len(result.keys), result.rows.size) for result in results])
+    ids = pl.Series("design", [one for result in results for one in result.ids], dtype=pl.String())
+    counts = np.concatenate([np.full(len(result.ids), result.rows.size) for result in results])
     # names are repeated by the library: a million strings of Python would take longer than the simulation
-    repeated = keys[np.repeat(np.arange(counts.size, dtype=np.uint32), counts)]
     columns: dict[str, Any] = {
+        "design": ids[np.repeat(np.arange(counts.size, dtype=np.uint32), counts)],
         "scenario": np.concatenate(
-            [np.tile(numbers[result.rows].astype(np.uint32), len(result.keys)) for result in results]
-        )
+            [np.tile(numbers[result.rows].astype(np.uint32), len(result.ids)) for result in results]
+        ),
     }
-    for i, column in enumerate(float_columns(windows).values()):
+    for i, column in enumerate(float_columns(window)):
         columns[column] = np.concatenate([result.values[i].ravel() for result in results])
     columns["status"] = np.concatenate([result.status.ravel() for result in results])
     columns["failed_solves"] = np.concatenate([result.failed_solves.ravel() for result in results])
-    types = schema(windows)
-    values = pl.DataFrame(columns, schema={name: types[name] for name in columns})
-    return pl.concat([repeated, values], how="horizontal")
+    return pl.DataFrame(columns, schema=schema(window))
 
 
 def checked_content(path: Path) -> bytes:
@@ -128,32 +122,29 @@ def checked_content(path: Path) -> bytes:
     return data
 
 
-def parse_part(path: Path, data: bytes, windows: Sequence[Window], numbers: IntArray) -> Iterator[TaskResult]:
+def parse_part(path: Path, data: bytes, window: Window, numbers: IntArray) -> Iterator[TaskResult]:
     """Results that a part holds of scenarios with these numbers, one design and stretch of scenarios at a time."""
     import polars as pl
 
     order = np.argsort(numbers, kind="stable")
-    table = parse_parquet(path, data, schema(windows), finite=False)
+    table = parse_parquet(path, data, schema(window), finite=False)
     place = np.searchsorted(numbers[order], table["scenario"].to_numpy()).clip(0, numbers.size - 1)
     known = numbers[order[place]] == table["scenario"].to_numpy()
     if not known.all():  # of a run on more scenarios
         table, place = table.filter(pl.Series(known)), place[known]
     status, failed = table["status"].to_numpy(), table["failed_solves"].to_numpy()
-    columns = list(float_columns(windows).values())
+    columns = float_columns(window)
     _check_numbers(path, [table[column] for column in columns], status)
     floats = np.stack([table[column].to_numpy() for column in columns])
     rows = order[place]
-    keys = table.select("design", "convention")
-    other = np.zeros(rows.size, dtype=np.bool_)
-    for name in ("design", "convention"):
-        other |= keys[name].ne_missing(keys[name].shift(1)).to_numpy()
+    ids = table["design"]
+    other = ids.ne_missing(ids.shift(1)).to_numpy()
     ends = np.flatnonzero(other[1:] | (np.diff(rows) <= 0)) + 1
     for a, b in zip([0, *ends.tolist()], [*ends.tolist(), rows.size], strict=True):
         if a == b:
             continue
-        design, convention = keys.row(a)
         yield TaskResult(
-            keys=((design, convention),),
+            ids=(ids[a],),
             rows=rows[a:b],
             values=floats[:, None, a:b],
             status=status[None, a:b],
@@ -173,7 +164,7 @@ def _check_numbers(path: Path, columns: Sequence[pl.Series], status: Any) -> Non
 
 
 class SharedRows:
-    """Room for d rows of n numbers, as for scores without control, which differ between designs in few windows."""
+    """Room for d rows of n numbers, as for scores without control, which differ between designs in one window only."""
 
     def __init__(self, size: int, n: int) -> None:
         self._size = size
@@ -244,8 +235,8 @@ def release(values: Any) -> None:
 def check_room(study: Study, n: int) -> None:
     """Raise `LdcError` where the table of a study on n scenarios is larger than the memory that is free."""
     designs = study.search.trials if study.search else len(study.designs)
-    numbers, free = len(study.simulation.window) + len(METRIC_UNITS), free_memory()
-    if (size := designs * n * len(study.simulation.convention) * (8 * numbers + 6)) > free:
+    free = free_memory()
+    if (size := designs * n * (8 * (1 + len(METRIC_UNITS)) + 6)) > free:
         what = f"{designs:,} designs on {n:,} scenarios need {size / 2**30:,.1f} GiB of memory"
         raise LdcError(f"{what}, {free / 2**30:,.1f} are free; allowed: fewer designs or scenarios")
 
@@ -258,10 +249,8 @@ class RunTable:
     ) -> None:
         self._study = study
         self.n = n
-        self._conventions = study.simulation.convention
-        self._windows = study.simulation.window
         self._mapped = mapped
-        self._uncorrected: dict[tuple[int, int], SharedRows] = {}
+        self._uncorrected = SharedRows(0, n)
         self._place: dict[str, int] = {}
         self._kept: dict[str, list[TaskResult]] | None = {} if keep else None
         self.designs: list[Design] = []
@@ -269,10 +258,10 @@ class RunTable:
         self.add_designs(designs)
 
     def _make_room(self, size: int) -> None:
-        shape = (len(self._conventions), size, self.n)
+        shape = (size, self.n)
         before = len(self.designs)
         fresh: dict[str, Any] = {
-            "_S": np.empty((len(self._windows), *shape)),
+            "_S": np.empty(shape),
             "_metrics": (_mapped if self._mapped else np.empty)((len(METRIC_UNITS), *shape)),
             "_status": np.empty(shape, dtype=np.int8),
             # zeros take no memory until something else is written
@@ -283,13 +272,12 @@ class RunTable:
             if before:
                 array[..., :before, :] = getattr(self, name)[..., :before, :]
             setattr(self, name, array)
-        for which in itertools.product(range(len(self._windows)), range(len(self._conventions))):
-            self._uncorrected.setdefault(which, SharedRows(size, self.n)).grow(size)
+        self._uncorrected.grow(size)
 
     def add_designs(self, designs: Sequence[Design]) -> None:
         """Make room for designs; those that are there already keep theirs."""
         new = [design for design in designs if design.id not in self._place]
-        if len(self.designs) + len(new) > self._status.shape[1]:
+        if len(self.designs) + len(new) > self._status.shape[0]:
             self._make_room(int(_GROWS * (len(self.designs) + len(new))))
         for design in new:
             self._place[design.id] = len(self.designs)
@@ -310,53 +298,47 @@ class RunTable:
     def __contains__(self, design: str) -> bool:
         return design in self._place
 
-    def has(self, key: RunKey, rows: IntArray) -> bool:
-        """Whether a run's results in some scenarios are there."""
-        return bool(self._there[*self._at(key), rows].all())
+    def has(self, id: str, rows: IntArray) -> bool:
+        """Whether a design's results in some scenarios are there."""
+        return bool(self._there[self._place[id], rows].all())
 
-    def missing(self, key: RunKey) -> int:
-        """Number of scenarios that a run's results are not there of."""
-        return self.n - int(np.count_nonzero(self._there[self._at(key)]))
+    def missing(self, id: str) -> int:
+        """Number of scenarios that a design's results are not there of."""
+        return self.n - int(np.count_nonzero(self._there[self._place[id]]))
 
-    def rows_with(self, key: RunKey, status: EventStatus) -> IntArray:
+    def rows_with(self, id: str, status: EventStatus) -> IntArray:
         """Row numbers of the scenarios that are there and have a status."""
-        at = self._at(key)
+        at = self._place[id]
         return np.flatnonzero(self._there[at] & (self._status[at] == status))
-
-    def _at(self, key: RunKey) -> tuple[int, int]:
-        design, convention = key
-        return self._conventions.index(convention), self._place[design]
 
     def put(self, result: TaskResult) -> None:
         """Add results; those of designs that have no room here are kept for later, or left out."""
-        places = [i for i, (design, _) in enumerate(result.keys) if design in self._place]
+        places = [i for i, id in enumerate(result.ids) if id in self._place]
         if self._kept is not None:
-            for i in set(range(len(result.keys))) - set(places):
-                self._kept.setdefault(result.keys[i][0], []).append(result.take([i]))
-        if len(places) < len(result.keys):
+            for i in set(range(len(result.ids))) - set(places):
+                self._kept.setdefault(result.ids[i], []).append(result.take([i]))
+        if len(places) < len(result.ids):
             result = result.take(places)
         if not places:
             return
         rows: Any = result.rows
         if rows[-1] - rows[0] + 1 == rows.size:
             rows = slice(int(rows[0]), int(rows[-1]) + 1)  # a stretch, as nearly always: several times faster
-        for i, key in enumerate(result.keys):
-            at = self._at(key)
-            scores, values = 2 * len(self._windows), result.values[:, i]
-            self._S[:, *at, rows] = values[:scores:2]
-            for w in range(len(self._windows)):
-                self._uncorrected[w, at[0]].put(at[1], rows, values[2 * w + 1])
-            self._metrics[:, *at, rows] = values[scores:]
-            self._status[*at, rows] = result.status[i]
-            if self._there[*at, rows].any() or result.failed_solves[i].any():
-                self._failed_solves[*at, rows] = result.failed_solves[i]
-            self._there[*at, rows] = True
+        for i, id in enumerate(result.ids):
+            at, values = self._place[id], result.values[:, i]
+            self._S[at, rows] = values[0]
+            self._uncorrected.put(at, rows, values[1])
+            self._metrics[:, at, rows] = values[2:]
+            self._status[at, rows] = result.status[i]
+            if self._there[at, rows].any() or result.failed_solves[i].any():
+                self._failed_solves[at, rows] = result.failed_solves[i]
+            self._there[at, rows] = True
 
     def results(
         self,
         scenarios: Scenarios,
-        times: Mapping[RunKey, LawTime],
-        failures: Mapping[RunKey, str],
+        times: Mapping[str, LawTime],
+        failures: Mapping[str, str],
         *,
         source: str,
         designs: Sequence[Design] | None = None,
@@ -365,82 +347,50 @@ class RunTable:
         """Everything of the designs requested; the arrays are this table's, copies only if something is left out."""
         wanted = list(self.designs if designs is None else designs)
         at = np.array([self._place[design.id] for design in wanted], dtype=np.int64)
-        some_there = self._there[:, at] if rows is None else self._there[:, at][:, :, rows]
-        there: BoolArray = np.all(some_there, axis=2)
-        lost: dict[RunKey, str] = {}
-        for c, convention in enumerate(self._conventions):
-            for i in np.flatnonzero(~there[c]):
-                key = (wanted[i].id, convention)
-                if key in failures:
-                    lost[key] = failures[key]
-        if np.count_nonzero(~there) > len(lost):
-            raise StoreError(source, f"{self._incomplete(wanted, there, lost, some_there)}", hint="run the study again")
-        failed = _failed_designs(wanted, self._conventions, lost)
+        some_there = self._there[at] if rows is None else self._there[np.ix_(at, rows)]
+        there: BoolArray = np.all(some_there, axis=1)
+        failed = tuple(
+            FailedDesign(wanted[i], failures[wanted[i].id]) for i in np.flatnonzero(~there) if wanted[i].id in failures
+        )
+        if np.count_nonzero(~there) > len(failed):
+            waiting = int(np.count_nonzero(~there)) - len(failed)
+            raise StoreError(source, _incomplete(waiting, some_there), hint="run the study again")
         if wanted and len(failed) == len(wanted):
             first = failed[0].sentence
             raise AllFailedError(
                 source, "every design failed", hint=f"the first, {first}; all of them are in failures.json"
             )
-        gone = {one.design.id for one in failed}
-        kept = [i for i, design in enumerate(wanted) if design.id not in gone]
-        ran = tuple(wanted[i] for i in kept)
-        at = at[kept]
-        whole = rows is None and np.array_equal(at, np.arange(self._status.shape[1]))
+        ran = tuple(wanted[i] for i in np.flatnonzero(there))
+        at = at[there]
+        whole = rows is None and np.array_equal(at, np.arange(self._status.shape[0]))
 
         def some(array: Any) -> Any:
             if whole:
                 return array
             return array[at] if rows is None else array[np.ix_(at, rows)]
 
-        cases = []
-        for case in self._study.cases:
-            c, w = self._conventions.index(case.convention), self._windows.index(case.window)
-            known = [times.get((design.id, case.convention)) for design in ran]
-            cases.append(
-                CaseResults(
-                    case=case,
-                    S=some(self._S[w, c]),
-                    S_uncorrected=self._uncorrected[w, c].take(None if whole else at, rows),
-                    status=some(self._status[c]),
-                    companions=MetricValues(*(some(values[c]) for values in self._metrics)),
-                    failed_solves=some(self._failed_solves[c]),
-                    law_time=np.array([np.nan if one is None else one.per_command for one in known]),
-                )
-            )
+        known = [times.get(design.id) for design in ran]
+        simulation = self._study.simulation
         return StudyResults(
             designs=ran,
             scenarios=scenarios if rows is None else scenarios.take(rows),
-            cases=tuple(cases),
+            window=simulation.window,
+            convention=simulation.convention,
+            S=some(self._S),
+            S_uncorrected=self._uncorrected.take(None if whole else at, rows),
+            status=some(self._status),
+            companions=MetricValues(*(some(values) for values in self._metrics)),
+            failed_solves=some(self._failed_solves),
+            law_time=np.array([np.nan if one is None else one.per_command for one in known]),
             failed=failed,
         )
 
-    def _incomplete(
-        self, designs: Sequence[Design], there: BoolArray, lost: Mapping[RunKey, str], some_there: BoolArray
-    ) -> str:
-        """How many designs wait for results that did not fail, and how much is there of all."""
-        waits = {
-            design.id
-            for c, convention in enumerate(self._conventions)
-            for design, done in zip(designs, there[c], strict=True)
-            if not done and (design.id, convention) not in lost
-        }
-        # rounded down: all of it would be no reason to complain
-        share = 100 * int(np.count_nonzero(some_there)) // some_there.size
-        return (
-            f"{len(waits)} of {len(designs)} design{'' if len(designs) == 1 else 's'} "
-            f"{'is' if len(waits) == 1 else 'are'} not complete ({share} % of the scenario runs are there)"
-        )
 
-
-def _failed_designs(
-    designs: Sequence[Design], conventions: Sequence[str], lost: Mapping[RunKey, str]
-) -> tuple[FailedDesign, ...]:
-    """Designs with a run that failed, in their own order."""
-    failed = []
-    for design in designs:
-        where = tuple(convention for convention in conventions if (design.id, convention) in lost)
-        if where:
-            # it may fail in one reading of the paper only
-            only = f"in the convention {', '.join(where)}: " if len(where) < len(conventions) else ""
-            failed.append(FailedDesign(design, only + lost[design.id, where[0]]))
-    return tuple(failed)
+def _incomplete(waiting: int, there: BoolArray) -> str:
+    """How many designs wait for results that did not fail, and how much of all runs (d, n) is there."""
+    # rounded down: all of it would be no reason to complain
+    share = 100 * int(np.count_nonzero(there)) // there.size
+    return (
+        f"{waiting} of {len(there)} design{'' if len(there) == 1 else 's'} "
+        f"{'is' if waiting == 1 else 'are'} not complete ({share} % of the scenario runs are there)"
+    )

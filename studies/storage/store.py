@@ -7,14 +7,13 @@
     DIR/designs.parquet          the designs: identifier, law, y_s, gains
     DIR/results/part-*.parquet   per-scenario results of some designs, one row a scenario
     DIR/failures.json            designs whose law failed, and why; not there if none did
-    DIR/race.json                which designs a race gave up, and when; not there without one
     DIR/timing.json              how long the laws took; the one file that a second run does not give again
     DIR/finalists/               the best designs on fresh scenarios: a folder like this one
     DIR/replayed/                the best designs on recorded departures, where a study has both: a folder like this one
 
 Guarantees. Every file is written whole or not at all, and holds a checksum that is checked when it is read. Parts are
-only ever added; the checksum is in a part's name, and writing the same runs again gives the same file. A run is a
-design under one convention, identified by the design's content, which the code of its law belongs to. What a killed
+only ever added; the checksum is in a part's name, and writing the same runs again gives the same file. A run is
+identified by its design's content, which the code of its law belongs to. What a killed
 study had stored survives it, and the next run into the same folder computes only what is missing; a design that failed
 is missing, and so is tried again. A folder that holds another model, seed, vehicle or plant is refused; designs and
 scenarios may be added and left out. After an edit of a law its designs are missing; with another version of the
@@ -34,20 +33,18 @@ from ldctoolkit.errors import LdcError, StoreError
 from ldctoolkit.scenarios import Scenarios
 
 from ..design import Design
-from ..results import FailedRun, RunKey, StudyResults, TaskResult
+from ..results import FailedRun, StudyResults, TaskResult
 from ..study_file import Study
 from .files import SCENARIOS, output_folder, read_scenarios, write_scenarios
 from .manifest import (
     DESIGNS,
     FAILURES,
-    RACE_FILE,
     TIMING_FILE,
     LawTime,
     Manifest,
     read_designs,
     read_failures,
     read_manifest,
-    read_race,
     read_times,
     refuse_other,
     write_failures,
@@ -84,7 +81,7 @@ def _clear(folder: Path) -> None:
     """Remove all results of other versions. Their manifest stays until it is replaced: a run that is killed here ends
     with a folder of those versions, and the next one clears the rest.
     """
-    names = (DESIGNS, FAILURES, TIMING_FILE, RACE_FILE)
+    names = (DESIGNS, FAILURES, TIMING_FILE)
     try:
         for path in (*(folder / name for name in names), *(folder / "results").glob(PATTERN)):
             path.unlink(missing_ok=True)
@@ -100,8 +97,8 @@ class Store:
         self.manifest = manifest
         self.study = study
         self.broken: tuple[str, ...] = ()
-        self.times: dict[RunKey, LawTime] = {}
-        self.failures: dict[RunKey, str] = {}
+        self.times: dict[str, LawTime] = {}
+        self.failures: dict[str, str] = {}
 
     @classmethod
     def create(cls, folder: Path, manifest: Manifest, scenarios: Scenarios, study: Study) -> Store:
@@ -150,13 +147,13 @@ class Store:
         if results:
             write_part(self.folder / "results", results, self.study.simulation.window, self.scenarios.index)
             for result in results:
-                for key, seconds, commands in zip(result.keys, result.law_seconds, result.commands, strict=True):
-                    self.times[key] = self.times.get(key, LawTime(0.0, 0)) + LawTime(float(seconds), int(commands))
+                for id, seconds, commands in zip(result.ids, result.law_seconds, result.commands, strict=True):
+                    self.times[id] = self.times.get(id, LawTime(0.0, 0)) + LawTime(float(seconds), int(commands))
             write_times(self.folder, self.times)
         if failed:
-            self.write_failures(self.failures | {run.key: run.reason for run in failed})
+            self.write_failures(self.failures | {run.id: run.reason for run in failed})
 
-    def write_failures(self, failures: dict[RunKey, str]) -> None:
+    def write_failures(self, failures: dict[str, str]) -> None:
         """Replace what is known of failed runs."""
         if failures != self.failures:
             write_failures(self.folder, failures)
@@ -166,14 +163,14 @@ class Store:
         """All stored runs; their times are in `times`, and runs that failed in `failures`, afterwards."""
         n = self.scenarios.n
         designs = self.designs() if designs is None else designs
-        runs = len(designs) * n * len(self.study.simulation.convention)
-        mapped = not repair and runs > _MOST_IN_MEMORY
+        mapped = not repair and len(designs) * n > _MOST_IN_MEMORY
         table = RunTable(self.study, n, designs, keep=repair and self.study.search is not None, mapped=mapped)
         messages = []
-        windows = self.study.simulation.window
         for path, content in prefetched(checked_content, sorted((self.folder / "results").glob(PATTERN))):
             try:
-                for result in list(parse_part(path, content.result(), windows, self.scenarios.index)):
+                for result in list(
+                    parse_part(path, content.result(), self.study.simulation.window, self.scenarios.index)
+                ):
                     table.put(result)
                 table.release()
             except StoreError as error:
@@ -208,15 +205,8 @@ class Store:
         designs = self.designs()
         if self.study.search is not None and not self.manifest.finished:
             raise StoreError(self.folder, "its search is not over yet", hint="run the study again")
-        race = read_race(self.folder, designs, self.manifest.ranked_as) if self.study.race else None
-        if self.study.race and race is None:
-            raise StoreError(self.folder, "its race is not over yet", hint="run the study again")
-        if race is not None:
-            dropped = {one.design.id for one in race.dropped}
-            designs = tuple(design for design in designs if design.id not in dropped)
         table = self.load(designs)
         results = table.results(self.scenarios, self.times, self.failures, source=str(self.folder))
-        results = dataclasses.replace(results, race=race)
         return dataclasses.replace(
             results, fresh=self._again(FINALISTS, results), replayed=self._again(REPLAYED, results)
         )

@@ -20,8 +20,8 @@ from typing import Any
 import control
 import numpy as np
 
-from controllers import LQR, PreviewProportional
 from ldctoolkit import Controller, EventStatus, LinearLaw, Plant, Scenarios, Setup, SteeringLaw
+from ldctoolkit.controllers import LQR, PreviewProportional
 from ldctoolkit.mixture.checks import usable_cores
 from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Sensors, Tyres
 from ldctoolkit.simulation import Takeover, drive, drive_many

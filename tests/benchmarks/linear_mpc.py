@@ -14,10 +14,10 @@ import osqp
 import scipy.sparse as sp
 from closed_loop import machine, scenarios, seconds
 
-from controllers import LinearMPC
-from controllers._mpc_law import MPCLaw, Rung
-from controllers.riccati import regulator
 from ldctoolkit import Controller, EventStatus, Setup, SteeringLaw
+from ldctoolkit.controllers import LinearMPC
+from ldctoolkit.controllers.linear_mpc import MPCLaw, Rung
+from ldctoolkit.controllers.riccati import regulator
 from ldctoolkit.simulation import Takeover, drive
 
 SCENARIOS, EVERY = 2_000, 10

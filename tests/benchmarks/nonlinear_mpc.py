@@ -17,9 +17,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from controllers._nmpc_model import SIZE, sample, steady_cornering, unpack
-from controllers.nonlinear_mpc import NonlinearMPC
 from ldctoolkit import BicycleModel, EventStatus, Plant, Preview
+from ldctoolkit.controllers._nmpc_solver import SIZE, sample, steady_cornering, unpack
+from ldctoolkit.controllers.nonlinear_mpc import NonlinearMPC
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # it names the optional packages that it does not find

@@ -19,7 +19,7 @@ from closed_loop import machine
 
 from ldctoolkit import Scenarios
 from ldctoolkit.metrics import MetricValues
-from studies import Case, CaseResults, Design, Ranking, StudyResults
+from ldctoolkit.studies import Design, Ranking, StudyResults
 
 SHAPES = ((1_000, 1_000), (100, 10_000), (10_000, 100))
 SAMPLES, SOME = 2_000, 5
@@ -31,21 +31,24 @@ def invented(d: int, n: int) -> StudyResults:
     generator = np.random.default_rng(0)
     depth = generator.gamma(1.0, 1.0, n)
     S = (0.3 + 0.02 * generator.random(d))[:, None] * depth + 0.05 * generator.gamma(0.5, 2.0, (d, n))
-    case = CaseResults(
-        case=Case("departure", "consistent"),
-        S=S,
-        S_uncorrected=np.broadcast_to(depth, S.shape),
-        status=np.zeros((d, n), dtype=np.int8),
-        companions=MetricValues(**{field.name: generator.gamma(2.0, 1.0, (d, n)).astype(np.float32)
-                                 for field in dataclasses.fields(MetricValues)}),
-        failed_solves=np.zeros((d, n), dtype=np.int32),
-        law_time=np.zeros(d),
-    )  # fmt: skip
+    companions = {field.name: generator.gamma(2.0, 1.0, (d, n)).astype(np.float32)
+                  for field in dataclasses.fields(MetricValues)}  # fmt: skip
     designs = tuple(Design("lqr" if i else "none", 0.1 + 1e-5 * i, ()) for i in range(d))
     scenarios = Scenarios.from_arrays(
         T=2.0, d_y=generator.gamma(2.0, 0.3, n), v_mean=20.0, side=np.where(np.arange(n) < 0.6 * n, 1, -1)
     )
-    return StudyResults(designs, scenarios, (case,))
+    return StudyResults(
+        designs,
+        scenarios,
+        "departure",
+        "consistent",
+        S=S,
+        S_uncorrected=np.broadcast_to(depth, S.shape),
+        status=np.zeros((d, n), dtype=np.int8),
+        companions=MetricValues(**companions),
+        failed_solves=np.zeros((d, n), dtype=np.int32),
+        law_time=np.zeros(d),
+    )
 
 
 def processor_seconds(run: Callable[[], object], repeats: int) -> float:
@@ -60,13 +63,12 @@ def processor_seconds(run: Callable[[], object], repeats: int) -> float:
 
 def one_shape(d: int, n: int) -> None:
     results = invented(d, n)
-    case = results.cases[0]
     start = time.process_time()
-    ranking = Ranking.of(results, case, bootstrap=SAMPLES, pareto=PARETO, require=("a_y_peak_p95 <= 30",))
+    ranking = Ranking.of(results, bootstrap=SAMPLES, pareto=PARETO, require=("a_y_peak_p95 <= 30",))
     first = time.process_time() - start
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024  # of the whole process, in MiB on Linux
-    again = processor_seconds(lambda: Ranking.of(results, case, bootstrap=SAMPLES, pareto=PARETO), 3)
-    differences = case.S[1 : 1 + SOME] - case.S[0]
+    again = processor_seconds(lambda: Ranking.of(results, bootstrap=SAMPLES, pareto=PARETO), 3)
+    differences = results.S[1 : 1 + SOME] - results.S[0]
 
     def reference() -> None:
         for row in differences:

@@ -15,15 +15,16 @@ from pathlib import Path
 
 from closed_loop import machine
 
-from studies import Study, run_study
-from studies.storage.manifest import read_manifest
+from ldctoolkit.studies import Study, run_study
+from ldctoolkit.studies.storage.manifest import read_manifest
 
 COLUMNS = 12  # numbers a run of a study with one window
 
 POLARS = "import sys, polars; polars.read_parquet(sys.argv[1] + '/results/part-*.parquet')"
-READ = "import sys; from studies import read_results; read_results(sys.argv[1])"
+READ = "import sys; from ldctoolkit.studies import read_results; read_results(sys.argv[1])"
 RANK = (
-    "import sys; from studies.ranking.ranking import rank_study; from studies.storage.store import Store; "
+    "import sys; from ldctoolkit.studies.ranking.ranking import rank_study; "
+    "from ldctoolkit.studies.storage.store import Store; "
     "store = Store.open(sys.argv[1]); rank_study(store.results(), store.manifest.read_study())"
 )
 

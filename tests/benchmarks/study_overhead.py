@@ -11,7 +11,7 @@ import time
 from collections.abc import Iterator
 
 from ldctoolkit.simulation.kernel import entry
-from studies import Study, run_study
+from ldctoolkit.studies import Study, run_study
 
 LINEAR = {
     "name": "linear",

@@ -10,7 +10,7 @@ import pytest
 from helpers.pages import faults_of_access, faults_of_layout
 from helpers.recordings import make_extraction
 from ldctoolkit.recordings.recording import Problem
-from studies.pages.extraction_page import write_extraction_page
+from ldctoolkit.studies.pages.extraction_page import write_extraction_page
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
 

@@ -6,8 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import controllers
-from controllers import PID, PurePursuit, SlidingMode, Stanley
 from ldctoolkit import (
     BicycleModel,
     Controller,
@@ -17,12 +15,14 @@ from ldctoolkit import (
     SteeringLaw,
     controller_class,
     controller_names,
+    controllers,
     register,
     simulate,
 )
+from ldctoolkit.controllers import PID, PurePursuit, SlidingMode, Stanley
 from ldctoolkit.errors import InputError
+from ldctoolkit.studies import Study
 from ldctoolkit.testing import CHECKS, ContractSettings, contract_faults
-from studies import Study
 
 ZOO = [name for name in controller_names() if controller_class(name).__module__.startswith("ldctoolkit.controllers.")]
 

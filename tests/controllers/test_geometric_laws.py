@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
-from controllers.pure_pursuit import PurePursuit, PurePursuitLaw
-from controllers.stanley import Stanley, StanleyLaw
 from helpers.closed_loop import DT, closed_loop_matrices, moved, plant_at
 from ldctoolkit import BicycleModel, EventStatus, Preview, Scenarios, VehicleParameters, simulate
+from ldctoolkit.controllers.pure_pursuit import PurePursuit, PurePursuitLaw
+from ldctoolkit.controllers.stanley import Stanley, StanleyLaw
 from ldctoolkit.errors import InputError
 
 L_R, WHEEL_BASE = 1.47, 2.9

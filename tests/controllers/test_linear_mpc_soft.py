@@ -11,11 +11,11 @@ import scipy.sparse as sp
 from scipy.linalg import expm
 from scipy.optimize import linprog
 
-from controllers import LinearMPC
-from controllers._mpc_condensing import block_starts
-from controllers._mpc_law import MPCLaw, MPCState, Rung
 from helpers.closed_loop import grid, some
 from ldctoolkit import BicycleModel, EventStatus, Outcome, Plant, Preview, Scenarios, load_model, simulate
+from ldctoolkit.controllers import LinearMPC
+from ldctoolkit.controllers._mpc_condensing import block_starts
+from ldctoolkit.controllers.linear_mpc import MPCLaw, MPCState, Rung
 from ldctoolkit.plant_options import Actuator, PlantOptions
 
 DT = 0.05

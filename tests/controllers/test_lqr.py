@@ -6,8 +6,6 @@ import control
 import numpy as np
 import pytest
 
-from controllers import LQI, LQR, LinearMPC, PreviewLQR
-from controllers.riccati import regulator
 from helpers.closed_loop import Stepped, grid, moved, some, weights_of
 from ldctoolkit import (
     SPEED_RANGE,
@@ -22,6 +20,8 @@ from ldctoolkit import (
     load_model,
     simulate,
 )
+from ldctoolkit.controllers import LQI, LQR, LinearMPC, PreviewLQR
+from ldctoolkit.controllers.riccati import regulator
 from ldctoolkit.errors import InputError
 from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Sensors
 

@@ -13,15 +13,15 @@ import pytest
 import scipy.integrate
 import scipy.linalg
 
-import controllers._nmpc_solver as compile_module
-import controllers._nmpc_solver as solver_module
-from controllers import LinearMPC
-from controllers._nmpc_model import SHAPE, SIZE, sample, steady_cornering
-from controllers.nonlinear_mpc import NonlinearMPC, NonlinearMPCState
-from controllers.riccati import regulator
+import ldctoolkit.controllers._nmpc_solver as compile_module
+import ldctoolkit.controllers._nmpc_solver as solver_module
 from helpers.cli import tool
 from helpers.closed_loop import grid
 from ldctoolkit import BicycleModel, EventStatus, Plant, Preview, Scenarios, VehicleParameters, simulate
+from ldctoolkit.controllers import LinearMPC
+from ldctoolkit.controllers._nmpc_solver import SHAPE, SIZE, sample, steady_cornering
+from ldctoolkit.controllers.nonlinear_mpc import NonlinearMPC, NonlinearMPCState
+from ldctoolkit.controllers.riccati import regulator
 from ldctoolkit.errors import InputError
 from ldctoolkit.plant_options import PlantOptions, Tyres
 

@@ -11,8 +11,6 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from controllers.pid import PID, PIDLaw
-from controllers.sliding_mode import SlidingMode, SlidingModeLaw, conditioned, super_twisting
 from helpers.closed_loop import DT, Stepped, closed_loop_matrices, moved, plant_at
 from ldctoolkit import (
     BicycleModel,
@@ -25,6 +23,8 @@ from ldctoolkit import (
     VehicleParameters,
     simulate,
 )
+from ldctoolkit.controllers.pid import PID, PIDLaw
+from ldctoolkit.controllers.sliding_mode import SlidingMode, SlidingModeLaw, conditioned, super_twisting
 
 SOME = Scenarios.from_arrays(
     T=[2.5, 6.0, 4.0, 5.0], d_y=[0.4, 0.7, 0.6, 0.9], v_mean=[11.0, 18.0, 27.0, 38.0], c_0=[1e-3, -2e-3, 0.0, 5e-4]

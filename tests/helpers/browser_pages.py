@@ -11,16 +11,16 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from controllers import LQR, NoControl, PreviewProportional
 from helpers.models import make_departures, make_model, skewed
-from helpers.results import PRIMARY, grid, invented_scenarios, report_input, run
+from helpers.results import grid, invented_scenarios, report_input, run
 from ldctoolkit import Controller, EventStatus, RecordedPath, option, register
-from studies.cli import main
-from studies.design import Design
-from studies.pages.fit_page import write_fit_page
-from studies.pages.report import write_report
-from studies.ranking.ranking import Ranking
-from studies.results import per_scenario
+from ldctoolkit.controllers import LQR, NoControl, PreviewProportional
+from ldctoolkit.studies.cli import main
+from ldctoolkit.studies.design import Design
+from ldctoolkit.studies.pages.fit_page import write_fit_page
+from ldctoolkit.studies.pages.report import write_report
+from ldctoolkit.studies.ranking.ranking import Ranking
+from ldctoolkit.studies.results import per_scenario
 
 ORDINARY = """
 name = "ordinary"
@@ -32,7 +32,7 @@ left = 30
 right = 30
 
 [simulation]
-window = ["departure", "control"]
+window = "departure"
 
 [ranking]
 bootstrap = 200
@@ -113,11 +113,9 @@ class OnePage:
         return self.path.parent
 
     def rows(self) -> list[dict[str, str]]:
-        """The primary case in ranking.csv, as it is ordered there."""
+        """Of ranking.csv, as they are ordered there."""
         with (self.folder / "ranking.csv").open(encoding="utf-8", newline="") as stream:
-            rows = list(csv.DictReader(stream))
-        case = (rows[0]["window"], rows[0]["convention"])
-        return [row for row in rows if (row["window"], row["convention"]) == case]
+            return list(csv.DictReader(stream))
 
 
 class Made:
@@ -171,61 +169,60 @@ class Made:
         return write_report(report_input(results, **changes), folder / "report.html")
 
     def _designs(self, folder: Path, *designs: Design, sides: tuple[int, int] = (12, 9)) -> Path:
-        return self._written(folder, run(designs, invented_scenarios(*sides), [PRIMARY]))
+        return self._written(folder, run(designs, invented_scenarios(*sides)))
 
     def _all_failures(self, folder: Path) -> Path:
-        results = run(grid()[:6], invented_scenarios(12, 9), [PRIMARY])
-        (case,) = results.cases
-        status = np.full(case.status.shape, EventStatus.DIVERGED, dtype=np.int8)
+        results = run(grid()[:6], invented_scenarios(12, 9))
+        status = np.full(results.status.shape, EventStatus.DIVERGED, dtype=np.int8)
         status[:, ::2] = EventStatus.SOLVER_FAILED
-        failed = dataclasses.replace(case, status=status, S=case.S + 20.0, failed_solves=case.failed_solves + 3)
-        return self._written(folder, dataclasses.replace(results, cases=(failed,)))
+        changes: dict[str, Any] = {"S": results.S + 20.0, "failed_solves": results.failed_solves + 3}
+        return self._written(folder, dataclasses.replace(results, status=status, **changes))
 
     def _nothing_ranked(self, folder: Path) -> Path:
-        results = run(grid()[:6], invented_scenarios(12, 9), [PRIMARY])
+        results = run(grid()[:6], invented_scenarios(12, 9))
         folder.mkdir()
-        rankings = tuple(Ranking.of(results, case, bootstrap=100, require=["S <= 0"]) for case in results.cases)
-        report = dataclasses.replace(report_input(results), rankings=rankings)
+        ranking = Ranking.of(results, bootstrap=100, require=["S <= 0"])
+        report = dataclasses.replace(report_input(results), ranking=ranking)
         return write_report(report, folder / "report.html")
 
     def _thousand(self, folder: Path) -> Path:
         """1,000 designs: a few, at thresholds less than a millimetre apart, with scores that differ a little."""
-        few = run(grid()[1:], invented_scenarios(60, 60), [PRIMARY])
+        few = run(grid()[1:], invented_scenarios(60, 60))
         copies = -(-999 // len(few.designs))
         take = slice(0, 999)
         designs = [dataclasses.replace(d, y_s=d.y_s + 1e-7 * k) for k in range(copies) for d in few.designs][take]
-        (case,) = few.cases
         rng = np.random.default_rng(0)
 
         def tiled(values: Any) -> Any:
             return np.tile(values, (copies, 1))[take]
 
-        S = tiled(case.S) * rng.uniform(1.0, 1.1, (len(designs), few.scenarios.n))
+        S = tiled(few.S) * rng.uniform(1.0, 1.1, (len(designs), few.scenarios.n))
         many = dataclasses.replace(
-            case,
-            **{name: tiled(getattr(case, name)) for name in ("S_uncorrected", "status", "failed_solves")},
+            few,
+            designs=tuple(designs),
+            **{name: tiled(getattr(few, name)) for name in ("S_uncorrected", "status", "failed_solves")},
             S=S,
-            companions=per_scenario(case.companions, tiled),
+            companions=per_scenario(few.companions, tiled),
             law_time=np.zeros(len(designs)),
         )
-        none = run([Design.of(NoControl(), 0.2)], few.scenarios, [PRIMARY])
-        joined = dataclasses.replace(
+        none = run([Design.of(NoControl(), 0.2)], few.scenarios)
+        results = dataclasses.replace(
             many,
+            designs=(none.designs[0], *designs),
             **{
-                name: np.concatenate([getattr(none.cases[0], name), getattr(many, name)])
+                name: np.concatenate([getattr(none, name), getattr(many, name)])
                 for name in ("S", "S_uncorrected", "status", "failed_solves", "law_time")
             },
             companions=dataclasses.replace(
                 many.companions,
                 **{
                     field.name: np.concatenate(
-                        [getattr(none.cases[0].companions, field.name), getattr(many.companions, field.name)]
+                        [getattr(none.companions, field.name), getattr(many.companions, field.name)]
                     )
                     for field in dataclasses.fields(many.companions)
                 },
             ),
         )
-        results = dataclasses.replace(few, designs=(none.designs[0], *designs), cases=(joined,))
         return self._written(folder, results)
 
     def _compare(self, folder: Path) -> Path:

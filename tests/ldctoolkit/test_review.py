@@ -10,7 +10,6 @@ import control
 import numpy as np
 import pytest
 
-from controllers import LQR, BarrierFilter, LinearMPC, NoControl, PreviewProportional
 from ldctoolkit import (
     BicycleModel,
     Controller,
@@ -25,12 +24,12 @@ from ldctoolkit import (
     gain,
     option,
 )
+from ldctoolkit.controllers import LQR, BarrierFilter, LinearMPC, NoControl, PreviewProportional
 from ldctoolkit.errors import InputError
 from ldctoolkit.plant_options import Actuator, KalmanFilter, PlantOptions, Sensors
 from ldctoolkit.review import Finding, Review, Thresholds, review
-from ldctoolkit.review.design_review import plant_notes
+from ldctoolkit.review.design_review import limit_of, plant_notes
 from ldctoolkit.review.law_model import System, linear_view
-from ldctoolkit.review.limits import limit_of
 
 FEW = (10.0, 25.0, 40.0)
 
@@ -90,8 +89,6 @@ def test_an_initial_angle_that_is_given() -> None:
     angles[8] = 0.2
     often = named(review(design, delta_prev=(angles, np.full(200, 20.0)), speeds=[20.0]), "initial_angle")
     assert (often.severity, often.value) == ("fault", 0.3)
-    with pytest.raises(InputError, match="delta_prev: angles of shape"):
-        review(design, delta_prev=([0.1, 0.2], [20.0]), speeds=[20.0])
 
 
 def test_planted_a_bandwidth_above_nyquist() -> None:
@@ -405,15 +402,6 @@ def test_a_bound_on_the_offset_is_no_offset_in_a_bend() -> None:
     assert inner.loop.bend_error.max() == 0.0
 
 
-def test_a_delay_of_too_many_samples_is_refused() -> None:
-    for name, options in (
-        ("actuator", PlantOptions(actuator=Actuator(delay=0.05))),
-        ("sensors", PlantOptions(sensors=Sensors(delay=0.05))),
-    ):
-        with pytest.raises(InputError, match=rf"{name}\.delay: 0\.05 s with dt = 1e-06 s is 50000 samples; allowed"):
-            review(LQR(r_delta=100.0), dt=1e-6, options=options)
-
-
 def test_a_response_of_many_states_is_worked_out_in_blocks() -> None:
     """900 states of their own: H(z) = sum of c b/(z - a); four points fit in a block."""
     rng = np.random.default_rng(1)
@@ -424,27 +412,38 @@ def test_a_response_of_many_states_is_worked_out_in_blocks() -> None:
 
 
 @pytest.mark.parametrize(
-    ("wrong", "message"),
+    ("wrong", "path", "value"),
     [
-        ({"dt": 0.0}, "dt: 0.0 s; allowed"),
-        ({"a_y": -1.0}, r"a_y: -1.0 m/s\^2; allowed"),
-        ({"y_s": math.nan}, "y_s: nan m; allowed"),
-        ({"speeds": [0.0]}, r"v\[0\] = 0 m/s; allowed"),
-        ({"speeds": [20.0, 100.0]}, "speeds: 20 to 100 m/s; allowed: one or more from 1 to 90 m/s"),
-        ({"speeds": []}, "speeds: none; allowed"),
+        ({"dt": 0.0}, "dt", 0.0),
+        ({"a_y": -1.0}, "a_y", -1.0),
+        ({"speeds": [0.5, 20.0]}, "speeds", 0.5),
+        ({"y_s": -0.1}, "y_s", -0.1),
+        ({"speeds": [0.0]}, "v[0]", 0.0),
+        ({"speeds": [20.0, 100.0]}, "speeds", 100.0),
+        ({"speeds": []}, "speeds", []),
+        ({"delta_prev": ([0.1, 0.2], [20.0])}, "delta_prev", None),
+        ({"dt": 1e-6, "options": PlantOptions(actuator=Actuator(delay=0.05))}, "actuator.delay", 0.05),
+        ({"dt": 1e-6, "options": PlantOptions(sensors=Sensors(delay=0.05))}, "sensors.delay", 0.05),
     ],
 )
-def test_wrong_arguments_are_named(wrong: dict[str, Any], message: str) -> None:
-    with pytest.raises(InputError, match=message):
+def test_wrong_arguments_are_named(wrong: dict[str, Any], path: str, value: object) -> None:
+    with pytest.raises(InputError) as caught:
         review(LQR(r_delta=100.0), **wrong)
-    with pytest.raises(InputError, match="controller: the class LQR"):
+    assert caught.value.path == path
+    assert caught.value.allowed
+    assert value is None or caught.value.value == value
+    with pytest.raises(InputError) as caught:
         review(LQR)  # type: ignore[arg-type]
+    assert caught.value.path == "controller"
 
 
 @pytest.mark.parametrize("pair", [(3.0, 6.0), (6.0,), (0.0, 0.0), ("a", "b"), 6.0])
 def test_wrong_thresholds_are_named(pair: Any) -> None:
-    with pytest.raises(InputError, match=r"thresholds\.gain_margin: .*; allowed"):
+    with pytest.raises(InputError) as caught:
         Thresholds(gain_margin=pair)
+    assert (caught.value.path, caught.value.value) == ("thresholds.gain_margin", pair)
+    with pytest.raises(InputError):
+        Thresholds(bend=(0.3, 0.1))
 
 
 PAGE = Path(__file__).resolve().parents[2] / "docs/how-to/reviewing-a-design.md"

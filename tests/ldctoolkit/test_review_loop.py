@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from controllers import LQR, PreviewProportional
 from ldctoolkit import BicycleModel, Controller, LinearLaw, Plant, Scenarios, gain, simulate
+from ldctoolkit.controllers import LQR, PreviewProportional
 from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Sensors
 from ldctoolkit.review import review, review_plant
 from ldctoolkit.review.law_model import Camera, LawModel, Loop, System, controller_side, linear_view, sampled_vehicle

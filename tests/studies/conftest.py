@@ -10,7 +10,7 @@ import pytest
 
 from helpers.closed_loop import Unsighted, known
 from ldctoolkit import Controller, EventStatus, LinearLaw, Plant, gain, option
-from studies import Study, run_study
+from ldctoolkit.studies import Study, run_study
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,7 +72,6 @@ def small_study(**parts: Any) -> Study:
         "name": "small",
         "seed": 3,
         "scenarios": {"left": 7, "right": 5},
-        "simulation": {"window": ["departure", "control"], "convention": ["consistent", "as_printed"]},
         "ranking": {"bootstrap": 200, "finalists": 0},
         "design": [
             {"law": "none"},
@@ -105,7 +104,7 @@ def stored_rows() -> Callable[..., Any]:
         import polars as pl
 
         table = pl.read_parquet(folder.joinpath(*parts) / "results" / "part-*.parquet")
-        key = ["design", "convention", "scenario"]
+        key = ["design", "scenario"]
         assert table.select(key).n_unique() == table.height, f"{folder}: rows are there twice"
         return table.sort(key)
 

@@ -10,16 +10,16 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.optimize import brentq
 from scipy.signal import butter, filtfilt, lfilter
 
-from controllers import LQR, NoControl
 from helpers.bits import assert_same_bits
 from helpers.closed_loop import Constant, Stepped
 from ldctoolkit import Controller, Plant, Setup, VehicleParameters, simulate
+from ldctoolkit.controllers import LQR, NoControl
 from ldctoolkit.errors import LdcError
 from ldctoolkit.plant_options import Mismatch
 from ldctoolkit.simulation import Takeover
-from studies.assessment import Assessment, assess
-from studies.standards import Standard, load_standard, standard_names
-from studies.study_file import load_study
+from ldctoolkit.studies.assessment import Assessment, assess
+from ldctoolkit.studies.standards import Standard, load_standard, standard_names
+from ldctoolkit.studies.study_file import load_study
 
 ROAD_EDGE, DRIVEABILITY = "euroncap-2026-elk-road-edge", "euroncap-2026-driveability"
 CELLS = load_standard(ROAD_EDGE).every_cell

@@ -13,11 +13,11 @@ import matplotlib.axes
 import numpy as np
 import pytest
 
-from controllers import LQR, NoControl
 from helpers.pages import Page
 from ldctoolkit import EventStatus, Scenarios, controller_class, plot_departure, simulate
+from ldctoolkit.controllers import LQR, NoControl
 from ldctoolkit.errors import InputError, UnknownNameError
-from studies import (
+from ldctoolkit.studies import (
     Ranking,
     Study,
     StudyResults,
@@ -30,7 +30,7 @@ from studies import (
     rank_study,
     run_study,
 )
-from studies.plotting import law_styles
+from ldctoolkit.studies.pages.charts import law_styles
 
 EVIL = "<script>alert(1)</script>"
 STUDY: dict[str, Any] = {
@@ -57,7 +57,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> StudyResults:
 
 @pytest.fixture(scope="module")
 def ranking(results: StudyResults) -> Ranking:
-    return rank_study(results, Study.from_dict(STUDY))[0]
+    return rank_study(results, Study.from_dict(STUDY))
 
 
 def test_ranking(ranking: Ranking) -> None:
@@ -93,7 +93,7 @@ def test_text_of_users_is_text(ranking: Ranking) -> None:
 
 
 def test_nothing_ranked_and_one_design(results: StudyResults) -> None:
-    none = Ranking.of(results, results.cases[0], bootstrap=50, require=["S <= 0"])
+    none = Ranking.of(results, bootstrap=50, require=["S <= 0"])
     assert "None meets the requirements." in none._repr_html_()
     assert {row[0] for row in rows_of(none._repr_html_())[1:]} == {"–"}  # noqa: RUF001
 
@@ -101,7 +101,7 @@ def test_nothing_ranked_and_one_design(results: StudyResults) -> None:
 def test_results(results: StudyResults) -> None:
     lines = {row[0]: row[1] for row in rows_of(results._repr_html_())}
     assert (lines["designs"], lines["scenarios"]) == ("25: none (1), lqr (24)", "50 (30 left, 20 right)")
-    assert lines["cases"] == results.cases[0].case.label
+    assert lines["S"] == results.label
 
 
 @pytest.mark.slow
@@ -114,9 +114,9 @@ def test_comparison(results: StudyResults, tmp_path: Path) -> None:
     assert EVIL not in text
     assert html.escape(found.summary) in text
     row = rows_of(text)[1]
-    assert row[0] == str(found.cases[0].S.verdict[0])
-    assert float(row[2]) == pytest.approx(found.cases[0].S.S_old[0], abs=6e-5)
-    assert float(row[4].replace("\u2212", "-")) == pytest.approx(found.cases[0].S.difference[0], rel=1e-3)
+    assert row[0] == str(found.S.verdict[0])
+    assert float(row[2]) == pytest.approx(found.S.S_old[0], abs=6e-5)
+    assert float(row[4].replace("\u2212", "-")) == pytest.approx(found.S.difference[0], rel=1e-3)
     assert "-" not in "".join(row[2:])
     assert text.count("white-space:nowrap") == 5 * (len(rows_of(text)) - 1)
 
@@ -180,7 +180,7 @@ def results_plotting(study: Study, tmp_path_factory: pytest.TempPathFactory) -> 
 
 @pytest.fixture(scope="module")
 def ranking_plotting(study: Study, results_plotting: StudyResults) -> Ranking:
-    return rank_study(results_plotting, study)[0]
+    return rank_study(results_plotting, study)
 
 
 @pytest.fixture
@@ -224,17 +224,13 @@ def test_trade_off(ranking_plotting: Ranking, ax: matplotlib.axes.Axes) -> None:
 def test_distribution(results_plotting: StudyResults, ax: matplotlib.axes.Axes) -> None:
     plot_distribution(results_plotting, [1, results_plotting.designs[2]], ax, side="left")
     left = results_plotting.scenarios.side > 0
-    for line, S in zip(
-        ax.lines, (results_plotting.cases[0].S_uncorrected[1], *results_plotting.cases[0].counted[1:3]), strict=True
-    ):
+    for line, S in zip(ax.lines, (results_plotting.S_uncorrected[1], *results_plotting.counted[1:3]), strict=True):
         x = np.sort(np.asarray(line.get_xdata(), dtype=float))
         np.testing.assert_allclose(x[np.isfinite(x)][-left.sum() :], np.sort(S[left]))
     with pytest.raises(InputError, match="side: 'lift'"):
         plot_distribution(results_plotting, side="lift")
     with pytest.raises(InputError, match="designs: 99; allowed: 0 to 7"):
         plot_distribution(results_plotting, [99])
-    with pytest.raises(InputError, match="case: 'departure windw, consistent'"):
-        plot_distribution(results_plotting, case="departure windw, consistent")
 
 
 def test_convergence_ends_at_the_mean(
@@ -266,7 +262,9 @@ def test_landscape_over_one_quantity_is_its_profile(ranking_plotting: Ranking, a
     for design, S in zip(ranking_plotting.designs, ranking_plotting.S, strict=True):
         if design.law == "lqr":
             best[design.y_s] = min(float(S), best.get(design.y_s, np.inf))
-    np.testing.assert_allclose(ax.lines[0].get_ydata(), [best[y_s] for y_s in sorted(best)])
+    level, profile, _ = ax.lines
+    np.testing.assert_allclose(profile.get_ydata(), [best[y_s] for y_s in sorted(best)])
+    assert set(level.get_ydata()) == {ranking_plotting.S_uncorrected[0]}
 
 
 def test_a_title_with_a_dollar_sign_is_text(ranking_plotting: Ranking, ax: matplotlib.axes.Axes) -> None:
@@ -279,7 +277,7 @@ def test_a_title_with_a_dollar_sign_is_text(ranking_plotting: Ranking, ax: matpl
 
 
 def test_departure(ax: matplotlib.axes.Axes) -> None:
-    from controllers import LQR, NoControl
+    from ldctoolkit.controllers import LQR, NoControl
 
     scenarios = Scenarios.from_arrays(T=[3.0, 2.0], d_y=[0.6, 0.02], v_mean=25.0, side=[1, -1])
     outcome = simulate(LQR(r_delta=100.0), scenarios, y_s=0.1, trajectories=True)
@@ -310,11 +308,11 @@ def test_laws_look_as_in_the_report(
     lines = {str(line.get_label()): line for line in ax.lines}
     for law in laws:
         if law != "none":  # it has no acceleration of an intervention
-            assert lines[controller_class(law).title].get_color() == styles[law].color
+            assert lines[controller_class(law).title].get_color() == styles[law].hex
     ax.clear()
     first = {law: next(i for i, design in enumerate(results_plotting.designs) if design.law == law) for law in laws[:2]}
     plot_distribution(results_plotting, first.values(), ax)
-    assert [line.get_color() for line in ax.lines[1:]] == [styles[law].color for law in first]
+    assert [line.get_color() for line in ax.lines[1:]] == [styles[law].hex for law in first]
 
 
 def test_trade_off_has_the_units_of_the_report(ranking_plotting: Ranking, ax: matplotlib.axes.Axes) -> None:
@@ -327,7 +325,7 @@ def test_trade_off_has_the_units_of_the_report(ranking_plotting: Ranking, ax: ma
 
 
 def test_paths_on_the_same_axes_differ(ax: matplotlib.axes.Axes) -> None:
-    from controllers import LQR
+    from ldctoolkit.controllers import LQR
 
     scenarios = Scenarios.from_arrays(T=[3.0], d_y=0.6, v_mean=25.0, side=1)
     for r_delta in (30.0, 300.0, 3000.0):

@@ -23,10 +23,10 @@ from ldctoolkit import Controller, LinearLaw, Plant, Scenarios, load_model, simu
 from ldctoolkit.departures import PARAMETER_NAMES
 from ldctoolkit.errors import InputError, LdcError, StoreError
 from ldctoolkit.scenario_model import ScenarioModel
-from studies import Design, Study
-from studies.ranking.tail import exact_interval, paired_sign
-from studies.risk import Risk, estimate_risk
-from studies.study_file import load_study
+from ldctoolkit.studies import Design, Study
+from ldctoolkit.studies.ranking.tail import exact_interval, paired_sign
+from ldctoolkit.studies.risk import Risk, estimate_risk
+from ldctoolkit.studies.study_file import load_study
 
 PAPER = load_study("paper")
 TABLE_I = PAPER.designs[1]
@@ -268,8 +268,8 @@ def test_numbers_do_not_depend_on_workers(tmp_path: Path) -> None:
 
 
 KILLED = """
-from studies import risk
-from studies.study_file import load_study
+from ldctoolkit.studies import risk
+from ldctoolkit.studies.study_file import load_study
 
 risk._STORE_EVERY = -1.0
 study = load_study("trigger-and-gains")
@@ -410,7 +410,7 @@ def test_the_command_writes_its_files(tmp_path: Path) -> None:
 def test_a_folder_of_a_study_gives_the_design_of_its_verdict(tmp_path: Path) -> None:
     content = {"name": "small", "scenarios": {"left": 20, "right": 20}, "ranking": {"finalists": 0}}
     content |= {"design": [{"law": "none"}, {"law": "lqr", "y_s": [0.05, 0.3]}]}
-    from studies import run_study
+    from ldctoolkit.studies import run_study
 
     run_study(Study.from_dict(content), directory=tmp_path / "run", workers=1, progress=False)
     good("risk", "run", "-n", "200", "--workers", "1", cwd=tmp_path)

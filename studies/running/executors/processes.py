@@ -23,8 +23,8 @@ from loky import get_reusable_executor
 from loky.process_executor import BrokenProcessPool
 
 import ldctoolkit.compiling as compiling
+from ldctoolkit.declared import UnitWarning
 from ldctoolkit.errors import InputError, LdcError
-from ldctoolkit.option_checks import UnitWarning
 from ldctoolkit.surroundings import WORKERS, leave_with, safe_path, temporary_folder
 from ldctoolkit.version import Versions, versions
 

@@ -283,7 +283,7 @@ def test_a_preparation_that_is_not_allowed(tmp_path):
 @pytest.mark.slow
 def test_a_model_is_fitted_to_a_table_with_extra_columns(tmp_path, capsys):
     """The same model as without them."""
-    from studies.cli import main
+    from ldctoolkit.studies.cli import main
 
     rng = np.random.default_rng(0)
     n = 120

@@ -14,7 +14,7 @@ import pytest
 
 import ldctoolkit as ldc
 from ldctoolkit.errors import LdcError, RecordingError
-from ldctoolkit.recordings import open_recordings, read_recordings, table_reader
+from ldctoolkit.recordings import open_recordings, read_recordings, table_reader, text_table
 from ldctoolkit.recordings.recording import Problem, Recording
 from ldctoolkit.recordings.table_reader import READER
 
@@ -277,7 +277,7 @@ def wandering(n: int, start: int = 0, rate: int = 10) -> str:
 @pytest.fixture
 def short_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(table_reader, "LONGEST_PIECE", 500)
-    monkeypatch.setattr(table_reader, "PACKED_PIECE", 256)
+    monkeypatch.setattr(text_table, "PACKED_PIECE", 256)
 
 
 @pytest.mark.usefixtures("short_pieces")

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from controllers import PreviewProportional
 from helpers.cli import good, ldc
 from ldctoolkit import Scenarios, Setup, VehicleParameters, check_fidelity, fit_scenario_model, load_model, simulate
+from ldctoolkit.controllers import PreviewProportional
 from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, DepartureParameters, Departures, Plausibility
 from ldctoolkit.errors import InputError
 from ldctoolkit.recordings import Criteria, Provenance, extract_departures, open_recordings, write_departures

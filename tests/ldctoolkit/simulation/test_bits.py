@@ -22,7 +22,7 @@ import sys
 
 import numpy as np
 
-from controllers import LQR, LinearMPC, PreviewProportional
+from ldctoolkit.controllers import LQR, LinearMPC, PreviewProportional
 from ldctoolkit import Scenarios, Setup
 from ldctoolkit.mixture._kernels import log_density_of_rows, statistics_of_rows
 from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Sensors, Tyres

@@ -9,10 +9,10 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicHermiteSpline
 
-from controllers import LQI, LQR, LinearMPC, NoControl, PreviewLQR, PreviewProportional
 from helpers import reference_loop as reference
 from helpers.closed_loop import Constant, InTheRoadFrame, Stepped, assert_same_rows, make_scenarios, with_residuals
 from ldctoolkit import Controller, EventStatus, LinearLaw, Plant, Scenarios, Setup, simulate
+from ldctoolkit.controllers import LQI, LQR, LinearMPC, NoControl, PreviewLQR, PreviewProportional
 from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.paths.uncorrected import UncorrectedPath
 from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres

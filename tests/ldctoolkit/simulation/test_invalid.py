@@ -7,7 +7,6 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from controllers import LQR, BarrierFilter, LinearMPC, NoControl, PreviewProportional
 from helpers.closed_loop import (
     METRICS,
     Constant,
@@ -32,6 +31,7 @@ from ldctoolkit import (
     SteeringLaw,
     simulate,
 )
+from ldctoolkit.controllers import LQR, BarrierFilter, LinearMPC, NoControl, PreviewProportional
 from ldctoolkit.errors import InputError
 from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
 from ldctoolkit.simulation import BOUND, drive_many

@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from controllers import LQR, LinearMPC, NoControl, PreviewProportional
 from helpers import closed_loop
 from helpers.closed_loop import (
     METRICS,
@@ -18,6 +17,7 @@ from helpers.closed_loop import (
     with_residuals,
 )
 from ldctoolkit import Controller, EventStatus, Scenarios, simulate
+from ldctoolkit.controllers import LQR, LinearMPC, NoControl, PreviewProportional
 from ldctoolkit.errors import InputError
 from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
 from ldctoolkit.simulation import Takeover, drive, drive_many

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from controllers import LQR, PreviewProportional
 from helpers import reference_loop as reference
 from helpers.closed_loop import METRICS, Stepped, assert_within_the_bound, some
 from ldctoolkit import BicycleModel, Controller, LinearLaw, Outcome, Plant, Scenarios, Setup, simulate
+from ldctoolkit.controllers import LQR, PreviewProportional
 from ldctoolkit.paths.uncorrected import RandomStream, UncorrectedPath, normals, uniforms
 from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
 from ldctoolkit.simulation import Takeover, takeover

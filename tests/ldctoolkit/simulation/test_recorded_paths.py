@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from controllers import LQR, NoControl
 from ldctoolkit import Scenarios, Setup, VehicleParameters, extract_departures, simulate
+from ldctoolkit.controllers import LQR, NoControl
 from ldctoolkit.departures import Departures, combined_departures
 from ldctoolkit.errors import InputError, RecordingError
 from ldctoolkit.paths.uncorrected import UncorrectedPath

@@ -177,8 +177,9 @@ def test_bad_input_is_named() -> None:
     with pytest.raises(InputError, match="seed: -1; allowed"):
         true_vehicles(NOMINAL, Mismatch(), Tyres(), MANY, seed=-1)
     true = true_vehicles(NOMINAL, RANGES, TYRES, MANY.take(slice(2)), seed=3)
-    with pytest.raises(InputError, match=r"v\[1\] = 0 m/s; allowed: finite speeds > 0"):
+    with pytest.raises(InputError) as caught:
         true.matrices([20.0, 0.0], "consistent")
+    assert (caught.value.path, caught.value.value) == ("v[1]", 0.0)
 
 
 FILTERS = [KalmanFilter(), KalmanFilter(q_y=2.0, q_psi=0.05, r_y=0.1, r_psi=0.001), KalmanFilter(q_y=0.05, r_psi=0.05)]

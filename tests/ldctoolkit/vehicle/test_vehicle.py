@@ -3,6 +3,7 @@
 import dataclasses
 import inspect
 import math
+from collections.abc import Callable
 from typing import Any
 
 import casadi
@@ -123,21 +124,28 @@ def test_steady_state_holds_a_bend() -> None:
 
 @pytest.mark.parametrize("v", [0.0, -3.0, np.nan, np.inf])
 def test_bad_speeds_are_named(v: float) -> None:
-    with pytest.raises(InputError, match=r"v\[1\] = .* m/s; allowed: finite speeds > 0"):
+    with pytest.raises(InputError) as caught:
         BicycleModel().matrices([20.0, v])
+    assert caught.value.path == "v[1]"
+    assert caught.value.value == pytest.approx(v, nan_ok=True)
 
 
-def test_other_bad_input_is_named() -> None:
-    with pytest.raises(InputError, match=r"convention: 'printed'.*did you mean 'as_printed'"):
-        BicycleModel(convention="printed")  # type: ignore[arg-type]
-    with pytest.raises(InputError, match=r"vehicle\.m: -1"):
-        VehicleParameters(m=-1.0)
-    with pytest.raises(InputError, match=r"vehicle\.I_z: '3'"):
-        VehicleParameters(I_z="3")  # type: ignore[arg-type]
-    with pytest.raises(InputError, match=r"vehicle\.w_v: 4\.0 m; allowed: less than the lane's width"):
-        VehicleParameters(w_v=4.0)
-    with pytest.raises(InputError, match=r"dt\[0\] = -0\.1 s"):
-        discretize(np.zeros((1, 4, 4)), np.zeros((1, 4)), np.zeros((1, 4)), -0.1)
+@pytest.mark.parametrize(
+    ("call", "path", "value"),
+    [
+        (lambda: BicycleModel(convention="printed"), "convention", "printed"),  # type: ignore[arg-type]
+        (lambda: VehicleParameters(m=-1.0), "vehicle.m", -1.0),
+        (lambda: VehicleParameters(I_z="3"), "vehicle.I_z", "3"),  # type: ignore[arg-type]
+        (lambda: VehicleParameters(l_f=True), "vehicle.l_f", True),
+        (lambda: VehicleParameters(w_v=4.0), "vehicle.w_v", 4.0),
+        (lambda: discretize(np.zeros((1, 4, 4)), np.zeros((1, 4)), np.zeros((1, 4)), -0.1), "dt[0]", -0.1),
+    ],
+)
+def test_other_bad_input_is_named(call: Callable[[], object], path: str, value: object) -> None:
+    with pytest.raises(InputError) as caught:
+        call()
+    assert (caught.value.path, caught.value.value) == (path, value)
+    assert caught.value.allowed
 
 
 def test_defaults_are_table_i() -> None:
@@ -392,13 +400,15 @@ def test_a_speed_has_the_same_bits_in_any_set() -> None:
 
 @pytest.mark.parametrize("v", [0.99, 90.1, float("nan")])
 def test_speeds_outside_the_range_are_named(v: float) -> None:
-    with pytest.raises(InputError, match=rf"{v:g} m/s; allowed for scheduled gains: 1 to 90"):
+    with pytest.raises(InputError) as caught:
         scheduled(_Smooth(1.0), np.array([20.0, v]), "values")
+    assert caught.value.value == pytest.approx(v, nan_ok=True)
 
 
 def test_a_kink_is_refused() -> None:
-    with pytest.raises(LdcError, match="gains of a kink change too sharply with speed"):
+    with pytest.raises(LdcError) as caught:
         scheduled(lambda v: np.abs(v - 20.0)[:, None], np.array([20.0]), "gains of a kink")
+    assert caught.value.path == "gains of a kink"
 
 
 def test_some_columns_have_the_bits_of_all() -> None:

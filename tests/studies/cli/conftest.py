@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from studies import Study, run_study
+from ldctoolkit.studies import Study, run_study
 
 
 @pytest.fixture(scope="session")

@@ -16,18 +16,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from controllers import LQR
 from helpers.cli import bad, good, ldc, ldc_process
 from ldctoolkit import Departures, VehicleParameters, load_model, write_departures
+from ldctoolkit.controllers import LQR
+from ldctoolkit.declared import UnitWarning, unit_slip
 from ldctoolkit.departures import PARAMETER_NAMES
-from ldctoolkit.option_checks import UnitWarning, unit_slip
 from ldctoolkit.plant_options import Actuator, Sensors
 from ldctoolkit.recordings import Provenance
 from ldctoolkit.scenario_model import ScenarioModel
 from ldctoolkit.scenario_model.model import conditions, outside_fit
-from studies import read_manifest
-from studies.design import Design
-from studies.study_file import catalog_names, load_study
+from ldctoolkit.studies import read_manifest
+from ldctoolkit.studies.design import Design
+from ldctoolkit.studies.study_file import catalog_names, load_study
 
 HEADER = "recording,t,lane_offset,lane_width,speed\n"
 STUDY = """
@@ -237,8 +237,8 @@ def test_a_command_leaves_the_log_of_its_process_as_it_was(folder: Path) -> None
 INTERRUPTED = """
 import os, signal, sys
 from ldctoolkit.studies.cli import main
-from studies.running import campaign
-from studies.storage.store import Store
+from ldctoolkit.studies.running import campaign
+from ldctoolkit.studies.storage.store import Store
 
 # a test runner in the background passes ignored interrupts on to its children: ask for the usual handler
 signal.signal(signal.SIGINT, signal.default_int_handler)

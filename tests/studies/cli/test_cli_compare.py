@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from helpers.cli import bad, good, ldc
-from studies import Study, run_study
+from ldctoolkit.studies import Study, run_study
 
 
 @pytest.fixture(scope="module")

@@ -120,7 +120,7 @@ def test_the_verdict_in_the_header_is_verified(folder: Path) -> None:
 
 
 def test_without_a_compiler(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("studies.export.compiler", lambda: None)
+    monkeypatch.setattr("ldctoolkit.studies.export.compiler", lambda: None)
     done = ldc("export", "plain", "-o", "made", "--fmu", cwd=folder)
     assert done.returncode == 4
     assert done.stdout.endswith(
@@ -130,7 +130,7 @@ def test_without_a_compiler(folder: Path, monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_a_check_that_fails(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("studies.export.c_code.BOUND", 1e-18)
+    monkeypatch.setattr("ldctoolkit.studies.export.c_code.BOUND", 1e-18)
     done = ldc("export", "plain", "-o", "made", cwd=folder)
     assert done.returncode == 3
     assert "steps: FAILED\n" in done.stdout

@@ -15,7 +15,7 @@ import pytest
 from helpers import cli
 from helpers.fuzz import DEPARTURES, SOUND
 from ldctoolkit.errors import RecordingError
-from ldctoolkit.recordings import extract_departures, read_departures, read_recordings, sources
+from ldctoolkit.recordings import extract_departures, read_departures, read_recordings, recording
 from ldctoolkit.recordings.recording import Problem, Recording, SourceFile
 
 HEADER = "recording,t,lane_offset,lane_width,speed\n"
@@ -214,17 +214,17 @@ class MadeReader:
 @pytest.fixture
 def third_party(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None]]:
     """Install readers for the length of a test."""
-    there = dict(sources._installed())
+    there = dict(recording._installed())
 
     def install(*readers: MadeReader) -> None:
         for reader in readers:
             there[reader.name] = types.SimpleNamespace(load=lambda reader=reader: reader, value="made:READER")  # type: ignore[assignment]
 
     with monkeypatch.context() as patch:
-        patch.setattr(sources, "_installed", lambda: there)
-        sources.recording_reader.cache_clear()
+        patch.setattr(recording, "_installed", lambda: there)
+        recording.recording_reader.cache_clear()
         yield install
-    sources.recording_reader.cache_clear()
+    recording.recording_reader.cache_clear()
 
 
 def test_a_third_partys_reader(folder: Path, ldc: Ldc, third_party: Callable[..., None]) -> None:
@@ -287,13 +287,13 @@ def test_a_page_that_is_not_finished_loses_no_part(folder: Path, ldc: Ldc, monke
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("studies.pages.extraction_page.extraction_page", stopped)
+        patch.setattr("ldctoolkit.studies.pages.extraction_page.extraction_page", stopped)
         code, out, err = ldc(*words)
     assert (code, out) == (130, "")
     assert "what was finished is kept in d.parquet.parts; the same command goes on" in err
     assert len(list((folder / "d.parquet.parts").glob("part-*"))) == 2
     with monkeypatch.context() as patch:
-        patch.setattr("studies.extraction.make_executor", stopped)  # nothing is left to read
+        patch.setattr("ldctoolkit.studies.extraction.make_executor", stopped)  # nothing is left to read
         assert ldc(*words)[0] == 0
     assert sorted(path.name for path in folder.iterdir()) == ["a.csv", "b.csv", "d.parquet", "r.html"]
 
@@ -368,8 +368,8 @@ def test_a_table_may_lie_beside_what_it_was_made_of(folder: Path, ldc: Ldc) -> N
 
 def test_workers_are_processes_where_much_is_read(folder: Path, ldc: Ldc, monkeypatch: pytest.MonkeyPatch) -> None:
     """One file, or little, is read in this process; much in as many as there are cores."""
-    import studies.extraction as runner
-    from studies.running.executors.processes import SerialExecutor
+    import ldctoolkit.studies.extraction as runner
+    from ldctoolkit.studies.running.executors.processes import SerialExecutor
 
     asked: list[Any] = []
 

@@ -10,7 +10,7 @@ import pytest
 from helpers.cli import bad, good, ldc
 from helpers.recordings import OFFSET, drive, frame_of
 from ldctoolkit import controller_class, controller_names, load_model
-from studies.study_file import Study, catalog_names, load_study
+from ldctoolkit.studies.study_file import Study, catalog_names, load_study
 
 KEY = re.compile(r"# (\w+ = .*)")
 
@@ -47,14 +47,14 @@ def test_every_key_is_there_with_a_comment(tmp_path: Path) -> None:
     )
     assert keys_of(tomllib.loads(whole)) == keys_of(everything.content())
     for line in (
-        "lag = 0.1                                 # [s] time constant; 0 for none; >= 0 and <= 10; default 0.0",
+        "lag = 0.1                                 # [s] time constant; 0 for none; from 0 to 10; default 0.0",
         "rate_max = 0.33                           # [rad/s] limit of the steering rate; > 0; default none",
-        "# m = 1000.0                              # [kg] mass; default 1000.0",
+        "# m = 1000.0                              # [kg] mass; > 0; default 1000.0",
         "# confidence = 0.95                       # of the intervals, all designs together; > 0 and < 1; default 0.95",
         "# batch = 16                              # designs proposed at once; >= 1 and <= 10000; default 16",
-        "# T_lp = { from = 1.0, to = 4.0, count = 5 }  # [s] preview time; >= 0 and <= 10; default 2.0",
+        "# T_lp = { from = 1.0, to = 4.0, count = 5 }  # [s] preview time; from 0 to 10; default 2.0",
         '# q_y = { from = 0.1, to = 10.0, count = 5, scale = "log" }'
-        "  # [1/m^2] weight on e_y^2; >= 1e-06 and <= 1e+06; default 1.0",
+        "  # [1/m^2] weight on e_y^2; from 1e-06 to 1e+06; default 1.0",
     ):
         assert line in lines, line
 
@@ -128,7 +128,7 @@ def test_without_a_model_recorded_departures_are_replayed(tmp_path: Path) -> Non
         (["there.toml"], "study: 'there.toml' is not in the catalog"),
         (["--law", "lqq"], "did you mean 'lqr'?"),
         (["--law", "lqr", "--plant", "idea"], "study: 'idea' is not in the catalog; did you mean 'ideal'?"),
-        (["--law", "lqr", "--y-s", "-11"], "my-study.toml: design[1].y_s: -11.0; allowed: a finite number >= -10 [m]"),
+        (["--law", "lqr", "--y-s", "-11"], "my-study.toml: design[1].y_s: -11.0; allowed: a finite number >= -10 m"),
         (["--law", "lqr", "--require", "a_y_peak_p59 <= 3"], "my-study.toml: ranking.require: "),
         (["--law", "lqr", "--model", "none.json"], "none.json"),
         (["--law", "lqr", "--model", "referenc"], "did you mean 'reference'?"),

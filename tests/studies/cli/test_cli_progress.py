@@ -11,9 +11,9 @@ import pytest
 from helpers.cli import Terminal, good
 from helpers.recordings import OFFSET, drive, frame_of
 from ldctoolkit import compiling
-from studies.cli import main
-from studies.cli._console import moving_line
-from studies.running import campaign
+from ldctoolkit.studies.cli import main
+from ldctoolkit.studies.cli._console import moving_line
+from ldctoolkit.studies.running import campaign
 
 
 def on_terminal(*arguments: str, cwd: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[str, str]:

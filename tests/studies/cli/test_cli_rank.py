@@ -1,4 +1,4 @@
-"""``ldc rank`` as people meet it: the study's own ranking again, other settings, races, one message for wrong input."""
+"""``ldc rank`` as people meet it: the study's own ranking again, other settings, one message for wrong input."""
 
 import contextlib
 import csv
@@ -11,41 +11,13 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any
 
 import pytest
 from rich.console import Console
 
 from helpers.cli import Terminal, bad, ldc
-from studies import Study, read_results, run_study
-from studies.cli import _console, main
-from studies.cli._console import add_row, new_table, print_table
-from studies.cli._results import print_race
-from studies.design import Design
-from studies.results import Dropped, Race
-
-RACE: dict[str, Any] = {
-    "race": True,
-    "scenarios": {"left": 100, "right": 100},
-    "simulation": {"window": ["departure", "control"]},
-    "ranking": {"bootstrap": 200, "finalists": 0},
-    "design": [{"law": "none"}, {"law": "lqr"}, {"law": "preview_proportional", "y_s": [0.05, 0.4]}],
-}
-
-
-@pytest.fixture(scope="session")
-def raced(content: dict[str, Any], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a race. To be read only."""
-    folder = tmp_path_factory.mktemp("rank") / "raced"
-    run_study(Study.from_dict(content | RACE), directory=folder, workers=1, progress=False)
-    return folder
-
-
-@pytest.fixture
-def folder(folder: Path, raced: Path) -> Path:
-    """A folder with ``plain``, with finalists, and ``raced``; neither has a ranking.csv yet."""
-    shutil.copytree(raced, folder / "raced")
-    return folder
+from ldctoolkit.studies.cli import _console, main
+from ldctoolkit.studies.cli._console import add_row, new_table, print_table
 
 
 @pytest.fixture
@@ -221,7 +193,7 @@ def test_more_confidence_makes_wider_intervals(folder: Path, rank: Rank, tmp_pat
 
 def test_json(folder: Path, rank: Rank) -> None:
     own = json.loads(rank("plain", "--json").stdout)
-    assert (own["event"], own["designs"], own["confidence"], own["race"]) == ("ranked", 4, 0.95, None)
+    assert (own["event"], own["designs"], own["confidence"]) == ("ranked", 4, 0.95)
     assert own["ranking"] == str(Path("plain") / "ranking.csv")
     first = rows_of(folder / "plain" / "ranking.csv")[0]
     for name, column_name in {"S_m_s": "S_m_s", "S_low_m_s": "S_low_m_s", "S_high_m_s": "S_high_m_s",
@@ -240,47 +212,6 @@ def test_json(folder: Path, rank: Rank) -> None:
     assert other["require"] == ["S <= 0.0001"]
 
 
-def test_a_race_is_told_and_what_it_gave_up_is_listed(folder: Path, rank: Rank) -> None:
-    results = read_results(folder / "raced")
-    assert results.race.dropped
-    done = rank("raced")
-    assert re.search(r"^round 1: 100 scenarios, \d of 4 designs given up$", done.stdout, re.M)
-    assert "% of the full study's" in done.stdout
-    rows = rows_of(folder / "raced" / "ranking.csv")
-    cases = column(rows, "window")
-    # behind the ranked ones of the primary case, and nowhere else
-    assert cases == ["departure"] * 4 + ["control"] * len(results.designs)
-    behind, others = rows[len(results.designs) : 4], [*rows[: len(results.designs)], *rows[4:]]
-    for row, one in zip(behind, results.race.dropped, strict=True):
-        assert (row["design"], row["law"], row["y_s_m"]) == (one.design.id, one.design.law, repr(one.design.y_s))
-        assert (row["dropped_in_round"], row["dropped_scenarios"]) == (str(one.round), str(one.scenarios))
-        assert (float(row["dropped_S_m_s"]), float(row["dropped_low_m_s"])) == (one.S, one.low)
-        gains = {f"gain_{name}": value for name, value in one.design.gains}
-        assert all(any(key.startswith(name) and row[key] for key in row) for name in gains)
-        assert (row["rank"], row["S_m_s"], row["set_of_best"], row["failure"]) == ("", "", "", "")
-    for name in ("dropped_in_round", "dropped_scenarios", "dropped_S_m_s", "dropped_low_m_s"):
-        assert set(column(others, name)) == {""}
-    assert json.loads(rank("raced", "--json").stdout)["race"]["dropped"] == len(behind)
-
-
-@pytest.mark.parametrize(("number", "words"), [(1, "1 design was"), (2, "2 designs were"), (0, "0 designs were")])
-def test_one_design_is_told_as_one(number: int, words: str, capsys: pytest.CaptureFixture[str]) -> None:
-    dropped = tuple(Dropped(Design("none", 0.1 * (i + 1), ()), 1, 100, 3.0, 0.5, 0.1) for i in range(number))
-    print_race(Race(rounds=(100, 200), alive=(1, 1), dropped=dropped, runs=300, full_runs=400))
-    lines = capsys.readouterr().out.splitlines()
-    before = f"{number + 1} designs" if number else "1 design"
-    assert lines[0] == f"round 1: 100 scenarios, {number} of {before} given up"
-    assert lines[1] == "round 2: 200 scenarios, 0 of 1 design given up"
-    assert f"75.0 % of the full study's; {words} separable from the best" in lines[2]
-
-
-@pytest.mark.parametrize("other", [("--confidence", 0.99), ("--require", "comfort")])
-def test_other_settings_of_a_raced_study(rank: Rank, other: tuple[str, Any]) -> None:
-    done = rank("raced", *other, "--quiet")
-    assert "ldc: warning: the race gave designs up by the study's own requirements and confidence" in done.stderr
-    assert "race gave" not in rank("raced", "--quiet").stderr
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -292,12 +223,8 @@ def test_other_settings_of_a_raced_study(rank: Rank, other: tuple[str, Any]) -> 
         (["plain", "--confidence", "high"], "allowed: a number"),
         (["plain", "-o", "r.txt"], "must end in .csv"),
         (["plain", "--require", "comfrt"], "no such set of requirements; did you mean 'comfort'?"),
-        (["raced", "--baseline", "DROPPED"], "was given up in a race"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
 def test_wrong_settings_get_one_message(arguments: list[str], message: str, folder: Path) -> None:
-    if "DROPPED" in arguments:
-        race = read_results(folder / "raced").race
-        arguments = [*arguments[:-1], race.dropped[0].design.id]
     assert message in bad("rank", *arguments, cwd=folder)

@@ -7,13 +7,13 @@ from pathlib import Path
 import pytest
 
 from helpers.cli import bad, good
-from studies import read_results
+from ldctoolkit.studies import read_results
 
 
 @pytest.mark.slow
 def test_departures_and_designs_are_put_into_the_page(folder: Path) -> None:
     results = read_results(folder / "plain")
-    worst = results.designs[int(results.cases[0].S.mean(axis=1).argsort()[-2])].id
+    worst = results.designs[int(results.S.mean(axis=1).argsort()[-2])].id
     asked = ("--departure", 248, "--departure", 7, "--design", worst[:8])
     good("report", "plain", *asked, "--no-robustness", "--no-figures", cwd=folder)
     page = (folder / "plain" / "report.html").read_text(encoding="utf-8")

@@ -8,13 +8,13 @@ import polars as pl
 import pytest
 
 from helpers.cli import bad, good, ldc, printed_rows
-from studies import Study, read_results, run_study
+from ldctoolkit.studies import Study, read_results, run_study
 
 STUDY = {
     "name": "tiny",
     "seed": 4,
     "scenarios": {"left": 6, "right": 6},
-    "simulation": {"window": ["departure", "control"], "settle": 1.0},
+    "simulation": {"window": "control", "settle": 1.0},
     "ranking": {"bootstrap": 100, "finalists": 0},
     "design": [
         {"law": "none"},
@@ -40,7 +40,7 @@ def folder(finished: Path, tmp_path: Path) -> Path:
 def test_indices_and_profiles_are_printed_and_written(folder: Path) -> None:
     out = good("sensitivity", folder, "--points", "3", cwd=folder)
     for words in ("design[1], Preview P: Sobol indices", "design[2], LQR: Sobol indices", "first order only",
-                  "intervals over scenarios", "one at a time, departure window"):  # fmt: skip
+                  "intervals over scenarios", "one at a time, control window"):  # fmt: skip
         assert words in out
     assert out.endswith(f"sensitivity: {folder / 'sensitivity.csv'}\n")
     table = pl.read_csv(folder / "sensitivity.csv", infer_schema_length=None)
@@ -60,21 +60,21 @@ def test_indices_and_profiles_are_printed_and_written(folder: Path) -> None:
             assert [float(shown), *ends] == pytest.approx(wanted, abs=6e-4)
     # the design with the smallest mean S is the middle
     results = read_results(folder)
-    best = results.designs[int(results.cases[0].counted.mean(axis=1).argmin())]
+    best = results.designs[int(results.counted.mean(axis=1).argmin())]
     assert f"Around {best.label} ({best.id}), the winner, one at a time" in out
     assert best.id in table["design"]
 
 
-def test_the_middle_the_case_and_the_points_can_be_chosen(folder: Path) -> None:
+def test_the_middle_and_the_points_can_be_chosen(folder: Path) -> None:
     middle = next(d for d in Study.from_dict(STUDY).designs if d.law == "preview_proportional")
-    first = ldc("sensitivity", folder, "--design", middle.id[:8], "--points", "0", "--case", "2", cwd=folder)
+    first = ldc("sensitivity", folder, "--design", middle.id[:8], "--points", "0", cwd=folder)
     assert "control window" in first.stdout
     assert "different y_s are not comparable" in first.stderr
     assert middle.label in first.stdout
     profile = pl.read_csv(folder / "sensitivity.csv", infer_schema_length=None).filter(pl.col("kind") == "profile")
     assert profile["stored"].to_list() == [True] * 4
     assert profile["dimension"].to_list() == ["y_s", "y_s", "K_y", "K_y"]
-    again = good("sensitivity", folder, "--design", middle.label, "--points", "0", "--case", "2", cwd=folder)
+    again = good("sensitivity", folder, "--design", middle.label, "--points", "0", cwd=folder)
     assert again == first.stdout
 
 
@@ -83,7 +83,7 @@ def test_the_middle_is_no_winner_where_nothing_is_ranked(tmp_path: Path) -> None
     study = Study.from_dict(STUDY | {"ranking": settings, "design": STUDY["design"][:2]})  # type: ignore[index]
     run_study(study, directory=tmp_path / "out", workers=1, progress=False)
     out = good("sensitivity", "out", "--points", "0", cwd=tmp_path)
-    assert ", smallest mean S, not ranked, one at a time, departure window" in out
+    assert ", smallest mean S, not ranked, one at a time, control window" in out
     assert "the winner" not in out
 
 
@@ -106,8 +106,7 @@ def test_without_salib_the_rest_goes_on(folder: Path, monkeypatch: pytest.Monkey
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--case", "3"], "--case 3; allowed: 1 to 2"),
-        (["--case", "0"], "allowed: a whole number >= 1"),
+        (["--case", "2"], "unrecognized arguments: --case 2"),
         (["--points", "-1"], "allowed: a whole number >= 0"),
         (["--design", "zz"], "--design 'zz': no such design; allowed: a label, or the id in ranking.csv"),
         (["--design", ""], "--design '': no such design"),

@@ -16,18 +16,24 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from helpers.results import CONTROL, DEPARTURE, case_of
+from helpers.results import per_scenario_numbers
 from helpers.stored import rewrite_json
 from ldctoolkit import EventStatus, Scenarios, load_model
 from ldctoolkit.errors import InputError, StoreError
 from ldctoolkit.paths.uncorrected import RandomStream
 from ldctoolkit.plant_options import Mismatch, PlantOptions, Residuals, Sensors
-from studies import Case, CaseResults, Comparison, Manifest, Study, StudyResults, compare
-from studies.cli._tables import print_comparison
-from studies.comparison.comparison import COLUMNS, comparison_content, write_comparison
-from studies.comparison.paired import FinishedStudy, Verdict, drawn_streams, paired_differences, share_scenarios
-from studies.ranking.inference import weight_blocks
-from studies.results import Dropped, FailedDesign, Race
+from ldctoolkit.studies import Comparison, Manifest, Study, StudyResults, compare
+from ldctoolkit.studies.cli._tables import print_comparison
+from ldctoolkit.studies.comparison.comparison import COLUMNS, comparison_content, write_comparison
+from ldctoolkit.studies.comparison.paired import (
+    FinishedStudy,
+    Verdict,
+    drawn_streams,
+    paired_differences,
+    share_scenarios,
+)
+from ldctoolkit.studies.ranking.inference import weight_blocks
+from ldctoolkit.studies.results import FailedDesign
 
 
 def scenarios_of(n: int, left: int | None = None, seed: int = 0) -> Scenarios:
@@ -43,7 +49,7 @@ def study_of(d: int, **parts: Any) -> Study:
 
 def finished(
     S: np.ndarray, *, source: str = "here", scenarios: Scenarios | None = None, status: np.ndarray | None = None,
-    cases: Sequence[CaseResults] | None = None, rows: Sequence[int] | None = None, of: int | None = None, **parts: Any,
+    rows: Sequence[int] | None = None, of: int | None = None, **parts: Any,
 ) -> FinishedStudy:  # fmt: skip
     """A study whose scores are given; `rows` are the positions of its designs among `of` of them."""
     study = study_of(len(S) if of is None else of, **parts)
@@ -51,9 +57,8 @@ def finished(
     if rows is not None:
         study = Study.from_dict(study.content() | {"design": [{"law": "none", "y_s": [d.y_s for d in designs]}]})
     where = scenarios_of(S.shape[1]) if scenarios is None else scenarios
-    results = StudyResults(
-        designs, where, tuple(cases) if cases else (case_of(S, status=0 if status is None else status),)
-    )
+    numbers = per_scenario_numbers(S, status=0 if status is None else status)
+    results = StudyResults(designs, where, study.simulation.window, study.simulation.convention, **numbers)
     manifest = Manifest.of(study, model="reference", model_hash="0" * 64, model_notes=(), model_synthetic=True)
     return FinishedStudy(source, manifest, study, results)
 
@@ -63,7 +68,7 @@ def changed(side: FinishedStudy, **parts: Any) -> FinishedStudy:
 
 
 def verdicts(comparison: Comparison) -> list[str]:
-    return [str(verdict) for verdict in comparison.cases[0].S.verdict]
+    return [str(verdict) for verdict in comparison.S.verdict]
 
 
 @pytest.fixture
@@ -124,7 +129,7 @@ def test_known_shifts_get_their_verdicts(scores: np.ndarray) -> None:
     new[3] = scores[3] + 5e-7  # the tolerance of a solver
     comparison = compare(finished(scores, source="old"), finished(new))
     assert verdicts(comparison) == ["worse", "better", "not separated", "same"]
-    S = comparison.cases[0].S
+    S = comparison.S
     np.testing.assert_allclose(S.difference[:3], [0.05, -0.05, 0.0], rtol=0, atol=1e-12)
     np.testing.assert_allclose(S.S_new - S.S_old, S.difference, rtol=0, atol=1e-12)
     assert (S.low[:3] < S.difference[:3]).all()
@@ -133,7 +138,7 @@ def test_known_shifts_get_their_verdicts(scores: np.ndarray) -> None:
     i = np.abs(new[0] - scores[0]).argmax()
     assert (S.largest_at[0], S.largest[0]) == (i, (new - scores)[0, i])
     assert comparison.any_worse
-    assert (comparison.cases[0].order[0], comparison.cases[0].order[-1]) == (0, 3)
+    assert (comparison.order[0], comparison.order[-1]) == (0, 3)
     assert "1 better, 1 worse, 1 not separated, 1 the same" in comparison.summary
 
 
@@ -141,7 +146,7 @@ def test_a_study_against_its_equal_is_the_same(scores: np.ndarray) -> None:
     comparison = compare(finished(scores, source="old"), finished(scores.copy()))
     assert (verdicts(comparison), comparison.differences) == (["same"] * 4, ())
     assert not comparison.any_worse
-    winners = comparison.cases[0].winners
+    winners = comparison.winners
     assert winners.verdict is Verdict.SAME
     assert winners.same_design
 
@@ -227,31 +232,29 @@ def test_one_scenario_of_a_side_tells_nothing(scores: np.ndarray) -> None:
     one_left = scenarios_of(400, left=1)
     comparison = compare(finished(scores, scenarios=one_left), finished(new, scenarios=one_left))
     assert verdicts(comparison) == ["not separated"] * 4
-    assert np.isinf(comparison.cases[0].S.high).all()
+    assert np.isinf(comparison.S.high).all()
     json.dumps(comparison_content(comparison), allow_nan=False)
 
 
-def test_cases_share_one_confidence(scores: np.ndarray) -> None:
-    generator = np.random.default_rng(4)
-    first, second = (scores + 0.1 * generator.normal(size=scores.shape) for _ in range(2))
-    old = finished(scores, cases=[case_of(scores), case_of(scores, case=CONTROL)])
-    both = compare(old, finished(first, cases=[case_of(second, case=CONTROL), case_of(first)]))
-    assert [case.case for case in both.cases] == [CONTROL, DEPARTURE]
-    one = compare(old, finished(first))
-    assert [case.case for case in one.cases] == [DEPARTURE]
-    np.testing.assert_array_equal(both.cases[1].S.difference, one.cases[0].S.difference)
-    assert (both.cases[1].S.high > one.cases[0].S.high).all()
+def test_two_conventions_are_compared_as_an_input_that_differs(scores: np.ndarray) -> None:
+    printed = finished(scores + 0.1, source="printed", simulation={"convention": "as_printed"})
+    comparison = compare(finished(scores), printed)
+    assert comparison.differences == ("simulation.convention: consistent -> as_printed",)
+    assert comparison.label == "departure window, consistent -> as printed"
+    np.testing.assert_allclose(comparison.S.difference, 0.1)
+    assert compare(printed, finished(scores + 0.1, simulation={"convention": "as_printed"})).label == (
+        "departure window, as printed"
+    )
 
 
 def test_failed_scenarios_count_at_least_as_without_control(scores: np.ndarray) -> None:
     status = np.zeros(scores.shape, dtype=np.int8)
     status[2, :50] = EventStatus.TIMED_OUT
     comparison = compare(finished(scores, source="old"), finished(scores, status=status))
-    case = comparison.cases[0]
     expected = np.concatenate([9.0 - scores[2, :50], np.zeros(350)]).mean()
-    assert case.S.difference[2] == pytest.approx(expected)
+    assert comparison.S.difference[2] == pytest.approx(expected)
     assert verdicts(comparison) == ["same", "same", "worse", "same"]
-    assert (case.failed_old, case.failed_new) == ((0, 0, 0, 0), (0, 0, 50, 0))
+    assert (comparison.failed_old, comparison.failed_new) == ((0, 0, 0, 0), (0, 0, 50, 0))
 
 
 def test_what_cannot_be_driven_counts_for_nobody(scores: np.ndarray) -> None:
@@ -261,7 +264,7 @@ def test_what_cannot_be_driven_counts_for_nobody(scores: np.ndarray) -> None:
     new[1, 3] = np.nan
     comparison = compare(finished(scores, source="old"), finished(new, status=status))
     assert (verdicts(comparison), comparison.shared.n) == (["same"] * 4, 399)
-    assert comparison.cases[0].S.S_old[0] == pytest.approx(np.delete(scores[0], 3).mean())
+    assert comparison.S.S_old[0] == pytest.approx(np.delete(scores[0], 3).mean())
     assert any("1 shared scenario cannot be driven" in warning for warning in comparison.warnings)
 
 
@@ -302,7 +305,7 @@ def test_the_winners_interval_minds_that_they_were_chosen() -> None:
             finished(new, rows=range(20, 40), of=40, seed=0),
             bootstrap=300,
         )
-        winners = comparison.cases[0].winners
+        winners = comparison.winners
         alarms += winners.verdict is not Verdict.NOT_SEPARATED
     assert alarms / repetitions <= 0.05 + 3 * math.sqrt(0.05 * 0.95 / repetitions)
 
@@ -313,8 +316,8 @@ def test_new_candidates_against_the_old_winner(scores: np.ndarray) -> None:
     better = scores[:2] - 0.3 + 0.05 * generator.normal(size=(2, 400))
     old = finished(scores, source="old", of=6, rows=range(4))
     comparison = compare(old, finished(better, rows=[4, 5], of=6))
-    assert len(comparison.cases[0]) == 0
-    winners = comparison.cases[0].winners
+    assert len(comparison) == 0
+    winners = comparison.winners
     best_old, best_new = scores.mean(axis=1).argmin(), better.mean(axis=1).argmin()
     assert (winners.old, winners.new) == (old.results.designs[best_old], comparison.only_new[best_new])
     assert winners.difference == pytest.approx((better[best_new] - scores[best_old]).mean())
@@ -328,31 +331,28 @@ def test_new_candidates_against_the_old_winner(scores: np.ndarray) -> None:
 def test_winners_meet_on_fresh_scenarios(scores: np.ndarray) -> None:
     scores = scores + np.array([0.0, 0.0, -0.05, -0.05])[:, None]
     fresh_scenarios = scenarios_of(300, seed=8)
-    cases = [case_of(scores), case_of(scores[::-1], case=CONTROL)]
-    old, new = (finished(scores, source=name, cases=cases) for name in ("old", "new"))
+    old, new = (finished(scores, source=name) for name in ("old", "new"))
     fresh = np.random.default_rng(9).gamma(2.0, 1.0, (2, 300))
     fresh[1] -= fresh[1].mean() - fresh[0].mean() - 1.0
 
     def with_fresh(side: FinishedStudy, S: np.ndarray) -> FinishedStudy:
-        parts = (case_of(S), case_of(S, case=CONTROL))
-        return changed(side, fresh=StudyResults(side.results.designs[2:], fresh_scenarios, parts))
+        results = dataclasses.replace(
+            side.results, designs=side.results.designs[2:], scenarios=fresh_scenarios, **per_scenario_numbers(S)
+        )
+        return changed(side, fresh=results)
 
-    comparison = compare(with_fresh(old, fresh), with_fresh(new, fresh - 0.5))
-    first, second = (case.winners for case in comparison.cases)
-    assert (first.fresh, first.scenarios, first.old) == (True, 300, old.results.designs[2])
-    assert first.difference == pytest.approx(-0.5)
-    assert first.verdict is Verdict.BETTER
-    # no finalist is among the best of the other case, whose winner met the study's own scenarios only
-    assert (second.fresh, second.scenarios) == (False, 400)
-    assert second.old in old.results.designs[:2]
-    one_sided = compare(with_fresh(old, fresh), new).cases[0].winners
+    winners = compare(with_fresh(old, fresh), with_fresh(new, fresh - 0.5)).winners
+    assert (winners.fresh, winners.scenarios, winners.old) == (True, 300, old.results.designs[2])
+    assert winners.difference == pytest.approx(-0.5)
+    assert winners.verdict is Verdict.BETTER
+    one_sided = compare(with_fresh(old, fresh), new).winners
     assert not one_sided.fresh
 
 
 def test_no_winner_where_no_design_meets_the_requirements(scores: np.ndarray) -> None:
     old, new = finished(scores, source="old"), finished(scores, ranking={"require": ["S <= 0.001"]})
     comparison = compare(old, new)
-    assert comparison.cases[0].winners is None
+    assert comparison.winners is None
     assert any("no winner to compare" in warning for warning in comparison.warnings)
     assert "against the old one: no winner." in comparison.summary
     assert [row["compared"] for row in comparison_content(comparison)["rows"]] == ["design"] * 4
@@ -365,7 +365,7 @@ def test_the_winner_meets_the_requirements(scores: np.ndarray) -> None:
     best, second = np.argsort(scores.mean(axis=1))[:2]
     status[best, 0] = EventStatus.TIMED_OUT
     new = finished(scores, status=status, ranking={"require": ["timed_out <= 0"]})
-    winners = compare(old, new).cases[0].winners
+    winners = compare(old, new).winners
     assert (winners.old, winners.new) == (old.results.designs[best], old.results.designs[second])
 
 
@@ -382,58 +382,6 @@ def test_failed_designs(scores: np.ndarray) -> None:
     both = compare(old, changed(old, failed=old.results.failed))
     assert [one.design for one in both.failed_in_both] == [every[3]]
     assert not both.any_worse
-
-
-def test_designs_that_a_race_gave_up_are_named_and_not_compared(scores: np.ndarray) -> None:
-    every = study_of(4).designs
-    dropped = Dropped(every[3], round=1, scenarios=100, S=3.0, difference=0.5, low=0.1)
-    race = Race(rounds=(100, 400), alive=(3, 3), dropped=(dropped,), runs=1300, full_runs=1600)
-    raced = changed(finished(scores[:3], of=4, rows=[0, 1, 2], race=True), race=race)
-    comparison = compare(finished(scores, source="old"), raced)
-    assert (len(comparison.cases[0]), comparison.given_up, comparison.only_old) == (3, (every[3],), ())
-    assert comparison.differences == ("race: not set -> True",)
-
-
-def raced(scores: np.ndarray, *, dropped: bool = True, primary: Case = DEPARTURE, **parts: Any) -> FinishedStudy:
-    """Three of four designs, raced in one case; it has results in both windows. Design 3 was perhaps given up."""
-    every = study_of(4).designs
-    other = DEPARTURE if primary == CONTROL else CONTROL
-    cases = [case_of(scores[:3], case=primary), case_of(scores[:3], case=other)]
-    gone = (Dropped(every[3], round=1, scenarios=100, S=3.0, difference=0.5, low=0.1),) if dropped else ()
-    race = Race(rounds=(100, 400), alive=(3, 3), dropped=gone, runs=1300, full_runs=1600)
-    return changed(finished(scores[:3], of=4, rows=[0, 1, 2], cases=cases, race=True, **parts), race=race)
-
-
-@pytest.mark.parametrize("old_is_raced", [False, True])
-def test_winners_of_cases_that_were_not_raced_are_not_compared(scores: np.ndarray, old_is_raced: bool) -> None:
-    """The full study's best design of the control window was given up for its S in the departure window."""
-    control = scores.copy()
-    control[3] = scores.min(axis=0) - 1.0
-    full = finished(scores, source="full", cases=[case_of(scores), case_of(control, case=CONTROL)])
-    one, other = (raced(scores), full) if old_is_raced else (full, raced(scores))
-    comparison = compare(one, other)
-    first, second = comparison.cases
-    assert first.winners is not None
-    assert (first.raced_elsewhere, second.raced_elsewhere) == (False, True)
-    assert second.winners is None
-    assert len(second) == 3  # designs of both are still compared, one by one
-    assert not comparison.any_worse
-    (told,) = [text for text in comparison.warnings if "Winners are not compared" in text]
-    assert "in control window, consistent: a race" in told
-    assert not any("no winner to compare" in text for text in comparison.warnings)
-    rows = comparison_content(comparison)["rows"]
-    assert [row["window"] for row in rows if row["compared"] == "winners"] == ["departure"]
-
-
-def test_winners_of_the_raced_case_and_of_races_that_gave_nothing_up_are_compared(scores: np.ndarray) -> None:
-    full = finished(scores, source="full", cases=[case_of(scores), case_of(scores, case=CONTROL)])
-    whole = compare(full, raced(scores, dropped=False))
-    assert [case.winners is None for case in whole.cases] == [False, False]
-    # the primary case is that of the raced study, not of the other one
-    turned = compare(raced(scores, primary=CONTROL), full)
-    assert [case.case for case in turned.cases] == [DEPARTURE, CONTROL]
-    assert [case.winners is None for case in turned.cases] == [True, False]
-    assert "against the old one: not compared." in turned.summary
 
 
 @pytest.mark.parametrize(("d", "title"), [(1, "1 design in both studies"), (2, "2 designs in both studies")])
@@ -489,8 +437,8 @@ def test_refusals_of_results(scores: np.ndarray) -> None:
     old = finished(scores, source="old")
     with pytest.raises(InputError, match=r"no scenario in both \(seed: 0 -> 1\)"):
         compare(old, finished(scores, scenarios=scenarios_of(400, seed=1), seed=1))
-    with pytest.raises(InputError, match="no case in both: the old study has departure window, consistent, the new"):
-        compare(old, finished(scores, cases=[case_of(scores, case=CONTROL)]))
+    with pytest.raises(InputError, match="S of the departure window in the old study, of the control window in the"):
+        compare(old, finished(scores, simulation={"window": "control"}))
     with pytest.raises(InputError, match="no shared scenario could be driven"):
         compare(old, finished(scores, status=np.full(scores.shape, EventStatus.INVALID, dtype=np.int8)))
     for confidence in (1.5, 1.0, 0.0):
@@ -529,13 +477,13 @@ def test_files_hold_every_row(tmp_path: Path, scores: np.ndarray) -> None:
     assert list(rows[0]) == list(COLUMNS)
     assert [row["compared"] for row in rows] == ["design"] * 4 + ["winners", "failure"]
     assert rows[-1]["failure"] == failed[0].reason
-    S = comparison.cases[0].S
-    for row, i in zip(rows, comparison.cases[0].order, strict=False):
-        assert row["design_new"] == comparison.cases[0].designs[i].id
+    S = comparison.S
+    for row, i in zip(rows, comparison.order, strict=False):
+        assert row["design_new"] == comparison.designs[i].id
         assert float(row["difference_m_s"]) == S.difference[i]
         assert (float(row["difference_high_m_s"]), row["verdict"]) == (S.high[i], S.verdict[i])
     assert rows[3]["largest_change_scenario"] == ""
-    assert int(rows[0]["largest_change_scenario"]) == np.abs(new - scores)[comparison.cases[0].order[0]].argmax()
+    assert int(rows[0]["largest_change_scenario"]) == np.abs(new - scores)[comparison.order[0]].argmax()
     content = json.loads(json.dumps(comparison_content(comparison), allow_nan=False))
     assert content["worse"] is True
     assert (content["summary"], len(content["rows"])) == (comparison.summary, len(rows))

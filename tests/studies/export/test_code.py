@@ -14,15 +14,15 @@ import fmpy.validation
 import numpy as np
 import pytest
 
-from controllers import LQR, PID, BarrierFilter, LinearMPC, PurePursuit, SlidingMode, Stanley
 from helpers.closed_loop import Constant, Table, make_scenarios
 from ldctoolkit import Controller, Preview, Setup, load_model
 from ldctoolkit.control import EventStatus
+from ldctoolkit.controllers import LQR, PID, BarrierFilter, LinearMPC, PurePursuit, SlidingMode, Stanley
 from ldctoolkit.plant_options import Actuator, PlantOptions
-from studies.export import export_c
-from studies.export.c_code import Code
-from studies.export.loop_check import Compiled, check, compiler, record, struct
-from studies.study_file import load_study
+from ldctoolkit.studies.export import export_c
+from ldctoolkit.studies.export.c_code import Code
+from ldctoolkit.studies.export.loop_check import Compiled, check, compiler, record, struct
+from ldctoolkit.studies.study_file import load_study
 
 REALISTIC = load_study("trigger-and-gains").setup()
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror", "-pedantic")

@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from controllers import (
+from helpers.closed_loop import Constant, Table, make_scenarios, takeover
+from ldctoolkit import Controller, EventStatus, Setup, VehicleParameters, simulate
+from ldctoolkit.controllers import (
     LQI,
     LQR,
     PID,
@@ -24,15 +26,13 @@ from controllers import (
     SlidingMode,
     Stanley,
 )  # fmt: skip
-from helpers.closed_loop import Constant, Table, make_scenarios, takeover
-from ldctoolkit import Controller, EventStatus, Setup, VehicleParameters, simulate
 from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.plant_options import Actuator, KalmanFilter, PlantOptions, Sensors
-from studies.export import Origin, export_c, parameters
-from studies.export.c_code import Code
-from studies.export.law_tables import Schedule
-from studies.export.loop_check import Check, Compiled, check, record, struct
-from studies.study_file import load_study
+from ldctoolkit.studies.export import Origin, export_c, parameters
+from ldctoolkit.studies.export.c_code import Code
+from ldctoolkit.studies.export.law_tables import Schedule
+from ldctoolkit.studies.export.loop_check import Check, Compiled, check, record, struct
+from ldctoolkit.studies.study_file import load_study
 
 REALISTIC = load_study("trigger-and-gains").setup()
 LAWS: dict[str, Controller] = {

@@ -25,11 +25,25 @@ from ldctoolkit.recordings.departures_table import PartResult
 from ldctoolkit.recordings.extract import extract_items
 from ldctoolkit.recordings.find_departures import Criteria
 from ldctoolkit.recordings.preparation import Preparation
-from ldctoolkit.recordings.recording import Problem, Recording
-from ldctoolkit.recordings.sources import CombinedReader, FoundParts, OpenedRecordings, recording_reader
-from studies.extraction import NothingReadError, _program, part_bytes, plan_of, read_part, run_extraction, what_differs
-from studies.running.executors import Ended, Work
-from studies.storage.files import locked
+from ldctoolkit.recordings.recording import (
+    CombinedReader,
+    FoundParts,
+    OpenedRecordings,
+    Problem,
+    Recording,
+    recording_reader,
+)
+from ldctoolkit.studies.extraction import (
+    NothingReadError,
+    _program,
+    part_bytes,
+    plan_of,
+    read_part,
+    run_extraction,
+    what_differs,
+)
+from ldctoolkit.studies.running.executors import Ended, Work
+from ldctoolkit.studies.storage.files import locked
 
 HOME = Path(ldctoolkit.__file__).parent
 
@@ -352,9 +366,9 @@ def test_parts_of_another_extraction_are_never_used(
     if change == "manifest":
         (folder / "manifest.json").write_text("{")
     if change == "program":
-        monkeypatch.setattr("studies.extraction._program", lambda *_: "another")
+        monkeypatch.setattr("ldctoolkit.studies.extraction._program", lambda *_: "another")
     if change == "versions":
-        monkeypatch.setattr("studies.extraction.versions", lambda names: dict.fromkeys(names, "0.1"))
+        monkeypatch.setattr("ldctoolkit.studies.extraction.versions", lambda names: dict.fromkeys(names, "0.1"))
     found = run_extraction(source, preparation=preparation, workers=1, output=output)
     assert times(source)[:3] == [2, 2, 2]
     monkeypatch.undo()
@@ -429,7 +443,7 @@ class Mortal:
 @contextlib.contextmanager
 def on(executor: Mortal, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     with monkeypatch.context() as patch:
-        patch.setattr("studies.extraction.make_executor", lambda *_: executor)
+        patch.setattr("ldctoolkit.studies.extraction.make_executor", lambda *_: executor)
         yield
 
 
@@ -490,10 +504,10 @@ def test_finished_parts_need_no_workers(made: Made, tmp_path: Path, monkeypatch:
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("studies.extraction.write_departures", killed)
+        patch.setattr("ldctoolkit.studies.extraction.write_departures", killed)
         with pytest.raises(KeyboardInterrupt):
             run_extraction(source, workers=1, output=tmp_path / "d.parquet")
-        patch.setattr("studies.extraction.make_executor", killed)
+        patch.setattr("ldctoolkit.studies.extraction.make_executor", killed)
         with pytest.raises(KeyboardInterrupt):
             run_extraction(source, workers=1, output=tmp_path / "d.parquet")
     assert run_extraction(source, workers=1, output=tmp_path / "d.parquet").recordings == 6

@@ -11,8 +11,8 @@ import pytest
 
 from helpers.kills import killing
 from ldctoolkit.recordings import extract_departures, read_departures
-from ldctoolkit.recordings.sources import open_recordings
-from studies.extraction import run_extraction
+from ldctoolkit.recordings.recording import open_recordings
+from ldctoolkit.studies.extraction import run_extraction
 
 FILES = 40
 KILLS = 8

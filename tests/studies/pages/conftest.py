@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from helpers.pages import Page
-from helpers.results import PRIMARY, grid, invented_scenarios, page_of, report_input, run
+from helpers.results import grid, invented_scenarios, page_of, report_input, run
 from ldctoolkit import EventStatus
-from studies.pages.context import ReportInput
-from studies.results import Case, StudyResults
+from ldctoolkit.studies.pages.context import ReportInput
+from ldctoolkit.studies.results import StudyResults
 
 
 @pytest.fixture(scope="session")
 def results() -> StudyResults:
-    return run(grid(), invented_scenarios(60, 40), (PRIMARY, Case("control", "consistent")))
+    return run(grid(), invented_scenarios(60, 40))
 
 
 @pytest.fixture(scope="session")
@@ -31,9 +31,7 @@ def page(report: ReportInput) -> Page:
 @pytest.fixture(scope="session")
 def with_failures(results: StudyResults) -> StudyResults:
     """The same results, with every scenario of every design marked as failed or diverged."""
-    cases = []
-    for case in results.cases:
-        status = np.full(case.status.shape, EventStatus.DIVERGED, dtype=np.int8)
-        status[:, ::2] = EventStatus.SOLVER_FAILED
-        cases.append(dataclasses.replace(case, status=status, S=case.S + 20.0, failed_solves=case.failed_solves + 3))
-    return dataclasses.replace(results, cases=tuple(cases))
+    status = np.full(results.status.shape, EventStatus.DIVERGED, dtype=np.int8)
+    status[:, ::2] = EventStatus.SOLVER_FAILED
+    solves = results.failed_solves + 3
+    return dataclasses.replace(results, status=status, S=results.S + 20.0, failed_solves=solves)

@@ -11,19 +11,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from controllers import LQR, NoControl, PreviewProportional
 from helpers.pages import EVIL, Page, unpacked, whole
 from helpers.results import invented_scenarios, only, report_input, section_of
 from ldctoolkit import Scenarios
+from ldctoolkit.controllers import LQR, NoControl, PreviewProportional
 from ldctoolkit.errors import InputError, UnknownNameError
-from studies import Comparison
-from studies.comparison.comparison import CaseComparison
-from studies.comparison.paired import PairedDifferences, SharedScenarios, Verdict, Winners
-from studies.design import Design, named_designs
-from studies.pages import charts, explorer
-from studies.pages.charts import (
+from ldctoolkit.studies import Comparison
+from ldctoolkit.studies.comparison.paired import PairedDifferences, SharedScenarios, Verdict, Winners
+from ldctoolkit.studies.design import Design, named_designs
+from ldctoolkit.studies.pages import charts, explorer
+from ldctoolkit.studies.pages.charts import (
     Axis,
-    Cloud,
+    Chart,
     Dot,
     Series,
     Style,
@@ -32,16 +31,14 @@ from studies.pages.charts import (
     ecdf,
     heat_map,
     law_styles,
-    lines,
     nice_step,
-    scatter,
 )
-from studies.pages.compare_page import compare_page, write_compare_page
-from studies.pages.context import Context, ReportInput
-from studies.pages.replay import chosen_designs, picked_departures, replay, rows_of_numbers
-from studies.pages.shell import Cell, Column, TableRow, details, packed, script_json, table
-from studies.pages.text import number, symbols
-from studies.results import Case, FailedDesign, StudyResults
+from ldctoolkit.studies.pages.compare_page import compare_page, write_compare_page
+from ldctoolkit.studies.pages.context import Context, ReportInput
+from ldctoolkit.studies.pages.replay import chosen_designs, picked_departures, replay, rows_of_numbers
+from ldctoolkit.studies.pages.shell import Cell, Column, TableRow, details, packed, script_json, table
+from ldctoolkit.studies.results import FailedDesign, StudyResults
+from ldctoolkit.studies.text import number, symbols
 
 DESIGNS = (Design.of(NoControl(), 0.2), *(Design.of(LQR(), y_s) for y_s in (0.05, 0.1, 0.2)))
 S = PairedDifferences(
@@ -56,10 +53,10 @@ S = PairedDifferences(
     verdict=(Verdict.SAME, Verdict.WORSE, Verdict.BETTER, Verdict.NOT_SEPARATED),
 )
 WORSE = Winners(DESIGNS[1], DESIGNS[1], 1.0, 1.25, 0.25, 0.2, 0.3, Verdict.WORSE, 7, fresh=False)
-CASE = CaseComparison(Case("departure", "consistent"), DESIGNS, S, (3, 1, 0, 2), (4, 0, 5, 6), WORSE)
 SHARED = SharedScenarios(np.arange(5), np.array([10, 11, 12, 13, 14]), np.array([1, 1, 1, -1, -1]), 3)
 COMPARISON = Comparison(
-    "out/old", "out/new", "before", "after", ("plant.actuator.lag: 0.0 -> 0.2",), SHARED, (CASE,),
+    "out/old", "out/new", "before", "after", ("plant.actuator.lag: 0.0 -> 0.2",), SHARED,
+    "departure", "departure window, consistent", DESIGNS, S, (3, 1, 0, 2), (4, 0, 5, 6), WORSE,
     (Design.of(PreviewProportional(), 0.2),), (Design.of(LQR(), 0.3),), (), (), (), (), 200, 0.95,
 )  # fmt: skip
 NOTHING = np.zeros(0)
@@ -74,10 +71,6 @@ def page_of(**changes: Any) -> Page:
     return page
 
 
-def of_case(**changes: Any) -> Page:
-    return page_of(cases=(dataclasses.replace(CASE, **changes),))
-
-
 @pytest.fixture(scope="module")
 def page() -> Page:
     return page_of()
@@ -90,8 +83,7 @@ def test_it_opens_with_the_winners(page: Page) -> None:
         "0.2500 m·s."
     )
     assert page.filled("verdict")[0][1] == [
-        "departure window, "
-            "consistent", "7 study scenarios", "1.0000", "1.2500", "+0.2500", "+25.0", "+0.2000 to +0.3000",
+        "7 study scenarios", "1.0000", "1.2500", "+0.2500", "+25.0", "+0.2000 to +0.3000",
         "worse",
     ]  # fmt: skip
     assert "1 better, 1 worse, 1 not separated, 1 the same" in words
@@ -99,7 +91,7 @@ def test_it_opens_with_the_winners(page: Page) -> None:
 
 def test_a_difference_without_practical_weight_says_so() -> None:
     small = dataclasses.replace(WORSE, difference=0.004, low=0.001, high=0.007)
-    page = of_case(winners=small)
+    page = page_of(winners=small)
     assert "rises by 0.0040 m·s, less than the 0.01 m·s that matter in practice" in page.words("verdict")
     assert page.filled("verdict")[0][1][-1] == "worse, too little to matter"
 
@@ -108,7 +100,7 @@ def test_a_difference_without_practical_weight_says_so() -> None:
 def test_a_better_winner_has_a_minus_and_its_weight(difference: float, small: bool) -> None:
     better = dataclasses.replace(WORSE, difference=difference, low=1.5 * difference, high=0.5 * difference,
                                  S_new=1.0 + difference, verdict=Verdict.BETTER)  # fmt: skip
-    page = of_case(winners=better)
+    page = page_of(winners=better)
     row = page.filled("verdict")[0][1]
     assert row[5] == f"−{-100.0 * difference:.1f}"
     assert row[-1] == ("better, too little to matter" if small else "better")
@@ -126,7 +118,7 @@ def test_a_better_winner_has_a_minus_and_its_weight(difference: float, small: bo
 )
 def test_a_new_winner_on_fresh_scenarios(verdict: Verdict, text: str) -> None:
     given = dataclasses.replace(WORSE, old=DESIGNS[2], verdict=verdict, fresh=True)
-    words = of_case(winners=given).words("verdict")
+    words = page_of(winners=given).words("verdict")
     assert "On shared fresh scenarios the new winner, LQR, ys=0.05 m, " + text in words
 
 
@@ -160,7 +152,7 @@ def test_no_button_shows_all_where_all_are_shown(page: Page) -> None:
     wide = {
         field.name: np.resize(getattr(S, field.name), 30) for field in dataclasses.fields(S) if field.name != "verdict"
     }
-    given = of_case(
+    given = page_of(
         designs=many,
         S=PairedDifferences(**wide, verdict=S.verdict[1:] * 10),
         failed_old=(0,) * 30,
@@ -185,10 +177,9 @@ def test_failures_are_named() -> None:
 
 
 def test_no_design_in_both_and_no_winner() -> None:
-    page = of_case(designs=(), S=NONE, failed_old=(), failed_new=(), winners=None)
+    page = page_of(designs=(), S=NONE, failed_old=(), failed_new=(), winners=None)
     assert "No design is in both studies" in page.words("verdict")
     assert "there is no winner to compare" in page.words("verdict")
-    assert "Winners are not compared here: a race" in of_case(winners=None, raced_elsewhere=True).words("verdict")
 
 
 def test_charts_hold_the_changes(page: Page) -> None:
@@ -240,23 +231,24 @@ def test_log_axes_have_tens() -> None:
 
 def test_points_are_where_the_numbers_are() -> None:
     x, y = np.array([0.0, 5.0, 10.0]), np.array([1.0, 3.0, 2.0])
-    cloud = Cloud(x, y, BLUE, np.array([True, True, True]), ("a", "b", "c"))
-    found = points(scatter("s", "title", [cloud], Axis("x", 0.0, 10.0), Axis("y", 0.0, 4.0)).body)
+    cloud = Series("", x, y, BLUE, kind="points", tips=("a", "b", "c"))
+    found = points(Chart("s", "title", Axis("x", 0.0, 10.0), Axis("y", 0.0, 4.0), [cloud]).body)
     assert [a for a, _ in found] == pytest.approx([58.0, 234.0, 410.0], abs=0.1)
     assert found[0][1] > found[2][1] > found[1][1]
 
 
 def test_a_missing_number_is_no_point() -> None:
-    cloud = Cloud(np.array([1.0, np.nan]), np.array([1.0, 2.0]), BLUE, np.array([True, True]), ("a", "b"))
-    assert len(points(scatter("s", "t", [cloud], Axis("x", 0, 2), Axis("y", 0, 2)).body)) == 1
+    cloud = Series("", np.array([1.0, np.nan]), np.array([1.0, 2.0]), BLUE, kind="points")
+    assert len(points(Chart("s", "t", Axis("x", 0, 2), Axis("y", 0, 2), [cloud]).body)) == 1
 
 
 def test_curves_bands_limits_and_rings() -> None:
     x = np.linspace(0.0, 1.0, 5)
-    one = Series("a <b>", x, x, BLUE, low=x - 0.1, high=x + 0.1, points=True)
-    body = lines(
-        "l", "t", [one], Axis("x", 0, 1), Axis("y", 0, 1), limit=(0.5, "limit"), level=0.3, ring=(1.0, 1.0)
+    one = Series("a <b>", x, x, BLUE, low=x - 0.1, high=x + 0.1, kind="marked")
+    body = Chart(
+        "l", "t", Axis("x", 0, 1), Axis("y", 0, 1), [one], limit=(0.5, "limit"), level=0.3, ring=(1.0, 1.0, "")
     ).body
+    assert body.count('class="mark c0"') == 5
     assert body.count('class="band c0"') == 1
     assert "a &lt;b&gt;" in body
     assert body.count('class="limit"') == body.count('class="ring"') == 1
@@ -466,8 +458,7 @@ def test_a_study_of_no_control_has_no_explorer() -> None:
 
 
 def test_another_machines_scores_are_reported(results: StudyResults) -> None:
-    case = dataclasses.replace(results.cases[0], S=1.01 * results.cases[0].S)
-    given = report_input(dataclasses.replace(results, cases=(case, *results.cases[1:])))
+    given = report_input(dataclasses.replace(results, S=1.01 * results.S))
     _, page = section_of(explorer.section, given)
     assert "differ from the stored scores by up to 1.0 %" in page.words()
 

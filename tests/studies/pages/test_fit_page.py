@@ -18,8 +18,15 @@ from ldctoolkit.recordings.find_departures import REASONS
 from ldctoolkit.recordings.quality import Origin
 from ldctoolkit.recordings.recording import Problem
 from ldctoolkit.scenario_model import ScenarioModel
-from studies.pages.extraction_page import extraction_page, extraction_verdict, hours, rate, size, write_extraction_page
-from studies.pages.fit_page import fit_page, write_fit_page
+from ldctoolkit.studies.pages.extraction_page import (
+    extraction_page,
+    extraction_verdict,
+    hours,
+    rate,
+    size,
+    write_extraction_page,
+)
+from ldctoolkit.studies.pages.fit_page import fit_page, write_fit_page
 
 SECTIONS = ["verdict", "fidelity", "margins", "joint", "selection", "settings"]
 

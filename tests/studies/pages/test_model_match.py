@@ -11,18 +11,17 @@ import pytest
 from scipy import stats
 
 import ldctoolkit
-import studies
-from controllers import LQR, LinearMPC, PreviewProportional
 from helpers.results import invented_scenarios
-from ldctoolkit import Controller, Outcome, Scenarios, Setup
+from ldctoolkit import Controller, Outcome, Scenarios, Setup, studies
+from ldctoolkit.controllers import LQR, LinearMPC, PreviewProportional
 from ldctoolkit.departures import LEFT, PARAMETER_NAMES, Departures
 from ldctoolkit.mixture import BoundedGaussianMixture
 from ldctoolkit.plant_options import Actuator, Mismatch, PlantOptions, Residuals, Tyres
 from ldctoolkit.scenario_model import ScenarioModel, SideModel, load_model
 from ldctoolkit.simulation import Takeover, drive
-from studies import Ranking, StudyResults
-from studies.pages.model_section import match
-from studies.pages.replay import path_acceleration
+from ldctoolkit.studies import Ranking, StudyResults
+from ldctoolkit.studies.pages.model_section import match
+from ldctoolkit.studies.pages.replay import path_acceleration
 
 
 def recorded(scenarios: Scenarios) -> Departures:

@@ -9,26 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from controllers import LQR, NoControl, PreviewProportional
 from helpers.browser_pages import HOSTILE, ORDINARY, Made
 from helpers.pages import EVIL, Page
-from helpers.results import (
-    PRIMARY,
-    SECTIONS,
-    grid,
-    invented_scenarios,
-    only,
-    page_of,
-    report_input,
-    run,
-    said_in,
-    scored,
-)
+from helpers.results import SECTIONS, grid, invented_scenarios, only, page_of, report_input, run, said_in, scored
 from ldctoolkit import EventStatus
+from ldctoolkit.controllers import LQR, NoControl, PreviewProportional
 from ldctoolkit.errors import InputError
 from ldctoolkit.metrics import METRICS
-from studies.design import Design
-from studies.pages import (
+from ldctoolkit.studies.design import Design
+from ldctoolkit.studies.pages import (
     confidence_section,
     landscape_section,
     ranking_section,
@@ -36,9 +25,9 @@ from studies.pages import (
     settings_section,
     verdict_section,
 )
-from studies.pages.context import Context, ReportInput
-from studies.pages.report import report_page, write_report
-from studies.results import FailedDesign, StudyResults
+from ldctoolkit.studies.pages.context import Context, ReportInput
+from ldctoolkit.studies.pages.report import report_page, write_report
+from ldctoolkit.studies.results import FailedDesign, StudyResults
 
 LIMITS = ("stable", "comfort", "physical")
 
@@ -59,7 +48,7 @@ def test_the_verdict_stands_first(page: Page, report: ReportInput) -> None:
     assert words.startswith("Verdict Smallest S")
     assert list(lights(page)) == ["Score", "Stable", "Limits", "Other plants"]
     assert page.html.index('id="verdict"') < page.html.index('id="ranking"')
-    S = report.rankings[0].S[0]
+    S = report.ranking.S[0]
     assert f"Mean S {S:.3f} m·s" in words
     assert "how well the model represents traffic" in words or "not for other traffic" in words
 
@@ -78,11 +67,10 @@ def test_none_meets_the_limits_is_the_first_answer(results: StudyResults) -> Non
 
 
 def test_an_unstable_design_has_a_red_light(results: StudyResults) -> None:
-    (case, *others) = results.cases
-    status = case.status.copy()
-    best = int(case.S.mean(axis=1).argmin())
+    status = results.status.copy()
+    best = int(results.S.mean(axis=1).argmin())
     status[best, :2] = EventStatus.DIVERGED
-    changed = dataclasses.replace(results, cases=(dataclasses.replace(case, status=status), *others))
+    changed = dataclasses.replace(results, status=status)
     made = page_of(report_input(changed))
     assert lights(made)["Stable"] == "bad"
     words = made.words("verdict")
@@ -91,12 +79,11 @@ def test_an_unstable_design_has_a_red_light(results: StudyResults) -> None:
 
 
 def test_acceleration_beyond_friction_is_named(results: StudyResults) -> None:
-    (case, *others) = results.cases
-    peak = case.companions.a_y_peak.copy()
-    best = int(case.S.mean(axis=1).argmin())
+    peak = results.companions.a_y_peak.copy()
+    best = int(results.S.mean(axis=1).argmin())
     peak[best, 0] = 85.0
-    companions = dataclasses.replace(case.companions, a_y_peak=peak)
-    changed = dataclasses.replace(results, cases=(dataclasses.replace(case, companions=companions), *others))
+    companions = dataclasses.replace(results.companions, a_y_peak=peak)
+    changed = dataclasses.replace(results, companions=companions)
     made = page_of(report_input(changed))
     assert "85 m/s² (8.7 g) is physically impossible" in made.words("verdict")
     assert lights(made)["Limits"] == "bad"
@@ -105,7 +92,7 @@ def test_acceleration_beyond_friction_is_named(results: StudyResults) -> None:
 def test_the_best_that_meets_the_limits_is_filled_and_ringed(results: StudyResults) -> None:
     made = report_input(results, require=["a_y_added_peak_p95 <= 8"])
     page = page_of(made)
-    ranking = made.rankings[0]
+    ranking = made.ranking
     assert ranking.ranked not in (0, len(ranking))
     assert page.words("verdict").startswith("Verdict Best design that meets the limits: ")
     chart = page.html[page.html.index('<figure><svg class="chart"') :].split("</svg>")[0]
@@ -131,29 +118,12 @@ def test_warnings_come_once(results: StudyResults) -> None:
     assert words.count("fitted to invented driving") == 1
 
 
-def test_a_warning_of_every_case_stands_there(report: ReportInput) -> None:
-    """One of another case alone stands below, with that case."""
-    first, second = report.rankings
-    every = "Something to know of both cases."
-    first = dataclasses.replace(first, warnings=(*first.warnings, every))
-    second = dataclasses.replace(second, warnings=(*second.warnings, every, "Of the second case only."))
-    given = dataclasses.replace(
-        report, rankings=(first, second), warnings=(*report.warnings, *first.warnings, *second.warnings)
-    )
-    words = page_of(given).words("verdict")
-    assert words.count(every) == 1
-    assert "Of the second case only." not in words
-
-
 def test_the_head_counts_what_is_left_out(results: StudyResults) -> None:
     """Designs that failed, and departures that cannot be driven."""
-    cases = []
-    for case in results.cases:
-        status, S, S_0 = case.status.copy(), case.S.copy(), case.S_uncorrected.copy()
-        status[:, :3], S[:, :3], S_0[:, :3] = EventStatus.INVALID, np.nan, np.nan
-        cases.append(dataclasses.replace(case, status=status, S=S, S_uncorrected=S_0))
+    status, S, S_0 = results.status.copy(), results.S.copy(), results.S_uncorrected.copy()
+    status[:, :3], S[:, :3], S_0[:, :3] = EventStatus.INVALID, np.nan, np.nan
     failed = FailedDesign(Design.of(LQR(r_delta=77.0), 0.1), "ValueError: no")
-    made = page_of(report_input(dataclasses.replace(results, cases=tuple(cases), failed=(failed,))))
+    made = page_of(report_input(dataclasses.replace(results, status=status, S=S, S_uncorrected=S_0, failed=(failed,))))
     assert f"{len(results.designs) + 1} designs" in made.words()
     assert "100 departures" in made.words()
     assert "97 study scenarios (57 left, 40 right), 3 more cannot be driven" in made.words("verdict")
@@ -193,7 +163,7 @@ def test_each_number_is_that_of_ranking_csv(made: Made) -> None:
 
 def test_the_same_number_is_the_same_text_everywhere(page: Page, report: ReportInput) -> None:
     """4.25 was 4.2 in one place and 4.3 in another."""
-    ranking = report.rankings[0]
+    ranking = report.ranking
     value = float(ranking.release.a_y_added_peak_p95[0])
     text = f"{value:.2f}"
     assert text in page.words("verdict")
@@ -204,7 +174,7 @@ def test_the_same_number_is_the_same_text_everywhere(page: Page, report: ReportI
 
 def test_limits_say_how_many_designs_meet_them(results: StudyResults) -> None:
     made = report_input(results, require=["comfort", "S <= 0.6"])
-    ranking = made.rankings[0]
+    ranking = made.ranking
     rows = {row[0]: row for row in page_of(made).captioned("Limits")[1:]}
     met = int((ranking.S <= 0.6).sum())
     assert rows["Mean S"][1:3] == ["≤ 0.6 m·s", "own"]
@@ -219,7 +189,7 @@ def test_all_metrics_are_there(report: ReportInput) -> None:
     titles = [row[0] for row in table[1:]]
     assert {"Mean S", "Both limits of ISO 11270 kept", "Gain margin, least over speed"} <= set(titles)
     assert len(titles) > 40
-    i = report.rankings[0].winner
+    i = report.ranking.winner
     row = table[
         1
         + titles.index(
@@ -228,8 +198,8 @@ def test_all_metrics_are_there(report: ReportInput) -> None:
     ]
     rate = table[1 + titles.index("Steering rate, largest")]
     assert i is not None
-    assert rate[1] == f"{57.29577951308232 * report.rankings[0].release.delta_rate_peak_max[i]:.1f} °/s"
-    assert row[1] == f"{METRICS['effort_mean'].scale * report.rankings[0].release.effort_mean[i]:.3f} °²·s"
+    assert rate[1] == f"{57.29577951308232 * report.ranking.release.delta_rate_peak_max[i]:.1f} °/s"
+    assert row[1] == f"{METRICS['effort_mean'].scale * report.ranking.release.effort_mean[i]:.3f} °²·s"
 
 
 # ------------------------------------------------------------------------------------------------ sections
@@ -254,25 +224,25 @@ def test_the_printed_rows_are_the_first_twenty_and_the_baseline(made: Made) -> N
 def test_the_front_has_one_number(page: Page, report: ReportInput) -> None:
     """11 designs in one place and 52 in another."""
     words = page.words("trade-offs")
-    count = int(report.rankings[0].pareto.sum())
-    if report.rankings[0].pareto_metrics:
+    count = int(report.ranking.pareto.sum())
+    if report.ranking.pareto_metrics:
         assert f"{count} design" in words
     assert "front of these two metrics alone" in words
 
 
 def test_trade_offs_list_the_front(results: StudyResults) -> None:
-    from studies.ranking.ranking import Ranking
+    from ldctoolkit.studies.ranking.ranking import Ranking
 
-    rankings = tuple(Ranking.of(results, case, bootstrap=200, pareto=["S", "effort_mean"]) for case in results.cases)
-    made = dataclasses.replace(report_input(results), rankings=rankings)
+    ranking = Ranking.of(results, bootstrap=200, pareto=["S", "effort_mean"])
+    made = dataclasses.replace(report_input(results), ranking=ranking)
     words = said_in(verdict_section.trade_offs, made)
-    count = int(rankings[0].pareto.sum())
+    count = int(ranking.pareto.sum())
     assert f"Pareto front over Mean S, Steering effort, mean: {count} designs" in words
 
 
 def test_the_landscape_has_the_least_S_of_each_cell(report: ReportInput) -> None:
     one = landscape_section.section(Context.of(report))
-    ranking = report.rankings[0]
+    ranking = report.ranking
     (chart,) = [chart for chart in one.charts if chart.name == "landscape-lqr"]
     shown = {float(text) for text in re.findall(r"<title>([\d.]+)</title>", chart.body)}
     own = [float(f"{S:.3f}") for S, design in zip(ranking.S, ranking.designs, strict=True) if design.law == "lqr"]
@@ -287,7 +257,7 @@ def test_a_law_without_a_sweep_has_no_landscape() -> None:
 
 def test_confidence_tells_the_second_and_what_intervals_leave_out(report: ReportInput) -> None:
     words = said_in(confidence_section.section, report)
-    ranking = report.rankings[0]
+    ranking = report.ranking
     assert f"{ranking.difference[1]:+.4f} m·s from rank 1" in words
     assert ("do not separate the two" in words) == bool(ranking.set_of_best[1])
 
@@ -300,7 +270,7 @@ def test_two_equal_designs_are_not_separated() -> None:
     words = said_in(confidence_section.section, given)
     assert "the scenarios do not separate the two" in words
     found = re.search(r"about ([\d,]+) scenarios separate them with even chances", words)
-    (ranking,) = given.rankings
+    ranking = given.ranking
     half = 0.5 * (ranking.difference_high[1] - ranking.difference_low[1])
     assert found is not None
     # an interval is as wide as the root of one over the number of scenarios
@@ -318,11 +288,6 @@ def test_failed_designs_are_listed(results: StudyResults) -> None:
     assert "r_δ=77" in words or "rδ=77" in words
 
 
-def test_other_cases_stand_below_the_ranking(page: Page) -> None:
-    assert "control window, consistent: " in page.words("ranking")
-    assert "S over the control window starts at the trigger" in page.words("ranking")
-
-
 # ------------------------------------------------------------------------------------------------ odd studies
 
 
@@ -333,8 +298,8 @@ ODD = {
     "left only": lambda: only(*grid()[:6], scenarios=invented_scenarios(14, 0)),
     "right only": lambda: only(*grid()[:6], scenarios=invented_scenarios(0, 14)),
     "one scenario": lambda: only(*grid()[:4], scenarios=invented_scenarios(1, 0)),
-    "nothing ranked": lambda: report_input(run(grid()[:6], invented_scenarios(12, 9), [PRIMARY]), require=["S <= 0"]),
-    "every limit": lambda: report_input(run(grid()[:6], invented_scenarios(12, 9), [PRIMARY]), require=list(LIMITS)),
+    "nothing ranked": lambda: report_input(run(grid()[:6], invented_scenarios(12, 9)), require=["S <= 0"]),
+    "every limit": lambda: report_input(run(grid()[:6], invented_scenarios(12, 9)), require=list(LIMITS)),
 }
 
 
@@ -369,14 +334,14 @@ def test_a_thousand_designs_are_light(made: Made) -> None:
 
 
 def test_the_same_input_gives_the_same_page(report: ReportInput) -> None:
-    assert report_page(report) == report_page(report)
+    one, other = (report_page(report) for _ in range(2))
+    assert one[0] == other[0]
+    assert [chart.document for chart in one[1]] == [chart.document for chart in other[1]]
 
 
 def test_nothing_to_report_on_is_refused(results: StudyResults, report: ReportInput) -> None:
-    with pytest.raises(InputError, match="no designs, no cases or no scenarios"):
+    with pytest.raises(InputError, match="no designs or no scenarios"):
         report_page(dataclasses.replace(report, results=dataclasses.replace(results, designs=())))
-    with pytest.raises(InputError, match="1 rankings for 2 cases; allowed: one per case"):
-        report_page(dataclasses.replace(report, rankings=report.rankings[:1]))
 
 
 def test_files_of_charts_stand_alone(report: ReportInput, tmp_path: Path) -> None:
@@ -404,7 +369,7 @@ def test_a_skip_link_leads_to_the_content(page: Page) -> None:
 
 def test_a_legend_has_no_entry_without_a_point(report: ReportInput) -> None:
     made = verdict_section.cloud_legend(Context.of(report))
-    chart = verdict_section.trade_off(Context.of(report), "a_y_added_peak_p95", "S", "x")
+    chart = verdict_section.trade_off(Context.of(report), "a_y_added_peak_p95", "x")
     drawn = set(re.findall(r'class="mark (c\d|recorded)', chart.body))
     assert set(re.findall(r'class="mark (c\d|recorded)', str(made))) == drawn
 
@@ -412,7 +377,7 @@ def test_a_legend_has_no_entry_without_a_point(report: ReportInput) -> None:
 def test_rows_beyond_a_thousand_are_in_the_csv_only(report: ReportInput, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ranking_section, "MOST_ROWS", 5)
     words = said_in(ranking_section.section, report)
-    assert f"of {len(report.rankings[0])} designs; all of them are in ranking.csv" in words
+    assert f"of {len(report.ranking)} designs; all of them are in ranking.csv" in words
 
 
 def test_csv_of_the_ordinary_study_has_margins(made: Made) -> None:

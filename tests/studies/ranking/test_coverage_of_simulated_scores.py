@@ -3,9 +3,19 @@
 import numpy as np
 import pytest
 
-from controllers import LQI, LQR, PID, NoControl, PreviewLQR, PreviewProportional, PurePursuit, SlidingMode, Stanley
 from ldctoolkit import load_model, simulate
-from studies.ranking.inference import infer
+from ldctoolkit.controllers import (
+    LQI,
+    LQR,
+    PID,
+    NoControl,
+    PreviewLQR,
+    PreviewProportional,
+    PurePursuit,
+    SlidingMode,
+    Stanley,
+)
+from ldctoolkit.studies.ranking.inference import infer
 
 DESIGNS = (
     NoControl(), LQR(r_delta=100.0), LQR(q_psi=5.0, r_delta=116.0), PreviewLQR(q_y=1.74, q_psi=0.55, r_delta=312.0),

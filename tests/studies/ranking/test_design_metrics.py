@@ -13,12 +13,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from helpers.results import case_of
-from ldctoolkit import EventStatus, Scenarios
+from helpers.results import results_of
+from ldctoolkit import EventStatus
 from ldctoolkit.errors import InputError, LdcError, UnknownNameError
 from ldctoolkit.metrics import METRICS
-from studies import CaseResults, Design, StudyResults, rank_study, read_manifest, read_results
-from studies.ranking.design_metrics import (
+from ldctoolkit.studies import Design, StudyResults, rank_study, read_manifest, read_results
+from ldctoolkit.studies.ranking.design_metrics import (
     find_baseline,
     masked_max,
     masked_mean,
@@ -28,10 +28,10 @@ from studies.ranking.design_metrics import (
     pareto_front,
     tail_metrics,
 )
-from studies.ranking.inference import Inference, bootstrap_deviations, infer, row_blocks, row_means
-from studies.ranking.ranking import warnings_of_sample, write_csv
-from studies.ranking.requirements import metric, metric_values, parse_requirement
-from studies.results import Dropped, FailedDesign, Race
+from ldctoolkit.studies.ranking.inference import Inference, bootstrap_deviations, infer, row_blocks, row_means
+from ldctoolkit.studies.ranking.ranking import warnings_of_sample, write_csv
+from ldctoolkit.studies.ranking.requirements import metric, metric_values, parse_requirement
+from ldctoolkit.studies.results import FailedDesign
 
 
 @given(st.integers(1, 70), st.integers(0, 10**6), st.sampled_from([50, 90, 95, 99]))
@@ -146,10 +146,9 @@ NONE = Design.from_gains("none", 0.2, {})
 LQR = tuple(Design.from_gains("lqr", y_s, {}) for y_s in (0.1, 0.2))
 
 
-def results(*designs: Design, failed: tuple[Design, ...] = (), dropped: tuple[Design, ...] = ()) -> StudyResults:
-    race = Race((10,), (1,), tuple(Dropped(one, 1, 10, 1.0, 0.5, 0.4) for one in dropped), 20, 40)
-    scenarios = Scenarios.from_arrays(T=2.0, d_y=0.3, v_mean=20.0, side=np.array([1, -1]))
-    return StudyResults(designs, scenarios, (), tuple(FailedDesign(one, "it broke") for one in failed), race=race)
+def results(*designs: Design, failed: tuple[Design, ...] = ()) -> StudyResults:
+    parts = {"failed": tuple(FailedDesign(one, "it broke") for one in failed)}
+    return results_of(np.ones((len(designs), 2)), designs, parts=parts)
 
 
 def test_a_law_an_identifier_or_no_word() -> None:
@@ -161,10 +160,9 @@ def test_a_law_an_identifier_or_no_word() -> None:
     assert find_baseline("", results(*LQR)) is None
 
 
-def test_a_baseline_that_failed_or_was_given_up_is_no_mistake_of_the_file() -> None:
+def test_a_baseline_that_failed_is_no_mistake_of_the_file() -> None:
     assert find_baseline("none", results(*LQR, failed=(NONE,))) is None
-    assert find_baseline("none", results(*LQR, dropped=(NONE,))) is None
-    assert find_baseline("lqr", results(LQR[1], NONE, dropped=(LQR[0],))) == 0
+    assert find_baseline("lqr", results(LQR[1], NONE, failed=(LQR[0],))) == 0
 
 
 @pytest.mark.parametrize("word", ["lqq", "f00baa", LQR[0].id[:5]])
@@ -206,31 +204,32 @@ def test_blocks_are_the_rows_that_were_asked_for(d: int, n: int, entries: int, d
     np.testing.assert_array_equal(found, wanted)
 
 
-def invented() -> CaseResults:
+def invented() -> StudyResults:
     generator = np.random.default_rng(5)
     kinds = np.array([EventStatus.OK, EventStatus.SOLVER_FAILED], dtype=np.int8)
-    case = case_of(generator.gamma(1.0, 1.0, (6, 50)), status=generator.choice(kinds, (6, 50), p=(0.9, 0.1)))
+    S, designs = generator.gamma(1.0, 1.0, (6, 50)), [Design.from_gains("none", 0.1 * (i + 1), {}) for i in range(6)]
+    results = results_of(S, designs, status=generator.choice(kinds, (6, 50), p=(0.9, 0.1)))
     depth = generator.gamma(1.0, 1.0, 50)
-    return dataclasses.replace(case, S_uncorrected=np.broadcast_to(depth, case.S.shape))
+    return dataclasses.replace(results, S_uncorrected=np.broadcast_to(depth, results.S.shape))
 
 
 def test_counted_is_s_or_what_is_worse_without_control() -> None:
-    case = invented()
-    failed = case.status == EventStatus.SOLVER_FAILED
+    results = invented()
+    failed = results.status == EventStatus.SOLVER_FAILED
     assert failed.any()
-    wanted = np.where(failed, np.fmax(case.S, case.S_uncorrected), case.S)
-    np.testing.assert_array_equal(case.counted, wanted)
-    assert case.counted is case.counted
-    fine = dataclasses.replace(case, status=np.zeros_like(case.status))
+    wanted = np.where(failed, np.fmax(results.S, results.S_uncorrected), results.S)
+    np.testing.assert_array_equal(results.counted, wanted)
+    assert results.counted is results.counted
+    fine = dataclasses.replace(results, status=np.zeros_like(results.status))
     assert fine.counted is fine.S
 
 
 def test_one_row_of_scores_without_control_stays_one() -> None:
-    case = invented()
+    results = invented()
     columns = np.arange(50) % 2 > 0
-    taken = case.take(columns)
+    taken = results.take(columns)
     assert taken.S_uncorrected.strides[0] == 0
-    np.testing.assert_array_equal(taken.S_uncorrected, case.S_uncorrected[:, columns])
+    np.testing.assert_array_equal(taken.S_uncorrected, results.S_uncorrected[:, columns])
 
 
 @pytest.fixture
@@ -372,8 +371,8 @@ def test_any_text_is_read_or_refused_as_input(text: str) -> None:
 
 
 def test_a_ranking_and_its_table_hold_every_figure(small_run: Path, tmp_path: Path) -> None:
-    ranking = rank_study(read_results(small_run), read_manifest(small_run).read_study())[0]
-    write_csv([ranking], tmp_path / "ranking.csv")
+    ranking = rank_study(read_results(small_run), read_manifest(small_run).read_study())
+    write_csv(ranking, tmp_path / "ranking.csv")
     header = (tmp_path / "ranking.csv").read_text().partition("\n")[0].split(",")
     for name, one in METRICS.items():
         assert metric_values(name, ranking).shape == (len(ranking),)

@@ -1,4 +1,4 @@
-"""Finalists on fresh scenarios: scores and differences by another route, the winner, cases without a fresh score."""
+"""Finalists on fresh scenarios: scores and differences by another route, the winner, and none of both."""
 
 import csv
 import dataclasses
@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from helpers.results import CONTROL, DEPARTURE
 from helpers.results import results_of as given_results
-from studies import Case, Design, Ranking, StudyResults
-from studies.ranking.inference import Resampled
-from studies.ranking.ranked_designs import choose_winner, lost
-from studies.ranking.ranking import write_csv
-from studies.results import Dropped, FailedDesign, Race
+from ldctoolkit.studies import Design, Ranking, StudyResults
+from ldctoolkit.studies.ranking.inference import Resampled
+from ldctoolkit.studies.ranking.ranked_designs import choose_winner, lost
+from ldctoolkit.studies.ranking.ranking import write_csv
+from ldctoolkit.studies.results import FailedDesign
 
 pytestmark = pytest.mark.usefixtures("laws")
 
@@ -25,8 +24,8 @@ def design(i: int) -> Design:
     return Design.from_gains("none" if i == 3 else "toy", 0.1 * (i + 1), {})
 
 
-def results_of(S: np.ndarray, designs: tuple[int, ...], cases: tuple[Case, ...] = (DEPARTURE,)) -> StudyResults:
-    return given_results(S, [design(i) for i in designs], left=LEFT, cases=cases, uncorrected=S + 1.0)
+def results_of(S: np.ndarray, designs: tuple[int, ...]) -> StudyResults:
+    return given_results(S, [design(i) for i in designs], left=LEFT, uncorrected=S + 1.0)
 
 
 @pytest.fixture
@@ -49,7 +48,7 @@ def rank(scores: np.ndarray, again: np.ndarray, finalists: tuple[int, ...] = (1,
     results = results_of(scores, (0, 1, 2, 3))
     fresh = results_of(again[list(finalists)], finalists)
     results = dataclasses.replace(results, fresh=fresh)
-    return Ranking.of(results, results.cases[0], **more)  # type: ignore[arg-type]
+    return Ranking.of(results, **more)  # type: ignore[arg-type]
 
 
 def t_width(values: np.ndarray) -> float:
@@ -68,7 +67,7 @@ def test_the_first_stays_winner_where_fresh_scenarios_part_it_from_none(scores: 
     assert (ranking.fresh_best, ranking.winner) == (1, 0)
     # the search's own figures are as without fresh ones
     results = results_of(scores, (0, 1, 2, 3))
-    alone = Ranking.of(results, results.cases[0])
+    alone = Ranking.of(results)
     for name in ("S", "S_low", "difference_high", "set_of_best", "best_frequency"):
         np.testing.assert_array_equal(getattr(ranking, name), getattr(alone, name))
     assert (alone.winner, alone.fresh_best, alone.fresh_scenarios) == (0, None, 0)
@@ -157,7 +156,7 @@ def test_the_winner_meets_requirements_on_fresh_ones_too(scores: np.ndarray, aga
     text = f"S <= {limit!r}"
     assert (ranking.fresh_unmet[:2], ranking.winner) == (((text,), ()), 1)
     assert ranking.warnings[0] == f"Design # 1 misses {text} on the fresh scenarios and is not the winner."
-    write_csv([ranking], tmp_path / "r.csv")
+    write_csv(ranking, tmp_path / "r.csv")
     with (tmp_path / "r.csv").open(newline="") as stream:
         rows = list(csv.DictReader(stream))
     assert [row["fresh_unmet"] for row in rows[:2]] == [text, ""]
@@ -195,7 +194,6 @@ def test_a_solvers_tolerance_makes_no_winner(by: float, winner: int) -> None:
 
 
 def test_a_first_that_was_no_finalist_stays_winner_without_a_fresh_score(scores: np.ndarray, again: np.ndarray) -> None:
-    """Finalists come from the primary case; the best of another one need not be among them."""
     ranking = rank(scores, again, (2, 0))
     assert ranking.winner == 0
     assert np.isnan(ranking.fresh_S[0])
@@ -205,20 +203,5 @@ def test_a_first_that_was_no_finalist_stays_winner_without_a_fresh_score(scores:
 def test_where_the_first_fails_on_fresh_scenarios_the_next_one_wins(scores: np.ndarray, again: np.ndarray) -> None:
     fresh = dataclasses.replace(results_of(again[[2, 0]], (2, 0)), failed=(FailedDesign(design(1), "boom"),))
     results = dataclasses.replace(results_of(scores, (0, 1, 2, 3)), fresh=fresh)
-    ranking = Ranking.of(results, results.cases[0])
+    ranking = Ranking.of(results)
     assert (ranking.winner, ranking.fresh_difference[1]) == (1, 0.0)
-
-
-def test_a_case_that_was_not_raced_has_no_winner_and_says_so(scores: np.ndarray, again: np.ndarray) -> None:
-    dropped = tuple(Dropped(design(4 + i), 1, 50, 3.0, 1.0, 0.5) for i in range(2))
-    race = Race(rounds=(50, 400), alive=(4, 4), dropped=dropped, runs=1, full_runs=2)
-    results = results_of(scores, (0, 1, 2, 3), (DEPARTURE, CONTROL))
-    results = dataclasses.replace(results, race=race, fresh=results_of(again[1:3], (1, 2), (DEPARTURE, CONTROL)))
-    raced, other = (Ranking.of(results, case) for case in results.cases)
-    assert (raced.winner, raced.survivors_only, raced.given_up) == (0, False, 2)
-    assert not raced.warnings
-    assert (other.winner, other.survivors_only) == (None, True)
-    assert any(text.startswith("This case was not raced: 2 of 6 designs were given up") for text in other.warnings)
-    # a race that gave nobody up changes nothing
-    nobody = dataclasses.replace(results, race=dataclasses.replace(race, dropped=()))
-    assert Ranking.of(nobody, nobody.cases[1]).winner == 0

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from controllers import LQR, LinearMPC, NoControl
-from helpers.results import case_of, page_of, report_input, scenarios_of
+from helpers.results import page_of, report_input, results_of, scenarios_of
 from ldctoolkit import EventStatus, Scenarios, Setup
-from studies.design import Design
-from studies.ranking.ranking import Ranking, write_csv
-from studies.ranking.requirements import Estimate
-from studies.ranking.verdict import Light, OtherPlants, judged, more_lines, verdict
-from studies.results import StudyResults
+from ldctoolkit.controllers import LQR, LinearMPC, NoControl
+from ldctoolkit.studies.design import Design
+from ldctoolkit.studies.ranking.ranking import Ranking, write_csv
+from ldctoolkit.studies.ranking.requirements import Estimate
+from ldctoolkit.studies.ranking.verdict import Light, OtherPlants, judged, more_lines, verdict
+from ldctoolkit.studies.results import StudyResults
 
 DESIGNS = (Design.of(NoControl(), 0.2), Design.of(LQR(r_delta=100.0), 0.1))
 JERK = "jerk_added_peak_p95"
@@ -27,12 +27,13 @@ def study(scenarios: Scenarios, status: Any = 0, S: float = 1.0, **metrics: Any)
     n = scenarios.n
     columns = {name: np.stack([np.zeros(n), np.broadcast_to(value, n)]) for name, value in metrics.items()}
     rows = np.outer([9.0, S], np.linspace(0.9, 1.1, n))
-    return StudyResults(DESIGNS, scenarios, (case_of(rows, status=status, metrics=columns),))
+    results = results_of(rows, DESIGNS, status=status, metrics=columns)
+    return dataclasses.replace(results, scenarios=scenarios)
 
 
 def ranked(results: StudyResults, *require: str, fresh: StudyResults | None = None, **more: Any) -> Ranking:
     results = dataclasses.replace(results, fresh=fresh)
-    return Ranking.of(results, results.cases[0], bootstrap=50, require=require, **more)
+    return Ranking.of(results, bootstrap=50, require=require, **more)
 
 
 def estimate(ranking: Ranking, name: str) -> Estimate:
@@ -85,10 +86,8 @@ def test_the_gain_of_a_share_is_paired() -> None:
     """Of 400 departures the design alone keeps 60 within, no control alone 20: Bonferroni by hand."""
     k, n = np.arange(400), 400
     columns = {"dtle": np.stack([np.where((k < 40) | (k >= 100), 0.0, -1.0), np.where(k >= 20, 0.0, -1.0)])}
-    case = case_of(np.ones((2, n)), metrics=columns)
-    found = estimate(
-        ranked(StudyResults(DESIGNS, scenarios_of(n), (case,)), "within_dtle_gain >= 0"), "within_dtle_gain"
-    )
+    results = results_of(np.ones((2, n)), DESIGNS, metrics=columns)
+    found = estimate(ranked(results, "within_dtle_gain >= 0"), "within_dtle_gain")
     more, less = (scipy.stats.binomtest(count, n).proportion_ci(0.975, "exact") for count in (60, 20))
     assert (found.low, found.high) == pytest.approx((more.low - less.high, more.high - less.low), rel=1e-9)
     assert found.value == pytest.approx(0.1)
@@ -152,7 +151,7 @@ def test_winners_that_break_a_limit_in_truth_are_not_certain() -> None:
         jerk = 5.0 / scipy.stats.gamma(4.0).ppf(0.95) * generator.gamma(4.0, 1.0, 500)
         columns = {"jerk_added_peak": scale[:, None] * jerk * (1.0 + 0.02 * generator.normal(size=(41, 500)))}
         S = (2.0 - scale[:, None]) * generator.gamma(9.0, 0.1, 500)
-        return StudyResults(designs, scenarios_of(500), (case_of(S, metrics=columns),))
+        return results_of(S, designs, metrics=columns)
 
     for k in range(200):
         ranking = ranked(driven(), "comfort", fresh=driven())
@@ -252,7 +251,7 @@ def test_table_and_csv_have_the_intervals(tmp_path: Path) -> None:
     rows = page.captioned("Winner on 300 fresh scenarios, each metric with an interval of its own")
     assert rows[0] == ["Metric", "Limit", "Value", "95 % interval"]
     assert [title, "≤ 5 m/s³", "4.95 m/s³", f"{one.low:.2f} to {one.high:.2f} m/s³"] in rows
-    write_csv([ranking], tmp_path / "r.csv")
+    write_csv(ranking, tmp_path / "r.csv")
     with (tmp_path / "r.csv").open(newline="") as stream:
         first = next(csv.DictReader(stream))
     assert float(first["fresh_jerk_added_peak_p95_low_m_s3"]) == one.low
@@ -294,8 +293,9 @@ def test_a_tenth_of_the_interventions_with_a_failed_solve_is_warned_of(failing: 
     designs = (DESIGNS[0], Design.of(LinearMPC(), 0.1))
     status = np.zeros((2, 30), dtype=int)
     status[1, 20:] = int(EventStatus.NEVER_TRIGGERED)
-    case = case_of(np.ones((2, 30)), status=status)
-    case.failed_solves[1, :failing] = 3
-    ranking = ranked(StudyResults(designs, scenarios_of(30), (case,)))
+    failed_solves = np.zeros((2, 30), dtype=np.int32)
+    failed_solves[1, :failing] = 3
+    parts = {"failed_solves": failed_solves}
+    ranking = ranked(results_of(np.ones((2, 30)), designs, status=status, parts=parts))
     text = f"Commands that were not finite, or came from a law's fallback: {designs[1].label} in {failing} of 20 interv"
     assert any(one.startswith(text) for one in ranking.warnings) == warned

@@ -5,23 +5,24 @@ import dataclasses
 import math
 import statistics
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import scipy.stats
 
-from controllers import NoControl
 from helpers.results import results_of as given_results
 from ldctoolkit import EventStatus, Scenarios, simulate
+from ldctoolkit.controllers import NoControl
 from ldctoolkit.errors import InputError, StoreError
 from ldctoolkit.metrics import RELEASE_METRICS, MetricValues
-from studies import Case, Design, Ranking, StudyResults
-from studies.ranking.inference import bootstrap_means, check_confidence
-from studies.ranking.ranking import write_csv
+from ldctoolkit.studies import Design, Ranking, StudyResults
+from ldctoolkit.studies.ranking.inference import bootstrap_means, check_confidence
+from ldctoolkit.studies.ranking.ranking import write_csv
 
 
 def results_of(
-    S: np.ndarray, *, left: int, window: str = "departure", y_s: float | None = None, law: str = "none"
+    S: np.ndarray, *, left: int, window: Any = "departure", y_s: float | None = None, law: str = "none"
 ) -> StudyResults:
     """Every metric its own positive numbers of a plausible size."""
     generator = np.random.default_rng(7)
@@ -30,15 +31,14 @@ def results_of(
     metrics["dtle"] = 0.3 - metrics["dtle"]
     metrics["opposite_crossing"] = np.maximum(0.0, metrics["opposite_crossing"] - 2.0)
     designs = [Design.from_gains(law, 0.1 * (i + 1) if y_s is None else y_s, {}) for i in range(len(S))]
-    cases = [Case(window, "consistent")]  # type: ignore[arg-type]
-    return given_results(S, designs, left=left, cases=cases, uncorrected=S.max(axis=0) + 1.0, metrics=metrics)
+    return given_results(S, designs, left=left, window=window, uncorrected=S.max(axis=0) + 1.0, metrics=metrics)
 
 
 pytestmark = pytest.mark.usefixtures("laws")
 
 
 def rank(results: StudyResults, **settings: object) -> Ranking:
-    return Ranking.of(results, results.cases[0], **settings)  # type: ignore[arg-type]
+    return Ranking.of(results, **settings)  # type: ignore[arg-type]
 
 
 @pytest.fixture
@@ -119,11 +119,10 @@ def test_one_side_only_has_no_figure_for_the_other() -> None:
 
 def test_failures_count_in_means_and_are_told() -> None:
     results = results_of(np.array([[1.0, 40.0], [2.0, 2.0]]), left=1)
-    case = results.cases[0]
-    case.status[0, 1] = EventStatus.DIVERGED
-    case.status[1] = (EventStatus.SOLVER_FAILED, EventStatus.NEVER_TRIGGERED)
-    case.failed_solves[1, 0] = 7
-    ranking = rank(results)
+    status = np.array(
+        [[EventStatus.OK, EventStatus.DIVERGED], [EventStatus.SOLVER_FAILED, EventStatus.NEVER_TRIGGERED]]
+    )
+    ranking = rank(dataclasses.replace(results, status=status, failed_solves=np.array([[0, 0], [7, 0]])))
     # S without control is 3 and 41: what failed counts as that, the rest as it is
     assert (ranking.S.tolist(), ranking.S_left.tolist()) == ([2.5, 21.0], [3.0, 1.0])
     assert (ranking.diverged.tolist(), ranking.solver_failed.tolist()) == ([0, 1], [1, 0])
@@ -146,11 +145,13 @@ def quantile(values: list[float], share: float) -> float:
 
 def by_hand(results: StudyResults, i: int) -> dict[str, float]:
     """The columns beside S of one design, one scenario after the other."""
-    case, d_y = results.cases[0], results.scenarios.d_y
-    values = {f.name: [float(x) for x in getattr(case.companions, f.name)[i]] for f in dataclasses.fields(MetricValues)}
+    d_y = results.scenarios.d_y
+    values = {
+        f.name: [float(x) for x in getattr(results.companions, f.name)[i]] for f in dataclasses.fields(MetricValues)
+    }
     n = len(d_y)
     recorded = simulate(NoControl(), results.scenarios).companions.dtle
-    acted = [k for k in range(n) if case.status[i, k] not in (EventStatus.NEVER_TRIGGERED, EventStatus.INVALID)]
+    acted = [k for k in range(n) if results.status[i, k] not in (EventStatus.NEVER_TRIGGERED, EventStatus.INVALID)]
 
     def of(name: str) -> list[float]:
         return [values[name][k] for k in acted]
@@ -189,17 +190,16 @@ def by_hand(results: StudyResults, i: int) -> dict[str, float]:
 
 def test_the_columns_beside_S_are_those_counted_by_hand(scores: np.ndarray, tmp_path: Path) -> None:
     results = results_of(scores, left=150, law="toy")
-    case = results.cases[0]
     generator = np.random.default_rng(11)
     d_y = generator.gamma(2.0, 0.2, 400)
     scenarios = Scenarios.from_arrays(T=2.0, d_y=d_y, v_mean=20.0, side=results.scenarios.side)
-    case.status[:] = generator.choice([EventStatus.OK, EventStatus.NEVER_TRIGGERED], size=case.status.shape)
-    t_back = np.where(generator.random(case.status.shape) < 0.2, np.inf, case.companions.t_back)
+    status = generator.choice([EventStatus.OK, EventStatus.NEVER_TRIGGERED], size=results.status.shape)
+    t_back = np.where(generator.random(results.status.shape) < 0.2, np.inf, results.companions.t_back)
     t_back[3] = np.inf  # not back after most: the median is infinite too
-    case = dataclasses.replace(case, companions=dataclasses.replace(case.companions, t_back=t_back))
-    results = dataclasses.replace(results, scenarios=scenarios, cases=(case,))
+    companions = dataclasses.replace(results.companions, t_back=t_back)
+    results = dataclasses.replace(results, scenarios=scenarios, companions=companions, status=status)
     ranking = rank(results)
-    write_csv([ranking], tmp_path / "r.csv")
+    write_csv(ranking, tmp_path / "r.csv")
     with (tmp_path / "r.csv").open(newline="") as stream:
         rows = list(csv.DictReader(stream))
     for row, i in zip(rows, ranking.index, strict=True):
@@ -219,7 +219,7 @@ def test_who_never_acts_has_no_figures_of_interventions(scores: np.ndarray) -> N
     """The baseline, and a design that never took over: nothing, not zero, and not a mean over nobody."""
     baseline = rank(results_of(scores[:1], left=150)).release
     results = results_of(scores[:1], left=150, law="toy")
-    results.cases[0].status[:] = EventStatus.NEVER_TRIGGERED
+    results = dataclasses.replace(results, status=np.full_like(results.status, EventStatus.NEVER_TRIGGERED))
     for figures in (baseline, rank(results).release):
         empty = {name for name in RELEASE_METRICS if np.isnan(getattr(figures, name)).all()}
         assert empty == {
@@ -234,14 +234,14 @@ def test_who_never_acts_has_no_figures_of_interventions(scores: np.ndarray) -> N
 def test_scenarios_that_cannot_be_driven_are_left_out_for_all_and_told(scores: np.ndarray) -> None:
     """As if they had not been drawn: every figure of every design, and the pairing, on those that remain."""
     results = results_of(scores, left=150, law="toy")
-    case = results.cases[0]
-    case.status[1, [3, 200]] = EventStatus.INVALID
-    case.status[2, 399] = EventStatus.INVALID
-    for array in (case.S, *(getattr(case.companions, f.name) for f in dataclasses.fields(MetricValues))):
+    status, S = results.status.copy(), results.S.copy()
+    status[1, [3, 200]] = status[2, 399] = EventStatus.INVALID
+    for array in (S, *(getattr(results.companions, f.name) for f in dataclasses.fields(MetricValues))):
         array[1, [3, 200]] = array[2, 399] = np.nan
+    results = dataclasses.replace(results, status=status, S=S)
     ranking = rank(results)
     kept = np.setdiff1d(np.arange(400), [3, 200, 399])
-    few = rank(StudyResults(results.designs, results.scenarios.take(kept), (case.take(np.isin(np.arange(400), kept)),)))
+    few = rank(results.take(np.isin(np.arange(400), kept)))
     assert ranking.invalid.tolist() == [{1: 2, 2: 1}.get(i, 0) for i in ranking.index.tolist()]
     assert "3 of 400 scenarios cannot be driven" in ranking.warnings[0]
     assert ranking.warnings[1:] == few.warnings
@@ -255,7 +255,7 @@ def test_scenarios_that_cannot_be_driven_are_left_out_for_all_and_told(scores: n
 
 def test_nothing_that_can_be_driven_is_refused() -> None:
     results = results_of(np.full((1, 3), np.nan), left=1)
-    results.cases[0].status[:] = EventStatus.INVALID
+    results = dataclasses.replace(results, status=np.full_like(results.status, EventStatus.INVALID))
     with pytest.raises(InputError, match="no scenario could be driven"):
         rank(results)
 
@@ -275,13 +275,13 @@ def test_a_confidence_outside_its_range_is_refused(confidence: float) -> None:
 def test_the_csv_names_units_and_keeps_every_digit(tmp_path: Path, scores: np.ndarray) -> None:
     results = results_of(scores[:2], left=9)
     lqr = Design.from_gains("lqr", 0.1, {"r_delta": 1 / 3})
-    results = StudyResults((results.designs[0], lqr), results.scenarios, results.cases)
+    results = dataclasses.replace(results, designs=(results.designs[0], lqr))
     ranking = rank(results)
-    write_csv([ranking, ranking], tmp_path / "r.csv")
+    write_csv(ranking, tmp_path / "r.csv")
     with (tmp_path / "r.csv").open(newline="") as stream:
         rows = list(csv.DictReader(stream))
-    assert (len(rows), [row["rank"] for row in rows]) == (4, ["1", "2", "1", "2"])
-    assert [float(row["S_m_s"]) for row in rows[:2]] == ranking.S.tolist()
+    assert (len(rows), [row["rank"] for row in rows]) == (2, ["1", "2"])
+    assert [float(row["S_m_s"]) for row in rows] == ranking.S.tolist()
     by_law = {row["law"]: row for row in rows}
     assert float(by_law["lqr"]["gain_r_delta_1_per_rad2"]) == 1 / 3
     assert by_law["none"]["gain_r_delta_1_per_rad2"] == ""
@@ -292,7 +292,7 @@ def test_the_csv_names_units_and_keeps_every_digit(tmp_path: Path, scores: np.nd
 
 def test_a_csv_that_cannot_be_written_is_named(tmp_path: Path, scores: np.ndarray) -> None:
     with pytest.raises(StoreError, match=r"nowhere/r\.csv: cannot be written"):
-        write_csv([rank(results_of(scores, left=9))], tmp_path / "nowhere" / "r.csv")
+        write_csv(rank(results_of(scores, left=9)), tmp_path / "nowhere" / "r.csv")
 
 
 def test_the_order_of_designs_in_the_study_changes_no_bit() -> None:
@@ -301,15 +301,16 @@ def test_the_order_of_designs_in_the_study_changes_no_bit() -> None:
     results = results_of(S, left=50, law="toy")
     results = dataclasses.replace(results, designs=(Design.from_gains("none", 0.2, {}), *results.designs[1:]))
     order = np.array([4, 8, 0, 2, 6, 1, 7, 3, 5])
-    case = results.cases[0]
-    parts = {name: getattr(case, name)[order] for name in ("S", "S_uncorrected", "status", "failed_solves", "law_time")}
+    parts = {
+        name: getattr(results, name)[order] for name in ("S", "S_uncorrected", "status", "failed_solves", "law_time")
+    }
     companions = MetricValues(
-        **{f.name: getattr(case.companions, f.name)[order] for f in dataclasses.fields(MetricValues)}
+        **{f.name: getattr(results.companions, f.name)[order] for f in dataclasses.fields(MetricValues)}
     )
-    turned = dataclasses.replace(case, **parts, companions=companions)
-    other = dataclasses.replace(results, designs=tuple(results.designs[i] for i in order), cases=(turned,))
+    designs = tuple(results.designs[i] for i in order)
+    other = dataclasses.replace(results, designs=designs, **parts, companions=companions)
     settings = {"pareto": ("S", "dtle_mean"), "require": ("deeper <= 0.5",)}
-    one, two = (Ranking.of(r, r.cases[0], **settings) for r in (results, other))  # type: ignore[arg-type]
+    one, two = (Ranking.of(r, **settings) for r in (results, other))  # type: ignore[arg-type]
     assert (one.designs, two.index.tolist()) == (two.designs, [order.tolist().index(i) for i in one.index])
     for field in dataclasses.fields(Ranking):
         if field.name not in ("index", "release"):
@@ -337,7 +338,7 @@ def test_differences_to_a_named_baseline(scores: np.ndarray) -> None:
 def test_a_requirement_takes_the_rank_and_not_the_row(scores: np.ndarray, tmp_path: Path) -> None:
     """Design 1 is the best by S but misses; design 2 is then the best, and all comparisons are with it."""
     results = results_of(scores, left=150, law="toy")
-    peaks = results.cases[0].companions.a_y_peak
+    peaks = results.companions.a_y_peak
     peaks[:] = np.array([1.0, 9.0, 2.0, 3.0], dtype=np.float32)[:, None]
     ranking = rank(results, require=("ay_p95 <= 3.0",), pareto=("S", "a_y_peak_max"))
     assert (ranking.index.tolist(), ranking.rank.tolist(), ranking.ranked) == ([2, 0, 3, 1], [1, 2, 3, 0], 3)
@@ -347,7 +348,7 @@ def test_a_requirement_takes_the_rank_and_not_the_row(scores: np.ndarray, tmp_pa
     assert ranking.best_frequency.tolist() == [1.0, 0.0, 0.0, 0.0]
     # 0 is worse by S, better by its peak; 3 is worse in both
     assert (ranking.pareto.tolist(), ranking.winner) == ([True, True, False, False], 0)
-    write_csv([ranking], tmp_path / "r.csv")
+    write_csv(ranking, tmp_path / "r.csv")
     with (tmp_path / "r.csv").open(newline="") as stream:
         last = list(csv.DictReader(stream))[-1]
     assert (last["rank"], last["unmet"]) == ("", "a_y_peak_p95 <= 3")

@@ -10,14 +10,14 @@ import pytest
 from markdown_it import MarkdownIt
 
 from helpers.results import results_of
-from studies.design import Design
-from studies.pages.ranking_markdown import MOST_ROWS, markdown_text, ranking_markdown, write_markdown
-from studies.pages.text import printable
-from studies.ranking.ranking import Ranking
-from studies.ranking.verdict import Verdict, listed_places, verdict
-from studies.results import Case, FailedDesign
-from studies.storage.manifest import Manifest
-from studies.study_file import Study
+from ldctoolkit.studies.design import Design
+from ldctoolkit.studies.pages.ranking_markdown import MOST_ROWS, markdown_text, ranking_markdown, write_markdown
+from ldctoolkit.studies.ranking.ranking import Ranking
+from ldctoolkit.studies.ranking.verdict import Verdict, listed_places, verdict
+from ldctoolkit.studies.results import FailedDesign
+from ldctoolkit.studies.storage.manifest import Manifest
+from ldctoolkit.studies.study_file import Study
+from ldctoolkit.studies.text import printable
 
 EVIL = "<script>alert(1)</script>"
 CONTENT = {
@@ -36,7 +36,7 @@ def ranked(S: np.ndarray, *, failed: tuple[FailedDesign, ...] = (), **settings: 
     """Designs with given scores, 3/5 of the scenarios to the left."""
     designs = [Design.from_gains("lqr", 0.1 + 0.001 * i, {}) for i in range(len(S))]
     results = results_of(S, designs, left=3 * S.shape[1] // 5, parts={"failed": failed})
-    ranking = Ranking.of(results, results.cases[0], bootstrap=200, **settings)
+    ranking = Ranking.of(results, bootstrap=200, **settings)
     return ranking, verdict(ranking, results)
 
 
@@ -59,7 +59,7 @@ def table(text: str) -> list[list[str]]:
 
 def test_the_table_holds_the_numbers_of_the_ranking() -> None:
     ranking, found = ranked(scores(4))
-    head, *rows = table(ranking_markdown([ranking], STUDY, MANIFEST, found))
+    head, *rows = table(ranking_markdown(ranking, STUDY, MANIFEST, found))
     assert head[:5] == ["#", "law", "y_s [m]", "gains", "S, 95 % [m s]"]
     assert (head[5:], len(rows)) == (["less [%]", "a_y [m/s2]", "jerk [m/s3]", "needless [%]", "verdict"], 4)
     for i, row in enumerate(rows):
@@ -73,7 +73,7 @@ def test_the_table_holds_the_numbers_of_the_ranking() -> None:
 
 def test_the_verdict_stands_above_the_table() -> None:
     ranking, found = ranked(scores(3))
-    text = ranking_markdown([ranking], STUDY, MANIFEST, found)
+    text = ranking_markdown(ranking, STUDY, MANIFEST, found)
     html = MarkdownIt("commonmark").enable("table").render(text)
     assert "<h1>A | B</h1>" in html
     assert "50 (30 left, 20 right), seed 7" in html
@@ -92,14 +92,14 @@ def test_the_first_designs_and_those_named_are_listed() -> None:
     assert listed_places(ranking, MOST_ROWS) == list(range(MOST_ROWS))
     last = dataclasses.replace(ranking, baseline=d - 1)
     assert listed_places(last, MOST_ROWS) == [*range(MOST_ROWS), d - 1]
-    text = ranking_markdown([last], STUDY, MANIFEST, found)
+    text = ranking_markdown(last, STUDY, MANIFEST, found)
     assert f"{MOST_ROWS + 1} of {d} designs" in text
     assert table(text)[-1][-1].startswith("baseline")
 
 
 def test_nothing_ranked() -> None:
     ranking, found = ranked(scores(3), require=["S <= 0"])
-    text = ranking_markdown([ranking], STUDY, MANIFEST, found)
+    text = ranking_markdown(ranking, STUDY, MANIFEST, found)
     assert "None of 3 designs meets the limits" in text
     rows = table(text)[1:]
     assert [row[0] for row in rows] == ["–"] * 3  # noqa: RUF001
@@ -109,7 +109,7 @@ def test_nothing_ranked() -> None:
 def test_one_design_and_failed_ones_with_their_reasons() -> None:
     failed = FailedDesign(Design.from_gains("lqr", 0.5, {}), f"ValueError: {EVIL}\n# no | heading")
     ranking, found = ranked(scores(1), failed=(failed,))
-    html = MarkdownIt("commonmark").enable("table").render(ranking_markdown([ranking], STUDY, MANIFEST, found))
+    html = MarkdownIt("commonmark").enable("table").render(ranking_markdown(ranking, STUDY, MANIFEST, found))
     assert "&lt;script&gt;alert(1)&lt;/script&gt; # no | heading" in html
     assert html.count("<h1") == 1
     assert "1 design failed, without metrics." in html
@@ -118,17 +118,17 @@ def test_one_design_and_failed_ones_with_their_reasons() -> None:
 def test_warnings_are_text() -> None:
     ranking, found = ranked(scores(2))
     ranking = dataclasses.replace(ranking, warnings=(f"*look* {EVIL} `x` [a](b) www.example.org",))
-    html = MarkdownIt("commonmark").enable("table").render(ranking_markdown([ranking], STUDY, MANIFEST, found))
+    html = MarkdownIt("commonmark").enable("table").render(ranking_markdown(ranking, STUDY, MANIFEST, found))
     assert "*look* &lt;script&gt;alert(1)&lt;/script&gt; `x` [a](b) www.example.org" in html
 
 
-def test_other_cases_have_a_line_each_and_the_text_is_the_same_each_time(tmp_path: Path) -> None:
+def test_the_file_holds_the_text_which_is_the_same_each_time(tmp_path: Path) -> None:
     ranking, found = ranked(scores(3))
-    other = dataclasses.replace(ranking, case=Case("control", "as_printed"))
-    write_markdown([ranking, other], tmp_path / "r.md", STUDY, MANIFEST, found)
+    other = dataclasses.replace(ranking, window="control", convention="as_printed")
+    write_markdown(other, tmp_path / "r.md", STUDY, MANIFEST, found)
     text = (tmp_path / "r.md").read_text(encoding="utf-8")
-    assert "control window, as printed" in text.split("Other cases")[1]
-    assert text == ranking_markdown([ranked(scores(3))[0], other], STUDY, MANIFEST, found)
+    assert "S: control window, as printed" in text
+    assert text == ranking_markdown(other, STUDY, MANIFEST, found)
     assert len(table(text)) == 4
 
 

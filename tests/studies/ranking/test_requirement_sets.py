@@ -9,22 +9,22 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-import studies.ranking.named_vehicles
-from controllers import LQR, LinearMPC, NoControl, PreviewProportional
-from helpers.results import case_of, scenarios_of
+import ldctoolkit.studies.ranking.named_vehicles as named_vehicles
+from helpers.results import results_of as given_results
 from ldctoolkit import EventStatus, Scenarios, Setup, simulate
+from ldctoolkit.controllers import LQR, LinearMPC, NoControl, PreviewProportional
 from ldctoolkit.errors import StudyError, UnknownNameError
 from ldctoolkit.metrics import comfortable_share
 from ldctoolkit.plant_options import Actuator, Mismatch, PlantOptions, Tyres
 from ldctoolkit.review import design_margins, review
-from studies import Study, rank_study, run_study
-from studies.cli import main
-from studies.design import Design
-from studies.ranking.named_vehicles import drive_on_plants
-from studies.ranking.ranking import Ranking
-from studies.ranking.requirements import Miss, friction, parse_requirement, requirements_of
-from studies.ranking.verdict import Verdict, judged, verdict, verdict_lines
-from studies.results import StudyResults
+from ldctoolkit.studies import Study, rank_study, run_study
+from ldctoolkit.studies.cli import main
+from ldctoolkit.studies.design import Design
+from ldctoolkit.studies.ranking.named_vehicles import drive_on_plants
+from ldctoolkit.studies.ranking.ranking import Ranking
+from ldctoolkit.studies.ranking.requirements import Miss, friction, parse_requirement, requirements_of
+from ldctoolkit.studies.ranking.verdict import Verdict, judged, verdict, verdict_lines
+from ldctoolkit.studies.results import StudyResults
 
 NAN = math.nan
 DESIGNS = [Design.of(NoControl(), 0.2), *(Design.of(LQR(r_delta=r), 0.1) for r in (100.0, 1000.0, 10_000.0))]
@@ -34,12 +34,11 @@ def results_of(S: list[float], status: Any = 0, n: int = 20, **metrics: Any) -> 
     """No control and three LQR, n departures each, with given means and metrics."""
     spread = np.linspace(0.9, 1.1, n)
     columns = {name: np.asarray(value, dtype=float)[:, None] for name, value in metrics.items()}
-    case = case_of(np.outer(S, spread), status=status, metrics=columns)
-    return StudyResults(tuple(DESIGNS), scenarios_of(n), (case,))
+    return given_results(np.outer(S, spread), DESIGNS, status=status, metrics=columns)
 
 
 def ranked(results: StudyResults, *require: str, setup: Setup | None = None) -> tuple[Ranking, Verdict]:
-    ranking = Ranking.of(results, results.cases[0], bootstrap=100, require=require, setup=setup)
+    ranking = Ranking.of(results, bootstrap=100, require=require, setup=setup)
     return ranking, verdict(ranking, results, setup)
 
 
@@ -100,7 +99,7 @@ def test_studies_take_sets_by_name(tmp_path: Path) -> None:
     study = Study.from_dict(content | {"design": [{"law": "none"}, {"law": "lqr"}]})
     assert study.ranking.require == ("comfort", "S <= 5")
     results = run_study(study, directory=tmp_path / "s", workers=1, progress=False)
-    (ranking,) = rank_study(results, study)
+    ranking = rank_study(results, study)
     assert ranking.require == ("a_y_added_peak_p95 <= 3", "jerk_added_peak_p95 <= 5", "S <= 5")
 
 
@@ -140,7 +139,7 @@ def test_margins_rank_designs(tmp_path: Path) -> None:
     }
     design = {"law": "lqr", "y_s": 0.1, "gains": {"r_delta": [10.0, 100_000.0]}}
     study = Study.from_dict(content | {"design": [design]})
-    (ranking,) = rank_study(run_study(study, directory=tmp_path / "s", workers=1, progress=False), study)
+    ranking = rank_study(run_study(study, directory=tmp_path / "s", workers=1, progress=False), study)
     assert dict(ranking.designs[0].gains)["r_delta"] == 100_000.0
     assert ranking.missed[1][0].requirement.metric.name == "gain_margin"
 
@@ -212,9 +211,7 @@ def test_a_design_no_better_than_none_is_red() -> None:
 
 
 def test_nothing_but_no_control() -> None:
-    case = case_of(np.ones((1, 20)))
-    results = StudyResults((DESIGNS[0],), scenarios_of(20), (case,))
-    _, found = ranked(results)
+    _, found = ranked(given_results(np.ones((1, 20)), DESIGNS[:1]))
     assert found.title == "Smallest S: No control, y_s = 0.2 m"
 
 
@@ -266,7 +263,7 @@ def by_hand(
 
 @pytest.mark.parametrize("names", [["soft"], ["light", "heavy"], ["light", "heavy", "soft", "stiff"]])
 def test_the_worst_is_that_of_vehicles_changed_by_hand(results: StudyResults, names: list[str]) -> None:
-    ranking = rank_study(results, study(vehicles=names))[0]
+    ranking = rank_study(results, study(vehicles=names))
     for i, design in enumerate(ranking.designs):
         if design.is_baseline:
             assert np.isnan(ranking.release.comfortable_worst[i])
@@ -285,7 +282,7 @@ def test_the_worst_is_that_of_the_road_and_of_the_departures_at_hand(results: St
         (results, study().setup(), {}), (few, study().setup(), {}),
         (results, dataclasses.replace(study().setup(), options=slippery), road),
     ):  # fmt: skip
-        ranking = Ranking.of(some, some.cases[0], bootstrap=50, setup=setup, vehicles=["heavy"])
+        ranking = Ranking.of(some, bootstrap=50, setup=setup, vehicles=["heavy"])
         i = next(k for k, design in enumerate(ranking.designs) if not design.is_baseline)
         design = ranking.designs[i]
         S, share = by_hand(some, dict(design.gains)["r_delta"], design.y_s, {"heavy": FACTORS["heavy"]}, **options)
@@ -297,7 +294,7 @@ def test_failed_solves_of_named_vehicles_count_as_no_control(
     results: StudyResults, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """An LQR whose first departures fail, though it is better there: they count with S without control."""
-    original, failed = studies.ranking.named_vehicles.drive, []
+    original, failed = named_vehicles.drive, []
 
     class Failing:
         def __init__(self, run: Any) -> None:
@@ -310,9 +307,9 @@ def test_failed_solves_of_named_vehicles_count_as_no_control(
             failed.append(dataclasses.replace(outcome, status=status))
             return failed[-1]
 
-    monkeypatch.setattr("studies.ranking.named_vehicles.drive", lambda *given: Failing(original(*given)))
+    monkeypatch.setattr("ldctoolkit.studies.ranking.named_vehicles.drive", lambda *given: Failing(original(*given)))
     law = (Design.of(LQR(r_delta=3001.0), 0.1),)
-    drives = drive_on_plants(law, [PlantOptions()], results.scenarios, study().setup(), results.cases[0].case)
+    drives = drive_on_plants(law, [PlantOptions()], results.scenarios, study().setup(), results.window)
     (outcome,) = failed
     better = outcome.S[:30] < outcome.S_uncorrected[:30]
     assert better.sum() > 10
@@ -321,21 +318,21 @@ def test_failed_solves_of_named_vehicles_count_as_no_control(
 
 
 def test_a_requirement_on_the_worst_drives_all_four(results: StudyResults) -> None:
-    free = rank_study(results, study(vehicles=list(FACTORS)))[0]
+    free = rank_study(results, study(vehicles=list(FACTORS)))
     limit = float(np.sort(free.release.S_worst)[1]) + 1e-9
     asked = study(require=[f"S_worst <= {limit}"])
     assert asked.vehicles == ("light", "heavy", "soft", "stiff")
-    ranking = rank_study(results, asked)[0]
+    ranking = rank_study(results, asked)
     assert sum(not missed for missed in ranking.missed) == 2
     # the interval of a share counts the interventions among the first 50 departures of each side
-    some = Ranking.of(results, results.cases[0], bootstrap=50, setup=asked.setup(), vehicles=["soft"],
+    some = Ranking.of(results, bootstrap=50, setup=asked.setup(), vehicles=["soft"],
                       require=["comfortable_worst >= 0"])  # fmt: skip
     side = results.scenarios.side
     first = np.concatenate([np.flatnonzero(side == one)[:50] for one in (1, -1)])
     for i, design in enumerate(some.designs):
         if not design.is_baseline:
             one, share = some.estimates(i)[0], some.release.comfortable_worst[i]
-            n = int((results.cases[0].status[some.index[i]][first] != EventStatus.NEVER_TRIGGERED).sum())
+            n = int((results.status[some.index[i]][first] != EventStatus.NEVER_TRIGGERED).sum())
             exact = binomtest(round(share * n), n).proportion_ci(0.95, "exact")
             assert 0 < n <= 100
             assert (one.value, one.low, one.high) == pytest.approx((share, exact.low, exact.high), rel=1e-9)
@@ -344,7 +341,7 @@ def test_a_requirement_on_the_worst_drives_all_four(results: StudyResults) -> No
     np.testing.assert_array_equal(np.sort(ranking.release.S_worst), np.sort(free.release.S_worst))
     assert study(pareto=["S", "comfortable_worst"]).vehicles == asked.vehicles
     assert study().vehicles == ()
-    assert np.isnan(rank_study(results, study())[0].release.S_worst).all()
+    assert np.isnan(rank_study(results, study()).release.S_worst).all()
 
 
 def test_a_vehicle_that_is_none_is_named() -> None:
@@ -357,7 +354,7 @@ def test_the_command_line_and_the_search_take_the_worst(tmp_path: Path, capsys: 
     content["design"] = [{"law": "lqr", "y_s": [0.1, 0.2, 0.3], "gains": {"r_delta": [3000.0, 20000.0, 40000.0]}}]
     searched = Study.from_dict(content)
     found = run_study(searched, directory=tmp_path / "run")
-    ranking = rank_study(found, searched)[0]
+    ranking = rank_study(found, searched)
     assert np.isfinite(ranking.release.S_worst).all()
     assert main(["rank", str(tmp_path / "run"), "--require", "S_worst <= 0.01"]) == 0
     assert "Mean S, worst of the named vehicles" in capsys.readouterr().out

@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 
 from helpers.bits import examples
 from ldctoolkit.errors import InputError
-from studies.ranking.inference import (
+from ldctoolkit.studies.ranking.inference import (
     Resampled,
+    Separation,
     bootstrap_deviations,
     compare_with_best,
     exact_grid,
     infer,
-    separable,
     simultaneous_interval,
     weight_blocks,
     with_tails_of_t,
@@ -26,6 +26,10 @@ from studies.ranking.inference import (
 
 DESIGNS = 128
 CONFIDENCE = 0.95
+
+
+def separable(scores: np.ndarray, side: np.ndarray, *, seed: int, confidence: float, samples: int) -> Separation:
+    return compare_with_best(Resampled.of(scores, side, seed=seed, samples=samples), confidence)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -10,18 +10,17 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from controllers import LQR, LinearMPC, NoControl, PreviewProportional
 from helpers.bits import assert_same_bits
-from helpers.results import DEPARTURE, case_of_outcomes
+from helpers.results import results_of_outcomes
 from ldctoolkit import BicycleModel, Controller, EventStatus, Scenarios, Setup, VehicleParameters, register, simulate
+from ldctoolkit.controllers import LQR, LinearMPC, NoControl, PreviewProportional
 from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
 from ldctoolkit.review import design_margins
-from ldctoolkit.vehicle import Plant
-from studies.design import Design
-from studies.ranking.named_vehicles import drive_on_plants
-from studies.ranking.ranking import Ranking
-from studies.results import StudyResults
-from studies.robustness import (
+from ldctoolkit.studies.design import Design
+from ldctoolkit.studies.ranking.named_vehicles import drive_on_plants
+from ldctoolkit.studies.ranking.ranking import Ranking
+from ldctoolkit.studies.results import StudyResults
+from ldctoolkit.studies.robustness import (
     MOST,
     NAME,
     Robustness,
@@ -34,7 +33,8 @@ from studies.robustness import (
     stored_of,
     work_out,
 )
-from studies.study_file import load_study
+from ldctoolkit.studies.study_file import load_study
+from ldctoolkit.vehicle import Plant
 
 SETUP = Setup(settle=1.0, seed=5)
 
@@ -66,7 +66,7 @@ DESIGNS = (
 def results_of(designs: tuple[Design, ...], scenarios: Scenarios) -> StudyResults:
     model = BicycleModel(VehicleParameters())
     outcomes = [simulate(d.controller(), scenarios, vehicle=model, y_s=d.y_s, settle=1.0, seed=5) for d in designs]
-    return StudyResults(designs, scenarios, (case_of_outcomes(outcomes),))
+    return results_of_outcomes(designs, scenarios, outcomes)
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +76,7 @@ def results() -> StudyResults:
 
 @pytest.fixture(scope="module")
 def task(results: StudyResults) -> RobustnessTask:
-    return RobustnessTask.of(results, Ranking.of(results, results.cases[0], bootstrap=100), SETUP, per_side=12)
+    return RobustnessTask.of(results, Ranking.of(results, bootstrap=100), SETUP, per_side=12)
 
 
 @pytest.fixture(scope="module")
@@ -262,8 +262,10 @@ def test_a_path_that_no_tyre_could_follow_is_not_counted_as_diverged() -> None:
     T[1], d_y[1] = 1.2, 1.2
     scenarios = Scenarios.from_arrays(T=T, d_y=d_y, v_mean=25.0, side=[1, 1, -1, -1])
     results = results_of((Design.of(LQR(r_delta=0.1), 0.05),), scenarios)
-    task = RobustnessTask.of(results, Ranking.of(results, results.cases[0], bootstrap=50), SETUP)
-    drives = drive_on_plants(task.chosen.designs, [plant.options for plant in task.plants], scenarios, SETUP, DEPARTURE)
+    task = RobustnessTask.of(results, Ranking.of(results, bootstrap=50), SETUP)
+    drives = drive_on_plants(
+        task.chosen.designs, [plant.options for plant in task.plants], scenarios, SETUP, "departure"
+    )
     found, diverged = work_out(task), drives.status[:, 0] == EventStatus.DIVERGED
     for name, more in (("friction", 0), ("tyres", 1)):
         k = found.plants.index(name)
@@ -293,10 +295,10 @@ def test_plants_that_cannot_be_driven_on_are_named() -> None:
 
 def test_numbers_do_not_depend_on_order_or_neighbours(task: RobustnessTask) -> None:
     designs, plants = task.chosen.designs, [plant.options for plant in task.plants[:6]]
-    both = drive_on_plants(designs, plants, task.scenarios, SETUP, DEPARTURE)
-    turned = drive_on_plants(designs[::-1], plants[::-1], task.scenarios, SETUP, DEPARTURE)
+    both = drive_on_plants(designs, plants, task.scenarios, SETUP, "departure")
+    turned = drive_on_plants(designs[::-1], plants[::-1], task.scenarios, SETUP, "departure")
     assert np.array_equal(both.S, turned.S[::-1, ::-1])
-    alone = drive_on_plants(designs[:1], plants[3:4], task.scenarios.take(np.array([7])), SETUP, DEPARTURE)
+    alone = drive_on_plants(designs[:1], plants[3:4], task.scenarios.take(np.array([7])), SETUP, "departure")
     assert alone.S[0, 0, 0] == both.S[3, 0, 7]
 
 
@@ -332,7 +334,7 @@ def test_designs_are_chosen_by_their_places() -> None:
     designs += [Design.of(PreviewProportional(K_y=-0.08), 0.05), Design.of(PreviewProportional(), 0.2)]
     designs += [Design.of(NoControl(), 0.2)]
     results = results_of(tuple(designs), departures(10))
-    ranking = Ranking.of(results, results.cases[0], bootstrap=50)
+    ranking = Ranking.of(results, bootstrap=50)
     chosen = chosen_designs(ranking)
     assert chosen.designs[0] == ranking.designs[ranking.winner or 0]
     laws = [design.law for design in chosen.designs]
@@ -340,9 +342,9 @@ def test_designs_are_chosen_by_their_places() -> None:
     assert Design.of(PreviewProportional(), 0.2) in chosen.designs  # Table I
     assert "none" in laws  # the baseline
     assert len(chosen.designs) == 4 <= MOST
-    unranked = Ranking.of(results, results.cases[0], bootstrap=50, require=["S <= 0"])
+    unranked = Ranking.of(results, bootstrap=50, require=["S <= 0"])
     assert all(chosen_designs(unranked).contends)
-    strict = Ranking.of(results, results.cases[0], bootstrap=50, require=[f"S <= {ranking.S[0] + 1e-9}"])
+    strict = Ranking.of(results, bootstrap=50, require=[f"S <= {ranking.S[0] + 1e-9}"])
     assert [design.law for design, takes in zip(chosen_designs(strict).designs, chosen_designs(strict).contends,
                                                 strict=True) if takes] == ["lqr"]  # fmt: skip
 
@@ -354,10 +356,9 @@ def test_slow_and_unsafe_laws_are_left_out(monkeypatch: pytest.MonkeyPatch) -> N
         Design.of(NoControl(), 0.2),
     )
     results = results_of(designs, departures(8))
-    case = results.cases[0]
-    status = case.status.copy()
+    status = results.status.copy()
     status[1, 0] = EventStatus.CRASHED
-    ranking = Ranking.of(results, dataclasses.replace(case, status=status), bootstrap=50)
+    ranking = Ranking.of(dataclasses.replace(results, status=status), bootstrap=50)
     monkeypatch.setattr(LinearMPC, "batch", 20)
     chosen = chosen_designs(ranking)
     assert chosen.slow == ("linear_mpc",)
@@ -374,7 +375,7 @@ def test_numbers_are_stored_and_worked_out_again_for_anything_else(
         calls.append(wanted.key)
         return dataclasses.replace(found, key=wanted.key)
 
-    monkeypatch.setattr("studies.robustness.work_out", count)
+    monkeypatch.setattr("ldctoolkit.studies.robustness.work_out", count)
     assert stored_of(tmp_path, task) is None
     assert robustness_of(tmp_path, task) is not None
     json.loads((tmp_path / "robustness.json").read_text(), parse_constant=pytest.fail)  # numbers that JSON knows only

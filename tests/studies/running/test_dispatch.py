@@ -12,9 +12,9 @@ import pytest
 from helpers.closed_loop import Unsighted, known
 from ldctoolkit import Controller, EventStatus, Plant, gain
 from ldctoolkit.errors import LdcError
-from studies import Study, read_results, run_study, runner
-from studies.running.executors import Ended
-from studies.running.tasks import Simulator, Task
+from ldctoolkit.studies import Study, read_results, run_study, runner
+from ldctoolkit.studies.running.executors import Ended
+from ldctoolkit.studies.running.tasks import Simulator, Task
 
 MakeStudy = Callable[..., Study]
 
@@ -111,11 +111,11 @@ def test_the_same_scenarios_are_found_whatever_ran_beside_them(
     (failed,) = results.failed
     assert (dict(failed.design.gains)["K"], failed.reason.count("(ends its worker process)")) == (4.0, 4)
     for i, design in enumerate(results.designs):
-        crashed = np.flatnonzero(results.cases[0].status[i] == EventStatus.CRASHED)
+        crashed = np.flatnonzero(results.status[i] == EventStatus.CRASHED)
         assert set(crashed.tolist()) == plan.get(dict(design.gains).get("K", -1.0), set())  # type: ignore[arg-type]
         others = np.setdiff1d(np.arange(17), crashed)
         j = sound.designs.index(design)
-        np.testing.assert_array_equal(results.cases[0].S[i, others], sound.cases[0].S[j, others])
+        np.testing.assert_array_equal(results.S[i, others], sound.S[j, others])
     rows = stored_rows(tmp_path / "deadly").filter(design=failed.design.id)
     # rows of first pieces (of 5, 4, 4 and 4 scenarios); which one was one too many is a matter of what ran first
     assert rows.height in (0, 5, 9, 13)
@@ -124,7 +124,7 @@ def test_the_same_scenarios_are_found_whatever_ran_beside_them(
     use(monkeypatch, Deadly(seed + 100, plan))
     again = run_study(study, directory=tmp_path / "deadly", block_size=block_size)
     assert [one.design for one in again.failed] == [failed.design]
-    np.testing.assert_array_equal(again.cases[0].S, results.cases[0].S)
+    np.testing.assert_array_equal(again.S, results.S)
 
 
 @pytest.mark.slow
@@ -133,7 +133,7 @@ def test_one_death_among_many_is_no_end(make_study: MakeStudy, tmp_path: Path, m
     use(monkeypatch, Deadly(1, {1.0: {3}}, workers=30))
     results = run_study(small_study(make_study, [0.1 * i for i in range(40)]), directory=tmp_path, block_size=1)
     assert not results.failed
-    assert int((results.cases[0].status == EventStatus.CRASHED).sum()) == 1
+    assert int((results.status == EventStatus.CRASHED).sum()) == 1
 
 
 def test_a_study_of_one_deadly_design(make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -159,7 +159,7 @@ def test_what_is_stored_of_a_failing_design_is_no_accident(
 ) -> None:  # fmt: skip
     """The pieces before the first one that it fails on, however often it is run."""
     study = small_study(make_study, [0, 9], scenarios={"left": 20, "right": 20})
-    from studies.runner import study_source
+    from ldctoolkit.studies.runner import study_source
 
     speeds = study_source(study).sample(20, 20, seed=study.seed).v_mean
     FAST[0] = float(np.sort(speeds)[-3])

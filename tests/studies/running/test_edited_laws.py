@@ -23,8 +23,8 @@ from helpers.results import assert_same_results
 from ldctoolkit import registry
 from ldctoolkit.code_content import content_of
 from ldctoolkit.errors import InputError, StoreError
-from studies.cli import main
-from studies.running import tasks
+from ldctoolkit.studies.cli import main
+from ldctoolkit.studies.running import tasks
 
 LAW = """
 import dataclasses
@@ -93,7 +93,7 @@ def study_of(*laws: Any, **tables: Any) -> ldc.Study:
 
 
 def S_of(results: ldc.StudyResults, law: str = "mine") -> float:
-    return float(next(S.mean() for d, S in zip(results.designs, results.cases[0].S, strict=True) if d.law == law))
+    return float(next(S.mean() for d, S in zip(results.designs, results.S, strict=True) if d.law == law))
 
 
 EDITS: dict[str, Callable[[Folder, float], type[ldc.Controller]]] = {
@@ -300,7 +300,7 @@ def test_a_report_of_changed_code_is_refused(
 
 
 def test_other_versions_start_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: Any) -> None:
-    from studies.storage import manifest
+    from ldctoolkit.studies.storage import manifest
 
     study = study_of(ranking={"finalists": 2, "bootstrap": 100})
     reference = ldc.run_study(study, tmp_path / "out", workers=1)
@@ -326,7 +326,7 @@ def test_other_versions_start_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert sum("everything is computed anew" in record.message for record in caplog.records) == 1
     assert all(not path.exists() or path.stat().st_mtime_ns != before for path, before in parts.items())
     assert again.fresh is not None
-    np.testing.assert_array_equal(again.cases[0].S, reference.cases[0].S)
+    np.testing.assert_array_equal(again.S, reference.S)
 
 
 @pytest.mark.slow
@@ -346,7 +346,8 @@ def test_a_killed_run_is_resumed_with_edited_code(folder: Folder, tmp_path: Path
     """Parts of the old code are there, and of the law that was not edited."""
     folder.law()
     program = (
-        f"import ldctoolkit as ldc; from {folder.path.name}.laws import Mine; from studies.running import campaign; "
+        f"import ldctoolkit as ldc; from {folder.path.name}.laws import Mine; "
+        "from ldctoolkit.studies.running import campaign; "
         "campaign._STORE_EVERY = -1.0; study = ldc.study(ldc.NoControl, ldc.LQR, Mine, y_s=[0.05, 0.1, 0.2], "
         "name='edited', ranking={'finalists': 0, 'bootstrap': 100}, left=8, right=6); "
         "ldc.run_study(study, 'out', workers=1, block_size=1)"

@@ -20,11 +20,11 @@ import pytest
 from loky.process_executor import BrokenProcessPool
 
 from ldctoolkit.errors import ClusterError, InputError, LdcError
-from studies import Study, StudyResults, rank_study, run_study
-from studies.running import campaign
-from studies.running.executors import Executor, dask_cluster, make_executor, processes
-from studies.running.tasks import Done
-from studies.storage.store import Store
+from ldctoolkit.studies import Study, StudyResults, rank_study, run_study
+from ldctoolkit.studies.running import campaign
+from ldctoolkit.studies.running.executors import Executor, dask_cluster, make_executor, processes
+from ldctoolkit.studies.running.tasks import Done
+from ldctoolkit.studies.storage.store import Store
 
 MakeStudy = Callable[..., Study]
 
@@ -40,11 +40,11 @@ DESIGNS = [
 
 @pytest.fixture
 def study(make_study: MakeStudy) -> Study:
-    """Linear laws and others, noise and mismatch, two cases, finalists: all that could depend on the split."""
+    """Linear laws and others, noise and mismatch, finalists: all that could depend on the split."""
     return make_study(
         scenarios={"left": 40, "right": 30},
         ranking={"bootstrap": 300, "finalists": 3},
-        simulation={"window": ["departure", "control"]},
+        simulation={"window": "control"},
         plant={
             "mismatch": {"m": [1.0, 1.3]},
             "sensors": {"e_y_noise": 0.03, "delay": 0.1, "kalman": {}},

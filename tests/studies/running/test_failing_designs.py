@@ -17,14 +17,12 @@ from helpers.closed_loop import Unsighted, known
 from helpers.results import assert_same_results
 from ldctoolkit import Controller, EventStatus, LdcError, Plant, gain, registry
 from ldctoolkit.errors import StoreError
-from studies import Study, rank_study, read_results, run_study
-from studies.cli import main
+from ldctoolkit.studies import Study, rank_study, read_results, run_study
+from ldctoolkit.studies.cli import main
 
 SLOW = pytest.mark.slow
 MakeStudy = Callable[..., Study]
 pytestmark = pytest.mark.usefixtures("laws", "broken_laws")
-
-MEMORY: list[float] = []  # what a law must not have
 
 
 @dataclasses.dataclass(frozen=True)
@@ -44,9 +42,6 @@ class BrokenLaw(Unsighted):
                 return "straight on", state, good
             case "nan":
                 return np.full(n, np.nan), state, good
-            case "state":
-                MEMORY.append(1.0)
-                return np.full(n, -1e-6 * len(MEMORY)), state, good
         return np.zeros(n), state, good
 
 
@@ -71,14 +66,12 @@ FAULTS = {
     "exit": r"SystemExit: no licence \(test_failing_designs\.py, line \d+\)",
     "shape": r"controller 'broken_shape': step returned shapes \(\d+, 1\), \(\d+,\); allowed: \(\d+,\)",
     "type": r"controller 'broken_type': delta is 'straight on'; allowed: an array of real numbers",
-    "state": r"keeps state between runs: the same departure, driven twice, gave S = \S+ m s and then \S+ m.*",
 }
 LAWS = [broken(how) for how in (*FAULTS, "nan")]
 
 
 @pytest.fixture
 def broken_laws() -> Iterator[None]:
-    MEMORY.clear()
     with known(*LAWS):
         yield
 
@@ -114,12 +107,11 @@ def test_commands_that_are_no_numbers_are_failed_solves(make_study: MakeStudy, t
     """Not a failed design: the command before goes on, and every one is counted under the design's name."""
     results = run_study(study_with(make_study, "nan"), directory=tmp_path, workers=1)
     assert not results.failed
-    ranking = rank_study(results, study_with(make_study, "nan"))[0]
+    ranking = rank_study(results, study_with(make_study, "nan"))
     place = [design.law for design in ranking.designs].index("broken_nan")
     assert ranking.failed_solves[place] > 0
     assert ranking.solver_failed[place] + ranking.diverged[place] == round(ranking.triggered[place] * 12)
-    (case, *_) = results.cases
-    steered = case.status[results.designs.index(ranking.designs[place])] != EventStatus.NEVER_TRIGGERED
+    steered = results.status[results.designs.index(ranking.designs[place])] != EventStatus.NEVER_TRIGGERED
     assert steered.any()
     n = int(steered.sum())
     assert without_few(ranking.warnings) == (
@@ -135,8 +127,6 @@ def test_a_failed_design_is_tried_again(
     run_study(study, directory=tmp_path, workers=1)
     assert "failed and not ranked: 2 of 5 designs; the first, design" in caplog.text
     parts = sorted((tmp_path / "results").iterdir())
-    stored = json.loads((tmp_path / "failures.json").read_text())["designs"]
-    assert {len(sentences) for sentences in stored.values()} == {2}  # conventions
     before = (tmp_path / "failures.json").read_bytes()
 
     assert len(run_study(study, directory=tmp_path, workers=1).failed) == 2
@@ -153,7 +143,7 @@ def test_a_failed_design_is_tried_again(
 
 
 def test_failures_survive_an_interrupt(make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from studies.running.tasks import Simulator
+    from ldctoolkit.studies.running.tasks import Simulator
 
     study = make_study(design=[GOOD[0], {"law": "broken_step", "y_s": 0.3}, {"law": "toy", "y_s": 0.4}])
     run = Simulator.run
@@ -167,29 +157,16 @@ def test_failures_survive_an_interrupt(make_study: MakeStudy, tmp_path: Path, mo
     with pytest.raises(KeyboardInterrupt):
         run_study(study, directory=tmp_path, workers=1, block_size=1)
     (failed,) = json.loads((tmp_path / "failures.json").read_text())["designs"].values()
-    assert failed["consistent"].startswith("IndexError: no [row]")
-    with pytest.raises(StoreError, match=r"3 of 3 designs are not complete \(16 %"):  # one run is stored, one failed
+    assert failed.startswith("IndexError: no [row]")
+    with pytest.raises(StoreError, match=r"1 of 3 designs is not complete \(33 %"):  # one run is stored, one failed
         read_results(tmp_path)
     monkeypatch.setattr(Simulator, "run", run)
     assert len(run_study(study, directory=tmp_path, workers=1).failed) == 1
     assert len(read_results(tmp_path).designs) == 2
 
 
-def test_failing_in_one_case_is_in_none(make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def prepare(self: Controller, plant: Plant) -> BrokenLaw:
-        if plant.model.convention == "as_printed":
-            raise ValueError("a misprint")
-        return BrokenLaw("no more")
-
-    monkeypatch.setattr(Broken, "prepare", prepare)
-    results = run_study(study_with(make_study, "prepare"), directory=tmp_path, workers=1)
-    assert [case.S.shape[0] for case in results.cases] == [3] * 4
-    (failed,) = results.failed
-    assert failed.reason.startswith("in the convention as_printed: ValueError: a misprint (")
-
-
 def test_a_fault_of_no_law_ends_all(make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from studies.running.tasks import Simulator
+    from ldctoolkit.studies.running.tasks import Simulator
 
     def broken_takeover(*settings: Any) -> None:
         raise LdcError("no such plant")
@@ -209,7 +186,7 @@ def test_a_study_of_failures_alone_ends_with_an_error(make_study: MakeStudy, tmp
         read_results(tmp_path)
 
 
-@pytest.mark.parametrize("content", ["{", "[]", "{}", '{"designs": {"a": 1}}', '{"designs": {"a": {"b": 1}}}'])
+@pytest.mark.parametrize("content", ["{", "[]", "{}", '{"designs": {"a": 1}}', '{"designs": {"a": {}}}'])
 def test_broken_failures_are_named_and_made_anew(content: str, make_study: MakeStudy, tmp_path: Path) -> None:
     study = study_with(make_study, "step")
     run_study(study, directory=tmp_path, workers=1)
@@ -224,7 +201,7 @@ def test_broken_failures_are_named_and_made_anew(content: str, make_study: MakeS
 def study_file(tmp_path: Path) -> Path:
     path = tmp_path / "mine.toml"
     path.write_text(
-        'name = "mine"\n[scenarios]\nleft = 4\nright = 4\n[simulation]\nconvention = ["consistent", "as_printed"]\n'
+        'name = "mine"\n[scenarios]\nleft = 4\nright = 4\n'
         '[ranking]\nbootstrap = 100\n[[design]]\nlaw = "none"\n[[design]]\nlaw = "toy"\n'
         '[[design]]\nlaw = "broken_step"\ny_s = 0.05\n[design.gains]\nK = [1, 2]\n',
         encoding="utf-8",
@@ -243,12 +220,12 @@ def test_table_csv_report_and_exit_code(study_file: Path, tmp_path: Path, capsys
 
     with (out / "ranking.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
-    assert len(rows) == 2 * 4
+    assert len(rows) == 4
     for row in rows:
         failed = row["law"] == "broken_step"
         assert failed == row["failure"].startswith("IndexError: no [row] ")
         assert failed == (row["rank"] == "") == (row["S_m_s"] == "") == (row["invalid"] == "")
-    assert [row["gain_K"] for row in rows if row["law"] == "broken_step"] == ["1.0", "2.0"] * 2
+    assert [row["gain_K"] for row in rows if row["law"] == "broken_step"] == ["1.0", "2.0"]
 
     page = (out / "report.html").read_text(encoding="utf-8")
     assert "2 designs failed and are not ranked" in page
@@ -266,52 +243,6 @@ def test_exit_code_where_all_fail(study_file: Path, tmp_path: Path, capsys: pyte
     assert main(["run", str(study_file), "-o", str(tmp_path / "out"), "--workers", "1"]) == 2
     assert capsys.readouterr().err.startswith("ldc: error: mine: every design failed; the first, design ")
     assert not (tmp_path / "out" / "ranking.csv").exists()
-
-
-@dataclasses.dataclass(frozen=True)
-class MemoryLaw(BrokenLaw):
-    """Commands of a design's first run differ from those of all others."""
-
-    key: object
-
-    def init(self, n: int) -> int:
-        RUNS[self.key] = RUNS.get(self.key, 0) + 1
-        return RUNS[self.key]
-
-    def step(self, t: Any, x: Any, preview: Any, delta_prev: Any, state: int) -> Any:
-        return np.full(t.size, -1e-4 * (self.how == "settles" and state == 1)), state, np.zeros(t.size, dtype=np.int8)
-
-
-RUNS: dict[object, int] = {}
-
-
-def prepare_with_memory(self: Any, plant: Plant) -> BrokenLaw:
-    return MemoryLaw("settles" if self.K in (2.0, 3.0) else "no more", (self.K, plant.model.convention))
-
-
-@pytest.mark.parametrize(
-    ("workers", "block_size", "K"), [(1, 1, [1, 2, 3]), (1, 9, [3, 1, 2]), pytest.param(2, 1, [2, 3, 1], marks=SLOW)]
-)
-def test_each_design_is_asked_whether_it_keeps_state(
-    make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, workers: int, block_size: int, K: list[int]
-) -> None:
-    """Also after its first run, and whatever stands before it; the design of the same law that does not, is ranked."""
-    RUNS.clear()
-    monkeypatch.setattr(Broken, "prepare", prepare_with_memory)
-    study = make_study(design=[{"law": "broken_state", "gains": {"K": K}}])
-    results = run_study(study, directory=tmp_path, workers=workers, block_size=block_size)
-    assert {dict(one.design.gains)["K"] for one in results.failed} == {2.0, 3.0}
-    assert [dict(design.gains)["K"] for design in results.designs] == [1.0]
-    for one in results.failed:
-        assert re.fullmatch(FAULTS["state"], one.reason)
-
-
-@pytest.mark.parametrize(("yaw_rate", "plant"), [("path", {}), ("zero", {"speed": "profile"})])
-def test_laws_without_memory_pass(make_study: MakeStudy, tmp_path: Path, yaw_rate: str, plant: dict[str, Any]) -> None:
-    simulation = {"initial_yaw_rate": yaw_rate, "settle": 1.0}
-    designs = [{"law": law, "y_s": 0.05} for law in ("stanley", "pid", "linear_mpc")]
-    study = make_study(design=designs, simulation=simulation, plant=plant)
-    assert not run_study(study, directory=tmp_path, workers=1).failed
 
 
 def test_strange_exceptions_are_named_too(

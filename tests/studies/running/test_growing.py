@@ -10,7 +10,7 @@ import pytest
 
 import ldctoolkit as ldc
 from helpers.results import assert_same_results
-from studies.running import tasks
+from ldctoolkit.studies.running import tasks
 
 NOISY = {
     "actuator": {"lag": 0.1, "delay": 0.07},
@@ -29,7 +29,7 @@ def noisy(left: int, right: int, **tables: Any) -> ldc.Study:
 
 @pytest.fixture
 def driven(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """Scenarios of each run of a design, but for those that are driven once more to find hidden state."""
+    """Scenarios of each run of a design."""
     counts: list[int] = []
     drive_many = tasks.drive_many
 
@@ -41,26 +41,24 @@ def driven(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     return counts
 
 
-@pytest.mark.parametrize("race", [False, True])
 def test_more_scenarios_are_those_of_a_study_that_began_with_them(
-    tmp_path: Path, driven: list[int], race: bool, caplog: pytest.LogCaptureFixture
+    tmp_path: Path, driven: list[int], caplog: pytest.LogCaptureFixture
 ) -> None:
-    options = {"race": race}
-    small = ldc.run_study(noisy(6, 9, **options), tmp_path / "out", workers=1)
-    whole = ldc.run_study(noisy(15, 10, **options), tmp_path / "whole", workers=1)
+    small = ldc.run_study(noisy(6, 9), tmp_path / "out", workers=1)
+    whole = ldc.run_study(noisy(15, 10), tmp_path / "whole", workers=1)
     with caplog.at_level(logging.WARNING):
-        grown = ldc.run_study(noisy(15, 10, **options), tmp_path / "out", workers=1)
+        grown = ldc.run_study(noisy(15, 10), tmp_path / "out", workers=1)
     assert not caplog.records
     assert_same_results(grown, whole)
     assert_same_results(ldc.read_results(tmp_path / "out"), whole)
     rows = np.flatnonzero(np.isin(whole.scenarios.index, small.scenarios.index))
     assert rows.size == 15
-    np.testing.assert_array_equal(grown.cases[0].S[:, rows], small.cases[0].S)
+    np.testing.assert_array_equal(grown.S[:, rows], small.S)
     driven.clear()
-    ldc.run_study(noisy(15, 10, **options), tmp_path / "out", workers=1)
+    ldc.run_study(noisy(15, 10), tmp_path / "out", workers=1)
     assert driven == []
     # and back: what is there of more scenarios is not in the way
-    assert_same_results(ldc.run_study(noisy(6, 9, **options), tmp_path / "out", workers=1), small)
+    assert_same_results(ldc.run_study(noisy(6, 9), tmp_path / "out", workers=1), small)
     assert driven == []
     assert_same_results(ldc.read_results(tmp_path / "out"), small)
 
@@ -80,7 +78,7 @@ def test_two_sizes_are_compared_on_what_both_have(tmp_path: Path) -> None:
         ldc.run_study(noisy(*counts), tmp_path / name, workers=1)
     compared = ldc.compare(tmp_path / "small", tmp_path / "large")
     assert (compared.shared.left, compared.shared.right, compared.shared.other_draws) == (8, 6, 0)
-    assert all((case.S.difference == 0.0).all() for case in compared.cases)
+    assert (compared.S.difference == 0.0).all()
     assert compared.differences == ("scenarios.left: 8 -> 12", "scenarios.right: 6 -> 20")
 
 
@@ -105,7 +103,7 @@ def test_given_scenarios_are_read_back(tmp_path: Path, how: str, make_study: Cal
         == results.scenarios.index.tolist()
         == np.argsort(-given.side, kind="stable").tolist()
     )
-    for design, S in zip(back.designs, back.cases[0].S, strict=True):
+    for design, S in zip(back.designs, back.S, strict=True):
         again = ldc.simulate(design.controller(), back.scenarios, design.y_s, setup=noisy(1, 1).setup())
         np.testing.assert_array_equal(again.S, S)
     assert (back.scenarios.drift is None) == (how == "drawn")

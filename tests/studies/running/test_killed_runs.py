@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from helpers.kills import killing
-from studies import read_manifest
+from ldctoolkit.studies import read_manifest
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes are killed in another way on Windows")
 
@@ -22,7 +22,7 @@ LONG = 600  # seconds that a whole run may take, on a machine that does other th
 
 PROGRAM = """
 from ldctoolkit.studies.cli import main
-from studies.running import campaign
+from ldctoolkit.studies.running import campaign
 
 campaign._STORE_EVERY = -1.0
 campaign.Dispatcher._fitting = lambda *_: 8
@@ -37,7 +37,6 @@ seed = 5
 left = 100
 right = 100
 [simulation]
-convention = ["consistent", "as_printed"]
 [ranking]
 bootstrap = 200
 finalists = 5

@@ -14,9 +14,9 @@ import pytest
 
 from helpers.closed_loop import Unsighted, known
 from ldctoolkit import Controller, EventStatus, Plant, Scenarios, gain, option
-from studies import Study, StudyResults, read_results, run_study
-from studies.runner import study_source
-from studies.running.executors import processes
+from ldctoolkit.studies import Study, StudyResults, read_results, run_study
+from ldctoolkit.studies.runner import study_source
+from ldctoolkit.studies.running.executors import processes
 
 MakeStudy = Callable[..., Study]
 
@@ -94,12 +94,11 @@ def small(make_study: MakeStudy, how: str, marker: Path | str = "-", K: Any = 0.
 
 def assert_same_but(one: StudyResults, other: StudyResults, design: int, rows: list[int]) -> None:
     """The same numbers, one design's in some scenarios apart."""
-    keep = np.ones(one.cases[0].S.shape, dtype=bool)
+    keep = np.ones(one.S.shape, dtype=bool)
     keep[design, rows] = False
-    for a, b in zip(one.cases, other.cases, strict=True):
-        for name in ("S", "status", "failed_solves"):
-            np.testing.assert_array_equal(getattr(a, name)[keep], getattr(b, name)[keep])
-        np.testing.assert_array_equal(a.companions.travel[keep], b.companions.travel[keep])
+    for name in ("S", "status", "failed_solves"):
+        np.testing.assert_array_equal(getattr(one, name)[keep], getattr(other, name)[keep])
+    np.testing.assert_array_equal(one.companions.travel[keep], other.companions.travel[keep])
 
 
 @pytest.mark.slow
@@ -111,15 +110,14 @@ def test_the_scenario_at_fault_is_found(make_study: MakeStudy, tmp_path: Path, h
     at_fault = int(rows[2])
     FAULTY.append(float(speeds[2]))
     results = run_study(study, directory=tmp_path / "fault", workers=2, time_limit=LIMIT)
-    case = results.cases[0]
     assert not results.failed
-    assert np.flatnonzero(case.status[1] == status).tolist() == [at_fault]
+    assert np.flatnonzero(results.status[1] == status).tolist() == [at_fault]
     assert_same_but(results, sound, 1, [at_fault])
     # what counts there is the path without control, told as a failure
-    assert case.S[1, at_fault] == case.S_uncorrected[1, at_fault] == case.S[0, at_fault]
-    assert case.companions.delta_peak[1, at_fault] == 0.0
-    assert case.failed[1, at_fault]
-    np.testing.assert_array_equal(read_results(tmp_path / "fault").cases[0].S, case.S)
+    assert results.S[1, at_fault] == results.S_uncorrected[1, at_fault] == results.S[0, at_fault]
+    assert results.companions.delta_peak[1, at_fault] == 0.0
+    assert results.failed_runs[1, at_fault]
+    np.testing.assert_array_equal(read_results(tmp_path / "fault").S, results.S)
 
 
 @pytest.mark.slow
@@ -129,8 +127,8 @@ def test_a_worker_that_dies_once_is_bad_luck(make_study: MakeStudy, tmp_path: Pa
     results = run_study(study, directory=tmp_path / "once", workers=2)
     assert (tmp_path / "marker").exists()
     assert not results.failed
-    np.testing.assert_array_equal(results.cases[0].S, sound.cases[0].S)
-    assert not (results.cases[0].status == EventStatus.CRASHED).any()
+    np.testing.assert_array_equal(results.S, sound.S)
+    assert not (results.status == EventStatus.CRASHED).any()
 
 
 @pytest.mark.slow

@@ -9,14 +9,14 @@ import numpy as np
 import polars as pl
 import pytest
 
-from controllers import LQR
 from helpers.cli import bad, good
 from ldctoolkit import Scenarios, Setup, VehicleParameters, load_model, simulate
+from ldctoolkit.controllers import LQR
 from ldctoolkit.departures import LEFT, PARAMETER_COLUMNS, PARAMETER_NAMES, RIGHT, Departures, ExtraColumn
 from ldctoolkit.errors import InputError, LdcError, StudyError
 from ldctoolkit.recordings import Criteria, Provenance, write_departures
-from studies import Study, read_results, run_study
-from studies.ranking.ranking import rank_study
+from ldctoolkit.studies import Study, read_results, run_study
+from ldctoolkit.studies.ranking.ranking import rank_study
 
 LEFT_ROWS, RIGHT_ROWS = 40, 25
 
@@ -66,12 +66,12 @@ def test_scores_are_those_of_simulate_to_the_bit(table: Departures, tmp_path: Pa
     """All rows, left ones first, with the width that they were found with; without a model there is nothing fresh."""
     results = run_study(study_on(tmp_path, departures="d.parquet"), directory=tmp_path / "out", workers=1)
     assert results.scenarios.side.tolist() == [LEFT] * LEFT_ROWS + [RIGHT] * RIGHT_ROWS
-    assert results.cases[0].S[1].tobytes() == by_hand(table, in_order(table)).tobytes()
+    assert results.S[1].tobytes() == by_hand(table, in_order(table)).tobytes()
     assert results.fresh is None
     stored = read_results(tmp_path / "out")
-    assert stored.cases[0].S.tobytes() == results.cases[0].S.tobytes()
+    assert stored.S.tobytes() == results.S.tobytes()
     again = run_study(study_on(tmp_path, departures="d.parquet"), directory=tmp_path / "out", workers=2)
-    assert again.cases[0].S.tobytes() == results.cases[0].S.tobytes()
+    assert again.S.tobytes() == results.S.tobytes()
 
 
 def test_a_right_departure_is_the_mirror_image_of_a_left_one(table: Departures, tmp_path: Path) -> None:
@@ -81,8 +81,8 @@ def test_a_right_departure_is_the_mirror_image_of_a_left_one(table: Departures, 
         run_study(study_on(tmp_path, departures=name), directory=tmp_path / f"out-{name}", workers=1)
         for name in ("d.parquet", "m.parquet")
     )
-    left = other.cases[0].S[1][other.scenarios.side == LEFT]
-    np.testing.assert_allclose(left, one.cases[0].S[1][one.scenarios.side == RIGHT], rtol=1e-9)
+    left = other.S[1][other.scenarios.side == LEFT]
+    np.testing.assert_allclose(left, one.S[1][one.scenarios.side == RIGHT], rtol=1e-9)
 
 
 def test_some_rows_are_chosen_by_number_and_by_condition(table: Departures, tmp_path: Path) -> None:
@@ -144,19 +144,19 @@ def test_a_table_of_the_eight_parameters_is_replayed(table: Departures, tmp_path
     found = run_study(study, directory=tmp_path / "out", workers=1)
     scenarios = Scenarios.from_departures(table.take(in_order(table)))
     expected = simulate(LQR(r_delta=500.0), scenarios, setup=study.setup(), y_s=0.1).S
-    assert found.cases[0].S[1].tobytes() == expected.tobytes()
+    assert found.S[1].tobytes() == expected.tobytes()
 
 
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
         ({"v_mean_m_s": None, "v_mean_km_h": 90.0}, "own.parquet: column 'v_mean_m_s' is missing; did you mean"),
-        ({"v_mean_m_s": 110.0}, "own.parquet: scenarios: v_mean[0] = 110; allowed: the speed"),
-        ({"d_y_m": 30.0}, "own.parquet: scenarios: d_y[0] = 30; allowed: up to 10 m (65 rows in all)"),
+        ({"v_mean_m_s": 110.0}, "own.parquet: scenarios.v_mean[0]: 110.0; allowed: the speed"),
+        ({"d_y_m": 30.0}, "own.parquet: scenarios.d_y[0]: 30.0; allowed: up to 10 m; 65 rows in all"),
         ({"T_s": float("nan")}, "own.parquet, row 1: column 'T_s' holds nan; allowed: no missing value"),
         ({"dc_1_m": "x"}, "own.parquet: column 'dc_1_m' is of type String; allowed: numbers"),
         ({"side": None}, "own.parquet: column 'side' is missing; allowed: left, right"),
-        ({"side": "port"}, "own.parquet: scenarios: side[0] = 'port'"),
+        ({"side": "port"}, "own.parquet: scenarios.side[0]: 'port'"),
     ],
 )
 def test_a_bad_table_gets_one_message(table: Departures, tmp_path: Path, changes: dict[str, Any], message: str) -> None:
@@ -190,7 +190,7 @@ def test_finalists_of_a_model_are_scored_on_the_departures_too(table: Departures
     assert results.fresh is not None
     assert results.replayed is not None
     assert {one.id for one in results.replayed.designs} == {one.id for one in results.fresh.designs}
-    ranking = rank_study(results, study)[0]
+    ranking = rank_study(results, study)
     i = next(k for k, one in enumerate(ranking.designs) if one.y_s == 0.1 and dict(one.gains)["r_delta"] == 500.0)
     S = by_hand(table, in_order(table))
     assert ranking.replayed_S[i] == pytest.approx(S.mean(), rel=1e-12)
@@ -199,7 +199,7 @@ def test_finalists_of_a_model_are_scored_on_the_departures_too(table: Departures
     assert S.mean() + half / 2 < ranking.replayed_high[i] < S.mean() + 2.5 * half
     none = next(k for k, one in enumerate(ranking.designs) if one.law == "none")
     assert ranking.replayed_reduction[i] == pytest.approx(1.0 - S.mean() / ranking.replayed_S[none], rel=1e-9)
-    stored = rank_study(read_results(tmp_path / "out"), study)[0]
+    stored = rank_study(read_results(tmp_path / "out"), study)
     np.testing.assert_array_equal(stored.replayed_S, ranking.replayed_S)
     page = good("report", "out", "--no-robustness", cwd=tmp_path)
     assert "report.html" in page
@@ -275,7 +275,7 @@ def test_the_recorded_path_is_replayed_from_the_second_table(tmp_path: Path) -> 
     stored = read_results(tmp_path / "out")
     S = simulate(LQR(r_delta=500.0), Scenarios.from_departures(found, path="recorded"), setup=study.setup(), y_s=0.1).S
     order = in_order(found)
-    assert stored.cases[0].S[1].tobytes() == S[order].tobytes()
+    assert stored.S[1].tobytes() == S[order].tobytes()
     parabolas = simulate(LQR(r_delta=500.0), Scenarios.from_departures(found), setup=study.setup(), y_s=0.1).S
     assert np.abs(S - parabolas).max() > 1e-3
     good("report", "out", "--no-robustness", cwd=tmp_path)

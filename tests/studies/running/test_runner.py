@@ -25,7 +25,7 @@ from ldctoolkit import (
 from ldctoolkit.errors import InputError, StoreError, UnknownNameError
 from ldctoolkit.metrics import METRIC_COLUMNS, METRIC_UNITS
 from ldctoolkit.simulation import Run, Takeover, loop
-from studies import Study, StudyResults, rank_study, read_manifest, read_results, run_study
+from ldctoolkit.studies import Study, StudyResults, rank_study, read_manifest, read_results, run_study
 
 pytestmark = pytest.mark.usefixtures("laws")
 
@@ -47,19 +47,21 @@ def test_no_split_changes_a_bit(settings: Any, make_study: MakeStudy, reference:
 
 
 def test_results_are_those_of_simulate(make_study: MakeStudy, reference: StudyResults) -> None:
-    study = make_study()
-    for case in reference.cases:
+    for window, convention in (("departure", "consistent"), ("control", "as_printed")):
+        study = make_study(simulation={"window": window, "convention": convention})
+        results = reference if window == "departure" else run_study(study, workers=1)
+        assert (results.window, results.convention) == (window, convention)
         for i, design in enumerate(study.designs):
             outcome = simulate(
-                design.controller(case.case.convention), reference.scenarios, setup=study.setup(case.case.convention),
-                y_s=design.y_s, window=case.case.window,
+                design.controller(results.convention), results.scenarios, setup=study.setup(), y_s=design.y_s,
+                window=results.window,
             )  # fmt: skip
-            np.testing.assert_array_equal(case.S[i], outcome.S)
-            np.testing.assert_array_equal(case.S_uncorrected[i], outcome.S_uncorrected)
-            np.testing.assert_array_equal(case.status[i], outcome.status)
+            np.testing.assert_array_equal(results.S[i], outcome.S)
+            np.testing.assert_array_equal(results.S_uncorrected[i], outcome.S_uncorrected)
+            np.testing.assert_array_equal(results.status[i], outcome.status)
             for name in METRIC_UNITS:
                 exact = getattr(outcome.companions, name)
-                np.testing.assert_array_equal(getattr(case.companions, name)[i], exact)
+                np.testing.assert_array_equal(getattr(results.companions, name)[i], exact)
 
 
 def counting(drives: list[Controller]) -> Callable[..., Iterator[Run]]:
@@ -89,20 +91,19 @@ def test_no_drawn_number_depends_on_how_the_work_is_split(make_study: MakeStudy,
     assert_same_results(run_study(study, directory=tmp_path / "b", workers=1, block_size=1), one)
     assert_same_results(read_results(tmp_path / "b"), one)
     ideal = run_study(make_study(), directory=tmp_path / "d", workers=1)
-    assert not np.array_equal(ideal.cases[0].S[1], one.cases[0].S[1])
+    assert not np.array_equal(ideal.S[1], one.S[1])
     design = study.designs[1]
     settings = {"vehicle": BicycleModel(study.vehicle), "y_s": design.y_s, "options": study.plant}
     for seed, same in ((study.seed, True), (study.seed + 1, False)):
         outcome = simulate(design.controller(), one.scenarios, seed=seed, **settings)  # type: ignore[arg-type]
-        assert np.array_equal(outcome.S, one.cases[0].S[1]) == same
+        assert np.array_equal(outcome.S, one.S[1]) == same
 
 
 def test_the_horizon_of_the_study_is_driven(make_study: MakeStudy, tmp_path: Path) -> None:
     """S ends with the departure; overshoot and steering go on."""
-    longer = run_study(make_study(), directory=tmp_path / "a", workers=1).cases[0]
-    both = {"window": ["departure", "control"], "convention": ["consistent", "as_printed"]}
-    none = make_study(simulation=both | {"settle": 0})
-    shorter = run_study(none, directory=tmp_path / "b", workers=1).cases[0]
+    longer = run_study(make_study(), directory=tmp_path / "a", workers=1)
+    none = make_study(simulation={"settle": 0})
+    shorter = run_study(none, directory=tmp_path / "b", workers=1)
     np.testing.assert_array_equal(longer.S, shorter.S)
     np.testing.assert_array_equal(longer.companions.deepest, shorter.companions.deepest)
     assert (longer.companions.travel > shorter.companions.travel).any()
@@ -130,12 +131,11 @@ def test_parts_hold_double_precision_and_no_times(make_study: MakeStudy, tmp_pat
     assert not [name for name in schema if "second" in name]
 
     content = json.loads((tmp_path / "a" / "timing.json").read_text())["designs"]
-    mpc, lqr = (content[design.id]["consistent"] for design in study.designs)
+    mpc, lqr = (content[design.id] for design in study.designs)
     assert mpc["law_seconds"] > 0
     assert lqr["law_seconds"] == lqr["law_time_us"] == 0
     assert mpc["law_time_us"] == pytest.approx(1e6 * mpc["law_seconds"] / mpc["commands"], rel=1e-12)
-    case = read_results(tmp_path / "a").cases[0]
-    assert case.law_time.tolist() == [mpc["law_seconds"] / mpc["commands"], 0.0]
+    assert read_results(tmp_path / "a").law_time.tolist() == [mpc["law_seconds"] / mpc["commands"], 0.0]
     assert mpc["commands"] == commands_of(study, 0.1, read_results(tmp_path / "a"))
 
 
@@ -149,7 +149,7 @@ def test_what_a_resume_adds_up(make_study: MakeStudy, tmp_path: Path) -> None:
 
         def prepare(self, plant: Plant) -> Any:
             prepared.append(plant.n)
-            if len(prepared) == 3:  # after the first batch, of which a few are driven once more
+            if len(prepared) == 2:  # after the first batch
                 raise KeyboardInterrupt
             return super().prepare(plant)
 
@@ -161,8 +161,8 @@ def test_what_a_resume_adds_up(make_study: MakeStudy, tmp_path: Path) -> None:
         # as if the first run had taken long
         timing, manifest = tmp_path / "s" / "timing.json", tmp_path / "s" / "manifest.json"
         this = study.designs[0].id
-        times_before = rewrite_json(timing, lambda x: x["designs"][this]["consistent"].update(law_seconds=500.0))
-        first = times_before["designs"][this]["consistent"]["commands"]
+        times_before = rewrite_json(timing, lambda x: x["designs"][this].update(law_seconds=500.0))
+        first = times_before["designs"][this]["commands"]
         long_ago = {"wall_time_s": 1000.0, "created": "2020-01-01T00:00:00+00:00"}
         before = rewrite_json(manifest, lambda x: x.update(long_ago))
         resumed = run_study(study, directory=tmp_path / "s", workers=1)
@@ -171,12 +171,12 @@ def test_what_a_resume_adds_up(make_study: MakeStudy, tmp_path: Path) -> None:
     finally:
         registry.forget("metered")
     assert_same_results(resumed, whole)
-    assert whole.cases[0].failed_solves.any()
+    assert whole.failed_solves.any()
     assert 1000.0 < after.wall_time_s < 1600.0
     assert (after.created, before["finished"]) == ("2020-01-01T00:00:00+00:00", "")
     assert after.finished
     times = [
-        json.loads((tmp_path / folder / "timing.json").read_text())["designs"][study.designs[0].id]["consistent"]
+        json.loads((tmp_path / folder / "timing.json").read_text())["designs"][study.designs[0].id]
         for folder in ("s", "whole")
     ]
     assert 0 < first < times[0]["commands"] == times[1]["commands"] == commands_of(study, 0.0, whole)
@@ -204,9 +204,9 @@ def test_times_are_kept_on_resuming(make_study: MakeStudy, tmp_path: Path, caplo
         caplog.clear()
         results = run_study(study, directory=tmp_path, workers=1)
         assert "timing.json: broken" in caplog.text
-        assert np.isnan(results.cases[0].law_time).all()
+        assert np.isnan(results.law_time).all()
         assert not path.exists()
-        assert np.isnan(read_results(tmp_path).cases[0].law_time).all()
+        assert np.isnan(read_results(tmp_path).law_time).all()
 
 
 def test_what_is_undrivable_is_stored(make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -223,12 +223,11 @@ def test_what_is_undrivable_is_stored(make_study: MakeStudy, tmp_path: Path, mon
     study = make_study(plant={"speed": "profile", "residuals": {"v": True}})
     results = run_study(study, directory=tmp_path, workers=1)
     assert_same_results(read_results(tmp_path), results)
-    for case in results.cases:
-        invalid = case.status == EventStatus.INVALID
-        assert invalid.tolist() == [[i % 4 == 1 for i in range(12)]] * len(study.designs)
-        np.testing.assert_array_equal(np.isnan(case.S), invalid)
-        np.testing.assert_array_equal(np.isnan(case.companions.a_y_peak), invalid)
-    ranking = rank_study(results, study)[0]
+    invalid = results.status == EventStatus.INVALID
+    assert invalid.tolist() == [[i % 4 == 1 for i in range(12)]] * len(study.designs)
+    np.testing.assert_array_equal(np.isnan(results.S), invalid)
+    np.testing.assert_array_equal(np.isnan(results.companions.a_y_peak), invalid)
+    ranking = rank_study(results, study)
     assert np.isfinite(ranking.S).all()
     assert ranking.invalid.tolist() == [3] * len(study.designs)
     assert "3 of 12 scenarios cannot be driven" in ranking.warnings[0]
@@ -238,7 +237,7 @@ def test_a_study_resumes_where_it_was_stopped(
     make_study: MakeStudy, reference: StudyResults, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """An interrupt after a few designs; then only the rest is computed, with the same bits."""
-    from studies.running import tasks
+    from ldctoolkit.studies.running import tasks
 
     drives: list[Controller] = []
 
@@ -251,18 +250,18 @@ def test_a_study_resumes_where_it_was_stopped(
     with pytest.raises(KeyboardInterrupt):
         run_study(make_study(), directory=tmp_path / "s", workers=1, block_size=1)
     assert read_manifest(tmp_path / "s").finished == ""
-    with pytest.raises(StoreError, match=r"7 of 7 designs are not complete \(28 % of the scenario runs are there\)"):
+    with pytest.raises(StoreError, match=r"3 of 7 designs are not complete \(57 % of the scenario runs are there\)"):
         read_results(tmp_path / "s")
 
     monkeypatch.setattr(tasks, "drive_many", counting(drives))
     again = run_study(make_study(), directory=tmp_path / "s", workers=1)
-    assert len(drives) == 14
+    assert len(drives) == 7
     assert_same_results(again, reference)
     assert_same_results(read_results(tmp_path / "s"), reference)
     assert read_manifest(tmp_path / "s").finished
 
     run_study(make_study(title="new words"), directory=tmp_path / "s", workers=1)
-    assert len(drives) == 14
+    assert len(drives) == 7
     assert read_manifest(tmp_path / "s").study["title"] == "new words"
 
 
@@ -308,7 +307,7 @@ def test_designs_may_be_added_and_left_out(make_study: MakeStudy, reference: Stu
     results = run_study(fewer, directory=folder, workers=1)
     assert {path.name for path in (folder / "results").iterdir()} == before
     assert [d.id for d in results.designs] == [d.id for d in fewer.designs]
-    np.testing.assert_array_equal(results.cases[0].S, reference.cases[0].S[[0, 5, 6]])
+    np.testing.assert_array_equal(results.S, reference.S[[0, 5, 6]])
     assert_same_results(read_results(folder), results)
     more = make_study(design=[{"law": "none"}, {"law": "lqr", "y_s": [0.1, 0.3], "gains": {"r_delta": [50, 500]}}])
     run_study(more, directory=folder, workers=1)
@@ -322,18 +321,11 @@ def test_designs_may_be_added_and_left_out(make_study: MakeStudy, reference: Stu
     [
         ({"seed": 4}, r"holds another study \(small\): seed: 3 there, 4 now; choose another folder"),
         ({"vehicle": {"m": 900.0}}, r"vehicle\.m: 1000\.0 there, 900\.0 now"),
-        (
-            {
-                "simulation": {
-                    "window": ["departure", "control"], "convention": ["consistent", "as_printed"], "settle": 1,
-                }
-            },
-            r"simulation\.settle: 3\.0 there, 1\.0 now; choose",
-        ),
+        ({"simulation": {"settle": 1}}, r"simulation\.settle: 3\.0 there, 1\.0 now; choose"),
         ({"plant": {"speed": "profile"}}, r"plant\.speed: 'frozen' there, 'profile' now; choose"),
         ({"plant": {"actuator": {"rate_max": 0.5}}}, r"plant\.actuator\.rate_max: not set there, 0\.5 now; choose"),
         ({"plant": {"sensors": {"kalman": {}}}}, r"plant\.sensors\.kalman: not set there, \{'q_y': 0\.5"),
-        ({"simulation": {"window": "departure"}}, r"simulation\.window: \['departure', 'control'\] there"),
+        ({"simulation": {"window": "control"}}, r"simulation\.window: 'departure' there, 'control' now; choose"),
     ],
 )  # fmt: skip
 def test_a_folder_of_another_study_is_refused(
@@ -370,7 +362,7 @@ def test_a_folder_without_a_study_is_named(tmp_path: Path, make_study: MakeStudy
 
 
 def test_the_manifest_tells_what_ran(reference: StudyResults, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from studies.storage.manifest import _command
+    from ldctoolkit.studies.storage.manifest import _command
 
     text = (tmp_path / "reference" / "manifest.json").read_text()
     manifest = read_manifest(tmp_path / "reference")

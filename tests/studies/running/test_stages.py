@@ -1,6 +1,5 @@
 """What is left behind by a run that was stopped between its stages, or of other settings, is never taken for new."""
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -9,10 +8,10 @@ import numpy as np
 import pytest
 
 from ldctoolkit.errors import InputError, StoreError
-from studies import Study, rank_study, read_manifest, read_results, run_study
-from studies.running import campaign
-from studies.storage.files import locked
-from studies.storage.store import Store
+from ldctoolkit.studies import Study, rank_study, read_manifest, read_results, run_study
+from ldctoolkit.studies.running import campaign
+from ldctoolkit.studies.storage.files import locked
+from ldctoolkit.studies.storage.store import Store
 
 MakeStudy = Callable[..., Study]
 
@@ -31,10 +30,10 @@ def stop_at(monkeypatch: pytest.MonkeyPatch, stage: str) -> None:
     """An interrupt when a stage begins."""
     complete = campaign.Campaign.complete
 
-    def stopped(self: campaign.Campaign, designs: Any, size: int, name: str) -> None:
+    def stopped(self: campaign.Campaign, designs: Any, name: str) -> None:
         if name.startswith(stage):
             raise KeyboardInterrupt
-        complete(self, designs, size, name)
+        complete(self, designs, name)
 
     monkeypatch.setattr(campaign.Campaign, "complete", stopped)
 
@@ -47,10 +46,10 @@ def test_finalists_are_the_best_on_other_scenarios(make_study: MakeStudy, tmp_pa
     assert "none" in [design.law for design in fresh.designs]
     assert 3 <= len(fresh.designs) <= 4
     assert not np.isin(fresh.scenarios.d_y, results.scenarios.d_y).any()
-    best = rank_study(results, study)[0].designs[0]
+    best = rank_study(results, study).designs[0]
     assert best in fresh.designs
     again = read_results(tmp_path)
-    np.testing.assert_array_equal(again.fresh.cases[0].S, fresh.cases[0].S)
+    np.testing.assert_array_equal(again.fresh.S, fresh.S)
     none = study_of(make_study, ranking={"finalists": 0})
     assert run_study(none, directory=tmp_path, workers=1).fresh is None
     assert read_results(tmp_path).fresh is None
@@ -84,7 +83,7 @@ def test_fresh_scores_of_other_settings_are_not_taken_for_this_rankings(
     assert read_results(tmp_path).fresh is not None
     other = study_of(make_study, ranking={"bootstrap": 200, "finalists": 3, "require": ["S < 10"]})
     with monkeypatch.context() as patch:
-        patch.setattr("studies.runner.rank_study", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        patch.setattr("ldctoolkit.studies.runner.rank_study", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
         with pytest.raises(KeyboardInterrupt):
             run_study(other, directory=tmp_path, workers=1)
     assert read_manifest(tmp_path / "finalists").finished
@@ -100,46 +99,6 @@ def test_a_refused_run_changes_nothing(make_study: MakeStudy, tmp_path: Path) ->
     with locked(tmp_path), pytest.raises(StoreError, match="another run is writing"):
         run_study(study_of(make_study, design=[{"law": "none"}]), directory=tmp_path, workers=1)
     assert (tmp_path / "manifest.json").read_bytes() == before
-
-
-RACE = {
-    "race": True,
-    "scenarios": {"left": 100, "right": 100},
-    "ranking": {"bootstrap": 200, "finalists": 0},
-    "design": [{"law": "none"}, {"law": "preview_proportional", "y_s": [0.05, 0.4], "gains": {"K_y": [-0.02, -0.001]}}],
-}
-
-
-@pytest.mark.slow
-def test_other_races_are_not_believed(make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    study = study_of(make_study, **RACE)
-    results = run_study(study, directory=tmp_path, workers=1)
-    assert results.race.dropped
-    assert read_results(tmp_path).race == results.race
-    best = rank_study(results, study)[0].designs[0]
-    left = [design for design in study.designs if design != best]
-    gains = [{name: value for name, value in design.gains if value != "case"} for design in left]
-    blocks = [{"law": d.law, "y_s": d.y_s, "gains": set_} for d, set_ in zip(left, gains, strict=True)]
-    fewer = study_of(make_study, **RACE | {"design": blocks})
-    with monkeypatch.context() as patch:
-        stop_at(patch, "round")
-        with pytest.raises(KeyboardInterrupt):
-            run_study(fewer, directory=tmp_path, workers=1)
-    with pytest.raises(StoreError, match="its race is not over yet; run the study again"):
-        read_results(tmp_path)
-    assert run_study(fewer, directory=tmp_path, workers=1).designs
-
-
-def test_a_race_keeps_its_baseline_and_says_when_others_went(make_study: MakeStudy, tmp_path: Path) -> None:
-    study = study_of(make_study, **RACE)
-    results = run_study(study, directory=tmp_path, workers=1)
-    assert "none" in [design.law for design in results.designs]
-    for one in results.race.dropped:
-        assert one.low > 0
-        assert one.scenarios in results.race.rounds
-    assert results.race.runs < results.race.full_runs == 5 * 200
-    content = json.loads((tmp_path / "race.json").read_text(encoding="utf-8"))
-    assert {one["design"] for one in content["dropped"]} == {one.design.id for one in results.race.dropped}
 
 
 SEARCH = {
@@ -171,7 +130,7 @@ def test_a_search_goes_on_where_it_was_stopped(
     for folder in ("s", "whole"):
         results = run_study(study, directory=tmp_path / folder, workers=1)
         assert results.designs == whole.designs
-        np.testing.assert_array_equal(read_results(tmp_path / folder).cases[0].S, whole.cases[0].S)
+        np.testing.assert_array_equal(read_results(tmp_path / folder).S, whole.S)
     assert stored_rows(tmp_path / "s").equals(stored_rows(tmp_path / "whole"))
     assert read_manifest(tmp_path / "s").finished
 

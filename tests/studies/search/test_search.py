@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 
 from ldctoolkit.errors import InputError, StudyError
-from studies import Design, Study, rank_study, run_study
-from studies.search import Search
+from ldctoolkit.studies import Design, Study, rank_study, run_study
+from ldctoolkit.studies.search import Search
 
 pytestmark = pytest.mark.usefixtures("laws")
 
@@ -131,8 +131,8 @@ def test_the_same_values_lead_to_the_same_designs(sampler: str, objectives: list
 
 
 HASHED = """
-from studies import Study
-from studies.search import Search
+from ldctoolkit.studies import Study
+from ldctoolkit.studies.search import Search
 block = {"law": "linear_mpc", "y_s": {"from": 0.05, "to": 0.3}, "gains": {"horizon": {"from": 5, "to": 60},
          "q_psi": {"from": 0, "to": 4}, "blocks": [0, 3, 5], "solver": ["osqp", "daqp"]},
          "when": {"blocks": {"solver": "osqp"}}}
@@ -365,7 +365,7 @@ def test_a_run_asks_for_what_its_values_and_margins_lead_to(make_study: Callable
         ranking={"bootstrap": 100, "finalists": 0, "require": ["S <= 0.9", "reduction > 0"]},
     )
     results = run_study(study, directory=tmp_path, workers=1)
-    ranking = rank_study(results, study)[0]
+    ranking = rank_study(results, study)
     assert any(ranking.unmet)
     assert not all(ranking.unmet)
     values = {one.id: (S,) for one, S in zip(ranking.designs, ranking.S.tolist(), strict=True)}

@@ -15,15 +15,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from helpers.closed_loop import Unsighted, known
-from helpers.results import case_of_outcomes
 from helpers.results import results_of as given_results
+from helpers.results import results_of_outcomes
 from ldctoolkit import Controller, EventStatus, LinearLaw, Plant, Scenarios, gain, simulate
 from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.scenario_model import load_model
-from studies import Case, Design, Study, StudyResults
-from studies.ranking.inference import bootstrap_means
-from studies.results import Dropped, FailedDesign, Race
-from studies.sensitivity.sensitivity import (
+from ldctoolkit.studies import Design, Study, StudyResults
+from ldctoolkit.studies.ranking.inference import bootstrap_means
+from ldctoolkit.studies.results import FailedDesign
+from ldctoolkit.studies.sensitivity.sensitivity import (
     BlockSensitivity,
     factorial_shares,
     gain_value,
@@ -31,7 +31,7 @@ from studies.sensitivity.sensitivity import (
     saltelli_indices,
     sensitivity,
 )
-from studies.sensitivity.winner_profile import COLUMNS, Profile, winner_profile, write_sensitivity
+from ldctoolkit.studies.sensitivity.winner_profile import COLUMNS, Profile, winner_profile, write_sensitivity
 
 ISHIGAMI_FIRST = (0.3139, 0.4424, 0.0)
 ISHIGAMI_TOTAL = (0.5576, 0.4424, 0.2437)
@@ -191,12 +191,11 @@ def test_scores_count_as_in_the_ranking() -> None:
     """A failed scenario counts at least as without control, and one that some design cannot drive for none."""
     study = study_of({"law": "waves", "gains": {"a": [0.0, 1.0], "b": [0.0, 1.0]}})
     plain = results_of(study, lambda d: gain_value(d, "a"), n=4)
-    case = plain.cases[0]
-    S, status, before = case.S.copy(), case.status.copy(), case.S_uncorrected.copy()
+    S, status, before = plain.S.copy(), plain.status.copy(), plain.S_uncorrected.copy()
     S[:, 3], status[0, 3] = np.nan, EventStatus.INVALID
     S[1, 0], before[1, 0], status[1, 0] = 0.0, 112.0, EventStatus.SOLVER_FAILED  # a = 0, b = 1
-    changed = dataclasses.replace(case, S=S, status=status, S_uncorrected=before)
-    found = only(sensitivity(dataclasses.replace(plain, cases=(changed,)), study)).indices
+    changed = dataclasses.replace(plain, S=S, status=status, S_uncorrected=before)
+    found = only(sensitivity(changed, study)).indices
     first, total = factorial_shares(np.array([[[0.0, 4.0], [1.0, 1.0]]]))
     np.testing.assert_allclose(found.first, first[0], rtol=1e-9)
     np.testing.assert_allclose(found.total, total[0], rtol=1e-9)
@@ -233,11 +232,8 @@ def test_numbers_depend_on_the_study_only() -> None:
     study = study_of({"law": "waves", "gains": CUBE, "sample": {"method": "saltelli", "count": 64}}, seed=0)
     results = results_of(study, ishigami)
     order = np.random.default_rng(0).permutation(len(results.designs))
-    case = results.cases[0]
-    rows = {name: getattr(case, name)[order] for name in ("S", "S_uncorrected", "status")}
-    mixed = dataclasses.replace(
-        results, designs=tuple(results.designs[i] for i in order), cases=(dataclasses.replace(case, **rows),)
-    )
+    rows = {name: getattr(results, name)[order] for name in ("S", "S_uncorrected", "status")}
+    mixed = dataclasses.replace(results, designs=tuple(results.designs[i] for i in order), **rows)
     np.random.seed(1)  # noqa: NPY002  (SALib falls back on it without a seed)
     one, other = only(sensitivity(results, study)).indices, only(sensitivity(mixed, study)).indices
     for field in dataclasses.fields(one):  # type: ignore[arg-type]
@@ -262,9 +258,6 @@ def test_why_there_are_no_indices_is_said() -> None:
     a = study.designs
     assert "same mean S" in only(sensitivity(results_of(study, lambda d: 1.0), study)).reason
 
-    race = Race((3, 6), (3, 2), (Dropped(a[2], 1, 3, 1.0, 0.5, 0.1),), 15, 18)
-    fewer = results_of(study, ishigami, designs=a[:2], race=race)
-    assert "the race gave up 1 of its 3 designs" in only(sensitivity(fewer, study)).reason
     failed = results_of(study, ishigami, designs=a[:2], failed=(FailedDesign(a[2], "raised"),))
     assert "1 of its 3 designs have no results" in only(sensitivity(failed, study)).reason
 
@@ -294,7 +287,7 @@ def test_a_few_failed_designs_of_an_even_sample_are_left_out_and_counted() -> No
 # --- the profile ------------------------------------------------------------------------------------------------------
 
 SETTINGS: dict[str, Any] = {
-    "simulation": {"dt": 0.1, "window": ["departure", "control"], "settle": 1.0},
+    "simulation": {"dt": 0.1, "settle": 1.0},
     "plant": {"sensors": {"e_y_noise": 0.05}, "actuator": {"rate_max": 0.3}},
 }
 
@@ -303,17 +296,15 @@ def driven(study: Study, designs: tuple[Design, ...] | None = None, n: int = 12)
     """What a run of the study gives, by `simulate` alone."""
     scenarios = load_model("reference").sample(n // 2, n - n // 2, seed=study.seed)
     designs = study.designs if designs is None else designs
-    cases = tuple(
-        case_of_outcomes([_outcome(study, design, scenarios, case) for design in designs], case) for case in study.cases
-    )
-    return StudyResults(designs, scenarios, cases)
+    outcomes = [_outcome(study, design, scenarios) for design in designs]
+    return results_of_outcomes(designs, scenarios, outcomes, study.simulation.window, study.simulation.convention)
 
 
-def _outcome(study: Study, design: Design, scenarios: Scenarios, case: Case) -> Any:
+def _outcome(study: Study, design: Design, scenarios: Scenarios) -> Any:
+    setup = study.setup()
     return simulate(
-        design.controller(case.convention), scenarios, setup=study.setup(case.convention), y_s=design.y_s,
-        window=case.window,
-    )  # fmt: skip
+        design.controller(setup.convention), scenarios, setup=setup, y_s=design.y_s, window=study.simulation.window
+    )
 
 
 def by_name(profiles: tuple[Profile, ...]) -> dict[str, Profile]:
@@ -325,27 +316,27 @@ def reach(c: float, g: float) -> float:
     return c + min(c, max(0.0, g * g * (c**5 + 2 * c**3 - 3 * c) / 18)) + max(0.0, g * (1 + 2 * c * c) / 6)
 
 
-@pytest.mark.parametrize("case", [0, 1])
-def test_a_profile_is_what_simulate_gives(case: int) -> None:
+@pytest.mark.parametrize("window", ["departure", "control"])
+def test_a_profile_is_what_simulate_gives(window: str) -> None:
     study = study_of(
         {"law": "waves", "y_s": [0.1, 0.3], "gains": {"a": [0.5, 2.0], "N": [2, 8]}},
-        **SETTINGS,
+        **SETTINGS | {"simulation": SETTINGS["simulation"] | {"window": window}},
         ranking={"bootstrap": 1000},
     )
     results = driven(study, n=30)
     winner = Design.from_gains("waves", 0.1, {"a": 2.0, "N": 8})
     counts: list[tuple[int, int]] = []
-    found = by_name(winner_profile(results, study, winner, case=case, points=5, advance=lambda *c: counts.append(c)))
+    found = by_name(winner_profile(results, study, winner, points=5, advance=lambda *c: counts.append(c)))
     assert (list(found), found["y_s"].values) == (["y_s", "a", "N"], (0.1, 0.15, 0.2, 0.25, 0.3))
     assert found["a"].values == (0.5, 0.875, 1.25, 1.625, 2.0)
     # whole, and even on a logarithmic scale
     assert found["N"].values == (2, 3, 4, 6, 8)
-    at_winner = _outcome(study, winner, results.scenarios, study.cases[case]).S
+    at_winner = _outcome(study, winner, results.scenarios).S
     critical: list[float] = []
     for profile in found.values():
         assert profile.values[profile.at] == gain_value(winner, profile.name)
         assert profile.stored.tolist() == [True, False, False, False, True]
-        rows = [_outcome(study, design, results.scenarios, study.cases[case]).S for design in profile.designs]
+        rows = [_outcome(study, design, results.scenarios).S for design in profile.designs]
         np.testing.assert_allclose(profile.S, np.mean(rows, axis=1), rtol=1e-12)
         paired = np.stack(rows) - at_winner
         np.testing.assert_allclose(profile.difference, paired.mean(axis=1), rtol=1e-9, atol=1e-12)
@@ -377,7 +368,7 @@ def test_driven_designs_count_as_stored_ones_do() -> None:
     results = driven(study, study.designs[:2])
     found = winner_profile(results, study, study.designs[0], points=3)[0]
     assert found.stored.tolist() == [True, True, False]
-    whole = driven(study).cases[0]
+    whole = driven(study)
     assert (whole.counted[2] > whole.S[2]).any()
     np.testing.assert_allclose(found.S, whole.counted.mean(axis=1), rtol=1e-12)
 
@@ -475,8 +466,7 @@ def test_a_range_ends_where_the_study_file_says(more: dict[str, Any]) -> None:
 def test_a_study_that_cannot_be_reproduced_gets_no_driven_designs() -> None:
     study = study_of({"law": "waves", "gains": {"a": [0.0, 1.0]}})
     results = driven(study)
-    case = results.cases[0]
-    other = dataclasses.replace(results, cases=(dataclasses.replace(case, S=case.S + 1e-3),))
+    other = dataclasses.replace(results, S=results.S + 1e-3)
     with pytest.raises(LdcError, match="does not give its stored scores"):
         winner_profile(other, study, study.designs[0])
     assert winner_profile(other, study, study.designs[0], points=0)[0].stored.all()

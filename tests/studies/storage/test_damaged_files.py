@@ -17,11 +17,11 @@ from ldctoolkit import Controller, LdcError, LinearLaw, Plant
 from ldctoolkit.errors import StoreError
 from ldctoolkit.recordings import extract_departures, read_departures, write_departures
 from ldctoolkit.scenario_model import load_model
-from studies import Study, StudyResults, rank_study, read_manifest, read_results, run_study
-from studies.risk import estimate_risk
-from studies.robustness import RobustnessTask, robustness_of, stored_of
-from studies.storage.store import Store
-from studies.storage.stored_model import read_model
+from ldctoolkit.studies import Study, StudyResults, rank_study, read_manifest, read_results, run_study
+from ldctoolkit.studies.risk import estimate_risk
+from ldctoolkit.studies.robustness import RobustnessTask, robustness_of, stored_of
+from ldctoolkit.studies.storage.store import Store
+from ldctoolkit.studies.storage.stored_model import read_model
 
 DAMAGES = 600 if LONG else 60
 
@@ -43,10 +43,10 @@ def study_of(folder: Path, **content: Any) -> Study:
     return Study.from_dict(usual | content, folder=folder)
 
 
-def race_of(folder: Path) -> Study:
+def zoo_of(folder: Path) -> Study:
     both = {"left": 60, "right": 60, "departures": "d.parquet"}
     designs = [*DESIGNS, {"law": "fails", "y_s": 0.1}]
-    return study_of(folder, race=True, scenarios={"model": "reference"} | both, design=designs)
+    return study_of(folder, scenarios={"model": "reference"} | both, design=designs)
 
 
 def risk_of(folder: Path, n: int = 100) -> Any:
@@ -56,7 +56,7 @@ def risk_of(folder: Path, n: int = 100) -> Any:
 
 @pytest.fixture(scope="module")
 def room(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """Every kind of file: departures with signals, a model, an estimate of risk; studies with a race, fresh scores,
+    """Every kind of file: departures with signals, a model, an estimate of risk; studies with fresh scores,
     replayed ones, a design that fails, other plants and recorded paths.
     """
     folder = tmp_path_factory.mktemp("room")
@@ -65,9 +65,9 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     write_departures(folder / "d.parquet", found.departures, found.provenance)
     one_component_model().save(folder / "model.json")
     with known(Fails):
-        study = race_of(folder)
-        results = run_study(study, directory=folder / "race", workers=1)
-        robustness_of(folder / "race", RobustnessTask.of(results, rank_study(results, study)[0], study.setup()))
+        study = zoo_of(folder)
+        results = run_study(study, directory=folder / "zoo", workers=1)
+        robustness_of(folder / "zoo", RobustnessTask.of(results, rank_study(results, study), study.setup()))
         paths = study_of(folder, scenarios={"departures": "d.parquet", "path": "recorded"})
         run_study(paths, directory=folder / "paths", workers=1)
         risk_of(folder)
@@ -81,7 +81,7 @@ def content_of(folder: Path) -> Any:
     store.load(results.designs)
     manifest = read_manifest(folder)
     model = read_model(folder, manifest)
-    ranking = rank_study(results, manifest.read_study())[0]
+    ranking = rank_study(results, manifest.read_study())
     task = RobustnessTask.of(results, ranking, manifest.read_study().setup())
     plants = stored_of(folder, task)
     scenarios = {f"{f.name}": getattr(results.scenarios, f.name) for f in dataclasses.fields(results.scenarios)}
@@ -91,8 +91,8 @@ def content_of(folder: Path) -> Any:
 def scores_of(results: StudyResults | None) -> Any:
     if results is None:
         return None
-    cases = [(case.S, case.S_uncorrected, case.status, vars(case.companions)) for case in results.cases]
-    return results.designs, results.failed, results.race, cases, scores_of(results.fresh), scores_of(results.replayed)
+    numbers = results.S, results.S_uncorrected, results.status, vars(results.companions)
+    return results.designs, results.failed, numbers, scores_of(results.fresh), scores_of(results.replayed)
 
 
 def damaged(data: bytes, rng: np.random.Generator) -> bytes:
@@ -112,7 +112,7 @@ def readers(room: Path) -> dict[Path, Callable[[], Any]]:
     for name in ("d.parquet", "d.signals.parquet"):
         found[room / name] = lambda: read_departures(room / "d.parquet", signals=True)
     found[room / "risk" / "risk.json"] = lambda: risk_of(room)
-    for folder in (room / "race", room / "paths"):
+    for folder in (room / "zoo", room / "paths"):
         for path in sorted(folder.rglob("*.*")):
             if path.suffix in (".json", ".parquet"):
                 found[path] = lambda folder=folder: content_of(folder)  # type: ignore[misc]
@@ -123,13 +123,13 @@ def test_damage_is_one_sentence_or_changes_no_number(room: Path, capfd: pytest.C
     read = readers(room)
     kinds = {path.name[: 5 if path.name.startswith("part-") else None] for path in read}
     assert kinds == {
-        "d.parquet", "d.signals.parquet", "model.json", "risk.json", "manifest.json", "designs.parquet", "race.json",
+        "d.parquet", "d.signals.parquet", "model.json", "risk.json", "manifest.json", "designs.parquet",
         "scenarios.parquet", "scenarios.signals.parquet", "part-", "timing.json", "failures.json", "robustness.json",
     }  # fmt: skip
     rng = np.random.default_rng(20)
     files = list(read)
     sound = {path: read[path]() for path in files}
-    assert sound[room / "race" / "race.json"][-1][-2:] != (None, None)
+    assert sound[room / "zoo" / "manifest.json"][-1][-2:] != (None, None)
     refused = 0
     for k in range(DAMAGES):
         path = files[k % len(files)]
@@ -154,10 +154,10 @@ def test_damage_is_one_sentence_or_changes_no_number(room: Path, capfd: pytest.C
 
 def test_a_run_into_a_damaged_folder_is_one_sentence_or_gives_the_same_numbers(room: Path, tmp_path: Path) -> None:
     """What is damaged is made anew, but for the manifest, which says what the folder is."""
-    wanted, study, rng = scores_of(read_results(room / "race")), race_of(room), np.random.default_rng(3)
-    files = [path.relative_to(room / "race") for path in readers(room) if path.is_relative_to(room / "race")]
+    wanted, study, rng = scores_of(read_results(room / "zoo")), zoo_of(room), np.random.default_rng(3)
+    files = [path.relative_to(room / "zoo") for path in readers(room) if path.is_relative_to(room / "zoo")]
     for i, file in enumerate(files[:: 1 if LONG else 3]):
-        folder = shutil.copytree(room / "race", tmp_path / str(i))
+        folder = shutil.copytree(room / "zoo", tmp_path / str(i))
         (folder / file).write_bytes(damaged((folder / file).read_bytes(), rng))
         if file.name == "manifest.json":
             with pytest.raises(StoreError, match=r"manifest\.json: "):

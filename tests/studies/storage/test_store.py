@@ -22,14 +22,14 @@ from helpers.bits import examples
 from ldctoolkit import Scenarios, load_model
 from ldctoolkit.errors import StoreError
 from ldctoolkit.metrics import METRIC_COLUMNS, METRIC_UNITS
-from studies import Study, StudyResults, read_results, run_study
-from studies.ranking.ranking import rank_study
-from studies.running import campaign
-from studies.storage import store
-from studies.storage.files import read_scenarios, write_scenarios
-from studies.storage.manifest import read_manifest
-from studies.storage.run_table import SharedRows, checked_content, parse_part
-from studies.storage.stored_model import MODEL, read_model
+from ldctoolkit.studies import Study, StudyResults, read_results, run_study
+from ldctoolkit.studies.ranking.ranking import rank_study
+from ldctoolkit.studies.running import campaign
+from ldctoolkit.studies.storage import store
+from ldctoolkit.studies.storage.files import read_scenarios, write_scenarios
+from ldctoolkit.studies.storage.manifest import read_manifest
+from ldctoolkit.studies.storage.run_table import SharedRows, checked_content, parse_part
+from ldctoolkit.studies.storage.stored_model import MODEL, read_model
 
 N = 12
 
@@ -40,7 +40,6 @@ def study() -> Study:
         {
             "name": "small",
             "scenarios": {"left": 7, "right": N - 7},
-            "simulation": {"window": ["departure", "control"], "convention": ["consistent", "as_printed"]},
             "ranking": {"bootstrap": 100, "finalists": 0},
             "design": [{"law": "none"}, {"law": "lqr", "y_s": [0.05, 0.1, 0.2], "gains": {"r_delta": [50, 500]}}],
         }
@@ -54,7 +53,7 @@ def folder(study: Study, tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(campaign, "_STORE_EVERY", 0.0)
         run_study(study, directory=folder, workers=1, block_size=2)
-    assert len(list((folder / "results").iterdir())) > 5
+    assert len(list((folder / "results").iterdir())) > 3
     return folder
 
 
@@ -64,12 +63,11 @@ def stored(folder: Path, monkeypatch: pytest.MonkeyPatch) -> StudyResults:
     return read_results(folder)
 
 
-def table_of(folder: Path, results: StudyResults, case: int, column: str) -> Any:
+def table_of(folder: Path, results: StudyResults, column: str) -> Any:
     """A column as another reader of the files finds it."""
     import polars as pl
 
     rows = pl.read_parquet(folder / "results" / "part-*.parquet")
-    rows = rows.filter(pl.col("convention") == results.cases[case].case.convention)
     # even numbers are to the left, and the left ones first
     rows = rows.sort(pl.col("scenario") % 2, "scenario")
     pivot = rows.group_by("design", maintain_order=True).agg(pl.col(column))
@@ -85,11 +83,10 @@ def mapping_of(values: Any) -> Any:
 
 
 def test_columns_are_what_the_parts_hold(folder: Path, stored: StudyResults) -> None:
-    for c, case in enumerate(stored.cases):
-        for name, column in METRIC_COLUMNS.items():
-            values: Any = getattr(case.companions, name)
-            assert isinstance(mapping_of(values), mmap.mmap)
-            np.testing.assert_array_equal(values, table_of(folder, stored, c, column))
+    for name, column in METRIC_COLUMNS.items():
+        values: Any = getattr(stored.companions, name)
+        assert isinstance(mapping_of(values), mmap.mmap)
+        np.testing.assert_array_equal(values, table_of(folder, stored, column))
 
 
 def test_without_room_on_the_disk_columns_are_in_memory(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -99,45 +96,45 @@ def test_without_room_on_the_disk_columns_are_in_memory(folder: Path, monkeypatc
     monkeypatch.setattr(store, "_MOST_IN_MEMORY", 0)
     monkeypatch.setattr("os.posix_fallocate", full)
     found = read_results(folder)
-    values = found.cases[0].companions.deepest
+    values = found.companions.deepest
     assert not isinstance(mapping_of(values), mmap.mmap)
-    np.testing.assert_array_equal(values, table_of(folder, found, 0, METRIC_COLUMNS["deepest"]))
+    np.testing.assert_array_equal(values, table_of(folder, found, METRIC_COLUMNS["deepest"]))
 
 
 def test_a_study_gives_the_same_ranking_from_the_parts(folder: Path, study: Study, stored: StudyResults) -> None:
-    from_parts = rank_study(stored, study)
+    one = rank_study(stored, study)
     in_memory = run_study(study, directory=folder, workers=1)
-    assert not isinstance(mapping_of(in_memory.cases[0].companions.deepest), mmap.mmap)
-    for one, two in zip(from_parts, rank_study(in_memory, study), strict=True):
-        for field in dataclasses.fields(one.release):
-            same = getattr(one.release, field.name), getattr(two.release, field.name)
-            assert same[0].tobytes() == same[1].tobytes(), field.name
-        assert one.deeper.tobytes() == two.deeper.tobytes()
-        assert one.S_low.tobytes() == two.S_low.tobytes()
+    assert not isinstance(mapping_of(in_memory.companions.deepest), mmap.mmap)
+    two = rank_study(in_memory, study)
+    for field in dataclasses.fields(one.release):
+        same = getattr(one.release, field.name), getattr(two.release, field.name)
+        assert same[0].tobytes() == same[1].tobytes(), field.name
+    assert one.deeper.tobytes() == two.deeper.tobytes()
+    assert one.S_low.tobytes() == two.S_low.tobytes()
 
 
-def test_some_scenarios_of_a_case(stored: StudyResults) -> None:
-    case, rows = stored.cases[2], np.arange(N) % 3 > 0
-    some = case.take(rows).take(np.arange(int(rows.sum())) > 1)
+def test_some_scenarios(stored: StudyResults) -> None:
+    rows = np.arange(N) % 3 > 0
+    some = stored.take(rows).take(np.arange(int(rows.sum())) > 1)
     kept = np.flatnonzero(rows)[2:]
     for name in METRIC_UNITS:
         column: Any = getattr(some.companions, name)
         assert column.shape == (len(stored.designs), kept.size)
-        np.testing.assert_array_equal(column[[3, 1]], np.asarray(getattr(case.companions, name))[[3, 1]][:, kept])
-    np.testing.assert_array_equal(some.S_uncorrected, case.S_uncorrected[:, kept])
+        np.testing.assert_array_equal(column[[3, 1]], np.asarray(getattr(stored.companions, name))[[3, 1]][:, kept])
+    np.testing.assert_array_equal(some.S_uncorrected, stored.S_uncorrected[:, kept])
 
 
-def test_scores_without_control_are_one_row_where_they_are_equal(stored: StudyResults) -> None:
-    by_window = {case.case.window: case.S_uncorrected.strides[0] for case in stored.cases}
-    assert by_window["departure"] == 0
-    assert by_window["control"] > 0
+def test_scores_without_control_are_one_row_where_they_are_equal(stored: StudyResults, study: Study) -> None:
+    assert stored.S_uncorrected.strides[0] == 0
+    control = run_study(study.changed(simulation={"window": "control"}), workers=1)
+    assert control.S_uncorrected.strides[0] > 0
 
 
 def test_other_columns_are_checked(folder: Path, study: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A part whose checksum is right and whose numbers are not."""
     import polars as pl
 
-    from studies.storage.run_table import checked_content
+    from ldctoolkit.studies.storage.run_table import checked_content
 
     monkeypatch.setattr(store, "_MOST_IN_MEMORY", 0)
     shutil.copytree(folder, tmp_path / "copy")
@@ -356,23 +353,23 @@ def test_only_what_is_bad_is_computed_anew(
     make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stored_rows: Callable[..., Any],
     caplog: pytest.LogCaptureFixture,
 ) -> None:  # fmt: skip
-    from studies.running import campaign
-    from studies.running.tasks import Simulator
+    from ldctoolkit.studies.running import campaign
+    from ldctoolkit.studies.running.tasks import Simulator
 
     with monkeypatch.context() as patch:
         patch.setattr(campaign, "_STORE_EVERY", 0.0)
         run_study(make_study(), directory=tmp_path, workers=1, block_size=1)
     before = stored_rows(tmp_path)
     parts = sorted((tmp_path / "results").iterdir())
-    assert len(parts) == 14
+    assert len(parts) == 7
     parts[3].write_bytes(parts[3].read_bytes()[:-7])
-    parts[8].write_bytes(parts[8].read_bytes()[::-1])
+    parts[5].write_bytes(parts[5].read_bytes()[::-1])
     ran: list[int] = []
     run = Simulator.run
     monkeypatch.setattr(Simulator, "run", lambda self, task: (ran.append(task.runs), run(self, task))[1])
     run_study(make_study(), directory=tmp_path, workers=1)
     assert ran == [12, 12]
-    assert all(f"{part.name}: broken" in caplog.text for part in (parts[3], parts[8]))
+    assert all(f"{part.name}: broken" in caplog.text for part in (parts[3], parts[5]))
     assert stored_rows(tmp_path).equals(before)
 
 
@@ -382,13 +379,13 @@ def test_rows_are_read_in_one_line_by_polars_and_duckdb(finished: Path) -> None:
 
     results = read_results(finished)
     design = results.designs[1].id
-    expected = results.cases[0].S[1]
-    rows = f"'{finished}/results/*.parquet' where design = '{design}' and convention = 'consistent'"
+    expected = results.S[1]
+    rows = f"'{finished}/results/*.parquet' where design = '{design}'"
     mean = f"select avg(S_departure_m_s), count(*) from {rows}"
     told = duckdb.sql(mean).fetchall()[0]
     np.testing.assert_allclose(told[0], expected.mean(), rtol=1e-14)  # a sum in another order
     assert told[1] == 12
-    lazy = pl.scan_parquet(f"{finished}/results/*.parquet").filter(design=design, convention="consistent").collect()
+    lazy = pl.scan_parquet(f"{finished}/results/*.parquet").filter(design=design).collect()
     in_order = lazy.sort(pl.col("scenario") % 2, "scenario")
     np.testing.assert_array_equal(in_order["S_departure_m_s"].to_numpy(), expected)
     assert lazy.schema["a_y_peak_m_s2"] == pl.Float64()

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from studies.study_file import Study, catalog_names, load_study, toml_text
+from ldctoolkit.studies.study_file import Study, catalog_names, load_study, toml_text
 
 
 @pytest.mark.parametrize("name", catalog_names())

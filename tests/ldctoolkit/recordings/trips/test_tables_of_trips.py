@@ -14,10 +14,17 @@ from hypothesis import strategies as st
 
 from helpers.bits import examples
 from ldctoolkit.errors import RecordingError
-from ldctoolkit.recordings import trip_index
-from ldctoolkit.recordings.trip_index import TEXT_COMPILED_FROM, Stretch, index_trips, read_cells
+from ldctoolkit.recordings import trip_tables
+from ldctoolkit.recordings.text_table import Cells, Layout, read_numbers
+from ldctoolkit.recordings.trip_tables import Stretch, TripIndex, index_trips
 
 COLUMNS = ("a", "b", "c", "d")
+
+
+def numbers_in(text: bytes, wanted: tuple[str, ...] = COLUMNS, cells: tuple[int, ...] = (4,)) -> Cells:
+    return read_numbers(text, Layout({name: COLUMNS.index(name) for name in wanted}, cells))
+
+
 WORDS = ("", "null", "nan", "na", "n/a", "none", "-nan", "#n/a")
 
 
@@ -76,18 +83,14 @@ text = st.builds(
 
 
 @examples(300)
-@given(
-    text=text,
-    wanted=st.sampled_from([("a", "b", "c", "d"), ("b",), ("d", "a")]),
-    compiled_from=st.sampled_from([0, TEXT_COMPILED_FROM]),
-)
-@example(text=b"1,2,3\n1,2,3,4,5\n", wanted=("a", "d"), compiled_from=0)
-@example(text=b"1,2,3\n1,2,3,4,5\n", wanted=("a", "d"), compiled_from=TEXT_COMPILED_FROM)
-@example(text=b"1,2,3,4\n1,2,x,4", wanted=("a", "d"), compiled_from=0)
-@example(text=b"1,2,3,e0\n", wanted=("d",), compiled_from=0)
-@example(text=b"1,2,3,", wanted=("d",), compiled_from=0)
-def test_cells_are_those_that_python_reads(text: bytes, wanted: tuple[str, ...], compiled_from: int) -> None:
-    found = read_cells(text, COLUMNS, wanted, compiled_from=compiled_from)
+@given(text=text, wanted=st.sampled_from([("a", "b", "c", "d"), ("b",), ("d", "a")]))
+@example(text=b"1,2,3\n1,2,3,4,5\n", wanted=("a", "d"))
+@example(text=b"1,2,3,4,5\n1,2,3\n", wanted=("a", "d"))
+@example(text=b"1,2,3,4\n1,2,x,4", wanted=("a", "d"))
+@example(text=b"1,2,3,e0\n", wanted=("d",))
+@example(text=b"1,2,3,", wanted=("d",))
+def test_cells_are_those_that_python_reads(text: bytes, wanted: tuple[str, ...]) -> None:
+    found = numbers_in(text, wanted)
     rows, bad = by_hand(text, wanted)
     assert (found.row.tolist(), [fault.line for fault in found.faults]) == ([row for row, _ in rows], bad)
     for i, name in enumerate(wanted):
@@ -99,8 +102,8 @@ def test_cells_are_those_that_python_reads(text: bytes, wanted: tuple[str, ...],
 def test_a_text_in_two_pieces_gives_the_same(lines: list[bytes], at: int) -> None:
     """What a line gives does not depend on the others: not on the way they had to be parsed."""
     lines = [one + b"\n" for one in lines]
-    whole = read_cells(b"".join(lines), COLUMNS, COLUMNS)
-    pieces = [read_cells(b"".join(some), COLUMNS, COLUMNS) for some in (lines[:at], lines[at:])]
+    whole = numbers_in(b"".join(lines))
+    pieces = [numbers_in(b"".join(some)) for some in (lines[:at], lines[at:])]
     for name in COLUMNS:
         np.testing.assert_array_equal(whole[name], np.concatenate([piece[name] for piece in pieces]))
     reported = [(f.line + shift, f.what) for piece, shift in zip(pieces, (0, at), strict=True) for f in piece.faults]
@@ -119,25 +122,24 @@ PLAIN = st.one_of(
 
 @examples(300)
 @given(rows=st.lists(st.tuples(PLAIN, PLAIN), min_size=1, max_size=8), end=st.sampled_from(["\n", "\r\n"]))
-def test_the_compiled_parser_rounds_as_python_does(rows: list[tuple[str, str]], end: str) -> None:
+def test_numbers_are_rounded_as_python_does(rows: list[tuple[str, str]], end: str) -> None:
     text = "".join(f"7,{one},x y,{other}{end}" for one, other in rows).encode()
-    found = read_cells(text, COLUMNS, ("b", "d"), compiled_from=0)
+    found = numbers_in(text, ("b", "d"))
     for name, cells in zip("bd", zip(*rows, strict=True), strict=True):
         expected = np.array([float(cell or "nan") for cell in cells])
         np.testing.assert_array_equal(found[name], expected)
         np.testing.assert_array_equal(np.signbit(found[name]), np.signbit(expected))
 
 
-@pytest.mark.parametrize("compiled_from", [0, TEXT_COMPILED_FROM])
 @pytest.mark.parametrize("line", [b"1,2,3,4\n", b"1,2,3,4,,\n", b"1,2,3,4,5,6\r\n"])
-def test_every_allowed_number_of_cells_alone(line: bytes, compiled_from: int) -> None:
-    found = read_cells(line * 3, COLUMNS, ("d", "a"), cells=(4, 6), compiled_from=compiled_from)
+def test_every_allowed_number_of_cells_alone(line: bytes) -> None:
+    found = numbers_in(line * 3, ("d", "a"), (4, 6))
     assert (found["d"].tolist(), found["a"].tolist()) == ([4.0] * 3, [1.0] * 3)
     assert found.faults == ()
 
 
 def test_several_numbers_of_cells() -> None:
-    found = read_cells(b"1,2,3,4\n5,6,7,8,9,10\n1,2,3,4,5\n", COLUMNS, ("d",), cells=(4, 6))
+    found = numbers_in(b"1,2,3,4\n5,6,7,8,9,10\n1,2,3,4,5\n", ("d",), (4, 6))
     assert found["d"].tolist() == [4.0, 8.0]
     assert [(fault.line, fault.what) for fault in found.faults] == [(2, "5 cells; allowed: 4 or 6")]
 
@@ -145,25 +147,25 @@ def test_several_numbers_of_cells() -> None:
 HEADER = b"Device,Trip,Time\r\n"
 
 
-def indexed(text_trip_index: bytes, **options: int) -> trip_index.TripIndex:
+def indexed(text: bytes, **options: int) -> TripIndex:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "a.csv")
-        path.write_bytes(HEADER + text_trip_index)
+        path.write_bytes(HEADER + text)
         return index_trips(path, len(HEADER), 2, **options)
 
 
-def by_hand_trip_index(text_trip_index: bytes) -> tuple[list[Stretch], list[int]]:
+def stretches_by_hand(text: bytes) -> tuple[list[Stretch], list[int]]:
     """Line after line."""
     found: list[Stretch] = []
     faults: list[int] = []
     open_ = False
     at = len(HEADER)
-    lines = text_trip_index.split(b"\n")
-    whole = [line_trip_index + b"\n" for line_trip_index in lines[:-1]] + ([lines[-1]] if lines[-1] else [])
-    for number, line_trip_index in enumerate(whole, 2):
-        begin, at = at, at + len(line_trip_index)
-        cells = line_trip_index.split(b",")
-        if not line_trip_index.strip():
+    lines = text.split(b"\n")
+    whole = [line + b"\n" for line in lines[:-1]] + ([lines[-1]] if lines[-1] else [])
+    for number, line in enumerate(whole, 2):
+        begin, at = at, at + len(line)
+        cells = line.split(b",")
+        if not line.strip():
             if open_:
                 one = found.pop()
                 found.append(dataclasses.replace(one, end=at, lines=one.lines + 1))
@@ -183,7 +185,7 @@ def by_hand_trip_index(text_trip_index: bytes) -> tuple[list[Stretch], list[int]
     return found, faults
 
 
-line_trip_index = st.one_of(
+keyed_line = st.one_of(
     st.builds(
         lambda device, trip, rest: f"{device},{trip},{rest}".encode(),
         st.sampled_from(["7", "71", "7 ", " 8", "8.0", "-3"]),
@@ -192,9 +194,9 @@ line_trip_index = st.one_of(
     ),
     st.sampled_from([b"", b"  ", b"junk", b"7,1", b"7,x,1", b",,", b"\xff\xfe", b"7;1;2", b"1_0,1,2"]),
 )
-text_trip_index = st.builds(
+keyed_text = st.builds(
     lambda lines, end, last: end.join([*lines, b""] if last else lines),
-    st.lists(line_trip_index.flatmap(lambda one: st.integers(1, 40).map(lambda n: [one] * n)), max_size=12).map(
+    st.lists(keyed_line.flatmap(lambda one: st.integers(1, 40).map(lambda n: [one] * n)), max_size=12).map(
         lambda runs: [one for run in runs for one in run]
     ),
     st.sampled_from([b"\n", b"\r\n"]),
@@ -204,27 +206,21 @@ text_trip_index = st.builds(
 
 @pytest.mark.slow
 @examples(150)
-@given(
-    text_trip_index=text_trip_index,
-    block_bytes=st.sampled_from([1, 7, 64, 1000, 1 << 20]),
-    compiled_from=st.sampled_from([0, trip_index.COMPILED_FROM]),
-)
-def test_stretches_are_those_of_a_line_by_line_search(
-    text_trip_index: bytes, block_bytes: int, compiled_from: int
-) -> None:
-    found = indexed(text_trip_index, block_bytes=block_bytes, compiled_from=compiled_from)
-    stretches, faults = by_hand_trip_index(text_trip_index)
+@given(text=keyed_text, block_bytes=st.sampled_from([1, 7, 64, 1000, 1 << 20]))
+def test_stretches_are_those_of_a_line_by_line_search(text: bytes, block_bytes: int) -> None:
+    found = indexed(text, block_bytes=block_bytes)
+    stretches, faults = stretches_by_hand(text)
     assert (list(found.stretches), [fault.line for fault in found.faults]) == (stretches, faults[:20])
-    assert (found.more_faults, found.bytes) == (len(faults[20:]), len(HEADER + text_trip_index))
-    assert found.sha256 == hashlib.sha256(HEADER + text_trip_index).hexdigest()
+    assert (found.more_faults, found.bytes) == (len(faults[20:]), len(HEADER + text))
+    assert found.sha256 == hashlib.sha256(HEADER + text).hexdigest()
 
 
 @examples(100)
-@given(text_trip_index=st.binary(max_size=400), block_bytes=st.integers(1, 60))
-def test_any_bytes_give_whole_lines(text_trip_index: bytes, block_bytes: int) -> None:
-    whole, parts = indexed(text_trip_index), indexed(text_trip_index, block_bytes=block_bytes)
-    assert whole == parts == indexed(text_trip_index, compiled_from=0)
-    content = HEADER + text_trip_index
+@given(text=st.binary(max_size=400), block_bytes=st.integers(1, 60))
+def test_any_bytes_give_whole_lines(text: bytes, block_bytes: int) -> None:
+    whole, parts = indexed(text), indexed(text, block_bytes=block_bytes)
+    assert whole == parts
+    content = HEADER + text
     for one in whole.stretches:
         assert content[one.begin - 1 : one.begin] == b"\n"
         assert content[one.end - 1 : one.end] == b"\n" or one.end == len(content)
@@ -232,6 +228,6 @@ def test_any_bytes_give_whole_lines(text_trip_index: bytes, block_bytes: int) ->
 
 
 def test_rows_that_are_not_sorted_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(trip_index, "MOST_STRETCHES", 10)
+    monkeypatch.setattr(trip_tables, "MOST_STRETCHES", 10)
     with pytest.raises(RecordingError, match=r"line 12: more than 10 stretches .*sorted by device, trip and time"):
         indexed(b"7,1,0\n7,2,0\n" * 20)

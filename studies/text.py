@@ -1,5 +1,5 @@
-# ruff: noqa: RUF001 - the page shows true minus signs, dashes and Greek letters
-"""Numbers, symbols and units as text, for the page and for its figures."""
+# ruff: noqa: RUF001 - what is shown has dashes and Greek letters
+"""Numbers, symbols and units as text, the same for terminal, Markdown and pages; HTML and SVG have true minus signs."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import math
 import re
 from typing import TYPE_CHECKING
 
+from ldctoolkit.declared import GainValue
 from ldctoolkit.departures import PARAMETER_NAMES, PARAMETER_UNITS
-from ldctoolkit.gains import GainValue
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -24,8 +24,8 @@ SYMBOL = re.compile(
 
 _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]|[\u202a-\u202e\u2066-\u2069]")
 
-MINUS = "−"
-_HYPHEN = re.compile(r"(?<![\w.])-(?=\d)")
+DASH = "–"  # where there is no number
+_HYPHEN = re.compile(r"(?<![\w.])-(?=[\d∞])|(?<=\de)-(?=\d)")
 
 _SMALL = 1e-3  # a difference below this [m s] is shown with two digits of its own, not with decimals
 
@@ -49,14 +49,14 @@ def symbol_parts(match: re.Match[str]) -> tuple[str, str]:
 
 
 def symbols(text: str) -> Markup:
-    """Escaped HTML in which ``K_psi`` is set as a letter with an index."""
+    """Escaped HTML with true minus signs, in which ``K_psi`` is set as a letter with an index."""
     from markupsafe import Markup, escape
 
     def index(match: re.Match[str]) -> str:
         base, sub = symbol_parts(match)
         return f"{base}<sub>{sub}</sub>"
 
-    return Markup(SYMBOL.sub(index, str(escape(printable(text)))))
+    return Markup(SYMBOL.sub(index, str(escape(true_minus(printable(text))))))
 
 
 def symbols_svg(text: str) -> Markup:
@@ -67,46 +67,45 @@ def symbols_svg(text: str) -> Markup:
         base, sub = symbol_parts(match)
         return f'{base}<tspan dy="3" font-size="75%">{sub}</tspan><tspan dy="-3">\u200b</tspan>'
 
-    return Markup(SYMBOL.sub(index, str(escape(printable(text)))))
+    return Markup(SYMBOL.sub(index, str(escape(true_minus(printable(text))))))
 
 
 def true_minus(text: str) -> str:
     """Numbers in a text with a true minus sign."""
-    return _HYPHEN.sub(MINUS, text)
+    return _HYPHEN.sub("−", text)
+
+
+def formatted(value: float, form: str) -> str:
+    """A number by a format specification; a dash where there is none, and no minus before zero."""
+    if not math.isfinite(value):
+        return DASH if math.isnan(value) else ("∞" if value > 0 else "-∞")
+    shown = format(value, form)
+    return shown.lstrip("-") if value <= 0 and not shown.strip("-+0.,") else shown
 
 
 def number(value: float, digits: int = 3) -> str:
-    """A number with that many decimals and a true minus sign; a dash where there is none."""
-    if not math.isfinite(value):
-        return "–" if math.isnan(value) else ("∞" if value > 0 else f"{MINUS}∞")
-    shown = f"{value:.{digits}f}"
-    if float(shown) == 0.0:
-        shown = shown.lstrip("-")
-    return shown.replace("-", MINUS)
+    """A number with that many decimals; a dash where there is none."""
+    return formatted(value, f".{digits}f")
 
 
 def figure(value: float, digits: int = 3) -> str:
     """A number with that many significant digits, for quantities of any size; powers of ten where they help."""
-    if not math.isfinite(value):
-        return number(value)
-    shown = f"{value:.{digits}g}"
-    mantissa, e, exponent = shown.partition("e")
-    if value and abs(value) < 1e-3:
-        mantissa, e, exponent = f"{value:.{digits - 1}e}".partition("e")
-    return (f"{mantissa}e{int(exponent)}" if e else mantissa).replace("-", MINUS)
+    small = value and abs(value) < 1e-3
+    mantissa, e, exponent = formatted(value, f".{digits - 1}e" if small else f".{digits}g").partition("e")
+    return f"{mantissa}e{int(exponent)}" if e else mantissa
 
 
 def signed(value: float, digits: int = 3) -> str:
     """Like `number`, with a plus sign for what is greater than zero."""
     shown = number(value, digits)
-    return f"+{shown}" if math.isfinite(value) and value > 0 and float(f"{value:.{digits}f}") != 0 else shown
+    return f"+{shown}" if 0 < value < math.inf and shown.strip("0.") else shown
 
 
 def difference_text(value: float, digits: int = 4) -> str:
     """A difference of S with its sign, and with two digits however small it is."""
     if value == 0.0 or not math.isfinite(value):
         return "0" if value == 0.0 else signed(value)
-    return signed(value, digits) if abs(value) >= _SMALL else f"{value:+.1e}".replace("-", MINUS)
+    return signed(value, digits) if abs(value) >= _SMALL else f"{value:+.1e}"
 
 
 def percent(value: float, digits: int = 1) -> str:
@@ -123,11 +122,7 @@ def compact(value: GainValue) -> str:
     """The value of a gain as it is written in a study file."""
     if isinstance(value, bool):
         return "true" if value else "false"
-    return (
-        f"{value:g}".replace("-", MINUS)
-        if isinstance(value, float)
-        else str(value).replace("-", MINUS if isinstance(value, int) else "-")
-    )
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def unit_text(unit: str) -> str:
