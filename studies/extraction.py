@@ -24,11 +24,12 @@ from ldctoolkit.recordings.extract import extract_part, merge_results
 from ldctoolkit.recordings.find_departures import Criteria
 from ldctoolkit.recordings.preparation import Preparation
 from ldctoolkit.recordings.quality import Account, Drawn, DrawnEvent, Origin, QualityStatistics
-from ldctoolkit.recordings.recording import Label, Problem
-from ldctoolkit.recordings.sources import (
+from ldctoolkit.recordings.recording import (
     GROUP,
     CombinedReader,
+    Label,
     OpenedRecordings,
+    Problem,
     RecordingPart,
     RecordingReader,
     RecordingSource,
@@ -172,7 +173,7 @@ def run_extraction(
     Parameters
     ----------
     recordings : OpenedRecordings
-        From `ldctoolkit.recordings.sources.open_recordings`.
+        From `ldctoolkit.recordings.recording.open_recordings`.
     criteria : Criteria, optional
         What counts as a departure; the paper's criteria with the reader's vehicle width by default.
     preparation : Preparation, optional
@@ -204,7 +205,7 @@ def run_extraction(
     Examples
     --------
     >>> import pathlib, tempfile
-    >>> from ldctoolkit.recordings.sources import open_recordings
+    >>> from ldctoolkit.recordings.recording import open_recordings
     >>> folder = tempfile.TemporaryDirectory()
     >>> path = pathlib.Path(folder.name, "drive.csv")
     >>> _ = path.write_text("recording,t,lane_offset,lane_width,speed\na,0,0.1,3.6,25\na,0.1,0.2,3.6,25\n")

@@ -19,7 +19,7 @@ from ldctoolkit.recordings import Extraction, RecordingReader, recording_reader
 from ldctoolkit.recordings.extract import SCALE, SOURCE
 from ldctoolkit.recordings.find_departures import REASONS
 from ldctoolkit.recordings.quality import Account, Origin, combined_accounts, share_of_widths
-from ldctoolkit.recordings.sources import CombinedReader
+from ldctoolkit.recordings.recording import CombinedReader
 from ldctoolkit.version import __version__
 
 from ..storage.files import write_text

@@ -96,8 +96,8 @@ def test_names() -> None:
         cls = types.new_class("Made", (Controller,), exec_body=lambda body: body.update(prepare=prepare, **attributes))
         return frozen(cls)
 
-    refused(made(title="T"), r"Made\.name: missing; allowed: a non-empty string, ClassVar\[str\]")
-    refused(made(name="mistaken"), r"Made\.title: missing; allowed: .*")
+    refused(made(title="T"), r"Made\.name: None; allowed: a non-empty string, ClassVar\[str\]")
+    refused(made(name="mistaken"), r"Made\.title: None; allowed: .*")
     refused(made(name="", title="T"), r"Made\.name: ''; allowed: .*")
     refused(made(name="mistaken", title=3), r"Made\.title: 3; allowed: .*")
 
@@ -114,7 +114,7 @@ def test_no_prepare() -> None:
         name = "mistaken"
         title = "Idle"
 
-    with pytest.raises(InputError, match=r"^Idle: no prepare; allowed: a class that defines it$"):
+    with pytest.raises(InputError, match=r"^Idle: no prepare; define it$"):
         register(Idle)
     with pytest.raises(TypeError, match=r"abstract class Idle.*prepare"):  # Python's own words say it
         Idle()  # type: ignore[abstract]

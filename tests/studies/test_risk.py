@@ -432,7 +432,7 @@ def test_a_folder_of_a_study_gives_the_design_of_its_verdict(tmp_path: Path) -> 
     ("words", "message"),
     [
         (("papr",), "did you mean 'paper'?"),
-        (("paper", "-n", "0"), "argument -n: '0'; allowed: a whole number from 1 to 1e9"),
+        (("paper", "-n", "0"), "argument -n: '0'; allowed: a whole number from 1 to 1e+09"),
         (("paper", "-n", "-5"), "argument -n: '-5'; allowed"),
         (("paper", "-n", "1e10"), "argument -n: '1e10'; allowed"),
         (("paper", "-n", "nan"), "argument -n: 'nan'; allowed"),

@@ -220,7 +220,7 @@ def test_json(folder: Path, rank: Rank) -> None:
         (["plain", "--pareto", "effrt"], "did you mean 'effort"),
         (["plain", "--baseline", "lqq"], "did you mean 'lqr'"),
         (["plain", "--confidence", "1.5"], "plain: ranking.confidence: 1.5; allowed: less than 1"),
-        (["plain", "--confidence", "high"], "allowed: a number"),
+        (["plain", "--confidence", "high"], "allowed: a finite number"),
         (["plain", "-o", "r.txt"], "must end in .csv"),
         (["plain", "--require", "comfrt"], "no such set of requirements; did you mean 'comfort'?"),
     ],

@@ -110,7 +110,7 @@ def test_a_result_folder_says_what_its_results_say(folder: Path) -> None:
         (["lqr", "--speed", "30:20"], "allowed: LOW:HIGH"),
         (["lqr", "--speed", "20:200"], "speeds: 95.0; allowed: one or more from 1 to 90 m/s"),
         (["lqr", "--points", "1"], "allowed: a whole number from 2 to 1000"),
-        (["lqr", "--dt", "0"], "allowed: a number > 0"),
+        (["lqr", "--dt", "0"], "allowed: a finite number > 0"),
         (["lqr", "--delay", "-1"], "actuator.delay: -1.0; allowed"),
         (["lqr", "--json", "x.txt"], "error: --json x.txt: the name must end in .json"),
         (["a" * 300], "is neither a law, nor a study"),

@@ -16,8 +16,7 @@ import pytest
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings import Extraction
 from ldctoolkit.recordings.departures_table import PartResult
-from ldctoolkit.recordings.recording import Label, Problem, Recording, SourceFile
-from ldctoolkit.recordings.sources import OpenedRecordings
+from ldctoolkit.recordings.recording import Label, OpenedRecordings, Problem, Recording, SourceFile
 
 
 def drive(seed: int) -> Recording:

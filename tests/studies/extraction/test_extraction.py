@@ -23,8 +23,15 @@ from ldctoolkit.recordings.departures_table import PartResult
 from ldctoolkit.recordings.extract import extract_items
 from ldctoolkit.recordings.find_departures import Criteria
 from ldctoolkit.recordings.preparation import Preparation
-from ldctoolkit.recordings.recording import Problem, Recording, SourceFile
-from ldctoolkit.recordings.sources import CombinedReader, FoundParts, OpenedRecordings, recording_reader
+from ldctoolkit.recordings.recording import (
+    CombinedReader,
+    FoundParts,
+    OpenedRecordings,
+    Problem,
+    Recording,
+    SourceFile,
+    recording_reader,
+)
 from ldctoolkit.studies.extraction import PART_CLASSES, NothingReadError, _program, plan_of, run_extraction
 from ldctoolkit.studies.running.work import Ended, Work
 from ldctoolkit.studies.storage.parts import decoded, difference_texts, encoded, locked
