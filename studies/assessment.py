@@ -22,8 +22,7 @@ from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
 from ldctoolkit.simulation import Outcome, Takeover, drive
 
-from .ranking.named_vehicles import VEHICLES
-from .standards import KM_H, Cells, QuantityName, Standard, load_standard
+from .standards import KM_H, VEHICLES, Cells, QuantityName, Standard, load_standard
 from .storage.files import write_text
 from .tables import Column, Row, Table, to_csv
 

@@ -244,7 +244,7 @@ def plot_trade_off(ranking: Ranking, x: str = "a_y_peak_p95", y: str = "S", ax: 
     ----------
     ranking : Ranking
     x, y : str
-        Metrics, as `ldctoolkit.studies.ranking.requirements.metric` takes them.
+        Metrics, as `ldctoolkit.studies.requirements.metric` takes them.
     ax : Axes, optional
 
     Returns

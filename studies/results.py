@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -145,6 +145,8 @@ class StudyResults(Frame):
     # not measured. The one number here that another run does not give again.
     law_time: FloatArray
     failed: tuple[FailedDesign, ...] = ()  # Designs whose law failed: they are in no array here, and never ranked
+    # Name of a measure -> (d,) numbers beside those of the runs; `ldctoolkit.studies.measures` has the names
+    measures: Mapping[str, FloatArray] = dataclasses.field(default_factory=dict)
     fresh: StudyResults | None = None  # The finalists, some of the designs, on scenarios that no design was chosen on
     replayed: StudyResults | None = None  # The finalists on recorded departures
 

@@ -27,6 +27,7 @@ from ldctoolkit.vehicle import Convention
 from ldctoolkit.version import __version__
 
 from .design import Design, is_paper_design
+from .measures import drive_on_plants, first_of_each_side
 from .ranking.design_metrics import beyond_friction
 from .ranking.inference import (
     degrees_of_freedom,
@@ -37,8 +38,8 @@ from .ranking.inference import (
     spread_is_known,
     with_tails_of_t,
 )
-from .ranking.named_vehicles import VEHICLES, drive_on_plants, first_of_each_side
 from .ranking.verdict import OtherPlants
+from .standards import VEHICLES
 from .storage.files import read_json, write_json
 
 if TYPE_CHECKING:

@@ -18,6 +18,7 @@ from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.surroundings import temporary_folder
 
 from .design import FOLLOWS_STUDY, Design
+from .measures import measured
 from .ranking.design_metrics import find_baseline
 from .ranking.ranking import Ranking, rank_study
 from .replayed import ReplayedDepartures, read_replayed
@@ -30,7 +31,7 @@ from .storage.manifest import Manifest, write_designs
 from .storage.parts import locked, remove_unfinished
 from .storage.run_table import AllFailedError, check_room
 from .storage.store import FINALISTS, REPLAYED, SCORES, Store, make_folder
-from .storage.stored_model import Source, model_notes, with_counts, with_recorded_widths, write_model
+from .storage.stored_model import Source, model_notes, model_warnings, with_counts, with_recorded_widths, write_model
 from .study_file import Study
 
 _log = logging.getLogger("studies")
@@ -209,7 +210,8 @@ class _Run:
             study,
             model=self.name,
             model_hash=source.content_hash,
-            model_notes=model_notes(source, study.vehicle, study.scenarios.given),
+            model_notes=model_notes(source, study.scenarios.given),
+            model_warnings=tuple(model_warnings(source, study.vehicle, study.scenarios.given)),
             model_synthetic=isinstance(source, ScenarioModel) and source.provenance.synthetic,
             part_of=part_of,
         )
@@ -234,6 +236,10 @@ class _Run:
         complete = False
         try:
             designs = self._designs(campaign, stage)
+            results = table.results(scenarios, store.times, store.failures, source=study.name, designs=designs)
+            if not part_of:
+                self.progress.phase("loop margins, named vehicles and standards")
+                results = measured(results, store.measures, study.setup(), study.vehicles, study.standards)
             complete = True
         finally:
             ended = store.manifest.ended(
@@ -245,7 +251,7 @@ class _Run:
             # where the disk is full, why the run ended says more than that this cannot be written either
             with contextlib.suppress(*(() if complete else (StoreError,))):
                 store.write_manifest(ended)
-        return table.results(scenarios, store.times, store.failures, source=study.name, designs=designs)
+        return results
 
     def _designs(self, campaign: Campaign, stage: str) -> Sequence[Design]:
         """Run what the study requires; the designs that were run."""

@@ -16,9 +16,10 @@ from ldctoolkit.errors import InputError
 
 from .design import Design
 from .design_space import Dimension, LawSpace, Span, rounded
+from .measures import measured
 from .ranking.design_metrics import pareto_front
 from .ranking.ranking import Ranking
-from .ranking.requirements import metric, metric_values, requirements_of
+from .requirements import metric, metric_values, requirements_of
 from .running.campaign import Campaign
 from .storage.manifest import write_designs
 from .study_file import SearchSettings, Study
@@ -208,7 +209,7 @@ def _values_and_margins(
         return values, margins
     results = campaign.table.results(campaign.scenarios, store.times, {}, source=str(store.folder), designs=ran)
     ranking = Ranking.of(
-        results,
+        measured(results, store.measures, study.setup(), study.vehicles, study.standards),
         seed=study.seed,
         bootstrap=_RESAMPLES,
         D_y=study.report.D_y,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Final, Literal, Self
 
@@ -25,6 +26,14 @@ AFTER: Final = 10.0  # [s] that a cell's path goes on after it has reached the l
 _FASTEST: Final = (
     5.0  # lateral velocity [m/s] at which a vehicle that goes straight on in a bend is followed no further
 )
+
+VEHICLES: Final[Mapping[str, Mapping[str, float]]] = {
+    "light": {"m": 0.85, "I_z": 0.85},
+    "heavy": {"m": 1.3, "I_z": 1.3},
+    "soft": {"C_af": 0.8, "C_ar": 0.8},
+    "stiff": {"C_af": 1.2, "C_ar": 1.2},
+}
+"""Named vehicles: what the quantities of the study's vehicle are multiplied with; the others are as nominal."""
 
 QuantityName = Literal[
     "dtle",

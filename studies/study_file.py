@@ -30,7 +30,7 @@ from ldctoolkit.whole_file import read_toml
 from .design import Design
 from .design_space import DesignBlock, check_blocks
 from .plant_table import read_plant, read_table
-from .ranking.requirements import SETS, metric, parse_requirement
+from .requirements import SETS, metric, parse_requirement
 from .standards import standard_names
 
 VehicleName = Literal["light", "heavy", "soft", "stiff"]

@@ -29,7 +29,6 @@ from ldctoolkit.studies import load_study, read_manifest
 from ldctoolkit.studies.cli import main
 from ldctoolkit.studies.pages.shell import Section, make_page
 from ldctoolkit.studies.storage.run_table import check_room
-from ldctoolkit.studies.tables import Column, Row, Table, to_csv
 from ldctoolkit.testing.contract import picklable
 from ldctoolkit.testing.subject import ContractSettings, Subject
 
@@ -322,12 +321,6 @@ def test_no_pipe_is_waited_for(folder: Path) -> None:
 
 
 # ------------------------------------------------------------------------------------------------ what is written
-
-
-def test_cells_are_no_formulas() -> None:
-    rows = [Row(("=1+1", "+cmd", "-2+3", "@SUM(1)")), Row(("-0.5", -0.5, "1-2", "-inf")), Row(("1\r=1", None, "@", ""))]
-    text = to_csv(Table("", [Column(name) for name in "abcd"], rows))
-    assert text == "a,b,c,d\n'=1+1,'+cmd,'-2+3,'@SUM(1)\n-0.5,-0.5,1-2,-inf\n1 =1,,'@,\n"
 
 
 def test_a_page_says_which_style_and_script_are_its_own() -> None:

@@ -88,7 +88,7 @@ def _of_folder(chosen: argparse.Namespace) -> Iterator[Subject]:
     """The design that the verdict of a study's results names, or the one that is chosen, with what its results say."""
     from ldctoolkit.review import Finding
 
-    from ..ranking.requirements import G, metric_values
+    from ..requirements import G, metric_values
     from ._results import judged
 
     there = judged(chosen.design)

@@ -17,8 +17,8 @@ from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
 
 from ..ranking.ranking import Ranking
-from ..ranking.requirements import metric, metric_values
 from ..ranking.verdict import Verdict, verdict
+from ..requirements import metric, metric_values
 from ..results import StudyResults
 from ..text import number
 from .charts import Style, law_styles

@@ -26,8 +26,7 @@ from ..storage.files import write_text
 from ..tables import Column, Row, Table, to_html
 from ..text import PARAMETER_MEANINGS, compact, number, parameter_label, percent, plural, printable, shorten, symbols
 from .charts import Axis, Chart, Series, Style, bars, legend
-from .settings_section import pairs
-from .shell import Section, bullets, details, figure, make_page, paragraphs
+from .shell import Section, bullets, details, figure, make_page, pairs, paragraphs
 
 if TYPE_CHECKING:
     from ldctoolkit.recordings.quality import DrawnEvent

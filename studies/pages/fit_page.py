@@ -17,12 +17,11 @@ from ldctoolkit.scenario_model.fidelity import QUANTITIES, UNITS
 from ldctoolkit.version import __version__
 
 from ..storage.files import write_text
-from ..storage.stored_model import WARNING, model_notes
+from ..storage.stored_model import model_notes
 from ..tables import Cell, Column, Row, Table, Value, to_html
 from ..text import PARAMETER_MEANINGS, compact, number, parameter_label, plural, symbols
 from .charts import Axis, Chart, Series, Style, bars, heat_map, legend
-from .settings_section import pairs
-from .shell import Section, bullets, figure, make_page, paragraphs
+from .shell import Section, bullets, figure, make_page, pairs, paragraphs
 
 Progress = Callable[[str, int, int], None]
 
@@ -312,11 +311,10 @@ def _selection(sides: tuple[Side, ...]) -> Section:
 
 
 def _settings(model: ScenarioModel, sides: tuple[Side, ...], seed: int) -> Section:
-    notes = [note for note in model_notes(model) if not note.startswith(WARNING)]
     facts = [
         ("Model content", model.content_hash),
         *((f"Log-likelihood, {s.key}", f"{number(s.diagnostics.log_likelihood, 4)} nats an event") for s in sides),
         ("Seed of the checks", str(seed)),
         ("Model sample", f"{sides[0].diagnostics.n_model:,} events a side"),
     ]
-    return Section("settings", "Settings", bullets(notes) + pairs(facts))
+    return Section("settings", "Settings", bullets(model_notes(model)) + pairs(facts))

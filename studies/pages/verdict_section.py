@@ -11,8 +11,8 @@ from ldctoolkit.metrics import A_Y_LIMIT
 
 from ..ranking.design_metrics import pareto_front
 from ..ranking.ranking import Ranking
-from ..ranking.requirements import metric, metric_values
 from ..ranking.verdict import design_name, law_title
+from ..requirements import metric, metric_values
 from ..tables import Column, Row, Table, to_html
 from ..text import plural
 from .charts import Axis, Chart, Series, Style, legend

@@ -33,11 +33,11 @@ from ldctoolkit.setup import Setup
 from ldctoolkit.simulation import Takeover
 
 from ..design import NO_CONTROL, Design
+from ..measures import DEPARTURES, first_of_each_side, vehicle_measures
+from ..requirements import friction, metric, metric_values
 from ..results import StudyResults, status_among
 from ..storage.run_table import release
 from .inference import row_blocks, row_means
-from .named_vehicles import DEPARTURES, first_of_each_side
-from .requirements import friction, metric, metric_values
 from .tail import binomial_interval, order_statistics
 
 _FEW = 8  # places up to which what stands there is found without a full sort
@@ -367,24 +367,35 @@ class DrivableResults:
         return int(self.status.shape[1]) - len(self.results.scenarios)
 
 
-Margins = Mapping[str, tuple[float, float, float, float]]
-"""Design -> gain and phase margin [rad] of its linear loop, S_worst [m s] and comfortable_worst of named vehicles."""
+_MARGINS: Final = ("gain_margin", "phase_margin")
+_OF_VEHICLES: Final = ("S_worst", "comfortable_worst")
 
-_BESIDE = ("gain_margin", "phase_margin", "S_worst", "comfortable_worst")
+
+def measures_of(results: StudyResults, vehicles: Sequence[str], standards: Sequence[str]) -> Values:
+    """Margins, the worst numbers of named vehicles and shares of standards' cells, each (d,), as the run measured them.
+
+    A number that is not known on one vehicle is not known at all. Raises `InputError` for what was not measured.
+    """
+
+    def measure(name: str, asked: str) -> FloatArray:
+        if name not in results.measures:
+            hint = "run the study with it in [ranking] into the same folder: only that is driven"
+            raise InputError("ranking", "was not measured in this run", value=asked, hint=hint)
+        return results.measures[name]
+
+    values = {name: results.measures[name] for name in _MARGINS if name in results.measures}
+    if vehicles:
+        pairs = [[measure(name, one) for name in vehicle_measures(one, results.scenarios)] for one in vehicles]
+        S, comfortable = np.array(pairs).swapaxes(0, 1)
+        values |= {"S_worst": S.max(axis=0), "comfortable_worst": comfortable.min(axis=0)}
+    return values | {name: measure(name, name) for name in standards}
 
 
 def design_metrics(
-    drivable: DrivableResults,
-    D_y: float,
-    margins: Margins | None = None,
-    setup: Setup | None = None,
-    standards: Mapping[str, Mapping[str, float]] | None = None,
+    drivable: DrivableResults, D_y: float, measures: Values, setup: Setup | None = None
 ) -> DesignMetrics:
-    """Metrics of the designs, in their own order. Without `setup`, friction allows every recorded path.
-
-    In `standards` each maps designs to the share of its cells that pass.
-    """
-    results, designs = drivable.results, drivable.results.designs
+    """Metrics of the designs, in their own order. Without `setup`, friction allows every recorded path."""
+    results = drivable.results
     scenarios, counted = results.scenarios, results.counted
     every = np.ones(len(scenarios), dtype=np.bool_)
     rows = (every, scenarios.side == LEFT, scenarios.side == RIGHT)
@@ -395,9 +406,8 @@ def design_metrics(
     taken["within_dtle_gain"] = taken["within_dtle"] - share_within_dtle(_recorded_dtle(results, setup))
     allowed = np.ones(len(scenarios), dtype=np.bool_) if setup is None else ~beyond_friction(scenarios, setup)
     taken["lost"] = ((results.status == EventStatus.DIVERGED) & allowed).sum(axis=1).astype(np.float64)
-    nothing = (np.nan,) * len(_BESIDE)
-    beside = np.array([(margins or {}).get(design.id, nothing) for design in designs], dtype=np.float64)
-    taken |= dict(zip(_BESIDE, beside.reshape(-1, len(_BESIDE)).T, strict=True))
+    unknown = np.full(len(results.designs), np.nan)
+    taken |= {name: measures.get(name, unknown) for name in (*_MARGINS, *_OF_VEHICLES)}
 
     def count(status: EventStatus) -> IntArray:
         result: IntArray = (drivable.status == status).sum(axis=1).astype(np.int64)
@@ -423,9 +433,7 @@ def design_metrics(
         invalid=count(EventStatus.INVALID),
         failed_solves=results.failed_solves.sum(axis=1).astype(np.int64),
         release=ReleaseMetrics(**taken),
-        standards={
-            name: np.array([score.get(one.id, np.nan) for one in designs]) for name, score in (standards or {}).items()
-        },
+        standards={name: values for name, values in measures.items() if name not in METRICS},
     )
 
 

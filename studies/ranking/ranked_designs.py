@@ -12,10 +12,10 @@ from ldctoolkit.simulation import Window
 from ldctoolkit.vehicle import Convention
 
 from ..design import Design
+from ..requirements import Estimate, Miss, Requirement
 from ..results import FailedDesign, score_label
 from .design_metrics import DesignMetrics, DrivableResults, mean_reduction
 from .inference import SAME, Inference, Interval, Resampled, critical_value, simultaneous_interval, skewed_widths
-from .requirements import Estimate, Miss, Requirement
 
 
 def choose_winner(resampled: Resampled, set_of_best: BoolArray, meets: BoolArray, confidence: float) -> int | None:

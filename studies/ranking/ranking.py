@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
-import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -13,17 +11,13 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import Frame, IntArray
-from ldctoolkit.control import EventStatus, SteeringLaw
+from ldctoolkit.control import EventStatus
 from ldctoolkit.departures import LEFT
-from ldctoolkit.errors import LdcError, StudyError, expect
-from ldctoolkit.law_checks import declared_law
+from ldctoolkit.errors import StudyError, expect
 from ldctoolkit.metrics import METRICS, RELEASE_METRICS
-from ldctoolkit.review import design_margins
-from ldctoolkit.vehicle import Convention
-from ldctoolkit.vehicle.bicycle import BicycleModel, Plant, VehicleParameters
 
-from ..assessment import assess
 from ..design import Design
+from ..requirements import SETS, metric, missed_by, requirements_of
 from ..results import StudyResults
 from ..standards import standard_names
 from ..storage.files import write_text
@@ -31,18 +25,16 @@ from ..study_file import Study
 from ..tables import Table, to_csv, to_polars
 from .design_metrics import (
     DrivableResults,
-    Margins,
     design_metrics,
     find_baseline,
     in_order,
+    measures_of,
     pareto_costs,
     pareto_front,
     sampling_intervals,
 )
 from .inference import Inference, infer, spread_is_known
-from .named_vehicles import worst_of_vehicles
 from .ranked_designs import FreshScores, RankedDesigns, SearchScores, best_of_laws, fresh_scores, no_fresh_scores
-from .requirements import SETS, metric, missed_by, requirements_of
 from .tail import tail_text
 from .verdict import depths, ranking_html
 
@@ -89,6 +81,7 @@ _NAMED = 3  # designs that a warning names
 def warnings_of(results: StudyResults) -> Iterator[str]:
     """Sentences that name designs: from the first command where it cannot be a fallback, else where it is often."""
     wrong, often = [], []
+    solver = results.measures.get("solver", np.ones(len(results.designs)))
     for i in np.flatnonzero((results.failed_solves > 0).any(axis=1)).tolist():
         design, failed_solves, status = results.designs[i], results.failed_solves[i], results.status[i]
         driven = ~np.isin(status, (EventStatus.NEVER_TRIGGERED, EventStatus.INVALID))
@@ -96,7 +89,7 @@ def warnings_of(results: StudyResults) -> Iterator[str]:
         if not failing:
             continue
         name = f"{design.label} in {failing:,} of {total:,} interventions"
-        if not has_solver(design, results.convention):
+        if not solver[i]:
             wrong.append(name)
         elif failing >= _OFTEN * total:
             often.append(name)
@@ -109,25 +102,6 @@ def warnings_of(results: StudyResults) -> Iterator[str]:
 def _listed(names: Sequence[str]) -> str:
     more = f"; and {len(names) - _NAMED} more designs" if len(names) > _NAMED else ""
     return "; ".join(names[:_NAMED]) + more
-
-
-def has_solver(design: Design, convention: Convention) -> bool:
-    """Whether the design's law declares a solver, by a `solver_calls` of its own; true where that is not known."""
-    try:
-        controller = design.controller(convention)
-        kind = declared_law(type(controller))
-        if kind is None or kind is SteeringLaw:
-            # its type says nothing; any plant shows what kind of law it makes
-            model = BicycleModel(VehicleParameters(), convention)
-            kind = type(controller.prepare(Plant.build(model, 25.0, 0.05)))
-    except (KeyboardInterrupt, GeneratorExit):
-        raise
-    except BaseException:  # a controller may be third-party code
-        return True
-    return issubclass(kind, SteeringLaw) and kind.solver_calls is not SteeringLaw.solver_calls
-
-
-MARGIN_SPEEDS: Final = tuple(range(10, 41, 5))  # speeds [m/s] that the margins of a design are the smallest of
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
@@ -178,9 +152,9 @@ class Ranking(RankedDesigns, Frame):
         finite; `UnknownNameError` for a metric or set that does not exist.
 
         The settings are those of ``[ranking]`` in a study file, D_y [m] is the depth that counts as deep. With a
-        `setup`, what the designs were driven with, they have margins, what friction allows is known, and the named
-        `vehicles` and the cells of the named `standards`, and of those required, are driven; without it margins are
-        NaN.
+        `setup`, what the designs were driven with, what friction allows is known. The worst of the named `vehicles` and
+        the shares of the named `standards`, and of those required, are taken from what the run measured; an
+        `InputError` says that it did not.
         """
         options = None if setup is None else setup.options
         requirements = requirements_of(require, options)
@@ -188,10 +162,9 @@ class Ranking(RankedDesigns, Frame):
         pareto_metrics = tuple(metric(name).name for name in pareto)
         reference = find_baseline(baseline, results)
         drivable = DrivableResults.of(results)
-        margins = {} if setup is None else _margins(results, setup, vehicles)
         named = (*standards, *pareto_metrics, *(one.metric.name for one in requirements))
-        scores = {} if setup is None else _scores(named, results.designs, setup)
-        metrics = design_metrics(drivable, D_y, margins, setup, scores)
+        measures = measures_of(results, vehicles, [name for name in named if name in standard_names()])
+        metrics = design_metrics(drivable, D_y, measures, setup)
         counted, side = drivable.results.counted, drivable.results.scenarios.side
         missed = missed_by(requirements, metrics)
         order = np.lexsort((metrics.S, np.array([bool(some) for some in missed]))).astype(np.int64)
@@ -212,7 +185,10 @@ class Ranking(RankedDesigns, Frame):
             place = {design.id: k for k, design in enumerate(designs)}
             positions = np.array([place[design.id] for design in results.fresh.designs], dtype=np.int64)
             again = DrivableResults.of(results.fresh)
-            there = design_metrics(again, D_y, margins, setup, scores)
+            at = {design.id: i for i, design in enumerate(results.designs)}
+            rows = [at[design.id] for design in results.fresh.designs]
+            of_finalists = {name: values[rows] for name, values in measures.items()}
+            there = design_metrics(again, D_y, of_finalists, setup)
             search = SearchScores(
                 counted,
                 order,
@@ -337,43 +313,6 @@ def rank_study(results: StudyResults, study: Study) -> Ranking:
         vehicles=study.vehicles,
         standards=study.standards,
     )
-
-
-def _margins(results: StudyResults, setup: Setup, vehicles: Sequence[str]) -> Margins:
-    """Margins of every design, which do not depend on its threshold, and its worst numbers of named vehicles."""
-    designs = results.designs
-    worst = worst_of_vehicles(tuple(vehicles), designs, results.scenarios, setup, results.window) if vehicles else {}
-    unknown = (math.nan, math.nan)
-    same: dict[tuple[Any, ...], list[Design]] = {}
-    for design in designs:
-        if design.can_be_driven:  # numbers of former code are compared, and have no margins now
-            same.setdefault((design.law, design.gains, design.code), []).append(design)
-    margins = _margins_of(tuple(same), setup)
-    known = {one.id: margins[key] for key, some in same.items() for one in some}
-    return {one.id: (*known.get(one.id, unknown), *worst.get(one.id, unknown)) for one in designs}
-
-
-@functools.lru_cache(maxsize=8)
-def _margins_of(keys: tuple[tuple[Any, ...], ...], setup: Setup) -> dict[tuple[Any, ...], tuple[float, float]]:
-    """Margins of laws with their gains: a run ranks more than once."""
-    controllers = [Design(law, 0.2, gains, code).controller(setup.convention) for law, gains, code in keys]
-    gain, phase = design_margins(controllers, setup, MARGIN_SPEEDS)
-    return dict(zip(keys, zip(gain.min(axis=1).tolist(), phase.min(axis=1).tolist(), strict=True), strict=True))
-
-
-def _scores(names: Sequence[str], designs: Sequence[Design], setup: Setup) -> dict[str, dict[str, float]]:
-    """Share of the cells that designs pass as stated, of each standard among some metrics."""
-    standards = [name for name in dict.fromkeys(names) if name in standard_names()]
-    return {name: {one.id: _score(name, one, setup) for one in designs} for name in standards}
-
-
-@functools.lru_cache(maxsize=100_000)
-def _score(name: str, design: Design, setup: Setup) -> float:
-    """Kept for the next time; NaN where the law raises, as the report's section says."""
-    try:
-        return assess(design.controller(setup.convention), name, setup, y_s=design.y_s, tolerances=False).score
-    except LdcError:
-        return math.nan
 
 
 def _fields(part: Inference | FreshScores) -> dict[str, Any]:

@@ -16,11 +16,11 @@ from ldctoolkit.scenario_model.model import misleading
 from ldctoolkit.setup import Setup
 
 from ..design import Design
+from ..requirements import G, metric_values
 from ..results import StudyResults
 from ..tables import Cell, Column, Row, Table, Value, notebook_html
 from .design_metrics import beyond_friction
 from .ranked_designs import RankedDesigns
-from .requirements import G, metric_values
 from .tail import tail_text
 
 State = Literal["good", "warning", "bad", "unknown"]

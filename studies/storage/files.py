@@ -76,7 +76,9 @@ def read_bytes(path: Path) -> bytes:
     return read_regular(path, StoreError, None)
 
 
-def read_parquet(path: Path, schema: dict[str, Any], *, optional: dict[str, Any] | None = None) -> pl.DataFrame:
+def read_parquet(
+    path: Path, schema: dict[str, Any], *, finite: bool = True, optional: dict[str, Any] | None = None
+) -> pl.DataFrame:
     """Read a Parquet file that `write_parquet` wrote, and check it as `parse_parquet` does; all or none of the optional
     columns are there.
     """
@@ -87,7 +89,7 @@ def read_parquet(path: Path, schema: dict[str, Any], *, optional: dict[str, Any]
         raise StoreError(
             path, f"broken: {error}", hint="run the study into this folder again to write it anew"
         ) from None
-    return parse_parquet(path, data, schema, optional=optional)
+    return parse_parquet(path, data, schema, finite=finite, optional=optional)
 
 
 def parse_parquet(

@@ -186,6 +186,7 @@ class Manifest(BaseModel):
     model: str  # Name of the model, or its file's name
     model_hash: str  # Content hash of the scenario model
     model_notes: tuple[str, ...] = ()  # Where the model comes from, for readers
+    model_warnings: tuple[str, ...] = ()  # What its fit warned of
     model_synthetic: bool = False  # Whether it was fitted to invented driving
     inputs: dict[str, Any]  # What decides the numbers of any design
     seed: int
@@ -210,6 +211,7 @@ class Manifest(BaseModel):
         model_hash: str,
         model_notes: tuple[str, ...],
         model_synthetic: bool,
+        model_warnings: tuple[str, ...] = (),
         part_of: str = "",
     ) -> Manifest:
         """The manifest of a study that starts now."""
@@ -223,6 +225,7 @@ class Manifest(BaseModel):
             model=PurePath(model).name,
             model_hash=model_hash,
             model_notes=model_notes,
+            model_warnings=model_warnings,
             model_synthetic=model_synthetic,
             part_of=part_of,
             inputs=study.inputs(),

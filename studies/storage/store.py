@@ -6,6 +6,7 @@
     DIR/scenarios.parquet        the scenarios that every design was run on
     DIR/designs.parquet          the designs: identifier, law, y_s, gains
     DIR/results/part-*.parquet   per-scenario results of some designs, one row a scenario
+    DIR/measures.parquet         loop margins of the designs, and what was asked for on named vehicles and in standards
     DIR/failures.json            designs whose law failed, and why; not there if none did
     DIR/timing.json              how long the laws took; the one file that a second run does not give again
     DIR/finalists/               the best designs on fresh scenarios: a folder like this one
@@ -26,8 +27,9 @@ from __future__ import annotations
 import dataclasses
 import functools
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 from ldctoolkit.errors import LdcError, StoreError
 from ldctoolkit.scenarios import Scenarios
@@ -51,6 +53,7 @@ from .manifest import (
     write_manifest,
     write_times,
 )
+from .measure_table import MEASURES, MeasureTable
 from .parts import read_part
 from .run_table import PATTERN, AllFailedError, RunTable, parse_part, prefetched, write_results
 
@@ -82,7 +85,7 @@ def _clear(folder: Path) -> None:
     """Remove all results of other versions. Their manifest stays until it is replaced: a run that is killed here ends
     with a folder of those versions, and the next one clears the rest.
     """
-    names = (DESIGNS, FAILURES, TIMING_FILE)
+    names = (DESIGNS, FAILURES, TIMING_FILE, MEASURES)
     try:
         for path in (*(folder / name for name in names), *(folder / "results").glob(PATTERN)):
             path.unlink(missing_ok=True)
@@ -100,6 +103,7 @@ class Store:
         self.broken: tuple[str, ...] = ()
         self.times: dict[str, LawTime] = {}
         self.failures: dict[str, str] = {}
+        self.measures = MeasureTable(folder)
 
     @classmethod
     def create(cls, folder: Path, manifest: Manifest, scenarios: Scenarios, study: Study) -> Store:
@@ -179,7 +183,11 @@ class Store:
                     raise error.hinted("run the study into this folder again to compute it anew") from None
                 messages.append(f"{error}; its results are computed anew")
                 path.unlink()
-        for kept, read, name in (("times", read_times, TIMING_FILE), ("failures", read_failures, FAILURES)):
+        files: tuple[tuple[str, Callable[[Path], Any], str], ...] = (
+            ("times", read_times, TIMING_FILE), ("failures", read_failures, FAILURES),
+            ("measures", MeasureTable.read, MEASURES),
+        )  # fmt: skip
+        for kept, read, name in files:
             try:
                 setattr(self, kept, read(self.folder))
             except StoreError as error:
@@ -208,9 +216,11 @@ class Store:
             raise StoreError(self.folder, "its search is not over yet", hint="run the study again")
         table = self.load(designs)
         results = table.results(self.scenarios, self.times, self.failures, source=str(self.folder))
-        return dataclasses.replace(
-            results, fresh=self._again(FINALISTS, results), replayed=self._again(REPLAYED, results)
-        )
+        measures = self.measures.of(results.designs)
+        if "gain_margin" not in measures and not self.manifest.part_of:
+            _log.warning("%s: no loop margins of these designs yet; run the study again to have them", self.folder)
+        fresh, replayed = (self._again(name, results) for name in (FINALISTS, REPLAYED))
+        return dataclasses.replace(results, measures=measures, fresh=fresh, replayed=replayed)
 
     def _again(self, name: str, results: StudyResults) -> StudyResults | None:
         """The finalists on other scenarios; None where there are none, or not all yet, or of other results."""

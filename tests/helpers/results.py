@@ -15,11 +15,13 @@ from ldctoolkit.controllers import LQR, NoControl, PreviewProportional
 from ldctoolkit.metrics import MetricValues
 from ldctoolkit.simulation import Window
 from ldctoolkit.studies.design import Design
+from ldctoolkit.studies.measures import measured
 from ldctoolkit.studies.pages.context import Context, ReportInput
 from ldctoolkit.studies.pages.report import report_page
 from ldctoolkit.studies.pages.shell import Section
 from ldctoolkit.studies.ranking.ranking import Ranking
 from ldctoolkit.studies.results import StudyResults, per_scenario
+from ldctoolkit.studies.storage.measure_table import MeasureTable
 from ldctoolkit.vehicle import Convention
 
 
@@ -116,6 +118,7 @@ def run(
 def report_input(results: StudyResults, **changes: object) -> ReportInput:
     require = changes.pop("require", ())
     setup: Any = changes.get("setup", Setup())
+    results = measured(results, MeasureTable(), setup)
     ranking = Ranking.of(results, bootstrap=200, require=require, setup=setup)  # type: ignore[arg-type]
     given = {
         "title": "Trigger threshold and gains",

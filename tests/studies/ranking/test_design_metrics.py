@@ -30,7 +30,7 @@ from ldctoolkit.studies.ranking.design_metrics import (
 )
 from ldctoolkit.studies.ranking.inference import Inference, bootstrap_deviations, infer, row_blocks, row_means
 from ldctoolkit.studies.ranking.ranking import warnings_of_sample, write_csv
-from ldctoolkit.studies.ranking.requirements import metric, metric_values, parse_requirement
+from ldctoolkit.studies.requirements import metric, metric_values, parse_requirement
 from ldctoolkit.studies.results import FailedDesign
 
 

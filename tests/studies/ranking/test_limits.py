@@ -13,10 +13,12 @@ from helpers.results import page_of, report_input, results_of, scenarios_of
 from ldctoolkit import EventStatus, Scenarios, Setup
 from ldctoolkit.controllers import LQR, LinearMPC, NoControl
 from ldctoolkit.studies.design import Design
+from ldctoolkit.studies.measures import measured
 from ldctoolkit.studies.ranking.ranking import Ranking, write_csv
-from ldctoolkit.studies.ranking.requirements import Estimate
 from ldctoolkit.studies.ranking.verdict import Light, OtherPlants, judged, more_lines, verdict
+from ldctoolkit.studies.requirements import Estimate
 from ldctoolkit.studies.results import StudyResults
+from ldctoolkit.studies.storage.measure_table import MeasureTable
 
 DESIGNS = (Design.of(NoControl(), 0.2), Design.of(LQR(r_delta=100.0), 0.1))
 JERK = "jerk_added_peak_p95"
@@ -32,7 +34,7 @@ def study(scenarios: Scenarios, status: Any = 0, S: float = 1.0, **metrics: Any)
 
 
 def ranked(results: StudyResults, *require: str, fresh: StudyResults | None = None, **more: Any) -> Ranking:
-    results = dataclasses.replace(results, fresh=fresh)
+    results = measured(dataclasses.replace(results, fresh=fresh), MeasureTable(), Setup())
     return Ranking.of(results, bootstrap=50, require=require, **more)
 
 

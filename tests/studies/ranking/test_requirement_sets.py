@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-import ldctoolkit.studies.ranking.named_vehicles as named_vehicles
+import ldctoolkit.studies.measures as measures
 from helpers.results import results_of as given_results
 from ldctoolkit import EventStatus, Scenarios, Setup, simulate
 from ldctoolkit.controllers import LQR, LinearMPC, NoControl, PreviewProportional
@@ -20,11 +20,12 @@ from ldctoolkit.review import design_margins, review
 from ldctoolkit.studies import Study, rank_study, run_study
 from ldctoolkit.studies.cli import main
 from ldctoolkit.studies.design import Design
-from ldctoolkit.studies.ranking.named_vehicles import drive_on_plants
+from ldctoolkit.studies.measures import drive_on_plants, measured
 from ldctoolkit.studies.ranking.ranking import Ranking
-from ldctoolkit.studies.ranking.requirements import Miss, friction, parse_requirement, requirements_of
 from ldctoolkit.studies.ranking.verdict import Verdict, judged, verdict, verdict_lines
+from ldctoolkit.studies.requirements import Miss, friction, parse_requirement, requirements_of
 from ldctoolkit.studies.results import StudyResults
+from ldctoolkit.studies.storage.measure_table import MeasureTable
 
 NAN = math.nan
 DESIGNS = [Design.of(NoControl(), 0.2), *(Design.of(LQR(r_delta=r), 0.1) for r in (100.0, 1000.0, 10_000.0))]
@@ -38,6 +39,8 @@ def results_of(S: list[float], status: Any = 0, n: int = 20, **metrics: Any) -> 
 
 
 def ranked(results: StudyResults, *require: str, setup: Setup | None = None) -> tuple[Ranking, Verdict]:
+    if setup is not None:
+        results = measured(results, MeasureTable(), setup)
     ranking = Ranking.of(results, bootstrap=100, require=require, setup=setup)
     return ranking, verdict(ranking, results, setup)
 
@@ -237,7 +240,7 @@ def study(**ranking: Any) -> Study:
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory) -> StudyResults:
-    return run_study(study(), directory=tmp_path_factory.mktemp("vehicles") / "run")
+    return run_study(study(vehicles=list(FACTORS)), directory=tmp_path_factory.mktemp("vehicles") / "run")
 
 
 def by_hand(
@@ -274,14 +277,16 @@ def test_the_worst_is_that_of_vehicles_changed_by_hand(results: StudyResults, na
 
 
 def test_the_worst_is_that_of_the_road_and_of_the_departures_at_hand(results: StudyResults) -> None:
-    """On a slippery road, and, one ranking after the other, on other departures."""
+    """On a slippery road, and, with one table of measures, on other departures."""
     road = {"tyres": Tyres(model="magic_formula", mu=0.9), "mismatch": Mismatch(mu=(0.1, 0.3))}
     slippery = PlantOptions(actuator=Actuator(lag=0.1, rate_max=0.33), **road)
     few = dataclasses.replace(results, scenarios=results.scenarios.take(np.arange(129, -1, -1)))
-    for some, setup, options in (
-        (results, study().setup(), {}), (few, study().setup(), {}),
-        (results, dataclasses.replace(study().setup(), options=slippery), road),
+    table = MeasureTable()
+    for some, setup, held, options in (
+        (results, study().setup(), table, {}), (few, study().setup(), table, {}),
+        (results, dataclasses.replace(study().setup(), options=slippery), MeasureTable(), road),
     ):  # fmt: skip
+        some = measured(some, held, setup, ["heavy"])
         ranking = Ranking.of(some, bootstrap=50, setup=setup, vehicles=["heavy"])
         i = next(k for k, design in enumerate(ranking.designs) if not design.is_baseline)
         design = ranking.designs[i]
@@ -294,7 +299,7 @@ def test_failed_solves_of_named_vehicles_count_as_no_control(
     results: StudyResults, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """An LQR whose first departures fail, though it is better there: they count with S without control."""
-    original, failed = named_vehicles.drive, []
+    original, failed = measures.drive, []
 
     class Failing:
         def __init__(self, run: Any) -> None:
@@ -307,7 +312,7 @@ def test_failed_solves_of_named_vehicles_count_as_no_control(
             failed.append(dataclasses.replace(outcome, status=status))
             return failed[-1]
 
-    monkeypatch.setattr("ldctoolkit.studies.ranking.named_vehicles.drive", lambda *given: Failing(original(*given)))
+    monkeypatch.setattr("ldctoolkit.studies.measures.drive", lambda *given: Failing(original(*given)))
     law = (Design.of(LQR(r_delta=3001.0), 0.1),)
     drives = drive_on_plants(law, [PlantOptions()], results.scenarios, study().setup(), results.window)
     (outcome,) = failed

@@ -17,7 +17,7 @@ from ldctoolkit.controllers import LQR, LinearMPC, NoControl, PreviewProportiona
 from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
 from ldctoolkit.review import design_margins
 from ldctoolkit.studies.design import Design
-from ldctoolkit.studies.ranking.named_vehicles import drive_on_plants
+from ldctoolkit.studies.measures import drive_on_plants
 from ldctoolkit.studies.ranking.ranking import Ranking
 from ldctoolkit.studies.results import StudyResults
 from ldctoolkit.studies.robustness import (

@@ -14,7 +14,7 @@ from ldctoolkit.errors import InputError, UnknownNameError, nearest
 from ldctoolkit.metrics import A_Y_LIMIT, JERK_LIMIT, METRICS, Metric
 from ldctoolkit.plant_options import PlantOptions
 
-from ..standards import load_standard, standard_names
+from .standards import load_standard, standard_names
 
 Operator = Literal["<=", "<", ">=", ">"]
 

@@ -1,0 +1,174 @@
+"""What a run measures of designs beside driving the study: loop margins, named vehicles, standards."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import hashlib
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from ldctoolkit.arrays import FloatArray
+from ldctoolkit.control import EventStatus, SteeringLaw
+from ldctoolkit.departures import LEFT, RIGHT
+from ldctoolkit.errors import LdcError
+from ldctoolkit.law_checks import raised
+from ldctoolkit.metrics import comfortable_share
+from ldctoolkit.plant_options import Mismatch, PlantOptions
+from ldctoolkit.review import design_margins
+from ldctoolkit.scenarios import Scenarios
+from ldctoolkit.setup import Setup
+from ldctoolkit.simulation import Takeover, Window, drive
+
+from .assessment import assess
+from .design import Design
+from .results import FAILED_STATUSES, StudyResults, status_among
+from .standards import VEHICLES
+from .storage.measure_table import MeasureTable
+
+MARGIN_SPEEDS: Final = tuple(range(10, 41, 5))  # speeds [m/s] that the margins of a design are the smallest of
+
+DEPARTURES: Final = 50  # of each side, that every design is driven on with every named vehicle
+
+LOOP: Final = ("gain_margin", "phase_margin", "solver")
+"""Measures of the loop: both margins, [1] and [rad], and whether the law has a solver (1 or 0)."""
+
+Group = tuple[tuple[str, ...], Callable[[Sequence[Design]], Sequence[FloatArray]]]
+"""Names of measures, and what measures all of them, each (d,), of d designs."""
+
+
+def measured(
+    results: StudyResults,
+    table: MeasureTable,
+    setup: Setup,
+    vehicles: Sequence[str] = (),
+    standards: Sequence[str] = (),
+) -> StudyResults:
+    """The results with the measures of their designs; those that the table does not hold are driven and added to it."""
+    some = first_of_each_side(results.scenarios, DEPARTURES) if vehicles else results.scenarios
+    groups: list[Group] = [(LOOP, functools.partial(_loop, setup=setup))]
+    for vehicle in vehicles:
+        on = functools.partial(_on_vehicle, vehicle=vehicle, scenarios=some, setup=setup, window=results.window)
+        groups.append((vehicle_measures(vehicle, results.scenarios), on))
+    groups += [((name,), functools.partial(_scores, standard=name, setup=setup)) for name in standards]
+    for names, measure in groups:
+        if missing := table.without(names[-1], results.designs):
+            table.add(dict(zip(names, measure(missing), strict=True)), missing)
+    return dataclasses.replace(results, measures=table.of(results.designs))
+
+
+def vehicle_measures(vehicle: str, scenarios: Scenarios) -> tuple[str, str]:
+    """Names of the mean S [m s] and the comfortable share of a named vehicle, on the first of these departures."""
+    content = hashlib.sha256()
+    for array in first_of_each_side(scenarios, DEPARTURES).arrays():
+        content.update(array.tobytes())
+    on = f"{vehicle} {content.hexdigest()[:12]}"
+    return f"S of {on}", f"comfortable of {on}"
+
+
+def _loop(designs: Sequence[Design], *, setup: Setup) -> Sequence[FloatArray]:
+    """Margins and solver of every design; they do not depend on its threshold."""
+    same = {(design.law, design.gains, design.code): design for design in designs}
+    controllers = [design.controller(setup.convention) for design in same.values()]
+    gain, phase = design_margins(controllers, setup, MARGIN_SPEEDS)
+    numbers = np.stack([gain.min(axis=1), phase.min(axis=1), [_has_solver(one, setup) for one in controllers]])
+    place = {key: i for i, key in enumerate(same)}
+    return list(numbers[:, [place[design.law, design.gains, design.code] for design in designs]])
+
+
+def _has_solver(controller: Any, setup: Setup) -> float:
+    """Whether the law that a controller makes has `solver_calls` of its own; true where that is not known."""
+    try:
+        law = type(controller.prepare(setup.plant(np.array([25.0]))))
+    except Exception:  # a controller may be third-party code
+        return 1.0
+    return float(issubclass(law, SteeringLaw) and law.solver_calls is not SteeringLaw.solver_calls)
+
+
+def _scores(designs: Sequence[Design], *, standard: str, setup: Setup) -> Sequence[FloatArray]:
+    """Share of the standard's cells that each design passes as stated; NaN where the law raises."""
+    scores = []
+    for design in designs:
+        try:
+            made = assess(design.controller(setup.convention), standard, setup, y_s=design.y_s, tolerances=False)
+            scores.append(made.score)
+        except LdcError:
+            scores.append(math.nan)
+    return [np.array(scores)]
+
+
+def _on_vehicle(
+    designs: Sequence[Design], *, vehicle: str, scenarios: Scenarios, setup: Setup, window: Window
+) -> Sequence[FloatArray]:
+    """Mean S [m s] and comfortable share of every design on a named vehicle; NaN where they are not known."""
+    fixed = {quantity: (factor, factor) for quantity, factor in VEHICLES[vehicle].items()}
+    # friction is of the road, not of the vehicle
+    mismatch = Mismatch(mu=setup.options.mismatch.mu, **fixed)
+    plant = dataclasses.replace(setup.options, mismatch=mismatch)
+    drives = drive_on_plants(designs, [plant], scenarios, setup, window)
+    driven = drives.status[0] != EventStatus.INVALID
+    S = np.where(driven, drives.S[0], 0.0).sum(axis=1) / np.maximum(driven.sum(axis=1), 1)
+    return np.where(driven.any(axis=1), S, np.nan), drives.comfortable[0]
+
+
+@dataclasses.dataclass(frozen=True)
+class Drives:
+    """Scores of d designs on p plants and n scenarios."""
+
+    # (p, d, n) [m s] As it counts: a failed scenario at least as bad as without control. NaN where the law raised, or
+    # the plant cannot drive the scenario
+    S: FloatArray
+    S_uncorrected: FloatArray  # (p, d, n) [m s] NaN in the same places
+    status: npt.NDArray[np.int8]  # (p, d, n) `ldctoolkit.EventStatus`
+    # (p, d) [1] Share of the interventions within both limits of ISO 11270; NaN without any, and where the law raised
+    comfortable: FloatArray
+    raised: tuple[tuple[int, int, str], ...]  # By position: laws that raised
+
+
+def first_of_each_side(scenarios: Scenarios, most: int) -> Scenarios:
+    """At most so many scenarios of each side, with the numbers that they have."""
+    rows = [np.flatnonzero(scenarios.side == side)[:most] for side in (LEFT, RIGHT)]
+    return scenarios.take(np.concatenate(rows))
+
+
+def drive_on_plants(
+    designs: Sequence[Design], plants: Sequence[PlantOptions], scenarios: Scenarios, setup: Setup, window: Window
+) -> Drives:
+    """Drive every design on every plant; each by itself, so that no number depends on another.
+
+    The setup's own plant does not count.
+    """
+    shape = (len(plants), len(designs), scenarios.n)
+    S, S_uncorrected = np.full(shape, np.nan), np.full(shape, np.nan)
+    status = np.full(shape, EventStatus.INVALID, dtype=np.int8)
+    comfortable = np.full(shape[:2], np.nan)
+    failed = []
+    for k, options in enumerate(plants):
+        takeovers: dict[float, Takeover] = {}  # of one plant only: tables of a takeover are large
+        for i, design in enumerate(designs):
+            if design.y_s not in takeovers:
+                over = Takeover.build(scenarios, setup.on(options), y_s=design.y_s)
+                # designs know the actuator and the camera of the study, not the other ones
+                takeovers[design.y_s] = dataclasses.replace(over, plant=setup.plant(over.plant.v))
+            over = takeovers[design.y_s]
+            try:
+                outcome = drive(design.controller(setup.convention), over).outcome(window)
+            except Exception as error:  # a controller may be third-party code
+                failed.append((k, i, raised(error)))
+                continue
+            bad = status_among(outcome.status, FAILED_STATUSES)
+            S[k, i] = np.where(bad, np.maximum(outcome.S, outcome.S_uncorrected), outcome.S)
+            S_uncorrected[k, i], status[k, i] = outcome.S_uncorrected, outcome.status
+            if not np.isfinite(S[k, i, outcome.status != EventStatus.INVALID]).all():
+                S[k, i] = np.nan
+                failed.append((k, i, "S is not finite in some scenario"))
+                continue
+            acted = ~status_among(outcome.status, (EventStatus.NEVER_TRIGGERED, EventStatus.INVALID))
+            if not design.is_baseline:
+                peaks = outcome.companions
+                comfortable[k, i] = comfortable_share(peaks.a_y_added_peak, peaks.jerk_added_peak, acted)
+    return Drives(S, S_uncorrected, status, comfortable, tuple(failed))

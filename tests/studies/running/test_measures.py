@@ -1,0 +1,113 @@
+"""What a run measures beside its scenario runs: driven once, stored, and judged without another drive."""
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import ldctoolkit.studies.measures as measures
+from ldctoolkit.errors import InputError, StoreError
+from ldctoolkit.studies import Study, rank_study, read_results, run_study
+from ldctoolkit.studies.storage.manifest import read_manifest
+
+STANDARD = "euroncap-2026-elk-road-edge"
+CONTENT: dict[str, Any] = {
+    "name": "measured",
+    "scenarios": {"left": 12, "right": 10},
+    "ranking": {"bootstrap": 100, "finalists": 2, "vehicles": ["heavy"], "require": [f"{STANDARD} >= 0"]},
+    "design": [{"law": "none"}, {"law": "lqr", "y_s": 0.1, "gains": {"r_delta": [100.0, 1000.0]}}],
+}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("measured") / "run"
+    run_study(Study.from_dict(CONTENT), folder, workers=1)
+    return folder
+
+
+@pytest.fixture
+def no_drive(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever drives a design raises."""
+
+    def driven(*_: Any, **__: Any) -> None:
+        raise AssertionError("a design is driven")
+
+    simulation, run = "ldctoolkit.simulation", "ldctoolkit.studies.measures"
+    for name in (f"{simulation}.loop.drive_many", f"{simulation}.drive", f"{run}.drive", f"{run}.assess",
+                 f"{run}.design_margins"):  # fmt: skip
+        monkeypatch.setattr(name, driven)
+
+
+@pytest.mark.usefixtures("no_drive")
+def test_a_finished_run_is_ranked_without_a_drive(folder: Path) -> None:
+    results, study = read_results(folder), read_manifest(folder).read_study()
+    ranking = rank_study(results, study)
+    lqr = [i for i, design in enumerate(ranking.designs) if not design.is_baseline]
+    assert np.isfinite(ranking.release.gain_margin[lqr]).all()
+    assert np.isfinite(ranking.release.S_worst).all()
+    assert np.isfinite(ranking.standards[STANDARD]).all()
+    rank_study(results, study.changed(ranking={"require": ["comfort"], "confidence": 0.9}))
+
+
+@pytest.mark.usefixtures("no_drive")
+@pytest.mark.parametrize(
+    ("ranking", "missing"), [({"vehicles": ["soft"]}, "soft"), ({"require": ["un-r79-b1"]}, "un-r79-b1")]
+)
+def test_what_was_not_measured_is_named(folder: Path, ranking: dict[str, Any], missing: str) -> None:
+    study = read_manifest(folder).read_study().changed(ranking=ranking)
+    with pytest.raises(InputError) as caught:
+        rank_study(read_results(folder), study)
+    assert (caught.value.path, caught.value.value) == ("ranking", missing)
+    assert "run the study" in caught.value.hint
+
+
+def test_a_run_measures_what_is_missing_and_nothing_else(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another vehicle, then nothing new: the same numbers as in one run of all."""
+    shutil.copytree(folder, tmp_path / "copy")
+    driven: list[list[str]] = []
+    drive_on_plants = measures.drive_on_plants
+
+    def counted(designs: Any, *more: Any) -> Any:
+        driven.append([design.id for design in designs])
+        return drive_on_plants(designs, *more)
+
+    monkeypatch.setattr(measures, "drive_on_plants", counted)
+    both = Study.from_dict(CONTENT | {"ranking": CONTENT["ranking"] | {"vehicles": ["heavy", "soft"]}})
+    results = run_study(both, tmp_path / "copy", workers=1)
+    assert driven == [[design.id for design in both.designs]]
+    whole = run_study(both, tmp_path / "whole", workers=1)
+    assert results.measures.keys() == whole.measures.keys()
+    for name, values in whole.measures.items():
+        np.testing.assert_array_equal(results.measures[name], values)
+    driven.clear()
+    run_study(both, tmp_path / "copy", workers=1)
+    assert driven == []
+
+
+def test_a_run_without_its_measures_says_so_and_is_continued(
+    folder: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """As one that was killed after its last scenario."""
+    shutil.copytree(folder, tmp_path / "copy")
+    (tmp_path / "copy" / "measures.parquet").unlink()
+    assert not read_results(tmp_path / "copy").measures
+    assert "no loop margins of these designs yet; run the study again to have them" in caplog.text
+    study = Study.from_dict(CONTENT)
+    again, first = run_study(study, tmp_path / "copy", workers=1), read_results(folder)
+    for name, values in first.measures.items():
+        np.testing.assert_array_equal(again.measures[name], values)
+
+
+def test_damaged_measures_are_named_and_made_anew(folder: Path, tmp_path: Path) -> None:
+    shutil.copytree(folder, tmp_path / "copy")
+    path = tmp_path / "copy" / "measures.parquet"
+    path.write_bytes(path.read_bytes()[::-1])
+    with pytest.raises(StoreError) as caught:
+        read_results(tmp_path / "copy")
+    assert caught.value.path.endswith("measures.parquet")
+    assert run_study(Study.from_dict(CONTENT), tmp_path / "copy", workers=1).measures
