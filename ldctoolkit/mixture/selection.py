@@ -1,15 +1,11 @@
-"""The number of components: candidates are fitted, in parallel where that pays, and compared by BIC."""
+"""The number of components: candidates are fitted, in parallel where they can be, and compared by BIC."""
 
 from __future__ import annotations
 
 import contextlib
 import dataclasses
 import functools
-import multiprocessing
-import os
-import signal
-import threading
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -17,16 +13,12 @@ import numpy.typing as npt
 
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.declared import checked_whole
-from ldctoolkit.errors import InputError, LdcError
+from ldctoolkit.errors import InputError
 from ldctoolkit.mixture.bounded_gaussian_mixture import BoundedGaussianMixture
-from ldctoolkit.mixture.checks import Events, RandomState, check_components, seed_of, usable_cores
-from ldctoolkit.surroundings import WORKERS, leave_with, safe_path
+from ldctoolkit.mixture.checks import Events, RandomState, check_components, seed_of
 
 ALLOWANCE: Final = 10.0
 """The smallest K whose BIC lies within this distance of the least one is chosen."""
-
-_SMALL: Final = 100_000  # up to so many numbers times components to fit, other processes are not worth their start
-_IDLE: Final = 10.0  # seconds after which worker processes without work end
 
 
 @dataclasses.dataclass(frozen=True)
@@ -110,7 +102,7 @@ def select_components(
 
     Raises `InputError` if the range is empty, a K is not a positive integer, an option is not allowed, or no K can be
     fitted: then with the error of the smallest. A K that cannot be fitted beside others that can is left out and
-    reported. `LdcError` if a worker process ends abruptly.
+    reported.
 
     Parameters
     ----------
@@ -123,11 +115,10 @@ def select_components(
     random_state : int or Generator, optional
         Seed of all fits.
     n_jobs : int, optional
-        Cores to use, all by default. Fits run so many at a time in worker processes, if they take long enough to be
-        worth it. No number depends on it.
+        Cores that a fit uses, all by default. No number depends on it.
     fit_each : callable, optional
-        What runs the fits in place of worker processes: ``fit_each(fit, models)`` gives what ``fit`` gives for each
-        model, in their order, as the built-in `map` does.
+        What runs the fits, `map` by default: ``fit_each(fit, models)`` gives what ``fit`` gives for each model, in any
+        order, so that worker processes may run several at a time.
     enough : callable, optional
         The K are fitted one after the other in this process, and larger ones are left out once this says so of the
         fits so far.
@@ -170,10 +161,8 @@ def select_components(
     events = Events.of(X, sample_weight, n_jobs)
     events = dataclasses.replace(events, x=np.ascontiguousarray(events.x))  # in the order the passes read it
     n = float(events.rows if events.weight is None else events.weight.sum())
-    if enough is not None:
+    if enough is not None or fit_each is None or len(models) == 1:
         fit_each = map
-    elif fit_each is None:
-        fit_each = _runner(events.x.size * sum(tried), n_jobs, len(tried))
     if fit_each is not map:
         models.reverse()  # the longest fits begin first
         events = dataclasses.replace(events, threads=1)
@@ -196,39 +185,6 @@ def select_components(
     if not trials:
         raise min(failures, key=lambda failure: failure.n_components).error
     return _selection(n, trials, failures)
-
-
-def _runner(size: int, n_jobs: int | None, fits: int) -> FitEach:
-    """`map`, or worker processes where they are asked for or worth their start."""
-    workers = min(n_jobs or (usable_cores() if size > _SMALL else 1), fits)
-    daemon = multiprocessing.current_process().daemon  # which may have no processes
-    return map if workers == 1 or daemon else functools.partial(_in_processes, workers)
-
-
-def _in_processes(workers: int, fit: Fit, models: Sequence[BoundedGaussianMixture]) -> Iterator[Outcome]:
-    """As `map`, in worker processes that wait a while for the next fits; after an error or an interrupt they end."""
-    from loky import get_reusable_executor
-    from loky.process_executor import BrokenProcessPool
-
-    with safe_path():
-        pool = get_reusable_executor(
-            workers, timeout=_IDLE, initializer=_start_worker, initargs=(os.getpid(),), env=WORKERS
-        )
-        finished = False
-        try:
-            yield from pool.map(fit, models)
-            finished = True
-        except BrokenProcessPool:
-            hint = "n_jobs=1 needs no other process"
-            raise LdcError("worker process", "ended abruptly: out of memory, or killed", hint=hint) from None
-        finally:
-            if not finished:
-                pool.shutdown(wait=True, kill_workers=True)
-
-
-def _start_worker(parent: int) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides what an interrupt means
-    threading.Thread(target=leave_with, args=(parent,), daemon=True).start()
 
 
 def _selection(events: float, trials: Sequence[Trial], failures: Sequence[Failure]) -> Selection:

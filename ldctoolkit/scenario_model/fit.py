@@ -168,8 +168,7 @@ def fit_scenario_model(
     workers : int, optional
         Cores to use, all by default. It changes no number.
     fit_each : callable, optional
-        What runs the fits of several K in place of worker processes, as the built-in `map` does: see
-        `select_components`.
+        What runs the fits of several K, `map` by default: see `select_components`.
     verbose : bool
         Report every start and pass on stderr.
     source_provenance : mapping or str

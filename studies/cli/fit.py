@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import functools
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from ldctoolkit.errors import InputError, LdcError
 
@@ -88,10 +89,17 @@ def transform(text: str) -> tuple[str, str]:
     return _console.named(text)
 
 
+_MOST_AT_ONCE: Final = 10  # fits: as many as there are K by default
+
+
 def run(chosen: argparse.Namespace) -> None:
     """Carry the command out."""
     from ldctoolkit.departures import PARAMETER_NAMES
+    from ldctoolkit.mixture.checks import usable_cores
     from ldctoolkit.scenario_model import fit_scenario_model, read_all_departures
+
+    from ..running.executors import make_executor
+    from ..running.work import closing, map_on
 
     target = _console.output_file(chosen.output, ".json")
     page = target.with_suffix(".html")
@@ -103,7 +111,9 @@ def run(chosen: argparse.Namespace) -> None:
     _console.each_once("--bound", chosen.bound)
     with _console.progress_bar("reading departures"):
         departures, provenance = read_all_departures(chosen.departures)
-    with _console.progress_bar("fitting") as advance:
+    # its processes start with the first fit that is sent to them
+    executor = make_executor(None, min(chosen.workers or usable_cores(), _MOST_AT_ONCE))
+    with _console.progress_bar("fitting") as advance, closing(executor):
         model = fit_scenario_model(
             departures,
             components=chosen.components,
@@ -117,6 +127,7 @@ def run(chosen: argparse.Namespace) -> None:
             tol=chosen.tol,
             n_init=chosen.n_init,
             workers=chosen.workers,
+            fit_each=None if executor.name == "serial" else functools.partial(map_on, executor),
             verbose=chosen.verbose,
             source_provenance=_source(provenance),
             progress=_without_text(advance),

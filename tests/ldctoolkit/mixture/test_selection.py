@@ -1,16 +1,13 @@
 """The number of components, and the criterion that chooses it."""
 
 import concurrent.futures
-import contextlib
-import multiprocessing
-import os
 
 import numpy as np
 import pytest
 from scipy.stats import truncnorm
 
 from helpers.errors import refused
-from ldctoolkit.errors import NOT_GIVEN, LdcError, UnknownArgumentError
+from ldctoolkit.errors import NOT_GIVEN, UnknownArgumentError
 from ldctoolkit.mixture import BoundedGaussianMixture, select_components
 from ldctoolkit.mixture.selection import choose, reason_of
 
@@ -158,15 +155,7 @@ def test_larger_k_are_not_tried_once_bic_has_risen(n, tried):
 
 
 # ---- in parallel
-@contextlib.contextmanager
-def no_process_stays():
-    """None that the block starts; those of other tests may still wait for work."""
-    before = set(multiprocessing.active_children())
-    yield
-    assert set(multiprocessing.active_children()) <= before
-
-
-def test_numbers_do_not_depend_on_processes():
+def test_numbers_depend_neither_on_the_order_nor_on_cores():
     X = two_groups()
     options = {"lower": 0.0, "sample_weight": np.linspace(0.5, 2.0, 600), **QUICK}
     # 201 components are too many for 600 rows
@@ -190,36 +179,16 @@ def test_what_runs_the_fits_may_be_passed_in():
     assert_same(select_components(two_groups(), [1, 2, 3], lower=0.0, fit_each=map, **QUICK), serial)
 
 
-class Dying(BoundedGaussianMixture):
-    """A fit that ends its process."""
-
-    def fit_events(self, events):
-        os._exit(3)
+def reverse_map(fit, models):
+    """Results in another order."""
+    return reversed([fit(model) for model in models])
 
 
-@pytest.mark.slow
-def test_a_worker_that_dies_is_reported(monkeypatch):
-    monkeypatch.setattr("ldctoolkit.mixture.selection.BoundedGaussianMixture", Dying)
-    with no_process_stays(), refused("worker process", LdcError, hint="n_jobs=1 needs no other process"):
-        select_components(two_groups(), [1, 2], n_jobs=2, **QUICK)
-
-
-@pytest.mark.slow
-def test_an_interrupt_ends_the_workers():
-    def interrupt(text, done, total):
-        if done:
-            raise KeyboardInterrupt
-
-    # at once, not when the traceback and what it holds are dropped
-    with no_process_stays(), pytest.raises(KeyboardInterrupt) as caught:
-        select_components(two_groups(), range(1, 5), lower=0.0, n_jobs=2, progress=interrupt, **QUICK)
-    assert caught.traceback
-
-
-@pytest.mark.parametrize(("n_jobs", "first"), [(1, "K = 1"), pytest.param(2, "K = 3", marks=pytest.mark.slow)])
-def test_progress(n_jobs, first):
+@pytest.mark.parametrize(("fit_each", "first"), [(None, "K = 1"), (reverse_map, "K = 3")])
+def test_progress(fit_each, first):
     seen = []
-    select_components(two_groups(), [1, 2, 3], lower=0.0, n_jobs=n_jobs, progress=lambda *a: seen.append(a), **QUICK)
+    options = {"lower": 0.0, "fit_each": fit_each, "progress": lambda *a: seen.append(a), **QUICK}
+    select_components(two_groups(), [1, 2, 3], **options)
     assert (seen[0], [s[1] for s in seen], seen[-1]) == ((first, 0, 3), [0, 1, 2, 3], ("done", 3, 3))
 
 
@@ -240,14 +209,14 @@ def test_a_k_that_cannot_be_fitted_is_reported_and_left_out():
     assert found.reason.endswith("; K = 14 could not be fitted")
 
 
-@pytest.mark.parametrize("n_jobs", [1, pytest.param(2, marks=pytest.mark.slow)])
-def test_where_all_fail_the_error_is_that_of_the_smallest(n_jobs):
+@pytest.mark.parametrize("fit_each", [map, reverse_map])
+def test_where_all_fail_the_error_is_that_of_the_smallest(fit_each):
     X = two_groups()
     X[7, 1] = -1.0
     with refused("X: column 1, row 7", value=-1.0, allowed="strictly between the bounds 0 and inf"):
-        select_components(X, [1, 2], lower=0.0, n_jobs=n_jobs, **QUICK)
+        select_components(X, [1, 2], lower=0.0, fit_each=fit_each, **QUICK)
     with refused("X", allowed="at least K (d + 1) = 6 for K = 2, d = 2"):
-        select_components(X[:4], [3, 2], lower=0.0, n_jobs=n_jobs, **QUICK)
+        select_components(X[:4], [3, 2], lower=0.0, fit_each=fit_each, **QUICK)
 
 
 @pytest.mark.parametrize(
