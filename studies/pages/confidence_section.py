@@ -83,11 +83,11 @@ def _charts(context: Context) -> Iterator[Chart]:
     rows = []
     for i in sorted(shown):
         name, style = design_name(ranking.designs[i]), context.style(i)
-        own = [Dot(name, float(ranking.S[i]), float(ranking.S_low[i]), float(ranking.S_high[i]), style)]
+        dots_of_row = [Dot(name, float(ranking.S[i]), float(ranking.S_low[i]), float(ranking.S_high[i]), style)]
         if math.isfinite(ranking.fresh_S[i]):
             S, low, high = (float(one[i]) for one in (ranking.fresh_S, ranking.fresh_low, ranking.fresh_high))
-            own.append(Dot(name, S, low, high, style, open=True))
-        rows.append(own)
+            dots_of_row.append(Dot(name, S, low, high, style, open=True))
+        rows.append(dots_of_row)
     ends = [value for row in rows for one in row for value in (one.value, one.low, one.high)]
     level = float(ranking.S_uncorrected[context.shown])
     near = [level] if level < 2.0 * max((v for v in ends if math.isfinite(v)), default=0.0) else []
