@@ -84,10 +84,9 @@ def test_rebuilding_and_reducing_give_the_parameters_back(event: Scenarios) -> N
     np.testing.assert_allclose(back.sigma_v, 0.0, atol=1e-9)
 
 
-def _noisy(seed: int, n: int) -> tuple[DepartureSignals, np.ndarray]:
-    rng = np.random.default_rng(seed)
-    count = rng.integers(5, 60, n)
-    offsets = np.concatenate([[0], np.cumsum(count)])
+def test_reduction_equals_lstsq_event_by_event() -> None:
+    rng = np.random.default_rng(3)
+    count = rng.integers(5, 60, 40)
     pieces: dict[str, list[np.ndarray]] = {name: [] for name in "tyvc"}
     for k in count:
         t = np.concatenate([[0.0], np.sort(rng.uniform(0.05, 1.95, k - 2)), [2.0]])
@@ -96,12 +95,8 @@ def _noisy(seed: int, n: int) -> tuple[DepartureSignals, np.ndarray]:
         for name, values in zip("tyvc", (t, y, rng.normal(20, 1, k), rng.normal(0, 1e-3, k)), strict=True):
             pieces[name].append(values)
     flat = {name: np.concatenate(values) for name, values in pieces.items()}
-    return DepartureSignals(offsets=offsets, **flat), np.ones(n, dtype=np.int64)
-
-
-def test_reduction_equals_lstsq_event_by_event() -> None:
-    signals, side = _noisy(3, 40)
-    back = reduce_signals(signals, side)
+    signals = DepartureSignals(offsets=np.concatenate([[0], np.cumsum(count)]), **flat)
+    back = reduce_signals(signals, np.ones(40, dtype=np.int64))
     for i in range(signals.n):
         rows = slice(signals.offsets[i], signals.offsets[i + 1])
         t, y, v, c = signals.t[rows], signals.y[rows], signals.v[rows], signals.c[rows]
@@ -126,26 +121,19 @@ def test_reduction_equals_lstsq_event_by_event() -> None:
             assert getattr(back, name)[i] == pytest.approx(value, rel=1e-9, abs=1e-12), name
 
 
-def test_reduction_does_not_depend_on_the_neighbours() -> None:
-    signals, side = _noisy(5, 30)
-    whole = reduce_signals(signals, side).matrix()
-    for i in (0, 7, 29):
-        rows = slice(signals.offsets[i], signals.offsets[i + 1])
-        one = DepartureSignals(
-            np.array([0, rows.stop - rows.start]), signals.t[rows], signals.y[rows], signals.v[rows], signals.c[rows]
-        )
-        np.testing.assert_allclose(reduce_signals(one, side[:1]).matrix()[0], whole[i], rtol=1e-12)
-
-
-def test_too_few_samples_and_bad_durations_are_named() -> None:
-    short = DepartureSignals(np.array([0, 4]), np.array([0.0, 0.2, 0.4, 0.6]), np.zeros(4), np.ones(4), np.zeros(4))
-    with pytest.raises(InputError, match="event 0: samples between its crossings: 2"):
-        reduce_signals(short, [1])
-    still = DepartureSignals(np.array([0, 5]), np.zeros(5), np.zeros(5), np.ones(5), np.zeros(5))
-    with pytest.raises(InputError, match=r"event 0: duration: 0\.0"):
-        reduce_signals(still, [1])
-    with pytest.raises(InputError, match="dt: 0"):
-        rebuild_signals(Scenarios.from_arrays(T=1.0, d_y=0.1, v_mean=20.0), 0.0)
+@pytest.mark.parametrize(
+    ("t", "path", "value"),
+    [
+        ([0.0, 0.2, 0.4, 0.6], "signals: event 0: samples between its crossings", 2),
+        ([0.0] * 5, "signals: event 0: duration", 0.0),
+    ],
+)
+def test_too_few_samples_and_bad_durations_are_named(t: list[float], path: str, value: float) -> None:
+    n = len(t)
+    signals = DepartureSignals(np.array([0, n]), np.array(t), np.zeros(n), np.ones(n), np.zeros(n))
+    with pytest.raises(InputError) as caught:
+        reduce_signals(signals, [1])
+    assert (caught.value.path, caught.value.value) == (path, value)
 
 
 def test_three_samples_and_a_speed_of_1_m_s_are_enough() -> None:
@@ -164,7 +152,10 @@ def test_rows_can_be_taken_by_list_mask_and_slice() -> None:
         assert two.take(rows).T.tolist() == [2.0]
 
 
-def test_nothing_in_nothing_out() -> None:
+def test_nothing_in_nothing_out_and_no_step_of_zero() -> None:
+    with pytest.raises(InputError) as caught:
+        rebuild_signals(Scenarios.from_arrays(T=1.0, d_y=0.1, v_mean=20.0), 0.0)
+    assert (caught.value.path, caught.value.value) == ("dt", 0.0)
     empty = np.empty(0)
     signals = DepartureSignals(np.array([0]), empty, empty, empty, empty)
     assert len(reduce_signals(signals, np.empty(0))) == 0

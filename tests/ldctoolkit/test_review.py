@@ -161,19 +161,18 @@ def test_what_the_loop_holds_of_a_camera_is_not_told_as_left_out(given: dict[str
 def test_margins_below_their_thresholds() -> None:
     """The same number is a warning or a fault as the thresholds say, and the sentence names value and bound."""
     value = float(review(LQR(r_delta=100.0), speeds=[40.0]).loop.gain_margin[0])  # type: ignore[union-attr]
-    warned = review(LQR(r_delta=100.0), speeds=[40.0], thresholds=Thresholds(gain_margin=(value + 1, value - 1)))
-    finding = named(warned, "gain_margin")
+
+    def reviewed(warning: float, fault: float) -> Review:
+        thresholds = Thresholds(gain_margin=(value + warning, value + fault))
+        return review(LQR(r_delta=100.0), speeds=[40.0], thresholds=thresholds)
+
+    finding = named(reviewed(1, -1), "gain_margin")
     assert (finding.severity, finding.value) == ("warning", pytest.approx(value))
     assert f"a gain margin of {value:.3g} dB; allowed: at least {value + 1:.3g} dB" in finding.sentence
     assert "Raise r_delta" in finding.sentence
-    faulty = review(LQR(r_delta=100.0), speeds=[40.0], thresholds=Thresholds(gain_margin=(value + 2, value + 1)))
-    assert named(faulty, "gain_margin").severity == "fault"
-    # the threshold itself is still allowed
-    edge = review(LQR(r_delta=100.0), speeds=[40.0], thresholds=Thresholds(gain_margin=(value + 1, value)))
-    assert named(edge, "gain_margin").severity == "warning"
-    assert "gain_margin" not in names(
-        review(LQR(r_delta=100.0), speeds=[40.0], thresholds=Thresholds(gain_margin=(value, value)))
-    )
+    assert named(reviewed(2, 1), "gain_margin").severity == "fault"
+    assert named(reviewed(1, 0), "gain_margin").severity == "warning"  # the threshold itself is still allowed
+    assert "gain_margin" not in names(reviewed(0, 0))
 
 
 def test_limits_against_the_actuator_and_the_corridor() -> None:
@@ -191,7 +190,9 @@ class Soft(NoFeedforward):
 
     name: ClassVar[str] = "soft"
     delta_max: float = gain(0.1, unit="rad", lower=0.0, upper=1.0, description="limit")
+    rate_max: float = gain(1.0, unit="rad/s", lower=0.0, upper=1.0, description="limit")
     a_y_max: float = gain(0.0, unit="m/s^2", lower=0.0, upper=100.0, description="soft limit, 0 for none")
+    jerk_max: float = gain(0.0, unit="m/s^3", lower=0.0, upper=1.0, description="soft limit, 0 for none")
     e_y_max: float = gain(0.0, unit="m", lower=0.0, upper=10.0, description="corridor, 0 for none")
 
 
@@ -225,12 +226,7 @@ def test_the_condensed_hessian_is_that_of_the_cost() -> None:
     unit = np.eye(N)
     H = np.array([[cost(a + b) - cost(a) - cost(b) for b in unit] for a in unit]) / 2.0
     assert found.hessian_condition[0] == pytest.approx(np.linalg.cond(H), rel=1e-6)
-
-
-def test_a_hessian_that_is_too_stiff() -> None:
-    found = review(LinearMPC(horizon=100, r_delta=1e-3, q_y=1e6), speeds=[40.0])
-    assert named(found, "hessian").value > 1e6
-    assert found.loop is not None
+    assert named(review(LinearMPC(horizon=100, r_delta=1e-3, q_y=1e6), speeds=[40.0]), "hessian").value > 1e6
     assert np.isnan(review(LQR(r_delta=100.0), speeds=[40.0]).loop.hessian_condition).all()  # type: ignore[union-attr]
 
 
@@ -367,22 +363,13 @@ def test_raising_laws_are_named(where: str, error: BaseException, told: str, mon
 
 def test_a_limit_of_zero_is_off_only_where_zero_says_so() -> None:
     """delta_max = 0 forbids steering; a_y_max, jerk_max and e_y_max of 0 are none."""
-
-    @dataclasses.dataclass(frozen=True)
-    class Limited(NoFeedforward):
-        name: ClassVar[str] = "limited"
-        delta_max: float = gain(0.0, unit="rad", lower=0.0, upper=1.0, description="limit")
-        rate_max: float = gain(0.0, unit="rad/s", lower=0.0, upper=1.0, description="limit")
-        e_y_max: float = gain(0.0, unit="m", lower=0.0, upper=1.0, description="corridor")
-        a_y_max: float = gain(0.0, unit="m/s^2", lower=0.0, upper=1.0, description="limit")
-        jerk_max: float = gain(0.0, unit="m/s^3", lower=0.0, upper=1.0, description="limit")
-
-    on = {name: limit_of(Limited(), name) for name in ("delta_max", "rate_max", "e_y_max", "a_y_max", "jerk_max")}
-    assert on == {"delta_max": 0.0, "rate_max": 0.0, "e_y_max": None, "a_y_max": None, "jerk_max": None}
-    found = review(Limited(), speeds=[20.0])
+    design = Soft(delta_max=0.0, rate_max=0.0)
+    limits = {name: limit_of(design, name) for name in ("delta_max", "rate_max", "e_y_max", "a_y_max", "jerk_max")}
+    assert limits == {"delta_max": 0.0, "rate_max": 0.0, "e_y_max": None, "a_y_max": None, "jerk_max": None}
+    found = review(design, speeds=[20.0])
     assert named(found, "angle_in_bend").allowed == 0.0
     assert "for all samples" in named(found, "initial_angle").sentence
-    assert limit_of(Limited(e_y_max=1.0), "e_y_max") == 1.0
+    assert limit_of(Soft(e_y_max=1.0), "e_y_max") == 1.0
 
 
 def test_a_bound_on_the_offset_is_no_offset_in_a_bend() -> None:
@@ -424,17 +411,15 @@ def test_a_response_of_many_states_is_worked_out_in_blocks() -> None:
         ({"delta_prev": ([0.1, 0.2], [20.0])}, "delta_prev", None),
         ({"dt": 1e-6, "options": PlantOptions(actuator=Actuator(delay=0.05))}, "actuator.delay", 0.05),
         ({"dt": 1e-6, "options": PlantOptions(sensors=Sensors(delay=0.05))}, "sensors.delay", 0.05),
+        ({"controller": LQR}, "controller", None),
     ],
 )
 def test_wrong_arguments_are_named(wrong: dict[str, Any], path: str, value: object) -> None:
     with pytest.raises(InputError) as caught:
-        review(LQR(r_delta=100.0), **wrong)
+        review(**{"controller": LQR(r_delta=100.0)} | wrong)
     assert caught.value.path == path
     assert caught.value.allowed
     assert value is None or caught.value.value == value
-    with pytest.raises(InputError) as caught:
-        review(LQR)  # type: ignore[arg-type]
-    assert caught.value.path == "controller"
 
 
 @pytest.mark.parametrize("pair", [(3.0, 6.0), (6.0,), (0.0, 0.0), ("a", "b"), 6.0])
