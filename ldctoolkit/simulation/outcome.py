@@ -12,8 +12,8 @@ import numpy.typing as npt
 import ldctoolkit.metrics as metrics
 from ldctoolkit.arrays import BoolArray, FloatArray, Frame, IntArray, ReadOnly
 from ldctoolkit.control import EventStatus, SolverLog
-from ldctoolkit.departures import LEFT
-from ldctoolkit.notebook import outcome_html
+from ldctoolkit.departures import LEFT, RIGHT
+from ldctoolkit.notebook import facts_html
 
 if TYPE_CHECKING:
     import polars as pl
@@ -22,6 +22,18 @@ if TYPE_CHECKING:
 
 Window = Literal["departure", "control"]
 STATUS_NAMES = np.array([one.name.lower() for one in EventStatus])  # by the number of each
+
+_SHOWN: Final = {
+    EventStatus.OK: "taken over and driven to the end",
+    EventStatus.NEVER_TRIGGERED: "never triggered",
+    EventStatus.SOLVER_FAILED: "solver failed",
+    EventStatus.DIVERGED: "diverged",
+    EventStatus.TIMED_OUT: "timed out",
+    EventStatus.INVALID: "cannot be driven",
+    EventStatus.CRASHED: "crashed",
+    EventStatus.BEYOND_DELTA_MAX: "taken over beyond delta_max, driven to the end",
+}
+_FAILURES: Final = (EventStatus.SOLVER_FAILED, EventStatus.DIVERGED, EventStatus.TIMED_OUT, EventStatus.CRASHED)
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
@@ -112,8 +124,28 @@ class Outcome(Frame):
 
     def _repr_html_(self) -> str:
         """What a notebook shows; means leave out scenarios that cannot be driven."""
-        scores = self.S, self.S_uncorrected, self.deepest
-        return outcome_html(self.window, *scores, self.status, self.failed_solves, self.side)
+        driven, lines = self.status != EventStatus.INVALID, []
+        groups = [("", driven)]
+        for side, name in ((LEFT, "left"), (RIGHT, "right")) if self.side is not None else ():
+            rows = driven & (self.side == side)
+            groups.append((f", {name} ({np.count_nonzero(rows):,})", rows))
+        for group, rows in groups:
+            if rows.any():
+                S, S_uncorrected = float(np.mean(self.S[rows])), float(np.mean(self.S_uncorrected[rows]))
+                change = f", {100.0 * (S / S_uncorrected - 1.0):+.1f} %" if S_uncorrected > 0 else ""
+                lines.append((f"mean S with control{group}", f"{S:.4f} m s{change}".replace("-", "\u2212")))
+                lines.append((f"mean S without control{group}", f"{S_uncorrected:.4f} m s"))
+        if np.isfinite(self.deepest[driven]).any():
+            row = int(np.flatnonzero(driven)[np.nanargmax(self.deepest[driven])])
+            lines.append(("deepest beyond the line", f"{self.deepest[row]:.3f} m (no. {row})".replace("-", "\u2212")))
+        counts = {status: np.count_nonzero(self.status == status) for status in EventStatus}
+        lines += [(_SHOWN[status], f"{count:,}") for status, count in counts.items() if count]
+        lines.append(("failures", f"{sum(counts[status] for status in _FAILURES):,}"))
+        if self.failed_solves.any():
+            lines.append(("commands from a fallback", f"{int(self.failed_solves.sum()):,}"))
+        n = self.S.size
+        title = f"Outcome of {n:,} scenario{'' if n == 1 else 's'}, {self.window} window"
+        return facts_html(title, lines, "text-align:right;white-space:nowrap")
 
     def to_polars(self) -> pl.DataFrame:
         """One row a scenario: scores, trigger time (infinite where never triggered), status and every metric."""
