@@ -61,8 +61,6 @@ LEVELS = (
     ("studies.study_file", "studies.design_space", "studies.plant_table"),
     ("studies.study_template",),
     ("studies.replayed",),
-    ("studies.text",),
-    ("studies.tables",),
     ("studies.storage",),
     ("studies.running",),
     ("studies.assessment", "studies.extraction"),
@@ -87,6 +85,10 @@ def modules(root: Path) -> dict[str, Path]:
     return found
 
 
+def nodes(path: Path) -> list[ast.AST]:
+    return [*ast.walk(ast.parse(path.read_text(encoding="utf-8")))]
+
+
 def level(module: str) -> int:
     """Level of the longest prefix that is listed; -1 for a room of `studies` that is not."""
     name = module
@@ -102,7 +104,7 @@ def imported(path: Path, known: Iterable[str]) -> set[str]:
     """The project's modules that a file imports: wherever in the file, and for the type checker alone too."""
     names: set[str] = set()
     parents = path.relative_to(next(p for p in path.parents if p.name in PACKAGES).parent).parts[:-1]
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in nodes(path):
         if isinstance(node, ast.Import):
             names.update(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -170,8 +172,8 @@ SEPARATORS = (": ", "; ", "allowed: ", "; allowed: ")
 
 def sentences_for_data(path: Path) -> list[int]:
     """Lines that take the message of an error apart, or make an error of one sentence that holds its parts."""
-    nodes = [*ast.walk(ast.parse(path.read_text(encoding="utf-8")))]
-    caught = {node.name for node in nodes if isinstance(node, ast.ExceptHandler)} | {"error", "problem"}
+    every = nodes(path)
+    caught = {node.name for node in every if isinstance(node, ast.ExceptHandler)} | {"error", "problem"}
 
     def is_error(node: ast.AST) -> bool:
         return isinstance(node, ast.Name) and node.id in caught
@@ -191,12 +193,12 @@ def sentences_for_data(path: Path) -> list[int]:
                 return any(isinstance(text, str) and (": " in text or "; allowed" in text) for text in texts)
         return False
 
-    return [node.lineno for node in nodes if isinstance(node, ast.expr) and is_fault(node)]
+    return [node.lineno for node in every if isinstance(node, ast.expr) and is_fault(node)]
 
 
 def writes(path: Path) -> bool:
     """Whether a module opens files to write them, or calls what does."""
-    calls = [node for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(node, ast.Call)]
+    calls = [node for node in nodes(path) if isinstance(node, ast.Call)]
     named = [getattr(call.func, "attr", getattr(call.func, "id", "")) for call in calls]
     modes = [
         {arg.value for arg in [*call.args, *(key.value for key in call.keywords)] if isinstance(arg, ast.Constant)}
@@ -293,7 +295,7 @@ def test_importing_a_package_loads_nothing_heavy(package: str) -> None:
 def test_the_zoo_uses_public_names_only() -> None:
     """A law needs nothing that a third party's law could not import from the façade."""
     for module, path in modules(ROOT).items():
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in nodes(path):
             if not module.startswith("controllers.") or not isinstance(node, ast.ImportFrom) or node.level:
                 continue
             home = node.module or ""
@@ -304,12 +306,11 @@ def test_the_zoo_uses_public_names_only() -> None:
 
 def imports_the_facade(path: Path) -> bool:
     """Whether a file imports names that ``ldctoolkit/__init__`` gathers for users."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.ImportFrom) and node.module == "ldctoolkit" and not node.level:
-            return True
-        if isinstance(node, ast.Import) and any(alias.name == "ldctoolkit" for alias in node.names):
-            return True
-    return False
+    return any(
+        (isinstance(node, ast.ImportFrom) and node.module == "ldctoolkit" and not node.level)
+        or (isinstance(node, ast.Import) and "ldctoolkit" in [alias.name for alias in node.names])
+        for node in nodes(path)
+    )
 
 
 @pytest.mark.parametrize("text", ["from ldctoolkit import simulate\n", "def f():\n    import ldctoolkit as ldc\n"])
@@ -379,7 +380,7 @@ REQUIRED = [
 def test_what_is_imported_is_declared() -> None:
     known = {one.name.lower().replace("-", "_") for one in REQUIRED} | {*PACKAGES, *sys.stdlib_module_names}
     for module, path in modules(ROOT).items():
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in nodes(path):
             names = [one.name for one in node.names] if isinstance(node, ast.Import) else []
             names += [node.module or ""] if isinstance(node, ast.ImportFrom) and not node.level else []
             outside = {name.partition(".")[0].lower() for name in names} - known - {"pydantic_core", "pandas"}

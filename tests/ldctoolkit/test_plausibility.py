@@ -94,12 +94,6 @@ def test_no_draw_of_the_bundled_model_is_beyond_its_limits(given, n):
     assert within(drawn, LIMITS).sum() == 2 * n
 
 
-@pytest.mark.slow
-def test_no_draw_of_two_million_is_beyond_the_limits():
-    drawn = load_model("reference").sample(1_000_000, 1_000_000, seed=11)
-    assert within(drawn, LIMITS, times=21).all()
-
-
 def test_a_condition_leaves_what_it_leaves_of_all_draws():
     """The distribution of d_y and c_0 in short departures, from rejection: samples of 20,000 and about as many."""
     model = load_model("reference")
