@@ -247,40 +247,57 @@ def test_good_laws_come_back(make: Callable[[], Any]) -> None:
     assert check_law(law, 3, "c") is law
 
 
+BAD_LAWS = [
+    (None, "prepare", "returned None", "SteeringLaw"),
+    (RecordedPath, "prepare", "returned the class RecordedPath", "a LinearLaw"),
+    (np.zeros((3, 4)), "prepare", "returned an array of shape (3, 4) and dtype float64", ""),
+    (linear(F=[[0.0] * 4] * 3), "F", "an object of type list", "an array of shape (3, 4)"),
+    (linear(F=np.zeros((3, 3))), "F", "shape (3, 3)", "(3, 4)"),
+    (linear(f_u=0.0), "f_u", "0.0", "an array of shape (3,)"),
+    (linear(f_past=np.zeros(3)), "f_past", "shape (3,)", "(3, q)"),
+    (linear(f_wheel=np.zeros(2)), "f_wheel", "shape (2,)", "(3,)"),
+    (linear(G_heading=np.zeros((3, 1))), "G_heading", "shape (3, 1)", "(3, 2)"),
+    (linear(G_yaw_rate=np.full((3, 2), "a")), "G_yaw_rate", "an array", "an array of real numbers"),
+    (linear(F=np.zeros((3, 4), dtype=complex)), "F", "dtype complex128", "real numbers"),
+    (linear(preview_times=np.array(1.0)), "preview_times", "shape ()", "(p,)"),
+    (linear(preview_times=np.array([0.0, -1.0])), "preview_times", -1.0, "finite times >= 0 [s]"),
+    (Steps(np.array([-10.5])), "preview_times", -10.5, ">= -10 [s]"),
+    (Steps(np.array([np.inf])), "preview_times", np.inf, "finite times"),
+    (Steps(np.float64(0.5)), "preview_times", "np.float64(0.5)", "an array of shape (p,)"),
+    (Steps([0.0]), "preview_times", "an object of type list", "(p,)"),
+    (NoProperty(None), "preview_times", "a method", ""),
+]
+ZEROS = np.zeros(3)
+BAD_STEPS = [
+    (ZEROS, "", "returned an array of shape (3,)", "a tuple (delta, state, status)"),
+    (None, "", "returned None", "a tuple"),
+    ((ZEROS, None), "", "returned a tuple of 2", "a tuple"),
+    ((ZEROS, ZEROS, None), ": status", "None", "an array of real numbers"),
+    ((ZEROS, None, ZEROS > 0), ": status", "dtype bool", ""),
+    ((["a"] * 3, None, ZEROS), ": delta", "an object of type list", "an array of real numbers"),
+    (([[1.0], []], None, ZEROS), ": delta", "an object of type list", ""),
+    ((ZEROS + 1j, None, ZEROS), ": delta", "dtype complex128", ""),
+    ((ZEROS[:2], None, ZEROS), ": delta", "shape (2,)", "(3,)"),
+    ((ZEROS[:, None], None, ZEROS), ": delta", "shape (3, 1)", "(3,)"),
+    ((ZEROS, None, EventStatus.OK), ": status", "shape ()", "(3,)"),
+    ((ZEROS, None, np.array([0, 2, 3])), ": status", 3, "EventStatus.OK (0), EventStatus.SOLVER_FAILED (2), "),
+    ((ZEROS, None, ZEROS + EventStatus.INVALID), ": status", 5.0, "EventStatus.BEYOND_DELTA_MAX (7)"),
+    ((ZEROS, None, ZEROS - 1), ": status", -1.0, ""),
+    ((ZEROS, None, ZEROS + np.nan), ": status", np.nan, ""),
+    ((ZEROS, None, ZEROS + 256), ": status", 256.0, ""),  # 0 as an int8
+]
+
+
 @pytest.mark.parametrize(
-    ("law", "part", "problem", "allowed"),
-    [
-        (None, "prepare", "returned None", "SteeringLaw"),
-        (RecordedPath, "prepare", "returned the class RecordedPath", "a LinearLaw"),
-        (np.zeros((3, 4)), "prepare", "returned an array of shape (3, 4) and dtype float64", ""),
-        (linear(F=[[0.0] * 4] * 3), "F", "an object of type list", "an array of shape (3, 4)"),
-        (linear(F=None), "F", "None", "(3, 4)"),
-        (linear(F=np.zeros((3, 3))), "F", "shape (3, 3)", "(3, 4)"),
-        (linear(f_u=np.zeros((3, 1))), "f_u", "shape (3, 1)", "(3,)"),
-        (linear(f_u=0.0), "f_u", "0.0", "an array of shape (3,)"),
-        (linear(f_past=np.zeros(3)), "f_past", "shape (3,)", "(3, q)"),
-        (linear(f_wheel=np.zeros(2)), "f_wheel", "shape (2,)", "(3,)"),
-        (linear(G_heading=np.zeros((3, 1))), "G_heading", "shape (3, 1)", "(3, 2)"),
-        (linear(G_yaw_rate=np.full((3, 2), "a")), "G_yaw_rate", "an array", "an array of real numbers"),
-        (linear(F=np.zeros((3, 4), dtype=complex)), "F", "dtype complex128", "real numbers"),
-        (linear(preview_times=np.array(1.0)), "preview_times", "shape ()", "(p,)"),
-        (linear(preview_times=np.array([0.0, -1.0])), "preview_times", -1.0, "finite times >= 0 [s]"),
-        (Steps(np.array([-10.5])), "preview_times", -10.5, ">= -10 [s]"),
-        (Steps(np.array([np.inf])), "preview_times", np.inf, "finite times"),
-        (Steps(np.float64(0.5)), "preview_times", "np.float64(0.5)", "an array of shape (p,)"),
-        (Steps([0.0]), "preview_times", "an object of type list", "(p,)"),
-        (NoProperty(None), "preview_times", "a method", ""),
-    ],
+    ("check", "given", "part", "problem", "allowed"),
+    [*((check_law, *row) for row in BAD_LAWS), *((check_step, *row) for row in BAD_STEPS)],
 )
-def test_bad_laws(law: object, part: str, problem: str | float, allowed: str) -> None:
-    with pytest.raises(InputError) as error:
-        check_law(law, 3, "c")
-    is_refused(error.value, f"controller 'c': {part}", problem, allowed)
-
-
-def is_refused(error: InputError, path: str, problem: object, allowed: str) -> None:
+def test_bad_laws_and_steps(check: Any, given: object, part: str, problem: str | float, allowed: str) -> None:
     """What is given is the value where it is a number, and named in the problem otherwise."""
-    assert error.path == path
+    with pytest.raises(InputError) as caught:
+        check(given, 3, "c")
+    error = caught.value
+    assert error.path == f"controller 'c': {'step' if check is check_step else ''}{part}"
     assert problem in error.problem if isinstance(problem, str) else error.value == pytest.approx(problem, nan_ok=True)
     assert allowed in error.allowed
 
@@ -294,36 +311,6 @@ def test_a_good_step_comes_back_as_arrays_of_its_own() -> None:
     assert same is state
     assert status.dtype == np.int8
     np.testing.assert_array_equal(status, [0, 2, 0])
-
-
-ZEROS = np.zeros(3)
-
-
-@pytest.mark.parametrize(
-    ("result", "part", "problem", "allowed"),
-    [
-        (ZEROS, "", "returned an array of shape (3,)", "a tuple (delta, state, status)"),
-        (None, "", "returned None", "a tuple"),
-        ((ZEROS, None), "", "returned a tuple of 2", "a tuple"),
-        ((ZEROS, ZEROS, None), ": status", "None", "an array of real numbers"),
-        ((ZEROS, None, ZEROS > 0), ": status", "dtype bool", ""),
-        ((["a"] * 3, None, ZEROS), ": delta", "an object of type list", "an array of real numbers"),
-        (([[1.0], []], None, ZEROS), ": delta", "an object of type list", ""),
-        ((ZEROS + 1j, None, ZEROS), ": delta", "dtype complex128", ""),
-        ((ZEROS[:2], None, ZEROS), ": delta", "shape (2,)", "(3,)"),
-        ((ZEROS[:, None], None, ZEROS), ": delta", "shape (3, 1)", "(3,)"),
-        ((ZEROS, None, EventStatus.OK), ": status", "shape ()", "(3,)"),
-        ((ZEROS, None, np.array([0, 2, 3])), ": status", 3, "EventStatus.OK (0), EventStatus.SOLVER_FAILED (2), "),
-        ((ZEROS, None, ZEROS + EventStatus.INVALID), ": status", 5.0, "EventStatus.BEYOND_DELTA_MAX (7)"),
-        ((ZEROS, None, ZEROS - 1), ": status", -1.0, ""),
-        ((ZEROS, None, ZEROS + np.nan), ": status", np.nan, ""),
-        ((ZEROS, None, ZEROS + 256), ": status", 256.0, ""),  # 0 as an int8
-    ],
-)
-def test_bad_steps(result: object, part: str, problem: str | float, allowed: str) -> None:
-    with pytest.raises(InputError) as error:
-        check_step(result, 3, "c")
-    is_refused(error.value, f"controller 'c': step{part}", problem, allowed)
 
 
 @pytest.mark.parametrize(
