@@ -109,8 +109,8 @@ class Limits(NamedTuple):
 
 
 @dataclasses.dataclass(frozen=True)
-class Wanted:
-    """What the design says, gains checked."""
+class MPCSettings:
+    """Gains of a design."""
 
     horizon: int
     weights: Weights
@@ -141,31 +141,31 @@ def jerk_window(dt: float) -> tuple[int, float]:
     return window, share if share > 1e-7 else 0.0
 
 
-def limits(wanted: Wanted, plant: Plant) -> Limits:
+def limits(settings: MPCSettings, plant: Plant) -> Limits:
     """The rows of the QP."""
-    start = block_starts(wanted.horizon, wanted.blocks)
-    M, N, dt = start.size, wanted.horizon, plant.dt
-    scale = np.array([1.0 / limit if limit > 0 else 0.0 for limit in wanted.soft_limits])
+    start = block_starts(settings.horizon, settings.blocks)
+    M, N, dt = start.size, settings.horizon, plant.dt
+    scale = np.array([1.0 / limit if limit > 0 else 0.0 for limit in settings.soft_limits])
     scale[1] /= WINDOW
     delay, sides = plant.augmented.whole, 1 if plant.lag > 0 or plant.augmented.split else 2
     sizes = np.where(scale > 0, [sides * N, sides * N, N], 0)
     group = np.concatenate([np.full(2 * M - 1, -1), np.repeat(np.arange(3), sizes)])
     shift = np.arange(group.size)
-    if M == N:  # rows of a sample each: what was one sample ahead is here now
+    if M == N:  # rows of a sample each: the row of one sample later moves up
         for first in [0, *range(2 * M - 1, group.size, N)]:
             shift[first : first + N] = first + np.minimum(np.arange(N) + 1, N - 1)
         shift[M : 2 * M - 1] = M + np.minimum(np.arange(M - 1) + 1, M - 2)
     window, share = jerk_window(dt) if scale[1] else (0, 0.0)
-    step = wanted.rate_max * dt
+    step = settings.rate_max * dt
     return Limits(
-        delay, window, share, sides, wanted.delta_max, step, start, group, shift, scale, wanted.soft_weight * SHARES
+        delay, window, share, sides, settings.delta_max, step, start, group, shift, scale, settings.soft_weight * SHARES
     )
 
 
-def condense(plant: Plant, wanted: Wanted) -> Condensed:
+def condense(plant: Plant, settings: MPCSettings) -> Condensed:
     """Solve the Riccati equation and work out the responses, for every scenario's speed."""
-    n, N = plant.n, wanted.horizon
-    lq = regulator(plant, wanted.weights, wanted.r_delta, actuator=True)
+    n, N = plant.n, settings.horizon
+    lq = regulator(plant, settings.weights, settings.r_delta, actuator=True)
     K, P = lq.K, lq.P
     A, B, E_0, E_1 = in_time(plant)
     m = B.shape[1]
@@ -174,7 +174,7 @@ def condense(plant: Plant, wanted: Wanted) -> Condensed:
     x_ss[:, 2], x_ss[:, 4:] = steady.e_psi, steady.delta[:, None]
     # a change of lane yaw rate over one step pushes the deviation from steady cornering by D
     D = 0.5 * B * steady.delta[:, None] + E_1 - x_ss
-    s = wanted.r_delta + np.sum(B * _apply(P, B), axis=1)
+    s = settings.r_delta + np.sum(B * _apply(P, B), axis=1)
     A_cl = A - B[:, :, None] * K[:, None, :]
 
     impulse = np.ones((n, N))
@@ -190,7 +190,7 @@ def condense(plant: Plant, wanted: Wanted) -> Condensed:
     a = np.column_stack([A_c[:, 1], wheel, E_c[:, 1]])
     nothing = np.zeros((n, 0, 0))
     project, moves = nothing, nothing
-    start = block_starts(N, wanted.blocks)
+    start = block_starts(N, settings.blocks)
     if start.size < N:
         project, moves = _blocked(A, B, K, start, N)
     condensed = Condensed(
@@ -209,7 +209,7 @@ def condense(plant: Plant, wanted: Wanted) -> Condensed:
         E_0=E_0,
         E_1=E_1,
         a=a,
-        response=_responses(A, B, a, N) if any(wanted.soft_limits) else nothing,
+        response=_responses(A, B, a, N) if any(settings.soft_limits) else nothing,
     )
     # laid out as after `take`: the compiled sweep need not be compiled for two layouts
     return Condensed(*(np.ascontiguousarray(each) for each in condensed))
@@ -254,3 +254,18 @@ def _apply(M: FloatArray, x: FloatArray) -> FloatArray:
     """M x for a stack of matrices (n, 4, 4) and vectors (n, 4)."""
     product: FloatArray = np.einsum("nij,nj->ni", M, x)
     return product
+
+
+def lookahead(samples: int, dt: float, age: float) -> FloatArray:
+    """Lookahead times for `lane`."""
+    ahead = np.arange(samples + 1) * dt - age
+    return np.asarray([0.0, dt, *np.maximum(ahead, 0.0)] if age else ahead, dtype=np.float64)
+
+
+def lane(r: FloatArray, dt: float, age: float) -> FloatArray:
+    """Yaw rate of the lane (n, samples + 1) from the moment on that the law sees, by a straight line before now."""
+    if not age:
+        return r
+    behind = np.minimum(np.arange(r.shape[1] - 2) - age / dt, 0.0)
+    result: FloatArray = r[:, 2:] + behind * (r[:, 1:2] - r[:, :1])
+    return result

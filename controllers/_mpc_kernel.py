@@ -1,26 +1,13 @@
-"""The compiled sweep of `linear_mpc`: rows of the QP, guesses that prove themselves, and one sample of all scenarios.
+"""The compiled sweep of `linear_mpc`: rows of the QP, guesses that prove themselves, one sample of all scenarios.
 
-Row by row: the first move (angle and rate in one), the other moves, their changes; then, where there are such limits,
-as shares of the limit, the lateral acceleration a just after each command (only where the wheel jumps with it), a at
-the end of each step, its change over the last half second in the same two places, e_y at the end of each step.
-Values of a stand in two arrays, on the left and on the right of each sample: first the past `window` samples, then
-the `delay` samples that are decided, then the horizon.
-
-The QP of a scenario, in corrections e (M,) and slacks s, one a kind of soft limit:
+The QP of a scenario, in corrections e (M,) of the plan without limits and slacks s, one a kind of soft limit:
 
     minimise    |e|^2/2 + weight sum (s + s^2/2)
     subject to  low <= y + C e <= high              in the hard rows,
                 low - s <= y + C e <= high + s      in the soft rows, s >= 0.
 
-Multipliers are positive at an upper bound. At a solution e = -C' multipliers, and the magnitudes of the multipliers of
-one kind sum to at most its weight where s = 0, to weight (1 + s) where s > 0. A guess is a set of rows held at their
-bounds; it gives e and the multipliers by one small linear system, and it *is* the solution if these conditions hold,
-whatever it came from. A guess that fails is corrected, a limited number of times: rows with a multiplier of the wrong
-sign are let go, the row that is violated most is held (after the primal-dual active set method; M. Hintermueller,
-K. Ito, K. Kunisch, *The primal-dual active set strategy as a semismooth Newton method*, SIAM J. Optim. 13(3), 2003).
-
-The compiler takes a while to import: callers import this module where they call it. A compiled entry is kept on disk
-between runs; all that it calls stands in this file, so that a change compiles it anew.
+Order of the rows, guesses and their conditions: `docs/explanation/mpc.md`. The compiler takes a while to import:
+callers import this module where they call it. All that an entry calls stands here: a change compiles it anew.
 """
 
 # mypy: disable-error-code="untyped-decorator, no-any-return"
@@ -41,27 +28,27 @@ compiling.listen()
 __all__ = ["BEYOND", "FREE", "HELD", "OPEN", "assemble", "finish", "sweep"]
 
 
-# strict IEEE: a scenario's numbers are the same bits whichever stand beside it
+# strict arithmetic: a scenario's numbers are the same bits whichever stand beside it
 OPTIONS: Final[dict[str, Any]] = {"nogil": True, "error_model": "numpy"}
 
-ROUNDING: Final = 1e-12  # the plan without limits counts as inside them up to this [rad, or share of a soft limit]
+_INSIDE: Final = 1e-12  # The plan without limits counts as inside them up to this [rad, or share of a soft limit]
 
 
 @numba.njit(**OPTIONS)
 def decided(
-    c: Condensed, limits: Limits, i: int, x: FloatArray, sent: FloatArray, r: FloatArray, room: FloatArray
+    mpc: Condensed, limits: Limits, i: int, x: FloatArray, sent: FloatArray, r: FloatArray, lateral: FloatArray
 ) -> None:
-    """Move the state x (m,) to where the next command arrives, in place; accelerations on the way into room (2, .)."""
+    """Move the state x (m,) to where the next command arrives, in place; a_y on the way into `lateral` (3, .)."""
     for k in range(limits.delay):
-        _go_on(c, i, x, sent[1 + k], r[k], r[k + 1], limits.window + k, room)
+        _go_on(mpc, i, x, sent[1 + k], r[k], r[k + 1], limits.window + k, lateral)
 
 
 @numba.njit(**OPTIONS)
 def _go_on(
-    c: Condensed, i: int, x: FloatArray, u: float, r_0: float, r_1: float, sample: int, room: FloatArray
+    mpc: Condensed, i: int, x: FloatArray, u: float, r_0: float, r_1: float, sample: int, lateral: FloatArray
 ) -> None:
-    """One step of the plant, in place; a just after its start and at its end into room."""
-    A, B, E_0, E_1, a, after = c.A[i], c.B[i], c.E_0[i], c.E_1[i], c.a[i], room[2]
+    """One step x+ = A x + B u + E_0 r_0 + E_1 r_1, in place; a_y = a (x, u, r) just after its start, and at its end."""
+    A, B, E_0, E_1, a, after = mpc.A[i], mpc.B[i], mpc.E_0[i], mpc.E_1[i], mpc.a[i], lateral[2]
     m = x.size
     value = 0.0
     for k in range(m):
@@ -70,24 +57,24 @@ def _go_on(
         for b in range(m):
             total += A[k, b] * x[b]
         after[k] = total
-    room[1, sample] = value + a[m] * u + a[m + 1] * r_0
+    lateral[1, sample] = value + a[m] * u + a[m + 1] * r_0
     value = 0.0
     for k in range(m):
         x[k] = after[k]
         value += a[k] * x[k]
-    room[0, sample + 1] = value + a[m] * u + a[m + 1] * r_1
+    lateral[0, sample + 1] = value + a[m] * u + a[m + 1] * r_1
 
 
 @numba.njit(**OPTIONS)
 def values(
-    c: Condensed,
+    mpc: Condensed,
     limits: Limits,
     i: int,
     x: FloatArray,
     r: FloatArray,
     prev: float,
     U: FloatArray,
-    room: FloatArray,
+    lateral: FloatArray,
     y: FloatArray,
     low: FloatArray,
     high: FloatArray,
@@ -107,26 +94,26 @@ def values(
     # angle and rate of the first move are one row
     low[0], high[0] = max(-limit, prev - step), min(limit, prev + step)
     if low[0] > high[0]:
-        if low[0] - high[0] > ROUNDING:
+        if low[0] - high[0] > _INSIDE:
             return False
         if prev > 0.0:
             high[0] = low[0]
         else:
             low[0] = high[0]
     if y.size > 2 * M - 1:
-        _soft_values(c, limits, i, x, r, U, room, y, low, high)
+        _soft_values(mpc, limits, i, x, r, U, lateral, y, low, high)
     return True
 
 
 @numba.njit(**OPTIONS)
 def _soft_values(
-    c: Condensed,
+    mpc: Condensed,
     limits: Limits,
     i: int,
     x: FloatArray,
     r: FloatArray,
     U: FloatArray,
-    room: FloatArray,
+    lateral: FloatArray,
     y: FloatArray,
     low: FloatArray,
     high: FloatArray,
@@ -138,45 +125,45 @@ def _soft_values(
     acceleration, jerk, offset = limits.scale
     now = limits.window + limits.delay
     for j in range(N):
-        _go_on(c, i, x, U[j], r[j], r[j + 1], now + j, room)
+        _go_on(mpc, i, x, U[j], r[j], r[j + 1], now + j, lateral)
         if offset > 0.0:
             y[y.size - N + j] = x[0] * offset
     if acceleration > 0.0:
         for side in range(2 - limits.sides, 2):
             for j in range(N):
-                y[at + j] = room[1 - side, now + j + side] * acceleration
+                y[at + j] = lateral[1 - side, now + j + side] * acceleration
             at += N
     if jerk > 0.0:
         for side in range(2 - limits.sides, 2):
             for j in range(N):
                 sample = now + j + side
                 past = sample - limits.window
-                before = room[1 - side, past]
+                before = lateral[1 - side, past]
                 if limits.share > 0.0:
-                    before = (1.0 - limits.share) * room[1, past] + limits.share * room[0, past + 1]
-                y[at + j] = (room[1 - side, sample] - before) * jerk
+                    before = (1.0 - limits.share) * lateral[1, past] + limits.share * lateral[0, past + 1]
+                y[at + j] = (lateral[1 - side, sample] - before) * jerk
             at += N
 
 
 @numba.njit(**OPTIONS)
-def matrix(c: Condensed, limits: Limits, i: int, C: FloatArray, G: FloatArray, a: FloatArray) -> None:
-    """What corrections do to the rows, into C (R, M).
+def matrix(mpc: Condensed, limits: Limits, i: int, C: FloatArray, G: FloatArray, a_y: FloatArray) -> None:
+    """Effect of corrections on the rows, into C (R, M).
 
-    G (N, M) is room for what they do to the commands, a (2, N, M) for what they do to a at the ends of steps and just
+    G (N, M) receives their effect on the commands, a_y (2, N, M) that on the acceleration at the ends of steps and just
     after commands.
     """
     N, M = G.shape
     if M == N:
         for j in range(N):
             for k in range(j + 1):
-                G[j, k] = c.impulse[i, j - k]
+                G[j, k] = mpc.impulse[i, j - k]
             for k in range(j + 1, M):
                 G[j, k] = 0.0
     else:
         for b in range(M):
             for j in range(limits.start[b], limits.start[b + 1] if b + 1 < M else N):
                 for k in range(M):
-                    G[j, k] = c.moves[i, b, k]
+                    G[j, k] = mpc.moves[i, b, k]
     for b in range(M):
         for k in range(M):
             C[b, k] = G[limits.start[b], k]
@@ -184,26 +171,26 @@ def matrix(c: Condensed, limits: Limits, i: int, C: FloatArray, G: FloatArray, a
                 C[M + b - 1, k] = C[b, k] - C[b - 1, k]
     at = 2 * M - 1
     acceleration, jerk, offset = limits.scale
-    response = c.response[i]
+    response = mpc.response[i]
     if acceleration > 0.0 or jerk > 0.0:
-        _respond(response[0], 1.0, G, a[0])
-        _respond(response[1], 1.0, G, a[1])
+        _respond(response[0], 1.0, G, a_y[0])
+        _respond(response[1], 1.0, G, a_y[1])
     if acceleration > 0.0:
         for side in range(2 - limits.sides, 2):
             for j in range(N):
                 for k in range(M):
-                    C[at + j, k] = acceleration * a[1 - side, j, k]
+                    C[at + j, k] = acceleration * a_y[1 - side, j, k]
             at += N
     if jerk > 0.0:
         for side in range(2 - limits.sides, 2):
             for j in range(N):
                 past = j + side - limits.window  # the sample, from that of the first command on
                 for k in range(M):
-                    change = a[1 - side, j, k]
+                    change = a_y[1 - side, j, k]
                     if past >= 0 and limits.share > 0.0:
-                        change -= (1.0 - limits.share) * a[1, past, k] + limits.share * a[0, past, k]
+                        change -= (1.0 - limits.share) * a_y[1, past, k] + limits.share * a_y[0, past, k]
                     elif past >= side and limits.share == 0.0:
-                        change -= a[1 - side, past - side, k]
+                        change -= a_y[1 - side, past - side, k]
                     C[at + j, k] = jerk * change
             at += N
     if offset > 0.0:
@@ -223,10 +210,9 @@ def _respond(response: FloatArray, scale: float, G: FloatArray, out: FloatArray)
                 out[j, k] += weight * G[m, k]
 
 
-_PROVED: Final = 1e-10  # largest violation of a condition by a guess that counts as the solution
-_ROUNDING: Final = 1e-14
-"""Where multipliers are large, as those of a soft limit that cannot be met, this share of the largest term counts."""
-_MORE_CORRECTIONS: Final = 4  # a guess is corrected three times as often as there are moves, and this much more
+_PROVED: Final = 1e-10  # Largest violation of a condition by a guess that counts as the solution
+_RELATIVE: Final = 1e-14  # The same as a share of the largest term, where multipliers are large
+_MORE_CORRECTIONS: Final = 4  # A guess is corrected three times as often as there are moves, and this much more
 
 
 @numba.njit(**OPTIONS)
@@ -240,9 +226,15 @@ def prove(
     beyond: IntArray,
     w: FloatArray,
     multipliers: FloatArray,
-    room: FloatArray,
+    gram: FloatArray,
 ) -> bool:
-    """Mend a guess until it proves itself; False if it does not within a few rounds."""
+    """Correct a guess until it proves itself; False if it does not within a limited number of rounds.
+
+    With C_h the held rows, e = -C_h' m and (C_h C_h' + terms of slacks) m = y_h - bound, by Cholesky in `gram`. This
+    is the solution if every multiplier m has the sign of its bound, every other row is inside, and the magnitudes of a
+    soft kind sum to at most weight (s = 0), or to weight (1 + s). The row with the most wrong multiplier is let go, or
+    else the row that is violated most is held.
+    """
     R, M = C.shape
     held = np.empty(M + 3, dtype=np.int64)
     for _ in range(3 * M + _MORE_CORRECTIONS):
@@ -253,7 +245,7 @@ def prove(
                     return False
                 held[count] = row
                 count += 1
-        dependent = _magnitudes(limits, C, y, low, high, side, beyond, held[:count], room)
+        dependent = _magnitudes(limits, C, y, low, high, side, beyond, held[:count], gram)
         if dependent >= 0:
             side[dependent] = 0
             continue
@@ -263,11 +255,11 @@ def prove(
         sums, tolerance = np.zeros(3), _PROVED
         for refined in range(2):
             for a in range(count):
-                row, magnitude = held[a], room[a, -1]
+                row, magnitude = held[a], gram[a, -1]
                 for k in range(M):
                     part = magnitude * C[row, k]
                     w[k] -= side[row] * part
-                    tolerance = max(tolerance, _ROUNDING * abs(part))
+                    tolerance = max(tolerance, _RELATIVE * abs(part))
                 multipliers[row] += side[row] * magnitude
                 if limits.group[row] >= 0:
                     sums[limits.group[row]] += magnitude
@@ -280,8 +272,8 @@ def prove(
                 for k in range(M):
                     left += C[row, k] * w[k]
                 slack = sums[kind] / limits.weight[kind] - 1.0 if kind >= 0 and beyond[kind] else 0.0
-                room[a, -1] = side[row] * left - slack
-            _substitute(room, count)
+                gram[a, -1] = side[row] * left - slack
+            _substitute(gram, count)
         for kind in range(3):
             slack = sums[kind] / limits.weight[kind] - 1.0
             if beyond[kind]:
@@ -328,15 +320,15 @@ def _magnitudes(
     side: IntArray,
     beyond: IntArray,
     held: IntArray,
-    room: FloatArray,
+    gram: FloatArray,
 ) -> int:
-    """Magnitudes of the held rows' multipliers into room[:, -1], by Cholesky; -1, or a row that depends on others."""
+    """Magnitudes of the held rows' multipliers into gram[:, -1], by Cholesky; -1, or a row that depends on others."""
     M, count = C.shape[1], held.size
     for a in range(count):
         row, kind = held[a], limits.group[held[a]]
-        room[a, -1] = y[row] - high[row] if side[row] > 0 else low[row] - y[row]
+        gram[a, -1] = y[row] - high[row] if side[row] > 0 else low[row] - y[row]
         if kind >= 0 and beyond[kind]:
-            room[a, -1] += 1.0
+            gram[a, -1] += 1.0
         for b in range(a + 1):
             other = held[b]
             total = 0.0
@@ -345,35 +337,35 @@ def _magnitudes(
             total *= side[row] * side[other]
             if kind >= 0 and beyond[kind] and limits.group[other] == kind:
                 total += 1.0 / limits.weight[kind]
-            room[a, b] = total
-        diagonal = room[a, a]
+            gram[a, b] = total
+        diagonal = gram[a, a]
         for b in range(a + 1):
-            total = room[a, b]
+            total = gram[a, b]
             for k in range(b):
-                total -= room[a, k] * room[b, k]
+                total -= gram[a, k] * gram[b, k]
             if b < a:
-                room[a, b] = total / room[b, b]
+                gram[a, b] = total / gram[b, b]
             else:
                 if not total > 1e-12 * diagonal:
                     return row
-                room[a, a] = np.sqrt(total)
-    _substitute(room, count)
+                gram[a, a] = np.sqrt(total)
+    _substitute(gram, count)
     return -1
 
 
 @numba.njit(**OPTIONS)
-def _substitute(room: FloatArray, count: int) -> None:
-    """Solve with the factor, for room[:, -1] in place."""
+def _substitute(gram: FloatArray, count: int) -> None:
+    """Solve with the factor, for gram[:, -1] in place."""
     for a in range(count):
-        total = room[a, -1]
+        total = gram[a, -1]
         for k in range(a):
-            total -= room[a, k] * room[k, -1]
-        room[a, -1] = total / room[a, a]
+            total -= gram[a, k] * gram[k, -1]
+        gram[a, -1] = total / gram[a, a]
     for a in range(count - 1, -1, -1):
-        total = room[a, -1]
+        total = gram[a, -1]
         for k in range(a + 1, count):
-            total -= room[k, a] * room[k, -1]
-        room[a, -1] = total / room[a, a]
+            total -= gram[k, a] * gram[k, -1]
+        gram[a, -1] = total / gram[a, a]
 
 
 @numba.njit(**OPTIONS)
@@ -386,15 +378,15 @@ def polish(
     w: FloatArray,
     multipliers: FloatArray,
 ) -> bool:
-    """Put the exact solution in the place of a solver's, if the rows that it holds at bounds prove to be right."""
+    """Replace a solver's solution by the exact one, if the rows that it holds at bounds prove to be right."""
     R, M = C.shape
     side, beyond = np.empty(R, dtype=np.int64), np.empty(3, dtype=np.int64)
-    room, exact, exact_multipliers = np.empty((M + 3, M + 4)), np.empty(M + 3), np.empty(R)
+    gram, exact, exact_multipliers = np.empty((M + 3, M + 4)), np.empty(M + 3), np.empty(R)
     for row in range(R):
         side[row] = sign(multipliers[row]) if abs(multipliers[row]) > 1e-9 else 0
     for kind in range(3):
         beyond[kind] = 1 if w[M + kind] > 1e-6 else 0
-    proved: bool = prove(limits, C, y, low, high, side, beyond, exact, exact_multipliers, room)
+    proved: bool = prove(limits, C, y, low, high, side, beyond, exact, exact_multipliers, gram)
     if proved:
         w[:] = exact
         multipliers[:] = exact_multipliers
@@ -407,14 +399,14 @@ def sign(number: float) -> int:
 
 
 FREE, HELD, OPEN, BEYOND = range(4)
-"""How a scenario stands after the sweep: no limit active, a guess proved itself, a solver is needed, infeasible."""
+"""Result of the sweep: no limit active, a guess proved itself, a solver is needed, infeasible."""
 
 
 @numba.njit(**OPTIONS)
-def plan_of_four(c: Condensed, i: int, x: FloatArray, r: FloatArray, U: FloatArray, work: FloatArray) -> None:
+def plan_of_four(mpc: Condensed, i: int, x: FloatArray, r: FloatArray, U: FloatArray, work: FloatArray) -> None:
     """`plan` with four states, unrolled: three times as fast."""
     N = U.size
-    A, B, K, D, PD, back = c.A_cl[i], c.B[i], c.K[i], c.D[i], c.PD[i], c.back[i]
+    A, B, K, D, PD, back = mpc.A_cl[i], mpc.B[i], mpc.K[i], mpc.D[i], mpc.PD[i], mpc.back[i]
     g0 = g1 = g2 = g3 = 0.0
     for j in range(N - 1, -1, -1):
         d = r[j + 1] - r[j]
@@ -424,8 +416,8 @@ def plan_of_four(c: Condensed, i: int, x: FloatArray, r: FloatArray, U: FloatArr
         h3 = PD[3] * d + A[0, 3] * g0 + A[1, 3] * g1 + A[2, 3] * g2 + A[3, 3] * g3
         g0, g1, g2, g3 = h0, h1, h2, h3
         work[j] = back[0] * g0 + back[1] * g1 + back[2] * g2 + back[3] * g3
-    z0, z1, z2, z3 = x[0], x[1], x[2] - c.x_ss[i, 2] * r[0], x[3]
-    half = 0.5 * c.delta_ss[i]
+    z0, z1, z2, z3 = x[0], x[1], x[2] - mpc.x_ss[i, 2] * r[0], x[3]
+    half = 0.5 * mpc.delta_ss[i]
     for j in range(N):
         d, f = r[j + 1] - r[j], work[j]
         U[j] = f - (K[0] * z0 + K[1] * z1 + K[2] * z2 + K[3] * z3) + half * (r[j] + r[j + 1])
@@ -438,14 +430,14 @@ def plan_of_four(c: Condensed, i: int, x: FloatArray, r: FloatArray, U: FloatArr
 
 @numba.njit(**OPTIONS)
 def plan(
-    c: Condensed, i: int, x: FloatArray, r: FloatArray, U: FloatArray, work: FloatArray, costate: FloatArray
+    mpc: Condensed, i: int, x: FloatArray, r: FloatArray, U: FloatArray, work: FloatArray, costate: FloatArray
 ) -> None:
     """Optimal commands without limits into U (N,), from x (m,) and the lane's yaw rate r (N + 1,).
 
-    work (N,) and costate (2, m) are room.
+    work (N,) and costate (2, m) are scratch.
     """
     N, m = U.size, x.size
-    A, B, K, D, PD, back, x_ss = c.A_cl[i], c.B[i], c.K[i], c.D[i], c.PD[i], c.back[i], c.x_ss[i]
+    A, B, K, D, PD, back, x_ss = mpc.A_cl[i], mpc.B[i], mpc.K[i], mpc.D[i], mpc.PD[i], mpc.back[i], mpc.x_ss[i]
     g, h = costate[0], costate[1]
     for k in range(m):
         g[k] = 0.0
@@ -462,7 +454,7 @@ def plan(
     z, y = g, h
     for k in range(m):
         z[k] = x[k] - x_ss[k] * r[0]
-    half = 0.5 * c.delta_ss[i]
+    half = 0.5 * mpc.delta_ss[i]
     for j in range(N):
         d, f = r[j + 1] - r[j], work[j]
         feedback = 0.0
@@ -477,13 +469,13 @@ def plan(
 
 
 @numba.njit(**OPTIONS)
-def block(c: Condensed, limits: Limits, i: int, U: FloatArray, work: FloatArray) -> None:
+def block(mpc: Condensed, limits: Limits, i: int, U: FloatArray, work: FloatArray) -> None:
     """Replace the plan by the optimum with blocked moves, in place."""
     N, M = U.size, limits.start.size
     for b in range(M):
         total = 0.0
         for j in range(N):
-            total += c.project[i, b, j] * U[j]
+            total += mpc.project[i, b, j] * U[j]
         work[b] = total
     for b in range(M):
         for j in range(limits.start[b], limits.start[b + 1] if b + 1 < M else N):
@@ -521,7 +513,7 @@ def _warm(limits: Limits, last: FloatArray, w: FloatArray, multipliers: FloatArr
 
 @numba.njit(cache=True, **OPTIONS)
 def sweep(
-    c: Condensed,
+    mpc: Condensed,
     limits: Limits,
     guess: bool,
     initial: InitialState,
@@ -531,18 +523,18 @@ def sweep(
     delta: FloatArray,
     w: FloatArray,
     multipliers: FloatArray,
-    how: npt.NDArray[np.int8],
+    result: npt.NDArray[np.int8],
 ) -> None:
     """One sample of every scenario: what can be proved without a solver, and which scenarios need one.
 
     `last` (n, R) and `last_slack` (n, 3) are multipliers and slacks one sample before; without `guess` every feasible
-    scenario is left to the solver. Results are U (n, N), delta (n,), w (n, M + 3), multipliers (n, R) and how (n,).
+    scenario is left to the solver. Results are U (n, N), delta (n,), w (n, M + 3), multipliers (n, R) and result (n,).
     """
     n, N = U.shape
     X, prev, sent, r_all, past = initial
     M, R = limits.start.size, limits.group.size
     y, low, high, work = np.empty(R), np.empty(R), np.empty(R), np.empty(N)
-    C, G, a, room = np.empty((R, M)), np.empty((N, M)), np.empty((2, N, M)), np.empty((M + 3, M + 4))
+    C, G, a_y, gram = np.empty((R, M)), np.empty((N, M)), np.empty((2, N, M)), np.empty((M + 3, M + 4))
     x, costate = np.empty(initial.x.shape[1]), np.empty((2, initial.x.shape[1]))
     lateral = np.empty((3, limits.window + limits.delay + N + x.size))
     side, beyond = np.empty(R, dtype=np.int64), np.empty(3, dtype=np.int64)
@@ -551,42 +543,42 @@ def sweep(
         if limits.window > 0:
             lateral[:2, : limits.window + 1] = past[i]
         if limits.delay > 0:
-            decided(c, limits, i, x, sent[i], r_all[i], lateral)
+            decided(mpc, limits, i, x, sent[i], r_all[i], lateral)
         r = r_all[i, limits.delay :]
         if x.size == 4:
-            plan_of_four(c, i, x, r, U[i], work)
+            plan_of_four(mpc, i, x, r, U[i], work)
         else:
-            plan(c, i, x, r, U[i], work, costate)
+            plan(mpc, i, x, r, U[i], work, costate)
         if M < N:
-            block(c, limits, i, U[i], work)
+            block(mpc, limits, i, U[i], work)
         delta[i] = U[i, 0]
-        if not values(c, limits, i, x, r, prev[i], U[i], lateral, y, low, high):
-            how[i] = BEYOND
+        if not values(mpc, limits, i, x, r, prev[i], U[i], lateral, y, low, high):
+            result[i] = BEYOND
             continue
         if not guess:
-            how[i] = OPEN
+            result[i] = OPEN
             _warm(limits, last[i], w[i], multipliers[i])
             continue
         inside = True
         for row in range(R):
-            inside &= (y[row] <= high[row] + ROUNDING) & (y[row] >= low[row] - ROUNDING)
+            inside &= (y[row] <= high[row] + _INSIDE) & (y[row] >= low[row] - _INSIDE)
         if inside:
-            how[i] = FREE
+            result[i] = FREE
             delta[i] = min(max(delta[i], low[0]), high[0])
             continue
-        matrix(c, limits, i, C, G, a)
+        matrix(mpc, limits, i, C, G, a_y)
         _shifted(limits, last[i], last_slack[i], side, beyond)
-        if prove(limits, C, y, low, high, side, beyond, w[i], multipliers[i], room):
-            how[i] = HELD
+        if prove(limits, C, y, low, high, side, beyond, w[i], multipliers[i], gram):
+            result[i] = HELD
             delta[i] = first(limits, C, U[i, 0], low[0], high[0], w[i])
         else:
-            how[i] = OPEN
+            result[i] = OPEN
             _warm(limits, last[i], w[i], multipliers[i])
 
 
 @numba.njit(cache=True, **OPTIONS)
 def assemble(
-    c: Condensed,
+    mpc: Condensed,
     limits: Limits,
     rows: IntArray,
     initial: InitialState,
@@ -599,16 +591,16 @@ def assemble(
     """The QPs of the scenarios `rows` (k,): C (k, R, M), y, low and high (k, R), from plans U (n, N)."""
     N, M = U.shape[1], limits.start.size
     X, prev, sent, r_all, past = initial
-    G, a, x = np.empty((N, M)), np.empty((2, N, M)), np.empty(initial.x.shape[1])
+    G, a_y, x = np.empty((N, M)), np.empty((2, N, M)), np.empty(initial.x.shape[1])
     lateral = np.empty((3, limits.window + limits.delay + N + x.size))
     for k in range(rows.size):
         i = rows[k]
         x[:] = X[i]
         if limits.window > 0:
             lateral[:2, : limits.window + 1] = past[i]
-        decided(c, limits, i, x, sent[i], r_all[i], lateral)
-        values(c, limits, i, x, r_all[i, limits.delay :], prev[i], U[i], lateral, y[k], low[k], high[k])
-        matrix(c, limits, i, C[k], G, a)
+        decided(mpc, limits, i, x, sent[i], r_all[i], lateral)
+        values(mpc, limits, i, x, r_all[i, limits.delay :], prev[i], U[i], lateral, y[k], low[k], high[k])
+        matrix(mpc, limits, i, C[k], G, a_y)
 
 
 @numba.njit(cache=True, **OPTIONS)

@@ -4,38 +4,12 @@ delta = argmin (delta - delta_inner)^2 subject to |e_y| <= e_y_max being kept, w
 centre from the lane's centre, positive to the left (ISO 8855); the edge is on the line at e_y = (w_l - w_v)/2, 0.85 m
 with the default vehicle. Both sides have a barrier, h = e_y_max - e_y and h = e_y_max + e_y.
 
-Conditions. The command acts on the second derivative of h (relative degree two), so h is replaced by the barrier of
-first degree psi = gamma_1 h + dt dh/dt (high-order barrier functions: W. Xiao, C. Belta, *Control barrier functions for
-systems with high relative degree*, CDC 2019), which is >= 0 where h, going on at its rate, loses at most the share
-gamma_1 of itself in one sample. On it the discrete-time condition of A. Agrawal, K. Sreenath, *Discrete control
-barrier functions for safety-critical control of discrete systems with application to bipedal robot navigation*, RSS
-2017, is imposed exactly, one sample ahead on the sampled plant with the lane's yaw rate now and then:
+The condition on each is psi(k+1) >= (1 - gamma_2) psi(k) with psi = gamma_1 h + dt dh/dt. With w = (gamma_1, dt, 0,
+0) and x+ = A x + B delta + E_0 r_0 + E_1 r_1 both are linear in delta: it is clipped to an interval of constant width,
 
-    psi(k+1) >= (1 - gamma_2) psi(k).
+    |w'B delta - ((1 - gamma_2) w'x - w'(A x + E_0 r_0 + E_1 r_1))| <= gamma_1 gamma_2 e_y_max.
 
-psi >= 0 is thus kept, and reached again exponentially where it does not hold at the trigger. With psi >= 0 at all
-samples and dh/dt a straight line between them, h(k+1) >= h(k) (2 - gamma_1)/(2 + gamma_1) > 0, and h >= 0 between them
-too; the vehicle's own dynamics bend that line by little. While one side's condition holds the command, the states
-behind it decay: checked from 1 to 90 m/s, slowest, and least damped, at both ends.
-
-Closed form. With w = (gamma_1, dt, 0, 0) and x+ = A x + B delta + E_0 r_0 + E_1 r_1 both conditions are linear in
-delta,
-
-    |w'B delta - ((1 - gamma_2) w'x - w'(A x + E_0 r_0 + E_1 r_1))| <= gamma_1 gamma_2 e_y_max,
-
-an interval of constant width. It is never empty, so the two sides cannot contradict each other, and the QP (A. Ames,
-X. Xu, J. Grizzle, P. Tabuada, *Control barrier function based quadratic programs for safety critical systems*, IEEE TAC
-62(8), 2017) is a clip. The command is then clipped to +-delta_max, which has priority: where the limit is short of the
-interval, the command is the limit on its side, and the corridor may be left. Its rate is not limited.
-
-The inner law sees what it would see alone; its `delta_prev` is the command that this filter gave. Where its command is
-not finite, the command before goes through the filter instead, with `EventStatus.SOLVER_FAILED`.
-
-Assumptions: the nominal vehicle at the speed of the trigger, all states seen. Use it to give a law of your choice a
-bound on depth: where the bound is not near, and within delta_max, its command is that of the law inside. Small
-gamma_1/dt and gamma_2/dt [1/s] intervene early and gently, large ones late and hard (at 30 m/s the defaults damp the
-vehicle behind an active barrier by 0.3 and stand a steering lag of 0.2 s; gammas of 0.2 and 0.3 do not stand a lag of
-0.1 s with a delay of 0.1 s): the lateral acceleration that stops a drift u at the edge is about gamma_1 u/dt.
+Details: `docs/reference/laws.md`.
 """
 
 from __future__ import annotations
@@ -186,16 +160,16 @@ class BarrierLaw(SteeringLaw):
         lower, upper = self.interval(x, preview.yaw_rate)
         # laid out as when it runs alone: the order of its sums may depend on it
         yaw_rate, heading = (np.ascontiguousarray(each[:, 2:]) for each in (preview.yaw_rate, preview.heading))
-        ahead = Preview(yaw_rate, heading, preview.wheel)
-        delta, state, status = self.inner.step(t, x, ahead, delta_prev.copy(), state)
+        inner_preview = Preview(yaw_rate, heading, preview.wheel)
+        delta, state, status = self.inner.step(t, x, inner_preview, delta_prev.copy(), state)
         delta, status = np.asarray(delta, dtype=np.float64), np.array(status, dtype=np.int8)
         if delta.shape != lower.shape or status.shape != lower.shape:
             shapes = f"{delta.shape}, {status.shape}"
             raise InputError(f"law {self.inner_name!r}", f"step returned shapes {shapes}", allowed=str(lower.shape))
         wrong = ~np.isfinite(delta)
         status[wrong] = EventStatus.SOLVER_FAILED
-        wanted = np.where(wrong, delta_prev, delta)
-        return np.clip(np.clip(wanted, lower, upper), -self.delta_max, self.delta_max), state, status
+        unfiltered = np.where(wrong, delta_prev, delta)
+        return np.clip(np.clip(unfiltered, lower, upper), -self.delta_max, self.delta_max), state, status
 
     def take(self, rows: IntArray, state: Any) -> tuple[BarrierLaw, Any] | None:
         """Only some scenarios, where the law inside can be cut down."""

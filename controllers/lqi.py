@@ -5,14 +5,6 @@ trigger, z_0 = 0 and z_(k+1) = z_k + dt e_y(k), and (x_ss, delta_ss) is steady c
 yaw rate. (K, K_i) minimises the sum of the LQR's cost and q_i z^2 over the sampled plant with z as a fifth state.
 Source: G. Franklin, J. Powell, M. Workman, *Digital Control of Dynamic Systems*, 3rd ed. (1998), sections 8.5 (integral
 control) and 9.3 (the steady-state optimum); the principle is E. J. Davison's servo compensator (IEEE TAC 21(1), 1976).
-
-Frame: ISO 8855, positive to the left, radians. Assumptions: the nominal vehicle at the speed of the trigger, all states
-seen, no limits. In the closed loop z comes to rest only where e_y is zero, so a constant lateral disturbance, a vehicle
-that is not the nominal one or a biased curvature leaves no offset in a bend, which the plain LQR does not promise. Use
-it where such errors outlast a departure. A departure without them pays for it: it starts with e_y on one side, and what
-z has gathered there comes back as overshoot on the other. Nothing stops z from winding up behind a saturated actuator.
-Lag and delays of actuator and camera are known, as by `lqr`; with ``plant_knowledge="ideal"`` r_delta = 100 is too fast
-behind a steering lag of 0.2 s and diverges from 28 m/s on.
 """
 
 import dataclasses

@@ -8,20 +8,7 @@ sample, P solves the Riccati equation of the linear plant. Hard limits: |u| <= d
 |u_j - u_(j-1)| <= rate_max dt, u_(-1) the previous command. Soft limits, held by exact penalties: lateral acceleration,
 lateral jerk, lane corridor. Positive to the left (ISO 8855), radians.
 
-Method: multiple shooting (H. Bock, K. Plitt, *A multiple shooting algorithm for direct solution of optimal control
-problems*, 1984) and sequential quadratic programming to convergence; `_nmpc_solver` has the steps. Each
-scenario starts from its own last solution, shifted by a sample, or from the LQR's path where that is better.
-
-Ladder. (1) The solution. (2) Where the previous command is so far beyond delta_max that the rate limit does not allow
-a return within one sample, the limit of the angle is relaxed to what the rate allows; the solution goes back as
-fast as it can, with `EventStatus.BEYOND_DELTA_MAX`. (3) Where the iterations do not end in a solution: the LQR with
-steady cornering, clipped to delta_max and moved towards by at most rate_max dt, with `EventStatus.SOLVER_FAILED`.
-
-Delay and lag of the actuator that the plant knows count as one pure delay in whole samples: the plan starts at the
-state that the commands on their way lead to.
-
-When to use it: near the tyres' limits, low friction or harsh limits, where the linear MPC plans forces that the tyres
-do not have. Elsewhere `linear_mpc` commands the same at a fraction of the cost.
+Method, failed solves, delay and lag: `docs/explanation/mpc.md`; steps of the method: `_nmpc_solver`.
 """
 
 from __future__ import annotations
@@ -37,10 +24,8 @@ from ldctoolkit.control import Controller, EventStatus, Preview, SolverCalls, St
 from ldctoolkit.declared import gain
 from ldctoolkit.vehicle.bicycle import Plant
 
-from ._mpc_condensing import SHARES, WINDOW, jerk_window
-from ._mpc_law import lane, lookahead
-from ._nmpc_model import pack, steady_cornering
-from ._nmpc_solver import SoftLimits, Workspace, workspace
+from ._mpc_condensing import SHARES, WINDOW, jerk_window, lane, lookahead
+from ._nmpc_solver import SoftLimits, Workspace, pack, steady_cornering, workspace
 from .riccati import regulator
 
 _SCALES = (1.0, 10.0, 0.1)  # units of the soft limits' violations: m/s^2, m/s^3, m
@@ -135,7 +120,7 @@ class NonlinearMPCLaw(SteeringLaw):
 
     design: NonlinearMPC
     plant: Plant
-    columns: FloatArray  # (n, k) Each scenario's numbers, `ldctoolkit.controllers._nmpc_model.LAYOUT`
+    columns: FloatArray  # (n, k) Each scenario's numbers, `LAYOUT` of the solver
     soft: SoftLimits | None
 
     @property
@@ -184,8 +169,8 @@ class NonlinearMPCLaw(SteeringLaw):
         delta = np.empty(n)
         after.sent[:] = np.column_stack([state.sent[:, 1:], delta_prev])
         after.sent[:] = np.where(np.isnan(after.sent), delta_prev[:, None], after.sent)
-        lane_ahead = lane(preview.yaw_rate, self.plant.dt, self.plant.age)
-        r = lane_ahead[:, self._delay :]
+        lane_rate = lane(preview.yaw_rate, self.plant.dt, self.plant.age)
+        r = lane_rate[:, self._delay :]
         steady = steady_cornering(self.plant, d.mu, np.concatenate([r, 0.5 * (r[:, :-1] + r[:, 1:])], axis=1))
         e_ref, u_ref = steady.e_psi[:, : N + 1], steady.delta[:, N + 1 :]
         rate = d.rate_max * self.plant.dt
@@ -196,24 +181,24 @@ class NonlinearMPCLaw(SteeringLaw):
         work = workspace(N, self.soft is not None)
         for i in range(n):
             work.x_0[:], work.delta_prev[0], work.c[:] = x[i], delta_prev[i], self.columns[i]
-            self._begin(work, lane_ahead[i], after, i)
+            self._begin(work, lane_rate[i], after, i)
             work.r[:], work.e_ref[:], work.u_ref[:] = r[i], e_ref[i], u_ref[i]
             work.low[:], work.high[:] = low[i], high[i]
-            found = work.solve(np.append(state.U[i, 1:], state.U[i, -1]) if state.has_plan[i] else None, self.soft)
-            wanted = float(found.U[0])
-            if found.solved:
-                after.U[i] = found.U
+            solution = work.solve(np.append(state.U[i, 1:], state.U[i, -1]) if state.has_plan[i] else None, self.soft)
+            command = float(solution.U[0])
+            if solution.solved:
+                after.U[i] = solution.U
                 after.rung[i] = 2 if relaxed[i] else 1
             else:
                 after.rung[i] = 3
                 K = self.columns[i, -5:-1]
-                wanted = float(u_ref[i, 0] - K @ work.x_0 + K[2] * e_ref[i, 0])
-                wanted = min(max(wanted, low[i, 0]), high[i, 0]) if np.isfinite(wanted) else 0.0
-            after.has_plan[i] = found.solved
-            after.iterations[i], after.residual[i], after.cost[i] = found.iterations, found.step, found.cost
-            wanted = min(max(wanted, low[i, 0]), high[i, 0])
+                command = float(u_ref[i, 0] - K @ work.x_0 + K[2] * e_ref[i, 0])
+                command = min(max(command, low[i, 0]), high[i, 0]) if np.isfinite(command) else 0.0
+            after.has_plan[i] = solution.solved
+            after.iterations[i], after.residual[i], after.cost[i] = solution.iterations, solution.step, solution.cost
+            command = min(max(command, low[i, 0]), high[i, 0])
             # a sum with 0 turns -0 into 0
-            delta[i] = min(max(wanted, delta_prev[i] - rate), delta_prev[i] + rate) + 0.0
+            delta[i] = min(max(command, delta_prev[i] - rate), delta_prev[i] + rate) + 0.0
             if not self._delay:
                 after.past[i, 1, -1] = self._added(work, delta[i], r[i])
         status = np.array([EventStatus.OK, EventStatus.OK, EventStatus.BEYOND_DELTA_MAX, EventStatus.SOLVER_FAILED])

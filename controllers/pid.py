@@ -10,19 +10,6 @@ straight lane, and its rate e_p' = de_y/dt + T_lp v de_psi/dt,
 Control*, 2nd ed., section 3.2), so a bend of constant curvature leaves no offset on the nominal vehicle, and the
 integral has nothing to do there. Positive to the left (ISO 8855), radians; the three gains are negative for a stable
 loop.
-
-Sources: the preview point after R. Marino, S. Scalzi, M. Netto, *Nested PID steering control for lane keeping in
-autonomous vehicles* (2011); windup after K. J. Astrom, T. Haegglund, *Advanced PID Control* (2006), section 3.5. The
-back-calculation is sampled exactly: it moves I by the share 1 - exp(-dt/T_t) of delta - u at each sample, which cannot
-overshoot whatever dt/T_t is; K_i e_p is added as dt K_i e_p. The derivative is taken from the measured rates, nothing
-is differenced; the rate of psi_l' is left out of it.
-
-Use it where a designer would: few gains with a plain meaning, no model but the steady bend. The gains are fixed over
-speed; at dt = 0.05 s the defaults damp every pole by 0.5 or more from 10 to 40 m/s on the default vehicle and stand
-a steering lag of 0.2 s there, but not a lag of 0.1 s with a delay of 0.1 s above 30 m/s. They are unstable below about
-2.5 m/s, and at dt = 0.1 s above 45 m/s. The integral acts on e_p: on a vehicle that is not
-the nominal one a bend leaves e_y = -T_lp v times the error of e_psi_ss psi_l', a few centimetres. It also has to be
-emptied again, so that an offset at the trigger ends in a shallow, slow overshoot; K_i = 0 has less.
 """
 
 from __future__ import annotations
@@ -103,8 +90,8 @@ class PIDLaw(SteeringLaw):
         r = preview.yaw_rate[:, 0]
         e_p = x[:, 0] + self.distance * (x[:, 2] - self.e_psi_ss * r)
         e_p_rate = x[:, 1] + self.distance * x[:, 3]
-        wanted = d.K_p * e_p + state + d.K_d * e_p_rate + self.delta_ss * r
-        delta = np.clip(wanted, -d.delta_max, d.delta_max)
+        u = d.K_p * e_p + state + d.K_d * e_p_rate + self.delta_ss * r
+        delta = np.clip(u, -d.delta_max, d.delta_max)
         share = -math.expm1(-self.dt / d.T_t)
-        integral = state + self.dt * d.K_i * e_p + share * (delta - wanted)
+        integral = state + self.dt * d.K_i * e_p + share * (delta - u)
         return delta, integral, np.full(delta.size, EventStatus.OK, dtype=np.int8)

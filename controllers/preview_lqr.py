@@ -9,19 +9,6 @@ x~+ = A x~ + B u~ + D w, D = B delta_ss/2 + E_1 - x_ss, and with the Riccati sol
     u~ = -K x~ + sum over j < N of g_j w_j,    g_j = -B' (A_c')^j P D/(r_delta + B' P B):
 
 feedback does not change with the preview, and what is seen far ahead counts the less the faster the closed loop is.
-
-Sources: M. Tomizuka, *Optimal continuous finite preview problem*, IEEE TAC 20(3), 1975; N. Louam, D. A. Wilson,
-R. S. Sharp, *Optimal control of a vehicle suspension incorporating the time delay between front and rear wheel inputs*,
-Vehicle System Dynamics 17, 1988 (the shift register in discrete time); R. S. Sharp, V. Valtetsiotis, *Optimal preview
-car steering control*, Vehicle System Dynamics 35 (supplement), 2001. It is also `linear_mpc` without its limits.
-
-Frame: ISO 8855, positive to the left, radians. Assumptions: the nominal vehicle at the speed of the trigger, all states
-and the lane ahead seen, no limits. Use it where the lane's curvature changes during a departure: it steers before the
-bend begins. N dt beyond the closed loop's settling time adds nothing; on a constant bend it is the plain LQR. Where
-curvature goes on changing, a few samples of preview may do worse than none: what is seen last is taken to be held.
-Feedback is that of `lqr`. Behind an actuator x~ and u~ are those of the moment at which the command acts: the N samples
-begin there, x~ is predicted up to there with the lane as it will be, and the lane's past, where a camera is late,
-counts as its present.
 """
 
 import dataclasses

@@ -9,16 +9,6 @@ the curvature 2 sin(alpha)/D, and a vehicle with wheel base L drives it at
 The goal point lies on the centre line at l_d = max(l_min, T_lp v) ahead of the rear axle, measured along the lane;
 D is the straight distance to it. The lane ahead is drawn from the previewed heading with small angles, as in the error
 dynamics: it is s long and integral of v dpsi_l to the left at s metres ahead.
-
-How long it takes to the goal, (l_d - l_r)/v, differs from scenario to scenario, but the lookahead times are the same
-for all. So the lane is seen every 0.1 s, and its lateral position follows by integrating the cubic through heading and
-yaw rate at both ends of each interval. That is exact while curvature is linear in time (the heading is then a
-quadratic); in the one interval in which the seen lane ends and curvature becomes constant it is off by 1e-5 m at most
-in usual departures.
-
-Use it as the simplest geometric law: one gain, smooth, robust. It knows no side slip and so leaves an offset in a bend
-at speed, and a short T_lp at high speed is badly damped (the default has a damping of 0.5 at 40 m/s on the default
-vehicle, 0.7 at 10 m/s).
 """
 
 from __future__ import annotations
@@ -137,6 +127,6 @@ class PurePursuitLaw(SteeringLaw):
         along = self.ahead + self.l_r * cos  # from the rear axle to the goal, along and across the lane
         across = self.lane_offset(preview) - x[:, 0] + self.l_r * sin
         to_left = cos * across - sin * along  # D sin(alpha)
-        wanted = np.arctan(2.0 * self.L * to_left / (along * along + across * across))
-        delta = np.clip(wanted, -self.design.delta_max, self.design.delta_max)
+        unlimited = np.arctan(2.0 * self.L * to_left / (along * along + across * across))
+        delta = np.clip(unlimited, -self.design.delta_max, self.design.delta_max)
         return delta, None, np.full(delta.size, EventStatus.OK, dtype=np.int8)

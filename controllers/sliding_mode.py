@@ -8,33 +8,8 @@ and Observation*, 2014, chapter 4) requires
 
     ds/dt = u + disturbance,    u = -k_1 |s|^(1/2) sign s + w,    dw/dt = -k_2 sign s,
 
-and the steering angle is the equivalent control of the nominal vehicle plus what brings u about. In samples: with
-s = c x~ and x~+ = A x~ + B (delta - delta_ss psi_l') + D (psi_l'+ - psi_l'), psi_l' its mean over the step where it
-meets delta_ss,
-
-    delta = delta_ss psi_l' + (dt u - c (A - I) x~ - c D (psi_l'+ - psi_l'))/(c B),
-
-so that s+ = s + dt u, exactly, on the nominal vehicle and lane. It does not chatter, because u comes from a proper
-implicit discretisation, as R. Seeber and B. Andritsch call it (*Proper implicit discretization of the super-twisting
-controller - without and with actuator saturation*, Automatica 173, 2025): with y and g = sign y, any number from -1 to
-1 at y = 0, from
-
-    y + dt k_1 |y|^(1/2) sign y + dt^2 k_2 g = s,    w+ = w - dt k_2 g,    u = w+ + (y - s)/dt,
-
-y and w follow the implicit Euler scheme of the disturbed equations above. The first one is solved by |y| = q^2, q =
-sqrt((dt k_1/2)^2 + max(|s| - dt^2 k_2, 0)) - dt k_1/2. Once it slides, w is minus the disturbance of the sample before
-and s the change of the disturbance over a sample times dt: a constant one leaves s = 0. (The implicit step of B.
-Brogliato, A. Polyakov, D. Efimov, IEEE TAC 65(8), 2020, without y, leaves s = dt times the disturbance.)
-
-Delta is clipped to +-delta_max. Against windup w is conditioned (R. Seeber, M. Reichhartinger, *Conditioned
-super-twisting algorithm for systems with saturated control action*, Automatica 116, 2020): it moves as it would have if
-the u that the clipped delta stands for had been commanded, w+ = w + (u - w)/2, by at most dt k_2. Where delta is not
-clipped this is the w+ above.
-
-Positive to the left (ISO 8855), radians. Use it where the vehicle is badly known: w takes up any disturbance whose rate
-stays below k_2 (rule of the book: k_1 = 1.5 times the root of that rate, k_2 = 1.1 times it). T_lp keeps the zero
-dynamics damped: of the offset at the centre of gravity, T_lp = 0, they are damped by 0.2 only at 40 m/s on the default
-vehicle, by 0.7 or more with the default.
+and delta is the angle that brings u about, in samples without chatter, clipped to +-delta_max, w conditioned on what
+remains of u: `docs/reference/laws.md` has the derivation, sources and the effect of the gains.
 """
 
 from __future__ import annotations

@@ -9,16 +9,7 @@ law. There heading and offset are counted from the vehicle to the path; in ISO 8
 clipped to +-delta_max. e_f and e_psi_f are offset and heading error at the front axle, against the point of the lane
 beside it: e_f = e_y + l_f sin e_psi - c l_f^2/2 and e_psi_f = e_psi - c l_f with the lane's curvature c = psi_l'/v.
 
-- k_ag v psi_l' is the side slip of the front wheels in a steady bend, k_ag m l_r/(2 C_af (l_f + l_r)) v psi_l'; the
-  gain k_ag is 1 for the published value and 0 for none. With 1, a bend leaves no offset of the front axle.
-- de_psi/dt is the published yaw rate against that of the path.
-- delta_1 - delta_2 is the last change of the steering angle that is known: of the command of the step before against
-  the one before that. It answers a lag of the steering and is off by default, as the ideal plant has none.
-
-Use it as the reference of practice: nearly model free, stable from any offset on a kinematic vehicle. At motorway
-speed it needs k_d_yaw: without it the yaw motion is damped by less than 0.3 at 40 m/s on the default vehicle, with the
-default whatever outlives a sample is damped by 0.8 or more from 10 to 40 m/s. The heading error counts in full at any
-speed, so that at motorway speed a slow steering or camera makes the loop unstable.
+Details: `docs/reference/laws.md`.
 """
 
 from __future__ import annotations

@@ -29,8 +29,6 @@ from ldctoolkit.errors import CheckedArguments, InputError
 from ldctoolkit.vehicle import Plant
 
 State = tuple[FloatArray, FloatArray | None, FloatArray]
-
-
 StatusArray = npt.NDArray[np.int8]
 
 
@@ -134,9 +132,9 @@ class SolverCalls:
     Examples
     --------
     >>> import numpy as np
-    >>> one = np.array([1])
-    >>> SolverCalls(one, 0 * one, 12 * one, 1e-7 * one, 1e-7 * one).of(np.array([2])).iterations
-    array([], dtype=int64)
+    >>> calls = SolverCalls(np.array([1, 2]), np.zeros(2), np.array([12, 7]), np.full(2, 1e-7), np.full(2, 1e-7))
+    >>> calls.of(np.array([2])).iterations
+    array([7])
     """
 
     place: IntArray  # (k,) The scenario, by its place in the batch
@@ -147,8 +145,8 @@ class SolverCalls:
 
     def of(self, places: IntArray) -> SolverCalls:
         """Only those of some places in the batch."""
-        kept = np.isin(self.place, places)
-        return SolverCalls(**{field.name: getattr(self, field.name)[kept] for field in dataclasses.fields(self)})
+        rows = np.isin(self.place, places)
+        return SolverCalls(**{field.name: getattr(self, field.name)[rows] for field in dataclasses.fields(self)})
 
 
 @dataclasses.dataclass(frozen=True)
@@ -166,12 +164,12 @@ class SolverLog:
     @classmethod
     def of(cls, calls: Sequence[tuple[IntArray, int, SolverCalls]]) -> SolverLog:
         """From the calls of each sample, with their scenarios and the sample's number."""
-        whole, real = np.zeros(0, dtype=np.int64), np.zeros(0)
-        made = (
-            (rows, np.full(rows.size, sample), one.status, one.iterations, one.primal_residual, one.dual_residual)
-            for rows, sample, one in calls
+        none, no_numbers = np.zeros(0, dtype=np.int64), np.zeros(0)
+        rows = (
+            (row, np.full(row.size, sample), call.status, call.iterations, call.primal_residual, call.dual_residual)
+            for row, sample, call in calls
         )
-        columns = zip((whole, whole, whole, whole, real, real), *made, strict=True)
+        columns = zip((none, none, none, none, no_numbers, no_numbers), *rows, strict=True)
         return cls(*(np.concatenate(parts, dtype=parts[0].dtype, casting="unsafe") for parts in columns))._in_order()
 
     def renamed(self, rows: IntArray) -> SolverLog:
@@ -341,27 +339,21 @@ def check_class(controller: type[Controller]) -> None:
     """Raise if a controller class does not follow `Controller`."""
     if controller in _checked:  # a class is looked at once: studies make thousands of designs of it
         return
-    called = controller.__name__
+    called, decorator = controller.__name__, "@dataclasses.dataclass(frozen=True)"
     # a field that is still there as an attribute was never seen by @dataclass
     unseen = any(isinstance(value, dataclasses.Field) for base in controller.__mro__ for value in vars(base).values())
     if unseen or not dataclasses.is_dataclass(controller):
-        raise InputError(
-            called, "not a dataclass", hint="write @dataclasses.dataclass(frozen=True) directly above the class"
-        )
+        raise InputError(called, "not a dataclass", hint=f"write {decorator} directly above the class")
     if not controller.__dataclass_params__.frozen:
-        raise InputError(called, "a dataclass that is not frozen", hint="write @dataclasses.dataclass(frozen=True)")
+        raise InputError(called, "a dataclass that is not frozen", hint=f"write {decorator}")
     for attribute in ("name", "title"):
+        path, value = f"{called}.{attribute}", getattr(controller, attribute, None)
         if any(field.name == attribute for field in dataclasses.fields(controller)):
-            raise InputError(
-                f"{called}.{attribute}", "a field of the dataclass", hint=f"write {attribute}: ClassVar[str] = ..."
-            )
-        value = getattr(controller, attribute, None)
+            raise InputError(path, "a field of the dataclass", hint=f"write {attribute}: ClassVar[str] = ...")
         if not isinstance(value, str) or not value:
-            missing = "missing" if value is None else repr(value)
-            raise InputError(f"{called}.{attribute}", missing, allowed="a non-empty string, ClassVar[str]")
+            raise InputError(path, value=value, allowed="a non-empty string, ClassVar[str]")
     if inspect.isabstract(controller):
-        abstract = ", ".join(sorted(controller.__abstractmethods__))
-        raise InputError(called, f"no {abstract}", allowed="a class that defines it")
+        raise InputError(called, f"no {', '.join(sorted(controller.__abstractmethods__))}", hint="define it")
     check_declarations(controller)
     document_gains(controller)
     _checked.add(controller)

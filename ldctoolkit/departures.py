@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any, Final, Self
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.arrays import BoolArray, FloatArray, IntArray, ReadOnly, unmasked
+from ldctoolkit.arrays import BoolArray, FloatArray, Frame, IntArray, ReadOnly, unmasked
+from ldctoolkit.declared import checked_number
 from ldctoolkit.errors import CheckedArguments, InputError
-from ldctoolkit.frames import Frame
 
 if TYPE_CHECKING:
     import polars as pl
@@ -40,23 +40,16 @@ def combined_columns(parts: Sequence[tuple[tuple[ExtraColumn, ...], int]]) -> tu
 
     In the order in which the names first come. A column that is text anywhere is text.
     """
-    names = dict.fromkeys(column.name for columns, _ in parts for column in columns)
     joined = []
-    for name in names:
-        found = [(next((c.values for c in columns if c.name == name), None), n) for columns, n in parts]
-        text = any(values is not None and values.dtype.kind == "U" for values, _ in found)
-        filler: Any = "" if text else np.nan
-        kind: Any = np.str_ if text else np.float64
-        pieces = [np.full(n, filler, dtype=kind) if v is None else _as(kind, v) for v, n in found]
+    for name in dict.fromkeys(column.name for columns, _ in parts for column in columns):
+        pieces = [
+            next((column.values for column in columns if column.name == name), np.full(n, np.nan))
+            for columns, n in parts
+        ]
+        if any(values.dtype.kind == "U" for values in pieces):
+            pieces = [v if v.dtype.kind == "U" else np.where(np.isnan(v), "", v.astype(np.str_)) for v in pieces]
         joined.append(ExtraColumn(name, np.concatenate(pieces)))
     return tuple(joined)
-
-
-def _as(kind: Any, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Values as text or numbers; a number that is not known is empty text."""
-    if kind is np.str_ and values.dtype.kind == "f":
-        return np.where(np.isnan(values), "", values.astype(np.str_))
-    return values.astype(kind)
 
 
 LEFT: Final = 1
@@ -133,15 +126,15 @@ class DepartureParameters(Frame):
         """The chosen departures: an index array, a mask or a slice, applied to every column."""
         index = row_index(rows)
         return dataclasses.replace(
-            self, **{f.name: _some(getattr(self, f.name), index) for f in dataclasses.fields(self)}
+            self, **{f.name: _rows_of(getattr(self, f.name), index) for f in dataclasses.fields(self)}
         )
 
 
-def _some(column: Any, index: IntArray | BoolArray | slice) -> Any:
+def _rows_of(column: Any, index: IntArray | BoolArray | slice) -> Any:
     """Chosen rows of what a departure has: an array, several columns, signals, or nothing."""
     if isinstance(column, np.ndarray):
         return column[index]
-    return tuple(one.take(index) for one in column) if isinstance(column, tuple) else column and column.take(index)
+    return tuple(part.take(index) for part in column) if isinstance(column, tuple) else column and column.take(index)
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
@@ -263,23 +256,21 @@ def reduce_signals(signals: DepartureSignals, side: npt.ArrayLike) -> DepartureP
     """
     starts, last = signals.offsets[:-1], signals.offsets[1:] - 1
     sides = np.asarray(unmasked(side))
-    if not np.isin(sides, (LEFT, RIGHT)).all():
-        raise InputError("side", f"{sides[~np.isin(sides, (LEFT, RIGHT))][0]}", allowed=f"{LEFT} or {RIGHT}")
+    if (wrong := ~np.isin(sides, (LEFT, RIGHT))).any():
+        raise InputError("side", value=sides[wrong][0], allowed=f"{LEFT} or {RIGHT}")
     sides = sides.astype(np.int64)
     if signals.n == 0:
         empty = np.empty(0)
         return DepartureParameters(sides, *([empty] * len(PARAMETER_NAMES)))
     count = signals.samples
     duration = signals.t[last]
-    if np.any(count < 3):
-        i = int(np.argmax(count < 3))
-        raise InputError(
-            "signals", f"event {i} has {count[i]} samples between its crossings", hint="at least 3 are needed"
-        )
-    if not np.all(duration > 0):
-        raise InputError(
-            "signals", f"event {int(np.argmax(~(duration > 0)))} does not last: its last t is not positive"
-        )
+    for name, values, bad, allowed in (
+        ("samples between its crossings", count, count < 3, "3 or more"),
+        ("duration", duration, ~(duration > 0), "> 0 s"),
+    ):
+        if bad.any():
+            i = int(np.argmax(bad))
+            raise InputError(f"signals: event {i}: {name}", value=values[i], allowed=allowed)
 
     event = np.repeat(np.arange(signals.n), np.diff(signals.offsets))
     x = signals.integral(signals.v)
@@ -415,20 +406,14 @@ class Plausibility(CheckedArguments):
 
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
-            value = getattr(self, field.name)
-            if value is None:
-                continue
-            if isinstance(value, bool) or not isinstance(value, int | float | np.number) or not value > 0.0:
-                raise InputError(f"plausibility.{field.name}", value=value, allowed="a number above 0")
-            object.__setattr__(self, field.name, float(value) if np.isfinite(value) else None)
+            limit = getattr(self, field.name)
+            if limit is not None:
+                limit = checked_number(f"plausibility.{field.name}", limit, above=0.0, finite=False)
+                object.__setattr__(self, field.name, limit if np.isfinite(limit) else None)
 
     def __str__(self) -> str:
-        limits = {
-            "4 d_y/T": (self.y_rate, "m/s"),
-            "|y''|": (self.y_acceleration, "m/s^2"),
-            "|a_y|": (self.a_y, "m/s^2"),
-        }
-        return ", ".join(f"{name} = {value:g} {unit}" for name, (value, unit) in limits.items() if value is not None)
+        limits = zip(("4 d_y/T", "|y''|", "|a_y|"), dataclasses.astuple(self), ("m/s", "m/s^2", "m/s^2"), strict=True)
+        return ", ".join(f"{name} = {limit:g} {unit}" for name, limit, unit in limits if limit is not None)
 
     def holds(self, p: DepartureParameters) -> BoolArray:
         """Which departures keep all limits, (n,); exact for the path without residuals."""
@@ -472,8 +457,7 @@ def rebuild_signals(p: DepartureParameters, dt: float) -> DepartureSignals:
     >>> ldc.rebuild_signals(ldc.Scenarios.from_arrays(T=2.0, d_y=0.3, v_mean=25.0), dt=0.5).y.round(3)
     array([0.   , 0.225, 0.3  , 0.225, 0.   ])
     """
-    if not dt > 0:
-        raise InputError("dt", "s", value=dt, allowed="> 0")
+    dt = checked_number("dt", dt, above=0.0, unit="s")
     count = np.maximum(np.ceil(p.T / dt - 1e-9).astype(np.int64), 1) + 1
     offsets = np.concatenate([[0], np.cumsum(count)])
     event = np.repeat(np.arange(p.n), count)

@@ -118,6 +118,12 @@ class LdcError(Exception):
         moved.path = path
         return moved
 
+    def hinted(self, hint: str) -> Self:
+        """The same error, with what else to do about it."""
+        made = copy.copy(self)
+        made.hint = "; ".join(filter(None, (self.hint, hint)))
+        return made
+
     @classmethod
     def of(cls, error: "LdcError") -> Self:
         """The same problem as an error of this class."""

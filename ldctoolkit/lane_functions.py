@@ -1,50 +1,18 @@
-"""Compiled functions of a few numbers without a branch, for loops over the lanes of vector registers; cubics, quartics.
-
-Whoever calls them is compiled anew when this file changes only if it looks at it: see `simulation.kernel.entry`.
-"""
+"""Compiled functions of a few numbers, without a branch, for loops over vector lanes; cubics and quartics; series."""
 
 # mypy: disable-error-code="untyped-decorator, no-untyped-def, no-untyped-call"
 
-import inspect
 import math
-from typing import Any, Final
+from typing import Final
 
 import numba
 import numpy as np
-from numba import types
-from numba.extending import intrinsic
 
-import ldctoolkit.compiling as compiling
 from ldctoolkit.arrays import FloatArray
-
-compiling.listen()
-
-# strict arithmetic: no number depends on its neighbours in a vector, nor on what was compiled before, which decides
-# where a compiler that may fuses a product and a sum; division by zero gives infinity as in NumPy
-OPTIONS: Final[dict[str, Any]] = {"nogil": True, "error_model": "numpy"}
+from ldctoolkit.numba_internals import OPTIONS, fma
 
 _MOST_PASSES: Final = 40
-_NEAR: Final = 1e-6  # error of a zero, in parts of the piece; what it costs an integral is its square
-
-
-def _instruction(build, *names):
-    """A function of floats that is an instruction or two of the processor, without a branch."""
-
-    def function(typing, *arguments):  # noqa: ARG001
-        if any(argument != types.float64 for argument in arguments):
-            return None
-        return types.float64(*[types.float64] * len(names)), lambda _, builder, __, values: build(builder, *values)
-
-    function.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
-        [inspect.Parameter(name, inspect.Parameter.POSITIONAL_OR_KEYWORD) for name in ("typing", *names)]
-    )
-    return intrinsic(function)
-
-
-# a product and a sum rounded once, where the code says so: left to the compiler, two processes could differ in it
-fma: Final[Any] = _instruction(lambda builder, a, b, c: builder.fma(a, b, c), "a", "b", "c")
-# the larger one, or b where one is NaN
-larger: Final[Any] = _instruction(lambda builder, a, b: builder.select(builder.fcmp_ordered(">", a, b), a, b), "a", "b")
+_NEAR: Final = 1e-6  # Error of a zero, in parts of the piece; what it costs an integral is its square
 
 
 @numba.njit(inline="always", **OPTIONS)
@@ -81,7 +49,7 @@ def quartic_root(f_0, m_0, f_1, m_1, mean):
 
 @numba.njit(**OPTIONS)
 def _between(c, low, high):
-    """Zero of the polynomial c_0 + c_1 u + ... + c_4 u^4 between two places of different signs."""
+    """Zero of the polynomial c_0 + c_1 u + ... + c_4 u^4 between two arguments with values of different signs."""
     at_low = c[0] + low * (c[1] + low * (c[2] + low * (c[3] + low * c[4])))
     at_high = c[0] + high * (c[1] + high * (c[2] + high * (c[3] + high * c[4])))
     u = low + (high - low) * at_low / (at_low - at_high)
@@ -193,8 +161,7 @@ def moments(z, rest):
 _BLOCK = 64
 
 
-# strict IEEE: the same operations in the same order for every point, wherever it stands
-@numba.njit(nogil=True, cache=True, error_model="numpy")
+@numba.njit(cache=True, **OPTIONS)  # the same operations in the same order for every point
 def clenshaw(z: FloatArray, coefficients: FloatArray, out: FloatArray) -> None:
     """Evaluate k series of at least three terms, `coefficients` (terms, k), at z (n,) into `out` (n, k).
 

@@ -3,6 +3,7 @@
 A type checker finds these mistakes too; here they end in one message that names the controller and what is allowed.
 """
 
+import dataclasses
 import itertools
 import traceback
 from pathlib import Path
@@ -25,9 +26,10 @@ from ldctoolkit.control import (
 )
 from ldctoolkit.errors import InputError, LdcError
 
-_OURS = tuple(Path(__file__).resolve().parent.parent / package for package in ("ldctoolkit", "studies"))
-_LONGEST = 500
+_OURS = tuple(Path(__file__).resolve().parents[1] / package for package in ("ldctoolkit", "studies"))
+_LONGEST_LINE = 500
 _LONGEST_AGE = 10.0  # [s] of what is seen: a law may ask for the lane where it was seen
+_STATUS_OF_A_STEP = (EventStatus.OK, EventStatus.SOLVER_FAILED, EventStatus.BEYOND_DELTA_MAX)
 
 
 def raised(error: BaseException) -> str:
@@ -35,8 +37,8 @@ def raised(error: BaseException) -> str:
     text = " ".join(str(error).encode("utf-8", "backslashreplace").decode().split())
     if not isinstance(error, LdcError):
         text = f"{type(error).__name__}: {text}" if text else type(error).__name__
-    if len(text) > _LONGEST:
-        text = f"{text[: _LONGEST - 4]} ..."
+    if len(text) > _LONGEST_LINE:
+        text = f"{text[: _LONGEST_LINE - 4]} ..."
     return text if isinstance(error, LdcError) else f"{text} {_place(error)}".rstrip()
 
 
@@ -60,10 +62,6 @@ def declared_law(controller: type[Controller]) -> type | None:
     return law if isinstance(law, type) and issubclass(law, LinearLaw | RecordedPath | SteeringLaw) else None
 
 
-_OF_A_STEP = (EventStatus.OK, EventStatus.SOLVER_FAILED, EventStatus.BEYOND_DELTA_MAX)
-"""What a law may return for a command."""
-
-
 def check_controller(controller: object) -> Controller:
     """Return the design, with its class checked; its gains were when it was made."""
     if isinstance(controller, Controller):
@@ -74,7 +72,7 @@ def check_controller(controller: object) -> Controller:
         example = f"{controller.__name__}()"
     elif isinstance(controller, str):
         example = f"controller_class({controller!r})()"
-    raise InputError("controller", f"{_shown(controller)}", allowed=f"a controller instance, e.g. {example}")
+    raise InputError("controller", _described(controller), allowed=f"a controller instance, e.g. {example}")
 
 
 def check_law(law: object, n: int, name: str) -> Law:
@@ -85,27 +83,26 @@ def check_law(law: object, n: int, name: str) -> Law:
     if isinstance(law, RecordedPath):
         return law
     if not isinstance(law, LinearLaw | SteeringLaw):
-        raise InputError(
-            where,
-            f"prepare returned {_shown(law)}",
-            allowed="a LinearLaw, a RecordedPath, or an instance of a subclass of SteeringLaw",
-        )
+        allowed = "a LinearLaw, a RecordedPath, or an instance of a subclass of SteeringLaw"
+        raise InputError(f"{where}: prepare", f"returned {_described(law)}", allowed=allowed)
     times: Any = law.preview_times
     if callable(times):
-        raise InputError(where, f"{type(law).__name__}.preview_times is a method", hint="write @property above it")
-    _check_array(times, "preview_times", ("p",), where)
+        raise InputError(f"{where}: preview_times", "a method", hint="write @property above it")
+    _check_array(times, f"{where}: preview_times", ("p",))
     earliest = 0.0 if isinstance(law, LinearLaw) else -_LONGEST_AGE
     wrong = ~(np.isfinite(times) & (times >= earliest))
     if wrong.any():
-        raise InputError(where, f"preview_times holds {times[wrong][0]:g}", allowed=f"finite times >= {earliest:g} [s]")
+        allowed = f"finite times >= {earliest:g} [s]"
+        raise InputError(f"{where}: preview_times", value=float(times[wrong][0]), allowed=allowed)
     if isinstance(law, LinearLaw):
-        p = times.size
-        for field, shape in {"F": (n, 4), "G_yaw_rate": (n, p), "G_heading": (n, p), "f_u": (n,)}.items():
-            _check_array(getattr(law, field), field, shape, where)
-        optional: dict[str, tuple[int | str, ...]] = {"f_i": (n,), "f_past": (n, "q"), "f_wheel": (n,)}
-        for field, allowed in optional.items():
-            if getattr(law, field) is not None:
-                _check_array(getattr(law, field), field, allowed, where)
+        shapes: dict[str, tuple[int | str, ...]] = {
+            "F": (n, 4), "G_yaw_rate": (n, times.size), "G_heading": (n, times.size), "f_u": (n,),
+            "f_i": (n,), "f_past": (n, "q"), "f_wheel": (n,),
+        }  # fmt: skip
+        for field in dataclasses.fields(law):
+            value = getattr(law, field.name)
+            if field.name in shapes and not (value is None and field.default is None):
+                _check_array(value, f"{where}: {field.name}", shapes[field.name])
     return law
 
 
@@ -113,17 +110,16 @@ def check_step(result: object, n: int, name: str) -> tuple[FloatArray, Any, Stat
     """Return what ``SteeringLaw.step`` gave for n scenarios, with its types, shapes and status values checked.
     Commands that are not finite pass: the loop counts them.
     """
-    where = f"controller {name!r}"
+    where = f"controller {name!r}: step"
     if not (isinstance(result, tuple) and len(result) == 3):
-        shown = f"a tuple of {len(result)}" if isinstance(result, tuple) else _shown(result)
-        raise InputError(where, f"step returned {shown}", allowed="a tuple (delta, state, status)")
-    delta, status = _reals(result[0], "delta", where), _reals(result[2], "status", where)
-    if delta.shape != (n,) or status.shape != (n,):
-        raise InputError(where, f"step returned shapes {delta.shape}, {status.shape}", allowed=f"{(n,)}")
-    if status.any() and not np.isin(status, _OF_A_STEP).all():
-        unknown = ~np.isin(status, _OF_A_STEP)
-        allowed = ", ".join(f"EventStatus.{one.name} ({one:d})" for one in _OF_A_STEP)
-        raise InputError(where, f"step returned status {status[unknown][0]}", allowed=allowed)
+        raise InputError(where, f"returned {_described(result)}", allowed="a tuple (delta, state, status)")
+    delta, status = _reals(result[0], f"{where}: delta"), _reals(result[2], f"{where}: status")
+    for field, array in (("delta", delta), ("status", status)):
+        _check_array(array, f"{where}: {field}", (n,))
+    if status.any() and not np.isin(status, _STATUS_OF_A_STEP).all():
+        allowed = ", ".join(f"EventStatus.{known.name} ({known:d})" for known in _STATUS_OF_A_STEP)
+        unknown = status[~np.isin(status, _STATUS_OF_A_STEP)][0]
+        raise InputError(f"{where}: status", value=unknown, allowed=allowed)
     return np.array(delta, dtype=np.float64), result[1], status.astype(np.int8)
 
 
@@ -131,58 +127,59 @@ def check_taken(result: object, n: int, name: str, times: FloatArray) -> tuple[S
     """Return what ``SteeringLaw.take`` gave for n scenarios that go on, with its types checked."""
     if result is None:
         return None
-    if isinstance(result, tuple) and len(result) == 2 and isinstance(result[0], SteeringLaw):
-        check_law(result[0], n, name)
-        if not np.array_equal(result[0].preview_times, times):
-            raise InputError(f"controller {name!r}", "take changed preview_times", allowed="those of the law before")
-        return result[0], result[1]
-    shown = f"a tuple of {len(result)}" if isinstance(result, tuple) else _shown(result)
-    raise InputError(f"controller {name!r}", f"take returned {shown}", allowed="a tuple (law, state), or None")
+    where = f"controller {name!r}: take"
+    if not (isinstance(result, tuple) and len(result) == 2 and isinstance(result[0], SteeringLaw)):
+        raise InputError(where, f"returned {_described(result)}", allowed="a tuple (law, state), or None")
+    check_law(result[0], n, name)
+    if not np.array_equal(result[0].preview_times, times):
+        raise InputError(where, "changed preview_times", allowed="those of the law before")
+    return result[0], result[1]
 
 
 def check_calls(calls: object, n: int, name: str) -> None:
     """Raise if what ``SteeringLaw.solver_calls`` gave for n scenarios is not what the interface promises."""
     where = f"controller {name!r}: solver_calls"
     if not isinstance(calls, SolverCalls):
-        raise InputError(f"{where} returned {_shown(calls)}; allowed: SolverCalls or None")
-    _check_array(calls.place, "place", ("k",), where)
+        raise InputError(where, f"returned {_described(calls)}", allowed="SolverCalls or None")
+    _check_array(calls.place, f"{where}: place", ("k",))
     for field in ("status", "iterations", "primal_residual", "dual_residual"):
-        _check_array(getattr(calls, field), field, (calls.place.size,), where)
+        _check_array(getattr(calls, field), f"{where}: {field}", (calls.place.size,))
     outside = (calls.place < 0) | (calls.place >= n)
     if calls.place.dtype.kind not in "iu" or outside.any():
-        raise InputError(where, f"place holds {calls.place[outside][:1]}", allowed=f"whole numbers 0 to {n - 1}")
+        allowed = f"whole numbers 0 to {n - 1}"
+        raise InputError(f"{where}: place", f"holds {calls.place[outside][:1]}", allowed=allowed)
 
 
-def _check_array(value: Any, field: str, shape: tuple[int | str, ...], where: str) -> None:
-    """Raise if the value is no array of real numbers of that shape; a word stands for any length."""
-    allowed = f"({', '.join(map(str, shape))}{',' if len(shape) == 1 else ''})"
+def _check_array(value: Any, where: str, shape: tuple[int | str, ...]) -> None:
+    """Raise if the value is no array of real numbers of that shape; a letter stands for any length."""
+    allowed = f"an array of shape ({', '.join(map(str, shape))}{',' if len(shape) == 1 else ''})"
     if not isinstance(value, np.ndarray):
-        raise InputError(where, f"{field} is {_shown(value)}", allowed=f"an array of shape {allowed}")
-    same = (isinstance(length, str) or length == own for length, own in zip(shape, value.shape, strict=False))
+        raise InputError(where, _described(value), allowed=allowed)
+    same = (isinstance(length, str) or length == given for length, given in zip(shape, value.shape, strict=False))
     if value.ndim != len(shape) or not all(same):
-        raise InputError(where, f"{field} has shape {value.shape}", allowed=allowed)
+        raise InputError(where, f"shape {value.shape}", allowed=allowed)
     if np.ma.is_masked(value):
-        raise InputError(where, f"{field} has masked entries", allowed="none")
-    _reals(value, field, where)
+        raise InputError(where, "masked entries", allowed="none")
+    _reals(value, where)
 
 
-def _reals(value: Any, field: str, where: str) -> npt.NDArray[Any]:
+def _reals(value: Any, where: str) -> npt.NDArray[Any]:
     """The value as an array of real numbers of whatever kind."""
     try:
         array = np.asarray(unmasked(value))
     except ValueError:  # rows of different lengths
         array = np.asarray(None)
     if array.dtype.kind not in "iuf":
-        raise InputError(where, f"{field} is {_shown(value)}", allowed="an array of real numbers")
+        raise InputError(where, _described(value), allowed="an array of real numbers")
     return array
 
 
-def _shown(value: object) -> str:
-    """Short words for whatever was given."""
+def _described(value: object) -> str:
+    """A few words for whatever was given."""
     if isinstance(value, type):
         return f"the class {value.__name__}"
     if isinstance(value, np.ndarray):
         return f"an array of shape {value.shape} and dtype {value.dtype}"
     if value is None or isinstance(value, str | int | float):
         return repr(value)
-    return f"an object of type {type(value).__name__}"
+    return f"a tuple of {len(value)}" if isinstance(value, tuple) else f"an object of type {type(value).__name__}"

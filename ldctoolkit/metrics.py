@@ -61,6 +61,10 @@ def _column(name: str, unit: str) -> str:
     return f"{name}_{unit.replace('/', '_').replace('^', '').replace(' ', '_')}"
 
 
+def _row(*entries: Any, **more: Any) -> dict[str, ScenarioMetric]:
+    return {"row": ScenarioMetric(*entries, **more)}
+
+
 @dataclasses.dataclass(frozen=True)
 class MetricValues:
     """What is reported beside S, one number a scenario: arrays of n, or of (d, n) for d designs.
@@ -69,51 +73,45 @@ class MetricValues:
     compiled loops and the store hold them in this order.
     """
 
-    deepest: FloatArray = field(metadata={"row": ScenarioMetric("m", "Deepest crossing", "lane", 3, "all")})
+    deepest: FloatArray = field(metadata=_row("m", "Deepest crossing", "lane", 3, "all"))
     """Deepest position of the edge beyond the line [m]."""
 
-    dtle: FloatArray = field(
-        metadata={"row": ScenarioMetric("m", "DTLE", "lane", 3, "all", better="more", limit=DTLE_LIMIT)}
-    )
+    dtle: FloatArray = field(metadata=_row("m", "DTLE", "lane", 3, "all", better="more", limit=DTLE_LIMIT))
     """Smallest distance of the front axle's edge to the line [m], negative beyond it."""
 
-    t_back: FloatArray = field(metadata={"row": ScenarioMetric("s", "Back inside after", "back", 2)})
+    t_back: FloatArray = field(metadata=_row("s", "Back inside after", "back", 2))
     """Time since the departure's start at which the edge is first back inside after the trigger [s]; infinite where it
     is not back by the end."""
 
-    opposite_crossing: FloatArray = field(
-        metadata={"row": ScenarioMetric("m", "Opposite line crossed by", "back", 3, short="overshoot")}
-    )
+    opposite_crossing: FloatArray = field(metadata=_row("m", "Opposite line crossed by", "back", 3, short="overshoot"))
     """How far the opposite edge gets beyond the opposite line [m]; 0 where it does not."""
 
-    a_y_peak: FloatArray = field(metadata={"row": ScenarioMetric("m/s^2", "Peak a_y", "comfort", 2, short="ay")})
+    a_y_peak: FloatArray = field(metadata=_row("m/s^2", "Peak a_y", "comfort", 2, short="ay"))
     """Largest lateral acceleration [m/s^2], that of the bend included."""
 
-    jerk_peak: FloatArray = field(
-        metadata={"row": ScenarioMetric("m/s^3", "Peak lateral jerk", "comfort", 2, short="jerk")}
-    )
+    jerk_peak: FloatArray = field(metadata=_row("m/s^3", "Peak lateral jerk", "comfort", 2, short="jerk"))
     """Largest lateral jerk, as a moving average over 0.5 s [m/s^3]."""
 
     a_y_added_peak: FloatArray = field(
-        metadata={"row": ScenarioMetric("m/s^2", "Peak added a_y", "comfort", 2, limit=A_Y_LIMIT, short="ay_added")}
+        metadata=_row("m/s^2", "Peak added a_y", "comfort", 2, limit=A_Y_LIMIT, short="ay_added")
     )
     """Largest excess of |a| over |y''| of the recorded path at the same time [m/s^2], with a = a_y - v^2 c."""
 
     jerk_added_peak: FloatArray = field(
-        metadata={"row": ScenarioMetric("m/s^3", "Peak added jerk", "comfort", 2, limit=JERK_LIMIT, short="jerk_added")}
+        metadata=_row("m/s^3", "Peak added jerk", "comfort", 2, limit=JERK_LIMIT, short="jerk_added")
     )
     """The same of da/dt and y''', each as a moving average over 0.5 s [m/s^3]."""
 
-    delta_peak: FloatArray = field(metadata={"row": ScenarioMetric("rad", "Steering angle", "steering", 2)})
+    delta_peak: FloatArray = field(metadata=_row("rad", "Steering angle", "steering", 2))
     """Largest steering angle of the wheel [rad]."""
 
-    delta_rate_peak: FloatArray = field(metadata={"row": ScenarioMetric("rad/s", "Steering rate", "steering", 1)})
+    delta_rate_peak: FloatArray = field(metadata=_row("rad/s", "Steering rate", "steering", 1))
     """Largest change of that angle from one sample to the next, over dt [rad/s]."""
 
-    effort: FloatArray = field(metadata={"row": ScenarioMetric("rad^2 s", "Steering effort", "steering", 3)})
+    effort: FloatArray = field(metadata=_row("rad^2 s", "Steering effort", "steering", 3))
     """Integral of the squared steering angle [rad^2 s]."""
 
-    travel: FloatArray = field(metadata={"row": ScenarioMetric("rad", "Steering travel", "steering", 2)})
+    travel: FloatArray = field(metadata=_row("rad", "Steering travel", "steering", 2))
     """Sum of the changes of the steering angle, without their signs [rad]."""
 
 
@@ -249,14 +247,8 @@ _RANKED: Final = _table(
     _reduction("reduction", "Mean S saved against no control"),
     _reduction("reduction_left", "Saved, left"),
     _reduction("reduction_right", "Saved, right"),
-    _share(
-        "deeper",
-        "Deeper than D_y",
-        "lane",
-        ("deepest",),
-        lambda by, deepest: (deepest > by.D_y).mean(axis=1),
-        column="deeper_than_D_y_share",
-    ),
+    _share("deeper", "Deeper than D_y", "lane", ("deepest",), lambda by, deepest: share_deeper(deepest, by.D_y),
+           column="deeper_than_D_y_share"),
     _share("triggered", "Taken over", "interventions"),
     _count("solver_failed", "Departures with a failed solve"),
     _count("diverged", "Departures that diverged"),
@@ -264,62 +256,30 @@ _RANKED: Final = _table(
     _count("crashed", "Departures that crashed"),
     _count("beyond_delta_max", "Takeovers beyond delta_max"),
     _count("failed_solves", "Failed solves [commands]"),
-)
+)  # fmt: skip
 
 RELEASE_METRICS: Final[Mapping[str, Metric]] = _table(
     *_of("deepest", "mean", "p95"),
     *_of("dtle", "mean", "p5"),
     *_of("dtle", "min", title="DTLE at its worst"),
-    _share(
-        "tail_0p8",
-        "Deeper than 0.8 m",
-        "lane",
-        ("deepest",),
-        lambda _, deepest: (deepest > TAIL).mean(axis=1),
-        digits=2,
-        aliases=("tail_0.8",),
-    ),
-    _share(
-        "within_dtle",
-        "DTLE stays above \u22120.3 m",
-        "lane",
-        ("dtle",),
-        lambda _, dtle: share_within_dtle(dtle),
-        better="more",
-        aliases=("dtle_0p3_share",),
-    ),
+    _share("tail_0p8", "Deeper than 0.8 m", "lane", ("deepest",), lambda _, deepest: share_deeper(deepest, TAIL),
+           digits=2, aliases=("tail_0.8",)),
+    _share("within_dtle", "DTLE stays above \u22120.3 m", "lane", ("dtle",), lambda _, dtle: share_within_dtle(dtle),
+           better="more", aliases=("dtle_0p3_share",)),
     Metric("within_dtle_gain", "1", "more", "within_dtle_gain", "The same, more than without control", "lane", 1),
     _share("needless", "Needless interventions", "interventions", (), lambda by: needless_share(by.acted, by.d_y)),
-    _share(
-        "opposite_crossed_share",
-        "Opposite line crossed",
-        "back",
-        ("opposite_crossing",),
-        lambda by, opposite_crossing: opposite_crossed_share(opposite_crossing, by.acted),
-        aliases=("overshoot_share",),
-    ),
+    _share("opposite_crossed_share", "Opposite line crossed", "back", ("opposite_crossing",),
+           lambda by, past: opposite_crossed_share(past, by.acted), aliases=("overshoot_share",)),
     *_of("opposite_crossing", "max", title="Opposite line crossed by at most", alias="overshoot_max_m"),
-    _share(
-        "back_inside",
-        "Back inside",
-        "back",
-        ("t_back",),
-        lambda by, t_back: back_inside_share(t_back, by.acted),
-        better="more",
-    ),
+    _share("back_inside", "Back inside", "back", ("t_back",), lambda by, t_back: back_inside_share(t_back, by.acted),
+           better="more"),
     *_of("t_back", "median"),
     *_of("a_y_peak", "mean", "p95", "max"),
     *_of("jerk_peak", "mean", "p95", "max"),
     *_of("a_y_added_peak", "mean", "p95", "max"),
     *_of("jerk_added_peak", "mean", "p95", "max"),
-    _share(
-        "comfortable",
-        "Both limits of ISO 11270 kept",
-        "comfort",
-        ("a_y_added_peak", "jerk_added_peak"),
-        lambda by, a_y, jerk: comfortable_share(a_y, jerk, by.acted),
-        better="more",
-    ),
+    _share("comfortable", "Both limits of ISO 11270 kept", "comfort", ("a_y_added_peak", "jerk_added_peak"),
+           lambda by, a_y, jerk: comfortable_share(a_y, jerk, by.acted), better="more"),
     *_of("delta_peak", "max"),
     *_of("delta_rate_peak", "max"),
     *_of("effort", "mean", alias="effort"),
@@ -329,7 +289,7 @@ RELEASE_METRICS: Final[Mapping[str, Metric]] = _table(
     Metric("phase_margin", "rad", "more", "phase_margin_rad", "Phase margin, least over speed", "loop", 1),
     _score("S_worst", "Mean S, worst of the named vehicles"),
     _share("comfortable_worst", "Comfortable, worst of the named vehicles", "comfort", better="more"),
-)
+)  # fmt: skip
 """What a release requires beside S, by its name, in the order of ``ranking.csv``."""
 
 METRICS: Final[Mapping[str, Metric]] = {**_RANKED, **RELEASE_METRICS}  # every metric of a design by its name
@@ -350,39 +310,33 @@ def reduction(S: FloatArray, S_uncorrected: FloatArray) -> FloatArray:
     return 1.0 - ratio
 
 
-# Two rules hold for every share. A share of all scenarios is 0 where there are none; a share of the interventions is
-# NaN without any, since it is then a share of nothing. And no scenario is dropped in silence: a NaN among
-# the values counted gives NaN.
+# Three rules hold for every share. It is taken along the last axis: of arrays of n it is a float, of (d, n) (d,). A
+# share of all scenarios is 0 where there are none; a share of the interventions, of the scenarios that `triggered`, is
+# NaN without any, since it is then a share of nothing. And no scenario is dropped in silence: a NaN among the values
+# counted gives NaN. Each raises `InputError` for shapes that do not fit, and for a limit that is no number.
 
 
-def share_deeper(deepest: FloatArray, D_y: float) -> float:
-    """Share of departures whose deepest position (n,) [m] is deeper than D_y [m] beyond the line; 0 for no departures.
-
-    Raises `InputError` if D_y is not a number; Table I has 0.5 m.
+def share_deeper(deepest: npt.ArrayLike, D_y: float) -> float | FloatArray:
+    """Share of all departures whose deepest position [m] is deeper than D_y [m] beyond the line; Table I has 0.5 m.
 
     Examples
     --------
-    >>> share_deeper(np.array([0.2, 0.5, 0.7, 0.8]), 0.5)
+    >>> share_deeper([0.2, 0.5, 0.7, 0.8], 0.5)
     0.5
     """
-    (values,) = _together(deepest=deepest)
-    if values.ndim != 1:
-        raise InputError("deepest", f"shape {values.shape}", allowed="(n,)")
-    return float(_fraction(values > checked_number("D_y", D_y, finite=False), np.isnan(values)))
+    (values,) = _of_one_shape(deepest=deepest)
+    return _fraction(values > checked_number("D_y", D_y, finite=False), np.isnan(values))
 
 
 def share_within_dtle(dtle: npt.ArrayLike, limit: float = DTLE_LIMIT) -> float | FloatArray:
-    """Share of scenarios whose smallest distance to lane edge never falls below a limit [m]: dtle >= limit.
-
-    `dtle` is (n,) or (d, n) [m], negative beyond the line; the share is of all n, a float or (d,), 0 for no scenarios.
-    Raises `InputError` if the limit is not a number.
+    """Share of all scenarios whose smallest distance to lane edge [m], negative beyond it, is not below a limit.
 
     Examples
     --------
     >>> share_within_dtle([0.1, -0.3, -0.31, -0.5])
     0.5
     """
-    (values,) = _together(dtle=dtle)
+    (values,) = _of_one_shape(dtle=dtle)
     return _fraction(values >= checked_number("limit", limit, finite=False), np.isnan(values))
 
 
@@ -392,32 +346,21 @@ def comfortable(
     a_y_limit: float = A_Y_LIMIT,
     jerk_limit: float = JERK_LIMIT,
 ) -> BoolArray:
-    """Which interventions induce no more than ISO 11270 allows: both added peaks within their limits.
+    """Which interventions induce no more than ISO 11270 allows: both added peaks within their limits; False for a NaN.
 
-    Raises `InputError` for shapes that do not fit, or limits that are no numbers.
-
-    Parameters
-    ----------
-    a_y_added_peak : (n,) or (d, n) [m/s^2]
-    jerk_added_peak : (n,) or (d, n) [m/s^3]
-        As a moving average over 0.5 s.
-    a_y_limit : float [m/s^2]
-    jerk_limit : float [m/s^3]
-
-    Returns
-    -------
-    (n,) or (d, n) bool
-        False for a NaN.
+    Acceleration in m/s^2, jerk in m/s^3 as a moving average over 0.5 s; (n,) or (d, n) each, as is what is returned.
 
     Examples
     --------
     >>> comfortable([3.0, 1.0, 4.0], [5.0, 6.0, 1.0])
     array([ True, False, False])
     """
-    a_y, jerk = _together(a_y_added_peak=a_y_added_peak, jerk_added_peak=jerk_added_peak)
-    a_y_limit = checked_number("a_y_limit", a_y_limit, finite=False)
-    jerk_limit = checked_number("jerk_limit", jerk_limit, finite=False)
-    result: BoolArray = (a_y <= a_y_limit) & (jerk <= jerk_limit)
+    a_y, jerk = _of_one_shape(a_y_added_peak=a_y_added_peak, jerk_added_peak=jerk_added_peak)
+    limits = (
+        checked_number("a_y_limit", a_y_limit, finite=False),
+        checked_number("jerk_limit", jerk_limit, finite=False),
+    )
+    result: BoolArray = (a_y <= limits[0]) & (jerk <= limits[1])
     return result
 
 
@@ -428,95 +371,71 @@ def comfortable_share(
     a_y_limit: float = A_Y_LIMIT,
     jerk_limit: float = JERK_LIMIT,
 ) -> float | FloatArray:
-    """Share of the interventions that induce no more lateral acceleration and jerk than allowed, as for `comfortable`.
-
-    Returns
-    -------
-    float or (d,) [1]
-        Of the scenarios that `triggered`, (n,) or (d, n) bool; NaN where there was no intervention.
+    """Share of the interventions that are `comfortable`.
 
     Examples
     --------
     >>> comfortable_share([3.0, 1.0, 0.0], [5.0, 6.0, 0.0], [True, True, False])
     0.5
     """
-    a_y, jerk, flags = _together(a_y_added_peak=a_y_added_peak, jerk_added_peak=jerk_added_peak, triggered=triggered)
-    within = comfortable(a_y, jerk, a_y_limit, jerk_limit)
-    return _fraction(within, np.isnan(a_y) | np.isnan(jerk), flags)
+    a_y, jerk, flags = _of_one_shape(
+        a_y_added_peak=a_y_added_peak, jerk_added_peak=jerk_added_peak, triggered=triggered
+    )
+    return _fraction(comfortable(a_y, jerk, a_y_limit, jerk_limit), np.isnan(a_y) | np.isnan(jerk), flags)
 
 
 def needless(triggered: npt.ArrayLike, d_y: npt.ArrayLike, limit: float = DTLE_LIMIT) -> BoolArray:
-    """Which interventions were needless: triggered, though the recorded departure itself keeps the lane-edge limit.
+    """Which interventions were needless: triggered, though the recorded departure keeps the lane-edge limit itself.
 
-    Raises `InputError` for shapes that do not fit, or a limit that is no number.
-
-    Parameters
-    ----------
-    triggered : (n,) or (d, n) bool
-    d_y : (n,) [m]
-        Peak of the recorded departure beyond the line.
-    limit : float [m]
-        Distance to the lane edge that is still allowed, negative beyond the line.
-
-    Returns
-    -------
-    (n,) or (d, n) bool
-        Triggered and -d_y >= limit; False for a NaN.
+    That is, -d_y >= limit, with the peak d_y (n,) [m] of the recorded departure beyond the line and the distance to the
+    lane edge that is allowed [m], negative beyond it; False for a NaN. `triggered` is (n,) or (d, n), as is the result.
 
     Examples
     --------
     >>> needless([True, True, False], [0.3, 0.4, 0.1])
     array([ True, False, False])
     """
-    depth, flags = _together(d_y=d_y, triggered=triggered)
+    depth, flags = _of_one_shape(d_y=d_y, triggered=triggered)
     result: BoolArray = flags & (-depth >= checked_number("limit", limit, finite=False))
     return result
 
 
 def needless_share(triggered: npt.ArrayLike, d_y: npt.ArrayLike, limit: float = DTLE_LIMIT) -> float | FloatArray:
-    """Share of all scenarios in which the intervention was needless, as for `needless`.
+    """Share of all scenarios in which the intervention was `needless`.
 
-    Returns
-    -------
-    float or (d,) [1]
-        Of all n, not of the interventions, so that a design cannot make it smaller by triggering more; 0 for no
-        scenarios. A scenario that cannot be driven counts as not taken over: leave such rows out.
+    Not of the interventions, so that a design cannot make it smaller by triggering more. A scenario that cannot be
+    driven counts as not taken over: leave such rows out.
 
     Examples
     --------
     >>> needless_share([True, True, False, False], [0.3, 0.4, 0.1, 0.9])
     0.25
     """
-    depth, flags = _together(d_y=d_y, triggered=triggered)
+    depth, flags = _of_one_shape(d_y=d_y, triggered=triggered)
     return _fraction(needless(flags, depth, limit), flags & np.isnan(depth))
 
 
 def back_inside_share(t_back: npt.ArrayLike, triggered: npt.ArrayLike) -> float | FloatArray:
-    """Share of the interventions after which the edge is back inside by the end of the settling horizon.
-
-    `t_back` is (n,) or (d, n) [s], infinite where the edge is not back; the share is of the scenarios that `triggered`,
-    a float or (d,), NaN where there was no intervention. Raises `InputError` for shapes that do not fit.
+    """Share of the interventions after which the edge is back inside by the end: `t_back` [s] is not infinite.
 
     Examples
     --------
     >>> back_inside_share([2.5, float("inf"), 4.0], [True, True, False])
     0.5
     """
-    time, flags = _together(t_back=t_back, triggered=triggered)
+    time, flags = _of_one_shape(t_back=t_back, triggered=triggered)
     return _fraction(np.isfinite(time), np.isnan(time), flags)
 
 
 def opposite_crossed_share(opposite_crossing: npt.ArrayLike, triggered: npt.ArrayLike) -> float | FloatArray:
-    """Share of the interventions that take the vehicle beyond the opposite line: opposite_crossing > 0.
-
-    `opposite_crossing` is (n,) or (d, n) [m]; the share is as that of `back_inside_share`.
+    """Share of the interventions that take the vehicle beyond the opposite line: opposite_crossing > 0 [m].
 
     Examples
     --------
     >>> opposite_crossed_share([0.2, 0.0, 0.0], [True, True, False])
     0.5
     """
-    past, flags = _together(opposite_crossing=opposite_crossing, triggered=triggered)
+    past, flags = _of_one_shape(opposite_crossing=opposite_crossing, triggered=triggered)
     return _fraction(past > 0, np.isnan(past), flags)
 
 
@@ -530,7 +449,7 @@ def _fraction(holds: BoolArray, unknown: BoolArray, interventions: BoolArray | N
     return float(share) if share.ndim == 0 else share
 
 
-def _together(**named: npt.ArrayLike) -> tuple[Any, ...]:
+def _of_one_shape(**named: npt.ArrayLike) -> tuple[Any, ...]:
     """Arguments as arrays of one shape: floats, and booleans for `triggered`."""
     arrays = []
     for name, values in named.items():

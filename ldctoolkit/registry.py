@@ -120,8 +120,8 @@ Keyed = tuple[tuple[tuple[str, str], type[Controller]], ...]
 
 def keyed(kinds: Iterable[type[Controller]]) -> Keyed:
     """Classes with the names and contents that designs of this process know them by."""
-    every = {(kind.name, content_of(kind)): kind for kind in kinds}
-    return tuple((every | {key: kind for key, kind in _by_code.items() if kind in every.values()}).items())
+    by_code = {(kind.name, content_of(kind)): kind for kind in kinds}
+    return tuple((by_code | {key: kind for key, kind in _by_code.items() if kind in by_code.values()}).items())
 
 
 def learn(classes: Keyed) -> None:

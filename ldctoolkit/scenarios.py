@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -50,7 +50,7 @@ class Drifts(ReadOnly):
     def motion(self, v: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Lateral position of the edge, its rate and second derivative at times t, (n,) or (n, k)."""
         columns = (v, self.radius, self.lateral_velocity, self.distance, self.arc(v)[0])
-        v, radius, rate, distance, end = (one if t.ndim == 1 else one[:, None] for one in columns)
+        v, radius, rate, distance, end = (column if t.ndim == 1 else column[:, None] for column in columns)
         angle = v * np.clip(t, 0.0, end) / radius
         y = 2.0 * radius * np.sin(0.5 * angle) ** 2 - distance + rate * np.maximum(t - end, 0.0)
         turning = (t >= 0.0) & (t < end)
@@ -117,11 +117,11 @@ class Scenarios(DepartureParameters):
         """
         given = {"side": side, "T": T, "d_y": d_y, "sigma_y": sigma_y, "v_mean": v_mean, "a_mean": a_mean}
         given |= {"sigma_v": sigma_v, "c_0": c_0, "dc": dc}
-        made = cls.drawn(**given)
-        _check_limits(made)
-        if made.n and (slip := unit_slip("v_mean", float(made.v_mean.max()))):
+        scenarios = cls.drawn(**given)
+        _check_limits(scenarios)
+        if scenarios.n and (slip := unit_slip("v_mean", float(scenarios.v_mean.max()))):
             warnings.warn(slip, UnitWarning, stacklevel=2)
-        return made
+        return scenarios
 
     @classmethod
     def from_departures(
@@ -146,17 +146,17 @@ class Scenarios(DepartureParameters):
         >>> Scenarios.from_departures(drawn).side.tolist()
         [1, 1, -1]
         """
-        made = cls.from_arrays(side=departures.side, **{name: getattr(departures, name) for name in PARAMETER_NAMES})
+        columns = {name: getattr(departures, name) for name in PARAMETER_NAMES}
+        scenarios = cls.from_arrays(side=departures.side, **columns)
         if path == "parabola":
-            return made
+            return scenarios
         if path != "recorded":
             raise InputError("path", value=path, allowed=("parabola", "recorded"))
         signals = getattr(departures, "signals", None)
         if signals is None:
-            raise InputError(
-                "path", "'recorded', but the departures hold no signals", hint="extract them with keep_signals=True"
-            )
-        return dataclasses.replace(made, signals=signals)
+            hint = "extract them with keep_signals=True"
+            raise InputError("path", "but the departures hold no signals", value=path, hint=hint)
+        return dataclasses.replace(scenarios, signals=signals)
 
     @classmethod
     def from_drifts(
@@ -199,66 +199,70 @@ class Scenarios(DepartureParameters):
         >>> one.drift.arc(one.v_mean)[1].round(3)
         array([0.375])
         """
-        given = {"v_mean": v, "lateral_velocity": lateral_velocity, "radius": radius, "distance": distance}
-        columns = [np.atleast_1d(_numbers(name, value)) for name, value in (given | {"T": T, "c_0": c}).items()]
-        try:
-            *numbers, sides = np.broadcast_arrays(*columns, np.asarray(side))
-        except ValueError as error:
-            raise InputError("scenarios", f"the columns do not have one common length ({error})") from None
-        speed, rate, arc, away, end, curvature = (np.array(column) for column in numbers)
-        made = cls.from_arrays(T=end, d_y=0.0, v_mean=speed, c_0=curvature, side=sides)
-        for name, values, low in (("lateral_velocity", rate, 0.0), ("radius", arc, 0.0), ("distance", away, -1e-300)):
-            _refuse(~(np.isfinite(values) & (values > low)), name, values, "> 0" if low == 0.0 else ">= 0")
-        _refuse(~(rate < speed), "lateral_velocity", rate, "below the speed")
-        drift = Drifts(rate, arc, away)
-        return dataclasses.replace(made, d_y=np.maximum(drift.motion(speed, end)[0], 0.0), drift=drift)
+        path = {"lateral_velocity": lateral_velocity, "radius": radius, "distance": distance}
+        columns: dict[str, Any] = _columns(path | {"v_mean": v, "T": T, "c_0": c, "side": side})
+        drift = Drifts(*(columns.pop(name) for name in path))
+        scenarios = cls.from_arrays(d_y=0.0, **columns)
+        for name, values in (("lateral_velocity", drift.lateral_velocity), ("radius", drift.radius)):
+            _refuse(~(np.isfinite(values) & (values > 0.0)), name, values, "> 0")
+        _refuse(~(np.isfinite(drift.distance) & (drift.distance >= 0.0)), "distance", drift.distance, ">= 0")
+        _refuse(
+            ~(drift.lateral_velocity < scenarios.v_mean), "lateral_velocity", drift.lateral_velocity, "below the speed"
+        )
+        deepest = drift.motion(scenarios.v_mean, scenarios.T)[0]
+        return dataclasses.replace(scenarios, d_y=np.maximum(deepest, 0.0), drift=drift)
 
     def arrays(self) -> Iterator[npt.NDArray[Any]]:
         """All numbers, always in the same order."""
-        for part in (self, *(one for one in (self.signals, self.drift) if one is not None)):
-            fields = (getattr(part, field.name) for field in dataclasses.fields(part))
-            yield from (array for array in fields if isinstance(array, np.ndarray))
+        for part in (self, self.signals, self.drift):
+            fields = () if part is None else dataclasses.fields(part)
+            yield from (array for field in fields if isinstance(array := getattr(part, field.name), np.ndarray))
 
     @classmethod
     def drawn(cls, **given: npt.ArrayLike) -> Scenarios:
         """As `from_arrays`, all nine by name, without its limits: for what a model draws and what was stored."""
-        arrays = [np.atleast_1d(_numbers(name, value)) for name, value in given.items()]
-        try:
-            columns = np.broadcast_arrays(*arrays)
-        except ValueError as error:
-            raise InputError("scenarios", f"the columns do not have one common length ({error})") from None
-        if columns[0].ndim != 1:
-            raise InputError("scenarios", f"columns must be one-dimensional, got {columns[0].ndim} dimensions")
-        named: dict[str, Any] = dict(zip(given, (np.array(column) for column in columns), strict=True))
-        _check(named)
-        count = columns[0].size
-        return cls(side=named.pop("side").astype(np.int64), index=np.arange(count, dtype=np.int64), **named)
+        columns: dict[str, Any] = _columns(given)
+        _check(columns)
+        side = columns.pop("side").astype(np.int64)
+        return cls(side=side, index=np.arange(side.size, dtype=np.int64), **columns)
+
+
+def _columns(given: Mapping[str, npt.ArrayLike]) -> dict[str, FloatArray]:
+    """Arrays of one length (n,); sides may be words."""
+    arrays = [np.atleast_1d(_numbers(name, value)) for name, value in given.items()]
+    try:
+        columns = np.broadcast_arrays(*arrays)
+    except ValueError as error:
+        raise InputError("scenarios", f"the columns do not have one common length ({error})") from None
+    if columns[0].ndim != 1:
+        raise InputError("scenarios", f"columns of {columns[0].ndim} dimensions", allowed="one dimension")
+    return dict(zip(given, (np.array(column) for column in columns), strict=True))
 
 
 def _numbers(name: str, value: npt.ArrayLike) -> FloatArray:
-    """A column as floats; sides may be words."""
+    """A column as floats."""
+    path = f"scenarios.{name}"
     try:
         given = np.asarray(unmasked(value))
     except ValueError:
-        raise InputError("scenarios", f"{name}: rows of different lengths", allowed="one number a row") from None
+        raise InputError(path, "rows of different lengths", allowed="one number a row") from None
     sides = {"left": LEFT, "right": RIGHT}
     if name == "side" and given.dtype.kind in "UO":
         for i, word in enumerate(given.ravel().tolist()):
             if word not in sides:
-                raise InputError(f"scenarios: side[{i}]", value=word, allowed=sides)
+                raise InputError(f"{path}[{i}]", value=word, allowed=sides)
         given = np.where(given == "left", LEFT, RIGHT)
     if given.dtype.kind not in "iuf":
-        for i, one in enumerate(given.ravel().tolist()):
-            if isinstance(one, bool) or not isinstance(one, int | float):
-                raise InputError("scenarios", f"{name}[{i}] = {one!r:.40}", allowed="numbers")
+        for i, entry in enumerate(given.ravel().tolist()):
+            if isinstance(entry, bool) or not isinstance(entry, int | float):
+                raise InputError(f"{path}[{i}]", value=entry, allowed="a number")
     return given.astype(np.float64)
 
 
 def _refuse(bad: BoolArray, name: str, values: npt.NDArray[Any], allowed: str) -> None:
     if bad.any():
-        row = int(np.argmax(bad))
-        more = f" ({int(bad.sum())} rows in all)" if bad.sum() > 1 else ""
-        raise InputError("scenarios", f"{name}[{row}] = {values[row]:g}", allowed=f"{allowed}{more}")
+        row, more = int(np.argmax(bad)), f"{int(bad.sum())} rows in all" if bad.sum() > 1 else ""
+        raise InputError(f"scenarios.{name}[{row}]", value=float(values[row]), allowed=allowed, hint=more)
 
 
 def _check(column: dict[str, FloatArray]) -> None:
@@ -273,17 +277,18 @@ def _check(column: dict[str, FloatArray]) -> None:
     _refuse(slowest_speed(v_mean, column["a_mean"], T) < SPEED_FLOOR, "v_mean", v_mean, allowed)
 
 
-def _check_limits(made: Scenarios) -> None:
+def _check_limits(scenarios: Scenarios) -> None:
     for name, most, unit in _LIMITS:
-        values = getattr(made, name)
+        values = getattr(scenarios, name)
         _refuse(np.abs(values) > most, name, values, f"up to {most:g} {unit}")
-    v_mean, fastest = made.v_mean, 2.0 * made.v_mean - slowest_speed(made.v_mean, made.a_mean, made.T)
+    v_mean = scenarios.v_mean
+    fastest = 2.0 * v_mean - slowest_speed(v_mean, scenarios.a_mean, scenarios.T)
     allowed = f"the speed v_mean +- a_mean T/2 stays at or below {SPEED_CEILING:g} m/s over the whole departure"
     _refuse(fastest > SPEED_CEILING, "v_mean", v_mean, allowed)
-    for name, c in (("c_0", made.c_0), ("dc", made.c_0 + made.dc)):
+    for name, c in (("c_0", scenarios.c_0), ("dc", scenarios.c_0 + scenarios.dc)):
         bad = np.abs(c) > np.minimum(_MOST_CURVATURE, _MOST_ACCELERATION / v_mean**2)
         allowed = f"a curvature up to {_MOST_CURVATURE} 1/m, with v_mean^2 times it up to {_MOST_ACCELERATION:g} m/s^2"
-        _refuse(bad, name, getattr(made, name), allowed)
+        _refuse(bad, name, getattr(scenarios, name), allowed)
 
 
 def slowest_speed(v_mean: npt.ArrayLike, a_mean: npt.ArrayLike, T: npt.ArrayLike) -> FloatArray:

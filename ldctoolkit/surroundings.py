@@ -78,18 +78,18 @@ def private(path: str | os.PathLike[str]) -> bool:
     """Whether a file or folder belongs to the user, and no other user can write to it or replace it."""
     if os.name != "posix":
         return True
-    place = Path(path).resolve()
-    if not place.exists() or place.stat().st_uid not in (0, os.geteuid()):
+    path = Path(path).resolve()
+    if not path.exists() or path.stat().st_uid not in (0, os.geteuid()):
         return False
-    for one in (place, *place.parents):
-        found = one.stat()
+
+    def is_closed(folder: Path) -> bool:
+        status = folder.stat()
         # a group with the number of a user is that user's alone
-        loose = found.st_mode & (0o002 if found.st_gid == os.geteuid() != 0 else 0o022)
-        if loose and (
-            one == place or not found.st_mode & stat.S_ISVTX
-        ):  # in a sticky folder only its owner replaces a file
-            return False
-    return True
+        writable = status.st_mode & (0o002 if status.st_gid == os.geteuid() != 0 else 0o022)
+        # in a sticky folder only its owner replaces a file
+        return not writable or (folder != path and bool(status.st_mode & stat.S_ISVTX))
+
+    return all(map(is_closed, (path, *path.parents)))
 
 
 def cache_folder() -> Path:

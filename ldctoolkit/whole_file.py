@@ -31,8 +31,8 @@ _EMPTY: Final = _MARK + 64 * b"0"
 NOT_AS_WRITTEN: Final = "its content is not what was written (its checksum differs)"
 
 
-def write_whole(path: Path, content: bytes, error: type[LdcError]) -> None:
-    """Make `content` the file `path`, or raise `error` and leave no trace."""
+def write_whole(path: Path, content: bytes, kind: type[LdcError]) -> None:
+    """Make `content` the file `path`, or raise an error of that kind and leave no trace."""
     try:
         part = path.with_name(f".{path.name}.{os.getpid()}.part")
         try:
@@ -41,9 +41,8 @@ def write_whole(path: Path, content: bytes, error: type[LdcError]) -> None:
         finally:
             with contextlib.suppress(OSError):
                 part.unlink(missing_ok=True)
-    except (OSError, ValueError) as problem:  # ValueError: a path without a name, or with a NUL
-        reason = problem.strerror if isinstance(problem, OSError) else problem
-        raise error(f"{path}: cannot be written: {reason or problem}") from None
+    except (OSError, ValueError) as error:  # ValueError: a path without a name, or with a NUL
+        raise kind(path, f"cannot be written: {getattr(error, 'strerror', None) or error}") from None
 
 
 def digest(content: Mapping[str, Any]) -> str:
@@ -89,7 +88,7 @@ _TOO_DEEP: Final = "nested too deeply; allowed: 64 levels"
 _LONG_KEY: Final = re.compile(r"""(?<![\w.-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){64}""")
 
 
-def read_regular(path: Path, kind: Callable[[str], LdcError], largest: int | None = LARGEST) -> bytes:
+def read_regular(path: Path, kind: Callable[[Path, str], LdcError], largest: int | None = LARGEST) -> bytes:
     """The content of a regular file; an error of that `kind` for one that is larger, or none: a pipe would wait."""
     at_once = getattr(os, "O_NONBLOCK", 0)
     try:
@@ -100,11 +99,11 @@ def read_regular(path: Path, kind: Callable[[str], LdcError], largest: int | Non
         if largest is not None and len(data) > largest:
             raise ValueError(f"larger than {largest >> 20} MiB")
     except (OSError, ValueError) as error:  # also a NUL in the name
-        raise kind(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
+        raise kind(path, f"cannot be read: {getattr(error, 'strerror', None) or error}") from None
     return data
 
 
-def read_toml(path: Path, kind: Callable[[str], LdcError]) -> dict[str, Any]:
+def read_toml(path: Path, kind: type[LdcError]) -> dict[str, Any]:
     """What a file in TOML holds; raises an error of that kind, also for what is nested too deeply."""
     data = read_regular(path, kind, 16 << 20)  # its parser is far slower than that of JSON
     try:
@@ -113,7 +112,7 @@ def read_toml(path: Path, kind: Callable[[str], LdcError]) -> dict[str, Any]:
             raise ValueError(_TOO_DEEP)
         content: dict[str, Any] = _parsed(lambda: tomllib.loads(text))
     except ValueError as error:
-        raise kind(f"{path}: not a TOML file: {error}") from None
+        raise kind(path, f"not a TOML file: {error}") from None
     return content
 
 

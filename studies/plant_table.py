@@ -35,7 +35,7 @@ def read_table(kind: type, table: dict[str, Any], prefix: str = "") -> Any:
 def differences(options: PlantOptions) -> tuple[str, ...]:
     """What is not ideal about a plant, a few words each; empty for the ideal one."""
     texts = []
-    for declaration in _not_ideal(options):
+    for declaration in not_ideal(options):
         value = getattr(options, declaration.name)
         inside = declarations(value.__class__).values() if declaration.kind else ()
         further = [part.description for part in inside if getattr(value, part.name) is not None]
@@ -43,7 +43,8 @@ def differences(options: PlantOptions) -> tuple[str, ...]:
     return tuple(texts)
 
 
-def _not_ideal(options: PlantOptions) -> Iterator[Declaration]:
+def not_ideal(options: PlantOptions) -> Iterator[Declaration]:
+    """The declarations of what differs from the ideal plant."""
     ideal = PlantOptions()
     for name, declaration in declarations(PlantOptions).items():
         if getattr(options, name) != getattr(ideal, name):
@@ -58,7 +59,7 @@ def simulation_settings(setup: Setup) -> Iterator[tuple[str, str]]:
 
 def plant_settings(options: PlantOptions) -> Iterator[tuple[str, str]]:
     """Key and value, with its unit, of everything that differs from the ideal plant."""
-    for declaration in _not_ideal(options):
+    for declaration in not_ideal(options):
         value = getattr(options, declaration.name)
         if declaration.kind:
             yield from _shown(value, declaration.name)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +28,7 @@ class ReplayedDepartures:
     scenarios: Scenarios  # All of its rows that can be driven
     weights: FloatArray | None = None  # (n,) Events that each stands for
     notes: tuple[str, ...] = ()  # Where they come from, for readers
+    warnings: tuple[str, ...] = ()  # What of them is left out
     source: dict[str, Any] = dataclasses.field(default_factory=dict)  # What is known of them, as a model's source
 
     @property
@@ -90,7 +90,7 @@ def read_replayed(study: Study) -> ReplayedDepartures:
     """
     wanted = study.scenarios
     path, name = study.folder / wanted.replayed, Path(wanted.replayed).name
-    notes: Iterator[str] = iter(())
+    warnings: tuple[str, ...] = ()
     source: dict[str, Any] = {}
     if wanted.departures:
         found, provenance = read_departures(path, signals=wanted.path == "recorded")
@@ -101,7 +101,11 @@ def read_replayed(study: Study) -> ReplayedDepartures:
             if wanted.weights not in known:
                 raise RecordingError(name, "is no column of numbers", value=wanted.weights, allowed=known)
             weights = np.asarray(known[wanted.weights], dtype=np.float64)
-        notes = _notes(name, found.n, int((~drivable).sum()), provenance.hours, wanted.path)
+        notes = [f"Recorded departures, replayed: {found.n:,} of {name}, found in {provenance.hours:,.4g} h."]
+        if wanted.path == "recorded":
+            notes.append("Without control their recorded y(t), v(t) and c(t) are driven, not the fitted parabola.")
+        if slow := int((~drivable).sum()):
+            warnings = (f"{slow:,} of them fall below {SPEED_FLOOR:g} m/s, cannot be driven, and are left out",)
         source = {
             "criteria": dataclasses.asdict(provenance.criteria),
             "nominal_lane_width": provenance.preparation.nominal_lane_width,
@@ -115,10 +119,10 @@ def read_replayed(study: Study) -> ReplayedDepartures:
             raise RecordingError(name, "column 'side' is missing", allowed="left, right")
         weights = column_of(name, table, wanted.weights) if wanted.weights else None
         scenarios = _checked(name, lambda: Scenarios.from_arrays(side=table["side"].to_list(), **columns))
-        notes = iter((f"{scenarios.n:,} departures of {name}.",))
+        notes = [f"{scenarios.n:,} departures of {name}."]
     if weights is not None and not ((weights >= 0.0) & np.isfinite(weights)).all():
         raise RecordingError(name, f"column {wanted.weights!r} holds {weights.min():g}", allowed="finite, at least 0")
-    return ReplayedDepartures(name, scenarios, weights, tuple(notes), source)
+    return ReplayedDepartures(name, scenarios, weights, tuple(notes), warnings, source)
 
 
 def _checked(name: str, make: Any) -> Scenarios:
@@ -127,11 +131,3 @@ def _checked(name: str, make: Any) -> Scenarios:
     except LdcError as error:
         raise InputError(name, f"{error}") from None
     return made
-
-
-def _notes(name: str, n: int, slow: int, hours: float, path: str) -> Iterator[str]:
-    yield f"Recorded departures, replayed: {n:,} of {name}, found in {hours:,.4g} h."
-    if path == "recorded":
-        yield "Without control their recorded y(t), v(t) and c(t) are driven, not the fitted parabola."
-    if slow:
-        yield f"warning: {slow:,} of them fall below {SPEED_FLOOR:g} m/s, cannot be driven, and are left out"

@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.arrays import BoolArray, FloatArray, Frame, IntArray
 from ldctoolkit.control import EventStatus
 from ldctoolkit.departures import LEFT
-from ldctoolkit.frames import Frame
 from ldctoolkit.metrics import METRIC_COLUMNS, MetricValues
 from ldctoolkit.notebook import facts_html
 from ldctoolkit.scenarios import Scenarios

@@ -10,7 +10,6 @@ import dataclasses
 import functools
 import itertools
 import time
-from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -30,11 +29,13 @@ from .design import NO_CONTROL, Design
 from .ranking.tail import exact_interval, paired_sign
 from .ranking.verdict import Light, State
 from .runner import study_source
-from .running.campaign import Progress, displayed, laws_to_send
+from .running.campaign import laws_to_send
 from .running.chunks import BIN, BINS, ChunkJob, ChunkTask, Tally
-from .running.executors import Executor, make_executor
+from .running.executors import make_executor
 from .running.tasks import load_loops
-from .storage.files import locked, output_folder, read_json, remove_unfinished, write_json
+from .running.work import Executor, Lost, Progress, closing, displayed, run_works
+from .storage.files import output_folder, write_json
+from .storage.parts import Parts, planned_parts, remove_unfinished
 from .study_file import Study
 
 DEPTHS: Final = (0.3, 0.5, 0.8, 1.0, 1.75)  # [m] beyond the line
@@ -49,6 +50,7 @@ _POPULATION: Final = 32_768  # departures behind the population's mean and stand
 _MANY: Final = 0.25  # share of the worst departures at an end of what is known that is worth a warning
 _STORE_EVERY: Final = 5.0  # seconds
 FILE: Final = "risk.json"
+PARTS: Final = "risk.parts"
 
 Side = Literal["left", "right"]
 _SIDES: Final = {None: slice(0, 2), "left": slice(0, 1), "right": slice(1, 2)}
@@ -278,57 +280,6 @@ def _at_the_ends(model: ScenarioModel, worst: Scenarios) -> Iterator[str]:
 # ------------------------------------------------------------------------------------------------ the run
 
 
-class _Estimation:
-    """Chunks that are done, and what was counted; kept in a file, if there is a folder."""
-
-    def __init__(self, job: ChunkJob, folder: Path | None) -> None:
-        self.job, self.path = job, None if folder is None else folder / FILE
-        self.done: set[int] = set()
-        self.tally = job.empty
-        self.stored = time.monotonic()
-        if self.path is not None and self.path.exists():
-            self._read(self.path)
-
-    def _read(self, path: Path) -> None:
-        try:
-            stored = read_json(path)
-            differ = [name for name, value in self.job.identity().items() if stored["identity"].get(name) != value]
-            if not differ:
-                self.done = {k for first, end in stored["chunks"] for k in range(first, end)}
-                self.tally = self.tally.from_json(stored["tally"])
-        except (StoreError, ValueError, KeyError, TypeError, AttributeError) as error:
-            text = error if isinstance(error, StoreError) else f"{path}: broken: {error}"
-            raise StoreError(f"{text}; remove it to begin again") from None
-        if differ:
-            raise StoreError(
-                path, f"holds another estimate, of other {', '.join(differ)}", hint="choose another folder"
-            )
-
-    def tasks(self) -> list[ChunkTask]:
-        """What is left to be done."""
-        chunks = range(-(-self.job.n // self.job.chunk))
-        return [ChunkTask(self.job, k) for k in chunks if k not in self.done]
-
-    def take(self, k: int, tally: Tally) -> None:
-        """Take the counts of a chunk in."""
-        self.tally = self.tally.plus(tally)
-        self.done.add(k)
-        if time.monotonic() - self.stored > _STORE_EVERY:
-            self.store()
-
-    def store(self, found: Risk | None = None) -> None:
-        """Write the file, whole or not at all."""
-        if self.path is None:
-            return
-        first = sorted(k for k in self.done if k - 1 not in self.done)
-        last = sorted(k + 1 for k in self.done if k + 1 not in self.done)
-        content: dict[str, Any] = {"identity": self.job.identity(), "chunks": list(zip(first, last, strict=True))}
-        content |= {"tally": {name: array.tolist() for name, array in vars(self.tally).items()}}
-        content |= {"results": None if found is None else list(found.rows())}
-        write_json(self.path, content, indent=None)
-        self.stored = time.monotonic()
-
-
 def estimate_risk(
     designs: Sequence[Design],
     study: Study,
@@ -364,7 +315,7 @@ def estimate_risk(
     model : path, str or ScenarioModel, optional
         Instead of the study's.
     directory : path, optional
-        Folder of ``risk.json``: a run that was stopped goes on where it was.
+        Folder of ``risk.json``; what is counted waits in ``risk.parts`` there, and a run that was stopped goes on.
     workers, executor, dask, progress
         As in `run_study`; no number depends on them.
     depths, dtle_limits : sequence of float [m]
@@ -390,8 +341,8 @@ def estimate_risk(
     >>> risk.event(study.designs[0], "depth > 0.3 m").text
     'better'
     """
-    n = checked_whole("n", n, lower=1, upper=MOST)
-    chunk = None if chunk is None else checked_whole("chunk", chunk, lower=1, upper=MOST)
+    for name, value in (("n", n), ("chunk", CHUNK if chunk is None else chunk)):
+        checked_whole(name, value, lower=1, upper=MOST)
     source = study_source(study, model)
     if not isinstance(source, ScenarioModel):
         raise InputError(
@@ -416,58 +367,64 @@ def estimate_risk(
         laws=laws_to_send(design.kind for design in active) if chosen.isolated else b"",
         token=time.time_ns(),
     )
-    with contextlib.ExitStack() as stack:
-        shown = stack.enter_context(displayed(progress))
-        folder = None if directory is None else Path(directory)
+    folder = None if directory is None else output_folder(Path(directory))
+    if folder is not None and (folder / FILE).exists() and not (folder / PARTS).exists():
+        raise StoreError(folder / FILE, f"there is no {PARTS} beside it to go on with", hint="remove it to begin again")
+    with (
+        displayed(progress) as shown,
+        closing(chosen),
+        planned_parts(folder and folder / PARTS, job.identity(), {"Tally": Tally}, replace=False) as parts,
+    ):
+        risk = Risk(job, _counted(job, parts, chosen, shown, notice))
         if folder is not None:
-            output_folder(folder)
-            stack.enter_context(locked(folder))
-            remove_unfinished(folder / FILE)
-        return _estimate(_Estimation(job, folder), chosen, shown, notice)
+            remove_unfinished(folder, FILE)
+            write_json(folder / FILE, {"identity": job.identity(), "results": list(risk.rows())}, indent=None)
+    return risk
 
 
-def _estimate(work: _Estimation, executor: Executor, progress: Progress, notice: Callable[[str], None] | None) -> Risk:
-    tasks, job, orderly = work.tasks(), work.job, False
+def _counted(
+    job: ChunkJob, parts: Parts, executor: Executor, progress: Progress, notice: Callable[[str], None] | None
+) -> Tally:
+    """What is counted over all chunks: of the parts that are there, and of the chunks that are in none of them."""
+    tally, done = job.empty, set[int]()
+    for number in parts.finished:
+        chunks, counted = parts.read(number)
+        tally, done = tally.plus(counted), done | set(chunks)
+    tasks = [ChunkTask(job, chunk) for chunk in range(-(-job.n // job.chunk)) if chunk not in done]
     if tasks:
         load_loops({one.law for one in job.designs}, job.scenarios(0), job.setup, min(one.y_s for one in job.designs))
-    progress.stage("departures", len(tasks) * job.chunk)
-    if notice is not None and not tasks:
+    elif notice is not None:
         notice(f"all departures were driven before; {resolution(job.n)}")
+    progress.stage("departures", len(tasks) * job.chunk)
+    waiting, part, stored = list[int](), job.empty, time.monotonic()
+
+    def store() -> None:
+        nonlocal tally, waiting, part, stored
+        if waiting:
+            parts.write(min(waiting), (waiting, part))
+        tally, waiting, part, stored = tally.plus(part), [], job.empty, time.monotonic()
+
     try:
-        for i, (k, tally, seconds) in enumerate(_run(tasks, executor)):
-            work.take(k, tally)
+        for i, (task, result) in enumerate(run_works(executor, tasks)):
+            if isinstance(result, Lost):
+                problem = f"a worker process ended among departures of chunk {task.chunk}"
+                raise LdcError(problem=problem, hint="run it again to go on")
+            counted, seconds = result
+            if isinstance(counted, LdcError):
+                raise counted
+            part = part.plus(counted)
+            waiting.append(task.chunk)
+            if time.monotonic() - stored > _STORE_EVERY:
+                store()
             progress.advance(job.chunk)
             # the first chunk of a worker also loads the compiled loops
             if notice is not None and i == min(executor.workers, len(tasks) - 1):
                 whole = len(tasks) * seconds / executor.workers
-                shown_time = f"{whole:.0f} s" if whole < 120.0 else f"{whole / 60.0:,.0f} min"
-                notice(f"{job.n:,} departures take about {shown_time}; {resolution(job.n)}")
-        orderly = True
-    finally:
-        executor.close(orderly=orderly)
-        if not orderly:
-            with contextlib.suppress(StoreError):  # why the run ended says more
-                work.store()
-    found = Risk(job, work.tally)
-    work.store(found)
-    return found
-
-
-def _run(tasks: Sequence[ChunkTask], executor: Executor) -> Iterator[tuple[int, Tally, float]]:
-    """Run chunks; what was lost with a worker that is not to blame is run again."""
-    waiting, under_way = deque(tasks), 0
-    while waiting or under_way:
-        while waiting and under_way < 2 * executor.workers:
-            executor.start(waiting.popleft())
-            under_way += 1
-        for one in executor.wait():
-            under_way -= 1
-            if one.done is None and one.fault is None:
-                waiting.appendleft(one.task)
-                continue
-            if one.done is None:
-                raise LdcError(f"a worker process ended among departures of chunk {one.task.k}; run it again to go on")
-            tally, reason, seconds = one.done
-            if tally is None:
-                raise LdcError(reason)
-            yield one.task.k, tally, seconds
+                time_text = f"{whole:.0f} s" if whole < 120.0 else f"{whole / 60.0:,.0f} min"
+                notice(f"{job.n:,} departures take about {time_text}; {resolution(job.n)}")
+    except BaseException:
+        with contextlib.suppress(StoreError):  # why the run ended says more
+            store()
+        raise
+    store()
+    return tally

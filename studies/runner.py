@@ -23,14 +23,15 @@ from .ranking.design_metrics import find_baseline
 from .ranking.ranking import Ranking, rank_study
 from .replayed import ReplayedDepartures, read_replayed
 from .results import StudyResults
-from .running.campaign import Campaign, Progress, displayed
-from .running.executors import Executor, make_executor
+from .running.campaign import Campaign
+from .running.executors import make_executor
+from .running.work import Executor, Progress, closing, displayed
 from .search import run_search
-from .storage.files import locked, remove_leftovers
 from .storage.manifest import Manifest, write_designs
+from .storage.parts import locked, remove_unfinished
 from .storage.run_table import AllFailedError, check_room
 from .storage.store import FINALISTS, REPLAYED, SCORES, Store, make_folder
-from .storage.stored_model import Source, model_notes, with_counts, with_recorded_widths, write_model
+from .storage.stored_model import Source, model_notes, model_warnings, with_counts, with_recorded_widths, write_model
 from .study_file import Study
 
 _log = logging.getLogger("studies")
@@ -104,7 +105,6 @@ def run_study(
     """
     expect("study", study, Study)
     expect("scenarios", scenarios, Scenarios | None)
-    workers = None if workers is None else checked_whole("workers", workers, lower=1)
     block_size = None if block_size is None else checked_whole("block_size", block_size, lower=1)
     if time_limit != 0:
         least, most = _LIMITS
@@ -130,15 +130,9 @@ def run_study(
     named = study.scenarios.model if model is None else "in memory" if source is model else str(model)
     if isinstance(source, ReplayedDepartures):
         named = source.name
-    with displayed(progress) as shown:
-        chosen = make_executor(executor, workers, dask)
-        run = _Run(source, named, chosen, shown, time_limit, block_size)
-        try:
-            results = run.whole(study, Path(directory))
-        except BaseException:
-            chosen.close(orderly=False)
-            raise
-        chosen.close(orderly=True)
+    chosen = make_executor(executor, workers, dask)
+    with displayed(progress) as shown, closing(chosen):
+        results = _Run(source, named, chosen, shown, time_limit, block_size).whole(study, Path(directory))
     _warn_of_failures(results)
     return results
 
@@ -216,14 +210,16 @@ class _Run:
             study,
             model=self.name,
             model_hash=source.content_hash,
-            model_notes=model_notes(source, study.vehicle, study.scenarios.given),
+            model_notes=model_notes(source, study.scenarios.given),
+            model_warnings=tuple(model_warnings(source, study.vehicle, study.scenarios.given)),
             model_synthetic=isinstance(source, ScenarioModel) and source.provenance.synthetic,
             part_of=part_of,
         )
         store = Store.create(folder, manifest, scenarios, study)
         if not part_of and isinstance(source, ScenarioModel):  # finalists are drawn from the same model
             write_model(folder, source)
-        remove_leftovers(folder)
+        for room in (folder, folder / "results"):
+            remove_unfinished(room)
         table = store.load(study.designs, repair=True)
         for message in store.broken:
             _log.warning(message)

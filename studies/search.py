@@ -43,8 +43,8 @@ class LawSearch:
         try:
             import optuna
         except ImportError:
-            message = "search.method: 'optuna' needs Optuna, which is not installed"
-            raise InputError(f'{message}; install the extra: pip install "ldctoolkit[search]"') from None
+            hint = 'install the extra: pip install "ldctoolkit[search]"'
+            raise InputError("search.method", "needs Optuna, which is missing", value="optuna", hint=hint) from None
         self._space = space
         # a genetic algorithm recombines only the gains that all its designs have
         self._every_gain = settings.sampler == "nsga2"

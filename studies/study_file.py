@@ -10,18 +10,9 @@ import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self, TypeVar, get_args, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self, get_args, get_type_hints
 
-from pydantic import (
-    AfterValidator,
-    BeforeValidator,
-    Field,
-    PrivateAttr,
-    ValidationError,
-    create_model,
-    field_validator,
-    model_validator,
-)
+from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, ValidationError, create_model, model_validator
 
 from ldctoolkit.code_content import content_of
 from ldctoolkit.control import Controller
@@ -36,13 +27,11 @@ from ldctoolkit.vehicle import Convention
 from ldctoolkit.vehicle.bicycle import VehicleParameters
 from ldctoolkit.whole_file import read_toml
 
-from .design import CONVENTION_GAIN, Design
+from .design import Design
 from .design_space import DesignBlock, check_blocks
 from .plant_table import read_plant, read_table
 from .requirements import SETS, metric, parse_requirement
 from .standards import standard_names
-
-T = TypeVar("T")
 
 VehicleName = Literal["light", "heavy", "soft", "stiff"]
 
@@ -54,25 +43,24 @@ def _names(entry: Any) -> Any:
     return tuple(values) if isinstance(values, list | tuple) else entry
 
 
-def _requirements(texts: tuple[str, ...]) -> tuple[str, ...]:
-    return _read(texts, lambda text: text if text in SETS else parse_requirement(text).text)
+def _each(read: Callable[[str], str]) -> AfterValidator:
+    """A check of every text of a list, which gives the text that is kept."""
+
+    def check(texts: tuple[str, ...]) -> tuple[str, ...]:
+        values = []
+        for i, text in enumerate(texts):
+            try:
+                values.append(read(text))
+            except LdcError as error:
+                raise InputError.of(error).at(f"[{i}]" if len(texts) > 1 else "") from None
+        return tuple(values)
+
+    return AfterValidator(check)
 
 
-def _metric_names(names: tuple[str, ...]) -> tuple[str, ...]:
-    return _read(names, lambda name: metric(name).name)
-
-
-def _read(texts: tuple[str, ...], read: Callable[[str], str]) -> tuple[str, ...]:
-    values = []
-    for i, text in enumerate(texts):
-        try:
-            values.append(read(text))
-        except LdcError as error:
-            raise InputError.of(error).at(f"[{i}]" if len(texts) > 1 else "") from None
-    return tuple(values)
-
-
-MetricNames = Annotated[tuple[str, ...], BeforeValidator(_names), AfterValidator(_metric_names)]
+Names = Annotated[tuple[str, ...], BeforeValidator(_names)]
+MetricNames = Annotated[Names, _each(lambda name: metric(name).name)]
+Requirements = Annotated[Names, _each(lambda text: text if text in SETS else parse_requirement(text).text)]
 
 
 class RankingSettings(Part):
@@ -84,7 +72,7 @@ class RankingSettings(Part):
     # design's identifier; empty for the design without control, if there is one
     baseline: str = ""
     # What a design must meet to be ranked: ``"a_y_peak_p95 <= 3.0"``, or the name of a set: ``"comfort"``
-    require: Annotated[tuple[str, ...], BeforeValidator(_names), AfterValidator(_requirements)] = ()
+    require: Requirements = ()
     pareto: MetricNames = ("S", "needless", "a_y_peak_mean", "effort_mean")  # Metrics of the Pareto front
     # Named vehicles that `S_worst` and `comfortable_worst` are the worst of. Empty for none; where a requirement, the
     # front or the search requires one of the two, for all
@@ -100,16 +88,22 @@ class SearchSettings(Part):
     sampler: Literal["tpe", "random", "nsga2"] = "tpe"
     trials: int = Field(default=200, ge=1, le=100_000)  # Designs to try in all
     batch: int = Field(default=16, ge=1, le=10_000)  # Designs requested at once; they run in parallel
-    objectives: Annotated[
-        tuple[str, ...], BeforeValidator(_names), AfterValidator(_metric_names), Field(min_length=1)
-    ] = ("S",)  # Metrics to make small (or large, where more is better): one, or several for a Pareto front
+    # Metrics to make small (or large, where more is better): one, or several for a Pareto front
+    objectives: Annotated[MetricNames, Field(min_length=1)] = ("S",)
 
 
-def _condition(entry: Any) -> Any:
-    """A value, or (lower, upper); an infinite end is open and stored as None, which JSON knows."""
-    if not isinstance(entry, list | tuple):
+def _conditions(entry: Any) -> Any:
+    """Each a value, or (lower, upper); an infinite end is open and stored as None, which JSON knows."""
+    if not isinstance(entry, dict):
         return entry
-    return tuple(None if isinstance(end, float) and math.isinf(end) else end for end in entry)
+    for name, value in entry.items():
+        try:
+            conditions({name: value})
+        except InputError as error:
+            raise error.at("" if error.path == "given" else name) from None
+    pairs = {name: value for name, value in entry.items() if isinstance(value, list | tuple)}
+    ends = {name: tuple(None if end in (-math.inf, math.inf) else end for end in pair) for name, pair in pairs.items()}
+    return entry | ends
 
 
 class ScenarioSettings(Part):
@@ -126,21 +120,9 @@ class ScenarioSettings(Part):
     left: int | None = Field(default=None, ge=0, le=10_000_000)
     right: int | None = Field(default=None, ge=0, le=10_000_000)
     # Only departures with these parameters: a value, or `[lower, upper]` in SI units, `inf` for open
-    given: dict[str, float | tuple[float | None, float | None]] = Field(default_factory=dict)
-
-    @field_validator("given", mode="before")
-    @classmethod
-    def _conditions(cls, entry: Any) -> Any:
-        if not isinstance(entry, dict):
-            return entry
-        given = {}
-        for name, value in entry.items():
-            try:
-                conditions({name: value})
-            except InputError as error:
-                raise error.at("" if error.path == "given" else name) from None
-            given[name] = _condition(value)
-        return given
+    given: Annotated[dict[str, float | tuple[float | None, float | None]], BeforeValidator(_conditions)] = Field(
+        default_factory=dict
+    )
 
     @model_validator(mode="before")
     @classmethod
@@ -299,10 +281,11 @@ class Study(Part):
     def _known_baseline(self) -> Self:
         # found out now, and not after a night's run
         baseline, laws = self.ranking.baseline, sorted({law for block in self.design for law in block.laws})
-        if not baseline or baseline in laws:
+        identifier = re.fullmatch(r"[0-9a-f]{6,12}", baseline)
+        if not baseline or baseline in laws or (identifier and self.search):
             return self
-        if re.fullmatch(r"[0-9a-f]{6,12}", baseline):
-            if self.search or any(design.id.startswith(baseline) for design in self.designs):
+        if identifier:
+            if any(design.id.startswith(baseline) for design in self.designs):
                 return self
             hint = "ranking.csv lists the identifiers"
             raise InputError("ranking.baseline", "starts no design's identifier", value=baseline, hint=hint)
@@ -381,19 +364,19 @@ class Study(Part):
         )
 
     @property
-    def _asked(self) -> tuple[str, ...]:
+    def _metrics(self) -> tuple[str, ...]:
         """What metrics, requirements and objectives the study names."""
         return (*self.ranking.pareto, *self.ranking.require, *(self.search.objectives if self.search else ()))
 
     @property
     def standards(self) -> tuple[str, ...]:
         """Tests of regulations whose scores are among them."""
-        return tuple(name for name in standard_names() if any(text.startswith(name) for text in self._asked))
+        return tuple(name for name in standard_names() if any(text.startswith(name) for text in self._metrics))
 
     @property
     def vehicles(self) -> tuple[VehicleName, ...]:
         """Named vehicles that designs are driven on beside the study's own."""
-        worst = any(text.startswith(("S_worst", "comfortable_worst")) for text in self._asked)
+        worst = any(text.startswith(("S_worst", "comfortable_worst")) for text in self._metrics)
         return self.ranking.vehicles or (get_args(VehicleName) if worst else ())
 
     @property
@@ -435,58 +418,47 @@ class Study(Part):
         del same["vehicle"]["steering_ratio"]  # it decides no number of a run
         if same["simulation"]["trigger"] == "distance":  # as before there was another
             del same["simulation"]["trigger"], same["simulation"]["ttlc"]
-        # a scenario is the same however many there are, but for rows that are chosen in proportion to weights
-        same["scenarios"] = self._counts(content) if self.scenarios.weights else {}
+        same["scenarios"] = {}
+        if self.scenarios.weights:  # else a scenario is the same however many there are
+            same["scenarios"] = self._counts
         if self.scenarios.given:  # a study without conditions keeps the identity it had before there were any
-            same["scenarios"]["given"] = content["scenarios"]["given"]
+            same["scenarios"] |= {"given": content["scenarios"]["given"]}
         if self.scenarios.path == "recorded":
-            same["scenarios"]["path"] = "recorded"
+            same["scenarios"] |= {"path": "recorded"}
         return same
 
-    @staticmethod
-    def _counts(content: dict[str, Any]) -> dict[str, Any]:
-        return {side: content["scenarios"][side] for side in ("left", "right")}
+    @property
+    def _counts(self) -> dict[str, Any]:
+        return {"left": self.scenarios.left, "right": self.scenarios.right}
 
     def identity(self) -> dict[str, Any]:
         """What decides the stored numbers: `inputs`, how many scenarios there are, and the designs."""
         same = self.inputs()
-        same["scenarios"] |= self._counts(self.content())
+        same["scenarios"] |= self._counts
         if self.search is None:
-            same["designs"] = [design.id for design in self.designs]
-        else:
-            content = self.content()
-            same |= {key: content[key] for key in ("search", "design")}
-            same |= {"laws": laws} if (laws := self.laws()) else {}
-        return same
+            return same | {"designs": [design.id for design in self.designs]}
+        content = self.content()
+        same |= {key: content[key] for key in ("search", "design")}
+        return same | ({"laws": laws} if (laws := self.laws()) else {})
 
     @property
     def hash(self) -> str:
         """Sixteen hexadecimal digits of `identity`."""
-        text = json.dumps(self.identity(), sort_keys=True, separators=(",", ":"))
-        return hashlib.sha256(text.encode()).hexdigest()[:16]
+        return _digest(self.identity())
 
     @property
     def ranked_as(self) -> str:
         """Sixteen hexadecimal digits of what decides a ranking: `identity`, and the settings of the ranking."""
-        settings = self.ranking.model_dump(mode="json")
-        text = json.dumps([self.hash, settings, self.scenarios.model], sort_keys=True, separators=(",", ":"))
-        return hashlib.sha256(text.encode()).hexdigest()[:16]
+        return _digest([self.hash, self.ranking.model_dump(mode="json"), self.scenarios.model])
 
 
-__all__ = [
-    "CONVENTION_GAIN",
-    "DesignBlock",
-    "RankingSettings",
-    "ReportSettings",
-    "ScenarioSettings",
-    "SearchSettings",
-    "SimulationSettings",
-    "Study",
-]
+def _digest(content: Any) -> str:
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
+# a list of numbers, or of one text, a line each
 _LIST: Final = re.compile(r"\[\n((?:    [^\[\]{}\n\"']*,\n)+)\]|\[\n    (\"[^\"\\\n]*\"),\n\]")
-"""A list of numbers, or of one text, a line each."""
 
 _WIDTH: Final = 100
 
@@ -498,9 +470,9 @@ def toml_text(study: Study) -> str:
     return _LIST.sub(_on_one_line, tomli_w.dumps(_without_none(study.content())))
 
 
-def _on_one_line(found: re.Match[str]) -> str:
-    line = f"[{found[2] or ' '.join(found[1].split()).removesuffix(',')}]"
-    return line if len(line) <= _WIDTH else found[0]
+def _on_one_line(match: re.Match[str]) -> str:
+    line = f"[{match[2] or ' '.join(match[1].split()).removesuffix(',')}]"
+    return line if len(line) <= _WIDTH else match[0]
 
 
 def _without_none(value: Any) -> Any:
@@ -561,7 +533,7 @@ def study(
     5
     """
     classes: dict[str, type[Controller]] = {}
-    blocks = [_block(one, y_s, classes) for one in designs]
+    blocks = [_block(design, y_s, classes) for design in designs]
     content: dict[str, Any] = {"name": name, "seed": seed, "design": blocks, **tables}
     given = content.get("scenarios", {})
     if not isinstance(given, dict):
@@ -574,29 +546,25 @@ def study(
     content["scenarios"] = {"left": left, "right": right, **given}
     if require != ():
         content["ranking"] = {"require": require, **content.get("ranking", {})}
-    chosen = {"vehicle": vehicle, "plant": plant}
-    content |= {key: value for key, value in chosen.items() if value is not None}
+    content |= {key: value for key, value in {"vehicle": vehicle, "plant": plant}.items() if value is not None}
     return Study.from_dict(content, classes=classes)
 
 
-def _block(one: object, y_s: float | Sequence[float], classes: dict[str, type[Controller]]) -> dict[str, Any]:
+def _block(design: object, y_s: float | Sequence[float], classes: dict[str, type[Controller]]) -> dict[str, Any]:
     """A ``[[design]]`` table."""
-    if isinstance(one, dict):
-        return {"y_s": y_s, **one}
-    law = type(one) if isinstance(one, Controller) else one
+    if isinstance(design, dict):
+        return {"y_s": y_s, **design}
+    law = type(design) if isinstance(design, Controller) else design
     if isinstance(law, type) and issubclass(law, Controller):
         if law.name not in controller_names() or controller_class(law.name) is not law:
             register(law)
         if content_of(classes.setdefault(law.name, law)) != content_of(law):
-            raise InputError("design", f"two different laws are named {law.name!r}", allowed="a name for each")
+            raise InputError("design", "names two different laws", value=law.name, allowed="a name for each")
         law = law.name
     if not isinstance(law, str):
-        raise InputError(
-            "design",
-            value=one,
-            allowed="a controller, its class, the name of a law, or a design table, each an argument of its own",
-        )
-    gains = {gain.name: getattr(one, gain.name) for gain in one.gains()} if isinstance(one, Controller) else {}
+        allowed = "a controller, its class, the name of a law, or a design table, each an argument of its own"
+        raise InputError("design", value=design, allowed=allowed)
+    gains = {gain.name: getattr(design, gain.name) for gain in design.gains()} if isinstance(design, Controller) else {}
     return {"law": law, "gains": gains} | ({} if law == "none" else {"y_s": y_s})
 
 

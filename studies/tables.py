@@ -139,7 +139,7 @@ def to_html(table: Table, *, id: str = "", sortable: bool = False, inline: bool 
         for j, ((column, cell), text) in enumerate(zip(table.cells(row), table.texts(row, " to "), strict=True)):
             state = row.kind if inline else "bad" if cell.bad else "good" if cell.good else ""
             value = cell.value[0] if isinstance(cell.value, tuple) else cell.value
-            known = sortable and isinstance(value, int | float) and not math.isnan(value)
+            known = sortable and isinstance(value, int | float) and math.isfinite(value)
             sorted_by = f' data-v="{value:.9g}"' if known else ""
             tag = 'th scope="row"' if j == table.head and not inline else "td"
             shown = text if isinstance(text, Markup) else symbols(text)

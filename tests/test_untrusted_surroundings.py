@@ -28,7 +28,6 @@ from ldctoolkit.recordings.mdf_logs import read_channel_map
 from ldctoolkit.studies import load_study, read_manifest
 from ldctoolkit.studies.cli import main
 from ldctoolkit.studies.pages.shell import Section, make_page
-from ldctoolkit.studies.storage.files import csv_text
 from ldctoolkit.studies.storage.run_table import check_room
 from ldctoolkit.testing.contract import picklable
 from ldctoolkit.testing.subject import ContractSettings, Subject
@@ -322,13 +321,6 @@ def test_no_pipe_is_waited_for(folder: Path) -> None:
 
 
 # ------------------------------------------------------------------------------------------------ what is written
-
-
-def test_cells_are_no_formulas() -> None:
-    row = {"a": "=1+1", "b": "+cmd", "c": "-2+3", "d": "@SUM(1)", "e": "-0.5", "f": -0.5, "g": "1-2", "h": "-inf"}
-    assert csv_text("abcdefgh", [row]) == "a,b,c,d,e,f,g,h\n'=1+1,'+cmd,'-2+3,'@SUM(1),-0.5,-0.5,1-2,-inf\n"
-    assert csv_text("ax", [{"a": "1\r=1", "x": None}, {"a": "@"}]) == "a,x\n1 =1,\n'@,\n"
-    assert csv_text("a", [{"a": "=1+1"}], plain=True) == "a\n=1+1\n"
 
 
 def test_a_page_says_which_style_and_script_are_its_own() -> None:

@@ -1,17 +1,15 @@
 """Compiled loops of paths and random numbers. The compiler takes a while to import: import this where it is called."""
 
+# mypy: disable-error-code="untyped-decorator"
+
 import math
 from typing import Any, Final, NamedTuple
 
 import numba
 import numpy as np
 
-import ldctoolkit.compiling as compiling
 from ldctoolkit.arrays import FloatArray, IntArray
-
-compiling.listen()
-
-_OPTIONS: Final[dict[str, Any]] = {"nogil": True, "error_model": "numpy"}  # strict IEEE: the same bits in every loop
+from ldctoolkit.numba_internals import OPTIONS
 
 # numba makes a float of uint64 with int64: every number below is unsigned
 _MULTIPLIER_0: Final = np.uint64(0xD2511F53)
@@ -23,7 +21,7 @@ _32: Final = np.uint64(32)
 _12: Final = np.uint64(12)
 
 
-@numba.njit(**_OPTIONS)  # type: ignore[untyped-decorator]
+@numba.njit(**OPTIONS)
 def philox(c0: Any, c1: Any, c2: Any, c3: Any, k0: Any, k1: Any) -> Any:
     """Philox4x32-10: four random words from a counter of four and a key of two, 32 bits each, held in uint64."""
     c0, c1, c2, c3 = np.uint64(c0) & _LOW, np.uint64(c1) & _LOW, np.uint64(c2) & _LOW, np.uint64(c3) & _LOW
@@ -36,7 +34,7 @@ def philox(c0: Any, c1: Any, c2: Any, c3: Any, k0: Any, k1: Any) -> Any:
     return c0, c1, c2, c3
 
 
-@numba.njit(**_OPTIONS)  # type: ignore[untyped-decorator]
+@numba.njit(**OPTIONS)
 def uniform_pair(seed: Any, index: Any, stream: Any, counter: Any) -> Any:
     """Two uniform numbers on (0, 1), odd multiples of 2^-53: neither 0 nor 1 can occur."""
     key, number = np.uint64(seed), np.uint64(index)
@@ -46,7 +44,7 @@ def uniform_pair(seed: Any, index: Any, stream: Any, counter: Any) -> Any:
     return (first + 0.5) * 2.0**-52, (second + 0.5) * 2.0**-52
 
 
-@numba.njit(**_OPTIONS)  # type: ignore[untyped-decorator]
+@numba.njit(**OPTIONS)
 def normal_pair(seed: Any, index: Any, stream: Any, counter: Any) -> Any:
     """Two independent standard normal numbers (Box and Muller, Ann. Math. Statist. 29, 1958)."""
     first, second = uniform_pair(seed, index, stream, counter)
@@ -55,7 +53,7 @@ def normal_pair(seed: Any, index: Any, stream: Any, counter: Any) -> Any:
     return radius * math.cos(angle), radius * math.sin(angle)
 
 
-@numba.njit(**_OPTIONS, cache=True)  # type: ignore[untyped-decorator]
+@numba.njit(**OPTIONS, cache=True)
 def fill_pairs(seed: int, index: IntArray, stream: int, normal: bool, out: FloatArray) -> None:
     """Uniform or normal numbers into `out` (n, count): column j is element j % 2 of the pair at counter j // 2."""
     n, count = out.shape
@@ -91,7 +89,7 @@ class Path(NamedTuple):
     count_v: IntArray
 
 
-@numba.njit(**_OPTIONS, cache=True)  # type: ignore[untyped-decorator]
+@numba.njit(**OPTIONS, cache=True)
 def along(path: Any, i: int, t: float) -> Any:
     """Motion along the lane: distance x, speed v and its rate."""
     T, v_mean, a_mean = path.T[i], path.v_mean[i], path.a_mean[i]
@@ -109,7 +107,7 @@ def along(path: Any, i: int, t: float) -> Any:
     return x, v_mean + a_mean * (t - 0.5 * T) + eps, a_mean + rate * omega
 
 
-@numba.njit(**_OPTIONS, cache=True)  # type: ignore[untyped-decorator]
+@numba.njit(**OPTIONS, cache=True)
 def motion(path: Any, i: int, t: float) -> Any:
     """Motion along the lane as `along`, then the lateral distance y and its first two derivatives."""
     T, v_mean, a_mean = path.T[i], path.v_mean[i], path.a_mean[i]
@@ -141,20 +139,20 @@ def motion(path: Any, i: int, t: float) -> Any:
     return x, v, dv, y, slope * v + rate_y * omega, ddy
 
 
-@numba.njit(**_OPTIONS, cache=True)  # type: ignore[untyped-decorator]
-def values(path: Any, what: int, t: FloatArray, out: FloatArray) -> None:
+@numba.njit(**OPTIONS, cache=True)
+def values(path: Any, quantity: int, t: FloatArray, out: FloatArray) -> None:
     """One quantity at times t (n, k) into `out`."""
     for i in range(t.shape[0]):
         for k in range(t.shape[1]):
-            if what <= SPEED_RATE:
+            if quantity <= SPEED_RATE:
                 x, v, dv = along(path, i, t[i, k])
-                out[i, k] = x if what == POSITION else (v if what == SPEED else dv)
+                out[i, k] = x if quantity == POSITION else (v if quantity == SPEED else dv)
             else:
                 _, _, _, y, dy, ddy = motion(path, i, t[i, k])
-                out[i, k] = y if what == LATERAL else (dy if what == LATERAL_RATE else ddy)
+                out[i, k] = y if quantity == LATERAL else (dy if quantity == LATERAL_RATE else ddy)
 
 
-@numba.njit(**_OPTIONS, cache=True)  # type: ignore[untyped-decorator]
+@numba.njit(**OPTIONS, cache=True)
 def areas(path: Any, t: FloatArray, out: FloatArray) -> None:
     """Integral of y from 0 to t (n, k) into `out`: Gauss and Legendre's rule for the parabola, eps_y in closed form.
 
@@ -188,14 +186,14 @@ def areas(path: Any, t: FloatArray, out: FloatArray) -> None:
             out[i, k] = area
 
 
-@numba.njit(**_OPTIONS, cache=True)  # type: ignore[untyped-decorator]
+@numba.njit(**OPTIONS, cache=True)
 def _curve(path: Any, i: int, ahead: float, t: float) -> Any:
     """The edge with its rate carried `ahead` seconds on, and the slope of that."""
     _, _, _, y, dy, ddy = motion(path, i, t)
     return y + ahead * dy, dy + ahead * ddy
 
 
-@numba.njit(**_OPTIONS, cache=True)  # type: ignore[untyped-decorator]
+@numba.njit(**OPTIONS, cache=True)
 def _zero(path: Any, i: int, ahead: float, level: float, of_slope: bool, low: float, high: float) -> Any:
     """Zero of curve - level (or of -slope) between low, where it is <= 0, and high, where it is > 0.
 
@@ -233,7 +231,7 @@ def _zero(path: Any, i: int, ahead: float, level: float, of_slope: bool, low: fl
     return 0.5 * (low + high)
 
 
-@numba.njit(**_OPTIONS, cache=True)  # type: ignore[untyped-decorator]
+@numba.njit(**OPTIONS, cache=True)
 def _cells(path: Any, i: int, span: float) -> int:
     """Cells for a search over `span` seconds: 16 for each half wave of the highest mode, 0 for no search at all."""
     waves = span / path.T[i] * max(path.count_y[i], path.count_v[i], 2)
@@ -242,7 +240,7 @@ def _cells(path: Any, i: int, span: float) -> int:
     return int(waves * _CELLS_PER_HALF_WAVE) + 1
 
 
-@numba.njit(**_OPTIONS, cache=True)  # type: ignore[untyped-decorator]
+@numba.njit(**OPTIONS, cache=True)
 def crossings(path: Any, ahead: float, y_s: float, out: FloatArray) -> None:
     """First time in [0, T] at which y + ahead dy/dt exceeds y_s, into `out` (n,); infinite where it never does."""
     for i in range(out.size):
@@ -272,7 +270,7 @@ def crossings(path: Any, ahead: float, y_s: float, out: FloatArray) -> None:
             rising = slope
 
 
-@numba.njit(**_OPTIONS, cache=True)  # type: ignore[untyped-decorator]
+@numba.njit(**OPTIONS, cache=True)
 def shape_speed_modes(sigma: FloatArray, count: IntArray, modes: FloatArray) -> None:
     """Standard normal numbers (n, J) to modes b_j in place: orthogonal to a straight line, deviation sigma.
 
@@ -292,7 +290,7 @@ def shape_speed_modes(sigma: FloatArray, count: IntArray, modes: FloatArray) -> 
             modes[i, j] = modes[i, j] * (sigma[i] / math.sqrt(power)) if j < count[i] else 0.0
 
 
-@numba.njit(**_OPTIONS, cache=True)  # type: ignore[untyped-decorator]
+@numba.njit(**OPTIONS, cache=True)
 def shape_lateral_modes(path: Any, sigma: FloatArray, count: IntArray, modes: FloatArray) -> None:
     """Standard normal numbers (n, J) to modes a_j in place: orthogonal to the path's parabola, deviation sigma.
 

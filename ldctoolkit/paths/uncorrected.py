@@ -71,7 +71,7 @@ FEWEST_MODES: Final = 3
 
 MOST_MODES: Final = 100
 
-_AT_ONCE: Final = 1024  # paths that are looked at together
+_BLOCK: Final = 1024  # Paths of a block
 
 # rows that cannot be driven give NaN in silence: they are marked elsewhere
 _quiet = np.errstate(divide="ignore", invalid="ignore", over="ignore")
@@ -110,10 +110,10 @@ class Recorded:
         # departures one after the other on one axis; rounding there is undone by a step
         span = 1.0 + float(s.t.max(initial=0.0))
         axis = s.t + span * np.repeat(np.arange(s.n), np.diff(s.offsets))
-        place = np.searchsorted(axis, held + span * number, side="right") - 1
-        place = np.clip(place, first, last - 1)
-        place = np.clip(place - (s.t[place] > held), first, last - 1)
-        return held, place
+        sample = np.searchsorted(axis, held + span * number, side="right") - 1
+        sample = np.clip(sample, first, last - 1)
+        sample = np.clip(sample - (s.t[sample] > held), first, last - 1)
+        return held, sample
 
     def at(self, name: str, t: FloatArray) -> FloatArray:
         """A signal at times t, (n,) or (n, k)."""
@@ -136,12 +136,12 @@ class Recorded:
             return out
         beyond = np.where(s.y > y_s, np.arange(s.y.size), s.y.size)
         after = np.minimum.reduceat(beyond, s.offsets[:-1])
-        found = np.flatnonzero(after < s.y.size)
-        b = after[found]
-        a = np.maximum(b - 1, s.offsets[found])
+        crossing = np.flatnonzero(after < s.y.size)
+        b = after[crossing]
+        a = np.maximum(b - 1, s.offsets[crossing])
         rise = s.y[b] - s.y[a]
         share = np.divide(y_s - s.y[a], rise, out=np.zeros_like(rise), where=rise > 0.0)
-        out[found] = s.t[a] + share * (s.t[b] - s.t[a])
+        out[crossing] = s.t[a] + share * (s.t[b] - s.t[a])
         return out
 
 
@@ -194,8 +194,8 @@ class UncorrectedPath:
         Examples
         --------
         >>> import numpy as np
-        >>> one = Scenarios.from_arrays(T=[4.0], d_y=[0.3], v_mean=[20.0], sigma_y=[0.02])
-        >>> path = UncorrectedPath.of(one, Residuals(y=True), seed=1)
+        >>> scenario = Scenarios.from_arrays(T=[4.0], d_y=[0.3], v_mean=[20.0], sigma_y=[0.02])
+        >>> path = UncorrectedPath.of(scenario, Residuals(y=True), seed=1)
         >>> path.modes_y.shape, path.modes_v.shape
         ((1, 8), (1, 0))
         >>> eps = path.lateral(np.linspace(0.0, 4.0, 1001)[None, :]) - 0.3 * (1 - np.linspace(-1, 1, 1001) ** 2)
@@ -231,18 +231,18 @@ class UncorrectedPath:
         count = np.minimum(_mode_count(T, bandwidth), most)
         modes_y, modes_v = np.zeros((2, self.n, int(count.max(initial=1))))
         path = dataclasses.replace(self, modes_y=modes_y, modes_v=modes_v)
-        for first in range(0, self.n, _AT_ONCE):
-            some = np.arange(first, min(first + _AT_ONCE, self.n))
-            own, t = recorded.take(some), recorded.times(some)
-            used = np.arange(1, modes_y.shape[1] + 1) <= count[some, None]
-            angle = np.pi * (t / T[some, None])[:, :, None] * np.arange(1, modes_y.shape[1] + 1)
-            weight = ((t > 0.0) & (t < T[some, None]))[:, :, None] * used[:, None, :]
+        for first in range(0, self.n, _BLOCK):
+            rows = np.arange(first, min(first + _BLOCK, self.n))
+            part, t = recorded.take(rows), recorded.times(rows)
+            used = np.arange(1, modes_y.shape[1] + 1) <= count[rows, None]
+            angle = np.pi * (t / T[rows, None])[:, :, None] * np.arange(1, modes_y.shape[1] + 1)
+            weight = ((t > 0.0) & (t < T[rows, None]))[:, :, None] * used[:, None, :]
             for modes, wave, name in ((modes_v, np.cos, "v"), (modes_y, np.sin, "y")):
-                plain = path.take(some)  # y is seen along the x of the speed that is fitted first
-                gap = own.at(name, t) - (plain.speed(t) if name == "v" else plain.lateral(t))
+                plain = path.take(rows)  # y is seen along the x of the speed that is fitted first
+                gap = part.at(name, t) - (plain.speed(t) if name == "v" else plain.lateral(t))
                 basis = wave(angle) * weight
                 normal = basis.transpose(0, 2, 1) @ basis + np.eye(used.shape[1]) * np.where(used, 1e-9, 1.0)[:, None]
-                modes[some] = np.linalg.solve(normal, basis.transpose(0, 2, 1) @ gap[:, :, None])[:, :, 0]
+                modes[rows] = np.linalg.solve(normal, basis.transpose(0, 2, 1) @ gap[:, :, None])[:, :, 0]
         return dataclasses.replace(path, recorded=recorded)
 
     @property
@@ -358,7 +358,7 @@ class UncorrectedPath:
         # cells of each path by itself: no number depends on which others stand beside it
         cells = np.maximum(16 * np.maximum(_used(self.modes_y), _used(self.modes_v)), 8) * (self.recorded is None)
         every = [np.flatnonzero(cells == count) for count in np.unique(cells)]
-        for rows in (some[i : i + _AT_ONCE] for some in every for i in range(0, some.size, _AT_ONCE)):
+        for rows in (some[i : i + _BLOCK] for some in every for i in range(0, some.size, _BLOCK)):
             path, start, end = self.take(rows), starts[rows, None], ends[rows, None]
             if path.recorded is not None:
                 t = np.clip(path.recorded.times(np.arange(path.n)), start, end)

@@ -11,12 +11,15 @@ from ldctoolkit.recordings.extract import extract_departures, extract_part, merg
 from ldctoolkit.recordings.find_departures import Criteria, Refused
 from ldctoolkit.recordings.preparation import Preparation
 from ldctoolkit.recordings.quality import Account, Drawn, DrawnEvent, Origin
-from ldctoolkit.recordings.recording import Label, Problem, Recording, SourceFile
-from ldctoolkit.recordings.sources import (
+from ldctoolkit.recordings.recording import (
+    Label,
     OpenedRecordings,
+    Problem,
+    Recording,
     RecordingPart,
     RecordingReader,
     RecordingSource,
+    SourceFile,
     open_recordings,
     read_recordings,
     reader_names,

@@ -23,7 +23,7 @@ from ldctoolkit.departures import (
     combined_departures,
     no_departures,
 )
-from ldctoolkit.errors import RecordingError, nearest
+from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.find_departures import Criteria, Refused
 from ldctoolkit.recordings.preparation import Preparation
 from ldctoolkit.recordings.quality import (
@@ -35,7 +35,7 @@ from ldctoolkit.recordings.quality import (
     combined_statistics,
     no_statistics,
 )
-from ldctoolkit.recordings.recording import Problem, SourceFile
+from ldctoolkit.recordings.recording import Problem, SourceFile, missing_column
 from ldctoolkit.whole_file import PARQUET_CHECKSUM, check_parquet, parquet_bytes, parse_json, read_regular, write_whole
 
 if TYPE_CHECKING:
@@ -56,13 +56,13 @@ class PartResult:
 
 def combined_results(parts: Iterable[PartResult]) -> PartResult:
     """Several shares as one, in their order."""
-    given = list(parts)
+    parts = list(parts)
     return PartResult(
-        departures=combined_departures([part.departures for part in given]),
-        accounts=combined_accounts(account for part in given for account in part.accounts),
-        evidence=combined_statistics(part.evidence for part in given),
-        drawn=combined_examples(part.drawn for part in given),
-        problems=tuple(problem for part in given for problem in part.problems),
+        departures=combined_departures([part.departures for part in parts]),
+        accounts=combined_accounts(account for part in parts for account in part.accounts),
+        evidence=combined_statistics(part.evidence for part in parts),
+        drawn=combined_examples(part.drawn for part in parts),
+        problems=tuple(problem for part in parts for problem in part.problems),
     )
 
 
@@ -241,7 +241,7 @@ def read_table(source: Path, needed: str, *, checksum: bool = False) -> tuple[pl
     """A Parquet file and its metadata; `needed` says in messages what it should be."""
     import polars as pl
 
-    data = read_regular(source, lambda text: RecordingError(f"{text}; needed: {needed}"), None)
+    data = read_regular(source, lambda *what: RecordingError(*what, hint=f"needed: {needed}"), None)
     try:
         check_parquet(data, needed=checksum)
         return pl.read_parquet(data), pl.read_parquet_metadata(io.BytesIO(data))
@@ -271,9 +271,7 @@ def column_of(name: str, table: pl.DataFrame, column: str) -> FloatArray:
 
 def _need(name: str, table: pl.DataFrame, column: str) -> None:
     if column not in table.columns:
-        others = [other for other in table.columns if other not in COLUMNS]
-        hint = f"; {nearest(column, others)}".replace("allowed:", "columns not known here:") if others else ""
-        raise RecordingError(name, f"column '{column}' is missing{hint}")
+        raise missing_column(column, [other for other in table.columns if other not in COLUMNS]).within(name)
 
 
 def read_departures(path: str | os.PathLike[str], *, signals: bool = False) -> tuple[Departures, Provenance]:
@@ -323,42 +321,40 @@ def read_departures(path: str | os.PathLike[str], *, signals: bool = False) -> t
     return departures, provenance
 
 
+_LEAST: Final = {"T_s": ">", "v_mean_m_s": ">", "d_y_m": ">=", "sigma_y_m": ">=", "sigma_v_m_s": ">="}
+"""Columns that are above zero, or not below."""
+
+
 def _check(name: str, table: pl.DataFrame) -> None:
     import polars as pl
 
-    def refuse(column: str, bad: pl.Series, allowed: str) -> None:
-        bad = bad.fill_null(True)
-        if bad.any():
-            row = bad.arg_max() or 0
-            more = f" ({bad.sum()} rows in all)" if (bad.sum() or 0) > 1 else ""
-            value = table[column][row]
-            raise RecordingError(
-                f"{name}, row {row + 1}", f"column '{column}' holds {value!r}", allowed=f"{allowed}{more}"
-            )
-
+    bad: list[tuple[str, pl.Series, str]] = []  # column, rows at fault, what is allowed
     for column in COLUMNS:
-        kind = table[column].dtype
-        text = column in ("recording", "side")
-        whole = column == "samples"
+        values, kind = table[column], table[column].dtype
+        text, whole = column in ("recording", "side"), column == "samples"
         if kind != pl.String if text else not (kind.is_integer() if whole else kind.is_numeric()):
             allowed = "text" if text else "integers" if whole else "numbers"
             raise RecordingError(name, f"column '{column}' is of type {kind}", allowed=allowed)
-        refuse(column, table[column].is_null() if text else ~table[column].is_finite(), "no missing value")
-    refuse("side", ~table["side"].is_in(["left", "right"]), "left, right")
-    refuse("samples", table["samples"] < 3, "3 or more")
-    for column in ("T_s", "v_mean_m_s"):
-        refuse(column, table[column] <= 0, "> 0")
-    for column in ("d_y_m", "sigma_y_m", "sigma_v_m_s"):
-        refuse(column, table[column] < 0, ">= 0")
+        bad.append((column, values.is_null() if text else ~values.is_finite(), "no missing value"))
+    bad.append(("side", ~table["side"].is_in(["left", "right"]), "left, right"))
+    bad.append(("samples", table["samples"] < 3, "3 or more"))
+    for column, sign in _LEAST.items():
+        bad.append((column, table[column] <= 0 if sign == ">" else table[column] < 0, f"{sign} 0"))
+    for column, rows, allowed in bad:
+        if count := rows.fill_null(True).sum():
+            row = rows.fill_null(True).arg_max() or 0
+            more = f" ({count} rows in all)" if count > 1 else ""
+            what = f"column '{column}' holds {table[column][row]!r}"
+            raise RecordingError(f"{name}, row {row + 1}", what, allowed=f"{allowed}{more}")
 
 
 def provenance_from_json(name: str, text: str) -> Provenance:
     """Provenance from JSON; `name` is the file, for messages. Raises RecordingError."""
     try:
         content: dict[str, Any] = parse_json(text)
-        found = content.pop("format_version")
-        if found != FORMAT_VERSION:
-            raise ValueError(f"departures table of format {found!r}; this version reads {FORMAT_VERSION}")
+        version = content.pop("format_version")
+        if version != FORMAT_VERSION:
+            raise ValueError(f"departures table of format {version!r}; this version reads {FORMAT_VERSION}")
         content.pop("ldctoolkit", None)
         criteria, refused = Criteria(**content.pop("criteria")), Refused(**content.pop("refused"))
         sources = tuple(SourceFile(**source) for source in content.pop("sources"))

@@ -27,12 +27,14 @@ from ldctoolkit.recordings.quality import (
 from ldctoolkit.recordings.recording import (
     MAX_LANE_WIDTH,
     MIN_LANE_WIDTH,
+    OpenedRecordings,
     Problem,
     Recording,
+    RecordingPart,
     RecordingTable,
     SourceFile,
+    part_name,
 )
-from ldctoolkit.recordings.sources import OpenedRecordings, RecordingPart, part_name
 
 BATCH: Final = 500_000  # samples that are searched together; no number depends on it
 SOURCE: Final = "source"  # column of the departures table that tells the source where there are several
@@ -140,16 +142,16 @@ def _of_batch(
     raw, recordings = [pair[0] for pair in batch], [pair[1] for pair in batch]
     table, step = table_of(recordings), preparation.step
     limit = None if step is None else max(GAP_STEPS * step, criteria.max_gap or 0.0)
-    found = find_departures(table, criteria, limit)
+    result = find_departures(table, criteria, limit)
     origins = tuple(Origin(recording.source, recording.labels) for recording in recordings)
-    sources = [origins[i].source for i in found.owner]
-    extra = _extra(found.departures, found.owner, recordings)
-    departures = dataclasses.replace(found.departures, extra=extra, signals=found.signals if keep_signals else None)
+    sources = [origins[i].source for i in result.owner]
+    extra = _extra(result.departures, result.owner, recordings)
+    departures = dataclasses.replace(result.departures, extra=extra, signals=result.signals if keep_signals else None)
     return PartResult(
         departures=departures,
-        accounts=accounts_of(table, found, origins, np.array([not recording.continues for recording in recordings])),
-        evidence=quality_statistics(table_of(raw), raw, table, recordings, found, criteria.vehicle_width),
-        drawn=example_events(departures, found.signals, sources),
+        accounts=accounts_of(table, result, origins, np.array([not recording.continues for recording in recordings])),
+        evidence=quality_statistics(table_of(raw), raw, table, recordings, result, criteria.vehicle_width),
+        drawn=example_events(departures, result.signals, sources),
     )
 
 
@@ -165,7 +167,8 @@ def _extra(departures: Departures, owner: np.ndarray, recordings: list[Recording
     scales = np.array([recording.lane_scale for recording in recordings])[owner]
     columns = [ExtraColumn(SOURCE, text([recording.source for recording in recordings])), ExtraColumn(SCALE, scales)]
     for name in dict.fromkeys(label.name for recording in recordings for label in recording.labels):
-        values = [next((one.value for one in own.labels if one.name == name), "") for own in recordings]
+        labels = [{label.name: label.value for label in reversed(recording.labels)} for recording in recordings]
+        values = [of_recording.get(name, "") for of_recording in labels]
         columns.append(ExtraColumn(name, text(values)))
     return tuple(columns)
 
@@ -246,7 +249,7 @@ def extract_departures(
     """
     opened = recordings if isinstance(recordings, OpenedRecordings) else None
     width, step = (VEHICLE_WIDTH, None) if opened is None else (opened.reader.vehicle_width, opened.reader.step)
-    chosen = preparation or Preparation(step=step)
+    preparation = preparation or Preparation(step=step)
     criteria = Criteria(
         width if vehicle_width is None else vehicle_width,
         min_duration,
@@ -260,12 +263,12 @@ def extract_departures(
         keep_engaged,
     )
     if not isinstance(recordings, OpenedRecordings):
-        found = extract_items(recordings, criteria, chosen, keep_signals=keep_signals)
-        return merge_results([found], criteria, chosen, force=force)
+        result = extract_items(recordings, criteria, preparation, keep_signals=keep_signals)
+        return merge_results([result], criteria, preparation, force=force)
     source = recordings.source
     results = [PartResult(problems=tuple(source.problems))]
-    results += [extract_part(part, criteria, chosen, keep_signals=keep_signals) for part in source.parts]
-    return merge_results(results, criteria, chosen, reader=recordings.reader.name, files=source.files, force=force)
+    results += [extract_part(part, criteria, preparation, keep_signals=keep_signals) for part in source.parts]
+    return merge_results(results, criteria, preparation, reader=recordings.reader.name, files=source.files, force=force)
 
 
 def merge_results(
@@ -295,8 +298,9 @@ def merge_results(
     )
     if doubts and not force:
         raise RecordingError(
-            f"the recordings cannot be right: {'; '.join(doubts.values())}. Correct them, or go on with --force (in "
-            "Python: force=True)"
+            "",
+            f"the recordings cannot be right: {'; '.join(doubts.values())}",
+            hint="correct them, or go on with --force (in Python: force=True)",
         )
     warnings = quality_warnings(
         whole.evidence, preparation.nominal_lane_width, labelled=reader == "table", scaled="width" not in doubts
@@ -353,34 +357,34 @@ def quality_doubts(
     """What cannot be right, by what it is of: units, signs, references; `sides` are the departures to the left and
     right, (2,).
     """
-    found = unit_warnings(dict(evidence.units), vehicle_width)
+    doubts = unit_warnings(dict(evidence.units), vehicle_width)
     # a wrong unit of the offset makes all of these, too
-    if not {"width", "offset", "coarse offset"} & found.keys() and (text := _reference(evidence, sides)):
-        found["reference"] = text
-    return found | {f"turns {i}": text for i, text in enumerate(_turning(evidence, yaw_rate_factor))}
+    if not {"width", "offset", "coarse offset"} & doubts.keys() and (text := _reference(evidence, sides)):
+        doubts["reference"] = text
+    return doubts | {f"turns {i}": text for i, text in enumerate(_turning(evidence, yaw_rate_factor))}
 
 
 def quality_warnings(
     evidence: QualityStatistics, nominal_lane_width: float | None, *, labelled: bool = True, scaled: bool = True
 ) -> tuple[str, ...]:
     """Warnings about scale, curvature, lanes and repeated recordings; none when everything is plausible."""
-    found = []
+    texts = []
     if "none" in evidence.kinds:
         where = "" if evidence.kinds == ("none",) else " in some recordings"
-        found.append(f"no column 'curvature' or 'yaw_rate'{where}: the lane's curvature is taken as 0 (c_0 = dc = 0)")
+        texts.append(f"no column 'curvature' or 'yaw_rate'{where}: the lane's curvature is taken as 0 (c_0 = dc = 0)")
     if labelled and not evidence.lanes:
-        found.append("no column 'lane': a lane change is seen only as a jump of the offset by about a lane width")
+        texts.append("no column 'lane': a lane change is seen only as a jump of the offset by about a lane width")
     (windows, hh, *_), correlation = evidence.turns[0], _correlation(evidence.turns[0])
     if abs(correlation) < 0.5 and windows >= FEWEST_TURNS and hh >= LEAST_TURNING**2 * windows:
-        found.append(f"yaw rate and GPS heading do not agree (correlation {correlation:.2f}): curvatures are doubtful")
+        texts.append(f"yaw rate and GPS heading do not agree (correlation {correlation:.2f}): curvatures are doubtful")
     if evidence.bends[0] > 1000 and evidence.bends[1] < 0.001 * evidence.bends[0] and evidence.kinds != ("none",):
-        found.append("the lane is straight in nearly all samples: c_0 and dc tell nothing")
+        texts.append("the lane is straight in nearly all samples: c_0 and dc tell nothing")
     if nominal_lane_width is None and scaled:
-        found += _scale(evidence)
-    found += _twins(evidence)
+        texts += _scale(evidence)
+    texts += _twins(evidence)
     total = np.unique(evidence.names).size
-    found += [f"{note}: {count} of {total} recordings" for note, count in evidence.notes]
-    return tuple(found)
+    texts += [f"{note}: {count} of {total} recordings" for note, count in evidence.notes]
+    return tuple(texts)
 
 
 ENOUGH_TIME: Final = 40.0  # [s] of driving that tell whether an offset can be one
@@ -438,7 +442,7 @@ _SIGNAL_NAMES: Final = {"heading": "the heading", "yaw_rate": "the yaw rate", "c
 
 def _turning(evidence: QualityStatistics, factor: float) -> list[str]:
     """Signals that turn against each other, or by another amount; the yaw rates were multiplied with `factor`."""
-    found: list[str] = []
+    doubts: list[str] = []
     doubted: set[str] = set()
     for turns, (reference, other) in zip(evidence.turns, RELATIONS, strict=True):
         correlation = _correlation(turns)
@@ -471,8 +475,8 @@ def _turning(evidence: QualityStatistics, factor: float) -> list[str]:
             end = "or all curvatures have the wrong sign" if correlation < 0.0 else "which would make them agree"
             end += "" if correlation > 0.0 or reference != "heading" else "; or is the heading a compass course?"
             text += f" (give --yaw-rate-factor {advice:.3g}, {end})"
-        found.append(text)
-    return found if doubted else found + _swaying(evidence.sway)
+        doubts.append(text)
+    return doubts if doubted else doubts + _swaying(evidence.sway)
 
 
 FEWEST_SWAYS: Final = 8  # windows of six seconds
@@ -508,8 +512,8 @@ def _scale(evidence: QualityStatistics) -> list[str]:
     low, middle, high = (float(value) for value in np.quantile(widths, [EDGE, 0.5, 1.0 - EDGE]))
     if not METRES[0] < middle < METRES[1]:
         return []  # another unit, of which the check of units tells
-    odd = low < PLAUSIBLE_WIDTHS[0] or high > PLAUSIBLE_WIDTHS[1]
-    uneven = widths.size >= 3 and odd and high > UNEVEN * low
+    implausible = low < PLAUSIBLE_WIDTHS[0] or high > PLAUSIBLE_WIDTHS[1]
+    uneven = widths.size >= 3 and implausible and high > UNEVEN * low
     if PLAUSIBLE_WIDTHS[0] <= middle <= PLAUSIBLE_WIDTHS[1] and not uneven:
         return []
     return [

@@ -114,22 +114,22 @@ def _medians(step: FloatArray, owner: IntArray, recordings: int) -> FloatArray:
 
 
 def breaks(
-    table: RecordingTable, place: IntArray, gap_limit: FloatArray, max_jump: float, edges: dict[int, FloatArray]
+    table: RecordingTable, rows: IntArray, gap_limit: FloatArray, max_jump: float, edges: dict[int, FloatArray]
 ) -> tuple[BoolArray, IntArray, IntArray]:
     """What lies between each usable sample and the next, and the break's name: the first joint of a movement's."""
-    recording = table.recording_index[place]
+    recording = table.recording_index[rows]
     same = recording[1:] == recording[:-1]
     cause = np.full(same.shape, _NONE)
     # the weakest first: a stronger reason overwrites it
-    cause[np.diff(table.t[place]) > gap_limit[recording[1:]]] = CODE["gap"]
-    cause[np.diff(place) > 1] = CODE["invalid"]
-    offset, width = table.lane_offset[place], table.lane_width[place]
-    beyond = np.maximum(edges[LEFT][place], edges[RIGHT][place]) > 0.0
-    jump = _jumps(table.t[place], offset, width, beyond, ~same | (cause != _NONE), max_jump)
+    cause[np.diff(table.t[rows]) > gap_limit[recording[1:]]] = CODE["gap"]
+    cause[np.diff(rows) > 1] = CODE["invalid"]
+    offset, width = table.lane_offset[rows], table.lane_width[rows]
+    beyond = np.maximum(edges[LEFT][rows], edges[RIGHT][rows]) > 0.0
+    jump = _jumps(table.t[rows], offset, width, beyond, ~same | (cause != _NONE), max_jump)
     cause[jump] = CODE["jump"]
     moved = jump.copy()
     if table.lane is not None:
-        changed = same & (table.lane[place][1:] != table.lane[place][:-1])
+        changed = same & (table.lane[rows][1:] != table.lane[rows][:-1])
         cause[changed] = CODE["lane_change"]
         moved |= changed
     # a movement that takes several steps is one break
@@ -174,7 +174,7 @@ def _jumps(
     rows = np.flatnonzero(_spread(beyond, t, barred, JUMP_WINDOW))
     at, offset, width = t[rows], offset[rows], width[rows]
     taken = np.append(barred, True)[rows[:-1]] | (np.diff(rows) > 1)
-    found = np.zeros(taken.size, dtype=bool)
+    jumps = np.zeros(taken.size, dtype=bool)
     for lag in range(1, min(MOST_LAGS, rows.size)):
         dt = at[lag:] - at[:-lag]
         before = np.append(0, np.cumsum(taken))
@@ -190,33 +190,33 @@ def _jumps(
         far |= np.abs(width[lag:] - width[:-lag]) > np.maximum(WIDTH_JUMP[0], WIDTH_JUMP[1] * dt) + ROUNDING
         first = np.flatnonzero(free & far)
         ends = np.bincount(first + lag, minlength=rows.size)
-        found |= np.cumsum(np.bincount(first, minlength=rows.size) - ends)[:-1] > 0
-        taken |= found
+        jumps |= np.cumsum(np.bincount(first, minlength=rows.size) - ends)[:-1] > 0
+        taken |= jumps
     moving = np.zeros(t.size, dtype=bool)
-    moving[rows[:-1][found]] = moving[rows[1:][found]] = True
+    moving[rows[:-1][jumps]] = moving[rows[1:][jumps]] = True
     moving = _spread(moving, t, barred, 0.5 * JUMP_WINDOW)
     return moving[:-1] & moving[1:] & ~barred
 
 
 def find_runs(
     table: RecordingTable,
-    place: IntArray,
+    rows: IntArray,
     edges: dict[int, FloatArray],
     same: BoolArray,
     cause: IntArray,
     name: IntArray,
 ) -> Runs:
     """All runs of a table, in the order of their first sample (left before right)."""
-    k = place.size
+    k = rows.size
     joined = same & (cause == _NONE)
     # what stands before and after each usable sample; at a recording's ends, unusable samples outrank the end itself
-    recording = table.recording_index[place]
+    recording = table.recording_index[rows]
     before, after = np.full(k, CODE["cut_by_end"]), np.full(k, CODE["cut_by_end"])
-    before[place > table.offsets[recording]] = CODE["invalid"]
-    after[place < table.offsets[recording + 1] - 1] = CODE["invalid"]
+    before[rows > table.offsets[recording]] = CODE["invalid"]
+    after[rows < table.offsets[recording + 1] - 1] = CODE["invalid"]
     before[1:][same] = after[:-1][same] = cause[same]
 
-    beyond = np.stack([edges[side][place] > 0.0 for side in (LEFT, RIGHT)])
+    beyond = np.stack([edges[side][rows] > 0.0 for side in (LEFT, RIGHT)])
     linked = beyond[:, 1:] & beyond[:, :-1] & joined
     row, first = np.nonzero(beyond & ~np.pad(linked, ((0, 0), (1, 0))))
     _, last = np.nonzero(beyond & ~np.pad(linked, ((0, 0), (0, 1))))
@@ -227,7 +227,7 @@ def find_runs(
     inner = np.concatenate([[False], same & ~joined, [False]])  # inner[i]: a break between i - 1 and i
     name = np.concatenate([[-1], name, [-1]])
     candidate = _candidates(inner[first], inner[last + 1], name[first], name[last + 1])
-    return Runs(side, place[first], place[last], reason, candidate)
+    return Runs(side, rows[first], rows[last], reason, candidate)
 
 
 def _candidates(from_break: BoolArray, to_break: BoolArray, before: IntArray, after: IntArray) -> IntArray:
@@ -246,13 +246,13 @@ def _candidates(from_break: BoolArray, to_break: BoolArray, before: IntArray, af
 
 
 def signals_of_runs(
-    table: RecordingTable, runs: Runs, chosen: IntArray, edges: dict[int, FloatArray], curvature: FloatArray
+    table: RecordingTable, runs: Runs, complete: IntArray, edges: dict[int, FloatArray], curvature: FloatArray
 ) -> tuple[DepartureSignals, FloatArray, IntArray]:
     """Signals of runs that have both crossings, in the outward frame."""
-    first, last, side = runs.first[chosen], runs.last[chosen], runs.side[chosen]
+    first, last, side = runs.first[complete], runs.last[complete], runs.side[complete]
     length = last - first + 3
     offsets = np.concatenate([[0], np.cumsum(length)])
-    event = np.repeat(np.arange(chosen.size), length)
+    event = np.repeat(np.arange(complete.size), length)
     source = (first - 1)[event] + np.arange(event.size) - offsets[:-1][event]
     y = np.where(side[event] == LEFT, edges[LEFT][source], edges[RIGHT][source])
     # times relative to the first sample beyond the line: no digits are lost on a large clock
@@ -298,8 +298,8 @@ class Criteria(CheckedArguments):
 
 
 @dataclasses.dataclass(frozen=True)
-class Found:
-    """What was found in a table of m samples of r recordings."""
+class SearchResult:
+    """Departures and counts of a table of m samples of r recordings."""
 
     departures: Departures  # n departures
     owner: IntArray  # (n,): index of the recording of each
@@ -316,39 +316,40 @@ class Found:
     stay_recording: IntArray  # (k,): index of the recording of each
 
 
-def find_departures(table: RecordingTable, criteria: Criteria, gap_limit: float | None = None) -> Found:
+def find_departures(table: RecordingTable, criteria: Criteria, gap_limit: float | None = None) -> SearchResult:
     """Find the departures of one table."""
     usable = usable_samples(table)
     if not usable.all():  # infinities and absurd numbers would only raise floating point warnings further on
         numbers = ("lane_offset", "lane_width", "speed", "curvature", "yaw_rate")
         table = changed_columns(table, numbers, lambda values: np.where(usable, values, np.nan))
-    place = np.flatnonzero(usable)
+    usable_rows = np.flatnonzero(usable)
     median_step = median_steps(table)
     limit = _gap_limit(median_step, criteria, gap_limit)
     read = _sums(table, np.arange(table.samples), limit, adjacent=False)
     margin = 0.5 * (criteria.vehicle_width - table.lane_width)
     edges = {LEFT: table.lane_offset + margin, RIGHT: -table.lane_offset + margin}
-    same, cause, name = breaks(table, place, limit, criteria.max_jump, edges)
-    runs = find_runs(table, place, edges, same, cause, name)
+    same, cause, name = breaks(table, usable_rows, limit, criteria.max_jump, edges)
+    runs = find_runs(table, usable_rows, edges, same, cause, name)
     reason = runs.reason.copy()
 
-    chosen = np.flatnonzero(reason == ACCEPTED)
+    complete = np.flatnonzero(reason == ACCEPTED)
     curvature = _curvature(table, usable, median_step, limit)
-    signals, start_time, source = signals_of_runs(table, runs, chosen, edges, curvature)
-    verdict = _judge(table, runs.side[chosen], signals, source, criteria)
+    signals, start_time, source = signals_of_runs(table, runs, complete, edges, curvature)
+    verdict = _judge(table, runs.side[complete], signals, source, criteria)
     rows = np.nan_to_num(AROUND / np.fmax(median_step, ROUNDING)).astype(np.int64)
     deepest = np.maximum.reduceat(signals.y, signals.offsets[:-1])
-    narrower = _narrower(table, usable, runs.first[chosen], runs.last[chosen], rows) > deepest
+    narrower = _narrower(table, usable, runs.first[complete], runs.last[complete], rows) > deepest
     verdict[narrower] = np.minimum(verdict[narrower], CODE["jump"])
-    reason[chosen] = verdict
+    reason[complete] = verdict
 
-    run, kept, start_time = (
-        chosen[verdict == ACCEPTED],
+    run, accepted, start_time = (
+        complete[verdict == ACCEPTED],
         signals.take(verdict == ACCEPTED),
         start_time[verdict == ACCEPTED],
     )
-    parameters = reduce_signals(kept, runs.side[run])
-    lateral = np.maximum.reduceat(kept.v**2 * np.abs(kept.c), kept.offsets[:-1])  # that the curvature requires
+    parameters = reduce_signals(accepted, runs.side[run])
+    # acceleration that the curvature requires
+    lateral = np.maximum.reduceat(accepted.v**2 * np.abs(accepted.c), accepted.offsets[:-1])
     plausible = (np.abs(parameters.a_mean) <= LARGEST_ACCELERATION) & (lateral <= LARGEST_ACCELERATION)
     plausible &= criteria.plausibility.holds(parameters)
     reason[run[~plausible]] = CODE["implausible"]
@@ -357,7 +358,7 @@ def find_departures(table: RecordingTable, criteria: Criteria, gap_limit: float 
         **{field.name: getattr(parameters, field.name) for field in dataclasses.fields(parameters)},
         recording=table.names[owner],
         start_time=start_time,
-        samples=kept.samples,
+        samples=accepted.samples,
     ).take(plausible)
     # a candidate's reason is the strongest of its runs', its side and recording are those of the first
     count = int(runs.candidate.max(initial=-1)) + 1
@@ -367,11 +368,11 @@ def find_departures(table: RecordingTable, criteria: Criteria, gap_limit: float 
     stayed = by_candidate[runs.candidate] != CODE["lane_change"]
     stay_recording = table.recording_index[runs.first[stayed]]
     stays = table.t[runs.last[stayed]] - table.t[runs.first[stayed]] + np.nan_to_num(median_step)[stay_recording]
-    driver = place if criteria.keep_engaged or table.engaged is None else place[~table.engaged[place]]
-    return Found(
+    driver = usable_rows if criteria.keep_engaged or table.engaged is None else usable_rows[~table.engaged[usable_rows]]
+    return SearchResult(
         departures=departures,
         owner=owner[plausible],
-        signals=kept.take(plausible),
+        signals=accepted.take(plausible),
         reason=by_candidate,
         side=runs.side[first],
         recording=table.recording_index[runs.first[first]],
@@ -394,13 +395,13 @@ def _gap_limit(median_step: FloatArray, criteria: Criteria, gap_limit: float | N
 
 
 def _sums(
-    table: RecordingTable, place: IntArray, limit: FloatArray, *, adjacent: bool, speed: FloatArray | None = None
+    table: RecordingTable, rows: IntArray, limit: FloatArray, *, adjacent: bool, speed: FloatArray | None = None
 ) -> FloatArray:
     """Sum of the steps between chosen samples of each recording, (r,) [s], without gaps; with their speeds in [m]."""
-    owner, step = table.recording_index[place], np.diff(table.t[place])
+    owner, step = table.recording_index[rows], np.diff(table.t[rows])
     counted = (owner[1:] == owner[:-1]) & (step <= limit[owner[1:]])
     if adjacent:
-        counted &= np.diff(place) == 1
+        counted &= np.diff(rows) == 1
     if speed is not None:
         with np.errstate(over="ignore"):  # of absurd times
             step = 0.5 * (speed[1:] + speed[:-1]) * step
@@ -492,31 +493,31 @@ def curvature_from_yaw_rate(
     during a departure it holds the vehicle's own turning too, which the window averages.
     """
     result = np.full(yaw_rate.shape, np.nan)
-    place = np.flatnonzero(usable)
+    rows = np.flatnonzero(usable)
     # a stretch also ends where an unusable sample was left out
-    begin = np.flatnonzero(np.diff(np.cumsum(first_of_stretch | ~usable)[place], prepend=-1))
-    length = np.diff(np.append(begin, place.size))
+    begin = np.flatnonzero(np.diff(np.cumsum(first_of_stretch | ~usable)[rows], prepend=-1))
+    length = np.diff(np.append(begin, rows.size))
     first, last = np.repeat(begin, length), np.repeat(begin + length, length) - 1
-    here, t = np.arange(place.size), t[place]
+    here, t = np.arange(rows.size), t[rows]
     half = HALF_WINDOW + ROUNDING
-    count = np.nan_to_num(half / np.fmax(step[place], ROUNDING)).astype(np.int64)
+    count = np.nan_to_num(half / np.fmax(step[rows], ROUNDING)).astype(np.int64)
     low, high = np.maximum(here - count, first), np.minimum(here + count, last)
     # what even spacing gives is looked up in time where the spacing is not even
-    odd = (t - t[low] > half) | (t[high] - t > half)
-    odd |= (low > first) & (t - t[low - 1] <= half) | (high < last) & (t[np.minimum(high + 1, last)] - t <= half)
-    if odd.any():
+    uneven = (t - t[low] > half) | (t[high] - t > half)
+    uneven |= (low > first) & (t - t[low - 1] <= half) | (high < last) & (t[np.minimum(high + 1, last)] - t <= half)
+    if uneven.any():
         stretch = np.repeat(np.arange(begin.size), length)
         since = t - t[first]
         clock = since + np.append(0.0, np.cumsum(since[begin + length - 1] + 1.0))[stretch]  # never falls
-        low[odd] = np.searchsorted(clock, clock[odd] - half, "left")
-        high[odd] = np.searchsorted(clock, clock[odd] + half, "right") - 1
+        low[uneven] = np.searchsorted(clock, clock[uneven] - half, "left")
+        high[uneven] = np.searchsorted(clock, clock[uneven] + half, "right") - 1
         low, high = np.maximum(low, first), np.minimum(high, last)
     high += 1
-    v, r = speed[place], yaw_rate[place]
+    v, r = speed[rows], yaw_rate[rows]
     # reduceat over (low, high) pairs: every second sum is a window; each is summed on its own, so no rounding is
     # carried from one recording into the next. The appended zero lets `high` point past the last sample.
     pairs = np.column_stack([low, high]).ravel()
     top = np.add.reduceat(np.append(r * v, 0.0), pairs)[::2]
     bottom = np.add.reduceat(np.append(v * v, 0.0), pairs)[::2]
-    result[place] = top / np.maximum(bottom, (high - low) * SPEED_FLOOR**2)
+    result[rows] = top / np.maximum(bottom, (high - low) * SPEED_FLOOR**2)
     return result

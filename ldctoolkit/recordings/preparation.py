@@ -61,12 +61,12 @@ def local_slope(t: FloatArray, values: FloatArray, *, half: float, longest: floa
     stride = max(1, round(half / (MOST_NEIGHBOURS * max(float(np.median(np.diff(t))), 1e-6)))) if t.size > 1 else 1
     for lag in range(stride, min(stride * MOST_NEIGHBOURS, t.size - 1) + 1, stride):
         s = t[lag:] - t[:-lag]
-        together = (s <= half + ROUNDING) & (stretch[lag:] == stretch[:-lag])
-        if not together.any():
+        near = (s <= half + ROUNDING) & (stretch[lag:] == stretch[:-lag])
+        if not near.any():
             break
-        s, y = np.where(together, s, 0.0), np.where(together, values[lag:] - values[:-lag], 0.0)
+        s, y = np.where(near, s, 0.0), np.where(near, values[lag:] - values[:-lag], 0.0)
         for rows, sign in ((slice(None, -lag), 1.0), (slice(lag, None), -1.0)):
-            count[rows] += together
+            count[rows] += near
             sums[:, rows] += sign * s, sign * y, s * s, s * y
     spread = sums[2] - sums[0] ** 2 / count
     enough: BoolArray = spread > LEAST_SPREAD
@@ -75,13 +75,13 @@ def local_slope(t: FloatArray, values: FloatArray, *, half: float, longest: floa
 
 def rising_rows(t: FloatArray) -> BoolArray:
     """As many rows as possible whose times do not fall; of several choices the one with the earliest rows."""
-    kept = np.ones(t.size, dtype=bool)
+    keep = np.ones(t.size, dtype=bool)
     if (t[1:] >= t[:-1]).all():
-        return kept
+        return keep
     # a row that is in order with every other one is in each longest choice; only the rest needs the search, which is
     # patience sorting from the end
-    odd = np.flatnonzero((t < np.maximum.accumulate(t)) | (t > np.minimum.accumulate(t[::-1])[::-1]))
-    times = t[odd].tolist()
+    doubtful = np.flatnonzero((t < np.maximum.accumulate(t)) | (t > np.minimum.accumulate(t[::-1])[::-1]))
+    times = t[doubtful].tolist()
     latest: list[float] = []  # minus the latest time that a choice of each length can begin with
     lengths = []  # of the longest choice that begins with the row; from the end
     for time in reversed(times):
@@ -89,11 +89,11 @@ def rising_rows(t: FloatArray) -> BoolArray:
         lengths.append(length + 1)
         latest[length : length + 1] = [-time]
     needed, before = len(latest), -float("inf")
-    for row, time, length in zip(odd.tolist(), times, reversed(lengths), strict=True):
-        kept[row] = length == needed and time >= before
-        if kept[row]:
+    for row, time, length in zip(doubtful.tolist(), times, reversed(lengths), strict=True):
+        keep[row] = length == needed and time >= before
+        if keep[row]:
             needed, before = needed - 1, time
-    return kept
+    return keep
 
 
 MOST_DROPPED: Final = 0.05
@@ -106,12 +106,12 @@ def clock_stretches(t: FloatArray) -> list[IntArray]:
     """Rows of each stretch of times that do not fall: single rows in disorder are left out, a clock that starts again
     begins another stretch.
     """
-    kept = rising_rows(t)
-    if np.count_nonzero(~kept) <= MOST_DROPPED * t.size:
-        return [np.flatnonzero(kept)]
+    keep = rising_rows(t)
+    if np.count_nonzero(~keep) <= MOST_DROPPED * t.size:
+        return [np.flatnonzero(keep)]
     falls = np.flatnonzero(t[1:] < t[:-1]) + 1
     if falls.size > MOST_CLOCKS:
-        raise RecordingError(f"the times fall in {falls.size} places; allowed: rows in the order of time")
+        raise RecordingError("", f"the times fall in {falls.size} places", allowed="rows in the order of time")
     return list(np.split(np.arange(t.size), falls))
 
 
@@ -140,8 +140,8 @@ def middle_two(values: FloatArray, group: IntArray, count: IntArray) -> tuple[Fl
     if count.max(initial=0) <= 1:
         return values, values
     ordered = values[np.lexsort((values, group))]
-    begin, some = np.cumsum(count) - count, count > 0
-    return ordered[(begin + (count - 1) // 2)[some]], ordered[(begin + count // 2)[some]]
+    begin, filled = np.cumsum(count) - count, count > 0
+    return ordered[(begin + (count - 1) // 2)[filled]], ordered[(begin + count // 2)[filled]]
 
 
 MAX_GAP: Final = 0.25  # longest time [s] between two usable samples that is bridged
@@ -182,8 +182,8 @@ def resample(recording: Recording, step: float, max_gap: float = MAX_GAP, max_ju
     filled = high > low
     tu, offset = t[usable], recording.lane_offset[usable]
     nearest = _nearest_in(low, high, tu, centre)
-    wanted, recorded = origin + centre, recording.t[_nearest_in(first, last, t, centre)]
-    times = np.where(np.abs(recorded - wanted) <= _SLACK * step, recorded, wanted)  # they may differ by rounding only
+    targets, recorded = origin + centre, recording.t[_nearest_in(first, last, t, centre)]
+    times = np.where(np.abs(recorded - targets) <= _SLACK * step, recorded, targets)  # they may differ by rounding only
     stretch = None
     if recording.lane is not None and tu.size:
         # samples of one lane in a row: a window that holds several is cut to that of its nearest sample
@@ -200,11 +200,11 @@ def resample(recording: Recording, step: float, max_gap: float = MAX_GAP, max_ju
         same &= stretch[after] == stretch[after - 1]
     bridged = np.zeros(grid.size, dtype=bool)
     bridged[inside[same]] = True
-    kept = filled | bridged | seen
+    keep = filled | bridged | seen
     # the windows ``low:high`` are laid once for all columns
     count = np.where(filled, high - low, 0)
     window = np.repeat(np.arange(grid.size), count)
-    place = (low - np.cumsum(count) + count)[window] + np.arange(window.size)
+    rows = (low - np.cumsum(count) + count)[window] + np.arange(window.size)
     after = low[bridged]
     share = (centre[bridged] - tu[after - 1]) / (tu[after] - tu[after - 1])
     columns: dict[str, Any] = {}
@@ -213,9 +213,9 @@ def resample(recording: Recording, step: float, max_gap: float = MAX_GAP, max_ju
             continue
         values = getattr(recording, name)[usable]
         if name in _NAMES:
-            columns[name] = values[nearest[kept]] if tu.size else np.zeros(kept.sum(), values.dtype)
+            columns[name] = values[nearest[keep]] if tu.size else np.zeros(keep.sum(), values.dtype)
             continue
-        below, above = middle_two(values[place], window, count)
+        below, above = middle_two(values[rows], window, count)
         middle = np.where(below == above, below, 0.5 * (below + above))
         if name == "lane_offset" and tu.size:
             near = offset[nearest[filled]]
@@ -224,17 +224,17 @@ def resample(recording: Recording, step: float, max_gap: float = MAX_GAP, max_ju
         result = np.full(grid.size, np.nan)
         result[filled] = middle
         result[bridged] = values[after - 1] + share * (values[after] - values[after - 1])
-        columns[name] = result[kept]
-    return dataclasses.replace(recording, t=times[kept], valid=(filled | bridged)[kept], **columns)
+        columns[name] = result[keep]
+    return dataclasses.replace(recording, t=times[keep], valid=(filled | bridged)[keep], **columns)
 
 
 def _windows(t: FloatArray, grid: IntArray, centre: FloatArray, step: float) -> tuple[IntArray, IntArray]:
     """Samples within half a step of each centre: the first of them, and the one after the last."""
-    own = np.rint(t / step).astype(np.int64)
-    if (own[1:] > own[:-1]).all() and (np.abs(t - own * step) <= _SLACK * step).all():
+    multiple = np.rint(t / step).astype(np.int64)
+    if (multiple[1:] > multiple[:-1]).all() and (np.abs(t - multiple * step) <= _SLACK * step).all():
         # each sample lies at a multiple of its own: no search
-        first = np.arange(own.size) if np.array_equal(own, grid) else np.searchsorted(own, grid, "left")
-        return first, first + (own[np.minimum(first, own.size - 1)] == grid)
+        first = np.arange(multiple.size) if np.array_equal(multiple, grid) else np.searchsorted(multiple, grid, "left")
+        return first, first + (multiple[np.minimum(first, multiple.size - 1)] == grid)
     half = (0.5 + _SLACK) * step
     return np.searchsorted(t, centre - half, "left"), np.searchsorted(t, centre + half, "right")
 
@@ -328,9 +328,9 @@ def prepare(
 ) -> Recording:
     """One stretch of a recording, on its own clock, in the common form."""
     recording = without_frozen(with_yaw_rate(within_limits(recording, widths)))
-    step, apart = preparation.step, np.diff(recording.t[:500])
+    step, steps = preparation.step, np.diff(recording.t[:500])
     # a lane that is seen so seldom that nothing is bridged stays on its own clock
-    if step is None or (apart.size and np.median(apart) > max(preparation.max_gap, step) + ROUNDING):
+    if step is None or (steps.size and np.median(steps) > max(preparation.max_gap, step) + ROUNDING):
         return recording
     return resample(recording, step, preparation.max_gap, max_jump)
 
@@ -395,13 +395,13 @@ def without_codes(recording: Recording, names: Iterable[str]) -> Recording:
 
 def spikes(values: FloatArray, height: float) -> BoolArray:
     """Single samples that are higher than both of their neighbours, or lower, by more than a height."""
-    found = np.zeros(values.size, dtype=bool)
+    marked = np.zeros(values.size, dtype=bool)
     with np.errstate(over="ignore", invalid="ignore"):
         step = np.diff(values)
         far = np.abs(step) > height
         if far.any():
-            found[1:-1] = far[1:] & far[:-1] & (step[1:] * step[:-1] < 0.0)
-    return found
+            marked[1:-1] = far[1:] & far[:-1] & (step[1:] * step[:-1] < 0.0)
+    return marked
 
 
 def within_limits(recording: Recording, widths: tuple[float, float]) -> Recording:
@@ -411,7 +411,7 @@ def within_limits(recording: Recording, widths: tuple[float, float]) -> Recordin
     for name in ("speed", "curvature", "yaw_rate"):
         if (values := getattr(recording, name)) is not None:
             good[name] = (np.abs(values) <= LIMITS[name].largest) & ~spikes(values, LIMITS[name].spike)
-    beyond = [name for name, kept in good.items() if not kept.all()]
+    beyond = [name for name, mask in good.items() if not mask.all()]
     changed: dict[str, Any] = {name: np.where(good[name], getattr(recording, name), np.nan) for name in beyond}
     return dataclasses.replace(recording, **changed) if changed else recording
 
@@ -447,9 +447,9 @@ def new_rows(t: FloatArray, values: FloatArray) -> tuple[IntArray, float]:
     rows = known[new]
     if not _FEWEST_NEW <= rows.size <= 0.7 * t.size:
         return _EVERY_ROW
-    apart, step = np.diff(t[rows]), float(np.median(np.diff(t)))
-    refresh = float(np.median(apart))
-    even = np.abs(apart - refresh) <= max(1.01 * step, 0.25 * refresh)
+    intervals, step = np.diff(t[rows]), float(np.median(np.diff(t)))
+    refresh = float(np.median(intervals))
+    even = np.abs(intervals - refresh) <= max(1.01 * step, 0.25 * refresh)
     if refresh < 1.5 * step or np.mean(even) < _REGULAR:
         return _EVERY_ROW
     # a slow signal with a coarse step is held as well; its changes are single steps, all of one size
@@ -549,11 +549,11 @@ def with_yaw_rate(recording: Recording) -> Recording:
         t, heading = merge_repeated(recording.t[known], np.unwrap(recording.heading[known]))
         slope = local_slope(t, heading, half=HALF_WINDOW, longest=LONGEST)
         sure = np.isfinite(slope)
-        found = values_at(recording.t[missing], t[sure], slope[sure], longest=LONGEST, beyond=HALF_WINDOW)
+        slopes = values_at(recording.t[missing], t[sure], slope[sure], longest=LONGEST, beyond=HALF_WINDOW)
         rate = rate.copy()
-        rate[missing] = found
+        rate[missing] = slopes
         measured = ~missing if measured is None else measured & ~missing
-        filled = np.isfinite(found) & recording.valid[missing]
+        filled = np.isfinite(slopes) & recording.valid[missing]
         noted = any("yaw rate" in note for note in notes)  # by the reader
         if not noted and np.count_nonzero(filled) > WORTH_A_NOTE * np.count_nonzero(recording.valid):
             notes = (*notes, FILLED)

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.departures import LEFT, RIGHT, Departures, DepartureSignals
-from ldctoolkit.recordings.find_departures import ACCEPTED, Found
+from ldctoolkit.recordings.find_departures import ACCEPTED, SearchResult
 from ldctoolkit.recordings.preparation import MAX_JUMP, coarse_step
 from ldctoolkit.recordings.recording import LARGEST, Label, Recording, RecordingTable, printable, usable_samples
 
@@ -72,26 +72,26 @@ class Account:
 
 
 def accounts_of(
-    table: RecordingTable, found: Found, origins: tuple[Origin, ...], counted: BoolArray
+    table: RecordingTable, result: SearchResult, origins: tuple[Origin, ...], counted: BoolArray
 ) -> tuple[Account, ...]:
     """Accounts of one table of r recordings; `origins` has one of each, (r,), and `counted` is false for a piece."""
     distinct = tuple(dict.fromkeys(origins))
-    place = {origin: i for i, origin in enumerate(distinct)}
-    group = np.array([place[origin] for origin in origins], dtype=np.int64)
+    position = {origin: i for i, origin in enumerate(distinct)}
+    group = np.array([position[origin] for origin in origins], dtype=np.int64)
     count = len(distinct)
     samples = np.diff(table.offsets)
-    sample_group = np.repeat(group, samples)[found.usable]
-    bins = np.clip(table.lane_width[found.usable] / WIDTH_STEP, 0, WIDTH_BINS - 1).astype(np.int64)
+    sample_group = np.repeat(group, samples)[result.usable]
+    bins = np.clip(table.lane_width[result.usable] / WIDTH_STEP, 0, WIDTH_BINS - 1).astype(np.int64)
     widths = np.bincount(sample_group * WIDTH_BINS + bins, minlength=count * WIDTH_BINS).reshape(count, WIDTH_BINS)
     kinds = ACCEPTED + 1
-    side = np.where(found.side == LEFT, 0, 1)
-    cell = (group[found.recording] * SIDES + side) * kinds + found.reason
+    side = np.where(result.side == LEFT, 0, 1)
+    cell = (group[result.recording] * SIDES + side) * kinds + result.reason
     candidates = np.bincount(cell, minlength=count * SIDES * kinds).reshape(count, SIDES, kinds)
-    before = np.concatenate([[0], np.cumsum(found.usable)])
+    before = np.concatenate([[0], np.cumsum(result.usable)])
     usable = before[table.offsets[1:]] - before[table.offsets[:-1]]
     # a recording of absurd times counts as `LONGEST`, and as 100 m/s for so long
-    read, driven = (np.rint(np.minimum(seconds, LONGEST) * 1e9) for seconds in (found.read, found.driven))
-    distance = np.rint(np.minimum(found.distance, 100.0 * LONGEST) * 1e6)
+    read, driven = (np.rint(np.minimum(seconds, LONGEST) * 1e9) for seconds in (result.read, result.driven))
+    distance = np.rint(np.minimum(result.distance, 100.0 * LONGEST) * 1e6)
     amounts = {"recordings": counted, "samples": samples, "usable": usable}
     amounts |= {"read_ns": read, "valid_ns": driven, "valid_um": distance}
     totals = {name: np.zeros(count, dtype=np.int64) for name in amounts}
@@ -200,11 +200,11 @@ def unit_counts(
             r = values["yaw rate"] = np.abs(table.yaw_rate[usable])
             values["tight r"] = r / v * (v * r > SHARP)
     for name in ("heading", "steering"):
-        columns = [np.abs(column) for one in recordings if (column := getattr(one, name)) is not None]
+        columns = [np.abs(column) for recording in recordings if (column := getattr(recording, name)) is not None]
         if columns:
             values[name] = np.concatenate(columns)
-    steps = [coarse_step(one.lane_offset[np.isfinite(one.lane_offset)]) for one in recordings]
-    coarse = [one.samples * (step > COARSEST) for one, step in zip(recordings, steps, strict=True)]
+    steps = [coarse_step(recording.lane_offset[np.isfinite(recording.lane_offset)]) for recording in recordings]
+    coarse = [recording.samples * (step > COARSEST) for recording, step in zip(recordings, steps, strict=True)]
     values["coarse offset"] = np.repeat(1.0, sum(coarse))
     counts = {"samples": width.size, "recordings": known.size}
     for name, _, _ in itertools.chain(*_UNITS):
@@ -223,14 +223,14 @@ def unit_warnings(counts: Mapping[str, int], vehicle_width: float) -> dict[str, 
         of = "recordings" if name.startswith("step") else "samples"
         return min(counts.get(name, 0) / max(counts.get(of, 0), 1), 1.0)
 
-    found: dict[str, str] = {}
+    warnings: dict[str, str] = {}
     for group in _UNITS:
         holds = (rule for rule in group if share(rule[0]) > rule[1])
         for name, _, text in itertools.islice(holds, 1):
             # with half the lane's width every offset is large
             if name != "offset > width" or share("width < 2") <= 0.5:
-                found[name.rsplit(" ", 2)[0]] = text.format(share=share(name), vehicle_width=vehicle_width)
-    return found
+                warnings[name.rsplit(" ", 2)[0]] = text.format(share=share(name), vehicle_width=vehicle_width)
+    return warnings
 
 
 FLAT: Final = 1e-6  # a lane that bends less [1/m] counts as straight
@@ -296,14 +296,14 @@ def quality_statistics(
     recordings: Sequence[Recording],
     prepared: RecordingTable,
     common: Sequence[Recording],
-    found: Found,
+    result: SearchResult,
     vehicle_width: float,
 ) -> QualityStatistics:
     """Evidence of r recordings, as one table and one by one: as the source has them, and as they were searched."""
     count, usable = table.names.size, usable_samples(table)
     medians, prints = np.full(count, np.nan), [""] * count
     offsets, grazes = np.zeros(OFFSET_BINS, dtype=np.int64), np.zeros(3, dtype=np.int64)
-    drive = found.read >= SHORTEST_DRIVE
+    drive = result.read >= SHORTEST_DRIVE
     for i, recording in enumerate(recordings):
         rows = slice(int(table.offsets[i]), int(table.offsets[i + 1]))
         good = usable[rows]
@@ -312,11 +312,11 @@ def quality_statistics(
             medians[i] = np.median(widths) / recording.lane_scale
         offset = table.lane_offset[rows][good]
         if drive[i]:
-            place = np.clip(np.rint(offset / OFFSET_STEP) + OFFSET_BINS // 2, 0, OFFSET_BINS - 1)
-            offsets += np.bincount(place.astype(np.int64), minlength=OFFSET_BINS)
+            bin_index = np.clip(np.rint(offset / OFFSET_STEP) + OFFSET_BINS // 2, 0, OFFSET_BINS - 1)
+            offsets += np.bincount(bin_index.astype(np.int64), minlength=OFFSET_BINS)
             away = np.abs(offset)
             back = (away[1:-1] < away[:-2]) & (away[1:-1] <= away[2:]) & (away[1:-1] < GRAZED)
-            grazes += [np.count_nonzero(some) for some in (back, offset > 0.0, offset < 0.0)]
+            grazes += [np.count_nonzero(values) for values in (back, offset > 0.0, offset < 0.0)]
         if widths.size >= SHORTEST_TWIN:
             digest = hashlib.blake2b(widths.tobytes(), digest_size=12)
             digest.update(offset.tobytes())
@@ -328,13 +328,13 @@ def quality_statistics(
         curved = np.abs(bend[usable]) > (FLAT if table.curvature is not None else FLAT * table.speed[usable])
         bends[:] = curved.size, np.count_nonzero(curved)
     related = [_related(recording) for recording in recordings]
-    stays = found.stays[drive[found.stay_recording]]
-    times = (found.driven[drive], stays, stays[stays > LONG_STAY])
+    stays = result.stays[drive[result.stay_recording]]
+    times = (result.driven[drive], stays, stays[stays > LONG_STAY])
     # whole numbers, whose sums do not depend on how the recordings were split
-    stays_ns = [np.rint(np.minimum(some, LONGEST) * 1e9).astype(np.int64).sum() for some in times]
+    stays_ns = [np.rint(np.minimum(values, LONGEST) * 1e9).astype(np.int64).sum() for values in times]
     kind = "measured" if prepared.curvature is not None else "none" if prepared.yaw_rate is None else "yaw_rate"
     return QualityStatistics(
-        units=unit_counts(table, usable, found.median_step, vehicle_width, recordings),
+        units=unit_counts(table, usable, result.median_step, vehicle_width, recordings),
         kinds=(kind,),
         lanes=table.lane is not None,
         turns=np.sum([turns for turns, _ in related], axis=0),
@@ -346,7 +346,9 @@ def quality_statistics(
         offsets=offsets,
         grazes=grazes,
         stays_ns=np.array(stays_ns, dtype=np.int64),
-        notes=tuple(Counter(note for one in common if not one.continues for note in one.notes).items()),
+        notes=tuple(
+            Counter(note for recording in common if not recording.continues for note in recording.notes).items()
+        ),
     )
 
 
@@ -431,10 +433,10 @@ def _sway(recording: Recording, angle: FloatArray, known: BoolArray) -> FloatArr
         return np.zeros(4)
     windows = int((t[-1] - t[0]) / SWAY_WINDOW)
     first = t[0] + SWAY_WINDOW * np.arange(0, windows, -(-windows // MOST_WINDOWS))
-    place = first[:, None] + _SWAY_STEP * np.arange(_SMOOTH.shape[0])
-    row = np.minimum(np.searchsorted(t, place), t.size - 1)
+    times = first[:, None] + _SWAY_STEP * np.arange(_SMOOTH.shape[0])
+    row = np.minimum(np.searchsorted(t, times), t.size - 1)
     # a window with a hole in it, or with a jump of the offset, is left out
-    good = known[row] & recording.valid[row] & (v[row] > TURN_SPEED) & (v[row] < LARGEST) & (t[row] - place <= 0.5)
+    good = known[row] & recording.valid[row] & (v[row] > TURN_SPEED) & (v[row] < LARGEST) & (t[row] - times <= 0.5)
     with np.errstate(invalid="ignore"):
         good[:, 1:] &= np.abs(np.diff(offset[row], axis=1)) <= MAX_JUMP  # False for NaN
     row = row[good.all(axis=1)]
@@ -449,20 +451,20 @@ def _sway(recording: Recording, angle: FloatArray, known: BoolArray) -> FloatArr
 
 def combined_statistics(parts: Iterable[QualityStatistics]) -> QualityStatistics:
     """Evidence of all recordings; in the order of the parts."""
-    given = list(parts) or [no_statistics()]
+    parts = list(parts) or [no_statistics()]
     units: Counter[str] = Counter()
     notes: Counter[str] = Counter()
-    for part in given:
+    for part in parts:
         units.update(dict(part.units))
         notes.update(dict(part.notes))
     summed = ("turns", "bends", "sway", "offsets", "grazes", "stays_ns")
     joined = ("names", "fingerprints", "median_widths")
-    arrays: dict[str, Any] = {name: np.sum([getattr(part, name) for part in given], axis=0) for name in summed}
-    arrays |= {name: np.concatenate([getattr(part, name) for part in given]) for name in joined}
+    arrays: dict[str, Any] = {name: np.sum([getattr(part, name) for part in parts], axis=0) for name in summed}
+    arrays |= {name: np.concatenate([getattr(part, name) for part in parts]) for name in joined}
     return QualityStatistics(
         units=tuple(units.items()),
-        kinds=tuple(sorted({kind for part in given for kind in part.kinds})),
-        lanes=all(part.lanes for part in given),
+        kinds=tuple(sorted({kind for part in parts for kind in part.kinds})),
+        lanes=all(part.lanes for part in parts),
         notes=tuple(notes.items()),
         **arrays,
     )
@@ -506,7 +508,7 @@ def example_events(departures: Departures, signals: DepartureSignals, sources: l
     """The departures to keep of n found ones."""
     matrix = departures.matrix()
     ends = signals.offsets.tolist()
-    found: list[DrawnEvent] = []
+    events: list[DrawnEvent] = []
     for i, (recording, side, time) in enumerate(
         zip(departures.recording.tolist(), departures.side.tolist(), departures.start_time.tolist(), strict=True)
     ):
@@ -514,16 +516,16 @@ def example_events(departures: Departures, signals: DepartureSignals, sources: l
         t, y, v, c = (column[rows].copy() for column in (signals.t, signals.y, signals.v, signals.c))
         digest = hashlib.blake2b(f"{recording}|{time!r}".encode(), digest_size=7).digest()
         lot = int.from_bytes(digest, "big")
-        found.append(DrawnEvent(sources[i], recording, side, time, matrix[i].copy(), t, y, v, c, lot))
-    return combined_examples([Drawn(tuple(found), tuple(found))])
+        events.append(DrawnEvent(sources[i], recording, side, time, matrix[i].copy(), t, y, v, c, lot))
+    return combined_examples([Drawn(tuple(events), tuple(events))])
 
 
 def combined_examples(parts: Iterable[Drawn]) -> Drawn:
     """The departures to keep of several shares of the work."""
-    given = list(parts)
+    parts = list(parts)
     return Drawn(
-        _best((event for part in given for event in part.deepest), lambda event: event.depth),
-        _best((event for part in given for event in part.by_lot), lambda event: (event.lot, *event.depth)),
+        _best((event for part in parts for event in part.deepest), lambda event: event.depth),
+        _best((event for part in parts for event in part.by_lot), lambda event: (event.lot, *event.depth)),
     )
 
 
@@ -533,5 +535,5 @@ def _best(events: Iterable[DrawnEvent], key: Callable[[DrawnEvent], tuple[object
     for event in events:
         groups.setdefault(event.source, {LEFT: [], RIGHT: []})[event.side].append(event)
     return tuple(
-        event for both in groups.values() for found in both.values() for event in sorted(found, key=key)[:KEPT]
+        event for both in groups.values() for group in both.values() for event in sorted(group, key=key)[:KEPT]
     )

@@ -15,8 +15,7 @@ import numpy as np
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.preparation import cut_at, nearest_times
-from ldctoolkit.recordings.recording import LARGEST, Problem, Recording, measured
-from ldctoolkit.recordings.sources import FoundParts
+from ldctoolkit.recordings.recording import LARGEST, FoundParts, Problem, Recording, measured
 from ldctoolkit.recordings.text_table import Cells, LineFault
 from ldctoolkit.recordings.trip_tables import (
     Stretch,
@@ -27,6 +26,7 @@ from ldctoolkit.recordings.trip_tables import (
     collect_trips,
     grouped_problems,
     look_through,
+    no_trips,
     read_header,
     read_trips,
     recognised,
@@ -64,32 +64,31 @@ class Das1Part:
 
     def read(self) -> Iterator[Recording | Problem]:
         """What could not be used, then recordings in the order of the lane table."""
-        lane = read_trips(self.lane, [one for one, _ in self.trips], self.lane.spelled(LANE), time="Time")
-        wsu = read_trips(self.wsu, [one for _, one in self.trips], self.wsu.spelled(WSU), time="Time")
+        lane = read_trips(self.lane, [stretches for stretches, _ in self.trips], LANE)
+        wsu = read_trips(self.wsu, [stretches for _, stretches in self.trips], WSU)
         yield from lane.problems
         yield from wsu.problems
         match = nearest_rows(lane.trip, lane.cells["Time"], wsu.trip, wsu.cells["Time"], TOLERANCE)
         signals = _signals(lane.cells, wsu.cells, match)
         ends = np.searchsorted(lane.trip, np.arange(len(self.trips) + 1)).tolist()
-        theirs = np.bincount(wsu.trip, minlength=len(self.trips))
+        partner_rows = np.bincount(wsu.trip, minlength=len(self.trips))
         joined = np.concatenate([[0], np.cumsum(match >= 0)])
-        apart: list[LineFault] = []
-        for i, (stretches, there) in enumerate(self.trips):
-            first, begin, end = stretches[0], ends[i], ends[i + 1]
-            name = f"{first.device}/{first.trip}"
-            if begin == end or (there and not theirs[i]):
+        faults: list[LineFault] = []
+        for i, (stretches, partners) in enumerate(self.trips):
+            begin, end, name = ends[i], ends[i + 1], stretches[0].name
+            if begin == end or (partners and not partner_rows[i]):
                 continue  # every row was left out, and reported
-            if there and joined[begin] == joined[end]:
+            if partners and joined[begin] == joined[end]:
                 near = f"no row of {self.wsu.name} lies within {TOLERANCE:g} centiseconds of any of its rows"
-                apart.append(LineFault(first.line, "apart", f"trip {name}: {near}; it is left out"))
+                faults.append(LineFault(stretches[0].line, "apart", f"trip {name}: {near}; it is left out"))
                 continue
-            own = {column: values[begin:end] for column, values in signals.items()}
+            columns = {column: values[begin:end] for column, values in signals.items()}
             joins = np.concatenate([lane.joins(i), wsu.joins(i)])
             if joins.size:
-                own["cut"], inside = cut_at(lane.cells["Time"][begin:end], joins)
-                own["valid"] &= ~inside
-            yield Recording(name, source=self.lane.name, notes=() if there else (ALONE,), **own)
-        yield from grouped_problems(self.lane.name, apart)
+                columns["cut"], inside = cut_at(lane.cells["Time"][begin:end], joins)
+                columns["valid"] &= ~inside
+            yield Recording(name, source=self.lane.name, notes=() if partners else (ALONE,), **columns)
+        yield from grouped_problems(self.lane.name, faults)
 
 
 def _signals(lane: Cells, wsu: Cells, match: IntArray) -> dict[str, Any]:
@@ -100,11 +99,11 @@ def _signals(lane: Cells, wsu: Cells, match: IntArray) -> dict[str, Any]:
     left, right = measured(lane["LaneDistanceLeft"]), measured(lane["LaneDistanceRight"])
     placeholder = (left == PLACEHOLDER[0]) & (right == PLACEHOLDER[1])
     quality = np.isin(lane["LaneQualityLeft"], USABLE_QUALITY) & np.isin(lane["LaneQualityRight"], USABLE_QUALITY)
-    found = match >= 0
+    matched = match >= 0
 
     def partner(values: FloatArray) -> FloatArray:
         taken = np.full(match.size, np.nan)
-        taken[found] = values[match[found]]
+        taken[matched] = values[match[matched]]
         return taken
 
     can, gps = wsu["ValidCanWsu"] == 1.0, wsu["GpsValidWsu"] == 1.0
@@ -131,16 +130,16 @@ def nearest_rows(
     Of two as near the earlier one, of rows with one time the first. Neither trips nor the times of a trip fall.
     """
     match = np.full(t.size, -1, dtype=np.int64)
-    for one in np.unique(trip):
-        (low, high), (first, last) = (np.searchsorted(some, [one, one + 1]) for some in (trip, other_trip))
-        own, theirs = t[low:high], other_t[first:last]
-        if not theirs.size:
+    for number in np.unique(trip):
+        (low, high), (first, last) = (np.searchsorted(trips, [number, number + 1]) for trips in (trip, other_trip))
+        times, other_times = t[low:high], other_t[first:last]
+        if not other_times.size:
             continue
-        if np.array_equal(own, theirs) and (own[1:] > own[:-1]).all():  # as usual
+        if np.array_equal(times, other_times) and (times[1:] > times[:-1]).all():  # as usual
             match[low:high] = np.arange(first, last)
             continue
-        chosen = nearest_times(theirs, own)
-        match[low:high] = np.where(np.abs(theirs[chosen] - own) <= tolerance, first + chosen, -1)
+        nearest = nearest_times(other_times, times)
+        match[low:high] = np.where(np.abs(other_times[nearest] - times) <= tolerance, first + nearest, -1)
     return match
 
 
@@ -168,32 +167,33 @@ class SpmdDas1:
 
     def open(self, paths: Sequence[Path]) -> FoundParts[Das1Part]:
         """Look through the tables for where each trip lies."""
-        found, problems = look_through(paths, _named, _layout_of)
-        tables = {kind: [one for one in found if one.layout.kind == kind] for kind in _COLUMNS}
-        (lanes, odd), (others, odder) = map(collect_trips, tables.values())
-        problems += odd + odder
-        lacking = [f"table {one} (columns {', '.join((*KEY, *_COLUMNS[one]))})" for one in tables if not tables[one]]
+        candidates, problems = look_through(paths, _named, _layout_of)
+        tables = {kind: [table for table in candidates if table.kind == kind] for kind in _COLUMNS}
+        (lanes, lane_problems), (others, wsu_problems) = map(collect_trips, tables.values())
+        problems += lane_problems + wsu_problems
+        lacking = [
+            f"table {table} (columns {', '.join((*KEY, *_COLUMNS[table]))})" for table in tables if not tables[table]
+        ]
         if lacking or not lanes:
-            what = f"spmd-das1: no {[*lacking, 'trip of a table DataLane'][0]} was found"
-            raise RecordingError("; ".join([what, *map(str, problems[:5])]))
-        together = []
+            raise RecordingError("spmd-das1", no_trips([*lacking, "trip of a table DataLane"][0], problems))
+        trips = []
         for key, (number, stretches) in lanes.items():
             # a trip that the other table lacks is read as well: it counts, though nothing of it can be used
-            other, there = others.get(key, (0, ()))
-            together.append((number, other, stretches[0].begin, stretches, there))
-        together.sort(key=lambda trip: trip[:3])
+            other, partners = others.get(key, (0, ()))
+            trips.append((number, other, stretches[0].begin, stretches, partners))
+        trips.sort(key=lambda trip: trip[:3])
         parts: list[Das1Part] = []
         for batch in batches(
-            together,
+            trips,
             lambda trip: text_bytes(trip[3] + trip[4]),
             self.part_bytes,
-            lambda one, after: one[:2] != after[:2],
+            lambda table, after: table[:2] != after[:2],
         ):
             number, other, _, stretches, _ = batch[0]
             lane, wsu = tables["DataLane"][number].table, tables["DataWsu"][other].table
-            key_ = f"{lane.name}:{stretches[0].device}/{stretches[0].trip}"
+            key_ = f"{lane.name}:{stretches[0].name}"
             parts.append(Das1Part(key_, lane, wsu, tuple(trip[3:] for trip in batch)))
-        files = tuple(one.file for some in tables.values() for one in some)
+        files = tuple(table.file for group in tables.values() for table in group)
         return FoundParts(tuple(parts), files, tuple(problems))
 
 

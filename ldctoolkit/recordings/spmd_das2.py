@@ -12,8 +12,7 @@ import numpy as np
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.preparation import cut_at
-from ldctoolkit.recordings.recording import Problem, Recording, measured
-from ldctoolkit.recordings.sources import FoundParts
+from ldctoolkit.recordings.recording import FoundParts, Problem, Recording, measured
 from ldctoolkit.recordings.text_table import Cells
 from ldctoolkit.recordings.trip_tables import (
     Stretch,
@@ -23,6 +22,7 @@ from ldctoolkit.recordings.trip_tables import (
     check_trip_columns,
     collect_trips,
     look_through,
+    no_trips,
     read_header,
     read_trips,
     recognised,
@@ -84,7 +84,7 @@ def _layout_of(path: Path) -> tuple[TableLayout | None, str]:
         with path.open("rb") as stream:
             lines = [stream.readline(1 << 16) for _ in range(LOOKED_AT)]
     except OSError as error:
-        raise RecordingError("cannot be read", f"{error.strerror or error}") from None
+        raise RecordingError("", f"cannot be read: {error.strerror}") from None
     begin = len(codecs.BOM_UTF8) if lines[0].startswith(codecs.BOM_UTF8) else 0
     lines[0] = lines[0][begin:]
     filled = [line for line in lines if line.strip()]
@@ -120,7 +120,6 @@ class Das2Part:
 
     key: str  # names the file and the first trip
     table: TripTable  # the file
-    cells: tuple[int, ...]  # allowed numbers of cells in a row
     trips: tuple[tuple[Stretch, ...], ...]  # where each trip lies
 
     @property
@@ -130,23 +129,21 @@ class Das2Part:
 
     def read(self) -> Iterator[Recording | Problem]:
         """Recordings in the order of the table; problems come first."""
-        wanted = self.table.spelled((*REQUIRED, *OPTIONAL))
-        rows = read_trips(self.table, self.trips, wanted, time="Time", cells=self.cells)
+        rows = read_trips(self.table, self.trips, (*REQUIRED, *OPTIONAL))
         yield from rows.problems
         columns = signals_of(rows.cells)
-        missing = [name for name in OPTIONAL if name not in wanted]
+        missing = [name for name in OPTIONAL if name not in rows.cells.columns]
         notes = (f"no column {', '.join(missing)}",) if missing else ()
         ends = np.searchsorted(rows.trip, np.arange(len(self.trips) + 1)).tolist()
         for i, (stretches, begin, end) in enumerate(zip(self.trips, ends[:-1], ends[1:], strict=True)):
             if begin == end:
                 continue  # every row was left out, and reported
-            name = f"{stretches[0].device}/{stretches[0].trip}"
-            own: dict[str, Any] = {
+            signals: dict[str, Any] = {
                 key: None if column is None else column[begin:end] for key, column in columns.items()
             }
             if (joins := rows.joins(i)).size:
-                own["cut"], _ = cut_at(rows.cells["Time"][begin:end], joins)
-            yield Recording(name, source=self.table.name, notes=notes, **own)
+                signals["cut"], _ = cut_at(rows.cells["Time"][begin:end], joins)
+            yield Recording(stretches[0].name, source=self.table.name, notes=notes, **signals)
 
 
 def signals_of(cells: Cells) -> dict[str, Any]:
@@ -196,19 +193,17 @@ class SpmdDas2:
 
     def open(self, paths: Sequence[Path]) -> FoundParts[Das2Part]:
         """Look through the tables for where each trip lies."""
-        found, problems = look_through(paths, _named, _layout_of)
-        trips, odd = collect_trips(found)
-        problems += odd
+        tables, problems = look_through(paths, _named, _layout_of)
+        trips, trip_problems = collect_trips(tables)
+        problems += trip_problems
         if not trips:
-            what = "spmd-das2: no trip of a table HV_Primary was found"
-            raise RecordingError("; ".join([what, *map(str, problems[:5])]))
+            raise RecordingError("spmd-das2", no_trips("trip of a table HV_Primary", problems))
         parts: list[Das2Part] = []
-        for number, one in enumerate(found):
-            own = [stretches for where, stretches in trips.values() if where == number]
-            for batch in batches(own, text_bytes, self.part_bytes):
-                key = f"{one.table.name}:{batch[0][0].device}/{batch[0][0].trip}"
-                parts.append(Das2Part(key, one.table, one.layout.cells, batch))
-        return FoundParts(tuple(parts), tuple(one.file for one in found), tuple(problems))
+        for number, table in enumerate(tables):
+            trips_of_table = [stretches for where, stretches in trips.values() if where == number]
+            for batch in batches(trips_of_table, text_bytes, self.part_bytes):
+                parts.append(Das2Part(f"{table.table.name}:{batch[0][0].name}", table.table, batch))
+        return FoundParts(tuple(parts), tuple(table.file for table in tables), tuple(problems))
 
 
 def _named(path: Path) -> str:

@@ -16,8 +16,16 @@ import polars as pl
 from ldctoolkit.arrays import BoolArray
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.preparation import clock_stretches
-from ldctoolkit.recordings.recording import Problem, Recording, SourceFile, source_file
-from ldctoolkit.recordings.sources import FoundParts, check_columns, place_of, shown_names
+from ldctoolkit.recordings.recording import (
+    FoundParts,
+    Problem,
+    Recording,
+    SourceFile,
+    check_columns,
+    place_of,
+    shown_names,
+    source_file,
+)
 from ldctoolkit.recordings.text_table import (
     LONGEST_LINE,
     MISSING,
@@ -173,12 +181,12 @@ def whole_recordings(blocks: Iterator[pl.DataFrame]) -> Iterator[tuple[pl.DataFr
         joined = block if rest is None else pl.concat([rest, block])
         labels = joined["recording"]
         others = (labels != labels[-1]).arg_true()
-        place = int(others[-1]) + 1 if others.len() else 0  # where the last recording begins
-        if place == 0 and joined.height > LONGEST_PIECE:
-            place = _place_to_part(joined)
-        if place:
-            yield joined[:place], labels[place - 1] == labels[place]
-        rest = joined[place:]
+        begin = int(others[-1]) + 1 if others.len() else 0  # where the last recording begins
+        if begin == 0 and joined.height > LONGEST_PIECE:
+            begin = _place_to_part(joined)
+        if begin:
+            yield joined[:begin], labels[begin - 1] == labels[begin]
+        rest = joined[begin:]
     if rest is not None:
         yield rest, False
 
@@ -280,7 +288,7 @@ def _are_units(header: list[str], raw: bytes, place: str) -> bool:
     for name, word in words.items():
         unit = word.lower().replace(" ", "").replace("sec", "s")
         if ("1/m" if unit in ("m^-1", "m\u207b\xb9", "rad/m") else unit) != UNITS[name]:
-            raise RecordingError(place, f"column '{name}' is in {word!r}; needed: {UNITS[name]}")
+            raise RecordingError(place, f"column '{name}' is in {word!r}", hint=f"needed: {UNITS[name]}")
     return bool(words)
 
 
@@ -290,9 +298,9 @@ def _csv_frames(path: Path, block_bytes: int, faults: list[Fault], names: Sequen
     before = 0
     for header, block, line in csv_blocks(path, block_bytes, faults):
         places = {name: header.index(name) for name in names if name in header}
-        frame, rows, found = parse(block, Layout(places, (len(header),), quoted=True), UNITS.keys() & places)
+        frame, rows, line_faults = parse(block, Layout(places, (len(header),), quoted=True), UNITS.keys() & places)
         near = np.zeros(rows.size, dtype=bool)
-        for fault in found:
+        for fault in line_faults:
             left = "; the line is left out" if fault.kind == "nul" else ""
             faults.append(RecordingError(f"line {line + fault.line}", f"{fault.what}{left}"))
             if fault.kind == "nul":
@@ -316,7 +324,7 @@ def parquet_names(path: Path) -> list[str]:
     try:
         str(path).encode()
     except UnicodeEncodeError:
-        raise RecordingError("", "its path is not UTF-8; allowed for Parquet: names in UTF-8") from None
+        raise RecordingError("", "its path is not UTF-8", allowed="for Parquet names in UTF-8") from None
     try:
         return list(pl.read_parquet_schema(path))
     except _POLARS as error:
@@ -325,10 +333,10 @@ def parquet_names(path: Path) -> list[str]:
 
 def _parquet_frames(path: Path, block_bytes: int, faults: list[Fault], names: Sequence[str]) -> Iterator[pl.DataFrame]:
     """Blocks of rows of a Parquet file."""
-    there = parquet_names(path)
-    check_columns(there, REQUIRED, COLUMNS)
+    present = parquet_names(path)
+    check_columns(present, REQUIRED, COLUMNS)
     rows, first = max(block_bytes // 64, 1), 0
-    lazy = pl.scan_parquet(path, glob=False).select(name for name in names if name in there)
+    lazy = pl.scan_parquet(path, glob=False).select(name for name in names if name in present)
     while True:
         try:
             frame = lazy.slice(first, rows).collect()
@@ -378,16 +386,16 @@ def place_unit(path: Path) -> str:
 
 def _names(path: Path) -> dict[str, int]:
     """First row of each recording of a file, as far as it can be read; faults are reported when it is read in full."""
-    found: dict[str, int] = {}
+    first_rows: dict[str, int] = {}
     name = pl.col("recording").fill_null("")
     try:
         for block in blocks_of(path, BLOCK_BYTES, [], ("recording",)):
             first = block.filter((name != name.shift(1)).fill_null(True) & (name != ""))
             for label, row in first.select("recording", ROW).iter_rows():
-                found.setdefault(label, row)
+                first_rows.setdefault(label, row)
     except (RecordingError, OSError):
         pass
-    return found
+    return first_rows
 
 
 KNOWN_BY: Final = 3  # a file with so many of the five columns that are needed is meant as a recording table
@@ -478,39 +486,43 @@ class TablePart:
                     reading.seen[label] = int(rows[start])
             if not reading.name:
                 continue
-            place = start + np.flatnonzero(timed[start:end])  # a sample without a time is passed over
-            t = columns["t"][place]
+            timed_rows = start + np.flatnonzero(timed[start:end])  # a sample without a time is passed over
+            t = columns["t"][timed_rows]
             first = start + int(np.argmax(fault[start:end]))
             what = " has a fault here" if fault[first] else ""
             try:
                 stretches = clock_stretches(t)
             except RecordingError as error:
-                first, what = place[int(np.argmax(t[1:] < t[:-1])) + 1], f": {error}"
+                first, what = timed_rows[int(np.argmax(t[1:] < t[:-1])) + 1], f": {error}"
             if what:
                 yield fault_at(first, f"recording {label!r}{what}; {left}")
                 reading.lost = True
                 continue
-            if sum(map(len, stretches)) < place.size:
-                odd = np.delete(place, np.concatenate(stretches))
-                more = f" ({odd.size} {word}s in all)" if odd.size > 1 else ""
+            if sum(map(len, stretches)) < timed_rows.size:
+                disordered = np.delete(timed_rows, np.concatenate(stretches))
+                more = f" ({disordered.size} {word}s in all)" if disordered.size > 1 else ""
                 what = f"is not in the order of time; the {word} is left out{more}"
-                yield fault_at(odd[0], f"recording {label!r}: t = {float(columns['t'][odd[0]])!r} s {what}")
-            for at in (place[own] for own in stretches if own.size):
+                yield fault_at(
+                    disordered[0], f"recording {label!r}: t = {float(columns['t'][disordered[0]])!r} s {what}"
+                )
+            for at in (timed_rows[piece] for piece in stretches if piece.size):
                 if columns["t"][at[0]] < reading.last:
                     reading.taken = reading.taken or frozenset({*self.numbered, *_names(Path(self.path))})
                     names = (f"{label} ({number})" for number in itertools.count(2))
-                    reading.name = next(one for one in names if one not in reading.seen and one not in reading.taken)
+                    reading.name = next(
+                        value for value in names if value not in reading.seen and value not in reading.taken
+                    )
                     reading.seen[reading.name], reading.last = int(rows[at[0]]), -np.inf
                     what = f"the clock starts again here; it is read as another recording {reading.name!r}"
                     yield fault_at(at[0], f"recording {label!r}: {what}")
                 continues, then = reading.last > -np.inf, count[at + 1]
                 cut = np.append(continues and then[0] - count[start] + reading.lost > 1, then[1:] - then[:-1] > 1)
                 here = slice(at[0], at[-1] + 1) if at[-1] - at[0] == at.size - 1 else at
-                own: dict[str, Any] = {key: one[here] for key, one in columns.items()}
-                own |= {"cut": cut if cut.any() else None, "continues": continues}
-                yield Recording(reading.name, source=self.shown, **own)
+                piece: dict[str, Any] = {key: value[here] for key, value in columns.items()}
+                piece |= {"cut": cut if cut.any() else None, "continues": continues}
+                yield Recording(reading.name, source=self.shown, **piece)
                 reading.last = float(columns["t"][at[-1]])
-            reading.lost = place.size == 0 or at[-1] < end - 1
+            reading.lost = timed_rows.size == 0 or at[-1] < end - 1
 
 
 @dataclasses.dataclass(frozen=True)
@@ -525,13 +537,13 @@ class TableReader:
 
     def recognise(self, paths: Sequence[Path]) -> str:
         """What was found, if one of the files has a recording table's header; otherwise an empty text."""
-        found = sum(map(_is_table, _files(paths)))
-        return f"{found} recording table{'s' * (found > 1)}" if found else ""
+        count = sum(map(_is_table, _files(paths)))
+        return f"{count} recording table{'s' * (count > 1)}" if count else ""
 
     def open(self, paths: Sequence[Path]) -> FoundParts[TablePart]:
         """Look through files, or folders that hold them."""
         problems: list[Problem] = []
-        found: dict[Path, SourceFile] = {}
+        accepted: dict[Path, SourceFile] = {}
         known: dict[str, str] = {}
         files = _files(paths)
         for path, shown in zip(files, shown_names(files), strict=True):
@@ -539,7 +551,7 @@ class TableReader:
                 if path.is_dir():
                     raise RecordingError("", "the folder holds no recording table")
                 if not path.name.lower().endswith(SUFFIXES):
-                    raise RecordingError("", f"the suffix is not known; allowed: {', '.join(SUFFIXES)}")
+                    raise RecordingError("", "the suffix is not known", allowed=", ".join(SUFFIXES))
                 file = source_file(path, shown)
                 # refuse a file whose header lacks a column, or that has no rows at all
                 if is_parquet(path):
@@ -548,21 +560,21 @@ class TableReader:
                     raise RecordingError("", NO_ROWS)
                 if (first := known.setdefault(file.sha256, shown)) != shown:
                     raise RecordingError("", f"holds the same as {first}, byte by byte; it is left out")
-                found[path] = file
+                accepted[path] = file
             except RecordingError as error:
                 problems.append(Problem.of(shown, error.at("") if error.path == shown else error))
             except OSError as error:
                 problems.append(Problem(shown, "", f"cannot be read: {error.strerror}"))
-        if not found:
+        if not accepted:
             others = f" (and {len(problems) - 1} more problems)" if len(problems) > 1 else ""
             raise RecordingError(f"{problems[0]}{others}" if problems else "no recording file is given")
-        names = [file.name for file in found.values()]
-        left_out, repeated, numbered = repeated_names(list(found), names) if len(found) > 1 else (((),), (), ())
+        names = [file.name for file in accepted.values()]
+        left_out, repeated, numbered = repeated_names(list(accepted), names) if len(accepted) > 1 else (((),), (), ())
         parts = tuple(
             TablePart(str(path), f"{i:05d}-{path.name}", file.bytes, file.name, left_out[i], self.block_bytes, numbered)
-            for i, (path, file) in enumerate(found.items())
+            for i, (path, file) in enumerate(accepted.items())
         )
-        return FoundParts(parts, tuple(found.values()), (*problems, *repeated))
+        return FoundParts(parts, tuple(accepted.values()), (*problems, *repeated))
 
 
 READER: Final = TableReader()
@@ -589,12 +601,12 @@ def _is_table(path: Path) -> bool:
 
 def _files(paths: Sequence[Path]) -> list[Path]:
     """The files, each once; of a folder those with a recording table's suffix and columns, or else the folder."""
-    found: dict[str, Path] = {}
+    files: dict[str, Path] = {}
     for path in paths:
         try:
             inside = sorted(path.iterdir()) if path.is_dir() else []
         except (OSError, ValueError):
             inside = []  # opening it tells why
-        for one in list(filter(_is_table, inside)) or [path]:
-            found.setdefault(place_of(one), one)
-    return list(found.values())
+        for file in list(filter(_is_table, inside)) or [path]:
+            files.setdefault(place_of(file), file)
+    return list(files.values())

@@ -136,16 +136,16 @@ def _ends_inside(text: bytes, cells: int) -> bool:
 def _split(text: bytes, lines: int, layout: Layout, numbers: Collection[str]) -> pl.DataFrame | None:
     """Lines as columns of numbers and texts; None if polars cannot split them."""
     # positional names: a file may repeat or leave blank the names of columns that are not needed
-    place = [f"c{i}" for i in range(max(layout.cells))]
-    text = b"".join((",".join(place).encode(), b"\n", text.replace(b"\r\n", b"\n") if layout.quoted else text))
+    names = [f"c{i}" for i in range(max(layout.cells))]
+    text = b"".join((",".join(names).encode(), b"\n", text.replace(b"\r\n", b"\n") if layout.quoted else text))
     for kind in (pl.Float64, pl.String):  # text is slower, but tolerates blanks and words for "missing"
-        kinds: dict[str, Any] = dict.fromkeys(place, pl.String)
-        kinds |= {place[layout.columns[name]]: kind for name in numbers}
+        kinds: dict[str, Any] = dict.fromkeys(names, pl.String)
+        kinds |= {names[layout.columns[name]]: kind for name in numbers}
         try:
             frame = pl.read_csv(
                 text,
                 schema=kinds,
-                columns=list(dict.fromkeys(place[i] for i in layout.columns.values())),
+                columns=list(dict.fromkeys(names[i] for i in layout.columns.values())),
                 quote_char='"' if layout.quoted else None,
                 raise_if_empty=False,
             )
@@ -153,7 +153,7 @@ def _split(text: bytes, lines: int, layout: Layout, numbers: Collection[str]) ->
             continue
         # else a line has too many cells, or a quoted cell holds a line break
         if frame.height == lines:
-            return frame.select(pl.col(place[i]).alias(name) for name, i in layout.columns.items())
+            return frame.select(pl.col(names[i]).alias(name) for name, i in layout.columns.items())
     return None
 
 

@@ -5,7 +5,7 @@ import dataclasses
 import hashlib
 import os
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Final, TypeVar
 
@@ -14,8 +14,7 @@ import numpy as np
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.preparation import MOST_DROPPED, middle_two, rising_rows
-from ldctoolkit.recordings.recording import Problem, SourceFile
-from ldctoolkit.recordings.sources import check_columns, find_tables, shown_names
+from ldctoolkit.recordings.recording import Problem, SourceFile, check_columns, find_tables, shown_names
 from ldctoolkit.recordings.text_table import BLANKS, ByteArray, Cells, Layout, LineFault, blocks, read_numbers
 from ldctoolkit.whole_file import text_of
 
@@ -39,27 +38,29 @@ def read_header(path: Path) -> TableLayout:
     """The first line of a comma-separated table in UTF-8."""
     try:
         if path.exists() and not path.is_file():
-            raise ValueError("it is not a regular file")  # a pipe would be waited for
+            raise RecordingError("", "cannot be read: it is not a regular file")  # a pipe would be waited for
         with path.open("rb") as stream:
             first = stream.readline(LONGEST_HEADER)
         for magic, name in _PACKED.items():
             if first.startswith(magic):
-                raise ValueError(f"the content is {name}; allowed: plain text, so unpack it")
+                raise RecordingError("", f"cannot be read: the content is {name}", allowed="plain text, so unpack it")
         text = text_of(first)
+    except RecordingError:
+        raise
     except (OSError, ValueError) as error:  # also a NUL in the name
-        reason = error.strerror if isinstance(error, OSError) else None
-        raise RecordingError("cannot be read", f"{reason or error}") from None
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise RecordingError("", f"cannot be read: {reason}") from None
     if not first:
-        raise RecordingError("the file is empty; a header is needed")
+        raise RecordingError("", "the file is empty; a header is needed")
     if len(first) == LONGEST_HEADER and not first.endswith(b"\n"):
-        raise RecordingError(f"the first line is longer than {LONGEST_HEADER} bytes; this is not a table of text")
+        raise RecordingError("", f"the first line is longer than {LONGEST_HEADER} bytes; this is not a table of text")
     if "\r" in text.rstrip("\r\n"):
-        raise RecordingError("the first line holds a carriage return; allowed: lines that end in LF or CR LF")
+        raise RecordingError("", "the first line holds a carriage return", allowed="lines that end in LF or CR LF")
     names = tuple(name.strip(BLANKS + "\n") for name in text.split(","))
     if len(names) == 1:
         for mark, what in _DELIMITERS.items():
             if text.strip().count(mark) > 1:
-                raise RecordingError(f"the columns are separated by {what}; allowed: commas")
+                raise RecordingError("", f"the columns are separated by {what}", allowed="commas")
     return TableLayout(names, len(first))
 
 
@@ -68,7 +69,8 @@ def check_trip_columns(
 ) -> None:
     """Refuse a header that does not begin with the key, lacks a column or repeats one."""
     if [name.lower() for name in columns[: len(key)]] != [name.lower() for name in key]:
-        raise RecordingError(f"the first columns are {', '.join(columns[: len(key)])}; allowed: {', '.join(key)}")
+        first = ", ".join(columns[: len(key)])
+        raise RecordingError("", f"the first columns are {first}", allowed=", ".join(key))
     check_columns(columns, required, optional, same=str.lower)
 
 
@@ -91,6 +93,11 @@ class Stretch:
     line: int  # number of the first line, the file's first is 1
     lines: int  # how many, blank ones included
     unkeyed: int = 0  # lines without a key before it in the file
+
+    @property
+    def name(self) -> str:
+        """The trip's name."""
+        return f"{self.device}/{self.trip}"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -207,12 +214,8 @@ class TripTable:
     name: str  # what it is called in problems
     path: str  # where it is
     columns: tuple[str, ...]  # names of its columns
+    cells: tuple[int, ...]  # allowed numbers of cells in a row
     bytes: int  # size when it was indexed
-
-    def spelled(self, wanted: Iterable[str]) -> dict[str, str]:
-        """Those of the wanted columns that the table has, and their names as it spells them."""
-        known = {name.lower(): name for name in self.columns}
-        return {name: known[name.lower()] for name in wanted if name.lower() in known}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -234,8 +237,8 @@ class TripRows:
 class FoundTable:
     """A table that can be used."""
 
-    table: TripTable  # what it is called, and where it is
-    layout: TableLayout  # as the reader found it
+    table: TripTable
+    kind: str  # which table it is, where a reader knows several
     index: TripIndex  # where its trips lie
 
     @property
@@ -249,24 +252,25 @@ def collect_trips(tables: Sequence[FoundTable]) -> tuple[dict[Key, tuple[int, tu
     trips: dict[Key, tuple[int, tuple[Stretch, ...]]] = {}
     problems: list[Problem] = []
     seen: dict[Key, str] = {}
-    for number, (table, index) in enumerate((one.table, one.index) for one in tables):
-        own: dict[Key, list[Stretch]] = {}
-        apart: dict[Key, int] = {}
+    for number, (table, index) in enumerate((stretch.table, stretch.index) for stretch in tables):
+        by_trip: dict[Key, list[Stretch]] = {}
+        split: dict[Key, int] = {}
         last: Key | None = None
-        for one in index.stretches:
-            key = (one.device, one.trip)
-            own.setdefault(key, []).append(one)
-            if key != last and len(own[key]) > 1 and key not in apart:
-                apart[key] = one.line
+        for stretch in index.stretches:
+            key = (stretch.device, stretch.trip)
+            by_trip.setdefault(key, []).append(stretch)
+            if key != last and len(by_trip[key]) > 1 and key not in split:
+                split[key] = stretch.line
             last = key
         faults = [*index.faults]
-        for key, line in apart.items():
-            what = f"trip {_shown(key)} goes on here, its rows begin in line {own[key][0].line}; they are put together"
-            faults.append(LineFault(line, "apart", f"{what} in the order of time"))
-        for key, stretches in own.items():
+        for key, line in split.items():
+            first = by_trip[key][0]
+            what = f"trip {first.name} goes on here, its rows begin in line {first.line}"
+            faults.append(LineFault(line, "apart", f"{what}; they are put together in the order of time"))
+        for key, stretches in by_trip.items():
             line = stretches[0].line
             if key in seen:
-                what = f"trip {_shown(key)} is also in {seen[key]}; these rows are left out"
+                what = f"trip {stretches[0].name} is also in {seen[key]}; these rows are left out"
                 faults.append(LineFault(line, "twice", what))
                 continue
             seen[key] = f"{table.name}, line {line}"
@@ -278,17 +282,13 @@ def collect_trips(tables: Sequence[FoundTable]) -> tuple[dict[Key, tuple[int, tu
     return trips, problems
 
 
-def _shown(key: Key) -> str:
-    return f"{key[0]}/{key[1]}"
-
-
 def text_bytes(stretches: Iterable[Stretch]) -> int:
     """How much text they are."""
-    return sum(one.end - one.begin for one in stretches)
+    return sum(stretch.end - stretch.begin for stretch in stretches)
 
 
 def batches(
-    trips: Sequence[T], size_of: Callable[[T], int], most: int, apart: Callable[[T, T], bool] | None = None
+    trips: Sequence[T], size_of: Callable[[T], int], most: int, separate: Callable[[T, T], bool] | None = None
 ) -> Iterator[tuple[T, ...]]:
     """Neighbouring trips that are read in one go."""
     batch: list[T] = []
@@ -296,7 +296,7 @@ def batches(
     for i, trip in enumerate(trips):
         batch.append(trip)
         size += size_of(trip)
-        if i + 1 == len(trips) or size >= most or (apart is not None and apart(trip, trips[i + 1])):
+        if i + 1 == len(trips) or size >= most or (separate is not None and separate(trip, trips[i + 1])):
             yield tuple(batch)
             batch, size = [], 0
 
@@ -320,71 +320,65 @@ def grouped_problems(
     return problems
 
 
-def read_trips(
-    table: TripTable,
-    trips: Sequence[tuple[Stretch, ...]],
-    wanted: Mapping[str, str],
-    *,
-    time: str,
-    cells: tuple[int, ...] = (),
-) -> TripRows:
-    """Read the rows of trips, and leave out those that cannot be used."""
-    pieces = [one for stretches in trips for one in stretches]
-    layout = Layout({name: table.columns.index(name) for name in wanted.values()}, cells or (len(table.columns),))
-    found = read_numbers(_read(table, pieces), layout)
-    if found.lines != sum(one.lines for one in pieces):
+def read_trips(table: TripTable, trips: Sequence[tuple[Stretch, ...]], names: Iterable[str]) -> TripRows:
+    """Read those of the named columns that a table has, in rows of trips, and leave out rows that cannot be used."""
+    pieces = [stretch for stretches in trips for stretch in stretches]
+    lower = [name.lower() for name in table.columns]
+    place = {name: lower.index(name.lower()) for name in names if name.lower() in lower}
+    spelled = {table.columns[i]: i for i in place.values()}  # faults name a column as the table does
+    numbers = read_numbers(_read(table, pieces), Layout(spelled, table.cells))
+    if numbers.lines != sum(stretch.lines for stretch in pieces):
         raise RecordingError(table.name, CHANGED)
-    first = np.array([one.line for one in pieces], dtype=np.int64)
-    lines = np.array([one.lines for one in pieces], dtype=np.int64)
+    first = np.array([stretch.line for stretch in pieces], dtype=np.int64)
+    lines = np.array([stretch.lines for stretch in pieces], dtype=np.int64)
     before = np.cumsum(lines) - lines
-    owner = np.repeat(np.arange(len(trips)), [sum(one.lines for one in stretches) for stretches in trips])
+    owner = np.repeat(np.arange(len(trips)), [sum(stretch.lines for stretch in stretches) for stretches in trips])
 
     def line_of(row: IntArray) -> IntArray:
         piece = np.searchsorted(before, row, side="right") - 1
         # an empty piece would share its place with the next; there is none
         return row - before[piece] + first[piece]
 
-    lost_rows = np.array([fault.line for fault in found.faults], dtype=np.int64)
-    faults = [
-        LineFault(line, fault.kind, f"{fault.what}; the line is left out")
-        for line, fault in zip(line_of(lost_rows).tolist(), found.faults, strict=True)
-    ]
-    values = dict(zip(wanted, found.columns.values(), strict=True))
-    trip, t = owner[found.row], values[time]
+    lost_rows = np.array([fault.line for fault in numbers.faults], dtype=np.int64)
+    values = dict(zip(place, numbers.columns.values(), strict=True))
+    trip, t = owner[numbers.row], values["Time"]
     timed = np.abs(t) < LARGEST_TIME  # False for NaN
-    column = wanted[time]
+    no_time = f"column {table.columns[place['Time']]!r} holds no usable time"
+    faults = [
+        fault._replace(line=line, what=f"{fault.what}; the line is left out")
+        for fault, line in zip(numbers.faults, line_of(lost_rows).tolist(), strict=True)
+    ]
     faults += [
-        LineFault(line, "time", f"column {column!r} holds no usable time; the line is left out")
-        for line in line_of(found.row[~timed]).tolist()
+        LineFault(line, "time", f"{no_time}; the line is left out") for line in line_of(numbers.row[~timed]).tolist()
     ]
     keep = np.flatnonzero(timed)
-    apart = len(pieces) > len(trips)
-    if apart:
+    split = len(pieces) > len(trips)
+    if split:
         # pieces of a trip in the order of their median times: one time far ahead at the begin of one does not move it
-        piece = np.searchsorted(before, found.row[keep], side="right")
+        piece = np.searchsorted(before, numbers.row[keep], side="right")
         begins = np.flatnonzero(np.diff(piece, prepend=-1))
         counts = np.diff(begins, append=keep.size)
         middle, _ = middle_two(t[keep], piece, counts)
         keep = keep[np.lexsort((np.repeat(middle, counts), trip[keep]))]  # stable: equal ones stay in the file's order
-    own, clock = trip[keep], t[keep]
+    trip_of, clock = trip[keep], t[keep]
     forward = np.ones(keep.size, dtype=bool)
-    for i in np.unique(own[1:][(clock[1:] < clock[:-1]) & (own[1:] == own[:-1])]).tolist():
-        low, high = np.searchsorted(own, [i, i + 1])
+    for i in np.unique(trip_of[1:][(clock[1:] < clock[:-1]) & (trip_of[1:] == trip_of[:-1])]).tolist():
+        low, high = np.searchsorted(trip_of, [i, i + 1])
         forward[low:high], row, what = rows_in_order(clock[low:high])
-        line, one = int(line_of(found.row[keep[[low + row]]])[0]), trips[i][0]
-        faults.append(LineFault(line, "back", f"trip {one.device}/{one.trip}: {what}"))
+        line = int(line_of(numbers.row[keep[[low + row]]])[0])
+        faults.append(LineFault(line, "back", f"trip {trips[i][0].name}: {what}"))
     cuts = np.empty(0, dtype=np.int64)
-    if apart or found.faults or not forward.all() or keep.size < t.size:
+    if split or numbers.faults or not forward.all() or keep.size < t.size:
         keep = keep[forward]
-        trip, place = trip[keep], found.row[keep]
+        trip, text_row = trip[keep], numbers.row[keep]
         values = {name: column_[keep] for name, column_ in values.items()}
-        unkeyed = before[1:][np.diff([one.unkeyed for one in pieces]) != 0] - 0.5
-        lost = [lost_rows, np.setdiff1d(found.row, place), unkeyed]
-        over = np.diff(np.searchsorted(np.sort(np.concatenate(lost)), place)) != 0
-        over |= ~np.isin(np.diff(np.searchsorted(before, place, side="right")), (0, 1))  # pieces that changed places
+        unkeyed = before[1:][np.diff([stretch.unkeyed for stretch in pieces]) != 0] - 0.5
+        lost = [lost_rows, np.setdiff1d(numbers.row, text_row), unkeyed]
+        over = np.diff(np.searchsorted(np.sort(np.concatenate(lost)), text_row)) != 0
+        over |= ~np.isin(np.diff(np.searchsorted(before, text_row, side="right")), (0, 1))  # pieces that changed places
         cuts = np.flatnonzero(over & (np.diff(trip) == 0)) + 1
     return TripRows(
-        Cells(values, found.row[keep], found.lines), trip, tuple(grouped_problems(table.name, sorted(faults))), cuts
+        Cells(values, numbers.row[keep], numbers.lines), trip, tuple(grouped_problems(table.name, sorted(faults))), cuts
     )
 
 
@@ -449,22 +443,22 @@ def look_through(
     problems_of: list[list[Problem]] = [[] for _ in files]
     layouts: list[tuple[int, TableLayout]] = []
 
-    def report(number: int, place: str, what: str) -> None:
+    def report(number: int, error: RecordingError, outcome: str = "") -> None:
         path, by_user = files[number]
         if by_user or named(path):
-            problems_of[number].append(Problem(shown[number], place, what))
+            problems_of[number].append(Problem.of(shown[number], error, outcome))
 
     for number, (path, _) in enumerate(files):
         try:
             layout, what = layout_of(path)
         except RecordingError as error:
-            report(number, "", f"{error}; it is left out")
+            report(number, error, "it is left out")
             continue
         if layout is None:
-            report(number, "line 1", what)
+            report(number, RecordingError("line 1", what))
             continue
         if what:
-            report(number, "", what)
+            report(number, RecordingError("", what))
         layouts.append((number, layout))
 
     def index(entry: tuple[int, TableLayout]) -> TripIndex | RecordingError:
@@ -476,16 +470,22 @@ def look_through(
 
     with concurrent.futures.ThreadPoolExecutor(AT_ONCE) as beside:
         indexes = list(beside.map(index, layouts))
-    found: dict[str, FoundTable] = {}
+    tables: dict[str, FoundTable] = {}
     for (number, layout), trips in zip(layouts, indexes, strict=True):
         if isinstance(trips, RecordingError):
-            report(number, "", f"{trips}; it is left out")
-        elif trips.sha256 in found:
-            what = f"holds the same as {found[trips.sha256].table.name}, byte by byte; it is left out"
+            report(number, trips, "it is left out")
+        elif trips.sha256 in tables:
+            what = f"holds the same as {tables[trips.sha256].table.name}, byte by byte; it is left out"
             problems_of[number].append(Problem(shown[number], "", what))
         else:
             if not trips.stretches:
                 problems_of[number].append(Problem(shown[number], "", "no usable row"))
-            table = TripTable(shown[number], str(files[number][0].resolve()), layout.columns, trips.bytes)
-            found[trips.sha256] = FoundTable(table, layout, trips)
-    return list(found.values()), [problem for some in problems_of for problem in some]
+            cells = layout.cells or (len(layout.columns),)
+            table = TripTable(shown[number], str(files[number][0].resolve()), layout.columns, cells, trips.bytes)
+            tables[trips.sha256] = FoundTable(table, layout.kind, trips)
+    return list(tables.values()), [problem for listed in problems_of for problem in listed]
+
+
+def no_trips(what: str, problems: Sequence[Problem]) -> str:
+    """What was not found, and the first problems."""
+    return "; ".join([f"no {what} was found", *map(str, problems[:5])])

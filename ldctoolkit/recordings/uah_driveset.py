@@ -15,8 +15,7 @@ import numpy as np
 from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.preparation import LIMITS, cut_at, joins_of, local_slope, merge_repeated, spikes, values_at
-from ldctoolkit.recordings.recording import LARGEST, Label, Problem, Recording, SourceFile, source_file
-from ldctoolkit.recordings.sources import FoundParts
+from ldctoolkit.recordings.recording import LARGEST, FoundParts, Label, Problem, Recording, SourceFile, source_file
 from ldctoolkit.recordings.text_table import Layout, LineFault, read_numbers
 from ldctoolkit.recordings.trip_tables import grouped_problems, rows_in_order
 
@@ -105,14 +104,14 @@ def read_table(path: Path, shown: str, kind: TableKind) -> tuple[Table, list[Pro
         raise RecordingError("", "it is empty")
     cells = 1 + max(kind.columns.values())
     text = b"\n".join(line if b"," in line else b",".join(line.split()[:cells]) for _, line in filled)
-    found = read_numbers(text, Layout(kind.columns, (cells,)))
-    timed = np.abs(found["time"]) < LARGEST  # False for NaN
-    untimed = [LineFault(row, "time", "no usable time") for row in found.row[~timed].tolist()]
-    faults = [fault._replace(line=filled[fault.line][0]) for fault in sorted([*found.faults, *untimed])]
+    numbers = read_numbers(text, Layout(kind.columns, (cells,)))
+    timed = np.abs(numbers["time"]) < LARGEST  # False for NaN
+    untimed = [LineFault(row, "time", "no usable time") for row in numbers.row[~timed].tolist()]
+    faults = [fault._replace(line=filled[fault.line][0]) for fault in sorted([*numbers.faults, *untimed])]
     if not timed.any():
         more = f" and {len(faults) - 1} more" if len(faults) > 1 else ""
         raise RecordingError(f"line {faults[0].line}{more}", f"{faults[0].what}; no line can be used")
-    values, rows = np.column_stack([*found.columns.values()])[timed], found.row[timed]
+    values, rows = np.column_stack([*numbers.columns.values()])[timed], numbers.row[timed]
     t = np.full(len(filled), np.nan)
     t[rows] = values[:, 0]
     forward, row, what = rows_in_order(values[:, 0])
@@ -138,7 +137,7 @@ _WANTED: Final = (LANE.file, GPS.file, ACCELEROMETERS.file)
 
 @dataclasses.dataclass(frozen=True)
 class UahDriveset:
-    r"""The reader; see `ldctoolkit.recordings.sources.RecordingReader`."""
+    r"""The reader; see `ldctoolkit.recordings.recording.RecordingReader`."""
 
     name: str = "uah-driveset"
     title: str = "UAH-DriveSet v1: trips in folders, a phone's lane detection, positions and yaw angles"
@@ -212,7 +211,7 @@ def _trip(folder: _Folder, problems: list[Problem]) -> tuple[TripFolder, list[So
     """The trip in a folder and the digests of its files, the lane's first."""
     for name, what in ((LANE.file, "the offset from the lane's centre"), (GPS.file, "the speed")):
         if name not in folder.files:
-            raise RecordingError(f"no file {name}, which holds {what}")
+            raise RecordingError("", f"no file {name}, which holds {what}")
     match = _TRIP.fullmatch(folder.path.name)
     labels: tuple[Label, ...] = ()
     if match:
@@ -234,18 +233,18 @@ def _folders(paths: Sequence[Path], problems: list[Problem]) -> Iterator[_Folder
         shown = path.name or "."
         try:
             resolved = path.resolve()
-            there = resolved.exists()
+            exists = resolved.exists()
         except (OSError, ValueError, RuntimeError):  # a NUL in the name, a loop of links
-            there = False
-        if not there:
+            exists = False
+        if not exists:
             problems.append(Problem(shown, "", "does not exist"))
             continue
         if resolved.name.upper() in map(str.upper, _WANTED) and not _is_folder(resolved):
             resolved = resolved.parent
-        found = list(_walk(resolved, DEPTH, problems)) if _is_folder(resolved) else []
-        if not found:
+        trips = list(_walk(resolved, DEPTH, problems)) if _is_folder(resolved) else []
+        if not trips:
             problems.append(Problem(shown, "", f"holds no trip: no folder {_PATTERN} and no file {LANE.file}"))
-        yield from found
+        yield from trips
 
 
 def _walk(folder: Path, depth: int, problems: list[Problem]) -> Iterator[_Folder]:
@@ -254,20 +253,20 @@ def _walk(folder: Path, depth: int, problems: list[Problem]) -> Iterator[_Folder
     except OSError as error:
         problems.append(Problem(folder.name, "", f"cannot be read: {error.strerror or error}"))
         return
-    wanted = {name.upper(): name for name in _WANTED}
-    files = {wanted[entry.name.upper()]: entry.name for entry in inside if entry.name.upper() in wanted}
+    spelled = {name.upper(): name for name in _WANTED}
+    files = {spelled[entry.name.upper()]: entry.name for entry in inside if entry.name.upper() in spelled}
     if LANE.file in files:
         yield _Folder(folder.resolve(), files)
         return
-    found = False
+    any_trip = False
     if depth > 0:
         for entry in inside:
             # archives from a Mac hold a shadow of every folder
             if not entry.name.startswith((".", "__")) and _is_folder(entry):
                 for trip in _walk(entry, depth - 1, problems):
-                    found = True
+                    any_trip = True
                     yield trip
-    if not found and _TRIP.fullmatch(folder.name):
+    if not any_trip and _TRIP.fullmatch(folder.name):
         yield _Folder(folder.resolve(), files)
 
 

@@ -8,7 +8,7 @@ import dataclasses
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import get_args
+from typing import Final, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -45,12 +45,13 @@ class Run:
 
     takeover: Takeover
     area: FloatArray | None  # (m,) [m s] Integral of |e_y| from the trigger to T; None where no control acted
-    status: npt.NDArray[np.int8]  # As in `Outcome`, arrays of m
-    failed_solves: IntArray  # As in `Outcome`, arrays of m
-    companions: MetricValues  # As in `Outcome`, arrays of m
-    law_seconds: float  # As in `Outcome`, arrays of m
-    trajectories: Trajectories | None  # Of chosen ones of all n scenarios
-    solver_log: SolverLog = dataclasses.field(default_factory=lambda: SolverLog.of([]))  # As in `Outcome`, arrays of m
+    # As in `Outcome`, arrays of m
+    status: npt.NDArray[np.int8]
+    failed_solves: IntArray
+    companions: MetricValues
+    law_seconds: float
+    trajectories: Trajectories | None
+    solver_log: SolverLog = dataclasses.field(default_factory=lambda: SolverLog.of([]))
 
     def columns(self, windows: Sequence[Window]) -> FloatArray:
         """S and S_uncorrected of each of w windows, then the c companions, of the recorded paths, (2 w + c, n)."""
@@ -97,14 +98,11 @@ class Run:
         )
 
 
-Chosen = bool | npt.ArrayLike
+PathChoice = bool | npt.ArrayLike
 
-_SCENARIOS_A_TASK = 1024  # scenarios that a thread takes at a time
-
-_TOGETHER = 2**21
-"""Scores of linear laws that go through the compiled loop in one call, in numbers of scenarios times designs."""
-
-_DROP_BELOW = 0.9  # share of a batch still running below which the others are dropped from it
+_SCENARIOS_A_TASK: Final = 1024  # Scenarios that a thread takes at a time
+_MOST_SCORES: Final = 2**21  # Scores of linear laws that one call of the compiled loop holds
+_DROP_BELOW: Final = 0.9  # Share of a batch that still runs, below which the others are dropped from it
 
 
 def simulate(
@@ -199,7 +197,7 @@ def simulate(
 
 
 def drive(
-    controller: Controller, takeover: Takeover, *, trajectories: Chosen = False, threads: int | None = None
+    controller: Controller, takeover: Takeover, *, trajectories: PathChoice = False, threads: int | None = None
 ) -> Run:
     """Drive one design from the trigger to the end of every departure and of the settling horizon.
 
@@ -212,7 +210,7 @@ def drive(
     takeover : Takeover
         Scenarios at their triggers.
     """
-    rows = _chosen_rows(trajectories, takeover.scenarios.n)
+    rows = _path_rows(trajectories, takeover.scenarios.n)
     law = _prepared(controller, takeover)
     if isinstance(law, SteeringLaw):
         return _drive_general(law, takeover, controller.name, rows, threads)
@@ -235,7 +233,7 @@ def drive_many(controllers: Iterable[Controller], takeover: Takeover, *, threads
     Run
         In the order of the designs; the same bits, and the same errors, as from `drive`.
     """
-    most = max(1, _TOGETHER // max(1, takeover.m * data.SCORES))
+    most = max(1, _MOST_SCORES // max(1, takeover.m * data.SCORES))
     waiting: list[LinearLaw] = []
     for controller in controllers:
         law = _prepared(controller, takeover)
@@ -269,12 +267,12 @@ def _drive_linear(laws: list[LinearLaw], takeover: Takeover, rows: IntArray | No
     exactly = tables.stiff < m and not laws[0].knows_actuator
     times = np.array([law.preview_times for law in laws], dtype=np.float64)
     lookaheads, past = shape_of(laws[0])
-    table = law_tables(laws, tables.spare_room(d * m * (data.LAW + 2 * lookaheads + past)))
+    table = law_tables(laws, tables.scratch(d * m * (data.LAW + 2 * lookaheads + past)))
     scene, setting = tables.scene, tables.setting.copy()
-    setting[data.COMMANDS] = max(setting[data.COMMANDS], past + 2)
+    setting[data.COMMAND_RING] = max(setting[data.COMMAND_RING], past + 2)
     score = np.full((d, data.SCORES, m), np.nan)  # a scenario that is left out stays visible
     diverged, failed = np.zeros((d, m), dtype=np.bool_), np.zeros((d, m), dtype=np.int64)
-    paths, place, found = tables.paths(rows)
+    paths, path_row, triggered = tables.paths(rows)
 
     def drive_any(rows: IntArray, score: FloatArray, diverged: BoolArray, failed: IntArray) -> None:
         """The blocks of these rows, by the method of Runge and Kutta."""
@@ -282,7 +280,7 @@ def _drive_linear(laws: list[LinearLaw], takeover: Takeover, rows: IntArray | No
 
         def work(first: int, last: int) -> None:
             out = score, diverged, failed
-            entry.drive_any(scene, setting, table, times, tables.recorded, paths, place, blocks[first:last], *out)
+            entry.drive_any(scene, setting, table, times, tables.recorded, paths, path_row, blocks[first:last], *out)
 
         _in_threads(work, blocks.size, threads, _SCENARIOS_A_TASK // 4 // data.LANES)
 
@@ -290,13 +288,14 @@ def _drive_linear(laws: list[LinearLaw], takeover: Takeover, rows: IntArray | No
         drive_any(np.arange(m), score, diverged, failed)
     elif m:
         exact, stiff = tables.exact, np.arange(tables.stiff)
-        elsewhere = place.copy()
-        elsewhere[stiff] = -1
+        exact_path_row = path_row.copy()
+        exact_path_row[stiff] = -1
 
         def work(first: int, last: int) -> None:
             most = int(scene[first * data.LANES : last * data.LANES, data.STEPS].max())
-            own = (score, diverged, failed, *entry.scratch(setting, lookaheads, most))
-            entry.drive_lanes(scene, exact, setting, table, times, tables.recorded, paths, elsewhere, first, last, *own)
+            out = (score, diverged, failed, *entry.scratch(setting, lookaheads, most))
+            given = scene, exact, setting, table, times, tables.recorded, paths, exact_path_row
+            entry.drive_lanes(*given, first, last, *out)
 
         _in_threads(work, -(-m // data.LANES), threads, _SCENARIOS_A_TASK // data.LANES)
         if stiff.size:
@@ -304,27 +303,27 @@ def _drive_linear(laws: list[LinearLaw], takeover: Takeover, rows: IntArray | No
             drive_any(stiff, *other)
             score[:, :, stiff], diverged[:, stiff] = other[0][:, :, stiff], other[1][:, stiff]
             failed[:, stiff] = other[2][:, stiff]
-    kept = _kept_paths(takeover, paths, rows, found)
-    return [_run_of_scores(takeover, score[i], diverged[i], failed[i], 0.0, kept) for i in range(d)]
+    trajectories = _trajectories(takeover, paths, rows, triggered)
+    return [_run_of_scores(takeover, score[i], diverged[i], failed[i], 0.0, trajectories) for i in range(d)]
 
 
 # ---------------------------------------------------------------------- a law that is called sample by sample
 
 
 def _drive_general(law: SteeringLaw, takeover: Takeover, name: str, rows: IntArray | None, threads: int | None) -> Run:
-    """Drive a law, made for the m triggered scenarios: one call a sample for all that still go on, in this thread."""
+    """Drive a law, solved for the m triggered scenarios: one call a sample for all that still go on, in this thread."""
     tables, m = takeover.tables, takeover.m
-    paths, place, found = tables.paths(rows)
-    plants = [_Stretch(tables, slice(0, tables.stiff), np.zeros((3, 0, data.EXACT)), paths, place, threads)]
+    paths, path_row, triggered = tables.paths(rows)
+    plants = [_Stretch(tables, slice(0, tables.stiff), np.zeros((3, 0, data.EXACT)), paths, path_row, threads)]
     if tables.stiff < m:
         exact = np.ascontiguousarray(tables.exact[:, tables.stiff :])
-        plants.append(_Stretch(tables, slice(tables.stiff, m), exact, paths, place, threads))
+        plants.append(_Stretch(tables, slice(tables.stiff, m), exact, paths, path_row, threads))
     times = np.ascontiguousarray(law.preview_times, dtype=np.float64)
     last, failed = takeover.delta_0.copy(), np.zeros(m, dtype=np.int64)
     beyond, alive = np.zeros(m, dtype=np.bool_), np.ones(m, dtype=np.bool_)
-    batch: IntArray | slice = slice(None)  # the scenarios that the law still holds
-    going = np.arange(m)  # places in it of those that go on
-    own = law.init(m)
+    batch: IntArray | slice = slice(None)  # The scenarios that the law still holds
+    going = np.arange(m)  # Rows of it that go on
+    state = law.init(m)
     law_seconds, sample = 0.0, 0
     calls: list[tuple[IntArray, int, SolverCalls]] = []
     while going.size:
@@ -334,14 +333,14 @@ def _drive_general(law: SteeringLaw, takeover: Takeover, name: str, rows: IntArr
         x, yaw_rate, heading, wheel = (values[batch] for values in shown)
         t, previous = takeover.start[batch] + sample * takeover.setup.dt, np.where(alive, last, 0.0)[batch]
         started = time.perf_counter()
-        result = law.step(t, x, Preview(yaw_rate, heading, wheel), previous.copy(), own)
+        result = law.step(t, x, Preview(yaw_rate, heading, wheel), previous.copy(), state)
         law_seconds += time.perf_counter() - started
-        delta, own, status = check_step(result, t.size, name)
-        made = law.solver_calls(own)
-        if made is not None:
-            check_calls(made, t.size, name)
-            made = made.of(going)
-            calls.append((np.arange(m)[batch][made.place], sample, made))
+        delta, state, status = check_step(result, t.size, name)
+        solved = law.solver_calls(state)
+        if solved is not None:
+            check_calls(solved, t.size, name)
+            solved = solved.of(going)
+            calls.append((np.arange(m)[batch][solved.place], sample, solved))
         wrong = ~np.isfinite(delta)
         if wrong.any() or status.any():
             delta[wrong] = previous[wrong]
@@ -353,24 +352,24 @@ def _drive_general(law: SteeringLaw, takeover: Takeover, name: str, rows: IntArr
         sample += 1
         left = np.flatnonzero(alive[batch])
         if 0 < left.size < min(going.size, _DROP_BELOW * t.size):
-            taken = check_taken(law.take(left, own), left.size, name, times)
+            taken = check_taken(law.take(left, state), left.size, name, times)
             if taken is not None:
-                law, own = taken
+                law, state = taken
                 batch, left = np.arange(m)[batch][left], np.arange(left.size)
         going = left
     results = [plant.scores() for plant in plants]
     score, diverged = (np.concatenate(values, axis=-1) for values in zip(*results, strict=True))
-    kept = _kept_paths(takeover, paths, rows, found)
-    run = _run_of_scores(takeover, score, diverged, failed, law_seconds, kept)
+    trajectories = _trajectories(takeover, paths, rows, triggered)
+    run = _run_of_scores(takeover, score, diverged, failed, law_seconds, trajectories)
     status = np.where(beyond & (run.status == EventStatus.OK), np.int8(EventStatus.BEYOND_DELTA_MAX), run.status)
     return dataclasses.replace(run, status=status, solver_log=SolverLog.of(calls))
 
 
 class _Stretch:
-    """Some neighbours among the triggered scenarios in the compiled loops, sample by sample, in threads."""
+    """A range of the triggered scenarios in the compiled loops, sample by sample, in threads."""
 
     def __init__(
-        self, tables: Tables, rows: slice, exact: FloatArray, paths: FloatArray, place: IntArray, threads: int | None
+        self, tables: Tables, rows: slice, exact: FloatArray, paths: FloatArray, path_row: IntArray, threads: int | None
     ) -> None:
         from ldctoolkit.simulation.kernel import entry, lanes
 
@@ -378,30 +377,29 @@ class _Stretch:
         self.rows, self.recorded, self.threads = rows, tables.recorded[rows], threads
         self.blocks = np.arange(-(-(rows.stop - rows.start) // data.LANES))
         self.state = np.zeros((self.blocks.size, lanes.rings(self.setting)[-1]))
-        entry.begin(tables.scene[rows], exact, self.setting, self.state, paths, place[rows])
+        entry.begin(tables.scene[rows], exact, self.setting, self.state, paths, path_row[rows])
 
     def look(self, k: int, times: FloatArray, *shown: FloatArray) -> None:
-        """What the law is shown of those that go on: state (m, 4); yaw rate, heading of the lane (m, p) each; wheel."""
-        own = [values[self.rows] for values in shown]
-        self.entry.look(self.setting, self.state, k, self.blocks, times, *own)
+        """What the law sees: state (m, 4); yaw rate and heading of the lane (m, p); wheel angle (m,)."""
+        self.entry.look(self.setting, self.state, k, self.blocks, times, *(values[self.rows] for values in shown))
 
     def go_on(self, k: int, command: FloatArray, alive: BoolArray) -> None:
-        """Drive to the next sample with the commands (m,); which ones go on into `alive` (m,)."""
-        own = command[self.rows]
+        """Drive to the next sample with the commands (m,); whether each scenario goes on into `alive` (m,)."""
+        commands = command[self.rows]
 
         def work(first: int, last: int) -> None:
             blocks = self.blocks[first:last]
-            self.entry.go_on(self.exact, self.setting, self.state, self.recorded, self.paths, k, blocks, own)
+            self.entry.go_on(self.exact, self.setting, self.state, self.recorded, self.paths, k, blocks, commands)
 
         # an exact step takes less time than to start a thread
         _in_threads(work, self.blocks.size, 1 if self.exact.size else self.threads, _SCENARIOS_A_TASK // data.LANES)
         going = self.state[:, data.ALIVE : data.ALIVE + data.LANES] > 0.0
         self.blocks = np.flatnonzero(going.any(axis=1))
-        alive[self.rows] = going.ravel()[: own.size]
+        alive[self.rows] = going.ravel()[: commands.size]
 
     def scores(self) -> tuple[FloatArray, BoolArray]:
-        """Scores (columns, rows), and who diverged (rows,)."""
-        first, last = data.S, data.S + data.SCORES * data.LANES
+        """Scores (columns, rows), and which scenarios diverged (rows,)."""
+        first, last = data.SCORE, data.SCORE + data.SCORES * data.LANES
         count, shape = self.rows.stop - self.rows.start, (-1, data.SCORES, data.LANES)
         score = self.state[:, first:last].reshape(shape).swapaxes(0, 1).reshape(data.SCORES, -1)
         diverged = self.state[:, data.DIVERGED : data.DIVERGED + data.LANES].ravel() > 0.0
@@ -411,7 +409,7 @@ class _Stretch:
 # ------------------------------------------------------------------------------------------------ paths, threads, runs
 
 
-def _chosen_rows(trajectories: Chosen, n: int) -> IntArray | None:
+def _path_rows(trajectories: PathChoice, n: int) -> IntArray | None:
     """Row numbers of the scenarios whose paths are kept; None for no paths at all."""
     if isinstance(trajectories, bool | np.bool_):
         return np.arange(n) if trajectories else None
@@ -455,31 +453,29 @@ def _run_of_scores(
     law_seconds: float,
     trajectories: Trajectories | None,
 ) -> Run:
-    """A run from scores (SCORES, m), who diverged (m,), and failed commands (m,)."""
+    """A run from scores (SCORES, m), which scenarios diverged (m,), and failed commands (m,)."""
     status = np.where(failed > 0, EventStatus.SOLVER_FAILED, EventStatus.OK)
     status = np.where(diverged, EventStatus.DIVERGED, status).astype(np.int8)
     edge = takeover.setup.vehicle.edge_offset
     # before the trigger the vehicle was on the recorded path
-    front = np.maximum(score[data.FRONT] - edge, takeover.front_before)
-    values = dict(zip(METRIC_UNITS, score[data.AREA + 1 :], strict=True)) | {
-        "deepest": np.maximum(score[data.DEEP] - edge, takeover.deepest_before),
-        "dtle": -front,
-        "opposite_crossing": np.maximum(score[data.OPPOSITE] - edge, 0.0),
-    }
+    area, values = score[0], dict(zip(METRIC_UNITS, score[1:], strict=True))
+    values["deepest"] = np.maximum(values["deepest"] - edge, takeover.deepest_before)
+    values["dtle"] = -np.maximum(values["dtle"] - edge, takeover.front_before)
+    values["opposite_crossing"] = np.maximum(values["opposite_crossing"] - edge, 0.0)
     # a trigger before the line: the edge may never be outside
     inside = (takeover.x_0[:, 0] < edge) & (values["deepest"] <= 0.0)
     values["t_back"] = np.where(inside, takeover.start, values["t_back"])
     companions = MetricValues(**values)
-    return Run(takeover, score[data.AREA], status, failed, companions, law_seconds, trajectories)
+    return Run(takeover, area, status, failed, companions, law_seconds, trajectories)
 
 
-def _kept_paths(over: Takeover, paths: FloatArray, rows: IntArray | None, found: IntArray) -> Trajectories | None:
+def _trajectories(over: Takeover, paths: FloatArray, rows: IntArray | None, triggered: IntArray) -> Trajectories | None:
     """Paths of the chosen rows; NaN where a scenario never triggered."""
     if rows is None:
         return None
     used = np.isfinite(paths[:, :, data.P_TIME]).sum(axis=1).max(initial=1)
     out = np.full((rows.size, int(used), data.PATH), np.nan)
-    out[found] = paths[:, : int(used)]
+    out[triggered] = paths[:, : int(used)]
     at_trigger = np.full(over.scenarios.n, np.nan)
     if over.setup.options.speed == "frozen":
         at_trigger[over.rows] = over.plant.v

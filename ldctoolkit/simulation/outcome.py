@@ -10,10 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 import ldctoolkit.metrics as metrics
-from ldctoolkit.arrays import BoolArray, FloatArray, IntArray, ReadOnly
+from ldctoolkit.arrays import BoolArray, FloatArray, Frame, IntArray, ReadOnly
 from ldctoolkit.control import EventStatus, SolverLog
 from ldctoolkit.departures import LEFT
-from ldctoolkit.frames import Frame
 from ldctoolkit.notebook import outcome_html
 
 if TYPE_CHECKING:

@@ -97,9 +97,8 @@ class TrueVehicles:
         return e_psi, yaw_error, delta
 
 
-_ITERATIONS = 8  # fixed-point steps from the small angles to the large ones of saturating tyres
-
-_DRAWN = ("m", "I_z", "C_af", "C_ar", "mu")  # quantities with a factor, in the order of the random numbers
+_ITERATIONS = 8  # Fixed-point steps from the small angles to the large ones of saturating tyres
+_DRAWN = ("m", "I_z", "C_af", "C_ar", "mu")  # Quantities with a factor, in the order of the random numbers
 
 
 def true_vehicles(
@@ -126,11 +125,10 @@ def true_vehicles(
 BOUND = 20.0
 """|e_y| [m] at which a scenario counts as diverged; from there on the bound itself is scored, so S stays finite."""
 
-_SHORTEST_STEP = 1e-12  # a remainder shorter than this is rounding of T - t_s, not a step to be driven
+_SHORTEST_STEP = 1e-12  # [s] A shorter remainder is rounding of T - t_s, not a step to be driven
+_SPEED_STEP = 1e-4  # [s] Step of the difference quotient of the recorded speed
 
-_SPEED_STEP = 1e-4  # step [s] of the difference quotient of the recorded speed
-
-# longest substep of the Runge-Kutta method, in units of the fastest time constant and in seconds: the yaw oscillation
+# Longest substep of the Runge-Kutta method, in units of the fastest time constant and in seconds: the yaw oscillation
 # and the law's own poles are no slower at high speed
 _REACH, _LONGEST = 0.25, 0.03
 
@@ -184,7 +182,7 @@ class Takeover:
 
     @functools.cached_property
     def recorded(self) -> MetricValues:
-        """Companions of the recorded path, arrays of n; NaN where not valid, 0 for what only a system can cause."""
+        """Metrics of the recorded path, arrays of n; NaN where not valid, 0 for what only a system can cause."""
         T = self.path.scenarios.T
         measured = {
             "deepest": self.path.deepest(T),
@@ -257,25 +255,11 @@ class Takeover:
         v = driven.speed(start)
         vehicles = true_vehicles(model.parameters, options.mismatch, options.tyres, driven.scenarios, seed)
         x_0, delta_0 = _state(driven, vehicles, setup, start)
+        S_uncorrected, S_before = np.where(valid, [S_uncorrected, S_before], np.nan)
         return cls(
-            scenarios=scenarios,
-            setup=setup,
-            y_s=y_s,
-            valid=valid,
-            path=path,
-            rows=rows,
-            t_s=t_s,
-            S_uncorrected=np.where(valid, S_uncorrected, np.nan),
-            S_before=np.where(valid, S_before, np.nan),
-            driven=driven,
-            vehicles=vehicles,
-            start=start,
-            x_0=x_0,
-            delta_0=delta_0,
-            full_steps=full_steps,
-            rest=rest,
-            plant=setup.plant(v),
-        )
+            scenarios, setup, y_s, valid, path, rows, t_s, S_uncorrected, S_before, driven, vehicles, start, x_0,
+            delta_0, full_steps, rest, setup.plant(v),
+        )  # fmt: skip
 
 
 def _state(path: UncorrectedPath, car: TrueVehicles, setup: Setup, t: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -307,8 +291,8 @@ def _front_deepest(path: UncorrectedPath, car: TrueVehicles, setup: Setup, t_end
     """Largest distance y + l_f e_psi of the front axle's edge beyond the line over [0, t_end], (n,) [m]."""
     steady = _steady(setup)
 
-    def front(some: UncorrectedPath, rows: IntArray, t: FloatArray) -> FloatArray:
-        return some.lateral(t) + car.l_f * _attitude(some, car.columns(rows), steady, t)[0]
+    def front(part: UncorrectedPath, rows: IntArray, t: FloatArray) -> FloatArray:
+        return part.lateral(t) + car.l_f * _attitude(part, car.columns(rows), steady, t)[0]
 
     return path.highest(front, np.zeros_like(t_end), t_end)
 
@@ -333,12 +317,12 @@ class Tables:
         states = (step.A[:, :, 1:].reshape(-1, 12) for step in steps)
         return np.stack([np.column_stack([A, *columns]) for A, columns in zip(states, inputs, strict=True)])
 
-    def spare_room(self, size: int) -> FloatArray:
-        """At least `size` numbers, that one thread may use again and again: fresh memory costs more than filling it."""
-        if not hasattr(self.spare, "room") or self.spare.room.size < size:
-            self.spare.room = np.empty(size)
-        room: FloatArray = self.spare.room
-        return room
+    def scratch(self, size: int) -> FloatArray:
+        """At least `size` numbers that one thread may use again and again: fresh memory costs more than filling it."""
+        if not hasattr(self.spare, "array") or self.spare.array.size < size:
+            self.spare.array = np.empty(size)
+        array: FloatArray = self.spare.array
+        return array
 
     @functools.cached_property
     def recorded(self) -> FloatArray:
@@ -359,17 +343,17 @@ class Tables:
         return int((_substeps(setup, self.over.plant.v) > data.STIFF).sum())
 
     def paths(self, rows: IntArray | None) -> tuple[FloatArray, IntArray, IntArray]:
-        """Room for the paths of chosen rows (c, entries, columns), their places (m,) or -1, and which triggered."""
-        over, place = self.over, np.full(self.over.m, -1, dtype=np.int64)
+        """Array for paths of chosen rows (c, entries, columns), its row of each scenario (m,) or -1, the triggered."""
+        over, path_row = self.over, np.full(self.over.m, -1, dtype=np.int64)
         if rows is None:
-            return np.zeros((0, 0, data.PATH)), place, place[:0]
-        of_row = np.full(over.scenarios.n, -1, dtype=np.int64)
-        of_row[over.rows] = np.arange(over.m)
-        found = np.flatnonzero(of_row[rows] >= 0)
-        chosen = of_row[rows[found]]
-        place[chosen] = np.arange(chosen.size)
-        longest = int(self.scene[chosen, data.STEPS].max(initial=0)) + 2
-        return np.full((chosen.size, longest, data.PATH), np.nan), place, found
+            return np.zeros((0, 0, data.PATH)), path_row, path_row[:0]
+        driven_row = np.full(over.scenarios.n, -1, dtype=np.int64)
+        driven_row[over.rows] = np.arange(over.m)
+        triggered = np.flatnonzero(driven_row[rows] >= 0)
+        with_path = driven_row[rows[triggered]]
+        path_row[with_path] = np.arange(with_path.size)
+        longest = int(self.scene[with_path, data.STEPS].max(initial=0)) + 2
+        return np.full((with_path.size, longest, data.PATH), np.nan), path_row, triggered
 
 
 def _substeps(setup: Setup, v: FloatArray) -> FloatArray:
@@ -451,11 +435,11 @@ def _filter(over: Takeover) -> FloatArray:
     return np.concatenate([filter_columns(over.plant, sensors.kalman, frame_samples), first], axis=1)
 
 
-def law_tables(laws: Sequence[LinearLaw], room: FloatArray) -> FloatArray:
-    """Linear laws of one shape for the compiled loops, (d, m, `data.LAW` + 2 p + q); into `room`."""
+def law_tables(laws: Sequence[LinearLaw], scratch: FloatArray) -> FloatArray:
+    """Linear laws of one shape for the compiled loops, (d, m, `data.LAW` + 2 p + q); into `scratch`."""
     p, q = shape_of(laws[0])
     shape = (len(laws), laws[0].F.shape[0], data.LAW + 2 * p + q)
-    tables = room[: math.prod(shape)].reshape(shape)
+    tables = scratch[: math.prod(shape)].reshape(shape)
     for table, law in zip(tables, laws, strict=True):
         table[:, data.LAW_F : data.LAW_U] = law.F
         table[:, data.LAW_U] = law.f_u

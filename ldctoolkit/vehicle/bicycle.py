@@ -23,7 +23,7 @@ from ldctoolkit.vehicle.discretization import AugmentedStep, Discretization, aug
 class Plant:
     """The vehicle discretised once for a scenario set, shared by every design.
 
-    It carries no scenario but the speed at which each is driven, so that a design cannot look at its own examination.
+    It carries nothing of a scenario but its speed, so that a design cannot fit the scenarios that it is scored on.
 
     Examples
     --------
@@ -37,12 +37,8 @@ class Plant:
     v: FloatArray  # (n,) [m/s] Speed of each scenario, frozen at the trigger
     dt: float  # [s] Sample time of the controller
     lag: float = 0.0  # [s] Time constant of the nominal actuator; 0 for none
-    # [s] From the moment that the law sees to the moment at which its command acts: delay of the nominal actuator and
-    # `age`
-    delay: float = 0.0
-    # [s] How old a frame of the nominal camera is, on average, when the law first sees it. The lane ahead is that of
-    # the present.
-    age: float = 0.0
+    delay: float = 0.0  # [s] From what the law sees to the effect of its command: of the nominal actuator, and `age`
+    age: float = 0.0  # [s] Mean age of a frame of the nominal camera when the law first sees it; 0 of the lane ahead
 
     @classmethod
     def build(
@@ -57,12 +53,12 @@ class Plant:
 
     @functools.cached_property
     def step(self) -> Discretization:
-        """One step of dt at each speed, of the vehicle alone; worked out where it is first wanted."""
+        """One step of dt at each speed, of the vehicle alone; computed at its first use."""
         return self.model.discretize(self.v, self.dt)
 
     @functools.cached_property
     def augmented(self) -> AugmentedStep:
-        """One sample behind the actuator at each speed, as what the law sees moves on; worked out once."""
+        """One sample behind the actuator at each speed; computed once."""
         return augmented(*self.model.matrices(self.v), self.dt, lag=self.lag, delay=self.delay)
 
     @property
@@ -71,7 +67,7 @@ class Plant:
         return int(self.v.shape[0])
 
     def steady_state(self) -> SteadyState:
-        """Steady cornering at each scenario's speed, per unit of lane yaw rate; worked out once for all designs."""
+        """Steady cornering at each scenario's speed, per unit of lane yaw rate; computed once for all designs."""
         return self._steady_state
 
     @functools.cached_property
@@ -172,8 +168,7 @@ class SteadyState:
     """Steady cornering per unit of lane yaw rate, at each of n speeds."""
 
     delta: FloatArray  # (n,) [rad per rad/s] Steering angle that holds the bend with e_y = 0
-    # (n,) [rad per rad/s] Heading error that belongs to it (the vehicle's side slip, with its sign turned)
-    e_psi: FloatArray
+    e_psi: FloatArray  # (n,) [rad per rad/s] Heading error there: minus the vehicle's side slip
 
 
 @dataclasses.dataclass(frozen=True)

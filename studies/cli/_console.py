@@ -5,14 +5,14 @@ from __future__ import annotations
 import argparse
 import contextlib
 import dataclasses
-import math
 import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import ldctoolkit.compiling as compiling
+from ldctoolkit.declared import checked_number, checked_whole
 from ldctoolkit.errors import InputError
 
 if TYPE_CHECKING:
@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
     from ..tables import Table
 
+
+T = TypeVar("T")
 
 _WIDTH = 160  # columns where stdout is no terminal: a file or a log has no width of its own
 
@@ -82,9 +84,7 @@ def print_table(table: Table, out: Console | None = None, *, narrow: bool = Fals
             box=box.HEAVY_HEAD if ruled else None, padding=(0, 1) if ruled else (0, 1, 0, 0),
         )  # fmt: skip
         for j in shown:
-            grid.add_column(
-                Text(heads[j]), justify="left" if table.columns[j].text else "right", width=None if ruled else widths[j]
-            )
+            grid.add_column(Text(heads[j]), justify="left" if table.columns[j].text else "right", width=widths[j])
         for row, texts in zip(table.rows, rows, strict=True):
             if row.apart:
                 grid.add_section()
@@ -123,27 +123,28 @@ def output_file(path: str, *suffixes: str, option: str = "-o") -> Path:
     return target
 
 
-def whole_number(text: str) -> int:
-    """A whole number >= 0 on the command line."""
-    if not text.isascii() or not text.isdigit():
-        raise argparse.ArgumentTypeError(f"{text!r}; allowed: a whole number >= 0")
-    return int(text)
+def argument(check: Callable[..., T], **limits: float) -> Callable[[str], T]:
+    """The type of an argument that is a number within limits; whole ones may be written as ``1e6``."""
+
+    def read(text: str) -> T:
+        try:
+            whole = text.isascii() and text.isdigit()
+            value: Any = int(text) if whole else float(text)
+            value = int(value) if check is checked_whole and value == value // 1 else value
+        except (ValueError, OverflowError):
+            value = text
+        try:
+            return check("", value, **limits)
+        except InputError as error:
+            raise argparse.ArgumentTypeError(str(InputError("", value=text, allowed=error.allowed))) from None
+
+    return read
 
 
-def positive_number(text: str) -> int:
-    """A whole number >= 1 on the command line."""
-    with contextlib.suppress(argparse.ArgumentTypeError):
-        if whole_number(text) >= 1:
-            return int(text)
-    raise argparse.ArgumentTypeError(f"{text!r}; allowed: a whole number >= 1")
-
-
-def number(text: str) -> float:
-    """A finite number on the command line."""
-    with contextlib.suppress(ValueError):
-        if math.isfinite(value := float(text)):
-            return value
-    raise argparse.ArgumentTypeError(f"{text!r}; allowed: a number")
+whole_number = argument(checked_whole, lower=0)
+positive_number = argument(checked_whole, lower=1)
+number = argument(checked_number)
+_end = argument(checked_number, finite=False)
 
 
 _live: list[Progress] = []  # what is on the screen: a phase inside another one is a line below it
@@ -187,25 +188,18 @@ def named(text: str) -> tuple[str, str]:
     return name.strip(), rest.strip()
 
 
-def _number(text: str, whole: str) -> float:
-    with contextlib.suppress(ValueError):
-        if not math.isnan(value := float(text)):
-            return value
-    raise argparse.ArgumentTypeError(f"{whole!r}: {text!r} is not a number")
-
-
 def interval(text: str, whole: str) -> Interval:
     """``LOW:HIGH``, an empty end is open."""
     low, colon, high = text.partition(":")
     if not colon:
         raise argparse.ArgumentTypeError(f"{whole!r}; allowed: NAME=LOW:HIGH, an empty end is open")
-    return tuple(_number(end, whole) if end.strip() else None for end in (low, high))  # type: ignore[return-value]
+    return tuple(_end(end) if end.strip() else None for end in (low, high))  # type: ignore[return-value]
 
 
 def condition(text: str) -> tuple[str, float | Interval]:
     """``NAME=VALUE`` or ``NAME=LOW:HIGH``."""
     name, rest = named(text)
-    return name, interval(rest, text) if ":" in rest else _number(rest, text)
+    return name, interval(rest, text) if ":" in rest else _end(rest)
 
 
 def bound(text: str) -> tuple[str, Interval]:
@@ -218,7 +212,7 @@ def add_limit(parser: argparse.ArgumentParser) -> None:
     """Declare ``--limit``."""
     parser.add_argument(
         "--limit",
-        type=lambda text: (named(text)[0], _number(named(text)[1], text)),
+        type=lambda text: (named(text)[0], _end(named(text)[1])),
         action="append",
         metavar="NAME=VALUE",
         help="a departure beyond it is implausible: y_rate (2 m/s), y_acceleration (4 m/s^2), a_y (6 m/s^2); inf for "

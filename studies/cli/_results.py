@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-from ..pages.ranking_markdown import write_markdown
+from ..pages.ranking_section import write_markdown
 from ..ranking.ranking import Ranking, rank_study, write_csv
 from ..ranking.verdict import Verdict, listed_places, more_lines, ranking_table, verdict_lines
 from ..results import StudyResults

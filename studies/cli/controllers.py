@@ -94,10 +94,10 @@ def describe_models(chosen: argparse.Namespace) -> None:
     """Carry ``ldc models`` out."""
     from ldctoolkit.scenario_model import bundled_models, load_model
 
-    from ..storage.stored_model import model_notes
+    from ..storage.stored_model import model_notes, model_warnings
 
     for name in chosen.model or bundled_models():
         model = load_model(name)
         print(f"{name} (content {model.content_hash[:12]})")
-        for note in model_notes(model):
+        for note in (*model_notes(model), *(f"warning: {text}" for text in model_warnings(model))):
             print(f"  {note}")

@@ -83,7 +83,7 @@ def run(chosen: argparse.Namespace) -> int:
         raise InputError("-o", "not given", allowed="-o FILE.parquet, the departures table to write")
     from ldctoolkit.recordings.find_departures import Criteria
     from ldctoolkit.recordings.preparation import Preparation
-    from ldctoolkit.recordings.sources import open_recordings
+    from ldctoolkit.recordings.recording import open_recordings
 
     from ..extraction import MOST_NAMED, NothingReadError, parts_folder, run_extraction
 

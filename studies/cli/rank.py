@@ -9,9 +9,26 @@ from typing import TYPE_CHECKING, Any
 
 from ldctoolkit.errors import InputError
 
-from ._console import Subparsers, number, output_file, positive_number, progress_bar, warn, whole_number
+from ..tables import Column, Row, Table
+from ._console import (
+    Subparsers,
+    console,
+    number,
+    output_file,
+    positive_number,
+    print_table,
+    progress_bar,
+    say,
+    warn,
+    whole_number,
+)
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from ..design import Design
+    from ..sensitivity.sensitivity import BlockSensitivity
+    from ..sensitivity.winner_profile import Profile
     from ..study_file import Study
 
 
@@ -45,7 +62,7 @@ def add_parser(commands: Subparsers) -> None:
 
 def run(chosen: argparse.Namespace) -> None:
     """Carry the command out."""
-    from ..pages.ranking_markdown import write_markdown
+    from ..pages.ranking_section import write_markdown
     from ..ranking.ranking import rank_study, write_csv
     from ..ranking.verdict import verdict
     from ..storage.store import Store
@@ -127,7 +144,6 @@ def _run_sensitivity(chosen: argparse.Namespace) -> None:
     from ..sensitivity.sensitivity import sensitivity
     from ..sensitivity.winner_profile import winner_profile, write_sensitivity
     from ..storage.store import Store
-    from ._tables import print_indices, print_profiles
 
     store = Store.open(chosen.folder)
     study, results = store.manifest.read_study(), store.results()
@@ -147,6 +163,60 @@ def _run_sensitivity(chosen: argparse.Namespace) -> None:
     write_sensitivity(blocks, profiles, path)
     if results.window == "control":
         warn("S over the control window starts at the trigger: designs with different y_s are not comparable there")
-    print_indices(blocks, results.label, study.ranking.confidence)
-    print_profiles(profiles, middle, role, results.label, study.ranking.confidence)
+    _print_indices(blocks, results.label, study.ranking.confidence)
+    _print_profiles(profiles, middle, role, results.label, study.ranking.confidence)
     print(f"sensitivity: {path}")
+
+
+def _print_indices(blocks: Sequence[BlockSensitivity], label: str, confidence: float) -> None:
+    """One table for every block with indices, and one line for every other."""
+    from ldctoolkit.registry import controller_class
+
+    from ..pages.landscape_section import index_table
+
+    for block in blocks:
+        title = f"design[{block.block}], {controller_class(block.law).title}"
+        if block.indices is None:
+            say(console(), f"{title}: no Sobol indices: {block.reason}")
+        else:
+            print_table(index_table([block], f"{title}: Sobol indices of mean S, {label}", confidence))
+            notes = (block.note, f"{block.designs} designs", f"intervals over {block.interval_over}")
+            say(console(), "; ".join(note for note in notes if note))
+        console().print()
+
+
+def _print_profiles(profiles: Sequence[Profile], middle: Design, which: str, label: str, confidence: float) -> None:
+    """One line for every dimension, the one that moves S most first; `which` says what the design in the middle is."""
+    from ..design import gain_text
+
+    say(console(), f"Around {middle.label} ({middle.id}), {which}, one at a time, {label}:")
+    if not profiles:
+        say(console(), "nothing varies in the designs of this law")
+        return
+    print_table(_profile_table(profiles, confidence))
+    for profile in profiles:
+        if (end := profile.beyond) is not None:
+            say(console(), f"{profile.name}: S is least at {gain_text(end)}, the end of its range in this study: "
+                  "something better may lie beyond")  # fmt: skip
+        for value, reason in zip(profile.values, profile.failures, strict=True):
+            if reason:
+                say(console(), f"{profile.name} = {gain_text(value)}: {reason}")
+
+
+def _profile_table(profiles: Sequence[Profile], confidence: float) -> Table:
+    from ..design import gain_text
+
+    columns = [
+        Column("dimension", text=True), Column("value"), Column("from"), Column("to"), Column("values (driven)"),
+        Column("S moves by", "m\u00b7s", ".4f"), Column("least S at"), Column("there", "m\u00b7s", "+.4f"),
+        Column(f"{100 * confidence:g} % interval", "m\u00b7s", "+.4f"),
+    ]  # fmt: skip
+    rows = []
+    for one in sorted(profiles, key=lambda profile: -profile.spread):
+        unit, best = "" if one.unit == "1" else f" {one.unit}", one.best
+        ends = gain_text(one.values[0]), gain_text(one.values[-1])
+        driven = f"{len(one.values)} ({int((~one.stored).sum())})"
+        there = float(one.difference[best]), (float(one.low[best]), float(one.high[best]))
+        middle, least = f"{gain_text(one.values[one.at])}{unit}", gain_text(one.values[best])
+        rows.append(Row([one.name, middle, *ends, driven, one.spread, least, *there]))
+    return Table("", columns, rows)

@@ -1,9 +1,24 @@
 """``ldc report``: write the report of a study again; ``ldc compare``: what got better or worse between two studies."""
 
+from __future__ import annotations
+
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from ._console import Subparsers, add_report_options, console, output_file, positive_number, progress_bar
+from ._console import (
+    Subparsers,
+    add_report_options,
+    console,
+    output_file,
+    positive_number,
+    print_table,
+    progress_bar,
+    say,
+)
+
+if TYPE_CHECKING:
+    from ..comparison.comparison import Comparison
 
 
 def add_parser(commands: Subparsers) -> None:
@@ -58,6 +73,7 @@ def _folder(name: str) -> Path:
     return default if not Path(name).exists() and (default / "manifest.json").exists() else Path(name)
 
 
+_MOST_LISTED = 20  # designs that failed
 SOME_WORSE = 3  # exit code where a design is worse and the caller wants to know
 
 
@@ -85,7 +101,6 @@ def compare_studies(chosen: argparse.Namespace) -> int:
 
     from ..comparison.comparison import compare, comparison_content, write_comparison
     from ..pages.compare_page import write_compare_page
-    from ._tables import print_comparison
 
     targets = [output_file(path, ".csv", ".html") for path in chosen.output]
     with progress_bar("comparing"):
@@ -96,7 +111,44 @@ def compare_studies(chosen: argparse.Namespace) -> int:
     if chosen.json:
         print(json.dumps(comparison_content(comparison), indent=2, allow_nan=False))
     else:
-        print_comparison(comparison, chosen.top, console())
+        _print_comparison(comparison, chosen.top)
         for target in targets:
             print(f"comparison: {target}")
     return SOME_WORSE if chosen.fail_if_worse and comparison.any_worse else 0
+
+
+def _print_comparison(comparison: Comparison, top: int) -> None:
+    """What differs between the inputs first, then the designs, the failures, the warnings and one sentence."""
+    from ..comparison.comparison import design_table, winners_sentence
+    from ..comparison.paired import Verdict
+    from ..text import plural
+
+    out = console()
+    say(out, f"old: {comparison.old} ({comparison.old_name})", f"new: {comparison.new} ({comparison.new_name})")
+    if comparison.differences:
+        say(out, "Inputs that differ, old -> new:", *(f"  {text}" for text in comparison.differences))
+    else:
+        say(out, "The inputs are the same: what differs below is in the code of a law, or in the machine.")
+    out.print()
+    same = comparison.count(Verdict.SAME)
+    if len(comparison):
+        # those that are the same are counted below
+        print_table(design_table(comparison, comparison.order[: min(top, len(comparison) - same) or top]), out)
+    if same:
+        say(out, f"the same within 1e-6 m s: {same} of {len(comparison)} designs")
+    say(out, winners_sentence(comparison.winners), "")
+    for heading, failed in (
+        ("failed only in the new study, worse:", comparison.new_failures),
+        ("failed only in the old study:", comparison.repaired),
+        ("failed in both studies:", comparison.failed_in_both),
+    ):
+        if failed:
+            more = [f"  and {len(failed) - _MOST_LISTED} more"] if len(failed) > _MOST_LISTED else []
+            listed = (f"  {one.sentence}" for one in failed[:_MOST_LISTED])
+            say(out, f"{plural(len(failed), 'design')} {heading}", *listed, *more)
+    for heading, designs in (("old", comparison.only_old), ("new", comparison.only_new)):
+        if designs:
+            say(out, f"Only in the {heading} study: {plural(len(designs), 'design')}")
+    for warning in comparison.warnings:
+        out.print(f"Warning: {warning}", style="yellow", markup=False, emoji=False)
+    say(out, comparison.summary)

@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from ldctoolkit.arrays import FloatArray
+from ldctoolkit.declared import checked_number, checked_whole
 from ldctoolkit.errors import InputError, LdcError, UnknownNameError
 
 from ..tables import Column, Row, Table
-from ._console import Subparsers, interval, named, number, output_file, print_table, progress_bar
+from ._console import Subparsers, argument, interval, named, number, output_file, print_table, progress_bar
 
 if TYPE_CHECKING:
     from ldctoolkit.control import Controller
@@ -257,10 +258,21 @@ def add_parser(commands: Subparsers) -> None:
     about = "a gain of the law; repeatable"
     parser.add_argument("--gain", type=named, action="append", metavar="NAME=VALUE", help=about)
     parser.add_argument("--design", dest="only", metavar="LABEL", help="only this design of the study: its label or id")
-    parser.add_argument("--dt", type=_positive, metavar="S", help="sample time in s (default: 0.05, or the study's)")
+    parser.add_argument(
+        "--dt",
+        type=argument(checked_number, above=0.0),
+        metavar="S",
+        help="sample time in s (default: 0.05, or the study's)",
+    )
     about = "speeds in m/s (default: 10:40, or those at the study's triggers)"
     parser.add_argument("--speed", type=_speed_range, metavar="LOW:HIGH", help=about)
-    parser.add_argument("--points", type=_points, default=13, metavar="N", help="number of speeds (default: 13)")
+    parser.add_argument(
+        "--points",
+        type=argument(checked_whole, lower=2, upper=1000),
+        default=13,
+        metavar="N",
+        help="number of speeds (default: 13)",
+    )
     for name, meaning in (
         ("delay", "pure delay of the actuator in s"),
         ("lag", "time constant of the actuator in s"),
@@ -270,19 +282,6 @@ def add_parser(commands: Subparsers) -> None:
         parser.add_argument(f"--{name}", type=number, metavar="X", help=f"{meaning} (default: none, or the study's)")
     parser.add_argument("--json", metavar="FILE.json", help="write numbers and findings for machines")
     parser.set_defaults(run=run)
-
-
-def _positive(text: str) -> float:
-    value = number(text)
-    if not value > 0:
-        raise argparse.ArgumentTypeError(f"{text!r}; allowed: a number > 0")
-    return value
-
-
-def _points(text: str) -> int:
-    if not text.isascii() or not text.isdigit() or not 2 <= int(text) <= 1000:
-        raise argparse.ArgumentTypeError(f"{text!r}; allowed: a whole number from 2 to 1000")
-    return int(text)
 
 
 def _speed_range(text: str) -> tuple[float, float]:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
 import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ldctoolkit.declared import checked_whole
+
 from . import _console
-from ._console import number, positive_number, print_table, progress_bar, say, whole_number
+from ._console import argument, number, positive_number, print_table, progress_bar, say, whole_number
 
 if TYPE_CHECKING:
     from ldctoolkit.scenario_model import ScenarioModel
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from ..study_file import Study
 
 _MOST_DESIGNS = 20
+_DEPARTURES = argument(checked_whole, lower=1, upper=1e9)
 _COLORS = {"bad": "red", "warning": "yellow", "good": "green"}
 
 
@@ -35,7 +37,7 @@ def add_parser(commands: _console.Subparsers) -> None:
     parser.add_argument("study", metavar="STUDY", help="name in the catalog, TOML file, or folder that ldc run wrote")
     about = "label of a design, or how its id starts; repeatable (default: all up to 20, or that of a folder's verdict)"
     parser.add_argument("--design", action="append", metavar="ID", help=about)
-    parser.add_argument("-n", type=_departures, default=10**6, metavar="N", help="departures, up to 1e9 (default: 1e6)")
+    parser.add_argument("-n", type=_DEPARTURES, default=10**6, metavar="N", help="departures, up to 1e9 (default: 1e6)")
     parser.add_argument("--model", metavar="MODEL", help="scenario model instead of the study's: a name or a JSON file")
     parser.add_argument("--seed", type=whole_number, metavar="N", help="of what is drawn (default: the study's)")
     parser.add_argument("--workers", type=positive_number, metavar="N", help="processes (default: all cores)")
@@ -44,14 +46,6 @@ def add_parser(commands: _console.Subparsers) -> None:
     parser.add_argument("--depth", type=number, action="append", metavar="X", help=about)
     parser.add_argument("-o", "--output", metavar="DIR", help="folder of the results (default: out/<study name>)")
     parser.set_defaults(run=run)
-
-
-def _departures(text: str) -> int:
-    """``1e7``, ``10_000_000``."""
-    with contextlib.suppress(ValueError):
-        if 1 <= float(text) <= 1e9 and float(text).is_integer():
-            return int(float(text))
-    raise argparse.ArgumentTypeError(f"{text!r}; allowed: a whole number from 1 to 1e9")
 
 
 def run(chosen: argparse.Namespace) -> None:

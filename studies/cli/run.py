@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import json
 import sys
+import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Any, Final, TextIO
 
 from ldctoolkit.errors import InputError
 
+from ..running.work import Progress
 from ._console import Subparsers, add_report_options, number, positive_number, progress_bar, warn
-
-if TYPE_CHECKING:
-    from ..running.campaign import Progress
 
 
 def add_parser(commands: Subparsers) -> None:
@@ -64,11 +64,59 @@ def run(chosen: argparse.Namespace) -> int:
 
         raise InputError(_NEXT.format(", ".join(catalog_names())))
     with progress_bar("loading the toolkit", show=not (chosen.quiet or chosen.json)):
-        from ..running.campaign import Lines, Progress
+        from .. import runner  # noqa: F401 - this takes its time
 
         progress = Lines(sys.stdout) if chosen.json else Progress() if chosen.quiet else None
     with contextlib.nullcontext() if progress is None else compiling.shown_by(progress.compiling):
         return _run(chosen, progress)
+
+
+_LINE_EVERY: Final = 1.0  # seconds between lines
+
+
+class Lines(Progress):
+    """One JSON object a line: stage, scenario runs done and in all, rate and seconds left; or the name of a phase."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+        self._name, self._total, self._done = "", 0, 0
+        self._phases: set[str] = set()
+        self._started = self._reported = time.monotonic()
+
+    def phase(self, name: str) -> None:
+        """Write its name, the first time."""
+        if name not in self._phases:
+            self._phases.add(name)
+            self._write({"event": "phase", "phase": name})
+
+    def stage(self, name: str, total: int) -> None:
+        """Write the first line of a stage."""
+        self._name, self._total, self._done = name, total, 0
+        self._started = time.monotonic()
+        self._report()
+
+    def advance(self, runs: int) -> None:
+        """Write a line if the last one is old, or this is the stage's last."""
+        self._done += runs
+        if self._done >= self._total or time.monotonic() - self._reported > _LINE_EVERY:
+            self._report()
+
+    def _report(self) -> None:
+        self._reported = time.monotonic()
+        seconds = self._reported - self._started
+        rate = self._done / seconds if self._done and seconds > 0 else None
+        self._write({
+            "event": "progress",
+            "stage": self._name,
+            "done": self._done,
+            "total": self._total,
+            "runs_per_s": None if rate is None else round(rate, 1),
+            "seconds_left": None if rate is None else round((self._total - self._done) / rate, 1),
+        })  # fmt: skip
+
+    def _write(self, line: dict[str, Any]) -> None:
+        self._stream.write(json.dumps(line) + "\n")
+        self._stream.flush()
 
 
 def _run(chosen: argparse.Namespace, progress: Progress | None) -> int:

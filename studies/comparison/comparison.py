@@ -1,7 +1,6 @@
 """What a comparison of two studies finds, and the files it is written to."""
 
 import dataclasses
-import html
 import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -10,14 +9,15 @@ from typing import Any, Final
 import numpy as np
 
 from ldctoolkit.errors import InputError
-from ldctoolkit.notebook import CELL
 from ldctoolkit.simulation import Window
 
 from ..design import Design
 from ..results import FailedDesign, StudyResults
 from ..storage.files import write_text
-from ..tables import Table, to_csv
+from ..tables import Cell, Column, Row, Table, notebook_html, to_csv
+from ..text import DASH, difference_text, figure, number, plural
 from .paired import (
+    THRESHOLD,
     FinishedStudy,
     PairedDifferences,
     SharedScenarios,
@@ -88,7 +88,9 @@ class Comparison:
 
     def _repr_html_(self) -> str:
         """What a notebook shows."""
-        return comparison_html(self)
+        lines = (f"{self.old_name} \u2192 {self.new_name}", self.summary, *self.differences)
+        table = design_table(self, self.order[:TOP])
+        return notebook_html(lines, self.warnings, table, len(self) - len(table.rows))
 
     def __len__(self) -> int:
         return len(self.designs)
@@ -96,6 +98,11 @@ class Comparison:
     def count(self, verdict: Verdict) -> int:
         """Number of designs with this verdict."""
         return self.S.verdict.count(verdict)
+
+    @property
+    def counts(self) -> str:
+        """How many designs are better, worse, not separated, the same."""
+        return ", ".join(f"{self.count(verdict):,} {PHRASES[verdict]}" for verdict in Verdict)
 
     @property
     def order(self) -> tuple[int, ...]:
@@ -116,8 +123,7 @@ class Comparison:
         """One sentence: how many designs got better, worse, stayed or are not separated."""
         shared = f"{self.shared.n:,} shared scenarios ({self.shared.left:,} left, {self.shared.right:,} right)"
         if len(self):
-            counts = ", ".join(f"{self.count(verdict)} {PHRASES[verdict]}" for verdict in Verdict)
-            summary = f"{len(self)} design{'s' if len(self) > 1 else ''} in both, {self.label}: {counts}"
+            summary = f"{plural(len(self), 'design')} in both, {self.label}: {self.counts}"
         else:
             summary = f"no design in both, {self.label}"
         failed = f"; {len(self.new_failures)} failed only in the new study" if self.new_failures else ""
@@ -125,34 +131,68 @@ class Comparison:
         return f"{shared}; {summary}{failed}; the new winner against the old one: {winners}."
 
 
-def comparison_html(comparison: Comparison, top: int = TOP) -> str:
-    """A comparison as HTML without script."""
-    names = ("verdict", "design", "old S [m s]", "new S [m s]", "new \u2212 old [m s]", "interval")
-    headings = "".join(f'<th scope="col" style="text-align:left;{CELL}">{html.escape(name)}</th>' for name in names)
-    rows = "".join(_row(comparison, i) for i in comparison.order[:top])
-    differs = "".join(f"<br>{html.escape(text)}" for text in comparison.differences)
-    warnings = "".join(f"<br><b>Warning:</b> {html.escape(text)}" for text in comparison.warnings)
-    more = max(0, len(comparison) - top)
-    return (
-        f'<div style="overflow-x:auto"><div><b>{html.escape(comparison.old_name)} &rarr; '
-        f"{html.escape(comparison.new_name)}</b><br>{html.escape(comparison.summary)}{differs}{warnings}</div>"
-        f'<table style="border-collapse:collapse;font-variant-numeric:tabular-nums"><thead><tr>{headings}</tr></thead>'
-        f"<tbody>{rows}</tbody></table>{f'<div>and {more:,} more</div>' if more else ''}</div>"
-    )
+def design_table(comparison: Comparison, places: Sequence[int]) -> Table:
+    """Designs of both studies by their positions, for every reader."""
+    S, unit = comparison.S, "m\u00b7s"
+    columns = [
+        Column("Verdict", text=True), Column("Design", text=True), Column("Old S", unit, ".4f", key="old"),
+        Column("New S", unit, ".4f", key="new"), Column("New \u2212 old", unit, difference_text, key="difference"),
+        Column(f"{100 * comparison.confidence:g} % interval", unit, difference_text),
+        Column("Scenarios changed", key="changed"), Column("Largest change", unit), Column("Failed, old / new"),
+    ]  # fmt: skip
+    numbers = np.stack([S.S_old, S.S_new, S.difference, S.low, S.high, S.largest], axis=1)
+    rows = []
+    for i in places:
+        *scores, low, high, largest = numbers[i].tolist()
+        changed, failed = int(S.changed[i]), (comparison.failed_old[i], comparison.failed_new[i])
+        at = f"{difference_text(largest)} (no. {comparison.shared.new[S.largest_at[i]]})"
+        rows.append(
+            Row(
+                [
+                    verdict_cell(S.verdict[i]),
+                    comparison.designs[i].label,
+                    *scores,
+                    interval_cell(low, high),
+                    changed,
+                    at if changed else DASH,
+                    f"{failed[0]:,} / {failed[1]:,}" if any(failed) else DASH,
+                ],
+                "same" if S.verdict[i] is Verdict.SAME else "",
+            )
+        )
+    shared = f"{plural(len(comparison), 'design')} in both studies, {comparison.shared.n:,} shared scenarios"
+    return Table(f"{shared}, {comparison.label}: {comparison.counts}", columns, rows, head=1)
 
 
-def _row(comparison: Comparison, i: int) -> str:
-    S = comparison.S
-    interval = f"{S.low[i]:+.4f} to {S.high[i]:+.4f}" if np.isfinite(S.low[i] + S.high[i]) else "too few changed"
-    numbers = (f"{S.S_old[i]:.4f}", f"{S.S_new[i]:.4f}", f"{S.difference[i]:+.4g}", interval)
-    cells = (str(S.verdict[i]), comparison.designs[i].label, *(one.replace("-", "\u2212") for one in numbers))
-    # only a design's label may break
-    styles = (CELL + ";white-space:nowrap" * (column != 1) for column in range(len(cells)))
-    shown = (
-        f'<td style="text-align:left;{style}">{html.escape(cell)}</td>'
-        for style, cell in zip(styles, cells, strict=True)
-    )
-    return f"<tr>{''.join(shown)}</tr>"
+def verdict_cell(verdict: Verdict, more: str = "") -> Cell:
+    """A verdict as a cell."""
+    return Cell(f"{PHRASES[verdict]}{more}", bad=verdict is Verdict.WORSE, good=verdict is Verdict.BETTER)
+
+
+def interval_cell(low: float, high: float) -> Cell:
+    """Both ends of an interval, or why there is none."""
+    few = "too few departures changed" if math.isnan(low + high) else "too few departures"
+    return Cell((low, high), "" if math.isfinite(low + high) else few)
+
+
+def winners_sentence(winners: Winners | None) -> str:
+    """Whether the new winner is better, and whether that matters."""
+    if winners is None:
+        return "No design of one of the studies meets its requirements: there is no winner to compare."
+    which = "fresh" if winners.fresh else "study"
+    small = f", less than the {THRESHOLD:g} m\u00b7s that matter in practice" if winners.is_small else ""
+    size = abs(winners.difference)
+    by = f"by {number(size, 4) if size >= 1e-3 else figure(size, 2)} m\u00b7s{small}"
+    if winners.same_design:
+        start = f"{winners.new.label} is the winner of both studies; on shared {which} scenarios its mean S "
+        end = {Verdict.BETTER: f"falls {by}", Verdict.WORSE: f"rises {by}", Verdict.SAME: "is the same",
+               Verdict.NOT_SEPARATED: "changes within sampling error"}  # fmt: skip
+        return f"{start}{end[winners.verdict]}."
+    start = f"On shared {which} scenarios the new winner, {winners.new.label}, is "
+    old = f"the old one, {winners.old.label}"
+    end = {Verdict.BETTER: f"better than {old}, {by}", Verdict.WORSE: f"worse than {old}, {by}",
+           Verdict.SAME: f"as good as {old}", Verdict.NOT_SEPARATED: f"not separated from {old}"}  # fmt: skip
+    return f"{start}{end[winners.verdict]}."
 
 
 _FEW = 200  # shared scenarios below which intervals are rough
@@ -270,18 +310,19 @@ def _shared_scenarios(before: FinishedStudy, after: FinishedStudy, differences: 
     shared = _share(before, after, before.results, after.results)
     if shared.n:
         return shared
-    where = f"{before.source}, {after.source}: no scenario in both"
+    where = f"{before.source}, {after.source}"
     if shared.other_draws:
         raise InputError(
             where,
-            f"{shared.other_draws} departures are the same, but both plants draw numbers for them "
+            f"no scenario in both: {shared.other_draws} departures are the same, but both plants draw numbers for them "
             "(noise, mismatch, residuals)",
             hint="these follow from the seed and the scenario's number, which differ; run one of them again with the "
             "other's seed and number of left scenarios",
         )
     reasons = [text for text in differences if text.startswith(("scenarios", "seed", "ldctoolkit", "numpy"))]
     why = f" ({'; '.join(reasons)})" if reasons else ""
-    raise InputError(f"{where}{why}; run one of them again with the other's seed, scenario model and conditions")
+    hint = "run one of them again with the other's seed, scenario model and conditions"
+    raise InputError(where, f"no scenario in both{why}", hint=hint)
 
 
 def _share(before: FinishedStudy, after: FinishedStudy, old: StudyResults, new: StudyResults) -> SharedScenarios:
@@ -333,7 +374,7 @@ def _warnings(comparison: Comparison, left_out: int) -> Iterator[str]:
         yield f"Only {shared.n} shared scenario{'' if shared.n == 1 else 's'}: the intervals are rough."
     winners = comparison.winners
     if winners is None:
-        yield "No design of one of the studies meets its requirements: there is no winner to compare."
+        yield winners_sentence(None)
     elif comparison.window == "control" and winners.old.y_s != winners.new.y_s:
         yield (
             "S over the control window starts at the trigger, which moves with y_s: a later trigger gives a smaller S. "

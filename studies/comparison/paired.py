@@ -23,7 +23,8 @@ from ..design import Design
 from ..ranking.inference import SAME, bootstrap_means, check_confidence, error_parts, lengths, row_means
 from ..ranking.ranking import Ranking
 from ..results import StudyResults
-from ..storage.manifest import Manifest, differences
+from ..storage.manifest import Manifest
+from ..storage.parts import differences
 from ..storage.store import Store
 from ..study_file import Study
 
@@ -295,6 +296,10 @@ _MOST_ENTRIES: Final = 20_000_000
 """Differences of pairs held at once (160 MB); fewer rivals where there are more scenarios."""
 
 
+THRESHOLD: Final = 0.01
+"""Differences of mean S [m s] below this do not matter in practice: 1 cm over 1 s."""
+
+
 @dataclasses.dataclass(frozen=True)
 class Winners:
     """The new study's winner against the old study's."""
@@ -318,6 +323,11 @@ class Winners:
     def same_design(self) -> bool:
         """The same design won both."""
         return self.old.key == self.new.key
+
+    @property
+    def is_small(self) -> bool:
+        """The difference does not matter in practice."""
+        return abs(self.difference) < THRESHOLD
 
 
 def compare_winners(

@@ -10,7 +10,7 @@ import numpy as np
 
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.control import Controller, LinearLaw, LinearSteps, RecordedPath
-from ldctoolkit.controllers import _mpc_condensing, _mpc_law, barrier_filter, pid, pure_pursuit, sliding_mode, stanley
+from ldctoolkit.controllers import _mpc_condensing, barrier_filter, linear_mpc, pid, pure_pursuit, sliding_mode, stanley
 from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.law_checks import check_controller, check_law
 from ldctoolkit.setup import Setup
@@ -72,7 +72,7 @@ def law_form(law: object, dt: float, name: str) -> LawForm:
         inner = law_form(law.inner, dt, law.inner_name)
         gains = {"centre": law.centre, "half_width": _wide(law.half_width)} | inner.gains
         return dataclasses.replace(inner, gains=gains, times=law.preview_times, barrier=law.delta_max)
-    if isinstance(law, _mpc_law.MPCLaw):
+    if isinstance(law, linear_mpc.MPCLaw):
         return _mpc_form(law)
     if isinstance(law, pid.PIDLaw | stanley.StanleyLaw | sliding_mode.SlidingModeLaw | pure_pursuit.PurePursuitLaw):
         constants: dict[str, Any] = {gain.name: getattr(law.design, gain.name) for gain in law.design.gains()}
@@ -96,7 +96,7 @@ def law_form(law: object, dt: float, name: str) -> LawForm:
     raise InputError(f"law {name!r}", f"cannot be exported, it {what}", allowed=allowed)
 
 
-def _mpc_form(law: _mpc_law.MPCLaw) -> LawForm:
+def _mpc_form(law: linear_mpc.MPCLaw) -> LawForm:
     c, limits, N, M = law.condensed, law.limits, law.horizon, law.limits.start.size
     m, n = c.B.shape[1], c.B.shape[0]
     kinds = [_mpc_condensing.SOFT[k] for k in np.flatnonzero(limits.scale)]

@@ -1,5 +1,6 @@
 """The page that compares two studies: winner against winner first, then every design of both."""
 
+import dataclasses
 import math
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,16 +11,13 @@ from markupsafe import Markup
 
 from ldctoolkit.version import __version__
 
-from ..comparison.comparison import PHRASES, Comparison
-from ..comparison.paired import Verdict, Winners
+from ..comparison.comparison import PHRASES, Comparison, design_table, interval_cell, verdict_cell, winners_sentence
+from ..comparison.paired import THRESHOLD, Verdict
 from ..storage.files import write_text
-from ..tables import Cell, Column, Row, Table, to_html
-from ..text import difference_text, number, percent, plural, signed, symbols
+from ..tables import Cell, Column, Row, Table, Value, to_html
+from ..text import difference_text, percent, plural, symbols
 from .charts import Axis, Chart, Dot, Series, Style, dots
-from .settings_section import pairs
-from .shell import Section, bullets, details, figure, make_page, paragraphs, render
-
-THRESHOLD: Final = 0.01  # differences of mean S [m s] below this do not matter in practice: 1 cm over 1 s
+from .shell import Section, bullets, details, figure, make_page, pairs, paragraphs, render
 
 FIRST_ROWS: Final = 20
 MOST_ROWS: Final = 1000
@@ -69,62 +67,28 @@ def compare_page(comparison: Comparison) -> str:
 # ------------------------------------------------------------------------------------------------ the verdict
 
 
-def winners_sentence(winners: Winners) -> str:
-    """Whether the new winner is better, and whether that matters."""
-    which = "fresh" if winners.fresh else "study"
-    matters = abs(winners.difference) >= THRESHOLD
-    size = f"{difference_text(abs(winners.difference)).removeprefix('+')} m\u00b7s"
-    small = "" if matters else f", less than the {THRESHOLD:g} m\u00b7s that matter in practice"
-    if winners.same_design:
-        start = f"{winners.new.label} is the winner of both studies; on shared {which} scenarios its mean S "
-        end = {
-            Verdict.BETTER: f"falls by {size}{small}.",
-            Verdict.WORSE: f"rises by {size}{small}.",
-            Verdict.SAME: "is the same.",
-            Verdict.NOT_SEPARATED: "changes within sampling error.",
-        }
-        return start + end[winners.verdict]
-    start = f"On shared {which} scenarios the new winner, {winners.new.label}, is "
-    end = {
-        Verdict.BETTER: f"better than the old one, {winners.old.label}, by {size}{small}.",
-        Verdict.WORSE: f"worse than the old one, {winners.old.label}, by {size}{small}.",
-        Verdict.SAME: f"as good as the old one, {winners.old.label}.",
-        Verdict.NOT_SEPARATED: f"not separated from the old one, {winners.old.label}.",
-    }
-    return start + end[winners.verdict]
-
-
 def _verdict(comparison: Comparison) -> Section:
     winners = comparison.winners
-    lead = winners_sentence(winners) if winners else NO_WINNERS
-    body = Markup('<p class="verdict">{}</p>').format(symbols(lead))
+    body = Markup('<p class="verdict">{}</p>').format(symbols(winners_sentence(winners)))
     if winners:
-        change = signed(100.0 * winners.difference / winners.S_old, 1) if winners.S_old > 0 else "\u2013"
-        phrase = PHRASES[winners.verdict]
-        small = winners.verdict in (Verdict.BETTER, Verdict.WORSE) and abs(winners.difference) < THRESHOLD
-        cells = (
-            f"{winners.scenarios:,} {'fresh' if winners.fresh else 'study'} scenarios",
-            number(winners.S_old, 4),
-            number(winners.S_new, 4),
-            difference_text(winners.difference),
-            change,
-            interval_text(winners.low, winners.high),
-            Cell(
-                (f"{phrase}, too little to matter" if small else phrase),
-                bad=winners.verdict is Verdict.WORSE,
-                good=winners.verdict is Verdict.BETTER,
-            ),
-        )
+        change = 100.0 * winners.difference / winners.S_old if winners.S_old > 0 else math.nan
+        small = winners.is_small and winners.verdict in (Verdict.BETTER, Verdict.WORSE)
+        unit, which = "m\u00b7s", "fresh" if winners.fresh else "study"
         columns = [
-            Column("On", text=True), Column("Old winner", "m\u00b7s"), Column("New winner", "m\u00b7s"),
-            Column("New \u2212 old", "m\u00b7s"), Column("Change", "%"), Column("Interval", "m\u00b7s"),
-            Column("Verdict", text=True),
+            Column("On", text=True), Column("Old winner", unit, ".4f"), Column("New winner", unit, ".4f"),
+            Column("New \u2212 old", unit, difference_text), Column("Change", "%", "+.1f"),
+            Column("Interval", unit, difference_text), Column("Verdict", text=True),
+        ]  # fmt: skip
+        cells: list[Cell | Value] = [
+            f"{winners.scenarios:,} {which} scenarios", winners.S_old, winners.S_new, winners.difference, change,
+            interval_cell(winners.low, winners.high),
+            verdict_cell(winners.verdict, ", too little to matter" if small else ""),
         ]  # fmt: skip
         title = f"Mean S of the winners; differences from {THRESHOLD:g} m\u00b7s on matter in practice"
         body += to_html(Table(title, columns, [Row(cells)]))
     if len(comparison):
         body += paragraphs(
-            f"{plural(len(comparison), 'design')} in both studies: {counts_text(comparison)}. Intervals hold for all "
+            f"{plural(len(comparison), 'design')} in both studies: {comparison.counts}. Intervals hold for all "
             f"designs at once, with {percent(comparison.confidence, 0)} confidence."
         )
     else:
@@ -138,36 +102,13 @@ def _verdict(comparison: Comparison) -> Section:
     return Section("verdict", "Verdict", body, printed=True)
 
 
-def counts_text(comparison: Comparison) -> str:
-    """How many designs are better, worse, not separated, the same."""
-    return ", ".join(f"{comparison.count(verdict):,} {PHRASES[verdict]}" for verdict in Verdict)
-
-
-NO_WINNERS: Final = "No design of one of the studies meets its requirements: there is no winner to compare."
-
-
-def interval_text(low: float, high: float) -> str:
-    """Both ends of an interval, or why there is none."""
-    if math.isnan(low) or math.isnan(high):
-        return "too few departures changed"
-    if math.isinf(low) or math.isinf(high):
-        return "too few departures"
-    return f"{difference_text(low)} to {difference_text(high)}"
-
-
 # ------------------------------------------------------------------------------------------------ sections
 
 
 def _differences(comparison: Comparison) -> Section:
-    if not comparison.differences:
-        body = paragraphs("The inputs are the same: what differs below is in the code of a law, or in the machine.")
-    else:
-        columns = [Column("Input", text=True), Column("Old \u2192 new", text=True)]
-        rows = [
-            Row((key, value.replace(" -> ", " \u2192 ")))
-            for key, _, value in (one.partition(": ") for one in comparison.differences)
-        ]
-        body = to_html(Table("What decides the numbers and differs", columns, rows))
+    body = bullets(text.replace(" -> ", " \u2192 ") for text in comparison.differences) or paragraphs(
+        "The inputs are the same: what differs below is in the code of a law, or in the machine."
+    )
     return Section("differences", "What differs", body)
 
 
@@ -176,39 +117,16 @@ def _title(label: str) -> str:
 
 
 def _designs(comparison: Comparison) -> Section:
-    body = _design_table(comparison) if len(comparison) else paragraphs("No design is in both studies.")
+    table = design_table(comparison, comparison.order[:MOST_ROWS])
+    rows = [dataclasses.replace(row, later=k >= FIRST_ROWS) for k, row in enumerate(table.rows)]
+    html = to_html(dataclasses.replace(table, rows=rows), id="designs-1", sortable=True)
+    body = paragraphs("No design is in both studies.")
+    if rows:
+        body = render(
+            "compare.html", id="designs-1", table=html, count=len(comparison), listed=len(rows),
+            later=max(0, len(rows) - FIRST_ROWS),
+        )  # fmt: skip
     return Section("designs", "Designs", body, scripts=("table.js",))
-
-
-def _design_table(comparison: Comparison) -> Markup:
-    S, shared, id = comparison.S, comparison.shared, "designs-1"
-    columns = [
-        Column("Verdict", text=True), Column("Design", text=True), Column("Old S", "m\u00b7s", ".4f", key="old"),
-        Column("New S", "m\u00b7s", ".4f", key="new"), Column("New \u2212 "
-            "old", "m\u00b7s", difference_text, key="difference"), Column("Interval", "m\u00b7s"),
-        Column("Scenarios changed", key="changed"), Column("Largest change", "m\u00b7s"), Column("Failed, old / new"),
-    ]  # fmt: skip
-    numbers = np.stack([S.S_old, S.S_new, S.difference], axis=1)
-    rows = []
-    for k, i in enumerate(comparison.order[:MOST_ROWS]):
-        changed, failed = int(S.changed[i]), (comparison.failed_old[i], comparison.failed_new[i])
-        at = f" (no. {int(shared.new[S.largest_at[i]])})"
-        verdict = S.verdict[i]
-        cells = (
-            Cell(PHRASES[verdict], bad=verdict is Verdict.WORSE, good=verdict is Verdict.BETTER),
-            comparison.designs[i].label,
-            *numbers[i].tolist(),
-            interval_text(float(S.low[i]), float(S.high[i])),
-            changed,
-            f"{difference_text(float(S.largest[i]))}{at}" if changed else "\u2013",
-            f"{failed[0]:,} / {failed[1]:,}" if any(failed) else "\u2013",
-        )
-        rows.append(Row(cells, later=k >= FIRST_ROWS))
-    table = Table(f"{_title(comparison.label)}: {counts_text(comparison)}", columns, rows, head=1)
-    return render(
-        "compare.html", id=id, table=to_html(table, id=id, sortable=True), count=len(comparison), listed=len(rows),
-        later=max(0, len(rows) - FIRST_ROWS),
-    )  # fmt: skip
 
 
 def _changes(comparison: Comparison) -> Section:
@@ -226,24 +144,13 @@ def _charts(comparison: Comparison) -> Iterator[Chart]:
     if not len(comparison):
         return
     label = _title(comparison.label)
-    order = [i for i in np.argsort(-np.abs(S.difference), kind="stable").tolist() if S.difference[i] != 0][
-        :MOST_CHANGED
-    ]
-    if order:
-        rows = [
-            [
-                Dot(
-                    comparison.designs[i].label,
-                    float(S.difference[i]),
-                    float(S.low[i]),
-                    float(S.high[i]),
-                    _STYLES[S.verdict[i]],
-                )
-            ]
-            for i in sorted(order, key=lambda i: float(S.difference[i]))
-        ]
-        ends = [value for (one,) in rows for value in (one.value, one.low, one.high)]
-        axis = Axis.around("New \u2212 old mean S [m\u00b7s]", ends, [0.0])
+    order = np.argsort(-np.abs(S.difference), kind="stable")[:MOST_CHANGED]
+    if (order := order[S.difference[order] != 0]).size:
+        rows = []
+        for i in order[np.argsort(S.difference[order], kind="stable")].tolist():
+            difference, low, high = (float(values[i]) for values in (S.difference, S.low, S.high))
+            rows.append([Dot(comparison.designs[i].label, difference, low, high, _STYLES[S.verdict[i]])])
+        axis = Axis.around("New \u2212 old mean S [m\u00b7s]", S.difference[order], S.low[order], S.high[order], [0.0])
         yield dots("changes", f"{label}: differences of mean S", rows, axis, at=0.0, at_text="no change")
     clouds = []
     for verdict, style in _STYLES.items():

@@ -19,15 +19,14 @@ from ldctoolkit.recordings import Extraction, RecordingReader, recording_reader
 from ldctoolkit.recordings.extract import SCALE, SOURCE
 from ldctoolkit.recordings.find_departures import REASONS
 from ldctoolkit.recordings.quality import Account, Origin, combined_accounts, share_of_widths
-from ldctoolkit.recordings.sources import CombinedReader
+from ldctoolkit.recordings.recording import CombinedReader
 from ldctoolkit.version import __version__
 
 from ..storage.files import write_text
 from ..tables import Column, Row, Table, to_html
 from ..text import PARAMETER_MEANINGS, compact, number, parameter_label, percent, plural, printable, shorten, symbols
 from .charts import Axis, Chart, Series, Style, bars, legend
-from .settings_section import pairs
-from .shell import Section, bullets, details, figure, make_page, paragraphs
+from .shell import Section, bullets, details, figure, make_page, pairs, paragraphs
 
 if TYPE_CHECKING:
     from ldctoolkit.recordings.quality import DrawnEvent

@@ -19,12 +19,11 @@ from ldctoolkit.scenario_model.fidelity import QUANTITIES, UNITS
 from ldctoolkit.version import __version__
 
 from ..storage.files import write_text
-from ..storage.stored_model import WARNING, model_notes
+from ..storage.stored_model import model_notes
 from ..tables import Cell, Column, Row, Table, Value, to_html
 from ..text import PARAMETER_MEANINGS, compact, number, parameter_label, percent, plural, symbols
 from .charts import Axis, Chart, Dot, Series, Style, bars, dots, heat_map, legend
-from .settings_section import pairs
-from .shell import Section, bullets, details, figure, make_page, paragraphs
+from .shell import Section, bullets, details, figure, make_page, pairs, paragraphs
 
 Progress = Callable[[str, int, int], None]
 
@@ -412,8 +411,7 @@ def _settings(model: ScenarioModel, sides: tuple[Side, ...], seed: int) -> Secti
         ("Seed of the checks", str(seed)),
         ("Model sample", f"{sides[0].found.n_model:,} events a side"),
     ]
-    notes = [note for note in model_notes(model) if not note.startswith(WARNING)]
-    return Section("settings", "Settings", bullets(notes) + pairs([(a, b) for a, b in facts if b]))
+    return Section("settings", "Settings", bullets(model_notes(model)) + pairs([(a, b) for a, b in facts if b]))
 
 
 def _bounds_text(side: Side) -> str:

@@ -1,7 +1,9 @@
-"""The ranking as a table, and the limits: what each asks, and what the designs have."""
+"""The ranking as a table of the report and as ``ranking.md``, and the limits: what each asks, what designs have."""
 
 import dataclasses
 import math
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -9,14 +11,28 @@ from markupsafe import Markup
 
 from ldctoolkit.metrics import METRICS
 
-from ..ranking.verdict import ranking_table, set_of_best_line
+from ..ranking.ranked_designs import SCORE
+from ..ranking.ranking import Ranking
+from ..ranking.verdict import (
+    COLUMNS_TEXT,
+    Verdict,
+    listed_places,
+    more_lines,
+    ranking_table,
+    set_of_best_line,
+    verdict_lines,
+)
 from ..requirements import metric
-from ..tables import Cell, Column, Row, Table, to_html
+from ..storage.files import write_text
+from ..storage.manifest import Manifest
+from ..study_file import Study
+from ..tables import Cell, Column, Row, Table, markdown_text, to_html, to_markdown
 from ..text import DASH, compact, percent
 from .context import Context, metric_text
 from .shell import Section, render
 
 MOST_ROWS: Final = 1000  # designs of the table; all of them are in ranking.csv
+MOST_MARKDOWN_ROWS: Final = 50  # designs of a Markdown file; those that are named follow
 FIRST_ROWS: Final = 20  # rows that are shown before all are requested, and those that are printed
 
 
@@ -116,3 +132,46 @@ def _named_metrics(context: Context) -> Markup:
         if any(math.isfinite(value) for value in values):
             rows.append(Row((one.title, *(metric_text(name, value) for value in values))))
     return to_html(Table("All metrics", columns, rows))
+
+
+# ------------------------------------------------------------------------------------------------ Markdown
+
+
+def write_markdown(ranking: Ranking, path: Path, study: Study, manifest: Manifest, found: Verdict) -> None:
+    """Write a ranking as a Markdown file, whole or not at all."""
+    write_text(path, ranking_markdown(ranking, study, manifest, found))
+
+
+def ranking_markdown(ranking: Ranking, study: Study, manifest: Manifest, found: Verdict) -> str:
+    """The text of ``ranking.md``; the same ranking gives the same text."""
+    return "\n".join(_blocks(ranking, study, manifest, found))
+
+
+def _blocks(ranking: Ranking, study: Study, manifest: Manifest, found: Verdict) -> Iterator[str]:
+    yield f"# {markdown_text(study.title or study.name)}\n"
+    title, *others = verdict_lines(found)
+    yield f"**{markdown_text(title)}**\n"
+    yield "".join(f"- {markdown_text(line)}\n" for line in (*others, *more_lines(ranking)))
+    for warning in ranking.warnings:
+        yield f"> **Warning:** {markdown_text(warning)}\n"
+    places = listed_places(ranking, MOST_MARKDOWN_ROWS)
+    yield to_markdown(ranking_table(ranking, places))
+    if len(places) < len(ranking):
+        yield f"{len(places):,} of {len(ranking):,} designs; all of them are in `ranking.csv`.\n"
+    window = "the whole departure" if ranking.window == "departure" else "the time under control"
+    about = f"{SCORE}. Here it is taken over {window}. Intervals hold for all designs at once. {COLUMNS_TEXT}"
+    yield f"{markdown_text(about)}\n"
+    n_left, n_right = study.scenarios.counts
+    synthetic = "; synthetic, not fitted to recorded driving" if manifest.model_synthetic else ""
+    facts = (
+        f"Study: {study.name}",
+        f"{study.scenarios.source}: {manifest.model} (content {manifest.model_hash[:12]}){synthetic}",
+        f"Scenarios: {n_left + n_right:,} ({n_left:,} left, {n_right:,} right), seed {study.seed}",
+        f"S: {ranking.label}",
+    )
+    yield "".join(f"- {markdown_text(fact)}\n" for fact in facts)
+    if ranking.failed:
+        yield "## Failed designs\n"
+        yield "".join(f"- {markdown_text(one.sentence)}\n" for one in ranking.failed[:MOST_MARKDOWN_ROWS])
+        if len(ranking.failed) > MOST_MARKDOWN_ROWS:
+            yield f"And {len(ranking.failed) - MOST_MARKDOWN_ROWS:,} more, see `ranking.csv`.\n"

@@ -7,14 +7,16 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from markupsafe import Markup
+
 from ldctoolkit.version import __version__
 
-from ..plant_table import plant_settings, simulation_settings
+from ..plant_table import not_ideal, plant_settings, simulation_settings
 from ..sensitivity.sensitivity import sensitivity
 from ..storage.files import write_text
-from ..storage.stored_model import WARNING, read_model
+from ..storage.stored_model import read_model
 from ..study_file import toml_text
-from ..text import plural
+from ..text import plural, printable
 from . import (
     assessment_section,
     confidence_section,
@@ -23,12 +25,11 @@ from . import (
     model_section,
     ranking_section,
     robustness_section,
-    settings_section,
     verdict_section,
 )
 from .charts import Chart
 from .context import Context, ReportInput
-from .shell import Section, make_page
+from .shell import Section, bullets, details, make_page, pairs
 
 if TYPE_CHECKING:
     from ldctoolkit.departures import Departures
@@ -38,6 +39,31 @@ if TYPE_CHECKING:
     from ..robustness import Robustness
     from ..storage.manifest import Manifest
     from ..study_file import Study
+
+MOST_FAILED: Final = 50
+
+
+def settings_section(context: Context) -> Section:
+    """What failed, how the study was run, and the command and the file that make it again."""
+    report, failed = context.report, context.report.results.failed
+    body = explorer.failures(context)
+    if failed:
+        listed = [one.sentence for one in failed[:MOST_FAILED]]
+        if len(failed) > MOST_FAILED:
+            listed.append(f"and {len(failed) - MOST_FAILED} more, see ranking.csv")
+        body += Markup("<p>{} failed and {} not ranked:</p>{}").format(
+            plural(len(failed), "design"), "is" if len(failed) == 1 else "are", bullets(listed)
+        )
+    facts = [*report.settings, *report.versions]
+    body += details("All settings, versions and the machine", pairs(facts))
+    if report.command:
+        body += Markup("<p>The study again: <code>{}</code></p>").format(printable(report.command))
+    if report.study_file:
+        body += details(
+            "The study file with every default", Markup("<pre>{}</pre>").format(printable(report.study_file))
+        )
+    return Section("settings", "Failures and settings", body)
+
 
 SECTIONS: Final[tuple[Callable[[Context], Section | None], ...]] = (
     verdict_section.section,
@@ -50,7 +76,7 @@ SECTIONS: Final[tuple[Callable[[Context], Section | None], ...]] = (
     robustness_section.section,
     confidence_section.section,
     model_section.section,
-    settings_section.section,
+    settings_section,
 )
 """What makes each section, in the order of the page; one may have nothing to show."""
 
@@ -78,7 +104,7 @@ def report_page(report: ReportInput) -> tuple[str, tuple[Chart, ...]]:
 
 def _plant(report: ReportInput) -> str:
     """What of the plant is not ideal: ``plant with actuator, sensors``."""
-    parts = dict.fromkeys(key.partition(".")[0] for key, _ in plant_settings(report.setup.options))
+    parts = [declaration.name for declaration in not_ideal(report.setup.options)]
     return f"plant with {', '.join(parts)}" if parts else "ideal plant"
 
 
@@ -111,6 +137,8 @@ def report_input(
     robustness: Robustness | None = None,
 ) -> ReportInput:
     """Gather what a report shows of a study that was run."""
+    warnings = "; ".join(manifest.model_warnings)
+    fit_warnings = (f"Of the scenario model: {warnings}.",) if warnings else ()
     return ReportInput(
         title=study.title or study.name,
         study_name=study.name,
@@ -120,7 +148,7 @@ def report_input(
         settings=tuple(_settings(study, manifest)),
         versions=tuple(_versions(manifest)),
         model_notes=manifest.model_notes,
-        warnings=tuple(dict.fromkeys((*_of_the_model(manifest), *ranking.warnings))),
+        warnings=tuple(dict.fromkeys((*fit_warnings, *ranking.warnings))),
         synthetic=manifest.model_synthetic,
         command=manifest.command,
         sensitivity=sensitivity(results, study),
@@ -133,13 +161,6 @@ def report_input(
         departures=tuple(departures),
         shown_designs=tuple(shown_designs),
     )
-
-
-def _of_the_model(manifest: Manifest) -> Iterator[str]:
-    """What the fit of the scenario model warned of, in one sentence."""
-    notes = [note.removeprefix(WARNING) for note in manifest.model_notes if note.startswith(WARNING)]
-    if notes:
-        yield f"Of the scenario model: {'; '.join(notes)}."
 
 
 def _settings(study: Study, manifest: Manifest) -> Iterator[tuple[str, str]]:

@@ -51,6 +51,12 @@ def bullets(sentences: Iterable[str], kind: str = "") -> Markup:
     return Markup('<ul class="{}">{}</ul>').format(kind, items) if items else Markup()
 
 
+def pairs(facts: Iterable[tuple[str, str]]) -> Markup:
+    """Names and values as a list."""
+    items = Markup("").join(Markup("<dt>{}</dt><dd>{}</dd>").format(symbols(a), symbols(b)) for a, b in facts)
+    return Markup("<dl>{}</dl>").format(items)
+
+
 def figure(charts: Sequence[Chart], caption: str, key: Markup = Markup()) -> Markup:  # noqa: B008 - it is immutable
     """Charts side by side, with their legend above and a caption below; nothing without a chart."""
     if not charts:

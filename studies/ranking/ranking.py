@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.arrays import IntArray
+from ldctoolkit.arrays import Frame, IntArray
 from ldctoolkit.control import EventStatus
 from ldctoolkit.departures import LEFT
 from ldctoolkit.errors import StudyError, expect
-from ldctoolkit.frames import Frame
 from ldctoolkit.metrics import METRICS, RELEASE_METRICS
 
 from ..design import Design

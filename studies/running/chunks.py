@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import itertools
 import json
 import time
 from typing import Any, Final, Self
@@ -28,6 +27,7 @@ from ldctoolkit.version import __version__
 
 from ..design import Design
 from .tasks import learn
+from .work import Work
 
 BIN, BINS = 0.05, 60  # [m] of the histogram of depths, and how many; one more is for what is deeper
 _KEPT: Final = 20  # worst departures of a design
@@ -60,13 +60,6 @@ class Tally:
         both = np.concatenate([self.worst, other.worst], axis=1)
         added = {name: getattr(self, name) + getattr(other, name) for name in vars(self) if name != "worst"}
         return dataclasses.replace(self, **added, worst=np.stack([rows[_deepest(*rows.T[:2])] for rows in both]))
-
-    def from_json(self, stored: dict[str, Any]) -> Self:
-        """The one that was stored, of this one's shape."""
-        read = {name: np.array(stored[name], dtype=own.dtype) for name, own in vars(self).items()}
-        if any(read[name].shape != own.shape for name, own in vars(self).items()):
-            raise ValueError("numbers are missing")
-        return dataclasses.replace(self, **read)
 
     def kept(self, i: int) -> FloatArray:
         """The worst departures of design i."""
@@ -179,17 +172,12 @@ class ChunkJob:
         return found
 
 
-_numbers = itertools.count()
-
-
 @dataclasses.dataclass(frozen=True, eq=False)
-class ChunkTask:
+class ChunkTask(Work):
     """A chunk as work for an executor."""
 
     job: ChunkJob
-    k: int
-    number: int = dataclasses.field(default_factory=lambda: next(_numbers))
-    time_limit: float = 0.0
+    chunk: int
 
     def make_ready(self, kept: dict[str, Any]) -> None:
         """Make the controllers of the job known, once."""
@@ -197,10 +185,10 @@ class ChunkTask:
             learn(self.job.laws)
             kept["risk"] = self.job.token
 
-    def run(self, kept: dict[str, Any]) -> tuple[Tally | None, str, float]:  # noqa: ARG002
+    def run(self, kept: dict[str, Any]) -> tuple[Tally | LdcError, float]:  # noqa: ARG002
         """Counts, or why there are none; seconds."""
         started = time.perf_counter()
         try:
-            return self.job.measure(self.k), "", time.perf_counter() - started
+            return self.job.measure(self.chunk), time.perf_counter() - started
         except LdcError as error:
-            return None, str(error), 0.0
+            return error, 0.0

@@ -9,7 +9,7 @@ import threading
 import time
 from collections import OrderedDict
 from collections.abc import Iterable
-from typing import Any, Final, Self
+from typing import Any
 
 import numpy as np
 
@@ -25,96 +25,9 @@ from ldctoolkit.setup import Setup
 from ldctoolkit.simulation import Run, Takeover, Window, drive, drive_many
 from ldctoolkit.simulation.loop import recorded_run
 
-from ..design import Design
+from ..design import NO_CONTROL, Design
 from ..results import FailedRun, TaskResult
-from .executors.processes import Ended, Executor, Fault, Work
-
-_STRIKES: Final = 2
-"""A task that has ended its worker so often is cut to find the scenario at fault: once may be bad luck."""
-
-_MOST_SCENARIOS: Final = 3  # scenarios of a design that may end or stop a worker; with one more the design has failed
-
-_MOST_LOST: Final = 25
-"""Times in a row that tasks are lost which are not to blame, before it is plain that workers cannot live here."""
-
-_WORDS: Final[dict[Fault, str]] = {"died": "ends its worker process", "late": "takes longer than the time limit"}
-
-
-class Faults:
-    """What is known of tasks that ended their workers."""
-
-    def __init__(self) -> None:
-        self._strikes: dict[int, int] = {}
-        self._scenarios: dict[str, dict[int, Fault]] = {}
-        self._lost = 0
-        self.workers_live = False
-
-    def guilty(self, task: Work, fault: Fault, *, certain: bool) -> bool:
-        """Whether a task has to be cut, after one more end of its worker."""
-        strikes = self._strikes[task.number] = self._strikes.get(task.number, 0) + 1
-        return certain and (fault == "late" or strikes >= _STRIKES)
-
-    def inherit(self, half: Task) -> None:
-        """Half of a guilty task is under suspicion from the start."""
-        self._strikes[half.number] = _STRIKES - 1
-
-    def same_strikes(self, task: Task, other: Task) -> None:
-        """Another task, with some of the designs, is as suspect as this one."""
-        self._strikes[other.number] = self._strikes.get(task.number, 0)
-
-    def record(self, id: str, row: int, fault: Fault) -> str:
-        """Note a scenario at fault; a sentence if the design has failed with that."""
-        rows = self._scenarios.setdefault(id, {})
-        rows[row] = fault
-        if len(rows) <= _MOST_SCENARIOS:
-            return ""
-        named = ", ".join(f"{row} ({_WORDS[kind]})" for row, kind in sorted(rows.items()))
-        return f"ends or stops its worker process in scenarios {named}"
-
-    def came_back(self, came: Iterable[Ended]) -> None:
-        """Count whether tasks were lost that are not to blame: once, however many a broken pool held."""
-        if not any(ended.done is None and ended.fault is None for ended in came):
-            return
-        self._lost += 1
-        if self._lost >= _MOST_LOST:
-            raise LdcError(
-                "worker processes end before they have done anything (out of memory, or killed from outside); what was "
-                "stored is kept: run it again, with fewer workers if memory was short"
-            )
-
-    def check_workers(self, executor: Executor, harmless: Work) -> None:
-        """Where nothing has ended well yet, see whether a worker lives at all; nothing else may be under way."""
-        if self.workers_live:
-            return
-        executor.start(harmless)
-        while not (came := executor.wait()):
-            pass
-        if came[0].done is None:
-            raise LdcError("worker processes end whatever they run; what was stored is kept")
-        self.ended_well()
-
-    def ended_well(self) -> None:
-        """A task gave its result."""
-        self._lost = 0
-        self.workers_live = True
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class ScenarioBatch:
-    """Scenarios that are driven as one batch."""
-
-    number: int  # its place among the batches of its size
-    rows: IntArray  # (m,): row numbers of the scenarios, rising
-
-
-def batches(n: int, size: int) -> tuple[ScenarioBatch, ...]:
-    """All n scenarios in stretches of at most `size`."""
-    stretches = np.array_split(np.arange(n), -(-n // size))
-    return tuple(ScenarioBatch(number, rows) for number, rows in enumerate(stretches))
-
-
-_SCORES = 2  # first columns of a result: S and S_uncorrected
-_numbers = itertools.count()
+from .work import Work, new_number
 
 
 @dataclasses.dataclass(frozen=True)
@@ -129,47 +42,6 @@ class Job:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Task:
-    """Some designs on some scenarios."""
-
-    job: Job
-    designs: tuple[Design, ...]  # k designs of one law, by rising y_s
-    rows: IntArray  # (m,): row numbers of the scenarios in the study
-    scenarios: Scenarios  # these m scenarios
-    batch: int  # number of the batch that they are, or a part of
-    batch_size: int  # number of scenarios of the whole batch
-    number: int = dataclasses.field(default_factory=lambda: next(_numbers))  # of this task in this process
-
-    @property
-    def whole(self) -> bool:
-        """Whether the scenarios are the whole batch."""
-        return self.rows.size == self.batch_size
-
-    @property
-    def runs(self) -> int:
-        """Scenario runs: designs times scenarios."""
-        return len(self.designs) * self.rows.size
-
-    def halves(self) -> tuple[Self, ...]:
-        """Two tasks that together are this one, first by designs, then by scenarios; none for one run."""
-        if len(self.designs) > 1:
-            middle = len(self.designs) // 2
-            return tuple(self.only(part) for part in (self.designs[:middle], self.designs[middle:]))
-        if self.rows.size > 1:
-            middle = self.rows.size // 2
-            places = np.split(np.arange(self.rows.size), [middle])
-            return tuple(self._with(rows=self.rows[at], scenarios=self.scenarios.take(at)) for at in places)
-        return ()
-
-    def only(self, designs: tuple[Design, ...]) -> Self:
-        """The same with some of the designs."""
-        return self._with(designs=designs)
-
-    def _with(self, **changes: object) -> Self:
-        return dataclasses.replace(self, number=next(_numbers), **changes)  # type: ignore[arg-type]
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
 class Done:
     """What came out of a task."""
 
@@ -177,6 +49,8 @@ class Done:
     failed: tuple[FailedRun, ...] = ()  # the others
     seconds: float = 0.0  # [s] wall time of the whole task
 
+
+_SCORES = 2  # first columns of a result: S and S_uncorrected
 
 _TAKEOVERS_KEPT = 8
 
@@ -287,7 +161,7 @@ class _Room:
         if not np.isfinite(values[:_SCORES]).all():
             driven = self.status[i] != EventStatus.INVALID
             if not np.isfinite(values[:_SCORES, driven]).all():
-                raise LdcError("S is not finite in some scenario")
+                raise LdcError("S", "not finite in some scenario")
         self.failed_solves[i] = 0
         self.failed_solves[i, rows] = run.failed_solves
         self.law_seconds[i] = run.law_seconds
@@ -311,8 +185,20 @@ def _same_threshold(designs: tuple[Design, ...]) -> list[tuple[int, int]]:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class SimulationTask(Task):
-    """A `Task` that an executor can run. Tasks of one job in one place share their simulator, hence takeovers."""
+class Task(Work):
+    """Some designs on some scenarios. Tasks of one job in one process share their simulator, hence takeovers."""
+
+    job: Job
+    designs: tuple[Design, ...]  # k designs of one law, by rising y_s
+    rows: IntArray  # (m,): row numbers of the scenarios in the study
+    scenarios: Scenarios  # these m scenarios
+    batch: int  # number of the batch that they are, or a part of
+    batch_size: int  # number of scenarios of the whole batch
+
+    @property
+    def runs(self) -> int:
+        """Scenario runs: designs times scenarios."""
+        return len(self.designs) * self.rows.size
 
     @property
     def time_limit(self) -> float:
@@ -326,22 +212,40 @@ class SimulationTask(Task):
             while len(simulators) >= _JOBS_KEPT:
                 del simulators[next(iter(simulators))]
             learn(self.job.laws)
-        _warm_up(self.job, self)
+        law = self.designs[0].law
+        if self.time_limit and (self.job.token, law) not in _warm:
+            load_loops({law}, self.scenarios, self.job.setup, self.designs[0].y_s)
+            _warm.add((self.job.token, law))
 
     def run(self, kept: dict[str, Any]) -> Done:
         """Drive the designs."""
-        return _simulator(_simulators(kept), self.job).run(self)
+        simulators = _simulators(kept)
+        if self.job.token not in simulators:
+            simulators[self.job.token] = Simulator(self.job)
+        return simulators[self.job.token].run(self)
+
+    def halves(self) -> tuple[Task, ...]:
+        """First by designs, then by scenarios; none for one run."""
+        if len(self.designs) > 1:
+            middle = len(self.designs) // 2
+            return self._piece(designs=self.designs[:middle]), self._piece(designs=self.designs[middle:])
+        if self.rows.size > 1:
+            places = np.array_split(np.arange(self.rows.size), 2)
+            return tuple(self._piece(rows=self.rows[at], scenarios=self.scenarios.take(at)) for at in places)
+        return ()
+
+    def harmless(self) -> Task:
+        """One scenario without control."""
+        passive = Design.from_gains(NO_CONTROL, self.designs[0].y_s, {})
+        return self._piece(designs=(passive,), rows=self.rows[:1], scenarios=self.scenarios.take([0]), batch_size=1)
+
+    def _piece(self, **changes: Any) -> Task:
+        return dataclasses.replace(self, number=new_number(), **changes)
 
 
 def _simulators(kept: dict[str, Any]) -> dict[str, Simulator]:
     simulators: dict[str, Simulator] = kept.setdefault("simulators", {})
     return simulators
-
-
-def _simulator(simulators: dict[str, Simulator], job: Job) -> Simulator:
-    if job.token not in simulators:
-        simulators[job.token] = Simulator(job)
-    return simulators[job.token]
 
 
 def learn(laws: bytes) -> None:
@@ -352,13 +256,6 @@ def learn(laws: bytes) -> None:
 
     with _lock:
         registry.learn(cloudpickle.loads(laws))
-
-
-def _warm_up(job: Job, task: Task) -> None:
-    key = job.token, task.designs[0].law
-    if key not in _warm and job.time_limit:
-        load_loops({key[1]}, task.scenarios, job.setup, task.designs[0].y_s)
-        _warm.add(key)
 
 
 def load_loops(laws: Iterable[str], scenarios: Scenarios, setup: Setup, y_s: float) -> None:

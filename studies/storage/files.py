@@ -1,12 +1,9 @@
-"""Files of a result folder: written whole or not at all, read with what is wrong named, locked while in use."""
+"""Files of a result folder: written whole or not at all, read with what is wrong named."""
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
-import importlib
-import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -48,6 +45,12 @@ def output_folder(folder: Path) -> Path:
 def write_text(path: Path, text: str) -> None:
     """Write a text file in UTF-8, whole or not at all; what a path has that is no text is written as in messages."""
     write_whole(path, text.encode(errors="backslashreplace"), StoreError)
+
+
+def first_line(error: Exception) -> str:
+    """What another library's error says, without the rest."""
+    text = str(error)
+    return text.partition("\n")[0].strip()
 
 
 def write_json(path: Path, content: Mapping[str, Any], indent: int | None = 1) -> None:
@@ -98,7 +101,7 @@ def parse_parquet(
     try:
         table = pl.read_parquet(data)
     except pl.exceptions.PolarsError as error:
-        raise StoreError(path, f"broken: {str(error).splitlines()[0]}") from None
+        raise StoreError(path, f"broken: {first_line(error)}") from None
     if dict(table.schema) not in (schema, schema | (optional or {})):
         raise StoreError(
             path, f"broken: its columns are {', '.join(table.columns)}", hint=f"needed: {', '.join(schema)}"
@@ -149,45 +152,3 @@ def read_scenarios(path: Path) -> Scenarios:
     except LdcError as error:
         raise StoreError(path, f"broken: {error}") from None
     return made
-
-
-_NAME = ".lock"
-
-
-@contextlib.contextmanager
-def locked(folder: Path) -> Iterator[None]:
-    """Hold a folder, as long as the block or the process lives; a killed process holds nothing."""
-    try:
-        fcntl = importlib.import_module("fcntl")
-    except ImportError:  # Windows: the folder is not guarded there
-        yield
-        return
-    try:
-        stream = (folder / _NAME).open("ab")
-    except OSError as error:
-        raise StoreError(folder, f"cannot be written: {error.strerror or error}") from None
-    with stream:
-        try:
-            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise StoreError(folder, "another run is writing into this folder", hint="wait for it, or end it") from None
-        except OSError:
-            pass  # a file system without locks, as some network ones: the folder is not guarded there
-        yield
-
-
-def remove_leftovers(folder: Path) -> None:
-    """Remove what a killed process had not finished writing; call it only while the folder is held."""
-    for path in (*folder.glob(".*.part"), *(folder / "results").glob(".*.part")):
-        with contextlib.suppress(OSError):
-            path.unlink()
-
-
-def remove_unfinished(path: Path) -> None:
-    """Remove what killed processes had not finished writing of one file; call it while no other writes it."""
-    # as `whole_file` names it, after the process
-    name = re.compile(rf"\.{re.escape(path.name)}\.\d+\.part")
-    with contextlib.suppress(OSError):
-        for other in list(path.parent.iterdir()):
-            if name.fullmatch(other.name):
-                other.unlink()

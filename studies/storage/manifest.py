@@ -9,7 +9,7 @@ import os
 import platform
 import shlex
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePath
 from typing import Annotated, Any, Final, TypeVar
 
@@ -23,6 +23,7 @@ from ldctoolkit.whole_file import parse_json, read_regular, without_checksum
 from ..design import Design
 from ..study_file import Study
 from .files import read_bytes, read_parquet, write_json, write_parquet
+from .parts import difference_texts
 
 DESIGNS = "designs.parquet"
 
@@ -185,6 +186,7 @@ class Manifest(BaseModel):
     model: str  # Name of the model, or its file's name
     model_hash: str  # Content hash of the scenario model
     model_notes: tuple[str, ...] = ()  # Where the model comes from, for readers
+    model_warnings: tuple[str, ...] = ()  # What its fit warned of
     model_synthetic: bool = False  # Whether it was fitted to invented driving
     inputs: dict[str, Any]  # What decides the numbers of any design
     seed: int
@@ -209,6 +211,7 @@ class Manifest(BaseModel):
         model_hash: str,
         model_notes: tuple[str, ...],
         model_synthetic: bool,
+        model_warnings: tuple[str, ...] = (),
         part_of: str = "",
     ) -> Manifest:
         """The manifest of a study that starts now."""
@@ -222,6 +225,7 @@ class Manifest(BaseModel):
             model=PurePath(model).name,
             model_hash=model_hash,
             model_notes=model_notes,
+            model_warnings=model_warnings,
             model_synthetic=model_synthetic,
             part_of=part_of,
             inputs=study.inputs(),
@@ -267,7 +271,7 @@ class Manifest(BaseModel):
         if not current:
             return Study.from_dict(self.study, source="study")
         if others := self.other_versions():
-            raise StoreError(f"the study was run with {others}; {_AGAIN}")
+            raise StoreError("versions", f"the study was run with {others}", hint=_AGAIN)
         classes: dict[str, Any] = {name: with_content(name, content) for name, content in self.laws.items()}
         changed = [name for name, kind in classes.items() if kind is None]
         if not changed:
@@ -308,28 +312,13 @@ def _relative(word: str) -> str:
 
 def refuse_other(folder: Path, found: Manifest, wanted: Manifest) -> None:
     """Raise a `StoreError` that says what differs if two manifests do not belong to the same numbers."""
-    changes = differences(found.inputs, wanted.inputs)
-    differing = [f"{key}: {_set(was)} there, {_set(now)} now" for key, was, now in changes]
+    differing = difference_texts(found.inputs, wanted.inputs)
     if found.model_hash != wanted.model_hash:
         was, now = (f"{m.model} (content {m.model_hash[:12]})" for m in (found, wanted))
         differing.insert(0, f"model: {was} there, {now} now")
     if differing:
         name = found.study.get("name", "?")
         raise StoreError(folder, f"holds another study ({name}): {'; '.join(differing)}", hint="choose another folder")
-
-
-def _set(value: Any) -> str:
-    return "not set" if value is None else repr(value)
-
-
-def differences(old: Mapping[str, Any], new: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any, Any]]:
-    """What differs between two `Manifest.inputs`: the key, and both values; None where one is not set."""
-    for key in {**old, **new}:
-        was, now = old.get(key), new.get(key)
-        if isinstance(was, dict) and isinstance(now, dict):
-            yield from differences(was, now, f"{prefix}{key}.")
-        elif was != now:
-            yield f"{prefix}{key}", was, now
 
 
 def read_manifest(folder: str | Path) -> Manifest:
@@ -364,7 +353,7 @@ def read_manifest(folder: str | Path) -> Manifest:
         manifest = Manifest.model_validate(without_checksum(content))
     except (ValueError, KeyError, TypeError) as error:
         if isinstance(error, ValidationError):
-            error = ValueError(str(error).replace("\n", " "))
+            error = ValueError("; ".join(f"{'.'.join(map(str, one['loc']))}: {one['msg']}" for one in error.errors()))
         raise StoreError(path, f"broken: {error}", hint="run the study into another folder") from None
     return manifest
 

@@ -25,13 +25,13 @@ from ldctoolkit.metrics import METRIC_COLUMNS, METRIC_UNITS, MetricValues
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.simulation import Window
 from ldctoolkit.surroundings import free_memory
-from ldctoolkit.whole_file import write_whole
 
 from ..design import Design
 from ..results import FailedDesign, StudyResults, TaskResult
 from ..study_file import Study
-from .files import parse_parquet, read_bytes
+from .files import parse_parquet
 from .manifest import LawTime
+from .parts import write_part
 
 if TYPE_CHECKING:
     import polars as pl
@@ -76,23 +76,16 @@ def schema(window: Window) -> dict[str, Any]:
     }
 
 
-def write_part(folder: Path, results: Sequence[TaskResult], window: Window, numbers: IntArray) -> Path:
-    """Write results as one part, whole or not at all; the same results in the same order make the same file.
+def write_results(folder: Path, results: Sequence[TaskResult], window: Window, numbers: IntArray) -> Path:
+    """Write results as one part; the same results in the same order make the same file.
 
-    A part holds the numbers (n,) of its scenarios, which other scenarios added later do not change.
+    It holds the numbers (n,) of its scenarios, which other scenarios added later do not change.
     """
     content = io.BytesIO()
     # nearly all columns are noise to a compressor: a fast one loses little
     _table(results, window, numbers).write_parquet(content, compression="lz4", statistics=False)
-    data = content.getvalue()
     what = json.dumps([[result.ids, numbers[result.rows[[0, -1]]].tolist()] for result in results])
-    name = f"part-{hashlib.sha256(what.encode()).hexdigest()[:_DIGITS]}-{_checksum(data)}.parquet"
-    write_whole(folder / name, data, StoreError)
-    return folder / name
-
-
-def _checksum(data: bytes) -> str:
-    return hashlib.sha256(data).hexdigest()[:_DIGITS]
+    return write_part(folder, hashlib.sha256(what.encode()).hexdigest()[:_DIGITS], content.getvalue(), "parquet")
 
 
 def _table(results: Sequence[TaskResult], window: Window, numbers: IntArray) -> pl.DataFrame:
@@ -112,14 +105,6 @@ def _table(results: Sequence[TaskResult], window: Window, numbers: IntArray) -> 
     columns["status"] = np.concatenate([result.status.ravel() for result in results])
     columns["failed_solves"] = np.concatenate([result.failed_solves.ravel() for result in results])
     return pl.DataFrame(columns, schema=schema(window))
-
-
-def checked_content(path: Path) -> bytes:
-    """The content of a part, as it was written."""
-    data = read_bytes(path)
-    if not path.stem.endswith(f"-{_checksum(data)}"):
-        raise StoreError(path, "broken: its content is not what was written (the checksum in its name differs)")
-    return data
 
 
 def parse_part(path: Path, data: bytes, window: Window, numbers: IntArray) -> Iterator[TaskResult]:
@@ -238,7 +223,7 @@ def check_room(study: Study, n: int) -> None:
     free = free_memory()
     if (size := designs * n * (8 * (1 + len(METRIC_UNITS)) + 6)) > free:
         what = f"{designs:,} designs on {n:,} scenarios need {size / 2**30:,.1f} GiB of memory"
-        raise LdcError(f"{what}, {free / 2**30:,.1f} are free; allowed: fewer designs or scenarios")
+        raise LdcError(problem=f"{what}, {free / 2**30:,.1f} are free", allowed="fewer designs or scenarios")
 
 
 class RunTable:

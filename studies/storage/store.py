@@ -54,7 +54,8 @@ from .manifest import (
     write_times,
 )
 from .measure_table import MEASURES, MeasureTable
-from .run_table import PATTERN, AllFailedError, RunTable, checked_content, parse_part, prefetched, write_part
+from .parts import read_part
+from .run_table import PATTERN, AllFailedError, RunTable, parse_part, prefetched, write_results
 
 _log = logging.getLogger("studies")
 
@@ -133,7 +134,7 @@ class Store:
         try:
             study = manifest.read_study(current=current)
         except LdcError as error:
-            raise StoreError(f"{folder / 'manifest.json'}", f"{error}") from None
+            raise StoreError.of(error.within(str(folder / "manifest.json"), ": ")) from None
         return cls(folder, manifest, study)
 
     @functools.cached_property
@@ -149,7 +150,7 @@ class Store:
     def add(self, results: Sequence[TaskResult], failed: Sequence[FailedRun] = ()) -> None:
         """Store finished runs as one part, the times of their laws, and why others failed."""
         if results:
-            write_part(self.folder / "results", results, self.study.simulation.window, self.scenarios.index)
+            write_results(self.folder / "results", results, self.study.simulation.window, self.scenarios.index)
             for result in results:
                 for id, seconds, commands in zip(result.ids, result.law_seconds, result.commands, strict=True):
                     self.times[id] = self.times.get(id, LawTime(0.0, 0)) + LawTime(float(seconds), int(commands))
@@ -170,7 +171,7 @@ class Store:
         mapped = not repair and len(designs) * n > _MOST_IN_MEMORY
         table = RunTable(self.study, n, designs, keep=repair and self.study.search is not None, mapped=mapped)
         messages = []
-        for path, content in prefetched(checked_content, sorted((self.folder / "results").glob(PATTERN))):
+        for path, content in prefetched(read_part, sorted((self.folder / "results").glob(PATTERN))):
             try:
                 for result in list(
                     parse_part(path, content.result(), self.study.simulation.window, self.scenarios.index)
@@ -179,7 +180,7 @@ class Store:
                 table.release()
             except StoreError as error:
                 if not repair:
-                    raise StoreError(f"{error}; run the study into this folder again to compute it anew") from None
+                    raise error.hinted("run the study into this folder again to compute it anew") from None
                 messages.append(f"{error}; its results are computed anew")
                 path.unlink()
         files: tuple[tuple[str, Callable[[Path], Any], str], ...] = (

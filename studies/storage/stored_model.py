@@ -40,7 +40,7 @@ def read_model(folder: str | Path, manifest: Manifest) -> ScenarioModel | None:
     try:
         model = ScenarioModel.load(path)
     except ModelError as error:
-        raise StoreError(f"{error}; run the study into this folder again to write it anew") from None
+        raise StoreError.of(error.hinted("run the study into this folder again to write it anew")) from None
     if model.content_hash != manifest.model_hash:
         raise StoreError(
             path,
@@ -53,30 +53,35 @@ def read_model(folder: str | Path, manifest: Manifest) -> ScenarioModel | None:
 _LONGEST = 400
 
 
-WARNING = "warning: "  # how a note that is a warning begins
-
-
 Source = ScenarioModel | ReplayedDepartures
 """What the scenarios of a study come from."""
 
 
-def model_notes(model: Source, vehicle: VehicleParameters | None = None, given: Given | None = None) -> tuple[str, ...]:
-    """Source, size of the fit and warnings of a model, one sentence or line each.
+def model_notes(model: Source, given: Given | None = None) -> tuple[str, ...]:
+    """Source and size of the fit of a model, one sentence or line each; with conditions, which departures are drawn."""
+    drawn = "; ".join(map(str, conditions(given)))
+    notes = (f"Only departures with {drawn} are taken.",) if drawn else ()
+    return (*notes, *(_notes(model) if isinstance(model, ScenarioModel) else model.notes))
+
+
+def model_warnings(
+    model: Source, vehicle: VehicleParameters | None = None, given: Given | None = None
+) -> Iterator[str]:
+    """What the fit warned of, and what it does not know of the departures under conditions.
 
     With a vehicle, also whether its width is the one that the departures were found with: a departure is where the
-    vehicle's edge is beyond the line. With conditions, also which departures were drawn.
+    vehicle's edge is beyond the line.
     """
-    drawn = "; ".join(map(str, conditions(given)))
-    notes: tuple[str, ...] = (f"Only departures with {drawn} are taken.",) if drawn else ()
     if isinstance(model, ScenarioModel):
-        notes += (*_notes(model), *(f"{WARNING}{text}" for text in outside_fit(model, given)))
+        yield from (*model.provenance.warnings, *outside_fit(model, given))
     else:
-        notes += model.notes
+        yield from model.warnings
     width = _recorded_widths(model)["w_v"]
-    if vehicle is None or not isinstance(width, int | float) or abs(width - vehicle.w_v) < 1e-9:
-        return notes
-    text = f"departures were found with a vehicle {width:g} m wide, the study drives one of w_v = {vehicle.w_v:g} m"
-    return (*notes, f"{WARNING}{text} in a lane of w_l = {vehicle.w_l:g} m")
+    if vehicle is not None and isinstance(width, int | float) and abs(width - vehicle.w_v) >= 1e-9:
+        yield (
+            f"departures were found with a vehicle {width:g} m wide, the study drives one of w_v = {vehicle.w_v:g} m "
+            f"in a lane of w_l = {vehicle.w_l:g} m"
+        )
 
 
 def _recorded_widths(model: Source) -> dict[str, Any]:
@@ -138,7 +143,6 @@ def _notes(model: ScenarioModel) -> Iterator[str]:
         yield f"fitted with {origin.software}, seed {origin.seed}, {origin.created}".rstrip(", ")
     if origin.versions:
         yield ", ".join(f"{name} {version}" for name, version in origin.versions.items())
-    yield from (f"{WARNING}{text}" for text in origin.warnings)
 
 
 def _fitted(summary: SideSummary | None) -> str:

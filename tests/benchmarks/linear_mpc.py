@@ -16,7 +16,7 @@ from closed_loop import machine, scenarios, seconds
 
 from ldctoolkit import Controller, EventStatus, Setup, SteeringLaw
 from ldctoolkit.controllers import LinearMPC
-from ldctoolkit.controllers._mpc_law import MPCLaw, Rung
+from ldctoolkit.controllers.linear_mpc import MPCLaw, Rung
 from ldctoolkit.controllers.riccati import regulator
 from ldctoolkit.simulation import Takeover, drive
 

@@ -18,7 +18,7 @@ import casadi as ca
 import numpy as np
 
 from ldctoolkit import BicycleModel, EventStatus, Plant, Preview
-from ldctoolkit.controllers._nmpc_model import SIZE, sample, steady_cornering, unpack
+from ldctoolkit.controllers._nmpc_solver import SIZE, sample, steady_cornering, unpack
 from ldctoolkit.controllers.nonlinear_mpc import NonlinearMPC
 
 with warnings.catch_warnings():

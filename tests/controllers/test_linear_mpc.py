@@ -10,11 +10,11 @@ import osqp
 import pytest
 import qpsolvers
 
-import ldctoolkit.controllers._mpc_law as module
+import ldctoolkit.controllers.linear_mpc as module
 from helpers.closed_loop import some
 from ldctoolkit import BicycleModel, EventStatus, Plant, Preview, Scenarios, simulate
 from ldctoolkit.controllers import LinearMPC
-from ldctoolkit.controllers._mpc_law import QP, Answer, Rung, Workspace, make
+from ldctoolkit.controllers.linear_mpc import QP, Answer, Rung, Workspace, make
 from ldctoolkit.errors import InputError
 
 DT = 0.05

@@ -15,7 +15,7 @@ from helpers.closed_loop import grid, some
 from ldctoolkit import BicycleModel, EventStatus, Outcome, Plant, Preview, Scenarios, load_model, simulate
 from ldctoolkit.controllers import LinearMPC
 from ldctoolkit.controllers._mpc_condensing import block_starts
-from ldctoolkit.controllers._mpc_law import MPCLaw, MPCState, Rung
+from ldctoolkit.controllers.linear_mpc import MPCLaw, MPCState, Rung
 from ldctoolkit.plant_options import Actuator, PlantOptions
 
 DT = 0.05

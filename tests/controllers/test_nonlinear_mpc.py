@@ -19,7 +19,7 @@ from helpers.cli import tool
 from helpers.closed_loop import grid
 from ldctoolkit import BicycleModel, EventStatus, Plant, Preview, Scenarios, VehicleParameters, simulate
 from ldctoolkit.controllers import LinearMPC
-from ldctoolkit.controllers._nmpc_model import SHAPE, SIZE, sample, steady_cornering
+from ldctoolkit.controllers._nmpc_solver import SHAPE, SIZE, sample, steady_cornering
 from ldctoolkit.controllers.nonlinear_mpc import NonlinearMPC, NonlinearMPCState
 from ldctoolkit.controllers.riccati import regulator
 from ldctoolkit.errors import InputError

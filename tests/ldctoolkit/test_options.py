@@ -116,7 +116,7 @@ Z3 = np.zeros(3)
         (lambda: metrics.needless([True], [0.1], NAN), "limit: nan; allowed: a number"),
         (lambda: metrics.share_within_dtle([0.1], limit="deep"), "limit: 'deep'"),  # type: ignore[arg-type]
         (lambda: metrics.share_within_dtle(["a"]), "dtle: not an array of numbers"),
-        (lambda: metrics.share_deeper(np.zeros((2, 2)), 0.5), r"deepest: shape \(2, 2\)"),
+        (lambda: metrics.share_deeper(Z3, NAN), "D_y: nan"),
         (lambda: metrics.comfortable(Z3, Z3, a_y_limit=NAN), "a_y_limit: nan"),
     ],
 )

@@ -69,13 +69,12 @@ def test_holds_equals_a_look_at_every_time(standing):
 
 
 @pytest.mark.parametrize("name", LIMITS)
-@pytest.mark.parametrize(
-    ("value", "text"), [(0, "0"), (-1.5, "-1.5"), (math.nan, "nan"), (True, "True"), ("2", "'2'"), ((), "()")]
-)
-def test_a_wrong_limit_gets_one_message(name, value, text):
-    with pytest.raises(InputError) as told:
+@pytest.mark.parametrize("value", [0, -1.5, math.nan, True, "2", ()])
+def test_a_wrong_limit_is_refused(name, value):
+    with pytest.raises(InputError) as error:
         Plausibility(**{name: value})
-    assert str(told.value) == f"plausibility.{name}: {text}; allowed: a number above 0"
+    assert (error.value.path, error.value.allowed) == (f"plausibility.{name}", "a number > 0")
+    assert error.value.value is value
 
 
 def test_an_infinite_limit_is_none():
@@ -219,4 +218,4 @@ def test_an_unknown_limit_gets_one_message(tmp_path: Path, command: str):
     (tmp_path / "a.csv").write_text("recording,t,lane_offset,lane_width,speed\na,0.0,0.1,3.6,25\na,0.1,0.1,3.6,25\n")
     source, target = ("a.csv", "e.parquet") if command == "extract" else ("d.parquet", "m.json")
     told = bad(command, source, "-o", target, "--limit", "d=1", cwd=tmp_path)
-    assert told == "ldc: error: --limit: no limit 'd'; allowed: a_y, y_acceleration, y_rate\n"
+    assert all(part in told for part in ("--limit", "'d'", "allowed: a_y, y_acceleration, y_rate"))

@@ -5,7 +5,9 @@ plant: the scenarios are therefore one array, with the columns named here. The m
 scenarios come in the takeover's order. Nothing that is imported here needs the compiler.
 """
 
+import itertools
 import math
+from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
@@ -51,25 +53,7 @@ SCENE: Final = 35  # then, in this order: amplitudes of the speed residual, fram
 GAIN, MODEL_A, MODEL_B, MODEL_E_0, MODEL_E_1, MODEL_OLD, MODEL_WHEEL, FIRST, FILTER = 0, 8, 24, 28, 32, 36, 40, 44, 48
 
 
-def score_column(metric: str) -> int:
-    """Row of a metric of a scenario among the scores: in the order of their table, behind the area."""
-    return 1 + tuple(SCENARIO_METRICS).index(metric)
-
-
-AREA: Final = 0  # integral of |e_y| up to T
-DEEP: Final = score_column("deepest")  # max of e_y up to T
-FRONT: Final = score_column("dtle")  # max of e_y + l_f e_psi up to T
-BACK: Final = score_column("t_back")  # time of the first crossing back inside
-OPPOSITE: Final = score_column("opposite_crossing")  # max of -e_y
-A_Y: Final = score_column("a_y_peak")
-JERK: Final = score_column("jerk_peak")
-A_Y_ADDED: Final = score_column("a_y_added_peak")
-JERK_ADDED: Final = score_column("jerk_added_peak")
-DELTA: Final = score_column("delta_peak")
-RATE: Final = score_column("delta_rate_peak")
-EFFORT: Final = score_column("effort")
-TRAVEL: Final = score_column("travel")
-SCORES: Final = 1 + len(SCENARIO_METRICS)
+SCORES: Final = 1 + len(SCENARIO_METRICS)  # the area, then the metrics of a scenario in the order of their table
 
 P_TIME, P_X, P_DELTA, PATH = 0, 1, 5, 6  # columns of a path's entry
 
@@ -79,95 +63,126 @@ LAW_F, LAW_U, LAW_I, LAW_WHEEL, LAW = 0, 4, 5, 6, 7
 # columns of the ideal plant over a step: A[:, 1:4], B, E_0, E_1 row by row, then the weights of the area
 EX_B, EX_E_0, EX_E_1, EX_X, EX_DELTA, EX_R_0, EX_R_1, EXACT = 12, 16, 20, 24, 28, 29, 30, 31
 
-# rows of the table of a block, `LANES` numbers each. All of it is one array with fixed distances, so that the compiler
-# sees that rows do not overlap and works on the lanes of a row together. A name is the place of a row's first number.
-_SIZES: Final = {
-    "x": 4,  # state at the start of a piece of the path
-    "n": 4,  # at its end
-    "signed": 1,  # integral of e_y over it
-    "command": 1,  # the last
-    "target": 1,  # command to be driven
-    "z": 1,  # integral of e_y as the law sees it
-    "counted": 1,  # 1 before T
-    "alive": 1,
-    "flag": 1,  # 1 where a piece needs a closer look
-    "scores": SCORES,
-    "diverged": 1,
-    "failed": 1,
-    "entries": 1,  # of the path so far
-    "wheel": 1,  # steering angle at present, or at the segment's end
-    "next_cut": 1,  # first sample at which a lane passes its T or ends, in the first lane
-    "single": 1,  # 1 where a step was driven by itself
-    "lane": 1,  # the lane's yaw rate at the last sample that was looked at
-    "c_0": 1,  # v c_0
-    "dc": 1,  # v dc
-    # up to here is what an exact run changes
-    "limits": 4,  # a_y at the start and the end of a sample, then without the lane's part v^2 c
-    "past": 4,  # what they were a window earlier
-    "recorded": 4,  # y'' of the recorded path at both ends of a sample, and a window before them
-    # the scenario
-    "t_0": 1,
-    "T": 1,
-    "stop": 1,  # end of the settling horizon
-    "ends": 3,  # whole steps to T, the rest of T, steps to the end
-    "index": 1,
-    "kept": 1,  # place of the path among those that are kept, or -1
-    "road": 5,  # speed and its rate at t = 0 without residuals, c_0, dc/T, pi/T
-    "bend": 3,
-    "before": 1,  # a_y before the trigger
-    "law": LAW,
-    # exact steps
-    "weights": 2,  # of yaw rate and turn at a single lookahead time
-    "v": 1,
-    "per_T": 1,
-    "a": 5,  # row of e_y'': 3 states, delta, the lane's yaw rate
-    "step": EXACT,
-    # Runge-Kutta steps
-    "times": 1,  # at which the road is wanted
-    "motion": 4,  # speed, its rate, way since t = 0, and turn of the lane along it
-    "way": 2,  # way and turn at the present sample
-    "curve_bias": 1,  # error of the previewed curvature
-    "wave": 5,  # cosine and sine of pi t/T, and of its multiple; amplitude
-    "modes": 1,  # of the speed residual that are in use in the block, in every lane
-    "substeps": 1,
-    "h": 1,  # length of a substep
-    "span": 1,  # of a piece so far
-    "now": 1,  # its start, since the departure's
-    "due": 1,  # 1 where it ends
-    "points": 12,  # of the road along a substep, see `kernel.sight`
-    "segment": 9,
-    "driven": 2,  # limited command from the switch on, and before it
-    "work": 4,  # rows from elsewhere that are worked on together with others
-    "slope": 1,  # of the ramp of the steering angle
-    "ramp": 1,  # how long that lasts
-    "from": 1,  # steering angle at the segment's start
-    "left": 1,  # what remains to the command
-    "parabola": 3,  # steering angle at the start, the middle and the end of a substep
-    "began": 2,  # time at a segment's start, steering angle at a sample's
-    "saved": SCORES,
-    "seen": 4,
-    "wheel_seen": 2,  # steering angle as a design knows it, now and at the last sample
-    "estimate": 4,  # the Kalman filter's
-    "rate_seen": 1,  # the lane's yaw rate at the last sample
-    "side": 1,
-    "car": 9,
-    "filter": FILTER,
-}
-(
-    X, N, SIGNED, LAST, TARGET, Z, COUNTED, ALIVE, FLAG, S, DIVERGED, FAILED, ENTRIES, WHEEL, NEXT_CUT, SINGLE, LANE,
-    V_C_0, V_DC, LIMITS, PAST, RECORDED, T_0, T, STOP, ENDS, NUMBER, KEPT, ROAD, POLYNOMIAL, BEFORE, OF_LAW, WEIGHTS, V,
-    PER_T, OF_A, STEP, TIMES, MOTION, WAY, CURVE_BIAS, WAVE, USED, PARTS, H, SPAN, NOW, DUE, POINTS, SEGMENT, DRIVEN,
-    WORK, SLOPE, RAMP, FROM, LEFT, PARABOLA, BEGAN, SAVED, SEEN, WHEEL_SEEN, ESTIMATE, RATE_SEEN, OUTWARD, CAR,
-    OF_FILTER, RINGS,
-) = (LANES * sum(tuple(_SIZES.values())[:i]) for i in range(len(_SIZES) + 1))  # fmt: skip
-"""`RINGS`: then come the rings, of a length that the run decides; see `kernel.lanes.rings`."""
+# ------------------------------------------------------------------------------------------------ the table of a block
+#
+# Eight scenarios stand side by side: a row holds one quantity of all of them, `LANES` numbers one after the other, and
+# row + l is that of lane l. All rows lie in one array, at fixed distances, in the order in which they are named here:
+# so the compiler sees that they do not overlap, and works on the lanes of a row together.
 
+_rows = itertools.count(0, LANES)
+
+
+def _next(count: int) -> Iterator[int]:
+    """The next so many rows."""
+    return itertools.islice(_rows, count)
+
+
+# a piece of the path: the state at its start and at its end, and the integral of e_y [m s]
+E_Y, E_Y_RATE, E_PSI, E_PSI_RATE = _next(4)
+NEXT_E_Y, NEXT_E_Y_RATE, NEXT_E_PSI, NEXT_E_PSI_RATE, PIECE_AREA = _next(5)
+LAST_COMMAND, COMMAND = _next(2)  # [rad] of the sample before, and the present one
+E_Y_INTEGRAL = next(_rows)  # [m s] z, as the law sees it
+BEFORE_T, ALIVE = _next(2)  # 1 or 0
+EVENT = next(_rows)  # 1 where a piece needs a closer look
+SCORE, *_ = _next(SCORES)
+DIVERGED, FAILED = _next(2)  # 1 or 0; number of commands that were not finite
+PATH_ENTRIES = next(_rows)  # of the path so far
+WHEEL = next(_rows)  # [rad] steering angle at present, or at the segment's end
+NEXT_CUT = next(_rows)  # first sample at which a lane passes its T or ends; in the first lane
+SINGLE = next(_rows)  # 1 where a step was driven by itself
+LANE_RATE, V_C_0, V_DC = _next(3)  # [rad/s] the lane's yaw rate at the last sample; v c_0 and v dc
+# up to here is what an exact run changes
+
+# [m/s^2] a_y at the start and the end of a sample, the same without the lane's part v^2 c; what they were a jerk window
+# earlier; y'' of the recorded path at the start and the end, now and then
+A_Y_START, A_Y_END, A_Y_OWN_START, A_Y_OWN_END = _next(4)
+A_Y_START_PAST, A_Y_END_PAST, A_Y_OWN_START_PAST, A_Y_OWN_END_PAST = _next(4)
+BEND_START, BEND_END, BEND_START_PAST, BEND_END_PAST = _next(4)
+
+# the scenario
+T_0, T, STOP = _next(3)  # [s] trigger, end of the departure, end of the settling horizon
+WHOLE_STEPS, REST_OF_T, ALL_STEPS = _next(3)  # whole steps to T, what remains of T [s], steps to the end
+SCENARIO, PATH_ROW = _next(2)  # its number; row of its path, or -1
+V_0, A_0, CURVATURE_0, CURVATURE_RATE, PI_PER_T = _next(5)  # v = V_0 + A_0 t, c = CURVATURE_0 + CURVATURE_RATE t
+BEND_0, BEND_1, BEND_2 = _next(3)  # y'' of the recorded path as a polynomial in t
+A_Y_BEFORE = next(_rows)  # [m/s^2] a_y before the trigger
+F_E_Y, F_E_Y_RATE, F_E_PSI, F_E_PSI_RATE, F_U, F_I, F_WHEEL = _next(LAW)  # weights of a linear law
+
+# exact steps
+G_YAW_RATE, G_HEADING = _next(2)  # weights of the lane at a single lookahead time
+V, PER_T = _next(2)  # v, 1/T
+DDE_E_Y_RATE, DDE_E_PSI, DDE_E_PSI_RATE, DDE_DELTA, DDE_LANE = _next(5)  # row of e_y''
+STEP, *_ = _next(EXACT)
+STEP_E_Y, STEP_E_Y_RATE, STEP_E_PSI, STEP_E_PSI_RATE = (STEP + 3 * n * LANES for n in range(4))  # rows of A
+STEP_B, STEP_E_0, STEP_E_1, STEP_AREA_X, STEP_AREA_DELTA, STEP_AREA_R_0, STEP_AREA_R_1 = (
+    STEP + n * LANES for n in (EX_B, EX_E_0, EX_E_1, EX_X, EX_DELTA, EX_R_0, EX_R_1)
+)
+
+# the road at the time `TIME` [s]: speed, its rate, way since t = 0 and turn of the lane along it; way and turn now
+TIME, MOTION_V, MOTION_DV, MOTION_WAY, MOTION_TURN, WAY_NOW, TURN_NOW = _next(7)
+CURVE_BIAS = next(_rows)  # [1/m] error of the previewed curvature
+COS_1, SIN_1, COS_J, SIN_J, AMPLITUDE = _next(5)  # of pi t/T, of j pi t/T, and of the j-th mode of the speed
+MODES_USED = next(_rows)  # modes of the speed in the block, in every lane
+
+# Runge-Kutta steps: substeps of a segment, their length [s]; of the piece: its length so far, its start since that of
+# the departure [s], 1 where it ends
+N_SUBSTEPS, H, PIECE_TIME, PIECE_START, PIECE_ENDS = _next(5)
+# the road at the start, the middle and the end of a substep: v, dv/dt, 1/v, yaw rate of the lane
+V_START, DV_START, PER_V_START, LANE_START = _next(4)
+V_MID, DV_MID, PER_V_MID, LANE_MID = _next(4)
+V_END, DV_END, PER_V_END, LANE_END = _next(4)
+POINTS: Final = V_START  # the twelve rows, also to work in
+# a segment: its length [s], 1 before T, 1 after the delay, length of a substep [s]; decay of a lag over both lengths,
+# and the parabola of that over a substep, see `kernel.sight`
+SEGMENT_LENGTH, SEGMENT_IN_T, SEGMENT_AFTER_DELAY, SUBSTEP_LENGTH = _next(4)
+LAG_SEGMENT, LAG_SUBSTEP, LAG_START, LAG_MID, LAG_END = _next(5)
+YOUNG_COMMAND, OLD_COMMAND = _next(2)  # [rad] limited command from the switch on, and before it
+WORK_0, WORK_1, WORK_2, WORK_3 = _next(4)  # rows from elsewhere that are worked on together with others
+# the steering angle along a segment: rate and duration of its ramp, where that starts, what then remains to the command
+RAMP_RATE, RAMP_TIME, RAMP_START, TO_COMMAND = _next(4)
+DELTA_START, DELTA_MID, DELTA_END = _next(3)  # [rad] steering angle of a substep as a parabola
+SEGMENT_START, WHEEL_START = _next(2)  # [s] start of a segment; [rad] steering angle at the start of a sample
+SAVED, *_ = _next(SCORES)  # scores at the start of the segment
+
+# what a law sees: the state, the steering angle now and at the last sample, the Kalman filter's estimate, the lane's
+# yaw rate at the last sample; side of the departure (1 or -1)
+SEEN_E_Y, SEEN_E_Y_RATE, SEEN_E_PSI, SEEN_E_PSI_RATE, WHEEL_SEEN, WHEEL_SEEN_BEFORE = _next(6)
+ESTIMATE, *_ = _next(4)
+LANE_RATE_SEEN, OUTWARD = _next(2)
+# the vehicle: cornering stiffness of each axle over the mass (over its largest force where tyres saturate), distance of
+# the axles [m], the same times m/I_z, what the printed matrix adds, largest force of each axle over the mass
+STIFFNESS_F, STIFFNESS_R, AXLE_F, AXLE_R, ARM_F, ARM_R, PRINTED_TERM, GRIP_F, GRIP_R = _next(9)
+FILTER_ROWS, *_ = _next(FILTER)
+RINGS = next(_rows)  # then come the rings, of a length that the run decides; see `kernel.lanes.rings`
+
+
+def _score(metric: str) -> int:
+    """Row of the score of a metric."""
+    return SCORE + LANES * (1 + tuple(SCENARIO_METRICS).index(metric))
+
+
+AREA: Final = SCORE  # integral of |e_y| up to T
+DEEPEST: Final = _score("deepest")  # max of e_y up to T
+FRONT_DEEPEST: Final = _score("dtle")  # max of e_y + l_f e_psi up to T
+T_BACK: Final = _score("t_back")  # time of the first crossing back inside
+OPPOSITE: Final = _score("opposite_crossing")  # max of -e_y
+A_Y_PEAK: Final = _score("a_y_peak")
+JERK_PEAK: Final = _score("jerk_peak")
+A_Y_ADDED_PEAK: Final = _score("a_y_added_peak")
+JERK_ADDED_PEAK: Final = _score("jerk_added_peak")
+DELTA_PEAK: Final = _score("delta_peak")
+DELTA_RATE_PEAK: Final = _score("delta_rate_peak")
+EFFORT: Final = _score("effort")
+TRAVEL: Final = _score("travel")
+
+
+# ------------------------------------------------------------------------------------------------ numbers of a run
 
 # numbers of a run that hold for every scenario, see `setting_row`; yes is 1
 (
-    DT, OFFSET, AXLE, BOUND, WINDOW, PROFILE, SATURATING, SHAPE, DELTA_MAX, RATE_MAX, LAG, DELAY_SAMPLES,
-    DELAY_PART, MODES, EARLIER, CAMERA, PERIOD, LATE, NOISE_Y, NOISE_PSI, BIAS_Y, BIAS_PSI, STEP_Y, STEP_PSI,
-    CURVATURE_GAIN, SEED_LOW, SEED_HIGH, FILTERED, KNOWN_DELAY, KNOWN_AGE, COMMANDS, FRAMES, RING, WIDTH,
+    DT, OFFSET, L_FRONT, BOUND, WINDOW, PROFILE, SATURATING, SHAPE, DELTA_MAX, RATE_MAX, LAG, DELAY_SAMPLES, DELAY_PART,
+    MODES, EARLIER_FRAMES, CAMERA, PERIOD, CAMERA_DELAY, NOISE_Y, NOISE_PSI, BIAS_Y, BIAS_PSI, STEP_Y, STEP_PSI,
+    CURVATURE_GAIN, SEED_LOW, SEED_HIGH, FILTERED, KNOWN_DELAY, KNOWN_AGE, COMMAND_RING, FRAME_RING, A_Y_RING, WIDTH,
 ) = range(34)  # fmt: skip
 
 
@@ -181,7 +196,7 @@ def setting_row(setup: Setup, plant: Plant, *, modes: int, bound: float, window:
     values = {
         DT: dt,
         OFFSET: setup.vehicle.edge_offset,  # [m] e_y with the edge on the line
-        AXLE: setup.vehicle.l_f,  # [m]
+        L_FRONT: setup.vehicle.l_f,  # [m]
         BOUND: bound,  # [m] |e_y| that counts as diverged
         WINDOW: whole_multiple(window, dt) / dt,  # samples in the moving average of the jerk
         PROFILE: setup.options.speed == "profile",  # v(t) instead of the trigger's speed
@@ -193,10 +208,10 @@ def setting_row(setup: Setup, plant: Plant, *, modes: int, bound: float, window:
         DELAY_SAMPLES: whole,
         DELAY_PART: part if part > 1e-9 * dt else 0.0,  # [s] what remains of the delay after whole samples
         MODES: modes,  # columns of the speed residual
-        EARLIER: math.ceil(late / period - 1e-9),  # frames before the trigger
+        EARLIER_FRAMES: math.ceil(late / period - 1e-9),  # frames before the trigger
         CAMERA: not sensors.ideal,  # the law sees frames, not the state
         PERIOD: period,  # [s] between frames
-        LATE: late,  # [s] until a frame arrives
+        CAMERA_DELAY: late,  # [s] until a frame arrives
         NOISE_Y: sensors.e_y_noise,
         NOISE_PSI: sensors.e_psi_noise,
         BIAS_Y: sensors.e_y_bias,  # in the road's frame
@@ -210,10 +225,10 @@ def setting_row(setup: Setup, plant: Plant, *, modes: int, bound: float, window:
         KNOWN_DELAY: known,  # whole samples of delay that a design knows
         KNOWN_AGE: plant.age,  # [s] of the camera's
         # length of the rings of commands and of wheel angles
-        COMMANDS: max(whole, known, math.ceil(plant.age / dt)) + 3,
-        FRAMES: 0 if sensors.ideal else math.ceil((late + period) / dt) + 2,  # length of the ring of frames
+        COMMAND_RING: max(whole, known, math.ceil(plant.age / dt)) + 3,
+        FRAME_RING: 0 if sensors.ideal else math.ceil((late + period) / dt) + 2,  # length of the ring of frames
         # length of the ring of lateral accelerations, a power of two
-        RING: 2 ** math.ceil(math.log2(math.ceil(window / dt) + 3)),
+        A_Y_RING: 2 ** math.ceil(math.log2(math.ceil(window / dt) + 3)),
         WIDTH: LANES,  # unknown to the compiler, which would unroll a short loop over the lanes instead
     }
     return np.array([values[n] for n in range(len(values))], dtype=np.float64)

@@ -29,7 +29,7 @@ from ldctoolkit.recordings import (
     reader_names,
     recording_reader,
 )
-from ldctoolkit.recordings import sources as readers
+from ldctoolkit.recordings import recording as readers
 from ldctoolkit.recordings.find_departures import REASONS
 
 

@@ -12,10 +12,16 @@ import numpy as np
 import pytest
 
 from ldctoolkit.errors import LdcError, RecordingError
-from ldctoolkit.recordings import sources
+from ldctoolkit.recordings import recording
 from ldctoolkit.recordings.extract import extract_departures
-from ldctoolkit.recordings.recording import Problem, Recording, SourceFile
-from ldctoolkit.recordings.sources import RecordingPart, RecordingSource, open_recordings
+from ldctoolkit.recordings.recording import (
+    Problem,
+    Recording,
+    RecordingPart,
+    RecordingSource,
+    SourceFile,
+    open_recordings,
+)
 
 OWN = ("mdf", "spmd-das1", "spmd-das2", "table", "uah-driveset")
 INSTALLED = importlib.metadata.entry_points
@@ -24,11 +30,11 @@ INSTALLED = importlib.metadata.entry_points
 @pytest.fixture(autouse=True)
 def _fresh() -> Iterator[None]:
     """Nothing that a test installs outlives it."""
-    sources._installed.cache_clear()
-    sources.recording_reader.cache_clear()
+    recording._installed.cache_clear()
+    recording.recording_reader.cache_clear()
     yield
-    sources._installed.cache_clear()
-    sources.recording_reader.cache_clear()
+    recording._installed.cache_clear()
+    recording.recording_reader.cache_clear()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -75,13 +81,13 @@ def install(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
     def add(**readers: Any) -> None:
         def entry_points(**choice: str) -> Any:
             found = list(INSTALLED(**choice))
-            if choice.get("group") == sources.GROUP:
+            if choice.get("group") == recording.GROUP:
                 found += [SimpleNamespace(name=n, value=f"theirs:{n}", load=load) for n, load in readers.items()]
             return found
 
         monkeypatch.setattr(importlib.metadata, "entry_points", entry_points)
-        sources._installed.cache_clear()
-        sources.recording_reader.cache_clear()
+        recording._installed.cache_clear()
+        recording.recording_reader.cache_clear()
 
     return add
 
@@ -91,7 +97,7 @@ def test_a_third_partys_reader(given: Any, install: Callable[..., None], tmp_pat
     install(flat=lambda: given)
     path = tmp_path / "drive.flat"
     path.write_text("anything")
-    assert sources.reader_names() == tuple(sorted((*OWN, "flat")))
+    assert recording.reader_names() == tuple(sorted((*OWN, "flat")))
     opened = open_recordings([path])
     assert (opened.reader.name, opened.found) == ("flat", "1 flat")
     assert isinstance(opened.source, RecordingSource)
@@ -110,12 +116,12 @@ def test_a_reader_that_is_at_fault_is_named(install: Callable[..., None], tmp_pa
             return str(1 / len(paths[1:]))
 
     install(broken=load, renamed=lambda: FlatReader(), empty=lambda: object())
-    with pytest.raises(LdcError, match=r"'empty' \(theirs:empty\): allowed: name, title"):
-        sources.recording_reader("empty")
-    with pytest.raises(LdcError, match=r"'broken' \(theirs:broken\) cannot be loaded: ZeroDivisionError: oops"):
-        sources.recording_reader("broken")
+    with pytest.raises(LdcError, match=r"'empty' \(theirs:empty\): no reader of recordings; allowed: name, title"):
+        recording.recording_reader("empty")
+    with pytest.raises(LdcError, match=r"'broken' \(theirs:broken\): cannot be loaded: ZeroDivisionError: oops"):
+        recording.recording_reader("broken")
     with pytest.raises(LdcError, match="its name is 'flat'"):
-        sources.recording_reader("renamed")
+        recording.recording_reader("renamed")
     install(flat=lambda: Careless)
     with pytest.raises(LdcError, match="'flat': recognise fails with ZeroDivisionError"):
         open_recordings(tmp_path)
@@ -148,7 +154,7 @@ TABLES = {
 def test_recognise_a_file(name: str, tmp_path: Path) -> None:
     file, text = TABLES[name]
     (tmp_path / file).write_text(text)
-    readers = map(sources.recording_reader, sources.reader_names())
+    readers = map(recording.recording_reader, recording.reader_names())
     assert [reader.name for reader in readers if reader.recognise([tmp_path / file])] == [name]
 
 

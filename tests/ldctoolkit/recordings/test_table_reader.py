@@ -20,8 +20,7 @@ from helpers.bits import assert_same_bits, examples
 from helpers.recordings import OFFSET, assert_same, drive, frame_of
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings import extract_departures, read_recordings
-from ldctoolkit.recordings.recording import Problem, Recording
-from ldctoolkit.recordings.sources import open_recordings
+from ldctoolkit.recordings.recording import Problem, Recording, open_recordings
 from ldctoolkit.recordings.table_reader import READER, TablePart
 
 Save = Callable[..., Path]
@@ -231,6 +230,10 @@ REFUSED_TEXT: dict[str, tuple[str | bytes, str]] = {
     ),
     "column twice": (HEADER.replace("speed", "speed,t") + "a,0,0,3.6,25,1\n", "column 't' appears 2 times"),
     "too many fields": (PLAIN + "b,1,0,3.6,25,7\n", "line 5: 6 fields; the header has 5 columns"),
+    "too many fields behind a column that is not read": (
+        HEADER.replace("speed", "speed,x") + "a,0,0,3.6,25,x\nb,1,0,3.6,25,x,7\n",
+        "line 3: 7 fields; the header has 6 columns",
+    ),
     "open quote": (PLAIN + '"b,1,0,3.6,25\n', "line 5: a quotation mark is not closed on its line"),
     "line break in quotes": (HEADER + '"a\nb",1,0,3.6,25\n', "line 2: a quotation mark is not closed on its line"),
     "latin-1": (PLAIN.encode() + b"b\xe4r,1,0,3.6,25\n", "line 5: the text is not UTF-8"),

@@ -222,16 +222,16 @@ def test_a_vehicle_that_never_leaves_is_back_at_the_trigger() -> None:
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"lateral_velocity": 30.0}, "scenarios: lateral_velocity[0] = 30; allowed: below the speed (4 rows in all)"),
-        ({"lateral_velocity": [1, 0, 1, 1]}, "scenarios: lateral_velocity[1] = 0; allowed: > 0"),
-        ({"radius": 0}, "scenarios: radius[0] = 0; allowed: > 0 (4 rows in all)"),
-        ({"distance": [1, 1, np.nan, 1]}, "scenarios: distance[2] = nan; allowed: >= 0"),
+        ({"lateral_velocity": 30.0}, "scenarios.lateral_velocity[0]: 30.0; allowed: below the speed; 4 rows in all"),
+        ({"lateral_velocity": [1, 0, 1, 1]}, "scenarios.lateral_velocity[1]: 0.0; allowed: > 0"),
+        ({"radius": 0}, "scenarios.radius[0]: 0.0; allowed: > 0; 4 rows in all"),
+        ({"distance": [1, 1, np.nan, 1]}, "scenarios.distance[2]: nan; allowed: >= 0"),
         ({"T": [1.0] * 3}, "do not have one common length"),
         ({"radius": [600.0] * 3}, "do not have one common length"),
         ({"side": ["left", "right"]}, "do not have one common length"),
-        ({"v": [20.0, np.nan, 20.0, 20.0]}, "scenarios: v_mean[1] = nan; allowed: finite numbers"),
-        ({"T": 601}, "scenarios: T[0] = 601; allowed: up to 600 s (4 rows in all)"),
-        ({"side": "up"}, "scenarios: side[0] = 'up'; allowed: left, right"),
+        ({"v": [20.0, np.nan, 20.0, 20.0]}, "scenarios.v_mean[1]: nan; allowed: finite numbers"),
+        ({"T": 601}, "scenarios.T[0]: 601.0; allowed: up to 600 s; 4 rows in all"),
+        ({"side": "up"}, "scenarios.side[0]: 'up'; allowed: left, right"),
     ],
 )
 def test_bad_drifts_end_in_one_message(given: dict[str, Any], message: str) -> None:
@@ -245,8 +245,8 @@ def test_bad_drifts_end_in_one_message(given: dict[str, Any], message: str) -> N
     [
         ({"trigger": "distnace"}, "trigger: 'distnace'; did you mean 'distance'? (allowed: distance, ttlc)"),
         ({"ttlc": 2.0}, "ttlc: 2.0 with trigger 'distance'; allowed with trigger = 'ttlc'"),
-        ({"trigger": "ttlc", "ttlc": 0.0}, "ttlc: 0.0; allowed: a finite number > 0 and <= 10"),
-        ({"y_s": -11}, "y_s: -11; allowed: a finite number >= -10"),
+        ({"trigger": "ttlc", "ttlc": 0.0}, "ttlc: 0.0; allowed: a finite number > 0 and <= 10 s"),
+        ({"y_s": -11}, "y_s: -11; allowed: a finite number >= -10 m"),
     ],
 )
 def test_bad_triggers_end_in_one_message(given: dict[str, Any], message: str) -> None:

@@ -161,7 +161,7 @@ def test_missing_numbers_in_recordings_end_or_are_counted(tmp_path: Path) -> Non
         (["fit", "s.toml", "-o", "m.json", "--components", "3:1"], "allowed: K or FIRST:LAST"),
         (["extract", "s.toml", "-o", "d.parquet"], "s.toml"),
         (["extract", "s.toml", "-o", "d.csv"], "must end in .parquet"),
-        (["extract", "s.toml", "-o", "d.parquet", "--vehicle-width", "wide"], "allowed: a number"),
+        (["extract", "s.toml", "-o", "d.parquet", "--vehicle-width", "wide"], "allowed: a finite number"),
         (["sample", "reference", "-n", "999999999999", "-o", "s.csv"], "allowed: up to 10000000"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",

@@ -2,7 +2,6 @@
 
 import contextlib
 import csv
-import io
 import json
 import re
 import shutil
@@ -13,11 +12,9 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import pytest
-from rich.console import Console
 
 from helpers.cli import Terminal, bad, ldc
-from ldctoolkit.studies.cli import _console, main
-from ldctoolkit.studies.cli._console import add_row, new_table, print_table
+from ldctoolkit.studies.cli import main
 
 
 @pytest.fixture
@@ -62,18 +59,20 @@ def test_the_table_shows_what_the_file_holds(folder: Path, rank: Rank) -> None:
     """Every cell to the digits that are printed."""
     lines = rank("plain", "--top", 4).stdout.splitlines()
     rows = rows_of(folder / "plain" / "ranking.csv")
-    shown = [line for line in lines if re.match(r"\d .*\d\.\.\d", line)]
+    shown = [line for line in lines if re.match(r" *\d .*\d\.\.\d", line)]
     assert len(rows) == len(shown) == 4
     for line, row in zip(shown, rows, strict=True):
         cell = "([-\\d.\u2013]+) +"
-        found = re.match(rf"(\d) (.+?) +{cell}.*?([\d.]+) ([\d.]+)\.\.([\d.]+) +{3 * cell}([\d.]+) (.*)$", line)
+        pattern = rf" *(\d) (.+?) +{cell}.*?([\d.]+) +([\d.]+)\.\.([\d.]+) +{3 * cell}([\d.]+) +{cell}(.*)$"
+        found = re.match(pattern, line)
         assert found is not None, line
-        rank_, _, y_s, S, low, high, saved, a_y, jerk, needless, verdict = found.groups()
+        rank_, _, y_s, S, low, high, saved, a_y, jerk, needless, fresh, verdict = found.groups()
         assert (rank_, float(y_s)) == (row["rank"], float(row["y_s_m"]))
         assert float(S) == pytest.approx(float(row["S_m_s"]), abs=6e-4)
-        assert (float(low), float(high)) == pytest.approx((float(row["S_low_m_s"]), float(row["S_high_m_s"])), abs=6e-3)
+        assert (float(low), float(high)) == pytest.approx((float(row["S_low_m_s"]), float(row["S_high_m_s"])), abs=6e-4)
         assert float(saved) == pytest.approx(100 * float(row["reduction"]), abs=0.06)
         assert float(needless) == pytest.approx(100 * float(row["needless_share"]), abs=0.06)
+        assert (fresh == "–") == (row["fresh_S_m_s"] == "")  # noqa: RUF001
         for cell, name in ((a_y, "a_y_added_peak_p95_m_s2"), (jerk, "jerk_added_peak_p95_m_s3")):
             assert (cell == "–") == (row[name] == "")  # noqa: RUF001
             assert row[name] == "" or float(cell) == pytest.approx(float(row[name]), abs=6e-3)
@@ -113,23 +112,6 @@ def test_no_table_loses_a_digit_at_80_columns(command: str, folder: Path, monkey
     assert {line for line in narrow if len(line) > 80} <= set(wide)
 
 
-@pytest.mark.parametrize("width", [30, 41, 64, 80, 200])
-def test_columns_that_do_not_fit_follow_below(width: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    headings = ("name of a thing", *(f"number {i}\n[m/s]" for i in range(8)))
-    table = new_table("Title", headings)
-    cells = [f"{10**i + 0.25:.2f}" for i in range(8)]
-    add_row(table, ["a rather long name", *cells])
-    monkeypatch.setattr(_console, "console", lambda: out)
-    out = Console(width=width, file=io.StringIO())
-    print_table(table)
-    lines = out.file.getvalue().splitlines()  # type: ignore[attr-defined]
-    words = " ".join(lines).replace("\u2502", " ").split()
-    assert [word for word in words if re.fullmatch(r"\d+\.25", word)] == cells
-    assert max(map(len, lines)) <= width
-    assert words.count("Title") == 1
-    assert words.count("rather") == {30: 4, 41: 3, 64: 2, 80: 1, 200: 1}[width]
-
-
 def test_the_table_is_readable_at_80_columns(folder: Path) -> None:
     """Nothing is cut with an ellipsis, no line is longer than the terminal."""
     command = f"stty cols 80; {sys.executable} -m ldctoolkit rank plain"
@@ -140,7 +122,7 @@ def test_the_table_is_readable_at_80_columns(folder: Path) -> None:
     assert max(map(len, lines)) <= 80
     assert "…" not in done.stdout
     text = " ".join(" ".join(lines).split())
-    for heading in ("a_y", "jerk", "less", "verdict", "gains"):
+    for heading in ("a_y", "Jerk", "Less", "Verdict", "Gains"):
         assert heading in text
     assert "Smallest S" in text
 
@@ -149,7 +131,7 @@ def test_an_inadmissible_design_is_never_first_without_a_word(folder: Path, rank
     done = rank("plain", "--require", "comfort", "--require", "S <= 1e-3")
     assert "None of 3 designs meets the limits." in done.stdout
     assert "Nearest: " in done.stdout
-    assert all(line.startswith("–") for line in done.stdout.splitlines() if "breaks" in line and ".." in line)  # noqa: RUF001
+    assert all(line.lstrip().startswith("–") for line in done.stdout.splitlines() if "breaks" in line and ".." in line)  # noqa: RUF001
 
 
 def test_other_requirements_rank_others_and_change_no_file(folder: Path, rank: Rank, tmp_path: Path) -> None:
@@ -220,7 +202,7 @@ def test_json(folder: Path, rank: Rank) -> None:
         (["plain", "--pareto", "effrt"], "did you mean 'effort"),
         (["plain", "--baseline", "lqq"], "did you mean 'lqr'"),
         (["plain", "--confidence", "1.5"], "plain: ranking.confidence: 1.5; allowed: less than 1"),
-        (["plain", "--confidence", "high"], "allowed: a number"),
+        (["plain", "--confidence", "high"], "allowed: a finite number"),
         (["plain", "-o", "r.txt"], "must end in .csv"),
         (["plain", "--require", "comfrt"], "no such set of requirements; did you mean 'comfort'?"),
     ],

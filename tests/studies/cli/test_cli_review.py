@@ -110,7 +110,7 @@ def test_a_result_folder_says_what_its_results_say(folder: Path) -> None:
         (["lqr", "--speed", "30:20"], "allowed: LOW:HIGH"),
         (["lqr", "--speed", "20:200"], "speeds: 95.0; allowed: one or more from 1 to 90 m/s"),
         (["lqr", "--points", "1"], "allowed: a whole number from 2 to 1000"),
-        (["lqr", "--dt", "0"], "allowed: a number > 0"),
+        (["lqr", "--dt", "0"], "allowed: a finite number > 0"),
         (["lqr", "--delay", "-1"], "actuator.delay: -1.0; allowed"),
         (["lqr", "--json", "x.txt"], "error: --json x.txt: the name must end in .json"),
         (["a" * 300], "is neither a law, nor a study"),
@@ -204,12 +204,14 @@ def test_numbers_stand_under_their_headings_in_their_units(tmp_path: Path) -> No
 def test_an_overview_holds_the_worst_of_all_speeds(folder: Path) -> None:
     """Speeds of 10 and 40 m/s: margins are least at one end, offsets largest at the other."""
     out = reviewed(3, "s.toml", "--speed", "10:40", "--points", "2", cwd=folder)
-    headings, *rows = printed_rows(out)
-    assert headings == ["design", "gain margin [dB]", "phase margin [deg]", "disk margin", "e_y in a bend [m]",
-                        "other tyres [m]", "faults", "warnings"]  # fmt: skip
+    headings, units, *rows = printed_rows(out)
+    assert [f"{a} {b}".strip() for a, b in zip(headings, units, strict=True)] == [
+        "design", "gain margin [dB]", "phase margin [deg]", "disk margin", "e_y in a bend [m]", "other tyres [m]",
+        "faults", "warnings",
+    ]  # fmt: skip
     assert rows == [
-        ["No control, y_s=0.2 m", "-", "-", "-", "-", "-", "0", "0"],
-        ["LQR, y_s=0.1, 0.2 m, r_delta=30", "4.1", "1.2", "0.02", "0.000", "inf", "6", "2"],
+        ["No control, y_s=0.2 m", *["–"] * 5, "0", "0"],  # noqa: RUF001
+        ["LQR, y_s=0.1, 0.2 m, r_delta=30", "4.1", "1.2", "0.02", "0.000", "∞", "6", "2"],
         ["LQR, y_s=0.1, 0.2 m, r_delta=30000", "24.2", "46.1", "0.85", "0.000", "0.442", "0", "1"],
     ]
     for sentence in (

@@ -52,10 +52,10 @@ def test_indices_and_profiles_are_printed_and_written(folder: Path) -> None:
     }
     # the printed indices are those of the file
     for name in ("y_s", "K_y"):
-        (cells,) = [row for row in printed_rows(out) if row[0] == name and " .. " in row[2] and len(row) == 5]
+        (cells,) = [row for row in printed_rows(out) if len(row) == 6 and row[1] == name]
         first, total = (table.filter(kind=kind, dimension=name).row(0, named=True) for kind in ("first", "total"))
-        for shown, interval, stored in ((cells[1], cells[2], first), (cells[3], cells[4], total)):
-            ends = [float(end) for end in interval.split(" .. ")]
+        for shown, interval, stored in ((cells[2], cells[3], first), (cells[4], cells[5], total)):
+            ends = [float(end) for end in interval.split("..")]
             wanted = [float(stored[key]) for key in ("index", "index_low", "index_high")]
             assert [float(shown), *ends] == pytest.approx(wanted, abs=6e-4)
     # the design with the smallest mean S is the middle

@@ -2,7 +2,6 @@
 
 import csv
 import dataclasses
-import io
 import json
 import math
 import shutil
@@ -14,7 +13,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from rich.console import Console
 
 from helpers.results import per_scenario_numbers
 from helpers.stored import rewrite_json
@@ -23,8 +21,7 @@ from ldctoolkit.errors import InputError, StoreError
 from ldctoolkit.paths.uncorrected import RandomStream
 from ldctoolkit.plant_options import Mismatch, PlantOptions, Residuals, Sensors
 from ldctoolkit.studies import Comparison, Manifest, Study, StudyResults, compare
-from ldctoolkit.studies.cli._tables import print_comparison
-from ldctoolkit.studies.comparison.comparison import COLUMNS, comparison_content, write_comparison
+from ldctoolkit.studies.comparison.comparison import COLUMNS, comparison_content, design_table, write_comparison
 from ldctoolkit.studies.comparison.paired import (
     FinishedStudy,
     Verdict,
@@ -386,11 +383,9 @@ def test_failed_designs(scores: np.ndarray) -> None:
 
 @pytest.mark.parametrize(("d", "title"), [(1, "1 design in both studies"), (2, "2 designs in both studies")])
 def test_one_design_is_told_as_one(scores: np.ndarray, d: int, title: str) -> None:
-    text = io.StringIO()
-    print_comparison(
-        compare(finished(scores[:d], source="old"), finished(scores[:d])), 10, Console(file=text, width=160)
-    )
-    assert f"{title}, 400 shared scenarios" in text.getvalue()
+    table = design_table(compare(finished(scores[:d], source="old"), finished(scores[:d])), range(d))
+    assert table.title.startswith(f"{title}, 400 shared scenarios")
+    assert len(table.rows) == d
 
 
 def test_inputs_that_differ_come_as_old_and_new(scores: np.ndarray) -> None:

@@ -16,8 +16,7 @@ import pytest
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings import Extraction
 from ldctoolkit.recordings.departures_table import PartResult
-from ldctoolkit.recordings.recording import Label, Problem, Recording, SourceFile
-from ldctoolkit.recordings.sources import OpenedRecordings
+from ldctoolkit.recordings.recording import Label, OpenedRecordings, Problem, Recording, SourceFile
 
 
 def drive(seed: int) -> Recording:
@@ -99,10 +98,10 @@ def made(folder: Path, *how: str, digest: str = "0" * 64, kind: type[MadePart] =
 
 def content(found: Extraction) -> tuple[Any, ...]:
     """All that an extraction holds, comparable bit for bit."""
-    from ldctoolkit.studies.extraction import part_bytes
+    from ldctoolkit.studies.storage.parts import encoded
 
     whole = PartResult(found.departures, found.accounts, drawn=found.drawn, problems=found.problems)
-    return found.provenance, part_bytes(whole)
+    return found.provenance, encoded(whole)
 
 
 @pytest.fixture(name="made")

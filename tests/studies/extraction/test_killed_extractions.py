@@ -11,7 +11,7 @@ import pytest
 
 from helpers.kills import killing
 from ldctoolkit.recordings import extract_departures, read_departures
-from ldctoolkit.recordings.sources import open_recordings
+from ldctoolkit.recordings.recording import open_recordings
 from ldctoolkit.studies.extraction import run_extraction
 
 FILES = 40

@@ -13,8 +13,8 @@ from helpers.closed_loop import Unsighted, known
 from ldctoolkit import Controller, EventStatus, Plant, gain
 from ldctoolkit.errors import LdcError
 from ldctoolkit.studies import Study, read_results, run_study, runner
-from ldctoolkit.studies.running.executors import Ended
 from ldctoolkit.studies.running.tasks import Simulator, Task
+from ldctoolkit.studies.running.work import Ended
 
 MakeStudy = Callable[..., Study]
 
@@ -58,7 +58,7 @@ class Deadly:
     def __init__(self, seed: int, plan: dict[float, set[int]], workers: int = 2) -> None:
         self.chance = random.Random(seed)
         self.plan, self.workers = plan, workers
-        self.tasks: list[Task] = []
+        self.tasks: list[Any] = []
         self.deaths = 0
 
     def start(self, task: Task) -> None:

@@ -21,9 +21,10 @@ from loky.process_executor import BrokenProcessPool
 
 from ldctoolkit.errors import ClusterError, InputError, LdcError
 from ldctoolkit.studies import Study, StudyResults, rank_study, run_study
-from ldctoolkit.studies.running import campaign
-from ldctoolkit.studies.running.executors import Executor, dask_cluster, make_executor, processes
+from ldctoolkit.studies.running import campaign, executors
+from ldctoolkit.studies.running.executors import make_executor
 from ldctoolkit.studies.running.tasks import Done
+from ldctoolkit.studies.running.work import Executor
 from ldctoolkit.studies.storage.store import Store
 
 MakeStudy = Callable[..., Study]
@@ -148,7 +149,7 @@ def test_a_dask_worker_that_is_killed_loses_nothing(
 
 
 def test_what_cannot_be_used_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(dask_cluster, "_CONNECT", "1s")
+    monkeypatch.setattr(executors, "_CONNECT", "1s")
     with pytest.raises(
         InputError, match="executor: 'serial' with the address tcp://h:1; allowed with an address: 'dask'"
     ):
@@ -245,7 +246,7 @@ def client(monkeypatch: pytest.MonkeyPatch) -> FakeClient:
     found = FakeClient()
     fake = types.SimpleNamespace(KilledWorker=KilledWorker, Client=lambda *_, **__: found)
     monkeypatch.setitem(sys.modules, "distributed", fake)
-    monkeypatch.setattr(dask_cluster, "_LISTEN_EVERY", 0.001)
+    monkeypatch.setattr(executors, "_LISTEN_EVERY", 0.001)
     return found
 
 
@@ -254,8 +255,8 @@ def a_task(time_limit: float = 0.0) -> Any:
     return types.SimpleNamespace(number=1, time_limit=time_limit)
 
 
-def connected() -> dask_cluster.DaskExecutor:
-    return dask_cluster.DaskExecutor("tcp://h:1")
+def connected() -> executors.DaskExecutor:
+    return executors.DaskExecutor("tcp://h:1")
 
 
 def listen(executor: Executor, seconds: float) -> None:
@@ -273,11 +274,11 @@ def test_a_result_whose_worker_has_gone_is_waited_for(client: FakeClient) -> Non
     client.futures[0].end("finished", TimeoutError())
     assert executor.wait() == []
     client.futures[0].outcome = done = Done(None)  # type: ignore[arg-type]
-    assert [ended.done for ended in executor.wait()] == [done]
+    assert [ended.result for ended in executor.wait()] == [done]
 
 
 def test_no_workers(client: FakeClient, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
-    monkeypatch.setattr(dask_cluster, "_COUNT_EVERY", 0.0)
+    monkeypatch.setattr(executors, "_COUNT_EVERY", 0.0)
     executor = connected()
     executor.start(a_task())
     assert executor.wait() == []
@@ -289,7 +290,7 @@ def test_no_workers(client: FakeClient, monkeypatch: pytest.MonkeyPatch, caplog:
     # one comes back, and the time begins anew
     client.threads = {"tcp://w:2": 1}
     executor.wait()
-    monkeypatch.setattr(dask_cluster, "_GRACE", 0.0)
+    monkeypatch.setattr(executors, "_GRACE", 0.0)
     client.threads = {}
     executor.wait()
     time.sleep(0.002)
@@ -300,7 +301,7 @@ def test_no_workers(client: FakeClient, monkeypatch: pytest.MonkeyPatch, caplog:
 def test_a_task_is_late_where_nothing_else_took_the_time(client: FakeClient, monkeypatch: pytest.MonkeyPatch) -> None:
     """A limit of 10 s and four attempts: 41 s alone are too long; 39 s, or 41 s beside another task, tell nothing."""
     now = 0.0
-    monkeypatch.setattr(dask_cluster.time, "monotonic", lambda: now)
+    monkeypatch.setattr(executors.time, "monotonic", lambda: now)
     faults = []
     for seconds, companions, limit in ((41.0, 0, 10.0), (39.0, 0, 10.0), (41.0, 1, 10.0), (1e9, 0, 0.0)):
         now = 0.0
@@ -313,7 +314,7 @@ def test_a_task_is_late_where_nothing_else_took_the_time(client: FakeClient, mon
             future.end("error", KilledWorker())
         while ended := executor.wait():
             assert ended[0].certain
-            assert ended[0].done is None
+            assert ended[0].result is None
             faults.append(ended[0].fault)
     assert faults == ["late", "died", "died", "died", "died"]
 
@@ -360,7 +361,7 @@ def test_a_dask_worker_of_another_kind_is_refused(tmp_path: Path, preload: str, 
 @pytest.mark.slow
 def test_a_dask_worker_that_joins_later_is_checked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The one that was there goes, and one with another SciPy comes: the study ends, and says why."""
-    monkeypatch.setattr(dask_cluster, "_GRACE", float(LONG))
+    monkeypatch.setattr(executors, "_GRACE", float(LONG))
     preload = tmp_path / "other.py"
     preload.write_text(
         "import importlib.metadata as m\nm.version = lambda n, v=m.version: '0.1' if n == 'scipy' else v(n)"
@@ -400,8 +401,8 @@ def test_processes_that_cannot_start_are_told(monkeypatch: pytest.MonkeyPatch) -
         def submit(*_: Any, error: Exception = error) -> None:
             raise error
 
-        monkeypatch.setattr(processes, "get_reusable_executor", lambda *_, **__: types.SimpleNamespace(submit=submit))
-        executor = processes.ProcessExecutor(2)
+        monkeypatch.setattr(executors, "get_reusable_executor", lambda *_, **__: types.SimpleNamespace(submit=submit))
+        executor = executors.ProcessExecutor(2)
         with pytest.raises(
             LdcError, match=r"worker processes cannot start \(.*(ended|unavailable)\); what was stored is kept"
         ):
@@ -417,7 +418,7 @@ def test_last_output_are_read_by_the_line(tmp_path: Path) -> None:
     (tmp_path / "2").write_text("task 4\ndone\n")
     (tmp_path / "3").write_text("task 4\ndone\ntask 5\n")
     (tmp_path / "4").write_text("")
-    assert processes._last_output(tmp_path) == ({12, 5}, {12})
+    assert executors._last_output(tmp_path) == ({12, 5}, {12})
     assert not list(tmp_path.iterdir())
 
 
@@ -434,14 +435,13 @@ def test_giving_up_neither_raises_nor_hangs(client: FakeClient, monkeypatch: pyt
     def interrupted(*_: Any) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(dask_cluster, "_CLOSE", 0.01)
-    monkeypatch.setattr(processes, "_CLOSE", 0.01)
+    monkeypatch.setattr(executors, "_CLOSE", 0.01)
     on_dask = connected()
     on_dask.start(a_task())
     monkeypatch.setattr(client, "cancel", end)
     pool = types.SimpleNamespace(submit=lambda *_: concurrent.futures.Future(), shutdown=end)
-    monkeypatch.setattr(processes, "get_reusable_executor", lambda *_, **__: pool)
-    here = processes.ProcessExecutor(2)
+    monkeypatch.setattr(executors, "get_reusable_executor", lambda *_, **__: pool)
+    here = executors.ProcessExecutor(2)
     here.start(a_task())
     try:
         with monkeypatch.context() as patch:

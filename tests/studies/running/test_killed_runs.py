@@ -25,7 +25,7 @@ from ldctoolkit.studies.cli import main
 from ldctoolkit.studies.running import campaign
 
 campaign._STORE_EVERY = -1.0
-campaign.Dispatcher._fitting = lambda *_: 8
+campaign.Campaign._fitting = lambda *_: 8
 sys.exit(main())
 """
 """The command with eight designs a task, each task stored as a part: so many steps on a machine of any speed."""

@@ -16,7 +16,7 @@ from helpers.closed_loop import Unsighted, known
 from ldctoolkit import Controller, EventStatus, Plant, Scenarios, gain, option
 from ldctoolkit.studies import Study, StudyResults, read_results, run_study
 from ldctoolkit.studies.runner import study_source
-from ldctoolkit.studies.running.executors import processes
+from ldctoolkit.studies.running import executors
 
 MakeStudy = Callable[..., Study]
 
@@ -44,8 +44,8 @@ class FaultLaw(Unsighted):
             if self.how == "hangs":
                 # the end of its time comes forward: no other task can be late on a machine that does other things
                 me = threading.get_ident()
-                assert time.monotonic() < processes._deadlines[me] <= time.monotonic() + LIMIT
-                processes._watch(me, 0.0)
+                assert time.monotonic() < executors._deadlines[me] <= time.monotonic() + LIMIT
+                executors._watch(me, 0.0)
                 time.sleep(10 * LIMIT)
         return -0.02 * x[:, 0], state, np.full(t.size, EventStatus.OK, dtype=np.int8)
 

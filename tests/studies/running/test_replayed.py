@@ -151,12 +151,12 @@ def test_a_table_of_the_eight_parameters_is_replayed(table: Departures, tmp_path
     ("changes", "message"),
     [
         ({"v_mean_m_s": None, "v_mean_km_h": 90.0}, "own.parquet: column 'v_mean_m_s' is missing; did you mean"),
-        ({"v_mean_m_s": 110.0}, "own.parquet: scenarios: v_mean[0] = 110; allowed: the speed"),
-        ({"d_y_m": 30.0}, "own.parquet: scenarios: d_y[0] = 30; allowed: up to 10 m (65 rows in all)"),
+        ({"v_mean_m_s": 110.0}, "own.parquet: scenarios.v_mean[0]: 110.0; allowed: the speed"),
+        ({"d_y_m": 30.0}, "own.parquet: scenarios.d_y[0]: 30.0; allowed: up to 10 m; 65 rows in all"),
         ({"T_s": float("nan")}, "own.parquet, row 1: column 'T_s' holds nan; allowed: no missing value"),
         ({"dc_1_m": "x"}, "own.parquet: column 'dc_1_m' is of type String; allowed: numbers"),
         ({"side": None}, "own.parquet: column 'side' is missing; allowed: left, right"),
-        ({"side": "port"}, "own.parquet: scenarios: side[0] = 'port'"),
+        ({"side": "port"}, "own.parquet: scenarios.side[0]: 'port'"),
     ],
 )
 def test_a_bad_table_gets_one_message(table: Departures, tmp_path: Path, changes: dict[str, Any], message: str) -> None:

@@ -10,7 +10,7 @@ import pytest
 from ldctoolkit.errors import InputError, StoreError
 from ldctoolkit.studies import Study, rank_study, read_manifest, read_results, run_study
 from ldctoolkit.studies.running import campaign
-from ldctoolkit.studies.storage.files import locked
+from ldctoolkit.studies.storage.parts import locked
 from ldctoolkit.studies.storage.store import Store
 
 MakeStudy = Callable[..., Study]
@@ -137,5 +137,6 @@ def test_a_search_goes_on_where_it_was_stopped(
 
 @pytest.mark.parametrize("limit", [-1, 1e-9, 1e10, float("nan"), True, "a"])
 def test_a_time_limit_that_no_clock_knows_is_refused(make_study: MakeStudy, tmp_path: Path, limit: Any) -> None:
-    with pytest.raises(InputError, match=r"time_limit: .*; allowed: 0\.1 to 1e"):
+    with pytest.raises(InputError) as refused:
         run_study(study_of(make_study), directory=tmp_path, time_limit=limit)
+    assert (refused.value.path, refused.value.value) == ("time_limit", pytest.approx(limit, nan_ok=True))

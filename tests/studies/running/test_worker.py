@@ -16,8 +16,8 @@ from ldctoolkit import Controller, Scenarios, Setup
 from ldctoolkit.errors import StoreError
 from ldctoolkit.studies import risk
 from ldctoolkit.studies.running import campaign, tasks
-from ldctoolkit.studies.running.executors import processes as worker
-from ldctoolkit.studies.storage.files import locked
+from ldctoolkit.studies.running import executors as worker
+from ldctoolkit.studies.storage.parts import locked
 
 
 def test_a_huge_limit_is_taken_by_this_platform() -> None:
@@ -29,7 +29,7 @@ def test_a_huge_limit_is_taken_by_this_platform() -> None:
 @pytest.mark.slow
 def test_a_process_over_its_time_ends() -> None:
     """Also where the interpreter has no turn, as in C code that does not come back."""
-    code = "import ctypes; from ldctoolkit.studies.running.executors.processes import _limited\n"
+    code = "import ctypes; from ldctoolkit.studies.running.executors import _limited\n"
     code += "with _limited(0.1): ctypes.PyDLL(None).sleep(600)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300, check=False)
     assert (done.returncode, done.stderr[:17]) == (1, "Timeout (0:00:00.")
@@ -54,7 +54,7 @@ def test_a_worker_whose_parent_was_killed_before_it_began_leaves(tmp_path: Path)
     """It would run on for ever, with nobody to read what it computes."""
     gone = subprocess.Popen([sys.executable, "-c", ""])
     gone.wait()
-    code = "import time; from ldctoolkit.studies.running.executors.processes import start_worker; "
+    code = "import time; from ldctoolkit.studies.running.executors import start_worker; "
     code += f"start_worker({str(tmp_path)!r}, {gone.pid})"
     done = subprocess.run(
         [sys.executable, "-c", f"{code}; time.sleep(600)"], capture_output=True, text=True, timeout=300, check=False

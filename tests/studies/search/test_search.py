@@ -253,14 +253,17 @@ def test_what_is_told_wrongly_is_refused_and_changes_nothing() -> None:
 def test_a_study_without_search_or_with_an_unknown_objective_is_refused() -> None:
     with pytest.raises(InputError, match=r"no \[search\] table"):
         Search(Study.from_dict({"name": "s", "design": [{"law": "none"}]}))
-    with pytest.raises(StudyError, match="'T': no such metric"):
+    with pytest.raises(StudyError) as refused:
         Search(make(ONE_LAW, objectives=["T"]))
+    assert refused.value.value == "T"
 
 
 def test_without_optuna_the_message_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "optuna", None)
-    with pytest.raises(InputError, match=r"'optuna' needs Optuna.*pip install \"ldctoolkit\[search\]\""):
+    with pytest.raises(InputError) as refused:
         Search(make(ONE_LAW))
+    assert (refused.value.path, refused.value.value) == ("search.method", "optuna")
+    assert 'pip install "ldctoolkit[search]"' in refused.value.hint
 
 
 def test_optunas_own_settings_are_left_as_they_were() -> None:

@@ -118,7 +118,8 @@ def readers(room: Path) -> dict[Path, Callable[[], Any]]:
     found: dict[Path, Callable[[], Any]] = {room / "model.json": lambda: model_of(room / "model.json")}
     for name in ("d.parquet", "d.signals.parquet"):
         found[room / name] = lambda: read_departures(room / "d.parquet", signals=True)
-    found[room / "risk" / "risk.json"] = lambda: risk_of(room)
+    for path in (room / "risk" / "risk.parts").glob("*.json"):
+        found[path] = lambda: risk_of(room)
     for folder in (room / "zoo", room / "paths"):
         for path in sorted(folder.rglob("*.*")):
             if path.suffix in (".json", ".parquet"):
@@ -130,7 +131,7 @@ def test_damage_is_one_sentence_or_changes_no_number(room: Path, capfd: pytest.C
     read = readers(room)
     kinds = {path.name[: 5 if path.name.startswith("part-") else None] for path in read}
     assert kinds == {
-        "d.parquet", "d.signals.parquet", "model.json", "risk.json", "manifest.json", "designs.parquet",
+        "d.parquet", "d.signals.parquet", "model.json", "manifest.json", "designs.parquet",
         "scenarios.parquet", "scenarios.signals.parquet", "part-", "timing.json", "failures.json", "robustness.json",
         "measures.parquet",
     }  # fmt: skip

@@ -28,7 +28,8 @@ from ldctoolkit.studies.running import campaign
 from ldctoolkit.studies.storage import store
 from ldctoolkit.studies.storage.files import read_scenarios, write_scenarios
 from ldctoolkit.studies.storage.manifest import read_manifest
-from ldctoolkit.studies.storage.run_table import SharedRows, checked_content, parse_part
+from ldctoolkit.studies.storage.parts import read_part
+from ldctoolkit.studies.storage.run_table import SharedRows, parse_part
 from ldctoolkit.studies.storage.stored_model import MODEL, read_model
 
 N = 12
@@ -130,13 +131,11 @@ def test_other_columns_are_checked(folder: Path, study: Study, tmp_path: Path, m
     """A part whose checksum is right and whose numbers are not."""
     import polars as pl
 
-    from ldctoolkit.studies.storage.run_table import checked_content
-
     monkeypatch.setattr(store, "_MOST_IN_MEMORY", 0)
     shutil.copytree(folder, tmp_path / "copy")
     part = max((tmp_path / "copy" / "results").iterdir())
-    table = pl.read_parquet(checked_content(part)).with_columns(travel_rad=pl.lit(np.nan))
-    monkeypatch.setattr(store, "checked_content", lambda path: path.read_bytes())
+    table = pl.read_parquet(read_part(part)).with_columns(travel_rad=pl.lit(np.nan))
+    monkeypatch.setattr(store, "read_part", lambda path: path.read_bytes())
     table.write_parquet(part)
     with pytest.raises(StoreError, match=f"{part.name}: broken: column travel_rad holds a value that is not finite"):
         read_results(tmp_path / "copy")
@@ -281,7 +280,7 @@ def test_what_fitted_on_a_full_disk_is_kept(make_study: MakeStudy, tmp_path: Pat
         with pytest.raises(StoreError, match=r"cannot be written: No space left on device; what was finished before"):
             run_study(study, directory=disk / "s", workers=1, block_size=1)
         for part in (disk / "s" / "results").glob("part-*"):
-            list(parse_part(part, checked_content(part), study.simulation.window, 300))  # whole, or not there
+            list(parse_part(part, read_part(part), study.simulation.window, 300))  # whole, or not there
         assert not list(disk.rglob(".*.part"))
         subprocess.run(["mount", "-o", "remount,size=100m", str(disk)], check=True)
         run_study(study, directory=disk / "s", workers=1)

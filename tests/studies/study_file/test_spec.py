@@ -76,7 +76,7 @@ MISTAKES: list[tuple[dict[str, Any], str, Any, str | set[str]]] = [
     ({"plant": {"residuals": {"y": 1}}}, "plant.residuals.y", 1, "true or false"),
     ({"vehicle": {"C_a": 3}}, "vehicle.C_a", ..., {"C_ar"}),
     ({"vehicle": {"m": -3}}, "vehicle.m", -3, "a finite number > 0 kg"),
-    ({"vehicle": {"w_v": 5.0}}, "vehicle.w_v", 5.0, "less than the lane's width w_l = 3.6 m"),
+    ({"vehicle": {"w_v": 5.0}}, "vehicle.w_v", 5.0, "less than the lane's width, 3.6 m"),
     ({"vehicle": 3}, "vehicle", 3, "a table of keys"),
     ({"design": []}, "design", ..., "one [[design]] table or more"),
     ({"design": {"law": "toy"}}, "design", {"law": "toy"}, "a list of tables: write [[...]] with two brackets"),

@@ -15,7 +15,7 @@ from helpers.bits import examples
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings import Criteria, Preparation, Problem, Recording, extract_part
 from ldctoolkit.recordings.departures_table import PartResult, combined_results
-from ldctoolkit.recordings.sources import FoundParts
+from ldctoolkit.recordings.recording import FoundParts
 from ldctoolkit.recordings.spmd_das1 import READER, Das1Part, SpmdDas1, nearest_rows
 
 

@@ -161,29 +161,15 @@ def test_pieces_in_any_order_are_put_together_by_time(tables: tuple[Path, Path],
 
     edit(tables[which], change)
     recordings, problems = read(*tables)
-    assert len(problems) == 2
-    assert all(problem.endswith("they are put together in the order of time") for problem in problems)
+    file, put_together = tables[which].name, "they are put together in the order of time"
+    assert problems == [
+        f"{file}, line 112: trip 7/1 goes on here, its rows begin in line 2; {put_together}",
+        f"{file}, line 262: trip 7/2 goes on here, its rows begin in line 42; {put_together}",
+    ]
     assert samples(recordings) == [ROWS] * 3
     for name, one in clean.items():
         for column in ("t", "lane_offset", "speed", "yaw_rate"):
             np.testing.assert_array_equal(getattr(recordings[name], column), getattr(one, column))
-
-
-def test_a_trip_in_stretches_is_put_together(tables: tuple[Path, Path]) -> None:
-    clean, _ = read(*tables)
-
-    def change(lines: list[bytes]) -> None:
-        lines[1 : 1 + 2 * ROWS] = [*lines[1:61], *lines[121:181], *lines[61:121], *lines[181:241]]
-
-    edit(tables[0], change)
-    recordings, problems = read(*tables)
-    put_together = "they are put together in the order of time"
-    assert problems == [
-        f"DataLane.csv, line 122: trip 7/1 goes on here, its rows begin in line 2; {put_together}",
-        f"DataLane.csv, line 182: trip 7/2 goes on here, its rows begin in line 62; {put_together}",
-    ]
-    for name, one in clean.items():
-        np.testing.assert_array_equal(recordings[name].lane_offset, one.lane_offset)
 
 
 def test_trips_without_a_partner(tables: tuple[Path, Path]) -> None:

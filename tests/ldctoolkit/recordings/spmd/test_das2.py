@@ -17,8 +17,7 @@ from helpers import spmd
 from helpers.bits import examples
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.extract import extract_departures
-from ldctoolkit.recordings.recording import Problem, Recording
-from ldctoolkit.recordings.sources import open_recordings
+from ldctoolkit.recordings.recording import Problem, Recording, open_recordings
 from ldctoolkit.recordings.spmd_das2 import SpmdDas2
 
 Write = Callable[..., Path]

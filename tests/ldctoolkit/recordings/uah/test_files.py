@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from ldctoolkit.errors import RecordingError
-from ldctoolkit.recordings.recording import Label, Recording
-from ldctoolkit.recordings.sources import RecordingPart, RecordingReader, RecordingSource
+from ldctoolkit.recordings.recording import Label, Recording, RecordingPart, RecordingReader, RecordingSource
 from ldctoolkit.recordings.uah_driveset import READER
 
 LANE, GPS, YAW = "PROC_LANE_DETECTION.txt", "RAW_GPS.txt", "RAW_ACCELEROMETERS.txt"
