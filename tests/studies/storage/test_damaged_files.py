@@ -133,7 +133,6 @@ def test_damage_is_one_sentence_or_changes_no_number(room: Path, capfd: pytest.C
     assert kinds == {
         "d.parquet", "d.signals.parquet", "model.json", "manifest.json", "designs.parquet", "measures.parquet",
         "scenarios.parquet", "scenarios.signals.parquet", "part-", "timing.json", "failures.json", "robustness.json",
-        "measures.parquet",
     }  # fmt: skip
     rng = np.random.default_rng(20)
     files = list(read)
