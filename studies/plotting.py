@@ -226,11 +226,13 @@ def plot_ranking(ranking: Ranking, ax: Axes | None = None, top: int = 20) -> Axe
     rows = []
     for i in sorted({*range(min(top, len(ranking))), *named}):
         rank = f"{ranking.rank[i]}. " if ranking.rank[i] else ""
-        S, low, high = (float(values[i]) for values in (ranking.S, ranking.S_low, ranking.S_high))
+        S, low, high = (
+            float(values[i]) for values in (ranking.metrics.S, ranking.inference.S_low, ranking.inference.S_high)
+        )
         style, design = styles[ranking.designs[i].law], ranking.designs[i]
-        rows.append([Dot(f"{rank}{design.label}", S, low, high, style, open=not ranking.set_of_best[i])])
+        rows.append([Dot(f"{rank}{design.label}", S, low, high, style, open=not ranking.inference.set_of_best[i])])
     x = Axis("Mean S [m·s]", -math.inf, math.inf)
-    axes = draw(dots("ranking", "Mean S", rows, x, at=float(ranking.S_uncorrected[0])), ax)
+    axes = draw(dots("ranking", "Mean S", rows, x, at=float(ranking.metrics.S_uncorrected[0])), ax)
     axes.set_title(ranking.label, parse_math=False)
     return axes
 

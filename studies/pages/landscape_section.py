@@ -120,7 +120,7 @@ def best_of_cells(ranking: Ranking, law: str, x: SweptAxis, y: SweptAxis | None 
         if ranking.designs[i].law == law:
             values = values_of(ranking.designs[i])
             at = y.values.index(values[y.name]) if y else 0, x.values.index(values[x.name])
-            S[at], met[at] = ranking.S[i], not ranking.missed[i]
+            S[at], met[at] = ranking.metrics.S[i], not ranking.missed[i]
     return S, met
 
 
@@ -137,7 +137,7 @@ def landscape(ranking: Ranking, position: int, style: Style, x: SweptAxis, y: Sw
             name, f"{title}: mean S [m\u00b7s]", S, texts, (label, names), (y.label, [compact(v) for v in y.values]),
             ring=(y.values.index(best[y.name]), across), open_cells=~met, label="Mean S [m\u00b7s]",
         )  # fmt: skip
-    level = float(ranking.S_uncorrected[position])
+    level = float(ranking.metrics.S_uncorrected[position])
     return Chart(
         name, f"{title}: mean S over {x.name}", Axis(label, -0.3, len(names) - 0.7, categories=names),
         Axis.around("Mean S [m\u00b7s]", S, [level]),
@@ -151,13 +151,13 @@ def _sampled(context: Context, position: int, axis: SweptAxis) -> Chart:
     ranking, design = context.ranking, context.ranking.designs[position]
     members = [i for i, other in enumerate(ranking.designs) if other.law == design.law]
     at = np.array([float(values_of(ranking.designs[i])[axis.name]) for i in members])
-    title, S = design.kind.title, ranking.S[members]
+    title, S = design.kind.title, ranking.metrics.S[members]
     return Chart(
         f"landscape-{design.law}-{axis.name}".replace("_", "-"), f"{title}: mean S over {axis.name}",
         Axis.around(f"{title}: {axis.label}", at, log=axis.log and bool((at > 0).all())),
         Axis.around("Mean S [m\u00b7s]", S),
         [Series(title, at, np.where(S > 0, S, np.nan), context.style(position), kind="points")],
-        ring=(float(values_of(design)[axis.name]), float(ranking.S[position]), ""), height=230,
+        ring=(float(values_of(design)[axis.name]), float(ranking.metrics.S[position]), ""), height=230,
     )  # fmt: skip
 
 

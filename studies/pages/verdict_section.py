@@ -39,7 +39,7 @@ def section(context: Context) -> Section:
         key=cloud_legend(context),
         warnings=bullets(_warnings(context), "warnings"),
         scenarios=context.scenario_text(),
-        fresh=context.ranking.fresh_scenarios,
+        fresh=context.ranking.fresh.scenarios,
         model=context.model_sentence,
     )
     return Section("verdict", "Verdict", body, (chart,), printed=True)
