@@ -322,9 +322,7 @@ def test_no_file_imports_from_the_facade(text: str, tmp_path: Path) -> None:
 
 
 SENTENCES = {
-    "ldctoolkit/mixture/_distribution.py", "ldctoolkit/mixture/bounded_gaussian_mixture.py",
-    "ldctoolkit/mixture/selection.py", "ldctoolkit/recordings/departures_table.py",
-    "ldctoolkit/recordings/table_reader.py", "ldctoolkit/scenario_model/fit.py", "studies/cli/fit.py",
+    "ldctoolkit/recordings/departures_table.py", "ldctoolkit/recordings/table_reader.py",
     "studies/sensitivity/sensitivity.py", "studies/sensitivity/winner_profile.py",
 }  # fmt: skip
 """Files that still have such lines."""

@@ -10,6 +10,7 @@ from scipy.special import logsumexp
 from scipy.stats import ks_2samp, multivariate_normal
 
 from helpers.cli import bad
+from helpers.errors import refused
 from helpers.models import varied_departures
 from ldctoolkit import load_model
 from ldctoolkit.departures import LEFT, RIGHT, DepartureParameters, Plausibility
@@ -202,7 +203,7 @@ def test_a_fit_leaves_out_what_is_implausible_and_records_the_limits(tmp_path: P
         back = ScenarioModel.load(tmp_path / "m.json")
         assert (back.plausibility, back.content_hash) == (one.plausibility, one.content_hash)
         np.testing.assert_array_equal(back.sample(50, 0, seed=1).matrix(), one.sample(50, 0, seed=1).matrix())
-    with pytest.raises(InputError, match=r"^departures: 0 left and 0 right, beside 120 that are not plausible; "):
+    with refused("departures", problem="0 left and 0 right, beside 120 that are not plausible"):
         fit_scenario_model(table, plausibility=Plausibility(y_rate=1e-6), **settings)
 
 

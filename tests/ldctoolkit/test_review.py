@@ -10,6 +10,7 @@ import control
 import numpy as np
 import pytest
 
+from helpers.errors import refused
 from ldctoolkit import (
     BicycleModel,
     Controller,
@@ -25,7 +26,6 @@ from ldctoolkit import (
     option,
 )
 from ldctoolkit.controllers import LQR, BarrierFilter, LinearMPC, NoControl, PreviewProportional
-from ldctoolkit.errors import InputError
 from ldctoolkit.plant_options import Actuator, KalmanFilter, PlantOptions, Sensors
 from ldctoolkit.review import Finding, Review, Thresholds, review
 from ldctoolkit.review.design_review import limit_of, plant_notes
@@ -415,19 +415,15 @@ def test_a_response_of_many_states_is_worked_out_in_blocks() -> None:
     ],
 )
 def test_wrong_arguments_are_named(wrong: dict[str, Any], path: str, value: object) -> None:
-    with pytest.raises(InputError) as caught:
+    with refused(path, **({} if value is None else {"value": value})):
         review(**{"controller": LQR(r_delta=100.0)} | wrong)
-    assert caught.value.path == path
-    assert caught.value.allowed
-    assert value is None or caught.value.value == value
 
 
 @pytest.mark.parametrize("pair", [(3.0, 6.0), (6.0,), (0.0, 0.0), ("a", "b"), 6.0])
 def test_wrong_thresholds_are_named(pair: Any) -> None:
-    with pytest.raises(InputError) as caught:
+    with refused("thresholds.gain_margin", value=pair):
         Thresholds(gain_margin=pair)
-    assert (caught.value.path, caught.value.value) == ("thresholds.gain_margin", pair)
-    with pytest.raises(InputError):
+    with refused("thresholds.bend", value=(0.3, 0.1)):
         Thresholds(bend=(0.3, 0.1))
 
 
