@@ -166,7 +166,7 @@ def test_the_annotation_decides_the_kind(annotation: Any, default: Any, kind: ty
     assert type(D(K=given).K) is kind
     assert kept == D(K=given).K
     if kind is int:
-        with refused("idle.K", value=-0.5, allowed="a whole number from -1 to 0"):
+        with refused("idle.K", value=-0.5, allowed="a whole number from -1 to 0 rad/rad"):
             D(K=-0.5)
 
 
