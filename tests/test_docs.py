@@ -217,10 +217,11 @@ def modules_with_examples() -> list[str]:
     """Found by their text, so that collecting the tests imports nothing."""
     files = [path for package in ("ldctoolkit", "controllers", "studies") for path in (ROOT / package).rglob("*.py")]
     shown = [path.relative_to(ROOT).with_suffix("") for path in files if ">>>" in path.read_text(encoding="utf-8")]
-    return sorted(".".join(path.parts).removesuffix(".__init__") for path in shown)
+    names = [".".join(path.parts).removesuffix(".__init__") for path in shown]
+    return sorted(re.sub(r"^(controllers|studies)\b", r"ldctoolkit.\1", name) for name in names)
 
 
-HEAVY = ("studies.", "ldctoolkit.diagnostics", "ldctoolkit.scenario_model")
+HEAVY = ("ldctoolkit.studies", "ldctoolkit.diagnostics", "ldctoolkit.scenario_model")
 
 
 @pytest.mark.parametrize(
