@@ -14,7 +14,7 @@ from helpers.bits import assert_same_bits
 from helpers.closed_loop import Constant, Stepped
 from ldctoolkit import Controller, Plant, Setup, VehicleParameters, simulate
 from ldctoolkit.controllers import LQR, NoControl
-from ldctoolkit.errors import LdcError
+from ldctoolkit.errors import NOT_GIVEN, LdcError
 from ldctoolkit.plant_options import Mismatch
 from ldctoolkit.simulation import Takeover
 from ldctoolkit.studies.assessment import Assessment, assess
@@ -315,6 +315,22 @@ def test_a_law_that_raises_is_named() -> None:
         assess(Boom(), ROAD_EDGE, y_s=-0.4)
     message = rf"law 'boom' in {ROAD_EDGE}: ZeroDivisionError: no speed (test_assessment.py, line "
     assert str(caught.value).startswith(message)
+
+
+@pytest.mark.parametrize(
+    ("standard", "given", "path", "value"),
+    [
+        (ROAD_EDGE, {"setup": 3}, "setup", 3),
+        (ROAD_EDGE, {"seeds": 0}, "seeds", 0),
+        (ROAD_EDGE, {"y_s": -11.0}, "y_s", -11.0),
+        ("iso-11271", {}, "standard", "iso-11271"),
+    ],
+)
+def test_bad_arguments_end_in_one_message(standard: str, given: dict[str, Any], path: str, value: object) -> None:
+    with pytest.raises(LdcError) as caught:
+        assess(LQR(), standard, **given)
+    assert caught.value.path == path
+    assert caught.value.value in (value, NOT_GIVEN)
 
 
 @pytest.mark.parametrize(
