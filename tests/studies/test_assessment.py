@@ -331,18 +331,3 @@ def test_bad_arguments_end_in_one_message(standard: str, given: dict[str, Any], 
         assess(LQR(), standard, **given)
     assert caught.value.path == path
     assert caught.value.value in (value, NOT_GIVEN)
-
-
-@pytest.mark.parametrize(
-    ("standard", "given", "message"),
-    [
-        (ROAD_EDGE, {"setup": 3}, "setup: an object of type int; allowed: Setup or None"),
-        (ROAD_EDGE, {"seeds": 0}, "seeds: 0; allowed: a whole number >= 1"),
-        (ROAD_EDGE, {"y_s": -11.0}, "y_s: -11.0; allowed: a finite number >= -10"),
-        ("iso-11271", {}, "standard 'iso-11271': neither a file nor in the catalog; did you mean 'iso-11270'?"),
-    ],
-)
-def test_bad_arguments_end_in_one_message(standard: str, given: dict[str, Any], message: str) -> None:
-    with pytest.raises(LdcError) as caught:
-        assess(LQR(), standard, **given)
-    assert str(caught.value).startswith(message)
