@@ -341,13 +341,13 @@ def plot_distribution(
     if side not in _SIDES:
         raise InputError("side", value=side, allowed=_SIDES)
     results = results.on_drivable()
-    chosen = _positions(results, designs)
+    positions = _positions(results, designs)
     of_side = np.isin(results.scenarios.side, _SIDES[side])
     if not of_side.any():
         raise InputError("side", value=side, hint="the study has no such scenarios")
-    recorded = results.S_uncorrected[chosen[0]][of_side]
+    recorded = results.S_uncorrected[positions[0]][of_side]
     samples = [("without control", recorded, RECORDED)]
-    samples += [(label, S[of_side], style) for label, S, style in _curves(results, chosen)]
+    samples += [(label, S[of_side], style) for label, S, style in _curves(results, positions)]
     x = Axis("Score S [m·s]", 0.0, max(float(np.quantile(recorded, 0.995)), 1e-3))
     share = "Share of departures with less"
     return draw(ecdf("distribution", "Distribution of S", samples, x, share, most=recorded.size), ax)

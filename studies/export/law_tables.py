@@ -93,7 +93,7 @@ def law_form(law: object, dt: float, name: str) -> LawForm:
     if name == "nonlinear_mpc":
         what = "solves a nonlinear program at every sample, in no time that could be stated beforehand"
     allowed = "a law that prepares a LinearLaw, pid, stanley, pure_pursuit, sliding_mode, barrier_filter, linear_mpc"
-    raise InputError(f"law {name!r}", f"cannot be exported, it {what}", allowed=allowed)
+    raise InputError("law", f"cannot be exported, it {what}", value=name, allowed=allowed)
 
 
 def _mpc_form(law: linear_mpc.MPCLaw) -> LawForm:
@@ -204,7 +204,7 @@ def _in_pieces(gains: Gains, kinked: IntArray, size: FloatArray, what: str) -> t
         done.append([part[good] for part in tried])
         low, high = low[~good], high[~good]
         if low.size > most:
-            raise LdcError(f"{what} change too sharply with speed to be exported")
+            raise LdcError(what, "change too sharply with speed to be exported")
         middle = np.maximum(0.5 * (low + high), np.nextafter(low, np.inf))
         low, high = np.append(low, middle), np.append(np.nextafter(middle, 0.0), high)
     order = np.argsort(np.concatenate([low for *_, low, _ in done]))
@@ -268,7 +268,7 @@ class Schedule:
             found[np.ix_(inside, kinked)] = _value(piece, low, high, v[inside])
         error = float((np.abs(found - exact) / size).max())
         if error > _SHARE:
-            raise LdcError(f"{what} change too sharply with speed to be exported")
+            raise LdcError(what, "change too sharply with speed to be exported")
         for name in ("G_heading", "f_i", "f_past", "f_wheel"):  # what is 0 at every speed needs no code
             places = np.repeat(list(sizes), list(sizes.values())) == name
             if places.any() and not series[:, places].any():

@@ -84,19 +84,12 @@ def _charts(context: Context) -> Iterator[Chart]:
     rows = []
     for i in sorted(shown):
         name, style = design_name(ranking.designs[i]), context.style(i)
-        own = [
-            Dot(
-                name,
-                float(ranking.metrics.S[i]),
-                float(ranking.inference.S_low[i]),
-                float(ranking.inference.S_high[i]),
-                style,
-            )
-        ]
+        S, low, high = (float(v[i]) for v in (ranking.metrics.S, ranking.inference.S_low, ranking.inference.S_high))
+        dots_of_row = [Dot(name, S, low, high, style)]
         if math.isfinite(ranking.fresh.S[i]):
-            S, low, high = (float(one[i]) for one in (ranking.fresh.S, ranking.fresh.low, ranking.fresh.high))
-            own.append(Dot(name, S, low, high, style, open=True))
-        rows.append(own)
+            S, low, high = (float(v[i]) for v in (ranking.fresh.S, ranking.fresh.low, ranking.fresh.high))
+            dots_of_row.append(Dot(name, S, low, high, style, open=True))
+        rows.append(dots_of_row)
     ends = [value for row in rows for one in row for value in (one.value, one.low, one.high)]
     level = float(ranking.metrics.S_uncorrected[context.shown])
     near = [level] if level < 2.0 * max((v for v in ends if math.isfinite(v)), default=0.0) else []

@@ -154,7 +154,7 @@ def test_parameters_alone(folder: Path) -> None:
 
 
 def test_what_cannot_be_exported(folder: Path) -> None:
-    assert "law 'none': cannot be exported, it never steers" in bad(
+    assert "law: 'none' cannot be exported, it never steers" in bad(
         "export", "plain", "-o", "made", "--design", "No control, y_s=0.2 m", cwd=folder
     )
     assert "nowhere" in bad("export", "nowhere", "-o", "made", cwd=folder)

@@ -188,7 +188,7 @@ def test_knots_in_header_and_parameters(tmp_path: Path) -> None:
 
 
 def test_gains_that_no_table_follows() -> None:
-    with pytest.raises(LdcError, match="gains of 'table' change too sharply with speed to be exported"):
+    with pytest.raises(LdcError, match="gains of 'table': change too sharply with speed to be exported"):
         Code.of(Table("noise"), Setup(), 0.1)
 
 
@@ -281,9 +281,9 @@ def test_gains_follow_the_exact_ones() -> None:
 @pytest.mark.parametrize(
     ("controller", "message"),
     [
-        (NonlinearMPC(), r"law 'nonlinear_mpc': cannot be exported, it solves a nonlinear program at every sample"),
-        (NoControl(), r"law 'none': cannot be exported, it never steers; allowed: a law that prepares a LinearLaw"),
-        (BarrierFilter(inner="nonlinear_mpc"), r"law 'nonlinear_mpc': cannot be exported"),
+        (NonlinearMPC(), r"law: 'nonlinear_mpc' cannot be exported, it solves a nonlinear program at every sample"),
+        (NoControl(), r"law: 'none' cannot be exported, it never steers; allowed: a law that prepares a LinearLaw"),
+        (BarrierFilter(inner="nonlinear_mpc"), r"law: 'nonlinear_mpc' cannot be exported"),
     ],
 )
 def test_laws_without_c_code(controller: Controller, message: str) -> None:

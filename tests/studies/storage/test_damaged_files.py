@@ -131,9 +131,8 @@ def test_damage_is_one_sentence_or_changes_no_number(room: Path, capfd: pytest.C
     read = readers(room)
     kinds = {path.name[: 5 if path.name.startswith("part-") else None] for path in read}
     assert kinds == {
-        "d.parquet", "d.signals.parquet", "model.json", "manifest.json", "designs.parquet",
+        "d.parquet", "d.signals.parquet", "model.json", "manifest.json", "designs.parquet", "measures.parquet",
         "scenarios.parquet", "scenarios.signals.parquet", "part-", "timing.json", "failures.json", "robustness.json",
-        "measures.parquet",
     }  # fmt: skip
     rng = np.random.default_rng(20)
     files = list(read)

@@ -43,13 +43,6 @@ MISTAKES: list[tuple[dict[str, Any], str, Any, str | set[str]]] = [
     ({"report": {"D_y": float("inf")}}, "report.D_y", float("inf"), "a finite number"),
     ({"simulation": {"dt": float("nan")}}, "simulation.dt", float("nan"), "a number from 0.001 to 1 s"),
     ({"simulation": {"window": "departur"}}, "simulation.window", "departur", {"departure"}),
-    ({"simulation": {"window": ["departure", "x"]}}, "simulation.window[1]", "x", {"control"}),
-    (
-        {"simulation": {"window": ["control", "control"]}},
-        "simulation.window",
-        ("control", "control"),
-        "a name, or a list of different names",
-    ),
     ({"simulation": {"window": ["departure", "control"]}}, "simulation.window", ["departure", "control"], "one value"),
     ({"simulation": {"convention": ["as_printed"]}}, "simulation.convention", ["as_printed"], "one value"),
     ({"simulation": {"convention": "printed"}}, "simulation.convention", "printed", {"as_printed"}),
