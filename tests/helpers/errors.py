@@ -1,8 +1,12 @@
 """What an error holds, whatever its sentence."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
-from ldctoolkit.errors import NOT_GIVEN, LdcError
+import pytest
+
+from ldctoolkit.errors import NOT_GIVEN, InputError, LdcError
 
 
 def assert_fields(error: LdcError, path: str, value: Any = ..., allowed: str | set[str] = "") -> None:
@@ -17,3 +21,13 @@ def assert_fields(error: LdcError, path: str, value: Any = ..., allowed: str | s
         assert allowed <= {*error.allowed}
     elif allowed:
         assert error.allowed == allowed
+
+
+@contextmanager
+def refused(
+    path: str, value: Any = ..., allowed: str | set[str] = "", kind: type[LdcError] = InputError
+) -> Iterator[None]:
+    """What is done within raises an error with these fields."""
+    with pytest.raises(kind) as caught:
+        yield
+    assert_fields(caught.value, path, value, allowed)
