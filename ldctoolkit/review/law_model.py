@@ -240,9 +240,7 @@ def _identified(controller: Controller, plant: Plant) -> LinearView:
     # one row a speed for each pulse: quiet, then (six inputs) x (up, down) x (small, larger)
     signs = np.concatenate([np.eye(6), -np.eye(6)])
     pulses = np.concatenate([np.zeros((1, 6)), signs * PULSE, LARGER * signs * PULSE])
-    answers = pulse_answers(
-        controller, plant, np.repeat(pulses[:, None], plant.n, axis=1), _SAMPLES
-    )
+    answers = pulse_answers(controller, plant, np.repeat(pulses[:, None], plant.n, axis=1), _SAMPLES)
     finite = np.isfinite(answers).all(axis=(0, 1))
     answers = np.where(finite, answers, 0.0)
     small, large = (0.5 * (answers[:, i : i + 6] - answers[:, i + 6 : i + 12]) for i in (1, 13))

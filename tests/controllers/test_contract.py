@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from helpers.errors import refused
 from ldctoolkit import (
     BicycleModel,
     Controller,
@@ -142,7 +143,7 @@ def test_a_law_that_steers_can_be_cut_down(name: str) -> None:
 
 
 def test_only_controllers_are_registered() -> None:
-    with pytest.raises(InputError, match="subclass of Controller"):
+    with refused("controller", int, "a subclass of Controller"):
         register(int)  # type: ignore[arg-type]
 
 
