@@ -78,6 +78,15 @@ def test_S_is_exact_with_swings_at_low_speed_and_with_long_steps(v: float, dt: f
     assert crossings > 0
 
 
+def test_a_departure_shorter_than_the_step() -> None:
+    scenarios = Scenarios.from_arrays(T=0.5, d_y=0.3, v_mean=20.0)
+    out = simulate(PreviewProportional(), scenarios, y_s=0.2, dt=2.0)
+    expected = reference.drive(
+        reference.Path.of(scenarios, 0), preview_proportional(-0.005, -0.2, 2.0), y_s=0.2, dt=2.0
+    )
+    assert out.S[0] == pytest.approx(expected.S, abs=1e-9)
+
+
 @pytest.mark.parametrize("window", ["departure", "control"])
 @pytest.mark.parametrize("y_s", [0.13, 9.0])
 def test_no_control_reduces_by_exactly_nothing(window: str, y_s: float) -> None:

@@ -282,7 +282,6 @@ def test_as_printed_equals_the_reference() -> None:
 
 
 LOOSE = {
-    "ideal": PlantOptions(),
     "linear": PlantOptions(actuator=Actuator(delay=0.31)),
     "actuator": PlantOptions(actuator=Actuator(lag=0.2, rate_max=0.03, delay=0.04)),
     "profile": PlantOptions(speed="profile", actuator=Actuator(delay=0.31)),
@@ -295,7 +294,7 @@ CRAWLING = dataclasses.replace(
 ).take([0, 1])
 
 
-@pytest.mark.parametrize(("case", "crawling"), grid(LOOSE, [False, True], ("actuator", False), ("ideal", False)))
+@pytest.mark.parametrize(("case", "crawling"), grid(LOOSE, [False, True], ("actuator", False)))
 def test_samples_longer_than_the_departure_and_low_speed(case: str, crawling: bool) -> None:
     """Of a departure before T and few after it, the last step cut short; at 2 m/s the lateral mode dies within a tenth
     of a sample."""
