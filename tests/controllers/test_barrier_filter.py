@@ -11,19 +11,8 @@ import scipy.sparse as sp
 
 from helpers.closed_loop import DT, Stepped, Unsighted, known, some
 from helpers.errors import assert_fields, refused
-from ldctoolkit import (
-    BicycleModel,
-    Controller,
-    EventStatus,
-    LinearLaw,
-    Plant,
-    Preview,
-    RecordedPath,
-    Scenarios,
-    SteeringLaw,
-    gain,
-    simulate,
-)
+from ldctoolkit import BicycleModel, Plant, Scenarios, gain, simulate
+from ldctoolkit.control import Controller, EventStatus, LinearLaw, Preview, RecordedPath, SteeringLaw
 from ldctoolkit.controllers import LQR, LinearMPC, PreviewProportional
 from ldctoolkit.controllers.barrier_filter import BarrierFilter
 from ldctoolkit.controllers.lqi import LQI

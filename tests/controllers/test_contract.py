@@ -9,17 +9,15 @@ import pytest
 from helpers.errors import refused
 from ldctoolkit import (
     BicycleModel,
-    Controller,
-    EventStatus,
     Plant,
     Scenarios,
-    SteeringLaw,
     controller_class,
     controller_names,
     controllers,
     register,
     simulate,
 )
+from ldctoolkit.control import Controller, EventStatus, SteeringLaw
 from ldctoolkit.controllers import PID, PurePursuit, SlidingMode, Stanley
 from ldctoolkit.errors import InputError
 from ldctoolkit.studies import Study

@@ -8,18 +8,8 @@ import pytest
 
 from helpers.closed_loop import DT, grid, moved, some, weights_of
 from helpers.errors import refused
-from ldctoolkit import (
-    BicycleModel,
-    Controller,
-    EventStatus,
-    LinearLaw,
-    Plant,
-    Preview,
-    Scenarios,
-    VehicleParameters,
-    load_model,
-    simulate,
-)
+from ldctoolkit import BicycleModel, Plant, Scenarios, VehicleParameters, load_model, simulate
+from ldctoolkit.control import Controller, EventStatus, LinearLaw, Preview
 from ldctoolkit.controllers import LQI, LQR, LinearMPC, PreviewLQR
 from ldctoolkit.controllers.riccati import regulator
 from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Sensors

@@ -10,20 +10,8 @@ import numpy as np
 import pytest
 
 from helpers.bits import assert_same_bits
-from ldctoolkit import (
-    BicycleModel,
-    Controller,
-    LinearLaw,
-    LinearSteps,
-    Outcome,
-    Plant,
-    Preview,
-    Scenarios,
-    Setup,
-    SteeringLaw,
-    register,
-    registry,
-)
+from ldctoolkit import BicycleModel, Outcome, Plant, Scenarios, Setup, register, registry
+from ldctoolkit.control import Controller, LinearLaw, LinearSteps, Preview, SteeringLaw
 from ldctoolkit.controllers import LQR
 from ldctoolkit.metrics import METRIC_UNITS
 from ldctoolkit.plant_options import Actuator, Mismatch, PlantOptions, Residuals, Sensors, Tyres
@@ -108,6 +96,18 @@ class Constant(Controller):
         none = np.zeros((plant.n, 0))
         F, f_u, f_i = (np.tile(values, (plant.n, 1)) for values in (self.F, [self.f_u], [self.f_i]))
         return LinearLaw(F, np.zeros(0), none, none, f_u[:, 0], f_i[:, 0] if self.f_i else None)
+
+
+@dataclasses.dataclass(frozen=True)
+class Prepared(Controller):
+    """Whatever law a function makes for a plant."""
+
+    name: ClassVar[str] = "prepared"
+    title: ClassVar[str] = "Prepared"
+    function: Callable[[Plant], Any]
+
+    def prepare(self, plant: Plant) -> Any:
+        return self.function(plant)
 
 
 TABLES: dict[str, Callable[[np.ndarray], np.ndarray]] = {

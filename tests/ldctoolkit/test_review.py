@@ -11,19 +11,8 @@ import numpy as np
 import pytest
 
 from helpers.errors import refused
-from ldctoolkit import (
-    BicycleModel,
-    Controller,
-    EventStatus,
-    LinearLaw,
-    Plant,
-    Preview,
-    SteeringLaw,
-    controller_class,
-    controller_names,
-    gain,
-    option,
-)
+from ldctoolkit import BicycleModel, Plant, controller_class, controller_names, gain, option
+from ldctoolkit.control import Controller, EventStatus, LinearLaw, Preview, SteeringLaw
 from ldctoolkit.controllers import LQR, BarrierFilter, LinearMPC, NoControl, PreviewProportional
 from ldctoolkit.errors import LdcError
 from ldctoolkit.plant_options import Actuator, KalmanFilter, PlantOptions, Sensors

@@ -10,7 +10,15 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicHermiteSpline
 
 from helpers import reference_loop as reference
-from helpers.closed_loop import Constant, InTheRoadFrame, Stepped, assert_same_rows, make_scenarios, with_residuals
+from helpers.closed_loop import (
+    Constant,
+    InTheRoadFrame,
+    Prepared,
+    Stepped,
+    assert_same_rows,
+    make_scenarios,
+    with_residuals,
+)
 from helpers.errors import refused
 from ldctoolkit import Controller, EventStatus, LinearLaw, Plant, Scenarios, Setup, simulate
 from ldctoolkit.controllers import LQI, LQR, LinearMPC, NoControl, PreviewLQR, PreviewProportional
@@ -319,20 +327,15 @@ def test_either_matrix_starts_on_the_path(convention: str) -> None:
         np.testing.assert_allclose(driven, path, rtol=0.05 if yaw_rate == "zero" else 0.02, atol=0.05)
 
 
-@dataclasses.dataclass(frozen=True)
-class Wrong(Controller):
-    name = "wrong"
-    title = "Wrong"
-
-    def prepare(self, plant: Plant) -> LinearLaw:
-        return LinearLaw(np.zeros((plant.n, 3)), np.zeros(0), *[np.zeros((plant.n, 0))] * 2, np.zeros(plant.n))
+def three_gains(plant: Plant) -> LinearLaw:
+    return LinearLaw(np.zeros((plant.n, 3)), np.zeros(0), *[np.zeros((plant.n, 0))] * 2, np.zeros(plant.n))
 
 
 @pytest.mark.parametrize(
     ("given", "path", "value"),
     [
         ({"controller": Stepped(fault=lambda delta, k: delta[:-1])}, "controller 'stepped': step: delta", ...),
-        ({"controller": Wrong()}, "controller 'wrong': F", ...),
+        ({"controller": Prepared(three_gains)}, "controller 'prepared': F", ...),
         *(({name: value}, name, value) for name, values in (
             ("y_s", (-10.1, np.nan)), ("dt", (0.0, 50.0)), ("settle", (-0.1, 61.0, np.nan)),
             ("window", ("departures",)), ("initial_yaw_rate", ("none",))) for value in values),

@@ -1,7 +1,7 @@
 """Scenarios that cannot be driven, and the log of solvers."""
 
 import dataclasses
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +11,7 @@ from helpers.closed_loop import (
     EVERY_OPTION,
     METRICS,
     Constant,
+    Prepared,
     Stepped,
     Unsighted,
     assert_same_rows,
@@ -20,20 +21,10 @@ from helpers.closed_loop import (
     with_residuals,
 )
 from helpers.errors import refused
-from ldctoolkit import (
-    Controller,
-    EventStatus,
-    LdcError,
-    LinearLaw,
-    Outcome,
-    Plant,
-    Preview,
-    Scenarios,
-    SolverCalls,
-    SteeringLaw,
-    simulate,
-)
+from ldctoolkit import Outcome, Plant, Scenarios, simulate
+from ldctoolkit.control import Controller, EventStatus, LinearLaw, Preview, SolverCalls, SteeringLaw
 from ldctoolkit.controllers import LQR, BarrierFilter, LinearMPC, NoControl, PreviewProportional
+from ldctoolkit.errors import LdcError
 from ldctoolkit.plant_options import KalmanFilter, PlantOptions, Residuals, Sensors, Tyres
 from ldctoolkit.simulation import BOUND, drive_many
 
@@ -152,22 +143,16 @@ def test_a_step_longer_than_the_departure() -> None:
 
 
 # laws that fail
-@dataclasses.dataclass(frozen=True)
-class SomeGains(Controller):
-    """A linear law whose gains are not finite for the rows given."""
+def with_gain(value: float, field: str) -> Controller:
+    """A linear law with this value in a field at speeds above 20 m/s."""
 
-    name = "some_gains"
-    title = "Some gains"
-    value: float = float("nan")
-    field: str = "F"
-    speed: float = 20.0
-
-    def prepare(self, plant: Plant) -> LinearLaw:
+    def prepare(plant: Plant) -> LinearLaw:
         law = PreviewProportional().prepare(plant)
-        assert isinstance(law, LinearLaw)
-        array = getattr(law, self.field).copy()
-        array[plant.v > self.speed] = self.value
-        return dataclasses.replace(law, **{self.field: array})
+        array = getattr(law, field).copy()
+        array[plant.v > 20.0] = value
+        return dataclasses.replace(law, **{field: array})
+
+    return Prepared(prepare)
 
 
 BROKEN = pytest.mark.parametrize(
@@ -180,7 +165,7 @@ BROKEN = pytest.mark.parametrize(
 def test_a_linear_law_with_gains_that_are_not_finite(value: float, options: str) -> None:
     usual = run(PreviewProportional(), SOUND, OPTIONS[options])
     for field in ("F", "f_u", "G_heading", "G_yaw_rate"):
-        out = run(SomeGains(value, field), SOUND, OPTIONS[options])
+        out = run(with_gain(value, field), SOUND, OPTIONS[options])
         assert_counted(out, np.zeros(N, dtype=bool))
         assert np.isfinite(out.mean_reduction)
         failed, left = out.status == EventStatus.SOLVER_FAILED, out.status == EventStatus.DIVERGED
@@ -305,20 +290,14 @@ SCENARIOS = Scenarios.from_arrays(
 )
 
 
-@dataclasses.dataclass(frozen=True)
-class Counting(Controller):
-    """Steers a little; says that it solved for every second scenario of its batch."""
-
-    name: ClassVar[str] = "counting"
-    title: ClassVar[str] = "Counting"
-    wrong: Any = None
-
-    def prepare(self, plant: Plant) -> SteeringLaw:
-        return CountingLaw(np.arange(plant.n), self.wrong)
+def counting(wrong: Any = None) -> Controller:
+    return Prepared(lambda plant: CountingLaw(np.arange(plant.n), wrong))
 
 
 @dataclasses.dataclass(frozen=True)
 class CountingLaw(Unsighted):
+    """Steers a little; says that it solved for every second scenario of its batch."""
+
     number: np.ndarray
     wrong: Any
 
@@ -343,7 +322,7 @@ class CountingLaw(Unsighted):
 
 def test_calls_come_by_scenario_and_sample() -> None:
     """Scenarios that end early are dropped from the batch; the record keeps their own numbers."""
-    out = simulate(Counting(), SCENARIOS, y_s=0.1, dt=0.1, settle=0.5)
+    out = simulate(counting(), SCENARIOS, y_s=0.1, dt=0.1, settle=0.5)
     log, triggered = out.solver_log, np.flatnonzero(out.triggered)
     assert triggered.tolist() == [0, 2, 3, 4]
     # places follow the length of what is left, longest first: the law numbered them so
@@ -394,5 +373,5 @@ def test_the_log_does_not_depend_on_the_order_of_scenarios() -> None:
     ],
 )
 def test_what_is_no_record_is_named(wrong: Any, field: str, allowed: str) -> None:
-    with refused(f"controller 'counting': solver_calls{field}", allowed=allowed):
-        simulate(Counting(wrong=wrong), SCENARIOS, y_s=0.1)
+    with refused(f"controller 'prepared': solver_calls{field}", allowed=allowed):
+        simulate(counting(wrong), SCENARIOS, y_s=0.1)

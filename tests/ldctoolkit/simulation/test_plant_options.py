@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from helpers import reference_loop as reference
-from helpers.closed_loop import METRICS, Stepped, assert_within_the_bound, grid, some
+from helpers.closed_loop import METRICS, Prepared, Stepped, assert_within_the_bound, grid, some
 from ldctoolkit import BicycleModel, Controller, LinearLaw, Outcome, Plant, Scenarios, Setup, simulate
 from ldctoolkit.controllers import LQR, PreviewProportional
 from ldctoolkit.paths.uncorrected import RandomStream, UncorrectedPath, normals, uniforms
@@ -33,17 +33,13 @@ def formula(x: np.ndarray, yaw_rate: Any, heading: Any, before: float, *_: Any) 
     return float(np.dot(F, x)) + ahead + F_U * before
 
 
-@dataclasses.dataclass(frozen=True)
-class Everything(Controller):
-    name = "everything"
-    title = "Everything"
+def everything(plant: Plant) -> LinearLaw:
+    F_n, yaw_rate, heading, f_u = (np.tile(row, (plant.n, 1)) for row in (F, G_YAW_RATE, G_HEADING, [F_U]))
+    return LinearLaw(F_n, np.array(TIMES), yaw_rate, heading, f_u[:, 0])
 
-    def prepare(self, plant: Plant) -> LinearLaw:
-        n = plant.n
-        return LinearLaw(
-            F=np.tile(F, (n, 1)), preview_times=np.array(TIMES), G_yaw_rate=np.tile(G_YAW_RATE, (n, 1)),
-            G_heading=np.tile(G_HEADING, (n, 1)), f_u=np.full(n, F_U),
-        )  # fmt: skip
+
+EVERYTHING = Prepared(everything)
+BOTH_LOOPS = (EVERYTHING, Stepped(EVERYTHING, drops=True))
 
 
 SCENARIOS = Scenarios.from_arrays(
@@ -160,7 +156,7 @@ def rows_of(out: Outcome, i: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def test_both_loops_equal_the_reference(case: str) -> None:
     """The other metrics too."""
     options = CASES[case]
-    linear, general = run(Everything(), options, SCENARIOS), run(Stepped(Everything(), drops=True), options, SCENARIOS)
+    linear, general = (run(law, options, SCENARIOS) for law in BOTH_LOOPS)
     assert linear.triggered[:2].all()
     for i in range(2):
         expected = driven(SCENARIOS, options, i)
@@ -246,7 +242,7 @@ def test_half_the_substep_has_a_sixteenth_of_the_error(case: str, monkeypatch: p
 def test_never_triggered_is_the_recorded_path(case: str) -> None:
     """Its deepest points are no interpolant; nobody steered."""
     gentle = dataclasses.replace(SCENARIOS, d_y=np.array([0.07, 0.05, 0.06]), sigma_y=np.array([0.002, 0.005, 0.0]))
-    for law in (Everything(), Stepped(Everything(), drops=True)):
+    for law in BOTH_LOOPS:
         out = run(law, CASES[case], gentle)
         assert not out.triggered.any()
         for i in range(gentle.n):
@@ -276,7 +272,7 @@ def assert_same_drive(out: Outcome, i: int, expected: Any) -> None:
 
 def test_as_printed_equals_the_reference() -> None:
     options = PlantOptions(speed="profile", actuator=Actuator(lag=0.05))
-    out = run(Everything(), options, SCENARIOS, vehicle=BicycleModel(convention="as_printed"))
+    out = run(EVERYTHING, options, SCENARIOS, vehicle=BicycleModel(convention="as_printed"))
     for i in range(2):
         assert_same_drive(out, i, driven(SCENARIOS, options, i, as_printed=True))
 
@@ -299,7 +295,7 @@ def test_samples_longer_than_the_departure_and_low_speed(case: str, crawling: bo
     """Of a departure before T and few after it, the last step cut short; at 2 m/s the lateral mode dies within a tenth
     of a sample."""
     scenarios, dt = (CRAWLING, DT) if crawling else (SCENARIOS, 1.45)
-    outs = [run(law, LOOSE[case], scenarios, dt=dt) for law in (Everything(), Stepped(Everything(), drops=True))]
+    outs = [run(law, LOOSE[case], scenarios, dt=dt) for law in BOTH_LOOPS]
     for i in range(2):
         expected = driven(scenarios, LOOSE[case], i, dt=dt)
         for out in outs:

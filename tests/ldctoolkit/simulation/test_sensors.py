@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from helpers.closed_loop import Stepped, Unsighted, assert_same_rows, grid, make_scenarios, with_residuals
-from ldctoolkit import Controller, Outcome, Plant, Scenarios, SteeringLaw, simulate
+from helpers.closed_loop import Prepared, Stepped, Unsighted, assert_same_rows, grid, make_scenarios, with_residuals
+from ldctoolkit import Outcome, Scenarios, simulate
 from ldctoolkit.controllers import PreviewProportional
 from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
 
@@ -29,19 +29,9 @@ class Seen(NamedTuple):
 
 
 @dataclasses.dataclass(frozen=True)
-class Witness(Controller):
+class Witness(Unsighted):
     """Steers straight on, and writes down what it sees."""
 
-    name = "witness"
-    title = "Witness"
-    samples: list[list[np.ndarray]] = dataclasses.field(default_factory=list)
-
-    def prepare(self, plant: Plant) -> SteeringLaw:
-        return WitnessLaw(self.samples)
-
-
-@dataclasses.dataclass(frozen=True)
-class WitnessLaw(Unsighted):
     samples: list[list[np.ndarray]]
 
     @property
@@ -55,9 +45,9 @@ class WitnessLaw(Unsighted):
 
 def watch(scenarios: Scenarios, sensors: Sensors, *, seed: int = 0, **options: Any) -> tuple[Seen, np.ndarray]:
     """What was seen, and the true states at the same samples (k, n, 4); all scenarios as long as the first."""
-    witness = Witness()
+    witness = Witness([])
     out = simulate(
-        witness, scenarios, y_s=Y_S, dt=DT, seed=seed, settle=SETTLE, trajectories=True,
+        Prepared(lambda _: witness), scenarios, y_s=Y_S, dt=DT, seed=seed, settle=SETTLE, trajectories=True,
         options=PlantOptions(sensors=sensors, **options),
     )  # fmt: skip
     assert out.triggered.all()
