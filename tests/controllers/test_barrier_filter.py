@@ -359,7 +359,7 @@ def test_mistakes_are_named(given: dict[str, Any], path: str, value: Any) -> Non
 
 def test_a_third_party_that_does_not_fit_is_named() -> None:
     plant, x, r, prev = situations(3, seed=12)
-    with refused("barrier_filter.inner", "leaves_alone"):
+    with refused("barrier_filter.inner", value="leaves_alone"):
         BarrierFilter(inner="leaves_alone").prepare(plant)
     with refused("law 'one_for_all'", allowed="(3,)"):
         command(BarrierFilter(inner="one_for_all"), plant, x, r, prev)
@@ -372,5 +372,5 @@ def test_a_study_file_may_set_and_sweep_the_law_inside() -> None:
         BarrierFilter(inner="lqr", inner_gains=f"r_delta={r}") for r in (100, 3000)
     ]
     block["gains"]["inner"] = 3  # type: ignore[index]
-    with refused("study: design[0].gains.inner", 3, "text", StudyError):
+    with refused("study: design[0].gains.inner", value=3, allowed="text", kind=StudyError):
         Study.from_dict({"name": "small", "design": [block]})

@@ -141,7 +141,7 @@ def test_a_law_that_steers_can_be_cut_down(name: str) -> None:
 
 
 def test_only_controllers_are_registered() -> None:
-    with refused("controller", int, "a subclass of Controller"):
+    with refused("controller", value=int, allowed="a subclass of Controller"):
         register(int)  # type: ignore[arg-type]
 
 

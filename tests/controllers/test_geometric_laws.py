@@ -115,7 +115,7 @@ def test_default_gains_damp_every_pole_from_10_to_40_m_per_s(dt: float) -> None:
 
 def test_a_goal_behind_the_centre_of_gravity_is_named() -> None:
     long = BicycleModel(VehicleParameters(l_r=3.0))
-    with refused("pure_pursuit.l_min", 2.0):
+    with refused("pure_pursuit.l_min", value=2.0):
         PurePursuit(l_min=2.0, T_lp=1.0).prepare(plant_at(20.0, model=long))
 
 

@@ -159,5 +159,5 @@ def test_the_record_of_solver_calls(solver: str) -> None:
 
 @pytest.mark.parametrize("solver", ["dapq", "mosek"])
 def test_a_solver_that_is_not_installed_is_named(solver: str) -> None:
-    with refused("linear_mpc.solver", solver, {"osqp", "daqp", *qpsolvers.available_solvers}):
+    with refused("linear_mpc.solver", value=solver, allowed={"osqp", "daqp", *qpsolvers.available_solvers}):
         LinearMPC(solver=solver)

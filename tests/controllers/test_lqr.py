@@ -71,7 +71,7 @@ def test_departures_do_not_diverge_behind_lag_and_delay(n: int, case: str, desig
 
 
 def test_speeds_outside_the_schedule_are_named() -> None:
-    with refused("speed at the trigger", 95.0):
+    with refused("speed at the trigger", value=95.0):
         LQR(r_delta=100.0).prepare(Plant.build(BicycleModel(), [20.0, 95.0], DT))
 
 

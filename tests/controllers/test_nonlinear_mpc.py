@@ -337,7 +337,7 @@ def test_a_switch_takes_the_virtual_machine_and_commands_stay(monkeypatch: pytes
     for design, expected in zip(designs, usual, strict=True):
         np.testing.assert_allclose(first(design, plant, x, preview, prev)[0], expected, atol=1e-10)
     monkeypatch.setenv(solver_module.CODE, "fast")
-    with refused(solver_module.CODE, "fast", {"auto", "vm"}):
+    with refused(solver_module.CODE, value="fast", allowed={"auto", "vm"}):
         solver_module.compiled((), "x")
 
 

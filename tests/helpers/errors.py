@@ -24,10 +24,16 @@ def assert_fields(error: LdcError, path: str, value: Any = ..., allowed: str | s
 
 
 @contextmanager
-def refused(
-    path: str, value: Any = ..., allowed: str | set[str] = "", kind: type[LdcError] = InputError
-) -> Iterator[None]:
-    """What is done within raises an error with these fields."""
+def refused(path: str, kind: type[LdcError] = InputError, **fields: Any) -> Iterator[None]:
+    """The block raises this kind of error, with this path, and with these fields where they are given: NaN equals NaN,
+    a set is some of the names that are allowed, an empty phrase anything, and `...` stands for no value."""
     with pytest.raises(kind) as caught:
         yield
-    assert_fields(caught.value, path, value, allowed)
+    for name, expected in {"path": path, **fields}.items():
+        actual = getattr(caught.value, name)
+        if expected is ...:
+            assert actual is NOT_GIVEN
+        elif isinstance(expected, set):
+            assert expected <= {*actual}
+        elif name != "allowed" or expected:
+            assert repr(actual) == repr(expected) or (actual == expected and not isinstance(expected, bool))

@@ -398,7 +398,7 @@ def test_a_response_of_many_states_is_worked_out_in_blocks() -> None:
     ],
 )
 def test_wrong_arguments_are_named(wrong: dict[str, Any], path: str, value: Any) -> None:
-    with refused(path, value):
+    with refused(path, value=value):
         review(LQR(r_delta=100.0), **wrong)
     with refused("controller"):
         review(LQR)  # type: ignore[arg-type]
@@ -406,9 +406,9 @@ def test_wrong_arguments_are_named(wrong: dict[str, Any], path: str, value: Any)
 
 @pytest.mark.parametrize("pair", [(3.0, 6.0), (6.0,), (0.0, 0.0), ("a", "b"), 6.0])
 def test_wrong_thresholds_are_named(pair: Any) -> None:
-    with refused("thresholds.gain_margin", pair):
+    with refused("thresholds.gain_margin", value=pair):
         Thresholds(gain_margin=pair)
-    with refused("thresholds.bend", (0.3, 0.1)):
+    with refused("thresholds.bend", value=(0.3, 0.1)):
         Thresholds(bend=(0.3, 0.1))
 
 

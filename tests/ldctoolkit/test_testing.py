@@ -347,7 +347,7 @@ def test_the_lane_that_laws_are_shown_is_one_lane() -> None:
     ],
 )  # fmt: skip
 def test_arguments_and_settings_are_checked(call: Callable[[], object], path: str, value: Any) -> None:
-    with refused(path, value):
+    with refused(path, value=value):
         call()
 
 

@@ -194,5 +194,5 @@ def test_no_scenarios_and_no_draws() -> None:
 )  # fmt: skip
 def test_bad_input_is_named(given: Any, path: str, value: Any) -> None:
     for draw in (uniforms, normals):
-        with refused(path, value):
+        with refused(path, value=value):
             draw(*given)

@@ -345,7 +345,7 @@ def three_gains(plant: Plant) -> LinearLaw:
     ],
 )  # fmt: skip
 def test_shapes_and_arguments_are_checked(given: dict[str, Any], path: str, value: Any) -> None:
-    with refused(path, value):
+    with refused(path, value=value):
         simulate(**{"controller": LQR(r_delta=100.0), "scenarios": make_scenarios(5), "y_s": 0.0} | given)
 
 

@@ -234,7 +234,7 @@ def test_a_vehicle_that_never_leaves_is_back_at_the_trigger() -> None:
     ],
 )  # fmt: skip
 def test_bad_drifts_are_named(given: dict[str, Any], path: str, value: Any, allowed: Any) -> None:
-    with refused(path, value, allowed):
+    with refused(path, value=value, allowed=allowed):
         drifts(**given)
 
 
@@ -248,5 +248,5 @@ def test_bad_drifts_are_named(given: dict[str, Any], path: str, value: Any, allo
     ],
 )
 def test_bad_triggers_are_named(given: dict[str, Any], path: str, value: Any, allowed: Any) -> None:
-    with refused(path, value, allowed):
+    with refused(path, value=value, allowed=allowed):
         simulate(NoControl(), drifts(), **given)

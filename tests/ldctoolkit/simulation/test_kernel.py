@@ -268,7 +268,7 @@ def test_chosen_trajectories_are_rows_of_all(options: str, design: str) -> None:
 )  # fmt: skip
 def test_rows_that_cannot_be_chosen_are_named(rows: Any, value: object) -> None:
     for design in DESIGNS.values():
-        with refused("trajectories", value):
+        with refused("trajectories", value=value):
             simulate(design, make_scenarios(20), trajectories=rows)
 
 
@@ -289,5 +289,5 @@ def test_the_end_of_the_departure_is_an_entry_once() -> None:
 
 @pytest.mark.parametrize("threads", [0, 2.5, "2", True])
 def test_threads_must_be_a_number_of_threads(threads: Any) -> None:
-    with refused("threads", threads, "a whole number >= 1"):
+    with refused("threads", value=threads, allowed="a whole number >= 1"):
         drive(LQR(r_delta=100.0), takeover(make_scenarios(20), PlantOptions()), threads=threads)

@@ -173,7 +173,7 @@ def test_signals_of_other_departures_are_refused(departures: Departures, tmp_pat
 
 
 def test_a_recorded_path_needs_signals(departures: Departures) -> None:
-    with refused("path", "recorded"):
+    with refused("path", value="recorded"):
         Scenarios.from_departures(dataclasses.replace(departures, signals=None), path="recorded")
-    with refused("path", "record", {"recorded"}):
+    with refused("path", value="record", allowed={"recorded"}):
         Scenarios.from_departures(departures, path="record")  # type: ignore[arg-type]

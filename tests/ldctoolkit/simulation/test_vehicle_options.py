@@ -174,12 +174,12 @@ def test_matrices_and_steady_cornering_equal_one_model_each(convention: Conventi
 
 
 def test_bad_input_is_named() -> None:
-    with refused("seed", -1):
+    with refused("seed", value=-1):
         true_vehicles(NOMINAL, Mismatch(), Tyres(), MANY, seed=-1)
     true = true_vehicles(NOMINAL, RANGES, TYRES, MANY.take(slice(2)), seed=3)
-    with refused("v[1]", 0.0):
+    with refused("v[1]", value=0.0):
         true.matrices([20.0, 0.0], "consistent")
-    with refused("speed at the trigger", 95.0):
+    with refused("speed at the trigger", value=95.0):
         filter_gain(Plant.build(BicycleModel(), [20.0, 95.0], 0.05), KalmanFilter(), 1)
 
 

@@ -135,7 +135,7 @@ def test_steady_state_holds_a_bend() -> None:
     ],
 )  # fmt: skip
 def test_bad_input_is_named(call: Callable[[], object], path: str, value: Any) -> None:
-    with refused(path, value, kind=LdcError):
+    with refused(path, value=value, kind=LdcError):
         call()
 
 

@@ -371,10 +371,12 @@ def test_a_run_asks_for_what_its_values_and_margins_lead_to(make_study: Callable
     ranking = rank_study(results, study)
     assert any(ranking.unmet)
     assert not all(ranking.unmet)
-    values = {one.id: (S,) for one, S in zip(ranking.designs, ranking.S.tolist(), strict=True)}
+    values = {one.id: (S,) for one, S in zip(ranking.designs, ranking.metrics.S.tolist(), strict=True)}
     margins = {
         one.id: ((S - 0.9) / 0.9, max(-reduction, 1e-12) if reduction <= 0 else -reduction)
-        for one, S, reduction in zip(ranking.designs, ranking.S.tolist(), ranking.reduction.tolist(), strict=True)
+        for one, S, reduction in zip(
+            ranking.designs, ranking.metrics.S.tolist(), ranking.metrics.reduction.tolist(), strict=True
+        )
     }
     search = Search(study)
     while batch := search.ask():
