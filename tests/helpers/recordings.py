@@ -44,6 +44,21 @@ def frame_of(recordings: Iterable[Recording]) -> pl.DataFrame:
     return pl.concat(frames)
 
 
+TABLE_HEADER = "recording,t,lane_offset,lane_width,speed\n"
+
+
+def table_of(first: int, n: int = 10) -> str:
+    """A table of n recordings of one departure each, alternating sides, all different."""
+    generator = np.random.default_rng(first)
+    lines = [TABLE_HEADER]
+    for i in range(first, first + n):
+        duration, peak, v = generator.uniform(1, 4), generator.uniform(0.1, 0.5), generator.uniform(15, 30)
+        t = np.arange(0, 8, 0.1)
+        offset = (-1) ** i * (np.maximum(peak * (1 - (2 * (t - 4) / duration) ** 2), -0.6) + 0.9)
+        lines += [f"r{i},{a:.2f},{b:.4f},3.6,{v:.4f}\n" for a, b in zip(t, offset, strict=True)]
+    return "".join(lines)
+
+
 def assert_same(left: Extraction, right: Extraction) -> None:
     """The same departures, counts and warnings; sources and columns of the source's own aside."""
     one, other = (dataclasses.replace(found.departures, extra=()) for found in (left, right))

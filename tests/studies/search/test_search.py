@@ -164,21 +164,22 @@ def test_objectives_of_which_more_is_better_are_made_large(objective: str, most:
     assert most - 0.3 <= np.mean([design.y_s for design in search.asked[15:]]) <= most
 
 
-def test_a_design_is_asked_for_once_and_a_small_space_comes_to_its_end() -> None:
-    """Six designs and no more, however many trials there are; those without a choice first."""
-    block = [{"law": "toy", "y_s": [0.1, 0.2], "gains": {"N": [3, 4, 5]}}, {"law": "none"}]
-    search = Search(make(block, trials=500, batch=4))
-    batches = drive(search, lambda design: (design.y_s,))
-    assert batches[0][0].law == "none"
-    assert len(search.asked) == len({d.id for d in search.asked}) == 7
-    assert [len(batch) for batch in batches] == [4, 3]
-
-
-def test_tables_that_share_designs_run_them_once() -> None:
-    block = {"law": "toy", "y_s": [0.1, 0.2, 0.3]}
-    search = Search(make([block, block | {"y_s": [0.2, 0.3, 0.4]}], trials=50, batch=2))
-    drive(search, lambda design: (design.y_s,))
-    assert sorted(design.y_s for design in search.asked) == [0.1, 0.2, 0.3, 0.4]
+@pytest.mark.parametrize(
+    ("design", "batches"),
+    [
+        ([{"law": "toy", "y_s": [0.1, 0.2], "gains": {"N": [3, 4, 5]}}, {"law": "none"}], [4, 3]),
+        ([{"law": "toy", "y_s": [0.1, 0.2, 0.3]}, {"law": "toy", "y_s": [0.2, 0.3, 0.4]}], [4]),  # tables that share
+        # N = 3, 4, 6 with it, the default without
+        ([{"law": "toy", "gains": {"N": [3, 4, 6], "on": [True, False]}, "when": {"N": {"on": True}}}], [4]),
+    ],
+)
+def test_a_design_is_asked_for_once_and_a_small_space_comes_to_its_end(design: Any, batches: list[int]) -> None:
+    """However many trials there are; those without a choice first."""
+    search = Search(make(design, trials=500, batch=4))
+    asked = drive(search, lambda design: (design.y_s,))
+    assert [len(batch) for batch in asked] == batches
+    assert len({design.id for design in search.asked}) == sum(batches)
+    assert asked[0][0].law == design[-1]["law"]
 
 
 def test_every_law_has_random_numbers_of_its_own() -> None:
@@ -371,12 +372,11 @@ def test_a_run_asks_for_what_its_values_and_margins_lead_to(make_study: Callable
     ranking = rank_study(results, study)
     assert any(ranking.unmet)
     assert not all(ranking.unmet)
-    values = {one.id: (S,) for one, S in zip(ranking.designs, ranking.S.tolist(), strict=True)}
-    margins = {
-        one.id: ((S - 0.9) / 0.9, max(-reduction, 1e-12) if reduction <= 0 else -reduction)
-        for one, S, reduction in zip(ranking.designs, ranking.S.tolist(), ranking.reduction.tolist(), strict=True)
+    figures = zip(ranking.designs, ranking.S.tolist(), ranking.reduction.tolist(), strict=True)
+    told = {
+        design: ((S,), ((S - 0.9) / 0.9, max(-reduction, 1e-12) if reduction <= 0 else -reduction))
+        for design, S, reduction in figures
     }
     search = Search(study)
-    while batch := search.ask():
-        search.tell({one.id: values[one.id] for one in batch}, {one.id: margins[one.id] for one in batch})
+    drive_within(search, lambda design: told[design][0], lambda design: told[design][1])
     assert search.asked == results.designs
