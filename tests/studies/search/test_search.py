@@ -22,6 +22,7 @@ from ldctoolkit.studies.search import Search
 pytestmark = pytest.mark.usefixtures("laws")
 
 Objective = Callable[[Design], tuple[float, ...] | None]
+Margins = Callable[[Design], tuple[float, ...]]
 
 TWO_LAWS = [
     {"law": "none"},
@@ -44,12 +45,13 @@ def make(design: Any, seed: int = 0, **search: Any) -> Study:
     return Study.from_dict({"name": "s", "seed": seed, "search": search, "design": design})
 
 
-def drive(search: Search, objective: Objective) -> list[tuple[Design, ...]]:
+def drive(search: Search, objective: Objective, margins: Margins | None = None) -> list[tuple[Design, ...]]:
     """Batches until there are no more."""
     batches = []
     while batch := search.ask():
         batches.append(batch)
-        search.tell({design.id: objective(design) for design in batch})
+        values = {design.id: objective(design) for design in batch}
+        search.tell(values, {design.id: margins(design) for design in batch} if margins else None)
     return batches
 
 
@@ -281,11 +283,6 @@ def test_optunas_own_settings_are_left_as_they_were() -> None:
 
 
 # --- requirements -----------------------------------------------------------------------------------------------------
-def drive_within(search: Search, objective: Objective, margins: Callable[[Design], tuple[float, ...]]) -> None:
-    while batch := search.ask():
-        search.tell({d.id: objective(d) for d in batch}, {d.id: margins(d) for d in batch})
-
-
 def restricted(design: Any, require: list[str], seed: int = 0, **search: Any) -> Study:
     content = {"name": "s", "seed": seed, "search": search, "design": design, "ranking": {"require": require}}
     return Study.from_dict(content)
@@ -312,7 +309,7 @@ def test_a_search_keeps_to_what_the_ranking_requires(sampler: str, objectives: l
     block = [ONE_LAW[0] | {"y_s": {"from": 0.0, "to": 1.0}}]
     study = restricted(block, ["S <= 1", "deeper <= 0.5"], trials=120, batch=6, sampler=sampler, objectives=objectives)
     search, again = Search(study), Search(study)
-    drive_within(search, costs, margins)
+    drive(search, costs, margins)
     met = np.array([design.y_s for design in search.asked]) >= 0.6
     # of six seeds the least is 0.47 of the second half, and the most 0.27 without; the best lie next to the limit
     assert met[60:].mean() > 0.45
@@ -327,7 +324,7 @@ def test_chance_is_not_led_by_requirements() -> None:
     block = [{"law": "toy", "y_s": {"from": 0.0, "to": 1.0}}]
     free, bound = (Search(restricted(block, ["S <= 1"], trials=20, batch=4, sampler="random")) for _ in range(2))
     drive(free, lambda design: (design.y_s,))
-    drive_within(bound, lambda design: (design.y_s,), lambda design: (0.6 - design.y_s,))
+    drive(bound, lambda design: (design.y_s,), lambda design: (0.6 - design.y_s,))
     assert free.asked == bound.asked
 
 
@@ -335,7 +332,7 @@ def test_chance_is_not_led_by_requirements() -> None:
 def test_laws_that_meet_the_requirements_are_asked_more_often(distance: float) -> None:
     """The LQR costs nothing and is farther from the limit; the MPC meets it, or comes nearer."""
     search = Search(restricted(TWO_LAWS, ["S <= 1"], trials=61, batch=5, sampler="random"))
-    drive_within(
+    drive(
         search,
         lambda design: (0.0 if design.law == "lqr" else 1.0,),
         lambda design: (5.0 if design.law == "lqr" else distance,),
@@ -378,5 +375,5 @@ def test_a_run_asks_for_what_its_values_and_margins_lead_to(make_study: Callable
         for design, S, reduction in figures
     }
     search = Search(study)
-    drive_within(search, lambda design: told[design][0], lambda design: told[design][1])
+    drive(search, lambda design: told[design][0], lambda design: told[design][1])
     assert search.asked == results.designs

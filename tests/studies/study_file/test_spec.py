@@ -25,6 +25,14 @@ from ldctoolkit.studies.study_file import catalog_names, load_study, toml_text
 
 pytestmark = pytest.mark.usefixtures("laws")
 
+Y_S_ALLOWED = "a finite number >= -10 m, below 0 before the line"
+ONE_SIGN = "both ends of one sign, neither zero"
+
+
+def toy(**gains: Any) -> dict[str, Any]:
+    return {"design": [{"law": "toy", "gains": gains}]}
+
+
 MISTAKES: list[tuple[dict[str, Any], str, Any, str | set[str]]] = [
     ({"sedd": 1}, "sedd", ..., {"seed"}),
     ({"race": True}, "race", ..., {"name"}),
@@ -54,12 +62,7 @@ MISTAKES: list[tuple[dict[str, Any], str, Any, str | set[str]]] = [
     ({"plant": {"actuator": {"rate_max": -1}}}, "plant.actuator.rate_max", -1, "a finite number > 0 rad/s"),
     ({"plant": {"mismatch": {"mu": [0.5, 1.0]}}}, "plant.mismatch.mu", (0.5, 1.0), ""),
     ({"plant": {"sensors": {"kalman": True}}}, "plant.sensors.kalman", True, "a table of keys"),
-    (
-        {"plant": {"sensors": {"kalman": {"q_y": 0}}}},
-        "plant.sensors.kalman.q_y",
-        0,
-        "a finite number > 0 m/s^2/sqrt(Hz)",
-    ),
+    ({"plant": {"sensors": {"kalman": {"r_y": 0}}}}, "plant.sensors.kalman.r_y", 0, "a finite number > 0 m"),
     (
         {"plant": {"tyres": {"model": "magic_formula"}}, "simulation": {"convention": "as_printed"}},
         "simulation.convention",
@@ -76,42 +79,17 @@ MISTAKES: list[tuple[dict[str, Any], str, Any, str | set[str]]] = [
     ({"design": [{}]}, "design[0].law", ..., ""),
     ({"design": [{"law": "toy"}, {"law": "ty"}]}, "design[1].law", "ty", {"toy"}),
     ({"design": [{"law": 3}]}, "design[0].law", 3, "text, or a list of different laws"),
-    (
-        {"design": [{"law": "toy", "y_s": ["a"]}]},
-        "design[0].y_s",
-        "a",
-        "a finite number >= -10 m, below 0 before the line",
-    ),
+    ({"design": [{"law": "toy", "y_s": ["a"]}]}, "design[0].y_s", "a", Y_S_ALLOWED),
     ({"design": [{"law": "toy", "gain": {}}]}, "design[0].gain", ..., {"gains"}),
-    ({"design": [{"law": "toy", "gains": {"KK": 1}}]}, "design[0].gains.KK", ..., {"K"}),
-    ({"design": [{"law": "toy", "gains": {"K": 1}}]}, "design[0].gains.K", 1, "a number from -1 to 0 rad/rad"),
-    (
-        {"design": [{"law": "toy", "gains": {"N": 2.5}}]},
-        "design[0].gains.N",
-        2.5,
-        "a whole number from 1 to 50 samples",
-    ),
-    ({"design": [{"law": "toy", "gains": {"on": 1}}]}, "design[0].gains.on", 1, "true or false"),
-    ({"design": [{"law": "toy", "gains": {"K": []}}]}, "design[0].gains.K", ..., "1 to 10000"),
-    (
-        {"design": [{"law": "toy", "gains": {"convention": "case"}}]},
-        "design[0].gains.convention",
-        "case",
-        {"consistent"},
-    ),
-    ({"design": [{"law": "toy", "gains": {"K": {"from": -1}}}]}, "design[0].gains.K.to", ..., ""),
-    (
-        {"design": [{"law": "toy", "gains": {"K": {"from": -1, "to": 0, "count": 3, "scale": "log"}}}]},
-        "design[0].gains.K.scale",
-        "log",
-        "both ends of one sign, neither zero",
-    ),
-    (
-        {"design": [{"law": "toy", "gains": {"K": {"from": -1, "to": 0.5, "count": 4}}}]},
-        "design[0].gains.K",
-        0.5,
-        "a number from -1 to 0 rad/rad",
-    ),
+    (toy(KK=1), "design[0].gains.KK", ..., {"K"}),
+    (toy(K=1), "design[0].gains.K", 1, "a number from -1 to 0 rad/rad"),
+    (toy(N=2.5), "design[0].gains.N", 2.5, "a whole number from 1 to 50 samples"),
+    (toy(on=1), "design[0].gains.on", 1, "true or false"),
+    (toy(K=[]), "design[0].gains.K", ..., "1 to 10000"),
+    (toy(convention="case"), "design[0].gains.convention", "case", {"consistent"}),
+    (toy(K={"from": -1}), "design[0].gains.K.to", ..., ""),
+    (toy(K={"from": -1, "to": 0, "count": 3, "scale": "log"}), "design[0].gains.K.scale", "log", ONE_SIGN),
+    (toy(K={"from": -1, "to": 0.5, "count": 4}), "design[0].gains.K", 0.5, "a number from -1 to 0 rad/rad"),
     (
         {"design": [{"law": "toy", "y_s": {"from": 0, "to": 1, "count": 9000}, "gains": {"N": list(range(1, 51))}}]},
         "design",
@@ -407,9 +385,9 @@ def test_a_law_follows_the_study_unless_the_design_says_otherwise() -> None:
 def test_a_grid_is_the_whole_product_in_the_order_written(y_s: list[float], K: list[float], N: list[int]) -> None:
     block = {"law": "linear_mpc", "y_s": y_s, "gains": {"q_y_rate": K, "horizon": N}}
     study = Study.from_dict({"name": "a", "design": [block]})
-    found = [(d.y_s, dict(d.gains)["q_y_rate"], dict(d.gains)["horizon"]) for d in study.designs]
-    wanted = list(dict.fromkeys(itertools.product(y_s, K, N)))
-    assert (found, len({d.id for d in study.designs})) == (wanted, len(found))
+    designs = [(d.y_s, dict(d.gains)["q_y_rate"], dict(d.gains)["horizon"]) for d in study.designs]
+    assert designs == list(dict.fromkeys(itertools.product(y_s, K, N)))
+    assert len({d.id for d in study.designs}) == len(designs)
 
 
 @pytest.mark.parametrize(
@@ -465,14 +443,14 @@ def test_a_study_written_as_toml_is_the_same_study_again(content: dict[str, Any]
 
 def test_the_paper_is_run_from_the_printed_start() -> None:
     """Mean S over both windows; from the steady start they would be others."""
-    found = []
+    means = []
     for window in ("departure", "control"):
         for study in map(load_study, ("paper", "paper-as-printed")):
             scenarios = load_model("reference").sample(200, 200, seed=study.seed)
             controller = study.designs[1].controller(study.simulation.convention)
-            found.append(simulate(controller, scenarios, setup=study.setup(), y_s=0.2, window=window).S.mean())
+            means.append(simulate(controller, scenarios, setup=study.setup(), y_s=0.2, window=window).S.mean())
     expected = [2.2745467139154925, 2.612075935029094, 0.8985804534786732, 1.236109674592275]
-    np.testing.assert_allclose(found, expected, rtol=1e-6)  # to what the loop promises on any processor
+    np.testing.assert_allclose(means, expected, rtol=1e-6)  # to what the loop promises on any processor
 
 
 def test_the_catalog_loads() -> None:
