@@ -226,11 +226,13 @@ def plot_ranking(ranking: Ranking, ax: Axes | None = None, top: int = 20) -> Axe
     rows = []
     for i in sorted({*range(min(top, len(ranking))), *named}):
         rank = f"{ranking.rank[i]}. " if ranking.rank[i] else ""
-        S, low, high = (float(values[i]) for values in (ranking.S, ranking.S_low, ranking.S_high))
+        S, low, high = (
+            float(values[i]) for values in (ranking.metrics.S, ranking.inference.S_low, ranking.inference.S_high)
+        )
         style, design = styles[ranking.designs[i].law], ranking.designs[i]
-        rows.append([Dot(f"{rank}{design.label}", S, low, high, style, open=not ranking.set_of_best[i])])
+        rows.append([Dot(f"{rank}{design.label}", S, low, high, style, open=not ranking.inference.set_of_best[i])])
     x = Axis("Mean S [m·s]", -math.inf, math.inf)
-    axes = draw(dots("ranking", "Mean S", rows, x, at=float(ranking.S_uncorrected[0])), ax)
+    axes = draw(dots("ranking", "Mean S", rows, x, at=float(ranking.metrics.S_uncorrected[0])), ax)
     axes.set_title(ranking.label, parse_math=False)
     return axes
 
@@ -339,13 +341,13 @@ def plot_distribution(
     if side not in _SIDES:
         raise InputError("side", value=side, allowed=_SIDES)
     results = results.on_drivable()
-    chosen = _positions(results, designs)
+    positions = _positions(results, designs)
     of_side = np.isin(results.scenarios.side, _SIDES[side])
     if not of_side.any():
         raise InputError("side", value=side, hint="the study has no such scenarios")
-    recorded = results.S_uncorrected[chosen[0]][of_side]
+    recorded = results.S_uncorrected[positions[0]][of_side]
     samples = [("without control", recorded, RECORDED)]
-    samples += [(label, S[of_side], style) for label, S, style in _curves(results, chosen)]
+    samples += [(label, S[of_side], style) for label, S, style in _curves(results, positions)]
     x = Axis("Score S [m·s]", 0.0, max(float(np.quantile(recorded, 0.995)), 1e-3))
     share = "Share of departures with less"
     return draw(ecdf("distribution", "Distribution of S", samples, x, share, most=recorded.size), ax)

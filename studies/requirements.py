@@ -39,24 +39,17 @@ def metric(name: str) -> Metric:
     return METRICS[known]
 
 
-def metric_values(name: str, *sources: Any) -> FloatArray:
+def metric_values(name: str, source: Any) -> FloatArray:
     """Values of a metric, one a design, (d,); NaN where a design has none.
 
-    The sources are searched in order: mappings by key, objects by attribute, then the attributes `release` and
-    `standards` of an object; a `ldctoolkit.Ranking` holds all metrics. Raises `UnknownNameError` for an unknown name;
-    `InputError` if no source has it.
+    The source is a `ldctoolkit.Ranking`, its ``metrics``, or a mapping of names to values. Raises `UnknownNameError`
+    for an unknown name; `InputError` for a metric that is not among them.
     """
-    wanted = metric(name).name
-    for source in sources:
-        for place in (source, getattr(source, "release", None), getattr(source, "standards", None)):
-            values = _lookup(place, wanted)
-            if values is not None:
-                return np.asarray(values, dtype=np.float64)
-    raise InputError(f"metric {wanted}", "not among these results")
-
-
-def _lookup(source: Any, name: str) -> Any:
-    return source.get(name) if isinstance(source, Mapping) else getattr(source, name, None)
+    wanted, metrics = metric(name).name, getattr(source, "metrics", source)
+    values = (metrics if isinstance(metrics, Mapping) else vars(metrics) | metrics.beside).get(wanted)
+    if values is None:
+        raise InputError(f"metric {wanted}", "not among these results")
+    return np.asarray(values, dtype=np.float64)
 
 
 _OPERATORS: Final[Mapping[Operator, Callable[[FloatArray, float], Any]]] = {
@@ -182,11 +175,11 @@ def _shown(of: Metric, value: float) -> str:
     return f"{of.scale * value:.{of.digits}f}{f' {of.shown_unit}' if of.shown_unit else ''}".replace("-", "\u2212")
 
 
-def missed_by(requirements: Sequence[Requirement], *sources: Any) -> tuple[tuple[Miss, ...], ...]:
+def missed_by(requirements: Sequence[Requirement], metrics: Any) -> tuple[tuple[Miss, ...], ...]:
     """For every design the requirements that it does not meet."""
-    missed: list[list[Miss]] = [[] for _ in metric_values("S", *sources)]
+    missed: list[list[Miss]] = [[] for _ in metric_values("S", metrics)]
     for one in requirements:
-        values = metric_values(one.metric.name, *sources)
+        values = metric_values(one.metric.name, metrics)
         for i in np.flatnonzero(~one.met(values)).tolist():
             missed[i].append(Miss(one, float(values[i])))
     return tuple(tuple(some) for some in missed)
@@ -219,18 +212,19 @@ def parse_requirement(text: str) -> Requirement:
     found = _TEXT.fullmatch(text) if isinstance(text, str) else None
     if found is None and isinstance(text, str) and re.fullmatch(r"[a-z0-9-]{3,}", text) and text not in _ALIASES:
         near = nearest(text, (*SETS, *standard_names()))
-        raise UnknownNameError(f"requirement {text!r}", "no such set of requirements", hint=near)
+        raise UnknownNameError("requirement", "is no set of requirements", value=text, hint=near)
     if found is None:
         raise InputError(
-            f"requirement {text!r}",
+            "requirement",
             "cannot be read",
+            value=text,
             allowed=f"a set ({', '.join(SETS)}), or a metric, one of {', '.join(_OPERATORS)}, and a number, "
             "as 'a_y_peak_p95 <= 3.0'",
         )
     try:
         wanted = metric(found["name"])
     except UnknownNameError as error:
-        raise UnknownNameError(f"requirement {text!r}", f"{error}") from None
+        raise error.within(f"requirement {text!r}", ": ") from None
     try:
         limit = float(found["limit"])
     except ValueError:
@@ -238,6 +232,6 @@ def parse_requirement(text: str) -> Requirement:
     lower, upper = {"share": (0.0, 1.0), "count": (0.0, math.inf)}.get(wanted.unit, (-math.inf, math.inf))
     if not (math.isfinite(limit) and lower <= limit <= upper):
         kind = {"share": "a share from 0 to 1", "count": "a number >= 0"}.get(wanted.unit, "a finite number")
-        raise InputError(f"requirement {text!r}", f"the limit is {found['limit']}", allowed=kind)
+        raise InputError(f"requirement {text!r}: limit", value=found["limit"], allowed=kind)
     operator: Any = found["operator"]
     return Requirement(wanted, operator, limit + 0.0)

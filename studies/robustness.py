@@ -209,7 +209,7 @@ def chosen_designs(ranking: Ranking) -> ChosenDesigns:
     places = list(dict.fromkeys(_places(ranking)))
     of = {place: ranking.designs[place] for place in places}
     slow = dict.fromkeys(of[place].law for place in places if of[place].batch < SLOW_BATCH)
-    unsafe = [place for place in places if ranking.crashed[place] or ranking.timed_out[place]]
+    unsafe = [place for place in places if ranking.metrics.crashed[place] or ranking.metrics.timed_out[place]]
     quick = [place for place in places if of[place].law not in slow and place not in unsafe]
     steering = [place for place in quick if not of[place].is_baseline]
     kept = {place for place in quick if of[place].is_baseline} | set(steering[:MOST])

@@ -265,8 +265,8 @@ class _Run:
 
 def _finalists(ranking: Ranking, most: int) -> tuple[Design, ...]:
     """The designs in the set of best, best first; at least three and at most `most`; none where nothing is ranked."""
-    best = [i for i in range(len(ranking)) if ranking.set_of_best[i]]
-    others = [i for i in range(len(ranking)) if not ranking.set_of_best[i] and ranking.rank[i] > 0]
+    best = [i for i in range(len(ranking)) if ranking.inference.set_of_best[i]]
+    others = [i for i in range(len(ranking)) if not ranking.inference.set_of_best[i] and ranking.rank[i] > 0]
     chosen = (best + others[: max(0, _LEAST - len(best))])[:most]
     return tuple(ranking.designs[i] for i in chosen)
 

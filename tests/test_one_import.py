@@ -63,8 +63,8 @@ def test_own_arrays_vehicle_requirement_and_a_data_frame() -> None:
     ranking = ldc.rank_study(results, study)
     table = ranking.to_polars()
     assert table["design"].to_list() == [design.id for design in ranking.designs]
-    np.testing.assert_array_equal(table["S_m_s"], ranking.S)
-    assert table["set_of_best"].to_list() == ranking.set_of_best.tolist()
+    np.testing.assert_array_equal(table["S_m_s"], ranking.metrics.S)
+    assert table["set_of_best"].to_list() == ranking.inference.set_of_best.tolist()
     rows = results.to_polars()
     assert rows.shape[0] == 5 * 20
     np.testing.assert_array_equal(rows["S_departure_m_s"], results.S.ravel())

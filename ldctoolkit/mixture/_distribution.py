@@ -1,4 +1,4 @@
-"""A bounded Gaussian mixture in the data's units: transform, density, margins and draws."""
+"""A bounded Gaussian mixture in the data's units: transform, density, conditions and draws."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from typing import Final, Literal
 import numpy as np
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
-from ldctoolkit.errors import InputError, ModelError
-from ldctoolkit.mixture._expectation import Components, log_density, log_terms, shares
-from ldctoolkit.mixture.checks import column_name
+from ldctoolkit.declared import is_number
+from ldctoolkit.errors import InputError, ModelError, plain
 from ldctoolkit.mixture.truncated_normal import Sampler, TruncatedNormal
 
 Kind = Literal["none", "log", "logit"]
 
 KINDS: Final = ("none", "log", "logit", "auto")
+_BY_ENDS: Final[tuple[Kind, ...]] = ("none", "log", "logit")  # what "auto" takes, by the number of finite bounds
 
 
 @dataclasses.dataclass(frozen=True)
@@ -27,38 +27,41 @@ class Transform:
 
     kinds: tuple[Kind, ...]
     lower: FloatArray  # (d,): the box in the data's units
-    upper: FloatArray  # (d,): the box in the data's units
+    upper: FloatArray  # (d,)
 
     @classmethod
-    def of(cls, wanted: str | Sequence[str] | None, lower: FloatArray, upper: FloatArray) -> Transform:
-        """The caller's wish, checked against the bounds."""
+    def of(
+        cls,
+        transform: str | Sequence[str] | None,
+        lower: FloatArray,
+        upper: FloatArray,
+        names: Sequence[str] | None = None,
+    ) -> Transform:
+        """One kind for all columns or one each, checked against the bounds."""
         d = lower.size
-        names = (
-            ["none"] * d if wanted is None else [wanted] * d if isinstance(wanted, str) else [str(w) for w in wanted]
-        )
-        if len(names) != d:
-            raise InputError("transform", f"{len(names)} names", allowed=f"one name, or {d}, one per column")
-        for name in names:
-            if name not in KINDS:
-                raise InputError("transform", value=name, allowed=KINDS)
-        ends = np.isfinite(lower).astype(int) + np.isfinite(upper)
+        wanted = [transform or "none"] * d if transform is None or isinstance(transform, str) else list(transform)
+        if len(wanted) != d:
+            raise InputError("transform", f"{len(wanted)} names", allowed=f"one name, or {d}, one per column")
         kinds: list[Kind] = []
-        for j, name in enumerate(names):
-            if name == "auto":
-                name = ("none", "log", "logit")[ends[j]]
-            if name == "log" and ends[j] != 1:
-                raise InputError(
-                    "transform", f"'log' for column {j} with {ends[j]} finite bounds", allowed="exactly one"
-                )
-            if name == "logit" and ends[j] != 2:
-                raise InputError("transform", f"'logit' for column {j} with {ends[j]} finite bounds", allowed="two")
-            kinds.append("log" if name == "log" else "logit" if name == "logit" else "none")
+        for j, (name, ends) in enumerate(zip(wanted, np.isfinite(lower).astype(int) + np.isfinite(upper), strict=True)):
+            path = f"transform[{j if names is None else names[j]!r}]"
+            if name not in KINDS:
+                raise InputError("transform" if name is transform else path, value=name, allowed=KINDS)
+            kind: Kind = _BY_ENDS[ends] if name == "auto" else name  # type: ignore[assignment]
+            if kind not in ("none", _BY_ENDS[ends]):
+                allowed = f"for columns with {_BY_ENDS.index(kind)}"
+                raise InputError(path, f"with {ends} finite bounds", value=kind, allowed=allowed)
+            kinds.append(kind)
         return cls(tuple(kinds), lower, upper)
 
     @property
     def identity(self) -> bool:
         """Whether nothing is mapped."""
         return all(kind == "none" for kind in self.kinds)
+
+    def part(self, columns: IntArray) -> Transform:
+        """The maps of some columns."""
+        return Transform(tuple(self.kinds[j] for j in columns), self.lower[columns], self.upper[columns])
 
     def box(self) -> tuple[FloatArray, FloatArray]:
         """The box in the new coordinates: a mapped dimension is open."""
@@ -109,6 +112,45 @@ class Transform:
         return out
 
 
+@dataclasses.dataclass(frozen=True)
+class Components:
+    """Parameters of K components in the coordinates of the data."""
+
+    weights: FloatArray  # (K,): eta_k, the share of events
+    mu: FloatArray  # (K, d): means before truncation
+    Sigma: FloatArray  # (K, d, d): covariances before truncation
+    log_p: FloatArray  # (K,): logarithm of the probability of the box
+
+
+def natural(c: Components) -> FloatArray:
+    """Coefficients (K, features) of ln(eta_k g_k/P_k), linear in the features (1, x_i, x_i x_j)."""
+    d = c.mu.shape[1]
+    i, j = np.triu_indices(d)
+    precision = np.linalg.inv(c.Sigma)
+    linear = (precision @ c.mu[:, :, None])[:, :, 0]
+    _, log_det = np.linalg.slogdet(c.Sigma)
+    with np.errstate(divide="ignore"):
+        constant = np.log(c.weights) - c.log_p
+    constant = constant - 0.5 * (d * np.log(2.0 * np.pi) + log_det + np.sum(c.mu * linear, axis=1))
+    quadratic = -precision[:, i, j] * np.where(i == j, 0.5, 1.0)
+    return np.concatenate([np.maximum(constant, -1e300)[:, None], linear, quadratic], axis=1)
+
+
+def log_terms(z: FloatArray, c: Components) -> FloatArray:
+    """Terms ln(eta_k g_k(z)/P_k), (n, K), without a check that z is inside the box."""
+    i, j = np.triu_indices(z.shape[1])
+    features = np.concatenate([np.ones((z.shape[0], 1)), z, z[:, i] * z[:, j]], axis=1)
+    out: FloatArray = features @ natural(c).T
+    return out
+
+
+def shares(logits: FloatArray) -> FloatArray:
+    """Row-wise shares (n, K), summing to one."""
+    share = np.exp(logits - logits.max(axis=1, keepdims=True))
+    out: FloatArray = share / share.sum(axis=1, keepdims=True)
+    return out
+
+
 Conditions = Mapping[str, object] | Mapping[int, object] | Mapping[str | int, object]
 """Column name or number -> a value, or (lower, upper) with None or an infinite number where open."""
 
@@ -122,17 +164,11 @@ def given_values(
     L = np.linalg.cholesky(Sigma[:, fixed[:, None], fixed])
     gap = np.linalg.solve(L, (value - mu[:, fixed])[:, :, None])
     slope = np.linalg.solve(L, Sigma[:, fixed[:, None], free])
-    there = mu[:, free] + (slope.transpose(0, 2, 1) @ gap)[:, :, 0]
+    mean = mu[:, free] + (slope.transpose(0, 2, 1) @ gap)[:, :, 0]
     rest = Sigma[:, free[:, None], free] - slope.transpose(0, 2, 1) @ slope
     log_root = np.log(np.diagonal(L, axis1=1, axis2=2)).sum(axis=1)
     log_density = -0.5 * np.sum(gap[:, :, 0] ** 2, axis=1) - log_root - 0.5 * fixed.size * np.log(2.0 * np.pi)
-    return there, 0.5 * (rest + rest.transpose(0, 2, 1)), log_density
-
-
-def part_of(transform: Transform, columns: IntArray) -> Transform:
-    """The maps of some columns."""
-    kinds = tuple(transform.kinds[j] for j in columns)
-    return Transform(kinds, transform.lower[columns], transform.upper[columns])
+    return mean, 0.5 * (rest + rest.transpose(0, 2, 1)), log_density
 
 
 def intervals(given: Conditions, names: Sequence[str] | None, transform: Transform) -> tuple[FloatArray, FloatArray]:
@@ -141,59 +177,47 @@ def intervals(given: Conditions, names: Sequence[str] | None, transform: Transfo
         raise InputError("given", value=given, allowed="a mapping from columns to values or (lower, upper)")
     lower, upper = transform.lower.copy(), transform.upper.copy()
     seen: set[int] = set()
-    for key, wanted in given.items():
+    for key, condition in given.items():
         j = _column(key, names, lower.size)
-        where = f"given: {column_name(j, names)}"
+        path = f"given[{j if names is None else names[j]!r}]"
         if j in seen:
-            raise InputError(f"{where} is given twice, by name and by number; allowed: once")
+            raise InputError(path, "is given twice, by name and by number", allowed="once")
         seen.add(j)
-        low, high = _ends(wanted, where)
+        low, high = interval_of(path, condition)
         box = f"the bounds {transform.lower[j]:g} and {transform.upper[j]:g}"
         if low == high:
             if not transform.lower[j] < low < transform.upper[j]:
-                raise InputError(f"{where} = {low!r}; allowed: strictly between {box}")
+                raise InputError(path, value=low, allowed=f"strictly between {box}")
         elif max(low, transform.lower[j]) >= min(high, transform.upper[j]):
-            raise InputError(f"{where} in ({low:g}, {high:g}); allowed: an interval that overlaps {box}")
+            raise InputError(path, value=condition, allowed=f"an interval that overlaps {box}")
         lower[j], upper[j] = max(low, transform.lower[j]), min(high, transform.upper[j])
     return lower, upper
 
 
 def _column(key: object, names: Sequence[str] | None, d: int) -> int:
     """Number of a column given by name or number."""
-    if isinstance(key, str):
-        if names is None:
-            raise InputError("given", f"column {key!r}, but the columns have no names", allowed=f"numbers 0 to {d - 1}")
+    number = plain(key)
+    if isinstance(number, int) and not isinstance(number, bool) and 0 <= number < d:
+        return number
+    if names is not None and isinstance(key, str):
         if key not in names:
-            raise InputError("given", "is no column", value=key, allowed=names)
+            raise InputError("given", "no such column", value=key, allowed=names)
         return list(names).index(key)
-    if isinstance(key, int | np.integer) and not isinstance(key, bool) and 0 <= key < d:
-        return int(key)
-    also = "" if names is None else f", or a name of {', '.join(names)}"
-    raise InputError("given", f"column {key!r}", allowed=f"a number 0 to {d - 1}{also}")
+    also = "; the columns have no names" if names is None else f", or a name of {', '.join(names)}"
+    raise InputError("given", "is no column", value=key, allowed=f"a number 0 to {d - 1}{also}")
 
 
-def _ends(wanted: object, where: str) -> tuple[float, float]:
-    """(lower, upper), equal for a value."""
-    allowed = "allowed: a number, or (lower, upper) with lower < upper and None where open"
-    if _is_number(wanted):
-        value = float(wanted)  # type: ignore[arg-type]
-        if not math.isfinite(value):
-            raise InputError(where, value=value, hint=allowed)
-        return value, value
-    if not isinstance(wanted, tuple | list | np.ndarray) or len(wanted) != 2:
-        raise InputError(where, value=wanted, hint=allowed)
-    ends: list[float] = []
-    for end, fill in zip(wanted, (-math.inf, math.inf), strict=True):
-        if end is not None and not _is_number(end):
-            raise InputError(where, value=wanted, hint=allowed)
-        ends.append(fill if end is None else float(end))
-    if not ends[0] < ends[1]:
-        raise InputError(where, f"({ends[0]!r}, {ends[1]!r})", hint=allowed)
-    return ends[0], ends[1]
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+def interval_of(path: str, condition: object) -> tuple[float, float]:
+    """(lower, upper) of a condition, infinite where open; both equal for a value."""
+    pair = (condition, condition) if is_number(plain(condition)) else condition
+    if isinstance(pair, tuple | list | np.ndarray) and len(pair) == 2:
+        ends = [fill if end is None else plain(end) for end, fill in zip(pair, (-math.inf, math.inf), strict=True)]
+        if all(isinstance(end, int | float) and not isinstance(end, bool) for end in ends):
+            low, high = map(float, ends)
+            if low < high or (low == high and math.isfinite(low)):
+                return low, high
+    allowed = "a number, or (lower, upper) with lower < upper and None where open"
+    raise InputError(path, value=condition, allowed=allowed)
 
 
 SAMPLE_BLOCK: Final = 8192
@@ -219,28 +243,18 @@ class Distribution:
         K, d = self.truncated.mu.shape
         return int(K * (d + d * (d + 1) // 2) + K - 1)
 
-    def own_units(self) -> tuple[Components, FloatArray, FloatArray]:
-        """Components, location and scale in units of their own spread: the features x_i x_j would otherwise cancel."""
-        t = self.truncated
-        location = self.weights @ t.mu
-        scale = np.sqrt(self.weights @ np.diagonal(t.Sigma, axis1=1, axis2=2))
-        scaled = Components(
-            self.weights, (t.mu - location) / scale, t.Sigma / (scale[:, None] * scale), t.log_probability
-        )
-        return scaled, location, scale
-
     def inside(self, x: FloatArray) -> BoolArray:
         """Which rows lie in the closed box, (n,)."""
         out: BoolArray = np.all((x >= self.transform.lower) & (x <= self.transform.upper), axis=1)
         return out
 
-    def _columns(self, x: FloatArray) -> FloatArray:
-        """The columns that `truncated` and `transform` speak of."""
+    def _free_columns(self, x: FloatArray) -> FloatArray:
+        """The columns that `truncated` and `transform` describe."""
         return x
 
     def has_density(self, x: FloatArray) -> BoolArray:
         """Which rows lie in the box and not on a bound that is mapped to infinity, (n,)."""
-        out: BoolArray = self.inside(x) & np.isfinite(self.transform.forward(self._columns(x))).all(axis=1)
+        out: BoolArray = self.inside(x) & np.isfinite(self.transform.forward(self._free_columns(x))).all(axis=1)
         return out
 
     def log_density(self, x: FloatArray) -> FloatArray:
@@ -251,15 +265,17 @@ class Distribution:
             if inside.any():
                 out[inside] = self.log_density(x[inside])
             return out
-        scaled, location, scale = self.own_units()
-        own = self._columns(x)
-        values = log_density(self.transform.forward(own), scaled, location, scale) - float(np.log(scale).sum())
-        return values if self.transform.identity else values + self.transform.log_slope(own)
+        from ldctoolkit.mixture._kernels import log_density_of_rows  # here: the compiler is slow to import
 
-    def shares(self, x: FloatArray) -> FloatArray:
-        """Share of each component in each row, (n, K); rows inside the box."""
-        scaled, location, scale = self.own_units()
-        return shares(log_terms((self.transform.forward(self._columns(x)) - location) / scale, scaled))
+        # in units of the components' own spread: the features x_i x_j would otherwise cancel
+        t = self.truncated
+        location = self.weights @ t.mu
+        scale = np.sqrt(self.weights @ np.diagonal(t.Sigma, axis1=1, axis2=2))
+        Sigma = t.Sigma / (scale[:, None] * scale)
+        theta = natural(Components(self.weights, (t.mu - location) / scale, Sigma, t.log_probability))
+        free = self._free_columns(x)
+        values = log_density_of_rows(self.transform.forward(free), location, scale, theta) - float(np.log(scale).sum())
+        return values if self.transform.identity else values + self.transform.log_slope(free)
 
     def condition(self, given: Conditions, names: Sequence[str] | None = None) -> Conditional:
         """The distribution given intervals or values of some columns, exactly.
@@ -302,13 +318,13 @@ class Distribution:
         weights = np.exp(log_weights - peak)
         log_mass = peak + math.log(weights.sum())
         if fixed.size:
-            log_mass += float(part_of(self.transform, fixed).log_slope(lower[None, fixed])[0])
-        rest = part_of(self.transform, free)
+            log_mass += float(self.transform.part(fixed).log_slope(lower[None, fixed])[0])
+        rest = self.transform.part(free)
         return Conditional(weights / weights.sum(), inner, rest, lower, upper, free, log_mass)
 
     @functools.cached_property
     def _samplers(self) -> dict[int, Sampler]:
-        """Components that can be drawn; made when first wanted."""
+        """Samplers of the components drawn so far."""
         return {}
 
     def sample_block(self, seed: int, key: tuple[int, ...]) -> tuple[FloatArray, IntArray]:
@@ -320,18 +336,18 @@ class Distribution:
             rows = np.flatnonzero(label == k)
             if rows.size:
                 y[rows] = self._draw(k, rows.size, rng)
-        return self._own_columns(self.transform.inverse(y)), label.astype(np.int64)
+        return self._all_columns(self.transform.inverse(y)), label.astype(np.int64)
 
     def _draw(self, k: int, n: int, rng: np.random.Generator) -> FloatArray:
         if k not in self._samplers:
-            self._samplers[k] = self.truncated.sampler(k)
+            self._samplers[k] = Sampler(self.truncated, k)
         try:
             return self._samplers[k].draw(n, rng)
         except ModelError as error:
-            raise ModelError(f"component {k}", f"{error}") from None
+            raise error.at(f"component {k}") from None
 
-    def _own_columns(self, x: FloatArray) -> FloatArray:
-        """Drawn rows as the distribution's rows."""
+    def _all_columns(self, x: FloatArray) -> FloatArray:
+        """Rows of the distribution from drawn ones."""
         return x
 
     def sample(self, n: int, seed: int) -> tuple[FloatArray, IntArray]:
@@ -373,10 +389,10 @@ class Conditional(Distribution):
         out: BoolArray = np.all((x >= self.lower) & (x <= self.upper), axis=1)
         return out
 
-    def _columns(self, x: FloatArray) -> FloatArray:
+    def _free_columns(self, x: FloatArray) -> FloatArray:
         return np.asarray(x[:, self.free])
 
-    def _own_columns(self, x: FloatArray) -> FloatArray:
+    def _all_columns(self, x: FloatArray) -> FloatArray:
         out = np.empty((x.shape[0], self.dimension))
         out[:] = self.lower
         low, high = np.nextafter(self.lower, np.inf)[self.free], np.nextafter(self.upper, -np.inf)[self.free]

@@ -10,8 +10,15 @@ import numpy as np
 
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.errors import InputError
-from ldctoolkit.mixture._expectation import Components, Statistics, log_terms, natural, shares, statistics
-from ldctoolkit.mixture._maximisation import LEAST_LOG_PROBABILITY, Prior, Step, maximise, objective, predicted_gain
+from ldctoolkit.mixture._distribution import Components, log_terms, natural, shares
+from ldctoolkit.mixture._maximisation import (
+    LEAST_LOG_PROBABILITY,
+    Prior,
+    Statistics,
+    maximise,
+    objective,
+    predicted_gain,
+)
 from ldctoolkit.mixture.checks import Events, Profile, sums_of
 from ldctoolkit.mixture.truncated_normal import TruncatedNormal, moment_points
 
@@ -40,8 +47,8 @@ def kmeans_labels(x: FloatArray, weight: FloatArray | None, K: int, rng: np.rand
         label = new
         counts = np.bincount(label, weights=w, minlength=K)
         for k in [int(i) for i in np.flatnonzero(counts > 0)]:
-            own = label == k
-            centres[k] = w[own] @ x[own] / counts[k]
+            members = label == k
+            centres[k] = w[members] @ x[members] / counts[k]
         for k in [int(i) for i in np.flatnonzero(~(counts > 0))]:
             far = int(np.argmax(w * np.sum((x - centres[label]) ** 2, axis=1)))
             centres[k], label[far] = x[far], k
@@ -74,11 +81,11 @@ def start_from_clusters(
     d = x.shape[1]
     counts, mean, scatter = np.zeros(K), np.zeros((K, d)), np.zeros((K, d, d))
     for k in range(K):
-        rows, own = x[label == k], w[label == k]
-        counts[k] = own.sum()
+        rows, share = x[label == k], w[label == k]
+        counts[k] = share.sum()
         if counts[k] > 0:
-            mean[k] = own @ rows / counts[k]
-            scatter[k] = ((rows - mean[k]).T * own) @ (rows - mean[k]) / counts[k]
+            mean[k] = share @ rows / counts[k]
+            scatter[k] = ((rows - mean[k]).T * share) @ (rows - mean[k]) / counts[k]
     centre = w @ x / w.sum()
     overall = ((x - centre).T * w) @ (x - centre) / w.sum()
     Sigma = local_covariance(scatter, counts, overall)
@@ -104,8 +111,8 @@ Run = Callable[[FloatArray, FloatArray, Components], tuple[Components, float]]
 class Move:
     """One candidate."""
 
-    split: int  # which component is split and which two are merged
-    merged: tuple[int, int]  # which component is split and which two are merged
+    split: int  # the component that is split
+    merged: tuple[int, int]  # the two that are merged
     gain: float  # least change of the log-likelihood, by the bounds
     start: Components  # where EM is to go on from
 
@@ -123,14 +130,14 @@ def best_moves(
     rng: np.random.Generator,
 ) -> list[Move]:
     """Candidates, the most promising first."""
-    pairs, mu_m, Sigma_m, log_p_m, merger = _mergers(weight, stats, now, shares_now, strength, points)
+    pairs, mu_m, Sigma_m, log_p_m, merger_gain = _mergers(weight, stats, now, shares_now, strength, points)
     out = []
     largest = np.argsort(-stats.counts, kind="stable")[:_SPLITS]
     for k in np.sort(largest).tolist():
-        found = _split(z, weight * shares_now[:, k], now, k, run, rng)
-        if found is None:
+        halves = _split(z, weight * shares_now[:, k], now, k, run, rng)
+        if halves is None:
             continue
-        two, split = found
+        two, split_gain = halves
         for m, (i, j) in enumerate(pairs):
             if k in (i, j):
                 continue
@@ -142,12 +149,12 @@ def best_moves(
             log_p = now.log_probability.copy()
             log_p[i], log_p[[k, j]] = log_p_m[m], two.log_p
             start = Components(weights, mu, Sigma, log_p)
-            out.append(Move(k, (i, j), split + float(merger[m]), start))
+            out.append(Move(k, (i, j), split_gain + float(merger_gain[m]), start))
     return _varied(sorted(out, key=lambda move: -move.gain))
 
 
 def _varied(ranked: list[Move]) -> list[Move]:
-    """Each split and each merger twice at most: their neighbours in the ranking tell the same."""
+    """Each split and each merger twice at most: their neighbours in the ranking are alike."""
     used: dict[object, int] = {}
     out = []
     for move in ranked:
@@ -173,8 +180,8 @@ def _split(
     centre = np.tile(w @ x / w.sum(), (2, 1))
     within = Components(np.array([0.5, 0.5]), centre, np.array(_WITHIN)[:, None, None] * shape, np.zeros(2))
     two, value = max((run(x, w, start) for start in (beside, within)), key=lambda end: end[1])
-    one = Components(np.ones(1), now.mu[[k]], now.Sigma[[k]], now.log_probability[[k]])
-    return two, value - float(w @ log_terms(x, one)[:, 0])
+    whole = Components(np.ones(1), now.mu[[k]], now.Sigma[[k]], now.log_probability[[k]])
+    return two, value - float(w @ log_terms(x, whole)[:, 0])
 
 
 def _mergers(
@@ -186,8 +193,8 @@ def _mergers(
     size = np.sqrt(np.diagonal(overlap))
     overlap /= np.maximum(np.outer(size, size), 1e-300)
     i, j = np.triu_indices(K, 1)
-    chosen = np.sort(np.argsort(-overlap[i, j], kind="stable")[: _PAIRS * K])
-    i, j = i[chosen], j[chosen]
+    closest = np.sort(np.argsort(-overlap[i, j], kind="stable")[: _PAIRS * K])
+    i, j = i[closest], j[closest]
     n_i, n_j = stats.counts[i], stats.counts[j]
     n = np.maximum(n_i + n_j, 1e-300)
     a, b = (n_i / n)[:, None], (n_j / n)[:, None]
@@ -200,13 +207,13 @@ def _mergers(
     t = TruncatedNormal(mean, target, now.lower, now.upper, points=points)
     prior = Prior(strength, target)
     for _ in range(_MERGER_STEPS):
-        t, _ = maximise(merged, prior, t, "newton", points)
+        t, _ = maximise(merged, prior, t, points)
     plain = Prior(0.0, stats.scatter)
     alone = objective(stats, plain, now) + _x_log_x(stats.counts)
-    together = objective(merged, Prior(0.0, target), t) + _x_log_x(n)
-    own = weight @ _x_log_x(shares_now)
+    joined = objective(merged, Prior(0.0, target), t) + _x_log_x(n)
+    each = weight @ _x_log_x(shares_now)
     both = np.array([weight @ _x_log_x(shares_now[:, p] + shares_now[:, q]) for p, q in zip(i, j, strict=True)])
-    gain = together - alone[i] - alone[j] + own[i] + own[j] - both
+    gain = joined - alone[i] - alone[j] + each[i] + each[j] - both
     return [(int(p), int(q)) for p, q in zip(i, j, strict=True)], t.mu, t.Sigma, t.log_probability, gain
 
 
@@ -249,21 +256,19 @@ Progress = Callable[[str], None]
 
 @dataclasses.dataclass(frozen=True)
 class EMSettings:
-    """What `fit_components` needs; bounds in the data's standardised units, threads of the short runs."""
+    """What `fit_components` needs."""
 
-    K: int
-    lower: FloatArray
+    lower: FloatArray  # (d,) bounds in the data's standardised units
     upper: FloatArray
     seed: int
+    split_merge: bool
+    n_components: int
     n_init: int
     short_iter: int
     subsample: int
-    split_merge: bool
-    tol: float
     max_iter: int
+    tol: float
     prior_strength: float
-    step: Step
-    threads: int | None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -291,12 +296,10 @@ class _Standardised:
 
     def evaluate(self, c: Components) -> Statistics:
         value, sums = sums_of(self.rows, self.location, self.scale, natural(c))
-        return statistics(value, sums, self.rows.dimension)
+        return Statistics.of(value, sums, self.rows.dimension)
 
 
-def fit_components(
-    events: Events, profile: Profile, s: EMSettings, start: Components | None, report: Progress
-) -> EMResult:
+def fit_components(events: Events, profile: Profile, s: EMSettings, report: Progress) -> EMResult:
     """Fit K components to events strictly inside the box; components are in units of the profile's mean and scale.
 
     The points and the order of integration are frozen during a run, so the likelihood is one smooth function. The
@@ -305,18 +308,18 @@ def fit_components(
     """
     data = _Standardised(events, profile.mean, profile.scale, profile.events)
     try:
-        return _fit(data, s, start, report)
+        return _fit(data, s, report)
     except np.linalg.LinAlgError:
         raise InputError(
             "X",
-            f"the likelihood has no maximum, a component shrinks onto too few distinct events "
-            f"with K = {s.K}, prior_strength = {s.prior_strength:g}",
+            "the likelihood has no maximum, a component shrinks onto too few distinct events with "
+            f"K = {s.n_components}, prior_strength = {s.prior_strength:g}",
             hint="raise prior_strength or fit fewer components",
         ) from None
 
 
-def _fit(data: _Standardised, s: EMSettings, start: Components | None, report: Progress) -> EMResult:
-    c = _best_start(data, s, report) if start is None else start
+def _fit(data: _Standardised, s: EMSettings, report: Progress) -> EMResult:
+    c = _best_start(data, s, report)
     bounded = int(np.sum(np.isfinite(s.lower) | np.isfinite(s.upper)))
     passes, many = 0, bounded > _FEW_DIMENSIONS and data.events > _FEW_EVENTS
     if many:
@@ -342,23 +345,22 @@ def _best_start(data: _Standardised, s: EMSettings, report: Progress) -> Compone
     """The best of several short runs from k-means clusters."""
     rng = np.random.default_rng([s.seed, 0])
     rows = data.rows.used_rows()
-    chosen = rows if rows.size <= s.subsample else np.sort(rng.choice(rows, s.subsample, replace=False))
-    few = data.rows.take(chosen)
-    z, weight = (few.x - data.location) / data.scale, few.weight
+    used = data.rows.take(rows if rows.size <= s.subsample else np.sort(rng.choice(rows, s.subsample, replace=False)))
+    z, weight = (used.x - data.location) / data.scale, used.weight
     events = float(z.shape[0]) if weight is None else float(weight.sum())
     d = z.shape[1]
-    short = _Standardised(Events(z, weight, s.threads), np.zeros(d), np.ones(d), events)
+    short = _Standardised(Events(z, weight, data.rows.threads), np.zeros(d), np.ones(d), events)
     best: EMResult | None = None
-    starts = s.n_init if s.K > 1 else 1
+    starts = s.n_init if s.n_components > 1 else 1
     for run in range(starts):
-        first = start_from_clusters(z, weight, s.K, np.random.default_rng([s.seed, 1, run]))
+        first = start_from_clusters(z, weight, s.n_components, np.random.default_rng([s.seed, 1, run]))
         result = _run(short, first, Prior(s.prior_strength, first.Sigma), s, s.short_iter, _SHORT_POINTS, leaps=False)
         report(f"start {run + 1} of {starts}: {result.history[-1]:.6f} nats an event")
         if best is None or result.history[-1] > best.history[-1]:
             best = result
     if best is None:
         raise RuntimeError("no start was run")
-    if s.K < 3 or not s.split_merge:
+    if s.n_components < 3 or not s.split_merge:
         return best.components
     return _escape(short, best.components, s, report)
 
@@ -368,7 +370,7 @@ def _escape(data: _Standardised, c: Components, s: EMSettings, report: Progress)
     loose = dataclasses.replace(s, tol=_ESCAPE_TOL)
     rng = np.random.default_rng([s.seed, 2])
     now = _run(data, c, _local_prior(data, c, s), loose, _ESCAPE_PASSES, _SHORT_POINTS, leaps=False)
-    for _ in range(s.K):
+    for _ in range(s.n_components):
         try:
             higher = _one_escape(data, now, loose, rng, report)
         except (np.linalg.LinAlgError, InputError):  # too few distinct events for a move
@@ -388,10 +390,10 @@ def _one_escape(
     t = TruncatedNormal(c.mu, c.Sigma, s.lower, s.upper, points=_SHORT_POINTS)
 
     def split_run(x: FloatArray, w: FloatArray, two: Components) -> tuple[Components, float]:
-        own = _Standardised(Events(x, w, s.threads), data.location, data.scale, float(w.sum()))
+        part = _Standardised(Events(x, w, data.rows.threads), data.location, data.scale, float(w.sum()))
         prior = Prior(s.prior_strength, two.Sigma)
-        end = _run(own, two, prior, s, _SPLIT_PASSES, _SHORT_POINTS, leaps=False).components
-        return end, own.evaluate(end).log_likelihood
+        end = _run(part, two, prior, s, _SPLIT_PASSES, _SHORT_POINTS, leaps=False).components
+        return end, part.evaluate(end).log_likelihood
 
     candidates = best_moves(
         z,
@@ -439,8 +441,8 @@ def _run(
     history, trail, longest = [value], [now], _FIRST_LEAP
     reason: StopReason = "max_iter"
     for _ in range(passes):
-        kept = now
-        t, moved = maximise(stats, prior, now.truncated, s.step, points)
+        before = now
+        t, moved = maximise(stats, prior, now.truncated, points)
         stuck = bool(np.any(~moved & (predicted_gain(stats, now.truncated) > _STATIONARY * n)))
         weights = np.maximum(stats.counts, _LEAST_WEIGHT)
         now = Point(weights / weights.sum(), t)
@@ -462,13 +464,13 @@ def _run(
             stats, value = evaluate(now)
         trail = trail or [now]
         if not value >= history[-1] - _FALL * max(abs(history[-1]), 1.0):
-            now = kept
+            now = before
             reason = "collapsed"
             break
         history.append(value)
         if report is not None:
             report(f"{word} {len(history) - 1}: {value:.8f} nats an event, gained {value - history[-2]:.2e}")
-        still = not moved.any() and np.array_equal(now.weights, kept.weights)  # the next pass would be this one
+        still = not moved.any() and np.array_equal(now.weights, before.weights)  # the next pass would be this one
         if still or (len(history) > _WINDOW and history[-1] - history[-1 - _WINDOW] < s.tol * _WINDOW):
             reason = "stuck" if stuck else "converged"
             break
@@ -504,14 +506,13 @@ def leap(first: Point, second: Point, third: Point, *, longest: float, points: i
     """A point beyond the third of three successive ones."""
     G = np.linalg.cholesky(second.truncated.Sigma)
     centre = second.truncated.mean
-    places = [_whitened(p, G, centre, second.weights) for p in (first, second, third)]
+    a, b, c = (_whitened(p, G, centre, second.weights) for p in (first, second, third))
     # components count by their share of the events
     share = np.sqrt(second.weights)[:, None]
-    r, v = (share * step for step in (places[1] - places[0], places[2] - 2.0 * places[1] + places[0]))
+    r, v = (share * step for step in (b - a, c - 2.0 * b + a))
     s = float(np.clip(np.linalg.norm(r) / max(float(np.linalg.norm(v)), 1e-300), 1.0, longest))
     while s > _SHORTEST:
-        target = places[0] + 2.0 * s * (places[1] - places[0]) + s**2 * (places[2] - 2.0 * places[1] + places[0])
-        end = _unwhitened(target, G, centre, second.truncated, points)
+        end = _unwhitened(a + 2.0 * s * (b - a) + s**2 * (c - 2.0 * b + a), G, centre, second.truncated, points)
         if end is not None:
             return Leap(end, s)
         s = 1.0 + 0.5 * (s - 1.0)
@@ -529,21 +530,19 @@ def _whitened(p: Point, G: FloatArray, centre: FloatArray, typical: FloatArray) 
     return np.concatenate([log_weight[:, None], (G.transpose(0, 2, 1) @ slope)[:, :, 0], np.sqrt(0.5) * flat], axis=1)
 
 
-def _unwhitened(
-    place: FloatArray, G: FloatArray, centre: FloatArray, like: TruncatedNormal, points: int
-) -> Point | None:
+def _unwhitened(at: FloatArray, G: FloatArray, centre: FloatArray, like: TruncatedNormal, points: int) -> Point | None:
     K, d = centre.shape
-    precision = np.sqrt(2.0) * place[:, 1 + d :].reshape(K, d, d)
+    precision = np.sqrt(2.0) * at[:, 1 + d :].reshape(K, d, d)
     precision = 0.5 * (precision + precision.transpose(0, 2, 1))
-    if not np.isfinite(place).all() or np.linalg.eigvalsh(precision)[:, 0].min() < _LEAST_PRECISION:
+    if not np.isfinite(at).all() or np.linalg.eigvalsh(precision)[:, 0].min() < _LEAST_PRECISION:
         return None
     white = np.linalg.inv(precision)
-    mu = centre + (G @ white @ place[:, 1 : 1 + d, None])[:, :, 0]
+    mu = centre + (G @ white @ at[:, 1 : 1 + d, None])[:, :, 0]
     Sigma = G @ white @ G.transpose(0, 2, 1)
     Sigma = 0.5 * (Sigma + Sigma.transpose(0, 2, 1))
     order = None if like.box is None else like.box.order
     t = TruncatedNormal(mu, Sigma, like.lower, like.upper, points=points, order=order)
     if t.log_probability.min() < LEAST_LOG_PROBABILITY or (t.box is not None and not np.isfinite(t.box.log_peak).all()):
         return None
-    weights = np.exp(place[:, 0] - place[:, 0].max())
+    weights = np.exp(at[:, 0] - at[:, 0].max())
     return Point(weights / weights.sum(), t)

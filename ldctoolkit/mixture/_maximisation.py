@@ -2,14 +2,9 @@
 
 Per component the objective is Q = N [E_data ln g(x) - ln P] + prior, where
 ``prior = -n0/2 [ln|Sigma| + tr(Sigma^-1 S0)]``, up to a constant, stands for n0
-pseudo-events with covariance S0 about the component's own mean. Two steps are offered:
-
-- ``lee_scott``: mu' = mu + (xbar - E x), Sigma' = Sigma + (C - V), with E x and V the moments inside the box
-  (Lee and Scott 2012: weighted mean minus m, weighted scatter about the new mean plus H);
-- ``newton``: a Newton step with the Fisher matrix on the bounded dimensions, exact regression on the open ones.
-
-Either is shortened until Q does not fall, so the penalised log-likelihood never falls. Where no length of the one will
-do, the other is tried: near a bound the fixed-point step need not point uphill, and a Newton step may be very short.
+pseudo-events with covariance S0 about the component's own mean. The step is Newton's, with the Fisher matrix on the
+bounded dimensions and exact regression on the open ones; it is shortened until Q does not fall, so the penalised
+log-likelihood never falls. Where no length will do, the fixed-point step of Lee and Scott (2012) is tried.
 """
 
 from __future__ import annotations
@@ -17,19 +12,15 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Callable
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
-from ldctoolkit.mixture._expectation import Statistics
 from ldctoolkit.mixture.truncated_normal import TruncatedNormal
 
-Step = Literal["newton", "lee_scott"]
-
-_TRIALS: Final = 8  # lengths tried of the chosen step; only those that keep Sigma positive definite are counted
-
-_OTHER_TRIALS: Final = 4
+_TRIALS: Final = 8  # lengths tried of the held step; only those that keep Sigma positive definite are counted
+_FURTHER_TRIALS: Final = 4  # of the step as it is solved
 _SHORTER: Final = 0.25
 """Next length tried over the last: where the whole Newton step fails, far shorter ones are wanted."""
 
@@ -37,9 +28,33 @@ _VALID_HALVINGS: Final = 40
 _LEAST_PRECISION: Final = 0.1
 """A Newton step leaves at least this share of every whitened precision; the next goes further."""
 
+Path = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
+"""From step lengths t (K,), zero where the component stays, to means and covariances."""
+
 LEAST_LOG_PROBABILITY: Final = -1e5
 """No step goes below this ln P. Where density piles up at a bound without end, the likelihood may rise for ever, by
 less and less: at -1e5 a component is an exponential to 1 part in 1e5, and it can still be integrated and sampled."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Statistics:
+    """Sums of an E-step."""
+
+    log_likelihood: float  # sum of ln f over the events
+    counts: FloatArray  # (K,): expected events N_k
+    mean: FloatArray  # (K, d): weighted means
+    scatter: FloatArray  # (K, d, d): weighted covariances about those means
+
+    @classmethod
+    def of(cls, log_likelihood: float, sums: FloatArray, d: int) -> Statistics:
+        """Weighted moments from sums (K, features) of the features (1, x_i, x_i x_j)."""
+        i, j = np.triu_indices(d)
+        counts = sums[:, 0]
+        safe = np.maximum(counts, 1e-300)[:, None]
+        mean = sums[:, 1 : 1 + d] / safe
+        second = np.empty((sums.shape[0], d, d))
+        second[:, i, j] = second[:, j, i] = sums[:, 1 + d :] / safe
+        return cls(log_likelihood, counts, mean, second - mean[:, :, None] * mean[:, None, :])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,6 +75,10 @@ class Prior:
         return out
 
 
+Step = Callable[[Statistics, Prior, TruncatedNormal], tuple[FloatArray, Path]]
+"""From an E-step, the prior and the components to the step lengths (K,) to be tried first, and their path."""
+
+
 def objective(stats: Statistics, prior: Prior, t: TruncatedNormal) -> FloatArray:
     """Q per component, (K,)."""
     gap = stats.mean - t.mu
@@ -71,22 +90,21 @@ def objective(stats: Statistics, prior: Prior, t: TruncatedNormal) -> FloatArray
     return out
 
 
-def maximise(
-    stats: Statistics, prior: Prior, now: TruncatedNormal, step: Step, points: int
-) -> tuple[TruncatedNormal, BoolArray]:
+def maximise(stats: Statistics, prior: Prior, now: TruncatedNormal, points: int) -> tuple[TruncatedNormal, BoolArray]:
     """New components; those whose objective cannot be raised stay as they are."""
     before = objective(stats, prior, now)
     order = now.box.order if now.box is not None else None
-    makers: list[Callable[[Statistics, Prior, TruncatedNormal], _NewtonPath | _LeeScottPath]]
-    # with the change of each whitened precision held in its range, where one that runs away does not hold up the rest;
-    # then as it is solved: uphill for certain, where the held one need not be
-    makers = [functools.partial(_newton_path, held=True), functools.partial(_newton_path, held=False)]
-    makers.insert(0 if step == "lee_scott" else 2, _LeeScottPath)
     result = now
     waiting = np.ones(now.mu.shape[0], dtype=bool)
-    for make, trials in zip(makers, (_TRIALS, _OTHER_TRIALS, _OTHER_TRIALS), strict=True):
-        path = make(stats, prior, now)
-        t = path.trusted()
+    # the change of each whitened precision held in its range, so that one that runs away does not hold up the rest;
+    # then as it is solved: uphill for certain, where the held one need not be; last the fixed point's step
+    steps: tuple[Step, ...] = (
+        functools.partial(_newton, held=True),
+        functools.partial(_newton, held=False),
+        _fixed_point,
+    )
+    for step, trials in zip(steps, (_TRIALS, _FURTHER_TRIALS, _FURTHER_TRIALS), strict=True):
+        t, path = step(stats, prior, now)
         for _ in range(trials):
             mu_t, Sigma_t, valid = _shortened(path, t, waiting)
             rows = np.flatnonzero(waiting & valid)
@@ -104,12 +122,11 @@ def maximise(
     return result, ~waiting
 
 
-def _shortened(
-    path: _NewtonPath | _LeeScottPath, t: FloatArray, waiting: BoolArray
-) -> tuple[FloatArray, FloatArray, BoolArray]:
+def _shortened(path: Path, t: FloatArray, waiting: BoolArray) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Points on the path, steps `t` halved in place where they leave the positive definite matrices."""
     for _ in range(_VALID_HALVINGS):
-        mu, Sigma, valid = path.at(t)
+        mu, Sigma = path(t)
+        valid = _positive(Sigma)
         short = waiting & ~valid
         if not short.any():
             break
@@ -141,74 +158,25 @@ def _rows(stats: Statistics, rows: IntArray) -> Statistics:
     return Statistics(stats.log_likelihood, stats.counts[rows], stats.mean[rows], stats.scatter[rows])
 
 
-@dataclasses.dataclass(frozen=True)
-class _LeeScottPath:
-    stats: Statistics
-    prior: Prior
-    now: TruncatedNormal
+def _fixed_point(stats: Statistics, prior: Prior, now: TruncatedNormal) -> tuple[FloatArray, Path]:
+    """The step of Lee and Scott: the difference of the moments of data and model, as a line in mean and covariance."""
+    n = stats.counts[:, None, None]
+    plain = n * (now.Sigma + stats.scatter - now.covariance)
+    full = (plain + prior.strength * prior.covariance) / np.maximum(n + prior.strength, 1e-300)
 
-    def trusted(self) -> FloatArray:
-        """The whole step, (K,)."""
-        return np.ones(self.now.mu.shape[0])
+    def path(t: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return now.mu + t[:, None] * (stats.mean - now.mean), now.Sigma + t[:, None, None] * (full - now.Sigma)
 
-    def at(self, t: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
-        n = self.stats.counts[:, None, None]
-        n0 = self.prior.strength
-        mu = self.now.mu + t[:, None] * (self.stats.mean - self.now.mean)
-        plain = n * (self.now.Sigma + self.stats.scatter - self.now.covariance)
-        full = (plain + n0 * self.prior.covariance) / np.maximum(n + n0, 1e-300)
-        Sigma = self.now.Sigma + t[:, None, None] * (full - self.now.Sigma)
-        return mu, Sigma, _positive(Sigma)
+    return np.ones(now.mu.shape[0]), path
 
 
-@dataclasses.dataclass(frozen=True)
-class _NewtonPath:
+def _newton(stats: Statistics, prior: Prior, now: TruncatedNormal, held: bool) -> tuple[FloatArray, Path]:
     """Bounded block: whitened precision I - t M, density times exp(t a u + t u M u/2); open block: regression on it.
 
     The objective is concave along this line of natural parameters. Near a bound mean and covariance must change
     together by much for the density inside to change by little: a line in mean and covariance leaves that valley.
+    The step is the whole one (t = 1), or as much of it as keeps a share of every whitened precision.
     """
-
-    now: TruncatedNormal
-    bounded: IntArray
-    free: IntArray
-    factor: FloatArray
-    a: FloatArray
-    M: FloatArray
-    data_mean: FloatArray
-    slope: FloatArray
-    rest: FloatArray
-
-    def trusted(self) -> FloatArray:
-        """The whole step, (K,), or as much of it as keeps a share of every whitened precision."""
-        K, p = self.a.shape
-        if p == 0:
-            return np.ones(K)
-        most = np.linalg.eigvalsh(self.M)[:, -1]
-        out: FloatArray = np.minimum(1.0, (1.0 - _LEAST_PRECISION) / np.maximum(most, 1e-12))
-        return out
-
-    def at(self, t: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
-        b, f = self.bounded, self.free
-        mu, Sigma = self.now.mu.copy(), self.now.Sigma.copy()
-        if b.size:
-            white = np.linalg.inv(np.eye(b.size) - t[:, None, None] * self.M)
-            a = white @ (t[:, None] * self.a)[:, :, None]
-            G = self.factor
-            mu[:, b] += (G @ a)[:, :, 0]
-            Sigma[:, b[:, None], b] = _symmetric(G @ white @ G.transpose(0, 2, 1))
-        if f.size:
-            A = self.slope
-            S_b = Sigma[:, b[:, None], b]
-            cross = A @ S_b
-            mu[:, f] = self.data_mean[:, f] + (A @ (mu[:, b] - self.data_mean[:, b])[:, :, None])[:, :, 0]
-            Sigma[:, f[:, None], b] = cross
-            Sigma[:, b[:, None], f] = cross.transpose(0, 2, 1)
-            Sigma[:, f[:, None], f] = _symmetric(self.rest + cross @ A.transpose(0, 2, 1))
-        return mu, Sigma, _positive(Sigma)
-
-
-def _newton_path(stats: Statistics, prior: Prior, now: TruncatedNormal, held: bool) -> _NewtonPath:
     b = now.bounded
     f = np.setdiff1d(np.arange(now.mu.shape[1]), b)
     n, n0 = stats.counts, prior.strength
@@ -217,8 +185,27 @@ def _newton_path(stats: Statistics, prior: Prior, now: TruncatedNormal, held: bo
     C = (n[:, None, None] * stats.scatter + n0 * prior.covariance) / total
     slope = np.asarray(np.linalg.solve(C[:, b[:, None], b], C[:, b[:, None], f]).transpose(0, 2, 1), dtype=float)
     rest = C[:, f[:, None], f] - slope @ C[:, b[:, None], f]
-    factor, a, M = _newton_direction(stats, prior, now, held)
-    return _NewtonPath(now, b, f, factor, a, M, stats.mean, slope, rest)
+    trusted = np.ones(n.size)
+    if b.size:
+        G, a, M = _newton_direction(stats, prior, now, held)
+        largest = np.linalg.eigvalsh(M)[:, -1]
+        trusted = np.minimum(1.0, (1.0 - _LEAST_PRECISION) / np.maximum(largest, 1e-12))
+
+    def path(t: FloatArray) -> tuple[FloatArray, FloatArray]:
+        mu, Sigma = now.mu.copy(), now.Sigma.copy()
+        if b.size:
+            white = np.linalg.inv(np.eye(b.size) - t[:, None, None] * M)
+            mu[:, b] += (G @ (white @ (t[:, None] * a)[:, :, None]))[:, :, 0]
+            Sigma[:, b[:, None], b] = _symmetric(G @ white @ G.transpose(0, 2, 1))
+        if f.size:
+            cross = slope @ Sigma[:, b[:, None], b]
+            mu[:, f] = stats.mean[:, f] + (slope @ (mu[:, b] - stats.mean[:, b])[:, :, None])[:, :, 0]
+            Sigma[:, f[:, None], b] = cross
+            Sigma[:, b[:, None], f] = cross.transpose(0, 2, 1)
+            Sigma[:, f[:, None], f] = _symmetric(rest + cross @ slope.transpose(0, 2, 1))
+        return mu, Sigma
+
+    return trusted, path
 
 
 def _newton_direction(
@@ -229,11 +216,9 @@ def _newton_direction(
     The equations are solved in v = u - E u, where the features v and v v^T stay apart: far outside the box u is nearly
     constant on it, and u and u u^T nearly the same.
     """
-    K = now.mu.shape[0]
     if now.box is None or now.whitened is None:
-        empty = np.empty((K, 0, 0))
-        return empty, np.empty((K, 0)), empty
-    b, G, w = now.bounded, now.box.factor, now.whitened
+        raise TypeError("no bounded dimension")
+    K, b, G, w = now.mu.shape[0], now.bounded, now.box.factor, now.whitened
     p = b.size
     i, j = np.triu_indices(p)
     half = np.where(i == j, 0.5, 1.0)

@@ -31,68 +31,69 @@ class Restricted:
     """Standard normals restricted to intervals, mirrored so that each lies mostly left of zero."""
 
     low: FloatArray  # (...): ends of the mirrored intervals
-    high: FloatArray  # (...): ends of the mirrored intervals
-    flip: BoolArray  # (...): which ones are mirrored
-    at_low: FloatArray  # (...): phi(low), and Phi(high) - Phi(low)
-    share: FloatArray  # (...)
-    log_mass: FloatArray  # (...): logarithm of the mass
-    special: BoolArray  # (...): far or narrow ones, whose mass and moments come from quadrature
-    offset: FloatArray  # (special,): for those: high - E z, and Var z
-    spread: FloatArray  # (special,)
+    high: FloatArray  # (...)
+    mirrored: BoolArray  # (...): which intervals are mirrored
+    Phi_low: FloatArray  # (...): Phi(low), the mass below the interval
+    mass: FloatArray  # (...): Phi(high) - Phi(low)
+    log_mass: FloatArray  # (...): its logarithm, from quadrature where the interval is special
+    special: BoolArray  # (...): far or narrow intervals, whose mass and moments come from quadrature
+    offset: FloatArray  # (special,): high - E z of those
+    variance: FloatArray  # (special,): Var z of those
 
     @classmethod
     def of(cls, a: FloatArray, b: FloatArray) -> Restricted:
         """Intervals (a, b), a < b; infinite ends are allowed."""
         from scipy.special import ndtr  # here, so that importing the package stays fast
 
-        flip = a > -b
-        low, high = np.where(flip, -b, a), np.where(flip, -a, b)
-        at_low = ndtr(low)
-        share = ndtr(high) - at_low
+        mirrored = a > -b
+        low, high = np.where(mirrored, -b, a), np.where(mirrored, -a, b)
+        Phi_low = ndtr(low)
+        mass = ndtr(high) - Phi_low
         with np.errstate(divide="ignore", invalid="ignore"):
-            log_mass = np.log(share)
+            log_mass = np.log(mass)
         special = (high < -_FAR) | (high - low < _NARROW / (1.0 + np.abs(high)))
-        offset = spread = np.empty(0)
+        offset = variance = np.empty(0)
         if special.any():
-            log_mass[special], offset, spread = _quadrature(low[special], high[special])
-        return cls(low, high, flip, at_low, share, log_mass, special, offset, spread)
+            log_mass[special], offset, variance = _quadrature(low[special], high[special])
+        return cls(low, high, mirrored, Phi_low, mass, log_mass, special, offset, variance)
 
     def moments(self) -> tuple[FloatArray, FloatArray]:
         """E z and Var z, in the caller's orientation."""
         root = float(np.exp(-_LOG_ROOT_2PI))
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            at_low = root * np.exp(-0.5 * self.low**2) / self.share
-            at_high = root * np.exp(-0.5 * self.high**2) / self.share
-            mean = at_low - at_high
+            # densities of the restricted normal at both ends
+            f_low = root * np.exp(-0.5 * self.low**2) / self.mass
+            f_high = root * np.exp(-0.5 * self.high**2) / self.mass
+            mean = f_low - f_high
             # an infinite end has no density: 0 in place of 0 times infinity
-            variance = 1.0 + np.where(at_low > 0.0, self.low, 0.0) * at_low
-            variance -= np.where(at_high > 0.0, self.high, 0.0) * at_high + mean * mean
+            variance = 1.0 + np.where(f_low > 0.0, self.low, 0.0) * f_low
+            variance -= np.where(f_high > 0.0, self.high, 0.0) * f_high + mean * mean
         if self.offset.size:
             mean[self.special] = self.high[self.special] - self.offset
-            variance[self.special] = self.spread
-        return np.where(self.flip, -mean, mean), variance
+            variance[self.special] = self.variance
+        return np.where(self.mirrored, -mean, mean), variance
 
     def mean_between(self, a: FloatArray, b: FloatArray, shift: FloatArray) -> FloatArray:
         """E z + shift, where a and b are the ends plus that shift: no digits are lost to a large one."""
         out: FloatArray = self.moments()[0] + shift
         if self.offset.size:
             k = self.special
-            out[k] = np.where(self.flip[k], a[k] + self.offset, b[k] - self.offset)
+            out[k] = np.where(self.mirrored[k], a[k] + self.offset, b[k] - self.offset)
         return out
 
     def quantile(self, u: FloatArray, v: FloatArray) -> FloatArray:
         """The z below which a share u of the mass lies; v = 1 - u, given apart so that neither end loses digits."""
         from scipy.special import ndtr, ndtri
 
-        below, above = np.where(self.flip, v, u), np.where(self.flip, u, v)
-        left, right = self.at_low + below * self.share, ndtr(-self.high) + above * self.share
+        below, above = np.where(self.mirrored, v, u), np.where(self.mirrored, u, v)
+        left, right = self.Phi_low + below * self.mass, ndtr(-self.high) + above * self.mass
         z = ndtri(np.minimum(left, right))
         z = np.where(left <= right, z, -z)
         if self.offset.size:
             k = self.special
             z[k] = _special_quantile(self.low[k], self.high[k], below[k], above[k], z[k])
         z = np.minimum(np.maximum(z, self.low), self.high)
-        out: FloatArray = np.where(self.flip, -z, z)
+        out: FloatArray = np.where(self.mirrored, -z, z)
         return out
 
 
@@ -122,8 +123,8 @@ def _special_quantile(
     deep = high < -_DEEP
     if deep.any():
         with np.errstate(divide="ignore"):
-            one, two = np.log(above[deep]) + log_ndtr(low[deep]), np.log(below[deep]) + log_ndtr(high[deep])
-        z[deep] = ndtri_exp(np.logaddexp(one, two))
+            left, right = np.log(above[deep]) + log_ndtr(low[deep]), np.log(below[deep]) + log_ndtr(high[deep])
+        z[deep] = ndtri_exp(np.logaddexp(left, right))
     thread = high - low < _THREAD
     if thread.any():
         width = high[thread] - low[thread]
@@ -136,7 +137,7 @@ def _special_quantile(
 
 _STEPS: Final = 60
 _TOLERANCE: Final = 1e-9
-_ACCEPTED: Final = 1e-6  # gradient, relative to the terms it is the sum of, above which the tilt counts as not found
+_ACCEPTED: Final = 1e-6  # gradient, relative to the terms it is the sum of, above which the tilt has failed
 
 _INNER_STEPS: Final = 80
 _CAREFUL_STEPS: Final = 100
@@ -158,7 +159,7 @@ def _tilt_terms(
 
 
 def minimax_tilt(strict: FloatArray, a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Tilt mu (K, p) and log weight psi (K,) at the saddle point; a zero row and infinity where it was not found.
+    """Tilt mu (K, p) and log weight psi (K,) at the saddle point; a zero row and infinity where the search failed.
 
     Damped Newton on the gradient for all components at once; what it does not solve (nearly opposite variables in a
     far corner) is left to `_careful`.
@@ -216,10 +217,10 @@ def minimax_tilt(strict: FloatArray, a: FloatArray, b: FloatArray) -> tuple[Floa
         open_[k[waiting]] = False  # no further descent: judged below
     failed = ~(norm <= _ACCEPTED * scale)
     for k_failed in np.flatnonzero(failed):
-        one = slice(k_failed, k_failed + 1)
-        found = _careful(strict[one], a[one], b[one], start[one])
-        if found is not None:
-            mu[one], psi[one], failed[k_failed] = *found, False
+        k = np.array([k_failed])
+        saddle = _careful(strict[k], a[k], b[k], start[k])
+        if saddle is not None:
+            mu[k], psi[k], failed[k] = *saddle, False
     return np.where(failed[:, None], 0.0, mu), np.where(failed, np.inf, psi)
 
 
@@ -268,14 +269,14 @@ def _best_tilt(strict: FloatArray, a: FloatArray, b: FloatArray, x: FloatArray) 
     """The mu that makes each conditional mean equal to x: Newton between bounds that hold for any interval."""
     m = a.shape[1] - 1
     c = (strict @ x[:, :, None])[:, :m, 0]
-    low, high, wanted = a[:, :m] - c, b[:, :m] - c, x[:, :m]
-    left, right = wanted - 1.0 / (wanted - low) - 1.0, wanted + 1.0 / (high - wanted) + 1.0
-    mu = np.where(wanted - low < high - wanted, left + 1.0, right - 1.0)
+    low, high, target = a[:, :m] - c, b[:, :m] - c, x[:, :m]
+    left, right = target - 1.0 / (target - low) - 1.0, target + 1.0 / (high - target) + 1.0
+    mu = np.where(target - low < high - target, left + 1.0, right - 1.0)
     for _ in range(_INNER_STEPS):
         inner = Restricted.of(low - mu, high - mu)
         _, variance = inner.moments()
-        excess = inner.mean_between(low, high, mu) - wanted
-        if np.all(np.abs(excess) <= 1e-15 * (1.0 + np.abs(wanted))):
+        excess = inner.mean_between(low, high, mu) - target
+        if np.all(np.abs(excess) <= 1e-15 * (1.0 + np.abs(target))):
             break
         left, right = np.where(excess < 0.0, mu, left), np.where(excess > 0.0, mu, right)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -295,10 +296,10 @@ class Separation:
     """K boxes made ready for one-variable-at-a-time integration."""
 
     order: IntArray  # (K, p): variables in the order in which they are integrated
-    factor: FloatArray  # (K, p, p): g with x - mu = G z and G G^T = Sigma
-    strict: FloatArray  # (K, p, p)
+    factor: FloatArray  # (K, p, p): G with x - mu = G z and G G^T = Sigma
+    strict: FloatArray  # (K, p, p): the factor in integration order over its diagonal, without that
     lower: FloatArray  # (K, p): bounds in the integration order over the factor's diagonal
-    upper: FloatArray  # (K, p): bounds in the integration order over the factor's diagonal
+    upper: FloatArray  # (K, p)
     tilt: FloatArray  # (K, p): minimax tilt
     log_peak: FloatArray  # (K,): largest value of the log weight psi over the box at that tilt
 
@@ -308,8 +309,8 @@ class WhitenedMoments:
     """Results of the integration in whitened coordinates z."""
 
     log_p: FloatArray  # (K,): logarithm of the probability of the box
-    mean: FloatArray  # (K, p): e z inside the box
-    second: FloatArray  # (K, p, p): e z z^T inside the box
+    mean: FloatArray  # (K, p): E z inside the box
+    second: FloatArray  # (K, p, p): E z z^T inside the box
     covariance: FloatArray  # (K, p, p): covariance of z inside the box, without the cancellation of a far mean
     points: FloatArray  # (K, p, n): weighted points inside the box
     weights: FloatArray  # (K, n): their weights, summing to one
@@ -431,25 +432,23 @@ def _moments(
     # + 2 noise_j (expected_j - mean_j), all of expectation zero
     cross = np.triu((centred * L) @ noise.transpose(0, 2, 1), 1)
     covariance -= cross + cross.transpose(0, 2, 1)
-    own = noise * (noise + 2.0 * (expected - mean[:, :, None])) - variance
-    own[:, last] = 0.0
+    excess = noise * (noise + 2.0 * (expected - mean[:, :, None])) - variance
+    excess[:, last] = 0.0
     diagonal = np.arange(last + 1)
-    covariance[:, diagonal, diagonal] -= own @ L
+    covariance[:, diagonal, diagonal] -= excess @ L
     covariance[:, last, last] += np.sum(weights * variance[:, last], axis=1)
     second = covariance + mean[:, :, None] * mean[:, None, :]
     return WhitenedMoments(log_p, mean, second, covariance, z, drawn)
 
-
-_GAMMA: Final = {1021: 0.3, 4093: 0.5, 16381: 0.25}
-"""Weight of a further variable in the search, for each number of points: of 0.2, 0.25, 0.3 and 0.5 the one with the
-smallest worst error over hard boxes (equal correlations of 0.95 and -0.9, slabs, means far outside)."""
 
 _GENERATORS: Final = {
     1021: (1, 374, 228, 286, 174, 355, 195, 31, 251, 43),
     4093: (1, 1210, 1542, 1785, 842, 1113, 1495, 437, 254, 1130),
     16381: (1, 6768, 7521, 2297, 7750, 1248, 7478, 1032, 5094, 5961),
 }
-"""Results of `generator`, kept so that no rounding within the search can change them."""
+"""Component-by-component generating vectors of rank-1 lattices, by their number of points (an odd prime), in a Korobov
+space of smoothness 4 with weights of 0.3, 0.5 and 0.25 per further variable: of 0.2, 0.25, 0.3 and 0.5 those with the
+smallest worst error over hard boxes (equal correlations of 0.95 and -0.9, slabs, means far outside)."""
 
 _FEWEST_FOR_SECOND_ORDER: Final = {7: 10_000, 8: 10_000}
 """Points from which Sidi's second order pays, by the number of variables: always up to six, never beyond eight; with
@@ -461,53 +460,20 @@ variables: 4,093 points, 6e-3 by the first order and 4e-2 by the second; 16,381 
 class Lattice:
     """n points in the unit cube and their weights."""
 
-    u: FloatArray  # (dimension, n): coordinates and one minus them, so that neither end loses digits
-    v: FloatArray  # (dimension, n)
+    u: FloatArray  # (dimension, n): coordinates
+    v: FloatArray  # (dimension, n): one minus them, so that neither end loses digits
     weight: FloatArray  # (n,): weights, summing to one, for integrands of all variables but the last
     last: FloatArray  # (n,): what the last variable multiplies `weight` by for integrands of all variables
 
 
-def generator(n: int, dimension: int) -> tuple[int, ...]:
-    """Component-by-component generating vector for n points (an odd prime) in a Korobov space of smoothness 4.
-
-    An entry is used once only: a repeated one would make two coordinates equal. The sums over points are convolutions
-    over the multiplicative group modulo n, done by Fourier transform.
-    """
-    gamma = _GAMMA.get(n, 0.3)
-    k = np.arange(n)
-    x = k / n
-    kernel = -gamma * (2.0 * np.pi) ** 4 / 24.0 * (x**4 - 2.0 * x**3 + x**2 - 1.0 / 30.0)
-    power = _powers_of_a_root(n)
-    inverse = np.roll(power[::-1], 1)
-    spectrum = np.fft.rfft(kernel[power])
-    chosen = [1]
-    product = 1.0 + kernel
-    while len(chosen) < dimension:
-        error = np.empty(n)
-        error[power] = np.fft.irfft(spectrum * np.fft.rfft(product[inverse]), n - 1)
-        candidates = np.arange(1, (n + 1) // 2)  # n - z gives the same points as z
-        candidates = np.setdiff1d(candidates, chosen)
-        chosen.append(int(candidates[np.argmin(error[candidates])]))
-        product *= 1.0 + kernel[(chosen[-1] * k) % n]
-    return tuple(chosen[:dimension])
-
-
-def _powers_of_a_root(n: int) -> IntArray:
-    """All powers of the least primitive root modulo the prime n, (n - 1,)."""
-    for root in range(2, n):
-        powers = [1]
-        while (following := powers[-1] * root % n) != 1:
-            powers.append(following)
-        if len(powers) == n - 1:
-            return np.array(powers, dtype=np.int64)
-    raise ValueError(f"lattice: {n} points; allowed: an odd prime")
-
-
 @functools.lru_cache(maxsize=32)
 def lattice(n: int, dimension: int) -> Lattice:
-    """The points for `dimension` variables; n is an odd prime."""
-    known = _GENERATORS.get(n, ())
-    z = np.array(known[:dimension] if dimension <= len(known) else generator(n, dimension), dtype=np.int64)
+    """The n points for `dimension` variables."""
+    if n not in _GENERATORS or dimension > len(_GENERATORS[n]):
+        most = max(map(len, _GENERATORS.values()))
+        problem = f"{n} points in {dimension} bounded dimensions"
+        raise InputError("truncated normal", problem, allowed=f"{list(_GENERATORS)} in at most {most}")
+    z = np.array(_GENERATORS[n][:dimension], dtype=np.int64)
     # half a cell off the origin: with n odd no coordinate is ever 0 or 1
     t = ((np.outer(z, np.arange(n)) % n) / n + 0.5) % 1.0
     if n >= _FEWEST_FOR_SECOND_ORDER.get(dimension, 0 if dimension < 7 else n + 1):

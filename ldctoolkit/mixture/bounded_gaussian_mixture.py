@@ -5,19 +5,18 @@ from __future__ import annotations
 import dataclasses
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import field
-from typing import Any, Final, Self
+from typing import Final, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray, unmasked
+from ldctoolkit.declared import checked_number, checked_whole
 from ldctoolkit.errors import CheckedArguments, InputError
 from ldctoolkit.mixture._distribution import Conditions, Distribution, Transform
-from ldctoolkit.mixture._em import EMSettings, fit_components
-from ldctoolkit.mixture._expectation import Components
-from ldctoolkit.mixture._maximisation import Step
+from ldctoolkit.mixture._em import EMSettings, StopReason, fit_components
 from ldctoolkit.mixture.checks import (
     Events,
     Profile,
@@ -25,7 +24,6 @@ from ldctoolkit.mixture.checks import (
     check_bound_array,
     check_events,
     check_matrix,
-    check_number,
     check_sample_weight,
     column_name,
     profile_of,
@@ -37,18 +35,27 @@ from ldctoolkit.mixture.truncated_normal import TruncatedNormal, check_bounds
 _LEAST_LOG_P: Final = -20.0
 """Below this ln P the box lies some 6 standard deviations off: only the density inside still says something."""
 
-_FAR_OUTSIDE: Final = 6.0
-_SAME: Final = 0.9999  # correlation of two columns of which one could be left out
-
+_FAR_OUTSIDE: Final = 6.0  # standard deviations of a mean outside the box
+_COLLINEAR: Final = 0.9999  # correlation of two columns of which one could be left out
 _THIN: Final = 5e-3
 """Standard deviation of a component, in the data's, below which it describes single values rather than a spread."""
 
 _LOST_DIGITS: Final = 1e-8
 """Spread of a column over its size: half of a number's sixteen digits are used up by what is common to all rows."""
 
-_OUTLYING: Final = 5.0
-_SHARE_OF_ONE: Final = 0.5
-_MOST: Final = 6  # components named in a sentence
+_OUTLYING: Final = 5.0  # standard deviations of an outlier
+_OUTLIER_SHARE: Final = 0.5  # of the variance of its column
+_MOST_LISTED: Final = 6  # components named in a sentence
+
+_COUNTS: Final = ("n_components", "n_init", "short_iter", "subsample", "max_iter")
+
+_STOPPED: Final[dict[StopReason, str]] = {
+    "max_iter": "Not converged in {} passes: raise max_iter or tol.",
+    "stuck": "Not converged: after {} passes no step raised the likelihood, though it is at no maximum; raise "
+    "prior_strength or fit fewer components.",
+    "collapsed": "Not converged: after {} passes a component had become too thin for the arithmetic; raise "
+    "prior_strength or fit fewer components.",
+}
 
 
 def correlation_of(events: Events, profile: Profile) -> FloatArray:
@@ -66,53 +73,36 @@ def fit_warnings(
     profile: Profile,
     correlation: FloatArray,
     *,
-    stop_reason: str,
+    stop_reason: StopReason,
     passes: int,
     names: Sequence[str] | None = None,
 ) -> tuple[str, ...]:
-    """Sentences, the gravest first; none where nothing is to be reported."""
-    out = [_stopped(stop_reason, passes)] if stop_reason != "converged" else []
-    out += _of_components(distribution, profile)
-    out += _of_columns(profile, correlation, names)
-    return tuple(out)
+    """What a user should know before trusting a fit, the gravest first."""
+    stopped = [_STOPPED[stop_reason].format(passes)] if stop_reason in _STOPPED else []
+    return (*stopped, *_component_warnings(distribution, profile), *_column_warnings(profile, correlation, names))
 
 
-def _stopped(stop_reason: str, passes: int) -> str:
-    if stop_reason == "max_iter":
-        return f"Not converged in {passes} passes: raise max_iter or tol."
-    if stop_reason == "stuck":
-        return (
-            f"Not converged: after {passes} passes no step raised the likelihood, though it is at no maximum; raise "
-            "prior_strength or fit fewer components."
-        )
-    return (
-        f"Not converged: after {passes} passes a component had become too thin for the arithmetic; raise "
-        "prior_strength or fit fewer components."
-    )
-
-
-def _of_components(distribution: Distribution, profile: Profile) -> list[str]:
+def _component_warnings(distribution: Distribution, profile: Profile) -> Iterator[str]:
     t = distribution.truncated
     d = distribution.dimension
-    out: list[str] = []
     if t.box is not None:
-        lost = ~np.isfinite(t.box.log_peak) & (t.log_probability < np.log(0.25))
-        if lost.any():
-            out.append(f"{_which(lost)} cannot be sampled: the box is too far off.")
+        unreachable = ~np.isfinite(t.box.log_peak) & (t.log_probability < np.log(0.25))
+        if unreachable.any():
+            yield f"{_components(unreachable)} cannot be sampled: the box is too far off."
     parameters = d + d * (d + 1) // 2
     events = distribution.weights * profile.events
     few = events < parameters
     if few.any():
-        out.append(
-            f"{_which(few)} ({_figures(few, events)} events): fewer than the {parameters} parameters of a mean and a "
-            "covariance; the prior decides the rest."
+        yield (
+            f"{_components(few)} ({_values(few, events)} events): fewer than the {parameters} parameters of a mean and "
+            "a covariance; the prior decides the rest."
         )
     deviation = np.sqrt(np.diagonal(t.Sigma, axis1=1, axis2=2))
     outside = np.max(np.maximum(np.maximum(t.lower - t.mu, t.mu - t.upper) / deviation, 0.0), axis=1)
     far = (t.log_probability < _LEAST_LOG_P) | (outside > _FAR_OUTSIDE)
     if far.any():
-        out.append(
-            f"{_which(far)} (ln P {_figures(far, t.log_probability)}; {_figures(far, outside)} standard deviations "
+        yield (
+            f"{_components(far)} (ln P {_values(far, t.log_probability)}; {_values(far, outside)} standard deviations "
             "outside the box): events pile up at a bound as an exponential does; mean and covariance before truncation "
             "say little, the density in the box holds."
         )
@@ -120,58 +110,50 @@ def _of_components(distribution: Distribution, profile: Profile) -> list[str]:
     width = np.sqrt(np.maximum(np.linalg.eigvalsh(scaled)[:, 0], 0.0))
     thin = width < _THIN
     if thin.any():
-        out.append(
-            f"{_which(thin)} ({_figures(thin, width)} standard deviations of the data): hardly any width in some "
+        yield (
+            f"{_components(thin)} ({_values(thin, width)} standard deviations of the data): hardly any width in some "
             "direction; look for repeated rows, columns that depend on each other, or events far off."
         )
-    return out
 
 
-def _of_columns(profile: Profile, correlation: FloatArray, names: Sequence[str] | None) -> list[str]:
-    out: list[str] = []
-    for a, b in zip(*(k.tolist() for k in np.triu_indices(correlation.shape[0], 1)), strict=True):
-        r = float(correlation[a, b])
-        if abs(r) > _SAME:
-            one, other = column_name(a, names), column_name(b, names)
-            out.append(f"{_capital(one)} and {other} are nearly the same (correlation {r:.9g}): leave one out.")
+def _column_warnings(profile: Profile, correlation: FloatArray, names: Sequence[str] | None) -> Iterator[str]:
+    labels = [column_name(j, names) for j in range(profile.mean.size)]
+    capital = [label[:1].upper() + label[1:] for label in labels]
+    for a, b in zip(*np.triu_indices(len(labels), 1), strict=True):
+        if abs(r := float(correlation[a, b])) > _COLLINEAR:
+            yield f"{capital[a]} and {labels[b]} are nearly the same (correlation {r:.9g}): leave one out."
     above, below = (profile.most - profile.mean) / profile.scale, (profile.mean - profile.least) / profile.scale
-    off = np.maximum(above, below)
+    farthest = np.maximum(above, below)
     size = np.maximum(np.abs(profile.least), np.abs(profile.most))
-    for j in range(size.size):
-        name = _capital(column_name(j, names))
-        share = min(float(off[j] ** 2) / profile.rows, 1.0)
+    for j, name in enumerate(capital):
+        share = min(float(farthest[j] ** 2) / profile.rows, 1.0)
         if profile.scale[j] < _LOST_DIGITS * size[j]:
             ratio = float(profile.scale[j] / size[j])
-            out.append(f"{name} varies by {ratio:.1g} of its size: few digits are left; subtract what is common.")
-        if off[j] > _OUTLYING and share > _SHARE_OF_ONE:
+            yield f"{name} varies by {ratio:.1g} of its size: few digits are left; subtract what is common."
+        if farthest[j] > _OUTLYING and share > _OUTLIER_SHARE:
             value = float(profile.most[j] if above[j] >= below[j] else profile.least[j])
-            out.append(f"{name}: one event, {value:.6g}, makes up {share:.0%} of the variance; is it real?")
-    return out
+            yield f"{name}: one event, {value:.6g}, makes up {share:.0%} of the variance; is it real?"
 
 
-def _which(mask: BoolArray) -> str:
+def _components(mask: BoolArray) -> str:
     """Names of components: ``Component 2``, ``Components 2, 5``."""
-    rows = np.flatnonzero(mask)
-    more = ", ..." if rows.size > _MOST else ""
-    return f"Component{'s' if rows.size > 1 else ''} {', '.join(str(k) for k in rows[:_MOST])}{more}"
+    return f"Component{'s' if mask.sum() > 1 else ''} {_listed([str(k) for k in np.flatnonzero(mask)])}"
 
 
-def _figures(mask: BoolArray, values: FloatArray) -> str:
-    """The same components' figures."""
-    shown = values[mask]
-    return ", ".join(f"{v:.3g}" for v in shown[:_MOST].tolist()) + (", ..." if shown.size > _MOST else "")
+def _values(mask: BoolArray, values: FloatArray) -> str:
+    """Values of the same components."""
+    return _listed([f"{value:.3g}" for value in values[mask].tolist()])
 
 
-def _capital(text: str) -> str:
-    return text[:1].upper() + text[1:]
+def _listed(texts: list[str]) -> str:
+    return ", ".join(texts[:_MOST_LISTED]) + (", ..." if len(texts) > _MOST_LISTED else "")
 
 
 @dataclasses.dataclass(eq=False, repr=False)
 class BoundedGaussianMixture(CheckedArguments):
     """Mixture of K multivariate normals, each truncated to one box and normalised on it.
 
-    Follows scikit-learn's conventions (`fit`, `score_samples`, `get_params`, fitted attributes that end in ``_``)
-    without depending on it.
+    What `fit` finds stands in attributes that end in ``_``.
 
     Parameters
     ----------
@@ -199,16 +181,12 @@ class BoundedGaussianMixture(CheckedArguments):
         Pseudo-events per component, pulling its covariance towards the covariance of the events around it. Without
         them the likelihood of data that pile up at a bound may have no maximum: a component runs away and its box
         probability to zero. 10 is mild; 0 is plain maximum likelihood.
-    step : {"newton", "lee_scott"}
-        M-step, see Notes.
     transform : {"none", "log", "logit", "auto"} or sequence of them, optional
         Map of each column before the fit; none by default, as in the paper. ``"log"`` needs one finite bound,
         ``"logit"`` two, ``"auto"`` takes what the bounds allow. A mapped column has no bound any more, so no mass can
         pile up at it; `means_` and `covariances_` are in the mapped coordinates, densities and samples in the data's.
-    warm_start : bool
-        Go on from the last fit (or from `from_parameters`) in place of new starts.
     verbose : int
-        1 tells of starts and of every pass on stderr, 0 is silent.
+        1 reports starts and every pass on stderr, 0 is silent.
     n_jobs : int, optional
         Threads; all cores by default. It changes no number.
     names : sequence of str, optional
@@ -216,17 +194,14 @@ class BoundedGaussianMixture(CheckedArguments):
 
     Notes
     -----
-    f(x) = sum_k eta_k g_k(x)/P_k, eta_k = pi_k P_k/sum_j pi_j P_j. In the M-step of Lee and Scott the weighted mean
-    and scatter are corrected by the moments of the truncated normal,
+    f(x) = sum_k eta_k g_k(x)/P_k, eta_k = pi_k P_k/sum_j pi_j P_j. At a maximum of the likelihood (Lee and Scott) the
+    weighted mean and scatter are those of the truncated normal but for the correction of its moments,
 
-        mu_k' = xbar_k - m_k,  m_k = E_k[x] - mu_k,
-        Sigma_k' = weighted scatter about mu_k' + H_k,  H_k = Sigma_k - E_k[(x - mu_k)(x - mu_k)^T].
+        mu_k = xbar_k - m_k,  m_k = E_k[x] - mu_k,
+        Sigma_k = weighted scatter about mu_k + H_k,  H_k = Sigma_k - E_k[(x - mu_k)(x - mu_k)^T].
 
-    It is a fixed-point step on the likelihood equations and converges slowly where much of a component lies outside.
-    The default ``"newton"`` solves the same equations by Newton's method with the Fisher matrix from the same
-    moments; dimensions open on both sides are a regression on the others, exact in one step. Either step is
-    shortened until the objective does not fall, and where no length gains the other is tried. Both have the same
-    fixed points.
+    The M-step solves these equations by Newton's method with the Fisher matrix from the same moments; dimensions open
+    on both sides are a regression on the others, exact in one step. It is shortened until the objective does not fall.
 
     References
     ----------
@@ -253,9 +228,7 @@ class BoundedGaussianMixture(CheckedArguments):
     tol: float = 1e-7
     max_iter: int = 500
     prior_strength: float = 10.0
-    step: Step = "newton"
     transform: str | Sequence[str] | None = None
-    warm_start: bool = False
     verbose: int = 0
     n_jobs: int | None = None
     names: Sequence[str] | None = None
@@ -267,7 +240,7 @@ class BoundedGaussianMixture(CheckedArguments):
     converged_: bool = field(init=False)  # Whether `tol` was reached at a maximum
     # "converged", "max_iter", "stuck" (no step gained, though it is no maximum) or "collapsed" (a component became too
     # thin for the arithmetic; the pass before is kept)
-    stop_reason_: str = field(init=False)
+    stop_reason_: StopReason = field(init=False)
     # Passes, those on few lattice points included; leaps that were refused are not counted
     n_iter_: int = field(init=False)
     # Penalised log-likelihood per event at the end of the final run [nats], in standardised coordinates
@@ -278,27 +251,12 @@ class BoundedGaussianMixture(CheckedArguments):
     upper_: FloatArray = field(init=False)
     # What a user should know before trusting the fit, the gravest first; empty where there is nothing to report
     warnings_: tuple[str, ...] = field(init=False)
-    n_features_in_: int = field(init=False)  # d
 
     _distribution: Distribution = field(init=False)
 
     def __repr__(self) -> str:
         shown = (f for f in dataclasses.fields(self) if f.init and getattr(self, f.name) is not f.default)
         return f"{type(self).__name__}({', '.join(f'{f.name}={getattr(self, f.name)!r}' for f in shown)})"
-
-    def get_params(self, deep: bool = True) -> dict[str, Any]:
-        """The constructor's arguments (scikit-learn's convention)."""
-        del deep
-        return {one.name: getattr(self, one.name) for one in dataclasses.fields(self) if one.init}
-
-    def set_params(self, **params: Any) -> Self:
-        """Change constructor arguments (scikit-learn's convention)."""
-        known = self.get_params()
-        for name, value in params.items():
-            if name not in known:
-                raise InputError(type(self).__name__, "is no parameter", value=name, allowed=known)
-            setattr(self, name, value)
-        return self
 
     @classmethod
     def from_parameters(
@@ -327,39 +285,24 @@ class BoundedGaussianMixture(CheckedArguments):
         lower, upper, transform, names
             As for the class.
         """
-        eta, mu, Sigma = (np.asarray(unmasked(one), dtype=float) for one in (weights, means, covariances))
+        eta, mu, Sigma = (np.asarray(unmasked(array), dtype=float) for array in (weights, means, covariances))
         if eta.ndim != 1 or mu.ndim != 2 or mu.shape[0] != eta.shape[0]:
-            raise InputError(f"weights {eta.shape}, means {mu.shape}; allowed: (K,) and (K, d)")
+            raise InputError("weights, means", f"shapes {eta.shape}, {mu.shape}", allowed="(K,), (K, d)")
         if not (np.all(eta >= 0) and abs(eta.sum() - 1.0) < 1e-6):
-            raise InputError(
-                "weights", f"sum {eta.sum():.9g}, least {eta.min():g}", allowed="shares >= 0 that sum to 1"
-            )
+            problem = f"sum {eta.sum():.9g}, least {eta.min():g}"
+            raise InputError("weights", problem, allowed="shares >= 0 that sum to 1")
         model = cls(eta.size, lower=lower, upper=upper, transform=transform, names=names)
-        model._store(eta, mu, Sigma, _checked_transform(lower, upper, transform, mu.shape[1]))
+        model._store(eta, mu, Sigma, model._checked_transform(mu.shape[1]))
         return model
 
     def score_samples(self, X: npt.ArrayLike) -> FloatArray:
         """Log-density ln f(x) of each row, (n,); -inf outside the box."""
         return self.distribution.log_density(check_matrix(X, self.distribution.dimension, self.names))
 
-    def score(self, X: npt.ArrayLike, y: object = None, sample_weight: npt.ArrayLike | None = None) -> float:
+    def score(self, X: npt.ArrayLike, sample_weight: npt.ArrayLike | None = None) -> float:
         """Mean log-likelihood per event [nats]."""
-        del y
         likelihood, n = self._likelihood(X, sample_weight)
         return likelihood / n
-
-    def predict_proba(self, X: npt.ArrayLike) -> FloatArray:
-        """Share of each component in each row, (n, K); a row outside the box is an `InputError`."""
-        x = check_matrix(X, self.distribution.dimension, self.names)
-        inside = self.distribution.has_density(x)
-        if not inside.all():
-            row = int(np.argmin(inside))
-            raise InputError("X", f"row {row} is outside the box ({int((~inside).sum())} of {inside.size} rows)")
-        return self.distribution.shares(x)
-
-    def predict(self, X: npt.ArrayLike) -> IntArray:
-        """Most likely component of each row, (n,)."""
-        return np.asarray(np.argmax(self.predict_proba(X), axis=1), dtype=np.int64)
 
     def n_parameters(self) -> int:
         """Free parameters: K means, K covariances, K - 1 weights."""
@@ -395,11 +338,6 @@ class BoundedGaussianMixture(CheckedArguments):
         """Bayesian information criterion, -2 ln L + p ln n, n the sum of the weights: lower is better."""
         likelihood, n = self._likelihood(X, sample_weight)
         return -2.0 * likelihood + self.n_parameters() * math.log(n)
-
-    def aic(self, X: npt.ArrayLike, sample_weight: npt.ArrayLike | None = None) -> float:
-        """Akaike information criterion, -2 ln L + 2 p: lower is better."""
-        likelihood, _ = self._likelihood(X, sample_weight)
-        return -2.0 * likelihood + 2.0 * self.n_parameters()
 
     def _likelihood(self, X: npt.ArrayLike, sample_weight: npt.ArrayLike | None) -> tuple[float, float]:
         """Log-likelihood and number of events, both weighted."""
@@ -452,9 +390,8 @@ class BoundedGaussianMixture(CheckedArguments):
         >>> bool(x[:, 0].min() > 1.0 and x[:, 0].max() < 1.5 and (x[:, 1] == 0.25).all())
         True
         """
-        check_number("n_samples", n_samples, 0, integer=True)
         seed = seed_of(self.random_state if random_state is None else random_state)
-        return self._given(given).sample(int(n_samples), seed)
+        return self._given(given).sample(checked_whole("n_samples", n_samples, lower=0), seed)
 
     def _given(self, given: Conditions | None) -> Distribution:
         return self.distribution if given is None else self.distribution.condition(given, self.names)
@@ -469,31 +406,18 @@ class BoundedGaussianMixture(CheckedArguments):
     def _store(self, weights: FloatArray, means: FloatArray, covariances: FloatArray, transform: Transform) -> None:
         truncated = TruncatedNormal(means, covariances, *transform.box())
         self._distribution = Distribution(weights, truncated, transform)
-        self.n_features_in_ = means.shape[1]
         self.lower_, self.upper_ = transform.lower, transform.upper
         self.weights_, self.means_, self.covariances_ = weights, means, covariances
         self.log_probabilities_ = truncated.log_probability
         self.warnings_ = ()
 
-    def _check_settings(self) -> None:
-        for name, least in (("n_components", 1), ("n_init", 1), ("short_iter", 1), ("subsample", 1), ("max_iter", 1)):
-            check_number(name, getattr(self, name), least, integer=True)
-        check_number("tol", self.tol, 0.0)
-        check_number("prior_strength", self.prior_strength, 0.0)
-        if self.n_jobs is not None:
-            check_number("n_jobs", self.n_jobs, 1, integer=True)
-        if self.step not in ("newton", "lee_scott"):
-            raise InputError("step", value=self.step, allowed=("newton", "lee_scott"))
-
-    def fit(self, X: npt.ArrayLike, y: object = None, sample_weight: npt.ArrayLike | None = None) -> Self:
+    def fit(self, X: npt.ArrayLike, sample_weight: npt.ArrayLike | None = None) -> Self:
         """Fit by truncated EM.
 
         Parameters
         ----------
         X : (n, d)
             Events, strictly inside the box.
-        y : ignored
-            For scikit-learn's conventions.
         sample_weight : (n,), optional
             Events that each row stands for, not negative; a row of weight 2 counts as two, one of weight 0 not at all.
 
@@ -504,36 +428,33 @@ class BoundedGaussianMixture(CheckedArguments):
             of range; the message names the column, the row and the count. Also without a prior, where the likelihood
             has no maximum.
         """
-        del y
-        self._check_settings()
-        return self._fit_events(Events.of(X, sample_weight, self.n_jobs))
+        if self.n_jobs is not None:
+            checked_whole("n_jobs", self.n_jobs, lower=1)
+        return self.fit_events(Events.of(X, sample_weight, self.n_jobs))
 
-    def _fit_events(self, events: Events) -> Self:
+    def fit_events(self, events: Events) -> Self:
         """Fit to rows that have weights already, on the threads that they name."""
-        self._check_settings()
-        transform = _checked_transform(self.lower, self.upper, self.transform, events.dimension)
-        profile = check_events(events, self.n_components, transform.lower, transform.upper, self.names)
+        counts = {name: checked_whole(name, getattr(self, name), lower=1) for name in _COUNTS}
+        tol = checked_number("tol", self.tol, lower=0.0)
+        prior_strength = checked_number("prior_strength", self.prior_strength, lower=0.0)
+        seed = seed_of(self.random_state)
+        transform = self._checked_transform(events.dimension)
+        profile = check_events(events, counts["n_components"], transform.lower, transform.upper, self.names)
         if not transform.identity:
             events = dataclasses.replace(events, x=transform.forward(events.x))
             profile = profile_of(events)
         low, high = transform.box()
         location, scale = profile.mean, profile.scale
         settings = EMSettings(
-            K=int(self.n_components),
             lower=(low - location) / scale,
             upper=(high - location) / scale,
-            seed=seed_of(self.random_state),
-            n_init=int(self.n_init),
-            short_iter=int(self.short_iter),
-            subsample=int(self.subsample),
+            seed=seed,
             split_merge=bool(self.split_merge),
-            tol=float(self.tol),
-            max_iter=int(self.max_iter),
-            prior_strength=float(self.prior_strength),
-            step=self.step,
-            threads=self.n_jobs,
+            tol=tol,
+            prior_strength=prior_strength,
+            **counts,
         )
-        result = fit_components(events, profile, settings, self._start(location, scale), self._report)
+        result = fit_components(events, profile, settings, self._report)
         c = result.components
         self._store(c.weights, location + scale * c.mu, c.Sigma * scale[:, None] * scale, transform)
         self.stop_reason_, self.converged_ = result.stop_reason, result.stop_reason == "converged"
@@ -549,29 +470,14 @@ class BoundedGaussianMixture(CheckedArguments):
         )
         return self
 
-    def _start(self, location: FloatArray, scale: FloatArray) -> Components | None:
-        """Where a warm start goes on, in standardised units."""
-        if not self.warm_start or not hasattr(self, "weights_"):
-            return None
-        if self.means_.shape != (self.n_components, location.size):
-            K, d = self.means_.shape
-            raise InputError(
-                "warm_start",
-                f"the last fit has K = {K} and {d} columns",
-                allowed=f"n_components = {self.n_components} and {location.size} columns, as now",
-            )
-        mu, Sigma = (self.means_ - location) / scale, self.covariances_ / (scale[:, None] * scale)
-        return Components(self.weights_, mu, Sigma, self.log_probabilities_)
+    def _checked_transform(self, dimension: int) -> Transform:
+        low = check_bound_array(self.lower, "lower", -np.inf, dimension)
+        high = check_bound_array(self.upper, "upper", np.inf, dimension)
+        check_bounds(low, high)
+        if self.names is not None and len(self.names) != dimension:
+            raise InputError("names", f"{len(self.names)} names", allowed=f"{dimension}, one a column")
+        return Transform.of(self.transform, low, high, self.names)
 
     def _report(self, line: str) -> None:
         if self.verbose:
             print(f"K = {self.n_components}: {line}", file=sys.stderr)
-
-
-def _checked_transform(
-    lower: npt.ArrayLike | None, upper: npt.ArrayLike | None, wanted: str | Sequence[str] | None, dimension: int
-) -> Transform:
-    low = check_bound_array(lower, "lower", -np.inf, dimension)
-    high = check_bound_array(upper, "upper", np.inf, dimension)
-    check_bounds(low, high)
-    return Transform.of(wanted, low, high)

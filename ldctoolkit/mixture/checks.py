@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray, unmasked
+from ldctoolkit.declared import checked_seed, checked_whole
 from ldctoolkit.errors import InputError
 
 Part = TypeVar("Part")
@@ -87,13 +88,13 @@ def sums_of(events: Events, location: FloatArray, scale: FloatArray, theta: Floa
 class Profile:
     """What a fit must know of the events before its first pass; profiles of blocks add up."""
 
-    rows: int  # rows, and those with a weight above zero
-    used: int
+    rows: int
+    used: int  # rows with a weight above zero
     events: float  # sum of the weights; the number of rows without any
-    mean: FloatArray  # (d,): weighted mean, and weighted sum of squares about it
-    square: FloatArray  # (d,)
-    least: FloatArray  # (d,): smallest and largest value
-    most: FloatArray  # (d,): smallest and largest value
+    mean: FloatArray  # (d,): weighted mean
+    square: FloatArray  # (d,): weighted sum of squares about the mean
+    least: FloatArray  # (d,): smallest value
+    most: FloatArray  # (d,): largest value
 
     @classmethod
     def of_block(cls, x: FloatArray, weight: FloatArray | None) -> Profile:
@@ -154,6 +155,7 @@ def usable_cores() -> int:
 
 RandomState = int | np.random.Generator | None
 
+_FLAT: Final = 1e-12  # a column whose range is this small beside its values is constant
 LARGEST: Final = 1e100
 """Squares and their sums must not overflow; nor may the squares of spreads below its inverse vanish."""
 
@@ -179,63 +181,49 @@ def check_matrix(X: npt.ArrayLike, dimension: int, names: Sequence[str] | None) 
     x = as_matrix(X)
     if x.shape[1] != dimension:
         raise InputError("X", f"{x.shape[1]} columns", allowed=f"{dimension}, as many as there are bounds")
-    if x.size and not (np.isfinite(x.min()) and np.isfinite(x.max()) and max(-x.min(), x.max()) <= LARGEST):
-        allowed = f"finite numbers, at most {LARGEST:g} in size"
-        _complain(x, ~(np.isfinite(x) & (np.abs(x) <= LARGEST)), allowed, names)
+    if x.size and not (x.min() >= -LARGEST and x.max() <= LARGEST):  # NaN is neither
+        _refuse(x, ~(np.abs(x) <= LARGEST), f"finite numbers, at most {LARGEST:g} in size", names)
     return x
 
 
-def _complain(x: FloatArray, bad: BoolArray, allowed: str, names: Sequence[str] | None) -> None:
-    """Raise for the first column with a bad entry, with its first row and the number of such rows."""
+def _refuse(x: FloatArray, bad: BoolArray, allowed: str, names: Sequence[str] | None) -> None:
+    """Raise for the first column with a bad entry, if there is any: its first row and the number of such rows."""
     columns = np.flatnonzero(bad.any(axis=0)).tolist()
     if not columns:
         return
     j, *others = columns
     row = int(np.argmax(bad[:, j]))
-    also = f"; also in {', '.join(column_name(k, names) for k in others)}" if others else ""
+    also = f", also in {', '.join(column_name(k, names) for k in others)}" if others else ""
     raise InputError(
-        "X",
-        f"{column_name(j, names)}, row {row}: {float(x[row, j])!r}",
-        allowed=f"{allowed} ({int(bad[:, j].sum())} of {x.shape[0]} rows{also})",
+        f"X: {column_name(j, names)}, row {row}",
+        f"({int(bad[:, j].sum())} of {x.shape[0]} rows{also})",
+        value=float(x[row, j]),
+        allowed=allowed,
     )
 
 
 def check_events(events: Events, K: int, lower: FloatArray, upper: FloatArray, names: Sequence[str] | None) -> Profile:
-    """The profile of events that can be fitted."""
+    """The profile of events that can be fitted: inside the box, enough of them, and no column without spread."""
     with np.errstate(over="ignore", invalid="ignore"):
         profile = profile_of(events)
-    d = events.dimension
-    check_matrix(events.x, d, names)
+    x, d = events.x, events.dimension
+    check_matrix(x, d, names)
     if profile.used < K * (d + 1):
-        raise InputError(
-            "X", f"{profile.used} rows", allowed=f"at least K (d + 1) = {K * (d + 1)} for K = {K}, d = {d}"
-        )
-    for j in np.flatnonzero(~((profile.least > lower) & (profile.most < upper))):
-        bad = np.zeros(events.x.shape, dtype=bool)
-        bad[:, j] = ~((events.x[:, j] > lower[j]) & (events.x[:, j] < upper[j]))
-        _complain(events.x, bad, f"strictly between the bounds {lower[j]:g} and {upper[j]:g}", names)
-    _check_constant(profile, names)
-    return profile
-
-
-def _check_constant(profile: Profile, names: Sequence[str] | None) -> None:
-    """Refuse a column without spread: its density would be infinite."""
+        allowed = f"at least K (d + 1) = {K * (d + 1)} for K = {K}, d = {d}"
+        raise InputError("X", f"{profile.used} rows", allowed=allowed)
     spread = profile.most - profile.least
-    size = np.maximum(np.abs(profile.most), np.abs(profile.least))
-    flat = ~(spread > 1e-12 * size)
-    if flat.any():
-        j = int(np.argmax(flat))
-        raise InputError(
-            "X",
-            f"{column_name(j, names)} is constant ({float(profile.least[j])!r} in all {profile.rows} rows)",
-            hint="leave it out of the fit",
-        )
-    tiny = ~(profile.square > 0.0) | (spread < 1.0 / LARGEST)
-    if tiny.any():
-        j = int(np.argmax(tiny))
-        raise InputError(
-            "X", f"{column_name(j, names)} spreads over {spread[j]:g}", allowed=f"{1.0 / LARGEST:g} or more"
-        )
+    for j in np.flatnonzero(~((profile.least > lower) & (profile.most < upper))).tolist():
+        bad = np.zeros(x.shape, dtype=bool)
+        bad[:, j] = ~((x[:, j] > lower[j]) & (x[:, j] < upper[j]))
+        _refuse(x, bad, f"strictly between the bounds {lower[j]:g} and {upper[j]:g}", names)
+    for j, size in enumerate(np.maximum(np.abs(profile.most), np.abs(profile.least)).tolist()):
+        path = f"X: {column_name(j, names)}"
+        if not spread[j] > _FLAT * size:
+            problem = f"is constant ({float(profile.least[j])!r} in all {profile.rows} rows)"
+            raise InputError(path, problem, hint="leave it out of the fit")
+        if not profile.square[j] > 0.0 or spread[j] < 1.0 / LARGEST:
+            raise InputError(path, f"spreads over {spread[j]:g}", allowed=f"{1.0 / LARGEST:g} or more")
+    return profile
 
 
 def check_weights(weights: npt.ArrayLike, rows: int, name: str, row: str = "row") -> FloatArray:
@@ -249,7 +237,7 @@ def check_weights(weights: npt.ArrayLike, rows: int, name: str, row: str = "row"
     bad = ~(np.isfinite(weight) & (weight >= 0.0))
     if bad.any():
         at = int(np.argmax(bad))
-        raise InputError(name, f"in {row} {at}", value=float(weight[at]), allowed="finite numbers >= 0")
+        raise InputError(f"{name}: {row} {at}", value=float(weight[at]), allowed="finite numbers >= 0")
     return weight
 
 
@@ -276,41 +264,24 @@ def check_bound_array(value: npt.ArrayLike | None, name: str, fill: float, dimen
     return out
 
 
-def check_number(name: str, value: object, low: float, *, integer: bool = False, above: bool = False) -> None:
-    """A number of at least `low` (more than it with `above`)."""
-    kinds = (int, np.integer) if integer else (int, float, np.integer, np.floating)
-    good = isinstance(value, kinds) and not isinstance(value, bool)
-    if good:
-        number = float(value)  # type: ignore[arg-type]
-        good = np.isfinite(number) and (number > low if above else number >= low)
-    if not good:
-        kind = "an integer" if integer else "a number"
-        raise InputError(name, value=value, allowed=f"{kind} {'>' if above else '>='} {low:g}")
-
-
 def check_components(components: Iterable[int]) -> list[int]:
     """The K to try, each once, ascending."""
     if isinstance(components, str) or not isinstance(components, Iterable):
-        raise InputError("components", value=components, allowed="an integer >= 1, or several of them")
-    given = list(components)
-    for K in given:
-        check_number("components", K, 1, integer=True)
-    if not given:
+        raise InputError("components", value=components, allowed="a whole number >= 1, or several of them")
+    tried = sorted({checked_whole("components", K, lower=1) for K in components})
+    if not tried:
         raise InputError("components", "an empty range", allowed="at least one number of components")
-    return sorted({int(K) for K in given})
+    return tried
 
 
 def seed_of(random_state: RandomState) -> int:
     """An integer seed; None gives a fresh one, a Generator is advanced once."""
-    if random_state is None:
-        return int(np.random.SeedSequence().generate_state(1, np.uint64)[0])
-    if isinstance(random_state, np.random.Generator):
-        return int(random_state.integers(2**63))
-    check_number("random_state", random_state, 0, integer=True)
-    return int(random_state)
+    generator = np.random.default_rng() if random_state is None else random_state
+    if isinstance(generator, np.random.Generator):
+        return int(generator.integers(2**63))
+    return checked_seed(generator, "random_state")
 
 
-_FLAT: Final = 1e-12  # a column whose range is this small beside its values is constant
 _STEP: Final = 1e-3  # a value on a bound moves inside by at most this part of the column's spread
 
 
@@ -335,8 +306,8 @@ def inside_bounds(
 ) -> InsideBounds:
     """Leave constant columns out, and move values exactly on a bound inside.
 
-    They move by half the smallest other distance to that bound, at most a thousandth of the standard deviation. Values
-    outside a bound or not finite stay as they are: a fit names them.
+    A value moves by half the smallest other distance to that bound, at most a thousandth of the standard deviation.
+    Values outside a bound or not finite stay as they are: a fit names them.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         profile = profile_of(events) if profile is None else profile
@@ -347,11 +318,8 @@ def inside_bounds(
     outside = ~varies & ((profile.least < lower) | (profile.most > upper))
     if outside.any():
         j = int(np.argmax(outside))
-        raise InputError(
-            "X",
-            f"{column_name(j, names)} is {float(profile.least[j])!r} in all {profile.rows} rows",
-            allowed=f"{lower[j]:g} to {upper[j]:g}",
-        )
+        path, value = f"X: {column_name(j, names)}", float(profile.least[j])
+        raise InputError(path, f"in all {profile.rows} rows", value=value, allowed=f"{lower[j]:g} to {upper[j]:g}")
     moved = np.zeros(lower.size, dtype=np.int64)
     on_bound = varies & ((profile.least == lower) | (profile.most == upper))
     if varies.all() and not on_bound.any():
@@ -370,6 +338,6 @@ def _move_inside(column: FloatArray, bound: float, inwards: float, most: float) 
     on = distance == 0.0
     if on.any():
         near = float(np.min(distance[distance > 0.0], initial=np.inf))
-        place = bound + inwards * min(0.5 * near, most)
-        column[on] = place if inwards * (place - bound) > 0.0 else np.nextafter(bound, inwards * np.inf)
+        moved = bound + inwards * min(0.5 * near, most)
+        column[on] = moved if inwards * (moved - bound) > 0.0 else np.nextafter(bound, inwards * np.inf)
     return int(on.sum())

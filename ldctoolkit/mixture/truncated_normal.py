@@ -22,116 +22,6 @@ _DEEPEST: Final = -1e13
 """Below this ln P the logarithms that decide on acceptance are rounded by more than a thousandth."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Sampler:
-    """One component made ready for drawing."""
-
-    mu: FloatArray  # (d,): mean before truncation, and the box
-    lower: FloatArray  # (d,)
-    upper: FloatArray  # (d,)
-    bounded: IntArray  # (p,): dimensions with a finite bound, and the others
-    free: IntArray  # (p,)
-    factor: FloatArray  # (p, p): of the covariance of the bounded ones
-    box: Separation | None  # that component alone
-    slope: FloatArray  # (p, d - p): the free ones are mu + slope^T z + rest times noise
-    rest: FloatArray  # (p, d - p): the free ones are mu + slope^T z + rest times noise
-    log_p: float  # ln P
-    plain: bool  # whether plain rejection is used
-
-    @classmethod
-    def of(
-        cls,
-        mu: FloatArray,
-        Sigma: FloatArray,
-        lower: FloatArray,
-        upper: FloatArray,
-        box: Separation | None,
-        log_p: float,
-    ) -> Sampler:
-        """Prepare a component; `box` holds it alone, None where no dimension is bounded."""
-        bounded = np.flatnonzero(np.isfinite(lower) | np.isfinite(upper))
-        free = np.setdiff1d(np.arange(mu.size), bounded)
-        factor = np.empty((0, 0)) if box is None else box.factor[0]
-        slope = np.linalg.solve(factor, Sigma[np.ix_(bounded, free)])
-        rest = np.linalg.cholesky(Sigma[np.ix_(free, free)] - slope.T @ slope)
-        plain = box is None or log_p > np.log(_PLAIN_REJECTION)
-        return cls(mu, lower, upper, bounded, free, factor, box, slope, rest, log_p, plain)
-
-    def draw(self, n: int, rng: np.random.Generator) -> FloatArray:
-        """Points (n, d), strictly inside the box."""
-        d = self.mu.size
-        out = np.empty((n, d))
-        rate = self._acceptance()
-        found = proposed = 0
-        while found < n:
-            if proposed > _MAX_PROPOSALS * (n + 10):
-                raise self._give_up()
-            missing = n - found
-            m = int((missing + 2.0 * np.sqrt(missing)) / rate) + 4
-            z = (self._plain(m, rng) if self.plain else self._tilted(m, rng))[:, :missing]
-            proposed += m
-            self._place(z, rng, out[found : found + z.shape[1]])
-            found += z.shape[1]
-        return out
-
-    def _acceptance(self) -> float:
-        """Share of proposals that are kept."""
-        if self.box is None:
-            return 1.0
-        if self.plain:
-            return float(np.exp(self.log_p))
-        if not np.isfinite(self.box.log_peak[0]) or not self.log_p > _DEEPEST:
-            raise self._give_up()
-        return float(np.exp(np.clip(self.log_p - self.box.log_peak[0], -5.0, 0.0)))
-
-    def _give_up(self) -> ModelError:
-        return ModelError(
-            "truncated normal",
-            f"its box holds exp({self.log_p:.4g}) of the probability, and no proposal reaches it",
-            hint="refit with fewer components or a larger prior_strength",
-        )
-
-    def _place(self, z: FloatArray, rng: np.random.Generator, out: FloatArray) -> None:
-        """Whitened bounded variables (p, n) as rows of all variables."""
-        b, f = self.bounded, self.free
-        x = self.factor @ z
-        for row, j in enumerate(b):
-            # rounding may set a point on its bound: the density knows no such points
-            inside = np.nextafter(self.lower[j], np.inf), np.nextafter(self.upper[j], -np.inf)
-            out[:, j] = np.minimum(np.maximum(x[row] + self.mu[j], inside[0]), inside[1])
-        if f.size:
-            y = self.slope.T @ z + self.rest @ rng.standard_normal((f.size, out.shape[0]))
-            out[:, f] = y.T + self.mu[f]
-
-    def _plain(self, m: int, rng: np.random.Generator) -> FloatArray:
-        z = rng.standard_normal((self.bounded.size, m))
-        if self.box is None:
-            return z
-        x = self.factor @ z
-        keep: BoolArray = np.ones(m, dtype=bool)
-        for row, j in enumerate(self.bounded):
-            keep &= x[row] > self.lower[j] - self.mu[j]
-            keep &= x[row] < self.upper[j] - self.mu[j]
-        return z[:, keep]
-
-    def _tilted(self, m: int, rng: np.random.Generator) -> FloatArray:
-        box = self.box
-        if box is None:
-            raise self._give_up()
-        p = self.bounded.size
-        u = rng.random((p, m))
-        z = np.empty((p, m))
-        psi = np.full(m, 0.5 * float(box.tilt[0] @ box.tilt[0]) - box.log_peak[0])
-        for j in range(p):
-            shift = box.strict[0, j, :j] @ z[:j] + box.tilt[0, j]
-            inner = Restricted.of(box.lower[0, j] - shift, box.upper[0, j] - shift)
-            z[j] = inner.quantile(u[j], 1.0 - u[j]) + box.tilt[0, j]
-            psi += inner.log_mass - z[j] * box.tilt[0, j]
-        with np.errstate(divide="ignore"):
-            keep = (np.log(rng.random(m)) < psi) & np.isfinite(psi)
-        return z[:, keep]
-
-
 Array = npt.NDArray[Any]
 Fields = TypeVar("Fields", Separation, WhitenedMoments)
 
@@ -157,7 +47,7 @@ class TruncatedNormal:
         The box; -inf and inf are allowed. A dimension that is open on both sides costs nothing: it is carried along
         by Gaussian regression on the bounded ones.
     points : int, optional
-        Lattice points, an odd prime; `moment_points` of the bounded dimensions by default.
+        Lattice points, 1021, 4093 or 16381; `moment_points` of the bounded dimensions by default.
     order : (K, p) int, optional
         Order of integration of the p bounded variables; chosen afresh by default.
 
@@ -206,11 +96,10 @@ class TruncatedNormal:
         points: int | None = None,
         order: IntArray | None = None,
     ) -> None:
-        given = (mu, Sigma, lower, upper)
-        self.mu, self.Sigma, self.lower, self.upper = (np.asarray(unmasked(one), dtype=float) for one in given)
+        arrays = (np.asarray(unmasked(array), dtype=float) for array in (mu, Sigma, lower, upper))
+        self.mu, self.Sigma, self.lower, self.upper = arrays
         self._check()
-        self._open = np.isneginf(self.lower) & np.isposinf(self.upper)
-        self.bounded = np.flatnonzero(~self._open)
+        self.bounded = np.flatnonzero(np.isfinite(self.lower) | np.isfinite(self.upper))
         self.box: Separation | None = None
         self.whitened: WhitenedMoments | None = None
         if self.bounded.size == 0:
@@ -247,22 +136,12 @@ class TruncatedNormal:
     def _check(self) -> None:
         K, d = self.mu.shape if self.mu.ndim == 2 else (-1, -1)
         if K < 1 or self.Sigma.shape != (K, d, d) or self.lower.shape != (d,) or self.upper.shape != (d,):
-            raise InputError(
-                "truncated normal",
-                f"shapes mu {self.mu.shape}, Sigma {self.Sigma.shape}, "
-                f"lower {self.lower.shape}, upper {self.upper.shape}",
-                allowed="(K, d), (K, d, d), (d,), (d,)",
-            )
+            shapes = ", ".join(str(array.shape) for array in (self.mu, self.Sigma, self.lower, self.upper))
+            allowed = "mu (K, d), Sigma (K, d, d), lower (d,), upper (d,)"
+            raise InputError("truncated normal", f"shapes {shapes}", allowed=allowed)
         if not (np.isfinite(self.mu).all() and np.isfinite(self.Sigma).all()):
             raise InputError("truncated normal", "mu and Sigma must be finite numbers")
         check_bounds(self.lower, self.upper)
-
-    def sampler(self, component: int) -> Sampler:
-        """One component made ready for drawing."""
-        k = slice(component, component + 1)
-        box = self.box and component_rows(self.box, k)
-        log_p = float(self.log_probability[component])
-        return Sampler.of(self.mu[component], self.Sigma[component], self.lower, self.upper, box, log_p)
 
 
 def _put(mine: Array, rows: IntArray, theirs: Array, which: IntArray) -> Array:
@@ -277,10 +156,94 @@ def _put_fields(mine: Fields, rows: IntArray, theirs: Fields, which: IntArray) -
 
 
 def check_bounds(lower: FloatArray, upper: FloatArray) -> None:
-    """Refuse bounds that are NaN or not in order; the message names the dimension."""
+    """Refuse bounds that are NaN or not in order."""
     bad = ~(lower < upper)
     if bad.any():
         j = int(np.argmax(bad))
-        raise InputError(
-            "bounds", f"lower[{j}] = {float(lower[j])!r}, upper[{j}] = {float(upper[j])!r}", allowed="lower < upper"
+        ends = f"lower[{j}] = {float(lower[j])!r}, upper[{j}] = {float(upper[j])!r}"
+        raise InputError("bounds", ends, allowed="lower < upper")
+
+
+class Sampler:
+    """Component k of a truncated normal made ready for drawing."""
+
+    def __init__(self, t: TruncatedNormal, k: int) -> None:
+        self.mu, self.lower, self.upper, self.bounded = t.mu[k], t.lower, t.upper, t.bounded
+        self.free = np.setdiff1d(np.arange(self.mu.size), self.bounded)
+        self.box = t.box and component_rows(t.box, slice(k, k + 1))  # None where no dimension is bounded
+        self.log_p = float(t.log_probability[k])
+        b, f = self.bounded, self.free
+        # the bounded ones are mu + factor z, the free ones mu + slope^T z + rest times noise
+        self.factor = np.empty((0, 0)) if self.box is None else self.box.factor[0]
+        self.slope = np.linalg.solve(self.factor, t.Sigma[k][np.ix_(b, f)])
+        self.rest = np.linalg.cholesky(t.Sigma[k][np.ix_(f, f)] - self.slope.T @ self.slope)
+
+    def draw(self, n: int, rng: np.random.Generator) -> FloatArray:
+        """Points (n, d), strictly inside the box."""
+        out = np.empty((n, self.mu.size))
+        plain = self.box is None or self.log_p > np.log(_PLAIN_REJECTION)
+        rate = self._acceptance(plain)
+        drawn = proposed = 0
+        while drawn < n:
+            if proposed > _MAX_PROPOSALS * (n + 10):
+                raise self._give_up()
+            missing = n - drawn
+            m = int((missing + 2.0 * np.sqrt(missing)) / rate) + 4
+            z = (self._plain(m, rng) if plain or self.box is None else self._tilted(self.box, m, rng))[:, :missing]
+            proposed += m
+            self._fill(z, rng, out[drawn : drawn + z.shape[1]])
+            drawn += z.shape[1]
+        return out
+
+    def _acceptance(self, plain: bool) -> float:
+        """Share of proposals that are accepted."""
+        if self.box is None:
+            return 1.0
+        if plain:
+            return float(np.exp(self.log_p))
+        if not np.isfinite(self.box.log_peak[0]) or not self.log_p > _DEEPEST:
+            raise self._give_up()
+        return float(np.exp(np.clip(self.log_p - self.box.log_peak[0], -5.0, 0.0)))
+
+    def _give_up(self) -> ModelError:
+        return ModelError(
+            "truncated normal",
+            f"its box holds exp({self.log_p:.4g}) of the probability, and no proposal reaches it",
+            hint="refit with fewer components or a larger prior_strength",
         )
+
+    def _fill(self, z: FloatArray, rng: np.random.Generator, out: FloatArray) -> None:
+        """Whitened bounded variables (p, n) as rows of all variables."""
+        x = self.factor @ z
+        for row, j in enumerate(self.bounded):
+            # rounding may set a point on its bound: the density knows no such points
+            inside = np.nextafter(self.lower[j], np.inf), np.nextafter(self.upper[j], -np.inf)
+            out[:, j] = np.minimum(np.maximum(x[row] + self.mu[j], inside[0]), inside[1])
+        if self.free.size:
+            y = self.slope.T @ z + self.rest @ rng.standard_normal((self.free.size, out.shape[0]))
+            out[:, self.free] = y.T + self.mu[self.free]
+
+    def _plain(self, m: int, rng: np.random.Generator) -> FloatArray:
+        z = rng.standard_normal((self.bounded.size, m))
+        if self.box is None:
+            return z
+        x = self.factor @ z
+        keep: BoolArray = np.ones(m, dtype=bool)
+        for row, j in enumerate(self.bounded):
+            keep &= (x[row] > self.lower[j] - self.mu[j]) & (x[row] < self.upper[j] - self.mu[j])
+        return z[:, keep]
+
+    @staticmethod
+    def _tilted(box: Separation, m: int, rng: np.random.Generator) -> FloatArray:
+        p = box.lower.shape[1]
+        u = rng.random((p, m))
+        z = np.empty((p, m))
+        psi = np.full(m, 0.5 * float(box.tilt[0] @ box.tilt[0]) - box.log_peak[0])
+        for j in range(p):
+            shift = box.strict[0, j, :j] @ z[:j] + box.tilt[0, j]
+            inner = Restricted.of(box.lower[0, j] - shift, box.upper[0, j] - shift)
+            z[j] = inner.quantile(u[j], 1.0 - u[j]) + box.tilt[0, j]
+            psi += inner.log_mass - z[j] * box.tilt[0, j]
+        with np.errstate(divide="ignore"):
+            keep = (np.log(rng.random(m)) < psi) & np.isfinite(psi)
+        return z[:, keep]

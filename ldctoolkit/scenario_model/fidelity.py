@@ -30,7 +30,7 @@ MOST_REPLAYED: Final = 5_000  # departures that are replayed, evenly spread rows
 MOST_GENERATED, FEWEST_GENERATED = 10_000, 2_000
 CONFIDENCE: Final = 0.95
 # Of the intervals of each quantity, for all probes at once: the effect of control, which designs are ranked by, is
-# tested by itself, the other four together
+# tested by itself, the other four share the error
 _LEVELS: Final = np.array([CONFIDENCE, *[1.0 - (1.0 - CONFIDENCE) / 4.0] * 4])
 
 _RESAMPLES: Final = 400
@@ -65,12 +65,12 @@ class _Feedback(Controller):
 
     def prepare(self, plant: Plant) -> LinearLaw:
         delta = plant.steady_state().delta  # per unit of lane yaw rate, so delta/v per unit of lateral acceleration
-        wanted = np.array([self.omega**2, 1.6 * self.omega, 0.0, 0.0])
-        return _law(plant, -(delta / plant.v)[:, None] * wanted, yaw_rate=delta)
+        acceleration = np.array([self.omega**2, 1.6 * self.omega, 0.0, 0.0])
+        return _law(plant, -(delta / plant.v)[:, None] * acceleration, yaw_rate=delta)
 
 
 def _law(plant: Plant, F: FloatArray, *, heading: float = 0.0, yaw_rate: FloatArray | float = 0.0) -> LinearLaw:
-    """All probes preview the lane now and in 2 s, so that they are driven together."""
+    """All probes preview the lane now and in 2 s, so that one loop drives them."""
     G_yaw_rate, G_heading = np.zeros((2, plant.n, 2))
     G_yaw_rate[:, 0], G_heading[:, 1] = yaw_rate, heading
     return LinearLaw(F, np.array([0.0, 2.0]), G_yaw_rate, G_heading, np.zeros(plant.n))
@@ -123,13 +123,13 @@ class SideFidelity:
         # the effect of control comes first: it is what designs are ranked by
         j = 0 if gap[:, 0].any() else int(gap.max(axis=0).argmax())
         i = int((np.abs(generated - replayed) * (gap > 0.0))[:, j].argmax())
-        one, other = float(replayed[i, j]), float(generated[i, j])
-        where = f"({self.designs[i]}: {_value(j, one)} replayed, {_value(j, other)} generated)"
+        recorded, drawn = float(replayed[i, j]), float(generated[i, j])
+        where = f"({self.designs[i]}: {_value(j, recorded)} replayed, {_value(j, drawn)} generated)"
         if j == 0:
-            word = "understates" if other < one else "overstates"
-            points = f"{100.0 * abs(other - one):.0f} points"
+            word = "understates" if drawn < recorded else "overstates"
+            points = f"{100.0 * abs(drawn - recorded):.0f} points"
             return f"the model {word} the effect of control by {points} {where}: do not use it"
-        word = "small" if other < one else "large"
+        word = "small" if drawn < recorded else "large"
         return f"the {QUANTITIES[j]} of the model is too {word} {where}: do not use it"
 
 
@@ -162,17 +162,17 @@ class Replay:
         """Drive the departures of one side (n,), each of which stands for `weight` events."""
         n = departures.n
         rows = np.arange(min(n, MOST_REPLAYED)) * n // min(n, MOST_REPLAYED)
-        some, drivable = _drivable(departures.take(rows))
+        scenarios, drivable = _drivable(departures.take(rows))
         rows = rows[drivable]
         share = np.ones(rows.size) if weight is None else weight[rows]
-        thresholds = tuple(round(float(y), 3) for y in np.quantile(some.d_y, TRIGGERS))
+        thresholds = tuple(round(float(y), 3) for y in np.quantile(scenarios.d_y, TRIGGERS))
         usual = VehicleParameters()
         if vehicle_width is not None and vehicle_width < usual.w_l:
             usual = dataclasses.replace(usual, w_v=vehicle_width)
         setup = Setup(vehicle=usual)
         rng = np.random.default_rng(0)
         weights = share * rng.multinomial(rows.size, np.full(rows.size, 1.0 / rows.size), size=_RESAMPLES)
-        driven = list(_driven(some, setup, thresholds))
+        driven = list(_driven(scenarios, setup, thresholds))
         answer = np.stack([_answers(columns, share[None])[0] for columns in driven])
         resampled = np.stack([_answers(columns, weights) for columns in driven], axis=1)  # (resamples, designs, 5)
         tail = 0.5 * (1.0 - CONFIDENCE)
@@ -187,9 +187,10 @@ class Replay:
 
     def compared(self, generated: DepartureParameters) -> tuple[SideFidelity, float]:
         """The answers of generated departures, and the share within intervals that hold for each value by itself."""
-        some, _ = _drivable(generated)
-        every = np.ones((1, some.n))
-        answer = np.stack([_answers(columns, every)[0] for columns in _driven(some, self.setup, self.thresholds)])
+        scenarios, _ = _drivable(generated)
+        equal = np.ones((1, scenarios.n))
+        driven = _driven(scenarios, self.setup, self.thresholds)
+        answer = np.stack([_answers(columns, equal)[0] for columns in driven])
         fidelity = SideFidelity(
             self.departures, self.thresholds, *map(_rounded, (self.answer, self.low, self.high, answer))
         )
@@ -206,16 +207,15 @@ def _drivable(p: DepartureParameters) -> tuple[Scenarios, BoolArray]:
 
 def _driven(scenarios: Scenarios, setup: Setup, thresholds: tuple[float, ...]) -> Iterator[FloatArray]:
     """Columns (6, n) of each design: S, S_uncorrected, triggered, needless, added a_y, depth."""
-    found = {}
+    columns = {}
     for y_s in thresholds:
         for probe, run in enumerate(drive_many(PROBES, Takeover.build(scenarios, setup, y_s=y_s))):
-            one = run.outcome("control")
-            without_need = needless(one.triggered, scenarios.d_y)
-            measured = one.companions.a_y_added_peak, one.companions.deepest
-            found[probe, y_s] = np.stack([one.S, one.S_uncorrected, one.triggered, without_need, *measured])
+            outcome = run.outcome("control")
+            without_need = needless(outcome.triggered, scenarios.d_y)
+            peaks = outcome.companions.a_y_added_peak, outcome.companions.deepest
+            columns[probe, y_s] = np.stack([outcome.S, outcome.S_uncorrected, outcome.triggered, without_need, *peaks])
     for probe in range(len(PROBES)):
-        for y_s in thresholds:
-            yield found[probe, y_s]
+        yield from (columns[probe, y_s] for y_s in thresholds)
 
 
 def _answers(columns: FloatArray, weights: FloatArray) -> FloatArray:
@@ -231,8 +231,8 @@ def _tail(values: FloatArray, weights: FloatArray) -> FloatArray:
     """95 % quantile of values (n,) under each row of weights (B, n); 0 where nothing has a weight."""
     order = np.argsort(values, kind="stable")
     reached = np.cumsum(weights[:, order], axis=1)
-    place = (reached >= _TAIL * reached[:, -1:]).argmax(axis=1)
-    return np.where(reached[:, -1] > 0.0, values[order][place], 0.0)
+    rank = (reached >= _TAIL * reached[:, -1:]).argmax(axis=1)
+    return np.where(reached[:, -1] > 0.0, values[order][rank], 0.0)
 
 
 def _rounded(values: FloatArray) -> tuple[tuple[float, ...], ...]:

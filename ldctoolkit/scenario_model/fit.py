@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import datetime
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, Final, Literal, Self, get_args
 
 import numpy as np
@@ -13,19 +13,13 @@ import numpy.typing as npt
 import threadpoolctl
 
 from ldctoolkit.arrays import BoolArray, FloatArray
+from ldctoolkit.declared import checked_seed
 from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, DepartureParameters, Departures, Plausibility
-from ldctoolkit.errors import InputError, ModelError
+from ldctoolkit.errors import InputError, ModelError, plain
 from ldctoolkit.mixture import BoundedGaussianMixture, Selection, select_components
-from ldctoolkit.mixture._distribution import KINDS, Transform
-from ldctoolkit.mixture.checks import (
-    Events,
-    InsideBounds,
-    check_components,
-    check_number,
-    check_weights,
-    inside_bounds,
-    profile_of,
-)
+from ldctoolkit.mixture._distribution import Transform
+from ldctoolkit.mixture.checks import Events, InsideBounds, check_components, check_weights, inside_bounds, profile_of
+from ldctoolkit.mixture.selection import FitEach, Progress
 from ldctoolkit.recordings import Criteria
 from ldctoolkit.scenario_model.fidelity import Replay, SideFidelity
 from ldctoolkit.scenario_model.model import ScenarioModel
@@ -57,17 +51,17 @@ class Box:
     """The box of both sides."""
 
     lower: FloatArray  # (8,): in the order of `PARAMETER_NAMES`
-    upper: FloatArray  # (8,): in the order of `PARAMETER_NAMES`
-    origins: tuple[tuple[str, str, str], ...]  # (str, str, str): parameter, and where its ends come from
+    upper: FloatArray  # (8,)
+    origins: tuple[tuple[str, str, str], ...]  # parameter, and where its lower and its upper end come from
 
 
 def box_of(bounds: Bounds | None, criteria: Criteria | None) -> Box:
     """Given bounds, else those of the extraction and of physics."""
     ends = {name: (*pair, "physical", "physical") for name, pair in PHYSICAL_BOUNDS.items()}
-    if criteria is not None:  # no event outside them could have been found
-        found = "extraction criteria"
-        ends["T"] = (criteria.min_duration, criteria.max_duration, found, found)
-        ends["v_mean"] = (criteria.min_speed, np.inf, found, "physical")
+    if criteria is not None:  # an event outside them would not have been extracted
+        origin = "extraction criteria"
+        ends["T"] = (criteria.min_duration, criteria.max_duration, origin, origin)
+        ends["v_mean"] = (criteria.min_speed, np.inf, origin, "physical")
     if bounds is not None and not isinstance(bounds, Mapping):
         raise InputError("bounds", value=bounds, allowed="a mapping of parameters")
     for name, entry in (bounds or {}).items():
@@ -91,64 +85,26 @@ class SideSettings:
     """How each side is fitted."""
 
     components: int | tuple[int, ...] | None  # K, or the K to choose from in ascending order
-    seed: int  # of the fits
     box: Box
     transform: dict[str, str]  # of each parameter: ``"none"``, ``"log"``, ``"logit"`` or ``"auto"``
-    fit: FitSettings  # choice of K, prior, tolerance, starts
-    workers: int | None  # cores; all by default
+    seed: int  # of the fits
+    selection: dict[str, Any]  # other arguments of `select_components`
     kind: Kind  # what the departures are generated from
-    plausibility: Plausibility  # what can happen
+    plausibility: Plausibility
     vehicle_width: float | None  # [m] of the recordings
-    verbose: bool  # report every start and pass on stderr
-
-    def selection(self, rows: int) -> dict[str, Any]:
-        """Arguments of `select_components` for so many events, but for the events and the box."""
-        return dataclasses.asdict(self.fit) | {
-            "split_merge": rows > FEW,
-            "random_state": self.seed,
-            "n_jobs": self.workers,
-            "verbose": int(self.verbose),
-        }
 
 
-def component_numbers(components: int | Iterable[int] | None) -> int | tuple[int, ...] | None:
-    """K, or the K to choose from, in ascending order."""
-    if isinstance(components, int | np.integer):
-        return check_components([components])[0]
-    return None if components is None else tuple(check_components(components))
-
-
-def transforms(transform: str | Mapping[str, str] | None) -> dict[str, str]:
-    """The wanted transform of each parameter."""
+def transforms(transform: str | Mapping[str, str] | None, box: Box) -> dict[str, str]:
+    """The transform of each parameter, allowed by its bounds."""
     if transform is None or isinstance(transform, str):
-        return dict.fromkeys(PARAMETER_NAMES, _transform("transform", transform or "none"))
-    out = dict.fromkeys(PARAMETER_NAMES, "none")
-    for name, kind in transform.items():
-        if name not in out:
-            raise InputError("transform", "is no parameter", value=name, allowed=PARAMETER_NAMES)
-        out[name] = _transform(f"transform[{name!r}]", kind)
-    return out
-
-
-def _transform(where: str, kind: Any) -> str:
-    if kind not in KINDS:
-        raise InputError(where, value=kind, allowed=KINDS)
-    return str(kind)
-
-
-def check_transform(wanted: Mapping[str, str], lower: FloatArray, upper: FloatArray) -> None:
-    """Refuse a map that the bounds (8,) do not allow, by the parameter's name."""
-    for j, name in enumerate(PARAMETER_NAMES):
-        finite = int(np.isfinite(lower[j])) + int(np.isfinite(upper[j]))
-        needed = {"log": 1, "logit": 2}.get(wanted[name], finite)
-        if finite != needed:
-            allowed = "one finite bound" if needed == 1 else "two finite bounds"
-            raise InputError(
-                f"transform[{name!r}]",
-                f"with the bounds {lower[j]:g} to {upper[j]:g}",
-                value=wanted[name],
-                allowed=f"with {allowed}",
-            )
+        kinds = dict.fromkeys(PARAMETER_NAMES, transform or "none")
+    else:
+        for name in transform:
+            if name not in PARAMETER_NAMES:
+                raise InputError("transform", "is no parameter", value=name, allowed=PARAMETER_NAMES)
+        kinds = dict.fromkeys(PARAMETER_NAMES, "none") | dict(transform)
+    Transform.of(tuple(kinds.values()), box.lower, box.upper, PARAMETER_NAMES)
+    return kinds
 
 
 LEAST_EVENTS: Final = 30  # departures a side needs
@@ -167,32 +123,30 @@ def fit_scenario_model(
     extraction: Criteria | None = None,
     weights: npt.ArrayLike | None = None,
     transform: str | Mapping[str, str] | None = None,
-    criterion: Literal["bic", "aic"] = "bic",
-    slack: float = 10.0,
-    indifference: float = 0.0,
     prior_strength: float = 10.0,
     tol: float = 1e-7,
     n_init: int | None = None,
     max_iter: int = 500,
     workers: int | None = None,
+    fit_each: FitEach | None = None,
     verbose: bool = False,
     source_provenance: Mapping[str, Any] | str = "",
     synthetic: bool = False,
     progress: Progress | None = None,
 ) -> ScenarioModel:
-    """Fit a scenario model to departures: one mixture a side, the number of components K by a stated rule.
+    """Fit a scenario model to departures: one mixture a side, the number of components K chosen by BIC.
 
     Parameters
     ----------
     departures : Departures
-        Both sides together.
+        Those of both sides.
     components : int or iterable of int, optional
         K, or the K to choose from: 1 to 10, or 1 to 4 with up to 2,000 departures on a side. A range is cut where the
         events no longer carry it (half an event a free parameter). One K is fitted as requested.
     kind : {"auto", "mixture", "smoothed"}
         What departures are generated from. ``"mixture"`` is the bounded Gaussian mixture; with up to 2,000 departures
-        on a side, of the K to choose from the smallest from the criterion's on that gives the recordings' answer (see
-        `check_fidelity`). ``"smoothed"`` are the departures themselves, resampled with a kernel: a component each.
+        on a side, the smallest K that is no smaller than that of `select_components` and gives the recordings' answer
+        (see `check_fidelity`). ``"smoothed"`` are the departures themselves, resampled with a kernel: a component each.
         ``"auto"`` takes those where no such mixture gives the answer; one K as requested stays.
     seed : int
         Seed of the fits.
@@ -207,16 +161,16 @@ def fit_scenario_model(
         Events that each departure stands for; those of weight 0 are left out.
     transform : {"none", "log", "logit", "auto"} or mapping, optional
         Map of each parameter before the fit, as in `BoundedGaussianMixture`: one for all, or by name.
-    criterion, slack, indifference
-        How K is chosen, see `select_components`.
     prior_strength, tol, max_iter
         Of each fit, see `BoundedGaussianMixture`.
     n_init : int, optional
         Starts of each fit; 8 by default, 2 with up to 2,000 departures.
     workers : int, optional
         Cores to use, all by default. It changes no number.
+    fit_each : callable, optional
+        What runs the fits of several K, `map` by default: see `select_components`.
     verbose : bool
-        Tell of every start and pass on stderr.
+        Report every start and pass on stderr.
     source_provenance : mapping or str
         JSON values that describe the data, kept in the model; ``"hours"`` [h] and ``"distance"`` [m] are those driven.
     synthetic : bool
@@ -257,30 +211,32 @@ def fit_scenario_model(
     >>> model.provenance.left.reason
     'K = 1, as requested'
     """
-    check_number("seed", seed, 0, integer=True)
+    seed = checked_seed(seed)
     if seed >= _SEED_END:
         raise InputError("seed", value=seed, allowed="below 10^18, the longest whole number of a model file")
     if kind not in get_args(Kind):
         raise InputError("kind", value=kind, allowed=get_args(Kind))
+    K = plain(components)
+    if K is not None:
+        K = check_components([K])[0] if isinstance(K, int) else tuple(check_components(K))
     starts = n_init if n_init is not None else 8 if departures.n > FEW else 2
+    fit = FitSettings(*map(plain, (prior_strength, tol, starts, max_iter)))
     limits = plausibility or (Plausibility() if extraction is None else extraction.plausibility)
-    chosen: tuple[Any, ...] = criterion, slack, indifference, prior_strength, tol, starts, max_iter
+    box = box_of(bounds, extraction)
     settings = SideSettings(
-        components=component_numbers(components),
-        seed=int(seed),
-        box=box_of(bounds, extraction),
-        transform=transforms(transform),
-        fit=FitSettings(*(value.item() if isinstance(value, np.generic) else value for value in chosen)),
-        workers=workers,
+        components=K,
+        box=box,
+        transform=transforms(transform, box),
+        seed=seed,
+        selection={**dataclasses.asdict(fit), "n_jobs": workers, "fit_each": fit_each, "verbose": int(verbose)},
         kind=kind,
         plausibility=limits,
         vehicle_width=None if extraction is None else extraction.vehicle_width,
-        verbose=verbose,
     )
     events = _events(departures, weights, settings)
     carried = {label: carried_components(settings.components, side) for label, side in events.items()}
     with threadpoolctl.threadpool_limits(1, "blas"):  # small matrices: more threads only wait for each other
-        fits = {label: fit_side(side, carried[label], settings, progress) for label, side in events.items()}
+        sides = {label: fit_side(side, *carried[label], settings, progress) for label, side in events.items()}
     source: dict[str, Any] = (
         {"description": source_provenance} if isinstance(source_provenance, str) else dict(source_provenance)
     )
@@ -291,44 +247,44 @@ def fit_scenario_model(
         synthetic=synthetic,
         created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         software=f"ldctoolkit {__version__}",
-        seed=int(seed),
-        warnings=tuple(note for fit in fits.values() for note in fit.warnings),
+        seed=seed,
+        warnings=tuple(note for side in sides.values() for note in side.warnings),
         versions=software_versions(),
-        settings=settings.fit,
+        settings=fit,
         **driven(source),
     )
-    model = ScenarioModel(fits["left"].side, fits["right"].side, provenance, limits)
-    one, other = (
-        dataclasses.replace(fits[label].summary, redrawn_share=model.redrawn_share(side))
+    model = ScenarioModel(sides["left"].side, sides["right"].side, provenance, limits)
+    left, right = (
+        dataclasses.replace(sides[label].summary, redrawn_share=model.redrawn_share(side))
         for label, side in (("left", LEFT), ("right", RIGHT))
     )
-    return dataclasses.replace(model, provenance=dataclasses.replace(provenance, left=one, right=other))
+    return dataclasses.replace(model, provenance=dataclasses.replace(provenance, left=left, right=right))
 
 
 def _events(departures: Departures, weights: npt.ArrayLike | None, settings: SideSettings) -> dict[str, SideEvents]:
     """The departures of each side, ready for the fit."""
     weight = None if weights is None else check_weights(weights, departures.n, "weights", "departure")
-    with np.errstate(all="ignore"):  # what is no departure at all is refused later
+    with np.errstate(all="ignore"):  # what is not finite is refused later
         counts = settings.plausibility.holds(departures) | ~np.isfinite(departures.matrix()).all(axis=1)
-    left_out = int((~counts).sum())
+    implausible = int((~counts).sum())
     counts &= True if weight is None else weight > 0.0
     rows = {label: counts & (departures.side == side) for label, side in (("left", LEFT), ("right", RIGHT))}
-    left, right = (int(mask.sum()) for mask in rows.values())
-    if min(left, right) < LEAST_EVENTS:
-        beyond = f", beside {left_out} that are not plausible" if left_out else ""
-        raise InputError(
-            "departures", f"{left} left and {right} right{beyond}", allowed=f"at least {LEAST_EVENTS} a side"
-        )
-    every = Events(departures.matrix(), weight, settings.workers)
-    return {label: side_events(every.take(mask), label, settings) for label, mask in rows.items()}
+    beside = f", beside {implausible} that are not plausible" if implausible else ""
+    check_enough(rows["left"], rows["right"], beside)
+    events = Events(departures.matrix(), weight, settings.selection["n_jobs"])
+    return {label: side_events(events.take(mask), label, settings) for label, mask in rows.items()}
 
 
-Progress = Callable[[str, int, int], None]
+def check_enough(left: BoolArray, right: BoolArray, beside: str = "") -> None:
+    """Refuse fewer than 30 departures on a side."""
+    if min(left.sum(), right.sum()) < LEAST_EVENTS:
+        problem = f"{left.sum()} left and {right.sum()} right{beside}"
+        raise InputError("departures", problem, allowed=f"at least {LEAST_EVENTS} a side")
+
 
 EVENTS_PER_PARAMETER: Final = 0.5  # a range of K is cut where fewer would stand behind each free parameter
 
-# a complaint about one of these is none about the departures
-_SETTINGS: Final = ("criterion", "slack", "indifference", "prior_strength", "tol", "n_init", "max_iter", "n_jobs")
+_SETTINGS: Final = {"n_jobs", *(field.name for field in dataclasses.fields(FitSettings))}  # not of the departures
 
 
 @dataclasses.dataclass(frozen=True)
@@ -341,12 +297,9 @@ class SideFit:
 
 
 def fit_side(
-    events: SideEvents,
-    carried: tuple[tuple[int, ...], tuple[str, ...]],
-    settings: SideSettings,
-    progress: Progress | None,
+    events: SideEvents, tried: tuple[int, ...], cut: tuple[str, ...], settings: SideSettings, progress: Progress | None
 ) -> SideFit:
-    """Fit the departures of one side, with the K that they carry."""
+    """Fit the departures of one side, with the K that they carry; `cut` says which they do not."""
     label, n = events.label, events.rows
     notes = [
         f"{label}: {name} is {value:g} in every event and is kept as a constant" for name, value in events.constants
@@ -354,49 +307,46 @@ def fit_side(
     notes += [
         f"{label}: {count} events had {name} exactly on a bound, moved just inside" for name, count in events.moved
     ]
-    tried, cut = carried
     notes += cut
     judge = _Judge.of(events, settings)
     selection, failed = _select(events, tried[:1] if settings.kind == "smoothed" else tried, settings, progress, judge)
-    chosen = judge.choice(selection)
+    choice = judge.choice(selection)
     unmapped = set(settings.transform.values()) == {"none"}
-    if settings.kind == "auto" and len(tried) > 1 and n > FEW and unmapped and not chosen.passed:
+    if settings.kind == "auto" and len(tried) > 1 and n > FEW and unmapped and not choice.passed:
         mapped = dataclasses.replace(settings, transform=dict.fromkeys(PARAMETER_NAMES, "auto"))
-        other, failures = _select(events, tried, mapped, progress, judge)
-        found = judge.choice(other)
-        if found.merit > chosen.merit:
-            text = f"{other.reason}, of mapped parameters: without maps the mixture does not agree with the recordings"
-            selection, failed, chosen = other, failures, dataclasses.replace(found, reason=text)
-    best = chosen.mixture
+        mapped_selection, mapped_failed = _select(events, tried, mapped, progress, judge)
+        mapped_choice = judge.choice(mapped_selection)
+        if mapped_choice.merit > choice.merit:
+            selection, failed = mapped_selection, mapped_failed
+            text = "of mapped parameters: without maps the mixture does not agree with the recordings"
+            choice = dataclasses.replace(mapped_choice, reason=f"{selection.reason}, {text}")
+    mixture = choice.mixture
     notes += [f"{label}: K = {K} could not be fitted ({message})" for K, message in failed]
-    if chosen.kind == "mixture":
-        notes += [f"{label}: {sentence}" for sentence in best.warnings_]
-    if chosen.fidelity is not None and not chosen.fidelity.passed:
-        notes.append(f"{label}: {chosen.fidelity.text}")
-    several = len(tried) > 1
+    if choice.kind == "mixture":
+        notes += [f"{label}: {sentence}" for sentence in mixture.warnings_]
+    if choice.fidelity is not None and not choice.fidelity.passed:
+        notes.append(f"{label}: {choice.fidelity.text}")
     why = "as requested" if isinstance(settings.components, int) else "the only one of the range that the events carry"
     summary = SideSummary(
         events=n,
-        n_components=tuple(int(K) for K in selection.n_components),
+        n_components=tuple(selection.n_components.tolist()),
         bic=tuple(selection.bic.tolist()),
         log_likelihood=tuple(selection.log_likelihood.tolist()),
-        converged=chosen.kind == "smoothed" or best.converged_,
+        converged=choice.kind == "smoothed" or mixture.converged_,
         moved_inside=events.moved,
         redrawn_share=0.0,
-        n_parameters=tuple(int(p) for p in selection.n_parameters),
-        aic=tuple(selection.aic.tolist()),
-        criterion=selection.criterion if several else "",
-        reason=chosen.reason or (selection.reason if several else f"K = {tried[0]}, {why}"),
+        n_parameters=tuple(selection.n_parameters.tolist()),
+        reason=choice.reason or (selection.reason if len(tried) > 1 else f"K = {tried[0]}, {why}"),
         failed=failed,
-        passes=best.n_iter_ if chosen.kind == "mixture" else None,
-        stop_reason=best.stop_reason_ if chosen.kind == "mixture" else "",
+        passes=mixture.n_iter_ if choice.kind == "mixture" else None,
+        stop_reason=mixture.stop_reason_ if choice.kind == "mixture" else "",
         weight=events.weight,
         bounds_from=events.box.origins,
         source_summary=summarize_events(events.events, events.names),
-        kind=chosen.kind,
-        fidelity=chosen.fidelity,
+        kind=choice.kind,
+        fidelity=choice.fidelity,
     )
-    return SideFit(SideModel(best, events.names, events.constants), summary, tuple(notes))
+    return SideFit(SideModel(mixture, events.names, events.constants), summary, tuple(notes))
 
 
 _ENOUGH: Final = 0.93  # share of answers within their own 95 % intervals to be chosen: the verdict's are wider
@@ -410,7 +360,7 @@ class _Checked:
     kind: Literal["mixture", "smoothed"]
     fidelity: SideFidelity | None  # None where hardly any departure can be drawn or driven
     alone: float  # share of the answers within intervals that hold for each by itself
-    reason: str = ""  # why not what the criterion chose
+    reason: str = ""  # why not the mixture that BIC chose
 
     @property
     def passed(self) -> bool:
@@ -435,7 +385,7 @@ class _Judge:
     events: SideEvents
     settings: SideSettings
     replay: Replay
-    known: dict[int, tuple[BoundedGaussianMixture, _Checked]] = dataclasses.field(default_factory=dict)
+    known: dict[BoundedGaussianMixture, _Checked] = dataclasses.field(default_factory=dict)
 
     @classmethod
     def of(cls, events: SideEvents, settings: SideSettings) -> Self:
@@ -447,7 +397,7 @@ class _Judge:
 
     def checked(self, mixture: BoundedGaussianMixture, kind: Literal["mixture", "smoothed"] = "mixture") -> _Checked:
         """A mixture beside the recorded departures; each is driven once."""
-        if id(mixture) not in self.known:
+        if mixture not in self.known:
             half = SideModel(mixture, self.events.names, self.events.constants)
             model = ScenarioModel(half, half, ModelProvenance({}), self.settings.plausibility)
             count = (self.replay.generated, 0) if self.events.side == LEFT else (0, self.replay.generated)
@@ -455,20 +405,20 @@ class _Judge:
             with contextlib.suppress(InputError, ModelError):
                 check_usable(mixture)
                 compared = self.replay.compared(model.sample(*count, seed=self.settings.seed))
-            self.known[id(mixture)] = mixture, _Checked(mixture, kind, *compared)
-        return self.known[id(mixture)][1]
+            self.known[mixture] = _Checked(mixture, kind, *compared)
+        return self.known[mixture]
 
     def enough(self, fits: Selection) -> bool:
-        """Whether larger K need not be tried: the criterion has risen, or the last two give the recordings' answer."""
-        return fits.risen or (len(fits.models) > 1 and all(self.checked(one).agrees for one in fits.models[:-3:-1]))
+        """Whether larger K need not be tried: BIC has risen, or the last two give the recordings' answer."""
+        return fits.risen or (len(fits.models) > 1 and all(self.checked(fit).agrees for fit in fits.models[-2:]))
 
     def choice(self, fits: Selection) -> _Checked:
-        """The first that gives the recordings' answer: the criterion's K, larger ones, the smoothed departures."""
+        """The first that gives the recordings' answer: the K of BIC, larger ones, the smoothed departures."""
         rows, kind = self.events.rows, self.settings.kind
         if kind == "smoothed":
             if rows > MOST_SMOOTHED:
-                text = f"kind: 'smoothed' with {rows} {self.events.label} departures; allowed: up to {MOST_SMOOTHED}"
-                raise InputError(text)
+                problem = f"with {rows} {self.events.label} departures"
+                raise InputError("kind", problem, value=kind, allowed=f"up to {MOST_SMOOTHED}")
             return dataclasses.replace(self._smoothed(), reason="smoothed departures, as requested")
         first = best = self.checked(fits.best)
         if rows > MOST_SMOOTHED or isinstance(self.settings.components, int):
@@ -476,15 +426,14 @@ class _Judge:
         last = fits.chosen
         while rows <= FEW and not best.agrees and last + 1 < len(fits.models):
             last += 1
-            best = max(best, self.checked(fits.models[last]), key=lambda one: (one.agrees, *one.merit))
+            best = max(best, self.checked(fits.models[last]), key=_merit)
         K, most = (int(fits.n_components[i]) for i in (fits.chosen, last))
         if kind == "auto" and not best.agrees:
-            other = self._smoothed()
-            if other.merit > best.merit:
-                text = f"K = {K}" if most == K else f"K = {K} to {most}"
-                return dataclasses.replace(
-                    other, reason=f"smoothed departures: no mixture with {text} agrees with them"
-                )
+            smooth = self._smoothed()
+            if smooth.merit > best.merit:
+                tried = f"K = {K}" if most == K else f"K = {K} to {most}"
+                text = f"smoothed departures: no mixture with {tried} agrees with them"
+                return dataclasses.replace(smooth, reason=text)
         if best is not first:
             text = f"K = {best.mixture.n_components}, which agrees with the recordings better than K = {K}"
             best = dataclasses.replace(best, reason=f"{text} ({fits.reason})")
@@ -492,8 +441,12 @@ class _Judge:
 
     def _smoothed(self) -> _Checked:
         """The smoothed departures: the wider kernel that agrees with them, else the better one."""
-        best, *others = (self.checked(smoothed(self.events, width), "smoothed") for width in BANDWIDTHS)
-        return best if best.agrees else max(best, *others, key=lambda one: (one.agrees, *one.merit))
+        wide, narrow = (self.checked(smoothed(self.events, width), "smoothed") for width in BANDWIDTHS)
+        return wide if wide.agrees else max(wide, narrow, key=_merit)
+
+
+def _merit(checked: _Checked) -> tuple[bool, float, float]:
+    return (checked.agrees, *checked.merit)
 
 
 BANDWIDTHS: Final = (0.25, 0.125)
@@ -537,7 +490,7 @@ def check_fidelity(
     model : ScenarioModel
         What departures are generated from.
     departures : Departures
-        The recorded ones, both sides together; those that the model holds impossible are left out.
+        The recorded ones of both sides; those that the model holds impossible are left out.
     weights : (n,), optional
         Events that each departure stands for.
 
@@ -557,24 +510,23 @@ def check_fidelity(
     """
     weight = None if weights is None else check_weights(weights, departures.n, "weights", "departure")
     possible = model.possible(departures) & (True if weight is None else weight > 0.0)
-    rows = [np.flatnonzero(possible & (departures.side == side)) for side in (LEFT, RIGHT)]
-    if min(map(len, rows)) < LEAST_EVENTS:
-        left, right = map(len, rows)
-        raise InputError("departures", f"{left} left and {right} right", allowed=f"at least {LEAST_EVENTS} a side")
+    left, right = (possible & (departures.side == side) for side in (LEFT, RIGHT))
+    check_enough(left, right)
     criteria = model.provenance.source.get("criteria")
     width = criteria.get("vehicle_width") if isinstance(criteria, Mapping) else None
-    found = []
-    for side, own in zip((LEFT, RIGHT), rows, strict=True):
-        replay = Replay.of(departures.take(own), None if weight is None else weight[own], width)
-        counts = (replay.generated, 0) if side == LEFT else (0, replay.generated)
-        found.append(replay.compared(model.sample(*counts, seed=0))[0])
-    return found[0], found[1]
+
+    verdicts = []
+    for side, rows in ((LEFT, left), (RIGHT, right)):
+        replay = Replay.of(departures.take(rows), None if weight is None else weight[rows], width)
+        n = replay.generated
+        verdicts.append(replay.compared(model.sample(n, 0) if side == LEFT else model.sample(0, n))[0])
+    return verdicts[0], verdicts[1]
 
 
 def carried_components(
     components: int | tuple[int, ...] | None, events: SideEvents
 ) -> tuple[tuple[int, ...], tuple[str, ...]]:
-    """The K that the events of a side carry, and what to say if these are not all."""
+    """The K that the events of a side carry, and a note if these are not all."""
     n, d, label = events.rows, len(events.names), events.label
     if isinstance(components, int):
         return (components,), ()
@@ -582,11 +534,8 @@ def carried_components(
     most = max(1, int(n / (EVENTS_PER_PARAMETER * (1 + d + d * (d + 1) // 2))))
     tried = tuple(K for K in components if most >= K)
     if not tried:
-        raise InputError(
-            "components",
-            f"{components[0]} and more",
-            allowed=f"a range that begins at {most} or below, {n} {label} departures carry no more",
-        )
+        allowed = f"a range that begins at {most} or below, {n} {label} departures carry no more"
+        raise InputError("components", "and more", value=components[0], allowed=allowed)
     if len(tried) == len(components):
         return tried, ()
     return tried, (f"{label}: {n} events carry no more than K = {most}; larger K were not tried",)
@@ -597,7 +546,9 @@ def _select(
 ) -> tuple[Selection, tuple[tuple[int, str], ...]]:
     """The fits, and the K that gave no usable one; an error where none did."""
     label, varies = events.label, events.inside.varies
-    arguments: dict[str, Any] = settings.selection(events.rows) | {
+    arguments: dict[str, Any] = settings.selection | {
+        "random_state": settings.seed,
+        "split_merge": events.rows > FEW,
         "progress": None if progress is None else lambda text, done, total: progress(f"{label}: {text}", done, total),
         "sample_weight": events.events.weight,
         "lower": events.box.lower[varies],
@@ -610,18 +561,16 @@ def _select(
     while True:
         try:
             selection = select_components(events.events.x, tried, **arguments)
-        except (InputError, ModelError) as error:
-            if str(error).partition(":")[0] in _SETTINGS:
-                raise
-            raise type(error)(f"departures ({label}): {error}") from None
-        failed += [(f.n_components, f.message) for f in selection.failures]
-        taken = int(selection.n_components[selection.chosen])
+        except InputError as error:
+            raise error if error.path in _SETTINGS else error.within(f"departures ({label})", ": ") from None
+        failed += [(failure.n_components, str(failure.error)) for failure in selection.failures]
+        taken = selection.best.n_components
         try:
             check_usable(selection.best)
         except ModelError as error:
-            tried = tuple(int(K) for K in selection.n_components if taken != K)
+            tried = tuple(K for K in selection.n_components.tolist() if taken != K)
             if not tried:
-                raise ModelError(f"departures ({label})", f"{error}") from None
+                raise error.within(f"departures ({label})", ": ") from None
             failed.append((taken, str(error)))
         else:
             return selection, tuple(sorted(failed))
@@ -674,33 +623,30 @@ class SideEvents:
 
 
 def side_events(events: Events, label: str, settings: SideSettings) -> SideEvents:
-    """Look at the departures of a side (columns as `PARAMETER_NAMES`), and put those on a bound inside."""
-    x = events.x
+    """Check the departures of a side (columns as `PARAMETER_NAMES`), and put those on a bound inside."""
+    x, box = events.x, settings.box
     for j in range(x.shape[1]):
         _check(x, j, np.isfinite(x[:, j]), "finite numbers", label)
-    box = settings.box
-    for j, (low, high) in enumerate(zip(box.lower, box.upper, strict=True)):
+    for j, (name, low, high) in enumerate(zip(PARAMETER_NAMES, box.lower, box.upper, strict=True)):
         _check(x, j, (x[:, j] >= low) & (x[:, j] <= high), f"{low:g} to {high:g}", label)
-    for name in ("T", "v_mean"):  # as in a departures table
-        j = PARAMETER_NAMES.index(name)
-        _check(x, j, x[:, j] > 0.0, "above 0", label)
-    check_transform(settings.transform, box.lower, box.upper)
+        if name in ("T", "v_mean"):  # as in a departures table
+            _check(x, j, x[:, j] > 0.0, "above 0", label)
     with np.errstate(over="ignore", invalid="ignore"):
         profile = profile_of(events)
     inside = inside_bounds(events, box.lower, box.upper, PARAMETER_NAMES, profile=profile)
     if not inside.varies.any():
-        raise InputError(
-            f"departures ({label})", f"all {profile.rows} events are equal", hint="there is nothing to fit"
-        )
+        problem = f"all {profile.rows} events are equal"
+        raise InputError(f"departures ({label})", problem, hint="there is nothing to fit")
     return SideEvents(label, inside, box)
 
 
 def _check(x: FloatArray, j: int, good: BoolArray, allowed: str, label: str) -> None:
-    """Refuse a column with a bad value: the first of them and how many there are."""
+    """Refuse a column with a bad value: the first one and how many there are."""
     if not good.all():
         event = int(np.argmin(good))
         raise InputError(
-            f"departures ({label})",
-            f"{PARAMETER_NAMES[j]} = {float(x[event, j])!r} in event {event}",
-            allowed=f"{allowed} ({int((~good).sum())} of {good.size} events)",
+            f"departures ({label}): {PARAMETER_NAMES[j]}",
+            f"in event {event} ({int((~good).sum())} of {good.size} events)",
+            value=float(x[event, j]),
+            allowed=allowed,
         )

@@ -9,12 +9,12 @@ import os
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Final, Protocol
 
 import numpy as np
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
-from ldctoolkit.declared import UnitWarning, unit_slip
+from ldctoolkit.declared import UnitWarning, checked_seed, checked_whole, unit_slip
 from ldctoolkit.departures import (
     LEFT,
     PARAMETER_NAMES,
@@ -27,7 +27,7 @@ from ldctoolkit.departures import (
 )
 from ldctoolkit.errors import InputError, ModelError, RecordingError, UnknownNameError
 from ldctoolkit.mixture import SAMPLE_BLOCK, BoundedGaussianMixture
-from ldctoolkit.mixture.checks import check_number
+from ldctoolkit.mixture._distribution import interval_of
 from ldctoolkit.recordings import Provenance, Refused, read_departures
 from ldctoolkit.scenario_model.provenance import ModelProvenance, SideModel
 from ldctoolkit.scenarios import SPEED_FLOOR, Scenarios, slowest_speed
@@ -73,21 +73,21 @@ def conditions(given: Given | None) -> tuple[Condition, ...]:
     """
     if given is not None and not isinstance(given, Mapping):
         raise InputError("given", value=given, allowed="a mapping of parameters")
-    found = {}
+    by_name = {}
     for name, wanted in (given or {}).items():
         if name not in PARAMETER_NAMES:
             raise InputError("given", "is no parameter", value=name, allowed=PARAMETER_NAMES)
-        low, high = _ends(name, wanted)
+        low, high = interval_of(f"given[{name!r}]", wanted)
         slip = unit_slip(name, low) or unit_slip(name, high if math.isfinite(high) else 0.0)
         if slip:
             warnings.warn(f"given {slip}", UnitWarning, stacklevel=3)
         if low > -math.inf or high < math.inf:
-            found[name] = Condition(name, low, high)
-    return tuple(found[name] for name in PARAMETER_NAMES if name in found)
+            by_name[name] = Condition(name, low, high)
+    return tuple(by_name[name] for name in PARAMETER_NAMES if name in by_name)
 
 
 def misleading(model: ScenarioModel) -> list[str]:
-    """What the check of a model against its recordings found wrong, one sentence a side; none where it passed."""
+    """What a model gets wrong against its recordings, one sentence a side; none where the check passed."""
     sides = ("left", model.provenance.left), ("right", model.provenance.right)
     checked = [(key, side.fidelity) for key, side in sides if side is not None and side.fidelity is not None]
     return [f"scenario model, {key}: {fidelity.text}" for key, fidelity in checked if not fidelity.passed]
@@ -95,45 +95,25 @@ def misleading(model: ScenarioModel) -> list[str]:
 
 def outside_fit(model: ScenarioModel, given: Given | None) -> list[str]:
     """Conditions that reach beyond what a model was fitted to, one sentence each; none where it holds no summary."""
-    found: dict[str, str] = {}
+    sentences: dict[str, str] = {}
     for key, side in (("left", model.provenance.left), ("right", model.provenance.right)):
         summary = None if side is None else side.source_summary
-        for one in conditions(given):
-            if summary is None or one.name not in summary.names:
+        for condition in conditions(given):
+            if summary is None or condition.name not in summary.names:
                 continue
-            quantiles = summary.quantiles[summary.names.index(one.name)]
-            ends = [end for end in (one.low, one.high) if math.isfinite(end)]
+            quantiles = summary.quantiles[summary.names.index(condition.name)]
+            ends = [end for end in (condition.low, condition.high) if math.isfinite(end)]
             if any(not quantiles[0] <= end <= quantiles[-1] for end in ends):
-                below = np.interp([one.low, one.high], quantiles, summary.probabilities, left=0.0, right=1.0)
+                interval = [condition.low, condition.high]
+                below = np.interp(interval, quantiles, summary.probabilities, left=0.0, right=1.0)
                 expected = summary.departures * float(below[1] - below[0])
-                found.setdefault(
-                    one.name,
-                    f"given {one}: outside the fitted departures ({key}), of which {100 - 100 / len(quantiles):.0f} % "
-                    f"lie from {quantiles[0]:.4g} to {quantiles[-1]:.4g}; about {expected:,.0f} of "
-                    f"{summary.departures:,} recorded ones meet it",
+                sentences.setdefault(
+                    condition.name,
+                    f"given {condition}: outside the fitted departures ({key}), of which "
+                    f"{100 - 100 / len(quantiles):.0f} % lie from {quantiles[0]:.4g} to {quantiles[-1]:.4g}; about "
+                    f"{expected:,.0f} of {summary.departures:,} recorded ones meet it",
                 )
-    return list(found.values())
-
-
-def _ends(name: str, wanted: Any) -> tuple[float, float]:
-    allowed = "allowed: a number, or (lower, upper) with lower < upper, None for open"
-    pair = (wanted, wanted) if _is_number(wanted) and math.isfinite(wanted) else wanted
-    if not isinstance(pair, tuple | list) or len(pair) != 2:
-        raise InputError(f"given[{name!r}]", value=wanted, hint=allowed)
-    ends = []
-    for end, fill in zip(pair, (-math.inf, math.inf), strict=True):
-        if end is not None and not _is_number(end):
-            raise InputError(f"given[{name!r}]", value=wanted, hint=allowed)
-        ends.append(fill if end is None else float(end))
-    low, high = ends
-    one_value = pair is not wanted or low == high
-    if not low <= high or (one_value and not math.isfinite(low)):
-        raise InputError(f"given[{name!r}]", value=wanted, hint=allowed)
-    return low, high
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+    return list(sentences.values())
 
 
 def mixture_conditions(
@@ -148,20 +128,14 @@ def mixture_conditions(
         if condition.name in constants:
             value = constants[condition.name]
             if not low <= value <= high:
-                raise InputError(
-                    f"given[{condition.name!r}]",
-                    f"{condition}",
-                    allowed=f"{value:g}, as in every {label} departure of this model",
-                )
+                allowed = f"{value:g}, as in every {label} departure of this model"
+                raise InputError(f"given[{condition.name!r}]", f"{condition}", allowed=allowed)
             continue
         j = side.names.index(condition.name)
         a, b = float(lower[j]), float(upper[j])
         if (not a < low < b) if low == high else (high <= a or low >= b):
-            raise InputError(
-                f"given[{condition.name!r}]",
-                f"{condition}",
-                allowed=f"between {a:g} and {b:g}, the bounds of the {label} departures of this model",
-            )
+            allowed = f"between {a:g} and {b:g}, the bounds of the {label} departures of this model"
+            raise InputError(f"given[{condition.name!r}]", f"{condition}", allowed=allowed)
         out[j] = low if low == high else (max(low, a), min(high, b))
     return out
 
@@ -314,9 +288,9 @@ class ScenarioModel:
         True
         """
         wanted = conditions(given)
-        for name, number in (("n_left", n_left), ("n_right", n_right), ("seed", seed)):
-            check_number(name, number, 0, integer=True)
-        parts = [self._draw(side, int(n), int(seed), wanted) for side, n in ((LEFT, n_left), (RIGHT, n_right))]
+        n_left, n_right = checked_whole("n_left", n_left, lower=0), checked_whole("n_right", n_right, lower=0)
+        seed = checked_seed(seed)
+        parts = [self._draw(side, n, seed, wanted) for side, n in ((LEFT, n_left), (RIGHT, n_right))]
         columns = {name: np.concatenate([part[name] for part in parts]) for name in PARAMETER_NAMES}
         drawn = Scenarios.drawn(side=np.repeat([LEFT, RIGHT], [n_left, n_right]), **columns)
         # even numbers to the left, odd ones to the right: the same however many there are
@@ -342,11 +316,11 @@ class ScenarioModel:
             return {name: np.empty(0) for name in PARAMETER_NAMES}
         distribution = self._distribution(side, wanted)
         blocks: list[DepartureParameters] = []
-        found = 0
+        drawn = 0
         limit = _SPARE_BLOCKS * (1 + n // SAMPLE_BLOCK)
-        while found < n:
+        while drawn < n:
             if len(blocks) == limit:
-                share = 1.0 - found / (limit * SAMPLE_BLOCK)
+                share = 1.0 - drawn / (limit * SAMPLE_BLOCK)
                 word = "left" if side == LEFT else "right"
                 if wanted:
                     texts = " and ".join(map(str, wanted))
@@ -357,7 +331,7 @@ class ScenarioModel:
                     hint="the model does not describe driving at speed",
                 )
             blocks.append(self._block(side, distribution, len(blocks), seed))
-            found += blocks[-1].n
+            drawn += blocks[-1].n
         return {name: np.concatenate([getattr(block, name) for block in blocks])[:n] for name in PARAMETER_NAMES}
 
     def redrawn_share(self, side: int, seed: int = 0, events: int = 16_384) -> float:
@@ -470,32 +444,32 @@ def read_all_departures(paths: Sequence[str | os.PathLike[str]]) -> tuple[Depart
             raise RecordingError(path.name, "given more than once", allowed="every table once")
     tables = [read_departures(path) for path in paths]
     names = [Path(path).name for path in paths]
-    provenance = merged_provenance(names, [found for _, found in tables])
+    provenance = merged_provenance(names, [origin for _, origin in tables])
     if len(tables) == 1:
         return tables[0][0], provenance
     return combined_departures([departures for departures, _ in tables]), provenance
 
 
-def merged_provenance(names: Sequence[str], found: Sequence[Provenance]) -> Provenance:
+def merged_provenance(names: Sequence[str], origins: Sequence[Provenance]) -> Provenance:
     """Where the departures of several tables come from; `names` are the tables', for messages.
 
     Raises `RecordingError` if the criteria or the preparations differ, or a recording is in two tables.
     """
-    first = found[0]
-    if len(found) == 1:
+    first = origins[0]
+    if len(origins) == 1:
         return first
     seen: dict[str, str] = {}
-    for name, one in zip(names, found, strict=True):
+    for name, origin in zip(names, origins, strict=True):
         for kind in ("criteria", "preparation"):
             theirs = dataclasses.asdict(getattr(first, kind))
-            for key, value in dataclasses.asdict(getattr(one, kind)).items():
+            for key, value in dataclasses.asdict(getattr(origin, kind)).items():
                 if value != theirs[key]:
                     raise RecordingError(
                         name,
                         f"extracted with {key} = {value!r}, {names[0]} with {theirs[key]!r}",
                         allowed=f"tables of the same {kind}",
                     )
-        for source in one.sources:
+        for source in origin.sources:
             # empty files are all alike
             if source.bytes and seen.setdefault(source.sha256, name) != name:
                 raise RecordingError(
@@ -503,22 +477,22 @@ def merged_provenance(names: Sequence[str], found: Sequence[Provenance]) -> Prov
                     f"holds departures of {source.name}, as does {seen[source.sha256]}",
                     allowed="every recording once",
                 )
-    refused = [dataclasses.asdict(one.refused) for one in found]
-    kinds = {one.curvature for one in found}
-    readers = {one.reader for one in found}
-    known = all(one.distance > 0.0 or one.hours == 0.0 for one in found)  # the distance, in every table
+    refused = [dataclasses.asdict(origin.refused) for origin in origins]
+    kinds = {origin.curvature for origin in origins}
+    readers = {origin.reader for origin in origins}
+    known = all(origin.distance > 0.0 or origin.hours == 0.0 for origin in origins)  # the distance, in every table
     return Provenance(
         criteria=first.criteria,
-        refused=Refused(**{reason: sum(one[reason] for one in refused) for reason in refused[0]}),
-        sources=tuple(source for one in found for source in one.sources),
-        recordings=sum(one.recordings for one in found),
-        samples=sum(one.samples for one in found),
-        invalid_samples=sum(one.invalid_samples for one in found),
-        hours=sum(one.hours for one in found),
-        distance=math.fsum(one.distance for one in found) if known else 0.0,
+        refused=Refused(**{reason: sum(counts[reason] for counts in refused) for reason in refused[0]}),
+        sources=tuple(source for origin in origins for source in origin.sources),
+        recordings=sum(origin.recordings for origin in origins),
+        samples=sum(origin.samples for origin in origins),
+        invalid_samples=sum(origin.invalid_samples for origin in origins),
+        hours=sum(origin.hours for origin in origins),
+        distance=math.fsum(origin.distance for origin in origins) if known else 0.0,
         curvature=first.curvature if len(kinds) == 1 else "mixed",
-        warnings=tuple(dict.fromkeys(warning for one in found for warning in one.warnings)),
+        warnings=tuple(dict.fromkeys(warning for origin in origins for warning in origin.warnings)),
         reader=first.reader if len(readers) == 1 else "mixed",
         preparation=first.preparation,
-        problems=tuple(problem for one in found for problem in one.problems),
+        problems=tuple(problem for origin in origins for problem in origin.problems),
     )

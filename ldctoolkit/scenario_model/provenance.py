@@ -58,7 +58,7 @@ class SideModel:
 
 
 def check_usable(mixture: BoundedGaussianMixture) -> None:
-    """Refuse a mixture that cannot be sampled; a fit and a file go through this one check."""
+    """Refuse a mixture that cannot be sampled, of a fit and of a file alike."""
     if not np.isfinite(mixture.log_probabilities_).all():
         k = int(np.argmin(np.isfinite(mixture.log_probabilities_)))
         raise ModelError(f"component {k}", "the probability of its box is not a number that a computer can hold")
@@ -66,10 +66,10 @@ def check_usable(mixture: BoundedGaussianMixture) -> None:
         with np.errstate(over="raise", divide="raise", invalid="raise"):
             mixture.distribution.check_samplable()
     except (FloatingPointError, np.linalg.LinAlgError) as error:
-        raise ModelError(f"the mixture cannot be sampled, its numbers are too far apart ({error})") from None
+        raise ModelError("mixture", f"cannot be sampled, its numbers are too far apart ({error})") from None
 
 
-TOGETHER: Final = 10  # departures behind every quantile at least: each is a mean over so many
+PER_QUANTILE: Final = 10  # departures behind every quantile at least: each is a mean over so many
 LEAST_IN_CELL: Final = 5  # departures behind every share of a cell; cells with fewer are reported as empty
 
 QUANTILES: Final = 40
@@ -78,7 +78,7 @@ UNIT: Final = 10_000  # shares of cells are whole numbers of 1/UNIT
 
 _FEWEST_CELLS: Final = 4
 _EVENTS_PER_CELL: Final = 20
-_MOST_LOOKED_AT: Final = 50_000
+_MOST_SUMMARIZED: Final = 50_000
 
 
 @dataclasses.dataclass(frozen=True)
@@ -148,13 +148,13 @@ def summarize(x: FloatArray, weight: FloatArray | None = None, *, names: tuple[s
         x, weight = x[weight > 0.0], weight[weight > 0.0]
     n, d = x.shape
     share = np.full(n, 1.0 / max(n, 1)) if weight is None else weight / weight.sum()
-    half = 0.5 * TOGETHER * float(share.max(initial=1.0 / max(n, 1)))
+    half = 0.5 * PER_QUANTILE * float(share.max(initial=1.0 / max(n, 1)))
     m = min(QUANTILES, int(1.0 / (2.0 * half) + 1e-9))
-    if n < TOGETHER or m < 2:
+    if n < PER_QUANTILE or m < 2:
         return None
     quantiles = np.stack([_quantiles(x[:, j], share, m, half) for j in range(d)])
     b = min(CELLS, max(_FEWEST_CELLS, math.isqrt(n // _EVENTS_PER_CELL)))
-    places = [places_between(x[:, j], cell_edges(quantiles[j], b)) for j in range(d)]
+    numbers = [cell_numbers(x[:, j], cell_edges(quantiles[j], b)) for j in range(d)]
     ranks = np.column_stack([weighted_ranks(x[:, j], share) for j in range(d)])
     pairs = [(i, j) for i in range(d) for j in range(i + 1, d)]
     return SourceSummary(
@@ -163,15 +163,15 @@ def summarize(x: FloatArray, weight: FloatArray | None = None, *, names: tuple[s
         _rounded(1.0 / float((share**2).sum())),
         tuple(tuple(map(_rounded, row.tolist())) for row in quantiles),
         tuple(round(rank_correlation(ranks[:, i], ranks[:, j], share), 4) for i, j in pairs),
-        tuple(_cells(places[i], places[j], share, b) for i, j in pairs),
+        tuple(_cells(numbers[i], numbers[j], share, b) for i, j in pairs),
     )
 
 
 def summarize_events(events: Events, names: tuple[str, ...]) -> SourceSummary | None:
     """Sum up what a fit was made of; of more than 50,000 departures as many evenly spread rows."""
     rows = events.rows
-    if rows > _MOST_LOOKED_AT:
-        events = events.take(np.arange(_MOST_LOOKED_AT, dtype=np.int64) * rows // _MOST_LOOKED_AT)
+    if rows > _MOST_SUMMARIZED:
+        events = events.take(np.arange(_MOST_SUMMARIZED, dtype=np.int64) * rows // _MOST_SUMMARIZED)
     return summarize(events.x, events.weight, names=names)
 
 
@@ -182,18 +182,18 @@ def weighted_ranks(column: FloatArray, share: FloatArray) -> FloatArray:
     return np.asarray((np.cumsum(at) - 0.5 * at)[value])
 
 
-def rank_correlation(one: FloatArray, other: FloatArray, share: FloatArray) -> float:
+def rank_correlation(first: FloatArray, second: FloatArray, share: FloatArray) -> float:
     """Pearson's correlation of ranks (n,) with shares (n,); 0 where a column is constant."""
-    a, b = (ranks - np.einsum("i,i->", share, ranks) for ranks in (one, other))
+    a, b = (ranks - np.einsum("i,i->", share, ranks) for ranks in (first, second))
     size = math.sqrt(float(np.einsum("i,i,i->", share, a, a)) * float(np.einsum("i,i,i->", share, b, b)))
     return float(np.einsum("i,i,i->", share, a, b)) / size if size > 0.0 else 0.0
 
 
-def places_between(column: FloatArray, edges: FloatArray) -> IntArray:
+def cell_numbers(column: FloatArray, edges: FloatArray) -> IntArray:
     """Cell of each value, -1 outside."""
-    place = np.searchsorted(edges, column, side="right") - 1
-    place[(place >= edges.size - 1) | (place < 0)] = -1
-    return place.astype(np.int64)
+    number = np.searchsorted(edges, column, side="right") - 1
+    number[(number >= edges.size - 1) | (number < 0)] = -1
+    return number.astype(np.int64)
 
 
 def _quantiles(column: FloatArray, share: FloatArray, m: int, half: float) -> FloatArray:
@@ -208,11 +208,11 @@ def _quantiles(column: FloatArray, share: FloatArray, m: int, half: float) -> Fl
 
 
 def _cells(first: IntArray, second: IntArray, share: FloatArray, b: int) -> tuple[int, ...]:
-    seen = (first >= 0) & (second >= 0)
-    number = first[seen] * b + second[seen]
-    carried = np.bincount(number, share[seen], b * b)
-    carried[np.bincount(number, minlength=b * b) < LEAST_IN_CELL] = 0.0
-    return tuple(int(cell) for cell in np.floor(UNIT * carried + 1e-9))
+    inside = (first >= 0) & (second >= 0)
+    number = first[inside] * b + second[inside]
+    shares = np.bincount(number, share[inside], b * b)
+    shares[np.bincount(number, minlength=b * b) < LEAST_IN_CELL] = 0.0
+    return tuple(int(cell) for cell in np.floor(UNIT * shares + 1e-9))
 
 
 def _rounded(value: float) -> float:
@@ -225,14 +225,12 @@ class SideSummary:
 
     events: int  # Departures used
     n_components: tuple[int, ...]  # The K that were fitted
-    bic: tuple[float, ...]  # Criterion of each, lower is better
+    bic: tuple[float, ...]  # Bayesian information criterion of each, lower is better
     log_likelihood: tuple[float, ...]  # Per event [nats], of each
     converged: bool  # Whether the chosen fit reached its tolerance
     moved_inside: tuple[tuple[str, int], ...]  # Events that lay exactly on a bound, per parameter
     redrawn_share: float  # Share of drawn events that fall below the speed floor and are drawn again
     n_parameters: tuple[int, ...] = ()  # Free parameters of each K
-    aic: tuple[float, ...] = ()  # Other criterion of each K
-    criterion: str = ""  # By which K was taken; ``""`` where one K was fitted as requested
     reason: str = ""  # Why this K, as text
     failed: tuple[tuple[int, str], ...] = ()  # The K that could not be fitted, and why
     passes: int | None = None  # Of the chosen fit
@@ -251,10 +249,6 @@ class SideSummary:
 class FitSettings:
     """Settings of the fits, the same for both sides."""
 
-    criterion: str  # What K is chosen by
-    # The smallest K within this distance of the best criterion is taken; None: 10, in a model of an earlier version
-    slack: float | None
-    indifference: float  # The same in nats per event; the larger of the two counts
     prior_strength: float  # Pseudo-events per component
     tol: float  # Gain per pass [nats an event] below which a fit has converged
     n_init: int  # Starts

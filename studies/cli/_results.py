@@ -172,7 +172,7 @@ def rank_summary(
     content = {"event": "ranked"} | _found(results, ranking, manifest) | _judged(found)
     content |= {
         "baseline": None if baseline is None else ranking.designs[baseline].id,
-        "baseline_difference_m_s": None if winner is None else _number(ranking.baseline_difference[winner]),
+        "baseline_difference_m_s": None if winner is None else _number(ranking.inference.baseline_difference[winner]),
         "require": list(ranking.require),
         "not_ranked": [design.id for design, missed in zip(ranking.designs, ranking.unmet, strict=True) if missed],
         "pareto": list(ranking.pareto_metrics),
@@ -192,13 +192,14 @@ def _found(results: StudyResults, ranking: Ranking, manifest: Manifest) -> dict[
         "scenarios": len(results.scenarios),
         "failed_designs": len(results.failed),
         "winner": None if ranking.winner is None else _design(ranking, ranking.winner),
-        "set_of_best": [ranking.designs[i].id for i in range(len(ranking)) if ranking.set_of_best[i]],
+        "set_of_best": [ranking.designs[i].id for i in range(len(ranking)) if ranking.inference.set_of_best[i]],
     }
 
 
 def _design(ranking: Ranking, i: int) -> dict[str, Any]:
     design = ranking.designs[i]
-    scores = {name: getattr(ranking, name)[i] for name in ("S", "S_low", "S_high")} | {"S_fresh": ranking.fresh_S[i]}
+    S_low, S_high = ranking.inference.S_low[i], ranking.inference.S_high[i]
+    scores = {"S": ranking.metrics.S[i], "S_low": S_low, "S_high": S_high, "S_fresh": ranking.fresh.S[i]}
     return {
         "design": design.id,
         "law": design.law,

@@ -62,31 +62,33 @@ def run(chosen: argparse.Namespace) -> int:
     from ..storage.files import output_folder
 
     tests = [load_standard(name) for name in dict.fromkeys(chosen.standard or standard_names())]
-    subjects = [one for text in chosen.designs for one in _subjects(text, chosen)]
+    subjects = [assessment for text in chosen.designs for assessment in _subjects(text, chosen)]
     if not subjects:
         raise InputError(f"{' '.join(chosen.designs)}", "no design that intervenes", allowed="one or more")
     if chosen.output is not None:
         output_folder(Path(chosen.output))
-    found: list[tuple[str, Assessment]] = []
+    assessments: list[tuple[str, Assessment]] = []
     with progress_bar("assessing") as advance:
         for name, controller, y_s, setup in subjects:
             for test in tests:
                 if advance is not None:
-                    advance(len(found), len(subjects) * len(tests))
-                found.append((name, assess(controller, test, setup, y_s=y_s, tolerances=not chosen.no_tolerances)))
+                    advance(len(assessments), len(subjects) * len(tests))
+                assessments.append(
+                    (name, assess(controller, test, setup, y_s=y_s, tolerances=not chosen.no_tolerances))
+                )
     out = console()
-    print_table(scores(found), out, narrow=True)
-    for _, one in found if len(found) <= len(tests) else []:
-        say(out, f"{one.standard.name}: {score_text(one)}")
-        missed = [i for light in ("red", "amber") for i in range(one.cells.n) if one.lights[i] == light]
-        say(out, *(f"  {one.cells.name(i)}: {one.lights[i]}: {one.reason(i)}" for i in missed[:4]))
-        say(out, *(f"  not assessable: {what.what}: {what.why}" for what in one.standard.not_assessable))
+    print_table(scores(assessments), out, narrow=True)
+    for _, assessment in assessments if len(assessments) <= len(tests) else []:
+        say(out, f"{assessment.standard.name}: {score_text(assessment)}")
+        missed = [i for light in ("red", "amber") for i in range(assessment.cells.n) if assessment.lights[i] == light]
+        say(out, *(f"  {assessment.cells.name(i)}: {assessment.lights[i]}: {assessment.reason(i)}" for i in missed[:4]))
+        say(out, *(f"  not assessable: {what.what}: {what.why}" for what in assessment.standard.not_assessable))
     if chosen.output is not None:
         folder = Path(chosen.output)
-        write_predictions(found, folder / "predictions.csv")
-        page = write_assessment_page(found, folder / "assessment.html")
+        write_predictions(assessments, folder / "predictions.csv")
+        page = write_assessment_page(assessments, folder / "assessment.html")
         say(out, f"predictions: {folder / 'predictions.csv'}", f"page: {page}")
-    return 0 if all(one.passed.all() for _, one in found) else FAILS
+    return 0 if all(assessment.passed.all() for _, assessment in assessments) else FAILS
 
 
 def _subjects(text: str, chosen: argparse.Namespace) -> Iterator[Subject]:

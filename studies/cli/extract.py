@@ -100,7 +100,7 @@ def run(chosen: argparse.Namespace) -> int:
     try:
         with _console.progress_bar(f"reading {recordings.reader.name}") as progress:
             width = recordings.reader.vehicle_width if chosen.vehicle_width is None else chosen.vehicle_width
-            found = run_extraction(
+            extraction = run_extraction(
                 recordings,
                 Criteria(
                     width,
@@ -138,19 +138,19 @@ def run(chosen: argparse.Namespace) -> int:
         raise
 
     print(f"format: {recordings.reader.name} ({recordings.found})")
-    print_problems(found.problems, written=True)
-    for warning in found.warnings:
+    print_problems(extraction.problems, written=True)
+    for warning in extraction.warnings:
         _console.warn(warning)
-    print_extraction(found)
-    if len(found.departures) == 0:
+    print_extraction(extraction)
+    if len(extraction.departures) == 0:
         _console.warn("no departures were found")
-    print(f"{len(found.departures)} departures written to {target}")
+    print(f"{len(extraction.departures)} departures written to {target}")
     if page is not None:
         print(f"page about the extraction written to {page}")
-    return SOME_LEFT_OUT if found.problems else 0
+    return SOME_LEFT_OUT if extraction.problems else 0
 
 
-def _write_page(page: Path, target: Path, found: Extraction) -> None:
+def _write_page(page: Path, target: Path, extraction: Extraction) -> None:
     """Write the page while the finished parts are still there: the same command then goes on with it."""
     from ldctoolkit.errors import StoreError
 
@@ -158,7 +158,7 @@ def _write_page(page: Path, target: Path, found: Extraction) -> None:
 
     try:
         with _console.progress_bar("writing the page"):
-            write_extraction_page(page, found)
+            write_extraction_page(page, extraction)
     except StoreError as error:
         raise StoreError(f"{error}; the departures are written to {target}") from None
 
@@ -179,15 +179,15 @@ def print_problems(problems: Sequence[Problem], *, written: bool) -> None:
         _console.warn(f"and {more:,} more problems, {len(problems):,} in all{where}")
 
 
-def print_extraction(found: Extraction) -> None:
+def print_extraction(extraction: Extraction) -> None:
     """Candidates, departures by side, refused candidates by reason."""
     from ldctoolkit.departures import LEFT
 
-    driven = f"{found.hours:.1f} h, {found.distance / 1000.0:,.0f} km"
-    _console.console().print(f"{found.candidates} candidates in {found.recordings} recordings, {driven}")
-    left = int((found.departures.side == LEFT).sum())
-    rows = [Row(["departure, left", left]), Row(["departure, right", len(found.departures) - left])]
-    for k, (reason, count) in enumerate(found.refused.items()):
+    driven = f"{extraction.hours:.1f} h, {extraction.distance / 1000.0:,.0f} km"
+    _console.console().print(f"{extraction.candidates} candidates in {extraction.recordings} recordings, {driven}")
+    left = int((extraction.departures.side == LEFT).sum())
+    rows = [Row(["departure, left", left]), Row(["departure, right", len(extraction.departures) - left])]
+    for k, (reason, count) in enumerate(extraction.refused.items()):
         rows.append(Row([f"refused: {reason.replace('_', ' ')}", count], apart=k == 0))
     _console.print_table(Table("", [Column("candidate", text=True), Column("count")], rows))
 

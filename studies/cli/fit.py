@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import functools
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from ldctoolkit.errors import InputError, LdcError
 
@@ -24,7 +26,7 @@ def add_parser(commands: _console.Subparsers) -> None:
         "fit",
         help="fit a scenario model to departures",
         description="Fit one bounded Gaussian mixture a side to a departures table. Of a range of K (numbers of "
-        "components) the smallest is taken whose criterion is as good as the best. A page that shows how well the "
+        "components) the smallest is taken whose BIC is nearly as good as the best. A page that shows how well the "
         "model fits is written beside it.",
     )
     add = parser.add_argument
@@ -38,15 +40,6 @@ def add_parser(commands: _console.Subparsers) -> None:
         "--kind", choices=("auto", "mixture", "smoothed"), default="auto",
         help="what departures are generated from: the mixture, the smoothed departures themselves, or the latter where "
         "they are few and no mixture gives the recordings' answer (default: %(default)s)",
-    )  # fmt: skip
-    add("--criterion", choices=("bic", "aic"), default="bic", help="what K is chosen by (default: %(default)s)")
-    add(
-        "--slack", type=_console.number, default=10.0, metavar="X",
-        help="how far the smallest K may be from the best, in units of the criterion (default: 10)",
-    )  # fmt: skip
-    add(
-        "--indifference", type=_console.number, default=0.0, metavar="X",
-        help="the same in nats an event; the larger one counts (default: 0)",
     )  # fmt: skip
     add(
         "--bound", type=_console.bound, action="append", metavar="NAME=LOW:HIGH",
@@ -96,25 +89,49 @@ def transform(text: str) -> tuple[str, str]:
     return _console.named(text)
 
 
+_MOST_AT_ONCE: Final = 10  # fits: as many as there are K by default
+
+
 def run(chosen: argparse.Namespace) -> None:
     """Carry the command out."""
-    from ldctoolkit.scenario_model import read_all_departures
+    from ldctoolkit.departures import PARAMETER_NAMES
+    from ldctoolkit.mixture.checks import usable_cores
+    from ldctoolkit.scenario_model import fit_scenario_model, read_all_departures
+
+    from ..running.executors import make_executor
+    from ..running.work import closing, map_on
 
     target = _console.output_file(chosen.output, ".json")
     page = target.with_suffix(".html")
     if chosen.page and page.is_dir():
         raise InputError(page, "is a folder", allowed="a file to write the page to, or --no-page")
-    # The transform of all parameters, then those of single ones
-    from ldctoolkit.departures import PARAMETER_NAMES
-
-    pairs: list[tuple[str, str]] = chosen.transform or []
-    _console.each_once("--transform", pairs)
-    by_name = dict(pairs)
+    _console.each_once("--transform", chosen.transform)
+    by_name: dict[str, str] = dict(chosen.transform or ())
     transforms = dict.fromkeys(PARAMETER_NAMES, by_name.pop("", "none")) | by_name
     _console.each_once("--bound", chosen.bound)
     with _console.progress_bar("reading departures"):
         departures, provenance = read_all_departures(chosen.departures)
-    model = _fitted(chosen, departures, provenance, transforms)
+    # its processes start with the first fit that is sent to them
+    executor = make_executor(None, min(chosen.workers or usable_cores(), _MOST_AT_ONCE))
+    with _console.progress_bar("fitting") as advance, closing(executor):
+        model = fit_scenario_model(
+            departures,
+            components=chosen.components,
+            kind=chosen.kind,
+            plausibility=_console.plausibility(chosen.limit, provenance.criteria.plausibility),
+            seed=chosen.seed,
+            bounds=dict(chosen.bound or ()),
+            extraction=provenance.criteria,
+            transform=transforms,
+            prior_strength=chosen.prior_strength,
+            tol=chosen.tol,
+            n_init=chosen.n_init,
+            workers=chosen.workers,
+            fit_each=None if executor.name == "serial" else functools.partial(map_on, executor),
+            verbose=chosen.verbose,
+            source_provenance=_source(provenance),
+            progress=_without_text(advance),
+        )
     model.save(target)
     for warning in model.provenance.warnings:
         _console.warn(warning)
@@ -131,35 +148,11 @@ def run(chosen: argparse.Namespace) -> None:
                 out.print(f"{label}: {summary.fidelity.text}")
     print(f"scenario model written to {target} (content {model.content_hash[:12]})")
     if chosen.page:
-        _write_page(page, model, departures, chosen)
+        _write_page(page, model, departures, chosen.seed)
 
 
-def _fitted(
-    chosen: argparse.Namespace, departures: Departures, provenance: Provenance, transforms: dict[str, str]
-) -> ScenarioModel:
-    from ldctoolkit.scenario_model import fit_scenario_model
-
-    with _console.progress_bar("fitting") as advance:
-        return fit_scenario_model(
-            departures,
-            components=chosen.components,
-            kind=chosen.kind,
-            plausibility=_console.plausibility(chosen.limit, provenance.criteria.plausibility),
-            seed=chosen.seed,
-            bounds=dict(chosen.bound or ()),
-            extraction=provenance.criteria,
-            transform=transforms,
-            criterion=chosen.criterion,
-            slack=chosen.slack,
-            indifference=chosen.indifference,
-            prior_strength=chosen.prior_strength,
-            tol=chosen.tol,
-            n_init=chosen.n_init,
-            workers=chosen.workers,
-            verbose=chosen.verbose,
-            source_provenance=_source(provenance),
-            progress=None if advance is None else lambda _, done, total: advance(done, total),
-        )
+def _without_text(advance: Callable[[int, int], None] | None) -> Callable[[str, int, int], None] | None:
+    return None if advance is None else lambda _, done, total: advance(done, total)
 
 
 def _source(provenance: Provenance) -> dict[str, Any]:
@@ -177,19 +170,13 @@ def _source(provenance: Provenance) -> dict[str, Any]:
     }
 
 
-def _write_page(page: Path, model: ScenarioModel, departures: Departures, chosen: argparse.Namespace) -> None:
+def _write_page(page: Path, model: ScenarioModel, departures: Departures, seed: int) -> None:
     """Write the page; the model is kept also where there can be none."""
     from ..pages.fit_page import write_fit_page
 
     try:
         with _console.progress_bar("checking") as advance:
-            write_fit_page(
-                page,
-                model,
-                departures,
-                seed=chosen.seed,
-                progress=None if advance is None else lambda _, done, total: advance(done, total),
-            )
+            write_fit_page(page, model, departures, seed=seed, progress=_without_text(advance))
     except LdcError as error:
         _console.warn(f"no page about the fit: {error}")
     else:
@@ -197,10 +184,9 @@ def _write_page(page: Path, model: ScenarioModel, departures: Departures, chosen
 
 
 def _print_curve(summary: SideSummary, taken: int) -> None:
-    """Every K with its criteria; the one that was taken has a star."""
-    columns = [Column("K"), Column("p"), Column("log-likelihood an event", form=".4f"), Column("BIC", form=".1f"),
-               Column("AIC", form=".1f")]  # fmt: skip
-    numbers = summary.n_components, summary.n_parameters, summary.log_likelihood, summary.bic, summary.aic
+    """Every K with its BIC; the one that was taken has a star."""
+    columns = [Column("K"), Column("p"), Column("log-likelihood an event", form=".4f"), Column("BIC", form=".1f")]
+    numbers = summary.n_components, summary.n_parameters, summary.log_likelihood, summary.bic
     rows = [
         Row([f"{K}{' *' if taken == K else '  '}", *row], "winner" if taken == K else "")
         for K, *row in zip(*numbers, strict=True)
@@ -225,13 +211,10 @@ def _add_sample(commands: _console.Subparsers) -> None:
     parser.add_argument("--left", type=_console.whole_number, metavar="N", help="departures to the left")
     parser.add_argument("--right", type=_console.whole_number, metavar="N", help="departures to the right")
     parser.add_argument(
-        "--given",
-        type=_console.condition,
-        action="append",
-        metavar="NAME=LOW:HIGH",
+        "--given", type=_console.condition, action="append", metavar="NAME=LOW:HIGH",
         help="only departures with this parameter between two values in SI units (an empty end is open), or at one: "
         "NAME=VALUE; repeatable",
-    )
+    )  # fmt: skip
     parser.add_argument("--seed", type=_console.whole_number, default=0, metavar="N", help="random seed (default: 0)")
     parser.add_argument("-o", "--output", required=True, metavar="FILE", help="table to write, .parquet or .csv")
     parser.set_defaults(run=sample)
@@ -265,9 +248,9 @@ def _numbers(chosen: argparse.Namespace) -> tuple[int, int]:
     elif chosen.left is None and chosen.right is None:
         left, right = (chosen.n + 1) // 2, chosen.n // 2
     else:
-        raise InputError("-n goes with neither --left nor --right")
+        raise InputError("-n", "goes with neither --left nor --right")
     if max(left, right) > _MOST:
-        raise InputError(f"{max(left, right)} departures to one side; allowed: up to {_MOST}")
+        raise InputError("departures to one side", value=max(left, right), allowed=f"up to {_MOST}")
     if left + right == 0:
-        raise InputError("no departures requested", "give -n, or --left and --right")
+        raise InputError("-n", "no departures requested", hint="give -n, or --left and --right")
     return left, right

@@ -91,10 +91,10 @@ def _of_folder(chosen: argparse.Namespace) -> Iterator[Subject]:
     from ..requirements import G, metric_values
     from ._results import judged
 
-    there = judged(chosen.design)
-    ranking, only = there.ranking, chosen.only or there.design.id
-    for subject in _of_study(there.study, argparse.Namespace(**{**vars(chosen), "only": only})):
-        found = []
+    judgement = judged(chosen.design)
+    ranking, only = judgement.ranking, chosen.only or judgement.design.id
+    for subject in _of_study(judgement.study, argparse.Namespace(**{**vars(chosen), "only": only})):
+        findings = []
         for place, design in enumerate(ranking.designs):
             if design.id not in subject.ids:
                 continue
@@ -103,12 +103,12 @@ def _of_folder(chosen: argparse.Namespace) -> Iterator[Subject]:
             if peak > most:
                 text = f"In the stored results a_y reaches {peak:.3g} m/s^2 ({peak / G:.2g} g)"
                 text += f", friction allows {most:.3g} m/s^2"
-                found.append(Finding("fault", "friction", text, peak, most, math.nan))
+                findings.append(Finding("fault", "friction", text, peak, most, math.nan))
             if lost:
                 text = f"In the stored results {lost:.0f} of {ranking.scenarios} departures diverged"
                 text += ", though friction allows their path"
-                found.append(Finding("fault", "diverged", text, lost, 0.0, math.nan))
-        yield dataclasses.replace(subject, stored=tuple(found))
+                findings.append(Finding("fault", "diverged", text, lost, 0.0, math.nan))
+        yield dataclasses.replace(subject, stored=tuple(findings))
 
 
 def _law(chosen: argparse.Namespace) -> Subject:
@@ -297,12 +297,12 @@ def run(chosen: argparse.Namespace) -> int:
     from ..storage.files import write_text
 
     target = None if chosen.json is None else output_file(chosen.json, ".json", option="--json")
-    wanted = subjects(chosen)
+    designs = subjects(chosen)
     reviewed: Reviewed = []
     with progress_bar("reviewing") as advance:
-        for done, subject in enumerate(wanted):
+        for done, subject in enumerate(designs):
             if advance is not None:
-                advance(done, len(wanted))
+                advance(done, len(designs))
             reviewed.append((subject.label, subject.ids, reviewed_design(subject)))
     label, _, first = reviewed[0]
     if len(reviewed) > 1:
@@ -311,17 +311,17 @@ def run(chosen: argparse.Namespace) -> int:
         print(label)
     else:
         print_table(_of_speeds(label, first.loop, first.dt))
-    for label, _, found in reviewed:
+    for label, _, review in reviewed:
         if len(reviewed) > 1:
             print(f"\n{label}")
-        for finding in found.findings:
+        for finding in review.findings:
             print(f"{finding.severity}: {finding.sentence}")
-        if not found.findings:
+        if not review.findings:
             print("no findings")
     if target is not None:
         write_text(target, to_json(reviewed))
         print(f"written to {target}")
-    return FAULT if any(found.faults for _, _, found in reviewed) else 0
+    return FAULT if any(review.faults for _, _, review in reviewed) else 0
 
 
 _COLUMNS: Final = {

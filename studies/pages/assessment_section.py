@@ -45,90 +45,91 @@ def section(context: Context) -> Section | None:
         body += paragraphs("As stated only, since the law takes long: ldc assess drives the corners too.")
     for name in names:
         try:
-            found = assess(design.controller(setup.convention), name, setup, y_s=design.y_s, tolerances=not slow)
+            assessment = assess(design.controller(setup.convention), name, setup, y_s=design.y_s, tolerances=not slow)
         except LdcError as error:
             body += paragraphs(f"{name}: {error}.")
         else:
-            body += Markup("<h3>{}</h3>").format(found.standard.title) + assessed(found)
+            body += Markup("<h3>{}</h3>").format(assessment.standard.title) + assessed(assessment)
     return Section("standards", "Standards", body, printed=True)
 
 
-def assessed(found: Assessment) -> Markup:
+def assessed(assessment: Assessment) -> Markup:
     """One design in one test."""
-    standard = found.standard
+    standard = assessment.standard
     return (
-        paragraphs(*_sentences(found))
-        + Markup("").join(_grids(found))
-        + bullets(_reasons(found))
+        paragraphs(*_sentences(assessment))
+        + Markup("").join(_grids(assessment))
+        + bullets(_reasons(assessment))
         + bullets(f"Not assessable: {one.what}. Why: {one.why}." for one in standard.not_assessable)
         + paragraphs(f"Source{' (second hand)' if standard.second_hand else ''}: {standard.source}.")
     )
 
 
-def score_text(found: Assessment) -> str:
+def score_text(assessment: Assessment) -> str:
     """The scores in a line."""
-    tested = len(found.variants) > 1
-    robust = f", {percent(found.robust_score, 0)} at every corner" if tested else ""
-    extended = found.extended_score
+    tested = len(assessment.variants) > 1
+    robust = f", {percent(assessment.robust_score, 0)} at every corner" if tested else ""
+    extended = assessment.extended_score
     points = "" if math.isnan(extended) else f"; extended range {percent(extended, 0)} of its points"
-    return f"{percent(found.score, 0)} of the standard cells pass as stated{robust}{points}"
+    return f"{percent(assessment.score, 0)} of the standard cells pass as stated{robust}{points}"
 
 
-def _sentences(found: Assessment) -> Iterator[str]:
-    yield f"{score_text(found)}."
-    if len(found.variants) > 1:
+def _sentences(assessment: Assessment) -> Iterator[str]:
+    yield f"{score_text(assessment)}."
+    if len(assessment.variants) > 1:
         yield (
-            f"Corners: {plural(len(found.variants) - 1, 'variant')} of speed, lateral velocity, vehicle and camera "
-            "noise. In each cell stand the value as stated and, in brackets, the worst one; a dash where the condition "
-            "does not apply."
+            f"Corners: {plural(len(assessment.variants) - 1, 'variant')} of speed, lateral velocity, vehicle and "
+            "camera noise. In each cell stand the value as stated and, in brackets, the worst one; a dash where the "
+            "condition does not apply."
         )
-    if solves := int(found.failed_solves.sum()):
+    if solves := int(assessment.failed_solves.sum()):
         yield f"{plural(solves, 'command')} came from a law's fallback."
 
 
-def _grids(found: Assessment) -> Iterator[Markup]:
+def _grids(assessment: Assessment) -> Iterator[Markup]:
     """A table for each set of columns: speeds down, lateral velocities or accelerations across."""
-    cells, place = found.cells, {}
+    cells, at = assessment.cells, {}
     for i in range(cells.n):
-        place[float(cells.speed[i]), float(cells.second[i])] = i
+        at[float(cells.speed[i]), float(cells.second[i])] = i
     shapes: dict[tuple[float, ...], list[float]] = {}
     for speed in np.unique(cells.speed).tolist():
-        own = tuple(sorted(second for other, second in place if other == speed))
-        shapes.setdefault(own, []).append(speed)
+        seconds = tuple(sorted(second for other, second in at if other == speed))
+        shapes.setdefault(seconds, []).append(speed)
     for seconds, speeds in shapes.items():
-        unit = "m/s\u00b2" if cells.bend[place[speeds[0], seconds[0]]] else "m/s"
+        unit = "m/s\u00b2" if cells.bend[at[speeds[0], seconds[0]]] else "m/s"
         columns = [Column("Speed", "km/h"), *(Column(f"{second:g}", unit) for second in seconds)]
-        rows = [Row([f"{speed / KM_H:.0f}", *(_cell(found, place[speed, v]) for v in seconds)]) for speed in speeds]
+        rows = [Row([f"{speed / KM_H:.0f}", *(_cell(assessment, at[speed, v]) for v in seconds)]) for speed in speeds]
         titles = (
-            f"{QUANTITIES[one.quantity].title} [{QUANTITIES[one.quantity].unit}]" for one in found.standard.condition
+            f"{QUANTITIES[condition.quantity].title} [{QUANTITIES[condition.quantity].unit}]"
+            for condition in assessment.standard.condition
         )
         yield to_html(Table("; ".join(titles), columns, rows))
 
 
-def _cell(found: Assessment, i: int) -> Cell:
-    kind, symbol, meaning = _SHOWN[found.lights[i]]
+def _cell(assessment: Assessment, i: int) -> Cell:
+    kind, symbol, meaning = _SHOWN[assessment.lights[i]]
     parts = []
-    for c, one in enumerate(found.standard.condition):
-        digits, value = QUANTITIES[one.quantity].digits, float(found.values[0, c, i])
-        worst = float(found.worst(c)[0][i])
-        more = f"\u00a0({number(worst, digits)})" if len(found.variants) > 1 and math.isfinite(worst) else ""
+    for c, condition in enumerate(assessment.standard.condition):
+        digits, value = QUANTITIES[condition.quantity].digits, float(assessment.values[0, c, i])
+        worst = float(assessment.worst(c)[0][i])
+        more = f"\u00a0({number(worst, digits)})" if len(assessment.variants) > 1 and math.isfinite(worst) else ""
         parts.append(number(value, digits) + more)
     mark = Markup('<span class="light {}" role="img" aria-label="{}">{}</span> {}')
     return Cell(text=mark.format(kind, meaning, symbol, symbols("; ".join(parts))))
 
 
-def _reasons(found: Assessment) -> Iterator[str]:
+def _reasons(assessment: Assessment) -> Iterator[str]:
     """Why cells are not green, red ones first."""
     for light in ("red", "amber"):
-        some = [i for i in range(found.cells.n) if found.lights[i] == light]
-        for i in some[:MOST_REASONS]:
-            extended = ", extended" if found.cells.extended[i] else ""
-            yield f"{found.cells.name(i)}{extended}: {light}. {found.reason(i)}."
-        if len(some) > MOST_REASONS:
-            yield f"And {len(some) - MOST_REASONS} more {light} cells."
+        cells = [i for i in range(assessment.cells.n) if assessment.lights[i] == light]
+        for i in cells[:MOST_REASONS]:
+            extended = ", extended" if assessment.cells.extended[i] else ""
+            yield f"{assessment.cells.name(i)}{extended}: {light}. {assessment.reason(i)}."
+        if len(cells) > MOST_REASONS:
+            yield f"And {len(cells) - MOST_REASONS} more {light} cells."
 
 
-def scores(found: Sequence[tuple[str, Assessment]]) -> Table:
+def scores(assessments: Sequence[tuple[str, Assessment]]) -> Table:
     """The scores of named designs in tests; at every corner of the tolerances, where they were driven."""
     columns = [
         Column("Design", text=True), Column("Test", text=True), Column("Standard cells", "%", ".0f"),
@@ -136,25 +137,27 @@ def scores(found: Sequence[tuple[str, Assessment]]) -> Table:
         Column("Red"),
     ]  # fmt: skip
     rows = []
-    for name, one in found:
-        robust = one.robust_score if len(one.variants) > 1 else math.nan
-        shares = [100.0 * share for share in (one.score, robust, one.extended_score)]
-        rows.append(Row([name, one.standard.name, *shares, *(one.lights.count(light) for light in _SHOWN)]))
+    for name, assessment in assessments:
+        robust = assessment.robust_score if len(assessment.variants) > 1 else math.nan
+        shares = [100.0 * share for share in (assessment.score, robust, assessment.extended_score)]
+        rows.append(
+            Row([name, assessment.standard.name, *shares, *(assessment.lights.count(light) for light in _SHOWN)])
+        )
     return Table("Each design in each test", columns, rows)
 
 
-def write_assessment_page(found: Sequence[tuple[str, Assessment]], path: str | Path) -> Path:
+def write_assessment_page(assessments: Sequence[tuple[str, Assessment]], path: str | Path) -> Path:
     """Write the page of named designs in tests: one HTML file that needs nothing else, whole or not at all."""
-    sections = [Section("verdict", "Scores", to_html(scores(found)))]
-    several = len({name for name, _ in found}) > 1
-    for k, (name, one) in enumerate(found, 1):
-        title = f"{name}: {one.standard.title}" if several else one.standard.title
-        sections.append(Section(f"test-{k}", title, assessed(one)))
+    sections = [Section("verdict", "Scores", to_html(scores(assessments)))]
+    several = len({name for name, _ in assessments}) > 1
+    for k, (name, assessment) in enumerate(assessments, 1):
+        title = f"{name}: {assessment.standard.title}" if several else assessment.standard.title
+        sections.append(Section(f"test-{k}", title, assessed(assessment)))
     html = make_page(
         kind="Lane departure correction: tests of regulations and Euro NCAP",
         title="Tests of designs",
         heading="Tests of designs",
-        facts=(plural(len({name for name, _ in found}), "design"), plural(len(found), "assessment")),
+        facts=(plural(len({name for name, _ in assessments}), "design"), plural(len(assessments), "assessment")),
         sections=sections,
         footer=f"Predicted by simulation. ldctoolkit {__version__}.",
     )

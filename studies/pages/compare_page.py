@@ -154,10 +154,19 @@ def _charts(comparison: Comparison) -> Iterator[Chart]:
         yield dots("changes", f"{label}: differences of mean S", rows, axis, at=0.0, at_text="no change")
     clouds = []
     for verdict, style in _STYLES.items():
-        own = np.array([i for i in range(len(comparison)) if S.verdict[i] is verdict], dtype=np.int64)
-        if own.size:
-            tips = tuple(f"{comparison.designs[i].label}: {PHRASES[verdict]}" for i in own)
-            clouds.append(Series(PHRASES[verdict], S.S_old[own], S.S_new[own], style, kind="points", tips=tips))
+        rows_of_verdict = np.array([i for i in range(len(comparison)) if S.verdict[i] is verdict], dtype=np.int64)
+        if rows_of_verdict.size:
+            tips = tuple(f"{comparison.designs[i].label}: {PHRASES[verdict]}" for i in rows_of_verdict)
+            clouds.append(
+                Series(
+                    PHRASES[verdict],
+                    S.S_old[rows_of_verdict],
+                    S.S_new[rows_of_verdict],
+                    style,
+                    kind="points",
+                    tips=tips,
+                )
+            )
     both = Axis.around("", S.S_old, S.S_new)
     x, y = Axis("Old mean S [m\u00b7s]", both.low, both.high), Axis("New mean S [m\u00b7s]", both.low, both.high)
     title = f"{label}: old against new mean S"

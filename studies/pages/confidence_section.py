@@ -26,10 +26,10 @@ def section(context: Context) -> Section:
     body += figure(
         charts,
         f"Left: mean S with its {percent(context.ranking.confidence, 0)} interval, for all designs at once"
-        f"{'; open: on the fresh scenarios' if context.ranking.fresh_scenarios else ''}. Right: mean S over the first "
+        f"{'; open: on the fresh scenarios' if context.ranking.fresh.scenarios else ''}. Right: mean S over the first "
         "scenarios, with 1.96 standard errors of each point.",
     )
-    if context.ranking.fresh_scenarios:
+    if context.ranking.fresh.scenarios:
         body += to_html(_finalists(context.ranking))
     return Section("confidence", "Confidence", body, charts)
 
@@ -38,18 +38,19 @@ def _sentences(context: Context) -> Iterator[str]:
     ranking = context.ranking
     level = percent(ranking.confidence, 0)
     yield context.model_sentence
-    rivals = [i for i in range(1, ranking.ranked) if math.isfinite(ranking.difference[i])]
+    rivals = [i for i in range(1, ranking.ranked) if math.isfinite(ranking.inference.difference[i])]
     if not rivals:
         return
     second = rivals[0]
     name = design_name(ranking.designs[second])
     away, low, high = (
-        float(one[second]) for one in (ranking.difference, ranking.difference_low, ranking.difference_high)
+        float(one[second])
+        for one in (ranking.inference.difference, ranking.inference.difference_low, ranking.inference.difference_high)
     )
     between = (
         f" ({level} interval {difference_text(low)} to {difference_text(high)})" if math.isfinite(low + high) else ""
     )
-    separated = not ranking.set_of_best[second]
+    separated = not ranking.inference.set_of_best[second]
     yield (
         f"Second: {name}, {difference_text(away)} m\u00b7s from rank 1{between}; "
         f"{'the scenarios separate the two' if separated else 'the scenarios do not separate the two'}."
@@ -61,14 +62,14 @@ def _sentences(context: Context) -> Iterator[str]:
         yield f"If the difference seen is the true one, {about} scenarios separate them with even chances."
     other = next((i for i in rivals if ranking.designs[i].law != ranking.designs[0].law), None)
     if other is not None and other != second:
-        apart = "separated from" if not ranking.set_of_best[other] else "not separated from"
+        apart = "separated from" if not ranking.inference.set_of_best[other] else "not separated from"
         yield (
             f"Best of another law: {design_name(ranking.designs[other])}, "
-            f"{difference_text(float(ranking.difference[other]))} "
+            f"{difference_text(float(ranking.inference.difference[other]))} "
             f"m\u00b7s from rank 1, {apart} it."
         )
     i = ranking.winner
-    if i is not None and math.isfinite(ranking.optimism[i]):
+    if i is not None and math.isfinite(ranking.fresh.optimism[i]):
         yield optimism_text(ranking, i, "m\u00b7s")
 
 
@@ -83,13 +84,14 @@ def _charts(context: Context) -> Iterator[Chart]:
     rows = []
     for i in sorted(shown):
         name, style = design_name(ranking.designs[i]), context.style(i)
-        own = [Dot(name, float(ranking.S[i]), float(ranking.S_low[i]), float(ranking.S_high[i]), style)]
-        if math.isfinite(ranking.fresh_S[i]):
-            S, low, high = (float(one[i]) for one in (ranking.fresh_S, ranking.fresh_low, ranking.fresh_high))
-            own.append(Dot(name, S, low, high, style, open=True))
-        rows.append(own)
+        S, low, high = (float(v[i]) for v in (ranking.metrics.S, ranking.inference.S_low, ranking.inference.S_high))
+        dots_of_row = [Dot(name, S, low, high, style)]
+        if math.isfinite(ranking.fresh.S[i]):
+            S, low, high = (float(v[i]) for v in (ranking.fresh.S, ranking.fresh.low, ranking.fresh.high))
+            dots_of_row.append(Dot(name, S, low, high, style, open=True))
+        rows.append(dots_of_row)
     ends = [value for row in rows for one in row for value in (one.value, one.low, one.high)]
-    level = float(ranking.S_uncorrected[context.shown])
+    level = float(ranking.metrics.S_uncorrected[context.shown])
     near = [level] if level < 2.0 * max((v for v in ends if math.isfinite(v)), default=0.0) else []
     yield dots("intervals", "Mean S with intervals", rows, Axis.around("Mean S [m\u00b7s]", ends, near),
                at=level if near else None, at_text="no control")  # fmt: skip
@@ -140,24 +142,24 @@ def _finalists(ranking: Ranking) -> Table:
         Column("Difference from rank 1", "m\u00b7s", difference_text),
         Column("Requirements missed on fresh scenarios", text=True),
     ]  # fmt: skip
-    title = f"Finalists on {plural(ranking.fresh_scenarios, 'fresh scenario')}"
-    if ranking.replayed_departures:
-        title += f", and on {plural(ranking.replayed_departures, 'replayed departure')}"
+    title = f"Finalists on {plural(ranking.fresh.scenarios, 'fresh scenario')}"
+    if ranking.replayed.departures:
+        title += f", and on {plural(ranking.replayed.departures, 'replayed departure')}"
         columns += [Column("Replayed S", "m\u00b7s", ".3f"), Column(interval, "m\u00b7s", ".3f"),
                     Column("Less", "%", ".1f")]  # fmt: skip
     numbers = np.stack([
-        ranking.S, ranking.fresh_S, ranking.fresh_low, ranking.fresh_high, ranking.fresh_difference,
-        ranking.replayed_S, ranking.replayed_low, ranking.replayed_high, 100.0 * ranking.replayed_reduction,
+        ranking.metrics.S, ranking.fresh.S, ranking.fresh.low, ranking.fresh.high, ranking.fresh.difference,
+        ranking.replayed.S, ranking.replayed.low, ranking.replayed.high, 100.0 * ranking.replayed.reduction,
     ], axis=1)  # fmt: skip
     rows = []
-    for i in np.flatnonzero(np.isfinite(ranking.fresh_S)).tolist():
+    for i in np.flatnonzero(np.isfinite(ranking.fresh.S)).tolist():
         S, fresh, low, high, to_first, *replayed = numbers[i].tolist()
-        unmet = ", ".join(ranking.fresh_unmet[i])
+        unmet = ", ".join(ranking.fresh.unmet[i])
         cells = [
             int(ranking.rank[i]) or DASH, design_name(ranking.designs[i]), S, fresh, (low, high), to_first,
             Cell(unmet or "nothing", bad=bool(unmet)),
         ]  # fmt: skip
-        if ranking.replayed_departures:
+        if ranking.replayed.departures:
             cells += [replayed[0], (replayed[1], replayed[2]), replayed[3]]
         rows.append(Row(cells, "winner" if i == ranking.winner else ""))
     return Table(title, columns, rows, head=1)

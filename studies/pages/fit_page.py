@@ -11,9 +11,7 @@ from markupsafe import Markup
 
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.departures import PARAMETER_NAMES, Departures
-from ldctoolkit.diagnostics import ModelDiagnostics, SideDiagnostics, diagnose_model
-from ldctoolkit.diagnostics._marginals import strip_is_off
-from ldctoolkit.diagnostics.diagnosis import N_MODEL
+from ldctoolkit.diagnostics import N_MODEL, Calibration, ModelDiagnostics, PairDensity, SideDiagnostics, diagnose_model
 from ldctoolkit.scenario_model import ScenarioModel, SideModel, SideSummary
 from ldctoolkit.scenario_model.fidelity import QUANTITIES, UNITS
 from ldctoolkit.version import __version__
@@ -21,9 +19,9 @@ from ldctoolkit.version import __version__
 from ..storage.files import write_text
 from ..storage.stored_model import model_notes
 from ..tables import Cell, Column, Row, Table, Value, to_html
-from ..text import PARAMETER_MEANINGS, compact, number, parameter_label, percent, plural, symbols
-from .charts import Axis, Chart, Dot, Series, Style, bars, dots, heat_map, legend
-from .shell import Section, bullets, details, figure, make_page, pairs, paragraphs
+from ..text import PARAMETER_MEANINGS, compact, number, parameter_label, plural, symbols
+from .charts import Axis, Chart, Series, Style, bars, heat_map, legend
+from .shell import Section, bullets, figure, make_page, pairs, paragraphs
 
 Progress = Callable[[str, int, int], None]
 
@@ -43,17 +41,22 @@ class Side:
     key: str
     model: SideModel
     summary: SideSummary | None
-    found: SideDiagnostics
+    diagnostics: SideDiagnostics
+
+    @property
+    def title(self) -> str:
+        """The key, capitalised."""
+        return self.key.capitalize()
 
     @property
     def K(self) -> int:
         """Components."""
-        return len(self.found.components)
+        return int(self.model.mixture.weights_.size)
 
     @property
     def misfits(self) -> list[str]:
         """Parameters whose distribution is clearly not that of the events."""
-        return [c.name for c in self.found.calibrations if c.distance > max(c.limit, CLEAR)]
+        return [c.name for c in self.diagnostics.calibrations if c.distance > max(c.limit, CLEAR)]
 
 
 def write_fit_page(
@@ -63,20 +66,19 @@ def write_fit_page(
     *,
     seed: int = 0,
     weights: npt.ArrayLike | None = None,
-    drawn: bool = False,
     progress: Progress | None = None,
 ) -> None:
     """Check a model against the departures that it was fitted to, and write the page."""
-    events = N_MODEL if departures.n > FEW_TO_DRAW else N_MODEL // 4
-    found = diagnose_model(model, departures, seed=seed, weights=weights, n_model=events, progress=progress)
-    write_text(Path(target), fit_page(model, found, seed=seed, drawn=drawn))
+    n = N_MODEL if departures.n > FEW_TO_DRAW else N_MODEL // 4
+    diagnostics = diagnose_model(model, departures, seed=seed, weights=weights, n_model=n, progress=progress)
+    write_text(Path(target), fit_page(model, diagnostics, seed=seed))
 
 
-def fit_page(model: ScenarioModel, found: ModelDiagnostics, *, seed: int, drawn: bool = False) -> str:
+def fit_page(model: ScenarioModel, diagnostics: ModelDiagnostics, *, seed: int) -> str:
     """The page as one HTML document; the same input gives the same text."""
     origin = model.provenance
-    left = Side("left", model.left_side, origin.left, found.left)
-    right = Side("right", model.right_side, origin.right, found.right)
+    left = Side("left", model.left_side, origin.left, diagnostics.left)
+    right = Side("right", model.right_side, origin.right, diagnostics.right)
     sides = (left, right)
     source = _source_line(model)
     return make_page(
@@ -84,18 +86,15 @@ def fit_page(model: ScenarioModel, found: ModelDiagnostics, *, seed: int, drawn:
         title=f"Scenario model {model.content_hash[:12]}: how well it fits",
         heading="How well the model fits",
         facts=[
-            *(f"{side.key}: {plural(side.found.events, 'departure')}, K = {side.K}" for side in sides),
+            *(f"{side.key}: {plural(side.diagnostics.events, 'departure')}, K = {side.K}" for side in sides),
             f"model {model.content_hash[:12]}",
             *([source] if source else []),
         ],
         sections=[
-            _verdict(model, sides, drawn=drawn),
+            _verdict(model, sides),
             _fidelity(sides),
             _margins(sides),
             _joint(sides),
-            _calibration(sides),
-            _bounds(sides),
-            _components(sides),
             _selection(sides),
             _settings(model, sides, seed),
         ],
@@ -109,9 +108,9 @@ def fit_page(model: ScenarioModel, found: ModelDiagnostics, *, seed: int, drawn:
 
 def side_verdict(side: Side) -> str:
     """What a side of the model is good enough for: first of all, whether designs do on it as on its recordings."""
-    n, misfits = side.found.effective_events, side.misfits
+    n, misfits = side.diagnostics.effective_events, side.misfits
     fidelity = None if side.summary is None else side.summary.fidelity
-    name = f"{side.key.capitalize()}:" if fidelity is None else f"{side.key.capitalize()}: {fidelity.text}."
+    name = f"{side.title}:" if fidelity is None else f"{side.title}: {fidelity.text}."
     if fidelity is not None and not fidelity.passed:
         return name
     if fidelity is None and n < FEW:
@@ -130,10 +129,9 @@ def side_verdict(side: Side) -> str:
     return f"{name} Good enough for comparing designs, in their mean S and in the worst 5 % of departures."
 
 
-def _verdict(model: ScenarioModel, sides: tuple[Side, ...], *, drawn: bool) -> Section:
-    warnings = fit_warnings(model, sides, drawn=drawn)
+def _verdict(model: ScenarioModel, sides: tuple[Side, ...]) -> Section:
     body = Markup("").join(Markup('<p class="verdict">{}</p>').format(symbols(side_verdict(side))) for side in sides)
-    body += bullets(warnings, "warnings") or paragraphs("No warnings: no check of this page found anything.")
+    body += bullets(fit_warnings(model, sides), "warnings") or paragraphs("No warnings: all checks passed.")
     body += paragraphs(
         "Unless a warning says otherwise the model is checked against the departures that it was fitted to: a misfit "
         "is certain, a good fit is weaker evidence than fresh departures would give."
@@ -141,28 +139,26 @@ def _verdict(model: ScenarioModel, sides: tuple[Side, ...], *, drawn: bool) -> S
     return Section("verdict", "Verdict", body, printed=True)
 
 
-def fit_warnings(model: ScenarioModel, sides: tuple[Side, ...], *, drawn: bool = False) -> list[str]:
-    """Warnings of the diagnosis and those that the model carries; those of both sides together, nothing twice."""
+def fit_warnings(model: ScenarioModel, sides: tuple[Side, ...]) -> list[str]:
+    """Warnings of the diagnosis and those that the model carries; what holds for both sides is said once."""
     origin = model.provenance
-    found: dict[str, list[str]] = {}
+    sides_of: dict[str, list[str]] = {}
     for side in sides:
-        summary = side.summary
-        if summary is not None and summary.events != side.found.events + sum(n for _, n in side.found.outside):
-            others = "of them, drawn at random" if drawn else "others"
+        summary, diagnostics = side.summary, side.diagnostics
+        if summary is not None and summary.events != diagnostics.events + sum(n for _, n in diagnostics.outside):
             text = (
                 f"the model was fitted to {summary.events:,} departures and is checked here against "
-                f"{side.found.events:,} {others}"
+                f"{diagnostics.events:,} others"
             )
-            found.setdefault(text, []).append(side.key)
-        for warning in side.found.warnings:
-            found.setdefault(warning.removeprefix(f"{side.key}: "), []).append(side.key)
+            sides_of.setdefault(text, []).append(side.key)
+        for warning in diagnostics.warnings:
+            sides_of.setdefault(warning.removeprefix(f"{side.key}: "), []).append(side.key)
     lines = (
         ["the model is synthetic: it was fitted to invented, not to recorded departures"] if origin.synthetic else []
     )
-    lines += [f"{' and '.join(keys)}: {text}" for text, keys in found.items()]
-    # of components and of the fit's end the diagnosis has spoken
-    covered = tuple(f"{side.key}: {start}" for side in sides for start in ("Component", "Not converged"))
-    return list(dict.fromkeys((*lines, *(one for one in origin.warnings if not one.startswith(covered)))))
+    lines += [f"{' and '.join(keys)}: {text}" for text, keys in sides_of.items()]
+    covered = tuple(f"{side.key}: Not converged" for side in sides)  # by the diagnosis
+    return list(dict.fromkeys((*lines, *(text for text in origin.warnings if not text.startswith(covered)))))
 
 
 def _source_line(model: ScenarioModel) -> str:
@@ -194,26 +190,26 @@ def _fidelity(sides: tuple[Side, ...]) -> Section:
         columns += [Column(name.capitalize(), unit.replace("^2", "\u00b2") or "%"), Column("Replay", text=True)]
     body = Markup()
     for side in sides:
-        found = None if side.summary is None else side.summary.fidelity
-        if found is None:
-            body += paragraphs(f"{side.key.capitalize()}: the model was not checked when it was fitted.")
+        fidelity = None if side.summary is None else side.summary.fidelity
+        if fidelity is None:
+            body += paragraphs(f"{side.title}: the model was not checked when it was fitted.")
             continue
         rows = []
-        for i, design in enumerate(found.designs):
+        for i, design in enumerate(fidelity.designs):
             cells: list[Cell | Value] = [design]
             for j, factor in enumerate(scale):
-                once, low, high, generated = (
+                replayed, low, high, generated = (
                     number(factor * values[i][j], 1 if factor > 1.0 else 2)
-                    for values in (found.replayed, found.low, found.high, found.generated)
+                    for values in (fidelity.replayed, fidelity.low, fidelity.high, fidelity.generated)
                 )
-                cells += [Cell(generated, bad=not found.within[i, j]), f"{once} ({low} to {high})"]
+                cells += [Cell(generated, bad=not fidelity.within[i, j]), f"{replayed} ({low} to {high})"]
             rows.append(Row(tuple(cells)))
-        title = f"{side.key.capitalize()}: generated departures, and {found.departures:,} replayed ones"
+        title = f"{side.title}: generated departures, and {fidelity.departures:,} replayed ones"
         body += to_html(Table(title, columns, rows))
     note = (
         "Each test design is driven on the recorded departures and on generated ones. In brackets: 95 % bootstrap "
         "interval of the replay, for all test designs at once, and no narrower than what a designer would act on (3 "
-        "points of a share, 5 % of a peak). Set off: outside. A model passes where none is."
+        "points of a share, 5 % of a peak). Highlighted: outside. A model passes where no answer is."
     )
     return Section("fidelity", "The recordings' answer", body + paragraphs(note))
 
@@ -221,204 +217,104 @@ def _fidelity(sides: tuple[Side, ...]) -> Section:
 def _margins(sides: tuple[Side, ...]) -> Section:
     body = legend([("events, left", SIDE["left"]), ("events, right", SIDE["right"]), ("model", MODEL)])
     for side in sides:
-        charts = []
-        for one, calibration in zip(side.found.marginals, side.found.calibrations, strict=True):
-            title = (
-                f"{side.key}: {one.name}, {PARAMETER_MEANINGS.get(one.name, '')}; Kolmogorov distance "
-                f"{percent(calibration.distance, 2)}"
+        charts = [
+            bars(
+                f"margin-{side.key}-{one.name}", f"{side.key}: {one.name}, {PARAMETER_MEANINGS.get(one.name, '')}",
+                one.edges, [("events", 100.0 * one.data, SIDE[side.key])], parameter_label(one.name),
+                "Share per bin [%]", outlines=[("model", 100.0 * one.model, MODEL)],
             )
-            charts.append(
-                bars(
-                    f"margin-{side.key}-{one.name}", title, one.edges, [("events", 100.0 * one.data, SIDE[side.key])],
-                    parameter_label(one.name), "Share per bin [%]", outlines=[("model", 100.0 * one.model, MODEL)],
-                )
-            )  # fmt: skip
-        body += Markup("<h3>{}</h3>").format(side.key.capitalize()) + figure(
+            for one in side.diagnostics.marginals
+        ]  # fmt: skip
+        body += Markup("<h3>{}</h3>").format(side.title) + figure(
             charts,
             "Share of events (bars) and of the model (line) in equal bins, without the outermost 0.3 % at open ends.",
         )
-    return Section("margins", "Margins", body)
-
-
-def _joint(sides: tuple[Side, ...]) -> Section:
-    body = Markup()
-    for side in sides:
-        pair = side.found.joint
-        if pair is None:
-            continue
-        charts = [_density(side, pair.first_edges, pair.second_edges, values, what)
-                  for what, values in (("events", pair.data), ("model", pair.model))]  # fmt: skip
-        body += figure(
-            charts, f"{side.key.capitalize()}: events, and the model, on one scale of the square root of the density."
-        )
-    return Section("joint", "T and d_y", body or paragraphs("T or d_y does not vary."))
-
-
-def _density(side: Side, x: FloatArray, y: FloatArray, values: FloatArray, what: str) -> Chart:
-    cells = np.sqrt(values.T)
-    cells = np.where(cells > 0, cells, np.nan)
-    empty = [[""] * cells.shape[1] for _ in range(cells.shape[0])]
-    every = [max(1, (edges.size - 1) // 5) for edges in (x, y)]
-    ends = [
-        [compact(float(f"{edge:.3g}")) if i % k == 0 else "" for i, edge in enumerate(edges[:-1].tolist())]
-        for edges, k in zip((x, y), every, strict=True)
-    ]
-    chart = heat_map(f"joint-{side.key}-{what}", f"{side.key}: density of T and d_y, {what}", cells, empty,
-                     (f"T [s], {what}", ends[0]), ("d_y [m]", ends[1]))  # fmt: skip
-    return dataclasses.replace(chart)
-
-
-def _calibration(sides: tuple[Side, ...]) -> Section:
     columns = [Column("Parameter", text=True)]
     for side in sides:
-        columns += [Column(f"{side.key.capitalize()}: distance", "%"), Column("Limit", "%"), Column("Reached at")]
-    rows, charts = [], []
-    for name in PARAMETER_NAMES:
-        cells: list[Cell | Value] = [f"{parameter_label(name)}: {PARAMETER_MEANINGS[name]}"]
-        series = []
-        for side in sides:
-            one = next((c for c in side.found.calibrations if c.name == name), None)
-            if one is None:
-                cells += ["constant", "", ""]
-                continue
-            cells += [
-                Cell(number(100 * one.distance, 2), bad=one.distance > one.limit),
-                number(100 * one.limit, 2),
-                compact(float(f"{one.position:.3g}")),
-            ]
-            series.append(Series(side.key, one.u, 100.0 * one.difference, SIDE[side.key]))
-        rows.append(Row(tuple(cells)))
-        if series:
-            y = Axis.around("Difference [%]", *(one.y for one in series), [0.0])
-            charts.append(
-                Chart(
-                    f"calibration-{name}",
-                    f"Calibration of {name}",
-                    Axis(f"u of {name}", 0.0, 1.0),
-                    y,
-                    series,
-                    level=0.0,
-                    height=190,
-                )
-            )
-    body = to_html(
+        columns += [Column(f"{side.title}: distance", "%"), Column("Limit", "%"), Column("Reached at")]
+    by_name = [{c.name: c for c in side.diagnostics.calibrations} for side in sides]
+    rows = [
+        Row((f"{parameter_label(name)}: {PARAMETER_MEANINGS[name]}",
+                  *(cell for side in by_name for cell in _calibration_cells(side.get(name)))))
+        for name in PARAMETER_NAMES
+    ]  # fmt: skip
+    body += to_html(
         Table("Kolmogorov distances in per cent of events; highlighted: beyond sampling error", columns, rows)
     )
     body += paragraphs(
         "With very many events a distance may be beyond its limit and still too small to matter: below 5 % it is not a "
         "reason to refuse the model."
     )
-    body += details("Curves", legend([("left", SIDE["left"]), ("right", SIDE["right"])]) + figure(
-        charts, "Probability integral transform u = F(x): share of events below u, minus u. Above zero: the "
-            "model lies too high.",
-    ))  # fmt: skip
-    return Section("calibration", "Calibration", body)
+    return Section("margins", "Margins", body)
 
 
-def _bounds(sides: tuple[Side, ...]) -> Section:
-    rows = [
-        [Dot(f"{side.key}: {s.name} {s.end}", 100 * s.error, 100 * (s.error - 1.96 * s.standard_error),
-             100 * (s.error + 1.96 * s.standard_error), SIDE[side.key], open=not strip_is_off(s),
-             tip=f"model {percent(s.model, 2)}, events {percent(s.data, 2)}")]
-        for side in sides
-        for s in side.found.strips
-    ]  # fmt: skip
-    if not rows:
-        return Section("bounds", "Bounds", paragraphs("No events come near a finite bound."))
-    ends = [value for (one,) in rows for value in (one.low, one.high)]
-    chart = dots(
-        "bounds",
-        "Error of the mass next to the bounds",
-        rows,
-        Axis.around("Error of the mass [%]", ends, [0.0]),
-        at=0.0,
-    )
-    body = figure(
-        [chart],
-        "Error of the model\u2019s share in the strip between a bound and the outermost 5 % of the events, with 1.96 "
-        "standard errors. Filled: clearly wrong, by more than 20 % and four standard errors.",
-    )
-    far = [f"{side.key} {name} {end}" for side in sides for name, end in side.found.far_bounds]
-    return Section("bounds", "Bounds", body + paragraphs(f"No events come near: {', '.join(far)}." if far else ""))
+def _calibration_cells(calibration: Calibration | None) -> tuple[Cell | Value, ...]:
+    if calibration is None:
+        return "constant", "", ""
+    distance = Cell(number(100 * calibration.distance, 2), bad=calibration.distance > calibration.limit)
+    return distance, number(100 * calibration.limit, 2), compact(float(f"{calibration.position:.3g}"))
 
 
-def _components(sides: tuple[Side, ...]) -> Section:
-    columns = [
-        Column("Side", text=True), Column("Component"), Column("Weight", "%"), Column("Effective events"),
-        Column("P in the box"), Column("Mean outside by", "standard deviations"), Column("Condition number"),
-    ]  # fmt: skip
-    rows = []
+def _joint(sides: tuple[Side, ...]) -> Section:
+    body = Markup()
     for side in sides:
-        if side.summary is not None and side.summary.kind == "smoothed":
-            continue
-        for k, c in sorted(enumerate(side.found.components), key=lambda pair: -pair[1].weight):
-            outside = f"{number(c.outside, 2)} ({c.outside_name})" if c.outside > 0 else "inside"
-            cells = (
-                side.key,
-                str(k),
-                number(100 * c.weight, 1),
-                f"{c.events:,.0f}",
-                f"{c.probability:.3g}",
-                outside,
-                f"{c.condition:.3g}",
+        pair = side.diagnostics.joint
+        if pair is not None:
+            charts = [_density(side.key, pair, values, what)
+                      for what, values in (("events", pair.data), ("model", pair.model))]  # fmt: skip
+            body += figure(
+                charts, f"{side.title}: events, and the model, on one scale of the square root of the density."
             )
-            rows.append(Row(cells))
-    body = to_html(Table("Components, the heaviest first", columns, rows)) if rows else Markup()
-    smooth = [side.key for side in sides if side.summary is not None and side.summary.kind == "smoothed"]
-    if smooth:
-        body += paragraphs(f"Smoothed departures, a component each: {' and '.join(smooth)}.")
-    return Section("components", "Components", body)
+    return Section("joint", "T and d_y", body or paragraphs("T or d_y does not vary."))
+
+
+def _density(key: str, pair: PairDensity, values: FloatArray, what: str) -> Chart:
+    cells = np.sqrt(values.T)
+    cells[cells == 0.0] = np.nan
+    labels = [
+        [compact(float(f"{edge:.3g}")) if i % max(1, (edges.size - 1) // 5) == 0 else "" for i, edge in enumerate(low)]
+        for edges, low in ((edges, edges[:-1].tolist()) for edges in (pair.first_edges, pair.second_edges))
+    ]
+    title, empty = f"{key}: density of T and d_y, {what}", [[""] * cells.shape[1]] * cells.shape[0]
+    x, y = (f"T [s], {what}", labels[0]), ("d_y [m]", labels[1])
+    return heat_map(f"joint-{key}-{what}", title, cells, empty, x, y)
 
 
 def _selection(sides: tuple[Side, ...]) -> Section:
-    body = Markup()
+    body, series = Markup(), []
     for side in sides:
         summary = side.summary
         if summary is None or not summary.bic:
-            body += paragraphs(f"{side.key.capitalize()}: the model does not say how its K = {side.K} was chosen.")
+            body += paragraphs(f"{side.title}: the model does not say how its K = {side.K} was chosen.")
             continue
         if summary.reason:
-            body += paragraphs(f"{side.key.capitalize()}: {summary.reason}.")
-        least = min(summary.bic)
-        columns = [Column("K"), Column("BIC"), Column("Above the least"), Column("Log-likelihood", "nats an event"),
-                   *([Column("AIC")] if summary.aic else [])]  # fmt: skip
+            body += paragraphs(f"{side.title}: {summary.reason}.")
+        K, bic = np.array(summary.n_components, dtype=float), np.array(summary.bic)
+        above = bic - bic.min()
+        if K.size > 1:
+            series.append(Series(side.key, K, above, SIDE[side.key]))
+        columns = [Column("K"), Column("BIC"), Column("Above the least"), Column("Log-likelihood", "nats an event")]
         rows = [
             Row(
-                (
-                    str(K),
-                    number(summary.bic[i], 1),
-                    number(summary.bic[i] - least, 1),
-                    number(summary.log_likelihood[i], 4),
-                    *(number(value, 1) for value in summary.aic[i : i + 1]),
-                ),
-                "winner" if K == side.K else "",
+                (str(k), number(summary.bic[i], 1), number(above[i], 1), number(summary.log_likelihood[i], 4)),
+                "winner" if k == side.K else "",
             )
-            for i, K in enumerate(summary.n_components)
+            for i, k in enumerate(summary.n_components)
         ]
-        body += to_html(Table(f"{side.key.capitalize()}: choice of K; the chosen one is set in bold", columns, rows))
+        body += to_html(Table(f"{side.title}: choice of K; the chosen one is set in bold", columns, rows))
+    if series:
+        x = Axis("K", min(curve.x[0] for curve in series), max(curve.x[-1] for curve in series))
+        y = Axis.around("BIC above the least", *(curve.y for curve in series), [0.0])
+        key = legend([(curve.label, curve.style) for curve in series])
+        body += figure([Chart("bic", "BIC", x, y, series)], "BIC above its least value, by K.", key)
     return Section("selection", "Choice of K", body)
 
 
 def _settings(model: ScenarioModel, sides: tuple[Side, ...], seed: int) -> Section:
-    origin = model.provenance
     facts = [
         ("Model content", model.content_hash),
-        ("Fitted with", origin.software),
-        ("Created", origin.created),
-        ("Seed of the fit", str(origin.seed)),
-        *((f"Bounds, {side.key}", _bounds_text(side)) for side in sides),
-        *((f"Log-likelihood an event, {side.key}", f"{number(side.found.log_likelihood, 4)} nats") for side in sides),
+        *((f"Log-likelihood, {s.key}", f"{number(s.diagnostics.log_likelihood, 4)} nats an event") for s in sides),
         ("Seed of the checks", str(seed)),
-        ("Model sample", f"{sides[0].found.n_model:,} events a side"),
+        ("Model sample", f"{sides[0].diagnostics.n_model:,} events a side"),
     ]
-    return Section("settings", "Settings", bullets(model_notes(model)) + pairs([(a, b) for a, b in facts if b]))
-
-
-def _bounds_text(side: Side) -> str:
-    """Bounds of each parameter and the constants of a side."""
-    parts = []
-    for name, low, high in zip(side.model.names, *(ends.tolist() for ends in side.model.bounds()), strict=True):
-        a, b = (compact(end) if np.isfinite(end) else "" for end in (low, high))
-        parts.append(f"{name} {f'{a} to {b}' if a and b else f'above {a}' if a else f'below {b}' if b else 'open'}")
-    parts += [f"{name} = {compact(value)} (constant)" for name, value in side.model.constants]
-    return ", ".join(parts)
+    return Section("settings", "Settings", bullets(model_notes(model)) + pairs(facts))

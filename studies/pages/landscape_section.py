@@ -67,12 +67,12 @@ def section(context: Context) -> Section:
     ranking = context.ranking
     charts: list[Chart] = []
     left_out = []
-    for place in context.best_of_each_law:
-        found = _charts(context, place)
+    for position in context.best_of_each_law:
+        shown = _charts(context, position)
         if len(charts) < MOST_LAWS or not charts:
-            charts += found
-        elif found:
-            left_out.append(ranking.designs[place].kind.title)
+            charts += shown
+        elif shown:
+            left_out.append(ranking.designs[position].kind.title)
     body = figure(
         charts,
         "Mean S in m\u00b7s over what was swept. Every cell is the best design of the others\u2019 values; the frame "
@@ -92,22 +92,24 @@ def section(context: Context) -> Section:
     return Section("landscape", "Gain landscape", body, tuple(charts))
 
 
-def _charts(context: Context, place: int) -> list[Chart]:
+def _charts(context: Context, position: int) -> list[Chart]:
     """One chart a law: the two axes that move the best S most; a line for a single one; points of a sample."""
-    ranking, law = context.ranking, context.ranking.designs[place].law
+    ranking, law = context.ranking, context.ranking.designs[position].law
     axes = swept_axes([design for design in ranking.designs if design.law == law])
     if not axes:
         return []
     grid_axes = [axis for axis in axes if len(axis.values) <= _MOST_VALUES]
     if len(grid_axes) < min(len(axes), 2):
-        return [_sampled(context, place, axis) for axis in axes[:2] if axis.numeric]
+        return [_sampled(context, position, axis) for axis in axes[:2] if axis.numeric]
 
     def spread(axis: SweptAxis) -> float:
         S = best_of_cells(ranking, law, axis)[0]
         known = S[np.isfinite(S)]
         return float(np.log(known.max() / known.min())) if known.size > 1 and known.min() > 0 else 0.0
 
-    return [landscape(ranking, place, context.style(place), *sorted(grid_axes, key=lambda axis: -spread(axis))[:2])]
+    return [
+        landscape(ranking, position, context.style(position), *sorted(grid_axes, key=lambda axis: -spread(axis))[:2])
+    ]
 
 
 def best_of_cells(ranking: Ranking, law: str, x: SweptAxis, y: SweptAxis | None = None) -> tuple[FloatArray, BoolArray]:
@@ -118,13 +120,13 @@ def best_of_cells(ranking: Ranking, law: str, x: SweptAxis, y: SweptAxis | None 
         if ranking.designs[i].law == law:
             values = values_of(ranking.designs[i])
             at = y.values.index(values[y.name]) if y else 0, x.values.index(values[x.name])
-            S[at], met[at] = ranking.S[i], not ranking.missed[i]
+            S[at], met[at] = ranking.metrics.S[i], not ranking.missed[i]
     return S, met
 
 
-def landscape(ranking: Ranking, place: int, style: Style, x: SweptAxis, y: SweptAxis | None = None) -> Chart:
+def landscape(ranking: Ranking, position: int, style: Style, x: SweptAxis, y: SweptAxis | None = None) -> Chart:
     """Mean S over one or two swept quantities of the law of a design, which is marked."""
-    design = ranking.designs[place]
+    design = ranking.designs[position]
     title, name = design.kind.title, f"landscape-{design.law.replace('_', '-')}"
     S, met = best_of_cells(ranking, design.law, x, y)
     best, names, label = values_of(design), tuple(compact(value) for value in x.values), f"{title}: {x.label}"
@@ -135,7 +137,7 @@ def landscape(ranking: Ranking, place: int, style: Style, x: SweptAxis, y: Swept
             name, f"{title}: mean S [m\u00b7s]", S, texts, (label, names), (y.label, [compact(v) for v in y.values]),
             ring=(y.values.index(best[y.name]), across), open_cells=~met, label="Mean S [m\u00b7s]",
         )  # fmt: skip
-    level = float(ranking.S_uncorrected[place])
+    level = float(ranking.metrics.S_uncorrected[position])
     return Chart(
         name, f"{title}: mean S over {x.name}", Axis(label, -0.3, len(names) - 0.7, categories=names),
         Axis.around("Mean S [m\u00b7s]", S, [level]),
@@ -144,18 +146,18 @@ def landscape(ranking: Ranking, place: int, style: Style, x: SweptAxis, y: Swept
     )  # fmt: skip
 
 
-def _sampled(context: Context, place: int, axis: SweptAxis) -> Chart:
+def _sampled(context: Context, position: int, axis: SweptAxis) -> Chart:
     """Designs of a sample as points over one quantity."""
-    ranking, design = context.ranking, context.ranking.designs[place]
+    ranking, design = context.ranking, context.ranking.designs[position]
     members = [i for i, other in enumerate(ranking.designs) if other.law == design.law]
     at = np.array([float(values_of(ranking.designs[i])[axis.name]) for i in members])
-    title, S = design.kind.title, ranking.S[members]
+    title, S = design.kind.title, ranking.metrics.S[members]
     return Chart(
         f"landscape-{design.law}-{axis.name}".replace("_", "-"), f"{title}: mean S over {axis.name}",
         Axis.around(f"{title}: {axis.label}", at, log=axis.log and bool((at > 0).all())),
         Axis.around("Mean S [m\u00b7s]", S),
-        [Series(title, at, np.where(S > 0, S, np.nan), context.style(place), kind="points")],
-        ring=(float(values_of(design)[axis.name]), float(ranking.S[place]), ""), height=230,
+        [Series(title, at, np.where(S > 0, S, np.nan), context.style(position), kind="points")],
+        ring=(float(values_of(design)[axis.name]), float(ranking.metrics.S[position]), ""), height=230,
     )  # fmt: skip
 
 

@@ -64,52 +64,56 @@ def match(
     scenarios: Scenarios, model: ScenarioModel | None, *, source: Departures | None = None, given: Given | None = None
 ) -> tuple[SideMatch, ...]:
     """Compare generated departures with the model, and with what it was fitted to."""
-    wanted = conditions(given)
+    limits = conditions(given)
     return tuple(
-        _side(key, side, scenarios.take(np.flatnonzero(scenarios.side == side)), model, source, wanted)
+        _side(key, side, scenarios.take(np.flatnonzero(scenarios.side == side)), model, source, limits)
         for side, key in ((LEFT, "left"), (RIGHT, "right"))
         if (scenarios.side == side).any()
     )
 
 
 def _side(
-    key: str, side: int, some: Scenarios, model: ScenarioModel | None, table: Departures | None,
-    wanted: tuple[Condition, ...],
+    key: str, side: int, scenarios: Scenarios, model: ScenarioModel | None, table: Departures | None,
+    limits: tuple[Condition, ...],
 ) -> SideMatch:  # fmt: skip
-    half = None if model is None else (model.left_side if side == LEFT else model.right_side)
+    side_model = None if model is None else (model.left_side if side == LEFT else model.right_side)
     fitted = None if model is None else (model.provenance.left if side == LEFT else model.provenance.right)
-    single = {one.name for one in wanted if one.low == one.high}
-    varies = half.names if half is not None else tuple(n for n in PARAMETER_NAMES if np.ptp(getattr(some, n)) > 0)
+    single = {one.name for one in limits if one.low == one.high}
+    varies = (
+        side_model.names
+        if side_model is not None
+        else tuple(n for n in PARAMETER_NAMES if np.ptp(getattr(scenarios, n)) > 0)
+    )
     names = tuple(name for name in varies if name not in single)
-    columns, count, effective, reason = _source(side, names, table, fitted, wanted)
-    margins = {} if half is None else _margins(half, wanted, key)
-    limits = [kolmogorov_limit(size, len(names)) if names and size else 1.0
-              for size in (some.n, some.n * effective / (some.n + effective))]  # fmt: skip
-    found = []
+    columns, count, effective, reason = _source(side, names, table, fitted, limits)
+    margins = {} if side_model is None else _margins(side_model, limits, key)
+    by_chance = [kolmogorov_limit(size, len(names)) if names and size else 1.0
+              for size in (scenarios.n, scenarios.n * effective / (scenarios.n + effective))]  # fmt: skip
+    rows = []
     for name in names:
-        x = np.sort(np.asarray(getattr(some, name), dtype=np.float64))
-        to_model = Gap(_to_model(x, margins[name]), limits[0]) if name in margins else None
+        x = np.sort(np.asarray(getattr(scenarios, name), dtype=np.float64))
+        to_model = Gap(_to_model(x, margins[name]), by_chance[0]) if name in margins else None
         known = columns.get(name)
-        to_source = None if known is None else Gap(_to_quantiles(x, *known), limits[1])
+        to_source = None if known is None else Gap(_to_quantiles(x, *known), by_chance[1])
         middle = math.nan if known is None else float(np.interp(0.5, known[1], known[0]))
-        found.append(ParameterMatch(name, float(np.median(x)), middle, to_model, to_source))
-    return SideMatch(key, some.n, count, reason, tuple(found))
+        rows.append(ParameterMatch(name, float(np.median(x)), middle, to_model, to_source))
+    return SideMatch(key, scenarios.n, count, reason, tuple(rows))
 
 
 def _source(
     side: int, names: tuple[str, ...], table: Departures | None, fitted: SideSummary | None,
-    wanted: tuple[Condition, ...],
+    limits: tuple[Condition, ...],
 ) -> tuple[dict[str, tuple[FloatArray, FloatArray]], int | None, float, str]:  # fmt: skip
     """Quantiles of each parameter with their shares, the number of departures, its effective one, why there is none."""
     if table is not None:
         rows = table.take(table.side == side)
         keep = np.ones(rows.n, dtype=np.bool_)
-        for one in wanted:
+        for one in limits:
             column = getattr(rows, one.name)
             keep &= (column >= one.low) & (column <= one.high)
         rows = rows.take(keep)
         if rows.n < LEAST:
-            under = " that meet the study\u2019s conditions" if wanted else ""
+            under = " that meet the study\u2019s conditions" if limits else ""
             return (
                 {},
                 None,
@@ -122,7 +126,7 @@ def _source(
     summary = None if fitted is None else fitted.source_summary
     if summary is None:
         return {}, None, 0.0, "Source departures are not known: the model\u2019s file holds no summary of them."
-    if wanted:
+    if limits:
         return (
             {},
             None,
@@ -137,19 +141,19 @@ def _source(
     return columns, summary.departures, float(summary.effective), ""
 
 
-def _margins(half: SideModel, wanted: tuple[Condition, ...], key: str) -> dict[str, ModelMarginal]:
+def _margins(side_model: SideModel, limits: tuple[Condition, ...], key: str) -> dict[str, ModelMarginal]:
     """Marginal distributions of a side's mixture under the conditions; nothing where all values are given."""
-    columns = mixture_conditions(wanted, half, key)
-    distribution = half.mixture.distribution
+    columns = mixture_conditions(limits, side_model, key)
+    distribution = side_model.mixture.distribution
     if columns:
-        if all(isinstance(value, float) for value in columns.values()) and len(columns) == len(half.names):
+        if all(isinstance(value, float) for value in columns.values()) and len(columns) == len(side_model.names):
             return {}
         distribution = distribution.condition(columns)
     sample, _ = distribution.sample(_DRAWN, 0)
     if columns:  # under conditions the margins are those of the draws, to 0.003
         ends = np.array([0, _DRAWN]), np.array([0.0, 1.0])
-        return {name: ModelMarginal(np.sort(sample[:, j]), *ends) for j, name in enumerate(half.names)}
-    return {name: model_marginal(distribution, sample, j, _KNOTS) for j, name in enumerate(half.names)}
+        return {name: ModelMarginal(np.sort(sample[:, j]), *ends) for j, name in enumerate(side_model.names)}
+    return {name: model_marginal(distribution, sample, j, _KNOTS) for j, name in enumerate(side_model.names)}
 
 
 def _to_model(x: FloatArray, model: ModelMarginal) -> float:
@@ -169,14 +173,14 @@ def _to_quantiles(x: FloatArray, at: FloatArray, share: FloatArray) -> float:
 def section(context: Context) -> Section:
     """The section."""
     report = context.report
-    found = match(context.scenarios, report.model, source=report.source_departures, given=report.given)
-    body = paragraphs(*_sentences(context, found)) + details("Parameter by parameter", to_html(_table(found)))
+    matches = match(context.scenarios, report.model, source=report.source_departures, given=report.given)
+    body = paragraphs(*_sentences(context, matches)) + details("Parameter by parameter", to_html(_table(matches)))
     if report.model_notes:
         body += details("Where the departures come from", bullets(report.model_notes))
     return Section("model", "Scenario model", body)
 
 
-def _sentences(context: Context, found: tuple[SideMatch, ...]) -> Iterator[str]:
+def _sentences(context: Context, matches: tuple[SideMatch, ...]) -> Iterator[str]:
     report = context.report
     if report.model is not None:
         yield (
@@ -185,7 +189,7 @@ def _sentences(context: Context, found: tuple[SideMatch, ...]) -> Iterator[str]:
         )
     if report.given:
         yield f"Under the conditions: {', '.join(f'{name} {_range(value)}' for name, value in report.given.items())}."
-    for side in found:
+    for side in matches:
         for what, gaps in (
             ("the model", {one.name: one.to_model for one in side.parameters if one.to_model}),
             ("the source departures", {one.name: one.to_source for one in side.parameters if one.to_source}),
@@ -210,14 +214,14 @@ def _range(value: object) -> str:
     return str(value)
 
 
-def _table(found: tuple[SideMatch, ...]) -> Table:
+def _table(matches: tuple[SideMatch, ...]) -> Table:
     columns = [
         Column("Parameter", text=True), Column("Side", text=True), Column("Median", form=figure),
         Column("Source median", form=figure), Column("Gap to the model", "%", ".1f"),
         Column("Gap to the source", "%", ".1f"),
     ]  # fmt: skip
     rows = []
-    for side in found:
+    for side in matches:
         for one in side.parameters:
             gaps = (
                 Cell(math.nan if gap is None else 100.0 * gap.value, bad=gap is not None and gap.beyond)

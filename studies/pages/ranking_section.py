@@ -39,21 +39,21 @@ FIRST_ROWS: Final = 20  # rows that are shown before all are requested, and thos
 def section(context: Context) -> Section:
     """The section."""
     ranking = context.ranking
-    named = [place for place in (ranking.winner, ranking.baseline) if place is not None]
+    named = [position for position in (ranking.winner, ranking.baseline) if position is not None]
     kept = {*named, *context.best_of_each_law, *np.flatnonzero(ranking.pareto)[:100].tolist()}
-    places = [i for i in range(len(ranking)) if i < MOST_ROWS or i in kept]
-    table = ranking_table(ranking, places)
+    positions = [i for i in range(len(ranking)) if i < MOST_ROWS or i in kept]
+    table = ranking_table(ranking, positions)
     rows = []
-    for place, row in zip(places, table.rows, strict=True):
-        first = place in named or place < FIRST_ROWS
-        kind = f"{row.kind} {'kept' if place in named else '' if first else 'far'}".strip()
+    for position, row in zip(positions, table.rows, strict=True):
+        first = position in named or position < FIRST_ROWS
+        kind = f"{row.kind} {'kept' if position in named else '' if first else 'far'}".strip()
         rows.append(dataclasses.replace(row, kind=kind, later=not first))
     table = dataclasses.replace(table, rows=rows)
     body = render(
         "ranking.html",
         table=to_html(table, id="designs", sortable=True),
         count=len(ranking),
-        listed=len(places),
+        listed=len(positions),
         later=sum(row.later for row in rows),
         set_of_best=set_of_best_line(ranking),
     )
@@ -75,20 +75,29 @@ def limits_section(context: Context) -> Section:
         Column("Designs that meet it"),
     ]
 
-    def value(name: str, place: int | None) -> str:
-        return DASH if place is None else metric_text(name, context.metric(name, place))
+    def value(name: str, position: int | None) -> str:
+        return DASH if position is None else metric_text(name, context.metric(name, position))
 
     rows, ends = [], []
-    for one, there in zip(ranking.limits, ranking.estimates(i), strict=True):
-        met = one.met(context.values(one.metric.name))
-        own = Cell(value(one.metric.name, i), bad=not met[i], good=bool(met[i]))
-        limit = f"{_operator(one.operator)} {_limit_text(one.metric.name, one.limit)}"
-        origin = (one.set or "own") if there.required else f"{one.set} (not required)"
-        cells = one.metric.title, limit, origin, own, value(one.metric.name, without), f"{int(met.sum()):,}"
+    for requirement, estimate in zip(ranking.limits, ranking.estimates(i), strict=True):
+        met = requirement.met(context.values(requirement.metric.name))
+        shown_value = Cell(value(requirement.metric.name, i), bad=not met[i], good=bool(met[i]))
+        limit = f"{_operator(requirement.operator)} {_limit_text(requirement.metric.name, requirement.limit)}"
+        origin = (requirement.set or "own") if estimate.required else f"{requirement.set} (not required)"
+        cells = (
+            requirement.metric.title,
+            limit,
+            origin,
+            shown_value,
+            value(requirement.metric.name, without),
+            f"{int(met.sum()):,}",
+        )
         rows.append(Row(cells))
-        if there.interval:
-            shown = Cell(metric_text(one.metric.name, there.value), bad=not there.met, good=not there.uncertain)
-            ends.append(Row((one.metric.title, limit, shown, there.interval)))
+        if estimate.interval:
+            shown = Cell(
+                metric_text(requirement.metric.name, estimate.value), bad=not estimate.met, good=not estimate.uncertain
+            )
+            ends.append(Row((requirement.metric.title, limit, shown, estimate.interval)))
     caption = f"{_title(context)} on {ranking.sample(i)}, each metric with an interval of its own"
     heads = [*columns[:2], Column("Value"), Column(f"{percent(ranking.confidence, 0)} interval")]
     body = render(
@@ -137,27 +146,27 @@ def _named_metrics(context: Context) -> Markup:
 # ------------------------------------------------------------------------------------------------ Markdown
 
 
-def write_markdown(ranking: Ranking, path: Path, study: Study, manifest: Manifest, found: Verdict) -> None:
+def write_markdown(ranking: Ranking, path: Path, study: Study, manifest: Manifest, verdict: Verdict) -> None:
     """Write a ranking as a Markdown file, whole or not at all."""
-    write_text(path, ranking_markdown(ranking, study, manifest, found))
+    write_text(path, ranking_markdown(ranking, study, manifest, verdict))
 
 
-def ranking_markdown(ranking: Ranking, study: Study, manifest: Manifest, found: Verdict) -> str:
+def ranking_markdown(ranking: Ranking, study: Study, manifest: Manifest, verdict: Verdict) -> str:
     """The text of ``ranking.md``; the same ranking gives the same text."""
-    return "\n".join(_blocks(ranking, study, manifest, found))
+    return "\n".join(_blocks(ranking, study, manifest, verdict))
 
 
-def _blocks(ranking: Ranking, study: Study, manifest: Manifest, found: Verdict) -> Iterator[str]:
+def _blocks(ranking: Ranking, study: Study, manifest: Manifest, verdict: Verdict) -> Iterator[str]:
     yield f"# {markdown_text(study.title or study.name)}\n"
-    title, *others = verdict_lines(found)
+    title, *others = verdict_lines(verdict)
     yield f"**{markdown_text(title)}**\n"
     yield "".join(f"- {markdown_text(line)}\n" for line in (*others, *more_lines(ranking)))
     for warning in ranking.warnings:
         yield f"> **Warning:** {markdown_text(warning)}\n"
-    places = listed_places(ranking, MOST_MARKDOWN_ROWS)
-    yield to_markdown(ranking_table(ranking, places))
-    if len(places) < len(ranking):
-        yield f"{len(places):,} of {len(ranking):,} designs; all of them are in `ranking.csv`.\n"
+    positions = listed_places(ranking, MOST_MARKDOWN_ROWS)
+    yield to_markdown(ranking_table(ranking, positions))
+    if len(positions) < len(ranking):
+        yield f"{len(positions):,} of {len(ranking):,} designs; all of them are in `ranking.csv`.\n"
     window = "the whole departure" if ranking.window == "departure" else "the time under control"
     about = f"{SCORE}. Here it is taken over {window}. Intervals hold for all designs at once. {COLUMNS_TEXT}"
     yield f"{markdown_text(about)}\n"

@@ -40,16 +40,16 @@ _GOLDEN: Final = 0.6180339887498949
 
 def rows_of_numbers(scenarios: Scenarios, numbers: Sequence[int]) -> tuple[int, ...]:
     """Rows of the scenarios with these numbers, each once."""
-    found = []
+    rows = []
     for number in numbers:
-        rows = np.flatnonzero(scenarios.index == number)
-        if not rows.size:
+        matching = np.flatnonzero(scenarios.index == number)
+        if not matching.size:
             near = int(scenarios.index[np.argmin(np.abs(scenarios.index - number))])
             raise InputError(
                 "departure", value=number, hint=f"no departure that can be driven has it; the nearest is {near}"
             )
-        found.append(int(rows[0]))
-    return tuple(dict.fromkeys(found))
+        rows.append(int(matching[0]))
+    return tuple(dict.fromkeys(rows))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -179,22 +179,22 @@ def _driven(
     again = ~np.isin(results.status[index][rows], _NOT_AGAIN)
     if design.batch < Controller.batch:  # a law that takes long says so by a small batch
         again[design.batch :] = False
-    some = np.flatnonzero(again)
+    driven_rows = np.flatnonzero(again)
     nothing = DesignPaths(*(np.full((len(picks), 0), np.nan) for _ in range(4)))
-    if not some.size:
+    if not driven_rows.size:
         return nothing, 0.0
-    over = Takeover.build(scenarios.take(some), setup, y_s=design.y_s)
+    over = Takeover.build(scenarios.take(driven_rows), setup, y_s=design.y_s)
     outcome = drive(design.controller(setup.convention), over, trajectories=True).outcome(results.window)
-    stored = results.S[index][rows[some]]
+    stored = results.S[index][rows[driven_rows]]
     off = float(np.max(np.abs(outcome.S - stored) / np.maximum(np.abs(stored), 1e-9)))
-    kept = outcome.trajectories
-    if kept is None:  # the law never intervenes
+    paths = outcome.trajectories
+    if paths is None:  # the law never intervenes
         return nothing, off
-    t, y, delta, a_y = (np.full((len(picks), kept.t.shape[1]), np.nan) for _ in range(4))
-    t[some], delta[some] = kept.t, kept.delta
-    y[some] = kept.x[:, :, 0] - setup.vehicle.edge_offset
-    a_y[some[over.rows]] = path_acceleration(
-        over, np.arange(over.m), kept.t[over.rows], kept.x[over.rows], kept.delta[over.rows]
+    t, y, delta, a_y = (np.full((len(picks), paths.t.shape[1]), np.nan) for _ in range(4))
+    t[driven_rows], delta[driven_rows] = paths.t, paths.delta
+    y[driven_rows] = paths.x[:, :, 0] - setup.vehicle.edge_offset
+    a_y[driven_rows[over.rows]] = path_acceleration(
+        over, np.arange(over.m), paths.t[over.rows], paths.x[over.rows], paths.delta[over.rows]
     )
     return DesignPaths(t, y, delta, a_y), off
 

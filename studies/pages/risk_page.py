@@ -65,14 +65,19 @@ def probabilities(risk: Risk, design: Design) -> Table:
     ]  # fmt: skip
     rows = []
     for event in risk.events:
-        of, without = risk.event(design, event), risk.event(risk.designs[0], event)
-        shares: list[Cell | Value] = [without.probability, of.probability, (of.low, of.high), of.count]
-        compared: list[Cell | Value] = [
-            of.design_only,
-            of.no_control_only,
-            Cell(of.text, bad=of.sign > 0, good=of.sign < 0),
+        event_risk, without = risk.event(design, event), risk.event(risk.designs[0], event)
+        shares: list[Cell | Value] = [
+            without.probability,
+            event_risk.probability,
+            (event_risk.low, event_risk.high),
+            event_risk.count,
         ]
-        per = [rate * of.probability for rate in rates.values()]
+        compared: list[Cell | Value] = [
+            event_risk.design_only,
+            event_risk.no_control_only,
+            Cell(event_risk.text, bad=event_risk.sign > 0, good=event_risk.sign < 0),
+        ]
+        per = [rate * event_risk.probability for rate in rates.values()]
         rows.append(Row([event, *shares, *per, *([None, None, None] if design.is_baseline else compared)]))
     return Table(f"{_name(design)}, {risk.n:,} departures of either side", columns, rows)
 

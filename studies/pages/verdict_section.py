@@ -39,7 +39,7 @@ def section(context: Context) -> Section:
         key=cloud_legend(context),
         warnings=bullets(_warnings(context), "warnings"),
         scenarios=context.scenario_text(),
-        fresh=context.ranking.fresh_scenarios,
+        fresh=context.ranking.fresh.scenarios,
         model=context.model_sentence,
     )
     return Section("verdict", "Verdict", body, (chart,), printed=True)
@@ -106,15 +106,15 @@ def scatter_of_metrics(
     of_x, of_y = metric(across), metric(up)
     x, y = (of.scale * metric_values(of.name, ranking) for of in (of_x, of_y))
     known = np.isfinite(x) & np.isfinite(y)
-    places = np.flatnonzero(known)
-    if most is not None and places.size > most:
-        rest = places[most // 2 :]
-        places = np.concatenate([places[: most // 2], rest[:: max(1, rest.size // (most // 2))]])
+    positions = np.flatnonzero(known)
+    if most is not None and positions.size > most:
+        rest = positions[most // 2 :]
+        positions = np.concatenate([positions[: most // 2], rest[:: max(1, rest.size // (most // 2))]])
     admissible = np.array([not missed for missed in ranking.missed])
     laws = np.array([design.law for design in ranking.designs])
     clouds = []
     for law, style in styles.items():
-        rows = places[laws[places] == law]
+        rows = positions[laws[positions] == law]
         if rows.size:
             tips = tuple(
                 f"{design_name(ranking.designs[i])}: {of_y.title} {metric_text(up, y[i] / of_y.scale)}, "

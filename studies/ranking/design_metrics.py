@@ -9,7 +9,7 @@ import os
 import re
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING, Any, Final, Self
+from typing import Final, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -18,15 +18,7 @@ from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.control import EventStatus
 from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT
 from ldctoolkit.errors import InputError
-from ldctoolkit.metrics import (
-    DTLE_LIMIT,
-    METRICS,
-    RELEASE_METRICS,
-    SCENARIO_METRICS,
-    Interventions,
-    Metric,
-    share_within_dtle,
-)
+from ldctoolkit.metrics import DTLE_LIMIT, METRICS, SCENARIO_METRICS, Interventions, Metric, share_within_dtle
 from ldctoolkit.paths.uncorrected import UncorrectedPath
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
@@ -86,26 +78,6 @@ Values = dict[str, FloatArray]
 _BLOCK_ENTRIES: Final = 500_000  # runs that are looked at at once (4 MB for each metric); no number depends on it
 
 _MOST_THREADS: Final = 4
-
-
-@dataclasses.dataclass(frozen=True)
-class ReleaseMetrics:
-    """Metrics of d designs, arrays of d, one attribute for each of `ldctoolkit.metrics.RELEASE_METRICS`.
-
-    What is taken over interventions is NaN where a design never intervened.
-    """
-
-    __annotations__ = dict.fromkeys(RELEASE_METRICS, "FloatArray")
-
-    if TYPE_CHECKING:
-
-        def __init__(self, **values: FloatArray) -> None: ...
-
-        def __getattr__(self, name: str) -> FloatArray: ...
-
-    def take(self, order: Sequence[int] | IntArray) -> ReleaseMetrics:
-        """The same for some of the designs, in the order given."""
-        return ReleaseMetrics(**{name: getattr(self, name)[order] for name in RELEASE_METRICS})
 
 
 def release_metrics(results: StudyResults, *, D_y: float) -> Values:
@@ -338,8 +310,15 @@ class DesignMetrics:
     beyond_delta_max: IntArray
     invalid: IntArray
     failed_solves: IntArray  # (d,) Commands that were not finite, or came from a fallback
-    release: ReleaseMetrics  # What is reported beside S
-    standards: Mapping[str, FloatArray]  # Standard -> (d,) share of its cells that pass; those that were asked for
+    # Name -> (d,) every other metric: those taken over interventions are NaN where a design never intervened; of each
+    # standard that was asked for the share of its cells that pass
+    beside: Mapping[str, FloatArray]
+
+    def take(self, order: IntArray) -> DesignMetrics:
+        """The same for some of the designs, in the order given."""
+        values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        beside = {name: column[order] for name, column in values.pop("beside").items()}
+        return DesignMetrics(**{name: column[order] for name, column in values.items()}, beside=beside)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -406,8 +385,7 @@ def design_metrics(
     taken["within_dtle_gain"] = taken["within_dtle"] - share_within_dtle(_recorded_dtle(results, setup))
     allowed = np.ones(len(scenarios), dtype=np.bool_) if setup is None else ~beyond_friction(scenarios, setup)
     taken["lost"] = ((results.status == EventStatus.DIVERGED) & allowed).sum(axis=1).astype(np.float64)
-    unknown = np.full(len(results.designs), np.nan)
-    taken |= {name: measures.get(name, unknown) for name in (*_MARGINS, *_OF_VEHICLES)}
+    taken |= dict.fromkeys((*_MARGINS, *_OF_VEHICLES), np.full(len(results.designs), np.nan))
 
     def count(status: EventStatus) -> IntArray:
         result: IntArray = (drivable.status == status).sum(axis=1).astype(np.int64)
@@ -432,8 +410,7 @@ def design_metrics(
         beyond_delta_max=count(EventStatus.BEYOND_DELTA_MAX),
         invalid=count(EventStatus.INVALID),
         failed_solves=results.failed_solves.sum(axis=1).astype(np.int64),
-        release=ReleaseMetrics(**taken),
-        standards={name: values for name, values in measures.items() if name not in METRICS},
+        beside=taken | measures,
     )
 
 
@@ -444,15 +421,6 @@ def beyond_friction(scenarios: Scenarios, setup: Setup) -> BoolArray:
     a_y = path.lateral_acceleration(t) + path.speed(t) ** 2 * path.curvature(t)
     result: BoolArray = np.abs(a_y).max(axis=1) > friction(setup.options)
     return result
-
-
-def in_order(metrics: DesignMetrics, order: IntArray) -> dict[str, Any]:
-    """Every figure by name, for some of the designs in the order given."""
-    values = {field.name: getattr(metrics, field.name) for field in dataclasses.fields(DesignMetrics)}
-    values["standards"] = {name: score[order] for name, score in metrics.standards.items()}
-    plain = ("release", "standards")
-    taken = {name: v[order] for name, v in values.items() if name not in plain}
-    return values | taken | {"release": metrics.release.take(order)}
 
 
 def _mean(values: FloatArray, rows: BoolArray) -> FloatArray:
@@ -475,12 +443,12 @@ def mean_reduction(S: FloatArray, before: FloatArray) -> FloatArray:
 _BLOCK: Final = 64  # rows that are compared with the front at once
 
 
-def pareto_costs(names: Sequence[str], *sources: Any) -> FloatArray:
+def pareto_costs(names: Sequence[str], metrics: DesignMetrics | Mapping[str, FloatArray]) -> FloatArray:
     """Metrics as costs: those of which more is better change their sign."""
     if not names:
         raise InputError("Pareto front", "no metrics", allowed="one or more")
     signs = {"less": 1.0, "more": -1.0}
-    return np.stack([signs[metric(name).better] * metric_values(name, *sources) for name in names], axis=1)
+    return np.stack([signs[metric(name).better] * metric_values(name, metrics) for name in names], axis=1)
 
 
 def pareto_front(costs: npt.ArrayLike) -> BoolArray:

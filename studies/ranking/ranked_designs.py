@@ -46,19 +46,19 @@ class FreshScores:
     """
 
     # (d,) [m s] Mean S and its interval, for all finalists and the baseline at once
-    fresh_S: FloatArray
-    fresh_low: FloatArray
-    fresh_high: FloatArray
+    S: FloatArray
+    low: FloatArray
+    high: FloatArray
     # (d,) [m s] Mean S minus that of the search's first, paired, with its interval, for all finalists at once
-    fresh_difference: FloatArray
-    fresh_difference_low: FloatArray
-    fresh_difference_high: FloatArray
+    difference: FloatArray
+    difference_low: FloatArray
+    difference_high: FloatArray
     # (d,) [m s] The same to the baseline
-    fresh_baseline_difference: FloatArray
-    fresh_baseline_difference_low: FloatArray
-    fresh_baseline_difference_high: FloatArray
-    fresh_reduction: FloatArray  # (d,) 1 - mean S / mean S of the baseline
-    fresh_unmet: tuple[tuple[str, ...], ...]  # Requirements that a finalist misses on the fresh scenarios
+    baseline_difference: FloatArray
+    baseline_difference_low: FloatArray
+    baseline_difference_high: FloatArray
+    reduction: FloatArray  # (d,) 1 - mean S / mean S of the baseline
+    unmet: tuple[tuple[str, ...], ...]  # Requirements that a finalist misses on the fresh scenarios
     # (d,) [m s] How much better the search's score was than the fresh one, and its interval, for all finalists at
     # once: an interval that holds 0 is no more than two draws of scenarios explain
     optimism: FloatArray
@@ -66,8 +66,8 @@ class FreshScores:
     optimism_high: FloatArray
     # Whether that score is the difference to the baseline (where the baseline is a law) or mean S itself
     optimism_paired: bool
-    fresh_scenarios: int  # How many; 0 for none
-    fresh_best: int | None  # Position of the finalist with the smallest `fresh_S`
+    scenarios: int  # How many; 0 for none
+    best: int | None  # Position of the finalist with the smallest `S`
     # Position of the design to take, see `choose_winner`; without fresh scenarios the first of the ranking. None where
     # no design is ranked, or no finalist meets the requirements on the fresh scenarios
     winner: int | None
@@ -79,6 +79,18 @@ def no_fresh_scores(d: int, ranked: int) -> FreshScores:
     three = (nothing, nothing, nothing)
     unmet: tuple[tuple[str, ...], ...] = ((),) * d
     return FreshScores(*three, *three, *three, nothing, unmet, *three, False, 0, None, 0 if ranked else None)
+
+
+@dataclasses.dataclass(frozen=True)
+class ReplayedScores:
+    """What recorded departures say of the finalists, arrays of d; NaN for the others."""
+
+    # (d,) [m s] Mean S with its interval
+    S: FloatArray
+    low: FloatArray
+    high: FloatArray
+    reduction: FloatArray  # (d,)
+    departures: int  # How many; 0 for none
 
 
 @dataclasses.dataclass(frozen=True)
@@ -199,12 +211,13 @@ SCORE: Final = (
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
-class RankedDesigns(DesignMetrics, Inference, FreshScores):
-    """Designs, best first; every array has one entry a design in that order. Beside the fields below it
-    has those of `DesignMetrics` (means, tails, reductions, shares, counts and `release`), of `Inference` (intervals,
-    set of best) and of `FreshScores` (the finalists and the winner).
-    """
+class RankedDesigns:
+    """Designs, best first; every array has one entry a design in that order."""
 
+    metrics: DesignMetrics  # Means, tails, reductions, shares and counts
+    inference: Inference  # Intervals, and the set of best
+    fresh: FreshScores  # The finalists on fresh scenarios, and the winner
+    replayed: ReplayedScores  # The finalists on recorded departures
     window: Window  # Of S
     convention: Convention  # Reading of the paper
     # d designs: those that meet all requirements, smallest mean S first, equal ones in the study's order; then the
@@ -222,8 +235,8 @@ class RankedDesigns(DesignMetrics, Inference, FreshScores):
     # quantile, a share or mean S, whose intervals hold for all designs at once
     limited: FloatArray
     fresh_limited: FloatArray  # (k, 3, d) The same on the fresh scenarios; NaN for designs that were not driven there
-    fresh_saved: FloatArray  # (d,) 1 - mean S / mean S without control on the fresh scenarios
-    baseline: int | None  # Position of the design behind `baseline_difference`
+    fresh_saved: FloatArray  # (d,) 1 - mean S / mean S without control there
+    baseline: int | None  # Position of the design behind `Inference.baseline_difference`
     # (d,) Ranked designs that no other ranked design beats in one metric of `pareto_metrics` without being worse in
     # another
     pareto: BoolArray
@@ -233,25 +246,26 @@ class RankedDesigns(DesignMetrics, Inference, FreshScores):
     bootstrap: int  # Resamples
     confidence: float  # Of every family of intervals, and of the set of best
     warnings: tuple[str, ...]  # What a reader must know before comparing designs
-    # (d,) [m s] Mean S of the finalists on recorded departures with its interval, and the reduction; NaN for the others
-    replayed_S: FloatArray
-    replayed_low: FloatArray
-    replayed_high: FloatArray
-    replayed_reduction: FloatArray
-    replayed_departures: int  # How many; 0 for none
     failed: tuple[FailedDesign, ...] = ()  # Designs whose law failed: they have no rank and no metrics
 
     def __len__(self) -> int:
         return len(self.designs)
 
     def __repr__(self) -> str:
-        best = f"best {self.designs[0].label!r}, mean S {self.S[0]:.4g} m s" if self.ranked else "none is ranked"
+        best = (
+            f"best {self.designs[0].label!r}, mean S {self.metrics.S[0]:.4g} m s" if self.ranked else "none is ranked"
+        )
         return f"<Ranking of {len(self)} designs, {self.label}: {best}>"
 
     @property
     def label(self) -> str:
         """Window of S and reading of the paper: ``"departure window, consistent"``."""
         return score_label(self.window, self.convention)
+
+    @property
+    def winner(self) -> int | None:
+        """Position of the design to take, see `FreshScores`."""
+        return self.fresh.winner
 
     @property
     def ranked(self) -> int:
@@ -270,16 +284,16 @@ class RankedDesigns(DesignMetrics, Inference, FreshScores):
 
     def sample(self, i: int) -> str:
         """The scenarios that a design is judged on: fresh ones where it was driven on such."""
-        fresh = bool(np.isfinite(self.fresh_S[i]))
-        return f"{self.fresh_scenarios:,} fresh scenarios" if fresh else f"the {self.scenarios:,} study scenarios"
+        fresh = bool(np.isfinite(self.fresh.S[i]))
+        return f"{self.fresh.scenarios:,} fresh scenarios" if fresh else f"the {self.scenarios:,} study scenarios"
 
     def saved(self, i: int) -> float:
         """1 - mean S / mean S without control there."""
-        return float((self.fresh_saved if np.isfinite(self.fresh_S[i]) else self.reduction)[i])
+        return float((self.fresh_saved if np.isfinite(self.fresh.S[i]) else self.metrics.reduction)[i])
 
     def estimates(self, i: int) -> tuple[Estimate, ...]:
         """The limited metrics of a design there."""
-        fresh = bool(np.isfinite(self.fresh_S[i]))
+        fresh = bool(np.isfinite(self.fresh.S[i]))
         numbers = (self.fresh_limited if fresh else self.limited)[:, :, i].tolist()
         return tuple(
             Estimate(one, value, low, high, one in self.requirements, fresh)

@@ -27,14 +27,21 @@ from .design_metrics import (
     DrivableResults,
     design_metrics,
     find_baseline,
-    in_order,
     measures_of,
     pareto_costs,
     pareto_front,
     sampling_intervals,
 )
 from .inference import Inference, infer, spread_is_known
-from .ranked_designs import FreshScores, RankedDesigns, SearchScores, best_of_laws, fresh_scores, no_fresh_scores
+from .ranked_designs import (
+    FreshScores,
+    RankedDesigns,
+    ReplayedScores,
+    SearchScores,
+    best_of_laws,
+    fresh_scores,
+    no_fresh_scores,
+)
 from .tail import tail_text
 from .verdict import depths, ranking_html
 
@@ -114,7 +121,7 @@ class Ranking(RankedDesigns, Frame):
     >>> study = ldc.study(ldc.NoControl, ldc.LQR, name="small", left=20, right=20)
     >>> results = ldc.run_study(study, workers=1)
     >>> ranking = ldc.rank_study(results, study)
-    >>> ranking.designs[0].law, ranking.S.shape
+    >>> ranking.designs[0].law, ranking.metrics.S.shape
     ('lqr', (2,))
     """
 
@@ -169,7 +176,7 @@ class Ranking(RankedDesigns, Frame):
         missed = missed_by(requirements, metrics)
         order = np.lexsort((metrics.S, np.array([bool(some) for some in missed]))).astype(np.int64)
         ranked = sum(not some for some in missed)
-        taken = in_order(metrics, order)
+        in_order = metrics.take(order)
         chance: dict[str, Any] = {"seed": seed, "samples": bootstrap, "confidence": confidence}
         position = None if reference is None else _position(order, reference)
         inference = infer(counted, side, ranked=ranked, baseline=position, rows=order, **chance)
@@ -211,7 +218,7 @@ class Ranking(RankedDesigns, Frame):
             worst = [name == "comfortable_worst" for name in names]  # driven on the study's departures only
             found[worst] = limited[worst][:, :, positions]
             fresh_limited[:, :, positions] = found
-            fresh_limited[mean_S, 1:] = fresh.fresh_low, fresh.fresh_high
+            fresh_limited[mean_S, 1:] = fresh.low, fresh.high
             fresh_saved[positions] = there.reduction
         acting = [i for i, design in enumerate(designs) if not design.is_baseline]
         if requirements and acting and not any(i < ranked for i in acting):
@@ -223,14 +230,14 @@ class Ranking(RankedDesigns, Frame):
         front = np.zeros(len(order), dtype=np.bool_)
         if pareto_metrics and ranked:
             front[:ranked] = pareto_front(pareto_costs(pareto_metrics, metrics)[order[:ranked]])
-        S = taken["S"][:ranked]
+        S = in_order.S[:ranked]
         rank = np.zeros(len(order), dtype=np.int64)
         rank[:ranked] = np.searchsorted(S, S, side="left") + 1
         return cls(
-            **taken,
-            **_fields(inference),
-            **_fields(fresh),
-            **_replayed(results, designs, **chance, D_y=D_y, baseline=baseline),
+            metrics=in_order,
+            inference=inference,
+            fresh=fresh,
+            replayed=_replayed(results, designs, **chance, D_y=D_y, baseline=baseline),
             window=results.window,
             convention=results.convention,
             designs=designs,
@@ -254,19 +261,18 @@ class Ranking(RankedDesigns, Frame):
         )
 
 
-def _replayed(results: StudyResults, designs: Sequence[Design], **settings: Any) -> dict[str, Any]:
+def _replayed(results: StudyResults, designs: Sequence[Design], **settings: Any) -> ReplayedScores:
     """What recorded departures say of the finalists."""
-    columns = {name: np.full(len(designs), np.nan) for name in ("S", "low", "high", "reduction")}
+    columns = np.full((4, len(designs)), np.nan)
     there = results.replayed
     if there is not None and there.designs:
         settings["bootstrap"] = settings.pop("samples")
-        own = Ranking.of(there, **settings)
+        ranking = Ranking.of(there, **settings)
         place = {design.id: i for i, design in enumerate(designs)}
-        rows = [place[design.id] for design in own.designs]
-        for name, found in zip(columns, (own.S, own.S_low, own.S_high, own.reduction), strict=True):
-            columns[name][rows] = found
-    count = 0 if there is None else int(there.drivable.sum())
-    return {f"replayed_{name}": column for name, column in columns.items()} | {"replayed_departures": count}
+        numbers = (ranking.metrics.S, ranking.inference.S_low, ranking.inference.S_high, ranking.metrics.reduction)
+        columns[:, [place[design.id] for design in ranking.designs]] = numbers
+    S, low, high, reduction = columns
+    return ReplayedScores(S, low, high, reduction, 0 if there is None else int(there.drivable.sum()))
 
 
 def rank_study(results: StudyResults, study: Study) -> Ranking:
@@ -315,10 +321,6 @@ def rank_study(results: StudyResults, study: Study) -> Ranking:
     )
 
 
-def _fields(part: Inference | FreshScores) -> dict[str, Any]:
-    return {field.name: getattr(part, field.name) for field in dataclasses.fields(part)}
-
-
 def _position(order: IntArray, index: int) -> int:
     return int(np.flatnonzero(order == index)[0])
 
@@ -328,13 +330,13 @@ def _about_finalists(fresh: FreshScores, ranked: int) -> Iterator[str]:
     if not ranked:
         return
     if fresh.winner is None:
-        texts = " or ".join(dict.fromkeys(text for texts in fresh.fresh_unmet for text in texts))
+        texts = " or ".join(dict.fromkeys(text for texts in fresh.unmet for text in texts))
         yield (
             f"No finalist meets the requirements on the fresh scenarios (each misses {texts}): there is no winner. "
             "Ask for more finalists, or leave a margin in the requirements."
         )
         return
-    for i, missed in enumerate(fresh.fresh_unmet[: fresh.winner]):
+    for i, missed in enumerate(fresh.unmet[: fresh.winner]):
         if missed:
             yield f"Design # {i + 1} misses {', '.join(missed)} on the fresh scenarios and is not the winner."
 
@@ -354,25 +356,48 @@ def _warnings(drivable: DrivableResults) -> Iterator[str]:
     yield from warnings_of(results)
 
 
-def _column_of(name: str) -> str:
-    """Column of a score, or of an interval's end; a pure number has the attribute's name."""
-    if name in ("set_of_best", "best_frequency", "pareto") or "reduction" in name:
-        return name
-    name = "difference_to_best" if name == "difference" else name
-    return f"{name.replace('fresh_difference', 'fresh_difference_to_first')}_m_s"
-
-
-_SCORES: Final = (
-    "S S_low S_high S_p95 S_cvar95 S_left S_right S_uncorrected reduction reduction_left reduction_right "
-    "difference difference_low difference_high baseline_difference baseline_difference_low baseline_difference_high "
-    "set_of_best best_frequency pareto fresh_S fresh_low fresh_high fresh_difference fresh_difference_low "
-    "fresh_difference_high fresh_baseline_difference fresh_baseline_difference_low fresh_baseline_difference_high "
-    "fresh_reduction optimism optimism_low optimism_high replayed_S replayed_low replayed_high replayed_reduction"
+_PAIRED: Final = (
+    "difference difference_low difference_high baseline_difference baseline_difference_low baseline_difference_high"
 )
-_NUMBERS: Final = {name: _column_of(name) for name in _SCORES.split()}
-"""Attribute of a ranking -> column: scores with their intervals; the other metrics follow from their table."""
+_SCORES: Final = (
+    ("metrics", "", "S"),
+    ("inference", "", "S_low S_high"),
+    ("metrics", "", "S_p95 S_cvar95 S_left S_right S_uncorrected reduction reduction_left reduction_right"),
+    ("inference", "", f"{_PAIRED} set_of_best best_frequency"),
+    ("fresh", "fresh_", f"S low high {_PAIRED} reduction optimism optimism_low optimism_high"),
+    ("replayed", "replayed_", "S low high reduction"),
+)
+"""Tables of a ranking, the prefix of their columns, and the attributes that have one: scores with their intervals."""
 
 _COUNTS: Final = ("solver_failed", "diverged", "timed_out", "crashed", "beyond_delta_max", "invalid", "failed_solves")
+
+
+def _numbers(ranking: Ranking) -> dict[str, Any]:
+    """Column of ``ranking.csv`` -> (d,) scores with their intervals, then the other metrics."""
+    numbers = {
+        _column_of(prefix, name): getattr(getattr(ranking, table), name)
+        for table, prefix, names in _SCORES
+        for name in names.split()
+    }
+    numbers["pareto"] = ranking.pareto
+    numbers["winner"] = np.arange(len(ranking)) == ranking.winner
+    numbers |= {METRICS[name].column: getattr(ranking.metrics, name) for name in ("triggered", "deeper")}
+    numbers |= {name: getattr(ranking.metrics, name) for name in _COUNTS}
+    numbers |= {one.column: ranking.metrics.beside[one.name] for one in RELEASE_METRICS.values()}
+    standards = [name for name in ranking.metrics.beside if name not in METRICS]
+    return numbers | {metric(name).column: ranking.metrics.beside[name] for name in standards}
+
+
+def _column_of(prefix: str, name: str) -> str:
+    """Column of a score, or of an interval's end; a pure number has the attribute's name."""
+    if name in ("set_of_best", "best_frequency") or "reduction" in name:
+        return prefix + name
+    if name.startswith("optimism"):
+        return f"{name}_m_s"
+    if name.startswith("difference"):
+        to = "first" if prefix else "best"
+        name = name.replace("difference", f"difference_to_{to}", 1) if prefix or name == "difference" else name
+    return f"{prefix}{name}_m_s"
 
 
 def write_csv(ranking: Ranking, path: str | Path) -> None:
@@ -403,12 +428,7 @@ def _columns_of(design: Design) -> list[str]:
 
 
 def _rows(ranking: Ranking, gains: Sequence[str]) -> Iterator[dict[str, Any]]:
-    numbers: dict[str, Any] = {column: getattr(ranking, name) for name, column in _NUMBERS.items()}
-    numbers["winner"] = np.arange(len(ranking)) == ranking.winner
-    numbers |= {METRICS[name].column: getattr(ranking, name) for name in ("triggered", "deeper")}
-    numbers |= {name: getattr(ranking, name) for name in _COUNTS}
-    numbers |= {one.column: getattr(ranking.release, one.name) for one in RELEASE_METRICS.values()}
-    numbers |= {metric(name).column: score for name, score in ranking.standards.items()}
+    numbers = _numbers(ranking)
     for fresh, values in (("", ranking.limited), ("fresh_", ranking.fresh_limited)):
         for one, ends in zip((one.metric for one in ranking.limits), values[:, 1:], strict=True):
             if not np.isnan(ends).all():
@@ -421,7 +441,7 @@ def _rows(ranking: Ranking, gains: Sequence[str]) -> Iterator[dict[str, Any]]:
             **_named(ranking, int(ranking.rank[i]) or None if here else None, design, gains),
             **{name: column[i] if here else None for name, column in numbers.items()},
             "unmet": "; ".join(ranking.unmet[i]) if here else "",
-            "fresh_unmet": "; ".join(ranking.fresh_unmet[i]) if here else "",
+            "fresh_unmet": "; ".join(ranking.fresh.unmet[i]) if here else "",
             "optimism_of": _optimism_of(ranking, i) if here else None,
             "failure": reason,
         }
@@ -443,6 +463,6 @@ def _named(ranking: Ranking, rank: int | None, design: Design, gains: Sequence[s
 
 
 def _optimism_of(ranking: Ranking, i: int) -> str | None:
-    if np.isnan(ranking.optimism[i]):
+    if np.isnan(ranking.fresh.optimism[i]):
         return None
-    return "baseline_difference" if ranking.optimism_paired else "S"
+    return "baseline_difference" if ranking.fresh.optimism_paired else "S"

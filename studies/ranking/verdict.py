@@ -148,8 +148,10 @@ def _of_winner(ranking: RankedDesigns, place: int) -> str:
 
 def _score(ranking: RankedDesigns, i: int) -> str:
     """Of one sample, which it names."""
-    names = ("fresh_S", "fresh_low", "fresh_high") if np.isfinite(ranking.fresh_S[i]) else ("S", "S_low", "S_high")
-    S, low, high = (float(getattr(ranking, name)[i]) for name in names)
+    of = (ranking.fresh.S, ranking.fresh.low, ranking.fresh.high)
+    if not np.isfinite(ranking.fresh.S[i]):
+        of = (ranking.metrics.S, ranking.inference.S_low, ranking.inference.S_high)
+    S, low, high = (float(values[i]) for values in of)
     saved, values = ranking.saved(i), {one.requirement.metric.name: one.value for one in ranking.estimates(i)}
     level = f"{100 * ranking.confidence:g} % interval"
     between = f" ({level} {low:.3f} to {high:.3f})" if math.isfinite(low + high) else ""
@@ -196,15 +198,15 @@ def _score_light(ranking: RankedDesigns, place: int) -> Light:
         return Light("Score", "unknown", "There is no score without control to compare with.")
     if saved <= 0:
         return Light("Score", "bad", "No better than without control.")
-    others = int(ranking.set_of_best.sum()) - 1
-    if not ranking.set_of_best[place] or others <= 0:
+    others = int(ranking.inference.set_of_best.sum()) - 1
+    if not ranking.inference.set_of_best[place] or others <= 0:
         return Light("Score", "good", f"{100 * saved:.1f} % less S than without control.")
     rest = f"{others} other design{'' if others == 1 else 's'} {'is' if others == 1 else 'are'} not separated from it"
     return Light("Score", "good", f"{100 * saved:.1f} % less S than without control; {rest}.")
 
 
 def _stable_light(ranking: RankedDesigns, place: int) -> Light:
-    lost, diverged = int(metric_values("lost", ranking)[place]), int(ranking.diverged[place])
+    lost, diverged = int(metric_values("lost", ranking)[place]), int(ranking.metrics.diverged[place])
     gain, phase = (float(metric_values(name, ranking)[place]) for name in ("gain_margin", "phase_margin"))
     missed = [one.text for one in ranking.estimates(place) if one.requirement.set == "stable" and not one.met]
     if lost:
@@ -293,9 +295,9 @@ def _plants_light(ranking: RankedDesigns, place: int, robustness: OtherPlants | 
 
 def optimism_text(ranking: RankedDesigns, i: int, unit: str = "m s") -> str:
     """How a design scored on fresh scenarios, against the study scenarios that it was chosen on."""
-    change, low, high = ranking.optimism[i], ranking.optimism_low[i], ranking.optimism_high[i]
+    change, low, high = ranking.fresh.optimism[i], ranking.fresh.optimism_low[i], ranking.fresh.optimism_high[i]
     word = "worse" if change > 0 else "better"
-    of = ", as the difference to the baseline," if ranking.optimism_paired else ""
+    of = ", as the difference to the baseline," if ranking.fresh.optimism_paired else ""
     chance = "within sampling error" if low <= 0 <= high else "more than sampling error"
     return (
         f"On fresh scenarios the winner scored{of} {abs(change):.4f} {unit} {word} than on the study scenarios "
@@ -363,7 +365,7 @@ def ranking_table(ranking: RankedDesigns, places: Sequence[int]) -> Table:
         Column(level, "m\u00b7s", ".3f", about="Of mean S, for all designs at once"),
         *(Column(head, of.shown_unit, f".{of.digits}f", key=head.lower(), about=of.title) for head, of in heads),
         *([Column("Fresh S", "m\u00b7s", ".3f", key="fresh", about="Mean S on the fresh scenarios")]
-          if ranking.fresh_scenarios else []),
+          if ranking.fresh.scenarios else []),
         Column("Verdict", text=True),
     ]  # fmt: skip
     metrics = {name: METRICS[name].scale * metric_values(name, ranking) for name in RANKING_METRICS}
@@ -371,12 +373,19 @@ def ranking_table(ranking: RankedDesigns, places: Sequence[int]) -> Table:
     for before, i in zip([-1, *places], places, strict=False):
         design, missed = ranking.designs[i], {miss.requirement.metric.name for miss in ranking.missed[i]}
         rank, S, low, high, fresh = (
-            float(values[i]) for values in (ranking.rank, ranking.S, ranking.S_low, ranking.S_high, ranking.fresh_S)
+            float(values[i])
+            for values in (
+                ranking.rank,
+                ranking.metrics.S,
+                ranking.inference.S_low,
+                ranking.inference.S_high,
+                ranking.fresh.S,
+            )
         )
         cells: list[Cell | Value] = [
             int(rank) or math.nan, law_title(design), design.y_s, gains_text(design, "="), S, (low, high),
             *(Cell(float(values[i]), bad=name in missed) for name, values in metrics.items()),
-            *([fresh] if ranking.fresh_scenarios else []),
+            *([fresh] if ranking.fresh.scenarios else []),
             Cell(judged(ranking, i), bad=bool(missed)),
         ]  # fmt: skip
         kind = "winner" if i == ranking.winner else "baseline" if i == ranking.baseline else ""
@@ -401,7 +410,11 @@ def judged(ranking: RankedDesigns, place: int) -> str:
     failed = failures(ranking, place)
     if failed:
         found.append(f"failed in {failed:,}")
-    if not ranking.missed[place] and place not in (ranking.winner, ranking.baseline) and ranking.set_of_best[place]:
+    if (
+        not ranking.missed[place]
+        and place not in (ranking.winner, ranking.baseline)
+        and ranking.inference.set_of_best[place]
+    ):
         found.append("not separated")
     if ranking.pareto[place]:
         found.append("Pareto")
@@ -410,7 +423,12 @@ def judged(ranking: RankedDesigns, place: int) -> str:
 
 def failures(ranking: RankedDesigns, place: int) -> int:
     """Scenarios of a design in which its law did not do its work."""
-    counts = (ranking.solver_failed, ranking.diverged, ranking.timed_out, ranking.crashed)
+    counts = (
+        ranking.metrics.solver_failed,
+        ranking.metrics.diverged,
+        ranking.metrics.timed_out,
+        ranking.metrics.crashed,
+    )
     return sum(int(count[place]) for count in counts)
 
 
@@ -428,7 +446,7 @@ def verdict_lines(found: Verdict) -> list[str]:
 
 def set_of_best_line(ranking: RankedDesigns) -> str:
     """What these scenarios do not separate; empty where there is nothing to say of it."""
-    size, level = int(ranking.set_of_best.sum()), f"{100 * ranking.confidence:g} % confidence"
+    size, level = int(ranking.inference.set_of_best.sum()), f"{100 * ranking.confidence:g} % confidence"
     if not ranking.ranked or len(ranking) == 1:
         return ""
     if size == 1:
@@ -442,31 +460,31 @@ def more_lines(ranking: RankedDesigns) -> Iterator[str]:
         yield set_of_best
     i, b = ranking.winner, ranking.baseline
     if i is not None and b is not None and b != i:
-        fresh = bool(np.isfinite(ranking.fresh_baseline_difference[i]))
-        name = "fresh_baseline_difference" if fresh else "baseline_difference"
-        value, low, high = (float(getattr(ranking, name + end)[i]) for end in ("", "_low", "_high"))
+        fresh = bool(np.isfinite(ranking.fresh.baseline_difference[i]))
+        of, name = ranking.fresh if fresh else ranking.inference, "baseline_difference"
+        value, low, high = (float(getattr(of, name + end)[i]) for end in ("", "_low", "_high"))
         if math.isfinite(low):
             where = "fresh" if fresh else "study"
             yield (
                 f"Winner minus baseline ({design_name(ranking.designs[b])}): {value:+.4f} m s ({low:+.4f} .. "
                 f"{high:+.4f}) on the {where} scenarios."
             )
-    if i is not None and ranking.fresh_scenarios and not np.isfinite(ranking.fresh_S[i]):
+    if i is not None and ranking.fresh.scenarios and not np.isfinite(ranking.fresh.S[i]):
         yield "The winner was no finalist; it has no fresh score."
-    if i is not None and np.isfinite(ranking.optimism[i]):
+    if i is not None and np.isfinite(ranking.fresh.optimism[i]):
         yield optimism_text(ranking, i)
-    if i is not None and ranking.fresh_difference[i] < 0 and ranking.fresh_difference_high[i] < 0:
+    if i is not None and ranking.fresh.difference[i] < 0 and ranking.fresh.difference_high[i] < 0:
         yield "It was not the first on the study scenarios: fresh scenarios separate the two."
-    if i is not None and np.isfinite(ranking.replayed_S[i]):
-        ends = (float(one[i]) for one in (ranking.replayed_S, ranking.replayed_low, ranking.replayed_high))
+    if i is not None and np.isfinite(ranking.replayed.S[i]):
+        ends = (float(one[i]) for one in (ranking.replayed.S, ranking.replayed.low, ranking.replayed.high))
         own, lowest, highest = (f"{value:.3f}" for value in ends)
-        saved = float(ranking.replayed_reduction[i])
+        saved = float(ranking.replayed.reduction[i])
         less = f", {100 * abs(saved):.1f} % {'less' if saved >= 0 else 'more'} than without control"
         yield (
-            f"On {ranking.replayed_departures:,} replayed departures its mean S is {own} m s ({lowest} .. {highest})"
+            f"On {ranking.replayed.departures:,} replayed departures its mean S is {own} m s ({lowest} .. {highest})"
             f"{less if math.isfinite(saved) else ''}."
         )
-        finalists = np.where(np.isfinite(ranking.fresh_S) & (ranking.rank > 0), ranking.replayed_S, np.inf)
+        finalists = np.where(np.isfinite(ranking.fresh.S) & (ranking.rank > 0), ranking.replayed.S, np.inf)
         if (best := int(np.nanargmin(finalists))) != i:
             yield f"The first finalist there is {design_name(ranking.designs[best])}."
     if i is not None and (limited := [one for one in ranking.estimates(i) if one.required and one.interval]):

@@ -163,6 +163,7 @@ class Campaign:
             self._loaded |= laws
             load_loops(laws, self.scenarios, self._job.setup, min(part.designs[0].y_s for part in missing))
             self._progress.stage(stage, sum(len(part.designs) * part.rows.size for part in missing))
+            self._stored = time.monotonic()  # compiling took none of it
             with ThreadPoolExecutor(1) as self._writer:
                 try:
                     for task, done in run_works(self._executor, self._tasks(missing), still_needed=self._still_needed):

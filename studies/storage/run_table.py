@@ -180,13 +180,11 @@ class SharedRows:
             self._table = table
         self._size = size
 
-    def take(self, rows: IntArray | None, columns: IntArray | None = None) -> FloatArray:
-        """Some rows and columns, all by default; a read-only view of one row where there is only one."""
+    def take(self, rows: IntArray | None) -> FloatArray:
+        """Some rows, all by default; a read-only view of one row where there is only one."""
         if self._table is not None:
-            table = self._table if rows is None else self._table[rows]
-            return table if columns is None else table[:, columns]
-        row = self._row if columns is None else self._row[columns]
-        return np.broadcast_to(row, (self._size if rows is None else rows.size, row.size))
+            return self._table if rows is None else self._table[rows]
+        return np.broadcast_to(self._row, (self._size if rows is None else rows.size, self._row.size))
 
 
 _GROWS: Final = 1.5
@@ -327,19 +325,17 @@ class RunTable:
         *,
         source: str,
         designs: Sequence[Design] | None = None,
-        rows: IntArray | None = None,
     ) -> StudyResults:
         """Everything of the designs requested; the arrays are this table's, copies only if something is left out."""
         wanted = list(self.designs if designs is None else designs)
         at = np.array([self._place[design.id] for design in wanted], dtype=np.int64)
-        some_there = self._there[at] if rows is None else self._there[np.ix_(at, rows)]
-        there: BoolArray = np.all(some_there, axis=1)
+        there: BoolArray = np.all(self._there[at], axis=1)
         failed = tuple(
             FailedDesign(wanted[i], failures[wanted[i].id]) for i in np.flatnonzero(~there) if wanted[i].id in failures
         )
         if np.count_nonzero(~there) > len(failed):
             waiting = int(np.count_nonzero(~there)) - len(failed)
-            raise StoreError(source, _incomplete(waiting, some_there), hint="run the study again")
+            raise StoreError(source, _incomplete(waiting, self._there[at]), hint="run the study again")
         if wanted and len(failed) == len(wanted):
             first = failed[0].sentence
             raise AllFailedError(
@@ -347,25 +343,23 @@ class RunTable:
             )
         ran = tuple(wanted[i] for i in np.flatnonzero(there))
         at = at[there]
-        whole = rows is None and np.array_equal(at, np.arange(self._status.shape[0]))
+        whole = np.array_equal(at, np.arange(self._status.shape[0]))
 
-        def some(array: Any) -> Any:
-            if whole:
-                return array
-            return array[at] if rows is None else array[np.ix_(at, rows)]
+        def of_designs(array: Any) -> Any:
+            return array if whole else array[at]
 
         known = [times.get(design.id) for design in ran]
         simulation = self._study.simulation
         return StudyResults(
             designs=ran,
-            scenarios=scenarios if rows is None else scenarios.take(rows),
+            scenarios=scenarios,
             window=simulation.window,
             convention=simulation.convention,
-            S=some(self._S),
-            S_uncorrected=self._uncorrected.take(None if whole else at, rows),
-            status=some(self._status),
-            companions=MetricValues(*(some(values) for values in self._metrics)),
-            failed_solves=some(self._failed_solves),
+            S=of_designs(self._S),
+            S_uncorrected=self._uncorrected.take(None if whole else at),
+            status=of_designs(self._status),
+            companions=MetricValues(*(of_designs(values) for values in self._metrics)),
+            failed_solves=of_designs(self._failed_solves),
             law_time=np.array([np.nan if one is None else one.per_command for one in known]),
             failed=failed,
         )

@@ -151,7 +151,7 @@ def _fitted(summary: SideSummary | None) -> str:
     weight = "" if summary.weight is None else f" that stand for {summary.weight:,.6g}"
     text = f" from {summary.events:,} departures{weight}"
     if len(summary.n_components) > 1:
-        text += f", chosen by {summary.criterion.upper() or 'BIC'} among K = {_numbers(summary.n_components)}"
+        text += f", chosen by BIC among K = {_numbers(summary.n_components)}"
     return text
 
 

@@ -77,7 +77,7 @@ def one_shape(d: int, n: int) -> None:
     theirs = processor_seconds(reference, 2) / SOME
     print(
         f"| {d:,} x {n:,} | {first:.2f} | {again:.2f} | {peak:.0f} | {1e3 * again / d:.2f} | {1e3 * theirs:.1f} | "
-        f"{theirs * d / again:.0f} | {int(ranking.set_of_best.sum()):,} |",
+        f"{theirs * d / again:.0f} | {int(ranking.inference.set_of_best.sum()):,} |",
         flush=True,
     )
 

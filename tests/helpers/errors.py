@@ -1,8 +1,12 @@
 """What an error holds, whatever its sentence."""
 
+import contextlib
+from collections.abc import Iterator
 from typing import Any
 
-from ldctoolkit.errors import NOT_GIVEN, LdcError
+import pytest
+
+from ldctoolkit.errors import NOT_GIVEN, InputError, LdcError
 
 
 def assert_fields(error: LdcError, path: str, value: Any = ..., allowed: str | set[str] = "") -> None:
@@ -17,3 +21,12 @@ def assert_fields(error: LdcError, path: str, value: Any = ..., allowed: str | s
         assert allowed <= {*error.allowed}
     elif allowed:
         assert error.allowed == allowed
+
+
+@contextlib.contextmanager
+def refused(path: str, kind: type[LdcError] = InputError, **fields: Any) -> Iterator[None]:
+    """The block raises this kind of error, with this path, and with these fields where they are given."""
+    with pytest.raises(kind) as caught:
+        yield
+    found = {"path": caught.value.path} | {name: getattr(caught.value, name) for name in fields}
+    assert found == {"path": path} | fields

@@ -25,13 +25,13 @@ def one_component_model() -> ScenarioModel:
     side = SideModel(mixture, PARAMETER_NAMES)
     fit = SideSummary(200, (1, 2), (1000.0 / 3.0, 1100.0), (-2.5, -2.4), True, (("T", 2),), 0.0)
     card = dataclasses.replace(
-        fit, n_parameters=(44, 89), aic=(1.0, 1.0 / 7.0), criterion="bic", reason="K = 1 has the smallest BIC",
+        fit, n_parameters=(44, 89), reason="K = 1 has the smallest BIC",
         failed=((3, "no maximum"),), passes=7, stop_reason="converged", weight=250.5,
         bounds_from=(("T", "given", "auto"),),
     )  # fmt: skip
     provenance = ModelProvenance(
         {"description": "made up"}, seed=3, warnings=("one",), left=card, right=fit, versions={"numpy": "2"},
-        settings=FitSettings("bic", None, 0.001, 10.0, 1e-6, 8, 500),
+        settings=FitSettings(10.0, 1e-6, 8, 500),
     )  # fmt: skip
     return ScenarioModel(side, side, provenance)
 

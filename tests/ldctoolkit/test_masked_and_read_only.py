@@ -60,10 +60,10 @@ BOX = {"lower": [-9.0, -9.0], "upper": [9.0, 9.0]}
         (lambda: simulate(_Half(), SOME, 0.1), "controller 'lqr': F: masked entries; allowed: none"),
         (lambda: fit_scenario_model(dataclasses.replace(TABLE, d_y=masked(TABLE.d_y)), components=1), "d_y"),
         (lambda: fit_scenario_model(TABLE, components=1, weights=masked(np.ones(TABLE.n))), "nan"),
-        (lambda: BoundedGaussianMixture(1, **BOX).fit(masked(ROWS)), "X: column 1, row 0: nan; allowed: finite"),
+        (lambda: BoundedGaussianMixture(1, **BOX).fit(masked(ROWS)), "X: column 1, row 0: nan "),
         (
             lambda: BoundedGaussianMixture(1, **BOX).fit(ROWS, sample_weight=masked(np.ones(60))),
-            "sample_weight: nan in row 1",
+            "sample_weight: row 1: nan",
         ),
         (lambda: TruncatedNormal(masked([[0.0, 0.0]]), [np.eye(2)], *BOX.values()), "must be finite numbers"),
         (lambda: Plant.build(BicycleModel(), masked([20.0, 30.0]), 0.05), "v[1]: nan m/s; allowed"),

@@ -5,9 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
+from helpers.errors import refused
 from helpers.models import varied_departures as departures
 from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT
-from ldctoolkit.errors import InputError, ModelError
+from ldctoolkit.errors import ModelError
 from ldctoolkit.mixture import BoundedGaussianMixture
 from ldctoolkit.recordings import Criteria
 from ldctoolkit.recordings.find_departures import LARGEST_ACCELERATION
@@ -88,9 +89,17 @@ def test_sampling_is_deterministic_nested_and_inside(reference):
     assert len(reference.sample(0, 0, seed=1)) == 0
 
 
-@pytest.mark.parametrize(("name", "args"), [("n_left", (-1, 0, 1)), ("n_right", (0, 1.5, 1)), ("seed", (1, 1, -2))])
-def test_sample_refuses_what_is_not_a_count(reference, name, args):
-    with pytest.raises(InputError, match=f"{name}: .*allowed: an integer >= 0"):
+@pytest.mark.parametrize(
+    ("path", "value", "args"),
+    [
+        ("n_left", -1, (-1, 0, 1)),
+        ("n_right", 1.5, (0, 1.5, 1)),
+        ("n_right", True, (0, True, 1)),
+        ("seed", -2, (1, 1, -2)),
+    ],
+)
+def test_sample_refuses_what_is_not_a_count(reference, path, value, args):
+    with refused(path, value=value):
         reference.sample(*args)
 
 
@@ -133,8 +142,8 @@ def test_a_fit_tells_how_it_was_made(model):
     assert len(p.left.bic) == len(p.left.log_likelihood) == 2
     assert p.left.reason == "K = 1, the smallest whose BIC lies within 10 of the best"
     assert (p.left.kind, p.left.fidelity.departures, model.left.weights_.size) == ("mixture", 100, 1)
-    (told,) = (text for text in p.warnings if text.endswith(": do not use it"))
-    assert told.startswith(
+    (warning,) = (text for text in p.warnings if text.endswith(": do not use it"))
+    assert warning.startswith(
         "left: the trigger share of the model is too small (Preview P, y_s = 0.07 m: 95.0 % replayed"
     )
 
@@ -171,15 +180,14 @@ def test_half_an_event_stands_behind_each_parameter(n, most):
 
 def test_the_number_of_components_is_checked():
     d = plane(40)
-    with pytest.raises(InputError, match=r"components: 14 and more; allowed: .* 13 or below, 40 left departures"):
+    allowed = "a range that begins at 13 or below, 40 left departures carry no more"
+    with refused("components", value=14, allowed=allowed):
         fit_scenario_model(d, components=range(14, 17))
-    with pytest.raises(InputError, match=r"departures \(left\): X: 40 rows; allowed: at least K \(d \+ 1\) = 42"):
+    with refused("departures (left): X", problem="40 rows"):
         fit_scenario_model(d, components=14)
-    for wrong in ("3", 3.0, [1, "2"], [1.0], True, 0, [0]):
-        with pytest.raises(InputError, match=r"components: .*; allowed: an integer >= 1"):
+    for wrong in ("3", 3.0, [1, "2"], [1.0], True, 0, [0], []):
+        with refused("components"):
             fit_scenario_model(d, components=wrong)
-    with pytest.raises(InputError, match="components: an empty range"):
-        fit_scenario_model(d, components=[])
     one = fit_scenario_model(d, components=np.int64(1))
     assert one.content_hash == fit_scenario_model(d, components=1).content_hash
 
@@ -199,21 +207,20 @@ def test_what_a_fit_gives_can_be_saved_and_loaded(tmp_path):
 def test_thirty_departures_a_side_and_the_longest_seed_are_enough():
     fitted = fit_scenario_model(plane(30), components=1, seed=10**18 - 1)
     assert fitted.provenance.left.events == 30
-    with pytest.raises(InputError, match="departures: 29 left and 29 right; allowed: at least 30 a side"):
+    with refused("departures", problem="29 left and 29 right", allowed="at least 30 a side"):
         fit_scenario_model(plane(29), components=1)
 
 
 def test_few_or_wrong_departures_are_refused():
     d = departures(40)
-    message = "39 left and 0 right, beside 1 that are not plausible; allowed: at least 30 a side"
-    with pytest.raises(InputError, match=message):
+    problem = "39 left and 0 right, beside 1 that are not plausible"
+    with refused("departures", problem=problem, allowed="at least 30 a side"):
         fit_scenario_model(d.take(d.side == LEFT))
-    with pytest.raises(InputError, match=r"departures \(left\): c_0 = nan in event 0; allowed: finite numbers \(40 "):
+    with refused("departures (left): c_0", problem="in event 0 (40 of 40 events)", allowed="finite numbers"):
         fit_scenario_model(departures(40, c_0=np.nan))
-    with pytest.raises(InputError, match="seed"):
-        fit_scenario_model(d, seed=-1)
-    with pytest.raises(InputError, match=r"seed: 1000.*allowed: below 10\^18"):
-        fit_scenario_model(d, seed=10**18)
+    for seed in (-1, 10**18):
+        with refused("seed", value=seed):
+            fit_scenario_model(d, seed=seed)
 
 
 def test_the_bounds_are_those_of_the_extraction():

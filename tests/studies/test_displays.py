@@ -68,16 +68,17 @@ def test_ranking(ranking: Ranking) -> None:
         assert (row[0], row[1]) == (str(ranking.rank[i]), "LQR" if i < 20 else "No control")
         assert float(row[2]) == ranking.designs[i].y_s
         low, high = map(float, row[5].split(" to "))
-        assert float(row[4]) == pytest.approx(ranking.S[i], abs=6e-4)
-        assert (low, high) == pytest.approx((ranking.S_low[i], ranking.S_high[i]), abs=6e-4)
-        assert row[6] == f"{100 * ranking.reduction[i]:.1f}".replace("-", "\u2212")
+        assert float(row[4]) == pytest.approx(ranking.metrics.S[i], abs=6e-4)
+        assert (low, high) == pytest.approx((ranking.inference.S_low[i], ranking.inference.S_high[i]), abs=6e-4)
+        assert row[6] == f"{100 * ranking.metrics.reduction[i]:.1f}".replace("-", "\u2212")
     assert "and 4 more" in text
     assert "winner" in rows[0][-1]
     assert "baseline" in rows[-1][-1]
 
 
 def test_numbers_have_true_minus_signs_and_do_not_break(ranking: Ranking) -> None:
-    worse = dataclasses.replace(ranking, reduction=-1.0 - ranking.reduction)
+    metrics = dataclasses.replace(ranking.metrics, reduction=-1.0 - ranking.metrics.reduction)
+    worse = dataclasses.replace(ranking, metrics=metrics)
     text = worse._repr_html_()
     _, *rows = rows_of(text)
     assert rows[0][6].startswith("\u22121")
@@ -202,19 +203,21 @@ def test_ranking_plotting(ranking_plotting: Ranking, ax: matplotlib.axes.Axes) -
     labels = [text.get_text() for text in ax.get_yticklabels()]
     assert labels[:2] == [f"{ranking_plotting.rank[i]}. {ranking_plotting.designs[i].label}" for i in range(2)]
     places = [0, 1, 2, ranking_plotting.baseline]  # the baseline follows
-    assert points(ax) == {(float(ranking_plotting.S[i]), float(row)) for row, i in enumerate(places) if i is not None}
+    assert points(ax) == {
+        (float(ranking_plotting.metrics.S[i]), float(row)) for row, i in enumerate(places) if i is not None
+    }
     drawn = {tuple(segment[:, 0]) for lines in ax.collections for segment in lines.get_segments()}
-    assert (float(ranking_plotting.S_low[0]), float(ranking_plotting.S_high[0])) in drawn
+    assert (float(ranking_plotting.inference.S_low[0]), float(ranking_plotting.inference.S_high[0])) in drawn
     with pytest.raises(InputError, match="top: 0; allowed"):
         plot_ranking(ranking_plotting, ax, top=0)
 
 
 def test_trade_off(ranking_plotting: Ranking, ax: matplotlib.axes.Axes) -> None:
     plot_trade_off(ranking_plotting, "a_y_peak_p95", "S", ax)
-    x = ranking_plotting.release.a_y_peak_p95
-    assert points(ax) == {(float(a), float(b)) for a, b in zip(x, ranking_plotting.S, strict=True) if a == a}
+    x = ranking_plotting.metrics.beside["a_y_peak_p95"]
+    assert points(ax) == {(float(a), float(b)) for a, b in zip(x, ranking_plotting.metrics.S, strict=True) if a == a}
     front = next(line for line in ax.lines if line.get_label() == "Pareto front").get_xydata()
-    for a, b in zip(x, ranking_plotting.S, strict=True):  # nothing beats a point of the front in both
+    for a, b in zip(x, ranking_plotting.metrics.S, strict=True):  # nothing beats a point of the front in both
         assert not any((a < p and b <= q) or (a <= p and b < q) for p, q in np.asarray(front))
     with pytest.raises(UnknownNameError, match="did you mean"):
         plot_trade_off(ranking_plotting, "a_y_peak_p59", ax=ax)
@@ -237,15 +240,15 @@ def test_convergence_ends_at_the_mean(
 ) -> None:
     best = ranking_plotting.designs[0]
     plot_convergence(results_plotting, [best], ax)
-    assert ax.lines[0].get_ydata()[-1] == pytest.approx(ranking_plotting.S[0])  # type: ignore[index]
+    assert ax.lines[0].get_ydata()[-1] == pytest.approx(ranking_plotting.metrics.S[0])  # type: ignore[index]
     plot_convergence(results_plotting, [ranking_plotting.designs[1]], ax, to=best)
-    assert ax.lines[1].get_ydata()[-1] == pytest.approx(ranking_plotting.difference[1])  # type: ignore[index]
+    assert ax.lines[1].get_ydata()[-1] == pytest.approx(ranking_plotting.inference.difference[1])  # type: ignore[index]
 
 
 def test_landscape(ranking_plotting: Ranking, ax: matplotlib.axes.Axes) -> None:
     plot_landscape(ranking_plotting, "lqr", y="r_delta", ax=ax)
     shown = np.asarray(ax.collections[0].get_array()).reshape(2, 3)
-    for design, S in zip(ranking_plotting.designs, ranking_plotting.S, strict=True):
+    for design, S in zip(ranking_plotting.designs, ranking_plotting.metrics.S, strict=True):
         if design.law == "lqr":
             at = [30.0, 300.0].index(dict(design.gains)["r_delta"]), [0.05, 0.1, 0.2].index(design.y_s)  # type: ignore[arg-type]
             assert shown[at] == S
@@ -258,12 +261,12 @@ def test_landscape(ranking_plotting: Ranking, ax: matplotlib.axes.Axes) -> None:
 def test_landscape_over_one_quantity_is_its_profile(ranking_plotting: Ranking, ax: matplotlib.axes.Axes) -> None:
     plot_landscape(ranking_plotting, "lqr", ax=ax)
     best: dict[float, float] = {}
-    for design, S in zip(ranking_plotting.designs, ranking_plotting.S, strict=True):
+    for design, S in zip(ranking_plotting.designs, ranking_plotting.metrics.S, strict=True):
         if design.law == "lqr":
             best[design.y_s] = min(float(S), best.get(design.y_s, np.inf))
     level, profile, _ = ax.lines
     np.testing.assert_allclose(profile.get_ydata(), [best[y_s] for y_s in sorted(best)])
-    assert set(level.get_ydata()) == {ranking_plotting.S_uncorrected[0]}
+    assert set(level.get_ydata()) == {ranking_plotting.metrics.S_uncorrected[0]}
 
 
 def test_a_title_with_a_dollar_sign_is_text(ranking_plotting: Ranking, ax: matplotlib.axes.Axes) -> None:
@@ -316,7 +319,7 @@ def test_trade_off_has_the_units_of_the_report(ranking_plotting: Ranking, ax: ma
     plot_trade_off(ranking_plotting, "delta_peak_max", "reduction", ax)
     assert ax.get_xlabel() == "Steering angle, largest [°], less is better"
     assert ax.get_ylabel() == "Mean S saved against no control [%], more is better"
-    x, y = np.degrees(ranking_plotting.release.delta_peak_max), 100 * ranking_plotting.reduction
+    x, y = np.degrees(ranking_plotting.metrics.beside["delta_peak_max"]), 100 * ranking_plotting.metrics.reduction
     drawn = sorted(points(ax))
     assert drawn == [pytest.approx(one) for one in sorted((a, b) for a, b in zip(x, y, strict=True) if a == a)]
 

@@ -282,7 +282,7 @@ risk.estimate_risk([study.designs[-1]], study, n=60_500, workers=2, directory=sy
 @pytest.mark.slow
 def test_a_killed_run_goes_on_to_the_same_bits(tmp_path: Path) -> None:
     """Killed while it writes the counts of the third of eight chunks: those of two are there."""
-    code = killing(tmp_path / "risk.parts" / ".part", 6) + KILLED
+    code = killing(tmp_path / "risk.parts" / ".part", 8) + KILLED
     process = subprocess.run([sys.executable, "-c", code, str(tmp_path)], timeout=600, check=False)
     assert process.returncode == -signal.SIGKILL
     assert len(list(tmp_path.glob("risk.parts/.part-*.part"))) == 1

@@ -12,9 +12,10 @@ from scipy.special import log_ndtr
 from helpers.bits import examples
 from ldctoolkit.errors import InputError
 from ldctoolkit.mixture import BoundedGaussianMixture, TruncatedNormal, _em
+from ldctoolkit.mixture._distribution import Components, log_terms, natural, shares
 from ldctoolkit.mixture._em import Point, best_moves, leap
-from ldctoolkit.mixture._expectation import Components, log_terms, natural, shares, statistics
 from ldctoolkit.mixture._kernels import log_density_of_rows, statistics_of_rows
+from ldctoolkit.mixture._maximisation import Statistics
 from ldctoolkit.mixture.bounded_gaussian_mixture import correlation_of, fit_warnings
 from ldctoolkit.mixture.checks import Events, profile_of
 
@@ -213,10 +214,10 @@ def test_a_move_gains_at_least_its_bound(seed: int) -> None:
     now = Components(np.full(5, 0.2), mu, Sigma, t.log_probability)
     # one pass, so that the weights are those of the shares, as after any EM
     value, sums = statistics_of_rows(z, None, np.zeros(2), np.ones(2), natural(now))
-    stats = statistics(value, sums, 2)
+    stats = Statistics.of(value, sums, 2)
     now = Components(stats.counts / z.shape[0], mu, Sigma, t.log_probability)
     value, sums = statistics_of_rows(z, None, np.zeros(2), np.ones(2), natural(now))
-    stats = statistics(value, sums, 2)
+    stats = Statistics.of(value, sums, 2)
 
     def run(x: np.ndarray, w: np.ndarray, two: Components) -> tuple[Components, float]:
         pair = TruncatedNormal(two.mu, two.Sigma, low, high, points=POINTS)
@@ -239,31 +240,25 @@ def test_a_move_gains_at_least_its_bound(seed: int) -> None:
         assert log_likelihood(z, move.start, after) - before >= move.gain
 
 
-def shortfall(model: BoundedGaussianMixture, true: BoundedGaussianMixture, X: np.ndarray) -> float:
-    """Nats an event below the optimum that EM reaches from the truth."""
-    best = BoundedGaussianMixture.from_parameters(true.weights_, true.means_, true.covariances_, lower=0.0)
-    best.set_params(warm_start=True).fit(X)
-    return best.score(X) - model.score(X)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [2, 0, 1, 3])
 def test_moves_lead_out_of_local_optima(seed: int) -> None:
-    """Two k-means starts each: without the moves some fits end at a worse optimum, with them none does. A fit from the
-    truth is the measure; 1e-3 nats is what its own tolerance and the prior's target leave open."""
+    """Two k-means starts each: without the moves some fits end at a worse optimum, with them none does. On its own
+    events the best optimum is above the truth, by p/(2 n) = 0.004 nats on average."""
     true, X = groups(seed)
-    model = BoundedGaussianMixture(8, lower=0.0, n_init=2, random_state=0)
-    assert shortfall(model.fit(X), true, X) < 1e-3
+    settings = {"lower": 0.0, "n_init": 2, "random_state": 0}
+    assert BoundedGaussianMixture(8, **settings).fit(X).score(X) - true.score(X) > 0.002
     if seed == 2:
-        assert shortfall(model.set_params(split_merge=False).fit(X), true, X) > 0.005
+        plain = BoundedGaussianMixture(8, split_merge=False, **settings).fit(X)
+        assert plain.score(X) - true.score(X) < -0.002
 
 
 @pytest.mark.slow
 def test_a_failed_move_keeps_those_before(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The search ends where a move meets a singular covariance; what it has found stands."""
+    """The search ends where a move meets a singular covariance; what it has reached stands."""
     _, X = groups(2)
-    model = BoundedGaussianMixture(8, lower=0.0, n_init=1, random_state=0)
-    start = model.set_params(split_merge=False).fit(X).score(X)
+    settings = {"lower": 0.0, "n_init": 1, "random_state": 0}
+    start = BoundedGaussianMixture(8, split_merge=False, **settings).fit(X).score(X)
     calls = []
 
     def second_fails(*args: object, **named: object) -> list[object]:
@@ -273,7 +268,7 @@ def test_a_failed_move_keeps_those_before(monkeypatch: pytest.MonkeyPatch) -> No
         return best_moves(*args, **named)  # type: ignore[arg-type]
 
     monkeypatch.setattr(_em, "best_moves", second_fails)
-    after = model.set_params(split_merge=True).fit(X).score(X)
+    after = BoundedGaussianMixture(8, **settings).fit(X).score(X)
     assert len(calls) == 2
     assert after > start + 0.005
 
@@ -434,7 +429,7 @@ def test_density_piled_up_at_a_bound_without_a_prior(name, d, n, K):
     try:
         model = fitted(X, K, prior_strength=0.0, max_iter=60)
     except InputError as error:
-        assert "raise prior_strength" in str(error)  # noqa: PT017
+        assert error.hint == "raise prior_strength or fit fewer components"  # noqa: PT017
     else:
         check_sound(model, X)
 
@@ -534,22 +529,22 @@ def test_broken_data_and_the_moves_between_short_and_final_run(kind):
 @examples(15)
 @given(
     seed=st.integers(0, 2**16), d=st.integers(1, 3), K=st.integers(1, 4), name=st.sampled_from(sorted(MARGINS)),
-    step=st.sampled_from(["newton", "lee_scott"]), n0=st.sampled_from([0.0, 1.0, 10.0]), upper=st.booleans(),
+    n0=st.sampled_from([0.0, 1.0, 10.0]), upper=st.booleans(),
 )  # fmt: skip
-def test_the_penalised_likelihood_never_falls(seed, d, K, name, step, n0, upper):
+def test_the_penalised_likelihood_never_falls(seed, d, K, name, n0, upper):
     X = margin(name, (60 * K, d), seed) @ (np.eye(d) + 0.3 * np.tri(d, k=-1))
     top = X.max(axis=0) * 1.01 if upper else INF
     try:
-        model = fitted(X, K, upper=top, step=step, prior_strength=n0, max_iter=25)
+        model = fitted(X, K, upper=top, prior_strength=n0, max_iter=25)
     except InputError as error:
-        assert "raise prior_strength" in str(error)  # noqa: PT017
+        assert error.hint == "raise prior_strength or fit fewer components"  # noqa: PT017
         assert n0 == 0.0
     else:
         history = model.lower_bounds_
         assert np.min(np.diff(history), initial=0.0) >= -1e-8 * max(np.abs(history).max(), 1.0)
 
 
-def told(model, X, names=None, weight=None):
+def warnings_of(model, X, names=None, weight=None):
     events = Events(np.asarray(X, dtype=float), weight)
     profile = profile_of(events)
     return fit_warnings(
@@ -562,11 +557,11 @@ def fit(X, K=1, **settings):
     return BoundedGaussianMixture(K, **{"lower": 0.0, "random_state": 0, "n_init": 2} | settings).fit(X)
 
 
-def test_a_sound_fit_has_nothing_to_tell():
+def test_a_sound_fit_has_no_warnings():
     X = BoundedGaussianMixture.from_parameters(
         [0.4, 0.6], [[0.2, 0.0], [2.0, 3.0]], [np.eye(2), 0.5 * np.eye(2)], lower=[0.0, -INF]
     ).sample(1500, 0)[0]
-    assert told(fit(X, 2, lower=[0.0, -INF]), X) == ()
+    assert warnings_of(fit(X, 2, lower=[0.0, -INF]), X) == ()
 
 
 @pytest.mark.parametrize(
@@ -581,7 +576,7 @@ def test_a_fit_that_did_not_converge(reason, words):
     X = base()
     model = fit(X)
     model.stop_reason_, model.n_iter_ = reason, 3
-    first, *rest = told(model, X)
+    first, *rest = warnings_of(model, X)
     assert words in first
     assert rest == []
 
@@ -591,16 +586,16 @@ def test_components_with_fewer_events_than_parameters():
     model = fit(X, 4)
     few = [str(k) for k in range(4) if model.weights_[k] * 12 < 5.0]
     assert len(few) > 1
-    sentence = told(model, X)[0]
+    sentence = warnings_of(model, X)[0]
     assert sentence.startswith(f"Components {', '.join(few)} (")
     assert "fewer than the 5 parameters of a mean and a covariance" in sentence
     # weights count: the same rows for ten events each are enough
-    assert not any("fewer than" in s for s in told(model, X, weight=np.full(12, 100.0)))
+    assert not any("fewer than" in s for s in warnings_of(model, X, weight=np.full(12, 100.0)))
 
 
 def test_many_components_are_not_all_listed():
     X = base(60)
-    sentence = next(s for s in told(fit(X, 20, split_merge=False, n_init=1, max_iter=5), X) if "fewer than" in s)
+    sentence = next(s for s in warnings_of(fit(X, 20, split_merge=False, n_init=1, max_iter=5), X) if "fewer than" in s)
     names, figures = sentence.split(" (")
     assert names.endswith(", ...")
     assert names.count(",") == figures.split(" events")[0].count(",") == 6
@@ -609,7 +604,7 @@ def test_many_components_are_not_all_listed():
 def test_events_piled_up_at_a_bound():
     X = np.random.default_rng(1).exponential(size=(20_000, 1))
     model = fit(X)
-    (sentence,) = told(model, X)
+    (sentence,) = warnings_of(model, X)
     assert sentence.startswith(f"Component 0 (ln P {model.log_probabilities_[0]:.3g}; ")
     distance = -model.means_[0, 0] / np.sqrt(model.covariances_[0, 0, 0])
     assert f"; {distance:.3g} standard deviations outside the box): events pile up" in sentence
@@ -620,30 +615,30 @@ def test_columns_that_are_nearly_the_same():
     b = base()
     for noise, other in ((0.0, "1"), (1e-10, "1"), (1e-3, "0.99999")):
         X = np.column_stack([b[:, 0], 3.0 * b[:, 0] + 1.0 + noise * b[:, 1], b[:, 1]])
-        sentences = told(fit(X), X, names=("T", "d_y", "c_0"))
+        sentences = warnings_of(fit(X), X, names=("T", "d_y", "c_0"))
         assert sentences[0].startswith(f"Column 'T' and column 'd_y' are nearly the same (correlation {other}")
         assert len(sentences) == 1
     X[:, 1] *= -1.0
-    assert "(correlation -0.99999" in told(fit(X, lower=-INF), X)[0]
+    assert "(correlation -0.99999" in warnings_of(fit(X, lower=-INF), X)[0]
 
 
 def test_one_event_far_off():
     X = np.vstack([base(500, 3), [[1.0, 1e6, 1.0]]])
-    text = " ".join(told(fit(X, 2), X))
+    text = " ".join(warnings_of(fit(X, 2), X))
     assert "Column 1: one event, 1e+06, makes up 100% of the variance; is it real?" in text
     X = np.vstack([base(500, 3), [[1.0, 1.0, -1e6]]])
-    assert "Column 2: one event, -1e+06, makes up" in " ".join(told(fit(X, 2, lower=-INF), X))
+    assert "Column 2: one event, -1e+06, makes up" in " ".join(warnings_of(fit(X, 2, lower=-INF), X))
 
 
 def test_a_column_that_hardly_varies():
     X = np.column_stack([base(), 1.0 + 1e-9 * base(500, 3)[:, 2]])
-    assert any(s.startswith("Column 2 varies by ") and "few digits are left" in s for s in told(fit(X), X))
+    assert any(s.startswith("Column 2 varies by ") and "few digits are left" in s for s in warnings_of(fit(X), X))
 
 
 @pytest.mark.slow
 def test_repeated_rows_make_thin_components():
     X = np.vstack([base(250), np.tile([[1.0, 1.0]], (250, 1))])
-    assert any("hardly any width in some direction" in s for s in told(fit(X, 3, prior_strength=0.1), X))
+    assert any("hardly any width in some direction" in s for s in warnings_of(fit(X, 3, prior_strength=0.1), X))
 
 
 def test_correlation_is_numpys():

@@ -1,23 +1,19 @@
-"""The number of components, and the criteria that choose it."""
+"""The number of components, and the criterion that chooses it."""
 
-import contextlib
-import functools
-import multiprocessing
-import os
-import time
+import concurrent.futures
 
 import numpy as np
 import pytest
 from scipy.stats import truncnorm
 
-from ldctoolkit.errors import InputError, LdcError
+from helpers.errors import refused
+from ldctoolkit.errors import NOT_GIVEN, UnknownArgumentError
 from ldctoolkit.mixture import BoundedGaussianMixture, select_components
-from ldctoolkit.mixture.checks import Events
-from ldctoolkit.mixture.selection import Rule, choose, in_processes
+from ldctoolkit.mixture.selection import choose, reason_of
 
 INF = np.inf
 QUICK = {"n_init": 2, "short_iter": 5, "random_state": 3}
-CURVES = ("n_parameters", "log_likelihood", "bic", "aic")
+CURVES = ("n_parameters", "log_likelihood", "bic")
 
 
 def two_groups(n=600, seed=0):
@@ -28,7 +24,9 @@ def two_groups(n=600, seed=0):
 def assert_same(one, other):
     for name in ("n_components", *CURVES):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
-    assert (one.chosen, one.reason, one.failures) == (other.chosen, other.reason, other.failures)
+    assert (one.chosen, one.reason) == (other.chosen, other.reason)
+    failures = ([(f.n_components, str(f.error)) for f in selection.failures] for selection in (one, other))
+    assert next(failures) == next(failures)
     for a, b in zip(one.models, other.models, strict=True):
         np.testing.assert_array_equal(a.weights_, b.weights_)
         np.testing.assert_array_equal(a.means_, b.means_)
@@ -69,9 +67,9 @@ def test_bic_finds_the_true_k():
         assert found.best.n_components == K, seed
 
 
-# ---- criteria
+# ---- the criterion
 @pytest.mark.parametrize("transform", [None, ["log", "none"]])
-def test_criteria_equal_a_brute_force_computation(transform):
+def test_bic_equals_a_brute_force_computation(transform):
     X = two_groups()
     found = select_components(X, [1, 3], lower=[0.0, -INF], transform=transform, **QUICK)
     for i, model in enumerate(found.models):
@@ -96,24 +94,14 @@ def test_criteria_equal_a_brute_force_computation(transform):
         assert found.n_parameters[i] == p
         # 600 terms of size 1 to 10, each to about 1e-13
         np.testing.assert_allclose(found.log_likelihood[i], L / 600, rtol=1e-10)
-        np.testing.assert_allclose(found.aic[i], -2 * L + 2 * p, rtol=1e-10)
         np.testing.assert_allclose(found.bic[i], -2 * L + p * np.log(600), rtol=1e-10)
         np.testing.assert_allclose(found.bic[i], model.bic(X), rtol=1e-10)
-
-
-def test_aic_chooses_by_its_own_curve():
-    """A hundred heavy-tailed values: twice the log-likelihood gains between 2 and ln 100 a parameter."""
-    X = np.random.default_rng(2).standard_t(4, (100, 1))
-    for criterion, K in (("bic", 1), ("aic", 2)):
-        found = select_components(X, [1, 2], criterion=criterion, slack=0, **QUICK)
-        assert found.best.n_components == K
-        assert found.reason.startswith(f"K = {K}, the smallest whose {criterion.upper()} lies within 0 of the best")
 
 
 def test_weights_count_as_repeated_rows():
     X = two_groups(400)
     times = np.random.default_rng(1).integers(0, 4, 400)
-    options = {"lower": 0.0, "criterion": "bic", **QUICK}
+    options = {"lower": 0.0, **QUICK}
     # one component: no start is drawn, so both fits take the same way
     weighted = select_components(X, [1], sample_weight=times, **options)
     repeated = select_components(np.repeat(X, times, axis=0), [1], **options)
@@ -127,145 +115,80 @@ def test_weights_count_as_repeated_rows():
 
 # ---- the rule
 @pytest.mark.parametrize(
-    ("loss", "allowed", "index"),
+    ("bic", "index"),
     [
-        ([100.0, 50.0, 20.0, 12.0, 11.0, 14.0], 10.0, 2),
-        ([100.0, 50.0, 21.0, 12.0, 11.0, 14.0], 10.0, 2),  # exactly as far as allowed
-        ([100.0, 50.0, 21.1, 12.0, 11.0, 14.0], 10.0, 3),
-        ([100.0, 50.0, 20.0, 12.0, 11.0, 14.0], 0.0, 4),
-        ([7.0, 7.0, 7.0], 0.0, 0),  # flat
-        ([1.0, 20.0, 40.0], 10.0, 0),  # rising
-        ([40.0, 20.0, 1.0], 10.0, 2),  # falling
-        ([3.0], 0.0, 0),
-        ([np.nan, 30.0, 5.0, 4.0], 10.0, 2),
-        ([-INF, 30.0, 5.0, INF], 10.0, 2),
+        ([100.0, 50.0, 20.0, 12.0, 11.0, 14.0], 2),
+        ([100.0, 50.0, 21.0, 12.0, 11.0, 14.0], 2),  # exactly as far as allowed
+        ([100.0, 50.0, 21.1, 12.0, 11.0, 14.0], 3),
+        ([7.0, 7.0, 7.0], 0),  # flat
+        ([1.0, 20.0, 40.0], 0),  # rising
+        ([40.0, 20.0, 1.0], 2),  # falling
+        ([3.0], 0),
+        ([np.nan, 30.0, 5.0, 4.0], 2),
+        ([-INF, 30.0, 5.0, INF], 2),
     ],
 )
-def test_the_rule_on_made_up_curves(loss, allowed, index):
-    assert choose(np.array(loss), allowed) == index
+def test_the_rule_on_invented_curves(bic, index):
+    assert choose(np.array(bic)) == index
 
 
 def test_no_finite_criterion_is_an_error():
-    with pytest.raises(InputError, match="finite criterion"):
-        choose(np.array([np.nan, INF]), 0.0)
-
-
-def test_allowances_are_in_the_units_of_the_criterion():
-    assert Rule("bic", 10.0, 0.0, 1000.0).allowance == 10.0
-    assert Rule("bic", 3, 0.001, 1000.0).allowance == 3.0
-    assert Rule("aic", 3, 0.01, 1000.0).allowance == 20.0
+    with refused("components", allowed="at least one"):
+        choose(np.array([np.nan, INF]))
 
 
 def test_the_reason_names_k_rule_and_limits():
-    K, loss = np.array([1, 2, 3]), np.array([90.0, 4.0, 1.0])
-    rule = Rule("bic", 10.0, 0.0, 100.0)
-    assert rule.reason(K, loss, 1) == (
+    K, bic = np.array([1, 2, 3]), np.array([90.0, 4.0, 1.0])
+    assert reason_of(K, bic, 1) == (
         "K = 2, the smallest whose BIC lies within 10 of the best (K = 3, better by 3.0); "
         "the best is the last one tried, so more components may be better still"
     )
-    assert (
-        Rule("aic", 10.0, 0.5, 100.0)
-        .reason(K, loss, 0)
-        .startswith("K = 1, the smallest whose AIC lies within 0.5 nats an event of the best (K = 3")
-    )
-    assert rule.reason(K[:1], loss[:1], 0) == "K = 1, the only one there is"
+    assert reason_of(K[:1], bic[:1], 0) == "K = 1, the only one there is"
 
 
-def test_indifference_takes_the_smaller_model():
-    X = two_groups()
-    plain = select_components(X, [1, 2], lower=0.0, **QUICK)
-    gain = (plain.bic[0] - plain.bic.min()) / (2 * 600)
-    just_less, just_more = (
-        select_components(X, [1, 2], lower=0.0, indifference=factor * gain, **QUICK) for factor in (0.99, 1.01)
-    )
-    assert (plain.best.n_components, just_less.best.n_components, just_more.best.n_components) == (2, 2, 1)
-
-
-def test_larger_k_are_not_tried_once_there_is_enough():
-    """Sixty values of one group: K = 2 is worse than K = 1 by 12.3 units of BIC."""
-    X = np.random.default_rng(0).standard_t(4, (60, 1))
-    for slack, tried in ((10, [1, 2]), (13, [1, 2, 3])):
-        found = select_components(X, [1, 2, 3], slack=slack, enough=lambda fits: fits.risen, **QUICK)
-        assert found.n_components.tolist() == tried
+@pytest.mark.parametrize(("n", "tried"), [(60, [1, 2]), (20, [1, 2, 3])])
+def test_larger_k_are_not_tried_once_bic_has_risen(n, tried):
+    """One group: each further component costs three parameters, 12.3 units of BIC at n = 60, 9 or less at n = 20."""
+    X = np.random.default_rng(0).standard_t(4, (n, 1))
+    found = select_components(X, [1, 2, 3], enough=lambda fits: fits.risen, **QUICK)
+    assert found.n_components.tolist() == tried
 
 
 # ---- in parallel
-@contextlib.contextmanager
-def no_process_stays():
-    """None that the block starts; those of other tests may still wait for work."""
-    before = set(multiprocessing.active_children())
-    yield
-    assert set(multiprocessing.active_children()) <= before
-
-
-def test_numbers_do_not_depend_on_processes():
+def test_numbers_depend_neither_on_the_order_nor_on_cores():
     X = two_groups()
     options = {"lower": 0.0, "sample_weight": np.linspace(0.5, 2.0, 600), **QUICK}
     # 201 components are too many for 600 rows
     serial = select_components(X, [1, 2, 201], n_jobs=1, **options)
-    with no_process_stays():
-        parallel = select_components(X, [201, 2, 1], n_jobs=3, **options)
-    assert_same(serial, parallel)
+    assert_same(serial, select_components(X, [201, 2, 1], n_jobs=2, **options))
     assert serial.failures[0].n_components == 201
 
 
-@pytest.mark.slow
-def test_processes_that_start_afresh_map_the_events():
-    events = Events(two_groups(), np.linspace(0.5, 2.0, 600))
-    ended = dict(in_processes(_sums, [1.0, 2.0], events, 2))
-    total = float(np.sum(events.weight @ events.x))
-    assert ended == {0: (total, True), 1: (2 * total, True)}
+def test_what_runs_the_fits_may_be_passed_in():
+    """As `map`, here by threads; the longest fit is handed over first."""
+    handed_over = []
+
+    def by_threads(fit, models):
+        handed_over.extend(model.n_components for model in models)
+        with concurrent.futures.ThreadPoolExecutor(2) as pool:
+            return list(pool.map(fit, models))
+
+    serial = select_components(two_groups(), [1, 2, 3], lower=0.0, n_jobs=1, **QUICK)
+    assert_same(select_components(two_groups(), [1, 2, 3], lower=0.0, fit_each=by_threads, **QUICK), serial)
+    assert handed_over == [3, 2, 1]
+    assert_same(select_components(two_groups(), [1, 2, 3], lower=0.0, fit_each=map, **QUICK), serial)
 
 
-def _sums(events, factor):
-    return factor * float(np.sum(events.weight @ events.x)), isinstance(events.x, np.memmap)
+def reverse_map(fit, models):
+    """Results in another order."""
+    return reversed([fit(model) for model in models])
 
 
-def _broken(events, job, asleep=None):
-    if job == "raise":
-        while not asleep.exists():
-            time.sleep(0.01)
-        raise InputError(f"job {job} of {events.x.shape[0]} rows")
-    if job == "die":
-        os._exit(3)
-    if job == "sleep":
-        asleep.touch()
-        time.sleep(600)
-        asleep.unlink()
-    return job
-
-
-@pytest.mark.slow
-def test_an_error_in_a_worker_arrives_as_it_is(tmp_path):
-    """And it waits for no other job that is under way."""
-    work = functools.partial(_broken, asleep=tmp_path / "asleep")
-    with no_process_stays(), pytest.raises(InputError, match="job raise of 600 rows"):
-        list(in_processes(work, ["sleep", "raise"], Events(two_groups()), 2))
-    assert (tmp_path / "asleep").exists()
-
-
-@pytest.mark.slow
-def test_a_worker_that_dies_is_told():
-    with no_process_stays(), pytest.raises(LdcError, match=r"ended abruptly.*n_jobs=1"):
-        list(in_processes(_broken, ["die", "x"], Events(two_groups()), 2))
-
-
-@pytest.mark.slow
-def test_an_interrupt_ends_the_workers():
-    def interrupt(text, done, total):
-        if done:
-            raise KeyboardInterrupt
-
-    # at once, not when the traceback and what it holds are dropped
-    with no_process_stays(), pytest.raises(KeyboardInterrupt) as caught:
-        select_components(two_groups(), range(1, 5), lower=0.0, n_jobs=2, progress=interrupt, **QUICK)
-    assert caught.traceback
-
-
-@pytest.mark.parametrize(("n_jobs", "first"), [(1, "K = 1"), pytest.param(2, "K = 3, 2", marks=pytest.mark.slow)])
-def test_progress(n_jobs, first):
+@pytest.mark.parametrize(("fit_each", "first"), [(None, "K = 1"), (reverse_map, "K = 3")])
+def test_progress(fit_each, first):
     seen = []
-    select_components(two_groups(), [1, 2, 3], lower=0.0, n_jobs=n_jobs, progress=lambda *a: seen.append(a), **QUICK)
+    options = {"lower": 0.0, "fit_each": fit_each, "progress": lambda *a: seen.append(a), **QUICK}
+    select_components(two_groups(), [1, 2, 3], **options)
     assert (seen[0], [s[1] for s in seen], seen[-1]) == ((first, 0, 3), [0, 1, 2, 3], ("done", 3, 3))
 
 
@@ -282,47 +205,45 @@ def test_a_k_that_cannot_be_fitted_is_reported_and_left_out():
     assert found.n_components.tolist() == [1, 2]
     assert len(found.models) == found.bic.size == 2
     assert [f.n_components for f in found.failures] == [14]
-    assert "at least K (d + 1) = 42" in found.failures[0].message
+    assert (found.failures[0].error.path, found.failures[0].error.problem) == ("X", "40 rows")
     assert found.reason.endswith("; K = 14 could not be fitted")
 
 
-@pytest.mark.parametrize("n_jobs", [1, pytest.param(2, marks=pytest.mark.slow)])
-def test_where_all_fail_the_message_is_the_fits(n_jobs):
+@pytest.mark.parametrize("fit_each", [map, reverse_map])
+def test_where_all_fail_the_error_is_that_of_the_smallest(fit_each):
     X = two_groups()
     X[7, 1] = -1.0
-    with pytest.raises(InputError, match=r"column 1, row 7: -1.0; allowed: strictly between"):
-        select_components(X, [1, 2], lower=0.0, n_jobs=n_jobs, **QUICK)
+    with refused("X: column 1, row 7", value=-1.0, allowed="strictly between the bounds 0 and inf"):
+        select_components(X, [1, 2], lower=0.0, fit_each=fit_each, **QUICK)
+    with refused("X", allowed="at least K (d + 1) = 6 for K = 2, d = 2"):
+        select_components(X[:4], [3, 2], lower=0.0, fit_each=fit_each, **QUICK)
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("change", "path", "value"),
     [
-        ({"components": []}, "components: an empty range"),
-        ({"components": 3}, "components: 3; allowed: an integer >= 1, or several"),
-        ({"components": "12"}, "components: '12'; allowed: an integer >= 1, or several"),
-        ({"components": [0, 1]}, "components: 0; allowed: an integer >= 1"),
-        ({"components": [1, "2"]}, "components: '2'"),
-        ({"criterion": "bci"}, "criterion: 'bci'; did you mean 'bic'"),
-        ({"criterion": ["bic"]}, "criterion: "),
-        ({"slack": -1.0}, "slack: -1.0; allowed: a number >= 0"),
-        ({"indifference": np.nan}, "indifference: nan"),
-        ({"n_jobs": 0}, "n_jobs: 0; allowed: an integer >= 1"),
-        ({"sample_weight": [1.0]}, "sample_weight: shape"),
-        ({"X": np.empty((0, 2))}, "X: no rows"),
-        ({"X": np.empty((5, 0))}, "X: no columns"),
-        ({"X": [["a"]]}, "X: not a table of numbers"),
-        ({"tol": -1.0}, "tol: -1.0"),
+        ({"components": 3}, "components", 3),
+        ({"components": "12"}, "components", "12"),
+        ({"components": [0, 1]}, "components", 0),
+        ({"components": [1, "2"]}, "components", "2"),
+        ({"components": [1.0]}, "components", 1.0),
+        ({"components": [True]}, "components", True),
+        ({"n_jobs": 0}, "n_jobs", 0),
+        ({"tol": -1.0}, "tol", -1.0),
+        ({"components": []}, "components", NOT_GIVEN),
+        ({"sample_weight": [1.0]}, "sample_weight", NOT_GIVEN),
+        ({"X": np.empty((0, 2))}, "X", NOT_GIVEN),
+        ({"X": np.empty((5, 0))}, "X", NOT_GIVEN),
+        ({"X": [["a"]]}, "X", NOT_GIVEN),
     ],
 )
-def test_bad_input_is_named(change, message):
-    arguments = {"X": two_groups(), "components": [1], **QUICK, **change}
-    with pytest.raises(InputError, match=message.replace("[", r"\[")) as caught:
-        select_components(**arguments)
-    assert "np.float64" not in str(caught.value)
+def test_bad_input_is_named(change, path, value):
+    with refused(path, value=value):
+        select_components(**{"X": two_groups(), "components": [1], **QUICK, **change})
 
 
-def test_an_unknown_setting_is_told_before_anything_starts():
-    with pytest.raises(TypeError, match="n_initial"):
+def test_an_unknown_setting_is_refused_before_anything_starts():
+    with refused("BoundedGaussianMixture", UnknownArgumentError, value="n_initial"):
         select_components(two_groups(), [1], n_initial=3)
 
 
@@ -332,7 +253,7 @@ def two_components(lower=None):
     )
 
 
-def test_open_mixtures_have_scikit_learns_criteria():
+def test_open_mixtures_have_scikit_learns_bic():
     from sklearn.mixture import GaussianMixture
 
     ours = two_components()
@@ -341,13 +262,12 @@ def test_open_mixtures_have_scikit_learns_criteria():
     theirs.covariances_ = ours.covariances_
     theirs.precisions_cholesky_ = np.linalg.cholesky(np.linalg.inv(ours.covariances_)).copy()
     X = ours.sample(500, 1)[0]
-    np.testing.assert_allclose(ours.aic(X), theirs.aic(X), rtol=1e-12)
     np.testing.assert_allclose(ours.bic(X), theirs.bic(X), rtol=1e-12)
 
 
 def test_bad_weights_and_no_rows():
     model = two_components()
-    with pytest.raises(InputError, match="sample_weight: shape"):
+    with refused("sample_weight"):
         model.bic([[0.0, 1.0]], sample_weight=[1.0, 2.0])
-    with pytest.raises(InputError, match="X: no rows"):
-        model.aic(np.empty((0, 2)))
+    with refused("X"):
+        model.bic(np.empty((0, 2)))

@@ -47,7 +47,7 @@ def test_the_verdict_stands_first(page: Page, report: ReportInput) -> None:
     assert words.startswith("Verdict Smallest S")
     assert list(lights(page)) == ["Score", "Stable", "Limits", "Other plants"]
     assert page.html.index('id="verdict"') < page.html.index('id="ranking"')
-    S = report.ranking.S[0]
+    S = report.ranking.metrics.S[0]
     assert f"Mean S {S:.3f} m·s" in words
     assert "how well the model represents traffic" in words or "not for other traffic" in words
 
@@ -163,7 +163,7 @@ def test_each_number_is_that_of_ranking_csv(made: Made) -> None:
 def test_the_same_number_is_the_same_text_everywhere(page: Page, report: ReportInput) -> None:
     """4.25 was 4.2 in one place and 4.3 in another."""
     ranking = report.ranking
-    value = float(ranking.release.a_y_added_peak_p95[0])
+    value = float(ranking.metrics.beside["a_y_added_peak_p95"][0])
     text = f"{value:.2f}"
     assert text in page.words("verdict")
     assert text in page.words("limits")
@@ -175,7 +175,7 @@ def test_limits_say_how_many_designs_meet_them(results: StudyResults) -> None:
     made = report_input(results, require=["comfort", "S <= 0.6"])
     ranking = made.ranking
     rows = {row[0]: row for row in page_of(made).captioned("Limits")[1:]}
-    met = int((ranking.S <= 0.6).sum())
+    met = int((ranking.metrics.S <= 0.6).sum())
     assert rows["Mean S"][1:3] == ["≤ 0.6 m·s", "own"]
     assert rows["Mean S"][5] == str(met)
     assert rows["Peak added jerk, 95 % quantile"][1:3] == ["≤ 5 m/s³", "comfort"]
@@ -197,8 +197,8 @@ def test_all_metrics_are_there(report: ReportInput) -> None:
     ]
     rate = table[1 + titles.index("Steering rate, largest")]
     assert i is not None
-    assert rate[1] == f"{57.29577951308232 * report.ranking.release.delta_rate_peak_max[i]:.1f} °/s"
-    assert row[1] == f"{METRICS['effort_mean'].scale * report.ranking.release.effort_mean[i]:.3f} °²·s"
+    assert rate[1] == f"{57.29577951308232 * report.ranking.metrics.beside['delta_rate_peak_max'][i]:.1f} °/s"
+    assert row[1] == f"{METRICS['effort_mean'].scale * report.ranking.metrics.beside['effort_mean'][i]:.3f} °²·s"
 
 
 # ------------------------------------------------------------------------------------------------ sections
@@ -244,7 +244,9 @@ def test_the_landscape_has_the_least_S_of_each_cell(report: ReportInput) -> None
     ranking = report.ranking
     (chart,) = [chart for chart in one.charts if chart.name == "landscape-lqr"]
     shown = {float(text) for text in re.findall(r"<title>([\d.]+)</title>", chart.body)}
-    own = [float(f"{S:.3f}") for S, design in zip(ranking.S, ranking.designs, strict=True) if design.law == "lqr"]
+    own = [
+        float(f"{S:.3f}") for S, design in zip(ranking.metrics.S, ranking.designs, strict=True) if design.law == "lqr"
+    ]
     assert shown == set(own)
     assert min(own) in shown
 
@@ -257,8 +259,8 @@ def test_a_law_without_a_sweep_has_no_landscape() -> None:
 def test_confidence_tells_the_second_and_what_intervals_leave_out(report: ReportInput) -> None:
     words = said_in(confidence_section.section, report)
     ranking = report.ranking
-    assert f"{ranking.difference[1]:+.4f} m·s from rank 1" in words
-    assert ("do not separate the two" in words) == bool(ranking.set_of_best[1])
+    assert f"{ranking.inference.difference[1]:+.4f} m·s from rank 1" in words
+    assert ("do not separate the two" in words) == bool(ranking.inference.set_of_best[1])
 
 
 def test_two_equal_designs_are_not_separated() -> None:
@@ -270,10 +272,12 @@ def test_two_equal_designs_are_not_separated() -> None:
     assert "the scenarios do not separate the two" in words
     found = re.search(r"about ([\d,]+) scenarios separate them with even chances", words)
     ranking = given.ranking
-    half = 0.5 * (ranking.difference_high[1] - ranking.difference_low[1])
+    half = 0.5 * (ranking.inference.difference_high[1] - ranking.inference.difference_low[1])
     assert found is not None
     # an interval is as wide as the root of one over the number of scenarios
-    assert float(found[1].replace(",", "")) == pytest.approx(40 * (half / ranking.difference[1]) ** 2, rel=0.06)
+    assert float(found[1].replace(",", "")) == pytest.approx(
+        40 * (half / ranking.inference.difference[1]) ** 2, rel=0.06
+    )
 
 
 def test_without_robustness_the_page_says_how_to_get_it(report: ReportInput) -> None:

@@ -285,22 +285,22 @@ def test_names_of_a_ranking_csv_row_are_all_aliases() -> None:
 
 
 def test_an_unknown_name_is_answered_with_the_nearest() -> None:
-    with pytest.raises(UnknownNameError, match=r"metric 't_back_medain'.*did you mean 't_back_median'\?"):
-        metric("t_back_medain")
-    with pytest.raises(UnknownNameError, match="did you mean 'S_left'"):
-        metric("S_lef")
+    for name, near in (("t_back_medain", "t_back_median"), ("S_lef", "S_left")):
+        with pytest.raises(UnknownNameError) as caught:
+            metric(name)
+        assert (caught.value.path, caught.value.value) == ("metric", name)
+        assert f"did you mean '{near}'" in caught.value.hint
 
 
-def test_values_come_from_mappings_objects_and_their_release() -> None:
-    release = types.SimpleNamespace(a_y_peak_p95=np.array([2.0, 3.0]))
-    ranking = types.SimpleNamespace(S=np.array([0.1, 0.2]), crashed=np.array([0, 4]), release=release)
-    assert metric_values("ay_p95", ranking).tolist() == [2.0, 3.0]
-    assert metric_values("crashed", ranking).tolist() == [0.0, 4.0]
-    assert metric_values("crashed", ranking).dtype == np.float64
-    assert metric_values("S", {"S": ranking.S}, release).tolist() == [0.1, 0.2]
-    assert metric_values("a_y_peak_p95", {"S": ranking.S}, release).tolist() == [2.0, 3.0]
-    with pytest.raises(InputError, match="metric effort_mean: not among these results"):
-        metric_values("effort", ranking)
+def test_values_come_from_a_ranking_or_its_metrics() -> None:
+    beside = {"a_y_peak_p95": np.array([2.0, 3.0])}
+    metrics = types.SimpleNamespace(S=np.array([0.1, 0.2]), crashed=np.array([0, 4]), beside=beside)
+    for source in (metrics, types.SimpleNamespace(metrics=metrics), vars(metrics) | beside):
+        assert metric_values("ay_p95", source).tolist() == [2.0, 3.0]
+        assert metric_values("crashed", source).tolist() == [0.0, 4.0]
+        assert metric_values("crashed", source).dtype == np.float64
+        with pytest.raises(InputError, match="metric effort_mean: not among these results"):
+            metric_values("effort", source)
 
 
 @pytest.mark.parametrize(
@@ -320,15 +320,16 @@ def test_requirements_are_read(text: str, canonical: str) -> None:
     "text", ["", "S", "S <=", "<= 3", "3 >= S", "S == 3", "S <= 3 m s", "S <= 3, S <= 4", "S =< 3"]
 )
 def test_what_is_no_requirement_is_named(text: str) -> None:
-    with pytest.raises(InputError, match=r"requirement '.*': cannot be read; allowed: a set \(stable"):
+    with pytest.raises(InputError, match="cannot be read") as caught:
         parse_requirement(text)
+    assert (caught.value.path, caught.value.value) == ("requirement", text)
 
 
 def test_an_unknown_figure_of_a_requirement_is_named_with_its_text() -> None:
-    with pytest.raises(UnknownNameError, match=r"requirement 'ay_p59 <= 3': metric 'ay_p59'.*allowed: S"):
-        parse_requirement("ay_p59 <= 3")
-    with pytest.raises(UnknownNameError, match=r"requirement 'comfortble >= 0.5'.*did you mean 'comfortable'"):
-        parse_requirement("comfortble >= 0.5")
+    for name, text in (("ay_p59", "ay_p59 <= 3"), ("comfortble", "comfortble >= 0.5"), ("law_time", "law_time <= 5")):
+        with pytest.raises(UnknownNameError) as caught:
+            parse_requirement(text)
+        assert (caught.value.path, caught.value.value) == (f"requirement {text!r}: metric", name)
 
 
 @pytest.mark.parametrize(
@@ -339,8 +340,10 @@ def test_an_unknown_figure_of_a_requirement_is_named_with_its_text() -> None:
     ],
 )  # fmt: skip
 def test_a_limit_that_makes_no_sense_is_refused(text: str, allowed: str) -> None:
-    with pytest.raises(InputError, match=f"the limit is .*; allowed: {allowed}"):
+    with pytest.raises(InputError) as caught:
         parse_requirement(text)
+    assert (caught.value.path, caught.value.value) == (f"requirement {text!r}: limit", text.split()[-1])
+    assert caught.value.allowed == allowed
 
 
 def test_a_figure_that_a_design_lacks_meets_nothing() -> None:
@@ -377,11 +380,6 @@ def test_a_ranking_and_its_table_hold_every_figure(small_run: Path, tmp_path: Pa
     for name, one in METRICS.items():
         assert metric_values(name, ranking).shape == (len(ranking),)
         assert one.column in header
-
-
-def test_a_time_is_no_metric() -> None:
-    with pytest.raises(UnknownNameError, match="requirement 'law_time <= 5': metric 'law_time': no such metric;"):
-        parse_requirement("law_time <= 5")
 
 
 def test_nothing_to_reduce_is_a_reduction_of_nothing() -> None:

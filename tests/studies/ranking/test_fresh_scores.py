@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import scipy.stats
 
+from helpers.bits import assert_same_bits
 from helpers.results import results_of as given_results
 from ldctoolkit.studies import Design, Ranking, StudyResults
 from ldctoolkit.studies.ranking.inference import Resampled
@@ -62,33 +63,33 @@ def test_the_first_stays_winner_where_fresh_scenarios_part_it_from_none(scores: 
     """Taking the smallest fresh score would choose by luck once more."""
     ranking = rank(scores, again)
     assert ranking.index.tolist() == [1, 2, 0, 3]
-    assert ranking.fresh_S[1] < ranking.fresh_S[0]
-    assert ranking.fresh_difference_high[1] > 0
-    assert (ranking.fresh_best, ranking.winner) == (1, 0)
+    assert ranking.fresh.S[1] < ranking.fresh.S[0]
+    assert ranking.fresh.difference_high[1] > 0
+    assert (ranking.fresh.best, ranking.winner) == (1, 0)
     # the search's own figures are as without fresh ones
     results = results_of(scores, (0, 1, 2, 3))
     alone = Ranking.of(results)
-    for name in ("S", "S_low", "difference_high", "set_of_best", "best_frequency"):
-        np.testing.assert_array_equal(getattr(ranking, name), getattr(alone, name))
-    assert (alone.winner, alone.fresh_best, alone.fresh_scenarios) == (0, None, 0)
+    assert_same_bits(ranking.metrics, alone.metrics)
+    assert_same_bits(ranking.inference, alone.inference)
+    assert (alone.winner, alone.fresh.best, alone.fresh.scenarios) == (0, None, 0)
 
 
 def test_a_finalist_that_fresh_scenarios_part_from_the_first_wins(scores: np.ndarray, again: np.ndarray) -> None:
     again[2] -= 0.1
     ranking = rank(scores, again)
-    assert ranking.fresh_difference_high[1] < 0
+    assert ranking.fresh.difference_high[1] < 0
     assert ranking.winner == 1
     # but none that the search had already told apart from its best
     again[0] -= 2.0
     ranking = rank(scores, again)
-    assert (ranking.winner, ranking.fresh_best) == (1, 2)
+    assert (ranking.winner, ranking.fresh.best) == (1, 2)
 
 
 def test_fresh_differences_are_paired_and_simultaneous(scores: np.ndarray, again: np.ndarray) -> None:
     """Means by hand; half widths between Student's alone and Bonferroni's for the number of differences."""
     ranking = rank(scores, again)
-    for name, reference, among in (("fresh_difference", 1, (2, 0)), ("fresh_baseline_difference", 3, (1, 2, 0))):
-        value, low, high = (getattr(ranking, name + end) for end in ("", "_low", "_high"))
+    for name, reference, among in (("difference", 1, (2, 0)), ("baseline_difference", 3, (1, 2, 0))):
+        value, low, high = (getattr(ranking.fresh, name + end) for end in ("", "_low", "_high"))
         for i in among:
             place = ranking.index.tolist().index(i)
             assert value[place] == pytest.approx((again[i] - again[reference]).mean(), rel=1e-12)
@@ -96,35 +97,35 @@ def test_fresh_differences_are_paired_and_simultaneous(scores: np.ndarray, again
             bonferroni = alone * scipy.stats.norm.isf(0.025 / len(among)) / 1.96
             # 2,000 resamples know a 95 % quantile to some per cent
             assert 0.95 * alone < 0.5 * (high[place] - low[place]) < 1.05 * bonferroni
-    np.testing.assert_allclose(ranking.fresh_S, again.mean(axis=1)[[1, 2, 0, 3]], rtol=1e-12)
-    np.testing.assert_allclose(ranking.fresh_reduction, 1 - ranking.fresh_S / again[3].mean(), rtol=1e-12)
-    assert ranking.fresh_difference[0] == ranking.fresh_difference_low[0] == 0.0
+    np.testing.assert_allclose(ranking.fresh.S, again.mean(axis=1)[[1, 2, 0, 3]], rtol=1e-12)
+    np.testing.assert_allclose(ranking.fresh.reduction, 1 - ranking.fresh.S / again[3].mean(), rtol=1e-12)
+    assert ranking.fresh.difference[0] == ranking.fresh.difference_low[0] == 0.0
 
 
 def test_the_baseline_is_a_finalist_only_in_the_set_of_best(scores: np.ndarray, again: np.ndarray) -> None:
     again[3] -= 9.0
     ranking = rank(scores, again, (1, 2, 3))
-    assert (ranking.fresh_best, ranking.winner) == (1, 0)
-    assert np.isnan(ranking.fresh_difference[2:]).all()
-    assert np.isnan(ranking.optimism[2:]).all()
-    assert ranking.fresh_S[3] == pytest.approx(again[3].mean())
-    assert rank(scores, again, (1, 2, 3), baseline=design(2).id).fresh_best == 3
+    assert (ranking.fresh.best, ranking.winner) == (1, 0)
+    assert np.isnan(ranking.fresh.difference[2:]).all()
+    assert np.isnan(ranking.fresh.optimism[2:]).all()
+    assert ranking.fresh.S[3] == pytest.approx(again[3].mean())
+    assert rank(scores, again, (1, 2, 3), baseline=design(2).id).fresh.best == 3
 
 
 def test_optimism_is_that_of_two_independent_samples(scores: np.ndarray, again: np.ndarray) -> None:
     """One finalist: Student's interval with the standard errors of both samples."""
     ranking = rank(scores, again, (1,))
-    assert not ranking.optimism_paired
-    assert ranking.optimism[0] == pytest.approx(again[1].mean() - scores[1].mean(), rel=1e-9)
+    assert not ranking.fresh.optimism_paired
+    assert ranking.fresh.optimism[0] == pytest.approx(again[1].mean() - scores[1].mean(), rel=1e-9)
     width = np.hypot(t_width(scores[1]), t_width(again[1]))
     # 2,000 resamples know a 95 % quantile to some per cent
-    assert 0.5 * (ranking.optimism_high[0] - ranking.optimism_low[0]) == pytest.approx(width, rel=0.06)
-    assert ranking.optimism_low[0] < 0 < ranking.optimism_high[0]
+    assert 0.5 * (ranking.fresh.optimism_high[0] - ranking.fresh.optimism_low[0]) == pytest.approx(width, rel=0.06)
+    assert ranking.fresh.optimism_low[0] < 0 < ranking.fresh.optimism_high[0]
 
 
 def test_optimism_against_a_baseline_leaves_the_draw_of_scenarios_out(scores: np.ndarray, again: np.ndarray) -> None:
     again += 1.0  # all designs meet harder scenarios: nobody was optimistic
-    plain, paired = rank(scores, again), rank(scores, again, baseline=design(0).id)
+    plain, paired = rank(scores, again).fresh, rank(scores, again, baseline=design(0).id).fresh
     assert plain.optimism_low[0] > 0
     assert paired.optimism_paired
     wanted = (again[1] - again[0]).mean() - (scores[1] - scores[0]).mean()
@@ -154,15 +155,15 @@ def test_the_winner_meets_requirements_on_fresh_ones_too(scores: np.ndarray, aga
     limit = float(again[2].mean()) + 0.1
     ranking = rank(scores, again, (1, 2), require=(f"S <= {limit!r}",))
     text = f"S <= {limit!r}"
-    assert (ranking.fresh_unmet[:2], ranking.winner) == (((text,), ()), 1)
+    assert (ranking.fresh.unmet[:2], ranking.winner) == (((text,), ()), 1)
     assert ranking.warnings[0] == f"Design # 1 misses {text} on the fresh scenarios and is not the winner."
     write_csv(ranking, tmp_path / "r.csv")
     with (tmp_path / "r.csv").open(newline="") as stream:
         rows = list(csv.DictReader(stream))
     assert [row["fresh_unmet"] for row in rows[:2]] == [text, ""]
     assert [row["winner"] for row in rows[:2]] == ["false", "true"]
-    assert float(rows[1]["fresh_difference_to_first_m_s"]) == ranking.fresh_difference[1]
-    assert float(rows[0]["optimism_high_m_s"]) == ranking.optimism_high[0]
+    assert float(rows[1]["fresh_difference_to_first_m_s"]) == ranking.fresh.difference[1]
+    assert float(rows[0]["optimism_high_m_s"]) == ranking.fresh.optimism_high[0]
     assert [row["optimism_of"] for row in rows] == ["S", "S", "", ""]
 
 
@@ -196,12 +197,12 @@ def test_a_solvers_tolerance_makes_no_winner(by: float, winner: int) -> None:
 def test_a_first_that_was_no_finalist_stays_winner_without_a_fresh_score(scores: np.ndarray, again: np.ndarray) -> None:
     ranking = rank(scores, again, (2, 0))
     assert ranking.winner == 0
-    assert np.isnan(ranking.fresh_S[0])
-    assert np.isnan(ranking.fresh_difference).all()
+    assert np.isnan(ranking.fresh.S[0])
+    assert np.isnan(ranking.fresh.difference).all()
 
 
 def test_where_the_first_fails_on_fresh_scenarios_the_next_one_wins(scores: np.ndarray, again: np.ndarray) -> None:
     fresh = dataclasses.replace(results_of(again[[2, 0]], (2, 0)), failed=(FailedDesign(design(1), "boom"),))
     results = dataclasses.replace(results_of(scores, (0, 1, 2, 3)), fresh=fresh)
     ranking = Ranking.of(results)
-    assert (ranking.winner, ranking.fresh_difference[1]) == (1, 0.0)
+    assert (ranking.winner, ranking.fresh.difference[1]) == (1, 0.0)

@@ -118,7 +118,7 @@ def test_what_is_no_quantile_and_no_share_has_no_interval() -> None:
         assert not found.uncertain
     found = estimate(ranking, "S")
     i = next(k for k, design in enumerate(ranking.designs) if not design.is_baseline)
-    assert (found.low, found.high) == (ranking.S_low[i], ranking.S_high[i])
+    assert (found.low, found.high) == (ranking.inference.S_low[i], ranking.inference.S_high[i])
     # a design that never intervened has no peaks
     never = np.full((2, 200), int(EventStatus.NEVER_TRIGGERED))
     assert np.isnan(estimate(ranked(study(scenarios_of(200), never)), JERK).low)
@@ -237,7 +237,7 @@ def test_what_is_missed_on_fresh_scenarios_is_red() -> None:
     results = study(scenarios_of(400), jerk_added_peak=jerks(4.0))
     ranking = ranked(results, "comfort", fresh=fresh_of(jerk_added_peak=jerks(7.0, 300)))
     assert ranking.winner is None
-    assert ranking.fresh_unmet[0] == ("jerk_added_peak_p95 <= 5",)
+    assert ranking.fresh.unmet[0] == ("jerk_added_peak_p95 <= 5",)
     assert light(ranking, results) == Light("Limits", "bad",
         "Peak added jerk, 95 % quantile 7.00 m/s³, limit 5.00 m/s³ (1.4 times).")  # fmt: skip
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import scipy.stats
 
+from helpers.bits import assert_same_bits
 from helpers.results import results_of as given_results
 from ldctoolkit import EventStatus, Scenarios, simulate
 from ldctoolkit.controllers import NoControl
@@ -53,16 +54,18 @@ def test_order_means_and_reductions(scores: np.ndarray) -> None:
     assert ranking.index.tolist() == np.argsort(scores.mean(axis=1)).tolist()
     assert ranking.rank.tolist() == [1, 2, 3, 4]
     sorted_scores = scores[ranking.index]
-    np.testing.assert_array_equal(ranking.S, sorted_scores.mean(axis=1))
-    np.testing.assert_array_equal(ranking.S_left, sorted_scores[:, :150].mean(axis=1))
-    np.testing.assert_array_equal(ranking.S_right, sorted_scores[:, 150:].mean(axis=1))
+    np.testing.assert_array_equal(ranking.metrics.S, sorted_scores.mean(axis=1))
+    np.testing.assert_array_equal(ranking.metrics.S_left, sorted_scores[:, :150].mean(axis=1))
+    np.testing.assert_array_equal(ranking.metrics.S_right, sorted_scores[:, 150:].mean(axis=1))
     before = scores.max(axis=0) + 1.0
-    np.testing.assert_allclose(ranking.reduction, 1 - sorted_scores.sum(axis=1) / before.sum(), rtol=1e-12)
+    np.testing.assert_allclose(ranking.metrics.reduction, 1 - sorted_scores.sum(axis=1) / before.sum(), rtol=1e-12)
     np.testing.assert_allclose(
-        ranking.reduction_right, 1 - sorted_scores[:, 150:].sum(axis=1) / before[150:].sum(), rtol=1e-12
+        ranking.metrics.reduction_right, 1 - sorted_scores[:, 150:].sum(axis=1) / before[150:].sum(), rtol=1e-12
     )
-    np.testing.assert_allclose(ranking.difference, (sorted_scores - sorted_scores[0]).mean(axis=1), rtol=1e-12)
-    assert ranking.deeper.tolist() == [0.5] * 4
+    np.testing.assert_allclose(
+        ranking.inference.difference, (sorted_scores - sorted_scores[0]).mean(axis=1), rtol=1e-12
+    )
+    assert ranking.metrics.deeper.tolist() == [0.5] * 4
 
 
 def t_interval(values: np.ndarray, left: int) -> tuple[float, float]:
@@ -75,11 +78,11 @@ def t_interval(values: np.ndarray, left: int) -> tuple[float, float]:
 def test_for_one_comparison_the_intervals_are_students(scores: np.ndarray) -> None:
     """One mean, or one difference: nothing to correct for. 5,000 resamples know a 95 % quantile to about 3 %."""
     left = 150
-    one = rank(results_of(scores[:1], left=left), bootstrap=5_000)
+    one = rank(results_of(scores[:1], left=left), bootstrap=5_000).inference
     low, high = t_interval(scores[0], left)
     assert abs(one.S_low[0] - low) < 0.03 * (high - low)
     assert abs(one.S_high[0] - high) < 0.03 * (high - low)
-    two = rank(results_of(scores[:2], left=left), bootstrap=5_000)
+    two = rank(results_of(scores[:2], left=left), bootstrap=5_000).inference
     low, high = t_interval(scores[0] - scores[1], left)
     assert abs(two.difference_low[1] - low) < 0.03 * (high - low)
     assert abs(two.difference_high[1] - high) < 0.03 * (high - low)
@@ -106,15 +109,15 @@ def test_equal_scores_share_a_rank_and_keep_the_study_order() -> None:
     S = np.random.default_rng(2).gamma(2.0, 1.0, 60)
     ranking = rank(results_of(np.stack([S + 1.0, S, S, S]), left=30))
     assert (ranking.index.tolist(), ranking.rank.tolist()) == ([1, 2, 3, 0], [1, 1, 1, 4])
-    assert ranking.set_of_best.tolist() == [True, True, True, False]
-    assert ranking.difference[:3].tolist() == [0.0, 0.0, 0.0]
+    assert ranking.inference.set_of_best.tolist() == [True, True, True, False]
+    assert ranking.inference.difference[:3].tolist() == [0.0, 0.0, 0.0]
 
 
 def test_one_side_only_has_no_figure_for_the_other() -> None:
     ranking = rank(results_of(np.ones((2, 10)), left=10))
-    assert np.isnan(ranking.S_right).all()
-    assert np.isnan(ranking.reduction_right).all()
-    assert (ranking.S_left == 1.0).all()
+    assert np.isnan(ranking.metrics.S_right).all()
+    assert np.isnan(ranking.metrics.reduction_right).all()
+    assert (ranking.metrics.S_left == 1.0).all()
 
 
 def test_failures_count_in_means_and_are_told() -> None:
@@ -124,9 +127,9 @@ def test_failures_count_in_means_and_are_told() -> None:
     )
     ranking = rank(dataclasses.replace(results, status=status, failed_solves=np.array([[0, 0], [7, 0]])))
     # S without control is 3 and 41: what failed counts as that, the rest as it is
-    assert (ranking.S.tolist(), ranking.S_left.tolist()) == ([2.5, 21.0], [3.0, 1.0])
-    assert (ranking.diverged.tolist(), ranking.solver_failed.tolist()) == ([0, 1], [1, 0])
-    assert (ranking.failed_solves.tolist(), ranking.triggered.tolist()) == ([7, 0], [0.5, 1.0])
+    assert (ranking.metrics.S.tolist(), ranking.metrics.S_left.tolist()) == ([2.5, 21.0], [3.0, 1.0])
+    assert (ranking.metrics.diverged.tolist(), ranking.metrics.solver_failed.tolist()) == ([0, 1], [1, 0])
+    assert (ranking.metrics.failed_solves.tolist(), ranking.metrics.triggered.tolist()) == ([7, 0], [0.5, 1.0])
 
 
 def test_scores_that_are_not_finite_are_refused() -> None:
@@ -217,11 +220,11 @@ def test_the_columns_beside_S_are_those_counted_by_hand(scores: np.ndarray, tmp_
 
 def test_who_never_acts_has_no_figures_of_interventions(scores: np.ndarray) -> None:
     """The baseline, and a design that never took over: nothing, not zero, and not a mean over nobody."""
-    baseline = rank(results_of(scores[:1], left=150)).release
+    baseline = rank(results_of(scores[:1], left=150)).metrics.beside
     results = results_of(scores[:1], left=150, law="toy")
     results = dataclasses.replace(results, status=np.full_like(results.status, EventStatus.NEVER_TRIGGERED))
-    for figures in (baseline, rank(results).release):
-        empty = {name for name in RELEASE_METRICS if np.isnan(getattr(figures, name)).all()}
+    for figures in (baseline, rank(results).metrics.beside):
+        empty = {name for name in RELEASE_METRICS if np.isnan(figures[name]).all()}
         assert empty == {
             "opposite_crossed_share", "opposite_crossing_max", "back_inside", "t_back_median", "comfortable",
             "delta_peak_max", "delta_rate_peak_max", "effort_mean", "travel_mean", "gain_margin", "phase_margin",
@@ -242,15 +245,13 @@ def test_scenarios_that_cannot_be_driven_are_left_out_for_all_and_told(scores: n
     ranking = rank(results)
     kept = np.setdiff1d(np.arange(400), [3, 200, 399])
     few = rank(results.take(np.isin(np.arange(400), kept)))
-    assert ranking.invalid.tolist() == [{1: 2, 2: 1}.get(i, 0) for i in ranking.index.tolist()]
+    assert ranking.metrics.invalid.tolist() == [{1: 2, 2: 1}.get(i, 0) for i in ranking.index.tolist()]
     assert "3 of 400 scenarios cannot be driven" in ranking.warnings[0]
     assert ranking.warnings[1:] == few.warnings
-    for field in dataclasses.fields(Ranking):
-        if field.name not in ("invalid", "warnings", "release"):
-            np.testing.assert_array_equal(getattr(ranking, field.name), getattr(few, field.name))
+    same = dataclasses.replace(ranking.metrics, invalid=few.metrics.invalid)
+    assert_same_bits(dataclasses.replace(ranking, metrics=same, warnings=few.warnings), few)
     for name in RELEASE_METRICS:
-        np.testing.assert_array_equal(getattr(ranking.release, name), getattr(few.release, name))
-        assert name.endswith(("margin", "worst")) or np.isfinite(getattr(ranking.release, name)).all()
+        assert name.endswith(("margin", "worst")) or np.isfinite(ranking.metrics.beside[name]).all()
 
 
 def test_nothing_that_can_be_driven_is_refused() -> None:
@@ -281,7 +282,7 @@ def test_the_csv_names_units_and_keeps_every_digit(tmp_path: Path, scores: np.nd
     with (tmp_path / "r.csv").open(newline="") as stream:
         rows = list(csv.DictReader(stream))
     assert (len(rows), [row["rank"] for row in rows]) == (2, ["1", "2"])
-    assert [float(row["S_m_s"]) for row in rows] == ranking.S.tolist()
+    assert [float(row["S_m_s"]) for row in rows] == ranking.metrics.S.tolist()
     by_law = {row["law"]: row for row in rows}
     assert float(by_law["lqr"]["gain_r_delta_1_per_rad2"]) == 1 / 3
     assert by_law["none"]["gain_r_delta_1_per_rad2"] == ""
@@ -312,11 +313,7 @@ def test_the_order_of_designs_in_the_study_changes_no_bit() -> None:
     settings = {"pareto": ("S", "dtle_mean"), "require": ("deeper <= 0.5",)}
     one, two = (Ranking.of(r, **settings) for r in (results, other))  # type: ignore[arg-type]
     assert (one.designs, two.index.tolist()) == (two.designs, [order.tolist().index(i) for i in one.index])
-    for field in dataclasses.fields(Ranking):
-        if field.name not in ("index", "release"):
-            np.testing.assert_array_equal(getattr(one, field.name), getattr(two, field.name), err_msg=field.name)
-    for name in RELEASE_METRICS:
-        np.testing.assert_array_equal(getattr(one.release, name), getattr(two.release, name), err_msg=name)
+    assert_same_bits(dataclasses.replace(one, index=two.index), two)
 
 
 def test_differences_to_a_named_baseline(scores: np.ndarray) -> None:
@@ -328,11 +325,15 @@ def test_differences_to_a_named_baseline(scores: np.ndarray) -> None:
     for ranking, index in ((by_law, 3), (rank(results, baseline="toy"), 0), (rank(results, baseline=none.id[:7]), 3)):  # type: ignore[arg-type]
         assert ranking.index[ranking.baseline] == index
         wanted = (scores - scores[index]).mean(axis=1)[ranking.index]
-        np.testing.assert_allclose(ranking.baseline_difference, wanted, rtol=1e-12, atol=1e-15)
+        np.testing.assert_allclose(ranking.inference.baseline_difference, wanted, rtol=1e-12, atol=1e-15)
         others = ranking.index != index
-        assert (ranking.baseline_difference_low < ranking.baseline_difference)[others].all()
-        assert ranking.baseline_difference_low[~others] == ranking.baseline_difference_high[~others] == 0.0
-    assert np.isnan(rank(results_of(scores, left=150, law="toy")).baseline_difference).all()
+        assert (ranking.inference.baseline_difference_low < ranking.inference.baseline_difference)[others].all()
+        assert (
+            ranking.inference.baseline_difference_low[~others]
+            == ranking.inference.baseline_difference_high[~others]
+            == 0.0
+        )
+    assert np.isnan(rank(results_of(scores, left=150, law="toy")).inference.baseline_difference).all()
 
 
 def test_a_requirement_takes_the_rank_and_not_the_row(scores: np.ndarray, tmp_path: Path) -> None:
@@ -342,10 +343,10 @@ def test_a_requirement_takes_the_rank_and_not_the_row(scores: np.ndarray, tmp_pa
     peaks[:] = np.array([1.0, 9.0, 2.0, 3.0], dtype=np.float32)[:, None]
     ranking = rank(results, require=("ay_p95 <= 3.0",), pareto=("S", "a_y_peak_max"))
     assert (ranking.index.tolist(), ranking.rank.tolist(), ranking.ranked) == ([2, 0, 3, 1], [1, 2, 3, 0], 3)
-    assert (ranking.unmet, ranking.difference[0]) == (((), (), (), ("a_y_peak_p95 <= 3",)), 0.0)
-    assert ranking.difference[3] == pytest.approx((scores[1] - scores[2]).mean(), rel=1e-12)
-    assert ranking.set_of_best.tolist() == [True, False, False, False]
-    assert ranking.best_frequency.tolist() == [1.0, 0.0, 0.0, 0.0]
+    assert (ranking.unmet, ranking.inference.difference[0]) == (((), (), (), ("a_y_peak_p95 <= 3",)), 0.0)
+    assert ranking.inference.difference[3] == pytest.approx((scores[1] - scores[2]).mean(), rel=1e-12)
+    assert ranking.inference.set_of_best.tolist() == [True, False, False, False]
+    assert ranking.inference.best_frequency.tolist() == [1.0, 0.0, 0.0, 0.0]
     # 0 is worse by S, better by its peak; 3 is worse in both
     assert (ranking.pareto.tolist(), ranking.winner) == ([True, True, False, False], 0)
     write_csv(ranking, tmp_path / "r.csv")
@@ -357,9 +358,9 @@ def test_a_requirement_takes_the_rank_and_not_the_row(scores: np.ndarray, tmp_pa
 
 def test_requirements_that_nobody_meets_rank_nobody_and_say_so(scores: np.ndarray) -> None:
     ranking = rank(results_of(scores, left=150, law="toy"), require=("S <= 1e-3", "ay_max < 1e-3"))  # type: ignore[arg-type]
-    assert (ranking.rank.tolist(), ranking.S.tolist()) == ([0, 0, 0, 0], sorted(scores.mean(axis=1)))
-    assert not ranking.set_of_best.any()
-    assert not ranking.best_frequency.any()
+    assert (ranking.rank.tolist(), ranking.metrics.S.tolist()) == ([0, 0, 0, 0], sorted(scores.mean(axis=1)))
+    assert not ranking.inference.set_of_best.any()
+    assert not ranking.inference.best_frequency.any()
     assert ranking.winner is None
     assert all({miss.requirement.text for miss in some} == {"S <= 0.001", "a_y_peak_max < 0.001"} or some
                for some in ranking.missed)  # fmt: skip

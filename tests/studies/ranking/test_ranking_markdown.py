@@ -65,9 +65,9 @@ def test_the_table_holds_the_numbers_of_the_ranking() -> None:
     for i, row in enumerate(rows):
         assert row[:3] == [str(ranking.rank[i]), "LQR", f"{ranking.designs[i].y_s:g}"]
         low, high = map(float, row[5].split(".."))
-        assert float(row[4]) == pytest.approx(ranking.S[i], abs=6e-4)
-        assert (low, high) == pytest.approx((ranking.S_low[i], ranking.S_high[i]), abs=6e-4)
-        assert float(row[6]) == pytest.approx(100 * ranking.reduction[i], abs=0.06)
+        assert float(row[4]) == pytest.approx(ranking.metrics.S[i], abs=6e-4)
+        assert (low, high) == pytest.approx((ranking.inference.S_low[i], ranking.inference.S_high[i]), abs=6e-4)
+        assert float(row[6]) == pytest.approx(100 * ranking.metrics.reduction[i], abs=0.06)
     assert "winner" in rows[0][-1]
 
 

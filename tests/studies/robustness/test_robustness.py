@@ -344,7 +344,7 @@ def test_designs_are_chosen_by_their_places() -> None:
     assert len(chosen.designs) == 4 <= MOST
     unranked = Ranking.of(results, bootstrap=50, require=["S <= 0"])
     assert all(chosen_designs(unranked).contends)
-    strict = Ranking.of(results, bootstrap=50, require=[f"S <= {ranking.S[0] + 1e-9}"])
+    strict = Ranking.of(results, bootstrap=50, require=[f"S <= {ranking.metrics.S[0] + 1e-9}"])
     assert [design.law for design, takes in zip(chosen_designs(strict).designs, chosen_designs(strict).contends,
                                                 strict=True) if takes] == ["lqr"]  # fmt: skip
 

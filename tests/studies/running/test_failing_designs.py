@@ -109,8 +109,10 @@ def test_commands_that_are_no_numbers_are_failed_solves(make_study: MakeStudy, t
     assert not results.failed
     ranking = rank_study(results, study_with(make_study, "nan"))
     place = [design.law for design in ranking.designs].index("broken_nan")
-    assert ranking.failed_solves[place] > 0
-    assert ranking.solver_failed[place] + ranking.diverged[place] == round(ranking.triggered[place] * 12)
+    assert ranking.metrics.failed_solves[place] > 0
+    assert ranking.metrics.solver_failed[place] + ranking.metrics.diverged[place] == round(
+        ranking.metrics.triggered[place] * 12
+    )
     steered = results.status[results.designs.index(ranking.designs[place])] != EventStatus.NEVER_TRIGGERED
     assert steered.any()
     n = int(steered.sum())

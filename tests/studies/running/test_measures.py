@@ -46,9 +46,9 @@ def test_a_finished_run_is_ranked_without_a_drive(folder: Path) -> None:
     results, study = read_results(folder), read_manifest(folder).read_study()
     ranking = rank_study(results, study)
     lqr = [i for i, design in enumerate(ranking.designs) if not design.is_baseline]
-    assert np.isfinite(ranking.release.gain_margin[lqr]).all()
-    assert np.isfinite(ranking.release.S_worst).all()
-    assert np.isfinite(ranking.standards[STANDARD]).all()
+    assert np.isfinite(ranking.metrics.beside["gain_margin"][lqr]).all()
+    assert np.isfinite(ranking.metrics.beside["S_worst"]).all()
+    assert np.isfinite(ranking.metrics.beside[STANDARD]).all()
     rank_study(results, study.changed(ranking={"require": ["comfort"], "confidence": 0.9}))
 
 

@@ -193,14 +193,14 @@ def test_finalists_of_a_model_are_scored_on_the_departures_too(table: Departures
     ranking = rank_study(results, study)
     i = next(k for k, one in enumerate(ranking.designs) if one.y_s == 0.1 and dict(one.gains)["r_delta"] == 500.0)
     S = by_hand(table, in_order(table))
-    assert ranking.replayed_S[i] == pytest.approx(S.mean(), rel=1e-12)
+    assert ranking.replayed.S[i] == pytest.approx(S.mean(), rel=1e-12)
     half = 1.96 * S.std(ddof=1) / np.sqrt(S.size)
-    assert S.mean() - 2.5 * half < ranking.replayed_low[i] < S.mean() - half / 2
-    assert S.mean() + half / 2 < ranking.replayed_high[i] < S.mean() + 2.5 * half
+    assert S.mean() - 2.5 * half < ranking.replayed.low[i] < S.mean() - half / 2
+    assert S.mean() + half / 2 < ranking.replayed.high[i] < S.mean() + 2.5 * half
     none = next(k for k, one in enumerate(ranking.designs) if one.law == "none")
-    assert ranking.replayed_reduction[i] == pytest.approx(1.0 - S.mean() / ranking.replayed_S[none], rel=1e-9)
+    assert ranking.replayed.reduction[i] == pytest.approx(1.0 - S.mean() / ranking.replayed.S[none], rel=1e-9)
     stored = rank_study(read_results(tmp_path / "out"), study)
-    np.testing.assert_array_equal(stored.replayed_S, ranking.replayed_S)
+    np.testing.assert_array_equal(stored.replayed.S, ranking.replayed.S)
     page = good("report", "out", "--no-robustness", cwd=tmp_path)
     assert "report.html" in page
     html = (tmp_path / "out" / "report.html").read_text()

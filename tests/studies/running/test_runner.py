@@ -228,8 +228,8 @@ def test_what_is_undrivable_is_stored(make_study: MakeStudy, tmp_path: Path, mon
     np.testing.assert_array_equal(np.isnan(results.S), invalid)
     np.testing.assert_array_equal(np.isnan(results.companions.a_y_peak), invalid)
     ranking = rank_study(results, study)
-    assert np.isfinite(ranking.S).all()
-    assert ranking.invalid.tolist() == [3] * len(study.designs)
+    assert np.isfinite(ranking.metrics.S).all()
+    assert ranking.metrics.invalid.tolist() == [3] * len(study.designs)
     assert "3 of 12 scenarios cannot be driven" in ranking.warnings[0]
 
 

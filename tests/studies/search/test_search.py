@@ -369,7 +369,8 @@ def test_a_run_asks_for_what_its_values_and_margins_lead_to(make_study: Callable
     ranking = rank_study(results, study)
     assert any(ranking.unmet)
     assert not all(ranking.unmet)
-    figures = zip(ranking.designs, ranking.S.tolist(), ranking.reduction.tolist(), strict=True)
+    metrics = ranking.metrics
+    figures = zip(ranking.designs, metrics.S.tolist(), metrics.reduction.tolist(), strict=True)
     told = {
         design: ((S,), ((S - 0.9) / 0.9, max(-reduction, 1e-12) if reduction <= 0 else -reduction))
         for design, S, reduction in figures

@@ -92,7 +92,14 @@ def scores_of(results: StudyResults | None) -> Any:
     if results is None:
         return None
     numbers = results.S, results.S_uncorrected, results.status, vars(results.companions)
-    return results.designs, results.failed, numbers, scores_of(results.fresh), scores_of(results.replayed)
+    return (
+        results.designs,
+        results.failed,
+        dict(results.measures),
+        numbers,
+        scores_of(results.fresh),
+        scores_of(results.replayed),
+    )
 
 
 def damaged(data: bytes, rng: np.random.Generator) -> bytes:
@@ -124,7 +131,7 @@ def test_damage_is_one_sentence_or_changes_no_number(room: Path, capfd: pytest.C
     read = readers(room)
     kinds = {path.name[: 5 if path.name.startswith("part-") else None] for path in read}
     assert kinds == {
-        "d.parquet", "d.signals.parquet", "model.json", "manifest.json", "designs.parquet",
+        "d.parquet", "d.signals.parquet", "model.json", "manifest.json", "designs.parquet", "measures.parquet",
         "scenarios.parquet", "scenarios.signals.parquet", "part-", "timing.json", "failures.json", "robustness.json",
     }  # fmt: skip
     rng = np.random.default_rng(20)
