@@ -356,11 +356,11 @@ def undeclared_fields(owner: type) -> tuple[str, ...]:
     return tuple(field.name for field in dataclasses.fields(owner) if field.init and field.name not in gains)
 
 
-def find_gain(owner: type, name: str, owner_name: str) -> Gain:
-    """The declared gain of that name."""
-    gains = {gain.name: gain for gain in declared_gains(owner)}
+def find_gain(law: Any, name: str) -> Gain:
+    """The declared gain of that name of a law's class."""
+    gains = {gain.name: gain for gain in declared_gains(law)}
     if name not in gains:
-        raise UnknownNameError(f"{owner_name}.{name}", "no such gain", allowed=gains)
+        raise UnknownNameError(f"{law.name}.{name}", "no such gain", allowed=gains)
     return gains[name]
 
 

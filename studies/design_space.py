@@ -467,7 +467,7 @@ def _declaring(kinds: Kinds, name: str, table: str) -> Kinds:
 
 def _reading(kind: type[Controller], name: str, entry: Any, name_law: bool) -> tuple[Any, ...] | Span:
     """What one law takes an entry for, every value checked."""
-    declared = find_gain(kind, name, kind.name)
+    declared = find_gain(kind, name)
     path = f"gains.{name}"
     try:
         dimension = read_entry(entry, declared.scale, whole=declared.whole)
