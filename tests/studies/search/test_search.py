@@ -22,6 +22,7 @@ from ldctoolkit.studies.search import Search
 pytestmark = pytest.mark.usefixtures("laws")
 
 Objective = Callable[[Design], tuple[float, ...] | None]
+Margins = Callable[[Design], tuple[float, ...]]
 
 TWO_LAWS = [
     {"law": "none"},
@@ -44,12 +45,13 @@ def make(design: Any, seed: int = 0, **search: Any) -> Study:
     return Study.from_dict({"name": "s", "seed": seed, "search": search, "design": design})
 
 
-def drive(search: Search, objective: Objective) -> list[tuple[Design, ...]]:
+def drive(search: Search, objective: Objective, margins: Margins | None = None) -> list[tuple[Design, ...]]:
     """Batches until there are no more."""
     batches = []
     while batch := search.ask():
         batches.append(batch)
-        search.tell({design.id: objective(design) for design in batch})
+        values = {design.id: objective(design) for design in batch}
+        search.tell(values, {design.id: margins(design) for design in batch} if margins else None)
     return batches
 
 
@@ -164,21 +166,22 @@ def test_objectives_of_which_more_is_better_are_made_large(objective: str, most:
     assert most - 0.3 <= np.mean([design.y_s for design in search.asked[15:]]) <= most
 
 
-def test_a_design_is_asked_for_once_and_a_small_space_comes_to_its_end() -> None:
-    """Six designs and no more, however many trials there are; those without a choice first."""
-    block = [{"law": "toy", "y_s": [0.1, 0.2], "gains": {"N": [3, 4, 5]}}, {"law": "none"}]
-    search = Search(make(block, trials=500, batch=4))
-    batches = drive(search, lambda design: (design.y_s,))
-    assert batches[0][0].law == "none"
-    assert len(search.asked) == len({d.id for d in search.asked}) == 7
-    assert [len(batch) for batch in batches] == [4, 3]
-
-
-def test_tables_that_share_designs_run_them_once() -> None:
-    block = {"law": "toy", "y_s": [0.1, 0.2, 0.3]}
-    search = Search(make([block, block | {"y_s": [0.2, 0.3, 0.4]}], trials=50, batch=2))
-    drive(search, lambda design: (design.y_s,))
-    assert sorted(design.y_s for design in search.asked) == [0.1, 0.2, 0.3, 0.4]
+@pytest.mark.parametrize(
+    ("design", "batches"),
+    [
+        ([{"law": "toy", "y_s": [0.1, 0.2], "gains": {"N": [3, 4, 5]}}, {"law": "none"}], [4, 3]),
+        ([{"law": "toy", "y_s": [0.1, 0.2, 0.3]}, {"law": "toy", "y_s": [0.2, 0.3, 0.4]}], [4]),  # tables that share
+        # N = 3, 4, 6 with it, the default without
+        ([{"law": "toy", "gains": {"N": [3, 4, 6], "on": [True, False]}, "when": {"N": {"on": True}}}], [4]),
+    ],
+)
+def test_a_design_is_asked_for_once_and_a_small_space_comes_to_its_end(design: Any, batches: list[int]) -> None:
+    """However many trials there are; those without a choice first."""
+    search = Search(make(design, trials=500, batch=4))
+    asked = drive(search, lambda design: (design.y_s,))
+    assert [len(batch) for batch in asked] == batches
+    assert len({design.id for design in search.asked}) == sum(batches)
+    assert asked[0][0].law == design[-1]["law"]
 
 
 def test_every_law_has_random_numbers_of_its_own() -> None:
@@ -280,11 +283,6 @@ def test_optunas_own_settings_are_left_as_they_were() -> None:
 
 
 # --- requirements -----------------------------------------------------------------------------------------------------
-def drive_within(search: Search, objective: Objective, margins: Callable[[Design], tuple[float, ...]]) -> None:
-    while batch := search.ask():
-        search.tell({d.id: objective(d) for d in batch}, {d.id: margins(d) for d in batch})
-
-
 def restricted(design: Any, require: list[str], seed: int = 0, **search: Any) -> Study:
     content = {"name": "s", "seed": seed, "search": search, "design": design, "ranking": {"require": require}}
     return Study.from_dict(content)
@@ -311,7 +309,7 @@ def test_a_search_keeps_to_what_the_ranking_requires(sampler: str, objectives: l
     block = [ONE_LAW[0] | {"y_s": {"from": 0.0, "to": 1.0}}]
     study = restricted(block, ["S <= 1", "deeper <= 0.5"], trials=120, batch=6, sampler=sampler, objectives=objectives)
     search, again = Search(study), Search(study)
-    drive_within(search, costs, margins)
+    drive(search, costs, margins)
     met = np.array([design.y_s for design in search.asked]) >= 0.6
     # of six seeds the least is 0.47 of the second half, and the most 0.27 without; the best lie next to the limit
     assert met[60:].mean() > 0.45
@@ -326,7 +324,7 @@ def test_chance_is_not_led_by_requirements() -> None:
     block = [{"law": "toy", "y_s": {"from": 0.0, "to": 1.0}}]
     free, bound = (Search(restricted(block, ["S <= 1"], trials=20, batch=4, sampler="random")) for _ in range(2))
     drive(free, lambda design: (design.y_s,))
-    drive_within(bound, lambda design: (design.y_s,), lambda design: (0.6 - design.y_s,))
+    drive(bound, lambda design: (design.y_s,), lambda design: (0.6 - design.y_s,))
     assert free.asked == bound.asked
 
 
@@ -334,7 +332,7 @@ def test_chance_is_not_led_by_requirements() -> None:
 def test_laws_that_meet_the_requirements_are_asked_more_often(distance: float) -> None:
     """The LQR costs nothing and is farther from the limit; the MPC meets it, or comes nearer."""
     search = Search(restricted(TWO_LAWS, ["S <= 1"], trials=61, batch=5, sampler="random"))
-    drive_within(
+    drive(
         search,
         lambda design: (0.0 if design.law == "lqr" else 1.0,),
         lambda design: (5.0 if design.law == "lqr" else distance,),
@@ -371,14 +369,12 @@ def test_a_run_asks_for_what_its_values_and_margins_lead_to(make_study: Callable
     ranking = rank_study(results, study)
     assert any(ranking.unmet)
     assert not all(ranking.unmet)
-    values = {one.id: (S,) for one, S in zip(ranking.designs, ranking.metrics.S.tolist(), strict=True)}
-    margins = {
-        one.id: ((S - 0.9) / 0.9, max(-reduction, 1e-12) if reduction <= 0 else -reduction)
-        for one, S, reduction in zip(
-            ranking.designs, ranking.metrics.S.tolist(), ranking.metrics.reduction.tolist(), strict=True
-        )
+    metrics = ranking.metrics
+    figures = zip(ranking.designs, metrics.S.tolist(), metrics.reduction.tolist(), strict=True)
+    told = {
+        design: ((S,), ((S - 0.9) / 0.9, max(-reduction, 1e-12) if reduction <= 0 else -reduction))
+        for design, S, reduction in figures
     }
     search = Search(study)
-    while batch := search.ask():
-        search.tell({one.id: values[one.id] for one in batch}, {one.id: margins[one.id] for one in batch})
+    drive(search, lambda design: told[design][0], lambda design: told[design][1])
     assert search.asked == results.designs
