@@ -119,8 +119,8 @@ def test_warnings_of_the_model_stand_beside_those_of_the_diagnosis(found: ModelD
 def test_warnings_are_merged_by_cause(model: ScenarioModel, found: ModelDiagnostics) -> None:
     both = dataclasses.replace(
         found,
-        left=dataclasses.replace(found.left, warnings=("left: the fit stopped before it had converged",)),
-        right=dataclasses.replace(found.right, warnings=("right: the fit stopped before it had converged",)),
+        left=dataclasses.replace(found.left, warnings=("the fit stopped before it had converged",)),
+        right=dataclasses.replace(found.right, warnings=("the fit stopped before it had converged",)),
     )
     words = verdicts(model, both)
     assert "left and right: the fit stopped before it had converged" in words
