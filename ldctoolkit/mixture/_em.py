@@ -305,8 +305,17 @@ def fit_components(events: Events, profile: Profile, s: EMSettings, report: Prog
     events around each component at its start.
     """
     data = _Standardised(events, profile.mean, profile.scale, profile.events)
+    bounded = int(np.sum(np.isfinite(s.lower) | np.isfinite(s.upper)))
+    passes, many = 0, bounded > _FEW_DIMENSIONS and data.events > _FEW_EVENTS
     try:
-        return _fit(data, s, report)
+        c = _best_start(data, s, report)
+        if many:
+            # most of the way on few points: many take longer than the pass over the events
+            near = _run(data, c, _local_prior(data, c, s), s, s.max_iter, _SHORT_POINTS, report, "nearing")
+            c, passes = near.components, near.passes
+        points = moment_points(bounded) if many else _SHORT_POINTS
+        last = _run(data, c, _local_prior(data, c, s), s, max(s.max_iter - passes, 1), points, report)
+        return dataclasses.replace(last, passes=passes + last.passes)
     except np.linalg.LinAlgError:
         raise InputError(
             "X",
@@ -314,19 +323,6 @@ def fit_components(events: Events, profile: Profile, s: EMSettings, report: Prog
             f"K = {s.n_components}, prior_strength = {s.prior_strength:g}",
             hint="raise prior_strength or fit fewer components",
         ) from None
-
-
-def _fit(data: _Standardised, s: EMSettings, report: Progress) -> EMResult:
-    c = _best_start(data, s, report)
-    bounded = int(np.sum(np.isfinite(s.lower) | np.isfinite(s.upper)))
-    passes, many = 0, bounded > _FEW_DIMENSIONS and data.events > _FEW_EVENTS
-    if many:
-        # most of the way on few points: many take longer than the pass over the events
-        near = _run(data, c, _local_prior(data, c, s), s, s.max_iter, _SHORT_POINTS, report, "nearing")
-        c, passes = near.components, near.passes
-    points = moment_points(bounded) if many else _SHORT_POINTS
-    last = _run(data, c, _local_prior(data, c, s), s, max(s.max_iter - passes, 1), points, report)
-    return dataclasses.replace(last, passes=passes + last.passes)
 
 
 def _local_prior(data: _Standardised, c: Components, s: EMSettings) -> Prior:

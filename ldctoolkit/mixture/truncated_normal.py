@@ -169,29 +169,24 @@ class Sampler:
     def draw(self, n: int, rng: np.random.Generator) -> FloatArray:
         """Points (n, d), strictly inside the box."""
         out = np.empty((n, self.mu.size))
-        plain = self.box is None or self.log_p > np.log(_PLAIN_REJECTION)
-        rate = self._acceptance(plain)
+        box = None if self.log_p > np.log(_PLAIN_REJECTION) else self.box  # None: plain rejection
+        if box is None:
+            rate = float(np.exp(self.log_p))
+        elif np.isfinite(box.log_peak[0]) and self.log_p > _DEEPEST:
+            rate = float(np.exp(np.clip(self.log_p - box.log_peak[0], -5.0, 0.0)))
+        else:
+            raise self._give_up()
         drawn = proposed = 0
         while drawn < n:
             if proposed > _MAX_PROPOSALS * (n + 10):
                 raise self._give_up()
             missing = n - drawn
             m = int((missing + 2.0 * np.sqrt(missing)) / rate) + 4
-            z = (self._plain(m, rng) if plain or self.box is None else self._tilted(self.box, m, rng))[:, :missing]
+            z = (self._plain(m, rng) if box is None else self._tilted(box, m, rng))[:, :missing]
             proposed += m
             self._fill(z, rng, out[drawn : drawn + z.shape[1]])
             drawn += z.shape[1]
         return out
-
-    def _acceptance(self, plain: bool) -> float:
-        """Share of proposals that are accepted."""
-        if self.box is None:
-            return 1.0
-        if plain:
-            return float(np.exp(self.log_p))
-        if not np.isfinite(self.box.log_peak[0]) or not self.log_p > _DEEPEST:
-            raise self._give_up()
-        return float(np.exp(np.clip(self.log_p - self.box.log_peak[0], -5.0, 0.0)))
 
     def _give_up(self) -> ModelError:
         return ModelError(

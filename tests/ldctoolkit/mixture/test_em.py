@@ -213,17 +213,14 @@ def test_a_move_gains_at_least_its_bound(seed: int) -> None:
     t = TruncatedNormal(mu, Sigma, low, high, points=POINTS)
     now = Components(np.full(5, 0.2), mu, Sigma, t.log_probability)
     # one pass, so that the weights are those of the shares, as after any EM
-    value, sums = statistics_of_rows(z, None, np.zeros(2), np.ones(2), natural(now))
-    stats = Statistics.of(value, sums, 2)
+    stats = Statistics.of(*statistics_of_rows(z, None, np.zeros(2), np.ones(2), natural(now)), 2)
     now = Components(stats.counts / z.shape[0], mu, Sigma, t.log_probability)
-    value, sums = statistics_of_rows(z, None, np.zeros(2), np.ones(2), natural(now))
-    stats = Statistics.of(value, sums, 2)
+    stats = Statistics.of(*statistics_of_rows(z, None, np.zeros(2), np.ones(2), natural(now)), 2)
 
     def run(x: np.ndarray, w: np.ndarray, two: Components) -> tuple[Components, float]:
         pair = TruncatedNormal(two.mu, two.Sigma, low, high, points=POINTS)
-        terms = log_terms(x, Components(two.weights / two.weights.sum(), pair.mu, pair.Sigma, pair.log_probability))
         end = Components(two.weights / two.weights.sum(), pair.mu, pair.Sigma, pair.log_probability)
-        return end, float(w @ np.logaddexp.reduce(terms, axis=1))
+        return end, float(w @ np.logaddexp.reduce(log_terms(x, end), axis=1))
 
     found = best_moves(
         z, np.ones(z.shape[0]), stats, t, shares(log_terms(z, now)), strength=0.0, points=POINTS, run=run,
@@ -606,10 +603,8 @@ def test_repeated_rows_make_thin_components():
 def test_correlation_is_numpys():
     rng = np.random.default_rng(0)
     X = rng.normal(size=(16_389, 3)) @ rng.normal(size=(3, 3)) * [1e-6, 1.0, 1e6] + 3.0
-    events = Events(X)
-    np.testing.assert_allclose(correlation_of(events, profile_of(events)), np.corrcoef(X.T), rtol=1e-10, atol=1e-13)
-    w = rng.uniform(size=X.shape[0])
-    events = Events(X, w)
-    C = np.cov(X.T, aweights=w)
-    expected = C / np.sqrt(np.outer(np.diag(C), np.diag(C)))
-    np.testing.assert_allclose(correlation_of(events, profile_of(events)), expected, rtol=1e-10, atol=1e-13)
+    for w in (None, rng.uniform(size=X.shape[0])):
+        events = Events(X, w)
+        C = np.cov(X.T, aweights=w)
+        expected = C / np.sqrt(np.outer(np.diag(C), np.diag(C)))
+        np.testing.assert_allclose(correlation_of(events, profile_of(events)), expected, rtol=1e-10, atol=1e-13)
