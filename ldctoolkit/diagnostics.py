@@ -82,7 +82,7 @@ class SideDiagnostics:
     marginals: tuple[Marginal, ...]  # One a parameter
     calibrations: tuple[Calibration, ...]  # One a parameter
     joint: PairDensity | None  # T against d_y, where both vary
-    warnings: tuple[str, ...]  # What a user should know
+    warnings: tuple[str, ...]  # What a user should know; the side is not in the sentences
 
 
 @dataclasses.dataclass(frozen=True)
@@ -124,7 +124,7 @@ def diagnose(
     summary : SideSummary, optional
         How the side was fitted, for the warnings.
     label : str
-        Side, put before every warning.
+        Side.
     n_model : int
         Events drawn from the model, at least 1,000.
 
@@ -173,9 +173,7 @@ def diagnose(
         joint=_joint_density(distribution, parameters, x, share, drawn),
         warnings=(),
     )
-    prefix = f"{label}: " if label else ""
-    lines = (f"{prefix}{line}" for line in _warnings(diagnostics, mixture, summary))
-    return dataclasses.replace(diagnostics, warnings=tuple(lines))
+    return dataclasses.replace(diagnostics, warnings=tuple(_warnings(diagnostics, mixture, summary)))
 
 
 def diagnose_model(
@@ -232,18 +230,18 @@ def diagnose_model(
             found = diagnose(half, X, seed=seed, weights=share, summary=summary, label=label, n_model=n_model)
         except InputError as error:
             raise error.within(f"departures ({label})", ": ") from None
-        varying = tuple(_varying_constants(half, rows, label))
+        varying = tuple(_varying_constants(half, rows))
         sides[label] = dataclasses.replace(found, warnings=found.warnings + varying)
     report("done", 2, 2)
     return ModelDiagnostics(**sides)
 
 
-def _varying_constants(half: SideModel, rows: Departures, label: str) -> Iterator[str]:
+def _varying_constants(half: SideModel, rows: Departures) -> Iterator[str]:
     for name, value in half.constants:
         column = getattr(rows, name)
         if not np.allclose(column, value, rtol=1e-9, atol=1e-12):
             shown = f"{float(column.min()):g} to {float(column.max()):g}"
-            yield f"{label}: the model holds {name} at {value:g}, in the departures it is {shown}"
+            yield f"the model holds {name} at {value:g}, in the departures it is {shown}"
 
 
 def _names(model: SideModel | BoundedGaussianMixture, names: Sequence[str] | None, dimension: int) -> tuple[str, ...]:

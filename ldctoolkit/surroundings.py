@@ -63,6 +63,14 @@ def sweep() -> None:
                     shutil.rmtree(path, ignore_errors=True)
 
 
+def usable_cores() -> int:
+    """Cores that this process may use."""
+    try:
+        return len(os.sched_getaffinity(0))
+    except AttributeError:  # not Linux
+        return os.cpu_count() or 1
+
+
 def free_memory() -> float:
     """Bytes of memory that are free; infinite where the system does not say."""
     free = math.inf

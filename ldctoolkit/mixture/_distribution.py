@@ -39,11 +39,11 @@ class Transform:
     ) -> Transform:
         """One kind for all columns or one each, checked against the bounds."""
         d = lower.size
-        wanted = [transform or "none"] * d if transform is None or isinstance(transform, str) else list(transform)
-        if len(wanted) != d:
-            raise InputError("transform", f"{len(wanted)} names", allowed=f"one name, or {d}, one per column")
+        given = [transform or "none"] * d if transform is None or isinstance(transform, str) else list(transform)
+        if len(given) != d:
+            raise InputError("transform", f"{len(given)} names", allowed=f"one name, or {d}, one per column")
         kinds: list[Kind] = []
-        for j, (name, ends) in enumerate(zip(wanted, np.isfinite(lower).astype(int) + np.isfinite(upper), strict=True)):
+        for j, (name, ends) in enumerate(zip(given, np.isfinite(lower).astype(int) + np.isfinite(upper), strict=True)):
             path = f"transform[{j if names is None else names[j]!r}]"
             if name not in KINDS:
                 raise InputError("transform" if name is transform else path, value=name, allowed=KINDS)
@@ -96,8 +96,7 @@ class Transform:
                     out[:, j] = np.where(y[:, j] < 0.0, low + near, high - near)
                 elif kind == "log":
                     out[:, j] = low + np.exp(y[:, j]) if np.isfinite(low) else high - np.exp(-y[:, j])
-        inside: FloatArray = np.clip(out, np.nextafter(self.lower, np.inf), np.nextafter(self.upper, -np.inf))
-        return inside
+        return np.asarray(np.clip(out, np.nextafter(self.lower, np.inf), np.nextafter(self.upper, -np.inf)))
 
     def log_slope(self, x: FloatArray) -> FloatArray:
         """Logarithm of the maps' derivatives, (n,): what a density in the new coordinates gains in the data's."""
@@ -140,15 +139,13 @@ def log_terms(z: FloatArray, c: Components) -> FloatArray:
     """Terms ln(eta_k g_k(z)/P_k), (n, K), without a check that z is inside the box."""
     i, j = np.triu_indices(z.shape[1])
     features = np.concatenate([np.ones((z.shape[0], 1)), z, z[:, i] * z[:, j]], axis=1)
-    out: FloatArray = features @ natural(c).T
-    return out
+    return np.asarray(features @ natural(c).T)
 
 
 def shares(logits: FloatArray) -> FloatArray:
     """Row-wise shares (n, K), summing to one."""
     share = np.exp(logits - logits.max(axis=1, keepdims=True))
-    out: FloatArray = share / share.sum(axis=1, keepdims=True)
-    return out
+    return np.asarray(share / share.sum(axis=1, keepdims=True))
 
 
 Conditions = Mapping[str, object] | Mapping[int, object] | Mapping[str | int, object]
@@ -245,21 +242,18 @@ class Distribution:
 
     def inside(self, x: FloatArray) -> BoolArray:
         """Which rows lie in the closed box, (n,)."""
-        out: BoolArray = np.all((x >= self.transform.lower) & (x <= self.transform.upper), axis=1)
-        return out
+        return np.asarray(np.all((x >= self.transform.lower) & (x <= self.transform.upper), axis=1))
 
     def _free_columns(self, x: FloatArray) -> FloatArray:
         """The columns that `truncated` and `transform` describe."""
         return x
 
-    def has_density(self, x: FloatArray) -> BoolArray:
-        """Which rows lie in the box and not on a bound that is mapped to infinity, (n,)."""
-        out: BoolArray = self.inside(x) & np.isfinite(self.transform.forward(self._free_columns(x))).all(axis=1)
-        return out
+    def _has_density(self, x: FloatArray) -> BoolArray:
+        return np.asarray(self.inside(x) & np.isfinite(self.transform.forward(self._free_columns(x))).all(axis=1))
 
     def log_density(self, x: FloatArray) -> FloatArray:
         """Log-density of each row, (n,); -inf outside the box, and on a bound that is mapped to infinity."""
-        inside = self.has_density(x)
+        inside = self._has_density(x)
         if not inside.all():
             out = np.full(x.shape[0], -np.inf)
             if inside.any():
@@ -324,8 +318,7 @@ class Distribution:
 
     @functools.cached_property
     def _samplers(self) -> dict[int, Sampler]:
-        """Samplers of the components drawn so far."""
-        return {}
+        return {}  # of the components drawn so far
 
     def sample_block(self, seed: int, key: tuple[int, ...]) -> tuple[FloatArray, IntArray]:
         """`SAMPLE_BLOCK` events and their components, from the random stream named by (seed, key)."""
@@ -386,8 +379,7 @@ class Conditional(Distribution):
 
     def inside(self, x: FloatArray) -> BoolArray:
         """Which rows meet the conditions, (n,)."""
-        out: BoolArray = np.all((x >= self.lower) & (x <= self.upper), axis=1)
-        return out
+        return np.asarray(np.all((x >= self.lower) & (x <= self.upper), axis=1))
 
     def _free_columns(self, x: FloatArray) -> FloatArray:
         return np.asarray(x[:, self.free])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import collections
 import dataclasses
 from collections.abc import Callable
 from typing import Final, Literal
@@ -129,7 +130,6 @@ def best_moves(
     run: Run,
     rng: np.random.Generator,
 ) -> list[Move]:
-    """Candidates, the most promising first."""
     pairs, mu_m, Sigma_m, log_p_m, merger_gain = _mergers(weight, stats, now, shares_now, strength, points)
     out = []
     largest = np.argsort(-stats.counts, kind="stable")[:_SPLITS]
@@ -155,12 +155,11 @@ def best_moves(
 
 def _varied(ranked: list[Move]) -> list[Move]:
     """Each split and each merger twice at most: their neighbours in the ranking are alike."""
-    used: dict[object, int] = {}
+    used: collections.Counter[object] = collections.Counter()
     out = []
     for move in ranked:
-        if max(used.get(move.split, 0), used.get(move.merged, 0)) < _REPEATS:
-            for part in (move.split, move.merged):
-                used[part] = used.get(part, 0) + 1
+        if max(used[move.split], used[move.merged]) < _REPEATS:
+            used.update((move.split, move.merged))
             out.append(move)
     return out
 
@@ -218,8 +217,7 @@ def _mergers(
 
 
 def _x_log_x(x: FloatArray) -> FloatArray:
-    out: FloatArray = x * np.log(np.maximum(x, 1e-300))
-    return out
+    return np.asarray(x * np.log(np.maximum(x, 1e-300)))
 
 
 _SHORT_POINTS: Final = 1021
@@ -307,8 +305,17 @@ def fit_components(events: Events, profile: Profile, s: EMSettings, report: Prog
     events around each component at its start.
     """
     data = _Standardised(events, profile.mean, profile.scale, profile.events)
+    bounded = int(np.sum(np.isfinite(s.lower) | np.isfinite(s.upper)))
+    passes, many = 0, bounded > _FEW_DIMENSIONS and data.events > _FEW_EVENTS
     try:
-        return _fit(data, s, report)
+        c = _best_start(data, s, report)
+        if many:
+            # most of the way on few points: many take longer than the pass over the events
+            near = _run(data, c, _local_prior(data, c, s), s, s.max_iter, _SHORT_POINTS, report, "nearing")
+            c, passes = near.components, near.passes
+        points = moment_points(bounded) if many else _SHORT_POINTS
+        last = _run(data, c, _local_prior(data, c, s), s, max(s.max_iter - passes, 1), points, report)
+        return dataclasses.replace(last, passes=passes + last.passes)
     except np.linalg.LinAlgError:
         raise InputError(
             "X",
@@ -316,19 +323,6 @@ def fit_components(events: Events, profile: Profile, s: EMSettings, report: Prog
             f"K = {s.n_components}, prior_strength = {s.prior_strength:g}",
             hint="raise prior_strength or fit fewer components",
         ) from None
-
-
-def _fit(data: _Standardised, s: EMSettings, report: Progress) -> EMResult:
-    c = _best_start(data, s, report)
-    bounded = int(np.sum(np.isfinite(s.lower) | np.isfinite(s.upper)))
-    passes, many = 0, bounded > _FEW_DIMENSIONS and data.events > _FEW_EVENTS
-    if many:
-        # most of the way on few points: many take longer than the pass over the events
-        near = _run(data, c, _local_prior(data, c, s), s, s.max_iter, _SHORT_POINTS, report, "nearing")
-        c, passes = near.components, near.passes
-    points = moment_points(bounded) if many else _SHORT_POINTS
-    last = _run(data, c, _local_prior(data, c, s), s, max(s.max_iter - passes, 1), points, report)
-    return dataclasses.replace(last, passes=passes + last.passes)
 
 
 def _local_prior(data: _Standardised, c: Components, s: EMSettings) -> Prior:
@@ -344,22 +338,20 @@ def _local_prior(data: _Standardised, c: Components, s: EMSettings) -> Prior:
 def _best_start(data: _Standardised, s: EMSettings, report: Progress) -> Components:
     """The best of several short runs from k-means clusters."""
     rng = np.random.default_rng([s.seed, 0])
-    rows = data.rows.used_rows()
+    rows = np.arange(data.rows.rows) if data.rows.weight is None else np.flatnonzero(data.rows.weight > 0.0)
     used = data.rows.take(rows if rows.size <= s.subsample else np.sort(rng.choice(rows, s.subsample, replace=False)))
     z, weight = (used.x - data.location) / data.scale, used.weight
     events = float(z.shape[0]) if weight is None else float(weight.sum())
     d = z.shape[1]
     short = _Standardised(Events(z, weight, data.rows.threads), np.zeros(d), np.ones(d), events)
-    best: EMResult | None = None
+    results = []
     starts = s.n_init if s.n_components > 1 else 1
     for run in range(starts):
         first = start_from_clusters(z, weight, s.n_components, np.random.default_rng([s.seed, 1, run]))
         result = _run(short, first, Prior(s.prior_strength, first.Sigma), s, s.short_iter, _SHORT_POINTS, leaps=False)
         report(f"start {run + 1} of {starts}: {result.history[-1]:.6f} nats an event")
-        if best is None or result.history[-1] > best.history[-1]:
-            best = result
-    if best is None:
-        raise RuntimeError("no start was run")
+        results.append(result)
+    best = max(results, key=lambda result: float(result.history[-1]))
     if s.n_components < 3 or not s.split_merge:
         return best.components
     return _escape(short, best.components, s, report)

@@ -71,8 +71,7 @@ class Prior:
         ratio = np.linalg.solve(Sigma, self.covariance)
         _, log_det = np.linalg.slogdet(ratio)
         trace = np.trace(ratio, axis1=1, axis2=2)
-        out: FloatArray = 0.5 * self.strength * (log_det - trace + Sigma.shape[1])
-        return out
+        return np.asarray(0.5 * self.strength * (log_det - trace + Sigma.shape[1]))
 
 
 Step = Callable[[Statistics, Prior, TruncatedNormal], tuple[FloatArray, Path]]
@@ -86,8 +85,7 @@ def objective(stats: Statistics, prior: Prior, t: TruncatedNormal) -> FloatArray
         scatter = stats.scatter + gap[:, :, None] * gap[:, None, :]
         _, log_det = np.linalg.slogdet(t.Sigma)
         trace = np.trace(np.linalg.solve(t.Sigma, scatter), axis1=1, axis2=2)
-        out: FloatArray = stats.counts * (-0.5 * (log_det + trace) - t.log_probability) + prior.value(t.Sigma)
-    return out
+        return np.asarray(stats.counts * (-0.5 * (log_det + trace) - t.log_probability) + prior.value(t.Sigma))
 
 
 def maximise(stats: Statistics, prior: Prior, now: TruncatedNormal, points: int) -> tuple[TruncatedNormal, BoolArray]:
@@ -112,7 +110,8 @@ def maximise(stats: Statistics, prior: Prior, now: TruncatedNormal, points: int)
                 break
             rows_order = order[rows] if order is not None else None
             trial = TruncatedNormal(mu_t[rows], Sigma_t[rows], now.lower, now.upper, points=points, order=rows_order)
-            after = objective(_rows(stats, rows), Prior(prior.strength, prior.covariance[rows]), trial)
+            part = Statistics(stats.log_likelihood, stats.counts[rows], stats.mean[rows], stats.scatter[rows])
+            after = objective(part, Prior(prior.strength, prior.covariance[rows]), trial)
             which = np.flatnonzero(np.isfinite(after) & (after >= before[rows]) & _usable(trial, now, rows))
             result = result.with_components(rows[which], trial, which)
             waiting[rows[which]] = False
@@ -140,8 +139,7 @@ def predicted_gain(stats: Statistics, now: TruncatedNormal) -> FloatArray:
     The prior does not depend on mu, so at a fixed point the weighted mean of the data is the mean inside the box.
     """
     residual = (stats.mean - now.mean) ** 2 / np.maximum(np.diagonal(now.covariance, axis1=1, axis2=2), 1e-300)
-    out: FloatArray = 0.5 * stats.counts * residual.max(axis=1)
-    return out
+    return np.asarray(0.5 * stats.counts * residual.max(axis=1))
 
 
 def _usable(trial: TruncatedNormal, now: TruncatedNormal, rows: IntArray) -> BoolArray:
@@ -152,10 +150,6 @@ def _usable(trial: TruncatedNormal, now: TruncatedNormal, rows: IntArray) -> Boo
     if trial.box is None or now.box is None:
         return good
     return good & (np.isfinite(trial.box.log_peak) | ~np.isfinite(now.box.log_peak[rows]))
-
-
-def _rows(stats: Statistics, rows: IntArray) -> Statistics:
-    return Statistics(stats.log_likelihood, stats.counts[rows], stats.mean[rows], stats.scatter[rows])
 
 
 def _fixed_point(stats: Statistics, prior: Prior, now: TruncatedNormal) -> tuple[FloatArray, Path]:
@@ -255,8 +249,7 @@ def _solve(hessian: FloatArray, gradient: FloatArray) -> FloatArray:
     """Solution of hessian x = gradient with a unit diagonal, (K, m), safe where the hessian is nearly singular."""
     scale = 1.0 / np.sqrt(np.maximum(np.diagonal(hessian, axis1=1, axis2=2), 1e-300))
     scaled = hessian * scale[:, :, None] * scale[:, None, :] + 1e-12 * np.eye(hessian.shape[1])
-    out: FloatArray = scale * np.linalg.solve(scaled, (gradient * scale)[:, :, None])[:, :, 0]
-    return out
+    return np.asarray(scale * np.linalg.solve(scaled, (gradient * scale)[:, :, None])[:, :, 0])
 
 
 def _sandwich(G: FloatArray, S: FloatArray) -> FloatArray:
@@ -266,13 +259,11 @@ def _sandwich(G: FloatArray, S: FloatArray) -> FloatArray:
 
 
 def _symmetric(S: FloatArray) -> FloatArray:
-    out: FloatArray = 0.5 * (S + S.transpose(0, 2, 1))
-    return out
+    return np.asarray(0.5 * (S + S.transpose(0, 2, 1)))
 
 
 def _positive(Sigma: FloatArray) -> BoolArray:
     """Whether each Sigma is safely positive definite: correlations bounded away from one by rounding."""
     deviation = np.sqrt(np.maximum(np.diagonal(Sigma, axis1=1, axis2=2), 1e-300))
     least = np.linalg.eigvalsh(Sigma / (deviation[:, :, None] * deviation[:, None, :]))[:, 0]
-    out: BoolArray = least > 1e-11
-    return out
+    return np.asarray(least > 1e-11)

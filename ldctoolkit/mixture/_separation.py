@@ -93,8 +93,7 @@ class Restricted:
             k = self.special
             z[k] = _special_quantile(self.low[k], self.high[k], below[k], above[k], z[k])
         z = np.minimum(np.maximum(z, self.low), self.high)
-        out: FloatArray = np.where(self.mirrored, -z, z)
-        return out
+        return np.asarray(np.where(self.mirrored, -z, z))
 
 
 def _quadrature(low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -339,7 +338,6 @@ def integration_order(covariance: FloatArray, lower: FloatArray, upper: FloatArr
 
 
 def separate(covariance: FloatArray, lower: FloatArray, upper: FloatArray, order: IntArray | None = None) -> Separation:
-    """Order, factorise and tilt."""
     K, p = lower.shape
     order = integration_order(covariance, lower, upper) if order is None else order
     rows = np.arange(K)[:, None]
@@ -380,12 +378,10 @@ def integrate(box: Separation, points: int) -> WhitenedMoments:
 
 
 def component_rows(box: Separation, rows: slice) -> Separation:
-    """Some of the components."""
     return Separation(**{field.name: getattr(box, field.name)[rows] for field in dataclasses.fields(Separation)})
 
 
 def _integrate(box: Separation, grid: Lattice) -> WhitenedMoments:
-    """All components at once."""
     K, p = box.lower.shape
     z = np.empty((K, p, grid.weight.size))
     expected, variance = np.empty_like(z), np.empty_like(z)
@@ -406,24 +402,12 @@ def _integrate(box: Separation, grid: Lattice) -> WhitenedMoments:
     drawn = weights * grid.last
     drawn /= drawn.sum(axis=1, keepdims=True)
     log_p = peak[:, 0] + np.log(total[:, 0])
-    return _moments(z, expected, variance, weights, grid.weight, log_p, drawn)
-
-
-def _moments(
-    z: FloatArray,
-    expected: FloatArray,
-    variance: FloatArray,
-    weights: FloatArray,
-    lattice_weights: FloatArray,
-    log_p: FloatArray,
-    drawn: FloatArray,
-) -> WhitenedMoments:
-    """Mean and covariance with control variates, from points, their conditional moments and both sets of weights."""
-    last = z.shape[1] - 1
+    # mean and covariance with control variates
+    last = p - 1
     smooth = z.copy()
     smooth[:, last] = expected[:, last]
     noise = smooth - expected  # of expectation zero given the variables before; none in the last one
-    W, L = weights[:, None, :], lattice_weights
+    W, L = weights[:, None, :], grid.weight
     origin = smooth[:, :, 0]  # far outside, points differ in their last digits only: sums are taken from one of them
     mean = origin + (weights[:, None] @ (smooth - origin[:, :, None]).transpose(0, 2, 1))[:, 0] - noise @ L
     centred = smooth - mean[:, :, None]
@@ -494,5 +478,4 @@ def _sidi(t: FloatArray) -> FloatArray:
     angle = 2.0 * np.pi * t
     small = angle < 0.05
     series = angle**3 / 6.0 * (1.0 - angle**2 / 20.0 * (1.0 - angle**2 / 42.0))
-    out: FloatArray = np.where(small, series, angle - np.sin(angle)) / (2.0 * np.pi)
-    return out
+    return np.asarray(np.where(small, series, angle - np.sin(angle)) / (2.0 * np.pi))

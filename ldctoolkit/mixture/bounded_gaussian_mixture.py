@@ -69,17 +69,13 @@ def correlation_of(events: Events, profile: Profile) -> FloatArray:
 
 
 def fit_warnings(
-    distribution: Distribution,
-    profile: Profile,
-    correlation: FloatArray,
-    *,
-    stop_reason: StopReason,
-    passes: int,
-    names: Sequence[str] | None = None,
-) -> tuple[str, ...]:
+    model: BoundedGaussianMixture, profile: Profile, correlation: FloatArray, names: Sequence[str] | None
+) -> Iterator[str]:
     """What a user should know before trusting a fit, the gravest first."""
-    stopped = [_STOPPED[stop_reason].format(passes)] if stop_reason in _STOPPED else []
-    return (*stopped, *_component_warnings(distribution, profile), *_column_warnings(profile, correlation, names))
+    if model.stop_reason_ in _STOPPED:
+        yield _STOPPED[model.stop_reason_].format(model.n_iter_)
+    yield from _component_warnings(model.distribution, profile)
+    yield from _column_warnings(profile, correlation, names)
 
 
 def _component_warnings(distribution: Distribution, profile: Profile) -> Iterator[str]:
@@ -136,12 +132,11 @@ def _column_warnings(profile: Profile, correlation: FloatArray, names: Sequence[
 
 
 def _components(mask: BoolArray) -> str:
-    """Names of components: ``Component 2``, ``Components 2, 5``."""
+    """``Component 2``, or ``Components 2, 5``."""
     return f"Component{'s' if mask.sum() > 1 else ''} {_listed([str(k) for k in np.flatnonzero(mask)])}"
 
 
 def _values(mask: BoolArray, values: FloatArray) -> str:
-    """Values of the same components."""
     return _listed([f"{value:.3g}" for value in values[mask].tolist()])
 
 
@@ -460,14 +455,7 @@ class BoundedGaussianMixture(CheckedArguments):
         self.stop_reason_, self.converged_ = result.stop_reason, result.stop_reason == "converged"
         self.n_iter_ = result.passes
         self.lower_bounds_, self.lower_bound_ = result.history, float(result.history[-1])
-        self.warnings_ = fit_warnings(
-            self._distribution,
-            profile,
-            correlation_of(events, profile),
-            stop_reason=result.stop_reason,
-            passes=self.n_iter_,
-            names=self.names,
-        )
+        self.warnings_ = tuple(fit_warnings(self, profile, correlation_of(events, profile), self.names))
         return self
 
     def _checked_transform(self, dimension: int) -> Transform:

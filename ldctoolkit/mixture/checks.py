@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 import operator
-import os
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Final, TypeVar
@@ -16,6 +15,7 @@ import numpy.typing as npt
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray, unmasked
 from ldctoolkit.declared import checked_seed, checked_whole
 from ldctoolkit.errors import InputError
+from ldctoolkit.surroundings import usable_cores
 
 Part = TypeVar("Part")
 Work = Callable[[FloatArray, FloatArray | None], Part]  # from the rows (m, d) of a block and their weights (m,), if any
@@ -35,7 +35,7 @@ class Events:
         """What a caller gave, neither rows nor columns none."""
         x = as_matrix(X)
         if x.size == 0:
-            raise InputError("X", f"{'no columns' if x.shape[0] else 'no rows'}")
+            raise InputError("X", "no columns" if x.shape[0] else "no rows")
         return cls(x, check_sample_weight(sample_weight, x.shape[0]), threads)
 
     @property
@@ -68,10 +68,6 @@ class Events:
         x = np.ascontiguousarray(self.x[rows])
         return dataclasses.replace(self, x=x, weight=None if self.weight is None else self.weight[rows])
 
-    def used_rows(self) -> IntArray:
-        """Numbers of the rows with a weight above zero, ascending."""
-        return np.arange(self.rows) if self.weight is None else np.flatnonzero(self.weight > 0.0)
-
 
 def sums_of(events: Events, location: FloatArray, scale: FloatArray, theta: FloatArray) -> tuple[float, FloatArray]:
     """Log-likelihood and feature sums (K, F) of all rows: the work of one E-step."""
@@ -98,7 +94,7 @@ class Profile:
 
     @classmethod
     def of_block(cls, x: FloatArray, weight: FloatArray | None) -> Profile:
-        """Of some rows, at least one."""
+        """Of at least one row."""
         w = np.ones(x.shape[0]) if weight is None else weight
         events, used = float(w.sum()), int(np.count_nonzero(w))
         # here, since a caller's settings do not reach other threads: what overflows is refused by its size
@@ -124,14 +120,12 @@ class Profile:
     @property
     def scale(self) -> FloatArray:
         """Standard deviations (d,)."""
-        out: FloatArray = np.sqrt(self.square / self.events)
-        return out
+        return np.asarray(np.sqrt(self.square / self.events))
 
 
 def _weighted(w: FloatArray, x: FloatArray) -> FloatArray:
     """Sums (d,) of the rows times their weights; not by BLAS, whose last digits depend on its threads."""
-    out: FloatArray = np.einsum("i,ij->j", w, x)
-    return out
+    return np.asarray(np.einsum("i,ij->j", w, x))
 
 
 def profile_of(events: Events) -> Profile:
@@ -143,14 +137,6 @@ def profile_of(events: Events) -> Profile:
     if profile.events == 0.0:
         raise InputError("X", f"the weights of all {profile.rows} rows are zero", allowed="at least one event")
     return profile
-
-
-def usable_cores() -> int:
-    """Cores that this process may use."""
-    try:
-        return len(os.sched_getaffinity(0))
-    except AttributeError:  # not Linux
-        return os.cpu_count() or 1
 
 
 RandomState = int | np.random.Generator | None

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import copy
-import dataclasses
-from typing import Any, Final, TypeVar
+from collections.abc import Iterable
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -20,10 +20,6 @@ _MAX_PROPOSALS: Final = 2000
 
 _DEEPEST: Final = -1e13
 """Below this ln P the logarithms that decide on acceptance are rounded by more than a thousandth."""
-
-
-Array = npt.NDArray[Any]
-Fields = TypeVar("Fields", Separation, WhitenedMoments)
 
 
 def moment_points(bounded: int) -> int:
@@ -81,11 +77,6 @@ class TruncatedNormal:
     [-0.693147, 0.797885, 0.36338]
     """
 
-    log_probability: FloatArray
-    mean: FloatArray
-    covariance: FloatArray
-    bounded: IntArray
-
     def __init__(
         self,
         mu: npt.ArrayLike,
@@ -125,12 +116,12 @@ class TruncatedNormal:
     def with_components(self, rows: IntArray, other: TruncatedNormal, which: IntArray) -> TruncatedNormal:
         """A copy whose components `rows` are the components `which` of another one on the same box."""
         out = copy.copy(self)
-        for name in ("mu", "Sigma", "log_probability", "mean", "covariance"):
-            setattr(out, name, _put(getattr(self, name), rows, getattr(other, name), which))
-        if self.box is not None and other.box is not None:
-            out.box = _put_fields(self.box, rows, other.box, which)
-        if self.whitened is not None and other.whitened is not None:
-            out.whitened = _put_fields(self.whitened, rows, other.whitened, which)
+        names = ("mu", "Sigma", "log_probability", "mean", "covariance")
+        vars(out).update(_put(self, other, names, rows, which))
+        if self.box is not None and self.whitened is not None:
+            out.box = Separation(**_put(self.box, other.box, Separation.__annotations__, rows, which))
+            moments = _put(self.whitened, other.whitened, WhitenedMoments.__annotations__, rows, which)
+            out.whitened = WhitenedMoments(**moments)
         return out
 
     def _check(self) -> None:
@@ -144,15 +135,12 @@ class TruncatedNormal:
         check_bounds(self.lower, self.upper)
 
 
-def _put(mine: Array, rows: IntArray, theirs: Array, which: IntArray) -> Array:
-    out = mine.copy()
-    out[rows] = theirs[which]
+def _put(target: object, source: object, names: Iterable[str], rows: IntArray, which: IntArray) -> dict[str, Any]:
+    """Arrays of `target` with `rows` replaced by the rows `which` of `source`."""
+    out = {name: getattr(target, name).copy() for name in names}
+    for name, array in out.items():
+        array[rows] = getattr(source, name)[which]
     return out
-
-
-def _put_fields(mine: Fields, rows: IntArray, theirs: Fields, which: IntArray) -> Fields:
-    names = [field.name for field in dataclasses.fields(mine)]
-    return dataclasses.replace(mine, **{n: _put(getattr(mine, n), rows, getattr(theirs, n), which) for n in names})
 
 
 def check_bounds(lower: FloatArray, upper: FloatArray) -> None:
@@ -181,29 +169,24 @@ class Sampler:
     def draw(self, n: int, rng: np.random.Generator) -> FloatArray:
         """Points (n, d), strictly inside the box."""
         out = np.empty((n, self.mu.size))
-        plain = self.box is None or self.log_p > np.log(_PLAIN_REJECTION)
-        rate = self._acceptance(plain)
+        box = None if self.log_p > np.log(_PLAIN_REJECTION) else self.box  # None: plain rejection
+        if box is None:
+            rate = float(np.exp(self.log_p))
+        elif np.isfinite(box.log_peak[0]) and self.log_p > _DEEPEST:
+            rate = float(np.exp(np.clip(self.log_p - box.log_peak[0], -5.0, 0.0)))
+        else:
+            raise self._give_up()
         drawn = proposed = 0
         while drawn < n:
             if proposed > _MAX_PROPOSALS * (n + 10):
                 raise self._give_up()
             missing = n - drawn
             m = int((missing + 2.0 * np.sqrt(missing)) / rate) + 4
-            z = (self._plain(m, rng) if plain or self.box is None else self._tilted(self.box, m, rng))[:, :missing]
+            z = (self._plain(m, rng) if box is None else self._tilted(box, m, rng))[:, :missing]
             proposed += m
             self._fill(z, rng, out[drawn : drawn + z.shape[1]])
             drawn += z.shape[1]
         return out
-
-    def _acceptance(self, plain: bool) -> float:
-        """Share of proposals that are accepted."""
-        if self.box is None:
-            return 1.0
-        if plain:
-            return float(np.exp(self.log_p))
-        if not np.isfinite(self.box.log_peak[0]) or not self.log_p > _DEEPEST:
-            raise self._give_up()
-        return float(np.exp(np.clip(self.log_p - self.box.log_peak[0], -5.0, 0.0)))
 
     def _give_up(self) -> ModelError:
         return ModelError(

@@ -6,7 +6,14 @@ departures table. The formats, the rules and the reasons for refusing a candidat
 ``docs/how-to/my-recordings.md``.
 """
 
-from ldctoolkit.recordings.departures_table import Extraction, PartResult, Provenance, read_departures, write_departures
+from ldctoolkit.recordings.departures_table import (
+    Extraction,
+    PartResult,
+    Provenance,
+    read_all_departures,
+    read_departures,
+    write_departures,
+)
 from ldctoolkit.recordings.extract import extract_departures, extract_part, merge_results
 from ldctoolkit.recordings.find_departures import Criteria, Refused
 from ldctoolkit.recordings.preparation import Preparation
@@ -49,6 +56,7 @@ __all__ = [
     "extract_part",
     "merge_results",
     "open_recordings",
+    "read_all_departures",
     "read_departures",
     "read_recordings",
     "reader_names",

@@ -5,8 +5,9 @@ from __future__ import annotations
 import dataclasses
 import io
 import json
+import math
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -365,3 +366,67 @@ def provenance_from_json(name: str, text: str) -> Provenance:
         )
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise RecordingError(name, f"its metadata '{METADATA_KEY}' cannot be understood: {error}") from None
+
+
+def read_all_departures(paths: Sequence[str | os.PathLike[str]]) -> tuple[Departures, Provenance]:
+    """Read departures tables, in this order, as one.
+
+    Raises `RecordingError` as `read_departures`; for tables of different criteria or preparations, or of the same
+    recordings.
+    """
+    absolute = [Path(path).absolute() for path in paths]
+    for path in absolute:
+        if absolute.count(path) > 1:
+            raise RecordingError(path.name, "given more than once", allowed="every table once")
+    tables = [read_departures(path) for path in paths]
+    if len(tables) == 1:
+        return tables[0]
+    provenance = merged_provenance([path.name for path in absolute], [origin for _, origin in tables])
+    return combined_departures([departures for departures, _ in tables]), provenance
+
+
+def merged_provenance(names: Sequence[str], origins: Sequence[Provenance]) -> Provenance:
+    """Where the departures of several tables come from; `names` are the tables', for messages.
+
+    Raises `RecordingError` if the criteria or the preparations differ, or a recording is in two tables.
+    """
+    first = origins[0]
+    seen: dict[str, str] = {}
+    for name, origin in zip(names, origins, strict=True):
+        for kind in ("criteria", "preparation"):
+            expected = dataclasses.asdict(getattr(first, kind))
+            for key, value in dataclasses.asdict(getattr(origin, kind)).items():
+                if value != expected[key]:
+                    raise RecordingError(
+                        name,
+                        f"extracted with {key} = {value!r}, {names[0]} with {expected[key]!r}",
+                        allowed=f"tables of the same {kind}",
+                    )
+        for source in origin.sources:
+            # empty files are all alike
+            if source.bytes and seen.setdefault(source.sha256, name) != name:
+                raise RecordingError(
+                    name,
+                    f"holds departures of {source.name}, as does {seen[source.sha256]}",
+                    allowed="every recording once",
+                )
+    sums: dict[str, Any] = {
+        name: sum(getattr(origin, name) for origin in origins)
+        for name in ("recordings", "samples", "invalid_samples", "hours")
+    }
+    kinds: dict[str, Any] = {
+        name: getattr(first, name) if len({getattr(origin, name) for origin in origins}) == 1 else "mixed"
+        for name in ("curvature", "reader")
+    }
+    refused = [dataclasses.asdict(origin.refused) for origin in origins]
+    known = all(origin.distance > 0.0 or origin.hours == 0.0 for origin in origins)  # the distance, in every table
+    return dataclasses.replace(
+        first,
+        refused=Refused(**{reason: sum(counts[reason] for counts in refused) for reason in refused[0]}),
+        sources=tuple(source for origin in origins for source in origin.sources),
+        distance=math.fsum(origin.distance for origin in origins) if known else 0.0,
+        warnings=tuple(dict.fromkeys(warning for origin in origins for warning in origin.warnings)),
+        problems=tuple(problem for origin in origins for problem in origin.problems),
+        **sums,
+        **kinds,
+    )

@@ -2,15 +2,7 @@
 
 from ldctoolkit.scenario_model.fidelity import SideFidelity
 from ldctoolkit.scenario_model.fit import check_fidelity, fit_scenario_model
-from ldctoolkit.scenario_model.model import (
-    Given,
-    ScenarioModel,
-    bundled_models,
-    conditions,
-    load_model,
-    merged_provenance,
-    read_all_departures,
-)
+from ldctoolkit.scenario_model.model import Given, ScenarioModel, bundled_models, conditions, load_model
 from ldctoolkit.scenario_model.provenance import (
     PHYSICAL_BOUNDS,
     FitSettings,
@@ -36,7 +28,5 @@ __all__ = [
     "conditions",
     "fit_scenario_model",
     "load_model",
-    "merged_provenance",
-    "read_all_departures",
     "summarize",
 ]

@@ -377,6 +377,10 @@ class _Checked:
         """The larger, the better it agrees."""
         return (0.0 if self.fidelity is None else float(self.fidelity.within.mean())), self.alone
 
+    def order(self) -> tuple[bool, float, float]:
+        """Of those compared the largest is taken."""
+        return (self.agrees, *self.merit)
+
 
 @dataclasses.dataclass(frozen=True)
 class _Judge:
@@ -426,7 +430,7 @@ class _Judge:
         last = fits.chosen
         while rows <= FEW and not best.agrees and last + 1 < len(fits.models):
             last += 1
-            best = max(best, self.checked(fits.models[last]), key=_merit)
+            best = max(best, self.checked(fits.models[last]), key=_Checked.order)
         K, most = (int(fits.n_components[i]) for i in (fits.chosen, last))
         if kind == "auto" and not best.agrees:
             smooth = self._smoothed()
@@ -442,11 +446,7 @@ class _Judge:
     def _smoothed(self) -> _Checked:
         """The smoothed departures: the wider kernel that agrees with them, else the better one."""
         wide, narrow = (self.checked(smoothed(self.events, width), "smoothed") for width in BANDWIDTHS)
-        return wide if wide.agrees else max(wide, narrow, key=_merit)
-
-
-def _merit(checked: _Checked) -> tuple[bool, float, float]:
-    return (checked.agrees, *checked.merit)
+        return wide if wide.agrees else max(wide, narrow, key=_Checked.order)
 
 
 BANDWIDTHS: Final = (0.25, 0.125)

@@ -22,7 +22,6 @@ from ldctoolkit.scenario_model.provenance import (
     UNIT,
     ModelProvenance,
     SideModel,
-    SideSummary,
     SourceSummary,
     check_usable,
 )
@@ -253,32 +252,27 @@ def _check_names(path: str, names: Iterable[str]) -> None:
 
 def _check_shape(path: str, value: Any, shape: tuple[int, ...]) -> None:
     try:
-        found = np.array(value, dtype=object).shape
+        actual = np.array(value, dtype=object).shape
     except ValueError:
         raise InputError(path, "lists of different lengths", allowed=f"shape {shape}") from None
-    if found != shape:
-        raise InputError(path, f"shape {found}", allowed=f"{shape}")
+    if actual != shape:
+        raise InputError(path, f"shape {actual}", allowed=f"{shape}")
 
 
 def _check_provenance(provenance: ModelProvenance) -> None:
     for key, value in (("hours", provenance.hours), ("distance", provenance.distance)):
         if value is not None:
             checked_number(f"provenance.{key}", value, above=0.0)
-    for name, side in (("left", provenance.left), ("right", provenance.right)):
-        if side is not None:
-            _check_fit(f"provenance.{name}", side)
-            if side.source_summary is not None:
-                _check_summary(f"provenance.{name}.source_summary", side.source_summary)
-
-
-def _check_fit(path: str, side: SideSummary) -> None:
-    tried = len(side.n_components)
-    for key in ("bic", "log_likelihood", "n_parameters"):
-        count = len(getattr(side, key))
-        if count != tried and (count or key != "n_parameters"):
-            raise InputError(f"{path}.{key}", f"shape ({count},)", allowed=f"({tried},)")
-    for key in ("moved_inside", "bounds_from"):
-        _check_names(f"{path}.{key}", (name for name, *_ in getattr(side, key)))
+    for name, side in provenance.sides:
+        path, tried = f"provenance.{name}", len(side.n_components)
+        for key in ("bic", "log_likelihood", "n_parameters"):
+            count = len(getattr(side, key))
+            if count != tried and (count or key != "n_parameters"):
+                raise InputError(f"{path}.{key}", f"shape ({count},)", allowed=f"({tried},)")
+        for key in ("moved_inside", "bounds_from"):
+            _check_names(f"{path}.{key}", (parameter for parameter, *_ in getattr(side, key)))
+        if side.source_summary is not None:
+            _check_summary(f"{path}.source_summary", side.source_summary)
 
 
 def _check_summary(path: str, summary: SourceSummary) -> None:

@@ -7,7 +7,7 @@ import importlib.resources
 import math
 import os
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Final, Protocol
 
@@ -15,20 +15,10 @@ import numpy as np
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.declared import UnitWarning, checked_seed, checked_whole, unit_slip
-from ldctoolkit.departures import (
-    LEFT,
-    PARAMETER_NAMES,
-    PARAMETER_UNITS,
-    RIGHT,
-    DepartureParameters,
-    Departures,
-    Plausibility,
-    combined_departures,
-)
-from ldctoolkit.errors import InputError, ModelError, RecordingError, UnknownNameError
+from ldctoolkit.departures import LEFT, PARAMETER_NAMES, PARAMETER_UNITS, RIGHT, DepartureParameters, Plausibility
+from ldctoolkit.errors import InputError, ModelError, UnknownNameError
 from ldctoolkit.mixture import SAMPLE_BLOCK, BoundedGaussianMixture
 from ldctoolkit.mixture._distribution import interval_of
-from ldctoolkit.recordings import Provenance, Refused, read_departures
 from ldctoolkit.scenario_model.provenance import ModelProvenance, SideModel
 from ldctoolkit.scenarios import SPEED_FLOOR, Scenarios, slowest_speed
 from ldctoolkit.whole_file import json_text, read_regular, write_whole
@@ -74,10 +64,10 @@ def conditions(given: Given | None) -> tuple[Condition, ...]:
     if given is not None and not isinstance(given, Mapping):
         raise InputError("given", value=given, allowed="a mapping of parameters")
     by_name = {}
-    for name, wanted in (given or {}).items():
+    for name, value in (given or {}).items():
         if name not in PARAMETER_NAMES:
             raise InputError("given", "is no parameter", value=name, allowed=PARAMETER_NAMES)
-        low, high = interval_of(f"given[{name!r}]", wanted)
+        low, high = interval_of(f"given[{name!r}]", value)
         slip = unit_slip(name, low) or unit_slip(name, high if math.isfinite(high) else 0.0)
         if slip:
             warnings.warn(f"given {slip}", UnitWarning, stacklevel=3)
@@ -88,16 +78,15 @@ def conditions(given: Given | None) -> tuple[Condition, ...]:
 
 def misleading(model: ScenarioModel) -> list[str]:
     """What a model gets wrong against its recordings, one sentence a side; none where the check passed."""
-    sides = ("left", model.provenance.left), ("right", model.provenance.right)
-    checked = [(key, side.fidelity) for key, side in sides if side is not None and side.fidelity is not None]
+    checked = [(key, side.fidelity) for key, side in model.provenance.sides if side.fidelity is not None]
     return [f"scenario model, {key}: {fidelity.text}" for key, fidelity in checked if not fidelity.passed]
 
 
 def outside_fit(model: ScenarioModel, given: Given | None) -> list[str]:
     """Conditions that reach beyond what a model was fitted to, one sentence each; none where it holds no summary."""
     sentences: dict[str, str] = {}
-    for key, side in (("left", model.provenance.left), ("right", model.provenance.right)):
-        summary = None if side is None else side.source_summary
+    for key, side in model.provenance.sides:
+        summary = side.source_summary
         for condition in conditions(given):
             if summary is None or condition.name not in summary.names:
                 continue
@@ -117,13 +106,13 @@ def outside_fit(model: ScenarioModel, given: Given | None) -> list[str]:
 
 
 def mixture_conditions(
-    wanted: tuple[Condition, ...], side: SideModel, label: str
+    given: tuple[Condition, ...], side: SideModel, label: str
 ) -> dict[int, float | tuple[float, float]]:
     """Column of the side's mixture -> value or (lower, upper)."""
     constants = dict(side.constants)
     lower, upper = side.bounds()
     out: dict[int, float | tuple[float, float]] = {}
-    for condition in wanted:
+    for condition in given:
         low, high = condition.low, condition.high
         if condition.name in constants:
             value = constants[condition.name]
@@ -141,6 +130,7 @@ def mixture_conditions(
 
 
 _STREAM: Final = {LEFT: 0, RIGHT: 1}
+_LABEL: Final = {LEFT: "left", RIGHT: "right"}
 _SPARE_BLOCKS: Final = 50
 """Blocks drawn per block needed before sampling is given up: one event in fifty must stay above the speed floor."""
 
@@ -161,7 +151,7 @@ class _Point:
     values: FloatArray
 
     def sample_block(self, seed: int, key: tuple[int, ...]) -> tuple[FloatArray, IntArray]:
-        """The one event there is, again and again."""
+        """The same event every time, whatever the stream."""
         del seed, key
         return np.tile(self.values, (SAMPLE_BLOCK, 1)), np.zeros(SAMPLE_BLOCK, dtype=np.int64)
 
@@ -287,19 +277,19 @@ class ScenarioModel:
         >>> bool(motorway.v_mean.min() > 25 and motorway.v_mean.max() < 35 and (motorway.c_0 == 0.0).all())
         True
         """
-        wanted = conditions(given)
+        required = conditions(given)
         n_left, n_right = checked_whole("n_left", n_left, lower=0), checked_whole("n_right", n_right, lower=0)
         seed = checked_seed(seed)
-        parts = [self._draw(side, n, seed, wanted) for side, n in ((LEFT, n_left), (RIGHT, n_right))]
+        parts = [self._draw(side, n, seed, required) for side, n in ((LEFT, n_left), (RIGHT, n_right))]
         columns = {name: np.concatenate([part[name] for part in parts]) for name in PARAMETER_NAMES}
         drawn = Scenarios.drawn(side=np.repeat([LEFT, RIGHT], [n_left, n_right]), **columns)
         # even numbers to the left, odd ones to the right: the same however many there are
         return dataclasses.replace(drawn, index=np.concatenate([2 * np.arange(n_left), 2 * np.arange(n_right) + 1]))
 
-    def _distribution(self, side: int, wanted: tuple[Condition, ...] = ()) -> _Drawn:
+    def _distribution(self, side: int, given: tuple[Condition, ...] = ()) -> _Drawn:
         """What the events of a side are drawn from."""
-        half, label = self.side(side), "left" if side == LEFT else "right"
-        columns = mixture_conditions(wanted, half, label)
+        half = self.side(side)
+        columns = mixture_conditions(given, half, _LABEL[side])
         values = {j: value for j, value in columns.items() if isinstance(value, float)}
         if len(values) == len(half.names):
             return _Point(np.array([values[j] for j in range(len(half.names))]))
@@ -311,22 +301,21 @@ class ScenarioModel:
         drawn = self.parameters(side, x)
         return drawn.take(self.possible(drawn))
 
-    def _draw(self, side: int, n: int, seed: int, wanted: tuple[Condition, ...]) -> dict[str, FloatArray]:
+    def _draw(self, side: int, n: int, seed: int, given: tuple[Condition, ...]) -> dict[str, FloatArray]:
         if n == 0:
             return {name: np.empty(0) for name in PARAMETER_NAMES}
-        distribution = self._distribution(side, wanted)
+        distribution = self._distribution(side, given)
         blocks: list[DepartureParameters] = []
         drawn = 0
         limit = _SPARE_BLOCKS * (1 + n // SAMPLE_BLOCK)
         while drawn < n:
             if len(blocks) == limit:
                 share = 1.0 - drawn / (limit * SAMPLE_BLOCK)
-                word = "left" if side == LEFT else "right"
-                if wanted:
-                    texts = " and ".join(map(str, wanted))
-                    raise InputError("given", f"hardly any departure ({word}) with {texts} can happen")
+                if given:
+                    texts = " and ".join(map(str, given))
+                    raise InputError("given", f"hardly any departure ({_LABEL[side]}) with {texts} can happen")
                 raise ModelError(
-                    f"scenario model ({word})",
+                    f"scenario model ({_LABEL[side]})",
                     f"{share:.1%} of the events fall below {SPEED_FLOOR} m/s or are not plausible",
                     hint="the model does not describe driving at speed",
                 )
@@ -430,69 +419,3 @@ def load_model(name_or_path: str | os.PathLike[str]) -> ScenarioModel:
     if path.suffix == ".json" or path.name != name or not isinstance(name_or_path, str):
         raise ModelError(name, "no such file", hint=f"bundled models: {', '.join(names)}")
     raise UnknownNameError("scenario model", "is neither a bundled model nor a file", value=name, allowed=names)
-
-
-def read_all_departures(paths: Sequence[str | os.PathLike[str]]) -> tuple[Departures, Provenance]:
-    """Read departures tables, in this order, as one.
-
-    Raises `RecordingError` as `read_departures`; for tables of different criteria or preparations, or of the same
-    recordings.
-    """
-    given = [Path(path).absolute() for path in paths]
-    for path in given:
-        if given.count(path) > 1:
-            raise RecordingError(path.name, "given more than once", allowed="every table once")
-    tables = [read_departures(path) for path in paths]
-    names = [Path(path).name for path in paths]
-    provenance = merged_provenance(names, [origin for _, origin in tables])
-    if len(tables) == 1:
-        return tables[0][0], provenance
-    return combined_departures([departures for departures, _ in tables]), provenance
-
-
-def merged_provenance(names: Sequence[str], origins: Sequence[Provenance]) -> Provenance:
-    """Where the departures of several tables come from; `names` are the tables', for messages.
-
-    Raises `RecordingError` if the criteria or the preparations differ, or a recording is in two tables.
-    """
-    first = origins[0]
-    if len(origins) == 1:
-        return first
-    seen: dict[str, str] = {}
-    for name, origin in zip(names, origins, strict=True):
-        for kind in ("criteria", "preparation"):
-            theirs = dataclasses.asdict(getattr(first, kind))
-            for key, value in dataclasses.asdict(getattr(origin, kind)).items():
-                if value != theirs[key]:
-                    raise RecordingError(
-                        name,
-                        f"extracted with {key} = {value!r}, {names[0]} with {theirs[key]!r}",
-                        allowed=f"tables of the same {kind}",
-                    )
-        for source in origin.sources:
-            # empty files are all alike
-            if source.bytes and seen.setdefault(source.sha256, name) != name:
-                raise RecordingError(
-                    name,
-                    f"holds departures of {source.name}, as does {seen[source.sha256]}",
-                    allowed="every recording once",
-                )
-    refused = [dataclasses.asdict(origin.refused) for origin in origins]
-    kinds = {origin.curvature for origin in origins}
-    readers = {origin.reader for origin in origins}
-    known = all(origin.distance > 0.0 or origin.hours == 0.0 for origin in origins)  # the distance, in every table
-    return Provenance(
-        criteria=first.criteria,
-        refused=Refused(**{reason: sum(counts[reason] for counts in refused) for reason in refused[0]}),
-        sources=tuple(source for origin in origins for source in origin.sources),
-        recordings=sum(origin.recordings for origin in origins),
-        samples=sum(origin.samples for origin in origins),
-        invalid_samples=sum(origin.invalid_samples for origin in origins),
-        hours=sum(origin.hours for origin in origins),
-        distance=math.fsum(origin.distance for origin in origins) if known else 0.0,
-        curvature=first.curvature if len(kinds) == 1 else "mixed",
-        warnings=tuple(dict.fromkeys(warning for origin in origins for warning in origin.warnings)),
-        reader=first.reader if len(readers) == 1 else "mixed",
-        preparation=first.preparation,
-        problems=tuple(problem for origin in origins for problem in origin.problems),
-    )

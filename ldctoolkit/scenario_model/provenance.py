@@ -275,6 +275,11 @@ class ModelProvenance:
     hours: float | None = None
     distance: float | None = None
 
+    @property
+    def sides(self) -> list[tuple[str, SideSummary]]:
+        """``"left"`` and ``"right"`` with how they were fitted, where that is known."""
+        return [(name, side) for name, side in (("left", self.left), ("right", self.right)) if side is not None]
+
 
 def driven(source: Mapping[str, Any]) -> dict[str, Any]:
     """Hours [h] and distance [m] that the data's description tells; None for what is no number above 0."""

@@ -34,13 +34,13 @@ from ldctoolkit.errors import InputError, expect
 from ldctoolkit.law_checks import check_calls, check_controller, check_law, check_step, check_taken
 from ldctoolkit.metrics import METRIC_COLUMNS, METRIC_UNITS, MetricValues
 from ldctoolkit.metrics import reduction as metric_reduction
-from ldctoolkit.mixture.checks import usable_cores
 from ldctoolkit.notebook import facts_html
 from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import SETTLE, TTLC, InitialYawRate, PlantKnowledge, Setup, Start, Trigger
 from ldctoolkit.simulation.kernel import data
 from ldctoolkit.simulation.takeover import Tables, Takeover, law_tables, shape_of
+from ldctoolkit.surroundings import usable_cores
 from ldctoolkit.vehicle import BicycleModel, VehicleParameters
 
 if TYPE_CHECKING:

@@ -40,7 +40,7 @@ class ReportOptions:
         """Read what the options name."""
         source = None
         if chosen.source:
-            from ldctoolkit.scenario_model import read_all_departures
+            from ldctoolkit.recordings import read_all_departures
 
             source = read_all_departures(chosen.source)[0]
         return cls(source, not chosen.no_robustness, not chosen.no_figures, tuple(departures), tuple(designs))

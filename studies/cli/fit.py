@@ -95,8 +95,9 @@ _MOST_AT_ONCE: Final = 10  # fits: as many as there are K by default
 def run(chosen: argparse.Namespace) -> None:
     """Carry the command out."""
     from ldctoolkit.departures import PARAMETER_NAMES
-    from ldctoolkit.mixture.checks import usable_cores
-    from ldctoolkit.scenario_model import fit_scenario_model, read_all_departures
+    from ldctoolkit.recordings import read_all_departures
+    from ldctoolkit.scenario_model import fit_scenario_model
+    from ldctoolkit.surroundings import usable_cores
 
     from ..running.executors import make_executor
     from ..running.work import closing, map_on

@@ -152,7 +152,7 @@ def fit_warnings(model: ScenarioModel, sides: tuple[Side, ...]) -> list[str]:
             )
             sides_of.setdefault(text, []).append(side.key)
         for warning in diagnostics.warnings:
-            sides_of.setdefault(warning.removeprefix(f"{side.key}: "), []).append(side.key)
+            sides_of.setdefault(warning, []).append(side.key)
     lines = (
         ["the model is synthetic: it was fitted to invented, not to recorded departures"] if origin.synthetic else []
     )
@@ -219,11 +219,11 @@ def _margins(sides: tuple[Side, ...]) -> Section:
     for side in sides:
         charts = [
             bars(
-                f"margin-{side.key}-{one.name}", f"{side.key}: {one.name}, {PARAMETER_MEANINGS.get(one.name, '')}",
-                one.edges, [("events", 100.0 * one.data, SIDE[side.key])], parameter_label(one.name),
-                "Share per bin [%]", outlines=[("model", 100.0 * one.model, MODEL)],
+                f"margin-{side.key}-{m.name}", f"{side.key}: {m.name}, {PARAMETER_MEANINGS.get(m.name, '')}",
+                m.edges, [("events", 100.0 * m.data, SIDE[side.key])], parameter_label(m.name),
+                "Share per bin [%]", outlines=[("model", 100.0 * m.model, MODEL)],
             )
-            for one in side.diagnostics.marginals
+            for m in side.diagnostics.marginals
         ]  # fmt: skip
         body += Markup("<h3>{}</h3>").format(side.title) + figure(
             charts,

@@ -50,8 +50,7 @@ def read_model(folder: str | Path, manifest: Manifest) -> ScenarioModel | None:
     return model
 
 
-_LONGEST = 400
-
+_LONGEST: Final = 400  # characters of a note
 
 Source = ScenarioModel | ReplayedDepartures
 """What the scenarios of a study come from."""
@@ -94,14 +93,14 @@ def _recorded_widths(model: Source) -> dict[str, Any]:
 
 def with_counts(study: Study, model: Source) -> Study:
     """The study with the number of departures of each side, where it takes all of a table, or is given a model."""
-    wanted = study.scenarios
+    scenarios = study.scenarios
     if not isinstance(model, ScenarioModel):
-        left, right = model.counts(wanted.left, wanted.right, wanted.given)
+        left, right = model.counts(scenarios.left, scenarios.right, scenarios.given)
         changes: dict[str, Any] = {"left": left, "right": right}
-    elif wanted.model:
+    elif scenarios.model:
         return study
     else:  # the table is for its finalists then
-        left, right = (500 if n is None else n for n in (wanted.left, wanted.right))
+        left, right = (500 if n is None else n for n in (scenarios.left, scenarios.right))
         changes = {"model": "given", "left": left, "right": right}
     return study.changed(scenarios=changes)
 
@@ -113,14 +112,14 @@ def with_recorded_widths(study: Study, model: Source, vehicle_width: float | Non
     usual = VehicleParameters()
     changed = {}
     for name, recorded in _recorded_widths(model).items():
-        own = getattr(study.vehicle, name)
+        driven = getattr(study.vehicle, name)
         if name == "w_v" and vehicle_width is not None:
             changed[name] = float(vehicle_width)
-        elif isinstance(recorded, int | float) and abs(recorded - own) > 1e-9:
-            if own != getattr(usual, name):
+        elif isinstance(recorded, int | float) and abs(recorded - driven) > 1e-9:
+            if driven != getattr(usual, name):
                 raise InputError(
                     f"vehicle.{name}",
-                    f"{own:g} m in the study, {recorded:g} m in the recordings behind its departures",
+                    f"{driven:g} m in the study, {recorded:g} m in the recordings behind its departures",
                     allowed=f"{recorded:g}, or --vehicle-width to decide",
                 )
             changed[name] = float(recorded)
@@ -162,9 +161,9 @@ def _box(side: SideModel, summary: SideSummary | None) -> str:
     origins = {name: (low, high) for name, low, high in summary.bounds_from}
     texts = []
     for name, low, high in zip(side.names, *side.bounds(), strict=True):
-        one, other = origins.get(name, ("", ""))
+        from_low, from_high = origins.get(name, ("", ""))
         ends = " to ".join("open" if math.isinf(end) else f"{end:.4g}" for end in (low, high))
-        texts.append(f"{name} {ends} ({one if one == other else f'{one}, {other}'})")
+        texts.append(f"{name} {ends} ({from_low if from_low == from_high else f'{from_low}, {from_high}'})")
     return f"bounds {'; '.join(texts)}"
 
 
@@ -182,10 +181,7 @@ def _numbers(values: tuple[int, ...]) -> str:
 def _flat(source: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
     for key, value in source.items():
         if isinstance(value, Mapping):
-            yield (
-                f"{key}",
-                ", ".join(f"{name} {_plain(item)}" for name, item in value.items() if item not in ("", None)),
-            )
+            yield key, ", ".join(f"{name} {_plain(item)}" for name, item in value.items() if item not in ("", None))
         else:
             yield "" if key == "description" else key, _plain(value)
 

@@ -22,9 +22,9 @@ import numpy as np
 
 from ldctoolkit import Controller, EventStatus, LinearLaw, Plant, Scenarios, Setup, SteeringLaw
 from ldctoolkit.controllers import LQR, PreviewProportional
-from ldctoolkit.mixture.checks import usable_cores
 from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Sensors, Tyres
 from ldctoolkit.simulation import Takeover, drive, drive_many
+from ldctoolkit.surroundings import usable_cores
 
 SCENARIOS, DESIGNS = 10_000, 1_000
 

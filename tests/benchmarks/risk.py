@@ -16,9 +16,9 @@ import numpy as np
 from closed_loop import machine
 
 from ldctoolkit import load_model, simulate
-from ldctoolkit.mixture.checks import usable_cores
 from ldctoolkit.studies.risk import DEPTHS, estimate_risk
 from ldctoolkit.studies.study_file import load_study
+from ldctoolkit.surroundings import usable_cores
 
 N, SHORT, FULL = 100_000, 1_000_000, 10_000_000
 STUDY = load_study("trigger-and-gains")

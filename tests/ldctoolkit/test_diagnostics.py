@@ -46,7 +46,6 @@ def misfit() -> SideDiagnostics:
 
 def test_a_misfit_is_a_warning(misfit: SideDiagnostics) -> None:
     text = "\n".join(misfit.warnings)
-    assert all(line.startswith("left: ") for line in misfit.warnings)
     assert "Kolmogorov distance beyond" in text
     assert all(c.distance > c.limit for c in misfit.calibrations[:2])
     assert "c_0" not in text  # the normal margin is described well
@@ -101,9 +100,9 @@ def test_each_warning_about_the_fit(share: float, advice: str) -> None:
     x, _ = model.sample(600, 2)
     given = summary(converged=False, n_components=(1, 2, 3), moved_inside=(("T", 3),))
     assert diagnose(model, x, n_model=5000, summary=given, label="left").warnings == (
-        "left: the fit stopped before it had converged",
-        f"left: the chosen K = 3 is the largest that was tried: {advice}",
-        "left: 3 events had T exactly on a bound, moved just inside",
+        "the fit stopped before it had converged",
+        f"the chosen K = 3 is the largest that was tried: {advice}",
+        "3 events had T exactly on a bound, moved just inside",
     )
 
 
@@ -170,7 +169,7 @@ def test_a_constant_that_varies_is_a_warning() -> None:
     rows = departures_of(model, 50)
     rows = dataclasses.replace(rows, c_0=np.linspace(0.0, 1e-3, 100))
     warnings = diagnose_model(model, rows, n_model=2000).left.warnings
-    assert any(line.startswith("left: the model holds c_0 at 0") for line in warnings)
+    assert any(line.startswith("the model holds c_0 at 0") for line in warnings)
 
 
 def test_too_few_departures_name_the_side() -> None:

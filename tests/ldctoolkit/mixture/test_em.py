@@ -213,17 +213,14 @@ def test_a_move_gains_at_least_its_bound(seed: int) -> None:
     t = TruncatedNormal(mu, Sigma, low, high, points=POINTS)
     now = Components(np.full(5, 0.2), mu, Sigma, t.log_probability)
     # one pass, so that the weights are those of the shares, as after any EM
-    value, sums = statistics_of_rows(z, None, np.zeros(2), np.ones(2), natural(now))
-    stats = Statistics.of(value, sums, 2)
+    stats = Statistics.of(*statistics_of_rows(z, None, np.zeros(2), np.ones(2), natural(now)), 2)
     now = Components(stats.counts / z.shape[0], mu, Sigma, t.log_probability)
-    value, sums = statistics_of_rows(z, None, np.zeros(2), np.ones(2), natural(now))
-    stats = Statistics.of(value, sums, 2)
+    stats = Statistics.of(*statistics_of_rows(z, None, np.zeros(2), np.ones(2), natural(now)), 2)
 
     def run(x: np.ndarray, w: np.ndarray, two: Components) -> tuple[Components, float]:
         pair = TruncatedNormal(two.mu, two.Sigma, low, high, points=POINTS)
-        terms = log_terms(x, Components(two.weights / two.weights.sum(), pair.mu, pair.Sigma, pair.log_probability))
         end = Components(two.weights / two.weights.sum(), pair.mu, pair.Sigma, pair.log_probability)
-        return end, float(w @ np.logaddexp.reduce(terms, axis=1))
+        return end, float(w @ np.logaddexp.reduce(log_terms(x, end), axis=1))
 
     found = best_moves(
         z, np.ones(z.shape[0]), stats, t, shares(log_terms(z, now)), strength=0.0, points=POINTS, run=run,
@@ -466,64 +463,29 @@ def base(n=500, d=2):
     return np.abs(np.random.default_rng(3).normal(size=(n, d))) + 1e-3
 
 
-def noise(size):
-    return np.random.default_rng(8).normal(size=500) * size
-
-
-def with_copy(size):
-    b = base()
-    return np.column_stack([b[:, 0], 3.0 * b[:, 0] + 1.0 + noise(size), b[:, 1]])
-
-
-def near(value):
-    return np.where(np.random.default_rng(1).random((1000, 2)) < 0.3, value, base(1000))
-
-
-def integers(d):
-    return np.random.default_rng(1).poisson(2.0, size=(1000, d)).astype(float)
-
-
 BROKEN = {
-    "uniform": (lambda: np.random.default_rng(2).random((1000, 2)) * 0.999 + 5e-4, 3, 0.0, 1.0),
-    "nearly constant, the same": (lambda: np.column_stack([base(), 1.0 + 1e-9 * base()[:, 0]]), 2, 0.0, INF),
     "nearly constant": (lambda: np.column_stack([base(), 1.0 + 1e-9 * base(500, 3)[:, 2]]), 2, 0.0, INF),
     "rows 50 times": (lambda: np.repeat(base(20), 50, axis=0), 6, 0.0, INF),
     "half of the rows the same": (lambda: np.vstack([base(250), np.tile(base(1), (250, 1))]), 3, 0.0, INF),
-    "all rows but three the same": (lambda: np.vstack([base(3), np.tile(base(1), (250, 1))]), 3, 0.0, INF),
-    "barely K, one": (lambda: base(3, 2), 1, 0.0, INF),
-    "barely K, ten": (lambda: base(30, 2), 10, 0.0, INF),
-    "barely K, ten, 5 columns": (lambda: base(60, 5), 10, 0.0, INF),
-    "outlier": (lambda: np.vstack([base(500, 3), [[1e6, 1.0, 1.0]]]), 3, 0.0, INF),
     "outlier, K = 1": (lambda: np.vstack([base(500, 3), [[1e6, 1.0, 1.0]]]), 1, 0.0, INF),
-    "outlier in all columns": (lambda: np.vstack([base(500, 3), [[1e6, 1e6, 1e6]]]), 3, 0.0, INF),
-    "outlier, open": (lambda: np.vstack([noise(1.0).reshape(-1, 2), [[1e6, 0.0]]]), 2, -INF, INF),
-    "same columns": (lambda: with_copy(0.0), 2, 0.0, INF),
-    "same columns, open": (lambda: with_copy(0.0), 2, -INF, INF),
-    "same columns to 1e-10": (lambda: with_copy(1e-10), 2, 0.0, INF),
-    "same columns to 1e-6": (lambda: with_copy(1e-6), 2, 0.0, INF),
+    "same columns": (lambda: base() @ [[1.0, 3.0, 0.0], [0.0, 0.0, 1.0]] + [0.0, 1.0, 0.0], 2, 0.0, INF),
     "far apart in scale": (lambda: base(500, 3) * np.array([1e-12, 1.0, 1e12]), 3, 0.0, INF),
-    "integers": (lambda: integers(2), 3, -0.5, INF),
-    "integers, one column": (lambda: integers(1), 5, -0.5, INF),
-    "zeros and ones at the bounds": (lambda: np.minimum(integers(2), 1.0), 3, -1e-9, 1.0 + 1e-9),
-    "1e-15 from a bound": (lambda: near(1e-15), 3, 0.0, INF),
-    "1e-300 from a bound": (lambda: near(1e-300), 3, 0.0, INF),
-    "Cauchy": (lambda: np.random.default_rng(1).standard_cauchy((1000, 3)), 4, -INF, INF),
-    "very heavy tail": (lambda: np.random.default_rng(1).pareto(0.3, (1000, 2)), 3, 0.0, INF),
-    "K = 50": (lambda: np.random.default_rng(1).gamma(1.5, size=(1000, 2)), 50, 0.0, INF),
-    "bounds far off": (base, 2, -1e6, 1e9),
-    "far from zero": (lambda: base() * 1e3 + 1e12, 2, 0.0, INF),
+    "integers, one column": (lambda: np.random.default_rng(1).poisson(2.0, size=(1000, 1)).astype(float), 5, -0.5, INF),
+    "1e-15 from a bound": (
+        lambda: np.where(np.random.default_rng(1).random((1000, 2)) < 0.3, 1e-15, base(1000)),
+        3,
+        0.0,
+        INF,
+    ),
 }
+SPLIT = ("rows 50 times", "integers, one column", "1e-15 from a bound")
 
 
-QUICK = ("nearly constant", "half of the rows the same", "outlier, K = 1", "same columns", "far apart in scale")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["rows 50 times", "integers, one column", "1e-15 from a bound"])
-def test_broken_data_and_the_moves_between_short_and_final_run(kind):
+@pytest.mark.parametrize("kind", [pytest.param(k, marks=[pytest.mark.slow] * (k in SPLIT)) for k in BROKEN])
+def test_broken_data_give_a_sound_fit(kind):
     make, K, lower, upper = BROKEN[kind]
     X = make()
-    check_sound(fitted(X, K, lower=lower, upper=upper, split_merge=True), X)
+    check_sound(fitted(X, K, lower=lower, upper=upper, split_merge=kind in SPLIT), X)
 
 
 @examples(15)
@@ -547,10 +509,7 @@ def test_the_penalised_likelihood_never_falls(seed, d, K, name, n0, upper):
 def warnings_of(model, X, names=None, weight=None):
     events = Events(np.asarray(X, dtype=float), weight)
     profile = profile_of(events)
-    return fit_warnings(
-        model.distribution, profile, correlation_of(events, profile), stop_reason=model.stop_reason_,
-        passes=model.n_iter_, names=names,
-    )  # fmt: skip
+    return tuple(fit_warnings(model, profile, correlation_of(events, profile), names))
 
 
 def fit(X, K=1, **settings):
@@ -644,10 +603,8 @@ def test_repeated_rows_make_thin_components():
 def test_correlation_is_numpys():
     rng = np.random.default_rng(0)
     X = rng.normal(size=(16_389, 3)) @ rng.normal(size=(3, 3)) * [1e-6, 1.0, 1e6] + 3.0
-    events = Events(X)
-    np.testing.assert_allclose(correlation_of(events, profile_of(events)), np.corrcoef(X.T), rtol=1e-10, atol=1e-13)
-    w = rng.uniform(size=X.shape[0])
-    events = Events(X, w)
-    C = np.cov(X.T, aweights=w)
-    expected = C / np.sqrt(np.outer(np.diag(C), np.diag(C)))
-    np.testing.assert_allclose(correlation_of(events, profile_of(events)), expected, rtol=1e-10, atol=1e-13)
+    for w in (None, rng.uniform(size=X.shape[0])):
+        events = Events(X, w)
+        C = np.cov(X.T, aweights=w)
+        expected = C / np.sqrt(np.outer(np.diag(C), np.diag(C)))
+        np.testing.assert_allclose(correlation_of(events, profile_of(events)), expected, rtol=1e-10, atol=1e-13)

@@ -15,6 +15,7 @@ from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, Plausibility
 from ldctoolkit.errors import InputError, RecordingError
 from ldctoolkit.mixture import BoundedGaussianMixture
 from ldctoolkit.recordings import Preparation, Provenance, SourceFile
+from ldctoolkit.recordings.departures_table import merged_provenance
 from ldctoolkit.scenario_model import (
     PHYSICAL_BOUNDS,
     FitSettings,
@@ -27,7 +28,6 @@ from ldctoolkit.scenario_model import (
     load_model,
 )
 from ldctoolkit.scenario_model.json_form import VERSION, model_to_json
-from ldctoolkit.scenario_model.model import merged_provenance
 from ldctoolkit.scenarios import SPEED_FLOOR, slowest_speed
 
 

@@ -75,14 +75,6 @@ def test_one_end_can_be_open(departures):
     assert opened["a_mean"] == (-INF, INF, "given", "given")
 
 
-@pytest.mark.slow
-def test_zeros_on_a_bound_are_moved_inside_and_counted(departures):
-    speed = np.random.default_rng(0).gamma(4.0, 0.01, 400)
-    speed[:5] = 0.0
-    model = fit_scenario_model(departures(200, sigma_v=speed), components=1)
-    assert (box(model)["sigma_v"][0], model.provenance.left.moved_inside) == (0.0, (("sigma_v", 5),))
-
-
 @pytest.mark.parametrize(
     ("bounds", "path", "allowed"),
     [

@@ -51,6 +51,10 @@ def page(model: ScenarioModel, found: ModelDiagnostics) -> Page:
     return Page(fit_page(model, found, seed=3))
 
 
+def with_left(found: ModelDiagnostics, **changes: object) -> ModelDiagnostics:
+    return dataclasses.replace(found, left=dataclasses.replace(found.left, **changes))  # type: ignore[arg-type]
+
+
 def verdicts(model: ScenarioModel, found: ModelDiagnostics) -> str:
     return Page(fit_page(model, found, seed=3)).words("verdict")
 
@@ -67,16 +71,14 @@ def test_the_verdict_says_what_it_is_good_enough_for(model: ScenarioModel, found
     assert words.startswith(
         "Verdict Left: Good enough for comparing mean S of designs; too few departures (400) for rare"
     )
-    few = dataclasses.replace(found, left=dataclasses.replace(found.left, effective_events=80.0))
-    assert "Left: too few departures for a model (80; 150 at least): rank designs on the recorded" in verdicts(
-        model, few
-    )
-    many = dataclasses.replace(found, right=dataclasses.replace(found.right, effective_events=5000.0))
-    assert "Right: Good enough for comparing designs, in their mean S and in the worst 5 %" in verdicts(model, many)
     first, *others = found.left.calibrations
     off = (dataclasses.replace(first, distance=0.3, limit=0.1), *others)
-    misfit = dataclasses.replace(found, left=dataclasses.replace(found.left, calibrations=off))
-    assert "Left: Misfit in T: good enough for designs that do not depend on it" in verdicts(model, misfit)
+    for changes, text in (
+        ({"effective_events": 80.0}, "Left: too few departures for a model (80; 150 at least): rank designs on"),
+        ({"effective_events": 5000.0}, "Left: Good enough for comparing designs, in their mean S and in the worst 5 %"),
+        ({"calibrations": off}, "Left: Misfit in T: good enough for designs that do not depend on it"),
+    ):
+        assert text in verdicts(model, with_left(found, **changes))
 
 
 def test_says_what_it_is_about(page: Page, model: ScenarioModel) -> None:
@@ -94,11 +96,11 @@ def test_numbers_are_those_of_the_diagnosis(model: ScenarioModel, found: ModelDi
     """Numbers that no other could be taken for, in the place of what the diagnosis found."""
     every = found.left.calibrations
     far = dataclasses.replace(every[1], distance=0.4321, limit=0.1234)
-    left = dataclasses.replace(found.left, events=123, calibrations=(every[0], far, *every[2:]))
-    made = Page(fit_page(model, dataclasses.replace(found, left=left), seed=3))
-    rows = {row[0]: row[1:] for row in made.filled("margins")[0]}
+    changed = with_left(found, events=123, calibrations=(every[0], far, *every[2:]))
+    page = Page(fit_page(model, changed, seed=3))
+    rows = {row[0]: row[1:] for row in page.filled("margins")[0]}
     assert rows["dy [m]: peak lateral departure"][:2] == ["43.21", "12.34"]
-    assert "checked here against 123 others" in made.words("verdict")
+    assert "checked here against 123 others" in page.words("verdict")
 
 
 def test_the_chosen_k_and_its_neighbours(page: Page) -> None:
@@ -117,21 +119,14 @@ def test_warnings_of_the_model_stand_beside_those_of_the_diagnosis(found: ModelD
 
 
 def test_warnings_are_merged_by_cause(model: ScenarioModel, found: ModelDiagnostics) -> None:
-    both = dataclasses.replace(
-        found,
-        left=dataclasses.replace(found.left, warnings=("left: the fit stopped before it had converged",)),
-        right=dataclasses.replace(found.right, warnings=("right: the fit stopped before it had converged",)),
-    )
-    words = verdicts(model, both)
-    assert "left and right: the fit stopped before it had converged" in words
-    assert words.count("stopped before") == 1
-
-
-def test_no_warnings(model: ScenarioModel, found: ModelDiagnostics) -> None:
-    quiet = dataclasses.replace(
-        found, left=dataclasses.replace(found.left, warnings=()), right=dataclasses.replace(found.right, warnings=())
-    )
-    assert "No warnings: all checks passed." in verdicts(model, quiet)
+    for warnings, text in (
+        (("the fit stopped before it had converged",), "left and right: the fit stopped before it had converged"),
+        ((), "No warnings: all checks passed."),
+    ):
+        right = dataclasses.replace(found.right, warnings=warnings)
+        words = verdicts(model, dataclasses.replace(with_left(found, warnings=warnings), right=right))
+        assert words.count(text) == 1
+        assert words.count("stopped before") == len(warnings)
 
 
 def test_users_text_stays_text(found: ModelDiagnostics) -> None:
