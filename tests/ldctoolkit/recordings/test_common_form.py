@@ -166,26 +166,6 @@ def test_equals_least_squares_over_a_fifth_of_a_second(kind, origin):
     np.testing.assert_allclose(c, by_least_squares(r, v, usable, stretch, t), rtol=1e-9, atol=1e-15)
 
 
-def test_a_stretch_of_two_clocks():
-    """At 10 Hz first, then at 100 Hz, then in bursts."""
-    rng = np.random.default_rng(2)
-    parts = [frames(rng, kind) for kind in ("10 Hz", "100 Hz", "burst 5", "20 Hz")]
-    t = np.concatenate([part + 100.0 * i for i, part in enumerate(parts)])
-    v, r = rng.uniform(5, 30, t.size), rng.normal(0, 0.05, t.size)
-    everywhere = np.ones(t.size, bool)
-    wanted = by_least_squares(r, v, everywhere, np.zeros(t.size), t)
-    np.testing.assert_allclose(estimate(r, v, t=t), wanted, rtol=1e-9, atol=1e-15)
-
-
-def test_nothing_crosses_a_gap_or_an_invalid_sample():
-    v = np.full(40, 20.0)
-    r = np.where(np.arange(40) < 20, 0.02, -0.04)
-    np.testing.assert_allclose(estimate(r, v, first=20), r / v, rtol=1e-12)
-    usable = np.arange(40) != 20
-    r[20] = np.nan
-    np.testing.assert_allclose(estimate(r, v, usable), r / v, rtol=1e-12)
-
-
 @pytest.mark.parametrize("rate", [100.0, 1000.0])
 def test_a_slope_of_many_samples_takes_all_of_its_window(rate):
     """A step of the values shows in the slope as far as half a window away, and no further."""
