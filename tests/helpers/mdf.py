@@ -2,22 +2,15 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
+
+from helpers.planted import Planted
 
 WIDTH, VEHICLE = 3.5, 1.8  # of lane and vehicle [m]
 END = 96.0  # of the drive [s]
 BEND = 2.0 * np.pi / 48.0  # [rad/s] of the curvature: 24 s to the left, 24 s to the right
-
-
-class Planted(NamedTuple):
-    """One departure: to the left (1) or the right (-1), its crossings and depth."""
-
-    side: int
-    start: float
-    T: float
-    d_y: float
 
 
 # in left bends (t mod 48 below 24 s) and in right ones, to either side

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import polars as pl
 
+from helpers.planted import Planted
+
 VEHICLE_WIDTH = 1.82
 LANE_WIDTH = 3.6
 BEND_PERIOD = 120.0  # the planted road turns left for half of this time [s], then right
@@ -22,16 +24,6 @@ WSU_COLUMNS = (
     "YawRateWsu", "SpeedWsu", "TurnSngRWsu", "TurnSngLWsu", "BrakeAbsTcsWsu", "AxWsu", "PrndlWsu", "VsaActiveWsu",
     "HeadlampWsu", "WiperWsu", "ThrottleWsu", "SteerWsu",
 )  # fmt: skip
-
-
-@dataclasses.dataclass(frozen=True)
-class Planted:
-    """A departure: the edge is beyond the line by d_y (1 - ((t - start - T/2)/(T/2))^2)."""
-
-    side: int
-    start: float
-    T: float
-    d_y: float
 
 
 @dataclasses.dataclass(frozen=True)

@@ -8,19 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from helpers.planted import Planted
+
 NAME = "20151110175712-16km-D1-NORMAL1-SECONDARY"
 VEHICLE, LANE_WIDTH = 1.8, 3.5
 BEND_PERIOD = 40.0
-
-
-@dataclasses.dataclass(frozen=True)
-class Planted:
-    """A departure: the edge is beyond the line by d_y (1 - ((t - start - T/2)/(T/2))^2)."""
-
-    side: int
-    start: float
-    T: float
-    d_y: float
 
 
 # left and right, each in a left and in a right bend; the clock starts at 9.32 s

@@ -62,13 +62,6 @@ def bend(**changes: object) -> Recording:
     return dataclasses.replace(one, **changes)  # type: ignore[arg-type]
 
 
-def test_a_whole_yaw_rate_stays() -> None:
-    one = bend()
-    assert with_yaw_rate(one) is one
-    none = bend(yaw_rate=None)
-    assert with_yaw_rate(none) is none
-
-
 def test_a_hole_is_filled_through_a_turn_of_the_heading() -> None:
     rate = np.full(N, 0.03)
     rate[40:160] = np.nan
@@ -103,14 +96,6 @@ def test_without_both_the_lane_counts_as_straight() -> None:
     lost = with_yaw_rate(bend(yaw_rate=nothing, heading=None, speed=nothing))
     assert lost.notes == ()
     assert lost.yaw_rate is not None
-
-
-def test_a_departure_is_not_lost_for_its_yaw_rate() -> None:
-    rate = np.full(N, 0.025)
-    rate[100:200] = np.nan
-    found = extract_departures([bend(yaw_rate=rate)], vehicle_width=1.8, preparation=Preparation(0.1))
-    assert found.departures.n == 1
-    np.testing.assert_allclose(found.departures.c_0, 1e-3, rtol=1e-6)
 
 
 def estimate(yaw_rate, speed, usable=None, first=None, t=None):
@@ -405,15 +390,6 @@ def test_the_lane_has_a_clock_of_its_own(rows, more):
         assert getattr(found, name).tolist() == getattr(one, name)[::rows].tolist()
     assert found.notes == (f"the lane is new every {rows / 10:.2g} s only{more}",)
     assert on_own_clocks(one) is one
-
-
-def test_a_lane_that_was_interpolated_from_a_slow_clock():
-    """Straight lines from second to second: the samples between tell nothing."""
-    one = road()
-    line = np.interp(one.t, one.t[::10], one.lane_offset[::10])
-    found = on_own_clocks(dataclasses.replace(one, lane_offset=line))
-    assert found.t.tolist() == one.t[:-1:10].tolist()
-    assert found.notes == ("the lane is new every 1 s only: departures of less than about 3 s cannot be found",)
 
 
 @pytest.mark.parametrize("name", ["speed", "yaw_rate", "steering"])
@@ -729,11 +705,3 @@ def test_absurd_numbers_are_no_part_of_a_median():
     offset = np.array([0.1, 1e12, 1.5e308, 0.2, 1.5e308])
     result = resample(recording([0.0, 0.01, 0.02, 0.1, 0.11], lane_offset=offset), 0.1)
     assert result.lane_offset.tolist() == [0.1, 0.2]
-
-
-@pytest.mark.parametrize(
-    ("step", "max_gap"), [(0.0, 0.25), (-0.1, 0.25), (math.nan, 0.25), (0.1, 0.0), (0.1, math.inf)]
-)
-def test_steps_that_are_refused(step, max_gap):
-    with pytest.raises(InputError, match=r"^(step|max_gap): .*allowed: "):
-        resample(recording([0.0, 0.1]), step, max_gap)
