@@ -1,6 +1,7 @@
 """Recordings made for tests."""
 
 import dataclasses
+import pickle
 from collections.abc import Iterable
 from typing import Any
 
@@ -13,12 +14,20 @@ from ldctoolkit.recordings import Criteria, Extraction, Provenance, Recording, R
 from ldctoolkit.recordings.find_departures import REASONS
 from ldctoolkit.recordings.preparation import Preparation
 from ldctoolkit.recordings.quality import WIDTH_BINS, Account, Drawn, Origin, example_events
-from ldctoolkit.recordings.recording import Label, Problem
+from ldctoolkit.recordings.recording import Label, Problem, RecordingSource
 
 T = np.arange(100) * 0.1
 OFFSET = 0.9 + np.maximum(0.3 * (1.0 - ((T - 5.0) / 0.95) ** 2), -0.4 - 0.01 * np.abs(T - 5.0))
 """With a vehicle of 1.8 m in a lane of 3.6 m the left edge is beyond the line by y = 0.3 (1 - ((t - 5)/0.95)^2) around
 t = 5 s, that is for 1.9 s, and well inside before and after; it never stands still for long."""
+
+
+def read_source(source: RecordingSource) -> tuple[list[Recording], list[Problem]]:
+    """Recordings of all parts, which go to other processes, and what is wrong with the source and its parts."""
+    assert len({part.key for part in source.parts}) == len(source.parts)
+    items = [item for part in pickle.loads(pickle.dumps(source.parts)) for item in part.read()]
+    problems = [*source.problems, *(item for item in items if isinstance(item, Problem))]
+    return [item for item in items if isinstance(item, Recording)], problems
 
 
 def drive(name: str = "a", t: Any = T, **columns: Any) -> Recording:

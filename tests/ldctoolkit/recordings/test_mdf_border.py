@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from helpers import cli
-from helpers.mdf import MAP, PLANTED, Group, groups, write_log
+from helpers.mdf import MAP, Group, groups, write_log
 from ldctoolkit.errors import InputError
 from ldctoolkit.recordings import Extraction, Problem, Recording, extract_departures, mdf_logs, open_recordings
 
@@ -229,18 +229,6 @@ def test_a_lost_sample_in_each_drive(tmp_path: Path) -> None:
     assert [one.samples for one in recordings] == [249, 249]
     assert [np.flatnonzero(one.cut).tolist() for one in recordings] == [[100], [100]]  # type: ignore[arg-type]
     assert problems == [LOST.format(2), "the clock starts again; the log is read as 2 recordings"]
-
-
-@pytest.mark.parametrize("group", [0, 1])
-def test_a_departure_across_a_lost_sample_does_not_count(tmp_path: Path, group: int) -> None:
-    """At 40 s, in the fourth departure."""
-    content = groups()[:2]
-    t = content[group][1]
-    t[np.searchsorted(t, 40.0)] = 0.0
-    found = extract(made(tmp_path / "a.mf4", content), MAP)
-    starts = [one.start for i, one in enumerate(PLANTED) if i != 3]
-    np.testing.assert_allclose(found.departures.start_time, starts, atol=0.04)
-    assert found.problems != ()
 
 
 NONE = np.empty(0)

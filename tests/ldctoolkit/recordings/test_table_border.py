@@ -12,6 +12,7 @@ import polars as pl
 import pytest
 
 import ldctoolkit as ldc
+from helpers.recordings import read_source
 from ldctoolkit.errors import LdcError, RecordingError
 from ldctoolkit.recordings import open_recordings, table_reader, text_table
 from ldctoolkit.recordings.recording import Problem, Recording
@@ -48,10 +49,7 @@ def save(tmp_path: Path) -> Save:
 
 
 def read(*paths: Path, block_bytes: int = 1 << 24) -> tuple[list[Recording], list[Problem]]:
-    source = dataclasses.replace(READER, block_bytes=block_bytes).open(paths)
-    items = [item for part in source.parts for item in part.read()]
-    problems = [*source.problems, *(item for item in items if isinstance(item, Problem))]
-    return [item for item in items if isinstance(item, Recording)], problems
+    return read_source(dataclasses.replace(READER, block_bytes=block_bytes).open(paths))
 
 
 def rows(problems: list[Problem]) -> list[int]:

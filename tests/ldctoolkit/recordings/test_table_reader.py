@@ -4,7 +4,6 @@ import dataclasses
 import gzip
 import hashlib
 import math
-import pickle
 import re
 import tempfile
 from collections.abc import Callable
@@ -17,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from helpers.bits import assert_same_bits, examples
-from helpers.recordings import OFFSET, assert_same, drive, frame_of
+from helpers.recordings import OFFSET, assert_same, drive, frame_of, read_source
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings import extract_departures, read_recordings
 from ldctoolkit.recordings.recording import Problem, Recording, open_recordings
@@ -49,14 +48,9 @@ def save(tmp_path: Path) -> Save:
 
 
 def read(*paths: Path, block_bytes: int = 1 << 24) -> tuple[dict[str, Recording], list[Problem]]:
-    source = dataclasses.replace(READER, block_bytes=block_bytes).open(paths)
-    assert len({part.key for part in source.parts}) == len(source.parts)
-    items = [item for part in pickle.loads(pickle.dumps(source.parts)) for item in part.read()]
-    recordings = [item for item in items if isinstance(item, Recording)]
+    recordings, problems = read_source(dataclasses.replace(READER, block_bytes=block_bytes).open(paths))
     assert len({one.name for one in recordings}) == len(recordings)
-    return {one.name: one for one in recordings}, [
-        *source.problems, *(item for item in items if isinstance(item, Problem)),
-    ]  # fmt: skip
+    return {one.name: one for one in recordings}, problems
 
 
 @pytest.mark.parametrize("kind", ["csv", "CSV.gz", "parquet"])

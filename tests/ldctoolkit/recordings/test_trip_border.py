@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from helpers import spmd, uah
-from ldctoolkit.recordings import Criteria, Preparation, Problem, Recording, extract_part, open_recordings
+from helpers.recordings import read_source
+from ldctoolkit.recordings import Criteria, Preparation, Recording, extract_part, open_recordings
 from ldctoolkit.recordings.departures_table import combined_results
 
 # departures to the left from 8.03 to 10.34 s and to the right from 17.45 to 19.35 s, at 10 Hz
@@ -30,16 +31,13 @@ class Found:
 
 def found_in(folder: Path) -> Found:
     opened = open_recordings([folder])
-    items = [item for part in opened.source.parts for item in part.read()]
-    problems = [*opened.source.problems, *(item for item in items if isinstance(item, Problem))]
+    recordings, problems = read_source(opened.source)
     criteria = Criteria(vehicle_width=opened.reader.vehicle_width)
     result = combined_results(
         extract_part(part, criteria, Preparation(step=opened.reader.step)) for part in opened.source.parts
     )
     return Found(
-        {item.name: item for item in items if isinstance(item, Recording)},
-        [str(problem) for problem in problems],
-        result.departures.side.tolist(),
+        {one.name: one for one in recordings}, [str(problem) for problem in problems], result.departures.side.tolist()
     )
 
 

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from helpers import spmd
+from helpers.recordings import read_source
 from ldctoolkit.errors import LdcError, RecordingError
-from ldctoolkit.recordings import Criteria, Preparation, Problem, Recording, extract_part
+from ldctoolkit.recordings import Criteria, Preparation, Recording, extract_part
 from ldctoolkit.recordings.spmd_das1 import ALONE, READER
 
 ROWS = 120  # rows of each of the three trips 7/1, 7/2, 7/3; trip k begins in line 2 + 120 (k - 1)
@@ -21,10 +22,8 @@ def tables(tmp_path: Path) -> tuple[Path, Path]:
 
 
 def read(*paths: Path) -> tuple[dict[str, Recording], list[str]]:
-    source = READER.open(paths)
-    items = [item for part in source.parts for item in part.read()]
-    problems = [*source.problems, *(one for one in items if isinstance(one, Problem))]
-    return {one.name: one for one in items if isinstance(one, Recording)}, [str(one) for one in problems]
+    recordings, problems = read_source(READER.open(paths))
+    return {one.name: one for one in recordings}, [str(problem) for problem in problems]
 
 
 def edit(path: Path, change: Callable[[list[bytes]], None]) -> None:

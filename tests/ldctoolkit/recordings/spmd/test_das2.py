@@ -1,7 +1,6 @@
 """The SPMD table HV_Primary."""
 
 import dataclasses
-import pickle
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ import pytest
 
 from helpers import spmd
 from helpers.planted import assert_planted
+from helpers.recordings import read_source
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.extract import extract_departures
 from ldctoolkit.recordings.recording import Problem, Recording, open_recordings
@@ -35,13 +35,10 @@ def write(tmp_path: Path) -> Write:
     return to_file
 
 
-def read(*paths: Path, part_bytes: int = 1 << 25) -> tuple[dict[str, Recording], list[Problem]]:
+def read(*paths: Path) -> tuple[dict[str, Recording], list[Problem]]:
     """All recordings by name, and all problems."""
-    source = SpmdDas2(part_bytes=part_bytes).open(paths)
-    items = [item for part in pickle.loads(pickle.dumps(source.parts)) for item in part.read()]
-    recordings = [item for item in items if isinstance(item, Recording)]
+    recordings, problems = read_source(SpmdDas2().open(paths))
     assert len({one.name for one in recordings}) == len(recordings)
-    problems = [*source.problems, *(item for item in items if isinstance(item, Problem))]
     return {one.name: one for one in recordings}, problems
 
 
