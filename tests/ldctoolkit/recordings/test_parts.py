@@ -4,7 +4,6 @@ import dataclasses
 import pickle
 import re
 import sys
-import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from helpers.cli import ROOT, blocks, run_python
+from helpers.cli import ROOT, blocks, install, run_python
 from helpers.recordings import OFFSET, T, drive
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings import (
@@ -85,15 +84,12 @@ def log(path: Path, *, driver: str = "driver Ann", side: int = 1) -> None:
 @pytest.fixture
 def guide(tmp_path, monkeypatch):
     """The guide's package, installed as pip leaves a pure one."""
-    site, point = tmp_path / "site", tomllib.loads(blocks("docs/how-to/my-reader.md", "toml")[0])["project"]
-    (site / "lane_logs").mkdir(parents=True)
-    (site / "lane_logs" / "__init__.py").write_text("")
-    (site / "lane_logs" / "reader.py").write_text(blocks("docs/how-to/my-reader.md", "python")[0], encoding="utf-8")
-    info = site / "lane_logs-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {point['name']}\nVersion: {point['version']}\n")
-    lines = [f"{key} = {value}" for key, value in point["entry-points"][readers.GROUP].items()]
-    (info / "entry_points.txt").write_text("\n".join([f"[{readers.GROUP}]", *lines]))
+    project, site = tmp_path / "lane-logs", tmp_path / "site"
+    (project / "lane_logs").mkdir(parents=True)
+    (project / "pyproject.toml").write_text(blocks("docs/how-to/my-reader.md", "toml")[0])
+    (project / "lane_logs" / "__init__.py").write_text("")
+    (project / "lane_logs" / "reader.py").write_text(blocks("docs/how-to/my-reader.md", "python")[0], encoding="utf-8")
+    install(project, site)
     monkeypatch.syspath_prepend(site)
     for cache in (readers._installed, readers.recording_reader):
         cache.cache_clear()

@@ -237,7 +237,7 @@ def test_a_gap_inside_a_departure(tmp_path):
     assert account.refused.sum() == account.refused[0, REASONS.index("gap")] == 1
 
 
-KIND = TableKind("a table", "a.txt", {"time": 0, "offset": 1, "lane width": 3}, lambda values: True)
+KIND = TableKind("a table", "a.txt", {"time": 0, "offset": 1, "lane width": 3}, lambda values: True, "")
 TOKENS = st.sampled_from(
     ["1", "2.5", "-9", "+3", ".5", "1e3", "-1E-3", "nan", "inf", "x", "1_0", "٣", "0x1", "1;5", "#", '"1"', "NULL", "é"]
 )
