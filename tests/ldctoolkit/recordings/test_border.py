@@ -150,21 +150,6 @@ def test_the_end_of_a_range_that_repeats_is_a_code(side, column, code):
     assert found.hours * 3600.0 == pytest.approx((740 - 1 - 10) / 20.0)
 
 
-@pytest.mark.parametrize("rate", [10.0, 25.0, 50.0])
-def test_frozen_rows_are_not_driving(rate):
-    drive = only(clean(3, T=100.0, rate=rate, noise=0.02), "yaw_rate")
-    stuck = (drive.t > 60.0) & (drive.t < 90.0)
-    rows = np.where(stuck, np.argmax(stuck), np.arange(stuck.size))
-    columns = ("lane_offset", "lane_width", "speed", "yaw_rate")
-    frozen = replace(drive, **{name: getattr(drive, name)[rows] for name in columns})
-    camera = replace(drive, **{name: getattr(drive, name)[rows] for name in columns[:2]})
-    for found in (extract(frozen), extract(camera)):
-        assert found.provenance.invalid_samples == stuck.sum() - 1
-        assert found.hours * 3600.0 == pytest.approx(100.0 - 30.0 - 1.0 / rate, abs=1.5 / rate)
-    slow = replace(camera, speed=np.full(stuck.size, 0.5))  # it stands
-    assert extract(slow).provenance.invalid_samples == 0
-
-
 # ------------------------------------------------------------------------------------------------ clocks and windows
 
 

@@ -199,14 +199,6 @@ def test_each_pair_of_signals(pair):
         assert [text.split(":")[0] for text in wrong] == [f"{said[pair[1]]} is 20 times what {said[pair[0]]} turns"]
 
 
-@pytest.mark.parametrize(("name", "said"), [("yaw_rate", "the yaw rate"), ("curvature", "the curvature")])
-def test_of_three_signals_the_wrong_one_is_told_once(name, said):
-    signals = {one: bending(one, bends()) for one in ("heading", "yaw_rate", "curvature")}
-    assert warnings(drive_evidence(**signals)) == ()
-    (words,) = warnings(drive_evidence(**(signals | {name: -signals[name]})))
-    assert words.startswith(f"{said} turns against the")
-
-
 def weaving(seconds: float = 120.0, seed: int = 0, *, noise: float = 0.0, speed: float = 25.0) -> Recording:
     """A vehicle that weaves in its lane through gentle bends: its heading against the road's makes its offset."""
     rng = np.random.default_rng(seed)

@@ -110,13 +110,6 @@ def test_planted_departures_come_back(shape: str, write: Write) -> None:
     assert [words for words in found.warnings if "yaw" in words] == []
 
 
-def test_a_yaw_rate_of_the_other_sign_is_refused(write: Write) -> None:
-    drive = spmd.planted_drive(10, 1)
-    other = dataclasses.replace(drive, yaw_rate=-drive.yaw_rate, heading=drive.heading)
-    with pytest.raises(RecordingError, match="the yaw rate turns against the GPS heading"):
-        extract_departures(open_recordings([write(spmd.lines_of(spmd.rows_of(other)))]))
-
-
 def test_what_is_usable(write: Write) -> None:
     left = [900] * 30
     right, width = list(left), [f"{3600.0}"] * 30
