@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
-from ldctoolkit.declared import check_declared, checked_number, declared
+from ldctoolkit.declared import check_declared, declared
 from ldctoolkit.errors import CheckedArguments, InputError, RecordingError
 from ldctoolkit.recordings.recording import (
     LARGEST,
@@ -160,7 +160,6 @@ def resample(recording: Recording, step: float, max_gap: float = MAX_GAP, max_ju
     of a window that are a jump apart, the one nearer to the nearest sample's is taken, not their mean. Where the lane
     changes in a window, only samples in the nearest sample's lane count.
     """
-    step, max_gap = checked_number("step", step, above=0.0), checked_number("max_gap", max_gap, above=0.0)
     if recording.samples == 0:
         return recording
     origin = recording.t[0]

@@ -35,6 +35,7 @@ class TableKind:
     file: str  # name of the file
     columns: dict[str, int]  # names and places, from 0, of the cells that are read, the time first
     plausible: Callable[[FloatArray], bool]  # says of values, (n, k), whether they can be this table's
+    needed: str  # for what a trip needs it, empty for none
 
 
 def is_course(course: FloatArray) -> BoolArray:
@@ -66,16 +67,18 @@ def _accelerometers_like(values: FloatArray) -> bool:
 
 
 LANE: Final = TableKind(
-    "a lane table", "PROC_LANE_DETECTION.txt", {"time": 0, "offset": 1, "lane width": 3, "state": 4}, _lane_like
-)
-
+    "a lane table", "PROC_LANE_DETECTION.txt", {"time": 0, "offset": 1, "lane width": 3, "state": 4}, _lane_like,
+    "the offset from the lane's centre",
+)  # fmt: skip
 GPS: Final = TableKind(
-    "a GPS table", "RAW_GPS.txt", {"time": 0, "speed": 1, "latitude": 2, "longitude": 3, "course": 7}, _gps_like
-)
-
+    "a GPS table", "RAW_GPS.txt", {"time": 0, "speed": 1, "latitude": 2, "longitude": 3, "course": 7}, _gps_like,
+    "the speed",
+)  # fmt: skip
 ACCELEROMETERS: Final = TableKind(
-    "an accelerometer table", "RAW_ACCELEROMETERS.txt", {"time": 0, "flag": 1, "yaw angle": 10}, _accelerometers_like
-)
+    "an accelerometer table", "RAW_ACCELEROMETERS.txt", {"time": 0, "flag": 1, "yaw angle": 10}, _accelerometers_like,
+    "",
+)  # fmt: skip
+KINDS: Final = (LANE, GPS, ACCELEROMETERS)
 
 
 LARGEST_FILE: Final = 64 << 20
@@ -132,7 +135,7 @@ _TRIP: Final = re.compile(
 )
 _DRIVER: Final = re.compile(r"D\d+", re.IGNORECASE)
 _PATTERN: Final = "<date>-<km>-D<number>-<NORMAL|DROWSY|AGGRESSIVE>-<MOTORWAY|SECONDARY>"
-_WANTED: Final = (LANE.file, GPS.file, ACCELEROMETERS.file)
+_WANTED: Final = tuple(kind.file for kind in KINDS)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -171,7 +174,7 @@ class UahDriveset:
                 continue
             lane = digests[0]
             if other := known.get(part.key) or known.get(lane.sha256):
-                same = "has the same name as" if part.key in known else f"has the same {part.lane} as"
+                same = "has the same name as" if part.key in known else f"has the same {part.files[0]} as"
                 problems.append(Problem(folder.shown, "", f"{same} {other}; it is left out"))
                 continue
             known[part.key] = folder.shown
@@ -209,9 +212,9 @@ class _Folder:
 
 def _trip(folder: _Folder, problems: list[Problem]) -> tuple[TripFolder, list[SourceFile]]:
     """The trip in a folder and the digests of its files, the lane's first."""
-    for name, what in ((LANE.file, "the offset from the lane's centre"), (GPS.file, "the speed")):
-        if name not in folder.files:
-            raise RecordingError("", f"no file {name}, which holds {what}")
+    for kind in KINDS:
+        if kind.needed and kind.file not in folder.files:
+            raise RecordingError("", f"no file {kind.file}, which holds {kind.needed}")
     match = _TRIP.fullmatch(folder.path.name)
     labels: tuple[Label, ...] = ()
     if match:
@@ -219,12 +222,12 @@ def _trip(folder: _Folder, problems: list[Problem]) -> tuple[TripFolder, list[So
     else:
         what = f"the folder's name is not {_PATTERN}; it is read without driver, behaviour and road"
         problems.append(Problem(folder.shown, "", what))
-    lane, gps, accelerometers = names = [folder.files.get(name, "") for name in _WANTED]
+    names = tuple(folder.files.get(name, "") for name in _WANTED)
     digests = [source_file(folder.path / name, f"{folder.shown}/{name}") for name in names if name]
     size = sum(file.bytes for file in digests)
     source = folder.driver_folder or (labels[0].value if labels else folder.path.name)
     name, path = folder.path.name, str(folder.path)
-    return TripFolder(name, path, folder.shown, lane, gps, accelerometers, size, labels, source), digests
+    return TripFolder(name, path, folder.shown, names, size, labels, source), digests
 
 
 def _folders(paths: Sequence[Path], problems: list[Problem]) -> Iterator[_Folder]:
@@ -294,9 +297,7 @@ class TripFolder:
     key: str  # the folder's name
     folder: str  # where it lies
     shown: str  # its name in messages: with the driver's folder, without any other
-    lane: str  # names of the files; the last is empty if there is none
-    gps: str  # names of the files; the last is empty if there is none
-    accelerometers: str  # names of the files; the last is empty if there is none
+    files: tuple[str, ...]  # names of the files in the order of `KINDS`; the last is empty if there is none
     bytes: int  # size of the files together
     labels: tuple[Label, ...]  # driver, behaviour, road; empty if the folder's name does not tell
     source: str  # what the trip is accounted under
@@ -304,7 +305,7 @@ class TripFolder:
     def read(self) -> Iterator[Recording | Problem]:
         """What is wrong with the files, then the recording, if there can be one."""
         tables: dict[str, Table] = {}
-        for name, kind in ((self.lane, LANE), (self.gps, GPS), (self.accelerometers, ACCELEROMETERS)):
+        for name, kind in zip(self.files, KINDS, strict=True):
             shown = f"{self.shown}/{name}"
             try:
                 table, problems = read_table(Path(self.folder, name), shown, kind) if name else (None, [])
@@ -315,9 +316,8 @@ class TripFolder:
                 tables[kind.file] = table
                 if not table[0].size:
                     return
-            elif kind is not ACCELEROMETERS:
-                needed = "the offset from the lane's centre" if kind is LANE else "the speed"
-                yield Problem(self.shown, "", f"without {needed} the trip is left out")
+            elif kind.needed:
+                yield Problem(self.shown, "", f"without {kind.needed} the trip is left out")
                 return
         joins = np.concatenate([table[1] for table in tables.values()])
         angles = tables[ACCELEROMETERS.file][0] if ACCELEROMETERS.file in tables else None
@@ -356,19 +356,20 @@ class TripFolder:
     def _lost(self, recording: Recording) -> Iterator[Problem]:
         """Lanes that nothing can be done with, for another file does not go with them."""
         t, lanes = recording.t, int(np.count_nonzero(recording.valid))
+        lane, gps, accelerometers = (f"{self.shown}/{name}" if name else "" for name in self.files)
         if lanes == 0:
-            yield Problem(f"{self.shown}/{self.lane}", "", "no line with a detected lane (state 2) can be used")
+            yield Problem(lane, "", "no line with a detected lane (state 2) can be used")
             return
         span = f"the trip runs from {float(t[0])!r} s to {float(t[-1])!r} s"
         if not np.isfinite(recording.speed).any():
-            yield Problem(f"{self.shown}/{self.gps}", "", f"it holds no speed in time, {span}; the trip is left out")
+            yield Problem(gps, "", f"it holds no speed in time, {span}; the trip is left out")
             return
-        yaw_file = self.accelerometers or self.gps
-        for file, values, what in ((self.gps, recording.speed, "speed"), (yaw_file, recording.yaw_rate, "yaw rate")):
+        yaw = recording.yaw_rate
+        for file, values, what in ((gps, recording.speed, "speed"), (accelerometers or gps, yaw, "yaw rate")):
             share = 1.0 if values is None else np.count_nonzero(np.isfinite(values) & recording.valid) / lanes
             if share < ENOUGH:
                 few = f"it is short or has gaps: {share:.0%} of the samples with a lane have a {what} ({span})"
-                yield Problem(f"{self.shown}/{file}", "", f"{few}; the others are left out")
+                yield Problem(file, "", f"{few}; the others are left out")
 
 
 def _yaw_rate(

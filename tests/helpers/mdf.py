@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from helpers.recordings import Planted
+from helpers.planted import Planted
 
 WIDTH, VEHICLE = 3.5, 1.8  # of lane and vehicle [m]
 END = 96.0  # of the drive [s]

@@ -1,8 +1,9 @@
 """Recordings made for tests."""
 
 import dataclasses
+import pickle
 from collections.abc import Iterable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -13,7 +14,7 @@ from ldctoolkit.recordings import Criteria, Extraction, Provenance, Recording, R
 from ldctoolkit.recordings.find_departures import REASONS
 from ldctoolkit.recordings.preparation import Preparation
 from ldctoolkit.recordings.quality import WIDTH_BINS, Account, Drawn, Origin, example_events
-from ldctoolkit.recordings.recording import Label, Problem
+from ldctoolkit.recordings.recording import Label, Problem, RecordingSource
 
 T = np.arange(100) * 0.1
 OFFSET = 0.9 + np.maximum(0.3 * (1.0 - ((T - 5.0) / 0.95) ** 2), -0.4 - 0.01 * np.abs(T - 5.0))
@@ -21,17 +22,12 @@ OFFSET = 0.9 + np.maximum(0.3 * (1.0 - ((T - 5.0) / 0.95) ** 2), -0.4 - 0.01 * n
 t = 5 s, that is for 1.9 s, and well inside before and after; it never stands still for long."""
 
 
-class Planted(NamedTuple):
-    """A departure to the left (1) or the right (-1): where it crosses the line, for how long, and how deep."""
-
-    side: int
-    start: float
-    T: float
-    d_y: float
-
-    def y(self, t: Any) -> Any:
-        """Distance of the edge beyond the line [m]."""
-        return self.d_y * (1.0 - ((t - self.start) / (0.5 * self.T) - 1.0) ** 2)
+def read_source(source: RecordingSource) -> tuple[list[Recording], list[Problem]]:
+    """Recordings of all parts, which go to other processes, and what is wrong with the source and its parts."""
+    assert len({part.key for part in source.parts}) == len(source.parts)
+    items = [item for part in pickle.loads(pickle.dumps(source.parts)) for item in part.read()]
+    problems = [*source.problems, *(item for item in items if isinstance(item, Problem))]
+    return [item for item in items if isinstance(item, Recording)], problems
 
 
 def drive(name: str = "a", t: Any = T, **columns: Any) -> Recording:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from helpers.recordings import Planted
+from helpers.planted import Planted
 
 VEHICLE_WIDTH = 1.82
 LANE_WIDTH = 3.6

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from helpers.recordings import Planted
+from helpers.planted import Planted
 
 NAME = "20151110175712-16km-D1-NORMAL1-SECONDARY"
 VEHICLE, LANE_WIDTH = 1.8, 3.5

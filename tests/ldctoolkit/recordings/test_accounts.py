@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from helpers.bits import assert_same_bits, examples
 from helpers.recordings import drive
 from ldctoolkit.departures import LEFT, RIGHT, DepartureSignals, ExtraColumn, reduce_signals
-from ldctoolkit.recordings import Account, Criteria, Drawn, Label, PartResult, Preparation, Recording, Refused
+from ldctoolkit.recordings import Criteria, Drawn, Label, PartResult, Preparation, Recording, Refused
 from ldctoolkit.recordings.departures_table import combined_results
 from ldctoolkit.recordings.extract import extract_departures, extract_items, merge_results, table_of
 from ldctoolkit.recordings.find_departures import REASONS, find_departures
@@ -133,7 +133,7 @@ def test_any_split_gives_the_same_bits(data, seed, step):
     finally:
         MODULE.BATCH = before
     split = combined_results(parts)
-    for name in ("departures", "accounts", "drawn", "problems"):
+    for name in ("departures", "accounts", "drawn", "problems", "evidence"):
         assert_same_bits(getattr(alike(whole), name), getattr(alike(split), name))
     one, two = (merge_results(results, CRITERIA, preparation, force=True) for results in ([whole], parts))
     assert_same_bits(alike(one), alike(two))
@@ -161,23 +161,6 @@ def test_the_provenance_is_the_sum_of_the_accounts():
         for side, count in zip((1, -1), account.departures.tolist(), strict=True):
             wanted[account.origin.source, road, side] += count
     assert groups == +wanted
-
-
-def test_numbers_are_whole():
-    (account, *_) = extract_items(wandering(5, 6), CRITERIA, Preparation()).accounts
-    for field in dataclasses.fields(Account):
-        value = getattr(account, field.name)
-        assert field.name == "origin" or isinstance(value, int) or value.dtype == np.int64
-
-
-def test_hours_of_a_system_are_read_but_not_driven():
-    """Nor are the metres; the samples can be used all the same."""
-    engaged = np.arange(100) >= 60
-    one = drive(lane_offset=np.zeros(100), engaged=engaged, speed=20.0)
-    for keep, seconds in ((False, 5.9), (True, 9.9)):
-        (account,) = extract_departures([one], keep_engaged=keep).accounts
-        assert (account.read_ns, account.valid_ns) == (9_900_000_000, round(seconds * 1e9))
-        assert (account.valid_um, account.usable) == (round(seconds * 20e6), 100)
 
 
 def test_pieces_of_a_recording_count_once():

@@ -10,7 +10,6 @@ from helpers.recordings import OFFSET, T, drive
 from ldctoolkit.departures import LEFT, RIGHT, Plausibility
 from ldctoolkit.errors import InputError
 from ldctoolkit.recordings import Criteria, Extraction, Preparation, Recording, extract_departures, open_recordings
-from ldctoolkit.recordings.find_departures import REASONS
 
 NO_LIMITS = Plausibility(y_rate=np.inf, y_acceleration=np.inf, a_y=np.inf)
 
@@ -65,65 +64,52 @@ def with_value(values: Any, rows: Any, value: Any) -> np.ndarray:
     return changed
 
 
-REFUSALS: list[tuple[str, dict[str, Any], dict[str, Any], int]] = [
-    ("too_short", {}, {"min_duration": 2.0}, 1),
-    ("too_long", {}, {"max_duration": 1.8}, 1),
-    ("slow", {"speed": 4.9}, {}, 1),
-    ("slow", {"speed": with_value(25.0, slice(49, 52), 0.0)}, {}, 1),  # stops in between
-    ("too_few_samples", {}, {"min_duration": 0.0, "vehicle_width": 1.202}, 1),
-    ("intended", {"turn_signal": with_value(0, slice(48, 52), 1)}, {}, 1),
-    ("intended", {"turn_signal": with_value(0, slice(30, 41), 1)}, {}, 1),  # set when crossing out
-    ("implausible", {"speed": 60.0 - 9.82 * (T - 3.0)}, {}, 1),
-    ("implausible", {"speed": 5.0 + 9.82 * T}, {}, 1),
-    ("implausible", {"curvature": 9.82 / 25.0**2}, {"plausibility": NO_LIMITS}, 1),
-    ("implausible", {"curvature": -9.82 / 25.0**2}, {"plausibility": NO_LIMITS}, 1),
-    ("implausible", {"curvature": 7.0 / 25.0**2}, {}, 1),
-    (
-        "implausible",
-        {"lane_width": with_value(2.6, slice(41, 60), 2.1), "lane_offset": OFFSET - 0.65},
-        {"vehicle_width": 2.1},
-        1,
-    ),
+REFUSALS: list[tuple[str, dict[str, Any], dict[str, Any]]] = [
+    ("slow", {"speed": 4.9}, {}),
+    ("slow", {"speed": with_value(25.0, slice(49, 52), 0.0)}, {}),  # stops in between
+    ("too_few_samples", {}, {"min_duration": 0.0, "vehicle_width": 1.202}),
+    ("intended", {"turn_signal": with_value(0, slice(48, 52), 1)}, {}),
+    ("intended", {"turn_signal": with_value(0, slice(30, 41), 1)}, {}),  # set when crossing out
+    ("implausible", {"speed": 60.0 - 9.82 * (T - 3.0)}, {}),
+    ("implausible", {"speed": 5.0 + 9.82 * T}, {}),
+    ("implausible", {"curvature": 9.82 / 25.0**2}, {"plausibility": NO_LIMITS}),
+    ("implausible", {"curvature": -9.82 / 25.0**2}, {"plausibility": NO_LIMITS}),
+    ("implausible", {"curvature": 7.0 / 25.0**2}, {}),
     # every other reason is stronger
-    ("intended", {"speed": 5.0 + 9.82 * T, "turn_signal": with_value(0, slice(48, 52), 1)}, {}, 1),
-    ("engaged", {"engaged": with_value(0, 50, 1), "turn_signal": with_value(0, slice(48, 52), 1)}, {}, 1),
-    ("slow", {"engaged": 1, "speed": 4.9}, {}, 1),
-    ("intended", {"engaged": 1, "turn_signal": with_value(0, slice(48, 52), 1)}, {"keep_engaged": True}, 1),
-    ("lane_change", {"lane": with_value(1, slice(50, None), 2)}, {}, 1),
-    ("invalid", {"valid": with_value(1, 50, 0)}, {}, 1),
-    ("invalid", {"valid": with_value(1, 40, 0)}, {}, 1),  # the sample before the crossing
-    ("invalid", {"lane_width": with_value(3.6, 50, np.nan)}, {}, 1),
-    ("invalid", {"lane_width": with_value(3.6, 50, -3.6)}, {}, 1),
-    ("invalid", {"speed": with_value(25.0, 50, np.inf)}, {}, 1),
-    ("invalid", {"lane_width": with_value(3.6, 50, 3.4)}, {"min_lane_width": 3.5}, 1),
-    ("invalid", {"lane_width": with_value(3.6, 50, 3.8)}, {"max_lane_width": 3.7}, 1),
-    ("invalid", {"curvature": with_value(0.0, 50, np.nan)}, {}, 1),
-    ("invalid", {"valid": with_value(1, slice(None, 45), 0)}, {}, 1),  # nothing usable before: not the record's start
-    ("invalid", {"valid": with_value(1, slice(55, None), 0)}, {}, 1),
-    ("gap", {"t": np.where(np.arange(100) > 50, T + 0.2, T)}, {}, 1),
-    ("gap", {"t": np.where(np.arange(100) > 50, T + 0.02, T)}, {"max_gap": 0.11}, 1),
-    ("jump", {"lane_offset": np.where(np.arange(100) > 50, OFFSET - 0.7, OFFSET)}, {}, 1),
-    ("jump", {"lane_offset": np.where(np.arange(100) > 50, OFFSET - 0.3, OFFSET)}, {"max_jump": 0.05}, 1),
+    ("intended", {"speed": 5.0 + 9.82 * T, "turn_signal": with_value(0, slice(48, 52), 1)}, {}),
+    ("engaged", {"engaged": with_value(0, 50, 1), "turn_signal": with_value(0, slice(48, 52), 1)}, {}),
+    ("slow", {"engaged": 1, "speed": 4.9}, {}),
+    ("intended", {"engaged": 1, "turn_signal": with_value(0, slice(48, 52), 1)}, {"keep_engaged": True}),
+    ("lane_change", {"lane": with_value(1, slice(50, None), 2)}, {}),
+    ("invalid", {"valid": with_value(1, 50, 0)}, {}),
+    ("invalid", {"valid": with_value(1, 40, 0)}, {}),  # the sample before the crossing
+    ("invalid", {"lane_width": with_value(3.6, 50, np.nan)}, {}),
+    ("invalid", {"lane_width": with_value(3.6, 50, -3.6)}, {}),
+    ("invalid", {"speed": with_value(25.0, 50, np.inf)}, {}),
+    ("invalid", {"lane_width": with_value(3.6, 50, 3.4)}, {"min_lane_width": 3.5}),
+    ("invalid", {"lane_width": with_value(3.6, 50, 3.8)}, {"max_lane_width": 3.7}),
+    ("invalid", {"curvature": with_value(0.0, 50, np.nan)}, {}),
+    ("invalid", {"valid": with_value(1, slice(None, 45), 0)}, {}),  # nothing usable before: not the record's start
+    ("invalid", {"valid": with_value(1, slice(55, None), 0)}, {}),
+    ("gap", {"t": np.where(np.arange(100) > 50, T + 0.2, T)}, {}),
+    ("gap", {"t": np.where(np.arange(100) > 50, T + 0.02, T)}, {"max_gap": 0.11}),
+    ("jump", {"lane_offset": np.where(np.arange(100) > 50, OFFSET - 0.7, OFFSET)}, {}),
+    ("jump", {"lane_offset": np.where(np.arange(100) > 50, OFFSET - 0.3, OFFSET)}, {"max_jump": 0.05}),
     # strongest reason first: an invalid sample, a gap and a lane change in one candidate
-    (
-        "lane_change",
-        {"lane": with_value(1, slice(52, None), 2), "valid": with_value(1, 50, 0), "t": T + (T > 4.75) * 1.0},
-        {},
-        1,
-    ),
+    ("lane_change", {"lane": 1 + (T > 5.15), "valid": with_value(1, 50, 0), "t": T + (T > 4.75)}, {}),
 ]
 
 
-@pytest.mark.parametrize(("reason", "columns", "criteria", "count"), REFUSALS)
+@pytest.mark.parametrize(("reason", "columns", "criteria"), REFUSALS)
 @pytest.mark.parametrize("side", [LEFT, RIGHT])
-def test_refused_with_one_reason(reason, columns, criteria, count, side):
+def test_refused_with_one_reason(reason, columns, criteria, side):
     changed = {"lane_offset": OFFSET} | columns
     changed["lane_offset"] = side * changed["lane_offset"]
     if "turn_signal" in changed:
         changed["turn_signal"] = side * changed["turn_signal"]
     found = extract(drive(**changed), **criteria)
     assert len(found.departures) == 0
-    assert reasons(found) == {reason: count}
+    assert reasons(found) == {reason: 1}
 
 
 @pytest.mark.parametrize(
@@ -466,21 +452,6 @@ def test_a_lane_as_wide_as_the_vehicle(width, expected):
 
 
 @pytest.mark.parametrize(
-    ("columns", "expected"),
-    [
-        ({"lane_width": 1e9}, "invalid"), ({"speed": np.nextafter(1e9, 0.0)}, "invalid"),
-        ({"speed": -1e9}, "invalid"), ({"lane_width": 0.0}, "invalid"), ({"curvature": 1e9}, "invalid"),
-    ],
-)  # fmt: skip
-def test_numbers_that_are_no_measurement(columns, expected):
-    """1e9 or more in size, or a lane without a width."""
-    ((name, value),) = columns.items()
-    values = np.full(27, {"lane_width": 3.0, "speed": 16.0, "curvature": 0.0}[name])
-    values[12] = value
-    assert fate(15, **{name: values}) == expected
-
-
-@pytest.mark.parametrize(
     ("kind", "name", "good", "bad"),
     [
         (Criteria, "vehicle_width", (0.5, 4.0), (0.49, 4.01)), (Criteria, "min_duration", (0.0, 9.9), (-0.01, 10.0)),
@@ -499,153 +470,3 @@ def test_the_ends_of_what_is_allowed(kind, name, good, bad):
     for value in bad:
         with pytest.raises(InputError, match=rf"^{name if name != 'min_duration' or value < 0 else 'max_duration'}: "):
             kind(**{name: value})
-
-
-def test_the_hours_count_a_step_as_long_as_the_limit():
-    t = np.array([0.0, 0.125, 0.25, 0.5, 0.625, 1.0, 1.125])
-    found = extract_departures([drive(t=t, lane_offset=0.0)], max_gap=0.25)
-    assert found.hours * 3600.0 == 0.75
-
-
-def test_the_distance_is_speed_times_time_without_gaps():
-    t = np.arange(1001) * 0.1
-    t = t[(t < 40.05) | (t > 44.95)]  # from 40 to 45 s nothing was recorded
-    found = extract_departures([drive(t=t, lane_offset=0.0, speed=20.0)])
-    assert found.distance == pytest.approx(20.0 * 95.0, rel=1e-9) == 1900.0
-    assert [account.valid_um for account in found.accounts] == [1_900_000_000]
-    # one unusable sample at 10 s takes both of its steps away; the other recording, backwards, counts as driven too
-    lost = drive("b", t=t, lane_offset=0.0, speed=np.where(np.arange(t.size) == 100, np.nan, 20.0))
-    both = extract_departures([lost, drive("c", t=t, lane_offset=0.0, speed=-20.0)], force=True)
-    assert both.distance == pytest.approx(1896.0 + 1900.0, rel=1e-9)
-    assert both.hours * 3600.0 == pytest.approx(94.8 + 95.0, rel=1e-9)
-
-
-def test_the_distance_is_the_trapezoid_of_the_speed():
-    t, speed = np.array([0.0, 0.125, 0.25, 0.5, 0.625]), [0.0, 8.0, 8.0, 24.0, 20.0]
-    found = extract_departures([drive(t=t, lane_offset=0.0, speed=speed)], max_gap=0.25)
-    assert found.distance == 0.5 + 1.0 + 4.0 + 2.75
-
-
-WIDTH = 3.6
-VEHICLE = 1.8
-RATE = 20.0
-T_LANE_CHANGES = np.arange(round(60.0 * RATE)) / RATE
-
-
-def crossing(side: int, start: float = 10.0, duration: float = 4.0, reach: float = WIDTH) -> np.ndarray:
-    """Lateral way [m] of a change by `reach`, smooth."""
-    share = np.clip((T_LANE_CHANGES - start) / duration, 0.0, 1.0)
-    return side * reach * share**2 * (3.0 - 2.0 * share)
-
-
-def drive_lane_changes(way: np.ndarray, offset: np.ndarray, **columns: Any) -> Recording:
-    n = way.size
-    given = {"lane_width": np.full(n, WIDTH), "speed": np.full(n, 25.0), "valid": np.ones(n, bool)}
-    sway = 0.03 * np.sin(T_LANE_CHANGES)  # no driver keeps a perfectly straight line
-    return Recording("a", T_LANE_CHANGES, offset + sway, **(given | {"curvature": np.zeros(n)} | columns))
-
-
-def handed_over(way: np.ndarray) -> np.ndarray:
-    """Offset from the centre of the nearest lane: the tracker changes where the centre crosses the line."""
-    return way - WIDTH * np.round(way / WIDTH)
-
-
-def extract_lane_changes(recording: Recording, step: float | None) -> Extraction:
-    return extract_departures([recording], vehicle_width=VEHICLE, preparation=Preparation(step))
-
-
-def reported(found: Extraction) -> dict[str, tuple[int, int]]:
-    """Refused candidates by reason: left, right."""
-    (account,) = found.accounts
-    counts = {reason: (int(a), int(b)) for reason, a, b in zip(REASONS, *account.refused.tolist(), strict=True)}
-    return {reason: count for reason, count in counts.items() if any(count)}
-
-
-def one_of(side: int) -> tuple[int, int]:
-    return (1, 0) if side == LEFT else (0, 1)
-
-
-both_sides = pytest.mark.parametrize("side", [LEFT, RIGHT])
-any_step = pytest.mark.parametrize("step", [None, 0.1])
-
-
-@both_sides
-@any_step
-@pytest.mark.parametrize("start", [10.0, 10.01, 10.023, 10.037])
-def test_a_jump_of_the_offset_by_a_lane_width(side, step, start):
-    way = crossing(side, start)
-    found = extract_lane_changes(drive_lane_changes(way, handed_over(way)), step)
-    assert len(found.departures) == 0
-    assert reported(found) == {"lane_change": one_of(side)}
-
-
-@both_sides
-@any_step
-@pytest.mark.parametrize("seconds", [0.1, 0.25, 0.5])
-@pytest.mark.parametrize("lane", [None, 1])
-def test_a_jump_of_the_offset_that_was_smoothed(side, step, seconds, lane):
-    """The tracker's own filter: a line over that time."""
-    way = crossing(side)
-    over = np.flatnonzero(np.abs(way) > 0.5 * WIDTH)[0]
-    offset = way - side * WIDTH * np.clip((T_LANE_CHANGES - T_LANE_CHANGES[over]) / seconds, 0.0, 1.0)
-    lane = None if lane is None else np.full(offset.size, lane)
-    assert reported(extract_lane_changes(drive_lane_changes(way, offset, lane=lane), step)) == {
-        "lane_change": one_of(side)
-    }
-
-
-@both_sides
-@any_step
-def test_the_reason_outranks_how_long_it_took(side, step):
-    """An old lane kept for longer than a departure may last, and a turn signal on: still a lane change."""
-    way = crossing(side, reach=0.9 * WIDTH) - crossing(side, start=24.0, reach=0.9 * WIDTH)
-    signal = np.full(T_LANE_CHANGES.size, side)
-    assert reported(extract_lane_changes(drive_lane_changes(way, way, turn_signal=signal), step)) == {
-        "lane_change": one_of(side)
-    }
-
-
-@both_sides
-@any_step
-def test_a_lane_column(side, step):
-    """A change of it is a lane change; one that stays, so does a great offset in the same lane."""
-    way = crossing(side)
-    lane = np.where(np.abs(way) > 0.5 * WIDTH, 2, 1)
-    assert reported(extract_lane_changes(drive_lane_changes(way, handed_over(way), lane=lane), step)) == {
-        "lane_change": one_of(side)
-    }
-    # a small step of the offset where lanes merge
-    merge = crossing(side, reach=0.3 * WIDTH) - crossing(side, start=15.0, reach=0.3 * WIDTH)
-    found = extract_lane_changes(drive_lane_changes(merge, merge, lane=np.where(T_LANE_CHANGES > 13.0, 2, 1)), step)
-    assert reported(found) == {"lane_change": one_of(side)}
-    back = crossing(side, reach=0.8 * WIDTH) - crossing(side, start=15.0, reach=0.8 * WIDTH)
-    found = extract_lane_changes(
-        drive_lane_changes(back, back, lane=np.ones(T_LANE_CHANGES.size, dtype=np.int64)), step
-    )
-    assert reported(found) == {"lane_change": one_of(side)}
-
-
-@both_sides
-@any_step
-@pytest.mark.parametrize(
-    ("shown", "when", "intended"),
-    [("towards", (11.0, 12.5), True), ("away", (11.0, 12.5), False), ("towards", (1.0, 5.0), False)],
-)
-def test_the_turn_signal(side, step, shown, when, intended):
-    way = crossing(side, reach=0.4 * WIDTH) - crossing(side, start=14.0, reach=0.4 * WIDTH)
-    signal = np.where(
-        (when[0] <= T_LANE_CHANGES) & (when[1] > T_LANE_CHANGES), side if shown == "towards" else -side, 0
-    )
-    found = extract_lane_changes(drive_lane_changes(way, way, turn_signal=signal), step)
-    assert reported(found) == ({"intended": one_of(side)} if intended else {})
-    assert len(found.departures) == (not intended)
-
-
-@any_step
-def test_sides_of_several(step):
-    """Two changes to the left, one to the right, one departure to the right."""
-    way = crossing(LEFT, 2.0) + crossing(LEFT, 8.0) + crossing(RIGHT, 14.0)
-    drift = crossing(RIGHT, 22.0, 2.0, 1.2) - crossing(RIGHT, 25.0, 2.0, 1.2)
-    found = extract_lane_changes(drive_lane_changes(way, handed_over(way) + drift), step)
-    assert (reported(found), found.departures.side.tolist()) == ({"lane_change": (2, 1)}, [RIGHT])
-    assert found.accounts[0].departures.tolist() == [0, 1]

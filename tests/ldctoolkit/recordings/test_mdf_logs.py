@@ -19,7 +19,8 @@ import pytest
 from helpers import cli
 from helpers.fuzz import check
 from helpers.mdf import MAP, PLANTED, VEHICLE, WIDTH, curvature, groups, lane_offset, speed, write_log
-from ldctoolkit.errors import InputError, LdcError
+from helpers.planted import assert_planted as departures_are_planted
+from ldctoolkit.errors import InputError
 from ldctoolkit.recordings import Extraction, extract_departures, mdf_logs, open_recordings, read_recordings
 
 STEP = 0.04
@@ -33,17 +34,10 @@ def extract(logs: Path | list[Path], channels: str = MAP, **criteria: Any) -> Ex
 
 
 def assert_planted(found: Extraction, missing: tuple[int, ...] = ()) -> None:
-    departures = found.departures
     planted = [one for i, one in enumerate(PLANTED) if i not in missing]
-    assert departures.side.tolist() == [one.side for one in planted]
-    np.testing.assert_allclose(departures.start_time, [one.start for one in planted], atol=STEP)
-    np.testing.assert_allclose(departures.T, [one.T for one in planted], atol=STEP)
-    np.testing.assert_allclose(departures.d_y, [one.d_y for one in planted], atol=0.01)
+    departures_are_planted(found.departures, planted, curvature, step=STEP, bend=3e-5)
     middle = np.array([one.start + one.T / 2.0 for one in planted])
-    np.testing.assert_allclose(departures.v_mean, speed(middle), atol=0.1)
-    # outward: of a departure to the right in a bend to the left it is negative
-    outward = departures.side * curvature(departures.start_time)
-    np.testing.assert_allclose(departures.c_0, outward, atol=3e-5)
+    np.testing.assert_allclose(found.departures.v_mean, speed(middle), atol=0.1)
 
 
 @pytest.mark.parametrize(
@@ -54,10 +48,6 @@ def test_planted_departures_come_back(tmp_path: Path, version: str, name: str) -
                     else write_log(tmp_path / name, version=version))  # fmt: skip
     assert found.problems == ()
     assert_planted(found)
-    assert found.departures.n == 6
-    # left and right, in left and in right bends
-    bends = np.sign(found.departures.c_0).tolist()
-    assert {*zip(found.departures.side.tolist(), bends, strict=True)} == {(1, 1), (1, -1), (-1, 1), (-1, -1)}
     assert found.provenance.curvature == "measured"
     assert [file.name for file in found.provenance.sources] == [name, "map.toml"]
 
@@ -171,21 +161,19 @@ def test_a_jump_stays_one_and_nothing_is_made_up_at_the_ends(tmp_path: Path) -> 
 
 
 # what one of the unit is in SI, by hand
+DEGREE = 0.017453292519943
 SI = {
     "LaneOffset": {"m": 1.0, "cm": 0.01, "MM": 0.001, "ft": 0.3048, "in": 0.0254},
-    "VehicleSpeed": {
-        "m/s": 1.0,
-        "km/h": 0.2777777777777778,
-        "kph": 0.2777777777777778,
-        "mph": 0.44704,
-        "kn": 0.514444444,
-    },
+    "VehicleSpeed": {"m/s": 1.0, "km/h": 0.2777777777777778, "kph": 1 / 3.6, "mph": 0.44704, "kn": 0.514444444},
     "RoadCurvature": {"1/m": 1.0, "m^-1": 1.0, "m⁻¹": 1.0, "1/km": 0.001},
-    "YawRate": {"rad/s": 1.0, "deg/s": 0.017453292519943, "°/s": 0.017453292519943, "mrad/s": 0.001},
-}
-TRUE = {"LaneOffset": lane_offset, "VehicleSpeed": speed, "RoadCurvature": curvature,
-        "YawRate": lambda t: curvature(t) * speed(t)}  # fmt: skip
-COLUMN = {"LaneOffset": "lane_offset", "VehicleSpeed": "speed", "RoadCurvature": "curvature", "YawRate": "yaw_rate"}
+    "YawRate": {"rad/s": 1.0, "deg/s": DEGREE, "°/s": DEGREE, "mrad/s": 0.001},
+    "Heading": {"rad": 1.0, "deg": DEGREE, "°": DEGREE, "mrad": 0.001},
+    "SteeringAngle": {"rad": 1.0, "DEG": DEGREE, "°": DEGREE, "mrad": 0.001},
+}  # fmt: skip
+TRUE = {"LaneOffset": lane_offset, "VehicleSpeed": speed, "RoadCurvature": curvature, "Heading": lambda t: 0.5 + t,
+        "YawRate": lambda t: curvature(t) * speed(t), "SteeringAngle": lambda t: 0.1 * t - 0.2}  # fmt: skip
+COLUMN = {"LaneOffset": "lane_offset", "VehicleSpeed": "speed", "RoadCurvature": "curvature", "YawRate": "yaw_rate",
+          "Heading": "heading", "SteeringAngle": "steering"}  # fmt: skip
 
 
 @pytest.mark.parametrize("in_the_log", [True, False])
@@ -219,64 +207,50 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ('scale = -1\n[lane_width]', 'unit = "m"\n[lane_width]',
-         "a.mf4: lane_offset: channel 'LaneOffset' is in cm in the log, in m in the map; allowed: the same, or no "
-         "`unit` and a `scale` where the log is wrong"),
-        ('"LaneOffset"', '"YawRate"',
-         "a.mf4: lane_offset: channel 'YawRate' has the unit 'deg/s' in the log; allowed: m, cm, mm, ft, in, or a "
-         "`unit` in the map"),
-        ('"LaneOffset"', '"LaneQuality"',
-         "a.mf4: lane_offset: channel 'LaneQuality' has the unit '' in the log; allowed: m, cm, mm, ft, in, or a "
-         "`unit` in the map"),
-        ('"LaneOffset"', '"LaneOfset"',
-         "a.mf4: lane_offset: channel 'LaneOfset' is not in the log; did you mean 'LaneOffset'? see --list-channels"),
-        ('group = "Bus"', '',
-         "a.mf4: speed: channel 'VehicleSpeed' is in the groups 1 (Bus), 2 (GPS); `group`: not given; allowed: the "
-         "name or number of one"),
-        ('group = "Bus"', 'group = "Camera"',
-         "a.mf4: speed: channel 'VehicleSpeed' is in the groups 1 (Bus), 2 (GPS); `group`: 'Camera'; allowed: the "
-         "name or number of one"),
-        ('group = "Bus"', 'group = 2',
-         "a.mf4: speed: channel 'VehicleSpeed' has no number at the times of 'LaneOffset', or none within max_gap = "
-         "0.25 s"),
+        ('scale = -1\n[lane_width]', 'unit = "m"\n[lane_width]', "lane_offset: channel 'LaneOffset' is in cm in the l"),
+        ('"LaneOffset"', '"YawRate"', "lane_offset: channel 'YawRate' has the unit 'deg/s' in the log; allowed: m, cm"),
+        ('"LaneOffset"', '"LaneQuality"', "lane_offset: channel 'LaneQuality' has the unit '' in the log; allowed: m,"),
+        ('"LaneOffset"', '"LaneOfset"', "lane_offset: channel 'LaneOfset' is not in the log; did you mean 'LaneOffset"),
+        ('group = "Bus"', '', "speed: channel 'VehicleSpeed' is in the groups 1 (Bus), 2 (GPS); `group`: not given; "),
+        ('group = "Bus"', 'group = "Camera"', "speed: channel 'VehicleSpeed' is in the groups 1 (Bus), 2 (GPS); `grou"),
+        ('group = "Bus"', 'group = 2', "speed: channel 'VehicleSpeed' has no number at the times of 'LaneOffset'"),
     ],
 )  # fmt: skip
 def test_what_does_not_fit_the_log_is_named(log: Path, old: str, new: str, message: str) -> None:
     assert old in MAP
-    assert problem(log, MAP.replace(old, new, 1)) == message
-
-
-def test_slow_channels_serve_with_a_longer_gap(log: Path) -> None:
-    assert_planted(extract(log, "max_gap = 1.5\n" + MAP.replace('"Bus"', '"GPS"')))
+    assert problem(log, MAP.replace(old, new, 1)).startswith(f"a.mf4: {message}")
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("speed = 1 2", "map.toml: not a TOML file: "),
-        (MAP.replace("[speed]", "[sped]"), "map.toml: sped: no such key; did you mean 'speed'? (allowed: "),
-        (MAP.replace("scale", "sign", 1), "map.toml: lane_offset.sign: no such key; allowed: channel, "),
-        (MAP.replace("scale = -1", "scale = '-1'", 1), "map.toml: lane_offset.scale: '-1'; allowed: a number"),
-        (MAP.replace("scale = -1", "unit = 'furlong'", 1),
-         "map.toml: lane_offset.unit: 'furlong' of 'LaneOffset'; allowed: m, cm, mm, ft, in"),
-        (MAP.replace("min = 2", "unit = 'm'"),
-         "map.toml: valid.unit: 'm' of 'LaneQuality'; allowed: none, it is a state"),
-        (MAP.replace('channel = "LaneWidth"', ""), "map.toml: lane_width.channel: missing, and has no default"),
-        (MAP.replace('[lane_width]\nchannel = "LaneWidth"', ""),
-         "map.toml: lane_width: missing; needed: this, left_line and right_line, or constant_lane_width"),
-        ("constant_lane_width = 0\n" + MAP, "map.toml: constant_lane_width: 0; allowed: "),
-        (MAP.replace("[lane_offset]", "[left_line]"),
-         "map.toml: lane_offset: missing; needed: this, or left_line and right_line"),
-        (MAP.replace("scale = -1", "min = 1", 1), "map.toml: lane_offset.min: no such key; allowed: channel, "),
-        ("max_gap = 0\n" + MAP, "map.toml: max_gap: 0; allowed: "),
-        (MAP[MAP.index("[curvature]"):], "map.toml: speed: missing, and has no default"),
+        ("speed = 1 2", "not a TOML file: "), ("speed = " + "[" * 100_000, "not a TOML file: "),
+        (MAP.replace("[speed]", "[sped]"), "sped: no such key; did you mean 'speed'? (allowed: "),
+        (MAP.replace("scale", "sign", 1), "lane_offset.sign: no such key; allowed: channel, "),
+        (MAP.replace("scale = -1", "scale = '-1'", 1), "lane_offset.scale: '-1'; allowed: a number"),
+        (MAP.replace("scale = -1", "unit = 'furlong'", 1), "lane_offset.unit: 'furlong' of 'LaneOffset'; allowed: m,"),
+        (MAP.replace("min = 2", "unit = 'm'"), "valid.unit: 'm' of 'LaneQuality'; allowed: none, it is a state"),
+        (MAP.replace('channel = "LaneWidth"', ""), "lane_width.channel: missing, and has no default"),
+        (MAP.replace('[lane_width]\nchannel = "LaneWidth"', ""), "lane_width: missing; needed: this, left_line and "),
+        ("constant_lane_width = 0\n" + MAP, "constant_lane_width: 0; allowed: "),
+        (MAP.replace("[lane_offset]", "[left_line]"), "lane_offset: missing; needed: this, or left_line and right_lin"),
+        (MAP.replace("scale = -1", "min = 1", 1), "lane_offset.min: no such key; allowed: channel, "),
+        ("max_gap = 0\n" + MAP, "max_gap: 0; allowed: "),
+        (MAP[MAP.index("[curvature]"):], "speed: missing, and has no default"),
+        (MAP.replace("scale = -1", "occurrence = 0", 1), "lane_offset.occurrence: 0; allowed: "),
+        (MAP.replace("scale = -1", "occurrence = 1.0", 1), "lane_offset.occurrence: 1.0; allowed: a whole number"),
+        (MAP.replace("scale = -1", "occurence = 1", 1), "lane_offset.occurence: no such key; did you mean 'occurrence"),
+        (MAP + "[heading]\nchannel = 'H'\nunit = 'gon'", "heading.unit: 'gon' of 'H'; allowed: rad, mrad, deg, °"),
+        (MAP + "[steering]\nchannel = 'H'\nunit = '1/m'", "steering.unit: '1/m' of 'H'; allowed: rad, mrad, deg, °"),
+        (MAP + "[engaged]\nchannel = 'H'\nunit = 's'", "engaged.unit: 's' of 'H'; allowed: none, it is a state"),
+        (MAP + "[engaged]\nchannel = 'H'\nmin = 1", "engaged.min: no such key; allowed: channel, group, occurrence, "),
     ],
 )  # fmt: skip
-def test_a_wrong_map_is_named(log: Path, tmp_path: Path, text: str, message: str) -> None:
+def test_a_wrong_map_is_named(tmp_path: Path, text: str, message: str) -> None:
     path = tmp_path / "map.toml"
     path.write_text(text)
-    with pytest.raises(InputError, match=re.escape(message)):
-        open_recordings(log, channels=path)
+    with pytest.raises(InputError, match=re.escape(f"map.toml: {message}")):
+        mdf_logs.read_channel_map(path)
 
 
 def test_texts_are_states(tmp_path: Path) -> None:
@@ -292,10 +266,7 @@ def test_texts_are_states(tmp_path: Path) -> None:
     partly = {"lower_0": 4095, "upper_0": 4095, "text_0": "SNA", "default_addr": {"a": 1.0, "b": 0.0}}
     log = write_log(tmp_path / "a.mf4", content, TurnSignal={"conversion": texts}, LaneOffset={"conversion": partly})
     channels = MAP + '[turn_signal]\nchannel = "TurnSignal"\n'
-    assert problem(log, channels) == (
-        "a.mf4: turn_signal: channel 'TurnSignal' holds texts ('off', 'RIGHT', 'LEFT'); allowed: numbers, or `values` "
-        "for them in the map"
-    )
+    assert "turn_signal: channel 'TurnSignal' holds texts ('off', 'RIGHT', 'LEFT'); " in problem(log, channels)
     found = extract(log, channels + "values = {LEFT = 1, RIGHT = -1}")
     assert (found.refused.intended, found.refused.invalid) == (2, 1)
     assert_planted(found, missing=(0, 1, 4))
@@ -309,9 +280,7 @@ def test_numbers_of_a_signal_that_mean_nothing_here_are_named(tmp_path: Path, ch
     bus["TurnSignal"] = (np.select([(t > 14.0) & (t < 20.0), (t > 61.0) & (t < 66.0)], [2, 1]), "")
     log = write_log(tmp_path / "a.mf4", content)
     channels = f'{MAP}[{channel}]\nchannel = "TurnSignal"\n'
-    assert problem(log, channels) == (
-        f"a.mf4: {channel}: channel 'TurnSignal' holds the number 2; allowed: -1, 0, 1, or `values` for them in the map"
-    )
+    assert f"{channel}: channel 'TurnSignal' holds the number 2; allowed: -1, 0, 1, " in problem(log, channels)
     if channel == "turn_signal":
         found = extract(log, channels + "values = {1 = 1, 2 = -1}")
         assert found.refused.intended == 2
@@ -356,19 +325,6 @@ def test_lane_labels(tmp_path: Path) -> None:
     assert found.refused.lane_change == 1
 
 
-def test_times_that_run_backwards_are_left_out(tmp_path: Path) -> None:
-    content = groups()
-    name, t, camera = content[0]
-    t = t.copy()
-    t[100] = 0.5
-    content[0] = (name, t, camera)
-    found = extract(write_log(tmp_path / "a.mf4", content))
-    assert_planted(found)
-    assert found.provenance.problems == (
-        "a.mf4, group 0: 1 samples have no time, or one that runs backwards; left out",
-    )
-
-
 def test_an_array_is_refused(tmp_path: Path) -> None:
     content = groups()
     pairs = np.zeros(content[0][1].size, dtype=[("LaneOffset", np.float64, (2,))])
@@ -377,21 +333,9 @@ def test_an_array_is_refused(tmp_path: Path) -> None:
     assert re.match(r"a\.mf4: lane_offset: channel 'LaneOffset' holds .*; allowed: a number or text at a time$", text)
 
 
-def test_nan_is_missing(tmp_path: Path) -> None:
-    content = groups()
-    v = content[1][2]["VehicleSpeed"][0]
-    v[2000] = np.nan  # at 40 s
-    assert_planted(extract(write_log(tmp_path / "a.mf4", content)), missing=(3,))
-
-
-def test_empty_groups(tmp_path: Path) -> None:
-    """One beside another of the same channel does not count; one alone is named."""
+def test_an_empty_group_beside_another_of_the_same_channel_does_not_count(tmp_path: Path) -> None:
     empty = ("Old", np.array([]), {"LaneOffset": (np.array([]), "m")})
     assert_planted(extract(write_log(tmp_path / "a.mf4", [empty, *groups()])))
-    content = [empty, ("Camera", groups()[0][1], {"LaneWidth": groups()[0][2]["LaneWidth"]})]
-    assert problem(write_log(tmp_path / "b.mf4", content), MAP) == (
-        "b.mf4: lane_offset: channel 'LaneOffset' cannot be placed in time: its group 0 has no samples"
-    )
 
 
 def test_a_folder_is_trips_and_a_damaged_one_is_named(tmp_path: Path) -> None:
@@ -439,16 +383,11 @@ def test_the_listed_map_is_one(log: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["a.mf4", "-o", "d.parquet"],
-         "ldc: error: a.mf4: needs a channel map; allowed: --channels MAP.toml (--list-channels prints one to start "
-         "from)\n"),
-        (["a.mf4", "--channels", "none.toml", "-o", "d.parquet"],
-         "none.toml: cannot be read: No such file or directory\n"),
-        (["a.mf4"], "ldc: error: -o: not given; allowed: -o FILE.parquet, the departures table to write\n"),
-        (["a.csv", "--channels", "m.toml", "-o", "d.parquet"],
-         "ldc: error: channels: /", ),
-        (["a.csv", "--list-channels"],
-         "ldc: error: a.csv: cannot be read as MDF; it is damaged, or none ("),
+        (["a.mf4", "-o", "d.parquet"], "a.mf4: needs a channel map; allowed: --channels MAP.toml (--list-channels "),
+        (["a.mf4", "--channels", "none.toml", "-o", "d.parquet"], "none.toml: cannot be read: No such file or directo"),
+        (["a.mf4"], "-o: not given; allowed: -o FILE.parquet"),
+        (["a.csv", "--channels", "m.toml", "-o", "d.parquet"], "channels: /"),
+        (["a.csv", "--list-channels"], "a.csv: cannot be read as MDF; it is damaged, or none ("),
     ],
 )  # fmt: skip
 def test_the_command_says_what_is_missing(log: Path, tmp_path: Path, arguments: list[str], message: str) -> None:
@@ -616,24 +555,24 @@ def test_the_pages_map_and_python_run(
     ("quantity", "channel", "unit"),
     [
         ("left_line", "Lane_Dist_Left", "m"), ("right_line", "DistToLineRight", "cm"),
-        ("lane_offset", "LatDevCenter", "m"), ("speed", "VehSpd", "km/h"),
-        ("yaw_rate", "ESP_YawRate", "deg/s"), ("curvature", "LaneCurv", "1/m"),
-        ("left_signal", "BlinkerLeft", ""), ("right_signal", "TurnIndicator_Right", ""), ("lane", "LaneIndex", ""),
+        ("lane_offset", "LatDevCenter", "m"), ("lane_offset", "LatOffsetHeading", "m"), ("speed", "VehSpd", "km/h"),
+        ("speed", "GPS_Speed", "m/s"), ("yaw_rate", "ESP_YawRate", "deg/s"), ("yaw_rate", "YawRate", "deg/s"),
+        ("curvature", "LaneCurv", "1/m"), ("curvature", "LaneCurvature", "1/m"), ("valid", "LaneQuality", ""),
+        ("left_signal", "BlinkerLeft", ""), ("right_signal", "TurnIndicator_Right", ""),
+        ("turn_signal", "TurnIndicator", ""), ("lane", "LaneIndex", ""),
+        ("steering", "SteeringWheelAngle", "deg"), ("steering", "StWhlAng", "rad"), ("steering", "ESP_SteerAngle", "°"),
+        ("steering", "SWA", "deg"), ("heading", "GPS_Heading", "deg"), ("heading", "CourseOverGround", "rad"),
+        ("engaged", "LKA_Active", ""), ("engaged", "LDP_Engaged", ""), ("engaged", "LatCtrlAct", ""),
+        ("engaged", "LaneKeepAssistActive", ""), ("engaged", "LKS_State_Engaged", ""),
+        (None, "SteeringWheelSpeed", "deg/s"), (None, "SteeringTorque", "Nm"), (None, "SteeringAngleValid", ""),
+        (None, "HeadingRate", ""), (None, "PlatformActive", ""), (None, "LatAccActual", "m/s^2"),
+        (None, "SwapCount", "1"),
     ],
 )  # fmt: skip
-def test_guesses_by_names_and_units(tmp_path: Path, quantity: str, channel: str, unit: str) -> None:
+def test_guesses_by_names_and_units(tmp_path: Path, quantity: str | None, channel: str, unit: str) -> None:
     t = np.arange(3.0)
-    others = {
-        "WheelSpeedFL": (t, "km/h"),
-        "EngineSpeed": (t, "1/min"),
-        "LeftTemperature": (t, "degC"),
-        channel: (t, unit),
-    }
-    log = write_log(tmp_path / "a.mf4", [("All", t, others)])
-    guess = tomllib.loads(mdf_logs.list_channels(log))
-    assert guess == {quantity: {"channel": channel, "group": "All", **({"unit": unit} if unit else {})}}
-
-
-def test_it_is_an_error_of_the_family() -> None:
-    with pytest.raises(LdcError):
-        open_recordings(__file__, format="mdf")
+    others = {"WheelSpeedFL": (t, "km/h"), "EngineSpeed": (t, "1/min"), "LeftTemperature": (t, "degC")}
+    log = write_log(tmp_path / "a.mf4", [("All", t, others | {channel: (t, unit)})])
+    guess = {"channel": channel, "group": "All", **({"unit": unit} if unit else {})}
+    expected = {} if quantity is None else {quantity: [guess] if quantity == "valid" else guess}
+    assert tomllib.loads(mdf_logs.list_channels(log)) == expected

@@ -10,6 +10,7 @@ import pytest
 
 from helpers.cli import run_python
 from helpers.mdf import PLANTED, VEHICLE, WIDTH, curvature, lane_offset, speed
+from helpers.planted import assert_planted
 from ldctoolkit.recordings import extract_departures, open_recordings
 
 NS = 1e9
@@ -49,16 +50,9 @@ def test_the_lines_turn_signs_and_keep_departures(tmp_path: Path) -> None:
     scope: dict[str, Any] = run_python("docs/how-to/openpilot-logs.md", {"__name__": "page"})
     scope["write_table"](tmp_path / "drive.csv", drive(), "route", camera_left=CAMERA)
     found = extract_departures(open_recordings(tmp_path / "drive.csv"), vehicle_width=VEHICLE)
-    departures = found.departures
     # the fifth with its signal on, the fourth where a line is not sure, the sixth while openpilot steers
-    planted = PLANTED[:3]
     assert (found.refused.intended, found.refused.invalid, found.refused.engaged) == (1, 1, 1)
-    assert departures.side.tolist() == [one.side for one in planted]
-    np.testing.assert_allclose(departures.start_time, [one.start for one in planted], atol=0.05)
-    np.testing.assert_allclose(departures.T, [one.T for one in planted], atol=0.05)
-    np.testing.assert_allclose(departures.d_y, [one.d_y for one in planted], atol=0.01)
-    outward = departures.side * curvature(departures.start_time)
-    np.testing.assert_allclose(departures.c_0, outward, atol=5e-5)
+    assert_planted(found.departures, PLANTED[:3], curvature, step=0.05, bend=5e-5)
     assert found.provenance.curvature == "yaw_rate"
 
 

@@ -4,7 +4,6 @@ import dataclasses
 import pickle
 import re
 import sys
-import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from helpers.cli import ROOT, blocks, install, run_python
 from helpers.recordings import OFFSET, T, drive
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings import (
@@ -75,13 +75,6 @@ def test_a_part_is_told_under_the_name_that_it_shows(shown, name):
     assert [problem.file for problem in result.problems] == [name]
 
 
-DOCS = Path(__file__).resolve().parents[3] / "docs"
-
-
-def blocks(page: str, language: str) -> list[str]:
-    return re.findall(rf"```{language}\n(.*?)```", (DOCS / page).read_text(encoding="utf-8"), flags=re.S)
-
-
 def log(path: Path, *, driver: str = "driver Ann", side: int = 1) -> None:
     """What the guide's logger writes; one departure."""
     rows = [f"{round(1000 * t)} {-100 * side * y:.2f} 360 90 {0.6 * side:.3f}" for t, y in zip(T, OFFSET, strict=True)]
@@ -91,15 +84,12 @@ def log(path: Path, *, driver: str = "driver Ann", side: int = 1) -> None:
 @pytest.fixture
 def guide(tmp_path, monkeypatch):
     """The guide's package, installed as pip leaves a pure one."""
-    site, point = tmp_path / "site", tomllib.loads(blocks("how-to/my-reader.md", "toml")[0])["project"]
-    (site / "lane_logs").mkdir(parents=True)
-    (site / "lane_logs" / "__init__.py").write_text("")
-    (site / "lane_logs" / "reader.py").write_text(blocks("how-to/my-reader.md", "python")[0], encoding="utf-8")
-    info = site / "lane_logs-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {point['name']}\nVersion: {point['version']}\n")
-    lines = [f"{key} = {value}" for key, value in point["entry-points"][readers.GROUP].items()]
-    (info / "entry_points.txt").write_text("\n".join([f"[{readers.GROUP}]", *lines]))
+    project, site = tmp_path / "lane-logs", tmp_path / "site"
+    (project / "lane_logs").mkdir(parents=True)
+    (project / "pyproject.toml").write_text(blocks("docs/how-to/my-reader.md", "toml")[0])
+    (project / "lane_logs" / "__init__.py").write_text("")
+    (project / "lane_logs" / "reader.py").write_text(blocks("docs/how-to/my-reader.md", "python")[0], encoding="utf-8")
+    install(project, site)
     monkeypatch.syspath_prepend(site)
     for cache in (readers._installed, readers.recording_reader):
         cache.cache_clear()
@@ -146,17 +136,15 @@ def test_the_guides_reader(guide):
 
 def test_the_python_of_the_page_runs(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    (code,) = blocks("how-to/my-recordings.md", "python")
-    exec(compile(code, "how-to/my-recordings.md", "exec"), {"__name__": "page"})
+    run_python("docs/how-to/my-recordings.md", {"__name__": "page"})
     first, second, *_ = capsys.readouterr().out.splitlines()
-    assert first.startswith("table ")
-    assert second == "8 1.0 minutes"
+    assert (first[:6], second) == ("table ", "8 1.0 minutes")
     assert (tmp_path / "departures.parquet").is_file()
 
 
 def test_the_page_names_everything():
     """Every format, every reason, every setting that the metadata hold."""
-    text = (DOCS / "how-to/my-recordings.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs/how-to/my-recordings.md").read_text(encoding="utf-8")
     names = [*reader_names(), *REASONS]
     names += [field.name for kind in (Preparation, Provenance) for field in dataclasses.fields(kind)]
     for name in names:

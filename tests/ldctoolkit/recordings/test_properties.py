@@ -375,14 +375,3 @@ def test_planted_departures_come_back(data, rate, side, n):
         most = asked(*(getattr(planted, name)[i] for name in ("T", "d_y", "v_mean", "a_mean", "c_0", "dc")))
         if abs(most - 1.0) > 0.1:
             assert (f"r{i}" in kept) == (most < 1.0)
-
-
-@pytest.mark.parametrize("rate", [10, 20, 50])
-def test_more_samples_bring_the_duration_closer(rate):
-    """The error of T falls with the square of the step."""
-    T, d_y, start = 1.93, 0.3, 5.037
-    t = np.arange(round(12.0 * rate)) / rate
-    share = (t - start) / T
-    y = np.maximum(4.0 * d_y * share * (1.0 - share), -0.3)
-    d = extract_departures([drive(t=t, lane_offset=y + 0.9)], vehicle_width=WIDTH).departures
-    assert abs(d.T[0] - T) < 2.0 * 0.4 / rate**2 / T

@@ -210,14 +210,6 @@ def test_a_broken_file_with_a_known_name_is_named(given: str, file: str, kind: s
         assert "no reader" not in str(caught.value)
 
 
-def test_files_given_by_themselves_are_no_problem_of_the_other_reader(tmp_path: Path) -> None:
-    files = {"DataLane.csv": TABLES["spmd-das1"][1], "DataWsu.csv": WSU, "HV_Primary.csv": TABLES["spmd-das2"][1]}
-    for name, text in files.items():
-        (tmp_path / name).write_text(text)
-    source = open_recordings([tmp_path / name for name in files]).source
-    assert ([file.name for file in source.files], source.problems) == (list(files), ())
-
-
 def test_if_every_reader_fails_the_first_one_tells(tmp_path: Path) -> None:
     (tmp_path / "DataLane.csv").write_bytes(b"")
     (tmp_path / "HV_Primary.csv").write_bytes(b"")

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from helpers import spmd, uah
-from ldctoolkit.recordings import Criteria, Preparation, Problem, Recording, extract_part, open_recordings
+from helpers.recordings import read_source
+from ldctoolkit.recordings import Criteria, Preparation, Recording, extract_part, open_recordings
 from ldctoolkit.recordings.departures_table import combined_results
 
 # departures to the left from 8.03 to 10.34 s and to the right from 17.45 to 19.35 s, at 10 Hz
@@ -30,16 +31,13 @@ class Found:
 
 def found_in(folder: Path) -> Found:
     opened = open_recordings([folder])
-    items = [item for part in opened.source.parts for item in part.read()]
-    problems = [*opened.source.problems, *(item for item in items if isinstance(item, Problem))]
+    recordings, problems = read_source(opened.source)
     criteria = Criteria(vehicle_width=opened.reader.vehicle_width)
     result = combined_results(
         extract_part(part, criteria, Preparation(step=opened.reader.step)) for part in opened.source.parts
     )
     return Found(
-        {item.name: item for item in items if isinstance(item, Recording)},
-        [str(problem) for problem in problems],
-        result.departures.side.tolist(),
+        {one.name: one for one in recordings}, [str(problem) for problem in problems], result.departures.side.tolist()
     )
 
 
@@ -81,14 +79,6 @@ FILES = (("das1", "DataLane.csv"), ("das1", "DataWsu.csv"), ("das2", "HV_Primary
 
 def two_trips(folder: Path, kind: str, rows: int = ROWS) -> None:
     FORMATS[kind](folder, [spmd.planted_drive(7, trip, spmd.PLANTED[:2], rows=rows) for trip in (1, 2)])
-
-
-@pytest.mark.parametrize("kind", FORMATS)
-def test_spmd_without_a_fault(tmp_path: Path, kind: str) -> None:
-    two_trips(tmp_path, kind)
-    found = found_in(tmp_path)
-    assert (found.problems, found.cut("7/1"), found.cut("7/2")) == ([], None, None)
-    assert found.sides == [1, -1, 1, -1]
 
 
 LOST = [
@@ -159,22 +149,16 @@ def test_rows_at_the_start_or_end_of_a_trip(
 
 
 @pytest.mark.parametrize(("kind", "file"), FILES)
-def test_a_blank_line_is_no_row(tmp_path: Path, kind: str, file: str) -> None:
+def test_nul_bytes_at_the_end(tmp_path: Path, kind: str, file: str) -> None:
+    """A blank line is no row."""
     two_trips(tmp_path, kind)
     edit(tmp_path / file, lambda lines: lines.insert(1 + LEFT, ""))
-    found = found_in(tmp_path)
-    assert (found.problems, found.cut("7/1"), found.sides) == ([], None, [1, -1, 1, -1])
-
-
-@pytest.mark.parametrize(("kind", "file"), FILES)
-def test_nul_bytes_at_the_end(tmp_path: Path, kind: str, file: str) -> None:
-    two_trips(tmp_path, kind)
     path = tmp_path / file
+    found = found_in(tmp_path)
+    assert found.problems == []
     path.write_bytes(path.read_bytes() + bytes(512))
     found = found_in(tmp_path)
-    assert found.problems == [
-        f"{file}, line 602: it begins with NUL bytes; allowed: numbers of device and trip; the line is left out"
-    ]
+    assert [problem.split(":")[0] for problem in found.problems] == [f"{file}, line 603"]
     assert (found.cut("7/1"), found.cut("7/2"), found.sides) == (None, None, [1, -1, 1, -1])
 
 
@@ -183,11 +167,9 @@ def test_a_clock_of_a_trip_that_starts_again(tmp_path: Path, kind: str, file: st
     two_trips(tmp_path, kind)
     edit(tmp_path / file, lambda lines: lines.__setitem__(slice(301, 301), lines[101:301]))
     found = found_in(tmp_path)
-    unit = 100 if kind == "das2" else 10
-    assert found.problems == [
-        f"{file}, line 302: trip 7/1: the time runs backwards from {299 * unit} to {100 * unit}, and 199 of 500 lines "
-        "are out of order (allowed: 5 %); the trip is left out"
-    ]
+    (problem,) = found.problems
+    assert problem.startswith(f"{file}, line 302: trip 7/1: the time runs backwards from ")
+    assert "199 of 500 lines" in problem
     assert (list(found.recordings), found.cut("7/2"), found.sides) == (["7/2"], None, [1, -1])
 
 
@@ -204,16 +186,15 @@ def test_the_share_of_rows_in_disorder(tmp_path: Path, kind: str, file: str, beh
         assert (found.cut("7/1"), found.sides) == ([200], [1, -1, 1, -1])
 
 
+def in_turns(lines: Lines) -> None:
+    """Both trips' rows in the order of time, as if they had been sorted by it alone."""
+    lines[1:601] = [line for pair in zip(lines[1:301], lines[301:601], strict=True) for line in pair]
+
+
 @pytest.mark.parametrize(("kind", "file"), FILES)
 def test_trips_in_turns_are_not_cut(tmp_path: Path, kind: str, file: str) -> None:
-    """Both trips' rows in the order of time, as if they had been sorted by it alone; nothing is lost."""
     two_trips(tmp_path, kind)
-    edit(
-        tmp_path / file,
-        lambda lines: lines.__setitem__(
-            slice(1, 601), [one for pair in zip(lines[1:301], lines[301:601], strict=True) for one in pair]
-        ),
-    )
+    edit(tmp_path / file, in_turns)
     found = found_in(tmp_path)
     assert (found.cut("7/1"), found.cut("7/2"), found.sides) == (None, None, [1, -1, 1, -1])
 
@@ -224,7 +205,7 @@ def test_a_row_lost_where_trips_stand_in_turns(tmp_path: Path) -> None:
     def change(lines: Lines) -> None:
         put([LEFT], "cells")(lines)
         put([300 + RIGHT], "number")(lines)
-        lines[1:601] = [one for pair in zip(lines[1:301], lines[301:601], strict=True) for one in pair]
+        in_turns(lines)
 
     edit(tmp_path / "HV_Primary.csv", change)
     found = found_in(tmp_path)
@@ -240,20 +221,6 @@ def test_a_piece_that_changes_its_place_in_time(tmp_path: Path) -> None:
     )
     found = found_in(tmp_path)
     assert (found.cut("7/1"), found.recordings["7/1"].samples, found.sides) == ([92], ROWS, [-1, 1, -1])
-
-
-def test_null_cells_are_no_lost_rows(tmp_path: Path) -> None:
-    two_trips(tmp_path, "das2")
-
-    def change(lines: Lines) -> None:
-        for row in (LEFT, 250):
-            cells = lines[1 + row].split(",")
-            cells[spmd.COLUMNS.index("InVehicle_Yaw_Rate")] = "NULL"
-            lines[1 + row] = ",".join(cells)
-
-    edit(tmp_path / "HV_Primary.csv", change)
-    found = found_in(tmp_path)
-    assert (found.problems, found.cut("7/1"), found.recordings["7/1"].samples) == ([], None, ROWS)
 
 
 # departures to the left from 22.7 to 25.0 s and to the right from 31.05 to 32.95 s

@@ -12,8 +12,10 @@ from hypothesis import strategies as st
 
 from helpers import spmd
 from helpers.bits import examples
+from helpers.planted import assert_planted
+from helpers.recordings import read_source
 from ldctoolkit.errors import RecordingError
-from ldctoolkit.recordings import Criteria, Preparation, Problem, Recording, extract_part
+from ldctoolkit.recordings import Criteria, Preparation, Recording, extract_part
 from ldctoolkit.recordings.departures_table import PartResult, combined_results
 from ldctoolkit.recordings.recording import FoundParts
 from ldctoolkit.recordings.spmd_das1 import READER, Das1Part, SpmdDas1, nearest_rows
@@ -22,11 +24,6 @@ from ldctoolkit.recordings.spmd_das1 import READER, Das1Part, SpmdDas1, nearest_
 def extracted(source: FoundParts[Das1Part]) -> PartResult:
     criteria, preparation = Criteria(vehicle_width=READER.vehicle_width), Preparation(step=READER.step)
     return combined_results(extract_part(part, criteria, preparation) for part in source.parts)
-
-
-def read_all(source: FoundParts[Das1Part]) -> tuple[list[Recording], list[Problem]]:
-    items = [item for part in source.parts for item in part.read()]
-    return [one for one in items if isinstance(one, Recording)], [one for one in items if isinstance(one, Problem)]
 
 
 def assert_same(left: Iterable[Recording], right: Iterable[Recording]) -> None:
@@ -40,18 +37,8 @@ def assert_same(left: Iterable[Recording], right: Iterable[Recording]) -> None:
 def test_planted_departures_are_given_back(tmp_path: Path, first: int) -> None:
     spmd.write_tables(tmp_path, [spmd.planted_drive(10107, 60, first=first)])
     found = extracted(READER.open([tmp_path])).departures
-    assert found.n == len(spmd.PLANTED)
-    for i, one in enumerate(spmd.PLANTED):
-        assert (found.side[i], found.recording[i]) == (one.side, "10107/60")
-        assert found.start_time[i] == pytest.approx(first / 100.0 + one.start, abs=0.1)
-        assert (found.T[i], found.d_y[i]) == (pytest.approx(one.T, abs=0.1), pytest.approx(one.d_y, abs=0.01))
-        c = one.side * spmd.curvature_at(np.array([one.start, one.start + one.T]))
-        assert np.sign(found.c_0[i]) == np.sign(c[0])
-        # the road bends by a sine: near its crest the slope says nothing
-        if abs(c[1] - c[0]) > 1e-4:
-            assert np.sign(found.dc[i]) == np.sign(c[1] - c[0])
-    bends = {(side, np.sign(side * c)) for side, c in zip(found.side, found.c_0, strict=True)}
-    assert bends == {(1, 1), (1, -1), (-1, 1), (-1, -1)}  # both sides in both bends
+    assert set(found.recording) == {"10107/60"}
+    assert_planted(found, spmd.PLANTED, spmd.curvature_at, clock=first / 100.0)
 
 
 def test_units_signs_and_validity(tmp_path: Path) -> None:
@@ -77,7 +64,7 @@ def test_units_signs_and_validity(tmp_path: Path) -> None:
     wsu = "\n".join([",".join(header), *(",".join(str(row[name]) for name in header) for row in rows)])
     (tmp_path / "DataLane.csv").write_text(lane)
     (tmp_path / "DataWsu.csv").write_text(wsu)
-    (one,), problems = read_all(READER.open([tmp_path]))
+    (one,), problems = read_source(READER.open([tmp_path]))
     assert (problems, one.name, one.source) == ([], "7/1", "DataLane.csv")
     nan = np.nan
     np.testing.assert_allclose(one.t, np.arange(8) * 0.1)
@@ -97,7 +84,7 @@ def test_a_lag_of_more_than_half_a_step_joins_nothing(tmp_path: Path, lag: int, 
     spmd.write_tables(tmp_path, [drive], lag=lag)
     wsu = spmd.wsu_frame([drive], lag=lag)[::2]
     (tmp_path / "DataWsu.csv").write_bytes(spmd.text_of(wsu))
-    (one,), _ = read_all(READER.open([tmp_path]))
+    (one,), _ = read_source(READER.open([tmp_path]))
     expected = wsu["SpeedWsu"].to_numpy() / 3.6
     np.testing.assert_allclose(one.speed[::2], expected if near else np.full(50, np.nan), rtol=1e-12)
 
@@ -115,7 +102,7 @@ def test_parts_of_any_size_give_the_same(tmp_path: Path) -> None:
     spmd.write_tables(tmp_path, drives[:9], suffix="_October")
     spmd.write_tables(tmp_path, drives[9:], suffix="_April")
     whole = READER.open([tmp_path])
-    recordings, problems = read_all(whole)
+    recordings, problems = read_source(whole)
     assert len(whole.parts) == 2  # two lane tables
     assert [one.name for one in recordings] == [f"{10100 + i // 7}/{i}" for i in (*range(9, 17), *range(9))]
     assert (problems, whole.problems) == ([], ())
@@ -130,7 +117,7 @@ def test_parts_of_any_size_give_the_same(tmp_path: Path) -> None:
         assert sum(part.bytes for part in source.parts) == sum(part.bytes for part in whole.parts)
         # what bounds the memory: a part ends with the trip that fills it
         assert max(part.bytes for part in source.parts) < part_bytes + max(largest)
-        assert_same(read_all(source)[0], recordings)
+        assert_same(read_source(source)[0], recordings)
         other = extracted(source).departures
         np.testing.assert_array_equal(other.matrix(), found.matrix())
         np.testing.assert_array_equal(other.recording, found.recording)
@@ -140,20 +127,20 @@ def test_parts_of_any_size_give_the_same(tmp_path: Path) -> None:
 def test_the_order_of_trips_in_the_other_table_does_not_matter(tmp_path: Path) -> None:
     drives = fleet()
     lane, wsu = spmd.write_tables(tmp_path, drives)
-    recordings, _ = read_all(READER.open([lane, wsu]))
+    recordings, _ = read_source(READER.open([lane, wsu]))
     wsu.write_bytes(spmd.text_of(spmd.wsu_frame(drives[::-1])))
-    assert_same(read_all(READER.open([wsu, lane]))[0], recordings)
+    assert_same(read_source(READER.open([wsu, lane]))[0], recordings)
 
 
 def test_columns_are_found_by_name(tmp_path: Path) -> None:
     drives = fleet()[:3]
     lane, wsu = spmd.write_tables(tmp_path, drives)
-    recordings, _ = read_all(READER.open([tmp_path]))
+    recordings, _ = read_source(READER.open([tmp_path]))
     frame = spmd.lane_frame(drives)
     order = ["Device", "Trip", *reversed([name for name in spmd.LANE_COLUMNS[2:] if name != "LaneHeading"])]
     lane.write_bytes(spmd.text_of(frame.select(order)).replace(b"LaneDistanceLeft", b" lanedistanceleft "))
     wsu.write_bytes(spmd.text_of(spmd.wsu_frame(drives).with_columns(pl.lit('a "word"').alias("Note"))))
-    assert_same(read_all(READER.open([tmp_path]))[0], recordings)
+    assert_same(read_source(READER.open([tmp_path]))[0], recordings)
 
 
 def test_tables_with_one_name_are_told_apart(tmp_path: Path) -> None:
@@ -164,7 +151,7 @@ def test_tables_with_one_name_are_told_apart(tmp_path: Path) -> None:
     assert [one.name for one in source.files] == [
         "april/DataLane.csv", "october/DataLane.csv", "april/DataWsu.csv", "october/DataWsu.csv",
     ]  # fmt: skip
-    assert {one.source for one in read_all(source)[0]} == {"april/DataLane.csv", "october/DataLane.csv"}
+    assert {one.source for one in read_source(source)[0]} == {"april/DataLane.csv", "october/DataLane.csv"}
 
 
 @pytest.mark.parametrize(("folder", "suffix"), [("two-month", ""), ("one-day", "_04_11_13")])
@@ -176,7 +163,7 @@ def test_the_real_heads_with_a_made_partner(sample: Path, tmp_path: Path, folder
         drive = spmd.planted_drive(device, trip, first=real["Time"][0], rows=real.height)
         partner = tmp_path / "partner.csv"
         partner.write_bytes(spmd.text_of(make([drive])))
-        (one,), problems = read_all(READER.open([path, partner]))
+        (one,), problems = read_source(READER.open([path, partner]))
         assert (problems, one.name) == ([], f"{device}/{trip}")
         assert one.samples == real.height == 19
         np.testing.assert_allclose(one.t, real["Time"].to_numpy() / 100)

@@ -110,27 +110,6 @@ def test_a_text_in_two_pieces_gives_the_same(lines: list[bytes], at: int) -> Non
     assert [(fault.line, fault.what) for fault in whole.faults] == reported
 
 
-PLAIN = st.one_of(
-    st.integers(-(10**19), 10**19).map(str),
-    st.floats(-1e6, 1e6).map(repr),
-    st.floats(-1e6, 1e6).map(lambda value: f"{value:.7E}"),
-    st.builds(lambda a, b: f"{a}.{b}", st.integers(-(10**6), 10**6), st.text("0123456789", max_size=14)),
-    st.builds(lambda a, b: f"{a}e{b}", st.integers(-(10**16), 10**16), st.integers(-30, 30)),
-    st.sampled_from(["", "-0", "-0.0", "0.1", "9007199254740993", "9007199254740992", "1.", "-.5"]),
-)
-
-
-@examples(300)
-@given(rows=st.lists(st.tuples(PLAIN, PLAIN), min_size=1, max_size=8), end=st.sampled_from(["\n", "\r\n"]))
-def test_numbers_are_rounded_as_python_does(rows: list[tuple[str, str]], end: str) -> None:
-    text = "".join(f"7,{one},x y,{other}{end}" for one, other in rows).encode()
-    found = numbers_in(text, ("b", "d"))
-    for name, cells in zip("bd", zip(*rows, strict=True), strict=True):
-        expected = np.array([float(cell or "nan") for cell in cells])
-        np.testing.assert_array_equal(found[name], expected)
-        np.testing.assert_array_equal(np.signbit(found[name]), np.signbit(expected))
-
-
 @pytest.mark.parametrize("line", [b"1,2,3,4\n", b"1,2,3,4,,\n", b"1,2,3,4,5,6\r\n"])
 def test_every_allowed_number_of_cells_alone(line: bytes) -> None:
     found = numbers_in(line * 3, ("d", "a"), (4, 6))

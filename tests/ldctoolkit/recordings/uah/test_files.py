@@ -8,8 +8,9 @@ import shutil
 import numpy as np
 import pytest
 
+from helpers.uah import make_trip
 from ldctoolkit.errors import RecordingError
-from ldctoolkit.recordings.recording import Label, Recording, RecordingPart, RecordingReader, RecordingSource
+from ldctoolkit.recordings.recording import Label, Recording
 from ldctoolkit.recordings.uah_driveset import READER
 
 LANE, GPS, YAW = "PROC_LANE_DETECTION.txt", "RAW_GPS.txt", "RAW_ACCELEROMETERS.txt"
@@ -38,14 +39,6 @@ def root(tmp_path):
     (root / "README.txt").write_text("about")
     (root / "D1" / "notes").mkdir()
     return root
-
-
-def test_the_protocols(root):
-    source = READER.open([root])
-    assert isinstance(READER, RecordingReader)
-    assert isinstance(source, RecordingSource)
-    assert all(isinstance(part, RecordingPart) for part in source.parts)
-    assert (READER.name, READER.vehicle_width, READER.step) == ("uah-driveset", 1.8, 0.1)
 
 
 def test_root_driver_trip_or_file(root):
@@ -148,13 +141,13 @@ def read(folder):
 
 
 @pytest.fixture
-def folder(made, tmp_path):
-    return made().write(tmp_path)
+def folder(tmp_path):
+    return make_trip().write(tmp_path)
 
 
 @pytest.fixture
-def sound(made, tmp_path):
-    return read(made().write(tmp_path / "sound"))[1]
+def sound(tmp_path):
+    return read(make_trip().write(tmp_path / "sound"))[1]
 
 
 def change(path, number, line):
@@ -184,18 +177,6 @@ def test_a_faulty_line(folder, sound, line, what):
         np.testing.assert_array_equal(getattr(found, column), np.delete(getattr(sound, column), 499))
 
 
-def test_a_truncated_file(folder, sound):
-    data = (folder / LANE).read_bytes()
-    (folder / LANE).write_bytes(data[:60_001])
-    whole, rest = data[:60_001].count(b"\n"), data[:60_001].rpartition(b"\n")[2]
-    assert 0 < len(rest.split()) < 5
-    problems, found = read(folder)
-    assert len(problems) == 1
-    assert problems[0].startswith(f"/{LANE}, line {whole + 1}: ")
-    assert found.samples == whole
-    np.testing.assert_array_equal(found.t, sound.t[:whole])
-
-
 def test_a_yaw_rate_from_the_course_is_marked(folder, sound):
     """It is the heading's own slope, and says nothing about the yaw angle."""
     assert sound.yaw_rate_measured[sound.valid].all()
@@ -221,44 +202,16 @@ def test_swapped_files(folder, one, other):
     assert (found is None) == (one != YAW)
 
 
-def test_time_runs_backwards(made, sound, tmp_path):
-    trip = made()
-    trip.lane[700:720, 0] -= 5.0
-    trip.gps[50, 0] = 9999.0
-    problems, found = read(trip.write(tmp_path))
-    before, here = trip.lane[699, 0], trip.lane[700, 0]
-    assert problems == [
-        f"/{LANE}, line 701: the time runs backwards from {before:.12g} to {here:.12g}; 20 lines are left out",
-        f"/{GPS}, line 51: the time runs backwards from 9999 to {trip.gps[51, 0]}; the line is left out",
-    ]
-    np.testing.assert_array_equal(found.t, np.delete(sound.t, slice(700, 720)))
-    early = (found.t < trip.gps[49, 0]) | (found.t > trip.gps[51, 0])
-    np.testing.assert_array_equal(found.speed[early], np.delete(sound.speed, slice(700, 720))[early])
-
-
-def test_a_clock_that_starts_again(made, sound, tmp_path):
-    """Two drives in one file: the second one's times lie before the end of the first."""
-    trip = made()
-    trip.lane = np.vstack([trip.lane, trip.lane[:1000]])
-    problems, found = read(trip.write(tmp_path))
-    m = sound.samples
-    assert problems == [
-        f"/{LANE}, line {m + 1}: the time runs backwards from {sound.t[-1]} to {sound.t[0]}, and 1000 of {m + 1000} "
-        "lines are out of order (allowed: 5 %); the trip is left out"
-    ]
-    assert found is None
-
-
-def test_no_detected_lane(made, tmp_path):
-    trip = made()
+def test_no_detected_lane(tmp_path):
+    trip = make_trip()
     trip.lane[:, 1:] = -9.0
     problems, found = read(trip.write(tmp_path))
     assert problems == [f"/{LANE}: no line with a detected lane (state 2) can be used"]
     assert not found.valid.any()
 
 
-def test_positions_of_another_trip(made, tmp_path):
-    trip = made()
+def test_positions_of_another_trip(tmp_path):
+    trip = make_trip()
     trip.gps[:, 0] += 1000.0
     problems, found = read(trip.write(tmp_path))
     assert found is None

@@ -10,6 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from helpers.bits import examples
+from helpers.planted import assert_planted
+from helpers.uah import PLANTED, TRUTH, make_trip
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.extract import extract_part
 from ldctoolkit.recordings.find_departures import REASONS, Criteria
@@ -82,9 +84,9 @@ def read(folder):
     return recording
 
 
-def test_the_recording(made, truth, tmp_path):
+def test_the_recording(tmp_path):
     """Units and signs of a whole trip."""
-    trip = made()
+    trip = make_trip()
     one = read(trip.write(tmp_path))
     np.testing.assert_array_equal(one.t, trip.lane[:, 0])
     np.testing.assert_array_equal(one.valid, trip.lane[:, 4] == 2.0)
@@ -92,20 +94,20 @@ def test_the_recording(made, truth, tmp_path):
     assert one.lane_offset[good].tolist() == (0.0 - trip.lane[good, 1]).tolist()
     assert one.lane_width[good].tolist() == trip.lane[good, 3].tolist()
     assert np.isnan(one.lane_offset[~good]).all()
-    np.testing.assert_allclose(one.speed, truth["speed"](one.t), atol=0.01)
-    np.testing.assert_allclose(one.yaw_rate, truth["curvature"](one.t) * truth["speed"](one.t), atol=1e-3)
+    np.testing.assert_allclose(one.speed, TRUTH["speed"](one.t), atol=0.01)
+    np.testing.assert_allclose(one.yaw_rate, TRUTH["curvature"](one.t) * TRUTH["speed"](one.t), atol=1e-3)
     # no course before 14 s; then it turns as the vehicle does, without jumps
     known = np.isfinite(one.heading)
     assert not known[one.t < 13.3].any()
     assert known[one.t > 15.0].all()
-    turned = one.heading[known] - truth["yaw"](one.t[known])
+    turned = one.heading[known] - TRUTH["yaw"](one.t[known])
     assert np.ptp(turned) < 0.03  # a course holds for half a second before the first one
     assert (one.curvature, one.lane, one.turn_signal) == (None, None, None)
     assert one.notes == ()
 
 
-def test_yaw_in_degrees(made, tmp_path):
-    trip = made()
+def test_yaw_in_degrees(tmp_path):
+    trip = make_trip()
     one = read(trip.write(tmp_path / "radians"))
     trip.accelerometers[:, 10] = np.degrees(trip.accelerometers[:, 10])
     other = read(trip.write(tmp_path / "degrees"))
@@ -113,8 +115,8 @@ def test_yaw_in_degrees(made, tmp_path):
     assert other.notes == ("the yaw angle in RAW_ACCELEROMETERS.txt goes beyond pi and is taken as degrees",)
 
 
-def test_speed_and_yaw_rate_end_at_gaps(made, tmp_path):
-    trip = made()
+def test_speed_and_yaw_rate_end_at_gaps(tmp_path):
+    trip = make_trip()
     trip.gps = trip.gps[(trip.gps[:, 0] < 60.0) | (trip.gps[:, 0] > 68.0)]
     trip.gps[(trip.gps[:, 0] > 30.0) & (trip.gps[:, 0] < 34.0), 1] = -3.6  # the phone's word for no speed
     trip.accelerometers = trip.accelerometers[np.abs(trip.accelerometers[:, 0] - 64.0) > 2.0]
@@ -134,14 +136,14 @@ def test_speed_and_yaw_rate_end_at_gaps(made, tmp_path):
     assert np.isfinite(one.yaw_rate[(t < 61.5) | (t > 66.5)]).all()
 
 
-def test_repeated_and_missing_times_in_side_files(made, truth, tmp_path):
-    trip = made()
+def test_repeated_and_missing_times_in_side_files(tmp_path):
+    trip = make_trip()
     trip.gps = np.repeat(trip.gps, 2, axis=0)
     trip.accelerometers = np.repeat(trip.accelerometers, 3, axis=0)
     trip.accelerometers = trip.accelerometers[np.arange(len(trip.accelerometers)) % 7 != 3]
     one = read(trip.write(tmp_path))
-    np.testing.assert_allclose(one.speed, truth["speed"](one.t), atol=0.01)
-    np.testing.assert_allclose(one.yaw_rate, truth["curvature"](one.t) * truth["speed"](one.t), atol=2e-3)
+    np.testing.assert_allclose(one.speed, TRUTH["speed"](one.t), atol=0.01)
+    np.testing.assert_allclose(one.yaw_rate, TRUTH["curvature"](one.t) * TRUTH["speed"](one.t), atol=2e-3)
 
 
 CRITERIA = Criteria(vehicle_width=1.8)
@@ -154,104 +156,88 @@ def extract(*paths, preparation=STEP):
     return result
 
 
-def check(departures, planted, truth, d_y=0.01, curvature=1e-4):
-    """Count exact; side, start, duration, depth and curvature of each."""
-    assert departures.side.tolist() == [one.side for one in planted]
-    for i, one in enumerate(planted):
-        assert departures.start_time[i] == pytest.approx(one.start, abs=0.05)
-        assert departures.T[i] == pytest.approx(one.T, abs=0.1)
-        assert departures.d_y[i] == pytest.approx(one.d_y, abs=d_y)
-        c = one.side * truth["curvature"](one.start + np.array([0.0, one.T]))
-        assert departures.c_0[i] == pytest.approx(c[0], abs=curvature)
-        assert departures.dc[i] == pytest.approx(c[1] - c[0], abs=2 * curvature)
-        # the signs are told, not by chance: the bends are far from 0
-        assert abs(c[0]) > 2 * curvature
-        assert np.sign(departures.c_0[i]) == np.sign(c[0])
-        if abs(c[1] - c[0]) > 2 * curvature:
-            assert np.sign(departures.dc[i]) == np.sign(c[1] - c[0])
-        v = truth["speed"](one.start + np.array([0.0, one.T]))
-        assert departures.v_mean[i] == pytest.approx(v.mean(), abs=0.05)
+def check(departures, planted, curvature=1e-4):
+    """Also the mean speed of each."""
+    assert_planted(departures, planted, TRUTH["curvature"], bend=curvature)
+    v_mean = [TRUTH["speed"](one.start + np.array([0.0, one.T])).mean() for one in planted]
+    np.testing.assert_allclose(departures.v_mean, v_mean, atol=0.05)
 
 
-def test_departures_come_back(made, planted, truth, tmp_path):
-    made().write(tmp_path)
+def test_departures_come_back(tmp_path):
+    make_trip().write(tmp_path)
     result = extract(tmp_path)
     assert result.problems == ()
-    check(result.departures, planted, truth)
-    # each side departs in a left and in a right bend, entering and leaving it
-    bends = np.sign(truth["curvature"](np.array([one.start for one in planted])))
-    assert {(one.side, bend) for one, bend in zip(planted, bends, strict=True)} == {(1, 1), (1, -1), (-1, 1), (-1, -1)}
-    assert {np.sign(value) for value in result.departures.dc} == {1.0, -1.0}
+    check(result.departures, PLANTED)
 
 
 @pytest.mark.parametrize("width", [2.5, 3.6])
-def test_scale_of_a_single_camera(made, planted, truth, tmp_path, width):
-    made(scale=width / 3.5).write(tmp_path)
+def test_scale_of_a_single_camera(tmp_path, width):
+    make_trip(scale=width / 3.5).write(tmp_path)
     result = extract(tmp_path, preparation=Preparation(step=0.1, nominal_lane_width=3.5))
-    check(result.departures, planted, truth)
+    check(result.departures, PLANTED)
     extra = {column.name: column.values for column in result.departures.extra}
     np.testing.assert_allclose(extra["lane_scale"], 3.5 / width, rtol=1e-3)
     # without it the vehicle's edge lies elsewhere: offset and width keep the factor, the vehicle's width does not
     plain = extract(tmp_path).departures
     factor, moved = width / 3.5, 0.5 * CRITERIA.vehicle_width * (1.0 - width / 3.5)
-    expected = [factor * one.d_y + moved for one in planted]
+    expected = [factor * one.d_y + moved for one in PLANTED]
     pairs = [
         (float(plain.d_y[k]), depth)
-        for one, depth in zip(planted, expected, strict=True)
+        for one, depth in zip(PLANTED, expected, strict=True)
         for k in np.flatnonzero(plain.side == one.side)
         if plain.start_time[k] < one.start + 0.5 * one.T < plain.start_time[k] + plain.T[k]
     ]
-    assert len(pairs) == sum(depth > 0.02 for depth in expected) == len(planted)
+    assert len(pairs) == sum(depth > 0.02 for depth in expected) == len(PLANTED)
     for found, depth in pairs:
         assert found == pytest.approx(depth, abs=0.01)
 
 
-def test_yaw_rate_from_the_course(made, planted, truth, tmp_path):
-    folder = made().write(tmp_path)
+def test_yaw_rate_from_the_course(tmp_path):
+    folder = make_trip().write(tmp_path)
     (folder / "RAW_ACCELEROMETERS.txt").unlink()
     result = extract(tmp_path)
-    check(result.departures, planted, truth, curvature=2e-4)
+    check(result.departures, PLANTED, curvature=2e-4)
     assert [note for note, _ in result.evidence.notes] == [
         "RAW_ACCELEROMETERS.txt is missing or cannot be used; the yaw rate there is that of the course in RAW_GPS.txt"
     ]
 
 
-def test_short_side_files(made, planted, truth, tmp_path):
+def test_short_side_files(tmp_path):
     """The accelerometers stop early, the positions begin late; each part is used as far as it goes."""
-    trip = made()
+    trip = make_trip()
     trip.accelerometers = trip.accelerometers[trip.accelerometers[:, 0] < 60.0]
     trip.gps = trip.gps[trip.gps[:, 0] > 28.0]
     trip.write(tmp_path)
     result = extract(tmp_path)
-    check(result.departures, planted[1:], truth, curvature=2e-4)
+    check(result.departures, PLANTED[1:], curvature=2e-4)
     assert len(result.problems) == 1
     assert "RAW_GPS.txt: it is short or has gaps: " in str(result.problems[0])
     assert [note.split(";")[0] for note, _ in result.evidence.notes] == ["RAW_ACCELEROMETERS.txt is short or has gaps"]
 
 
-def test_no_yaw_rate_at_all(made, planted, tmp_path):
-    trip = made()
+def test_no_yaw_rate_at_all(tmp_path):
+    trip = make_trip()
     trip.gps[:, 7] = -1.0
     folder = trip.write(tmp_path)
     (folder / "RAW_ACCELEROMETERS.txt").unlink()
     result = extract(tmp_path)
-    assert result.departures.n == len(planted)
+    assert result.departures.n == len(PLANTED)
     assert not result.departures.c_0.any()
     assert "the lane counts as straight" in result.evidence.notes[0][0]
 
 
-def test_a_gap_inside_a_departure(made, planted, truth, tmp_path):
-    trip = made()
-    middle = planted[2].start + 0.5 * planted[2].T
+def test_a_gap_inside_a_departure(tmp_path):
+    trip = make_trip()
+    middle = PLANTED[2].start + 0.5 * PLANTED[2].T
     trip.lane = trip.lane[np.abs(trip.lane[:, 0] - middle) > 0.2]
     trip.write(tmp_path)
     result = extract(tmp_path)
-    check(result.departures, (*planted[:2], *planted[3:]), truth)
+    check(result.departures, (*PLANTED[:2], *PLANTED[3:]))
     (account,) = result.accounts
     assert account.refused.sum() == account.refused[0, REASONS.index("gap")] == 1
 
 
-KIND = TableKind("a table", "a.txt", {"time": 0, "offset": 1, "lane width": 3}, lambda values: True)
+KIND = TableKind("a table", "a.txt", {"time": 0, "offset": 1, "lane width": 3}, lambda values: True, "")
 TOKENS = st.sampled_from(
     ["1", "2.5", "-9", "+3", ".5", "1e3", "-1E-3", "nan", "inf", "x", "1_0", "٣", "0x1", "1;5", "#", '"1"', "NULL", "é"]
 )
