@@ -1,7 +1,7 @@
 """Departures that are planted in recordings, and whether they come back."""
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -9,13 +9,16 @@ from ldctoolkit.departures import Departures
 
 
 class Planted(NamedTuple):
-    """A departure to the left (1) or the right (-1): the edge is beyond the line by
-    d_y (1 - ((t - start - T/2)/(T/2))^2)."""
+    """A departure to the left (1) or the right (-1): where it crosses the line, for how long, and how deep."""
 
     side: int
     start: float
     T: float
     d_y: float
+
+    def y(self, t: Any) -> Any:
+        """Distance of the edge beyond the line [m]."""
+        return self.d_y * (1.0 - ((t - self.start) / (0.5 * self.T) - 1.0) ** 2)
 
 
 def assert_planted(
