@@ -79,10 +79,19 @@ def events_of(design: Design, scenarios: Scenarios, study: Study) -> np.ndarray:
     return np.array([*beyond, out.companions.opposite_crossing > 0, out.status == 3])
 
 
-def test_counts_are_those_of_a_direct_simulation() -> None:
+@pytest.fixture(scope="module")
+def risk() -> Risk:
     """A realistic plant, several thresholds, a last chunk that is not whole."""
-    risk = estimate_risk(STEERING, REAL, n=620, chunk=250, workers=1)
-    drawn = list(departures(load_model("reference"), 1, 250, [(125, 125), (125, 125), (60, 60)]))
+    return estimate_risk(STEERING, REAL, n=620, chunk=250, workers=1)
+
+
+@pytest.fixture(scope="module")
+def drawn() -> list[Scenarios]:
+    """The departures of `risk`, drawn directly."""
+    return list(departures(load_model("reference"), 1, 250, [(125, 125), (125, 125), (60, 60)]))
+
+
+def test_counts_are_those_of_a_direct_simulation(risk: Risk, drawn: list[Scenarios]) -> None:
     assert risk.events == EVENTS
     assert risk.n == 620
     without = np.concatenate([events_of(risk.designs[0], one, REAL) for one in drawn], axis=1)
@@ -100,9 +109,9 @@ def test_counts_are_those_of_a_direct_simulation() -> None:
     assert risk.event(STEERING[0], "depth > 0.3 m").count > 10
 
 
-def test_the_worst_departures_are_the_deepest_and_are_driven_again_to_the_same_bits() -> None:
-    risk = estimate_risk(STEERING, REAL, n=620, chunk=250, workers=1)
-    drawn = list(departures(load_model("reference"), 1, 250, [(125, 125), (125, 125), (60, 60)]))
+def test_the_worst_departures_are_the_deepest_and_are_driven_again_to_the_same_bits(
+    risk: Risk, drawn: list[Scenarios]
+) -> None:
     for design in risk.designs:
         runs = [simulate(design.controller(), one, setup=REAL.setup(), y_s=design.y_s) for one in drawn]
         depth = np.concatenate([one.companions.deepest for one in runs])

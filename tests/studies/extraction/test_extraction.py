@@ -417,10 +417,7 @@ def test_one_death_among_many_is_no_end(made: Made, monkeypatch: pytest.MonkeyPa
 
 
 def test_workers_that_cannot_live_are_told_from_parts_that_kill(made: Made, monkeypatch: pytest.MonkeyPatch) -> None:
-    with (
-        on(DyingWorkers(lambda _: True), monkeypatch),
-        pytest.raises(LdcError, match="end whatever they run"),
-    ):
+    with on(DyingWorkers(lambda _: True), monkeypatch), pytest.raises(LdcError, match="end whatever they run"):
         run_extraction(made(*GOOD))
 
 

@@ -242,40 +242,38 @@ def test_a_value_of_another_cell_is_changed(tmp_path: Path) -> None:
         registry.forget("mine")
 
 
-def test_a_law_inside_another_is_edited(folder: Folder, tmp_path: Path) -> None:
-    registry.register(folder.law())
-    filtered = {"law": "barrier_filter", "gains": {"inner": ["mine"], "e_y_max": [9.0]}}
-    before = S_of(ldc.run_study(study_of(filtered), tmp_path / "out", workers=1), "barrier_filter")
-    design = study_of(filtered).designs[-1]
-    assert design.can_be_driven
-    registry.register(folder.law(factor="0.05"))
-    assert not design.can_be_driven
-    with pytest.raises(StoreError, match="law 'mine'"):
-        ldc.read_results(tmp_path / "out")
-    after = S_of(ldc.run_study(study_of(filtered), tmp_path / "out", workers=1), "barrier_filter")
-    assert abs(after - before) > 0.05
-
-
-def test_a_law_that_is_inside_by_default_is_edited(folder: Folder, tmp_path: Path) -> None:
+@dataclasses.dataclass(frozen=True)
+class Filter(ldc.Controller):
     """A filter of the designer's, whose study does not name the law inside."""
 
-    @dataclasses.dataclass(frozen=True)
-    class Filter(ldc.Controller):
-        name: ClassVar[str] = "filter_of_mine"
-        title: ClassVar[str] = "Filter"
-        law_options: ClassVar[tuple[str, ...]] = ("inner",)
-        inner: str = ldc.option("mine", choices=None, description="the law inside")
+    name: ClassVar[str] = "filter_of_mine"
+    title: ClassVar[str] = "Filter"
+    law_options: ClassVar[tuple[str, ...]] = ("inner",)
+    inner: str = ldc.option("mine", choices=None, description="the law inside")
 
-        def prepare(self, plant: ldc.Plant) -> Any:
-            return ldc.controller_class(self.inner)().prepare(plant)
+    def prepare(self, plant: ldc.Plant) -> Any:
+        return ldc.controller_class(self.inner)().prepare(plant)
 
+
+@pytest.mark.parametrize(
+    ("outer", "law"),
+    [
+        ({"law": "barrier_filter", "gains": {"inner": ["mine"], "e_y_max": [9.0]}}, "barrier_filter"),
+        (Filter, "filter_of_mine"),
+    ],
+    ids=["named", "by default"],
+)
+def test_a_law_inside_another_is_edited(outer: Any, law: str, folder: Folder, tmp_path: Path) -> None:
+    registry.register(folder.law())
     try:
-        registry.register(folder.law())
-        before = S_of(ldc.run_study(study_of(Filter), tmp_path / "out", workers=1), "filter_of_mine")
+        before = S_of(ldc.run_study(study_of(outer), tmp_path / "out", workers=1), law)
+        design = study_of(outer).designs[-1]
+        assert design.can_be_driven
         registry.register(folder.law(factor="0.05"))
+        assert not design.can_be_driven
         with pytest.raises(StoreError, match="law 'mine'"):
             ldc.read_results(tmp_path / "out")
-        after = S_of(ldc.run_study(study_of(Filter), tmp_path / "out", workers=1), "filter_of_mine")
+        after = S_of(ldc.run_study(study_of(outer), tmp_path / "out", workers=1), law)
         assert abs(after - before) > 0.05
     finally:
         registry.forget("filter_of_mine")
