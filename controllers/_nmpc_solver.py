@@ -484,7 +484,7 @@ class Workspace:
     def __init__(self, N: int, soft: bool) -> None:
         self.N = N
         self.offset: FloatArray = np.zeros(1)
-        self._one = np.zeros((3, 1))
+        self._sample = np.zeros((3, 1))
         self.x_0, self.delta_prev, self.c = np.zeros(4), np.zeros(1), np.zeros(SIZE)
         self.r, self.e_ref, self.u_ref = np.zeros(N + 1), np.zeros(N + 1), np.zeros(N)
         self.low, self.high = np.zeros(N), np.zeros(N)
@@ -494,7 +494,7 @@ class Workspace:
         self.m_0, self.m_1, self.m_y = np.zeros(N), np.zeros(N), np.zeros(N)
         known = [self.x_0, self.r, self.e_ref, self.u_ref, self.c]
         ahead, roll, value, linearise = _functions(N, soft)
-        self._ahead = _Call(ahead, [self.x_0, *self._one, self.c])
+        self._ahead = _Call(ahead, [self.x_0, *self._sample, self.c])
         self._roll = _Call(
             roll, [self.x_0, self.guess, self.share, self.delta_prev, *known[1:4], self.low, self.high, self.c]
         )
@@ -513,7 +513,7 @@ class Workspace:
 
     def ahead(self, u: float, r_0: float, r_1: float) -> tuple[FloatArray, float, float]:
         """The state after a sample with the command u; a_y just after it and at the end."""
-        self._one[:, 0] = u, r_0, r_1
+        self._sample[:, 0] = u, r_0, r_1
         self._ahead.run()
         x, a_0, a_1 = self._ahead.outputs
         return x, float(a_0[0]), float(a_1[0])

@@ -385,10 +385,10 @@ class MPCLaw(SteeringLaw):
     def take(self, rows: IntArray, state: MPCState) -> tuple[MPCLaw, MPCState]:
         """Only some scenarios, each with what it has."""
         law = dataclasses.replace(self, condensed=self.condensed.take(rows))
-        kept = Workspaces({k: state.workspaces[i] for k, i in enumerate(rows.tolist()) if i in state.workspaces})
+        workspaces = Workspaces({k: state.workspaces[i] for k, i in enumerate(rows.tolist()) if i in state.workspaces})
         parts = (getattr(state, name)[rows] for name in ("multipliers", "slack", "rung", "sent", "wheel", "past"))
         multipliers, slack, rung, *actuator = parts
-        return law, MPCState(multipliers, slack, rung, _calls([]), kept, *actuator)
+        return law, MPCState(multipliers, slack, rung, _calls([]), workspaces, *actuator)
 
     def solver_calls(self, state: MPCState) -> SolverCalls:
         """Of the last sample: status 1 where the answer could be used, residuals as in `MPCState`."""

@@ -150,8 +150,8 @@ class NonlinearMPCLaw(SteeringLaw):
     def take(self, rows: IntArray, state: NonlinearMPCState) -> tuple[NonlinearMPCLaw, NonlinearMPCState]:
         """Only some scenarios, each with its last plan."""
         plant = dataclasses.replace(self.plant, v=self.plant.v[rows])
-        kept = {f.name: getattr(state, f.name)[rows] for f in dataclasses.fields(state)}
-        return dataclasses.replace(self, plant=plant, columns=self.columns[rows]), NonlinearMPCState(**kept)
+        part = NonlinearMPCState(*(getattr(state, f.name)[rows] for f in dataclasses.fields(state)))
+        return dataclasses.replace(self, plant=plant, columns=self.columns[rows]), part
 
     def solver_calls(self, state: NonlinearMPCState) -> SolverCalls:
         """One call a scenario; status is its rung, the dual residual the last change of a command [rad]."""
@@ -165,7 +165,7 @@ class NonlinearMPCLaw(SteeringLaw):
     ) -> tuple[FloatArray, NonlinearMPCState, npt.NDArray[np.int8]]:
         """First command of the optimal plan, for every scenario."""
         d, N, n = self.design, self.design.horizon, delta_prev.size
-        after = NonlinearMPCState(**{f.name: getattr(state, f.name).copy() for f in dataclasses.fields(state)})
+        after = NonlinearMPCState(*(getattr(state, f.name).copy() for f in dataclasses.fields(state)))
         delta = np.empty(n)
         after.sent[:] = np.column_stack([state.sent[:, 1:], delta_prev])
         after.sent[:] = np.where(np.isnan(after.sent), delta_prev[:, None], after.sent)

@@ -87,8 +87,8 @@ class StanleyLaw(SteeringLaw):
         # a sum is contiguous, so that sine and arc tangent take the same route whatever the number of scenarios
         e_psi = x[:, 2] + 0.0
         e_f = x[:, 0] + self.l_f * (np.sin(e_psi) - 0.5 * to_axle)
-        wanted = self.slip * r - (e_psi - to_axle) - np.arctan(d.k * e_f / (d.k_soft + self.v)) - d.k_d_yaw * x[:, 3]
+        unlimited = self.slip * r - (e_psi - to_axle) - np.arctan(d.k * e_f / (d.k_soft + self.v)) - d.k_d_yaw * x[:, 3]
         if state is not None:
-            wanted -= d.k_d_steer * (delta_prev - state)
-        delta = np.clip(wanted, -d.delta_max, d.delta_max)
+            unlimited -= d.k_d_steer * (delta_prev - state)
+        delta = np.clip(unlimited, -d.delta_max, d.delta_max)
         return delta, delta_prev.copy(), np.full(delta.size, EventStatus.OK, dtype=np.int8)

@@ -22,7 +22,6 @@ from typing import Any, Final
 import numpy as np
 
 _INSTALLED: Final = frozenset({"site-packages", "dist-packages"})  # folders of libraries
-_DIGITS: Final = 16
 
 _GENERATED: Final = frozenset(
     {"__init__", "__repr__", "__eq__", "__hash__", "__setattr__", "__delattr__", "__replace__"}
@@ -51,7 +50,7 @@ def _top(module: str | None) -> str:
 def _hashed(kind: object) -> tuple[str, set[str]]:
     visitor = _Visitor(_top(getattr(kind, "__module__", None)))
     visitor.add(kind)
-    return visitor.digest.hexdigest()[:_DIGITS], visitor.modules
+    return visitor.digest.hexdigest()[:16], visitor.modules
 
 
 class _Visitor:
@@ -97,7 +96,9 @@ class _Visitor:
         if isinstance(value, types.ModuleType):
             self._module(value, names)
         elif isinstance(value, types.CodeType):
-            self._code(value)
+            self.put("code", value.co_code, value.co_names, value.co_varnames, value.co_freevars, value.co_flags)
+            self.put(getattr(value, "co_exceptiontable", b""))
+            self.add(value.co_consts)
         elif isinstance(value, types.FunctionType):
             self._function(value)
         elif isinstance(value, type):
@@ -208,22 +209,15 @@ class _Visitor:
                 self.put(name)
                 self.add(function.__globals__[name], names)
         for name, level in sorted(_imports(function.__code__)):
-            self._imported(name, level, function.__globals__, names)
-
-    def _imported(self, name: str, level: int, where: dict[str, Any], names: Iterable[str]) -> None:
-        """A module that a function imports while it runs."""
-        try:
-            if level:
-                name = importlib.util.resolve_name("." * level + name, where.get("__package__") or "")
-            library = self._library(name)
-            self.put(library) if library else self.add(importlib.import_module(name), names)
-        except Exception:  # the law raises the same when it is run
-            self.put("missing", name)
-
-    def _code(self, code: types.CodeType) -> None:
-        self.put("code", code.co_code, code.co_names, code.co_varnames, code.co_freevars, code.co_flags)
-        self.put(getattr(code, "co_exceptiontable", b""))
-        self.add(code.co_consts)
+            module = name
+            try:
+                if level:
+                    package = function.__globals__.get("__package__") or ""
+                    module = importlib.util.resolve_name("." * level + name, package)
+                library = self._library(module)
+                self.put(library) if library else self.add(importlib.import_module(module), names)
+            except Exception:  # the law raises the same when it is run
+                self.put("missing", module)
 
     def _class(self, kind: type) -> None:
         if (library := self._library(kind.__module__)) is not None:

@@ -156,22 +156,19 @@ class Declaration:
         if self.text or self.switch:
             return value
         if self.pair:
-            return self._checked_pair(path, value)
+            ends = tuple(map(plain, value)) if isinstance(value, tuple | list) else value
+            try:
+                first, second = (dataclasses.replace(self, pair="").check(end) for end in ends)
+            except (InputError, TypeError, ValueError):
+                first, second = 0.0, math.nan
+            if not (first <= second if self.pair == "ascending" else first >= second):
+                limits = limits_text(self.above, self.lower, self.upper, self.unit)
+                raise InputError(path, value=ends, allowed=f"two {self.pair} numbers {limits}".rstrip())
+            return first, second
         if self.whole:
             number = int(value) if isinstance(value, float) and value.is_integer() else value
             return checked_whole(path, number, lower=self.lower, upper=self.upper, unit=self.unit)
         return checked_number(path, value, above=self.above, lower=self.lower, upper=self.upper, unit=self.unit)
-
-    def _checked_pair(self, path: str, value: Any) -> tuple[float, float]:
-        ends = tuple(map(plain, value)) if isinstance(value, tuple | list) else value
-        try:
-            first, second = (dataclasses.replace(self, pair="").check(end) for end in ends)
-        except (InputError, TypeError, ValueError):
-            first, second = 0.0, math.nan
-        if not (first <= second if self.pair == "ascending" else first >= second):
-            limits = limits_text(self.above, self.lower, self.upper, self.unit)
-            raise InputError(path, value=ends, allowed=f"two {self.pair} numbers {limits}".rstrip())
-        return first, second
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -355,23 +352,23 @@ def declared_gains(owner: type) -> tuple[Gain, ...]:
 
 def undeclared_fields(owner: type) -> tuple[str, ...]:
     """Fields of a dataclass that a caller sets but that are made with neither `gain` nor `option`."""
-    known = {gain.name for gain in declared_gains(owner)}
-    return tuple(field.name for field in dataclasses.fields(owner) if field.init and field.name not in known)
+    gains = {gain.name for gain in declared_gains(owner)}
+    return tuple(field.name for field in dataclasses.fields(owner) if field.init and field.name not in gains)
 
 
-def find_gain(owner: type, name: str, owner_name: str) -> Gain:
-    """The declared gain of that name."""
-    gains = {gain.name: gain for gain in declared_gains(owner)}
+def find_gain(law: Any, name: str) -> Gain:
+    """The declared gain of that name of a law's class."""
+    gains = {gain.name: gain for gain in declared_gains(law)}
     if name not in gains:
-        raise UnknownNameError(f"{owner_name}.{name}", "no such gain", allowed=gains)
+        raise UnknownNameError(f"{law.name}.{name}", "no such gain", allowed=gains)
     return gains[name]
 
 
 def check_declarations(owner: type) -> None:
     """Raise if a gain or option of a dataclass contradicts itself."""
-    fields = {field.name: field for field in dataclasses.fields(owner)}
+    kinds = {field.name: _kind(field) for field in dataclasses.fields(owner)}
     for declaration in declared_gains(owner):
-        if wrong := declaration.contradiction(_kind(fields[declaration.name])):
+        if wrong := declaration.contradiction(kinds[declaration.name]):
             raise wrong.within(f"{owner.__name__}.{declaration.name}")
 
 
@@ -403,17 +400,15 @@ class UnitWarning(UserWarning):
 
 
 # field: (more than, less than, unit, the unit that was likely meant, its size): a value between the two is implausible
-_MILLISECONDS: Final = ((5.0, INF, "s", "milliseconds", 0.001),)
 _LENGTH: Final = ((40.0, 900.0, "m", "centimetres", 0.01), (900.0, 9000.0, "m", "millimetres", 0.001))
 _SLIPS: Final[dict[str, tuple[tuple[float, float, str, str, float], ...]]] = {
     "vehicle.m": ((0.3, 100.0, "kg", "tonnes", 1000.0),),
     "vehicle.I_z": ((0.3, 100.0, "kg m^2", "t m^2", 1000.0),),
-    "vehicle.C_af": ((5.0, 500.0, "N/rad", "kN/rad", 1000.0),),
-    "vehicle.C_ar": ((5.0, 500.0, "N/rad", "kN/rad", 1000.0),),
-    **{f"vehicle.{name}": _LENGTH for name in ("l_f", "l_r", "w_v", "w_l")},
+    **dict.fromkeys(("vehicle.C_af", "vehicle.C_ar"), ((5.0, 500.0, "N/rad", "kN/rad", 1000.0),)),
+    **dict.fromkeys(("vehicle.l_f", "vehicle.l_r", "vehicle.w_v", "vehicle.w_l"), _LENGTH),
     "actuator.rate_max": ((15.0, INF, "rad/s", "degrees per second", math.pi / 180.0),),
     "actuator.delta_max": ((2.0, INF, "rad", "degrees", math.pi / 180.0),),
-    **dict.fromkeys(("actuator.lag", "actuator.delay", "sensors.delay"), _MILLISECONDS),
+    **dict.fromkeys(("actuator.lag", "actuator.delay", "sensors.delay"), ((5.0, INF, "s", "milliseconds", 0.001),)),
     "y_s": ((7.0, INF, "m", "centimetres", 0.01),),
     "v_mean": ((70.0, INF, "m/s", "km/h", 1.0 / 3.6),),
 }

@@ -35,23 +35,6 @@ class ExtraColumn(ReadOnly):
         return ExtraColumn(self.name, self.values[rows])
 
 
-def combined_columns(parts: Sequence[tuple[tuple[ExtraColumn, ...], int]]) -> tuple[ExtraColumn, ...]:
-    """Extra columns of several tables, one after the other; what a table lacks is empty there.
-
-    In the order in which the names first come. A column that is text anywhere is text.
-    """
-    joined = []
-    for name in dict.fromkeys(column.name for columns, _ in parts for column in columns):
-        pieces = [
-            next((column.values for column in columns if column.name == name), np.full(n, np.nan))
-            for columns, n in parts
-        ]
-        if any(values.dtype.kind == "U" for values in pieces):
-            pieces = [v if v.dtype.kind == "U" else np.where(np.isnan(v), "", v.astype(np.str_)) for v in pieces]
-        joined.append(ExtraColumn(name, np.concatenate(pieces)))
-    return tuple(joined)
-
-
 LEFT: Final = 1
 RIGHT: Final = -1
 
@@ -218,10 +201,6 @@ class DepartureSignals(ReadOnly):
         return out
 
 
-def _event_sum(values: FloatArray, starts: IntArray) -> FloatArray:
-    return np.add.reduceat(values, starts) if starts.size else np.empty(0)
-
-
 def reduce_signals(signals: DepartureSignals, side: npt.ArrayLike) -> DepartureParameters:
     """Reduce signals to the eight parameters.
 
@@ -260,8 +239,7 @@ def reduce_signals(signals: DepartureSignals, side: npt.ArrayLike) -> DepartureP
         raise InputError("side", value=sides[wrong][0], allowed=f"{LEFT} or {RIGHT}")
     sides = sides.astype(np.int64)
     if signals.n == 0:
-        empty = np.empty(0)
-        return DepartureParameters(sides, *([empty] * len(PARAMETER_NAMES)))
+        return DepartureParameters(sides, *([np.empty(0)] * len(PARAMETER_NAMES)))
     count = signals.samples
     duration = signals.t[last]
     for name, values, bad, allowed in (
@@ -280,44 +258,38 @@ def reduce_signals(signals: DepartureSignals, side: npt.ArrayLike) -> DepartureP
 
     share = x / d_x[event]
     parabola = 4.0 * share * (1.0 - share) * sampled
-    d_y = _event_sum(signals.y * parabola, starts) / _event_sum(parabola**2, starts)
-    v_mean = d_x / duration
     tau = signals.t - 0.5 * duration[event]
-    a_mean, _ = _regress(tau, signals.v, sampled, event, starts, count)
-    slope_c, c_middle = _regress(tau, signals.c, sampled, event, starts, count)
 
-    residual_y = (signals.y - d_y[event] * parabola) * sampled
-    residual_v = (signals.v - a_mean[event] * tau - v_mean[event]) * sampled
+    def total(values: FloatArray) -> FloatArray:
+        """Sums per event."""
+        return np.add.reduceat(values, starts)
+
+    def line(values: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Slope of the regression over tau, and its value at tau = 0."""
+        mean_tau, mean = total(tau * sampled) / count, total(values * sampled) / count
+        centred = (tau - mean_tau[event]) * sampled
+        slope = total(centred * (values - mean[event])) / total(centred**2)
+        return slope, mean - slope * mean_tau
+
+    def deviation(residual: FloatArray) -> FloatArray:
+        mean = total(residual) / count
+        return np.sqrt(total(((residual - mean[event]) * sampled) ** 2) / (count - 1))
+
+    d_y = total(signals.y * parabola) / total(parabola**2)
+    v_mean = d_x / duration
+    a_mean, _ = line(signals.v)
+    slope_c, c_middle = line(signals.c)
     return DepartureParameters(
         side=sides,
         T=duration,
         d_y=d_y,
-        sigma_y=_sample_deviation(residual_y, sampled, event, starts, count),
+        sigma_y=deviation((signals.y - d_y[event] * parabola) * sampled),
         v_mean=v_mean,
         a_mean=a_mean,
-        sigma_v=_sample_deviation(residual_v, sampled, event, starts, count),
+        sigma_v=deviation((signals.v - a_mean[event] * tau - v_mean[event]) * sampled),
         c_0=c_middle - 0.5 * slope_c * duration,
         dc=slope_c * duration,
     )
-
-
-def _regress(
-    tau: FloatArray, value: FloatArray, sampled: FloatArray, event: IntArray, starts: IntArray, count: IntArray
-) -> tuple[FloatArray, FloatArray]:
-    """Slope over tau, and the line's value at tau = 0, per event."""
-    mean_tau = _event_sum(tau * sampled, starts) / count
-    mean_value = _event_sum(value * sampled, starts) / count
-    centred = (tau - mean_tau[event]) * sampled
-    slope = _event_sum(centred * (value - mean_value[event]), starts) / _event_sum(centred**2, starts)
-    return slope, mean_value - slope * mean_tau
-
-
-def _sample_deviation(
-    residual: FloatArray, sampled: FloatArray, event: IntArray, starts: IntArray, count: IntArray
-) -> FloatArray:
-    mean = _event_sum(residual, starts) / count
-    deviation: FloatArray = np.sqrt(_event_sum(((residual - mean[event]) * sampled) ** 2, starts) / (count - 1))
-    return deviation
 
 
 def speed(p: DepartureParameters, t: FloatArray) -> FloatArray:
@@ -469,31 +441,34 @@ def rebuild_signals(p: DepartureParameters, dt: float) -> DepartureSignals:
 
 def no_departures() -> Departures:
     """A table without rows."""
+    whole = np.empty(0, dtype=np.int64)
     numbers: dict[str, Any] = dict.fromkeys((*PARAMETER_NAMES, "start_time"), np.empty(0))
-    return Departures(
-        side=np.empty(0, dtype=np.int64),
-        recording=np.empty(0, dtype=np.str_),
-        samples=np.empty(0, dtype=np.int64),
-        **numbers,
-    )
+    return Departures(side=whole, recording=np.empty(0, dtype=np.str_), samples=whole, **numbers)
 
 
 def combined_departures(parts: Sequence[Departures]) -> Departures:
-    """Departures one after the other; an extra column that a part lacks is empty there."""
-    if not parts:
-        return no_departures()
+    """Departures one after the other; an extra column that a part lacks is empty there, one that is text anywhere is
+    text. Signals are kept where every departure has them.
+    """
+    parts = parts or [no_departures()]
+
+    def joined(name: str, tables: Sequence[Any] = parts) -> Any:
+        return np.concatenate([getattr(table, name) for table in tables])
+
+    extra = []
+    for name in dict.fromkeys(column.name for part in parts for column in part.extra):
+        pieces = [
+            next((column.values for column in part.extra if column.name == name), np.full(part.n, np.nan))
+            for part in parts
+        ]
+        if any(values.dtype.kind == "U" for values in pieces):
+            pieces = [v if v.dtype.kind == "U" else np.where(np.isnan(v), "", v.astype(np.str_)) for v in pieces]
+        extra.append(ExtraColumn(name, np.concatenate(pieces)))
+    recorded, signals = [part.signals for part in parts if part.signals is not None], None
+    if recorded and sum(table.n for table in recorded) == sum(part.n for part in parts):
+        length = np.concatenate([np.diff(table.offsets) for table in recorded])
+        offsets = np.concatenate([[0], np.cumsum(length)])
+        signals = DepartureSignals(offsets, *(joined(name, recorded) for name in "tyvc"))
     names = [field.name for field in dataclasses.fields(Departures) if field.name not in ("extra", "signals")]
-    columns: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
-    signals = [part.signals for part in parts if part.signals is not None]
-    return Departures(
-        **columns,
-        extra=combined_columns([(part.extra, part.n) for part in parts]),
-        signals=combined_signals(signals) if sum(one.n for one in signals) == columns["T"].size and signals else None,
-    )
-
-
-def combined_signals(parts: Sequence[DepartureSignals]) -> DepartureSignals:
-    """Signals of several tables, one after the other."""
-    lengths = np.concatenate([np.diff(part.offsets) for part in parts])
-    columns = [np.concatenate([getattr(part, name) for part in parts]) for name in ("t", "y", "v", "c")]
-    return DepartureSignals(np.concatenate([[0], np.cumsum(lengths)]), *columns)
+    columns: dict[str, Any] = {name: joined(name) for name in names}
+    return Departures(**columns, extra=tuple(extra), signals=signals)

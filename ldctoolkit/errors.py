@@ -77,35 +77,25 @@ class LdcError(Exception):
         self.allowed, self.listing, self.hint = allowed, listing, hint
 
     def __reduce__(self) -> tuple[Any, ...]:
-        kept = self.__dict__
+        fields = self.__dict__
         if not isinstance(self.value, str | float | int | None | _NotGiven):  # it may be anything, also unpicklable
-            kept = kept | {"value": _Repr(short(self.value))}
-        return type(self), (self.path, self.problem), kept
+            fields = fields | {"value": _Repr(short(self.value))}
+        return type(self), (self.path, self.problem), fields
 
     def __str__(self) -> str:
-        said = self.without_path
-        return f"{self.path}: {said}" if self.path and said else self.path or said
+        return ": ".join(filter(None, (self.path, self.without_path)))
 
     @property
     def without_path(self) -> str:
         """The sentence behind its path: for a list whose rows name the path themselves."""
         given = "" if self.value is NOT_GIVEN else short(self.value)
-        allowed = self.allowed if isinstance(self.allowed, str) else ""
-        return "; ".join(
-            part
-            for part in (
-                " ".join(part for part in (given, self.problem) if part),
-                f"allowed: {allowed}" if allowed else "",
-                nearest(self._name, self.allowed, self.listing) if not isinstance(self.allowed, str) else "",
-                self.hint,
-            )
-            if part
-        )
-
-    @property
-    def _name(self) -> str:
-        """What a mistyped name is: the value, or the end of the path."""
-        return re.split("[. ]", self.path)[-1] if self.value is NOT_GIVEN else str(self.value)
+        if isinstance(self.allowed, str):
+            allowed = self.allowed and f"allowed: {self.allowed}"
+        else:  # a mistyped name is the value, or the end of the path
+            name = re.split("[. ]", self.path)[-1] if self.value is NOT_GIVEN else str(self.value)
+            allowed = nearest(name, self.allowed, self.listing)
+        problem = " ".join(filter(None, (given, self.problem)))
+        return "; ".join(filter(None, (problem, allowed, self.hint)))
 
     def within(self, outer: str, separator: str = ".") -> Self:
         """The same error, as seen from outside: `outer` stands before its path."""
@@ -114,22 +104,21 @@ class LdcError(Exception):
 
     def at(self, path: str) -> Self:
         """The same error, at another path."""
-        moved = copy.copy(self)
-        moved.path = path
-        return moved
+        return self._changed(path=path)
 
     def hinted(self, hint: str) -> Self:
         """The same error, with what else to do about it."""
-        made = copy.copy(self)
-        made.hint = "; ".join(filter(None, (self.hint, hint)))
-        return made
+        return self._changed(hint="; ".join(filter(None, (self.hint, hint))))
+
+    def _changed(self, **fields: str) -> Self:
+        error = copy.copy(self)
+        error.__dict__.update(fields)
+        return error
 
     @classmethod
     def of(cls, error: "LdcError") -> Self:
         """The same problem as an error of this class."""
-        made = cls()
-        made.__dict__.update(error.__dict__)
-        return made
+        return cls()._changed(**error.__dict__)
 
 
 class _Repr(str):
@@ -196,25 +185,11 @@ class CheckedArguments:
 def _arguments(kind: type) -> tuple[str, ...]:
     """Names that an `__init__` takes; none where it takes any."""
     _, *known = inspect.signature(kind.__init__).parameters.values()  # type: ignore[misc]
-    return () if any(one.kind is one.VAR_KEYWORD for one in known) else tuple(one.name for one in known)
+    return () if any(given.kind is given.VAR_KEYWORD for given in known) else tuple(given.name for given in known)
 
 
 def nearest(name: str, allowed: Iterable[str], listing: str = "") -> str:
-    """Half a sentence that helps someone who mistyped a name.
-
-    Parameters
-    ----------
-    name : str
-        The name that was given.
-    allowed : iterable of str
-        The names that exist.
-    listing : str
-        What stands for all of them where they are too many to be shown.
-
-    Returns
-    -------
-    str
-        ``"did you mean 'lqr'? (allowed: lqr, none)"``, or only the allowed names when none is near.
+    """What a mistyped name was likely meant to be, and all that is allowed, or the `listing` that stands for it.
 
     Examples
     --------
@@ -223,7 +198,7 @@ def nearest(name: str, allowed: Iterable[str], listing: str = "") -> str:
     """
     names = sorted(allowed)
     listing = f"allowed: {listing or ', '.join(names)}"
-    lower = {one.lower(): one for one in reversed(names)}
+    lower = {known.lower(): known for known in reversed(names)}
     close = difflib.get_close_matches(name.lower(), lower, n=1, cutoff=0.5)
     return f"did you mean '{lower[close[0]]}'? ({listing})" if close else listing
 
@@ -234,7 +209,7 @@ def expect(name: str, value: object, kind: type | UnionType) -> None:
         given = (
             f"the class {value.__name__}" if isinstance(value, type) else f"an object of type {type(value).__name__}"
         )
-        kinds = " or ".join("None" if one is NoneType else one.__name__ for one in get_args(kind) or (kind,))
+        kinds = " or ".join("None" if t is NoneType else t.__name__ for t in get_args(kind) or (kind,))
         raise InputError(name, given, allowed=kinds)
 
 

@@ -34,23 +34,21 @@ _STATUS_OF_A_STEP = (EventStatus.OK, EventStatus.SOLVER_FAILED, EventStatus.BEYO
 
 def raised(error: BaseException) -> str:
     """What was raised, in one line, with the law's own file and line; messages of the toolkit as they are."""
-    text = " ".join(str(error).encode("utf-8", "backslashreplace").decode().split())
+    text = " ".join(f"{error}".encode("utf-8", "backslashreplace").decode().split())
     if not isinstance(error, LdcError):
         text = f"{type(error).__name__}: {text}" if text else type(error).__name__
     if len(text) > _LONGEST_LINE:
         text = f"{text[: _LONGEST_LINE - 4]} ..."
-    return text if isinstance(error, LdcError) else f"{text} {_place(error)}".rstrip()
-
-
-def _place(error: BaseException) -> str:
-    """File name and line, the innermost in the file that the toolkit called."""
 
     def is_ours(frame: traceback.FrameSummary) -> bool:
         return any(Path(frame.filename).resolve().is_relative_to(folder) for folder in _OURS)
 
+    # the innermost line in the file that the toolkit called
     frames = list(itertools.dropwhile(is_ours, traceback.extract_tb(error.__traceback__)))
     inside = [frame for frame in frames if frame.filename == frames[0].filename]
-    return f"({Path(inside[-1].filename).name}, line {inside[-1].lineno})" if inside else ""
+    if not inside or isinstance(error, LdcError):
+        return text
+    return f"{text} ({Path(inside[-1].filename).name}, line {inside[-1].lineno})"
 
 
 def declared_law(controller: type[Controller]) -> type | None:
@@ -76,9 +74,7 @@ def check_controller(controller: object) -> Controller:
 
 
 def check_law(law: object, n: int, name: str) -> Law:
-    """Return the law that ``prepare`` gave for n scenarios, with its type, shapes and preview times checked. Gains
-    that are not finite pass: the loop counts the commands that they give.
-    """
+    """Return the law of n scenarios that ``prepare`` gave, checked; gains that are not finite pass, and are counted."""
     where = f"controller {name!r}"
     if isinstance(law, RecordedPath):
         return law
@@ -107,9 +103,7 @@ def check_law(law: object, n: int, name: str) -> Law:
 
 
 def check_step(result: object, n: int, name: str) -> tuple[FloatArray, Any, StatusArray]:
-    """Return what ``SteeringLaw.step`` gave for n scenarios, with its types, shapes and status values checked.
-    Commands that are not finite pass: the loop counts them.
-    """
+    """Return what ``SteeringLaw.step`` gave for n scenarios, checked; commands that are not finite pass, too."""
     where = f"controller {name!r}: step"
     if not (isinstance(result, tuple) and len(result) == 3):
         raise InputError(where, f"returned {_described(result)}", allowed="a tuple (delta, state, status)")

@@ -356,11 +356,8 @@ def comfortable(
     array([ True, False, False])
     """
     a_y, jerk = _of_one_shape(a_y_added_peak=a_y_added_peak, jerk_added_peak=jerk_added_peak)
-    limits = (
-        checked_number("a_y_limit", a_y_limit, finite=False),
-        checked_number("jerk_limit", jerk_limit, finite=False),
-    )
-    result: BoolArray = (a_y <= limits[0]) & (jerk <= limits[1])
+    a_y_kept = a_y <= checked_number("a_y_limit", a_y_limit, finite=False)
+    result: BoolArray = a_y_kept & (jerk <= checked_number("jerk_limit", jerk_limit, finite=False))
     return result
 
 

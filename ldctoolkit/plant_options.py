@@ -25,8 +25,19 @@ def whole_multiple(time: float, dt: float) -> float:
     return near if 1e-12 * time < abs(near - time) <= 1e-7 * dt + 2e-9 * time else time
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Actuator(CheckedArguments):
+class _Options(CheckedArguments):
+    """A table of declared options, all off by default."""
+
+    __repr__ = short_repr
+
+    @property
+    def ideal(self) -> bool:
+        """Nothing differs from the ideal plant."""
+        return self == type(self)()
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, repr=False)
+class Actuator(_Options):
     """Steering actuator: pure delay, then the angle limit, then a first-order lag whose rate is limited.
 
     With the delayed, limited command u, the steering angle follows d delta/dt = (u - delta)/lag, cut off at +-rate_max;
@@ -38,8 +49,6 @@ class Actuator(CheckedArguments):
     >>> Actuator(rate_max=0.5, lag=0.1, delay=0.03).ideal
     False
     """
-
-    __repr__ = short_repr
 
     # Limit of the angle; None for no limit
     delta_max: float | None = declared(None, unit="rad", above=0.0)
@@ -54,14 +63,9 @@ class Actuator(CheckedArguments):
             raise InputError("actuator.lag", value=self.lag, allowed=f"0, or at least {_SHORTEST_LAG:g} s")
         warn_of_units("actuator", self)
 
-    @property
-    def ideal(self) -> bool:
-        """The steering angle is the command, at once."""
-        return self == Actuator()
 
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Mismatch(CheckedArguments):
+@dataclasses.dataclass(frozen=True, kw_only=True, repr=False)
+class Mismatch(_Options):
     """Ranges of factors on the true vehicle, one uniform draw per scenario; the law is designed on the nominal one.
 
     Raises `InputError` for a range that is not 0 < low <= high.
@@ -71,8 +75,6 @@ class Mismatch(CheckedArguments):
     >>> Mismatch(m=(0.9, 1.3)).ideal
     False
     """
-
-    __repr__ = short_repr
 
     # Lowest and highest factor on mass, yaw inertia, and the stiffnesses
     m: tuple[float, float] = declared((1.0, 1.0), above=0.0, pair="ascending")
@@ -85,14 +87,9 @@ class Mismatch(CheckedArguments):
     def __post_init__(self) -> None:
         check_declared(self, "mismatch")
 
-    @property
-    def ideal(self) -> bool:
-        """The true vehicle is the nominal one."""
-        return self == Mismatch()
 
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Tyres(CheckedArguments):
+@dataclasses.dataclass(frozen=True, kw_only=True, repr=False)
+class Tyres(_Options):
     """Lateral tyre force.
 
     Raises `InputError` for a value outside what is allowed.
@@ -102,8 +99,6 @@ class Tyres(CheckedArguments):
     >>> Tyres(model="magic_formula", mu=0.3).ideal
     False
     """
-
-    __repr__ = short_repr
 
     # Linear, or Pacejka's Magic Formula without curvature factor: F = mu F_z sin(C atan(C_alpha alpha/(C mu F_z))),
     # with static wheel loads
@@ -115,11 +110,8 @@ class Tyres(CheckedArguments):
         check_declared(self, "tyres")
         for name in ("mu", "shape"):
             if self.ideal and getattr(self, name) != declarations(Tyres)[name].default:
-                raise InputError(
-                    f"tyres.{name}",
-                    value=getattr(self, name),
-                    hint="linear tyres have none; allowed with tyres.model = 'magic_formula'",
-                )
+                hint = "linear tyres have none; allowed with tyres.model = 'magic_formula'"
+                raise InputError(f"tyres.{name}", value=getattr(self, name), hint=hint)
 
     @property
     def ideal(self) -> bool:
@@ -154,8 +146,8 @@ class KalmanFilter(CheckedArguments):
         check_declared(self, "sensors.kalman")
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Sensors(CheckedArguments):
+@dataclasses.dataclass(frozen=True, kw_only=True, repr=False)
+class Sensors(_Options):
     """Lane camera: frames of e_y and e_psi, and the curvature ahead. Biases are in the road's frame, positive left.
 
     A frame is value + bias + noise, rounded to the step of quantisation. It is taken every `period`, one of them at the
@@ -167,8 +159,6 @@ class Sensors(CheckedArguments):
     >>> Sensors(e_y_noise=0.05, fps=10, kalman=KalmanFilter()).period
     0.1
     """
-
-    __repr__ = short_repr
 
     # Standard deviation, independent from frame to frame
     e_y_noise: float = declared(0.0, unit="m", lower=0.0)
@@ -184,27 +174,20 @@ class Sensors(CheckedArguments):
     curvature_bias: float = declared(0.0, unit="1/m")  # [1/m] Its constant error
     # [1/m] Standard deviation of a further constant error, one draw per scenario
     curvature_noise: float = declared(0.0, unit="1/m", lower=0.0)
-    kalman: KalmanFilter | None = declared(None, kind=KalmanFilter, description="a Kalman filter")
+    kalman: KalmanFilter | None = declared(None, kind=KalmanFilter)
     fps: dataclasses.InitVar[float | None] = None
 
     def __post_init__(self, fps: float | None) -> None:
         check_declared(self, "sensors")
         if fps is not None:
             if self.period:
-                raise InputError(
-                    "sensors.fps", f"beside period = {self.period:g} s", value=fps, allowed="one of the two"
-                )
-            object.__setattr__(
-                self, "period", 1.0 / checked_number("sensors.fps", fps, lower=0.1, upper=1000.0, unit="Hz")
-            )
+                problem = f"beside period = {self.period:g} s"
+                raise InputError("sensors.fps", problem, value=fps, allowed="one of the two")
+            rate = checked_number("sensors.fps", fps, lower=0.1, upper=1000.0, unit="Hz")
+            object.__setattr__(self, "period", 1.0 / rate)
         if 0.0 < self.period < _SHORTEST_PERIOD:
             raise InputError("sensors.period", value=self.period, allowed=f"0, or at least {_SHORTEST_PERIOD:g} s")
         warn_of_units("sensors", self)
-
-    @property
-    def ideal(self) -> bool:
-        """The law sees the state and the lane as they are."""
-        return self == Sensors()
 
     def age(self, dt: float, *, held: bool = False) -> float:
         """Mean age [s] of a frame at the sample, one every dt [s], that first sees it; or, `held`, at any sample."""
@@ -214,8 +197,8 @@ class Sensors(CheckedArguments):
         return math.ceil(delay / grid - 1e-9) * grid + 0.5 * ((period if held else short) - grid)
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Residuals(CheckedArguments):
+@dataclasses.dataclass(frozen=True, kw_only=True, repr=False)
+class Residuals(_Options):
     """What the eight parameters leave out of the recorded path, drawn anew from sigma_y and sigma_v.
 
     Raises `InputError` for a value outside what is allowed.
@@ -226,8 +209,6 @@ class Residuals(CheckedArguments):
     False
     """
 
-    __repr__ = short_repr
-
     y: bool = declared(False)  # Add eps_y to the lateral path
     v: bool = declared(False)  # Add eps_v to the speed
     bandwidth: float = declared(1.0, unit="Hz", above=0.0, upper=5.0)  # [Hz] Highest frequency
@@ -235,9 +216,8 @@ class Residuals(CheckedArguments):
     def __post_init__(self) -> None:
         check_declared(self, "residuals")
         if self.ideal and self.bandwidth != declarations(Residuals)["bandwidth"].default:
-            raise InputError(
-                "residuals.bandwidth", value=self.bandwidth, hint="allowed with residuals.y or residuals.v"
-            )
+            hint = "allowed with residuals.y or residuals.v"
+            raise InputError("residuals.bandwidth", value=self.bandwidth, hint=hint)
 
     @property
     def ideal(self) -> bool:
@@ -245,8 +225,8 @@ class Residuals(CheckedArguments):
         return not (self.y or self.v)
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class PlantOptions(CheckedArguments):
+@dataclasses.dataclass(frozen=True, kw_only=True, repr=False)
+class PlantOptions(_Options):
     """Everything that may differ from the ideal plant.
 
     Raises `InputError` for a value outside what is allowed.
@@ -259,31 +239,19 @@ class PlantOptions(CheckedArguments):
     False
     """
 
-    __repr__ = short_repr
-
     # The speed of the trigger, or v(t) of the scenario
-    speed: Speed = declared("frozen", choices=get_args(Speed), description="the speed follows its profile")
-    actuator: Actuator = declared(Actuator, description="a steering actuator")
-    mismatch: Mismatch = declared(
-        Mismatch, description="vehicles that differ from the one that the laws were designed on"
-    )
-    tyres: Tyres = declared(Tyres, description="saturating tyres")
-    sensors: Sensors = declared(Sensors, description="a lane camera")
-    residuals: Residuals = declared(Residuals, description="residuals of the recorded path")
+    speed: Speed = declared("frozen", choices=get_args(Speed))
+    actuator: Actuator = declared(Actuator)
+    mismatch: Mismatch = declared(Mismatch)
+    tyres: Tyres = declared(Tyres)
+    sensors: Sensors = declared(Sensors)
+    residuals: Residuals = declared(Residuals)
 
     def __post_init__(self) -> None:
         check_declared(self)
         if self.tyres.ideal and self.mismatch.mu != (1.0, 1.0):
-            raise InputError(
-                "mismatch.mu",
-                value=self.mismatch.mu,
-                hint="linear tyres have no friction coefficient; allowed with tyres.model = 'magic_formula'",
-            )
-
-    @property
-    def ideal(self) -> bool:
-        """Nothing differs from the ideal plant."""
-        return self == PlantOptions()
+            hint = "linear tyres have no friction coefficient; allowed with tyres.model = 'magic_formula'"
+            raise InputError("mismatch.mu", value=self.mismatch.mu, hint=hint)
 
     def sampled(self, dt: float) -> "PlantOptions":
         """The same; times that are multiples of the sample time dt [s] but for rounding are made so."""

@@ -3,7 +3,6 @@
 import functools
 import hashlib
 import importlib.metadata
-import weakref
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -16,9 +15,7 @@ GROUP = "ldctoolkit.controllers"
 
 _registered: dict[str, type[Controller]] = {}
 
-_loaded: dict[importlib.metadata.EntryPoint, type[Controller]] = {}  # installed classes that were requested before
 _by_code: dict[tuple[str, str], type[Controller]] = {}  # classes that designs were made with, by name and content
-_sound: weakref.WeakSet[type] = weakref.WeakSet()  # classes that can be used by name
 
 
 def register(controller: type[Controller]) -> type[Controller]:
@@ -75,12 +72,9 @@ def forget(name: str) -> None:
 
 def _check(controller: type[Controller]) -> None:
     """Raise if a class cannot be used by name: studies see, write and compare its gains and nothing else."""
-    if controller in _sound:  # used for every design that is made
-        return
     check_class(controller)
     for field in undeclared_fields(controller):
         raise InputError(f"{controller.__name__}.{field}", "a plain field", allowed="one made with gain() or option()")
-    _sound.add(controller)
 
 
 @functools.cache
@@ -147,10 +141,8 @@ def bound_class(name: str, code: str, *, same: bool = False) -> type[Controller]
 
 def with_content(name: str, content: str) -> type[Controller] | None:
     """The class of a name whose content is this one now; None where no such class is known."""
-    for kind in (_by_code.get((name, content)), controller_class(name)):
-        if kind is not None and content_of(kind) == content:
-            return kind
-    return None
+    kinds = (_by_code.get((name, content)), controller_class(name))
+    return next((kind for kind in kinds if kind is not None and content_of(kind) == content), None)
 
 
 def controller_class(name: str) -> type[Controller]:
@@ -175,11 +167,10 @@ def controller_class(name: str) -> type[Controller]:
     point = _installed().get(name)
     if point is None:
         raise UnknownNameError("law", "is no controller", value=name, allowed=controller_names())
-    if point not in _loaded:
-        _loaded[point] = _load(name, point)
-    return _loaded[point]
+    return _load(name, point)
 
 
+@functools.cache
 def _load(name: str, point: importlib.metadata.EntryPoint) -> type[Controller]:
     where = f"controller {name!r} ({point.value})"
     try:

@@ -115,10 +115,20 @@ class Scenarios(DepartureParameters):
         >>> len(Scenarios.from_arrays(T=[2.0, 3.0], d_y=0.3, v_mean=25.0))
         2
         """
-        given = {"side": side, "T": T, "d_y": d_y, "sigma_y": sigma_y, "v_mean": v_mean, "a_mean": a_mean}
-        given |= {"sigma_v": sigma_v, "c_0": c_0, "dc": dc}
-        scenarios = cls.drawn(**given)
-        _check_limits(scenarios)
+        scenarios = cls.drawn(
+            side=side, T=T, d_y=d_y, sigma_y=sigma_y, v_mean=v_mean, a_mean=a_mean, sigma_v=sigma_v, c_0=c_0, dc=dc
+        )
+        for name, most, unit in _LIMITS:
+            values = getattr(scenarios, name)
+            _refuse(np.abs(values) > most, name, values, f"up to {most:g} {unit}")
+        v = scenarios.v_mean
+        fastest = 2.0 * v - slowest_speed(v, scenarios.a_mean, scenarios.T)
+        allowed = f"the speed v_mean +- a_mean T/2 stays at or below {SPEED_CEILING:g} m/s over the whole departure"
+        _refuse(fastest > SPEED_CEILING, "v_mean", v, allowed)
+        allowed = f"a curvature up to {_MOST_CURVATURE} 1/m, with v_mean^2 times it up to {_MOST_ACCELERATION:g} m/s^2"
+        for name, c in (("c_0", scenarios.c_0), ("dc", scenarios.c_0 + scenarios.dc)):
+            bad = np.abs(c) > np.minimum(_MOST_CURVATURE, _MOST_ACCELERATION / v**2)
+            _refuse(bad, name, getattr(scenarios, name), allowed)
         if scenarios.n and (slip := unit_slip("v_mean", float(scenarios.v_mean.max()))):
             warnings.warn(slip, UnitWarning, stacklevel=2)
         return scenarios
@@ -203,12 +213,11 @@ class Scenarios(DepartureParameters):
         columns: dict[str, Any] = _columns(path | {"v_mean": v, "T": T, "c_0": c, "side": side})
         drift = Drifts(*(columns.pop(name) for name in path))
         scenarios = cls.from_arrays(d_y=0.0, **columns)
-        for name, values in (("lateral_velocity", drift.lateral_velocity), ("radius", drift.radius)):
+        rate, radii, distances = drift.lateral_velocity, drift.radius, drift.distance
+        for name, values in (("lateral_velocity", rate), ("radius", radii)):
             _refuse(~(np.isfinite(values) & (values > 0.0)), name, values, "> 0")
-        _refuse(~(np.isfinite(drift.distance) & (drift.distance >= 0.0)), "distance", drift.distance, ">= 0")
-        _refuse(
-            ~(drift.lateral_velocity < scenarios.v_mean), "lateral_velocity", drift.lateral_velocity, "below the speed"
-        )
+        _refuse(~(np.isfinite(distances) & (distances >= 0.0)), "distance", distances, ">= 0")
+        _refuse(~(rate < scenarios.v_mean), "lateral_velocity", rate, "below the speed")
         deepest = drift.motion(scenarios.v_mean, scenarios.T)[0]
         return dataclasses.replace(scenarios, d_y=np.maximum(deepest, 0.0), drift=drift)
 
@@ -222,7 +231,15 @@ class Scenarios(DepartureParameters):
     def drawn(cls, **given: npt.ArrayLike) -> Scenarios:
         """As `from_arrays`, all nine by name, without its limits: for what a model draws and what was stored."""
         columns: dict[str, Any] = _columns(given)
-        _check(columns)
+        for name, values in columns.items():
+            _refuse(~np.isfinite(values), name, values, "finite numbers")
+        side, T, v_mean = columns["side"], columns["T"], columns["v_mean"]
+        _refuse(~np.isin(side, (LEFT, RIGHT)), "side", side, f"{LEFT} (left) or {RIGHT} (right)")
+        _refuse(T <= 0, "T", T, "> 0 s")
+        for name in ("d_y", "sigma_y", "sigma_v"):
+            _refuse(columns[name] < 0, name, columns[name], ">= 0")
+        allowed = f"the speed v_mean +- a_mean T/2 stays at or above {SPEED_FLOOR} m/s over the whole departure"
+        _refuse(slowest_speed(v_mean, columns["a_mean"], T) < SPEED_FLOOR, "v_mean", v_mean, allowed)
         side = columns.pop("side").astype(np.int64)
         return cls(side=side, index=np.arange(side.size, dtype=np.int64), **columns)
 
@@ -263,32 +280,6 @@ def _refuse(bad: BoolArray, name: str, values: npt.NDArray[Any], allowed: str) -
     if bad.any():
         row, more = int(np.argmax(bad)), f"{int(bad.sum())} rows in all" if bad.sum() > 1 else ""
         raise InputError(f"scenarios.{name}[{row}]", value=float(values[row]), allowed=allowed, hint=more)
-
-
-def _check(column: dict[str, FloatArray]) -> None:
-    for name, values in column.items():
-        _refuse(~np.isfinite(values), name, values, "finite numbers")
-    side, T, v_mean = column["side"], column["T"], column["v_mean"]
-    _refuse(~np.isin(side, (LEFT, RIGHT)), "side", side, f"{LEFT} (left) or {RIGHT} (right)")
-    _refuse(T <= 0, "T", T, "> 0 s")
-    for name in ("d_y", "sigma_y", "sigma_v"):
-        _refuse(column[name] < 0, name, column[name], ">= 0")
-    allowed = f"the speed v_mean +- a_mean T/2 stays at or above {SPEED_FLOOR} m/s over the whole departure"
-    _refuse(slowest_speed(v_mean, column["a_mean"], T) < SPEED_FLOOR, "v_mean", v_mean, allowed)
-
-
-def _check_limits(scenarios: Scenarios) -> None:
-    for name, most, unit in _LIMITS:
-        values = getattr(scenarios, name)
-        _refuse(np.abs(values) > most, name, values, f"up to {most:g} {unit}")
-    v_mean = scenarios.v_mean
-    fastest = 2.0 * v_mean - slowest_speed(v_mean, scenarios.a_mean, scenarios.T)
-    allowed = f"the speed v_mean +- a_mean T/2 stays at or below {SPEED_CEILING:g} m/s over the whole departure"
-    _refuse(fastest > SPEED_CEILING, "v_mean", v_mean, allowed)
-    for name, c in (("c_0", scenarios.c_0), ("dc", scenarios.c_0 + scenarios.dc)):
-        bad = np.abs(c) > np.minimum(_MOST_CURVATURE, _MOST_ACCELERATION / v_mean**2)
-        allowed = f"a curvature up to {_MOST_CURVATURE} 1/m, with v_mean^2 times it up to {_MOST_ACCELERATION:g} m/s^2"
-        _refuse(bad, name, getattr(scenarios, name), allowed)
 
 
 def slowest_speed(v_mean: npt.ArrayLike, a_mean: npt.ArrayLike, T: npt.ArrayLike) -> FloatArray:

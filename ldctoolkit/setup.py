@@ -118,10 +118,6 @@ class Setup(CheckedArguments):
         """What a design may know, at speeds v (n,) [m/s]."""
         return known_plant(self.model, v, self.dt, self.options, self.plant_knowledge)
 
-    def under(self, convention: Convention) -> Setup:
-        """The same in a reading of the paper."""
-        return dataclasses.replace(self, convention=convention)
-
     def on(self, options: PlantOptions) -> Setup:
         """The same on another plant."""
         return dataclasses.replace(self, options=options)

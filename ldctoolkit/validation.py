@@ -35,11 +35,6 @@ class Part(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
-def fail(path: str, message: str) -> InputError:
-    """What a validator raises: the key path below the validated value, and what is wrong."""
-    return InputError(path, message)
-
-
 def first_problem(error: ValidationError, content: Any, model: type[BaseModel], whole: str) -> InputError:
     """The first problem of what was read, at its key path; its hint counts the others in the `whole`."""
     problems = error.errors(include_url=False)

@@ -8,7 +8,7 @@ import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 
@@ -22,8 +22,10 @@ from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
 from ldctoolkit.simulation import Outcome, Takeover, drive
 
+from .design import Design
 from .standards import KM_H, VEHICLES, Cells, QuantityName, Standard, load_standard
 from .storage.files import write_text
+from .storage.stored_arrays import remembered
 from .tables import Column, Row, Table, to_csv
 
 LightName = Literal["green", "amber", "red"]
@@ -345,47 +347,80 @@ def assess(
     expect("standard", standard, str | Path | Standard)
     test = standard if isinstance(standard, Standard) else load_standard(standard)
     expect("setup", setup, Setup | None)
-    given = setup or Setup()
     seeds = checked_whole("seeds", seeds, lower=1)
-    width = min(max(given.vehicle.w_l, test.lane_width_m[0]), test.lane_width_m[1])
-    given = dataclasses.replace(given, vehicle=dataclasses.replace(given.vehicle, w_l=width))
-    cells = test.every_cell
-    runs = list(_variants(test, cells, given, seeds if tolerances else 0))
-    limits = np.array([test.limits(one, cells) for one in test.condition])
-    broken = next(
-        (limits[c] for c, one in enumerate(test.condition) if one.quantity == "dtle"), np.full(cells.n, -np.inf)
+    runs = _Runs.of(test, setup or Setup(), seeds if tolerances else 0)
+    return runs.judged(runs.driven(controller, y_s))
+
+
+def stored_assessment(folder: Path | None, design: Design, name: str, setup: Setup, *, tolerances: bool) -> Assessment:
+    """What `assess` gives for a design of a study, driven once: its numbers are kept in the study's folder."""
+    runs, controller = (
+        _Runs.of(load_standard(name), setup, SEEDS if tolerances else 0),
+        design.controller(setup.convention),
     )
-    values, status, solves, allowed = [], [], [], []
-    for _, on, scenarios in runs:
-        try:
-            limit = np.tile(broken, scenarios.n // cells.n)
-            run = _Drive.of(controller, Takeover.build(scenarios, on, y_s=y_s), limit)
-        except (LdcError, KeyboardInterrupt, GeneratorExit):
-            raise
-        except BaseException as error:  # a controller may be third-party code
-            raise LdcError(f"law {controller.name!r} in {test.name}", f"{raised(error)}") from None
-        metrics = run.outcome.companions
-        quantities = ((one.quantity, QUANTITIES[one.quantity].of) for one in test.condition)
-        found = [getattr(metrics, name) if of is None else of(run) for name, of in quantities]
-        values.append(np.array(found).reshape(len(found), -1, cells.n).swapaxes(0, 1))
-        own = np.repeat(limits[None], scenarios.n // cells.n, axis=0)
-        for c, one in enumerate(test.condition):
-            if (
-                one.quantity == "lateral_velocity_after" and scenarios.drift is not None
-            ):  # what is driven, if it is more
-                own[:, c] = np.maximum(limits[c].min(), scenarios.drift.lateral_velocity.reshape(-1, cells.n))
-        allowed.append(own)
-        status.append(run.outcome.status.reshape(-1, cells.n))
-        solves.append(run.outcome.failed_solves.reshape(-1, cells.n))
-    slow = np.array([cells.speed / KM_H < one.from_speed_km_h - 1e-6 for one in test.condition])
-    every = np.where(slow, np.nan, np.concatenate(values))
-    lower = np.array([QUANTITIES[one.quantity].at_least for one in test.condition])[:, None]
-    most = np.concatenate(allowed)
-    beyond = np.where(lower, most - every, every - most)
-    diverged = np.concatenate(status) == EventStatus.DIVERGED
-    met = (np.isnan(beyond) | (beyond <= 1e-9)) & ~diverged[:, None]
-    names = tuple(name for some, _, _ in runs for name in some)
-    return Assessment(test, cells, names, every, most, met, diverged, np.concatenate(solves))
+    key = [design.id, runs.test.model_dump(mode="json"), dataclasses.asdict(setup), tolerances]
+    return runs.judged(remembered(folder, f"standard-{name}", key, lambda: runs.driven(controller, design.y_s)))
+
+
+@dataclasses.dataclass(frozen=True)
+class _Runs:
+    """What a design is driven on in a test: w variants of its n cells, in batches."""
+
+    test: Standard
+    cells: Cells
+    batches: list[tuple[list[str], Setup, Scenarios]]  # Names of the variants, what is driven, the cells for each name
+    limits: FloatArray  # (c, n) Of the conditions, as stated
+
+    @classmethod
+    def of(cls, test: Standard, given: Setup, seeds: int) -> _Runs:
+        """The lane is cut to the width that the test allows."""
+        width = min(max(given.vehicle.w_l, test.lane_width_m[0]), test.lane_width_m[1])
+        given = dataclasses.replace(given, vehicle=dataclasses.replace(given.vehicle, w_l=width))
+        cells = test.every_cell
+        limits = np.array([test.limits(one, cells) for one in test.condition])
+        return cls(test, cells, list(_variants(test, cells, given, seeds)), limits)
+
+    def driven(self, controller: Controller, y_s: float) -> dict[str, FloatArray]:
+        """Values and limits (w, c, n), status and failed solves (w, n)."""
+        test, n = self.test, self.cells.n
+        broken = next(
+            (self.limits[c] for c, one in enumerate(test.condition) if one.quantity == "dtle"), np.full(n, -np.inf)
+        )
+        parts: dict[str, list[Any]] = {"values": [], "limits": [], "status": [], "failed_solves": []}
+        for _, on, scenarios in self.batches:
+            count = scenarios.n // n
+            try:
+                run = _Drive.of(controller, Takeover.build(scenarios, on, y_s=y_s), np.tile(broken, count))
+            except (LdcError, KeyboardInterrupt, GeneratorExit):
+                raise
+            except BaseException as error:  # a controller may be third-party code
+                raise LdcError(f"law {controller.name!r} in {test.name}", f"{raised(error)}") from None
+            quantities = ((one.quantity, QUANTITIES[one.quantity].of) for one in test.condition)
+            values = [getattr(run.outcome.companions, name) if of is None else of(run) for name, of in quantities]
+            limits = np.repeat(self.limits[None], count, axis=0)
+            for c, one in enumerate(test.condition):
+                if one.quantity == "lateral_velocity_after" and scenarios.drift is not None:
+                    # what is driven, if it is more
+                    rate = scenarios.drift.lateral_velocity.reshape(-1, n)
+                    limits[:, c] = np.maximum(self.limits[c].min(), rate)
+            parts["values"].append(np.array(values).reshape(len(values), -1, n).swapaxes(0, 1))
+            parts["limits"].append(limits)
+            parts["status"].append(run.outcome.status.reshape(-1, n))
+            parts["failed_solves"].append(run.outcome.failed_solves.reshape(-1, n))
+        return {name: np.concatenate(arrays) for name, arrays in parts.items()}
+
+    def judged(self, driven: Mapping[str, FloatArray]) -> Assessment:
+        """Which conditions are met."""
+        conditions = self.test.condition
+        slow = np.array([self.cells.speed / KM_H < one.from_speed_km_h - 1e-6 for one in conditions])
+        values, limits = np.where(slow, np.nan, driven["values"]), driven["limits"]
+        lower = np.array([QUANTITIES[one.quantity].at_least for one in conditions])[:, None]
+        beyond = np.where(lower, limits - values, values - limits)
+        diverged = driven["status"] == EventStatus.DIVERGED
+        met = (np.isnan(beyond) | (beyond <= 1e-9)) & ~diverged[:, None]
+        names = tuple(name for batch, _, _ in self.batches for name in batch)
+        solves = driven["failed_solves"].astype(np.int64)
+        return Assessment(self.test, self.cells, names, values, limits, met, diverged, solves)
 
 
 def _variants(test: Standard, cells: Cells, given: Setup, seeds: int) -> Iterator[tuple[list[str], Setup, Scenarios]]:

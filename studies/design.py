@@ -13,7 +13,7 @@ from typing import Any, Final
 from ldctoolkit.control import Controller
 from ldctoolkit.declared import GainValue, UnitWarning, unit_slip
 from ldctoolkit.errors import InputError, UnknownNameError, nearest
-from ldctoolkit.registry import bound_class, code_of, controller_class, is_known
+from ldctoolkit.registry import bound_class, code_of, controller_class
 from ldctoolkit.vehicle import Convention
 
 PAPER_LAW: Final = "preview_proportional"  # registry name of the paper's law
@@ -117,13 +117,6 @@ class Design:
         return hashlib.sha256(content.encode()).hexdigest()[:12]
 
     @property
-    def can_be_driven(self) -> bool:
-        """Whether the law's code is still the one that the design was made with, and that of the laws inside it."""
-        if self.kind.law_options:  # those are the present ones of their names
-            return code_of(self.kind, dict(self.gains)) == self.code
-        return is_known(self.law, self.code)
-
-    @property
     def key(self) -> tuple[Any, ...]:
         """Law, threshold and gains: what two studies compare, also where the law's code is another."""
         return self.law, self.y_s, self.gains
@@ -162,15 +155,16 @@ def gain_text(value: GainValue) -> str:
 
 def named_designs(designs: Sequence[Design], names: Sequence[str]) -> list[Design]:
     """Those of some labels, or starts of ids, in this order and each once."""
-    found: dict[str, Design] = {}
+    named: dict[str, Design] = {}
     for name in names:
-        some = [design for design in designs if name == design.label or (name and design.id.startswith(name.lower()))]
-        if len(some) > 1:
-            raise InputError(f"--design {name!r}", f"the ids of {len(some)} designs start so", allowed="more of the id")
-        if not some:
+        matches = [d for d in designs if name == d.label or (name and d.id.startswith(name.lower()))]
+        if len(matches) > 1:
+            problem = f"the ids of {len(matches)} designs start so"
+            raise InputError(f"--design {name!r}", problem, allowed="more of the id")
+        if not matches:
             # the labels of a large study fill a screen
             listing = "a label, or the id in ranking.csv" if len(designs) > 5 else ""
             close = nearest(name, [design.label for design in designs], listing)
             raise UnknownNameError(f"--design {name!r}", "no such design", hint=close)
-        found[some[0].id] = some[0]
-    return list(found.values())
+        named[matches[0].id] = matches[0]
+    return list(named.values())

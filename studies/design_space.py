@@ -284,8 +284,7 @@ Kinds = Sequence[type[Controller]]
 class LawSample:
     """What ``[design.sample]`` makes of one law."""
 
-    space: LawSpace
-    shares: Any  # (m, d) Points of the unit cube, a column for each name in ``space.varying``
+    shares: FloatArray  # (m, d) Points of the unit cube, a column for each dimension that varies
     designs: tuple[Design, ...]  # The design of each row; rows may share one
 
 
@@ -350,8 +349,7 @@ class DesignBlock(Part):
                 choices = dict(space.gains).get(name, Choices((getattr(space.kind, name),)))
                 if isinstance(choices, Choices):  # the name of a law is no number between two ends
                     kinds += [law for value in choices.values for law in laws_inside(space.kind, {name: value})]
-        found = {kind.name: content_of(kind) for kind in kinds}
-        return {name: content for name, content in found.items() if content}
+        return {kind.name: content for kind in kinds if (content := content_of(kind))}
 
     @property
     def size(self) -> int:
@@ -394,7 +392,7 @@ class DesignBlock(Part):
         if self.sample is None:
             return ()
         points = [(space, unit_points(self.sample, len(space.varying))) for space in self.space()]
-        return tuple(LawSample(space, shares, space.at(shares)) for space, shares in points)
+        return tuple(LawSample(shares, space.at(shares)) for space, shares in points)
 
 
 def check_blocks(blocks: Sequence[DesignBlock], *, searched: bool) -> None:
@@ -460,16 +458,16 @@ def _read_gain(kinds: Kinds, name: str, entry: Any) -> tuple[Any, ...] | Span:
 
 
 def _declaring(kinds: Kinds, name: str, table: str) -> Kinds:
-    found = [kind for kind in kinds if any(gain.name == name for gain in declared_gains(kind))]
-    if not found:
+    declaring = [kind for kind in kinds if any(gain.name == name for gain in declared_gains(kind))]
+    if not declaring:
         every = {gain.name for kind in kinds for gain in declared_gains(kind)}
         raise InputError(f"{table}.{name}", "no such gain", allowed=every)
-    return found
+    return declaring
 
 
 def _reading(kind: type[Controller], name: str, entry: Any, name_law: bool) -> tuple[Any, ...] | Span:
     """What one law takes an entry for, every value checked."""
-    declared = find_gain(kind, name, kind.name)
+    declared = find_gain(kind, name)
     path = f"gains.{name}"
     try:
         dimension = read_entry(entry, declared.scale, whole=declared.whole)

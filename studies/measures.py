@@ -136,11 +136,12 @@ def first_of_each_side(scenarios: Scenarios, most: int) -> Scenarios:
 
 
 def drive_on_plants(
-    designs: Sequence[Design], plants: Sequence[PlantOptions], scenarios: Scenarios, setup: Setup, window: Window
-) -> Drives:
+    designs: Sequence[Design], plants: Sequence[PlantOptions], scenarios: Scenarios, setup: Setup, window: Window,
+    advance: Callable[[int, int], None] | None = None,
+) -> Drives:  # fmt: skip
     """Drive every design on every plant; each by itself, so that no number depends on another.
 
-    The setup's own plant does not count.
+    The setup's own plant does not count. `advance` is called with the number of drives so far and of all.
     """
     shape = (len(plants), len(designs), scenarios.n)
     S, S_uncorrected = np.full(shape, np.nan), np.full(shape, np.nan)
@@ -155,6 +156,8 @@ def drive_on_plants(
                 # designs know the actuator and the camera of the study, not the other ones
                 takeovers[design.y_s] = dataclasses.replace(over, plant=setup.plant(over.plant.v))
             over = takeovers[design.y_s]
+            if advance is not None:
+                advance(k * len(designs) + i + 1, len(plants) * len(designs))
             try:
                 outcome = drive(design.controller(setup.convention), over).outcome(window)
             except Exception as error:  # a controller may be third-party code

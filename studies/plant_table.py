@@ -19,28 +19,17 @@ def read_plant(entry: Any) -> Any:
 
 def read_table(kind: type, table: dict[str, Any], prefix: str = "") -> Any:
     """A frozen value of declared fields from a table of a file; errors are at the key path behind the prefix."""
-    inner = {name: declaration.kind for name, declaration in declarations(kind).items()}
-    given = dict(table)
+    values = dict(table)
     for key, entry in table.items():
-        path = f"{prefix}{key}"
-        if key not in vars(kind)["__dataclass_fields__"]:  # fps too, which is not kept
-            raise InputError(path, "no such key", allowed=[*vars(kind)["__dataclass_fields__"]])
-        if (part := inner.get(key)) and not (entry is None and declarations(kind)[key].default is None):
+        path, keys = f"{prefix}{key}", vars(kind)["__dataclass_fields__"]  # fps too, which is not kept
+        if key not in keys:
+            raise InputError(path, "no such key", allowed=[*keys])
+        declaration = declarations(kind).get(key)
+        if declaration and declaration.kind and not (entry is None and declaration.default is None):
             if not isinstance(entry, dict):
                 raise InputError(path, value=entry, allowed="a table of keys")
-            given[key] = read_table(part, entry, f"{path}.")
-    return kind(**given)
-
-
-def differences(options: PlantOptions) -> tuple[str, ...]:
-    """What is not ideal about a plant, a few words each; empty for the ideal one."""
-    texts = []
-    for declaration in not_ideal(options):
-        value = getattr(options, declaration.name)
-        inside = declarations(value.__class__).values() if declaration.kind else ()
-        further = [part.description for part in inside if getattr(value, part.name) is not None]
-        texts.append(" with ".join([declaration.description, *filter(None, further)]))
-    return tuple(texts)
+            values[key] = read_table(declaration.kind, entry, f"{path}.")
+    return kind(**values)
 
 
 def not_ideal(options: PlantOptions) -> Iterator[Declaration]:

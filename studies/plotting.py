@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from ldctoolkit.scenarios import Scenarios
-    from ldctoolkit.simulation.outcome import Outcome
+    from ldctoolkit.simulation.loop import Outcome
 
 __all__ = [
     "plot_convergence", "plot_departure", "plot_distribution", "plot_landscape", "plot_ranking", "plot_trade_off",

@@ -18,7 +18,7 @@ from ldctoolkit.metrics import METRIC_COLUMNS, MetricValues
 from ldctoolkit.notebook import facts_html
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.simulation import Window
-from ldctoolkit.simulation.outcome import STATUS_NAMES
+from ldctoolkit.simulation.loop import STATUS_NAMES
 from ldctoolkit.vehicle import Convention
 
 from .design import Design

@@ -26,7 +26,7 @@ from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
 
 from .design import NO_CONTROL, Design
-from .ranking.tail import exact_interval, paired_sign
+from .ranking.inference import exact_interval, paired_sign
 from .ranking.verdict import Light, State
 from .runner import study_source
 from .running.campaign import laws_to_send

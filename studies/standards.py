@@ -23,9 +23,7 @@ KM_H: Final = 1.0 / 3.6  # [m/s]
 
 AFTER: Final = 10.0  # [s] that a cell's path goes on after it has reached the line
 
-_FASTEST: Final = (
-    5.0  # lateral velocity [m/s] at which a vehicle that goes straight on in a bend is followed no further
-)
+_FASTEST: Final = 5.0  # [m/s] lateral velocity: a vehicle that goes straight on in a bend is followed no further
 
 VEHICLES: Final[Mapping[str, Mapping[str, float]]] = {
     "light": {"m": 0.85, "I_z": 0.85},
@@ -112,15 +110,14 @@ class Standard(Part):
         known = () if drift is None else drift.lateral_velocity_m_s
         for rate in (rate for grid in self.cells for rate in grid.lateral_velocity_m_s):
             if rate not in known:
-                raise InputError(
-                    "cells", "is no lateral_velocity_m_s of [drift]", value=rate, allowed=f"one of {known}"
-                )
+                allowed = f"one of {known}"
+                raise InputError("cells", "is no lateral_velocity_m_s of [drift]", value=rate, allowed=allowed)
         if drift is not None and len(drift.distance_m) != len(known):
             raise InputError("drift.distance_m", f"{len(drift.distance_m)} values", allowed="one a lateral velocity")
         slowest = min(speed for grid in self.cells for speed in grid.speed_km_h)
         if drift is not None and drift.radius_m[0][0] > slowest:
-            first = drift.radius_m[0][0]
-            raise InputError("drift.radius_m", f"begins at {first:g} km/h", allowed=f"at {slowest:g} or below")
+            problem = f"begins at {drift.radius_m[0][0]:g} km/h"
+            raise InputError("drift.radius_m", problem, allowed=f"at {slowest:g} or below")
         if self.lane_width_m[0] > self.lane_width_m[1]:
             raise InputError("lane_width_m", value=self.lane_width_m, allowed="narrowest, widest")
         bends = any(grid.lateral_acceleration_m_s2 for grid in self.cells)
@@ -136,13 +133,12 @@ class Standard(Part):
     def every_cell(self) -> Cells:
         """Its cells, grid by grid, speed by speed."""
         rows = [
-            (speed, rate, grid.range == "extended")
+            (speed, second, not grid.lateral_velocity_m_s, grid.range == "extended")
             for grid in self.cells
             for speed in grid.speed_km_h
-            for rate in grid.lateral_velocity_m_s or grid.lateral_acceleration_m_s2
+            for second in grid.lateral_velocity_m_s or grid.lateral_acceleration_m_s2
         ]
-        speed, second, extended = (np.array(column) for column in zip(*rows, strict=True))
-        bend = np.array([not grid.lateral_velocity_m_s for grid in self.cells for _ in range(_size(grid))])
+        speed, second, bend, extended = (np.array(column) for column in zip(*rows, strict=True))
         return Cells(speed * KM_H, second, bend, extended)
 
     def limits(self, condition: Condition, cells: Cells) -> FloatArray:
@@ -178,10 +174,6 @@ class Standard(Part):
             distance=np.where(drifting, covered + straight, offset),
             c=np.where(cells.bend, -1.0 / radius, 0.0),
         )  # fmt: skip
-
-
-def _size(grid: Grid) -> int:
-    return len(grid.speed_km_h) * len(grid.lateral_velocity_m_s or grid.lateral_acceleration_m_s2)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -227,9 +219,8 @@ def load_standard(name_or_path: str | Path) -> Standard:
     if str(name_or_path) in standard_names():
         path = FOLDER / f"{name_or_path}.toml"
     elif path.suffix != ".toml":
-        raise UnknownNameError(
-            "standard", "is neither a file nor in the catalog", value=str(name_or_path), allowed=standard_names()
-        )
+        problem = "is neither a file nor in the catalog"
+        raise UnknownNameError("standard", problem, value=str(name_or_path), allowed=standard_names())
     content = read_toml(path, StudyError)
     try:
         return Standard.model_validate(as_tuples(content))

@@ -142,11 +142,9 @@ class ScenarioSettings(Part):
         if not (self.model or self.replayed):
             raise InputError("model", "empty", allowed="a model, or departures or table beside it")
         if self.path == "recorded" and not self.departures:
-            allowed = "with a departures table and its signals"
-            raise InputError("path", "without departures", value=self.path, allowed=allowed)
+            raise InputError("path", "without departures", value=self.path, allowed="with a departures table")
         if self.weights and not self.replayed:
-            allowed = "a column of one of them"
-            raise InputError("weights", "without departures or table", value=self.weights, allowed=allowed)
+            raise InputError("weights", "without departures or table", value=self.weights, allowed="a column of either")
         return self
 
     @property
@@ -418,23 +416,15 @@ class Study(Part):
         del same["vehicle"]["steering_ratio"]  # it decides no number of a run
         if same["simulation"]["trigger"] == "distance":  # as before there was another
             del same["simulation"]["trigger"], same["simulation"]["ttlc"]
-        same["scenarios"] = {}
-        if self.scenarios.weights:  # else a scenario is the same however many there are
-            same["scenarios"] = self._counts
-        if self.scenarios.given:  # a study without conditions keeps the identity it had before there were any
-            same["scenarios"] |= {"given": content["scenarios"]["given"]}
-        if self.scenarios.path == "recorded":
-            same["scenarios"] |= {"path": "recorded"}
-        return same
-
-    @property
-    def _counts(self) -> dict[str, Any]:
-        return {"left": self.scenarios.left, "right": self.scenarios.right}
+        keys = ["left", "right"] if self.scenarios.weights else []  # else a scenario is the same however many there are
+        keys += ["given"] if self.scenarios.given else []  # the identity of a study from before there were conditions
+        keys += ["path"] if self.scenarios.path == "recorded" else []
+        return same | {"scenarios": {key: content["scenarios"][key] for key in keys}}
 
     def identity(self) -> dict[str, Any]:
         """What decides the stored numbers: `inputs`, how many scenarios there are, and the designs."""
         same = self.inputs()
-        same["scenarios"] |= self._counts
+        same["scenarios"] |= {"left": self.scenarios.left, "right": self.scenarios.right}
         if self.search is None:
             return same | {"designs": [design.id for design in self.designs]}
         content = self.content()
@@ -537,12 +527,8 @@ def study(
     content: dict[str, Any] = {"name": name, "seed": seed, "design": blocks, **tables}
     given = content.get("scenarios", {})
     if not isinstance(given, dict):
-        raise InputError(
-            "scenarios",
-            f"an object of type {type(given).__name__}",
-            allowed="a table of keys, as {'model': 'reference'}",
-            hint="your own departures go into run_study(study, scenarios=...)",
-        )
+        allowed, hint = "a table of keys", "your own departures go into run_study(study, scenarios=...)"
+        raise InputError("scenarios", f"an object of type {type(given).__name__}", allowed=allowed, hint=hint)
     content["scenarios"] = {"left": left, "right": right, **given}
     if require != ():
         content["ranking"] = {"require": require, **content.get("ranking", {})}
@@ -588,11 +574,9 @@ def load_study(name_or_path: str | Path) -> Study:
     if str(name_or_path) in catalog_names():
         return Study.from_toml(CATALOG / f"{name_or_path}.toml")
     if path.is_dir():
-        raise StudyError(
-            path, "a folder", allowed="a name in the catalog, or a TOML file", hint="ldc rank reads results"
-        )
+        allowed = "a name in the catalog, or a TOML file"
+        raise StudyError(path, "a folder", allowed=allowed, hint="ldc rank reads results")
     if path.suffix == ".toml" or path.exists():
         return Study.from_toml(path)
-    raise UnknownNameError(
-        "study", "is neither a file nor in the catalog", value=str(name_or_path), allowed=catalog_names()
-    )
+    problem = "is neither a file nor in the catalog"
+    raise UnknownNameError("study", problem, value=str(name_or_path), allowed=catalog_names())

@@ -1,21 +1,22 @@
 """The shape of the house: imports point down, the wheel names its packages, no circles, no module outgrows its job."""
 
 import ast
-import os
+import itertools
 import re
 import shutil
-import subprocess
 import sys
 import tomllib
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
 
 import ldctoolkit
+from helpers.cli import ROOT, python
 from ldctoolkit import errors
 
-ROOT = Path(__file__).resolve().parent.parent
+CONFIG = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 PACKAGES = ("ldctoolkit", "controllers", "studies")
 
 # bottom to top: a module may import from below, and from its own level
@@ -26,6 +27,7 @@ LEVELS = (
         "ldctoolkit.compiling",
         "ldctoolkit.errors",
         "ldctoolkit.lane_functions",
+        "ldctoolkit.notebook",
         "ldctoolkit.numba_internals",
         "ldctoolkit.surroundings",
         "ldctoolkit.version",
@@ -40,7 +42,7 @@ LEVELS = (
     ("ldctoolkit.vehicle",),
     ("ldctoolkit.control", "ldctoolkit.setup"),
     ("ldctoolkit.registry",),
-    ("ldctoolkit.law_checks", "ldctoolkit.notebook"),
+    ("ldctoolkit.law_checks",),
     ("ldctoolkit.metrics",),
     ("ldctoolkit.simulation.kernel",),
     ("ldctoolkit.simulation",),
@@ -59,8 +61,6 @@ LEVELS = (
     ("studies.study_file", "studies.design_space", "studies.plant_table"),
     ("studies.study_template",),
     ("studies.replayed",),
-    ("studies.text",),
-    ("studies.tables",),
     ("studies.storage",),
     ("studies.running",),
     ("studies.assessment", "studies.extraction"),
@@ -85,6 +85,10 @@ def modules(root: Path) -> dict[str, Path]:
     return found
 
 
+def nodes(path: Path) -> list[ast.AST]:
+    return [*ast.walk(ast.parse(path.read_text(encoding="utf-8")))]
+
+
 def level(module: str) -> int:
     """Level of the longest prefix that is listed; -1 for a room of `studies` that is not."""
     name = module
@@ -100,7 +104,7 @@ def imported(path: Path, known: Iterable[str]) -> set[str]:
     """The project's modules that a file imports: wherever in the file, and for the type checker alone too."""
     names: set[str] = set()
     parents = path.relative_to(next(p for p in path.parents if p.name in PACKAGES).parent).parts[:-1]
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in nodes(path):
         if isinstance(node, ast.Import):
             names.update(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -168,8 +172,8 @@ SEPARATORS = (": ", "; ", "allowed: ", "; allowed: ")
 
 def sentences_for_data(path: Path) -> list[int]:
     """Lines that take the message of an error apart, or make an error of one sentence that holds its parts."""
-    nodes = [*ast.walk(ast.parse(path.read_text(encoding="utf-8")))]
-    caught = {node.name for node in nodes if isinstance(node, ast.ExceptHandler)} | {"error", "problem"}
+    every = nodes(path)
+    caught = {node.name for node in every if isinstance(node, ast.ExceptHandler)} | {"error", "problem"}
 
     def is_error(node: ast.AST) -> bool:
         return isinstance(node, ast.Name) and node.id in caught
@@ -189,12 +193,12 @@ def sentences_for_data(path: Path) -> list[int]:
                 return any(isinstance(text, str) and (": " in text or "; allowed" in text) for text in texts)
         return False
 
-    return [node.lineno for node in nodes if isinstance(node, ast.expr) and is_fault(node)]
+    return [node.lineno for node in every if isinstance(node, ast.expr) and is_fault(node)]
 
 
 def writes(path: Path) -> bool:
     """Whether a module opens files to write them, or calls what does."""
-    calls = [node for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(node, ast.Call)]
+    calls = [node for node in nodes(path) if isinstance(node, ast.Call)]
     named = [getattr(call.func, "attr", getattr(call.func, "id", "")) for call in calls]
     modes = [
         {arg.value for arg in [*call.args, *(key.value for key in call.keywords)] if isinstance(arg, ast.Constant)}
@@ -216,8 +220,9 @@ def test_files_are_written_in_one_place() -> None:
     }  # fmt: skip
 
 
-def test_imports_point_down() -> None:
+def test_imports_point_down_and_in_no_circles() -> None:
     assert upward_imports(ROOT) == []
+    assert circles(file_graph(ROOT)) == circles(room_graph(ROOT)) == set()
 
 
 def test_the_short_names_are_not_imported() -> None:
@@ -226,14 +231,6 @@ def test_the_short_names_are_not_imported() -> None:
     short = re.compile(r"(^|[\"';])\s*(from|import) (controllers|studies)\b(?!\.?\{)", flags=re.M)
     mine = (Path(__file__), ROOT / "tests/test_shadowing.py")
     assert [path for path in paths if path not in mine and short.search(path.read_text(encoding="utf-8"))] == []
-
-
-def test_no_circles_of_files() -> None:
-    assert circles(file_graph(ROOT)) == set()
-
-
-def test_no_circles_of_rooms() -> None:
-    assert circles(room_graph(ROOT)) == set()
 
 
 IMPORTS = {
@@ -259,33 +256,31 @@ def plant(request: pytest.FixtureRequest, tmp_path: Path) -> Callable[[str, str]
     return imports
 
 
-def test_a_planted_upward_import_is_found(plant: Callable[[str, str], Path]) -> None:
+def test_planted_faults_are_found(plant: Callable[[str, str], Path]) -> None:
+    """Imports that point up, circles of files and of rooms whose files are in none, a room without a level."""
     root = plant("ranking.ranking", "storage.store")
-    assert upward_imports(root) == []
-    assert circles(room_graph(root)) == set()
-    plant("storage.store", "ranking.ranking")
-    assert upward_imports(root) == ["studies.storage.store -> studies.ranking.ranking"]
-    assert circles(file_graph(root)) == {frozenset({"studies.ranking.ranking", "studies.storage.store"})}
-
-
-def test_a_planted_circle_is_found(plant: Callable[[str, str], Path]) -> None:
-    """Of files, and of rooms whose files are in none."""
-    root = plant("storage.store", "storage.parts")
+    plant("storage.store", "storage.parts")
     plant("storage.parts", "results")
-    plant("ranking.ranking", "storage.parts")
+    assert upward_imports(root) == []
     assert circles(room_graph(root)) == circles(file_graph(root)) == set()
+    plant("storage.parts", "ranking.ranking")
+    assert upward_imports(root) == ["studies.storage.parts -> studies.ranking.ranking"]
+    rooms = frozenset({"studies.storage", "studies.ranking"})
+    assert circles(room_graph(root)) == {rooms}
+    plant("results", "design")
+    plant("design", "results")
+    (root / "studies" / "attic.py").write_text("")
+    assert upward_imports(root)[0] == "studies.attic has no level: add it to LEVELS"
+    assert circles(room_graph(root)) == {rooms, frozenset({"studies.design", "studies.results"})}
+    files = {f"studies.{name}" for name in ("storage.store", "storage.parts", "ranking.ranking")}
+    assert circles(file_graph(root)) == {frozenset(files), frozenset({"studies.design", "studies.results"})}
+
+
+def test_a_circle_of_rooms_without_one_of_files_is_found(plant: Callable[[str, str], Path]) -> None:
+    root = plant("ranking.ranking", "storage.parts")
     plant("storage.store", "ranking.ranking")
     assert circles(file_graph(root)) == set()
     assert circles(room_graph(root)) == {frozenset({"studies.storage", "studies.ranking"})}
-    plant("results", "design")
-    plant("design", "results")
-    assert circles(file_graph(root)) == {frozenset({"studies.design", "studies.results"})}
-
-
-def test_a_room_without_a_level_is_found(plant: Callable[[str, str], Path]) -> None:
-    root = plant("design", "results")
-    (root / "studies" / "attic.py").write_text("")
-    assert upward_imports(root) == ["studies.attic has no level: add it to LEVELS"]
 
 
 @pytest.mark.parametrize("package", PACKAGES)
@@ -294,34 +289,28 @@ def test_importing_a_package_loads_nothing_heavy(package: str) -> None:
     heavy = {"numba", "scipy", "control", "casadi", "polars", "matplotlib", "osqp", "sklearn"}
     name = package if package == "ldctoolkit" else f"ldctoolkit.{package}"
     code = f"import sys, {name}; print(*sorted({heavy} & set(sys.modules)))"
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
-    assert done.stdout.split() == []
+    assert python("-c", code, cwd=ROOT).split() == []
 
 
 def test_the_zoo_uses_public_names_only() -> None:
     """A law needs nothing that a third party's law could not import from the façade."""
     for module, path in modules(ROOT).items():
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in nodes(path):
             if not module.startswith("controllers.") or not isinstance(node, ast.ImportFrom) or node.level:
                 continue
             home = node.module or ""
-            if home.startswith("ldctoolkit.") and home.rpartition(".")[2] not in (
-                "arrays",
-                "errors",
-                "numba_internals",
-                "surroundings",
-            ):
+            shared = {"arrays", "errors", "numba_internals", "surroundings"}
+            if home.startswith("ldctoolkit.") and home.rpartition(".")[2] not in shared:
                 assert {alias.name for alias in node.names} <= {*ldctoolkit.__all__}, f"{module} imports of {home}"
 
 
 def imports_the_facade(path: Path) -> bool:
     """Whether a file imports names that ``ldctoolkit/__init__`` gathers for users."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.ImportFrom) and node.module == "ldctoolkit" and not node.level:
-            return True
-        if isinstance(node, ast.Import) and any(alias.name == "ldctoolkit" for alias in node.names):
-            return True
-    return False
+    return any(
+        (isinstance(node, ast.ImportFrom) and node.module == "ldctoolkit" and not node.level)
+        or (isinstance(node, ast.Import) and "ldctoolkit" in [alias.name for alias in node.names])
+        for node in nodes(path)
+    )
 
 
 @pytest.mark.parametrize("text", ["from ldctoolkit import simulate\n", "def f():\n    import ldctoolkit as ldc\n"])
@@ -333,16 +322,8 @@ def test_no_file_imports_from_the_facade(text: str, tmp_path: Path) -> None:
 
 
 SENTENCES = {
-    "ldctoolkit/declared.py", "ldctoolkit/law_checks.py",
-    "ldctoolkit/mixture/_distribution.py", "ldctoolkit/mixture/bounded_gaussian_mixture.py",
-    "ldctoolkit/mixture/selection.py", "ldctoolkit/recordings/departures_table.py",
-    "ldctoolkit/recordings/extract.py", "ldctoolkit/recordings/mdf_content.py", "ldctoolkit/recordings/mdf_logs.py",
-    "ldctoolkit/recordings/preparation.py", "ldctoolkit/recordings/recording.py", "ldctoolkit/recordings/sources.py",
-    "ldctoolkit/recordings/table_reader.py", "ldctoolkit/recordings/trip_index.py",
-    "ldctoolkit/recordings/trip_tables.py", "ldctoolkit/scenario_model/fit.py",
-    "studies/cli/fit.py", "studies/cli/rank.py", "studies/design_space.py", "studies/pages/compare_page.py",
-    "studies/plant_table.py", "studies/sensitivity/sensitivity.py", "studies/sensitivity/winner_profile.py",
-    "studies/study_file.py",
+    "ldctoolkit/recordings/departures_table.py", "ldctoolkit/recordings/table_reader.py",
+    "studies/sensitivity/sensitivity.py", "studies/sensitivity/winner_profile.py",
 }  # fmt: skip
 """Files that still have such lines."""
 
@@ -370,15 +351,13 @@ def test_a_planted_sentence_is_found(line: str, tmp_path: Path) -> None:
 
 def test_the_wheel_holds_one_package(tmp_path: Path) -> None:
     """Laid out as the wheel is, it is complete, and nothing beside it is a part of it."""
-    config = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-    wheel = config["tool"]["hatch"]["build"]["targets"]["wheel"]
+    wheel = CONFIG["tool"]["hatch"]["build"]["targets"]["wheel"]
     places = {folder: wheel["sources"].get(folder, folder) for folder in wheel["only-include"]}
     assert places == {"ldctoolkit": "ldctoolkit"} | {name: f"ldctoolkit/{name}" for name in PACKAGES[1:]}
     for folder, place in places.items():
         assert (ROOT / folder / "py.typed").is_file()
-        shutil.copytree(
-            ROOT / folder, tmp_path / place, ignore=shutil.ignore_patterns("__pycache__", *wheel["exclude"])
-        )
+        left_out = shutil.ignore_patterns("__pycache__", *wheel["exclude"])
+        shutil.copytree(ROOT / folder, tmp_path / place, ignore=left_out)
     code = (
         "import ldctoolkit as ldc\nfrom ldctoolkit.controllers.lqr import LQR\n"
         "from ldctoolkit.studies import cli, standards\n"
@@ -386,21 +365,20 @@ def test_the_wheel_holds_one_package(tmp_path: Path) -> None:
         "ldc.load_model('reference'); ldc.load_study('paper'); standards.load_standard('iso-11270')\n"
         "raise SystemExit(cli.main(['init', 'paper']))"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(tmp_path)},
-        capture_output=True, text=True, check=True,
-    )  # fmt: skip
-    assert done.stdout.splitlines()[0] == str(tmp_path / "ldctoolkit")
+    printed = python("-c", code, cwd=tmp_path, PYTHONPATH=str(tmp_path))
+    assert printed.splitlines()[0] == str(tmp_path / "ldctoolkit")
+
+
+PROJECT = CONFIG["project"]
+REQUIRED = [
+    Requirement(text) for text in itertools.chain(PROJECT["dependencies"], *PROJECT["optional-dependencies"].values())
+]
 
 
 def test_what_is_imported_is_declared() -> None:
-    from packaging.requirements import Requirement
-
-    config = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    listed = [*config["dependencies"], *(one for extra in config["optional-dependencies"].values() for one in extra)]
-    known = {Requirement(one).name.lower().replace("-", "_") for one in listed} | {*PACKAGES, *sys.stdlib_module_names}
+    known = {one.name.lower().replace("-", "_") for one in REQUIRED} | {*PACKAGES, *sys.stdlib_module_names}
     for module, path in modules(ROOT).items():
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in nodes(path):
             names = [one.name for one in node.names] if isinstance(node, ast.Import) else []
             names += [node.module or ""] if isinstance(node, ast.ImportFrom) and not node.level else []
             outside = {name.partition(".")[0].lower() for name in names} - known - {"pydantic_core", "pandas"}
@@ -408,16 +386,12 @@ def test_what_is_imported_is_declared() -> None:
 
 
 def test_pins_are_plain_and_satisfy_the_bounds() -> None:
-    from packaging.requirements import Requirement
-
-    config = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     pins = {}
     for line in (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines():
         name, equals, version = line.partition("==")
         assert equals, f"constraints.txt: {line!r} is not name==version"
         pins[name.lower().replace("_", "-")] = version
-    wanted = [*config["dependencies"], *(r for extra in config["optional-dependencies"].values() for r in extra)]
-    for requirement in map(Requirement, wanted):
+    for requirement in REQUIRED:
         assert ">=" in str(requirement.specifier), f"{requirement} has no lower bound"
         assert requirement.specifier.contains(pins[requirement.name.lower()]), requirement
 

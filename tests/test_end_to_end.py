@@ -1,25 +1,19 @@
 """The main job as a user does it: recordings in, a ranked comparison report out."""
 
-import csv
 from pathlib import Path
 
 import numpy as np
 import polars as pl
 import pytest
 
-from helpers.cli import good
+from helpers.cli import csv_rows, good
 from helpers.results import SECTIONS
 from ldctoolkit import load_model, rebuild_signals
 from ldctoolkit.vehicle import VehicleParameters
 
 
-def ranking(folder: Path) -> list[dict[str, str]]:
-    with (folder / "ranking.csv").open(encoding="utf-8") as file:
-        return list(csv.DictReader(file))
-
-
 def check_study(folder: Path, designs: int) -> None:
-    rows = ranking(folder)
+    rows = csv_rows(folder / "ranking.csv")
     assert len(rows) == designs
     broken = [bool(row["unmet"]) for row in rows]
     assert sorted(broken) == broken  # designs that meet the limits first
@@ -52,26 +46,24 @@ def plant_recording(path: Path) -> int:
     scenarios = model.sample(60, 60, seed=4)
     edge = VehicleParameters().edge_offset
     signals = rebuild_signals(scenarios, dt=0.02)
-    offset, speed, curvature = [], [], []
-    kept = 0
+    columns: dict[str, list[np.ndarray]] = {"lane_offset": [], "speed": [], "curvature": []}
+
+    def drive(*values: np.ndarray) -> None:
+        for column, part in zip(columns.values(), values, strict=True):
+            column.append(part)
+
+    kept, quiet = 0, np.zeros(50)
     for i in range(len(scenarios)):
         rows = slice(signals.offsets[i], signals.offsets[i + 1] - 1)  # the last row is off the 0.02 s grid
         if scenarios.T[i] < 0.6 or scenarios.d_y[i] < 0.02:
             continue  # too near to what the criteria or the first sample decide
         kept += 1
         inwards = np.concatenate([np.linspace(-0.5, -0.01, 40), signals.y[rows], np.linspace(-0.01, -0.5, 40)])
-        v = np.pad(signals.v[rows], 40, mode="edge")
-        c = np.pad(signals.c[rows], 40, mode="edge")
-        offset.append(scenarios.side[i] * (inwards + edge))
-        speed.append(v)
-        curvature.append(scenarios.side[i] * c)
-        offset.append(np.linspace(offset[-1][-1], 0.0, 200))
-        speed.append(np.full(200, v[-1]))
-        curvature.append(np.zeros(200))
-        offset.append(np.zeros(50))
-        speed.append(np.full(50, 20.0))
-        curvature.append(np.zeros(50))
-    columns = {"lane_offset": offset, "speed": speed, "curvature": curvature}
+        offset = scenarios.side[i] * (inwards + edge)
+        v, c = (np.pad(values[rows], 40, mode="edge") for values in (signals.v, signals.c))
+        drive(offset, v, scenarios.side[i] * c)
+        drive(np.linspace(offset[-1], 0.0, 200), np.full(200, v[-1]), np.zeros(200))
+        drive(quiet, quiet + 20.0, quiet)
     flat = {name: np.concatenate(values) for name, values in columns.items()}
     samples = flat["speed"].size
     table = pl.DataFrame({"recording": ["trip"] * samples, "t": 0.02 * np.arange(samples), **flat})
@@ -114,4 +106,4 @@ def test_planted_departures_to_a_report(tmp_path: Path) -> None:
     assert "small: 6 designs x 80 scenarios, " in ran
     assert ran.splitlines()[-2:] == ["ranking: out/ranking.csv", "report:  out/report.html"]
     check_study(tmp_path / "out", designs=6)
-    assert [row["rank"] for row in ranking(tmp_path / "out")] == ["1", "2", "3", "4", "5", "6"]
+    assert [row["rank"] for row in csv_rows(tmp_path / "out" / "ranking.csv")] == ["1", "2", "3", "4", "5", "6"]

@@ -1,13 +1,10 @@
 """`controllers` and `studies` are general names: a user's own folders of that name break nothing."""
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
-from helpers.cli import TINY_STUDY
+from helpers.cli import ROOT, TINY_STUDY, python
 
 FILES = {
     "packages": {"controllers/__init__.py": "mine = True\n", "controllers/lqr.py": "class LQR: pass\n"},
@@ -26,19 +23,9 @@ def write(folder: Path, kind: str) -> Path:
     return folder
 
 
-def python(*arguments: str, cwd: Path, path: str = "") -> str:
-    """Standard output; ``path`` is PYTHONPATH."""
-    done = subprocess.run(
-        [sys.executable, *arguments],
-        cwd=cwd, env=os.environ | {"PYTHONPATH": path}, capture_output=True, text=True, timeout=300, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    return done.stdout
-
-
 def test_the_command_uses_the_toolkits_packages(tmp_path: Path) -> None:
     folder = write(tmp_path, "raising packages")
-    assert "none: No control" in python("-m", "ldctoolkit", "controllers", "none", cwd=folder, path=".")
+    assert "none: No control" in python("-m", "ldctoolkit", "controllers", "none", cwd=folder, PYTHONPATH=".")
 
 
 @pytest.mark.slow
@@ -46,18 +33,18 @@ def test_the_command_uses_the_toolkits_packages(tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", FILES)
 def test_it_does_so_however_it_is_started(kind: str, tmp_path: Path, path: str) -> None:
     folder = write(tmp_path, kind)
-    assert "r_delta" in python("-c", f"import sys; {MAIN}", "controllers", "lqr", cwd=folder, path=path)
+    assert "r_delta" in python("-c", f"import sys; {MAIN}", "controllers", "lqr", cwd=folder, PYTHONPATH=path)
 
 
 @pytest.mark.slow
 def test_workers_use_the_toolkits_packages(tmp_path: Path) -> None:
     """Also those that start afresh, as on macOS and Windows: a new interpreter, whose path begins with this folder."""
     folder = write(tmp_path, "raising packages")
-    python("-m", "ldctoolkit", *RUN, cwd=folder, path=".")
+    python("-m", "ldctoolkit", *RUN, cwd=folder, PYTHONPATH=".")
     assert (folder / "o" / "report.html").is_file()
     start = "import sys, multiprocessing\nif __name__ == '__main__':\n    multiprocessing.set_start_method('spawn'); "
     (folder / "main.py").write_text(f"{start}{MAIN}\n")
-    python("main.py", *RUN[:3], "again", *RUN[4:], cwd=folder, path=".")
+    python("main.py", *RUN[:3], "again", *RUN[4:], cwd=folder, PYTHONPATH=".")
 
 
 LIBRARY = """
@@ -74,7 +61,7 @@ def test_a_script_beside_folders_of_that_name(kind: str, tmp_path: Path) -> None
     """The toolkit uses neither name, which is the user's."""
     theirs = "import controllers; print(controllers.__file__)\n" if kind in ("packages", "modules") else ""
     folder = write(tmp_path, kind)
-    printed = python("-c", LIBRARY + theirs, cwd=folder)
+    printed = python("-c", LIBRARY + theirs, cwd=folder, PYTHONPATH="")
     assert printed.startswith(str(folder) if theirs else "")
 
 
@@ -82,5 +69,4 @@ def test_a_script_beside_folders_of_that_name(kind: str, tmp_path: Path) -> None
 def test_in_a_checkout_no_second_copy_of_a_package_is_imported(name: str, tmp_path: Path) -> None:
     """Its root is on Python's path, and with it both folders."""
     check = f"try:\n    import {name}\nexcept ImportError as error:\n    print(error.name)\n"
-    root = Path(__file__).resolve().parents[1]
-    assert python("-c", check, cwd=tmp_path, path=str(root)) == f"{name}\n"
+    assert python("-c", check, cwd=tmp_path, PYTHONPATH=str(ROOT)) == f"{name}\n"

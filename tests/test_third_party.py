@@ -1,34 +1,18 @@
 """A law outside the repository, as the guide tells it: written, installed, checked, swept, reported."""
 
-import csv
 import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
-from helpers.cli import blocks, install
+from helpers.cli import blocks, csv_rows, install, python
 from ldctoolkit.testing import CHECKS
 
 pytestmark = pytest.mark.slow
 
 GUIDE = "docs/how-to/my-law.md"
 RUN = "-m ldctoolkit run sweep.toml -o out --no-robustness --no-figures --workers"
-
-
-def process(line: str, cwd: Path, site: Path) -> subprocess.CompletedProcess[str]:
-    """Python with the packages of a folder."""
-    path = os.pathsep.join([str(site), *filter(None, [os.environ.get("PYTHONPATH")])])
-    env = os.environ | {"PYTHONPATH": path, "PYTHONDONTWRITEBYTECODE": "1"}
-    command = [sys.executable, *line.split()]
-    return subprocess.run(command, cwd=cwd, env=env, capture_output=True, text=True, check=False)
-
-
-def ranking(folder: Path) -> list[dict[str, str]]:
-    with (folder / "ranking.csv").open(encoding="utf-8") as file:
-        return list(csv.DictReader(file))
 
 
 @pytest.fixture
@@ -53,15 +37,14 @@ def project(tmp_path: Path) -> Path:
 def test_the_guide_from_the_file_to_the_report(project: Path, tmp_path: Path) -> None:
     site = tmp_path / "site"
     install(project, site)
+    path = os.pathsep.join([str(site), *filter(None, [os.environ.get("PYTHONPATH")])])
 
-    listed = process("-m ldctoolkit controllers offset", project, site)
-    assert listed.returncode == 0, listed.stderr
-    assert "K_rate" in listed.stdout
+    def process(line: str) -> str:
+        return python(*line.split(), cwd=project, PYTHONPATH=path, PYTHONDONTWRITEBYTECODE="1")
 
-    ran = process(f"{RUN} 2", project, site)
-    assert ran.returncode == 0, ran.stderr
-    assert "Offset" in ran.stdout
-    rows = ranking(project / "out")
+    assert "K_rate" in process("-m ldctoolkit controllers offset")
+    assert "Offset" in process(f"{RUN} 2")
+    rows = csv_rows(project / "out" / "ranking.csv")
     assert [row["law"] for row in rows].count("offset") == 8
     assert {row["gain_K_y_rad_per_m"] for row in rows if row["law"] == "offset"} == {"-0.04", "-0.03", "-0.02", "-0.01"}
     assert all(float(row["reduction"]) > 0 for row in rows if row["law"] != "none")
@@ -70,6 +53,5 @@ def test_the_guide_from_the_file_to_the_report(project: Path, tmp_path: Path) ->
     table = page.split('<table id="designs"')[1].split("</table>")[0]
     assert table.count("K<sub>y</sub>") == 6  # two have the default
 
-    checked = process("-m pytest -q -p no:cacheprovider tests", project, site)
-    assert checked.returncode == 0, checked.stdout
-    assert re.search(rf"^{2 * len(CHECKS)} passed", checked.stdout, flags=re.M)  # both laws of the guide
+    checked = process("-m pytest -q -p no:cacheprovider tests")
+    assert re.search(rf"^{2 * len(CHECKS)} passed", checked, flags=re.M)  # both laws of the guide

@@ -5,6 +5,7 @@ import contextlib
 import hashlib
 import importlib
 import io
+import itertools
 import json
 import os
 import pickle
@@ -21,7 +22,7 @@ from types import ModuleType
 import pytest
 from markupsafe import Markup
 
-from helpers.cli import ROOT, TINY_STUDY, bad, good, ldc
+from helpers.cli import ROOT, TINY_STUDY, bad, good, ldc, python
 from ldctoolkit import LdcError, compiling, load_model, surroundings
 from ldctoolkit.controllers import LQR, _nmpc_solver
 from ldctoolkit.recordings.mdf_logs import read_channel_map
@@ -43,11 +44,6 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def python(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, *map(str, arguments)]
-    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=300, check=False)
-
-
 # ------------------------------------------------------------------------------------------------ modules
 
 
@@ -66,8 +62,7 @@ def test_workers_and_their_trackers_import_nothing_from_the_working_directory(fo
     command.parent.mkdir()
     command.write_text("import sys\nfrom ldctoolkit.studies.cli import main\nsys.exit(main())\n")
     words = (command,) if by == "command" else ("-m", "ldctoolkit")
-    done = python(*words, "run", "s.toml", "-o", "o", *RUN, 2, cwd=folder)
-    assert done.returncode == 0, done.stderr
+    python(*words, "run", "s.toml", "-o", "o", *RUN, 2, cwd=folder)
     assert not mark.exists(), mark.read_text()
 
 
@@ -101,8 +96,7 @@ class Twice(ldc.LQR):
 def test_a_designers_own_modules_reach_the_workers(tmp_path: Path) -> None:
     for name, text in {"main": SCRIPT, "my_laws": LAW, "my_numbers": "TWO = 2\n"}.items():
         (tmp_path / f"{name}.py").write_text(text)
-    done = python("main.py", cwd=tmp_path)
-    assert (done.returncode, done.stdout) == (0, "2\n"), done.stderr
+    assert python("main.py", cwd=tmp_path) == "2\n"
 
 
 # ------------------------------------------------------------------------------------------------ compiled caches
@@ -138,29 +132,24 @@ def kernel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[], Path
     return call
 
 
-@pytest.mark.parametrize("kind", ["nbi", "nbc"])
-def test_a_cache_file_that_others_can_write_is_not_used(kernel: Callable[[], Path], tmp_path: Path, kind: str) -> None:
+@pytest.mark.parametrize("kind", ["nbi", "nbc", "folder"])
+def test_a_cache_that_others_can_write_is_not_used(kernel: Callable[[], Path], tmp_path: Path, kind: str) -> None:
     cache, mark = kernel(), tmp_path / "ran"
-    (file,) = cache.glob(f"planted_kernel.*.{kind}")
+    (file,) = cache.glob(f"planted_kernel.*.{kind.replace('folder', 'nbi')}")
     file.write_bytes(pickle.dumps(Planted(mark)))
-    file.chmod(0o666)
-    assert kernel() == cache
+    if kind == "folder":
+        cache.chmod(0o777)
+        assert kernel().is_relative_to(tmp_path / "own")
+        cache.chmod(0o755)
+    else:
+        file.chmod(0o666)
+        assert kernel() == cache
+        assert not stat.S_IMODE(file.stat().st_mode) & 0o022  # compiled anew
     assert not mark.exists()
-    assert not stat.S_IMODE(file.stat().st_mode) & 0o022  # compiled anew
     file.write_bytes(pickle.dumps(Planted(mark)))
     with contextlib.suppress(Exception):
         kernel()
     assert mark.exists()  # the attack does work where the file is the user's
-
-
-def test_nor_is_a_folder(kernel: Callable[[], Path], tmp_path: Path) -> None:
-    cache, mark = kernel(), tmp_path / "ran"
-    (file,) = cache.glob("planted_kernel.*.nbi")
-    file.write_bytes(pickle.dumps(Planted(mark)))
-    cache.chmod(0o777)
-    other = kernel()
-    assert other.is_relative_to(tmp_path / "own")
-    assert not mark.exists()
 
 
 def test_whose_a_file_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -212,9 +201,7 @@ def test_no_settings_of_numba_from_the_working_directory(module: str, tmp_path: 
         "        assert type(function._cache._cache_file).__name__ == '_File'\n"
         "        print('guarded' if 'planted' not in function.stats.cache_path else 'planted')\n"
     )
-    done = python("-c", code, cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    directory, *functions = done.stdout.splitlines()
+    directory, *functions = python("-c", code, cwd=tmp_path).splitlines()
     assert directory == repr(os.environ.get("NUMBA_CACHE_DIR", ""))
     assert {*functions} == {"guarded"}
 
@@ -261,6 +248,11 @@ TOML = {
     "digits that are read": f"x = {400 * '1'}",
     "hexadecimal digits": f"x = 0x{1_000_000 * 'f'}",
 }
+JSON = {
+    "open lists": "[" * 100_000,
+    "lists in lists": "[" * 100 + "]" * 100,
+    "digits": f'{{"format_version": {300 * "1"}}}',
+}
 READERS: dict[str, Callable[[Path], object]] = {
     "study": load_study,
     "channel map": read_channel_map,
@@ -269,22 +261,20 @@ READERS: dict[str, Callable[[Path], object]] = {
 }
 
 
-@pytest.mark.parametrize("attack", TOML)
-@pytest.mark.parametrize("reader", ["study", "channel map"])
+def path_for(reader: str, folder: Path) -> Path:
+    return folder / ("manifest.json" if reader in ("model", "manifest") else "a.toml")
+
+
+@pytest.mark.parametrize(
+    ("reader", "attack"),
+    [*itertools.product(("study", "channel map"), TOML), *itertools.product(("model", "manifest"), JSON)],
+)
 @pytest.mark.usefixtures("within")
-def test_toml_that_asks_for_too_much(tmp_path: Path, reader: str, attack: str) -> None:
-    path = tmp_path / "a.toml"
-    path.write_text(TOML[attack])
-    with pytest.raises(LdcError, match="not a TOML file"):
-        READERS[reader](path)
-
-
-@pytest.mark.parametrize("text", ["[" * 100_000, "[" * 100 + "]" * 100, f'{{"format_version": {300 * "1"}}}'])
-@pytest.mark.parametrize("reader", ["model", "manifest"])
-def test_json_that_asks_for_too_much(tmp_path: Path, reader: str, text: str) -> None:
-    path = tmp_path / "manifest.json"
-    path.write_text(text)
-    with pytest.raises(LdcError, match=r"nested too deeply|whole number"):
+def test_texts_that_ask_for_too_much(tmp_path: Path, reader: str, attack: str) -> None:
+    path = path_for(reader, tmp_path)
+    toml = path.suffix == ".toml"
+    path.write_text((TOML if toml else JSON)[attack])
+    with pytest.raises(LdcError, match="not a TOML file" if toml else r"nested too deeply|whole number"):
         READERS[reader](path)
 
 
@@ -292,7 +282,7 @@ def test_json_that_asks_for_too_much(tmp_path: Path, reader: str, text: str) -> 
 @pytest.mark.parametrize("reader", READERS)
 @pytest.mark.usefixtures("within")
 def test_only_regular_files_of_some_size(tmp_path: Path, reader: str, kind: str) -> None:
-    path = tmp_path / ("manifest.json" if reader in ("model", "manifest") else "a.toml")
+    path = path_for(reader, tmp_path)
     if kind == "pipe":
         os.mkfifo(path)
     elif kind == "device":

@@ -96,10 +96,9 @@ class Recorded:
     def times(self, rows: IntArray) -> FloatArray:
         """Times of the samples of departures (k,), side by side, (k, most); the last is repeated."""
         first, last = self.signals.offsets[rows], self.signals.offsets[rows + 1] - 1
-        places: FloatArray = self.signals.t[
-            np.minimum(first[:, None] + np.arange(np.max(last - first, initial=0) + 1), last[:, None])
-        ]
-        return places
+        sample = np.minimum(first[:, None] + np.arange(np.max(last - first, initial=0) + 1), last[:, None])
+        t: FloatArray = self.signals.t[sample]
+        return t
 
     def _before(self, t: FloatArray) -> tuple[FloatArray, IntArray]:
         """Times t (n,) or (n, k) held within the departure, and the sample before each, never the last one."""
@@ -357,8 +356,8 @@ class UncorrectedPath:
         out, starts, ends = np.empty(self.n), np.minimum(t_0, self.scenarios.T), np.minimum(t_1, self.scenarios.T)
         # cells of each path by itself: no number depends on which others stand beside it
         cells = np.maximum(16 * np.maximum(_used(self.modes_y), _used(self.modes_v)), 8) * (self.recorded is None)
-        every = [np.flatnonzero(cells == count) for count in np.unique(cells)]
-        for rows in (some[i : i + _BLOCK] for some in every for i in range(0, some.size, _BLOCK)):
+        groups = [np.flatnonzero(cells == count) for count in np.unique(cells)]
+        for rows in (group[i : i + _BLOCK] for group in groups for i in range(0, group.size, _BLOCK)):
             path, start, end = self.take(rows), starts[rows, None], ends[rows, None]
             if path.recorded is not None:
                 t = np.clip(path.recorded.times(np.arange(path.n)), start, end)
@@ -401,8 +400,8 @@ class UncorrectedPath:
             fast = sound & (slowest >= SPEED_FLOOR) & (2.0 * p.v_mean - slowest <= SPEED_CEILING)
         if self.modes_v.shape[1] and fast.any():
             rows = np.flatnonzero(fast)
-            some = self.take(rows)
-            fast[rows] = some.slowest_speed(np.zeros(rows.size), some.scenarios.T) >= SPEED_FLOOR
+            path = self.take(rows)
+            fast[rows] = path.slowest_speed(np.zeros(rows.size), path.scenarios.T) >= SPEED_FLOOR
         return np.asarray(fast, dtype=bool)
 
     def columns(self) -> Path:
@@ -470,7 +469,7 @@ class DriftPath(UncorrectedPath):
         drift, v = self.drift, self.scenarios.v_mean
         end, deep = drift.arc(v)
         columns = v, drift.radius, drift.lateral_velocity, drift.distance, end, deep
-        v, radius, rate, distance, end, deep = (_like(one, t) for one in columns)
+        v, radius, rate, distance, end, deep = (_like(column, t) for column in columns)
         inside, after = np.minimum(t, end), np.maximum(t - end, 0.0)
         arc = radius * (inside - radius / v * np.sin(v * inside / radius))
         return arc + after * (deep + 0.5 * rate * after) - distance * t

@@ -35,7 +35,7 @@ from ldctoolkit.recordings.recording import (
     shown_names,
     source_file,
 )
-from ldctoolkit.validation import Part, as_tuples, fail, first_problem
+from ldctoolkit.validation import Part, as_tuples, first_problem
 from ldctoolkit.whole_file import read_toml
 
 _NAMES: Final = re.compile(r"\.(mf4|mdf|dat)$", re.IGNORECASE)
@@ -130,12 +130,13 @@ class ChannelMap(Part):
             dimension = QUANTITIES[name][0]
             if channel.unit is not None and si_factor(channel.unit, dimension) is None:
                 allowed = ", ".join(UNITS[dimension]) or "none, it is a state"
-                raise fail(f"{name}.unit", f"{channel.unit!r}, of {channel.channel!r}; allowed: {allowed}")
+                raise InputError(f"{name}.unit", f"of {channel.channel!r}", value=channel.unit, allowed=allowed)
         lines = self.left_line and self.right_line
         if not (self.lane_offset or lines):
-            raise fail("lane_offset", "missing; needed: this, or left_line and right_line")
+            raise InputError("lane_offset", "missing", hint="needed: this, or left_line and right_line")
         if not (self.lane_width or lines or self.constant_lane_width):
-            raise fail("lane_width", "missing; needed: this, left_line and right_line, or constant_lane_width")
+            hint = "needed: this, left_line and right_line, or constant_lane_width"
+            raise InputError("lane_width", "missing", hint=hint)
         return self
 
 

@@ -324,7 +324,7 @@ def _initial_angle(
     if not beyond.any():
         return
     i = int(np.argmax(angles))
-    samples = f"{math.ceil((angles[i] - delta_max) / step - _ROUNDING)}" if step > 0 else "all"
+    samples = math.ceil((angles[i] - delta_max) / step - _ROUNDING) if step > 0 else "all"
     reach, whose = math.ceil(_NO_HORIZON / dt), "a second has"
     if isinstance(horizon, int) and not isinstance(horizon, bool):
         reach, whose = horizon, "its horizon is"
@@ -475,12 +475,9 @@ def review(
     options = PlantOptions() if options is None else options
     thresholds = Thresholds() if thresholds is None else thresholds
     model = BicycleModel() if model is None else model
-    dt, a_y, y_s = (
-        checked_number("dt", dt, above=0.0), checked_number("a_y", a_y, above=0.0),
-        checked_number("y_s", y_s, lower=0.0),
-    )  # fmt: skip
+    a_y, y_s = checked_number("a_y", a_y, above=0.0), checked_number("y_s", y_s, lower=0.0)
     plant = review_plant(model, dt, options, speeds, plant_knowledge)
-    v, options = plant.v, options.sampled(dt)
+    v, dt, options = plant.v, plant.dt, options.sampled(plant.dt)
     identity = _identity(controller)
     view = linear_view(controller, plant)
     if view is None:

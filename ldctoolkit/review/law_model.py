@@ -240,7 +240,7 @@ def _identified(controller: Controller, plant: Plant) -> LinearView:
     # one row a speed for each pulse: quiet, then (six inputs) x (up, down) x (small, larger)
     signs = np.concatenate([np.eye(6), -np.eye(6)])
     pulses = np.concatenate([np.zeros((1, 6)), signs * PULSE, LARGER * signs * PULSE])
-    answers = _after(controller, plant, np.repeat(pulses[:, None], plant.n, axis=1), _SAMPLES)  # (samples, 25, n)
+    answers = pulse_answers(controller, plant, np.repeat(pulses[:, None], plant.n, axis=1), _SAMPLES)
     finite = np.isfinite(answers).all(axis=(0, 1))
     answers = np.where(finite, answers, 0.0)
     small, large = (0.5 * (answers[:, i : i + 6] - answers[:, i + 6 : i + 12]) for i in (1, 13))
@@ -257,14 +257,8 @@ def _identified(controller: Controller, plant: Plant) -> LinearView:
     )
 
 
-def first_answers(controller: Controller, plant: Plant, inputs: FloatArray) -> FloatArray:
-    """Commands of a `SteeringLaw` at its first sample."""
-    (commands,) = _after(controller, plant, inputs, 1)
-    return np.asarray(commands)
-
-
-def _after(controller: Controller, plant: Plant, inputs: FloatArray, samples: int) -> FloatArray:
-    """Commands (samples, q, n) for the inputs (q, n, 6) at the first sample, and zeros later."""
+def pulse_answers(controller: Controller, plant: Plant, inputs: FloatArray, samples: int) -> FloatArray:
+    """Commands (samples, q, n) of a `SteeringLaw` for the inputs (q, n, 6) at the first sample, and zeros later."""
     q, n, name = inputs.shape[0], plant.n, controller.name
     law = _prepared(controller, plant.at(np.tile(plant.v, q)))
     if not isinstance(law, SteeringLaw):

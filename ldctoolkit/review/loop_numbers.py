@@ -20,7 +20,7 @@ from ldctoolkit.review.law_model import (
     System,
     controller_side,
     exact_view,
-    first_answers,
+    pulse_answers,
     sampled_vehicle,
 )
 from ldctoolkit.setup import Setup
@@ -139,19 +139,16 @@ def quick_margins(loops: Sequence[Loop], dt: float) -> tuple[FloatArray, FloatAr
     crossing = size[:, :-1] * size[:, 1:] < 0
     part = np.divide(size[:, :-1], size[:, :-1] - size[:, 1:], out=np.zeros_like(size[:, 1:]), where=crossing)
     at = np.abs(np.angle(np.exp(1j * (angle[:, :-1] + part * (angle[:, 1:] - angle[:, :-1])))))
-    gain[stable], phase[stable] = _gain_margin(L), np.asarray(np.where(crossing, at, np.inf).min(axis=1))
-    return gain, phase
-
-
-def _gain_margin(L: npt.NDArray[np.complex128]) -> FloatArray:
-    """Where L (s, m) crosses the negative real axis."""
+    phase[stable] = np.where(crossing, at, np.inf).min(axis=1)
+    # where L crosses the negative real axis
     im, re = L.imag, L.real
     crossing = (im[:, :-1] * im[:, 1:] < 0) & (re[:, :-1] + re[:, 1:] < 0)
     part = np.divide(im[:, :-1], im[:, :-1] - im[:, 1:], out=np.zeros_like(im[:, 1:]), where=crossing)
     at = np.where(crossing, -(re[:, :-1] + part * (re[:, 1:] - re[:, :-1])), 0.0)
     at = np.column_stack([at, -re[:, -1:]])  # L is real at the Nyquist frequency
     factors = np.divide(1.0, at, out=np.full_like(at, np.inf), where=at > 0)
-    return np.asarray(np.where(factors > 1.0, factors, np.inf).min(axis=1))
+    gain[stable] = np.where(factors > 1.0, factors, np.inf).min(axis=1)
+    return gain, phase
 
 
 _WEIGHTS = ("q_y", "q_y_rate", "q_psi", "q_psi_rate")
@@ -225,20 +222,23 @@ def loop_numbers(
     dt, actuator = plant.dt, options.actuator
     A, B, E = plant.model.matrices(plant.v)
     cameras = _cameras(plant, options)
-    others = [_with_stiffness(plant, front, rear) for front in (-1.0, 1.0) for rear in (-1.0, 1.0)]
+    p = plant.model.parameters
+    low, high = 1.0 - MISMATCH, 1.0 + MISMATCH
+    tyres = [dataclasses.replace(p, C_af=p.C_af * f, C_ar=p.C_ar * r) for f in (low, high) for r in (low, high)]
+    others = [BicycleModel(other, plant.model.convention).matrices(plant.v) for other in tyres]
     rows = []
     inputs = np.zeros((2, plant.n, 6))  # in the bend: of the nominal vehicle, of the worst other one
     for i, law in enumerate(view.models):
         side = controller_side(law, cameras[i])
         loop = Loop.of(sampled_vehicle(A[i], B[i], E[i], dt, actuator), side)
-        p, m, offsets = poles(loop.closed_A, dt), Margins(*[math.nan] * 6), [math.nan] * 2
-        if p.stable:
+        z, m, offsets = poles(loop.closed_A, dt), Margins(*[math.nan] * 6), [math.nan] * 2
+        if z.stable:
             m = margins(loop.open, dt)
             worst = _worst([(a[i], b[i], e[i]) for a, b, e in others], side, dt, options)
             inputs[0, i] = loop.steady() * bend[i]
             inputs[1, i] = 0.0 if worst is None else worst * bend[i]
             offsets = [inputs[0, i, 0], math.inf if worst is None else inputs[1, i, 0]]
-        rows.append([*p, *m, bandwidth(A[i], B[i], actuator.lag, side, dt), *offsets])
+        rows.append([*z, *m, bandwidth(A[i], B[i], actuator.lag, side, dt), *offsets])
     stable, *columns = np.array(rows, dtype=float).T
     errors = _errors(controller, view, plant, inputs)
     for column, error in zip(columns[-2:], errors, strict=True):
@@ -266,16 +266,9 @@ def _errors(controller: Controller, view: LinearView, plant: Plant, inputs: Floa
     if view.exact or not without.any():
         return np.zeros(inputs.shape[:2])
     terms = inputs * np.array([model.D[:6] for model in view.models])
-    error = np.abs(first_answers(controller, plant, inputs) - terms.sum(axis=2))
+    error = np.abs(pulse_answers(controller, plant, inputs, 1)[0] - terms.sum(axis=2))
     error = np.where(np.isnan(error), math.inf, error)
     return np.where(without, error / np.maximum(np.abs(terms).max(axis=2), 1e-9), 0.0)
-
-
-def _with_stiffness(plant: Plant, front: float, rear: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Continuous-time matrices of the vehicle on other tyres."""
-    p = plant.model.parameters
-    other = dataclasses.replace(p, C_af=p.C_af * (1.0 + front * MISMATCH), C_ar=p.C_ar * (1.0 + rear * MISMATCH))
-    return BicycleModel(other, plant.model.convention).matrices(plant.v)
 
 
 def _cameras(plant: Plant, options: PlantOptions) -> list[Camera]:

@@ -74,7 +74,7 @@ def declared(subject: Subject) -> Iterator[str]:
     for gain in kind.gains():
         for attribute in ("unit", "description"):
             if not getattr(gain, attribute):
-                yield f"{kind.__name__}.{gain.name}: its {attribute} is empty; allowed: some words"
+                yield f"{kind.__name__}.{gain.name}: its {attribute} is empty; allowed: a text"
 
 
 @_check("designs_are_frozen")
@@ -191,7 +191,7 @@ def interface(subject: Subject) -> Iterator[str]:
 
 @_check("same_input_same_output")
 def repeatable(subject: Subject) -> Iterator[str]:
-    """The same input gives the same output: of gain law twice, of a law made anew, and in the closed loop."""
+    """The same input gives the same output: of one law twice, of a law prepared anew, and in the closed loop."""
     road, design = subject.bends(), subject.design
     before = copy.deepcopy(design)
     if subject.steers:
@@ -269,7 +269,7 @@ def limits(subject: Subject) -> Iterator[str]:
             if (excess > room).any():
                 k, i = first_of(excess > room)
                 yield (
-                    f"the command goes from {shown(before[k, i])} to {shown(sent.delta[k, i])} rad in gain sample of "
+                    f"the command goes from {shown(before[k, i])} to {shown(sent.delta[k, i])} rad in one sample of "
                     f"{subject.settings.dt:g} s, at sample {k} of scenario {i}; allowed by {name} = {values[name]:g}: "
                     f"{excess[k, i]:.3g} rad less"
                 )
@@ -456,7 +456,7 @@ def contract_faults(
     designs : sequence of Controller
         More designs of the same law.
     checks : str or iterable of str, optional
-        One key, or some keys, of `CHECKS`; all by default.
+        Keys of `CHECKS`; all by default.
     settings : ContractSettings, optional
         Size and tolerances.
 
@@ -479,9 +479,8 @@ def contract_faults(
             raise InputError("checks", value=name, allowed=CHECKS)
     expect("settings", settings, ContractSettings | None)
     first = controller() if isinstance(controller, type) and issubclass(controller, Controller) else controller
-    every = [check_controller(design) for design in (first, *designs)]
-    subjects = [Subject(design, settings or ContractSettings()) for design in dict.fromkeys(every)]
-    return tuple(fault for subject in subjects for fault in _faults(subject, names))
+    every = dict.fromkeys(check_controller(design) for design in (first, *designs))
+    return tuple(fault for d in every for fault in _faults(Subject(d, settings or ContractSettings()), names))
 
 
 def check_controller_contract(

@@ -135,32 +135,21 @@ class VehicleParameters(CheckedArguments):
 Convention = Literal["consistent", "as_printed"]
 
 
-class SingleTrack(Protocol):
+class _SingleTrack(Protocol):
     """What the error dynamics take from a vehicle: numbers, or arrays of n where vehicles differ."""
 
     @property
-    def C_af(self) -> float | FloatArray:
-        """Cornering stiffness of one front tyre [N/rad]."""
-
+    def C_af(self) -> float | FloatArray: ...
     @property
-    def C_ar(self) -> float | FloatArray:
-        """Cornering stiffness of one rear tyre [N/rad]."""
-
+    def C_ar(self) -> float | FloatArray: ...
     @property
-    def l_f(self) -> float | FloatArray:
-        """Distance from the centre of gravity to the front axle [m]."""
-
+    def l_f(self) -> float | FloatArray: ...
     @property
-    def l_r(self) -> float | FloatArray:
-        """Distance from the centre of gravity to the rear axle [m]."""
-
+    def l_r(self) -> float | FloatArray: ...
     @property
-    def m(self) -> float | FloatArray:
-        """Mass [kg]."""
-
+    def m(self) -> float | FloatArray: ...
     @property
-    def I_z(self) -> float | FloatArray:
-        """Yaw inertia [kg m^2]."""
+    def I_z(self) -> float | FloatArray: ...
 
 
 @dataclasses.dataclass(frozen=True)
@@ -239,7 +228,7 @@ class BicycleModel(CheckedArguments):
 
 
 def error_dynamics_matrices(
-    vehicle: SingleTrack, v: FloatArray, convention: Convention
+    vehicle: _SingleTrack, v: FloatArray, convention: Convention
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Continuous-time A (n, 4, 4), B and E (n, 4) of Rajamani's eq. 2.45 at speeds v (n,) [m/s], one vehicle or n."""
     p = vehicle

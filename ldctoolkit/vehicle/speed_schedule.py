@@ -95,12 +95,12 @@ def scheduled(
     what : str
         What is scheduled, in the plural, for messages.
     columns : slice
-        Which of the k values are wanted, all by default; the others cost nothing.
+        Which of the k values, all by default; the others cost nothing.
 
     Returns
     -------
     (n, k)
-        Or as many columns as are wanted.
+        Or as many columns as `columns` has.
 
     Examples
     --------
@@ -122,9 +122,9 @@ def scheduled(
     coefficients, smooth = chebyshev(solve)
     if not smooth.all():
         raise LdcError(what, "change too sharply with speed to be scheduled")
-    wanted = np.ascontiguousarray(coefficients[:, columns])
-    values = np.empty((z.size, wanted.shape[1]))
-    clenshaw(z, wanted, values)
+    used = np.ascontiguousarray(coefficients[:, columns])
+    values = np.empty((z.size, used.shape[1]))
+    clenshaw(z, used, values)
     return values
 
 

@@ -108,7 +108,7 @@ def _subjects(text: str, chosen: argparse.Namespace) -> Iterator[Subject]:
 
         kind = controller_class(text)
         each_once("--gain", chosen.gain)
-        gains = {name: find_gain(kind, name, kind.name).parsed(value) for name, value in chosen.gain or ()}
+        gains = {name: find_gain(kind, name).parsed(value) for name, value in chosen.gain or ()}
         study, y_s = load_study(chosen.plant), -0.4 if chosen.y_s is None else chosen.y_s
         controller = kind(**gains)
         yield Design.of(controller, y_s).label, controller, y_s, study.setup()

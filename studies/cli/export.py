@@ -74,16 +74,16 @@ def run(chosen: argparse.Namespace) -> int:
         say(out, f"gains over speed: {target}")
         return 0
     with progress_bar("writing, compiling and driving the code"):
-        made = export_c(
+        export = export_c(
             controller, setup, design.y_s, folder, scenarios=_scenarios(study, chosen.folder), origin=origin,
             run_check=not chosen.no_check, fmu=chosen.fmu,
         )  # fmt: skip
-    say(out, design.label, *(f"  {path}" for path in made.files))
-    if made.check is None:
-        say(out, f"in the loop: not run ({made.not_run})")
+    say(out, design.label, *(f"  {path}" for path in export.files))
+    if export.check is None:
+        say(out, f"in the loop: not run ({export.not_run})")
         return 0 if chosen.no_check else NOT_RUN
-    say(out, *made.check.lines)
-    return 0 if made.check.passed else FAILED
+    say(out, *export.check.lines)
+    return 0 if export.check.passed else FAILED
 
 
 def _scenarios(study: Judged, folder: str) -> Scenarios:
@@ -91,9 +91,9 @@ def _scenarios(study: Judged, folder: str) -> Scenarios:
     from ..export import DEPARTURES
     from ..storage.stored_model import read_model
 
-    own = study.results.scenarios
-    model = read_model(folder, study.manifest) if own.n < DEPARTURES and study.study.scenarios.model else None
+    scenarios = study.results.scenarios
+    model = read_model(folder, study.manifest) if scenarios.n < DEPARTURES and study.study.scenarios.model else None
     if model is None:
-        return own
-    left, right = (math.ceil(count * DEPARTURES / own.n) for count in study.study.scenarios.counts)
+        return scenarios
+    left, right = (math.ceil(count * DEPARTURES / scenarios.n) for count in study.study.scenarios.counts)
     return model.sample(left, right, seed=study.study.seed, given=study.study.scenarios.given)

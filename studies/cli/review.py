@@ -121,7 +121,7 @@ def _law(chosen: argparse.Namespace) -> Subject:
 
     kind = controller_class(chosen.design)
     each_once("--gain", chosen.gain)
-    gains = {name: find_gain(kind, name, kind.name).parsed(text) for name, text in chosen.gain or ()}
+    gains = {name: find_gain(kind, name).parsed(text) for name, text in chosen.gain or ()}
     given = ", ".join(f"{name}={text}" for name, text in chosen.gain or ())
     arguments: dict[str, Any] = {"options": _plant(chosen, PlantOptions())}
     if chosen.dt is not None:

@@ -82,8 +82,8 @@ def export_c(
     >>> from ldctoolkit import LQR
     >>> few = load_model("reference").sample(20, 20, seed=1)
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     made = export_c(LQR(), Setup(), 0.2, folder, scenarios=few, run_check=False)
-    ...     [path.name for path in made.files]
+    ...     export = export_c(LQR(), Setup(), 0.2, folder, scenarios=few, run_check=False)
+    ...     [path.name for path in export.files]
     ['ldc_controller.h', 'ldc_controller.c', 'main.c', 'README.md', 'test_vectors.csv']
     """
     expect("setup", setup, Setup)
@@ -95,17 +95,16 @@ def export_c(
         scenarios = load_model("reference").sample(DEPARTURES // 2, DEPARTURES // 2, seed=setup.seed)
     recording = record(code, scenarios)
     if not recording.counts.any():
-        raise InputError(
-            "scenarios", f"no departure beyond y_s = {y_s:g} m that can be compared", allowed="one or more"
-        )
-    texts, command, target = write_folder(code, Path(folder), vectors(recording)), compiler(), Path(folder)
-    files = [target / name for name in texts]
-    if fmu:
-        files.append(_write_fmu(code, texts, target, command))
-    if not run_check or command is None:
-        why = "not wanted" if not run_check else "no C compiler: neither cc on the path nor the package ziglang"
-        return Export(tuple(files), None, why)
-    return Export(tuple(files), check(recording, command))
+        problem = f"no departure beyond y_s = {y_s:g} m that can be compared"
+        raise InputError("scenarios", problem, allowed="one or more")
+    folder, command = Path(folder), compiler()
+    texts = write_folder(code, folder, vectors(recording))
+    files = tuple(folder / name for name in texts) + ((_write_fmu(code, texts, folder, command),) if fmu else ())
+    if not run_check:
+        return Export(files, None, "not wanted")
+    if command is None:
+        return Export(files, None, "no C compiler: neither cc on the path nor the package ziglang")
+    return Export(files, check(recording, command))
 
 
 _PLATFORMS: Final = {"Linux": ("linux64", ".so"), "Darwin": ("darwin64", ".dylib"), "Windows": ("win64", ".dll")}

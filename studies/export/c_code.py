@@ -138,17 +138,14 @@ class Code:
         yield f"design {self.design.id}: {self.controller.name}, y_s = {self.y_s:g} m"
         yield from _wrapped("gains: ", [f"{name} = {value}" for name, value in self.design.gains])
         yield from self.origin.lines if self.origin else ("study: none, exported from Python",)
-        yield f"sample time: {self.setup.dt:g} s; trigger: " + (
-            f"the edge is further than y_s beyond the line in {self.setup.ttlc:g} s" if self.setup.ahead
-            else "the edge is further than y_s beyond the line"
-        )  # fmt: skip
+        when = f" in {self.setup.ttlc:g} s" if self.setup.ahead else ""
+        yield f"sample time: {self.setup.dt:g} s; trigger: the edge is further than y_s beyond the line{when}"
         yield from _wrapped("vehicle: ", [f"{f.name} = {getattr(p, f.name):g}" for f in dataclasses.fields(p)])
-        yield f"actuator it was designed for: lag {actuator.lag:g} s, delay {actuator.delay:g} s" + (
-            "" if self.setup.plant_knowledge == "nominal" else ", which it does not know"
-        )
-        limits = [f"{name} = {getattr(actuator, name):g}" for name in ("delta_max", "rate_max")
-                  if getattr(actuator, name) is not None]  # fmt: skip
-        yield f"limits of that actuator [rad, rad/s]: {', '.join(limits) or 'none'}"
+        unknown = "" if self.setup.plant_knowledge == "nominal" else ", which it does not know"
+        yield f"actuator it was designed for: lag {actuator.lag:g} s, delay {actuator.delay:g} s{unknown}"
+        limits = {"delta_max": actuator.delta_max, "rate_max": actuator.rate_max}
+        texts = [f"{name} = {limit:g}" for name, limit in limits.items() if limit is not None]
+        yield f"limits of that actuator [rad, rad/s]: {', '.join(texts) or 'none'}"
         yield f"age of the state that it sees: {self.age:g} s" + (", behind a Kalman filter" if self.filtered else "")
         yield "gains are those of the speed at the departure and stay until ldc_step hands over"
         terms, k = self.schedule.coefficients.shape
@@ -161,8 +158,8 @@ class Code:
         if form.mpc:
             yield f"solver: at most {form.mpc['iterations']} iterations a step, by the bound of its loop"
         yield ""
-        for name, found in digests.items():
-            yield f"sha256 {found} {name}"
+        for name, value in digests.items():
+            yield f"sha256 {value} {name}"
 
     def texts(self, vectors: str) -> dict[str, str]:
         """Every file by its name; the header has the hashes of all, of itself with zeros in the place of its own."""
@@ -198,26 +195,24 @@ class Code:
         }  # fmt: skip
         files = {name: render(name, **values) for name in (SOURCE, "main.c", "README.md")}
         files |= {VECTORS: vectors} if vectors else {}
-        digests = {name: digest(text) for name, text in files.items()}
+        digests = {name: digest(text.encode()) for name, text in files.items()}
         header = render(HEADER, banner=map(_plain, self._banner(digests | {HEADER: _NONE})), **values)
-        return {HEADER: header.replace(_NONE, digest(header)), **files}
+        return {HEADER: header.replace(_NONE, digest(header.encode())), **files}
 
 
 _NONE: Final = "0" * 64
 _LINE: Final = re.compile(r"^ \* sha256 ([0-9a-f]{64}) (\S+)$", re.MULTILINE)
 
 
-def digest(text: str) -> str:
+def digest(content: bytes) -> str:
     """Its SHA-256."""
-    return hashlib.sha256(text.encode()).hexdigest()
+    return hashlib.sha256(content).hexdigest()
 
 
 def _plain(text: str) -> str:
     """Any text as a line that can stand in a comment of C; indented where it was."""
-    line = " ".join(text.split())
-    return " " * (len(text) - len(text.lstrip(" "))) + line.replace("*/", "* /").replace("/*", "/ *").replace(
-        "??", "? ?"
-    )
+    line = " ".join(text.split()).replace("*/", "* /").replace("/*", "/ *").replace("??", "? ?")
+    return " " * (len(text) - len(text.lstrip(" "))) + line
 
 
 def _wrapped(first: str, parts: Sequence[str]) -> Iterator[str]:
@@ -230,21 +225,20 @@ def _wrapped(first: str, parts: Sequence[str]) -> Iterator[str]:
 def _environment() -> Any:
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
-    made = Environment(loader=PackageLoader(__package__), undefined=StrictUndefined)
-    made.trim_blocks = made.lstrip_blocks = made.keep_trailing_newline = True
-    return made
+    return Environment(
+        loader=PackageLoader(__package__), undefined=StrictUndefined,
+        trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True,
+    )  # fmt: skip
 
 
 def render(name: str, **values: object) -> str:
     """A template with its values."""
-    text: str = _environment().get_template(name).render(**values)
-    return text
+    return str(_environment().get_template(name).render(**values))
 
 
 def write_folder(code: Code, folder: Path, vectors: str) -> dict[str, str]:
     """Write every file of a design; raises `InputError` for a folder whose files were changed by hand."""
-    changed = changed_files(folder)
-    if changed:
+    if changed := changed_files(folder):
         raise InputError(folder, f"changed by hand since the export: {', '.join(changed)}", allowed="another folder")
     files = code.texts(vectors)
     others = [name for name in files if (folder / name).exists()]
@@ -262,21 +256,16 @@ def changed_files(folder: Path) -> list[str]:
     if not (folder / HEADER).is_file():
         return []
     text = read_bytes(folder / HEADER).decode(errors="replace")
-    stated = {name: found for found, name in _LINE.findall(text)}
-    actual = {name: _digest_of(folder / name) for name in stated}
-    actual[HEADER] = digest(text.replace(stated.get(HEADER, _NONE), _NONE))
-    return [name for name, found in actual.items() if found != stated.get(name)]
-
-
-def _digest_of(path: Path) -> str:
-    return hashlib.sha256(read_bytes(path)).hexdigest() if path.is_file() else ""
+    stated = {name: value for value, name in _LINE.findall(text)}
+    actual = {name: digest(read_bytes(folder / name)) if (folder / name).is_file() else "" for name in stated}
+    actual[HEADER] = digest(text.replace(stated.get(HEADER, _NONE), _NONE).encode())
+    return [name for name, value in actual.items() if value != stated.get(name)]
 
 
 def is_stale(code: Code, folder: Path) -> bool:
     """Whether a folder holds the code of another design, study or version than this."""
-    fresh = code.texts("none")
-    kept = {name: read_bytes(folder / name).decode(errors="replace") for name in (HEADER, SOURCE)}
-    return any(_LINE.sub("", kept[name]) != _LINE.sub("", fresh[name]) for name in kept)
+    present, fresh = {name: read_bytes(folder / name) for name in (HEADER, SOURCE)}, code.texts("none")
+    return any(_LINE.sub("", text.decode(errors="replace")) != _LINE.sub("", fresh[n]) for n, text in present.items())
 
 
 def parameters(code: Code, kind: str) -> str:
@@ -299,8 +288,9 @@ def parameters(code: Code, kind: str) -> str:
 
 
 def _in_matlab(value: object) -> str:
-    text = str(value).lower() if isinstance(value, bool) else repr(value)
-    return "'" + _plain(value).replace("'", "''") + "'" if isinstance(value, str) else text
+    if isinstance(value, str):
+        return "'" + _plain(value).replace("'", "''") + "'"
+    return str(value).lower() if isinstance(value, bool) else repr(value)
 
 
 def _matrix(values: FloatArray) -> str:

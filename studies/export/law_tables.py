@@ -62,8 +62,8 @@ def law_form(law: object, dt: float, name: str) -> LawForm:
         return dataclasses.replace(inner, gains=gains, constants={"whole": law.whole}, sent=sent)
     if isinstance(law, LinearLaw):
         optional = {"G_heading": law.G_heading, "f_i": law.f_i, "f_past": law.f_past, "f_wheel": law.f_wheel}
-        kept = {key: _wide(value) for key, value in optional.items() if value is not None}
-        gains, times = {"F": law.F, "f_u": _wide(law.f_u), "G_yaw_rate": law.G_yaw_rate} | kept, law.preview_times
+        gains, times = {"F": law.F, "f_u": _wide(law.f_u), "G_yaw_rate": law.G_yaw_rate}, law.preview_times
+        gains |= {key: _wide(value) for key, value in optional.items() if value is not None}
         if not times.size:  # C has no empty arrays: a look at the lane that weighs nothing
             gains["G_yaw_rate"], times = np.zeros((law.F.shape[0], 1)), np.zeros(1)
             gains.pop("G_heading")
@@ -76,19 +76,18 @@ def law_form(law: object, dt: float, name: str) -> LawForm:
         return _mpc_form(law)
     if isinstance(law, pid.PIDLaw | stanley.StanleyLaw | sliding_mode.SlidingModeLaw | pure_pursuit.PurePursuitLaw):
         constants: dict[str, Any] = {gain.name: getattr(law.design, gain.name) for gain in law.design.gains()}
-        names: tuple[str, ...] = ()
         if isinstance(law, pid.PIDLaw):
+            section, names = "pid", ["distance", "e_psi_ss", "delta_ss"]
             constants["share"] = -math.expm1(-dt / law.design.T_t)
-            names, what = ("distance", "e_psi_ss", "delta_ss"), "pid"
         elif isinstance(law, stanley.StanleyLaw):
-            names, what, constants["l_f"] = ("slip",), "stanley", law.l_f
+            section, names, constants["l_f"] = "stanley", ["slip"], law.l_f
         elif isinstance(law, sliding_mode.SlidingModeLaw):
-            names, what = ("c", "drift", "cB", "cD", "e_psi_ss", "delta_ss"), "sliding_mode"
+            section, names = "sliding_mode", ["c", "drift", "cB", "cD", "e_psi_ss", "delta_ss"]
         else:
-            what = "pure_pursuit"
+            section, names = "pure_pursuit", []
             constants |= {"L": law.L, "l_r": law.l_r, "step": law.preview_times[1]}
         gains = {key: _wide(getattr(law, key)) for key in names}
-        return LawForm(what, gains, law.preview_times, constants, sent=2, heading=what == "pure_pursuit")
+        return LawForm(section, gains, law.preview_times, constants, sent=2, heading=section == "pure_pursuit")
     what = "never steers" if isinstance(law, RecordedPath) else f"prepares a {type(law).__name__}, which has no C code"
     if name == "nonlinear_mpc":
         what = "solves a nonlinear program at every sample, in no time that could be stated beforehand"
@@ -98,7 +97,7 @@ def law_form(law: object, dt: float, name: str) -> LawForm:
 
 def _mpc_form(law: linear_mpc.MPCLaw) -> LawForm:
     c, limits, N, M = law.condensed, law.limits, law.horizon, law.limits.start.size
-    m, n = c.B.shape[1], c.B.shape[0]
+    n, m = c.B.shape[:2]
     kinds = [_mpc_condensing.SOFT[k] for k in np.flatnonzero(limits.scale)]
     # corrections may count either way: one way at every speed
     signs = np.sign(np.einsum("nii->ni", c.moves))[:, None, :]
@@ -227,9 +226,9 @@ def _in_pieces(gains: Gains, kinked: IntArray, size: FloatArray, what: str) -> t
 
 def _trimmed(series: FloatArray) -> FloatArray:
     """Without coefficients (p, terms, k) that are nothing but rounding, and without terms that have no other."""
-    kept = np.abs(series) > 1e-13 * np.abs(series).max(axis=(0, 1))
-    terms = int(np.flatnonzero(kept.any(axis=(0, 2))).max(initial=0)) + 1
-    return np.where(kept, series, 0.0)[:, :terms]
+    significant = np.abs(series) > 1e-13 * np.abs(series).max(axis=(0, 1))
+    terms = int(np.flatnonzero(significant.any(axis=(0, 2))).max(initial=0)) + 1
+    return np.where(significant, series, 0.0)[:, :terms]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -259,20 +258,20 @@ class Schedule:
         v = np.geomspace(*SPEED_RANGE, 997)
         exact, (series, smooth) = gains(v), chebyshev(gains)
         size = np.maximum(np.abs(exact).max(axis=0), 1e-300)
-        found = _value(series, -1.0, 1.0, np.linspace(-1.0, 1.0, v.size))
-        rough = ~smooth | (np.abs(found - exact).max(axis=0) > _SHARE * size)
+        fitted = _value(series, -1.0, 1.0, np.linspace(-1.0, 1.0, v.size))
+        rough = ~smooth | (np.abs(fitted - exact).max(axis=0) > _SHARE * size)
         kinked = np.flatnonzero(rough)
         knots, pieces = _in_pieces(gains, kinked, size[kinked], what) if kinked.size else _NO_PIECES
         for piece, low, high in zip(pieces, knots[:-1], knots[1:], strict=True):
             inside = (v >= low) & (v <= high)
-            found[np.ix_(inside, kinked)] = _value(piece, low, high, v[inside])
-        error = float((np.abs(found - exact) / size).max())
+            fitted[np.ix_(inside, kinked)] = _value(piece, low, high, v[inside])
+        error = float((np.abs(fitted - exact) / size).max())
         if error > _SHARE:
             raise LdcError(what, "change too sharply with speed to be exported")
         for name in ("G_heading", "f_i", "f_past", "f_wheel"):  # what is 0 at every speed needs no code
-            places = np.repeat(list(sizes), list(sizes.values())) == name
-            if places.any() and not series[:, places].any():
-                series, rough = series[:, ~places], rough[~places]
+            columns = np.repeat(list(sizes), list(sizes.values())) == name
+            if columns.any() and not series[:, columns].any():
+                series, rough = series[:, ~columns], rough[~columns]
                 del sizes[name]
         form = dataclasses.replace(form, heading=form.heading or "G_heading" in sizes)
         series = _trimmed(np.where(rough, 0.0, series)[None])[0]

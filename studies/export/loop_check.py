@@ -98,7 +98,7 @@ def compile_c(command: Sequence[str], folder: Path, *arguments: str) -> None:
     done = subprocess.run([*command, *arguments], cwd=folder, capture_output=True, text=True, check=False)
     if done.returncode:
         lines = done.stderr.strip().splitlines() or ["no message"]
-        raise LdcError(f"{' '.join(command)}", f"{next((line for line in lines if 'error' in line), lines[0])}")
+        raise LdcError(" ".join(command), next((line for line in lines if "error" in line), lines[0]))
 
 
 def struct(fields: Sequence[tuple[str, int, str]], *, single: bool = False) -> np.dtype[np.void]:
@@ -141,10 +141,10 @@ class Compiled:
 
     def step(self, inputs: Rows, state: npt.NDArray[np.uint8], seconds: FloatArray | None = None) -> Rows:
         """One step of n instances, in place; the outputs."""
-        out, given = np.empty(inputs.size, dtype=self.outputs), np.ascontiguousarray(inputs, dtype=self.inputs)
-        at = self.ffi.from_buffer
-        times = self.ffi.NULL if seconds is None else at("double[]", seconds)
-        self.library.ldc_batch(inputs.size, at(given), at(state), at(out), times)
+        out, rows = np.empty(inputs.size, dtype=self.outputs), np.ascontiguousarray(inputs, dtype=self.inputs)
+        buffer = self.ffi.from_buffer
+        times = self.ffi.NULL if seconds is None else buffer("double[]", seconds)
+        self.library.ldc_batch(inputs.size, buffer(rows), buffer(state), buffer(out), times)
         return out
 
 
@@ -183,16 +183,15 @@ class _Law(SteeringLaw):
 
 
 @dataclasses.dataclass(frozen=True)
-class _Stand(Controller):
-    """A design whose law is made from the plant."""
+class _Prepared(Controller):
+    """A design with another way to prepare its law."""
 
     name: ClassVar[str] = "exported"
     title: ClassVar[str] = "Exported"
-    made: Any = None
+    law: Any = None
 
     def prepare(self, plant: Plant) -> SteeringLaw:
-        law: SteeringLaw = self.made(plant)
-        return law
+        return self.law(plant)  # type: ignore[no-any-return]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -225,7 +224,7 @@ class _Host:
 
         times = self.code.schedule.form.times
         law = _Law(np.append(times, -self.code.age) if self.code.filtered else times, command)
-        return drive(_Stand(made=lambda _: law), self.over).outcome("departure").S
+        return drive(_Prepared(law=lambda _: law), self.over).outcome("departure").S
 
     def early(self) -> list[Rows]:
         """Some samples before the departure, on the recorded path; not engaged before that began."""
@@ -289,15 +288,15 @@ def record(code: Code, scenarios: Scenarios) -> Recording:
     failed: list[BoolArray] = []
     rows = host.early()
 
-    def ours(plant: Plant) -> SteeringLaw:
-        law, own = code.controller.prepare(plant), [None]
+    def recorded(plant: Plant) -> SteeringLaw:
+        law, state = code.controller.prepare(plant), [None]
         if isinstance(law, LinearLaw):
             law = dataclasses.replace(LinearSteps.of(law, plant), measured=True)
         assert isinstance(law, SteeringLaw)  # or it would have no C code
-        own[0] = law.init(plant.n)
+        state[0] = law.init(plant.n)
 
         def at(_: int, t: FloatArray, x: FloatArray, preview: Preview, last: FloatArray) -> FloatArray:
-            delta, own[0], status = law.step(t, x, preview, last, own[0])
+            delta, state[0], status = law.step(t, x, preview, last, state[0])
             failed.append(status == EventStatus.SOLVER_FAILED)
             commands.append(np.where(np.isfinite(delta), delta, last))
             return delta
@@ -308,7 +307,7 @@ def record(code: Code, scenarios: Scenarios) -> Recording:
         rows.append(row)
         return commands[k]
 
-    stepped = drive(_Stand(made=ours), over).outcome("departure")
+    stepped = drive(_Prepared(law=recorded), over).outcome("departure")
     host.drive(again)
     lost = stepped.status == EventStatus.DIVERGED
     lost[over.rows] |= np.any(failed, axis=0)
@@ -336,10 +335,9 @@ def vectors(recording: Recording) -> str:
     for i in [i for sign in (1, -1) for i in whole[side[whole] == sign][: _VECTORS // 2]]:
         begins = 1
         for k in np.flatnonzero(recording.counts[:, i]):
-            given = [x for name, _, _ in fields for x in np.atleast_1d(recording.inputs[name][k, i]).tolist()]
-            lines.append(
-                ",".join(map(repr, [begins, *given, float(recording.delta[k, i]), int(recording.phase[k, i])]))
-            )
+            inputs = [x for name, _, _ in fields for x in np.atleast_1d(recording.inputs[name][k, i]).tolist()]
+            row = [begins, *inputs, float(recording.delta[k, i]), int(recording.phase[k, i])]
+            lines.append(",".join(map(repr, row)))
             begins = 0
     return "\n".join(lines) + "\n"
 
@@ -349,18 +347,18 @@ def check(recording: Recording, command: Sequence[str]) -> Check:
     host, counts = recording.host, recording.counts
     double, single = Compiled(host.code, command), Compiled(host.code, command, single=True)
     seconds, worst, phases, failed, iterations = np.zeros(counts.shape), [0.0, 0.0], 0, 0, 0
-    for i, one in enumerate((double, single)):
-        state = one.begin(host.over.m)
-        for k, some in enumerate(counts):
-            out = one.step(recording.inputs[k], state, seconds[k] if one is double else None)[some]
-            gap = np.abs(out["delta"] - recording.delta[k, some]).max(initial=0.0)
+    for i, compiled in enumerate((double, single)):
+        state = compiled.begin(host.over.m)
+        for k, driven in enumerate(counts):
+            out = compiled.step(recording.inputs[k], state, seconds[k] if compiled is double else None)[driven]
+            gap = np.abs(out["delta"] - recording.delta[k, driven]).max(initial=0.0)
             worst[i] = float(np.maximum(worst[i], gap))  # a command that is not a number stays visible
             failed += int((out["status"] & 4 != 0).sum())  # LDC_SOLVER_FAILED
-            if one is double:
-                phase, side = recording.phase[k, some], host.side[some]
+            if compiled is double:
+                phase, side = recording.phase[k, driven], host.side[driven]
                 phases += int(((out["phase"] != phase) | (out["side"] != np.where(phase > 0, side, 0.0))).sum())
                 iterations = max(iterations, int(out["iterations"].max(initial=0)))
-    S, float_S = (_score_gap(one, recording) for one in (double, single))
+    S, float_S = (_score_gap(compiled, recording) for compiled in (double, single))
     return Check(
         scenarios=recording.S.size, departures=host.over.m, diverged=int(np.isnan(recording.S).sum()),
         steps=int(counts.sum()), delta=worst[0], S=S, phases=phases, failed=failed, float_delta=worst[1],
@@ -370,11 +368,11 @@ def check(recording: Recording, command: Sequence[str]) -> Check:
     )  # fmt: skip
 
 
-def _score_gap(one: Compiled, recording: Recording) -> float:
+def _score_gap(compiled: Compiled, recording: Recording) -> float:
     """Largest difference of S with the code in the loop."""
     host = recording.host
-    state = one.begin(host.over.m)
+    state = compiled.begin(host.over.m)
     for row in host.early():
-        one.step(row, state)
-    S = host.drive(lambda row, _: host.side * one.step(row, state)["delta"])
+        compiled.step(row, state)
+    S = host.drive(lambda row, _: host.side * compiled.step(row, state)["delta"])
     return float(np.abs(S - recording.S)[np.isfinite(recording.S)].max(initial=0.0))

@@ -13,7 +13,7 @@ from markupsafe import Markup
 from ldctoolkit.errors import LdcError
 from ldctoolkit.version import __version__
 
-from ..assessment import QUANTITIES, Assessment, LightName, assess
+from ..assessment import QUANTITIES, Assessment, LightName, stored_assessment
 from ..ranking.verdict import design_name
 from ..standards import KM_H, standard_names
 from ..storage.files import write_text
@@ -45,7 +45,7 @@ def section(context: Context) -> Section | None:
         body += paragraphs("As stated only, since the law takes long: ldc assess drives the corners too.")
     for name in names:
         try:
-            assessment = assess(design.controller(setup.convention), name, setup, y_s=design.y_s, tolerances=not slow)
+            assessment = stored_assessment(context.report.folder, design, name, setup, tolerances=not slow)
         except LdcError as error:
             body += paragraphs(f"{name}: {error}.")
         else:

@@ -6,6 +6,7 @@ import dataclasses
 import math
 from collections.abc import Iterator
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
@@ -61,6 +62,7 @@ class ReportInput:
     given: Given = dataclasses.field(default_factory=dict)  # Conditions that they were drawn under
     # What the model was fitted to; without them what its file holds of them
     source_departures: Departures | None = None
+    folder: Path | None = None  # The study's: what is driven for the report is kept there
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,6 +1,7 @@
 """Departures and designs of the explorer: which ones, by a stated rule, and their motion, driven again."""
 
 import dataclasses
+import hashlib
 from collections.abc import Sequence
 from typing import Final
 
@@ -16,6 +17,7 @@ from ldctoolkit.simulation import Takeover, drive
 
 from ..design import PAPER_LAW, is_paper_design, named_designs
 from ..results import FAILED_STATUSES
+from ..storage.stored_arrays import remembered
 from .context import Context
 
 MOST_DESIGNS: Final = 8
@@ -160,14 +162,26 @@ class Replay:
 
 
 def replay(context: Context, picks: tuple[Pick, ...], designs: tuple[Chosen, ...]) -> Replay:
-    """Drive designs again, with the vehicle, plant, seed and clock of the study."""
+    """Paths of designs, with the vehicle, plant, seed and clock of the study: driven once, then those of its folder."""
     scenarios = context.scenarios.take([pick.row for pick in picks])
-    setup = context.report.setup
-    driven = [_driven(context, picks, scenarios, chosen) for chosen in designs]
-    return Replay(
-        picks, designs, scenarios, UncorrectedPath.of(scenarios, setup.options.residuals, setup.seed),
-        tuple(paths for paths, _ in driven), max((off for _, off in driven), default=0.0),
-    )  # fmt: skip
+    setup, names = context.report.setup, [field.name for field in dataclasses.fields(DesignPaths)]
+    ids = [context.ranking.designs[chosen.place].id for chosen in designs]
+
+    def drive_all() -> dict[str, FloatArray]:
+        arrays: dict[str, FloatArray] = {}
+        off = [0.0]
+        for id, chosen in zip(ids, designs, strict=True):
+            paths, mismatch = _driven(context, picks, scenarios, chosen)
+            arrays |= {f"{id} {name}": getattr(paths, name) for name in names}
+            off.append(mismatch)
+        return arrays | {"mismatch": np.array(max(off))}
+
+    content = hashlib.sha256(b"".join(array.tobytes() for array in scenarios.arrays())).hexdigest()
+    key = [ids, content, dataclasses.asdict(setup), context.results.window]
+    arrays = remembered(context.report.folder, "paths", key, drive_all)
+    paths = tuple(DesignPaths(*(arrays[f"{id} {name}"] for name in names)) for id in ids)
+    recorded = UncorrectedPath.of(scenarios, setup.options.residuals, setup.seed)
+    return Replay(picks, designs, scenarios, recorded, paths, float(arrays["mismatch"]))
 
 
 def _driven(

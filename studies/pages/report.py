@@ -158,6 +158,7 @@ def report_input(
         model_name=f"the model {manifest.model}" if study.scenarios.model else f"{manifest.model}, replayed",
         given=study.scenarios.given,
         source_departures=source,
+        folder=folder,
         departures=tuple(departures),
         shown_designs=tuple(shown_designs),
     )

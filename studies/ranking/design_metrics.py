@@ -29,8 +29,7 @@ from ..measures import DEPARTURES, first_of_each_side, vehicle_measures
 from ..requirements import friction, metric, metric_values
 from ..results import StudyResults, status_among
 from ..storage.run_table import release
-from .inference import row_blocks, row_means
-from .tail import binomial_interval, order_statistics
+from .inference import binomial_interval, order_statistics, row_blocks, row_means
 
 _FEW = 8  # places up to which what stands there is found without a full sort
 

@@ -32,7 +32,7 @@ from .design_metrics import (
     pareto_front,
     sampling_intervals,
 )
-from .inference import Inference, infer, spread_is_known
+from .inference import Inference, infer, spread_is_known, tail_text
 from .ranked_designs import (
     FreshScores,
     RankedDesigns,
@@ -42,7 +42,6 @@ from .ranked_designs import (
     fresh_scores,
     no_fresh_scores,
 )
-from .tail import tail_text
 from .verdict import depths, ranking_html
 
 if TYPE_CHECKING:

@@ -20,8 +20,8 @@ from ..requirements import G, metric_values
 from ..results import StudyResults
 from ..tables import Cell, Column, Row, Table, Value, notebook_html
 from .design_metrics import beyond_friction
+from .inference import tail_text
 from .ranked_designs import RankedDesigns
-from .tail import tail_text
 
 State = Literal["good", "warning", "bad", "unknown"]
 

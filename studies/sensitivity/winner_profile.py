@@ -11,16 +11,14 @@ from typing import Any, Final
 import numpy as np
 
 from ldctoolkit.arrays import BoolArray, FloatArray
-from ldctoolkit.control import EventStatus
-from ldctoolkit.declared import GainValue
+from ldctoolkit.declared import GainValue, checked_whole
 from ldctoolkit.errors import InputError, LdcError
-from ldctoolkit.law_checks import raised
-from ldctoolkit.simulation import Takeover, Window, drive
 
 from ..design import Design
 from ..design_space import THRESHOLD, Choices, Span
+from ..measures import drive_on_plants
 from ..ranking.inference import Resampled, simultaneous_interval
-from ..results import FAILED_STATUSES, StudyResults
+from ..results import StudyResults
 from ..storage.files import write_text
 from ..study_file import Study
 from ..tables import Table, to_csv
@@ -171,19 +169,20 @@ def winner_profile(
         One for each dimension that varies in the study's designs of that law, the threshold first; empty for none.
     """
     if winner not in results.designs:
-        raise InputError(f"design {winner.id}", "not among the results")
-    if points < 0:
-        raise InputError("points", value=points, allowed="0 or more")
+        raise InputError("winner", "is not among the results", value=winner.id)
+    checked_whole("points", points, lower=0)
     row = {design: i for i, design in enumerate(results.designs)}
     along = list(profile_points(results, study, winner, points))
     missing = tuple(dict.fromkeys(one.design for one in along if one.design not in row))
-    driven = drive_designs(results, study, (winner, *missing), advance) if missing else {}
-    at_winner = row[winner]
+    reasons: dict[Design, str] = {}
+    table = {one.design: results.counted[row[one.design]] for one in along if one.design in row}
     if missing:
-        check_reproduced(winner, driven[winner], results.counted[at_winner])
-    reasons = {design: found for design, found in driven.items() if isinstance(found, str)}
-    table = {design: found for design, found in driven.items() if not isinstance(found, str)}
-    table |= {one.design: results.counted[row[one.design]] for one in along if one.design in row}
+        setup, designs = study.setup(), (winner, *missing)
+        drives = drive_on_plants(designs, [setup.options], results.scenarios, setup, results.window, advance)
+        reasons = {designs[i]: reason for _, i, reason in drives.raised}
+        _check_reproduced(winner, reasons.get(winner, ""), drives.S[0, 0], results.counted[row[winner]])
+        pairs = zip(missing, drives.S[0, 1:], strict=True)
+        table |= {design: S for design, S in pairs if design not in reasons}
     return tuple(_profiles(along, winner, table, reasons, row, results, study))
 
 
@@ -323,40 +322,11 @@ def moved(winner: Design, name: str, value: GainValue) -> Design:
 _AS_STORED = 1e-6  # scores [m s] that are driven anew differ from the stored ones by less: solver tolerance
 
 
-def drive_designs(
-    results: StudyResults, study: Study, designs: Sequence[Design], advance: Callable[[int, int], None] | None = None
-) -> dict[Design, FloatArray | str]:
-    """Drive designs on all scenarios of a study; one takeover serves every design of a threshold."""
-    found: dict[Design, FloatArray | str] = {}
-    setup = study.setup()
-    for y_s in dict.fromkeys(design.y_s for design in designs):
-        takeover = Takeover.build(results.scenarios, setup, y_s=y_s)
-        for design in designs:
-            if design.y_s == y_s:
-                found[design] = _counted(design, takeover, results.window)
-                if advance is not None:
-                    advance(len(found), len(designs))
-    return found
-
-
-def _counted(design: Design, takeover: Takeover, window: Window) -> FloatArray | str:
-    try:
-        outcome = drive(design.controller(takeover.setup.convention), takeover).outcome(window)
-    except Exception as error:  # a controller may be third-party code
-        return raised(error)
-    if not np.isfinite(outcome.S[outcome.status != EventStatus.INVALID]).all():
-        return "S is not finite in some scenario"
-    failed = np.isin(outcome.status, FAILED_STATUSES)
-    counted: FloatArray = np.where(failed, np.maximum(outcome.S, outcome.S_uncorrected), outcome.S)
-    return counted
-
-
-def check_reproduced(design: Design, again: FloatArray | str, stored: FloatArray) -> None:
+def _check_reproduced(design: Design, reason: str, again: FloatArray, stored: FloatArray) -> None:
     """Refuse to set designs beside stored ones if one of these, driven again, does not give its stored scores."""
-    if isinstance(again, str):
-        raise LdcError(f"design {design.id} ({design.label}) has results, but fails now: {again}")
+    where = f"design {design.id} ({design.label})"
+    if reason:
+        raise LdcError(where, f"has results, but fails now: {reason}")
     if not np.allclose(again, stored, rtol=0.0, atol=_AS_STORED, equal_nan=True):
-        raise LdcError(
-            f"design {design.id} ({design.label}), driven again, does not give its stored scores: they are of another "
-            "version or machine; no design can be added to them"
-        )
+        hint = "they are of another version or machine; no design can be added to them"
+        raise LdcError(where, "driven again, does not give its stored scores", hint=hint)

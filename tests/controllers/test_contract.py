@@ -6,19 +6,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from helpers.errors import refused
 from ldctoolkit import (
     BicycleModel,
-    Controller,
-    EventStatus,
     Plant,
     Scenarios,
-    SteeringLaw,
     controller_class,
     controller_names,
     controllers,
     register,
     simulate,
 )
+from ldctoolkit.control import Controller, EventStatus, SteeringLaw
 from ldctoolkit.controllers import PID, PurePursuit, SlidingMode, Stanley
 from ldctoolkit.errors import InputError
 from ldctoolkit.studies import Study
@@ -142,7 +141,7 @@ def test_a_law_that_steers_can_be_cut_down(name: str) -> None:
 
 
 def test_only_controllers_are_registered() -> None:
-    with pytest.raises(InputError, match="subclass of Controller"):
+    with refused("controller", value=int, allowed="a subclass of Controller"):
         register(int)  # type: ignore[arg-type]
 
 

@@ -8,11 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
-from helpers.closed_loop import DT, closed_loop_matrices, moved, plant_at
+from helpers.closed_loop import closed_loop_matrices, continuous_poles, moved, plant_at
+from helpers.errors import refused
 from ldctoolkit import BicycleModel, EventStatus, Preview, Scenarios, VehicleParameters, simulate
 from ldctoolkit.controllers.pure_pursuit import PurePursuit, PurePursuitLaw
 from ldctoolkit.controllers.stanley import Stanley, StanleyLaw
-from ldctoolkit.errors import InputError
 
 L_R, WHEEL_BASE = 1.47, 2.9
 
@@ -29,13 +29,6 @@ def command(law: PurePursuitLaw, x: np.ndarray, preview: Preview) -> np.ndarray:
     assert state is None
     np.testing.assert_array_equal(status, EventStatus.OK)
     return delta
-
-
-def test_coulters_formula_on_a_straight_lane_by_hand() -> None:
-    """Parallel to the lane at 0.6 m, l_d = 12 m: goal 12 m ahead, 0.6 m to the right; 1/R = 2 y/D^2."""
-    law = PurePursuit(T_lp=0.6, delta_max=1.0).prepare(plant_at(20.0))
-    delta = command(law, np.array([[0.6, 0.0, 0.0, 0.0]]), clothoid(law, np.zeros(1), np.zeros(1)))
-    assert delta[0] == pytest.approx(math.atan(-2.9 * 2 * 0.6 / (12.0**2 + 0.6**2)), abs=1e-15)
 
 
 @pytest.mark.parametrize("radius", [400.0, -300.0])
@@ -115,14 +108,14 @@ def test_default_gains_damp_every_pole_from_10_to_40_m_per_s(dt: float) -> None:
     law = PurePursuit(T_lp=1.0).prepare(plant)
     straight = clothoid(law, np.zeros(v.size), np.zeros(v.size))
     loop = closed_loop_matrices(plant, lambda x: command(law, x, straight))
-    s = np.log(np.linalg.eigvals(loop).astype(complex)) / dt
+    s = continuous_poles(loop, dt)
     assert (s.real < -0.7).all()
     assert (-s.real / np.abs(s)).min() > 0.45
 
 
 def test_a_goal_behind_the_centre_of_gravity_is_named() -> None:
     long = BicycleModel(VehicleParameters(l_r=3.0))
-    with pytest.raises(InputError, match=r"pure_pursuit\.l_min: 2 m; allowed: more than l_r = 3 m"):
+    with refused("pure_pursuit.l_min", value=2.0):
         PurePursuit(l_min=2.0, T_lp=1.0).prepare(plant_at(20.0, model=long))
 
 
@@ -208,8 +201,7 @@ def poles(design: Stanley, v: np.ndarray) -> np.ndarray:
     """Of the sampled loop about the lane's centre, in continuous time."""
     plant = plant_at(*v)
     law = design.prepare(plant)
-    loop = closed_loop_matrices(plant, lambda x: command_stanley(law, x, np.zeros(v.size)))
-    return np.log(np.linalg.eigvals(loop).astype(complex)) / DT
+    return continuous_poles(closed_loop_matrices(plant, lambda x: command_stanley(law, x, np.zeros(v.size))))
 
 
 def test_default_gains_damp_every_pole_from_10_to_40_m_per_s_stanley() -> None:

@@ -187,41 +187,19 @@ class Made:
 
     def _thousand(self, folder: Path) -> Path:
         """1,000 designs: a few, at thresholds less than a millimetre apart, with scores that differ a little."""
-        few = run(grid()[1:], invented_scenarios(60, 60))
-        copies = -(-999 // len(few.designs))
-        take = slice(0, 999)
-        designs = [dataclasses.replace(d, y_s=d.y_s + 1e-7 * k) for k in range(copies) for d in few.designs][take]
-        rng = np.random.default_rng(0)
-
-        def tiled(values: Any) -> Any:
-            return np.tile(values, (copies, 1))[take]
-
-        S = tiled(few.S) * rng.uniform(1.0, 1.1, (len(designs), few.scenarios.n))
-        many = dataclasses.replace(
+        few, rng = run(grid(), invented_scenarios(60, 60)), np.random.default_rng(0)
+        rows = np.concatenate([[0], np.resize(np.arange(1, len(few.designs)), 999)])  # without control once
+        designs = [
+            dataclasses.replace(few.designs[row], y_s=few.designs[row].y_s + 1e-8 * i) for i, row in enumerate(rows)
+        ]
+        factors = np.concatenate([np.ones((1, few.scenarios.n)), rng.uniform(1.0, 1.1, (999, few.scenarios.n))])
+        arrays = {name: getattr(few, name)[rows] for name in ("S_uncorrected", "status", "failed_solves", "law_time")}
+        results = dataclasses.replace(
             few,
             designs=tuple(designs),
-            **{name: tiled(getattr(few, name)) for name in ("S_uncorrected", "status", "failed_solves")},
-            S=S,
-            companions=per_scenario(few.companions, tiled),
-            law_time=np.zeros(len(designs)),
-        )
-        none = run([Design.of(NoControl(), 0.2)], few.scenarios)
-        results = dataclasses.replace(
-            many,
-            designs=(none.designs[0], *designs),
-            **{
-                name: np.concatenate([getattr(none, name), getattr(many, name)])
-                for name in ("S", "S_uncorrected", "status", "failed_solves", "law_time")
-            },
-            companions=dataclasses.replace(
-                many.companions,
-                **{
-                    field.name: np.concatenate(
-                        [getattr(none.companions, field.name), getattr(many.companions, field.name)]
-                    )
-                    for field in dataclasses.fields(many.companions)
-                },
-            ),
+            S=few.S[rows] * factors,
+            companions=per_scenario(few.companions, lambda values: values[rows]),
+            **arrays,
         )
         return self._written(folder, results)
 

@@ -1,8 +1,10 @@
 """The command line in this process, tools, and code blocks of the documentation."""
 
 import contextlib
+import csv
 import importlib
 import io
+import os
 import re
 import subprocess
 import sys
@@ -50,6 +52,20 @@ def ldc_process(*arguments: object, cwd: Path, python: Sequence[str] = ()) -> su
     """The same as a process of its own; `python`: options of the interpreter."""
     command = [sys.executable, *python, "-m", "ldctoolkit", *map(str, arguments)]
     return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=600, check=False)
+
+
+def python(*arguments: object, cwd: Path, **environment: str) -> str:
+    """Run Python as a process of its own, which must succeed, with more in its environment; the standard output."""
+    command, env = [sys.executable, *map(str, arguments)], os.environ | environment
+    done = subprocess.run(command, cwd=cwd, env=env, capture_output=True, text=True, timeout=600, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def csv_rows(path: Path) -> list[dict[str, str]]:
+    """The rows of a CSV file."""
+    with path.open(encoding="utf-8", newline="") as stream:
+        return list(csv.DictReader(stream))
 
 
 def good(*arguments: object, cwd: Path) -> str:

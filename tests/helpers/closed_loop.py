@@ -18,6 +18,7 @@ from ldctoolkit import (
     Outcome,
     Plant,
     Preview,
+    RecordedPath,
     Scenarios,
     Setup,
     SteeringLaw,
@@ -26,10 +27,22 @@ from ldctoolkit import (
 )
 from ldctoolkit.controllers import LQR
 from ldctoolkit.metrics import METRIC_UNITS
-from ldctoolkit.plant_options import PlantOptions
+from ldctoolkit.plant_options import Actuator, Mismatch, PlantOptions, Residuals, Sensors, Tyres
 from ldctoolkit.simulation import Run, Takeover
 
+frozen = dataclasses.dataclass(frozen=True)
+
 METRICS = tuple(METRIC_UNITS)  # names of what a run measures for each scenario beside S
+
+
+class Idle(Controller):
+    """Leaves the departure alone; a dataclass is made of it where a test needs one."""
+
+    name: ClassVar[str] = "idle"
+    title: ClassVar[str] = "Idle"
+
+    def prepare(self, plant: Plant) -> RecordedPath:
+        return RecordedPath()
 
 
 def takeover(
@@ -57,6 +70,13 @@ def with_residuals(scenarios: Scenarios) -> Scenarios:
     return dataclasses.replace(scenarios, sigma_y=rng.uniform(0, 0.05, n), sigma_v=rng.uniform(0, 0.3, n))
 
 
+EVERY_OPTION = PlantOptions(
+    speed="profile", actuator=Actuator(delta_max=0.05, rate_max=0.4, lag=0.05, delay=0.03),
+    mismatch=Mismatch(m=(0.8, 1.3)), tyres=Tyres(model="magic_formula"), residuals=Residuals(y=True, v=True),
+    sensors=Sensors(e_y_noise=0.02, e_psi_step=1e-3, curvature_noise=1e-4),
+)  # fmt: skip
+
+
 def values(out: Outcome | Run) -> dict[str, np.ndarray]:
     """Everything that a result holds for each scenario, in the order that it has."""
     scores = ("S", "S_uncorrected", "t_s") if isinstance(out, Outcome) else ("area",)
@@ -76,10 +96,15 @@ def assert_within_the_bound(out: Any, expected: Any, rows: Any = slice(None), be
         np.testing.assert_allclose(ours, theirs, rtol=1e-4, atol=atol, err_msg=name)
 
 
-def assert_same_rows(out: Outcome | Run, expected: Outcome | Run, rows: Any = slice(None)) -> None:
-    """`out` holds the rows of `expected`, bit for bit."""
-    theirs = values(expected)
-    assert_same_bits(values(out), {name: None if value is None else value[rows] for name, value in theirs.items()})
+def assert_same_rows(
+    out: Outcome | Run, expected: Outcome | Run, rows: Any = slice(None), of: Any = slice(None)
+) -> None:
+    """`out`, or its rows `of`, holds the rows of `expected`, bit for bit."""
+    ours, theirs = (
+        {name: None if value is None else value[part] for name, value in values(result).items()}
+        for result, part in ((out, of), (expected, rows))
+    )
+    assert_same_bits(ours, theirs)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -96,6 +121,18 @@ class Constant(Controller):
         none = np.zeros((plant.n, 0))
         F, f_u, f_i = (np.tile(values, (plant.n, 1)) for values in (self.F, [self.f_u], [self.f_i]))
         return LinearLaw(F, np.zeros(0), none, none, f_u[:, 0], f_i[:, 0] if self.f_i else None)
+
+
+@dataclasses.dataclass(frozen=True)
+class Prepared(Controller):
+    """Whatever law a function makes for a plant."""
+
+    name: ClassVar[str] = "prepared"
+    title: ClassVar[str] = "Prepared"
+    function: Callable[[Plant], Any]
+
+    def prepare(self, plant: Plant) -> Any:
+        return self.function(plant)
 
 
 TABLES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
@@ -200,6 +237,21 @@ DT = 0.05
 
 def plant_at(*v: float, model: BicycleModel | None = None, dt: float = DT) -> Plant:
     return Plant.build(model or BicycleModel(), np.array(v), dt)
+
+
+def mpc_situations(n: int, horizon: int, seed: int, size: float = 1.0) -> tuple[Plant, np.ndarray, Preview, np.ndarray]:
+    """Plant, states, lane and commands before that a predictive law may meet."""
+    rng = np.random.default_rng(seed)
+    plant = Plant.build(BicycleModel(), rng.uniform(7, 36, n), DT)
+    x = size * rng.normal(size=(n, 4)) * [0.8, 0.4, 0.03, 0.1]
+    slope = rng.normal(0, 0.2, (n, 1))
+    yaw_rate = size * (rng.normal(0, 0.05, (n, 1)) + slope * np.minimum(np.arange(horizon + 1) * DT, 0.5))
+    return plant, x, Preview(yaw_rate, np.zeros_like(yaw_rate)), size * rng.uniform(-0.05, 0.05, n)
+
+
+def continuous_poles(loop: np.ndarray, dt: float = DT) -> np.ndarray:
+    """Of sampled loops (n, k, k)."""
+    return np.log(np.linalg.eigvals(loop).astype(complex)) / dt
 
 
 def weights_of(law: LinearLaw, i: int) -> np.ndarray:

@@ -2,22 +2,15 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
+
+from helpers.recordings import Planted
 
 WIDTH, VEHICLE = 3.5, 1.8  # of lane and vehicle [m]
 END = 96.0  # of the drive [s]
 BEND = 2.0 * np.pi / 48.0  # [rad/s] of the curvature: 24 s to the left, 24 s to the right
-
-
-class Planted(NamedTuple):
-    """One departure: to the left (1) or the right (-1), its crossings and depth."""
-
-    side: int
-    start: float
-    T: float
-    d_y: float
 
 
 # in left bends (t mod 48 below 24 s) and in right ones, to either side
@@ -30,9 +23,8 @@ PLANTED = (
 def lane_offset(t: np.ndarray) -> np.ndarray:
     """[m] Positive to the left; between departures the vehicle goes straight in the lane."""
     offset = np.zeros_like(t)
-    for one in PLANTED:
-        y = one.d_y * (1.0 - (2.0 * (t - one.start) / one.T - 1.0) ** 2)
-        offset += one.side * np.maximum(y + (WIDTH - VEHICLE) / 2.0, 0.0)
+    for departure in PLANTED:
+        offset += departure.side * np.maximum(departure.y(t) + (WIDTH - VEHICLE) / 2.0, 0.0)
     return offset
 
 

@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import polars as pl
@@ -19,6 +19,19 @@ T = np.arange(100) * 0.1
 OFFSET = 0.9 + np.maximum(0.3 * (1.0 - ((T - 5.0) / 0.95) ** 2), -0.4 - 0.01 * np.abs(T - 5.0))
 """With a vehicle of 1.8 m in a lane of 3.6 m the left edge is beyond the line by y = 0.3 (1 - ((t - 5)/0.95)^2) around
 t = 5 s, that is for 1.9 s, and well inside before and after; it never stands still for long."""
+
+
+class Planted(NamedTuple):
+    """A departure to the left (1) or the right (-1): where it crosses the line, for how long, and how deep."""
+
+    side: int
+    start: float
+    T: float
+    d_y: float
+
+    def y(self, t: Any) -> Any:
+        """Distance of the edge beyond the line [m]."""
+        return self.d_y * (1.0 - ((t - self.start) / (0.5 * self.T) - 1.0) ** 2)
 
 
 def drive(name: str = "a", t: Any = T, **columns: Any) -> Recording:
@@ -42,6 +55,21 @@ def frame_of(recordings: Iterable[Recording]) -> pl.DataFrame:
         columns = {name: getattr(one, name) for name in names if getattr(one, name) is not None}
         frames.append(pl.DataFrame({"recording": [one.name] * one.samples} | columns))
     return pl.concat(frames)
+
+
+TABLE_HEADER = "recording,t,lane_offset,lane_width,speed\n"
+
+
+def table_of(first: int, n: int = 10) -> str:
+    """A table of n recordings of one departure each, alternating sides, all different."""
+    generator = np.random.default_rng(first)
+    lines = [TABLE_HEADER]
+    for i in range(first, first + n):
+        duration, peak, v = generator.uniform(1, 4), generator.uniform(0.1, 0.5), generator.uniform(15, 30)
+        t = np.arange(0, 8, 0.1)
+        offset = (-1) ** i * (np.maximum(peak * (1 - (2 * (t - 4) / duration) ** 2), -0.6) + 0.9)
+        lines += [f"r{i},{a:.2f},{b:.4f},3.6,{v:.4f}\n" for a, b in zip(t, offset, strict=True)]
+    return "".join(lines)
 
 
 def assert_same(left: Extraction, right: Extraction) -> None:

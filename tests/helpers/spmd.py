@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import polars as pl
 
+from helpers.recordings import Planted
+
 VEHICLE_WIDTH = 1.82
 LANE_WIDTH = 3.6
 BEND_PERIOD = 120.0  # the planted road turns left for half of this time [s], then right
@@ -22,16 +24,6 @@ WSU_COLUMNS = (
     "YawRateWsu", "SpeedWsu", "TurnSngRWsu", "TurnSngLWsu", "BrakeAbsTcsWsu", "AxWsu", "PrndlWsu", "VsaActiveWsu",
     "HeadlampWsu", "WiperWsu", "ThrottleWsu", "SteerWsu",
 )  # fmt: skip
-
-
-@dataclasses.dataclass(frozen=True)
-class Planted:
-    """A departure: the edge is beyond the line by d_y (1 - ((t - start - T/2)/(T/2))^2)."""
-
-    side: int
-    start: float
-    T: float
-    d_y: float
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,11 +65,11 @@ def planted_drive(
     t = np.arange(rows) * 0.1
     inside = 0.5 * (VEHICLE_WIDTH - LANE_WIDTH)  # the edge's distance from a line when the vehicle is in the centre
     offset = np.zeros(rows)
-    for one in planted:
+    for departure in planted:
         # where the parabola lies more than 0.5 m inside, the vehicle goes on that far from the line
-        y = one.d_y * (1.0 - ((t - one.start - 0.5 * one.T) / (0.5 * one.T)) ** 2)
+        y = departure.y(t)
         near = y > -0.5
-        offset[near] = one.side * (y[near] - inside)
+        offset[near] = departure.side * (y[near] - inside)
     speed = 25.0 + np.sin(0.1 * t)
     yaw_rate = curvature_at(t) * speed
     heading = np.concatenate([[0.0], np.cumsum(0.05 * (yaw_rate[1:] + yaw_rate[:-1]))])
@@ -175,8 +167,8 @@ def rows_of(drive: Any, *, probability: int = 900, **cells: Any) -> list[dict[st
         "DeviceID": drive.device,
         "Trip": drive.trip,
         "Time": 10 * time,
-        "GPS_Heading": [f"{one:.6f}" for one in heading],
-        "GPS_Speed": [f"{one:.17g}" for one in np.broadcast_to(drive.speed, m)],
+        "GPS_Heading": [f"{value:.6f}" for value in heading],
+        "GPS_Speed": [f"{value:.17g}" for value in np.broadcast_to(drive.speed, m)],
         "GPS_Valid": drive.valid_gps,
         "InVehicle_ABS_State": "2         ",
         "InVehicle_Brake_Status": "15        ",

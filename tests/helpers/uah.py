@@ -8,19 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from helpers.recordings import Planted
+
 NAME = "20151110175712-16km-D1-NORMAL1-SECONDARY"
 VEHICLE, LANE_WIDTH = 1.8, 3.5
 BEND_PERIOD = 40.0
-
-
-@dataclasses.dataclass(frozen=True)
-class Planted:
-    """A departure: the edge is beyond the line by d_y (1 - ((t - start - T/2)/(T/2))^2)."""
-
-    side: int
-    start: float
-    T: float
-    d_y: float
 
 
 # left and right, each in a left and in a right bend; the clock starts at 9.32 s
@@ -34,10 +26,10 @@ BEGIN, END = 9.32, 112.0
 def offset_at(t: np.ndarray, planted: tuple[Planted, ...] = PLANTED) -> np.ndarray:
     """Vehicle's centre from the lane's, positive to the left."""
     offset = 0.1 * np.sin(t)
-    for one in planted:
-        y = one.d_y * (1.0 - ((t - one.start) / (0.5 * one.T) - 1.0) ** 2)
+    for departure in planted:
+        y = departure.y(t)
         near = y > -0.45
-        offset[near] = one.side * (y + 0.5 * (LANE_WIDTH - VEHICLE))[near]
+        offset[near] = departure.side * (y + 0.5 * (LANE_WIDTH - VEHICLE))[near]
     return offset
 
 

@@ -9,7 +9,8 @@ import numba
 import pytest
 
 from ldctoolkit import compiling
-from ldctoolkit.studies.running.campaign import Lines, displayed
+from ldctoolkit.studies.cli.run import Lines
+from ldctoolkit.studies.running.work import displayed
 
 TEXT = "compiling the closed loops, once, about a minute"
 

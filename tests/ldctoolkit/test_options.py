@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -101,28 +102,23 @@ Z3 = np.zeros(3)
 
 
 @pytest.mark.parametrize(
-    ("call", "message"),
+    ("call", "path", "value"),
     [
-        (
-            lambda: metrics.back_inside_share([0.1, 0.0], [1.0, 0.0]),
-            "triggered: an array of float64; allowed: booleans",
-        ),
-        (
-            lambda: metrics.back_inside_share([0.1, 0.0], np.ma.masked_array([True, False], mask=[0, 1])),
-            "triggered: an array of bool with masked entries; allowed: booleans",
-        ),
-        (lambda: metrics.back_inside_share(0.1, True), r"t_back \(\), triggered \(\); allowed: \(n,\) or \(d, n\)"),
-        (lambda: metrics.needless_share([True, False], [0.1]), r"d_y \(1,\), triggered \(2,\)"),
-        (lambda: metrics.needless([True], [0.1], NAN), "limit: nan; allowed: a number"),
-        (lambda: metrics.share_within_dtle([0.1], limit="deep"), "limit: 'deep'"),  # type: ignore[arg-type]
-        (lambda: metrics.share_within_dtle(["a"]), "dtle: not an array of numbers"),
-        (lambda: metrics.share_deeper(Z3, NAN), "D_y: nan"),
-        (lambda: metrics.comfortable(Z3, Z3, a_y_limit=NAN), "a_y_limit: nan"),
+        (lambda: metrics.back_inside_share([0.1, 0.0], [1.0, 0.0]), "triggered", ...),
+        (lambda: metrics.back_inside_share(Z3, np.ma.masked_array(Z3 == 0.0, mask=[0, 1, 0])), "triggered", ...),
+        (lambda: metrics.back_inside_share(0.1, True), "shapes", ...),
+        (lambda: metrics.needless_share([True, False], [0.1]), "shapes", ...),
+        (lambda: metrics.needless([True], [0.1], NAN), "limit", NAN),
+        (lambda: metrics.share_within_dtle([0.1], limit="deep"), "limit", "deep"),  # type: ignore[arg-type]
+        (lambda: metrics.share_within_dtle(["a"]), "dtle", ...),
+        (lambda: metrics.share_deeper(Z3, NAN), "D_y", NAN),
+        (lambda: metrics.comfortable(Z3, Z3, a_y_limit=NAN), "a_y_limit", NAN),
     ],
 )
-def test_bad_input(call: object, message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        call()  # type: ignore[operator]
+def test_bad_input(call: Callable[[], object], path: str, value: Any) -> None:
+    with pytest.raises(InputError) as caught:
+        call()
+    assert_fields(caught.value, path, value)
 
 
 @pytest.mark.parametrize(
@@ -227,9 +223,6 @@ def test_wrong_arguments_of_simulate_are_named(name: str, value: Any, allowed: s
 
 
 def test_numpy_arguments_of_simulate_are_numbers() -> None:
-    scenarios = Scenarios.from_arrays(T=2.0, d_y=0.4, v_mean=20.0)
-    plain = simulate(LQR(r_delta=100.0), scenarios, y_s=0.0, dt=0.1, settle=1.0)
-    assert (
-        simulate(LQR(r_delta=100.0), scenarios, y_s=np.int64(0), dt=np.float64(0.1), settle=np.int64(1)).S[0]
-        == plain.S[0]
-    )
+    law, scenarios = LQR(r_delta=100.0), Scenarios.from_arrays(T=2.0, d_y=0.4, v_mean=20.0)
+    usual = simulate(law, scenarios, y_s=0.0, dt=0.1, settle=1.0)
+    assert simulate(law, scenarios, y_s=np.int64(0), dt=np.float64(0.1), settle=np.int64(1)).S[0] == usual.S[0]

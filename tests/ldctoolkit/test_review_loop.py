@@ -3,13 +3,14 @@
 import dataclasses
 import itertools
 import math
-from typing import ClassVar
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from ldctoolkit import BicycleModel, Controller, LinearLaw, Plant, Scenarios, gain, simulate
+from helpers.closed_loop import Prepared
+from ldctoolkit import BicycleModel, Controller, LinearLaw, Plant, Scenarios, simulate
 from ldctoolkit.controllers import LQR, PreviewProportional
 from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Sensors
 from ldctoolkit.review import review, review_plant
@@ -61,17 +62,14 @@ PLANTS = {
 }
 
 
-@dataclasses.dataclass(frozen=True)
-class Remembering(Controller):
+def remembering(r_delta: float) -> Controller:
     """An LQR with a weight on its previous command and one on the integral of e_y."""
 
-    name: ClassVar[str] = "remembering"
-    title: ClassVar[str] = "Remembering"
-    r_delta: float = gain(300.0, unit="1/rad^2", lower=1.0, upper=1e6, description="weight on delta^2")
-
-    def prepare(self, plant: Plant) -> LinearLaw:
-        law = LQR(r_delta=self.r_delta).prepare(plant)
+    def prepare(plant: Plant) -> LinearLaw:
+        law = LQR(r_delta=r_delta).prepare(plant)
         return dataclasses.replace(law, f_u=np.full(plant.n, 0.3), f_i=np.full(plant.n, -0.02))
+
+    return Prepared(prepare)
 
 
 def loop_of(design: Controller, options: PlantOptions, v: float, dt: float = 0.05) -> Loop:
@@ -82,9 +80,9 @@ def loop_of(design: Controller, options: PlantOptions, v: float, dt: float = 0.0
     return Loop.of(sampled_vehicle(A[0], B[0], E[0], dt, options.actuator), side)
 
 
-@pytest.mark.parametrize("kind", [LQR, Remembering])
+@pytest.mark.parametrize("kind", [LQR, remembering])
 @pytest.mark.parametrize("name", PLANTS)
-def test_the_closed_loop_of_studies_has_these_poles(name: str, kind: type[LQR] | type[Remembering]) -> None:
+def test_the_closed_loop_of_studies_has_these_poles(name: str, kind: Callable[..., Controller]) -> None:
     """Once start effects have left the registers, e_y obeys the recursion of the characteristic polynomial. Tolerance:
     what the Runge-Kutta loop misses, of a sum whose largest term is a binomial of the polynomial's degree (6 to 17)
     times e_y."""

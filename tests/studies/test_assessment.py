@@ -14,7 +14,7 @@ from helpers.bits import assert_same_bits
 from helpers.closed_loop import Constant, Stepped
 from ldctoolkit import Controller, Plant, Setup, VehicleParameters, simulate
 from ldctoolkit.controllers import LQR, NoControl
-from ldctoolkit.errors import LdcError
+from ldctoolkit.errors import NOT_GIVEN, LdcError
 from ldctoolkit.plant_options import Mismatch
 from ldctoolkit.simulation import Takeover
 from ldctoolkit.studies.assessment import Assessment, assess
@@ -318,15 +318,16 @@ def test_a_law_that_raises_is_named() -> None:
 
 
 @pytest.mark.parametrize(
-    ("standard", "given", "message"),
+    ("standard", "given", "path", "value"),
     [
-        (ROAD_EDGE, {"setup": 3}, "setup: an object of type int; allowed: Setup or None"),
-        (ROAD_EDGE, {"seeds": 0}, "seeds: 0; allowed: a whole number >= 1"),
-        (ROAD_EDGE, {"y_s": -11.0}, "y_s: -11.0; allowed: a finite number >= -10"),
-        ("iso-11271", {}, "standard 'iso-11271': neither a file nor in the catalog; did you mean 'iso-11270'?"),
+        (ROAD_EDGE, {"setup": 3}, "setup", 3),
+        (ROAD_EDGE, {"seeds": 0}, "seeds", 0),
+        (ROAD_EDGE, {"y_s": -11.0}, "y_s", -11.0),
+        ("iso-11271", {}, "standard", "iso-11271"),
     ],
 )
-def test_bad_arguments_end_in_one_message(standard: str, given: dict[str, Any], message: str) -> None:
+def test_bad_arguments_end_in_one_message(standard: str, given: dict[str, Any], path: str, value: object) -> None:
     with pytest.raises(LdcError) as caught:
         assess(LQR(), standard, **given)
-    assert str(caught.value).startswith(message)
+    assert caught.value.path == path
+    assert caught.value.value in (value, NOT_GIVEN)

@@ -26,7 +26,7 @@ from ldctoolkit.departures import PARAMETER_NAMES
 from ldctoolkit.errors import InputError, LdcError, StoreError
 from ldctoolkit.scenario_model import ScenarioModel
 from ldctoolkit.studies import Design, Study
-from ldctoolkit.studies.ranking.tail import exact_interval, paired_sign
+from ldctoolkit.studies.ranking.inference import exact_interval, paired_sign
 from ldctoolkit.studies.risk import Risk, estimate_risk
 from ldctoolkit.studies.study_file import load_study
 

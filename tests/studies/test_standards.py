@@ -16,8 +16,8 @@ DRIFTING = (ROAD_EDGE, "euroncap-2025-elk", "euroncap-2026-driveability")
 
 def table(cells: Cells, values: np.ndarray) -> dict[int, list[float]]:
     """Values of each speed [km/h], by rising lateral velocity."""
-    speed = np.round(cells.speed * 3.6).astype(int)
-    return {int(one): values[speed == one][np.argsort(cells.second[speed == one])].tolist() for one in np.unique(speed)}
+    kmh = np.round(cells.speed * 3.6).astype(int)
+    return {int(v): values[kmh == v][np.argsort(cells.second[kmh == v])].tolist() for v in np.unique(kmh)}
 
 
 STANDARD = load_standard(ROAD_EDGE)
@@ -29,11 +29,9 @@ def test_the_catalog() -> None:
     assert standard_names() == (*sorted(DRIFTING), "iso-11270", "un-r79-b1")
     sizes = {name: load_standard(name).every_cell.n for name in standard_names()}
     assert sizes == dict(zip(standard_names(), (30, 30, 36, 25, 14), strict=True))
-    limits = {name: [one.limit for one in load_standard(name).condition] for name in standard_names()}
-    assert limits[ROAD_EDGE] == [-0.1]
-    assert limits["euroncap-2025-elk"] == [-0.3]
-    assert limits["iso-11270"] == [3.0, 5.0]
-    assert limits["un-r79-b1"] == [0.0, 0.0, 5.0]
+    limits = {ROAD_EDGE: [-0.1], "euroncap-2025-elk": [-0.3], "iso-11270": [3.0, 5.0], "un-r79-b1": [0.0, 0.0, 5.0]}
+    for name, expected in limits.items():
+        assert [condition.limit for condition in load_standard(name).condition] == expected
     for name in standard_names():
         assert load_standard(name).lane_width_m == (3.5, 3.7)
         assert load_standard(name).second_hand == (name not in (ROAD_EDGE, "euroncap-2026-driveability"))

@@ -412,9 +412,9 @@ def test_the_listed_map_tells_groups_apart(tmp_path: Path, names: tuple[str, str
         (", occurrence = 1.0", "speed.occurrence", "1.0; allowed: a whole number"),
         (", occurrence = '1'", "speed.occurrence", "'1'; allowed: a whole number"),
         (", occurence = 1", "speed.occurence", "no such key; did you mean 'occurrence'?"),
-        ("}\nheading = {channel = 'H', unit = 'gon'", "heading.unit", "'gon', of 'H'; allowed: rad, mrad, deg, °"),
-        ("}\nsteering = {channel = 'H', unit = '1/m'", "steering.unit", "'1/m', of 'H'; allowed: rad, mrad, deg, °"),
-        ("}\nengaged = {channel = 'H', unit = 's'", "engaged.unit", "'s', of 'H'; allowed: none, it is a state"),
+        ("}\nheading = {channel = 'H', unit = 'gon'", "heading.unit", "'gon' of 'H'; allowed: rad, mrad, deg, °"),
+        ("}\nsteering = {channel = 'H', unit = '1/m'", "steering.unit", "'1/m' of 'H'; allowed: rad, mrad, deg, °"),
+        ("}\nengaged = {channel = 'H', unit = 's'", "engaged.unit", "'s' of 'H'; allowed: none, it is a state"),
         ("}\nengaged = {channel = 'H', min = 1", "engaged.min", "no such key; allowed: channel, group, occurrence, "),
     ],
 )  # fmt: skip

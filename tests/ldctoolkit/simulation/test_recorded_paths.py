@@ -6,10 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from helpers.errors import refused
 from ldctoolkit import Scenarios, Setup, VehicleParameters, extract_departures, simulate
 from ldctoolkit.controllers import LQR, NoControl
 from ldctoolkit.departures import Departures, combined_departures
-from ldctoolkit.errors import InputError, RecordingError
+from ldctoolkit.errors import RecordingError
 from ldctoolkit.paths.uncorrected import UncorrectedPath
 from ldctoolkit.plant_options import PlantOptions, Residuals
 from ldctoolkit.recordings import Provenance, Recording, read_departures, write_departures
@@ -44,9 +45,9 @@ def recording(side: int) -> Recording:
 @pytest.fixture(scope="module")
 def departures() -> Departures:
     """One to the left, one to the right, with their signals."""
-    found = extract_departures([recording(1), recording(-1)], vehicle_width=WIDTH, keep_signals=True)
-    assert found.departures.side.tolist() == [1, -1]
-    return found.departures
+    extraction = extract_departures([recording(1), recording(-1)], vehicle_width=WIDTH, keep_signals=True)
+    assert extraction.departures.side.tolist() == [1, -1]
+    return extraction.departures
 
 
 def samples() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -172,8 +173,7 @@ def test_signals_of_other_departures_are_refused(departures: Departures, tmp_pat
 
 
 def test_a_recorded_path_needs_signals(departures: Departures) -> None:
-    without = dataclasses.replace(departures, signals=None)
-    with pytest.raises(InputError, match="the departures hold no signals; extract them with keep_signals=True"):
-        Scenarios.from_departures(without, path="recorded")
-    with pytest.raises(InputError, match="path: 'record'; did you mean 'recorded'"):
+    with refused("path", value="recorded"):
+        Scenarios.from_departures(dataclasses.replace(departures, signals=None), path="recorded")
+    with refused("path", value="record", allowed={"recorded"}):
         Scenarios.from_departures(departures, path="record")  # type: ignore[arg-type]

@@ -3,7 +3,6 @@
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 import scipy.stats
 from hypothesis import given
@@ -17,8 +16,6 @@ from ldctoolkit import DepartureSignals, Scenarios, reduce_signals
 from ldctoolkit import departures as dep
 from ldctoolkit.paths.uncorrected import UncorrectedPath
 from ldctoolkit.plant_options import Residuals
-
-FloatArray = npt.NDArray[np.float64]
 
 OFF = Residuals()
 BOTH = Residuals(y=True, v=True)
@@ -39,7 +36,7 @@ FEW = mixed(12)
 MANY = mixed(300)
 
 
-def dense(path: UncorrectedPath, k: int = 4001) -> FloatArray:
+def dense(path: UncorrectedPath, k: int = 4001) -> np.ndarray:
     return path.scenarios.T[:, None] * np.linspace(0.0, 1.0, k)
 
 
@@ -160,7 +157,7 @@ def test_projections_are_exact(bandwidth: float) -> None:
     eps_y = path.lateral(t) - plain.lateral(t)
     eps_v = path.speed(t) - UncorrectedPath.of(FEW, OFF, seed=0).speed(t)
 
-    def mean(values: FloatArray) -> FloatArray:
+    def mean(values: np.ndarray) -> np.ndarray:
         return np.asarray(values @ weight / 2.0)
 
     # rounding of the sums: 1e-15 of values up to 1 m, and of speeds up to 40 m/s

@@ -17,19 +17,18 @@ import numpy as np
 import pytest
 
 from helpers.cli import bad, good, ldc, ldc_process
+from helpers.recordings import TABLE_HEADER, table_of
 from ldctoolkit import Departures, VehicleParameters, load_model, write_departures
 from ldctoolkit.controllers import LQR
 from ldctoolkit.declared import UnitWarning, unit_slip
 from ldctoolkit.departures import PARAMETER_NAMES
 from ldctoolkit.plant_options import Actuator, Sensors
 from ldctoolkit.recordings import Provenance
-from ldctoolkit.scenario_model import ScenarioModel
 from ldctoolkit.scenario_model.model import conditions, outside_fit
 from ldctoolkit.studies import read_manifest
 from ldctoolkit.studies.design import Design
 from ldctoolkit.studies.study_file import catalog_names, load_study
 
-HEADER = "recording,t,lane_offset,lane_width,speed\n"
 STUDY = """
 name = "tiny"
 [scenarios]
@@ -43,20 +42,6 @@ law = "none"
 law = "preview_proportional"
 y_s = [0.1, 0.2]
 """
-
-
-def recordings(n: int = 120) -> str:
-    """n recordings of one departure each, alternating sides, all different."""
-    generator = np.random.default_rng(0)
-    lines = [HEADER]
-    for i in range(n):
-        T, peak, v = generator.uniform(1, 4), generator.uniform(0.1, 0.5), generator.uniform(15, 30)
-        t = np.arange(0, 8, 0.1)
-        y = peak * (1 - (2 * (t - 4) / T) ** 2)
-        offset = (-1) ** i * (np.maximum(y, -0.6) + 0.9 + 0.01 * generator.normal(size=t.size))
-        speed = v + 0.1 * generator.normal(size=t.size) + generator.normal() * 0.1 * t
-        lines += [f"r{i},{a:.2f},{b:.4f},3.6,{c:.4f}\n" for a, b, c in zip(t, offset, speed, strict=True)]
-    return "".join(lines)
 
 
 @pytest.fixture
@@ -90,20 +75,18 @@ def no_room() -> Iterator[None]:
         ("report again --no-robustness", "again/ranking.csv"),
         ("compare plain again -o new.csv", "new.csv"),
         ("compare plain again -o new.html", "new.html"),
-        ("risk s.toml -n 100 --workers 1 -o new", "new/risk.json"),
+        ("risk s.toml -n 100 --workers 1 -o new", "new/risk.parts/manifest.json"),
         ("review lqr --json new.json", "new.json"),
         ("assess lqr --standard un-r79-b1 --no-tolerances -o new", "new/predictions.csv"),
         ("export again --format json -o new", "new/ldc_controller.json"),
     ],
 )
 def test_a_full_disk_is_one_sentence(words: str, file: str, folder: Path, finished: Path) -> None:
-    (folder / "r.csv").write_text(recordings(4))
+    (folder / "r.csv").write_text(table_of(0, 4))
     drawn = load_model("reference").sample(60, 60, seed=1)
     columns = dict(zip(PARAMETER_NAMES, drawn.matrix().T, strict=True))
-    made = Departures(
-        drawn.side, **columns, recording=np.full(120, "r"), start_time=np.arange(120.0), samples=[9] * 120
-    )
-    write_departures(folder / "d.parquet", made, Provenance())
+    signals = {"recording": np.full(120, "r"), "start_time": np.arange(120.0), "samples": [9] * 120}
+    write_departures(folder / "d.parquet", Departures(drawn.side, **columns, **signals), Provenance())
     for name in ("plain", "again"):
         shutil.copytree(finished, folder / name)
 
@@ -129,7 +112,7 @@ def test_an_output_that_cannot_be_written_is_one_sentence(monkeypatch: pytest.Mo
 
 def test_missing_numbers_in_recordings_end_or_are_counted(tmp_path: Path) -> None:
     """A NaN invalidates its sample and is told; it never reaches the departures table."""
-    text = recordings(40).splitlines(keepends=True)
+    text = table_of(0, 40).splitlines(keepends=True)
     text[41] = re.sub(r"^(r0,[^,]*),[^,]*", r"\1,NaN", text[41])
     (tmp_path / "r.csv").write_text("".join(text))
     out = good("extract", "r.csv", "-o", "d.parquet", cwd=tmp_path)
@@ -172,7 +155,7 @@ def test_wrong_arguments_get_one_message(arguments: list[str], message: str, fol
 
 def test_what_is_there_stays_when_a_command_fails(folder: Path) -> None:
     (folder / "d.parquet").write_text("old")
-    (folder / "r.csv").write_text(HEADER)
+    (folder / "r.csv").write_text(TABLE_HEADER)
     bad("extract", "none.csv", "-o", "d.parquet", cwd=folder)
     assert (folder / "d.parquet").read_text() == "old"
 
@@ -203,9 +186,8 @@ def test_a_process_starts_without_anything_heavy_and_ends_with_one_line(tmp_path
 
 
 def test_a_reader_that_leaves_is_no_error(tmp_path: Path) -> None:
-    process = subprocess.Popen(
-        [sys.executable, "-m", "ldctoolkit", "models"], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE
-    )
+    command = [sys.executable, "-m", "ldctoolkit", "models"]
+    process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     process.stdout.close()
     message = process.stderr.read().decode()
     process.stderr.close()
@@ -297,7 +279,7 @@ def test_the_report_names_a_width_that_contradicts_the_model(tmp_path: Path, mon
     )
 
 
-STUDY_WIDTHS_AND_UNITS = """
+LQR_STUDY = """
 name = "s"
 [scenarios]
 left = 6
@@ -310,49 +292,46 @@ law = "lqr"
 
 
 @pytest.fixture
-def folder_widths_and_units(tmp_path: Path) -> Path:
+def widths_folder(tmp_path: Path) -> Path:
     """A model whose departures were found with a vehicle 1.75 m wide in lanes of 3.5 m, and studies."""
     model = load_model("reference")
     source = dict(model.provenance.source) | {"criteria": {"vehicle_width": 1.75}, "nominal_lane_width": 3.5}
-    ScenarioModel.save(
-        dataclasses.replace(model, provenance=dataclasses.replace(model.provenance, source=source)), tmp_path / "m.json"
-    )
-    (tmp_path / "s.toml").write_text(STUDY_WIDTHS_AND_UNITS, encoding="utf-8")
-    (tmp_path / "wide.toml").write_text(f"{STUDY_WIDTHS_AND_UNITS}[vehicle]\nw_v = 2.1\n", encoding="utf-8")
+    provenance = dataclasses.replace(model.provenance, source=source)
+    dataclasses.replace(model, provenance=provenance).save(tmp_path / "m.json")
+    (tmp_path / "s.toml").write_text(LQR_STUDY, encoding="utf-8")
+    (tmp_path / "wide.toml").write_text(f"{LQR_STUDY}[vehicle]\nw_v = 2.1\n", encoding="utf-8")
     return tmp_path
-
-
-def vehicle_of(folder_widths_and_units: Path) -> VehicleParameters:
-    return read_manifest(folder_widths_and_units / "out" / "s").read_study().vehicle
 
 
 RUN = ("--no-robustness", "--no-figures", "--quiet", "--workers", "1")
 
 
-def test_a_model_brings_its_widths(folder_widths_and_units: Path) -> None:
-    good("run", "s.toml", "--model", "m.json", *RUN, cwd=folder_widths_and_units)
-    assert (vehicle_of(folder_widths_and_units).w_v, vehicle_of(folder_widths_and_units).w_l) == (1.75, 3.5)
+@pytest.mark.parametrize(
+    ("words", "widths"),
+    [
+        ("s.toml --model m.json", (1.75, 3.5)),
+        ("wide.toml --model m.json --vehicle-width 2.1", (2.1, 3.5)),
+        ("wide.toml", (2.1, 3.6)),
+    ],
+)
+def test_a_model_brings_its_widths(words: str, widths: tuple[float, float], widths_folder: Path) -> None:
+    good("run", *words.split(), *RUN, cwd=widths_folder)
+    vehicle = read_manifest(widths_folder / "out" / "s").read_study().vehicle
+    assert (vehicle.w_v, vehicle.w_l) == widths
 
 
-def test_a_study_that_sets_another_width_is_refused_until_it_is_decided(folder_widths_and_units: Path) -> None:
-    message = bad("run", "wide.toml", "--model", "m.json", *RUN, cwd=folder_widths_and_units)
+def test_a_study_that_sets_another_width_is_refused_until_it_is_decided(widths_folder: Path) -> None:
+    message = bad("run", "wide.toml", "--model", "m.json", *RUN, cwd=widths_folder)
     assert "vehicle.w_v: 2.1 m in the study, 1.75 m in the recordings behind its departures" in message
     assert "--vehicle-width" in message
-    good("run", "wide.toml", "--model", "m.json", "--vehicle-width", "2.1", *RUN, cwd=folder_widths_and_units)
-    assert vehicle_of(folder_widths_and_units).w_v == 2.1
 
 
-def test_a_model_that_says_nothing_changes_nothing(folder_widths_and_units: Path) -> None:
-    good("run", "wide.toml", *RUN, cwd=folder_widths_and_units)
-    assert (vehicle_of(folder_widths_and_units).w_v, vehicle_of(folder_widths_and_units).w_l) == (2.1, 3.6)
-
-
-def test_conditions_beyond_the_data_warn_with_the_range(folder_widths_and_units: Path) -> None:
-    done = ldc("sample", "reference", "-n", "4", "--given", "v_mean=50:60", "-o", "d.csv", cwd=folder_widths_and_units)
+def test_conditions_beyond_the_data_warn_with_the_range(widths_folder: Path) -> None:
+    done = ldc("sample", "reference", "-n", "4", "--given", "v_mean=50:60", "-o", "d.csv", cwd=widths_folder)
     assert done.returncode == 0
     assert "ldc: warning: given v_mean from 50 to 60 m/s: outside the fitted departures (left), " in done.stderr
-    (one,) = outside_fit(load_model("reference"), {"v_mean": (50.0, 60.0)})
-    assert " to " in one.split("(left), ")[1]
+    (warning,) = outside_fit(load_model("reference"), {"v_mean": (50.0, 60.0)})
+    assert " to " in warning.split("(left), ")[1]
     assert outside_fit(load_model("reference"), {"v_mean": (20.0, 30.0)}) == []
 
 
@@ -384,11 +363,10 @@ def test_usual_values_are_silent() -> None:
     assert unit_slip("vehicle.m", True) == unit_slip("y_s", "0.2") == unit_slip("nothing", 1e9) == ""
 
 
-def test_the_command_line_warns_once(folder_widths_and_units: Path) -> None:
-    (folder_widths_and_units / "far.toml").write_text(f"{STUDY_WIDTHS_AND_UNITS}y_s = [10.0, 20.0]\n", encoding="utf-8")
-    done = ldc("run", "far.toml", *RUN, cwd=folder_widths_and_units)
-    lines = done.stderr.splitlines()
-    assert lines == [
+def test_the_command_line_warns_once(widths_folder: Path) -> None:
+    (widths_folder / "far.toml").write_text(f"{LQR_STUDY}y_s = [10.0, 20.0]\n", encoding="utf-8")
+    done = ldc("run", "far.toml", *RUN, cwd=widths_folder)
+    assert done.stderr.splitlines() == [
         "ldc: warning: y_s: 10 m; likely centimetres were meant: 0.1 m",
         "ldc: warning: y_s: 20 m; likely centimetres were meant: 0.2 m",
     ]

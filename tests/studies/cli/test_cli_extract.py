@@ -14,23 +14,10 @@ import pytest
 
 from helpers import cli
 from helpers.fuzz import DEPARTURES, SOUND
+from helpers.recordings import TABLE_HEADER, table_of
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings import extract_departures, read_departures, read_recordings, recording
 from ldctoolkit.recordings.recording import Problem, Recording, SourceFile
-
-HEADER = "recording,t,lane_offset,lane_width,speed\n"
-
-
-def recordings(first: int, n: int = 10) -> str:
-    """n recordings of one departure each, alternating sides, all different."""
-    generator = np.random.default_rng(first)
-    lines = [HEADER]
-    for i in range(first, first + n):
-        T, peak, v = generator.uniform(1, 4), generator.uniform(0.1, 0.5), generator.uniform(15, 30)
-        t = np.arange(0, 8, 0.1)
-        offset = (-1) ** i * (np.maximum(peak * (1 - (2 * (t - 4) / T) ** 2), -0.6) + 0.9)
-        lines += [f"r{i},{a:.2f},{b:.4f},3.6,{v:.4f}\n" for a, b in zip(t, offset, strict=True)]
-    return "".join(lines)
 
 
 @pytest.fixture
@@ -56,24 +43,25 @@ def ldc(folder: Path) -> Ldc:
 
 def test_several_tables_in_one_go(folder: Path, ldc: Ldc) -> None:
     for i, name in enumerate(("a.csv", "b.csv", "c.csv")):
-        (folder / name).write_text(recordings(10 * i))
-    code, out, err = ldc("a.csv", "b.csv", "c.csv", "-o", "d.parquet", "--workers", "1")
+        (folder / name).write_text(table_of(10 * i))
+    code, out, err = ldc("a.csv", "b.csv", "c.csv", "-o", "d.parquet", "--workers", "1", "--report", "r.html")
     assert code == 0
     # 237 s at 21.5 m/s
     assert out.startswith("format: table (3 recording tables)\n30 candidates in 30 recordings, 0.1 h, 5 km\n")
-    assert out.endswith("30 departures written to d.parquet\n")
+    assert out.endswith("30 departures written to d.parquet\npage about the extraction written to r.html\n")
+    assert (folder / "r.html").read_text(encoding="utf-8").lstrip().lower().startswith("<!doctype html>")
     assert "warning: no column 'lane'" in err
     departures, provenance = read_departures("d.parquet")
     found = extract_departures(read_recordings(["a.csv", "b.csv", "c.csv"]))
     assert departures.recording.tolist() == found.departures.recording.tolist()
     np.testing.assert_array_equal(departures.matrix(), found.departures.matrix())
     assert [file.name for file in provenance.sources] == ["a.csv", "b.csv", "c.csv"]
-    assert sorted(path.name for path in folder.iterdir()) == ["a.csv", "b.csv", "c.csv", "d.parquet"]
+    assert sorted(path.name for path in folder.iterdir()) == ["a.csv", "b.csv", "c.csv", "d.parquet", "r.html"]
 
 
 def test_what_cannot_be_used_is_told_and_the_rest_is_written(folder: Path, ldc: Ldc) -> None:
-    (folder / "a.csv").write_text(recordings(0))
-    (folder / "b.csv").write_text(HEADER + "x,0.0,wide,3.6,25\nx,0.1,0.2,3.6,25\n")
+    (folder / "a.csv").write_text(table_of(0))
+    (folder / "b.csv").write_text(TABLE_HEADER + "x,0.0,wide,3.6,25\nx,0.1,0.2,3.6,25\n")
     (folder / "c.csv").write_text("")
     code, out, err = ldc("a.csv", "b.csv", "c.csv", "-o", "d.parquet", "--workers", "1", "--format", "table")
     assert code == 3
@@ -108,7 +96,7 @@ def test_what_cannot_be_used_is_told_and_the_rest_is_written(folder: Path, ldc: 
     ids=lambda value: " ".join(value)[:40] if isinstance(value, list) else "",
 )
 def test_wrong_words_get_one_message(folder: Path, ldc: Ldc, words: list[str], message: str) -> None:
-    (folder / "a.csv").write_text(recordings(0))
+    (folder / "a.csv").write_text(table_of(0))
     code, out, err = ldc(*words, "a.csv", "-o", "d.parquet")
     assert (code, out) == (2, "")
     assert re.fullmatch(r"ldc: error: [^\n]+\n", err), err
@@ -117,7 +105,7 @@ def test_wrong_words_get_one_message(folder: Path, ldc: Ldc, words: list[str], m
 
 
 def test_settings_reach_the_extraction(folder: Path, ldc: Ldc) -> None:
-    (folder / "a.csv").write_text(recordings(0, 30))
+    (folder / "a.csv").write_text(table_of(0, 30))
     words = {
         "--vehicle-width": 1.7, "--step": 0.2, "--nominal-lane-width": 3.5, "--yaw-rate-factor": -1,
         "--min-duration": 0.6, "--max-duration": 9, "--min-speed": 6, "--max-gap": 0.5, "--max-jump": 0.7,
@@ -142,7 +130,7 @@ def test_settings_reach_the_extraction(folder: Path, ldc: Ldc) -> None:
 
 def test_what_cannot_be_right_is_not_written_unless_forced(folder: Path, ldc: Ldc) -> None:
     """A speed in km/h."""
-    table = pl.read_csv(recordings(0, 30).encode()).with_columns(pl.col("speed") * 3.6)
+    table = pl.read_csv(table_of(0, 30).encode()).with_columns(pl.col("speed") * 3.6)
     table.write_csv(folder / "a.csv")
     code, out, err = ldc("a.csv", "-o", "d.parquet", "--report", "r.html")
     assert (code, out) == (2, "")
@@ -160,7 +148,7 @@ def test_what_cannot_be_right_is_not_written_unless_forced(folder: Path, ldc: Ld
 
 def test_departures_while_a_system_steers(folder: Path, ldc: Ldc) -> None:
     """In every other of ten recordings."""
-    table = pl.read_csv(recordings(0).encode())
+    table = pl.read_csv(table_of(0).encode())
     odd = pl.col("recording").str.slice(1).cast(pl.Int64) % 2 == 1
     table.with_columns(odd.alias("engaged")).write_csv(folder / "a.csv")
     for words, departures, hours in (((), 5, 5 * 7.9 / 3600.0), (("--keep-engaged",), 10, 10 * 7.9 / 3600.0)):
@@ -239,7 +227,7 @@ def test_a_third_partys_reader(folder: Path, ldc: Ldc, third_party: Callable[...
     assert out.startswith("format: made (made up)\n")
     provenance = read_departures("e.parquet")[1]
     assert (provenance.reader, provenance.criteria.vehicle_width, provenance.preparation.step) == ("made", 1.8, 0.1)
-    (folder / "a.csv").write_text(recordings(0))
+    (folder / "a.csv").write_text(table_of(0))
     code, _, err = ldc("a.csv", "-o", "d.parquet", "--format", "made")
     assert (code, err) == (2, "ldc: error: a.csv: is not made up\n")
 
@@ -268,20 +256,11 @@ def test_an_interrupt_says_where_the_work_is(folder: Path, ldc: Ldc, third_party
     assert sorted(path.name for path in folder.iterdir()) == ["a.made", "d.parquet.parts"]
 
 
-def test_a_page_is_written_on_request(folder: Path, ldc: Ldc) -> None:
-    (folder / "a.csv").write_text(recordings(0))
-    code, out, _ = ldc("a.csv", "-o", "d.parquet", "--report", "r.html")
-    assert code == 0
-    assert out.endswith("page about the extraction written to r.html\n")
-    assert (folder / "r.html").read_text(encoding="utf-8").lstrip().lower().startswith("<!doctype html>")
-    assert sorted(path.name for path in folder.iterdir()) == ["a.csv", "d.parquet", "r.html"]
-
-
 def test_a_page_that_is_not_finished_loses_no_part(folder: Path, ldc: Ldc, monkeypatch: pytest.MonkeyPatch) -> None:
     """Stopped while the page is made: the same command goes on with it and reads nothing again."""
     words = ["a.csv", "b.csv", "-o", "d.parquet", "--report", "r.html", "--workers", "1"]
     for i, name in enumerate(words[:2]):
-        (folder / name).write_text(recordings(10 * i))
+        (folder / name).write_text(table_of(10 * i))
 
     def stopped(*_: Any) -> None:
         raise KeyboardInterrupt
@@ -299,7 +278,7 @@ def test_a_page_that_is_not_finished_loses_no_part(folder: Path, ldc: Ldc, monke
 
 
 def test_a_folder_without_write_permission_is_told(folder: Path, ldc: Ldc) -> None:
-    (folder / "a.csv").write_text(recordings(0))
+    (folder / "a.csv").write_text(table_of(0))
     closed = folder / "closed"
     closed.mkdir(mode=0o500)
     if os.access(closed, os.W_OK):
@@ -312,7 +291,7 @@ def test_a_folder_without_write_permission_is_told(folder: Path, ldc: Ldc) -> No
 
 def test_no_table_is_said_to_hold_problems_where_there_is_none(folder: Path, ldc: Ldc) -> None:
     for i in range(25):
-        (folder / f"{i}.csv").write_text(HEADER + f"r{i},0.0,wide,3.6,25\n")
+        (folder / f"{i}.csv").write_text(TABLE_HEADER + f"r{i},0.0,wide,3.6,25\n")
     code, out, err = ldc(".", "-o", "d.parquet", "--workers", "1")
     assert (code, out) == (2, "")
     assert re.search(r"^ldc: warning: and [0-9]+ more problems, [0-9]+ in all$", err, re.MULTILINE), err
@@ -323,7 +302,7 @@ def test_no_table_is_said_to_hold_problems_where_there_is_none(folder: Path, ldc
 
 def table(path: Path) -> bytes:
     """A recording table in Parquet."""
-    pl.read_csv(recordings(0).encode()).write_parquet(path)
+    pl.read_csv(table_of(0).encode()).write_parquet(path)
     return path.read_bytes()
 
 
@@ -352,9 +331,8 @@ def test_what_is_read_is_not_written_over(folder: Path, ldc: Ldc, how: str) -> N
 def test_a_page_is_not_written_over_what_is_read(folder: Path, ldc: Ldc, third_party: Callable[..., None]) -> None:
     third_party(MadeReader(suffix=".html"))
     (folder / "a.html").write_text("x")
-    code, out, err = ldc("a.html", "-o", "d.parquet", "--report", "a.html")
-    assert (code, out) == (2, "")
-    assert err == "ldc: error: --report a.html: is the input a.html; allowed: a file that is not read\n"
+    sentence = "ldc: error: --report a.html: is the input a.html; allowed: a file that is not read\n"
+    assert ldc("a.html", "-o", "d.parquet", "--report", "a.html") == (2, "", sentence)
     assert [path.name for path in folder.iterdir()] == ["a.html"]
 
 
@@ -381,7 +359,7 @@ def test_workers_are_processes_where_much_is_read(folder: Path, ldc: Ldc, monkey
     monkeypatch.setattr(runner, "SMALL", 50_000)
     monkeypatch.setattr("os.cpu_count", lambda: 2)
     for i in range(3):
-        (folder / f"{i}.csv").write_text(recordings(10 * i))
+        (folder / f"{i}.csv").write_text(table_of(10 * i))
     assert 20_000 < (folder / "0.csv").stat().st_size < 25_000
     for files in (["0.csv"], ["0.csv", "1.csv"], ["0.csv", "1.csv", "2.csv"], ["0.csv", "1.csv", "--workers", "8"]):
         assert ldc(*files, "-o", "d.parquet")[0] == 0

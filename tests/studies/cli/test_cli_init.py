@@ -28,11 +28,11 @@ def keys_of(table: dict[str, Any]) -> dict[str, Any]:
 def test_a_file_from_the_catalog_is_its_study(name: str, tmp_path: Path) -> None:
     out = good("init", name, "-o", "mine.toml", cwd=tmp_path)
     assert out == "study file written to mine.toml\nrun it with: ldc run mine.toml\n"
-    made, kept = load_study(tmp_path / "mine.toml"), load_study(name)
-    assert made.hash == kept.hash
-    assert made.content() == kept.content() | {"name": "mine"}
+    written, catalog = load_study(tmp_path / "mine.toml"), load_study(name)
+    assert written.hash == catalog.hash
+    assert written.content() == catalog.content() | {"name": "mine"}
     good("init", name, cwd=tmp_path)
-    assert load_study(tmp_path / f"{name}.toml").ranked_as == kept.ranked_as
+    assert load_study(tmp_path / f"{name}.toml").ranked_as == catalog.ranked_as
 
 
 def test_every_key_is_there_with_a_comment(tmp_path: Path) -> None:
@@ -65,8 +65,8 @@ def test_what_is_commented_out_is_the_default(tmp_path: Path) -> None:
         head, _, designs = (tmp_path / "s.toml").read_text(encoding="utf-8").partition("[[design]]")
         settings = re.sub(r"\n# \[plant.sensors.kalman\].*(\n# .*)+", "", head.partition("# [search]")[0])
         lines = (x if x.endswith("default none") else KEY.sub(r"\1", x) for x in settings.splitlines())
-        made = Study.from_dict(tomllib.loads("\n".join([*lines, f"[[design]]{designs}"])))
-        assert made.ranked_as == load_study(name).ranked_as
+        study = Study.from_dict(tomllib.loads("\n".join([*lines, f"[[design]]{designs}"])))
+        assert study.ranked_as == load_study(name).ranked_as
 
 
 def test_every_gain_can_be_swept(tmp_path: Path) -> None:

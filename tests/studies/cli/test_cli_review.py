@@ -49,20 +49,19 @@ def test_a_sound_law(tmp_path: Path) -> None:
     assert out.endswith("no findings\n")
 
 
-def test_a_fault_and_the_options_of_the_actuator(tmp_path: Path) -> None:
-    """Slow growth is told with as many digits as tell it from 1."""
-    law = ("preview_proportional", "--gain", "K_y=-0.02")
-    out = reviewed(3, *law, "--delay", "0.2", "--lag", "0.1", "--speed", "30", cwd=tmp_path)
-    assert "fault: At 30 m/s the closed loop is unstable: a deviation grows by a factor of 1.029 a sample" in out
-
-
-def test_limits_of_the_actuator(tmp_path: Path) -> None:
-    out = reviewed(0, "linear_mpc", "--speed", "20:30", "--points", "2", "--rate-max", "0.1", cwd=tmp_path)
-    assert "warning: The law counts on rate_max = 0.2 rad/s, the actuator gives 0.1 rad/s" in out
-
-
-def test_a_law_that_does_nothing(tmp_path: Path) -> None:
-    assert "there is no loop to review" in reviewed(0, "none", cwd=tmp_path)
+@pytest.mark.parametrize(
+    ("words", "code", "sentence"),
+    [
+        # slow growth is told with as many digits as tell it from 1
+        ("preview_proportional --gain K_y=-0.02 --delay 0.2 --lag 0.1 --speed 30", 3,
+         "fault: At 30 m/s the closed loop is unstable: a deviation grows by a factor of 1.029 a sample"),
+        ("linear_mpc --speed 20:30 --points 2 --rate-max 0.1", 0,
+         "warning: The law counts on rate_max = 0.2 rad/s, the actuator gives 0.1 rad/s"),
+        ("none", 0, "there is no loop to review"),
+    ],
+)  # fmt: skip
+def test_findings_of_a_law(words: str, code: int, sentence: str, tmp_path: Path) -> None:
+    assert sentence in reviewed(code, *words.split(), cwd=tmp_path)
 
 
 @pytest.mark.slow
@@ -70,17 +69,17 @@ def test_a_study_and_one_of_its_designs(folder: Path) -> None:
     """One review for each set of gains, on the study's plant; thresholds that share it are listed together."""
     out = reviewed(3, "s.toml", "--json", "r.json", cwd=folder)
     assert "LQR, y_s=0.1, 0.2 m, r_delta=30\nfault: " in out
-    found = json.loads((folder / "r.json").read_text(encoding="utf-8"))
-    assert [len(entry["ids"]) for entry in found] == [1, 2, 2]
-    assert ([entry["law"] for entry in found], found[0]["loop"]) == (["none", "lqr", "lqr"], {})
-    assert "phase_margin" in {finding["name"] for finding in found[1]["findings"] if finding["severity"] == "fault"}
-    assert all(finding["severity"] != "fault" for finding in found[2]["findings"])
-    assert len(found[2]["loop"]["v_m_s"]) == 13
-    assert set(found[2]["loop"]["gain_margin_dB"]) != {None}
-    assert set(found[2]["loop"]["stable"]) == {True}
+    none, stiff, soft = entries = json.loads((folder / "r.json").read_text(encoding="utf-8"))
+    assert [len(entry["ids"]) for entry in entries] == [1, 2, 2]
+    assert ([entry["law"] for entry in entries], none["loop"]) == (["none", "lqr", "lqr"], {})
+    assert "phase_margin" in {finding["name"] for finding in stiff["findings"] if finding["severity"] == "fault"}
+    assert all(finding["severity"] != "fault" for finding in soft["findings"])
+    assert len(soft["loop"]["v_m_s"]) == 13
+    assert set(soft["loop"]["gain_margin_dB"]) != {None}
+    assert set(soft["loop"]["stable"]) == {True}
 
-    one = reviewed(0, "s.toml", "--design", found[2]["ids"][1], "--speed", "15:30", "--points", "4", cwd=folder)
-    assert "LQR, y_s=0.2 m, r_delta=30000, dt = 0.05 s" in one
+    out = reviewed(0, "s.toml", "--design", soft["ids"][1], "--speed", "15:30", "--points", "4", cwd=folder)
+    assert "LQR, y_s=0.2 m, r_delta=30000, dt = 0.05 s" in out
     assert reviewed(0, "s.toml", "--design", "LQR, y_s=0.1 m, r_delta=30000", "--lag", "0", cwd=folder)
 
 
@@ -129,8 +128,8 @@ def test_wrong_arguments_get_one_message(arguments: list[str], message: str, fol
 
 def test_the_number_of_speeds_counts_without_their_range(tmp_path: Path) -> None:
     reviewed(0, "lqr", "--points", "4", "--json", "r.json", cwd=tmp_path)
-    (found,) = json.loads((tmp_path / "r.json").read_text(encoding="utf-8"))
-    assert found["loop"]["v_m_s"] == [10.0, 20.0, 30.0, 40.0]
+    (entry,) = json.loads((tmp_path / "r.json").read_text(encoding="utf-8"))
+    assert entry["loop"]["v_m_s"] == [10.0, 20.0, 30.0, 40.0]
 
 
 @pytest.mark.slow
@@ -156,13 +155,10 @@ def test_a_design_that_raises_does_not_hide_the_others(folder: Path, monkeypatch
     monkeypatch.setattr(LQR, "prepare", exiting)
     out = reviewed(3, "s.toml", "--json", "r.json", cwd=folder)
     assert "fault: No review: controller 'lqr': prepare raised SystemExit: 3" in out
-    found = json.loads((folder / "r.json").read_text(encoding="utf-8"))
-    assert [[f["name"] for f in entry["findings"] if f["severity"] == "fault"] for entry in found] == [
-        [],
-        ["raises"],
-        [],
-    ]
-    assert len(found[2]["loop"]["v_m_s"]) == 13
+    entries = json.loads((folder / "r.json").read_text(encoding="utf-8"))
+    faults = [[f["name"] for f in entry["findings"] if f["severity"] == "fault"] for entry in entries]
+    assert faults == [[], ["raises"], []]
+    assert len(entries[2]["loop"]["v_m_s"]) == 13
 
 
 @pytest.mark.slow
@@ -176,24 +172,18 @@ def test_numbers_stand_under_their_headings_in_their_units(tmp_path: Path) -> No
     arguments = ("--gain", "r_delta=30000", "--lag", "0.1", "--speed", "30", "--json", "r.json")
     headings, units, row = printed_rows(reviewed(0, "lqr", *arguments, cwd=tmp_path))
     assert {f"{a} {b}".strip(): c for a, b, c in zip(headings, units, row, strict=True)} == {
-        "v [m/s]": "30",
-        "slowest pole [s]": "1.1",
-        "damping": "0.69",
-        "gain margin [dB]": "26.9",
-        "phase margin [deg]": "62.0",
-        "delay margin [ms]": "547",
-        "disk margin": "1.10",
-        "crossover [rad/s]": "1.98",
+        "v [m/s]": "30", "slowest pole [s]": "1.1", "damping": "0.69", "gain margin [dB]": "26.9",
+        "phase margin [deg]": "62.0", "delay margin [ms]": "547", "disk margin": "1.10", "crossover [rad/s]": "1.98",
         "e_y in a bend [m]": "0.000",  # without the sign that rounding leaves
         "other tyres [m]": "-0.520",
-    }
-    (found,) = json.loads((tmp_path / "r.json").read_text(encoding="utf-8"))
-    (finding,) = found["findings"]
+    }  # fmt: skip
+    (entry,) = json.loads((tmp_path / "r.json").read_text(encoding="utf-8"))
+    (finding,) = entry["findings"]
     assert (finding["severity"], finding["name"], finding["allowed"]) == ("warning", "bend_mismatched", 0.3)
     assert finding["value"] == pytest.approx(0.520, abs=5e-4)
-    assert found["loop"].pop("hessian_condition") == [None]
-    assert found["loop"].pop("gain_reduction_margin_dB") == ["inf"]
-    assert {name: pytest.approx(value, rel=1e-3, abs=1e-9) for name, (value,) in found["loop"].items()} == {
+    assert entry["loop"].pop("hessian_condition") == [None]
+    assert entry["loop"].pop("gain_reduction_margin_dB") == ["inf"]
+    assert {name: pytest.approx(value, rel=1e-3, abs=1e-9) for name, (value,) in entry["loop"].items()} == {
         "v_m_s": 30.0, "bend_rad_s": 2 / 30, "stable": True, "radius": 0.95539, "damping": 0.69163,
         "slowest_s": 1.09576, "gain_margin_dB": 26.949, "phase_margin_rad": 1.08276, "delay_margin_s": 0.54749,
         "disk_margin": 1.10371, "crossover_rad_s": 1.97766, "bandwidth_rad_s": 1.97722, "e_y_bend_m": 0.0,

@@ -106,7 +106,6 @@ def test_without_salib_the_rest_goes_on(folder: Path, monkeypatch: pytest.Monkey
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--case", "2"], "unrecognized arguments: --case 2"),
         (["--points", "-1"], "allowed: a whole number >= 0"),
         (["--design", "zz"], "--design 'zz': no such design; allowed: a label, or the id in ranking.csv"),
         (["--design", ""], "--design '': no such design"),
@@ -115,7 +114,3 @@ def test_without_salib_the_rest_goes_on(folder: Path, monkeypatch: pytest.Monkey
 )
 def test_wrong_input_is_one_line(arguments: list[str], words: str, folder: Path) -> None:
     assert words in bad("sensitivity", "out", *arguments, cwd=folder.parent)
-
-
-def test_a_folder_without_a_study_is_refused(tmp_path: Path) -> None:
-    assert "holds no study" in bad("sensitivity", ".", cwd=tmp_path)

@@ -52,13 +52,13 @@ def gains(design: Design) -> dict[str, Any]:
 # ---- several laws, conditions
 def test_a_gain_goes_to_the_laws_that_have_it() -> None:
     found = block(law=["lqr", "linear_mpc"], y_s=[0.1, 0.2], gains={"r_delta": [50, 500], "horizon": [5, 10, 15]})
-    wanted = [Design.from_gains("lqr", y_s, {"r_delta": r}) for y_s in (0.1, 0.2) for r in (50, 500)]
-    wanted += [
+    expected = [Design.from_gains("lqr", y_s, {"r_delta": r}) for y_s in (0.1, 0.2) for r in (50, 500)]
+    expected += [
         Design.from_gains("linear_mpc", y_s, {"r_delta": r, "horizon": n})
         for y_s, r, n in itertools.product((0.1, 0.2), (50, 500), (5, 10, 15))
     ]
-    assert found.designs() == wanted
-    assert found.size == len(wanted) == 16
+    assert found.designs() == expected
+    assert found.size == len(expected) == 16
 
 
 def test_laws_of_one_table_are_those_of_one_table_each() -> None:
@@ -89,13 +89,13 @@ def test_conditions_leave_exactly_the_designs_that_differ(on: list[bool], N: lis
     given_gains = {"N": N, "on": on, "convention": ["as_printed", "consistent"]}
     when = {"N": {"on": on[0], "convention": convention}}
     found = block(gains=given_gains, when=when).designs()
-    wanted = {
+    expected = {
         Design.from_gains(
             "toy", 0.2, {"on": o, "convention": c} | ({"N": n} if o == on[0] and c == convention else {})
         ).id
         for n, o, c in itertools.product(N, on, ("as_printed", "consistent"))
     }
-    assert (len(found), {d.id for d in found}) == (len(wanted), wanted)
+    assert (len(found), {d.id for d in found}) == (len(expected), expected)
 
 
 def test_conditions_hold_in_a_sample_too() -> None:
@@ -120,24 +120,24 @@ def test_points_are_scipys_own(count: int, dimensions: int) -> None:
         points = unit_points(SampleSettings(method="sobol", count=count, seed=7), dimensions)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        wanted = qmc.Sobol(dimensions, rng=np.random.default_rng(7)).random(count)
-    np.testing.assert_array_equal(points, wanted)
+        expected = qmc.Sobol(dimensions, rng=np.random.default_rng(7)).random(count)
+    np.testing.assert_array_equal(points, expected)
 
 
 def test_saltelli_points_are_salibs_own() -> None:
     settings = SampleSettings(method="saltelli", count=16, seed=3)
     cube = {"num_vars": 3, "names": ["a", "b", "c"], "bounds": [[0, 1]] * 3}
-    wanted = sobol.sample(cube, 16, calc_second_order=False, seed=3)
-    np.testing.assert_array_equal(unit_points(settings, 3), wanted)
-    assert settings.points(3) == 16 * 5 == len(wanted)
+    expected = sobol.sample(cube, 16, calc_second_order=False, seed=3)
+    np.testing.assert_array_equal(unit_points(settings, 3), expected)
+    assert settings.points(3) == 16 * 5 == len(expected)
 
 
 @given(st.floats(0, 1), st.floats(1e-6, 1e6), st.floats(1e-6, 1e6), st.sampled_from([1.0, -1.0]))
 def test_a_log_range_is_even_in_the_logarithm(share: float, first: float, last: float, sign: float) -> None:
     value = Span(sign * first, sign * last, "log").at(share)
-    wanted = sign * first * (last / first) ** share
-    # twelve digits are kept
-    assert value == pytest.approx(wanted, rel=2e-12 + 1e-11 * abs(math.log(last / first)))
+    expected = sign * first * (last / first) ** share
+    # twelve digits are kept: half of the last one is 5e-12 of a number that begins with 1
+    assert value == pytest.approx(expected, rel=5e-12 + 1e-11 * abs(math.log(last / first)))
     assert min(first, last) <= abs(float(value)) <= max(first, last)
 
 
@@ -278,8 +278,12 @@ def test_a_range_without_count_needs_a_sample_or_a_search() -> None:
 
 # ---- mistakes
 
+UNCONDITIONAL = "a gain without one"
 SAMPLE: Any = {"method": "sobol", "count": 4}
+Y_S_ALLOWED = "a finite number >= -10 m, below 0 before the line"
 MPC: Any = {"law": "linear_mpc", "gains": {"blocks": [0, 3], "solver": ["osqp", "daqp"], "horizon": [5, 9]}}
+SPAN: Any = {"gains": {"N": [3, 4], "K": {"from": -1, "to": 0}}, "sample": SAMPLE}
+BOTH: Any = {"law": ["toy", "boom"], "gains": {"K": 0, "on": [True, False]}}
 
 MISTAKES: list[tuple[dict[str, Any], str, Any, str | set[str]]] = [
     ({"law": []}, "law", (), "text, or a list of different laws"),
@@ -296,12 +300,7 @@ MISTAKES: list[tuple[dict[str, Any], str, Any, str | set[str]]] = [
     ({"gains": {"on": {"from": 0, "to": 1}}, "sample": SAMPLE}, "gains.on", 0, "true or false"),
     ({"gains": {"K": {"from": -1, "to": -1}}, "sample": SAMPLE}, "gains.K", -1, "two different numbers"),
     ({"gains": {"K": {"from": -1, "two": 0}}, "sample": SAMPLE}, "gains.K.two", ..., {"to"}),
-    (
-        {"y_s": {"from": -11, "to": 0.2}, "sample": SAMPLE},
-        "y_s",
-        -11,
-        "a finite number >= -10 m, below 0 before the line",
-    ),
+    ({"y_s": {"from": -11, "to": 0.2}, "sample": SAMPLE}, "y_s", -11, Y_S_ALLOWED),
     ({"y_s": {"from": 0.1}, "sample": SAMPLE}, "y_s.to", ..., ""),
     ({"y_s": {"from": 0.1, "to": 0.2, "scale": "lin"}}, "y_s.scale", "lin", {"linear"}),
     ({"sample": 3}, "sample", 3, "a table of keys"),
@@ -322,20 +321,10 @@ MISTAKES: list[tuple[dict[str, Any], str, Any, str | set[str]]] = [
         {**MPC, "when": {"blocks": {"solver": "osqp"}, "horizon": {"blocks": 3}}},
         "when.horizon.blocks",
         ...,
-        "a gain without one",
+        UNCONDITIONAL,
     ),
-    (
-        {"gains": {"N": [3, 4], "K": {"from": -1, "to": 0}}, "when": {"N": {"K": -1}}, "sample": SAMPLE},
-        "when.N.K",
-        ...,
-        "a gain with a list of values",
-    ),
-    (
-        {"law": ["toy", "boom"], "gains": {"K": 0, "on": [True, False]}, "when": {"K": {"on": True}}},
-        "when.K.on",
-        ...,
-        "a gain of the same law",
-    ),
+    ({**SPAN, "when": {"N": {"K": -1}}}, "when.N.K", ..., "a gain with a list of values"),
+    ({**BOTH, "when": {"K": {"on": True}}}, "when.K.on", ..., "a gain of the same law"),
     ({"gains": {"N": [3, 4], "on": [True, False]}, "when": {"N": {"on": 1}}}, "when.N.on", 1, {"False"}),
 ]
 

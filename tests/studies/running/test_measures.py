@@ -10,7 +10,9 @@ import pytest
 import ldctoolkit.studies.measures as measures
 from ldctoolkit.errors import InputError, StoreError
 from ldctoolkit.studies import Study, rank_study, read_results, run_study
+from ldctoolkit.studies.cli import main
 from ldctoolkit.studies.storage.manifest import read_manifest
+from ldctoolkit.studies.study_file import toml_text
 
 STANDARD = "euroncap-2026-elk-road-edge"
 CONTENT: dict[str, Any] = {
@@ -37,7 +39,8 @@ def no_drive(monkeypatch: pytest.MonkeyPatch) -> None:
 
     simulation, run = "ldctoolkit.simulation", "ldctoolkit.studies.measures"
     for name in (f"{simulation}.loop.drive_many", f"{simulation}.drive", f"{run}.drive", f"{run}.assess",
-                 f"{run}.design_margins"):  # fmt: skip
+                 f"{run}.design_margins", "ldctoolkit.studies.assessment.drive",
+                 "ldctoolkit.studies.pages.replay.drive", "ldctoolkit.studies.robustness.design_margins"):  # fmt: skip
         monkeypatch.setattr(name, driven)
 
 
@@ -50,6 +53,18 @@ def test_a_finished_run_is_ranked_without_a_drive(folder: Path) -> None:
     assert np.isfinite(ranking.metrics.beside["S_worst"]).all()
     assert np.isfinite(ranking.metrics.beside[STANDARD]).all()
     rank_study(results, study.changed(ranking={"require": ["comfort"], "confidence": 0.9}))
+
+
+def test_a_report_after_the_run_drives_nothing(tmp_path: Path, request: pytest.FixtureRequest) -> None:
+    """Also with paths of departures in the explorer, and a standard at its corners: the same page."""
+    file, out = tmp_path / "s.toml", tmp_path / "out"
+    file.write_text(toml_text(Study.from_dict(CONTENT)), encoding="utf-8")
+    assert main(["run", str(file), "-o", str(out), "--workers", "1", "--quiet"]) == 0
+    first = (out / "report.html").read_text(encoding="utf-8")
+    request.getfixturevalue("no_drive")
+    assert main(["rank", str(out), "--quiet"]) == 0
+    assert main(["report", str(out)]) == 0
+    assert (out / "report.html").read_text(encoding="utf-8") == first
 
 
 @pytest.mark.usefixtures("no_drive")

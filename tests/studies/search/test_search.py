@@ -22,6 +22,7 @@ from ldctoolkit.studies.search import Search
 pytestmark = pytest.mark.usefixtures("laws")
 
 Objective = Callable[[Design], tuple[float, ...] | None]
+Margins = Callable[[Design], tuple[float, ...]]
 
 TWO_LAWS = [
     {"law": "none"},
@@ -44,13 +45,13 @@ def make(design: Any, seed: int = 0, **search: Any) -> Study:
     return Study.from_dict({"name": "s", "seed": seed, "search": search, "design": design})
 
 
-def drive(search: Search, objective: Objective, margins: Objective | None = None) -> list[tuple[Design, ...]]:
+def drive(search: Search, objective: Objective, margins: Margins | None = None) -> list[tuple[Design, ...]]:
     """Batches until there are no more."""
     batches = []
     while batch := search.ask():
         batches.append(batch)
-        missed: Any = margins and {design.id: margins(design) for design in batch}
-        search.tell({design.id: objective(design) for design in batch}, missed)
+        values = {design.id: objective(design) for design in batch}
+        search.tell(values, {design.id: margins(design) for design in batch} if margins else None)
     return batches
 
 
@@ -165,38 +166,35 @@ def test_objectives_of_which_more_is_better_are_made_large(objective: str, most:
     assert most - 0.3 <= np.mean([design.y_s for design in search.asked[15:]]) <= most
 
 
-def test_a_design_is_asked_for_once_and_a_small_space_comes_to_its_end() -> None:
-    """Six designs and no more, however many trials there are; those without a choice first."""
-    block = [{"law": "toy", "y_s": [0.1, 0.2], "gains": {"N": [3, 4, 5]}}, {"law": "none"}]
-    search = Search(make(block, trials=500, batch=4))
-    batches = drive(search, lambda design: (design.y_s,))
-    assert batches[0][0].law == "none"
-    assert len(search.asked) == len({d.id for d in search.asked}) == 7
-    assert [len(batch) for batch in batches] == [4, 3]
-
-
-TOY = {"law": "toy", "y_s": [0.1, 0.2, 0.3]}
-
-
 @pytest.mark.parametrize(
-    ("blocks", "designs"),
+    ("design", "batches"),
     [
-        ([TOY, TOY | {"y_s": [0.2, 0.3, 0.4]}], 4),
+        ([{"law": "toy", "y_s": [0.1, 0.2], "gains": {"N": [3, 4, 5]}}, {"law": "none"}], [4, 3]),
+        ([{"law": "toy", "y_s": [0.1, 0.2, 0.3]}, {"law": "toy", "y_s": [0.2, 0.3, 0.4]}], [4]),  # tables that share
         # N = 3, 4, 6 with it, the default without
-        ([{"law": "toy", "gains": {"N": [3, 4, 6], "on": [True, False]}, "when": {"N": {"on": True}}}], 4),
+        ([{"law": "toy", "gains": {"N": [3, 4, 6], "on": [True, False]}, "when": {"N": {"on": True}}}], [4]),
     ],
-    ids=["shared by tables", "merged by conditions"],
 )
-def test_equal_designs_are_run_once(blocks: Any, designs: int) -> None:
-    search = Search(make(blocks, trials=50, batch=2))
-    drive(search, lambda design: (design.y_s,))
-    assert len(search.asked) == len({design.id for design in search.asked}) == designs
+def test_a_design_is_asked_for_once_and_a_small_space_comes_to_its_end(design: Any, batches: list[int]) -> None:
+    """However many trials there are; those without a choice first."""
+    search = Search(make(design, trials=500, batch=4))
+    asked = drive(search, lambda design: (design.y_s,))
+    assert [len(batch) for batch in asked] == batches
+    assert len({design.id for design in search.asked}) == sum(batches)
+    assert asked[0][0].law == design[-1]["law"]
 
 
 def test_every_law_has_random_numbers_of_its_own() -> None:
     block = {"law": ["toy", "boom"], "y_s": {"from": 0.0, "to": 1.0}}
     asked = Search(make([block], trials=6, batch=6, sampler="random")).ask()
     assert ({design.law for design in asked}, len({design.y_s for design in asked})) == ({"toy", "boom"}, 6)
+
+
+def test_a_space_whose_conditions_merge_designs_comes_to_its_end() -> None:
+    block = [{"law": "toy", "gains": {"N": [3, 4, 6], "on": [True, False]}, "when": {"N": {"on": True}}}]
+    search = Search(make(block, trials=50, batch=2))
+    drive(search, lambda design: (1.0,))
+    assert len(search.asked) == 4  # N = 3, 4, 6 with it, the default without
 
 
 @pytest.mark.parametrize("sampler", ["tpe", "nsga2"])
@@ -371,14 +369,12 @@ def test_a_run_asks_for_what_its_values_and_margins_lead_to(make_study: Callable
     ranking = rank_study(results, study)
     assert any(ranking.unmet)
     assert not all(ranking.unmet)
-    values = {one.id: (S,) for one, S in zip(ranking.designs, ranking.metrics.S.tolist(), strict=True)}
-    margins = {
-        one.id: ((S - 0.9) / 0.9, max(-reduction, 1e-12) if reduction <= 0 else -reduction)
-        for one, S, reduction in zip(
-            ranking.designs, ranking.metrics.S.tolist(), ranking.metrics.reduction.tolist(), strict=True
-        )
+    metrics = ranking.metrics
+    figures = zip(ranking.designs, metrics.S.tolist(), metrics.reduction.tolist(), strict=True)
+    told = {
+        design: ((S,), ((S - 0.9) / 0.9, max(-reduction, 1e-12) if reduction <= 0 else -reduction))
+        for design, S, reduction in figures
     }
     search = Search(study)
-    while batch := search.ask():
-        search.tell({one.id: values[one.id] for one in batch}, {one.id: margins[one.id] for one in batch})
+    drive(search, lambda design: told[design][0], lambda design: told[design][1])
     assert search.asked == results.designs
