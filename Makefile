@@ -17,7 +17,7 @@ $(VENV)/.runtime: pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(0 if (3, 11) <= sys.version_info[:2] <= (3, 14) else "ldctoolkit needs Python 3.11 to 3.14, this is " + sys.version.split()[0] + "; choose one with PYTHON=python3.12")'
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --editable .
-	@OPENBLAS_NUM_THREADS=1 $(BIN)/python -m ldctoolkit.studies.compile_loops
+	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tools/compile_loops.py
 	@touch $@
 
 $(VENV)/.dev: $(VENV)/.runtime
@@ -49,7 +49,7 @@ lint: ruff  ## ruff and mypy --strict
 	$(BIN)/mypy
 
 test: ruff  ## ruff, and the tests that a change should pass, in minutes
-	@OPENBLAS_NUM_THREADS=1 $(BIN)/python -m ldctoolkit.studies.compile_loops  # before two workers would do so each for itself
+	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tools/compile_loops.py  # before two workers would do so each for itself
 	-@$(BIN)/pytest --collect-only -qq > /dev/null  # their assertions are rewritten once, not by each worker
 	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n 2 -m "not slow and not browser"
 

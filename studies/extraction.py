@@ -3,11 +3,12 @@
 import dataclasses
 import hashlib
 import importlib.metadata
+import itertools
 import json
 import os
 import pickle
 import uuid
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Final
@@ -54,7 +55,7 @@ class PartWork(Work):
     preparation: Preparation  # How recordings are brought to a common form
     keep_signals: bool = False  # Whether y(t), v(t) and c(t) of each departure are kept
 
-    def run(self, kept: dict[str, Any]) -> PartResult | str:  # noqa: ARG002
+    def run(self, cache: dict[str, Any]) -> PartResult | str:  # noqa: ARG002
         """Read the part. A fault in it, or in its reader, ends this part alone: then the reason, one sentence."""
         try:
             return extract_part(self.part, self.criteria, self.preparation, keep_signals=self.keep_signals)
@@ -115,8 +116,10 @@ def _program(home: Path) -> str:
 def _readers(reader: RecordingReader, parts: Iterable[RecordingPart]) -> list[str]:
     """Content of the code of readers and parts that are not the toolkit's."""
     readers = reader.readers if isinstance(reader, CombinedReader) else (reader,)
-    members = (getattr(one, name) for one in readers if isinstance(one, ModuleType) for name in ("recognise", "open"))
-    classes = {type(one) for one in (*readers, *parts) if not isinstance(one, ModuleType)}
+    members = (
+        getattr(module, name) for module in readers if isinstance(module, ModuleType) for name in ("recognise", "open")
+    )
+    classes = {type(item) for item in (*readers, *parts) if not isinstance(item, ModuleType)}
     return sorted(filter(None, map(content_of, (*classes, *members))))
 
 
@@ -146,7 +149,7 @@ class NothingReadError(RecordingError):
     def __init__(self, problems: tuple[Problem, ...]) -> None:
         text = "; ".join(map(str, problems[:MOST_NAMED])) or "the files hold no recording"
         more = f" ({len(problems):,} problems in all)" if len(problems) > MOST_NAMED else ""
-        super().__init__(f"{text}{more}")
+        super().__init__(problem=f"{text}{more}")
         self.problems = problems
 
 
@@ -227,7 +230,16 @@ def run_extraction(
         if folder is not None and output is not None:
             remove_unfinished(Path(output).parent, Path(output).name)
         unread = _read_missing(parts, works, workers, dask, progress)
-        results = _in_order(source.problems, works, parts, unread)
+        # the source's own problems, then the parts as they follow each other
+        results = itertools.chain(
+            [PartResult(problems=tuple(source.problems))],
+            (
+                PartResult(problems=(Problem(part_name(work.part), "", unread[work.index]),))
+                if work.index in unread
+                else parts.read(work.index)
+                for work in works
+            ),
+        )
         extraction = merge_results(results, criteria, preparation, reader=reader.name, files=source.files, force=force)
         if extraction.recordings == 0:
             parts.remove()
@@ -276,15 +288,3 @@ def _read_missing(
             if progress is not None:
                 progress(done, total)
     return unread
-
-
-def _in_order(
-    problems: Sequence[Problem], works: tuple[PartWork, ...], parts: Parts, unread: dict[int, str]
-) -> Iterator[PartResult]:
-    """The source's own problems, then the parts as they follow each other."""
-    yield PartResult(problems=tuple(problems))
-    for work in works:
-        if work.index in unread:
-            yield PartResult(problems=(Problem(part_name(work.part), "", unread[work.index]),))
-        else:
-            yield parts.read(work.index)

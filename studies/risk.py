@@ -138,31 +138,31 @@ class Risk:
     def row(self, design: Design) -> int:
         """Its place among `designs`."""
         if design not in self.designs:
-            raise InputError("design", value=design.label, allowed=[one.label for one in self.designs])
+            raise InputError("design", value=design.label, allowed=[known.label for known in self.designs])
         return self.designs.index(design)
 
     def event(self, design: Design, event: str, side: Side | None = None) -> Event:
         """How often an event happens in a departure of both sides, or of one, which is ``"left"`` or ``"right"``."""
         if event not in self.events:
             raise InputError("event", value=event, allowed=self.events)
-        i, j, some = self.row(design), self.events.index(event), _SIDES[side]
+        i, j, sides = self.row(design), self.events.index(event), _SIDES[side]
         # sides are drawn in proportion: the variance of the sum is at most binomial, the exact interval a little wide
-        count, n = int(self.tally.counts[i, j, some].sum()), int(self.tally.n[some].sum())
-        only = int(self.tally.only[i, j, some].sum())
-        others = int(self.tally.counts[0, j, some].sum()) - count + only
+        count, n = int(self.tally.counts[i, j, sides].sum()), int(self.tally.n[sides].sum())
+        only = int(self.tally.only[i, j, sides].sum())
+        others = int(self.tally.counts[0, j, sides].sum()) - count + only
         return Event(count, n, *exact_interval(count, n), only, others, paired_sign(only, others))
 
     def light(self, design: Design) -> Light:
         """Whether the tail is better than without control; red where it is worse in depth or DTLE, or diverges more."""
-        found = {1: list[str](), -1: list[str](), 0: list[str]()}
+        by_sign = {1: list[str](), -1: list[str](), 0: list[str]()}
         for event in self.events:
-            own, without = self.event(design, event), self.event(self.designs[0], event)
-            if own.design_only or own.no_control_only:
-                found[own.sign].append(f"{event} ({own.probability:.3g} against {without.probability:.3g})")
-        titles = {"worse than no control": found[1], "better": found[-1], "not separable": found[0]}
+            pair, without = self.event(design, event), self.event(self.designs[0], event)
+            if pair.design_only or pair.no_control_only:
+                by_sign[pair.sign].append(f"{event} ({pair.probability:.3g} against {without.probability:.3g})")
+        titles = {"worse than no control": by_sign[1], "better": by_sign[-1], "not separable": by_sign[0]}
         text = "; ".join(f"{title}: {', '.join(events)}" for title, events in titles.items() if events)
-        red = any(not event.startswith("opposite") for event in found[1])
-        state: State = "bad" if red else "good" if found[-1] and not found[1] else "warning"
+        red = any(not event.startswith("opposite") for event in by_sign[1])
+        state: State = "bad" if red else "good" if by_sign[-1] and not by_sign[1] else "warning"
         return Light("Tail", state, f"{text[0].upper()}{text[1:]}." if text else "No event differs.")
 
     def exceedance(self, design: Design) -> tuple[FloatArray, FloatArray]:
@@ -202,18 +202,17 @@ class Risk:
 
         `simulate` with ``setup=risk.setup`` and the design's y_s drives them to the same bits.
         """
-        _, index, side, *columns = self.tally.kept(self.row(design)).T
-        made = Scenarios.drawn(side=side, **dict(zip(PARAMETER_NAMES, columns, strict=True)))
-        return dataclasses.replace(made, index=index.astype(np.int64))
+        _, index, side, *columns = self.tally.worst_of(self.row(design)).T
+        drawn = Scenarios.drawn(side=side, **dict(zip(PARAMETER_NAMES, columns, strict=True)))
+        return dataclasses.replace(drawn, index=index.astype(np.int64))
 
     def worst_rows(self, *designs: Design) -> Iterator[dict[str, Any]]:
         """One row for each of the worst departures of some designs, of all by default, as ``worst.csv`` holds them."""
         for design in designs or self.designs:
-            for rank, (depth, index, side, *values) in enumerate(self.tally.kept(self.row(design)).tolist(), 1):
-                one = {"design": design.id, "label": design.label, "rank": rank}
-                one |= {"deepest_m": depth, "scenario": int(index)}
-                one |= {"side": "left" if side == LEFT else "right"}
-                yield one | dict(zip(PARAMETER_COLUMNS.values(), values, strict=True))
+            for rank, (depth, index, side, *values) in enumerate(self.tally.worst_of(self.row(design)).tolist(), 1):
+                row = {"design": design.id, "label": design.label, "rank": rank}
+                row |= {"deepest_m": depth, "scenario": int(index), "side": "left" if side == LEFT else "right"}
+                yield row | dict(zip(PARAMETER_COLUMNS.values(), values, strict=True))
 
     def in_common(self, design: Design) -> Common:
         """What the worst departures of a design have in common: where their mean is furthest from that of all."""
@@ -233,14 +232,14 @@ class Risk:
     def rows(self) -> Iterator[dict[str, Any]]:
         """One row for every design, event and side, as ``risk.csv`` holds them."""
         for design, event, side in itertools.product(self.designs, self.events, _SIDES):
-            found, row = self.event(design, event, side), {"design": design.id, "label": design.label}
-            row |= {"y_s_m": design.y_s, "event": event, "side": side or "both", "count": found.count, "n": found.n}
-            shares = {"": found.probability, "_low": found.low, "_high": found.high}
+            counted, row = self.event(design, event, side), {"design": design.id, "label": design.label}
+            row |= {"y_s_m": design.y_s, "event": event, "side": side or "both", "count": counted.count, "n": counted.n}
+            shares = {"": counted.probability, "_low": counted.low, "_high": counted.high}
             for name, rate in {"probability": 1.0, **self.departure_rates(side)}.items():
                 row |= {f"{name}{end}": rate * share for end, share in shares.items()}
             if not design.is_baseline:
-                row |= {"design_only": found.design_only, "no_control_only": found.no_control_only}
-                row |= {"against_no_control": found.text}
+                row |= {"design_only": counted.design_only, "no_control_only": counted.no_control_only}
+                row |= {"against_no_control": counted.text}
             yield row
 
 
@@ -260,14 +259,14 @@ def _at_the_ends(model: ScenarioModel, worst: Scenarios) -> Iterator[str]:
     """Where many of the worst departures lie at the model's bounds, or beyond what was recorded."""
     near, beyond = dict.fromkeys(PARAMETER_NAMES, 0), dict.fromkeys(PARAMETER_NAMES, 0)
     for key, origin in ((LEFT, model.provenance.left), (RIGHT, model.provenance.right)):
-        side, own = model.side(key), worst.take(np.flatnonzero(worst.side == key))
+        side, departures = model.side(key), worst.take(np.flatnonzero(worst.side == key))
         for name, low, high in zip(side.names, *side.bounds(), strict=True):
-            values, margin = getattr(own, name), 0.01 * (high - low)
+            values, margin = getattr(departures, name), 0.01 * (high - low)
             if np.isfinite(margin):
                 near[name] += int(((values < low + margin) | (values > high - margin)).sum())
         summary = None if origin is None else origin.source_summary
         for name, known in () if summary is None else zip(summary.names, summary.quantiles, strict=True):
-            values = getattr(own, name)
+            values = getattr(departures, name)
             beyond[name] += int(((values < known[0]) | (values > known[-1])).sum())
     ends = {"within 1 % of the model's bounds, which decide this tail": near}
     ends |= {"beyond the outermost quantiles of the fitted departures, where the model extrapolates": beyond}
@@ -351,9 +350,9 @@ def estimate_risk(
     for name, values, least in (("depths", depths, 0.0), ("dtle_limits", dtle_limits, -np.inf)):
         if not all(least < x < np.inf for x in values):
             raise InputError(name, f"{list(values)}", allowed=f"numbers{' > 0' if least == 0.0 else ''} [m]")
-    active = tuple({one.id: one for one in designs if not one.is_baseline}.values())
+    active = tuple({design.id: design for design in designs if not design.is_baseline}.values())
     slow = any(design.batch < _USUAL_BATCH for design in active)
-    chosen = make_executor(executor, workers, dask)
+    runs_on = make_executor(executor, workers, dask)
     job = ChunkJob(
         designs=(Design.from_gains(NO_CONTROL, active[0].y_s if active else 0.2, {}), *active),
         setup=dataclasses.replace(study.setup(), seed=study.seed if seed is None else seed),
@@ -364,7 +363,7 @@ def estimate_risk(
         share=_recorded(source) or (1, 1),
         depths=tuple(sorted({float(x) for x in depths})),
         dtle_limits=tuple(sorted({float(x) for x in dtle_limits}, reverse=True)),
-        laws=laws_to_send(design.kind for design in active) if chosen.isolated else b"",
+        laws=laws_to_send(design.kind for design in active) if runs_on.isolated else b"",
         token=time.time_ns(),
     )
     folder = None if directory is None else output_folder(Path(directory))
@@ -372,10 +371,10 @@ def estimate_risk(
         raise StoreError(folder / FILE, f"there is no {PARTS} beside it to go on with", hint="remove it to begin again")
     with (
         displayed(progress) as shown,
-        closing(chosen),
+        closing(runs_on),
         planned_parts(folder and folder / PARTS, job.identity(), {"Tally": Tally}, replace=False) as parts,
     ):
-        risk = Risk(job, _counted(job, parts, chosen, shown, notice))
+        risk = Risk(job, _counted(job, parts, runs_on, shown, notice))
         if folder is not None:
             remove_unfinished(folder, FILE)
             write_json(folder / FILE, {"identity": job.identity(), "results": list(risk.rows())}, indent=None)
@@ -392,7 +391,8 @@ def _counted(
         tally, done = tally.plus(counted), done | set(chunks)
     tasks = [ChunkTask(job, chunk) for chunk in range(-(-job.n // job.chunk)) if chunk not in done]
     if tasks:
-        load_loops({one.law for one in job.designs}, job.scenarios(0), job.setup, min(one.y_s for one in job.designs))
+        y_s = min(design.y_s for design in job.designs)
+        load_loops({design.law for design in job.designs}, job.scenarios(0), job.setup, y_s)
     elif notice is not None:
         notice(f"all departures were driven before; {resolution(job.n)}")
     progress.stage("departures", len(tasks) * job.chunk)

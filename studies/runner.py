@@ -6,7 +6,7 @@ import logging
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
 
@@ -130,20 +130,16 @@ def run_study(
     named = study.scenarios.model if model is None else "in memory" if source is model else str(model)
     if isinstance(source, ReplayedDepartures):
         named = source.name
-    chosen = make_executor(executor, workers, dask)
-    with displayed(progress) as shown, closing(chosen):
-        results = _Run(source, named, chosen, shown, time_limit, block_size).whole(study, Path(directory))
-    _warn_of_failures(results)
-    return results
-
-
-def _warn_of_failures(results: StudyResults) -> None:
+    runs_on = make_executor(executor, workers, dask)
+    with displayed(progress) as shown, closing(runs_on):
+        results = _Run(source, named, runs_on, shown, time_limit, block_size).whole(study, Path(directory))
     if results.failed:
         share, first = f"{len(results.failed)} of {len(results.failed) + len(results.designs)}", results.failed[0]
         _log.warning("failed and not ranked: %s designs; the first, %s", share, first.sentence)
     if results.fresh is not None and results.fresh.failed:
         count, first = len(results.fresh.failed), results.fresh.failed[0]
         _log.warning("failed on fresh scenarios: %s of the finalists; the first, %s", count, first.sentence)
+    return results
 
 
 def study_source(study: Study, model: str | Path | Source | None = None) -> Source:
@@ -235,7 +231,12 @@ class _Run:
         )
         complete = False
         try:
-            designs = self._designs(campaign, stage)
+            designs: Sequence[Design] = study.designs
+            if study.search is not None:
+                designs = run_search(campaign)
+            else:
+                write_designs(folder, designs)
+                campaign.complete(designs, stage)
             results = table.results(scenarios, store.times, store.failures, source=study.name, designs=designs)
             if not part_of:
                 self.progress.phase("loop margins, named vehicles and standards")
@@ -253,22 +254,12 @@ class _Run:
                 store.write_manifest(ended)
         return results
 
-    def _designs(self, campaign: Campaign, stage: str) -> Sequence[Design]:
-        """Run what the study requires; the designs that were run."""
-        study = campaign.study
-        if study.search is not None:
-            return run_search(campaign)
-        write_designs(campaign.store.folder, study.designs)
-        campaign.complete(study.designs, stage)
-        return study.designs
-
 
 def _finalists(ranking: Ranking, most: int) -> tuple[Design, ...]:
     """The designs in the set of best, best first; at least three and at most `most`; none where nothing is ranked."""
     best = [i for i in range(len(ranking)) if ranking.inference.set_of_best[i]]
     others = [i for i in range(len(ranking)) if not ranking.inference.set_of_best[i] and ranking.rank[i] > 0]
-    chosen = (best + others[: max(0, _LEAST - len(best))])[:most]
-    return tuple(ranking.designs[i] for i in chosen)
+    return tuple(ranking.designs[i] for i in (best + others[: max(0, _LEAST - len(best))])[:most])
 
 
 def _finalist_study(study: Study, designs: Sequence[Design]) -> Study:
@@ -280,12 +271,10 @@ def _finalist_study(study: Study, designs: Sequence[Design]) -> Study:
         "title": f"Finalists of {study.title or study.name}",
         "seed": seed,
         "search": None,
-        "design": [_block(design) for design in designs],
+        "design": [
+            {"law": d.law, "y_s": d.y_s, "gains": {name: v for name, v in d.gains if v != FOLLOWS_STUDY}}
+            for d in designs
+        ],
     }
     content["ranking"] |= {"finalists": 0, "require": [], "baseline": ""}
     return study.with_content(content)
-
-
-def _block(design: Design) -> dict[str, Any]:
-    gains = {name: value for name, value in design.gains if value != FOLLOWS_STUDY}
-    return {"law": design.law, "y_s": design.y_s, "gains": gains}

@@ -49,7 +49,7 @@ class LawSearch:
         # a genetic algorithm recombines only the gains that all its designs have
         self._every_gain = settings.sampler == "nsga2"
         self._repeats = 0
-        self._found: set[str] = set()
+        self._proposed: set[str] = set()
         self._margins: dict[int, tuple[float, ...]] = {}
         objectives = len(settings.objectives)
         with _quiet():
@@ -65,15 +65,15 @@ class LawSearch:
     @property
     def used_up(self) -> bool:
         """Whether nothing new is to be expected."""
-        return len(self._found) == self._space.size or self._repeats >= _MOST_REPEATS
+        return len(self._proposed) == self._space.size or self._repeats >= _MOST_REPEATS
 
     def propose(self) -> tuple[Any, Design]:
         """Optuna's next trial, whose values follow later, and its design."""
         with _quiet():
             trial = self._optuna.ask()
             design = self._design(trial)
-        self._repeats = self._repeats + 1 if design.id in self._found else 0
-        self._found.add(design.id)
+        self._repeats = self._repeats + 1 if design.id in self._proposed else 0
+        self._proposed.add(design.id)
         return trial, design
 
     def tell(self, trial: Any, costs: tuple[float, ...] | None, margins: tuple[float, ...] = ()) -> None:
@@ -100,7 +100,7 @@ class LawSearch:
         values: dict[str, GainValue] = {}
         dependent = {condition.gain for condition in space.conditions}
         # the gains that conditions require come first
-        for name, dimension in sorted(space.dimensions, key=lambda one: one[0] in dependent):
+        for name, dimension in sorted(space.dimensions, key=lambda item: item[0] in dependent):
             if dimension.size == 1:
                 values[name] = dimension.at(0.0)
             elif self._every_gain or space.holds(name, values):
@@ -112,11 +112,11 @@ def _suggest(trial: Any, name: str, dimension: Dimension) -> GainValue:
     if isinstance(dimension, Span):
         return _suggest_number(trial, name, dimension)
     values = dimension.values
-    if len(dimension.values) > 2 and not any(isinstance(value, str | bool) for value in dimension.values):
+    if len(values) > 2 and not any(isinstance(value, str | bool) for value in values):
         place: int = trial.suggest_int(name, 0, len(values) - 1)
         return sorted(values)[place]
-    chosen: int = trial.suggest_categorical(name, range(len(values)))
-    return values[chosen]
+    i: int = trial.suggest_categorical(name, range(len(values)))
+    return values[i]
 
 
 def _suggest_number(trial: Any, name: str, span: Span) -> float:
@@ -218,11 +218,11 @@ def _values_and_margins(
         standards=study.standards,
     )
     columns = [metric_values(name, ranking) for name in study.search.objectives] if study.search else []
-    wanted = requirements_of(study.ranking.require, study.plant)
-    excess = [one.excess(metric_values(one.metric.name, ranking)) for one in wanted]
+    requirements = requirements_of(study.ranking.require, study.plant)
+    excess = [rule.excess(metric_values(rule.metric.name, ranking)) for rule in requirements]
     for i, design in enumerate(ranking.designs):
         values[design.id] = tuple(float(column[i]) for column in columns)
-        margins[design.id] = tuple(float(one[i]) for one in excess)
+        margins[design.id] = tuple(float(row[i]) for row in excess)
     return values, margins
 
 
@@ -338,12 +338,12 @@ class Search:
         met = (0.0,) * self._requirements
         if margins is None:
             return dict.fromkeys(self._untold, met)
-        found = {name: met if values[name] is None else margins.get(name, ()) for name in self._untold}
-        for name, given in found.items():
+        checked = {name: met if values[name] is None else margins.get(name, ()) for name in self._untold}
+        for name, given in checked.items():
             if len(given) != self._requirements or any(math.isnan(margin) for margin in given):
                 allowed = f"allowed: {self._requirements} numbers, one for each requirement"
                 raise InputError("tell", f"design {name}: margins {tuple(given)!r}", hint=allowed)
-        return {name: tuple(float(margin) for margin in given) for name, given in found.items()}
+        return {name: tuple(float(margin) for margin in given) for name, given in checked.items()}
 
     def _as_costs(self, values: Values | None) -> Values | None:
         if values is None or any(math.isnan(value) for value in values):
@@ -355,17 +355,17 @@ class Search:
 
         Among the designs that meet all requirements; where none does, among those that miss them by the least.
         """
-        found = [
+        costs_of = [
             (law, costs, sum(margin for margin in self._margins[name] if margin > 0))
             for name, law in self._law_of.items()
             if (costs := self._costs.get(name)) is not None
         ]
-        if not found:
+        if not costs_of:
             return []
-        least = min(missed for _, _, missed in found)
-        found = [one for one in found if one[2] == least]
-        front = pareto_front(np.array([costs for _, costs, _ in found]))
-        return [law for (law, _, _), best in zip(found, front, strict=True) if best]
+        least = min(missed for _, _, missed in costs_of)
+        eligible = [(law, costs) for law, costs, missed in costs_of if missed == least]
+        front = pareto_front(np.array([costs for _, costs in eligible]))
+        return [law for (law, _), best in zip(eligible, front, strict=True) if best]
 
     def _next_law(self) -> int | None:
         """The law that proposes now; None when all are used up."""

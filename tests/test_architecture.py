@@ -67,7 +67,7 @@ LEVELS = (
     ("studies.measures",),
     ("studies.ranking",),
     ("studies.search", "studies.robustness"),
-    ("studies.runner", "studies.compile_loops"),
+    ("studies.runner",),
     ("studies.comparison", "studies.risk", "studies.export", "studies.sensitivity"),
     ("studies.pages",),
     ("studies.plotting",),

@@ -284,14 +284,13 @@ def laws_to_send(kinds: Iterable[type[Controller]]) -> bytes:
     try:
         return _pickled(registry.keyed(every), {name for kind in every for name in modules_of(kind)})
     except Exception:  # a class may hold anything
-        kept = [kind for kind in every if kind in registered]
+        every = [kind for kind in every if kind in registered]
     try:
-        return _pickled(registry.keyed(kept), {kind.__module__ for kind in kept}) if kept else b""
+        return _pickled(registry.keyed(every), {kind.__module__ for kind in every}) if every else b""
     except Exception as error:
-        names = ", ".join(kind.__name__ for kind in kept)
-        raise LdcError(
-            f"registered controllers ({names}) cannot be sent to worker processes ({error}); use one worker"
-        ) from None
+        names = ", ".join(kind.__name__ for kind in every)
+        problem = f"registered controllers ({names}) cannot be sent to worker processes ({error})"
+        raise LdcError(problem=problem, hint="use one worker") from None
 
 
 def _pickled(content: object, modules: Iterable[str]) -> bytes:

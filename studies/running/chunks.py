@@ -30,8 +30,8 @@ from .tasks import learn
 from .work import Work
 
 BIN, BINS = 0.05, 60  # [m] of the histogram of depths, and how many; one more is for what is deeper
-_KEPT: Final = 20  # worst departures of a design
-_NONE: Final = -1e9  # where fewer are kept
+_WORST: Final = 20  # worst departures of a design
+_NONE: Final = -1e9  # where there are fewer
 _STREAM: Final = 0x7269736B  # keeps these scenarios apart from those that designs were chosen on
 
 
@@ -46,14 +46,7 @@ class Tally:
     histogram: IntArray  # (d, BINS + 1): depths
     status: IntArray  # (d, number of `EventStatus`)
     failed_solves: IntArray  # (d,)
-    worst: FloatArray  # (d, _KEPT, 3 + 8): depth [m], index, side, parameters; deepest first; or `_NONE`
-
-    @classmethod
-    def empty(cls, d: int, e: int) -> Self:
-        """Of no departure."""
-        shapes = (2,), (2,), (d, e, 2), (d, e, 2), (d, BINS + 1), (d, len(EventStatus)), (d,)
-        a, b, c, f, g, h, i = (np.zeros(one, dtype=np.int64) for one in shapes)
-        return cls(a, b, c, f, g, h, i, np.full((d, _KEPT, 3 + len(PARAMETER_NAMES)), _NONE))
+    worst: FloatArray  # (d, _WORST, 3 + 8): depth [m], index, side, parameters; deepest first; or `_NONE`
 
     def plus(self, other: Self) -> Self:
         """Of both."""
@@ -61,7 +54,7 @@ class Tally:
         added = {name: getattr(self, name) + getattr(other, name) for name in vars(self) if name != "worst"}
         return dataclasses.replace(self, **added, worst=np.stack([rows[_deepest(*rows.T[:2])] for rows in both]))
 
-    def kept(self, i: int) -> FloatArray:
+    def worst_of(self, i: int) -> FloatArray:
         """The worst departures of design i."""
         rows: FloatArray = self.worst[i][self.worst[i, :, 0] > _NONE]
         return rows
@@ -69,7 +62,7 @@ class Tally:
 
 def _deepest(depth: FloatArray, index: FloatArray | IntArray) -> IntArray:
     """Places of the deepest; of equal ones, those with the smallest number."""
-    return np.lexsort((index, -depth))[:_KEPT]
+    return np.lexsort((index, -depth))[:_WORST]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -97,12 +90,17 @@ class ChunkJob:
     @property
     def empty(self) -> Tally:
         """A tally of no departure."""
-        return Tally.empty(len(self.designs), len(self.events))
+        d, e = len(self.designs), len(self.events)
+        shapes = (2,), (2,), (d, e, 2), (d, e, 2), (d, BINS + 1), (d, len(EventStatus)), (d,)
+        worst = np.full((d, _WORST, 3 + len(PARAMETER_NAMES)), _NONE)
+        n, invalid, counts, only, depths, status, solves = (np.zeros(shape, dtype=np.int64) for shape in shapes)
+        return Tally(n, invalid, counts, only, depths, status, solves, worst)
 
     def identity(self) -> dict[str, Any]:
         """What decides the numbers."""
         setup = hashlib.sha256(repr(dataclasses.asdict(self.setup)).encode()).hexdigest()[:16]
-        same = {"ldctoolkit": __version__, "designs": [one.id for one in self.designs], "setup": setup, "n": self.n}
+        designs = [design.id for design in self.designs]
+        same = {"ldctoolkit": __version__, "designs": designs, "setup": setup, "n": self.n}
         same |= {"model": self.model.content_hash, "given": self.given, "seed": self.setup.seed, "chunk": self.chunk}
         return dict(json.loads(json.dumps(same | {"left_right": self.share, "events": self.events})))
 
@@ -120,7 +118,7 @@ class ChunkJob:
         """Drive all designs on a chunk; `LdcError` names a design whose law raises."""
         drawn, tally = self.scenarios(k), self.empty
         over = {y_s: Takeover.build(drawn, self.setup, y_s=y_s) for y_s in {design.y_s for design in self.designs}}
-        valid = np.logical_and.reduce([one.valid for one in over.values()])
+        valid = np.logical_and.reduce([takeover.valid for takeover in over.values()])
         for j, side in enumerate((LEFT, RIGHT)):
             tally.n[j] = (valid & (drawn.side == side)).sum()
             tally.invalid[j] = (~valid & (drawn.side == side)).sum()
@@ -133,13 +131,13 @@ class ChunkJob:
 
     def _runs(self, places: list[int], takeover: Takeover) -> list[Run]:
         try:
-            made = [self.designs[i].controller(self.setup.convention) for i in places]
-            return list(drive_many(made, takeover, threads=1))
+            controllers = [self.designs[i].controller(self.setup.convention) for i in places]
+            return list(drive_many(controllers, takeover, threads=1))
         except (KeyboardInterrupt, GeneratorExit):
             raise
         except BaseException as error:  # a controller may be third-party code
             if len(places) == 1:
-                raise LdcError(f"{self.designs[places[0]].label}", f"{raised(error)}") from None
+                raise LdcError(self.designs[places[0]].label, raised(error)) from None
             # one after the other, the one that raises is named
             return [run for i in places for run in self._runs([i], takeover)]
 
@@ -156,20 +154,20 @@ class ChunkJob:
                 column[over.rows] = getattr(run.companions, name)
         depth, dtle, opposite = measured.values()
         if any(np.isnan(column[valid]).any() for column in measured.values()):
-            raise LdcError(f"{self.designs[i].label}", "a depth is not a number")
+            raise LdcError(self.designs[i].label, "a depth is not a number")
         beyond = [*(depth > x for x in self.depths), *(dtle < x for x in self.dtle_limits)]
-        found = np.stack([*beyond, opposite > 0.0, status == EventStatus.DIVERGED]) & valid
+        events = np.stack([*beyond, opposite > 0.0, status == EventStatus.DIVERGED]) & valid
         for j, side in enumerate((LEFT, RIGHT)):
-            tally.counts[i, :, j] = (found & (drawn.side == side)).sum(axis=1)
+            tally.counts[i, :, j] = (events & (drawn.side == side)).sum(axis=1)
             if without is not None:
-                tally.only[i, :, j] = (found & ~without & (drawn.side == side)).sum(axis=1)
+                tally.only[i, :, j] = (events & ~without & (drawn.side == side)).sum(axis=1)
         tally.histogram[i] = np.bincount(np.clip(depth[valid] / BIN, 0, BINS).astype(int), minlength=BINS + 1)
         tally.status[i] = np.bincount(status[valid], minlength=len(EventStatus))
         rows = np.flatnonzero(valid)
         rows = rows[_deepest(depth[rows], drawn.index[rows])]
-        kept = [depth, drawn.index, drawn.side, *(getattr(drawn, name) for name in PARAMETER_NAMES)]
-        tally.worst[i, : rows.size] = np.column_stack(kept)[rows]
-        return found
+        columns = [depth, drawn.index, drawn.side, *(getattr(drawn, name) for name in PARAMETER_NAMES)]
+        tally.worst[i, : rows.size] = np.column_stack(columns)[rows]
+        return events
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -179,13 +177,13 @@ class ChunkTask(Work):
     job: ChunkJob
     chunk: int
 
-    def make_ready(self, kept: dict[str, Any]) -> None:
+    def make_ready(self, cache: dict[str, Any]) -> None:
         """Make the controllers of the job known, once."""
-        if kept.get("risk") != self.job.token:
+        if cache.get("risk") != self.job.token:
             learn(self.job.laws)
-            kept["risk"] = self.job.token
+            cache["risk"] = self.job.token
 
-    def run(self, kept: dict[str, Any]) -> tuple[Tally | LdcError, float]:  # noqa: ARG002
+    def run(self, cache: dict[str, Any]) -> tuple[Tally | LdcError, float]:  # noqa: ARG002
         """Counts, or why there are none; seconds."""
         started = time.perf_counter()
         try:

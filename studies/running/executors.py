@@ -73,7 +73,7 @@ class SerialExecutor:
 
     def __init__(self) -> None:
         self._waiting: deque[Work] = deque()
-        self._kept: dict[str, Any] = {}
+        self._cache: dict[str, Any] = {}
 
     @property
     def workers(self) -> int:
@@ -89,7 +89,7 @@ class SerialExecutor:
         if not self._waiting:
             return []
         work = self._waiting.popleft()
-        return [Ended(work, work.run(self._kept))]
+        return [Ended(work, work.run(self._cache))]
 
     def close(self, *, orderly: bool) -> None:  # noqa: ARG002
         """Forget what was queued."""
@@ -141,11 +141,11 @@ _lock = threading.Lock()
 
 def run_work(work: Work) -> Any:
     """Run a work in this process; what it keeps stays with this thread."""
-    kept: dict[str, Any] = _local.__dict__.setdefault("kept", {})
-    work.make_ready(kept)
+    cache: dict[str, Any] = _local.__dict__.setdefault("cache", {})
+    work.make_ready(cache)
     note(f"task {work.number}")
     with _limited(work.time_limit):
-        result = work.run(kept)
+        result = work.run(cache)
     note("done")
     return result
 

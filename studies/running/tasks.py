@@ -51,17 +51,11 @@ class Done:
 
 
 _SCORES = 2  # first columns of a result: S and S_uncorrected
-
-_TAKEOVERS_KEPT = 8
-
-_JOBS_KEPT = 2
+_TAKEOVERS = 8  # of a simulator
+_JOBS = 2  # of a process
 
 _lock = threading.Lock()
 _warm: set[tuple[str, str]] = set()  # jobs and laws
-
-_NOT_OF_A_LAW = (KeyboardInterrupt, GeneratorExit)  # what ends a study even where it comes out of a law
-
-Key = tuple[float, bytes]
 
 
 class Simulator:
@@ -69,13 +63,13 @@ class Simulator:
 
     def __init__(self, job: Job) -> None:
         self.job = job
-        self._takeovers: OrderedDict[Key, Takeover] = OrderedDict()
+        self._takeovers: OrderedDict[tuple[float, bytes], Takeover] = OrderedDict()
 
     def takeover(self, y_s: float, scenarios: Scenarios) -> Takeover:
         """The scenarios at their triggers."""
-        key = _key(y_s, scenarios)
+        key = y_s, scenarios.index.tobytes()
         if key not in self._takeovers:
-            while len(self._takeovers) >= _TAKEOVERS_KEPT:
+            while len(self._takeovers) >= _TAKEOVERS:
                 self._takeovers.popitem(last=False)
             self._takeovers[key] = Takeover.build(scenarios, self.job.setup, y_s=y_s)
         self._takeovers.move_to_end(key)
@@ -86,17 +80,12 @@ class Simulator:
         started = time.perf_counter()
         room = _Room(task)
         reasons: dict[int, str] = {}
-        for first, last in _same_threshold(task.designs):
+        # stretches of designs with the same threshold
+        ends = [i for i in range(1, len(task.designs)) if task.designs[i].y_s != task.designs[i - 1].y_s]
+        for first, last in itertools.pairwise([0, *ends, len(task.designs)]):
             # what this raises is no fault of a law
             takeover = self.takeover(task.designs[first].y_s, task.scenarios)
-            try:
-                self._together(room, takeover, first, last)
-            except _NOT_OF_A_LAW:
-                raise
-            except BaseException:  # a controller may be third-party code
-                # which design it was is not known: one after the other, the one that raises is named
-                for i in range(first, last):
-                    self._alone(room, takeover, i, reasons)
+            self._drive(room, takeover, range(first, last), reasons)
         ran = [i for i in range(len(task.designs)) if i not in reasons]
         failed = tuple(FailedRun(task.designs[i].id, task.batch, why) for i, why in reasons.items())
         result = room.result() if not reasons else room.result().take(ran) if ran else None
@@ -111,21 +100,21 @@ class Simulator:
             room.status[i, takeover.rows] = status
         return room.result()
 
-    def _together(self, room: _Room, takeover: Takeover, first: int, last: int) -> None:
+    def _drive(self, room: _Room, takeover: Takeover, designs: range, reasons: dict[int, str]) -> None:
         """Designs of one threshold in one go over the scenarios, as far as their laws allow."""
-        convention = self.job.setup.convention
-        controllers = [design.controller(convention) for design in room.task.designs[first:last]]
-        # all of them before any is taken in: what one raises leaves the others as they were
-        for i, run in zip(range(first, last), list(drive_many(controllers, takeover, threads=1)), strict=True):
-            room.put(i, run)
-
-    def _alone(self, room: _Room, takeover: Takeover, i: int, reasons: dict[int, str]) -> None:
         try:
-            self._together(room, takeover, i, i + 1)
-        except _NOT_OF_A_LAW:
+            controllers = [room.task.designs[i].controller(self.job.setup.convention) for i in designs]
+            # all of them before any is stored: an exception of one leaves the others as they were
+            for i, run in zip(designs, list(drive_many(controllers, takeover, threads=1)), strict=True):
+                room.put(i, run)
+        except (KeyboardInterrupt, GeneratorExit):  # end a study even where a law raises them
             raise
-        except BaseException as error:
-            reasons[i] = raised(error)
+        except BaseException as error:  # a controller may be third-party code
+            if len(designs) == 1:
+                reasons[designs[0]] = raised(error)
+            else:  # one after the other, which names the design that raises
+                for i in designs:
+                    self._drive(room, takeover, range(i, i + 1), reasons)
 
 
 class _Room:
@@ -173,17 +162,6 @@ class _Room:
         return TaskResult(ids, rows, self.values, self.status, self.failed_solves, self.law_seconds, self.commands)
 
 
-def _key(y_s: float, scenarios: Scenarios) -> Key:
-    return y_s, scenarios.index.tobytes()
-
-
-def _same_threshold(designs: tuple[Design, ...]) -> list[tuple[int, int]]:
-    """Stretches of designs with the same y_s."""
-    y_s = np.array([design.y_s for design in designs])
-    ends = [0, *(np.flatnonzero(np.diff(y_s)) + 1).tolist(), len(designs)]
-    return list(itertools.pairwise(ends))
-
-
 @dataclasses.dataclass(frozen=True, eq=False)
 class Task(Work):
     """Some designs on some scenarios. Tasks of one job in one process share their simulator, hence takeovers."""
@@ -205,11 +183,11 @@ class Task(Work):
         """Of the job [s]."""
         return self.job.time_limit
 
-    def make_ready(self, kept: dict[str, Any]) -> None:
+    def make_ready(self, cache: dict[str, Any]) -> None:
         """Make the job's own controllers known, and load the compiled loops: the time limit counts a law's own time."""
-        simulators = _simulators(kept)
+        simulators = _simulators(cache)
         if self.job.token not in simulators:
-            while len(simulators) >= _JOBS_KEPT:
+            while len(simulators) >= _JOBS:
                 del simulators[next(iter(simulators))]
             learn(self.job.laws)
         law = self.designs[0].law
@@ -217,9 +195,9 @@ class Task(Work):
             load_loops({law}, self.scenarios, self.job.setup, self.designs[0].y_s)
             _warm.add((self.job.token, law))
 
-    def run(self, kept: dict[str, Any]) -> Done:
+    def run(self, cache: dict[str, Any]) -> Done:
         """Drive the designs."""
-        simulators = _simulators(kept)
+        simulators = _simulators(cache)
         if self.job.token not in simulators:
             simulators[self.job.token] = Simulator(self.job)
         return simulators[self.job.token].run(self)
@@ -243,8 +221,8 @@ class Task(Work):
         return dataclasses.replace(self, number=new_number(), **changes)
 
 
-def _simulators(kept: dict[str, Any]) -> dict[str, Simulator]:
-    simulators: dict[str, Simulator] = kept.setdefault("simulators", {})
+def _simulators(cache: dict[str, Any]) -> dict[str, Simulator]:
+    simulators: dict[str, Simulator] = cache.setdefault("simulators", {})
     return simulators
 
 

@@ -31,11 +31,11 @@ class Work:
         """How long [s] `run` may take where the worker can be ended; 0 for no limit."""
         return 0.0
 
-    def make_ready(self, kept: dict[str, Any]) -> None:
+    def make_ready(self, cache: dict[str, Any]) -> None:
         """Load in a worker process what it lacks; no time limit holds."""
 
-    def run(self, kept: dict[str, Any]) -> Any:  # noqa: ARG002
-        """Do it; what may serve the next work in the same process is left in `kept`. The result is never None."""
+    def run(self, cache: dict[str, Any]) -> Any:  # noqa: ARG002
+        """Do it; what may serve the next work in the same process is left in `cache`. The result is never None."""
         return True
 
     def halves(self) -> Sequence[Self]:
@@ -196,7 +196,7 @@ class _Call(Work):
     function: Callable[[Any], Any]
     item: Any
 
-    def run(self, kept: dict[str, Any]) -> Any:  # noqa: ARG002
+    def run(self, cache: dict[str, Any]) -> Any:  # noqa: ARG002
         return (self.function(self.item),)
 
 

@@ -142,13 +142,15 @@ def read_scenarios(path: Path) -> Scenarios:
     table = read_parquet(path, schema, optional=dict.fromkeys(_DRIFT.values(), pl.Float64()))
     columns = {name: table[column].to_numpy() for name, column in PARAMETER_COLUMNS.items()}
     try:
-        made = Scenarios.drawn(side=np.where((table["side"] == "left").to_numpy(), LEFT, RIGHT), **columns)
-        made = dataclasses.replace(made, index=table["scenario"].to_numpy().astype(np.int64))
+        scenarios = Scenarios.drawn(side=np.where((table["side"] == "left").to_numpy(), LEFT, RIGHT), **columns)
+        scenarios = dataclasses.replace(scenarios, index=table["scenario"].to_numpy().astype(np.int64))
         if "drift_radius_m" in table.columns:
             drift = Drifts(**{name: table[column].to_numpy() for name, column in _DRIFT.items()})
-            made = dataclasses.replace(made, drift=drift)
+            scenarios = dataclasses.replace(scenarios, drift=drift)
         if signals_path(path).exists():
-            made = dataclasses.replace(made, signals=read_signals(signals_path(path), made.T, checksum=True))
+            scenarios = dataclasses.replace(
+                scenarios, signals=read_signals(signals_path(path), scenarios.T, checksum=True)
+            )
     except LdcError as error:
         raise StoreError(path, f"broken: {error}") from None
-    return made
+    return scenarios

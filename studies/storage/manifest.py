@@ -310,14 +310,14 @@ def _relative(word: str) -> str:
     return word
 
 
-def refuse_other(folder: Path, found: Manifest, wanted: Manifest) -> None:
+def refuse_other(folder: Path, former: Manifest, manifest: Manifest) -> None:
     """Raise a `StoreError` that says what differs if two manifests do not belong to the same numbers."""
-    differing = difference_texts(found.inputs, wanted.inputs)
-    if found.model_hash != wanted.model_hash:
-        was, now = (f"{m.model} (content {m.model_hash[:12]})" for m in (found, wanted))
+    differing = difference_texts(former.inputs, manifest.inputs)
+    if former.model_hash != manifest.model_hash:
+        was, now = (f"{m.model} (content {m.model_hash[:12]})" for m in (former, manifest))
         differing.insert(0, f"model: {was} there, {now} now")
     if differing:
-        name = found.study.get("name", "?")
+        name = former.study.get("name", "?")
         raise StoreError(folder, f"holds another study ({name}): {'; '.join(differing)}", hint="choose another folder")
 
 
@@ -353,7 +353,9 @@ def read_manifest(folder: str | Path) -> Manifest:
         manifest = Manifest.model_validate(without_checksum(content))
     except (ValueError, KeyError, TypeError) as error:
         if isinstance(error, ValidationError):
-            error = ValueError("; ".join(f"{'.'.join(map(str, one['loc']))}: {one['msg']}" for one in error.errors()))
+            error = ValueError(
+                "; ".join(f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}" for fault in error.errors())
+            )
         raise StoreError(path, f"broken: {error}", hint="run the study into another folder") from None
     return manifest
 

@@ -116,14 +116,14 @@ class Parts:
         self._classes = classes
         self._parts: dict[int, Any] = {}  # paths, or the parts themselves
         for file in sorted(folder.iterdir()) if folder is not None else ():
-            if (found := _PART.fullmatch(file.name)) and found[2] == "json":
+            if (match := _PART.fullmatch(file.name)) and match[2] == "json":
                 # all are read once here, so that what is missing is known before anything is computed
-                self._parts[int(found[1])] = file
+                self._parts[number := int(match[1])] = file
                 try:
-                    self.read(int(found[1]))
+                    self.read(number)
                 except StoreError as error:
                     _log.warning("%s; this part is computed again", error)
-                    _unlink(self._parts.pop(int(found[1])))
+                    _unlink(self._parts.pop(number))
 
     @property
     def finished(self) -> frozenset[int]:

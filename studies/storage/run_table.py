@@ -91,7 +91,7 @@ def write_results(folder: Path, results: Sequence[TaskResult], window: Window, n
 def _table(results: Sequence[TaskResult], window: Window, numbers: IntArray) -> pl.DataFrame:
     import polars as pl
 
-    ids = pl.Series("design", [one for result in results for one in result.ids], dtype=pl.String())
+    ids = pl.Series("design", [id for result in results for id in result.ids], dtype=pl.String())
     counts = np.concatenate([np.full(len(result.ids), result.rows.size) for result in results])
     # names are repeated by the library: a million strings of Python would take longer than the simulation
     columns: dict[str, Any] = {
@@ -119,7 +119,10 @@ def parse_part(path: Path, data: bytes, window: Window, numbers: IntArray) -> It
         table, place = table.filter(pl.Series(known)), place[known]
     status, failed = table["status"].to_numpy(), table["failed_solves"].to_numpy()
     columns = float_columns(window)
-    _check_numbers(path, [table[column] for column in columns], status)
+    for column in columns:
+        good = table[column].is_not_nan() if column == METRIC_COLUMNS[_ENDLESS] else table[column].is_finite()
+        if not good.all() and not good.to_numpy()[status != EventStatus.INVALID].all():
+            raise StoreError(path, f"broken: column {column} holds a value that is not finite")
     floats = np.stack([table[column].to_numpy() for column in columns])
     rows = order[place]
     ids = table["design"]
@@ -137,15 +140,6 @@ def parse_part(path: Path, data: bytes, window: Window, numbers: IntArray) -> It
             law_seconds=np.zeros(1),
             commands=np.zeros(1, dtype=np.int64),
         )
-
-
-def _check_numbers(path: Path, columns: Sequence[pl.Series], status: Any) -> None:
-    """Refuse what is no number in a scenario that was driven."""
-    driven = status != EventStatus.INVALID
-    for column in columns:
-        good = column.is_not_nan() if column.name == METRIC_COLUMNS[_ENDLESS] else column.is_finite()
-        if not good.all() and not good.to_numpy()[driven].all():
-            raise StoreError(path, f"broken: column {column.name} holds a value that is not finite")
 
 
 class SharedRows:
@@ -235,7 +229,7 @@ class RunTable:
         self._mapped = mapped
         self._uncorrected = SharedRows(0, n)
         self._place: dict[str, int] = {}
-        self._kept: dict[str, list[TaskResult]] | None = {} if keep else None
+        self._waiting: dict[str, list[TaskResult]] | None = {} if keep else None
         self.designs: list[Design] = []
         self._make_room(len(designs))
         self.add_designs(designs)
@@ -265,7 +259,7 @@ class RunTable:
         for design in new:
             self._place[design.id] = len(self.designs)
             self.designs.append(design)
-            for result in (self._kept or {}).pop(design.id, ()):
+            for result in (self._waiting or {}).pop(design.id, ()):
                 self.put(result)
 
     _S: FloatArray
@@ -297,9 +291,9 @@ class RunTable:
     def put(self, result: TaskResult) -> None:
         """Add results; those of designs that have no room here are kept for later, or left out."""
         places = [i for i, id in enumerate(result.ids) if id in self._place]
-        if self._kept is not None:
+        if self._waiting is not None:
             for i in set(range(len(result.ids))) - set(places):
-                self._kept.setdefault(result.ids[i], []).append(result.take([i]))
+                self._waiting.setdefault(result.ids[i], []).append(result.take([i]))
         if len(places) < len(result.ids):
             result = result.take(places)
         if not places:
@@ -327,21 +321,23 @@ class RunTable:
         designs: Sequence[Design] | None = None,
     ) -> StudyResults:
         """Everything of the designs requested; the arrays are this table's, copies only if something is left out."""
-        wanted = list(self.designs if designs is None else designs)
-        at = np.array([self._place[design.id] for design in wanted], dtype=np.int64)
+        designs = self.designs if designs is None else designs
+        at = np.array([self._place[design.id] for design in designs], dtype=np.int64)
         there: BoolArray = np.all(self._there[at], axis=1)
-        failed = tuple(
-            FailedDesign(wanted[i], failures[wanted[i].id]) for i in np.flatnonzero(~there) if wanted[i].id in failures
-        )
-        if np.count_nonzero(~there) > len(failed):
-            waiting = int(np.count_nonzero(~there)) - len(failed)
-            raise StoreError(source, _incomplete(waiting, self._there[at]), hint="run the study again")
-        if wanted and len(failed) == len(wanted):
+        missing = [design for design, complete in zip(designs, there, strict=True) if not complete]
+        failed = tuple(FailedDesign(design, failures[design.id]) for design in missing if design.id in failures)
+        if waiting := len(missing) - len(failed):
+            # rounded down: all of it would be no reason to complain
+            share = 100 * int(np.count_nonzero(self._there[at])) // self._there[at].size
+            what = f"{waiting} of {len(at)} design{'' if len(at) == 1 else 's'} {'is' if waiting == 1 else 'are'} "
+            what += f"not complete ({share} % of the scenario runs are there)"
+            raise StoreError(source, what, hint="run the study again")
+        if designs and len(failed) == len(designs):
             first = failed[0].sentence
             raise AllFailedError(
                 source, "every design failed", hint=f"the first, {first}; all of them are in failures.json"
             )
-        ran = tuple(wanted[i] for i in np.flatnonzero(there))
+        ran = tuple(design for design, complete in zip(designs, there, strict=True) if complete)
         at = at[there]
         whole = np.array_equal(at, np.arange(self._status.shape[0]))
 
@@ -360,16 +356,6 @@ class RunTable:
             status=of_designs(self._status),
             companions=MetricValues(*(of_designs(values) for values in self._metrics)),
             failed_solves=of_designs(self._failed_solves),
-            law_time=np.array([np.nan if one is None else one.per_command for one in known]),
+            law_time=np.array([np.nan if time is None else time.per_command for time in known]),
             failed=failed,
         )
-
-
-def _incomplete(waiting: int, there: BoolArray) -> str:
-    """How many designs wait for results that did not fail, and how much of all runs (d, n) is there."""
-    # rounded down: all of it would be no reason to complain
-    share = 100 * int(np.count_nonzero(there)) // there.size
-    return (
-        f"{waiting} of {len(there)} design{'' if len(there) == 1 else 's'} "
-        f"{'is' if waiting == 1 else 'are'} not complete ({share} % of the scenario runs are there)"
-    )

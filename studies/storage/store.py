@@ -75,12 +75,6 @@ def make_folder(folder: Path) -> None:
     output_folder(folder / "results")
 
 
-def _outdated(former: Manifest, manifest: Manifest) -> list[str]:
-    """Which laws are other code than in the last run, as notices."""
-    changed = [name for name, content in manifest.laws.items() if former.laws.get(name, content) != content]
-    return [f"the code of law {name!r} has changed since the last run: its designs are run again" for name in changed]
-
-
 def _clear(folder: Path) -> None:
     """Remove all results of other versions. Their manifest stays until it is replaced: a run that is killed here ends
     with a folder of those versions, and the next one clears the rest.
@@ -107,11 +101,15 @@ class Store:
 
     @classmethod
     def create(cls, folder: Path, manifest: Manifest, scenarios: Scenarios, study: Study) -> Store:
-        """Start a folder, or resume the same study in it."""
+        """Start a folder of `make_folder`, or resume the same study in it."""
         if (folder / "manifest.json").exists():
             former = read_manifest(folder)
             refuse_other(folder, former, manifest)
-            notices = _outdated(former, manifest)
+            notices = [
+                f"the code of law {name!r} has changed since the last run: its designs are run again"
+                for name, content in manifest.laws.items()
+                if former.laws.get(name, content) != content
+            ]
             if others := former.other_versions():
                 notices = [f"was made with {others}; everything is computed anew"]
                 _clear(folder)
@@ -119,7 +117,6 @@ class Store:
                 manifest = former.resumed(manifest)
             for notice in notices if not manifest.part_of else ():
                 _log.warning("%s: %s", folder, notice)
-        make_folder(folder)
         store = cls(folder, manifest, study)
         store.scenarios = scenarios
         # the scenarios follow from model and seed, which are the same: those that were there do not change
@@ -187,9 +184,9 @@ class Store:
             ("times", read_times, TIMING_FILE), ("failures", read_failures, FAILURES),
             ("measures", MeasureTable.read, MEASURES),
         )  # fmt: skip
-        for kept, read, name in files:
+        for attribute, read, name in files:
             try:
-                setattr(self, kept, read(self.folder))
+                setattr(self, attribute, read(self.folder))
             except StoreError as error:
                 if not repair:
                     raise

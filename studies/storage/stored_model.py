@@ -93,14 +93,14 @@ def _recorded_widths(model: Source) -> dict[str, Any]:
 
 def with_counts(study: Study, model: Source) -> Study:
     """The study with the number of departures of each side, where it takes all of a table, or is given a model."""
-    scenarios = study.scenarios
+    source = study.scenarios
     if not isinstance(model, ScenarioModel):
-        left, right = model.counts(scenarios.left, scenarios.right, scenarios.given)
+        left, right = model.counts(source.left, source.right, source.given)
         changes: dict[str, Any] = {"left": left, "right": right}
-    elif scenarios.model:
+    elif source.model:
         return study
     else:  # the table is for its finalists then
-        left, right = (500 if n is None else n for n in (scenarios.left, scenarios.right))
+        left, right = (500 if n is None else n for n in (source.left, source.right))
         changes = {"model": "given", "left": left, "right": right}
     return study.changed(scenarios=changes)
 
@@ -112,14 +112,14 @@ def with_recorded_widths(study: Study, model: Source, vehicle_width: float | Non
     usual = VehicleParameters()
     changed = {}
     for name, recorded in _recorded_widths(model).items():
-        driven = getattr(study.vehicle, name)
+        width = getattr(study.vehicle, name)
         if name == "w_v" and vehicle_width is not None:
             changed[name] = float(vehicle_width)
-        elif isinstance(recorded, int | float) and abs(recorded - driven) > 1e-9:
-            if driven != getattr(usual, name):
+        elif isinstance(recorded, int | float) and abs(recorded - width) > 1e-9:
+            if width != getattr(usual, name):
                 raise InputError(
                     f"vehicle.{name}",
-                    f"{driven:g} m in the study, {recorded:g} m in the recordings behind its departures",
+                    f"{width:g} m in the study, {recorded:g} m in the recordings behind its departures",
                     allowed=f"{recorded:g}, or --vehicle-width to decide",
                 )
             changed[name] = float(recorded)
@@ -161,9 +161,9 @@ def _box(side: SideModel, summary: SideSummary | None) -> str:
     origins = {name: (low, high) for name, low, high in summary.bounds_from}
     texts = []
     for name, low, high in zip(side.names, *side.bounds(), strict=True):
-        from_low, from_high = origins.get(name, ("", ""))
+        below, above = origins.get(name, ("", ""))
         ends = " to ".join("open" if math.isinf(end) else f"{end:.4g}" for end in (low, high))
-        texts.append(f"{name} {ends} ({from_low if from_low == from_high else f'{from_low}, {from_high}'})")
+        texts.append(f"{name} {ends} ({below if below == above else f'{below}, {above}'})")
     return f"bounds {'; '.join(texts)}"
 
 

@@ -4,6 +4,7 @@ depends on workers or on where a run was stopped."""
 import csv
 import dataclasses
 import json
+import os
 import shutil
 import signal
 import subprocess
@@ -20,7 +21,7 @@ from helpers.bits import assert_same_bits
 from helpers.cli import bad, good, ldc
 from helpers.closed_loop import known
 from helpers.kills import killing
-from ldctoolkit import Controller, LinearLaw, Plant, Scenarios, load_model, simulate
+from ldctoolkit import Controller, LinearLaw, Plant, Scenarios, gain, load_model, simulate
 from ldctoolkit.departures import PARAMETER_NAMES
 from ldctoolkit.errors import InputError, LdcError, StoreError
 from ldctoolkit.scenario_model import ScenarioModel
@@ -40,17 +41,10 @@ EVENTS = (
 # ------------------------------------------------------------------------------------------------ intervals, pairs
 
 
-@pytest.mark.parametrize(("count", "n"), [(0, 1), (1, 1), (3, 20), (7, 10_000_000), (999, 1000), (250, 500)])
+@pytest.mark.parametrize(("count", "n"), [(0, 1), (1, 1), (3, 20), (0, 10_000_000), (7, 10_000_000), (999, 1000)])
 def test_intervals_are_those_of_clopper_and_pearson(count: int, n: int) -> None:
     expected = binomtest(count, n).proportion_ci(0.95, method="exact")
     assert exact_interval(count, n) == pytest.approx((expected.low, expected.high), rel=1e-9)
-
-
-@pytest.mark.parametrize("n", [1, 100, 10_000_000])
-def test_without_any_event_or_any_other_the_interval_has_a_closed_form(n: int) -> None:
-    end = 0.025 ** (1 / n)
-    assert exact_interval(0, n) == pytest.approx((0.0, 1 - end), rel=1e-9)
-    assert exact_interval(n, n) == pytest.approx((end, 1.0), rel=1e-9)
     assert exact_interval(0, 0) == (0.0, 1.0)
 
 
@@ -85,10 +79,19 @@ def events_of(design: Design, scenarios: Scenarios, study: Study) -> np.ndarray:
     return np.array([*beyond, out.companions.opposite_crossing > 0, out.status == 3])
 
 
-def test_counts_are_those_of_a_direct_simulation() -> None:
+@pytest.fixture(scope="module")
+def risk() -> Risk:
     """A realistic plant, several thresholds, a last chunk that is not whole."""
-    risk = estimate_risk(STEERING, REAL, n=620, chunk=250, workers=1)
-    drawn = list(departures(load_model("reference"), 1, 250, [(125, 125), (125, 125), (60, 60)]))
+    return estimate_risk(STEERING, REAL, n=620, chunk=250, workers=1)
+
+
+@pytest.fixture(scope="module")
+def drawn() -> list[Scenarios]:
+    """The departures of `risk`, drawn directly."""
+    return list(departures(load_model("reference"), 1, 250, [(125, 125), (125, 125), (60, 60)]))
+
+
+def test_counts_are_those_of_a_direct_simulation(risk: Risk, drawn: list[Scenarios]) -> None:
     assert risk.events == EVENTS
     assert risk.n == 620
     without = np.concatenate([events_of(risk.designs[0], one, REAL) for one in drawn], axis=1)
@@ -106,9 +109,9 @@ def test_counts_are_those_of_a_direct_simulation() -> None:
     assert risk.event(STEERING[0], "depth > 0.3 m").count > 10
 
 
-def test_the_worst_departures_are_the_deepest_and_are_driven_again_to_the_same_bits() -> None:
-    risk = estimate_risk(STEERING, REAL, n=620, chunk=250, workers=1)
-    drawn = list(departures(load_model("reference"), 1, 250, [(125, 125), (125, 125), (60, 60)]))
+def test_the_worst_departures_are_the_deepest_and_are_driven_again_to_the_same_bits(
+    risk: Risk, drawn: list[Scenarios]
+) -> None:
     for design in risk.designs:
         runs = [simulate(design.controller(), one, setup=REAL.setup(), y_s=design.y_s) for one in drawn]
         depth = np.concatenate([one.companions.deepest for one in runs])
@@ -321,8 +324,11 @@ def test_intervals_cover_the_truth() -> None:
 class Breaks(Controller):
     name = "breaks"
     title = "Breaks"
+    dies: bool = gain(False, unit="1", description="ends its process")
 
     def prepare(self, plant: Plant) -> LinearLaw:
+        if self.dies:
+            os._exit(1)
         raise ZeroDivisionError("no stiffness")
 
 
@@ -330,28 +336,19 @@ def test_a_law_that_raises_is_named() -> None:
     with known(Breaks):
         design = Design.from_gains("breaks", 0.2, {})
         with pytest.raises(
-            LdcError, match=r"Breaks, y_s=0.2 m: ZeroDivisionError: no stiffness \(test_risk.py, line \d+\)"
+            LdcError, match=r"Breaks, y_s=0.2 m\S*.*: ZeroDivisionError: no stiffness \(test_risk.py, line \d+\)"
         ):
             estimate_risk([TABLE_I, design], PAPER, n=100, workers=1)
 
 
-@pytest.mark.parametrize("n", [0, -1, 10**9 + 1, 2.5, True])
-def test_a_number_that_is_none_is_refused(n: Any) -> None:
-    with pytest.raises(InputError, match=r"n: .+; allowed: a whole number from 1 to 1e\+09"):
-        estimate_risk([TABLE_I], PAPER, n=n)
-
-
 @pytest.mark.parametrize(
-    ("given", "message"),
-    [
-        ({"depths": [0.0]}, r"depths: \[0.0\]; allowed: numbers > 0 \[m\]"),
-        ({"dtle_limits": [float("nan")]}, r"dtle_limits: \[nan\]; allowed: numbers \[m\]"),
-        ({"chunk": 0}, "chunk: 0; allowed: a whole number"),
-    ],
+    ("name", "value"),
+    [*(("n", n) for n in (0, -1, 10**9 + 1, 2.5, True)), ("depths", [0.0]), ("dtle_limits", [np.nan]), ("chunk", 0)],
 )
-def test_other_arguments_are_refused(given: dict[str, Any], message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        estimate_risk([TABLE_I], PAPER, n=10, **given)
+def test_arguments_out_of_range_are_refused(name: str, value: Any) -> None:
+    with pytest.raises(InputError) as refused:
+        estimate_risk([TABLE_I], PAPER, **{"n": 10, name: value})
+    assert refused.value.path == name
 
 
 def test_another_estimate_in_the_folder_is_refused(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -378,21 +375,10 @@ def test_another_estimate_in_the_folder_is_refused(tmp_path: Path, caplog: pytes
 
 @pytest.mark.slow
 def test_a_law_that_ends_its_process_is_one_message(tmp_path: Path) -> None:
-    with known(Dies):
-        design = Design.from_gains("dies", 0.2, {})
+    with known(Breaks):
+        design = Design.from_gains("breaks", 0.2, {"dies": True})
         with pytest.raises(LdcError, match="a worker process ended among departures of chunk 0; run it again to go on"):
             estimate_risk([design], PAPER, n=100, workers=2)
-
-
-@dataclasses.dataclass(frozen=True)
-class Dies(Controller):
-    name = "dies"
-    title = "Dies"
-
-    def prepare(self, plant: Plant) -> LinearLaw:
-        import os
-
-        os._exit(1)
 
 
 # ------------------------------------------------------------------------------------------------ the command
@@ -433,9 +419,7 @@ def test_a_folder_of_a_study_gives_the_design_of_its_verdict(tmp_path: Path) -> 
     [
         (("papr",), "did you mean 'paper'?"),
         (("paper", "-n", "0"), "argument -n: '0'; allowed: a whole number from 1 to 1e+09"),
-        (("paper", "-n", "-5"), "argument -n: '-5'; allowed"),
         (("paper", "-n", "1e10"), "argument -n: '1e10'; allowed"),
-        (("paper", "-n", "nan"), "argument -n: 'nan'; allowed"),
         (("paper", "--design", "zzz"), "--design 'zzz': no such design"),
         (("paper", "--depth", "-1"), "depths: [-1.0]; allowed: numbers > 0 [m]"),
         (("zoo-sweep",), "choose some with --design"),

@@ -17,6 +17,7 @@ import pytest
 
 import ldctoolkit
 from helpers.bits import assert_same_bits
+from helpers.executors import DyingWorkers
 from ldctoolkit.errors import InputError, LdcError, RecordingError, StoreError
 from ldctoolkit.recordings import Extraction, extract_departures, read_departures
 from ldctoolkit.recordings.departures_table import PartResult
@@ -33,7 +34,6 @@ from ldctoolkit.recordings.recording import (
     recording_reader,
 )
 from ldctoolkit.studies.extraction import PART_CLASSES, NothingReadError, _program, plan_of, run_extraction
-from ldctoolkit.studies.running.work import Ended, Work
 from ldctoolkit.studies.storage.parts import decoded, difference_texts, encoded, locked
 
 HOME = Path(ldctoolkit.__file__).parent
@@ -393,35 +393,8 @@ def test_one_run_at_a_time(made: Made, tmp_path: Path) -> None:
     assert sorted(folder.iterdir()) == before
 
 
-class Mortal:
-    """Workers that die by plan, alone or together."""
-
-    name, isolated = "processes", True
-
-    def __init__(self, deadly: Callable[[Work], bool], workers: int = 2) -> None:
-        self.deadly, self.workers = deadly, workers
-        self.tasks: list[Work] = []
-
-    def start(self, task: Work) -> None:
-        self.tasks.append(task)
-
-    def wait(self) -> list[Ended]:
-        under_way, queued = self.tasks[: self.workers], self.tasks[self.workers :]
-        if not under_way:
-            return []
-        if any(map(self.deadly, under_way)):
-            self.tasks = []
-            lost = [Ended(task) for task in queued]
-            return lost + [Ended(task, None, "died", len(under_way) == 1) for task in under_way]
-        self.tasks = self.tasks[1:]
-        return [Ended(under_way[0], under_way[0].run({}))]
-
-    def close(self, *, orderly: bool) -> None:
-        pass
-
-
 @contextlib.contextmanager
-def on(executor: Mortal, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def on(executor: DyingWorkers, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     with monkeypatch.context() as patch:
         patch.setattr("ldctoolkit.studies.extraction.make_executor", lambda *_: executor)
         yield
@@ -430,7 +403,7 @@ def on(executor: Mortal, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 @pytest.mark.parametrize("deadly", [{0}, {3}, {1, 2}, {0, 1, 2, 3, 4}])
 def test_parts_at_fault_are_found_beside_others(made: Made, monkeypatch: pytest.MonkeyPatch, deadly: set[int]) -> None:
     source = made(*GOOD, "good")
-    with on(Mortal(lambda task: getattr(task, "index", -1) in deadly), monkeypatch):
+    with on(DyingWorkers(lambda task: getattr(task, "index", -1) in deadly), monkeypatch):
         found = run_extraction(source)
     told = [text.partition(":")[0] for text in texts(found) if "ended its worker" in text]
     assert (told, found.recordings) == ([f"part {i}" for i in sorted(deadly)], 3 * (6 - len(deadly)))
@@ -438,13 +411,13 @@ def test_parts_at_fault_are_found_beside_others(made: Made, monkeypatch: pytest.
 
 def test_one_death_among_many_is_no_end(made: Made, monkeypatch: pytest.MonkeyPatch) -> None:
     """A pool that breaks gives up all that it held, here more parts than may be lost one after the other."""
-    with on(Mortal(lambda task: getattr(task, "index", -1) == 0, workers=30), monkeypatch):
+    with on(DyingWorkers(lambda task: getattr(task, "index", -1) == 0, workers=30), monkeypatch):
         found = run_extraction(made(*["good"] * 70))
     assert found.recordings == 3 * 69
 
 
 def test_workers_that_cannot_live_are_told_from_parts_that_kill(made: Made, monkeypatch: pytest.MonkeyPatch) -> None:
-    with on(Mortal(lambda _: True), monkeypatch), pytest.raises(LdcError, match="worker processes end whatever they"):
+    with on(DyingWorkers(lambda _: True), monkeypatch), pytest.raises(LdcError, match="end whatever they run"):
         run_extraction(made(*GOOD))
 
 

@@ -1,7 +1,6 @@
 """The dispatcher against an executor that kills workers by plan: what is found and stored depends on the plan alone."""
 
 import dataclasses
-import random
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -10,11 +9,12 @@ import numpy as np
 import pytest
 
 from helpers.closed_loop import Unsighted, known
+from helpers.executors import DyingWorkers
 from ldctoolkit import Controller, EventStatus, Plant, gain
 from ldctoolkit.errors import LdcError
 from ldctoolkit.studies import Study, read_results, run_study, runner
-from ldctoolkit.studies.running.tasks import Simulator, Task
-from ldctoolkit.studies.running.work import Ended
+from ldctoolkit.studies.design import Design
+from ldctoolkit.studies.running.tasks import Task
 
 MakeStudy = Callable[..., Study]
 
@@ -48,41 +48,19 @@ def small() -> Iterator[None]:
         yield
 
 
-class Deadly:
-    """Runs up to `workers` tasks at a time, ends them in any order, and dies where the plan says so. `plan` names the
-    design (by its K) and the rows that end a worker."""
+Plan = dict[float, set[int]]
+"""Rows that end a worker, by the design's K."""
 
-    name = "processes"
-    isolated = True
 
-    def __init__(self, seed: int, plan: dict[float, set[int]], workers: int = 2) -> None:
-        self.chance = random.Random(seed)
-        self.plan, self.workers = plan, workers
-        self.tasks: list[Any] = []
-        self.deaths = 0
+def dying(seed: int, plan: Plan, workers: int = 2) -> DyingWorkers:
+    def deadly(task: Task) -> bool:
+        return any(plan.get(K_of(design), set()).intersection(task.rows.tolist()) for design in task.designs)
 
-    def start(self, task: Task) -> None:
-        self.tasks.append(task)
+    return DyingWorkers(deadly, workers=workers, seed=seed)
 
-    def wait(self) -> list[Ended]:
-        if not self.tasks:
-            return []
-        under_way = self.tasks[: self.workers]
-        task = self.chance.choice(under_way)
-        if self.deadly(task):
-            self.deaths += 1
-            queued, self.tasks = self.tasks[self.workers :], []
-            lost = [Ended(one) for one in queued]
-            return lost + [Ended(one, None, "died", len(under_way) == 1) for one in under_way]
-        self.tasks.remove(task)
-        return [Ended(task, Simulator(task.job).run(task))]
 
-    def deadly(self, task: Task) -> bool:
-        rows = set(task.rows.tolist())
-        return any(rows & self.plan.get(dict(design.gains).get("K", -1.0), set()) for design in task.designs)  # type: ignore[arg-type]
-
-    def close(self, *, orderly: bool) -> None:
-        pass
+def K_of(design: Design) -> float:
+    return float(dict(design.gains).get("K", -1.0))
 
 
 def small_study(make_study: MakeStudy, K: list[float], **parts: Any) -> Study:
@@ -90,7 +68,7 @@ def small_study(make_study: MakeStudy, K: list[float], **parts: Any) -> Study:
     return make_study(**{"design": designs, "scenarios": {"left": 9, "right": 8}, "simulation": {}} | parts)
 
 
-def use(monkeypatch: pytest.MonkeyPatch, executor: Deadly) -> None:
+def use(monkeypatch: pytest.MonkeyPatch, executor: DyingWorkers) -> None:
     monkeypatch.setattr(runner, "make_executor", lambda *words: executor)
 
 
@@ -106,13 +84,13 @@ def test_the_same_scenarios_are_found_whatever_ran_beside_them(
     plan = {1.0: {3}, 2.0: {0, 12}, 4.0: {2, 7, 8, 9, 13}}
     study = small_study(make_study, [0, 1, 2, 3, 4])
     sound = run_study(study, directory=tmp_path / "sound", workers=1)
-    use(monkeypatch, Deadly(seed, plan))
+    use(monkeypatch, dying(seed, plan))
     results = run_study(study, directory=tmp_path / "deadly", block_size=block_size)
     (failed,) = results.failed
     assert (dict(failed.design.gains)["K"], failed.reason.count("(ends its worker process)")) == (4.0, 4)
     for i, design in enumerate(results.designs):
         crashed = np.flatnonzero(results.status[i] == EventStatus.CRASHED)
-        assert set(crashed.tolist()) == plan.get(dict(design.gains).get("K", -1.0), set())  # type: ignore[arg-type]
+        assert set(crashed.tolist()) == plan.get(K_of(design), set())
         others = np.setdiff1d(np.arange(17), crashed)
         j = sound.designs.index(design)
         np.testing.assert_array_equal(results.S[i, others], sound.S[j, others])
@@ -121,7 +99,7 @@ def test_the_same_scenarios_are_found_whatever_ran_beside_them(
     assert rows.height in (0, 5, 9, 13)
     assert set(rows["scenario"]) == set(results.scenarios.index[: rows.height].tolist())
     # a design that failed is tried again, and fails again, though nothing else is left to run
-    use(monkeypatch, Deadly(seed + 100, plan))
+    use(monkeypatch, dying(seed + 100, plan))
     again = run_study(study, directory=tmp_path / "deadly", block_size=block_size)
     assert [one.design for one in again.failed] == [failed.design]
     np.testing.assert_array_equal(again.S, results.S)
@@ -130,7 +108,7 @@ def test_the_same_scenarios_are_found_whatever_ran_beside_them(
 @pytest.mark.slow
 def test_one_death_among_many_is_no_end(make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A pool that breaks gives up all that it held, here more tasks than may be lost one after the other."""
-    use(monkeypatch, Deadly(1, {1.0: {3}}, workers=30))
+    use(monkeypatch, dying(1, {1.0: {3}}, workers=30))
     results = run_study(small_study(make_study, [0.1 * i for i in range(40)]), directory=tmp_path, block_size=1)
     assert not results.failed
     assert int((results.status == EventStatus.CRASHED).sum()) == 1
@@ -139,15 +117,13 @@ def test_one_death_among_many_is_no_end(make_study: MakeStudy, tmp_path: Path, m
 def test_a_study_of_one_deadly_design(make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     study = small_study(make_study, [1], design=[{"law": "small", "y_s": 0.0, "gains": {"K": 1}}])
     for _ in range(2):
-        use(monkeypatch, Deadly(0, {1.0: set(range(17))}))
+        use(monkeypatch, dying(0, {1.0: set(range(17))}))
         with pytest.raises(LdcError, match=r"every design failed; the first, .*ends or stops its worker process"):
             run_study(study, directory=tmp_path)
 
 
 def test_dying_workers_kill_no_designs(make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    executor = Deadly(0, {})
-    monkeypatch.setattr(executor, "deadly", lambda task: True)
-    use(monkeypatch, executor)
+    use(monkeypatch, DyingWorkers(lambda _: True))
     with pytest.raises(LdcError, match="worker processes end whatever they run; what was stored is kept"):
         run_study(small_study(make_study, [1]), directory=tmp_path)
 
@@ -167,7 +143,7 @@ def test_what_is_stored_of_a_failing_design_is_no_accident(
     for _ in range(2):
         named = dict(how)
         if "seed" in named:
-            use(monkeypatch, Deadly(named.pop("seed"), {}, workers=4))
+            use(monkeypatch, dying(named.pop("seed"), {}, workers=4))
             named = {"block_size": 1}
         results = run_study(study, directory=tmp_path, **named)  # type: ignore[arg-type]
         (failed,) = results.failed

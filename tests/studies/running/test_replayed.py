@@ -1,7 +1,6 @@
 """Studies on recorded departures themselves: which rows, with which vehicle, and beside a scenario model."""
 
 import dataclasses
-import re
 from pathlib import Path
 from typing import Any
 
@@ -50,12 +49,8 @@ def study_on(folder: Path, *, designs: Any = None, **scenarios: Any) -> Study:
 def by_hand(found: Departures, rows: np.ndarray, **setup: Any) -> np.ndarray:
     """S of the study's LQR on rows of the table."""
     car = VehicleParameters(w_v=1.75)
-    return simulate(
-        LQR(r_delta=500.0),
-        Scenarios.from_departures(found.take(rows)),
-        setup=Setup(vehicle=car, seed=4, **setup),
-        y_s=0.1,
-    ).S
+    scenarios = Scenarios.from_departures(found.take(rows))
+    return simulate(LQR(r_delta=500.0), scenarios, setup=Setup(vehicle=car, seed=4, **setup), y_s=0.1).S
 
 
 def in_order(found: Departures) -> np.ndarray:
@@ -167,18 +162,17 @@ def test_a_bad_table_gets_one_message(table: Departures, tmp_path: Path, changes
 
 
 @pytest.mark.parametrize(
-    ("scenarios", "message"),
+    ("scenarios", "key"),
     [
-        ({"departures": "d.parquet", "table": "t.parquet"}, "scenarios.table: 't.parquet' with departures"),
-        ({"model": ""}, "scenarios.model: empty; allowed: a model, or departures or table beside it"),
-        ({"path": "recorded"}, "scenarios.path: 'recorded' without departures"),
-        ({"table": "t.parquet", "path": "recorded"}, "scenarios.path: 'recorded' without departures"),
-        ({"weights": "w"}, "scenarios.weights: 'w' without departures or table"),
+        ({"departures": "d.parquet", "table": "t.parquet"}, "table"), ({"model": ""}, "model"),
+        ({"path": "recorded"}, "path"), ({"table": "t.parquet", "path": "recorded"}, "path"),
+        ({"weights": "w"}, "weights"),
     ],
-)
-def test_what_does_not_go_together_is_refused(scenarios: dict[str, Any], message: str, tmp_path: Path) -> None:
-    with pytest.raises(StudyError, match=re.escape(message)):
+)  # fmt: skip
+def test_what_does_not_go_together_is_refused(scenarios: dict[str, Any], key: str, tmp_path: Path) -> None:
+    with pytest.raises(StudyError) as refused:
         study_on(tmp_path, **scenarios)
+    assert refused.value.path == f"study: scenarios.{key}"
 
 
 def test_finalists_of_a_model_are_scored_on_the_departures_too(table: Departures, tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -9,19 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from helpers.closed_loop import known
 from helpers.results import assert_same_results
 from helpers.stored import rewrite_json
-from ldctoolkit import (
-    BicycleModel,
-    Controller,
-    EventStatus,
-    LdcError,
-    Plant,
-    controller_class,
-    register,
-    registry,
-    simulate,
-)
+from ldctoolkit import BicycleModel, Controller, EventStatus, LdcError, Plant, controller_class, simulate
 from ldctoolkit.errors import InputError, StoreError, UnknownNameError
 from ldctoolkit.metrics import METRIC_COLUMNS, METRIC_UNITS
 from ldctoolkit.simulation import Run, Takeover, loop
@@ -153,8 +145,7 @@ def test_what_a_resume_adds_up(make_study: MakeStudy, tmp_path: Path) -> None:
                 raise KeyboardInterrupt
             return super().prepare(plant)
 
-    register(Metered)
-    try:
+    with known(Metered):
         study = make_study(simulation={}, design=[{"law": "metered", "y_s": 0.0}])
         with pytest.raises(KeyboardInterrupt):
             run_study(study, directory=tmp_path / "s", workers=1)
@@ -168,8 +159,6 @@ def test_what_a_resume_adds_up(make_study: MakeStudy, tmp_path: Path) -> None:
         resumed = run_study(study, directory=tmp_path / "s", workers=1)
         whole = run_study(study, directory=tmp_path / "whole", workers=1)
         after = read_manifest(tmp_path / "s")
-    finally:
-        registry.forget("metered")
     assert_same_results(resumed, whole)
     assert whole.failed_solves.any()
     assert 1000.0 < after.wall_time_s < 1600.0
@@ -268,35 +257,23 @@ def test_a_study_resumes_where_it_was_stopped(
 @pytest.mark.slow
 def test_a_law_that_only_this_process_knows_reaches_the_workers(make_study: MakeStudy, tmp_path: Path) -> None:
     """A class inside a function: no other process could import it."""
-    from ldctoolkit import registry
 
     class Local(controller_class("toy")):  # type: ignore[name-defined,misc]
         name = "local"
 
-    registry.register(Local)
-    try:
+    with known(Local):
         study = make_study(design=[{"law": "local", "gains": {"N": [1, 2, 3]}}])
         one = run_study(study, directory=tmp_path / "a", workers=1)
         assert_same_results(run_study(study, directory=tmp_path / "b", workers=2, block_size=1), one)
-    finally:
-        registry.forget("local")
 
 
 def test_a_law_that_cannot_be_sent_is_named(make_study: MakeStudy, tmp_path: Path) -> None:
-    import threading
-
-    from ldctoolkit import registry
-
     class Held(controller_class("toy")):  # type: ignore[name-defined,misc]
         name = "held"
         lock = threading.Lock()
 
-    registry.register(Held)
-    try:
-        with pytest.raises(LdcError, match=r"registered controllers \(.*Held.*\) cannot be sent to worker processes"):
-            run_study(make_study(design=[{"law": "held"}]), directory=tmp_path, workers=2)
-    finally:
-        registry.forget("held")
+    with known(Held), pytest.raises(LdcError, match=r"registered controllers \(.*Held.*\) cannot be sent to worker"):
+        run_study(make_study(design=[{"law": "held"}]), directory=tmp_path, workers=2)
 
 
 def test_designs_may_be_added_and_left_out(make_study: MakeStudy, reference: StudyResults, tmp_path: Path) -> None:
@@ -377,12 +354,11 @@ def test_the_manifest_tells_what_ran(reference: StudyResults, tmp_path: Path, mo
 
 
 def test_wrong_arguments_are_named(make_study: MakeStudy, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="workers: 0; allowed"):
-        run_study(make_study(), directory=tmp_path, workers=0)
-    with pytest.raises(InputError, match=r"executor: 'process'; .*processes"):
-        run_study(make_study(), directory=tmp_path, executor="process")  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="block_size: 'a'; allowed"):
-        run_study(make_study(), directory=tmp_path, block_size="a")  # type: ignore[arg-type]
+    wrong: dict[str, Any] = {"workers": 0, "executor": "process", "block_size": "a", "time_limit": -1}
+    for name, value in (*wrong.items(), *(("time_limit", limit) for limit in (1e-9, 1e10, float("nan"), True, "a"))):
+        with pytest.raises(InputError) as refused:
+            run_study(make_study(), directory=tmp_path, **{name: value})
+        assert (refused.value.path, refused.value.value) == (name, pytest.approx(value, nan_ok=True))
     with pytest.raises(UnknownNameError, match="referenc"):
         run_study(make_study(scenarios={"model": "referenc"}), directory=tmp_path)
     assert not list(tmp_path.iterdir())

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ldctoolkit.errors import InputError, StoreError
+from ldctoolkit.errors import StoreError
 from ldctoolkit.studies import Study, rank_study, read_manifest, read_results, run_study
 from ldctoolkit.studies.running import campaign
 from ldctoolkit.studies.storage.parts import locked
@@ -133,10 +133,3 @@ def test_a_search_goes_on_where_it_was_stopped(
         np.testing.assert_array_equal(read_results(tmp_path / folder).S, whole.S)
     assert stored_rows(tmp_path / "s").equals(stored_rows(tmp_path / "whole"))
     assert read_manifest(tmp_path / "s").finished
-
-
-@pytest.mark.parametrize("limit", [-1, 1e-9, 1e10, float("nan"), True, "a"])
-def test_a_time_limit_that_no_clock_knows_is_refused(make_study: MakeStudy, tmp_path: Path, limit: Any) -> None:
-    with pytest.raises(InputError) as refused:
-        run_study(study_of(make_study), directory=tmp_path, time_limit=limit)
-    assert (refused.value.path, refused.value.value) == ("time_limit", pytest.approx(limit, nan_ok=True))

@@ -25,6 +25,7 @@ from ldctoolkit.metrics import METRIC_COLUMNS, METRIC_UNITS
 from ldctoolkit.studies import Study, StudyResults, read_results, run_study
 from ldctoolkit.studies.ranking.ranking import rank_study
 from ldctoolkit.studies.running import campaign
+from ldctoolkit.studies.running.tasks import Simulator
 from ldctoolkit.studies.storage import store
 from ldctoolkit.studies.storage.files import read_scenarios, write_scenarios
 from ldctoolkit.studies.storage.manifest import read_manifest
@@ -196,34 +197,21 @@ def test_equal_rows_are_kept_once() -> None:
 STUDY = {"name": "small", "scenarios": {"left": 4, "right": 4}, "design": [{"law": "none"}]}
 
 
-@pytest.fixture
-def folder_stored_model(tmp_path: Path) -> Path:
-    run_study(Study.from_dict(STUDY), directory=tmp_path / "o", workers=1)
-    return tmp_path / "o"
+def test_a_run_leaves_its_model(small_run: Path) -> None:
+    manifest, reference = read_manifest(small_run), load_model("reference")
+    model = read_model(small_run, manifest)
+    assert model.content_hash == reference.content_hash == manifest.model_hash
+    assert model.provenance == reference.provenance
 
 
-def test_a_run_leaves_its_model(folder_stored_model: Path) -> None:
-    model = read_model(folder_stored_model, read_manifest(folder_stored_model))
-    assert model.content_hash == load_model("reference").content_hash == read_manifest(folder_stored_model).model_hash
-    assert model.provenance == load_model("reference").provenance
-    before = (folder_stored_model / MODEL).read_bytes()
-    run_study(Study.from_dict(STUDY), directory=folder_stored_model, workers=1)
-    assert (folder_stored_model / MODEL).read_bytes() == before
-
-
-def test_an_older_folder_has_none(folder_stored_model: Path) -> None:
-    (folder_stored_model / MODEL).unlink()
-    assert read_model(folder_stored_model, read_manifest(folder_stored_model)) is None
-
-
-def test_another_or_a_broken_model_is_refused(folder_stored_model: Path) -> None:
-    manifest = read_manifest(folder_stored_model)
-    other = manifest.model_copy(update={"model_hash": "0" * 64})
+def test_a_missing_model_is_none_and_another_or_a_broken_one_is_refused(small_run: Path, tmp_path: Path) -> None:
+    manifest = read_manifest(small_run)
     with pytest.raises(StoreError, match=r"model\.json: holds the model \w{12}, the study's is 000000000000; run"):
-        read_model(folder_stored_model, other)
-    (folder_stored_model / MODEL).write_text("{")
+        read_model(small_run, manifest.model_copy(update={"model_hash": "0" * 64}))
+    assert read_model(tmp_path, manifest) is None  # of an earlier version
+    (tmp_path / MODEL).write_text("{")
     with pytest.raises(StoreError, match=r"model\.json, line 1.*run the study into this folder again"):
-        read_model(folder_stored_model, manifest)
+        read_model(tmp_path, manifest)
 
 
 def test_a_model_that_json_does_not_know_runs(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -348,9 +336,6 @@ def test_only_what_is_bad_is_computed_anew(
     make_study: MakeStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stored_rows: Callable[..., Any],
     caplog: pytest.LogCaptureFixture,
 ) -> None:  # fmt: skip
-    from ldctoolkit.studies.running import campaign
-    from ldctoolkit.studies.running.tasks import Simulator
-
     with monkeypatch.context() as patch:
         patch.setattr(campaign, "_STORE_EVERY", 0.0)
         run_study(make_study(), directory=tmp_path, workers=1, block_size=1)
@@ -368,22 +353,22 @@ def test_only_what_is_bad_is_computed_anew(
     assert stored_rows(tmp_path).equals(before)
 
 
-def test_rows_are_read_in_one_line_by_polars_and_duckdb(finished: Path) -> None:
+def test_rows_are_read_in_one_line_by_polars_and_duckdb(small_run: Path) -> None:
     import duckdb
     import polars as pl
 
-    results = read_results(finished)
+    results = read_results(small_run)
     design = results.designs[1].id
     expected = results.S[1]
-    rows = f"'{finished}/results/*.parquet' where design = '{design}'"
+    rows = f"'{small_run}/results/*.parquet' where design = '{design}'"
     mean = f"select avg(S_departure_m_s), count(*) from {rows}"
-    told = duckdb.sql(mean).fetchall()[0]
-    np.testing.assert_allclose(told[0], expected.mean(), rtol=1e-14)  # a sum in another order
-    assert told[1] == 12
-    lazy = pl.scan_parquet(f"{finished}/results/*.parquet").filter(design=design).collect()
+    mean_and_count = duckdb.sql(mean).fetchall()[0]
+    np.testing.assert_allclose(mean_and_count[0], expected.mean(), rtol=1e-14)  # a sum in another order
+    assert mean_and_count[1] == 12
+    lazy = pl.scan_parquet(f"{small_run}/results/*.parquet").filter(design=design).collect()
     in_order = lazy.sort(pl.col("scenario") % 2, "scenario")
     np.testing.assert_array_equal(in_order["S_departure_m_s"].to_numpy(), expected)
     assert lazy.schema["a_y_peak_m_s2"] == pl.Float64()
-    named = pl.read_parquet(finished / "designs.parquet").filter(design=design)
+    named = pl.read_parquet(small_run / "designs.parquet").filter(design=design)
     assert named["law"].to_list() == [results.designs[1].law]
     assert named["label"].to_list() == [results.designs[1].label]

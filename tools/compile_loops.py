@@ -1,4 +1,4 @@
-"""Compile all closed loops, so that no first run waits for it: ``python -m ldctoolkit.studies.compile_loops``.
+"""Compile all closed loops, so that no first run waits for it: ``python tools/compile_loops.py``.
 
 Two processes compile at the same time; a first run compiles in one, and only what it needs.
 """
