@@ -222,7 +222,7 @@ STUDY = ldc.study(ldc.NoControl, left=2, right=2)
         (lambda: ldc.study("LQR"), r"is no controller; did you mean 'lqr'\?"),
         (
             lambda: ldc.study(ldc.LQR, scenarios=arrays()),
-            r"^scenarios: an object of type Scenarios; allowed: a table of keys, .*run_study\(study, scenarios=",
+            r"^scenarios: an object of type Scenarios; allowed: a table of keys; .*run_study\(study, scenarios=",
         ),
         (lambda: ldc.run_study("my.toml"), r"^study: an object of type str; allowed: Study$"),
         (lambda: ldc.run_study(ldc.LQR), r"^study: the class LQR; allowed: Study$"),

@@ -399,7 +399,6 @@ def test_a_response_of_many_states_is_worked_out_in_blocks() -> None:
         ({"delta_prev": ([0.1, 0.2], [20.0])}, "delta_prev", ...),
         ({"dt": 1e-6, "options": PlantOptions(actuator=Actuator(delay=0.05))}, "actuator.delay", 0.05),
         ({"dt": 1e-6, "options": PlantOptions(sensors=Sensors(delay=0.05))}, "sensors.delay", 0.05),
-        ({"controller": LQR}, "controller", None),
     ],
 )
 def test_wrong_arguments_are_named(wrong: dict[str, Any], path: str, value: Any) -> None:
