@@ -396,7 +396,7 @@ class _Runs:
             except BaseException as error:  # a controller may be third-party code
                 raise LdcError(f"law {controller.name!r} in {test.name}", f"{raised(error)}") from None
             quantities = ((one.quantity, QUANTITIES[one.quantity].of) for one in test.condition)
-            values = [getattr(run.outcome.companions, name) if of is None else of(run) for name, of in quantities]
+            values = [getattr(run.outcome.metrics, name) if of is None else of(run) for name, of in quantities]
             limits = np.repeat(self.limits[None], count, axis=0)
             for c, one in enumerate(test.condition):
                 if one.quantity == "lateral_velocity_after" and scenarios.drift is not None:

@@ -172,6 +172,6 @@ def drive_on_plants(
                 continue
             acted = ~status_among(outcome.status, (EventStatus.NEVER_TRIGGERED, EventStatus.INVALID))
             if not design.is_baseline:
-                peaks = outcome.companions
+                peaks = outcome.metrics
                 comfortable[k, i] = comfortable_share(peaks.a_y_added_peak, peaks.jerk_added_peak, acted)
     return Drives(S, S_uncorrected, status, comfortable, tuple(failed))

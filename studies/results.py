@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import warnings
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
@@ -51,10 +52,10 @@ def _take_columns(values: FloatArray, columns: BoolArray) -> FloatArray:
     return values[:, columns]
 
 
-def per_scenario(companions: MetricValues, change: Any) -> MetricValues:
+def per_scenario(metrics: MetricValues, change: Any) -> MetricValues:
     """Companions with a function applied to every array."""
     values: dict[str, Any] = {
-        field.name: change(getattr(companions, field.name)) for field in dataclasses.fields(MetricValues)
+        field.name: change(getattr(metrics, field.name)) for field in dataclasses.fields(MetricValues)
     }
     return MetricValues(**values)
 
@@ -139,7 +140,7 @@ class StudyResults(Frame):
     # may then be one row in memory, not to be written into), dependent on the design's y_s in the control window
     S_uncorrected: FloatArray
     status: npt.NDArray[np.int8]  # (d, n) `ldctoolkit.EventStatus`
-    companions: MetricValues  # Arrays (d, n)
+    metrics: MetricValues  # Arrays (d, n)
     failed_solves: npt.NDArray[np.int32]  # (d, n)
     # (d,) [s] Mean wall time of the law's own step per command; 0 for a linear law, which has none, NaN where it was
     # not measured. The one number here that another run does not give again.
@@ -161,6 +162,12 @@ class StudyResults(Frame):
     def label(self) -> str:
         """Window of S and reading of the paper: ``"departure window, consistent"``."""
         return score_label(self.window, self.convention)
+
+    @property
+    def companions(self) -> MetricValues:
+        """The former name of `metrics`."""
+        warnings.warn("companions: the name is metrics now", DeprecationWarning, stacklevel=2)
+        return self.metrics
 
     @property
     def failed_runs(self) -> BoolArray:
@@ -192,7 +199,7 @@ class StudyResults(Frame):
         """The same for some of the scenarios."""
         changes: dict[str, Any] = {name: getattr(self, name)[:, columns] for name in ("S", "status", "failed_solves")}
         changes["S_uncorrected"] = _take_columns(self.S_uncorrected, columns)
-        changes["companions"] = per_scenario(self.companions, lambda a: a[:, columns])
+        changes["metrics"] = per_scenario(self.metrics, lambda a: a[:, columns])
         return dataclasses.replace(self, scenarios=self.scenarios.take(np.flatnonzero(columns)), **changes)
 
     def on_drivable(self) -> StudyResults:
@@ -209,7 +216,7 @@ class StudyResults(Frame):
 
         tables, sides = [], np.where(self.scenarios.side == LEFT, "left", "right")
         columns: dict[str, Any] = {f"{name}_{self.window}_m_s": getattr(self, name) for name in ("S", "S_uncorrected")}
-        columns |= {column: getattr(self.companions, name) for name, column in METRIC_COLUMNS.items()}
+        columns |= {column: getattr(self.metrics, name) for name, column in METRIC_COLUMNS.items()}
         columns |= {"status": STATUS_NAMES[self.status], "failed_solves": self.failed_solves}
         for i, design in enumerate(self.designs):
             facts = {"design": design.id, "label": design.label, "law": design.law, "y_s_m": design.y_s}

@@ -212,7 +212,7 @@ def _driven(scenarios: Scenarios, setup: Setup, thresholds: tuple[float, ...]) -
         for probe, run in enumerate(drive_many(PROBES, Takeover.build(scenarios, setup, y_s=y_s))):
             outcome = run.outcome("control")
             without_need = needless(outcome.triggered, scenarios.d_y)
-            peaks = outcome.companions.a_y_added_peak, outcome.companions.deepest
+            peaks = outcome.metrics.a_y_added_peak, outcome.metrics.deepest
             columns[probe, y_s] = np.stack([outcome.S, outcome.S_uncorrected, outcome.triggered, without_need, *peaks])
     for probe in range(len(PROBES)):
         yield from (columns[probe, y_s] for y_s in thresholds)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import time
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Final, Literal, get_args
@@ -138,7 +139,7 @@ class Outcome(Frame):
     triggered: BoolArray  # (n,)
     status: npt.NDArray[np.int8]  # (n,) `EventStatus`
     t_s: FloatArray  # (n,) [s] Trigger time, infinite where never triggered
-    companions: MetricValues  # Depth, way back, acceleration, jerk and steering, arrays of n
+    metrics: MetricValues  # Depth, way back, acceleration, jerk and steering, arrays of n
     failed_solves: IntArray  # (n,) Commands that came from the fallback law
     # [s] Wall time of the law's own steps, all scenarios together, not reproducible; 0 for a linear law
     law_seconds: float
@@ -183,7 +184,7 @@ class Outcome(Frame):
             | scores
             | {"t_s_s": self.t_s}
             | {"status": STATUS_NAMES[self.status], "failed_solves": self.failed_solves}
-            | {column: getattr(self.companions, name) for name, column in METRIC_COLUMNS.items()}
+            | {column: getattr(self.metrics, name) for name, column in METRIC_COLUMNS.items()}
         )
 
     def __repr__(self) -> str:
@@ -195,9 +196,15 @@ class Outcome(Frame):
         )
 
     @property
+    def companions(self) -> MetricValues:
+        """The former name of `metrics`."""
+        warnings.warn("companions: the name is metrics now", DeprecationWarning, stacklevel=2)
+        return self.metrics
+
+    @property
     def deepest(self) -> FloatArray:
         """Deepest position of the edge beyond the line, (n,) [m]."""
-        return self.companions.deepest
+        return self.metrics.deepest
 
     @property
     def reduction(self) -> FloatArray:
@@ -226,13 +233,13 @@ class Run:
     # As in `Outcome`, arrays of m
     status: npt.NDArray[np.int8]
     failed_solves: IntArray
-    companions: MetricValues
+    metrics: MetricValues
     law_seconds: float
     trajectories: Trajectories | None
     solver_log: SolverLog = dataclasses.field(default_factory=lambda: SolverLog.of([]))
 
     def columns(self, windows: Sequence[Window]) -> FloatArray:
-        """S and S_uncorrected of each of w windows, then the c companions, of the recorded paths, (2 w + c, n)."""
+        """S and S_uncorrected of each of w windows, then the c metrics, of the recorded paths, (2 w + c, n)."""
         over = self.takeover
         scores = [over.S_uncorrected - (over.S_before if window == "control" else 0.0) for window in windows]
         recorded = [getattr(over.recorded, name) for name in METRIC_UNITS]
@@ -245,7 +252,7 @@ class Run:
             for w, window in enumerate(windows):
                 out[2 * w, rows] = self.area + (over.S_before[rows] if window == "departure" else 0.0)
         for i, name in enumerate(METRIC_UNITS, start=2 * len(windows)):
-            out[i, rows] = getattr(self.companions, name)
+            out[i, rows] = getattr(self.metrics, name)
 
     def outcome(self, window: Window) -> Outcome:
         """Score the run over a window, with the scenarios in their own order; raises InputError for an unknown one."""
@@ -254,7 +261,7 @@ class Run:
         over, rows = self.takeover, self.takeover.rows
         values = self.columns((window,))
         self.fill(values, (window,))
-        values.flags.writeable = False  # companions are views of it
+        values.flags.writeable = False  # metrics are views of it
         status = np.where(over.valid, EventStatus.NEVER_TRIGGERED, EventStatus.INVALID).astype(np.int8)
         status[rows] = self.status
         failed = np.zeros(over.scenarios.n, dtype=np.int64)
@@ -267,7 +274,7 @@ class Run:
             triggered=np.isfinite(over.t_s),
             status=status,
             t_s=over.t_s,
-            companions=MetricValues(**dict(zip(METRIC_UNITS, values[2:], strict=True))),
+            metrics=MetricValues(**dict(zip(METRIC_UNITS, values[2:], strict=True))),
             failed_solves=failed,
             law_seconds=self.law_seconds,
             trajectories=self.trajectories,
@@ -618,9 +625,9 @@ def _in_threads(work: Callable[[int, int], None], count: int, threads: int | Non
 def recorded_run(takeover: Takeover) -> Run:
     """The recorded paths."""
     rows, recorded = takeover.rows, takeover.recorded
-    companions = MetricValues(**{name: getattr(recorded, name)[rows] for name in METRIC_UNITS})
+    metrics = MetricValues(**{name: getattr(recorded, name)[rows] for name in METRIC_UNITS})
     zeros = np.zeros(takeover.m, dtype=np.int64)
-    return Run(takeover, None, zeros.astype(np.int8), zeros, companions, 0.0, None)
+    return Run(takeover, None, zeros.astype(np.int8), zeros, metrics, 0.0, None)
 
 
 def _run_of_scores(
@@ -643,8 +650,8 @@ def _run_of_scores(
     # a trigger before the line: the edge may never be outside
     inside = (takeover.x_0[:, 0] < edge) & (values["deepest"] <= 0.0)
     values["t_back"] = np.where(inside, takeover.start, values["t_back"])
-    companions = MetricValues(**values)
-    return Run(takeover, area, status, failed, companions, law_seconds, trajectories)
+    metrics = MetricValues(**values)
+    return Run(takeover, area, status, failed, metrics, law_seconds, trajectories)
 
 
 def _trajectories(over: Takeover, paths: FloatArray, rows: IntArray | None, triggered: IntArray) -> Trajectories | None:

@@ -149,7 +149,7 @@ def _facts(context: Context, replayed: Replay) -> list[list[list[str]]]:
     for chosen in replayed.designs:
         i = int(context.ranking.index[chosen.place])
         S, S_0 = results.counted[i][rows], results.S_uncorrected[i][rows]
-        deepest, a_y = results.companions.deepest[i][rows], results.companions.a_y_added_peak[i][rows]
+        deepest, a_y = results.metrics.deepest[i][rows], results.metrics.a_y_added_peak[i][rows]
         status = results.status[i][rows]
         saved = 1.0 - np.divide(S, S_0, out=np.ones_like(S), where=S_0 > 0)
         every.append(
@@ -188,7 +188,7 @@ def _distributions(context: Context) -> Iterator[Chart]:
         ("a_y_added_peak", "Added a_y", "Added a_y [m/s\u00b2]", (A_Y_LIMIT, "ISO 11270")),
         ("jerk_added_peak", "Added jerk", "Added jerk over 0.5 s [m/s\u00b3]", (JERK_LIMIT, "ISO 11270")),
     ):
-        table, sign = getattr(results.companions, name), -1.0 if name == "dtle" else 1.0
+        table, sign = getattr(results.metrics, name), -1.0 if name == "dtle" else 1.0
         samples = []
         if name == "deepest":
             samples.append(("No control", context.scenarios.d_y, RECORDED))

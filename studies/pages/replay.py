@@ -114,7 +114,7 @@ def _named(context: Context, designs: Sequence[Chosen]) -> list[tuple[int, str]]
     """What a reader wants to see of the first design: its failures, worst, median and best departures of each side."""
     results, place = context.results, designs[0].place
     index, S = int(context.ranking.index[place]), context.S(place)
-    deepest, a_y = results.companions.deepest[index], results.companions.a_y_added_peak[index]
+    deepest, a_y = results.metrics.deepest[index], results.metrics.a_y_added_peak[index]
     acted = results.status[index] != EventStatus.NEVER_TRIGGERED
     found = []
     for chosen in designs:

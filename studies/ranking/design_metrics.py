@@ -93,7 +93,7 @@ def release_metrics(results: StudyResults, *, D_y: float) -> Values:
     found: Values = {}
     for group in _groups():
         names = tuple(dict.fromkeys(name for one in group for name in one.of))
-        found |= _by_blocks(of(group, names), acted, [getattr(results.companions, name) for name in names])
+        found |= _by_blocks(of(group, names), acted, [getattr(results.metrics, name) for name in names])
     return found
 
 
@@ -107,7 +107,7 @@ def _recorded_dtle(results: StudyResults, setup: Setup | None) -> FloatArray:
     """DTLE without control, (n,)."""
     for i, design in enumerate(results.designs):
         if design.is_baseline:
-            dtle: FloatArray = results.companions.dtle[i]
+            dtle: FloatArray = results.metrics.dtle[i]
             return dtle
     setup = setup or Setup(convention=results.convention)
     return Takeover.build(results.scenarios, setup, y_s=0.0).recorded.dtle
@@ -152,14 +152,14 @@ def sampling_intervals(
             low, high = binomial_interval(np.nansum(values, axis=1) / np.maximum(count, 1) * n, n, level)
         return {"low": np.where(count > 0, low, np.nan), "high": np.where(count > 0, high, np.nan)}
 
-    within = [1.0 * (dtle >= DTLE_LIMIT) for dtle in (results.companions.dtle, without)]
+    within = [1.0 * (dtle >= DTLE_LIMIT) for dtle in (results.metrics.dtle, without)]
     found = np.full((len(names), 3, len(results.designs)), np.nan)
     for row, one in zip(found, map(metric, names), strict=True):
         row[0] = metric_values(one.name, metrics)
         columns = {"S_p95": [results.counted], "triggered": [results.status != EventStatus.NEVER_TRIGGERED],
                    "within_dtle_gain": [within[0] - within[1]]}.get(one.name)  # fmt: skip
         if columns is None and (one.share is not None or _quantile_of(one)):
-            columns = [getattr(results.companions, name) for name in one.of]
+            columns = [getattr(results.metrics, name) for name in one.of]
         if one.name == "comfortable_worst":  # whether it acts does not depend on the vehicle
             driven = np.isin(results.scenarios.index, first_of_each_side(results.scenarios, DEPARTURES).index)
             n = _acted(results)[:, driven].sum(axis=1)

@@ -248,7 +248,7 @@ def depths(results: StudyResults, i: int, setup: Setup | None = None) -> tuple[F
     """Deepest positions of a design and without control on the departures that every design could be driven on [m]."""
     some, on = results.scenarios.take(results.drivable), setup or Setup()
     path = UncorrectedPath.of(some, on.options.residuals, on.seed)
-    return results.companions.deepest[i][results.drivable], path.deepest(some.T)
+    return results.metrics.deepest[i][results.drivable], path.deepest(some.T)
 
 
 def _tail_light(ranking: RankedDesigns, results: StudyResults, setup: Setup, place: int) -> Iterator[Light]:

@@ -151,7 +151,7 @@ class ChunkJob:
             status[over.rows] = run.status
             tally.failed_solves[i] = run.failed_solves[valid[over.rows]].sum()
             for name, column in measured.items():
-                column[over.rows] = getattr(run.companions, name)
+                column[over.rows] = getattr(run.metrics, name)
         depth, dtle, opposite = measured.values()
         if any(np.isnan(column[valid]).any() for column in measured.values()):
             raise LdcError(self.designs[i].label, "a depth is not a number")

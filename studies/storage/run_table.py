@@ -354,7 +354,7 @@ class RunTable:
             S=of_designs(self._S),
             S_uncorrected=self._uncorrected.take(None if whole else at),
             status=of_designs(self._status),
-            companions=MetricValues(*(of_designs(values) for values in self._metrics)),
+            metrics=MetricValues(*(of_designs(values) for values in self._metrics)),
             failed_solves=of_designs(self._failed_solves),
             law_time=np.array([np.nan if time is None else time.per_command for time in known]),
             failed=failed,

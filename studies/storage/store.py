@@ -63,7 +63,7 @@ FINALISTS = "finalists"
 REPLAYED = "replayed"
 SCORES = {FINALISTS: "fresh scores", REPLAYED: "scores on the replayed departures"}
 
-_MOST_IN_MEMORY = 5_000_000  # runs whose companions are kept in memory when a study is read (480 MB)
+_MOST_IN_MEMORY = 5_000_000  # runs whose metrics are kept in memory when a study is read (480 MB)
 
 
 def make_folder(folder: Path) -> None:

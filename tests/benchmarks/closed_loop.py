@@ -71,10 +71,10 @@ def numpy_tables(over: Takeover) -> Any:
     return columns(over.plant.step), columns(over.setup.model.discretize(v, over.rest)), lateral
 
 
-def numpy_loop(design: Controller, over: Takeover, tables: Any, *, companions: bool) -> np.ndarray:
+def numpy_loop(design: Controller, over: Takeover, tables: Any, *, metrics: bool) -> np.ndarray:
     """S of every triggered scenario over [t_s, T], and on demand what the kernel reports beside it, in NumPy. Struct of
     arrays: a column of length m for every number, scenarios sorted so that those still driven come first. A step in
-    which e_y changes its sign is split by a straight line. Without companions the loop ends at T."""
+    which e_y changes its sign is split by a straight line. Without metrics the loop ends at T."""
     law = linear_law(design, over)
     dt, v, p = over.setup.dt, over.plant.v, over.triggered
     edge, l_f = over.setup.vehicle.edge_offset, over.setup.vehicle.l_f
@@ -85,8 +85,8 @@ def numpy_loop(design: Controller, over: Takeover, tables: Any, *, companions: b
     m = over.m
     x = [over.x_0[:, i].copy() for i in range(4)]
     u, S = over.delta_0.copy(), np.zeros(m)
-    steps = over.full_steps + (round(over.setup.settle / over.setup.dt) if companions else 0)
-    if companions:
+    steps = over.full_steps + (round(over.setup.settle / over.setup.dt) if metrics else 0)
+    if metrics:
         deep, front, over_line = x[0].copy(), x[0] + l_f * x[2], -x[0]
         back, peak, jerk, angle, rate, effort, travel = (np.zeros(m) for _ in range(7))
         size = round(0.5 / dt)
@@ -127,7 +127,7 @@ def numpy_loop(design: Controller, over: Takeover, tables: Any, *, companions: b
                 hs = h if np.ndim(h) == 0 else h[rows]
                 part[rows] = 0.5 * hs * (share * np.abs(y[0][rows]) + (1 - share) * np.abs(new[0][rows]))
             S[:n] += np.where(counted, part, 0.0)
-        if companions:
+        if metrics:
             a_right = a_1[:n] * y[1] + a_2[:n] * y[2] + a_3[:n] * y[3] + b_1[:n] * d + e_1[:n] * r_0
             a_left = a_1[:n] * new[1] + a_2[:n] * new[2] + a_3[:n] * new[3] + b_1[:n] * d + e_1[:n] * r_1
             np.maximum(deep[:n], np.where(counted, new[0], -np.inf), out=deep[:n])
@@ -153,7 +153,7 @@ def numpy_loop(design: Controller, over: Takeover, tables: Any, *, companions: b
     for k, n in enumerate(counts):
         counted = k < over.full_steps[:n]
         advance(int(n), over.start[:n] + k * dt, dt, whole, counted, k)
-    if not companions:  # the horizon's last, shorter step would come here too
+    if not metrics:  # the horizon's last, shorter step would come here too
         advance(m, over.start + over.full_steps * dt, over.rest, last, np.ones(m, dtype=bool), 0)
     return S
 
@@ -246,8 +246,8 @@ def measure_memory() -> None:
     kept = []
     for run in drive_many((PreviewProportional(K_y=float(K_y)) for K_y in gains), over):
         outcome = run.outcome("departure")
-        companions = [getattr(outcome.companions, f.name) for f in dataclasses.fields(outcome.companions)]
-        kept.append((outcome.S, outcome.status, outcome.failed_solves, np.array(companions, dtype=np.float32)))
+        metrics = [getattr(outcome.metrics, f.name) for f in dataclasses.fields(outcome.metrics)]
+        kept.append((outcome.S, outcome.status, outcome.failed_solves, np.array(metrics, dtype=np.float32)))
     elapsed = time.perf_counter() - start
     if len(kept) != DESIGNS or not np.isfinite(sum(S.sum() for S, *_ in kept)):
         raise RuntimeError("the designs were not all driven")
@@ -296,25 +296,25 @@ def main() -> None:
     whole = Takeover.build(many, Setup(), y_s=0.1)
     event_tables, whole_tables = numpy_tables(event), numpy_tables(whole)
     for design in (PreviewProportional(), LQR(r_delta=100.0)):
-        check(drive(design, event).area, numpy_loop(design, event, event_tables, companions=False))
+        check(drive(design, event).area, numpy_loop(design, event, event_tables, metrics=False))
         name = f"{design.name}, {SCENARIOS:,} scenarios"
         for over in (event, whole):
             drive(design, over)
         ours = seconds(lambda design=design: drive(design, event), 20)
-        theirs = seconds(lambda design=design: numpy_loop(design, event, event_tables, companions=False), 3)
+        theirs = seconds(lambda design=design: numpy_loop(design, event, event_tables, metrics=False), 3)
         row(f"{name}, to T, all metrics, vs NumPy loop with S alone", ours, theirs)
         few = range(0, event.m, 50)
         calls = seconds(lambda design=design, few=few: forced_response_loop(design, event, few), 2)
         forced = event.m / len(few) * calls
         row(f"{name}, to T, all metrics, vs control.forced_response", ours, forced)
         ours = seconds(lambda design=design: drive(design, whole), 20)
-        theirs = seconds(lambda design=design: numpy_loop(design, whole, whole_tables, companions=True), 3)
+        theirs = seconds(lambda design=design: numpy_loop(design, whole, whole_tables, metrics=True), 3)
         row(f"{name}, to T + 3 s, vs NumPy loop with all metrics", ours, theirs)
         together = [design] * 20
         ours = seconds(lambda together=together: list(drive_many(together, whole)), 3) / len(together)
         row(f"{name}, to T + 3 s, a design of 20 in one call, vs the same", ours, theirs)
         ours = seconds(lambda together=together: list(drive_many(together, event)), 5) / len(together)
-        theirs = seconds(lambda design=design: numpy_loop(design, event, event_tables, companions=False), 3)
+        theirs = seconds(lambda design=design: numpy_loop(design, event, event_tables, metrics=False), 3)
         row(f"{name}, to T, all metrics, a design of 20 in one call, vs NumPy loop with S alone", ours, theirs)
         row(f"{name}, the same, vs control.forced_response", ours, forced)
 

@@ -3,7 +3,7 @@
 The reference is `scipy.stats.bootstrap` of the paired mean difference of one design to another, percentile interval, as
 many resamples; it takes designs one by one, without sides, without anything simultaneous, and is timed on five designs.
 Ours is the whole ranking: intervals of means, of differences to the baseline and to the best, set of best, tails,
-companions, a requirement and the Pareto front. Each shape runs in a process of its own, for its peak memory.
+metrics, a requirement and the Pareto front. Each shape runs in a process of its own, for its peak memory.
 Times are processor time."""
 
 import dataclasses
@@ -31,7 +31,7 @@ def invented(d: int, n: int) -> StudyResults:
     generator = np.random.default_rng(0)
     depth = generator.gamma(1.0, 1.0, n)
     S = (0.3 + 0.02 * generator.random(d))[:, None] * depth + 0.05 * generator.gamma(0.5, 2.0, (d, n))
-    companions = {field.name: generator.gamma(2.0, 1.0, (d, n)).astype(np.float32)
+    metrics = {field.name: generator.gamma(2.0, 1.0, (d, n)).astype(np.float32)
                   for field in dataclasses.fields(MetricValues)}  # fmt: skip
     designs = tuple(Design("lqr" if i else "none", 0.1 + 1e-5 * i, ()) for i in range(d))
     scenarios = Scenarios.from_arrays(
@@ -45,7 +45,7 @@ def invented(d: int, n: int) -> StudyResults:
         S=S,
         S_uncorrected=np.broadcast_to(depth, S.shape),
         status=np.zeros((d, n), dtype=np.int8),
-        companions=MetricValues(**companions),
+        metrics=MetricValues(**metrics),
         failed_solves=np.zeros((d, n), dtype=np.int32),
         law_time=np.zeros(d),
     )

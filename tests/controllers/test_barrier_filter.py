@@ -211,9 +211,9 @@ def test_the_corridor_holds_where_it_can(gammas: dict[str, float], beyond: float
     at_sample = np.abs((paths.t - paths.t[:, :1]) / DT - k) < 1e-6
     assert np.nanmin(np.where(at_sample[feasible], psi[:, feasible], np.nan)) >= -1e-5
     rows = paths.rows[feasible]
-    deepest = np.maximum(out.companions.deepest + 0.85, out.companions.opposite_crossing + 0.85)[rows]
+    deepest = np.maximum(out.metrics.deepest + 0.85, out.metrics.opposite_crossing + 0.85)[rows]
     assert deepest.max() <= design.e_y_max + beyond
-    unfiltered = (alone.companions.deepest + 0.85)[rows]
+    unfiltered = (alone.metrics.deepest + 0.85)[rows]
     assert (unfiltered > design.e_y_max + 0.05).sum() > 5
 
 
@@ -324,8 +324,8 @@ def test_the_defaults_stand_a_real_actuator(actuator: Actuator) -> None:
     assert out.count(EventStatus.DIVERGED) == 0
     for name in ("deepest", "opposite_crossing"):
         # where the start already leads out of the corridor both are alike
-        assert getattr(out.companions, name).max() <= getattr(alone.companions, name).max() + 0.05
-    assert out.companions.opposite_crossing.max() < 0.7  # the corridor is 0.5 m beyond the line
+        assert getattr(out.metrics, name).max() <= getattr(alone.metrics, name).max() + 0.05
+    assert out.metrics.opposite_crossing.max() < 0.7  # the corridor is 0.5 m beyond the line
 
 
 GAINS = "barrier_filter.inner_gains"

@@ -246,10 +246,10 @@ def test_the_soft_limits_of_acceleration_and_jerk_bind() -> None:
         for soft in ({"horizon": HORIZON}, {"a_y_max": 3.0, "jerk_max": 5.0})
     )
     assert (held.failed_solves == 0).all()
-    assert (free.companions.a_y_peak > 3.5).all()
-    assert (free.companions.jerk_peak > 8.0).all()
-    assert (held.companions.a_y_peak < 3.01).all()
-    assert (held.companions.jerk_peak < 5.01).all()
+    assert (free.metrics.a_y_peak > 3.5).all()
+    assert (free.metrics.jerk_peak > 8.0).all()
+    assert (held.metrics.a_y_peak < 3.01).all()
+    assert (held.metrics.jerk_peak < 5.01).all()
 
 
 @pytest.mark.parametrize(("soft", "size", "r_delta"), [({"e_y_max": 0.57}, 0.57, 1e4), ({"jerk_max": 4.0}, 4.0, 200.0)])

@@ -198,7 +198,7 @@ class Made:
             few,
             designs=tuple(designs),
             S=few.S[rows] * factors,
-            companions=per_scenario(few.companions, lambda values: values[rows]),
+            metrics=per_scenario(few.metrics, lambda values: values[rows]),
             **arrays,
         )
         return self._written(folder, results)

@@ -81,7 +81,7 @@ def values(out: Outcome | Run) -> dict[str, np.ndarray]:
     """Everything that a result holds for each scenario, in the order that it has."""
     scores = ("S", "S_uncorrected", "t_s") if isinstance(out, Outcome) else ("area",)
     found = {name: getattr(out, name) for name in (*scores, "status", "failed_solves")}
-    return found | {name: getattr(out.companions, name) for name in METRICS}
+    return found | {name: getattr(out.metrics, name) for name in METRICS}
 
 
 def assert_within_the_bound(out: Any, expected: Any, rows: Any = slice(None), between: float = 5e-4) -> None:
@@ -90,7 +90,7 @@ def assert_within_the_bound(out: Any, expected: Any, rows: Any = slice(None), be
     `between` apart."""
     np.testing.assert_allclose(out.S[rows], expected.S[rows], rtol=1e-5, atol=1e-9)
     for name in METRICS:
-        ours, theirs = getattr(out.companions, name)[rows], getattr(expected.companions, name)[rows]
+        ours, theirs = getattr(out.metrics, name)[rows], getattr(expected.metrics, name)[rows]
         size = np.abs(theirs[np.isfinite(theirs)]).max(initial=0.0)
         atol = between if name in ("deepest", "dtle", "opposite_crossing", "t_back") else 1e-4 * size
         np.testing.assert_allclose(ours, theirs, rtol=1e-4, atol=atol, err_msg=name)

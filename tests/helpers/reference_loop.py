@@ -181,7 +181,7 @@ class Drive:
     a_y: np.ndarray
     seen: np.ndarray
     commands: np.ndarray
-    companions: dict[str, float]
+    metrics: dict[str, float]
     margin: float = math.inf
     """How close a value came to where it is rounded the other way, in steps."""
 
@@ -217,7 +217,7 @@ def drive(
         t_s=t_s, S=absolute_area(departure), S_recorded=S_recorded, x_T=loop.x_T, x_end=loop.rows_x[-1],
         t=np.array(loop.rows_t), x=np.array(loop.rows_x), delta=np.array(loop.rows_delta), a_y=np.array(loop.rows_a_y),
         seen=np.array(loop.seen), commands=path.side * np.array(loop.commands), margin=loop.margin,
-        companions=_metrics(path, departure, loop) if rtol < 1e-12 else {},
+        metrics=_metrics(path, departure, loop) if rtol < 1e-12 else {},
     )  # fmt: skip
 
 
@@ -703,8 +703,8 @@ def _never_triggered(path: Path, recorded: list[Piece], S: float, vehicle: Vehic
     none = np.zeros(0)
     calm = ("opposite_crossing", "a_y_peak", "jerk_peak", "a_y_added_peak", "jerk_added_peak", "delta_peak")
     calm += ("delta_rate_peak", "effort", "travel")
-    companions = {
+    metrics = {
         "deepest": largest(recorded, _edge(path)), "dtle": -largest(recorded, _front(path, vehicle)), "t_back": path.T,
         **dict.fromkeys(calm, 0.0),
     }  # fmt: skip
-    return Drive(math.inf, S, S, nothing, nothing, none, np.zeros((0, 4)), none, none, none, none, companions)
+    return Drive(math.inf, S, S, nothing, nothing, none, np.zeros((0, 4)), none, none, none, none, metrics)

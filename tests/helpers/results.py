@@ -31,14 +31,14 @@ def per_scenario_numbers(
 ) -> dict[str, Any]:  # fmt: skip
     """Scores S (d, n); every other metric is 0 unless it is given, the score without control 9 m s."""
     given = dict.fromkeys((field.name for field in dataclasses.fields(MetricValues)), 0.0) | dict(metrics or {})
-    companions: dict[str, Any] = {
+    metrics: dict[str, Any] = {
         name: np.array(np.broadcast_to(value, S.shape), dtype=np.float32) for name, value in given.items()
     }
     return {
         "S": S,
         "S_uncorrected": np.array(np.broadcast_to(np.asarray(uncorrected, dtype=np.float64), S.shape)),
         "status": np.array(np.broadcast_to(np.asarray(status, dtype=np.int8), S.shape)),
-        "companions": MetricValues(**companions),
+        "metrics": MetricValues(**metrics),
         "failed_solves": np.zeros(S.shape, dtype=np.int32),
         "law_time": np.full(len(S), np.nan),
     }
@@ -54,10 +54,10 @@ def results_of_outcomes(
         for name in ("S", "S_uncorrected", "status", "failed_solves")
     }
     names = [field.name for field in dataclasses.fields(MetricValues)]
-    companions = {name: np.stack([getattr(one.companions, name) for one in outcomes]) for name in names}
+    metrics = {name: np.stack([getattr(one.metrics, name) for one in outcomes]) for name in names}
     return StudyResults(
         tuple(designs), scenarios, window, convention, **arrays,
-        companions=MetricValues(**companions), law_time=np.zeros(len(outcomes)),
+        metrics=MetricValues(**metrics), law_time=np.zeros(len(outcomes)),
     )  # fmt: skip
 
 
@@ -80,7 +80,7 @@ def results_of(
 def assert_same_results(one: StudyResults, other: StudyResults) -> None:
     """Fail unless designs, scenarios and every number have the same bits; times, which no run gives again, aside."""
     assert (one.designs, one.label) == (other.designs, other.label)
-    for name in ("scenarios", "S", "S_uncorrected", "status", "companions", "failed_solves"):
+    for name in ("scenarios", "S", "S_uncorrected", "status", "metrics", "failed_solves"):
         assert_same_bits(getattr(one, name), getattr(other, name), name)
 
 
@@ -112,7 +112,7 @@ def run(
         for d in designs
     ]
     results = results_of_outcomes(designs, scenarios, outcomes, window, convention)
-    return dataclasses.replace(results, companions=per_scenario(results.companions, lambda a: a.astype(np.float32)))
+    return dataclasses.replace(results, metrics=per_scenario(results.metrics, lambda a: a.astype(np.float32)))
 
 
 def report_input(results: StudyResults, **changes: object) -> ReportInput:
@@ -187,6 +187,6 @@ def scored(S: npt.ArrayLike, S_0: npt.ArrayLike, designs: Sequence[Design]) -> S
         S_uncorrected=np.tile(S_0, (d, 1)),
         status=np.tile(one.status, (d, 1)),
         failed_solves=np.tile(one.failed_solves, (d, 1)),
-        companions=per_scenario(one.companions, lambda values: np.tile(values, (d, 1))),
+        metrics=per_scenario(one.metrics, lambda values: np.tile(values, (d, 1))),
         law_time=np.zeros(d),
     )

@@ -92,7 +92,7 @@ def holders() -> dict[str, Any]:
     outcome = simulate(LQR(), SOME, 0.1, trajectories=True)
     return {
         "scenarios": SOME, "taken": SOME.take([0, 2]), "departures": TABLE, "signals": rebuild_signals(SOME, 0.1),
-        "drifts": drifts().drift, "outcome": outcome, "companions": outcome.companions,
+        "drifts": drifts().drift, "outcome": outcome, "metrics": outcome.metrics,
         "trajectories": outcome.trajectories,
         "recording": Recording("a", np.arange(3.0), *[np.ones(3)] * 3, np.ones(3, bool)),
     }  # fmt: skip

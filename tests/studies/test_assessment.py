@@ -46,7 +46,7 @@ def quiet(setup: Setup) -> Setup:
 
 def dtle(y_s: float) -> float:
     cell = load_standard(ROAD_EDGE).scenarios(CELLS, HALF).take([CELL])
-    return float(simulate(LQR(), cell, y_s=y_s).companions.dtle[0])
+    return float(simulate(LQR(), cell, y_s=y_s).metrics.dtle[0])
 
 
 def test_a_tenth_of_a_meter_is_the_limit() -> None:
@@ -69,7 +69,7 @@ def test_dtle_is_that_of_the_simulation(name: str, built: Setup) -> None:
     setup = Setup() if name == "ideal" else quiet(built)
     found = stated(LQR(), ROAD_EDGE, setup, y_s=-0.3)
     driven = simulate(LQR(), load_standard(ROAD_EDGE).scenarios(CELLS, HALF), y_s=-0.3, setup=setup)
-    ALL(found.values[0, 0], driven.companions.dtle, atol=1e-4)
+    ALL(found.values[0, 0], driven.metrics.dtle, atol=1e-4)
 
 
 def test_a_test_goes_on_two_seconds_after_its_limit_was_broken() -> None:
@@ -139,7 +139,7 @@ def test_a_test_ends_two_seconds_after_the_largest_lateral_position() -> None:
     assert late.score == 1.0
     assert early.score < 0.5
     driven = simulate(pulse(80), load_standard(ROAD_EDGE).scenarios(CELLS, HALF), y_s=-0.4)
-    assert (driven.companions.dtle < -0.1).mean() > 0.5  # what was left out
+    assert (driven.metrics.dtle < -0.1).mean() > 0.5  # what was left out
 
 
 @pytest.fixture(scope="module")

@@ -74,9 +74,9 @@ def departures(model: ScenarioModel, seed: int, chunk: int, sizes: list[tuple[in
 
 def events_of(design: Design, scenarios: Scenarios, study: Study) -> np.ndarray:
     out = simulate(design.controller(), scenarios, setup=study.setup(), y_s=design.y_s)
-    depth, dtle = out.companions.deepest, out.companions.dtle
+    depth, dtle = out.metrics.deepest, out.metrics.dtle
     beyond = [depth > x for x in (0.3, 0.5, 0.8, 1.0, 1.75)] + [dtle < -0.1, dtle < -0.3]
-    return np.array([*beyond, out.companions.opposite_crossing > 0, out.status == 3])
+    return np.array([*beyond, out.metrics.opposite_crossing > 0, out.status == 3])
 
 
 @pytest.fixture(scope="module")
@@ -114,12 +114,12 @@ def test_the_worst_departures_are_the_deepest_and_are_driven_again_to_the_same_b
 ) -> None:
     for design in risk.designs:
         runs = [simulate(design.controller(), one, setup=REAL.setup(), y_s=design.y_s) for one in drawn]
-        depth = np.concatenate([one.companions.deepest for one in runs])
+        depth = np.concatenate([one.metrics.deepest for one in runs])
         order = np.argsort(-depth)[:20]
         assert risk.worst(design).index.tolist() == np.concatenate([one.index for one in drawn])[order].tolist()
         again = simulate(design.controller(), risk.worst(design), setup=risk.setup, y_s=design.y_s)
         kept = np.array([row["deepest_m"] for row in risk.worst_rows(design)])
-        assert_same_bits(again.companions.deepest, kept)
+        assert_same_bits(again.metrics.deepest, kept)
         assert_same_bits(kept, depth[order])
         depths, shares = risk.exceedance(design)
         np.testing.assert_allclose((depths[0], depths[9], depths[-1]), (0.05, 0.5, 3.0), rtol=1e-12)

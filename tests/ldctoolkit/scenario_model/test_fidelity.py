@@ -67,9 +67,9 @@ def test_the_answers_are_those_of_simulate(fine: ScenarioModel) -> None:
         assert reduction == pytest.approx(1.0 - S.sum() / plain.sum(), abs=2e-5)
         assert triggered == pytest.approx(outcome.triggered.mean(), abs=1e-5)
         assert added == pytest.approx(
-            np.quantile(outcome.companions.a_y_added_peak[outcome.triggered], 0.95, method="inverted_cdf"), rel=1e-4
+            np.quantile(outcome.metrics.a_y_added_peak[outcome.triggered], 0.95, method="inverted_cdf"), rel=1e-4
         )
-        assert depth == pytest.approx(np.quantile(outcome.companions.deepest, 0.95, method="inverted_cdf"), rel=1e-4)
+        assert depth == pytest.approx(np.quantile(outcome.metrics.deepest, 0.95, method="inverted_cdf"), rel=1e-4)
         rows = rng.integers(0, 150, (2000, 150))
         spread = (1.0 - S[rows].sum(axis=1) / plain[rows].sum(axis=1)).std()
         half = 0.5 * (fidelity.high[i][0] - fidelity.low[i][0])

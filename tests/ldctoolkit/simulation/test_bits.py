@@ -49,8 +49,8 @@ theta[:, [4, 7, 9]] = -0.5
 def driven(design, option):
     over = Takeover.build(scenarios, Setup(options=options[option]), y_s=0.1)
     outcome = drive(design, over).outcome("control")
-    names = [f.name for f in dataclasses.fields(outcome.companions)]
-    return [outcome.S, *(getattr(outcome.companions, name) for name in names)]
+    names = [f.name for f in dataclasses.fields(outcome.metrics)]
+    return [outcome.S, *(getattr(outcome.metrics, name) for name in names)]
 
 
 def mixture(rows):

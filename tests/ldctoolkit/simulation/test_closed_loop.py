@@ -290,7 +290,7 @@ def test_a_path_has_one_distance_to_the_edge_whoever_drives_it() -> None:
     for side in ("left", "right"):
         scenario = Scenarios.from_arrays(**values, side=side)
         for start in ("steady", "printed"):
-            dtle = simulate(NoControl(), scenario, start=start).companions.dtle[0]
+            dtle = simulate(NoControl(), scenario, start=start).metrics.dtle[0]
             assert dtle == pytest.approx(-front.max(), abs=1e-9)
         driven = simulate(LQR(), scenario, y_s=0.2, trajectories=True)
         e_y, _, e_psi, _ = driven.trajectories.x[0, 0]

@@ -70,10 +70,10 @@ def test_without_control_it_is_deepest_at_the_end_and_never_back() -> None:
     """The front tyre is l_f times the heading further out: the small angle of a vehicle that goes straight on."""
     out = simulate(NoControl(), drifts(), y_s=9.0)
     deepest = np.array([motion(*one, np.array([T]))[0][0] for one in ALL])
-    np.testing.assert_allclose(out.companions.deepest, deepest, atol=1e-6)
+    np.testing.assert_allclose(out.metrics.deepest, deepest, atol=1e-6)
     np.testing.assert_allclose(drifts().d_y, deepest, atol=1e-6)
-    np.testing.assert_allclose(-out.companions.dtle, deepest + 1.43 * ALL[:, 1] / ALL[:, 0], atol=1e-6)
-    assert np.isinf(out.companions.t_back).all()
+    np.testing.assert_allclose(-out.metrics.dtle, deepest + 1.43 * ALL[:, 1] / ALL[:, 0], atol=1e-6)
+    assert np.isinf(out.metrics.t_back).all()
 
 
 def setup_of(ahead: float, **given: Any) -> Setup:
@@ -207,16 +207,16 @@ def test_a_linear_law_steers_back_as_an_independent_loop_says(lag: float, tolera
                 state = over @ state
                 front.append(state[0] + 1.43 * state[2] - EDGE)
                 edge.append(state[0] - EDGE)
-        assert out.companions.dtle[i] == pytest.approx(-max(front), abs=tolerance)
-        assert out.companions.deepest[i] == pytest.approx(max(edge), abs=tolerance)
+        assert out.metrics.dtle[i] == pytest.approx(-max(front), abs=tolerance)
+        assert out.metrics.deepest[i] == pytest.approx(max(edge), abs=tolerance)
 
 
 def test_a_vehicle_that_never_leaves_is_back_at_the_trigger() -> None:
     hard = simulate(LQR(r_delta=500.0), drifts([0, 1, 2]), y_s=-0.4)
-    assert (hard.companions.deepest < 0.0).all()
-    np.testing.assert_array_equal(hard.companions.t_back, hard.t_s)
+    assert (hard.metrics.deepest < 0.0).all()
+    np.testing.assert_array_equal(hard.metrics.t_back, hard.t_s)
     late = simulate(LQR(r_delta=500.0), drifts([0, 1, 2]), y_s=0.05)
-    assert (late.companions.t_back > late.t_s + 0.1).all()
+    assert (late.metrics.t_back > late.t_s + 0.1).all()
 
 
 @pytest.mark.parametrize(

@@ -75,7 +75,7 @@ def assert_counted(out: Outcome, invalid: np.ndarray) -> None:
     assert (out.failed_solves[invalid] == 0).all()
     assert np.isposinf(out.t_s[invalid]).all()
     for name in METRICS:
-        np.testing.assert_array_equal(np.isnan(getattr(out.companions, name)), invalid, err_msg=name)
+        np.testing.assert_array_equal(np.isnan(getattr(out.metrics, name)), invalid, err_msg=name)
 
 
 FEW = (("ideal", "linear"), ("ideal", "none"), ("ideal", "solver"), ("filter", "general"), ("all", "linear"))
@@ -186,7 +186,7 @@ def test_a_law_that_never_gives_a_number_holds_the_first_angle(value: float, opt
         assert_counted(out, np.zeros(N, dtype=bool))
         np.testing.assert_allclose(out.S, hold.S, rtol=1e-12)
         for name in METRICS:
-            ours, theirs = getattr(out.companions, name), getattr(hold.companions, name)
+            ours, theirs = getattr(out.metrics, name), getattr(hold.metrics, name)
             np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-12, err_msg=name)
         driven = out.triggered & (hold.status != EventStatus.DIVERGED)
         assert (out.status[driven] == EventStatus.SOLVER_FAILED).all()
@@ -271,7 +271,7 @@ def test_leaving_before_the_end_is_scored_and_after_it_is_not(options: str, desi
         assert_counted(out, np.zeros(60, dtype=bool))
         assert np.isfinite(out.mean_reduction)
         for name in set(METRICS) - {"t_back"}:
-            assert np.isfinite(getattr(out.companions, name)).all(), name
+            assert np.isfinite(getattr(out.metrics, name)).all(), name
     before, at_last = short.status == EventStatus.DIVERGED, long.status == EventStatus.DIVERGED
     after = at_last & ~before
     assert before.sum() > 5
@@ -279,7 +279,7 @@ def test_leaving_before_the_end_is_scored_and_after_it_is_not(options: str, desi
     assert (at_last | ~before).all()
     np.testing.assert_array_equal(long.S, short.S)
     np.testing.assert_array_equal(long.deepest, short.deepest)
-    out_there = np.maximum(long.deepest, long.companions.opposite_crossing + 0.0)
+    out_there = np.maximum(long.deepest, long.metrics.opposite_crossing + 0.0)
     assert (out_there[before] == BOUND - 0.85).all()
     # it left inwards after T, or stayed as deep as it was at T
     assert (long.deepest[after] < BOUND - 0.85).all()

@@ -184,9 +184,9 @@ def test_nobody_triggers(options: str, design: str, settle: float) -> None:
     assert out.count(EventStatus.NEVER_TRIGGERED) == 9
     assert not out.triggered.any()
     np.testing.assert_array_equal(out.S, out.S_uncorrected)
-    np.testing.assert_array_equal(out.companions.t_back, scenarios.T)
+    np.testing.assert_array_equal(out.metrics.t_back, scenarios.T)
     for name in set(METRICS) - {"deepest", "dtle", "t_back"}:
-        np.testing.assert_array_equal(getattr(out.companions, name), 0.0)
+        np.testing.assert_array_equal(getattr(out.metrics, name), 0.0)
     assert out.mean_reduction == 0.0
 
 
@@ -206,10 +206,10 @@ def test_the_horizon_is_rounded_up_and_leaves_the_score_alone(options: str, desi
         for name in ("S", "t_s", "status"):
             np.testing.assert_array_equal(getattr(out, name), getattr(none, name))
         for name in ("deepest", "dtle"):  # up to T only
-            np.testing.assert_array_equal(getattr(out.companions, name), getattr(none.companions, name))
+            np.testing.assert_array_equal(getattr(out.metrics, name), getattr(none.metrics, name))
         for name in ("delta_peak", "effort", "travel", "opposite_crossing"):
-            assert (getattr(out.companions, name) >= getattr(none.companions, name)).all()
-    assert np.isinf(none.companions.t_back).sum() > np.isinf(long.companions.t_back).sum()
+            assert (getattr(out.metrics, name) >= getattr(none.metrics, name)).all()
+    assert np.isinf(none.metrics.t_back).sum() > np.isinf(long.metrics.t_back).sum()
 
 
 def test_a_horizon_of_whole_samples_does_not_gain_a_sample_by_rounding() -> None:

@@ -251,7 +251,7 @@ def test_never_triggered_is_the_recorded_path(case: str) -> None:
             assert (out.S[i], out.S_uncorrected[i]) == (pytest.approx(expected.S, abs=1e-9), out.S[i])
             for name in METRICS:
                 size = 1e-7 if name == "dtle" else 1e-9  # the rate of the speed is a quotient over 0.1 ms
-                assert getattr(out.companions, name)[i] == pytest.approx(expected.companions[name], abs=size), name
+                assert getattr(out.metrics, name)[i] == pytest.approx(expected.metrics[name], abs=size), name
 
 
 def assert_same_path(out: Outcome, i: int, expected: Any) -> None:
@@ -266,8 +266,8 @@ def assert_same_drive(out: Outcome, i: int, expected: Any) -> None:
     """The other metrics too, within 1e-4."""
     assert_same_path(out, i, expected)
     for name in METRICS:
-        value = expected.companions[name]
-        assert getattr(out.companions, name)[i] == pytest.approx(value, rel=1e-4, abs=5e-5), name
+        value = expected.metrics[name]
+        assert getattr(out.metrics, name)[i] == pytest.approx(value, rel=1e-4, abs=5e-5), name
 
 
 def test_as_printed_equals_the_reference() -> None:

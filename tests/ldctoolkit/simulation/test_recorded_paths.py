@@ -133,7 +133,7 @@ def test_peaks_and_depth_are_those_of_the_samples(departures: Departures) -> Non
     half = np.full(2, 1.234)
     np.testing.assert_allclose(path.deepest(half), max(np.interp(1.234, t, y), y[t < 1.234].max()), atol=1e-9)
     np.testing.assert_allclose(path.slowest_speed(half, scenarios.T), min(np.interp(1.234, t, v), v[t > 1.234].min()))
-    lowest = simulate(NoControl(), scenarios, setup=SETUP).companions.deepest
+    lowest = simulate(NoControl(), scenarios, setup=SETUP).metrics.deepest
     np.testing.assert_allclose(lowest, y.max(), atol=1e-6)
 
 

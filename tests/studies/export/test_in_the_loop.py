@@ -235,7 +235,7 @@ def test_the_edge_is_back_when_the_loop_has_it_back() -> None:
     outcome = simulate(PID(), scenarios, setup=setup, y_s=0.1)
     recording = record(Code.of(PID(), setup, 0.1), scenarios)
     rows = recording.host.over.rows
-    back = outcome.companions.t_back[rows] - outcome.t_s[rows]
+    back = outcome.metrics.t_back[rows] - outcome.t_s[rows]
     expected = np.ceil(back / 0.02)
     released = (recording.phase[4:] == 2).argmax(axis=0)
     ever = np.isfinite(back) & (expected < recording.counts[4:].sum(axis=0))

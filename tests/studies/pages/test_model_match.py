@@ -131,7 +131,7 @@ def test_the_largest_is_the_stored_peak(plant: str, controller: Controller) -> N
     last = t == np.nanmax(t, axis=1, keepdims=True)
     sample = (np.abs(since - np.rint(since)) < 1e-7) | last
     peak = np.nanmax(np.where(sample, np.abs(a_y), np.nan), axis=1)
-    stored = run.companions.a_y_peak
+    stored = run.metrics.a_y_peak
     # up to the rounding of another order of operations; where the wheel jumps at a sample, the loop sees both sides
     assert (peak <= stored * (1 + 1e-9) + 1e-9).all()
     if plant in ("lag", "part of a delay"):

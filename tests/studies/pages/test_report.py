@@ -78,11 +78,11 @@ def test_an_unstable_design_has_a_red_light(results: StudyResults) -> None:
 
 
 def test_acceleration_beyond_friction_is_named(results: StudyResults) -> None:
-    peak = results.companions.a_y_peak.copy()
+    peak = results.metrics.a_y_peak.copy()
     best = int(results.S.mean(axis=1).argmin())
     peak[best, 0] = 85.0
-    companions = dataclasses.replace(results.companions, a_y_peak=peak)
-    changed = dataclasses.replace(results, companions=companions)
+    metrics = dataclasses.replace(results.metrics, a_y_peak=peak)
+    changed = dataclasses.replace(results, metrics=metrics)
     made = page_of(report_input(changed))
     assert "85 m/s² (8.7 g) is physically impossible" in made.words("verdict")
     assert lights(made)["Limits"] == "bad"
@@ -362,7 +362,7 @@ def test_files_of_charts_stand_alone(report: ReportInput, tmp_path: Path) -> Non
 
 
 def test_no_word_of_an_earlier_page(page: Page) -> None:
-    for never in (" told", " said ", "nobody", "minds", "where designs were chosen", "companions", "figure of merit"):
+    for never in (" told", " said ", "nobody", "minds", "where designs were chosen", "metrics", "figure of merit"):
         assert never not in page.all_words
 
 

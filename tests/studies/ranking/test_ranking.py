@@ -149,11 +149,9 @@ def quantile(values: list[float], share: float) -> float:
 def by_hand(results: StudyResults, i: int) -> dict[str, float]:
     """The columns beside S of one design, one scenario after the other."""
     d_y = results.scenarios.d_y
-    values = {
-        f.name: [float(x) for x in getattr(results.companions, f.name)[i]] for f in dataclasses.fields(MetricValues)
-    }
+    values = {f.name: [float(x) for x in getattr(results.metrics, f.name)[i]] for f in dataclasses.fields(MetricValues)}
     n = len(d_y)
-    recorded = simulate(NoControl(), results.scenarios).companions.dtle
+    recorded = simulate(NoControl(), results.scenarios).metrics.dtle
     acted = [k for k in range(n) if results.status[i, k] not in (EventStatus.NEVER_TRIGGERED, EventStatus.INVALID)]
 
     def of(name: str) -> list[float]:
@@ -197,10 +195,10 @@ def test_the_columns_beside_S_are_those_counted_by_hand(scores: np.ndarray, tmp_
     d_y = generator.gamma(2.0, 0.2, 400)
     scenarios = Scenarios.from_arrays(T=2.0, d_y=d_y, v_mean=20.0, side=results.scenarios.side)
     status = generator.choice([EventStatus.OK, EventStatus.NEVER_TRIGGERED], size=results.status.shape)
-    t_back = np.where(generator.random(results.status.shape) < 0.2, np.inf, results.companions.t_back)
+    t_back = np.where(generator.random(results.status.shape) < 0.2, np.inf, results.metrics.t_back)
     t_back[3] = np.inf  # not back after most: the median is infinite too
-    companions = dataclasses.replace(results.companions, t_back=t_back)
-    results = dataclasses.replace(results, scenarios=scenarios, companions=companions, status=status)
+    metrics = dataclasses.replace(results.metrics, t_back=t_back)
+    results = dataclasses.replace(results, scenarios=scenarios, metrics=metrics, status=status)
     ranking = rank(results)
     write_csv(ranking, tmp_path / "r.csv")
     with (tmp_path / "r.csv").open(newline="") as stream:
@@ -239,7 +237,7 @@ def test_scenarios_that_cannot_be_driven_are_left_out_for_all_and_told(scores: n
     results = results_of(scores, left=150, law="toy")
     status, S = results.status.copy(), results.S.copy()
     status[1, [3, 200]] = status[2, 399] = EventStatus.INVALID
-    for array in (S, *(getattr(results.companions, f.name) for f in dataclasses.fields(MetricValues))):
+    for array in (S, *(getattr(results.metrics, f.name) for f in dataclasses.fields(MetricValues))):
         array[1, [3, 200]] = array[2, 399] = np.nan
     results = dataclasses.replace(results, status=status, S=S)
     ranking = rank(results)
@@ -305,11 +303,11 @@ def test_the_order_of_designs_in_the_study_changes_no_bit() -> None:
     parts = {
         name: getattr(results, name)[order] for name in ("S", "S_uncorrected", "status", "failed_solves", "law_time")
     }
-    companions = MetricValues(
-        **{f.name: getattr(results.companions, f.name)[order] for f in dataclasses.fields(MetricValues)}
+    metrics = MetricValues(
+        **{f.name: getattr(results.metrics, f.name)[order] for f in dataclasses.fields(MetricValues)}
     )
     designs = tuple(results.designs[i] for i in order)
-    other = dataclasses.replace(results, designs=designs, **parts, companions=companions)
+    other = dataclasses.replace(results, designs=designs, **parts, metrics=metrics)
     settings = {"pareto": ("S", "dtle_mean"), "require": ("deeper <= 0.5",)}
     one, two = (Ranking.of(r, **settings) for r in (results, other))  # type: ignore[arg-type]
     assert (one.designs, two.index.tolist()) == (two.designs, [order.tolist().index(i) for i in one.index])
@@ -339,7 +337,7 @@ def test_differences_to_a_named_baseline(scores: np.ndarray) -> None:
 def test_a_requirement_takes_the_rank_and_not_the_row(scores: np.ndarray, tmp_path: Path) -> None:
     """Design 1 is the best by S but misses; design 2 is then the best, and all comparisons are with it."""
     results = results_of(scores, left=150, law="toy")
-    peaks = results.companions.a_y_peak
+    peaks = results.metrics.a_y_peak
     peaks[:] = np.array([1.0, 9.0, 2.0, 3.0], dtype=np.float32)[:, None]
     ranking = rank(results, require=("ay_p95 <= 3.0",), pareto=("S", "a_y_peak_max"))
     assert (ranking.index.tolist(), ranking.rank.tolist(), ranking.ranked) == ([2, 0, 3, 1], [1, 2, 3, 0], 3)

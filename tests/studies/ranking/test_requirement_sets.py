@@ -258,7 +258,7 @@ def by_hand(
         setup = dataclasses.replace(study().setup(), options=plant)
         outcome = simulate(LQR(r_delta=r_delta), some, y_s=y_s, setup=setup, window="departure")
         S.append(outcome.S.mean())
-        peaks = outcome.companions
+        peaks = outcome.metrics
         share = comfortable_share(peaks.a_y_added_peak, peaks.jerk_added_peak, outcome.triggered)
         comfortable.append(float(share))
     return max(S), min(comfortable)

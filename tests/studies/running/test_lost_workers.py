@@ -98,7 +98,7 @@ def assert_same_but(one: StudyResults, other: StudyResults, design: int, rows: l
     keep[design, rows] = False
     for name in ("S", "status", "failed_solves"):
         np.testing.assert_array_equal(getattr(one, name)[keep], getattr(other, name)[keep])
-    np.testing.assert_array_equal(one.companions.travel[keep], other.companions.travel[keep])
+    np.testing.assert_array_equal(one.metrics.travel[keep], other.metrics.travel[keep])
 
 
 @pytest.mark.slow
@@ -115,7 +115,7 @@ def test_the_scenario_at_fault_is_found(make_study: MakeStudy, tmp_path: Path, h
     assert_same_but(results, sound, 1, [at_fault])
     # what counts there is the path without control, told as a failure
     assert results.S[1, at_fault] == results.S_uncorrected[1, at_fault] == results.S[0, at_fault]
-    assert results.companions.delta_peak[1, at_fault] == 0.0
+    assert results.metrics.delta_peak[1, at_fault] == 0.0
     assert results.failed_runs[1, at_fault]
     np.testing.assert_array_equal(read_results(tmp_path / "fault").S, results.S)
 

@@ -52,8 +52,8 @@ def test_results_are_those_of_simulate(make_study: MakeStudy, reference: StudyRe
             np.testing.assert_array_equal(results.S_uncorrected[i], outcome.S_uncorrected)
             np.testing.assert_array_equal(results.status[i], outcome.status)
             for name in METRIC_UNITS:
-                exact = getattr(outcome.companions, name)
-                np.testing.assert_array_equal(getattr(results.companions, name)[i], exact)
+                exact = getattr(outcome.metrics, name)
+                np.testing.assert_array_equal(getattr(results.metrics, name)[i], exact)
 
 
 def counting(drives: list[Controller]) -> Callable[..., Iterator[Run]]:
@@ -97,8 +97,8 @@ def test_the_horizon_of_the_study_is_driven(make_study: MakeStudy, tmp_path: Pat
     none = make_study(simulation={"settle": 0})
     shorter = run_study(none, directory=tmp_path / "b", workers=1)
     np.testing.assert_array_equal(longer.S, shorter.S)
-    np.testing.assert_array_equal(longer.companions.deepest, shorter.companions.deepest)
-    assert (longer.companions.travel > shorter.companions.travel).any()
+    np.testing.assert_array_equal(longer.metrics.deepest, shorter.metrics.deepest)
+    assert (longer.metrics.travel > shorter.metrics.travel).any()
 
 
 def commands_of(study: Study, y_s: float, results: StudyResults) -> int:
@@ -215,7 +215,7 @@ def test_what_is_undrivable_is_stored(make_study: MakeStudy, tmp_path: Path, mon
     invalid = results.status == EventStatus.INVALID
     assert invalid.tolist() == [[i % 4 == 1 for i in range(12)]] * len(study.designs)
     np.testing.assert_array_equal(np.isnan(results.S), invalid)
-    np.testing.assert_array_equal(np.isnan(results.companions.a_y_peak), invalid)
+    np.testing.assert_array_equal(np.isnan(results.metrics.a_y_peak), invalid)
     ranking = rank_study(results, study)
     assert np.isfinite(ranking.metrics.S).all()
     assert ranking.metrics.invalid.tolist() == [3] * len(study.designs)

@@ -91,7 +91,7 @@ def content_of(folder: Path) -> Any:
 def scores_of(results: StudyResults | None) -> Any:
     if results is None:
         return None
-    numbers = results.S, results.S_uncorrected, results.status, vars(results.companions)
+    numbers = results.S, results.S_uncorrected, results.status, vars(results.metrics)
     return (
         results.designs,
         results.failed,

@@ -86,7 +86,7 @@ def mapping_of(values: Any) -> Any:
 
 def test_columns_are_what_the_parts_hold(folder: Path, stored: StudyResults) -> None:
     for name, column in METRIC_COLUMNS.items():
-        values: Any = getattr(stored.companions, name)
+        values: Any = getattr(stored.metrics, name)
         assert isinstance(mapping_of(values), mmap.mmap)
         np.testing.assert_array_equal(values, table_of(folder, stored, column))
 
@@ -98,7 +98,7 @@ def test_without_room_on_the_disk_columns_are_in_memory(folder: Path, monkeypatc
     monkeypatch.setattr(store, "_MOST_IN_MEMORY", 0)
     monkeypatch.setattr("os.posix_fallocate", full)
     found = read_results(folder)
-    values = found.companions.deepest
+    values = found.metrics.deepest
     assert not isinstance(mapping_of(values), mmap.mmap)
     np.testing.assert_array_equal(values, table_of(folder, found, METRIC_COLUMNS["deepest"]))
 
@@ -106,7 +106,7 @@ def test_without_room_on_the_disk_columns_are_in_memory(folder: Path, monkeypatc
 def test_a_study_gives_the_same_ranking_from_the_parts(folder: Path, study: Study, stored: StudyResults) -> None:
     one = rank_study(stored, study)
     in_memory = run_study(study, directory=folder, workers=1)
-    assert not isinstance(mapping_of(in_memory.companions.deepest), mmap.mmap)
+    assert not isinstance(mapping_of(in_memory.metrics.deepest), mmap.mmap)
     two = rank_study(in_memory, study)
     assert_same_bits(one, two)
 
@@ -116,9 +116,9 @@ def test_some_scenarios(stored: StudyResults) -> None:
     some = stored.take(rows).take(np.arange(int(rows.sum())) > 1)
     kept = np.flatnonzero(rows)[2:]
     for name in METRIC_UNITS:
-        column: Any = getattr(some.companions, name)
+        column: Any = getattr(some.metrics, name)
         assert column.shape == (len(stored.designs), kept.size)
-        np.testing.assert_array_equal(column[[3, 1]], np.asarray(getattr(stored.companions, name))[[3, 1]][:, kept])
+        np.testing.assert_array_equal(column[[3, 1]], np.asarray(getattr(stored.metrics, name))[[3, 1]][:, kept])
     np.testing.assert_array_equal(some.S_uncorrected, stored.S_uncorrected[:, kept])
 
 
