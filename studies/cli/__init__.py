@@ -46,8 +46,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
     try:
         with _warnings_on_stderr(), compiling.shown_by(_console.moving_line):
-            chosen = parser().parse_args(arguments)
-            code: int = chosen.run(chosen) or 0
+            args = parser().parse_args(arguments)
+            code: int = args.run(args) or 0
         sys.stdout.flush()
     except (LdcError, MemoryError) as error:
         print(f"ldc: error: {error or 'not enough memory'}", file=sys.stderr)

@@ -36,14 +36,14 @@ class ReportOptions:
     designs: tuple[str, ...] = ()  # beginnings of ids of designs to be put into the explorer
 
     @classmethod
-    def of(cls, chosen: argparse.Namespace, departures: Sequence[int] = (), designs: Sequence[str] = ()) -> Self:
+    def of(cls, args: argparse.Namespace, departures: Sequence[int] = (), designs: Sequence[str] = ()) -> Self:
         """Read what the options name."""
         source = None
-        if chosen.source:
+        if args.source:
             from ldctoolkit.recordings import read_all_departures
 
-            source = read_all_departures(chosen.source)[0]
-        return cls(source, not chosen.no_robustness, not chosen.no_figures, tuple(departures), tuple(designs))
+            source = read_all_departures(args.source)[0]
+        return cls(source, not args.no_robustness, not args.no_figures, tuple(departures), tuple(designs))
 
     def robustness_of(self, folder: Path, study: Study, results: StudyResults, ranking: Ranking) -> Robustness | None:
         """What DIR/robustness.json holds, worked out first where need be and wanted; None where there is nothing."""

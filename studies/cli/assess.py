@@ -52,7 +52,7 @@ def add_parser(commands: Subparsers) -> None:
     parser.set_defaults(run=run)
 
 
-def run(chosen: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> int:
     """Carry the command out; the exit code says whether a cell fails."""
     from ldctoolkit.errors import InputError
 
@@ -61,21 +61,19 @@ def run(chosen: argparse.Namespace) -> int:
     from ..standards import load_standard, standard_names
     from ..storage.files import output_folder
 
-    tests = [load_standard(name) for name in dict.fromkeys(chosen.standard or standard_names())]
-    subjects = [assessment for text in chosen.designs for assessment in _subjects(text, chosen)]
+    tests = [load_standard(name) for name in dict.fromkeys(args.standard or standard_names())]
+    subjects = [assessment for text in args.designs for assessment in _subjects(text, args)]
     if not subjects:
-        raise InputError(f"{' '.join(chosen.designs)}", "no design that intervenes", allowed="one or more")
-    if chosen.output is not None:
-        output_folder(Path(chosen.output))
+        raise InputError(f"{' '.join(args.designs)}", "no design that intervenes", allowed="one or more")
+    if args.output is not None:
+        output_folder(Path(args.output))
     assessments: list[tuple[str, Assessment]] = []
     with progress_bar("assessing") as advance:
         for name, controller, y_s, setup in subjects:
             for test in tests:
                 if advance is not None:
                     advance(len(assessments), len(subjects) * len(tests))
-                assessments.append(
-                    (name, assess(controller, test, setup, y_s=y_s, tolerances=not chosen.no_tolerances))
-                )
+                assessments.append((name, assess(controller, test, setup, y_s=y_s, tolerances=not args.no_tolerances)))
     out = console()
     print_table(scores(assessments), out, narrow=True)
     for _, assessment in assessments if len(assessments) <= len(tests) else []:
@@ -83,15 +81,15 @@ def run(chosen: argparse.Namespace) -> int:
         missed = [i for light in ("red", "amber") for i in range(assessment.cells.n) if assessment.lights[i] == light]
         say(out, *(f"  {assessment.cells.name(i)}: {assessment.lights[i]}: {assessment.reason(i)}" for i in missed[:4]))
         say(out, *(f"  not assessable: {what.what}: {what.why}" for what in assessment.standard.not_assessable))
-    if chosen.output is not None:
-        folder = Path(chosen.output)
+    if args.output is not None:
+        folder = Path(args.output)
         write_predictions(assessments, folder / "predictions.csv")
         page = write_assessment_page(assessments, folder / "assessment.html")
         say(out, f"predictions: {folder / 'predictions.csv'}", f"page: {page}")
     return 0 if all(assessment.passed.all() for _, assessment in assessments) else FAILS
 
 
-def _subjects(text: str, chosen: argparse.Namespace) -> Iterator[Subject]:
+def _subjects(text: str, args: argparse.Namespace) -> Iterator[Subject]:
     """What a name on the command line stands for."""
     from ldctoolkit.errors import InputError, UnknownNameError
     from ldctoolkit.registry import controller_names
@@ -107,23 +105,23 @@ def _subjects(text: str, chosen: argparse.Namespace) -> Iterator[Subject]:
         from ..design import Design
 
         kind = controller_class(text)
-        each_once("--gain", chosen.gain)
-        gains = {name: find_gain(kind, name).parsed(value) for name, value in chosen.gain or ()}
-        study, y_s = load_study(chosen.plant), -0.4 if chosen.y_s is None else chosen.y_s
+        each_once("--gain", args.gain)
+        gains = {name: find_gain(kind, name).parsed(value) for name, value in args.gain or ()}
+        study, y_s = load_study(args.plant), -0.4 if args.y_s is None else args.y_s
         controller = kind(**gains)
         yield Design.of(controller, y_s).label, controller, y_s, study.setup()
         return
-    if chosen.gain or chosen.y_s is not None:
+    if args.gain or args.y_s is not None:
         raise InputError("--gain, --y-s", "go with the name of a law", hint=f"{text} has its own designs")
     if os.path.isfile(f"{text}/manifest.json"):  # noqa: PTH113 - raises nothing, whatever the name
         found = judged(text)
         study = found.study
-        designs = named_designs(found.ranking.designs, chosen.only) if chosen.only else [found.design]
+        designs = named_designs(found.ranking.designs, args.only) if args.only else [found.design]
     elif text in catalog_names() or text.endswith(".toml"):
         study = load_study(text)
         if not study.designs:
             raise InputError(f"study {study.name}", "searches its designs", hint="give the folder that ldc run wrote")
-        designs = named_designs(study.designs, chosen.only) if chosen.only else list(study.designs)
+        designs = named_designs(study.designs, args.only) if args.only else list(study.designs)
     else:
         names = (*controller_names(), *catalog_names())
         raise UnknownNameError("design", "is neither a law, nor a study, nor a folder", value=text, allowed=names)

@@ -34,7 +34,7 @@ def add_parser(commands: Subparsers) -> None:
     parser.set_defaults(run=describe_models)
 
 
-def run(chosen: argparse.Namespace) -> None:
+def run(args: argparse.Namespace) -> None:
     """Carry the command out."""
     from rich.text import Text
 
@@ -42,11 +42,11 @@ def run(chosen: argparse.Namespace) -> None:
     from ldctoolkit.registry import controller_class, controller_names
 
     out = console()
-    for name in chosen.law or controller_names():
+    for name in args.law or controller_names():
         try:
             kind = controller_class(name)
         except LdcError as error:
-            if chosen.law:
+            if args.law:
                 raise
             warn(str(error))  # one broken third-party law does not hide the others
             continue
@@ -90,13 +90,13 @@ def _interval(lower: float, upper: float) -> str:
     return f"<= {upper:g}" if math.isinf(lower) else f"{lower:g} .. {upper:g}"
 
 
-def describe_models(chosen: argparse.Namespace) -> None:
+def describe_models(args: argparse.Namespace) -> None:
     """Carry ``ldc models`` out."""
     from ldctoolkit.scenario_model import bundled_models, load_model
 
     from ..storage.stored_model import model_notes, model_warnings
 
-    for name in chosen.model or bundled_models():
+    for name in args.model or bundled_models():
         model = load_model(name)
         print(f"{name} (content {model.content_hash[:12]})")
         for note in (*model_notes(model), *(f"warning: {text}" for text in model_warnings(model))):

@@ -39,7 +39,7 @@ def add_parser(commands: Subparsers) -> None:
     parser.set_defaults(run=run)
 
 
-def run(chosen: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> int:
     """Carry the command out; the exit code reports whether the code is proved."""
     from ldctoolkit.errors import InputError
 
@@ -48,19 +48,19 @@ def run(chosen: argparse.Namespace) -> int:
     from ..storage.files import output_folder, write_text
     from ._results import judged
 
-    study = judged(chosen.folder)
-    design = study.design if chosen.design is None else named_designs(study.ranking.designs, [chosen.design])[0]
+    study = judged(args.folder)
+    design = study.design if args.design is None else named_designs(study.ranking.designs, [args.design])[0]
     missed = tuple(miss.text for miss in study.ranking.missed[study.ranking.designs.index(design)])
-    if missed and not (chosen.anyway or chosen.verify):
+    if missed and not (args.anyway or args.verify):
         raise InputError(
             design.label,
             f"does not meet the requirements of study {study.study.name}: {'; '.join(missed)}",
             allowed="another --design, or --anyway, which the header states",
         )
-    setup, folder = study.study.setup(), Path(chosen.output)
+    setup, folder = study.study.setup(), Path(args.output)
     origin = Origin(study.study.name, study.manifest.study_hash, study.manifest.model_hash, study.verdict.title, missed)
     controller, out = design.controller(setup.convention), console()
-    if chosen.verify:
+    if args.verify:
         if not (folder / "ldc_controller.h").is_file():
             raise InputError(folder, "holds no export", allowed="a folder that ldc export wrote")
         changed = changed_files(folder)
@@ -68,20 +68,20 @@ def run(chosen: argparse.Namespace) -> int:
         text = "stale: not what this study and this version give" if stale else "up to date"
         say(out, f"{folder}: {'changed by hand: ' + ', '.join(changed) if changed else text}")
         return FAILED if changed or stale else 0
-    if chosen.format != "c":
-        target = output_folder(folder) / f"ldc_controller.{chosen.format}"
-        write_text(target, parameters(Code.of(controller, setup, design.y_s, origin), chosen.format))
+    if args.format != "c":
+        target = output_folder(folder) / f"ldc_controller.{args.format}"
+        write_text(target, parameters(Code.of(controller, setup, design.y_s, origin), args.format))
         say(out, f"gains over speed: {target}")
         return 0
     with progress_bar("writing, compiling and driving the code"):
         export = export_c(
-            controller, setup, design.y_s, folder, scenarios=_scenarios(study, chosen.folder), origin=origin,
-            run_check=not chosen.no_check, fmu=chosen.fmu,
+            controller, setup, design.y_s, folder, scenarios=_scenarios(study, args.folder), origin=origin,
+            run_check=not args.no_check, fmu=args.fmu,
         )  # fmt: skip
     say(out, design.label, *(f"  {path}" for path in export.files))
     if export.check is None:
         say(out, f"in the loop: not run ({export.not_run})")
-        return 0 if chosen.no_check else NOT_RUN
+        return 0 if args.no_check else NOT_RUN
     say(out, *export.check.lines)
     return 0 if export.check.passed else FAILED
 

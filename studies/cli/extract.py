@@ -72,14 +72,14 @@ def add_parser(commands: _console.Subparsers) -> None:
     parser.set_defaults(run=run)
 
 
-def run(chosen: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> int:
     """Carry the command out."""
-    if chosen.list_channels:
+    if args.list_channels:
         from ldctoolkit.recordings.mdf_logs import list_channels
 
-        print("\n".join(map(list_channels, map(Path, chosen.paths))))
+        print("\n".join(map(list_channels, map(Path, args.paths))))
         return 0
-    if chosen.output is None:
+    if args.output is None:
         raise InputError("-o", "not given", allowed="-o FILE.parquet, the departures table to write")
     from ldctoolkit.recordings.find_departures import Criteria
     from ldctoolkit.recordings.preparation import Preparation
@@ -87,43 +87,43 @@ def run(chosen: argparse.Namespace) -> int:
 
     from ..extraction import MOST_NAMED, NothingReadError, parts_folder, run_extraction
 
-    target = _console.output_file(chosen.output, ".parquet")
-    page = None if chosen.report is None else _console.output_file(chosen.report, ".html", option="--report")
+    target = _console.output_file(args.output, ".parquet")
+    page = None if args.report is None else _console.output_file(args.report, ".html", option="--report")
     # workers of a cluster start in folders of their own
-    paths = [Path(path).absolute() if chosen.dask else Path(path) for path in chosen.paths]
-    channels = None if chosen.channels is None else Path(chosen.channels).absolute()
+    paths = [Path(path).absolute() if args.dask else Path(path) for path in args.paths]
+    channels = None if args.channels is None else Path(args.channels).absolute()
     with _console.progress_bar("looking at the recordings"):
-        recordings = open_recordings(paths, format=chosen.format, channels=channels)
+        recordings = open_recordings(paths, format=args.format, channels=channels)
     refuse_input("-o", target, paths, recordings.source.files)
     if page is not None:
         refuse_input("--report", page, paths, recordings.source.files)
     try:
         with _console.progress_bar(f"reading {recordings.reader.name}") as progress:
-            width = recordings.reader.vehicle_width if chosen.vehicle_width is None else chosen.vehicle_width
+            width = recordings.reader.vehicle_width if args.vehicle_width is None else args.vehicle_width
             extraction = run_extraction(
                 recordings,
                 Criteria(
                     width,
-                    chosen.min_duration,
-                    chosen.max_duration,
-                    chosen.min_speed,
-                    chosen.max_gap,
-                    chosen.max_jump,
-                    _console.plausibility(chosen.limit),
-                    chosen.min_lane_width,
-                    chosen.max_lane_width,
-                    chosen.keep_engaged,
+                    args.min_duration,
+                    args.max_duration,
+                    args.min_speed,
+                    args.max_gap,
+                    args.max_jump,
+                    _console.plausibility(args.limit),
+                    args.min_lane_width,
+                    args.max_lane_width,
+                    args.keep_engaged,
                 ),
                 Preparation(
-                    step=recordings.reader.step if chosen.step is None else chosen.step,
-                    nominal_lane_width=chosen.nominal_lane_width,
-                    yaw_rate_factor=chosen.yaw_rate_factor,
+                    step=recordings.reader.step if args.step is None else args.step,
+                    nominal_lane_width=args.nominal_lane_width,
+                    yaw_rate_factor=args.yaw_rate_factor,
                 ),
-                keep_signals=chosen.signals,
-                force=chosen.force,
+                keep_signals=args.signals,
+                force=args.force,
                 output=target,
-                workers=chosen.workers,
-                dask=chosen.dask,
+                workers=args.workers,
+                dask=args.dask,
                 progress=progress,
                 before_removal=None if page is None else functools.partial(_write_page, page, target),
             )

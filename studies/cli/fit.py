@@ -92,7 +92,7 @@ def transform(text: str) -> tuple[str, str]:
 _MOST_AT_ONCE: Final = 10  # fits: as many as there are K by default
 
 
-def run(chosen: argparse.Namespace) -> None:
+def run(args: argparse.Namespace) -> None:
     """Carry the command out."""
     from ldctoolkit.departures import PARAMETER_NAMES
     from ldctoolkit.recordings import read_all_departures
@@ -102,34 +102,34 @@ def run(chosen: argparse.Namespace) -> None:
     from ..running.executors import make_executor
     from ..running.work import closing, map_on
 
-    target = _console.output_file(chosen.output, ".json")
+    target = _console.output_file(args.output, ".json")
     page = target.with_suffix(".html")
-    if chosen.page and page.is_dir():
+    if args.page and page.is_dir():
         raise InputError(page, "is a folder", allowed="a file to write the page to, or --no-page")
-    _console.each_once("--transform", chosen.transform)
-    by_name: dict[str, str] = dict(chosen.transform or ())
+    _console.each_once("--transform", args.transform)
+    by_name: dict[str, str] = dict(args.transform or ())
     transforms = dict.fromkeys(PARAMETER_NAMES, by_name.pop("", "none")) | by_name
-    _console.each_once("--bound", chosen.bound)
+    _console.each_once("--bound", args.bound)
     with _console.progress_bar("reading departures"):
-        departures, provenance = read_all_departures(chosen.departures)
+        departures, provenance = read_all_departures(args.departures)
     # its processes start with the first fit that is sent to them
-    executor = make_executor(None, min(chosen.workers or usable_cores(), _MOST_AT_ONCE))
+    executor = make_executor(None, min(args.workers or usable_cores(), _MOST_AT_ONCE))
     with _console.progress_bar("fitting") as advance, closing(executor):
         model = fit_scenario_model(
             departures,
-            components=chosen.components,
-            kind=chosen.kind,
-            plausibility=_console.plausibility(chosen.limit, provenance.criteria.plausibility),
-            seed=chosen.seed,
-            bounds=dict(chosen.bound or ()),
+            components=args.components,
+            kind=args.kind,
+            plausibility=_console.plausibility(args.limit, provenance.criteria.plausibility),
+            seed=args.seed,
+            bounds=dict(args.bound or ()),
             extraction=provenance.criteria,
             transform=transforms,
-            prior_strength=chosen.prior_strength,
-            tol=chosen.tol,
-            n_init=chosen.n_init,
-            workers=chosen.workers,
+            prior_strength=args.prior_strength,
+            tol=args.tol,
+            n_init=args.n_init,
+            workers=args.workers,
             fit_each=None if executor.name == "serial" else functools.partial(map_on, executor),
-            verbose=chosen.verbose,
+            verbose=args.verbose,
             source_provenance=_source(provenance),
             progress=_without_text(advance),
         )
@@ -148,8 +148,8 @@ def run(chosen: argparse.Namespace) -> None:
             if summary.fidelity is not None and summary.fidelity.passed:
                 out.print(f"{label}: {summary.fidelity.text}")
     print(f"scenario model written to {target} (content {model.content_hash[:12]})")
-    if chosen.page:
-        _write_page(page, model, departures, chosen.seed)
+    if args.page:
+        _write_page(page, model, departures, args.seed)
 
 
 def _without_text(advance: Callable[[int, int], None] | None) -> Callable[[str, int, int], None] | None:
@@ -221,19 +221,19 @@ def _add_sample(commands: _console.Subparsers) -> None:
     parser.set_defaults(run=sample)
 
 
-def sample(chosen: argparse.Namespace) -> None:
+def sample(args: argparse.Namespace) -> None:
     """Carry ``ldc sample`` out."""
     from ldctoolkit.scenario_model import load_model
     from ldctoolkit.scenario_model.model import outside_fit
 
     from ..storage.files import scenario_table, write_parquet, write_text
 
-    target = _console.output_file(chosen.output, ".parquet", ".csv")
-    left, right = _numbers(chosen)
-    _console.each_once("--given", chosen.given)
-    given = dict(chosen.given or ())
-    model = load_model(chosen.model)
-    table = scenario_table(model.sample(left, right, seed=chosen.seed, given=given))
+    target = _console.output_file(args.output, ".parquet", ".csv")
+    left, right = _numbers(args)
+    _console.each_once("--given", args.given)
+    given = dict(args.given or ())
+    model = load_model(args.model)
+    table = scenario_table(model.sample(left, right, seed=args.seed, given=given))
     for text in outside_fit(model, given):
         _console.warn(text)
     if target.suffix.lower() == ".parquet":
@@ -243,11 +243,11 @@ def sample(chosen: argparse.Namespace) -> None:
     print(f"{left} left and {right} right departures written to {target}")
 
 
-def _numbers(chosen: argparse.Namespace) -> tuple[int, int]:
-    if chosen.n is None:
-        left, right = chosen.left or 0, chosen.right or 0
-    elif chosen.left is None and chosen.right is None:
-        left, right = (chosen.n + 1) // 2, chosen.n // 2
+def _numbers(args: argparse.Namespace) -> tuple[int, int]:
+    if args.n is None:
+        left, right = args.left or 0, args.right or 0
+    elif args.left is None and args.right is None:
+        left, right = (args.n + 1) // 2, args.n // 2
     else:
         raise InputError("-n", "goes with neither --left nor --right")
     if max(left, right) > _MOST:

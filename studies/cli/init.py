@@ -38,55 +38,55 @@ def add_parser(commands: Subparsers) -> None:
     parser.set_defaults(run=run)
 
 
-def run(chosen: argparse.Namespace) -> None:
+def run(args: argparse.Namespace) -> None:
     """Carry the command out."""
     from ..runner import study_source
     from ..storage.files import write_text
     from ..study_file import CATALOG, Study, catalog_names
     from ..study_template import study_text
 
-    if not (chosen.study or chosen.law):
+    if not (args.study or args.law):
         raise InputError("init", "give a study of the catalog or --law", allowed=f"{', '.join(catalog_names())}")
-    name = chosen.name or (Path(chosen.output).stem if chosen.output else chosen.study or "my-study")
-    target = output_file(chosen.output or f"{name}.toml", ".toml", option="-o" if chosen.output else "--name")
-    if target.exists() and not chosen.force:
+    name = args.name or (Path(args.output).stem if args.output else args.study or "my-study")
+    target = output_file(args.output or f"{name}.toml", ".toml", option="-o" if args.output else "--name")
+    if target.exists() and not args.force:
         raise InputError(target, "exists", allowed="another -o, or --force to replace it")
-    content = _content(chosen, target)
+    content = _content(args, target)
     study = Study.from_dict(content | {"name": name}, source=str(target), folder=target.parent)
-    if chosen.model or chosen.departures:
+    if args.model or args.departures:
         study_source(study)  # refused now, and not when the file is run
     about = [f"# Run it with: ldc run {target.name}"]
-    if not chosen.study:
+    if not args.study:
         about.append(f"# Scenarios, plant and requirements are those of {_BASE}, where no option chose others.")
-    if chosen.study and content == _of_catalog(chosen.study):  # else what its head says need not hold
-        lines = (CATALOG / f"{chosen.study}.toml").read_text(encoding="utf-8").splitlines()
+    if args.study and content == _of_catalog(args.study):  # else what its head says need not hold
+        lines = (CATALOG / f"{args.study}.toml").read_text(encoding="utf-8").splitlines()
         about = [*itertools.takewhile(lambda line: line.startswith("#"), lines), *about]
     write_text(target, study_text(study, about))
     print(f"study file written to {target}\nrun it with: ldc run {target}")
 
 
-def _content(chosen: argparse.Namespace, target: Path) -> dict[str, Any]:
+def _content(args: argparse.Namespace, target: Path) -> dict[str, Any]:
     """The study of the catalog with what the options replace."""
     from ldctoolkit.registry import controller_class
     from ldctoolkit.scenario_model import bundled_models
 
-    content = _of_catalog(chosen.study or _BASE)
-    if chosen.law:
-        laws = [law for law in dict.fromkeys(chosen.law) if controller_class(law).name != "none"]
+    content = _of_catalog(args.study or _BASE)
+    if args.law:
+        laws = [law for law in dict.fromkeys(args.law) if controller_class(law).name != "none"]
         blocks = [{"law": law, "y_s": [0.2], "gains": {}} for law in ("none", *laws)]
         content |= {"title": "", "design": blocks}
-    for block in content["design"] if chosen.y_s else ():
-        block["y_s"] = block["y_s"] if block["law"] == "none" else chosen.y_s
-    if chosen.require:
-        content["ranking"]["require"] = chosen.require
-    if chosen.plant:
-        content["plant"] = _of_catalog(chosen.plant)["plant"]
+    for block in content["design"] if args.y_s else ():
+        block["y_s"] = block["y_s"] if block["law"] == "none" else args.y_s
+    if args.require:
+        content["ranking"]["require"] = args.require
+    if args.plant:
+        content["plant"] = _of_catalog(args.plant)["plant"]
     # paths in a study file start at its folder
-    files = {"departures": chosen.departures, "model": chosen.model if chosen.model not in bundled_models() else None}
+    files = {"departures": args.departures, "model": args.model if args.model not in bundled_models() else None}
     beside = {key: Path(os.path.relpath(path, target.parent)).as_posix() for key, path in files.items() if path}
-    alone = {"model": "", "left": None, "right": None} if chosen.departures and not chosen.model else {}
-    named = {"model": chosen.model} if chosen.model else {}
-    sides = {"left": (chosen.n + 1) // 2, "right": chosen.n // 2} if chosen.n else {}
+    alone = {"model": "", "left": None, "right": None} if args.departures and not args.model else {}
+    named = {"model": args.model} if args.model else {}
+    sides = {"left": (args.n + 1) // 2, "right": args.n // 2} if args.n else {}
     content["scenarios"] |= alone | named | beside | sides
     return content
 

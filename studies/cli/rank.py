@@ -60,7 +60,7 @@ def add_parser(commands: Subparsers) -> None:
     _add_sensitivity(commands)
 
 
-def run(chosen: argparse.Namespace) -> None:
+def run(args: argparse.Namespace) -> None:
     """Carry the command out."""
     from ..pages.ranking_section import write_markdown
     from ..ranking.ranking import rank_study, write_csv
@@ -69,10 +69,10 @@ def run(chosen: argparse.Namespace) -> None:
     from ..storage.stored_model import read_model
     from ._results import print_ranking, rank_summary, stored_robustness, write_ranking
 
-    target = None if chosen.output is None else output_file(chosen.output, ".csv", ".md")
-    store = Store.open(chosen.folder)
+    target = None if args.output is None else output_file(args.output, ".csv", ".md")
+    store = Store.open(args.folder)
     own = store.manifest.read_study()
-    study = _with_settings(own, chosen)
+    study = _with_settings(own, args)
     with progress_bar("reading results"):
         results = store.results()
     if results.fresh is not None and not _same_chances(own, study):
@@ -81,39 +81,39 @@ def run(chosen: argparse.Namespace) -> None:
         results = dataclasses.replace(results, fresh=None)
     with progress_bar("ranking"):
         ranking = rank_study(results, study)
-    robustness = stored_robustness(Path(chosen.folder), study, results, ranking)
-    model = read_model(chosen.folder, store.manifest)
+    robustness = stored_robustness(Path(args.folder), study, results, ranking)
+    model = read_model(args.folder, store.manifest)
     found = verdict(ranking, results, study.setup(), robustness, model)
-    if chosen.baseline and ranking.baseline is None:
+    if args.baseline and ranking.baseline is None:
         raise InputError(
-            f"--baseline {chosen.baseline}",
+            f"--baseline {args.baseline}",
             "it failed, and has no results to compare with",
             allowed="a design with metrics in ranking.csv",
         )
-    if not (chosen.quiet or chosen.json):
-        print_ranking(ranking, chosen.top, found)
+    if not (args.quiet or args.json):
+        print_ranking(ranking, args.top, found)
     if target is not None and target.suffix.lower() == ".md":
         write_markdown(ranking, target, study, store.manifest, found)
     elif target is not None:
         write_csv(ranking, target)
     elif study.ranking == own.ranking:
-        target = write_ranking(Path(chosen.folder), study, store.manifest, ranking, found)
-    if chosen.json:
+        target = write_ranking(Path(args.folder), study, store.manifest, ranking, found)
+    if args.json:
         print(rank_summary(results, ranking, store.manifest, target, found))
     elif target is not None:
         print(f"ranking: {target}")
 
 
-def _with_settings(study: Study, chosen: argparse.Namespace) -> Study:
+def _with_settings(study: Study, args: argparse.Namespace) -> Study:
     """The study with the settings of the ranking that were requested, checked as if they stood in its file."""
-    changes: dict[str, Any] = {name: getattr(chosen, name) for name in ("baseline", "confidence")}
+    changes: dict[str, Any] = {name: getattr(args, name) for name in ("baseline", "confidence")}
     for name in ("require", "pareto"):
-        texts = getattr(chosen, name)
+        texts = getattr(args, name)
         changes[name] = None if texts is None else [text for text in texts if text]
     changes = {name: value for name, value in changes.items() if value is not None}
     if not changes:
         return study
-    return study.changed(source=chosen.folder, ranking=changes)
+    return study.changed(source=args.folder, ranking=changes)
 
 
 def _same_chances(own: Study, study: Study) -> bool:
@@ -137,7 +137,7 @@ def _add_sensitivity(commands: Subparsers) -> None:
     parser.set_defaults(run=_run_sensitivity)
 
 
-def _run_sensitivity(chosen: argparse.Namespace) -> None:
+def _run_sensitivity(args: argparse.Namespace) -> None:
     """Carry the command out."""
     from ..design import named_designs
     from ..ranking.ranking import rank_study
@@ -145,10 +145,10 @@ def _run_sensitivity(chosen: argparse.Namespace) -> None:
     from ..sensitivity.winner_profile import winner_profile, write_sensitivity
     from ..storage.store import Store
 
-    store = Store.open(chosen.folder)
+    store = Store.open(args.folder)
     study, results = store.manifest.read_study(), store.results()
-    if chosen.design is not None:
-        middle, role = named_designs(results.designs, [chosen.design])[0], "the chosen design"
+    if args.design is not None:
+        middle, role = named_designs(results.designs, [args.design])[0], "the chosen design"
     else:
         with progress_bar("ranking"):
             ranking = rank_study(results, study)
@@ -158,8 +158,8 @@ def _run_sensitivity(chosen: argparse.Namespace) -> None:
     with progress_bar("sensitivity"):
         blocks = sensitivity(results, study)
     with progress_bar("profile") as advance:
-        profiles = winner_profile(results, study, middle, points=chosen.points, advance=advance)
-    path = Path(chosen.folder) / "sensitivity.csv"
+        profiles = winner_profile(results, study, middle, points=args.points, advance=advance)
+    path = Path(args.folder) / "sensitivity.csv"
     write_sensitivity(blocks, profiles, path)
     if results.window == "control":
         warn("S over the control window starts at the trigger: designs with different y_s are not comparable there")

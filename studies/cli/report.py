@@ -40,7 +40,7 @@ def add_parser(commands: Subparsers) -> None:
     _add_compare(commands)
 
 
-def run(chosen: argparse.Namespace) -> None:
+def run(args: argparse.Namespace) -> None:
     """Carry the command out."""
     from ..design import named_designs
     from ..pages.replay import rows_of_numbers
@@ -50,8 +50,8 @@ def run(chosen: argparse.Namespace) -> None:
     from ..storage.stored_model import read_model
     from ._results import ReportOptions, write_ranking, write_study_report
 
-    options = ReportOptions.of(chosen, chosen.departure, chosen.design)
-    folder = _folder(chosen.study)
+    options = ReportOptions.of(args, args.departure, args.design)
+    folder = _folder(args.study)
     store = Store.open(folder)
     study, results = store.manifest.read_study(), store.results()
     rows_of_numbers(results.on_drivable().scenarios, options.departures)  # refused before the work begins
@@ -95,26 +95,26 @@ def _add_compare(commands: Subparsers) -> None:
     parser.set_defaults(run=compare_studies)
 
 
-def compare_studies(chosen: argparse.Namespace) -> int:
+def compare_studies(args: argparse.Namespace) -> int:
     """Carry ``ldc compare`` out."""
     import json
 
     from ..comparison.comparison import compare, comparison_content, write_comparison
     from ..pages.compare_page import write_compare_page
 
-    targets = [output_file(path, ".csv", ".html") for path in chosen.output]
+    targets = [output_file(path, ".csv", ".html") for path in args.output]
     with progress_bar("comparing"):
-        comparison = compare(chosen.old, chosen.new)
+        comparison = compare(args.old, args.new)
         for target in targets:
             write = write_compare_page if target.suffix.lower() == ".html" else write_comparison
             write(comparison, target)
-    if chosen.json:
+    if args.json:
         print(json.dumps(comparison_content(comparison), indent=2, allow_nan=False))
     else:
-        _print_comparison(comparison, chosen.top)
+        _print_comparison(comparison, args.top)
         for target in targets:
             print(f"comparison: {target}")
-    return SOME_WORSE if chosen.fail_if_worse and comparison.any_worse else 0
+    return SOME_WORSE if args.fail_if_worse and comparison.any_worse else 0
 
 
 def _print_comparison(comparison: Comparison, top: int) -> None:

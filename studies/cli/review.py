@@ -45,25 +45,25 @@ class Subject:
     stored: tuple[Finding, ...] = ()  # what its results say, where it was run
 
 
-def subjects(chosen: argparse.Namespace) -> list[Subject]:
+def subjects(args: argparse.Namespace) -> list[Subject]:
     """The designs that the command line names, each set of gains once."""
     from ldctoolkit.registry import controller_names
 
     from ..study_file import catalog_names, load_study
 
-    if chosen.design in controller_names():
-        if chosen.only:
+    if args.design in controller_names():
+        if args.only:
             raise InputError("--design", "goes with a study", hint="a law's gains are given with --gain")
-        return [_law(chosen)]
-    if os.path.isfile(f"{chosen.design}/manifest.json"):  # noqa: PTH113 - raises nothing, whatever the name
-        return list(_of_folder(chosen))
-    known = chosen.design in catalog_names() or chosen.design.endswith(".toml")
-    if not known and not os.path.isfile(chosen.design):  # noqa: PTH113
+        return [_law(args)]
+    if os.path.isfile(f"{args.design}/manifest.json"):  # noqa: PTH113 - raises nothing, whatever the name
+        return list(_of_folder(args))
+    known = args.design in catalog_names() or args.design.endswith(".toml")
+    if not known and not os.path.isfile(args.design):  # noqa: PTH113
         names = (*controller_names(), *catalog_names())
-        raise UnknownNameError("design", "is neither a law, nor a study", value=chosen.design, allowed=names)
-    if chosen.gain:
+        raise UnknownNameError("design", "is neither a law, nor a study", value=args.design, allowed=names)
+    if args.gain:
         raise InputError("--gain", "goes with the name of a law", hint="a study has its own gains")
-    return list(_of_study(load_study(chosen.design), chosen))
+    return list(_of_study(load_study(args.design), args))
 
 
 def reviewed_design(subject: Subject) -> Review:
@@ -84,16 +84,16 @@ def reviewed_design(subject: Subject) -> Review:
         return without_review(subject.controller, dt, error)
 
 
-def _of_folder(chosen: argparse.Namespace) -> Iterator[Subject]:
+def _of_folder(args: argparse.Namespace) -> Iterator[Subject]:
     """The design that the verdict of a study's results names, or the one that is chosen, with what its results say."""
     from ldctoolkit.review import Finding
 
     from ..requirements import G, metric_values
     from ._results import judged
 
-    judgement = judged(chosen.design)
-    ranking, only = judgement.ranking, chosen.only or judgement.design.id
-    for subject in _of_study(judgement.study, argparse.Namespace(**{**vars(chosen), "only": only})):
+    judgement = judged(args.design)
+    ranking, only = judgement.ranking, args.only or judgement.design.id
+    for subject in _of_study(judgement.study, argparse.Namespace(**{**vars(args), "only": only})):
         findings = []
         for place, design in enumerate(ranking.designs):
             if design.id not in subject.ids:
@@ -111,7 +111,7 @@ def _of_folder(chosen: argparse.Namespace) -> Iterator[Subject]:
         yield dataclasses.replace(subject, stored=tuple(findings))
 
 
-def _law(chosen: argparse.Namespace) -> Subject:
+def _law(args: argparse.Namespace) -> Subject:
     from ldctoolkit.declared import find_gain
     from ldctoolkit.plant_options import PlantOptions
     from ldctoolkit.registry import controller_class
@@ -119,49 +119,49 @@ def _law(chosen: argparse.Namespace) -> Subject:
 
     from ._console import each_once
 
-    kind = controller_class(chosen.design)
-    each_once("--gain", chosen.gain)
-    gains = {name: find_gain(kind, name).parsed(text) for name, text in chosen.gain or ()}
-    given = ", ".join(f"{name}={text}" for name, text in chosen.gain or ())
-    arguments: dict[str, Any] = {"options": _plant(chosen, PlantOptions())}
-    if chosen.dt is not None:
-        arguments["dt"] = chosen.dt
-    arguments["speeds"] = _speeds(chosen, (SPEEDS[0], SPEEDS[-1]))
+    kind = controller_class(args.design)
+    each_once("--gain", args.gain)
+    gains = {name: find_gain(kind, name).parsed(text) for name, text in args.gain or ()}
+    given = ", ".join(f"{name}={text}" for name, text in args.gain or ())
+    arguments: dict[str, Any] = {"options": _plant(args, PlantOptions())}
+    if args.dt is not None:
+        arguments["dt"] = args.dt
+    arguments["speeds"] = _speeds(args, (SPEEDS[0], SPEEDS[-1]))
     return Subject(f"{kind.title}{', ' if given else ''}{given}", (), kind(**gains), arguments)
 
 
-def _plant(chosen: argparse.Namespace, options: PlantOptions) -> PlantOptions:
+def _plant(args: argparse.Namespace, options: PlantOptions) -> PlantOptions:
     """The plant with what the command line says of its actuator."""
-    given = {name: getattr(chosen, name) for name in ("delay", "lag", "rate_max", "delta_max")}
+    given = {name: getattr(args, name) for name in ("delay", "lag", "rate_max", "delta_max")}
     changed = {name: value for name, value in given.items() if value is not None}
     return dataclasses.replace(options, actuator=dataclasses.replace(options.actuator, **changed))
 
 
-def _speeds(chosen: argparse.Namespace, default: tuple[float, float] | None) -> np.ndarray | None:
-    ends = chosen.speed or default
+def _speeds(args: argparse.Namespace, default: tuple[float, float] | None) -> np.ndarray | None:
+    ends = args.speed or default
     if ends is None:
         return None
     low, high = ends
-    return np.linspace(low, high, chosen.points if high > low else 1)
+    return np.linspace(low, high, args.points if high > low else 1)
 
 
-def _of_study(study: Study, chosen: argparse.Namespace) -> Iterator[Subject]:
+def _of_study(study: Study, args: argparse.Namespace) -> Iterator[Subject]:
     from ldctoolkit.simulation import Takeover
 
     from ..design import named_designs
     from ..runner import study_source
     from ..storage.stored_model import with_counts
 
-    designs = study.designs if chosen.only is None else named_designs(study.designs, [chosen.only])
+    designs = study.designs if args.only is None else named_designs(study.designs, [args.only])
     source = study_source(study)
     wanted = with_counts(study, source).scenarios
     left, right = (min(n, _MOST_SCENARIOS) for n in wanted.counts)
     scenarios = source.sample(left, right, seed=study.seed, given=wanted.given)
     setup = study.setup()
-    options = _plant(chosen, setup.options)
-    dt = setup.dt if chosen.dt is None else chosen.dt
+    options = _plant(args, setup.options)
+    dt = setup.dt if args.dt is None else args.dt
     triggers = {y_s: Takeover.build(scenarios, setup, y_s=y_s) for y_s in sorted({design.y_s for design in designs})}
-    speeds = _speeds(chosen, _range(list(triggers.values())))
+    speeds = _speeds(args, _range(list(triggers.values())))
     groups: dict[tuple[Any, ...], list[Design]] = {}
     for design in designs:
         groups.setdefault((design.law, design.gains), []).append(design)
@@ -292,12 +292,12 @@ def _speed_range(text: str) -> tuple[float, float]:
     return low, high
 
 
-def run(chosen: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> int:
     """Carry the command out; the exit code says whether there is a fault."""
     from ..storage.files import write_text
 
-    target = None if chosen.json is None else output_file(chosen.json, ".json", option="--json")
-    designs = subjects(chosen)
+    target = None if args.json is None else output_file(args.json, ".json", option="--json")
+    designs = subjects(args)
     reviewed: Reviewed = []
     with progress_bar("reviewing") as advance:
         for done, subject in enumerate(designs):

@@ -48,7 +48,7 @@ def add_parser(commands: _console.Subparsers) -> None:
     parser.set_defaults(run=run)
 
 
-def run(chosen: argparse.Namespace) -> None:
+def run(args: argparse.Namespace) -> None:
     """Carry the command out."""
     from ldctoolkit.errors import InputError
     from ldctoolkit.scenario_model import ScenarioModel
@@ -60,8 +60,8 @@ def run(chosen: argparse.Namespace) -> None:
     from ..storage.stored_model import with_recorded_widths
     from ..tables import Table, to_csv
 
-    study, model, designs, folder = _subject(chosen)
-    source = study_source(study, chosen.model or model)
+    study, model, designs, folder = _subject(args)
+    source = study_source(study, args.model or model)
     if not isinstance(source, ScenarioModel):
         raise InputError(
             f"study {study.name}", "recorded departures, which have no tail beyond them", hint="give --model"
@@ -70,16 +70,16 @@ def run(chosen: argparse.Namespace) -> None:
     risk = estimate_risk(
         designs,
         study if model is not None else with_recorded_widths(study, source),  # a folder's study has them already
-        n=chosen.n,
-        seed=chosen.seed,
+        n=args.n,
+        seed=args.seed,
         model=source,
-        directory=chosen.output or folder,
-        workers=chosen.workers,
-        dask=chosen.dask,
-        depths=chosen.depth or DEPTHS,
+        directory=args.output or folder,
+        workers=args.workers,
+        dask=args.dask,
+        depths=args.depth or DEPTHS,
         notice=lambda line: say(out, line),
     )
-    target = Path(chosen.output or folder)
+    target = Path(args.output or folder)
     for name, rows in (("risk.csv", list(risk.rows())), ("worst.csv", list(risk.worst_rows()))):
         # no control comes first and is compared with nothing: the last row has all columns
         write_text(target / name, to_csv(Table.of(rows[-1], rows)))
@@ -91,7 +91,7 @@ def run(chosen: argparse.Namespace) -> None:
     say(out, *(f"{name}: {target / f'risk.{name}'}" for name in ("csv", "html")))
 
 
-def _subject(chosen: argparse.Namespace) -> tuple[Study, ScenarioModel | None, Sequence[Design], Path]:
+def _subject(args: argparse.Namespace) -> tuple[Study, ScenarioModel | None, Sequence[Design], Path]:
     """The study, the model in its folder, the designs, and where results go by default."""
     from ldctoolkit.errors import InputError
 
@@ -100,12 +100,12 @@ def _subject(chosen: argparse.Namespace) -> tuple[Study, ScenarioModel | None, S
     from ..study_file import load_study
     from ._results import judged
 
-    if os.path.isfile(f"{chosen.study}/manifest.json"):  # noqa: PTH113 - raises nothing, whatever the name
-        found = judged(chosen.study)
-        some = named_designs(found.ranking.designs, chosen.design) if chosen.design else [found.design]
-        return found.study, read_model(chosen.study, found.manifest), some, Path(chosen.study)
-    study = load_study(chosen.study)
-    designs = named_designs(study.designs, chosen.design) if chosen.design else study.designs
+    if os.path.isfile(f"{args.study}/manifest.json"):  # noqa: PTH113 - raises nothing, whatever the name
+        found = judged(args.study)
+        some = named_designs(found.ranking.designs, args.design) if args.design else [found.design]
+        return found.study, read_model(args.study, found.manifest), some, Path(args.study)
+    study = load_study(args.study)
+    designs = named_designs(study.designs, args.design) if args.design else study.designs
     if not study.designs:
         raise InputError(f"study {study.name}", "searches its designs", hint="give the folder that ldc run wrote")
     if sum(not design.is_baseline for design in designs) > _MOST_DESIGNS:

@@ -55,20 +55,20 @@ _NEXT: Final = """STUDY is missing: a name in the catalog, or a TOML file
 SOME_FAILED = 3  # exit code where the study has results, but not of every design
 
 
-def run(chosen: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> int:
     """Carry the command out."""
     import ldctoolkit.compiling as compiling
 
-    if chosen.study is None:
+    if args.study is None:
         from ..study_file import catalog_names
 
         raise InputError(_NEXT.format(", ".join(catalog_names())))
-    with progress_bar("loading the toolkit", show=not (chosen.quiet or chosen.json)):
+    with progress_bar("loading the toolkit", show=not (args.quiet or args.json)):
         from .. import runner  # noqa: F401 - this takes its time
 
-        progress = Lines(sys.stdout) if chosen.json else Progress() if chosen.quiet else None
+        progress = Lines(sys.stdout) if args.json else Progress() if args.quiet else None
     with contextlib.nullcontext() if progress is None else compiling.shown_by(progress.compiling):
-        return _run(chosen, progress)
+        return _run(args, progress)
 
 
 _LINE_EVERY: Final = 1.0  # seconds between lines
@@ -119,7 +119,7 @@ class Lines(Progress):
         self._stream.flush()
 
 
-def _run(chosen: argparse.Namespace, progress: Progress | None) -> int:
+def _run(args: argparse.Namespace, progress: Progress | None) -> int:
     from ldctoolkit.scenario_model.model import ScenarioModel, misleading, outside_fit
 
     from ..ranking.ranking import rank_study
@@ -130,37 +130,37 @@ def _run(chosen: argparse.Namespace, progress: Progress | None) -> int:
     from ..study_file import load_study
     from ._results import ReportOptions, json_summary, print_ranking, write_ranking, write_study_report
 
-    study = load_study(chosen.study)
-    if chosen.departures is not None:
-        table = {"departures": str(Path(chosen.departures).absolute()), "table": ""}
-        alone = {} if chosen.model is not None else {"model": "", "left": None, "right": None}
+    study = load_study(args.study)
+    if args.departures is not None:
+        table = {"departures": str(Path(args.departures).absolute()), "table": ""}
+        alone = {} if args.model is not None else {"model": "", "left": None, "right": None}
         study = study.changed(scenarios=table | alone)
-    source = study_source(study, chosen.model)
-    study = with_counts(with_recorded_widths(study, source, chosen.vehicle_width), source)
+    source = study_source(study, args.model)
+    study = with_counts(with_recorded_widths(study, source, args.vehicle_width), source)
     model = source if isinstance(source, ScenarioModel) else None
     if model is not None:
         for text in (*outside_fit(model, study.scenarios.given), *misleading(model)):
             warn(text)
-    options = ReportOptions.of(chosen)
-    folder = Path(chosen.output or Path("out") / study.name)
+    options = ReportOptions.of(args)
+    folder = Path(args.output or Path("out") / study.name)
     results = run_study(
         study,
         directory=folder,
-        model=chosen.model if model is not None else source,
-        workers=chosen.workers,
-        dask=chosen.dask,
+        model=args.model if model is not None else source,
+        workers=args.workers,
+        dask=args.dask,
         progress=progress,
-        time_limit=TIME_LIMIT if chosen.time_limit is None else chosen.time_limit,
+        time_limit=TIME_LIMIT if args.time_limit is None else args.time_limit,
     )
     manifest = read_manifest(folder)
-    silent = chosen.quiet or chosen.json
+    silent = args.quiet or args.json
     with progress_bar("ranking", show=not silent):
         ranking = rank_study(results, study)
     with progress_bar("driving the best on other plants", show=not silent):
         robustness = options.robustness_of(folder, study, results, ranking)
     found = verdict(ranking, results, study.setup(), robustness, model)
     if not silent:
-        print_ranking(ranking, chosen.top, found)
+        print_ranking(ranking, args.top, found)
         print(
             f"{study.name}: {len(results.designs)} designs x {len(results.scenarios):,} scenarios, "
             f"{manifest.wall_time_s:.1f} s, {study.scenarios.source.lower()} {manifest.model} "
@@ -170,7 +170,7 @@ def _run(chosen: argparse.Namespace, progress: Progress | None) -> int:
     with progress_bar("writing ranking and report", show=not silent):
         ranking_path = write_ranking(folder, study, manifest, ranking, found)
         report_path = write_study_report(folder, study, manifest, results, ranking, options, robustness)
-    if chosen.json:
+    if args.json:
         print(json_summary(results, ranking, manifest, ranking_path, report_path, found))
     else:
         print(f"ranking: {ranking_path}")
