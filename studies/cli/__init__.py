@@ -33,8 +33,8 @@ def parser() -> argparse.ArgumentParser:
     )
     top.add_argument("--version", action="version", version=f"ldc {__version__}")
     commands = top.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for one in (extract, fit, review, assess, init, run, rank, risk, report, export, controllers):
-        one.add_parser(commands)
+    for command in (extract, fit, review, assess, init, run, rank, risk, report, export, controllers):
+        command.add_parser(commands)
     return top
 
 
@@ -74,9 +74,9 @@ def _warnings_on_stderr() -> Iterator[None]:
     log.handlers[:], log.propagate = [handler], False
     shown: set[str] = set()
 
-    def show(message: Warning | str, category: type[Warning], *place: Any, **other: Any) -> None:
+    def show(message: Warning | str, category: type[Warning], *location: Any, **other: Any) -> None:
         if not issubclass(category, UnitWarning):
-            usual(message, category, *place, **other)
+            usual(message, category, *location, **other)
         elif str(message) not in shown:
             shown.add(str(message))
             print(f"ldc: warning: {message}", file=sys.stderr)

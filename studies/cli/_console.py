@@ -58,7 +58,7 @@ def print_table(table: Table, out: Console | None = None, *, narrow: bool = Fals
     from rich.text import Text
 
     out = out or console()
-    heads = [f"{one.title}\n[{one.unit}]" if one.unit else one.title for one in table.columns]
+    heads = [f"{column.title}\n[{column.unit}]" if column.unit else column.title for column in table.columns]
     rows = [table.texts(row) for row in table.rows]
     full, whole, least = [], [], []  # widths of a column: as it is, with a broken heading, with broken text too
     for j, (column, head) in enumerate(zip(table.columns, heads, strict=True)):

@@ -109,13 +109,13 @@ def judged(folder: str | Path) -> Judged:
 _MOST_FAILED = 20
 
 
-def print_ranking(ranking: Ranking, top: int, found: Verdict) -> None:
+def print_ranking(ranking: Ranking, top: int, judgement: Verdict) -> None:
     """The table, the verdict, and what else a reader should know."""
     out = console()
     print_table(ranking_table(ranking, listed_places(ranking, top)), narrow=True)
-    title, *others = verdict_lines(found)
-    out.print(title, style="bold green" if found.usable and ranking.winner is not None else "bold red", markup=False,
-              emoji=False, highlight=False)  # fmt: skip
+    title, *others = verdict_lines(judgement)
+    style = "bold green" if judgement.usable and ranking.winner is not None else "bold red"
+    out.print(title, style=style, markup=False, emoji=False, highlight=False)
     for line in (*others, *more_lines(ranking)):
         out.print(line, markup=False, emoji=False, highlight=False)
     for warning in ranking.warnings:
@@ -131,25 +131,25 @@ def _print_failed(ranking: Ranking) -> None:
         return
     out.print(f"{len(failed)} design{'s' if len(failed) > 1 else ''} failed and {'are' if len(failed) > 1 else 'is'} "
               "not ranked:", style="yellow")  # fmt: skip
-    say(out, *(f"  {one.sentence}" for one in failed[:_MOST_FAILED]))
+    say(out, *(f"  {failure.sentence}" for failure in failed[:_MOST_FAILED]))
     if len(failed) > _MOST_FAILED:
         out.print(f"  and {len(failed) - _MOST_FAILED} more, see ranking.csv")
     out.print()
 
 
-def write_ranking(folder: Path, study: Study, manifest: Manifest, ranking: Ranking, found: Verdict) -> Path:
+def write_ranking(folder: Path, study: Study, manifest: Manifest, ranking: Ranking, judgement: Verdict) -> Path:
     """Write DIR/ranking.csv and, to be read, DIR/ranking.md."""
     path = folder / "ranking.csv"
     write_csv(ranking, path)
-    write_markdown(ranking, folder / "ranking.md", study, manifest, found)
+    write_markdown(ranking, folder / "ranking.md", study, manifest, judgement)
     return path
 
 
 def json_summary(
-    results: StudyResults, ranking: Ranking, manifest: Manifest, ranking_csv: Path, report: Path, found: Verdict
+    results: StudyResults, ranking: Ranking, manifest: Manifest, ranking_csv: Path, report: Path, judgement: Verdict
 ) -> str:
     """The last line of ``ldc run --json``."""
-    content = {"event": "done"} | _found(results, ranking, manifest) | _judged(found)
+    content = {"event": "done"} | _summary(results, ranking, manifest) | _judged(judgement)
     content |= {
         "wall_time_s": round(manifest.wall_time_s, 3),
         "executor": manifest.executor,
@@ -160,16 +160,20 @@ def json_summary(
     return json.dumps(content)
 
 
-def _judged(found: Verdict) -> dict[str, Any]:
-    return {"verdict": found.title, "usable": found.usable, "lights": {one.name: one.state for one in found.lights}}
+def _judged(judgement: Verdict) -> dict[str, Any]:
+    return {
+        "verdict": judgement.title,
+        "usable": judgement.usable,
+        "lights": {light.name: light.state for light in judgement.lights},
+    }
 
 
 def rank_summary(
-    results: StudyResults, ranking: Ranking, manifest: Manifest, ranking_csv: Path | None, found: Verdict
+    results: StudyResults, ranking: Ranking, manifest: Manifest, ranking_csv: Path | None, judgement: Verdict
 ) -> str:
     """The one line of ``ldc rank --json``: what was found, and with which settings."""
     baseline, winner = ranking.baseline, ranking.winner
-    content = {"event": "ranked"} | _found(results, ranking, manifest) | _judged(found)
+    content = {"event": "ranked"} | _summary(results, ranking, manifest) | _judged(judgement)
     content |= {
         "baseline": None if baseline is None else ranking.designs[baseline].id,
         "baseline_difference_m_s": None if winner is None else _number(ranking.inference.baseline_difference[winner]),
@@ -184,7 +188,7 @@ def rank_summary(
     return json.dumps(content)
 
 
-def _found(results: StudyResults, ranking: Ranking, manifest: Manifest) -> dict[str, Any]:
+def _summary(results: StudyResults, ranking: Ranking, manifest: Manifest) -> dict[str, Any]:
     return {
         "study": manifest.study.get("name", ""),
         "study_hash": manifest.study_hash,
@@ -207,9 +211,14 @@ def _design(ranking: Ranking, i: int) -> dict[str, Any]:
         "gains": dict(design.gains),
         **{f"{name}_m_s": _number(value) for name, value in scores.items()},
         "limits": [
-            {"limit": one.requirement.text, "required": one.required, "met": one.met, "uncertain": one.uncertain}
-            | {"fresh": one.fresh, **{name: _number(getattr(one, name)) for name in ("value", "low", "high")}}
-            for one in ranking.estimates(i)
+            {
+                "limit": estimate.requirement.text,
+                "required": estimate.required,
+                "met": estimate.met,
+                "uncertain": estimate.uncertain,
+            }
+            | {"fresh": estimate.fresh, **{name: _number(getattr(estimate, name)) for name in ("value", "low", "high")}}
+            for estimate in ranking.estimates(i)
         ],
     }
 

@@ -114,9 +114,9 @@ def _subjects(text: str, args: argparse.Namespace) -> Iterator[Subject]:
     if args.gain or args.y_s is not None:
         raise InputError("--gain, --y-s", "go with the name of a law", hint=f"{text} has its own designs")
     if os.path.isfile(f"{text}/manifest.json"):  # noqa: PTH113 - raises nothing, whatever the name
-        found = judged(text)
-        study = found.study
-        designs = named_designs(found.ranking.designs, args.only) if args.only else [found.design]
+        judged_study = judged(text)
+        study = judged_study.study
+        designs = named_designs(judged_study.ranking.designs, args.only) if args.only else [judged_study.design]
     elif text in catalog_names() or text.endswith(".toml"):
         study = load_study(text)
         if not study.designs:

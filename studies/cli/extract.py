@@ -202,6 +202,6 @@ def refuse_input(option: str, target: Path, paths: Sequence[Path], files: Sequen
         if target.samefile(path):
             raise InputError(f"{option} {target}", f"is the input {path}", allowed="a file that is not read")
         if path.is_dir() and target.resolve().is_relative_to(path.resolve()):
-            one = source_file(target)
-            if any((one.bytes, one.sha256) == (file.bytes, file.sha256) for file in files):
+            written = source_file(target)
+            if any((written.bytes, written.sha256) == (file.bytes, file.sha256) for file in files):
                 raise InputError(f"{option} {target}", f"is an input, in {path}", allowed="a file that is not read")

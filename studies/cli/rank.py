@@ -71,11 +71,11 @@ def run(args: argparse.Namespace) -> None:
 
     target = None if args.output is None else output_file(args.output, ".csv", ".md")
     store = Store.open(args.folder)
-    own = store.manifest.read_study()
-    study = _with_settings(own, args)
+    stored = store.manifest.read_study()
+    study = _with_settings(stored, args)
     with progress_bar("reading results"):
         results = store.results()
-    if results.fresh is not None and not _same_chances(own, study):
+    if results.fresh is not None and not _same_chances(stored, study):
         # who is a finalist, and what their intervals promise, was decided by the study's own settings
         warn("fresh scores are those of the study's own requirements and confidence; they are left out")
         results = dataclasses.replace(results, fresh=None)
@@ -83,7 +83,7 @@ def run(args: argparse.Namespace) -> None:
         ranking = rank_study(results, study)
     robustness = stored_robustness(Path(args.folder), study, results, ranking)
     model = read_model(args.folder, store.manifest)
-    found = verdict(ranking, results, study.setup(), robustness, model)
+    judgement = verdict(ranking, results, study.setup(), robustness, model)
     if args.baseline and ranking.baseline is None:
         raise InputError(
             f"--baseline {args.baseline}",
@@ -91,15 +91,15 @@ def run(args: argparse.Namespace) -> None:
             allowed="a design with metrics in ranking.csv",
         )
     if not (args.quiet or args.json):
-        print_ranking(ranking, args.top, found)
+        print_ranking(ranking, args.top, judgement)
     if target is not None and target.suffix.lower() == ".md":
-        write_markdown(ranking, target, study, store.manifest, found)
+        write_markdown(ranking, target, study, store.manifest, judgement)
     elif target is not None:
         write_csv(ranking, target)
-    elif study.ranking == own.ranking:
-        target = write_ranking(Path(args.folder), study, store.manifest, ranking, found)
+    elif study.ranking == stored.ranking:
+        target = write_ranking(Path(args.folder), study, store.manifest, ranking, judgement)
     if args.json:
-        print(rank_summary(results, ranking, store.manifest, target, found))
+        print(rank_summary(results, ranking, store.manifest, target, judgement))
     elif target is not None:
         print(f"ranking: {target}")
 
@@ -116,9 +116,9 @@ def _with_settings(study: Study, args: argparse.Namespace) -> Study:
     return study.changed(source=args.folder, ranking=changes)
 
 
-def _same_chances(own: Study, study: Study) -> bool:
+def _same_chances(stored: Study, study: Study) -> bool:
     """Whether no other setting was given that decides which design could be the best."""
-    return (own.ranking.require, own.ranking.confidence) == (study.ranking.require, study.ranking.confidence)
+    return (stored.ranking.require, stored.ranking.confidence) == (study.ranking.require, study.ranking.confidence)
 
 
 def _add_sensitivity(commands: Subparsers) -> None:
@@ -212,11 +212,11 @@ def _profile_table(profiles: Sequence[Profile], confidence: float) -> Table:
         Column(f"{100 * confidence:g} % interval", "m\u00b7s", "+.4f"),
     ]  # fmt: skip
     rows = []
-    for one in sorted(profiles, key=lambda profile: -profile.spread):
-        unit, best = "" if one.unit == "1" else f" {one.unit}", one.best
-        ends = gain_text(one.values[0]), gain_text(one.values[-1])
-        driven = f"{len(one.values)} ({int((~one.stored).sum())})"
-        there = float(one.difference[best]), (float(one.low[best]), float(one.high[best]))
-        middle, least = f"{gain_text(one.values[one.at])}{unit}", gain_text(one.values[best])
-        rows.append(Row([one.name, middle, *ends, driven, one.spread, least, *there]))
+    for profile in sorted(profiles, key=lambda profile: -profile.spread):
+        unit, best = "" if profile.unit == "1" else f" {profile.unit}", profile.best
+        ends = gain_text(profile.values[0]), gain_text(profile.values[-1])
+        driven = f"{len(profile.values)} ({int((~profile.stored).sum())})"
+        there = float(profile.difference[best]), (float(profile.low[best]), float(profile.high[best]))
+        middle, least = f"{gain_text(profile.values[profile.at])}{unit}", gain_text(profile.values[best])
+        rows.append(Row([profile.name, middle, *ends, driven, profile.spread, least, *there]))
     return Table("", columns, rows)

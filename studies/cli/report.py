@@ -60,8 +60,8 @@ def run(args: argparse.Namespace) -> None:
         ranking = rank_study(results, study)
     with progress_bar("driving the best on other plants"):
         robustness = options.robustness_of(folder, study, results, ranking)
-    found = verdict(ranking, results, study.setup(), robustness, read_model(folder, store.manifest))
-    print(f"ranking: {write_ranking(folder, study, store.manifest, ranking, found)}")
+    judgement = verdict(ranking, results, study.setup(), robustness, read_model(folder, store.manifest))
+    print(f"ranking: {write_ranking(folder, study, store.manifest, ranking, judgement)}")
     with progress_bar("writing the report"):
         path = write_study_report(folder, study, store.manifest, results, ranking, options, robustness)
     print(f"report:  {path}")
@@ -144,7 +144,7 @@ def _print_comparison(comparison: Comparison, top: int) -> None:
     ):
         if failed:
             more = [f"  and {len(failed) - _MOST_LISTED} more"] if len(failed) > _MOST_LISTED else []
-            listed = (f"  {one.sentence}" for one in failed[:_MOST_LISTED])
+            listed = (f"  {design.sentence}" for design in failed[:_MOST_LISTED])
             say(out, f"{plural(len(failed), 'design')} {heading}", *listed, *more)
     for heading, designs in (("old", comparison.only_old), ("new", comparison.only_new)):
         if designs:

@@ -76,8 +76,8 @@ def reviewed_design(subject: Subject) -> Review:
     dt, options = given.get("dt", 0.05), given.get("options", PlantOptions())
     review_plant(given.get("model", BicycleModel()), dt, options, given.get("speeds", SPEEDS))
     try:
-        found = review(subject.controller, **given)
-        return dataclasses.replace(found, findings=(*stored, *found.findings))
+        answer = review(subject.controller, **given)
+        return dataclasses.replace(answer, findings=(*stored, *answer.findings))
     except LdcError as error:
         if not subject.ids:
             raise
@@ -95,11 +95,11 @@ def _of_folder(args: argparse.Namespace) -> Iterator[Subject]:
     ranking, only = judgement.ranking, args.only or judgement.design.id
     for subject in _of_study(judgement.study, argparse.Namespace(**{**vars(args), "only": only})):
         findings = []
-        for place, design in enumerate(ranking.designs):
+        for position, design in enumerate(ranking.designs):
             if design.id not in subject.ids:
                 continue
-            peak, lost = (float(metric_values(name, ranking)[place]) for name in ("a_y_peak_max", "lost"))
-            most = next(one.limit for one in ranking.limits if one.set == "physical")
+            peak, lost = (float(metric_values(name, ranking)[position]) for name in ("a_y_peak_max", "lost"))
+            most = next(limit.limit for limit in ranking.limits if limit.set == "physical")
             if peak > most:
                 text = f"In the stored results a_y reaches {peak:.3g} m/s^2 ({peak / G:.2g} g)"
                 text += f", friction allows {most:.3g} m/s^2"
@@ -154,9 +154,9 @@ def _of_study(study: Study, args: argparse.Namespace) -> Iterator[Subject]:
 
     designs = study.designs if args.only is None else named_designs(study.designs, [args.only])
     source = study_source(study)
-    wanted = with_counts(study, source).scenarios
-    left, right = (min(n, _MOST_SCENARIOS) for n in wanted.counts)
-    scenarios = source.sample(left, right, seed=study.seed, given=wanted.given)
+    settings = with_counts(study, source).scenarios
+    left, right = (min(n, _MOST_SCENARIOS) for n in settings.counts)
+    scenarios = source.sample(left, right, seed=study.seed, given=settings.given)
     setup = study.setup()
     options = _plant(args, setup.options)
     dt = setup.dt if args.dt is None else args.dt

@@ -101,11 +101,11 @@ def _subject(args: argparse.Namespace) -> tuple[Study, ScenarioModel | None, Seq
     from ._results import judged
 
     if os.path.isfile(f"{args.study}/manifest.json"):  # noqa: PTH113 - raises nothing, whatever the name
-        found = judged(args.study)
-        some = named_designs(found.ranking.designs, args.design) if args.design else [found.design]
-        return found.study, read_model(args.study, found.manifest), some, Path(args.study)
+        judged_study = judged(args.study)
+        designs = named_designs(judged_study.ranking.designs, args.design) if args.design else [judged_study.design]
+        return judged_study.study, read_model(args.study, judged_study.manifest), designs, Path(args.study)
     study = load_study(args.study)
-    designs = named_designs(study.designs, args.design) if args.design else study.designs
+    designs = named_designs(study.designs, args.design) if args.design else list(study.designs)
     if not study.designs:
         raise InputError(f"study {study.name}", "searches its designs", hint="give the folder that ldc run wrote")
     if sum(not design.is_baseline for design in designs) > _MOST_DESIGNS:

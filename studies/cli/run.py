@@ -158,9 +158,9 @@ def _run(args: argparse.Namespace, progress: Progress | None) -> int:
         ranking = rank_study(results, study)
     with progress_bar("driving the best on other plants", show=not silent):
         robustness = options.robustness_of(folder, study, results, ranking)
-    found = verdict(ranking, results, study.setup(), robustness, model)
+    judgement = verdict(ranking, results, study.setup(), robustness, model)
     if not silent:
-        print_ranking(ranking, args.top, found)
+        print_ranking(ranking, args.top, judgement)
         print(
             f"{study.name}: {len(results.designs)} designs x {len(results.scenarios):,} scenarios, "
             f"{manifest.wall_time_s:.1f} s, {study.scenarios.source.lower()} {manifest.model} "
@@ -168,10 +168,10 @@ def _run(args: argparse.Namespace, progress: Progress | None) -> int:
         )
     # files last: what they are called is the last thing on the screen
     with progress_bar("writing ranking and report", show=not silent):
-        ranking_path = write_ranking(folder, study, manifest, ranking, found)
+        ranking_path = write_ranking(folder, study, manifest, ranking, judgement)
         report_path = write_study_report(folder, study, manifest, results, ranking, options, robustness)
     if args.json:
-        print(json_summary(results, ranking, manifest, ranking_path, report_path, found))
+        print(json_summary(results, ranking, manifest, ranking_path, report_path, judgement))
     else:
         print(f"ranking: {ranking_path}")
         print(f"report:  {report_path}")
