@@ -203,6 +203,12 @@ def nearest(name: str, allowed: Iterable[str], listing: str = "") -> str:
     return f"did you mean '{lower[close[0]]}'? ({listing})" if close else listing
 
 
+def first_line(error: BaseException) -> str:
+    """What another library's error says, without the rest."""
+    text = str(error)
+    return text.partition("\n")[0].strip() or type(error).__name__
+
+
 def expect(name: str, value: object, kind: type | UnionType) -> None:
     """Raise `InputError` for an argument of a wrong type."""
     if not isinstance(value, kind):

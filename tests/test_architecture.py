@@ -322,7 +322,6 @@ def test_no_file_imports_from_the_facade(text: str, tmp_path: Path) -> None:
 
 
 SENTENCES = {
-    "ldctoolkit/recordings/departures_table.py", "ldctoolkit/recordings/table_reader.py",
     "studies/sensitivity/sensitivity.py", "studies/sensitivity/winner_profile.py",
 }  # fmt: skip
 """Files that still have such lines."""

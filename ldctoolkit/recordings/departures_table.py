@@ -24,7 +24,7 @@ from ldctoolkit.departures import (
     combined_departures,
     no_departures,
 )
-from ldctoolkit.errors import RecordingError
+from ldctoolkit.errors import RecordingError, first_line
 from ldctoolkit.recordings.find_departures import Criteria, Refused
 from ldctoolkit.recordings.preparation import Preparation
 from ldctoolkit.recordings.quality import (
@@ -250,7 +250,7 @@ def read_table(source: Path, needed: str, *, checksum: bool = False) -> tuple[pl
         advice = f"make it anew, or, if it was changed on purpose, drop its metadata '{PARQUET_CHECKSUM}'"
         raise RecordingError(source.name, f"{error}", hint=advice) from None
     except (pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
-        raise RecordingError(source.name, f"cannot be read as Parquet: {str(error).splitlines()[0]}") from None
+        raise RecordingError(source.name, f"cannot be read as Parquet: {first_line(error)}") from None
 
 
 def column_of(name: str, table: pl.DataFrame, column: str) -> FloatArray:

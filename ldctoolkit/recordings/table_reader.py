@@ -14,7 +14,7 @@ import numpy as np
 import polars as pl
 
 from ldctoolkit.arrays import BoolArray
-from ldctoolkit.errors import RecordingError
+from ldctoolkit.errors import RecordingError, first_line
 from ldctoolkit.recordings.preparation import clock_stretches
 from ldctoolkit.recordings.recording import (
     FoundParts,
@@ -350,7 +350,7 @@ def _parquet_frames(path: Path, block_bytes: int, faults: list[Fault], names: Se
 
 
 def _not_parquet(error: BaseException) -> RecordingError:
-    return RecordingError("", f"cannot be read as Parquet: {str(error).splitlines()[0]}")
+    return RecordingError("", f"cannot be read as Parquet: {first_line(error)}")
 
 
 SUFFIXES: Final = (".csv", ".csv.gz", ".parquet")

@@ -28,11 +28,10 @@ from loky.process_executor import BrokenProcessPool
 
 import ldctoolkit.compiling as compiling
 from ldctoolkit.declared import UnitWarning, checked_whole
-from ldctoolkit.errors import ClusterError, InputError, LdcError
+from ldctoolkit.errors import ClusterError, InputError, LdcError, first_line
 from ldctoolkit.surroundings import WORKERS, leave_with, safe_path, temporary_folder
 from ldctoolkit.version import DECISIVE, Versions, versions
 
-from ..storage.files import first_line
 from .work import Ended, Executor, Fault, Work
 
 EXECUTORS: Final = ("serial", "processes", "dask")
@@ -232,7 +231,7 @@ class ProcessExecutor:
                 self._submit(work)
         except (BrokenProcessPool, OSError) as error:
             self._pool = None
-            reason = first_line(error) or type(error).__name__
+            reason = first_line(error)
             raise LdcError(
                 problem=f"worker processes cannot start ({reason})",
                 hint="what was stored is kept: run it again with fewer workers, or with one, which runs in this "

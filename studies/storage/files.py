@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from ldctoolkit.departures import LEFT, PARAMETER_COLUMNS, RIGHT
-from ldctoolkit.errors import LdcError, StoreError
+from ldctoolkit.errors import LdcError, StoreError, first_line
 from ldctoolkit.recordings.departures_table import read_signals, signals_path, signals_table
 from ldctoolkit.scenarios import Drifts, Scenarios
 from ldctoolkit.whole_file import (
@@ -45,12 +45,6 @@ def output_folder(folder: Path) -> Path:
 def write_text(path: Path, text: str) -> None:
     """Write a text file in UTF-8, whole or not at all; what a path has that is no text is written as in messages."""
     write_whole(path, text.encode(errors="backslashreplace"), StoreError)
-
-
-def first_line(error: Exception) -> str:
-    """What another library's error says, without the rest."""
-    text = str(error)
-    return text.partition("\n")[0].strip()
 
 
 def write_json(path: Path, content: Mapping[str, Any], indent: int | None = 1) -> None:
