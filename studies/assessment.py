@@ -25,7 +25,7 @@ from ldctoolkit.simulation import Outcome, Takeover, drive
 from .design import Design
 from .standards import KM_H, VEHICLES, Cells, QuantityName, Standard, load_standard
 from .storage.files import write_text
-from .storage.stored_arrays import remembered
+from .storage.measure_table import remembered
 from .tables import Column, Row, Table, to_csv
 
 LightName = Literal["green", "amber", "red"]

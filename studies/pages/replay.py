@@ -17,7 +17,7 @@ from ldctoolkit.simulation import Takeover, drive
 
 from ..design import PAPER_LAW, is_paper_design, named_designs
 from ..results import FAILED_STATUSES
-from ..storage.stored_arrays import remembered
+from ..storage.measure_table import remembered
 from .context import Context
 
 MOST_DESIGNS: Final = 8

@@ -1,25 +1,10 @@
-"""What a study leaves in its folder.
+"""What a study leaves in its folder: see "What a study leaves" in ``docs/reference/study-file.md`` for its files.
 
-::
-
-    DIR/manifest.json            what was requested, with which versions, on which machine
-    DIR/scenarios.parquet        the scenarios that every design was run on
-    DIR/designs.parquet          the designs: identifier, law, y_s, gains
-    DIR/results/part-*.parquet   per-scenario results of some designs, one row a scenario
-    DIR/measures.parquet         loop margins of the designs, and what was asked for on named vehicles and in standards
-    DIR/failures.json            designs whose law failed, and why; not there if none did
-    DIR/timing.json              how long the laws took; the one file that a second run does not give again
-    DIR/finalists/               the best designs on fresh scenarios: a folder like this one
-    DIR/replayed/                the best designs on recorded departures, where a study has both: a folder like this one
-
-Guarantees. Every file is written whole or not at all, and holds a checksum that is checked when it is read. Parts are
-only ever added; the checksum is in a part's name, and writing the same runs again gives the same file. A run is
-identified by its design's content, which the code of its law belongs to. What a killed
-study had stored survives it, and the next run into the same folder computes only what is missing; a design that failed
-is missing, and so is tried again. A folder that holds another model, seed, vehicle or plant is refused; designs and
-scenarios may be added and left out. After an edit of a law its designs are missing; with another version of the
-toolkit, or of a package that decides numbers, all are. Absolute paths, the host and the user are not recorded, unless a
-law's own error message names them.
+Every file is written whole or not at all, and holds a checksum that is checked when it is read. Parts of results are
+only ever added; writing the same runs again gives the same file. A run is identified by its design's content, which the
+code of its law belongs to. The next run into a folder computes only what is missing, also after a kill. A folder that
+holds another model, seed, vehicle or plant is refused; designs and scenarios may be added and left out. Absolute paths,
+the host and the user are not recorded, unless a law's own error message names them.
 """
 
 from __future__ import annotations
