@@ -16,6 +16,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, Valida
 
 from ldctoolkit.code_content import content_of
 from ldctoolkit.control import Controller
+from ldctoolkit.declared import declarations
 from ldctoolkit.errors import InputError, LdcError, StudyError, UnknownNameError
 from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.registry import controller_class, controller_names, register
@@ -29,7 +30,6 @@ from ldctoolkit.whole_file import read_toml
 
 from .design import Design
 from .design_space import DesignBlock, check_blocks
-from .plant_table import read_plant, read_table
 from .requirements import SETS, metric, parse_requirement
 from .standards import standard_names
 
@@ -61,6 +61,26 @@ def _each(read: Callable[[str], str]) -> AfterValidator:
 Names = Annotated[tuple[str, ...], BeforeValidator(_names)]
 MetricNames = Annotated[Names, _each(lambda name: metric(name).name)]
 Requirements = Annotated[Names, _each(lambda text: text if text in SETS else parse_requirement(text).text)]
+
+
+def read_plant(entry: Any) -> Any:
+    """The plant options of what stands under ``plant``; what is no table is handed on for the field's own message."""
+    return read_table(PlantOptions, entry) if isinstance(entry, dict) else entry
+
+
+def read_table(kind: type, table: dict[str, Any], prefix: str = "") -> Any:
+    """A frozen value of declared fields from a table of a file; errors are at the key path behind the prefix."""
+    values = dict(table)
+    for key, entry in table.items():
+        path, keys = f"{prefix}{key}", vars(kind)["__dataclass_fields__"]  # fps too, which is not kept
+        if key not in keys:
+            raise InputError(path, "no such key", allowed=[*keys])
+        declaration = declarations(kind).get(key)
+        if declaration and declaration.kind and not (entry is None and declaration.default is None):
+            if not isinstance(entry, dict):
+                raise InputError(path, value=entry, allowed="a table of keys")
+            values[key] = read_table(declaration.kind, entry, f"{path}.")
+    return kind(**values)
 
 
 class RankingSettings(Part):

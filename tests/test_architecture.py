@@ -58,7 +58,7 @@ LEVELS = (
     ("studies.standards",),
     ("studies.requirements",),
     ("studies.design", "studies.results"),
-    ("studies.study_file", "studies.design_space", "studies.plant_table"),
+    ("studies.study_file", "studies.design_space"),
     ("studies.study_template",),
     ("studies.replayed",),
     ("studies.storage",),

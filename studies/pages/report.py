@@ -5,13 +5,15 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from markupsafe import Markup
 
+from ldctoolkit.declared import Declaration, declarations
+from ldctoolkit.plant_options import PlantOptions
+from ldctoolkit.setup import Setup, simulation_options
 from ldctoolkit.version import __version__
 
-from ..plant_table import not_ideal, plant_settings, simulation_settings
 from ..sensitivity.sensitivity import sensitivity
 from ..storage.files import write_text
 from ..storage.stored_model import read_model
@@ -193,3 +195,48 @@ def _versions(manifest: Manifest) -> Iterator[tuple[str, str]]:
     yield "Python", manifest.python
     machine = manifest.machine
     yield "machine", f"{machine.system}, {machine.architecture}, {machine.processor}, {machine.cores} cores"
+
+
+_ALWAYS_SHOWN: Final = ("tyres", "sensors.kalman", "residuals")
+"""Tables whose defaults say something as soon as the table is used."""
+
+
+def not_ideal(options: PlantOptions) -> Iterator[Declaration]:
+    """The declarations of what differs from the ideal plant."""
+    ideal = PlantOptions()
+    for name, declaration in declarations(PlantOptions).items():
+        if getattr(options, name) != getattr(ideal, name):
+            yield declaration
+
+
+def simulation_settings(setup: Setup) -> Iterator[tuple[str, str]]:
+    """What each option of the simulation is, and its value with its unit."""
+    for declaration in simulation_options():
+        yield declaration.description, _text(getattr(setup, declaration.name), declaration)
+
+
+def plant_settings(options: PlantOptions) -> Iterator[tuple[str, str]]:
+    """Key and value, with its unit, of everything that differs from the ideal plant."""
+    for declaration in not_ideal(options):
+        value = getattr(options, declaration.name)
+        if declaration.kind:
+            yield from _shown(value, declaration.name)
+        else:
+            yield declaration.name, _text(value, declaration)
+
+
+def _shown(part: Any, path: str) -> Iterator[tuple[str, str]]:
+    for declaration in declarations(part.__class__).values():
+        value, key = getattr(part, declaration.name), f"{path}.{declaration.name}"
+        if declaration.kind and value is not None:
+            yield from _shown(value, key)
+        elif value is not None and (path in _ALWAYS_SHOWN or value != declaration.default):
+            yield key, _text(value, declaration)
+
+
+def _text(value: Any, declaration: Declaration) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, tuple):
+        return " to ".join(f"{end:g}" for end in value)
+    return f"{value:g} {declaration.unit}".removesuffix(" 1") if isinstance(value, float) else str(value)

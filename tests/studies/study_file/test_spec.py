@@ -20,7 +20,7 @@ from ldctoolkit.errors import StudyError
 from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.studies import Design, Study
 from ldctoolkit.studies.design_space import expand
-from ldctoolkit.studies.plant_table import plant_settings
+from ldctoolkit.studies.pages.report import plant_settings
 from ldctoolkit.studies.study_file import catalog_names, load_study, toml_text
 
 pytestmark = pytest.mark.usefixtures("laws")
