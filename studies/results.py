@@ -12,11 +12,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.arrays import BoolArray, FloatArray, Frame, IntArray
+from ldctoolkit.arrays import BoolArray, FloatArray, Frame, IntArray, facts_html
 from ldctoolkit.control import EventStatus
 from ldctoolkit.departures import LEFT
 from ldctoolkit.metrics import METRIC_COLUMNS, MetricValues
-from ldctoolkit.notebook import facts_html
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.simulation import Window
 from ldctoolkit.simulation.loop import STATUS_NAMES

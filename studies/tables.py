@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any, Final, Self
 
 from markupsafe import Markup, escape
 
+from ldctoolkit.arrays import CELL
 from ldctoolkit.errors import plain
-from ldctoolkit.notebook import CELL
 
 from .text import DASH, formatted, symbols
 

@@ -27,7 +27,6 @@ LEVELS = (
         "ldctoolkit.compiling",
         "ldctoolkit.errors",
         "ldctoolkit.lane_functions",
-        "ldctoolkit.notebook",
         "ldctoolkit.numba_internals",
         "ldctoolkit.surroundings",
         "ldctoolkit.version",

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Final, Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.arrays import BoolArray, FloatArray, Frame, IntArray, ReadOnly, unmasked
+from ldctoolkit.arrays import BoolArray, FloatArray, Frame, IntArray, ReadOnly, facts_html, unmasked
 from ldctoolkit.control import (
     Controller,
     EventStatus,
@@ -35,7 +35,6 @@ from ldctoolkit.errors import InputError, expect
 from ldctoolkit.law_checks import check_calls, check_controller, check_law, check_step, check_taken
 from ldctoolkit.metrics import METRIC_COLUMNS, METRIC_UNITS, MetricValues
 from ldctoolkit.metrics import reduction as metric_reduction
-from ldctoolkit.notebook import facts_html
 from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import SETTLE, TTLC, InitialYawRate, PlantKnowledge, Setup, Start, Trigger

@@ -307,11 +307,11 @@ def test_a_task_is_late_where_nothing_else_took_the_time(client: FakeClient, mon
     now = 0.0
     monkeypatch.setattr(executors.time, "monotonic", lambda: now)
     faults = []
-    for seconds, metrics, limit in ((41.0, 0, 10.0), (39.0, 0, 10.0), (41.0, 1, 10.0), (1e9, 0, 0.0)):
+    for seconds, others, limit in ((41.0, 0, 10.0), (39.0, 0, 10.0), (41.0, 1, 10.0), (1e9, 0, 0.0)):
         now = 0.0
         executor = connected()
         client.futures.clear()
-        for _ in range(metrics + 1):
+        for _ in range(others + 1):
             executor.start(a_task(limit))
         now = seconds
         for future in client.futures:
