@@ -75,9 +75,8 @@ def _loop(designs: Sequence[Design], *, setup: Setup) -> Sequence[FloatArray]:
     same = {(design.law, design.gains, design.code): design for design in designs}
     controllers = [design.controller(setup.convention) for design in same.values()]
     gain, phase = design_margins(controllers, setup, MARGIN_SPEEDS)
-    numbers = np.stack(
-        [gain.min(axis=1), phase.min(axis=1), [_has_solver(controller, setup) for controller in controllers]]
-    )
+    solver = [_has_solver(controller, setup) for controller in controllers]
+    numbers = np.stack([gain.min(axis=1), phase.min(axis=1), solver])
     column_of = {key: i for i, key in enumerate(same)}
     return list(numbers[:, [column_of[design.law, design.gains, design.code] for design in designs]])
 
@@ -143,7 +142,7 @@ def drive_on_plants(
 ) -> Drives:  # fmt: skip
     """Drive every design on every plant separately, so that no number depends on another.
 
-    The plant of the setup is not used. `advance` is called with the number of drives so far and of all.
+    The plants stand in for that of the setup. `advance` is called with the number of drives so far and of all.
     """
     shape = (len(plants), len(designs), scenarios.n)
     S, S_uncorrected = np.full(shape, np.nan), np.full(shape, np.nan)

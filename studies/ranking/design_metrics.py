@@ -144,7 +144,7 @@ def sampling_intervals(
             below, above = np.floor(first * each).astype(np.int64), np.ceil(last * each).astype(np.int64)
             low = np.where(below > 0, ordered[rows, below - 1], -np.inf)
             high = np.where(above <= count, ordered[rows, np.minimum(above, count) - 1], np.inf)
-        elif metric.name == "within_dtle_gain":  # Bonferroni, over both signs of the difference
+        elif metric.name == "within_dtle_gain":  # by Bonferroni, from the shares of gains and of losses
             shares = np.stack([(values > 0).mean(axis=1), (values < 0).mean(axis=1)])
             least, most = binomial_interval(shares * n, n, 0.5 * (1.0 + level))
             low, high = least[0] - most[1], most[0] - least[1]
@@ -188,7 +188,7 @@ def _groups() -> list[list[Metric]]:
 
 
 def _taken(metric: Metric, by: Interventions, *values: FloatArray) -> FloatArray:
-    """A metric of some designs, over all departures or the interventions."""
+    """Values of a metric of designs, over all departures or the interventions."""
     if metric.share is not None:
         return np.asarray(metric.share(by, *values))
     (only,) = values
@@ -314,7 +314,7 @@ class DesignMetrics:
     beside: Mapping[str, FloatArray]
 
     def take(self, order: IntArray) -> DesignMetrics:
-        """The same for some of the designs, in the order given."""
+        """The metrics of the given designs, in the order given."""
         values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         beside = {name: column[order] for name, column in values.pop("beside").items()}
         return DesignMetrics(**{name: column[order] for name, column in values.items()}, beside=beside)
@@ -363,9 +363,7 @@ def measures_of(results: StudyResults, vehicles: Sequence[str], standards: Seque
 
     values = {name: results.measures[name] for name in _MARGINS if name in results.measures}
     if vehicles:
-        pairs = [
-            [measure(name, vehicle) for name in vehicle_measures(vehicle, results.scenarios)] for vehicle in vehicles
-        ]
+        pairs = [[measure(name, asked) for name in vehicle_measures(asked, results.scenarios)] for asked in vehicles]
         S, comfortable = np.array(pairs).swapaxes(0, 1)
         values |= {"S_worst": S.max(axis=0), "comfortable_worst": comfortable.min(axis=0)}
     return values | {name: measure(name, name) for name in standards}

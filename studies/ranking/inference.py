@@ -187,7 +187,7 @@ def paired_cubes(parts: FloatArray, reference: FloatArray) -> FloatArray:
 
 
 def spread_is_known(side: IntArray) -> bool:
-    """Whether every side has two scenarios or more; one alone shows no spread, and no standard error is finite then."""
+    """Whether every side has two scenarios or more: with a single scenario no standard error is finite."""
     return bool((np.unique(side, return_counts=True)[1] > 1).all())
 
 

@@ -23,7 +23,7 @@ def choose_winner(resampled: Resampled, set_of_best: BoolArray, meets: BoolArray
 
     If the interval of the difference to it is below 0 for other candidates, the candidate with the smallest mean among
     these. None if no finalist meets the requirements. The smallest fresh score would again be a choice by luck, and too
-    small. The search's first design was not chosen on the fresh scenarios, so its fresh score is unbiased.
+    small. The search's first design was not chosen on the fresh scenarios, so its fresh score is not too small.
     """
     candidates = np.flatnonzero(meets & set_of_best)
     if not candidates.size:

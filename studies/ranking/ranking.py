@@ -172,8 +172,8 @@ class Ranking(RankedDesigns, Frame):
         finite; `UnknownNameError` for a metric or set that does not exist.
 
         The settings are those of ``[ranking]`` in a study file, D_y [m] is the depth that counts as deep. The `setup`
-        of the runs gives the limit of friction. The worst of the named `vehicles` and the shares of the named and required
-        `standards` are taken from the measures of the run, with an `InputError` for a measure that is missing.
+        of the runs gives the limit of friction. The worst of the named `vehicles` and the shares of the named or
+        required `standards` are taken from the measures of the run, with an `InputError` for a measure that is missing.
         """
         options = None if setup is None else setup.options
         requirements = requirements_of(require, options)

@@ -30,7 +30,7 @@ _NEAREST: Final = 3
 
 @dataclasses.dataclass(frozen=True)
 class OtherPlants:
-    """The part of `ldctoolkit.studies.robustness.Robustness` for a verdict: d designs on p plants, the study's first."""
+    """The part of `ldctoolkit.studies.robustness.Robustness` for a verdict: d designs, p plants, the study's first."""
 
     designs: tuple[str, ...]  # Identifiers
     plants: tuple[str, ...]  # Names
@@ -152,10 +152,8 @@ def _score(ranking: RankedDesigns, i: int) -> str:
     if not np.isfinite(ranking.fresh.S[i]):
         of = (ranking.metrics.S, ranking.inference.S_low, ranking.inference.S_high)
     S, low, high = (float(values[i]) for values in of)
-    saved, values = (
-        ranking.saved(i),
-        {estimate.requirement.metric.name: estimate.value for estimate in ranking.estimates(i)},
-    )
+    saved = ranking.saved(i)
+    values = {estimate.requirement.metric.name: estimate.value for estimate in ranking.estimates(i)}
     level = f"{100 * ranking.confidence:g} % interval"
     between = f" ({level} {low:.3f} to {high:.3f})" if math.isfinite(low + high) else ""
     if ranking.designs[i].is_baseline or not math.isfinite(saved):
@@ -211,11 +209,7 @@ def _score_light(ranking: RankedDesigns, position: int) -> Light:
 def _stable_light(ranking: RankedDesigns, position: int) -> Light:
     lost, diverged = int(metric_values("lost", ranking)[position]), int(ranking.metrics.diverged[position])
     gain, phase = (float(metric_values(name, ranking)[position]) for name in ("gain_margin", "phase_margin"))
-    missed = [
-        estimate.text
-        for estimate in ranking.estimates(position)
-        if estimate.requirement.set == "stable" and not estimate.met
-    ]
+    missed = [miss.text for miss in ranking.estimates(position) if miss.requirement.set == "stable" and not miss.met]
     if lost:
         return Light("Stable", "bad", f"It diverges in {lost} of {ranking.scenarios:,} departures.")
     if gain == 0.0:
@@ -240,11 +234,8 @@ def _limits_light(ranking: RankedDesigns, position: int) -> Light:
     ]
     missed = [estimate.text for estimate in limited if estimate.required and not estimate.met]
     others = [estimate.text for estimate in limited if not estimate.required and not estimate.met]
-    close = [
-        estimate.with_interval(f"{100 * ranking.confidence:g} %")
-        for estimate in limited
-        if estimate.met and estimate.uncertain
-    ]
+    level = f"{100 * ranking.confidence:g} %"
+    close = [estimate.with_interval(level) for estimate in limited if estimate.met and estimate.uncertain]
     if impossible:
         return Light("Limits", "bad", f"{_capital(impossible)}.")
     if missed:
@@ -498,10 +489,9 @@ def more_lines(ranking: RankedDesigns) -> Iterator[str]:
         finalists = np.where(np.isfinite(ranking.fresh.S) & (ranking.rank > 0), ranking.replayed.S, np.inf)
         if (best := int(np.nanargmin(finalists))) != i:
             yield f"The first finalist there is {design_name(ranking.designs[best])}."
-    if i is not None and (
-        limited := [estimate for estimate in ranking.estimates(i) if estimate.required and estimate.interval]
-    ):
-        texts = (estimate.with_interval(f"{100 * ranking.confidence:g} %") for estimate in limited)
+    limits = () if i is None else ranking.estimates(i)
+    if i is not None and (required := [limit for limit in limits if limit.required and limit.interval]):
+        texts = (limit.with_interval(f"{100 * ranking.confidence:g} %") for limit in required)
         yield f"Required of the winner, on {ranking.sample(i)}: {'; '.join(texts)}."
     if ranking.ranked < len(ranking):
         left = len(ranking) - ranking.ranked
