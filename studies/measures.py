@@ -1,4 +1,4 @@
-"""What a run measures of designs beside driving the study: loop margins, named vehicles, standards."""
+"""Measures of designs besides the runs of the study: loop margins, named vehicles, standards."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ from .results import FAILED_STATUSES, StudyResults, status_among
 from .standards import VEHICLES
 from .storage.measure_table import MeasureTable
 
-MARGIN_SPEEDS: Final = tuple(range(10, 41, 5))  # speeds [m/s] that the margins of a design are the smallest of
+MARGIN_SPEEDS: Final = tuple(range(10, 41, 5))  # speeds [m/s]; the margins of a design are the minima over these
 
-DEPARTURES: Final = 50  # of each side, that every design is driven on with every named vehicle
+DEPARTURES: Final = 50  # departures of each side that designs are driven on with named vehicles
 
 LOOP: Final = ("gain_margin", "phase_margin", "solver")
 """Measures of the loop: both margins, [1] and [rad], and whether the law has a solver (1 or 0)."""
 
 Group = tuple[tuple[str, ...], Callable[[Sequence[Design]], Sequence[FloatArray]]]
-"""Names of measures, and what measures all of them, each (d,), of d designs."""
+"""Names of measures, and the function that returns all of them, each (d,), for d designs."""
 
 
 def measured(
@@ -48,11 +48,11 @@ def measured(
     vehicles: Sequence[str] = (),
     standards: Sequence[str] = (),
 ) -> StudyResults:
-    """The results with the measures of their designs; those that the table does not hold are driven and added to it."""
-    some = first_of_each_side(results.scenarios, DEPARTURES) if vehicles else results.scenarios
+    """The results with the measures of their designs; missing measures are computed and added to the table."""
+    departures = first_of_each_side(results.scenarios, DEPARTURES) if vehicles else results.scenarios
     groups: list[Group] = [(LOOP, functools.partial(_loop, setup=setup))]
     for vehicle in vehicles:
-        on = functools.partial(_on_vehicle, vehicle=vehicle, scenarios=some, setup=setup, window=results.window)
+        on = functools.partial(_on_vehicle, vehicle=vehicle, scenarios=departures, setup=setup, window=results.window)
         groups.append((vehicle_measures(vehicle, results.scenarios), on))
     groups += [((name,), functools.partial(_scores, standard=name, setup=setup)) for name in standards]
     for names, measure in groups:
@@ -75,13 +75,14 @@ def _loop(designs: Sequence[Design], *, setup: Setup) -> Sequence[FloatArray]:
     same = {(design.law, design.gains, design.code): design for design in designs}
     controllers = [design.controller(setup.convention) for design in same.values()]
     gain, phase = design_margins(controllers, setup, MARGIN_SPEEDS)
-    numbers = np.stack([gain.min(axis=1), phase.min(axis=1), [_has_solver(one, setup) for one in controllers]])
-    place = {key: i for i, key in enumerate(same)}
-    return list(numbers[:, [place[design.law, design.gains, design.code] for design in designs]])
+    solver = [_has_solver(controller, setup) for controller in controllers]
+    numbers = np.stack([gain.min(axis=1), phase.min(axis=1), solver])
+    column_of = {key: i for i, key in enumerate(same)}
+    return list(numbers[:, [column_of[design.law, design.gains, design.code] for design in designs]])
 
 
 def _has_solver(controller: Any, setup: Setup) -> float:
-    """Whether the law that a controller makes has `solver_calls` of its own; true where that is not known."""
+    """Whether the law that a controller prepares overrides `solver_calls`; 1 where that is unknown."""
     try:
         law = type(controller.prepare(setup.plant(np.array([25.0]))))
     except Exception:  # a controller may be third-party code
@@ -94,8 +95,8 @@ def _scores(designs: Sequence[Design], *, standard: str, setup: Setup) -> Sequen
     scores = []
     for design in designs:
         try:
-            made = assess(design.controller(setup.convention), standard, setup, y_s=design.y_s, tolerances=False)
-            scores.append(made.score)
+            assessment = assess(design.controller(setup.convention), standard, setup, y_s=design.y_s, tolerances=False)
+            scores.append(assessment.score)
         except LdcError:
             scores.append(math.nan)
     return [np.array(scores)]
@@ -126,11 +127,11 @@ class Drives:
     status: npt.NDArray[np.int8]  # (p, d, n) `ldctoolkit.EventStatus`
     # (p, d) [1] Share of the interventions within both limits of ISO 11270; NaN without any, and where the law raised
     comfortable: FloatArray
-    raised: tuple[tuple[int, int, str], ...]  # By position: laws that raised
+    raised: tuple[tuple[int, int, str], ...]  # Plant, design and error of each law that raised
 
 
 def first_of_each_side(scenarios: Scenarios, most: int) -> Scenarios:
-    """At most so many scenarios of each side, with the numbers that they have."""
+    """The first `most` scenarios of each side, with their numbers."""
     rows = [np.flatnonzero(scenarios.side == side)[:most] for side in (LEFT, RIGHT)]
     return scenarios.take(np.concatenate(rows))
 
@@ -139,9 +140,9 @@ def drive_on_plants(
     designs: Sequence[Design], plants: Sequence[PlantOptions], scenarios: Scenarios, setup: Setup, window: Window,
     advance: Callable[[int, int], None] | None = None,
 ) -> Drives:  # fmt: skip
-    """Drive every design on every plant; each by itself, so that no number depends on another.
+    """Drive every design on every plant separately, so that no number depends on another.
 
-    The setup's own plant does not count. `advance` is called with the number of drives so far and of all.
+    The plants stand in for that of the setup. `advance` is called with the number of drives so far and of all.
     """
     shape = (len(plants), len(designs), scenarios.n)
     S, S_uncorrected = np.full(shape, np.nan), np.full(shape, np.nan)

@@ -19,8 +19,8 @@ from .standards import load_standard, standard_names
 Operator = Literal["<=", "<", ">=", ">"]
 
 _ALIASES: Final = {
-    **{alias: one.name for one in METRICS.values() for alias in one.aliases},
-    **{one.column: one.name for one in METRICS.values()},
+    **{alias: metric.name for metric in METRICS.values() for alias in metric.aliases},
+    **{metric.column: metric.name for metric in METRICS.values()},
 }
 """Other names of the same metrics; the columns of ``ranking.csv`` are among them."""
 
@@ -32,7 +32,7 @@ def metric(name: str) -> Metric:
         title, column = f"{load_standard(known).title}, cells passed", f"{known.replace('-', '_')}_share"
         return Metric(known, "share", "more", column, title, "lane", 1)
     if known not in METRICS:
-        # the beginning of another name, as ``ay``, is too short to be near to anything by its letters
+        # the beginning of an alias, such as ``ay``, is too short to be compared by its letters
         begun = next((target for alias, target in _ALIASES.items() if name and alias.startswith(name)), name)
         known_names = (*METRICS, *standard_names())
         raise UnknownNameError("metric", "is no metric", value=name, hint=nearest(begun, known_names))
@@ -40,15 +40,15 @@ def metric(name: str) -> Metric:
 
 
 def metric_values(name: str, source: Any) -> FloatArray:
-    """Values of a metric, one a design, (d,); NaN where a design has none.
+    """Values of a metric of each design, (d,); NaN where a design has none.
 
     The source is a `ldctoolkit.Ranking`, its ``metrics``, or a mapping of names to values. Raises `UnknownNameError`
     for an unknown name; `InputError` for a metric that is not among them.
     """
-    wanted, metrics = metric(name).name, getattr(source, "metrics", source)
-    values = (metrics if isinstance(metrics, Mapping) else vars(metrics) | metrics.beside).get(wanted)
+    canonical, metrics = metric(name).name, getattr(source, "metrics", source)
+    values = (metrics if isinstance(metrics, Mapping) else vars(metrics) | metrics.beside).get(canonical)
     if values is None:
-        raise InputError(f"metric {wanted}", "not among these results")
+        raise InputError(f"metric {canonical}", "not among these results")
     return np.asarray(values, dtype=np.float64)
 
 
@@ -68,24 +68,24 @@ SETS: Final[Mapping[str, tuple[str, ...]]] = {
     "lane-edge": ("within_dtle_gain >= 0",),
     "physical": (),
 }
-"""Named sets of requirements. ``physical`` depends on the plant: `requirements_of` makes it."""
+"""Named sets of requirements. ``physical`` depends on the plant: `requirements_of` creates it."""
 
 G: Final = 9.81  # acceleration of free fall [m/s^2]
 
 
 @dataclasses.dataclass(frozen=True)
 class Requirement:
-    """What a design must meet. Made with `parse_requirement` or `requirements_of`."""
+    """What a design must meet. Created with `parse_requirement` or `requirements_of`."""
 
     metric: Metric
     operator: Operator
     limit: float  # In the metric's unit
-    set: str = ""  # Name of the set that it belongs to; empty for one by itself
+    set: str = ""  # Name of the set that it belongs to; empty without a set
 
     def met(self, values: npt.ArrayLike) -> BoolArray:
-        """Where it is met, (d,). A metric that a design does not have (NaN) never meets a requirement by itself. In a
-        set it does: margins are those of linear loops, comfort is that of interventions, and a design without
-        either cannot break them.
+        """Where it is met, (d,). A metric that a design does not have (NaN) never meets a requirement without a set.
+        In a set it does: margins are those of linear loops, comfort is that of interventions, and a design without
+        either cannot violate them.
         """
         array = np.asarray(values, dtype=np.float64)
         result: BoolArray = np.asarray(_OPERATORS[self.operator](array, self.limit)) | (
@@ -94,19 +94,19 @@ class Requirement:
         return result
 
     def excess(self, values: npt.ArrayLike) -> FloatArray:
-        """How far values (d,) are beyond the limit, as a part of it, or in the metric's unit for a limit of 0. At most
-        0 where `met` says so, above 0 elsewhere, infinite for a metric that a design does not have.
+        """How far values (d,) are beyond the limit, as a fraction of it, or in the metric's unit for a limit of 0. At
+        most 0 where `met` is true, above 0 elsewhere, infinite for a metric that a design does not have.
         """
         array = np.asarray(values, dtype=np.float64)
         sign = 1.0 if self.operator in ("<", "<=") else -1.0
-        with np.errstate(over="ignore"):  # infinitely far is an answer
+        with np.errstate(over="ignore"):  # an infinite excess is a valid result
             beyond = sign * (array - self.limit) / (abs(self.limit) or 1.0)
         beyond = np.where(np.isnan(beyond), np.inf, beyond)
         return np.where(self.met(array), np.minimum(beyond, 0.0), np.maximum(beyond, _MISSED))
 
     @property
     def text(self) -> str:
-        """The requirement with the metric's own name: ``"a_y_peak_p95 <= 3"``."""
+        """The requirement with the name of its metric: ``"a_y_peak_p95 <= 3"``."""
         return f"{self.metric.name} {self.operator} {self.limit!r}".removesuffix(".0")
 
 
@@ -122,7 +122,7 @@ class Miss:
 
     @property
     def excess(self) -> float:
-        """By how much, as a part of the limit; see `Requirement.excess`."""
+        """How far the value is beyond the limit, see `Requirement.excess`."""
         return float(self.requirement.excess([self.value])[0])
 
     @property
@@ -161,7 +161,7 @@ class Estimate(Miss):
 
     @property
     def interval(self) -> str:
-        """For a reader: ``"4.70 to 5.20 m/s³"``; an end that so few departures do not know is left open."""
+        """For a reader: ``"4.70 to 5.20 m/s³"``; an end that too few departures leave unknown is open."""
         low, high = (_shown(self.requirement.metric, end) for end in (self.low, self.high))
         if math.isnan(self.low):
             return ""
@@ -171,18 +171,18 @@ class Estimate(Miss):
 
 
 def _shown(of: Metric, value: float) -> str:
-    """A value with the metric's digits, in the unit of a page."""
+    """A value with the digits and the unit that readers see."""
     return f"{of.scale * value:.{of.digits}f}{f' {of.shown_unit}' if of.shown_unit else ''}".replace("-", "\u2212")
 
 
 def missed_by(requirements: Sequence[Requirement], metrics: Any) -> tuple[tuple[Miss, ...], ...]:
     """For every design the requirements that it does not meet."""
     missed: list[list[Miss]] = [[] for _ in metric_values("S", metrics)]
-    for one in requirements:
-        values = metric_values(one.metric.name, metrics)
-        for i in np.flatnonzero(~one.met(values)).tolist():
-            missed[i].append(Miss(one, float(values[i])))
-    return tuple(tuple(some) for some in missed)
+    for requirement in requirements:
+        values = metric_values(requirement.metric.name, metrics)
+        for i in np.flatnonzero(~requirement.met(values)).tolist():
+            missed[i].append(Miss(requirement, float(values[i])))
+    return tuple(tuple(misses) for misses in missed)
 
 
 def friction(options: PlantOptions) -> float:
@@ -191,29 +191,29 @@ def friction(options: PlantOptions) -> float:
 
 
 def requirements_of(texts: Sequence[str], options: PlantOptions | None = None) -> tuple[Requirement, ...]:
-    """Requirements of a list that may hold names of sets; each once."""
-    found: dict[str, Requirement] = {}
+    """Requirements of a list that may contain names of sets, without duplicates."""
+    requirements: dict[str, Requirement] = {}
     for text in texts:
         if text in SETS:
             members = SETS[text]
             if text == "physical":
                 members = (f"a_y_peak_max <= {friction(options or PlantOptions())!r}",)
-            some = [dataclasses.replace(parse_requirement(one), set=text) for one in members]
+            parsed = [dataclasses.replace(parse_requirement(member), set=text) for member in members]
         else:
-            some = [parse_requirement(text)]
-        for one in some:
-            found.setdefault(one.text, one)
-    return tuple(found.values())
+            parsed = [parse_requirement(text)]
+        for requirement in parsed:
+            requirements.setdefault(requirement.text, requirement)
+    return tuple(requirements.values())
 
 
 def parse_requirement(text: str) -> Requirement:
-    """Read a requirement: a metric, an operator and a number, in this order; or a standard, all cells of it."""
+    """Read a requirement: a metric, an operator and a number, in this order; or a standard: all its cells pass."""
     text = f"{text} >= 1" if text in standard_names() else text
-    found = _TEXT.fullmatch(text) if isinstance(text, str) else None
-    if found is None and isinstance(text, str) and re.fullmatch(r"[a-z0-9-]{3,}", text) and text not in _ALIASES:
+    match = _TEXT.fullmatch(text) if isinstance(text, str) else None
+    if match is None and isinstance(text, str) and re.fullmatch(r"[a-z0-9-]{3,}", text) and text not in _ALIASES:
         near = nearest(text, (*SETS, *standard_names()))
         raise UnknownNameError("requirement", "is no set of requirements", value=text, hint=near)
-    if found is None:
+    if match is None:
         raise InputError(
             "requirement",
             "cannot be read",
@@ -222,16 +222,16 @@ def parse_requirement(text: str) -> Requirement:
             "as 'a_y_peak_p95 <= 3.0'",
         )
     try:
-        wanted = metric(found["name"])
+        target = metric(match["name"])
     except UnknownNameError as error:
         raise error.within(f"requirement {text!r}", ": ") from None
     try:
-        limit = float(found["limit"])
+        limit = float(match["limit"])
     except ValueError:
         limit = math.nan
-    lower, upper = {"share": (0.0, 1.0), "count": (0.0, math.inf)}.get(wanted.unit, (-math.inf, math.inf))
+    lower, upper = {"share": (0.0, 1.0), "count": (0.0, math.inf)}.get(target.unit, (-math.inf, math.inf))
     if not (math.isfinite(limit) and lower <= limit <= upper):
-        kind = {"share": "a share from 0 to 1", "count": "a number >= 0"}.get(wanted.unit, "a finite number")
-        raise InputError(f"requirement {text!r}: limit", value=found["limit"], allowed=kind)
-    operator: Any = found["operator"]
-    return Requirement(wanted, operator, limit + 0.0)
+        kind = {"share": "a share from 0 to 1", "count": "a number >= 0"}.get(target.unit, "a finite number")
+        raise InputError(f"requirement {text!r}: limit", value=match["limit"], allowed=kind)
+    operator: Any = match["operator"]
+    return Requirement(target, operator, limit + 0.0)

@@ -1,4 +1,4 @@
-"""The results of a study, in memory: what workers send, what the store reads, what ranking and report are made from."""
+"""The results of a study in memory, which workers send, the store reads, and ranking and report use."""
 
 from __future__ import annotations
 
@@ -36,15 +36,15 @@ def score_label(window: Window, convention: Convention) -> str:
 
 
 def status_among(status: npt.NDArray[np.int8], which: Sequence[EventStatus]) -> BoolArray:
-    """Where a status is one of some, in its own shape; in a tenth of the room of `numpy.isin`."""
+    """Where a status is among those given, in the shape of `status`; takes a tenth of the memory of `numpy.isin`."""
     result = np.zeros(status.shape, dtype=np.bool_)
-    for one in which:
-        result |= status == one
+    for event_status in which:
+        result |= status == event_status
     return result
 
 
 def _take_columns(values: FloatArray, columns: BoolArray) -> FloatArray:
-    """Some columns; where all rows are one and the same in memory, they stay so."""
+    """Select columns; rows that share their memory still do so in the result."""
     if values.shape[0] and values.strides[0] == 0:
         row = values[0, columns]
         return np.broadcast_to(row, (values.shape[0], row.size))
@@ -52,7 +52,7 @@ def _take_columns(values: FloatArray, columns: BoolArray) -> FloatArray:
 
 
 def per_scenario(metrics: MetricValues, change: Any) -> MetricValues:
-    """Companions with a function applied to every array."""
+    """Metrics with a function applied to every array."""
     values: dict[str, Any] = {
         field.name: change(getattr(metrics, field.name)) for field in dataclasses.fields(MetricValues)
     }
@@ -69,18 +69,18 @@ class TaskResult:
     status: npt.NDArray[np.int8]  # (k, m)
     failed_solves: npt.NDArray[np.int32]  # (k, m)
     law_seconds: FloatArray  # (k,) [s] Wall time inside the laws' own steps
-    commands: IntArray  # (k,) Scenarios times samples that they gave a command for
+    commands: IntArray  # (k,) Number of commands, over scenarios and samples
 
-    def take(self, places: list[int]) -> TaskResult:
-        """The same for some of the designs."""
+    def take(self, positions: list[int]) -> TaskResult:
+        """The results of the designs at the given positions."""
         return dataclasses.replace(
             self,
-            ids=tuple(self.ids[i] for i in places),
-            values=self.values[:, places],
-            status=self.status[places],
-            failed_solves=self.failed_solves[places],
-            law_seconds=self.law_seconds[places],
-            commands=self.commands[places],
+            ids=tuple(self.ids[i] for i in positions),
+            values=self.values[:, positions],
+            status=self.status[positions],
+            failed_solves=self.failed_solves[positions],
+            law_seconds=self.law_seconds[positions],
+            commands=self.commands[positions],
         )
 
     def sorted_by_row(self) -> TaskResult:
@@ -97,16 +97,16 @@ class TaskResult:
 
 @dataclasses.dataclass(frozen=True)
 class FailedRun:
-    """A run that a law's own fault ended."""
+    """A run that an error of the law ended."""
 
     id: str  # Identifier of the design
-    batch: int  # Number of the batch of scenarios in which it did
+    batch: int  # Number of the batch of scenarios in which the law failed
     reason: str  # One sentence
 
 
 @dataclasses.dataclass(frozen=True)
 class FailedDesign:
-    """A design without results, because its law raised or gave what no law may give."""
+    """A design without results, because its law raised an error or returned an invalid result."""
 
     design: Design
     reason: str  # One sentence: what happened
@@ -119,7 +119,7 @@ class FailedDesign:
 
 @dataclasses.dataclass(frozen=True, repr=False)
 class StudyResults(Frame):
-    """Everything a finished study knows: results of all d designs on all n scenarios.
+    """The results of a finished study: all d designs on all n scenarios.
 
     Examples
     --------
@@ -130,7 +130,7 @@ class StudyResults(Frame):
     ((2, 40), 2, 40, ())
     """
 
-    designs: tuple[Design, ...]  # d designs, in the study's own order, without those that failed
+    designs: tuple[Design, ...]  # d designs, in the study's order, without those that failed
     scenarios: Scenarios  # The n scenarios that every design was run on: left ones first
     window: Window  # Of S
     convention: Convention  # Reading of the paper
@@ -142,16 +142,16 @@ class StudyResults(Frame):
     metrics: MetricValues  # Arrays (d, n)
     failed_solves: npt.NDArray[np.int32]  # (d, n)
     # (d,) [s] Mean wall time of the law's own step per command; 0 for a linear law, which has none, NaN where it was
-    # not measured. The one number here that another run does not give again.
+    # not measured. The only number here that another run does not reproduce.
     law_time: FloatArray
     failed: tuple[FailedDesign, ...] = ()  # Designs whose law failed: they are in no array here, and never ranked
-    # Name of a measure -> (d,) numbers beside those of the runs; `ldctoolkit.studies.measures` has the names
+    # Name of a measure -> (d,) further numbers of the designs; `ldctoolkit.studies.measures` has the names
     measures: Mapping[str, FloatArray] = dataclasses.field(default_factory=dict)
     fresh: StudyResults | None = None  # The finalists, some of the designs, on scenarios that no design was chosen on
     replayed: StudyResults | None = None  # The finalists on recorded departures
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: no tables of numbers, these may be large."""
+        """HTML for a notebook, without the tables of numbers, which may be large."""
         return facts_html("Study results", self._lines(), "text-align:left")
 
     def __repr__(self) -> str:
@@ -170,7 +170,7 @@ class StudyResults(Frame):
 
     @property
     def failed_runs(self) -> BoolArray:
-        """Where a design did not do its work, (d, n): a solve failed, it diverged, took too long or crashed."""
+        """Runs in which a design failed, (d, n): a solve failed, it diverged, took too long or crashed."""
         return status_among(self.status, FAILED_STATUSES)
 
     @functools.cached_property
@@ -183,7 +183,7 @@ class StudyResults(Frame):
         if not failed.any():
             return self.S
         counted = self.S.copy()
-        # row by row: where all scores without control are the same row, there is no table of them
+        # row by row: S_uncorrected may be a single row in memory
         for i in np.flatnonzero(failed.any(axis=1)).tolist():
             counted[i, failed[i]] = np.maximum(self.S[i, failed[i]], self.S_uncorrected[i, failed[i]])
         return counted
@@ -195,14 +195,14 @@ class StudyResults(Frame):
         return result
 
     def take(self, columns: BoolArray) -> StudyResults:
-        """The same for some of the scenarios."""
+        """The results on the scenarios of a mask, (n,)."""
         changes: dict[str, Any] = {name: getattr(self, name)[:, columns] for name in ("S", "status", "failed_solves")}
         changes["S_uncorrected"] = _take_columns(self.S_uncorrected, columns)
         changes["metrics"] = per_scenario(self.metrics, lambda a: a[:, columns])
         return dataclasses.replace(self, scenarios=self.scenarios.take(np.flatnonzero(columns)), **changes)
 
     def on_drivable(self) -> StudyResults:
-        """The same without the scenarios that some design could not be driven on; often all of it."""
+        """The results on the drivable scenarios; the object itself if these are all."""
         rows = self.drivable
         return self if rows.all() else self.take(rows)
 

@@ -31,11 +31,11 @@ from ..results import StudyResults, status_among
 from ..storage.run_table import release
 from .inference import binomial_interval, order_statistics, row_blocks, row_means
 
-_FEW = 8  # places up to which what stands there is found without a full sort
+_FEW = 8  # order statistics up to which a partial sort is faster than a full sort
 
 
 def masked_mean(values: FloatArray, among: BoolArray) -> FloatArray:
-    """Mean of what is marked in each row; NaN where nothing is."""
+    """Mean of the marked values in each row; NaN for a row without any."""
     count = among.sum(axis=1)
     total = np.where(among, values, 0.0).sum(axis=1)
     result: FloatArray = np.divide(total, count, out=np.full(count.shape, np.nan), where=count > 0)
@@ -43,58 +43,58 @@ def masked_mean(values: FloatArray, among: BoolArray) -> FloatArray:
 
 
 def masked_max(values: FloatArray, among: BoolArray) -> FloatArray:
-    """Largest of what is marked in each row; NaN where nothing is."""
+    """Largest marked value in each row; NaN for a row without any."""
     largest = np.where(among, values, -np.inf).max(axis=1, initial=-np.inf)
     return np.where(among.any(axis=1), largest, np.nan)
 
 
 def masked_quantile(values: FloatArray, among: BoolArray, share: float) -> FloatArray:
-    """Quantile of what is marked in each row, linear between neighbours; NaN where nothing is marked.
+    """Quantile of the marked values in each row, linear between neighbours; NaN for a row without any.
 
     Infinite values are allowed: between a finite and an infinite neighbour it is infinite.
     """
     count = among.sum(axis=1)
     ordered = np.where(among, values, np.inf)
-    place = share * np.maximum(count - 1, 0)
-    low = np.floor(place).astype(np.int64)
+    position = share * np.maximum(count - 1, 0)
+    low = np.floor(position).astype(np.int64)
     high = np.minimum(low + 1, np.maximum(count - 1, 0))
-    wanted = np.unique([low, high])
-    if 0 < wanted.size <= _FEW:
-        ordered.partition(wanted, axis=1)  # three times faster than all of them in order
+    needed = np.unique([low, high])
+    if 0 < needed.size <= _FEW:
+        ordered.partition(needed, axis=1)  # three times faster than a full sort
     else:
         ordered.sort(axis=1)
     rows = np.arange(len(count))
-    below, above, part = ordered[rows, low], ordered[rows, high], place - low
+    below, above, part = ordered[rows, low], ordered[rows, high], position - low
     with np.errstate(invalid="ignore"):  # inf - inf: the branch is not taken
         between = below + (above - below) * part
     result = np.where((part == 0) | (below == above), below, between)
-    # NaN is sorted behind the infinities that stand for what is not marked
+    # NaN is sorted behind the infinities that replace unmarked values
     return np.where((count > 0) & ~np.isnan(ordered).any(axis=1), result, np.nan)
 
 
 Values = dict[str, FloatArray]
 
-_BLOCK_ENTRIES: Final = 500_000  # runs that are looked at at once (4 MB for each metric); no number depends on it
+_BLOCK_ENTRIES: Final = 500_000  # runs in a block (4 MB for each metric); results do not depend on it
 
 _MOST_THREADS: Final = 4
 
 
 def release_metrics(results: StudyResults, *, D_y: float) -> Values:
-    """Every metric of a design that is taken from those of its scenarios."""
+    """All metrics of the designs that are derived from metrics of their scenarios."""
     acted, d_y = _acted(results), results.scenarios.d_y
 
     def of(group: Sequence[Metric], names: Sequence[str]) -> Callable[..., Values]:
         def values(acted: BoolArray, *columns: FloatArray) -> Values:
             by, there = Interventions(acted, d_y, D_y), dict(zip(names, columns, strict=True))
-            return {one.name: _taken(one, by, *(there[name] for name in one.of)) for one in group}
+            return {metric.name: _taken(metric, by, *(there[name] for name in metric.of)) for metric in group}
 
         return values
 
-    found: Values = {}
+    metrics: Values = {}
     for group in _groups():
-        names = tuple(dict.fromkeys(name for one in group for name in one.of))
-        found |= _by_blocks(of(group, names), acted, [getattr(results.metrics, name) for name in names])
-    return found
+        names = tuple(dict.fromkeys(name for metric in group for name in metric.of))
+        metrics |= _by_blocks(of(group, names), acted, [getattr(results.metrics, name) for name in names])
+    return metrics
 
 
 def _acted(results: StudyResults) -> BoolArray:
@@ -116,35 +116,35 @@ def _recorded_dtle(results: StudyResults, setup: Setup | None) -> FloatArray:
 def sampling_intervals(
     results: StudyResults, metrics: DesignMetrics, names: list[str], D_y: float, level: float, setup: Setup | None
 ) -> FloatArray:
-    """Values of k metrics, and the ends of the interval of each by itself where it is a quantile or a share, (k, 3, d).
+    """Values of k metrics with the ends of pointwise intervals, which quantiles and shares have, (k, 3, d).
 
-    Of the population that the scenarios are drawn from. An end is infinite where there are too few of them. Departures
-    that stand in the sample more than once, as weights ask for, count with Kish's effective number.
+    The intervals are those of the population that the scenarios are drawn from. An end is infinite if there are too few
+    scenarios. Departures that weights repeat in the sample count with Kish's effective number.
     """
     d_y = results.scenarios.d_y
     departures = np.stack([getattr(results.scenarios, name) for name in ("side", *PARAMETER_NAMES)], axis=1)
-    _, place, copies = np.unique(departures, axis=0, return_inverse=True, return_counts=True)
-    order, starts = np.argsort(place, kind="stable"), np.cumsum(copies) - copies
+    _, inverse, copies = np.unique(departures, axis=0, return_inverse=True, return_counts=True)
+    order, starts = np.argsort(inverse, kind="stable"), np.cumsum(copies) - copies
     without = _recorded_dtle(results, setup)
 
-    def ends(one: Metric, acted: BoolArray, *columns: FloatArray) -> Values:
-        if one.share is not None:  # of one departure it is 0 or 1, or NaN where that is none of those counted
+    def ends(metric: Metric, acted: BoolArray, *columns: FloatArray) -> Values:
+        if metric.share is not None:  # 0 or 1 for a single departure, or NaN if the share does not count it
             alone = Interventions(acted.reshape(-1, 1), np.tile(d_y, len(acted))[:, None], D_y)
-            values = np.reshape(one.share(alone, *(column.reshape(-1, 1) for column in columns)), acted.shape)
+            values = np.reshape(metric.share(alone, *(column.reshape(-1, 1) for column in columns)), acted.shape)
         else:
-            of_all = not one.of or SCENARIO_METRICS[one.of[0]].over == "all"
+            of_all = not metric.of or SCENARIO_METRICS[metric.of[0]].over == "all"
             values = columns[0] if of_all else np.where(acted, columns[0], np.nan)
         known = ~np.isnan(values)
         times = known if starts.size == order.size else np.add.reduceat(known[:, order], starts, axis=1, dtype=np.int64)
         count, squares = times.sum(axis=1), (times * times).sum(axis=1)
         n = np.divide(count**2, squares, out=np.zeros(len(count)), where=squares > 0)
-        if p := _quantile_of(one):
+        if p := _quantile_of(metric):
             first, last = order_statistics(np.floor(n), p, level)
             ordered, rows, each = np.sort(values, axis=1), np.arange(len(count)), count / np.maximum(np.floor(n), 1.0)
             below, above = np.floor(first * each).astype(np.int64), np.ceil(last * each).astype(np.int64)
             low = np.where(below > 0, ordered[rows, below - 1], -np.inf)
             high = np.where(above <= count, ordered[rows, np.minimum(above, count) - 1], np.inf)
-        elif one.name == "within_dtle_gain":  # by Bonferroni, of the departures that only one of both keeps within
+        elif metric.name == "within_dtle_gain":  # by Bonferroni, from the shares of gains and of losses
             shares = np.stack([(values > 0).mean(axis=1), (values < 0).mean(axis=1)])
             least, most = binomial_interval(shares * n, n, 0.5 * (1.0 + level))
             low, high = least[0] - most[1], most[0] - least[1]
@@ -153,83 +153,83 @@ def sampling_intervals(
         return {"low": np.where(count > 0, low, np.nan), "high": np.where(count > 0, high, np.nan)}
 
     within = [1.0 * (dtle >= DTLE_LIMIT) for dtle in (results.metrics.dtle, without)]
-    found = np.full((len(names), 3, len(results.designs)), np.nan)
-    for row, one in zip(found, map(metric, names), strict=True):
-        row[0] = metric_values(one.name, metrics)
+    intervals = np.full((len(names), 3, len(results.designs)), np.nan)
+    for row, definition in zip(intervals, map(metric, names), strict=True):
+        row[0] = metric_values(definition.name, metrics)
         columns = {"S_p95": [results.counted], "triggered": [results.status != EventStatus.NEVER_TRIGGERED],
-                   "within_dtle_gain": [within[0] - within[1]]}.get(one.name)  # fmt: skip
-        if columns is None and (one.share is not None or _quantile_of(one)):
-            columns = [getattr(results.metrics, name) for name in one.of]
-        if one.name == "comfortable_worst":  # whether it acts does not depend on the vehicle
+                   "within_dtle_gain": [within[0] - within[1]]}.get(definition.name)  # fmt: skip
+        if columns is None and (definition.share is not None or _quantile_of(definition)):
+            columns = [getattr(results.metrics, name) for name in definition.of]
+        if definition.name == "comfortable_worst":  # whether it acts does not depend on the vehicle
             driven = np.isin(results.scenarios.index, first_of_each_side(results.scenarios, DEPARTURES).index)
             n = _acted(results)[:, driven].sum(axis=1)
             row[1:] = np.array(binomial_interval(row[0] * n, n, level)) + 0.0 * row[0]
         elif columns is not None:
-            taken = _by_blocks(functools.partial(ends, one), _acted(results), columns)
+            taken = _by_blocks(functools.partial(ends, definition), _acted(results), columns)
             row[1:] = taken["low"], taken["high"]
-    return found
+    return intervals
 
 
-def _quantile_of(one: Metric) -> float:
+def _quantile_of(metric: Metric) -> float:
     """Which quantile a metric is; 0 for none."""
-    text = {"S_p95": "p95", "median": "p50"}.get(one.aggregate or one.name, one.aggregate)
+    text = {"S_p95": "p95", "median": "p50"}.get(metric.aggregate or metric.name, metric.aggregate)
     return float(text[1:]) / 100.0 if re.fullmatch(r"p\d+", text) else 0.0
 
 
 def _groups() -> list[list[Metric]]:
-    """Metrics that are taken from the same metrics of the scenarios stand together: each of these is read once."""
+    """Group the metrics that share a metric of the scenarios, so that each of the latter is read once."""
     groups: list[list[Metric]] = []
-    for one in METRICS.values():
-        if one.aggregate or one.share is not None:
-            joined = [group for group in groups if any(set(one.of) & set(other.of) for other in group)]
+    for added in METRICS.values():
+        if added.aggregate or added.share is not None:
+            joined = [group for group in groups if any(set(added.of) & set(other.of) for other in group)]
             groups = [group for group in groups if group not in joined]
-            groups.append([*(other for group in joined for other in group), one])
+            groups.append([*(other for group in joined for other in group), added])
     return groups
 
 
-def _taken(one: Metric, by: Interventions, *values: FloatArray) -> FloatArray:
-    """A metric of some designs, over all departures or the interventions."""
-    if one.share is not None:
-        return np.asarray(one.share(by, *values))
+def _taken(metric: Metric, by: Interventions, *values: FloatArray) -> FloatArray:
+    """Values of a metric of designs, over all departures or the interventions."""
+    if metric.share is not None:
+        return np.asarray(metric.share(by, *values))
     (only,) = values
-    of_all = SCENARIO_METRICS[one.of[0]].over == "all"
-    if one.aggregate == "mean":
+    of_all = SCENARIO_METRICS[metric.of[0]].over == "all"
+    if metric.aggregate == "mean":
         return np.asarray(only.mean(axis=1)) if of_all else masked_mean(only, by.acted)
-    if one.aggregate == "max":
+    if metric.aggregate == "max":
         return np.asarray(only.max(axis=1)) if of_all else masked_max(only, by.acted)
-    if one.aggregate == "min":
+    if metric.aggregate == "min":
         return np.asarray(only.min(axis=1)) if of_all else -masked_max(-only, by.acted)
-    share = 0.5 if one.aggregate == "median" else float(one.aggregate[1:]) / 100.0
+    share = 0.5 if metric.aggregate == "median" else float(metric.aggregate[1:]) / 100.0
     return np.asarray(np.quantile(only, share, axis=1)) if of_all else masked_quantile(only, by.acted, share)
 
 
 def _by_blocks(function: Callable[..., Values], acted: BoolArray, columns: Sequence[FloatArray]) -> Values:
-    """Metrics of designs, by blocks in threads: where they took over, and the metrics of their scenarios, (d, n)."""
+    """Evaluate metrics by blocks of designs in threads, from interventions and metrics of scenarios, (d, n)."""
 
-    def one(first: int) -> Values:
+    def evaluate(first: int) -> Values:
         rows = slice(first, first + size)
-        # one row after the other in memory: the sum of a row depends on it in the last bit
+        # contiguous rows: the last bit of a row's sum depends on the memory layout
         return function(acted[rows], *(np.ascontiguousarray(column[rows], dtype=np.float64) for column in columns))
 
     size = max(1, _BLOCK_ENTRIES // acted.shape[1])
     starts = range(0, acted.shape[0], size)
     with ThreadPoolExecutor(max(1, min(_MOST_THREADS, os.cpu_count() or 1, len(starts)))) as pool:
-        found = list(pool.map(one, starts))
+        blocks = list(pool.map(evaluate, starts))
     for column in columns:
         release(column)
-    return {name: np.concatenate([some[name] for some in found]) for name in found[0]}
+    return {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
 
 
-_FEWEST_DIGITS = 6  # of an identifier, so that no law's name is taken for one
+_FEWEST_DIGITS = 6  # of an identifier, so that no law's name is read as an identifier
 
 
 def find_baseline(baseline: str, results: StudyResults) -> int | None:
     """Position of the baseline in `results.designs`; None where it failed, or there is none."""
-    here = _found(baseline or NO_CONTROL, results.designs)
-    if here:
-        return here[0]
+    matching = _matching(baseline or NO_CONTROL, results.designs)
+    if matching:
+        return matching[0]
     failed = [failure.design for failure in results.failed]
-    if not baseline or _found(baseline, failed):
+    if not baseline or _matching(baseline, failed):
         return None
     laws = list(dict.fromkeys(design.law for design in (*results.designs, *failed)))
     raise InputError(
@@ -240,7 +240,7 @@ def find_baseline(baseline: str, results: StudyResults) -> int | None:
     )
 
 
-def _found(baseline: str, designs: Sequence[Design]) -> list[int]:
+def _matching(baseline: str, designs: Sequence[Design]) -> list[int]:
     of_law = [i for i, design in enumerate(designs) if design.law == baseline]
     if of_law or not re.fullmatch(rf"[0-9a-f]{{{_FEWEST_DIGITS},12}}", baseline):
         return of_law
@@ -256,7 +256,7 @@ def _found(baseline: str, designs: Sequence[Design]) -> list[int]:
 
 
 def tail_metrics(values: FloatArray, percent: int = 95) -> tuple[FloatArray, FloatArray]:
-    """Quantile of every row, and mean of its worst (100 - percent) %, the last value by its share of them.
+    """Quantile of every row, and mean of its worst (100 - percent) %, the last value weighted with its share.
 
     The latter is CVaR (R. Rockafellar, S. Uryasev, J. Banking and Finance 26, 2002).
     """
@@ -264,15 +264,15 @@ def tail_metrics(values: FloatArray, percent: int = 95) -> tuple[FloatArray, Flo
     quantile, cvar = np.empty(d), np.empty(d)
     whole, rest = divmod(n * (100 - percent), 100)  # in whole numbers: 0.05 n is not exact
     size = max(1, _BLOCK_ENTRIES // n)
-    place = percent * (n - 1) / 100
-    low = math.floor(place)
+    position = percent * (n - 1) / 100
+    low = math.floor(position)
     high = min(low + 1, n - 1)
     needed = sorted({low, high, max(n - whole - 1, 0), min(n - whole, n - 1)})
     for first in range(0, d, size):
         ordered = np.partition(values[first : first + size], needed, axis=1)
         rows = slice(first, first + size)
-        quantile[rows] = ordered[:, low] + (ordered[:, high] - ordered[:, low]) * (place - low)
-        # in order: a sum depends on it in the last bit
+        quantile[rows] = ordered[:, low] + (ordered[:, high] - ordered[:, low]) * (position - low)
+        # sorted: the last bit of a sum depends on the order
         worst = np.ascontiguousarray(np.sort(ordered[:, n - whole :], axis=1)).sum(axis=1)
         if rest:
             worst = worst + ordered[:, n - whole - 1] * (rest / 100)
@@ -314,7 +314,7 @@ class DesignMetrics:
     beside: Mapping[str, FloatArray]
 
     def take(self, order: IntArray) -> DesignMetrics:
-        """The same for some of the designs, in the order given."""
+        """The metrics of the given designs, in the order given."""
         values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         beside = {name: column[order] for name, column in values.pop("beside").items()}
         return DesignMetrics(**{name: column[order] for name, column in values.items()}, beside=beside)
@@ -329,15 +329,15 @@ class DrivableResults:
 
     @classmethod
     def of(cls, results: StudyResults) -> Self:
-        """Leave out what cannot be driven."""
-        some = results.on_drivable()
-        if not some.scenarios.n:
+        """Leave out the scenarios that cannot be driven under every design."""
+        drivable = results.on_drivable()
+        if not drivable.scenarios.n:
             raise InputError(
                 "results", "no scenario could be driven under every design", hint="there is nothing to rank"
             )
-        if not np.isfinite(some.counted).all():
+        if not np.isfinite(drivable.counted).all():
             raise InputError("results", "S is not finite in some scenario", hint="a mean would drop or hide it")
-        return cls(some, results.status)
+        return cls(drivable, results.status)
 
     @property
     def left_out(self) -> int:
@@ -352,7 +352,7 @@ _OF_VEHICLES: Final = ("S_worst", "comfortable_worst")
 def measures_of(results: StudyResults, vehicles: Sequence[str], standards: Sequence[str]) -> Values:
     """Margins, the worst numbers of named vehicles and shares of standards' cells, each (d,), as the run measured them.
 
-    A number that is not known on one vehicle is not known at all. Raises `InputError` for what was not measured.
+    A number that is unknown on any of the vehicles is NaN. Raises `InputError` for what was not measured.
     """
 
     def measure(name: str, asked: str) -> FloatArray:
@@ -363,7 +363,7 @@ def measures_of(results: StudyResults, vehicles: Sequence[str], standards: Seque
 
     values = {name: results.measures[name] for name in _MARGINS if name in results.measures}
     if vehicles:
-        pairs = [[measure(name, one) for name in vehicle_measures(one, results.scenarios)] for one in vehicles]
+        pairs = [[measure(name, asked) for name in vehicle_measures(asked, results.scenarios)] for asked in vehicles]
         S, comfortable = np.array(pairs).swapaxes(0, 1)
         values |= {"S_worst": S.max(axis=0), "comfortable_worst": comfortable.min(axis=0)}
     return values | {name: measure(name, name) for name in standards}
@@ -372,7 +372,7 @@ def measures_of(results: StudyResults, vehicles: Sequence[str], standards: Seque
 def design_metrics(
     drivable: DrivableResults, D_y: float, measures: Values, setup: Setup | None = None
 ) -> DesignMetrics:
-    """Metrics of the designs, in their own order. Without `setup`, friction allows every recorded path."""
+    """Metrics of the designs, in the order of the results. Without `setup`, friction allows every recorded path."""
     results = drivable.results
     scenarios, counted = results.scenarios, results.counted
     every = np.ones(len(scenarios), dtype=np.bool_)
@@ -428,8 +428,8 @@ def _mean(values: FloatArray, rows: BoolArray) -> FloatArray:
     if rows.all():
         return row_means(values)
     result = np.empty(values.shape[0])
-    for places, block in row_blocks(values):
-        result[places] = row_means(block[:, rows])
+    for block_rows, block in row_blocks(values):
+        result[block_rows] = row_means(block[:, rows])
     return result
 
 
@@ -443,7 +443,7 @@ _BLOCK: Final = 64  # rows that are compared with the front at once
 
 
 def pareto_costs(names: Sequence[str], metrics: DesignMetrics | Mapping[str, FloatArray]) -> FloatArray:
-    """Metrics as costs: those of which more is better change their sign."""
+    """Metrics as costs: metrics of which more is better change their sign."""
     if not names:
         raise InputError("Pareto front", "no metrics", allowed="one or more")
     signs = {"less": 1.0, "more": -1.0}
@@ -457,18 +457,18 @@ def pareto_front(costs: npt.ArrayLike) -> BoolArray:
         raise InputError("costs", f"shape {values.shape}", allowed="(d, k) with k >= 1")
     front = np.zeros(values.shape[0], dtype=np.bool_)
     rows = np.flatnonzero(~np.isnan(values).any(axis=1))
-    rows = rows[np.lexsort(values[rows].T[::-1])]  # now no row dominates one before it
-    kept = rows[:0]
+    rows = rows[np.lexsort(values[rows].T[::-1])]  # now no row dominates an earlier row
+    undominated = rows[:0]
     for first in range(0, rows.size, _BLOCK):
         block = rows[first : first + _BLOCK]
-        block = block[~_dominated(values[block], values[kept])]
-        kept = np.concatenate([kept, block[~_dominated(values[block], values[block])]])
-    front[kept] = True
+        block = block[~_dominated(values[block], values[undominated])]
+        undominated = np.concatenate([undominated, block[~_dominated(values[block], values[block])]])
+    front[undominated] = True
     return front
 
 
 def _dominated(rows: FloatArray, by: FloatArray) -> BoolArray:
-    """For which of some rows a row of `by` is at most as large in every column and smaller in one."""
+    """Rows for which a row of `by` is at most as large in every column and smaller in one."""
     no_larger, smaller = (np.full((len(rows), len(by)), start) for start in (True, False))
     for values, others in zip(rows.T, by.T, strict=True):
         no_larger &= others <= values[:, None]

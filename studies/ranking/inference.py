@@ -22,19 +22,19 @@ _ROW_ENTRIES = 250_000  # numbers in a block (2 MB)
 def row_blocks(
     values: npt.NDArray[T], rows: IntArray | None = None, *, entries: int | None = None
 ) -> Iterator[tuple[slice, npt.NDArray[T]]]:
-    """Some rows of a table, in blocks of about so many entries."""
+    """Rows of a table in blocks of about `entries` numbers, each with its positions among these rows."""
     size = max(1, (entries or _ROW_ENTRIES) // max(1, values.shape[1]))
     count = values.shape[0] if rows is None else rows.size
     for first in range(0, count, size):
-        places = slice(first, min(first + size, count))
-        yield places, values[places] if rows is None else values[rows[places]]
+        positions = slice(first, min(first + size, count))
+        yield positions, values[positions] if rows is None else values[rows[positions]]
 
 
 def row_means(values: FloatArray, rows: IntArray | None = None) -> FloatArray:
-    """Mean of every row, or of some, (d,): a sum that does not depend on the rows beside it."""
+    """Mean of every row, or of the given rows, (d,); it does not depend on the other rows."""
     result = np.empty(values.shape[0] if rows is None else rows.size)
-    for places, block in row_blocks(values, rows):
-        result[places] = np.ascontiguousarray(block).mean(axis=1)
+    for positions, block in row_blocks(values, rows):
+        result[positions] = np.ascontiguousarray(block).mean(axis=1)
     return result
 
 
@@ -44,10 +44,10 @@ _STREAM = 0x626F6F74
 _WEIGHT_ENTRIES = 2_000_000  # weights held at once (16 MB)
 
 _GRID_ENTRIES = 2_500_000
-"""Scores that are resampled at once (20 MB, and as much again for what is worked out on the way)."""
+"""Scores that are resampled at once (20 MB, and as much again for intermediate results)."""
 
-_KEPT_WEIGHTS = 10_000_000
-"""Weights of a block that was kept (80 MB): in products of small matrices threads wait for each other."""
+_REUSED_WEIGHTS = 10_000_000
+"""Weights in a block of stored ones (80 MB): in products of small matrices threads wait for each other."""
 
 _MANTISSA = 53  # bits of a double precision number
 
@@ -64,43 +64,43 @@ def bootstrap_means(values: FloatArray, side: IntArray, *, samples: int, seed: i
 def bootstrap_deviations(
     values: FloatArray, side: IntArray, *, samples: int, seed: int, stream: int = 0, rows: IntArray | None = None
 ) -> FloatArray:
-    """What `bootstrap_means` gives minus the designs' means, (B, d); parameters and errors are the same.
+    """Resampled means minus the designs' means, (B, d); parameters and errors are those of `bootstrap_means`.
 
-    With `rows`, (d,) int, of these rows of the values, in the order given.
+    `rows`, (d,) int, selects rows of the values and their order.
     """
     n = values.shape[1]
     d = values.shape[0] if rows is None else rows.size
     mean = row_means(values, rows)
     deviations = np.empty((max(samples, 0), d))
-    # weights take a byte each: below this number of designs the numbers themselves take less
+    # a stored weight takes a byte: up to this size, scores take less memory than stored weights
     entries = max(_GRID_ENTRIES, samples // 8 * n)
     blocks: Iterable[FloatArray] = weight_blocks(side, samples=samples, seed=seed, stream=stream)
     if d * n > entries:
-        blocks = _Kept(blocks)
-    for places, block in row_blocks(values, rows, entries=entries):
+        blocks = _ReusedWeights(blocks)
+    for positions, block in row_blocks(values, rows, entries=entries):
         # centred: a spread that is small against the mean keeps its digits
-        grid, unit = exact_grid(block - mean[places, None], n)
+        grid, unit = exact_grid(block - mean[positions, None], n)
         first = 0
         for weights in blocks:
-            result = deviations[first : first + len(weights), places]
+            result = deviations[first : first + len(weights), positions]
             np.matmul(weights, grid.T, out=result)
             result *= unit / n
             first += len(weights)
     return deviations
 
 
-class _Kept:
-    """Weights that are needed more than once, in the smallest whole numbers that hold them; large blocks come back."""
+class _ReusedWeights:
+    """Weights for several passes, stored in the smallest integer type; iteration gives large blocks."""
 
     def __init__(self, blocks: Iterable[FloatArray]) -> None:
         self._weights = np.concatenate([block.astype(np.min_scalar_type(int(block.max()))) for block in blocks])
 
     def __iter__(self) -> Iterator[FloatArray]:
-        return (block.astype(np.float64) for _, block in row_blocks(self._weights, entries=_KEPT_WEIGHTS))
+        return (block.astype(np.float64) for _, block in row_blocks(self._weights, entries=_REUSED_WEIGHTS))
 
 
 def weight_blocks(side: IntArray, *, samples: int, seed: int, stream: int = 0) -> Iterator[FloatArray]:
-    """How often each scenario is drawn in each resample, in blocks (b, n) that hold `samples` rows together."""
+    """How often each scenario is drawn in each resample, in blocks (b, n) with `samples` rows in total."""
     n = side.size
     if samples < 1 or n < 1:
         raise InputError("bootstrap", f"{samples} samples of {n} scenarios", allowed="at least one of each")
@@ -122,7 +122,7 @@ def exact_grid(values: FloatArray, total: int) -> tuple[FloatArray, FloatArray]:
 
     `total` bounds the sum of weights. Every partial sum of weights times grid is a whole number below 2^53. A matrix
     product is then the same to the last bit in whatever order a BLAS sums, on any machine, for any number of threads
-    and any rows beside it.
+    and any other rows.
     """
     _, exponent = np.frexp(np.abs(values).max(axis=1, initial=0.0))
     unit = np.ldexp(1.0, exponent + int(total).bit_length() - _MANTISSA)
@@ -131,7 +131,7 @@ def exact_grid(values: FloatArray, total: int) -> tuple[FloatArray, FloatArray]:
 
 
 def check_confidence(confidence: float) -> None:
-    """Refuse what is not between 0 and 1."""
+    """Raise `InputError` for a confidence that is not between 0 and 1."""
     if not 0.0 < checked_number("confidence", confidence) < 1.0:
         raise InputError("confidence", value=confidence, allowed="between 0 and 1")
 
@@ -141,7 +141,7 @@ _ROUNDING = 1e-12  # an error below this share of the scores is rounding
 
 
 def error_parts(values: FloatArray, side: IntArray) -> FloatArray:
-    """What each scenario adds to a standard error: its length over a row is the standard error of the row's mean.
+    """Contribution of each scenario to a standard error: the norm of a row is the standard error of its mean.
 
     Deviation from the stratum's mean times sqrt(n_h / (n_h - 1)) / n; those of a difference are their differences.
     """
@@ -187,7 +187,7 @@ def paired_cubes(parts: FloatArray, reference: FloatArray) -> FloatArray:
 
 
 def spread_is_known(side: IntArray) -> bool:
-    """Whether every side has two scenarios or more; one alone shows no spread, and no standard error is finite then."""
+    """Whether every side has two scenarios or more: with a single scenario no standard error is finite."""
     return bool((np.unique(side, return_counts=True)[1] > 1).all())
 
 
@@ -203,15 +203,15 @@ def skewed_widths(critical: float, errors: FloatArray, cubes: FloatArray) -> tup
 
     With g = cubes / errors^3, the skewness of an estimate, the Edgeworth expansion of Student's t (Hall 1992,
     Johnson 1978) takes g (1 + 2 c^2) / 6 standard errors more on the side of the longer tail, and for g^2 (c^5 +
-    2 c^3 - 3 c) / 18 on both, here c at most. The expansion's gain on the side of the shorter tail is not taken: g
+    2 c^3 - 3 c) / 18 on both, limited to c. The expansion's gain on the side of the shorter tail is not taken: g
     is itself an estimate.
     """
     skewness = np.zeros(errors.shape)
     usable = np.isfinite(errors) & (errors**3 > 0)
     np.divide(cubes, errors**3, out=skewness, where=usable)
     both = critical + np.clip(skewness**2 * (critical**5 + 2 * critical**3 - 3 * critical) / 18, 0.0, critical)
-    one = skewness * (1 + 2 * critical**2) / 6
-    return half_widths(both + np.maximum(-one, 0.0), errors), half_widths(both + np.maximum(one, 0.0), errors)
+    shift = skewness * (1 + 2 * critical**2) / 6
+    return half_widths(both + np.maximum(-shift, 0.0), errors), half_widths(both + np.maximum(shift, 0.0), errors)
 
 
 def degrees_of_freedom(side: IntArray) -> int:
@@ -220,28 +220,27 @@ def degrees_of_freedom(side: IntArray) -> int:
 
 
 def with_tails_of_t(critical: float, df: int) -> float:
-    """A critical value of standard normal quantities, made that of Student's t with the same tail."""
+    """Critical value of Student's t with the same tail as a critical value of the standard normal distribution."""
     from scipy.special import ndtr, stdtrit
 
     return float(-stdtrit(df, ndtr(-critical)))
 
 
 _RESAMPLED_ENTRIES = 32_000  # resampled differences held at once; they stay in the cache
-_KEPT_RESAMPLED = 20_000_000  # error parts that are kept (160 MB). More are made again for each of the few references
+_STORED_PARTS = 20_000_000  # error parts that are stored (160 MB); more are computed again for each reference
 
 
 @dataclasses.dataclass(frozen=True)
 class Resampled:
     """Scores of d designs on n scenarios and their means on B resamples, the same ones for all designs."""
 
-    # (D, n) [m s] Scores of these designs, and perhaps of others, in any order: a table may be too large for a second
-    # one
+    # (D, n) [m s] Scores of these designs, and perhaps of others, in any order: a large table is not copied
     table: FloatArray
-    rows: IntArray  # (d,) Where the designs stand in it
+    rows: IntArray  # (d,) Rows of the designs in the table
     side: IntArray  # (n,) Stratum of each scenario
     mean: FloatArray  # (d,) [m s]
     deviations: FloatArray  # (B, d) [m s] Mean on a resample minus `mean`
-    # (d, n) [m s] `error_parts`, where they are few enough to be kept
+    # (d, n) [m s] `error_parts`, if they are few enough to be stored
     parts: FloatArray | None
     df: int  # Degrees of freedom of a standard error
     known: bool = True  # Whether there is a standard error: `spread_is_known`
@@ -259,7 +258,7 @@ class Resampled:
     ) -> Resampled:
         """Resample scenarios within each side."""
         rows = np.arange(len(scores)) if rows is None else rows
-        few = rows.size * side.size <= _KEPT_RESAMPLED
+        few = rows.size * side.size <= _STORED_PARTS
         return cls(
             table=scores,
             rows=rows,
@@ -272,7 +271,7 @@ class Resampled:
         )
 
     def take(self, rows: IntArray) -> Resampled:
-        """Some of the designs, on the same resamples."""
+        """The given designs on the same resamples."""
         return dataclasses.replace(
             self,
             rows=self.rows[rows],
@@ -282,28 +281,28 @@ class Resampled:
         )
 
     def scores(self, design: int) -> FloatArray:
-        """Scores of one of the designs, (n,) [m s]."""
+        """Scores of a design, (n,) [m s]."""
         result: FloatArray = self.table[self.rows[design]]
         return result
 
     def differences(self, reference: int) -> FloatArray:
-        """Mean paired difference of every design to one of them, (d,) [m s]; exactly 0 for equal scores."""
+        """Mean paired difference of every design to the reference, (d,) [m s]; exactly 0 for equal scores."""
         result, other = np.empty(self.mean.size), self.scores(reference)
-        for places, block in row_blocks(self.table, self.rows):
-            result[places] = row_means(block - other)
+        for positions, block in row_blocks(self.table, self.rows):
+            result[positions] = row_means(block - other)
         return result
 
     def errors(self, reference: int | None = None) -> FloatArray:
-        """Standard error of every mean, or of its paired difference to one design, (d,) [m s].
+        """Standard error of every mean, or of its paired difference to the reference, (d,) [m s].
 
         0 where scores do not spread, or move along with those of the reference. Infinite where a side has one scenario
-        only, but for the difference of equal scores.
+        only, except for the difference of equal scores.
         """
         if not self.known:
             result = np.full(self.mean.size, np.inf)
             if reference is not None:
-                for places, block in row_blocks(self.table, self.rows):
-                    result[places][(block == self.scores(reference)).all(axis=1)] = 0.0
+                for positions, block in row_blocks(self.table, self.rows):
+                    result[positions][(block == self.scores(reference)).all(axis=1)] = 0.0
             return result
         if reference is None:
             other = np.zeros(self.side.size)
@@ -311,24 +310,24 @@ class Resampled:
         else:
             other, largest = self._parts_of(reference), _largest(self.scores(reference))
         result = np.empty(self.mean.size)
-        for places, parts in self._part_blocks():
-            result[places] = paired_errors(parts, other, largest)
+        for positions, parts in self._part_blocks():
+            result[positions] = paired_errors(parts, other, largest)
         return result
 
     def cubes(self, reference: int | None = None) -> FloatArray:
-        """Third moment of every mean, or of its paired difference to one design, (d,) [m s^3]."""
+        """Third moment of every mean, or of its paired difference to the reference, (d,) [m s^3]."""
         result = np.zeros(self.mean.size)
         other = np.zeros(self.side.size) if reference is None else self._parts_of(reference)
-        for places, parts in self._part_blocks():
-            result[places] = paired_cubes(parts, other)
+        for positions, parts in self._part_blocks():
+            result[positions] = paired_cubes(parts, other)
         return result
 
     def _part_blocks(self) -> Iterator[tuple[slice, FloatArray]]:
         if self.parts is not None:
             yield slice(None), self.parts
             return
-        for places, block in row_blocks(self.table, self.rows):
-            yield places, error_parts(block, self.side)
+        for positions, block in row_blocks(self.table, self.rows):
+            yield positions, error_parts(block, self.side)
 
     def _parts_of(self, design: int) -> FloatArray:
         parts = error_parts(self.scores(design)[None], self.side) if self.parts is None else self.parts[[design]]
@@ -340,7 +339,7 @@ class Resampled:
         scale = np.divide(1.0, errors, out=np.zeros_like(errors), where=errors > 0)
         samples, d = self.deviations.shape
         parts = (slice(None, first), slice(first, None)) if first not in (None, d) else (slice(None),)
-        found = np.empty((len(parts), samples))
+        maxima = np.empty((len(parts), samples))
         size = max(1, _RESAMPLED_ENTRIES // d)
         for start in range(0, samples, size):
             rows = slice(start, start + size)
@@ -349,10 +348,10 @@ class Resampled:
             else:
                 t = self.deviations[rows] - self.deviations[rows, reference : reference + 1]
                 t *= scale
-            for part, row in zip(parts, found, strict=True):
-                # faster than the largest of abs(t), which is one more array
+            for part, row in zip(parts, maxima, strict=True):
+                # faster than the maximum of abs(t), which needs another array
                 np.maximum(t[:, part].max(axis=1), -t[:, part].min(axis=1), out=row[rows])
-        return np.stack([found[0], found.max(axis=0)])
+        return np.stack([maxima[0], maxima.max(axis=0)])
 
 
 def _largest(scores: FloatArray) -> float:
@@ -380,7 +379,7 @@ class Interval:
 
 
 def simultaneous_interval(resampled: Resampled, confidence: float, reference: int | None = None) -> Interval:
-    """Intervals of all means, or of all paired differences to one design that was named beforehand: max-t. All of them
+    """Intervals of all means, or of all paired differences to a design that was fixed beforehand: max-t. All of them
     hold at once with the confidence. The critical value is the quantile of the largest absolute deviation, each
     divided by its own standard error, over the resamples; skewed scores have wider intervals.
     """
@@ -392,7 +391,7 @@ def simultaneous_interval(resampled: Resampled, confidence: float, reference: in
     return Interval(centre, errors, centre - below, centre + above, critical)
 
 
-_REFERENCE_ENTRIES = 500_000  # resampled means looked at at once (4 MB)
+_REFERENCE_ENTRIES = 500_000  # resampled means in a block (4 MB)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -414,11 +413,11 @@ class Inference:
     # (d,) The truly best of the ranked designs is in this set with the confidence at least. A design within 1e-6 m s of
     # the best, the accuracy of an iterative solver, always is
     set_of_best: BoolArray
-    # (d,) Share of resamples in which the design has the smallest mean of the ranked ones; equal ones share it. It is
-    # not the probability that the design is the best
+    # (d,) Share of resamples in which the design has the smallest mean of the ranked designs, divided between equal
+    # designs. It is not the probability that the design is the best
     best_frequency: FloatArray
-    # Designs that the critical values of the comparisons with the best were worked out for, and those that they stand
-    # for; fewer references make intervals too short
+    # Designs that critical values of the comparisons with the best were computed for, and designs that may be the best;
+    # fewer references make intervals too short
     references: int
     may_be_best: int
 
@@ -467,7 +466,7 @@ def best_frequency(resampled: Resampled, contenders: int) -> FloatArray:
     for first in range(0, len(deviations), size):
         block = deviations[first : first + size] + mean
         smallest = block == block.min(axis=1, keepdims=True)
-        # whole numbers of resamples by the number of equals: thirds are no sum of rounded thirds
+        # integer counts for each number of equal designs: sums of rounded thirds are not exact
         equals = smallest.sum(axis=1)
         for number in np.unique(equals).tolist():
             frequency[:contenders] += smallest[equals == number].sum(axis=0) / number
@@ -475,8 +474,8 @@ def best_frequency(resampled: Resampled, contenders: int) -> FloatArray:
 
 
 SAME = 1e-6  # differences of mean S [m s] up to this are a solver's tolerance, not design
-_MOST_TERMS = 300_000_000  # resampled differences that are looked at: references x designs x resamples
-_MOST_SCORES = 100_000_000  # paired scores that are looked at: references x designs x scenarios
+_MOST_TERMS = 300_000_000  # resampled differences to evaluate: references x designs x resamples
+_MOST_SCORES = 100_000_000  # paired scores to evaluate: references x designs x scenarios
 
 
 @dataclasses.dataclass(frozen=True)
@@ -484,10 +483,10 @@ class Separation:
     """How far k designs are from the best of them."""
 
     mean: FloatArray  # (k,) [m s] Mean score
-    best: int  # The design with the smallest one; the first of equal ones
+    best: int  # The design with the smallest mean; the first of equal designs
     difference: FloatArray  # (k,) [m s] Mean minus that of `best`
     error: FloatArray  # (k,) [m s] Standard error of the difference
-    # (k,) [m s] Lower bound of how much a design is worse than the truly best one, by multiple comparisons with the
+    # (k,) [m s] Lower bound of how much a design is worse than the truly best, by multiple comparisons with the
     # best: the truly best design has a bound above 0 with a probability of at most 1 - confidence, however many designs
     # there are
     low: FloatArray
@@ -497,7 +496,7 @@ class Separation:
     # Standard errors behind `low`, and behind the interval where scores have no skewness
     critical: float
     critical_of_all: float
-    # Designs that critical values were worked out for, and those that they stand for
+    # Designs that critical values were computed for, and designs that may be the best
     references: int
     may_be_best: int
 
@@ -515,7 +514,7 @@ def compare_with_best(resampled: Resampled, confidence: float, contenders: int |
     than c_r standard errors of their paired difference; c_r is the quantile of the largest studentised difference
     to r (Hsu 1984). Only the test of the truly best design can do harm, so the choice of r costs nothing. One
     critical value serves all: the largest c_r of the designs that may be best. Where these are very many, c_r is
-    worked out for some of them, evenly over the ranks. Differences count in both directions, though only one is
+    computed for some of them, evenly over the ranks. Differences count in both directions, though only one is
     tested: scores are skewed, and resampled means are skewed the other way than studentised ones. The interval of
     the difference to the design that came out best needs more: its critical value is the quantile of the largest
     difference over all these r at once. Of skewed scores it is wider, see `skewed_widths`; `low` is not, for the
@@ -525,29 +524,29 @@ def compare_with_best(resampled: Resampled, confidence: float, contenders: int |
     k = resampled.mean.size if contenders is None else contenders
     best = int(np.argmin(resampled.mean[:k]))
     difference, error = resampled.differences(best), resampled.errors(best)
-    may = _may_be_best(difference[:k], error[:k], resampled.df, confidence)
-    wanted = may.size
+    candidates = _may_be_best(difference[:k], error[:k], resampled.df, confidence)
+    may_be_best = candidates.size
     most = max(
         2, min(_MOST_TERMS // resampled.deviations.size, _MOST_SCORES // (resampled.mean.size * resampled.side.size))
     )
-    if may.size > most:
-        may = may[np.unique(np.linspace(0, may.size - 1, most).astype(np.int64))]
+    if candidates.size > most:
+        candidates = candidates[np.unique(np.linspace(0, candidates.size - 1, most).astype(np.int64))]
 
     critical, of_every = 0.0, np.zeros(resampled.deviations.shape[0])
-    errors = np.empty((may.size, error.size))
-    for r, row in zip(may.tolist(), errors, strict=True):
+    errors = np.empty((candidates.size, error.size))
+    for r, row in zip(candidates.tolist(), errors, strict=True):
         row[:] = resampled.errors(r)
-        # for r to be the best it is held against the other contenders, for its intervals against all designs
+        # as the best, r is compared with the other contenders; for intervals, with all designs
         contending, largest = resampled.extremes(row, r, k)
         critical = max(critical, critical_value(contending, confidence, resampled.df))
         np.maximum(of_every, largest, out=of_every)
     of_all = critical_value(of_every, confidence, resampled.df)
     low = np.full(error.size, -np.inf)
-    for r, row in zip(may.tolist(), errors, strict=True):
+    for r, row in zip(candidates.tolist(), errors, strict=True):
         others = np.arange(error.size) != r
         np.maximum(low, resampled.mean - resampled.mean[r] - half_widths(critical, row), out=low, where=others)
     below, above = skewed_widths(of_all, error, resampled.cubes(best))
-    low = np.where(error == 0, difference, low)  # the best itself among them: exactly 0
+    low = np.where(error == 0, difference, low)  # exactly 0 for the best itself
     return Separation(
         mean=resampled.mean,
         best=best,
@@ -558,13 +557,13 @@ def compare_with_best(resampled: Resampled, confidence: float, contenders: int |
         high_of_all=difference + above,
         critical=critical,
         critical_of_all=of_all,
-        references=int(may.size),
-        may_be_best=int(wanted),
+        references=candidates.size,
+        may_be_best=may_be_best,
     )
 
 
 def _may_be_best(difference: FloatArray, error: FloatArray, df: int, confidence: float) -> IntArray:
-    """Designs that even Bonferroni's bound does not part from the best, by rank; the best is the first."""
+    """Designs that even Bonferroni's bound does not separate from the best, by rank; the best is the first."""
     from scipy.special import stdtrit
 
     bound = float(-stdtrit(df, (1.0 - confidence) / (2 * max(1, difference.size - 1))))
@@ -596,7 +595,7 @@ def exact_interval(count: int, n: int) -> tuple[float, float]:
 
 
 def binomial_interval(count: npt.ArrayLike, n: npt.ArrayLike, level: float) -> tuple[FloatArray, FloatArray]:
-    """The same for arrays, whose numbers need not be whole: of weighted events, n is their effective number."""
+    """`exact_interval` for arrays, which need not be integers: n of weighted events is their effective number."""
     from scipy.special import betaincinv
 
     events, trials, outside = np.asarray(count), np.asarray(n), (1.0 - level) / 2.0
@@ -607,10 +606,10 @@ def binomial_interval(count: npt.ArrayLike, n: npt.ArrayLike, level: float) -> t
 
 
 def order_statistics(n: npt.ArrayLike, share: float, level: float) -> tuple[IntArray, IntArray]:
-    """Places, from 1 on, of the ordered values that a quantile of what n independent ones come from lies between.
+    """Ranks, from 1, of the two of n independent values that enclose a quantile of their distribution.
 
-    Whatever the distribution is, it does so with the probability `level` at least (David and Nagaraja, *Order
-    Statistics*, 2003, 7.1). Place 0 or n + 1: there is no such value.
+    They enclose it with a probability of at least `level`, for every distribution (David and Nagaraja, *Order
+    Statistics*, 2003, 7.1). Rank 0 or n + 1: there is no such value.
     """
     from scipy.stats import binom
 
@@ -623,7 +622,7 @@ def paired_sign(b: int, c: int) -> int:
     """1 where a design has an event more often than its reference on the same trials, -1 where less often, else 0.
 
     Of b trials only the design has the event, of c only the reference. McNemar's exact test, two-sided at 5 %: where
-    both are alike, each of these trials is as likely one of the b as one of the c.
+    both are alike, each of these trials belongs to b or to c with the same probability.
     """
     from scipy.stats import binomtest
 
@@ -633,14 +632,14 @@ def paired_sign(b: int, c: int) -> int:
 
 
 def tail_text(deepest: FloatArray, uncorrected: FloatArray) -> str:
-    """Whether a design is worse than no control in the tail, from depths (n,) [m] of both on the same departures.
+    """Phrase on a design that is significantly worse than no control in the tail, else empty.
 
-    Empty where that is not significant.
+    `deepest` and `uncorrected` are the depths (n,) [m] of both on the same departures.
     """
-    own, without = deepest > TAIL, uncorrected > TAIL
-    if paired_sign(int(np.sum(own & ~without)), int(np.sum(without & ~own))) <= 0:
+    beyond, without = deepest > TAIL, uncorrected > TAIL
+    if paired_sign(int(np.sum(beyond & ~without)), int(np.sum(without & ~beyond))) <= 0:
         return ""
     return (
-        f"worse than no control beyond {TAIL:g} m: {own.sum():,} of {own.size:,} departures get so deep, without "
+        f"worse than no control beyond {TAIL:g} m: {beyond.sum():,} of {beyond.size:,} departures get so deep, without "
         f"control {without.sum():,}"
     )

@@ -19,11 +19,11 @@ from .inference import SAME, Inference, Interval, Resampled, critical_value, sim
 
 
 def choose_winner(resampled: Resampled, set_of_best: BoolArray, meets: BoolArray, confidence: float) -> int | None:
-    """The first finalist in the set of best that meets the requirements; of all, where none in the set does.
+    """The first finalist in the set of best that meets the requirements, or of all finalists if none in the set does.
 
-    Where the interval of the difference to it is below 0 for others of these, the one with the smallest mean; None
-    where none meets the requirements. To take the smallest fresh score would choose by luck again, and that score
-    would be too small again. The search's first was not chosen on the fresh scenarios, so its fresh score is not.
+    If the interval of the difference to it is below 0 for other candidates, the candidate with the smallest mean among
+    these. None if no finalist meets the requirements. The smallest fresh score would again be a choice by luck, and too
+    small. The search's first design was not chosen on the fresh scenarios, so its fresh score is not too small.
     """
     candidates = np.flatnonzero(meets & set_of_best)
     if not candidates.size:
@@ -36,12 +36,12 @@ def choose_winner(resampled: Resampled, set_of_best: BoolArray, meets: BoolArray
     return int(better[np.argmin(resampled.mean[better])]) if better.size else first
 
 
-_STREAM = 1  # of the resamples; the search has stream 0
+_STREAM = 1  # of the resamples; the search uses stream 0
 
 
 @dataclasses.dataclass(frozen=True)
 class FreshScores:
-    """What scenarios that no design was chosen on say of the finalists, arrays of d; NaN for designs that are none.
+    """Scores of the finalists on scenarios that no design was chosen on, arrays of d; NaN for other designs.
     The baseline is scored there too. It is a finalist only where it is in the set of best.
     """
 
@@ -60,13 +60,13 @@ class FreshScores:
     reduction: FloatArray  # (d,) 1 - mean S / mean S of the baseline
     unmet: tuple[tuple[str, ...], ...]  # Requirements that a finalist misses on the fresh scenarios
     # (d,) [m s] How much better the search's score was than the fresh one, and its interval, for all finalists at
-    # once: an interval that holds 0 is no more than two draws of scenarios explain
+    # once: an interval that contains 0 is explained by the two draws of scenarios
     optimism: FloatArray
     optimism_low: FloatArray
     optimism_high: FloatArray
     # Whether that score is the difference to the baseline (where the baseline is a law) or mean S itself
     optimism_paired: bool
-    scenarios: int  # How many; 0 for none
+    scenarios: int  # Number of fresh scenarios; 0 without any
     best: int | None  # Position of the finalist with the smallest `S`
     # Position of the design to take, see `choose_winner`; without fresh scenarios the first of the ranking. None where
     # no design is ranked, or no finalist meets the requirements on the fresh scenarios
@@ -74,36 +74,36 @@ class FreshScores:
 
 
 def no_fresh_scores(d: int, ranked: int) -> FreshScores:
-    """No fresh scenarios were run."""
+    """`FreshScores` of a study without fresh scenarios."""
     nothing = np.full(d, np.nan)
-    three = (nothing, nothing, nothing)
+    unknown = (nothing, nothing, nothing)
     unmet: tuple[tuple[str, ...], ...] = ((),) * d
-    return FreshScores(*three, *three, *three, nothing, unmet, *three, False, 0, None, 0 if ranked else None)
+    return FreshScores(*unknown, *unknown, *unknown, nothing, unmet, *unknown, False, 0, None, 0 if ranked else None)
 
 
 @dataclasses.dataclass(frozen=True)
 class ReplayedScores:
-    """What recorded departures say of the finalists, arrays of d; NaN for the others."""
+    """Scores of the finalists on recorded departures, arrays of d; NaN for other designs."""
 
     # (d,) [m s] Mean S with its interval
     S: FloatArray
     low: FloatArray
     high: FloatArray
     reduction: FloatArray  # (d,)
-    departures: int  # How many; 0 for none
+    departures: int  # Number of recorded departures; 0 without any
 
 
 @dataclasses.dataclass(frozen=True)
 class SearchScores:
-    """What the search's scenarios show, d designs by position in the ranking."""
+    """Results on the search's scenarios, d designs by position in the ranking."""
 
     scores: FloatArray  # (d, n) [m s] Counted S, in the study's order
-    order: IntArray  # (d,) Where the designs of the ranking stand in it
+    order: IntArray  # (d,) Rows of `scores`, in the order of the ranking
     side: npt.NDArray[np.signedinteger]  # (n,)
     set_of_best: BoolArray  # (d,)
-    ranked: int  # So many first designs are ranked
+    ranked: int  # Number of ranked designs, which are the first ones
     baseline: int | None  # Position of the design that all are compared with
-    paired: bool  # Whether the baseline is a law: a difference to it then leaves most of the draw of scenarios out
+    paired: bool  # Whether the baseline is a law: a difference to it cancels most of the effect of the draw
 
 
 def fresh_scores(
@@ -117,7 +117,7 @@ def fresh_scores(
     samples: int,
     confidence: float,
 ) -> FreshScores:
-    """Score the finalists."""
+    """Score the finalists on fresh scenarios."""
     d = len(search.scores)
     order = np.argsort(positions, kind="stable")
     positions, unmet = positions[order], [unmet[i] for i in order.tolist()]
@@ -158,16 +158,16 @@ def fresh_scores(
         among = np.array([*finalists, *([search.baseline] if paired else [])], dtype=np.int64)
         fresh = every.take(np.searchsorted(positions, among))
         before = Resampled.of(search.scores, search.side, seed=seed, samples=samples, rows=search.order[among])
-        found = lost(before, fresh, confidence, among.size - 1 if paired else None)
-        optimism = ends(found, among)
+        interval = lost(before, fresh, confidence, among.size - 1 if paired else None)
+        optimism = ends(interval, among)
         if paired:  # the baseline's own difference is 0 by definition
             for values in optimism:
                 values[search.baseline] = np.nan
     winner: int | None = 0 if search.ranked else None
     if finalists.size and (finalists[0] == 0 or first_failed):
         meets = np.array([not unmet[i] for i in rows.tolist()], dtype=np.bool_)
-        chosen = choose_winner(resampled, search.set_of_best[finalists], meets, confidence)
-        winner = None if chosen is None else int(finalists[chosen])
+        winning_row = choose_winner(resampled, search.set_of_best[finalists], meets, confidence)
+        winner = None if winning_row is None else int(finalists[winning_row])
     texts = dict(zip(finalists.tolist(), (unmet[i] for i in rows.tolist()), strict=True))
     return FreshScores(
         S,
@@ -186,8 +186,8 @@ def fresh_scores(
 
 def lost(before: Resampled, after: Resampled, confidence: float, reference: int | None = None) -> Interval:
     """Means on one sample of scenarios minus those on another, independent one, simultaneous for all designs."""
-    one, two = before.errors(reference), after.errors(reference)
-    errors = np.hypot(one, two)
+    errors_before, errors_after = before.errors(reference), after.errors(reference)
+    errors = np.hypot(errors_before, errors_after)
     deviations = after.deviations - before.deviations
     if reference is not None:
         deviations = deviations - deviations[:, reference : reference + 1]
@@ -207,12 +207,12 @@ def lost(before: Resampled, after: Resampled, confidence: float, reference: int 
 SCORE: Final = (
     "S is the integral over time of |e_y|, the distance of the vehicle's centre from the lane's centre: less is better"
 )
-"""What every score means; no full stop, the window may follow."""
+"""Meaning of every score, without a full stop because the window may follow."""
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
 class RankedDesigns:
-    """Designs, best first; every array has one entry a design in that order."""
+    """Designs, best first; every array has an entry for each design in this order."""
 
     metrics: DesignMetrics  # Means, tails, reductions, shares and counts
     inference: Inference  # Intervals, and the set of best
@@ -220,8 +220,8 @@ class RankedDesigns:
     replayed: ReplayedScores  # The finalists on recorded departures
     window: Window  # Of S
     convention: Convention  # Reading of the paper
-    # d designs: those that meet all requirements, smallest mean S first, equal ones in the study's order; then the
-    # others in the same way
+    # d designs: those that meet all requirements, smallest mean S first, equal designs in the study's order; then the
+    # other designs in the same way
     designs: tuple[Design, ...]
     index: IntArray  # (d,) Position of each in `StudyResults.designs`
     # (d,) 1 for the best; designs with the same mean S share a rank. 0 for a design that misses a requirement: it is
@@ -229,13 +229,13 @@ class RankedDesigns:
     rank: IntArray
     missed: tuple[tuple[Miss, ...], ...]  # For each design, the requirements that it misses, and its values
     requirements: tuple[Requirement, ...]
-    # The requirements, and behind them those of the sets ``stable``, ``comfort`` and ``physical``
+    # The requirements, followed by those of the sets ``stable``, ``comfort`` and ``physical``
     limits: tuple[Requirement, ...]
-    # (k, 3, d) Values of the k limited metrics, and the ends of the interval of each by itself: NaN unless it is a
-    # quantile, a share or mean S, whose intervals hold for all designs at once
+    # (k, 3, d) Values of the k limited metrics and the ends of their intervals: pointwise for quantiles and shares, for
+    # all designs at once for mean S, NaN for other metrics
     limited: FloatArray
     fresh_limited: FloatArray  # (k, 3, d) The same on the fresh scenarios; NaN for designs that were not driven there
-    fresh_saved: FloatArray  # (d,) 1 - mean S / mean S without control there
+    fresh_saved: FloatArray  # (d,) 1 - mean S / mean S without control on the fresh scenarios
     baseline: int | None  # Position of the design behind `Inference.baseline_difference`
     # (d,) Ranked designs that no other ranked design beats in one metric of `pareto_metrics` without being worse in
     # another
@@ -275,29 +275,29 @@ class RankedDesigns:
     @property
     def require(self) -> tuple[str, ...]:
         """The requirements as text."""
-        return tuple(one.text for one in self.requirements)
+        return tuple(requirement.text for requirement in self.requirements)
 
     @property
     def unmet(self) -> tuple[tuple[str, ...], ...]:
         """For each design, the requirements that it misses, as text."""
-        return tuple(tuple(miss.requirement.text for miss in some) for some in self.missed)
+        return tuple(tuple(miss.requirement.text for miss in misses) for misses in self.missed)
 
     def sample(self, i: int) -> str:
-        """The scenarios that a design is judged on: fresh ones where it was driven on such."""
+        """The scenarios that a design is judged on: the fresh ones if it was driven on them."""
         fresh = bool(np.isfinite(self.fresh.S[i]))
         return f"{self.fresh.scenarios:,} fresh scenarios" if fresh else f"the {self.scenarios:,} study scenarios"
 
     def saved(self, i: int) -> float:
-        """1 - mean S / mean S without control there."""
+        """1 - mean S / mean S without control on the scenarios of `sample`."""
         return float((self.fresh_saved if np.isfinite(self.fresh.S[i]) else self.metrics.reduction)[i])
 
     def estimates(self, i: int) -> tuple[Estimate, ...]:
-        """The limited metrics of a design there."""
+        """The limited metrics of a design on the scenarios of `sample`."""
         fresh = bool(np.isfinite(self.fresh.S[i]))
         numbers = (self.fresh_limited if fresh else self.limited)[:, :, i].tolist()
         return tuple(
-            Estimate(one, value, low, high, one in self.requirements, fresh)
-            for one, (value, low, high) in zip(self.limits, numbers, strict=True)
+            Estimate(requirement, value, low, high, requirement in self.requirements, fresh)
+            for requirement, (value, low, high) in zip(self.limits, numbers, strict=True)
         )
 
     def best_of_each_law(self) -> tuple[int, ...]:

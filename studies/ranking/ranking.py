@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.arrays import Frame, IntArray
+from ldctoolkit.arrays import Frame
 from ldctoolkit.control import EventStatus
 from ldctoolkit.departures import LEFT
 from ldctoolkit.errors import StudyError, expect
@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from ldctoolkit.setup import Setup
 
 
-FEW = 50  # scenarios below which intervals are too short by an amount that matters, see docs/explanation/statistics.md
+FEW = 50  # scenarios below which intervals are clearly too short, see docs/explanation/statistics.md
 
 FEW_OF_A_SIDE = 10
 
@@ -80,12 +80,26 @@ def warnings_of_sample(side: npt.NDArray[np.signedinteger], inference: Inference
         )
 
 
-_OFTEN = 0.1  # share of a design's interventions with a failed solve from which on the reader is warned
+_OFTEN = 0.1  # share of a design's interventions with a failed solve that causes a warning
 _NAMED = 3  # designs that a warning names
 
 
-def warnings_of(results: StudyResults) -> Iterator[str]:
-    """Sentences that name designs: from the first command where it cannot be a fallback, else where it is often."""
+def _warnings_of_runs(drivable: DrivableResults) -> Iterator[str]:
+    """Warnings of scenarios that cannot be driven, of scores that are not comparable, and of failed solves.
+
+    A failed solve of a law without a solver, which has no fallback, is always reported, that of others if frequent.
+    """
+    results = drivable.results
+    if drivable.left_out:
+        yield (
+            f"{drivable.left_out} of {drivable.status.shape[1]} scenarios cannot be driven (a parameter is not finite "
+            "or has the wrong sign, or the speed leaves 1 to 90 m/s); no metric of any design counts them."
+        )
+    if results.window == "control" and len({design.y_s for design in results.designs}) > 1:
+        yield (
+            "S over the control window starts at the trigger, which moves with y_s: a later trigger gives a smaller S. "
+            "Designs with different y_s are not comparable here; use the departure window."
+        )
     wrong, often = [], []
     solver = results.measures.get("solver", np.ones(len(results.designs)))
     for i in np.flatnonzero((results.failed_solves > 0).any(axis=1)).tolist():
@@ -112,7 +126,7 @@ def _listed(names: Sequence[str]) -> str:
 
 @dataclasses.dataclass(frozen=True, repr=False)
 class Ranking(RankedDesigns, Frame):
-    """Designs, best first, made with `Ranking.of`; the attributes are those of `RankedDesigns`.
+    """Designs, best first, created with `Ranking.of`; the attributes are those of `RankedDesigns`.
 
     Examples
     --------
@@ -125,7 +139,7 @@ class Ranking(RankedDesigns, Frame):
     """
 
     def to_polars(self) -> pl.DataFrame:
-        """One row a design, with the columns of ``ranking.csv``: first what names it, its rank and S."""
+        """One row for each design, with the columns of ``ranking.csv``; rank, name and S come first."""
         import polars as pl
 
         table = to_polars(_table(self)).with_columns(pl.col("rank").cast(pl.Int64))
@@ -133,7 +147,7 @@ class Ranking(RankedDesigns, Frame):
         return table.select(*first, pl.exclude(first))
 
     def _repr_html_(self) -> str:
-        """What a notebook shows."""
+        """HTML for a notebook."""
         return ranking_html(self)
 
     @classmethod
@@ -154,13 +168,12 @@ class Ranking(RankedDesigns, Frame):
     ) -> Ranking:
         """Rank the designs of a study.
 
-        Raises `InputError` for settings outside what is allowed, a baseline that is not there, or scores that are not
+        Raises `InputError` for settings outside their range, a baseline that does not exist, or scores that are not
         finite; `UnknownNameError` for a metric or set that does not exist.
 
-        The settings are those of ``[ranking]`` in a study file, D_y [m] is the depth that counts as deep. With a
-        `setup`, what the designs were driven with, what friction allows is known. The worst of the named `vehicles` and
-        the shares of the named `standards`, and of those required, are taken from what the run measured; an
-        `InputError` says that it did not.
+        The settings are those of ``[ranking]`` in a study file, D_y [m] is the depth that counts as deep. The `setup`
+        of the runs gives the limit of friction. The worst of the named `vehicles` and the shares of the named or
+        required `standards` are taken from the measures of the run, with an `InputError` for a measure that is missing.
         """
         options = None if setup is None else setup.options
         requirements = requirements_of(require, options)
@@ -168,28 +181,28 @@ class Ranking(RankedDesigns, Frame):
         pareto_metrics = tuple(metric(name).name for name in pareto)
         reference = find_baseline(baseline, results)
         drivable = DrivableResults.of(results)
-        named = (*standards, *pareto_metrics, *(one.metric.name for one in requirements))
+        named = (*standards, *pareto_metrics, *(requirement.metric.name for requirement in requirements))
         measures = measures_of(results, vehicles, [name for name in named if name in standard_names()])
         metrics = design_metrics(drivable, D_y, measures, setup)
         counted, side = drivable.results.counted, drivable.results.scenarios.side
         missed = missed_by(requirements, metrics)
-        order = np.lexsort((metrics.S, np.array([bool(some) for some in missed]))).astype(np.int64)
-        ranked = sum(not some for some in missed)
+        order = np.lexsort((metrics.S, np.array([bool(misses) for misses in missed]))).astype(np.int64)
+        ranked = sum(not misses for misses in missed)
         in_order = metrics.take(order)
-        chance: dict[str, Any] = {"seed": seed, "samples": bootstrap, "confidence": confidence}
-        position = None if reference is None else _position(order, reference)
-        inference = infer(counted, side, ranked=ranked, baseline=position, rows=order, **chance)
-        names = [one.metric.name for one in limits]
+        resampling: dict[str, Any] = {"seed": seed, "samples": bootstrap, "confidence": confidence}
+        position = None if reference is None else int(np.flatnonzero(order == reference)[0])
+        inference = infer(counted, side, ranked=ranked, baseline=position, rows=order, **resampling)
+        names = [requirement.metric.name for requirement in limits]
         limited = sampling_intervals(drivable.results, metrics, names, D_y, confidence, setup)[:, :, order]
         mean_S = [name == "S" for name in names]
         limited[mean_S, 1:] = inference.S_low, inference.S_high
         fresh_limited, fresh_saved = np.full_like(limited, np.nan), np.full(len(order), np.nan)
-        warnings = list(_warnings(drivable))
+        warnings = list(_warnings_of_runs(drivable))
         designs = tuple(results.designs[i] for i in order)
         fresh = no_fresh_scores(len(order), ranked)
         if results.fresh is not None and results.fresh.designs:
-            place = {design.id: k for k, design in enumerate(designs)}
-            positions = np.array([place[design.id] for design in results.fresh.designs], dtype=np.int64)
+            position_of = {design.id: k for k, design in enumerate(designs)}
+            positions = np.array([position_of[design.id] for design in results.fresh.designs], dtype=np.int64)
             again = DrivableResults.of(results.fresh)
             at = {design.id: i for i, design in enumerate(results.designs)}
             rows = [at[design.id] for design in results.fresh.designs]
@@ -208,20 +221,20 @@ class Ranking(RankedDesigns, Frame):
                 again,
                 positions,
                 search,
-                [tuple(miss.requirement.text for miss in some) for some in missed_by(requirements, there)],
-                first_failed=designs[0] in [one.design for one in results.fresh.failed],
-                **chance,
+                [tuple(miss.requirement.text for miss in misses) for misses in missed_by(requirements, there)],
+                first_failed=designs[0] in [failure.design for failure in results.fresh.failed],
+                **resampling,
             )
             warnings += _about_finalists(fresh, ranked)
-            found = sampling_intervals(again.results, there, names, D_y, confidence, setup)
+            intervals = sampling_intervals(again.results, there, names, D_y, confidence, setup)
             worst = [name == "comfortable_worst" for name in names]  # driven on the study's departures only
-            found[worst] = limited[worst][:, :, positions]
-            fresh_limited[:, :, positions] = found
+            intervals[worst] = limited[worst][:, :, positions]
+            fresh_limited[:, :, positions] = intervals
             fresh_limited[mean_S, 1:] = fresh.low, fresh.high
             fresh_saved[positions] = there.reduction
         acting = [i for i, design in enumerate(designs) if not design.is_baseline]
         if requirements and acting and not any(i < ranked for i in acting):
-            fresh = dataclasses.replace(fresh, winner=None)  # to leave the departures alone is no design
+            fresh = dataclasses.replace(fresh, winner=None)  # no control is not a design to choose
         warnings += warnings_of_sample(side, inference)
         for i in best_of_laws(designs):
             if not designs[i].is_baseline and (text := tail_text(*depths(results, int(order[i]), setup))):
@@ -236,7 +249,7 @@ class Ranking(RankedDesigns, Frame):
             metrics=in_order,
             inference=inference,
             fresh=fresh,
-            replayed=_replayed(results, designs, **chance, D_y=D_y, baseline=baseline),
+            replayed=_replayed(results, designs, **resampling, D_y=D_y, baseline=baseline),
             window=results.window,
             convention=results.convention,
             designs=designs,
@@ -261,15 +274,15 @@ class Ranking(RankedDesigns, Frame):
 
 
 def _replayed(results: StudyResults, designs: Sequence[Design], **settings: Any) -> ReplayedScores:
-    """What recorded departures say of the finalists."""
+    """Scores of the finalists on recorded departures."""
     columns = np.full((4, len(designs)), np.nan)
     there = results.replayed
     if there is not None and there.designs:
         settings["bootstrap"] = settings.pop("samples")
         ranking = Ranking.of(there, **settings)
-        place = {design.id: i for i, design in enumerate(designs)}
+        position_of = {design.id: i for i, design in enumerate(designs)}
         numbers = (ranking.metrics.S, ranking.inference.S_low, ranking.inference.S_high, ranking.metrics.reduction)
-        columns[:, [place[design.id] for design in ranking.designs]] = numbers
+        columns[:, [position_of[design.id] for design in ranking.designs]] = numbers
     S, low, high, reduction = columns
     return ReplayedScores(S, low, high, reduction, 0 if there is None else int(there.drivable.sum()))
 
@@ -300,7 +313,7 @@ def rank_study(results: StudyResults, study: Study) -> Ranking:
     """
     expect("results", results, StudyResults)
     expect("study", study, Study)
-    if study.search is None and not {design.id for design in study.designs} & {one.id for one in results.designs}:
+    if study.search is None and not {design.id for design in study.designs} & {design.id for design in results.designs}:
         raise StudyError(
             "study", "has none of the designs of the results", value=study.name, allowed="the one that was run"
         )
@@ -320,12 +333,8 @@ def rank_study(results: StudyResults, study: Study) -> Ranking:
     )
 
 
-def _position(order: IntArray, index: int) -> int:
-    return int(np.flatnonzero(order == index)[0])
-
-
 def _about_finalists(fresh: FreshScores, ranked: int) -> Iterator[str]:
-    """Finalists that were better by the search but miss a requirement on the fresh scenarios."""
+    """Warnings of finalists that rank before the winner but miss a requirement on the fresh scenarios."""
     if not ranked:
         return
     if fresh.winner is None:
@@ -338,21 +347,6 @@ def _about_finalists(fresh: FreshScores, ranked: int) -> Iterator[str]:
     for i, missed in enumerate(fresh.unmet[: fresh.winner]):
         if missed:
             yield f"Design # {i + 1} misses {', '.join(missed)} on the fresh scenarios and is not the winner."
-
-
-def _warnings(drivable: DrivableResults) -> Iterator[str]:
-    results = drivable.results
-    if drivable.left_out:
-        yield (
-            f"{drivable.left_out} of {drivable.status.shape[1]} scenarios cannot be driven (a parameter is not finite "
-            "or has the wrong sign, or the speed leaves 1 to 90 m/s); no metric of any design counts them."
-        )
-    if results.window == "control" and len({design.y_s for design in results.designs}) > 1:
-        yield (
-            "S over the control window starts at the trigger, which moves with y_s: a later trigger gives a smaller S. "
-            "Designs with different y_s are not comparable here; use the departure window."
-        )
-    yield from warnings_of(results)
 
 
 _PAIRED: Final = (
@@ -382,7 +376,7 @@ def _numbers(ranking: Ranking) -> dict[str, Any]:
     numbers["winner"] = np.arange(len(ranking)) == ranking.winner
     numbers |= {METRICS[name].column: getattr(ranking.metrics, name) for name in ("triggered", "deeper")}
     numbers |= {name: getattr(ranking.metrics, name) for name in _COUNTS}
-    numbers |= {one.column: ranking.metrics.beside[one.name] for one in RELEASE_METRICS.values()}
+    numbers |= {metric.column: ranking.metrics.beside[metric.name] for metric in RELEASE_METRICS.values()}
     standards = [name for name in ranking.metrics.beside if name not in METRICS]
     return numbers | {metric(name).column: ranking.metrics.beside[name] for name in standards}
 
@@ -406,15 +400,15 @@ def write_csv(ranking: Ranking, path: str | Path) -> None:
 
 def _table(ranking: Ranking) -> Table:
     """The numbers of every design, in SI units."""
-    laws = {design.law: design for design in _every(ranking)}
+    laws = {design.law: design for design in _all_designs(ranking)}
     gains = list(dict.fromkeys(column for _, design in sorted(laws.items()) for column in _columns_of(design)))
     rows = list(_rows(ranking, gains))
     return Table.of(rows[0], rows, text=("design", "label", "unmet", "fresh_unmet", "failure"))
 
 
-def _every(ranking: Ranking) -> Iterator[Design]:
+def _all_designs(ranking: Ranking) -> Iterator[Design]:
     yield from ranking.designs
-    yield from (one.design for one in ranking.failed)
+    yield from (failure.design for failure in ranking.failed)
 
 
 def _columns_of(design: Design) -> list[str]:
@@ -429,39 +423,28 @@ def _columns_of(design: Design) -> list[str]:
 def _rows(ranking: Ranking, gains: Sequence[str]) -> Iterator[dict[str, Any]]:
     numbers = _numbers(ranking)
     for fresh, values in (("", ranking.limited), ("fresh_", ranking.fresh_limited)):
-        for one, ends in zip((one.metric for one in ranking.limits), values[:, 1:], strict=True):
+        for limit, ends in zip(ranking.limits, values[:, 1:], strict=True):
             if not np.isnan(ends).all():
-                column = f"{fresh}{one.name}_{{}}{one.column.removeprefix(one.name)}"
+                name = limit.metric.name
+                column = f"{fresh}{name}_{{}}{limit.metric.column.removeprefix(name)}"
                 numbers |= dict(zip(map(column.format, ("low", "high")), ends, strict=True))
-    reasons = [""] * len(ranking) + [one.reason for one in ranking.failed]
-    for i, (design, reason) in enumerate(zip(_every(ranking), reasons, strict=True)):
+    reasons = [""] * len(ranking) + [failure.reason for failure in ranking.failed]
+    optimism_of = "baseline_difference" if ranking.fresh.optimism_paired else "S"
+    for i, (design, reason) in enumerate(zip(_all_designs(ranking), reasons, strict=True)):
         here = i < len(ranking)
+        gain_values = dict(zip(_columns_of(design), (value for _, value in design.gains), strict=True))
         yield {
-            **_named(ranking, int(ranking.rank[i]) or None if here else None, design, gains),
+            "window": ranking.window,
+            "convention": ranking.convention,
+            "rank": int(ranking.rank[i]) or None if here else None,
+            "design": design.id,
+            "label": design.label,
+            "law": design.law,
+            "y_s_m": design.y_s,
+            **{f"gain_{name}": gain_values.get(name) for name in gains},
             **{name: column[i] if here else None for name, column in numbers.items()},
             "unmet": "; ".join(ranking.unmet[i]) if here else "",
             "fresh_unmet": "; ".join(ranking.fresh.unmet[i]) if here else "",
-            "optimism_of": _optimism_of(ranking, i) if here else None,
+            "optimism_of": optimism_of if here and not np.isnan(ranking.fresh.optimism[i]) else None,
             "failure": reason,
         }
-
-
-def _named(ranking: Ranking, rank: int | None, design: Design, gains: Sequence[str]) -> dict[str, Any]:
-    """The columns that say which design it is."""
-    values = dict(zip(_columns_of(design), (value for _, value in design.gains), strict=True))
-    return {
-        "window": ranking.window,
-        "convention": ranking.convention,
-        "rank": rank,
-        "design": design.id,
-        "label": design.label,
-        "law": design.law,
-        "y_s_m": design.y_s,
-        **{f"gain_{name}": values.get(name) for name in gains},
-    }
-
-
-def _optimism_of(ranking: Ranking, i: int) -> str | None:
-    if np.isnan(ranking.fresh.optimism[i]):
-        return None
-    return "baseline_difference" if ranking.fresh.optimism_paired else "S"

@@ -30,12 +30,12 @@ _NEAREST: Final = 3
 
 @dataclasses.dataclass(frozen=True)
 class OtherPlants:
-    """What a verdict takes from `ldctoolkit.studies.robustness.Robustness`: d designs on p plants, their own first."""
+    """The part of `ldctoolkit.studies.robustness.Robustness` for a verdict: d designs, p plants, the study's first."""
 
     designs: tuple[str, ...]  # Identifiers
     plants: tuple[str, ...]  # Names
-    titles: tuple[str, ...]  # The same for people
-    adds: tuple[bool, ...]  # Whether a plant adds a difficulty to the designs' own
+    titles: tuple[str, ...]  # Names for readers
+    adds: tuple[bool, ...]  # Whether a plant is more difficult than the study's
     S: FloatArray  # (p, d) [m s] Mean S; NaN where the law raised
     diverged: IntArray  # (p, d) Departures that diverged though friction allows their recorded path
     # (p, d) [m s] Paired difference of mean S to no control on the same plant, above 0 where the design is worse
@@ -44,7 +44,7 @@ class OtherPlants:
 
 @dataclasses.dataclass(frozen=True)
 class Light:
-    """One of the lights: what it is about, its state, and why."""
+    """A light: its subject, its state and the reason."""
 
     name: str
     state: State
@@ -53,15 +53,15 @@ class Light:
 
 @dataclasses.dataclass(frozen=True)
 class Verdict:
-    """What a study says, requirements first."""
+    """The conclusion of a study; requirements come first."""
 
     title: str  # One line
-    sentences: tuple[str, ...]  # Two at most: the score of the design named, and what it breaks or what is nearest
-    lights: tuple[Light, ...]  # Score, stable, limits, other plants, tail, of the design named; scenarios
-    place: int  # Of the design named, in the ranking
-    # Where none meets the requirements: places of the designs with the smallest largest excess
+    sentences: tuple[str, ...]  # At most two: the score of the named design, and what it violates or misses
+    lights: tuple[Light, ...]  # Of the named design: score, stable, limits, other plants, tail; then scenarios
+    place: int  # Position of the named design in the ranking
+    # If no design meets the requirements: positions of those whose largest excess is smallest
     nearest: tuple[int, ...] = ()
-    try_next: tuple[str, ...] = ()  # Sentences on what to try then
+    try_next: tuple[str, ...] = ()  # If no design meets the requirements: what to try
     recorded: float = 0.0  # Share of departures whose recorded path alone needs more than the friction
 
     @property
@@ -80,37 +80,37 @@ def verdict(
     """Judge a ranking; `model` is what generated the scenarios."""
     setup = setup or Setup()
     nearest: tuple[int, ...] = ()
-    ahead: tuple[str, ...] = ()
-    some = results.on_drivable().scenarios
-    recorded = float(beyond_friction(some, setup).mean()) if some.n else 0.0
+    try_next: tuple[str, ...] = ()
+    drivable = results.on_drivable().scenarios
+    recorded = float(beyond_friction(drivable, setup).mean()) if drivable.n else 0.0
     acting = [i for i, design in enumerate(ranking.designs) if not design.is_baseline]
     meeting = [i for i in range(ranking.ranked) if not ranking.designs[i].is_baseline]
     if meeting or not acting:
-        place = meeting[0] if ranking.winner is None and meeting else ranking.winner or 0
-        title = _of_winner(ranking, place)
-        sentences = [_score(ranking, place)]
-        broken = _broken(ranking, place)
+        position = meeting[0] if ranking.winner is None and meeting else ranking.winner or 0
+        title = _of_winner(ranking, position)
+        sentences = [_score(ranking, position)]
+        broken = _broken(ranking, position)
         if broken:
             sentences.append(f"It is not usable as it is: {_list(broken)}.")
     else:
         nearest = _nearest(ranking)
-        place = nearest[0]
+        position = nearest[0]
         only = "The design does not meet the limits"
         title = only if len(acting) == 1 else f"None of {len(acting)} designs meets the limits"
-        misses = [miss.text for miss in ranking.missed[place]]
-        sentences = [f"Nearest: {design_name(ranking.designs[place])}; it misses {_list(misses)}."]
+        misses = [miss.text for miss in ranking.missed[position]]
+        sentences = [f"Nearest: {design_name(ranking.designs[position])}; it misses {_list(misses)}."]
         if recorded > 0:
             sentences.append(f"In {100 * recorded:.1f} % of departures the recorded path alone is beyond friction.")
-        ahead = tuple(_try_next(ranking, place))
+        try_next = tuple(_try_next(ranking, position))
     lights = (
-        _score_light(ranking, place),
-        _stable_light(ranking, place),
-        _limits_light(ranking, place),
-        _plants_light(ranking, place, robustness),
-        *_tail_light(ranking, results, setup, place),
+        _score_light(ranking, position),
+        _stable_light(ranking, position),
+        _limits_light(ranking, position),
+        _plants_light(ranking, position, robustness),
+        *_tail_light(ranking, results, setup, position),
         *_scenarios_light(model),
     )
-    return Verdict(title, tuple(sentences), lights, place, nearest, ahead, recorded)
+    return Verdict(title, tuple(sentences), lights, position, nearest, try_next, recorded)
 
 
 def law_title(design: Design) -> str:
@@ -137,22 +137,23 @@ def _list(parts: list[str]) -> str:
     return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
 
 
-def _of_winner(ranking: RankedDesigns, place: int) -> str:
-    name = design_name(ranking.designs[place])
+def _of_winner(ranking: RankedDesigns, position: int) -> str:
+    name = design_name(ranking.designs[position])
     if ranking.winner is None:
         return f"No winner: no finalist meets the requirements on the fresh scenarios. First: {name}"
     if ranking.requirements:
         return f"Best design that meets the limits: {name}"
-    return f"{'Smallest S, but not usable' if _broken(ranking, place) else 'Smallest S'}: {name}"
+    return f"{'Smallest S, but not usable' if _broken(ranking, position) else 'Smallest S'}: {name}"
 
 
 def _score(ranking: RankedDesigns, i: int) -> str:
-    """Of one sample, which it names."""
+    """Score of a design on the sample of scenarios that the sentence names."""
     of = (ranking.fresh.S, ranking.fresh.low, ranking.fresh.high)
     if not np.isfinite(ranking.fresh.S[i]):
         of = (ranking.metrics.S, ranking.inference.S_low, ranking.inference.S_high)
     S, low, high = (float(values[i]) for values in of)
-    saved, values = ranking.saved(i), {one.requirement.metric.name: one.value for one in ranking.estimates(i)}
+    saved = ranking.saved(i)
+    values = {estimate.requirement.metric.name: estimate.value for estimate in ranking.estimates(i)}
     level = f"{100 * ranking.confidence:g} % interval"
     between = f" ({level} {low:.3f} to {high:.3f})" if math.isfinite(low + high) else ""
     if ranking.designs[i].is_baseline or not math.isfinite(saved):
@@ -170,45 +171,45 @@ def _score(ranking: RankedDesigns, i: int) -> str:
     return f"Mean S {S:.3f} m s on {ranking.sample(i)}{between}{change}{costs}."
 
 
-def _broken(ranking: RankedDesigns, place: int) -> list[str]:
-    """What a design breaks of what every design on a road must keep: it is stable, and tyres can do it."""
-    found = []
-    if lost := int(metric_values("lost", ranking)[place]):
-        found.append(f"it diverges in {lost} departure{'' if lost == 1 else 's'}")
-    if float(metric_values("gain_margin", ranking)[place]) == 0.0:
-        found.append("its linear loop is unstable at some speed")
-    impossible = _impossible(ranking, place)
+def _broken(ranking: RankedDesigns, position: int) -> list[str]:
+    """Violations of what every design on a road must satisfy: stability, and accelerations that tyres allow."""
+    faults = []
+    if lost := int(metric_values("lost", ranking)[position]):
+        faults.append(f"it diverges in {lost} departure{'' if lost == 1 else 's'}")
+    if float(metric_values("gain_margin", ranking)[position]) == 0.0:
+        faults.append("its linear loop is unstable at some speed")
+    impossible = _impossible(ranking, position)
     if impossible:
-        found.append(impossible)
-    return found
+        faults.append(impossible)
+    return faults
 
 
-def _impossible(ranking: RankedDesigns, place: int) -> str:
-    """Lateral acceleration that no tyre gives."""
-    most = next((one.limit for one in ranking.limits if one.set == "physical"), G)
-    peak = float(metric_values("a_y_peak_max", ranking)[place])
+def _impossible(ranking: RankedDesigns, position: int) -> str:
+    """Phrase on a peak lateral acceleration beyond what tyres allow; empty if there is none."""
+    most = next((requirement.limit for requirement in ranking.limits if requirement.set == "physical"), G)
+    peak = float(metric_values("a_y_peak_max", ranking)[position])
     if not peak > most:
         return ""
     return f"a lateral acceleration of {peak:.3g} m/s\u00b2 ({peak / G:.2g} g) is physically impossible"
 
 
-def _score_light(ranking: RankedDesigns, place: int) -> Light:
-    saved = ranking.saved(place)
+def _score_light(ranking: RankedDesigns, position: int) -> Light:
+    saved = ranking.saved(position)
     if not math.isfinite(saved):
         return Light("Score", "unknown", "There is no score without control to compare with.")
     if saved <= 0:
         return Light("Score", "bad", "No better than without control.")
     others = int(ranking.inference.set_of_best.sum()) - 1
-    if not ranking.inference.set_of_best[place] or others <= 0:
+    if not ranking.inference.set_of_best[position] or others <= 0:
         return Light("Score", "good", f"{100 * saved:.1f} % less S than without control.")
     rest = f"{others} other design{'' if others == 1 else 's'} {'is' if others == 1 else 'are'} not separated from it"
     return Light("Score", "good", f"{100 * saved:.1f} % less S than without control; {rest}.")
 
 
-def _stable_light(ranking: RankedDesigns, place: int) -> Light:
-    lost, diverged = int(metric_values("lost", ranking)[place]), int(ranking.metrics.diverged[place])
-    gain, phase = (float(metric_values(name, ranking)[place]) for name in ("gain_margin", "phase_margin"))
-    missed = [one.text for one in ranking.estimates(place) if one.requirement.set == "stable" and not one.met]
+def _stable_light(ranking: RankedDesigns, position: int) -> Light:
+    lost, diverged = int(metric_values("lost", ranking)[position]), int(ranking.metrics.diverged[position])
+    gain, phase = (float(metric_values(name, ranking)[position]) for name in ("gain_margin", "phase_margin"))
+    missed = [miss.text for miss in ranking.estimates(position) if miss.requirement.set == "stable" and not miss.met]
     if lost:
         return Light("Stable", "bad", f"It diverges in {lost} of {ranking.scenarios:,} departures.")
     if gain == 0.0:
@@ -226,39 +227,42 @@ def _stable_light(ranking: RankedDesigns, place: int) -> Light:
     return Light("Stable", "good", f"{never}; gain margin {shown}, phase margin {math.degrees(phase):.0f}\u00b0.")
 
 
-def _limits_light(ranking: RankedDesigns, place: int) -> Light:
-    impossible = _impossible(ranking, place)
-    limited = [one for one in ranking.estimates(place) if one.requirement.set not in ("stable", "physical")]
-    missed = [one.text for one in limited if one.required and not one.met]
-    others = [one.text for one in limited if not one.required and not one.met]
-    close = [one.with_interval(f"{100 * ranking.confidence:g} %") for one in limited if one.met and one.uncertain]
+def _limits_light(ranking: RankedDesigns, position: int) -> Light:
+    impossible = _impossible(ranking, position)
+    limited = [
+        estimate for estimate in ranking.estimates(position) if estimate.requirement.set not in ("stable", "physical")
+    ]
+    missed = [estimate.text for estimate in limited if estimate.required and not estimate.met]
+    others = [estimate.text for estimate in limited if not estimate.required and not estimate.met]
+    level = f"{100 * ranking.confidence:g} %"
+    close = [estimate.with_interval(level) for estimate in limited if estimate.met and estimate.uncertain]
     if impossible:
         return Light("Limits", "bad", f"{_capital(impossible)}.")
     if missed:
         return Light("Limits", "bad", f"{_capital(_list(missed))}.")
     doubts = [f"Not required, but beyond comfort: {_list(others)}."] if others else []
-    doubts += [f"Met on {ranking.sample(place)}, but not with certainty: {'; '.join(close)}."] if close else []
+    doubts += [f"Met on {ranking.sample(position)}, but not with certainty: {'; '.join(close)}."] if close else []
     if doubts:
         return Light("Limits", "warning", " ".join(doubts))
-    names = dict.fromkeys([*(one.set or one.text for one in ranking.requirements), "comfort"])
+    names = dict.fromkeys([*(requirement.set or requirement.text for requirement in ranking.requirements), "comfort"])
     return Light("Limits", "good", f"Meets {_list(list(names))}.")
 
 
 def depths(results: StudyResults, i: int, setup: Setup | None = None) -> tuple[FloatArray, FloatArray]:
-    """Deepest positions of a design and without control on the departures that every design could be driven on [m]."""
-    some, on = results.scenarios.take(results.drivable), setup or Setup()
-    path = UncorrectedPath.of(some, on.options.residuals, on.seed)
-    return results.metrics.deepest[i][results.drivable], path.deepest(some.T)
+    """Largest depths [m] with a design and without control, on the departures that every design can be driven on."""
+    scenarios, setup = results.scenarios.take(results.drivable), setup or Setup()
+    path = UncorrectedPath.of(scenarios, setup.options.residuals, setup.seed)
+    return results.metrics.deepest[i][results.drivable], path.deepest(scenarios.T)
 
 
-def _tail_light(ranking: RankedDesigns, results: StudyResults, setup: Setup, place: int) -> Iterator[Light]:
-    """Whether the design named goes badly more often than no control does; none where that is not significant."""
-    if text := tail_text(*depths(results, int(ranking.index[place]), setup)):
+def _tail_light(ranking: RankedDesigns, results: StudyResults, setup: Setup, position: int) -> Iterator[Light]:
+    """Yield a light if the design reaches large depths significantly more often than no control does."""
+    if text := tail_text(*depths(results, int(ranking.index[position]), setup)):
         yield Light("Tail", "bad", f"{_capital(text)}.")
 
 
 def _scenarios_light(model: ScenarioModel | None) -> Iterator[Light]:
-    """Whether generated departures give the answer of the recorded ones; none without a model."""
+    """Whether generated and recorded departures lead to the same conclusion; no light without a model."""
     if model is None:
         return
     sides = [side for side in (model.provenance.left, model.provenance.right) if side is not None and side.fidelity]
@@ -271,11 +275,11 @@ def _scenarios_light(model: ScenarioModel | None) -> Iterator[Light]:
         yield Light("Scenarios", "good", "Test designs score the same on generated and recorded departures.")
 
 
-def _plants_light(ranking: RankedDesigns, place: int, robustness: OtherPlants | None) -> Light:
+def _plants_light(ranking: RankedDesigns, position: int, robustness: OtherPlants | None) -> Light:
     name = "Other plants"
-    if robustness is None or ranking.designs[place].id not in robustness.designs:
+    if robustness is None or ranking.designs[position].id not in robustness.designs:
         return Light(name, "unknown", "Not tested on other plants.")
-    i = robustness.designs.index(ranking.designs[place].id)
+    i = robustness.designs.index(ranking.designs[position].id)
     others = [p for p, adds in enumerate(robustness.adds) if adds]
     lost = [robustness.titles[p] for p in others if robustness.diverged[p, i] > robustness.diverged[0, i]]
     worse = [robustness.titles[p] for p in others if robustness.excess[p, i] > 0]
@@ -286,15 +290,17 @@ def _plants_light(ranking: RankedDesigns, place: int, robustness: OtherPlants | 
     ratio = {p: float(robustness.S[p, i] / robustness.S[0, i]) for p in others if robustness.S[0, i] > 0}
     if not any(map(math.isfinite, ratio.values())):
         return Light(name, "unknown", "Its scores on other plants are not known.")
-    p, most = max(ratio.items(), key=lambda one: one[1] if math.isfinite(one[1]) else 0.0)
+    p, most = max(ratio.items(), key=lambda item: item[1] if math.isfinite(item[1]) else 0.0)
     rise = f"{most:.2g} times its S" if most >= 2 else f"{100 * (most - 1):.0f} % more S"
-    worst = f"Least favourable plant: {_small(robustness.titles[p])}, {rise}."
+    title = robustness.titles[p]
+    title = title[:1].lower() + title[1:] if title[1:2].islower() else title
+    worst = f"Least favourable plant: {title}, {rise}."
     text = worst if most > 1 else "S rises on none of them."
     return Light(name, "warning" if most > 1.5 else "good", text)
 
 
 def optimism_text(ranking: RankedDesigns, i: int, unit: str = "m s") -> str:
-    """How a design scored on fresh scenarios, against the study scenarios that it was chosen on."""
+    """Compare the score of a design on fresh scenarios with that on the study scenarios, which selected it."""
     change, low, high = ranking.fresh.optimism[i], ranking.fresh.optimism_low[i], ranking.fresh.optimism_high[i]
     word = "worse" if change > 0 else "better"
     of = ", as the difference to the baseline," if ranking.fresh.optimism_paired else ""
@@ -305,33 +311,29 @@ def optimism_text(ranking: RankedDesigns, i: int, unit: str = "m s") -> str:
     )
 
 
-def _small(title: str) -> str:
-    return title[:1].lower() + title[1:] if title[1:2].islower() else title
-
-
 def _capital(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
 def _nearest(ranking: RankedDesigns) -> tuple[int, ...]:
-    """Places of the designs with the smallest largest excess; those that intervene first."""
-    largest = [max(miss.excess for miss in some) if some else 0.0 for some in ranking.missed]
+    """Positions of the designs whose largest excess is smallest; designs that intervene come first."""
+    largest = [max((miss.excess for miss in misses), default=0.0) for misses in ranking.missed]
     passive = [design.is_baseline for design in ranking.designs]
-    total = [sum(miss.excess for miss in some) for some in ranking.missed]
+    total = [sum(miss.excess for miss in misses) for misses in ranking.missed]
     order = sorted(range(len(ranking)), key=lambda i: (passive[i], largest[i], total[i], i))
     return tuple(order[:_NEAREST])
 
 
-def _try_next(ranking: RankedDesigns, place: int) -> Iterator[str]:
-    """Where the nearest design stands in its sweep."""
-    design = ranking.designs[place]
-    own = [one for one in ranking.designs if one.law == design.law]
+def _try_next(ranking: RankedDesigns, position: int) -> Iterator[str]:
+    """Advice from the position of the nearest design in its sweep."""
+    design = ranking.designs[position]
+    sweep = [other for other in ranking.designs if other.law == design.law]
     values = {"y_s": design.y_s, **dict(design.gains)}
     ends = []
     for name, value in values.items():
         if isinstance(value, bool) or not isinstance(value, int | float):
             continue
-        swept = sorted({float({"y_s": one.y_s, **dict(one.gains)}[name]) for one in own})
+        swept = sorted({float({"y_s": other.y_s, **dict(other.gains)}[name]) for other in sweep})
         if len(swept) > 1 and value in (swept[0], swept[-1]):
             ends.append(f"{name} {'below' if value == swept[0] else 'above'} {value:g}")
     if ends:
@@ -349,11 +351,11 @@ COLUMNS_TEXT: Final = (
     "Less: reduction of mean S against no control. a_y, jerk: 95 % quantile of what control adds to the recorded path. "
     "Needless: share of departures with an intervention that stay within 0.3 m by themselves."
 )
-"""What the short headings mean."""
+"""Explanation of the short headings."""
 
 
-def ranking_table(ranking: RankedDesigns, places: Sequence[int]) -> Table:
-    """Designs of a ranking by their places, for every reader."""
+def ranking_table(ranking: RankedDesigns, positions: Sequence[int]) -> Table:
+    """Table of the designs at the given positions, for terminal, Markdown and notebook."""
     heads = zip(("Less", "a_y", "Jerk", "Needless"), map(METRICS.__getitem__, RANKING_METRICS), strict=True)
     level = f"{100 * ranking.confidence:g} % interval"
     columns = [
@@ -370,7 +372,7 @@ def ranking_table(ranking: RankedDesigns, places: Sequence[int]) -> Table:
     ]  # fmt: skip
     metrics = {name: METRICS[name].scale * metric_values(name, ranking) for name in RANKING_METRICS}
     rows = []
-    for before, i in zip([-1, *places], places, strict=False):
+    for before, i in zip([-1, *positions], positions, strict=False):
         design, missed = ranking.designs[i], {miss.requirement.metric.name for miss in ranking.missed[i]}
         rank, S, low, high, fresh = (
             float(values[i])
@@ -394,58 +396,58 @@ def ranking_table(ranking: RankedDesigns, places: Sequence[int]) -> Table:
     return Table(title, columns, rows, head=1)
 
 
-def judged(ranking: RankedDesigns, place: int) -> str:
-    """What a design is called in one phrase: winner, what it breaks, failures, baseline."""
-    found = ["winner"] if place == ranking.winner else []
-    if place == ranking.baseline:
-        found.append("baseline")
-    if ranking.missed[place]:
-        sets = dict.fromkeys(miss.requirement.set or miss.requirement.text for miss in ranking.missed[place])
-        most = max((miss.excess for miss in ranking.missed[place] if miss.requirement.limit), default=0.0)
+def judged(ranking: RankedDesigns, position: int) -> str:
+    """State of a design in a phrase: winner, baseline, violated requirements, failures."""
+    phrases = ["winner"] if position == ranking.winner else []
+    if position == ranking.baseline:
+        phrases.append("baseline")
+    if ranking.missed[position]:
+        sets = dict.fromkeys(miss.requirement.set or miss.requirement.text for miss in ranking.missed[position])
+        most = max((miss.excess for miss in ranking.missed[position] if miss.requirement.limit), default=0.0)
         by = f" +{100 * most:.0f}%" if 0.005 <= most < 10 else ""
-        found.append(f"breaks {', '.join(sets)}{by}")
+        phrases.append(f"breaks {', '.join(sets)}{by}")
     elif ranking.requirements:
-        certain = not any(one.required and one.uncertain for one in ranking.estimates(place))
-        found.append("meets all" if certain else "meets all, not with certainty")
-    failed = failures(ranking, place)
+        certain = not any(estimate.required and estimate.uncertain for estimate in ranking.estimates(position))
+        phrases.append("meets all" if certain else "meets all, not with certainty")
+    failed = failures(ranking, position)
     if failed:
-        found.append(f"failed in {failed:,}")
+        phrases.append(f"failed in {failed:,}")
     if (
-        not ranking.missed[place]
-        and place not in (ranking.winner, ranking.baseline)
-        and ranking.inference.set_of_best[place]
+        not ranking.missed[position]
+        and position not in (ranking.winner, ranking.baseline)
+        and ranking.inference.set_of_best[position]
     ):
-        found.append("not separated")
-    if ranking.pareto[place]:
-        found.append("Pareto")
-    return ", ".join(found)
+        phrases.append("not separated")
+    if ranking.pareto[position]:
+        phrases.append("Pareto")
+    return ", ".join(phrases)
 
 
-def failures(ranking: RankedDesigns, place: int) -> int:
-    """Scenarios of a design in which its law did not do its work."""
+def failures(ranking: RankedDesigns, position: int) -> int:
+    """Number of scenarios in which the law of a design failed."""
     counts = (
         ranking.metrics.solver_failed,
         ranking.metrics.diverged,
         ranking.metrics.timed_out,
         ranking.metrics.crashed,
     )
-    return sum(int(count[place]) for count in counts)
+    return sum(int(count[position]) for count in counts)
 
 
 def listed_places(ranking: RankedDesigns, most: int) -> list[int]:
-    """Places of the first designs, the winner, the baseline and the best of each law."""
-    named = {place for place in (ranking.winner, ranking.baseline) if place is not None}
+    """Positions of the first designs, the winner, the baseline and the best design of each law."""
+    named = {position for position in (ranking.winner, ranking.baseline) if position is not None}
     return sorted({*range(min(most, len(ranking))), *named, *ranking.best_of_each_law()[:most]})
 
 
-def verdict_lines(found: Verdict) -> list[str]:
-    """The verdict in its title, two sentences, its red and yellow lights, and what to try."""
-    lights = [f"{light.name}: {light.text}" for light in found.lights if light.state in ("bad", "warning")]
-    return [f"{found.title}.", *found.sentences, *lights, *found.try_next]
+def verdict_lines(verdict: Verdict) -> list[str]:
+    """Title and sentences of a verdict, its red and yellow lights, and what to try."""
+    lights = [f"{light.name}: {light.text}" for light in verdict.lights if light.state in ("bad", "warning")]
+    return [f"{verdict.title}.", *verdict.sentences, *lights, *verdict.try_next]
 
 
 def set_of_best_line(ranking: RankedDesigns) -> str:
-    """What these scenarios do not separate; empty where there is nothing to say of it."""
+    """Sentence on the designs that the scenarios do not separate; empty for a single design, or if none is ranked."""
     size, level = int(ranking.inference.set_of_best.sum()), f"{100 * ranking.confidence:g} % confidence"
     if not ranking.ranked or len(ranking) == 1:
         return ""
@@ -455,7 +457,7 @@ def set_of_best_line(ranking: RankedDesigns) -> str:
 
 
 def more_lines(ranking: RankedDesigns) -> Iterator[str]:
-    """What else a reader should know: the set of best, fresh scenarios, failures."""
+    """Further sentences on a ranking: the set of best, fresh scenarios, failures."""
     if set_of_best := set_of_best_line(ranking):
         yield set_of_best
     i, b = ranking.winner, ranking.baseline
@@ -476,19 +478,20 @@ def more_lines(ranking: RankedDesigns) -> Iterator[str]:
     if i is not None and ranking.fresh.difference[i] < 0 and ranking.fresh.difference_high[i] < 0:
         yield "It was not the first on the study scenarios: fresh scenarios separate the two."
     if i is not None and np.isfinite(ranking.replayed.S[i]):
-        ends = (float(one[i]) for one in (ranking.replayed.S, ranking.replayed.low, ranking.replayed.high))
-        own, lowest, highest = (f"{value:.3f}" for value in ends)
+        ends = (float(column[i]) for column in (ranking.replayed.S, ranking.replayed.low, ranking.replayed.high))
+        mean, lowest, highest = (f"{value:.3f}" for value in ends)
         saved = float(ranking.replayed.reduction[i])
         less = f", {100 * abs(saved):.1f} % {'less' if saved >= 0 else 'more'} than without control"
         yield (
-            f"On {ranking.replayed.departures:,} replayed departures its mean S is {own} m s ({lowest} .. {highest})"
+            f"On {ranking.replayed.departures:,} replayed departures its mean S is {mean} m s ({lowest} .. {highest})"
             f"{less if math.isfinite(saved) else ''}."
         )
         finalists = np.where(np.isfinite(ranking.fresh.S) & (ranking.rank > 0), ranking.replayed.S, np.inf)
         if (best := int(np.nanargmin(finalists))) != i:
             yield f"The first finalist there is {design_name(ranking.designs[best])}."
-    if i is not None and (limited := [one for one in ranking.estimates(i) if one.required and one.interval]):
-        texts = (one.with_interval(f"{100 * ranking.confidence:g} %") for one in limited)
+    limits = () if i is None else ranking.estimates(i)
+    if i is not None and (required := [limit for limit in limits if limit.required and limit.interval]):
+        texts = (limit.with_interval(f"{100 * ranking.confidence:g} %") for limit in required)
         yield f"Required of the winner, on {ranking.sample(i)}: {'; '.join(texts)}."
     if ranking.ranked < len(ranking):
         left = len(ranking) - ranking.ranked
@@ -503,7 +506,7 @@ def more_lines(ranking: RankedDesigns) -> Iterator[str]:
 
 
 def ranking_html(ranking: RankedDesigns, top: int = TOP) -> str:
-    """What a notebook shows of a ranking."""
+    """HTML of a ranking for a notebook."""
     table = ranking_table(ranking, listed_places(ranking, top))
     if ranking.winner is not None:
         best = f"Winner: {design_name(ranking.designs[ranking.winner])}."
