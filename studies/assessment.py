@@ -1,4 +1,4 @@
-"""A design in the tests of a regulation or of Euro NCAP: every cell as stated, and at the corners of its tolerances."""
+"""Assess a design in the tests of a regulation or of Euro NCAP: cells as stated, and at the corners of tolerances."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ from .tables import Column, Row, Table, to_csv
 
 LightName = Literal["green", "amber", "red"]
 
-SEEDS: Final = 3  # of the camera's noise, at every corner with every vehicle
+SEEDS: Final = 3  # of the camera's noise, for every corner and vehicle
 
-_AFTER: Final = 2.0  # [s] that a test goes on after the largest lateral position, or after the limit was broken
-_BEFORE: Final = 3.0  # [s] before the trigger at which filters begin
-_RATE: Final = 200.0  # [Hz] at which signals are filtered; at least 100 are asked for
+_AFTER: Final = 2.0  # [s] from the largest lateral position, or the violation of the limit, to the end of a test
+_BEFORE: Final = 3.0  # [s] from the start of the filters to the trigger
+_RATE: Final = 200.0  # [Hz] sampling rate of the filters; the standards ask for at least 100
 _WHEEL_CUTOFF, _WHEEL_ORDER = 10.0, 6  # [Hz] Butterworth, forwards and backwards: 12 poles and no phase
 _JERK_CUTOFF, _JERK_ORDER = 0.5, 4  # [Hz]
 _JERK_WINDOW: Final = 0.5  # [s] moving average of the jerk
@@ -46,11 +46,11 @@ _TURNED: Final = 5.0  # [deg] change of the steering wheel angle from which on i
 
 @dataclasses.dataclass(frozen=True)
 class _Drive:
-    """n cells driven under one variant, sample by sample; until the trigger, or without one, along the drift."""
+    """n cells driven under a variant, sample by sample; before the trigger, or without a trigger, along the drift."""
 
     over: Takeover
     outcome: Outcome
-    t: FloatArray  # (n, e + k) [s] Rising; e before the trigger; behind the end the last time again
+    t: FloatArray  # (n, e + k) [s] e samples before the trigger; the last time repeats after the end
     x: FloatArray  # (n, e + k, 4) State
     delta: FloatArray  # (n, k) [rad] Steering angle, from the trigger on
     delta_0: FloatArray  # (n,) [rad] Until the trigger
@@ -58,29 +58,29 @@ class _Drive:
 
     @classmethod
     def of(cls, controller: Controller, takeover: Takeover, limit: FloatArray) -> _Drive:
-        """Drive a takeover."""
         outcome = drive(controller, takeover, trajectories=True).outcome("departure")
-        T, n, found = takeover.path.scenarios.T, takeover.scenarios.n, outcome.trajectories
-        # where the law never acts, along the drift
-        k = max(math.ceil(float(T.max()) / takeover.setup.dt) + 1, 0 if found is None else found.t.shape[1])
+        T, n, trajectories = takeover.path.scenarios.T, takeover.scenarios.n, outcome.trajectories
+        # where the law never intervenes, the vehicle follows the drift for T
+        k = math.ceil(float(T.max()) / takeover.setup.dt) + 1
+        k = k if trajectories is None else max(k, trajectories.t.shape[1])
         t, delta, x = np.full((n, k), np.nan), np.zeros((n, k)), np.zeros((n, k, 4))
-        if found is not None:
-            own = slice(found.t.shape[1])
-            t[:, own], x[:, own], delta[:, own] = found.t, found.x, found.delta
+        if trajectories is not None:
+            sampled = slice(trajectories.t.shape[1])
+            t[:, sampled], x[:, sampled], delta[:, sampled] = trajectories.t, trajectories.x, trajectories.delta
         never = ~np.isfinite(t[:, 0])
         if never.any():
             times = T[:, None] * np.linspace(0.0, 1.0, k)
             t[never], x[never], delta[never] = times[never], takeover.recorded_state(times)[never], 0.0
         last = np.isfinite(t).sum(axis=1) - 1
-        place, rows = np.minimum(np.arange(k), last[:, None]), np.arange(n)[:, None]
+        sample, rows = np.minimum(np.arange(k), last[:, None]), np.arange(n)[:, None]
         delta_0 = np.zeros(n)
         delta_0[takeover.rows] = takeover.delta_0
         earlier = t[:, :1] * np.linspace(0.0, 1.0, max(math.ceil(t[:, 0].max() / takeover.setup.dt), 1), endpoint=False)
-        x = np.concatenate([takeover.recorded_state(earlier), x[rows, place]], axis=1)
-        return cls(takeover, outcome, np.c_[earlier, t[rows, place]], x, delta[rows, place], delta_0, limit)
+        x = np.concatenate([takeover.recorded_state(earlier), x[rows, sample]], axis=1)
+        return cls(takeover, outcome, np.c_[earlier, t[rows, sample]], x, delta[rows, sample], delta_0, limit)
 
     def cubics(self, arm: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """The edge of an axle beyond the line [m] in each interval: coefficients of 1, u, u^2, u^3, (n, e + k - 1)."""
+        """Position of an axle's edge beyond the line [m]: coefficients of u^0 to u^3 by interval, (n, e + k - 1)."""
         f = self.x[:, :, 0] + arm * self.x[:, :, 2] - self.over.setup.vehicle.edge_offset
         rise, slope, h = np.diff(f, axis=1), self.x[:, :, 1] + arm * self.x[:, :, 3], np.diff(self.t, axis=1)
         m_0, m_1 = slope[:, :-1] * h, slope[:, 1:] * h
@@ -106,19 +106,19 @@ class _Drive:
         before = np.c_[t[:, :1], reached[:, :-1]]
         settled = np.where(peaks >= deepest, when, t[:, 1:]) - before >= _AFTER
         end = np.where(settled.any(axis=1), before[row, np.argmax(settled, axis=1)] + _AFTER, t[:, -1])
-        place = np.argmax(deepest > -self.limit[:, None], axis=1)
-        f_0, m_0, b, a = (part[row, place] for part in self.cubics(l_f))
-        low, high = t[row, place], when[row, place]
-        h = np.maximum(t[row, place + 1] - low, 1e-300)
-        for _ in range(50):  # bisection: the limit is broken between these times
+        interval = np.argmax(deepest > -self.limit[:, None], axis=1)
+        f_0, m_0, b, a = (part[row, interval] for part in self.cubics(l_f))
+        low, high = t[row, interval], when[row, interval]
+        h = np.maximum(t[row, interval + 1] - low, 1e-300)
+        for _ in range(50):  # bisection: the limit is first exceeded between these times
             middle = 0.5 * (low + high)
-            u = (middle - t[row, place]) / h
+            u = (middle - t[row, interval]) / h
             over = f_0 + u * (m_0 + u * (b + u * a)) > -self.limit
             low, high = np.where(over, low, middle), np.where(over, middle, high)
         end = np.where(deepest[:, -1] > -self.limit, np.minimum(end, high + _AFTER), end)
         peaks, when = self.beyond(l_f, end)
-        place = np.argmax(peaks, axis=1)
-        return peaks[row, place], when[row, place], end
+        interval = np.argmax(peaks, axis=1)
+        return peaks[row, interval], when[row, interval], end
 
     @property
     def start(self) -> FloatArray:
@@ -126,14 +126,14 @@ class _Drive:
         return self.t[:, self.t.shape[1] - self.delta.shape[1], None]
 
     def resampled(self, values: FloatArray, left: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Values (n, k) every 1/200 s, (n, m), and the times since the trigger; before it the values `left`."""
+        """Values (n, k) resampled to 200 Hz, (n, m), and times since the trigger; before it the values are `left`."""
         since = self.t[:, -values.shape[1] :] - self.start
         times = np.arange(math.ceil((float(since.max()) + _BEFORE) * _RATE) + 1) / _RATE - _BEFORE
         rows = zip(since, values, left, strict=True)
         return np.array([np.interp(times, t, row, left=before) for t, row, before in rows]), times
 
     def response(self, times: FloatArray) -> BoolArray:
-        """Which times since the trigger (m,) belong to the response: until the test ends, (n, m)."""
+        """Whether times since the trigger (m,) lie between the trigger and the end of the test, (n, m)."""
         return np.asarray((times >= 0.0) & (times <= self.largest[2][:, None] - self.start))
 
 
@@ -143,7 +143,7 @@ def _dtle(run: _Drive) -> FloatArray:
 
 
 def _tyre_distance(run: _Drive) -> FloatArray:
-    """The same of all tyres: in a bend the rear ones stand further out [m]."""
+    """Smallest distance of any tyre to the line [m]: in a bend the rear tyres are further out."""
     rear, _ = run.beyond(-run.over.setup.vehicle.l_r, run.largest[2])
     return np.asarray(np.minimum(_dtle(run), -rear.max(axis=1)))
 
@@ -181,7 +181,7 @@ def _jerk(run: _Drive) -> FloatArray:
 
 
 def _lateral_velocity_after(run: _Drive) -> FloatArray:
-    """Lateral velocity, either way, two seconds after the smallest DTLE [m/s]."""
+    """Magnitude of the lateral velocity two seconds after the smallest DTLE [m/s]."""
     t = np.minimum(run.largest[1] + _AFTER, run.t[:, -1])
     row, j = np.arange(len(t)), np.maximum((run.t < t[:, None]).sum(axis=1) - 1, 0)
     _, m_0, b, a = (part[row, j] for part in run.cubics(0.0))
@@ -192,7 +192,7 @@ def _lateral_velocity_after(run: _Drive) -> FloatArray:
 
 @dataclasses.dataclass(frozen=True)
 class Quantity:
-    """What a condition is about."""
+    """A quantity that conditions limit."""
 
     title: str
     unit: str
@@ -232,7 +232,7 @@ class Assessment:
 
     standard: Standard
     cells: Cells
-    variants: tuple[str, ...]  # What differs from the cell as stated; empty for nothing
+    variants: tuple[str, ...]  # Differences from the cell as stated; empty for the cell itself
     values: FloatArray  # (w, c, n) In the units of `QUANTITIES`; NaN where a condition does not apply
     limits: FloatArray  # (w, c, n)
     met: BoolArray  # (w, c, n)
@@ -295,9 +295,9 @@ class Assessment:
                 excess = np.where(self.diverged[:, i], np.inf, np.where(missed, excess, -np.inf))
                 variant = 0 if missed[0] else int(np.argmax(excess))
                 value = f"{of.title} {self.values[variant, c, i]:.{of.digits}f} {of.unit}"
-                found = "diverged" if self.diverged[variant, i] else value
+                observed = "diverged" if self.diverged[variant, i] else value
                 where = f" ({self.variants[variant]})" if variant else ""
-                parts.append(f"{found}, limit {self.limits[variant, c, i]:.{of.digits}f} {of.unit}{where}")
+                parts.append(f"{observed}, limit {self.limits[variant, c, i]:.{of.digits}f} {of.unit}{where}")
         return "; ".join(parts).replace("-", "\u2212")
 
 
@@ -353,38 +353,37 @@ def assess(
 
 
 def stored_assessment(folder: Path | None, design: Design, name: str, setup: Setup, *, tolerances: bool) -> Assessment:
-    """What `assess` gives for a design of a study, driven once: its numbers are kept in the study's folder."""
-    runs, controller = (
-        _Runs.of(load_standard(name), setup, SEEDS if tolerances else 0),
-        design.controller(setup.convention),
-    )
+    """The assessment of a design of a study; its numbers are computed once and stored in the study's folder."""
+    runs = _Runs.of(load_standard(name), setup, SEEDS if tolerances else 0)
+    controller = design.controller(setup.convention)
     key = [design.id, runs.test.model_dump(mode="json"), dataclasses.asdict(setup), tolerances]
     return runs.judged(remembered(folder, f"standard-{name}", key, lambda: runs.driven(controller, design.y_s)))
 
 
 @dataclasses.dataclass(frozen=True)
 class _Runs:
-    """What a design is driven on in a test: w variants of its n cells, in batches."""
+    """The runs of a test: w variants of its n cells, in batches."""
 
     test: Standard
     cells: Cells
-    batches: list[tuple[list[str], Setup, Scenarios]]  # Names of the variants, what is driven, the cells for each name
-    limits: FloatArray  # (c, n) Of the conditions, as stated
+    batches: list[tuple[list[str], Setup, Scenarios]]  # Names of variants, setup, and n scenarios for each name
+    limits: FloatArray  # (c, n) Limits of the conditions as stated
 
     @classmethod
     def of(cls, test: Standard, given: Setup, seeds: int) -> _Runs:
-        """The lane is cut to the width that the test allows."""
+        """The runs of a test, with the lane width limited to the range that it allows."""
         width = min(max(given.vehicle.w_l, test.lane_width_m[0]), test.lane_width_m[1])
         given = dataclasses.replace(given, vehicle=dataclasses.replace(given.vehicle, w_l=width))
         cells = test.every_cell
-        limits = np.array([test.limits(one, cells) for one in test.condition])
+        limits = np.array([test.limits(condition, cells) for condition in test.condition])
         return cls(test, cells, list(_variants(test, cells, given, seeds)), limits)
 
     def driven(self, controller: Controller, y_s: float) -> dict[str, FloatArray]:
         """Values and limits (w, c, n), status and failed solves (w, n)."""
         test, n = self.test, self.cells.n
         broken = next(
-            (self.limits[c] for c, one in enumerate(test.condition) if one.quantity == "dtle"), np.full(n, -np.inf)
+            (self.limits[c] for c, condition in enumerate(test.condition) if condition.quantity == "dtle"),
+            np.full(n, -np.inf),
         )
         parts: dict[str, list[Any]] = {"values": [], "limits": [], "status": [], "failed_solves": []}
         for _, on, scenarios in self.batches:
@@ -395,12 +394,12 @@ class _Runs:
                 raise
             except BaseException as error:  # a controller may be third-party code
                 raise LdcError(f"law {controller.name!r} in {test.name}", f"{raised(error)}") from None
-            quantities = ((one.quantity, QUANTITIES[one.quantity].of) for one in test.condition)
+            quantities = ((condition.quantity, QUANTITIES[condition.quantity].of) for condition in test.condition)
             values = [getattr(run.outcome.metrics, name) if of is None else of(run) for name, of in quantities]
             limits = np.repeat(self.limits[None], count, axis=0)
-            for c, one in enumerate(test.condition):
-                if one.quantity == "lateral_velocity_after" and scenarios.drift is not None:
-                    # what is driven, if it is more
+            for c, condition in enumerate(test.condition):
+                if condition.quantity == "lateral_velocity_after" and scenarios.drift is not None:
+                    # the limit is at least the lateral velocity of the drift
                     rate = scenarios.drift.lateral_velocity.reshape(-1, n)
                     limits[:, c] = np.maximum(self.limits[c].min(), rate)
             parts["values"].append(np.array(values).reshape(len(values), -1, n).swapaxes(0, 1))
@@ -410,11 +409,11 @@ class _Runs:
         return {name: np.concatenate(arrays) for name, arrays in parts.items()}
 
     def judged(self, driven: Mapping[str, FloatArray]) -> Assessment:
-        """Which conditions are met."""
+        """The assessment of driven values."""
         conditions = self.test.condition
-        slow = np.array([self.cells.speed / KM_H < one.from_speed_km_h - 1e-6 for one in conditions])
+        slow = np.array([self.cells.speed / KM_H < condition.from_speed_km_h - 1e-6 for condition in conditions])
         values, limits = np.where(slow, np.nan, driven["values"]), driven["limits"]
-        lower = np.array([QUANTITIES[one.quantity].at_least for one in conditions])[:, None]
+        lower = np.array([QUANTITIES[condition.quantity].at_least for condition in conditions])[:, None]
         beyond = np.where(lower, limits - values, values - limits)
         diverged = driven["status"] == EventStatus.DIVERGED
         met = (np.isnan(beyond) | (beyond <= 1e-9)) & ~diverged[:, None]
@@ -424,7 +423,7 @@ class _Runs:
 
 
 def _variants(test: Standard, cells: Cells, given: Setup, seeds: int) -> Iterator[tuple[list[str], Setup, Scenarios]]:
-    """As stated, then each vehicle at all corners with all seeds: names, what is driven, the cells once for each name.
+    """The cells as stated, then each vehicle at all corners with all seeds: names, setup, and the cells for each name.
 
     As stated, the vehicle is the nominal one and the camera has no noise.
     """
@@ -450,23 +449,23 @@ PREDICTIONS: Final = (
     "label", "standard", "range", "speed_km_h", "lateral_velocity_m_s", "lateral_acceleration_m_s2", "predicted",
     "light", "quantity", "value", "limit", "worst", "worst_case",
 )  # fmt: skip
-"""Columns of a table of predictions: one row a cell and condition."""
+"""Columns of a table of predictions: a row for each cell and condition."""
 
 
 def write_predictions(assessments: Sequence[tuple[str, Assessment]], path: str | Path) -> None:
-    """Write what virtual testing predicts of every cell for named designs: one CSV file, whole or not at all."""
+    """Write the predictions of virtual testing for every cell and named design as a CSV file, whole or not at all."""
     rows = []
-    for design, one in assessments:
-        for c, condition in enumerate(one.standard.condition):
-            worst, which = one.worst(c)
-            for i in range(one.cells.n):
-                second, bend = f"{one.cells.second[i]:g}", bool(one.cells.bend[i])
-                numbers = (one.values[0, c, i], one.limits[0, c, i], worst[i])
+    for design, assessment in assessments:
+        for c, condition in enumerate(assessment.standard.condition):
+            worst, which = assessment.worst(c)
+            for i in range(assessment.cells.n):
+                second, bend = f"{assessment.cells.second[i]:g}", bool(assessment.cells.bend[i])
+                numbers = (assessment.values[0, c, i], assessment.limits[0, c, i], worst[i])
                 shown = ["" if math.isnan(number) else f"{number:.6g}" for number in numbers]
                 rows.append(Row([
-                    design, one.standard.name, "extended" if one.cells.extended[i] else "standard",
-                    f"{one.cells.speed[i] / KM_H:g}", *(("", second) if bend else (second, "")),
-                    "pass" if one.passed[i] else "fail", one.lights[i], condition.quantity, *shown,
-                    one.variants[which[i]],
+                    design, assessment.standard.name, "extended" if assessment.cells.extended[i] else "standard",
+                    f"{assessment.cells.speed[i] / KM_H:g}", *(("", second) if bend else (second, "")),
+                    "pass" if assessment.passed[i] else "fail", assessment.lights[i], condition.quantity, *shown,
+                    assessment.variants[which[i]],
                 ]))  # fmt: skip
     write_text(Path(path), to_csv(Table("", [Column(name) for name in PREDICTIONS], rows)))

@@ -1,4 +1,4 @@
-"""What other plants do to a ranking: scores, ranks, failures and paired changes, and margins over speed."""
+"""A ranking on other plants: scores, ranks, failures, paired differences, and stability margins over speed."""
 
 from __future__ import annotations
 
@@ -54,26 +54,26 @@ REAL: Final = PlantOptions(
     tyres=Tyres(model="magic_formula", mu=0.9),
     sensors=Sensors(e_y_noise=0.03, e_psi_noise=0.003, delay=0.1, curvature_noise=2e-4, kalman=KalmanFilter()),
 )
-"""The plant of the catalog's study `reality`, where the reason for each value stands."""
+"""The plant of the catalog's study `reality`, which gives the reason for each value."""
 
 ANGLE: Final = 0.1  # limit of the steering angle [rad]: about 90 deg at a steering wheel with a ratio of 16
-FRICTION: Final = 0.5  # of a wet road, or one with gravel
+FRICTION: Final = 0.5  # of a wet road or a gravel road
 CAMERA_PERIOD: Final = 1 / 15  # [s] of a slow lane camera
 
 
 @dataclasses.dataclass(frozen=True)
 class OtherPlant:
-    """A plant to drive on."""
+    """A variation of the study's plant."""
 
     name: str  # Letters and dashes
     title: str  # A short text
-    what: str  # What is different, with values and units
+    what: str  # The difference, with values and units
     options: PlantOptions
-    adds: bool = True  # Whether it adds a difficulty to the study's plant; else it takes one away
+    adds: bool = True  # Whether it is harder than the study's plant; False if it is easier
 
 
 def other_plants(options: PlantOptions) -> tuple[OtherPlant, ...]:
-    """The variations of a study's plant: those that add a difficulty, then those that take one of its own away."""
+    """The variations of a study's plant: first the harder ones, then the easier ones."""
     seen, plants = [options], []
     for adds, rows in ((True, _harder(options)), (False, _easier(options))):
         for name, title, what, changes in rows:
@@ -85,7 +85,7 @@ def other_plants(options: PlantOptions) -> tuple[OtherPlant, ...]:
 
 
 def impossible(plant: OtherPlant, convention: Convention, has_residuals: bool) -> str:
-    """Why a plant cannot be driven on; empty where it can."""
+    """Why a plant cannot be simulated; empty where it can."""
     if convention != "consistent" and not plant.options.tyres.ideal:
         return "the matrix as printed is linear and has no saturating tyres"
     if not plant.options.residuals.ideal and not has_residuals:
@@ -93,32 +93,35 @@ def impossible(plant: OtherPlant, convention: Convention, has_residuals: bool) -
     return ""
 
 
-_Row = tuple[str, str, str, dict[str, Any]]  # name, title, what differs, and the parts that do
+_Row = tuple[str, str, str, dict[str, Any]]  # name, title, description, and the changed plant options
 _VEHICLES: Final = {
     "heavy": ("Heavier vehicle", "mass and yaw inertia"),
     "light": ("Lighter vehicle", "mass and yaw inertia"),
     "soft": ("Softer tyres", "cornering stiffness of both axles"),
     "stiff": ("Stiffer tyres", "cornering stiffness of both axles"),
 }
-_ERRORS: Final = [one.name for one in dataclasses.fields(Sensors) if one.name not in ("period", "delay", "kalman")]
+_ERRORS: Final = [f.name for f in dataclasses.fields(Sensors) if f.name not in ("period", "delay", "kalman")]
 
 
 def _harder(options: PlantOptions) -> Iterator[_Row]:
-    own, real = options.actuator, REAL.actuator
+    actuator, real = options.actuator, REAL.actuator
 
-    def actuator(**changes: float | None) -> dict[str, Any]:
-        return {"actuator": dataclasses.replace(own, **changes)}  # type: ignore[arg-type]
+    def with_changes(**changes: float | None) -> dict[str, Any]:
+        return {"actuator": dataclasses.replace(actuator, **changes)}  # type: ignore[arg-type]
 
-    if not own.delay:
-        yield "delay", "Actuator delay", f"{real.delay:g} s from command to actuator", actuator(delay=real.delay)
-    if not own.lag:
-        yield "lag", "Actuator lag", f"time constant of {real.lag:g} s", actuator(lag=real.lag)
-    if doubled := {name: min(2.0 * getattr(own, name), 10.0) for name in ("lag", "delay") if getattr(own, name)}:
+    if not actuator.delay:
+        what = f"{real.delay:g} s from command to actuator"
+        yield "delay", "Actuator delay", what, with_changes(delay=real.delay)
+    if not actuator.lag:
+        yield "lag", "Actuator lag", f"time constant of {real.lag:g} s", with_changes(lag=real.lag)
+    if doubled := {
+        name: min(2.0 * getattr(actuator, name), 10.0) for name in ("lag", "delay") if getattr(actuator, name)
+    }:
         what = ", ".join(f"{name} of the actuator {value:g} s" for name, value in doubled.items())
-        yield "slow-actuator", f"{' and '.join(doubled)} doubled".capitalize(), what, actuator(**doubled)
-    if own.rate_max is None and own.delta_max is None:
+        yield "slow-actuator", f"{' and '.join(doubled)} doubled".capitalize(), what, with_changes(**doubled)
+    if actuator.rate_max is None and actuator.delta_max is None:
         what = f"at most {ANGLE:g} rad and {real.rate_max:g} rad/s at the front wheels"
-        yield "limits", "Steering limits", what, actuator(rate_max=real.rate_max, delta_max=ANGLE)
+        yield "limits", "Steering limits", what, with_changes(rate_max=real.rate_max, delta_max=ANGLE)
     for name, factors in VEHICLES.items():
         ends = [end for field in factors for end in getattr(options.mismatch, field)]
         if set(ends) == {1.0} or name in ("heavy", "soft"):
@@ -145,36 +148,36 @@ def _harder(options: PlantOptions) -> Iterator[_Row]:
         yield "together", "Many at once", what, vars(REAL)
 
 
-def _worse_camera(own: Sensors) -> Iterator[_Row]:
+def _worse_camera(sensors: Sensors) -> Iterator[_Row]:
     real = REAL.sensors
 
-    def sensors(**changes: Any) -> dict[str, Any]:
-        return {"sensors": dataclasses.replace(own, **changes)}
+    def with_changes(**changes: Any) -> dict[str, Any]:
+        return {"sensors": dataclasses.replace(sensors, **changes)}
 
-    noise = {} if any(getattr(own, name) for name in _ERRORS) else {name: getattr(real, name) for name in _ERRORS}
+    noise = {} if any(getattr(sensors, name) for name in _ERRORS) else {name: getattr(real, name) for name in _ERRORS}
     if noise:
         what = (
             f"standard deviations of {real.e_y_noise:g} m, {real.e_psi_noise:g} rad, and {real.curvature_noise:g} 1/m "
             "in the curvature"
         )
-        yield "noise", "Camera noise", what, sensors(**noise)
-    delay, doubled = min(2.0 * own.delay, 10.0) or real.delay, " doubled" if own.delay else ""
-    yield "camera-delay", f"Camera delay{doubled}", f"{delay:g} s from light to number", sensors(delay=delay)
-    slow = max(own.period, CAMERA_PERIOD)
-    if own.period < slow:
-        yield "camera-rate", "15 Hz camera", "15 frames a second", sensors(period=slow)
+        yield "noise", "Camera noise", what, with_changes(**noise)
+    delay, doubled = min(2.0 * sensors.delay, 10.0) or real.delay, " doubled" if sensors.delay else ""
+    yield "camera-delay", f"Camera delay{doubled}", f"{delay:g} s from light to number", with_changes(delay=delay)
+    slow = max(sensors.period, CAMERA_PERIOD)
+    if sensors.period < slow:
+        yield "camera-rate", "15 Hz camera", "15 frames a second", with_changes(period=slow)
     what = f"every second frame of a camera of {1.0 / slow:.3g} Hz is lost"
-    yield "lost-frames", "Lost frames", what, sensors(period=min(2.0 * slow, 10.0))
-    if own.kalman is None:
-        # without noise a filter knows the state as well as the laws do
+    yield "lost-frames", "Lost frames", what, with_changes(period=min(2.0 * slow, 10.0))
+    if sensors.kalman is None:
+        # without noise the estimates of a filter are nearly exact
         what = "it gives no rates: a Kalman filter estimates them from its numbers, with noise"
-        yield "filter", "Camera with filter", what, sensors(kalman=real.kalman, **noise)
+        yield "filter", "Camera with filter", what, with_changes(kalman=real.kalman, **noise)
 
 
 def _easier(options: PlantOptions) -> Iterator[_Row]:
-    own = options.sensors
-    exact = dataclasses.replace(own, **{name: getattr(Sensors(), name) for name in _ERRORS})
-    prompt, no_filter = dataclasses.replace(own, delay=0.0, period=0.0), dataclasses.replace(own, kalman=None)
+    sensors = options.sensors
+    exact = dataclasses.replace(sensors, **{name: getattr(Sensors(), name) for name in _ERRORS})
+    prompt, no_filter = dataclasses.replace(sensors, delay=0.0, period=0.0), dataclasses.replace(sensors, kalman=None)
     yield "no-actuator", "Without actuator", "the wheel is at the command, at once", {"actuator": Actuator()}
     nominal = {"tyres": Tyres(), "mismatch": Mismatch()}
     yield "nominal", "Nominal vehicle", "the vehicle is as the laws know it, with linear tyres", nominal
@@ -185,55 +188,47 @@ def _easier(options: PlantOptions) -> Iterator[_Row]:
     yield "ideal", "Ideal plant", "none of the options of the study\u2019s plant", vars(PlantOptions())
 
 
-MOST: Final = 10  # designs that steer; no control comes on top, it costs nothing
-SLOW_BATCH: Final = 100  # a law whose batches are smaller takes too long to be driven a dozen times more
+MOST: Final = 10  # designs that steer; the baseline does not count, because it costs nothing
+SLOW_BATCH: Final = 100  # laws with smaller batches are too slow to be simulated on a dozen more plants
 
 
 @dataclasses.dataclass(frozen=True)
 class ChosenDesigns:
-    """What is driven, and what is not."""
+    """The designs that are simulated on other plants, and those that are left out."""
 
-    # d of them, the reference first: the winner, or where there is none the first of the ranking. Then the others in
-    # the order of the ranking
+    # (d,) The reference first: the winner, or the first of the ranking if there is no winner. The others follow in the
+    # order of the ranking
     designs: tuple[Design, ...]
-    # Whether each has a rank among the others: not if it misses a requirement, unless all do
+    # (d,) Whether each design is ranked: those that miss a requirement are not, unless all of them do
     contends: tuple[bool, ...]
     slow: tuple[str, ...]  # Registry names of laws that take too long
-    # Labels of designs whose law ended or held up its process in the study: they are not run in this one
+    # Labels of designs whose law crashed or timed out in the study: they are not run in this process
     unsafe: tuple[str, ...]
     more: int  # Designs beyond `MOST` that were left out
 
 
 def chosen_designs(ranking: Ranking) -> ChosenDesigns:
     """Winner, baseline, the paper's Table I, and the best design of each law."""
-    places = list(dict.fromkeys(_places(ranking)))
-    of = {place: ranking.designs[place] for place in places}
-    slow = dict.fromkeys(of[place].law for place in places if of[place].batch < SLOW_BATCH)
-    unsafe = [place for place in places if ranking.metrics.crashed[place] or ranking.metrics.timed_out[place]]
-    quick = [place for place in places if of[place].law not in slow and place not in unsafe]
-    steering = [place for place in quick if not of[place].is_baseline]
-    kept = {place for place in quick if of[place].is_baseline} | set(steering[:MOST])
-    first = [place for place in places[:1] if place in kept]
-    order = [*first, *sorted(kept - set(first))]
-    anything = ranking.ranked > 0
+    designs, best = ranking.designs, 0 if ranking.winner is None else ranking.winner
+    best_of_law = {designs[best].law: best}
+    for i, design in enumerate(designs):
+        best_of_law.setdefault(design.law, i)
+    baseline = [] if ranking.baseline is None else [ranking.baseline]
+    paper = [i for i, design in enumerate(designs) if is_paper_design(design)]
+    candidates = list(dict.fromkeys([best, *baseline, *paper, *sorted(best_of_law.values())]))
+    slow = dict.fromkeys(designs[i].law for i in candidates if designs[i].batch < SLOW_BATCH)
+    unsafe = [i for i in candidates if ranking.metrics.crashed[i] or ranking.metrics.timed_out[i]]
+    quick = [i for i in candidates if designs[i].law not in slow and i not in unsafe]
+    steering = [i for i in quick if not designs[i].is_baseline]
+    driven = {i for i in quick if designs[i].is_baseline} | set(steering[:MOST])
+    order = sorted(driven, key=lambda i: (i != best, i))
     return ChosenDesigns(
-        designs=tuple(of[place] for place in order),
-        contends=tuple(bool(ranking.rank[place]) or not anything for place in order),
+        designs=tuple(designs[i] for i in order),
+        contends=tuple(bool(ranking.rank[i]) or not ranking.ranked for i in order),
         slow=tuple(slow),
-        unsafe=tuple(of[place].label for place in unsafe),
+        unsafe=tuple(designs[i].label for i in unsafe),
         more=len(steering[MOST:]),
     )
-
-
-def _places(ranking: Ranking) -> list[int]:
-    """Positions in the ranking, the most wanted first."""
-    best = 0 if ranking.winner is None else ranking.winner
-    first_of_law: dict[str, int] = {ranking.designs[best].law: best}
-    for place, design in enumerate(ranking.designs):
-        first_of_law.setdefault(design.law, place)
-    paper = [place for place, design in enumerate(ranking.designs) if is_paper_design(design)]
-    baseline = [] if ranking.baseline is None else [ranking.baseline]
-    return [best, *baseline, *paper, *sorted(first_of_law.values())]
 
 
 SAME = 1e-6  # scores [m s] that differ by less are the same
@@ -255,38 +250,38 @@ def paired_means(
     return difference, difference - half, difference + half
 
 
-_FORMAT: Final = 3  # to be raised with whatever changes the numbers or the file
+_FORMAT: Final = 3  # raise it with every change of the numbers or of the file
 
 
 PER_SIDE: Final = 50
-"""Scenarios of each side, at most: changes are paired, so that few tell much, and what a report may cost is seconds."""
+"""Most scenarios of each side: differences are paired, so that few suffice, and a report may take only seconds."""
 
 POINTS: Final = 7  # speeds of the margins
-CONFIDENCE: Final = 0.95  # of every interval by itself
+CONFIDENCE: Final = 0.95  # of each single interval
 
 
 @dataclasses.dataclass(frozen=True)
 class Robustness(OtherPlants):
-    """Designs on p plants; the first plant is the study's own, the first of d designs the reference."""
+    """d designs on p plants; the first plant is that of the study, the first design the reference."""
 
-    key: str  # What it was worked out from; see `RobustnessTask.key`
+    key: str  # Identifies the inputs; see `RobustnessTask.key`
     contends: BoolArray  # (d,) Whether the design is ranked here; see `ChosenDesigns`
-    slow: tuple[str, ...]  # Laws that were left out because they take too long
-    unsafe: tuple[str, ...]  # Labels of designs that were left out because their law ended or held up its process
+    slow: tuple[str, ...]  # Laws that were left out because they are too slow
+    unsafe: tuple[str, ...]  # Labels of designs that were left out because their law crashed or timed out
     more: int  # Further designs that were left out
-    differences: tuple[str, ...]  # What differs from the study's plant, p
-    left_out: tuple[tuple[str, str], ...]  # Plants that cannot be driven on
+    differences: tuple[str, ...]  # (p,) Differences from the study's plant
+    left_out: tuple[tuple[str, str], ...]  # Titles of plants that cannot be simulated, with reasons
     # Scenarios of each side
     left: int
     right: int
-    # (p,) [m s] Lower end of the interval of the paired difference of the reference to the best of the others that
-    # contend: above 0 where that one is better. NaN without one, and where too few scenarios differ
+    # (p,) [m s] Lower end of the interval of the paired difference between the reference and the best other ranked
+    # design: above 0 where that design is better. NaN where there is none, and where too few scenarios differ
     behind: FloatArray
-    raised: tuple[tuple[int, int, str], ...]  # By position: laws that raised
+    raised: tuple[tuple[int, int, str], ...]  # Positions of plant and design, and the error, of laws that raised
     v: FloatArray  # (k,) [m/s] Speeds of the margins
-    # (d, k) Gain margin on the study's plant, a factor: 0 where the loop is unstable, NaN for a law that is not linear
+    # (d, k) Gain margin on the study's plant as a factor: 0 where the loop is unstable, NaN where the law is nonlinear
     gain: FloatArray
-    phase: FloatArray  # (d, k) [rad] Phase margin, the same
+    phase: FloatArray  # (d, k) [rad] Phase margin, with the same exceptions
 
     @property
     def n(self) -> int:
@@ -296,10 +291,10 @@ class Robustness(OtherPlants):
 
 @dataclasses.dataclass(frozen=True)
 class RobustnessTask:
-    """Everything that the numbers follow from."""
+    """All inputs that decide the numbers."""
 
     chosen: ChosenDesigns
-    plants: tuple[OtherPlant, ...]  # The study's own first
+    plants: tuple[OtherPlant, ...]  # That of the study first
     left_out: tuple[tuple[str, str], ...]
     scenarios: Scenarios
     setup: Setup
@@ -307,11 +302,13 @@ class RobustnessTask:
 
     @classmethod
     def of(cls, results: StudyResults, ranking: Ranking, setup: Setup, per_side: int = PER_SIDE) -> RobustnessTask:
-        """The task that a study sets."""
+        """The task of a study and its ranking."""
         scenarios = first_of_each_side(results.on_drivable().scenarios, per_side)
         has_residuals = bool((scenarios.sigma_y > 0).any() or (scenarios.sigma_v > 0).any())
-        own = OtherPlant("study", "Study\u2019s plant", "the plant that designs were ranked on", setup.options, False)
-        plants, left_out = [own], []
+        study_plant = OtherPlant(
+            "study", "Study\u2019s plant", "the plant that designs were ranked on", setup.options, False
+        )
+        plants, left_out = [study_plant], []
         for plant in other_plants(setup.options):
             reason = impossible(plant, setup.convention, has_residuals)
             if reason:
@@ -322,13 +319,13 @@ class RobustnessTask:
 
     @property
     def key(self) -> str:
-        """Sixteen hexadecimal digits that stand for all of it."""
-        chosen = self.chosen
+        """Sixteen hexadecimal digits of a hash of all inputs."""
+        selection = self.chosen
         identity = [
             _FORMAT,
             __version__,
-            [[design.id, contends] for design, contends in zip(chosen.designs, chosen.contends, strict=True)],
-            [chosen.slow, chosen.unsafe, chosen.more],
+            [[design.id, contends] for design, contends in zip(selection.designs, selection.contends, strict=True)],
+            [selection.slow, selection.unsafe, selection.more],
             [dataclasses.asdict(plant) for plant in self.plants],
             dataclasses.asdict(self.setup),
             self.window,
@@ -340,31 +337,30 @@ class RobustnessTask:
 
 
 def work_out(task: RobustnessTask) -> Robustness:
-    """Drive the designs of a task on its plants, and look at their loops."""
-    chosen, setup = task.chosen, task.setup
+    """Simulate the designs of a task on its plants, and compute their stability margins."""
+    selection, setup = task.chosen, task.setup
     plants = [plant.options for plant in task.plants]
-    drives = drive_on_plants(chosen.designs, plants, task.scenarios, setup, task.window)
-    # every plant and design on the same scenarios, or their means could not be compared
+    drives = drive_on_plants(selection.designs, plants, task.scenarios, setup, task.window)
+    # means are comparable only over the same scenarios for every plant and design
     known = np.isfinite(drives.S)
     ran = np.any(known, axis=2)
     rows = np.all(known[ran], axis=0)
-    some = {name: getattr(drives, name)[:, :, rows] for name in ("S", "S_uncorrected", "status")}
-    drives = dataclasses.replace(drives, **some)
+    S, S_uncorrected, status = drives.S[:, :, rows], drives.S_uncorrected[:, :, rows], drives.status[:, :, rows]
+    mean = _means(S)
     side = task.scenarios.side[rows]
-    thresholds = dict.fromkeys(design.y_s for design in chosen.designs if not design.is_baseline)
+    thresholds = dict.fromkeys(design.y_s for design in selection.designs if not design.is_baseline)
     takeovers = [Takeover.build(task.scenarios, setup, y_s=y_s) for y_s in thresholds]
     v = _trigger_speeds(takeovers)
-    gain, phase = design_margins([design.controller(setup.convention) for design in chosen.designs], setup, v)
-    contends = np.array(chosen.contends, dtype=np.bool_)
-    S = _means(drives.S)
+    gain, phase = design_margins([design.controller(setup.convention) for design in selection.designs], setup, v)
+    contends = np.array(selection.contends, dtype=np.bool_)
     allowed = ~np.stack([beyond_friction(task.scenarios, setup.on(plant.options)) for plant in task.plants])
     return Robustness(
         key=task.key,
-        designs=tuple(design.id for design in chosen.designs),
+        designs=tuple(design.id for design in selection.designs),
         contends=contends,
-        slow=chosen.slow,
-        unsafe=chosen.unsafe,
-        more=chosen.more,
+        slow=selection.slow,
+        unsafe=selection.unsafe,
+        more=selection.more,
         plants=tuple(plant.name for plant in task.plants),
         titles=tuple(plant.title for plant in task.plants),
         adds=tuple(plant.adds for plant in task.plants),
@@ -372,10 +368,10 @@ def work_out(task: RobustnessTask) -> Robustness:
         left_out=task.left_out,
         left=int((side == LEFT).sum()),
         right=int((side != LEFT).sum()),
-        S=S,
-        diverged=((drives.status == EventStatus.DIVERGED) & allowed[:, None, rows]).sum(axis=2, dtype=np.int64),
-        excess=_means(drives.S - drives.S_uncorrected),
-        behind=_behind(drives.S, S, contends, side),
+        S=mean,
+        diverged=((status == EventStatus.DIVERGED) & allowed[:, None, rows]).sum(axis=2, dtype=np.int64),
+        excess=_means(S - S_uncorrected),
+        behind=_behind(S, mean, contends, side),
         raised=drives.raised,
         v=v,
         gain=gain,
@@ -384,29 +380,31 @@ def work_out(task: RobustnessTask) -> Robustness:
 
 
 def _trigger_speeds(takeovers: Sequence[Takeover]) -> FloatArray:
-    """Speeds from the slowest to the fastest trigger, (k,) [m/s]; the review's own range where nothing triggers."""
-    v = [takeover.plant.v for takeover in takeovers if takeover.m]
-    if not v:
+    """Speeds from the slowest to the fastest trigger, (k,) [m/s]; the range of the review where nothing triggers."""
+    speeds = [takeover.plant.v for takeover in takeovers if takeover.m]
+    if not speeds:
         return np.linspace(SPEEDS[0], SPEEDS[-1], POINTS)
-    low, high = min(float(one.min()) for one in v), max(float(one.max()) for one in v)
+    low, high = min(float(v.min()) for v in speeds), max(float(v.max()) for v in speeds)
     return np.linspace(low, high, POINTS if high > low else 1)
 
 
 def _means(values: FloatArray) -> FloatArray:
-    """Means over the scenarios; NaN without any."""
+    """Means over the scenarios; NaN if there are none."""
     if not values.shape[2]:
         return np.full(values.shape[:2], np.nan)
     return row_means(values.reshape(-1, values.shape[2])).reshape(values.shape[:2])
 
 
 def _behind(S: FloatArray, mean: FloatArray, contends: BoolArray, side: IntArray) -> FloatArray:
-    """See `Robustness.behind`; scores are (p, d, n), their means (p, d)."""
+    """`Robustness.behind` from scores (p, d, n) and their means (p, d)."""
     low = np.full(len(S), np.nan)
     others = np.where(contends[None, 1:] & ~np.isnan(mean[:, 1:]), mean[:, 1:], np.inf)
-    there = np.isfinite(others).any(axis=1) & ~np.isnan(mean[:, 0]) if others.size else np.zeros(len(S), dtype=np.bool_)
-    if there.any():
-        rival = S[there, 1 + others[there].argmin(axis=1)]
-        low[there] = paired_means(rival, S[there, 0], side, CONFIDENCE)[1]
+    comparable = (
+        np.isfinite(others).any(axis=1) & ~np.isnan(mean[:, 0]) if others.size else np.zeros(len(S), dtype=np.bool_)
+    )
+    if comparable.any():
+        rival = S[comparable, 1 + others[comparable].argmin(axis=1)]
+        low[comparable] = paired_means(rival, S[comparable, 0], side, CONFIDENCE)[1]
     return low
 
 
@@ -416,24 +414,26 @@ _KINDS: Final[dict[Any, Any]] = {FloatArray: np.float64, IntArray: np.int64, Boo
 
 
 def robustness_of(folder: Path, task: RobustnessTask) -> Robustness:
-    """The numbers of a task: those in a study's folder if they are its own, else worked out and stored there."""
-    found = stored_of(folder, task)
-    if found is not None:
-        return found
-    made = work_out(task)
-    content = {name: _plain(value) if isinstance(value, np.ndarray) else value for name, value in vars(made).items()}
+    """The numbers of a task: read from the study's folder if they are stored there, else computed and stored."""
+    stored = stored_of(folder, task)
+    if stored is not None:
+        return stored
+    robustness = work_out(task)
+    content = {
+        name: _plain(value) if isinstance(value, np.ndarray) else value for name, value in vars(robustness).items()
+    }
     write_json(folder / NAME, content, indent=None)
-    return made
+    return robustness
 
 
 def stored_of(folder: Path, task: RobustnessTask) -> Robustness | None:
-    """The numbers of a task in a study's folder; None where there are none, or those of something else."""
-    found = read(folder / NAME)
-    return found if found is not None and found.key == task.key else None
+    """The numbers of a task in a study's folder; None if there are none, or if they belong to another task."""
+    stored = read(folder / NAME)
+    return stored if stored is not None and stored.key == task.key else None
 
 
 def read(path: Path) -> Robustness | None:
-    """Read the file of a study's folder; None where there is none, or it is broken or of another kind."""
+    """Read the file of a study's folder; None if it is missing, damaged or of another format."""
     kinds = {name: _KINDS.get(hint) for name, hint in get_type_hints(Robustness).items()}
     try:
         values: dict[str, Any] = {
@@ -442,15 +442,15 @@ def read(path: Path) -> Robustness | None:
         }
         return Robustness(**values)
     except (StoreError, ValueError, TypeError, KeyError, AttributeError):
-        return None  # it only saves time: what cannot be read is worked out again
+        return None  # the file is a cache: what cannot be read is computed again
 
 
 def _plain(values: npt.NDArray[Any]) -> Any:
-    """Lists of numbers; text for those that JSON does not know."""
+    """Nested lists of numbers; NaN and infinity, which JSON lacks, as text."""
     plain = values.astype(object)
     plain[~np.isfinite(values)] = values[~np.isfinite(values)].astype(str)
     return plain.tolist()
 
 
 def _tuples(value: Any) -> Any:
-    return tuple(_tuples(one) for one in value) if isinstance(value, list) else value
+    return tuple(_tuples(item) for item in value) if isinstance(value, list) else value

@@ -1,4 +1,4 @@
-"""Tests of regulations and Euro NCAP as data: their cells, and what a design has to keep in them."""
+"""Tests of regulations and Euro NCAP as data: their cells, and the limits that a design has to keep."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ FOLDER: Final = Path(__file__).parent / "catalog" / "standards"
 
 KM_H: Final = 1.0 / 3.6  # [m/s]
 
-AFTER: Final = 10.0  # [s] that a cell's path goes on after it has reached the line
+AFTER: Final = 10.0  # [s] from the time when a cell's path reaches the line to its end
 
-_FASTEST: Final = 5.0  # [m/s] lateral velocity: a vehicle that goes straight on in a bend is followed no further
+_FASTEST: Final = 5.0  # [m/s] largest lateral velocity of a vehicle that goes straight on in a bend
 
 VEHICLES: Final[Mapping[str, Mapping[str, float]]] = {
     "light": {"m": 0.85, "I_z": 0.85},
@@ -31,7 +31,7 @@ VEHICLES: Final[Mapping[str, Mapping[str, float]]] = {
     "soft": {"C_af": 0.8, "C_ar": 0.8},
     "stiff": {"C_af": 1.2, "C_ar": 1.2},
 }
-"""Named vehicles: what the quantities of the study's vehicle are multiplied with; the others are as nominal."""
+"""Named vehicles: factors of quantities of the study's vehicle; the other quantities are nominal."""
 
 QuantityName = Literal[
     "dtle",
@@ -56,56 +56,56 @@ class Grid(Part):
     lateral_acceleration_m_s2: tuple[Positive, ...] = ()
 
     @model_validator(mode="after")
-    def _one_kind(self) -> Self:
+    def _check_kind(self) -> Self:
         if bool(self.lateral_velocity_m_s) == bool(self.lateral_acceleration_m_s2):
             raise InputError(allowed="one of lateral_velocity_m_s and lateral_acceleration_m_s2")
         return self
 
 
 class Drift(Part):
-    """``[drift]``: how a passive driver gets to the line."""
+    """``[drift]``: the path of a passive driver to the line."""
 
-    # (speed [km/h] from which it holds, radius of the arc [m])
+    # (lowest speed [km/h], radius of the arc [m])
     radius_m: Annotated[tuple[tuple[float, Positive], ...], Field(min_length=1)]
     lateral_velocity_m_s: tuple[Positive, ...]
-    distance_m: tuple[Positive, ...]  # At each of them: lateral distance that is covered after the arc, to the line
+    distance_m: tuple[Positive, ...]  # For each lateral velocity: lateral distance from the end of the arc to the line
 
 
 class Condition(Part):
-    """``[[condition]]``: what a quantity has to keep in every cell."""
+    """``[[condition]]``: the limit of a quantity in every cell."""
 
     quantity: QuantityName
-    # One, or one for each lateral velocity of the drift: [m], [m/s], [m/s^2], [m/s^3] or, of the wheel, [deg/s]
+    # A number, or a number for each lateral velocity of the drift: [m], [m/s], [m/s^2], [m/s^3] or, of a wheel, [deg/s]
     limit: float | tuple[float, ...]
     from_speed_km_h: float = 0.0
 
 
 class NotAssessable(Part):
-    """``[[not_assessable]]``: what the standard asks beside, and why no simulation here can answer it."""
+    """``[[not_assessable]]``: a requirement of the standard that no simulation here can assess, and the reason."""
 
     what: str
     why: str
 
 
 class Standard(Part):
-    """A test: where it is from, its cells, its conditions. Read with `load_standard`."""
+    """A test: its source, cells and conditions. Read with `load_standard`."""
 
     name: str
     title: str
     source: str
-    second_hand: bool  # Known from excerpts, not from the text itself
+    second_hand: bool  # Taken from excerpts, not from the original text
     lane_width_m: tuple[Positive, Positive]  # Narrowest and widest
     speed_tolerance_km_h: float = Field(default=0.0, ge=0)
     lateral_velocity_tolerance_m_s: float = Field(default=0.0, ge=0)
-    extended_from: float = 0.0  # Share of the standard cells from which on the extended range counts
-    extended_points: tuple[tuple[float, float], ...] = ()  # (share of its cells, part of the points from there on)
+    extended_from: float = 0.0  # Share of standard cells that must pass before the extended range counts
+    extended_points: tuple[tuple[float, float], ...] = ()  # (least share of its cells that pass, share of the points)
     drift: Drift | None = None
     cells: Annotated[tuple[Grid, ...], Field(min_length=1)]
     condition: Annotated[tuple[Condition, ...], Field(min_length=1)]
     not_assessable: tuple[NotAssessable, ...] = ()
 
     @model_validator(mode="after")
-    def _complete(self) -> Self:
+    def _check_fields(self) -> Self:
         drift = self.drift
         known = () if drift is None else drift.lateral_velocity_m_s
         for rate in (rate for grid in self.cells for rate in grid.lateral_velocity_m_s):
@@ -131,7 +131,7 @@ class Standard(Part):
 
     @property
     def every_cell(self) -> Cells:
-        """Its cells, grid by grid, speed by speed."""
+        """The cells of all grids, grid by grid and speed by speed."""
         rows = [
             (speed, second, not grid.lateral_velocity_m_s, grid.range == "extended")
             for grid in self.cells
@@ -154,8 +154,8 @@ class Standard(Part):
     ) -> Scenarios:
         """The drifts of n cells, on the passenger's side of a country that drives on the right.
 
-        `offset` [m] lies between lines and edges in the middle of the lane. `speed` and `rate` [m/s] say by how much
-        speed and lateral velocity are off; the arc stays that of the cell.
+        `offset` [m] is the distance between the vehicle's edges and the lines in the middle of the lane. `speed` and
+        `rate` [m/s] are added to speed and lateral velocity; the arc stays that of the cell.
         """
         v, kmh = cells.speed + speed, cells.speed / KM_H
         drifting = ~cells.bend
@@ -167,7 +167,7 @@ class Standard(Part):
             for first, arc in self.drift.radius_m:
                 radius[drifting & (kmh >= first - 1e-6)] = arc
         arc_time, covered = Drifts(lateral, radius, straight).arc(v)
-        # into a bend the vehicle goes from the middle of the lane, and reaches the line on the arc
+        # in a bend the vehicle starts in the middle of the lane and reaches the line on the arc
         to_line = np.where(drifting, arc_time + straight / lateral, np.sqrt(2.0 * offset * radius) / v)
         return Scenarios.from_drifts(
             v=v, lateral_velocity=lateral, radius=radius, side=RIGHT, T=to_line + AFTER,
@@ -182,16 +182,16 @@ class Cells:
 
     speed: FloatArray  # (n,) [m/s]
     second: FloatArray  # (n,) Lateral velocity [m/s] of a drift; lateral acceleration [m/s^2] of a bend
-    bend: BoolArray  # (n,) Which of the two
+    bend: BoolArray  # (n,) Whether it is in a bend; else it is a drift
     extended: BoolArray  # (n,) Whether it is in the extended range
 
     @property
     def n(self) -> int:
-        """How many."""
+        """Number of cells."""
         return int(self.speed.size)
 
     def times(self, count: int) -> Cells:
-        """All of them so many times, one after the other."""
+        """The cells repeated `count` times as a whole."""
         rows = np.tile(np.arange(self.n), count)
         return Cells(self.speed[rows], self.second[rows], self.bend[rows], self.extended[rows])
 

@@ -1,4 +1,4 @@
-"""What a comparison of two studies finds, and the files it is written to."""
+"""The comparison of two studies, its tables and its files."""
 
 import dataclasses
 import math
@@ -37,7 +37,7 @@ PHRASES: Final = {
     Verdict.NOT_SEPARATED: "not separated",
     Verdict.SAME: "the same",
 }
-"""Verdict -> how a sentence says it."""
+"""The phrase of each verdict in a sentence."""
 
 TOP: Final = 20  # rows of a notebook
 
@@ -46,7 +46,7 @@ TOP: Final = 20  # rows of a notebook
 class Comparison:
     """An old and a new study on shared scenarios.
 
-    Both ran k designs; what is known of each has one entry a design, in the new study's order.
+    Fields of the k designs of both studies have an entry for each design, in the order of the new study.
 
     Examples
     --------
@@ -65,8 +65,8 @@ class Comparison:
     new: str
     old_name: str  # Name of the study
     new_name: str
-    differences: tuple[str, ...]  # What decides the numbers and is not the same, as ``"vehicle.m: 1000.0 -> 1100.0"``
-    shared: SharedScenarios  # Those that could be driven in both
+    differences: tuple[str, ...]  # Of inputs that decide the numbers, as ``"vehicle.m: 1000.0 -> 1100.0"``
+    shared: SharedScenarios  # Those that can be driven in both studies
     window: Window  # Of S
     label: str  # Window of S, and reading of the paper
     designs: tuple[Design, ...]  # The k designs
@@ -74,20 +74,20 @@ class Comparison:
     # Shared scenarios that failed (solver failed, diverged, timed out, crashed)
     failed_old: tuple[int, ...]
     failed_new: tuple[int, ...]
-    # The new study's winner against the old one's; None where no design meets the requirements of one of them
+    # The winner of the new study against that of the old study; None where a study has no winner
     winners: Winners | None
-    only_old: tuple[Design, ...]  # Designs that one study has results of and the other does not hold
+    only_old: tuple[Design, ...]  # Designs with results in this study that the other does not contain
     only_new: tuple[Design, ...]
     # Designs of both studies whose law failed in the new one only, in the old one only, and in both
     new_failures: tuple[FailedDesign, ...]
     repaired: tuple[FailedDesign, ...]
     failed_in_both: tuple[FailedDesign, ...]
     bootstrap: int  # Resamples
-    confidence: float  # Of the intervals, all designs together
+    confidence: float  # Of the intervals, simultaneous over all designs
     warnings: tuple[str, ...] = ()
 
     def _repr_html_(self) -> str:
-        """What a notebook shows."""
+        """The comparison in a notebook."""
         lines = (f"{self.old_name} \u2192 {self.new_name}", self.summary, *self.differences)
         table = design_table(self, self.order[:TOP])
         return notebook_html(lines, self.warnings, table, len(self) - len(table.rows))
@@ -101,7 +101,7 @@ class Comparison:
 
     @property
     def counts(self) -> str:
-        """How many designs are better, worse, not separated, the same."""
+        """Numbers of designs that are better, worse, not separated, the same."""
         return ", ".join(f"{self.count(verdict):,} {PHRASES[verdict]}" for verdict in Verdict)
 
     @property
@@ -114,13 +114,13 @@ class Comparison:
 
     @property
     def any_worse(self) -> bool:
-        """A design is worse, fails now, or the new winner is worse than the old one."""
+        """Whether a design is worse or fails only in the new study, or the new winner is worse than the old one."""
         winner_is_worse = self.winners is not None and self.winners.verdict is Verdict.WORSE
         return bool(self.new_failures) or winner_is_worse or self.count(Verdict.WORSE) > 0
 
     @property
     def summary(self) -> str:
-        """One sentence: how many designs got better, worse, stayed or are not separated."""
+        """The numbers of scenarios and verdicts in a sentence."""
         shared = f"{self.shared.n:,} shared scenarios ({self.shared.left:,} left, {self.shared.right:,} right)"
         if len(self):
             summary = f"{plural(len(self), 'design')} in both, {self.label}: {self.counts}"
@@ -131,8 +131,8 @@ class Comparison:
         return f"{shared}; {summary}{failed}; the new winner against the old one: {winners}."
 
 
-def design_table(comparison: Comparison, places: Sequence[int]) -> Table:
-    """Designs of both studies by their positions, for every reader."""
+def design_table(comparison: Comparison, positions: Sequence[int]) -> Table:
+    """Table of the designs at these positions."""
     S, unit = comparison.S, "m\u00b7s"
     columns = [
         Column("Verdict", text=True), Column("Design", text=True), Column("Old S", unit, ".4f", key="old"),
@@ -142,7 +142,7 @@ def design_table(comparison: Comparison, places: Sequence[int]) -> Table:
     ]  # fmt: skip
     numbers = np.stack([S.S_old, S.S_new, S.difference, S.low, S.high, S.largest], axis=1)
     rows = []
-    for i in places:
+    for i in positions:
         *scores, low, high, largest = numbers[i].tolist()
         changed, failed = int(S.changed[i]), (comparison.failed_old[i], comparison.failed_new[i])
         at = f"{difference_text(largest)} (no. {comparison.shared.new[S.largest_at[i]]})"
@@ -165,12 +165,12 @@ def design_table(comparison: Comparison, places: Sequence[int]) -> Table:
 
 
 def verdict_cell(verdict: Verdict, more: str = "") -> Cell:
-    """A verdict as a cell."""
+    """The cell of a verdict."""
     return Cell(f"{PHRASES[verdict]}{more}", bad=verdict is Verdict.WORSE, good=verdict is Verdict.BETTER)
 
 
 def interval_cell(low: float, high: float) -> Cell:
-    """Both ends of an interval, or why there is none."""
+    """The cell of an interval: both ends, or why there is none."""
     few = "too few departures changed" if math.isnan(low + high) else "too few departures"
     return Cell((low, high), "" if math.isfinite(low + high) else few)
 
@@ -195,7 +195,7 @@ def winners_sentence(winners: Winners | None) -> str:
     return f"{start}{end[winners.verdict]}."
 
 
-_FEW = 200  # shared scenarios below which intervals are rough
+_FEW = 200  # with fewer shared scenarios intervals are rough
 
 
 def compare(
@@ -217,7 +217,7 @@ def compare(
     bootstrap : int, optional
         Resamples of the scenarios; the new study's by default.
     confidence : float, optional
-        Of the intervals, all designs together; the new study's by default.
+        Of the intervals, simultaneous over all designs; the new study's by default.
 
     Returns
     -------
@@ -227,8 +227,8 @@ def compare(
     Notes
     -----
     Designs are matched by identifier: same law, gains and y_s. Each mean counts a failed scenario at least as bad as
-    without control. What one study draws for a scenario and the other does not is part of what is compared; what both
-    draw has to be the same draw.
+    without control. Random numbers that only one study draws for a scenario are part of the comparison; those that both
+    studies draw have to be equal.
 
     Examples
     --------
@@ -269,6 +269,9 @@ def compare(
     old_at = {design.key: i for i, design in enumerate(before.results.designs)}
     at_new = [i for i, design in enumerate(after.results.designs) if design.key in old_at]
     at_old = [old_at[after.results.designs[i].key] for i in at_new]
+    convention, label = after.results.convention, after.results.label
+    if before.results.convention != convention:
+        label = f"{before.results.label} -> {convention.replace('_', ' ')}"
     chance: dict[str, Any] = {"bootstrap": samples, "confidence": level}
     comparison = Comparison(
         old=before.source,
@@ -278,7 +281,7 @@ def compare(
         differences=differences,
         shared=shared,
         window=after.results.window,
-        label=_label(before.results, after.results),
+        label=label,
         designs=tuple(after.results.designs[i] for i in at_new),
         S=paired_differences(
             before.results.counted[at_old][:, shared.old],
@@ -290,20 +293,14 @@ def compare(
         failed_old=tuple(before.results.failed_runs[at_old][:, shared.old].sum(axis=1).tolist()),
         failed_new=tuple(after.results.failed_runs[at_new][:, shared.new].sum(axis=1).tolist()),
         winners=compare_winners(before, after, shared, _shared_fresh(before, after), **chance),
-        only_old=tuple(one for one in before.results.designs if one.key not in in_new),
-        only_new=tuple(one for one in after.results.designs if one.key not in in_old),
+        only_old=tuple(design for design in before.results.designs if design.key not in in_new),
+        only_new=tuple(design for design in after.results.designs if design.key not in in_old),
         new_failures=_failed(after.results, ran=before.results),
         repaired=_failed(before.results, ran=after.results),
         failed_in_both=_failed(after.results, failed=before.results),
         **chance,
     )
     return dataclasses.replace(comparison, warnings=tuple(_warnings(comparison, every.n - shared.n)))
-
-
-def _label(old: StudyResults, new: StudyResults) -> str:
-    if old.convention == new.convention:
-        return new.label
-    return f"{old.label} -> {new.convention.replace('_', ' ')}"
 
 
 def _shared_scenarios(before: FinishedStudy, after: FinishedStudy, differences: Sequence[str]) -> SharedScenarios:
@@ -335,7 +332,7 @@ def _share(before: FinishedStudy, after: FinishedStudy, old: StudyResults, new: 
 
 
 def _shared_fresh(before: FinishedStudy, after: FinishedStudy) -> SharedScenarios | None:
-    """Fresh scenarios of both, if the two studies share any."""
+    """Shared fresh scenarios; None if there are none."""
     old, new = before.results.fresh, after.results.fresh
     if old is None or new is None:
         return None
@@ -344,18 +341,18 @@ def _shared_fresh(before: FinishedStudy, after: FinishedStudy) -> SharedScenario
 
 
 def _driven(shared: SharedScenarios, old: StudyResults, new: StudyResults) -> SharedScenarios:
-    """Those that every design of both could be driven on."""
+    """The shared scenarios that can be driven under every design of both studies."""
     return shared.take(old.drivable[shared.old] & new.drivable[shared.new])
 
 
 def _failed(
     results: StudyResults, *, ran: StudyResults | None = None, failed: StudyResults | None = None
 ) -> tuple[FailedDesign, ...]:
-    """Designs that failed here and ran, or failed, there."""
-    where = {one.design.key for one in failed.failed} if failed else set()
+    """Failed designs that ran in the study `ran`, or failed in the study `failed` too."""
+    keys = {failure.design.key for failure in failed.failed} if failed else set()
     if ran:
-        where = set(held_designs(ran)) - {one.design.key for one in ran.failed}
-    return tuple(one for one in results.failed if one.design.key in where)
+        keys = set(held_designs(ran)) - {failure.design.key for failure in ran.failed}
+    return tuple(failure for failure in results.failed if failure.design.key in keys)
 
 
 def _warnings(comparison: Comparison, left_out: int) -> Iterator[str]:
@@ -386,16 +383,17 @@ _NAMES = "compared verdict design_old design_new label_old label_new"
 _SCORES = "S_old_m_s S_new_m_s difference_m_s difference_low_m_s difference_high_m_s scenarios"
 _CHANGED = "changed_scenarios largest_change_m_s largest_change_scenario failed_scenarios_old failed_scenarios_new"
 COLUMNS = (*_NAMES.split(), *_SCORES.split(), *_CHANGED.split(), "failure")
-"""Of the CSV file; what a row has no value for is empty."""
+"""Columns of the CSV file; fields without a value are empty."""
 
 
 def comparison_rows(comparison: Comparison) -> Iterator[dict[str, Any]]:
-    """One row for each design, one for the winners if there are some, and one for each design that failed."""
+    """Rows of the CSV file: each design, the winners if there are any, and each failed design."""
     for i in comparison.order:
         yield {"compared": "design"} | _design(comparison, i)
-    if (won := comparison.winners) is not None:
-        scores = (won.S_old, won.S_new, won.difference)
-        row = _row_of(str(won.verdict), won.old, won.new, scores, (won.low, won.high), won.scenarios)
+    if (winners := comparison.winners) is not None:
+        scores = (winners.S_old, winners.S_new, winners.difference)
+        ends = (winners.low, winners.high)
+        row = _row_of(str(winners.verdict), winners.old, winners.new, scores, ends, winners.scenarios)
         yield {"compared": "winners"} | row
     failures = {
         "new failure": comparison.new_failures,
@@ -403,16 +401,16 @@ def comparison_rows(comparison: Comparison) -> Iterator[dict[str, Any]]:
         "fails in both": comparison.failed_in_both,
     }
     for verdict, failed in failures.items():
-        for one in failed:
-            names = {"design_old": one.design.id, "design_new": one.design.id}
-            labels = {"label_old": one.design.label, "label_new": one.design.label}
-            yield {"compared": "failure", "verdict": verdict, **names, **labels, "failure": one.reason}
+        for failure in failed:
+            names = {"design_old": failure.design.id, "design_new": failure.design.id}
+            labels = {"label_old": failure.design.label, "label_new": failure.design.label}
+            yield {"compared": "failure", "verdict": verdict, **names, **labels, "failure": failure.reason}
 
 
 def _row_of(
     verdict: str, old: Design, new: Design, scores: Sequence[float], ends: Sequence[float], scenarios: int
 ) -> dict[str, Any]:
-    """The columns that designs and winners have: S old, S new and their difference, and the ends of its interval."""
+    """The columns that designs and winners share; `scores` are S old, S new and their difference."""
     names = _NAMES.split()[1:] + _SCORES.split()
     numbers = [*map(float, scores), *(float(end) if math.isfinite(end) else None for end in ends)]
     return dict(zip(names, (verdict, old.id, new.id, old.label, new.label, *numbers, scenarios), strict=True))

@@ -1,4 +1,4 @@
-"""Two studies on the scenarios they share: paired differences of mean S, and their winners against each other."""
+"""Two studies on shared scenarios: paired differences of mean S, and the comparison of their winners."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ from ..study_file import Study
 
 @dataclasses.dataclass(frozen=True)
 class SharedScenarios:
-    """Scenarios that two sets hold, as positions in each."""
+    """Scenarios that are in two sets, as positions in each set."""
 
     # (n,) Position of each in the old and in the new set, in the order of the new one
     old: IntArray
     new: IntArray
     side: IntArray  # (n,) ``LEFT`` (+1) or ``RIGHT`` (-1)
-    # Scenarios whose departure both sets hold, but for which other numbers were drawn; they are not shared
+    # Scenarios whose departure is in both sets, but with different random draws; they are not shared
     other_draws: int = 0
 
     @property
@@ -47,21 +47,21 @@ class SharedScenarios:
 
     @property
     def left(self) -> int:
-        """Those to the left."""
+        """Number of shared scenarios to the left."""
         return int(np.sum(self.side == LEFT))
 
     @property
     def right(self) -> int:
-        """Those to the right."""
+        """Number of shared scenarios to the right."""
         return int(np.sum(self.side == RIGHT))
 
     def take(self, rows: BoolArray) -> SharedScenarios:
-        """Some of them."""
+        """The shared scenarios in these rows."""
         return dataclasses.replace(self, old=self.old[rows], new=self.new[rows], side=self.side[rows])
 
 
 def drawn_streams(options: PlantOptions) -> frozenset[RandomStream]:
-    """What a plant draws for each scenario beside its parameters."""
+    """The random streams that a plant draws for each scenario beside its parameters."""
     ranges = (getattr(options.mismatch, field.name) for field in dataclasses.fields(options.mismatch))
     uses = {
         RandomStream.MISMATCH: any(low != high for low, high in ranges),
@@ -76,7 +76,7 @@ def drawn_streams(options: PlantOptions) -> frozenset[RandomStream]:
 def share_scenarios(
     old: Scenarios, new: Scenarios, *, both_draw: bool = False, same_seed: bool = True
 ) -> SharedScenarios:
-    """Find the scenarios that two sets share, by content."""
+    """The scenarios that two sets share, compared by content."""
     group = _same_rows(np.concatenate([_rows(old), _rows(new)]))
     old_at, new_at = _pairs(group[: old.n], group[old.n :])
     every = new_at.size
@@ -93,14 +93,14 @@ def _rows(scenarios: Scenarios) -> FloatArray:
 
 
 def _same_rows(table: npt.NDArray[np.generic]) -> IntArray:
-    """A number for each row, equal for rows of the same bytes."""
+    """A group number for each row; rows with the same bytes have the same number."""
     table = np.ascontiguousarray(table)
     whole = table.view(np.dtype((np.void, table.dtype.itemsize * table.shape[1]))).ravel()
     return np.unique(whole, return_inverse=True)[1].astype(np.int64).ravel()
 
 
 def _pairs(old: IntArray, new: IntArray) -> tuple[IntArray, IntArray]:
-    """Positions of equal numbers, the k-th occurrence with the k-th, in the order of `new`."""
+    """Positions of equal numbers in the order of `new`; the k-th occurrence in `old` matches the k-th in `new`."""
     most = max(old.size, new.size, 1)
     _, old_at, new_at = np.intersect1d(
         old * most + _occurrence(old), new * most + _occurrence(new), assume_unique=True, return_indices=True
@@ -110,7 +110,7 @@ def _pairs(old: IntArray, new: IntArray) -> tuple[IntArray, IntArray]:
 
 
 def _occurrence(group: IntArray) -> IntArray:
-    """How often each number occurred before."""
+    """Number of earlier occurrences of each number."""
     order = np.argsort(group, kind="stable")
     ordered = group[order]
     first = np.searchsorted(ordered, ordered, side="left")
@@ -119,13 +119,13 @@ def _occurrence(group: IntArray) -> IntArray:
     return count
 
 
-_STREAM: Final = 0x636D70  # keeps these resamples apart from those of the rankings
-_FLAT: Final = 1e-9  # a row whose scenarios changed equally, up to this [m s]: what is left is rounding, and no spread
-_ROWS: Final = 500  # rows resampled at once; a constant, so that no number depends on anything else
+_STREAM: Final = 0x636D70  # separates these resamples from those of the rankings
+_FLAT: Final = 1e-9  # deviations [m s] up to this are rounding: all scenarios of the row changed equally
+_ROWS: Final = 500  # rows resampled at once; a constant, so that results do not depend on the machine
 
 
 class Verdict(enum.StrEnum):
-    """What the interval of a difference of mean S, new minus old, says."""
+    """The verdict of the interval of a difference of mean S, new minus old."""
 
     BETTER = "better"
     WORSE = "worse"
@@ -135,14 +135,13 @@ class Verdict(enum.StrEnum):
 
 @dataclasses.dataclass(frozen=True)
 class PairedDifferences:
-    """New minus old on n shared scenarios; arrays have one entry a row, k in all."""
+    """Differences, new minus old, of k rows on n shared scenarios."""
 
     # (k,) [m s] Means over the shared scenarios
     S_old: FloatArray
     S_new: FloatArray
     difference: FloatArray  # (k,) [m s] S_new - S_old
-    # (k,) [m s] Its interval, simultaneous over all rows that were compared together; NaN where too few scenarios
-    # changed
+    # (k,) [m s] Its interval, simultaneous over all rows of a comparison; NaN where too few scenarios changed
     low: FloatArray
     high: FloatArray
     changed: IntArray  # (k,) Scenarios that differ by more than 1e-6 m s
@@ -154,7 +153,7 @@ class PairedDifferences:
         return len(self.verdict)
 
     def take(self, rows: range) -> PairedDifferences:
-        """Some of the rows."""
+        """A range of the rows."""
         arrays = {f.name: getattr(self, f.name)[rows.start : rows.stop] for f in dataclasses.fields(self)}
         return PairedDifferences(**arrays)
 
@@ -162,11 +161,11 @@ class PairedDifferences:
 def paired_differences(
     old: FloatArray, new: FloatArray, side: IntArray, *, seed: int, bootstrap: int = 2000, confidence: float = 0.95
 ) -> PairedDifferences:
-    """Compare k rows pair by pair, all of them with one confidence.
+    """Compare k rows pair by pair, with simultaneous intervals.
 
     The intervals are those of the studentised bootstrap (Efron and Tibshirani, An Introduction to the Bootstrap,
-    1993, section 12.5), symmetric, with the largest |t| over all rows in place of one row's own (max-t; Romano and
-    Wolf, Econometrica 73, 2005), so that they hold for all rows together. Unequal tails would follow the few
+    1993, section 12.5), symmetric, with the largest |t| over all rows in place of that of each row (max-t; Romano and
+    Wolf, Econometrica 73, 2005), so that they hold for all rows simultaneously. Unequal tails would follow the few
     scenarios that changed most: where only some scenarios change, they miss too often. A row is *the same* where no
     scenario changed by more than 1e-6 m s, or its interval lies within that of 0; *better* or *worse* where the
     interval lies beyond it. Where only m scenarios changed, even equal signs come about by chance with 2^(1 - m);
@@ -212,24 +211,24 @@ def _verdict(any_changed: bool, low: float, high: float) -> Verdict:
 
 
 def _half_widths(values: FloatArray, side: IntArray, samples: int, seed: int, confidence: float) -> FloatArray:
-    """Half of each row's interval, (k,); infinite where the scenarios cannot tell."""
+    """Half width of each row's interval, (k,); infinite where a side has fewer than two scenarios."""
     strata = [side == which for which in np.unique(side)]
     if min(rows.sum() for rows in strata) < 2:
-        return np.full(len(values), np.inf)  # one scenario tells nothing of its side's spread
+        return np.full(len(values), np.inf)  # a single scenario has no spread
     centred = values - row_means(values)[:, None]
     centred[np.abs(centred).max(axis=1) <= _FLAT] = 0.0
     farthest = np.zeros(samples)
     for first in range(0, len(values), _ROWS):
         block = centred[first : first + _ROWS]
         parts = [np.where(rows, block**power, 0.0) for rows in strata for power in (1, 2)]
-        # one call: rows, powers and sides have to see the same resamples
+        # a single call, so that rows, powers and sides share the resamples
         moments = bootstrap_means(np.concatenate(parts), side, samples=samples, seed=seed, stream=_STREAM)
         moments = moments.reshape(samples, len(strata), 2, len(block))
         mean, error = np.abs(moments[:, :, 0].sum(axis=1)), _errors(moments, strata)
-        # a resample without any spread, off the mean, may lie any number of errors away
+        # a resample without spread that is off the mean is infinitely many standard errors away
         t = np.divide(mean, error, out=np.where(mean > 0.0, np.inf, 0.0), where=error > 0.0)
         np.maximum(farthest, t.max(axis=1), out=farthest)
-    # a value that occurred: between a finite one and an infinite one nothing can be interpolated
+    # no interpolation, because t may be infinite
     critical = float(np.quantile(farthest, confidence, method="higher"))
     error = lengths(error_parts(centred, side))
     return np.multiply(critical, error, out=np.zeros_like(error), where=error > 0.0)
@@ -249,7 +248,7 @@ def _errors(moments: FloatArray, strata: list[BoolArray]) -> FloatArray:
 class FinishedStudy:
     """A study that ran to its end."""
 
-    source: str  # What messages call it: its folder
+    source: str  # Its folder, for messages
     manifest: Manifest
     study: Study
     results: StudyResults
@@ -257,31 +256,32 @@ class FinishedStudy:
     @classmethod
     def read(cls, folder: str | Path) -> FinishedStudy:
         """Read the folder of a study."""
-        store = Store.open(folder, current=False)  # numbers alone: nothing is driven again
+        store = Store.open(folder, current=False)  # only numbers are read: no law is run
         if not store.manifest.finished:
             raise StoreError(folder, "the study is not finished", hint="run it into this folder again to go on")
         return cls(str(folder), store.manifest, store.study, store.results())
 
 
 def held_designs(results: StudyResults) -> dict[tuple[Any, ...], Design]:
-    """All designs that a study met, by `Design.key`: with results, or failed."""
+    """All designs of a study by `Design.key`, those that failed included."""
     return {design.key: design for design in (*results.designs, *(failure.design for failure in results.failed))}
 
 
 def input_differences(old: FinishedStudy, new: FinishedStudy) -> Iterator[str]:
-    """What decides the numbers of two studies and is not the same, as ``"vehicle.m: 1000.0 -> 1100.0"``."""
+    """Differences between inputs that decide the numbers of two studies, as ``"vehicle.m: 1000.0 -> 1100.0"``."""
     was, now = old.manifest, new.manifest
     if was.model_hash != now.model_hash:
         texts = [f"{m.model} (content {m.model_hash[:12]})" for m in (was, now)]
         yield f"scenarios.model: {texts[0]} -> {texts[1]}"
-    own = "ldctoolkit"
-    yield from _changes(*({own: m.versions.get(own)} for m in (was, now)))
+    package = "ldctoolkit"
+    yield from _changes(*({package: m.versions.get(package)} for m in (was, now)))
     yield from _changes(*(s.inputs() | {"scenarios": s.identity()["scenarios"]} for s in (old.study, new.study)))
     yield from (f"law {name}: other code" for name in was.laws if was.laws[name] != now.laws.get(name, was.laws[name]))
     before, after = (held_designs(side.results) for side in (old, new))
     if before.keys() != after.keys():
         yield f"designs: {len(before)} -> {len(after)}, {len(before.keys() & after.keys())} of them in both"
-    yield from _changes(*({k: v for k, v in m.versions.items() if k != own} | {"Python": m.python} for m in (was, now)))
+    others = ({k: v for k, v in m.versions.items() if k != package} | {"Python": m.python} for m in (was, now))
+    yield from _changes(*others)
 
 
 def _changes(old: dict[str, Any], new: dict[str, Any]) -> Iterator[str]:
@@ -290,10 +290,10 @@ def _changes(old: dict[str, Any], new: dict[str, Any]) -> Iterator[str]:
         yield f"{key}: {was} -> {now}"
 
 
-_RIVALS: Final = 30  # designs of each study that could have won: all their pairs share the confidence
+_RIVALS: Final = 30  # designs of each study that could have won: the interval holds for all their pairs
 
 _MOST_ENTRIES: Final = 20_000_000
-"""Differences of pairs held at once (160 MB); fewer rivals where there are more scenarios."""
+"""Differences of pairs in memory at once (160 MB); more scenarios leave fewer rivals."""
 
 
 THRESHOLD: Final = 0.01
@@ -304,29 +304,29 @@ THRESHOLD: Final = 0.01
 class Winners:
     """The new study's winner against the old study's."""
 
-    # What each study's own ranking calls its winner
+    # The winner of each study's ranking
     old: Design
     new: Design
     # [m s] Mean over the shared scenarios
     S_old: float
     S_new: float
-    # [m s] S_new - S_old, and its interval, valid although both were chosen by their scores; NaN as in
+    # [m s] S_new - S_old, and its interval, valid although both were selected by their scores; NaN as in
     # `PairedDifferences`
     difference: float
     low: float
     high: float
     verdict: Verdict
-    scenarios: int  # How many scenarios they were compared on
-    fresh: bool  # Whether these are fresh scenarios of both studies, on which no design was chosen
+    scenarios: int  # Number of scenarios of the comparison
+    fresh: bool  # Whether these are fresh scenarios of both studies, which selected no design
 
     @property
     def same_design(self) -> bool:
-        """The same design won both."""
+        """Whether the same design is the winner of both studies."""
         return self.old.key == self.new.key
 
     @property
     def is_small(self) -> bool:
-        """The difference does not matter in practice."""
+        """Whether the difference is too small to matter in practice."""
         return abs(self.difference) < THRESHOLD
 
 
@@ -341,7 +341,7 @@ def compare_winners(
 ) -> Winners | None:
     """Compare the winners of two studies.
 
-    Winners are chosen by their scores, so an interval for one pair that was fixed beforehand would be too narrow.
+    Winners are selected by their scores, so an interval for a pair that is fixed beforehand would be too narrow.
     The interval here holds for all pairs of a design that could have won the old study and one that could have won
     the new one: the finalists on fresh scenarios, or else those that rank first, up to 30 of each.
     """
@@ -349,15 +349,15 @@ def compare_winners(
     if rankings[0].winner is None or rankings[1].winner is None:
         return None
     results = (before.results, after.results)
-    again = (_with_winner(before, rankings[0]), _with_winner(after, rankings[1]))
+    finalists = (_with_winner(before, rankings[0]), _with_winner(after, rankings[1]))
     on_fresh = False
-    if fresh is not None and again[0] is not None and again[1] is not None:
-        results, shared, on_fresh = (again[0], again[1]), fresh, True
+    if fresh is not None and finalists[0] is not None and finalists[1] is not None:
+        results, shared, on_fresh = (finalists[0], finalists[1]), fresh, True
     most = max(1, min(_RIVALS, math.isqrt(_MOST_ENTRIES // shared.n)))
-    rivals = [_rivals(ranking, one, most) for ranking, one in zip(rankings, results, strict=True)]
+    rivals = [_rivals(ranking, result, most) for ranking, result in zip(rankings, results, strict=True)]
     scores_old, scores_new = (
-        one.counted[chosen][:, rows]
-        for one, chosen, rows in zip(results, rivals, (shared.old, shared.new), strict=True)
+        result.counted[positions][:, rows]
+        for result, positions, rows in zip(results, rivals, (shared.old, shared.new), strict=True)
     )
     pairs = paired_differences(
         np.repeat(scores_old, len(scores_new), axis=0),
@@ -367,7 +367,7 @@ def compare_winners(
         bootstrap=bootstrap,
         confidence=confidence,
     )
-    old, new = (one.designs[chosen[0]] for one, chosen in zip(results, rivals, strict=True))
+    old, new = (result.designs[positions[0]] for result, positions in zip(results, rivals, strict=True))
     return Winners(
         old=old,
         new=new,
@@ -383,7 +383,7 @@ def compare_winners(
 
 
 def _ranking(side: FinishedStudy) -> Ranking:
-    """The study's own ranking, as far as it decides who wins."""
+    """The study's ranking, with the settings that decide the winner."""
     study = side.study
     return Ranking.of(
         side.results,
@@ -398,7 +398,7 @@ def _ranking(side: FinishedStudy) -> Ranking:
 
 
 def _with_winner(side: FinishedStudy, ranking: Ranking) -> StudyResults | None:
-    """The finalists' fresh results; None where the winner is not among them."""
+    """The results on fresh scenarios; None where the winner has none."""
     fresh = side.results.fresh
     if fresh is None or ranking.winner is None:
         return None
@@ -407,7 +407,7 @@ def _with_winner(side: FinishedStudy, ranking: Ranking) -> StudyResults | None:
 
 def _rivals(ranking: Ranking, results: StudyResults, most: int) -> list[int]:
     """Positions of ranked designs in the results, the winner first."""
-    place = {design.id: i for i, design in enumerate(results.designs)}
+    position = {design.id: i for i, design in enumerate(results.designs)}
     ranked = sorted(range(ranking.ranked), key=lambda i: i != ranking.winner)
-    at = [place[ranking.designs[i].id] for i in ranked if ranking.designs[i].id in place]
-    return at[:most]
+    positions = [position[ranking.designs[i].id] for i in ranked if ranking.designs[i].id in position]
+    return positions[:most]

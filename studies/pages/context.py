@@ -1,4 +1,4 @@
-"""What a report is made from, and what its sections share."""
+"""The input of a report, and the context that its sections share."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ SIDE_NAMES = {LEFT: "left", -LEFT: "right"}
 
 @dataclasses.dataclass(frozen=True)
 class ReportInput:
-    """Everything that one report shows. Strings are plain text; the report escapes them."""
+    """The content of a report. Strings are plain text; the report escapes them."""
 
     title: str  # For people
     study_name: str  # The study's short name
@@ -48,33 +48,33 @@ class ReportInput:
     setup: Setup = dataclasses.field(default_factory=Setup)
     settings: tuple[tuple[str, str], ...] = ()  # The study's settings, seeds and hashes, in the order to be shown
     versions: tuple[tuple[str, str], ...] = ()  # Software and machine
-    model_notes: tuple[str, ...] = ()  # Where the scenario model comes from
-    warnings: tuple[str, ...] = ()  # Anything that the reader must know first
+    model_notes: tuple[str, ...] = ()  # The origin of the scenario model
+    warnings: tuple[str, ...] = ()  # Facts that the reader must know first
     synthetic: bool = False  # Whether the scenario model was fitted to invented and not to recorded driving
-    command: str = ""  # What makes the study again
-    study_file: str = ""  # Text of a study file that does, with every default written out
-    departures: tuple[int, ...] = ()  # Numbers of departures that the explorer shows beside those of its own rule
-    shown_designs: tuple[str, ...] = ()  # Identifiers of designs that it shows likewise, or how they begin
-    sensitivity: tuple[BlockSensitivity, ...] = ()  # Which gain matters; none leaves that part out
-    robustness: Robustness | None = None  # Some designs on other plants; without it they were not driven
-    model: ScenarioModel | None = None  # What generated the scenarios
+    command: str = ""  # The command that repeats the study
+    study_file: str = ""  # Text of a study file that repeats it, with every default written out
+    departures: tuple[int, ...] = ()  # Numbers of departures that the explorer shows in addition
+    shown_designs: tuple[str, ...] = ()  # Identifiers, or their beginnings, of designs that it shows in addition
+    sensitivity: tuple[BlockSensitivity, ...] = ()  # Sensitivity of S to gains; empty leaves that part out
+    robustness: Robustness | None = None  # Designs on other plants; None if they were not simulated
+    model: ScenarioModel | None = None  # The model that generated the scenarios
     model_name: str = ""  # Its name; empty where no model generated them
     given: Given = dataclasses.field(default_factory=dict)  # Conditions that they were drawn under
-    # What the model was fitted to; without them what its file holds of them
+    # The departures that the model was fitted to; without them the report uses the summary in the model's file
     source_departures: Departures | None = None
-    folder: Path | None = None  # The study's: what is driven for the report is kept there
+    folder: Path | None = None  # Folder of the study, which stores results of simulations for the report
 
 
 @dataclasses.dataclass(frozen=True)
 class Context:
-    """A report's input, on the scenarios that can be driven under every design only."""
+    """The input of a report, restricted to scenarios that can be driven under every design."""
 
     report: ReportInput
-    every: int  # Number of scenarios, those that cannot be driven included
+    every: int  # Number of all scenarios, those that cannot be driven included
 
     @classmethod
     def of(cls, report: ReportInput) -> Self:
-        """Check the input."""
+        """Check and restrict the input."""
         results = report.results
         if not results.designs or results.scenarios.n == 0:
             raise InputError("report", "the results hold no designs or no scenarios", allowed="at least one of each")
@@ -92,7 +92,7 @@ class Context:
 
     @property
     def results(self) -> StudyResults:
-        """What the study knows of the scenarios that can be driven."""
+        """The results on the scenarios that can be driven."""
         return self.report.results
 
     @property
@@ -107,55 +107,55 @@ class Context:
 
     @property
     def shown(self) -> int:
-        """Place of the design that the page speaks of: the winner, else the one that the verdict names."""
+        """Position of the design that the page discusses: the winner, else the design that the verdict names."""
         return self.verdict.place
 
     @property
     def shown_name(self) -> str:
-        """What it is called in a sentence."""
+        """The phrase for the shown design in a sentence."""
         if self.ranking.winner is not None:
             return "the winner"
         return "the first of the ranking" if self.ranking.ranked else "the nearest design"
 
     @cached_property
     def best_of_each_law(self) -> tuple[int, ...]:
-        """Places of the best design of each law that intervenes, the shown one first."""
-        ranking, places = self.ranking, dict.fromkeys((self.shown,))
+        """Positions of the best design of each law that intervenes, the shown design first."""
+        ranking, positions = self.ranking, dict.fromkeys((self.shown,))
         laws = {ranking.designs[self.shown].law}
-        for place in ranking.best_of_each_law():
-            if ranking.designs[place].law not in laws:
-                laws.add(ranking.designs[place].law)
-                places[place] = None
-        return tuple(place for place in places if not ranking.designs[place].is_baseline)
+        for position in ranking.best_of_each_law():
+            if ranking.designs[position].law not in laws:
+                laws.add(ranking.designs[position].law)
+                positions[position] = None
+        return tuple(position for position in positions if not ranking.designs[position].is_baseline)
 
     @cached_property
     def styles(self) -> dict[str, Style]:
-        """One style a law; that of the shown design is solid."""
+        """The style of each law; that of the shown design is solid."""
         first = self.ranking.designs[self.shown].law
         return law_styles((first, *(design.law for design in self.ranking.designs)))
 
-    def style(self, place: int) -> Style:
+    def style(self, position: int) -> Style:
         """Style of a design's law."""
-        return self.styles[self.ranking.designs[place].law]
+        return self.styles[self.ranking.designs[position].law]
 
     @property
     def no_control(self) -> int | None:
-        """Place of the design without control."""
+        """Position of the design without control."""
         return next((i for i, design in enumerate(self.ranking.designs) if design.is_baseline), None)
 
-    def S(self, place: int) -> FloatArray:
+    def S(self, position: int) -> FloatArray:
         """Scores of a design as they count, (n,) [m s]."""
-        result: FloatArray = self.results.counted[self.ranking.index[place]]
+        result: FloatArray = self.results.counted[self.ranking.index[position]]
         return result
 
-    def S_uncorrected(self, place: int) -> FloatArray:
+    def S_uncorrected(self, position: int) -> FloatArray:
         """Scores without control over the same window, (n,) [m s]."""
-        result: FloatArray = self.results.S_uncorrected[self.ranking.index[place]]
+        result: FloatArray = self.results.S_uncorrected[self.ranking.index[position]]
         return result
 
-    def metric(self, name: str, place: int) -> float:
+    def metric(self, name: str, position: int) -> float:
         """A metric of a design, in SI units."""
-        return float(self.values(name)[place])
+        return float(self.values(name)[position])
 
     def values(self, name: str) -> FloatArray:
         """A metric of all designs, in the order of the ranking."""
@@ -163,7 +163,7 @@ class Context:
 
     @property
     def model_sentence(self) -> str:
-        """What intervals do not hold: the uncertainty of the scenario model itself."""
+        """The limitation of intervals: they leave out the uncertainty of the scenario model."""
         if self.report.model is None:
             return "Intervals hold for the departures that these scenarios were drawn from, not for other traffic."
         return (
@@ -181,14 +181,14 @@ class Context:
 
 
 def metric_text(name: str, value: float, *, unit: bool = True) -> str:
-    r"""A metric with its own digits, in the unit of the page."""
-    one = metric(name)
-    shown = number(one.scale * value, one.digits)
-    return f"{shown}\u00a0{one.shown_unit}" if unit and one.shown_unit and math.isfinite(value) else shown
+    """A metric with its digits, in the unit of the page."""
+    definition = metric(name)
+    shown = number(definition.scale * value, definition.digits)
+    return f"{shown}\u00a0{definition.shown_unit}" if unit and definition.shown_unit and math.isfinite(value) else shown
 
 
 def side_rows(context: Context) -> Iterator[tuple[str, np.ndarray]]:
-    """Name and rows of each side that there are scenarios of."""
+    """Name and rows of each side with scenarios."""
     for which, name in SIDE_NAMES.items():
         rows = np.flatnonzero(context.scenarios.side == which)
         if rows.size:

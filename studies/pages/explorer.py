@@ -1,4 +1,4 @@
-"""The departures explorer: single departures with every design's path, and the distributions over all of them."""
+"""The departures explorer: single departures with the paths of designs, and distributions over all departures."""
 
 import math
 from collections.abc import Iterator
@@ -29,7 +29,7 @@ _SPANS: Final = (0.5, 1.0, 2.0, 4.0, 6.0, 8.0, 10.0, 15.0, 20.0, 30.0, 50.0, 100
 
 
 def section(context: Context) -> Section:
-    """The section."""
+    """The section on single departures."""
     designs = chosen_designs(context)
     charts = tuple(_distributions(context))
     every = max(1, round(SHORTEST_STEP / context.report.setup.dt))
@@ -57,7 +57,7 @@ def section(context: Context) -> Section:
 
 
 def _data(context: Context, replayed: Replay, every: int) -> dict[str, object]:
-    """What the script draws: numbers as whole steps of `RESOLUTION`, and all text."""
+    """Data of the script: numbers as whole steps of `RESOLUTION`, and all text."""
     step = every * context.report.setup.dt
     recorded = _recorded(replayed, step)
     count, start = [], []
@@ -67,15 +67,15 @@ def _data(context: Context, replayed: Replay, every: int) -> dict[str, object]:
         for k, t in enumerate(paths.t):
             known = t[np.isfinite(t)]
             since = (known - known[:1]) / step
-            kept = np.flatnonzero(np.abs(since - np.rint(since)) * step < 1e-9)
-            count.append(kept.size)
+            on_grid = np.flatnonzero(np.abs(since - np.rint(since)) * step < 1e-9)
+            count.append(on_grid.size)
             start.append(float(known[0]) if known.size else 0.0)
             for name, table in (("y", paths.y), ("delta", angles), ("a_y", paths.a_y)):
-                values[name].append(np.nan_to_num(table[k, kept]))
-    # what was requested comes first, then where the first design acts
+                values[name].append(np.nan_to_num(table[k, on_grid]))
+    # a requested departure opens first, else one where the first design intervenes
     acts = np.isfinite(replayed.paths[0].t).any(axis=1)
     opened = int(np.argmax(acts + np.array([2 * ("requested" in pick.roles) for pick in replayed.picks])))
-    joined = {name: np.concatenate([np.empty(0), *some]) for name, some in values.items()}
+    joined = {name: np.concatenate([np.empty(0), *arrays]) for name, arrays in values.items()}
     return {
         "step": step,
         "open": opened,
@@ -84,18 +84,18 @@ def _data(context: Context, replayed: Replay, every: int) -> dict[str, object]:
         "duration": packed(replayed.scenarios.T),
         "designs": [
             {
-                "name": design_name(context.ranking.designs[one.place]),
-                "why": one.why,
-                "style": context.style(one.place).name,
-                "dash": context.style(one.place).dash,
+                "name": design_name(context.ranking.designs[entry.place]),
+                "why": entry.why,
+                "style": context.style(entry.place).name,
+                "dash": context.style(entry.place).dash,
             }
-            for one in replayed.designs
+            for entry in replayed.designs
         ],
-        "recorded": {name: _whole(some, name) for name, some in recorded.items() if name != "count"}
+        "recorded": {name: _whole(arrays, name) for name, arrays in recorded.items() if name != "count"}
         | {"count": packed(recorded["count"], "i4")},
         "count": packed(count, "i4"),
         "start": packed(start),
-        "paths": {name: _whole(some, name) for name, some in joined.items()},
+        "paths": {name: _whole(arrays, name) for name, arrays in joined.items()},
         "facts": _facts(context, replayed),
         "scales": {
             "t": [_scale(0.0, span) for span in (5.0, 10.0, 20.0, 40.0, 80.0)],
@@ -116,43 +116,43 @@ def _scale(low: float, high: float) -> dict[str, object]:
 
 
 def _around_zero() -> list[dict[str, object]]:
-    """Scales that hold zero, the tightest first: the script takes the first that holds all it draws."""
+    """Scales that contain zero, the tightest first: the script takes the first that contains all its values."""
     ends = [(low, high) for low in (0.0, *_SPANS) for high in (0.0, *_SPANS) if 0.2 * max(low, high) <= min(low, high)]
     return [_scale(-low, high) for low, high in sorted(ends, key=lambda pair: pair[0] + pair[1]) if low + high]
 
 
 def _departure(replayed: Replay, k: int) -> dict[str, str]:
-    some, pick = replayed.scenarios, replayed.picks[k]
-    side = "left" if some.side[k] == LEFT else "right"
+    scenarios, pick = replayed.scenarios, replayed.picks[k]
+    side = "left" if scenarios.side[k] == LEFT else "right"
     roles = f": {', '.join(pick.roles)}" if pick.roles else ""
     facts = (
-        f"T = {number(float(some.T[k]), 1)} s, d_y = {number(float(some.d_y[k]), 2)} m, "
-        f"v = {number(float(some.v_mean[k]), 1)} m/s, curvature "
-        f"{number(1000.0 * float(some.c_0[k]), 2)}\u00b710\u207b\u00b3 1/m"
+        f"T = {number(float(scenarios.T[k]), 1)} s, d_y = {number(float(scenarios.d_y[k]), 2)} m, "
+        f"v = {number(float(scenarios.v_mean[k]), 1)} m/s, curvature "
+        f"{number(1000.0 * float(scenarios.c_0[k]), 2)}\u00b710\u207b\u00b3 1/m"
     )
-    return {"name": f"{some.index[k]}, {side}{roles}", "number": str(int(some.index[k])), "facts": facts}
+    return {"name": f"{scenarios.index[k]}, {side}{roles}", "number": str(int(scenarios.index[k])), "facts": facts}
 
 
 def _recorded(replayed: Replay, step: float) -> dict[str, FloatArray]:
-    some, path = replayed.scenarios, replayed.recorded
-    count = np.ceil(some.T / step - 1e-9).astype(np.int64) + 1
-    t = np.minimum(np.arange(int(count.max())) * step, some.T[:, None])
+    scenarios, path = replayed.scenarios, replayed.recorded
+    count = np.ceil(scenarios.T / step - 1e-9).astype(np.int64) + 1
+    t = np.minimum(np.arange(int(count.max())) * step, scenarios.T[:, None])
     used = np.arange(t.shape[1]) < count[:, None]
     a_y = path.lateral_acceleration(t) + path.speed(t) ** 2 * path.curvature(t)
     return {"count": count.astype(np.float64), "y": path.lateral(t)[used], "a_y": a_y[used]}
 
 
 def _facts(context: Context, replayed: Replay) -> list[list[list[str]]]:
-    """Text of S, reduction, deepest crossing, added acceleration and fate, for every design and departure."""
+    """Text of S, reduction, deepest crossing, added acceleration and status for every design and departure."""
     results, rows = context.results, [pick.row for pick in replayed.picks]
-    every = []
-    for chosen in replayed.designs:
-        i = int(context.ranking.index[chosen.place])
+    texts = []
+    for entry in replayed.designs:
+        i = int(context.ranking.index[entry.place])
         S, S_0 = results.counted[i][rows], results.S_uncorrected[i][rows]
         deepest, a_y = results.metrics.deepest[i][rows], results.metrics.a_y_added_peak[i][rows]
         status = results.status[i][rows]
         saved = 1.0 - np.divide(S, S_0, out=np.ones_like(S), where=S_0 > 0)
-        every.append(
+        texts.append(
             [
                 [
                     number(float(S[k])),
@@ -164,14 +164,14 @@ def _facts(context: Context, replayed: Replay) -> list[list[list[str]]]:
                 for k in range(len(rows))
             ]
         )
-    return every
+    return texts
 
 
 # ------------------------------------------------------------------------------------------------ distributions
 
 
 def _distributions(context: Context) -> Iterator[Chart]:
-    """S of each side, deepest crossing, and what control adds."""
+    """Distributions of S by side, of crossings, and of the acceleration and jerk that control adds."""
     ranking, results = context.ranking, context.results
     shown = context.best_of_each_law[:MOST_CURVES]
     for name, rows in side_rows(context):
@@ -220,10 +220,10 @@ def _curve(
 
 
 def failure_sentences(context: Context) -> Iterator[str]:
-    """Departures in which a law did not do its work, of the shown design and of the best of each law."""
+    """Departures in which a law failed, for the shown design and the best design of each law."""
     results = context.results
-    for place in dict.fromkeys((context.shown, *context.best_of_each_law)):
-        status = results.status[int(context.ranking.index[place])]
+    for position in dict.fromkeys((context.shown, *context.best_of_each_law)):
+        status = results.status[int(context.ranking.index[position])]
         parts = []
         for which in (EventStatus.DIVERGED, EventStatus.SOLVER_FAILED, EventStatus.TIMED_OUT, EventStatus.CRASHED):
             rows = np.flatnonzero(status == which)
@@ -232,11 +232,11 @@ def failure_sentences(context: Context) -> Iterator[str]:
                 more = " and others" if rows.size > 5 else ""
                 parts.append(f"{STATUS_TEXT[which]} in {plural(rows.size, 'departure')} (no. {numbers}{more})")
         if parts:
-            yield f"{design_name(context.ranking.designs[place])}: {'; '.join(parts)}."
+            yield f"{design_name(context.ranking.designs[position])}: {'; '.join(parts)}."
 
 
 def worst_sentence(context: Context) -> str:
-    """How much of S the worst departures make up."""
+    """The share of the worst departures in the sum of S."""
     S = np.sort(context.S(context.shown))[::-1]
     if S.size < 40 or not S.sum() > 0:
         return ""
@@ -248,5 +248,5 @@ def worst_sentence(context: Context) -> str:
 
 
 def failures(context: Context) -> Markup:
-    """The same as paragraphs."""
+    """Paragraphs of failures and of the worst departures."""
     return paragraphs(*failure_sentences(context), worst_sentence(context))

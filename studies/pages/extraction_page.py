@@ -1,4 +1,4 @@
-"""The page of an extraction: what was kept of recordings, what was refused and why, and what it is enough for."""
+"""The page of an extraction: departures of recordings, refused candidates with reasons, and what the data allow."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ if TYPE_CHECKING:
 SIDE: Final = {"left": Style(0, "", "o"), "right": Style(1, "7 3", "s")}
 FIT: Final = Style(-1, "", "|")
 
-FEW: Final = 30  # departures of a side that a fit needs
-MODEL: Final = 150  # departures of a side from which on a fitted model agrees with its recordings
-RARE: Final = 1000  # departures of a side from which on rare ones are known, too
+FEW: Final = 30  # least departures of a side for a fit
+MODEL: Final = 150  # least departures of a side for a model that agrees with its recordings
+RARE: Final = 1000  # least departures of a side for statements about rare departures
 
 MOST_ROWS: Final = 60
 MOST_PROBLEMS: Final = 300
@@ -65,13 +65,13 @@ MEANINGS: Final = {
 
 
 def write_extraction_page(path: str | Path, extraction: Extraction) -> Path:
-    """Write what was found in recordings, and what was refused, as one HTML file that needs nothing else."""
+    """Write the page of an extraction as a self-contained HTML file."""
     write_text(Path(path), extraction_page(extraction))
     return Path(path)
 
 
 def extraction_page(extraction: Extraction) -> str:
-    """The page as one HTML document; the same extraction gives the same text."""
+    """The page as an HTML document; the same extraction gives the same text."""
     accounts, n = extraction.accounts, extraction.departures.n
     rows, whole = by_source(accounts), total(accounts)
     left, right = side_counts(extraction)
@@ -82,7 +82,7 @@ def extraction_page(extraction: Extraction) -> str:
         facts=[
             f"{left:,} left, {right:,} right",
             f"{hours(whole.account.hours_valid if whole else 0.0)} h valid, {extraction.distance / 1000.0:,.0f} km",
-            plural(len({one.origin.source for one in accounts}), "source"),
+            plural(len({account.origin.source for account in accounts}), "source"),
             f"format {extraction.provenance.reader}",
         ],
         sections=[
@@ -107,7 +107,7 @@ def extraction_page(extraction: Extraction) -> str:
 
 @dataclasses.dataclass(frozen=True)
 class SourceRow:
-    """Counts of some recordings: a title, their sum, and the sources or label values that it stands for."""
+    """Counts of a group of recordings: a title, their sum, and the sources or label values in it."""
 
     title: str
     account: Account
@@ -115,7 +115,7 @@ class SourceRow:
 
     @property
     def departures(self) -> tuple[int, int]:
-        """Left and right."""
+        """Departures, left and right."""
         left, right = self.account.departures.tolist()
         return left, right
 
@@ -131,28 +131,28 @@ class SourceRow:
 
 
 def total(accounts: Sequence[Account]) -> SourceRow | None:
-    """All together; None where nothing was read."""
-    joined = combined_accounts(dataclasses.replace(one, origin=Origin()) for one in accounts)
+    """The sum of all accounts; None where nothing was read."""
+    joined = combined_accounts(dataclasses.replace(account, origin=Origin()) for account in accounts)
     return SourceRow("All", joined[0]) if joined else None
 
 
 def by_source(accounts: Sequence[Account], most: int = MOST_ROWS) -> tuple[SourceRow, ...]:
-    """One row a source, in the order of the accounts; beyond `most` the ones with the fewest hours make one row."""
-    return _rows([dataclasses.replace(one, origin=Origin(one.origin.source)) for one in accounts], most)
+    """A row for each source in the order of the accounts; beyond `most`, those with the fewest hours share a row."""
+    return _rows([dataclasses.replace(account, origin=Origin(account.origin.source)) for account in accounts], most)
 
 
 def by_label(accounts: Sequence[Account], name: str, most: int = MOST_ROWS) -> tuple[SourceRow, ...]:
-    """One row a value of a label, D2 before D10; recordings without it come last. `most` as in `by_source`."""
+    """A row for each value of a label, D2 before D10; recordings without it come last. `most` is as in `by_source`."""
 
-    def value(one: Account) -> str:
-        return next((label.value for label in one.origin.labels if label.name == name), "")
+    def value(account: Account) -> str:
+        return next((label.value for label in account.origin.labels if label.name == name), "")
 
-    valued = [dataclasses.replace(one, origin=Origin(value(one))) for one in accounts]
-    return _rows(sorted(valued, key=lambda one: (not one.origin.source, _natural(one.origin.source))), most)
+    valued = [dataclasses.replace(account, origin=Origin(value(account))) for account in accounts]
+    return _rows(sorted(valued, key=lambda account: (not account.origin.source, _natural(account.origin.source))), most)
 
 
 def _natural(text: str) -> list[tuple[int, int, str]]:
-    """Sorts runs of digits as numbers, however long."""
+    """Sort key that compares runs of digits as numbers of any length."""
     parts = re.split("0*([0-9]+)", text)
     return [(1, 0, part) if k % 2 == 0 else (0, len(part), part) for k, part in enumerate(parts)]
 
@@ -163,14 +163,14 @@ def _rows(accounts: Sequence[Account], most: int) -> tuple[SourceRow, ...]:
     if len(joined) > most:
         longest = set(sorted(longest, key=lambda i: -joined[i].read_ns)[: most - 1])
     rows = [
-        SourceRow(one.origin.source or NOT_KNOWN, one, (one.origin.source,))
-        for i, one in enumerate(joined)
+        SourceRow(account.origin.source or NOT_KNOWN, account, (account.origin.source,))
+        for i, account in enumerate(joined)
         if i in longest
     ]
-    rest = [one for i, one in enumerate(joined) if i not in longest]
+    rest = [account for i, account in enumerate(joined) if i not in longest]
     if rest:
-        (gathered,) = combined_accounts(dataclasses.replace(one, origin=Origin()) for one in rest)
-        rows.append(SourceRow(f"{len(rest):,} more", gathered, tuple(one.origin.source for one in rest)))
+        (gathered,) = combined_accounts(dataclasses.replace(account, origin=Origin()) for account in rest)
+        rows.append(SourceRow(f"{len(rest):,} more", gathered, tuple(account.origin.source for account in rest)))
     return tuple(rows)
 
 
@@ -205,7 +205,7 @@ def size(count: int) -> str:
 
 
 def extraction_verdict(left: int, right: int) -> str:
-    """What the departures are enough for, by the side with fewer."""
+    """What the departures allow, judged by the side with fewer."""
     least, side = (left, "left") if left <= right else (right, "right")
     counted = f"{least:,} {side}"
     if not left + right:
@@ -247,12 +247,12 @@ def _verdict(extraction: Extraction, whole: SourceRow | None) -> Section:
     if problems:
         first = f", the first {MOST_PROBLEMS} of {len(problems):,}" if len(problems) > MOST_PROBLEMS else ""
         rows = [
-            Row((shorten(one.file, 300), shorten(one.place, 300), shorten(one.what, 1000)))
-            for one in problems[:MOST_PROBLEMS]
+            Row((shorten(problem.file, 300), shorten(problem.place, 300), shorten(problem.what, 1000)))
+            for problem in problems[:MOST_PROBLEMS]
         ]
         columns = [Column("File", text=True), Column("Place", text=True), Column("What", text=True)]
-        found = to_html(Table(f"What could not be used, or only in part{first}", columns, rows))
-        body += found if len(rows) <= 10 else details(f"{plural(len(problems), 'problem')} with the files", found)
+        table = to_html(Table(f"What could not be used, or only in part{first}", columns, rows))
+        body += table if len(rows) <= 10 else details(f"{plural(len(problems), 'problem')} with the files", table)
     else:
         body += paragraphs("No problems: every file was read whole.")
     return Section("verdict", "Verdict", body, printed=True)
@@ -263,7 +263,7 @@ def _read(extraction: Extraction) -> Section:
     body = pairs(facts(extraction))
     if sources:
         columns = [Column("File", text=True), Column("Size"), Column("SHA-256", text=True)]
-        rows = [Row([shorten(one.name, 300), size(one.bytes), one.sha256[:12]]) for one in sources[:MOST_FILES]]
+        rows = [Row([shorten(file.name, 300), size(file.bytes), file.sha256[:12]]) for file in sources[:MOST_FILES]]
         first = f", the first {MOST_FILES}" if len(sources) > MOST_FILES else ""
         title = f"{plural(len(sources), 'file')}{first}; twelve digits of each SHA-256"
         body += details("Files", to_html(Table(title, columns, rows)))
@@ -278,10 +278,10 @@ def facts(extraction: Extraction) -> list[tuple[str, str]]:
     valid = origin.samples - origin.invalid_samples
     width = f"{compact(criteria.vehicle_width)} m"
     if reader is not None:
-        own = criteria.vehicle_width == reader.vehicle_width
+        is_default = criteria.vehicle_width == reader.vehicle_width
         width += (
             f", the default of {reader.name}"
-            if own
+            if is_default
             else f", given by the user; {reader.name} takes {compact(reader.vehicle_width)} m by itself"
         )
     step = "as recorded"
@@ -314,7 +314,7 @@ def facts(extraction: Extraction) -> list[tuple[str, str]]:
 def _reader(name: str) -> RecordingReader | CombinedReader | None:
     try:
         readers = tuple(map(recording_reader, name.split(" + ")))
-    except LdcError:  # a reader that is not installed here: its defaults are not known
+    except LdcError:  # the defaults of a reader that is not installed are unknown
         return None
     return readers[0] if len(readers) == 1 else CombinedReader(readers)
 
@@ -324,14 +324,14 @@ def _nominal(extraction: Extraction) -> str:
     if nominal is None:
         return "none: lanes as recorded"
     text = f"{compact(nominal)} m: offset and width of each recording scaled to it"
-    scales = next((one.values for one in extraction.departures.extra if one.name == SCALE), np.empty(0))
+    scales = next((column.values for column in extraction.departures.extra if column.name == SCALE), np.empty(0))
     if scales.size and scales.dtype.kind == "f":
         text += f", by factors of {scales.min():.3f} to {scales.max():.3f} where there are departures"
     return text
 
 
 def curvature_text(extraction: Extraction) -> str:
-    """Where the curvature comes from; a source that records 0 everywhere records none."""
+    """The source of the curvature; one that records 0 everywhere counts as no source."""
     origin, departures = extraction.provenance, extraction.departures
     text = {
         "measured": "recorded by the source",
@@ -364,7 +364,7 @@ def _amounts_section(extraction: Extraction, whole: SourceRow | None, rows: Sequ
     if whole is None:
         return Section("sides", "Hours and departures", paragraphs("Nothing was read from these recordings."))
     body = _amounts(rows, "Source", whole if len(rows) > 1 else None)
-    names = tuple(dict.fromkeys(label.name for one in extraction.accounts for label in one.origin.labels))
+    names = tuple(dict.fromkeys(label.name for account in extraction.accounts for label in account.origin.labels))
     for name in names[:MOST_LABELS]:
         body += _amounts(by_label(extraction.accounts, name), printable(name).capitalize())
     if len(names) > MOST_LABELS:
@@ -421,10 +421,10 @@ def _parameters(extraction: Extraction, rows: Sequence[SourceRow]) -> Section:
         edges = np.linspace(low, high, int(np.clip(3 * np.cbrt(known.size), 8, MOST_BINS)) + 1)
         shares, cells = [], list[float]()
         for side, which in (("left", LEFT), ("right", RIGHT)):
-            own = values[departures.side == which]
-            cells += np.quantile(own, (0.05, 0.5, 0.95)).tolist() if own.size else [math.nan] * 3
-            if own.size:
-                shares.append((side, 100.0 * np.histogram(own, edges)[0] / own.size, SIDE[side]))
+            side_values = values[departures.side == which]
+            cells += np.quantile(side_values, (0.05, 0.5, 0.95)).tolist() if side_values.size else [math.nan] * 3
+            if side_values.size:
+                shares.append((side, 100.0 * np.histogram(side_values, edges)[0] / side_values.size, SIDE[side]))
         title = f"{name}, {PARAMETER_MEANINGS[name]}"
         charts.append(bars(f"parameter-{name}", title, edges, shares, parameter_label(name), "Share per bin [%]"))
         lines.append(Row([f"{parameter_label(name)}: {PARAMETER_MEANINGS[name]}", *cells]))
@@ -450,13 +450,13 @@ def _parameters(extraction: Extraction, rows: Sequence[SourceRow]) -> Section:
 
 def _medians(extraction: Extraction, rows: Sequence[SourceRow]) -> Markup:
     departures = extraction.departures
-    column = next((one.values for one in departures.extra if one.name == SOURCE), None)
+    column = next((extra.values for extra in departures.extra if extra.name == SOURCE), None)
     source = np.full(departures.n, "", dtype=object) if column is None else column.astype(str)
     out = []
     for row in rows:
-        own = np.isin(source, row.sources)
-        medians = [float(np.median(getattr(departures, n)[own])) if own.any() else math.nan for n in PARAMETER_NAMES]
-        out.append(Row([shorten(row.title, 200), int(own.sum()), *medians]))
+        mask = np.isin(source, row.sources)
+        medians = [float(np.median(getattr(departures, n)[mask])) if mask.any() else math.nan for n in PARAMETER_NAMES]
+        out.append(Row([shorten(row.title, 200), int(mask.sum()), *medians]))
     columns = [Column("Source", text=True), Column("Departures")]
     columns += [Column(parameter_label(name), form=".3g") for name in PARAMETER_NAMES]
     return to_html(Table("Medians of both sides", columns, out))

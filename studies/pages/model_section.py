@@ -1,4 +1,4 @@
-"""The scenario model: whether the study's departures are like the model and like those that it was fitted to."""
+"""The scenario model: distances of the study's departures from the model and from its source departures."""
 
 import dataclasses
 import math
@@ -19,28 +19,28 @@ from ..text import compact, figure, parameter_label, percent, plural
 from .context import Context
 from .shell import Section, bullets, details, paragraphs
 
-LEAST: Final = 30  # source departures that a comparison needs, as a fit does
+LEAST: Final = 30  # source departures for a comparison, as for a fit
 
 _DRAWN: Final = 40_000
-_KNOTS: Final = 4  # of a marginal distribution: its error of 0.0008 is far below what chance makes in any study
+_KNOTS: Final = 4  # of a marginal distribution: its error of 0.0008 is far below the sampling error of any study
 
 
 @dataclasses.dataclass(frozen=True)
 class Gap:
-    """A Kolmogorov distance beside the one that chance exceeds in 5 % of cases in one of the parameters or more."""
+    """A Kolmogorov distance and its critical value of 5 %, simultaneous over the parameters."""
 
     value: float
     limit: float
 
     @property
     def beyond(self) -> bool:
-        """Whether it is more than chance."""
+        """Whether the distance exceeds sampling error."""
         return self.value > self.limit
 
 
 @dataclasses.dataclass(frozen=True)
 class ParameterMatch:
-    """One parameter: medians of the generated and of the source departures, and how far they are apart."""
+    """A parameter: medians of generated and source departures, and distances to the model and to the source."""
 
     name: str
     median: float
@@ -51,7 +51,7 @@ class ParameterMatch:
 
 @dataclasses.dataclass(frozen=True)
 class SideMatch:
-    """One side: number of generated and of source departures, its parameters, and why there is no source."""
+    """A side: numbers of generated and source departures, its parameters, and why there is no source."""
 
     key: str
     generated: int
@@ -63,7 +63,7 @@ class SideMatch:
 def match(
     scenarios: Scenarios, model: ScenarioModel | None, *, source: Departures | None = None, given: Given | None = None
 ) -> tuple[SideMatch, ...]:
-    """Compare generated departures with the model, and with what it was fitted to."""
+    """Compare generated departures with the model and with its source departures."""
     limits = conditions(given)
     return tuple(
         _side(key, side, scenarios.take(np.flatnonzero(scenarios.side == side)), model, source, limits)
@@ -78,7 +78,7 @@ def _side(
 ) -> SideMatch:  # fmt: skip
     side_model = None if model is None else (model.left_side if side == LEFT else model.right_side)
     fitted = None if model is None else (model.provenance.left if side == LEFT else model.provenance.right)
-    single = {one.name for one in limits if one.low == one.high}
+    single = {condition.name for condition in limits if condition.low == condition.high}
     varies = (
         side_model.names
         if side_model is not None
@@ -104,13 +104,13 @@ def _source(
     side: int, names: tuple[str, ...], table: Departures | None, fitted: SideSummary | None,
     limits: tuple[Condition, ...],
 ) -> tuple[dict[str, tuple[FloatArray, FloatArray]], int | None, float, str]:  # fmt: skip
-    """Quantiles of each parameter with their shares, the number of departures, its effective one, why there is none."""
+    """Quantiles of each parameter with shares, nominal and effective number of departures, or why there are none."""
     if table is not None:
         rows = table.take(table.side == side)
         keep = np.ones(rows.n, dtype=np.bool_)
-        for one in limits:
-            column = getattr(rows, one.name)
-            keep &= (column >= one.low) & (column <= one.high)
+        for condition in limits:
+            column = getattr(rows, condition.name)
+            keep &= (column >= condition.low) & (column <= condition.high)
         rows = rows.take(keep)
         if rows.n < LEAST:
             under = " that meet the study\u2019s conditions" if limits else ""
@@ -142,7 +142,7 @@ def _source(
 
 
 def _margins(side_model: SideModel, limits: tuple[Condition, ...], key: str) -> dict[str, ModelMarginal]:
-    """Marginal distributions of a side's mixture under the conditions; nothing where all values are given."""
+    """Marginal distributions of a side's mixture under the conditions; empty where these fix all values."""
     columns = mixture_conditions(limits, side_model, key)
     distribution = side_model.mixture.distribution
     if columns:
@@ -163,7 +163,7 @@ def _to_model(x: FloatArray, model: ModelMarginal) -> float:
 
 
 def _to_quantiles(x: FloatArray, at: FloatArray, share: FloatArray) -> float:
-    """The same from quantiles with their shares, at these."""
+    """Kolmogorov distance of ordered values from quantiles with their shares, at these quantiles."""
     return float(np.abs(np.searchsorted(x, at, side="right") / x.size - share).max())
 
 
@@ -171,7 +171,7 @@ def _to_quantiles(x: FloatArray, at: FloatArray, share: FloatArray) -> float:
 
 
 def section(context: Context) -> Section:
-    """The section."""
+    """The section on the scenario model."""
     report = context.report
     matches = match(context.scenarios, report.model, source=report.source_departures, given=report.given)
     body = paragraphs(*_sentences(context, matches)) + details("Parameter by parameter", to_html(_table(matches)))
@@ -191,8 +191,8 @@ def _sentences(context: Context, matches: tuple[SideMatch, ...]) -> Iterator[str
         yield f"Under the conditions: {', '.join(f'{name} {_range(value)}' for name, value in report.given.items())}."
     for side in matches:
         for what, gaps in (
-            ("the model", {one.name: one.to_model for one in side.parameters if one.to_model}),
-            ("the source departures", {one.name: one.to_source for one in side.parameters if one.to_source}),
+            ("the model", {row.name: row.to_model for row in side.parameters if row.to_model}),
+            ("the source departures", {row.name: row.to_source for row in side.parameters if row.to_source}),
         ):
             if not gaps:
                 continue
@@ -222,10 +222,10 @@ def _table(matches: tuple[SideMatch, ...]) -> Table:
     ]  # fmt: skip
     rows = []
     for side in matches:
-        for one in side.parameters:
+        for row in side.parameters:
             gaps = (
                 Cell(math.nan if gap is None else 100.0 * gap.value, bad=gap is not None and gap.beyond)
-                for gap in (one.to_model, one.to_source)
+                for gap in (row.to_model, row.to_source)
             )
-            rows.append(Row([parameter_label(one.name), side.key, one.median, one.source_median, *gaps]))
+            rows.append(Row([parameter_label(row.name), side.key, row.median, row.source_median, *gaps]))
     return Table("Kolmogorov distances; highlighted: beyond sampling error", columns, rows)

@@ -1,4 +1,4 @@
-"""Departures and designs of the explorer: which ones, by a stated rule, and their motion, driven again."""
+"""Departures and designs of the explorer: their selection by a stated rule, and their simulated motion."""
 
 import dataclasses
 import hashlib
@@ -33,15 +33,15 @@ STATUS_TEXT: Final = {
     EventStatus.CRASHED: "the law crashed",
     EventStatus.BEYOND_DELTA_MAX: "taken over beyond delta_max, driven to the end",
 }
-"""What became of a departure, for people."""
+"""The status of a departure in words."""
 
 _NOT_AGAIN: Final = (EventStatus.TIMED_OUT, EventStatus.CRASHED)
 _GOLDEN: Final = 0.6180339887498949
-"""Multiples of it, without their whole parts, are spread evenly wherever they are cut off."""
+"""Fractional parts of its first multiples are spread evenly for every number of multiples."""
 
 
 def rows_of_numbers(scenarios: Scenarios, numbers: Sequence[int]) -> tuple[int, ...]:
-    """Rows of the scenarios with these numbers, each once."""
+    """Rows of the scenarios with these numbers, without repetitions."""
     rows = []
     for number in numbers:
         matching = np.flatnonzero(scenarios.index == number)
@@ -56,7 +56,7 @@ def rows_of_numbers(scenarios: Scenarios, numbers: Sequence[int]) -> tuple[int, 
 
 @dataclasses.dataclass(frozen=True)
 class Chosen:
-    """One design of the explorer: its place in the ranking, and why it is there."""
+    """A design of the explorer: its position in the ranking, and the reason for its selection."""
 
     place: int
     why: str
@@ -64,7 +64,7 @@ class Chosen:
 
 @dataclasses.dataclass(frozen=True)
 class Pick:
-    """One departure of the explorer: its row, and why it is there; empty for those that are spread over S."""
+    """A departure of the explorer: its row, and its roles; those that are spread over S have none."""
 
     row: int
     roles: tuple[str, ...]
@@ -73,28 +73,28 @@ class Pick:
 def chosen_designs(context: Context) -> tuple[Chosen, ...]:
     """The shown design, those requested, the baseline, the best of each law, Table I, the second of the ranking."""
     ranking = context.ranking
-    wanted = named_designs(ranking.designs, context.report.shown_designs)
+    requested = named_designs(ranking.designs, context.report.shown_designs)
     paper = [i for i, design in enumerate(ranking.designs) if is_paper_design(design)]
-    own = [i for i, design in enumerate(ranking.designs) if design.law == PAPER_LAW][:1]
+    paper_law = [i for i, design in enumerate(ranking.designs) if design.law == PAPER_LAW][:1]
     reasons = (
         (context.shown_name.removeprefix("the "), [context.shown]),
-        ("requested", [ranking.designs.index(one) for one in wanted]),
+        ("requested", [ranking.designs.index(design) for design in requested]),
         ("baseline", [] if ranking.baseline is None else [ranking.baseline]),
-        ("best of its law", [*context.best_of_each_law[1:6], *own]),
+        ("best of its law", [*context.best_of_each_law[1:6], *paper_law]),
         ("Table I of the paper", paper),
         ("second of the ranking", [1] if len(ranking) > 1 else []),
     )
-    kept: dict[int, Chosen] = {}
-    for why, places in reasons:
-        for place in places:
-            passive = ranking.designs[place].is_baseline and place != context.shown
-            if not passive and (why == "requested" or len(kept) < MOST_DESIGNS):
-                kept.setdefault(place, Chosen(place, why))
-    return tuple(kept.values())
+    selection: dict[int, Chosen] = {}
+    for why, positions in reasons:
+        for position in positions:
+            passive = ranking.designs[position].is_baseline and position != context.shown
+            if not passive and (why == "requested" or len(selection) < MOST_DESIGNS):
+                selection.setdefault(position, Chosen(position, why))
+    return tuple(selection.values())
 
 
 def picked_departures(context: Context, designs: Sequence[Chosen], count: int = COUNT) -> tuple[Pick, ...]:
-    """Departures requested, then those with a name, then others evenly over the ranks of S."""
+    """The requested departures, then those with a role, then others evenly over the ranks of S."""
     n = context.scenarios.n
     roles: dict[int, list[str]] = {}
     for row in rows_of_numbers(context.scenarios, context.report.departures):
@@ -107,33 +107,33 @@ def picked_departures(context: Context, designs: Sequence[Chosen], count: int = 
     ranks = ranks[np.argsort((np.arange(ranks.size) * _GOLDEN) % 1.0, kind="stable")]
     for row in order[ranks].tolist():
         roles.setdefault(row, [])
-    return tuple(Pick(row, tuple(some)) for row, some in roles.items())
+    return tuple(Pick(row, tuple(names)) for row, names in roles.items())
 
 
 def _named(context: Context, designs: Sequence[Chosen]) -> list[tuple[int, str]]:
-    """What a reader wants to see of the first design: its failures, worst, median and best departures of each side."""
-    results, place = context.results, designs[0].place
-    index, S = int(context.ranking.index[place]), context.S(place)
+    """Rows and roles: failures of all designs, then extreme and median departures of the first design on each side."""
+    results, position = context.results, designs[0].place
+    index, S = int(context.ranking.index[position]), context.S(position)
     deepest, a_y = results.metrics.deepest[index], results.metrics.a_y_added_peak[index]
     acted = results.status[index] != EventStatus.NEVER_TRIGGERED
-    found = []
-    for chosen in designs:
-        status = results.status[int(context.ranking.index[chosen.place])]
+    named = []
+    for entry in designs:
+        status = results.status[int(context.ranking.index[entry.place])]
         rows = np.flatnonzero(np.isin(status, FAILED_STATUSES))
         if rows.size:
-            design = context.ranking.designs[chosen.place]
-            found.append((int(rows[0]), f"{STATUS_TEXT[EventStatus(int(status[rows[0]]))]} ({design.law})"))
+            design = context.ranking.designs[entry.place]
+            named.append((int(rows[0]), f"{STATUS_TEXT[EventStatus(int(status[rows[0]]))]} ({design.law})"))
     for side, name in ((LEFT, "left"), (RIGHT, "right")):
-        some = np.flatnonzero(context.scenarios.side == side)
-        if not some.size:
+        side_rows = np.flatnonzero(context.scenarios.side == side)
+        if not side_rows.size:
             continue
-        order = some[np.argsort(S[some], kind="stable")]
-        found += [(int(order[-1]), f"largest S, {name}"), (int(order[(order.size - 1) // 2]), f"median S, {name}")]
-        found += [(int(some[np.argmax(deepest[some])]), f"deepest, {name}")]
-        driven = some[acted[some] & np.isfinite(a_y[some])]
+        order = side_rows[np.argsort(S[side_rows], kind="stable")]
+        named += [(int(order[-1]), f"largest S, {name}"), (int(order[(order.size - 1) // 2]), f"median S, {name}")]
+        named += [(int(side_rows[np.argmax(deepest[side_rows])]), f"deepest, {name}")]
+        driven = side_rows[acted[side_rows] & np.isfinite(a_y[side_rows])]
         if driven.size:
-            found.append((int(driven[np.argmax(a_y[driven])]), f"largest added a_y, {name}"))
-    return found
+            named.append((int(driven[np.argmax(a_y[driven])]), f"largest added a_y, {name}"))
+    return named
 
 
 # ------------------------------------------------------------------------------------------------ driven again
@@ -141,7 +141,7 @@ def _named(context: Context, designs: Sequence[Chosen]) -> list[tuple[int, str]]
 
 @dataclasses.dataclass(frozen=True)
 class DesignPaths:
-    """One design on the p picked departures; arrays (p, k), NaN after the end and where there is no path."""
+    """A design on the p picked departures; arrays (p, k), NaN after the end and where there is no path."""
 
     t: FloatArray  # [s] Time since the crossing: the controller's samples from the trigger on, T, and the end
     y: FloatArray  # [m] Edge beyond the line, outward
@@ -151,7 +151,7 @@ class DesignPaths:
 
 @dataclasses.dataclass(frozen=True)
 class Replay:
-    """Departures that were driven again; `mismatch` is the largest relative difference of a score to the stored one."""
+    """Simulated departures; `mismatch` is the largest relative difference between a new and a stored score."""
 
     picks: tuple[Pick, ...]
     designs: tuple[Chosen, ...]
@@ -162,16 +162,16 @@ class Replay:
 
 
 def replay(context: Context, picks: tuple[Pick, ...], designs: tuple[Chosen, ...]) -> Replay:
-    """Paths of designs, with the vehicle, plant, seed and clock of the study: driven once, then those of its folder."""
+    """Paths of designs with vehicle, plant, seed and clock of the study: simulated once, then read from its folder."""
     scenarios = context.scenarios.take([pick.row for pick in picks])
     setup, names = context.report.setup, [field.name for field in dataclasses.fields(DesignPaths)]
-    ids = [context.ranking.designs[chosen.place].id for chosen in designs]
+    ids = [context.ranking.designs[entry.place].id for entry in designs]
 
     def drive_all() -> dict[str, FloatArray]:
         arrays: dict[str, FloatArray] = {}
         off = [0.0]
-        for id, chosen in zip(ids, designs, strict=True):
-            paths, mismatch = _driven(context, picks, scenarios, chosen)
+        for id, entry in zip(ids, designs, strict=True):
+            paths, mismatch = _driven(context, picks, scenarios, entry)
             arrays |= {f"{id} {name}": getattr(paths, name) for name in names}
             off.append(mismatch)
         return arrays | {"mismatch": np.array(max(off))}
@@ -185,25 +185,25 @@ def replay(context: Context, picks: tuple[Pick, ...], designs: tuple[Chosen, ...
 
 
 def _driven(
-    context: Context, picks: tuple[Pick, ...], scenarios: Scenarios, chosen: Chosen
+    context: Context, picks: tuple[Pick, ...], scenarios: Scenarios, entry: Chosen
 ) -> tuple[DesignPaths, float]:
-    setup, results, design = context.report.setup, context.results, context.ranking.designs[chosen.place]
-    index = int(context.ranking.index[chosen.place])
+    setup, results, design = context.report.setup, context.results, context.ranking.designs[entry.place]
+    index = int(context.ranking.index[entry.place])
     rows = np.array([pick.row for pick in picks], dtype=np.int64)
-    again = ~np.isin(results.status[index][rows], _NOT_AGAIN)
-    if design.batch < Controller.batch:  # a law that takes long says so by a small batch
-        again[design.batch :] = False
-    driven_rows = np.flatnonzero(again)
-    nothing = DesignPaths(*(np.full((len(picks), 0), np.nan) for _ in range(4)))
+    to_drive = ~np.isin(results.status[index][rows], _NOT_AGAIN)
+    if design.batch < Controller.batch:  # slow laws declare a small batch
+        to_drive[design.batch :] = False
+    driven_rows = np.flatnonzero(to_drive)
+    no_paths = DesignPaths(*(np.full((len(picks), 0), np.nan) for _ in range(4)))
     if not driven_rows.size:
-        return nothing, 0.0
+        return no_paths, 0.0
     over = Takeover.build(scenarios.take(driven_rows), setup, y_s=design.y_s)
     outcome = drive(design.controller(setup.convention), over, trajectories=True).outcome(results.window)
     stored = results.S[index][rows[driven_rows]]
     off = float(np.max(np.abs(outcome.S - stored) / np.maximum(np.abs(stored), 1e-9)))
     paths = outcome.trajectories
     if paths is None:  # the law never intervenes
-        return nothing, off
+        return no_paths, off
     t, y, delta, a_y = (np.full((len(picks), paths.t.shape[1]), np.nan) for _ in range(4))
     t[driven_rows], delta[driven_rows] = paths.t, paths.delta
     y[driven_rows] = paths.x[:, :, 0] - setup.vehicle.edge_offset
@@ -213,18 +213,16 @@ def _driven(
     return DesignPaths(t, y, delta, a_y), off
 
 
-def path_acceleration(over: Takeover, places: IntArray, t: FloatArray, x: FloatArray, delta: FloatArray) -> FloatArray:
-    """Lateral acceleration of driven paths just after each sample: the axles' forces over the mass, true vehicles."""
-    # after the trigger the loop drives the fitted speed and curvature, of recorded paths too
-    path, cars = dataclasses.replace(over.driven.take(places), recorded=None), over.vehicles
+def path_acceleration(over: Takeover, rows: IntArray, t: FloatArray, x: FloatArray, delta: FloatArray) -> FloatArray:
+    """Lateral acceleration just after each sample of driven paths: axle forces over the mass of the true vehicles."""
+    # after the trigger the loop follows fitted speed and curvature, even where the path is recorded
+    path, cars = dataclasses.replace(over.driven.take(rows), recorded=None), over.vehicles
     known = np.isfinite(t)
     times = np.where(known, t, 0.0)
     zero = 0.0 * times
-    v = path.speed(times) if over.setup.options.speed == "profile" else over.plant.v[places][:, None] + zero
+    v = path.speed(times) if over.setup.options.speed == "profile" else over.plant.v[rows][:, None] + zero
     lane = v * path.curvature(times)
-    m, I_z, C_af, C_ar, mu = (
-        getattr(cars, name)[places][:, None] + zero for name in ("m", "I_z", "C_af", "C_ar", "mu")
-    )
+    m, I_z, C_af, C_ar, mu = (getattr(cars, name)[rows][:, None] + zero for name in ("m", "I_z", "C_af", "C_ar", "mu"))
     rate, heading, turning = x[..., 1], x[..., 2], x[..., 3]
     if over.setup.options.tyres.ideal:
         v_y, omega = rate - v * heading, turning + lane

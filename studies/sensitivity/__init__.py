@@ -1,1 +1,1 @@
-"""Which gain matters."""
+"""Sensitivity of mean S to gains and thresholds."""

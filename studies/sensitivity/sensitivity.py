@@ -22,31 +22,31 @@ from ..study_file import Study
 
 Method = Literal["factorial", "saltelli", "rbd_fast"]
 
-_SAME = 1e-6  # differences of mean S [m s] below this are solver tolerance: there is no variance to share out
+_SAME = 1e-6  # differences of mean S [m s] below this are solver tolerance, not variance
 _MOST_MEANS = 20_000_000  # resampled means held at once (160 MB)
 
 _MOST_PRODUCTS = 20_000_000_000
-"""Scores times resamples of one grid: some seconds. 5,000 designs on 10,000 scenarios get 400 resamples."""
+"""Scores times resamples of a grid: a few seconds. 5,000 designs on 10,000 scenarios get 400 resamples."""
 
-_SALIB_SAMPLES = 200  # resamples behind an interval of a sample's index: it is a standard error, which needs no more
+_SALIB_SAMPLES = 200  # resamples of the interval of a sample's index: a standard error needs no more
 
 
 @dataclasses.dataclass(frozen=True)
 class BlockSensitivity:
-    """Sobol indices of mean S over the designs of one law in one ``[[design]]`` table, or why there are none."""
+    """Sobol indices of mean S over the designs of a law in a ``[[design]]`` table, or the reason for their absence."""
 
     block: int  # Position of the table in the study file, from 0
     law: str  # Registry name
     names: tuple[str, ...]  # The k dimensions that vary, ``"y_s"`` and gains
-    designs: int  # How many designs the indices come from
-    method: Method | None = None  # How they were found; None where there are none
+    designs: int  # Number of designs behind the indices
+    method: Method | None = None  # None where there are no indices
     indices: Indices | None = None
-    reason: str = ""  # Why there are none; empty otherwise
-    note: str = ""  # What a reader must know of them; may be empty
+    reason: str = ""  # Why there are no indices; empty otherwise
+    note: str = ""  # What a reader must know of the indices; may be empty
 
     @property
     def interval_over(self) -> str:
-        """What the intervals are taken over: ``"scenarios"`` of a grid, ``"designs"`` of a sample."""
+        """The population of the intervals: ``"scenarios"`` of a grid, ``"designs"`` of a sample."""
         return {"factorial": "scenarios", None: ""}.get(self.method, "designs")
 
 
@@ -82,19 +82,19 @@ def sensitivity(results: StudyResults, study: Study) -> tuple[BlockSensitivity, 
 
 def _of_block(results: StudyResults, study: Study, number: int, block: DesignBlock, law: int) -> BlockSensitivity:
     space, side = block.space()[law], results.scenarios.side
-    found = BlockSensitivity(number, space.law, space.varying, 0)
+    result = BlockSensitivity(number, space.law, space.varying, 0)
     try:
         if study.search is not None:
             raise LdcError("a search asks for designs where S is small; they are no sample of the space")
         sample = None if block.sample is None else block.samples()[law]
         designs = tuple(space.grid()) if sample is None else sample.designs
-        kept = _with_results(results, designs, some=block.sample is not None and block.sample.method != "saltelli")
+        scored = _with_results(results, designs, partial=block.sample is not None and block.sample.method != "saltelli")
         row = {design.id: i for i, design in enumerate(results.designs)}
-        rows = np.array([row[designs[i].id] for i in kept], dtype=np.int64)
+        rows = np.array([row[designs[i].id] for i in scored], dtype=np.int64)
         S, confidence = row_means(results.counted, rows), study.ranking.confidence
         if np.ptp(S) <= _SAME:
             raise LdcError("all its designs have the same mean S; there is no variance to share out")
-        found = dataclasses.replace(found, designs=len({designs[i].id for i in kept}))
+        result = dataclasses.replace(result, designs=len({designs[i].id for i in scored}))
         if sample is None or block.sample is None:
             levels = _levels(designs, space.varying)
             bound = min(_MOST_MEANS // S.size, _MOST_PRODUCTS // (S.size * side.size))
@@ -103,31 +103,31 @@ def _of_block(results: StudyResults, study: Study, number: int, block: DesignBlo
             means += S
             indices = factorial_indices(S, means, levels, confidence=confidence)
             note = "exact for the grid's points, every one as likely as the others"
-            return dataclasses.replace(found, method="factorial", indices=indices, note=note)
+            return dataclasses.replace(result, method="factorial", indices=indices, note=note)
         if block.sample.method == "saltelli":
             indices = saltelli_indices(S, len(space.varying), confidence=confidence, seed=study.seed)
-            return dataclasses.replace(found, method="saltelli", indices=indices)
+            return dataclasses.replace(result, method="saltelli", indices=indices)
         note = 'first order only; total indices need a full grid or sample.method = "saltelli"'
-        note += f"; {len(designs) - len(kept)} failed designs are left out" if len(kept) < len(designs) else ""
-        indices = rbd_fast_indices(sample.shares[kept], S, confidence=confidence, seed=study.seed)
-        return dataclasses.replace(found, method="rbd_fast", indices=indices, note=note)
+        note += f"; {len(designs) - len(scored)} failed designs are left out" if len(scored) < len(designs) else ""
+        indices = rbd_fast_indices(sample.shares[scored], S, confidence=confidence, seed=study.seed)
+        return dataclasses.replace(result, method="rbd_fast", indices=indices, note=note)
     except LdcError as error:
-        return dataclasses.replace(found, reason=str(error))
+        return dataclasses.replace(result, reason=str(error))
 
 
-def _with_results(results: StudyResults, designs: Sequence[Design], *, some: bool) -> list[int]:
-    """Positions of the designs with results: all of them, unless a few that failed may be left out."""
+def _with_results(results: StudyResults, designs: Sequence[Design], *, partial: bool) -> list[int]:
+    """Positions of the designs with results; only failed designs may lack them, and only if that is allowed."""
     known = {design.id for design in results.designs}
-    failed = {one.design.id for one in results.failed}
+    failed = {failure.design.id for failure in results.failed}
     ids = [design.id for design in designs]
-    lost = set(ids) - known
-    if lost and not (some and lost <= failed):
-        raise LdcError(f"{len(lost)} of its {len(set(ids))} designs have no results; indices need all of them")
+    missing = set(ids) - known
+    if missing and not (partial and missing <= failed):
+        raise LdcError(f"{len(missing)} of its {len(set(ids))} designs have no results; indices need all of them")
     return [i for i, name in enumerate(ids) if name in known]
 
 
 def _levels(designs: Sequence[Design], names: Sequence[str]) -> tuple[int, ...]:
-    """How many values each dimension of a full grid takes."""
+    """Number of values of each dimension of a full grid."""
     columns = [[gain_value(design, name) for design in designs] for name in names]
     positions = [{value: i for i, value in enumerate(dict.fromkeys(column))} for column in columns]
     levels = tuple(len(position) for position in positions)
@@ -141,26 +141,25 @@ LEAST_RBD_FAST = 64
 """Designs below which RBD-FAST is not used: its harmonics, and its interval from halves of the sample, need room."""
 
 _HARMONICS = 6
-"""Of RBD-FAST: with ten, its error on 64 designs is half as large again, and from 256 on there is no difference."""
+"""Harmonics of RBD-FAST: with ten its error on 64 designs is 1.5 times as large; from 256 designs on it is equal."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Indices:
     """First-order and total Sobol indices of k dimensions, with intervals; NaN where a method gives none."""
 
-    # (k,) Part of the variance that goes with one dimension alone, 0 to 1. An estimate may leave that range by its
-    # error
+    # (k,) Share of the variance that is due to a dimension alone, 0 to 1. An estimate may leave that range by its error
     first: FloatArray
     first_low: FloatArray
     first_high: FloatArray
-    # (k,) Part that goes when every dimension but this one is known: `first` and all interactions with others
+    # (k,) Share that remains when all other dimensions are known: `first` and all interactions with others
     total: FloatArray
     total_low: FloatArray
     total_high: FloatArray
 
 
 def factorial_shares(values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Exact first-order and total indices of numbers on full grids, every point of a grid as likely as the others.
+    """Exact first-order and total indices of numbers on full grids whose points are equally likely.
 
     With V the variance over the grid: V[E[Y | x_i]] / V, and E[V[Y | all but x_i]] / V. They are the sums of
     squares of the factorial's analysis of variance, of the main effect and of every term that x_i is part of.
@@ -180,14 +179,15 @@ def factorial_shares(values: FloatArray) -> tuple[FloatArray, FloatArray]:
 def factorial_indices(S: FloatArray, resampled: FloatArray, levels: Sequence[int], *, confidence: float) -> Indices:
     """Indices on a full grid, with intervals over scenarios."""
     first, total = (shares[0] for shares in factorial_shares(S.reshape(1, *levels)))
-    # a resample in which nothing differs has no indices
-    one, all_ = (shares[~np.isnan(shares).any(axis=1)] for shares in factorial_shares(resampled.reshape(-1, *levels)))
-    if not len(one):
+    # a resample without variance has no indices
+    shares_of_resamples = factorial_shares(resampled.reshape(-1, *levels))
+    firsts, totals = (shares[~np.isnan(shares).any(axis=1)] for shares in shares_of_resamples)
+    if not len(firsts):
         raise InputError("S", "the same for all designs in every resample", hint="there is no variance to share out")
     check_confidence(confidence)
     tail = 0.5 * (1.0 - confidence)
     low, high, total_low, total_high = (
-        q for some in (one, all_) for q in np.quantile(some, [tail, 1.0 - tail], axis=0)
+        q for shares in (firsts, totals) for q in np.quantile(shares, [tail, 1.0 - tail], axis=0)
     )
     return Indices(first, low, high, total, total_low, total_high)
 
@@ -196,18 +196,18 @@ def saltelli_indices(S: FloatArray, k: int, *, confidence: float, seed: int) -> 
     """Indices from a Saltelli sample, by SALib; intervals over the sample's base points."""
     if S.ndim != 1 or S.size < 2 * (k + 2) or S.size % (k + 2):
         raise InputError("S", f"shape {S.shape}", allowed=f"a whole number of times k + 2 = {k + 2} rows, at least two")
-    found = _analysed("sobol", k, S, confidence=confidence, seed=seed, calc_second_order=False)
-    return Indices(*_around(found["S1"], found["S1_conf"]), *_around(found["ST"], found["ST_conf"]))
+    analysis = _analysed("sobol", k, S, confidence=confidence, seed=seed, calc_second_order=False)
+    return Indices(*_around(analysis["S1"], analysis["S1_conf"]), *_around(analysis["ST"], analysis["ST_conf"]))
 
 
 def rbd_fast_indices(x: FloatArray, S: FloatArray, *, confidence: float, seed: int) -> Indices:
-    """First-order indices from any even sample, by SALib's RBD-FAST; there are no total ones."""
+    """First-order indices from any uniform sample, by SALib's RBD-FAST, which gives no total indices."""
     if S.size < LEAST_RBD_FAST:
         raise InputError(f"{S.size} designs; allowed: at least {LEAST_RBD_FAST} for first-order indices of a sample")
     k = x.shape[1]
-    found = _analysed("rbd_fast", k, x, S, confidence=confidence, seed=seed, M=_HARMONICS)
-    nothing = np.full(k, np.nan)
-    return Indices(*_around(found["S1"], found["S1_conf"]), nothing, nothing, nothing)
+    analysis = _analysed("rbd_fast", k, x, S, confidence=confidence, seed=seed, M=_HARMONICS)
+    undefined = np.full(k, np.nan)
+    return Indices(*_around(analysis["S1"], analysis["S1_conf"]), undefined, undefined, undefined)
 
 
 def _around(index: Any, half: Any) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -216,13 +216,13 @@ def _around(index: Any, half: Any) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def _analysed(method: str, k: int, *sample: FloatArray, confidence: float, seed: int, **options: Any) -> Any:
-    """What SALib finds of k dimensions on the unit cube."""
+    """The analysis of SALib for k dimensions on the unit cube."""
     try:
         analyze = importlib.import_module(f"SALib.analyze.{method}").analyze
     except ImportError:
         message = "Sobol indices of a sample need SALib, which is not installed"
         raise LdcError(f'{message}; install the extra: pip install "ldctoolkit[sensitivity]"') from None
     cube = {"num_vars": k, "names": [str(i) for i in range(k)], "bounds": [[0.0, 1.0]] * k}
-    # odd: SALib takes 0 for no seed at all
+    # odd, because SALib treats 0 as no seed
     seed = int(np.random.SeedSequence([seed, 0x736F626F]).generate_state(1)[0]) | 1
     return analyze(cube, *sample, num_resamples=_SALIB_SAMPLES, conf_level=confidence, seed=seed, **options)

@@ -1,4 +1,4 @@
-"""One-at-a-time profile around a design: what mean S does when one gain, or the threshold, moves and nothing else."""
+"""One-at-a-time profiles around a design: mean S over a single gain, or the threshold, with all else fixed."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ COLUMNS: Final = (
     *("interval_over", "value", "design", "S_m_s", "difference_m_s", "difference_low_m_s", "difference_high_m_s"),
     *("stored", "note"),
 )
-"""``kind`` is ``first``, ``total``, ``none`` (``note`` says why) or ``profile``; what a kind does not have is empty."""
+"""``kind`` is ``first``, ``total``, ``none`` (``note`` says why) or ``profile``; fields that a kind lacks are empty."""
 
 
 def write_sensitivity(blocks: Sequence[BlockSensitivity], profiles: Sequence[Profile], path: str | Path) -> None:
@@ -41,13 +41,13 @@ def write_sensitivity(blocks: Sequence[BlockSensitivity], profiles: Sequence[Pro
 
 def _index_rows(block: BlockSensitivity) -> Iterator[dict[str, Any]]:
     shared = {"block": block.block, "law": block.law}
-    found = block.indices
-    if found is None:
+    indices = block.indices
+    if indices is None:
         yield {"kind": "none", **shared, "note": block.reason}
         return
     kinds = {
-        "first": (found.first, found.first_low, found.first_high),
-        "total": (found.total, found.total_low, found.total_high),
+        "first": (indices.first, indices.first_low, indices.first_high),
+        "total": (indices.total, indices.total_low, indices.total_high),
     }
     for i, name in enumerate(block.names):
         for kind, numbers in kinds.items():
@@ -83,29 +83,28 @@ def _profile_rows(profile: Profile) -> Iterator[dict[str, Any]]:
         }
 
 
-POINTS = 9  # values of a numeric dimension that a profile has at least
+POINTS = 9  # least number of values of a numeric dimension in a profile
 _SAME = 1e-6  # differences of mean S [m s] below this are solver tolerance
 
 
 @dataclasses.dataclass(frozen=True)
 class Profile:
-    """Mean S along one dimension through a design; k values in rising order, words and switches as they are written."""
+    """Mean S along a dimension through a design; k numbers in rising order, or words and switches in order of use."""
 
     name: str  # ``"y_s"`` or a gain
     unit: str  # SI unit; ``"1"`` for a pure number
-    designs: tuple[Design, ...]  # k of them, which differ in this dimension only
-    values: tuple[GainValue, ...]  # Of the dimension
-    at: int  # Which of them is the design that the profile goes through
+    designs: tuple[Design, ...]  # (k,) Designs that differ in this dimension only
+    values: tuple[GainValue, ...]  # (k,) Values of the dimension
+    at: int  # Position of the design that the profile goes through
     S: FloatArray  # (k,) [m s] Mean on the scenarios that all profiles share; NaN where the law failed
-    # (k,) [m s] Mean S minus that of the design, paired on the scenarios, and its interval; those of all profiles of a
-    # call hold at once
+    # (k,) [m s] Mean S minus that of the design, paired on the scenarios, and its interval, which is simultaneous over
+    # all profiles of a call
     difference: FloatArray
     low: FloatArray
     high: FloatArray
-    stored: BoolArray  # (k,) Designs of the study; the others were driven for the profile
-    failures: tuple[str, ...]  # Why a law failed; empty where it did not
-    # Smallest and largest number that the study's tables declare, as far as the law itself allows more beyond; none for
-    # words and switches
+    stored: BoolArray  # (k,) Whether the study holds the design; the others were driven for the profile
+    failures: tuple[str, ...]  # (k,) Why a law failed; empty where it did not
+    # Ends of the range that the study's tables declare, where the law allows values beyond; none for words and switches
     open_ends: tuple[float, ...] = ()
 
     @property
@@ -122,9 +121,9 @@ class Profile:
     def beyond(self) -> GainValue | None:
         """The end of the declared range where mean S is smallest, if something better may lie beyond it.
 
-        None where S is smallest elsewhere, where nothing beyond is allowed, and where S at the end is not separated
-        from S at the design, or, if the design itself is at the end, from S next to it: chance or nothing moves it
-        there.
+        None where S is smallest elsewhere, where no value beyond is allowed, and where S at the end is not separated
+        from S at the design, or, if the design itself is at the end, from S at the next value: the minimum may then be
+        there by chance.
         """
         best = self.best
         if len(self.values) < 2 or self.values[best] not in self.open_ends:
@@ -173,9 +172,9 @@ def winner_profile(
     checked_whole("points", points, lower=0)
     row = {design: i for i, design in enumerate(results.designs)}
     along = list(profile_points(results, study, winner, points))
-    missing = tuple(dict.fromkeys(one.design for one in along if one.design not in row))
+    missing = tuple(dict.fromkeys(point.design for point in along if point.design not in row))
     reasons: dict[Design, str] = {}
-    table = {one.design: results.counted[row[one.design]] for one in along if one.design in row}
+    table = {point.design: results.counted[row[point.design]] for point in along if point.design in row}
     if missing:
         setup, designs = study.setup(), (winner, *missing)
         drives = drive_on_plants(designs, [setup.options], results.scenarios, setup, results.window, advance)
@@ -197,7 +196,7 @@ def _profiles(
 ) -> Iterator[Profile]:
     if not along:
         return
-    scored = list(dict.fromkeys((winner, *(one.design for one in along if one.design in table))))
+    scored = list(dict.fromkeys((winner, *(point.design for point in along if point.design in table))))
     S = np.stack([table[design] for design in scored])
     columns = results.drivable & np.isfinite(S).all(axis=0)
     if not columns.any():
@@ -207,22 +206,22 @@ def _profiles(
     resampled = Resampled.of(S, side, seed=study.seed, samples=settings.bootstrap)
     interval = simultaneous_interval(resampled, settings.confidence, reference=0)
     numbers = np.stack([resampled.mean, interval.centre, interval.low, interval.high])
-    numbers = np.append(numbers, np.full((4, 1), np.nan), axis=1)  # the last ones are those of a law that failed
+    numbers = np.append(numbers, np.full((4, 1), np.nan), axis=1)  # the last column serves all laws that failed
     position = {design: i for i, design in enumerate(scored)}
     gains = winner.kind.gains()
     units = {gain.name: gain.unit for gain in gains} | {THRESHOLD: "m"}
     bounds = {gain.name: (gain.lower, gain.upper) for gain in gains} | {THRESHOLD: (0.0, math.inf)}
-    for name in dict.fromkeys(one.name for one in along):
-        points = [one for one in along if one.name == name]
-        designs = tuple(one.design for one in points)
-        own = numbers[:, [position.get(design, -1) for design in designs]]
+    for name in dict.fromkeys(point.name for point in along):
+        points = [point for point in along if point.name == name]
+        designs = tuple(point.design for point in points)
+        scores = numbers[:, [position.get(design, -1) for design in designs]]
         yield Profile(
             name,
             units[name],
             designs,
-            tuple(one.value for one in points),
+            tuple(point.value for point in points),
             designs.index(winner),
-            *(own[0], own[1], own[2], own[3]),
+            *(scores[0], scores[1], scores[2], scores[3]),
             np.array([design in row for design in designs]),
             tuple(reasons.get(design, "") for design in designs),
             tuple(end for end in declared_ends(study, winner.law, name) or () if end not in bounds[name]),
@@ -231,7 +230,7 @@ def _profiles(
 
 @dataclasses.dataclass(frozen=True)
 class ProfilePoint:
-    """One value of one dimension, and the design that has it and is otherwise the one in the middle."""
+    """A value of a dimension, and the winner with that value in place of its present one."""
 
     name: str
     value: GainValue
@@ -239,17 +238,19 @@ class ProfilePoint:
 
 
 def profile_points(results: StudyResults, study: Study, winner: Design, points: int) -> Iterator[ProfilePoint]:
-    """Every value of every dimension that is to be looked at, the winner's own among them."""
+    """Every value of every dimension in the profiles, that of the winner included."""
     written = () if study.search is not None else study.designs
     family = [design for design in dict.fromkeys((*results.designs, *written)) if design.law == winner.law]
     held = frozenset(results.designs)
     kinds = {gain.name: gain for gain in winner.kind.gains()}
     for name in (THRESHOLD, *(gain for gain, _ in winner.gains)):
-        used = list(dict.fromkeys((*(gain_value(one, name) for one in family), *_declared(study, winner.law, name))))
-        own = gain_value(winner, name)
+        used = list(
+            dict.fromkeys((*(gain_value(design, name) for design in family), *_declared(study, winner.law, name)))
+        )
+        winner_value = gain_value(winner, name)
         if len(used) < 2:
             continue
-        have = [value for value in used if value == own or moved(winner, name, value) in held]
+        have = [value for value in used if value == winner_value or moved(winner, name, value) in held]
         gain = kinds.get(name)
         options = any(isinstance(value, str | bool) for value in used)
         if points and options:
@@ -265,7 +266,7 @@ def profile_points(results: StudyResults, study: Study, winner: Design, points: 
 
 
 def declared_ends(study: Study, law: str, name: str) -> tuple[float, float] | None:
-    """Smallest and largest number that the tables of a study allow in one dimension of a law."""
+    """Smallest and largest number that the tables of a study declare in a dimension of a law; None without numbers."""
     values = list(_declared(study, law, name))
     if not values or any(isinstance(value, str | bool) for value in values):
         return None
@@ -274,7 +275,7 @@ def declared_ends(study: Study, law: str, name: str) -> tuple[float, float] | No
 
 
 def _declared(study: Study, law: str, name: str) -> Iterator[GainValue]:
-    """Every value of the lists and both ends of the ranges that the tables hold for one dimension of a law."""
+    """The values of all lists and the ends of all ranges that the tables declare in a dimension of a law."""
     for block in study.design:
         for space in block.space():
             if space.law == law:
@@ -286,18 +287,18 @@ def _declared(study: Study, law: str, name: str) -> Iterator[GainValue]:
 
 
 def _between(used: Sequence[float], have: Sequence[float], points: int, *, log: bool, whole: bool) -> list[GainValue]:
-    """Evenly spaced numbers over the range of those used, without such as lie close to one that is there already.
+    """Evenly spaced numbers over the range of `used`, except those close to a number of `have`.
 
-    Both ends are always among the old and new ones: a range is not shorter because its sample did not meet them.
+    Both ends of the range are added if they are missing: a sample seldom contains them.
     """
     low, high = min(used), max(used)
     span = Span(low, high, "log" if log and low * high > 0 else "linear")
     added: list[GainValue] = [round(end) if whole else end for end in (low, high) if end not in have]
     if len(have) >= points:
         return added
-    there = [_share(span, value) for value in have]
+    held_shares = [_share(span, value) for value in have]
     for share in np.linspace(0.0, 1.0, points)[1:-1].tolist():
-        if min(abs(share - other) for other in there) > 0.5 / max(1, points - 1):
+        if min(abs(share - other) for other in held_shares) > 0.5 / (points - 1):
             value = round(float(span.at(share))) if whole else span.at(share)
             if value not in added and value not in have:
                 added.append(value)
@@ -305,25 +306,25 @@ def _between(used: Sequence[float], have: Sequence[float], points: int, *, log: 
 
 
 def _share(span: Span, value: float) -> float:
-    """Where a value lies between the ends, from 0 to 1."""
+    """Position of a value between the ends of a range, from 0 to 1."""
     if span.scale == "log":
         return float(np.log(value / span.first) / np.log(span.last / span.first))
     return (value - span.first) / (span.last - span.first)
 
 
 def moved(winner: Design, name: str, value: GainValue) -> Design:
-    """The design with another value in one dimension."""
+    """The design with another value in a dimension."""
     if name == THRESHOLD:
         return dataclasses.replace(winner, y_s=float(value))
-    gains = tuple((gain, value if gain == name else own) for gain, own in winner.gains)
+    gains = tuple((gain, value if gain == name else unchanged) for gain, unchanged in winner.gains)
     return dataclasses.replace(winner, gains=gains)
 
 
-_AS_STORED = 1e-6  # scores [m s] that are driven anew differ from the stored ones by less: solver tolerance
+_AS_STORED = 1e-6  # differences [m s] between new and stored scores below this are solver tolerance
 
 
 def _check_reproduced(design: Design, reason: str, again: FloatArray, stored: FloatArray) -> None:
-    """Refuse to set designs beside stored ones if one of these, driven again, does not give its stored scores."""
+    """Raise if a stored design, driven again, does not give its stored scores: no new design is then comparable."""
     where = f"design {design.id} ({design.label})"
     if reason:
         raise LdcError(where, f"has results, but fails now: {reason}")
