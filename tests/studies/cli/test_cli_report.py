@@ -34,8 +34,9 @@ def test_what_lies_in_a_folder_and_how_it_is_written_again(folder: Path) -> None
     assert b"Designs were not driven on other plants for this report" in page.read_bytes()
     good("report", "plain", cwd=folder)
     assert sorted(path.name for path in out.iterdir()) == [
-        ".lock", "designs.parquet", "figures", "finalists", "manifest.json", "model.json", "ranking.csv",
-        "ranking.md", "report.html", "results", "robustness.json", "scenarios.parquet", "timing.json",
+        ".lock", "designs.parquet", "figures", "finalists", "manifest.json", "measures.parquet", "model.json",
+        "paths.parquet", "ranking.csv", "ranking.md", "report.html", "results", "robustness.json", "scenarios.parquet",
+        "timing.json",
     ]  # fmt: skip
     written = {path: path.read_bytes() for path in (page, plants, ranking)}
     ranking.unlink()

@@ -274,5 +274,5 @@ def test_words_of_a_law_are_no_markup(
     )
     said = capsys.readouterr().out
     assert "Odd [/b] [red]law, y_s=0.05 m, K=1 in" in said  # the warning
-    assert "[m s]" in said  # a heading
+    assert "[m·s]" in said  # a heading
     assert said.count("Odd [/b] [red]law") >= 3

@@ -79,7 +79,7 @@ def test_kills_lose_nothing_and_leave_nothing_twice(tmp_path: Path, stored_rows:
     assert run(tmp_path, "whole") == 0
     chance, stages = random.Random(10), []
     for _ in range(KILLS):
-        assert run(tmp_path, "killed", killed_at=chance.randint(1, 80)) == -signal.SIGKILL
+        assert run(tmp_path, "killed", killed_at=chance.randint(20, 40)) == -signal.SIGKILL
         stages.append((any(killed.glob("results/part-*")), bool(read_manifest(killed).finished)))
     assert run(tmp_path, "killed") == 0
     for rooms in ((), ("finalists",)):
