@@ -97,7 +97,8 @@ def write_inputs(folder: Path, studies: dict[str, Path], scenarios: int) -> Iter
     for where in (folder, folder / "here"):
         (where / "recordings.csv").write_text("".join(recordings()), encoding="utf-8")
     for name, path in studies.items():
-        text = path.read_text(encoding="utf-8")
+        # a base may race; here all designs run
+        text = re.sub(r"(?m)^race = .*\n", "", path.read_text(encoding="utf-8"))
         for key in ("left", "right"):
             text = re.sub(rf"(?m)^{key} = \d+", f"{key} = {scenarios}", text)
         (folder / f"{name}.toml").write_text(text, encoding="utf-8")
