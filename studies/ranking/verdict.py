@@ -356,7 +356,7 @@ COLUMNS_TEXT: Final = (
 
 def ranking_table(ranking: RankedDesigns, positions: Sequence[int]) -> Table:
     """Table of the designs at the given positions, for terminal, Markdown and notebook."""
-    heads = zip(("Less", "a_y", "Jerk", "Needless"), map(METRICS.__getitem__, RANKING_METRICS), strict=True)
+    heads = (("Less", "reduction"), ("a_y", "a_y"), ("Jerk", "jerk"), ("Needless", "needless"))
     level = f"{100 * ranking.confidence:g} % interval"
     columns = [
         Column("Rank", key="rank"),
@@ -365,7 +365,10 @@ def ranking_table(ranking: RankedDesigns, positions: Sequence[int]) -> Table:
         Column("Gains", text=True, about="Gains that differ from their defaults"),
         Column("Mean S", "m\u00b7s", ".3f", key="S"),
         Column(level, "m\u00b7s", ".3f", about="Of mean S, for all designs at once"),
-        *(Column(head, of.shown_unit, f".{of.digits}f", key=head.lower(), about=of.title) for head, of in heads),
+        *(
+            Column(head, METRICS[name].shown_unit, f".{METRICS[name].digits}f", key=key, about=METRICS[name].title)
+            for (head, key), name in zip(heads, RANKING_METRICS, strict=True)
+        ),
         *([Column("Fresh S", "m\u00b7s", ".3f", key="fresh", about="Mean S on the fresh scenarios")]
           if ranking.fresh.scenarios else []),
         Column("Verdict", text=True),
