@@ -320,15 +320,9 @@ def test_no_file_imports_from_the_facade(text: str, tmp_path: Path) -> None:
     assert imports_the_facade(tmp_path / "planted.py")
 
 
-SENTENCES = {
-    "studies/sensitivity/sensitivity.py", "studies/sensitivity/winner_profile.py",
-}  # fmt: skip
-"""Files that still have such lines."""
-
-
 def test_an_error_is_data() -> None:
     found = {path.relative_to(ROOT).as_posix() for path in modules(ROOT).values() if sentences_for_data(path)}
-    assert found - SENTENCES == set()
+    assert found == set()
 
 
 @pytest.mark.parametrize(

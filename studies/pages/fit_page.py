@@ -140,7 +140,7 @@ def _verdict(model: ScenarioModel, sides: tuple[Side, ...]) -> Section:
 
 
 def fit_warnings(model: ScenarioModel, sides: tuple[Side, ...]) -> list[str]:
-    """Warnings of the diagnosis and those that the model carries; what holds for both sides is said once."""
+    """Warnings of the diagnosis and those that the model carries; a warning of both sides is listed once."""
     origin = model.provenance
     sides_of: dict[str, list[str]] = {}
     for side in sides:

@@ -33,7 +33,7 @@ STATUS_TEXT: Final = {
     EventStatus.CRASHED: "the law crashed",
     EventStatus.BEYOND_DELTA_MAX: "taken over beyond delta_max, driven to the end",
 }
-"""The status of a departure in words."""
+"""Text of each status of a departure."""
 
 _NOT_AGAIN: Final = (EventStatus.TIMED_OUT, EventStatus.CRASHED)
 _GOLDEN: Final = 0.6180339887498949

@@ -94,7 +94,7 @@ _FAULTS: Final[dict[Fault, tuple[EventStatus, str]]] = {
     "died": (EventStatus.CRASHED, "ends its worker process"),
     "late": (EventStatus.TIMED_OUT, "takes longer than the time limit"),
 }
-"""What becomes of the scenario at fault, and how that is said."""
+"""Status of a scenario whose worker ended or exceeded the time limit, and the warning for it."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -203,7 +203,8 @@ def saltelli_indices(S: FloatArray, k: int, *, confidence: float, seed: int) -> 
 def rbd_fast_indices(x: FloatArray, S: FloatArray, *, confidence: float, seed: int) -> Indices:
     """First-order indices from any uniform sample, by SALib's RBD-FAST, which gives no total indices."""
     if S.size < LEAST_RBD_FAST:
-        raise InputError(f"{S.size} designs; allowed: at least {LEAST_RBD_FAST} for first-order indices of a sample")
+        least = f"at least {LEAST_RBD_FAST} for first-order indices of a sample"
+        raise InputError("designs", value=S.size, allowed=least)
     k = x.shape[1]
     analysis = _analysed("rbd_fast", k, x, S, confidence=confidence, seed=seed, M=_HARMONICS)
     undefined = np.full(k, np.nan)
@@ -220,8 +221,8 @@ def _analysed(method: str, k: int, *sample: FloatArray, confidence: float, seed:
     try:
         analyze = importlib.import_module(f"SALib.analyze.{method}").analyze
     except ImportError:
-        message = "Sobol indices of a sample need SALib, which is not installed"
-        raise LdcError(f'{message}; install the extra: pip install "ldctoolkit[sensitivity]"') from None
+        hint = 'install the extra: pip install "ldctoolkit[sensitivity]"'
+        raise LdcError("SALib", "is not installed, and Sobol indices of a sample need it", hint=hint) from None
     cube = {"num_vars": k, "names": [str(i) for i in range(k)], "bounds": [[0.0, 1.0]] * k}
     # odd, because SALib treats 0 as no seed
     seed = int(np.random.SeedSequence([seed, 0x736F626F]).generate_state(1)[0]) | 1

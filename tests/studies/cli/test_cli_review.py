@@ -52,7 +52,7 @@ def test_a_sound_law(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "code", "sentence"),
     [
-        # slow growth is told with as many digits as tell it from 1
+        # slow growth is printed with enough digits to differ from 1
         ("preview_proportional --gain K_y=-0.02 --delay 0.2 --lag 0.1 --speed 30", 3,
          "fault: At 30 m/s the closed loop is unstable: a deviation grows by a factor of 1.029 a sample"),
         ("linear_mpc --speed 20:30 --points 2 --rate-max 0.1", 0,

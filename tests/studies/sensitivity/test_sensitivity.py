@@ -135,8 +135,9 @@ def test_the_shares_are_those_of_the_analysis_of_variance(seed: int, levels: lis
 def test_samples_that_do_not_fit_are_refused() -> None:
     with pytest.raises(InputError, match=r"k \+ 2 = 5 rows"):
         saltelli_indices(np.zeros(12), 3, confidence=0.95, seed=0)
-    with pytest.raises(InputError, match="63 designs; allowed: at least 64"):
+    with pytest.raises(InputError) as caught:
         rbd_fast_indices(np.zeros((63, 1)), np.zeros(63), confidence=0.95, seed=0)
+    assert (caught.value.path, caught.value.value) == ("designs", 63)
     even = (np.arange(64.0) + 0.5) / 64
     assert rbd_fast_indices(even[:, None], even, confidence=0.95, seed=0).first[0] > 0.9
 
