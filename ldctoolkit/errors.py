@@ -5,7 +5,6 @@ and a `hint`. The sentence is made where it is shown; no code takes a sentence a
 builtin that a caller would expect, so ``except ValueError`` keeps working.
 """
 
-import copy
 import difflib
 import functools
 import inspect
@@ -13,7 +12,7 @@ import re
 from collections.abc import Collection, Iterable
 from os import PathLike
 from types import NoneType, UnionType
-from typing import TYPE_CHECKING, Any, Final, Self, get_args
+from typing import TYPE_CHECKING, Any, Final, Self, TypeVar, get_args
 
 
 class _NotGiven:
@@ -23,6 +22,8 @@ class _NotGiven:
     def __reduce__(self) -> str:
         return "NOT_GIVEN"
 
+
+_Error = TypeVar("_Error", bound="LdcError")
 
 NOT_GIVEN: Final = _NotGiven()
 """`LdcError.value` where nothing was given, or where what was given says nothing."""
@@ -74,13 +75,14 @@ class LdcError(Exception):
         self.path = str(path)
         super().__init__(self.path, problem)
         self.problem, self.value = problem, value
-        self.allowed, self.listing, self.hint = allowed, listing, hint
+        self.allowed = allowed if isinstance(allowed, str) else tuple(allowed)
+        self.listing, self.hint = listing, hint
 
     def __reduce__(self) -> tuple[Any, ...]:
         fields = self.__dict__
         if not isinstance(self.value, str | float | int | None | _NotGiven):  # it may be anything, also unpicklable
             fields = fields | {"value": _Repr(short(self.value))}
-        return type(self), (self.path, self.problem), fields
+        return _made, (type(self), fields)
 
     def __str__(self) -> str:
         return ": ".join(filter(None, (self.path, self.without_path)))
@@ -111,14 +113,19 @@ class LdcError(Exception):
         return self._changed(hint="; ".join(filter(None, (self.hint, hint))))
 
     def _changed(self, **fields: str) -> Self:
-        error = copy.copy(self)
-        error.__dict__.update(fields)
-        return error
+        return _made(type(self), self.__dict__ | fields)
 
     @classmethod
     def of(cls, error: "LdcError") -> Self:
         """The same problem as an error of this class."""
         return cls()._changed(**error.__dict__)
+
+
+def _made(kind: type[_Error], fields: dict[str, Any]) -> _Error:
+    """An error of a kind with these fields, whatever its own `__init__` takes."""
+    error = kind.__new__(kind, fields["path"], fields["problem"])
+    error.__dict__.update(fields)
+    return error
 
 
 class _Repr(str):
