@@ -102,8 +102,13 @@ class Problem:
         """What an error says of a file; its path is the place in it."""
         return cls(file, error.path, "; ".join(text for text in (error.without_path, outcome) if text))
 
+    @property
+    def error(self) -> RecordingError:
+        """The same as an error."""
+        return RecordingError(f"{self.file}, {self.place}" if self.place else self.file, self.what)
+
     def __str__(self) -> str:
-        return f"{self.file}, {self.place}: {self.what}" if self.place else f"{self.file}: {self.what}"
+        return str(self.error)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -645,5 +650,5 @@ def _sound(opened: OpenedRecordings) -> Iterator[Recording]:
     source = opened.source
     for item in itertools.chain(source.problems, *(part.read() for part in source.parts)):
         if isinstance(item, Problem):
-            raise RecordingError(f"{item.file}, {item.place}" if item.place else item.file, item.what)
+            raise item.error
         yield item

@@ -566,8 +566,8 @@ class TableReader:
             except OSError as error:
                 problems.append(Problem(shown, "", f"cannot be read: {error.strerror}"))
         if not accepted:
-            others = f" (and {len(problems) - 1} more problems)" if len(problems) > 1 else ""
-            raise RecordingError(f"{problems[0]}{others}" if problems else "no recording file is given")
+            others = len(problems) - 1
+            raise problems[0].error.hinted(f"{others} more problem{'s' * (others > 1)}" if others else "")
         names = [file.name for file in accepted.values()]
         left_out, repeated, numbered = repeated_names(list(accepted), names) if len(accepted) > 1 else (((),), (), ())
         parts = tuple(
