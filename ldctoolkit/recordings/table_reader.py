@@ -509,9 +509,7 @@ class TablePart:
                 if columns["t"][at[0]] < reading.last:
                     reading.taken = reading.taken or frozenset({*self.numbered, *_names(Path(self.path))})
                     names = (f"{label} ({number})" for number in itertools.count(2))
-                    reading.name = next(
-                        value for value in names if value not in reading.seen and value not in reading.taken
-                    )
+                    reading.name = next(name for name in names if not (name in reading.seen or name in reading.taken))
                     reading.seen[reading.name], reading.last = int(rows[at[0]]), -np.inf
                     what = f"the clock starts again here; it is read as another recording {reading.name!r}"
                     yield fault_at(at[0], f"recording {label!r}: {what}")
