@@ -227,11 +227,11 @@ def diagnose_model(
         X = np.column_stack([getattr(rows, name) for name in half.names])
         share = None if weight is None else weight[mask]
         try:
-            found = diagnose(half, X, seed=seed, weights=share, summary=summary, label=label, n_model=n_model)
+            diagnostics = diagnose(half, X, seed=seed, weights=share, summary=summary, label=label, n_model=n_model)
         except InputError as error:
             raise error.within(f"departures ({label})", ": ") from None
         varying = tuple(_varying_constants(half, rows))
-        sides[label] = dataclasses.replace(found, warnings=found.warnings + varying)
+        sides[label] = dataclasses.replace(diagnostics, warnings=diagnostics.warnings + varying)
     report("done", 2, 2)
     return ModelDiagnostics(**sides)
 

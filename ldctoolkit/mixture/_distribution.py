@@ -39,7 +39,8 @@ class Transform:
     ) -> Transform:
         """One kind for all columns or one each, checked against the bounds."""
         d = lower.size
-        given = [transform or "none"] * d if transform is None or isinstance(transform, str) else list(transform)
+        transform = "none" if transform is None else transform
+        given = [transform] * d if isinstance(transform, str) else list(transform)
         if len(given) != d:
             raise InputError("transform", f"{len(given)} names", allowed=f"one name, or {d}, one per column")
         kinds: list[Kind] = []

@@ -168,8 +168,7 @@ def resample(recording: Recording, step: float, max_gap: float = MAX_GAP, max_ju
     if not t[-1] <= _MOST_STEPS * step:
         raise RecordingError(
             f"recording {recording.name!r}",
-            f"from t = {float(origin)!r} to {float(recording.t[-1])!r} s",
-            hint=f"too long to be brought to steps of {step!r} s",
+            f"from t = {float(origin)!r} to {float(recording.t[-1])!r} s is too long for steps of {step!r} s",
         )
     usable = usable_samples(recording)
     grid = _occupied(t, step, max_gap)

@@ -102,8 +102,13 @@ class Problem:
         """What an error says of a file; its path is the place in it."""
         return cls(file, error.path, "; ".join(text for text in (error.without_path, outcome) if text))
 
+    @property
+    def error(self) -> RecordingError:
+        """The same as an error."""
+        return RecordingError(f"{self.file}, {self.place}" if self.place else self.file, self.what)
+
     def __str__(self) -> str:
-        return f"{self.file}, {self.place}: {self.what}" if self.place else f"{self.file}: {self.what}"
+        return str(self.error)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -464,9 +469,12 @@ def missing_column(name: str, unknown: Sequence[str], hint: str = "") -> Recordi
     """For a table that lacks a column, which one of those that are not known may be."""
     near = difflib.get_close_matches(name.lower(), [other.lower() for other in unknown], n=1, cutoff=0.5)
     others = textwrap.shorten(f"columns not known here: {', '.join(sorted(unknown))}", 400)
-    meant = [f"did you mean {other!r}?" for other in unknown if other.lower() in near][:1]
-    hints = [*meant, others if unknown else "no other column of the file could be it", hint]
-    return RecordingError("", f"column '{name}' is missing", hint="; ".join(filter(None, hints)))
+    others = others if unknown else "no other column of the file could be it"
+    for other in unknown:
+        if other.lower() in near:
+            others = f"did you mean {other!r}? ({others})"
+            break
+    return RecordingError("", f"column '{name}' is missing", hint="; ".join(filter(None, (others, hint))))
 
 
 class CombinedReader:
@@ -571,7 +579,8 @@ def open_recordings(
     reader, found = _recognised(given) if format == AUTO else (recording_reader(format), "")
     if channels is not None:
         if not hasattr(reader, "channels"):
-            raise InputError("channels", f"{channels}; format {reader.name!r} takes no channel map", allowed="mdf")
+            problem, allowed = f"for format {reader.name!r}", "a channel map for MDF logs only"
+            raise InputError("channels", problem, value=os.fspath(channels), allowed=allowed)
         reader = dataclasses.replace(reader, channels=Path(channels))  # type: ignore[type-var]
     try:
         source = reader.open(given)
@@ -645,5 +654,5 @@ def _sound(opened: OpenedRecordings) -> Iterator[Recording]:
     source = opened.source
     for item in itertools.chain(source.problems, *(part.read() for part in source.parts)):
         if isinstance(item, Problem):
-            raise RecordingError(f"{item.file}, {item.place}" if item.place else item.file, item.what)
+            raise item.error
         yield item

@@ -172,7 +172,7 @@ class SpmdDas1:
         (lanes, lane_problems), (others, wsu_problems) = map(collect_trips, tables.values())
         problems += lane_problems + wsu_problems
         lacking = [
-            f"table {table} (columns {', '.join((*KEY, *_COLUMNS[table]))})" for table in tables if not tables[table]
+            f"table {kind} (columns {', '.join((*KEY, *_COLUMNS[kind]))})" for kind in tables if not tables[kind]
         ]
         if lacking or not lanes:
             raise RecordingError("spmd-das1", no_trips([*lacking, "trip of a table DataLane"][0], problems))
@@ -187,7 +187,7 @@ class SpmdDas1:
             trips,
             lambda trip: text_bytes(trip[3] + trip[4]),
             self.part_bytes,
-            lambda table, after: table[:2] != after[:2],
+            lambda trip, after: trip[:2] != after[:2],
         ):
             number, other, _, stretches, _ = batch[0]
             lane, wsu = tables["DataLane"][number].table, tables["DataWsu"][other].table

@@ -509,9 +509,7 @@ class TablePart:
                 if columns["t"][at[0]] < reading.last:
                     reading.taken = reading.taken or frozenset({*self.numbered, *_names(Path(self.path))})
                     names = (f"{label} ({number})" for number in itertools.count(2))
-                    reading.name = next(
-                        value for value in names if value not in reading.seen and value not in reading.taken
-                    )
+                    reading.name = next(name for name in names if not (name in reading.seen or name in reading.taken))
                     reading.seen[reading.name], reading.last = int(rows[at[0]]), -np.inf
                     what = f"the clock starts again here; it is read as another recording {reading.name!r}"
                     yield fault_at(at[0], f"recording {label!r}: {what}")
@@ -566,8 +564,8 @@ class TableReader:
             except OSError as error:
                 problems.append(Problem(shown, "", f"cannot be read: {error.strerror}"))
         if not accepted:
-            others = f" (and {len(problems) - 1} more problems)" if len(problems) > 1 else ""
-            raise RecordingError(f"{problems[0]}{others}" if problems else "no recording file is given")
+            others = len(problems) - 1
+            raise problems[0].error.hinted(f"{others} more problem{'s' * (others > 1)}" if others else "")
         names = [file.name for file in accepted.values()]
         left_out, repeated, numbered = repeated_names(list(accepted), names) if len(accepted) > 1 else (((),), (), ())
         parts = tuple(

@@ -252,7 +252,7 @@ def collect_trips(tables: Sequence[FoundTable]) -> tuple[dict[Key, tuple[int, tu
     trips: dict[Key, tuple[int, tuple[Stretch, ...]]] = {}
     problems: list[Problem] = []
     seen: dict[Key, str] = {}
-    for number, (table, index) in enumerate((stretch.table, stretch.index) for stretch in tables):
+    for number, (table, index) in enumerate((entry.table, entry.index) for entry in tables):
         by_trip: dict[Key, list[Stretch]] = {}
         split: dict[Key, int] = {}
         last: Key | None = None

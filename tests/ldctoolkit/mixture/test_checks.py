@@ -202,6 +202,7 @@ def test_values_on_and_outside_a_bound():
     ("transform", "path", "value"),
     [
         ("lgo", "transform", "lgo"),
+        ("", "transform", ""),
         (["log", "lgo", "none"], "transform['b']", "lgo"),
         (["logit", "none", "none"], "transform['a']", "logit"),
         (["none", "log", "none"], "transform['b']", "log"),

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from helpers.errors import refused
 from ldctoolkit.errors import LdcError, RecordingError
 from ldctoolkit.recordings import recording
 from ldctoolkit.recordings.extract import extract_departures
@@ -233,3 +234,9 @@ def test_the_sample_folders() -> None:
     for folder in ("two-month", "one-day"):
         found = extract_departures(open_recordings(sample / folder))
         assert (found.problems, found.provenance.reader) == ((), "spmd-das1 + spmd-das2")
+
+
+def test_only_mdf_logs_take_a_channel_map(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("recording,t,lane_offset,lane_width,speed\na,0,0.1,3.6,25\n")
+    with refused("channels", value="map.toml", allowed="a channel map for MDF logs only"):
+        open_recordings(tmp_path / "a.csv", channels=Path("map.toml"))

@@ -16,6 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from helpers.bits import assert_same_bits, examples
+from helpers.errors import refused
 from helpers.recordings import OFFSET, assert_same, drive, frame_of, read_source
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings import extract_departures, read_recordings
@@ -321,8 +322,8 @@ def test_folders(save: Save, tmp_path: Path) -> None:
     recordings, problems = read(tmp_path / "in")
     assert (list(recordings), problems) == (["a", "b"], [])
     assert READER.recognise([tmp_path / "none", tmp_path]) == ""
-    with pytest.raises(RecordingError, match="folder"):
-        READER.open([tmp_path])
+    with refused(tmp_path.name, RecordingError, problem="the folder holds no recording table", hint="1 more problem"):
+        READER.open([tmp_path, tmp_path / "none.csv"])
 
 
 FIELD = st.sampled_from(["0", "1", "2.5", " 3 ", "", "nan", "NULL", "x", "-1e-3", "inf", '"4"'])
