@@ -107,7 +107,7 @@ def read_entry(entry: Any, scale: Scale = "linear", *, whole: bool = False) -> D
         return Choices(expand(entry, scale, whole=whole))
     first, last, spacing = _ends(entry, scale)
     if first == last:
-        raise InputError("", "both from and to", value=first, allowed="two different numbers")
+        raise InputError("", "is both from and to", value=first, allowed="two different numbers")
     return Span(first, last, spacing, whole)
 
 

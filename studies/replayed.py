@@ -130,4 +130,4 @@ def _checked(name: str, make: Callable[[], Scenarios]) -> Scenarios:
     try:
         return make()
     except LdcError as error:
-        raise InputError(name, f"{error}") from None
+        raise InputError.of(error.within(name, ": ")) from None

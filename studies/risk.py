@@ -306,7 +306,7 @@ def estimate_risk(
     designs : sequence of Design
         What is driven, all on the same departures.
     study : Study
-        Vehicle, plant, scenario model and first convention.
+        Vehicle, plant, scenario model and convention.
     n : int
         Departures, up to 1e9; left and right as they were recorded, if the model knows that, else half and half.
     seed : int, optional
@@ -349,7 +349,7 @@ def estimate_risk(
         )
     for name, values, least in (("depths", depths, 0.0), ("dtle_limits", dtle_limits, -np.inf)):
         if not all(least < x < np.inf for x in values):
-            raise InputError(name, f"{list(values)}", allowed=f"numbers{' > 0' if least == 0.0 else ''} [m]")
+            raise InputError(name, value=list(values), allowed=f"numbers{' > 0' if least == 0.0 else ''} [m]")
     active = tuple({design.id: design for design in designs if not design.is_baseline}.values())
     slow = any(design.batch < _USUAL_BATCH for design in active)
     runs_on = make_executor(executor, workers, dask)

@@ -24,7 +24,7 @@ from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
 from ldctoolkit.simulation import Takeover, Window
 from ldctoolkit.vehicle import Convention
-from ldctoolkit.version import __version__
+from ldctoolkit.version import versions
 
 from .design import Design, is_paper_design
 from .measures import drive_on_plants, first_of_each_side
@@ -323,7 +323,7 @@ class RobustnessTask:
         selection = self.chosen
         identity = [
             _FORMAT,
-            __version__,
+            versions(),
             [[design.id, contends] for design, contends in zip(selection.designs, selection.contends, strict=True)],
             [selection.slow, selection.unsafe, selection.more],
             [dataclasses.asdict(plant) for plant in self.plants],

@@ -242,6 +242,9 @@ class _Run:
                 self.progress.phase("loop margins, named vehicles and standards")
                 results = measured(results, store.measures, study.setup(), study.vehicles, study.standards)
             complete = True
+        except AllFailedError:
+            complete = True  # nothing is left to be run
+            raise
         finally:
             ended = store.manifest.ended(
                 seconds=time.monotonic() - started,

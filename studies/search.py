@@ -318,10 +318,10 @@ class Search:
                 raise InputError("tell", f"design {name} was proposed and is missing")
         for name, given in values.items():
             if name not in self._untold:
-                raise InputError("tell", f"design {name!r} is not in the last batch", allowed=self._untold)
+                raise InputError("tell", "is no design of the last batch", value=name, allowed=self._untold)
             if given is not None and len(given) != len(self._signs):
-                allowed = f"allowed: {len(self._signs)}, one for each objective"
-                raise InputError("tell", f"design {name}: {len(given)} values", hint=allowed)
+                allowed = f"{len(self._signs)}, one for each objective"
+                raise InputError("tell", f"design {name}: {len(given)} values", allowed=allowed)
         missed = self._checked_margins(values, margins)
         self._costs |= {name: self._as_costs(values[name]) for name in self._untold}
         self._margins |= missed
@@ -341,8 +341,8 @@ class Search:
         checked = {name: met if values[name] is None else margins.get(name, ()) for name in self._untold}
         for name, given in checked.items():
             if len(given) != self._requirements or any(math.isnan(margin) for margin in given):
-                allowed = f"allowed: {self._requirements} numbers, one for each requirement"
-                raise InputError("tell", f"design {name}: margins {tuple(given)!r}", hint=allowed)
+                allowed = f"{self._requirements} numbers, one for each requirement"
+                raise InputError(f"tell: margins of design {name}", value=tuple(given), allowed=allowed)
         return {name: tuple(float(margin) for margin in given) for name, given in checked.items()}
 
     def _as_costs(self, values: Values | None) -> Values | None:

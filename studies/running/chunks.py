@@ -23,7 +23,7 @@ from ldctoolkit.scenario_model import Given, ScenarioModel
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
 from ldctoolkit.simulation import Run, Takeover, drive_many
-from ldctoolkit.version import __version__
+from ldctoolkit.version import versions
 
 from ..design import Design
 from .tasks import learn
@@ -100,7 +100,7 @@ class ChunkJob:
         """What decides the numbers."""
         setup = hashlib.sha256(repr(dataclasses.asdict(self.setup)).encode()).hexdigest()[:16]
         designs = [design.id for design in self.designs]
-        same = {"ldctoolkit": __version__, "designs": designs, "setup": setup, "n": self.n}
+        same = {"versions": dict(versions()), "designs": designs, "setup": setup, "n": self.n}
         same |= {"model": self.model.content_hash, "given": self.given, "seed": self.setup.seed, "chunk": self.chunk}
         return dict(json.loads(json.dumps(same | {"left_right": self.share, "events": self.events})))
 

@@ -54,13 +54,13 @@ def make_executor(
     if name not in EXECUTORS:
         raise InputError("executor", value=name, allowed=EXECUTORS)
     if address and name != "dask":
-        raise InputError("executor", f"with the address {address}", value=name, hint="allowed with an address: 'dask'")
+        raise InputError("executor", f"with the address {address}", value=name, allowed="'dask'")
     if name == "serial":
         return SerialExecutor()
     if name == "processes":
         return ProcessExecutor(workers or os.cpu_count() or 1)
     if address and address != LOCAL and workers is not None:
-        raise InputError("workers", f"{workers} with the cluster at {address}", allowed="that cluster's own number")
+        raise InputError("workers", f"with the cluster at {address}", value=workers, allowed="the cluster's number")
     return DaskExecutor(address or LOCAL, workers, packages)
 
 

@@ -94,7 +94,7 @@ def remembered(folder: Path | None, name: str, key: object, make: Callable[[], A
             return {row[1]: np.array(row[3], dtype=np.float64).reshape(row[2]) for row in rows}
     except (StoreError, ValueError):
         pass  # it only saves time
-    made = {one: np.asarray(values, dtype=np.float64) for one, values in make().items()}
-    table = [(digest, one, list(values.shape), values.ravel().tolist()) for one, values in made.items()]
+    arrays = {title: np.asarray(values, dtype=np.float64) for title, values in make().items()}
+    table = [(digest, title, list(values.shape), values.ravel().tolist()) for title, values in arrays.items()]
     write_parquet(path, pl.DataFrame(table, schema=schema, orient="row"))
-    return made
+    return arrays

@@ -54,7 +54,7 @@ def prefetched(function: Callable[[Item], Result], items: Iterable[Item]) -> Ite
 
 PATTERN = "part-*.parquet"
 
-_ENDLESS = "t_back"  # the companion that may be infinite: the edge is not back inside by the end
+_ENDLESS = "t_back"  # the metric that may be infinite: the edge is not back inside by the end
 _DIGITS = 16
 
 

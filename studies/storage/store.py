@@ -60,13 +60,12 @@ def make_folder(folder: Path) -> None:
     output_folder(folder / "results")
 
 
-def _clear(folder: Path) -> None:
-    """Remove all results of other versions. Their manifest stays until it is replaced: a run that is killed here ends
-    with a folder of those versions, and the next one clears the rest.
+def _clear(folder: Path, *patterns: str) -> None:
+    """Remove files that belong to another run. Its manifest stays until it is replaced: a run that is killed here ends
+    with a folder of that run, and the next one clears the rest.
     """
-    names = (DESIGNS, FAILURES, TIMING_FILE, MEASURES)
     try:
-        for path in (*(folder / name for name in names), *(folder / "results").glob(PATTERN)):
+        for path in (path for pattern in patterns for path in folder.glob(pattern)):
             path.unlink(missing_ok=True)
     except OSError as error:
         raise StoreError(folder, f"cannot be cleared: {error.strerror or error}") from None
@@ -97,8 +96,11 @@ class Store:
             ]
             if others := former.other_versions():
                 notices = [f"was made with {others}; everything is computed anew"]
-                _clear(folder)
+                _clear(folder, DESIGNS, FAILURES, TIMING_FILE, MEASURES, f"results/{PATTERN}")
             else:
+                # their steering ratios differ, which decide no run, but scores in standards
+                if former.study["vehicle"] != manifest.study["vehicle"]:
+                    _clear(folder, MEASURES)
                 manifest = former.resumed(manifest)
             for notice in notices if not manifest.part_of else ():
                 _log.warning("%s: %s", folder, notice)

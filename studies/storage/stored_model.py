@@ -119,7 +119,8 @@ def with_recorded_widths(study: Study, model: Source, vehicle_width: float | Non
             if width != getattr(usual, name):
                 raise InputError(
                     f"vehicle.{name}",
-                    f"{width:g} m in the study, {recorded:g} m in the recordings behind its departures",
+                    f"m in the study, {recorded:g} m in the recordings behind its departures",
+                    value=width,
                     allowed=f"{recorded:g}, or --vehicle-width to decide",
                 )
             changed[name] = float(recorded)

@@ -20,6 +20,7 @@ from scipy.stats import binomtest
 from helpers.bits import assert_same_bits
 from helpers.cli import bad, good, ldc
 from helpers.closed_loop import known
+from helpers.errors import refused
 from helpers.kills import killing
 from ldctoolkit import Controller, LinearLaw, Plant, Scenarios, gain, load_model, simulate
 from ldctoolkit.departures import PARAMETER_NAMES
@@ -346,12 +347,13 @@ def test_a_law_that_raises_is_named() -> None:
     [*(("n", n) for n in (0, -1, 10**9 + 1, 2.5, True)), ("depths", [0.0]), ("dtle_limits", [np.nan]), ("chunk", 0)],
 )
 def test_arguments_out_of_range_are_refused(name: str, value: Any) -> None:
-    with pytest.raises(InputError) as refused:
+    with refused(name, value=value):
         estimate_risk([TABLE_I], PAPER, **{"n": 10, name: value})
-    assert refused.value.path == name
 
 
-def test_another_estimate_in_the_folder_is_refused(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_another_estimate_in_the_folder_is_refused(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
     given: dict[str, Any] = {"n": 100, "directory": tmp_path, "workers": 1}
     risk = estimate_risk([TABLE_I], PAPER, **given)
     before = (tmp_path / "risk.json").read_bytes()
@@ -361,6 +363,10 @@ def test_another_estimate_in_the_folder_is_refused(tmp_path: Path, caplog: pytes
         estimate_risk([TABLE_I], PAPER, seed=5, **given)
     with pytest.raises(StoreError, match=r"another plan \(designs: "):
         estimate_risk([], PAPER, **given)
+    with monkeypatch.context() as patch:
+        patch.setattr("ldctoolkit.studies.running.chunks.versions", lambda: (("numpy", "0.1"),))
+        with pytest.raises(StoreError, match=r"another plan \(versions\."):
+            estimate_risk([TABLE_I], PAPER, **given)
     assert (tmp_path / "risk.json").read_bytes() == before
     # a part that is not what was written is counted again
     (part,) = (tmp_path / "risk.parts").glob("part-*")

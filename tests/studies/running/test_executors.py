@@ -148,7 +148,7 @@ def test_a_dask_worker_that_is_killed_loses_nothing(
     ("arguments", "path", "value"),
     [
         (("serial", None, "tcp://h:1"), "executor", "serial"),
-        ((None, 3, "tcp://127.0.0.1:1"), "workers", None),
+        ((None, 3, "tcp://127.0.0.1:1"), "workers", 3),
         ((None, None, ""), "dask", ""),
         ((None, None, " "), "dask", " "),
         ((None, None, "tcp://127.0.0.1:1"), "dask", None),
@@ -156,7 +156,7 @@ def test_a_dask_worker_that_is_killed_loses_nothing(
     ],
 )
 def test_what_cannot_be_used_is_named(
-    arguments: Any, path: str, value: str | None, monkeypatch: pytest.MonkeyPatch
+    arguments: Any, path: str, value: str | int | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(executors, "_CONNECT", "1s")
     with pytest.raises(LdcError) as refused:

@@ -17,7 +17,7 @@ from helpers.closed_loop import Unsighted, known
 from helpers.results import assert_same_results
 from ldctoolkit import Controller, EventStatus, LdcError, Plant, gain, registry
 from ldctoolkit.errors import StoreError
-from ldctoolkit.studies import Study, rank_study, read_results, run_study
+from ldctoolkit.studies import Study, rank_study, read_manifest, read_results, run_study
 from ldctoolkit.studies.cli import main
 from ldctoolkit.studies.running.tasks import Simulator
 
@@ -186,6 +186,7 @@ def test_a_study_of_failures_alone_ends_with_an_error(make_study: MakeStudy, tmp
         run_study(study, directory=tmp_path, workers=1)
     with pytest.raises(LdcError, match=message):
         read_results(tmp_path)
+    assert read_manifest(tmp_path).finished  # nothing is left to be run
 
 
 @pytest.mark.parametrize("content", ["{", "[]", "{}", '{"designs": {"a": 1}}', '{"designs": {"a": {}}}'])

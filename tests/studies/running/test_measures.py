@@ -38,9 +38,10 @@ def no_drive(monkeypatch: pytest.MonkeyPatch) -> None:
         raise AssertionError("a design is driven")
 
     simulation, run = "ldctoolkit.simulation", "ldctoolkit.studies.measures"
-    for name in (f"{simulation}.loop.drive_many", f"{simulation}.drive", f"{run}.drive", f"{run}.assess",
-                 f"{run}.design_margins", "ldctoolkit.studies.assessment.drive",
-                 "ldctoolkit.studies.pages.replay.drive", "ldctoolkit.studies.robustness.design_margins"):  # fmt: skip
+    # the simulation last: a module that is first imported here takes the sound functions from it
+    for name in (f"{run}.drive", f"{run}.assess", f"{run}.design_margins", "ldctoolkit.studies.assessment.drive",
+                 "ldctoolkit.studies.pages.replay.drive", "ldctoolkit.studies.robustness.design_margins",
+                 f"{simulation}.loop.drive_many", f"{simulation}.drive"):  # fmt: skip
         monkeypatch.setattr(name, driven)
 
 
@@ -102,6 +103,18 @@ def test_a_run_measures_what_is_missing_and_nothing_else(
     driven.clear()
     run_study(both, tmp_path / "copy", workers=1)
     assert driven == []
+
+
+def test_another_steering_ratio_is_measured_again(tmp_path: Path) -> None:
+    """It decides no scenario run, but the steering wheel velocity of a standard."""
+    standard = "euroncap-2026-driveability"
+    ranking = {"bootstrap": 100, "finalists": 0, "require": [f"{standard} >= 0"]}
+    design = {"law": "lqr", "y_s": -0.4, "gains": {"r_delta": 100_000.0}}
+    study = Study.from_dict(CONTENT | {"ranking": ranking, "design": [design]})
+    other = study.changed(vehicle={"steering_ratio": 150.0})
+    first = run_study(study, tmp_path / "out", workers=1).measures[standard]
+    again = run_study(other, tmp_path / "out", workers=1).measures[standard]
+    assert again == run_study(other, tmp_path / "other", workers=1).measures[standard] < first
 
 
 def test_a_run_without_its_measures_says_so_and_is_continued(

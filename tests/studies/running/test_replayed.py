@@ -9,6 +9,7 @@ import polars as pl
 import pytest
 
 from helpers.cli import bad, good
+from helpers.errors import refused
 from ldctoolkit import Scenarios, Setup, VehicleParameters, load_model, simulate
 from ldctoolkit.controllers import LQR
 from ldctoolkit.departures import LEFT, PARAMETER_COLUMNS, PARAMETER_NAMES, RIGHT, Departures, ExtraColumn
@@ -142,6 +143,12 @@ def test_a_table_of_the_eight_parameters_is_replayed(table: Departures, tmp_path
     assert found.S[1].tobytes() == expected.tobytes()
 
 
+def test_what_cannot_be_driven_keeps_its_value(table: Departures, tmp_path: Path) -> None:
+    own_table(tmp_path / "own.parquet", table, d_y_m=[30.0] * table.n)
+    with refused("own.parquet: scenarios.d_y[0]", value=30.0, allowed="up to 10 m"):
+        run_study(study_on(tmp_path, table="own.parquet"), workers=1)
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -170,9 +177,8 @@ def test_a_bad_table_gets_one_message(table: Departures, tmp_path: Path, changes
     ],
 )  # fmt: skip
 def test_what_does_not_go_together_is_refused(scenarios: dict[str, Any], key: str, tmp_path: Path) -> None:
-    with pytest.raises(StudyError) as refused:
+    with refused(f"study: scenarios.{key}", StudyError):
         study_on(tmp_path, **scenarios)
-    assert refused.value.path == f"study: scenarios.{key}"
 
 
 def test_finalists_of_a_model_are_scored_on_the_departures_too(table: Departures, tmp_path: Path) -> None:
