@@ -125,8 +125,10 @@ def expand(entry: Any, scale: Scale = "linear", *, whole: bool = False) -> tuple
     if not 1 <= len(values) <= MOST_VALUES:
         raise InputError("", f"{len(values)} values", allowed=f"1 to {MOST_VALUES}")
     # True == 1 in Python, not in a study file; what cannot be a key is no value of a gain either
-    keys = ((type(value), value if isinstance(value, Hashable) else repr(value)) for value in values)
-    return tuple(dict(zip(keys, values, strict=True)).values())
+    first_of: dict[Any, Any] = {}
+    for value in values:
+        first_of.setdefault((type(value), value if isinstance(value, Hashable) else repr(value)), value)
+    return tuple(first_of.values())
 
 
 def _ends(entry: dict[str, Any], scale: Scale) -> tuple[float, float, Scale]:

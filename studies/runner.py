@@ -106,7 +106,7 @@ def run_study(
     expect("study", study, Study)
     expect("scenarios", scenarios, Scenarios | None)
     block_size = None if block_size is None else checked_whole("block_size", block_size, lower=1)
-    if time_limit != 0:
+    if time_limit is False or time_limit != 0:
         least, most = _LIMITS
         checked_number("time_limit", time_limit, lower=least, upper=most, unit="s (0 for none)")
     if directory is None:
