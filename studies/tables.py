@@ -35,9 +35,7 @@ class Column:
     unit: str = ""
     form: str | Callable[[float], str] = ""  # how its numbers are shown: ``".3f"``, or a function that makes the text
     text: bool = False  # whether it holds text and stands to the left
-    key: str = (
-        ""  # what the search of a page calls it: ``S``, ``y_s``; empty for a column that is not searched by value
-    )
+    key: str = ""  # what the search of a page calls it: ``S``, ``y_s``; empty where it is not searched by value
     about: str = ""  # what it means; shown when the pointer rests on the heading
 
     @property

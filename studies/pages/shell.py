@@ -90,7 +90,7 @@ def script_json(data: Mapping[str, Any]) -> Markup:
     try:
         text = json.dumps(data, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
     except ValueError as error:
-        raise InputError("report data", f"{error}") from None
+        raise InputError("report data", str(error)) from None
     return Markup(text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029"))
 
 
