@@ -74,8 +74,7 @@ def test_tables_csv_and_page(folders: Path) -> None:
 def test_that_there_is_no_winner_is_printed_once(folders: Path) -> None:
     shutil.copytree(folders / "old", folders / "strict")
     rewrite_json(
-        folders / "strict" / "manifest.json",
-        lambda content: content["study"]["ranking"].update(require=["S <= 1e-9"]),
+        folders / "strict" / "manifest.json", lambda content: content["study"]["ranking"].update(require=["S <= 1e-9"])
     )
     out = good("compare", "old", "strict", cwd=folders)
     assert " ".join(out.split()).count("there is no winner to compare") == 1
