@@ -35,9 +35,7 @@ class Column:
     unit: str = ""
     form: str | Callable[[float], str] = ""  # how its numbers are shown: ``".3f"``, or a function that makes the text
     text: bool = False  # whether it holds text and stands to the left
-    key: str = (
-        ""  # what the search of a page calls it: ``S``, ``y_s``; empty for a column that is not searched by value
-    )
+    key: str = ""  # what the search of a page calls it: ``S``, ``y_s``; empty where it is not searched by value
     about: str = ""  # what it means; shown when the pointer rests on the heading
 
     @property
@@ -170,7 +168,7 @@ def markdown_text(text: str) -> str:
     line = re.sub(r"[\x00-\x20\x7f\x85\u2028\u2029]+", " ", text).strip()
     # halves of characters, and what turns the direction of the text that follows
     line = re.sub("[\ud800-\udfff\u202a-\u202e\u2066-\u2069]", "\ufffd", line)
-    shown = "".join(_ENTITIES.get(one, f"\\{one}" if one in _MARKS else one) for one in line)
+    shown = "".join(_ENTITIES.get(c, f"\\{c}" if c in _MARKS else c) for c in line)
     # no address, emoji or mention: a mark inside the word ends what would be one
     shown = _ADDRESS.sub(lambda m: f"{m[1] or ''}\\{m[2] or m[4]}", shown).replace("@", "@<!-- -->")
     return _START.sub(lambda m: f"{m[1]}\\{m[2]}" if m[1] else f"\\{m[3]}", shown)

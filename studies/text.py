@@ -76,11 +76,11 @@ def true_minus(text: str) -> str:
 
 
 def formatted(value: float, form: str) -> str:
-    """A number by a format specification; a dash where there is none, and no minus before zero."""
+    """A number by a format specification; a dash where there is none, and no sign before zero."""
     if not math.isfinite(value):
         return DASH if math.isnan(value) else ("∞" if value > 0 else "-∞")
     shown = format(value, form)
-    return shown.lstrip("-") if value <= 0 and not shown.strip("-+0.,") else shown
+    return shown if shown.strip("-+0.,") else shown.lstrip("-+")
 
 
 def number(value: float, digits: int = 3) -> str:

@@ -64,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
     tests = [load_standard(name) for name in dict.fromkeys(args.standard or standard_names())]
     subjects = [assessment for text in args.designs for assessment in _subjects(text, args)]
     if not subjects:
-        raise InputError(f"{' '.join(args.designs)}", "no design that intervenes", allowed="one or more")
+        raise InputError(" ".join(args.designs), "no design that intervenes", allowed="one or more")
     if args.output is not None:
         output_folder(Path(args.output))
     assessments: list[tuple[str, Assessment]] = []

@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> None:
     from ..study_template import study_text
 
     if not (args.study or args.law):
-        raise InputError("init", "give a study of the catalog or --law", allowed=f"{', '.join(catalog_names())}")
+        raise InputError("init", "give a study of the catalog or --law", allowed=", ".join(catalog_names()))
     name = args.name or (Path(args.output).stem if args.output else args.study or "my-study")
     target = output_file(args.output or f"{name}.toml", ".toml", option="-o" if args.output else "--name")
     if target.exists() and not args.force:

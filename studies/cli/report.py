@@ -136,7 +136,9 @@ def _print_comparison(comparison: Comparison, top: int) -> None:
         print_table(design_table(comparison, comparison.order[: min(top, len(comparison) - same) or top]), out)
     if same:
         say(out, f"the same within 1e-6 m s: {same} of {len(comparison)} designs")
-    say(out, winners_sentence(comparison.winners), "")
+    if comparison.winners is not None:  # else a warning says so
+        say(out, winners_sentence(comparison.winners))
+    out.print()
     for heading, failed in (
         ("failed only in the new study, worse:", comparison.new_failures),
         ("failed only in the old study:", comparison.repaired),

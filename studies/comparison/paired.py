@@ -152,11 +152,6 @@ class PairedDifferences:
     def __len__(self) -> int:
         return len(self.verdict)
 
-    def take(self, rows: range) -> PairedDifferences:
-        """A range of the rows."""
-        arrays = {f.name: getattr(self, f.name)[rows.start : rows.stop] for f in dataclasses.fields(self)}
-        return PairedDifferences(**arrays)
-
 
 def paired_differences(
     old: FloatArray, new: FloatArray, side: IntArray, *, seed: int, bootstrap: int = 2000, confidence: float = 0.95

@@ -34,7 +34,7 @@ _SHOWN: Final[dict[LightName, tuple[str, str, str]]] = {
 
 def section(context: Context) -> Section | None:
     """The tests that the study requires, of the design that the page speaks of; nothing where it requires none."""
-    required = [one.metric.name for one in context.ranking.requirements]
+    required = [requirement.metric.name for requirement in context.ranking.requirements]
     names = [name for name in dict.fromkeys(required) if name in standard_names()]
     design, setup = context.ranking.designs[context.shown], context.report.setup
     if not names:
@@ -60,7 +60,7 @@ def assessed(assessment: Assessment) -> Markup:
         paragraphs(*_sentences(assessment))
         + Markup("").join(_grids(assessment))
         + bullets(_reasons(assessment))
-        + bullets(f"Not assessable: {one.what}. Why: {one.why}." for one in standard.not_assessable)
+        + bullets(f"Not assessable: {part.what}. Why: {part.why}." for part in standard.not_assessable)
         + paragraphs(f"Source{' (second hand)' if standard.second_hand else ''}: {standard.source}.")
     )
 
@@ -129,8 +129,8 @@ def _reasons(assessment: Assessment) -> Iterator[str]:
             yield f"And {len(cells) - MOST_REASONS} more {light} cells."
 
 
-def scores(assessments: Sequence[tuple[str, Assessment]]) -> Table:
-    """The scores of named designs in tests; at every corner of the tolerances, where they were driven."""
+def scores(assessments: Sequence[tuple[str, Assessment]], *, titles: bool = False) -> Table:
+    """The scores of named designs in tests, at the corners too where these were driven; tests by name or title."""
     columns = [
         Column("Design", text=True), Column("Test", text=True), Column("Standard cells", "%", ".0f"),
         Column("At every corner", "%", ".0f"), Column("Extended points", "%", ".0f"), Column("Green"), Column("Amber"),
@@ -140,15 +140,14 @@ def scores(assessments: Sequence[tuple[str, Assessment]]) -> Table:
     for name, assessment in assessments:
         robust = assessment.robust_score if len(assessment.variants) > 1 else math.nan
         shares = [100.0 * share for share in (assessment.score, robust, assessment.extended_score)]
-        rows.append(
-            Row([name, assessment.standard.name, *shares, *(assessment.lights.count(light) for light in _SHOWN)])
-        )
+        test = assessment.standard.title if titles else assessment.standard.name
+        rows.append(Row([name, test, *shares, *(assessment.lights.count(light) for light in _SHOWN)]))
     return Table("Each design in each test", columns, rows)
 
 
 def write_assessment_page(assessments: Sequence[tuple[str, Assessment]], path: str | Path) -> Path:
     """Write the page of named designs in tests: one HTML file that needs nothing else, whole or not at all."""
-    sections = [Section("verdict", "Scores", to_html(scores(assessments)))]
+    sections = [Section("verdict", "Scores", to_html(scores(assessments, titles=True)))]
     several = len({name for name, _ in assessments}) > 1
     for k, (name, assessment) in enumerate(assessments, 1):
         title = f"{name}: {assessment.standard.title}" if several else assessment.standard.title

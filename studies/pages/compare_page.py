@@ -186,7 +186,7 @@ def _only_one(comparison: Comparison) -> Section:
         ("Fails in both", comparison.failed_in_both),
     ):
         if failed:
-            body += Markup("<h3>{}</h3>").format(title) + bullets(one.sentence for one in failed[:MOST_LISTED])
+            body += Markup("<h3>{}</h3>").format(title) + bullets(failure.sentence for failure in failed[:MOST_LISTED])
     return Section(
         "only", "In one study, and failures", body or paragraphs("Both studies hold the same designs, and none failed.")
     )

@@ -44,8 +44,12 @@ def _sentences(context: Context) -> Iterator[str]:
     second = rivals[0]
     name = design_name(ranking.designs[second])
     away, low, high = (
-        float(one[second])
-        for one in (ranking.inference.difference, ranking.inference.difference_low, ranking.inference.difference_high)
+        float(values[second])
+        for values in (
+            ranking.inference.difference,
+            ranking.inference.difference_low,
+            ranking.inference.difference_high,
+        )
     )
     between = (
         f" ({level} interval {difference_text(low)} to {difference_text(high)})" if math.isfinite(low + high) else ""
@@ -90,7 +94,7 @@ def _charts(context: Context) -> Iterator[Chart]:
             S, low, high = (float(v[i]) for v in (ranking.fresh.S, ranking.fresh.low, ranking.fresh.high))
             dots_of_row.append(Dot(name, S, low, high, style, open=True))
         rows.append(dots_of_row)
-    ends = [value for row in rows for one in row for value in (one.value, one.low, one.high)]
+    ends = [value for row in rows for dot in row for value in (dot.value, dot.low, dot.high)]
     level = float(ranking.metrics.S_uncorrected[context.shown])
     near = [level] if level < 2.0 * max((v for v in ends if math.isfinite(v)), default=0.0) else []
     yield dots("intervals", "Mean S with intervals", rows, Axis.around("Mean S [m\u00b7s]", ends, near),

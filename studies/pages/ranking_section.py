@@ -116,9 +116,9 @@ def _operator(operator: str) -> str:
 
 
 def _limit_text(name: str, limit: float) -> str:
-    one = metric(name)
-    unit = f"\u00a0{one.shown_unit}" if one.shown_unit else ""
-    return f"{compact(float(f'{one.scale * limit:.4g}'))}{unit}"
+    definition = metric(name)
+    unit = f"\u00a0{definition.shown_unit}" if definition.shown_unit else ""
+    return f"{compact(float(f'{definition.scale * limit:.4g}'))}{unit}"
 
 
 def _title(context: Context) -> str:
@@ -133,13 +133,13 @@ def _named_metrics(context: Context) -> Markup:
         others.append(("Baseline", ranking.baseline))
     columns = [Column("Metric", text=True), Column(_title(context)), *(Column(name) for name, _ in others)]
     rows = []
-    for name, one in METRICS.items():
+    for name, definition in METRICS.items():
         try:
             values = [context.metric(name, i), *(math.nan if j is None else context.metric(name, j) for _, j in others)]
         except LookupError:
             continue
         if any(math.isfinite(value) for value in values):
-            rows.append(Row((one.title, *(metric_text(name, value) for value in values))))
+            rows.append(Row((definition.title, *(metric_text(name, value) for value in values))))
     return to_html(Table("All metrics", columns, rows))
 
 
@@ -181,6 +181,6 @@ def _blocks(ranking: Ranking, study: Study, manifest: Manifest, verdict: Verdict
     yield "".join(f"- {markdown_text(fact)}\n" for fact in facts)
     if ranking.failed:
         yield "## Failed designs\n"
-        yield "".join(f"- {markdown_text(one.sentence)}\n" for one in ranking.failed[:MOST_MARKDOWN_ROWS])
+        yield "".join(f"- {markdown_text(failure.sentence)}\n" for failure in ranking.failed[:MOST_MARKDOWN_ROWS])
         if len(ranking.failed) > MOST_MARKDOWN_ROWS:
             yield f"And {len(ranking.failed) - MOST_MARKDOWN_ROWS:,} more, see `ranking.csv`.\n"

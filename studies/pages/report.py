@@ -50,7 +50,7 @@ def settings_section(context: Context) -> Section:
     report, failed = context.report, context.report.results.failed
     body = explorer.failures(context)
     if failed:
-        listed = [one.sentence for one in failed[:MOST_FAILED]]
+        listed = [failure.sentence for failure in failed[:MOST_FAILED]]
         if len(failed) > MOST_FAILED:
             listed.append(f"and {len(failed) - MOST_FAILED} more, see ranking.csv")
         body += Markup("<p>{} failed and {} not ranked:</p>{}").format(

@@ -109,7 +109,7 @@ def _curve(risk: Risk) -> Section:
     text = (
         f"Share of departures that get deeper, on a log scale; below {digits(3.0 / max(risk.n, 1), 2)} chance decides."
     )
-    key = legend([(one.label, one.style) for one in series])
+    key = legend([(curve.label, curve.style) for curve in series])
     return Section("exceedance", "Exceedance", figure([chart], text, key), (chart,), printed=True)
 
 

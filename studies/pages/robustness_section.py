@@ -140,6 +140,6 @@ def _margins(context: Context, robustness: Robustness) -> Iterator[Chart]:
                     )
                 )
         if series and robustness.v.size > 1:
-            y = Axis.around(title, *(one.y for one in series), [level], zero=True)
+            y = Axis.around(title, *(curve.y for curve in series), [level], zero=True)
             x = Axis.around("Speed [m/s]", robustness.v)
             yield Chart(f"margin-{name}", title, x, y, series, level=level, height=230)

@@ -42,12 +42,12 @@ class Section:
 
 def paragraphs(*sentences: str) -> Markup:
     """Plain sentences as paragraphs; empty ones are left out."""
-    return Markup("").join(Markup("<p>{}</p>").format(symbols(one)) for one in sentences if one)
+    return Markup("").join(Markup("<p>{}</p>").format(symbols(text)) for text in sentences if text)
 
 
 def bullets(sentences: Iterable[str], kind: str = "") -> Markup:
     """Plain sentences as a list; nothing for none."""
-    items = Markup("").join(Markup("<li>{}</li>").format(symbols(one)) for one in sentences)
+    items = Markup("").join(Markup("<li>{}</li>").format(symbols(text)) for text in sentences)
     return Markup('<ul class="{}">{}</ul>').format(kind, items) if items else Markup()
 
 
@@ -61,7 +61,7 @@ def figure(charts: Sequence[Chart], caption: str, key: Markup = Markup()) -> Mar
     """Charts side by side, with their legend above and a caption below; nothing without a chart."""
     if not charts:
         return Markup()
-    panels = Markup("").join(Markup('<div class="panel">{}</div>').format(one.svg) for one in charts)
+    panels = Markup("").join(Markup('<div class="panel">{}</div>').format(chart.svg) for chart in charts)
     return Markup('<figure>{}<div class="panels">{}</div><figcaption>{}</figcaption></figure>').format(
         key, panels, symbols(caption)
     )
@@ -90,7 +90,7 @@ def script_json(data: Mapping[str, Any]) -> Markup:
     try:
         text = json.dumps(data, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
     except ValueError as error:
-        raise InputError("report data", f"{error}") from None
+        raise InputError("report data", str(error)) from None
     return Markup(text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029"))
 
 
@@ -101,13 +101,13 @@ def script_json(data: Mapping[str, Any]) -> Markup:
 def _environment() -> Environment:
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
-    made = Environment(
+    environment = Environment(
         loader=PackageLoader(_PACKAGE), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    made.filters |= {"symbols": symbols, "printable": printable}
+    environment.filters |= {"symbols": symbols, "printable": printable}
     # of its own style and script, so that a browser uses no other
-    made.filters["sha256"] = lambda text: base64.b64encode(sha256(text.encode()).digest()).decode()
-    return made
+    environment.filters["sha256"] = lambda text: base64.b64encode(sha256(text.encode()).digest()).decode()
+    return environment
 
 
 def render(template: str, **values: object) -> Markup:

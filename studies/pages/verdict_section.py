@@ -143,9 +143,9 @@ def scatter_of_metrics(
 
 def limit_of(context: Context, name: str) -> float | None:
     """The upper limit of a metric among the requirements; of added acceleration always that of ISO 11270."""
-    for one in context.ranking.requirements:
-        if one.metric.name == name and one.operator in ("<=", "<"):
-            return one.limit
+    for requirement in context.ranking.requirements:
+        if requirement.metric.name == name and requirement.operator in ("<=", "<"):
+            return requirement.limit
     return A_Y_LIMIT if name == "a_y_added_peak_p95" else None
 
 

@@ -222,7 +222,7 @@ def _analysed(method: str, k: int, *sample: FloatArray, confidence: float, seed:
         analyze = importlib.import_module(f"SALib.analyze.{method}").analyze
     except ImportError:
         hint = 'install the extra: pip install "ldctoolkit[sensitivity]"'
-        raise LdcError("SALib", "is not installed, and Sobol indices of a sample need it", hint=hint) from None
+        raise LdcError("", "SALib is not installed, and Sobol indices of a sample need it", hint=hint) from None
     cube = {"num_vars": k, "names": [str(i) for i in range(k)], "bounds": [[0.0, 1.0]] * k}
     # odd, because SALib treats 0 as no seed
     seed = int(np.random.SeedSequence([seed, 0x736F626F]).generate_state(1)[0]) | 1

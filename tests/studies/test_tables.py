@@ -83,6 +83,12 @@ def test_markdown_reads_as_the_text_it_is_made_from() -> None:
     assert html.count('style="text-align:right"') == 8
 
 
+@pytest.mark.parametrize("value", [0.0, -0.0, 0.04, -0.04])
+def test_what_is_rounded_to_zero_has_no_sign(value: float) -> None:
+    row = Row([value, value])
+    assert Table("", [Column("x", form="+.1f"), Column("y", form=".1f")], [row]).texts(row) == ["0.0", "0.0"]
+
+
 @pytest.mark.parametrize("turn", "\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069")
 def test_no_text_turns_what_follows(turn: str) -> None:
     assert markdown_text(f"a{turn}b") == printable(f"a{turn}b") == "a\ufffdb"

@@ -77,6 +77,8 @@ def test_a_law_that_passes(tmp_path: Path) -> None:
     assert [others[-1][name] for name in ("range", "speed_km_h", "lateral_velocity_m_s")] == ["extended", "100", "0.7"]
     page = page_at(tmp_path / "found" / "assessment.html")
     assert page.images == ["passes at every corner"] * 36
+    head, row = page.captioned("Each design in each test")
+    assert (head[1], row[1]) == ("Test", "Euro NCAP 2026, ELK road edge")
     grid = page.captioned("DTLE [m]")
     assert grid[0] == ["Speed [km/h]", *(f"{rate} [m/s]" for rate in (0.2, 0.3, 0.4, 0.5, 0.6, 0.7))]
     assert [row[0] for row in grid[1:]] == ["50", "60", "70", "80", "90", "100"]

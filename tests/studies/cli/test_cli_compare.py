@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from helpers.cli import bad, good, ldc
+from helpers.stored import rewrite_json
 from ldctoolkit.studies import Study, run_study
 
 
@@ -68,6 +69,15 @@ def test_tables_csv_and_page(folders: Path) -> None:
     assert cells[4].startswith("+")
     assert float(cells[4]) == pytest.approx(float(stored["difference_m_s"]), abs=6e-5)
     assert good("compare", "old", "new", "--top", 1, cwd=folders).count("│ worse") == 1
+
+
+def test_that_there_is_no_winner_is_printed_once(folders: Path) -> None:
+    shutil.copytree(folders / "old", folders / "strict")
+    rewrite_json(
+        folders / "strict" / "manifest.json", lambda content: content["study"]["ranking"].update(require=["S <= 1e-9"])
+    )
+    out = good("compare", "old", "strict", cwd=folders)
+    assert " ".join(out.split()).count("there is no winner to compare") == 1
 
 
 def test_json_and_exit_code_for_scripts(folders: Path) -> None:

@@ -98,7 +98,7 @@ def test_without_salib_the_rest_goes_on(folder: Path, monkeypatch: pytest.Monkey
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "SALib", None)
     out = good("sensitivity", folder, "--points", "0", cwd=folder)
-    assert "design[2], LQR: no Sobol indices: SALib: is not installed" in out
+    assert "design[2], LQR: no Sobol indices: SALib is not installed, and" in out
     assert 'pip install "ldctoolkit[sensitivity]"' in out
     assert "design[1], Preview P: Sobol indices" in out
 

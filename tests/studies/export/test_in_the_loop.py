@@ -66,6 +66,8 @@ def test_every_law_on_the_realistic_plant(name: str) -> None:
     result = compared(LAWS[name], REALISTIC)
     assert (result.iterations > 0) == name.startswith("mpc")
     assert result.size > result.stack > 0
+    if name == "table":  # gains with kinks are exported as they are
+        assert result.delta < 1e-11
 
 
 def random_design(controller: Controller, rng: np.random.Generator) -> Controller:
