@@ -355,7 +355,8 @@ def test_the_manifest_tells_what_ran(reference: StudyResults, tmp_path: Path, mo
 
 def test_wrong_arguments_are_named(make_study: MakeStudy, tmp_path: Path) -> None:
     wrong: dict[str, Any] = {"workers": 0, "executor": "process", "block_size": "a", "time_limit": -1}
-    for name, value in (
+    limits = (1e-9, 1e10, float("nan"), True, False, "a")
+    for name, value in (*wrong.items(), *(("time_limit", limit) for limit in limits)):
         *wrong.items(),
         *(("time_limit", limit) for limit in (1e-9, 1e10, float("nan"), True, False, "a")),
     ):
