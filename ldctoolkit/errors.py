@@ -6,6 +6,7 @@ builtin that a caller would expect, so ``except ValueError`` keeps working.
 """
 
 import copy
+import copyreg
 import difflib
 import functools
 import inspect
@@ -80,7 +81,7 @@ class LdcError(Exception):
         fields = self.__dict__
         if not isinstance(self.value, str | float | int | None | _NotGiven):  # it may be anything, also unpicklable
             fields = fields | {"value": _Repr(short(self.value))}
-        return type(self), (self.path, self.problem), fields
+        return copyreg.__newobj__, (type(self), self.path, self.problem), fields  # type: ignore[attr-defined]
 
     def __str__(self) -> str:
         return ": ".join(filter(None, (self.path, self.without_path)))
@@ -112,7 +113,7 @@ class LdcError(Exception):
 
     def _changed(self, **fields: str) -> Self:
         error = copy.copy(self)
-        error.__dict__.update(fields)
+        error.__dict__.update(self.__dict__ | fields)  # also a value that would not travel
         return error
 
     @classmethod
