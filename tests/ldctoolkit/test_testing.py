@@ -332,10 +332,6 @@ def test_the_lane_that_laws_are_shown_is_one_lane() -> None:
     np.testing.assert_array_equal(road.mirrored().preview(1, times).heading, -road.preview(1, times).heading)
 
 
-def lqr_faults(**given: Any) -> Any:
-    return contract_faults(**{"controller": LQR} | given)
-
-
 @pytest.mark.parametrize(
     ("call", "path", "value"),
     [
