@@ -410,10 +410,11 @@ def test_wrong_arguments_are_named(wrong: dict[str, Any], path: str, value: Any)
 
 @pytest.mark.parametrize("pair", [(3.0, 6.0), (6.0,), (0.0, 0.0), ("a", "b"), 6.0])
 def test_wrong_thresholds_are_named(pair: Any) -> None:
-    with refused("thresholds.gain_margin", value=pair):
+    with refused("thresholds.gain_margin", value=pair, allowed="two descending numbers > 0 dB"):
         Thresholds(gain_margin=pair)
     with refused("thresholds.bend", value=(0.3, 0.1)):
         Thresholds(bend=(0.3, 0.1))
+    assert Thresholds(bend=[np.float32(0.25), 1]).bend == (0.25, 1.0)  # type: ignore[arg-type]
 
 
 PAGE = Path(__file__).resolve().parents[2] / "docs/how-to/reviewing-a-design.md"
