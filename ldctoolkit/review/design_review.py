@@ -389,7 +389,7 @@ def review_plant(
     >>> review_plant(BicycleModel(), 0.05, PlantOptions(), [20.0, 30.0]).n
     2
     """
-    dt, v = checked_number("dt", dt, above=0.0), checked_speeds(speeds)
+    dt, v = checked_number("dt", dt, above=0.0, unit="s"), checked_speeds(speeds)
     outside = v[(v < SPEED_RANGE[0]) | (v > SPEED_RANGE[1])]
     if v.size == 0 or outside.size:
         allowed = f"one or more from {SPEED_RANGE[0]:g} to {SPEED_RANGE[1]:g} m/s"
@@ -475,7 +475,8 @@ def review(
     options = PlantOptions() if options is None else options
     thresholds = Thresholds() if thresholds is None else thresholds
     model = BicycleModel() if model is None else model
-    a_y, y_s = checked_number("a_y", a_y, above=0.0), checked_number("y_s", y_s, lower=0.0)
+    a_y = checked_number("a_y", a_y, above=0.0, unit="m/s^2")
+    y_s = checked_number("y_s", y_s, lower=0.0, unit="m")
     plant = review_plant(model, dt, options, speeds, plant_knowledge)
     v, dt, options = plant.v, plant.dt, options.sampled(plant.dt)
     identity = _identity(controller)

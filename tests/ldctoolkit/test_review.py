@@ -404,6 +404,8 @@ def test_a_response_of_many_states_is_worked_out_in_blocks() -> None:
 def test_wrong_arguments_are_named(wrong: dict[str, Any], path: str, value: Any) -> None:
     with refused(path, value=value):
         review(LQR(r_delta=100.0), **wrong)
+    with refused("a_y", allowed="a finite number > 0 m/s^2"):
+        review(LQR(), a_y=0.0)
     with refused("controller"):
         review(LQR)  # type: ignore[arg-type]
 
