@@ -191,7 +191,7 @@ def check_solver(solver: str, owner: str) -> None:
 
         installed = {"osqp", "daqp", *qpsolvers.available_solvers}
         if solver not in installed:
-            raise InputError(f"{owner}.solver", "no such solver is installed", value=solver, allowed=sorted(installed))
+            raise InputError(f"{owner}.solver", "is not installed", value=solver, allowed=sorted(installed))
 
 
 def make(solver: str, qp: QP) -> Workspace:

@@ -54,7 +54,7 @@ def register(controller: type[Controller]) -> type[Controller]:
         )
     if not same:
         raise InputError(
-            f"{controller.__name__}.name", "of another controller, too", value=name, hint="choose another name"
+            f"{controller.__name__}.name", "is the name of another controller", value=name, hint="choose another"
         )
     _registered[name] = controller
     return controller
@@ -135,7 +135,7 @@ def bound_class(name: str, code: str, *, same: bool = False) -> type[Controller]
     """The class that a design was made with, or else the present one of its name; with `same` only of the same code."""
     kind = _by_code.get((name, code)) or controller_class(name)
     if same and not is_known(name, code):
-        raise LdcError("law", "its code is not that of the design", value=name, hint="run the study again")
+        raise LdcError("law", "does not have the code of the design", value=name, hint="run the study again")
     return kind
 
 

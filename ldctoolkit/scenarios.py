@@ -165,7 +165,7 @@ class Scenarios(DepartureParameters):
         signals = getattr(departures, "signals", None)
         if signals is None:
             hint = "extract them with keep_signals=True"
-            raise InputError("path", "but the departures hold no signals", value=path, hint=hint)
+            raise InputError("path", "needs signals, and the departures hold none", value=path, hint=hint)
         return dataclasses.replace(scenarios, signals=signals)
 
     @classmethod

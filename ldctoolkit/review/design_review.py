@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.control import Controller
-from ldctoolkit.declared import GainValue, checked_number, is_number
+from ldctoolkit.declared import GainValue, check_declared, checked_number, declared, is_number
 from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.law_checks import check_controller
 from ldctoolkit.plant_options import Actuator, PlantOptions
@@ -69,27 +69,27 @@ class Thresholds:
     (0.5, 0.25)
     """
 
-    gain_margin: tuple[float, float] = (6.0, 3.0)  # [dB] Factor that the loop gain may grow, or shrink, by
-    phase_margin: tuple[float, float] = (math.radians(30.0), math.radians(15.0))  # [rad]
-    disk_margin: tuple[float, float] = (0.5, 0.25)  # Balanced (skew 0)
-    delay_margin: tuple[float, float] = (1.0, 0.5)  # [samples]
-    damping: tuple[float, float] = (0.3, 0.1)  # Damping ratio of the closed loop's poles
-    sampling: tuple[float, float] = (0.1, 0.5)  # Bandwidth over sampling frequency
-    slowest: tuple[float, float] = (10.0, 100.0)  # [s] Time constant of the slowest pole
-    bend: tuple[float, float] = (0.1, 0.3)  # [m] |e_y| in a steady bend on the nominal vehicle
-    bend_mismatched: tuple[float, float] = (0.3, 0.6)  # [m] The same on a vehicle with other tyres
-    hessian: tuple[float, float] = (1e6, 1e12)  # Condition number of the condensed Hessian
+    # [dB] Factor that the loop gain may grow, or shrink, by
+    gain_margin: tuple[float, float] = declared((6.0, 3.0), unit="dB", above=0.0, pair="descending")
+    phase_margin: tuple[float, float] = declared(
+        (math.radians(30.0), math.radians(15.0)), unit="rad", above=0.0, pair="descending"
+    )
+    disk_margin: tuple[float, float] = declared((0.5, 0.25), above=0.0, pair="descending")  # Balanced (skew 0)
+    delay_margin: tuple[float, float] = declared((1.0, 0.5), unit="samples", above=0.0, pair="descending")
+    # Damping ratio of the closed loop's poles
+    damping: tuple[float, float] = declared((0.3, 0.1), above=0.0, pair="descending")
+    # Bandwidth over sampling frequency
+    sampling: tuple[float, float] = declared((0.1, 0.5), above=0.0, pair="ascending")
+    # [s] Time constant of the slowest pole
+    slowest: tuple[float, float] = declared((10.0, 100.0), unit="s", above=0.0, pair="ascending")
+    # [m] |e_y| in a steady bend on the nominal vehicle, and on a vehicle with other tyres
+    bend: tuple[float, float] = declared((0.1, 0.3), unit="m", above=0.0, pair="ascending")
+    bend_mismatched: tuple[float, float] = declared((0.3, 0.6), unit="m", above=0.0, pair="ascending")
+    # Condition number of the condensed Hessian
+    hessian: tuple[float, float] = declared((1e6, 1e12), above=0.0, pair="ascending")
 
     def __post_init__(self) -> None:
-        for field in dataclasses.fields(self):
-            pair, rising = getattr(self, field.name), field.name in _LARGE_IS_BAD
-            numbers = isinstance(pair, tuple) and len(pair) == 2 and all(is_number(x) and x > 0 for x in pair)
-            if not numbers or (pair[0] > pair[1] if rising else pair[0] < pair[1]):
-                allowed = f"(warning, fault), numbers > 0, fault {'>=' if rising else '<='} warning"
-                raise InputError(f"thresholds.{field.name}", value=pair, allowed=allowed)
-
-
-_LARGE_IS_BAD: Final = {"sampling", "slowest", "bend", "bend_mismatched", "hessian"}
+        check_declared(self, "thresholds")
 
 
 def _at(
@@ -389,7 +389,7 @@ def review_plant(
     >>> review_plant(BicycleModel(), 0.05, PlantOptions(), [20.0, 30.0]).n
     2
     """
-    dt, v = checked_number("dt", dt, above=0.0), checked_speeds(speeds)
+    dt, v = checked_number("dt", dt, above=0.0, unit="s"), checked_speeds(speeds)
     outside = v[(v < SPEED_RANGE[0]) | (v > SPEED_RANGE[1])]
     if v.size == 0 or outside.size:
         allowed = f"one or more from {SPEED_RANGE[0]:g} to {SPEED_RANGE[1]:g} m/s"
@@ -475,7 +475,8 @@ def review(
     options = PlantOptions() if options is None else options
     thresholds = Thresholds() if thresholds is None else thresholds
     model = BicycleModel() if model is None else model
-    a_y, y_s = checked_number("a_y", a_y, above=0.0), checked_number("y_s", y_s, lower=0.0)
+    a_y = checked_number("a_y", a_y, above=0.0, unit="m/s^2")
+    y_s = checked_number("y_s", y_s, lower=0.0, unit="m")
     plant = review_plant(model, dt, options, speeds, plant_knowledge)
     v, dt, options = plant.v, plant.dt, options.sampled(plant.dt)
     identity = _identity(controller)

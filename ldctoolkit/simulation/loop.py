@@ -604,7 +604,7 @@ def _path_rows(trajectories: PathChoice, n: int) -> IntArray | None:
         raise InputError("trajectories", value=trajectories, allowed="true, false, or row numbers of scenarios")
     outside = (rows < 0) | (rows >= n)
     if outside.any():
-        raise InputError("trajectories", "no such scenario", value=int(rows[outside][0]), allowed=f"0 to {n - 1}")
+        raise InputError("trajectories", "is no scenario", value=int(rows[outside][0]), allowed=f"0 to {n - 1}")
     if np.unique(rows).size != rows.size:
         raise InputError("trajectories", "a row number is given twice", allowed="each once")
     return rows.astype(np.int64)

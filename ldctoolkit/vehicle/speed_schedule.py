@@ -66,7 +66,8 @@ class _FilterGain:
                 P = scipy.linalg.solve_discrete_are(A_p.T, C.T, 0.5 * (Q_p + Q_p.T), R)
             except (np.linalg.LinAlgError, ValueError) as error:
                 speed = v[len(rows)]
-                raise LdcError(f"{self.kalman}", f"no Kalman filter at {speed:.3g} m/s: {error}") from error
+                problem = f"has no gain at {speed:.3g} m/s: {error}"
+                raise LdcError("sensors.kalman", problem, value=self.kalman) from error
             # P and the innovation's covariance are symmetric
             rows.append(np.linalg.solve(C @ P @ C.T + R, C @ P).T.ravel())
         return np.array(rows)

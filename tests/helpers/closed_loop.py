@@ -27,7 +27,7 @@ from ldctoolkit import (
 )
 from ldctoolkit.controllers import LQR
 from ldctoolkit.metrics import METRIC_UNITS
-from ldctoolkit.plant_options import Actuator, Mismatch, PlantOptions, Residuals, Sensors, Tyres
+from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
 from ldctoolkit.simulation import Run, Takeover
 
 frozen = dataclasses.dataclass(frozen=True)
@@ -73,7 +73,7 @@ def with_residuals(scenarios: Scenarios) -> Scenarios:
 EVERY_OPTION = PlantOptions(
     speed="profile", actuator=Actuator(delta_max=0.05, rate_max=0.4, lag=0.05, delay=0.03),
     mismatch=Mismatch(m=(0.8, 1.3)), tyres=Tyres(model="magic_formula"), residuals=Residuals(y=True, v=True),
-    sensors=Sensors(e_y_noise=0.02, e_psi_step=1e-3, curvature_noise=1e-4),
+    sensors=Sensors(e_y_noise=0.02, e_psi_step=1e-3, curvature_noise=1e-4, delay=0.1, kalman=KalmanFilter()),
 )  # fmt: skip
 
 

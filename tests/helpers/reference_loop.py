@@ -31,7 +31,6 @@ OFFSET = (W_L - W_V) / 2
 JERK_WINDOW = 0.5
 
 Times = Any  # one time or an array of times [s]; and what belongs to them
-Ahead = Callable[[float], float]  # a preview: something of the lane at a lookahead time [s]
 Law = Callable[..., float]
 """(x, yaw rate ahead, heading change ahead, command before, those before it, wheel angle) -> command, as seen."""
 

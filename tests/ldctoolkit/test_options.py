@@ -159,6 +159,12 @@ def test_a_wrong_value_is_named(kind: Any, given: dict[str, Any], path: str, val
     assert_fields(caught.value, path, value, allowed)
 
 
+def test_an_error_seen_from_outside_holds_the_same_value() -> None:
+    error = InputError("m", value=(given := [1.2, 0.8])).within("mismatch")
+    assert error.path == "mismatch.m"
+    assert error.value is given
+
+
 def test_numpy_numbers_are_numbers() -> None:
     assert Actuator(lag=np.float32(0.5), delay=np.int64(1)) == Actuator(lag=0.5, delay=1.0)
     assert type(Actuator(lag=np.float64(0.5)).lag) is float

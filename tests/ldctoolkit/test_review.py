@@ -404,16 +404,19 @@ def test_a_response_of_many_states_is_worked_out_in_blocks() -> None:
 def test_wrong_arguments_are_named(wrong: dict[str, Any], path: str, value: Any) -> None:
     with refused(path, value=value):
         review(LQR(r_delta=100.0), **wrong)
+    with refused("a_y", allowed="a finite number > 0 m/s^2"):
+        review(LQR(), a_y=0.0)
     with refused("controller"):
         review(LQR)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("pair", [(3.0, 6.0), (6.0,), (0.0, 0.0), ("a", "b"), 6.0])
 def test_wrong_thresholds_are_named(pair: Any) -> None:
-    with refused("thresholds.gain_margin", value=pair):
+    with refused("thresholds.gain_margin", value=pair, allowed="two descending numbers > 0 dB"):
         Thresholds(gain_margin=pair)
     with refused("thresholds.bend", value=(0.3, 0.1)):
         Thresholds(bend=(0.3, 0.1))
+    assert Thresholds(bend=[np.float32(0.25), 1]).bend == (0.25, 1.0)  # type: ignore[arg-type]
 
 
 PAGE = Path(__file__).resolve().parents[2] / "docs/how-to/reviewing-a-design.md"

@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import math
+import pickle
 import re
 import threading
 from collections.abc import Callable
@@ -331,10 +332,6 @@ def test_the_lane_that_laws_are_shown_is_one_lane() -> None:
     np.testing.assert_array_equal(road.mirrored().preview(1, times).heading, -road.preview(1, times).heading)
 
 
-def lqr_faults(**given: Any) -> Any:
-    return contract_faults(**{"controller": LQR} | given)
-
-
 @pytest.mark.parametrize(
     ("call", "path", "value"),
     [
@@ -381,6 +378,8 @@ def test_the_error_names_every_fault() -> None:
     assert {fault.design for fault in caught.value.faults} == {"steered, K=-0.5"}
     assert len(str(caught.value).splitlines()) == 2
     assert str(Fault("a", "b", "c")) == "a: b: c"
+    back = pickle.loads(pickle.dumps(caught.value))  # from a worker process
+    assert (type(back), str(back), back.faults) == (ContractError, str(caught.value), caught.value.faults)
 
 
 def test_the_class_runs_every_check() -> None:

@@ -1,5 +1,6 @@
 """Actuator, mismatch, Kalman filter, and functions of the lanes."""
 
+import warnings
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from helpers.errors import refused
 from helpers.reference_loop import Vehicle
 from ldctoolkit import BicycleModel, Controller, Plant, Scenarios, VehicleParameters, simulate
 from ldctoolkit import lane_functions as lanes
+from ldctoolkit.errors import LdcError
 from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Tyres
 from ldctoolkit.simulation.takeover import true_vehicles
 from ldctoolkit.vehicle import Convention
@@ -181,6 +183,10 @@ def test_bad_input_is_named() -> None:
         true.matrices([20.0, 0.0], "consistent")
     with refused("speed at the trigger", value=95.0):
         filter_gain(Plant.build(BicycleModel(), [20.0, 95.0], 0.05), KalmanFilter(), 1)
+    unsolvable = KalmanFilter(q_y=1e150)
+    with refused("sensors.kalman", LdcError, value=unsolvable), warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # of scipy, which is not certain where it gives up
+        filter_gain(Plant.build(BicycleModel(), [20.0], 0.05), unsolvable, 1)
 
 
 FILTERS = [KalmanFilter(), KalmanFilter(q_y=2.0, q_psi=0.05, r_y=0.1, r_psi=0.001), KalmanFilter(q_y=0.05, r_psi=0.05)]
