@@ -161,3 +161,13 @@ def test_the_record_of_solver_calls(solver: str) -> None:
 def test_a_solver_that_is_not_installed_is_named(solver: str) -> None:
     with refused("linear_mpc.solver", value=solver, allowed={"osqp", "daqp", *qpsolvers.available_solvers}):
         LinearMPC(solver=solver)
+
+
+def test_skipping_the_solver_changes_nothing_that_matters() -> None:
+    rng = np.random.default_rng(6)
+    scenarios = Scenarios.from_arrays(
+        T=rng.uniform(1, 3, 4), d_y=rng.uniform(0.3, 0.8, 4), v_mean=rng.uniform(12, 30, 4)
+    )
+    skipped = simulate(LinearMPC(horizon=8, r_delta=100.0), scenarios).S
+    solved = simulate(LinearMPC(horizon=8, always_solve=True, r_delta=100.0), scenarios).S
+    np.testing.assert_allclose(solved, skipped, rtol=2e-5)

@@ -6,7 +6,7 @@ import control
 import numpy as np
 import pytest
 
-from helpers.closed_loop import DT, grid, moved, some, weights_of
+from helpers.closed_loop import DT, Stepped, grid, moved, some, weights_of
 from helpers.errors import refused
 from ldctoolkit import BicycleModel, Plant, Scenarios, VehicleParameters, load_model, simulate
 from ldctoolkit.control import Controller, EventStatus, LinearLaw, Preview
@@ -302,3 +302,43 @@ def test_feedback_and_constant_bends_are_those_of_the_lqr() -> None:
     # gain alone and gain with cost have the same bits
     np.testing.assert_array_equal(law.F, plain.F)
     np.testing.assert_allclose(law.G_yaw_rate.sum(axis=1), plain.G_yaw_rate[:, 0], rtol=1e-12)
+
+
+def cost(plant: Plant, design: PreviewLQR, law: LinearLaw, r: np.ndarray) -> np.ndarray:
+    """The sum of the design's cost over a lane yaw rate r (steps + 1) that ends in a constant, from rest."""
+    steady = plant.steady_state()
+    x, total = np.zeros((plant.n, 4)), np.zeros(plant.n)
+    ahead = law.preview_times.size
+    held = np.concatenate([r, np.full(ahead, r[-1])])
+    for k in range(r.size - 1):
+        delta = (law.F * x).sum(axis=1) + law.G_yaw_rate @ held[k : k + ahead]
+        z = x.copy()
+        z[:, 2] -= steady.e_psi * r[k]
+        u = delta - 0.5 * steady.delta * (r[k] + r[k + 1])
+        total += np.einsum("ni,ij,nj->n", z, weights(design), z) + design.r_delta * u**2
+        x = moved(plant, x, delta, r[k], np.full(plant.n, r[k + 1]))
+    return total
+
+
+def test_the_further_it_sees_the_less_a_bend_costs() -> None:
+    """A bend that begins between two samples, 3 s ahead: held before and after, so every plan is right once it sees it.
+    (Where curvature goes on changing, a short preview may do worse than none: it takes what it sees last to be held.)
+    """
+    plant = Plant.build(BicycleModel(), [12.0, 30.0], DT)
+    r = np.where(np.arange(401) < 60, 0.0, 0.08)
+    costs = [
+        cost(plant, d, d.prepare(plant), r) for d in (PreviewLQR(horizon=N, r_delta=100.0) for N in (1, 3, 10, 30, 60))
+    ]
+    plain = cost(plant, PreviewLQR(r_delta=100.0), LQR(r_delta=100.0).prepare(plant), r)
+    for shorter, longer in zip([plain, *costs], costs, strict=False):
+        assert (longer < shorter).all()
+    assert (costs[-1] < 0.5 * plain).all()
+
+
+def test_in_the_closed_loop_it_is_the_mpc_without_limits() -> None:
+    """Sums in another order over some hundred samples."""
+    scenarios = Scenarios.from_arrays(T=[2.0, 4.0, 3.0], d_y=[0.4, 0.6, 0.5], v_mean=[14.0, 30.0, 22.0], c_0=1e-3)
+    wide = LinearMPC(horizon=8, delta_max=1.0, rate_max=10.0, r_delta=100.0)
+    linear, general = simulate(Stepped(PreviewLQR(horizon=8, r_delta=100.0)), scenarios), simulate(wide, scenarios)
+    assert general.failed_solves.sum() == 0
+    np.testing.assert_allclose(linear.S, general.S, rtol=1e-10)

@@ -1,6 +1,8 @@
 """PID and sliding mode."""
 
+import dataclasses
 import math
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -9,12 +11,17 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from helpers.closed_loop import DT, closed_loop_matrices, continuous_poles, moved, plant_at
-from ldctoolkit import BicycleModel, EventStatus, Plant, Preview, VehicleParameters
+from helpers.closed_loop import DT, Stepped, closed_loop_matrices, continuous_poles, moved, plant_at
+from ldctoolkit import BicycleModel, EventStatus, Plant, Preview, Scenarios, VehicleParameters, simulate
+from ldctoolkit.control import Controller, LinearLaw
 from ldctoolkit.controllers.pid import PID, PIDLaw
 from ldctoolkit.controllers.sliding_mode import SlidingMode, SlidingModeLaw, conditioned, super_twisting
 
 OTHER = BicycleModel(VehicleParameters(m=1300.0, C_af=64000.0, C_ar=90000.0))
+
+SOME = Scenarios.from_arrays(
+    T=[2.5, 6.0, 4.0, 5.0], d_y=[0.4, 0.7, 0.6, 0.9], v_mean=[11.0, 18.0, 27.0, 38.0], c_0=[1e-3, -2e-3, 0.0, 5e-4]
+)
 
 
 def lane(r: np.ndarray) -> Preview:
@@ -292,3 +299,39 @@ def test_w_does_not_wind_up_at_the_limit() -> None:
         lowest[guarded] = min(path)
     assert lowest[True] > -0.2
     assert lowest[False] < -0.5
+
+
+@dataclasses.dataclass(frozen=True)
+class _Linear(Controller):
+    """The PID without integral and limit, written as a linear law."""
+
+    pid: PID
+    name: ClassVar[str] = "linear"
+    title: ClassVar[str] = "Linear"
+
+    def prepare(self, plant: Plant) -> LinearLaw:
+        d, n = self.pid, plant.n
+        reach, steady = d.T_lp * plant.v, plant.steady_state()
+        return LinearLaw(
+            F=np.column_stack([np.full(n, d.K_p), np.full(n, d.K_d), d.K_p * reach, d.K_d * reach]),
+            preview_times=np.zeros(1),
+            G_yaw_rate=(steady.delta - d.K_p * reach * steady.e_psi)[:, None],
+            G_heading=np.zeros((n, 1)),
+            f_u=np.zeros(n),
+        )
+
+
+def test_without_integral_and_limit_it_is_a_linear_law() -> None:
+    """The same sums in another order."""
+    design = PID(K_i=0.0, delta_max=1.0, K_p=-0.015)
+    np.testing.assert_allclose(simulate(design, SOME).S, simulate(Stepped(_Linear(design)), SOME).S, rtol=0, atol=1e-11)
+
+
+def test_without_back_calculation_the_path_overshoots() -> None:
+    plant = plant_at(15.0)
+    x = np.array([[3.0, 0.0, 0.0, 0.0]])
+    design = PID(K_i=-0.008, delta_max=0.01, K_p=-0.015)
+    guarded, _ = closed_loop(design, plant, x, np.zeros(1), 600)
+    wound_up, _ = closed_loop(dataclasses.replace(design, T_t=1e3), plant, x, np.zeros(1), 600)
+    assert guarded.min() > -0.05
+    assert wound_up.min() < -0.5

@@ -547,3 +547,22 @@ def test_a_compiler_from_a_package(monkeypatch: pytest.MonkeyPatch) -> None:
     assert (compiler() or [])[1:] == ["-P", "-m", "ziglang", "cc"]
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     assert compiler() is None
+
+
+def test_fmu_in_a_co_simulation(folder: Path) -> None:
+    """The importer's own master: inputs from a table, outputs a step later."""
+    code = exported(PID(), folder, Setup(), fmu=True)
+    recording = record(code, make_scenarios(5))
+    k = np.flatnonzero(recording.counts[:, 0])
+    table = np.zeros(
+        k.size, dtype=[("time", float), *((name if not size else f"{name}[1]", "f8") for name, size, _ in code.inputs)]
+    )
+    table["time"] = np.arange(k.size) * 0.05
+    for name, size, _ in code.inputs:
+        table[f"{name}[1]" if size else name] = recording.inputs[name][k, 0].reshape(-1)
+    found = fmpy.simulate_fmu(
+        str(folder / "ldc_controller.fmu"), stop_time=k.size * 0.05, step_size=0.05, output_interval=0.05,
+        input=table, output=["delta", "phase"],
+    )  # fmt: skip
+    np.testing.assert_allclose(found["delta"][1 : k.size], recording.delta[k[:-1], 0], rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(found["phase"][1 : k.size], recording.phase[k[:-1], 0])
