@@ -40,13 +40,13 @@ def section(context: Context) -> Section:
     """The section."""
     ranking = context.ranking
     named = [position for position in (ranking.winner, ranking.baseline) if position is not None]
-    kept = {*named, *context.best_of_each_law, *np.flatnonzero(ranking.pareto)[:100].tolist()}
-    positions = [i for i in range(len(ranking)) if i < MOST_ROWS or i in kept]
+    marked = {*named, *context.best_of_each_law, *np.flatnonzero(ranking.pareto)[:100].tolist()}
+    positions = [i for i in range(len(ranking)) if i < MOST_ROWS or i in marked]
     table = ranking_table(ranking, positions)
     rows = []
     for position, row in zip(positions, table.rows, strict=True):
         first = position in named or position < FIRST_ROWS
-        kind = f"{row.kind} {'kept' if position in named else '' if first else 'far'}".strip()
+        kind = f"{row.kind} {'marked' if position in named else '' if first else 'far'}".strip()
         rows.append(dataclasses.replace(row, kind=kind, later=not first))
     table = dataclasses.replace(table, rows=rows)
     body = render(
