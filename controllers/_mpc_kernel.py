@@ -257,7 +257,7 @@ def prove(
                     sums[limits.group[row]] += magnitude
             if refined or tolerance == _PROVED:
                 break
-            # multipliers this large leave w inexact: once more, for what is residual
+            # multipliers this large leave w inexact: once more, for the residual
             for a in range(count):
                 row = held[a]
                 residual, kind = y[row] - (high[row] if side[row] > 0 else low[row]), limits.group[row]

@@ -232,7 +232,7 @@ def plot_ranking(ranking: Ranking, ax: Axes | None = None, top: int = 20) -> Axe
         style, design = styles[ranking.designs[i].law], ranking.designs[i]
         rows.append([Dot(f"{rank}{design.label}", S, low, high, style, open=not ranking.inference.set_of_best[i])])
     x = Axis("Mean S [m·s]", -math.inf, math.inf)
-    axes = draw(dots("ranking", "Mean S", rows, x, at=float(ranking.metrics.S_uncorrected[0])), ax)
+    axes = draw(dots("ranking", "Mean S", rows, x, upright=(float(ranking.metrics.S_uncorrected[0]), "")), ax)
     axes.set_title(ranking.label, parse_math=False)
     return axes
 

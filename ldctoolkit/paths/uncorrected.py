@@ -114,7 +114,7 @@ class Recorded:
         sample = np.clip(sample - (s.t[sample] > held), first, last - 1)
         return held, sample
 
-    def at(self, name: str, t: FloatArray) -> FloatArray:
+    def signal(self, name: str, t: FloatArray) -> FloatArray:
         """A signal at times t, (n,) or (n, k)."""
         t, i = self._before(t)
         time, values = self.signals.t, getattr(self.signals, name)
@@ -123,7 +123,7 @@ class Recorded:
 
     def area(self, t: FloatArray) -> FloatArray:
         """Integral of y from 0 to t, (n,) or (n, k) [m s]."""
-        end = self.at("y", t)
+        end = self.signal("y", t)
         t, i = self._before(t)
         out: FloatArray = self.y_area[i] + 0.5 * (t - self.signals.t[i]) * (self.signals.y[i] + end)
         return out
@@ -238,7 +238,7 @@ class UncorrectedPath:
             weight = ((t > 0.0) & (t < T[rows, None]))[:, :, None] * used[:, None, :]
             for modes, wave, name in ((modes_v, np.cos, "v"), (modes_y, np.sin, "y")):
                 plain = path.take(rows)  # y is seen along the x of the speed that is fitted first
-                gap = part.at(name, t) - (plain.speed(t) if name == "v" else plain.lateral(t))
+                gap = part.signal(name, t) - (plain.speed(t) if name == "v" else plain.lateral(t))
                 basis = wave(angle) * weight
                 normal = basis.transpose(0, 2, 1) @ basis + np.eye(used.shape[1]) * np.where(used, 1e-9, 1.0)[:, None]
                 modes[rows] = np.linalg.solve(normal, basis.transpose(0, 2, 1) @ gap[:, :, None])[:, :, 0]
@@ -269,14 +269,14 @@ class UncorrectedPath:
     def speed(self, t: FloatArray) -> FloatArray:
         """Speed v(t) [m/s]; v(T) beyond T."""
         if self.recorded is not None:
-            return self.recorded.at("v", t)
+            return self.recorded.signal("v", t)
         return self._values("SPEED", dep.speed, np.minimum(t, _like(self.scenarios.T, t)), self._varied)
 
     @_quiet
     def lateral(self, t: FloatArray) -> FloatArray:
         """Distance y(t) of the edge beyond the line [m]."""
         if self.recorded is not None:  # what was before the departure is not known: the parabola, and its modes
-            return np.where(t < 0.0, self._values("LATERAL", dep.lateral, t, True), self.recorded.at("y", t))
+            return np.where(t < 0.0, self._values("LATERAL", dep.lateral, t, True), self.recorded.signal("y", t))
         return self._values("LATERAL", dep.lateral, t, self._disturbed)
 
     @_quiet
@@ -293,7 +293,7 @@ class UncorrectedPath:
     def curvature(self, t: FloatArray) -> FloatArray:
         """Lane curvature c(t) [1/m], outward; c(T) beyond T. It has no drawn residual."""
         if self.recorded is not None:
-            return self.recorded.at("c", t)
+            return self.recorded.signal("c", t)
         return dep.curvature(self._shaped(t), t)
 
     @_quiet

@@ -97,8 +97,8 @@ class Axis:
         """An axis of categories, a unit each."""
         return cls(label, -0.5, len(names) - 0.5, categories=tuple(names))
 
-    def at(self, values: npt.ArrayLike) -> FloatArray:
-        """Place between 0 and 1 along the axis; what lies outside is put at its end."""
+    def fraction(self, values: npt.ArrayLike) -> FloatArray:
+        """Position between 0 and 1 along the axis; what lies outside is put at its end."""
         with np.errstate(divide="ignore", invalid="ignore"):
             x = np.asarray(values, dtype=np.float64)
             low, high = self.low, self.high
@@ -253,10 +253,10 @@ def bars(
 
 
 def dots(
-    name: str, title: str, rows: Sequence[Sequence[Dot]], x: Axis, *, at: float | None = None, at_text: str = ""
+    name: str, title: str, rows: Sequence[Sequence[Dot]], x: Axis, *, upright: tuple[float, str] | None = None
 ) -> Chart:
-    """Values with intervals, a row each; `at` is an upright dashed line."""
-    return Chart(name, title, x, Axis("", 0.0, 1.0), rows=rows, upright=None if at is None else (at, at_text))
+    """Values with intervals, a row each; `upright` is a dashed line with its text."""
+    return Chart(name, title, x, Axis("", 0.0, 1.0), rows=rows, upright=upright)
 
 
 def heat_map(
@@ -298,10 +298,10 @@ class _Frame:
         self.parts: list[str] = []
 
     def px(self, values: npt.ArrayLike) -> FloatArray:
-        return self.left + self.width * self.x.at(values)
+        return self.left + self.width * self.x.fraction(values)
 
     def py(self, values: npt.ArrayLike) -> FloatArray:
-        return self.top + self.depth * (1.0 - self.y.at(values))
+        return self.top + self.depth * (1.0 - self.y.fraction(values))
 
     def text(self, x: float, y: float, text: str, anchor: str = "middle", kind: str = "") -> None:
         named = f' class="{kind}"' if kind else ""

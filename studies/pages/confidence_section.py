@@ -91,7 +91,7 @@ def _charts(context: Context) -> Iterator[Chart]:
     level = float(ranking.metrics.S_uncorrected[context.shown])
     near = [level] if level < 2.0 * max((v for v in ends if math.isfinite(v)), default=0.0) else []
     yield dots("intervals", "Mean S with intervals", rows, Axis.around("Mean S [m\u00b7s]", ends, near),
-               at=level if near else None, at_text="no control")  # fmt: skip
+               upright=(level, "no control") if near else None)  # fmt: skip
     if context.scenarios.n > 2:
         shown = sorted(dict.fromkeys((context.shown, *context.best_of_each_law[:3])))
         curves = [(design_name(ranking.designs[i]), context.S(i), context.style(i)) for i in shown]

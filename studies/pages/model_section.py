@@ -154,7 +154,7 @@ def _to_model(x: FloatArray, model: ModelMarginal) -> float:
 
 
 def _to_quantiles(x: FloatArray, quantiles: FloatArray, share: FloatArray) -> float:
-    """Kolmogorov distance of ordered values from quantiles with their shares, quantiles these quantiles."""
+    """Kolmogorov distance of ordered values from quantiles with their shares, taken at these quantiles."""
     return float(np.abs(np.searchsorted(x, quantiles, side="right") / x.size - share).max())
 
 

@@ -46,7 +46,7 @@ def section(context: Context) -> Section:
     rows = []
     for position, row in zip(positions, table.rows, strict=True):
         first = position in named or position < FIRST_ROWS
-        kind = f"{row.kind} {'marked' if position in named else '' if first else 'far'}".strip()
+        kind = f"{row.kind} {'kept' if position in named else '' if first else 'far'}".strip()
         rows.append(dataclasses.replace(row, kind=kind, later=not first))
     table = dataclasses.replace(table, rows=rows)
     body = render(

@@ -150,7 +150,7 @@ def test_parabolas_with_residuals_trigger_by_the_time_to_line_crossing() -> None
             return y[1] + 0.6 * (y[2] - y[0]) / 2e-6
 
         assert t_s[i] == pytest.approx(first(value, 0.4, given.T[i]), abs=1e-7)
-    assert (values > 0.05).all()
+    assert (t_s > 0.05).all()
 
 
 def test_recorded_signals_trigger_on_the_smooth_path_nearest_to_them() -> None:

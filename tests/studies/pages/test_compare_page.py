@@ -226,7 +226,7 @@ def test_an_axis_around_nothing_is_an_axis() -> None:
 def test_log_axes_have_tens() -> None:
     axis = Axis.around("n", [2.0, 5000.0], log=True)
     assert [text for _, text in axis.ticks(300.0)] == ["10", "100", "1000"]
-    assert axis.at([axis.low, axis.high]).tolist() == [0.0, 1.0]
+    assert axis.fraction([axis.low, axis.high]).tolist() == [0.0, 1.0]
 
 
 def test_points_are_where_the_numbers_are() -> None:
@@ -265,7 +265,7 @@ def test_a_distribution_rises_to_one() -> None:
 
 def test_intervals_without_ends_have_none() -> None:
     rows = [[Dot("a", 1.0, 0.5, 1.5, BLUE)], [Dot("b", 1.0, np.nan, np.nan, BLUE, open=True)]]
-    body = dots("d", "t", rows, Axis("x", 0, 2), at=1.0, at_text="here").body
+    body = dots("d", "t", rows, Axis("x", 0, 2), upright=(1.0, "here")).body
     assert body.count('class="curve c0"') == 1
     assert body.count('class="mark c0 open"') == 1
 
