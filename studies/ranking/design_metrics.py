@@ -9,7 +9,7 @@ import os
 import re
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Final, Self
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -320,29 +320,14 @@ class DesignMetrics:
         return DesignMetrics(**{name: column[order] for name, column in values.items()}, beside=beside)
 
 
-@dataclasses.dataclass(frozen=True)
-class DrivableResults:
-    """Results on the scenarios that can be driven under every design."""
-
-    results: StudyResults
-    status: npt.NDArray[np.int8]  # (d, m) Of all scenarios, those that cannot be driven included
-
-    @classmethod
-    def of(cls, results: StudyResults) -> Self:
-        """Leave out the scenarios that cannot be driven under every design."""
-        drivable = results.on_drivable()
-        if not drivable.scenarios.n:
-            raise InputError(
-                "results", "no scenario could be driven under every design", hint="there is nothing to rank"
-            )
-        if not np.isfinite(drivable.counted).all():
-            raise InputError("results", "S is not finite in some scenario", hint="a mean would drop or hide it")
-        return cls(drivable, results.status)
-
-    @property
-    def left_out(self) -> int:
-        """Number of scenarios that are left out."""
-        return int(self.status.shape[1]) - len(self.results.scenarios)
+def drivable_results(results: StudyResults) -> StudyResults:
+    """The results on the scenarios that can be driven under every design; raises `InputError` if there are none."""
+    drivable = results.on_drivable()
+    if not drivable.scenarios.n:
+        raise InputError("results", "no scenario could be driven under every design", hint="there is nothing to rank")
+    if not np.isfinite(drivable.counted).all():
+        raise InputError("results", "S is not finite in some scenario", hint="a mean would drop or hide it")
+    return drivable
 
 
 _MARGINS: Final = ("gain_margin", "phase_margin")
@@ -370,10 +355,13 @@ def measures_of(results: StudyResults, vehicles: Sequence[str], standards: Seque
 
 
 def design_metrics(
-    drivable: DrivableResults, D_y: float, measures: Values, setup: Setup | None = None
+    every_run: StudyResults, results: StudyResults, D_y: float, measures: Values, setup: Setup | None = None
 ) -> DesignMetrics:
-    """Metrics of the designs, in the order of the results. Without `setup`, friction allows every recorded path."""
-    results = drivable.results
+    """Metrics of the designs, in the order of the results.
+
+    Statuses are counted in `every_run`, all else is taken over the drivable `results`. Without `setup`, friction allows
+    every recorded path.
+    """
     scenarios, counted = results.scenarios, results.counted
     every = np.ones(len(scenarios), dtype=np.bool_)
     rows = (every, scenarios.side == LEFT, scenarios.side == RIGHT)
@@ -387,7 +375,7 @@ def design_metrics(
     taken |= dict.fromkeys((*_MARGINS, *_OF_VEHICLES), np.full(len(results.designs), np.nan))
 
     def count(status: EventStatus) -> IntArray:
-        result: IntArray = (drivable.status == status).sum(axis=1).astype(np.int64)
+        result: IntArray = (every_run.status == status).sum(axis=1).astype(np.int64)
         return result
 
     return DesignMetrics(

@@ -422,19 +422,8 @@ class Inference:
     may_be_best: int
 
 
-def infer(
-    scores: FloatArray,
-    side: IntArray,
-    *,
-    ranked: int,
-    baseline: int | None,
-    seed: int,
-    samples: int,
-    confidence: float,
-    rows: IntArray | None = None,
-) -> Inference:
+def infer(resampled: Resampled, *, ranked: int, baseline: int | None, confidence: float) -> Inference:
     """Compare designs, the first `ranked` of them as candidates for the best; none where that is 0."""
-    resampled = Resampled.of(scores, side, seed=seed, samples=samples, rows=rows)
     d = resampled.mean.size
     contenders = ranked or d
     means = simultaneous_interval(resampled, confidence)

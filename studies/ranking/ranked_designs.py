@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.simulation import Window
@@ -13,8 +12,8 @@ from ldctoolkit.vehicle import Convention
 
 from ..design import Design
 from ..requirements import Estimate, Miss, Requirement
-from ..results import FailedDesign, score_label
-from .design_metrics import DesignMetrics, DrivableResults, mean_reduction
+from ..results import FailedDesign, StudyResults, score_label
+from .design_metrics import DesignMetrics, mean_reduction
 from .inference import SAME, Inference, Interval, Resampled, critical_value, simultaneous_interval, skewed_widths
 
 
@@ -93,41 +92,36 @@ class ReplayedScores:
     departures: int  # Number of recorded departures; 0 without any
 
 
-@dataclasses.dataclass(frozen=True)
-class SearchScores:
-    """Results on the search's scenarios, d designs by position in the ranking."""
-
-    scores: FloatArray  # (d, n) [m s] Counted S, in the study's order
-    order: IntArray  # (d,) Rows of `scores`, in the order of the ranking
-    side: npt.NDArray[np.signedinteger]  # (n,)
-    set_of_best: BoolArray  # (d,)
-    ranked: int  # Number of ranked designs, which are the first ones
-    baseline: int | None  # Position of the design that all are compared with
-    paired: bool  # Whether the baseline is a law: a difference to it cancels most of the effect of the draw
-
-
 def fresh_scores(
-    drivable: DrivableResults,
+    results: StudyResults,
     positions: IntArray,
-    search: SearchScores,
+    study_scores: Resampled,
+    inference: Inference,
     unmet: Sequence[tuple[str, ...]],
     *,
-    first_failed: bool = False,
+    ranked: int,
+    baseline: int | None,
+    paired: bool,
+    first_failed: bool,
     seed: int,
     samples: int,
     confidence: float,
 ) -> FreshScores:
-    """Score the finalists on fresh scenarios."""
-    d = len(search.scores)
+    """Score the finalists on fresh scenarios, whose drivable ones the results hold.
+
+    `positions` are those of the finalists in the ranking, whose first `ranked` designs are ranked; `study_scores` and
+    `inference` are those of its d designs on the study scenarios. `paired` says whether the baseline is a law: a
+    difference to it cancels most of the effect of the draw.
+    """
+    d = study_scores.mean.size
     order = np.argsort(positions, kind="stable")
     positions, unmet = positions[order], [unmet[i] for i in order.tolist()]
-    results = drivable.results
     every = Resampled.of(
         results.counted, results.scenarios.side, seed=seed, samples=samples, stream=_STREAM, rows=order
     )
     rows = np.flatnonzero(
-        (positions < search.ranked)
-        & (search.set_of_best[positions] | (positions != (-1 if search.baseline is None else search.baseline)))
+        (positions < ranked)
+        & (inference.set_of_best[positions] | (positions != (-1 if baseline is None else baseline)))
     )
     finalists, resampled = positions[rows], every.take(rows)
 
@@ -145,28 +139,27 @@ def fresh_scores(
     reduction = nothing[0]
     if finalists.size and (finalists[0] == 0 or first_failed):
         to_first = ends(simultaneous_interval(resampled, confidence, 0), finalists)
-    there = search.baseline is not None and search.baseline in positions
-    if search.baseline is not None and there and finalists.size:
-        among = np.unique([*finalists, search.baseline])
+    there = baseline is not None and baseline in positions
+    if baseline is not None and there and finalists.size:
+        among = np.unique([*finalists, baseline])
         taken = every.take(np.searchsorted(positions, among))
-        reference = int(np.searchsorted(among, search.baseline))
+        reference = int(np.searchsorted(among, baseline))
         to_baseline = ends(simultaneous_interval(taken, confidence, reference), among)
         without = np.full_like(taken.mean, taken.mean[reference])
         reduction = spread(mean_reduction(taken.mean, without), among)
-    paired = search.paired and there
+    paired = paired and there
     if finalists.size:
-        among = np.array([*finalists, *([search.baseline] if paired else [])], dtype=np.int64)
+        among = np.array([*finalists, *([baseline] if paired else [])], dtype=np.int64)
         fresh = every.take(np.searchsorted(positions, among))
-        before = Resampled.of(search.scores, search.side, seed=seed, samples=samples, rows=search.order[among])
-        interval = lost(before, fresh, confidence, among.size - 1 if paired else None)
+        interval = lost(study_scores.take(among), fresh, confidence, among.size - 1 if paired else None)
         optimism = ends(interval, among)
         if paired:  # the baseline's own difference is 0 by definition
             for values in optimism:
-                values[search.baseline] = np.nan
-    winner: int | None = 0 if search.ranked else None
+                values[baseline] = np.nan
+    winner: int | None = 0 if ranked else None
     if finalists.size and (finalists[0] == 0 or first_failed):
         meets = np.array([not unmet[i] for i in rows.tolist()], dtype=np.bool_)
-        winning_row = choose_winner(resampled, search.set_of_best[finalists], meets, confidence)
+        winning_row = choose_winner(resampled, inference.set_of_best[finalists], meets, confidence)
         winner = None if winning_row is None else int(finalists[winning_row])
     texts = dict(zip(finalists.tolist(), (unmet[i] for i in rows.tolist()), strict=True))
     return FreshScores(

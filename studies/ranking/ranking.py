@@ -24,24 +24,16 @@ from ..storage.files import write_text
 from ..study_file import Study
 from ..tables import Table, to_csv, to_polars
 from .design_metrics import (
-    DrivableResults,
     design_metrics,
+    drivable_results,
     find_baseline,
     measures_of,
     pareto_costs,
     pareto_front,
     sampling_intervals,
 )
-from .inference import Inference, infer, spread_is_known, tail_text
-from .ranked_designs import (
-    FreshScores,
-    RankedDesigns,
-    ReplayedScores,
-    SearchScores,
-    best_of_laws,
-    fresh_scores,
-    no_fresh_scores,
-)
+from .inference import Inference, Resampled, infer, spread_is_known, tail_text
+from .ranked_designs import FreshScores, RankedDesigns, ReplayedScores, best_of_laws, fresh_scores, no_fresh_scores
 from .verdict import depths, ranking_html
 
 if TYPE_CHECKING:
@@ -84,15 +76,15 @@ _OFTEN = 0.1  # share of a design's interventions with a failed solve that cause
 _NAMED = 3  # designs that a warning names
 
 
-def _warnings_of_runs(drivable: DrivableResults) -> Iterator[str]:
+def _warnings_of_runs(every_run: StudyResults, results: StudyResults) -> Iterator[str]:
     """Warnings of scenarios that cannot be driven, of scores that are not comparable, and of failed solves.
 
     A failed solve of a law without a solver, which has no fallback, is always reported, that of others if frequent.
     """
-    results = drivable.results
-    if drivable.left_out:
+    total = len(every_run.scenarios)
+    if left_out := total - len(results.scenarios):
         yield (
-            f"{drivable.left_out} of {drivable.status.shape[1]} scenarios cannot be driven (a parameter is not finite "
+            f"{left_out} of {total} scenarios cannot be driven (a parameter is not finite "
             "or has the wrong sign, or the speed leaves 1 to 90 m/s); no metric of any design counts them."
         )
     if results.window == "control" and len({design.y_s for design in results.designs}) > 1:
@@ -180,53 +172,50 @@ class Ranking(RankedDesigns, Frame):
         limits = requirements_of((*require, *(name for name in SETS if name != "lane-edge")), options)
         pareto_metrics = tuple(metric(name).name for name in pareto)
         reference = find_baseline(baseline, results)
-        drivable = DrivableResults.of(results)
+        drivable = drivable_results(results)
         named = (*standards, *pareto_metrics, *(requirement.metric.name for requirement in requirements))
         measures = measures_of(results, vehicles, [name for name in named if name in standard_names()])
-        metrics = design_metrics(drivable, D_y, measures, setup)
-        counted, side = drivable.results.counted, drivable.results.scenarios.side
+        metrics = design_metrics(results, drivable, D_y, measures, setup)
+        counted, side = drivable.counted, drivable.scenarios.side
         missed = missed_by(requirements, metrics)
         order = np.lexsort((metrics.S, np.array([bool(misses) for misses in missed]))).astype(np.int64)
         ranked = sum(not misses for misses in missed)
         in_order = metrics.take(order)
-        resampling: dict[str, Any] = {"seed": seed, "samples": bootstrap, "confidence": confidence}
         position = None if reference is None else int(np.flatnonzero(order == reference)[0])
-        inference = infer(counted, side, ranked=ranked, baseline=position, rows=order, **resampling)
+        resampled = Resampled.of(counted, side, seed=seed, samples=bootstrap, rows=order)
+        inference = infer(resampled, ranked=ranked, baseline=position, confidence=confidence)
         names = [requirement.metric.name for requirement in limits]
-        limited = sampling_intervals(drivable.results, metrics, names, D_y, confidence, setup)[:, :, order]
+        limited = sampling_intervals(drivable, metrics, names, D_y, confidence, setup)[:, :, order]
         mean_S = [name == "S" for name in names]
         limited[mean_S, 1:] = inference.S_low, inference.S_high
         fresh_limited, fresh_saved = np.full_like(limited, np.nan), np.full(len(order), np.nan)
-        warnings = list(_warnings_of_runs(drivable))
+        warnings = list(_warnings_of_runs(results, drivable))
         designs = tuple(results.designs[i] for i in order)
         fresh = no_fresh_scores(len(order), ranked)
         if results.fresh is not None and results.fresh.designs:
             position_of = {design.id: k for k, design in enumerate(designs)}
             positions = np.array([position_of[design.id] for design in results.fresh.designs], dtype=np.int64)
-            again = DrivableResults.of(results.fresh)
+            again = drivable_results(results.fresh)
             at = {design.id: i for i, design in enumerate(results.designs)}
             rows = [at[design.id] for design in results.fresh.designs]
             of_finalists = {name: values[rows] for name, values in measures.items()}
-            there = design_metrics(again, D_y, of_finalists, setup)
-            search = SearchScores(
-                counted,
-                order,
-                side,
-                inference.set_of_best,
-                ranked,
-                position,
-                paired=position is not None and not designs[position].is_baseline,
-            )
+            there = design_metrics(results.fresh, again, D_y, of_finalists, setup)
             fresh = fresh_scores(
                 again,
                 positions,
-                search,
+                resampled,
+                inference,
                 [tuple(miss.requirement.text for miss in misses) for misses in missed_by(requirements, there)],
                 first_failed=designs[0] in [failure.design for failure in results.fresh.failed],
-                **resampling,
+                ranked=ranked,
+                baseline=position,
+                paired=position is not None and not designs[position].is_baseline,
+                seed=seed,
+                samples=bootstrap,
+                confidence=confidence,
             )
             warnings += _about_finalists(fresh, ranked)
-            intervals = sampling_intervals(again.results, there, names, D_y, confidence, setup)
+            intervals = sampling_intervals(again, there, names, D_y, confidence, setup)
             worst = [name == "comfortable_worst" for name in names]  # driven on the study's departures only
             intervals[worst] = limited[worst][:, :, positions]
             fresh_limited[:, :, positions] = intervals
@@ -249,7 +238,15 @@ class Ranking(RankedDesigns, Frame):
             metrics=in_order,
             inference=inference,
             fresh=fresh,
-            replayed=_replayed(results, designs, **resampling, D_y=D_y, baseline=baseline),
+            replayed=_replayed(
+                results.replayed,
+                designs,
+                seed=seed,
+                bootstrap=bootstrap,
+                confidence=confidence,
+                D_y=D_y,
+                baseline=baseline,
+            ),
             window=results.window,
             convention=results.convention,
             designs=designs,
@@ -273,12 +270,10 @@ class Ranking(RankedDesigns, Frame):
         )
 
 
-def _replayed(results: StudyResults, designs: Sequence[Design], **settings: Any) -> ReplayedScores:
+def _replayed(there: StudyResults | None, designs: Sequence[Design], **settings: Any) -> ReplayedScores:
     """Scores of the finalists on recorded departures."""
     columns = np.full((4, len(designs)), np.nan)
-    there = results.replayed
     if there is not None and there.designs:
-        settings["bootstrap"] = settings.pop("samples")
         ranking = Ranking.of(there, **settings)
         position_of = {design.id: i for i, design in enumerate(designs)}
         numbers = (ranking.metrics.S, ranking.inference.S_low, ranking.inference.S_high, ranking.metrics.reduction)

@@ -80,8 +80,8 @@ def coverage(truth: Truth, n: int, repetitions: int, samples: int, first: int = 
     mean, baseline, best = truth.mean, 0, int(truth.mean.argmin())
     for repetition in range(first, first + repetitions):
         scores, side = truth.draw(n, [n, repetition])
-        one = infer(scores, side, ranked=len(mean), baseline=baseline, seed=repetition, samples=samples,
-                    confidence=CONFIDENCE)  # fmt: skip
+        resampled = Resampled.of(scores, side, seed=repetition, samples=samples)
+        one = infer(resampled, ranked=len(mean), baseline=baseline, confidence=CONFIDENCE)
         found.S += all_in(mean, one.S_low, one.S_high)
         found.baseline += all_in(mean - mean[baseline], one.baseline_difference_low, one.baseline_difference_high)
         chosen = int(scores.mean(axis=1).argmin())
@@ -265,7 +265,7 @@ def test_a_side_of_one_scenario_has_no_interval_and_tells_nothing_apart(n: int) 
     values = np.arange(4.0 * n).reshape(4, n) ** 2
     values[3] = values[1]
     side = np.where(np.arange(n) < 1, 1, -1)
-    found = infer(values, side, ranked=4, baseline=1, seed=0, samples=100, confidence=0.95)
+    found = infer(Resampled.of(values, side, seed=0, samples=100), ranked=4, baseline=1, confidence=0.95)
     assert found.set_of_best.all()
     assert (found.S_low == -np.inf).all()
     assert (found.S_high == np.inf).all()
@@ -278,7 +278,8 @@ def test_a_side_of_one_scenario_has_no_interval_and_tells_nothing_apart(n: int) 
 
 def test_two_scenarios_of_each_side_have_intervals() -> None:
     values = np.arange(12.0).reshape(3, 4) ** 2
-    found = infer(values, np.array([1, 1, -1, -1]), ranked=3, baseline=1, seed=0, samples=100, confidence=0.95)
+    resampled = Resampled.of(values, np.array([1, 1, -1, -1]), seed=0, samples=100)
+    found = infer(resampled, ranked=3, baseline=1, confidence=0.95)
     for field in dataclasses.fields(found):
         assert np.isfinite(getattr(found, field.name)).all(), field.name
     assert found.set_of_best[0]
@@ -288,7 +289,7 @@ def test_frequencies_are_shared_by_equals_and_sum_to_one() -> None:
     S = np.random.default_rng(0).gamma(2.0, 1.0, (2, 80))
     side = np.repeat([1, -1], 40)
     values = np.stack([S[0], S[0], S[1], S[0], S[1] + 9.0])
-    found = infer(values, side, ranked=5, baseline=None, seed=0, samples=300, confidence=0.95)
+    found = infer(Resampled.of(values, side, seed=0, samples=300), ranked=5, baseline=None, confidence=0.95)
     means = np.concatenate(list(weight_blocks(side, samples=300, seed=0))) @ S.T
     first = (means[:, 0] < means[:, 1]).mean()
     np.testing.assert_allclose(found.best_frequency, [first / 3, first / 3, 1 - first, first / 3, 0.0], atol=1e-12)
