@@ -48,7 +48,10 @@ def measured(
     vehicles: Sequence[str] = (),
     standards: Sequence[str] = (),
 ) -> StudyResults:
-    """The results with the measures of their designs; missing measures are computed and added to the table."""
+    """The results with the measures of their designs; missing measures are computed and added to the table.
+
+    The measures of `StudyResults.unsafe` are NaN.
+    """
     departures = first_of_each_side(results.scenarios, DEPARTURES) if vehicles else results.scenarios
     groups: list[Group] = [(LOOP, functools.partial(_loop, setup=setup))]
     for vehicle in vehicles:
@@ -56,8 +59,11 @@ def measured(
         groups.append((vehicle_measures(vehicle, results.scenarios), on))
     groups += [((name,), functools.partial(_scores, standard=name, setup=setup)) for name in standards]
     for names, measure in groups:
-        if missing := table.without(names[-1], results.designs):
-            table.add(dict(zip(names, measure(missing), strict=True)), missing)
+        missing = table.without(names[-1], results.designs)
+        if driven := [design for design in missing if design not in results.unsafe]:
+            table.add(dict(zip(names, measure(driven), strict=True)), driven)
+        if unsafe := [design for design in missing if design in results.unsafe]:
+            table.add(dict.fromkeys(names, np.full(len(unsafe), np.nan)), unsafe)
     return dataclasses.replace(results, measures=table.of(results.designs))
 
 

@@ -1,4 +1,4 @@
-"""What commands on result folders share: rankings in the terminal, files of a ranking, and the report."""
+"""What commands on result folders share: a ranking on the terminal and in files, and the report."""
 
 from __future__ import annotations
 

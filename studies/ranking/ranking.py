@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -21,6 +22,7 @@ from ..requirements import SETS, metric, missed_by, requirements_of
 from ..results import StudyResults
 from ..standards import standard_names
 from ..storage.files import write_text
+from ..storage.parts import differences
 from ..study_file import Study
 from ..tables import Table, to_csv, to_polars
 from .design_metrics import (
@@ -285,7 +287,8 @@ def _replayed(there: StudyResults | None, designs: Sequence[Design], **settings:
 def rank_study(results: StudyResults, study: Study) -> Ranking:
     """Rank the designs of a study with the study's own settings.
 
-    Raises `StudyError` if the results hold none of the study's designs; `InputError` for an argument of a wrong type.
+    Raises `StudyError` if the results hold none of the study's designs, or are of another vehicle, plant or simulation;
+    `InputError` for an argument of a wrong type.
 
     Parameters
     ----------
@@ -312,6 +315,7 @@ def rank_study(results: StudyResults, study: Study) -> Ranking:
         raise StudyError(
             "study", "has none of the designs of the results", value=study.name, allowed="the one that was run"
         )
+    _check_setup(results, study)
     settings = study.ranking
     return Ranking.of(
         results,
@@ -322,10 +326,26 @@ def rank_study(results: StudyResults, study: Study) -> Ranking:
         baseline=settings.baseline,
         require=settings.require,
         pareto=settings.pareto,
-        setup=study.setup(),
+        setup=results.setup or study.setup(),
         vehicles=study.vehicles,
         standards=study.standards,
     )
+
+
+def _check_setup(results: StudyResults, study: Study) -> None:
+    """Raise `StudyError` if the runs, and what was measured beside them, are of another vehicle, plant or simulation.
+
+    Another seed is allowed: it decides the bootstrap. Where departures are replayed, a run takes the widths of vehicle
+    and lane from their recordings.
+    """
+    if results.setup is None:
+        return
+    run, now = (dataclasses.asdict(setup) for setup in (results.setup, study.setup()))
+    of_the_run = {"seed", *(() if study.scenarios.model else ("vehicle.w_v", "vehicle.w_l"))}
+    for key, was, value in differences(run, now):
+        if key not in of_the_run:
+            path = re.sub("^options", "plant", key) if "." in key else f"simulation.{key}"
+            raise StudyError(f"study {study.name}: {path}", value=value, allowed=f"{was!r}, as in the run")
 
 
 def _about_finalists(fresh: FreshScores, ranked: int) -> Iterator[str]:

@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePath
 from typing import Annotated, Any, Final, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from ldctoolkit.errors import StoreError
 from ldctoolkit.registry import with_content
@@ -22,7 +22,7 @@ from ldctoolkit.whole_file import parse_json, read_regular, without_checksum
 
 from ..design import Design
 from ..study_file import Study
-from .files import read_bytes, read_parquet, write_json, write_parquet
+from .files import read_json, read_parquet, write_json, write_parquet
 from .parts import difference_texts
 
 DESIGNS = "designs.parquet"
@@ -68,28 +68,29 @@ def read_designs(path: Path) -> tuple[Design, ...]:
 FAILURES = "failures.json"
 TIMING_FILE = "timing.json"
 
-Kind = TypeVar("Kind", bound=BaseModel)
+Value = TypeVar("Value")
+
+_HINTS: Final = {
+    FAILURES: "it holds which designs failed, and why",
+    TIMING_FILE: "it holds how long the laws took and nothing else: remove it to go on without",
+}
 
 
-def _read_json(path: Path, kind: type[Kind], hint: str) -> Kind | None:
-    """A small file of a folder; None where it is missing."""
+def _read_designs_of(path: Path, kind: TypeAdapter[dict[str, Value]]) -> dict[str, Value]:
+    """What a small file of a folder holds of each design, as values of a type; empty where it is missing."""
     if not path.exists():
-        return None
-    data = read_bytes(path)
+        return {}
     try:
-        return kind.model_validate(without_checksum(parse_json(data)))
-    except (ValueError, TypeError, AttributeError):
-        raise StoreError(path, "broken", hint=hint) from None
-
-
-class _Failures(BaseModel):
-    designs: dict[str, str]
+        return kind.validate_python(read_json(path).get("designs"))
+    except StoreError as error:
+        raise error.hinted(_HINTS[path.name]) from None
+    except ValidationError:
+        raise StoreError(path, "broken", hint=_HINTS[path.name]) from None
 
 
 def read_failures(folder: Path) -> dict[str, str]:
     """Why designs failed, of those that did; none where the file is missing."""
-    content = _read_json(folder / FAILURES, _Failures, "it holds which designs failed, and why")
-    return content.designs if content else {}
+    return _read_designs_of(folder / FAILURES, TypeAdapter(dict[str, str]))
 
 
 def write_failures(folder: Path, failures: Mapping[str, str]) -> None:
@@ -123,16 +124,10 @@ class _Time(BaseModel):
     commands: Annotated[int, Field(ge=0)]
 
 
-class _Times(BaseModel):
-    designs: dict[str, _Time]
-
-
 def read_times(folder: Path) -> dict[str, LawTime]:
     """Times of the laws, of the designs for which they are known; none where the file is missing."""
-    hint = "it holds how long the laws took and nothing else: remove it to go on without"
-    content = _read_json(folder / TIMING_FILE, _Times, hint)
-    designs = content.designs if content else {}
-    return {design: LawTime(entry.law_seconds, entry.commands) for design, entry in designs.items()}
+    entries = _read_designs_of(folder / TIMING_FILE, TypeAdapter(dict[str, _Time]))
+    return {design: LawTime(entry.law_seconds, entry.commands) for design, entry in entries.items()}
 
 
 def write_times(folder: Path, times: Mapping[str, LawTime]) -> None:
@@ -344,20 +339,18 @@ def read_manifest(folder: str | Path) -> Manifest:
     path = Path(folder) / "manifest.json"
     if not os.path.exists(path):  # noqa: PTH110 - this one raises nothing, whatever the path
         raise StoreError(folder, "holds no study (no manifest.json)")
+    hint = "run the study into another folder"
     try:
         content = parse_json(read_regular(path, StoreError))
         version = content["format_version"]
         if version != FORMAT_VERSION:
-            hint = "run the study into another folder"
             raise StoreError(path, "of another format", value=version, allowed=str(FORMAT_VERSION), hint=hint)
-        manifest = Manifest.model_validate(without_checksum(content))
+        return Manifest.model_validate(without_checksum(content))
+    except ValidationError as error:
+        problem = "; ".join(f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}" for fault in error.errors())
     except (ValueError, KeyError, TypeError) as error:
-        if isinstance(error, ValidationError):
-            error = ValueError(
-                "; ".join(f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}" for fault in error.errors())
-            )
-        raise StoreError(path, f"broken: {error}", hint="run the study into another folder") from None
-    return manifest
+        problem = str(error)
+    raise StoreError(path, f"broken: {problem}", hint=hint)
 
 
 def write_manifest(folder: Path, manifest: Manifest) -> None:

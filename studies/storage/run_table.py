@@ -358,4 +358,5 @@ class RunTable:
             failed_solves=of_designs(self._failed_solves),
             law_time=np.array([np.nan if time is None else time.per_command for time in known]),
             failed=failed,
+            setup=self._study.setup(),
         )
