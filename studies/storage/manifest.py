@@ -22,7 +22,7 @@ from ldctoolkit.whole_file import parse_json, read_regular, without_checksum
 
 from ..design import Design
 from ..study_file import Study
-from .files import read_json, read_parquet, write_json, write_parquet
+from .files import read_bytes, read_parquet, write_json, write_parquet
 from .parts import difference_texts
 
 DESIGNS = "designs.parquet"
@@ -80,11 +80,10 @@ def _read_designs_of(path: Path, kind: TypeAdapter[dict[str, Value]]) -> dict[st
     """What a small file of a folder holds of each design, as values of a type; empty where it is missing."""
     if not path.exists():
         return {}
+    data = read_bytes(path)
     try:
-        return kind.validate_python(read_json(path).get("designs"))
-    except StoreError as error:
-        raise error.hinted(_HINTS[path.name]) from None
-    except ValidationError:
+        return kind.validate_python(without_checksum(parse_json(data))["designs"])
+    except (ValueError, TypeError, AttributeError, KeyError):
         raise StoreError(path, "broken", hint=_HINTS[path.name]) from None
 
 
