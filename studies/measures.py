@@ -78,12 +78,12 @@ def vehicle_measures(vehicle: str, scenarios: Scenarios) -> tuple[str, str]:
 
 def _loop(designs: Sequence[Design], *, setup: Setup) -> Sequence[FloatArray]:
     """Margins and solver of every design; they do not depend on its threshold."""
-    same = {(design.law, design.gains, design.code): design for design in designs}
-    controllers = [design.controller(setup.convention) for design in same.values()]
+    by_law = {(design.law, design.gains, design.code): design for design in designs}
+    controllers = [design.controller(setup.convention) for design in by_law.values()]
     gain, phase = design_margins(controllers, setup, MARGIN_SPEEDS)
     solver = [_has_solver(controller, setup) for controller in controllers]
     numbers = np.stack([gain.min(axis=1), phase.min(axis=1), solver])
-    column_of = {key: i for i, key in enumerate(same)}
+    column_of = {key: i for i, key in enumerate(by_law)}
     return list(numbers[:, [column_of[design.law, design.gains, design.code] for design in designs]])
 
 

@@ -221,16 +221,16 @@ def add_limit(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def plausibility(given: Sequence[tuple[str, float]] | None, default: Plausibility | None = None) -> Plausibility:
+def plausibility(limits: Sequence[tuple[str, float]] | None, default: Plausibility | None = None) -> Plausibility:
     """The limits of ``--limit``, the others those of the default."""
     from ldctoolkit.departures import Plausibility
 
-    each_once("--limit", given)
-    known = [field.name for field in dataclasses.fields(Plausibility)]
-    for name, _ in given or ():
-        if name not in known:
-            raise InputError("--limit", "is no limit", value=name, allowed=known)
-    return dataclasses.replace(default or Plausibility(), **dict(given or ()))
+    each_once("--limit", limits)
+    names = [field.name for field in dataclasses.fields(Plausibility)]
+    for name, _ in limits or ():
+        if name not in names:
+            raise InputError("--limit", "is no limit", value=name, allowed=names)
+    return dataclasses.replace(default or Plausibility(), **dict(limits or ()))
 
 
 def each_once(option: str, pairs: Sequence[tuple[str, object]] | None) -> None:

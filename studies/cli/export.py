@@ -88,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _scenarios(judged: Judged) -> Scenarios:
-    """Those of the study; more of the same model where they are few."""
+    """The scenarios of the study, or more of the same model where they are few."""
     from ..export import DEPARTURES
     from ..storage.stored_model import read_model
 

@@ -212,7 +212,7 @@ def _profile_table(profiles: Sequence[Profile], confidence: float) -> Table:
         unit, best = "" if profile.unit == "1" else f" {profile.unit}", profile.best
         ends = gain_text(profile.values[0]), gain_text(profile.values[-1])
         driven = f"{len(profile.values)} ({int((~profile.stored).sum())})"
-        there = float(profile.difference[best]), (float(profile.low[best]), float(profile.high[best]))
+        difference = float(profile.difference[best]), (float(profile.low[best]), float(profile.high[best]))
         middle, least = f"{gain_text(profile.values[profile.at])}{unit}", gain_text(profile.values[best])
-        rows.append(Row([profile.name, middle, *ends, driven, profile.spread, least, *there]))
+        rows.append(Row([profile.name, middle, *ends, driven, profile.spread, least, *difference]))
     return Table("", columns, rows)

@@ -85,11 +85,11 @@ def reviewed_design(subject: Subject) -> Review:
     from ldctoolkit.review import SPEEDS, review, review_plant, without_review
     from ldctoolkit.vehicle.bicycle import BicycleModel
 
-    given, stored = subject.arguments, subject.stored
-    dt, options = given.get("dt", 0.05), given.get("options", PlantOptions())
-    review_plant(given.get("model", BicycleModel()), dt, options, given.get("speeds", SPEEDS))
+    arguments, stored = subject.arguments, subject.stored
+    dt, options = arguments.get("dt", 0.05), arguments.get("options", PlantOptions())
+    review_plant(arguments.get("model", BicycleModel()), dt, options, arguments.get("speeds", SPEEDS))
     try:
-        answer = review(subject.controller, **given)
+        answer = review(subject.controller, **arguments)
         return dataclasses.replace(answer, findings=(*stored, *answer.findings))
     except LdcError as error:
         if not subject.ids:
@@ -139,8 +139,8 @@ def _law(args: argparse.Namespace) -> Subject:
 
 def _plant(args: argparse.Namespace, options: PlantOptions) -> PlantOptions:
     """The plant with what the command line says of its actuator."""
-    given = {name: getattr(args, name) for name in ("delay", "lag", "rate_max", "delta_max")}
-    changed = {name: value for name, value in given.items() if value is not None}
+    options_given = {name: getattr(args, name) for name in ("delay", "lag", "rate_max", "delta_max")}
+    changed = {name: value for name, value in options_given.items() if value is not None}
     return dataclasses.replace(options, actuator=dataclasses.replace(options.actuator, **changed))
 
 

@@ -91,7 +91,7 @@ def run(args: argparse.Namespace) -> None:
 
 
 def _print_design(risk: Risk, design: Design) -> None:
-    """Its table, light, and what its worst departures have in common."""
+    """Print the table of a design, its light, and what its worst departures have in common."""
     from ..pages.risk_page import probabilities
 
     out = _console.console()

@@ -85,8 +85,8 @@ def release_metrics(results: StudyResults, *, D_y: float) -> Values:
 
     def of(group: Sequence[Metric], names: Sequence[str]) -> Callable[..., Values]:
         def values(acted: BoolArray, *columns: FloatArray) -> Values:
-            by, there = Interventions(acted, d_y, D_y), dict(zip(names, columns, strict=True))
-            return {metric.name: _taken(metric, by, *(there[name] for name in metric.of)) for metric in group}
+            by, values_of = Interventions(acted, d_y, D_y), dict(zip(names, columns, strict=True))
+            return {metric.name: _aggregated(metric, by, *(values_of[name] for name in metric.of)) for metric in group}
 
         return values
 
@@ -165,8 +165,8 @@ def sampling_intervals(
             n = _acted(results)[:, driven].sum(axis=1)
             row[1:] = np.array(binomial_interval(row[0] * n, n, level)) + 0.0 * row[0]
         elif columns is not None:
-            taken = _by_blocks(functools.partial(ends, definition), _acted(results), columns)
-            row[1:] = taken["low"], taken["high"]
+            intervals_of = _by_blocks(functools.partial(ends, definition), _acted(results), columns)
+            row[1:] = intervals_of["low"], intervals_of["high"]
     return intervals
 
 
@@ -187,7 +187,7 @@ def _groups() -> list[list[Metric]]:
     return groups
 
 
-def _taken(metric: Metric, by: Interventions, *values: FloatArray) -> FloatArray:
+def _aggregated(metric: Metric, by: Interventions, *values: FloatArray) -> FloatArray:
     """Values of a metric of designs, over all departures or the interventions."""
     if metric.share is not None:
         return np.asarray(metric.share(by, *values))
@@ -368,11 +368,11 @@ def design_metrics(
     S, S_left, S_right = (_mean(counted, side) for side in rows)
     before, before_left, before_right = (_mean(results.S_uncorrected, side) for side in rows)
     S_p95, S_cvar95 = tail_metrics(counted)
-    taken = release_metrics(results, D_y=D_y)
-    taken["within_dtle_gain"] = taken["within_dtle"] - share_within_dtle(_recorded_dtle(results, setup))
+    derived = release_metrics(results, D_y=D_y)
+    derived["within_dtle_gain"] = derived["within_dtle"] - share_within_dtle(_recorded_dtle(results, setup))
     allowed = np.ones(len(scenarios), dtype=np.bool_) if setup is None else ~beyond_friction(scenarios, setup)
-    taken["lost"] = ((results.status == EventStatus.DIVERGED) & allowed).sum(axis=1).astype(np.float64)
-    taken |= dict.fromkeys((*_MARGINS, *_OF_VEHICLES), np.full(len(results.designs), np.nan))
+    derived["lost"] = ((results.status == EventStatus.DIVERGED) & allowed).sum(axis=1).astype(np.float64)
+    derived |= dict.fromkeys((*_MARGINS, *_OF_VEHICLES), np.full(len(results.designs), np.nan))
 
     def count(status: EventStatus) -> IntArray:
         result: IntArray = (every_run.status == status).sum(axis=1).astype(np.int64)
@@ -389,7 +389,7 @@ def design_metrics(
         reduction_left=mean_reduction(S_left, before_left),
         reduction_right=mean_reduction(S_right, before_right),
         triggered=(results.status != EventStatus.NEVER_TRIGGERED).mean(axis=1),
-        deeper=taken.pop("deeper"),
+        deeper=derived.pop("deeper"),
         solver_failed=count(EventStatus.SOLVER_FAILED),
         diverged=count(EventStatus.DIVERGED),
         timed_out=count(EventStatus.TIMED_OUT),
@@ -397,7 +397,7 @@ def design_metrics(
         beyond_delta_max=count(EventStatus.BEYOND_DELTA_MAX),
         invalid=count(EventStatus.INVALID),
         failed_solves=results.failed_solves.sum(axis=1).astype(np.int64),
-        beside=taken | measures,
+        beside=derived | measures,
     )
 
 

@@ -74,10 +74,10 @@ class FreshScores:
 
 def no_fresh_scores(d: int, ranked: int) -> FreshScores:
     """`FreshScores` of a study without fresh scenarios."""
-    nothing = np.full(d, np.nan)
-    unknown = (nothing, nothing, nothing)
+    undefined = np.full(d, np.nan)
+    unknown = (undefined, undefined, undefined)
     unmet: tuple[tuple[str, ...], ...] = ((),) * d
-    return FreshScores(*unknown, *unknown, *unknown, nothing, unmet, *unknown, False, 0, None, 0 if ranked else None)
+    return FreshScores(*unknown, *unknown, *unknown, undefined, unmet, *unknown, False, 0, None, 0 if ranked else None)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -116,14 +116,14 @@ def fresh_scores(
     d = study_scores.mean.size
     order = np.argsort(positions, kind="stable")
     positions, unmet = positions[order], [unmet[i] for i in order.tolist()]
-    every = Resampled.of(
+    scored = Resampled.of(
         results.counted, results.scenarios.side, seed=seed, samples=samples, stream=_STREAM, rows=order
     )
     rows = np.flatnonzero(
         (positions < ranked)
         & (inference.set_of_best[positions] | (positions != (-1 if baseline is None else baseline)))
     )
-    finalists, resampled = positions[rows], every.take(rows)
+    finalists, resampled = positions[rows], scored.take(rows)
 
     def spread(values: FloatArray, among: IntArray) -> FloatArray:
         result = np.full(d, np.nan)
@@ -133,24 +133,24 @@ def fresh_scores(
     def ends(interval: Interval, among: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         return spread(interval.centre, among), spread(interval.low, among), spread(interval.high, among)
 
-    nothing = (np.full(d, np.nan),) * 3
-    S = spread(every.mean, positions)
-    to_first = to_baseline = optimism = nothing
-    reduction = nothing[0]
+    undefined = (np.full(d, np.nan),) * 3
+    S = spread(scored.mean, positions)
+    to_first = to_baseline = optimism = undefined
+    reduction = undefined[0]
     if finalists.size and (finalists[0] == 0 or first_failed):
         to_first = ends(simultaneous_interval(resampled, confidence, 0), finalists)
-    there = baseline is not None and baseline in positions
-    if baseline is not None and there and finalists.size:
+    baseline_is_scored = baseline is not None and baseline in positions
+    if baseline is not None and baseline_is_scored and finalists.size:
         among = np.unique([*finalists, baseline])
-        taken = every.take(np.searchsorted(positions, among))
+        compared = scored.take(np.searchsorted(positions, among))
         reference = int(np.searchsorted(among, baseline))
-        to_baseline = ends(simultaneous_interval(taken, confidence, reference), among)
-        without = np.full_like(taken.mean, taken.mean[reference])
-        reduction = spread(mean_reduction(taken.mean, without), among)
-    paired = paired and there
+        to_baseline = ends(simultaneous_interval(compared, confidence, reference), among)
+        without = np.full_like(compared.mean, compared.mean[reference])
+        reduction = spread(mean_reduction(compared.mean, without), among)
+    paired = paired and baseline_is_scored
     if finalists.size:
         among = np.array([*finalists, *([baseline] if paired else [])], dtype=np.int64)
-        fresh = every.take(np.searchsorted(positions, among))
+        fresh = scored.take(np.searchsorted(positions, among))
         interval = lost(study_scores.take(among), fresh, confidence, among.size - 1 if paired else None)
         optimism = ends(interval, among)
         if paired:  # the baseline's own difference is 0 by definition
@@ -164,7 +164,7 @@ def fresh_scores(
     texts = dict(zip(finalists.tolist(), (unmet[i] for i in rows.tolist()), strict=True))
     return FreshScores(
         S,
-        *ends(simultaneous_interval(every, confidence), positions)[1:],
+        *ends(simultaneous_interval(scored, confidence), positions)[1:],
         *to_first,
         *to_baseline,
         reduction,

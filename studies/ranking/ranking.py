@@ -197,17 +197,17 @@ class Ranking(RankedDesigns, Frame):
         if results.fresh is not None and results.fresh.designs:
             position_of = {design.id: k for k, design in enumerate(designs)}
             positions = np.array([position_of[design.id] for design in results.fresh.designs], dtype=np.int64)
-            again = drivable_results(results.fresh)
-            at = {design.id: i for i, design in enumerate(results.designs)}
-            rows = [at[design.id] for design in results.fresh.designs]
+            fresh_results = drivable_results(results.fresh)
+            row_of = {design.id: i for i, design in enumerate(results.designs)}
+            rows = [row_of[design.id] for design in results.fresh.designs]
             of_finalists = {name: values[rows] for name, values in measures.items()}
-            there = design_metrics(results.fresh, again, D_y, of_finalists, setup)
+            fresh_metrics = design_metrics(results.fresh, fresh_results, D_y, of_finalists, setup)
             fresh = fresh_scores(
-                again,
+                fresh_results,
                 positions,
                 resampled,
                 inference,
-                [tuple(miss.requirement.text for miss in misses) for misses in missed_by(requirements, there)],
+                [tuple(miss.requirement.text for miss in misses) for misses in missed_by(requirements, fresh_metrics)],
                 first_failed=designs[0] in [failure.design for failure in results.fresh.failed],
                 ranked=ranked,
                 baseline=position,
@@ -217,12 +217,12 @@ class Ranking(RankedDesigns, Frame):
                 confidence=confidence,
             )
             warnings += _about_finalists(fresh, ranked)
-            intervals = sampling_intervals(again, there, names, D_y, confidence, setup)
+            intervals = sampling_intervals(fresh_results, fresh_metrics, names, D_y, confidence, setup)
             worst = [name == "comfortable_worst" for name in names]  # driven on the study's departures only
             intervals[worst] = limited[worst][:, :, positions]
             fresh_limited[:, :, positions] = intervals
             fresh_limited[mean_S, 1:] = fresh.low, fresh.high
-            fresh_saved[positions] = there.reduction
+            fresh_saved[positions] = fresh_metrics.reduction
         acting = [i for i, design in enumerate(designs) if not design.is_baseline]
         if requirements and acting and not any(i < ranked for i in acting):
             fresh = dataclasses.replace(fresh, winner=None)  # no control is not a design to choose
@@ -272,16 +272,16 @@ class Ranking(RankedDesigns, Frame):
         )
 
 
-def _replayed(there: StudyResults | None, designs: Sequence[Design], **settings: Any) -> ReplayedScores:
+def _replayed(results: StudyResults | None, designs: Sequence[Design], **settings: Any) -> ReplayedScores:
     """Scores of the finalists on recorded departures."""
     columns = np.full((4, len(designs)), np.nan)
-    if there is not None and there.designs:
-        ranking = Ranking.of(there, **settings)
+    if results is not None and results.designs:
+        ranking = Ranking.of(results, **settings)
         position_of = {design.id: i for i, design in enumerate(designs)}
         numbers = (ranking.metrics.S, ranking.inference.S_low, ranking.inference.S_high, ranking.metrics.reduction)
         columns[:, [position_of[design.id] for design in ranking.designs]] = numbers
     S, low, high, reduction = columns
-    return ReplayedScores(S, low, high, reduction, 0 if there is None else int(there.drivable.sum()))
+    return ReplayedScores(S, low, high, reduction, 0 if results is None else int(results.drivable.sum()))
 
 
 def rank_study(results: StudyResults, study: Study) -> Ranking:

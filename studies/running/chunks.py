@@ -48,7 +48,7 @@ class Tally:
     worst: FloatArray  # (d, _WORST, 3 + 8): depth [m], index, side, parameters; deepest first; or `_NONE`
 
     def plus(self, other: Self) -> Self:
-        """Of both."""
+        """The tally of both."""
         both = np.concatenate([self.worst, other.worst], axis=1)
         added = {name: getattr(self, name) + getattr(other, name) for name in vars(self) if name != "worst"}
         return dataclasses.replace(self, **added, worst=np.stack([rows[_deepest(*rows.T[:2])] for rows in both]))
@@ -174,7 +174,7 @@ class ChunkTask(Work):
             cache["risk"] = self.job.token
 
     def run(self, cache: dict[str, Any]) -> tuple[Tally | LdcError, float]:  # noqa: ARG002
-        """Counts, or why there are none; seconds."""
+        """The counts, or the error in their place, and the seconds that the drives took."""
         started = time.perf_counter()
         try:
             return self.job.measure(self.chunk), time.perf_counter() - started

@@ -163,7 +163,7 @@ class _Room:
         self.commands[i] = self._commands
 
     def result(self) -> TaskResult:
-        """All of it."""
+        """The results of all designs."""
         ids, rows = tuple(design.id for design in self.task.designs), self.task.rows
         return TaskResult(ids, rows, self.values, self.status, self.failed_solves, self.law_seconds, self.commands)
 
@@ -186,7 +186,7 @@ class Task(Work):
 
     @property
     def time_limit(self) -> float:
-        """Of the job [s]."""
+        """The limit of the job [s]."""
         return self.job.time_limit
 
     def make_ready(self, cache: dict[str, Any]) -> None:

@@ -114,7 +114,7 @@ class LawTime:
         return self.seconds / self.commands if self.commands else 0.0
 
     def __add__(self, other: LawTime) -> LawTime:
-        """Of two parts of a run together."""
+        """The times of two parts of a run, added."""
         return LawTime(self.seconds + other.seconds, self.commands + other.commands)
 
 
@@ -253,8 +253,8 @@ class Manifest(BaseModel):
 
     def other_versions(self) -> str:
         """Packages that decide numbers and had other versions then; empty for none."""
-        there = ((name, self.versions.get(name, "not installed"), now) for name, now in versions())
-        return ", ".join(f"{name} {was} (now {now})" for name, was, now in there if was != now)
+        compared = ((name, self.versions.get(name, "not installed"), now) for name, now in versions())
+        return ", ".join(f"{name} {was} (now {now})" for name, was, now in compared if was != now)
 
     def read_study(self, *, current: bool = True) -> Study:
         """The study that was run, with the classes of its laws.
