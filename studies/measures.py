@@ -6,7 +6,7 @@ import dataclasses
 import functools
 import hashlib
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -140,6 +140,12 @@ def first_of_each_side(scenarios: Scenarios, most: int) -> Scenarios:
     """The first `most` scenarios of each side, with their numbers."""
     rows = [np.flatnonzero(scenarios.side == side)[:most] for side in (LEFT, RIGHT)]
     return scenarios.take(np.concatenate(rows))
+
+
+def trigger_speeds(takeovers: Iterable[Takeover]) -> tuple[float, float] | None:
+    """Lowest and highest speed at the triggers [m/s]; None where nothing triggers."""
+    speeds = [takeover.plant.v for takeover in takeovers if takeover.m]
+    return (min(float(v.min()) for v in speeds), max(float(v.max()) for v in speeds)) if speeds else None
 
 
 def drive_on_plants(

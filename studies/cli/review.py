@@ -155,6 +155,7 @@ def _speeds(args: argparse.Namespace, default: tuple[float, float] | None) -> np
 def _of_study(study: Study, designs: Sequence[Design], args: argparse.Namespace) -> Iterator[Subject]:
     from ldctoolkit.simulation import Takeover
 
+    from ..measures import trigger_speeds
     from ..runner import study_source
     from ..storage.stored_model import with_counts
 
@@ -166,7 +167,7 @@ def _of_study(study: Study, designs: Sequence[Design], args: argparse.Namespace)
     options = _plant(args, setup.options)
     dt = setup.dt if args.dt is None else args.dt
     triggers = {y_s: Takeover.build(scenarios, setup, y_s=y_s) for y_s in sorted({design.y_s for design in designs})}
-    speeds = _speeds(args, _range(list(triggers.values())))
+    speeds = _speeds(args, trigger_speeds(triggers.values()))
     groups: dict[tuple[Any, ...], list[Design]] = {}
     for design in designs:
         groups.setdefault((design.law, design.gains), []).append(design)
@@ -181,14 +182,6 @@ def _of_study(study: Study, designs: Sequence[Design], args: argparse.Namespace)
             arguments["delta_prev"] = angles
         name = same[0].label.replace(f"y_s={same[0].y_s:g} m", f"y_s={', '.join(f'{y:g}' for y in thresholds)} m")
         yield Subject(name, tuple(d.id for d in same), same[0].controller(setup.convention), arguments)
-
-
-def _range(triggers: list[Takeover]) -> tuple[float, float] | None:
-    """Lowest and highest speed at the triggers; None where nothing triggers."""
-    speeds = [takeover.plant.v for takeover in triggers if takeover.m]
-    if not speeds:
-        return None
-    return min(float(v.min()) for v in speeds), max(float(v.max()) for v in speeds)
 
 
 def _angles(triggers: list[Takeover]) -> tuple[np.ndarray, np.ndarray] | None:
