@@ -40,6 +40,8 @@ def section(context: Context) -> Section | None:
     if not names:
         return None
     body = paragraphs(f"{design_name(design)}, on the study's plant.")
+    if design in context.results.unsafe:
+        return Section("standards", "Standards", body + paragraphs("It ended or held up its process: not driven here."))
     slow = design.batch < USUAL_BATCH
     if slow:
         body += paragraphs("As stated only, since the law takes long: ldc assess drives the corners too.")
