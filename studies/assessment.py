@@ -24,7 +24,7 @@ from ldctoolkit.simulation import Outcome, Takeover, drive
 
 from .design import Design
 from .standards import KM_H, VEHICLES, Cells, QuantityName, Standard, load_standard
-from .storage.files import write_text
+from .storage.folder_files import write_text
 from .storage.measure_table import remembered
 from .tables import Column, Row, Table, to_csv
 

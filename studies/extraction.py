@@ -38,9 +38,9 @@ from ldctoolkit.recordings.recording import (
 )
 from ldctoolkit.version import versions
 
+from .running.dispatch import Lost, Work, closing, run_works
 from .running.executors import make_executor
-from .running.work import Lost, Work, closing, run_works
-from .storage.parts import Parts, planned_parts, remove_unfinished
+from .storage.checked_parts import Parts, planned_parts, remove_unfinished
 
 PACKAGES: Final = ("numpy", "polars", "numba")  # packages that read files or decide numbers
 

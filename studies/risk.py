@@ -31,11 +31,11 @@ from .ranking.verdict import Light, State
 from .runner import study_source
 from .running.campaign import laws_to_send
 from .running.chunks import BIN, BINS, ChunkJob, ChunkTask, Tally
+from .running.dispatch import Executor, Lost, Progress, closing, displayed, run_works
 from .running.executors import make_executor
 from .running.tasks import load_loops
-from .running.work import Executor, Lost, Progress, closing, displayed, run_works
-from .storage.files import output_folder, write_json
-from .storage.parts import Parts, planned_parts, remove_unfinished
+from .storage.checked_parts import Parts, planned_parts, remove_unfinished
+from .storage.folder_files import output_folder, write_json
 from .study_file import Study
 
 DEPTHS: Final = (0.3, 0.5, 0.8, 1.0, 1.75)  # [m] beyond the line

@@ -41,7 +41,7 @@ from .ranking.inference import (
 )
 from .ranking.verdict import OtherPlants
 from .standards import VEHICLES
-from .storage.files import read_json, write_json
+from .storage.folder_files import read_json, write_json
 
 if TYPE_CHECKING:
     from .ranking.ranking import Ranking

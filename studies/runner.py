@@ -24,11 +24,11 @@ from .ranking.ranking import Ranking, rank_study
 from .replayed import ReplayedDepartures, read_replayed
 from .results import StudyResults
 from .running.campaign import Campaign
+from .running.dispatch import Executor, Progress, closing, displayed
 from .running.executors import make_executor
-from .running.work import Executor, Progress, closing, displayed
 from .search import run_search
+from .storage.checked_parts import locked, remove_unfinished
 from .storage.manifest import Manifest, write_designs
-from .storage.parts import locked, remove_unfinished
 from .storage.run_table import AllFailedError, check_room
 from .storage.store import FINALISTS, REPLAYED, SCORES, Store, make_folder
 from .storage.stored_model import Source, model_notes, model_warnings, with_counts, with_recorded_widths, write_model

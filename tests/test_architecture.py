@@ -214,7 +214,7 @@ def test_files_are_written_in_one_place() -> None:
     """But for the lock of a folder, the notes of a worker and what a compiler reads, which no one reads afterwards."""
     found = {path.relative_to(ROOT).as_posix() for path in modules(ROOT).values() if writes(path)}
     assert found == {
-        "ldctoolkit/whole_file.py", "studies/storage/parts.py", "studies/running/executors.py",
+        "ldctoolkit/whole_file.py", "studies/storage/checked_parts.py", "studies/running/executors.py",
         "controllers/_nmpc_solver.py",
     }  # fmt: skip
 
@@ -242,7 +242,7 @@ IMPORTS = {
 @pytest.fixture(params=IMPORTS)
 def plant(request: pytest.FixtureRequest, tmp_path: Path) -> Callable[[str, str], Path]:
     """A small tree, in which a module of `studies` imports another."""
-    for name in ("design", "results", "storage/store", "storage/parts", "ranking/ranking"):
+    for name in ("design", "results", "storage/store", "storage/checked_parts", "ranking/ranking"):
         path = tmp_path / "studies" / f"{name}.py"
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text("")
@@ -258,12 +258,12 @@ def plant(request: pytest.FixtureRequest, tmp_path: Path) -> Callable[[str, str]
 def test_planted_faults_are_found(plant: Callable[[str, str], Path]) -> None:
     """Imports that point up, circles of files and of rooms whose files are in none, a room without a level."""
     root = plant("ranking.ranking", "storage.store")
-    plant("storage.store", "storage.parts")
-    plant("storage.parts", "results")
+    plant("storage.store", "storage.checked_parts")
+    plant("storage.checked_parts", "results")
     assert upward_imports(root) == []
     assert circles(room_graph(root)) == circles(file_graph(root)) == set()
-    plant("storage.parts", "ranking.ranking")
-    assert upward_imports(root) == ["studies.storage.parts -> studies.ranking.ranking"]
+    plant("storage.checked_parts", "ranking.ranking")
+    assert upward_imports(root) == ["studies.storage.checked_parts -> studies.ranking.ranking"]
     rooms = frozenset({"studies.storage", "studies.ranking"})
     assert circles(room_graph(root)) == {rooms}
     plant("results", "design")
@@ -271,12 +271,12 @@ def test_planted_faults_are_found(plant: Callable[[str, str], Path]) -> None:
     (root / "studies" / "attic.py").write_text("")
     assert upward_imports(root)[0] == "studies.attic has no level: add it to LEVELS"
     assert circles(room_graph(root)) == {rooms, frozenset({"studies.design", "studies.results"})}
-    files = {f"studies.{name}" for name in ("storage.store", "storage.parts", "ranking.ranking")}
+    files = {f"studies.{name}" for name in ("storage.store", "storage.checked_parts", "ranking.ranking")}
     assert circles(file_graph(root)) == {frozenset(files), frozenset({"studies.design", "studies.results"})}
 
 
 def test_a_circle_of_rooms_without_one_of_files_is_found(plant: Callable[[str, str], Path]) -> None:
-    root = plant("ranking.ranking", "storage.parts")
+    root = plant("ranking.ranking", "storage.checked_parts")
     plant("storage.store", "ranking.ranking")
     assert circles(file_graph(root)) == set()
     assert circles(room_graph(root)) == {frozenset({"studies.storage", "studies.ranking"})}

@@ -28,8 +28,8 @@ from ldctoolkit import LdcError, __version__, check_fidelity, load_model, read_d
 from ldctoolkit.errors import InputError, RecordingError, nearest
 from ldctoolkit.studies.cli import main as ldc
 from ldctoolkit.studies.cli._console import named, number, progress_bar
-from ldctoolkit.studies.storage.files import output_folder, write_text
-from ldctoolkit.studies.storage.parts import locked
+from ldctoolkit.studies.storage.checked_parts import locked
+from ldctoolkit.studies.storage.folder_files import output_folder, write_text
 
 TERMS = """\
 Data set:  Safety Pilot Model Deployment Data (identifier a7qq-9vfe)

@@ -58,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
     from ..assessment import assess, write_predictions
     from ..pages.assessment_section import score_text, scores, write_assessment_page
     from ..standards import load_standard, standard_names
-    from ..storage.files import output_folder
+    from ..storage.folder_files import output_folder
 
     tests = [load_standard(name) for name in dict.fromkeys(args.standard or standard_names())]
     subjects = [assessment for text in args.designs for assessment in _subjects(text, args)]

@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
     from ldctoolkit.errors import InputError
 
     from ..export import Code, Origin, changed_files, export_c, is_stale, parameters
-    from ..storage.files import output_folder, write_text
+    from ..storage.folder_files import output_folder, write_text
     from ._results import Judged
 
     judged = Judged.read(args.folder)

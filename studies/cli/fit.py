@@ -99,8 +99,8 @@ def run(args: argparse.Namespace) -> None:
     from ldctoolkit.scenario_model import fit_scenario_model
     from ldctoolkit.surroundings import usable_cores
 
+    from ..running.dispatch import closing, map_on
     from ..running.executors import make_executor
-    from ..running.work import closing, map_on
 
     target = _console.output_file(args.output, ".json")
     page = target.with_suffix(".html")
@@ -226,7 +226,7 @@ def sample(args: argparse.Namespace) -> None:
     from ldctoolkit.scenario_model import load_model
     from ldctoolkit.scenario_model.model import outside_fit
 
-    from ..storage.files import scenario_table, write_parquet, write_text
+    from ..storage.folder_files import scenario_table, write_parquet, write_text
 
     target = _console.output_file(args.output, ".parquet", ".csv")
     left, right = _numbers(args)

@@ -41,7 +41,7 @@ def add_parser(commands: Subparsers) -> None:
 def run(args: argparse.Namespace) -> None:
     """Carry the command out."""
     from ..runner import study_source
-    from ..storage.files import write_text
+    from ..storage.folder_files import write_text
     from ..study_file import CATALOG, Study, catalog_names
     from ..study_template import study_text
 

@@ -292,7 +292,7 @@ def _speed_range(text: str) -> tuple[float, float]:
 
 def run(args: argparse.Namespace) -> int:
     """Carry the command out; the exit code says whether there is a fault."""
-    from ..storage.files import write_text
+    from ..storage.folder_files import write_text
 
     target = None if args.json is None else output_file(args.json, ".json", option="--json")
     designs = subjects(args)

@@ -12,7 +12,7 @@ from typing import Any, Final, TextIO
 
 from ldctoolkit.errors import InputError
 
-from ..running.work import Progress
+from ..running.dispatch import Progress
 from ._console import Subparsers, add_report_options, number, positive_number, progress_bar, warn
 
 

@@ -13,7 +13,7 @@ from ldctoolkit.simulation import Window
 
 from ..design import Design
 from ..results import FailedDesign, StudyResults
-from ..storage.files import write_text
+from ..storage.folder_files import write_text
 from ..tables import Cell, Column, Row, Table, notebook_html, to_csv
 from ..text import DASH, difference_text, figure, number, plural
 from .paired import (

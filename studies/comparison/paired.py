@@ -23,8 +23,8 @@ from ..design import Design
 from ..ranking.inference import SAME, bootstrap_means, check_confidence, error_parts, lengths, row_means
 from ..ranking.ranking import Ranking
 from ..results import StudyResults
+from ..storage.checked_parts import differences
 from ..storage.manifest import Manifest
-from ..storage.parts import differences
 from ..storage.store import Store
 from ..study_file import Study
 

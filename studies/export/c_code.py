@@ -23,7 +23,7 @@ from ldctoolkit.vehicle.speed_schedule import SPEED_RANGE
 from ldctoolkit.version import __version__
 
 from ..design import Design
-from ..storage.files import output_folder, read_bytes, write_text
+from ..storage.folder_files import output_folder, read_bytes, write_text
 from .law_tables import UNITS, Gains, Schedule, c_number, reals
 
 HEADER: Final = "ldc_controller.h"

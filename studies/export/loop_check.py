@@ -23,7 +23,7 @@ from ldctoolkit.simulation import Takeover, drive
 from ldctoolkit.surroundings import temporary_folder
 from ldctoolkit.vehicle.bicycle import Plant
 
-from ..storage.files import write_text
+from ..storage.folder_files import write_text
 from .c_code import FLOAT_S, HEADER, SOURCE, Code, render
 
 WARNINGS: Final = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-pedantic", "-Werror")

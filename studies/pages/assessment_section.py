@@ -16,7 +16,7 @@ from ldctoolkit.version import __version__
 from ..assessment import QUANTITIES, Assessment, LightName, stored_assessment
 from ..ranking.verdict import design_name
 from ..standards import KM_H, standard_names
-from ..storage.files import write_text
+from ..storage.folder_files import write_text
 from ..tables import Cell, Column, Row, Table, to_html
 from ..text import number, percent, plural, symbols
 from .context import Context

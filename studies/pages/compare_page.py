@@ -13,7 +13,7 @@ from ldctoolkit.version import __version__
 
 from ..comparison.comparison import PHRASES, Comparison, design_table, interval_cell, verdict_cell, winners_sentence
 from ..comparison.paired import THRESHOLD, Verdict
-from ..storage.files import write_text
+from ..storage.folder_files import write_text
 from ..tables import Cell, Column, Row, Table, Value, to_html
 from ..text import difference_text, percent, plural, symbols
 from .charts import Axis, Chart, Dot, Series, Style, dots

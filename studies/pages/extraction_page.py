@@ -22,7 +22,7 @@ from ldctoolkit.recordings.quality import Account, Origin, combined_accounts, sh
 from ldctoolkit.recordings.recording import CombinedReader
 from ldctoolkit.version import __version__
 
-from ..storage.files import write_text
+from ..storage.folder_files import write_text
 from ..tables import Column, Row, Table, to_html
 from ..text import PARAMETER_MEANINGS, compact, number, parameter_label, percent, plural, printable, shorten, symbols
 from .charts import Axis, Chart, Series, Style, bars, legend

@@ -11,7 +11,7 @@ from markupsafe import Markup
 
 from ldctoolkit.metrics import METRICS
 
-from ..ranking.ranked_designs import SCORE
+from ..ranking.finalists import SCORE
 from ..ranking.ranking import Ranking
 from ..ranking.verdict import (
     COLUMNS_TEXT,
@@ -23,7 +23,7 @@ from ..ranking.verdict import (
     verdict_lines,
 )
 from ..requirements import metric
-from ..storage.files import write_text
+from ..storage.folder_files import write_text
 from ..storage.manifest import Manifest
 from ..study_file import Study
 from ..tables import Cell, Column, Row, Table, markdown_text, to_html, to_markdown

@@ -15,7 +15,7 @@ from ldctoolkit.setup import Setup, simulation_options
 from ldctoolkit.version import __version__
 
 from ..sensitivity.sensitivity import sensitivity
-from ..storage.files import write_text
+from ..storage.folder_files import write_text
 from ..storage.stored_model import read_model
 from ..study_file import toml_text
 from ..text import plural, printable

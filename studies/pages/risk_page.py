@@ -13,7 +13,7 @@ from ldctoolkit.version import __version__
 
 from ..design import NO_CONTROL, Design
 from ..risk import Risk
-from ..storage.files import write_text
+from ..storage.folder_files import write_text
 from ..tables import Cell, Column, Row, Table, Value, to_html
 from ..text import figure as digits
 from ..text import parameter_label, plural, symbols

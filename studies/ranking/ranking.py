@@ -21,8 +21,8 @@ from ..design import Design
 from ..requirements import SETS, metric, missed_by, requirements_of
 from ..results import StudyResults
 from ..standards import standard_names
-from ..storage.files import write_text
-from ..storage.parts import differences
+from ..storage.checked_parts import differences
+from ..storage.folder_files import write_text
 from ..study_file import Study
 from ..tables import Table, to_csv, to_polars
 from .design_metrics import (
@@ -34,8 +34,8 @@ from .design_metrics import (
     pareto_front,
     sampling_intervals,
 )
+from .finalists import FreshScores, RankedDesigns, ReplayedScores, best_of_laws, fresh_scores, no_fresh_scores
 from .inference import Inference, Resampled, infer, spread_is_known, tail_text
-from .ranked_designs import FreshScores, RankedDesigns, ReplayedScores, best_of_laws, fresh_scores, no_fresh_scores
 from .verdict import depths, ranking_html
 
 if TYPE_CHECKING:

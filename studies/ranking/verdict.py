@@ -20,8 +20,8 @@ from ..results import StudyResults
 from ..tables import Cell, Column, Row, Table, Value, notebook_html
 from ..text import compact
 from .design_metrics import beyond_friction
+from .finalists import RankedDesigns
 from .inference import tail_text
-from .ranked_designs import RankedDesigns
 
 State = Literal["good", "warning", "bad", "unknown"]
 

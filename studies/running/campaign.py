@@ -24,8 +24,8 @@ from ..results import FailedRun, TaskResult
 from ..storage.run_table import RunTable
 from ..storage.store import Store
 from ..study_file import Study
+from .dispatch import Executor, Fault, Lost, Progress, run_works
 from .tasks import Done, Job, Simulator, Task, load_loops
-from .work import Executor, Fault, Lost, Progress, run_works
 
 
 class Assembly:

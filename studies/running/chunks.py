@@ -25,8 +25,8 @@ from ldctoolkit.simulation import Run, Takeover
 from ldctoolkit.version import versions
 
 from ..design import Design
+from .dispatch import Work
 from .tasks import drive_each, learn
-from .work import Work
 
 BIN, BINS = 0.05, 60  # [m] of the histogram of depths, and how many; one more is for what is deeper
 _WORST: Final = 20  # worst departures of a design

@@ -32,7 +32,7 @@ from ldctoolkit.errors import ClusterError, InputError, LdcError, first_line
 from ldctoolkit.surroundings import WORKERS, leave_with, safe_path, temporary_folder
 from ldctoolkit.version import DECISIVE, Versions, versions
 
-from .work import Ended, Executor, Fault, Work
+from .dispatch import Ended, Executor, Fault, Work
 
 EXECUTORS: Final = ("serial", "processes", "dask")
 LOCAL: Final = "local"  # address that stands for a cluster started on this machine

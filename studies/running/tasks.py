@@ -28,7 +28,7 @@ from ldctoolkit.vehicle import Convention
 
 from ..design import NO_CONTROL, Design
 from ..results import FailedRun, TaskResult
-from .work import Work, new_number
+from .dispatch import Work, new_number
 
 
 @dataclasses.dataclass(frozen=True)

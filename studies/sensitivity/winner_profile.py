@@ -19,7 +19,7 @@ from ..design_space import THRESHOLD, Choices, Span
 from ..measures import drive_on_plants
 from ..ranking.inference import Resampled, simultaneous_interval
 from ..results import StudyResults
-from ..storage.files import write_text
+from ..storage.folder_files import write_text
 from ..study_file import Study
 from ..tables import Table, to_csv
 from .sensitivity import BlockSensitivity, gain_value

@@ -22,8 +22,8 @@ from ldctoolkit.whole_file import parse_json, read_regular, without_checksum
 
 from ..design import Design
 from ..study_file import Study
-from .files import read_bytes, read_parquet, write_json, write_parquet
-from .parts import difference_texts
+from .checked_parts import difference_texts
+from .folder_files import read_bytes, read_parquet, write_json, write_parquet
 
 DESIGNS = "designs.parquet"
 

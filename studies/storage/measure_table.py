@@ -17,7 +17,7 @@ from ldctoolkit.errors import StoreError
 from ldctoolkit.version import versions
 
 from ..design import Design
-from .files import read_parquet, write_parquet
+from .folder_files import read_parquet, write_parquet
 
 MEASURES: Final = "measures.parquet"
 """File with a row for each measure and design."""

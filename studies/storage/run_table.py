@@ -29,9 +29,9 @@ from ldctoolkit.surroundings import free_memory
 from ..design import Design
 from ..results import FailedDesign, StudyResults, TaskResult
 from ..study_file import Study
-from .files import parse_parquet
+from .checked_parts import write_part
+from .folder_files import parse_parquet
 from .manifest import LawTime
-from .parts import write_part
 
 if TYPE_CHECKING:
     import polars as pl

@@ -22,7 +22,8 @@ from ldctoolkit.scenarios import Scenarios
 from ..design import Design
 from ..results import FailedRun, StudyResults, TaskResult
 from ..study_file import Study
-from .files import SCENARIOS, output_folder, read_scenarios, write_scenarios
+from .checked_parts import read_part
+from .folder_files import SCENARIOS, output_folder, read_scenarios, write_scenarios
 from .manifest import (
     DESIGNS,
     FAILURES,
@@ -39,7 +40,6 @@ from .manifest import (
     write_times,
 )
 from .measure_table import MEASURES, MeasureTable
-from .parts import read_part
 from .run_table import PATTERN, AllFailedError, RunTable, parse_part, prefetched, write_results
 
 _log = logging.getLogger("studies")

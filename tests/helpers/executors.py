@@ -4,7 +4,7 @@ import random
 from collections.abc import Callable
 from typing import Any
 
-from ldctoolkit.studies.running.work import Ended, Work
+from ldctoolkit.studies.running.dispatch import Ended, Work
 
 
 class DyingWorkers:

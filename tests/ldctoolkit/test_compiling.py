@@ -10,7 +10,7 @@ import pytest
 
 from ldctoolkit import compiling
 from ldctoolkit.studies.cli.run import Lines
-from ldctoolkit.studies.running.work import displayed
+from ldctoolkit.studies.running.dispatch import displayed
 
 TEXT = "compiling the closed loops, once, about a minute"
 

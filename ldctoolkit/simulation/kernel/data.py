@@ -134,7 +134,7 @@ V_MID, DV_MID, PER_V_MID, LANE_MID = _next(4)
 V_END, DV_END, PER_V_END, LANE_END = _next(4)
 POINTS: Final = V_START  # the twelve rows, also to work in
 # a segment: its length [s], 1 before T, 1 after the delay, length of a substep [s]; decay of a lag over both lengths,
-# and the parabola of that over a substep, see `kernel.sight`
+# and the parabola of that over a substep, see `kernel.road`
 SEGMENT_LENGTH, SEGMENT_IN_T, SEGMENT_AFTER_DELAY, SUBSTEP_LENGTH = _next(4)
 LAG_SEGMENT, LAG_SUBSTEP, LAG_START, LAG_MID, LAG_END = _next(5)
 YOUNG_COMMAND, OLD_COMMAND = _next(2)  # [rad] limited command from the switch on, and before it
@@ -154,7 +154,7 @@ LANE_RATE_SEEN, OUTWARD = _next(2)
 # the axles [m], the same times m/I_z, what the printed matrix adds, largest force of each axle over the mass
 STIFFNESS_F, STIFFNESS_R, AXLE_F, AXLE_R, ARM_F, ARM_R, PRINTED_TERM, GRIP_F, GRIP_R = _next(9)
 FILTER_ROWS, *_ = _next(FILTER)
-RINGS = next(_rows)  # then come the rings, of a length that the run decides; see `kernel.lanes.rings`
+RINGS = next(_rows)  # then come the rings, of a length that the run decides; see `kernel.scoring.rings`
 
 
 def _score(metric: str) -> int:

@@ -17,10 +17,11 @@ from ldctoolkit.arrays import FloatArray
 from ldctoolkit.metrics import SCENARIO_METRICS
 from ldctoolkit.numba_internals import OPTIONS, source_version, uncounted
 from ldctoolkit.paths import kernels
-from ldctoolkit.simulation.kernel import data, exact_lanes, lanes, rk4_lanes, sight
+from ldctoolkit.simulation.kernel import actuator, data, exact_loop, rk4_loop, road, scoring, sight
 from ldctoolkit.simulation.kernel.data import ALIVE, COMMAND, LANES, SEEN_E_Y, WHEEL_SEEN
+from ldctoolkit.simulation.kernel.road import lay_road, segment_size, substeps_of
 
-_SOURCES = (numba_internals, lane_functions, data, lanes, exact_lanes, sight, rk4_lanes, kernels)
+_SOURCES = (numba_internals, lane_functions, data, scoring, exact_loop, actuator, road, sight, rk4_loop, kernels)
 
 
 def _entries(version: int) -> Any:
@@ -34,9 +35,9 @@ def _entries(version: int) -> Any:
         scene, exact, setting, state = uncounted(scene), uncounted(exact), uncounted(setting), uncounted(state)
         paths, path_rows = uncounted(paths), uncounted(path_rows)
         for block in range(state.shape[0]):
-            rk4_lanes.start(scene, setting, block, state[block], paths, path_rows)
+            rk4_loop.start(scene, setting, block, state[block], paths, path_rows)
             if exact.shape[1]:
-                exact_lanes.start(scene, exact, setting, block, state[block], paths, path_rows)
+                exact_loop.start(scene, exact, setting, block, state[block], paths, path_rows)
 
     @numba.njit(cache=True, **OPTIONS)
     def look(setting, state, k, blocks, times, seen, yaw_rate, heading, wheel):
@@ -71,19 +72,19 @@ def _entries(version: int) -> Any:
         recorded, paths, command = uncounted(recorded), uncounted(paths), uncounted(command)
         most = 1
         for block in blocks:
-            most = max(most, sight.substeps_of(state[block]))
-        road, bend = np.empty(3 * sight.segment_size(most)), np.empty(4 * LANES)
+            most = max(most, substeps_of(state[block]))
+        road, bend = np.empty(3 * segment_size(most)), np.empty(4 * LANES)
         for block in blocks:
             w = state[block]
             for l in range(min(LANES, command.shape[0] - block * LANES)):
                 w[COMMAND + l] = command[block * LANES + l] if w[ALIVE + l] > 0.0 else 0.0
-            lanes.lay_bend(setting, recorded, block, k, w, bend, 0)
+            scoring.lay_bend(setting, recorded, block, k, w, bend, 0)
             if exact.shape[1]:
-                exact_lanes.advance(exact, setting, w, k, 0.0, block * LANES, bend, 0, paths)
+                exact_loop.advance(exact, setting, w, k, 0.0, block * LANES, bend, 0, paths)
             else:
-                parts = sight.substeps_of(w)
-                end = sight.lay_road(setting, k, w, parts, road, 0)
-                rk4_lanes.advance(setting, w, k, parts, road, 0, end, bend, 0, paths)
+                parts = substeps_of(w)
+                end = lay_road(setting, k, w, parts, road, 0)
+                rk4_loop.advance(setting, w, k, parts, road, 0, end, bend, 0, paths)
 
     @numba.njit(cache=True, **OPTIONS)
     def drive_any(scene, setting, law, times, recorded, paths, path_rows, blocks, score, diverged, failed):
@@ -95,7 +96,7 @@ def _entries(version: int) -> Any:
         paths, path_rows, blocks = uncounted(paths), uncounted(path_rows), uncounted(blocks)
         score, diverged, failed = uncounted(score), uncounted(diverged), uncounted(failed)
         for block in blocks:
-            rk4_lanes.drive_block_any(
+            rk4_loop.drive_block_any(
                 scene, setting, law, times, recorded, paths, path_rows, block, score, diverged, failed
             )
 
@@ -114,7 +115,7 @@ def _entries(version: int) -> Any:
         paths, path_rows = uncounted(paths), uncounted(path_rows)
         tables = (uncounted(work), uncounted(lane_weights), uncounted(bend), uncounted(initial))
         for block in range(first, last):
-            exact_lanes.drive_block(
+            exact_loop.drive_block(
                 scene, exact, setting, law, times, recorded, paths, path_rows, block,
                 score, diverged, failed, tables,
             )  # fmt: skip
@@ -131,5 +132,5 @@ def scratch(setting: FloatArray, lookaheads: int, most: int) -> tuple[FloatArray
     The caller keeps it: what a compiled function makes is freed after its last use there, uncounted arrays are no use.
     """
     sizes = 2 * lookaheads * LANES, 4 * most * LANES, data.A_Y_START
-    ends = lanes.rings.py_func(setting)  # plain Python: compiling it for one call would take a second
+    ends = scoring.rings.py_func(setting)  # plain Python: compiling it for one call would take a second
     return np.zeros(ends[-1]), *(np.empty(size) for size in sizes)  # type: ignore[return-value]

@@ -1,4 +1,4 @@
-"""The road that a block of scenarios drives along, and how a law sees it and the state: camera and Kalman filter."""
+"""How a law sees the lane and the state: camera, frames and Kalman filter."""
 
 # mypy: disable-error-code="untyped-decorator, no-untyped-def, no-untyped-call"
 
@@ -8,158 +8,14 @@ from typing import Final
 import numba
 import numpy as np
 
-from ldctoolkit.lane_functions import cosine, decay, moments, sine
 from ldctoolkit.numba_internals import LARGEST_FLOAT, OPTIONS, copy, fma
 from ldctoolkit.paths.kernels import normal_pair
 from ldctoolkit.simulation.kernel import data
-from ldctoolkit.simulation.kernel.lanes import SAME, L, length_of, rings
-
-# a segment of the road: its length, whether it is before T and after the delay, the length of a substep, what a lag
-# leaves of a distance over both lengths, and the parabola of that over a substep; then two points a substep and one
-HEADER: Final = 9 * L
-POINT_SIZE: Final = 4 * L
+from ldctoolkit.simulation.kernel.road import along
+from ldctoolkit.simulation.kernel.scoring import SAME, L, rings
 
 _CAMERA: Final = 4  # stream of random numbers; see `ldctoolkit.paths.uncorrected`
 _FRAME_ZERO: Final = 1 << 20  # counter of the frame at the trigger: earlier ones have numbers too
-
-
-@numba.njit(**OPTIONS)
-def along(setting, w, turns):
-    """Speed and its rate at the time t in `TIME`, held beyond T; on request the way since t = 0 and the lane's turn.
-
-    v = v_0 + a t + sum b_j cos(j pi t/T), the way is its integral, and the turn that of v c, c = c_0 + (dc/T) t.
-    """
-    width = int(setting[data.WIDTH])
-    for l in range(width):
-        s, v_0, a = min(w[data.TIME + l], w[data.T + l]), w[data.V_0 + l], w[data.A_0 + l]
-        way = s * fma(0.5 * a, s, v_0)
-        turn = w[data.CURVATURE_RATE + l] * s * s * fma(a * (1.0 / 3.0), s, 0.5 * v_0)
-        w[data.MOTION_V + l], w[data.MOTION_DV + l] = fma(a, s, v_0), a
-        w[data.MOTION_WAY + l], w[data.MOTION_TURN + l] = way, fma(w[data.CURVATURE_0 + l], way, turn)
-    if w[data.MODES_USED] > 0.0:
-        _, _, modes, _ = rings(setting)
-        for l in range(width):
-            angle = w[data.PI_PER_T + l] * min(w[data.TIME + l], w[data.T + l])
-            w[data.COS_1 + l], w[data.SIN_1 + l] = cosine(angle), sine(angle)
-            w[data.COS_J + l], w[data.SIN_J + l] = 1.0, 0.0
-        for j in range(int(w[data.MODES_USED])):
-            copy(w, data.AMPLITUDE, w, modes + j * L, 1)
-            _add_mode(w, j + 1.0, width)
-            if turns:
-                _add_turn(w, 1.0 / (math.pi * (j + 1.0)), width)
-    if turns:
-        for l in range(width):
-            after = max(w[data.TIME + l] - w[data.T + l], 0.0) * w[data.MOTION_V + l]
-            w[data.MOTION_WAY + l] += after
-            curve = fma(w[data.CURVATURE_RATE + l], w[data.T + l], w[data.CURVATURE_0 + l])
-            w[data.MOTION_TURN + l] = fma(after, curve, w[data.MOTION_TURN + l])
-
-
-@numba.njit(**OPTIONS)
-def _add_mode(w, number, width):
-    """Add the mode b cos(j pi t/T) to the speed, and its derivative to the rate."""
-    for l in range(width):
-        cos_1, sin_1, c, d = w[data.COS_1 + l], w[data.SIN_1 + l], w[data.COS_J + l], w[data.SIN_J + l]
-        c, d, b = fma(c, cos_1, -d * sin_1), fma(d, cos_1, c * sin_1), w[data.AMPLITUDE + l]
-        w[data.COS_J + l], w[data.SIN_J + l] = c, d
-        w[data.MOTION_V + l] = fma(b, c, w[data.MOTION_V + l])
-        w[data.MOTION_DV + l] = fma(-b * number * w[data.PI_PER_T + l], d, w[data.MOTION_DV + l])
-
-
-@numba.njit(**OPTIONS)
-def _add_turn(w, per_angle, width):
-    """Add its integral to the way, and the integral of c times it to the turn."""
-    for l in range(width):
-        T, slope, per_rate = w[data.T + l], w[data.CURVATURE_RATE + l], per_angle * w[data.T + l]
-        curve = fma(slope, min(w[data.TIME + l], T), w[data.CURVATURE_0 + l])
-        part = w[data.AMPLITUDE + l] * per_rate
-        way = part * w[data.SIN_J + l]
-        w[data.MOTION_WAY + l] += way
-        turn = fma(way, curve, part * per_rate * slope * (w[data.COS_J + l] - 1.0))
-        w[data.MOTION_TURN + l] += turn
-
-
-@numba.njit(**OPTIONS)
-def lay_point(setting, w, substep):
-    """The road after so many substeps of a segment, into the rows from `V_START` on."""
-    width = int(setting[data.WIDTH])
-    for l in range(width):
-        w[data.TIME + l] = w[data.SEGMENT_START + l] + min(
-            substep * w[data.SUBSTEP_LENGTH + l], w[data.SEGMENT_LENGTH + l]
-        )
-    along(setting, w, False)
-    for l in range(width):
-        v, s = w[data.MOTION_V + l], min(w[data.TIME + l], w[data.T + l])
-        dv = w[data.MOTION_DV + l] * w[data.SEGMENT_IN_T + l]  # beyond T the speed stays
-        w[data.V_START + l], w[data.DV_START + l], w[data.PER_V_START + l] = v, dv, 1.0 / v
-        w[data.LANE_START + l] = v * fma(w[data.CURVATURE_RATE + l], s, w[data.CURVATURE_0 + l])
-
-
-@numba.njit(**OPTIONS)
-def substeps_of(w):
-    """Most substeps that a scenario of a block needs for a segment."""
-    most = 1
-    for l in range(L):
-        most = max(most, int(w[data.N_SUBSTEPS + l]))
-    return most
-
-
-@numba.njit(**OPTIONS)
-def segment_size(parts):
-    """Numbers of a segment with so many substeps."""
-    return HEADER + (2 * parts + 1) * POINT_SIZE
-
-
-@numba.njit(**OPTIONS)
-def lay_road(setting, k, w, parts, road, to):
-    """Segments of sample k and the road along their substeps, from `to` on; where they end."""
-    dt, switch, lag, cut = setting[data.DT], setting[data.DELAY_PART], setting[data.LAG], False
-    for l in range(L):
-        h, until = length_of(setting, w, l, k)
-        cut |= 0.0 < until < h
-    segments = 1 + int(cut) + int(switch > 0.0)
-    for n in range(segments):
-        for l in range(L):
-            h, until = length_of(setting, w, l, k)
-            inside = until if 0.0 < until < h else h
-            low, high = (min(inside, switch), max(inside, switch)) if segments == 3 else (inside, h)
-            if segments == 2 and not cut:
-                low = switch
-            first = 0.0 if n == 0 else min(low if n == 1 else high, h)
-            last = h if n + 1 == segments else min(low if n == 0 else high, h)
-            w[data.SEGMENT_LENGTH + l], w[data.SUBSTEP_LENGTH + l] = (
-                last - first,
-                (last - first) / w[data.N_SUBSTEPS + l],
-            )
-            w[data.SEGMENT_IN_T + l] = 1.0 if last <= until and until > 0.0 else 0.0
-            w[data.SEGMENT_AFTER_DELAY + l] = 1.0 if first >= switch else 0.0
-            w[data.SEGMENT_START + l] = w[data.T_0 + l] + k * dt + first
-        if lag > 0.0:
-            _lay_lag(w, 1.0 / lag)
-        copy(road, to, w, data.SEGMENT_LENGTH, 9)
-        for j in range(2 * parts + 1):
-            lay_point(setting, w, 0.5 * j)
-            copy(road, to + HEADER + j * POINT_SIZE, w, data.V_START, 4)
-        to += segment_size(parts)
-    return to
-
-
-@numba.njit(**OPTIONS)
-def _lay_lag(w, per_lag):
-    """Decay exp(-s/lag) over a segment and over a substep, and its parabola over a substep."""
-    for l in range(L):
-        z = w[data.SUBSTEP_LENGTH + l] * per_lag
-        m_0, m_1, m_2 = moments(z, 1.0)
-        a, b, c = parabola(m_0, m_1, m_2)
-        w[data.LAG_SEGMENT + l], w[data.LAG_SUBSTEP + l] = decay(-w[data.SEGMENT_LENGTH + l] * per_lag), decay(-z)
-        w[data.LAG_START + l], w[data.LAG_MID + l], w[data.LAG_END + l] = a, b, c
-
-
-@numba.njit(forceinline=True, **OPTIONS)
-def parabola(m_0, m_1, m_2):
-    """Start, middle and end of the parabola with these moments over [0, 1]."""
-    tilt, bend = 3.0 * (2.0 * m_1 - m_0), 5.0 * (6.0 * (m_2 - m_1) + m_0)
-    return m_0 - tilt + bend, m_0 - 0.5 * bend, m_0 + tilt + bend
 
 
 @numba.njit(**OPTIONS)
@@ -344,7 +200,7 @@ def see(setting, w, k, preview, preview_offset, noise, noise_offset):
 
 @numba.njit(**OPTIONS)
 def command(setting, w, k, lane_weights, preview, preview_offset, lookaheads, past):
-    """Command of a linear law, as in `exact_lanes`, into `COMMAND`; once a sample, since it integrates e_y."""
+    """Command of a linear law, as in `exact_loop`, into `COMMAND`; once a sample, since it integrates e_y."""
     width = int(setting[data.WIDTH])
     for l in range(width):
         w[data.COMMAND + l] = w[data.F_I + l] * w[data.E_Y_INTEGRAL + l]

@@ -98,7 +98,7 @@ def made(folder: Path, *how: str, digest: str = "0" * 64, kind: type[MadePart] =
 
 def content(found: Extraction) -> tuple[Any, ...]:
     """All that an extraction holds, comparable bit for bit."""
-    from ldctoolkit.studies.storage.parts import encoded
+    from ldctoolkit.studies.storage.checked_parts import encoded
 
     whole = PartResult(found.departures, found.accounts, drawn=found.drawn, problems=found.problems)
     return found.provenance, encoded(whole)

@@ -34,7 +34,7 @@ from ldctoolkit.recordings.recording import (
     recording_reader,
 )
 from ldctoolkit.studies.extraction import PART_CLASSES, NothingReadError, _program, plan_of, run_extraction
-from ldctoolkit.studies.storage.parts import decoded, difference_texts, encoded, locked
+from ldctoolkit.studies.storage.checked_parts import decoded, difference_texts, encoded, locked
 
 HOME = Path(ldctoolkit.__file__).parent
 

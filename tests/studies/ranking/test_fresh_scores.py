@@ -11,8 +11,8 @@ import scipy.stats
 from helpers.bits import assert_same_bits
 from helpers.results import results_of as given_results
 from ldctoolkit.studies import Design, Ranking, StudyResults
+from ldctoolkit.studies.ranking.finalists import choose_winner, lost
 from ldctoolkit.studies.ranking.inference import Resampled
-from ldctoolkit.studies.ranking.ranked_designs import choose_winner, lost
 from ldctoolkit.studies.ranking.ranking import write_csv
 from ldctoolkit.studies.results import FailedDesign
 

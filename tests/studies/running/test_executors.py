@@ -20,9 +20,9 @@ from loky.process_executor import BrokenProcessPool
 from ldctoolkit.errors import ClusterError, InputError, LdcError
 from ldctoolkit.studies import Study, StudyResults, rank_study, run_study
 from ldctoolkit.studies.running import campaign, executors
+from ldctoolkit.studies.running.dispatch import Executor
 from ldctoolkit.studies.running.executors import make_executor
 from ldctoolkit.studies.running.tasks import Done
-from ldctoolkit.studies.running.work import Executor
 from ldctoolkit.studies.storage.store import Store
 
 MakeStudy = Callable[..., Study]

@@ -16,7 +16,7 @@ from helpers.closed_loop import Unsighted, known
 from ldctoolkit import Controller, EventStatus, LdcError, Plant, Scenarios, gain, option
 from ldctoolkit.studies import Study, StudyResults, read_results, run_study
 from ldctoolkit.studies.runner import study_source
-from ldctoolkit.studies.running import executors, work
+from ldctoolkit.studies.running import dispatch, executors
 
 MakeStudy = Callable[..., Study]
 
@@ -149,11 +149,11 @@ def test_a_design_with_many_faults_has_failed(make_study: MakeStudy, tmp_path: P
 @pytest.mark.slow
 def test_a_map_over_workers_survives_one_that_dies_once(tmp_path: Path) -> None:
     executor = executors.ProcessExecutor(2)
-    with work.closing(executor):
-        assert sorted(work.map_on(executor, abs, [-3, 1, -2])) == [1, 2, 3]
-        assert list(work.map_on(executor, die_once, [tmp_path / "marker"])) == ["alive"]
+    with dispatch.closing(executor):
+        assert sorted(dispatch.map_on(executor, abs, [-3, 1, -2])) == [1, 2, 3]
+        assert list(dispatch.map_on(executor, die_once, [tmp_path / "marker"])) == ["alive"]
         with pytest.raises(LdcError, match="a worker process ended abruptly"):
-            list(work.map_on(executor, os._exit, [3]))
+            list(dispatch.map_on(executor, os._exit, [3]))
 
 
 def die_once(marker: Path) -> str:

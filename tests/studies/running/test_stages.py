@@ -10,7 +10,7 @@ import pytest
 from ldctoolkit.errors import StoreError
 from ldctoolkit.studies import Study, rank_study, read_manifest, read_results, run_study
 from ldctoolkit.studies.running import campaign
-from ldctoolkit.studies.storage.parts import locked
+from ldctoolkit.studies.storage.checked_parts import locked
 from ldctoolkit.studies.storage.store import Store
 
 MakeStudy = Callable[..., Study]

@@ -17,7 +17,7 @@ from ldctoolkit.errors import StoreError
 from ldctoolkit.studies import risk
 from ldctoolkit.studies.running import campaign, tasks
 from ldctoolkit.studies.running import executors as worker
-from ldctoolkit.studies.storage.parts import locked
+from ldctoolkit.studies.storage.checked_parts import locked
 
 
 def test_a_huge_limit_is_taken_by_this_platform() -> None:

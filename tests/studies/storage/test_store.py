@@ -27,9 +27,9 @@ from ldctoolkit.studies.ranking.ranking import rank_study
 from ldctoolkit.studies.running import campaign
 from ldctoolkit.studies.running.tasks import Simulator
 from ldctoolkit.studies.storage import store
-from ldctoolkit.studies.storage.files import read_scenarios, write_scenarios
+from ldctoolkit.studies.storage.checked_parts import read_part
+from ldctoolkit.studies.storage.folder_files import read_scenarios, write_scenarios
 from ldctoolkit.studies.storage.manifest import read_manifest
-from ldctoolkit.studies.storage.parts import read_part
 from ldctoolkit.studies.storage.run_table import SharedRows, parse_part
 from ldctoolkit.studies.storage.stored_model import MODEL, read_model
 

@@ -19,11 +19,11 @@ from typing import Final
 import numba
 import numpy as np
 
-from ldctoolkit.lane_functions import arctan, cosine, decay, moments, sine, touches
+from ldctoolkit.lane_functions import arctan, cosine, sine, touches
 from ldctoolkit.numba_internals import OPTIONS, copy, fma, larger
-from ldctoolkit.simulation.kernel import data, lanes, sight
-from ldctoolkit.simulation.kernel.lanes import L, rings
-from ldctoolkit.simulation.kernel.sight import HEADER, POINT_SIZE
+from ldctoolkit.simulation.kernel import actuator, data, scoring, sight
+from ldctoolkit.simulation.kernel.road import HEADER, POINT_SIZE, lay_point, lay_road, segment_size, substeps_of
+from ldctoolkit.simulation.kernel.scoring import L, rings
 from ldctoolkit.vehicle.bicycle import GRAVITY
 
 _SPUN: Final = 1.5
@@ -143,97 +143,6 @@ def _accelerations(setting, w, road, point, delta, to):
         _linear_accelerations(w, road, point, delta, to, 0.0, int(setting[data.WIDTH]))
 
 
-# ------------------------------------------------------------------------------------------------ the steering angle
-
-
-@numba.njit(**OPTIONS)
-def _steer(setting, w):
-    """Steering angle over a segment, and its scores; True if it ramps in a lane.
-
-        d delta/dt = (u - delta)/lag, at most `RATE_MAX` in size:
-
-    a ramp until u is within rate times lag, then delta = u - remaining exp(-s/lag). Without a lag the ramp ends at u.
-    """
-    lag, rate = setting[data.LAG], setting[data.RATE_MAX]
-    per_lag = 1.0 / lag if lag > 0.0 else 1.0
-    immediate = lag == 0.0 and rate == math.inf
-    limited, ramps = rate < math.inf, False
-    for l in range(L):
-        u, start, length = w[data.COMMAND + l], w[data.WHEEL + l], w[data.SEGMENT_LENGTH + l]
-        distance = u - start
-        slope = math.copysign(rate, distance) if limited else 0.0
-        # the rate is at its limit until u is within rate times lag
-        ramp = min(max((abs(distance) - rate * lag) / rate, 0.0), length) if limited else 0.0
-        corner = fma(slope, ramp, start)
-        rest = length - ramp
-        remaining = u - corner if lag > 0.0 else 0.0  # after the ramp the angle is u - remaining exp(-s/lag)
-        fallen = decay(-rest * per_lag) if ramp > 0.0 else w[data.LAG_SEGMENT + l]
-        end = fma(-remaining, fallen, u) if lag > 0.0 else (corner if limited and ramp == length else u)
-        end = end if length > 0.0 else start
-        w[data.RAMP_RATE + l], w[data.RAMP_TIME + l], w[data.RAMP_START + l], w[data.WHEEL + l] = (
-            slope,
-            ramp,
-            start,
-            end,
-        )
-        w[data.TO_COMMAND + l] = remaining
-        effort = ramp * fma(start, start, ramp * fma(start, slope, ramp * slope * slope * (1.0 / 3.0)))
-        effort += u * u * rest
-        effort += fma(0.5 * remaining, fma(-fallen, fallen, 1.0), -2.0 * u * (1.0 - fallen)) * remaining * lag
-        w[data.EFFORT + l] += effort if length > 0.0 else 0.0
-        w[data.TRAVEL + l] += abs(corner - start) + abs(end - corner)
-        peak = abs(end) if immediate else max(max(abs(start), abs(corner)), abs(end))
-        w[data.DELTA_PEAK + l] = max(w[data.DELTA_PEAK + l], peak if length > 0.0 else 0.0)
-        ramps |= ramp > 0.0
-    return ramps
-
-
-@numba.njit(forceinline=True, **OPTIONS)
-def _decayed(w, l):
-    """The parabola of a substep without a ramp, and what then remains to the command."""
-    u, remaining = w[data.COMMAND + l], w[data.TO_COMMAND + l]
-    w[data.TO_COMMAND + l] = remaining * w[data.LAG_SUBSTEP + l]
-    return (
-        fma(-remaining, w[data.LAG_START + l], u), fma(-remaining, w[data.LAG_MID + l], u),
-        fma(-remaining, w[data.LAG_END + l], u),
-    )  # fmt: skip
-
-
-@numba.njit(**OPTIONS)
-def _along_decay(setting, w):
-    """The parabola that has the steering angle's mean, first and second moment over a substep, where none ramps."""
-    for l in range(int(setting[data.WIDTH])):
-        a, b, c = _decayed(w, l)
-        w[data.DELTA_START + l], w[data.DELTA_MID + l], w[data.DELTA_END + l] = a, b, c
-
-
-@numba.njit(**OPTIONS)
-def _along_ramp(setting, w, j):
-    """The same in substep j where one ramps, or did."""
-    lag = setting[data.LAG]
-    per_lag = 1.0 / lag if lag > 0.0 else 1.0
-    for l in range(L):
-        a_0, a_1, a_2 = _decayed(w, l)
-        u, slope, ramp = w[data.COMMAND + l], w[data.RAMP_RATE + l], w[data.RAMP_TIME + l]
-        start, h = w[data.RAMP_START + l], w[data.SUBSTEP_LENGTH + l]
-        a = j * h
-        # in parts of the substep: a ramp from 0 to q, then a decay
-        q = min(max((ramp - a) / max(h, 1e-300), 0.0), 1.0)
-        b, c = fma(slope, a, start), slope * h
-        rest = 1.0 - q
-        remaining = u - fma(slope, ramp, start) if lag > 0.0 else 0.0
-        remaining *= decay(-max(a - ramp, 0.0) * per_lag)
-        i_0, i_1, i_2 = moments(h * per_lag * rest, rest)
-        m_0 = q * fma(0.5 * c, q, b) + fma(u, rest, -remaining * i_0)
-        m_1 = q * q * fma(c, q * (1.0 / 3.0), 0.5 * b) + fma(0.5 * u, fma(-q, q, 1.0), -remaining * fma(q, i_0, i_1))
-        m_2 = q * q * q * fma(0.25 * c, q, b * (1.0 / 3.0)) + u * fma(-q * q, q, 1.0) * (1.0 / 3.0)
-        m_2 -= remaining * fma(q, fma(q, i_0, 2.0 * i_1), i_2)
-        b_0, b_1, b_2 = sight.parabola(m_0, m_1, m_2)
-        w[data.DELTA_START + l] = b_0 if ramp > 0.0 else a_0
-        w[data.DELTA_MID + l] = b_1 if ramp > 0.0 else a_1
-        w[data.DELTA_END + l] = b_2 if ramp > 0.0 else a_2
-
-
 # ------------------------------------------------------------------------------------------------ scores
 
 
@@ -299,7 +208,7 @@ def _drive_segment(setting, w, k, parts, road, segment):
         w[data.COMMAND + l] = w[data.DELTA_START + l] = w[data.DELTA_MID + l] = w[data.DELTA_END + l] = u
     for n in range(data.SCORES * L):
         w[data.SAVED + n] = w[data.SCORE + n]
-    ramps = _steer(setting, w)
+    ramps = actuator.steer(setting, w)
     moves, least = setting[data.LAG] > 0.0 or setting[data.RATE_MAX] < math.inf, parts
     for l in range(L):
         least = min(least, int(w[data.N_SUBSTEPS + l]))
@@ -311,9 +220,9 @@ def _drive_segment(setting, w, k, parts, road, segment):
             w[data.H + l] = w[data.SUBSTEP_LENGTH + l] if going else 0.0
             w[data.PIECE_ENDS + l] = 1.0 if (j + 1 == w[data.N_SUBSTEPS + l]) | (going & whole) else 0.0
         if moves and ramps:
-            _along_ramp(setting, w, j)
+            actuator.along_ramp(setting, w, j)
         elif moves:
-            _along_decay(setting, w)
+            actuator.along_decay(setting, w)
         if setting[data.SATURATING] > 0.0:
             _saturating_substep(w, road, segment + HEADER + 2 * j * POINT_SIZE, setting[data.SHAPE])
         else:
@@ -324,7 +233,7 @@ def _drive_segment(setting, w, k, parts, road, segment):
             if _score(setting, w):
                 for l in range(L):
                     if w[data.EVENT + l] > 0.0:
-                        lanes.look_closer(
+                        scoring.look_closer(
                             setting, w, l, w[data.PIECE_START + l], w[data.PIECE_TIME + l], w[data.BEFORE_T + l] > 0.0
                         )
             _next_piece(setting, w)
@@ -340,7 +249,7 @@ def _drive_segment(setting, w, k, parts, road, segment):
 @numba.njit(**OPTIONS)
 def advance(setting, w, k, parts, road, segment, end, bend, bend_offset, paths):
     """Sample k with the command in `COMMAND`: segments of the road from `segment` to `end`. Lanes that go on after."""
-    ring, whole, size = int(setting[data.COMMAND_RING]), k - int(setting[data.DELAY_SAMPLES]), sight.segment_size(parts)
+    ring, whole, size = int(setting[data.COMMAND_RING]), k - int(setting[data.DELAY_SAMPLES]), segment_size(parts)
     newest = data.RINGS + (k % ring) * L
     fresh, stale = data.RINGS + (whole % ring) * L, data.RINGS + ((whole - 1) % ring) * L
     # the steering angle at the trigger is not limited
@@ -363,14 +272,14 @@ def advance(setting, w, k, parts, road, segment, end, bend, bend_offset, paths):
     if paths.shape[0]:
         for l in range(L):
             if w[data.ALIVE + l] > 0.0 and w[data.PATH_ROW + l] >= 0.0:
-                lanes.correct_record(paths, w, l, w[data.DELTA_START + l], w[data.A_Y_START + l])
+                scoring.correct_record(paths, w, l, w[data.DELTA_START + l], w[data.A_Y_START + l])
     while segment < end:
         if _drive_segment(setting, w, k, parts, road, segment):
             for l in range(L):
                 if w[data.EVENT + l] > 0.0:
                     for n in range(data.SCORES):
                         w[data.SCORE + n * L + l] = w[data.SAVED + n * L + l]
-                    lanes.diverge(setting, w, l, w[data.SEGMENT_START + l], w[data.BEFORE_T + l] > 0.0)
+                    scoring.diverge(setting, w, l, w[data.SEGMENT_START + l], w[data.BEFORE_T + l] > 0.0)
                     w[data.DIVERGED + l], w[data.ALIVE + l] = 1.0, 0.0
         if segment + size < end:
             _at_T(setting, w, road, segment + size, paths)
@@ -385,12 +294,12 @@ def advance(setting, w, k, parts, road, segment, end, bend, bend_offset, paths):
         w[data.DELTA_RATE_PEAK + l] = larger(w[data.DELTA_RATE_PEAK + l], rate if alive else 0.0)
     _accelerations(setting, w, road, end - POINT_SIZE, data.WHEEL, data.A_Y_END)
     copy(w, data.BEND_START, bend, bend_offset, 4)
-    lanes.look_back(setting, w, k)
+    scoring.look_back(setting, w, k)
     for l in range(L):
         if w[data.ALIVE + l] > 0.0 and k + 1 == w[data.ALL_STEPS + l]:
-            lanes.look_back_from_end(setting, w, l, k)
-    lanes.score_limits(setting, w)
-    return lanes.end_sample(setting, w, k, paths)
+            scoring.look_back_from_end(setting, w, l, k)
+    scoring.score_limits(setting, w)
+    return scoring.end_sample(setting, w, k, paths)
 
 
 @numba.njit(**OPTIONS)
@@ -402,7 +311,7 @@ def _at_T(setting, w, road, segment, paths):
             peak = abs(w[data.A_Y_RELATIVE_START_PAST + l])
             w[data.A_Y_ADDED_PEAK + l] = max(w[data.A_Y_ADDED_PEAK + l], peak)
             if paths.shape[0] and w[data.PATH_ROW + l] >= 0.0:
-                lanes.record(paths, w, l, w[data.T + l], w[data.A_Y_START_PAST + l])
+                scoring.record(paths, w, l, w[data.T + l], w[data.A_Y_START_PAST + l])
 
 
 # ------------------------------------------------------------------------------------------------ a whole run
@@ -412,7 +321,7 @@ def _at_T(setting, w, road, segment, paths):
 def start(scene, setting, block, w, paths, path_rows):
     """Everything before the first sample of a block."""
     w[:] = 0.0
-    lanes.begin(scene, setting, block, w, paths, path_rows)
+    scoring.begin(scene, setting, block, w, paths, path_rows)
     size, count, modes = int(setting[data.FRAME_RING]), int(setting[data.MODES]), rings(setting)[2]
     for l in range(L):
         i = min(block * L + l, scene.shape[0] - 1)
@@ -464,7 +373,7 @@ def start(scene, setting, block, w, paths, path_rows):
                     w[frame + n * L] = scene[i, data.SCENE + count + 2 * (-sight.frame_of(setting, k) - 1) + n]
                 k += 1
         w[data.SEGMENT_START + l] = w[data.T_0 + l]
-    sight.lay_point(setting, w, 0.0)
+    lay_point(setting, w, 0.0)
     _accelerations(setting, w, w, data.V_START, data.WHEEL, data.A_Y_START)
     copy(w, data.A_Y_BEFORE, w, data.A_Y_START, 1)
 
@@ -476,15 +385,15 @@ def drive_block_any(scene, setting, law, times, recorded, paths, path_rows, bloc
     _, _, _, size = rings(setting)
     w = np.empty(size)
     start(scene, setting, block, w, paths[:0], path_rows)
-    parts, most, segments = sight.substeps_of(w), 0, 2 if setting[data.DELAY_PART] > 0.0 else 1
+    parts, most, segments = substeps_of(w), 0, 2 if setting[data.DELAY_PART] > 0.0 else 1
     for l in range(L):
         most = max(most, int(w[data.ALL_STEPS + l]))
     lane_weights, bend, wide = np.empty(columns * L), np.empty(4 * most * L), (1 + 2 * lookaheads) * L
-    road, ends = np.empty((segments * most + 2 * L) * sight.segment_size(parts)), np.zeros(most + 1, dtype=np.int64)
+    road, ends = np.empty((segments * most + 2 * L) * segment_size(parts)), np.zeros(most + 1, dtype=np.int64)
     preview, noise = np.empty(most * wide), np.empty(most * 2 * L)
     for k in range(most):
-        ends[k + 1] = sight.lay_road(setting, k, w, parts, road, ends[k])
-        lanes.lay_bend(setting, recorded, block, k, w, bend, 4 * k * L)
+        ends[k + 1] = lay_road(setting, k, w, parts, road, ends[k])
+        scoring.lay_bend(setting, recorded, block, k, w, bend, 4 * k * L)
         sight.noise_of(setting, k, w, noise, k * 2 * L)
     for design in range(law.shape[0]):
         same = design > 0
@@ -505,4 +414,4 @@ def drive_block_any(scene, setting, law, times, recorded, paths, path_rows, bloc
             sight.command(setting, w, k, lane_weights, preview, k * wide, lookaheads, columns - 2 * lookaheads)
             if not advance(setting, w, k, parts, road, ends[k], ends[k + 1], bend, 4 * k * L, paths):
                 break
-        lanes.store_scores(w, design, block, score, diverged, failed)
+        scoring.store_scores(w, design, block, score, diverged, failed)

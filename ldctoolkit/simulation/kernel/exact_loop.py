@@ -15,8 +15,8 @@ import numba
 
 from ldctoolkit.lane_functions import touches
 from ldctoolkit.numba_internals import LARGEST_FLOAT, OPTIONS, copy, fma, larger
-from ldctoolkit.simulation.kernel import data, lanes
-from ldctoolkit.simulation.kernel.lanes import L, length_of
+from ldctoolkit.simulation.kernel import data, scoring
+from ldctoolkit.simulation.kernel.scoring import L, length_of
 
 _CHANGED: Final = data.A_Y_START // L  # Rows that a run changes, but for those of the law
 _NOT_FINITE: Final = 2.0  # Event of a command that is not finite
@@ -25,7 +25,7 @@ _NOT_FINITE: Final = 2.0  # Event of a command that is not finite
 @numba.njit(**OPTIONS)
 def start(scene, exact, setting, block, w, paths, path_rows):
     """Plant of a block, and everything before its first sample."""
-    lanes.begin(scene, setting, block, w, paths, path_rows)
+    scoring.begin(scene, setting, block, w, paths, path_rows)
     w[data.NEXT_CUT] = 0.0
     for l in range(L):
         i = min(block * L + l, scene.shape[0] - 1)
@@ -220,9 +220,9 @@ def _cut(exact, setting, w, i, l, k, paths):
             area += exact[part, i, data.EX_X + n] * w[data.E_Y + n * L + l] if n else 0.0
         w[data.PIECE_AREA + l] = area
         if not abs(w[data.NEXT_E_Y + l]) <= setting[data.BOUND]:
-            lanes.diverge(setting, w, l, t, counted)
+            scoring.diverge(setting, w, l, t, counted)
             return False
-        lanes.look_closer(setting, w, l, t, span, counted)
+        scoring.look_closer(setting, w, l, t, span, counted)
         if counted:
             w[data.AREA + l] += abs(w[data.PIECE_AREA + l])
         t += span
@@ -231,7 +231,7 @@ def _cut(exact, setting, w, i, l, k, paths):
             relative += w[data.DDE_E_Y_RATE + n * L + l] * w[data.NEXT_E_Y + (n + 1) * L + l]
         w[data.A_Y_END + l], w[data.A_Y_RELATIVE_END + l] = relative + w[data.V + l] * r_1, relative
         if part == 1 and h != rest and paths.shape[0] and w[data.PATH_ROW + l] >= 0.0:
-            lanes.record(paths, w, l, w[data.T + l], w[data.A_Y_END + l])
+            scoring.record(paths, w, l, w[data.T + l], w[data.A_Y_END + l])
         if counted and h != rest:  # just after T nothing is recorded any more
             w[data.A_Y_ADDED_PEAK + l] = max(w[data.A_Y_ADDED_PEAK + l], abs(relative))
         w[data.EFFORT + l] += span * (d * d)
@@ -261,7 +261,7 @@ def advance(exact, setting, w, k, lookahead, first, bend, bend_offset, paths):
         for l in range(L):
             w[data.WHEEL + l] = w[data.COMMAND + l]
             if w[data.ALIVE + l] > 0.0 and w[data.PATH_ROW + l] >= 0.0:
-                lanes.correct_record(paths, w, l, w[data.COMMAND + l], w[data.A_Y_START + l])
+                scoring.correct_record(paths, w, l, w[data.COMMAND + l], w[data.A_Y_START + l])
     if rare or not quiet:
         for l in range(L):
             if w[data.ALIVE + l] > 0.0:
@@ -274,23 +274,23 @@ def advance(exact, setting, w, k, lookahead, first, bend, bend_offset, paths):
                     w[data.SINGLE + l] = 1.0
                     inside = _cut(exact, setting, w, first + l, l, k, paths)
                 elif not abs(w[data.NEXT_E_Y + l]) <= setting[data.BOUND]:
-                    lanes.diverge(setting, w, l, t, counted)
+                    scoring.diverge(setting, w, l, t, counted)
                     inside = False
                 elif w[data.EVENT + l] > 0.0:
-                    lanes.look_closer(setting, w, l, t, h, counted)
+                    scoring.look_closer(setting, w, l, t, h, counted)
                 if not inside:
                     w[data.DIVERGED + l] = 1.0
                     _leave(setting, w, l)
     copy(w, data.BEND_START, bend, bend_offset, 4)
-    lanes.look_back(setting, w, k)
+    scoring.look_back(setting, w, k)
     if not quiet:
         for l in range(L):
             if w[data.SINGLE + l] * w[data.ALIVE + l] > 0.0 and k + 1 == w[data.ALL_STEPS + l]:
-                lanes.look_back_from_end(setting, w, l, k)
-    lanes.score_limits(setting, w)
+                scoring.look_back_from_end(setting, w, l, k)
+    scoring.score_limits(setting, w)
     _score(setting, w)
     if rare or not quiet or paths.shape[0]:
-        lanes.end_sample(setting, w, k, paths)
+        scoring.end_sample(setting, w, k, paths)
         for l in range(L):
             w[data.SINGLE + l] = 0.0
             if w[data.ALIVE + l] == 0.0:
@@ -307,7 +307,7 @@ def drive_block(scene, exact, setting, law, times, recorded, paths, path_rows, b
     for l in range(L):
         most = max(most, int(w[data.ALL_STEPS + l]))
     for k in range(most):
-        lanes.lay_bend(setting, recorded, block, k, w, bend, 4 * k * L)
+        scoring.lay_bend(setting, recorded, block, k, w, bend, 4 * k * L)
     for design in range(law.shape[0]):
         copy(w, 0, initial, 0, _CHANGED)
         for l in range(L):
@@ -324,4 +324,4 @@ def drive_block(scene, exact, setting, law, times, recorded, paths, path_rows, b
             if several:
                 _add_preview(setting, times, design, k, w, lane_weights)
             advance(exact, setting, w, k, lookahead, block * L, bend, 4 * k * L, paths)
-        lanes.store_scores(w, design, block, score, diverged, failed)
+        scoring.store_scores(w, design, block, score, diverged, failed)

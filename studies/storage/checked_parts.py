@@ -22,7 +22,7 @@ import numpy as np
 from ldctoolkit.errors import StoreError, plain
 from ldctoolkit.whole_file import write_whole
 
-from .files import read_bytes, read_json, write_json
+from .folder_files import read_bytes, read_json, write_json
 
 FORMAT_VERSION: Final = 2  # of a folder with a plan
 
