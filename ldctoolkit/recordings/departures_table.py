@@ -34,7 +34,6 @@ from ldctoolkit.recordings.quality import (
     combined_accounts,
     combined_examples,
     combined_statistics,
-    no_statistics,
 )
 from ldctoolkit.recordings.recording import Problem, SourceFile, missing_column
 from ldctoolkit.whole_file import PARQUET_CHECKSUM, check_parquet, parquet_bytes, parse_json, read_regular, write_whole
@@ -45,18 +44,18 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True)
 class PartResult:
-    """What was found in some recordings."""
+    """What the recordings of one part give."""
 
     # In the order of the recordings and of time; extra columns: source, lane_scale, labels
     departures: Departures = dataclasses.field(default_factory=no_departures)
     accounts: tuple[Account, ...] = ()  # One an origin
-    evidence: QualityStatistics = dataclasses.field(default_factory=no_statistics)  # For warnings
+    evidence: QualityStatistics = dataclasses.field(default_factory=QualityStatistics)  # For warnings
     drawn: Drawn = dataclasses.field(default_factory=Drawn)  # Departures with their signals, to be looked at
     problems: tuple[Problem, ...] = ()  # What could not be used
 
 
 def combined_results(parts: Iterable[PartResult]) -> PartResult:
-    """Several shares as one, in their order."""
+    """The results of several parts as one, in their order."""
     parts = list(parts)
     return PartResult(
         departures=combined_departures([part.departures for part in parts]),

@@ -42,9 +42,9 @@ SOURCE: Final = "source"  # column of the departures table that tells the source
 SCALE: Final = "lane_scale"
 """Column of the departures table that tells the factor of offset and width where recordings were scaled."""
 
-GAP_STEPS: Final = 1.5  # resampled recordings leave out samples in gaps: a longer step than this many is one
+GAP_STEPS: Final = 1.5  # resampled recordings leave out samples in gaps: a time of more steps than these is a gap
 
-TAKEN: Final = frozenset(
+RESERVED: Final = frozenset(
     {"recording", "side", "start_time_s", "samples", SOURCE, SCALE, *PARAMETER_NAMES, *PARAMETER_COLUMNS.values()}
 )
 """Names of the departures table's own columns; no label has one of them."""
@@ -92,7 +92,7 @@ def extract_items(
         elif isinstance(item, Recording):
             try:
                 for label in item.labels:
-                    if not label.name or label.name in TAKEN:
+                    if not label.name or label.name in RESERVED:
                         raise RecordingError(
                             f"recording {item.name!r}",
                             f"label {label.name!r}",
@@ -108,7 +108,7 @@ def extract_items(
             for pair in zip(raw, pieces, strict=True):
                 if pair[1].samples == 0:
                     continue
-                if batch and (waiting + pair[0].samples > BATCH or _kinds(pair) != _kinds(batch[0])):
+                if batch and (waiting + pair[0].samples > BATCH or _present(pair) != _present(batch[0])):
                     search()
                 batch.append(pair)
                 waiting += pair[0].samples
@@ -118,29 +118,17 @@ def extract_items(
     return combined_results([*results, PartResult(problems=tuple(problems))])
 
 
-_OPTIONAL: Final = ("curvature", "yaw_rate", "lane", "turn_signal", "engaged")
-
-
-def _kinds(recordings: Iterable[Recording]) -> list[bool]:
-    return [getattr(recording, name) is None for recording in recordings for name in _OPTIONAL]
-
-
-def table_of(recordings: list[Recording]) -> RecordingTable:
-    """Recordings of the same columns as one table."""
-    names = ("t", "lane_offset", "lane_width", "speed", "valid", *_OPTIONAL)
-    columns = {name: [getattr(recording, name) for recording in recordings] for name in names}
-    return RecordingTable(
-        names=np.array([recording.name for recording in recordings], dtype=np.str_),
-        offsets=np.concatenate([[0], np.cumsum([recording.samples for recording in recordings])]).astype(np.int64),
-        **{name: np.concatenate(parts) for name, parts in columns.items() if parts[0] is not None},
-    )
+def _present(recordings: Iterable[Recording]) -> list[bool]:
+    """Which of the optional columns that are searched each recording has; a table holds recordings of one kind."""
+    optional = ("curvature", "yaw_rate", "lane", "turn_signal", "engaged")
+    return [getattr(recording, name) is not None for recording in recordings for name in optional]
 
 
 def _of_batch(
     batch: list[tuple[Recording, Recording]], criteria: Criteria, preparation: Preparation, keep_signals: bool
 ) -> PartResult:
     raw, recordings = [pair[0] for pair in batch], [pair[1] for pair in batch]
-    table, step = table_of(recordings), preparation.step
+    table, step = RecordingTable.of(recordings), preparation.step
     limit = None if step is None else max(GAP_STEPS * step, criteria.max_gap or 0.0)
     result = find_departures(table, criteria, limit)
     origins = tuple(Origin(recording.source, recording.labels) for recording in recordings)
@@ -150,7 +138,7 @@ def _of_batch(
     return PartResult(
         departures=departures,
         accounts=accounts_of(table, result, origins, np.array([not recording.continues for recording in recordings])),
-        evidence=quality_statistics(table_of(raw), raw, table, recordings, result, criteria.vehicle_width),
+        evidence=quality_statistics(raw, recordings, result, criteria.vehicle_width),
         drawn=example_events(departures, result.signals, sources),
     )
 
@@ -241,10 +229,10 @@ def extract_departures(
     --------
     >>> t = np.arange(0, 10, 0.1)
     >>> beyond = np.clip(0.3 - 0.3 * (t - 5) ** 2, -0.5, None)
-    >>> one = np.ones(t.size)
-    >>> drive = Recording("a", t, beyond + 0.85, 3.6 * one, 25.0 * one, one > 0, curvature=0.0 * one)
-    >>> found = extract_departures([drive])
-    >>> len(found.departures), found.refused.total, round(float(found.departures.T[0]), 2)
+    >>> ones = np.ones(t.size)
+    >>> drive = Recording("a", t, beyond + 0.85, 3.6 * ones, 25.0 * ones, ones > 0, curvature=0.0 * ones)
+    >>> extraction = extract_departures([drive])
+    >>> len(extraction.departures), extraction.refused.total, round(float(extraction.departures.T[0]), 2)
     (1, 0, 2.0)
     """
     opened = recordings if isinstance(recordings, OpenedRecordings) else None
@@ -441,36 +429,34 @@ _SIGNAL_NAMES: Final = {"heading": "the heading", "yaw_rate": "the yaw rate", "c
 
 
 def _turning(evidence: QualityStatistics, factor: float) -> list[str]:
-    """Signals that turn against each other, or by another amount; the yaw rates were multiplied with `factor`."""
+    """Signals that turn against each compared, or by another amount; the yaw rates were multiplied with `factor`."""
     doubts: list[str] = []
     doubted: set[str] = set()
-    for turns, (reference, other) in zip(evidence.turns, RELATIONS, strict=True):
+    for turns, (reference, compared) in zip(evidence.turns, RELATIONS, strict=True):
         correlation = _correlation(turns)
-        if turns[0] < FEWEST_TURNS or abs(correlation) < 0.5 or {reference, other} & doubted:
+        if turns[0] < FEWEST_TURNS or abs(correlation) < 0.5 or {reference, compared} & doubted:
             continue
         _, hh, hr, rr = turns
         # the true ratio lies between the two regressions, the first if all noise is the second signal's, the second if
         # it is all the first one's
         low, high = abs(hr) / hh, rr / abs(hr)
         # the lane does not turn as the vehicle does, and steering wheels are geared
-        most = {"yaw_rate": 1.25, "curvature": 10.0, "steering": np.inf}[other]
+        most = {"yaw_rate": 1.25, "curvature": 10.0, "steering": np.inf}[compared]
         scale = 1.0 if low < most and high > 1.0 / most else float(np.sqrt(rr / hh))
         if correlation > 0.0 and scale == 1.0:
             continue
-        doubted.add(other)
-        what, of = (
-            _SIGNAL_NAMES[other],
-            "the GPS heading" if (reference, other) == RELATIONS[0] else _SIGNAL_NAMES[reference],
-        )
-        times = f" times {factor:.3g}, as given," if other == "yaw_rate" and factor != 1.0 else ""
+        doubted.add(compared)
+        what, of = _SIGNAL_NAMES[compared], _SIGNAL_NAMES[reference]
+        of = "the GPS heading" if (reference, compared) == RELATIONS[0] else of
+        times = f" times {factor:.3g}, as given," if compared == "yaw_rate" and factor != 1.0 else ""
         if correlation < 0.0:
             text = f"{what}{times} turns against {of} (correlation {correlation:.2f})"
             text += "" if scale == 1.0 else f", and {scale:.3g} times as much: another unit?"
-            recorded = "without the factor it" if times else "it" if other == "yaw_rate" else "one of them"
+            recorded = "without the factor it" if times else "it" if compared == "yaw_rate" else "one of them"
             text += f"; {recorded} is positive to the {'right' if factor > 0.0 else 'left'}"
         else:
             text = f"{what}{times} is {scale:.3g} times what {of} turns: another unit?"
-        if other == "yaw_rate":
+        if compared == "yaw_rate":
             advice = factor / scale if correlation > 0.0 else -factor / scale
             end = "or all curvatures have the wrong sign" if correlation < 0.0 else "which would make them agree"
             end += "" if correlation > 0.0 or reference != "heading" else "; or is the heading a compass course?"
@@ -524,9 +510,9 @@ def _scale(evidence: QualityStatistics) -> list[str]:
 
 
 def _twins(evidence: QualityStatistics) -> list[str]:
-    known = np.flatnonzero(evidence.fingerprints != "")
-    _, inverse, count = np.unique(evidence.fingerprints[known], return_inverse=True, return_counts=True)
-    groups = [known[inverse == i] for i in np.flatnonzero(count > 1)]
+    long = np.flatnonzero(evidence.fingerprints != "")
+    _, inverse, count = np.unique(evidence.fingerprints[long], return_inverse=True, return_counts=True)
+    groups = [long[inverse == i] for i in np.flatnonzero(count > 1)]
     if not groups:
         return []
     groups.sort(key=lambda group: int(group[0]))

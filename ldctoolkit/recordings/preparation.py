@@ -99,6 +99,22 @@ def rising_rows(t: FloatArray) -> BoolArray:
 MOST_DROPPED: Final = 0.05
 """A larger share of rows whose times fall is another drive, not single rows in disorder."""
 
+
+def rows_in_order(t: FloatArray) -> tuple[BoolArray, int, str]:
+    """Which rows of a trip to keep so that its times do not fall, none if its clock starts again; one of the others and
+    words for them.
+    """
+    keep = rising_rows(t)
+    if keep.all():
+        return keep, 0, ""
+    count, fall = np.count_nonzero(~keep), int(np.argmax(t[1:] < t[:-1]))
+    words = f"the time runs backwards from {t[fall]:.12g} to {t[fall + 1]:.12g}"
+    if count > MOST_DROPPED * t.size:
+        words += f", and {count} of {t.size} lines are out of order (allowed: {100 * MOST_DROPPED:g} %)"
+        return np.zeros_like(keep), fall + 1, f"{words}; the trip is left out"
+    return keep, int(np.argmin(keep)), f"{words}; {'the line is' if count == 1 else f'{count} lines are'} left out"
+
+
 MOST_CLOCKS: Final = 20  # more stretches than these mean that the rows are not in the order of time at all
 
 

@@ -8,7 +8,7 @@ import csv
 import dataclasses
 import gzip
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import IO, Any, Final, NamedTuple
 
@@ -18,6 +18,7 @@ import polars as pl
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.errors import RecordingError
+from ldctoolkit.recordings.recording import Problem
 from ldctoolkit.whole_file import text_of
 
 MISSING: Final = ("", "null", "nan", "na", "n/a", "none", "-nan", "#n/a")
@@ -40,6 +41,28 @@ class LineFault(NamedTuple):
     kind: str  # faults of one kind are counted together
     what: str  # what is wrong
     text: bytes = b""  # the line itself
+
+
+MOST_PROBLEMS: Final = 20  # problems of one kind that are reported one by one; the others are counted
+
+
+def grouped_problems(
+    file: str, faults: Iterable[LineFault], most: int = MOST_PROBLEMS, word: str = "line"
+) -> list[Problem]:
+    """Problems of a file: the first of each kind one by one, the others counted."""
+    problems: list[Problem] = []
+    seen: dict[str, list[int]] = {}
+    for fault in faults:
+        lines = seen.setdefault(fault.kind, [])
+        lines.append(fault.line)
+        if len(lines) <= most:
+            problems.append(Problem(file, f"{word} {fault.line}", fault.what))
+    for lines in seen.values():
+        if len(lines) > most:
+            count = len(lines) - most
+            more = f"{count} more {word}{'s' * (count > 1)} like {word} {lines[0]}, to {word} {lines[-1]}"
+            problems.append(Problem(file, f"{word} {lines[most]}", more))
+    return problems
 
 
 def open_text(path: Path) -> Stream:

@@ -14,10 +14,18 @@ import numpy as np
 
 from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.errors import RecordingError
-from ldctoolkit.recordings.preparation import LIMITS, cut_at, joins_of, local_slope, merge_repeated, spikes, values_at
+from ldctoolkit.recordings.preparation import (
+    LIMITS,
+    cut_at,
+    joins_of,
+    local_slope,
+    merge_repeated,
+    rows_in_order,
+    spikes,
+    values_at,
+)
 from ldctoolkit.recordings.recording import LARGEST, FoundParts, Label, Problem, Recording, SourceFile, source_file
-from ldctoolkit.recordings.text_table import Layout, LineFault, read_numbers
-from ldctoolkit.recordings.trip_tables import grouped_problems, rows_in_order
+from ldctoolkit.recordings.text_table import Layout, LineFault, grouped_problems, read_numbers
 
 DETECTED: Final = 2.0  # state of the lane estimator in which offset and width can be used
 STATES: Final = (DETECTED, 1.0, 0.0, -1.0, -9.0)  # detected, undetected, initialising, calibrating, missing

@@ -15,9 +15,10 @@ from helpers.recordings import drive
 from ldctoolkit.departures import LEFT, RIGHT, DepartureSignals, ExtraColumn, reduce_signals
 from ldctoolkit.recordings import Criteria, Drawn, Label, PartResult, Preparation, Recording, Refused
 from ldctoolkit.recordings.departures_table import combined_results
-from ldctoolkit.recordings.extract import extract_departures, extract_items, merge_results, table_of
+from ldctoolkit.recordings.extract import extract_departures, extract_items, merge_results
 from ldctoolkit.recordings.find_departures import REASONS, find_departures
-from ldctoolkit.recordings.quality import KEPT, WIDTH_BINS, share_of_widths
+from ldctoolkit.recordings.quality import EXAMPLES, WIDTH_BINS, share_of_widths
+from ldctoolkit.recordings.recording import RecordingTable
 
 MODULE = sys.modules["ldctoolkit.recordings.extract"]
 CRITERIA = Criteria(2.0)
@@ -76,7 +77,7 @@ def by_hand(recordings: list[Recording]) -> dict[Any, dict[str, Any]]:
             if good[i]:
                 account["widths"][int(width / 0.1)] += 1
         # alone in a table: its candidates are then known by themselves
-        found = find_departures(table_of([one]), CRITERIA)
+        found = find_departures(RecordingTable.of([one]), CRITERIA)
         for reason, side in zip(found.reason.tolist(), found.side.tolist(), strict=True):
             account["found"][("left" if side == LEFT else "right", (*REASONS, "departure")[reason])] += 1
     return accounts
@@ -240,16 +241,16 @@ def test_the_deepest_are_the_deepest(sources):
     groups = [(f"s{i}", side) for i in range(sources) for side in (LEFT, RIGHT)]
     for source, side in groups:
         mine = (of == source) & (d.side == side)
-        assert mine.sum() > KEPT
+        assert mine.sum() > EXAMPLES
         kept = [one for one in result.drawn.deepest if (one.source, one.side) == (source, side)]
         depths = [float(one.parameters[1]) for one in kept]
-        assert depths == sorted(d.d_y[mine].tolist(), reverse=True)[:KEPT]
+        assert depths == sorted(d.d_y[mine].tolist(), reverse=True)[:EXAMPLES]
         lots = [one for one in result.drawn.by_lot if (one.source, one.side) == (source, side)]
-        assert (len(lots), [one.lot for one in lots]) == (KEPT, sorted(one.lot for one in lots))
+        assert (len(lots), [one.lot for one in lots]) == (EXAMPLES, sorted(one.lot for one in lots))
         assert {(one.recording, one.start_time) for one in lots} != {(one.recording, one.start_time) for one in kept}
     for events in (result.drawn.deepest, result.drawn.by_lot):
         assert list(dict.fromkeys((one.source, one.side) for one in events)) == groups
-        assert len(events) == KEPT * len(groups)
+        assert len(events) == EXAMPLES * len(groups)
 
 
 def test_a_side_with_few_keeps_all_and_takes_nothing_from_the_other():
@@ -262,7 +263,7 @@ def test_a_side_with_few_keeps_all_and_takes_nothing_from_the_other():
     right = result.departures.d_y[result.departures.side == RIGHT]
     assert 0 < right.size <= 5
     for events in (result.drawn.deepest, result.drawn.by_lot):
-        assert [one.side for one in events] == [LEFT] * KEPT + [RIGHT] * right.size
+        assert [one.side for one in events] == [LEFT] * EXAMPLES + [RIGHT] * right.size
         assert sorted(float(one.parameters[1]) for one in events if one.side == RIGHT) == sorted(right.tolist())
 
 
@@ -299,8 +300,8 @@ def test_the_lot_is_blind():
     """A lot is sorted neither by name nor by depth; 600 departures, drawn of 25 sources and two sides."""
     result = extract_items(drives(600, 25, seed=5), CRITERIA_DRAWN, Preparation())
     lots = result.drawn.by_lot
-    assert len(lots) == 2 * 25 * KEPT
-    order = np.tile(np.arange(KEPT), 2 * 25)
+    assert len(lots) == 2 * 25 * EXAMPLES
+    order = np.tile(np.arange(EXAMPLES), 2 * 25)
     limit = 4.0 / np.sqrt(len(lots))  # four standard deviations of the correlation of unrelated numbers
     for values in ([int(one.recording[1:]) for one in lots], [float(one.parameters[1]) for one in lots]):
         assert abs(np.corrcoef(values, order)[0, 1]) < limit
@@ -316,7 +317,7 @@ def test_equal_depths_are_told_apart_by_name_and_time():
     forward = extract_items(recordings, CRITERIA_DRAWN, Preparation()).drawn
     backward = extract_items(recordings[::-1], CRITERIA_DRAWN, Preparation()).drawn
     assert signatures(forward) == signatures(backward)
-    assert [event.recording for event in forward.deepest] == 2 * [f"twin{i:02d}" for i in range(KEPT)]
+    assert [event.recording for event in forward.deepest] == 2 * [f"twin{i:02d}" for i in range(EXAMPLES)]
 
 
 def test_none():

@@ -349,7 +349,7 @@ def test_a_row_that_is_lost_next_to_another_piece(
     lost: list[int], time: str, save: Save, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its time is missing, or there are NUL bytes in it."""
-    monkeypatch.setattr(table_reader, "_place_to_part", lambda frame: 400)
+    monkeypatch.setattr(table_reader, "_border_of_pieces", lambda frame: 400)
     text = "".join(line("a", time if i in lost else i / 10) for i in range(700))
     found, problems = read(save(HEADER + text), block_bytes=400)
     assert places(problems) == (["line 402"] if time else [])

@@ -11,17 +11,10 @@ import pytest
 from helpers.recordings import OFFSET, T, drive
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings import Criteria, Preparation, Recording, extract_departures
-from ldctoolkit.recordings.extract import (
-    extract_items,
-    few_usable,
-    merge_results,
-    quality_doubts,
-    quality_warnings,
-    table_of,
-)
+from ldctoolkit.recordings.extract import extract_items, few_usable, merge_results, quality_doubts, quality_warnings
 from ldctoolkit.recordings.preparation import FILLED
-from ldctoolkit.recordings.quality import OFFSET_BINS, RELATIONS, no_statistics, unit_counts, unit_warnings
-from ldctoolkit.recordings.recording import usable_samples
+from ldctoolkit.recordings.quality import OFFSET_BINS, RELATIONS, QualityStatistics, unit_counts, unit_warnings
+from ldctoolkit.recordings.recording import RecordingTable, usable_samples
 
 N = 6000
 T_EVIDENCE = np.arange(N) * 0.1
@@ -401,7 +394,7 @@ def test_plausible_recordings_give_none():
 
 
 def reported(sides: tuple[int, int] = (0, 0), **changes: Any) -> tuple[str, ...]:
-    plain = dataclasses.replace(no_statistics(), kinds=("yaw_rate",), bends=np.array([10_000, 5_000]))
+    plain = dataclasses.replace(QualityStatistics(), kinds=("yaw_rate",), bends=np.array([10_000, 5_000]))
     evidence = dataclasses.replace(plain, **{name: np.array(value) for name, value in changes.items()})
     return (*quality_doubts(evidence, 1.8, np.array(sides)).values(), *quality_warnings(evidence, None))
 
@@ -474,7 +467,7 @@ def test_a_signal_that_is_doubted_already_is_doubted_once():
 def test_a_wrong_unit_of_the_lane_is_not_a_wrong_reference_too():
     samples = (("samples", 1000), ("recordings", 40))
     for unit, told in (("width < 2", 1), ("offset > 10", 1), ("width <= vehicle", 1), ("speed < 0", 2)):
-        evidence = dataclasses.replace(no_statistics(), units=(*samples, (unit, 600)))
+        evidence = dataclasses.replace(QualityStatistics(), units=(*samples, (unit, 600)))
         assert len(quality_doubts(evidence, 1.8, np.array([20, 0]))) == told
 
 
@@ -613,7 +606,7 @@ def test_values_are_counted_beyond_their_limit(column, limit, name):
     own |= {"curvature": None} if column == "yaw_rate" else {}
     for value, counted in ((limit, 0), (np.nextafter(limit, np.sign(limit) * np.inf), 3)):
         recording = drive(t=[0.0, 0.1, 0.2], **(own | {column: value}))
-        one = table_of([recording])
+        one = RecordingTable.of([recording])
         assert dict(unit_counts(one, usable_samples(one), np.array([0.1]), 1.8, [recording]))[name] == counted
 
 
@@ -621,7 +614,7 @@ def test_a_coarse_offset():
     def counted(step: float, n: int = 400) -> int:
         t = 0.1 * np.arange(n)
         one = drive(t=t, lane_offset=np.round(0.4 * np.sin(t) / step) * step)
-        table = table_of([one])
+        table = RecordingTable.of([one])
         return dict(unit_counts(table, usable_samples(table), np.array([0.1]), 1.8, [one]))["coarse offset > 0"]
 
     assert (counted(0.1), counted(0.09), counted(0.05)) == (400, 0, 0)
@@ -639,7 +632,7 @@ def test_a_coarse_offset():
 
 def test_values_that_are_counted_below_a_limit():
     def counted(step: float = 0.1, **columns: float) -> dict[str, int]:
-        one = table_of([drive(t=[0.0, 0.1, 0.2], lane_offset=0.0, **columns)])
+        one = RecordingTable.of([drive(t=[0.0, 0.1, 0.2], lane_offset=0.0, **columns)])
         return dict(unit_counts(one, usable_samples(one), np.array([step, np.nan]), 1.8))
 
     below = np.nextafter(2.0, 0.0)

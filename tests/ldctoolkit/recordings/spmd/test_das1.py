@@ -1,5 +1,6 @@
 """The SPMD tables DataLane and DataWsu."""
 
+import dataclasses
 import pickle
 from collections.abc import Iterable
 from pathlib import Path
@@ -18,10 +19,11 @@ from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings import Criteria, Preparation, Recording, extract_part
 from ldctoolkit.recordings.departures_table import PartResult, combined_results
 from ldctoolkit.recordings.recording import FoundParts
-from ldctoolkit.recordings.spmd_das1 import READER, Das1Part, SpmdDas1, nearest_rows
+from ldctoolkit.recordings.spmd_das1 import READER, nearest_rows
+from ldctoolkit.recordings.trip_tables import TripPart
 
 
-def extracted(source: FoundParts[Das1Part]) -> PartResult:
+def extracted(source: FoundParts[TripPart]) -> PartResult:
     criteria, preparation = Criteria(vehicle_width=READER.vehicle_width), Preparation(step=READER.step)
     return combined_results(extract_part(part, criteria, preparation) for part in source.parts)
 
@@ -108,10 +110,10 @@ def test_parts_of_any_size_give_the_same(tmp_path: Path) -> None:
     assert (problems, whole.problems) == ([], ())
     found = extracted(whole).departures
     assert found.n > 50
-    largest = [part.bytes for part in SpmdDas1(part_bytes=1).open([tmp_path]).parts]  # one trip each
+    largest = [part.bytes for part in dataclasses.replace(READER, part_bytes=1).open([tmp_path]).parts]  # one trip each
     assert len(largest) == len(drives)
     for part_bytes in (1, 100_000):
-        source = SpmdDas1(part_bytes=part_bytes).open([tmp_path])
+        source = dataclasses.replace(READER, part_bytes=part_bytes).open([tmp_path])
         assert len(source.parts) > 2
         assert len({part.key for part in source.parts}) == len(source.parts)
         assert sum(part.bytes for part in source.parts) == sum(part.bytes for part in whole.parts)

@@ -19,7 +19,7 @@ from helpers.recordings import read_source
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.extract import extract_departures
 from ldctoolkit.recordings.recording import Problem, Recording, open_recordings
-from ldctoolkit.recordings.spmd_das2 import SpmdDas2
+from ldctoolkit.recordings.spmd_das2 import READER
 
 Write = Callable[..., Path]
 BOM = b"\xef\xbb\xbf"
@@ -42,7 +42,7 @@ def write(tmp_path: Path) -> Write:
 
 def read(*paths: Path) -> tuple[dict[str, Recording], list[Problem]]:
     """All recordings by name, and all problems."""
-    recordings, problems = read_source(SpmdDas2().open(paths))
+    recordings, problems = read_source(READER.open(paths))
     assert len({one.name for one in recordings}) == len(recordings)
     return {one.name: one for one in recordings}, problems
 
@@ -77,8 +77,8 @@ def test_the_sample_loads_in_both_shapes(sample: Path) -> None:
 def test_other_tables_are_not_recognised(sample: Path, tmp_path: Path) -> None:
     others = [one for one in sorted(sample.rglob("*.csv")) if "HV_Primary" not in one.name]
     assert others
-    assert [SpmdDas2().recognise([one]) for one in others] == [""] * len(others)
-    assert SpmdDas2().recognise([tmp_path / "none.csv", tmp_path]) == ""
+    assert [READER.recognise([one]) for one in others] == [""] * len(others)
+    assert READER.recognise([tmp_path / "none.csv", tmp_path]) == ""
 
 
 SHAPES = {
@@ -275,7 +275,7 @@ def test_against_plain_python(lines: list[str], end: str, ended: bool, part_byte
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "HV_Primary.csv")
         path.write_bytes(text.encode())
-        source = SpmdDas2(part_bytes=part_bytes).open([path])
+        source = dataclasses.replace(READER, part_bytes=part_bytes).open([path])
         items = [item for part in source.parts for item in part.read()]
     found = {item.name: item for item in items if isinstance(item, Recording)}
     reported = [*source.problems, *(item for item in items if isinstance(item, Problem))]
