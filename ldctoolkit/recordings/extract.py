@@ -517,7 +517,7 @@ def _twins(evidence: QualityStatistics) -> list[str]:
         return []
     groups.sort(key=lambda group: int(group[0]))
     named = "; ".join(" = ".join(str(evidence.names[i]) for i in group[:3]) for group in groups[:TWINS_NAMED])
-    more = f"; and {len(groups) - TWINS_NAMED} more" if len(groups) > TWINS_NAMED else ""
+    unnamed = f"; and {len(groups) - TWINS_NAMED} more" if len(groups) > TWINS_NAMED else ""
     repeated = sum(group.size - 1 for group in groups)
     repeat = "recording repeats" if repeated == 1 else "recordings repeat"
-    return [f"{repeated} {repeat} another's samples, and the departures count twice: {named}{more}"]
+    return [f"{repeated} {repeat} another's samples, and the departures count twice: {named}{unnamed}"]

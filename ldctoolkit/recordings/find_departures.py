@@ -172,12 +172,12 @@ def _jumps(
     it, for one that was smoothed begins earlier and ends later than noise lets be seen.
     """
     rows = np.flatnonzero(_spread(beyond, t, barred, JUMP_WINDOW))
-    at, offset, width = t[rows], offset[rows], width[rows]
-    taken = np.append(barred, True)[rows[:-1]] | (np.diff(rows) > 1)
-    jumps = np.zeros(taken.size, dtype=bool)
+    time, offset, width = t[rows], offset[rows], width[rows]
+    closed = np.append(barred, True)[rows[:-1]] | (np.diff(rows) > 1)
+    jumps = np.zeros(closed.size, dtype=bool)
     for lag in range(1, min(MOST_LAGS, rows.size)):
-        dt = at[lag:] - at[:-lag]
-        before = np.append(0, np.cumsum(taken))
+        dt = time[lag:] - time[:-lag]
+        before = np.append(0, np.cumsum(closed))
         free = before[lag:] == before[:-lag]
         if lag > 1:
             free &= dt <= JUMP_WINDOW + ROUNDING
@@ -191,7 +191,7 @@ def _jumps(
         first = np.flatnonzero(free & far)
         ends = np.bincount(first + lag, minlength=rows.size)
         jumps |= np.cumsum(np.bincount(first, minlength=rows.size) - ends)[:-1] > 0
-        taken |= jumps
+        closed |= jumps
     moving = np.zeros(t.size, dtype=bool)
     moving[rows[:-1][jumps]] = moving[rows[1:][jumps]] = True
     moving = _spread(moving, t, barred, 0.5 * JUMP_WINDOW)
@@ -498,10 +498,10 @@ def curvature_from_yaw_rate(
     begin = np.flatnonzero(np.diff(np.cumsum(first_of_stretch | ~usable)[rows], prepend=-1))
     length = np.diff(np.append(begin, rows.size))
     first, last = np.repeat(begin, length), np.repeat(begin + length, length) - 1
-    here, t = np.arange(rows.size), t[rows]
+    row, t = np.arange(rows.size), t[rows]
     half = HALF_WINDOW + ROUNDING
     count = np.nan_to_num(half / np.fmax(step[rows], ROUNDING)).astype(np.int64)
-    low, high = np.maximum(here - count, first), np.minimum(here + count, last)
+    low, high = np.maximum(row - count, first), np.minimum(row + count, last)
     # what even spacing gives is looked up in time where the spacing is not even
     uneven = (t - t[low] > half) | (t[high] - t > half)
     uneven |= (low > first) & (t - t[low - 1] <= half) | (high < last) & (t[np.minimum(high + 1, last)] - t <= half)

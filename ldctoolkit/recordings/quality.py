@@ -367,40 +367,40 @@ def _related(recording: Recording) -> tuple[FloatArray, FloatArray]:
     return turns, sway if angle is None else _sway(recording, *angle)
 
 
-Swept = tuple[FloatArray, BoolArray]  # angle that the vehicle turned since the start [rad], and where it is known
+Swept = tuple[FloatArray, BoolArray]  # angle that the vehicle turned since the start [rad], and where it is usable
 
 
 def _swept(recording: Recording) -> dict[str, Swept]:
     """How far the vehicle turned, by each signal that tells; by the steering angle up to a factor."""
     swept: dict[str, Swept] = {}
     if recording.heading is not None:
-        known = recording.valid & (np.abs(recording.heading) < LARGEST)
-        swept["heading"] = np.where(known, recording.heading, 0.0), known
+        usable = recording.valid & (np.abs(recording.heading) < LARGEST)
+        swept["heading"] = np.where(usable, recording.heading, 0.0), usable
     for name in ("yaw_rate", "curvature", "steering"):
         values = getattr(recording, name)
         if values is None:
             continue
-        known = recording.valid & (np.abs(values) < LARGEST)
+        usable = recording.valid & (np.abs(values) < LARGEST)
         if name == "yaw_rate" and recording.yaw_rate_measured is not None:
-            known &= recording.yaw_rate_measured  # else it is the heading's own slope
+            usable &= recording.yaw_rate_measured  # else it is the heading's own slope
         if name != "yaw_rate":
-            known &= np.abs(recording.speed) < LARGEST
+            usable &= np.abs(recording.speed) < LARGEST
         with np.errstate(over="ignore", invalid="ignore"):
-            rate = np.where(known, values if name == "yaw_rate" else values * recording.speed, 0.0)
+            rate = np.where(usable, values if name == "yaw_rate" else values * recording.speed, 0.0)
             steps = 0.5 * (rate[1:] + rate[:-1]) * np.diff(recording.t)
-            swept[name] = np.concatenate([[0.0], np.cumsum(steps)]), known
+            swept[name] = np.concatenate([[0.0], np.cumsum(steps)]), usable
     return swept
 
 
 def _turns(recording: Recording, lag: int, reference: Swept, compared: Swept) -> FloatArray:
     """Windows and sums of one recording: turns by one signal against those by another."""
-    t, known = recording.t, reference[1] & compared[1]
-    lost = np.cumsum(~known)
+    t, usable = recording.t, reference[1] & compared[1]
+    lost = np.cumsum(~usable)
     with np.errstate(over="ignore", invalid="ignore"):
         h, r = (angle[lag:] - angle[:-lag] for angle, _ in (reference, compared))
         h = h - 2.0 * np.pi * np.rint(h / (2.0 * np.pi))  # a heading into +-pi
     # a window with an unusable number in it is not compared
-    good = np.isfinite(h) & np.isfinite(r) & (lost[lag:] == lost[:-lag]) & known[:-lag]
+    good = np.isfinite(h) & np.isfinite(r) & (lost[lag:] == lost[:-lag]) & usable[:-lag]
     good &= (t[lag:] - t[:-lag] < 1.5 * TURN_WINDOW) & (
         np.fmin(recording.speed[lag:], recording.speed[:-lag]) > TURN_SPEED
     )
@@ -421,7 +421,7 @@ _SMOOTH: Final = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, round(SWAY_WINDOW
 """What position, heading and bend of the road make of a path in a window: cubics."""
 
 
-def _sway(recording: Recording, angle: FloatArray, known: BoolArray) -> FloatArray:
+def _sway(recording: Recording, angle: FloatArray, usable: BoolArray) -> FloatArray:
     """Windows and sums: the path across the lane by the heading against the offset, both without what a bend makes."""
     t, offset, v = recording.t, recording.lane_offset, recording.speed
     if not SWAY_WINDOW < t[-1] - t[0] < LONGEST:
@@ -431,7 +431,7 @@ def _sway(recording: Recording, angle: FloatArray, known: BoolArray) -> FloatArr
     times = first[:, None] + _SWAY_STEP * np.arange(_SMOOTH.shape[0])
     row = np.minimum(np.searchsorted(t, times), t.size - 1)
     # a window with a hole in it, or with a jump of the offset, is left out
-    good = known[row] & recording.valid[row] & (v[row] > TURN_SPEED) & (v[row] < LARGEST) & (t[row] - times <= 0.5)
+    good = usable[row] & recording.valid[row] & (v[row] > TURN_SPEED) & (v[row] < LARGEST) & (t[row] - times <= 0.5)
     with np.errstate(invalid="ignore"):
         good[:, 1:] &= np.abs(np.diff(offset[row], axis=1)) <= MAX_JUMP  # False for NaN
     row = row[good.all(axis=1)]

@@ -438,8 +438,8 @@ class TablePart:
             count, last = count + 1, item
             if count <= MOST_PROBLEMS:
                 yield Problem.of(self.shown, item)
-        if (more := count - MOST_PROBLEMS) > 0:
-            yield Problem(self.shown, "", f"{more} more problem{'s' * (more > 1)}; the last: {last}")
+        if (unnamed := count - MOST_PROBLEMS) > 0:
+            yield Problem(self.shown, "", f"{unnamed} more problem{'s' * (unnamed > 1)}; the last: {last}")
 
     def _items(self) -> Iterator[Recording | RecordingError]:
         """Recordings and faults, in the order in which they are met."""
@@ -570,8 +570,8 @@ class TableReader:
             except OSError as error:
                 problems.append(Problem(shown, "", f"cannot be read: {error.strerror}"))
         if not accepted:
-            others = len(problems) - 1
-            raise problems[0].error.hinted(f"{others} more problem{'s' * (others > 1)}" if others else "")
+            count = len(problems) - 1
+            raise problems[0].error.hinted(f"{count} more problem{'s' * (count > 1)}" if count else "")
         names = [file.name for file in accepted.values()]
         left_out, repeated, numbered = _repeated_names(list(accepted), names) if names[1:] else ([()], [], ())
         parts = tuple(

@@ -157,9 +157,9 @@ def index_trips(path: Path, begin: int, line: int, *, block_bytes: int = BLOCK_B
                             faults.append(LineFault(first_line + row, "key", _no_key(block[start:end])))
                         unkeyed += 1
                     elif len(stretches) == MOST_STRETCHES:
-                        many = f"more than {MOST_STRETCHES} stretches of rows of one trip each"
+                        what = f"more than {MOST_STRETCHES} stretches of rows of one trip each"
                         allowed = "rows sorted by device, trip and time"
-                        raise RecordingError(f"line {first_line + row}", many, allowed=allowed)
+                        raise RecordingError(f"line {first_line + row}", what, allowed=allowed)
                     else:
                         open_key = key
                         stretches.append([*key, size + start, size + end, first_line + row, end_row - row, unkeyed])
@@ -416,8 +416,8 @@ class TripReader:
             what = [*missing, f"trip of a table {next(iter(self.kinds))}"][0]
             raise RecordingError(self.name, "; ".join([f"no {what} was found", *map(str, problems[:5])]))
         # a trip that only the first kind's table holds is read as well: it counts, though nothing of it can be used
-        found = ([trips.get(key, (0, ())) for trips in trips_of_kinds] for key in trips_of_kinds[0])
-        trips = [tuple(zip(*entries, strict=True)) for entries in found]
+        entries_of_trips = ([trips.get(key, (0, ())) for trips in trips_of_kinds] for key in trips_of_kinds[0])
+        trips = [tuple(zip(*entries, strict=True)) for entries in entries_of_trips]
         trips.sort(key=lambda trip: (trip[0], trip[1][0][0].begin))
         batches: list[tuple[tuple[int, ...], list[tuple[Stretches, ...]]]] = []
         size = self.part_bytes
@@ -438,49 +438,37 @@ class TripReader:
     def _indexed(self, paths: Sequence[Path]) -> tuple[list[IndexedTable], list[Problem]]:
         """The tables among files and in folders; several are read at the same time."""
         files = find_tables(paths)
-        shown = shown_names([path for path, _ in files])
-        problems_of: list[list[Problem]] = [[] for _ in files]
-        layouts: list[tuple[int, TableLayout]] = []
-
-        def report(number: int, error: RecordingError, outcome: str = "") -> None:
-            path, by_user = files[number]
-            if by_user or self.named(path):
-                problems_of[number].append(Problem.of(shown[number], error, outcome))
-
-        for number, (path, _) in enumerate(files):
-            try:
-                layout = self.layout_of(path)
-            except RecordingError as error:
-                report(number, error, "it is left out")
-                continue
-            if layout.note:
-                report(number, RecordingError("" if layout.kind else "line 1", layout.note))
-            if layout.kind:
-                layouts.append((number, layout))
-
-        def index(entry: tuple[int, TableLayout]) -> TripIndex | RecordingError:
-            number, layout = entry
-            try:
-                return index_trips(files[number][0], layout.begin, layout.line)
-            except RecordingError as error:
-                return error
-
         with concurrent.futures.ThreadPoolExecutor(AT_ONCE) as beside:
-            indexes = list(beside.map(index, layouts))
+            looked = list(beside.map(self._look_through, [path for path, _ in files]))
         tables: dict[str, IndexedTable] = {}
-        for (number, layout), trips in zip(layouts, indexes, strict=True):
-            if isinstance(trips, RecordingError):
-                report(number, trips, "it is left out")
-            elif trips.sha256 in tables:
-                what = f"holds the same as {tables[trips.sha256].table.name}, byte by byte; it is left out"
-                problems_of[number].append(Problem(shown[number], "", what))
-            else:
-                if not trips.stretches:
-                    problems_of[number].append(Problem(shown[number], "", "no usable row"))
+        problems: list[Problem] = []
+        shown = shown_names([path for path, _ in files])
+        for (path, by_user), name, (layout, index) in zip(files, shown, looked, strict=True):
+            meant = by_user or self.named(path)  # other files in a folder may hold anything
+            if meant and layout is not None and layout.note:
+                problems.append(Problem.of(name, RecordingError("" if layout.kind else "line 1", layout.note)))
+            if isinstance(index, RecordingError):
+                problems += [Problem.of(name, index, "it is left out")] if meant else []
+            elif layout is not None and index is not None:
+                if index.sha256 in tables:
+                    what = f"holds the same as {tables[index.sha256].table.name}, byte by byte; it is left out"
+                    problems.append(Problem(name, "", what))
+                    continue
+                if not index.stretches:
+                    problems.append(Problem(name, "", "no usable row"))
                 cells = layout.cells or (len(layout.columns),)
-                table = TripTable(shown[number], str(files[number][0].resolve()), layout.columns, cells, trips.bytes)
-                tables[trips.sha256] = IndexedTable(table, layout.kind, trips)
-        return list(tables.values()), list(itertools.chain(*problems_of))
+                table = TripTable(name, str(path.resolve()), layout.columns, cells, index.bytes)
+                tables[index.sha256] = IndexedTable(table, layout.kind, index)
+        return list(tables.values()), problems
+
+    def _look_through(self, path: Path) -> tuple[TableLayout | None, TripIndex | RecordingError | None]:
+        """The layout of a file, and the index of its trips if it is one of the reader's tables."""
+        layout = None
+        try:
+            layout = self.layout_of(path)
+            return layout, index_trips(path, layout.begin, layout.line) if layout.kind else None
+        except RecordingError as error:
+            return layout, error
 
 
 def _collect_trips(
