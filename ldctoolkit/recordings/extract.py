@@ -71,51 +71,55 @@ def extract_items(
 
     A recording that cannot be prepared is a problem of the result.
     """
-    results: list[PartResult] = []
-    batch: list[tuple[Recording, Recording]] = []  # as the source has them, and prepared
-    widths = criteria.min_lane_width, criteria.max_lane_width
     problems: list[Problem] = []
-    waiting = 0
     if criteria.max_gap is not None and criteria.max_gap < preparation.max_gap:
         preparation = dataclasses.replace(preparation, max_gap=criteria.max_gap)
 
-    def search() -> None:
-        nonlocal waiting
-        if batch:
-            results.append(_of_batch(batch, criteria, preparation, keep_signals))
-            batch.clear()
-            waiting = 0
+    def pairs() -> Iterator[Pair]:
+        for item in items:
+            if isinstance(item, Problem):
+                problems.append(item)
+            elif isinstance(item, Recording):
+                try:
+                    yield from _prepared(item, criteria, preparation)
+                except RecordingError as error:
+                    problems.append(Problem(item.source or item.name, "", f"{error}; it is left out"))
+            else:
+                raise InputError("recordings", f"an item is a {type(item).__name__}", allowed="Recording")
 
-    for item in items:
-        if isinstance(item, Problem):
-            problems.append(item)
-        elif isinstance(item, Recording):
-            try:
-                for label in item.labels:
-                    if not label.name or label.name in RESERVED:
-                        raise RecordingError(
-                            f"recording {item.name!r}",
-                            f"label {label.name!r}",
-                            allowed="a name that is no column of the departures table",
-                        )
-                if item.samples > 1 and item.t[0] == item.t[-1]:
-                    raise RecordingError(f"recording {item.name!r}", f"all times are {float(item.t[0])!r} s")
-                raw = [on_own_clocks(piece) for piece in stretches(corrected(item, preparation))]
-                pieces = [prepare(piece, preparation, criteria.max_jump, widths) for piece in raw]
-            except RecordingError as error:
-                problems.append(Problem(item.source or item.name, "", f"{error}; it is left out"))
-                continue
-            for pair in zip(raw, pieces, strict=True):
-                if pair[1].samples == 0:
-                    continue
-                if batch and (waiting + pair[0].samples > BATCH or _present(pair) != _present(batch[0])):
-                    search()
-                batch.append(pair)
-                waiting += pair[0].samples
-        else:
-            raise InputError("recordings", f"an item is a {type(item).__name__}", allowed="Recording")
-    search()
+    results = [_of_batch(batch, criteria, preparation, keep_signals) for batch in _batches(pairs())]
     return combined_results([*results, PartResult(problems=tuple(problems))])
+
+
+Pair = tuple[Recording, Recording]  # a stretch of a recording as the source has it, and prepared
+
+
+def _prepared(recording: Recording, criteria: Criteria, preparation: Preparation) -> list[Pair]:
+    """The stretches of a recording that hold a sample; raises `RecordingError` for one that cannot be used."""
+    for label in recording.labels:
+        if not label.name or label.name in RESERVED:
+            allowed = "a name that is no column of the departures table"
+            raise RecordingError(f"recording {recording.name!r}", f"label {label.name!r}", allowed=allowed)
+    if recording.samples > 1 and recording.t[0] == recording.t[-1]:
+        raise RecordingError(f"recording {recording.name!r}", f"all times are {float(recording.t[0])!r} s")
+    widths = criteria.min_lane_width, criteria.max_lane_width
+    raw = [on_own_clocks(piece) for piece in stretches(corrected(recording, preparation))]
+    pairs = [(piece, prepare(piece, preparation, criteria.max_jump, widths)) for piece in raw]
+    return [pair for pair in pairs if pair[1].samples]
+
+
+def _batches(pairs: Iterable[Pair]) -> Iterator[list[Pair]]:
+    """Neighbouring pairs that are searched in one table: of the same columns, and not too many samples."""
+    batch: list[Pair] = []
+    size = 0
+    for pair in pairs:
+        if batch and (size + pair[0].samples > BATCH or _present(pair) != _present(batch[0])):
+            yield batch
+            batch, size = [], 0
+        batch.append(pair)
+        size += pair[0].samples
+    if batch:
+        yield batch
 
 
 def _present(recordings: Iterable[Recording]) -> list[bool]:
@@ -124,9 +128,7 @@ def _present(recordings: Iterable[Recording]) -> list[bool]:
     return [getattr(recording, name) is not None for recording in recordings for name in optional]
 
 
-def _of_batch(
-    batch: list[tuple[Recording, Recording]], criteria: Criteria, preparation: Preparation, keep_signals: bool
-) -> PartResult:
+def _of_batch(batch: list[Pair], criteria: Criteria, preparation: Preparation, keep_signals: bool) -> PartResult:
     raw, recordings = [pair[0] for pair in batch], [pair[1] for pair in batch]
     table, step = RecordingTable.of(recordings), preparation.step
     limit = None if step is None else max(GAP_STEPS * step, criteria.max_gap or 0.0)
@@ -161,7 +163,7 @@ def _extra(departures: Departures, owner: np.ndarray, recordings: list[Recording
     return tuple(columns)
 
 
-VEHICLE_WIDTH = 1.9  # width [m] of a vehicle that nothing is known of
+VEHICLE_WIDTH = 1.9  # default width of the vehicle [m] where no reader states one
 
 
 def extract_departures(
@@ -309,7 +311,7 @@ def merge_results(
         problems=tuple(str(problem) for problem in whole.problems),
     )
     departures = whole.departures
-    # columns that are the same everywhere tell nothing
+    # a column with one value everywhere is left out
     idle = {SOURCE} if len({account.origin.source for account in whole.accounts}) <= 1 else set()
     scales = [column.values for column in departures.extra if column.name == SCALE]
     if preparation.nominal_lane_width is None and all(bool((values == 1.0).all()) for values in scales):
@@ -318,13 +320,13 @@ def merge_results(
     return Extraction(departures, provenance, whole.accounts, whole.drawn, whole.problems)
 
 
-FEWEST_TURNS: Final = 100  # Windows that it takes to compare yaw rate and heading
+FEWEST_TURNS: Final = 100  # windows that it takes to compare yaw rate and heading
 
 LEAST_TURNING: Final = 0.02 * TURN_WINDOW
 """Root mean square of the turns by heading [rad in a window] above which they must agree: smaller ones may be noise."""
 
 LEAST_USABLE: Final = 0.25
-"""A smaller share of usable samples is worth a warning: cameras often see no lane, but not nearly always."""
+"""A smaller share of usable samples gives a warning: cameras often see no lane, but not nearly always."""
 
 TWINS_NAMED: Final = 5
 
@@ -342,8 +344,8 @@ EDGE: Final = 0.05  # share of the recordings at either end that may have odd la
 def quality_doubts(
     evidence: QualityStatistics, vehicle_width: float, sides: IntArray, *, yaw_rate_factor: float = 1.0
 ) -> dict[str, str]:
-    """What cannot be right, by what it is of: units, signs, references; `sides` are the departures to the left and
-    right, (2,).
+    """Texts about units, signs and references that cannot be right, by subject; `sides` (2,) are the numbers of
+    departures to the left and to the right.
     """
     doubts = unit_warnings(dict(evidence.units), vehicle_width)
     # a wrong unit of the offset makes all of these, too
@@ -375,7 +377,7 @@ def quality_warnings(
     return tuple(texts)
 
 
-ENOUGH_TIME: Final = 40.0  # [s] of driving that tell whether an offset can be one
+ENOUGH_TIME: Final = 40.0  # [s] of driving that it takes to judge the reference of the offset
 SHARE_BEYOND: Final = 0.4  # share of the time beyond a line that no driver reaches
 SHARE_LONG: Final = 0.08  # the same of stays of more than five seconds
 FEWEST_GRAZES: Final = 3  # an offset without its sign turns back at zero each time the vehicle passes the lane's centre
@@ -385,7 +387,7 @@ SMALLER_SIDE: Final = 0.05  # share of the departures to the other side
 
 
 def _reference(evidence: QualityStatistics, sides: IntArray) -> str:
-    """Why the offset cannot be that of the vehicle's centre from the lane's; empty for no reason."""
+    """Why the offset cannot be that of the vehicle's centre from the lane's centre; empty if it can."""
     driven, beyond, long = evidence.stays_ns / 1e9
     counts, middle = evidence.offsets, OFFSET_BINS // 2
     what, likely, samples = "", "is it a distance to a line, or is the camera beside the vehicle's centre", counts.sum()
@@ -429,7 +431,7 @@ _SIGNAL_NAMES: Final = {"heading": "the heading", "yaw_rate": "the yaw rate", "c
 
 
 def _turning(evidence: QualityStatistics, factor: float) -> list[str]:
-    """Signals that turn against each compared, or by another amount; the yaw rates were multiplied with `factor`."""
+    """Pairs of signals that turn against each other, or by different amounts; `factor` has multiplied the yaw rates."""
     doubts: list[str] = []
     doubted: set[str] = set()
     for turns, (reference, compared) in zip(evidence.turns, RELATIONS, strict=True):
@@ -497,7 +499,7 @@ def _scale(evidence: QualityStatistics) -> list[str]:
         return []
     low, middle, high = (float(value) for value in np.quantile(widths, [EDGE, 0.5, 1.0 - EDGE]))
     if not METRES[0] < middle < METRES[1]:
-        return []  # another unit, of which the check of units tells
+        return []  # another unit: the check of units reports it
     implausible = low < PLAUSIBLE_WIDTHS[0] or high > PLAUSIBLE_WIDTHS[1]
     uneven = widths.size >= 3 and implausible and high > UNEVEN * low
     if PLAUSIBLE_WIDTHS[0] <= middle <= PLAUSIBLE_WIDTHS[1] and not uneven:

@@ -50,11 +50,11 @@ UNITS: Final = {
     "time": {"s": 1.0, "": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
     "": {},
 }
-"""Factors to SI, by what is measured, none for a state; capital letters and blanks do not count."""
+"""Factors to SI, by dimension; a state has none. Upper case and blanks in a unit do not count."""
 
 
 def si_factor(unit: str, dimension: str) -> float | None:
-    """SI for one of a unit; None for a unit that is not known."""
+    """The factor from a unit to SI; None for a unit that is not known."""
     return UNITS[dimension].get(unit.lower().replace(" ", "").replace("⁻¹", "^-1"))
 
 
@@ -77,7 +77,7 @@ QUANTITIES: Final = {
     "engaged": ("", r"(lka|lks|ldp|lcc|(lat|lane).*(ctrl|contr|assist|keep|cent)).*(activ|_act|act$|engag)"),
     "valid": ("", r"(lane|line).*(valid|qual|conf|prob)"),
 }
-"""What a map may name: what is measured, empty for a state, and the names of channels that may hold it."""
+"""Quantities of a channel map: the dimension, empty for a state, and a pattern of channel names that may hold it."""
 
 
 class Channel(Part):
@@ -460,11 +460,11 @@ def _columns(signals: list[_Signal], k: int, channels: ChannelMap) -> dict[str, 
         columns["engaged"] = values_of["engaged"] > 0.0
     joins = np.concatenate([joins_of(t, starts[k]) for _, _, t, _, starts in signals])
     cut, inside = cut_at(base, joins)
-    return columns | {"t": base, "valid": valid & ~inside, "cut": cut if joins.size else None}
+    return columns | {"t": base, "valid": valid & ~inside, "cut": cut}
 
 
 def _locate(log: Any, entry: Channel) -> tuple[int, int]:
-    """Group and place of the one channel that is meant; groups without samples do not count beside others."""
+    """Group and index of the channel that an entry of the map means; a group without samples gives way to others."""
     candidates = [
         (i, j, _group_names(group, channel))
         for i, group in enumerate(log.groups)

@@ -136,19 +136,19 @@ def clock_stretches(t: FloatArray) -> list[IntArray]:
 
 
 def joins_of(t: FloatArray, rows: IntArray) -> FloatArray:
-    """Times before and after each place where rows between the chosen ones were left out, (k, 2)."""
+    """Times before and after each gap that rows left out make between `rows`, (k, 2)."""
     last = np.flatnonzero(np.diff(rows) > 1)
     return np.column_stack([t[rows[last]], t[rows[last + 1]]])
 
 
-def cut_at(t: FloatArray, joins: FloatArray) -> tuple[BoolArray, BoolArray]:
-    """Where samples at times `t` begin anew after a join, and where they lie inside one, (m,) both."""
+def cut_at(t: FloatArray, joins: FloatArray) -> tuple[BoolArray | None, BoolArray]:
+    """Where samples at times `t` begin anew after a join, None without joins, and where they lie inside one; (m,)."""
     cut, inside = np.zeros(t.size, dtype=bool), np.zeros(t.size, dtype=bool)
     for before, after in joins.tolist():
         first, last = np.searchsorted(t, before, "right"), np.searchsorted(t, after, "left")
         inside[first:last] = True
         cut[first : first + 1] = cut[last : last + 1] = True
-    return cut, inside
+    return cut if joins.size else None, inside
 
 
 MAX_JUMP: Final = 0.6

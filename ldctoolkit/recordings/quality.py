@@ -218,7 +218,7 @@ def unit_counts(
 
 
 def unit_warnings(counts: Mapping[str, int], vehicle_width: float) -> dict[str, str]:
-    """Warnings by what is likely wrong, as "width" or "offset"; none when everything is plausible."""
+    """Warnings by the quantity that is likely wrong, as "width" or "offset"; none when everything is plausible."""
 
     def share(name: str) -> float:
         of = "recordings" if name.startswith("step") else "samples"
@@ -261,7 +261,7 @@ OFFSET_BINS: Final = 81  # centred bins from -2 to 2 m; the outer ones also hold
 
 RELATIONS: Final = (("heading", "yaw_rate"), ("heading", "curvature"), ("yaw_rate", "curvature"),
                     ("heading", "steering"), ("yaw_rate", "steering"), ("curvature", "steering"))  # fmt: skip
-"""Signals of which each tells how far the vehicle turns; the first of a pair is what the second is compared with."""
+"""Pairs of signals that measure how far the vehicle turns: the reference, and the signal compared with it."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -371,7 +371,7 @@ Swept = tuple[FloatArray, BoolArray]  # angle that the vehicle turned since the 
 
 
 def _swept(recording: Recording) -> dict[str, Swept]:
-    """How far the vehicle turned, by each signal that tells; by the steering angle up to a factor."""
+    """How far the vehicle turned, by each recorded signal of its motion; by the steering angle up to a factor."""
     swept: dict[str, Swept] = {}
     if recording.heading is not None:
         usable = recording.valid & (np.abs(recording.heading) < LARGEST)
@@ -418,11 +418,11 @@ _SWAY_STEP: Final = 0.2  # [s]
 MOST_WINDOWS: Final = 20  # of a recording, spread over it
 
 _SMOOTH: Final = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, round(SWAY_WINDOW / _SWAY_STEP)), 4))[0]
-"""What position, heading and bend of the road make of a path in a window: cubics."""
+"""Orthonormal cubics: what position, heading and the road's bend add to a path in a window."""
 
 
 def _sway(recording: Recording, angle: FloatArray, usable: BoolArray) -> FloatArray:
-    """Windows and sums: the path across the lane by the heading against the offset, both without what a bend makes."""
+    """Windows and sums: the lateral path by the heading against the offset, both without the part of a bend."""
     t, offset, v = recording.t, recording.lane_offset, recording.speed
     if not SWAY_WINDOW < t[-1] - t[0] < LONGEST:
         return np.zeros(4)
@@ -486,13 +486,13 @@ class DrawnEvent:
 
     @property
     def depth(self) -> tuple[float, str, float]:
-        """Sorts the deepest first."""
+        """Key that sorts events by depth, the deepest first."""
         return (-float(self.parameters[1]), self.recording, self.start_time)
 
 
 @dataclasses.dataclass(frozen=True)
 class Drawn:
-    """Departures to look at."""
+    """Departures that are kept with their signals as examples."""
 
     deepest: tuple[DrawnEvent, ...] = ()  # Up to 12 of each source and side, deepest first; left before right
     # Up to 12 of each source and side, in the order of their lots; left before right

@@ -99,12 +99,12 @@ class Problem:
 
     @classmethod
     def of(cls, file: str, error: RecordingError, outcome: str = "") -> Problem:
-        """What an error says of a file; its path is the place in it."""
+        """The problem of a file that an error states; the error's path is the place in the file."""
         return cls(file, error.path, "; ".join(text for text in (error.without_path, outcome) if text))
 
     @property
     def error(self) -> RecordingError:
-        """The same as an error."""
+        """The problem as an error."""
         return RecordingError(f"{self.file}, {self.place}" if self.place else self.file, self.what)
 
     def __str__(self) -> str:
@@ -208,12 +208,12 @@ LARGEST: Final = 1e9  # a number of this size or more is not a measurement in an
 
 
 def measured(values: FloatArray) -> FloatArray:
-    """NaN for numbers of absurd size, which are none; sums of such would overflow."""
+    """Values with NaN in place of numbers of absurd size, whose sums would overflow."""
     return np.where(np.abs(values) < LARGEST, values, np.nan)
 
 
 def usable_samples(samples: RecordingTable | Recording) -> BoolArray:
-    """Samples that the source allows and whose numbers that take part are there, (m,); times are not looked at."""
+    """Samples, (m,), that are marked valid and whose offset, width, speed and bend are numbers of sensible size."""
     usable: BoolArray = samples.valid & (samples.lane_width > 0.0)
     bend = samples.curvature if samples.curvature is not None else samples.yaw_rate
     for column in (samples.lane_offset, samples.lane_width, samples.speed, bend):
@@ -312,11 +312,11 @@ class RecordingSource(Protocol):
 
     @property
     def files(self) -> Sequence[SourceFile]:
-        """What was found, with digests."""
+        """The files that are read, with digests."""
 
     @property
     def problems(self) -> Sequence[Problem]:
-        """What was seen while looking; parts report their own while they are read."""
+        """Problems of opening the source; each part reports its own while it is read."""
 
 
 P = TypeVar("P", bound=RecordingPart)
@@ -327,8 +327,8 @@ class FoundParts(Generic[P]):
     """A `RecordingSource` as plain data."""
 
     parts: tuple[P, ...]  # in a fixed order
-    files: tuple[SourceFile, ...]  # what was found, with digests
-    problems: tuple[Problem, ...]  # what was seen while looking
+    files: tuple[SourceFile, ...]  # with digests
+    problems: tuple[Problem, ...]  # of opening the source
 
 
 @runtime_checkable

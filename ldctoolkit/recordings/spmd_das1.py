@@ -6,7 +6,7 @@ together by device, trip and time, which is in centiseconds.
 
 import dataclasses
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,7 +15,7 @@ import numpy as np
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.recordings.preparation import cut_at, nearest_times
 from ldctoolkit.recordings.recording import LARGEST, Problem, Recording, measured
-from ldctoolkit.recordings.text_table import Cells, LineFault, grouped_problems
+from ldctoolkit.recordings.text_table import LineFault, grouped_problems
 from ldctoolkit.recordings.trip_tables import (
     TableLayout,
     TripPart,
@@ -46,8 +46,9 @@ def _recordings_of(part: TripPart) -> Iterator[Recording | Problem]:
     lane, wsu = read_trips(lane_table, part.stretches(0), LANE), read_trips(wsu_table, part.stretches(1), WSU)
     yield from lane.problems
     yield from wsu.problems
-    match = nearest_rows(lane.trip, lane.cells["Time"], wsu.trip, wsu.cells["Time"], TOLERANCE)
-    signals = _signals(lane.cells, wsu.cells, match)
+    lane_t = lane.columns["Time"]
+    match = nearest_rows(lane.trip, lane_t, wsu.trip, wsu.columns["Time"], TOLERANCE)
+    signals = _signals(lane.columns, wsu.columns, match)
     ends = np.searchsorted(lane.trip, np.arange(len(part.trips) + 1)).tolist()
     partner_rows = np.bincount(wsu.trip, minlength=len(part.trips))
     joined = np.concatenate([[0], np.cumsum(match >= 0)])
@@ -61,15 +62,13 @@ def _recordings_of(part: TripPart) -> Iterator[Recording | Problem]:
             faults.append(LineFault(stretches[0].line, "apart", f"trip {name}: {near}; it is left out"))
             continue
         columns = {column: values[begin:end] for column, values in signals.items()}
-        joins = np.concatenate([lane.joins(i), wsu.joins(i)])
-        if joins.size:
-            columns["cut"], inside = cut_at(lane.cells["Time"][begin:end], joins)
-            columns["valid"] &= ~inside
+        columns["cut"], inside = cut_at(lane_t[begin:end], np.concatenate([lane.joins(i), wsu.joins(i)]))
+        columns["valid"] &= ~inside
         yield Recording(name, source=lane_table.name, notes=() if partners else (ALONE,), **columns)
     yield from grouped_problems(lane_table.name, faults)
 
 
-def _signals(lane: Cells, wsu: Cells, match: IntArray) -> dict[str, Any]:
+def _signals(lane: Mapping[str, FloatArray], wsu: Mapping[str, FloatArray], match: IntArray) -> dict[str, Any]:
     """Columns of a `Recording` from the cells of rows; those without a partner have no speed.
 
     Numbers of 1e9 or more in size count as missing.

@@ -2,7 +2,7 @@
 
 import codecs
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,7 +12,6 @@ from ldctoolkit.arrays import FloatArray
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.preparation import cut_at
 from ldctoolkit.recordings.recording import Problem, Recording, measured
-from ldctoolkit.recordings.text_table import Cells
 from ldctoolkit.recordings.trip_tables import (
     TableLayout,
     TripPart,
@@ -112,32 +111,28 @@ def _recordings_of(part: TripPart) -> Iterator[Recording | Problem]:
     (table,) = part.tables
     rows = read_trips(table, part.stretches(0), (*REQUIRED, *OPTIONAL))
     yield from rows.problems
-    columns = signals_of(rows.cells)
-    missing = [name for name in OPTIONAL if name not in rows.cells.columns]
+    columns = signals_of(rows.columns)
+    missing = [name for name in OPTIONAL if name not in rows.columns]
     notes = (f"no column {', '.join(missing)}",) if missing else ()
     ends = np.searchsorted(rows.trip, np.arange(len(part.trips) + 1)).tolist()
     for i, ((stretches,), begin, end) in enumerate(zip(part.trips, ends[:-1], ends[1:], strict=True)):
         if begin == end:
             continue  # every row was left out, and reported
-        signals: dict[str, Any] = {
-            name: None if column is None else column[begin:end] for name, column in columns.items()
-        }
-        if (joins := rows.joins(i)).size:
-            signals["cut"], _ = cut_at(rows.cells["Time"][begin:end], joins)
-        yield Recording(stretches[0].name, source=table.name, notes=notes, **signals)
+        rows_of_trip = slice(begin, end)
+        signals: dict[str, Any] = {name: x if x is None else x[rows_of_trip] for name, x in columns.items()}
+        cut, _ = cut_at(rows.columns["Time"][rows_of_trip], rows.joins(i))
+        yield Recording(stretches[0].name, source=table.name, notes=notes, cut=cut, **signals)
 
 
-def signals_of(cells: Cells) -> dict[str, Any]:
-    """Columns of a `Recording` from the cells of rows.
+def signals_of(cells: Mapping[str, FloatArray]) -> dict[str, Any]:
+    """Columns of a `Recording` from the cells of rows, by column.
 
     Numbers of 1e9 or more in size count as missing. The tracker's flags for crossings and lane changes are not used:
     what sets them is not documented.
     """
 
     def column(name: str) -> FloatArray:
-        if name not in cells.columns:
-            return np.full(cells.row.size, np.nan)
-        return measured(cells[name])
+        return measured(cells[name]) if name in cells else np.full(cells["Time"].size, np.nan)
 
     left, right, recorded = column(LEFT) / 1000.0, column(RIGHT) / 1000.0, column(WIDTH) / 1000.0
     width = right - left
@@ -152,7 +147,7 @@ def signals_of(cells: Cells) -> dict[str, Any]:
         "lane_width": width,
         "speed": np.where(np.isfinite(speed), speed, np.where(gps, column(GPS_SPEED), np.nan)),
         "valid": seen & agree & (width > 0.0),
-        "yaw_rate": np.radians(column(YAW_RATE)) if YAW_RATE in cells.columns else None,
+        "yaw_rate": np.radians(column(YAW_RATE)) if YAW_RATE in cells else None,
         "heading": np.where(gps, -np.radians(column(GPS_HEADING)), np.nan),
         "turn_signal": signal.astype(np.int64),
     }

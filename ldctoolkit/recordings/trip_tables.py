@@ -27,7 +27,6 @@ from ldctoolkit.recordings.recording import (
 from ldctoolkit.recordings.text_table import (
     BLANKS,
     ByteArray,
-    Cells,
     Layout,
     LineFault,
     blocks,
@@ -247,14 +246,14 @@ class IndexedTable:
 class TripRows:
     """Cells of several trips, one trip after the other, times of a trip never falling."""
 
-    cells: Cells  # m rows
+    columns: dict[str, FloatArray]  # (m,) each; NaN for a missing value
     trip: IntArray  # (m,): to which of the requested trips a row belongs; never falls
     problems: tuple[Problem, ...]  # what was left out
     cuts: IntArray  # (k,): rows before which others of their trip were left out, or stand elsewhere in the file
 
     def joins(self, trip: int) -> FloatArray:
         """Times before and after each of a trip's cuts, (k, 2)."""
-        cuts, t = self.cuts[self.trip[self.cuts] == trip], self.cells["Time"]
+        cuts, t = self.cuts[self.trip[self.cuts] == trip], self.columns["Time"]
         return np.column_stack([t[cuts - 1], t[cuts]])
 
 
@@ -319,9 +318,7 @@ def read_trips(table: TripTable, trips: Sequence[Stretches], names: Iterable[str
         # also where pieces changed their order
         parted |= ~np.isin(np.diff(np.searchsorted(lines_before, text_row, side="right")), (0, 1))
         cuts = np.flatnonzero(parted & (np.diff(trip) == 0)) + 1
-    return TripRows(
-        Cells(values, numbers.row[keep], numbers.lines), trip, tuple(grouped_problems(table.name, sorted(faults))), cuts
-    )
+    return TripRows(values, trip, tuple(grouped_problems(table.name, sorted(faults))), cuts)
 
 
 def _text_of_stretches(table: TripTable, stretches: Sequence[Stretch]) -> bytes:

@@ -41,13 +41,13 @@ class TableKind:
 
     title: str  # for messages, with its article
     file: str  # name of the file
-    columns: dict[str, int]  # names and places, from 0, of the cells that are read, the time first
-    plausible: Callable[[FloatArray], bool]  # says of values, (n, k), whether they can be this table's
-    needed: str  # for what a trip needs it, empty for none
+    columns: dict[str, int]  # names and indices of the cells that are read, the time first
+    plausible: Callable[[FloatArray], bool]  # whether values, (n, k), can be those of this table
+    needed: str  # signal that a trip lacks without it; empty for a table that may be missing
 
 
 def is_course(course: FloatArray) -> BoolArray:
-    """Where a course is known, (n,); -1 says that it is not."""
+    """Where a course is valid, (n,); -1 stands for a missing one."""
     return (course >= 0.0) & (course <= 360.0)
 
 
@@ -349,7 +349,7 @@ class TripFolder:
             valid=valid,
             yaw_rate=yaw_rate,
             yaw_rate_measured=measured,
-            cut=cut if joins.size else None,
+            cut=cut,
             heading=values_at(t, course_t, course, longest=SPEED_STEP, beyond=SPEED_HELD),
             labels=self.labels,
             source=self.source,
