@@ -34,7 +34,6 @@ from ldctoolkit.recordings.quality import (
     combined_accounts,
     combined_examples,
     combined_statistics,
-    no_statistics,
 )
 from ldctoolkit.recordings.recording import Problem, SourceFile, missing_column
 from ldctoolkit.whole_file import PARQUET_CHECKSUM, check_parquet, parquet_bytes, parse_json, read_regular, write_whole
@@ -45,18 +44,18 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True)
 class PartResult:
-    """What was found in some recordings."""
+    """What the recordings of one part give."""
 
     # In the order of the recordings and of time; extra columns: source, lane_scale, labels
     departures: Departures = dataclasses.field(default_factory=no_departures)
     accounts: tuple[Account, ...] = ()  # One an origin
-    evidence: QualityStatistics = dataclasses.field(default_factory=no_statistics)  # For warnings
+    evidence: QualityStatistics = dataclasses.field(default_factory=QualityStatistics)  # For warnings
     drawn: Drawn = dataclasses.field(default_factory=Drawn)  # Departures with their signals, to be looked at
     problems: tuple[Problem, ...] = ()  # What could not be used
 
 
 def combined_results(parts: Iterable[PartResult]) -> PartResult:
-    """Several shares as one, in their order."""
+    """The results of several parts as one, in their order."""
     parts = list(parts)
     return PartResult(
         departures=combined_departures([part.departures for part in parts]),
@@ -157,9 +156,9 @@ def write_departures(path: str | os.PathLike[str], departures: Departures, prove
     --------
     >>> import pathlib, tempfile
     >>> from ldctoolkit.recordings import Provenance
-    >>> one = Departures(*[np.array([x]) for x in (1, 2.0, 0.2, 0.05, 25.0, 0.0, 0.04, 0.0, 0.0, "a", 10.0, 19)])
+    >>> departures = Departures(*[np.array([x]) for x in (1, 2.0, 0.2, 0.05, 25.0, 0.0, 0.04, 0.0, 0.0, "a", 1.0, 19)])
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     write_departures(pathlib.Path(folder, "d.parquet"), one, Provenance())
+    ...     write_departures(pathlib.Path(folder, "d.parquet"), departures, Provenance())
     ...     back, _ = read_departures(pathlib.Path(folder, "d.parquet"))
     >>> float(back.d_y[0])
     0.2
@@ -272,7 +271,7 @@ def column_of(name: str, table: pl.DataFrame, column: str) -> FloatArray:
 
 def _need(name: str, table: pl.DataFrame, column: str) -> None:
     if column not in table.columns:
-        raise missing_column(column, [other for other in table.columns if other not in COLUMNS]).within(name)
+        raise missing_column(column, [title for title in table.columns if title not in COLUMNS]).within(name)
 
 
 def read_departures(path: str | os.PathLike[str], *, signals: bool = False) -> tuple[Departures, Provenance]:
@@ -344,9 +343,9 @@ def _check(name: str, table: pl.DataFrame) -> None:
     for column, rows, allowed in bad:
         if count := rows.fill_null(True).sum():
             row = rows.fill_null(True).arg_max() or 0
-            more = f" ({count} rows in all)" if count > 1 else ""
+            total = f" ({count} rows in all)" if count > 1 else ""
             what = f"column '{column}' holds {table[column][row]!r}"
-            raise RecordingError(f"{name}, row {row + 1}", what, allowed=f"{allowed}{more}")
+            raise RecordingError(f"{name}, row {row + 1}", what, allowed=f"{allowed}{total}")
 
 
 def provenance_from_json(name: str, text: str) -> Provenance:
@@ -419,12 +418,12 @@ def merged_provenance(names: Sequence[str], origins: Sequence[Provenance]) -> Pr
         for name in ("curvature", "reader")
     }
     refused = [dataclasses.asdict(origin.refused) for origin in origins]
-    known = all(origin.distance > 0.0 or origin.hours == 0.0 for origin in origins)  # the distance, in every table
+    with_distance = all(origin.distance > 0.0 or origin.hours == 0.0 for origin in origins)
     return dataclasses.replace(
         first,
         refused=Refused(**{reason: sum(counts[reason] for counts in refused) for reason in refused[0]}),
         sources=tuple(source for origin in origins for source in origin.sources),
-        distance=math.fsum(origin.distance for origin in origins) if known else 0.0,
+        distance=math.fsum(origin.distance for origin in origins) if with_distance else 0.0,
         warnings=tuple(dict.fromkeys(warning for origin in origins for warning in origin.warnings)),
         problems=tuple(problem for origin in origins for problem in origin.problems),
         **sums,

@@ -42,9 +42,9 @@ SOURCE: Final = "source"  # column of the departures table that tells the source
 SCALE: Final = "lane_scale"
 """Column of the departures table that tells the factor of offset and width where recordings were scaled."""
 
-GAP_STEPS: Final = 1.5  # resampled recordings leave out samples in gaps: a longer step than this many is one
+GAP_STEPS: Final = 1.5  # resampled recordings leave out samples in gaps: a time of more steps than these is a gap
 
-TAKEN: Final = frozenset(
+RESERVED: Final = frozenset(
     {"recording", "side", "start_time_s", "samples", SOURCE, SCALE, *PARAMETER_NAMES, *PARAMETER_COLUMNS.values()}
 )
 """Names of the departures table's own columns; no label has one of them."""
@@ -71,76 +71,66 @@ def extract_items(
 
     A recording that cannot be prepared is a problem of the result.
     """
-    results: list[PartResult] = []
-    batch: list[tuple[Recording, Recording]] = []  # as the source has them, and prepared
-    widths = criteria.min_lane_width, criteria.max_lane_width
     problems: list[Problem] = []
-    waiting = 0
     if criteria.max_gap is not None and criteria.max_gap < preparation.max_gap:
         preparation = dataclasses.replace(preparation, max_gap=criteria.max_gap)
 
-    def search() -> None:
-        nonlocal waiting
-        if batch:
-            results.append(_of_batch(batch, criteria, preparation, keep_signals))
-            batch.clear()
-            waiting = 0
+    def pairs() -> Iterator[Pair]:
+        for item in items:
+            if isinstance(item, Problem):
+                problems.append(item)
+            elif isinstance(item, Recording):
+                try:
+                    yield from _prepared(item, criteria, preparation)
+                except RecordingError as error:
+                    problems.append(Problem(item.source or item.name, "", f"{error}; it is left out"))
+            else:
+                raise InputError("recordings", f"an item is a {type(item).__name__}", allowed="Recording")
 
-    for item in items:
-        if isinstance(item, Problem):
-            problems.append(item)
-        elif isinstance(item, Recording):
-            try:
-                for label in item.labels:
-                    if not label.name or label.name in TAKEN:
-                        raise RecordingError(
-                            f"recording {item.name!r}",
-                            f"label {label.name!r}",
-                            allowed="a name that is no column of the departures table",
-                        )
-                if item.samples > 1 and item.t[0] == item.t[-1]:
-                    raise RecordingError(f"recording {item.name!r}", f"all times are {float(item.t[0])!r} s")
-                raw = [on_own_clocks(piece) for piece in stretches(corrected(item, preparation))]
-                pieces = [prepare(piece, preparation, criteria.max_jump, widths) for piece in raw]
-            except RecordingError as error:
-                problems.append(Problem(item.source or item.name, "", f"{error}; it is left out"))
-                continue
-            for pair in zip(raw, pieces, strict=True):
-                if pair[1].samples == 0:
-                    continue
-                if batch and (waiting + pair[0].samples > BATCH or _kinds(pair) != _kinds(batch[0])):
-                    search()
-                batch.append(pair)
-                waiting += pair[0].samples
-        else:
-            raise InputError("recordings", f"an item is a {type(item).__name__}", allowed="Recording")
-    search()
+    results = [_of_batch(batch, criteria, preparation, keep_signals) for batch in _batches(pairs())]
     return combined_results([*results, PartResult(problems=tuple(problems))])
 
 
-_OPTIONAL: Final = ("curvature", "yaw_rate", "lane", "turn_signal", "engaged")
+Pair = tuple[Recording, Recording]  # a stretch of a recording as the source has it, and prepared
 
 
-def _kinds(recordings: Iterable[Recording]) -> list[bool]:
-    return [getattr(recording, name) is None for recording in recordings for name in _OPTIONAL]
+def _prepared(recording: Recording, criteria: Criteria, preparation: Preparation) -> list[Pair]:
+    """The stretches of a recording that hold a sample; raises `RecordingError` for one that cannot be used."""
+    for label in recording.labels:
+        if not label.name or label.name in RESERVED:
+            allowed = "a name that is no column of the departures table"
+            raise RecordingError(f"recording {recording.name!r}", f"label {label.name!r}", allowed=allowed)
+    if recording.samples > 1 and recording.t[0] == recording.t[-1]:
+        raise RecordingError(f"recording {recording.name!r}", f"all times are {float(recording.t[0])!r} s")
+    widths = criteria.min_lane_width, criteria.max_lane_width
+    raw = [on_own_clocks(piece) for piece in stretches(corrected(recording, preparation))]
+    pairs = [(piece, prepare(piece, preparation, criteria.max_jump, widths)) for piece in raw]
+    return [pair for pair in pairs if pair[1].samples]
 
 
-def table_of(recordings: list[Recording]) -> RecordingTable:
-    """Recordings of the same columns as one table."""
-    names = ("t", "lane_offset", "lane_width", "speed", "valid", *_OPTIONAL)
-    columns = {name: [getattr(recording, name) for recording in recordings] for name in names}
-    return RecordingTable(
-        names=np.array([recording.name for recording in recordings], dtype=np.str_),
-        offsets=np.concatenate([[0], np.cumsum([recording.samples for recording in recordings])]).astype(np.int64),
-        **{name: np.concatenate(parts) for name, parts in columns.items() if parts[0] is not None},
-    )
+def _batches(pairs: Iterable[Pair]) -> Iterator[list[Pair]]:
+    """Neighbouring pairs that are searched in one table: of the same columns, and not too many samples."""
+    batch: list[Pair] = []
+    size = 0
+    for pair in pairs:
+        if batch and (size + pair[0].samples > BATCH or _present(pair) != _present(batch[0])):
+            yield batch
+            batch, size = [], 0
+        batch.append(pair)
+        size += pair[0].samples
+    if batch:
+        yield batch
 
 
-def _of_batch(
-    batch: list[tuple[Recording, Recording]], criteria: Criteria, preparation: Preparation, keep_signals: bool
-) -> PartResult:
+def _present(recordings: Iterable[Recording]) -> list[bool]:
+    """Which of the optional columns that are searched each recording has; a table holds recordings of one kind."""
+    optional = ("curvature", "yaw_rate", "lane", "turn_signal", "engaged")
+    return [getattr(recording, name) is not None for recording in recordings for name in optional]
+
+
+def _of_batch(batch: list[Pair], criteria: Criteria, preparation: Preparation, keep_signals: bool) -> PartResult:
     raw, recordings = [pair[0] for pair in batch], [pair[1] for pair in batch]
-    table, step = table_of(recordings), preparation.step
+    table, step = RecordingTable.of(recordings), preparation.step
     limit = None if step is None else max(GAP_STEPS * step, criteria.max_gap or 0.0)
     result = find_departures(table, criteria, limit)
     origins = tuple(Origin(recording.source, recording.labels) for recording in recordings)
@@ -150,7 +140,7 @@ def _of_batch(
     return PartResult(
         departures=departures,
         accounts=accounts_of(table, result, origins, np.array([not recording.continues for recording in recordings])),
-        evidence=quality_statistics(table_of(raw), raw, table, recordings, result, criteria.vehicle_width),
+        evidence=quality_statistics(raw, recordings, result, criteria.vehicle_width),
         drawn=example_events(departures, result.signals, sources),
     )
 
@@ -173,7 +163,7 @@ def _extra(departures: Departures, owner: np.ndarray, recordings: list[Recording
     return tuple(columns)
 
 
-VEHICLE_WIDTH = 1.9  # width [m] of a vehicle that nothing is known of
+VEHICLE_WIDTH = 1.9  # default width of the vehicle [m] where no reader states one
 
 
 def extract_departures(
@@ -241,10 +231,10 @@ def extract_departures(
     --------
     >>> t = np.arange(0, 10, 0.1)
     >>> beyond = np.clip(0.3 - 0.3 * (t - 5) ** 2, -0.5, None)
-    >>> one = np.ones(t.size)
-    >>> drive = Recording("a", t, beyond + 0.85, 3.6 * one, 25.0 * one, one > 0, curvature=0.0 * one)
-    >>> found = extract_departures([drive])
-    >>> len(found.departures), found.refused.total, round(float(found.departures.T[0]), 2)
+    >>> ones = np.ones(t.size)
+    >>> drive = Recording("a", t, beyond + 0.85, 3.6 * ones, 25.0 * ones, ones > 0, curvature=0.0 * ones)
+    >>> extraction = extract_departures([drive])
+    >>> len(extraction.departures), extraction.refused.total, round(float(extraction.departures.T[0]), 2)
     (1, 0, 2.0)
     """
     opened = recordings if isinstance(recordings, OpenedRecordings) else None
@@ -321,7 +311,7 @@ def merge_results(
         problems=tuple(str(problem) for problem in whole.problems),
     )
     departures = whole.departures
-    # columns that are the same everywhere tell nothing
+    # a column with one value everywhere is left out
     idle = {SOURCE} if len({account.origin.source for account in whole.accounts}) <= 1 else set()
     scales = [column.values for column in departures.extra if column.name == SCALE]
     if preparation.nominal_lane_width is None and all(bool((values == 1.0).all()) for values in scales):
@@ -330,13 +320,13 @@ def merge_results(
     return Extraction(departures, provenance, whole.accounts, whole.drawn, whole.problems)
 
 
-FEWEST_TURNS: Final = 100  # Windows that it takes to compare yaw rate and heading
+FEWEST_TURNS: Final = 100  # windows that it takes to compare yaw rate and heading
 
 LEAST_TURNING: Final = 0.02 * TURN_WINDOW
 """Root mean square of the turns by heading [rad in a window] above which they must agree: smaller ones may be noise."""
 
 LEAST_USABLE: Final = 0.25
-"""A smaller share of usable samples is worth a warning: cameras often see no lane, but not nearly always."""
+"""A smaller share of usable samples gives a warning: cameras often see no lane, but not nearly always."""
 
 TWINS_NAMED: Final = 5
 
@@ -354,8 +344,8 @@ EDGE: Final = 0.05  # share of the recordings at either end that may have odd la
 def quality_doubts(
     evidence: QualityStatistics, vehicle_width: float, sides: IntArray, *, yaw_rate_factor: float = 1.0
 ) -> dict[str, str]:
-    """What cannot be right, by what it is of: units, signs, references; `sides` are the departures to the left and
-    right, (2,).
+    """Texts about units, signs and references that cannot be right, by subject; `sides` (2,) are the numbers of
+    departures to the left and to the right.
     """
     doubts = unit_warnings(dict(evidence.units), vehicle_width)
     # a wrong unit of the offset makes all of these, too
@@ -387,7 +377,7 @@ def quality_warnings(
     return tuple(texts)
 
 
-ENOUGH_TIME: Final = 40.0  # [s] of driving that tell whether an offset can be one
+ENOUGH_TIME: Final = 40.0  # [s] of driving that it takes to judge the reference of the offset
 SHARE_BEYOND: Final = 0.4  # share of the time beyond a line that no driver reaches
 SHARE_LONG: Final = 0.08  # the same of stays of more than five seconds
 FEWEST_GRAZES: Final = 3  # an offset without its sign turns back at zero each time the vehicle passes the lane's centre
@@ -397,7 +387,7 @@ SMALLER_SIDE: Final = 0.05  # share of the departures to the other side
 
 
 def _reference(evidence: QualityStatistics, sides: IntArray) -> str:
-    """Why the offset cannot be that of the vehicle's centre from the lane's; empty for no reason."""
+    """Why the offset cannot be that of the vehicle's centre from the lane's centre; empty if it can."""
     driven, beyond, long = evidence.stays_ns / 1e9
     counts, middle = evidence.offsets, OFFSET_BINS // 2
     what, likely, samples = "", "is it a distance to a line, or is the camera beside the vehicle's centre", counts.sum()
@@ -441,36 +431,34 @@ _SIGNAL_NAMES: Final = {"heading": "the heading", "yaw_rate": "the yaw rate", "c
 
 
 def _turning(evidence: QualityStatistics, factor: float) -> list[str]:
-    """Signals that turn against each other, or by another amount; the yaw rates were multiplied with `factor`."""
+    """Pairs of signals that turn against each other, or by different amounts; `factor` has multiplied the yaw rates."""
     doubts: list[str] = []
     doubted: set[str] = set()
-    for turns, (reference, other) in zip(evidence.turns, RELATIONS, strict=True):
+    for turns, (reference, compared) in zip(evidence.turns, RELATIONS, strict=True):
         correlation = _correlation(turns)
-        if turns[0] < FEWEST_TURNS or abs(correlation) < 0.5 or {reference, other} & doubted:
+        if turns[0] < FEWEST_TURNS or abs(correlation) < 0.5 or {reference, compared} & doubted:
             continue
         _, hh, hr, rr = turns
         # the true ratio lies between the two regressions, the first if all noise is the second signal's, the second if
         # it is all the first one's
         low, high = abs(hr) / hh, rr / abs(hr)
         # the lane does not turn as the vehicle does, and steering wheels are geared
-        most = {"yaw_rate": 1.25, "curvature": 10.0, "steering": np.inf}[other]
+        most = {"yaw_rate": 1.25, "curvature": 10.0, "steering": np.inf}[compared]
         scale = 1.0 if low < most and high > 1.0 / most else float(np.sqrt(rr / hh))
         if correlation > 0.0 and scale == 1.0:
             continue
-        doubted.add(other)
-        what, of = (
-            _SIGNAL_NAMES[other],
-            "the GPS heading" if (reference, other) == RELATIONS[0] else _SIGNAL_NAMES[reference],
-        )
-        times = f" times {factor:.3g}, as given," if other == "yaw_rate" and factor != 1.0 else ""
+        doubted.add(compared)
+        what, of = _SIGNAL_NAMES[compared], _SIGNAL_NAMES[reference]
+        of = "the GPS heading" if (reference, compared) == RELATIONS[0] else of
+        times = f" times {factor:.3g}, as given," if compared == "yaw_rate" and factor != 1.0 else ""
         if correlation < 0.0:
             text = f"{what}{times} turns against {of} (correlation {correlation:.2f})"
             text += "" if scale == 1.0 else f", and {scale:.3g} times as much: another unit?"
-            recorded = "without the factor it" if times else "it" if other == "yaw_rate" else "one of them"
+            recorded = "without the factor it" if times else "it" if compared == "yaw_rate" else "one of them"
             text += f"; {recorded} is positive to the {'right' if factor > 0.0 else 'left'}"
         else:
             text = f"{what}{times} is {scale:.3g} times what {of} turns: another unit?"
-        if other == "yaw_rate":
+        if compared == "yaw_rate":
             advice = factor / scale if correlation > 0.0 else -factor / scale
             end = "or all curvatures have the wrong sign" if correlation < 0.0 else "which would make them agree"
             end += "" if correlation > 0.0 or reference != "heading" else "; or is the heading a compass course?"
@@ -511,7 +499,7 @@ def _scale(evidence: QualityStatistics) -> list[str]:
         return []
     low, middle, high = (float(value) for value in np.quantile(widths, [EDGE, 0.5, 1.0 - EDGE]))
     if not METRES[0] < middle < METRES[1]:
-        return []  # another unit, of which the check of units tells
+        return []  # another unit: the check of units reports it
     implausible = low < PLAUSIBLE_WIDTHS[0] or high > PLAUSIBLE_WIDTHS[1]
     uneven = widths.size >= 3 and implausible and high > UNEVEN * low
     if PLAUSIBLE_WIDTHS[0] <= middle <= PLAUSIBLE_WIDTHS[1] and not uneven:
@@ -524,14 +512,14 @@ def _scale(evidence: QualityStatistics) -> list[str]:
 
 
 def _twins(evidence: QualityStatistics) -> list[str]:
-    known = np.flatnonzero(evidence.fingerprints != "")
-    _, inverse, count = np.unique(evidence.fingerprints[known], return_inverse=True, return_counts=True)
-    groups = [known[inverse == i] for i in np.flatnonzero(count > 1)]
+    long = np.flatnonzero(evidence.fingerprints != "")
+    _, inverse, count = np.unique(evidence.fingerprints[long], return_inverse=True, return_counts=True)
+    groups = [long[inverse == i] for i in np.flatnonzero(count > 1)]
     if not groups:
         return []
     groups.sort(key=lambda group: int(group[0]))
     named = "; ".join(" = ".join(str(evidence.names[i]) for i in group[:3]) for group in groups[:TWINS_NAMED])
-    more = f"; and {len(groups) - TWINS_NAMED} more" if len(groups) > TWINS_NAMED else ""
+    unnamed = f"; and {len(groups) - TWINS_NAMED} more" if len(groups) > TWINS_NAMED else ""
     repeated = sum(group.size - 1 for group in groups)
     repeat = "recording repeats" if repeated == 1 else "recordings repeat"
-    return [f"{repeated} {repeat} another's samples, and the departures count twice: {named}{more}"]
+    return [f"{repeated} {repeat} another's samples, and the departures count twice: {named}{unnamed}"]

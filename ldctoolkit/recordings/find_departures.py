@@ -76,7 +76,7 @@ WIDTH_JUMP: Final = (0.5, 1.0)
 """[m], [m/s]: the lane's width moves so far, and so fast, only where a line jumps to another marking."""
 
 AROUND: Final = 10.0  # [s] before and after a departure with which its lane's width is compared
-NARROWER: Final = 0.25  # [m] a lane that is narrower by more for a departure alone is none
+NARROWER: Final = 0.25  # [m] where the lane is narrower by more during a departure alone, a line was another marking
 
 
 @dataclasses.dataclass(frozen=True)
@@ -116,7 +116,9 @@ def _medians(step: FloatArray, owner: IntArray, recordings: int) -> FloatArray:
 def breaks(
     table: RecordingTable, rows: IntArray, gap_limit: FloatArray, max_jump: float, edges: dict[int, FloatArray]
 ) -> tuple[BoolArray, IntArray, IntArray]:
-    """What lies between each usable sample and the next, and the break's name: the first joint of a movement's."""
+    """Of each usable sample and the next: whether they are in one recording, the reason of a break between them, and
+    the break's number, which the joints of one movement share.
+    """
     recording = table.recording_index[rows]
     same = recording[1:] == recording[:-1]
     cause = np.full(same.shape, _NONE)
@@ -147,7 +149,7 @@ def breaks(
 
 
 def _spread(marked: BoolArray, t: FloatArray, barred: BoolArray, reach: float) -> BoolArray:
-    """Samples within a time of marked ones, (k,), and next to them; not across a barred joint."""
+    """Samples, (k,), within the time `reach` of marked samples, and their neighbours; not across a barred joint."""
     first, last = (np.flatnonzero(marked & ~beside) for beside in (np.roll(marked, 1), np.roll(marked, -1)))
     if marked[:1].any() and marked[-1]:  # the ends are no neighbours
         first, last = np.append(0, first), np.append(last, marked.size - 1)
@@ -172,12 +174,12 @@ def _jumps(
     it, for one that was smoothed begins earlier and ends later than noise lets be seen.
     """
     rows = np.flatnonzero(_spread(beyond, t, barred, JUMP_WINDOW))
-    at, offset, width = t[rows], offset[rows], width[rows]
-    taken = np.append(barred, True)[rows[:-1]] | (np.diff(rows) > 1)
-    jumps = np.zeros(taken.size, dtype=bool)
+    time, offset, width = t[rows], offset[rows], width[rows]
+    closed = np.append(barred, True)[rows[:-1]] | (np.diff(rows) > 1)
+    jumps = np.zeros(closed.size, dtype=bool)
     for lag in range(1, min(MOST_LAGS, rows.size)):
-        dt = at[lag:] - at[:-lag]
-        before = np.append(0, np.cumsum(taken))
+        dt = time[lag:] - time[:-lag]
+        before = np.append(0, np.cumsum(closed))
         free = before[lag:] == before[:-lag]
         if lag > 1:
             free &= dt <= JUMP_WINDOW + ROUNDING
@@ -191,7 +193,7 @@ def _jumps(
         first = np.flatnonzero(free & far)
         ends = np.bincount(first + lag, minlength=rows.size)
         jumps |= np.cumsum(np.bincount(first, minlength=rows.size) - ends)[:-1] > 0
-        taken |= jumps
+        closed |= jumps
     moving = np.zeros(t.size, dtype=bool)
     moving[rows[:-1][jumps]] = moving[rows[1:][jumps]] = True
     moving = _spread(moving, t, barred, 0.5 * JUMP_WINDOW)
@@ -304,11 +306,11 @@ class SearchResult:
     departures: Departures  # n departures
     owner: IntArray  # (n,): index of the recording of each
     signals: DepartureSignals  # of the n departures
-    reason: IntArray  # (c,): of each candidate: index into `REASONS` or `ACCEPTED`
-    side: IntArray  # (c,): of each candidate: index into `REASONS` or `ACCEPTED`
-    recording: IntArray  # (c,): of each candidate: index into `REASONS` or `ACCEPTED`
-    read: FloatArray  # (r,) [s]: time between neighbours, and between usable neighbours, without gaps
-    driven: FloatArray  # (r,) [s]
+    reason: IntArray  # (c,): of each candidate the index into `REASONS`, or `ACCEPTED`
+    side: IntArray  # (c,): side of the first crossing of each candidate, `LEFT` or `RIGHT`
+    recording: IntArray  # (c,): index of the recording of each candidate
+    read: FloatArray  # (r,) [s]: time between neighbouring samples, without gaps
+    driven: FloatArray  # (r,) [s]: time between usable neighbouring samples, without gaps
     distance: FloatArray  # (r,) [m]: speed times time over the steps in `driven`, whichever way it points
     usable: BoolArray  # (m,): samples that could be used
     median_step: FloatArray  # (r,) [s]: median time step; NaN for a recording with fewer than two times
@@ -397,7 +399,7 @@ def _gap_limit(median_step: FloatArray, criteria: Criteria, gap_limit: float | N
 def _sums(
     table: RecordingTable, rows: IntArray, limit: FloatArray, *, adjacent: bool, speed: FloatArray | None = None
 ) -> FloatArray:
-    """Sum of the steps between chosen samples of each recording, (r,) [s], without gaps; with their speeds in [m]."""
+    """Sums over each recording, (r,), of the time steps between rows, without gaps: [s], or [m] with speeds."""
     owner, step = table.recording_index[rows], np.diff(table.t[rows])
     counted = (owner[1:] == owner[:-1]) & (step <= limit[owner[1:]])
     if adjacent:
@@ -498,10 +500,10 @@ def curvature_from_yaw_rate(
     begin = np.flatnonzero(np.diff(np.cumsum(first_of_stretch | ~usable)[rows], prepend=-1))
     length = np.diff(np.append(begin, rows.size))
     first, last = np.repeat(begin, length), np.repeat(begin + length, length) - 1
-    here, t = np.arange(rows.size), t[rows]
+    row, t = np.arange(rows.size), t[rows]
     half = HALF_WINDOW + ROUNDING
     count = np.nan_to_num(half / np.fmax(step[rows], ROUNDING)).astype(np.int64)
-    low, high = np.maximum(here - count, first), np.minimum(here + count, last)
+    low, high = np.maximum(row - count, first), np.minimum(row + count, last)
     # what even spacing gives is looked up in time where the spacing is not even
     uneven = (t - t[low] > half) | (t[high] - t > half)
     uneven |= (low > first) & (t - t[low - 1] <= half) | (high < last) & (t[np.minimum(high + 1, last)] - t <= half)

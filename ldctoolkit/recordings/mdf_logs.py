@@ -50,11 +50,11 @@ UNITS: Final = {
     "time": {"s": 1.0, "": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
     "": {},
 }
-"""Factors to SI, by what is measured, none for a state; capital letters and blanks do not count."""
+"""Factors to SI, by dimension; a state has none. Upper case and blanks in a unit do not count."""
 
 
 def si_factor(unit: str, dimension: str) -> float | None:
-    """SI for one of a unit; None for a unit that is not known."""
+    """The factor from a unit to SI; None for a unit that is not known."""
     return UNITS[dimension].get(unit.lower().replace(" ", "").replace("⁻¹", "^-1"))
 
 
@@ -77,7 +77,7 @@ QUANTITIES: Final = {
     "engaged": ("", r"(lka|lks|ldp|lcc|(lat|lane).*(ctrl|contr|assist|keep|cent)).*(activ|_act|act$|engag)"),
     "valid": ("", r"(lane|line).*(valid|qual|conf|prob)"),
 }
-"""What a map may name: what is measured, empty for a state, and the names of channels that may hold it."""
+"""Quantities of a channel map: the dimension, empty for a state, and a pattern of channel names that may hold it."""
 
 
 class Channel(Part):
@@ -399,14 +399,14 @@ def _recordings(log: Any, shown: str, channels: ChannelMap) -> list[Recording | 
             t, values = _times(log, group, channel.channel), _in_si(log, group, index, channel, quantity)
         except RecordingError as error:
             raise error.within(quantity) from None
-        known = np.flatnonzero(np.isfinite(t))
+        timed = np.flatnonzero(np.isfinite(t))
         try:
-            if known.size < 1 + bool(QUANTITIES[quantity][0]):
-                few = ("no samples", "only one sample")[known.size] + " with a time" * (t.size > known.size)
+            if timed.size < 1 + bool(QUANTITIES[quantity][0]):
+                few = ("no samples", "only one sample")[timed.size] + " with a time" * (t.size > timed.size)
                 raise RecordingError("", f"its group {group} has {few}")
-            if known.size > 1 and np.ptp(t[known]) == 0.0:
+            if timed.size > 1 and np.ptp(t[timed]) == 0.0:
                 raise RecordingError("", f"all times of its group {group} are equal")
-            starts = [known[rows] for rows in clock_stretches(t[known])]
+            starts = [timed[rows] for rows in clock_stretches(t[timed])]
             signals.append((quantity, channel, t, values, starts))
             if len(starts) != len(signals[0][-1]):
                 what = f"{len(starts)}, that of {signals[0][1].channel!r} is {len(signals[0][-1])}"
@@ -435,7 +435,7 @@ def _columns(signals: list[_Signal], k: int, channels: ChannelMap) -> dict[str, 
     base = signals[0][2][signals[0][-1][k]]
     valid = np.ones(base.size, dtype=bool)
     for quantity, channel, t, samples, starts in signals:
-        values = values_of[quantity] = _at(base, t[starts[k]], samples[starts[k]], quantity, channels.max_gap)
+        values = values_of[quantity] = _resampled(base, t[starts[k]], samples[starts[k]], quantity, channels.max_gap)
         if QUANTITIES[quantity][0] and not np.isfinite(values).any():
             what = f"at the times of {signals[0][1].channel!r}, or none within max_gap = {channels.max_gap:g} s"
             raise RecordingError(quantity, f"channel {channel.channel!r} has no number {what}")
@@ -460,11 +460,11 @@ def _columns(signals: list[_Signal], k: int, channels: ChannelMap) -> dict[str, 
         columns["engaged"] = values_of["engaged"] > 0.0
     joins = np.concatenate([joins_of(t, starts[k]) for _, _, t, _, starts in signals])
     cut, inside = cut_at(base, joins)
-    return columns | {"t": base, "valid": valid & ~inside, "cut": cut if joins.size else None}
+    return columns | {"t": base, "valid": valid & ~inside, "cut": cut}
 
 
 def _locate(log: Any, entry: Channel) -> tuple[int, int]:
-    """Group and place of the one channel that is meant; groups without samples do not count beside others."""
+    """Group and index of the channel that an entry of the map means; a group without samples gives way to others."""
     candidates = [
         (i, j, _group_names(group, channel))
         for i, group in enumerate(log.groups)
@@ -486,9 +486,8 @@ def _locate(log: Any, entry: Channel) -> tuple[int, int]:
         stated = "not given" if entry.group is None else repr(entry.group)
         what = f"channel {entry.channel!r} is in the groups {groups}; `group`: {stated}"
         raise RecordingError("", what, allowed="the name or number of one")
-    near = difflib.get_close_matches(
-        entry.channel, {other.name for group in log.groups for other in group.channels}, n=1
-    )
+    names = {channel.name for group in log.groups for channel in group.channels}
+    near = difflib.get_close_matches(entry.channel, names, n=1)
     hint = f"{f'did you mean {near[0]!r}? ' if near else ''}see --list-channels"
     raise RecordingError("", f"channel {entry.channel!r} is not in the log", hint=hint)
 
@@ -498,14 +497,14 @@ def _in_si(log: Any, group: int, index: int, entry: Channel, quantity: str) -> F
     factor, dimension, unit = 1.0, QUANTITIES[quantity][0], _unit(log, group, index)
     name = f"channel {entry.channel!r}"
     if dimension:
-        known = si_factor(unit if entry.unit is None else entry.unit, dimension)
-        if known is None:
+        stated_factor = si_factor(unit if entry.unit is None else entry.unit, dimension)
+        if stated_factor is None:
             allowed = f"{', '.join(UNITS[dimension])}, or a `unit` in the map"
             raise RecordingError("", f"{name} has the unit {unit!r} in the log", allowed=allowed)
-        if unit and si_factor(unit, dimension) != known and any(si_factor(unit, other) for other in UNITS):
+        if unit and si_factor(unit, dimension) != stated_factor and any(si_factor(unit, any_) for any_ in UNITS):
             allowed = "the same, or no `unit` and a `scale` where the log is wrong"
             raise RecordingError("", f"{name} is in {unit} in the log, in {entry.unit} in the map", allowed=allowed)
-        factor = known
+        factor = stated_factor
     samples, invalid = log.get(group=group, index=index, samples_only=True, ignore_invalidation_bits=True)
     if samples.dtype.kind not in "biufSUO" or samples.ndim != 1:
         what = f"{name} holds {samples.dtype} of the shape {samples.shape}"
@@ -522,10 +521,10 @@ def _in_si(log: Any, group: int, index: int, entry: Channel, quantity: str) -> F
         numbers[:] = np.nan
     elif invalid is not None:
         numbers[invalid.astype(bool)] = np.nan
-    other = numbers[np.abs(numbers) > 1.0]
-    if quantity.endswith("_signal") and entry.values is None and other.size:  # 2 is to the right in many logs
+    beyond = numbers[np.abs(numbers) > 1.0]
+    if quantity.endswith("_signal") and entry.values is None and beyond.size:  # 2 is to the right in many logs
         allowed = "-1, 0, 1, or `values` for them in the map"
-        raise RecordingError("", f"{name} holds the number {other[0]:g}", allowed=allowed)
+        raise RecordingError("", f"{name} holds the number {beyond[0]:g}", allowed=allowed)
     return numbers * factor * entry.scale + entry.offset
 
 
@@ -539,7 +538,7 @@ def _text(sample: object) -> str:
     return f"{sample:.15g}" if isinstance(sample, int | float) else str(sample)
 
 
-def _at(base: FloatArray, t: FloatArray, values: FloatArray, quantity: str, max_gap: float) -> FloatArray:
+def _resampled(base: FloatArray, t: FloatArray, values: FloatArray, quantity: str, max_gap: float) -> FloatArray:
     """Values at other times: states are held, the rest is interpolated; NaN beyond the ends, in gaps, next to NaN."""
     if np.array_equal(base, t):  # sample by sample, also where several share a time
         return values
@@ -551,8 +550,8 @@ def _at(base: FloatArray, t: FloatArray, values: FloatArray, quantity: str, max_
         longest = max_gap if quantity == "valid" else np.inf  # a switch may be recorded only when it changes
         return np.where((i >= 0) & (base - t[before] <= longest), values[before], np.nan)
     if quantity == "heading":
-        known = np.abs(values) < LARGEST
-        values[known] = np.unwrap(values[known])
+        finite = np.abs(values) < LARGEST
+        values[finite] = np.unwrap(values[finite])
     between = values_at(base, t, values, longest=max_gap, beyond=0.0)
     beside = np.where(base - t[before] <= t[after] - base, values[before], values[after])
     limits = LIMITS.get(quantity, LIMITS["lane_offset"])  # else of a line

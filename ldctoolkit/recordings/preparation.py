@@ -37,17 +37,20 @@ def merge_repeated(t: FloatArray, values: FloatArray) -> tuple[FloatArray, Float
     return t[first], np.add.reduceat(values, first) / np.diff(np.append(first, t.size))
 
 
-def values_at(at: FloatArray, t: FloatArray, values: FloatArray, *, longest: float, beyond: float) -> FloatArray:
-    """Linear interpolation in time that knows where nothing is known."""
+def values_at(times: FloatArray, t: FloatArray, values: FloatArray, *, longest: float, beyond: float) -> FloatArray:
+    """Values at some times, interpolated linearly between samples (t, values) that are `longest` apart at most.
+
+    Next to a longer gap, and beyond the ends, the nearest sample is held for the time `beyond`; else it is NaN.
+    """
     if t.size == 0:
-        return np.full(at.shape, np.nan)
-    right = np.searchsorted(t, at, side="right")
+        return np.full(times.shape, np.nan)
+    right = np.searchsorted(t, times, side="right")
     left = np.maximum(right - 1, 0)
     right = np.minimum(right, t.size - 1)
-    within = (t[left] <= at) & (at <= t[right]) & (t[right] - t[left] <= longest + ROUNDING)
-    nearest = np.where(np.abs(at - t[left]) <= np.abs(t[right] - at), left, right)
-    held = np.abs(at - t[nearest]) <= beyond + ROUNDING
-    return np.where(within, np.interp(at, t, values), np.where(held, values[nearest], np.nan))
+    within = (t[left] <= times) & (times <= t[right]) & (t[right] - t[left] <= longest + ROUNDING)
+    nearest = np.where(np.abs(times - t[left]) <= np.abs(t[right] - times), left, right)
+    held = np.abs(times - t[nearest]) <= beyond + ROUNDING
+    return np.where(within, np.interp(times, t, values), np.where(held, values[nearest], np.nan))
 
 
 def local_slope(t: FloatArray, values: FloatArray, *, half: float, longest: float) -> FloatArray:
@@ -99,6 +102,23 @@ def rising_rows(t: FloatArray) -> BoolArray:
 MOST_DROPPED: Final = 0.05
 """A larger share of rows whose times fall is another drive, not single rows in disorder."""
 
+
+def rows_in_order(t: FloatArray) -> tuple[BoolArray, int, str]:
+    """Which rows of a trip to keep so that its times do not fall, none if its clock starts again.
+
+    Also the first row that is left out, or where the clock starts again, and a sentence about it.
+    """
+    keep = rising_rows(t)
+    if keep.all():
+        return keep, 0, ""
+    count, fall = np.count_nonzero(~keep), int(np.argmax(t[1:] < t[:-1]))
+    words = f"the time runs backwards from {t[fall]:.12g} to {t[fall + 1]:.12g}"
+    if count > MOST_DROPPED * t.size:
+        words += f", and {count} of {t.size} lines are out of order (allowed: {100 * MOST_DROPPED:g} %)"
+        return np.zeros_like(keep), fall + 1, f"{words}; the trip is left out"
+    return keep, int(np.argmin(keep)), f"{words}; {'the line is' if count == 1 else f'{count} lines are'} left out"
+
+
 MOST_CLOCKS: Final = 20  # more stretches than these mean that the rows are not in the order of time at all
 
 
@@ -116,19 +136,19 @@ def clock_stretches(t: FloatArray) -> list[IntArray]:
 
 
 def joins_of(t: FloatArray, rows: IntArray) -> FloatArray:
-    """Times before and after each place where rows between the chosen ones were left out, (k, 2)."""
+    """Times before and after each gap that rows left out make between `rows`, (k, 2)."""
     last = np.flatnonzero(np.diff(rows) > 1)
     return np.column_stack([t[rows[last]], t[rows[last + 1]]])
 
 
-def cut_at(t: FloatArray, joins: FloatArray) -> tuple[BoolArray, BoolArray]:
-    """Where samples at times `t` begin anew after a join, and where they lie inside one, (m,) both."""
+def cut_at(t: FloatArray, joins: FloatArray) -> tuple[BoolArray | None, BoolArray]:
+    """Where samples at times `t` begin anew after a join, None without joins, and where they lie inside one; (m,)."""
     cut, inside = np.zeros(t.size, dtype=bool), np.zeros(t.size, dtype=bool)
     for before, after in joins.tolist():
         first, last = np.searchsorted(t, before, "right"), np.searchsorted(t, after, "left")
         inside[first:last] = True
         cut[first : first + 1] = cut[last : last + 1] = True
-    return cut, inside
+    return cut if joins.size else None, inside
 
 
 MAX_JUMP: Final = 0.6
@@ -240,8 +260,8 @@ def _windows(t: FloatArray, grid: IntArray, centre: FloatArray, step: float) -> 
 def _nearest_in(low: IntArray, high: IntArray, t: FloatArray, centre: FloatArray) -> IntArray:
     """Index of the time nearest to each centre, where ``low:high`` are those in its window; 0 where there are none."""
     nearest = low.copy()
-    others = np.flatnonzero(high - low != 1)
-    nearest[others] = nearest_times(t, centre[others]) if t.size else 0
+    searched = np.flatnonzero(high - low != 1)
+    nearest[searched] = nearest_times(t, centre[searched]) if t.size else 0
     return nearest
 
 
@@ -365,24 +385,24 @@ def without_codes(recording: Recording, names: Iterable[str]) -> Recording:
         limits, values = LIMITS[name], getattr(recording, name)
         if values is None:
             continue
-        known = values if sound else values[recording.valid]
-        if not LARGEST > known.max(initial=0.0) >= known.min(initial=0.0) > -LARGEST:  # False for NaN
-            known = known[np.abs(known) < LARGEST]
+        numbers = values if sound else values[recording.valid]
+        if not LARGEST > numbers.max(initial=0.0) >= numbers.min(initial=0.0) > -LARGEST:  # False for NaN
+            numbers = numbers[np.abs(numbers) < LARGEST]
         codes = []
-        while known.size > _CODE_TIMES:
-            for end in (known.max(), known.min()):
-                count = np.count_nonzero(known == end)
-                if not _CODE_TIMES <= count < known.size or (
-                    2 * count > known.size and np.abs(end) <= limits.code_size
+        while numbers.size > _CODE_TIMES:
+            for end in (numbers.max(), numbers.min()):
+                count = np.count_nonzero(numbers == end)
+                if not _CODE_TIMES <= count < numbers.size or (
+                    2 * count > numbers.size and np.abs(end) <= limits.code_size
                 ):
                     continue
-                rest = known[known != end]
+                rest = numbers[numbers != end]
                 if np.abs(rest - end).min() <= limits.code_gap:
                     continue
                 # a width may be a constant, or two, of a map; other signals move
                 if name == "lane_width" or np.unique(rest[:: max(1, rest.size // 100)]).size > min(5, rest.size // 2):
                     codes.append(end)
-                    known = rest
+                    numbers = rest
                     break
             else:
                 break
@@ -439,10 +459,10 @@ def new_rows(t: FloatArray, values: FloatArray) -> tuple[IntArray, float]:
     held = np.count_nonzero(values[1:] == values[:-1]) + np.count_nonzero(values != values)
     if held < 0.3 * t.size:
         return _EVERY_ROW
-    known = np.flatnonzero(np.abs(values) < LARGEST)
-    first = values[known]
-    new = np.append(True, np.diff(first) != 0.0)[: known.size]
-    rows = known[new]
+    present = np.flatnonzero(np.abs(values) < LARGEST)
+    first = values[present]
+    new = np.append(True, np.diff(first) != 0.0)[: present.size]
+    rows = present[new]
     if not _FEWEST_NEW <= rows.size <= 0.7 * t.size:
         return _EVERY_ROW
     intervals, step = np.diff(t[rows]), float(np.median(np.diff(t)))
@@ -469,8 +489,7 @@ def on_own_clocks(recording: Recording) -> Recording:
             rows, refresh = new_rows(t, values)
             # one that is held for so short a time is as good as interpolated
             if refresh > MAX_GAP + ROUNDING or (refresh > 0.0 and np.isnan(values).any()):
-                known = merge_repeated(t[rows], values[rows])
-                between = values_at(t, *known, longest=2.5 * refresh, beyond=refresh)
+                between = values_at(t, *merge_repeated(t[rows], values[rows]), longest=2.5 * refresh, beyond=refresh)
                 changed[name] = np.where(np.isnan(between), values, between)
                 notes.append(f"{name} is new every {refresh:.2g} s only, and interpolated between")
     offset = np.where(recording.valid & np.isfinite(recording.lane_width), recording.lane_offset, np.nan)
@@ -543,8 +562,8 @@ def with_yaw_rate(recording: Recording) -> Recording:
         return recording
     notes, measured = recording.notes, recording.yaw_rate_measured
     if recording.heading is not None:
-        known = np.abs(recording.heading) < LARGEST
-        t, heading = merge_repeated(recording.t[known], np.unwrap(recording.heading[known]))
+        headed = np.abs(recording.heading) < LARGEST
+        t, heading = merge_repeated(recording.t[headed], np.unwrap(recording.heading[headed]))
         slope = local_slope(t, heading, half=HALF_WINDOW, longest=LONGEST)
         sure = np.isfinite(slope)
         slopes = values_at(recording.t[missing], t[sure], slope[sure], longest=LONGEST, beyond=HALF_WINDOW)

@@ -111,12 +111,13 @@ def accounts_of(
 
 def combined_accounts(accounts: Iterable[Account]) -> tuple[Account, ...]:
     """One account an origin, in the order in which the origins first come."""
-    of: dict[Origin, list[Account]] = {}
+    by_origin: dict[Origin, list[Account]] = {}
     for account in accounts:
-        of.setdefault(account.origin, []).append(account)
+        by_origin.setdefault(account.origin, []).append(account)
     names = [field.name for field in dataclasses.fields(Account) if field.name != "origin"]
     return tuple(
-        Account(origin, *(sum(getattr(part, name) for part in parts) for name in names)) for origin, parts in of.items()
+        Account(origin, *(sum(getattr(part, name) for part in parts) for name in names))
+        for origin, parts in by_origin.items()
     )
 
 
@@ -189,8 +190,8 @@ def unit_counts(
     recordings: Sequence[Recording] = (),
 ) -> tuple[tuple[str, int], ...]:
     """Count samples and recordings beyond limits."""
-    width, known = table.lane_width[usable], median_step[np.isfinite(median_step)]
-    values = {"speed": table.speed[usable], "width": width, "offset": np.abs(table.lane_offset[usable]), "step": known}
+    width, step = table.lane_width[usable], median_step[np.isfinite(median_step)]
+    values = {"speed": table.speed[usable], "width": width, "offset": np.abs(table.lane_offset[usable]), "step": step}
     v = np.maximum(np.abs(values["speed"]), 0.1)
     with np.errstate(over="ignore", invalid="ignore"):
         if table.curvature is not None:
@@ -203,21 +204,21 @@ def unit_counts(
         columns = [np.abs(column) for recording in recordings if (column := getattr(recording, name)) is not None]
         if columns:
             values[name] = np.concatenate(columns)
-    steps = [coarse_step(recording.lane_offset[np.isfinite(recording.lane_offset)]) for recording in recordings]
-    coarse = [recording.samples * (step > COARSEST) for recording, step in zip(recordings, steps, strict=True)]
+    offsets = (recording.lane_offset for recording in recordings)
+    coarse = [offset.size for offset in offsets if coarse_step(offset[np.isfinite(offset)]) > COARSEST]
     values["coarse offset"] = np.repeat(1.0, sum(coarse))
-    counts = {"samples": width.size, "recordings": known.size}
+    counts = {"samples": width.size, "recordings": step.size}
     for name, _, _ in itertools.chain(*_UNITS):
         quantity, sign, limit = name.rsplit(" ", 2)
         if quantity in values:
-            than: Any = {"vehicle": vehicle_width, "width": width}[limit] if limit.isalpha() else float(limit)
-            beyond = {">": np.greater, "<": np.less, "<=": np.less_equal}[sign](values[quantity], than)
+            bound: Any = {"vehicle": vehicle_width, "width": width}[limit] if limit.isalpha() else float(limit)
+            beyond = {">": np.greater, "<": np.less, "<=": np.less_equal}[sign](values[quantity], bound)
             counts[name] = int(np.count_nonzero(beyond))
     return tuple(counts.items())
 
 
 def unit_warnings(counts: Mapping[str, int], vehicle_width: float) -> dict[str, str]:
-    """Warnings by what is likely wrong, as "width" or "offset"; none when everything is plausible."""
+    """Warnings by the quantity that is likely wrong, as "width" or "offset"; none when everything is plausible."""
 
     def share(name: str) -> float:
         of = "recordings" if name.startswith("step") else "samples"
@@ -260,46 +261,42 @@ OFFSET_BINS: Final = 81  # centred bins from -2 to 2 m; the outer ones also hold
 
 RELATIONS: Final = (("heading", "yaw_rate"), ("heading", "curvature"), ("yaw_rate", "curvature"),
                     ("heading", "steering"), ("yaw_rate", "steering"), ("curvature", "steering"))  # fmt: skip
-"""Signals of which each tells how far the vehicle turns; the first of a pair is what the second is compared with."""
+"""Pairs of signals that measure how far the vehicle turns: the reference, and the signal compared with it."""
 
 
 @dataclasses.dataclass(frozen=True)
 class QualityStatistics:
     """Sums and counts over r recordings, as the source has them."""
 
-    units: tuple[tuple[str, int], ...]  # (str, int): from `unit_counts`
-    kinds: tuple[str, ...]  # where the curvature comes from: "measured", "yaw_rate", "none"; sorted
-    lanes: bool  # all of them have a column `lane`
-    turns: FloatArray  # (6, 4): windows, and the sums of h^2, h r, r^2 over them, for each pair of `RELATIONS`
-    bends: IntArray  # (2,): usable samples with a yaw rate or curvature, and those of them that are not straight
-    names: npt.NDArray[np.str_]  # (r,): names of the recordings
-    fingerprints: npt.NDArray[np.str_]  # (r,): digest of offset, width and speed of each; empty for short ones
-    median_widths: FloatArray  # (r,) [m]: median lane width of each, before any scaling
-    sway: FloatArray  # (4,): as `turns`, of the offset and of what the vehicle's heading says of it
-    offsets: IntArray  # (81,): usable samples by offset, in bins of 0.05 m around 0
-    grazes: IntArray  # (3,): how often it turns back within 0.05 m of zero; samples to the left, and to the right
-    stays_ns: IntArray  # (3,) [ns]: time driven, beyond a line, and of that in stays of more than five seconds
+    units: tuple[tuple[str, int], ...] = ()  # (str, int): from `unit_counts`
+    kinds: tuple[str, ...] = ()  # where the curvature comes from: "measured", "yaw_rate", "none"; sorted
+    lanes: bool = True  # all of them have a column `lane`
+    # (6, 4): windows, and the sums of h^2, h r, r^2 over them, for each pair of `RELATIONS`
+    turns: FloatArray = dataclasses.field(default_factory=lambda: np.zeros((len(RELATIONS), 4)))
+    # (2,): usable samples with a yaw rate or curvature, and those that are not straight
+    bends: IntArray = dataclasses.field(default_factory=lambda: np.zeros(2, dtype=np.int64))
+    # (r,): names of the recordings
+    names: npt.NDArray[np.str_] = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.str_))
+    # (r,): digest of offset, width and speed of each; empty for a short recording
+    fingerprints: npt.NDArray[np.str_] = dataclasses.field(default_factory=lambda: np.zeros(0, dtype=np.str_))
+    # (r,) [m]: median lane width of each, before any scaling
+    median_widths: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(0))
+    # (4,): as `turns`, of the offset and of the vehicle's heading
+    sway: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(4))
+    # (81,): usable samples by offset, in bins of 0.05 m around 0
+    offsets: IntArray = dataclasses.field(default_factory=lambda: np.zeros(OFFSET_BINS, dtype=np.int64))
+    # (3,): how often the offset turns back within 0.05 m of zero; samples to the left, and to the right
+    grazes: IntArray = dataclasses.field(default_factory=lambda: np.zeros(3, dtype=np.int64))
+    # (3,) [ns]: time driven, time beyond a line, and the part of that in stays of more than five seconds
+    stays_ns: IntArray = dataclasses.field(default_factory=lambda: np.zeros(3, dtype=np.int64))
     notes: tuple[tuple[str, int], ...] = ()  # (str, int): what recordings lack, as text, and how many lack it
 
 
-def no_statistics() -> QualityStatistics:
-    """Of no recordings."""
-    text, none = np.empty(0, dtype=np.str_), np.zeros(3, dtype=np.int64)
-    bins = np.zeros(OFFSET_BINS, dtype=np.int64)
-    return QualityStatistics(
-        (), (), True, np.zeros((len(RELATIONS), 4)), none[:2], text, text, np.empty(0), np.zeros(4), bins, none, none
-    )
-
-
 def quality_statistics(
-    table: RecordingTable,
-    recordings: Sequence[Recording],
-    prepared: RecordingTable,
-    common: Sequence[Recording],
-    result: SearchResult,
-    vehicle_width: float,
+    recordings: Sequence[Recording], prepared: Sequence[Recording], result: SearchResult, vehicle_width: float
 ) -> QualityStatistics:
-    """Evidence of r recordings, as one table and one by one: as the source has them, and as they were searched."""
+    """Evidence of r recordings as the source has them; `prepared` are the same as they were searched."""
+    table = RecordingTable.of(recordings)
     count, usable = table.names.size, usable_samples(table)
     medians, prints = np.full(count, np.nan), [""] * count
     offsets, grazes = np.zeros(OFFSET_BINS, dtype=np.int64), np.zeros(3, dtype=np.int64)
@@ -332,7 +329,8 @@ def quality_statistics(
     times = (result.driven[drive], stays, stays[stays > LONG_STAY])
     # whole numbers, whose sums do not depend on how the recordings were split
     stays_ns = [np.rint(np.minimum(values, LONGEST) * 1e9).astype(np.int64).sum() for values in times]
-    kind = "measured" if prepared.curvature is not None else "none" if prepared.yaw_rate is None else "yaw_rate"
+    searched = prepared[0]  # all have the same columns
+    kind = "measured" if searched.curvature is not None else "none" if searched.yaw_rate is None else "yaw_rate"
     return QualityStatistics(
         units=unit_counts(table, usable, result.median_step, vehicle_width, recordings),
         kinds=(kind,),
@@ -347,7 +345,7 @@ def quality_statistics(
         grazes=grazes,
         stays_ns=np.array(stays_ns, dtype=np.int64),
         notes=tuple(
-            Counter(note for recording in common if not recording.continues for note in recording.notes).items()
+            Counter(note for recording in prepared if not recording.continues for note in recording.notes).items()
         ),
     )
 
@@ -362,50 +360,47 @@ def _related(recording: Recording) -> tuple[FloatArray, FloatArray]:
     if not step > 0.0 or not swept:
         return turns, sway
     lag = max(1, round(TURN_WINDOW / step))
-    for i, (reference, other) in enumerate(RELATIONS):
-        if reference in swept and other in swept and recording.samples > lag:
-            turns[i] = _turns(recording, lag, swept[reference], swept[other])
-    for name in ("heading", "yaw_rate"):
-        if name in swept:
-            sway = _sway(recording, *swept[name])
-            break
-    return turns, sway
+    for i, (reference, compared) in enumerate(RELATIONS):
+        if reference in swept and compared in swept and recording.samples > lag:
+            turns[i] = _turns(recording, lag, swept[reference], swept[compared])
+    angle = swept.get("heading", swept.get("yaw_rate"))
+    return turns, sway if angle is None else _sway(recording, *angle)
 
 
-Swept = tuple[FloatArray, BoolArray]  # angle that the vehicle turned since the start [rad], and where it is known
+Swept = tuple[FloatArray, BoolArray]  # angle that the vehicle turned since the start [rad], and where it is usable
 
 
 def _swept(recording: Recording) -> dict[str, Swept]:
-    """How far the vehicle turned, by each signal that tells; by the steering angle up to a factor."""
+    """How far the vehicle turned, by each recorded signal of its motion; by the steering angle up to a factor."""
     swept: dict[str, Swept] = {}
     if recording.heading is not None:
-        known = recording.valid & (np.abs(recording.heading) < LARGEST)
-        swept["heading"] = np.where(known, recording.heading, 0.0), known
+        usable = recording.valid & (np.abs(recording.heading) < LARGEST)
+        swept["heading"] = np.where(usable, recording.heading, 0.0), usable
     for name in ("yaw_rate", "curvature", "steering"):
         values = getattr(recording, name)
         if values is None:
             continue
-        known = recording.valid & (np.abs(values) < LARGEST)
+        usable = recording.valid & (np.abs(values) < LARGEST)
         if name == "yaw_rate" and recording.yaw_rate_measured is not None:
-            known &= recording.yaw_rate_measured  # else it is the heading's own slope
+            usable &= recording.yaw_rate_measured  # else it is the heading's own slope
         if name != "yaw_rate":
-            known &= np.abs(recording.speed) < LARGEST
+            usable &= np.abs(recording.speed) < LARGEST
         with np.errstate(over="ignore", invalid="ignore"):
-            rate = np.where(known, values if name == "yaw_rate" else values * recording.speed, 0.0)
+            rate = np.where(usable, values if name == "yaw_rate" else values * recording.speed, 0.0)
             steps = 0.5 * (rate[1:] + rate[:-1]) * np.diff(recording.t)
-            swept[name] = np.concatenate([[0.0], np.cumsum(steps)]), known
+            swept[name] = np.concatenate([[0.0], np.cumsum(steps)]), usable
     return swept
 
 
-def _turns(recording: Recording, lag: int, reference: Swept, other: Swept) -> FloatArray:
+def _turns(recording: Recording, lag: int, reference: Swept, compared: Swept) -> FloatArray:
     """Windows and sums of one recording: turns by one signal against those by another."""
-    t, known = recording.t, reference[1] & other[1]
-    lost = np.cumsum(~known)
+    t, usable = recording.t, reference[1] & compared[1]
+    lost = np.cumsum(~usable)
     with np.errstate(over="ignore", invalid="ignore"):
-        h, r = (angle[lag:] - angle[:-lag] for angle, _ in (reference, other))
+        h, r = (angle[lag:] - angle[:-lag] for angle, _ in (reference, compared))
         h = h - 2.0 * np.pi * np.rint(h / (2.0 * np.pi))  # a heading into +-pi
     # a window with an unusable number in it is not compared
-    good = np.isfinite(h) & np.isfinite(r) & (lost[lag:] == lost[:-lag]) & known[:-lag]
+    good = np.isfinite(h) & np.isfinite(r) & (lost[lag:] == lost[:-lag]) & usable[:-lag]
     good &= (t[lag:] - t[:-lag] < 1.5 * TURN_WINDOW) & (
         np.fmin(recording.speed[lag:], recording.speed[:-lag]) > TURN_SPEED
     )
@@ -423,11 +418,11 @@ _SWAY_STEP: Final = 0.2  # [s]
 MOST_WINDOWS: Final = 20  # of a recording, spread over it
 
 _SMOOTH: Final = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, round(SWAY_WINDOW / _SWAY_STEP)), 4))[0]
-"""What position, heading and bend of the road make of a path in a window: cubics."""
+"""Orthonormal cubics: what position, heading and the road's bend add to a path in a window."""
 
 
-def _sway(recording: Recording, angle: FloatArray, known: BoolArray) -> FloatArray:
-    """Windows and sums: the path across the lane by the heading against the offset, both without what a bend makes."""
+def _sway(recording: Recording, angle: FloatArray, usable: BoolArray) -> FloatArray:
+    """Windows and sums: the lateral path by the heading against the offset, both without the part of a bend."""
     t, offset, v = recording.t, recording.lane_offset, recording.speed
     if not SWAY_WINDOW < t[-1] - t[0] < LONGEST:
         return np.zeros(4)
@@ -436,7 +431,7 @@ def _sway(recording: Recording, angle: FloatArray, known: BoolArray) -> FloatArr
     times = first[:, None] + _SWAY_STEP * np.arange(_SMOOTH.shape[0])
     row = np.minimum(np.searchsorted(t, times), t.size - 1)
     # a window with a hole in it, or with a jump of the offset, is left out
-    good = known[row] & recording.valid[row] & (v[row] > TURN_SPEED) & (v[row] < LARGEST) & (t[row] - times <= 0.5)
+    good = usable[row] & recording.valid[row] & (v[row] > TURN_SPEED) & (v[row] < LARGEST) & (t[row] - times <= 0.5)
     with np.errstate(invalid="ignore"):
         good[:, 1:] &= np.abs(np.diff(offset[row], axis=1)) <= MAX_JUMP  # False for NaN
     row = row[good.all(axis=1)]
@@ -450,8 +445,8 @@ def _sway(recording: Recording, angle: FloatArray, known: BoolArray) -> FloatArr
 
 
 def combined_statistics(parts: Iterable[QualityStatistics]) -> QualityStatistics:
-    """Evidence of all recordings; in the order of the parts."""
-    parts = list(parts) or [no_statistics()]
+    """The statistics of all recordings, in the order of the parts."""
+    parts = list(parts) or [QualityStatistics()]
     units: Counter[str] = Counter()
     notes: Counter[str] = Counter()
     for part in parts:
@@ -470,7 +465,7 @@ def combined_statistics(parts: Iterable[QualityStatistics]) -> QualityStatistics
     )
 
 
-KEPT: Final = 12  # departures of each kind that are kept of each source and side
+EXAMPLES: Final = 12  # departures, the deepest and by lot, that are kept of each source and side
 
 
 @dataclasses.dataclass(frozen=True)
@@ -491,13 +486,13 @@ class DrawnEvent:
 
     @property
     def depth(self) -> tuple[float, str, float]:
-        """Sorts the deepest first."""
+        """Key that sorts events by depth, the deepest first."""
         return (-float(self.parameters[1]), self.recording, self.start_time)
 
 
 @dataclasses.dataclass(frozen=True)
 class Drawn:
-    """Departures to look at."""
+    """Departures that are kept with their signals as examples."""
 
     deepest: tuple[DrawnEvent, ...] = ()  # Up to 12 of each source and side, deepest first; left before right
     # Up to 12 of each source and side, in the order of their lots; left before right
@@ -505,7 +500,7 @@ class Drawn:
 
 
 def example_events(departures: Departures, signals: DepartureSignals, sources: list[str]) -> Drawn:
-    """The departures to keep of n found ones."""
+    """The departures that are kept as examples, of n departures with their signals and sources."""
     matrix = departures.matrix()
     ends = signals.offsets.tolist()
     events: list[DrawnEvent] = []
@@ -521,7 +516,7 @@ def example_events(departures: Departures, signals: DepartureSignals, sources: l
 
 
 def combined_examples(parts: Iterable[Drawn]) -> Drawn:
-    """The departures to keep of several shares of the work."""
+    """The departures that are kept as examples, of those that several parts have kept."""
     parts = list(parts)
     return Drawn(
         _best((event for part in parts for event in part.deepest), lambda event: event.depth),
@@ -535,5 +530,5 @@ def _best(events: Iterable[DrawnEvent], key: Callable[[DrawnEvent], tuple[object
     for event in events:
         groups.setdefault(event.source, {LEFT: [], RIGHT: []})[event.side].append(event)
     return tuple(
-        event for both in groups.values() for group in both.values() for event in sorted(group, key=key)[:KEPT]
+        event for both in groups.values() for group in both.values() for event in sorted(group, key=key)[:EXAMPLES]
     )

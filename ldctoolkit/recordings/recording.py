@@ -99,12 +99,12 @@ class Problem:
 
     @classmethod
     def of(cls, file: str, error: RecordingError, outcome: str = "") -> Problem:
-        """What an error says of a file; its path is the place in it."""
+        """The problem of a file that an error states; the error's path is the place in the file."""
         return cls(file, error.path, "; ".join(text for text in (error.without_path, outcome) if text))
 
     @property
     def error(self) -> RecordingError:
-        """The same as an error."""
+        """The problem as an error."""
         return RecordingError(f"{self.file}, {self.place}" if self.place else self.file, self.what)
 
     def __str__(self) -> str:
@@ -122,8 +122,8 @@ class Recording(ReadOnly):
     Examples
     --------
     >>> t = np.arange(3) * 0.1
-    >>> one = Recording("a", t, np.zeros(3), np.full(3, 3.6), np.full(3, 25.0), np.ones(3, bool))
-    >>> one.samples
+    >>> recording = Recording("a", t, np.zeros(3), np.full(3, 3.6), np.full(3, 25.0), np.ones(3, bool))
+    >>> recording.samples
     3
     """
 
@@ -208,12 +208,12 @@ LARGEST: Final = 1e9  # a number of this size or more is not a measurement in an
 
 
 def measured(values: FloatArray) -> FloatArray:
-    """NaN for numbers of absurd size, which are none; sums of such would overflow."""
+    """Values with NaN in place of numbers of absurd size, whose sums would overflow."""
     return np.where(np.abs(values) < LARGEST, values, np.nan)
 
 
 def usable_samples(samples: RecordingTable | Recording) -> BoolArray:
-    """Samples that the source allows and whose numbers that take part are there, (m,); times are not looked at."""
+    """Samples, (m,), that are marked valid and whose offset, width, speed and bend are numbers of sensible size."""
     usable: BoolArray = samples.valid & (samples.lane_width > 0.0)
     bend = samples.curvature if samples.curvature is not None else samples.yaw_rate
     for column in (samples.lane_offset, samples.lane_width, samples.speed, bend):
@@ -227,7 +227,7 @@ class RecordingTable:
     """r whole recordings of m samples in all, in flat arrays."""
 
     names: npt.NDArray[np.str_]  # (r,): identifier of each recording
-    offsets: IntArray  # (r + 1,): recording i owns the samples ``offsets[i]:offsets[i + 1]``
+    offsets: IntArray  # (r + 1,): recording i has the samples ``offsets[i]:offsets[i + 1]``
     t: FloatArray  # (m,) [s]: time on the recording's own clock, not falling inside a recording
     lane_offset: FloatArray  # (m,) [m]: vehicle's centre from the lane's centre, positive to the left
     lane_width: FloatArray  # (m,) [m]: width of the lane that the vehicle is in
@@ -238,6 +238,17 @@ class RecordingTable:
     lane: IntArray | None = None  # (m,): label of the lane; only equality counts
     turn_signal: IntArray | None = None  # (m,): +1 left, -1 right, 0 none
     engaged: BoolArray | None = None  # (m,): true while a system steers
+
+    @classmethod
+    def of(cls, recordings: Sequence[Recording]) -> RecordingTable:
+        """Recordings that have the same columns."""
+        names = [field.name for field in dataclasses.fields(cls) if field.name not in ("names", "offsets")]
+        columns = {name: [getattr(recording, name) for recording in recordings] for name in names}
+        return cls(
+            names=np.array([recording.name for recording in recordings], dtype=np.str_),
+            offsets=np.concatenate([[0], np.cumsum([recording.samples for recording in recordings])]).astype(np.int64),
+            **{name: np.concatenate(parts) for name, parts in columns.items() if parts[0] is not None},
+        )
 
     @property
     def samples(self) -> int:
@@ -254,7 +265,7 @@ Samples = TypeVar("Samples", Recording, RecordingTable)
 
 
 def changed_columns(samples: Samples, names: Iterable[str], change: Callable[[Any], Any]) -> Samples:
-    """The same with other values in some of the columns, as far as they are there."""
+    """The same samples with changed values in the named columns; columns that they lack are passed over."""
     columns = {name: getattr(samples, name) for name in names}
     changed = {name: change(values) for name, values in columns.items() if values is not None}
     return dataclasses.replace(samples, **changed)
@@ -301,11 +312,11 @@ class RecordingSource(Protocol):
 
     @property
     def files(self) -> Sequence[SourceFile]:
-        """What was found, with digests."""
+        """The files that are read, with digests."""
 
     @property
     def problems(self) -> Sequence[Problem]:
-        """What was seen while looking; parts report their own while they are read."""
+        """Problems of opening the source; each part reports its own while it is read."""
 
 
 P = TypeVar("P", bound=RecordingPart)
@@ -316,8 +327,8 @@ class FoundParts(Generic[P]):
     """A `RecordingSource` as plain data."""
 
     parts: tuple[P, ...]  # in a fixed order
-    files: tuple[SourceFile, ...]  # what was found, with digests
-    problems: tuple[Problem, ...]  # what was seen while looking
+    files: tuple[SourceFile, ...]  # with digests
+    problems: tuple[Problem, ...]  # of opening the source
 
 
 @runtime_checkable
@@ -406,17 +417,15 @@ def find_tables(paths: Iterable[Path], names: re.Pattern[str] = _TABLE) -> list[
     """Files named by the user, and files in named folders that may be tables by their names; each once."""
     tables: dict[str, tuple[Path, bool]] = {}
     for path in paths:
-        named = not os.path.isdir(path)  # noqa: PTH112 - this one raises nothing, whatever the path
-        inside = [path] if named else [file for file in _walk(path, DEPTH) if names.search(file.name)]
-        for file in inside:
-            where = place_of(file)
-            known = tables.get(where)
-            tables[where] = (known[0] if known else file, named or (known is not None and known[1]))
+        by_user = not os.path.isdir(path)  # noqa: PTH112 - this one raises nothing, whatever the path
+        for file in [path] if by_user else [file for file in _walk(path, DEPTH) if names.search(file.name)]:
+            first, named = tables.get(real_path(file), (file, False))
+            tables[real_path(file)] = (first, named or by_user)
     return list(tables.values())
 
 
-def place_of(path: Path) -> str:
-    """Where a file is, whatever links lead there."""
+def real_path(path: Path) -> str:
+    """The path of a file behind all links."""
     try:
         return os.path.realpath(path)
     except ValueError:  # a NUL in the name; opening it tells
@@ -454,27 +463,27 @@ def check_columns(
     columns: Sequence[str], required: Sequence[str], optional: Sequence[str] = (), same: Callable[[str], str] = str
 ) -> None:
     """Refuse a header that lacks a column or repeats one; with ``same=str.lower`` letters may be of either case."""
-    present, known = list(map(same, columns)), list(map(same, (*required, *optional)))
+    present, expected = list(map(same, columns)), list(map(same, (*required, *optional)))
     for name in (*required, *optional):
         if (count := present.count(same(name))) > 1:
             raise RecordingError("", f"column '{name}' appears {count} times", allowed="once")
     for name in required:
         if same(name) not in present:
             # the nearest name is looked for among the file's own, which is what its author has to rename
-            unknown = [other for other in columns[:64] if other and same(other) not in known]
+            unknown = [column for column in columns[:64] if column and same(column) not in expected]
             raise missing_column(name, unknown, f"needed: {', '.join(required)}")
 
 
 def missing_column(name: str, unknown: Sequence[str], hint: str = "") -> RecordingError:
-    """For a table that lacks a column, which one of those that are not known may be."""
-    near = difflib.get_close_matches(name.lower(), [other.lower() for other in unknown], n=1, cutoff=0.5)
-    others = textwrap.shorten(f"columns not known here: {', '.join(sorted(unknown))}", 400)
-    others = others if unknown else "no other column of the file could be it"
-    for other in unknown:
-        if other.lower() in near:
-            others = f"did you mean {other!r}? ({others})"
-            break
-    return RecordingError("", f"column '{name}' is missing", hint="; ".join(filter(None, (others, hint))))
+    """The error for a table that lacks a column; it proposes the nearest of the columns that are not known."""
+    lower = {column.lower(): column for column in reversed(unknown)}
+    near = difflib.get_close_matches(name.lower(), lower, n=1, cutoff=0.5)
+    proposal = textwrap.shorten(f"columns not known here: {', '.join(sorted(unknown))}", 400)
+    if not unknown:
+        proposal = "no other column of the file could be it"
+    elif near:
+        proposal = f"did you mean {lower[near[0]]!r}? ({proposal})"
+    return RecordingError("", f"column '{name}' is missing", hint="; ".join(filter(None, (proposal, hint))))
 
 
 class CombinedReader:
@@ -488,7 +497,7 @@ class CombinedReader:
         self.step = readers[0].step
 
     def recognise(self, paths: Sequence[Path]) -> str:
-        """What each of them finds."""
+        """What each of the readers recognises."""
         texts = ((reader.name, reader.recognise(paths)) for reader in self.readers)
         return "; ".join(f"{name}: {text}" for name, text in texts if text)
 
@@ -497,7 +506,7 @@ class CombinedReader:
         sources: list[RecordingSource] = []
         errors: list[RecordingError] = []
         unread: list[Problem] = []
-        owner: dict[str, str] = {}
+        reader_of: dict[str, str] = {}  # by a file's digest
         files = [path for path, _ in find_tables(paths)]
         names = shown_names(files)
         for reader in self.readers:
@@ -505,12 +514,12 @@ class CombinedReader:
                 source = reader.open(paths)
             except RecordingError as error:
                 errors.append(error)
-                known = (name for path, name in zip(files, names, strict=True) if reader.recognise([path]))
-                unread.append(Problem(next(known, paths[0].name), "", str(error)))
+                recognised = (name for path, name in zip(files, names, strict=True) if reader.recognise([path]))
+                unread.append(Problem(next(recognised, paths[0].name), "", str(error)))
                 continue
             sources.append(source)
             for file in source.files:
-                if owner.setdefault(file.sha256, reader.name) != reader.name:
+                if reader_of.setdefault(file.sha256, reader.name) != reader.name:
                     raise RecordingError(
                         file.name,
                         f"several readers know such files ({self.recognise(paths)})",
@@ -518,17 +527,16 @@ class CombinedReader:
                     )
         if not sources:
             raise errors[0]
-        owned = [{file.name for file in source.files} for source in sources]
-        read = set().union(*owned)
+        files_of = [{file.name for file in source.files} for source in sources]
+        read = set().union(*files_of)
         problems = [
             problem
-            for source, own in zip(sources, owned, strict=True)
+            for source, names_read in zip(sources, files_of, strict=True)
             for problem in source.problems
-            if problem.file in own or problem.file not in read  # else a file that another one is for
+            if problem.file in names_read or problem.file not in read  # else it is a file for another reader
         ]
         parts = tuple(part for source in sources for part in source.parts)
-        found = tuple(file for source in sources for file in source.files)
-        return FoundParts(parts, found, (*problems, *unread))
+        return FoundParts(parts, tuple(file for source in sources for file in source.files), (*problems, *unread))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -566,24 +574,24 @@ def open_recordings(
     Traceback (most recent call last):
     ldctoolkit.errors.RecordingError: nowhere.csv: does not exist
     """
-    given = [Path(path) for path in ([paths] if isinstance(paths, str | os.PathLike) else paths)]
-    if not given:
+    sources = [Path(path) for path in ([paths] if isinstance(paths, str | os.PathLike) else paths)]
+    if not sources:
         raise InputError("paths", "none given", hint="at least one file or folder of recordings is needed")
     seen: set[Path] = set()
-    for path in given:
+    for path in sources:
         if not os.path.exists(path):  # noqa: PTH110 - this one raises nothing, whatever the path
             raise RecordingError(path, "does not exist")
         if path.resolve() in seen:
             raise RecordingError(path.name, "given twice")
         seen.add(path.resolve())
-    reader, found = _recognised(given) if format == AUTO else (recording_reader(format), "")
+    reader, description = _recognised(sources) if format == AUTO else (recording_reader(format), "")
     if channels is not None:
         if not hasattr(reader, "channels"):
             problem, allowed = f"for format {reader.name!r}", "a channel map for MDF logs only"
             raise InputError("channels", problem, value=os.fspath(channels), allowed=allowed)
         reader = dataclasses.replace(reader, channels=Path(channels))  # type: ignore[type-var]
     try:
-        source = reader.open(given)
+        source = reader.open(sources)
         keys = Counter(part.key for part in source.parts)
     except LdcError:
         raise
@@ -594,11 +602,11 @@ def open_recordings(
             raise LdcError(
                 f"format {reader.name!r}", f"{count} parts have the key {key!r}", allowed="a key for each part"
             )
-    return OpenedRecordings(reader, source, found or reader.title)
+    return OpenedRecordings(reader, source, description or reader.title)
 
 
 def _recognised(paths: list[Path]) -> tuple[RecordingReader, str]:
-    """The reader for these paths, and what it found; several readers as one where one set of options serves them."""
+    """The reader for these paths, and what it recognises; several readers of the same options are combined."""
     matches: list[tuple[RecordingReader, str]] = []
     for reader in map(recording_reader, reader_names()):
         try:

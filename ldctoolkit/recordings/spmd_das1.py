@@ -6,31 +6,23 @@ together by device, trip and time, which is in centiseconds.
 
 import dataclasses
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from ldctoolkit.arrays import FloatArray, IntArray
-from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.preparation import cut_at, nearest_times
-from ldctoolkit.recordings.recording import LARGEST, FoundParts, Problem, Recording, measured
-from ldctoolkit.recordings.text_table import Cells, LineFault
+from ldctoolkit.recordings.recording import LARGEST, Problem, Recording, measured
+from ldctoolkit.recordings.text_table import LineFault, grouped_problems
 from ldctoolkit.recordings.trip_tables import (
-    Stretch,
     TableLayout,
-    TripTable,
-    batches,
+    TripPart,
+    TripReader,
     check_trip_columns,
-    collect_trips,
-    grouped_problems,
-    look_through,
-    no_trips,
     read_header,
     read_trips,
-    recognised,
-    text_bytes,
 )
 
 TOLERANCE: Final = 5.0
@@ -48,50 +40,35 @@ WSU: Final = (
 )  # fmt: skip
 
 
-@dataclasses.dataclass(frozen=True)
-class Das1Part:
-    """Some trips of a lane table, and where the other table holds them."""
-
-    key: str  # names the lane table and the first trip
-    lane: TripTable
-    wsu: TripTable
-    trips: tuple[tuple[tuple[Stretch, ...], tuple[Stretch, ...]], ...]  # each trip's place in both
-
-    @property
-    def bytes(self) -> int:
-        """Text that is read."""
-        return sum(text_bytes(lane + wsu) for lane, wsu in self.trips)
-
-    def read(self) -> Iterator[Recording | Problem]:
-        """What could not be used, then recordings in the order of the lane table."""
-        lane = read_trips(self.lane, [stretches for stretches, _ in self.trips], LANE)
-        wsu = read_trips(self.wsu, [stretches for _, stretches in self.trips], WSU)
-        yield from lane.problems
-        yield from wsu.problems
-        match = nearest_rows(lane.trip, lane.cells["Time"], wsu.trip, wsu.cells["Time"], TOLERANCE)
-        signals = _signals(lane.cells, wsu.cells, match)
-        ends = np.searchsorted(lane.trip, np.arange(len(self.trips) + 1)).tolist()
-        partner_rows = np.bincount(wsu.trip, minlength=len(self.trips))
-        joined = np.concatenate([[0], np.cumsum(match >= 0)])
-        faults: list[LineFault] = []
-        for i, (stretches, partners) in enumerate(self.trips):
-            begin, end, name = ends[i], ends[i + 1], stretches[0].name
-            if begin == end or (partners and not partner_rows[i]):
-                continue  # every row was left out, and reported
-            if partners and joined[begin] == joined[end]:
-                near = f"no row of {self.wsu.name} lies within {TOLERANCE:g} centiseconds of any of its rows"
-                faults.append(LineFault(stretches[0].line, "apart", f"trip {name}: {near}; it is left out"))
-                continue
-            columns = {column: values[begin:end] for column, values in signals.items()}
-            joins = np.concatenate([lane.joins(i), wsu.joins(i)])
-            if joins.size:
-                columns["cut"], inside = cut_at(lane.cells["Time"][begin:end], joins)
-                columns["valid"] &= ~inside
-            yield Recording(name, source=self.lane.name, notes=() if partners else (ALONE,), **columns)
-        yield from grouped_problems(self.lane.name, faults)
+def _recordings_of(part: TripPart) -> Iterator[Recording | Problem]:
+    """What could not be used, then recordings in the order of the lane table."""
+    lane_table, wsu_table = part.tables
+    lane, wsu = read_trips(lane_table, part.stretches(0), LANE), read_trips(wsu_table, part.stretches(1), WSU)
+    yield from lane.problems
+    yield from wsu.problems
+    lane_t = lane.columns["Time"]
+    match = nearest_rows(lane.trip, lane_t, wsu.trip, wsu.columns["Time"], TOLERANCE)
+    signals = _signals(lane.columns, wsu.columns, match)
+    ends = np.searchsorted(lane.trip, np.arange(len(part.trips) + 1)).tolist()
+    partner_rows = np.bincount(wsu.trip, minlength=len(part.trips))
+    joined = np.concatenate([[0], np.cumsum(match >= 0)])
+    faults: list[LineFault] = []
+    for i, (stretches, partners) in enumerate(part.trips):
+        begin, end, name = ends[i], ends[i + 1], stretches[0].name
+        if begin == end or (partners and not partner_rows[i]):
+            continue  # every row was left out, and reported
+        if partners and joined[begin] == joined[end]:
+            near = f"no row of {wsu_table.name} lies within {TOLERANCE:g} centiseconds of any of its rows"
+            faults.append(LineFault(stretches[0].line, "apart", f"trip {name}: {near}; it is left out"))
+            continue
+        columns = {column: values[begin:end] for column, values in signals.items()}
+        columns["cut"], inside = cut_at(lane_t[begin:end], np.concatenate([lane.joins(i), wsu.joins(i)]))
+        columns["valid"] &= ~inside
+        yield Recording(name, source=lane_table.name, notes=() if partners else (ALONE,), **columns)
+    yield from grouped_problems(lane_table.name, faults)
 
 
-def _signals(lane: Cells, wsu: Cells, match: IntArray) -> dict[str, Any]:
+def _signals(lane: Mapping[str, FloatArray], wsu: Mapping[str, FloatArray], match: IntArray) -> dict[str, Any]:
     """Columns of a `Recording` from the cells of rows; those without a partner have no speed.
 
     Numbers of 1e9 or more in size count as missing.
@@ -102,9 +79,9 @@ def _signals(lane: Cells, wsu: Cells, match: IntArray) -> dict[str, Any]:
     matched = match >= 0
 
     def partner(values: FloatArray) -> FloatArray:
-        taken = np.full(match.size, np.nan)
-        taken[matched] = values[match[matched]]
-        return taken
+        partners = np.full(match.size, np.nan)
+        partners[matched] = values[match[matched]]
+        return partners
 
     can, gps = wsu["ValidCanWsu"] == 1.0, wsu["GpsValidWsu"] == 1.0
     gps_speed = np.where(gps, measured(wsu["GpsSpeedWsu"]), np.nan)
@@ -143,58 +120,10 @@ def nearest_rows(
     return match
 
 
-PART_BYTES: Final = 24 << 20  # text of both tables that is read in one go
-
 KEY: Final = ("Device", "Trip")
 _COLUMNS: Final = {"DataLane": LANE, "DataWsu": WSU}
 _RECOGNISED_BY: Final = {"DataLane": ("LaneDistanceLeft", "LaneDistanceRight"), "DataWsu": ("SpeedWsu", "YawRateWsu")}
 _NAMED: Final = re.compile(r"data[ _-]?(lane|wsu)", re.IGNORECASE)
-
-
-@dataclasses.dataclass(frozen=True)
-class SpmdDas1:
-    """The reader ``spmd-das1``."""
-
-    name: str = "spmd-das1"
-    title: str = "SPMD tables DataLane and DataWsu"
-    vehicle_width: float = 1.82  # [m]
-    step: float | None = 0.1  # [s]: the tables' own
-    part_bytes: int = PART_BYTES  # about how much text a part reads
-
-    def recognise(self, paths: Sequence[Path]) -> str:
-        """What was found if there is such a table among the files or in the folders."""
-        return recognised(paths, _named, lambda path: _kind(read_header(path).columns))
-
-    def open(self, paths: Sequence[Path]) -> FoundParts[Das1Part]:
-        """Look through the tables for where each trip lies."""
-        candidates, problems = look_through(paths, _named, _layout_of)
-        tables = {kind: [table for table in candidates if table.kind == kind] for kind in _COLUMNS}
-        (lanes, lane_problems), (others, wsu_problems) = map(collect_trips, tables.values())
-        problems += lane_problems + wsu_problems
-        lacking = [
-            f"table {kind} (columns {', '.join((*KEY, *_COLUMNS[kind]))})" for kind in tables if not tables[kind]
-        ]
-        if lacking or not lanes:
-            raise RecordingError("spmd-das1", no_trips([*lacking, "trip of a table DataLane"][0], problems))
-        trips = []
-        for key, (number, stretches) in lanes.items():
-            # a trip that the other table lacks is read as well: it counts, though nothing of it can be used
-            other, partners = others.get(key, (0, ()))
-            trips.append((number, other, stretches[0].begin, stretches, partners))
-        trips.sort(key=lambda trip: trip[:3])
-        parts: list[Das1Part] = []
-        for batch in batches(
-            trips,
-            lambda trip: text_bytes(trip[3] + trip[4]),
-            self.part_bytes,
-            lambda trip, after: trip[:2] != after[:2],
-        ):
-            number, other, _, stretches, _ = batch[0]
-            lane, wsu = tables["DataLane"][number].table, tables["DataWsu"][other].table
-            key_ = f"{lane.name}:{stretches[0].name}"
-            parts.append(Das1Part(key_, lane, wsu, tuple(trip[3:] for trip in batch)))
-        files = tuple(table.file for group in tables.values() for table in group)
-        return FoundParts(tuple(parts), files, tuple(problems))
 
 
 def _kind(columns: Sequence[str]) -> str:
@@ -214,16 +143,26 @@ def _named(path: Path) -> str:
     return "DataLane" if match[1].lower() == "lane" else "DataWsu"
 
 
-def _layout_of(path: Path) -> tuple[TableLayout | None, str]:
+def _layout_of(path: Path) -> TableLayout:
     """Which table a file is, and what is odd about it."""
     header = read_header(path)
     kind = _kind(header.columns)
     if not kind:
         shown = ", ".join(header.columns[:8]) + (", ..." if len(header.columns) > 8 else "")
-        return None, f"neither the columns of DataLane nor those of DataWsu: {shown[:120]}; the file is left out"
+        note = f"neither the columns of DataLane nor those of DataWsu: {shown[:120]}; the file is left out"
+        return dataclasses.replace(header, note=note)
     check_trip_columns(header.columns, KEY, _COLUMNS[kind])
     note = f"the columns are those of {kind}, the name is not; read as {kind}. Are two files swapped?"
-    return dataclasses.replace(header, kind=kind), note if _named(path) not in ("", kind) else ""
+    return dataclasses.replace(header, kind=kind, note=note if _named(path) not in ("", kind) else "")
 
 
-READER: Final = SpmdDas1()
+READER: Final = TripReader(
+    name="spmd-das1",
+    title="SPMD tables DataLane and DataWsu",
+    kinds={kind: f"table {kind} (columns {', '.join((*KEY, *columns))})" for kind, columns in _COLUMNS.items()},
+    named=_named,
+    kind_of=lambda path: _kind(read_header(path).columns),
+    layout_of=_layout_of,
+    recordings_of=_recordings_of,
+    part_bytes=24 << 20,
+)

@@ -1,9 +1,8 @@
 """Reader for the SPMD table HV_Primary (data acquisition system 2): lane tracker, vehicle and GPS in one row."""
 
 import codecs
-import dataclasses
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,23 +11,17 @@ import numpy as np
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.preparation import cut_at
-from ldctoolkit.recordings.recording import FoundParts, Problem, Recording, measured
-from ldctoolkit.recordings.text_table import Cells
+from ldctoolkit.recordings.recording import Problem, Recording, measured
 from ldctoolkit.recordings.trip_tables import (
-    Stretch,
     TableLayout,
-    TripTable,
-    batches,
+    TripPart,
+    TripReader,
     check_trip_columns,
-    collect_trips,
-    look_through,
-    no_trips,
     read_header,
     read_trips,
-    recognised,
-    text_bytes,
 )
 
+TABLE: Final = "HV_Primary"
 KEY: Final = ("DeviceID", "Trip")
 LEFT: Final = "LaneTrack_Distance_Left_Marker"
 RIGHT: Final = "LaneTrack_Distance_Right_Marker"
@@ -71,7 +64,7 @@ LOOKED_AT: Final = 20
 """A table without a header is recognised by so many first lines, of which the first may be an odd one."""
 
 
-def _layout_of(path: Path) -> tuple[TableLayout | None, str]:
+def _layout_of(path: Path) -> TableLayout:
     """How a file's rows are laid out, or why it is another table."""
     header = read_header(path)
     columns, lower = header.columns, [name.lower() for name in header.columns]
@@ -79,7 +72,7 @@ def _layout_of(path: Path) -> tuple[TableLayout | None, str]:
         check_trip_columns(columns, KEY, REQUIRED, OPTIONAL)
         usual = lower == [name.lower() for name in POSITIONS[: len(columns)]]
         cells = tuple(sorted({*CELLS, len(columns)})) if usual else (len(columns),)
-        return TableLayout((*columns, *POSITIONS[len(columns) : max(cells)]), header.begin, cells=cells), ""
+        return TableLayout((*columns, *POSITIONS[len(columns) : max(cells)]), header.begin, kind=TABLE, cells=cells)
     try:
         with path.open("rb") as stream:
             lines = [stream.readline(1 << 16) for _ in range(LOOKED_AT)]
@@ -91,9 +84,9 @@ def _layout_of(path: Path) -> tuple[TableLayout | None, str]:
     counts = [line.count(b",") + 1 if _has_key(line) else 0 for line in filled]
     # a line may be at fault, but most must look right
     if 2 * sum(count in CELLS for count in counts) > len(filled):
-        return TableLayout(POSITIONS, begin, line=1, cells=CELLS), ""
-    needed = f"columns of HV_Primary nor rows of {' or '.join(map(str, CELLS))} cells that begin with numbers"
-    return None, f"neither the {needed}; the file is left out"
+        return TableLayout(POSITIONS, begin, line=1, kind=TABLE, cells=CELLS)
+    needed = f"columns of {TABLE} nor rows of {' or '.join(map(str, CELLS))} cells that begin with numbers"
+    return TableLayout(columns, begin, note=f"neither the {needed}; the file is left out")
 
 
 def _has_key(line: bytes) -> bool:
@@ -106,7 +99,6 @@ def _has_key(line: bytes) -> bool:
     return True
 
 
-PART_BYTES: Final = 32 << 20  # text that is read in one go
 USABLE_PROBABILITY: Final = 500.0  # both markers must exist with at least this probability, of 1000
 
 WIDTH_TOLERANCE: Final = 0.5
@@ -114,49 +106,33 @@ WIDTH_TOLERANCE: Final = 0.5
 lane's, and the width is an assumed one (12 feet)."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Das2Part:
-    """Some trips of a table."""
-
-    key: str  # names the file and the first trip
-    table: TripTable  # the file
-    trips: tuple[tuple[Stretch, ...], ...]  # where each trip lies
-
-    @property
-    def bytes(self) -> int:
-        """Text that is read."""
-        return sum(map(text_bytes, self.trips))
-
-    def read(self) -> Iterator[Recording | Problem]:
-        """Recordings in the order of the table; problems come first."""
-        rows = read_trips(self.table, self.trips, (*REQUIRED, *OPTIONAL))
-        yield from rows.problems
-        columns = signals_of(rows.cells)
-        missing = [name for name in OPTIONAL if name not in rows.cells.columns]
-        notes = (f"no column {', '.join(missing)}",) if missing else ()
-        ends = np.searchsorted(rows.trip, np.arange(len(self.trips) + 1)).tolist()
-        for i, (stretches, begin, end) in enumerate(zip(self.trips, ends[:-1], ends[1:], strict=True)):
-            if begin == end:
-                continue  # every row was left out, and reported
-            signals: dict[str, Any] = {
-                key: None if column is None else column[begin:end] for key, column in columns.items()
-            }
-            if (joins := rows.joins(i)).size:
-                signals["cut"], _ = cut_at(rows.cells["Time"][begin:end], joins)
-            yield Recording(stretches[0].name, source=self.table.name, notes=notes, **signals)
+def _recordings_of(part: TripPart) -> Iterator[Recording | Problem]:
+    """Recordings in the order of the table; problems come first."""
+    (table,) = part.tables
+    rows = read_trips(table, part.stretches(0), (*REQUIRED, *OPTIONAL))
+    yield from rows.problems
+    columns = signals_of(rows.columns)
+    missing = [name for name in OPTIONAL if name not in rows.columns]
+    notes = (f"no column {', '.join(missing)}",) if missing else ()
+    ends = np.searchsorted(rows.trip, np.arange(len(part.trips) + 1)).tolist()
+    for i, ((stretches,), begin, end) in enumerate(zip(part.trips, ends[:-1], ends[1:], strict=True)):
+        if begin == end:
+            continue  # every row was left out, and reported
+        rows_of_trip = slice(begin, end)
+        signals: dict[str, Any] = {name: x if x is None else x[rows_of_trip] for name, x in columns.items()}
+        cut, _ = cut_at(rows.columns["Time"][rows_of_trip], rows.joins(i))
+        yield Recording(stretches[0].name, source=table.name, notes=notes, cut=cut, **signals)
 
 
-def signals_of(cells: Cells) -> dict[str, Any]:
-    """Columns of a `Recording` from the cells of rows.
+def signals_of(cells: Mapping[str, FloatArray]) -> dict[str, Any]:
+    """Columns of a `Recording` from the cells of rows, by column.
 
     Numbers of 1e9 or more in size count as missing. The tracker's flags for crossings and lane changes are not used:
     what sets them is not documented.
     """
 
     def column(name: str) -> FloatArray:
-        if name not in cells.columns:
-            return np.full(cells.row.size, np.nan)
-        return measured(cells[name])
+        return measured(cells[name]) if name in cells else np.full(cells["Time"].size, np.nan)
 
     left, right, recorded = column(LEFT) / 1000.0, column(RIGHT) / 1000.0, column(WIDTH) / 1000.0
     width = right - left
@@ -171,49 +147,29 @@ def signals_of(cells: Cells) -> dict[str, Any]:
         "lane_width": width,
         "speed": np.where(np.isfinite(speed), speed, np.where(gps, column(GPS_SPEED), np.nan)),
         "valid": seen & agree & (width > 0.0),
-        "yaw_rate": np.radians(column(YAW_RATE)) if YAW_RATE in cells.columns else None,
+        "yaw_rate": np.radians(column(YAW_RATE)) if YAW_RATE in cells else None,
         "heading": np.where(gps, -np.radians(column(GPS_HEADING)), np.nan),
         "turn_signal": signal.astype(np.int64),
     }
 
 
-@dataclasses.dataclass(frozen=True)
-class SpmdDas2:
-    """The reader ``spmd-das2``."""
-
-    name: str = "spmd-das2"
-    title: str = "SPMD table HV_Primary"
-    vehicle_width: float = 1.82  # [m]
-    step: float | None = 0.1  # [s]: the table's own
-    part_bytes: int = PART_BYTES  # about how much text a part reads
-
-    def recognise(self, paths: Sequence[Path]) -> str:
-        """What was found if there is such a table among the files or in the folders."""
-        return recognised(paths, _named, _kind)
-
-    def open(self, paths: Sequence[Path]) -> FoundParts[Das2Part]:
-        """Look through the tables for where each trip lies."""
-        tables, problems = look_through(paths, _named, _layout_of)
-        trips, trip_problems = collect_trips(tables)
-        problems += trip_problems
-        if not trips:
-            raise RecordingError("spmd-das2", no_trips("trip of a table HV_Primary", problems))
-        parts: list[Das2Part] = []
-        for number, table in enumerate(tables):
-            trips_of_table = [stretches for where, stretches in trips.values() if where == number]
-            for batch in batches(trips_of_table, text_bytes, self.part_bytes):
-                parts.append(Das2Part(f"{table.table.name}:{batch[0][0].name}", table.table, batch))
-        return FoundParts(tuple(parts), tuple(table.file for table in tables), tuple(problems))
-
-
 def _named(path: Path) -> str:
     """The table, if the file's name speaks of it."""
-    return "HV_Primary" if re.search(r"hv[ _-]?primary", path.name, re.IGNORECASE) else ""
+    return TABLE if re.search(r"hv[ _-]?primary", path.name, re.IGNORECASE) else ""
 
 
 def _kind(path: Path) -> str:
-    layout, _ = _layout_of(path)
-    return "" if layout is None else "HV_Primary" if layout.line > 1 else "HV_Primary without a header"
+    layout = _layout_of(path)
+    return f"{layout.kind} without a header" if layout.kind and layout.line == 1 else layout.kind
 
 
-READER: Final = SpmdDas2()
+READER: Final = TripReader(
+    name="spmd-das2",
+    title="SPMD table HV_Primary",
+    kinds={TABLE: f"trip of a table {TABLE}"},
+    named=_named,
+    kind_of=_kind,
+    layout_of=_layout_of,
+    recordings_of=_recordings_of,
+    part_bytes=32 << 20,
+)

@@ -8,7 +8,7 @@ import csv
 import dataclasses
 import gzip
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import IO, Any, Final, NamedTuple
 
@@ -18,10 +18,11 @@ import polars as pl
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.errors import RecordingError
+from ldctoolkit.recordings.recording import Problem
 from ldctoolkit.whole_file import text_of
 
 MISSING: Final = ("", "null", "nan", "na", "n/a", "none", "-nan", "#n/a")
-"""Words for no number, in lower case, without blanks around them."""
+"""Words for a missing number, in lower case, without blanks around them."""
 
 BLANKS: Final = " \t\r\"'"  # around numbers and names; they do not count
 
@@ -36,10 +37,32 @@ ByteArray = npt.NDArray[np.uint8]
 class LineFault(NamedTuple):
     """A line that was left out."""
 
-    line: int  # its number in a file, or its place in a text, from 0
+    line: int  # its number in a file, or its index in a text, from 0
     kind: str  # faults of one kind are counted together
     what: str  # what is wrong
     text: bytes = b""  # the line itself
+
+
+MOST_PROBLEMS: Final = 20  # problems of one kind that are reported one by one; the others are counted
+
+
+def grouped_problems(
+    file: str, faults: Iterable[LineFault], most: int = MOST_PROBLEMS, word: str = "line"
+) -> list[Problem]:
+    """Problems of a file: the first of each kind one by one, the others counted."""
+    problems: list[Problem] = []
+    seen: dict[str, list[int]] = {}
+    for fault in faults:
+        lines = seen.setdefault(fault.kind, [])
+        lines.append(fault.line)
+        if len(lines) <= most:
+            problems.append(Problem(file, f"{word} {fault.line}", fault.what))
+    for lines in seen.values():
+        if len(lines) > most:
+            count = len(lines) - most
+            more = f"{count} more {word}{'s' * (count > 1)} like {word} {lines[0]}, to {word} {lines[-1]}"
+            problems.append(Problem(file, f"{word} {lines[most]}", more))
+    return problems
 
 
 def open_text(path: Path) -> Stream:
@@ -69,9 +92,10 @@ def blocks(stream: Stream, size: int, line: int, *, count_nuls: bool = False) ->
 
 
 def _next_bytes(stream: Stream, size: int) -> bytes:
-    """The next bytes of a file, about so many; none at its end. What ends a packed one early is raised the next time.
+    """About `size` more bytes of a file; empty at its end.
 
-    What a cut leaves is sound. Where bytes that cannot be unpacked went wrong is not known: none is given.
+    Of a packed file that was cut short, the bytes before the cut are returned, and the next call raises `EOFError`. Of
+    one with damaged bytes none are returned, since it is not known where the damage begins.
     """
     if not isinstance(stream, gzip.GzipFile):
         return stream.read(size)
@@ -101,13 +125,13 @@ def cells_of(raw: bytes) -> list[str]:
 class Layout:
     """How lines are laid out in cells."""
 
-    columns: Mapping[str, int]  # the columns that are read, and the place of each in a line
+    columns: Mapping[str, int]  # the columns that are read, and the index of the cell of each
     cells: tuple[int, ...]  # allowed numbers of cells in a line
     quoted: bool = False  # cells may stand in quotation marks, and a line may lack its last ones
 
 
 def parse(text: bytes, layout: Layout, numbers: Collection[str]) -> tuple[pl.DataFrame, IntArray, list[LineFault]]:
-    """Columns of whole lines, the place of each row in the text, and the lines that were left out.
+    """Columns of whole lines, the line index of each row in the text, and the lines that were left out.
 
     The columns of `numbers` hold text where any of their cells is no plain number. A blank line is no row.
     """
@@ -229,16 +253,16 @@ class Cells:
     """Columns of numbers."""
 
     columns: dict[str, FloatArray]  # (m,) each; NaN for a missing value
-    row: IntArray  # (m,): place of each row in the text, from 0
+    row: IntArray  # (m,): line index of each row in the text, from 0
     lines: int  # lines of the text, whatever they hold
-    faults: tuple[LineFault, ...] = ()  # lines left out, by place
+    faults: tuple[LineFault, ...] = ()  # lines left out, in order
 
     def __getitem__(self, name: str) -> FloatArray:
         return self.columns[name]
 
 
 def read_numbers(text: bytes, layout: Layout) -> Cells:
-    """Columns of numbers; a line with a cell that neither is one nor stands for none is left out."""
+    """Columns of numbers; a line with a cell that is neither a number nor a word for a missing one is left out."""
     frame, row, faults = parse(text, layout, layout.columns)
     bad = np.zeros(row.size, dtype=bool)
     columns: dict[str, FloatArray] = {}
@@ -255,7 +279,7 @@ def read_numbers(text: bytes, layout: Layout) -> Cells:
 
 
 def as_numbers(values: pl.Series, blanks: str | None = None) -> tuple[FloatArray, BoolArray]:
-    """A column of numbers or words as numbers, NaN for none, and where a word is neither; (m,) both."""
+    """A column as numbers, NaN for a missing one, and where a word stands neither for a number nor for none; (m,)."""
     bad = np.zeros(values.len(), dtype=bool)
     if values.dtype == pl.String:
         words = values.str.strip_chars(blanks)

@@ -1,21 +1,38 @@
-"""Tables of trips: their header, an index of where each trip lies in a file, and the rows of single trips."""
+"""Tables of trips: their header, an index of where each trip lies in a file, the rows of trips, and their reader."""
 
 import concurrent.futures
 import dataclasses
 import hashlib
+import itertools
 import os
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Final, TypeVar
+from typing import Final
 
 import numpy as np
 
-from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.errors import RecordingError
-from ldctoolkit.recordings.preparation import MOST_DROPPED, middle_two, rising_rows
-from ldctoolkit.recordings.recording import Problem, SourceFile, check_columns, find_tables, shown_names
-from ldctoolkit.recordings.text_table import BLANKS, ByteArray, Cells, Layout, LineFault, blocks, read_numbers
+from ldctoolkit.recordings.preparation import middle_two, rows_in_order
+from ldctoolkit.recordings.recording import (
+    FoundParts,
+    Problem,
+    Recording,
+    SourceFile,
+    check_columns,
+    find_tables,
+    shown_names,
+)
+from ldctoolkit.recordings.text_table import (
+    BLANKS,
+    ByteArray,
+    Layout,
+    LineFault,
+    blocks,
+    grouped_problems,
+    read_numbers,
+)
 from ldctoolkit.whole_file import text_of
 
 LONGEST_HEADER: Final = 1 << 16
@@ -30,8 +47,9 @@ class TableLayout:
     columns: tuple[str, ...]  # name of each cell
     begin: int  # byte where the rows begin
     line: int = 2  # number of that line
-    kind: str = ""  # which table it is, where a reader knows several
+    kind: str = ""  # which of the reader's tables it is; empty for another table
     cells: tuple[int, ...] = ()  # allowed numbers of cells in a row; empty for one for each column
+    note: str = ""  # what is odd about it, or why it is none of the reader's tables
 
 
 def read_header(path: Path) -> TableLayout:
@@ -111,99 +129,91 @@ class TripIndex:
     sha256: str  # digest of its content, hexadecimal
 
 
+TripKey = tuple[int, ...]  # device and trip
+
+_BLANK: Final[TripKey] = (-1, -1, -1)  # in place of a key: the lines are blank
+
+
 def index_trips(path: Path, begin: int, line: int, *, block_bytes: int = BLOCK_BYTES) -> TripIndex:
     """Find the stretches of lines that belong to one trip each, from byte `begin` on, which is in that `line`."""
-    scan = _Scan(begin)
+    stretches: list[list[int]] = []  # fields of `Stretch`
+    faults: list[LineFault] = []
+    size, unkeyed = begin, 0
+    open_key: TripKey = _BLANK
     try:
         with path.open("rb") as stream, concurrent.futures.ThreadPoolExecutor(1) as beside:
             digest = hashlib.sha256(stream.read(begin))
-            for block, first in blocks(stream, block_bytes, line):
+            for block, first_line in blocks(stream, block_bytes, line):
                 hashed = beside.submit(digest.update, block)  # both leave the interpreter free
-                scan.add(block, first)
+                for key, row, end_row, start, end in _runs_of_keys(block):
+                    if key in (_BLANK, open_key):
+                        if open_key != _BLANK:  # a blank line stays in its stretch
+                            stretches[-1][3] = size + end
+                            stretches[-1][5] = first_line + end_row - stretches[-1][4]
+                    elif not key:
+                        open_key = _BLANK
+                        if unkeyed < MOST_FAULTS:
+                            faults.append(LineFault(first_line + row, "key", _no_key(block[start:end])))
+                        unkeyed += 1
+                    elif len(stretches) == MOST_STRETCHES:
+                        what = f"more than {MOST_STRETCHES} stretches of rows of one trip each"
+                        allowed = "rows sorted by device, trip and time"
+                        raise RecordingError(f"line {first_line + row}", what, allowed=allowed)
+                    else:
+                        open_key = key
+                        stretches.append([*key, size + start, size + end, first_line + row, end_row - row, unkeyed])
+                size += len(block)
                 hashed.result()
     except OSError as error:
         raise RecordingError("", f"cannot be read: {error.strerror or error}") from None
-    scan.close()
-    return TripIndex(tuple(scan.stretches), tuple(scan.faults), scan.more_faults, scan.at, digest.hexdigest())
+    indexed = tuple(itertools.starmap(Stretch, stretches))
+    return TripIndex(indexed, tuple(faults), unkeyed - len(faults), size, digest.hexdigest())
 
 
-class _Scan:
-    """State of the search: the stretch that is open, and where the next block begins."""
+def _runs_of_keys(block: bytes) -> Iterator[tuple[TripKey, int, int, int, int]]:
+    """Runs of lines that begin with the same key: the key, lines ``row:end_row`` and bytes ``start:end`` of the block.
 
-    def __init__(self, begin: int) -> None:
-        self.stretches: list[Stretch] = []
-        self.faults: list[LineFault] = []
-        self.more_faults = 0
-        self.at = begin
-        self._key: tuple[int, int] | None = None
-        self._first = (0, 0, 0)  # byte and line of the open stretch, lines without a key before it
-        self._last = (0, 0)  # behind it
-
-    def add(self, block: bytes, line: int) -> None:
-        """Take a block of whole lines, the first of that number."""
-        text = np.frombuffer(block, dtype=np.uint8)
-        ends = np.flatnonzero(text == ord("\n")) + 1
-        if text[-1] != ord("\n"):
-            ends = np.append(ends, text.size)
-        starts = np.append(0, ends[:-1])
-        i = 0
-        while i < starts.size:
-            start, end = int(starts[i]), int(ends[i])
-            match = _KEY.match(block, start, min(start + _KEY_BYTES, end))
-            after = i + 1
-            if match is not None:
-                key = int(match[1]), int(match[2])
-                after = _first_other(text, starts, after, np.frombuffer(match[0], dtype=np.uint8))
-                if self._key != key:
-                    self.close()
-                    unkeyed = len(self.faults) + self.more_faults
-                    self._key, self._first = key, (self.at + start, line + i, unkeyed)
-            elif block[start:end].strip():
-                self.close()
-                if len(self.faults) < MOST_FAULTS:
-                    self.faults.append(LineFault(line + i, "key", _no_key(block[start : min(start + _KEY_BYTES, end)])))
-                else:
-                    self.more_faults += 1
-            if self._key is not None:  # a blank line stays in its stretch
-                self._last = (self.at + int(ends[after - 1]), line + after)
-            i = after
-        self.at += text.size
-
-    def close(self) -> None:
-        """End the open stretch."""
-        if self._key is not None:
-            (begin, line, unkeyed), (end, after) = self._first, self._last
-            self.stretches.append(Stretch(*self._key, begin, end, line, after - line, unkeyed))
-            if len(self.stretches) > MOST_STRETCHES:
-                many = f"more than {MOST_STRETCHES} stretches of rows of one trip each"
-                raise RecordingError(f"line {line}", many, allowed="rows sorted by device, trip and time")
-        self._key = None
+    A line without a key is a run by itself: its key is `_BLANK` where nothing is in it, or else empty.
+    """
+    text = np.frombuffer(block, dtype=np.uint8)
+    ends = np.flatnonzero(text == ord("\n")) + 1
+    if text[-1] != ord("\n"):
+        ends = np.append(ends, text.size)
+    starts = np.append(0, ends[:-1])
+    row = 0
+    while row < starts.size:
+        start, end_row = int(starts[row]), row + 1
+        match = _KEY.match(block, start, min(start + _KEY_BYTES, int(ends[row])))
+        key: TripKey = ()
+        if match is not None:
+            key = int(match[1]), int(match[2])
+            end_row = _first_other(text, starts, end_row, np.frombuffer(match[0], dtype=np.uint8))
+        elif not block[start : ends[row]].strip():
+            key = _BLANK
+        yield key, row, end_row, start, int(ends[end_row - 1])
+        row = end_row
 
 
-def _first_other(text: ByteArray, starts: IntArray, line: int, key: ByteArray) -> int:
-    """The first line from `line` on that does not begin with the key's bytes; looked for in growing steps."""
+def _first_other(text: ByteArray, starts: IntArray, row: int, key: ByteArray) -> int:
+    """The first line from `row` on that does not begin with the key's bytes; looked for in growing steps."""
     step = 16
-    while line < starts.size:
-        places = np.minimum(starts[line : line + step, None] + np.arange(key.size), text.size - 1)
-        other = (text[places] != key).any(axis=1)
-        if other.any():
-            return line + int(np.argmax(other))
-        line, step = line + step, 2 * step
+    while row < starts.size:
+        columns = np.minimum(starts[row : row + step, None] + np.arange(key.size), text.size - 1)
+        differs = (text[columns] != key).any(axis=1)
+        if differs.any():
+            return row + int(np.argmax(differs))
+        row, step = row + step, 2 * step
     return int(starts.size)
 
 
-def _no_key(begin: bytes) -> str:
-    cells = begin.strip(b"\r\n").split(b",")[:2]
+def _no_key(line: bytes) -> str:
+    cells = line[:_KEY_BYTES].strip(b"\r\n").split(b",")[:2]
     shown = ",".join(cell.decode("utf-8", "replace").strip() for cell in cells)
     what = "NUL bytes" if "\0" in shown else repr(shown[:40])
     return f"it begins with {what}; allowed: numbers of device and trip; the line is left out"
 
 
-Key = tuple[int, int]
-T = TypeVar("T")
-
 CHANGED: Final = "the file has changed since it was looked through"
-MOST_PROBLEMS: Final = 20  # problems of one kind that are reported one by one; the others are counted
 LARGEST_TIME: Final = 1e11  # a time of this size or more, in the table's own unit, is none
 
 
@@ -219,26 +229,11 @@ class TripTable:
 
 
 @dataclasses.dataclass(frozen=True)
-class TripRows:
-    """Cells of several trips, one trip after the other, times of a trip never falling."""
-
-    cells: Cells  # m rows
-    trip: IntArray  # (m,): to which of the requested trips a row belongs; never falls
-    problems: tuple[Problem, ...]  # what was left out
-    cuts: IntArray  # (k,): rows before which others of their trip were left out, or stand elsewhere in the file
-
-    def joins(self, trip: int) -> FloatArray:
-        """Times before and after each of a trip's cuts, (k, 2)."""
-        cuts, t = self.cuts[self.trip[self.cuts] == trip], self.cells["Time"]
-        return np.column_stack([t[cuts - 1], t[cuts]])
-
-
-@dataclasses.dataclass(frozen=True)
-class FoundTable:
+class IndexedTable:
     """A table that can be used."""
 
     table: TripTable
-    kind: str  # which table it is, where a reader knows several
+    kind: str  # which of the reader's tables it is
     index: TripIndex  # where its trips lie
 
     @property
@@ -247,103 +242,48 @@ class FoundTable:
         return SourceFile(self.table.name, self.index.bytes, self.index.sha256)
 
 
-def collect_trips(tables: Sequence[FoundTable]) -> tuple[dict[Key, tuple[int, tuple[Stretch, ...]]], list[Problem]]:
-    """Put the stretches of each trip together."""
-    trips: dict[Key, tuple[int, tuple[Stretch, ...]]] = {}
-    problems: list[Problem] = []
-    seen: dict[Key, str] = {}
-    for number, (table, index) in enumerate((entry.table, entry.index) for entry in tables):
-        by_trip: dict[Key, list[Stretch]] = {}
-        split: dict[Key, int] = {}
-        last: Key | None = None
-        for stretch in index.stretches:
-            key = (stretch.device, stretch.trip)
-            by_trip.setdefault(key, []).append(stretch)
-            if key != last and len(by_trip[key]) > 1 and key not in split:
-                split[key] = stretch.line
-            last = key
-        faults = [*index.faults]
-        for key, line in split.items():
-            first = by_trip[key][0]
-            what = f"trip {first.name} goes on here, its rows begin in line {first.line}"
-            faults.append(LineFault(line, "apart", f"{what}; they are put together in the order of time"))
-        for key, stretches in by_trip.items():
-            line = stretches[0].line
-            if key in seen:
-                what = f"trip {stretches[0].name} is also in {seen[key]}; these rows are left out"
-                faults.append(LineFault(line, "twice", what))
-                continue
-            seen[key] = f"{table.name}, line {line}"
-            trips[key] = number, tuple(stretches)
-        problems += grouped_problems(table.name, faults)
-        if index.more_faults:
-            what = f"{index.more_faults} more lines do not begin with a trip's numbers"
-            problems.append(Problem(table.name, "", what))
-    return trips, problems
+@dataclasses.dataclass(frozen=True)
+class TripRows:
+    """Cells of several trips, one trip after the other, times of a trip never falling."""
+
+    columns: dict[str, FloatArray]  # (m,) each; NaN for a missing value
+    trip: IntArray  # (m,): to which of the requested trips a row belongs; never falls
+    problems: tuple[Problem, ...]  # what was left out
+    cuts: IntArray  # (k,): rows before which others of their trip were left out, or stand elsewhere in the file
+
+    def joins(self, trip: int) -> FloatArray:
+        """Times before and after each of a trip's cuts, (k, 2)."""
+        cuts, t = self.cuts[self.trip[self.cuts] == trip], self.columns["Time"]
+        return np.column_stack([t[cuts - 1], t[cuts]])
 
 
-def text_bytes(stretches: Iterable[Stretch]) -> int:
-    """How much text they are."""
-    return sum(stretch.end - stretch.begin for stretch in stretches)
+Stretches = tuple[Stretch, ...]  # of one trip in one table
 
 
-def batches(
-    trips: Sequence[T], size_of: Callable[[T], int], most: int, separate: Callable[[T, T], bool] | None = None
-) -> Iterator[tuple[T, ...]]:
-    """Neighbouring trips that are read in one go."""
-    batch: list[T] = []
-    size = 0
-    for i, trip in enumerate(trips):
-        batch.append(trip)
-        size += size_of(trip)
-        if i + 1 == len(trips) or size >= most or (separate is not None and separate(trip, trips[i + 1])):
-            yield tuple(batch)
-            batch, size = [], 0
-
-
-def grouped_problems(
-    file: str, faults: Iterable[LineFault], most: int = MOST_PROBLEMS, word: str = "line"
-) -> list[Problem]:
-    """Problems of a file: the first of each kind one by one, the others counted."""
-    problems: list[Problem] = []
-    seen: dict[str, list[int]] = {}
-    for fault in faults:
-        lines = seen.setdefault(fault.kind, [])
-        lines.append(fault.line)
-        if len(lines) <= most:
-            problems.append(Problem(file, f"{word} {fault.line}", fault.what))
-    for lines in seen.values():
-        if len(lines) > most:
-            count = len(lines) - most
-            more = f"{count} more {word}{'s' * (count > 1)} like {word} {lines[0]}, to {word} {lines[-1]}"
-            problems.append(Problem(file, f"{word} {lines[most]}", more))
-    return problems
-
-
-def read_trips(table: TripTable, trips: Sequence[tuple[Stretch, ...]], names: Iterable[str]) -> TripRows:
+def read_trips(table: TripTable, trips: Sequence[Stretches], names: Iterable[str]) -> TripRows:
     """Read those of the named columns that a table has, in rows of trips, and leave out rows that cannot be used."""
     pieces = [stretch for stretches in trips for stretch in stretches]
     lower = [name.lower() for name in table.columns]
-    place = {name: lower.index(name.lower()) for name in names if name.lower() in lower}
-    spelled = {table.columns[i]: i for i in place.values()}  # faults name a column as the table does
-    numbers = read_numbers(_read(table, pieces), Layout(spelled, table.cells))
+    column_index = {name: lower.index(name.lower()) for name in names if name.lower() in lower}
+    spelled = {table.columns[i]: i for i in column_index.values()}  # faults name a column as the table does
+    numbers = read_numbers(_text_of_stretches(table, pieces), Layout(spelled, table.cells))
     if numbers.lines != sum(stretch.lines for stretch in pieces):
         raise RecordingError(table.name, CHANGED)
-    first = np.array([stretch.line for stretch in pieces], dtype=np.int64)
+    first_line = np.array([stretch.line for stretch in pieces], dtype=np.int64)
     lines = np.array([stretch.lines for stretch in pieces], dtype=np.int64)
-    before = np.cumsum(lines) - lines
-    owner = np.repeat(np.arange(len(trips)), [sum(stretch.lines for stretch in stretches) for stretches in trips])
+    lines_before = np.cumsum(lines) - lines
+    trip_of_line = np.repeat(np.arange(len(trips)), [sum(stretch.lines for stretch in trip) for trip in trips])
 
     def line_of(row: IntArray) -> IntArray:
-        piece = np.searchsorted(before, row, side="right") - 1
-        # an empty piece would share its place with the next; there is none
-        return row - before[piece] + first[piece]
+        """Line numbers in the file; a piece is never empty, so `lines_before` rises."""
+        piece = np.searchsorted(lines_before, row, side="right") - 1
+        return row - lines_before[piece] + first_line[piece]
 
     lost_rows = np.array([fault.line for fault in numbers.faults], dtype=np.int64)
-    values = dict(zip(place, numbers.columns.values(), strict=True))
-    trip, t = owner[numbers.row], values["Time"]
+    values = dict(zip(column_index, numbers.columns.values(), strict=True))
+    trip, t = trip_of_line[numbers.row], values["Time"]
     timed = np.abs(t) < LARGEST_TIME  # False for NaN
-    no_time = f"column {table.columns[place['Time']]!r} holds no usable time"
+    no_time = f"column {table.columns[column_index['Time']]!r} holds no usable time"
     faults = [
         fault._replace(line=line, what=f"{fault.what}; the line is left out")
         for fault, line in zip(numbers.faults, line_of(lost_rows).tolist(), strict=True)
@@ -355,7 +295,7 @@ def read_trips(table: TripTable, trips: Sequence[tuple[Stretch, ...]], names: It
     split = len(pieces) > len(trips)
     if split:
         # pieces of a trip in the order of their median times: one time far ahead at the begin of one does not move it
-        piece = np.searchsorted(before, numbers.row[keep], side="right")
+        piece = np.searchsorted(lines_before, numbers.row[keep], side="right")
         begins = np.flatnonzero(np.diff(piece, prepend=-1))
         counts = np.diff(begins, append=keep.size)
         middle, _ = middle_two(t[keep], piece, counts)
@@ -371,27 +311,26 @@ def read_trips(table: TripTable, trips: Sequence[tuple[Stretch, ...]], names: It
     if split or numbers.faults or not forward.all() or keep.size < t.size:
         keep = keep[forward]
         trip, text_row = trip[keep], numbers.row[keep]
-        values = {name: column_[keep] for name, column_ in values.items()}
-        unkeyed = before[1:][np.diff([stretch.unkeyed for stretch in pieces]) != 0] - 0.5
-        lost = [lost_rows, np.setdiff1d(numbers.row, text_row), unkeyed]
-        over = np.diff(np.searchsorted(np.sort(np.concatenate(lost)), text_row)) != 0
-        over |= ~np.isin(np.diff(np.searchsorted(before, text_row, side="right")), (0, 1))  # pieces that changed places
-        cuts = np.flatnonzero(over & (np.diff(trip) == 0)) + 1
-    return TripRows(
-        Cells(values, numbers.row[keep], numbers.lines), trip, tuple(grouped_problems(table.name, sorted(faults))), cuts
-    )
+        values = {name: column[keep] for name, column in values.items()}
+        unkeyed = lines_before[1:][np.diff([stretch.unkeyed for stretch in pieces]) != 0] - 0.5
+        lost = np.sort(np.concatenate([lost_rows, np.setdiff1d(numbers.row, text_row), unkeyed]))
+        parted = np.diff(np.searchsorted(lost, text_row)) != 0
+        # also where pieces changed their order
+        parted |= ~np.isin(np.diff(np.searchsorted(lines_before, text_row, side="right")), (0, 1))
+        cuts = np.flatnonzero(parted & (np.diff(trip) == 0)) + 1
+    return TripRows(values, trip, tuple(grouped_problems(table.name, sorted(faults))), cuts)
 
 
-def _read(table: TripTable, pieces: Sequence[Stretch]) -> bytes:
+def _text_of_stretches(table: TripTable, stretches: Sequence[Stretch]) -> bytes:
     """Text of stretches, one after the other, each ends its last line."""
     text: list[bytes] = []
     try:
         with open(table.path, "rb") as stream:  # noqa: PTH123 - a path as plain text
             if os.fstat(stream.fileno()).st_size != table.bytes:
                 raise RecordingError(table.name, CHANGED)
-            for piece in pieces:
-                stream.seek(piece.begin)
-                text.append(stream.read(piece.end - piece.begin))
+            for stretch in stretches:
+                stream.seek(stretch.begin)
+                text.append(stream.read(stretch.end - stretch.begin))
                 if not text[-1].endswith(b"\n"):
                     text.append(b"\n")
     except OSError as error:
@@ -399,93 +338,168 @@ def _read(table: TripTable, pieces: Sequence[Stretch]) -> bytes:
     return b"".join(text)
 
 
-def rows_in_order(t: FloatArray) -> tuple[BoolArray, int, str]:
-    """Which rows of a trip to keep so that its times do not fall, none if its clock starts again; one of the others and
-    words for them.
-    """
-    keep = rising_rows(t)
-    if keep.all():
-        return keep, 0, ""
-    count, fall = np.count_nonzero(~keep), int(np.argmax(t[1:] < t[:-1]))
-    words = f"the time runs backwards from {t[fall]:.12g} to {t[fall + 1]:.12g}"
-    if count > MOST_DROPPED * t.size:
-        words += f", and {count} of {t.size} lines are out of order (allowed: {100 * MOST_DROPPED:g} %)"
-        return np.zeros_like(keep), fall + 1, f"{words}; the trip is left out"
-    return keep, int(np.argmin(keep)), f"{words}; {'the line is' if count == 1 else f'{count} lines are'} left out"
-
-
 AT_ONCE: Final = 4  # tables that are read side by side; two keep two cores busy, more than these only make a disk jump
 
 
-def recognised(paths: Sequence[Path], named: Callable[[Path], str], kind_of: Callable[[Path], str]) -> str:
-    """How many tables there are of each kind, as text; empty if there are none."""
-    kinds: list[str] = []
-    for path, _ in find_tables(paths):
-        kind, plain = "", False
+@dataclasses.dataclass(frozen=True)
+class TripPart:
+    """Some trips, in one table of each kind."""
+
+    key: str  # names the first kind's table and the first trip
+    tables: tuple[TripTable, ...]
+    trips: tuple[tuple[Stretches, ...], ...]  # where each trip lies in each of the tables
+    recordings_of: Callable[["TripPart"], Iterator[Recording | Problem]]
+
+    @property
+    def bytes(self) -> int:
+        """Text that is read."""
+        return sum(map(_text_bytes, self.trips))
+
+    def stretches(self, table: int) -> list[Stretches]:
+        """Where each trip lies in one of the tables."""
+        return [trip[table] for trip in self.trips]
+
+    def read(self) -> Iterator[Recording | Problem]:
+        """What could not be used, then recordings in the order of the first kind's table."""
+        return self.recordings_of(self)
+
+
+def _text_bytes(trip: Iterable[Stretches]) -> int:
+    return sum(stretch.end - stretch.begin for stretches in trip for stretch in stretches)
+
+
+@dataclasses.dataclass(frozen=True)
+class TripReader:
+    """Reads the tables of one data acquisition system; see `RecordingReader`."""
+
+    name: str
+    title: str
+    kinds: Mapping[str, str]  # kinds of tables, that of the lane first, and what is missing where there is none
+    named: Callable[[Path], str]  # the kind that a file's name speaks of; empty for none
+    kind_of: Callable[[Path], str]  # the kind that a file's first lines look like; empty for none
+    layout_of: Callable[[Path], TableLayout]  # raises `RecordingError` for columns that are not as they have to be
+    recordings_of: Callable[[TripPart], Iterator[Recording | Problem]]
+    part_bytes: int  # about how much text a part reads
+    vehicle_width: float = 1.82  # [m]
+    step: float | None = 0.1  # [s]: the tables' own
+
+    def recognise(self, paths: Sequence[Path]) -> str:
+        """How many tables there are of each kind among the files or in the folders; empty if there are none."""
+        kinds: list[str] = []
+        for path, _ in find_tables(paths):
+            kind, plain = "", False
+            try:
+                kind = self.kind_of(path)
+                plain = {"recording", "lane_offset"}.issubset(read_header(path).columns)
+            except RecordingError:
+                pass  # opening it tells what is wrong
+            if kind:
+                kinds.append(kind)
+            elif self.named(path) and not plain:
+                kinds.append(f"{self.named(path)} by name alone")
+        return ", ".join(f"{kinds.count(kind)} of {kind}" for kind in sorted(set(kinds)))
+
+    def open(self, paths: Sequence[Path]) -> FoundParts[TripPart]:
+        """Look through the tables for where each trip lies."""
+        indexed, problems = self._indexed(paths)
+        tables = {kind: [table for table in indexed if table.kind == kind] for kind in self.kinds}
+        trips_of_kinds = []
+        for tables_of_kind in tables.values():
+            trips_of_kind, trip_problems = _collect_trips(tables_of_kind)
+            trips_of_kinds.append(trips_of_kind)
+            problems += trip_problems
+        if not trips_of_kinds[0] or not all(tables.values()):
+            missing = [what for kind, what in self.kinds.items() if not tables[kind]]
+            what = [*missing, f"trip of a table {next(iter(self.kinds))}"][0]
+            raise RecordingError(self.name, "; ".join([f"no {what} was found", *map(str, problems[:5])]))
+        # a trip that only the first kind's table holds is read as well: it counts, though nothing of it can be used
+        entries_of_trips = ([trips.get(key, (0, ())) for trips in trips_of_kinds] for key in trips_of_kinds[0])
+        trips = [tuple(zip(*entries, strict=True)) for entries in entries_of_trips]
+        trips.sort(key=lambda trip: (trip[0], trip[1][0][0].begin))
+        batches: list[tuple[tuple[int, ...], list[tuple[Stretches, ...]]]] = []
+        size = self.part_bytes
+        for numbers, stretches in trips:
+            if size >= self.part_bytes or numbers != batches[-1][0]:
+                batches.append((numbers, []))
+                size = 0
+            batches[-1][1].append(stretches)
+            size += _text_bytes(stretches)
+        parts: list[TripPart] = []
+        for numbers, batch in batches:
+            used = tuple(tables[kind][number].table for kind, number in zip(tables, numbers, strict=True))
+            key = f"{used[0].name}:{batch[0][0][0].name}"
+            parts.append(TripPart(key, used, tuple(batch), self.recordings_of))
+        files = tuple(table.file for tables_of_kind in tables.values() for table in tables_of_kind)
+        return FoundParts(tuple(parts), files, tuple(problems))
+
+    def _indexed(self, paths: Sequence[Path]) -> tuple[list[IndexedTable], list[Problem]]:
+        """The tables among files and in folders; several are read at the same time."""
+        files = find_tables(paths)
+        with concurrent.futures.ThreadPoolExecutor(AT_ONCE) as beside:
+            looked = list(beside.map(self._look_through, [path for path, _ in files]))
+        tables: dict[str, IndexedTable] = {}
+        problems: list[Problem] = []
+        shown = shown_names([path for path, _ in files])
+        for (path, by_user), name, (layout, index) in zip(files, shown, looked, strict=True):
+            meant = by_user or self.named(path)  # other files in a folder may hold anything
+            if meant and layout is not None and layout.note:
+                problems.append(Problem.of(name, RecordingError("" if layout.kind else "line 1", layout.note)))
+            if isinstance(index, RecordingError):
+                problems += [Problem.of(name, index, "it is left out")] if meant else []
+            elif layout is not None and index is not None:
+                if index.sha256 in tables:
+                    what = f"holds the same as {tables[index.sha256].table.name}, byte by byte; it is left out"
+                    problems.append(Problem(name, "", what))
+                    continue
+                if not index.stretches:
+                    problems.append(Problem(name, "", "no usable row"))
+                cells = layout.cells or (len(layout.columns),)
+                table = TripTable(name, str(path.resolve()), layout.columns, cells, index.bytes)
+                tables[index.sha256] = IndexedTable(table, layout.kind, index)
+        return list(tables.values()), problems
+
+    def _look_through(self, path: Path) -> tuple[TableLayout | None, TripIndex | RecordingError | None]:
+        """The layout of a file, and the index of its trips if it is one of the reader's tables."""
+        layout = None
         try:
-            kind = kind_of(path)
-            plain = {"recording", "lane_offset"}.issubset(read_header(path).columns)
-        except RecordingError:
-            pass  # opening it tells what is wrong
-        if kind:
-            kinds.append(kind)
-        elif named(path) and not plain:
-            kinds.append(f"{named(path)} by name alone")
-    return ", ".join(f"{kinds.count(kind)} of {kind}" for kind in sorted(set(kinds)))
-
-
-def look_through(
-    paths: Sequence[Path], named: Callable[[Path], str], layout_of: Callable[[Path], tuple[TableLayout | None, str]]
-) -> tuple[list[FoundTable], list[Problem]]:
-    """Look through the tables that a reader is for; several are read at the same time."""
-    files = find_tables(paths)
-    shown = shown_names([path for path, _ in files])
-    problems_of: list[list[Problem]] = [[] for _ in files]
-    layouts: list[tuple[int, TableLayout]] = []
-
-    def report(number: int, error: RecordingError, outcome: str = "") -> None:
-        path, by_user = files[number]
-        if by_user or named(path):
-            problems_of[number].append(Problem.of(shown[number], error, outcome))
-
-    for number, (path, _) in enumerate(files):
-        try:
-            layout, what = layout_of(path)
+            layout = self.layout_of(path)
+            return layout, index_trips(path, layout.begin, layout.line) if layout.kind else None
         except RecordingError as error:
-            report(number, error, "it is left out")
-            continue
-        if layout is None:
-            report(number, RecordingError("line 1", what))
-            continue
-        if what:
-            report(number, RecordingError("", what))
-        layouts.append((number, layout))
-
-    def index(entry: tuple[int, TableLayout]) -> TripIndex | RecordingError:
-        number, layout = entry
-        try:
-            return index_trips(files[number][0], layout.begin, layout.line)
-        except RecordingError as error:
-            return error
-
-    with concurrent.futures.ThreadPoolExecutor(AT_ONCE) as beside:
-        indexes = list(beside.map(index, layouts))
-    tables: dict[str, FoundTable] = {}
-    for (number, layout), trips in zip(layouts, indexes, strict=True):
-        if isinstance(trips, RecordingError):
-            report(number, trips, "it is left out")
-        elif trips.sha256 in tables:
-            what = f"holds the same as {tables[trips.sha256].table.name}, byte by byte; it is left out"
-            problems_of[number].append(Problem(shown[number], "", what))
-        else:
-            if not trips.stretches:
-                problems_of[number].append(Problem(shown[number], "", "no usable row"))
-            cells = layout.cells or (len(layout.columns),)
-            table = TripTable(shown[number], str(files[number][0].resolve()), layout.columns, cells, trips.bytes)
-            tables[trips.sha256] = FoundTable(table, layout.kind, trips)
-    return list(tables.values()), [problem for listed in problems_of for problem in listed]
+            return layout, error
 
 
-def no_trips(what: str, problems: Sequence[Problem]) -> str:
-    """What was not found, and the first problems."""
-    return "; ".join([f"no {what} was found", *map(str, problems[:5])])
+def _collect_trips(
+    tables: Sequence[IndexedTable],
+) -> tuple[dict[tuple[int, int], tuple[int, Stretches]], list[Problem]]:
+    """The number of the table that holds each trip, and the trip's stretches there."""
+    trips: dict[tuple[int, int], tuple[int, Stretches]] = {}
+    problems: list[Problem] = []
+    first_row: dict[tuple[int, int], str] = {}
+    for number, (table, index) in enumerate((entry.table, entry.index) for entry in tables):
+        by_trip: dict[tuple[int, int], list[Stretch]] = {}
+        split: dict[tuple[int, int], int] = {}  # line in which a trip goes on behind another one
+        previous = None
+        for stretch in index.stretches:
+            key = (stretch.device, stretch.trip)
+            by_trip.setdefault(key, []).append(stretch)
+            if key != previous and len(by_trip[key]) > 1:
+                split.setdefault(key, stretch.line)
+            previous = key
+        faults = [*index.faults]
+        for key, line in split.items():
+            first = by_trip[key][0]
+            what = f"trip {first.name} goes on here, its rows begin in line {first.line}"
+            faults.append(LineFault(line, "apart", f"{what}; they are put together in the order of time"))
+        for key, stretches in by_trip.items():
+            line = stretches[0].line
+            if key in first_row:
+                what = f"trip {stretches[0].name} is also in {first_row[key]}; these rows are left out"
+                faults.append(LineFault(line, "twice", what))
+                continue
+            first_row[key] = f"{table.name}, line {line}"
+            trips[key] = number, tuple(stretches)
+        problems += grouped_problems(table.name, faults)
+        if index.more_faults:
+            what = f"{index.more_faults} more lines do not begin with a trip's numbers"
+            problems.append(Problem(table.name, "", what))
+    return trips, problems

@@ -14,10 +14,18 @@ import numpy as np
 
 from ldctoolkit.arrays import BoolArray, FloatArray
 from ldctoolkit.errors import RecordingError
-from ldctoolkit.recordings.preparation import LIMITS, cut_at, joins_of, local_slope, merge_repeated, spikes, values_at
+from ldctoolkit.recordings.preparation import (
+    LIMITS,
+    cut_at,
+    joins_of,
+    local_slope,
+    merge_repeated,
+    rows_in_order,
+    spikes,
+    values_at,
+)
 from ldctoolkit.recordings.recording import LARGEST, FoundParts, Label, Problem, Recording, SourceFile, source_file
-from ldctoolkit.recordings.text_table import Layout, LineFault, read_numbers
-from ldctoolkit.recordings.trip_tables import grouped_problems, rows_in_order
+from ldctoolkit.recordings.text_table import Layout, LineFault, grouped_problems, read_numbers
 
 DETECTED: Final = 2.0  # state of the lane estimator in which offset and width can be used
 STATES: Final = (DETECTED, 1.0, 0.0, -1.0, -9.0)  # detected, undetected, initialising, calibrating, missing
@@ -33,13 +41,13 @@ class TableKind:
 
     title: str  # for messages, with its article
     file: str  # name of the file
-    columns: dict[str, int]  # names and places, from 0, of the cells that are read, the time first
-    plausible: Callable[[FloatArray], bool]  # says of values, (n, k), whether they can be this table's
-    needed: str  # for what a trip needs it, empty for none
+    columns: dict[str, int]  # names and indices of the cells that are read, the time first
+    plausible: Callable[[FloatArray], bool]  # whether values, (n, k), can be those of this table
+    needed: str  # signal that a trip lacks without it; empty for a table that may be missing
 
 
 def is_course(course: FloatArray) -> BoolArray:
-    """Where a course is known, (n,); -1 says that it is not."""
+    """Where a course is valid, (n,); -1 stands for a missing one."""
     return (course >= 0.0) & (course <= 360.0)
 
 
@@ -112,8 +120,8 @@ def read_table(path: Path, shown: str, kind: TableKind) -> tuple[Table, list[Pro
     untimed = [LineFault(row, "time", "no usable time") for row in numbers.row[~timed].tolist()]
     faults = [fault._replace(line=filled[fault.line][0]) for fault in sorted([*numbers.faults, *untimed])]
     if not timed.any():
-        more = f" and {len(faults) - 1} more" if len(faults) > 1 else ""
-        raise RecordingError(f"line {faults[0].line}{more}", f"{faults[0].what}; no line can be used")
+        count = f" and {len(faults) - 1} more" if len(faults) > 1 else ""
+        raise RecordingError(f"line {faults[0].line}{count}", f"{faults[0].what}; no line can be used")
     values, rows = np.column_stack([*numbers.columns.values()])[timed], numbers.row[timed]
     t = np.full(len(filled), np.nan)
     t[rows] = values[:, 0]
@@ -135,7 +143,7 @@ _TRIP: Final = re.compile(
 )
 _DRIVER: Final = re.compile(r"D\d+", re.IGNORECASE)
 _PATTERN: Final = "<date>-<km>-D<number>-<NORMAL|DROWSY|AGGRESSIVE>-<MOTORWAY|SECONDARY>"
-_WANTED: Final = tuple(kind.file for kind in KINDS)
+_FILES: Final = tuple(kind.file for kind in KINDS)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -149,12 +157,12 @@ class UahDriveset:
 
     def recognise(self, paths: Sequence[Path]) -> str:
         """How many trips and drivers there are."""
-        trips = {folder.path for folder in _folders(paths, [])}
+        trips = {folder for folder, _ in _folders(paths, [])}
         if not trips:
             return ""
         drivers = {match["driver"].upper() for trip in trips if (match := _TRIP.fullmatch(trip.name))}
-        of = f" of {_count(len(drivers), 'driver')}" if drivers else ""
-        return f"{_count(len(trips), 'trip')}{of}"
+        by = f" of {_count(len(drivers), 'driver')}" if drivers else ""
+        return f"{_count(len(trips), 'trip')}{by}"
 
     def open(self, paths: Sequence[Path]) -> FoundParts[TripFolder]:
         """Look through folders for trips."""
@@ -162,76 +170,72 @@ class UahDriveset:
         parts: list[TripFolder] = []
         files: list[SourceFile] = []
         seen: set[Path] = set()
-        known: dict[str, str] = {}  # trips by name and by the lane's digest
-        for folder in _folders(paths, problems):
-            if folder.path in seen:  # given twice, or inside another one that was given
+        first_trip: dict[str, str] = {}  # the first trip of a name, and of a lane table's digest
+        for folder, names in _folders(paths, problems):
+            if folder in seen:  # given twice, or inside another one that was given
                 continue
-            seen.add(folder.path)
+            seen.add(folder)
+            shown = _shown(folder)
             try:
-                part, digests = _trip(folder, problems)
+                part, digests = _trip(folder, names, problems)
             except RecordingError as error:
-                problems.append(Problem(folder.shown, "", f"{error}; the trip is left out"))
+                problems.append(Problem(shown, "", f"{error}; the trip is left out"))
                 continue
             lane = digests[0]
-            if other := known.get(part.key) or known.get(lane.sha256):
-                same = "has the same name as" if part.key in known else f"has the same {part.files[0]} as"
-                problems.append(Problem(folder.shown, "", f"{same} {other}; it is left out"))
+            if first := first_trip.get(part.key) or first_trip.get(lane.sha256):
+                same = "has the same name as" if part.key in first_trip else f"has the same {part.files[0]} as"
+                problems.append(Problem(shown, "", f"{same} {first}; it is left out"))
                 continue
-            known[part.key] = folder.shown
+            first_trip[part.key] = shown
             if lane.bytes:
-                known[lane.sha256] = folder.shown
+                first_trip[lane.sha256] = shown
             parts.append(part)
             files.extend(digests)
         if not parts:
             shown = ", ".join(path.name or str(path) for path in paths)
-            first = f"; {problems[0]}" if problems else ""
-            more = f" ({len(problems) - 1} more)" if len(problems) > 1 else ""
-            raise RecordingError(shown, f"no trip of UAH-DriveSet that can be used{first}{more}")
+            reason = f"; {problems[0]}" if problems else ""
+            count = f" ({len(problems) - 1} more)" if len(problems) > 1 else ""
+            raise RecordingError(shown, f"no trip of UAH-DriveSet that can be used{reason}{count}")
         return FoundParts(tuple(parts), tuple(files), tuple(problems))
 
 
 READER: Final = UahDriveset()
 
 
-@dataclasses.dataclass(frozen=True)
-class _Folder:
-    """A folder that is a trip by its name or its files."""
-
-    path: Path  # resolved
-    files: dict[str, str]  # those of `_WANTED` that are there: their names on disk
-
-    @property
-    def driver_folder(self) -> str:
-        parent = self.path.parent.name
-        return parent if _DRIVER.fullmatch(parent) else ""
-
-    @property
-    def shown(self) -> str:
-        return f"{self.driver_folder}/{self.path.name}" if self.driver_folder else self.path.name
+def _driver_folder(folder: Path) -> str:
+    """Name of the driver's folder that a trip lies in; empty where it lies in another one."""
+    return folder.parent.name if _DRIVER.fullmatch(folder.parent.name) else ""
 
 
-def _trip(folder: _Folder, problems: list[Problem]) -> tuple[TripFolder, list[SourceFile]]:
+def _shown(folder: Path) -> str:
+    """Name of a trip's folder in messages."""
+    return "/".join(filter(None, (_driver_folder(folder), folder.name)))
+
+
+def _trip(folder: Path, names_on_disk: dict[str, str], problems: list[Problem]) -> tuple[TripFolder, list[SourceFile]]:
     """The trip in a folder and the digests of its files, the lane's first."""
     for kind in KINDS:
-        if kind.needed and kind.file not in folder.files:
+        if kind.needed and kind.file not in names_on_disk:
             raise RecordingError("", f"no file {kind.file}, which holds {kind.needed}")
-    match = _TRIP.fullmatch(folder.path.name)
+    shown, match = _shown(folder), _TRIP.fullmatch(folder.name)
     labels: tuple[Label, ...] = ()
     if match:
         labels = tuple(Label(name, value.upper()) for name, value in match.groupdict().items())
     else:
         what = f"the folder's name is not {_PATTERN}; it is read without driver, behaviour and road"
-        problems.append(Problem(folder.shown, "", what))
-    names = tuple(folder.files.get(name, "") for name in _WANTED)
-    digests = [source_file(folder.path / name, f"{folder.shown}/{name}") for name in names if name]
+        problems.append(Problem(shown, "", what))
+    names = tuple(names_on_disk.get(name, "") for name in _FILES)
+    digests = [source_file(folder / name, f"{shown}/{name}") for name in names if name]
     size = sum(file.bytes for file in digests)
-    source = folder.driver_folder or (labels[0].value if labels else folder.path.name)
-    name, path = folder.path.name, str(folder.path)
-    return TripFolder(name, path, folder.shown, names, size, labels, source), digests
+    source = _driver_folder(folder) or (labels[0].value if labels else folder.name)
+    return TripFolder(folder.name, str(folder), shown, names, size, labels, source), digests
 
 
-def _folders(paths: Sequence[Path], problems: list[Problem]) -> Iterator[_Folder]:
-    """Trips below the given paths, sorted inside each; a file stands for the folder that it lies in."""
+def _folders(paths: Sequence[Path], problems: list[Problem]) -> Iterator[tuple[Path, dict[str, str]]]:
+    """Trips below the given paths, sorted inside each; a file stands for the folder that it lies in.
+
+    Of each trip the resolved folder, and the names on disk of those of its `_FILES` that are there.
+    """
     for path in paths:
         shown = path.name or "."
         try:
@@ -242,7 +246,7 @@ def _folders(paths: Sequence[Path], problems: list[Problem]) -> Iterator[_Folder
         if not exists:
             problems.append(Problem(shown, "", "does not exist"))
             continue
-        if resolved.name.upper() in map(str.upper, _WANTED) and not _is_folder(resolved):
+        if resolved.name.upper() in map(str.upper, _FILES) and not _is_folder(resolved):
             resolved = resolved.parent
         trips = list(_walk(resolved, DEPTH, problems)) if _is_folder(resolved) else []
         if not trips:
@@ -250,16 +254,16 @@ def _folders(paths: Sequence[Path], problems: list[Problem]) -> Iterator[_Folder
         yield from trips
 
 
-def _walk(folder: Path, depth: int, problems: list[Problem]) -> Iterator[_Folder]:
+def _walk(folder: Path, depth: int, problems: list[Problem]) -> Iterator[tuple[Path, dict[str, str]]]:
     try:
         inside = sorted(folder.iterdir())
     except OSError as error:
         problems.append(Problem(folder.name, "", f"cannot be read: {error.strerror or error}"))
         return
-    spelled = {name.upper(): name for name in _WANTED}
+    spelled = {name.upper(): name for name in _FILES}
     files = {spelled[entry.name.upper()]: entry.name for entry in inside if entry.name.upper() in spelled}
     if LANE.file in files:
-        yield _Folder(folder.resolve(), files)
+        yield folder.resolve(), files
         return
     any_trip = False
     if depth > 0:
@@ -270,7 +274,7 @@ def _walk(folder: Path, depth: int, problems: list[Problem]) -> Iterator[_Folder
                     any_trip = True
                     yield trip
     if not any_trip and _TRIP.fullmatch(folder.name):
-        yield _Folder(folder.resolve(), files)
+        yield folder.resolve(), files
 
 
 _is_folder: Final = os.path.isdir  # this one raises nothing, whatever the path
@@ -330,23 +334,22 @@ class TripFolder:
         t, x, width, state = lane.T.copy()  # one piece of memory a column
         cut, inside = cut_at(t, joins)
         valid = (state == DETECTED) & (width > 0.0) & (width < LARGEST) & (np.abs(x) < LARGEST) & ~inside
-        # speed at the times `t` [m/s]
         # a phone without a speed says less than 0; what no vehicle drives is not interpolated either
-        known = (gps[:, 1] >= 0.0) & (gps[:, 1] < 360.0) & ~spikes(gps[:, 1], 3.6 * LIMITS["speed"].spike)
-        speed = values_at(t, *merge_repeated(gps[known, 0], gps[known, 1] / 3.6), longest=SPEED_STEP, beyond=SPEED_HELD)
-        known = is_course(gps[:, 4])
-        course_t, course = merge_repeated(gps[known, 0], np.unwrap(-np.radians(gps[known, 4])))
+        driven = (gps[:, 1] >= 0.0) & (gps[:, 1] < 360.0) & ~spikes(gps[:, 1], 3.6 * LIMITS["speed"].spike)
+        speed_t, speed = merge_repeated(gps[driven, 0], gps[driven, 1] / 3.6)
+        headed = is_course(gps[:, 4])
+        course_t, course = merge_repeated(gps[headed, 0], np.unwrap(-np.radians(gps[headed, 4])))
         yaw_rate, measured, notes = _yaw_rate(t, valid, angles, course_t, course)
         return Recording(
             name=self.key,
             t=t,
             lane_offset=np.where(valid, 0.0 - x, np.nan),
             lane_width=np.where(valid, width, np.nan),
-            speed=speed,
+            speed=values_at(t, speed_t, speed, longest=SPEED_STEP, beyond=SPEED_HELD),
             valid=valid,
             yaw_rate=yaw_rate,
             yaw_rate_measured=measured,
-            cut=cut if joins.size else None,
+            cut=cut,
             heading=values_at(t, course_t, course, longest=SPEED_STEP, beyond=SPEED_HELD),
             labels=self.labels,
             source=self.source,
@@ -354,7 +357,7 @@ class TripFolder:
         )
 
     def _lost(self, recording: Recording) -> Iterator[Problem]:
-        """Lanes that nothing can be done with, for another file does not go with them."""
+        """Problems of samples with a lane that cannot be used, since another file lacks their speed or yaw rate."""
         t, lanes = recording.t, int(np.count_nonzero(recording.valid))
         lane, gps, accelerometers = (f"{self.shown}/{name}" if name else "" for name in self.files)
         if lanes == 0:
@@ -386,8 +389,8 @@ def _yaw_rate(
         if degrees:
             notes.append(f"the yaw angle in {ACCELEROMETERS.file} goes beyond pi and is taken as degrees")
     rate = local_slope(course_t, course, half=COURSE_HALF, longest=SPEED_STEP)
-    known = np.isfinite(rate)
-    by_course = values_at(t, course_t[known], rate[known], longest=SPEED_STEP, beyond=SPEED_HELD)
+    finite = np.isfinite(rate)
+    by_course = values_at(t, course_t[finite], rate[finite], longest=SPEED_STEP, beyond=SPEED_HELD)
     measured = np.isfinite(by_angle)
     yaw_rate = np.where(measured, by_angle, by_course)
     if np.count_nonzero(measured & valid) < ENOUGH * np.count_nonzero(valid):
@@ -406,8 +409,8 @@ def _rate_of_angles(t: FloatArray, angles: FloatArray) -> tuple[FloatArray, bool
     yaw = angles[:, 2]
     degrees = bool(np.mean(np.abs(yaw) > 1.01 * np.pi) > 0.01)
     yaw = np.radians(yaw) if degrees else yaw
-    known = np.abs(yaw) <= (2.02 if degrees else 1.01) * np.pi
-    at, angle = merge_repeated(angles[known, 0], np.unwrap(yaw[known]))
-    rate = local_slope(at, angle, half=YAW_HALF, longest=YAW_STEP)
-    known = np.isfinite(rate)
-    return values_at(t, at[known], rate[known], longest=YAW_STEP, beyond=YAW_HALF), degrees
+    within = np.abs(yaw) <= (2.02 if degrees else 1.01) * np.pi
+    yaw_t, angle = merge_repeated(angles[within, 0], np.unwrap(yaw[within]))
+    rate = local_slope(yaw_t, angle, half=YAW_HALF, longest=YAW_STEP)
+    finite = np.isfinite(rate)
+    return values_at(t, yaw_t[finite], rate[finite], longest=YAW_STEP, beyond=YAW_HALF), degrees

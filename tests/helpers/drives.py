@@ -56,8 +56,9 @@ def only(recording: Recording, *columns: str, **changes: Any) -> Recording:
 
 def lane(t: FloatArray, offset: Any, width: Any = 3.6, speed: Any = 25.0, **columns: Any) -> Recording:
     """A recording of arrays or numbers, without a bend."""
-    one = np.ones(t.size)
-    return Recording("a", t, offset * one, width * one, speed * one, one > 0, **({"curvature": 0.0 * one} | columns))
+    ones = np.ones(t.size)
+    columns = {"curvature": 0.0 * ones} | columns
+    return Recording("a", t, offset * ones, width * ones, speed * ones, ones > 0, **columns)
 
 
 def planted(rate: float, side: int, *, T: float = 40.0, noise: float = 0.01) -> tuple[FloatArray, FloatArray]:

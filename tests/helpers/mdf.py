@@ -92,8 +92,8 @@ def write_log(
             source = Source(name=name, path=name, comment="", source_type=1, bus_type=2)
             log.append(
                 [
-                    Signal(np.asarray(v), t, unit=unit, name=one.split("#")[0], source=source, **signals.get(one, {}))
-                    for one, (v, unit) in channels.items()
+                    Signal(np.asarray(v), t, unit=unit, name=name.split("#")[0], source=source, **signals.get(name, {}))
+                    for name, (v, unit) in channels.items()
                 ],
                 acq_name=name,
                 comment=name,

@@ -33,23 +33,23 @@ def read_source(source: RecordingSource) -> tuple[list[Recording], list[Problem]
 def drive(name: str = "a", t: Any = T, **columns: Any) -> Recording:
     """One recording at 10 Hz, 25 m/s, straight, in one lane; columns may be scalars, None takes one away."""
     n = len(t)
-    given: dict[str, Any] = {"lane_offset": OFFSET, "lane_width": 3.6, "speed": 25.0, "valid": True}
-    given |= {"curvature": 0.0, "lane": 1} | columns
+    values: dict[str, Any] = {"lane_offset": OFFSET, "lane_width": 3.6, "speed": 25.0, "valid": True}
+    values |= {"curvature": 0.0, "lane": 1} | columns
     kinds: dict[str, type] = dict.fromkeys(("valid", "engaged", "cut", "yaw_rate_measured"), bool)
     kinds |= dict.fromkeys(("lane", "turn_signal"), np.int64)
-    for column in {*given} & {*Recording.COLUMNS}:
-        if given[column] is not None:
-            given[column] = np.array(np.broadcast_to(given[column], n), dtype=kinds.get(column, np.float64))
-    return Recording(name, np.array(t, dtype=np.float64), **given)
+    for column in {*values} & {*Recording.COLUMNS}:
+        if values[column] is not None:
+            values[column] = np.array(np.broadcast_to(values[column], n), dtype=kinds.get(column, np.float64))
+    return Recording(name, np.array(t, dtype=np.float64), **values)
 
 
 def frame_of(recordings: Iterable[Recording]) -> pl.DataFrame:
     """Recordings as a file would hold them."""
     names = [name for name in Recording.COLUMNS if name not in ("cut", "yaw_rate_measured")]
     frames = []
-    for one in recordings:
-        columns = {name: getattr(one, name) for name in names if getattr(one, name) is not None}
-        frames.append(pl.DataFrame({"recording": [one.name] * one.samples} | columns))
+    for recording in recordings:
+        columns = {name: getattr(recording, name) for name in names if getattr(recording, name) is not None}
+        frames.append(pl.DataFrame({"recording": [recording.name] * recording.samples} | columns))
     return pl.concat(frames)
 
 
@@ -70,8 +70,8 @@ def table_of(first: int, n: int = 10) -> str:
 
 def assert_same(left: Extraction, right: Extraction) -> None:
     """The same departures, counts and warnings; sources and columns of the source's own aside."""
-    one, other = (dataclasses.replace(found.departures, extra=()) for found in (left, right))
-    assert_same_bits(one, other, "departures")
+    first, second = (dataclasses.replace(result.departures, extra=()) for result in (left, right))
+    assert_same_bits(first, second, "departures")
     assert left.refused == right.refused
     assert (left.hours, left.recordings, left.warnings) == (right.hours, right.recordings, right.warnings)
     assert left.distance == right.distance
@@ -141,18 +141,18 @@ def make_extraction(
         )
         for i, name in enumerate(names)
     )
-    refused = np.sum([one.refused for one in accounts], axis=(0, 1)) if accounts else np.zeros(len(REASONS), dtype=int)
+    refused = sum((account.refused.sum(axis=0) for account in accounts), np.zeros(len(REASONS), dtype=int))
     settings: dict[str, object] = {
         "criteria": Criteria(vehicle_width=1.8),
         "refused": Refused(**dict(zip(REASONS, refused.tolist(), strict=True))),
         "sources": tuple(
             SourceFile(f"{name}/PROC_LANE_DETECTION.txt", 123_456, f"{i:064x}"[::-1]) for i, name in enumerate(names)
         ),
-        "recordings": sum(one.recordings for one in accounts),
-        "samples": sum(one.samples for one in accounts),
-        "invalid_samples": sum(one.samples - one.usable for one in accounts),
-        "hours": sum(one.hours_valid for one in accounts),
-        "distance": sum(one.valid_um for one in accounts) / 1e6,
+        "recordings": sum(account.recordings for account in accounts),
+        "samples": sum(account.samples for account in accounts),
+        "invalid_samples": sum(account.samples - account.usable for account in accounts),
+        "hours": sum(account.hours_valid for account in accounts),
+        "distance": sum(account.valid_um for account in accounts) / 1e6,
         "curvature": "yaw_rate",
         "reader": "uah-driveset",
         "preparation": Preparation(step=0.1),

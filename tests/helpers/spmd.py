@@ -73,12 +73,12 @@ def planted_drive(
     speed = 25.0 + np.sin(0.1 * t)
     yaw_rate = curvature_at(t) * speed
     heading = np.concatenate([[0.0], np.cumsum(0.05 * (yaw_rate[1:] + yaw_rate[:-1]))])
-    made = Drive(device, trip, first + 10 * np.arange(rows), offset, LANE_WIDTH, speed, yaw_rate, heading)
-    return dataclasses.replace(made, **changes)
+    drive = Drive(device, trip, first + 10 * np.arange(rows), offset, LANE_WIDTH, speed, yaw_rate, heading)
+    return dataclasses.replace(drive, **changes)
 
 
 def _columns(drives: Sequence[Drive], name: str, kind: type = float) -> np.ndarray:
-    return np.concatenate([np.broadcast_to(np.asarray(getattr(one, name), kind), len(one.time)) for one in drives])
+    return np.concatenate([np.broadcast_to(np.asarray(getattr(r, name), kind), len(r.time)) for r in drives])
 
 
 def lane_frame(drives: Sequence[Drive]) -> pl.DataFrame:
@@ -98,8 +98,8 @@ def wsu_frame(drives: Sequence[Drive], *, lag: int = 0) -> pl.DataFrame:
     """Rows of DataWsu; its clock may be off by `lag` centiseconds."""
     time = _columns(drives, "time", int)
     speed, signal = _columns(drives, "speed"), _columns(drives, "turn_signal", int)
-    one, zero = np.ones(time.size, int), np.zeros(time.size)
-    some = {
+    ones, zero = np.ones(time.size, int), np.zeros(time.size)
+    columns = {
         "Device": _columns(drives, "device", int),
         "Trip": _columns(drives, "trip", int),
         "Time": time + lag,
@@ -115,15 +115,15 @@ def wsu_frame(drives: Sequence[Drive], *, lag: int = 0) -> pl.DataFrame:
         "SpeedWsu": np.round(3.6 * speed, 4),
         "TurnSngRWsu": (signal < 0).astype(float),
         "TurnSngLWsu": (signal > 0).astype(float),
-        "HdopWsu": one.astype(float),
-        "PdopWsu": one + 0.7,
-        "FixQualityWsu": one,
+        "HdopWsu": ones.astype(float),
+        "PdopWsu": ones + 0.7,
+        "FixQualityWsu": ones,
         "AxWsu": np.round(0.01 * np.sin(time), 8),
-        "PrndlWsu": 5 * one,
+        "PrndlWsu": 5 * ones,
     }
     whole = {"GpsCoastingWsu", "BrakeAbsTcsWsu", "VsaActiveWsu", "HeadlampWsu", "WiperWsu"}
     zeros = {name: zero.astype(int) if name in whole else zero for name in WSU_COLUMNS}
-    return pl.DataFrame({name: some.get(name, zeros[name]) for name in WSU_COLUMNS})
+    return pl.DataFrame({name: columns.get(name, zeros[name]) for name in WSU_COLUMNS})
 
 
 def text_of(frame: pl.DataFrame, *, bom: bool = False, crlf: bool = True, header: bool = True) -> bytes:
@@ -172,19 +172,19 @@ def rows_of(drive: Any, *, probability: int = 900, **cells: Any) -> list[dict[st
         "GPS_Valid": drive.valid_gps,
         "InVehicle_ABS_State": "2         ",
         "InVehicle_Brake_Status": "15        ",
-        "InVehicle_Longitudinal_Speed": [f"{one:.6f}" for one in np.broadcast_to(drive.speed, m)],
-        "InVehicle_Yaw_Rate": [f"{one:.16E}" for one in np.degrees(np.broadcast_to(drive.yaw_rate, m))],
+        "InVehicle_Longitudinal_Speed": [f"{cell:.6f}" for cell in np.broadcast_to(drive.speed, m)],
+        "InVehicle_Yaw_Rate": [f"{cell:.16E}" for cell in np.degrees(np.broadcast_to(drive.yaw_rate, m))],
         "InVehicle_Turn_Signal_Left": np.asarray(np.equal(drive.turn_signal, 1), int),
         "InVehicle_Turn_Signal_Right": np.asarray(np.equal(drive.turn_signal, -1), int),
-        "LaneTrack_Distance_Left_Marker": [f"{one:.1f}" for one in middle - half],
-        "LaneTrack_Distance_Right_Marker": [f"{one:.1f}" for one in middle + half],
-        "LaneTrack_Lane_Width": [f"{one:.10f}" for one in 2.0 * half],
+        "LaneTrack_Distance_Left_Marker": [f"{cell:.1f}" for cell in middle - half],
+        "LaneTrack_Distance_Right_Marker": [f"{cell:.1f}" for cell in middle + half],
+        "LaneTrack_Lane_Width": [f"{cell:.10f}" for cell in 2.0 * half],
         "LaneTrack_Probability_Left_Exist": probability,
         "LaneTrack_Probability_Right_Exists": probability,
     }
     columns |= cells
     spread = {
-        name: [str(one) for one in (np.broadcast_to(values, m) if np.ndim(values) == 0 else values)]
+        name: [str(cell) for cell in (np.broadcast_to(values, m) if np.ndim(values) == 0 else values)]
         for name, values in columns.items()
     }
     return [{name: values[i] for name, values in spread.items()} for i in range(m)]

@@ -74,9 +74,9 @@ def gps_rows(rng: np.random.Generator) -> np.ndarray:
     t = np.round(t + rng.uniform(-0.05, 0.05, t.size), 2)
     course = np.mod(np.degrees(-yaw_at(t)) + 180.0, 360.0)
     course[t < 14.0] = -1.0
-    other = np.zeros(t.size)
-    columns = [t, 3.6 * speed_at(t), 40.51 + 1e-4 * t, -3.4 - 1e-4 * t, 610.0 + other, 6.0 + other, 10.0 + other]
-    return np.round(np.column_stack([*columns, course, *([other] * 5)]), 6)
+    zeros = np.zeros(t.size)
+    columns = [t, 3.6 * speed_at(t), 40.51 + 1e-4 * t, -3.4 - 1e-4 * t, 610.0 + zeros, 6.0 + zeros, 10.0 + zeros]
+    return np.round(np.column_stack([*columns, course, *([zeros] * 5)]), 6)
 
 
 def accelerometer_rows(rng: np.random.Generator) -> np.ndarray:

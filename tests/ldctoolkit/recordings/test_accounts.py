@@ -15,9 +15,10 @@ from helpers.recordings import drive
 from ldctoolkit.departures import LEFT, RIGHT, DepartureSignals, ExtraColumn, reduce_signals
 from ldctoolkit.recordings import Criteria, Drawn, Label, PartResult, Preparation, Recording, Refused
 from ldctoolkit.recordings.departures_table import combined_results
-from ldctoolkit.recordings.extract import extract_departures, extract_items, merge_results, table_of
+from ldctoolkit.recordings.extract import extract_departures, extract_items, merge_results
 from ldctoolkit.recordings.find_departures import REASONS, find_departures
-from ldctoolkit.recordings.quality import KEPT, WIDTH_BINS, share_of_widths
+from ldctoolkit.recordings.quality import EXAMPLES, WIDTH_BINS, share_of_widths
+from ldctoolkit.recordings.recording import RecordingTable
 
 MODULE = sys.modules["ldctoolkit.recordings.extract"]
 CRITERIA = Criteria(2.0)
@@ -50,35 +51,38 @@ def wandering(seed: int, count: int) -> list[Recording]:
 def by_hand(recordings: list[Recording]) -> dict[Any, dict[str, Any]]:
     """One recording after the other, one sample after the other."""
     accounts: dict[Any, dict[str, Any]] = {}
-    for one in recordings:
-        empty = {"recordings": 0, "samples": 0, "usable": 0, "read": 0.0, "valid": 0.0, "um": 0, "widths": Counter()}
-        account = accounts.setdefault((one.source, one.labels), empty | {"widths": Counter(), "found": Counter()})
-        bend = np.zeros(one.samples) if one.curvature is None else one.curvature
+    for recording in recordings:
+        empty = {"recordings": 0, "samples": 0, "usable": 0, "read": 0.0, "valid": 0.0, "um": 0}
+        empty |= {"widths": Counter()}
+        account = accounts.setdefault((recording.source, recording.labels), empty | {"candidates": Counter()})
+        bend = np.zeros(recording.samples) if recording.curvature is None else recording.curvature
         good = [
-            bool(one.valid[i]) and one.lane_width[i] > 0 and bool(np.isfinite([one.speed[i], bend[i]]).all())
-            for i in range(one.samples)
+            bool(recording.valid[i])
+            and recording.lane_width[i] > 0
+            and bool(np.isfinite([recording.speed[i], bend[i]]).all())
+            for i in range(recording.samples)
         ]
         account["recordings"] += 1
-        account["samples"] += one.samples
+        account["samples"] += recording.samples
         account["usable"] += sum(good)
-        steps = [one.t[i] - one.t[i - 1] for i in range(1, one.samples)]
+        steps = [recording.t[i] - recording.t[i - 1] for i in range(1, recording.samples)]
         limit = max(0.25, 2.5 * float(np.median(steps))) if steps else 0.0
         metres = 0.0
         for i, step in enumerate(steps, start=1):
             if step <= limit:
                 account["read"] += step
-                by_driver = one.engaged is None or not one.engaged[i - 1 : i + 1].any()
+                by_driver = recording.engaged is None or not recording.engaged[i - 1 : i + 1].any()
                 if good[i] and good[i - 1] and by_driver:
                     account["valid"] += step
-                    metres += 0.5 * (abs(one.speed[i]) + abs(one.speed[i - 1])) * step
+                    metres += 0.5 * (abs(recording.speed[i]) + abs(recording.speed[i - 1])) * step
         account["um"] += round(metres * 1e6)
-        for i, width in enumerate(one.lane_width.tolist()):
+        for i, width in enumerate(recording.lane_width.tolist()):
             if good[i]:
                 account["widths"][int(width / 0.1)] += 1
         # alone in a table: its candidates are then known by themselves
-        found = find_departures(table_of([one]), CRITERIA)
-        for reason, side in zip(found.reason.tolist(), found.side.tolist(), strict=True):
-            account["found"][("left" if side == LEFT else "right", (*REASONS, "departure")[reason])] += 1
+        search = find_departures(RecordingTable.of([recording]), CRITERIA)
+        for reason, side in zip(search.reason.tolist(), search.side.tolist(), strict=True):
+            account["candidates"][("left" if side == LEFT else "right", (*REASONS, "departure")[reason])] += 1
     return accounts
 
 
@@ -87,9 +91,9 @@ def by_hand(recordings: list[Recording]) -> dict[Any, dict[str, Any]]:
 def test_equals_the_count_by_hand(seed, count):
     recordings = wandering(seed, count)
     result = extract_items(recordings, CRITERIA, Preparation())
-    wanted = by_hand(recordings)
-    assert [(one.origin.source, one.origin.labels) for one in result.accounts] == list(wanted)
-    for account, hand in zip(result.accounts, wanted.values(), strict=True):
+    expected = by_hand(recordings)
+    assert [(counted.origin.source, counted.origin.labels) for counted in result.accounts] == list(expected)
+    for account, hand in zip(result.accounts, expected.values(), strict=True):
         assert (account.recordings, account.samples, account.usable) == (
             hand["recordings"],
             hand["samples"],
@@ -102,13 +106,14 @@ def test_equals_the_count_by_hand(seed, count):
         for row, side in enumerate(("left", "right")):
             reported[side, "departure"] = int(account.departures[row])
             reported.update({(side, reason): int(account.refused[row, i]) for i, reason in enumerate(REASONS)})
-        assert (+reported, account.candidates.sum()) == (hand["found"], sum(hand["found"].values()))
+        assert (+reported, account.candidates.sum()) == (hand["candidates"], sum(hand["candidates"].values()))
 
 
-def alike(found: Any) -> Any:
+def alike(extraction: Any) -> Any:
     """Texts of extra columns as wide as they need to be."""
-    columns = tuple(ExtraColumn(one.name, np.array(one.values.tolist())) for one in found.departures.extra)
-    return dataclasses.replace(found, departures=dataclasses.replace(found.departures, extra=columns))
+    departures = extraction.departures
+    columns = tuple(ExtraColumn(column.name, np.array(column.values.tolist())) for column in departures.extra)
+    return dataclasses.replace(extraction, departures=dataclasses.replace(departures, extra=columns))
 
 
 @examples(30)
@@ -116,8 +121,8 @@ def alike(found: Any) -> Any:
 def test_any_split_gives_the_same_bits(data, seed, step):
     """Batches of any size, parts cut anywhere: departures and their columns, accounts, drawn events, evidence."""
     recordings = [
-        dataclasses.replace(one, cut=np.arange(one.samples) % 37 == 36 if i % 2 else None)
-        for i, one in enumerate(wandering(seed, 8))
+        dataclasses.replace(recording, cut=np.arange(recording.samples) % 37 == 36 if i % 2 else None)
+        for i, recording in enumerate(wandering(seed, 8))
     ]
     # parts come in a fixed order, but how recordings are shared out does not show
     preparation = Preparation(step, nominal_lane_width=data.draw(st.sampled_from([None, 3.4])))
@@ -135,13 +140,13 @@ def test_any_split_gives_the_same_bits(data, seed, step):
     split = combined_results(parts)
     for name in ("departures", "accounts", "drawn", "problems", "evidence"):
         assert_same_bits(getattr(alike(whole), name), getattr(alike(split), name))
-    one, two = (merge_results(results, CRITERIA, preparation, force=True) for results in ([whole], parts))
-    assert_same_bits(alike(one), alike(two))
+    at_once, in_parts = (merge_results(results, CRITERIA, preparation, force=True) for results in ([whole], parts))
+    assert_same_bits(alike(at_once), alike(in_parts))
 
 
 def test_the_provenance_is_the_sum_of_the_accounts():
-    found = extract_departures(wandering(3, 40), vehicle_width=2.0, force=True)
-    accounts, provenance = found.accounts, found.provenance
+    extraction = extract_departures(wandering(3, 40), vehicle_width=2.0, force=True)
+    accounts, provenance = extraction.accounts, extraction.provenance
     assert len(accounts) > 4
     assert provenance.recordings == sum(account.recordings for account in accounts) == 40
     assert provenance.samples == sum(account.samples for account in accounts)
@@ -150,33 +155,34 @@ def test_the_provenance_is_the_sum_of_the_accounts():
     assert provenance.distance == sum(account.valid_um for account in accounts) / 1e6 > 1000.0
     refused = np.sum([account.refused for account in accounts], axis=(0, 1))
     assert [count for _, count in provenance.refused.items()] == refused.tolist()
-    assert len(found.departures) == sum(int(account.departures.sum()) for account in accounts)
-    assert found.candidates == sum(int(account.candidates.sum()) for account in accounts)
+    assert len(extraction.departures) == sum(int(account.departures.sum()) for account in accounts)
+    assert extraction.candidates == sum(int(account.candidates.sum()) for account in accounts)
     # the columns of the departures lead to the same groups
-    columns = {column.name: column.values.tolist() for column in found.departures.extra}
-    groups = Counter(zip(columns["source"], columns["road"], found.departures.side.tolist(), strict=True))
-    wanted: Counter[Any] = Counter()
+    columns = {column.name: column.values.tolist() for column in extraction.departures.extra}
+    groups = Counter(zip(columns["source"], columns["road"], extraction.departures.side.tolist(), strict=True))
+    expected: Counter[Any] = Counter()
     for account in accounts:
         road = account.origin.labels[0].value if account.origin.labels else ""
         for side, count in zip((1, -1), account.departures.tolist(), strict=True):
-            wanted[account.origin.source, road, side] += count
-    assert groups == +wanted
+            expected[account.origin.source, road, side] += count
+    assert groups == +expected
 
 
 def test_pieces_of_a_recording_count_once():
-    one = drive(lane_offset=np.zeros(100), cut=np.isin(np.arange(100), [20, 70]), source="x")
-    found = extract_departures([one, drive("b", lane_offset=np.zeros(100), source="y")])
-    assert [(account.origin.source, account.recordings, account.samples) for account in found.accounts] == [
+    recording = drive(lane_offset=np.zeros(100), cut=np.isin(np.arange(100), [20, 70]), source="x")
+    extraction = extract_departures([recording, drive("b", lane_offset=np.zeros(100), source="y")])
+    assert [(account.origin.source, account.recordings, account.samples) for account in extraction.accounts] == [
         ("x", 1, 100), ("y", 1, 100),
     ]  # fmt: skip
-    assert found.recordings == 2
-    assert [account.read_ns for account in found.accounts] == [9_700_000_000, 9_900_000_000]
+    assert extraction.recordings == 2
+    assert [account.read_ns for account in extraction.accounts] == [9_700_000_000, 9_900_000_000]
 
 
 def test_nothing_at_all():
-    found = extract_departures([])
-    assert (found.accounts, found.hours, found.distance, found.recordings, found.candidates) == ((), 0.0, 0.0, 0, 0)
-    assert (len(found.departures), found.refused, found.warnings) == (0, Refused(), ())
+    extraction = extract_departures([])
+    names = ("accounts", "hours", "distance", "recordings", "candidates", "refused", "warnings")
+    assert [getattr(extraction, name) for name in names] == [(), 0.0, 0.0, 0, 0, Refused(), ()]
+    assert len(extraction.departures) == 0
     assert merge_results([PartResult()], Criteria(), Preparation()).accounts == ()
 
 
@@ -185,14 +191,14 @@ def test_absurd_times_do_not_overflow():
     (account,) = extract_departures([drive(t=t, lane_offset=0.0)], force=True).accounts
     assert account.read_ns == account.valid_ns == 10**17
     fast = drive(t=1e7 * t, lane_offset=0.0, speed=100.0)  # the product is more than a number of 64 bits holds
-    for one in (drive(t=t, lane_offset=0.0), fast):
-        assert extract_departures([one], force=True).distance == 1e10
+    for recording in (drive(t=t, lane_offset=0.0), fast):
+        assert extract_departures([recording], force=True).distance == 1e10
 
 
 def test_the_last_bin_holds_what_is_wider():
     width = [0.05, 3.45, 7.95, 8.2, 900.0]
-    one = drive(t=range(5), lane_offset=0.0, lane_width=width)
-    (account,) = extract_departures([one], min_lane_width=0.01, max_lane_width=1000.0, force=True).accounts
+    recording = drive(t=range(5), lane_offset=0.0, lane_width=width)
+    (account,) = extract_departures([recording], min_lane_width=0.01, max_lane_width=1000.0, force=True).accounts
     assert {int(i): int(account.widths[i]) for i in np.flatnonzero(account.widths)} == {0: 1, 34: 1, WIDTH_BINS - 1: 3}
     edges, share = share_of_widths(account.widths)
     assert (edges.size, edges[34], share[34]) == (81, pytest.approx(3.4), 0.2)
@@ -206,7 +212,7 @@ T = np.arange(200) * 0.1
 def drives(count: int, sources: int, seed: int = 0) -> list[Recording]:
     """Two departures each, one to either side, of random depth."""
     rng = np.random.default_rng(seed)
-    made = []
+    recordings = []
     for i in range(count):
         offset = np.zeros(200)
         for start, side in ((5.0, 1.0), (15.0, -1.0)):
@@ -214,18 +220,18 @@ def drives(count: int, sources: int, seed: int = 0) -> list[Recording]:
             offset += side * np.where(np.abs(T - start) < 5.0, 0.9 + np.clip(bump, -0.5, None), 0.0)
         columns: dict[str, Any] = {"lane_offset": offset, "lane_width": np.full(200, 3.6)}
         columns |= {"speed": 25.0 + 0.01 * T, "valid": np.ones(200, bool), "curvature": rng.normal(0.0, 1e-3, 200)}
-        made.append(Recording(f"r{i}", T, **columns, source=f"s{i % sources}"))
-    return made
+        recordings.append(Recording(f"r{i}", T, **columns, source=f"s{i % sources}"))
+    return recordings
 
 
 def signatures(drawn: Drawn) -> list[list[tuple[Any, ...]]]:
     return [
         [
             (
-                *(one.source, one.recording, one.side, one.start_time, one.lot, *one.parameters.tolist()),
-                *(getattr(one, name).tobytes() for name in ("t", "y", "v", "c")),
+                *(event.source, event.recording, event.side, event.start_time, event.lot, *event.parameters.tolist()),
+                *(getattr(event, name).tobytes() for name in ("t", "y", "v", "c")),
             )
-            for one in events
+            for event in events
         ]
         for events in (drawn.deepest, drawn.by_lot)
     ]
@@ -240,47 +246,50 @@ def test_the_deepest_are_the_deepest(sources):
     groups = [(f"s{i}", side) for i in range(sources) for side in (LEFT, RIGHT)]
     for source, side in groups:
         mine = (of == source) & (d.side == side)
-        assert mine.sum() > KEPT
-        kept = [one for one in result.drawn.deepest if (one.source, one.side) == (source, side)]
-        depths = [float(one.parameters[1]) for one in kept]
-        assert depths == sorted(d.d_y[mine].tolist(), reverse=True)[:KEPT]
-        lots = [one for one in result.drawn.by_lot if (one.source, one.side) == (source, side)]
-        assert (len(lots), [one.lot for one in lots]) == (KEPT, sorted(one.lot for one in lots))
-        assert {(one.recording, one.start_time) for one in lots} != {(one.recording, one.start_time) for one in kept}
+        assert mine.sum() > EXAMPLES
+        deepest = [event for event in result.drawn.deepest if (event.source, event.side) == (source, side)]
+        depths = [float(event.parameters[1]) for event in deepest]
+        assert depths == sorted(d.d_y[mine].tolist(), reverse=True)[:EXAMPLES]
+        lots = [event for event in result.drawn.by_lot if (event.source, event.side) == (source, side)]
+        assert (len(lots), [event.lot for event in lots]) == (EXAMPLES, sorted(event.lot for event in lots))
+        assert {(event.recording, event.start_time) for event in lots} != {
+            (event.recording, event.start_time) for event in deepest
+        }
     for events in (result.drawn.deepest, result.drawn.by_lot):
-        assert list(dict.fromkeys((one.source, one.side) for one in events)) == groups
-        assert len(events) == KEPT * len(groups)
+        assert list(dict.fromkeys((event.source, event.side) for event in events)) == groups
+        assert len(events) == EXAMPLES * len(groups)
 
 
 def test_a_side_with_few_keeps_all_and_takes_nothing_from_the_other():
     """Left departures are far deeper and many; the five to the right are all kept."""
     recordings = drives(30, 1)
-    for i, one in enumerate(recordings):
-        offset = np.where(one.lane_offset > 0.0, one.lane_offset + 0.2, one.lane_offset * (i < 5))
-        recordings[i] = dataclasses.replace(one, lane_offset=offset)
+    for i, recording in enumerate(recordings):
+        offset = np.where(recording.lane_offset > 0.0, recording.lane_offset + 0.2, recording.lane_offset * (i < 5))
+        recordings[i] = dataclasses.replace(recording, lane_offset=offset)
     result = extract_items(recordings, CRITERIA_DRAWN, Preparation())
     right = result.departures.d_y[result.departures.side == RIGHT]
     assert 0 < right.size <= 5
     for events in (result.drawn.deepest, result.drawn.by_lot):
-        assert [one.side for one in events] == [LEFT] * KEPT + [RIGHT] * right.size
-        assert sorted(float(one.parameters[1]) for one in events if one.side == RIGHT) == sorted(right.tolist())
+        assert [event.side for event in events] == [LEFT] * EXAMPLES + [RIGHT] * right.size
+        assert sorted(float(event.parameters[1]) for event in events if event.side == RIGHT) == sorted(right.tolist())
 
 
 def test_signals_are_the_departures_own():
     """Reduced again, they give the parameters; both sides are outward."""
     result = extract_items(drives(10, 1), CRITERIA_DRAWN, Preparation())
     d = result.departures
-    assert {one.side for one in result.drawn.by_lot} == {LEFT, RIGHT}
-    for one in (*result.drawn.deepest, *result.drawn.by_lot):
-        row = np.flatnonzero((d.recording == one.recording) & (d.start_time == one.start_time) & (d.side == one.side))
+    assert {event.side for event in result.drawn.by_lot} == {LEFT, RIGHT}
+    for event in (*result.drawn.deepest, *result.drawn.by_lot):
+        same_start = (d.recording == event.recording) & (d.start_time == event.start_time)
+        row = np.flatnonzero(same_start & (d.side == event.side))
         assert row.size == 1
-        np.testing.assert_array_equal(d.matrix()[row[0]], one.parameters)
-        signals = DepartureSignals(np.array([0, one.t.size]), one.t, one.y, one.v, one.c)
+        np.testing.assert_array_equal(d.matrix()[row[0]], event.parameters)
+        signals = DepartureSignals(np.array([0, event.t.size]), event.t, event.y, event.v, event.c)
         np.testing.assert_allclose(
-            reduce_signals(signals, [one.side]).matrix()[0], one.parameters, rtol=1e-9, atol=1e-12
+            reduce_signals(signals, [event.side]).matrix()[0], event.parameters, rtol=1e-9, atol=1e-12
         )
-        assert one.t[0] == one.y[0] == one.y[-1] == 0.0
-        assert (one.y[1:-1] > 0.0).all()
+        assert event.t[0] == event.y[0] == event.y[-1] == 0.0
+        assert (event.y[1:-1] > 0.0).all()
 
 
 @pytest.mark.parametrize("cuts", [[1], [5, 11], [3, 4, 20, 39], list(range(1, 40))])
@@ -292,31 +301,31 @@ def test_any_split_keeps_the_same(cuts):
     assert signatures(combined_results(parts).drawn) == signatures(whole)
     # in any order: the same ones, but for the order of the sources
     turned = signatures(combined_results(parts[::-1]).drawn)
-    assert [sorted(one) for one in turned] == [sorted(one) for one in signatures(whole)]
+    assert [sorted(signature) for signature in turned] == [sorted(signature) for signature in signatures(whole)]
 
 
 def test_the_lot_is_blind():
     """A lot is sorted neither by name nor by depth; 600 departures, drawn of 25 sources and two sides."""
     result = extract_items(drives(600, 25, seed=5), CRITERIA_DRAWN, Preparation())
     lots = result.drawn.by_lot
-    assert len(lots) == 2 * 25 * KEPT
-    order = np.tile(np.arange(KEPT), 2 * 25)
+    assert len(lots) == 2 * 25 * EXAMPLES
+    order = np.tile(np.arange(EXAMPLES), 2 * 25)
     limit = 4.0 / np.sqrt(len(lots))  # four standard deviations of the correlation of unrelated numbers
-    for values in ([int(one.recording[1:]) for one in lots], [float(one.parameters[1]) for one in lots]):
+    for values in ([int(event.recording[1:]) for event in lots], [float(event.parameters[1]) for event in lots]):
         assert abs(np.corrcoef(values, order)[0, 1]) < limit
     # the drawn ones are about as deep as all
     d_y = result.departures.d_y
-    mean = np.mean([one.parameters[1] for one in lots])
+    mean = np.mean([event.parameters[1] for event in lots])
     assert abs(mean - d_y.mean()) < 4.0 * d_y.std() / np.sqrt(len(lots))
 
 
 def test_equal_depths_are_told_apart_by_name_and_time():
-    one = drives(1, 1)[0]
-    recordings = [dataclasses.replace(one, name=f"twin{i:02d}") for i in range(30)]
+    recording = drives(1, 1)[0]
+    recordings = [dataclasses.replace(recording, name=f"twin{i:02d}") for i in range(30)]
     forward = extract_items(recordings, CRITERIA_DRAWN, Preparation()).drawn
     backward = extract_items(recordings[::-1], CRITERIA_DRAWN, Preparation()).drawn
     assert signatures(forward) == signatures(backward)
-    assert [event.recording for event in forward.deepest] == 2 * [f"twin{i:02d}" for i in range(KEPT)]
+    assert [event.recording for event in forward.deepest] == 2 * [f"twin{i:02d}" for i in range(EXAMPLES)]
 
 
 def test_none():

@@ -22,12 +22,12 @@ def extract(*recordings: Recording, **options: Any) -> Extraction:
     return extract_departures(recordings, **({"vehicle_width": VEHICLE} | options))
 
 
-def refused(found: Extraction) -> dict[str, int]:
-    return {reason: count for reason, count in found.refused.items() if count}
+def refused(extraction: Extraction) -> dict[str, int]:
+    return {reason: count for reason, count in extraction.refused.items() if count}
 
 
-def new_warnings(found: Extraction) -> list[str]:
-    return [text for text in found.warnings if not text.startswith("no column")]
+def new_warnings(extraction: Extraction) -> list[str]:
+    return [text for text in extraction.warnings if not text.startswith("no column")]
 
 
 # ------------------------------------------------------------------------------------------------ jumps
@@ -67,8 +67,8 @@ def test_a_line_that_jumps_to_another_marking_is_no_departure(signal, rate, side
         return -side * 0.5 * (near + far), near - far
 
     t, offset, width = signal(lines, rate)
-    found = extract(lane(t, offset, width), force=True)
-    assert (len(found.departures), refused(found)) == (0, {"jump": 1})
+    extraction = extract(lane(t, offset, width), force=True)
+    assert (len(extraction.departures), refused(extraction)) == (0, {"jump": 1})
     noise = 0.03 * np.random.default_rng(1).standard_normal((2, t.size))
     assert len(extract(lane(t, offset + noise[0], width + noise[1]), force=True).departures) == 0
 
@@ -85,8 +85,8 @@ def test_a_lane_change_is_one_at_any_rate(signal, rate, side, seconds, width, st
         return way - width * np.round(way / width), np.full(t.size, width)
 
     t, offset, lanes = signal(changes, rate)
-    found = extract(lane(t, offset, lanes), force=True, preparation=Preparation(step))
-    assert (len(found.departures), refused(found)) == (0, {"lane_change": 1})
+    extraction = extract(lane(t, offset, lanes), force=True, preparation=Preparation(step))
+    assert (len(extraction.departures), refused(extraction)) == (0, {"lane_change": 1})
 
 
 @sides
@@ -96,9 +96,9 @@ def test_a_lane_label_that_never_changes_says_nothing(side, labels):
     t = np.arange(0.0, 40.0, 0.1)
     share = np.clip((t - 10.0) / 4.0, 0.0, 1.0) - np.clip((t - 16.0) / 4.0, 0.0, 1.0)
     way = side * 0.8 * 3.6 * share**2 * (3.0 - 2.0 * share)
-    given = {} if np.isnan(labels) else {"lane": np.full(t.size, labels, dtype=np.int64)}
-    found = extract(lane(t, way, **given), force=True)
-    assert (len(found.departures), refused(found)) == (0, {"lane_change": 1})
+    columns = {} if np.isnan(labels) else {"lane": np.full(t.size, labels, dtype=np.int64)}
+    extraction = extract(lane(t, way, **columns), force=True)
+    assert (len(extraction.departures), refused(extraction)) == (0, {"lane_change": 1})
 
 
 # ------------------------------------------------------------------------------------------------ not available
@@ -120,10 +120,10 @@ def test_a_sample_that_is_not_available_is_invalid(rate, side, column, code):
     drive = lane(t, offset, curvature=None, yaw_rate=0.01 * np.sin(0.2 * t))
     values = getattr(drive, column).copy()
     values[row] = code
-    found = extract(replace(drive, **{column: values}))
-    assert (found.departures.side.tolist(), found.refused.invalid) == ([-side], 1)
-    assert found.provenance.invalid_samples == 1
-    assert found.hours * 3600.0 == pytest.approx((t.size - 3) / rate)
+    extraction = extract(replace(drive, **{column: values}))
+    assert (extraction.departures.side.tolist(), extraction.refused.invalid) == ([-side], 1)
+    assert extraction.provenance.invalid_samples == 1
+    assert extraction.hours * 3600.0 == pytest.approx((t.size - 3) / rate)
 
 
 @sides
@@ -144,10 +144,10 @@ def test_the_end_of_a_range_that_repeats_is_a_code(side, column, code):
     )  # fmt: skip
     values = getattr(drive, column).copy()
     values[(np.abs(t - 10.5) < 0.25) | (t > 36.95)] = code
-    found = extract(replace(drive, **{column: values}))
-    assert (found.departures.side.tolist(), found.refused.invalid) == ([-side], 1)
-    assert found.provenance.invalid_samples == 69
-    assert found.hours * 3600.0 == pytest.approx((740 - 1 - 10) / 20.0)
+    extraction = extract(replace(drive, **{column: values}))
+    assert (extraction.departures.side.tolist(), extraction.refused.invalid) == ([-side], 1)
+    assert extraction.provenance.invalid_samples == 69
+    assert extraction.hours * 3600.0 == pytest.approx((740 - 1 - 10) / 20.0)
 
 
 # ------------------------------------------------------------------------------------------------ clocks and windows
@@ -161,7 +161,8 @@ def test_frames_that_come_in_bursts_give_the_same_curvature(rate, frames, side, 
     bend = 2e-3 * np.sin(2.0 * np.pi * t / 12.0)
     stamps = t[np.minimum(np.arange(t.size) // frames * frames + frames - 1, t.size - 1)]
     stamps = stamps + apart * (np.arange(t.size) % frames)
-    even, burst = (extract(lane(at, offset, curvature=None, yaw_rate=25.0 * bend)).departures for at in (t, stamps))
+    columns = {"curvature": None, "yaw_rate": 25.0 * bend}
+    even, burst = (extract(lane(times, offset, **columns)).departures for times in (t, stamps))
     assert even.side.tolist() == burst.side.tolist() == [side, -side]
     # the stamps are late by half a burst on average; over a second the bend changes by 1e-3
     late = 0.5 * (frames - 1) / rate
@@ -205,30 +206,31 @@ def test_what_cannot_be_right_is_refused(fault):
     """Drives of two minutes with bends of 1/500 m and more, above 20 m/s, pooled: most single ones tell, too."""
     change, words = FAULTS[fault]
     drives = [clean(seed) for seed in range(60)]
-    fit = [one for one in drives if np.abs(one.curvature).max() > 2e-3 and one.speed.min() > 20.0][:5]
+    fit = [r for r in drives if np.abs(r.curvature).max() > 2e-3 and r.speed.min() > 20.0][:5]
     with pytest.raises(RecordingError, match=words):
         extract(*map(change, fit))
     alone = 0
-    for one in fit:
+    for recording in fit:
         try:
-            extract(change(one))
+            extract(change(recording))
         except RecordingError:
             alone += 1
     assert alone >= 4
     forced = extract(*map(change, fit), force=True)
     assert any(words in text for text in forced.warnings)
-    assert extract(*(only(one, "curvature", "yaw_rate", "heading", "steering") for one in fit)).candidates > 0
+    assert extract(*(only(r, "curvature", "yaw_rate", "heading", "steering") for r in fit)).candidates > 0
 
 
 def test_one_side_alone(tmp_path: Path) -> None:
     """A camera that looks past the centre: 20 departures, 19 to the left."""
     t, offset = planted(10.0, LEFT, T=30.0)
     left, both = lane(t, np.where(t < 17.0, offset, 0.02 * np.sin(t))), lane(t, offset)
-    some = [replace(left, name=f"r{i}", lane_offset=left.lane_offset + 1e-4 * i) for i in range(18)]
+    to_the_left = [replace(left, name=f"r{i}", lane_offset=left.lane_offset + 1e-4 * i) for i in range(18)]
     with pytest.raises(RecordingError, match="19 of 20 departures are to the left"):
-        extract(*some, both)
-    assert len(extract(*some[:-1], both).departures) == 19
-    assert len(extract(*some[:-1], both, replace(both, name="b", lane_offset=-both.lane_offset)).departures) == 21
+        extract(*to_the_left, both)
+    assert len(extract(*to_the_left[:-1], both).departures) == 19
+    mirrored = replace(both, name="b", lane_offset=-both.lane_offset)
+    assert len(extract(*to_the_left[:-1], both, mirrored).departures) == 21
 
 
 # ------------------------------------------------------------------------------------------------ own clocks
@@ -253,20 +255,19 @@ def slow_lane(drive: Recording, every: float, how: str) -> Recording:
 def test_departures_are_not_made_of_a_signal_that_does_not_move(how, step):
     """Every 2 s in rows of 10 Hz and more; then a departure has three samples beyond the line, in 4 s."""
     drives = [only(clean(seed, T=150.0), "yaw_rate") for seed in range(10)]
-    found = extract(*(slow_lane(one, 2.0, how) for one in drives), preparation=Preparation(step), force=True)
-    assert found.departures.T.min(initial=10.0) > 4.0
-    assert found.refused.too_few_samples > 5
-    (told,) = [text for text in found.warnings if text.startswith("the lane is new")]
-    assert (
-        told == "the lane is new every 2 s only: departures of less than about 6 s cannot be found: 10 of 10 recordings"
-    )
+    extraction = extract(*(slow_lane(r, 2.0, how) for r in drives), preparation=Preparation(step), force=True)
+    assert extraction.departures.T.min(initial=10.0) > 4.0
+    assert extraction.refused.too_few_samples > 5
+    (warning,) = [text for text in extraction.warnings if text.startswith("the lane is new")]
+    refresh, shortest = "the lane is new every 2 s only", "departures of less than about 6 s cannot be found"
+    assert warning == f"{refresh}: {shortest}: 10 of 10 recordings"
     assert len(extract(*drives, preparation=Preparation(step)).departures) > 15
 
 
 @pytest.mark.parametrize("every", [0.2, 0.4])
 def test_a_camera_that_is_slower_than_its_rows_keeps_its_departures(every):
     drives = [only(clean(seed, rate=50.0, noise=0.0), "yaw_rate") for seed in range(4)]
-    true, slow = extract(*drives).departures, extract(*(slow_lane(one, every, "held") for one in drives)).departures
+    true, slow = extract(*drives).departures, extract(*(slow_lane(r, every, "held") for r in drives)).departures
     assert 0 < len(slow) <= len(true)
     same = np.abs(true.start_time[:, None] - slow.start_time).argmin(axis=0)
     assert (
@@ -283,12 +284,12 @@ def test_a_signal_on_a_clock_of_its_own_is_interpolated(column, how, every):
     values = getattr(drive, column)
     new = np.append(True, np.diff(np.floor(drive.t / every + 1e-9)) > 0)
     slow = held(values, drive.t, every) if how == "held" else np.where(new, values, np.nan)
-    true, found = extract(drive), extract(replace(drive, **{column: slow}))
-    assert found.departures.T.tolist() == pytest.approx(true.departures.T.tolist())
-    np.testing.assert_allclose(found.departures.v_mean, true.departures.v_mean, atol=0.1)
-    np.testing.assert_allclose(found.departures.c_0, true.departures.c_0, atol=1.5e-3)
-    told = [f"{column} is new every {every:g} s only, and interpolated between: 1 of 1 recordings"]
-    assert new_warnings(found) == ([] if (how, every) == ("held", 0.2) else told)
+    true, extraction = extract(drive), extract(replace(drive, **{column: slow}))
+    assert extraction.departures.T.tolist() == pytest.approx(true.departures.T.tolist())
+    np.testing.assert_allclose(extraction.departures.v_mean, true.departures.v_mean, atol=0.1)
+    np.testing.assert_allclose(extraction.departures.c_0, true.departures.c_0, atol=1.5e-3)
+    notes = [f"{column} is new every {every:g} s only, and interpolated between: 1 of 1 recordings"]
+    assert new_warnings(extraction) == ([] if (how, every) == ("held", 0.2) else notes)
 
 
 def test_two_clocks_in_one_table():
@@ -304,9 +305,9 @@ def test_two_clocks_in_one_table():
         "a", t, beside(drive.lane_offset, camera), beside(drive.lane_width, camera), beside(drive.speed, ~camera),
         np.ones(t.size, dtype=bool), yaw_rate=beside(drive.yaw_rate, ~camera),
     )  # fmt: skip
-    true, found = extract(drive).departures, extract(both).departures
-    assert len(true) == len(found) > 0
-    np.testing.assert_allclose(found.start_time, true.start_time, atol=1e-9)
+    true, departures = extract(drive).departures, extract(both).departures
+    assert len(true) == len(departures) > 0
+    np.testing.assert_allclose(departures.start_time, true.start_time, atol=1e-9)
 
 
 # ------------------------------------------------------------------------------------------------ no false alarm
@@ -325,6 +326,6 @@ def test_clean_drives_are_extracted_without_a_word():
             )
         assert new_warnings(extract(drive)) == []
         drives.append(drive)
-    found = extract(*drives)
-    assert new_warnings(found) == []
-    assert len(found.departures) > 300
+    extraction = extract(*drives)
+    assert new_warnings(extraction) == []
+    assert len(extraction.departures) > 300

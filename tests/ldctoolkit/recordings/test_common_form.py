@@ -55,12 +55,12 @@ T_YAW_FROM_HEADING = np.arange(N) * 0.1
 def bend(**changes: object) -> Recording:
     """A left bend of 1/1000 m at 25 m/s, the vehicle 0.3 m over the left line for 2 s around t = 15 s."""
     beyond = np.clip(0.3 * (1.0 - (T_YAW_FROM_HEADING - 15.0) ** 2), -0.4, None)
-    ones = np.ones(N)
-    one = Recording(
-        "a", T_YAW_FROM_HEADING, 0.9 + beyond, 3.6 * ones, 25.0 * ones, ones > 0, yaw_rate=0.025 * ones,
+    unit = np.ones(N)
+    recording = Recording(
+        "a", T_YAW_FROM_HEADING, 0.9 + beyond, 3.6 * unit, 25.0 * unit, unit > 0, yaw_rate=0.025 * unit,
         heading=3.0 + 0.025 * T_YAW_FROM_HEADING - 2.0 * np.pi * (T_YAW_FROM_HEADING > 5.0),
     )  # fmt: skip
-    return dataclasses.replace(one, **changes)  # type: ignore[arg-type]
+    return dataclasses.replace(recording, **changes)  # type: ignore[arg-type]
 
 
 def test_a_hole_is_filled_through_a_turn_of_the_heading() -> None:
@@ -72,8 +72,8 @@ def test_a_hole_is_filled_through_a_turn_of_the_heading() -> None:
     np.testing.assert_allclose(filled.yaw_rate[40:160], 0.025, atol=1e-9)  # rounding of the slope
     assert np.flatnonzero(~filled.yaw_rate_measured).tolist() == list(range(40, 160))
     # what a reader has marked stays marked
-    own = with_yaw_rate(bend(yaw_rate=rate, yaw_rate_measured=T_YAW_FROM_HEADING > 1.0))
-    assert np.flatnonzero(~own.yaw_rate_measured).tolist() == [*range(11), *range(40, 160)]
+    marked = with_yaw_rate(bend(yaw_rate=rate, yaw_rate_measured=T_YAW_FROM_HEADING > 1.0))
+    assert np.flatnonzero(~marked.yaw_rate_measured).tolist() == [*range(11), *range(40, 160)]
     assert filled.notes == (FILLED,)
 
 
@@ -89,10 +89,10 @@ def test_holes_in_the_heading_stay_holes() -> None:
 
 def test_without_both_the_lane_counts_as_straight() -> None:
     nothing = np.full(N, np.nan)
-    one = with_yaw_rate(bend(yaw_rate=nothing, heading=nothing))
-    assert one.yaw_rate is None
-    assert one.yaw_rate_measured is None
-    assert one.notes == (NONE,)
+    recording = with_yaw_rate(bend(yaw_rate=nothing, heading=nothing))
+    assert recording.yaw_rate is None
+    assert recording.yaw_rate_measured is None
+    assert recording.notes == (NONE,)
     # nor is the speed known: the yaw rate is the least of its troubles
     lost = with_yaw_rate(bend(yaw_rate=nothing, heading=None, speed=nothing))
     assert lost.notes == ()
@@ -114,11 +114,11 @@ def estimate(yaw_rate, speed, usable=None, first=None, t=None):
 
 def by_least_squares(yaw_rate, speed, usable, stretch, t):
     """Each sample by itself, over all of its stretch that lie within 0.2 s."""
-    wanted = np.full(len(t), np.nan)
+    expected = np.full(len(t), np.nan)
     for i in np.flatnonzero(usable):
         window = usable & (stretch == stretch[i]) & (np.abs(t - t[i]) <= 0.2 + 1e-6)
-        wanted[i] = np.linalg.lstsq(speed[window, None], yaw_rate[window], rcond=None)[0][0]
-    return wanted
+        expected[i] = np.linalg.lstsq(speed[window, None], yaw_rate[window], rcond=None)[0][0]
+    return expected
 
 
 def frames(rng: np.random.Generator, kind: str, n: int = 240) -> np.ndarray:
@@ -172,8 +172,8 @@ def test_low_speed_fades_out():
     assert estimate(np.full(20, 0.01), np.zeros(20)).tolist() == [0.0] * 20
 
 
-def scale_of(found: Any) -> list[float]:
-    return next((column.values.tolist() for column in found.departures.extra if column.name == "lane_scale"), [])
+def scale_of(extraction: Any) -> list[float]:
+    return next((column.values.tolist() for column in extraction.departures.extra if column.name == "lane_scale"), [])
 
 
 @pytest.mark.parametrize(("jump", "max_jump", "bridged"), [
@@ -182,14 +182,15 @@ def scale_of(found: Any) -> list[float]:
 def test_the_criterions_jump_is_the_preparations(jump, max_jump, bridged):
     """A sample is missing where the offset steps up, beyond the line."""
     offset = np.interp(T, [3.0, 4.9, 5.1, 8.0], [0.2, 1.2, 1.2 + jump, 0.2])
-    one = drive(lane_offset=offset).take(np.arange(100) != 50)
-    prepared = prepare(one, Preparation(step=0.1), max_jump=max_jump)
+    recording = drive(lane_offset=offset).take(np.arange(100) != 50)
+    prepared = prepare(recording, Preparation(step=0.1), max_jump=max_jump)
     assert prepared.samples == 99 + bridged
     if bridged:
         assert prepared.lane_offset[50] == pytest.approx(1.2 + 0.5 * jump)
-    found = extract_departures([one], vehicle_width=1.8, max_jump=max_jump, preparation=Preparation(step=0.1))
-    assert found.departures.n == bridged
-    assert found.refused.gap + found.refused.jump == found.refused.total == (not bridged)
+    preparation = Preparation(step=0.1)
+    extraction = extract_departures([recording], vehicle_width=1.8, max_jump=max_jump, preparation=preparation)
+    assert extraction.departures.n == bridged
+    assert extraction.refused.gap + extraction.refused.jump == extraction.refused.total == (not bridged)
 
 
 @pytest.mark.parametrize("max_jump", [0.6, 2.0])
@@ -197,8 +198,9 @@ def test_two_middle_offsets_a_jump_apart(max_jump):
     """Their mean lies where the vehicle never was; it is taken only if the criterion sees no jump between them."""
     t = np.array([0.0, 0.06, 0.1, 0.14, 0.2])
     full = np.full(5, 25.0)
-    one = Recording("a", t, np.array([0.0, 0, 0, 1, 1]), full - 21.4, full, full > 0.0).take(np.array([0, 1, 3, 4]))
-    prepared = prepare(one, Preparation(step=0.1), max_jump=max_jump)
+    recording = Recording("a", t, np.array([0.0, 0, 0, 1, 1]), full - 21.4, full, full > 0.0)
+    recording = recording.take(np.array([0, 1, 3, 4]))
+    prepared = prepare(recording, Preparation(step=0.1), max_jump=max_jump)
     assert prepared.lane_offset.tolist() == [0.0, 0.5 if max_jump == 2.0 else 0.0, 1.0]
 
 
@@ -214,11 +216,11 @@ def test_the_nominal_width(seen):
     np.testing.assert_allclose(prepared.lane_offset, true.lane_offset)
 
     right = extract_departures([true], vehicle_width=1.8)
-    found = extract_departures([wrong], vehicle_width=1.8, preparation=preparation)
-    assert len(right.departures) == len(found.departures) == 1
-    np.testing.assert_allclose(found.departures.matrix(), right.departures.matrix(), rtol=1e-9, atol=1e-12)
+    extraction = extract_departures([wrong], vehicle_width=1.8, preparation=preparation)
+    assert len(right.departures) == len(extraction.departures) == 1
+    np.testing.assert_allclose(extraction.departures.matrix(), right.departures.matrix(), rtol=1e-9, atol=1e-12)
     # told even where the factor is 1: it was asked for; never told where it was not
-    assert scale_of(found) == pytest.approx([factor])
+    assert scale_of(extraction) == pytest.approx([factor])
     assert scale_of(right) == []
 
 
@@ -228,9 +230,9 @@ def test_the_median_is_that_of_usable_samples():
     valid = np.arange(100) >= 30
     speed = np.full(100, 25.0)
     speed[30:80] = np.nan
-    one = drive(lane_width=width, valid=valid, speed=speed)
-    assert corrected(one, Preparation(nominal_lane_width=3.5)).lane_scale == pytest.approx(1.25)
-    assert corrected(one, Preparation()).lane_scale == 1.0
+    recording = drive(lane_width=width, valid=valid, speed=speed)
+    assert corrected(recording, Preparation(nominal_lane_width=3.5)).lane_scale == pytest.approx(1.25)
+    assert corrected(recording, Preparation()).lane_scale == 1.0
     nothing = drive(valid=np.zeros(100, bool))
     assert corrected(nothing, Preparation(nominal_lane_width=3.5)) is nothing
     # a reader that has scaled already
@@ -239,19 +241,19 @@ def test_the_median_is_that_of_usable_samples():
 
 def test_the_yaw_rate_factor():
     yaw_rate = np.full(100, 0.02)
-    one = drive(curvature=None, yaw_rate=-yaw_rate)
-    found = extract_departures([one], vehicle_width=1.8, preparation=Preparation(yaw_rate_factor=-1.0))
-    np.testing.assert_allclose(found.departures.c_0, 0.02 / 25.0)
+    recording = drive(curvature=None, yaw_rate=-yaw_rate)
+    extraction = extract_departures([recording], vehicle_width=1.8, preparation=Preparation(yaw_rate_factor=-1.0))
+    np.testing.assert_allclose(extraction.departures.c_0, 0.02 / 25.0)
     measured = drive(curvature=np.full(100, 1e-3))
     assert corrected(measured, Preparation(yaw_rate_factor=-1.0)) is measured
 
 
-def lost(one: Recording, name: str, **limits: Any) -> list[int]:
+def lost(recording: Recording, name: str, **limits: Any) -> list[int]:
     """Rows in which a signal is not there any more once a recording is prepared; the others are what they were."""
-    values = getattr(one, name)
-    found = getattr(prepare(on_own_clocks(corrected(one, Preparation())), Preparation(), **limits), name)
-    gone = ~np.isfinite(found)
-    np.testing.assert_array_equal(found[~gone], values[~gone])
+    values = getattr(recording, name)
+    prepared = getattr(prepare(on_own_clocks(corrected(recording, Preparation())), Preparation(), **limits), name)
+    gone = ~np.isfinite(prepared)
+    np.testing.assert_array_equal(prepared[~gone], values[~gone])
     return np.flatnonzero(gone).tolist()
 
 
@@ -275,10 +277,10 @@ def test_numbers_that_no_lane_and_no_vehicle_has(name, inside, outside):
         signal = base + LIVELY
         signal[[30, 31]] = value
         columns = {"lane_offset": LIVELY} | ({"curvature": None} if name == "yaw_rate" else {}) | {name: signal}
-        one = drive(**columns)
-        assert lost(one, name) == rows
+        recording = drive(**columns)
+        assert lost(recording, name) == rows
         if name == "lane_width":
-            assert lost(one, name, widths=(1.0, 9.0)) == []
+            assert lost(recording, name, widths=(1.0, 9.0)) == []
     # a width that is not known does not tell how far the offset may be
     assert lost(drive(lane_offset=LIVELY + 3.0, lane_width=np.nan), "lane_offset") == []
 
@@ -301,10 +303,10 @@ def test_a_number_that_stands_for_not_available(name, base, gap, side):
     # an absurd number hides none, nor does one of a row that is not valid
     for odd, valid in ((side * 1e12, True), (side * 1e3, np.arange(100) != 80), (np.nan, True)):
         signal[rows], signal[80] = last + side * 1.01 * gap, odd
-        found = getattr(
+        values = getattr(
             on_own_clocks(corrected(drive(**(columns | {name: signal, "valid": valid})), Preparation())), name
         )
-        assert np.flatnonzero(np.isnan(found[:80])).tolist() == [10, 40, 41]
+        assert np.flatnonzero(np.isnan(values[:80])).tolist() == [10, 40, 41]
     signal[80] = base
     # of several codes all, from the outside in
     signal[[10, 40, 41, 60, 61, 62]] = last + side * gap * np.array([1.1, 1.1, 1.1, 3.0, 3.0, 3.0])
@@ -322,8 +324,8 @@ def test_a_number_that_most_samples_have_is_a_code_only_if_it_is_large(name, bas
         signal = base + 0.001 * LIVELY
         signal[:rows] = value
         columns = {"lane_offset": LIVELY} | ({"curvature": None} if name == "yaw_rate" else {}) | {name: signal}
-        found = getattr(on_own_clocks(corrected(drive(**columns), Preparation())), name)
-        assert np.flatnonzero(np.isnan(found)).tolist() == list(range(lost_rows))
+        values = getattr(on_own_clocks(corrected(drive(**columns), Preparation())), name)
+        assert np.flatnonzero(np.isnan(values)).tolist() == list(range(lost_rows))
 
 
 def test_what_is_no_code():
@@ -332,8 +334,8 @@ def test_what_is_no_code():
     assert lost(drive(lane_offset=step), "lane_offset") == []
     width = np.where(np.arange(100) == 50, 5.0, 3.6)
     assert lost(drive(lane_offset=LIVELY, lane_width=width), "lane_width") == []
-    for other in (0.0, -3.6, 1e6):
-        width[50] = other
+    for code in (0.0, -3.6, 1e6):
+        width[50] = code
         assert lost(drive(lane_offset=LIVELY, lane_width=width), "lane_width") == [50]
     speed = np.where(np.isin(np.arange(100), [10, 11, 40, 41]), 60.0, 25.0 + LIVELY)
     assert lost(drive(lane_offset=LIVELY, speed=speed, valid=~np.isin(np.arange(100), [40, 41])), "speed") == []
@@ -364,65 +366,67 @@ def road(n: int = 300, seed: int = 0) -> Recording:
     return drive(t=t, **columns, curvature=None, yaw_rate=0.01 * rng.normal(size=n))
 
 
-@pytest.mark.parametrize(("rows", "more"), [(2, ""), (3, ": departures of less than about 0.9 s cannot be found"),
+@pytest.mark.parametrize(("rows", "note"), [(2, ""), (3, ": departures of less than about 0.9 s cannot be found"),
                                             (5, ": departures of less than about 1.5 s cannot be found")])  # fmt: skip
-def test_the_lane_has_a_clock_of_its_own(rows, more):
-    one = road()
-    slow = dataclasses.replace(one, lane_offset=held(one.lane_offset, rows))
-    found = on_own_clocks(slow)
-    assert found.t.tolist() == one.t[::rows].tolist()
+def test_the_lane_has_a_clock_of_its_own(rows, note):
+    recording = road()
+    slow = dataclasses.replace(recording, lane_offset=held(recording.lane_offset, rows))
+    result = on_own_clocks(slow)
+    assert result.t.tolist() == recording.t[::rows].tolist()
     for name in ("lane_offset", "speed", "yaw_rate"):  # only the row of the lane counts, as it is
-        assert getattr(found, name).tolist() == getattr(one, name)[::rows].tolist()
-    assert found.notes == (f"the lane is new every {rows / 10:.2g} s only{more}",)
-    assert on_own_clocks(one) is one
+        assert getattr(result, name).tolist() == getattr(recording, name)[::rows].tolist()
+    assert result.notes == (f"the lane is new every {rows / 10:.2g} s only{note}",)
+    assert on_own_clocks(recording) is recording
 
 
 @pytest.mark.parametrize("name", ["speed", "yaw_rate", "steering"])
 def test_a_signal_with_a_slower_clock_is_interpolated(name):
-    one = road()
+    recording = road()
     values = np.random.default_rng(1).normal(25.0, 1.0, 300)
-    one = dataclasses.replace(one, **{name: held(values, 5)})
-    found = on_own_clocks(one)
-    wanted = np.interp(one.t, one.t[::5], values[::5])
-    np.testing.assert_allclose(getattr(found, name), wanted, rtol=1e-12)
-    assert found.notes == (f"{name} is new every 0.5 s only, and interpolated between",)
-    assert found.t.tolist() == one.t.tolist()
+    recording = dataclasses.replace(recording, **{name: held(values, 5)})
+    result = on_own_clocks(recording)
+    expected = np.interp(recording.t, recording.t[::5], values[::5])
+    np.testing.assert_allclose(getattr(result, name), expected, rtol=1e-12)
+    assert result.notes == (f"{name} is new every 0.5 s only, and interpolated between",)
+    assert result.t.tolist() == recording.t.tolist()
     # not where it was lost for longer
     holed = held(values, 5)
     holed[100:130] = np.nan
-    found = getattr(on_own_clocks(dataclasses.replace(one, **{name: holed})), name)
-    np.testing.assert_allclose(found[:95], wanted[:95], rtol=1e-12)
-    assert (found[95:101] == values[95]).all()
-    assert np.flatnonzero(np.isnan(found)).tolist() == list(range(101, 125))
+    result = getattr(on_own_clocks(dataclasses.replace(recording, **{name: holed})), name)
+    np.testing.assert_allclose(result[:95], expected[:95], rtol=1e-12)
+    assert (result[95:101] == values[95]).all()
+    assert np.flatnonzero(np.isnan(result)).tolist() == list(range(101, 125))
 
 
 def test_signals_without_a_clock_of_their_own():
     """Coarse ones, of which the value stays the same for a while; few values; times that are not even."""
-    one = road()
-    coarse = np.round(one.lane_offset / 0.02) * 0.02
-    assert on_own_clocks(dataclasses.replace(one, lane_offset=coarse)).samples == 300
-    few = np.where(one.t < 15.0, 0.1, 0.2)
-    assert on_own_clocks(dataclasses.replace(one, lane_offset=few)).samples == 300
+    recording = road()
+    coarse = np.round(recording.lane_offset / 0.02) * 0.02
+    assert on_own_clocks(dataclasses.replace(recording, lane_offset=coarse)).samples == 300
+    few = np.where(recording.t < 15.0, 0.1, 0.2)
+    assert on_own_clocks(dataclasses.replace(recording, lane_offset=few)).samples == 300
     rng = np.random.default_rng(3)
-    uneven = one.lane_offset[np.maximum.accumulate(np.where(rng.random(300) < 0.4, np.arange(300), 0))]
-    assert on_own_clocks(dataclasses.replace(one, lane_offset=uneven)).samples == 300
+    uneven = recording.lane_offset[np.maximum.accumulate(np.where(rng.random(300) < 0.4, np.arange(300), 0))]
+    assert on_own_clocks(dataclasses.replace(recording, lane_offset=uneven)).samples == 300
 
 
-@pytest.mark.parametrize(("step", "told"), [(0.04, False), (0.05, True), (0.1, True)])
-def test_steps_of_the_offset(step, told):
-    one = road()
-    stepped = dataclasses.replace(one, lane_offset=np.round(one.lane_offset / step) * step)
-    assert coarse_step(stepped.lane_offset) == pytest.approx(step * told)
-    assert on_own_clocks(stepped).notes == ((f"lane_offset comes in steps of {step:.2g} m",) if told else ())
+@pytest.mark.parametrize(("step", "noted"), [(0.04, False), (0.05, True), (0.1, True)])
+def test_steps_of_the_offset(step, noted):
+    recording = road()
+    stepped = dataclasses.replace(recording, lane_offset=np.round(recording.lane_offset / step) * step)
+    assert coarse_step(stepped.lane_offset) == pytest.approx(step * noted)
+    assert on_own_clocks(stepped).notes == ((f"lane_offset comes in steps of {step:.2g} m",) if noted else ())
     # a few samples are on some steps by chance
     assert coarse_step(stepped.lane_offset[:10]) == 0.0
 
 
 def frozen(**columns: Any) -> list[int]:
     """Rows that are not valid any more, and so no driving."""
-    one = road()
-    made = {name: np.where(np.isfinite(values), values, getattr(one, name)) for name, values in columns.items()}
-    return np.flatnonzero(~prepare(dataclasses.replace(one, **made), Preparation()).valid).tolist()
+    recording = road()
+    replaced = {
+        name: np.where(np.isfinite(values), values, getattr(recording, name)) for name, values in columns.items()
+    }
+    return np.flatnonzero(~prepare(dataclasses.replace(recording, **replaced), Preparation()).valid).tolist()
 
 
 def stands(value: float, rows: slice) -> np.ndarray:
@@ -433,39 +437,40 @@ def stands(value: float, rows: slice) -> np.ndarray:
 
 def test_rows_that_repeat_the_one_before():
     """The lane alone for more than two seconds, or all signals for more than one; the first row is good."""
-    ten, eleven, twenty, more = slice(100, 111), slice(100, 112), slice(100, 121), slice(100, 122)
+    ten, eleven, twenty, twenty_one = slice(100, 111), slice(100, 112), slice(100, 121), slice(100, 122)
     assert frozen(lane_offset=stands(0.2, twenty)) == []
-    assert frozen(lane_offset=stands(0.2, more)) == list(range(101, 122))
-    assert frozen(lane_offset=stands(0.2, more), speed=stands(1.0, more)) == []  # stands, as the vehicle does
-    assert frozen(lane_offset=stands(0.2, more), speed=stands(1.1, more)) == list(range(101, 122))
+    assert frozen(lane_offset=stands(0.2, twenty_one)) == list(range(101, 122))
+    # as the vehicle does
+    assert frozen(lane_offset=stands(0.2, twenty_one), speed=stands(1.0, twenty_one)) == []
+    assert frozen(lane_offset=stands(0.2, twenty_one), speed=stands(1.1, twenty_one)) == list(range(101, 122))
     every = {"lane_offset": 0.2, "speed": 25.0, "yaw_rate": 0.0}
     assert frozen(**{name: stands(value, ten) for name, value in every.items()}) == []
     assert frozen(**{name: stands(value, eleven) for name, value in every.items()}) == list(range(101, 112))
     assert frozen(**{name: stands(value, eleven) for name, value in list(every.items())[:2]}) == []
     # a signal that stands still in most rows, for less long, says nothing when it does so for longer
     for rows, expected in ((3, []), (1, list(range(101, 131)))):
-        made = held(road().lane_offset, rows)
-        made[100:131] = 0.2
-        assert frozen(lane_offset=made) == expected
+        offset = held(road().lane_offset, rows)
+        offset[100:131] = 0.2
+        assert frozen(lane_offset=offset) == expected
 
 
 def test_stretches_lie_between_the_cuts():
-    one = drive(cut=np.isin(np.arange(100), [0, 30, 31]), notes=("odd",))
-    pieces = stretches(one)
+    recording = drive(cut=np.isin(np.arange(100), [0, 30, 31]), notes=("odd",))
+    pieces = stretches(recording)
     assert [piece.t.tolist() for piece in pieces] == [T[:30].tolist(), T[30:31].tolist(), T[31:].tolist()]
     assert [(piece.continues, piece.notes) for piece in pieces] == [(False, ("odd",)), (True, ()), (True, ())]
     (whole,) = stretches(drive(cut=np.arange(100) == 0))
     assert (whole.samples, whole.continues) == (100, False)
     assert [piece.cut for piece in (whole, *pieces)] == [None] * 4
-    assert extract_departures([one], vehicle_width=1.8).warnings == ("odd: 1 of 1 recordings",)
+    assert extract_departures([recording], vehicle_width=1.8).warnings == ("odd: 1 of 1 recordings",)
 
 
 @pytest.mark.parametrize(("apart", "resampled"), [(0.25, True), (0.26, False)])
 def test_a_clock_too_slow_for_any_bridge_is_kept(apart, resampled):
-    one = drive(t=apart * np.arange(100), lane_offset=LIVELY)
-    found = prepare(one, Preparation(step=0.125, max_gap=0.25))
-    assert found.t.tolist() == (0.125 * np.arange(199) if resampled else one.t).tolist()
-    assert prepare(one, Preparation(step=0.5, max_gap=0.1)).samples < 55
+    recording = drive(t=apart * np.arange(100), lane_offset=LIVELY)
+    result = prepare(recording, Preparation(step=0.125, max_gap=0.25))
+    assert result.t.tolist() == (0.125 * np.arange(199) if resampled else recording.t).tolist()
+    assert prepare(recording, Preparation(step=0.5, max_gap=0.1)).samples < 55
 
 
 def test_the_gap_of_the_criteria_rules_resampled_recordings():
@@ -473,27 +478,27 @@ def test_the_gap_of_the_criteria_rules_resampled_recordings():
     t = np.arange(200) * 0.05
     offset = 0.9 + np.clip(0.3 * (1.0 - ((t - 5.0) / 0.95) ** 2), -0.4, None)
     columns = {"lane_offset": offset, "lane_width": np.full(200, 3.6), "speed": np.full(200, 25.0)}
-    one = Recording("a", t, valid=np.ones(200, bool), curvature=np.zeros(200), **columns)
+    recording = Recording("a", t, valid=np.ones(200, bool), curvature=np.zeros(200), **columns)
 
-    def found(hole: float, **criteria: Any) -> tuple[int, dict[str, int]]:
-        holed = one.take(np.abs(t - 5.0) >= 0.5 * hole - 1e-9)
+    def search(hole: float, **criteria: Any) -> tuple[int, dict[str, int]]:
+        holed = recording.take(np.abs(t - 5.0) >= 0.5 * hole - 1e-9)
         result = extract_departures([holed], vehicle_width=1.8, preparation=Preparation(0.1), **criteria)
         samples = int(result.departures.samples[0]) if len(result.departures) else 0
         return samples, {reason: count for reason, count in result.refused.items() if count}
 
-    assert found(0.2) == (19, {})
-    assert found(0.2, max_gap=0.15) == (0, {"gap": 1})
-    assert found(0.6) == (0, {"gap": 1})
-    assert found(0.6, max_gap=0.7) == (14, {})
+    assert search(0.2) == (19, {})
+    assert search(0.2, max_gap=0.15) == (0, {"gap": 1})
+    assert search(0.6) == (0, {"gap": 1})
+    assert search(0.6, max_gap=0.7) == (14, {})
 
 
 def test_a_recording_that_cannot_be_prepared_is_a_problem():
     endless = drive("endless", t=[*T[:-1], 1e300], source="x.csv")
-    found = extract_departures([endless, drive("b")], vehicle_width=1.8, preparation=Preparation(0.1))
-    assert found.departures.recording.tolist() == ["b"]
-    (problem,) = found.problems
+    extraction = extract_departures([endless, drive("b")], vehicle_width=1.8, preparation=Preparation(0.1))
+    assert extraction.departures.recording.tolist() == ["b"]
+    (problem,) = extraction.problems
     assert str(problem).startswith("x.csv: recording 'endless': from t = 0.0 to 1e+300 s is too long")
-    assert found.provenance.problems == (str(problem),)
+    assert extraction.provenance.problems == (str(problem),)
 
 
 def test_things_that_are_no_recordings():
@@ -541,18 +546,22 @@ def random_recording(seed: int, step: float) -> Recording:
     )
 
 
-def one_by_one(given: Recording, step: float, max_gap: float) -> list[dict[str, Any]]:
+def one_by_one(recording: Recording, step: float, max_gap: float) -> list[dict[str, Any]]:
     """The docstring of `resample`, in plain loops over every multiple of the step."""
 
     def known(value: float) -> bool:
         return math.isfinite(value) and abs(value) < 1e9
 
-    t = [float(time) - float(given.t[0]) for time in given.t]
-    numbers = [name for name in ("lane_offset", "lane_width", "speed", "yaw_rate") if getattr(given, name) is not None]
+    t = [float(time) - float(recording.t[0]) for time in recording.t]
+    numbers = [
+        name for name in ("lane_offset", "lane_width", "speed", "yaw_rate") if getattr(recording, name) is not None
+    ]
     good = [
         i
         for i in range(len(t))
-        if given.valid[i] and all(known(getattr(given, name)[i]) for name in numbers) and given.lane_width[i] > 0
+        if recording.valid[i]
+        and all(known(getattr(recording, name)[i]) for name in numbers)
+        and recording.lane_width[i] > 0
     ]
     out = []
     for k in range(round(t[-1] / step) + 2):
@@ -561,45 +570,45 @@ def one_by_one(given: Recording, step: float, max_gap: float) -> list[dict[str, 
             break
         reach = (0.5 + EPS) * step
         window = [i for i in good if centre - reach <= t[i] < centre + reach or t[i] == centre + reach]
-        row: dict[str, Any] = {"t": float(given.t[0]) + centre, "valid": True}
+        row: dict[str, Any] = {"t": float(recording.t[0]) + centre, "valid": True}
         nearest = min(good, key=lambda i: abs(t[i] - centre), default=None)
-        if given.lane is not None and window:
+        if recording.lane is not None and window:
             # only the neighbours in the nearest sample's lane, without another one in between
-            place = good.index(nearest)
-            low = high = place
-            while low > 0 and given.lane[good[low - 1]] == given.lane[nearest]:
+            position = good.index(nearest)
+            low = high = position
+            while low > 0 and recording.lane[good[low - 1]] == recording.lane[nearest]:
                 low -= 1
-            while high < len(good) - 1 and given.lane[good[high + 1]] == given.lane[nearest]:
+            while high < len(good) - 1 and recording.lane[good[high + 1]] == recording.lane[nearest]:
                 high += 1
             window = [i for i in window if i in good[low : high + 1]]
         before = [i for i in good if t[i] < centre - reach]
         after = [i for i in good if t[i] > centre + reach]
         if window:
             for name in numbers:
-                values = sorted(float(getattr(given, name)[i]) for i in window)
+                values = sorted(float(getattr(recording, name)[i]) for i in window)
                 row[name] = statistics.median(values)
                 a, b = values[(len(values) - 1) // 2], values[len(values) // 2]
                 if name == "lane_offset" and b - a > 0.6:
-                    near = float(given.lane_offset[nearest])
+                    near = float(recording.lane_offset[nearest])
                     row[name] = a if abs(a - near) <= abs(b - near) else b
         elif (
             before
             and after
             and t[after[0]] - t[before[-1]] <= max_gap * (1.0 + EPS)
-            and abs(given.lane_offset[after[0]] - given.lane_offset[before[-1]]) <= 0.6
-            and (given.lane is None or given.lane[after[0]] == given.lane[before[-1]])
+            and abs(recording.lane_offset[after[0]] - recording.lane_offset[before[-1]]) <= 0.6
+            and (recording.lane is None or recording.lane[after[0]] == recording.lane[before[-1]])
         ):
             i, j = before[-1], after[0]
             for name in numbers:
-                row[name] = np.interp(centre, [t[i], t[j]], [getattr(given, name)[i], getattr(given, name)[j]])
+                row[name] = np.interp(centre, [t[i], t[j]], [getattr(recording, name)[i], getattr(recording, name)[j]])
         elif any(abs(time - centre) <= reach for time in t):
             row["valid"] = False
         else:
             continue
         if row["valid"]:
             for name in ("lane", "turn_signal", "heading"):
-                if getattr(given, name) is not None:
-                    row[name] = getattr(given, name)[nearest]
+                if getattr(recording, name) is not None:
+                    row[name] = getattr(recording, name)[nearest]
         out.append(row)
     return out
 
@@ -611,18 +620,18 @@ def one_by_one(given: Recording, step: float, max_gap: float) -> list[dict[str, 
     max_gap=st.sampled_from([0.03, 0.25, 1.0]),
 )
 def test_equals_the_walk_through_every_window(seed, step, max_gap):
-    made = random_recording(seed, step)
-    rows = one_by_one(made, step, max_gap)
-    result = resample(made, step, max_gap)
+    raw = random_recording(seed, step)
+    rows = one_by_one(raw, step, max_gap)
+    result = resample(raw, step, max_gap)
     assert result.valid.tolist() == [row["valid"] for row in rows]
     np.testing.assert_allclose(result.t, [row["t"] for row in rows], rtol=1e-12)
     for name in ("lane_offset", "lane_width", "speed", "yaw_rate", "lane", "turn_signal", "heading"):
         values = getattr(result, name)
-        assert (values is None) == (getattr(made, name) is None)
+        assert (values is None) == (getattr(raw, name) is None)
         if values is None:
             continue
-        wanted = [row[name] for row in rows if row["valid"]]
-        np.testing.assert_allclose(values[result.valid], wanted, rtol=1e-9, atol=1e-12)
+        expected = [row[name] for row in rows if row["valid"]]
+        np.testing.assert_allclose(values[result.valid], expected, rtol=1e-9, atol=1e-12)
         if name in ("lane_offset", "lane_width", "speed", "yaw_rate"):
             assert np.isnan(values[~result.valid]).all()
 
@@ -632,26 +641,26 @@ def test_samples_at_the_multiples_keep_their_bits(origin):
     rng = np.random.default_rng(0)
     t = origin + np.arange(200) / 10.0
     columns = {name: rng.normal(5.0, 1.0, 200) for name in ("lane_offset", "lane_width", "speed", "yaw_rate")}
-    one = recording(t, **columns, turn_signal=rng.integers(-1, 2, 200))
-    kept = rng.random(200) > 0.1
-    kept[0] = True
-    one = one.take(kept)
-    result = resample(one, 0.1, max_gap=0.11)
+    sparse = recording(t, **columns, turn_signal=rng.integers(-1, 2, 200))
+    keep = rng.random(200) > 0.1
+    keep[0] = True
+    sparse = sparse.take(keep)
+    result = resample(sparse, 0.1, max_gap=0.11)
     for name in Recording.COLUMNS:
-        if getattr(one, name) is not None and (name != "t" or origin < 1e6):
-            np.testing.assert_array_equal(getattr(result, name), getattr(one, name))
+        if getattr(sparse, name) is not None and (name != "t" or origin < 1e6):
+            np.testing.assert_array_equal(getattr(result, name), getattr(sparse, name))
     # a clock of years resolves 2e-7 s
-    np.testing.assert_allclose(result.t, one.t, rtol=0.0, atol=5e-7)
+    np.testing.assert_allclose(result.t, sparse.t, rtol=0.0, atol=5e-7)
     again = resample(result, 0.1, max_gap=0.11)
     np.testing.assert_array_equal(again.lane_offset, result.lane_offset)
     np.testing.assert_array_equal(again.t, result.t)
 
 
 def test_one_sample_and_none():
-    one = recording([5.0], lane_offset=np.array([0.4]))
-    result = resample(one, 0.1)
+    single = recording([5.0], lane_offset=np.array([0.4]))
+    result = resample(single, 0.1)
     assert (result.t.tolist(), result.lane_offset.tolist(), result.valid.tolist()) == ([5.0], [0.4], [True])
-    assert resample(one.take(slice(0, 0)), 0.1).samples == 0
+    assert resample(single.take(slice(0, 0)), 0.1).samples == 0
     nothing = recording(np.arange(20) / 20.0, valid=np.zeros(20, bool), lane=np.ones(20, dtype=np.int64))
     result = resample(nothing, 0.1)
     assert not result.valid.any()

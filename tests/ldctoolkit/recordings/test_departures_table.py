@@ -30,15 +30,15 @@ from ldctoolkit.version import __version__
 
 
 @pytest.fixture
-def found(tmp_path):
+def extracted(tmp_path):
     frame_of([drive("left"), drive("rechts, ä", lane_offset=-OFFSET)]).write_csv(tmp_path / "drive.csv")
     return extract_departures(open_recordings(tmp_path / "drive.csv"), vehicle_width=1.8)
 
 
 @pytest.fixture
-def written(found, tmp_path):
+def written(extracted, tmp_path):
     path = tmp_path / "d.parquet"
-    write_departures(path, found.departures, found.provenance)
+    write_departures(path, extracted.departures, extracted.provenance)
     return path
 
 
@@ -47,48 +47,48 @@ def rewrite(path, frame):
     frame.write_parquet(path, metadata={METADATA_KEY: pl.read_parquet_metadata(path)[METADATA_KEY]})
 
 
-def test_round_trip(found, written):
+def test_round_trip(extracted, written):
     departures, provenance = read_departures(written)
-    assert (provenance, departures.recording.tolist()) == (found.provenance, ["left", "rechts, ä"])
+    assert (provenance, departures.recording.tolist()) == (extracted.provenance, ["left", "rechts, ä"])
     for field in dataclasses.fields(Departures):
         if field.name in ("extra", "signals"):
             assert not getattr(departures, field.name)
             continue
-        given, back = getattr(found.departures, field.name), getattr(departures, field.name)
-        np.testing.assert_array_equal(back, given)
-        assert back.dtype.kind == given.dtype.kind
+        arguments, back = getattr(extracted.departures, field.name), getattr(departures, field.name)
+        np.testing.assert_array_equal(back, arguments)
+        assert back.dtype.kind == arguments.dtype.kind
 
 
-def test_a_table_of_an_earlier_version_does_not_know_distance_limits_and_systems(found, written):
+def test_a_table_of_an_earlier_version_does_not_know_distance_limits_and_systems(extracted, written):
     frame = pl.read_parquet(written)
     content = json.loads(pl.read_parquet_metadata(written)[METADATA_KEY])
     criteria = [content["criteria"].pop(name) for name in ("min_lane_width", "max_lane_width", "keep_engaged")]
     assert (criteria, content["refused"].pop("engaged")) == ([2.0, 7.0, False], 0)
-    assert (found.distance, content.pop("distance")) == (495.0, 495.0)  # twice 9.9 s at 25 m/s
+    assert (extracted.distance, content.pop("distance")) == (495.0, 495.0)  # twice 9.9 s at 25 m/s
     frame.write_parquet(written, metadata={METADATA_KEY: json.dumps(content)})
-    assert read_departures(written)[1] == dataclasses.replace(found.provenance, distance=0.0)
+    assert read_departures(written)[1] == dataclasses.replace(extracted.provenance, distance=0.0)
 
 
 def test_criteria_and_reasons_come_back(tmp_path):
     steered = drive("a", engaged=(OFFSET > 1.0).astype(float))
-    chosen = {"vehicle_width": 1.8, "min_lane_width": 2.5, "max_lane_width": 6.5}
+    criteria = {"vehicle_width": 1.8, "min_lane_width": 2.5, "max_lane_width": 6.5}
     for keep, departures in ((False, 0), (True, 1)):
-        found = extract_departures([steered], keep_engaged=keep, **chosen)
-        write_departures(tmp_path / "d.parquet", found.departures, found.provenance)
+        extraction = extract_departures([steered], keep_engaged=keep, **criteria)
+        write_departures(tmp_path / "d.parquet", extraction.departures, extraction.provenance)
         back, provenance = read_departures(tmp_path / "d.parquet")
         assert (back.n, provenance.refused.engaged) == (departures, 1 - departures)
-        assert {name: getattr(provenance.criteria, name) for name in chosen} == chosen
+        assert {name: getattr(provenance.criteria, name) for name in criteria} == criteria
         assert provenance.criteria.keep_engaged is keep
 
 
-def test_what_the_file_holds(found, written, tmp_path):
+def test_what_the_file_holds(extracted, written, tmp_path):
     frame = pl.read_parquet(written)
     assert frame.columns == list(COLUMNS)
     assert frame["side"].to_list() == ["left", "right"]
     content = json.loads(pl.read_parquet_metadata(written)[METADATA_KEY])
     assert (content["format_version"], content["ldctoolkit"]) == (2, __version__)
     assert (content["criteria"]["vehicle_width"], content["refused"]["too_short"]) == (1.8, 0)
-    assert content["sources"] == [dataclasses.asdict(found.provenance.sources[0])]
+    assert content["sources"] == [dataclasses.asdict(extracted.provenance.sources[0])]
     assert content["sources"][0]["name"] == "drive.csv"
     assert str(tmp_path) not in json.dumps(content)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["d.parquet", "drive.csv"]
@@ -157,14 +157,14 @@ def test_bad_files(written, tmp_path):
 
 def test_all_bytes_are_checked_before_anything_is_parsed(tmp_path, capfd):
     """Also those of the checksum and of its names; without one a table is read as it is, as one made by hand."""
-    kept = extract_departures([drive("a"), drive("b", lane_offset=-OFFSET)], vehicle_width=1.8, keep_signals=True)
+    content = extract_departures([drive("a"), drive("b", lane_offset=-OFFSET)], vehicle_width=1.8, keep_signals=True)
     path = tmp_path / "d.parquet"
-    write_departures(path, kept.departures, kept.provenance)
+    write_departures(path, content.departures, content.provenance)
     for file in (path, tmp_path / "d.signals.parquet"):
         data = file.read_bytes()
         checksum = data.index(b"ldctoolkit.checksum")
-        for at in (*range(0, len(data), 97), *range(checksum, checksum + 105)):
-            file.write_bytes(data[:at] + bytes([data[at] ^ 1 << at % 8]) + data[at + 1 :])
+        for offset in (*range(0, len(data), 97), *range(checksum, checksum + 105)):
+            file.write_bytes(data[:offset] + bytes([data[offset] ^ 1 << offset % 8]) + data[offset + 1 :])
             with pytest.raises(RecordingError, match=f"^{file.name}: its content is not what was written"):
                 read_departures(path, signals=True)
         file.write_bytes(data)
@@ -178,18 +178,18 @@ def test_all_bytes_are_checked_before_anything_is_parsed(tmp_path, capfd):
     assert read_departures(path)[0].d_y.tolist() == [0.5, 0.5]
 
 
-def test_nothing_half_written(found, written, tmp_path):
+def test_nothing_half_written(extracted, written, tmp_path):
     before = written.read_bytes()
-    bad = dataclasses.replace(found.departures, T=np.array([np.nan, 1.0]))
+    bad = dataclasses.replace(extracted.departures, T=np.array([np.nan, 1.0]))
     with pytest.raises(RecordingError, match=r"d\.parquet, row 1: column 'T_s' holds nan"):
-        write_departures(written, bad, found.provenance)
+        write_departures(written, bad, extracted.provenance)
     assert written.read_bytes() == before
     with pytest.raises(RecordingError, match=r"the suffix of a departures table is \.parquet"):
-        write_departures(tmp_path / "d.csv", found.departures, found.provenance)
+        write_departures(tmp_path / "d.csv", extracted.departures, extracted.provenance)
     (tmp_path / "taken.parquet").mkdir()
     for path in (tmp_path / "nofolder" / "d.parquet", written / "d.parquet", tmp_path / "taken.parquet"):
         with pytest.raises(RecordingError, match="cannot be written"):
-            write_departures(path, found.departures, found.provenance)
+            write_departures(path, extracted.departures, extracted.provenance)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["d.parquet", "drive.csv", "taken.parquet"]
 
 
@@ -206,25 +206,25 @@ def labels(**values: str) -> tuple[Label, ...]:
 
 
 def test_labels_become_columns_and_come_back(tmp_path):
-    found = extract(
+    extraction = extract(
         drive("a", labels=labels(driver="D1", road="motorway"), source="D1"),
         drive("b", source="D2"),
         drive("c", labels=labels(road="ländlich, „x“"), source="D2", lane_scale=1.25),
         Problem("x.csv", "line 3", "what"),
     )
-    wanted = {
+    expected = {
         "source": ["D1", "D2", "D2"], "lane_scale": [1.0, 1.0, 1.25], "driver": ["D1", "", ""],
         "road": ["motorway", "", "ländlich, „x“"],
     }  # fmt: skip
-    assert columns_of(found.departures) == wanted
-    write_departures(tmp_path / "d.parquet", found.departures, found.provenance)
+    assert columns_of(extraction.departures) == expected
+    write_departures(tmp_path / "d.parquet", extraction.departures, extraction.provenance)
     frame = pl.read_parquet(tmp_path / "d.parquet")
-    assert (frame.columns, frame["lane_scale"].dtype) == ([*COLUMNS, *wanted], pl.Float64)
+    assert (frame.columns, frame["lane_scale"].dtype) == ([*COLUMNS, *expected], pl.Float64)
     departures, provenance = read_departures(tmp_path / "d.parquet")
-    assert columns_of(departures) == wanted
+    assert columns_of(departures) == expected
     assert [column.values.dtype.kind for column in departures.extra] == ["U", "f", "U", "U"]
-    assert (provenance, provenance.problems) == (found.provenance, ("x.csv, line 3: what",))
-    assert columns_of(departures.take([2])) == {name: values[2:] for name, values in wanted.items()}
+    assert (provenance, provenance.problems) == (extraction.provenance, ("x.csv, line 3: what",))
+    assert columns_of(departures.take([2])) == {name: values[2:] for name, values in expected.items()}
 
 
 def test_columns_that_tell_nothing_are_left_out():
@@ -235,8 +235,8 @@ def test_columns_that_tell_nothing_are_left_out():
 
 def test_no_departures_but_columns(tmp_path):
     quiet = drive("a", lane_offset=np.zeros(100), labels=labels(driver="D1"))
-    found = extract(quiet)
-    write_departures(tmp_path / "d.parquet", found.departures, found.provenance)
+    extraction = extract(quiet)
+    write_departures(tmp_path / "d.parquet", extraction.departures, extraction.provenance)
     departures, _ = read_departures(tmp_path / "d.parquet")
     assert departures.n == 0
     assert columns_of(departures) == {"driver": []}
@@ -244,18 +244,18 @@ def test_no_departures_but_columns(tmp_path):
 
 @pytest.mark.parametrize("name", ["T_s", "d_y", "recording", "side", "samples", "source", "lane_scale", ""])
 def test_a_label_with_the_name_of_a_column(name, tmp_path):
-    found = extract(drive("a", labels=labels(**{name: "x"}), source="x.csv"), drive("b", source="x.csv"))
-    assert found.departures.recording.tolist() == ["b"]
-    (problem,) = found.problems
+    extraction = extract(drive("a", labels=labels(**{name: "x"}), source="x.csv"), drive("b", source="x.csv"))
+    assert extraction.departures.recording.tolist() == ["b"]
+    (problem,) = extraction.problems
     assert f"recording 'a': label {name!r}; allowed: a name that is no column" in str(problem)
-    write_departures(tmp_path / "d.parquet", found.departures, found.provenance)
+    write_departures(tmp_path / "d.parquet", extraction.departures, extraction.provenance)
 
 
 def test_tables_with_different_columns_are_joined():
-    one = extract(drive("a", labels=labels(driver="D1"))).departures
+    recording = extract(drive("a", labels=labels(driver="D1"))).departures
     two = extract(drive("b", labels=labels(road="city")), nominal_lane_width=3.6).departures
     none = extract(drive("c", lane_offset=np.zeros(100))).departures
-    joined = combined_departures([one, none, two])
+    joined = combined_departures([recording, none, two])
     assert joined.recording.tolist() == ["a", "b"]
     back = columns_of(joined)
     assert list(back) == ["driver", "lane_scale", "road"]

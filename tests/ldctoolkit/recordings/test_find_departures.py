@@ -15,20 +15,20 @@ NO_LIMITS = Plausibility(y_rate=np.inf, y_acceleration=np.inf, a_y=np.inf)
 
 
 def extract(*recordings: Recording, **criteria: Any) -> Extraction:
-    found = extract_departures(recordings, **({"vehicle_width": 1.8, "force": True} | criteria))
-    assert found.candidates == len(found.departures) + sum(count for _, count in found.refused.items())
-    return found
+    extraction = extract_departures(recordings, **({"vehicle_width": 1.8, "force": True} | criteria))
+    assert extraction.candidates == len(extraction.departures) + sum(count for _, count in extraction.refused.items())
+    return extraction
 
 
-def reasons(found: Extraction) -> dict[str, int]:
-    return {reason: count for reason, count in found.refused.items() if count}
+def reasons(extraction: Extraction) -> dict[str, int]:
+    return {reason: count for reason, count in extraction.refused.items() if count}
 
 
 def test_a_departure_by_hand():
-    found = extract(drive(curvature=1e-3 + 1e-4 * T, speed=25.0 + 0.2 * (T - 5.0)))
-    d = found.departures
+    extraction = extract(drive(curvature=1e-3 + 1e-4 * T, speed=25.0 + 0.2 * (T - 5.0)))
+    d = extraction.departures
     assert len(d) == 1
-    assert (reasons(found), d.recording.tolist(), d.side.tolist()) == ({}, ["a"], [LEFT])
+    assert (reasons(extraction), d.recording.tolist(), d.side.tolist()) == ({}, ["a"], [LEFT])
     assert d.samples.tolist() == [19]
     # the chord between two samples of a parabola differs from it by at most y'' h^2/8 = 0.00083 m, which the slope
     # at the crossing, 0.63 m/s, turns into 1.3 ms
@@ -40,7 +40,7 @@ def test_a_departure_by_hand():
     # a straight line survives interpolation and regression exactly
     np.testing.assert_allclose(d.c_0, 1e-3 + 1e-4 * d.start_time, atol=1e-15)
     np.testing.assert_allclose(d.dc, 1e-4 * d.T, atol=1e-15)
-    assert (found.hours, found.warnings) == (pytest.approx(9.9 / 3600.0), ())
+    assert (extraction.hours, extraction.warnings) == (pytest.approx(9.9 / 3600.0), ())
 
 
 def test_regressions_equal_numpy_on_the_recorded_samples():
@@ -107,9 +107,9 @@ def test_refused_with_one_reason(reason, columns, criteria, side):
     changed["lane_offset"] = side * changed["lane_offset"]
     if "turn_signal" in changed:
         changed["turn_signal"] = side * changed["turn_signal"]
-    found = extract(drive(**changed), **criteria)
-    assert len(found.departures) == 0
-    assert reasons(found) == {reason: 1}
+    extraction = extract(drive(**changed), **criteria)
+    assert len(extraction.departures) == 0
+    assert reasons(extraction) == {reason: 1}
 
 
 @pytest.mark.parametrize(
@@ -119,14 +119,14 @@ def test_refused_with_one_reason(reason, columns, criteria, side):
 def test_a_path_that_asks_more_than_a_limit(limit, asked, share, expected):
     """0.3 m in 1.9 s at 25 m/s, in a bend of 1 m/s^2 away from the line."""
     limits = dataclasses.replace(NO_LIMITS, **{limit: share * asked})
-    found = extract(drive(curvature=-1.0 / 25.0**2), plausibility=limits)
-    assert (reasons(found), len(found.departures)) == (expected, 1 - len(expected))
+    extraction = extract(drive(curvature=-1.0 / 25.0**2), plausibility=limits)
+    assert (reasons(extraction), len(extraction.departures)) == (expected, 1 - len(expected))
 
 
 @pytest.mark.parametrize("a", [-9.8, 9.8])
 def test_hard_braking_is_a_departure_all_the_same(a):
-    found = extract(drive(lane_offset=OFFSET, speed=60.0 + a * (T - 5.0)))
-    np.testing.assert_allclose(found.departures.a_mean, [a], rtol=1e-9)
+    extraction = extract(drive(lane_offset=OFFSET, speed=60.0 + a * (T - 5.0)))
+    np.testing.assert_allclose(extraction.departures.a_mean, [a], rtol=1e-9)
 
 
 def test_a_signal_the_other_way_or_after_is_no_reason():
@@ -141,41 +141,41 @@ def test_a_signal_the_other_way_or_after_is_no_reason():
 def test_a_system_that_steers(rows, expected):
     """On the samples before and after the crossings, 4.0 and 6.0 s, too."""
     engaged = with_value(0, rows, 1)
-    found, kept = extract(drive(engaged=engaged)), extract(drive(engaged=engaged), keep_engaged=True)
-    assert reasons(found) == ({expected: 1} if expected else {})
-    assert (len(found.departures), len(kept.departures)) == (not expected, 1)
+    extraction, retained = extract(drive(engaged=engaged)), extract(drive(engaged=engaged), keep_engaged=True)
+    assert reasons(extraction) == ({expected: 1} if expected else {})
+    assert (len(extraction.departures), len(retained.departures)) == (not expected, 1)
     # hours and metres of the driver alone, in the steps between such samples; read is all
     driver = np.flatnonzero(engaged == 0)
     steps = 0.1 * np.count_nonzero(np.diff(driver) == 1)
-    assert found.hours * 3600.0 == pytest.approx(steps)
-    assert found.distance == pytest.approx(25.0 * steps)
-    assert (kept.hours * 3600.0, kept.distance) == (pytest.approx(9.9), pytest.approx(247.5))
-    assert [account.read_ns for account in found.accounts] == [9_900_000_000]
-    assert found.provenance.invalid_samples == 0
+    assert extraction.hours * 3600.0 == pytest.approx(steps)
+    assert extraction.distance == pytest.approx(25.0 * steps)
+    assert (retained.hours * 3600.0, retained.distance) == (pytest.approx(9.9), pytest.approx(247.5))
+    assert [account.read_ns for account in extraction.accounts] == [9_900_000_000]
+    assert extraction.provenance.invalid_samples == 0
 
 
 def test_nothing_is_joined_across_a_cut():
     """Not even where the samples on both sides are next to each other in time: each side ends there."""
-    one = drive(cut=np.isin(np.arange(100), [0, 50]))
-    found = extract(one)
-    assert (reasons(found), found.recordings, found.provenance.samples) == ({"cut_by_end": 2}, 1, 100)
-    assert found.hours * 3600.0 == pytest.approx(9.8)
+    recording = drive(cut=np.isin(np.arange(100), [0, 50]))
+    extraction = extract(recording)
+    assert (reasons(extraction), extraction.recordings, extraction.provenance.samples) == ({"cut_by_end": 2}, 1, 100)
+    assert extraction.hours * 3600.0 == pytest.approx(9.8)
     # before the departure begins it does not matter, but for the step; a cut before the first sample is none
     assert len(extract(drive(cut=np.arange(100) == 40)).departures) == 1
     assert reasons(extract(drive(cut=np.arange(100) == 41))) == {"cut_by_end": 1}
     assert extract(drive(cut=np.arange(100) == 0)).hours * 3600.0 == pytest.approx(9.9)
     # with a step of time, too: nothing is made up in between
-    sparse = one.take(np.arange(100) != 49)
+    sparse = recording.take(np.arange(100) != 49)
     for step in (0.1, 0.2):
         for cut, refused in ((sparse.cut, {"cut_by_end": 2}), (None, {})):
-            found = extract(dataclasses.replace(sparse, cut=cut), preparation=Preparation(step=step))
-            assert (reasons(found), found.problems, found.recordings) == (refused, (), 1)
+            extraction = extract(dataclasses.replace(sparse, cut=cut), preparation=Preparation(step=step))
+            assert (reasons(extraction), extraction.problems, extraction.recordings) == (refused, (), 1)
 
 
 def test_without_curvature_it_is_zero_and_says_so():
-    found = extract(drive(curvature=None, lane=None))
-    assert (found.departures.c_0.tolist(), found.provenance.curvature) == ([0.0], "none")
-    assert [warning.split(":")[0] for warning in found.warnings] == [
+    extraction = extract(drive(curvature=None, lane=None))
+    assert (extraction.departures.c_0.tolist(), extraction.provenance.curvature) == ([0.0], "none")
+    assert [warning.split(":")[0] for warning in extraction.warnings] == [
         "no column 'curvature' or 'yaw_rate'",
         "no column 'lane'",
     ]
@@ -183,31 +183,38 @@ def test_without_curvature_it_is_zero_and_says_so():
 
 def test_a_table_without_usable_samples():
     for count in (1, 2, 3):
-        found = extract(*(drive(f"r{i}", valid=0) for i in range(count)))
-        assert (found.candidates, found.hours, found.provenance.invalid_samples) == (0, 0.0, 100 * count)
+        extraction = extract(*(drive(f"r{i}", valid=0) for i in range(count)))
+        assert (extraction.candidates, extraction.hours, extraction.provenance.invalid_samples) == (0, 0.0, 100 * count)
     assert len(extract(drive("a", valid=0), drive("b"), drive("c", valid=0)).departures) == 1
 
 
 def test_real_recordings(ngsim_recordings):
     """Order of magnitude that the data's own description tells: about 250, median 1.4 s, median peak 0.16 m."""
     recordings = open_recordings(ngsim_recordings)
-    found = extract_departures(recordings, vehicle_width=1.8)
-    assert len(found.departures) == 247
-    assert 1.3 <= np.median(found.departures.T) <= 1.6
-    assert 0.14 <= np.median(found.departures.d_y) <= 0.18
-    assert (found.recordings, found.provenance.samples) == (370, 214_267)
-    assert found.hours == pytest.approx(5.95, abs=0.02)
+    extraction = extract_departures(recordings, vehicle_width=1.8)
+    assert len(extraction.departures) == 247
+    assert 1.3 <= np.median(extraction.departures.T) <= 1.6
+    assert 0.14 <= np.median(extraction.departures.d_y) <= 0.18
+    assert (extraction.recordings, extraction.provenance.samples) == (370, 214_267)
+    assert extraction.hours == pytest.approx(5.95, abs=0.02)
     # 412 lane changes; some of them within one manoeuvre, or with the edge inside on both of their samples. Two events
     # of half a second with -24 and -19 m/s^2, the noise of five or six speeds, and four whose path asks too much: one
     # for 2.4 m/s at the line, all of them for more than 4 m/s^2
-    others = {"lane_change": 375, "jump": 2, "cut_by_end": 152, "too_short": 94, "too_long": 8, "slow": 19}
-    assert reasons(found) == others | {"implausible": 6}
-    assert found.candidates == len(found.departures) + found.refused.total
-    assert np.abs(found.departures.a_mean).max() <= 9.81
-    more = extract_departures(recordings, vehicle_width=1.8, plausibility=NO_LIMITS)
-    assert (len(more.departures), reasons(more)) == (251, others | {"implausible": 2})
-    assert found.warnings == ("the lane is straight in nearly all samples: c_0 and dc tell nothing",)
-    assert found.provenance.sources == recordings.source.files
+    refused_for_other_reasons = {
+        "lane_change": 375,
+        "jump": 2,
+        "cut_by_end": 152,
+        "too_short": 94,
+        "too_long": 8,
+        "slow": 19,
+    }
+    assert reasons(extraction) == refused_for_other_reasons | {"implausible": 6}
+    assert extraction.candidates == len(extraction.departures) + extraction.refused.total
+    assert np.abs(extraction.departures.a_mean).max() <= 9.81
+    unlimited = extract_departures(recordings, vehicle_width=1.8, plausibility=NO_LIMITS)
+    assert (len(unlimited.departures), reasons(unlimited)) == (251, refused_for_other_reasons | {"implausible": 2})
+    assert extraction.warnings == ("the lane is straight in nearly all samples: c_0 and dc tell nothing",)
+    assert extraction.provenance.sources == recordings.source.files
 
 
 @pytest.mark.parametrize(
@@ -222,9 +229,9 @@ def test_real_recordings(ngsim_recordings):
     ],
 )
 def test_a_gap_where_frames_come_in_bursts(t, lost, expected):
-    kept = t[(t < 4.999) | (t > 4.999 + lost - 1e-6)]
-    found = extract(drive(t=kept, lane_offset=np.interp(kept, T, OFFSET)))
-    assert (reasons(found), len(found.departures)) == (expected, 1 - len(expected))
+    retained = t[(t < 4.999) | (t > 4.999 + lost - 1e-6)]
+    extraction = extract(drive(t=retained, lane_offset=np.interp(retained, T, OFFSET)))
+    assert (reasons(extraction), len(extraction.departures)) == (expected, 1 - len(expected))
 
 
 STEP = 0.125
@@ -237,13 +244,13 @@ def fate(beyond: int, *, criteria: dict[str, Any] | None = None, **columns: Any)
     y = np.full(beyond + 12, -0.25)
     y[5:-5] = 0.0
     y[6:-6] = 0.0625
-    one, given = np.ones(y.size), {"lane": np.ones(y.size, dtype=np.int64), "curvature": np.zeros(y.size)} | columns
-    base: dict[str, Any] = {"t": STEP * np.arange(y.size), "lane_offset": 0.5 + y, "lane_width": 3.0 * one}
-    base |= {"speed": 16.0 * one, "valid": one > 0}
+    ones = np.ones(y.size)
+    base: dict[str, Any] = {"t": STEP * np.arange(y.size), "lane_offset": 0.5 + y, "lane_width": 3.0 * ones}
+    base |= {"speed": 16.0 * ones, "valid": ones > 0, "lane": ones.astype(np.int64), "curvature": 0.0 * ones}
     options = {"vehicle_width": 2.0, "force": True} | (criteria or {})
-    found = extract_departures([Recording("a", **(base | given))], **options)
-    assert found.candidates == 1
-    return next((reason for reason, count in found.refused.items() if count), "departure")
+    extraction = extract_departures([Recording("a", **(base | columns))], **options)
+    assert extraction.candidates == 1
+    return next((reason for reason, count in extraction.refused.items() if count), "departure")
 
 
 @pytest.mark.parametrize(
@@ -386,9 +393,9 @@ def test_a_movement_by_most_of_a_narrow_lane(way, expected):
 def test_whoever_allows_for_more_than_most_of_a_lane_gets_it(max_jump, expected):
     """2.2 m at once in a lane of 3 m, out on the left before and on the right after."""
     offset = np.interp(np.arange(60), [10, 20, 30, 31, 40, 50], [0.0, 1.1, 1.1, -1.1, -1.1, 0.0])
-    one = drive("a", 0.1 * np.arange(60), lane_width=3.0, lane_offset=offset)
-    found = extract(one, vehicle_width=2.0, max_jump=max_jump, plausibility=NO_LIMITS)
-    assert (reasons(found), found.departures.side.tolist()) == (expected, [] if expected else [LEFT, RIGHT])
+    recording = drive("a", 0.1 * np.arange(60), lane_width=3.0, lane_offset=offset)
+    extraction = extract(recording, vehicle_width=2.0, max_jump=max_jump, plausibility=NO_LIMITS)
+    assert (reasons(extraction), extraction.departures.side.tolist()) == (expected, [] if expected else [LEFT, RIGHT])
 
 
 @pytest.mark.parametrize(
@@ -402,13 +409,13 @@ def test_a_width_that_changes_too_fast(wider, steps, expected):
     assert fate(15, t=0.15 * np.arange(27), lane_width=width, lane_offset=y + 0.5 * width - 1.0) == expected
 
 
-def beside(narrower: float, deepest: float, *, before: float = 10.0, after: float = 10.0, **more: Any) -> Recording:
+def beside(narrower: float, deepest: float, *, before: float = 10.0, after: float = 10.0, **columns: Any) -> Recording:
     """Beyond the left line from 100 to 102 s, in a lane that is narrower then, and further away in time; 10 Hz."""
     t = 0.1 * np.arange(2001)
     beyond = (t > 99.95) & (t < 102.05)
     width = np.where((t > 99.95 - before) & (t < 102.05 + after) & ~beyond, 3.5 + narrower, 3.5)
     y = np.where(beyond, deepest, np.where(np.abs(t - 101.0) < 2.5, -0.1, -0.8)) + 1e-6 * np.sin(t)
-    return drive("a", t, lane_width=width, lane_offset=y + 0.5 * (width - 1.8), **more)
+    return drive("a", t, lane_width=width, lane_offset=y + 0.5 * (width - 1.8), **columns)
 
 
 @pytest.mark.parametrize(
@@ -421,12 +428,12 @@ def beside(narrower: float, deepest: float, *, before: float = 10.0, after: floa
         (0.4, 0.2, {"after": 6.5}, "jump"), (0.4, 0.2, {"after": 6.0}, ""),
     ],
 )  # fmt: skip
-@pytest.mark.parametrize("others", [[], [100.0], [1.0]])
-def test_a_lane_that_is_narrower_for_a_departure_alone(narrower, deepest, around, expected, others):
+@pytest.mark.parametrize("rates", [[], [100.0], [1.0]])
+def test_a_lane_that_is_narrower_for_a_departure_alone(narrower, deepest, around, expected, rates):
     """Its line was another marking; whatever other recordings are searched with it."""
-    more = [drive("b", np.arange(3000) / rate, lane_offset=0.0, lane_width=3.5) for rate in others]
-    found = extract(*more, beside(narrower, deepest, **around))
-    assert (reasons(found), len(found.departures)) == ({expected: 1} if expected else {}, not expected)
+    slower = [drive("b", np.arange(3000) / rate, lane_offset=0.0, lane_width=3.5) for rate in rates]
+    extraction = extract(*slower, beside(narrower, deepest, **around))
+    assert (reasons(extraction), len(extraction.departures)) == ({expected: 1} if expected else {}, not expected)
 
 
 @pytest.mark.parametrize("way", [2.0, 3.6, -2.0])
@@ -434,11 +441,11 @@ def test_a_lane_that_is_narrower_for_a_departure_alone(narrower, deepest, around
 @pytest.mark.parametrize("lane", [None, np.ones(60, dtype=np.int64)], ids=["without lane", "with lane"])
 def test_a_movement_in_several_steps_is_one_break(way, steps, lane):
     """Beyond one line before, beyond the other or the same after: one candidate."""
-    place = np.arange(60)
-    offset = np.interp(place, [5, 20, 30, 30 + steps, 40, 55], [0.0, 1.0, 1.0, 1.0 - way, 1.0 - way, 0.0])
+    position = np.arange(60)
+    offset = np.interp(position, [5, 20, 30, 30 + steps, 40, 55], [0.0, 1.0, 1.0, 1.0 - way, 1.0 - way, 0.0])
     if way < 0.0:
-        offset = np.interp(place, [5, 15, 30, 30 + steps, 40, 55], [0.0, 1.0, 1.0, 3.0, 3.0, 0.0])
-    columns = {"t": 0.1 * place, "lane_offset": offset, "lane_width": np.full(60, 3.6), "lane": lane}
+        offset = np.interp(position, [5, 15, 30, 30 + steps, 40, 55], [0.0, 1.0, 1.0, 3.0, 3.0, 0.0])
+    columns = {"t": 0.1 * position, "lane_offset": offset, "lane_width": np.full(60, 3.6), "lane": lane}
     assert fate(48, **columns, criteria={"max_duration": 20.0}) == ("jump" if abs(way) < 2.5 else "lane_change")
 
 

@@ -34,23 +34,23 @@ def read(log: Path, channels: str = BASIC) -> tuple[list[Recording], list[str]]:
     return [item for item in items if isinstance(item, Recording)], [problem.what for problem in problems]
 
 
-def extract(log: Path, channels: str, **more: Any) -> Extraction:
-    return extract_departures(opened(log, channels), vehicle_width=1.8, **more)
+def extract(log: Path, channels: str, **options: Any) -> Extraction:
+    return extract_departures(opened(log, channels), vehicle_width=1.8, **options)
 
 
-def made(path: Path, content: list[Group], version: str = "4.10", **signals: Any) -> Path:
+def log_at(path: Path, content: list[Group], version: str = "4.10", **signals: Any) -> Path:
     """A log of any version by any name: the library insists on one."""
-    own = path.with_name("own.mf4" if version.startswith("4") else "own.mdf")
-    return write_log(own, content, version, **signals).rename(path)
+    accepted = path.with_name("own.mf4" if version.startswith("4") else "own.mdf")
+    return write_log(accepted, content, version, **signals).rename(path)
 
 
-def camera(t: np.ndarray, offset: Any = 0.1, **more: tuple[Any, str]) -> Group:
+def camera(t: np.ndarray, offset: Any = 0.1, **columns: tuple[Any, str]) -> Group:
     width, offset = np.full(t.size, 3.6), np.broadcast_to(offset, t.shape)
-    return ("Camera", t, {"LaneOffset": (offset, "m"), "LaneWidth": (width, "m"), **more})
+    return ("Camera", t, {"LaneOffset": (offset, "m"), "LaneWidth": (width, "m"), **columns})
 
 
-def bus(t: np.ndarray, speed: Any = 90.0, **more: tuple[Any, str]) -> Group:
-    return ("Bus", t, {"VehicleSpeed": (np.broadcast_to(speed, t.shape), "km/h"), **more})
+def bus(t: np.ndarray, speed: Any = 90.0, **columns: tuple[Any, str]) -> Group:
+    return ("Bus", t, {"VehicleSpeed": (np.broadcast_to(speed, t.shape), "km/h"), **columns})
 
 
 def clock(rate: float, lengths: list[float], start: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
@@ -84,24 +84,24 @@ def test_a_clock_that_starts_again_begins_another_recording(
     t_bus, drive_bus = clock(rates[1], lengths, start - 0.003)
     name = "a.mf4" if version.startswith("4") else "a.dat"
     content = [camera(t, 0.1 * (drive + 1)), bus(t_bus, 36.0 * (drive_bus + 1))]
-    recordings, problems = read(made(tmp_path / name, content, version))
+    recordings, problems = read(log_at(tmp_path / name, content, version))
     assert problems == [f"the clock starts again; the log is read as {len(lengths)} recordings"]
-    assert [one.name for one in recordings] == [name, *(f"{name} ({k})" for k in range(2, len(lengths) + 1))]
-    assert [one.samples for one in recordings] == samples
-    for k, one in enumerate(recordings):
-        assert (one.cut, one.continues, one.t[0]) == (None, False, pytest.approx(start))
-        np.testing.assert_allclose(one.lane_offset, 0.1 * (k + 1))
-        known = np.isfinite(one.speed)
-        assert np.count_nonzero(~known) <= 0.2 * rates[0]  # at the end, after the bus's last sample
-        np.testing.assert_allclose(one.speed[known], 10.0 * (k + 1))
+    assert [r.name for r in recordings] == [name, *(f"{name} ({k})" for k in range(2, len(lengths) + 1))]
+    assert [r.samples for r in recordings] == samples
+    for k, recording in enumerate(recordings):
+        assert (recording.cut, recording.continues, recording.t[0]) == (None, False, pytest.approx(start))
+        np.testing.assert_allclose(recording.lane_offset, 0.1 * (k + 1))
+        finite = np.isfinite(recording.speed)
+        assert np.count_nonzero(~finite) <= 0.2 * rates[0]  # at the end, after the bus's last sample
+        np.testing.assert_allclose(recording.speed[finite], 10.0 * (k + 1))
 
 
 def test_all_in_one_group_and_two_lines_start_again_as_well(tmp_path: Path) -> None:
     t, drive = clock(10, [5.0, 5.0])
     channels = camera(t, 0.1 * (drive + 1))[2] | bus(t, 36.0 * (drive + 1))[2]
-    recordings, _ = read(made(tmp_path / "a.mf4", [("All", t, channels)]))
-    assert [one.lane_offset[0] for one in recordings] == pytest.approx([0.1, 0.2])
-    assert [one.speed[-1] for one in recordings] == pytest.approx([10.0, 20.0])
+    recordings, _ = read(log_at(tmp_path / "a.mf4", [("All", t, channels)]))
+    assert [r.lane_offset[0] for r in recordings] == pytest.approx([0.1, 0.2])
+    assert [r.speed[-1] for r in recordings] == pytest.approx([10.0, 20.0])
 
     content = [
         ("Left", t, {"LineLeft": (1.8 - 0.1 * drive, "m")}),
@@ -109,8 +109,8 @@ def test_all_in_one_group_and_two_lines_start_again_as_well(tmp_path: Path) -> N
         bus(t),
     ]
     lines = 'left_line = {channel="LineLeft"}\nright_line = {channel="LineRight"}\nspeed = {channel="VehicleSpeed"}'
-    recordings, _ = read(made(tmp_path / "b.mf4", content), lines)
-    assert [one.lane_offset[20] for one in recordings] == pytest.approx([0.0, 0.1])
+    recordings, _ = read(log_at(tmp_path / "b.mf4", content), lines)
+    assert [r.lane_offset[20] for r in recordings] == pytest.approx([0.0, 0.1])
 
 
 @pytest.mark.parametrize(("version", "name"), [("4.10", "a.mf4"), ("3.30", "a.mdf")])
@@ -118,20 +118,20 @@ def test_departures_of_both_drives_come_back(tmp_path: Path, version: str, name:
     """The second drive is the first one mirrored."""
     content: list[Group] = []
     for group, t, channels in groups()[:2]:
-        both = {one: (np.concatenate([v, -v if one == "LaneOffset" else v]), u) for one, (v, u) in channels.items()}
+        both = {n: (np.concatenate([v, -v if n == "LaneOffset" else v]), unit) for n, (v, unit) in channels.items()}
         content.append((group, np.concatenate([t, t]), both))
-    found = extract(made(tmp_path / name, content, version), MAP)
-    assert found.departures.side.tolist() == [1, -1, 1, -1, 1, -1, -1, 1, -1, 1, -1, 1]
+    extraction = extract(log_at(tmp_path / name, content, version), MAP)
+    assert extraction.departures.side.tolist() == [1, -1, 1, -1, 1, -1, -1, 1, -1, 1, -1, 1]
     starts = [8.013, 14.7, 30.22, 38.91, 62.5, 80.04]
-    np.testing.assert_allclose(found.departures.start_time, starts + starts, atol=0.04)
+    np.testing.assert_allclose(extraction.departures.start_time, starts + starts, atol=0.04)
 
 
-@pytest.mark.parametrize(("lost", "kept"), [(0, ("a.mf4 (2)", 60)), (1, ("a.mf4", 50))])
-def test_one_drive_without_speed_does_not_cost_the_other(tmp_path: Path, lost: int, kept: tuple[str, int]) -> None:
+@pytest.mark.parametrize(("lost", "expected"), [(0, ("a.mf4 (2)", 60)), (1, ("a.mf4", 50))])
+def test_one_drive_without_speed_does_not_cost_the_other(tmp_path: Path, lost: int, expected: tuple[str, int]) -> None:
     t, drive = clock(10, [5.0, 6.0])
-    log = made(tmp_path / "a.mf4", [camera(t), bus(t, np.where(drive == lost, np.nan, 72.0))])
+    log = log_at(tmp_path / "a.mf4", [camera(t), bus(t, np.where(drive == lost, np.nan, 72.0))])
     recordings, (_, problem) = read(log)
-    assert [(one.name, one.samples) for one in recordings] == [kept]
+    assert [(r.name, r.samples) for r in recordings] == [expected]
     assert problem.startswith("speed: channel 'VehicleSpeed' has no number at the times of 'LaneOffset'")
 
 
@@ -156,7 +156,7 @@ def test_clocks_that_do_not_start_equally_often_are_refused(
     if of_switch:
         t = clock(2, of_switch)[0]
         content.append(("Switch", t, {"Blink": (np.zeros(t.size, np.uint8), "")}))
-    log = made(tmp_path / "a.mf4", content, version).rename(tmp_path / "b.mf4")
+    log = log_at(tmp_path / "a.mf4", content, version).rename(tmp_path / "b.mf4")
     recordings, (text,) = read(log, SWITCH if of_switch else BASIC)
     assert recordings == []
     column, starts, needed = what.split()
@@ -168,14 +168,14 @@ def test_states_of_each_drive_stay_in_it(tmp_path: Path) -> None:
     """Written when they change: on from 2 s on in the first drive, off and then on from 4 s on in the second."""
     t, _ = clock(10, [6.0, 6.0])
     switch = ("Switch", np.array([0.0, 2.0, 0.0, 4.0]), {"Blink": (np.array([0, 1, 0, 1]), "")})
-    recordings, _ = read(made(tmp_path / "a.mf4", [camera(t), bus(t), switch]), SWITCH)
-    assert [np.count_nonzero(one.turn_signal == 1) for one in recordings] == [40, 20]
+    recordings, _ = read(log_at(tmp_path / "a.mf4", [camera(t), bus(t), switch]), SWITCH)
+    assert [np.count_nonzero(r.turn_signal == 1) for r in recordings] == [40, 20]
 
 
 def test_times_in_no_order_are_refused(tmp_path: Path) -> None:
     t = np.arange(400) / 10
     t[1::10], t[2::10] = t[2::10].copy(), t[1::10].copy()
-    recordings, (text,) = read(made(tmp_path / "a.mf4", [camera(np.arange(400) / 10), bus(t[::-1].copy())]))
+    recordings, (text,) = read(log_at(tmp_path / "a.mf4", [camera(np.arange(400) / 10), bus(t[::-1].copy())]))
     assert recordings == []
     assert text.startswith("speed: channel 'VehicleSpeed' cannot be placed in time: the times fall in ")
 
@@ -188,11 +188,11 @@ LOST = "{} samples have no time, or one that runs backwards; left out"
 def test_nothing_is_joined_across_a_lost_sample_of_the_camera(tmp_path: Path, wrong: float, version: str) -> None:
     t = np.arange(250) / 25
     t[100] = wrong
-    log = made(tmp_path / "a.mf4", [camera(t), bus(np.arange(600) / 50)], version)
-    (one,), problems = read(log)
+    log = log_at(tmp_path / "a.mf4", [camera(t), bus(np.arange(600) / 50)], version)
+    (recording,), problems = read(log)
     assert problems == [LOST.format(1)]
-    assert one.cut is not None
-    assert (one.samples, np.flatnonzero(one.cut).tolist(), one.valid.all()) == (249, [100], True)
+    assert recording.cut is not None
+    assert (recording.samples, np.flatnonzero(recording.cut).tolist(), recording.valid.all()) == (249, [100], True)
 
 
 @pytest.mark.parametrize(
@@ -215,19 +215,19 @@ def test_nothing_is_interpolated_across_a_lost_sample_of_the_bus(
 ) -> None:
     t = np.arange(600) / 50
     t[rows] = wrong
-    log = made(tmp_path / "a.mf4", [camera(np.arange(250) / 25), bus(t)])
-    (one,), problems = read(log)
+    log = log_at(tmp_path / "a.mf4", [camera(np.arange(250) / 25), bus(t)])
+    (recording,), problems = read(log)
     assert problems == [LOST.format(len(rows))]
-    assert (one.samples, [] if one.cut is None else np.flatnonzero(one.cut).tolist()) == (250, cuts)
-    assert np.flatnonzero(~one.valid).tolist() == inside
+    assert (recording.samples, [] if recording.cut is None else np.flatnonzero(recording.cut).tolist()) == (250, cuts)
+    assert np.flatnonzero(~recording.valid).tolist() == inside
 
 
 def test_a_lost_sample_in_each_drive(tmp_path: Path) -> None:
     t, _ = clock(25, [10.0, 10.0])
     t[[100, 350]] = np.nan
-    recordings, problems = read(made(tmp_path / "a.mf4", [camera(t), bus(clock(50, [12.0, 12.0])[0])]))
-    assert [one.samples for one in recordings] == [249, 249]
-    assert [np.flatnonzero(one.cut).tolist() for one in recordings] == [[100], [100]]  # type: ignore[arg-type]
+    recordings, problems = read(log_at(tmp_path / "a.mf4", [camera(t), bus(clock(50, [12.0, 12.0])[0])]))
+    assert [r.samples for r in recordings] == [249, 249]
+    assert [np.flatnonzero(r.cut).tolist() for r in recordings] == [[100], [100]]  # type: ignore[arg-type]
     assert problems == [LOST.format(2), "the clock starts again; the log is read as 2 recordings"]
 
 
@@ -248,7 +248,7 @@ def test_a_group_without_a_clock_is_named(tmp_path: Path, version: str, group: s
     """A state that never changed may have been written once."""
     times = {"camera": T, "bus": T, "switch": T} | {group: t}
     switch = ("Switch", times["switch"], {"Blink": (np.ones(times["switch"].size, np.uint8), "")})
-    log = made(tmp_path / "a.mf4", [camera(times["camera"]), bus(times["bus"]), switch], version)
+    log = log_at(tmp_path / "a.mf4", [camera(times["camera"]), bus(times["bus"]), switch], version)
     recordings, problems = read(log, SWITCH)
     if group == "switch" and "one sample" in what:
         assert recordings[0].turn_signal[-1] == 1
@@ -270,7 +270,7 @@ TWINS = [
 def test_channels_that_share_a_name_in_one_group(
     tmp_path: Path, version: str, group: str, occurrence: int | None, speed: float | None
 ) -> None:
-    log = made(tmp_path / "a.mf4", TWINS, version)
+    log = log_at(tmp_path / "a.mf4", TWINS, version)
     number = f", occurrence = {occurrence}" if occurrence else ""
     recordings, problems = read(log, BASIC.replace('"VehicleSpeed"', f'"VehicleSpeed"{group}{number}'))
     if speed is not None:
@@ -284,16 +284,16 @@ def test_channels_that_share_a_name_in_one_group(
 
 def test_an_occurrence_counts_in_one_group(tmp_path: Path) -> None:
     """Not across groups; an only channel is the first."""
-    log = made(tmp_path / "a.mf4", [*TWINS, ("Other", T, {"VehicleSpeed": (np.full(100, 5.0), "m/s")})])
+    log = log_at(tmp_path / "a.mf4", [*TWINS, ("Other", T, {"VehicleSpeed": (np.full(100, 5.0), "m/s")})])
 
-    def reported(given: str) -> tuple[list[Recording], list[str]]:
-        return read(log, BASIC.replace('"VehicleSpeed"', f'"VehicleSpeed"{given}'))
+    def reported(selection: str) -> tuple[list[Recording], list[str]]:
+        return read(log, BASIC.replace('"VehicleSpeed"', f'"VehicleSpeed"{selection}'))
 
-    for given, text in ((", occurrence = 1", "not given"), (', group = "Radar", occurrence = 1', "'Radar'")):
-        _, (problem,) = reported(given)
+    for selection, text in ((", occurrence = 1", "not given"), (', group = "Radar", occurrence = 1', "'Radar'")):
+        _, (problem,) = reported(selection)
         assert f"is in the groups 1 (Bus), 1 (Bus), 1 (Bus), 2 (Other); `group`: {text}; " in problem
-    (one,), _ = reported(', group = "Other", occurrence = 1')
-    np.testing.assert_allclose(one.speed, 5.0)
+    (recording,), _ = reported(', group = "Other", occurrence = 1')
+    np.testing.assert_allclose(recording.speed, 5.0)
     _, (problem,) = reported(', group = "Other", occurrence = 2')
     assert "names 1 of the channels of group 2; `occurrence`: 2; " in problem
 
@@ -310,12 +310,12 @@ def test_the_listed_map_tells_channels_apart(
 ) -> None:
     """By the first of a name whose unit fits; one without a unit needs the user."""
     channels = {f"VehicleSpeed#{i}": (np.full(100, 90.0), unit) for i, unit in enumerate(units)}
-    log = made(tmp_path / "a.mf4", [camera(T), ("Bus", T, channels)])
+    log = log_at(tmp_path / "a.mf4", [camera(T), ("Bus", T, channels)])
     out = cli.good("extract", log, "--list-channels", cwd=tmp_path)
     assert tomllib.loads(out)["speed"].get("occurrence") == occurrence
     if speed is not None:
-        (one,), _ = read(log, out)
-        np.testing.assert_allclose(one.speed, speed)
+        (recording,), _ = read(log, out)
+        np.testing.assert_allclose(recording.speed, speed)
 
 
 @pytest.mark.parametrize(
@@ -326,11 +326,11 @@ def test_the_listed_map_tells_groups_apart(tmp_path: Path, names: tuple[str, str
     """By the number where the name does not; the group that is sampled more often is taken."""
     first, second = (name for name in names)
     content = [camera(T), (first, T, bus(T)[2]), (second, T[::2], bus(T[::2], 72.0)[2])]
-    log = made(tmp_path / "a.mf4", content)
+    log = log_at(tmp_path / "a.mf4", content)
     out = mdf_logs.list_channels(log)
     assert tomllib.loads(out)["speed"] == {"channel": "VehicleSpeed", "group": home, "unit": "km/h"}
-    (one,), _ = read(log, out)
-    np.testing.assert_allclose(one.speed, 25.0)
+    (recording,), _ = read(log, out)
+    np.testing.assert_allclose(recording.speed, 25.0)
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig"])
@@ -340,8 +340,8 @@ def test_a_map_may_begin_with_a_byte_order_mark(tmp_path: Path, encoding: str, e
     text = BASIC.replace("VehicleSpeed", "Größe°").replace("\n", ends)
     path.write_bytes(text.encode(encoding))
     assert mdf_logs.read_channel_map(path).speed.channel == "Größe°"
-    for other in ("utf-16", "utf-16-le", "utf-16-be", "latin-1"):
-        path.write_bytes(text.encode(other))
+    for refused in ("utf-16", "utf-16-le", "utf-16-be", "latin-1"):
+        path.write_bytes(text.encode(refused))
         with pytest.raises(InputError, match=r"map\.toml: not a TOML file: the text is (UTF-16|not UTF-8)"):
             mdf_logs.read_channel_map(path)
 
@@ -362,16 +362,16 @@ def test_headings_are_interpolated_across_the_wrap(
     angle = np.array([before] * 5 + [after] * 5)
     if gap is not None:
         angle[7] = gap
-    log = made(tmp_path / "a.mf4", [camera(t + 0.05), bus(t, Angle=(angle, "deg"))])
-    (one,), _ = read(log, BASIC + 'heading = {channel = "Angle"}\nsteering = {channel = "Angle"}\n')
-    assert one.heading is not None
-    assert one.steering is not None
-    turned = (np.degrees(one.heading[4]) - between) % 360.0
+    log = log_at(tmp_path / "a.mf4", [camera(t + 0.05), bus(t, Angle=(angle, "deg"))])
+    (recording,), _ = read(log, BASIC + 'heading = {channel = "Angle"}\nsteering = {channel = "Angle"}\n')
+    assert recording.heading is not None
+    assert recording.steering is not None
+    turned = (np.degrees(recording.heading[4]) - between) % 360.0
     assert min(turned, 360.0 - turned) == pytest.approx(0.0, abs=1e-9)
     far = abs(after - before) > 60.0
-    assert np.degrees(one.steering[4]) == pytest.approx(before if far else 0.5 * (before + after))
-    assert np.flatnonzero(np.isnan(one.heading)).tolist() == ([9] if gap is None else [6, 7, 9])
-    np.testing.assert_allclose(np.cos(one.heading[[5, 8]]), np.cos(np.radians(after)))
+    assert np.degrees(recording.steering[4]) == pytest.approx(before if far else 0.5 * (before + after))
+    assert np.flatnonzero(np.isnan(recording.heading)).tolist() == ([9] if gap is None else [6, 7, 9])
+    np.testing.assert_allclose(np.cos(recording.heading[[5, 8]]), np.cos(np.radians(after)))
 
 
 @pytest.mark.parametrize(
@@ -393,13 +393,13 @@ def test_headings_are_interpolated_across_the_wrap(
 def test_engaged_systems(tmp_path: Path, t: list[float], state: list[Any], values: str, on: tuple[int, int]) -> None:
     samples = np.array(state)
     text: dict[str, Any] = {"Lka": {"encoding": "utf-8"}} if samples.dtype.kind == "S" else {}
-    log = made(tmp_path / "a.mf4", [camera(T), bus(T), ("Lka", np.array(t), {"Lka": (samples, "")})], **text)
-    (one,), problems = read(log, f'{BASIC}[engaged]\nchannel = "Lka"\n{values}\n')
+    log = log_at(tmp_path / "a.mf4", [camera(T), bus(T), ("Lka", np.array(t), {"Lka": (samples, "")})], **text)
+    (recording,), problems = read(log, f'{BASIC}[engaged]\nchannel = "Lka"\n{values}\n')
     assert problems == []
-    assert one.engaged is not None
-    assert one.engaged.dtype == bool
-    assert np.flatnonzero(one.engaged).tolist() == list(range(*on))
-    assert one.valid.all()
+    assert recording.engaged is not None
+    assert recording.engaged.dtype == bool
+    assert np.flatnonzero(recording.engaged).tolist() == list(range(*on))
+    assert recording.valid.all()
 
 
 @pytest.mark.parametrize("version", ["4.10", "3.30"])
@@ -409,15 +409,15 @@ def test_samples_in_bursts_pass_as_they_are(tmp_path: Path, version: str) -> Non
     offset = np.arange(100) / 1000
     speed = 36.0 + np.arange(100.0)
     content = [camera(t, offset, Speed2=(speed, "km/h")), bus(t[:-5], speed[:-5])]
-    log = made(tmp_path / "a.mf4", content, version)
-    (one,), problems = read(log, BASIC.replace("VehicleSpeed", "Speed2"))
+    log = log_at(tmp_path / "a.mf4", content, version)
+    (recording,), problems = read(log, BASIC.replace("VehicleSpeed", "Speed2"))
     assert problems == []
-    np.testing.assert_allclose(one.lane_offset, offset)
-    np.testing.assert_allclose(one.speed, speed / 3.6)
-    (one,), _ = read(log)
+    np.testing.assert_allclose(recording.lane_offset, offset)
+    np.testing.assert_allclose(recording.speed, speed / 3.6)
+    (recording,), _ = read(log)
     newest = np.repeat(36.0 + np.arange(4, 100, 5), 5) / 3.6
-    np.testing.assert_allclose(one.speed[:-5], newest[:-5])
-    assert np.isnan(one.speed[-5:]).all()
+    np.testing.assert_allclose(recording.speed[:-5], newest[:-5])
+    assert np.isnan(recording.speed[-5:]).all()
 
 
 @pytest.mark.parametrize(
@@ -434,10 +434,10 @@ def test_samples_in_bursts_pass_as_they_are(tmp_path: Path, version: str) -> Non
 def test_repeated_times_of_another_group(
     tmp_path: Path, t: list[float], speed: list[float], expected: list[float]
 ) -> None:
-    at = np.array([0.0, 0.1, 0.3])
-    content = [camera(at), ("Bus", np.array(t), {"VehicleSpeed": (np.array(speed, dtype=float), "m/s")})]
-    (one,), _ = read(made(tmp_path / "a.mf4", content))
-    np.testing.assert_allclose(one.speed, expected)
+    sample_times = np.array([0.0, 0.1, 0.3])
+    content = [camera(sample_times), ("Bus", np.array(t), {"VehicleSpeed": (np.array(speed, dtype=float), "m/s")})]
+    (recording,), _ = read(log_at(tmp_path / "a.mf4", content))
+    np.testing.assert_allclose(recording.speed, expected)
 
 
 @pytest.mark.parametrize(
@@ -458,19 +458,19 @@ def test_codes_are_not_interpolated_into_plausible_numbers(
     t = np.arange(40) / 5
     values = np.full(40, good)
     values[20] = code
-    at = np.arange(150) / 20 + 0.013
-    log = made(tmp_path / "a.mf4", [camera(at), bus(t), ("Slow", t, {"Own": (values, unit)})])
+    sample_times = np.arange(150) / 20 + 0.013
+    log = log_at(tmp_path / "a.mf4", [camera(sample_times), bus(t), ("Slow", t, {"Own": (values, unit)})])
     channels = "".join(line + "\n" for line in BASIC.splitlines() if not line.startswith(quantity))
-    (one,), problems = read(log, channels + f'{quantity} = {{channel = "Own"}}\n')
+    (recording,), problems = read(log, channels + f'{quantity} = {{channel = "Own"}}\n')
     assert problems == []
-    found = getattr(one, quantity)
-    codes = (at > 3.9) & (at < 4.1)
-    np.testing.assert_allclose(found[~codes], good * factor)
+    result = getattr(recording, quantity)
+    codes = (sample_times > 3.9) & (sample_times < 4.1)
+    np.testing.assert_allclose(result[~codes], good * factor)
     if quantity == "heading":  # of which only the direction counts
-        np.testing.assert_allclose(np.cos(found[codes]), 0.0, atol=1e-9)
-        np.testing.assert_allclose(np.sin(found[codes]), -1.0)
+        np.testing.assert_allclose(np.cos(result[codes]), 0.0, atol=1e-9)
+        np.testing.assert_allclose(np.sin(result[codes]), -1.0)
     else:
-        np.testing.assert_allclose(found[codes], code * factor)
+        np.testing.assert_allclose(result[codes], code * factor)
     assert np.count_nonzero(codes) == 4
 
 
@@ -483,5 +483,5 @@ def test_what_a_vehicle_can_do_is_interpolated(tmp_path: Path, quantity: str, un
     values = 3.0 + np.where(np.arange(20) >= 10, step, 0.0)
     content = [camera(np.array([1.85, 1.9])), bus(t), ("Slow", t, {"Own": (values, unit)})]
     channels = "".join(line + "\n" for line in BASIC.splitlines() if not line.startswith(quantity))
-    (one,), _ = read(made(tmp_path / "a.mf4", content), channels + f'{quantity} = {{channel = "Own"}}\n')
-    np.testing.assert_allclose(getattr(one, quantity), [3.0 + 0.25 * step, 3.0 + 0.5 * step])
+    (recording,), _ = read(log_at(tmp_path / "a.mf4", content), channels + f'{quantity} = {{channel = "Own"}}\n')
+    np.testing.assert_allclose(getattr(recording, quantity), [3.0 + 0.25 * step, 3.0 + 0.5 * step])

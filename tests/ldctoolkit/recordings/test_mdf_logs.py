@@ -33,23 +33,23 @@ def extract(logs: Path | list[Path], channels: str = MAP, **criteria: Any) -> Ex
     return extract_departures(open_recordings(logs, channels=path), vehicle_width=VEHICLE, **criteria)
 
 
-def assert_planted(found: Extraction, missing: tuple[int, ...] = ()) -> None:
-    planted = [one for i, one in enumerate(PLANTED) if i not in missing]
-    departures_are_planted(found.departures, planted, curvature, step=STEP, bend=3e-5)
-    middle = np.array([one.start + one.T / 2.0 for one in planted])
-    np.testing.assert_allclose(found.departures.v_mean, speed(middle), atol=0.1)
+def assert_planted(extraction: Extraction, missing: tuple[int, ...] = ()) -> None:
+    planted = [departure for i, departure in enumerate(PLANTED) if i not in missing]
+    departures_are_planted(extraction.departures, planted, curvature, step=STEP, bend=3e-5)
+    middle = np.array([departure.start + departure.T / 2.0 for departure in planted])
+    np.testing.assert_allclose(extraction.departures.v_mean, speed(middle), atol=0.1)
 
 
 @pytest.mark.parametrize(
     ("version", "name"), [("4.10", "a.mf4"), ("4.20", "a.MF4"), ("3.30", "a.mdf"), ("2.14", "a.mdf")]
 )
 def test_planted_departures_come_back(tmp_path: Path, version: str, name: str) -> None:
-    found = extract(write_log(tmp_path / "log.mf4", version=version).rename(tmp_path / name) if name == "a.MF4"
+    extraction = extract(write_log(tmp_path / "log.mf4", version=version).rename(tmp_path / name) if name == "a.MF4"
                     else write_log(tmp_path / name, version=version))  # fmt: skip
-    assert found.problems == ()
-    assert_planted(found)
-    assert found.provenance.curvature == "measured"
-    assert [file.name for file in found.provenance.sources] == [name, "map.toml"]
+    assert extraction.problems == ()
+    assert_planted(extraction)
+    assert extraction.provenance.curvature == "measured"
+    assert [file.name for file in extraction.provenance.sources] == [name, "map.toml"]
 
 
 def test_blocks_may_be_compressed_and_times_start_anywhere(tmp_path: Path) -> None:
@@ -57,14 +57,14 @@ def test_blocks_may_be_compressed_and_times_start_anywhere(tmp_path: Path) -> No
     log = write_log(tmp_path / "a.mf4", content, compression=2)
     assert log.stat().st_size < 0.8 * write_log(tmp_path / "b.mf4", content).stat().st_size
     departures = extract(log).departures
-    np.testing.assert_allclose(departures.start_time - 1e6, [one.start for one in PLANTED], atol=STEP)
+    np.testing.assert_allclose(departures.start_time - 1e6, [departure.start for departure in PLANTED], atol=STEP)
 
 
 def test_a_yaw_rate_serves_where_there_is_no_curvature(tmp_path: Path) -> None:
     yaw = MAP.replace('[curvature]\nchannel = "RoadCurvature"\nscale = -1', '[yaw_rate]\nchannel = "YawRate"')
-    found = extract(write_log(tmp_path / "a.mf4"), yaw)
-    assert_planted(found)
-    assert found.provenance.curvature == "yaw_rate"
+    extraction = extract(write_log(tmp_path / "a.mf4"), yaw)
+    assert_planted(extraction)
+    assert extraction.provenance.curvature == "yaw_rate"
 
 
 def test_two_lines_with_clocks_of_their_own_are_one_lane(tmp_path: Path) -> None:
@@ -81,8 +81,8 @@ def test_two_lines_with_clocks_of_their_own_are_one_lane(tmp_path: Path) -> None
     speed = {channel = "VehicleSpeed", group = 1}
     curvature = {channel = "RoadCurvature", scale = -1}
     """
-    found = extract(write_log(tmp_path / "a.mf4", content), lines)
-    assert_planted(found)
+    extraction = extract(write_log(tmp_path / "a.mf4", content), lines)
+    assert_planted(extraction)
     (recording,) = read_recordings(tmp_path / "a.mf4", channels=tmp_path / "map.toml")
     np.testing.assert_allclose(recording.lane_width[1:], WIDTH, atol=0.012)  # straight lines across kinks
     assert np.isnan(recording.lane_width[0])  # nothing is made up before the first sample
@@ -97,9 +97,9 @@ def test_samples_with_invalidation_bits_are_missing(tmp_path: Path, channel: str
     content = groups()[:2]
     t = content[0][1] if channel.startswith("Lane") else content[1][1]
     log = write_log(tmp_path / "a.mf4", content, **{channel: invalid_between(t, 39.5, 40.0)})
-    found = extract(log)
-    assert_planted(found, missing=(3,))
-    assert found.refused.invalid == 1
+    extraction = extract(log)
+    assert_planted(extraction, missing=(3,))
+    assert extraction.refused.invalid == 1
 
 
 def test_a_channel_may_be_invalid_as_a_whole(tmp_path: Path) -> None:
@@ -108,7 +108,7 @@ def test_a_channel_may_be_invalid_as_a_whole(tmp_path: Path) -> None:
 
     write_log(tmp_path / "a.mf4")
     with MDF(tmp_path / "a.mf4") as log:
-        next(one for one in log.groups[1].channels if one.name == "VehicleSpeed").flags |= 1
+        next(channel for channel in log.groups[1].channels if channel.name == "VehicleSpeed").flags |= 1
         path = log.save(tmp_path / "b.mf4")
     assert "speed: channel 'VehicleSpeed' has no number at the times of 'LaneOffset'" in problem(path, MAP)
 
@@ -125,8 +125,8 @@ def test_a_channels_unit_overrides_that_of_its_conversion(tmp_path: Path) -> Non
 def test_longer_gaps_than_allowed_are_not_bridged(tmp_path: Path) -> None:
     content = groups()
     name, t, bus = content[1]
-    kept = (t < 39.2) | (t > 39.7)
-    content[1] = (name, t[kept], {one: (v[kept], unit) for one, (v, unit) in bus.items()})
+    retained = (t < 39.2) | (t > 39.7)
+    content[1] = (name, t[retained], {n: (v[retained], unit) for n, (v, unit) in bus.items()})
     log = write_log(tmp_path / "a.mf4", content)
     assert_planted(extract(log), missing=(3,))
     assert_planted(extract(log, "max_gap = 0.6\n" + MAP))
@@ -154,10 +154,10 @@ def test_a_jump_stays_one_and_nothing_is_made_up_at_the_ends(tmp_path: Path) -> 
         'left_line = {channel = "LineLeft"}\nright_line = {channel = "LineRight"}\nspeed = {channel = "Speed"}'
     )
     (recording,) = read_recordings(write_log(tmp_path / "a.mf4", content), channels=tmp_path / "map.toml")
-    known = (t > 0.013) & (t < 3.893)
-    np.testing.assert_array_equal(np.isfinite(recording.lane_width), known)
-    np.testing.assert_allclose(recording.lane_width[known], 3.5)
-    np.testing.assert_allclose(recording.lane_offset[known], np.where(t < 2.03, 1.55, -1.95)[known])
+    finite = (t > 0.013) & (t < 3.893)
+    np.testing.assert_array_equal(np.isfinite(recording.lane_width), finite)
+    np.testing.assert_allclose(recording.lane_width[finite], 3.5)
+    np.testing.assert_allclose(recording.lane_offset[finite], np.where(t < 2.03, 1.55, -1.95)[finite])
 
 
 # what one of the unit is in SI, by hand
@@ -180,11 +180,11 @@ COLUMN = {"LaneOffset": "lane_offset", "VehicleSpeed": "speed", "RoadCurvature":
 @pytest.mark.parametrize(("channel", "unit"), [(channel, unit) for channel, units in SI.items() for unit in units])
 def test_units(tmp_path: Path, channel: str, unit: str, in_the_log: bool) -> None:
     t = np.arange(0.0, 4.0, 0.04)
-    channels = {one: (TRUE[one](t), next(iter(units))) for one, units in SI.items()}
+    channels = {name: (TRUE[name](t), next(iter(units))) for name, units in SI.items()}
     channels[channel] = (TRUE[channel](t) / SI[channel][unit], unit if in_the_log else "")
     log = write_log(tmp_path / "a.mf4", [("All", t, channels)])
-    lines = [f'{COLUMN[one]} = {{channel = "{one}"{"" if one != channel or in_the_log else f", unit = {unit!r}"}}}'
-             for one in SI]  # fmt: skip
+    lines = [f'{COLUMN[name]} = {{channel = "{name}"{"" if name != channel or in_the_log else f", unit = {unit!r}"}}}'
+             for name in SI]  # fmt: skip
     (tmp_path / "map.toml").write_text("\n".join(["constant_lane_width = 3.5", *lines]))
     (recording,) = read_recordings(log, channels=tmp_path / "map.toml")
     np.testing.assert_allclose(getattr(recording, COLUMN[channel]), TRUE[channel](t), rtol=1e-8)
@@ -193,9 +193,9 @@ def test_units(tmp_path: Path, channel: str, unit: str, in_the_log: bool) -> Non
 
 def problem(log: Path, channels: str) -> str:
     """What a log with such a map is left out for."""
-    found = extract(log, channels)
-    assert found.recordings == 0
-    (text,) = found.provenance.problems
+    extraction = extract(log, channels)
+    assert extraction.recordings == 0
+    (text,) = extraction.provenance.problems
     return text
 
 
@@ -267,9 +267,9 @@ def test_texts_are_states(tmp_path: Path) -> None:
     log = write_log(tmp_path / "a.mf4", content, TurnSignal={"conversion": texts}, LaneOffset={"conversion": partly})
     channels = MAP + '[turn_signal]\nchannel = "TurnSignal"\n'
     assert "turn_signal: channel 'TurnSignal' holds texts ('off', 'RIGHT', 'LEFT'); " in problem(log, channels)
-    found = extract(log, channels + "values = {LEFT = 1, RIGHT = -1}")
-    assert (found.refused.intended, found.refused.invalid) == (2, 1)
-    assert_planted(found, missing=(0, 1, 4))
+    extraction = extract(log, channels + "values = {LEFT = 1, RIGHT = -1}")
+    assert (extraction.refused.intended, extraction.refused.invalid) == (2, 1)
+    assert_planted(extraction, missing=(0, 1, 4))
 
 
 @pytest.mark.parametrize("channel", ["turn_signal", "left_signal"])
@@ -282,9 +282,9 @@ def test_numbers_of_a_signal_that_mean_nothing_here_are_named(tmp_path: Path, ch
     channels = f'{MAP}[{channel}]\nchannel = "TurnSignal"\n'
     assert f"{channel}: channel 'TurnSignal' holds the number 2; allowed: -1, 0, 1, " in problem(log, channels)
     if channel == "turn_signal":
-        found = extract(log, channels + "values = {1 = 1, 2 = -1}")
-        assert found.refused.intended == 2
-        assert_planted(found, missing=(1, 4))
+        extraction = extract(log, channels + "values = {1 = 1, 2 = -1}")
+        assert extraction.refused.intended == 2
+        assert_planted(extraction, missing=(1, 4))
 
 
 @pytest.mark.parametrize(("version", "name"), [("4.10", "a.mf4"), ("3.30", "a.mdf")])
@@ -293,8 +293,8 @@ def test_texts_may_be_latin_1(tmp_path: Path, version: str, name: str) -> None:
     texts = np.where((t > 61.0) & (t < 66.0), "LÄNKS".encode("latin-1"), b"av")
     content = [*groups(), ("Switch", t, {"Blink": (texts, "")})]
     log = write_log(tmp_path / name, content, version, Blink={"encoding": "latin-1"})
-    found = extract(log, MAP + '[left_signal]\nchannel = "Blink"\nvalues = {"LÄNKS" = 1}\n')
-    assert_planted(found, missing=(4,))
+    extraction = extract(log, MAP + '[left_signal]\nchannel = "Blink"\nvalues = {"LÄNKS" = 1}\n')
+    assert_planted(extraction, missing=(4,))
 
 
 def test_long_texts_are_cut_in_messages(tmp_path: Path) -> None:
@@ -310,19 +310,19 @@ def test_two_flags_are_a_turn_signal_and_are_held(tmp_path: Path) -> None:
     content.append(("Left", np.array([0.0, 61.0, 66.0]), {"FlashLeft": (np.array([0, 1, 0]), "")}))
     content.append(("Right", np.array([0.0, 14.0, 66.0]), {"FlashRight": (np.array([0, 1, 0]), "")}))
     channels = MAP + '[left_signal]\nchannel = "FlashLeft"\n[right_signal]\nchannel = "FlashRight"\n'
-    found = extract(write_log(tmp_path / "a.mf4", content), channels)
+    extraction = extract(write_log(tmp_path / "a.mf4", content), channels)
     # to the right from 14 to 66 s, but for both at once from 61 s on, which is none
-    assert_planted(found, missing=(1, 3))
-    assert found.refused.intended == 2
+    assert_planted(extraction, missing=(1, 3))
+    assert extraction.refused.intended == 2
 
 
 def test_lane_labels(tmp_path: Path) -> None:
     content = groups()
     _, t, camera = content[0]
     camera["LaneId"] = (np.where(t < 15.5, 2, 3), "")
-    found = extract(write_log(tmp_path / "a.mf4", content), MAP + '[lane]\nchannel = "LaneId"\n')
-    assert_planted(found, missing=(1,))
-    assert found.refused.lane_change == 1
+    extraction = extract(write_log(tmp_path / "a.mf4", content), MAP + '[lane]\nchannel = "LaneId"\n')
+    assert_planted(extraction, missing=(1,))
+    assert extraction.refused.lane_change == 1
 
 
 def test_an_array_is_refused(tmp_path: Path) -> None:
@@ -409,8 +409,8 @@ def test_blocks_in_a_circle_end(log: Path, tmp_path: Path, block: bytes, monkeyp
     """The library alone would follow them for ever; the next log is read as if nothing had been."""
     monkeypatch.setattr(mdf_logs, "PATIENCE", 1.0)
     content = bytearray(log.read_bytes())
-    place = content.index(block)
-    content[place + 24 : place + 32] = place.to_bytes(8, "little")  # the link to the next block, to itself
+    position = content.index(block)
+    content[position + 24 : position + 32] = position.to_bytes(8, "little")  # the link to the next block, to itself
     circle = tmp_path / "a.mf4"
     circle.write_bytes(content)
     assert problem(circle, MAP) == "a.mf4: reading it as MDF takes longer than 1 s; the file is damaged"
@@ -477,23 +477,23 @@ def damaged(sound: bytes, rng: random.Random) -> bytes:
     content = bytearray(sound)
     if rng.random() < 0.2:
         return bytes(content[: rng.randrange(len(content))])
-    blocks = [found.start() for found in re.finditer(rb"##[A-Z]{2}", sound)]
+    blocks = [damaged_bytes.start() for damaged_bytes in re.finditer(rb"##[A-Z]{2}", sound)]
     for _ in range(rng.choice((1, 1, 2, 5, 20, 100))):
-        place = rng.randrange(len(content))
+        position = rng.randrange(len(content))
         if rng.random() < 0.5:
-            place = min(rng.choice(blocks or [0]) + rng.randrange(400), len(content) - 1)
+            position = min(rng.choice(blocks or [0]) + rng.randrange(400), len(content) - 1)
         how = rng.randrange(5)
         if how == 0:
-            content[place] ^= 1 << rng.randrange(8)
+            content[position] ^= 1 << rng.randrange(8)
         elif how == 1:
-            content[place] = rng.choice((0, 1, 0x7F, 0x80, 0xFF))
+            content[position] = rng.choice((0, 1, 0x7F, 0x80, 0xFF))
         elif how == 2:
-            content[place] = rng.randrange(256)
+            content[position] = rng.randrange(256)
         elif how == 3:
-            content[place : place + 8] = bytes(rng.choice((0, 0xFF)) for _ in range(8))
+            content[position : position + 8] = bytes(rng.choice((0, 0xFF)) for _ in range(8))
         elif rng.random() < 0.05:  # a link to another block, or a number that is too large
-            place -= place % 8
-            content[place : place + 8] = rng.choice(blocks or [64]).to_bytes(8, "little")
+            position -= position % 8
+            content[position : position + 8] = rng.choice(blocks or [64]).to_bytes(8, "little")
     return bytes(content)
 
 
@@ -528,12 +528,14 @@ def test_a_damaged_log_gives_departures_or_a_known_error(
 
 
 def test_a_map_is_part_of_what_was_read(log: Path) -> None:
-    found = extract(log)
-    other = extract(log, MAP + "\n# another\n")
-    sources = [extraction.provenance.sources for extraction in (found, other)]
+    first_map = extract(log)
+    other_map = extract(log, MAP + "\n# another\n")
+    sources = [extraction.provenance.sources for extraction in (first_map, other_map)]
     assert sources[0][0] == sources[1][0]
     assert sources[0][1].sha256 != sources[1][1].sha256
-    assert dataclasses.replace(found.provenance, sources=()) == dataclasses.replace(other.provenance, sources=())
+    assert dataclasses.replace(first_map.provenance, sources=()) == dataclasses.replace(
+        other_map.provenance, sources=()
+    )
 
 
 def test_the_pages_map_and_python_run(
@@ -571,8 +573,8 @@ def test_the_pages_map_and_python_run(
 )  # fmt: skip
 def test_guesses_by_names_and_units(tmp_path: Path, quantity: str | None, channel: str, unit: str) -> None:
     t = np.arange(3.0)
-    others = {"WheelSpeedFL": (t, "km/h"), "EngineSpeed": (t, "1/min"), "LeftTemperature": (t, "degC")}
-    log = write_log(tmp_path / "a.mf4", [("All", t, others | {channel: (t, unit)})])
+    remaining = {"WheelSpeedFL": (t, "km/h"), "EngineSpeed": (t, "1/min"), "LeftTemperature": (t, "degC")}
+    log = write_log(tmp_path / "a.mf4", [("All", t, remaining | {channel: (t, unit)})])
     guess = {"channel": channel, "group": "All", **({"unit": unit} if unit else {})}
     expected = {} if quantity is None else {quantity: [guess] if quantity == "valid" else guess}
     assert tomllib.loads(mdf_logs.list_channels(log)) == expected

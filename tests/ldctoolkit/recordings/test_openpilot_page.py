@@ -49,16 +49,16 @@ def drive() -> Iterator[SimpleNamespace]:
 def test_the_lines_turn_signs_and_keep_departures(tmp_path: Path) -> None:
     scope: dict[str, Any] = run_python("docs/how-to/openpilot-logs.md", {"__name__": "page"})
     scope["write_table"](tmp_path / "drive.csv", drive(), "route", camera_left=CAMERA)
-    found = extract_departures(open_recordings(tmp_path / "drive.csv"), vehicle_width=VEHICLE)
+    extraction = extract_departures(open_recordings(tmp_path / "drive.csv"), vehicle_width=VEHICLE)
     # the fifth with its signal on, the fourth where a line is not sure, the sixth while openpilot steers
-    assert (found.refused.intended, found.refused.invalid, found.refused.engaged) == (1, 1, 1)
-    assert_planted(found.departures, PLANTED[:3], curvature, step=0.05, bend=5e-5)
-    assert found.provenance.curvature == "yaw_rate"
+    assert (extraction.refused.intended, extraction.refused.invalid, extraction.refused.engaged) == (1, 1, 1)
+    assert_planted(extraction.departures, PLANTED[:3], curvature, step=0.05, bend=5e-5)
+    assert extraction.provenance.curvature == "yaw_rate"
 
 
 def test_what_is_not_known_yet_is_missing() -> None:
     scope: dict[str, Any] = run_python("docs/how-to/openpilot-logs.md", {"__name__": "page"})
-    only_model = [one for one in drive() if one.which() == "modelV2"][:2]
+    only_model = [text for text in drive() if text.which() == "modelV2"][:2]
     first, second = scope["rows"](only_model, "a")
     assert first[:2] == ("a", 0.0)
     assert first[4:] == (None, None, 1, 0, 0)

@@ -116,8 +116,8 @@ def test_the_guides_reader(guide):
     assert isinstance(opened.reader, RecordingReader)
     assert isinstance(opened.source, RecordingSource)
     assert all(isinstance(pickle.loads(pickle.dumps(part)), RecordingPart) for part in opened.source.parts)
-    found = extract_departures(opened, vehicle_width=1.8)
-    d = found.departures
+    extraction = extract_departures(opened, vehicle_width=1.8)
+    d = extraction.departures
     assert (d.recording.tolist(), d.side.tolist()) == (["a", "b"], [1, -1])
     np.testing.assert_allclose(d.d_y, 0.3, atol=2e-3)
     np.testing.assert_allclose(d.T, 1.9, atol=0.01)
@@ -127,11 +127,11 @@ def test_the_guides_reader(guide):
         "source": ["a.lane", "b.lane"],
         "driver": ["Ann", "Bob"],
     }
-    reported = [str(problem) for problem in found.problems]
+    reported = [str(problem) for problem in extraction.problems]
     assert reported[0] == "notes.lane, line 1: no line 'driver NAME'; it is left out"
     assert [words.partition(":")[0] for words in reported[1:3]] == ["b.lane, line 11", "b.lane, line 21"]
     assert "bad.lane: cannot be read" in reported[3] or "bad.lane: cannot be read" in reported[1]
-    assert [file.name for file in found.provenance.sources] == ["a.lane", "b.lane", "bad.lane"]
+    assert [file.name for file in extraction.provenance.sources] == ["a.lane", "b.lane", "bad.lane"]
 
 
 def test_the_python_of_the_page_runs(tmp_path, monkeypatch, capsys):

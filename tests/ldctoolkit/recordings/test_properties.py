@@ -57,9 +57,11 @@ def random_drives(seed: int, with_lane: bool, yaw: bool = False) -> list[Recordi
         "engaged": np.cumsum(rng.random(n) < 0.03) % 8 == 7 if rng.random() < 0.5 else None,
     }
     ends = np.cumsum(lengths)
-    given = {name: None if values is None else np.split(values, ends[:-1]) for name, values in columns.items()}
+    arguments_given = {
+        name: None if values is None else np.split(values, ends[:-1]) for name, values in columns.items()
+    }
     return [
-        Recording(f"r{i}", **{name: None if values is None else values[i] for name, values in given.items()})
+        Recording(f"r{i}", **{name: None if values is None else values[i] for name, values in arguments_given.items()})
         for i in range(lengths.size)
     ]
 
@@ -77,64 +79,73 @@ def asked(T: float, d_y: float, v_mean: float, a_mean: float, c_0: float, dc: fl
     return max(4.0 * d_y / T / 2.0, np.abs(y.deriv(2)(t)).max() / 4.0, np.abs((v**2 * c + y.deriv(2))(t)).max() / 6.0)
 
 
-def too_fast(one: Recording, i: int, j: int) -> bool:
+def too_fast(recording: Recording, i: int, j: int) -> bool:
     """Whether offset or width move too far and too fast between two samples."""
-    dt, most = one.t[j] - one.t[i], 0.7 * min(one.lane_width[i], one.lane_width[j])
-    if abs(one.lane_width[j] - one.lane_width[i]) > max(0.5, dt):
+    dt, most = recording.t[j] - recording.t[i], 0.7 * min(recording.lane_width[i], recording.lane_width[j])
+    if abs(recording.lane_width[j] - recording.lane_width[i]) > max(0.5, dt):
         return True
-    return abs(one.lane_offset[j] - one.lane_offset[i]) > max(0.6, min(0.6 + 1.5 * max(dt - 0.1, 0.0), most))
+    return abs(recording.lane_offset[j] - recording.lane_offset[i]) > max(
+        0.6, min(0.6 + 1.5 * max(dt - 0.1, 0.0), most)
+    )
 
 
-def spread(one: Recording, good: list[int], some: set[int], walls: set[int], reach: float) -> set[int]:
+def spread(recording: Recording, good: list[int], seeds: set[int], walls: set[int], reach: float) -> set[int]:
     """Places in `good` that are no further in time from some of them, or next to them, and no wall between."""
-    found = set(some)
-    for place in some:
+    reached = set(seeds)
+    for position in seeds:
         for way in (-1, 1):
-            other = place + way
-            while 0 <= other < len(good) and max(other, other - way) not in walls:
-                if abs(one.t[good[other]] - one.t[good[place]]) > reach and other != place + way:
+            neighbour = position + way
+            while 0 <= neighbour < len(good) and max(neighbour, neighbour - way) not in walls:
+                if (
+                    abs(recording.t[good[neighbour]] - recording.t[good[position]]) > reach
+                    and neighbour != position + way
+                ):
                     break
-                found.add(other)
-                other += way
-    return found
+                reached.add(neighbour)
+                neighbour += way
+    return reached
 
 
-def movements(one: Recording, good: list[int], beyond: set[int], walls: set[int]) -> list[set[int]]:
+def movements(recording: Recording, good: list[int], beyond: set[int], walls: set[int]) -> list[set[int]]:
     """Jumps and changes of the lane's label, each as the steps that it takes, named by the later sample's place in
     `good`. `walls` are steps across a gap or an invalid sample."""
-    near = spread(one, good, beyond, walls, 0.6)
+    near = spread(recording, good, beyond, walls, 0.6)
     steps: set[int] = set()
     for lag in range(1, len(good)):  # the closest pairs first
         pairs = []
-        for place in range(len(good) - lag):
-            inside = set(range(place + 1, place + lag + 1))
-            far = lag > 1 and one.t[good[place + lag]] - one.t[good[place]] > 0.6
-            if not far and inside | {place} <= near and not inside & (walls | steps):
-                pairs += [inside] if too_fast(one, good[place], good[place + lag]) else []
+        for position in range(len(good) - lag):
+            inside = set(range(position + 1, position + lag + 1))
+            far = lag > 1 and recording.t[good[position + lag]] - recording.t[good[position]] > 0.6
+            if not far and inside | {position} <= near and not inside & (walls | steps):
+                pairs += [inside] if too_fast(recording, good[position], good[position + lag]) else []
         steps = steps.union(*pairs)
-    moving = spread(one, good, {place for step in steps for place in (step - 1, step)}, walls, 0.3)
-    moved = {place for place in moving if place - 1 in moving and place not in walls}
-    if one.lane is not None:
-        moved |= {place for place in range(1, len(good)) if one.lane[good[place]] != one.lane[good[place - 1]]}
+    moving = spread(recording, good, {position for step in steps for position in (step - 1, step)}, walls, 0.3)
+    moved = {position for position in moving if position - 1 in moving and position not in walls}
+    if recording.lane is not None:
+        moved |= {
+            position
+            for position in range(1, len(good))
+            if recording.lane[good[position]] != recording.lane[good[position - 1]]
+        }
     groups: list[set[int]] = []
-    for place in sorted(moved):
-        if groups and place - 1 in groups[-1]:
-            groups[-1].add(place)
+    for position in sorted(moved):
+        if groups and position - 1 in groups[-1]:
+            groups[-1].add(position)
         else:
-            groups.append({place})
+            groups.append({position})
     return groups
 
 
-def within_limits(one: Recording) -> list[int]:
+def within_limits(recording: Recording) -> list[int]:
     """Samples that can be used, for a recording with a curvature."""
     return [
         i
-        for i in range(one.samples)
-        if one.valid[i]
-        and 2.0 <= one.lane_width[i] <= 7.0
-        and abs(one.lane_offset[i]) <= one.lane_width[i]
-        and abs(one.speed[i]) <= 100.0
-        and abs(one.curvature[i]) <= 0.2  # type: ignore[index]
+        for i in range(recording.samples)
+        if recording.valid[i]
+        and 2.0 <= recording.lane_width[i] <= 7.0
+        and abs(recording.lane_offset[i]) <= recording.lane_width[i]
+        and abs(recording.speed[i]) <= 100.0
+        and abs(recording.curvature[i]) <= 0.2  # type: ignore[index]
     ]
 
 
@@ -153,27 +164,27 @@ def one_by_one(recordings: list[Recording]) -> tuple[list[tuple[float, ...]], Co
         }
         why: dict[int, str] = {}  # what lies before a place in `good`, and the break that it is part of
         of: dict[int, Any] = {}
-        for place in range(1, len(good)):
-            i, j = good[place - 1], good[place]
+        for position in range(1, len(good)):
+            i, j = good[position - 1], good[position]
             if j > i + 1 or table.t[j] - table.t[i] > limit:
-                why[place], of[place] = "invalid" if j > i + 1 else "gap", place
-        beyond = {place for place, i in enumerate(good) if max(edges[LEFT][i], edges[RIGHT][i]) > 0.0}
+                why[position], of[position] = "invalid" if j > i + 1 else "gap", position
+        beyond = {position for position, i in enumerate(good) if max(edges[LEFT][i], edges[RIGHT][i]) > 0.0}
         for group in movements(table, good, beyond, set(why)):
-            members = [good[place] for place in (min(group) - 1, *sorted(group))]
+            members = [good[position] for position in (min(group) - 1, *sorted(group))]
             way = max(table.lane_offset[members]) - min(table.lane_offset[members])
             lane = 0.5 * (table.lane_width[members[0]] + table.lane_width[members[-1]])
-            for place in group:
-                label = table.lane is not None and table.lane[good[place]] != table.lane[good[place - 1]]
+            for position in group:
+                label = table.lane is not None and table.lane[good[position]] != table.lane[good[position - 1]]
                 change = label or (way > 0.6 and 0.7 < way / lane < 1.3)
-                why[place], of[place] = "lane_change" if change else "jump", min(group)
+                why[position], of[position] = "lane_change" if change else "jump", min(group)
 
         runs: list[dict[str, Any]] = []
         for side in (LEFT, RIGHT):
             y = edges[side]
             open_run: dict[str, Any] | None = None
-            for place, i in enumerate(good):
-                broken, mark = why.get(place), of.get(place)
-                if place == 0:
+            for position, i in enumerate(good):
+                broken, mark = why.get(position), of.get(position)
+                if position == 0:
                     broken = "invalid" if i > 0 else "cut_by_end"
                 if open_run is not None and (broken or y[i] <= 0):
                     open_run["end"] = (broken, mark)
@@ -241,22 +252,22 @@ def one_by_one(recordings: list[Recording]) -> tuple[list[tuple[float, ...]], Co
 def test_equals_the_walk_through_every_sample(seed, with_lane):
     drives = random_drives(seed, with_lane)
     events, refused = one_by_one(drives)
-    found = extract(drives)
-    d = found.departures
-    assert {reason: count for reason, count in found.refused.items() if count} == dict(refused)
+    extraction = extract(drives)
+    d = extraction.departures
+    assert {reason: count for reason, count in extraction.refused.items() if count} == dict(refused)
     assert d.side.tolist() == [event[2] for event in events]
     assert d.samples.tolist() == [event[5] for event in events]
     np.testing.assert_allclose(d.start_time, [event[3] for event in events], rtol=1e-12)
     np.testing.assert_allclose(d.T, [event[-2] for event in events], rtol=1e-12)
-    assert found.candidates == len(events) + sum(refused.values())
+    assert extraction.candidates == len(events) + sum(refused.values())
 
 
 def test_the_random_tables_reach_every_reason():
     total: Counter[str] = Counter()
     for seed in range(60):
         for with_lane in (True, False):
-            found = extract(random_drives(seed, with_lane))
-            total.update(dict(found.refused.items()) | {"departures": len(found.departures)})
+            extraction = extract(random_drives(seed, with_lane))
+            total.update(dict(extraction.refused.items()) | {"departures": len(extraction.departures)})
     missing = [name for name in (*REASONS, "departures") if not total[name]]
     # ten seconds beyond the line do not happen in walks this short
     assert set(missing) <= {"too_long", "too_few_samples"}
@@ -268,40 +279,42 @@ def test_mirror(seed, yaw):
     drives = random_drives(seed, True, yaw)
     names = ("lane_offset", "curvature", "yaw_rate", "turn_signal")
     flipped = [
-        dataclasses.replace(one, **{name: -getattr(one, name) for name in names if getattr(one, name) is not None})
-        for one in drives
+        dataclasses.replace(r, **{name: -getattr(r, name) for name in names if getattr(r, name) is not None})
+        for r in drives
     ]
-    one, two = extract(drives), extract(flipped)
+    plain, two = extract(drives), extract(flipped)
     # a left and a right event may begin at the same sample only where they change places with each other
-    a, b = (np.lexsort((d.side * s, d.start_time, d.recording)) for d, s in ((one.departures, 1), (two.departures, -1)))
-    np.testing.assert_array_equal(one.departures.side[a], -two.departures.side[b])
-    np.testing.assert_array_equal(one.departures.matrix()[a], two.departures.matrix()[b])
-    assert one.refused == two.refused
+    a, b = (
+        np.lexsort((d.side * s, d.start_time, d.recording)) for d, s in ((plain.departures, 1), (two.departures, -1))
+    )
+    np.testing.assert_array_equal(plain.departures.side[a], -two.departures.side[b])
+    np.testing.assert_array_equal(plain.departures.matrix()[a], two.departures.matrix()[b])
+    assert plain.refused == two.refused
 
 
 @SETTINGS
 @given(seed=st.integers(0, 2**32 - 1), shift=st.integers(-(10**6), 10**9))
 def test_shifting_time_changes_nothing_else(seed, shift):
     drives = random_drives(seed, True)
-    one, two = extract(drives), extract(dataclasses.replace(one, t=one.t + shift) for one in drives)
-    np.testing.assert_array_equal(one.departures.matrix(), two.departures.matrix())
+    plain, two = extract(drives), extract(dataclasses.replace(r, t=r.t + shift) for r in drives)
+    np.testing.assert_array_equal(plain.departures.matrix(), two.departures.matrix())
     # the clock itself resolves 1e-7 s at 1e9 s
-    np.testing.assert_allclose(two.departures.start_time, one.departures.start_time + shift, rtol=1e-15, atol=1e-12)
-    assert (one.refused, one.hours) == (two.refused, two.hours)
+    np.testing.assert_allclose(two.departures.start_time, plain.departures.start_time + shift, rtol=1e-15, atol=1e-12)
+    assert (plain.refused, plain.hours) == (two.refused, two.hours)
 
 
 @pytest.mark.slow
 @examples(12)  # writes and parses three files each
 @given(seed=st.integers(0, 2**32 - 1), yaw=st.booleans(), block=st.integers(300, 8000), cut=st.integers(1, 6))
 def test_files_and_blocks_make_no_difference(tmp_path_factory, seed, yaw, block, cut):
-    drives = [one for one in random_drives(seed, True, yaw) if np.isfinite(one.speed).any()]
+    drives = [r for r in random_drives(seed, True, yaw) if np.isfinite(r.speed).any()]
     folder = tmp_path_factory.mktemp("split")
     cut = min(cut, len(drives) - 1)
     files = {"all": drives, "0": drives[:cut], "1": drives[cut:]}
-    for name, some in files.items():
-        if some:
-            frame_of(some).write_csv(folder / f"{name}.csv")
-            frame_of(some).write_parquet(folder / f"{name}.parquet")
+    for name, subset in files.items():
+        if subset:
+            frame_of(subset).write_csv(folder / f"{name}.csv")
+            frame_of(subset).write_parquet(folder / f"{name}.parquet")
     reader = dataclasses.replace(READER, block_bytes=block)
     for names in (["all.csv"], ["all.parquet"], ["0.csv", "1.parquet"] if cut else []):
         if names:
@@ -351,9 +364,9 @@ def test_planted_departures_come_back(data, rate, side, n):
         for i, t in enumerate(columns["t"])
     ]  # fmt: skip
     # much of so short a drive lies beyond the line
-    found = extract_departures(drives, vehicle_width=WIDTH, plausibility=NO_LIMITS, force=True)
-    d = found.departures
-    assert (len(d), found.refused.total, d.side.tolist()) == (n, 0, [side] * n)
+    extraction = extract_departures(drives, vehicle_width=WIDTH, plausibility=NO_LIMITS, force=True)
+    d = extraction.departures
+    assert (len(d), extraction.refused.total, d.side.tolist()) == (n, 0, [side] * n)
     # A crossing lies between a straight line of slope s and a parabola s tau - k tau^2. The chord over a step h passes
     # the crossing at most 4/27 k h^2 too low, with a slope of s - k h or more. At constant speed s = 4 d_y/T and
     # k = s/T; the speeds here change s by up to 19 % and k by up to 60 %: the time is off by less than 0.4 h^2/T
@@ -370,8 +383,8 @@ def test_planted_departures_come_back(data, rate, side, n):
     np.testing.assert_array_less(np.abs(d.c_0 - planted.c_0), reach)
     np.testing.assert_array_less(np.abs(d.dc - planted.dc), reach)
     # by default those whose path asks too much are refused; the error of d_y alone changes that by up to 4 %
-    kept = set(extract_departures(drives, vehicle_width=WIDTH, force=True).departures.recording)
+    retained = set(extract_departures(drives, vehicle_width=WIDTH, force=True).departures.recording)
     for i in range(n):
         most = asked(*(getattr(planted, name)[i] for name in ("T", "d_y", "v_mean", "a_mean", "c_0", "dc")))
         if abs(most - 1.0) > 0.1:
-            assert (f"r{i}" in kept) == (most < 1.0)
+            assert (f"r{i}" in retained) == (most < 1.0)

@@ -68,8 +68,8 @@ class FlatReader:
     step = None
 
     def recognise(self, paths: Sequence[Path]) -> str:
-        found = [path for path in paths if path.suffix == ".flat"]
-        return f"{len(found)} flat" if found else ""
+        files = [path for path in paths if path.suffix == ".flat"]
+        return f"{len(files)} flat" if files else ""
 
     def open(self, paths: Sequence[Path]) -> FlatSource:
         return FlatSource(tuple(FlatPart(str(path), path.name) for path in paths))
@@ -81,10 +81,10 @@ def install(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
 
     def add(**readers: Any) -> None:
         def entry_points(**choice: str) -> Any:
-            found = list(INSTALLED(**choice))
+            points = list(INSTALLED(**choice))
             if choice.get("group") == recording.GROUP:
-                found += [SimpleNamespace(name=n, value=f"theirs:{n}", load=load) for n, load in readers.items()]
-            return found
+                points += [SimpleNamespace(name=n, value=f"theirs:{n}", load=load) for n, load in readers.items()]
+            return points
 
         monkeypatch.setattr(importlib.metadata, "entry_points", entry_points)
         recording._installed.cache_clear()
@@ -93,9 +93,9 @@ def install(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
     return add
 
 
-@pytest.mark.parametrize("given", [FlatReader(), FlatReader], ids=["instance", "class"])
-def test_a_third_partys_reader(given: Any, install: Callable[..., None], tmp_path: Path) -> None:
-    install(flat=lambda: given)
+@pytest.mark.parametrize("loaded", [FlatReader(), FlatReader], ids=["instance", "class"])
+def test_a_third_partys_reader(loaded: Any, install: Callable[..., None], tmp_path: Path) -> None:
+    install(flat=lambda: loaded)
     path = tmp_path / "drive.flat"
     path.write_text("anything")
     assert recording.reader_names() == tuple(sorted((*OWN, "flat")))
@@ -103,9 +103,9 @@ def test_a_third_partys_reader(given: Any, install: Callable[..., None], tmp_pat
     assert (opened.reader.name, opened.found) == ("flat", "1 flat")
     assert isinstance(opened.source, RecordingSource)
     assert isinstance(opened.source.parts[0], RecordingPart)
-    found = extract_departures(opened)
-    assert found.departures.recording.tolist() == ["drive.flat"]
-    assert [str(one) for one in found.problems] == ["drive.flat, line 7: odd"]
+    extraction = extract_departures(opened)
+    assert extraction.departures.recording.tolist() == ["drive.flat"]
+    assert [str(problem) for problem in extraction.problems] == ["drive.flat, line 7: odd"]
 
 
 def test_a_reader_that_is_at_fault_is_named(install: Callable[..., None], tmp_path: Path) -> None:
@@ -185,9 +185,9 @@ def test_two_fleets_in_one_folder(tmp_path: Path) -> None:
     assert (opened.reader.vehicle_width, opened.reader.step) == (1.82, 0.1)
     assert opened.found == opened.reader.recognise([tmp_path])
     assert [file.name for file in opened.source.files] == ["DataLane.csv", "DataWsu.csv", "HV_Primary.csv"]
-    found = extract_departures(opened)
-    assert {account.origin.source for account in found.accounts} == {"DataLane.csv", "HV_Primary.csv"}
-    assert found.problems == ()
+    extraction = extract_departures(opened)
+    assert {account.origin.source for account in extraction.accounts} == {"DataLane.csv", "HV_Primary.csv"}
+    assert extraction.problems == ()
 
 
 BROKEN = {
@@ -201,13 +201,13 @@ BROKEN = {
 
 @pytest.mark.parametrize("kind", BROKEN)
 @pytest.mark.parametrize("file", ["DataLane.csv", "DataWsu_04.csv", "HV_Primary.csv"])
-@pytest.mark.parametrize("given", ["file", "folder"])
-def test_a_broken_file_with_a_known_name_is_named(given: str, file: str, kind: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("path_of", ["file", "folder"])
+def test_a_broken_file_with_a_known_name_is_named(path_of: str, file: str, kind: str, tmp_path: Path) -> None:
     content, words = BROKEN[kind]
     (tmp_path / file).write_bytes(content)
     with pytest.raises(RecordingError, match=rf"spmd-das.*{re.escape(file)}.*{words}") as caught:
-        open_recordings(tmp_path / file if given == "file" else tmp_path)
-    if given == "file":
+        open_recordings(tmp_path / file if path_of == "file" else tmp_path)
+    if path_of == "file":
         assert "no reader" not in str(caught.value)
 
 
@@ -232,8 +232,8 @@ def test_the_sample_folders() -> None:
     assert open_recordings(both).reader.name == "spmd-das1"
     assert open_recordings(sample / "two-month" / "HV_Primary.csv").reader.name == "spmd-das2"
     for folder in ("two-month", "one-day"):
-        found = extract_departures(open_recordings(sample / folder))
-        assert (found.problems, found.provenance.reader) == ((), "spmd-das1 + spmd-das2")
+        extraction = extract_departures(open_recordings(sample / folder))
+        assert (extraction.problems, extraction.provenance.reader) == ((), "spmd-das1 + spmd-das2")
 
 
 def test_only_mdf_logs_take_a_channel_map(tmp_path: Path) -> None:

@@ -54,11 +54,11 @@ def read(*paths: Path, block_bytes: int = 1 << 24) -> tuple[list[Recording], lis
 
 def rows(problems: list[Problem]) -> list[int]:
     """The row of each problem, in a table without odd lines."""
-    return [int(one.place.split()[1]) - one.place.startswith("line") for one in problems]
+    return [int(problem.place.split()[1]) - problem.place.startswith("line") for problem in problems]
 
 
 def places(problems: list[Problem]) -> list[str]:
-    return [one.place for one in problems]
+    return [problem.place for problem in problems]
 
 
 def cuts(recording: Recording) -> list[int]:
@@ -75,12 +75,12 @@ def test_heading_steering_and_a_system_that_steers(kind: str, save: Save) -> Non
         "recording,t,lane_offset,lane_width,speed,heading,steering,engaged\n"
         "a,0,0.1,3.6,25,1.5,-0.02,true\na,0.1,0.1,3.6,25,,0.5,false\na,0.2,0.1,3.6,25,-3.25,,\n"
     )
-    [one], problems = read(save(text, kind))
+    [recording], problems = read(save(text, kind))
     assert problems == []
-    np.testing.assert_array_equal(one.heading, [1.5, np.nan, -3.25])
-    np.testing.assert_array_equal(one.steering, [-0.02, 0.5, np.nan])
-    assert one.engaged is not None
-    assert (one.engaged.dtype, one.engaged.tolist()) == (bool, [True, False, False])
+    np.testing.assert_array_equal(recording.heading, [1.5, np.nan, -3.25])
+    np.testing.assert_array_equal(recording.steering, [-0.02, 0.5, np.nan])
+    assert recording.engaged is not None
+    assert (recording.engaged.dtype, recording.engaged.tolist()) == (bool, [True, False, False])
 
 
 @pytest.mark.parametrize("kind", TEXTS)
@@ -90,8 +90,8 @@ def test_heading_steering_and_a_system_that_steers(kind: str, save: Save) -> Non
 )
 def test_words_for_a_system_that_steers(word: str, value: bool, kind: str, save: Save) -> None:
     text = HEADER.replace("speed", "speed,engaged") + line("a", 0).strip() + f",{word}\n"
-    [one], problems = read(save(text, kind))
-    assert (problems, one.engaged.tolist()) == ([], [value])  # type: ignore[union-attr]
+    [recording], problems = read(save(text, kind))
+    assert (problems, recording.engaged.tolist()) == ([], [value])  # type: ignore[union-attr]
 
 
 # --- clocks
@@ -110,9 +110,9 @@ def test_words_for_a_system_that_steers(word: str, value: bool, kind: str, save:
 )
 def test_single_rows_in_disorder_are_left_out(odd: dict[int, str], expected: list[int], kind: str, save: Save) -> None:
     times = [odd.get(i, f"{i / 10:.1f}") for i in range(100)]
-    [one], problems = read(save(HEADER + lines("a", *times), kind))
-    assert one.t.tolist() == [float(times[i]) for i in range(100) if i not in odd]
-    assert (cuts(one), rows(problems)) == (expected, [min(odd) + 1])
+    [recording], problems = read(save(HEADER + lines("a", *times), kind))
+    assert recording.t.tolist() == [float(times[i]) for i in range(100) if i not in odd]
+    assert (cuts(recording), rows(problems)) == (expected, [min(odd) + 1])
     assert (f"({len(odd)} " in problems[0].what) == (len(odd) > 1)
 
 
@@ -121,8 +121,8 @@ def test_single_rows_in_disorder_are_left_out(odd: dict[int, str], expected: lis
 def test_a_clock_that_starts_again_begins_another_recording(kind: str, rate: int, save: Save) -> None:
     first, second, third = ([round(i / rate + 3.0, 3) for i in range(n)] for n in (30, 20, 25))
     text = HEADER + lines("b", 0, 0.1) + lines("a", *first, *second, *third) + lines("c", 0)
-    found, problems = read(save(text, kind))
-    assert [(one.name, one.t.tolist(), cuts(one), one.continues) for one in found] == [
+    recordings, problems = read(save(text, kind))
+    assert [(r.name, r.t.tolist(), cuts(r), r.continues) for r in recordings] == [
         (name, times, [], False)
         for name, times in (("b", [0.0, 0.1]), ("a", first), ("a (2)", second), ("a (3)", third), ("c", [0.0]))
     ]
@@ -136,25 +136,25 @@ def test_a_name_that_is_in_use_is_passed_over(kind: str, order: int, save: Save)
     texts = [lines("a", 5, 6, 0, 1), lines("a (2)", 7, 8)][::order]
     apart = [save(HEADER + text, kind, f"{i}") for i, text in enumerate(texts)]
     for paths in (apart, [save(HEADER + "".join(texts), kind)]):
-        found, problems = read(*paths)
-        assert {one.name: one.t.tolist() for one in found} == {"a": [5, 6], "a (3)": [0, 1], "a (2)": [7, 8]}
+        recordings, problems = read(*paths)
+        assert {r.name: r.t.tolist() for r in recordings} == {"a": [5, 6], "a (3)": [0, 1], "a (2)": [7, 8]}
         assert len(problems) == 1
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_rows_in_no_order_of_time_are_no_recording(kind: str, save: Save) -> None:
     times = [t for i in range(30) for t in (i + 1, i)]
-    found, problems = read(save(HEADER + lines("a", *times) + lines("b", 0, 1), kind))
-    assert [one.name for one in found] == ["b"]
+    recordings, problems = read(save(HEADER + lines("a", *times) + lines("b", 0, 1), kind))
+    assert [r.name for r in recordings] == ["b"]
     assert rows(problems) == [2]
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_nothing_is_joined_over_a_sample_without_a_time(kind: str, save: Save) -> None:
     text = HEADER + lines("a", "", 0, 0.1, "", 0.3, 0.4, "", "", 0.7, "") + lines("b", 0, 0.1)
-    found, problems = read(save(text, kind))
+    recordings, problems = read(save(text, kind))
     assert problems == []
-    assert [(one.name, one.t.tolist(), cuts(one)) for one in found] == [
+    assert [(r.name, r.t.tolist(), cuts(r)) for r in recordings] == [
         ("a", [0.0, 0.1, 0.3, 0.4, 0.7], [2, 4]),
         ("b", [0.0, 0.1], []),
     ]
@@ -167,8 +167,8 @@ def test_nothing_is_joined_over_a_sample_without_a_time(kind: str, save: Save) -
 @pytest.mark.parametrize("word", ["nan", "NaN", "NULL", "none", "n/a", "NA", " ", ""])
 def test_a_missing_name_is_no_recording(word: str, kind: str, save: Save) -> None:
     text = HEADER + lines("a", 0, 0.1) + lines("b", 0, 0.1) + lines(word, 0.2, 0.3) + lines("c", 0) + lines("d", 0, 0.1)
-    found, problems = read(save(text, kind))
-    assert [one.name for one in found] == ["a", "d"]  # the rows may be either neighbour's
+    recordings, problems = read(save(text, kind))
+    assert [r.name for r in recordings] == ["a", "d"]  # the rows may be either neighbour's
     assert rows(problems) == [5, 4, 7]
     assert "(2 " in problems[0].what
 
@@ -197,15 +197,15 @@ def short_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize("rate", [10, 25])
 def test_a_long_recording_comes_in_pieces(kind: str, block_bytes: int, rate: int, save: Save) -> None:
     text = HEADER + lines("b", 0, 1) + wandering(4000, rate=rate) + lines("c", 0, 1)
-    found, problems = read(save(text, kind), block_bytes=block_bytes)
+    recordings, problems = read(save(text, kind), block_bytes=block_bytes)
     assert problems == []
-    pieces = [one for one in found if one.name == "a"]
-    assert [one.name for one in found] == ["b", *["a"] * len(pieces), "c"]
-    assert [one.continues for one in found] == [False, False, *[True] * (len(pieces) - 1), False]
-    assert all(one.cut is None for one in found)
-    np.testing.assert_array_equal(np.concatenate([one.t for one in pieces]), np.round(np.arange(4000) / rate, 2))
+    pieces = [r for r in recordings if r.name == "a"]
+    assert [r.name for r in recordings] == ["b", *["a"] * len(pieces), "c"]
+    assert [r.continues for r in recordings] == [False, False, *[True] * (len(pieces) - 1), False]
+    assert all(r.cut is None for r in recordings)
+    np.testing.assert_array_equal(np.concatenate([r.t for r in pieces]), np.round(np.arange(4000) / rate, 2))
     assert len(pieces) >= (8 if block_bytes == 400 else 3)
-    assert max(one.samples for one in pieces) <= 500 + 2 * block_bytes / (64 if kind == "parquet" else 15)
+    assert max(r.samples for r in pieces) <= 500 + 2 * block_bytes / (64 if kind == "parquet" else 15)
     for piece in pieces[1:]:  # within 2 s the vehicle is within 0.15 * 3.6 m of its lane's centre
         first = round(rate * float(piece.t[0])) % 200
         assert 60 + 2 * rate <= first <= 199 - 2 * rate, first
@@ -215,41 +215,41 @@ def test_a_long_recording_comes_in_pieces(kind: str, block_bytes: int, rate: int
 @pytest.mark.parametrize("block_bytes", [1 << 24, 1000])
 def test_recordings_that_are_not_long_are_whole(block_bytes: int, save: Save) -> None:
     text = HEADER + "".join(wandering(450).replace("a,", f"{name},") for name in "abcd")
-    found, problems = read(save(text), block_bytes=block_bytes)
+    recordings, problems = read(save(text), block_bytes=block_bytes)
     assert problems == []
-    assert [(one.name, one.samples, one.continues) for one in found] == [(name, 450, False) for name in "abcd"]
+    assert [(r.name, r.samples, r.continues) for r in recordings] == [(name, 450, False) for name in "abcd"]
 
 
 @pytest.mark.usefixtures("short_pieces")
-def test_the_place_between_two_pieces_is_the_last_calm_one(save: Save) -> None:
+def test_two_pieces_part_where_the_vehicle_is_calm_for_the_last_time(save: Save) -> None:
     """Rows 0 to 500 wait, up to t = 50 s. From 40 s to 45.9 s the vehicle is off the centre, and what comes after 50 s
     is not known: 37.9 s is the last time with more than 2 s to either."""
-    found, _ = read(save(HEADER + wandering(600)), block_bytes=10)
-    assert [one.t[0] for one in found] == [0.0, 37.9]
+    recordings, _ = read(save(HEADER + wandering(600)), block_bytes=10)
+    assert [r.t[0] for r in recordings] == [0.0, 37.9]
 
 
 @pytest.mark.usefixtures("short_pieces")
-@pytest.mark.parametrize(("odd", "place"), [("9999", 1), ("0.05", 0)])
-def test_a_time_in_disorder_where_two_pieces_part(odd: str, place: int, save: Save) -> None:
+@pytest.mark.parametrize(("odd", "cut"), [("9999", 1), ("0.05", 0)])
+def test_a_time_in_disorder_where_two_pieces_part(odd: str, cut: int, save: Save) -> None:
     """It is not taken for the clock of all that comes before, or behind it."""
-    found, problems = read(save(HEADER + wandering(600).replace("a,37.80,", f"a,{odd},")), block_bytes=10)
-    assert [(one.name, one.continues, cuts(one)) for one in found] == [("a", False, []), ("a", True, [place])]
-    assert sum(one.samples for one in found) == 599
+    recordings, problems = read(save(HEADER + wandering(600).replace("a,37.80,", f"a,{odd},")), block_bytes=10)
+    assert [(r.name, r.continues, cuts(r)) for r in recordings] == [("a", False, []), ("a", True, [cut])]
+    assert sum(r.samples for r in recordings) == 599
     assert places(problems) == ["line 380"]
 
 
 @pytest.mark.usefixtures("short_pieces")
-@pytest.mark.parametrize(("offset", "place"), [(0.7, 470), (-0.7, 470), ("", 250)])
-def test_a_recording_without_a_calm_place(offset: float | str, place: int, save: Save) -> None:
+@pytest.mark.parametrize(("offset", "border"), [(0.7, 470), (-0.7, 470), ("", 250)])
+def test_a_recording_without_a_calm_place(offset: float | str, border: int, save: Save) -> None:
     """The nearest to the lane's centre is taken; it lies in the second half."""
     rows = "".join(line("a", f"{i / 10:.1f}", offset) for i in range(600))
     rows = rows.replace(line("a", "10.0", offset), line("a", "10.0", 0.0))  # in the first half
     if offset:
         rows = rows.replace(line("a", "47.0", offset), line("a", "47.0", 0.55))
         rows = rows.replace(line("a", "30.0", offset), line("a", "30.0", ""))
-    found, problems = read(save(HEADER + rows), block_bytes=10)
-    assert (problems, [one.samples for one in found]) == ([], [place, 600 - place])
-    assert [one.continues for one in found] == [False, True]
+    recordings, problems = read(save(HEADER + rows), block_bytes=10)
+    assert (problems, [r.samples for r in recordings]) == ([], [border, 600 - border])
+    assert [r.continues for r in recordings] == [False, True]
 
 
 @pytest.mark.usefixtures("short_pieces")
@@ -258,14 +258,14 @@ def test_a_fault_costs_the_piece_that_it_is_in(kind: str, save: Save) -> None:
     text = HEADER.replace("speed", "speed,valid") + wandering(2000).replace("\n", ",1\n")
     path = save(text.replace("a,80.00,0.8,3.6,25,1", "a,80.00,0.8,3.6,25,7"), kind)
     whole, none = read(save(text, kind, "sound"), block_bytes=2000)
-    found, problems = read(path, block_bytes=2000)
+    recordings, problems = read(path, block_bytes=2000)
     assert none == []
-    starts = [one.t[0] for one in whole]
-    (lost,) = [i for i, one in enumerate(whole) if one.t[0] <= 80.0 <= one.t[-1]]
+    starts = [piece.t[0] for piece in whole]
+    (lost,) = [i for i, piece in enumerate(whole) if piece.t[0] <= 80.0 <= piece.t[-1]]
     assert 0 < lost < len(whole) - 1
-    assert [one.t[0] for one in found] == starts[:lost] + starts[lost + 1 :]
-    assert [one.continues for one in found] == [False] + [True] * (len(found) - 1)
-    assert [cuts(one) for one in found] == [[0] if i == lost else [] for i in range(len(found))]
+    assert [r.t[0] for r in recordings] == starts[:lost] + starts[lost + 1 :]
+    assert [r.continues for r in recordings] == [False] + [True] * (len(recordings) - 1)
+    assert [cuts(r) for r in recordings] == [[0] if i == lost else [] for i in range(len(recordings))]
     first, last = (round(10 * whole[lost].t[i]) + 1 + (kind != "parquet") for i in (0, -1))
     assert rows(problems) == [801, 801]
     assert f"s {first} to {last}, " in problems[1].what
@@ -274,8 +274,8 @@ def test_a_fault_costs_the_piece_that_it_is_in(kind: str, save: Save) -> None:
 @pytest.mark.usefixtures("short_pieces")
 def test_a_fault_in_the_first_piece(save: Save) -> None:
     """379 rows as above; what comes behind begins the recording."""
-    found, problems = read(save(HEADER + wandering(600).replace("a,1.00,0.8", "a,1.00,far")), block_bytes=10)
-    assert [(one.name, one.t[0], one.continues, cuts(one)) for one in found] == [("a", 37.9, False, [])]
+    recordings, problems = read(save(HEADER + wandering(600).replace("a,1.00,0.8", "a,1.00,far")), block_bytes=10)
+    assert [(r.name, r.t[0], r.continues, cuts(r)) for r in recordings] == [("a", 37.9, False, [])]
     assert places(problems) == ["line 12", "line 12"]
 
 
@@ -286,11 +286,11 @@ def test_a_clock_that_starts_again_in_a_long_recording(kind: str, first: int, sa
     """Wherever the pieces part, the samples of each drive are one recording's, in pieces."""
     text = HEADER + wandering(first) + wandering(900) + lines("b", 0, 1)
     for block_bytes in (300, 3000, 1 << 24):
-        found, problems = read(save(text, kind), block_bytes=block_bytes)
-        t = {name: np.concatenate([one.t for one in found if one.name == name]) for name in ("a", "a (2)", "b")}
+        recordings, problems = read(save(text, kind), block_bytes=block_bytes)
+        t = {name: np.concatenate([r.t for r in recordings if r.name == name]) for name in ("a", "a (2)", "b")}
         np.testing.assert_array_equal(t["a"], np.round(np.arange(first) / 10, 2))
         np.testing.assert_array_equal(t["a (2)"], np.round(np.arange(900) / 10, 2))
-        assert [one.name for one in found if not one.continues] == ["a", "a (2)", "b"]
+        assert [r.name for r in recordings if not r.continues] == ["a", "a (2)", "b"]
         assert rows(problems) == [first + 1]
 
 
@@ -298,12 +298,12 @@ def test_a_clock_that_starts_again_in_a_long_recording(kind: str, first: int, sa
 def test_lane_labels_and_signals_of_pieces(save: Save) -> None:
     text = HEADER.replace("speed", "speed,lane,turn_signal")
     text += "".join(line("a", i / 10).strip() + f",L{i // 300},{'left' if i == 650 else ''}\n" for i in range(900))
-    found, problems = read(save(text), block_bytes=400)
+    recordings, problems = read(save(text), block_bytes=400)
     assert problems == []
-    lanes = [one.lane for one in found]
-    changes = [t for one in found for t in one.t[1:][np.diff(one.lane) != 0]]  # type: ignore[arg-type]
+    lanes = [r.lane for r in recordings]
+    changes = [t for r in recordings for t in r.t[1:][np.diff(r.lane) != 0]]  # type: ignore[arg-type]
     assert (len(lanes), changes) == (2, [30.0, 60.0])
-    assert [one.t[one.turn_signal == 1].tolist() for one in found] == [[], [65.0]]
+    assert [r.t[r.turn_signal == 1].tolist() for r in recordings] == [[], [65.0]]
 
 
 # --- bytes that a power failure leaves
@@ -336,11 +336,11 @@ def test_nul_bytes(kind: str, count: int, where: str, block_bytes: int, save: Sa
     """The lines around stay; nothing is joined across."""
     text, named, times, cut = NUL_BYTES[where]
     path = save(text.replace("NUL", count * "\0"), kind)
-    found, problems = read(path, block_bytes=max(block_bytes, 1 << 19) if count > 10_000 else block_bytes)
-    assert (found[0].t.tolist(), cuts(found[0])) == (times, cut)
-    assert [one.t.tolist() for one in found[1:]] == [[0.0, 0.1]] * ("b," in text)
+    recordings, problems = read(path, block_bytes=max(block_bytes, 1 << 19) if count > 10_000 else block_bytes)
+    assert (recordings[0].t.tolist(), cuts(recordings[0])) == (times, cut)
+    assert [r.t.tolist() for r in recordings[1:]] == [[0.0, 0.1]] * ("b," in text)
     assert places(problems) == [f"line {number}" for number in named]
-    assert all(one.what.startswith(f"{count} NUL bytes") for one in problems)
+    assert all(problem.what.startswith(f"{count} NUL bytes") for problem in problems)
 
 
 @pytest.mark.usefixtures("short_pieces")
@@ -349,12 +349,12 @@ def test_a_row_that_is_lost_next_to_another_piece(
     lost: list[int], time: str, save: Save, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its time is missing, or there are NUL bytes in it."""
-    monkeypatch.setattr(table_reader, "_place_to_part", lambda frame: 400)
+    monkeypatch.setattr(table_reader, "_border_of_pieces", lambda frame: 400)
     text = "".join(line("a", time if i in lost else i / 10) for i in range(700))
-    found, problems = read(save(HEADER + text), block_bytes=400)
+    recordings, problems = read(save(HEADER + text), block_bytes=400)
     assert places(problems) == (["line 402"] if time else [])
-    assert [(one.continues, cuts(one)) for one in found] == [(False, []), (True, [0])]
-    assert sum(one.samples for one in found) == 700 - len(lost)
+    assert [(r.continues, cuts(r)) for r in recordings] == [(False, []), (True, [0])]
+    assert sum(r.samples for r in recordings) == 700 - len(lost)
 
 
 # --- units
@@ -371,9 +371,11 @@ UNITS = [
 @pytest.mark.parametrize("end", ["\n", "\r\n"])
 def test_a_row_of_units_is_passed_over(kind: str, units: str, end: str, save: Save) -> None:
     text = (HEADER + units + "\n" + lines("a", 0, 0.1)).replace("\n", end)
-    found, problems = read(save(text, kind), save(text.replace("a,", "b,"), kind, "other"))
-    assert [(one.name, one.t.tolist(), cuts(one)) for one in found] == [("a", [0.0, 0.1], []), ("b", [0.0, 0.1], [])]
-    assert [(one.file, one.place) for one in problems] == [(f"{name}.{kind}", "line 2") for name in ("drive", "other")]
+    recordings, problems = read(save(text, kind), save(text.replace("a,", "b,"), kind, "other"))
+    assert [(r.name, r.t.tolist(), cuts(r)) for r in recordings] == [("a", [0.0, 0.1], []), ("b", [0.0, 0.1], [])]
+    assert [(problem.file, problem.place) for problem in problems] == [
+        (f"{name}.{kind}", "line 2") for name in ("drive", "other")
+    ]
 
 
 def test_units_of_all_columns(save: Save) -> None:
@@ -381,8 +383,8 @@ def test_units_of_all_columns(save: Save) -> None:
     rows = "".join(line("a", t).strip() + ",0,0,0,0,1,7\n" for t in (0, 0.1))
     for curvature in ("1/m", "m^-1", "m⁻¹", "rad/m"):
         text = head + f",s,m,m,m/s,{curvature},rad/s,rad,[rad],bool,km\n" + rows
-        [one], problems = read(save(text))
-        assert (one.samples, places(problems)) == (2, ["line 2"])
+        [recording], problems = read(save(text))
+        assert (recording.samples, places(problems)) == (2, ["line 2"])
 
 
 @pytest.mark.parametrize(
@@ -407,9 +409,9 @@ def test_a_file_in_another_unit_is_refused(column: str, unit: str, needed: str, 
 @pytest.mark.parametrize("first", ["a,0,,,", "a,nan,nan,nan,nan", ",,,,", "a,-,-,-,-", "a,inf,x,3.6,25", "a,0,m,m,m/s"])
 def test_a_first_row_that_is_none_of_units(first: str, save: Save) -> None:
     """It is read, or at fault, as any other row; so is a row of units further down."""
-    found, problems = read(save(HEADER + first + "\n" + lines("b", 0, 0.1)))
-    assert found[-1].t.tolist() == [0.0, 0.1]
-    assert not any("units" in one.what for one in problems)
+    recordings, problems = read(save(HEADER + first + "\n" + lines("b", 0, 0.1)))
+    assert recordings[-1].t.tolist() == [0.0, 0.1]
+    assert not any("units" in problem.what for problem in problems)
     assert bool(problems) == any(word in first for word in ("-", "x", "m"))
 
 
@@ -427,8 +429,8 @@ def test_a_first_row_that_is_none_of_units(first: str, save: Save) -> None:
 def test_lines_before_the_header(kind: str, before: str, shift: int, save: Save) -> None:
     path = save(before + HEADER + lines("a", 0, 0.1) + "b,0,far,3.6,25\n", kind)
     assert open_recordings(path).reader.name == "table"
-    found, problems = read(path)
-    assert [(one.name, one.t.tolist()) for one in found] == [("a", [0.0, 0.1])]
+    recordings, problems = read(path)
+    assert [(r.name, r.t.tolist()) for r in recordings] == [("a", [0.0, 0.1])]
     assert problems[0].place == f"line {4 + shift}"
 
 
@@ -438,11 +440,13 @@ def test_lines_before_the_header(kind: str, before: str, shift: int, save: Save)
 def test_comments_between_rows(kind: str, block_bytes: int, comment: str, save: Save) -> None:
     """Also above a row of units; a quoted name is none."""
     text = f"{HEADER}{comment}\n\n,s,m,m,m/s\n{line('a', 0)}{comment}\r\n{comment}\n{line('a', 0.1)}"
-    found, problems = read(save(f"{text}{line('a', 'x')}" + line('"#1"', 0) + comment, kind), block_bytes=block_bytes)
-    assert [(one.name, one.t.tolist(), cuts(one)) for one in found] == [("#1", [0.0], [])]
+    recordings, problems = read(
+        save(f"{text}{line('a', 'x')}" + line('"#1"', 0) + comment, kind), block_bytes=block_bytes
+    )
+    assert [(r.name, r.t.tolist(), cuts(r)) for r in recordings] == [("#1", [0.0], [])]
     assert places(problems) == ["line 4", "line 9", "line 9"]
-    [one], _ = read(save(text, kind), block_bytes=block_bytes)
-    assert (one.t.tolist(), cuts(one)) == ([0.0, 0.1], [])
+    [recording], _ = read(save(text, kind), block_bytes=block_bytes)
+    assert (recording.t.tolist(), cuts(recording)) == ([0.0, 0.1], [])
 
 
 @pytest.mark.parametrize("mark", [";", "\t", "|"])

@@ -50,8 +50,8 @@ def save(tmp_path: Path) -> Save:
 
 def read(*paths: Path, block_bytes: int = 1 << 24) -> tuple[dict[str, Recording], list[Problem]]:
     recordings, problems = read_source(dataclasses.replace(READER, block_bytes=block_bytes).open(paths))
-    assert len({one.name for one in recordings}) == len(recordings)
-    return {one.name: one for one in recordings}, problems
+    assert len({r.name for r in recordings}) == len(recordings)
+    return {r.name: r for r in recordings}, problems
 
 
 @pytest.mark.parametrize("kind", ["csv", "CSV.gz", "parquet"])
@@ -73,12 +73,12 @@ def test_the_same_departures_as_from_arrays(kind: str, tmp_path: Path) -> None:
         path.write_bytes(gzip.compress(text) if kind == "CSV.gz" else text)
     opened = open_recordings([path])
     assert (opened.reader.name, opened.found) == ("table", "1 recording table")
-    found = extract_departures(opened, vehicle_width=1.8)
-    assert found.departures.n > 5
-    assert_same(found, extract_departures(drives, vehicle_width=1.8))
-    assert_same(found, extract_departures(read_recordings(path), vehicle_width=1.8))
+    extraction = extract_departures(opened, vehicle_width=1.8)
+    assert extraction.departures.n > 5
+    assert_same(extraction, extract_departures(drives, vehicle_width=1.8))
+    assert_same(extraction, extract_departures(read_recordings(path), vehicle_width=1.8))
     content = path.read_bytes()
-    (file,) = found.provenance.sources
+    (file,) = extraction.provenance.sources
     assert (file.name, file.bytes, file.sha256) == (path.name, len(content), hashlib.sha256(content).hexdigest())
 
 
@@ -98,19 +98,19 @@ def test_the_same_departures_as_from_arrays(kind: str, tmp_path: Path) -> None:
     ids=["bom", "crlf", "quoted", "blanks", "no last newline", "blank lines", "other columns"],
 )
 def test_same_table_in_another_dress(save: Save, content: bytes) -> None:
-    found, problems = read(save(content))
+    recordings, problems = read(save(content))
     assert problems == []
-    assert_same_bits([dataclasses.replace(one, source="") for one in found.values()], SOUND_DRIVES)
+    assert_same_bits([dataclasses.replace(r, source="") for r in recordings.values()], SOUND_DRIVES)
 
 
 def test_reading_stops_at_the_first_fault(save: Save) -> None:
-    one, two = save(HEADER + A + B, "one.csv"), save(HEADER + C + "c,x,0.1,3.6,25\n", "two.csv")
-    recordings = read_recordings([one, two])
+    first_file, two = save(HEADER + A + B, "one.csv"), save(HEADER + C + "c,x,0.1,3.6,25\n", "two.csv")
+    recordings = read_recordings([first_file, two])
     assert [next(recordings).name, next(recordings).name] == ["a", "b"]
     with pytest.raises(RecordingError, match=r"^two\.csv, line 4: column 't' holds 'x'; allowed: numbers$"):
         next(recordings)
     with pytest.raises(RecordingError, match=r"^two\.csv, line 2: recording 'b' is also in one\.csv, line 4"):
-        next(read_recordings([one, save(HEADER + B + C, "two.csv")]))
+        next(read_recordings([first_file, save(HEADER + B + C, "two.csv")]))
     with pytest.raises(RecordingError, match="does not exist"):
         read_recordings("nowhere.csv")
 
@@ -123,14 +123,14 @@ def test_optional_columns_and_samples_without_a_time(save: Save) -> None:
         ",4,a,,0.3,3.6,25,0.03,1\n"
         ",4.0,a,0.3,0.4,3.6,,0.04,false\n"
     )
-    [one], problems = read(save(text))[0].values(), read(save(text))[1]
-    assert (problems, one.source) == ([], "drive.csv")
-    np.testing.assert_array_equal(one.t, [0.0, 0.1, 0.3])
-    np.testing.assert_array_equal(one.speed, [25.0, 25.0, np.nan])
-    assert (one.valid.tolist(), one.turn_signal.tolist()) == ([True, False, False], [1, -1, 0])
-    assert one.cut.tolist() == [False, False, True]
-    assert one.yaw_rate.tolist() == [0.01, 0.02, 0.04]
-    assert one.curvature is None
+    [recording], problems = read(save(text))[0].values(), read(save(text))[1]
+    assert (problems, recording.source) == ([], "drive.csv")
+    np.testing.assert_array_equal(recording.t, [0.0, 0.1, 0.3])
+    np.testing.assert_array_equal(recording.speed, [25.0, 25.0, np.nan])
+    assert (recording.valid.tolist(), recording.turn_signal.tolist()) == ([True, False, False], [1, -1, 0])
+    assert recording.cut.tolist() == [False, False, True]
+    assert recording.yaw_rate.tolist() == [0.01, 0.02, 0.04]
+    assert recording.curvature is None
 
 
 FAULTS = {
@@ -144,15 +144,17 @@ FAULTS = {
 
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_recording_at_fault_is_left_out_and_the_others_stay(fault: str, save: Save) -> None:
-    good, bad, place, words = FAULTS[fault]
+    good, bad, faulty_line, words = FAULTS[fault]
     text = HEADER + A + B + C
     assert text.count(good) == 1
     recordings, problems = read(save(text.replace(good, bad).encode("latin-1")))
     # a line without a name may belong to either neighbour
     assert list(recordings) == (["a"] if fault in ("no name", "not UTF-8") else ["a", "c"])
-    assert any(one.place == place and words in one.what for one in problems), [str(one) for one in problems]
-    assert all(one.file == "drive.csv" for one in problems)
-    assert any("'b'" in one.what and "left out" in one.what for one in problems)
+    assert any(problem.place == faulty_line and words in problem.what for problem in problems), [
+        str(problem) for problem in problems
+    ]
+    assert all(problem.file == "drive.csv" for problem in problems)
+    assert any("'b'" in problem.what and "left out" in problem.what for problem in problems)
 
 
 def test_a_parquet_row_at_fault(save: Save) -> None:
@@ -163,10 +165,10 @@ def test_a_parquet_row_at_fault(save: Save) -> None:
 
 
 def test_of_a_recording_in_two_files_the_first_ones_rows_are_taken(save: Save) -> None:
-    one = save(HEADER + A + B, "one.csv")
+    first_file = save(HEADER + A + B, "one.csv")
     two = save(pl.read_csv((HEADER + C + B.replace("0.1,3.6", "0.15,3.6")).encode()), "two.parquet")
     three = save(gzip.compress((HEADER + '"d",0,0.1,3.6,25\n' + B).encode()), "three.csv.gz")
-    recordings, problems = read(one, two, three)
+    recordings, problems = read(first_file, two, three)
     assert (list(recordings), recordings["b"].source) == (["a", "b", "c", "d"], "one.csv")
     assert recordings["b"].lane_offset[0] == 0.1
     assert [str(problem) for problem in problems] == [
@@ -176,9 +178,9 @@ def test_of_a_recording_in_two_files_the_first_ones_rows_are_taken(save: Save) -
 
 
 def test_lines_are_counted_past_blank_and_faulty_ones(save: Save) -> None:
-    one = save(HEADER + "\n \n" + B + "\n" + A, "one.csv")
+    first_file = save(HEADER + "\n \n" + B + "\n" + A, "one.csv")
     two = save((HEADER + C + "c,1,2,3,4,5\n\n" + A).replace("\n", "\r\n"), "two.csv")
-    _, problems = read(one, two)
+    _, problems = read(first_file, two)
     assert str(problems[0]) == "two.csv, line 6: recording 'a' is also in one.csv, line 7; these rows are left out"
 
 
@@ -217,7 +219,7 @@ def test_what_is_wrong_with_a_text(save: Save, name: str, block_bytes: int) -> N
         message = message.split(" (")[0]
     path = save(content)
     try:
-        reported = [str(one) for one in read(path, block_bytes=block_bytes)[1]]
+        reported = [str(problem) for problem in read(path, block_bytes=block_bytes)[1]]
     except RecordingError as error:
         reported = [str(error)]
     assert any(text.startswith("drive.csv") and message in text for text in reported), reported
@@ -240,7 +242,7 @@ def test_what_is_wrong_with_a_text(save: Save, name: str, block_bytes: int) -> N
 def test_bad_parquet_columns(tmp_path: Path, change: pl.Expr, message: str) -> None:
     frame = pl.read_csv(PLAIN.encode(), schema_overrides={"t": pl.Float64})
     frame.with_columns(change).write_parquet(tmp_path / "drive.parquet")
-    reported = [str(one) for one in read(tmp_path / "drive.parquet")[1]]
+    reported = [str(problem) for problem in read(tmp_path / "drive.parquet")[1]]
     assert any(text.startswith("drive.parquet") and message in text for text in reported), reported
 
 
@@ -297,7 +299,7 @@ def test_a_gzip_file_that_is_cut_short(save: Save) -> None:
     recordings, problems = read(path)
     assert len(recordings) > 500
     assert list(recordings) == [f"r{i}" for i in range(len(recordings))]
-    assert [one.samples for one in recordings.values()] == [5] * len(recordings)
+    assert [r.samples for r in recordings.values()] == [5] * len(recordings)
     (problem,) = problems
     assert "cut short" in problem.what
     last = int(re.search(r"broken gzip after line (\d+)", problem.what)[1])  # type: ignore[index]
@@ -353,11 +355,11 @@ def test_against_plain_python(lines: list[tuple[str, str, str]]) -> None:
         previous = name
         if name in closed:
             continue
-        one, other = number(t), number(offset)
-        if one is None or other is None:
+        time_or_none, offset_or_none = number(t), number(offset)
+        if time_or_none is None or offset_or_none is None:
             faulty.add(name)
-        elif math.isfinite(one):
-            expected.setdefault(name, []).append((one, other, passed_over))
+        elif math.isfinite(time_or_none):
+            expected.setdefault(name, []).append((time_or_none, offset_or_none, passed_over))
             passed_over = False
         else:
             passed_over = True
@@ -365,7 +367,7 @@ def test_against_plain_python(lines: list[tuple[str, str, str]]) -> None:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "a.csv")
         path.write_text(HEADER + A.replace("a", "sound") + text)
-        found = {
+        recordings = {
             item.name: item
             for item in TablePart(str(path), "a", 1, "a.csv").read()
             if isinstance(item, Recording)
@@ -376,12 +378,12 @@ def test_against_plain_python(lines: list[tuple[str, str, str]]) -> None:
             last, clocks = -math.inf, 0
             for t, offset, cut in rows:
                 clocks += t < last or not clocks
-                own = sound.setdefault(name if clocks == 1 else f"{name} ({clocks})", [])
-                own.append((t, offset, cut and bool(own)))
+                samples = sound.setdefault(name if clocks == 1 else f"{name} ({clocks})", [])
+                samples.append((t, offset, cut and bool(samples)))
                 last = t
-    assert sorted(found) == sorted([*sound, "sound"])
+    assert sorted(recordings) == sorted([*sound, "sound"])
     for name, rows in sound.items():
-        np.testing.assert_array_equal(found[name].t, [t for t, _, _ in rows])
-        np.testing.assert_array_equal(found[name].lane_offset, [offset for _, offset, _ in rows])
-        cut = found[name].cut
+        np.testing.assert_array_equal(recordings[name].t, [t for t, _, _ in rows])
+        np.testing.assert_array_equal(recordings[name].lane_offset, [offset for _, offset, _ in rows])
+        cut = recordings[name].cut
         assert [cut for _, _, cut in rows] == (cut.tolist() if cut is not None else [False] * len(rows))

@@ -19,7 +19,7 @@ Change = Callable[[Lines], None]
 
 
 @dataclasses.dataclass
-class Found:
+class FolderExtraction:
     recordings: dict[str, Recording]
     problems: list[str]
     sides: list[int]  # of the departures
@@ -29,15 +29,15 @@ class Found:
         return None if cut is None else np.flatnonzero(cut).tolist()
 
 
-def found_in(folder: Path) -> Found:
+def extract_folder(folder: Path) -> FolderExtraction:
     opened = open_recordings([folder])
     recordings, problems = read_source(opened.source)
     criteria = Criteria(vehicle_width=opened.reader.vehicle_width)
     result = combined_results(
         extract_part(part, criteria, Preparation(step=opened.reader.step)) for part in opened.source.parts
     )
-    return Found(
-        {one.name: one for one in recordings}, [str(problem) for problem in problems], result.departures.side.tolist()
+    return FolderExtraction(
+        {r.name: r for r in recordings}, [str(problem) for problem in problems], result.departures.side.tolist()
     )
 
 
@@ -52,9 +52,9 @@ def put(rows: Sequence[int], how: str, header: int = 1) -> Change:
 
     def change(lines: Lines) -> None:
         for row in rows:
-            at = header + row
-            device, trip, time, rest = lines[at].split(",", 3)
-            lines[at] = {
+            line_number = header + row
+            device, trip, time, rest = lines[line_number].split(",", 3)
+            lines[line_number] = {
                 "cells": f"{device},{trip},{time}", "number": f"{device},{trip},{time}x,{rest}",
                 "no time": f"{device},{trip},NULL,{rest}", "bytes": f"{device},{trip},{time}\xff,{rest}",
                 "key": f"x{device},{trip},{time},{rest}", "behind": f"{device},{trip},{row},{rest}",
@@ -69,7 +69,7 @@ def das1(folder: Path, drives: Sequence[spmd.Drive]) -> None:
 
 
 def das2(folder: Path, drives: Sequence[spmd.Drive]) -> None:
-    lines = [line for one in drives for line in spmd.lines_of(spmd.rows_of(one))]
+    lines = [line for r in drives for line in spmd.lines_of(spmd.rows_of(r))]
     (folder / "HV_Primary.csv").write_text("\n".join([spmd.HEADER, *lines, ""]))
 
 
@@ -94,19 +94,19 @@ def test_rows_of_the_lane_that_are_left_out(
     tmp_path: Path, kind: str, file: str, rows: tuple[int, ...], how: str
 ) -> None:
     two_trips(tmp_path, kind)
-    clean = found_in(tmp_path).recordings["7/1"]
+    clean = extract_folder(tmp_path).recordings["7/1"]
     edit(tmp_path / file, put(rows, how))
-    found = found_in(tmp_path)
+    extraction = extract_folder(tmp_path)
     expected = {
         (LEFT,): [92], (RIGHT,): [184], (LEFT, LEFT + 1): [92], (RIGHT, RIGHT + 1): [184],
         (LEFT, LEFT + 1, LEFT + 2): [92], (LEFT, RIGHT): [92, 183],
     }[rows]  # fmt: skip
-    assert (found.cut("7/1"), found.cut("7/2")) == (expected, None)
-    one = found.recordings["7/1"]
+    assert (extraction.cut("7/1"), extraction.cut("7/2")) == (expected, None)
+    recording = extraction.recordings["7/1"]
     for column in ("t", "lane_offset", "speed", "valid"):
-        np.testing.assert_array_equal(getattr(one, column), np.delete(getattr(clean, column), rows))
-    assert found.sides == [*([] if LEFT in rows else [1]), *([] if RIGHT in rows else [-1]), 1, -1]
-    assert found.problems
+        np.testing.assert_array_equal(getattr(recording, column), np.delete(getattr(clean, column), rows))
+    assert extraction.sides == [*([] if LEFT in rows else [1]), *([] if RIGHT in rows else [-1]), 1, -1]
+    assert extraction.problems
 
 
 @pytest.mark.parametrize(("rows", "how"), LOST)
@@ -114,25 +114,29 @@ def test_rows_of_the_other_table_that_are_left_out(tmp_path: Path, rows: tuple[i
     """Samples of the lane between the rows around them are not used."""
     two_trips(tmp_path, "das1")
     edit(tmp_path / "DataWsu.csv", put(rows, how))
-    found = found_in(tmp_path)
+    extraction = extract_folder(tmp_path)
     expected = {
         (LEFT,): [92, 93], (RIGHT,): [184, 185], (LEFT, LEFT + 1): [92, 94], (RIGHT, RIGHT + 1): [184, 186],
         (LEFT, LEFT + 1, LEFT + 2): [92, 95], (LEFT, RIGHT): [92, 93, 184, 185],
     }[rows]  # fmt: skip
-    assert (found.cut("7/1"), found.cut("7/2")) == (expected, None)
-    one = found.recordings["7/1"]
-    assert (one.samples, np.flatnonzero(~one.valid).tolist()) == (ROWS, list(rows))
-    assert found.sides == [*([] if LEFT in rows else [1]), *([] if RIGHT in rows else [-1]), 1, -1]
+    assert (extraction.cut("7/1"), extraction.cut("7/2")) == (expected, None)
+    recording = extraction.recordings["7/1"]
+    assert (recording.samples, np.flatnonzero(~recording.valid).tolist()) == (ROWS, list(rows))
+    assert extraction.sides == [*([] if LEFT in rows else [1]), *([] if RIGHT in rows else [-1]), 1, -1]
 
 
 def test_a_sample_between_rows_of_the_other_table_is_not_used_though_one_is_near(tmp_path: Path) -> None:
     """The other table's clock is half a step ahead, so that two of its rows are as near to a sample of the lane."""
     spmd.write_tables(tmp_path, [spmd.planted_drive(7, 1, spmd.PLANTED[:2], rows=ROWS)], lag=5)
     edit(tmp_path / "DataWsu.csv", put([LEFT], "cells"))
-    found = found_in(tmp_path)
-    one = found.recordings["7/1"]
-    assert np.isfinite(one.speed[1:]).all()
-    assert (found.cut("7/1"), np.flatnonzero(~one.valid).tolist(), found.sides) == ([92, 94], [92, 93], [-1])
+    extraction = extract_folder(tmp_path)
+    recording = extraction.recordings["7/1"]
+    assert np.isfinite(recording.speed[1:]).all()
+    assert (extraction.cut("7/1"), np.flatnonzero(~recording.valid).tolist(), extraction.sides) == (
+        [92, 94],
+        [92, 93],
+        [-1],
+    )
 
 
 @pytest.mark.parametrize("how", ["cells", "key", "no time"])
@@ -143,9 +147,9 @@ def test_rows_at_the_start_or_end_of_a_trip(
 ) -> None:
     two_trips(tmp_path, kind)
     edit(tmp_path / file, put(rows, how))
-    found = found_in(tmp_path)
-    assert (found.cut("7/1"), found.cut("7/2"), found.sides) == (None, None, [1, -1, 1, -1])
-    assert len(found.problems) == len(rows)
+    extraction = extract_folder(tmp_path)
+    assert (extraction.cut("7/1"), extraction.cut("7/2"), extraction.sides) == (None, None, [1, -1, 1, -1])
+    assert len(extraction.problems) == len(rows)
 
 
 @pytest.mark.parametrize(("kind", "file"), FILES)
@@ -154,23 +158,23 @@ def test_nul_bytes_at_the_end(tmp_path: Path, kind: str, file: str) -> None:
     two_trips(tmp_path, kind)
     edit(tmp_path / file, lambda lines: lines.insert(1 + LEFT, ""))
     path = tmp_path / file
-    found = found_in(tmp_path)
-    assert found.problems == []
+    extraction = extract_folder(tmp_path)
+    assert extraction.problems == []
     path.write_bytes(path.read_bytes() + bytes(512))
-    found = found_in(tmp_path)
-    assert [problem.split(":")[0] for problem in found.problems] == [f"{file}, line 603"]
-    assert (found.cut("7/1"), found.cut("7/2"), found.sides) == (None, None, [1, -1, 1, -1])
+    extraction = extract_folder(tmp_path)
+    assert [problem.split(":")[0] for problem in extraction.problems] == [f"{file}, line 603"]
+    assert (extraction.cut("7/1"), extraction.cut("7/2"), extraction.sides) == (None, None, [1, -1, 1, -1])
 
 
 @pytest.mark.parametrize(("kind", "file"), FILES)
 def test_a_clock_of_a_trip_that_starts_again(tmp_path: Path, kind: str, file: str) -> None:
     two_trips(tmp_path, kind)
     edit(tmp_path / file, lambda lines: lines.__setitem__(slice(301, 301), lines[101:301]))
-    found = found_in(tmp_path)
-    (problem,) = found.problems
+    extraction = extract_folder(tmp_path)
+    (problem,) = extraction.problems
     assert problem.startswith(f"{file}, line 302: trip 7/1: the time runs backwards from ")
     assert "199 of 500 lines" in problem
-    assert (list(found.recordings), found.cut("7/2"), found.sides) == (["7/2"], None, [1, -1])
+    assert (list(extraction.recordings), extraction.cut("7/2"), extraction.sides) == (["7/2"], None, [1, -1])
 
 
 @pytest.mark.parametrize(("behind", "samples"), [(15, 285), (16, 0)])
@@ -179,11 +183,11 @@ def test_the_share_of_rows_in_disorder(tmp_path: Path, kind: str, file: str, beh
     """5 % of 300 are 15."""
     two_trips(tmp_path, kind)
     edit(tmp_path / file, put(range(200, 200 + behind), "behind"))
-    found = found_in(tmp_path)
-    assert (found.recordings["7/1"].samples if "7/1" in found.recordings else 0) == samples
-    assert len(found.problems) == 1
+    extraction = extract_folder(tmp_path)
+    assert (extraction.recordings["7/1"].samples if "7/1" in extraction.recordings else 0) == samples
+    assert len(extraction.problems) == 1
     if samples:
-        assert (found.cut("7/1"), found.sides) == ([200], [1, -1, 1, -1])
+        assert (extraction.cut("7/1"), extraction.sides) == ([200], [1, -1, 1, -1])
 
 
 def in_turns(lines: Lines) -> None:
@@ -195,8 +199,8 @@ def in_turns(lines: Lines) -> None:
 def test_trips_in_turns_are_not_cut(tmp_path: Path, kind: str, file: str) -> None:
     two_trips(tmp_path, kind)
     edit(tmp_path / file, in_turns)
-    found = found_in(tmp_path)
-    assert (found.cut("7/1"), found.cut("7/2"), found.sides) == (None, None, [1, -1, 1, -1])
+    extraction = extract_folder(tmp_path)
+    assert (extraction.cut("7/1"), extraction.cut("7/2"), extraction.sides) == (None, None, [1, -1, 1, -1])
 
 
 def test_a_row_lost_where_trips_stand_in_turns(tmp_path: Path) -> None:
@@ -208,8 +212,8 @@ def test_a_row_lost_where_trips_stand_in_turns(tmp_path: Path) -> None:
         in_turns(lines)
 
     edit(tmp_path / "HV_Primary.csv", change)
-    found = found_in(tmp_path)
-    assert (found.cut("7/1"), found.cut("7/2"), found.sides) == ([92], [184], [-1, 1])
+    extraction = extract_folder(tmp_path)
+    assert (extraction.cut("7/1"), extraction.cut("7/2"), extraction.sides) == ([92], [184], [-1, 1])
 
 
 def test_a_piece_that_changes_its_place_in_time(tmp_path: Path) -> None:
@@ -219,8 +223,8 @@ def test_a_piece_that_changes_its_place_in_time(tmp_path: Path) -> None:
         tmp_path / "HV_Primary.csv",
         lambda lines: lines.__setitem__(slice(1, 601), [*lines[93:301], *lines[301:601], *lines[1:93]]),
     )
-    found = found_in(tmp_path)
-    assert (found.cut("7/1"), found.recordings["7/1"].samples, found.sides) == ([92], ROWS, [-1, 1, -1])
+    extraction = extract_folder(tmp_path)
+    assert (extraction.cut("7/1"), extraction.recordings["7/1"].samples, extraction.sides) == ([92], ROWS, [-1, 1, -1])
 
 
 # departures to the left from 22.7 to 25.0 s and to the right from 31.05 to 32.95 s
@@ -231,14 +235,14 @@ SHOWN = f"D1/{uah.NAME}"
 def steady_trip(root: Path) -> Path:
     """Lane and yaw angles at 10 Hz, positions at 1 Hz, each from 0 s: line n + 1 is at n steps."""
     t, second = np.arange(400) / 10.0, np.arange(41.0)
-    zero, one = np.zeros(t.size), np.ones(t.size)
+    zeros, ones = np.zeros(t.size), np.ones(t.size)
     yaw = np.mod(uah.yaw_at(t) + np.pi, 2.0 * np.pi) - np.pi
     course = np.mod(np.degrees(-uah.yaw_at(second)) + 180.0, 360.0)
     gps = [second, 3.6 * uah.speed_at(second), 40.5 + 0 * second, -3.4 + 0 * second, *[second] * 3, course]
     return uah.Trip(
-        np.column_stack([t, -uah.offset_at(t), zero, uah.LANE_WIDTH * one, 2.0 * one]),
+        np.column_stack([t, -uah.offset_at(t), zeros, uah.LANE_WIDTH * ones, 2.0 * ones]),
         np.column_stack(gps),
-        np.column_stack([t, one, *[zero] * 8, yaw]),
+        np.column_stack([t, ones, *[zeros] * 8, yaw]),
     ).write(root)
 
 
@@ -256,13 +260,13 @@ def spoil(rows: Sequence[int], how: str) -> Change:
 
 def test_uah_without_a_fault(tmp_path: Path) -> None:
     folder = steady_trip(tmp_path)
-    found = found_in(tmp_path)
-    assert (found.problems, found.cut(uah.NAME), found.sides) == ([], None, [1, -1])
+    extraction = extract_folder(tmp_path)
+    assert (extraction.problems, extraction.cut(uah.NAME), extraction.sides) == ([], None, [1, -1])
     for file in (LANE, GPS, YAW):
         (folder / file).write_bytes(b"\xef\xbb\xbf" + (folder / file).read_bytes().replace(b"\n", b"\r\n\r\n"))
-    again = found_in(tmp_path)
+    again = extract_folder(tmp_path)
     assert (again.problems, again.cut(uah.NAME)) == ([], None)
-    np.testing.assert_array_equal(again.recordings[uah.NAME].yaw_rate, found.recordings[uah.NAME].yaw_rate)
+    np.testing.assert_array_equal(again.recordings[uah.NAME].yaw_rate, extraction.recordings[uah.NAME].yaw_rate)
 
 
 UAH_LOST = [
@@ -291,34 +295,34 @@ def test_lines_of_uah_that_are_left_out(
 ) -> None:
     folder = steady_trip(tmp_path)
     edit(folder / file, spoil(rows, how))
-    found = found_in(tmp_path)
-    one = found.recordings[uah.NAME]
-    assert (found.cut(uah.NAME), np.flatnonzero(~one.valid).tolist()) == (cut, list(inside))
-    assert (one.samples, found.sides) == (400 - len(rows) * (file == LANE), sides)
-    assert all(problem.startswith(f"{SHOWN}/{file}, line ") for problem in found.problems)
+    extraction = extract_folder(tmp_path)
+    recording = extraction.recordings[uah.NAME]
+    assert (extraction.cut(uah.NAME), np.flatnonzero(~recording.valid).tolist()) == (cut, list(inside))
+    assert (recording.samples, extraction.sides) == (400 - len(rows) * (file == LANE), sides)
+    assert all(problem.startswith(f"{SHOWN}/{file}, line ") for problem in extraction.problems)
 
 
 @pytest.mark.parametrize(("file", "rows"), [(LANE, (0, 399)), (GPS, (0, 40)), (YAW, (0, 1, 399))])
 def test_lines_of_uah_at_the_start_or_end(tmp_path: Path, file: str, rows: tuple[int, ...]) -> None:
     folder = steady_trip(tmp_path)
     edit(folder / file, spoil(rows, "short"))
-    found = found_in(tmp_path)
-    assert (len(found.problems), found.cut(uah.NAME), found.sides) == (len(rows), None, [1, -1])
+    extraction = extract_folder(tmp_path)
+    assert (len(extraction.problems), extraction.cut(uah.NAME), extraction.sides) == (len(rows), None, [1, -1])
 
 
 @pytest.mark.parametrize(("file", "lines"), [(LANE, 400), (GPS, 41), (YAW, 400)])
 def test_nul_bytes_at_the_end_of_uah(tmp_path: Path, file: str, lines: int) -> None:
     folder = steady_trip(tmp_path)
     (folder / file).write_bytes((folder / file).read_bytes() + bytes(100_000))
-    found = found_in(tmp_path)
-    assert found.problems == [f"{SHOWN}/{file}, line {lines + 1}: 100000 NUL bytes; the line is left out"]
-    assert (found.cut(uah.NAME), found.sides) == (None, [1, -1])
+    extraction = extract_folder(tmp_path)
+    assert extraction.problems == [f"{SHOWN}/{file}, line {lines + 1}: 100000 NUL bytes; the line is left out"]
+    assert (extraction.cut(uah.NAME), extraction.sides) == (None, [1, -1])
 
 
 def test_uah_in_utf_16(tmp_path: Path) -> None:
     folder = steady_trip(tmp_path)
     (folder / LANE).write_bytes((folder / LANE).read_bytes().decode().encode("utf-16-le"))
-    assert found_in(tmp_path).problems == [
+    assert extract_folder(tmp_path).problems == [
         f"{SHOWN}/{LANE}: it is UTF-16 text, or no text at all; allowed: UTF-8",
         f"{SHOWN}: without the offset from the lane's centre the trip is left out",
     ]
@@ -336,6 +340,8 @@ def test_a_clock_of_uah_that_starts_again(tmp_path: Path, file: str, again: int,
     folder = steady_trip(tmp_path)
     text = (folder / file).read_text()
     (folder / file).write_text(text + "".join(text.splitlines(keepends=True)[:again]))
-    found = found_in(tmp_path)
-    assert found.problems == [f"{SHOWN}/{file}, {words} lines are out of order (allowed: 5 %); the trip is left out"]
-    assert (found.recordings, found.sides) == ({}, [])
+    extraction = extract_folder(tmp_path)
+    assert extraction.problems == [
+        f"{SHOWN}/{file}, {words} lines are out of order (allowed: 5 %); the trip is left out"
+    ]
+    assert (extraction.recordings, extraction.sides) == ({}, [])

@@ -11,17 +11,10 @@ import pytest
 from helpers.recordings import OFFSET, T, drive
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings import Criteria, Preparation, Recording, extract_departures
-from ldctoolkit.recordings.extract import (
-    extract_items,
-    few_usable,
-    merge_results,
-    quality_doubts,
-    quality_warnings,
-    table_of,
-)
+from ldctoolkit.recordings.extract import extract_items, few_usable, merge_results, quality_doubts, quality_warnings
 from ldctoolkit.recordings.preparation import FILLED
-from ldctoolkit.recordings.quality import OFFSET_BINS, RELATIONS, no_statistics, unit_counts, unit_warnings
-from ldctoolkit.recordings.recording import usable_samples
+from ldctoolkit.recordings.quality import OFFSET_BINS, RELATIONS, QualityStatistics, unit_counts, unit_warnings
+from ldctoolkit.recordings.recording import RecordingTable, usable_samples
 
 N = 6000
 T_EVIDENCE = np.arange(N) * 0.1
@@ -50,22 +43,22 @@ def drive_evidence(name: str = "a", seed: int = 0, **changes: Any) -> Recording:
 
 def warnings(*recordings: Recording, **preparation: Any) -> tuple[str, ...]:
     """Doubts and other warnings."""
-    found = extract_departures(list(recordings), preparation=Preparation(**preparation), force=True)
-    return tuple(words for words in found.warnings if words != LANE)
+    extraction = extract_departures(list(recordings), preparation=Preparation(**preparation), force=True)
+    return tuple(words for words in extraction.warnings if words != LANE)
 
 
-def of_turning(found: tuple[str, ...]) -> list[str]:
+def of_turning(texts: tuple[str, ...]) -> list[str]:
     """Those that compare yaw rate and heading."""
-    return [words for words in found if "GPS" in words and FILLED not in words]
+    return [words for words in texts if "GPS" in words and FILLED not in words]
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.01, 0.02])
 @pytest.mark.parametrize("step", [None, 0.1, 0.5])
 def test_the_right_yaw_rate_is_silent(noise, step):
     """Also with noise on the course [rad] of the size that receivers have."""
-    one = drive_evidence()
-    course = one.heading + noise * np.random.default_rng(1).standard_normal(N)
-    assert warnings(dataclasses.replace(one, heading=course), step=step) == ()
+    recording = drive_evidence()
+    course = recording.heading + noise * np.random.default_rng(1).standard_normal(N)
+    assert warnings(dataclasses.replace(recording, heading=course), step=step) == ()
 
 
 @pytest.mark.parametrize(
@@ -74,16 +67,16 @@ def test_the_right_yaw_rate_is_silent(noise, step):
 def test_gentle_bends_tell_the_sign_too(rate):
     """A motorway: one long bend, or a single one among straights; the course is as good as a receiver's."""
     course = np.cumsum(rate) * 0.1 + 0.002 * np.random.default_rng(2).standard_normal(N)
-    one = drive_evidence(true_rate=rate, heading=course)
-    assert warnings(one) == ()
-    (words,) = warnings(dataclasses.replace(one, yaw_rate=-rate))
+    recording = drive_evidence(true_rate=rate, heading=course)
+    assert warnings(recording) == ()
+    (words,) = warnings(dataclasses.replace(recording, yaw_rate=-rate))
     assert "turns against the GPS heading" in words
-    (words,) = warnings(dataclasses.replace(one, yaw_rate=rate * math.pi / 180.0))
+    (words,) = warnings(dataclasses.replace(recording, yaw_rate=rate * math.pi / 180.0))
     assert re.search(r"0\.017[456] times what the GPS heading turns", words)  # the course is noisy
 
 
 @pytest.mark.parametrize(
-    ("true", "given", "words", "advice"),
+    ("true", "factor", "words", "advice"),
     [
         (180.0 / math.pi, 1.0, "the yaw rate is 57.3 times what the GPS heading turns: another unit?", "0.0175"),
         (
@@ -104,12 +97,12 @@ def test_gentle_bends_tell_the_sign_too(rate):
         (0.25, -2.0, "the yaw rate times -2, as given, turns against", "4"),
     ],
 )
-def test_the_advice_is_for_the_recorded_yaw_rate(true, given, words, advice):
+def test_the_advice_is_for_the_recorded_yaw_rate(true, factor, words, advice):
     """A factor that was given already is in what was compared."""
     wrong = drive_evidence(yaw_rate=true * bends())
-    (found,) = of_turning(warnings(wrong, yaw_rate_factor=given))
-    assert words in found
-    reported = re.search(r"--yaw-rate-factor (-?[\d.]+)[ ,)]", found)[1]
+    (text,) = of_turning(warnings(wrong, yaw_rate_factor=factor))
+    assert words in text
+    reported = re.search(r"--yaw-rate-factor (-?[\d.]+)[ ,)]", text)[1]
     assert reported == advice
     assert warnings(wrong, yaw_rate_factor=float(reported)) == ()
 
@@ -118,9 +111,9 @@ def test_the_advice_is_for_the_recorded_yaw_rate(true, given, words, advice):
 def test_a_yaw_rate_from_the_heading_is_not_compared_with_it(step):
     """A third of the yaw rates is recorded, with the wrong sign; the others come from the heading."""
     recorded = (np.arange(N) // 200) % 3 == 0
-    one = drive_evidence(yaw_rate=np.where(recorded, -bends(), np.nan))
-    found = [words for words in warnings(one, step=step) if "GPS heading (correlation" in words]
-    assert [re.sub(r"\).*", ")", words) for words in found] == [
+    recording = drive_evidence(yaw_rate=np.where(recorded, -bends(), np.nan))
+    texts = [words for words in warnings(recording, step=step) if "GPS heading (correlation" in words]
+    assert [re.sub(r"\).*", ")", words) for words in texts] == [
         "the yaw rate turns against the GPS heading (correlation -1.00)"
     ]
     # nothing recorded at all: nothing to check, not a good word either
@@ -134,20 +127,20 @@ def test_a_yaw_rate_from_the_heading_is_not_compared_with_it(step):
 
 def test_noise_on_the_heading_is_not_taken_for_a_wrong_scale():
     """It makes the heading turn more than the yaw rate does."""
-    one = drive_evidence(true_rate=bends(largest=0.03))
-    course = one.heading + 0.03 * np.random.default_rng(1).standard_normal(N)
-    assert warnings(dataclasses.replace(one, heading=course)) == ()
-    wrong = dataclasses.replace(one, heading=course, yaw_rate=-one.yaw_rate)
+    recording = drive_evidence(true_rate=bends(largest=0.03))
+    course = recording.heading + 0.03 * np.random.default_rng(1).standard_normal(N)
+    assert warnings(dataclasses.replace(recording, heading=course)) == ()
+    wrong = dataclasses.replace(recording, heading=course, yaw_rate=-recording.yaw_rate)
     assert "turns against the GPS heading" in warnings(wrong)[0]
     assert "another unit" not in warnings(wrong)[0]
 
 
 def test_doubts_stop_it_unless_forced():
     """The same words, first of all; the advice mends them."""
-    one = drive_evidence(yaw_rate=-bends(), speed=np.full(N, 90.0), notes=("odd",))
+    recording = drive_evidence(yaw_rate=-bends(), speed=np.full(N, 90.0), notes=("odd",))
     with pytest.raises(RecordingError) as caught:
-        extract_departures([one])
-    forced = extract_departures([one], force=True)
+        extract_departures([recording])
+    forced = extract_departures([recording], force=True)
     doubts = forced.warnings[:2]
     assert [words.split(":")[0] for words in forced.warnings] == [
         "column 'speed'",
@@ -159,12 +152,11 @@ def test_doubts_stop_it_unless_forced():
     assert caught.value.problem == f"the recordings cannot be right: {'; '.join(doubts)}"
     assert "--force" in caught.value.hint
     right = Preparation(yaw_rate_factor=-1.0)
-    assert extract_departures([dataclasses.replace(one, speed=one.speed / 3.6)], preparation=right).warnings == (
-        LANE,
-        "odd: 1 of 1 recordings",
-    )
+    assert extract_departures(
+        [dataclasses.replace(recording, speed=recording.speed / 3.6)], preparation=right
+    ).warnings == (LANE, "odd: 1 of 1 recordings")
     # the parts by themselves know nothing of it
-    parts = [extract_items([one], Criteria(), Preparation())]
+    parts = [extract_items([recording], Criteria(), Preparation())]
     with pytest.raises(RecordingError, match="cannot be right"):
         merge_results(parts, Criteria(), Preparation())
     assert merge_results(parts, Criteria(), Preparation(), force=True).warnings == forced.warnings
@@ -185,9 +177,9 @@ def test_each_pair_of_signals(pair):
     none = {"heading": None, "yaw_rate": None, "curvature": None}
     first, second = (bending(name, bends()) for name in pair)
 
-    def told(other: np.ndarray) -> list[str]:
-        found = warnings(drive_evidence(**(none | {pair[0]: first, pair[1]: other})))
-        return [words for words in found if "turn" in words]
+    def told(compared: np.ndarray) -> list[str]:
+        texts = warnings(drive_evidence(**(none | {pair[0]: first, pair[1]: compared})))
+        return [words for words in texts if "turn" in words]
 
     assert told(second) == []
     (words,) = told(-second)
@@ -224,15 +216,18 @@ def test_the_sway_is_looked_at_in_twenty_windows_at_most(seconds, windows):
 
 @pytest.mark.parametrize("with_heading", [False, True])
 def test_the_offset_goes_with_the_vehicles_heading(with_heading):
-    one = weaving()
+    recording = weaving()
     if with_heading:
-        one = dataclasses.replace(one, heading=np.cumsum(one.yaw_rate) * 0.1 % (2.0 * np.pi))
-    assert warnings(one) == ()
-    (words,) = warnings(dataclasses.replace(one, lane_offset=-one.lane_offset))
+        recording = dataclasses.replace(recording, heading=np.cumsum(recording.yaw_rate) * 0.1 % (2.0 * np.pi))
+    assert warnings(recording) == ()
+    (words,) = warnings(dataclasses.replace(recording, lane_offset=-recording.lane_offset))
     assert words.startswith("column 'lane_offset': it goes against the vehicle's heading (correlation -")
     # in feet, and at a speed in km/h
-    for times_as_far, changes in (("3.3", {"lane_offset": 3.28 * one.lane_offset}), ("2", {"speed": 0.5 * one.speed})):
-        (words,) = warnings(dataclasses.replace(one, **changes))
+    for times_as_far, changes in (
+        ("3.3", {"lane_offset": 3.28 * recording.lane_offset}),
+        ("2", {"speed": 0.5 * recording.speed}),
+    ):
+        (words,) = warnings(dataclasses.replace(recording, **changes))
         assert words.startswith(f"column 'lane_offset': it moves {times_as_far} times as far as the vehicle's heading")
     # too short, too slow, lost in noise: nothing can be said
     for silent in (weaving(45.0), weaving(speed=7.9), weaving(noise=3.0)):
@@ -269,20 +264,20 @@ def test_where_nothing_can_be_said_nothing_is():
 
 def test_gaps_and_lost_samples_take_no_part():
     """Turns across a gap, or with samples in between that cannot be used, are not compared."""
-    one = drive_evidence()
-    rate, course = one.yaw_rate.copy(), one.heading.copy()
+    recording = drive_evidence()
+    rate, course = recording.yaw_rate.copy(), recording.heading.copy()
     lost = (np.arange(N) // 50) % 4 == 1
     rate[lost] = 50.0 * np.random.default_rng(0).standard_normal(int(lost.sum()))
-    assert warnings(dataclasses.replace(one, yaw_rate=rate, valid=~lost)) == ()
+    assert warnings(dataclasses.replace(recording, yaw_rate=rate, valid=~lost)) == ()
     rate[lost] = np.inf
     filled = (f"{FILLED}: 1 of 1 recordings",)
-    assert warnings(dataclasses.replace(one, yaw_rate=rate)) == filled
+    assert warnings(dataclasses.replace(recording, yaw_rate=rate)) == filled
     # most of the time: what is lost counts as nothing, not as straight on
     often = np.arange(N) % 60 > 22
-    assert warnings(dataclasses.replace(one, yaw_rate=np.where(often, np.nan, one.yaw_rate))) == filled
+    assert warnings(dataclasses.replace(recording, yaw_rate=np.where(often, np.nan, recording.yaw_rate))) == filled
     course[::7] = np.nan
-    assert warnings(dataclasses.replace(one, yaw_rate=rate, heading=course)) == filled
-    assert [words for words in warnings(one.take(~lost)) if "GPS" in words] == []
+    assert warnings(dataclasses.replace(recording, yaw_rate=rate, heading=course)) == filled
+    assert [words for words in warnings(recording.take(~lost)) if "GPS" in words] == []
 
 
 def test_repeated_recordings():
@@ -295,14 +290,14 @@ def test_repeated_recordings():
         (words,) = warnings(*several, twin, **preparation)
         assert words == "1 recording repeats another's samples, and the departures count twice: r2 = copy"
     third = dataclasses.replace(twin, name="again")
-    many = [dataclasses.replace(one, name=f"{one.name}'") for one in several]
-    (words,) = warnings(*several, *many, third)
+    twins = [dataclasses.replace(r, name=f"{r.name}'") for r in several]
+    (words,) = warnings(*several, *twins, third)
     assert words.startswith("9 recordings repeat another's samples, and the departures count twice: r0 = r0'; r1 = r1'")
     assert words.endswith("r2 = r2' = again; r3 = r3'; r4 = r4'; and 3 more")
     # one sample differs; short ones are alike by chance
-    other = several[2].lane_offset.copy()
-    other[int(rng.integers(N))] += 1e-9
-    assert warnings(*several, dataclasses.replace(twin, lane_offset=other)) == ()
+    offset = several[2].lane_offset.copy()
+    offset[int(rng.integers(N))] += 1e-9
+    assert warnings(*several, dataclasses.replace(twin, lane_offset=offset)) == ()
     short = several[2].take(slice(0, 50))
     assert warnings(*several, short, dataclasses.replace(short, name="short")) == ()
 
@@ -323,15 +318,15 @@ def test_the_scale_of_the_lane(widths, warned):
     recordings = [
         drive_evidence(f"r{i}", seed=i, lane_width=np.full(N, w)).take(slice(0, 600)) for i, w in enumerate(widths)
     ]
-    found = [words for words in warnings(*recordings) if "median lane width" in words]
-    assert bool(found) == warned
+    texts = [words for words in warnings(*recordings) if "median lane width" in words]
+    assert bool(texts) == warned
     if warned:
-        assert f"from {min(widths):.2f} to {max(widths):.2f} m" in found[0]
-        assert "--nominal-lane-width" in found[0]
+        assert f"from {min(widths):.2f} to {max(widths):.2f} m" in texts[0]
+        assert "--nominal-lane-width" in texts[0]
     assert warnings(*recordings, nominal_lane_width=3.5) == ()
     # what a reader scaled is judged as the source had it
-    scaled = [dataclasses.replace(one, lane_width=one.lane_width * 1.01, lane_scale=1.01) for one in recordings]
-    assert [words for words in warnings(*scaled) if "median lane width" in words] == found
+    scaled = [dataclasses.replace(r, lane_width=r.lane_width * 1.01, lane_scale=1.01) for r in recordings]
+    assert [words for words in warnings(*scaled) if "median lane width" in words] == texts
 
 
 def test_flat_curvature():
@@ -350,7 +345,9 @@ def test_flat_curvature():
 
 def test_notes_are_counted():
     notes = [("no GPS", "no yaw"), ("no GPS",), (), ("short",)]
-    recordings = [drive_evidence(f"r{i}", seed=i, notes=given) for i, given in enumerate(notes)]
+    recordings = [
+        drive_evidence(f"r{i}", seed=i, notes=notes_of_recording) for i, notes_of_recording in enumerate(notes)
+    ]
     assert warnings(*recordings) == (
         "no GPS: 2 of 4 recordings",
         "no yaw: 1 of 4 recordings",
@@ -371,17 +368,19 @@ def test_notes_are_counted():
     ],
 )
 def test_a_warning_names_column_and_unit(columns, words):
-    one = drive(**({"lane_offset": 0.3 * np.sin(T)} | columns))
-    (doubt,) = (text for text in extract_departures([one], vehicle_width=1.8, force=True).warnings if words in text)
+    recording = drive(**({"lane_offset": 0.3 * np.sin(T)} | columns))
+    (doubt,) = (
+        text for text in extract_departures([recording], vehicle_width=1.8, force=True).warnings if words in text
+    )
     with pytest.raises(RecordingError) as caught:
-        extract_departures([one], vehicle_width=1.8)
+        extract_departures([recording], vehicle_width=1.8)
     assert caught.value.problem == f"the recordings cannot be right: {doubt}"
 
 
 def test_all_in_mm_and_kmh():
-    one = drive(lane_offset=1000 * OFFSET, lane_width=3600.0, speed=90.0)
-    found = extract_departures([one], vehicle_width=1.8, force=True)
-    assert [warning.split(":")[0] for warning in found.warnings] == [
+    recording = drive(lane_offset=1000 * OFFSET, lane_width=3600.0, speed=90.0)
+    extraction = extract_departures([recording], vehicle_width=1.8, force=True)
+    assert [warning.split(":")[0] for warning in extraction.warnings] == [
         "column 'speed'",
         "column 'lane_width'",
         "column 'lane_offset'",
@@ -390,8 +389,8 @@ def test_all_in_mm_and_kmh():
 
 
 def test_a_vehicle_as_wide_as_the_lane():
-    found = extract_departures([drive(lane_width=2.5)], vehicle_width=2.55, force=True)
-    assert found.warnings == ("vehicle width 2.55 m: most lanes are no wider than that",)
+    extraction = extract_departures([drive(lane_width=2.5)], vehicle_width=2.55, force=True)
+    assert extraction.warnings == ("vehicle width 2.55 m: most lanes are no wider than that",)
 
 
 def test_plausible_recordings_give_none():
@@ -401,7 +400,7 @@ def test_plausible_recordings_give_none():
 
 
 def reported(sides: tuple[int, int] = (0, 0), **changes: Any) -> tuple[str, ...]:
-    plain = dataclasses.replace(no_statistics(), kinds=("yaw_rate",), bends=np.array([10_000, 5_000]))
+    plain = dataclasses.replace(QualityStatistics(), kinds=("yaw_rate",), bends=np.array([10_000, 5_000]))
     evidence = dataclasses.replace(plain, **{name: np.array(value) for name, value in changes.items()})
     return (*quality_doubts(evidence, 1.8, np.array(sides)).values(), *quality_warnings(evidence, None))
 
@@ -461,21 +460,21 @@ def times(pair: int, ratio: float) -> np.ndarray:
 )  # fmt: skip
 def test_evidence(name, silent, warned, words):
     assert reported(**{name: silent}) == ()
-    (found,) = reported(**{name: warned})
-    assert words in found
+    (text,) = reported(**{name: warned})
+    assert words in text
 
 
 def test_a_signal_that_is_doubted_already_is_doubted_once():
     rows = turns(0, 500, 9.0, -9.0, 9.0) + turns(2, 500, 9.0, -9.0, 9.0)
-    (found,) = reported(turns=rows, sway=(100, 9.0, -9.0, 9.0))
-    assert "the yaw rate turns against the GPS heading" in found
+    (text,) = reported(turns=rows, sway=(100, 9.0, -9.0, 9.0))
+    assert "the yaw rate turns against the GPS heading" in text
 
 
 def test_a_wrong_unit_of_the_lane_is_not_a_wrong_reference_too():
     samples = (("samples", 1000), ("recordings", 40))
-    for unit, told in (("width < 2", 1), ("offset > 10", 1), ("width <= vehicle", 1), ("speed < 0", 2)):
-        evidence = dataclasses.replace(no_statistics(), units=(*samples, (unit, 600)))
-        assert len(quality_doubts(evidence, 1.8, np.array([20, 0]))) == told
+    for unit, doubts in (("width < 2", 1), ("offset > 10", 1), ("width <= vehicle", 1), ("speed < 0", 2)):
+        evidence = dataclasses.replace(QualityStatistics(), units=(*samples, (unit, 600)))
+        assert len(quality_doubts(evidence, 1.8, np.array([20, 0]))) == doubts
 
 
 def test_a_doubtful_scale_is_reported_beside_a_wrong_reference():
@@ -510,9 +509,9 @@ ON_ONE_SIDE = {"stays_ns": (40e9, 0.0, 0.0), "grazes": (3, 100, 0), "offsets": o
     ],
 )
 def test_too_much_of_the_time_beyond_a_line(silent, warned, words):
-    one, other = (reported(stays_ns=np.array(seconds) * 1e9, offsets=BOTH) for seconds in (silent, warned))
-    assert one == ()
-    assert [text.split(";")[0] for text in other] == [f"column 'lane_offset': {words}"]
+    no_texts, texts = (reported(stays_ns=np.array(seconds) * 1e9, offsets=BOTH) for seconds in (silent, warned))
+    assert no_texts == ()
+    assert [text.split(";")[0] for text in texts] == [f"column 'lane_offset': {words}"]
 
 
 @pytest.mark.parametrize(
@@ -534,20 +533,20 @@ def test_too_much_of_the_time_beyond_a_line(silent, warned, words):
     ],
 )  # fmt: skip
 def test_an_offset_without_its_sign_or_beside_the_lane(changes, words):
-    found = reported(**(ON_ONE_SIDE | changes))
-    assert [words in text for text in found] == [True] * bool(words)
+    texts = reported(**(ON_ONE_SIDE | changes))
+    assert [words in text for text in texts] == [True] * bool(words)
 
 
 def staying(samples: int, *, rows: int = 321, **changes: Any) -> Recording:
     """At 8 Hz, so many samples beyond the left line, reached and left slowly."""
-    place = np.arange(rows)
-    offset = np.interp(place, [80, 99, 99 + samples + 1, 120 + samples], [0.0, 0.85, 0.85, 0.0])
-    offset += 0.01 * np.sin(place) + 0.1 * ((place >= 100) & (place < 100 + samples))
+    row = np.arange(rows)
+    offset = np.interp(row, [80, 99, 99 + samples + 1, 120 + samples], [0.0, 0.85, 0.85, 0.0])
+    offset += 0.01 * np.sin(row) + 0.1 * ((row >= 100) & (row < 100 + samples))
     return drive("a", 0.125 * np.arange(rows), **({"lane_offset": offset} | changes))
 
 
 @pytest.mark.parametrize(
-    ("one", "driven", "beyond", "long"),
+    ("recording", "driven", "beyond", "long"),
     [
         (staying(0), 40.0, 0.0, 0.0),
         (staying(40), 40.0, 5.0, 0.0),
@@ -561,10 +560,10 @@ def staying(samples: int, *, rows: int = 321, **changes: Any) -> Recording:
         (staying(41, rows=160), 0.0, 0.0, 0.0),
     ],
 )
-def test_the_time_beyond_a_line(one, driven, beyond, long):
-    evidence = extract_items([one], Criteria(1.8), Preparation()).evidence
+def test_the_time_beyond_a_line(recording, driven, beyond, long):
+    evidence = extract_items([recording], Criteria(1.8), Preparation()).evidence
     assert evidence.stays_ns.tolist() == [driven * 1e9, beyond * 1e9, long * 1e9]
-    assert evidence.offsets.sum() == (one.samples if driven else 0)
+    assert evidence.offsets.sum() == (recording.samples if driven else 0)
 
 
 def test_a_quarter_of_the_samples_is_enough():
@@ -609,20 +608,20 @@ def test_shares_of_samples_or_recordings(name, most, words):
     ],
 )  # fmt: skip
 def test_values_are_counted_beyond_their_limit(column, limit, name):
-    own = {"lane_offset": 0.0, "speed": 64.0 if limit in (0.006, 64.0 * 0.006) else 4.0}
-    own |= {"curvature": None} if column == "yaw_rate" else {}
+    columns = {"lane_offset": 0.0, "speed": 64.0 if limit in (0.006, 64.0 * 0.006) else 4.0}
+    columns |= {"curvature": None} if column == "yaw_rate" else {}
     for value, counted in ((limit, 0), (np.nextafter(limit, np.sign(limit) * np.inf), 3)):
-        recording = drive(t=[0.0, 0.1, 0.2], **(own | {column: value}))
-        one = table_of([recording])
-        assert dict(unit_counts(one, usable_samples(one), np.array([0.1]), 1.8, [recording]))[name] == counted
+        recording = drive(t=[0.0, 0.1, 0.2], **(columns | {column: value}))
+        table = RecordingTable.of([recording])
+        assert dict(unit_counts(table, usable_samples(table), np.array([0.1]), 1.8, [recording]))[name] == counted
 
 
 def test_a_coarse_offset():
     def counted(step: float, n: int = 400) -> int:
         t = 0.1 * np.arange(n)
-        one = drive(t=t, lane_offset=np.round(0.4 * np.sin(t) / step) * step)
-        table = table_of([one])
-        return dict(unit_counts(table, usable_samples(table), np.array([0.1]), 1.8, [one]))["coarse offset > 0"]
+        recording = drive(t=t, lane_offset=np.round(0.4 * np.sin(t) / step) * step)
+        table = RecordingTable.of([recording])
+        return dict(unit_counts(table, usable_samples(table), np.array([0.1]), 1.8, [recording]))["coarse offset > 0"]
 
     assert (counted(0.1), counted(0.09), counted(0.05)) == (400, 0, 0)
     # of each recording by itself: half of the samples
@@ -630,17 +629,17 @@ def test_a_coarse_offset():
     fine = drive("b", t=t, lane_offset=0.4 * np.sin(t + 1.0))
     coarse = drive("a", t=t, lane_offset=np.round(4.0 * np.sin(t)) / 10.0)
     coarsest = "column 'lane_offset': it comes in steps of 0.1 m or more"
-    for several, told in (
+    for several, warned in (
         ([coarse, fine], False),
         ([coarse, fine, dataclasses.replace(coarse, name="c", t=t + 1)], True),
     ):
-        assert any(coarsest in words for words in warnings(*several)) == told
+        assert any(coarsest in words for words in warnings(*several)) == warned
 
 
 def test_values_that_are_counted_below_a_limit():
     def counted(step: float = 0.1, **columns: float) -> dict[str, int]:
-        one = table_of([drive(t=[0.0, 0.1, 0.2], lane_offset=0.0, **columns)])
-        return dict(unit_counts(one, usable_samples(one), np.array([step, np.nan]), 1.8))
+        recording = RecordingTable.of([drive(t=[0.0, 0.1, 0.2], lane_offset=0.0, **columns)])
+        return dict(unit_counts(recording, usable_samples(recording), np.array([step, np.nan]), 1.8))
 
     below = np.nextafter(2.0, 0.0)
     assert (counted(lane_width=2.0)["width < 2"], counted(lane_width=below)["width < 2"]) == (0, 3)

@@ -29,9 +29,9 @@ def test_the_sound_files_hold_departures(tmp_path: Path, reader: str, shape: int
     making.write(tmp_path, making.SOUND[reader][shape])
     for format_ in (reader, "auto"):
         opened = open_recordings([tmp_path], format=format_)
-        found = extract_departures(opened)
-        assert (opened.reader.name, found.problems) == (reader, ())
-        assert found.departures.n == making.DEPARTURES[reader]
+        extraction = extract_departures(opened)
+        assert (opened.reader.name, extraction.problems) == (reader, ())
+        assert extraction.departures.n == making.DEPARTURES[reader]
 
 
 Outcomes = Counter[str]
@@ -86,8 +86,8 @@ FAST, SLOW = {"damaged": 20, "bytes": 8}, {"damaged": 600, "bytes": 500}
 def check_outcomes(kind: str, outcomes: Outcomes, examples: int) -> None:
     """Neither were all files refused, nor did all stay as they were: one example of each is always among them."""
     assert outcomes.total() >= examples
-    found = outcomes["departures"] + outcomes["damaged departures"]
-    assert (found > 0) == (kind != "bytes")
+    with_departures = outcomes["departures"] + outcomes["damaged departures"]
+    assert (with_departures > 0) == (kind != "bytes")
     assert outcomes["refused"] > 0 or kind == "bytes"
     assert outcomes["refused without a word"] == 0
 

@@ -1,5 +1,6 @@
 """The SPMD tables DataLane and DataWsu."""
 
+import dataclasses
 import pickle
 from collections.abc import Iterable
 from pathlib import Path
@@ -18,27 +19,28 @@ from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings import Criteria, Preparation, Recording, extract_part
 from ldctoolkit.recordings.departures_table import PartResult, combined_results
 from ldctoolkit.recordings.recording import FoundParts
-from ldctoolkit.recordings.spmd_das1 import READER, Das1Part, SpmdDas1, nearest_rows
+from ldctoolkit.recordings.spmd_das1 import READER, nearest_rows
+from ldctoolkit.recordings.trip_tables import TripPart
 
 
-def extracted(source: FoundParts[Das1Part]) -> PartResult:
+def extracted(source: FoundParts[TripPart]) -> PartResult:
     criteria, preparation = Criteria(vehicle_width=READER.vehicle_width), Preparation(step=READER.step)
     return combined_results(extract_part(part, criteria, preparation) for part in source.parts)
 
 
 def assert_same(left: Iterable[Recording], right: Iterable[Recording]) -> None:
-    for one, other in zip(left, right, strict=True):
-        assert one.name == other.name
+    for recording, other_recording in zip(left, right, strict=True):
+        assert recording.name == other_recording.name
         for column in Recording.COLUMNS:
-            np.testing.assert_array_equal(getattr(one, column), getattr(other, column))
+            np.testing.assert_array_equal(getattr(recording, column), getattr(other_recording, column))
 
 
 @pytest.mark.parametrize("first", [0, 43580])
 def test_planted_departures_are_given_back(tmp_path: Path, first: int) -> None:
     spmd.write_tables(tmp_path, [spmd.planted_drive(10107, 60, first=first)])
-    found = extracted(READER.open([tmp_path])).departures
-    assert set(found.recording) == {"10107/60"}
-    assert_planted(found, spmd.PLANTED, spmd.curvature_at, clock=first / 100.0)
+    departures = extracted(READER.open([tmp_path])).departures
+    assert set(departures.recording) == {"10107/60"}
+    assert_planted(departures, spmd.PLANTED, spmd.curvature_at, clock=first / 100.0)
 
 
 def test_units_signs_and_validity(tmp_path: Path) -> None:
@@ -64,17 +66,17 @@ def test_units_signs_and_validity(tmp_path: Path) -> None:
     wsu = "\n".join([",".join(header), *(",".join(str(row[name]) for name in header) for row in rows)])
     (tmp_path / "DataLane.csv").write_text(lane)
     (tmp_path / "DataWsu.csv").write_text(wsu)
-    (one,), problems = read_source(READER.open([tmp_path]))
-    assert (problems, one.name, one.source) == ([], "7/1", "DataLane.csv")
+    (recording,), problems = read_source(READER.open([tmp_path]))
+    assert (problems, recording.name, recording.source) == ([], "7/1", "DataLane.csv")
     nan = np.nan
-    np.testing.assert_allclose(one.t, np.arange(8) * 0.1)
-    np.testing.assert_array_equal(one.lane_offset, [0.5, 0.0, 0.5, 0.5, nan, -0.5, -0.25, -0.25])
-    np.testing.assert_array_equal(one.lane_width, [4.0, 3.75, 4.0, 4.0, nan, -4.0, 3.5, 3.5])
-    np.testing.assert_array_equal(one.valid, [True, False, False, False, False, False, True, True])
-    np.testing.assert_allclose(one.speed, [10, 10, 10, 10, 9, nan, 9, nan])
-    np.testing.assert_allclose(one.yaw_rate, [np.pi, np.pi, np.pi, np.pi, nan, nan, np.pi, nan])
-    np.testing.assert_allclose(one.heading, -np.pi / 2 * np.array([1, 1, 1, 1, 1, nan, 1, nan]))
-    np.testing.assert_array_equal(one.turn_signal, [0, 1, -1, 0, 0, 0, 0, 0])
+    np.testing.assert_allclose(recording.t, np.arange(8) * 0.1)
+    np.testing.assert_array_equal(recording.lane_offset, [0.5, 0.0, 0.5, 0.5, nan, -0.5, -0.25, -0.25])
+    np.testing.assert_array_equal(recording.lane_width, [4.0, 3.75, 4.0, 4.0, nan, -4.0, 3.5, 3.5])
+    np.testing.assert_array_equal(recording.valid, [True, False, False, False, False, False, True, True])
+    np.testing.assert_allclose(recording.speed, [10, 10, 10, 10, 9, nan, 9, nan])
+    np.testing.assert_allclose(recording.yaw_rate, [np.pi, np.pi, np.pi, np.pi, nan, nan, np.pi, nan])
+    np.testing.assert_allclose(recording.heading, -np.pi / 2 * np.array([1, 1, 1, 1, 1, nan, 1, nan]))
+    np.testing.assert_array_equal(recording.turn_signal, [0, 1, -1, 0, 0, 0, 0, 0])
 
 
 @pytest.mark.parametrize(("lag", "near"), [(4, True), (-4, True), (5, True), (-5, True), (6, False), (-6, False)])
@@ -84,9 +86,9 @@ def test_a_lag_of_more_than_half_a_step_joins_nothing(tmp_path: Path, lag: int, 
     spmd.write_tables(tmp_path, [drive], lag=lag)
     wsu = spmd.wsu_frame([drive], lag=lag)[::2]
     (tmp_path / "DataWsu.csv").write_bytes(spmd.text_of(wsu))
-    (one,), _ = read_source(READER.open([tmp_path]))
+    (recording,), _ = read_source(READER.open([tmp_path]))
     expected = wsu["SpeedWsu"].to_numpy() / 3.6
-    np.testing.assert_allclose(one.speed[::2], expected if near else np.full(50, np.nan), rtol=1e-12)
+    np.testing.assert_allclose(recording.speed[::2], expected if near else np.full(50, np.nan), rtol=1e-12)
 
 
 def fleet() -> list[object]:
@@ -104,23 +106,23 @@ def test_parts_of_any_size_give_the_same(tmp_path: Path) -> None:
     whole = READER.open([tmp_path])
     recordings, problems = read_source(whole)
     assert len(whole.parts) == 2  # two lane tables
-    assert [one.name for one in recordings] == [f"{10100 + i // 7}/{i}" for i in (*range(9, 17), *range(9))]
+    assert [r.name for r in recordings] == [f"{10100 + i // 7}/{i}" for i in (*range(9, 17), *range(9))]
     assert (problems, whole.problems) == ([], ())
-    found = extracted(whole).departures
-    assert found.n > 50
-    largest = [part.bytes for part in SpmdDas1(part_bytes=1).open([tmp_path]).parts]  # one trip each
+    departures = extracted(whole).departures
+    assert departures.n > 50
+    largest = [part.bytes for part in dataclasses.replace(READER, part_bytes=1).open([tmp_path]).parts]  # one trip each
     assert len(largest) == len(drives)
     for part_bytes in (1, 100_000):
-        source = SpmdDas1(part_bytes=part_bytes).open([tmp_path])
+        source = dataclasses.replace(READER, part_bytes=part_bytes).open([tmp_path])
         assert len(source.parts) > 2
         assert len({part.key for part in source.parts}) == len(source.parts)
         assert sum(part.bytes for part in source.parts) == sum(part.bytes for part in whole.parts)
         # what bounds the memory: a part ends with the trip that fills it
         assert max(part.bytes for part in source.parts) < part_bytes + max(largest)
         assert_same(read_source(source)[0], recordings)
-        other = extracted(source).departures
-        np.testing.assert_array_equal(other.matrix(), found.matrix())
-        np.testing.assert_array_equal(other.recording, found.recording)
+        in_parts = extracted(source).departures
+        np.testing.assert_array_equal(in_parts.matrix(), departures.matrix())
+        np.testing.assert_array_equal(in_parts.recording, departures.recording)
     assert pickle.loads(pickle.dumps(whole.parts)) == whole.parts
 
 
@@ -148,10 +150,10 @@ def test_tables_with_one_name_are_told_apart(tmp_path: Path) -> None:
         (tmp_path / month).mkdir()
         spmd.write_tables(tmp_path / month, fleet()[2 * i : 2 * i + 2])
     source = READER.open([tmp_path])
-    assert [one.name for one in source.files] == [
+    assert [file.name for file in source.files] == [
         "april/DataLane.csv", "october/DataLane.csv", "april/DataWsu.csv", "october/DataWsu.csv",
     ]  # fmt: skip
-    assert {one.source for one in read_source(source)[0]} == {"april/DataLane.csv", "october/DataLane.csv"}
+    assert {r.source for r in read_source(source)[0]} == {"april/DataLane.csv", "october/DataLane.csv"}
 
 
 @pytest.mark.parametrize(("folder", "suffix"), [("two-month", ""), ("one-day", "_04_11_13")])
@@ -163,19 +165,19 @@ def test_the_real_heads_with_a_made_partner(sample: Path, tmp_path: Path, folder
         drive = spmd.planted_drive(device, trip, first=real["Time"][0], rows=real.height)
         partner = tmp_path / "partner.csv"
         partner.write_bytes(spmd.text_of(make([drive])))
-        (one,), problems = read_source(READER.open([path, partner]))
-        assert (problems, one.name) == ([], f"{device}/{trip}")
-        assert one.samples == real.height == 19
-        np.testing.assert_allclose(one.t, real["Time"].to_numpy() / 100)
-        assert np.isfinite(one.speed).all()
+        (recording,), problems = read_source(READER.open([path, partner]))
+        assert (problems, recording.name) == ([], f"{device}/{trip}")
+        assert recording.samples == real.height == 19
+        np.testing.assert_allclose(recording.t, real["Time"].to_numpy() / 100)
+        assert np.isfinite(recording.speed).all()
         full = pl.read_csv(path)
         if path is wsu:
-            np.testing.assert_allclose(one.speed * 3.6, full["SpeedWsu"].to_numpy(), rtol=1e-12)
+            np.testing.assert_allclose(recording.speed * 3.6, full["SpeedWsu"].to_numpy(), rtol=1e-12)
         else:
             usable = (full["LaneQualityLeft"] > 1) & (full["LaneQualityRight"] > 1)
-            np.testing.assert_array_equal(one.valid, usable.to_numpy())
+            np.testing.assert_array_equal(recording.valid, usable.to_numpy())
             width = (full["LaneDistanceRight"] - full["LaneDistanceLeft"]).to_numpy()
-            np.testing.assert_array_equal(one.lane_width, width)
+            np.testing.assert_array_equal(recording.lane_width, width)
 
 
 def test_nothing_to_read(tmp_path: Path) -> None:
@@ -201,8 +203,8 @@ def by_hand(left: Rows, right: Rows, tolerance: float) -> list[int]:
     result = []
     for trip, t in left:
         best = -1
-        for i, (other, u) in enumerate(right):
-            if other == trip and abs(u - t) <= tolerance and (best < 0 or abs(u - t) < abs(right[best][1] - t)):
+        for i, (other_trip, u) in enumerate(right):
+            if other_trip == trip and abs(u - t) <= tolerance and (best < 0 or abs(u - t) < abs(right[best][1] - t)):
                 best = i
         result.append(best)
     return result

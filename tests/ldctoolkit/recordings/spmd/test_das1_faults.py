@@ -23,7 +23,7 @@ def tables(tmp_path: Path) -> tuple[Path, Path]:
 
 def read(*paths: Path) -> tuple[dict[str, Recording], list[str]]:
     recordings, problems = read_source(READER.open(paths))
-    return {one.name: one for one in recordings}, [str(problem) for problem in problems]
+    return {r.name: r for r in recordings}, [str(problem) for problem in problems]
 
 
 def edit(path: Path, change: Callable[[list[bytes]], None]) -> None:
@@ -69,11 +69,11 @@ def test_a_line_that_cannot_be_used(tables: tuple[Path, Path], text: bytes, word
     assert problem.startswith("DataLane.csv, line 171: ")
     assert words in problem
     assert problem.endswith("the line is left out")
-    for name, one in recordings.items():
+    for name, recording in recordings.items():
         keep = np.delete(np.arange(ROWS), 49) if name == "7/2" else np.arange(ROWS)
-        np.testing.assert_array_equal(one.t, clean[name].t[keep])
-        np.testing.assert_array_equal(one.lane_offset, clean[name].lane_offset[keep])
-        np.testing.assert_array_equal(one.speed, clean[name].speed[keep])
+        np.testing.assert_array_equal(recording.t, clean[name].t[keep])
+        np.testing.assert_array_equal(recording.lane_offset, clean[name].lane_offset[keep])
+        np.testing.assert_array_equal(recording.speed, clean[name].speed[keep])
 
 
 def test_lines_are_right_behind_blank_and_faulty_lines(tables: tuple[Path, Path]) -> None:
@@ -122,20 +122,20 @@ def test_of_a_trip_in_two_files_the_first_ones_rows_are_taken(tables: tuple[Path
     clean, _ = read(*tables)
     again = tmp_path / "DataLane_again.csv"
     again.write_bytes(spmd.text_of(spmd.lane_frame([spmd.planted_drive(7, trip, rows=50) for trip in (2, 4)])))
-    other = tmp_path / "DataWsu_again.csv"
-    other.write_bytes(spmd.text_of(spmd.wsu_frame([spmd.planted_drive(7, 3, rows=50)])))
-    recordings, problems = read(*tables, again, other)
-    assert [one.samples for one in recordings.values()] == [ROWS] * 3 + [50]
+    wsu_again = tmp_path / "DataWsu_again.csv"
+    wsu_again.write_bytes(spmd.text_of(spmd.wsu_frame([spmd.planted_drive(7, 3, rows=50)])))
+    recordings, problems = read(*tables, again, wsu_again)
+    assert [r.samples for r in recordings.values()] == [ROWS] * 3 + [50]
     assert problems == [
         "DataLane_again.csv, line 2: trip 7/2 is also in DataLane.csv, line 122; these rows are left out",
         "DataWsu_again.csv, line 2: trip 7/3 is also in DataWsu.csv, line 242; these rows are left out",
     ]
-    for name, one in clean.items():
-        np.testing.assert_array_equal(recordings[name].lane_offset, one.lane_offset)
-        np.testing.assert_array_equal(recordings[name].speed, one.speed)
+    for name, recording in clean.items():
+        np.testing.assert_array_equal(recordings[name].lane_offset, recording.lane_offset)
+        np.testing.assert_array_equal(recordings[name].speed, recording.speed)
     assert recordings["7/4"].notes == (ALONE,)
     recordings, problems = read(again, *tables)  # the order in which they are given says which is the first
-    assert {name: one.samples for name, one in recordings.items()} == {"7/1": ROWS, "7/2": 50, "7/3": ROWS, "7/4": 50}
+    assert {name: r.samples for name, r in recordings.items()} == {"7/1": ROWS, "7/2": 50, "7/3": ROWS, "7/4": 50}
     assert problems == [
         "DataLane.csv, line 122: trip 7/2 is also in DataLane_again.csv, line 2; these rows are left out"
     ]
@@ -146,8 +146,8 @@ def test_pieces_in_any_order_are_put_together_by_time(tables: tuple[Path, Path],
     clean, _ = read(*tables)
 
     def change(lines: list[bytes]) -> None:
-        one, two, three = (lines[1 + i * ROWS : 1 + (i + 1) * ROWS] for i in range(3))
-        lines[1:] = [*one[80:], *two[50:], *one[:30], *three, *two[:50], *one[30:80], *lines[1 + 3 * ROWS :]]
+        a, b, c = (lines[1 + i * ROWS : 1 + (i + 1) * ROWS] for i in range(3))
+        lines[1:] = [*a[80:], *b[50:], *a[:30], *c, *b[:50], *a[30:80], *lines[1 + 3 * ROWS :]]
 
     edit(tables[which], change)
     recordings, problems = read(*tables)
@@ -157,9 +157,9 @@ def test_pieces_in_any_order_are_put_together_by_time(tables: tuple[Path, Path],
         f"{file}, line 262: trip 7/2 goes on here, its rows begin in line 42",
     ]
     assert samples(recordings) == [ROWS] * 3
-    for name, one in clean.items():
+    for name, clean_recording in clean.items():
         for column in ("t", "lane_offset", "speed", "yaw_rate"):
-            np.testing.assert_array_equal(getattr(recordings[name], column), getattr(one, column))
+            np.testing.assert_array_equal(getattr(recordings[name], column), getattr(clean_recording, column))
 
 
 def test_trips_without_a_partner(tables: tuple[Path, Path]) -> None:
@@ -167,11 +167,11 @@ def test_trips_without_a_partner(tables: tuple[Path, Path]) -> None:
     tables[0].write_bytes(spmd.text_of(spmd.lane_frame(drives)))
     recordings, problems = read(*tables)
     assert (problems, list(recordings)) == ([], [f"7/{trip}" for trip in range(1, 41)])
-    for trip, one in enumerate(recordings.values(), 1):
-        known = trip <= 3  # of the others nothing can be used, but they are counted
-        assert one.samples == 3
-        assert np.isfinite(one.speed).all() == np.isfinite(one.yaw_rate).all() == known
-        assert one.notes == (() if known else (ALONE,))
+    for trip, recording in enumerate(recordings.values(), 1):
+        finite = trip <= 3  # of the others nothing can be used, but they are counted
+        assert recording.samples == 3
+        assert np.isfinite(recording.speed).all() == np.isfinite(recording.yaw_rate).all() == finite
+        assert recording.notes == (() if finite else (ALONE,))
     # rows of the other table alone are nothing unusual
     spmd.write_tables(tables[0].parent, [spmd.planted_drive(7, 1, rows=30)])
     tables[1].write_bytes(spmd.text_of(spmd.wsu_frame(drives)))

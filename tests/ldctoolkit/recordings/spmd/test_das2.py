@@ -19,7 +19,7 @@ from helpers.recordings import read_source
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.extract import extract_departures
 from ldctoolkit.recordings.recording import Problem, Recording, open_recordings
-from ldctoolkit.recordings.spmd_das2 import SpmdDas2
+from ldctoolkit.recordings.spmd_das2 import READER
 
 Write = Callable[..., Path]
 BOM = b"\xef\xbb\xbf"
@@ -42,25 +42,21 @@ def write(tmp_path: Path) -> Write:
 
 def read(*paths: Path) -> tuple[dict[str, Recording], list[Problem]]:
     """All recordings by name, and all problems."""
-    recordings, problems = read_source(SpmdDas2().open(paths))
-    assert len({one.name for one in recordings}) == len(recordings)
-    return {one.name: one for one in recordings}, problems
+    recordings, problems = read_source(READER.open(paths))
+    assert len({r.name for r in recordings}) == len(recordings)
+    return {r.name: r for r in recordings}, problems
 
 
-def lines_of(trip: int, rows: int = 30, cells: int = 53, **more: Any) -> list[str]:
-    found: list[str] = spmd.lines_of(spmd.rows_of(spmd.planted_drive(10, trip, rows=rows), **more), cells)
-    return found
+def lines_of(trip: int, rows: int = 30, cells: int = 53, **columns: Any) -> list[str]:
+    lines: list[str] = spmd.lines_of(spmd.rows_of(spmd.planted_drive(10, trip, rows=rows), **columns), cells)
+    return lines
 
 
 def test_the_sample_loads_in_both_shapes(sample: Path) -> None:
     one_day, two_month = sample / "one-day" / "HV_Primary_04_11_13.csv", sample / "two-month" / "HV_Primary.csv"
     recordings, problems = read(one_day, two_month)
     assert problems == []
-    assert {name: one.samples for name, one in recordings.items()} == {
-        "10/1417759": 19,
-        "10/1417715": 1,
-        "10/412198": 19,
-    }
+    assert {name: r.samples for name, r in recordings.items()} == {"10/1417759": 19, "10/1417715": 1, "10/412198": 19}
     with_header, without = recordings["10/1417759"], recordings["10/412198"]
     # by hand from the first rows
     np.testing.assert_allclose(with_header.t, np.arange(19) * 0.1)
@@ -70,15 +66,15 @@ def test_the_sample_loads_in_both_shapes(sample: Path) -> None:
     np.testing.assert_allclose(without.yaw_rate[0], np.radians(0.031525), rtol=1e-9)
     np.testing.assert_allclose(without.heading[0], -np.radians(140.720001))
     # the tracker sees one marker at most there
-    assert not any(one.valid.any() for one in recordings.values())
+    assert not any(r.valid.any() for r in recordings.values())
     assert np.isnan(recordings["10/1417715"].speed).all()
 
 
 def test_other_tables_are_not_recognised(sample: Path, tmp_path: Path) -> None:
-    others = [one for one in sorted(sample.rglob("*.csv")) if "HV_Primary" not in one.name]
-    assert others
-    assert [SpmdDas2().recognise([one]) for one in others] == [""] * len(others)
-    assert SpmdDas2().recognise([tmp_path / "none.csv", tmp_path]) == ""
+    other_tables = [path for path in sorted(sample.rglob("*.csv")) if "HV_Primary" not in path.name]
+    assert other_tables
+    assert [READER.recognise([path]) for path in other_tables] == [""] * len(other_tables)
+    assert READER.recognise([tmp_path / "none.csv", tmp_path]) == ""
 
 
 SHAPES = {
@@ -95,8 +91,8 @@ def test_planted_departures_come_back(shape: str, write: Write) -> None:
     how: dict[str, Any] = dict(SHAPES[shape])
     cells, odd, mixed = how.pop("cells", 53), how.pop("odd", False), how.pop("mixed", False)
     drives = [spmd.planted_drive(10, 1), spmd.planted_drive(10, 2, first=-7), spmd.planted_drive(11, 1)]
-    drives = [dataclasses.replace(one, time=np.asarray(one.time) + 7) for one in drives]  # no multiples of the step
-    rows = [line for one in drives for line in spmd.lines_of(spmd.rows_of(one), cells)]
+    drives = [dataclasses.replace(r, time=np.asarray(r.time) + 7) for r in drives]  # no multiples of the step
+    rows = [line for r in drives for line in spmd.lines_of(spmd.rows_of(r), cells)]
     if mixed:
         rows[::3] = [row + ",NULL" * 8 for row in rows[::3]]
     if how.pop("header45", False):
@@ -104,15 +100,15 @@ def test_planted_departures_come_back(shape: str, write: Write) -> None:
     path = write([spmd.ODD_FIRST] * odd + rows, **how)
     opened = open_recordings([path])
     assert opened.reader.name == "spmd-das2"
-    found = extract_departures(opened)
-    assert found.problems == ()
-    departures = found.departures
+    extraction = extract_departures(opened)
+    assert extraction.problems == ()
+    departures = extraction.departures
     for i, drive in enumerate(drives):
         of_drive = departures.take(slice(8 * i, 8 * i + 8))
         assert set(of_drive.recording) == {f"{drive.device}/{drive.trip}"}
         assert_planted(of_drive, spmd.PLANTED, spmd.curvature_at, clock=drive.time[0] / 100.0)
     assert departures.n == 24
-    assert [words for words in found.warnings if "yaw" in words] == []
+    assert [words for words in extraction.warnings if "yaw" in words] == []
 
 
 def test_what_is_usable(write: Write) -> None:
@@ -134,48 +130,16 @@ def test_speed_signals_and_heading(write: Write) -> None:
         "GPS_Valid": [1] * 20 + [0] * 9 + [1], "InVehicle_Turn_Signal_Left": [1, 1, 0] + [0] * 27,
         "InVehicle_Turn_Signal_Right": [1, 0, 1] + [0] * 27,
     }  # fmt: skip
-    one = read(write(lines_of(1, **cells)))[0]["10/1"]
-    np.testing.assert_array_equal(one.speed, [10.5] * 28 + [np.nan, 11.5])
-    assert (one.turn_signal[:4].tolist(), np.isnan(one.heading).sum()) == ([0, 1, -1, 0], 9)
-
-
-def check(problems: list[Problem], place: str, words: str) -> None:
-    assert any(one.place == place and words in one.what for one in problems), [str(one) for one in problems]
-
-
-def changed(lines: list[str], row: int, column: int, value: str) -> None:
-    cells = lines[row].split(",")
-    cells[column] = value
-    lines[row] = ",".join(cells)
-
-
-FAULTS: dict[str, tuple[Callable[[list[str]], None], str, str]] = {
-    "text for a number": (lambda rows: changed(rows, 4, 32, "far"), "line 6", "'far'"),
-    "a surplus cell": (lambda rows: changed(rows, 4, 3, "1,2"), "line 6", "54 cells"),
-    "cut short": (lambda rows: rows.__setitem__(29, rows[29][:60]), "line 31", "cells"),
-    "no time": (lambda rows: changed(rows, 4, 2, "NULL"), "line 6", "time"),
-    "time backwards": (lambda rows: changed(rows, 20, 2, "55"), "line 22", "backwards"),
-    "no trip": (lambda rows: changed(rows, 4, 1, "x"), "line 6", "device and trip"),
-    "a header again": (lambda rows: rows.__setitem__(4, "DeviceID,Trip,Time"), "line 6", "device and trip"),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("fault", FAULTS)
-def test_faulty_lines_are_named_and_the_rest_is_read(fault: str, write: Write) -> None:
-    damage, place, words = FAULTS[fault]
-    rows = lines_of(1)
-    damage(rows)
-    recordings, problems = read(write([*rows, *lines_of(2)]))
-    check(problems, place, words)
-    assert all(one.file == "HV_Primary.csv" for one in problems)
-    assert (recordings["10/1"].samples, recordings["10/2"].samples) == (29, 30)
+    recording = read(write(lines_of(1, **cells)))[0]["10/1"]
+    np.testing.assert_array_equal(recording.speed, [10.5] * 28 + [np.nan, 11.5])
+    assert (recording.turn_signal[:4].tolist(), np.isnan(recording.heading).sum()) == ([0, 1, -1, 0], 9)
 
 
 def test_without_a_header_most_of_the_first_lines_must_look_right(write: Write) -> None:
-    good, other = lines_of(1, cells=45), ["1,1,0,-1.8,1.8,0,3,3"] * 30
+    good, other_rows = lines_of(1, cells=45), ["1,1,0,-1.8,1.8,0,3,3"] * 30
     with pytest.raises(RecordingError, match="rows of 45 or 53 cells"):
-        read(write([*good[:9], *other], header=False))
-    recordings, problems = read(write([*other[:9], *good], header=False))
+        read(write([*good[:9], *other_rows], header=False))
+    recordings, problems = read(write([*other_rows[:9], *good], header=False))
     assert recordings["10/1"].samples == 30
     assert {problem.what.split(";")[0] for problem in problems} == {"8 cells"}
 
@@ -206,17 +170,17 @@ PLACES = {
 @st.composite
 def rows(draw: st.DrawFn) -> list[str]:
     """Some lines of one to three trips, with odd cells here and there, some cells too many or too few."""
-    found = []
+    lines = []
     for i in range(draw(st.integers(1, 8))):
         cells = ["0"] * draw(st.sampled_from([45, 45, 53, 53, 44, 46, 52]))
         cells[:3] = [str(draw(st.integers(1, 2))), "7", str(100 * i)]
-        for place in PLACES.values():
+        for column in PLACES.values():
             if draw(st.integers(0, 3)):
-                cells[place] = draw(NUMBER if draw(st.integers(0, 9)) else CELL) if place != 2 else cells[2]
+                cells[column] = draw(NUMBER if draw(st.integers(0, 9)) else CELL) if column != 2 else cells[2]
         if not draw(st.integers(0, 9)):
             cells[2] = draw(CELL)
-        found.append(",".join(cells))
-    return found
+        lines.append(",".join(cells))
+    return lines
 
 
 def number(text: str) -> float | None:
@@ -240,7 +204,7 @@ def by_hand(lines: list[str]) -> tuple[dict[str, list[tuple[float, ...]]], set[i
     for i, line in enumerate(lines, start=2):
         cells = line.split(",")
         name = f"{cells[0]}/{cells[1]}"
-        values = {name: number(cells[place]) for name, place in PLACES.items() if place < len(cells)}
+        values = {name: number(cells[column]) for name, column in PLACES.items() if column < len(cells)}
         if len(cells) not in (45, 53) or None in values.values() or not abs(values["time"]) < 1e11:  # type: ignore[arg-type]
             faulty.add(i)
             lost.add(name)
@@ -275,24 +239,32 @@ def test_against_plain_python(lines: list[str], end: str, ended: bool, part_byte
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "HV_Primary.csv")
         path.write_bytes(text.encode())
-        source = SpmdDas2(part_bytes=part_bytes).open([path])
+        source = dataclasses.replace(READER, part_bytes=part_bytes).open([path])
         items = [item for part in source.parts for item in part.read()]
-    found = {item.name: item for item in items if isinstance(item, Recording)}
+    recordings = {item.name: item for item in items if isinstance(item, Recording)}
     reported = [*source.problems, *(item for item in items if isinstance(item, Problem))]
-    assert {one.place for one in reported if "backwards" not in one.what and "goes on here" not in one.what} == {
-        f"line {line}" for line in faulty
-    }
-    assert set(found) <= set(expected)
+    assert {
+        problem.place for problem in reported if "backwards" not in problem.what and "goes on here" not in problem.what
+    } == {f"line {line}" for line in faulty}
+    assert set(recordings) <= set(expected)
     for name, samples in expected.items():
         t = [sample[0] for sample in samples]
         if t != sorted(t):
             # whole pieces of a trip are put in order; otherwise a trip of so few rows goes as a whole
-            assert name not in found or np.allclose(found[name].t, sorted(t), rtol=1e-12, atol=1e-12)
+            assert name not in recordings or np.allclose(recordings[name].t, sorted(t), rtol=1e-12, atol=1e-12)
             continue
-        one = found[name]
-        cut = np.zeros(len(t), dtype=bool) if one.cut is None else one.cut
+        recording = recordings[name]
+        cut = np.zeros(len(t), dtype=bool) if recording.cut is None else recording.cut
         if len(set(t)) < len(t):
             cut = np.array([sample[-1] for sample in samples])  # of samples at one time it is not known which
-        columns = (one.t, one.lane_offset, one.lane_width, one.speed, one.valid, one.yaw_rate, one.heading)
-        for column, values in zip((*columns, one.turn_signal, cut), zip(*samples, strict=True), strict=True):
+        columns = (
+            recording.t,
+            recording.lane_offset,
+            recording.lane_width,
+            recording.speed,
+            recording.valid,
+            recording.yaw_rate,
+            recording.heading,
+        )
+        for column, values in zip((*columns, recording.turn_signal, cut), zip(*samples, strict=True), strict=True):
             np.testing.assert_allclose(np.asarray(column, float), np.array(values, float), rtol=1e-12, atol=1e-12)

@@ -21,8 +21,8 @@ from ldctoolkit.recordings.trip_tables import Stretch, TripIndex, index_trips
 COLUMNS = ("a", "b", "c", "d")
 
 
-def numbers_in(text: bytes, wanted: tuple[str, ...] = COLUMNS, cells: tuple[int, ...] = (4,)) -> Cells:
-    return read_numbers(text, Layout({name: COLUMNS.index(name) for name in wanted}, cells))
+def numbers_in(text: bytes, names: tuple[str, ...] = COLUMNS, cells: tuple[int, ...] = (4,)) -> Cells:
+    return read_numbers(text, Layout({name: COLUMNS.index(name) for name in names}, cells))
 
 
 WORDS = ("", "null", "nan", "na", "n/a", "none", "-nan", "#n/a")
@@ -39,8 +39,8 @@ def number(cell: str) -> float | None:
         return None
 
 
-def by_hand(text: bytes, wanted: tuple[str, ...]) -> tuple[list[tuple[int, list[float]]], list[int]]:
-    """Rows that can be used, and the places of those that cannot."""
+def by_hand(text: bytes, names: tuple[str, ...]) -> tuple[list[tuple[int, list[float]]], list[int]]:
+    """Rows that can be used, and the line indices of those that cannot."""
     rows: list[tuple[int, list[float]]] = []
     bad: list[int] = []
     lines = text.split(b"\n")
@@ -52,7 +52,7 @@ def by_hand(text: bytes, wanted: tuple[str, ...]) -> tuple[list[tuple[int, list[
         except UnicodeDecodeError:
             bad.append(i)
             continue
-        values = [number(cells[COLUMNS.index(name)]) for name in wanted] if len(cells) == 4 else [None]
+        values = [number(cells[COLUMNS.index(name)]) for name in names] if len(cells) == 4 else [None]
         if any(value is None for value in values):
             bad.append(i)
         else:
@@ -83,44 +83,44 @@ text = st.builds(
 
 
 @examples(300)
-@given(text=text, wanted=st.sampled_from([("a", "b", "c", "d"), ("b",), ("d", "a")]))
-@example(text=b"1,2,3\n1,2,3,4,5\n", wanted=("a", "d"))
-@example(text=b"1,2,3,4,5\n1,2,3\n", wanted=("a", "d"))
-@example(text=b"1,2,3,4\n1,2,x,4", wanted=("a", "d"))
-@example(text=b"1,2,3,e0\n", wanted=("d",))
-@example(text=b"1,2,3,", wanted=("d",))
-def test_cells_are_those_that_python_reads(text: bytes, wanted: tuple[str, ...]) -> None:
-    found = numbers_in(text, wanted)
-    rows, bad = by_hand(text, wanted)
-    assert (found.row.tolist(), [fault.line for fault in found.faults]) == ([row for row, _ in rows], bad)
-    for i, name in enumerate(wanted):
-        np.testing.assert_array_equal(found[name], [values[i] for _, values in rows])
+@given(text=text, names=st.sampled_from([("a", "b", "c", "d"), ("b",), ("d", "a")]))
+@example(text=b"1,2,3\n1,2,3,4,5\n", names=("a", "d"))
+@example(text=b"1,2,3,4,5\n1,2,3\n", names=("a", "d"))
+@example(text=b"1,2,3,4\n1,2,x,4", names=("a", "d"))
+@example(text=b"1,2,3,e0\n", names=("d",))
+@example(text=b"1,2,3,", names=("d",))
+def test_cells_are_those_that_python_reads(text: bytes, names: tuple[str, ...]) -> None:
+    cells = numbers_in(text, names)
+    rows, bad = by_hand(text, names)
+    assert (cells.row.tolist(), [fault.line for fault in cells.faults]) == ([row for row, _ in rows], bad)
+    for i, name in enumerate(names):
+        np.testing.assert_array_equal(cells[name], [values[i] for _, values in rows])
 
 
 @examples(200)
-@given(lines=st.lists(line, max_size=12), at=st.integers(0, 12))
-def test_a_text_in_two_pieces_gives_the_same(lines: list[bytes], at: int) -> None:
+@given(lines=st.lists(line, max_size=12), cut=st.integers(0, 12))
+def test_a_text_in_two_pieces_gives_the_same(lines: list[bytes], cut: int) -> None:
     """What a line gives does not depend on the others: not on the way they had to be parsed."""
-    lines = [one + b"\n" for one in lines]
+    lines = [text + b"\n" for text in lines]
     whole = numbers_in(b"".join(lines))
-    pieces = [numbers_in(b"".join(some)) for some in (lines[:at], lines[at:])]
+    pieces = [numbers_in(b"".join(piece_lines)) for piece_lines in (lines[:cut], lines[cut:])]
     for name in COLUMNS:
         np.testing.assert_array_equal(whole[name], np.concatenate([piece[name] for piece in pieces]))
-    reported = [(f.line + shift, f.what) for piece, shift in zip(pieces, (0, at), strict=True) for f in piece.faults]
+    reported = [(f.line + shift, f.what) for piece, shift in zip(pieces, (0, cut), strict=True) for f in piece.faults]
     assert [(fault.line, fault.what) for fault in whole.faults] == reported
 
 
 @pytest.mark.parametrize("line", [b"1,2,3,4\n", b"1,2,3,4,,\n", b"1,2,3,4,5,6\r\n"])
 def test_every_allowed_number_of_cells_alone(line: bytes) -> None:
-    found = numbers_in(line * 3, ("d", "a"), (4, 6))
-    assert (found["d"].tolist(), found["a"].tolist()) == ([4.0] * 3, [1.0] * 3)
-    assert found.faults == ()
+    cells = numbers_in(line * 3, ("d", "a"), (4, 6))
+    assert (cells["d"].tolist(), cells["a"].tolist()) == ([4.0] * 3, [1.0] * 3)
+    assert cells.faults == ()
 
 
 def test_several_numbers_of_cells() -> None:
-    found = numbers_in(b"1,2,3,4\n5,6,7,8,9,10\n1,2,3,4,5\n", ("d",), (4, 6))
-    assert found["d"].tolist() == [4.0, 8.0]
-    assert [(fault.line, fault.what) for fault in found.faults] == [(2, "5 cells; allowed: 4 or 6")]
+    cells = numbers_in(b"1,2,3,4\n5,6,7,8,9,10\n1,2,3,4,5\n", ("d",), (4, 6))
+    assert cells["d"].tolist() == [4.0, 8.0]
+    assert [(fault.line, fault.what) for fault in cells.faults] == [(2, "5 cells; allowed: 4 or 6")]
 
 
 HEADER = b"Device,Trip,Time\r\n"
@@ -135,19 +135,19 @@ def indexed(text: bytes, **options: int) -> TripIndex:
 
 def stretches_by_hand(text: bytes) -> tuple[list[Stretch], list[int]]:
     """Line after line."""
-    found: list[Stretch] = []
+    stretches: list[Stretch] = []
     faults: list[int] = []
     open_ = False
-    at = len(HEADER)
+    end = len(HEADER)
     lines = text.split(b"\n")
     whole = [line + b"\n" for line in lines[:-1]] + ([lines[-1]] if lines[-1] else [])
     for number, line in enumerate(whole, 2):
-        begin, at = at, at + len(line)
+        begin, end = end, end + len(line)
         cells = line.split(b",")
         if not line.strip():
             if open_:
-                one = found.pop()
-                found.append(dataclasses.replace(one, end=at, lines=one.lines + 1))
+                last = stretches.pop()
+                stretches.append(dataclasses.replace(last, end=end, lines=last.lines + 1))
             continue
         key = [cell.strip(b" \t") for cell in cells[:2]]
         if len(cells) < 3 or not all(re.fullmatch(rb"-?\d+(\.0*)?", cell) for cell in key):
@@ -155,13 +155,13 @@ def stretches_by_hand(text: bytes) -> tuple[list[Stretch], list[int]]:
             open_ = False
             continue
         device, trip = (int(float(cell)) for cell in key)
-        if open_ and (found[-1].device, found[-1].trip) == (device, trip):
-            one = found.pop()
-            found.append(dataclasses.replace(one, end=at, lines=one.lines + 1))
+        if open_ and (stretches[-1].device, stretches[-1].trip) == (device, trip):
+            last = stretches.pop()
+            stretches.append(dataclasses.replace(last, end=end, lines=last.lines + 1))
         else:
-            found.append(Stretch(device, trip, begin, at, number, 1, len(faults)))
+            stretches.append(Stretch(device, trip, begin, end, number, 1, len(faults)))
         open_ = True
-    return found, faults
+    return stretches, faults
 
 
 keyed_line = st.one_of(
@@ -176,7 +176,7 @@ keyed_line = st.one_of(
 keyed_text = st.builds(
     lambda lines, end, last: end.join([*lines, b""] if last else lines),
     st.lists(keyed_line.flatmap(lambda one: st.integers(1, 40).map(lambda n: [one] * n)), max_size=12).map(
-        lambda runs: [one for run in runs for one in run]
+        lambda runs: [line for run in runs for line in run]
     ),
     st.sampled_from([b"\n", b"\r\n"]),
     st.booleans(),
@@ -187,11 +187,11 @@ keyed_text = st.builds(
 @examples(150)
 @given(text=keyed_text, block_bytes=st.sampled_from([1, 7, 64, 1000, 1 << 20]))
 def test_stretches_are_those_of_a_line_by_line_search(text: bytes, block_bytes: int) -> None:
-    found = indexed(text, block_bytes=block_bytes)
+    index = indexed(text, block_bytes=block_bytes)
     stretches, faults = stretches_by_hand(text)
-    assert (list(found.stretches), [fault.line for fault in found.faults]) == (stretches, faults[:20])
-    assert (found.more_faults, found.bytes) == (len(faults[20:]), len(HEADER + text))
-    assert found.sha256 == hashlib.sha256(HEADER + text).hexdigest()
+    assert (list(index.stretches), [fault.line for fault in index.faults]) == (stretches, faults[:20])
+    assert (index.more_faults, index.bytes) == (len(faults[20:]), len(HEADER + text))
+    assert index.sha256 == hashlib.sha256(HEADER + text).hexdigest()
 
 
 @examples(100)
@@ -200,10 +200,10 @@ def test_any_bytes_give_whole_lines(text: bytes, block_bytes: int) -> None:
     whole, parts = indexed(text), indexed(text, block_bytes=block_bytes)
     assert whole == parts
     content = HEADER + text
-    for one in whole.stretches:
-        assert content[one.begin - 1 : one.begin] == b"\n"
-        assert content[one.end - 1 : one.end] == b"\n" or one.end == len(content)
-        assert one.line == content.count(b"\n", 0, one.begin) + 1
+    for stretch in whole.stretches:
+        assert content[stretch.begin - 1 : stretch.begin] == b"\n"
+        assert content[stretch.end - 1 : stretch.end] == b"\n" or stretch.end == len(content)
+        assert stretch.line == content.count(b"\n", 0, stretch.begin) + 1
 
 
 def test_rows_that_are_not_sorted_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:

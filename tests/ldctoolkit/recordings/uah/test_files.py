@@ -48,12 +48,12 @@ def test_root_driver_trip_or_file(root):
     assert READER.recognise([root.parent]) == "4 trips of 2 drivers"
     d1 = READER.open([root / "D1"])
     assert [part.key for part in d1.parts] == sorted(name for name in NAMES if "-D1-" in name)
-    one = sorted(NAMES)[0]
-    for path in (root / "D1" / one, root / "D1" / one / LANE, root / "D1" / one / GPS):
+    trip = root / "D1" / sorted(NAMES)[0]
+    for path in (trip, trip / LANE, trip / GPS):
         assert READER.open([path]).parts == source.parts[:1]
         assert READER.recognise([path]) == "1 trip of 1 driver"
     # given twice, one way or another, is read once
-    again = READER.open([root / "D1" / one, root / "D2", root])
+    again = READER.open([trip, root / "D2", root])
     assert (sorted(part.key for part in again.parts), again.problems) == (sorted(NAMES), ())
 
 
@@ -171,10 +171,10 @@ def change(path, number, line):
 )  # fmt: skip
 def test_a_faulty_line(folder, sound, line, what):
     change(folder / LANE, 500, line)
-    problems, found = read(folder)
+    problems, recording = read(folder)
     assert problems == [f"/{LANE}, line 500: {what}; the line is left out"]
     for column in ("t", "lane_offset", "valid", "speed", "yaw_rate"):
-        np.testing.assert_array_equal(getattr(found, column), np.delete(getattr(sound, column), 499))
+        np.testing.assert_array_equal(getattr(recording, column), np.delete(getattr(sound, column), 499))
 
 
 def test_a_yaw_rate_from_the_course_is_marked(folder, sound):
@@ -182,37 +182,41 @@ def test_a_yaw_rate_from_the_course_is_marked(folder, sound):
     assert sound.yaw_rate_measured[sound.valid].all()
     lines = (folder / YAW).read_text().splitlines(keepends=True)
     (folder / YAW).write_text("".join(lines[: len(lines) // 2]))
-    _, found = read(folder)
-    late = found.t > float(lines[len(lines) // 2].split()[0]) + 1.0
-    assert not found.yaw_rate_measured[late].any()
-    assert np.isfinite(found.yaw_rate[late & found.valid]).mean() > 0.9
-    np.testing.assert_array_equal(found.yaw_rate_measured[found.t < 50.0], sound.yaw_rate_measured[sound.t < 50.0])
+    _, recording = read(folder)
+    late = recording.t > float(lines[len(lines) // 2].split()[0]) + 1.0
+    assert not recording.yaw_rate_measured[late].any()
+    assert np.isfinite(recording.yaw_rate[late & recording.valid]).mean() > 0.9
+    np.testing.assert_array_equal(
+        recording.yaw_rate_measured[recording.t < 50.0], sound.yaw_rate_measured[sound.t < 50.0]
+    )
     (folder / YAW).unlink()
-    _, found = read(folder)
-    assert not found.yaw_rate_measured.any()
+    _, recording = read(folder)
+    assert not recording.yaw_rate_measured.any()
 
 
-@pytest.mark.parametrize(("one", "other"), [(LANE, GPS), (LANE, YAW), (GPS, YAW), (GPS, LANE), (YAW, LANE), (YAW, GPS)])
-def test_swapped_files(folder, one, other):
+@pytest.mark.parametrize(
+    ("file", "copied"), [(LANE, GPS), (LANE, YAW), (GPS, YAW), (GPS, LANE), (YAW, LANE), (YAW, GPS)]
+)
+def test_swapped_files(folder, file, copied):
     """A table in another's place is not read as what it is not."""
-    (folder / one).write_bytes((folder / other).read_bytes())
-    problems, found = read(folder)
+    (folder / file).write_bytes((folder / copied).read_bytes())
+    problems, recording = read(folder)
     assert re.search("are files swapped|no line can be used", problems[0])
-    assert problems[0].startswith(f"/{one}")
-    assert (found is None) == (one != YAW)
+    assert problems[0].startswith(f"/{file}")
+    assert (recording is None) == (file != YAW)
 
 
 def test_no_detected_lane(tmp_path):
     trip = make_trip()
     trip.lane[:, 1:] = -9.0
-    problems, found = read(trip.write(tmp_path))
+    problems, recording = read(trip.write(tmp_path))
     assert problems == [f"/{LANE}: no line with a detected lane (state 2) can be used"]
-    assert not found.valid.any()
+    assert not recording.valid.any()
 
 
 def test_positions_of_another_trip(tmp_path):
     trip = make_trip()
     trip.gps[:, 0] += 1000.0
-    problems, found = read(trip.write(tmp_path))
-    assert found is None
+    problems, recording = read(trip.write(tmp_path))
+    assert recording is None
     assert problems[0].startswith(f"/{GPS}: it holds no speed in time, the trip runs from ")

@@ -23,29 +23,29 @@ TIMES = st.lists(st.integers(0, 400), min_size=0, max_size=30, unique=True).map(
 SETTINGS = examples(150)
 
 
-def value_by_hand(at, t, values, longest, beyond):
+def value_by_hand(time, t, values, longest, beyond):
     for i in range(len(t) - 1):
-        if t[i] <= at <= t[i + 1] and t[i + 1] - t[i] <= longest:
-            share = (at - t[i]) / (t[i + 1] - t[i])
+        if t[i] <= time <= t[i + 1] and t[i + 1] - t[i] <= longest:
+            share = (time - t[i]) / (t[i + 1] - t[i])
             return values[i] + share * (values[i + 1] - values[i])
-    near = [(abs(at - t[i]), i) for i in range(len(t)) if abs(at - t[i]) <= beyond]
+    near = [(abs(time - t[i]), i) for i in range(len(t)) if abs(time - t[i]) <= beyond]
     return values[min(near)[1]] if near else math.nan
 
 
 @SETTINGS
 @given(TIMES, st.lists(st.integers(-40, 480).map(lambda k: k / 32.0), max_size=20), st.integers(0, 2**32 - 1))
-def test_values_at(t, at, seed):
+def test_values_at(t, times, seed):
     values = np.random.default_rng(seed).normal(size=t.size)
-    found = values_at(np.array(at), t, values, longest=1.5, beyond=0.25)
-    expected = [value_by_hand(one, t, values, 1.5, 0.25) for one in at]
-    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12)
+    values_found = values_at(np.array(times), t, values, longest=1.5, beyond=0.25)
+    expected = [value_by_hand(time, t, values, 1.5, 0.25) for time in times]
+    np.testing.assert_allclose(values_found, expected, rtol=1e-12, atol=1e-12)
 
 
 @SETTINGS
 @given(TIMES, st.integers(0, 2**32 - 1))
 def test_local_slope(t, seed):
     values = np.random.default_rng(seed).normal(size=t.size)
-    found = local_slope(t, values, half=0.25, longest=0.5)
+    slope = local_slope(t, values, half=0.25, longest=0.5)
     for i in range(t.size):
         window = [i]
         for step in (1, -1):
@@ -54,9 +54,9 @@ def test_local_slope(t, seed):
                 window.append(j)
                 j += step
         if len(window) == 1:
-            assert math.isnan(found[i])
+            assert math.isnan(slope[i])
         else:
-            assert found[i] == pytest.approx(np.polyfit(t[window] - t[i], values[window], 1)[0], rel=1e-9, abs=1e-9)
+            assert slope[i] == pytest.approx(np.polyfit(t[window] - t[i], values[window], 1)[0], rel=1e-9, abs=1e-9)
 
 
 def test_absurd_clocks():
@@ -72,10 +72,10 @@ def test_absurd_clocks():
 def test_merge_repeated(pairs):
     pairs.sort(key=lambda pair: pair[0])
     t, values = (np.array([pair[i] for pair in pairs], dtype=float) for i in (0, 1))
-    found = merge_repeated(t, values)
+    merged = merge_repeated(t, values)
     times = sorted(set(t.tolist()))
-    assert found[0].tolist() == times
-    assert found[1].tolist() == pytest.approx([np.mean(values[t == one]) for one in times])
+    assert merged[0].tolist() == times
+    assert merged[1].tolist() == pytest.approx([np.mean(values[t == time]) for time in times])
 
 
 def read(folder):
@@ -87,32 +87,34 @@ def read(folder):
 def test_the_recording(tmp_path):
     """Units and signs of a whole trip."""
     trip = make_trip()
-    one = read(trip.write(tmp_path))
-    np.testing.assert_array_equal(one.t, trip.lane[:, 0])
-    np.testing.assert_array_equal(one.valid, trip.lane[:, 4] == 2.0)
-    good = one.valid
-    assert one.lane_offset[good].tolist() == (0.0 - trip.lane[good, 1]).tolist()
-    assert one.lane_width[good].tolist() == trip.lane[good, 3].tolist()
-    assert np.isnan(one.lane_offset[~good]).all()
-    np.testing.assert_allclose(one.speed, TRUTH["speed"](one.t), atol=0.01)
-    np.testing.assert_allclose(one.yaw_rate, TRUTH["curvature"](one.t) * TRUTH["speed"](one.t), atol=1e-3)
+    recording = read(trip.write(tmp_path))
+    np.testing.assert_array_equal(recording.t, trip.lane[:, 0])
+    np.testing.assert_array_equal(recording.valid, trip.lane[:, 4] == 2.0)
+    good = recording.valid
+    assert recording.lane_offset[good].tolist() == (0.0 - trip.lane[good, 1]).tolist()
+    assert recording.lane_width[good].tolist() == trip.lane[good, 3].tolist()
+    assert np.isnan(recording.lane_offset[~good]).all()
+    np.testing.assert_allclose(recording.speed, TRUTH["speed"](recording.t), atol=0.01)
+    np.testing.assert_allclose(
+        recording.yaw_rate, TRUTH["curvature"](recording.t) * TRUTH["speed"](recording.t), atol=1e-3
+    )
     # no course before 14 s; then it turns as the vehicle does, without jumps
-    known = np.isfinite(one.heading)
-    assert not known[one.t < 13.3].any()
-    assert known[one.t > 15.0].all()
-    turned = one.heading[known] - TRUTH["yaw"](one.t[known])
+    finite = np.isfinite(recording.heading)
+    assert not finite[recording.t < 13.3].any()
+    assert finite[recording.t > 15.0].all()
+    turned = recording.heading[finite] - TRUTH["yaw"](recording.t[finite])
     assert np.ptp(turned) < 0.03  # a course holds for half a second before the first one
-    assert (one.curvature, one.lane, one.turn_signal) == (None, None, None)
-    assert one.notes == ()
+    assert (recording.curvature, recording.lane, recording.turn_signal) == (None, None, None)
+    assert recording.notes == ()
 
 
 def test_yaw_in_degrees(tmp_path):
     trip = make_trip()
-    one = read(trip.write(tmp_path / "radians"))
+    recording = read(trip.write(tmp_path / "radians"))
     trip.accelerometers[:, 10] = np.degrees(trip.accelerometers[:, 10])
-    other = read(trip.write(tmp_path / "degrees"))
-    np.testing.assert_allclose(other.yaw_rate, one.yaw_rate, atol=1e-6)
-    assert other.notes == ("the yaw angle in RAW_ACCELEROMETERS.txt goes beyond pi and is taken as degrees",)
+    in_degrees = read(trip.write(tmp_path / "degrees"))
+    np.testing.assert_allclose(in_degrees.yaw_rate, recording.yaw_rate, atol=1e-6)
+    assert in_degrees.notes == ("the yaw angle in RAW_ACCELEROMETERS.txt goes beyond pi and is taken as degrees",)
 
 
 def test_speed_and_yaw_rate_end_at_gaps(tmp_path):
@@ -121,19 +123,19 @@ def test_speed_and_yaw_rate_end_at_gaps(tmp_path):
     trip.gps[(trip.gps[:, 0] > 30.0) & (trip.gps[:, 0] < 34.0), 1] = -3.6  # the phone's word for no speed
     trip.accelerometers = trip.accelerometers[np.abs(trip.accelerometers[:, 0] - 64.0) > 2.0]
     (part,) = READER.open([trip.write(tmp_path)]).parts
-    problem, one = part.read()
+    problem, recording = part.read()
     assert "a speed" in str(problem)
-    t = one.t
+    t = recording.t
     for missing, around in (
         ((t > 60.5) & (t < 67.0), (t < 59.0) | (t > 69.0)),
         ((t > 30.6) & (t < 33.4), (t < 29.0) | (t > 35.0)),
     ):
-        assert np.isnan(one.speed[missing]).all()
+        assert np.isnan(recording.speed[missing]).all()
         near = around & (np.abs(t - np.mean(t[missing])) < 9.0)
-        assert np.isfinite(one.speed[near]).all()
+        assert np.isfinite(recording.speed[near]).all()
     missing = (t > 62.3) & (t < 65.7)  # and the course is missing as well
-    assert np.isnan(one.yaw_rate[missing]).all()
-    assert np.isfinite(one.yaw_rate[(t < 61.5) | (t > 66.5)]).all()
+    assert np.isnan(recording.yaw_rate[missing]).all()
+    assert np.isfinite(recording.yaw_rate[(t < 61.5) | (t > 66.5)]).all()
 
 
 def test_repeated_and_missing_times_in_side_files(tmp_path):
@@ -141,9 +143,11 @@ def test_repeated_and_missing_times_in_side_files(tmp_path):
     trip.gps = np.repeat(trip.gps, 2, axis=0)
     trip.accelerometers = np.repeat(trip.accelerometers, 3, axis=0)
     trip.accelerometers = trip.accelerometers[np.arange(len(trip.accelerometers)) % 7 != 3]
-    one = read(trip.write(tmp_path))
-    np.testing.assert_allclose(one.speed, TRUTH["speed"](one.t), atol=0.01)
-    np.testing.assert_allclose(one.yaw_rate, TRUTH["curvature"](one.t) * TRUTH["speed"](one.t), atol=2e-3)
+    recording = read(trip.write(tmp_path))
+    np.testing.assert_allclose(recording.speed, TRUTH["speed"](recording.t), atol=0.01)
+    np.testing.assert_allclose(
+        recording.yaw_rate, TRUTH["curvature"](recording.t) * TRUTH["speed"](recording.t), atol=2e-3
+    )
 
 
 CRITERIA = Criteria(vehicle_width=1.8)
@@ -159,7 +163,7 @@ def extract(*paths, preparation=STEP):
 def check(departures, planted, curvature=1e-4):
     """Also the mean speed of each."""
     assert_planted(departures, planted, TRUTH["curvature"], bend=curvature)
-    v_mean = [TRUTH["speed"](one.start + np.array([0.0, one.T])).mean() for one in planted]
+    v_mean = [TRUTH["speed"](departure.start + np.array([0.0, departure.T])).mean() for departure in planted]
     np.testing.assert_allclose(departures.v_mean, v_mean, atol=0.05)
 
 
@@ -180,16 +184,16 @@ def test_scale_of_a_single_camera(tmp_path, width):
     # without it the vehicle's edge lies elsewhere: offset and width keep the factor, the vehicle's width does not
     plain = extract(tmp_path).departures
     factor, moved = width / 3.5, 0.5 * CRITERIA.vehicle_width * (1.0 - width / 3.5)
-    expected = [factor * one.d_y + moved for one in PLANTED]
+    expected = [factor * departure.d_y + moved for departure in PLANTED]
     pairs = [
         (float(plain.d_y[k]), depth)
-        for one, depth in zip(PLANTED, expected, strict=True)
-        for k in np.flatnonzero(plain.side == one.side)
-        if plain.start_time[k] < one.start + 0.5 * one.T < plain.start_time[k] + plain.T[k]
+        for departure, depth in zip(PLANTED, expected, strict=True)
+        for k in np.flatnonzero(plain.side == departure.side)
+        if plain.start_time[k] < departure.start + 0.5 * departure.T < plain.start_time[k] + plain.T[k]
     ]
     assert len(pairs) == sum(depth > 0.02 for depth in expected) == len(PLANTED)
-    for found, depth in pairs:
-        assert found == pytest.approx(depth, abs=0.01)
+    for depth_found, depth in pairs:
+        assert depth_found == pytest.approx(depth, abs=0.01)
 
 
 def test_yaw_rate_from_the_course(tmp_path):
@@ -275,11 +279,11 @@ def test_against_plain_python(lines, end, last):
             assert expected == []
             return
     rows = np.array(expected)
-    kept = rising_rows(rows[:, 0])
-    assert (20 * np.sum(~kept) > kept.size) == (table[0].size == 0)
+    keep = rising_rows(rows[:, 0])
+    assert (20 * np.sum(~keep) > keep.size) == (table[0].size == 0)
     if table[0].size == 0:
         return
-    np.testing.assert_array_equal(table[0], rows[kept])
+    np.testing.assert_array_equal(table[0], rows[keep])
     reported = [problem for problem in problems if "time runs" not in problem.what]
     assert [problem.place for problem in reported][:5] == [f"line {line}" for line in faulty[:5]]
-    assert len(problems) - len(reported) == (not kept.all())
+    assert len(problems) - len(reported) == (not keep.all())
