@@ -18,6 +18,8 @@ import warnings
 from collections.abc import Collection, Mapping
 from typing import Any, Final, Literal
 
+import numpy as np
+
 from ldctoolkit.errors import InputError, UnknownNameError, plain
 
 _KEY: Final = "ldctoolkit.declaration"
@@ -156,15 +158,15 @@ class Declaration:
         if self.text or self.switch:
             return value
         if self.pair:
-            ends = tuple(map(plain, value)) if isinstance(value, tuple | list) else value
+            numbers = tuple(map(plain, value)) if isinstance(value, tuple | list | np.ndarray) else ()
             try:
-                first, second = (dataclasses.replace(self, pair="").check(end) for end in ends)
-            except (InputError, TypeError, ValueError):
-                first, second = 0.0, math.nan
-            if not (first <= second if self.pair == "ascending" else first >= second):
-                limits = limits_text(self.above, self.lower, self.upper, self.unit)
-                raise InputError(path, value=ends, allowed=f"two {self.pair} numbers {limits}".rstrip())
-            return first, second
+                first, second = (dataclasses.replace(self, pair="").check(number) for number in numbers)
+                if first <= second if self.pair == "ascending" else first >= second:
+                    return first, second
+            except (InputError, ValueError):
+                pass
+            limits = limits_text(self.above, self.lower, self.upper, self.unit)
+            raise InputError(path, value=numbers or value, allowed=f"two {self.pair} numbers {limits}".rstrip())
         if self.whole:
             number = int(value) if isinstance(value, float) and value.is_integer() else value
             return checked_whole(path, number, lower=self.lower, upper=self.upper, unit=self.unit)

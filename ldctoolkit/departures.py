@@ -8,7 +8,7 @@ its mirror image. Source: Zhao, Wang, LeBlanc (2017), section III.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
@@ -48,6 +48,13 @@ PARAMETER_COLUMNS: Final = {
     for name, unit in zip(PARAMETER_NAMES, PARAMETER_UNITS, strict=True)
 }
 """Parameter -> its column in a stored table, the unit at the end: ``v_mean_m_s``."""
+
+
+def check_parameters(path: str, names: Iterable[str]) -> None:
+    """Raise `InputError` at `path` for a name that is none of the eight parameters."""
+    for name in names:
+        if name not in PARAMETER_NAMES:
+            raise InputError(path, "is no parameter", value=name, allowed=PARAMETER_NAMES)
 
 
 def row_index(rows: npt.ArrayLike | slice) -> IntArray | BoolArray | slice:

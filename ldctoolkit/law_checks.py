@@ -138,10 +138,12 @@ def check_calls(calls: object, n: int, name: str) -> None:
     _check_array(calls.place, f"{where}: place", ("k",))
     for field in ("status", "iterations", "primal_residual", "dual_residual"):
         _check_array(getattr(calls, field), f"{where}: {field}", (calls.place.size,))
+    allowed = f"whole numbers 0 to {n - 1}"
+    if calls.place.dtype.kind not in "iu":
+        raise InputError(f"{where}: place", _described(calls.place), allowed=allowed)
     outside = (calls.place < 0) | (calls.place >= n)
-    if calls.place.dtype.kind not in "iu" or outside.any():
-        allowed = f"whole numbers 0 to {n - 1}"
-        raise InputError(f"{where}: place", f"holds {calls.place[outside][:1]}", allowed=allowed)
+    if outside.any():
+        raise InputError(f"{where}: place", value=calls.place[outside][0], allowed=allowed)
 
 
 def _check_array(value: Any, where: str, shape: tuple[int | str, ...]) -> None:

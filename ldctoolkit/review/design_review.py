@@ -390,10 +390,10 @@ def review_plant(
     2
     """
     dt, v = checked_number("dt", dt, above=0.0, unit="s"), checked_speeds(speeds)
-    outside = v[(v < SPEED_RANGE[0]) | (v > SPEED_RANGE[1])]
-    if v.size == 0 or outside.size:
-        allowed = f"one or more from {SPEED_RANGE[0]:g} to {SPEED_RANGE[1]:g} m/s"
-        raise InputError("speeds", value=outside.tolist()[0] if outside.size else [], allowed=allowed)
+    if v.size == 0:
+        raise InputError("speeds", value=[], allowed="one or more")
+    for i, speed in enumerate(v.tolist()):
+        checked_number(f"speeds[{i}]", speed, lower=SPEED_RANGE[0], upper=SPEED_RANGE[1], unit="m/s")
     for name, delay in (("actuator", options.actuator.delay), ("sensors", options.sensors.delay)):
         if delay > LONGEST * dt * (1 + 1e-9):
             problem = f"s is {delay / dt:.6g} samples of {dt:g} s"

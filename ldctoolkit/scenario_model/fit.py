@@ -13,8 +13,16 @@ import numpy.typing as npt
 import threadpoolctl
 
 from ldctoolkit.arrays import BoolArray, FloatArray
-from ldctoolkit.declared import checked_seed
-from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, DepartureParameters, Departures, Plausibility
+from ldctoolkit.declared import checked_choice, checked_seed, checked_whole
+from ldctoolkit.departures import (
+    LEFT,
+    PARAMETER_NAMES,
+    RIGHT,
+    DepartureParameters,
+    Departures,
+    Plausibility,
+    check_parameters,
+)
 from ldctoolkit.errors import InputError, ModelError, plain
 from ldctoolkit.mixture import BoundedGaussianMixture, Selection, select_components
 from ldctoolkit.mixture._distribution import Transform
@@ -64,9 +72,8 @@ def box_of(bounds: Bounds | None, criteria: Criteria | None) -> Box:
         ends["v_mean"] = (criteria.min_speed, np.inf, origin, "physical")
     if bounds is not None and not isinstance(bounds, Mapping):
         raise InputError("bounds", value=bounds, allowed="a mapping of parameters")
+    check_parameters("bounds", bounds or ())
     for name, entry in (bounds or {}).items():
-        if name not in ends:
-            raise InputError("bounds", "is no parameter", value=name, allowed=PARAMETER_NAMES)
         least = LEAST_LOWER.get(name, -np.inf)  # open as far as can be driven
         try:
             low, high = entry
@@ -96,15 +103,14 @@ class SideSettings:
 
 def transforms(transform: str | Mapping[str, str] | None, box: Box) -> dict[str, str]:
     """The transform of each parameter, allowed by its bounds."""
-    if transform is None or isinstance(transform, str):
-        kinds = dict.fromkeys(PARAMETER_NAMES, transform or "none")
-    else:
-        for name in transform:
-            if name not in PARAMETER_NAMES:
-                raise InputError("transform", "is no parameter", value=name, allowed=PARAMETER_NAMES)
-        kinds = dict.fromkeys(PARAMETER_NAMES, "none") | dict(transform)
-    Transform.of(tuple(kinds.values()), box.lower, box.upper, PARAMETER_NAMES)
-    return kinds
+    if not isinstance(transform, str | Mapping | None):
+        raise InputError("transform", value=transform, allowed="one word, or a mapping of parameters")
+    words: Any = transform
+    if isinstance(transform, Mapping):
+        check_parameters("transform", transform)
+        words = [transform.get(name, "none") for name in PARAMETER_NAMES]
+    kinds = Transform.of(words, box.lower, box.upper, PARAMETER_NAMES).kinds
+    return dict(zip(PARAMETER_NAMES, kinds, strict=True))
 
 
 LEAST_EVENTS: Final = 30  # departures a side needs
@@ -214,8 +220,8 @@ def fit_scenario_model(
     seed = checked_seed(seed)
     if seed >= _SEED_END:
         raise InputError("seed", value=seed, allowed="below 10^18, the longest whole number of a model file")
-    if kind not in get_args(Kind):
-        raise InputError("kind", value=kind, allowed=get_args(Kind))
+    checked_choice("kind", kind, get_args(Kind))
+    workers = None if workers is None else checked_whole("workers", workers, lower=1)
     K = plain(components)
     if K is not None:
         K = check_components([K])[0] if isinstance(K, int) else tuple(check_components(K))
@@ -284,7 +290,7 @@ def check_enough(left: BoolArray, right: BoolArray, beside: str = "") -> None:
 
 EVENTS_PER_PARAMETER: Final = 0.5  # a range of K is cut where fewer would stand behind each free parameter
 
-_SETTINGS: Final = {"n_jobs", *(field.name for field in dataclasses.fields(FitSettings))}  # not of the departures
+_SETTINGS: Final = {field.name for field in dataclasses.fields(FitSettings)}  # not of the departures
 
 
 @dataclasses.dataclass(frozen=True)

@@ -15,7 +15,15 @@ import numpy as np
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.declared import UnitWarning, checked_seed, checked_whole, unit_slip
-from ldctoolkit.departures import LEFT, PARAMETER_NAMES, PARAMETER_UNITS, RIGHT, DepartureParameters, Plausibility
+from ldctoolkit.departures import (
+    LEFT,
+    PARAMETER_NAMES,
+    PARAMETER_UNITS,
+    RIGHT,
+    DepartureParameters,
+    Plausibility,
+    check_parameters,
+)
 from ldctoolkit.errors import InputError, ModelError, UnknownNameError
 from ldctoolkit.mixture import SAMPLE_BLOCK, BoundedGaussianMixture
 from ldctoolkit.mixture._distribution import interval_of
@@ -64,9 +72,8 @@ def conditions(given: Given | None) -> tuple[Condition, ...]:
     if given is not None and not isinstance(given, Mapping):
         raise InputError("given", value=given, allowed="a mapping of parameters")
     by_name = {}
+    check_parameters("given", given or ())
     for name, value in (given or {}).items():
-        if name not in PARAMETER_NAMES:
-            raise InputError("given", "is no parameter", value=name, allowed=PARAMETER_NAMES)
         low, high = interval_of(f"given[{name!r}]", value)
         slip = unit_slip(name, low) or unit_slip(name, high if math.isfinite(high) else 0.0)
         if slip:

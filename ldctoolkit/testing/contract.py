@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.control import Controller, EventStatus, LinearLaw, RecordedPath, check_class
-from ldctoolkit.declared import Gain, GainValue, undeclared_fields
+from ldctoolkit.declared import Gain, GainValue, checked_choice, undeclared_fields
 from ldctoolkit.errors import InputError, LdcError, expect
 from ldctoolkit.law_checks import check_controller, check_law, check_step, raised
 from ldctoolkit.scenarios import Scenarios
@@ -471,12 +471,9 @@ def contract_faults(
     >>> contract_faults(LQR(r_delta=50.0), checks=["mirror", "quiet", "finite"])
     ()
     """
-    given = (checks,) if isinstance(checks, str) else CHECKS if checks is None else checks
-    expect("checks", given, Iterable)
-    names = tuple(given)
-    for name in names:
-        if not isinstance(name, str) or name not in CHECKS:
-            raise InputError("checks", value=name, allowed=CHECKS)
+    several = isinstance(checks, Iterable) and not isinstance(checks, str)
+    given: Any = CHECKS if checks is None else checks if several else (checks,)
+    names = tuple(checked_choice("checks", name, CHECKS) for name in given)
     expect("settings", settings, ContractSettings | None)
     first = controller() if isinstance(controller, type) and issubclass(controller, Controller) else controller
     every = dict.fromkeys(check_controller(design) for design in (first, *designs))

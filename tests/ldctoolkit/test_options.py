@@ -134,6 +134,7 @@ def test_bad_input(call: Callable[[], object], path: str, value: Any) -> None:
         (Mismatch, {"m": (1.2, 0.8)}, "mismatch.m", (1.2, 0.8), "two ascending numbers > 0"),
         (Mismatch, {"I_z": 1.0}, "mismatch.I_z", 1.0, ""),
         (Mismatch, {"mu": (0.0, 1.0)}, "mismatch.mu", (0.0, 1.0), ""),
+        (Mismatch, {"mu": {0.5: "low", 0.6: "high"}}, "mismatch.mu", {0.5: "low", 0.6: "high"}, ""),
         (Mismatch, {"mu": (0.5, 0.6, 0.7)}, "mismatch.mu", (0.5, 0.6, 0.7), ""),
         (Mismatch, {"C_af": (np.float64(2), 1)}, "mismatch.C_af", (2.0, 1), ""),
         (Tyres, {"model": "magic"}, "tyres.model", "magic", {"magic_formula"}),

@@ -391,10 +391,10 @@ def test_a_response_of_many_states_is_worked_out_in_blocks() -> None:
     [
         ({"dt": 0.0}, "dt", 0.0),
         ({"a_y": -1.0}, "a_y", -1.0),
-        ({"speeds": [0.5, 20.0]}, "speeds", 0.5),
+        ({"speeds": [0.5, 20.0]}, "speeds[0]", 0.5),
         ({"y_s": -0.1}, "y_s", -0.1),
         ({"speeds": [0.0]}, "v[0]", 0.0),
-        ({"speeds": [20.0, 100.0]}, "speeds", 100.0),
+        ({"speeds": [20.0, 100.0]}, "speeds[1]", 100.0),
         ({"speeds": []}, "speeds", []),
         ({"delta_prev": ([0.1, 0.2], [20.0])}, "delta_prev", ...),
         ({"dt": 1e-6, "options": PlantOptions(actuator=Actuator(delay=0.05))}, "actuator.delay", 0.05),

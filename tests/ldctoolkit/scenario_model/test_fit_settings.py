@@ -163,8 +163,9 @@ def test_one_number_of_components_is_not_called_a_choice(departures):
     ("setting", "path"),
     [
         ({"prior_strength": -1.0}, "prior_strength"), ({"tol": np.nan}, "tol"), ({"n_init": 0}, "n_init"),
-        ({"max_iter": 1.5}, "max_iter"), ({"workers": 0}, "n_jobs"), ({"kind": "smooth"}, "kind"),
+        ({"max_iter": 1.5}, "max_iter"), ({"workers": 0}, "workers"), ({"kind": "smooth"}, "kind"),
         ({"transform": {"d_y": "lgo"}}, "transform['d_y']"), ({"transform": {"dy": "log"}}, "transform"),
+        ({"transform": ""}, "transform"), ({"transform": 5}, "transform"),
     ],
 )  # fmt: skip
 def test_wrong_settings(departures, setting, path):

@@ -370,6 +370,7 @@ def test_the_log_does_not_depend_on_the_order_of_scenarios() -> None:
         ([1, 2], "", "SolverCalls or None"),
         (SolverCalls(np.array([0]), *(np.zeros(2),) * 4), ": status", "an array of shape (1,)"),
         (SolverCalls(np.array([99]), *(np.zeros(1),) * 4), ": place", "whole numbers 0 to 3"),
+        (SolverCalls(*(np.zeros(0),) * 5), ": place", "whole numbers 0 to 3"),
     ],
 )
 def test_what_is_no_record_is_named(wrong: Any, field: str, allowed: str) -> None:
