@@ -93,7 +93,7 @@ def content_hash(left: SideModel, right: SideModel, plausibility: Plausibility |
 
 
 def _parse(text: str | bytes, file: str) -> Any:
-    """JSON with finite numbers only."""
+    """The JSON values of a file, with finite numbers only."""
     try:
         content = text if isinstance(text, str) else text_of(text)
         return parse_json(content, parse_constant=_finite, parse_int=_whole, parse_float=_finite)
@@ -199,7 +199,7 @@ class _Limits(Part):
 
 
 class _File(Part):
-    """The whole file."""
+    """The content of a model file."""
 
     format: str
     version: int

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from helpers.errors import assert_fields
+from helpers.errors import refused
 from ldctoolkit import Scenarios, Setup, metrics, simulate
 from ldctoolkit.controllers import LQR
 from ldctoolkit.errors import InputError
@@ -116,9 +116,8 @@ Z3 = np.zeros(3)
     ],
 )
 def test_bad_input(call: Callable[[], object], path: str, value: Any) -> None:
-    with pytest.raises(InputError) as caught:
+    with refused(path, value=value):
         call()
-    assert_fields(caught.value, path, value)
 
 
 @pytest.mark.parametrize(
@@ -155,9 +154,8 @@ def test_bad_input(call: Callable[[], object], path: str, value: Any) -> None:
     ],
 )
 def test_a_wrong_value_is_named(kind: Any, given: dict[str, Any], path: str, value: Any, allowed: Any) -> None:
-    with pytest.raises(InputError) as caught:
+    with refused(path, value=value, allowed=allowed):
         kind(**given)
-    assert_fields(caught.value, path, value, allowed)
 
 
 def test_an_error_seen_from_outside_holds_the_same_value() -> None:
@@ -224,9 +222,8 @@ def test_every_option_takes_the_ideal_away() -> None:
 )
 def test_wrong_arguments_of_simulate_are_named(name: str, value: Any, allowed: str) -> None:
     scenarios = Scenarios.from_arrays(T=2.0, d_y=0.4, v_mean=20.0)
-    with pytest.raises(InputError) as caught:
+    with refused(name, value=value, allowed=allowed):
         simulate(LQR(r_delta=100.0), scenarios, **{name: value})
-    assert_fields(caught.value, name, value, allowed)
 
 
 def test_numpy_arguments_of_simulate_are_numbers() -> None:

@@ -59,14 +59,14 @@ def constant():
 
 def same_distribution(drawn, filtered, names):
     """Two-sample Kolmogorov-Smirnov in every parameter and a few products: none far beyond chance."""
-    one, two = drawn.matrix(), filtered.matrix()
+    first, second = drawn.matrix(), filtered.matrix()
     columns = [PARAMETER_NAMES.index(name) for name in names]
     for j in columns:
-        assert stats.ks_2samp(one[:, j], two[:, j]).pvalue > 1e-4, PARAMETER_NAMES[j]
+        assert stats.ks_2samp(first[:, j], second[:, j]).pvalue > 1e-4, PARAMETER_NAMES[j]
     for j in columns:
         for k in columns:
             if j < k:
-                a, b = (((x[:, j] - two[:, j].mean()) * (x[:, k] - two[:, k].mean())) for x in (one, two))
+                a, b = (((x[:, j] - second[:, j].mean()) * (x[:, k] - second[:, k].mean())) for x in (first, second))
                 assert stats.ks_2samp(a, b).pvalue > 1e-5, (PARAMETER_NAMES[j], PARAMETER_NAMES[k])
 
 
@@ -184,18 +184,18 @@ def test_different_preparations(first: dict[str, Any], second: dict[str, Any], w
 def test_empty_files_are_no_recordings() -> None:
     """Two folders of trips may each hold an empty file; their digests are the same."""
     nothing = [SourceFile(f"{name}/RAW_GPS.txt", 0, hashlib.sha256(b"").hexdigest()) for name in ("D1", "D2")]
-    found = merged_provenance(["a.parquet", "b.parquet"], [origin(i, one) for i, one in enumerate(nothing)])
-    assert [source.name for source in found.sources] == ["0.csv", "D1/RAW_GPS.txt", "1.csv", "D2/RAW_GPS.txt"]
+    merged = merged_provenance(["a.parquet", "b.parquet"], [origin(i, one) for i, one in enumerate(nothing)])
+    assert [source.name for source in merged.sources] == ["0.csv", "D1/RAW_GPS.txt", "1.csv", "D2/RAW_GPS.txt"]
 
 
 def test_hours_and_distances_of_tables_are_summed() -> None:
     tables = [origin(0, hours=1.5, distance=72_000.25), origin(1), origin(2, hours=0.25, distance=18_000.5)]
-    found = merged_provenance(["a.parquet", "b.parquet", "c.parquet"], tables)
-    assert (found.hours, found.distance) == (1.75, 90_000.75)
+    merged = merged_provenance(["a.parquet", "b.parquet", "c.parquet"], tables)
+    assert (merged.hours, merged.distance) == (1.75, 90_000.75)
     # driven, but of an earlier version: part of the distance is not the distance
     tables[1] = origin(1, hours=2.0)
-    found = merged_provenance(["a.parquet", "b.parquet", "c.parquet"], tables)
-    assert (found.hours, found.distance) == (3.75, 0.0)
+    merged = merged_provenance(["a.parquet", "b.parquet", "c.parquet"], tables)
+    assert (merged.hours, merged.distance) == (3.75, 0.0)
 
 
 PAGE = (Path(__file__).parents[3] / "docs/explanation/scenario-model.md").read_text(encoding="utf-8")
