@@ -391,6 +391,7 @@ def test_a_response_of_many_states_is_worked_out_in_blocks() -> None:
     [
         ({"dt": 0.0}, "dt", 0.0),
         ({"a_y": -1.0}, "a_y", -1.0),
+        ({"plant_knowledge": "all"}, "plant_knowledge", "all"),
         ({"speeds": [0.5, 20.0]}, "speeds[0]", 0.5),
         ({"y_s": -0.1}, "y_s", -0.1),
         ({"speeds": [0.0]}, "v[0]", 0.0),
