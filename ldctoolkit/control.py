@@ -68,8 +68,8 @@ class Preview:
     Examples
     --------
     >>> import numpy as np
-    >>> ahead = Preview(yaw_rate=np.array([[0.0, 0.02]]), heading=np.array([[0.0, 0.01]]))
-    >>> ahead.yaw_rate.shape
+    >>> preview = Preview(yaw_rate=np.array([[0.0, 0.02]]), heading=np.array([[0.0, 0.01]]))
+    >>> preview.yaw_rate.shape
     (1, 2)
     """
 

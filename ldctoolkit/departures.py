@@ -112,8 +112,8 @@ class Departures(DepartureParameters):
     >>> import ldctoolkit as ldc
     >>> from ldctoolkit.recordings import Recording
     >>> t = np.arange(0, 10, 0.1)
-    >>> beyond, one = np.clip(0.3 - 0.3 * (t - 5) ** 2, -0.5, None), np.ones(t.size)
-    >>> drive = Recording("a", t, beyond + 0.85, 3.6 * one, 25.0 * one, one > 0, curvature=0.0 * one)
+    >>> beyond, ones = np.clip(0.3 - 0.3 * (t - 5) ** 2, -0.5, None), np.ones(t.size)
+    >>> drive = Recording("a", t, beyond + 0.85, 3.6 * ones, 25.0 * ones, ones > 0, curvature=0.0 * ones)
     >>> ldc.extract_departures([drive]).departures.recording
     array(['a'], dtype='<U1')
     """
@@ -121,7 +121,7 @@ class Departures(DepartureParameters):
     recording: npt.NDArray[np.str_]  # (n,) Identifier of the recording
     start_time: FloatArray  # (n,) [s] Interpolated time of the crossing outwards, on the recording's own clock
     samples: IntArray  # (n,) Recorded samples inside the event (the two interpolated crossings are not counted)
-    extra: tuple[ExtraColumn, ...] = ()  # Columns of the source's own, such as driver or road; they travel along
+    extra: tuple[ExtraColumn, ...] = ()  # Further columns of the source, such as driver or road
     signals: DepartureSignals | None = None  # y(t), v(t) and c(t) of each, where they were kept
 
 
@@ -210,9 +210,9 @@ def reduce_signals(signals: DepartureSignals, side: npt.ArrayLike) -> DepartureP
     --------
     >>> import numpy as np
     >>> from ldctoolkit.scenarios import Scenarios
-    >>> one = Scenarios.from_arrays(T=[2.0], d_y=[0.3], v_mean=[20.0], a_mean=[0.1], c_0=[1e-3], dc=[5e-4])
-    >>> back = reduce_signals(rebuild_signals(one, dt=0.01), one.side)
-    >>> bool(abs(back.d_y[0] - 0.3) < 1e-6)
+    >>> scenario = Scenarios.from_arrays(T=[2.0], d_y=[0.3], v_mean=[20.0], a_mean=[0.1], c_0=[1e-3], dc=[5e-4])
+    >>> reduced = reduce_signals(rebuild_signals(scenario, dt=0.01), scenario.side)
+    >>> bool(abs(reduced.d_y[0] - 0.3) < 1e-6)
     True
     """
     starts, last = signals.offsets[:-1], signals.offsets[1:] - 1

@@ -201,8 +201,8 @@ class Scenarios(DepartureParameters):
 
         Examples
         --------
-        >>> one = Scenarios.from_drifts(v=20.0, lateral_velocity=0.5, radius=1200.0, distance=1.1, T=8.0)
-        >>> one.drift.arc(one.v_mean)[1].round(3)
+        >>> drift = Scenarios.from_drifts(v=20.0, lateral_velocity=0.5, radius=1200.0, distance=1.1, T=8.0)
+        >>> drift.drift.arc(drift.v_mean)[1].round(3)
         array([0.375])
         """
         path = {"lateral_velocity": lateral_velocity, "radius": radius, "distance": distance}

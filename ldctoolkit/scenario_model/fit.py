@@ -390,7 +390,7 @@ class _Judge:
     events: SideEvents
     settings: SideSettings
     replay: Replay
-    known: dict[BoundedGaussianMixture, _Checked] = dataclasses.field(default_factory=dict)
+    results: dict[BoundedGaussianMixture, _Checked] = dataclasses.field(default_factory=dict)
 
     @classmethod
     def of(cls, events: SideEvents, settings: SideSettings) -> Self:
@@ -402,7 +402,7 @@ class _Judge:
 
     def checked(self, mixture: BoundedGaussianMixture, kind: Literal["mixture", "smoothed"] = "mixture") -> _Checked:
         """A mixture beside the recorded departures; each is driven once."""
-        if mixture not in self.known:
+        if mixture not in self.results:
             half = SideModel(mixture, self.events.names, self.events.constants)
             model = ScenarioModel(half, half, ModelProvenance({}), self.settings.plausibility)
             count = (self.replay.generated, 0) if self.events.label == "left" else (0, self.replay.generated)
@@ -410,8 +410,8 @@ class _Judge:
             with contextlib.suppress(InputError, ModelError):
                 check_usable(mixture)
                 compared = self.replay.compared(model.sample(*count, seed=self.settings.seed))
-            self.known[mixture] = _Checked(mixture, kind, *compared)
-        return self.known[mixture]
+            self.results[mixture] = _Checked(mixture, kind, *compared)
+        return self.results[mixture]
 
     def enough(self, fits: Selection) -> bool:
         """Whether larger K need not be tried: BIC has risen, or the last two give the recordings' answer."""

@@ -92,8 +92,8 @@ class SourceSummary:
     Examples
     --------
     >>> x = np.random.default_rng(0).normal(size=(4000, 2)) @ [[1.0, 0.8], [0.0, 0.6]]
-    >>> found = summarize(x, names=("T", "d_y"))
-    >>> abs(float(found.at(0.5)[0])) < 0.1, 0.7 < found.rank_correlations[0] < 0.85
+    >>> summary = summarize(x, names=("T", "d_y"))
+    >>> abs(float(summary.at(0.5)[0])) < 0.1, 0.7 < summary.rank_correlations[0] < 0.85
     (True, True)
     """
 
