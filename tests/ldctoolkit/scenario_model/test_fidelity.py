@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from helpers.cli import good, ldc
+from helpers.errors import refused
 from ldctoolkit import Scenarios, Setup, VehicleParameters, check_fidelity, fit_scenario_model, load_model, simulate
 from ldctoolkit.controllers import PreviewProportional
 from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, DepartureParameters, Departures, Plausibility
-from ldctoolkit.errors import InputError
 from ldctoolkit.recordings import Criteria, Provenance, extract_departures, open_recordings, write_departures
 from ldctoolkit.scenario_model import ScenarioModel
 from ldctoolkit.scenario_model.fidelity import SideFidelity
@@ -97,7 +97,7 @@ def test_the_check_of_other_departures(bad: ScenarioModel, fine: ScenarioModel) 
     again = two_kinds(1500, seed=5)
     assert [side.passed for side in check_fidelity(bad, again)] == [False, False]
     assert [side.passed for side in check_fidelity(load_model("reference"), as_departures(2000))] == [True, True]
-    with pytest.raises(InputError, match="departures: 0 left and 1500 right; allowed: at least 30 a side"):
+    with refused("departures", problem="0 left and 1500 right", allowed="at least 30 a side"):
         check_fidelity(fine, again.take(again.side == RIGHT))
 
 
