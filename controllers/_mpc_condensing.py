@@ -12,9 +12,10 @@ from typing import NamedTuple
 import numpy as np
 
 from ldctoolkit.arrays import FloatArray, IntArray
+from ldctoolkit.declared import gain
 from ldctoolkit.vehicle.bicycle import Plant
 
-from .riccati import Weights, in_time, regulator
+from .riccati import Horizon, QuadraticCost, in_time, regulator
 
 SOFT: tuple[str, ...] = ("a_y", "jerk", "e_y")  # kinds of soft limits, in the order of their rows
 
@@ -109,18 +110,19 @@ class Limits(NamedTuple):
 
 
 @dataclasses.dataclass(frozen=True)
-class MPCSettings:
-    """Gains of a design."""
+class MPCDesign(QuadraticCost, Horizon):
+    """Gains that both MPCs have."""
 
-    horizon: int
-    weights: Weights
-    r_delta: float
-    delta_max: float
-    rate_max: float
-    soft_limits: tuple[float, float, float]
-    """a [m/s^2], its mean change [m/s^3], e_y [m]; 0 for none."""
-    soft_weight: float
-    blocks: int
+    delta_max: float = gain(0.1, unit="rad", lower=1e-3, upper=1.0, description="limit of the steering angle")
+    rate_max: float = gain(0.2, unit="rad/s", lower=1e-3, upper=10.0, description="limit of the steering rate")
+    a_y_max: float = gain(0.0, unit="m/s^2", lower=0.0, upper=20.0, description="soft limit of |a_y|; 0 for none")
+    jerk_max: float = gain(0.0, unit="m/s^3", lower=0.0, upper=1000.0, description="soft limit of jerk; 0 for none")
+    e_y_max: float = gain(0.0, unit="m", lower=0.0, upper=20.0, description="soft limit of |e_y|; 0 for none")
+
+    @property
+    def soft_limits(self) -> tuple[float, float, float]:
+        """a_y [m/s^2], its mean change [m/s^3], e_y [m], in the order of `SOFT`; 0 for none."""
+        return self.a_y_max, self.jerk_max, self.e_y_max
 
 
 def block_starts(horizon: int, blocks: int) -> IntArray:
@@ -141,11 +143,11 @@ def jerk_window(dt: float) -> tuple[int, float]:
     return window, share if share > 1e-7 else 0.0
 
 
-def limits(settings: MPCSettings, plant: Plant) -> Limits:
+def limits(plant: Plant, design: MPCDesign, blocks: int, soft_weight: float) -> Limits:
     """The rows of the QP."""
-    start = block_starts(settings.horizon, settings.blocks)
-    M, N, dt = start.size, settings.horizon, plant.dt
-    scale = np.array([1.0 / limit if limit > 0 else 0.0 for limit in settings.soft_limits])
+    start = block_starts(design.horizon, blocks)
+    M, N, dt = start.size, design.horizon, plant.dt
+    scale = np.array([1.0 / limit if limit > 0 else 0.0 for limit in design.soft_limits])
     scale[1] /= WINDOW
     delay, sides = plant.augmented.whole, 1 if plant.lag > 0 or plant.augmented.split else 2
     sizes = np.where(scale > 0, [sides * N, sides * N, N], 0)
@@ -156,16 +158,14 @@ def limits(settings: MPCSettings, plant: Plant) -> Limits:
             shift[first : first + N] = first + np.minimum(np.arange(N) + 1, N - 1)
         shift[M : 2 * M - 1] = M + np.minimum(np.arange(M - 1) + 1, M - 2)
     window, share = jerk_window(dt) if scale[1] else (0, 0.0)
-    step = settings.rate_max * dt
-    return Limits(
-        delay, window, share, sides, settings.delta_max, step, start, group, shift, scale, settings.soft_weight * SHARES
-    )
+    step = design.rate_max * dt
+    return Limits(delay, window, share, sides, design.delta_max, step, start, group, shift, scale, soft_weight * SHARES)
 
 
-def condense(plant: Plant, settings: MPCSettings) -> Condensed:
+def condense(plant: Plant, design: MPCDesign, blocks: int) -> Condensed:
     """Solve the Riccati equation and work out the responses, for every scenario's speed."""
-    n, N = plant.n, settings.horizon
-    lq = regulator(plant, settings.weights, settings.r_delta, actuator=True)
+    n, N = plant.n, design.horizon
+    lq = regulator(plant, design.q, design.r_delta, actuator=True)
     K, P = lq.K, lq.P
     A, B, E_0, E_1 = in_time(plant)
     m = B.shape[1]
@@ -174,7 +174,7 @@ def condense(plant: Plant, settings: MPCSettings) -> Condensed:
     x_ss[:, 2], x_ss[:, 4:] = steady.e_psi, steady.delta[:, None]
     # a change of lane yaw rate over one step pushes the deviation from steady cornering by D
     D = 0.5 * B * steady.delta[:, None] + E_1 - x_ss
-    s = settings.r_delta + np.sum(B * _apply(P, B), axis=1)
+    s = design.r_delta + np.sum(B * _apply(P, B), axis=1)
     A_cl = A - B[:, :, None] * K[:, None, :]
 
     impulse = np.ones((n, N))
@@ -190,7 +190,7 @@ def condense(plant: Plant, settings: MPCSettings) -> Condensed:
     a = np.column_stack([A_c[:, 1], wheel, E_c[:, 1]])
     nothing = np.zeros((n, 0, 0))
     project, moves = nothing, nothing
-    start = block_starts(N, settings.blocks)
+    start = block_starts(N, blocks)
     if start.size < N:
         project, moves = _blocked(A, B, K, start, N)
     condensed = Condensed(
@@ -209,7 +209,7 @@ def condense(plant: Plant, settings: MPCSettings) -> Condensed:
         E_0=E_0,
         E_1=E_1,
         a=a,
-        response=_responses(A, B, a, N) if any(settings.soft_limits) else nothing,
+        response=_responses(A, B, a, N) if any(design.soft_limits) else nothing,
     )
     # laid out as after `take`: the compiled sweep need not be compiled for two layouts
     return Condensed(*(np.ascontiguousarray(each) for each in condensed))
@@ -258,8 +258,8 @@ def _apply(M: FloatArray, x: FloatArray) -> FloatArray:
 
 def lookahead(samples: int, dt: float, age: float) -> FloatArray:
     """Lookahead times for `lane`."""
-    ahead = np.arange(samples + 1) * dt - age
-    return np.asarray([0.0, dt, *np.maximum(ahead, 0.0)] if age else ahead, dtype=np.float64)
+    times = np.arange(samples + 1) * dt - age
+    return np.asarray([0.0, dt, *np.maximum(times, 0.0)] if age else times, dtype=np.float64)
 
 
 def lane(r: FloatArray, dt: float, age: float) -> FloatArray:

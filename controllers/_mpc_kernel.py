@@ -12,26 +12,29 @@ callers import this module where they call it. All that an entry calls stands he
 
 # mypy: disable-error-code="untyped-decorator, no-any-return"
 
-from typing import Any, Final
+from typing import Final, NamedTuple
 
 import numba
 import numpy as np
 import numpy.typing as npt
 
-import ldctoolkit.compiling as compiling
 from ldctoolkit.arrays import FloatArray, IntArray
+from ldctoolkit.numba_internals import OPTIONS
 
 from ._mpc_condensing import Condensed, InitialState, Limits
 
-compiling.listen()
-
-__all__ = ["BEYOND", "FREE", "HELD", "OPEN", "assemble", "finish", "sweep"]
-
-
-# strict arithmetic: a scenario's numbers are the same bits whichever stand beside it
-OPTIONS: Final[dict[str, Any]] = {"nogil": True, "error_model": "numpy"}
+__all__ = ["BEYOND", "FREE", "HELD", "OPEN", "Rows", "assemble", "finish", "sweep"]
 
 _INSIDE: Final = 1e-12  # The plan without limits counts as inside them up to this [rad, or share of a soft limit]
+
+
+class Rows(NamedTuple):
+    """The rows of the QP of one scenario: low <= y + C e <= high."""
+
+    C: FloatArray  # (R, M) Effect of corrections
+    y: FloatArray  # (R,) Values without corrections
+    low: FloatArray  # (R,)
+    high: FloatArray  # (R,)
 
 
 @numba.njit(**OPTIONS)
@@ -75,14 +78,13 @@ def values(
     prev: float,
     U: FloatArray,
     lateral: FloatArray,
-    y: FloatArray,
-    low: FloatArray,
-    high: FloatArray,
+    rows: Rows,
 ) -> bool:
-    """Values y (R,) of the rows for the commands U, and their bounds; False if no command meets the hard ones.
+    """Values of the rows for the commands U, and their bounds; False if no command meets the hard ones.
 
     The state x (m,) is changed where there are soft rows.
     """
+    _, y, low, high = rows
     M = limits.start.size
     limit, step = limits.delta_max, limits.rate_step
     for b in range(M):
@@ -101,26 +103,18 @@ def values(
         else:
             low[0] = high[0]
     if y.size > 2 * M - 1:
-        _soft_values(mpc, limits, i, x, r, U, lateral, y, low, high)
+        _soft_values(mpc, limits, i, x, r, U, lateral, rows)
     return True
 
 
 @numba.njit(**OPTIONS)
 def _soft_values(
-    mpc: Condensed,
-    limits: Limits,
-    i: int,
-    x: FloatArray,
-    r: FloatArray,
-    U: FloatArray,
-    lateral: FloatArray,
-    y: FloatArray,
-    low: FloatArray,
-    high: FloatArray,
+    mpc: Condensed, limits: Limits, i: int, x: FloatArray, r: FloatArray, U: FloatArray, lateral: FloatArray, rows: Rows
 ) -> None:
     """Values of the soft rows as shares of their limits, bounds -1 and 1."""
-    N, at = U.size, 2 * limits.start.size - 1
-    for row in range(at, y.size):
+    _, y, low, high = rows
+    N, first_row = U.size, 2 * limits.start.size - 1
+    for row in range(first_row, y.size):
         low[row], high[row] = -1.0, 1.0
     acceleration, jerk, offset = limits.scale
     now = limits.window + limits.delay
@@ -131,8 +125,8 @@ def _soft_values(
     if acceleration > 0.0:
         for side in range(2 - limits.sides, 2):
             for j in range(N):
-                y[at + j] = lateral[1 - side, now + j + side] * acceleration
-            at += N
+                y[first_row + j] = lateral[1 - side, now + j + side] * acceleration
+            first_row += N
     if jerk > 0.0:
         for side in range(2 - limits.sides, 2):
             for j in range(N):
@@ -141,8 +135,8 @@ def _soft_values(
                 before = lateral[1 - side, past]
                 if limits.share > 0.0:
                     before = (1.0 - limits.share) * lateral[1, past] + limits.share * lateral[0, past + 1]
-                y[at + j] = (lateral[1 - side, sample] - before) * jerk
-            at += N
+                y[first_row + j] = (lateral[1 - side, sample] - before) * jerk
+            first_row += N
 
 
 @numba.njit(**OPTIONS)
@@ -169,7 +163,7 @@ def matrix(mpc: Condensed, limits: Limits, i: int, C: FloatArray, G: FloatArray,
             C[b, k] = G[limits.start[b], k]
             if b > 0:
                 C[M + b - 1, k] = C[b, k] - C[b - 1, k]
-    at = 2 * M - 1
+    first_row = 2 * M - 1
     acceleration, jerk, offset = limits.scale
     response = mpc.response[i]
     if acceleration > 0.0 or jerk > 0.0:
@@ -179,8 +173,8 @@ def matrix(mpc: Condensed, limits: Limits, i: int, C: FloatArray, G: FloatArray,
         for side in range(2 - limits.sides, 2):
             for j in range(N):
                 for k in range(M):
-                    C[at + j, k] = acceleration * a_y[1 - side, j, k]
-            at += N
+                    C[first_row + j, k] = acceleration * a_y[1 - side, j, k]
+            first_row += N
     if jerk > 0.0:
         for side in range(2 - limits.sides, 2):
             for j in range(N):
@@ -191,10 +185,10 @@ def matrix(mpc: Condensed, limits: Limits, i: int, C: FloatArray, G: FloatArray,
                         change -= (1.0 - limits.share) * a_y[1, past, k] + limits.share * a_y[0, past, k]
                     elif past >= side and limits.share == 0.0:
                         change -= a_y[1 - side, past - side, k]
-                    C[at + j, k] = jerk * change
-            at += N
+                    C[first_row + j, k] = jerk * change
+            first_row += N
     if offset > 0.0:
-        _respond(response[2], offset, G, C[at : at + N])
+        _respond(response[2], offset, G, C[first_row : first_row + N])
 
 
 @numba.njit(**OPTIONS)
@@ -218,10 +212,7 @@ _MORE_CORRECTIONS: Final = 4  # A guess is corrected three times as often as the
 @numba.njit(**OPTIONS)
 def prove(
     limits: Limits,
-    C: FloatArray,
-    y: FloatArray,
-    low: FloatArray,
-    high: FloatArray,
+    rows: Rows,
     side: IntArray,
     beyond: IntArray,
     w: FloatArray,
@@ -235,6 +226,7 @@ def prove(
     soft kind sum to at most weight (s = 0), or to weight (1 + s). The row with the most wrong multiplier is let go, or
     else the row that is violated most is held.
     """
+    C, y, low, high = rows
     R, M = C.shape
     held = np.empty(M + 3, dtype=np.int64)
     for _ in range(3 * M + _MORE_CORRECTIONS):
@@ -245,7 +237,7 @@ def prove(
                     return False
                 held[count] = row
                 count += 1
-        dependent = _magnitudes(limits, C, y, low, high, side, beyond, held[:count], gram)
+        dependent = _magnitudes(limits, rows, side, beyond, held[:count], gram)
         if dependent >= 0:
             side[dependent] = 0
             continue
@@ -265,14 +257,14 @@ def prove(
                     sums[limits.group[row]] += magnitude
             if refined or tolerance == _PROVED:
                 break
-            # multipliers this large leave w inexact: once more, for what is left
+            # multipliers this large leave w inexact: once more, for the residual
             for a in range(count):
                 row = held[a]
-                left, kind = y[row] - (high[row] if side[row] > 0 else low[row]), limits.group[row]
+                residual, kind = y[row] - (high[row] if side[row] > 0 else low[row]), limits.group[row]
                 for k in range(M):
-                    left += C[row, k] * w[k]
+                    residual += C[row, k] * w[k]
                 slack = sums[kind] / limits.weight[kind] - 1.0 if kind >= 0 and beyond[kind] else 0.0
-                gram[a, -1] = side[row] * left - slack
+                gram[a, -1] = side[row] * residual - slack
             _substitute(gram, count)
         for kind in range(3):
             slack = sums[kind] / limits.weight[kind] - 1.0
@@ -311,18 +303,9 @@ def prove(
 
 
 @numba.njit(**OPTIONS)
-def _magnitudes(
-    limits: Limits,
-    C: FloatArray,
-    y: FloatArray,
-    low: FloatArray,
-    high: FloatArray,
-    side: IntArray,
-    beyond: IntArray,
-    held: IntArray,
-    gram: FloatArray,
-) -> int:
+def _magnitudes(limits: Limits, rows: Rows, side: IntArray, beyond: IntArray, held: IntArray, gram: FloatArray) -> int:
     """Magnitudes of the held rows' multipliers into gram[:, -1], by Cholesky; -1, or a row that depends on others."""
+    C, y, low, high = rows
     M, count = C.shape[1], held.size
     for a in range(count):
         row, kind = held[a], limits.group[held[a]]
@@ -330,12 +313,12 @@ def _magnitudes(
         if kind >= 0 and beyond[kind]:
             gram[a, -1] += 1.0
         for b in range(a + 1):
-            other = held[b]
+            other_row = held[b]
             total = 0.0
             for k in range(M):
-                total += C[row, k] * C[other, k]
-            total *= side[row] * side[other]
-            if kind >= 0 and beyond[kind] and limits.group[other] == kind:
+                total += C[row, k] * C[other_row, k]
+            total *= side[row] * side[other_row]
+            if kind >= 0 and beyond[kind] and limits.group[other_row] == kind:
                 total += 1.0 / limits.weight[kind]
             gram[a, b] = total
         diagonal = gram[a, a]
@@ -369,24 +352,16 @@ def _substitute(gram: FloatArray, count: int) -> None:
 
 
 @numba.njit(**OPTIONS)
-def polish(
-    limits: Limits,
-    C: FloatArray,
-    y: FloatArray,
-    low: FloatArray,
-    high: FloatArray,
-    w: FloatArray,
-    multipliers: FloatArray,
-) -> bool:
+def polish(limits: Limits, rows: Rows, w: FloatArray, multipliers: FloatArray) -> bool:
     """Replace a solver's solution by the exact one, if the rows that it holds at bounds prove to be right."""
-    R, M = C.shape
+    R, M = rows.C.shape
     side, beyond = np.empty(R, dtype=np.int64), np.empty(3, dtype=np.int64)
     gram, exact, exact_multipliers = np.empty((M + 3, M + 4)), np.empty(M + 3), np.empty(R)
     for row in range(R):
         side[row] = sign(multipliers[row]) if abs(multipliers[row]) > 1e-9 else 0
     for kind in range(3):
         beyond[kind] = 1 if w[M + kind] > 1e-6 else 0
-    proved: bool = prove(limits, C, y, low, high, side, beyond, exact, exact_multipliers, gram)
+    proved: bool = prove(limits, rows, side, beyond, exact, exact_multipliers, gram)
     if proved:
         w[:] = exact
         multipliers[:] = exact_multipliers
@@ -483,12 +458,12 @@ def block(mpc: Condensed, limits: Limits, i: int, U: FloatArray, work: FloatArra
 
 
 @numba.njit(**OPTIONS)
-def first(limits: Limits, C: FloatArray, U_0: float, low: float, high: float, w: FloatArray) -> float:
+def first(limits: Limits, rows: Rows, U_0: float, w: FloatArray) -> float:
     """First command of the corrected plan, not beyond its bounds by a solver's tolerance."""
     total = U_0
     for k in range(limits.start.size):
-        total += C[0, k] * w[k]
-    return min(max(total, low), high)
+        total += rows.C[0, k] * w[k]
+    return min(max(total, rows.low[0]), rows.high[0])
 
 
 @numba.njit(**OPTIONS)
@@ -533,8 +508,9 @@ def sweep(
     n, N = U.shape
     X, prev, sent, r_all, past = initial
     M, R = limits.start.size, limits.group.size
-    y, low, high, work = np.empty(R), np.empty(R), np.empty(R), np.empty(N)
-    C, G, a_y, gram = np.empty((R, M)), np.empty((N, M)), np.empty((2, N, M)), np.empty((M + 3, M + 4))
+    rows, work = Rows(np.empty((R, M)), np.empty(R), np.empty(R), np.empty(R)), np.empty(N)
+    C, y, low, high = rows
+    G, a_y, gram = np.empty((N, M)), np.empty((2, N, M)), np.empty((M + 3, M + 4))
     x, costate = np.empty(initial.x.shape[1]), np.empty((2, initial.x.shape[1]))
     lateral = np.empty((3, limits.window + limits.delay + N + x.size))
     side, beyond = np.empty(R, dtype=np.int64), np.empty(3, dtype=np.int64)
@@ -552,7 +528,7 @@ def sweep(
         if M < N:
             block(mpc, limits, i, U[i], work)
         delta[i] = U[i, 0]
-        if not values(mpc, limits, i, x, r, prev[i], U[i], lateral, y, low, high):
+        if not values(mpc, limits, i, x, r, prev[i], U[i], lateral, rows):
             result[i] = BEYOND
             continue
         if not guess:
@@ -568,9 +544,9 @@ def sweep(
             continue
         matrix(mpc, limits, i, C, G, a_y)
         _shifted(limits, last[i], last_slack[i], side, beyond)
-        if prove(limits, C, y, low, high, side, beyond, w[i], multipliers[i], gram):
+        if prove(limits, rows, side, beyond, w[i], multipliers[i], gram):
             result[i] = HELD
-            delta[i] = first(limits, C, U[i, 0], low[0], high[0], w[i])
+            delta[i] = first(limits, rows, U[i, 0], w[i])
         else:
             result[i] = OPEN
             _warm(limits, last[i], w[i], multipliers[i])
@@ -580,7 +556,7 @@ def sweep(
 def assemble(
     mpc: Condensed,
     limits: Limits,
-    rows: IntArray,
+    scenarios: IntArray,
     initial: InitialState,
     U: FloatArray,
     C: FloatArray,
@@ -588,33 +564,25 @@ def assemble(
     low: FloatArray,
     high: FloatArray,
 ) -> None:
-    """The QPs of the scenarios `rows` (k,): C (k, R, M), y, low and high (k, R), from plans U (n, N)."""
+    """The QPs of some scenarios (k,): C (k, R, M), y, low and high (k, R), from plans U (n, N)."""
     N, M = U.shape[1], limits.start.size
     X, prev, sent, r_all, past = initial
     G, a_y, x = np.empty((N, M)), np.empty((2, N, M)), np.empty(initial.x.shape[1])
     lateral = np.empty((3, limits.window + limits.delay + N + x.size))
-    for k in range(rows.size):
-        i = rows[k]
+    for k in range(scenarios.size):
+        i = scenarios[k]
         x[:] = X[i]
         if limits.window > 0:
             lateral[:2, : limits.window + 1] = past[i]
         decided(mpc, limits, i, x, sent[i], r_all[i], lateral)
-        values(mpc, limits, i, x, r_all[i, limits.delay :], prev[i], U[i], lateral, y[k], low[k], high[k])
+        rows = Rows(C[k], y[k], low[k], high[k])
+        values(mpc, limits, i, x, r_all[i, limits.delay :], prev[i], U[i], lateral, rows)
         matrix(mpc, limits, i, C[k], G, a_y)
 
 
 @numba.njit(cache=True, **OPTIONS)
-def finish(
-    limits: Limits,
-    exact: bool,
-    C: FloatArray,
-    y: FloatArray,
-    low: FloatArray,
-    high: FloatArray,
-    w: FloatArray,
-    multipliers: FloatArray,
-) -> float:
+def finish(limits: Limits, exact: bool, rows: Rows, w: FloatArray, multipliers: FloatArray) -> float:
     """First command of a solver's answer, which is polished in place if it should be exact."""
     if exact:
-        polish(limits, C, y, low, high, w, multipliers)
-    return first(limits, C, y[0], low[0], high[0], w)
+        polish(limits, rows, w, multipliers)
+    return first(limits, rows, rows.y[0], w)

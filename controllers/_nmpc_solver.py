@@ -36,7 +36,7 @@ from ldctoolkit.vehicle.bicycle import Plant
 #
 # The prediction model of the nonlinear MPC in CasADi: one sample of the nonlinear bicycle, and steady cornering.
 #
-# The bicycle is that of `tools/nonlinear_plant.py` (Rajamani, *Vehicle Dynamics and Control*, section 2.3, with the
+# The bicycle is that of the closed loop on saturating tyres (Rajamani, *Vehicle Dynamics and Control*, 2.3, with the
 # Magic Formula of Pacejka) at constant speed. A sample is a step of the third-order exponential Runge-Kutta method
 # ETD3RK (S. Cox, P. Matthews, *Exponential time differencing for stiff systems*, J. Comp. Phys. 176, 2002) about
 # straight driving: with f = A x + B delta + E r + g, and l(x), l_h(x) the exact linear plant after dt and dt/2,
@@ -110,7 +110,7 @@ def _forced(A: FloatArray, dt: float) -> tuple[FloatArray, FloatArray, FloatArra
 
 
 def accelerations(x: Any, delta: Any, r: Any, v: Any, vehicle: Any) -> tuple[Any, Any, Any]:
-    """Accelerations of the lane errors and lateral tyre force over mass, as in `_nonlinear_compiled`."""
+    """Accelerations of the lane errors and lateral tyre force over mass."""
     import casadi as ca
 
     C_af, C_ar, l_f, l_r, m, I_z, mu, shape = (vehicle[i] for i in range(8))
@@ -201,7 +201,7 @@ def steady_cornering(plant: Plant, mu: float, r: FloatArray) -> Cornering:
 class Program(NamedTuple):
     """Functions of one horizon; X is (4, N), U (1, N), r (1, N+1) [rad/s], e_ref (1, N+1), u_ref (1, N) [rad]."""
 
-    ahead: Any  # (x, u, r_0, r_1, c) -> (x after a sample, a_0, a_1) One sample with a command that is known
+    predict: Any  # (x, u, r_0, r_1, c) -> (x after a sample, a_0, a_1) One sample with a command that is known
     # (x_0, guess, share, delta_prev, r, e_ref, u_ref, low, high, c) -> (U, X) Drive the model with commands guess, or,
     # with share = 1, the LQR, moved into the limits
     roll: Any
@@ -221,8 +221,8 @@ def build(N: int, soft: bool) -> Program:
 
     x, u, r_0, r_1, c = ca.SX.sym("x", 4), ca.SX.sym("u"), ca.SX.sym("r_0"), ca.SX.sym("r_1"), ca.SX.sym("c", SIZE)
     f, a_0, a_1 = sample(x, u, r_0, r_1, c)
-    ahead = ca.Function("ahead", [x, u, r_0, r_1, c], [f, a_0, a_1])
-    return Program(ahead, _roll(ca, N, x, u, r_0, r_1, c, f), *_plan(ca, N, x, u, r_0, r_1, c, f, a_0, a_1, soft))
+    predict = ca.Function("predict", [x, u, r_0, r_1, c], [f, a_0, a_1])
+    return Program(predict, _roll(ca, N, x, u, r_0, r_1, c, f), *_plan(ca, N, x, u, r_0, r_1, c, f, a_0, a_1, soft))
 
 
 def _roll(ca: Any, N: int, x: Any, u: Any, r_0: Any, r_1: Any, c: Any, f: Any) -> Any:
@@ -232,12 +232,12 @@ def _roll(ca: Any, N: int, x: Any, u: Any, r_0: Any, r_1: Any, c: Any, f: Any) -
         ca.SX.sym(name) for name in ("guess", "share", "e_ref", "u_ref", "low", "high", "previous")
     )
     lqr = u_ref - ca.dot(p["K"], x - ca.vertcat(0, 0, e_ref, 0))
-    wanted = ca.fmin(ca.fmax((1 - share) * guess + share * lqr, low), high)
-    command = ca.fmin(ca.fmax(wanted, previous - p["rate_step"]), previous + p["rate_step"])
+    within_limits = ca.fmin(ca.fmax((1 - share) * guess + share * lqr, low), high)
+    command = ca.fmin(ca.fmax(within_limits, previous - p["rate_step"]), previous + p["rate_step"])
     state = ca.vertcat(x, previous)
     after = ca.vertcat(step(x, command, r_0, r_1, c), command)
-    one = ca.Function("roll_one", [state, guess, share, r_0, r_1, e_ref, u_ref, low, high, c], [after])
-    drive = one.mapaccum("roll_all", N)
+    single = ca.Function("roll_one", [state, guess, share, r_0, r_1, e_ref, u_ref, low, high, c], [after])
+    drive = single.mapaccum("roll_all", N)
 
     x_0, guess, delta_prev = ca.MX.sym("x_0", 4), ca.MX.sym("guess", 1, N), ca.MX.sym("delta_prev")
     share, r, e_ref = ca.MX.sym("share"), ca.MX.sym("r", 1, N + 1), ca.MX.sym("e_ref", 1, N + 1)
@@ -267,12 +267,12 @@ def _plan(
     pull = ca.mtimes(weight, off)
     cost = 0.5 * ca.dot(off, pull) + 0.5 * p["r_delta"] * (u - u_ref) ** 2
 
-    given = [x, u, after, r_0, r_1, e_ref, u_ref, last, c]
+    inputs = [x, u, after, r_0, r_1, e_ref, u_ref, last, c]
     names = ["x", "u", "after", "r_0", "r_1", "e_ref", "u_ref", "last", "c"]
     gap = f - after
-    value_one = ca.Function("value_one", given, [cost, ca.norm_1(gap), a_0, a_1], names, ["J", "gap", "a_0", "a_1"])
+    value_one = ca.Function("value_one", inputs, [cost, ca.norm_1(gap), a_0, a_1], names, ["J", "gap", "a_0", "a_1"])
     slopes_one = ca.Function(
-        "slopes_one", given,
+        "slopes_one", inputs,
         [gap, ca.jacobian(f, x), ca.jacobian(f, u), pull, p["r_delta"] * (u - u_ref),
          ca.jacobian(a_0, x).T, ca.jacobian(a_0, u), ca.jacobian(a_1, x).T, ca.jacobian(a_1, u)],
     )  # fmt: skip
@@ -306,18 +306,19 @@ def _plan(
     X, U, x_0 = ca.MX.sym("X", 4, N), ca.MX.sym("U", 1, N), ca.MX.sym("x_0", 4)
     r, e_ref, u_ref = ca.MX.sym("r", 1, N + 1), ca.MX.sym("e_ref", 1, N + 1), ca.MX.sym("u_ref", 1, N)
     c = ca.MX.sym("c", SIZE)
-    pressed = [ca.MX.sym(name, 1, N) for name in ("m_0", "m_1", "m_y")]
-    m_0, m_1, m_y = pressed if soft else [ca.MX.zeros(1, N)] * 3
+    soft_inputs = [ca.MX.sym(name, 1, N) for name in ("m_0", "m_1", "m_y")]
+    m_0, m_1, m_y = soft_inputs if soft else [ca.MX.zeros(1, N)] * 3
     last = ca.MX(ca.horzcat(ca.DM.zeros(1, N - 1), 1))
     before = ca.horzcat(x_0, X[:, :-1])
-    at = [before, U, X, r[:-1], r[1:], e_ref[1:], u_ref, last, c]
+    samples = [before, U, X, r[:-1], r[1:], e_ref[1:], u_ref, last, c]
     names = ["X", "U", "x_0", "r", "e_ref", "u_ref", "c"]
-    value = ca.Function("value", [X, U, x_0, r, e_ref, u_ref, c], list(values(*at)), names, ["J", "gap", "a_0", "a_1"])
+    problem = [X, U, x_0, r, e_ref, u_ref, c]
+    value = ca.Function("value", problem, list(values(*samples)), names, ["J", "gap", "a_0", "a_1"])
 
-    d, A, B, pull, push, a_0_x, a_0_u, a_1_x, a_1_u = slopes(*at)
+    d, A, B, pull, push, a_0_x, a_0_u, a_1_x, a_1_u = slopes(*samples)
     # gradient of the soft limits' terms on x_1 .. x_N: accelerations of the sample that starts there, and e_y
-    here = a_0_x * ca.repmat(m_0, 4, 1) + a_1_x * ca.repmat(m_1, 4, 1)
-    push_soft = ca.horzcat(here[:, 1:], ca.MX.zeros(4, 1)) + ca.vertcat(m_y, ca.MX.zeros(3, N))
+    accelerations = a_0_x * ca.repmat(m_0, 4, 1) + a_1_x * ca.repmat(m_1, 4, 1)
+    push_soft = ca.horzcat(accelerations[:, 1:], ca.MX.zeros(4, 1)) + ca.vertcat(m_y, ca.MX.zeros(3, N))
     pulled = pull + push_soft
     flip = list(range(N - 1, -1, -1))
     A_next = ca.horzcat(A[:, 4:], ca.MX.zeros(4, 4))  # of the sample after
@@ -345,7 +346,7 @@ def _plan(
     y_0, y_1 = ca.sum1(a_0_x * t_before), ca.sum1(a_1_x * t_before)
     outputs = [H, g, T, t, J_t, ca.norm_inf(ca.vec(multipliers)), *([Y_0, Y_1, y_0, y_1] if soft else [])]
     linearise = ca.Function(
-        "linearise", [X, U, x_0, r, e_ref, u_ref, c, *(pressed if soft else [])], [ca.densify(v) for v in outputs],
+        "linearise", [*problem, *(soft_inputs if soft else [])], [ca.densify(v) for v in outputs],
         [*names, *(["m_0", "m_1", "m_y"] if soft else [])],
         ["H", "g", "T", "t", "J_t", "slope", *(["Y_0", "Y_1", "y_0", "y_1"] if soft else [])],
     )  # fmt: skip
@@ -492,15 +493,15 @@ class Workspace:
         self.U, self.X = np.zeros(N), np.zeros(4 * N)
         self.U_try, self.X_try = np.zeros(N), np.zeros(4 * N)
         self.m_0, self.m_1, self.m_y = np.zeros(N), np.zeros(N), np.zeros(N)
-        known = [self.x_0, self.r, self.e_ref, self.u_ref, self.c]
-        ahead, roll, value, linearise = _functions(N, soft)
-        self._ahead = _Call(ahead, [self.x_0, *self._sample, self.c])
+        problem = [self.x_0, self.r, self.e_ref, self.u_ref, self.c]
+        predict, roll, value, linearise = _functions(N, soft)
+        self._predict = _Call(predict, [self.x_0, *self._sample, self.c])
         self._roll = _Call(
-            roll, [self.x_0, self.guess, self.share, self.delta_prev, *known[1:4], self.low, self.high, self.c]
+            roll, [self.x_0, self.guess, self.share, self.delta_prev, *problem[1:4], self.low, self.high, self.c]
         )
-        self._value = _Call(value, [self.X_try, self.U_try, *known])
-        pressed = [self.m_0, self.m_1, self.m_y] if soft else []
-        self._linearise = _Call(linearise, [self.X, self.U, *known, *pressed])
+        self._value = _Call(value, [self.X_try, self.U_try, *problem])
+        soft_inputs = [self.m_0, self.m_1, self.m_y] if soft else []
+        self._linearise = _Call(linearise, [self.X, self.U, *problem, *soft_inputs])
         out = self._linearise.outputs
         self.H, self.T = out[0].reshape(N, N), out[2].reshape(4 * N, N)
         self.g, self.t, self.J_t, self.slope = out[1], out[3], out[4], out[5]
@@ -511,11 +512,11 @@ class Workspace:
         self._sense = np.zeros(2 * N, dtype=np.int32)
         self._active = np.zeros(2 * N, dtype=np.bool_)
 
-    def ahead(self, u: float, r_0: float, r_1: float) -> tuple[FloatArray, float, float]:
+    def predict(self, u: float, r_0: float, r_1: float) -> tuple[FloatArray, float, float]:
         """The state after a sample with the command u; a_y just after it and at the end."""
         self._sample[:, 0] = u, r_0, r_1
-        self._ahead.run()
-        x, a_0, a_1 = self._ahead.outputs
+        self._predict.run()
+        x, a_0, a_1 = self._predict.outputs
         return x, float(a_0[0]), float(a_1[0])
 
     def solve(self, warm: FloatArray | None, soft: SoftLimits | None) -> Solution:
@@ -580,9 +581,9 @@ class Workspace:
         if warm is not None:
             self.share[0], self.guess[:] = 0.0, warm
             self._drive()
-            other = self._measure(soft)
-            if other[1] <= best[1] or not np.isfinite(best[1]):
-                best = other
+            trial = self._measure(soft)
+            if trial[1] <= best[1] or not np.isfinite(best[1]):
+                best = trial
                 self.U[:], self.X[:] = self.U_try, self.X_try
         return best[:3]
 

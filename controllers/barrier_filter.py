@@ -40,18 +40,18 @@ def inner_design(inner: str, inner_gains: str, owner: type[Controller]) -> Contr
         raise InputError(f"{owner.name}.inner", value=inner, allowed="a law that steers")
     where = f"{owner.name}.inner_gains"
     declared = {gain.name: gain for gain in kind.gains()}
-    given: dict[str, Any] = {}
+    gains: dict[str, Any] = {}
     for entry in inner_gains.split(",") if inner_gains.strip() else ():
         name, equals, value = (part.strip() for part in entry.partition("="))
         if not (name and equals and value):
             raise InputError(where, value=entry.strip(), allowed="gain=value, separated by commas")
         if name not in declared:
             raise UnknownNameError(f"{where}: {inner}.{name}", "no such gain", allowed=declared)
-        if name in given:
+        if name in gains:
             raise InputError(f"{where}: {inner}.{name}", "is given twice", allowed="once")
-        given[name] = declared[name].parsed(value)
+        gains[name] = declared[name].parsed(value)
     try:
-        return kind(**given)
+        return kind(**gains)
     except InputError as error:
         raise error.within(where, ": ") from None
 
@@ -173,11 +173,11 @@ class BarrierLaw(SteeringLaw):
 
     def take(self, rows: IntArray, state: Any) -> tuple[BarrierLaw, Any] | None:
         """Only some scenarios, where the law inside can be cut down."""
-        taken = self.inner.take(rows, state)
-        if taken is None:
+        smaller = self.inner.take(rows, state)
+        if smaller is None:
             return None
-        part = dataclasses.replace(self, inner=taken[0], centre=self.centre[rows], half_width=self.half_width[rows])
-        return part, taken[1]
+        part = dataclasses.replace(self, inner=smaller[0], centre=self.centre[rows], half_width=self.half_width[rows])
+        return part, smaller[1]
 
     def solver_calls(self, state: Any) -> SolverCalls | None:
         """Those of the law inside."""

@@ -22,17 +22,17 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import FloatArray, IntArray
-from ldctoolkit.control import Controller, EventStatus, Preview, SolverCalls, SteeringLaw
+from ldctoolkit.control import EventStatus, Preview, SolverCalls, SteeringLaw
 from ldctoolkit.declared import gain, option
 from ldctoolkit.errors import InputError
 from ldctoolkit.vehicle.bicycle import Plant
 
-from ._mpc_condensing import Condensed, InitialState, Limits, MPCSettings, condense, lane, limits, lookahead
+from ._mpc_condensing import Condensed, InitialState, Limits, MPCDesign, condense, lane, limits, lookahead
 
 
 @final
 @dataclasses.dataclass(frozen=True)
-class LinearMPC(Controller):
+class LinearMPC(MPCDesign):
     """Linear MPC, one QP a sample.
 
     Raises `InputError` for a solver that is not installed, and as every design.
@@ -46,17 +46,6 @@ class LinearMPC(Controller):
     name: ClassVar[str] = "linear_mpc"
     title: ClassVar[str] = "Linear MPC"
 
-    horizon: int = gain(20, unit="samples", lower=1, upper=100, description="prediction horizon N")
-    q_y: float = gain(1.0, unit="1/m^2", lower=1e-6, upper=1e6, scale="log", description="weight on e_y^2")
-    q_y_rate: float = gain(0.0, unit="s^2/m^2", lower=0.0, upper=1e6, description="weight on (de_y/dt)^2")
-    q_psi: float = gain(1.0, unit="1/rad^2", lower=0.0, upper=1e6, description="weight on e_psi^2")
-    q_psi_rate: float = gain(0.0, unit="s^2/rad^2", lower=0.0, upper=1e6, description="weight on (de_psi/dt)^2")
-    r_delta: float = gain(20_000.0, unit="1/rad^2", lower=1e-3, upper=1e6, scale="log", description="weight on delta^2")
-    delta_max: float = gain(0.1, unit="rad", lower=1e-3, upper=1.0, description="limit of the steering angle")
-    rate_max: float = gain(0.2, unit="rad/s", lower=1e-3, upper=10.0, description="limit of the steering rate")
-    a_y_max: float = gain(0.0, unit="m/s^2", lower=0.0, upper=20.0, description="soft limit of a_y; 0 for none")
-    jerk_max: float = gain(0.0, unit="m/s^3", lower=0.0, upper=1000.0, description="soft limit of jerk; 0 for none")
-    e_y_max: float = gain(0.0, unit="m", lower=0.0, upper=20.0, description="soft limit of |e_y|; 0 for none")
     soft_weight: float = gain(
         1e3, unit="rad^2", lower=1e-3, upper=1e6, scale="log", description="weight of going beyond a soft limit"
     )
@@ -70,18 +59,8 @@ class LinearMPC(Controller):
 
     def prepare(self, plant: Plant) -> MPCLaw:
         """Solve the Riccati equation, and condense what the limits need, for every scenario's speed."""
-        settings = MPCSettings(
-            horizon=self.horizon,
-            weights=(self.q_y, self.q_y_rate, self.q_psi, self.q_psi_rate),
-            r_delta=self.r_delta,
-            delta_max=self.delta_max,
-            rate_max=self.rate_max,
-            soft_limits=(self.a_y_max, self.jerk_max, self.e_y_max),
-            soft_weight=self.soft_weight,
-            blocks=self.blocks,
-        )
-        known = condense(plant, settings), limits(settings, plant), plant.dt, plant.lag > 0.0, plant.age
-        return MPCLaw(*known, self.solver, self.always_solve)
+        condensed, rows = condense(plant, self, self.blocks), limits(plant, self, self.blocks, self.soft_weight)
+        return MPCLaw(condensed, rows, plant.dt, plant.lag > 0.0, plant.age, self.solver, self.always_solve)
 
 
 # ------------------------------------------------------------------------------------------------ solvers
@@ -503,7 +482,7 @@ class MPCLaw(SteeringLaw):
             w[i], multipliers[i] = form.join(answer)
             # the solver's rows at their bounds give the solution to rounding, if they prove themselves
             exact = not self.always_solve
-            delta[i] = kernel.finish(self.limits, exact, C[k], y[k], low[k], high[k], w[i], multipliers[i])
+            delta[i] = kernel.finish(self.limits, exact, kernel.Rows(C[k], y[k], low[k], high[k]), w[i], multipliers[i])
         return calls
 
 

@@ -10,16 +10,16 @@ control) and 9.3 (the steady-state optimum); the principle is E. J. Davison's se
 import dataclasses
 from typing import ClassVar, final
 
-from ldctoolkit.control import Controller, LinearLaw
+from ldctoolkit.control import LinearLaw
 from ldctoolkit.declared import gain
 from ldctoolkit.vehicle.bicycle import Plant
 
-from .riccati import feedback, linear_law
+from .riccati import StateWeights, feedback, linear_law
 
 
 @final
 @dataclasses.dataclass(frozen=True)
-class LQI(Controller):
+class LQI(StateWeights):
     """Linear quadratic regulator with integral action on e_y.
 
     Examples
@@ -31,10 +31,6 @@ class LQI(Controller):
     name: ClassVar[str] = "lqi"
     title: ClassVar[str] = "LQI"
 
-    q_y: float = gain(1.0, unit="1/m^2", lower=1e-6, upper=1e6, scale="log", description="weight on e_y^2")
-    q_y_rate: float = gain(0.0, unit="s^2/m^2", lower=0.0, upper=1e6, description="weight on (de_y/dt)^2")
-    q_psi: float = gain(1.0, unit="1/rad^2", lower=0.0, upper=1e6, description="weight on e_psi^2")
-    q_psi_rate: float = gain(0.0, unit="s^2/rad^2", lower=0.0, upper=1e6, description="weight on (de_psi/dt)^2")
     q_i: float = gain(
         0.05, unit="1/(m s)^2", lower=1e-6, upper=1e6, scale="log", description="weight on (integral of e_y)^2"
     )
@@ -42,5 +38,4 @@ class LQI(Controller):
 
     def prepare(self, plant: Plant) -> LinearLaw:
         """Schedule both gains and the feedforward over the scenarios' speeds."""
-        weights = (self.q_y, self.q_y_rate, self.q_psi, self.q_psi_rate)
-        return linear_law(plant, feedback(plant, weights, self.r_delta, self.q_i), integral=True)
+        return linear_law(plant, feedback(plant, self.q, self.r_delta, self.q_i), integral=True)

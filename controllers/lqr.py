@@ -10,16 +10,15 @@ joined by the wheel angle and the commands on their way: `ldctoolkit.controllers
 import dataclasses
 from typing import ClassVar, final
 
-from ldctoolkit.control import Controller, LinearLaw
-from ldctoolkit.declared import gain
+from ldctoolkit.control import LinearLaw
 from ldctoolkit.vehicle.bicycle import Plant
 
-from .riccati import feedback, linear_law
+from .riccati import QuadraticCost, feedback, linear_law
 
 
 @final
 @dataclasses.dataclass(frozen=True)
-class LQR(Controller):
+class LQR(QuadraticCost):
     """Linear quadratic regulator on the full error state.
 
     Examples
@@ -31,13 +30,6 @@ class LQR(Controller):
     name: ClassVar[str] = "lqr"
     title: ClassVar[str] = "LQR"
 
-    q_y: float = gain(1.0, unit="1/m^2", lower=1e-6, upper=1e6, scale="log", description="weight on e_y^2")
-    q_y_rate: float = gain(0.0, unit="s^2/m^2", lower=0.0, upper=1e6, description="weight on (de_y/dt)^2")
-    q_psi: float = gain(1.0, unit="1/rad^2", lower=0.0, upper=1e6, description="weight on e_psi^2")
-    q_psi_rate: float = gain(0.0, unit="s^2/rad^2", lower=0.0, upper=1e6, description="weight on (de_psi/dt)^2")
-    r_delta: float = gain(20_000.0, unit="1/rad^2", lower=1e-3, upper=1e6, scale="log", description="weight on delta^2")
-
     def prepare(self, plant: Plant) -> LinearLaw:
         """Schedule the gain and the feedforward over the scenarios' speeds."""
-        K = feedback(plant, (self.q_y, self.q_y_rate, self.q_psi, self.q_psi_rate), self.r_delta)
-        return linear_law(plant, K)
+        return linear_law(plant, feedback(plant, self.q, self.r_delta))

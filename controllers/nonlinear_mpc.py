@@ -20,11 +20,11 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
-from ldctoolkit.control import Controller, EventStatus, Preview, SolverCalls, SteeringLaw
+from ldctoolkit.control import EventStatus, Preview, SolverCalls, SteeringLaw
 from ldctoolkit.declared import gain
 from ldctoolkit.vehicle.bicycle import Plant
 
-from ._mpc_condensing import SHARES, WINDOW, jerk_window, lane, lookahead
+from ._mpc_condensing import SHARES, WINDOW, MPCDesign, jerk_window, lane, lookahead
 from ._nmpc_solver import SoftLimits, Workspace, pack, steady_cornering, workspace
 from .riccati import regulator
 
@@ -34,7 +34,7 @@ _SPEED = 8  # place of v in a column
 
 @final
 @dataclasses.dataclass(frozen=True)
-class NonlinearMPC(Controller):
+class NonlinearMPC(MPCDesign):
     """Nonlinear MPC, solved to convergence at every sample.
 
     Examples
@@ -47,24 +47,12 @@ class NonlinearMPC(Controller):
     title: ClassVar[str] = "Nonlinear MPC"
     batch: ClassVar[int] = 20  # tens of milliseconds a scenario: about a second of work
 
-    horizon: int = gain(20, unit="samples", lower=1, upper=100, description="prediction horizon N")
-    q_y: float = gain(1.0, unit="1/m^2", lower=1e-6, upper=1e6, scale="log", description="weight on e_y^2")
-    q_y_rate: float = gain(0.0, unit="s^2/m^2", lower=0.0, upper=1e6, description="weight on (de_y/dt)^2")
-    q_psi: float = gain(1.0, unit="1/rad^2", lower=0.0, upper=1e6, description="weight on e_psi^2")
-    q_psi_rate: float = gain(0.0, unit="s^2/rad^2", lower=0.0, upper=1e6, description="weight on (de_psi/dt)^2")
-    r_delta: float = gain(20_000.0, unit="1/rad^2", lower=1e-3, upper=1e6, scale="log", description="weight on delta^2")
-    delta_max: float = gain(0.1, unit="rad", lower=1e-3, upper=1.0, description="limit of the steering angle")
-    rate_max: float = gain(0.2, unit="rad/s", lower=1e-3, upper=10.0, description="limit of the steering rate")
-    a_y_max: float = gain(0.0, unit="m/s^2", lower=0.0, upper=20.0, description="soft limit of |a_y|, 0 for none")
-    jerk_max: float = gain(0.0, unit="m/s^3", lower=0.0, upper=1e3, description="soft limit of the jerk, 0 for none")
-    e_y_max: float = gain(0.0, unit="m", lower=0.0, upper=20.0, description="soft limit of |e_y|, 0 for none")
     mu: float = gain(1.0, unit="1", lower=0.05, upper=2.0, description="friction coefficient of the law's tyres")
 
     def prepare(self, plant: Plant) -> NonlinearMPCLaw:
         """Solve the Riccati equation and gather each scenario's numbers."""
-        q = (self.q_y, self.q_y_rate, self.q_psi, self.q_psi_rate)
-        lq = regulator(plant, q, self.r_delta)
-        columns = pack(plant, self.mu, q, self.r_delta, lq.P, lq.K, self.rate_max * plant.dt)
+        lq = regulator(plant, self.q, self.r_delta)
+        columns = pack(plant, self.mu, self.q, self.r_delta, lq.P, lq.K, self.rate_max * plant.dt)
         return NonlinearMPCLaw(design=self, plant=plant, columns=columns, soft=_soft_limits(self, plant.dt))
 
 
@@ -72,17 +60,16 @@ def _soft_limits(design: NonlinearMPC, dt: float) -> SoftLimits | None:
     """Rows of the limits that are on, each in units of its scale."""
     N, (window, share) = design.horizon, jerk_window(dt)
     # of accelerations before and after each sample, those of the past first, and of e_y
-    left, right, offset = np.split(np.eye(2 * window + 3 * N + 1), [window + N + 1, 2 * (window + N) + 1])
-    a = [right[window:], left[window + 1 :]]
-    past = [right[:N], left[1 : N + 1]]
+    before_sample, after_sample, offset = np.split(
+        np.eye(2 * window + 3 * N + 1), [window + N + 1, 2 * (window + N) + 1]
+    )
+    a = [after_sample[window:], before_sample[window + 1 :]]
+    past = [after_sample[:N], before_sample[1 : N + 1]]
     if share:
-        past = [(1.0 - share) * right[k : k + N] + share * left[k + 1 : k + N + 1] for k in (0, 1)]
-    blocks = [
-        (design.a_y_max, a),
-        (design.jerk_max, [(now - before) / WINDOW for now, before in zip(a, past, strict=True)]),
-        (design.e_y_max, [offset]),
-    ]
-    on = [(k, limit, np.concatenate(parts)) for k, (limit, parts) in enumerate(blocks) if limit > 0]
+        past = [(1.0 - share) * after_sample[k : k + N] + share * before_sample[k + 1 : k + N + 1] for k in (0, 1)]
+    blocks = a, [(now - before) / WINDOW for now, before in zip(a, past, strict=True)], [offset]
+    limits = zip(design.soft_limits, blocks, strict=True)
+    on = [(k, limit, np.concatenate(parts)) for k, (limit, parts) in enumerate(limits) if limit > 0]
     if not on:
         return None
     rows = np.concatenate([part / _SCALES[k] for k, _, part in on])
@@ -206,21 +193,21 @@ class NonlinearMPCLaw(SteeringLaw):
 
     def _added(self, work: Workspace, u: float, r: FloatArray) -> float:
         """Lateral acceleration less that of the lane at the workspace's state, with the command u."""
-        return float(work.ahead(u, r[0], r[1])[1] - work.c[_SPEED] * r[0])
+        return float(work.predict(u, r[0], r[1])[1] - work.c[_SPEED] * r[0])
 
     def _begin(self, work: Workspace, r: FloatArray, after: NonlinearMPCState, i: int) -> None:
         """Take the workspace's state to where the next command steers, and known accelerations into its `offset`."""
         sent, window, v = after.sent[i], after.past.shape[2], work.c[_SPEED]
         now = self._added(work, sent[0], r)
         past = np.where(np.isnan(after.past[i]), now, after.past[i])
-        left, right = [*past[0], now], [*past[1]]
+        before, after_command = [*past[0], now], [*past[1]]
         for k, u in enumerate(sent[1:]):
-            x, a_0, a_1 = work.ahead(u, r[k], r[k + 1])
-            right.append(a_0 - v * r[k])
-            left.append(a_1 - v * r[k + 1])
+            x, a_0, a_1 = work.predict(u, r[k], r[k + 1])
+            after_command.append(a_0 - v * r[k])
+            before.append(a_1 - v * r[k + 1])
             work.x_0[:] = x
-        after.past[i] = left[1 : window + 1], [*right, now][1 : window + 1]
+        after.past[i] = before[1 : window + 1], [*after_command, now][1 : window + 1]
         if self.soft is not None:
             N, k = self.design.horizon, len(sent) - 1
             bend = v * np.concatenate([r[k : k + N], r[k + 1 :], np.zeros(N)])
-            work.offset = self.soft.before @ np.array(left[k:] + right[k:]) - self.soft.rows @ bend
+            work.offset = self.soft.before @ np.array(before[k:] + after_command[k:]) - self.soft.rows @ bend

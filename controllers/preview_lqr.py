@@ -18,16 +18,15 @@ from typing import ClassVar, final
 import numpy as np
 
 from ldctoolkit.arrays import FloatArray
-from ldctoolkit.control import Controller, LinearLaw
-from ldctoolkit.declared import gain
+from ldctoolkit.control import LinearLaw
 from ldctoolkit.vehicle.bicycle import Plant
 
-from .riccati import Regulator, in_time, linear_law, regulator
+from .riccati import Horizon, QuadraticCost, Regulator, in_time, linear_law, regulator
 
 
 @final
 @dataclasses.dataclass(frozen=True)
-class PreviewLQR(Controller):
+class PreviewLQR(QuadraticCost, Horizon):
     """Linear quadratic regulator with optimal preview of the lane's yaw rate.
 
     Examples
@@ -41,16 +40,9 @@ class PreviewLQR(Controller):
     name: ClassVar[str] = "preview_lqr"
     title: ClassVar[str] = "Preview LQR"
 
-    horizon: int = gain(20, unit="samples", lower=1, upper=100, description="preview horizon N")
-    q_y: float = gain(1.0, unit="1/m^2", lower=1e-6, upper=1e6, scale="log", description="weight on e_y^2")
-    q_y_rate: float = gain(0.0, unit="s^2/m^2", lower=0.0, upper=1e6, description="weight on (de_y/dt)^2")
-    q_psi: float = gain(1.0, unit="1/rad^2", lower=0.0, upper=1e6, description="weight on e_psi^2")
-    q_psi_rate: float = gain(0.0, unit="s^2/rad^2", lower=0.0, upper=1e6, description="weight on (de_psi/dt)^2")
-    r_delta: float = gain(20_000.0, unit="1/rad^2", lower=1e-3, upper=1e6, scale="log", description="weight on delta^2")
-
     def prepare(self, plant: Plant) -> LinearLaw:
         """Schedule feedback and preview gains over the scenarios' speeds."""
-        lq = regulator(plant, (self.q_y, self.q_y_rate, self.q_psi, self.q_psi_rate), self.r_delta, actuator=True)
+        lq = regulator(plant, self.q, self.r_delta, actuator=True)
         steady, first = plant.steady_state(), plant.augmented.whole
         A, B, E_0, E_1 = in_time(plant)
         x_ss = np.repeat(steady.delta[:, None], B.shape[1], axis=1)  # the wheel and the command before

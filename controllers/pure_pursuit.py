@@ -55,13 +55,13 @@ class PurePursuit(Controller):
         p = plant.model.parameters
         if self.l_min <= p.l_r:
             raise InputError("pure_pursuit.l_min", "m", value=self.l_min, allowed=f"more than l_r = {p.l_r:g} m")
-        ahead = np.maximum(self.l_min, self.T_lp * plant.v) - p.l_r
-        of_heading, of_yaw_rate = _integral(ahead / plant.v)
+        distance = np.maximum(self.l_min, self.T_lp * plant.v) - p.l_r
+        of_heading, of_yaw_rate = _integral(distance / plant.v)
         return PurePursuitLaw(
             design=self,
             L=p.l_f + p.l_r,
             l_r=p.l_r,
-            ahead=ahead,
+            distance=distance,
             of_heading=plant.v[:, None] * of_heading,
             of_yaw_rate=plant.v[:, None] * of_yaw_rate,
         )
@@ -92,7 +92,7 @@ class PurePursuitLaw(SteeringLaw):
     # [m] Wheel base, distance from the centre of gravity to the rear axle
     L: float
     l_r: float
-    ahead: FloatArray  # (n,) [m] The goal point's distance along the lane from the centre of gravity
+    distance: FloatArray  # (n,) [m] The goal point's distance along the lane from the centre of gravity
     of_heading: FloatArray  # (n, p) [m/rad]
     of_yaw_rate: FloatArray  # (n, p) [m per rad/s] Weights of the preview in the goal point's lateral position
 
@@ -106,12 +106,12 @@ class PurePursuitLaw(SteeringLaw):
 
     def take(self, rows: IntArray, state: None) -> tuple[PurePursuitLaw, None]:
         """Only some scenarios."""
-        names = ("ahead", "of_heading", "of_yaw_rate")
+        names = ("distance", "of_heading", "of_yaw_rate")
         return dataclasses.replace(self, **{name: getattr(self, name)[rows] for name in names}), None
 
     def lane_offset(self, preview: Preview) -> FloatArray:
         """Lateral position (n,) [m] of the goal point against the lane's tangent beside the centre of gravity."""
-        y = np.zeros(self.ahead.size)
+        y = np.zeros(self.distance.size)
         # one time after the other: the sum must not depend on how many times other scenarios need
         for j in range(self.of_heading.shape[1]):
             y += self.of_heading[:, j] * preview.heading[:, j]
@@ -124,7 +124,7 @@ class PurePursuitLaw(SteeringLaw):
         """One command for each scenario."""
         e_psi = x[:, 2] + 0.0  # contiguous: sine and cosine take the same route whatever the number of scenarios
         sin, cos = np.sin(e_psi), np.cos(e_psi)
-        along = self.ahead + self.l_r * cos  # from the rear axle to the goal, along and across the lane
+        along = self.distance + self.l_r * cos  # from the rear axle to the goal, along and across the lane
         across = self.lane_offset(preview) - x[:, 0] + self.l_r * sin
         to_left = cos * across - sin * along  # D sin(alpha)
         unlimited = np.arctan(2.0 * self.L * to_left / (along * along + across * across))

@@ -16,12 +16,42 @@ import math
 import numpy as np
 
 from ldctoolkit.arrays import BoolArray, FloatArray
-from ldctoolkit.control import LinearLaw
+from ldctoolkit.control import Controller, LinearLaw
+from ldctoolkit.declared import gain
 from ldctoolkit.errors import LdcError
 from ldctoolkit.vehicle.bicycle import BicycleModel, Plant
 from ldctoolkit.vehicle.speed_schedule import scheduled
 
 Weights = tuple[float, float, float, float]
+
+
+@dataclasses.dataclass(frozen=True)
+class Horizon(Controller):
+    """A design that looks N samples ahead. As the last base of a class its gain comes first."""
+
+    horizon: int = gain(20, unit="samples", lower=1, upper=100, description="horizon N")
+
+
+@dataclasses.dataclass(frozen=True)
+class StateWeights(Controller):
+    """A design with a quadratic cost of the error state."""
+
+    q_y: float = gain(1.0, unit="1/m^2", lower=1e-6, upper=1e6, scale="log", description="weight on e_y^2")
+    q_y_rate: float = gain(0.0, unit="s^2/m^2", lower=0.0, upper=1e6, description="weight on (de_y/dt)^2")
+    q_psi: float = gain(1.0, unit="1/rad^2", lower=0.0, upper=1e6, description="weight on e_psi^2")
+    q_psi_rate: float = gain(0.0, unit="s^2/rad^2", lower=0.0, upper=1e6, description="weight on (de_psi/dt)^2")
+
+    @property
+    def q(self) -> Weights:
+        """Weights of (e_y, de_y/dt, e_psi, de_psi/dt)."""
+        return self.q_y, self.q_y_rate, self.q_psi, self.q_psi_rate
+
+
+@dataclasses.dataclass(frozen=True)
+class QuadraticCost(StateWeights):
+    """A design with a quadratic cost of error state and steering angle."""
+
+    r_delta: float = gain(20_000.0, unit="1/rad^2", lower=1e-3, upper=1e6, scale="log", description="weight on delta^2")
 
 
 @dataclasses.dataclass(frozen=True)

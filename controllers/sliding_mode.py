@@ -49,8 +49,8 @@ class SlidingMode(Controller):
     def prepare(self, plant: Plant) -> SlidingModeLaw:
         """Work out the sliding variable and the equivalent control at every scenario's speed."""
         n, steady, step = plant.n, plant.steady_state(), plant.step
-        ahead = self.T_lp * plant.v
-        c = np.column_stack([np.full(n, self.lambda_), np.ones(n), self.lambda_ * ahead, ahead])
+        preview_distance = self.T_lp * plant.v
+        c = np.column_stack([np.full(n, self.lambda_), np.ones(n), self.lambda_ * preview_distance, preview_distance])
         x_ss = np.zeros((n, 4))
         x_ss[:, 2] = steady.e_psi
         # a change of lane yaw rate over one step pushes the deviation from steady cornering by D

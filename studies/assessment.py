@@ -422,27 +422,27 @@ class _Runs:
         return Assessment(self.test, self.cells, names, values, limits, met, diverged, solves)
 
 
-def _variants(test: Standard, cells: Cells, given: Setup, seeds: int) -> Iterator[tuple[list[str], Setup, Scenarios]]:
+def _variants(test: Standard, cells: Cells, setup: Setup, seeds: int) -> Iterator[tuple[list[str], Setup, Scenarios]]:
     """The cells as stated, then each vehicle at all corners with all seeds: names, setup, and the cells for each name.
 
     As stated, the vehicle is the nominal one and the camera has no noise.
     """
-    speed, rate, sensors = test.speed_tolerance_km_h, test.lateral_velocity_tolerance_m_s, given.options.sensors
+    speed, rate, sensors = test.speed_tolerance_km_h, test.lateral_velocity_tolerance_m_s, setup.options.sensors
     silent = dataclasses.replace(sensors, e_y_noise=0.0, e_psi_noise=0.0, curvature_noise=0.0)
-    options = dataclasses.replace(given.options, mismatch=Mismatch(), sensors=silent, residuals=Residuals())
-    yield [""], given.on(options), test.scenarios(cells, given.vehicle.edge_offset)
+    options = dataclasses.replace(setup.options, mismatch=Mismatch(), sensors=silent, residuals=Residuals())
+    yield [""], setup.on(options), test.scenarios(cells, setup.vehicle.edge_offset)
     if not seeds:
         return
     noisy = sensors.e_y_noise or sensors.e_psi_noise or sensors.curvature_noise
     corners = list(dict.fromkeys(itertools.product((-speed, speed), (-rate, rate)))) * (seeds if noisy else 1)
     off = np.repeat(np.array(corners), cells.n, axis=0)
-    offset = given.vehicle.edge_offset
+    offset = setup.vehicle.edge_offset
     scenarios = test.scenarios(cells.times(len(corners)), offset, off[:, 0] * KM_H, off[:, 1])
     names = [f", {a:+g} km/h, {b:+g} m/s" if a or b else "" for a, b in corners]
     for vehicle in ("nominal", *VEHICLES):
         fixed = {quantity: (factor, factor) for quantity, factor in VEHICLES.get(vehicle, {}).items()}
-        options = dataclasses.replace(given.options, mismatch=Mismatch(**fixed), residuals=Residuals())
-        yield [f"{vehicle} vehicle{name}" for name in names], given.on(options), scenarios
+        options = dataclasses.replace(setup.options, mismatch=Mismatch(**fixed), residuals=Residuals())
+        yield [f"{vehicle} vehicle{name}" for name in names], setup.on(options), scenarios
 
 
 PREDICTIONS: Final = (

@@ -154,7 +154,7 @@ def gain_text(value: GainValue) -> str:
 
 
 def named_designs(designs: Sequence[Design], names: Sequence[str]) -> list[Design]:
-    """Those of some labels, or starts of ids, in this order and each once."""
+    """The designs with these labels or starts of identifiers, in this order, each once."""
     named: dict[str, Design] = {}
     for name in names:
         matches = [d for d in designs if name == d.label or (name and d.id.startswith(name.lower()))]

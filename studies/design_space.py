@@ -403,7 +403,7 @@ def check_blocks(blocks: Sequence[DesignBlock], *, searched: bool) -> None:
         if searched and block.sample is not None:
             raise InputError(f"design[{i}].sample", "in a study with [search]", allowed="no sample")
         if not searched and block.sample is None and block.uncounted:
-            hint = "allowed without it: a table with [design.sample], or a study with [search]"
+            hint = "it may be left out with [design.sample], or in a study with [search]"
             raise InputError(f"design[{i}].{block.uncounted}.count", "missing", hint=hint)
 
 

@@ -6,7 +6,7 @@ import dataclasses
 import functools
 import hashlib
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -48,7 +48,10 @@ def measured(
     vehicles: Sequence[str] = (),
     standards: Sequence[str] = (),
 ) -> StudyResults:
-    """The results with the measures of their designs; missing measures are computed and added to the table."""
+    """The results with the measures of their designs; missing measures are computed and added to the table.
+
+    The measures of `StudyResults.unsafe` are NaN.
+    """
     departures = first_of_each_side(results.scenarios, DEPARTURES) if vehicles else results.scenarios
     groups: list[Group] = [(LOOP, functools.partial(_loop, setup=setup))]
     for vehicle in vehicles:
@@ -56,8 +59,11 @@ def measured(
         groups.append((vehicle_measures(vehicle, results.scenarios), on))
     groups += [((name,), functools.partial(_scores, standard=name, setup=setup)) for name in standards]
     for names, measure in groups:
-        if missing := table.without(names[-1], results.designs):
-            table.add(dict(zip(names, measure(missing), strict=True)), missing)
+        missing = table.without(names[-1], results.designs)
+        if driven := [design for design in missing if design not in results.unsafe]:
+            table.add(dict(zip(names, measure(driven), strict=True)), driven)
+        if unsafe := [design for design in missing if design in results.unsafe]:
+            table.add(dict.fromkeys(names, np.full(len(unsafe), np.nan)), unsafe)
     return dataclasses.replace(results, measures=table.of(results.designs))
 
 
@@ -72,12 +78,12 @@ def vehicle_measures(vehicle: str, scenarios: Scenarios) -> tuple[str, str]:
 
 def _loop(designs: Sequence[Design], *, setup: Setup) -> Sequence[FloatArray]:
     """Margins and solver of every design; they do not depend on its threshold."""
-    same = {(design.law, design.gains, design.code): design for design in designs}
-    controllers = [design.controller(setup.convention) for design in same.values()]
+    by_law = {(design.law, design.gains, design.code): design for design in designs}
+    controllers = [design.controller(setup.convention) for design in by_law.values()]
     gain, phase = design_margins(controllers, setup, MARGIN_SPEEDS)
     solver = [_has_solver(controller, setup) for controller in controllers]
     numbers = np.stack([gain.min(axis=1), phase.min(axis=1), solver])
-    column_of = {key: i for i, key in enumerate(same)}
+    column_of = {key: i for i, key in enumerate(by_law)}
     return list(numbers[:, [column_of[design.law, design.gains, design.code] for design in designs]])
 
 
@@ -134,6 +140,12 @@ def first_of_each_side(scenarios: Scenarios, most: int) -> Scenarios:
     """The first `most` scenarios of each side, with their numbers."""
     rows = [np.flatnonzero(scenarios.side == side)[:most] for side in (LEFT, RIGHT)]
     return scenarios.take(np.concatenate(rows))
+
+
+def trigger_speeds(takeovers: Iterable[Takeover]) -> tuple[float, float] | None:
+    """Lowest and highest speed at the triggers [m/s]; None where nothing triggers."""
+    speeds = [takeover.plant.v for takeover in takeovers if takeover.m]
+    return (min(float(v.min()) for v in speeds), max(float(v.max()) for v in speeds)) if speeds else None
 
 
 def drive_on_plants(

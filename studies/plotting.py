@@ -69,10 +69,10 @@ def draw(chart: Chart, ax: Axes | None = None, *, legend: bool = True) -> Axes:
         if chart.cells.crossed is not None:
             rows, columns = np.nonzero(chart.cells.crossed & np.isfinite(chart.cells.values))
             ax.plot(columns, rows, linestyle="none", marker="x", color="#ffffff")
-    for at, dot in enumerate(dot for row in chart.rows for dot in row):
+    for y_position, dot in enumerate(dot for row in chart.rows for dot in row):
         if math.isfinite(dot.low + dot.high):
-            ax.hlines(at, dot.low, dot.high, color=dot.style.hex, linewidth=1.6)
-        ax.plot(dot.value, at, markersize=6, **_points(dot.style, filled=not dot.open))
+            ax.hlines(y_position, dot.low, dot.high, color=dot.style.hex, linewidth=1.6)
+        ax.plot(dot.value, y_position, markersize=6, **_points(dot.style, filled=not dot.open))
     if chart.ring is not None and math.isfinite(sum(chart.ring[:2])):
         x, y, label = chart.ring
         look: dict[str, Any] = (
@@ -222,7 +222,7 @@ def plot_ranking(ranking: Ranking, ax: Axes | None = None, top: int = 20) -> Axe
     if top < 1:
         raise InputError("top", value=top, allowed="1 or more")
     styles = law_styles(design.law for design in ranking.designs)
-    named = {place for place in (ranking.winner, ranking.baseline) if place is not None}
+    named = {position for position in (ranking.winner, ranking.baseline) if position is not None}
     rows = []
     for i in sorted({*range(min(top, len(ranking))), *named}):
         rank = f"{ranking.rank[i]}. " if ranking.rank[i] else ""
@@ -232,7 +232,7 @@ def plot_ranking(ranking: Ranking, ax: Axes | None = None, top: int = 20) -> Axe
         style, design = styles[ranking.designs[i].law], ranking.designs[i]
         rows.append([Dot(f"{rank}{design.label}", S, low, high, style, open=not ranking.inference.set_of_best[i])])
     x = Axis("Mean S [m·s]", -math.inf, math.inf)
-    axes = draw(dots("ranking", "Mean S", rows, x, at=float(ranking.metrics.S_uncorrected[0])), ax)
+    axes = draw(dots("ranking", "Mean S", rows, x, upright=(float(ranking.metrics.S_uncorrected[0]), "")), ax)
     axes.set_title(ranking.label, parse_math=False)
     return axes
 
@@ -276,17 +276,17 @@ def plot_trade_off(ranking: Ranking, x: str = "a_y_peak_p95", y: str = "S", ax: 
 
 def _positions(results: StudyResults, designs: Iterable[Design | int]) -> list[int]:
     """Positions of designs in the results."""
-    known = {design.id: i for i, design in enumerate(results.designs)}
+    position_of = {design.id: i for i, design in enumerate(results.designs)}
     rows = []
     for design in designs:
         if isinstance(design, int):
-            if not 0 <= design < len(known):
-                raise InputError("designs", value=design, allowed=f"0 to {len(known) - 1}")
+            if not 0 <= design < len(position_of):
+                raise InputError("designs", value=design, allowed=f"0 to {len(position_of) - 1}")
             rows.append(design)
-        elif design.id in known:
-            rows.append(known[design.id])
+        elif design.id in position_of:
+            rows.append(position_of[design.id])
         else:
-            allowed = f"the {len(known)} designs of the study"
+            allowed = f"the {len(position_of)} designs of the study"
             raise InputError("designs", f"{design.label} has no results here", allowed=allowed)
     if not rows:
         raise InputError("designs", "none", allowed="at least one")
@@ -453,8 +453,8 @@ def plot_departure(
         raise InputError("scenarios", f"{scenarios.n}, the outcome has {n}", allowed="those that were driven")
     if paths is None:
         raise InputError("outcome", "it holds no paths", hint="drive with trajectories=True a law that intervenes")
-    at = np.flatnonzero(paths.rows == i)
-    if not at.size:
+    path_row = np.flatnonzero(paths.rows == i)
+    if not path_row.size:
         held = ", ".join(map(str, paths.rows[:5].tolist())) + (", ..." if paths.rows.size > 5 else "")
         raise InputError("i", f"{i} has no path in this outcome", allowed=held)
     before = 0 if ax is None else sum(line.get_gid() == _PATH for line in ax.lines)
@@ -464,10 +464,10 @@ def plot_departure(
         t = np.linspace(0.0, float(scenario.T[0]), 201)
         y = UncorrectedPath.of(scenario, Residuals(), 0).lateral(t[None, :])[0]
         series.append(Series("without control", t, y, RECORDED))
-    driven = np.isfinite(paths.t[at[0]])
+    driven = np.isfinite(paths.t[path_row[0]])
     if driven.any():
-        t = paths.t[at[0], driven]
-        y = paths.x[at[0], driven, 0] - (vehicle or VehicleParameters()).edge_offset
+        t = paths.t[path_row[0], driven]
+        y = paths.x[path_row[0], driven, 0] - (vehicle or VehicleParameters()).edge_offset
         style = law_styles(map(str, range(before + 1)))[str(before)]
         series.append(Series(label, t, y, style, kind="started"))
     x, y_axis = (

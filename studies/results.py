@@ -17,6 +17,7 @@ from ldctoolkit.control import EventStatus
 from ldctoolkit.departures import LEFT
 from ldctoolkit.metrics import METRIC_COLUMNS, MetricValues
 from ldctoolkit.scenarios import Scenarios
+from ldctoolkit.setup import Setup
 from ldctoolkit.simulation import Window
 from ldctoolkit.simulation.loop import STATUS_NAMES
 from ldctoolkit.vehicle import Convention
@@ -149,6 +150,7 @@ class StudyResults(Frame):
     measures: Mapping[str, FloatArray] = dataclasses.field(default_factory=dict)
     fresh: StudyResults | None = None  # The finalists, some of the designs, on scenarios that no design was chosen on
     replayed: StudyResults | None = None  # The finalists on recorded departures
+    setup: Setup | None = None  # Of the runs; None where it is not known
 
     def _repr_html_(self) -> str:
         """HTML for a notebook, without the tables of numbers, which may be large."""
@@ -172,6 +174,12 @@ class StudyResults(Frame):
     def failed_runs(self) -> BoolArray:
         """Runs in which a design failed, (d, n): a solve failed, it diverged, took too long or crashed."""
         return status_among(self.status, FAILED_STATUSES)
+
+    @property
+    def unsafe(self) -> tuple[Design, ...]:
+        """Designs that ended or held up a worker process: nothing drives them in this process again."""
+        rows = status_among(self.status, (EventStatus.CRASHED, EventStatus.TIMED_OUT)).any(axis=1)
+        return tuple(self.designs[i] for i in np.flatnonzero(rows))
 
     @functools.cached_property
     def counted(self) -> FloatArray:

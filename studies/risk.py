@@ -136,9 +136,9 @@ class Risk:
         return np.stack([values.mean(axis=0), values.std(axis=0)])
 
     def row(self, design: Design) -> int:
-        """Its place among `designs`."""
+        """Position of a design in `designs`."""
         if design not in self.designs:
-            raise InputError("design", value=design.label, allowed=[known.label for known in self.designs])
+            raise InputError("design", value=design.label, allowed=[held.label for held in self.designs])
         return self.designs.index(design)
 
     def event(self, design: Design, event: str, side: Side | None = None) -> Event:
@@ -216,18 +216,18 @@ class Risk:
 
     def in_common(self, design: Design) -> Common:
         """What the worst departures of a design have in common: where their mean is furthest from that of all."""
-        worst, (usual, sd) = self.worst(design), self.population
+        worst, (population_mean, sd) = self.worst(design), self.population
         mean = _quantities(worst).sum(axis=0) / max(worst.n, 1)
-        apart = np.divide(mean - usual, sd, out=np.zeros_like(mean), where=sd > 0.0)
-        order = np.argsort(-np.abs(apart), kind="stable")
+        standardised = np.divide(mean - population_mean, sd, out=np.zeros_like(mean), where=sd > 0.0)
+        order = np.argsort(-np.abs(standardised), kind="stable")
         names = tuple(tuple(_QUANTITIES)[q] for q in order)
         parts = (
-            f"{name} {mean[q]:.3g} instead of {usual[q]:.3g} {_QUANTITIES[name]} ({apart[q]:+.1f} sd)"
+            f"{name} {mean[q]:.3g} instead of {population_mean[q]:.3g} {_QUANTITIES[name]} ({standardised[q]:+.1f} sd)"
             for name, q in zip(names[:3], order, strict=False)
         )
         sentence = f"In common to the {worst.n} worst departures: {', '.join(parts)}."
         warnings = tuple(_at_the_ends(self.job.model, worst))
-        return Common(names, apart[order], mean[order], usual[order], sentence, warnings)
+        return Common(names, standardised[order], mean[order], population_mean[order], sentence, warnings)
 
     def rows(self) -> Iterator[dict[str, Any]]:
         """One row for every design, event and side, as ``risk.csv`` holds them."""
@@ -265,9 +265,9 @@ def _at_the_ends(model: ScenarioModel, worst: Scenarios) -> Iterator[str]:
             if np.isfinite(margin):
                 near[name] += int(((values < low + margin) | (values > high - margin)).sum())
         summary = None if origin is None else origin.source_summary
-        for name, known in () if summary is None else zip(summary.names, summary.quantiles, strict=True):
+        for name, quantiles in () if summary is None else zip(summary.names, summary.quantiles, strict=True):
             values = getattr(departures, name)
-            beyond[name] += int(((values < known[0]) | (values > known[-1])).sum())
+            beyond[name] += int(((values < quantiles[0]) | (values > quantiles[-1])).sum())
     ends = {"within 1 % of the model's bounds, which decide this tail": near}
     ends |= {"beyond the outermost quantiles of the fitted departures, where the model extrapolates": beyond}
     for where, counts in ends.items():

@@ -7,7 +7,7 @@ import hashlib
 import json
 import math
 import statistics
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, get_type_hints
 
@@ -27,9 +27,10 @@ from ldctoolkit.vehicle import Convention
 from ldctoolkit.version import versions
 
 from .design import Design, is_paper_design
-from .measures import drive_on_plants, first_of_each_side
+from .measures import drive_on_plants, first_of_each_side, trigger_speeds
 from .ranking.design_metrics import beyond_friction
 from .ranking.inference import (
+    SAME,
     degrees_of_freedom,
     error_parts,
     half_widths,
@@ -231,23 +232,19 @@ def chosen_designs(ranking: Ranking) -> ChosenDesigns:
     )
 
 
-SAME = 1e-6  # scores [m s] that differ by less are the same
+def lower_ends(old: FloatArray, new: FloatArray, side: IntArray, confidence: float) -> FloatArray:
+    """Lower ends of the intervals of new minus old means, of k rows on the same n scenarios, (k,) [m s].
 
-
-def paired_means(
-    old: FloatArray, new: FloatArray, side: IntArray, confidence: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """New minus old of k rows on the same n scenarios: differences of means and their intervals, (k,) [m s] each."""
+    NaN where so few scenarios changed that equal signs may come about by chance, or a side shows no spread.
+    """
     change = new - old
     changed = (np.abs(change) > SAME).sum(axis=1)
-    difference = row_means(change)
     z = statistics.NormalDist().inv_cdf(0.5 * (1.0 + confidence))
     critical = with_tails_of_t(z, degrees_of_freedom(side))
     half = half_widths(critical, lengths(error_parts(change, side)))
     fewest = 1.0 + math.log2(1.0 / (1.0 - confidence))
     unknown = (changed > 0) & ((changed < fewest) | (not spread_is_known(side)))
-    half = np.where(changed == 0, 0.0, np.where(unknown, np.nan, half))
-    return difference, difference - half, difference + half
+    return np.asarray(row_means(change) - np.where(changed == 0, 0.0, np.where(unknown, np.nan, half)))
 
 
 _FORMAT: Final = 3  # raise it with every change of the numbers or of the file
@@ -350,7 +347,8 @@ def work_out(task: RobustnessTask) -> Robustness:
     side = task.scenarios.side[rows]
     thresholds = dict.fromkeys(design.y_s for design in selection.designs if not design.is_baseline)
     takeovers = [Takeover.build(task.scenarios, setup, y_s=y_s) for y_s in thresholds]
-    v = _trigger_speeds(takeovers)
+    slowest, fastest = trigger_speeds(takeovers) or (SPEEDS[0], SPEEDS[-1])
+    v = np.linspace(slowest, fastest, POINTS if fastest > slowest else 1)
     gain, phase = design_margins([design.controller(setup.convention) for design in selection.designs], setup, v)
     contends = np.array(selection.contends, dtype=np.bool_)
     allowed = ~np.stack([beyond_friction(task.scenarios, setup.on(plant.options)) for plant in task.plants])
@@ -379,15 +377,6 @@ def work_out(task: RobustnessTask) -> Robustness:
     )
 
 
-def _trigger_speeds(takeovers: Sequence[Takeover]) -> FloatArray:
-    """Speeds from the slowest to the fastest trigger, (k,) [m/s]; the range of the review where nothing triggers."""
-    speeds = [takeover.plant.v for takeover in takeovers if takeover.m]
-    if not speeds:
-        return np.linspace(SPEEDS[0], SPEEDS[-1], POINTS)
-    low, high = min(float(v.min()) for v in speeds), max(float(v.max()) for v in speeds)
-    return np.linspace(low, high, POINTS if high > low else 1)
-
-
 def _means(values: FloatArray) -> FloatArray:
     """Means over the scenarios; NaN if there are none."""
     if not values.shape[2]:
@@ -404,7 +393,7 @@ def _behind(S: FloatArray, mean: FloatArray, contends: BoolArray, side: IntArray
     )
     if comparable.any():
         rival = S[comparable, 1 + others[comparable].argmin(axis=1)]
-        low[comparable] = paired_means(rival, S[comparable, 0], side, CONFIDENCE)[1]
+        low[comparable] = lower_ends(rival, S[comparable, 0], side, CONFIDENCE)
     return low
 
 

@@ -113,8 +113,8 @@ def _suggest(trial: Any, name: str, dimension: Dimension) -> GainValue:
         return _suggest_number(trial, name, dimension)
     values = dimension.values
     if len(values) > 2 and not any(isinstance(value, str | bool) for value in values):
-        place: int = trial.suggest_int(name, 0, len(values) - 1)
-        return sorted(values)[place]
+        value_index: int = trial.suggest_int(name, 0, len(values) - 1)
+        return sorted(values)[value_index]
     i: int = trial.suggest_categorical(name, range(len(values)))
     return values[i]
 

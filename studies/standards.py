@@ -107,12 +107,12 @@ class Standard(Part):
     @model_validator(mode="after")
     def _check_fields(self) -> Self:
         drift = self.drift
-        known = () if drift is None else drift.lateral_velocity_m_s
+        rates = () if drift is None else drift.lateral_velocity_m_s
         for rate in (rate for grid in self.cells for rate in grid.lateral_velocity_m_s):
-            if rate not in known:
-                allowed = f"one of {known}"
+            if rate not in rates:
+                allowed = f"one of {rates}"
                 raise InputError("cells", "is no lateral_velocity_m_s of [drift]", value=rate, allowed=allowed)
-        if drift is not None and len(drift.distance_m) != len(known):
+        if drift is not None and len(drift.distance_m) != len(rates):
             raise InputError("drift.distance_m", f"{len(drift.distance_m)} values", allowed="one a lateral velocity")
         slowest = min(speed for grid in self.cells for speed in grid.speed_km_h)
         if drift is not None and drift.radius_m[0][0] > slowest:
@@ -125,7 +125,7 @@ class Standard(Part):
             path, limit = f"condition[{i}].limit", condition.limit
             if isinstance(limit, tuple) and bends:
                 raise InputError(path, "a list beside cells in bends", allowed="a number")
-            if isinstance(limit, tuple) and len(limit) != len(known):
+            if isinstance(limit, tuple) and len(limit) != len(rates):
                 raise InputError(path, f"{len(limit)} values", allowed="one a lateral velocity")
         return self
 

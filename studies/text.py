@@ -50,24 +50,19 @@ def symbol_parts(match: re.Match[str]) -> tuple[str, str]:
 
 def symbols(text: str) -> Markup:
     """Escaped HTML with true minus signs, in which ``K_psi`` is set as a letter with an index."""
-    from markupsafe import Markup, escape
-
-    def index(match: re.Match[str]) -> str:
-        base, sub = symbol_parts(match)
-        return f"{base}<sub>{sub}</sub>"
-
-    return Markup(SYMBOL.sub(index, str(escape(true_minus(printable(text))))))
+    return _with_indices(text, "{}<sub>{}</sub>")
 
 
 def symbols_svg(text: str) -> Markup:
     """The same as text of an SVG element."""
+    return _with_indices(text, '{}<tspan dy="3" font-size="75%">{}</tspan><tspan dy="-3">\u200b</tspan>')
+
+
+def _with_indices(text: str, form: str) -> Markup:
     from markupsafe import Markup, escape
 
-    def index(match: re.Match[str]) -> str:
-        base, sub = symbol_parts(match)
-        return f'{base}<tspan dy="3" font-size="75%">{sub}</tspan><tspan dy="-3">\u200b</tspan>'
-
-    return Markup(SYMBOL.sub(index, str(escape(true_minus(printable(text))))))
+    escaped = str(escape(true_minus(printable(text))))
+    return Markup(SYMBOL.sub(lambda match: form.format(*symbol_parts(match)), escaped))
 
 
 def true_minus(text: str) -> str:

@@ -187,21 +187,21 @@ def areas(path: Any, t: FloatArray, out: FloatArray) -> None:
 
 
 @numba.njit(**OPTIONS, cache=True)
-def _curve(path: Any, i: int, ahead: float, t: float) -> Any:
-    """The edge with its rate carried `ahead` seconds on, and the slope of that."""
+def _curve(path: Any, i: int, lead_time: float, t: float) -> Any:
+    """The edge with its rate carried `lead_time` seconds on, and the slope of that."""
     _, _, _, y, dy, ddy = motion(path, i, t)
-    return y + ahead * dy, dy + ahead * ddy
+    return y + lead_time * dy, dy + lead_time * ddy
 
 
 @numba.njit(**OPTIONS, cache=True)
-def _zero(path: Any, i: int, ahead: float, level: float, of_slope: bool, low: float, high: float) -> Any:
+def _zero(path: Any, i: int, lead_time: float, level: float, of_slope: bool, low: float, high: float) -> Any:
     """Zero of curve - level (or of -slope) between low, where it is <= 0, and high, where it is > 0.
 
     False position after Illinois (Dowell and Jarratt, BIT 11, 1971), halved where that is slow.
     """
-    value, slope = _curve(path, i, ahead, low)
+    value, slope = _curve(path, i, lead_time, low)
     f_low = -slope if of_slope else value - level
-    value, slope = _curve(path, i, ahead, high)
+    value, slope = _curve(path, i, lead_time, high)
     f_high = -slope if of_slope else value - level
     last, length = 0, high - low
     for step in range(_PASSES):
@@ -214,7 +214,7 @@ def _zero(path: Any, i: int, ahead: float, level: float, of_slope: bool, low: fl
             t = 0.5 * (low + high)
             if not low < t < high:
                 break
-        value, slope = _curve(path, i, ahead, t)
+        value, slope = _curve(path, i, lead_time, t)
         f = -slope if of_slope else value - level
         if f == 0.0:
             return t
@@ -241,8 +241,8 @@ def _cells(path: Any, i: int, span: float) -> int:
 
 
 @numba.njit(**OPTIONS, cache=True)
-def crossings(path: Any, ahead: float, y_s: float, out: FloatArray) -> None:
-    """First time in [0, T] at which y + ahead dy/dt exceeds y_s, into `out` (n,); infinite where it never does."""
+def crossings(path: Any, lead_time: float, y_s: float, out: FloatArray) -> None:
+    """First time in [0, T] at which y + lead_time dy/dt exceeds y_s, into `out` (n,); infinite where it never does."""
     for i in range(out.size):
         out[i] = np.inf
         T = path.T[i]
@@ -250,22 +250,22 @@ def crossings(path: Any, ahead: float, y_s: float, out: FloatArray) -> None:
         if cells == 0:
             continue
         h = T / cells
-        before, rising = _curve(path, i, ahead, 0.0)
+        before, rising = _curve(path, i, lead_time, 0.0)
         if before > y_s or (before == y_s and rising > 0.0):
             out[i] = 0.0
             continue
         for cell in range(cells):
             left = cell * h
             right = T if cell == cells - 1 else (cell + 1) * h
-            value, slope = _curve(path, i, ahead, right)
+            value, slope = _curve(path, i, lead_time, right)
             if value > y_s:
-                out[i] = _zero(path, i, ahead, y_s, False, left, right)
+                out[i] = _zero(path, i, lead_time, y_s, False, left, right)
                 break
             if rising > 0.0 and slope < 0.0:
-                peak = _zero(path, i, ahead, 0.0, True, left, right)
-                top, _ = _curve(path, i, ahead, peak)
+                peak = _zero(path, i, lead_time, 0.0, True, left, right)
+                top, _ = _curve(path, i, lead_time, peak)
                 if top > y_s:
-                    out[i] = _zero(path, i, ahead, y_s, False, left, peak)
+                    out[i] = _zero(path, i, lead_time, y_s, False, left, peak)
                     break
             rising = slope
 

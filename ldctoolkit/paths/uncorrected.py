@@ -114,7 +114,7 @@ class Recorded:
         sample = np.clip(sample - (s.t[sample] > held), first, last - 1)
         return held, sample
 
-    def at(self, name: str, t: FloatArray) -> FloatArray:
+    def signal(self, name: str, t: FloatArray) -> FloatArray:
         """A signal at times t, (n,) or (n, k)."""
         t, i = self._before(t)
         time, values = self.signals.t, getattr(self.signals, name)
@@ -123,7 +123,7 @@ class Recorded:
 
     def area(self, t: FloatArray) -> FloatArray:
         """Integral of y from 0 to t, (n,) or (n, k) [m s]."""
-        end = self.at("y", t)
+        end = self.signal("y", t)
         t, i = self._before(t)
         out: FloatArray = self.y_area[i] + 0.5 * (t - self.signals.t[i]) * (self.signals.y[i] + end)
         return out
@@ -238,7 +238,7 @@ class UncorrectedPath:
             weight = ((t > 0.0) & (t < T[rows, None]))[:, :, None] * used[:, None, :]
             for modes, wave, name in ((modes_v, np.cos, "v"), (modes_y, np.sin, "y")):
                 plain = path.take(rows)  # y is seen along the x of the speed that is fitted first
-                gap = part.at(name, t) - (plain.speed(t) if name == "v" else plain.lateral(t))
+                gap = part.signal(name, t) - (plain.speed(t) if name == "v" else plain.lateral(t))
                 basis = wave(angle) * weight
                 normal = basis.transpose(0, 2, 1) @ basis + np.eye(used.shape[1]) * np.where(used, 1e-9, 1.0)[:, None]
                 modes[rows] = np.linalg.solve(normal, basis.transpose(0, 2, 1) @ gap[:, :, None])[:, :, 0]
@@ -269,14 +269,14 @@ class UncorrectedPath:
     def speed(self, t: FloatArray) -> FloatArray:
         """Speed v(t) [m/s]; v(T) beyond T."""
         if self.recorded is not None:
-            return self.recorded.at("v", t)
+            return self.recorded.signal("v", t)
         return self._values("SPEED", dep.speed, np.minimum(t, _like(self.scenarios.T, t)), self._varied)
 
     @_quiet
     def lateral(self, t: FloatArray) -> FloatArray:
         """Distance y(t) of the edge beyond the line [m]."""
         if self.recorded is not None:  # what was before the departure is not known: the parabola, and its modes
-            return np.where(t < 0.0, self._values("LATERAL", dep.lateral, t, True), self.recorded.at("y", t))
+            return np.where(t < 0.0, self._values("LATERAL", dep.lateral, t, True), self.recorded.signal("y", t))
         return self._values("LATERAL", dep.lateral, t, self._disturbed)
 
     @_quiet
@@ -293,7 +293,7 @@ class UncorrectedPath:
     def curvature(self, t: FloatArray) -> FloatArray:
         """Lane curvature c(t) [1/m], outward; c(T) beyond T. It has no drawn residual."""
         if self.recorded is not None:
-            return self.recorded.at("c", t)
+            return self.recorded.signal("c", t)
         return dep.curvature(self._shaped(t), t)
 
     @_quiet
@@ -319,21 +319,21 @@ class UncorrectedPath:
         return self.scenarios.T
 
     @_quiet
-    def crossing_time(self, y_s: float, ahead: float = 0.0) -> FloatArray:
-        """First time at which y + ahead dy/dt exceeds a threshold y_s [m], (n,) [s]; infinite where it never does.
+    def crossing_time(self, y_s: float, lead_time: float = 0.0) -> FloatArray:
+        """First time at which y + lead_time dy/dt exceeds a threshold y_s [m], (n,) [s]; infinite where it never does.
 
-        With `ahead` [s] it is the time at which the threshold is that far ahead, as the lateral speed is then. Searched
-        for with 16 cells for each half wave of the highest mode, a peak inside a cell included, then a root to 1e-14 T;
-        in closed form for the parabola's own position, on the samples for that of recorded signals.
+        With `lead_time` [s] it is the time at which the threshold is that many seconds away at the present lateral
+        speed. Searched for with 16 cells for each half wave of the highest mode, a peak inside a cell included, then a
+        root to 1e-14 T; in closed form for the parabola's position, on the samples for that of recorded signals.
         """
-        if self.recorded is not None and not ahead:
+        if self.recorded is not None and not lead_time:
             return self.recorded.crossing_time(y_s)
-        if not (self._disturbed or ahead):
+        if not (self._disturbed or lead_time):
             return dep.crossing_time(self.scenarios, y_s) if y_s >= 0.0 else np.zeros(self.n)
         from ldctoolkit.paths.kernels import crossings
 
         out = np.empty(self.n)
-        crossings(self.columns(), float(ahead), float(y_s), out)
+        crossings(self.columns(), float(lead_time), float(y_s), out)
         return out
 
     @_quiet
@@ -370,9 +370,9 @@ class UncorrectedPath:
                 s = np.gradient(f, axis=1, edge_order=2)
                 s[:, 0], s[:, -1] = np.maximum(s[:, 0], 0.0), np.minimum(s[:, -1], 0.0)
                 vertex += np.where(np.abs(s) < -k, -0.5 * s**2 / k, 0.0)
-            place, step = np.argmax(vertex, axis=1)[:, None], np.diff(t, axis=1)
-            h = np.take_along_axis(np.maximum(np.c_[step, step[:, -1:]], np.c_[step[:, :1], step]), place, axis=1)
-            middle = np.clip(np.take_along_axis(t, place, axis=1), start + 0.5 * h, end - 0.5 * h)
+            column, step = np.argmax(vertex, axis=1)[:, None], np.diff(t, axis=1)
+            h = np.take_along_axis(np.maximum(np.c_[step, step[:, -1:]], np.c_[step[:, :1], step]), column, axis=1)
+            middle = np.clip(np.take_along_axis(t, column, axis=1), start + 0.5 * h, end - 0.5 * h)
             for _ in range(3):
                 left, right = np.maximum(middle - h, start), np.minimum(middle + h, end)
                 f = curve(path, rows, np.concatenate([left, middle, right], axis=1))
@@ -484,16 +484,16 @@ class DriftPath(UncorrectedPath):
         """It never is."""
         return np.full(self.n, np.inf)
 
-    def crossing_time(self, y_s: float, ahead: float = 0.0) -> FloatArray:
-        """First time at which y + ahead dy/dt exceeds y_s, (n,) [s]; infinite where that is after T."""
+    def crossing_time(self, y_s: float, lead_time: float = 0.0) -> FloatArray:
+        """First time at which y + lead_time dy/dt exceeds y_s, (n,) [s]; infinite where that is after T."""
         drift, v = self.drift, self.scenarios.v_mean
         end, deep = drift.arc(v)
-        way, q = drift.distance + y_s, ahead * v / drift.radius
+        way, q = drift.distance + y_s, lead_time * v / drift.radius
         # 1 - cos a + q sin a = way/radius, for the tangent of a/2
         part = np.maximum(way / drift.radius, 0.0)
         half = np.arctan(part / np.maximum(q + np.sqrt(np.maximum(q**2 + part * (2.0 - part), 0.0)), 1e-300))
         arc = 2.0 * half * drift.radius / v
-        straight = end + (way - deep) / drift.lateral_velocity - ahead
+        straight = end + (way - deep) / drift.lateral_velocity - lead_time
         t = np.where(way < 0.0, 0.0, np.where(arc <= end, arc, straight))
         return np.where(t <= self.scenarios.T, t, np.inf)
 

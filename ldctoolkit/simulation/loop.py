@@ -39,7 +39,7 @@ from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import SETTLE, TTLC, InitialYawRate, PlantKnowledge, Setup, Start, Trigger
 from ldctoolkit.simulation.kernel import data
-from ldctoolkit.simulation.takeover import Tables, Takeover, law_tables, shape_of
+from ldctoolkit.simulation.takeover import Takeover, law_tables, shape_of
 from ldctoolkit.surroundings import usable_cores
 from ldctoolkit.vehicle import BicycleModel, VehicleParameters
 
@@ -69,8 +69,8 @@ _FAILURES: Final = (EventStatus.SOLVER_FAILED, EventStatus.DIVERGED, EventStatus
 class Trajectories(ReadOnly):
     """Paths of c chosen scenarios at the controller's samples and at the departure's end T.
 
-    `x` and `delta` are in the outward frame of the departure: those to the right are mirrored, so that e_y, e_psi and
-    the steering angle are positive to the right there. `world` gives them on their true side.
+    `x`, `delta` and `a_y` are in the outward frame of the departure: those to the right are mirrored, so that e_y,
+    e_psi, the steering angle and a_y are positive to the right there. `world` gives them on their true side.
 
     NaN after the end of the settling horizon, after the last sample inside the bound where a scenario diverged, and
     everywhere where it never triggered.
@@ -80,6 +80,7 @@ class Trajectories(ReadOnly):
     t: FloatArray  # (c, k) [s] Time since the departure's start; the first column is the trigger
     x: FloatArray  # (c, k, 4) State (e_y, de_y/dt, e_psi, de_psi/dt)
     delta: FloatArray  # (c, k) [rad] Steering angle of the wheel just after that time; in the last entry, at it
+    a_y: FloatArray  # (c, k) [m/s^2] Lateral acceleration, axle forces over mass, at the moment of `delta`
     path: UncorrectedPath  # Of the chosen scenarios, with the lane and the speed that are driven
     v: FloatArray  # (c,) [m/s] Speed where the plant keeps that of the trigger; NaN where it follows the path's
 
@@ -105,11 +106,11 @@ class Trajectories(ReadOnly):
         """
         from scipy.integrate import cumulative_simpson
 
-        known = np.isfinite(self.t)
-        step = float(np.diff(self.t).max(initial=_FINE, where=known[:, 1:]))
+        finite = np.isfinite(self.t)
+        step = float(np.diff(self.t).max(initial=_FINE, where=finite[:, 1:]))
         parts = math.ceil(step / _FINE)
-        last = np.where(known, self.t, 0.0).max(axis=1)[:, None]
-        t = np.where(known, self.t, last + step * np.arange(known.shape[1]))  # unknown times go on rising
+        last = np.where(finite, self.t, 0.0).max(axis=1)[:, None]
+        t = np.where(finite, self.t, last + step * np.arange(finite.shape[1]))  # unknown times go on rising
         inside = t[:, :-1, None] + np.diff(t)[:, :, None] * (np.arange(parts) / parts)
         fine = np.column_stack([inside.reshape(t.shape[0], -1), t[:, -1]])
         v = np.where(np.isnan(self.v)[:, None], self.path.speed(fine), self.v[:, None])
@@ -447,16 +448,16 @@ def _prepared(controller: Controller, takeover: Takeover) -> Law:
 def _drive_linear(laws: list[LinearLaw], takeover: Takeover, rows: IntArray | None, threads: int | None) -> list[Run]:
     from ldctoolkit.simulation.kernel import entry
 
-    tables, d, m = takeover.tables, len(laws), takeover.m
-    exactly = tables.stiff < m and not laws[0].knows_actuator
+    d, m = len(laws), takeover.m
+    exactly = takeover.stiff < m and not laws[0].knows_actuator
     times = np.array([law.preview_times for law in laws], dtype=np.float64)
     lookaheads, past = shape_of(laws[0])
-    table = law_tables(laws, tables.scratch(d * m * (data.LAW + 2 * lookaheads + past)))
-    scene, setting = tables.scene, tables.setting.copy()
+    table = law_tables(laws, takeover.scratch(d * m * (data.LAW + 2 * lookaheads + past)))
+    scene, setting, bend = takeover.scene, takeover.setting.copy(), takeover.recorded_bend
     setting[data.COMMAND_RING] = max(setting[data.COMMAND_RING], past + 2)
     score = np.full((d, data.SCORES, m), np.nan)  # a scenario that is left out stays visible
     diverged, failed = np.zeros((d, m), dtype=np.bool_), np.zeros((d, m), dtype=np.int64)
-    paths, path_row, triggered = tables.paths(rows)
+    paths, path_row, triggered = takeover.empty_paths(rows)
 
     def drive_any(rows: IntArray, score: FloatArray, diverged: BoolArray, failed: IntArray) -> None:
         """The blocks of these rows, by the method of Runge and Kutta."""
@@ -464,29 +465,29 @@ def _drive_linear(laws: list[LinearLaw], takeover: Takeover, rows: IntArray | No
 
         def work(first: int, last: int) -> None:
             out = score, diverged, failed
-            entry.drive_any(scene, setting, table, times, tables.recorded, paths, path_row, blocks[first:last], *out)
+            entry.drive_any(scene, setting, table, times, bend, paths, path_row, blocks[first:last], *out)
 
         _in_threads(work, blocks.size, threads, _SCENARIOS_A_TASK // 4 // data.LANES)
 
     if not exactly:
         drive_any(np.arange(m), score, diverged, failed)
     elif m:
-        exact, stiff = tables.exact, np.arange(tables.stiff)
+        exact, stiff = takeover.exact, np.arange(takeover.stiff)
         exact_path_row = path_row.copy()
         exact_path_row[stiff] = -1
 
         def work(first: int, last: int) -> None:
             most = int(scene[first * data.LANES : last * data.LANES, data.STEPS].max())
             out = (score, diverged, failed, *entry.scratch(setting, lookaheads, most))
-            given = scene, exact, setting, table, times, tables.recorded, paths, exact_path_row
-            entry.drive_lanes(*given, first, last, *out)
+            inputs = scene, exact, setting, table, times, bend, paths, exact_path_row
+            entry.drive_lanes(*inputs, first, last, *out)
 
         _in_threads(work, -(-m // data.LANES), threads, _SCENARIOS_A_TASK // data.LANES)
         if stiff.size:
-            other = np.empty_like(score), diverged.copy(), failed.copy()
-            drive_any(stiff, *other)
-            score[:, :, stiff], diverged[:, stiff] = other[0][:, :, stiff], other[1][:, stiff]
-            failed[:, stiff] = other[2][:, stiff]
+            stiff_score, stiff_diverged, stiff_failed = np.empty_like(score), diverged.copy(), failed.copy()
+            drive_any(stiff, stiff_score, stiff_diverged, stiff_failed)
+            score[:, :, stiff], diverged[:, stiff] = stiff_score[:, :, stiff], stiff_diverged[:, stiff]
+            failed[:, stiff] = stiff_failed[:, stiff]
     trajectories = _trajectories(takeover, paths, rows, triggered)
     return [_run_of_scores(takeover, score[i], diverged[i], failed[i], 0.0, trajectories) for i in range(d)]
 
@@ -496,21 +497,21 @@ def _drive_linear(laws: list[LinearLaw], takeover: Takeover, rows: IntArray | No
 
 def _drive_general(law: SteeringLaw, takeover: Takeover, name: str, rows: IntArray | None, threads: int | None) -> Run:
     """Drive a law, solved for the m triggered scenarios: one call a sample for all that still go on, in this thread."""
-    tables, m = takeover.tables, takeover.m
-    paths, path_row, triggered = tables.paths(rows)
-    plants = [_Stretch(tables, slice(0, tables.stiff), np.zeros((3, 0, data.EXACT)), paths, path_row, threads)]
-    if tables.stiff < m:
-        exact = np.ascontiguousarray(tables.exact[:, tables.stiff :])
-        plants.append(_Stretch(tables, slice(tables.stiff, m), exact, paths, path_row, threads))
+    m, stiff = takeover.m, takeover.stiff
+    paths, path_row, triggered = takeover.empty_paths(rows)
+    plants = [_Stretch(takeover, slice(0, stiff), np.zeros((3, 0, data.EXACT)), paths, path_row, threads)]
+    if stiff < m:
+        exact = np.ascontiguousarray(takeover.exact[:, stiff:])
+        plants.append(_Stretch(takeover, slice(stiff, m), exact, paths, path_row, threads))
     times = np.ascontiguousarray(law.preview_times, dtype=np.float64)
     last, failed = takeover.delta_0.copy(), np.zeros(m, dtype=np.int64)
     beyond, alive = np.zeros(m, dtype=np.bool_), np.ones(m, dtype=np.bool_)
     batch: IntArray | slice = slice(None)  # The scenarios that the law still holds
-    going = np.arange(m)  # Rows of it that go on
+    active = np.arange(m)  # Rows of the batch that go on
     state = law.init(m)
     law_seconds, sample = 0.0, 0
     calls: list[tuple[IntArray, int, SolverCalls]] = []
-    while going.size:
+    while active.size:
         shown = np.zeros((m, 4)), np.zeros((m, times.size)), np.zeros((m, times.size)), np.zeros(m)
         for plant in plants:
             plant.look(sample, times, *shown)
@@ -523,7 +524,7 @@ def _drive_general(law: SteeringLaw, takeover: Takeover, name: str, rows: IntArr
         solved = law.solver_calls(state)
         if solved is not None:
             check_calls(solved, t.size, name)
-            solved = solved.of(going)
+            solved = solved.of(active)
             calls.append((np.arange(m)[batch][solved.place], sample, solved))
         wrong = ~np.isfinite(delta)
         if wrong.any() or status.any():
@@ -534,13 +535,12 @@ def _drive_general(law: SteeringLaw, takeover: Takeover, name: str, rows: IntArr
         for plant in plants:
             plant.go_on(sample, last, alive)
         sample += 1
-        left = np.flatnonzero(alive[batch])
-        if 0 < left.size < min(going.size, _DROP_BELOW * t.size):
-            taken = check_taken(law.take(left, state), left.size, name, times)
-            if taken is not None:
-                law, state = taken
-                batch, left = np.arange(m)[batch][left], np.arange(left.size)
-        going = left
+        active_before, active = active.size, np.flatnonzero(alive[batch])
+        if 0 < active.size < min(active_before, _DROP_BELOW * t.size):
+            smaller = check_taken(law.take(active, state), active.size, name, times)
+            if smaller is not None:
+                law, state = smaller
+                batch, active = np.arange(m)[batch][active], np.arange(active.size)
     results = [plant.scores() for plant in plants]
     score, diverged = (np.concatenate(values, axis=-1) for values in zip(*results, strict=True))
     trajectories = _trajectories(takeover, paths, rows, triggered)
@@ -553,15 +553,21 @@ class _Stretch:
     """A range of the triggered scenarios in the compiled loops, sample by sample, in threads."""
 
     def __init__(
-        self, tables: Tables, rows: slice, exact: FloatArray, paths: FloatArray, path_row: IntArray, threads: int | None
+        self,
+        takeover: Takeover,
+        rows: slice,
+        exact: FloatArray,
+        paths: FloatArray,
+        path_row: IntArray,
+        threads: int | None,
     ) -> None:
         from ldctoolkit.simulation.kernel import entry, lanes
 
-        self.entry, self.setting, self.exact, self.paths = entry, tables.setting, exact, paths
-        self.rows, self.recorded, self.threads = rows, tables.recorded[rows], threads
+        self.entry, self.setting, self.exact, self.paths = entry, takeover.setting, exact, paths
+        self.rows, self.recorded, self.threads = rows, takeover.recorded_bend[rows], threads
         self.blocks = np.arange(-(-(rows.stop - rows.start) // data.LANES))
         self.state = np.zeros((self.blocks.size, lanes.rings(self.setting)[-1]))
-        entry.begin(tables.scene[rows], exact, self.setting, self.state, paths, path_row[rows])
+        entry.begin(takeover.scene[rows], exact, self.setting, self.state, paths, path_row[rows])
 
     def look(self, k: int, times: FloatArray, *shown: FloatArray) -> None:
         """What the law sees: state (m, 4); yaw rate and heading of the lane (m, p); wheel angle (m,)."""
@@ -665,5 +671,6 @@ def _trajectories(over: Takeover, paths: FloatArray, rows: IntArray | None, trig
         at_trigger[over.rows] = over.plant.v
     # after the trigger the loop drives the fitted speed and curvature, of recorded paths too
     path = dataclasses.replace(over.path.take(rows), recorded=None)
-    t, x, delta = out[:, :, data.P_TIME], out[:, :, data.P_X : data.P_DELTA], out[:, :, data.P_DELTA]
-    return Trajectories(rows, t, x, delta, path, at_trigger[rows])
+    x = out[:, :, data.P_X : data.P_DELTA]
+    t, delta, a_y = (out[:, :, column] for column in (data.P_TIME, data.P_DELTA, data.P_A_Y))
+    return Trajectories(rows, t, x, delta, a_y, path, at_trigger[rows])

@@ -156,6 +156,7 @@ class Takeover:
     full_steps: IntArray
     rest: FloatArray  # (m,) [s] What remains after them, 0 <= rest < dt
     plant: Plant  # The nominal vehicle at the trigger speeds: what a design is prepared with
+    spare: threading.local = dataclasses.field(default_factory=threading.local, repr=False, compare=False)
 
     @property
     def m(self) -> int:
@@ -168,11 +169,63 @@ class Takeover:
         return self.driven.scenarios
 
     @functools.cached_property
-    def tables(self) -> Tables:
-        """What the compiled loops read; built once for all designs."""
+    def setting(self) -> FloatArray:
+        """Numbers of a run as the compiled loops read them, see `kernel.data`; as all that follows built once."""
         modes = self.driven.modes_v.shape[1]
-        setting = data.setting_row(self.setup, self.plant, modes=modes, bound=BOUND, window=JERK_WINDOW)
-        return Tables(self, setting, _scene(self))
+        return data.setting_row(self.setup, self.plant, modes=modes, bound=BOUND, window=JERK_WINDOW)
+
+    @functools.cached_property
+    def scene(self) -> FloatArray:
+        """Numbers of the driven scenarios as the compiled loops read them, (m, c), see `kernel.data`."""
+        return _scene(self)
+
+    @functools.cached_property
+    def exact(self) -> FloatArray:
+        """The ideal plant over a whole step, and over both parts of the one that T cuts, (3, m, `data.EXACT`)."""
+        dt, matrices = self.setup.dt, self.vehicles.matrices(self.plant.v, self.setup.convention)
+        whole = self.plant.step if self.setup.options.mismatch.ideal else discretize(*matrices, dt)
+        steps = whole, discretize(*matrices, self.rest), discretize(*matrices, dt - self.rest)
+        inputs = ((s.B, s.E_0, s.E_1, s.area_x, s.area_delta, s.area_r_0, s.area_r_1) for s in steps)
+        states = (step.A[:, :, 1:].reshape(-1, 12) for step in steps)
+        return np.stack([np.column_stack([A, *columns]) for A, columns in zip(states, inputs, strict=True)])
+
+    def scratch(self, size: int) -> FloatArray:
+        """At least `size` numbers that one thread may use again and again: fresh memory costs more than filling it."""
+        if not hasattr(self.spare, "array") or self.spare.array.size < size:
+            self.spare.array = np.empty(size)
+        array: FloatArray = self.spare.array
+        return array
+
+    @functools.cached_property
+    def recorded_bend(self) -> FloatArray:
+        """Unless it is a parabola, y'' of the recorded path at the samples to T and a jerk window before, (m, k, 2)."""
+        if not (self.driven.modes_y.size or self.driven.modes_v.size or self.scenarios.drift is not None):
+            return np.zeros((0, 0, 2))
+        samples = np.arange(self.full_steps.max() + math.ceil(JERK_WINDOW / self.setup.dt) + 2)
+        t = self.start[:, None] + self.setup.dt * samples
+        return np.stack([self.driven.lateral_acceleration(t - back) for back in (0.0, JERK_WINDOW)], axis=-1)
+
+    @functools.cached_property
+    def stiff(self) -> int:
+        """Leading rows that take Runge-Kutta steps: all but on the ideal plant, where a step hides what is fast."""
+        if not (self.setup.options.drives_exactly and self.setup.options.sensors.ideal):
+            return self.m
+        return int((_substeps(self.setup, self.plant.v) > data.STIFF).sum())
+
+    def empty_paths(self, rows: IntArray | None) -> tuple[FloatArray, IntArray, IntArray]:
+        """An array for the paths of chosen scenarios (c, entries, columns), its row of each driven scenario (m,) or -1,
+        and the positions in `rows` of those that triggered.
+        """
+        path_row = np.full(self.m, -1, dtype=np.int64)
+        if rows is None:
+            return np.zeros((0, 0, data.PATH)), path_row, path_row[:0]
+        driven_row = np.full(self.scenarios.n, -1, dtype=np.int64)
+        driven_row[self.rows] = np.arange(self.m)
+        triggered = np.flatnonzero(driven_row[rows] >= 0)
+        with_path = driven_row[rows[triggered]]
+        path_row[with_path] = np.arange(with_path.size)
+        longest = int(self.scene[with_path, data.STEPS].max(initial=0)) + 2
+        return np.full((with_path.size, longest, data.PATH), np.nan), path_row, triggered
 
     @property
     def steps(self) -> IntArray:
@@ -295,65 +348,6 @@ def _front_deepest(path: UncorrectedPath, car: TrueVehicles, setup: Setup, t_end
         return part.lateral(t) + car.l_f * _attitude(part, car.columns(rows), steady, t)[0]
 
     return path.highest(front, np.zeros_like(t_end), t_end)
-
-
-@dataclasses.dataclass(frozen=True)
-class Tables:
-    """A takeover as the compiled loops see it: `setting` (s,) for all scenarios, `scene` (m, c), see `kernel.data`."""
-
-    over: Takeover
-    setting: FloatArray
-    scene: FloatArray
-    spare: threading.local = dataclasses.field(default_factory=threading.local, repr=False, compare=False)
-
-    @functools.cached_property
-    def exact(self) -> FloatArray:
-        """The ideal plant over a whole step, and over both parts of the one that T cuts, (3, m, `data.EXACT`)."""
-        over = self.over
-        dt, matrices = over.setup.dt, over.vehicles.matrices(over.plant.v, over.setup.convention)
-        whole = over.plant.step if over.setup.options.mismatch.ideal else discretize(*matrices, dt)
-        steps = whole, discretize(*matrices, over.rest), discretize(*matrices, dt - over.rest)
-        inputs = ((s.B, s.E_0, s.E_1, s.area_x, s.area_delta, s.area_r_0, s.area_r_1) for s in steps)
-        states = (step.A[:, :, 1:].reshape(-1, 12) for step in steps)
-        return np.stack([np.column_stack([A, *columns]) for A, columns in zip(states, inputs, strict=True)])
-
-    def scratch(self, size: int) -> FloatArray:
-        """At least `size` numbers that one thread may use again and again: fresh memory costs more than filling it."""
-        if not hasattr(self.spare, "array") or self.spare.array.size < size:
-            self.spare.array = np.empty(size)
-        array: FloatArray = self.spare.array
-        return array
-
-    @functools.cached_property
-    def recorded(self) -> FloatArray:
-        """Unless it is a parabola, y'' of the recorded path at the samples to T and a jerk window before, (m, k, 2)."""
-        over, dt = self.over, self.over.setup.dt
-        if not (over.driven.modes_y.size or over.driven.modes_v.size or over.scenarios.drift is not None):
-            return np.zeros((0, 0, 2))
-        samples = np.arange(over.full_steps.max() + math.ceil(JERK_WINDOW / dt) + 2)
-        t = over.start[:, None] + dt * samples
-        return np.stack([over.driven.lateral_acceleration(t - back) for back in (0.0, JERK_WINDOW)], axis=-1)
-
-    @functools.cached_property
-    def stiff(self) -> int:
-        """Leading rows that take Runge-Kutta steps: all but on the ideal plant, where a step hides what is fast."""
-        setup = self.over.setup
-        if not (setup.options.drives_exactly and setup.options.sensors.ideal):
-            return self.over.m
-        return int((_substeps(setup, self.over.plant.v) > data.STIFF).sum())
-
-    def paths(self, rows: IntArray | None) -> tuple[FloatArray, IntArray, IntArray]:
-        """Array for paths of chosen rows (c, entries, columns), its row of each scenario (m,) or -1, the triggered."""
-        over, path_row = self.over, np.full(self.over.m, -1, dtype=np.int64)
-        if rows is None:
-            return np.zeros((0, 0, data.PATH)), path_row, path_row[:0]
-        driven_row = np.full(over.scenarios.n, -1, dtype=np.int64)
-        driven_row[over.rows] = np.arange(over.m)
-        triggered = np.flatnonzero(driven_row[rows] >= 0)
-        with_path = driven_row[rows[triggered]]
-        path_row[with_path] = np.arange(with_path.size)
-        longest = int(self.scene[with_path, data.STEPS].max(initial=0)) + 2
-        return np.full((with_path.size, longest, data.PATH), np.nan), path_row, triggered
 
 
 def _substeps(setup: Setup, v: FloatArray) -> FloatArray:

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import Progress
 
+    from ldctoolkit.control import Controller
     from ldctoolkit.departures import Plausibility
 
     from ..tables import Table
@@ -220,16 +221,16 @@ def add_limit(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def plausibility(given: Sequence[tuple[str, float]] | None, default: Plausibility | None = None) -> Plausibility:
+def plausibility(limits: Sequence[tuple[str, float]] | None, default: Plausibility | None = None) -> Plausibility:
     """The limits of ``--limit``, the others those of the default."""
     from ldctoolkit.departures import Plausibility
 
-    each_once("--limit", given)
-    known = [field.name for field in dataclasses.fields(Plausibility)]
-    for name, _ in given or ():
-        if name not in known:
-            raise InputError("--limit", "is no limit", value=name, allowed=known)
-    return dataclasses.replace(default or Plausibility(), **dict(given or ()))
+    each_once("--limit", limits)
+    names = [field.name for field in dataclasses.fields(Plausibility)]
+    for name, _ in limits or ():
+        if name not in names:
+            raise InputError("--limit", "is no limit", value=name, allowed=names)
+    return dataclasses.replace(default or Plausibility(), **dict(limits or ()))
 
 
 def each_once(option: str, pairs: Sequence[tuple[str, object]] | None) -> None:
@@ -238,6 +239,16 @@ def each_once(option: str, pairs: Sequence[tuple[str, object]] | None) -> None:
     for name in names:
         if names.count(name) > 1:
             raise InputError(f"{option} {name}", f"given {names.count(name)} times", allowed="once a name")
+
+
+def law_with_gains(name: str, gains: Sequence[tuple[str, str]] | None) -> Controller:
+    """The law of a registry name with the gains of ``--gain``."""
+    from ldctoolkit.declared import find_gain
+    from ldctoolkit.registry import controller_class
+
+    kind = controller_class(name)
+    each_once("--gain", gains)
+    return kind(**{gain: find_gain(kind, gain).parsed(value) for gain, value in gains or ()})
 
 
 def add_report_options(parser: argparse.ArgumentParser) -> None:

@@ -1,120 +1,134 @@
-"""What commands on result folders share: rankings in the terminal, files of a ranking, and the report."""
+"""What commands on result folders share: a ranking on the terminal and in files, and the report."""
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import json
 import math
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
+from ldctoolkit.errors import InputError
+
+from ..design import Design, named_designs
 from ..pages.ranking_section import write_markdown
 from ..ranking.ranking import Ranking, rank_study, write_csv
-from ..ranking.verdict import Verdict, listed_places, more_lines, ranking_table, verdict_lines
+from ..ranking.verdict import Verdict, listed_places, more_lines, ranking_table, verdict, verdict_lines
 from ..results import StudyResults
 from ..storage.manifest import Manifest
-from ..study_file import Study
+from ..storage.store import Store
+from ..study_file import Study, load_study
 from ._console import console, print_table, progress_bar, say
 
 if TYPE_CHECKING:
     from ldctoolkit.departures import Departures
+    from ldctoolkit.scenario_model import ScenarioModel
 
-    from ..design import Design
     from ..robustness import Robustness
-
-
-@dataclasses.dataclass(frozen=True)
-class ReportOptions:
-    """What the command line says of the report."""
-
-    source: Departures | None = None  # what the scenario model was fitted to
-    robustness: bool = True  # whether to drive designs on other plants where no numbers of them are stored
-    figures: bool = True  # whether to write the charts as files
-    departures: tuple[int, ...] = ()  # scenario numbers to be put into the explorer
-    designs: tuple[str, ...] = ()  # beginnings of ids of designs to be put into the explorer
-
-    @classmethod
-    def of(cls, args: argparse.Namespace, departures: Sequence[int] = (), designs: Sequence[str] = ()) -> Self:
-        """Read what the options name."""
-        source = None
-        if args.source:
-            from ldctoolkit.recordings import read_all_departures
-
-            source = read_all_departures(args.source)[0]
-        return cls(source, not args.no_robustness, not args.no_figures, tuple(departures), tuple(designs))
-
-    def robustness_of(self, folder: Path, study: Study, results: StudyResults, ranking: Ranking) -> Robustness | None:
-        """What DIR/robustness.json holds, worked out first where need be and wanted; None where there is nothing."""
-        if not self.robustness or not results.designs or not results.on_drivable().scenarios.n:
-            return stored_robustness(folder, study, results, ranking)
-        from ..robustness import RobustnessTask, robustness_of
-
-        return robustness_of(folder, RobustnessTask.of(results, ranking, study.setup()))
-
-
-def write_study_report(
-    folder: Path, study: Study, manifest: Manifest, results: StudyResults, ranking: Ranking,
-    options: ReportOptions, robustness: Robustness | None,
-) -> Path:  # fmt: skip
-    """Write DIR/report.html and DIR/figures/."""
-    from ..pages.report import report_input, write_report
-
-    report = report_input(
-        folder, study, manifest, results, ranking, source=options.source, departures=options.departures,
-        shown_designs=options.designs, robustness=robustness,
-    )  # fmt: skip
-    path = folder / "report.html"
-    return write_report(report, path, figures=folder / "figures" if options.figures else None)
-
-
-def stored_robustness(folder: Path, study: Study, results: StudyResults, ranking: Ranking) -> Robustness | None:
-    """What DIR/robustness.json holds of these results; None where there is nothing."""
-    if not results.designs or not results.on_drivable().scenarios.n:
-        return None
-    from ..robustness import RobustnessTask, stored_of
-
-    return stored_of(folder, RobustnessTask.of(results, ranking, study.setup()))
 
 
 @dataclasses.dataclass(frozen=True)
 class Judged:
     """The study of a folder with results, ranked and judged."""
 
+    folder: Path
     manifest: Manifest
     study: Study
     results: StudyResults
     ranking: Ranking
+    robustness: Robustness | None  # None where there are no numbers on other plants
     verdict: Verdict
 
-    @property
-    def design(self) -> Design:
-        """The design that the verdict names."""
-        return self.ranking.designs[self.verdict.place]
+    @classmethod
+    def of(
+        cls, folder: Path, manifest: Manifest, study: Study, results: StudyResults, *,
+        model: ScenarioModel | None = None, drive_plants: bool = False, show: bool = True,
+    ) -> Self:  # fmt: skip
+        """Rank and judge results, with what DIR/robustness.json holds of them, or what `drive_plants` puts there.
+
+        `show` says whether a terminal shows progress.
+        """
+        with progress_bar("ranking", show=show):
+            ranking = rank_study(results, study)
+        robustness = None
+        if results.designs and results.on_drivable().scenarios.n:
+            from ..robustness import RobustnessTask, robustness_of, stored_of
+
+            with progress_bar("driving the best on other plants", show=show and drive_plants):
+                task = RobustnessTask.of(results, ranking, study.setup())
+                robustness = (robustness_of if drive_plants else stored_of)(folder, task)
+        judgement = verdict(ranking, results, study.setup(), robustness, model)
+        return cls(folder, manifest, study, results, ranking, robustness, judgement)
+
+    @classmethod
+    def read(cls, folder: str | Path) -> Self:
+        """Read a folder that ldc run wrote."""
+        store = Store.open(folder)
+        return cls.of(Path(folder), store.manifest, store.manifest.read_study(), store.results())
+
+    def named(self, labels: Sequence[str] | None) -> list[Design]:
+        """The designs of these labels or starts of ids; without any the one that the verdict names."""
+        return named_designs(self.ranking.designs, labels) if labels else [self.ranking.designs[self.verdict.place]]
 
 
-def judged(folder: str | Path) -> Judged:
-    """Read a folder that ldc run wrote."""
-    from ..ranking.verdict import verdict
-    from ..storage.store import Store
+def study_of(name: str, labels: Sequence[str] | None) -> tuple[Study, list[Design], Judged | None]:
+    """The study of a file, of the catalog or of a folder that ldc run wrote, its designs, and what the folder holds.
 
-    store = Store.open(folder)
-    with progress_bar("ranking"):
-        study, results = store.manifest.read_study(), store.results()
-        ranking = rank_study(results, study)
-    return Judged(store.manifest, study, results, ranking, verdict(ranking, results, study.setup()))
+    The designs are those of the labels or starts of ids; without any all of a study, and the one that the verdict on a
+    folder names.
+    """
+    if is_folder(name):
+        judged = Judged.read(name)
+        return judged.study, judged.named(labels), judged
+    study = load_study(name)
+    if not study.designs:
+        raise InputError(f"study {study.name}", "searches its designs", hint="give the folder that ldc run wrote")
+    return study, named_designs(study.designs, labels) if labels else list(study.designs), None
+
+
+def is_folder(name: str) -> bool:
+    """Whether a name on the command line is that of a folder that ldc run wrote; raises nothing, whatever the name."""
+    return os.path.isfile(f"{name}/manifest.json")  # noqa: PTH113
+
+
+def source_departures(paths: Sequence[str] | None) -> Departures | None:
+    """What ``--source`` names: the departures that the scenario model was fitted to."""
+    if not paths:
+        return None
+    from ldctoolkit.recordings import read_all_departures
+
+    return read_all_departures(paths)[0]
+
+
+def write_study_report(
+    judged: Judged, *, source: Departures | None, figures: bool, departures: Sequence[int] = (),
+    designs: Sequence[str] = (),
+) -> Path:  # fmt: skip
+    """Write DIR/report.html and DIR/figures/.
+
+    `departures` are scenario numbers and `designs` starts of ids, for the explorer.
+    """
+    from ..pages.report import report_input, write_report
+
+    report = report_input(
+        judged.folder, judged.study, judged.manifest, judged.results, judged.ranking, source=source,
+        departures=departures, shown_designs=designs, robustness=judged.robustness,
+    )  # fmt: skip
+    folder = judged.folder
+    return write_report(report, folder / "report.html", figures=folder / "figures" if figures else None)
 
 
 _MOST_FAILED = 20
 
 
-def print_ranking(ranking: Ranking, top: int, judgement: Verdict) -> None:
+def print_ranking(judged: Judged, top: int) -> None:
     """The table, the verdict, and what else a reader should know."""
-    out = console()
+    out, ranking = console(), judged.ranking
     print_table(ranking_table(ranking, listed_places(ranking, top)), narrow=True)
-    title, *others = verdict_lines(judgement)
-    style = "bold green" if judgement.usable and ranking.winner is not None else "bold red"
+    title, *others = verdict_lines(judged.verdict)
+    style = "bold green" if judged.verdict.usable and ranking.winner is not None else "bold red"
     out.print(title, style=style, markup=False, emoji=False, highlight=False)
     for line in (*others, *more_lines(ranking)):
         out.print(line, markup=False, emoji=False, highlight=False)
@@ -137,19 +151,18 @@ def _print_failed(ranking: Ranking) -> None:
     out.print()
 
 
-def write_ranking(folder: Path, study: Study, manifest: Manifest, ranking: Ranking, judgement: Verdict) -> Path:
+def write_ranking(judged: Judged) -> Path:
     """Write DIR/ranking.csv and, to be read, DIR/ranking.md."""
-    path = folder / "ranking.csv"
-    write_csv(ranking, path)
-    write_markdown(ranking, folder / "ranking.md", study, manifest, judgement)
+    path = judged.folder / "ranking.csv"
+    write_csv(judged.ranking, path)
+    write_markdown(judged.ranking, judged.folder / "ranking.md", judged.study, judged.manifest, judged.verdict)
     return path
 
 
-def json_summary(
-    results: StudyResults, ranking: Ranking, manifest: Manifest, ranking_csv: Path, report: Path, judgement: Verdict
-) -> str:
+def json_summary(judged: Judged, ranking_csv: Path, report: Path) -> str:
     """The last line of ``ldc run --json``."""
-    content = {"event": "done"} | _summary(results, ranking, manifest) | _judged(judgement)
+    manifest = judged.manifest
+    content = {"event": "done"} | _summary(judged)
     content |= {
         "wall_time_s": round(manifest.wall_time_s, 3),
         "executor": manifest.executor,
@@ -160,20 +173,10 @@ def json_summary(
     return json.dumps(content)
 
 
-def _judged(judgement: Verdict) -> dict[str, Any]:
-    return {
-        "verdict": judgement.title,
-        "usable": judgement.usable,
-        "lights": {light.name: light.state for light in judgement.lights},
-    }
-
-
-def rank_summary(
-    results: StudyResults, ranking: Ranking, manifest: Manifest, ranking_csv: Path | None, judgement: Verdict
-) -> str:
-    """The one line of ``ldc rank --json``: what was found, and with which settings."""
+def rank_summary(judged: Judged, ranking_csv: Path | None) -> str:
+    """The one line of ``ldc rank --json``: the result, and the settings that it was ranked with."""
+    ranking, content = judged.ranking, {"event": "ranked"} | _summary(judged)
     baseline, winner = ranking.baseline, ranking.winner
-    content = {"event": "ranked"} | _summary(results, ranking, manifest) | _judged(judgement)
     content |= {
         "baseline": None if baseline is None else ranking.designs[baseline].id,
         "baseline_difference_m_s": None if winner is None else _number(ranking.inference.baseline_difference[winner]),
@@ -188,15 +191,19 @@ def rank_summary(
     return json.dumps(content)
 
 
-def _summary(results: StudyResults, ranking: Ranking, manifest: Manifest) -> dict[str, Any]:
+def _summary(judged: Judged) -> dict[str, Any]:
+    ranking, results, judgement = judged.ranking, judged.results, judged.verdict
     return {
-        "study": manifest.study.get("name", ""),
-        "study_hash": manifest.study_hash,
+        "study": judged.manifest.study.get("name", ""),
+        "study_hash": judged.manifest.study_hash,
         "designs": len(results.designs),
         "scenarios": len(results.scenarios),
         "failed_designs": len(results.failed),
         "winner": None if ranking.winner is None else _design(ranking, ranking.winner),
         "set_of_best": [ranking.designs[i].id for i in range(len(ranking)) if ranking.inference.set_of_best[i]],
+        "verdict": judgement.title,
+        "usable": judgement.usable,
+        "lights": {light.name: light.state for light in judgement.lights},
     }
 
 

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ._console import Subparsers, console, each_once, named, number, print_table, progress_bar, say
+from ._console import Subparsers, console, law_with_gains, named, number, print_table, progress_bar, say
 
 if TYPE_CHECKING:
     from ldctoolkit.control import Controller
@@ -94,37 +93,21 @@ def _subjects(text: str, args: argparse.Namespace) -> Iterator[Subject]:
     from ldctoolkit.errors import InputError, UnknownNameError
     from ldctoolkit.registry import controller_names
 
-    from ..design import named_designs
+    from ..design import Design
     from ..study_file import catalog_names, load_study
-    from ._results import judged
 
     if text in controller_names():
-        from ldctoolkit.declared import find_gain
-        from ldctoolkit.registry import controller_class
-
-        from ..design import Design
-
-        kind = controller_class(text)
-        each_once("--gain", args.gain)
-        gains = {name: find_gain(kind, name).parsed(value) for name, value in args.gain or ()}
-        study, y_s = load_study(args.plant), -0.4 if args.y_s is None else args.y_s
-        controller = kind(**gains)
-        yield Design.of(controller, y_s).label, controller, y_s, study.setup()
+        controller, y_s = law_with_gains(text, args.gain), -0.4 if args.y_s is None else args.y_s
+        yield Design.of(controller, y_s).label, controller, y_s, load_study(args.plant).setup()
         return
     if args.gain or args.y_s is not None:
         raise InputError("--gain, --y-s", "go with the name of a law", hint=f"{text} has its own designs")
-    if os.path.isfile(f"{text}/manifest.json"):  # noqa: PTH113 - raises nothing, whatever the name
-        judged_study = judged(text)
-        study = judged_study.study
-        designs = named_designs(judged_study.ranking.designs, args.only) if args.only else [judged_study.design]
-    elif text in catalog_names() or text.endswith(".toml"):
-        study = load_study(text)
-        if not study.designs:
-            raise InputError(f"study {study.name}", "searches its designs", hint="give the folder that ldc run wrote")
-        designs = named_designs(study.designs, args.only) if args.only else list(study.designs)
-    else:
+    from ._results import is_folder, study_of
+
+    if not (is_folder(text) or text in catalog_names() or text.endswith(".toml")):
         names = (*controller_names(), *catalog_names())
         raise UnknownNameError("design", "is neither a law, nor a study, nor a folder", value=text, allowed=names)
+    study, designs, _ = study_of(text, args.only)
     for design in designs:
         if not design.is_baseline:
             yield design.label, design.controller(study.setup().convention), design.y_s, study.setup()

@@ -43,22 +43,23 @@ def run(args: argparse.Namespace) -> int:
     """Carry the command out; the exit code reports whether the code is proved."""
     from ldctoolkit.errors import InputError
 
-    from ..design import named_designs
     from ..export import Code, Origin, changed_files, export_c, is_stale, parameters
     from ..storage.files import output_folder, write_text
-    from ._results import judged
+    from ._results import Judged
 
-    study = judged(args.folder)
-    design = study.design if args.design is None else named_designs(study.ranking.designs, [args.design])[0]
-    missed = tuple(miss.text for miss in study.ranking.missed[study.ranking.designs.index(design)])
+    judged = Judged.read(args.folder)
+    (design,) = judged.named(None if args.design is None else [args.design])
+    missed = tuple(miss.text for miss in judged.ranking.missed[judged.ranking.designs.index(design)])
     if missed and not (args.anyway or args.verify):
         raise InputError(
             design.label,
-            f"does not meet the requirements of study {study.study.name}: {'; '.join(missed)}",
+            f"does not meet the requirements of study {judged.study.name}: {'; '.join(missed)}",
             allowed="another --design, or --anyway, which the header states",
         )
-    setup, folder = study.study.setup(), Path(args.output)
-    origin = Origin(study.study.name, study.manifest.study_hash, study.manifest.model_hash, study.verdict.title, missed)
+    setup, folder = judged.study.setup(), Path(args.output)
+    origin = Origin(
+        judged.study.name, judged.manifest.study_hash, judged.manifest.model_hash, judged.verdict.title, missed
+    )
     controller, out = design.controller(setup.convention), console()
     if args.verify:
         if not (folder / "ldc_controller.h").is_file():
@@ -75,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
         return 0
     with progress_bar("writing, compiling and driving the code"):
         export = export_c(
-            controller, setup, design.y_s, folder, scenarios=_scenarios(study, args.folder), origin=origin,
+            controller, setup, design.y_s, folder, scenarios=_scenarios(judged), origin=origin,
             run_check=not args.no_check, fmu=args.fmu,
         )  # fmt: skip
     say(out, design.label, *(f"  {path}" for path in export.files))
@@ -86,14 +87,18 @@ def run(args: argparse.Namespace) -> int:
     return 0 if export.check.passed else FAILED
 
 
-def _scenarios(study: Judged, folder: str) -> Scenarios:
-    """Those of the study; more of the same model where they are few."""
+def _scenarios(judged: Judged) -> Scenarios:
+    """The scenarios of the study, or more of the same model where they are few."""
     from ..export import DEPARTURES
     from ..storage.stored_model import read_model
 
-    scenarios = study.results.scenarios
-    model = read_model(folder, study.manifest) if scenarios.n < DEPARTURES and study.study.scenarios.model else None
+    scenarios = judged.results.scenarios
+    model = (
+        read_model(judged.folder, judged.manifest)
+        if scenarios.n < DEPARTURES and judged.study.scenarios.model
+        else None
+    )
     if model is None:
         return scenarios
-    left, right = (math.ceil(count * DEPARTURES / scenarios.n) for count in study.study.scenarios.counts)
-    return model.sample(left, right, seed=study.study.seed, given=study.study.scenarios.given)
+    left, right = (math.ceil(count * DEPARTURES / scenarios.n) for count in judged.study.scenarios.counts)
+    return model.sample(left, right, seed=judged.study.seed, given=judged.study.scenarios.given)

@@ -63,11 +63,10 @@ def add_parser(commands: Subparsers) -> None:
 def run(args: argparse.Namespace) -> None:
     """Carry the command out."""
     from ..pages.ranking_section import write_markdown
-    from ..ranking.ranking import rank_study, write_csv
-    from ..ranking.verdict import verdict
+    from ..ranking.ranking import write_csv
     from ..storage.store import Store
     from ..storage.stored_model import read_model
-    from ._results import print_ranking, rank_summary, stored_robustness, write_ranking
+    from ._results import Judged, print_ranking, rank_summary, write_ranking
 
     target = None if args.output is None else output_file(args.output, ".csv", ".md")
     store = Store.open(args.folder)
@@ -79,27 +78,24 @@ def run(args: argparse.Namespace) -> None:
         # who is a finalist, and what their intervals promise, was decided by the study's own settings
         warn("fresh scores are those of the study's own requirements and confidence; they are left out")
         results = dataclasses.replace(results, fresh=None)
-    with progress_bar("ranking"):
-        ranking = rank_study(results, study)
-    robustness = stored_robustness(Path(args.folder), study, results, ranking)
     model = read_model(args.folder, store.manifest)
-    judgement = verdict(ranking, results, study.setup(), robustness, model)
-    if args.baseline and ranking.baseline is None:
+    judged = Judged.of(Path(args.folder), store.manifest, study, results, model=model)
+    if args.baseline and judged.ranking.baseline is None:
         raise InputError(
             f"--baseline {args.baseline}",
             "it failed, and has no results to compare with",
             allowed="a design with metrics in ranking.csv",
         )
     if not (args.quiet or args.json):
-        print_ranking(ranking, args.top, judgement)
+        print_ranking(judged, args.top)
     if target is not None and target.suffix.lower() == ".md":
-        write_markdown(ranking, target, study, store.manifest, judgement)
+        write_markdown(judged.ranking, target, study, store.manifest, judged.verdict)
     elif target is not None:
-        write_csv(ranking, target)
+        write_csv(judged.ranking, target)
     elif study.ranking == stored.ranking:
-        target = write_ranking(Path(args.folder), study, store.manifest, ranking, judgement)
+        target = write_ranking(judged)
     if args.json:
-        print(rank_summary(results, ranking, store.manifest, target, judgement))
+        print(rank_summary(judged, target))
     elif target is not None:
         print(f"ranking: {target}")
 
@@ -216,7 +212,7 @@ def _profile_table(profiles: Sequence[Profile], confidence: float) -> Table:
         unit, best = "" if profile.unit == "1" else f" {profile.unit}", profile.best
         ends = gain_text(profile.values[0]), gain_text(profile.values[-1])
         driven = f"{len(profile.values)} ({int((~profile.stored).sum())})"
-        there = float(profile.difference[best]), (float(profile.low[best]), float(profile.high[best]))
+        difference = float(profile.difference[best]), (float(profile.low[best]), float(profile.high[best]))
         middle, least = f"{gain_text(profile.values[profile.at])}{unit}", gain_text(profile.values[best])
-        rows.append(Row([profile.name, middle, *ends, driven, profile.spread, least, *there]))
+        rows.append(Row([profile.name, middle, *ends, driven, profile.spread, least, *difference]))
     return Table("", columns, rows)

@@ -44,26 +44,23 @@ def run(args: argparse.Namespace) -> None:
     """Carry the command out."""
     from ..design import named_designs
     from ..pages.replay import rows_of_numbers
-    from ..ranking.ranking import rank_study
-    from ..ranking.verdict import verdict
     from ..storage.store import Store
     from ..storage.stored_model import read_model
-    from ._results import ReportOptions, write_ranking, write_study_report
+    from ._results import Judged, source_departures, write_ranking, write_study_report
 
-    options = ReportOptions.of(args, args.departure, args.design)
+    source = source_departures(args.source)
     folder = _folder(args.study)
     store = Store.open(folder)
     study, results = store.manifest.read_study(), store.results()
-    rows_of_numbers(results.on_drivable().scenarios, options.departures)  # refused before the work begins
-    named_designs(results.designs, options.designs)
-    with progress_bar("ranking"):
-        ranking = rank_study(results, study)
-    with progress_bar("driving the best on other plants"):
-        robustness = options.robustness_of(folder, study, results, ranking)
-    judgement = verdict(ranking, results, study.setup(), robustness, read_model(folder, store.manifest))
-    print(f"ranking: {write_ranking(folder, study, store.manifest, ranking, judgement)}")
+    rows_of_numbers(results.on_drivable().scenarios, args.departure)  # refused before the work begins
+    named_designs(results.designs, args.design)
+    model = read_model(folder, store.manifest)
+    judged = Judged.of(folder, store.manifest, study, results, model=model, drive_plants=not args.no_robustness)
+    print(f"ranking: {write_ranking(judged)}")
     with progress_bar("writing the report"):
-        path = write_study_report(folder, study, store.manifest, results, ranking, options, robustness)
+        path = write_study_report(
+            judged, source=source, figures=not args.no_figures, departures=args.departure, designs=args.design
+        )
     print(f"report:  {path}")
 
 

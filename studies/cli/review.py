@@ -18,7 +18,17 @@ from ldctoolkit.errors import InputError, LdcError, UnknownNameError
 from ldctoolkit.scenarios import SPEED_CEILING, SPEED_FLOOR
 
 from ..tables import Column, Row, Table
-from ._console import Subparsers, argument, interval, named, number, output_file, print_table, progress_bar
+from ._console import (
+    Subparsers,
+    argument,
+    interval,
+    law_with_gains,
+    named,
+    number,
+    output_file,
+    print_table,
+    progress_bar,
+)
 
 if TYPE_CHECKING:
     from ldctoolkit.control import Controller
@@ -50,6 +60,7 @@ def subjects(args: argparse.Namespace) -> list[Subject]:
     """The designs that the command line names, each set of gains once."""
     from ldctoolkit.registry import controller_names
 
+    from ..design import named_designs
     from ..study_file import catalog_names, load_study
 
     if args.design in controller_names():
@@ -64,7 +75,9 @@ def subjects(args: argparse.Namespace) -> list[Subject]:
         raise UnknownNameError("design", "is neither a law, nor a study", value=args.design, allowed=names)
     if args.gain:
         raise InputError("--gain", "goes with the name of a law", hint="a study has its own gains")
-    return list(_of_study(load_study(args.design), args))
+    study = load_study(args.design)
+    designs = study.designs if args.only is None else named_designs(study.designs, [args.only])
+    return list(_of_study(study, designs, args))
 
 
 def reviewed_design(subject: Subject) -> Review:
@@ -73,11 +86,11 @@ def reviewed_design(subject: Subject) -> Review:
     from ldctoolkit.review import SPEEDS, review, review_plant, without_review
     from ldctoolkit.vehicle.bicycle import BicycleModel
 
-    given, stored = subject.arguments, subject.stored
-    dt, options = given.get("dt", 0.05), given.get("options", PlantOptions())
-    review_plant(given.get("model", BicycleModel()), dt, options, given.get("speeds", SPEEDS))
+    arguments, stored = subject.arguments, subject.stored
+    dt, options = arguments.get("dt", 0.05), arguments.get("options", PlantOptions())
+    review_plant(arguments.get("model", BicycleModel()), dt, options, arguments.get("speeds", SPEEDS))
     try:
-        answer = review(subject.controller, **given)
+        answer = review(subject.controller, **arguments)
         return dataclasses.replace(answer, findings=(*stored, *answer.findings))
     except LdcError as error:
         if not subject.ids:
@@ -90,11 +103,11 @@ def _of_folder(args: argparse.Namespace) -> Iterator[Subject]:
     from ldctoolkit.review import Finding
 
     from ..requirements import G, metric_values
-    from ._results import judged
+    from ._results import Judged
 
-    judgement = judged(args.design)
-    ranking, only = judgement.ranking, args.only or judgement.design.id
-    for subject in _of_study(judgement.study, argparse.Namespace(**{**vars(args), "only": only})):
+    judged = Judged.read(args.design)
+    ranking = judged.ranking
+    for subject in _of_study(judged.study, judged.named(args.only and [args.only]), args):
         findings = []
         for position, design in enumerate(ranking.designs):
             if design.id not in subject.ids:
@@ -113,28 +126,22 @@ def _of_folder(args: argparse.Namespace) -> Iterator[Subject]:
 
 
 def _law(args: argparse.Namespace) -> Subject:
-    from ldctoolkit.declared import find_gain
     from ldctoolkit.plant_options import PlantOptions
-    from ldctoolkit.registry import controller_class
     from ldctoolkit.review import SPEEDS
 
-    from ._console import each_once
-
-    kind = controller_class(args.design)
-    each_once("--gain", args.gain)
-    gains = {name: find_gain(kind, name).parsed(text) for name, text in args.gain or ()}
+    controller = law_with_gains(args.design, args.gain)
     given = ", ".join(f"{name}={text}" for name, text in args.gain or ())
     arguments: dict[str, Any] = {"options": _plant(args, PlantOptions())}
     if args.dt is not None:
         arguments["dt"] = args.dt
     arguments["speeds"] = _speeds(args, (SPEEDS[0], SPEEDS[-1]))
-    return Subject(f"{kind.title}{', ' if given else ''}{given}", (), kind(**gains), arguments)
+    return Subject(f"{controller.title}{', ' if given else ''}{given}", (), controller, arguments)
 
 
 def _plant(args: argparse.Namespace, options: PlantOptions) -> PlantOptions:
     """The plant with what the command line says of its actuator."""
-    given = {name: getattr(args, name) for name in ("delay", "lag", "rate_max", "delta_max")}
-    changed = {name: value for name, value in given.items() if value is not None}
+    options_given = {name: getattr(args, name) for name in ("delay", "lag", "rate_max", "delta_max")}
+    changed = {name: value for name, value in options_given.items() if value is not None}
     return dataclasses.replace(options, actuator=dataclasses.replace(options.actuator, **changed))
 
 
@@ -146,14 +153,13 @@ def _speeds(args: argparse.Namespace, default: tuple[float, float] | None) -> np
     return np.linspace(low, high, args.points if high > low else 1)
 
 
-def _of_study(study: Study, args: argparse.Namespace) -> Iterator[Subject]:
+def _of_study(study: Study, designs: Sequence[Design], args: argparse.Namespace) -> Iterator[Subject]:
     from ldctoolkit.simulation import Takeover
 
-    from ..design import named_designs
+    from ..measures import trigger_speeds
     from ..runner import study_source
     from ..storage.stored_model import with_counts
 
-    designs = study.designs if args.only is None else named_designs(study.designs, [args.only])
     source = study_source(study)
     settings = with_counts(study, source).scenarios
     left, right = (min(n, _MOST_SCENARIOS) for n in settings.counts)
@@ -162,7 +168,7 @@ def _of_study(study: Study, args: argparse.Namespace) -> Iterator[Subject]:
     options = _plant(args, setup.options)
     dt = setup.dt if args.dt is None else args.dt
     triggers = {y_s: Takeover.build(scenarios, setup, y_s=y_s) for y_s in sorted({design.y_s for design in designs})}
-    speeds = _speeds(args, _range(list(triggers.values())))
+    speeds = _speeds(args, trigger_speeds(triggers.values()))
     groups: dict[tuple[Any, ...], list[Design]] = {}
     for design in designs:
         groups.setdefault((design.law, design.gains), []).append(design)
@@ -177,14 +183,6 @@ def _of_study(study: Study, args: argparse.Namespace) -> Iterator[Subject]:
             arguments["delta_prev"] = angles
         name = same[0].label.replace(f"y_s={same[0].y_s:g} m", f"y_s={', '.join(f'{y:g}' for y in thresholds)} m")
         yield Subject(name, tuple(d.id for d in same), same[0].controller(setup.convention), arguments)
-
-
-def _range(triggers: list[Takeover]) -> tuple[float, float] | None:
-    """Lowest and highest speed at the triggers; None where nothing triggers."""
-    speeds = [takeover.plant.v for takeover in triggers if takeover.m]
-    if not speeds:
-        return None
-    return min(float(v.min()) for v in speeds), max(float(v.max()) for v in speeds)
 
 
 def _angles(triggers: list[Takeover]) -> tuple[np.ndarray, np.ndarray] | None:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,11 +12,8 @@ from . import _console
 from ._console import argument, number, positive_number, print_table, progress_bar, say, whole_number
 
 if TYPE_CHECKING:
-    from ldctoolkit.scenario_model import ScenarioModel
-
     from ..design import Design
     from ..risk import Risk
-    from ..study_file import Study
 
 _MOST_DESIGNS = 20
 _DEPARTURES = argument(checked_whole, lower=1, upper=1e9)
@@ -57,10 +52,15 @@ def run(args: argparse.Namespace) -> None:
     from ..risk import DEPTHS, estimate_risk
     from ..runner import study_source
     from ..storage.files import write_text
-    from ..storage.stored_model import with_recorded_widths
+    from ..storage.stored_model import read_model, with_recorded_widths
     from ..tables import Table, to_csv
+    from ._results import study_of
 
-    study, model, designs, folder = _subject(args)
+    study, designs, judged = study_of(args.study, args.design)
+    if judged is None and sum(not design.is_baseline for design in designs) > _MOST_DESIGNS:
+        raise InputError(f"study {study.name}", f"{len(designs)} designs", hint="choose some with --design")
+    model = None if judged is None else read_model(judged.folder, judged.manifest)
+    target = Path(args.output or (Path("out") / study.name if judged is None else judged.folder))
     source = study_source(study, args.model or model)
     if not isinstance(source, ScenarioModel):
         raise InputError(
@@ -73,13 +73,12 @@ def run(args: argparse.Namespace) -> None:
         n=args.n,
         seed=args.seed,
         model=source,
-        directory=args.output or folder,
+        directory=target,
         workers=args.workers,
         dask=args.dask,
         depths=args.depth or DEPTHS,
         notice=lambda line: say(out, line),
     )
-    target = Path(args.output or folder)
     for name, rows in (("risk.csv", list(risk.rows())), ("worst.csv", list(risk.worst_rows()))):
         # no control comes first and is compared with nothing: the last row has all columns
         write_text(target / name, to_csv(Table.of(rows[-1], rows)))
@@ -91,30 +90,8 @@ def run(args: argparse.Namespace) -> None:
     say(out, *(f"{name}: {target / f'risk.{name}'}" for name in ("csv", "html")))
 
 
-def _subject(args: argparse.Namespace) -> tuple[Study, ScenarioModel | None, Sequence[Design], Path]:
-    """The study, the model in its folder, the designs, and where results go by default."""
-    from ldctoolkit.errors import InputError
-
-    from ..design import named_designs
-    from ..storage.stored_model import read_model
-    from ..study_file import load_study
-    from ._results import judged
-
-    if os.path.isfile(f"{args.study}/manifest.json"):  # noqa: PTH113 - raises nothing, whatever the name
-        judged_study = judged(args.study)
-        designs = named_designs(judged_study.ranking.designs, args.design) if args.design else [judged_study.design]
-        return judged_study.study, read_model(args.study, judged_study.manifest), designs, Path(args.study)
-    study = load_study(args.study)
-    designs = named_designs(study.designs, args.design) if args.design else list(study.designs)
-    if not study.designs:
-        raise InputError(f"study {study.name}", "searches its designs", hint="give the folder that ldc run wrote")
-    if sum(not design.is_baseline for design in designs) > _MOST_DESIGNS:
-        raise InputError(f"study {study.name}", f"{len(designs)} designs", hint="choose some with --design")
-    return study, None, designs, Path("out") / study.name
-
-
 def _print_design(risk: Risk, design: Design) -> None:
-    """Its table, light, and what its worst departures have in common."""
+    """Print the table of a design, its light, and what its worst departures have in common."""
     from ..pages.risk_page import probabilities
 
     out = _console.console()

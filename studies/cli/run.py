@@ -122,13 +122,11 @@ class Lines(Progress):
 def _run(args: argparse.Namespace, progress: Progress | None) -> int:
     from ldctoolkit.scenario_model.model import ScenarioModel, misleading, outside_fit
 
-    from ..ranking.ranking import rank_study
-    from ..ranking.verdict import verdict
     from ..runner import TIME_LIMIT, run_study, study_source
     from ..storage.manifest import read_manifest
     from ..storage.stored_model import with_counts, with_recorded_widths
     from ..study_file import load_study
-    from ._results import ReportOptions, json_summary, print_ranking, write_ranking, write_study_report
+    from ._results import Judged, json_summary, print_ranking, source_departures, write_ranking, write_study_report
 
     study = load_study(args.study)
     if args.departures is not None:
@@ -141,7 +139,7 @@ def _run(args: argparse.Namespace, progress: Progress | None) -> int:
     if model is not None:
         for text in (*outside_fit(model, study.scenarios.given), *misleading(model)):
             warn(text)
-    options = ReportOptions.of(args)
+    report_source = source_departures(args.source)
     folder = Path(args.output or Path("out") / study.name)
     results = run_study(
         study,
@@ -152,15 +150,12 @@ def _run(args: argparse.Namespace, progress: Progress | None) -> int:
         progress=progress,
         time_limit=TIME_LIMIT if args.time_limit is None else args.time_limit,
     )
-    manifest = read_manifest(folder)
-    silent = args.quiet or args.json
-    with progress_bar("ranking", show=not silent):
-        ranking = rank_study(results, study)
-    with progress_bar("driving the best on other plants", show=not silent):
-        robustness = options.robustness_of(folder, study, results, ranking)
-    judgement = verdict(ranking, results, study.setup(), robustness, model)
+    manifest, silent = read_manifest(folder), args.quiet or args.json
+    judged = Judged.of(
+        folder, manifest, study, results, model=model, drive_plants=not args.no_robustness, show=not silent
+    )
     if not silent:
-        print_ranking(ranking, args.top, judgement)
+        print_ranking(judged, args.top)
         print(
             f"{study.name}: {len(results.designs)} designs x {len(results.scenarios):,} scenarios, "
             f"{manifest.wall_time_s:.1f} s, {study.scenarios.source.lower()} {manifest.model} "
@@ -168,10 +163,10 @@ def _run(args: argparse.Namespace, progress: Progress | None) -> int:
         )
     # files last: what they are called is the last thing on the screen
     with progress_bar("writing ranking and report", show=not silent):
-        ranking_path = write_ranking(folder, study, manifest, ranking, judgement)
-        report_path = write_study_report(folder, study, manifest, results, ranking, options, robustness)
+        ranking_path = write_ranking(judged)
+        report_path = write_study_report(judged, source=report_source, figures=not args.no_figures)
     if args.json:
-        print(json_summary(results, ranking, manifest, ranking_path, report_path, judgement))
+        print(json_summary(judged, ranking_path, report_path))
     else:
         print(f"ranking: {ranking_path}")
         print(f"report:  {report_path}")

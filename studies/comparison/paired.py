@@ -149,9 +149,6 @@ class PairedDifferences:
     largest_at: IntArray  # (k,) Position of that scenario among the shared ones
     verdict: tuple[Verdict, ...]
 
-    def __len__(self) -> int:
-        return len(self.verdict)
-
 
 def paired_differences(
     old: FloatArray, new: FloatArray, side: IntArray, *, seed: int, bootstrap: int = 2000, confidence: float = 0.95

@@ -127,7 +127,7 @@ def _write_fmu(code: Code, texts: dict[str, str], folder: Path, command: Sequenc
     }
     if command is not None:
         if platform.system() not in _PLATFORMS:
-            raise InputError("--fmu", f"no binary for {platform.system()}", hint=f"allowed on {', '.join(_PLATFORMS)}")
+            raise InputError("--fmu", "no binary for this system", value=platform.system(), allowed=_PLATFORMS)
         system, suffix = _PLATFORMS[platform.system()]
         library = f"ldc_controller{suffix}"
         with temporary_folder() as room:

@@ -165,17 +165,17 @@ class Code:
         """Every file by its name; the header has the hashes of all, of itself with zeros in the place of its own."""
         form, sizes, ahead = self.schedule.form, self.schedule.sizes, self.setup.ahead
         known = math.floor(self.setup.plant([20.0]).delay / self.setup.dt + 1e-9)
-        ahead_at = ", ".join(f"{t:g}" for t in form.times.round(9))
+        times_text = ", ".join(f"{t:g}" for t in form.times.round(9))
         offsets = np.cumsum([0, *sizes.values()]).tolist()
         values: dict[str, Any] = {
             "title": _plain(self.label), "version": __version__, "id": self.design.id, "fields": self.inputs,
             "origin": list(map(_plain, self.origin.lines)) if self.origin else [],
             "law": form.law, "mpc": form.mpc, "heading": form.heading, "times": form.times,
-            "times_text": ahead_at,
+            "times_text": times_text,
             "points": form.times.size - (2 if form.barrier else 0), "has": dict.fromkeys(UNITS, 0) | sizes,
             "c": {name: c_number(x) if isinstance(x, float) else x for name, x in form.constants.items()},
             "meaning": _MEANING | {
-                "curvature": f"[1/m] of the lane in {ahead_at} s",
+                "curvature": f"[1/m] of the lane in {times_text} s",
                 "curvature_seen": f"[1/m] of the lane {self.age:g} s ago, where the frame was taken",
             },
             "places": [(f"AT_{name.upper()}", at, UNITS[name]) for name, at in zip(sizes, offsets, strict=False)],

@@ -196,18 +196,19 @@ def _in_pieces(gains: Gains, kinked: IntArray, size: FloatArray, what: str) -> t
 
     low = np.arange(*SPEED_RANGE)
     high = np.append(np.nextafter(low[1:], 0.0), SPEED_RANGE[1])
-    most, done = 2 * low.size, []
+    most, accepted = 2 * low.size, []
     while low.size:  # until at the latest an interval is a single number: both sides of a step are exact
-        tried = (*_fitted(gains, kinked, low, high), low, high)
-        good = np.array([gap(*each) <= 2e-3 * _SHARE for each in zip(*tried, strict=True)])  # close to each kink
-        done.append([part[good] for part in tried])
+        fits = (*_fitted(gains, kinked, low, high), low, high)
+        # close to each kink
+        good = np.array([gap(*interval) <= 2e-3 * _SHARE for interval in zip(*fits, strict=True)])
+        accepted.append([part[good] for part in fits])
         low, high = low[~good], high[~good]
         if low.size > most:
             raise LdcError(what, "change too sharply with speed to be exported")
         middle = np.maximum(0.5 * (low + high), np.nextafter(low, np.inf))
         low, high = np.append(low, middle), np.append(np.nextafter(middle, 0.0), high)
-    order = np.argsort(np.concatenate([low for *_, low, _ in done]))
-    every, v, values, low, high = (np.concatenate(parts)[order] for parts in zip(*done, strict=True))
+    order = np.argsort(np.concatenate([low for *_, low, _ in accepted]))
+    every, v, values, low, high = (np.concatenate(parts)[order] for parts in zip(*accepted, strict=True))
     knots, pieces, i = [], [], 0
     while i < low.size:  # as many neighbours as one series follows are one piece
         piece, end, most = every[i], i + 1, low.size

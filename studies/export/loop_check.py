@@ -162,12 +162,17 @@ def _sizes(folder: Path) -> tuple[int, int]:
 # ------------------------------------------------------------------------------------------------ in the loop
 
 
-@dataclasses.dataclass(frozen=True)
-class _Law(SteeringLaw):
-    """What stands in the place of a law: ``at(k, x, preview, delta_prev, state)`` gives commands at sample k."""
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Commands(Controller, SteeringLaw):
+    """A law whose commands come from ``command(k, t, x, preview, delta_prev)`` at sample k."""
 
+    name: ClassVar[str] = "exported"
+    title: ClassVar[str] = "Exported"
     times: FloatArray
-    at: Callable[..., FloatArray]
+    command: Callable[..., FloatArray]
+
+    def prepare(self, plant: Plant) -> SteeringLaw:  # noqa: ARG002
+        return self
 
     @property
     def preview_times(self) -> FloatArray:
@@ -179,19 +184,7 @@ class _Law(SteeringLaw):
     def step(
         self, t: FloatArray, x: FloatArray, preview: Preview, delta_prev: FloatArray, state: int
     ) -> tuple[FloatArray, int, StatusArray]:
-        return self.at(state, t, x, preview, delta_prev), state + 1, np.zeros(t.size, dtype=np.int8)
-
-
-@dataclasses.dataclass(frozen=True)
-class _Prepared(Controller):
-    """A design with another way to prepare its law."""
-
-    name: ClassVar[str] = "exported"
-    title: ClassVar[str] = "Exported"
-    law: Any = None
-
-    def prepare(self, plant: Plant) -> SteeringLaw:
-        return self.law(plant)  # type: ignore[no-any-return]
+        return self.command(state, t, x, preview, delta_prev), state + 1, np.zeros(t.size, dtype=np.int8)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -210,21 +203,21 @@ class _Host:
         sensors = code.setup.options.sensors
         sensors = dataclasses.replace(sensors, kalman=None, period=sensors.period or code.setup.dt)
         raw = code.setup.on(dataclasses.replace(code.setup.options, sensors=sensors))
-        return cls(code, Takeover.build(scenarios, raw, y_s=code.y_s), whole.tables.scene[:, -4:])
+        return cls(code, Takeover.build(scenarios, raw, y_s=code.y_s), whole.scene[:, -4:])
 
     @property
     def side(self) -> FloatArray:
         return self.over.triggered.side.astype(np.float64)
 
-    def drive(self, at: Callable[..., FloatArray]) -> FloatArray:
-        """S (n,) with commands from elsewhere: ``at(inputs, k)``, outward."""
+    def drive(self, outward_command: Callable[[Rows, int], FloatArray]) -> FloatArray:
+        """S (n,) with commands that follow from the inputs and the number of the sample."""
 
         def command(k: int, _: FloatArray, x: FloatArray, preview: Preview, __: FloatArray) -> FloatArray:
-            return at(self._sample(k, x, preview), k)
+            return outward_command(self._sample(k, x, preview), k)
 
         times = self.code.schedule.form.times
-        law = _Law(np.append(times, -self.code.age) if self.code.filtered else times, command)
-        return drive(_Prepared(law=lambda _: law), self.over).outcome("departure").S
+        times = np.append(times, -self.code.age) if self.code.filtered else times
+        return drive(_Commands(times, command), self.over).outcome("departure").S
 
     def early(self) -> list[Rows]:
         """Some samples before the departure, on the recorded path; not engaged before that began."""
@@ -261,8 +254,8 @@ class _Host:
         return row
 
     def _lines(self, row: Rows, line: FloatArray, rate: FloatArray) -> None:
-        left, other = self.side > 0.0, -line - 2.0 * self.over.setup.vehicle.edge_offset
-        row["line_left"], row["line_right"] = np.where(left, line, other), np.where(left, other, line)
+        left, opposite_line = self.side > 0.0, -line - 2.0 * self.over.setup.vehicle.edge_offset
+        row["line_left"], row["line_right"] = np.where(left, line, opposite_line), np.where(left, opposite_line, line)
         if self.code.setup.ahead:
             row["line_rate"] = self.side * rate
 
@@ -284,31 +277,27 @@ def record(code: Code, scenarios: Scenarios) -> Recording:
     host, over = _Host.of(code, scenarios), Takeover.build(scenarios, code.setup, y_s=code.y_s)
     if not over.m:
         raise InputError("scenarios", f"no departure beyond y_s = {code.y_s:g} m", allowed="one or more")
+    law = code.controller.prepare(over.plant)
+    if isinstance(law, LinearLaw):
+        law = dataclasses.replace(LinearSteps.of(law, over.plant), measured=True)
+    assert isinstance(law, SteeringLaw)  # or it would have no C code
     commands: list[FloatArray] = []
     failed: list[BoolArray] = []
-    rows = host.early()
+    rows, state = host.early(), law.init(over.m)
 
-    def recorded(plant: Plant) -> SteeringLaw:
-        law, state = code.controller.prepare(plant), [None]
-        if isinstance(law, LinearLaw):
-            law = dataclasses.replace(LinearSteps.of(law, plant), measured=True)
-        assert isinstance(law, SteeringLaw)  # or it would have no C code
-        state[0] = law.init(plant.n)
+    def record_command(_: int, t: FloatArray, x: FloatArray, preview: Preview, last: FloatArray) -> FloatArray:
+        nonlocal state
+        delta, state, status = law.step(t, x, preview, last, state)
+        failed.append(status == EventStatus.SOLVER_FAILED)
+        commands.append(np.where(np.isfinite(delta), delta, last))
+        return delta
 
-        def at(_: int, t: FloatArray, x: FloatArray, preview: Preview, last: FloatArray) -> FloatArray:
-            delta, state[0], status = law.step(t, x, preview, last, state[0])
-            failed.append(status == EventStatus.SOLVER_FAILED)
-            commands.append(np.where(np.isfinite(delta), delta, last))
-            return delta
-
-        return _Law(law.preview_times, at)
-
-    def again(row: Rows, k: int) -> FloatArray:
+    def record_inputs(row: Rows, k: int) -> FloatArray:
         rows.append(row)
         return commands[k]
 
-    stepped = drive(_Prepared(law=recorded), over).outcome("departure")
-    host.drive(again)
+    stepped = drive(_Commands(law.preview_times, record_command), over).outcome("departure")
+    host.drive(record_inputs)
     lost = stepped.status == EventStatus.DIVERGED
     lost[over.rows] |= np.any(failed, axis=0)
     S = np.where(lost, np.nan, drive(code.controller, over).outcome("departure").S)
@@ -321,8 +310,10 @@ def record(code: Code, scenarios: Scenarios) -> Recording:
 def _phases(code: Code, inputs: npt.NDArray[np.void], side: FloatArray) -> IntArray:
     """Armed before the departure, active from it on, released from where the edge is back: worked out over all time."""
     line = np.where(side > 0, inputs["line_left"], inputs["line_right"])[_EARLY:]
-    ahead = line + (code.setup.ahead * side * inputs["line_rate"][_EARLY:] if code.setup.ahead else 0.0)
-    back = (line < 0.0) & (np.logical_or.accumulate(line >= 0.0, axis=0) | (ahead <= code.y_s))
+    predicted_line = line
+    if code.setup.ahead:
+        predicted_line = line + code.setup.ahead * side * inputs["line_rate"][_EARLY:]
+    back = (line < 0.0) & (np.logical_or.accumulate(line >= 0.0, axis=0) | (predicted_line <= code.y_s))
     steering = 1 + np.logical_or.accumulate(back, axis=0).astype(np.int64)
     return np.concatenate([np.zeros((_EARLY, side.size), dtype=np.int64), steering])
 

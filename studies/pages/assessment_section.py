@@ -40,6 +40,8 @@ def section(context: Context) -> Section | None:
     if not names:
         return None
     body = paragraphs(f"{design_name(design)}, on the study's plant.")
+    if design in context.results.unsafe:
+        return Section("standards", "Standards", body + paragraphs("It ended or held up its process: not driven here."))
     slow = design.batch < USUAL_BATCH
     if slow:
         body += paragraphs("As stated only, since the law takes long: ldc assess drives the corners too.")
@@ -88,17 +90,21 @@ def _sentences(assessment: Assessment) -> Iterator[str]:
 
 def _grids(assessment: Assessment) -> Iterator[Markup]:
     """A table for each set of columns: speeds down, lateral velocities or accelerations across."""
-    cells, at = assessment.cells, {}
+    cells, cell_numbers = assessment.cells, {}
     for i in range(cells.n):
-        at[float(cells.speed[i]), float(cells.second[i])] = i
+        cell_numbers[float(cells.speed[i]), float(cells.second[i])] = i
     shapes: dict[tuple[float, ...], list[float]] = {}
     for speed in np.unique(cells.speed).tolist():
-        seconds = tuple(sorted(second for other, second in at if other == speed))
+        seconds = tuple(sorted(second for speed_of_cell, second in cell_numbers if speed_of_cell == speed))
         shapes.setdefault(seconds, []).append(speed)
     for seconds, speeds in shapes.items():
-        unit = "m/s\u00b2" if cells.bend[at[speeds[0], seconds[0]]] else "m/s"
+        unit = "m/s\u00b2" if cells.bend[cell_numbers[speeds[0], seconds[0]]] else "m/s"
         columns = [Column("Speed", "km/h"), *(Column(f"{second:g}", unit) for second in seconds)]
-        rows = [Row([f"{speed / KM_H:.0f}", *(_cell(assessment, at[speed, v]) for v in seconds)]) for speed in speeds]
+        numbers = [[cell_numbers[speed, second] for second in seconds] for speed in speeds]
+        rows = [
+            Row([f"{speed / KM_H:.0f}", *(_cell(assessment, i) for i in row)])
+            for speed, row in zip(speeds, numbers, strict=True)
+        ]
         titles = (
             f"{QUANTITIES[condition.quantity].title} [{QUANTITIES[condition.quantity].unit}]"
             for condition in assessment.standard.condition
@@ -112,8 +118,9 @@ def _cell(assessment: Assessment, i: int) -> Cell:
     for c, condition in enumerate(assessment.standard.condition):
         digits, value = QUANTITIES[condition.quantity].digits, float(assessment.values[0, c, i])
         worst = float(assessment.worst(c)[0][i])
-        more = f"\u00a0({number(worst, digits)})" if len(assessment.variants) > 1 and math.isfinite(worst) else ""
-        parts.append(number(value, digits) + more)
+        several = len(assessment.variants) > 1 and math.isfinite(worst)
+        in_brackets = f"\u00a0({number(worst, digits)})" if several else ""
+        parts.append(number(value, digits) + in_brackets)
     mark = Markup('<span class="light {}" role="img" aria-label="{}">{}</span> {}')
     return Cell(text=mark.format(kind, meaning, symbol, symbols("; ".join(parts))))
 

@@ -83,9 +83,9 @@ class Axis:
     @classmethod
     def around(cls, label: str, *values: npt.ArrayLike, zero: bool = False, log: bool = False) -> Axis:
         """An axis that holds all finite values with some room; `zero` begins it at 0."""
-        known = np.concatenate([np.ravel(np.asarray(part, dtype=np.float64)) for part in values] or [np.empty(0)])
-        known = known[np.isfinite(known) & (known > 0 if log else True)]
-        low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
+        finite = np.concatenate([np.ravel(np.asarray(part, dtype=np.float64)) for part in values] or [np.empty(0)])
+        finite = finite[np.isfinite(finite) & (finite > 0 if log else True)]
+        low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
         if log:
             return cls(label, low / 1.15, high * 1.15, log=True)
         low = min(low, 0.0) if zero else low
@@ -97,8 +97,8 @@ class Axis:
         """An axis of categories, a unit each."""
         return cls(label, -0.5, len(names) - 0.5, categories=tuple(names))
 
-    def at(self, values: npt.ArrayLike) -> FloatArray:
-        """Place between 0 and 1 along the axis; what lies outside is put at its end."""
+    def fraction(self, values: npt.ArrayLike) -> FloatArray:
+        """Position between 0 and 1 along the axis; what lies outside is put at its end."""
         with np.errstate(divide="ignore", invalid="ignore"):
             x = np.asarray(values, dtype=np.float64)
             low, high = self.low, self.high
@@ -231,11 +231,11 @@ def ecdf(
     """Empirical distribution functions, at `most` quantiles where there are more values."""
     series = []
     for label, values, style in samples:
-        known = np.sort(values[~np.isnan(values)])
-        if known.size:
-            share = np.arange(1, known.size + 1) / known.size
-            rows = np.unique(np.linspace(0, known.size - 1, min(known.size, most)).astype(int))
-            steps = np.append(x.low, known[rows]), np.append(0.0, share[rows])
+        ordered = np.sort(values[~np.isnan(values)])
+        if ordered.size:
+            share = np.arange(1, ordered.size + 1) / ordered.size
+            rows = np.unique(np.linspace(0, ordered.size - 1, min(ordered.size, most)).astype(int))
+            steps = np.append(x.low, ordered[rows]), np.append(0.0, share[rows])
             series.append(Series(label, *steps, style, kind="steps"))
     return Chart(name, title, x, Axis(y_label, 0.0, 1.0), series, limit=limit)
 
@@ -253,10 +253,10 @@ def bars(
 
 
 def dots(
-    name: str, title: str, rows: Sequence[Sequence[Dot]], x: Axis, *, at: float | None = None, at_text: str = ""
+    name: str, title: str, rows: Sequence[Sequence[Dot]], x: Axis, *, upright: tuple[float, str] | None = None
 ) -> Chart:
-    """Values with intervals, a row each; `at` is an upright dashed line."""
-    return Chart(name, title, x, Axis("", 0.0, 1.0), rows=rows, upright=None if at is None else (at, at_text))
+    """Values with intervals, a row each; `upright` is a dashed line with its text."""
+    return Chart(name, title, x, Axis("", 0.0, 1.0), rows=rows, upright=upright)
 
 
 def heat_map(
@@ -298,10 +298,10 @@ class _Frame:
         self.parts: list[str] = []
 
     def px(self, values: npt.ArrayLike) -> FloatArray:
-        return self.left + self.width * self.x.at(values)
+        return self.left + self.width * self.x.fraction(values)
 
     def py(self, values: npt.ArrayLike) -> FloatArray:
-        return self.top + self.depth * (1.0 - self.y.at(values))
+        return self.top + self.depth * (1.0 - self.y.fraction(values))
 
     def text(self, x: float, y: float, text: str, anchor: str = "middle", kind: str = "") -> None:
         named = f' class="{kind}"' if kind else ""
@@ -317,16 +317,16 @@ class _Frame:
     def axes(self, *, grid_x: bool = True, grid_y: bool = True) -> None:
         grid, end = "", -math.inf
         for value, text in self.x.ticks(self.width):
-            at, half = float(self.px(value)), 0.5 * _CHARACTER * len(text) + 3
-            shown = min(at, WIDTH - half)
-            grid += f"M{at:.1f} {self.top:g}V{self.bottom:g}" if grid_x else ""
+            tick, half = float(self.px(value)), 0.5 * _CHARACTER * len(text) + 3
+            shown = min(tick, WIDTH - half)
+            grid += f"M{tick:.1f} {self.top:g}V{self.bottom:g}" if grid_x else ""
             if shown - half > end:
                 self.text(shown, self.bottom + 15, text)
                 end = shown + half
         for value, text in self.y.ticks(1.4 * self.depth):
-            at = float(self.py(value))
-            grid += f"M{self.left:g} {at:.1f}H{self.right:g}" if grid_y else ""
-            self.text(self.left - 6, at + 4, text, "end")
+            tick = float(self.py(value))
+            grid += f"M{self.left:g} {tick:.1f}H{self.right:g}" if grid_y else ""
+            self.text(self.left - 6, tick + 4, text, "end")
         if grid:
             self.parts.insert(0, f'<path class="grid" d="{grid}"/>')
         self.draw("axis", f"M{self.left:g} {self.top:g}V{self.bottom:g}H{self.right:g}")
@@ -341,23 +341,23 @@ class _Frame:
     def path(self, x: npt.ArrayLike, y: npt.ArrayLike, *, steps: bool = False) -> str:
         """A line through the finite points."""
         px, py = self.px(x), self.py(y)
-        known = np.isfinite(px) & np.isfinite(py)
-        pairs = list(zip(px[known].tolist(), py[known].tolist(), strict=True))
+        finite = np.isfinite(px) & np.isfinite(py)
+        pairs = list(zip(px[finite].tolist(), py[finite].tolist(), strict=True))
         if steps and pairs:
             return f"M{pairs[0][0]:.1f} {pairs[0][1]:.1f}" + "".join(f"H{a:.1f}V{b:.1f}" for a, b in pairs[1:])
         return "M" + "L".join(f"{a:.1f} {b:.1f}" for a, b in pairs) if pairs else ""
 
     def limit(self, value: float, text: str) -> None:
         """A limit on the horizontal axis; what lies beyond is shaded."""
-        at = float(self.px(value))
-        if at < self.right:
-            width = self.right - at
+        upright = float(self.px(value))
+        if upright < self.right:
+            width = self.right - upright
             self.parts.append(
-                f'<rect class="shade" x="{at:.1f}" y="{self.top:g}" width="{width:.1f}" height="{self.depth:g}"/>'
+                f'<rect class="shade" x="{upright:.1f}" y="{self.top:g}" width="{width:.1f}" height="{self.depth:g}"/>'
             )
-        self.draw("limit", f"M{at:.1f} {self.top:g}V{self.bottom:g}")
-        end = at + _CHARACTER * len(text) > self.right
-        self.text(at - 4 if end else at + 4, self.top + 12, text, "end" if end else "start", "soft")
+        self.draw("limit", f"M{upright:.1f} {self.top:g}V{self.bottom:g}")
+        end = upright + _CHARACTER * len(text) > self.right
+        self.text(upright - 4 if end else upright + 4, self.top + 12, text, "end" if end else "start", "soft")
 
 
 def _curves(chart: Chart, frame: _Frame) -> _Frame:
@@ -374,8 +374,8 @@ def _curves(chart: Chart, frame: _Frame) -> _Frame:
         frame.draw("curve", f"M{frame.left:g} {float(frame.py(chart.level)):.1f}H{frame.right:g}", RECORDED)
     for series in chart.series:
         if series.low is not None and series.high is not None:
-            known = np.isfinite(series.low) & np.isfinite(series.high)
-            x, ends = series.x[known], (series.high[known], series.low[known][::-1])
+            finite = np.isfinite(series.low) & np.isfinite(series.high)
+            x, ends = series.x[finite], (series.high[finite], series.low[finite][::-1])
             if around := frame.path(np.concatenate([x, x[::-1]]), np.concatenate(ends)):
                 frame.draw("band", f"{around}Z", series.style, dashed=False)
         if series.kind in ("bars", "outline"):
@@ -387,8 +387,8 @@ def _curves(chart: Chart, frame: _Frame) -> _Frame:
             path = frame.path(series.x, series.y, steps=series.kind == "steps")
             frame.draw("curve", path, series.style, series.label)
             if series.kind in ("marked", "started"):
-                places = list(_places(frame, series))
-                shown = places if series.kind == "marked" else places[:1]
+                points = list(_places(frame, series))
+                shown = points if series.kind == "marked" else points[:1]
                 frame.parts += [marker(series.style, a, b, 3.0) for a, b, _, _ in shown]
     for above in (False, True):  # filled points lie above hollow ones
         frame.parts += [
@@ -424,9 +424,9 @@ def _intervals(chart: Chart) -> _Frame:
     frame = _Frame(chart.x, Axis("", 0.0, 1.0, categories=("",)), height, left=left, top=_ROWS_TOP)
     frame.axes(grid_y=False)
     if chart.upright is not None:
-        at = float(frame.px(chart.upright[0]))
-        frame.draw("curve", f"M{at:.1f} {frame.top:g}V{frame.bottom:g}", RECORDED)
-        frame.text(at, 14, chart.upright[1], "end" if at > 0.75 * WIDTH else "middle", "soft")
+        upright = float(frame.px(chart.upright[0]))
+        frame.draw("curve", f"M{upright:.1f} {frame.top:g}V{frame.bottom:g}", RECORDED)
+        frame.text(upright, 14, chart.upright[1], "end" if upright > 0.75 * WIDTH else "middle", "soft")
     y = frame.top + 4.0
     for row, label in zip(chart.rows, labels, strict=True):
         frame.text(left - 8, y + 0.5 * _ROW * len(row) + 4, label, "end")
@@ -436,8 +436,8 @@ def _intervals(chart: Chart) -> _Frame:
                 a, b = frame.px([dot.low, dot.high])
                 frame.draw("curve", f"M{a:.1f} {middle:.1f}H{b:.1f}", dot.style, dashed=False)
             if math.isfinite(dot.value):
-                at, tip = float(frame.px(dot.value)), dot.tip or dot.label
-                frame.parts.append(marker(dot.style, at, middle, filled=not dot.open, tip=tip))
+                x, tip = float(frame.px(dot.value)), dot.tip or dot.label
+                frame.parts.append(marker(dot.style, x, middle, filled=not dot.open, tip=tip))
             y += _ROW
         y += _BETWEEN_ROWS
     return frame
@@ -448,8 +448,8 @@ def _heat_map(chart: Chart, cells: Cells, frame: _Frame) -> _Frame:
     frame.axes(grid_x=False, grid_y=False)
     rows, columns = cells.values.shape
     width, depth = frame.width / columns, frame.depth / rows
-    known = cells.values[np.isfinite(cells.values)]
-    low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
+    finite = cells.values[np.isfinite(cells.values)]
+    low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
     room = max(len(text) for line in cells.texts for text in line) * _CHARACTER < width - 2
     for i, j in np.argwhere(np.isfinite(cells.values)).tolist():
         share = (cells.values[i, j] - low) / ((high - low) or 1.0)

@@ -151,22 +151,14 @@ def _charts(comparison: Comparison) -> Iterator[Chart]:
             difference, low, high = (float(values[i]) for values in (S.difference, S.low, S.high))
             rows.append([Dot(comparison.designs[i].label, difference, low, high, _STYLES[S.verdict[i]])])
         axis = Axis.around("New \u2212 old mean S [m\u00b7s]", S.difference[order], S.low[order], S.high[order], [0.0])
-        yield dots("changes", f"{label}: differences of mean S", rows, axis, at=0.0, at_text="no change")
+        yield dots("changes", f"{label}: differences of mean S", rows, axis, upright=(0.0, "no change"))
     clouds = []
     for verdict, style in _STYLES.items():
         rows_of_verdict = np.array([i for i in range(len(comparison)) if S.verdict[i] is verdict], dtype=np.int64)
         if rows_of_verdict.size:
             tips = tuple(f"{comparison.designs[i].label}: {PHRASES[verdict]}" for i in rows_of_verdict)
-            clouds.append(
-                Series(
-                    PHRASES[verdict],
-                    S.S_old[rows_of_verdict],
-                    S.S_new[rows_of_verdict],
-                    style,
-                    kind="points",
-                    tips=tips,
-                )
-            )
+            old, new = S.S_old[rows_of_verdict], S.S_new[rows_of_verdict]
+            clouds.append(Series(PHRASES[verdict], old, new, style, kind="points", tips=tips))
     both = Axis.around("", S.S_old, S.S_new)
     x, y = Axis("Old mean S [m\u00b7s]", both.low, both.high), Axis("New mean S [m\u00b7s]", both.low, both.high)
     title = f"{label}: old against new mean S"

@@ -43,18 +43,12 @@ def _sentences(context: Context) -> Iterator[str]:
         return
     second = rivals[0]
     name = design_name(ranking.designs[second])
-    away, low, high = (
-        float(values[second])
-        for values in (
-            ranking.inference.difference,
-            ranking.inference.difference_low,
-            ranking.inference.difference_high,
-        )
-    )
-    between = (
-        f" ({level} interval {difference_text(low)} to {difference_text(high)})" if math.isfinite(low + high) else ""
-    )
-    separated = not ranking.inference.set_of_best[second]
+    inference = ranking.inference
+    intervals = inference.difference, inference.difference_low, inference.difference_high
+    away, low, high = (float(values[second]) for values in intervals)
+    interval = f" ({level} interval {difference_text(low)} to {difference_text(high)})"
+    between = interval if math.isfinite(low + high) else ""
+    separated = not inference.set_of_best[second]
     yield (
         f"Second: {name}, {difference_text(away)} m\u00b7s from rank 1{between}; "
         f"{'the scenarios separate the two' if separated else 'the scenarios do not separate the two'}."
@@ -64,17 +58,16 @@ def _sentences(context: Context) -> Iterator[str]:
         needed = context.scenarios.n * (half / away) ** 2
         about = f"about {_two_digits(needed):,}" if needed < 1e7 else "more than ten million"
         yield f"If the difference seen is the true one, {about} scenarios separate them with even chances."
-    other = next((i for i in rivals if ranking.designs[i].law != ranking.designs[0].law), None)
-    if other is not None and other != second:
-        apart = "separated from" if not ranking.inference.set_of_best[other] else "not separated from"
+    rival_law = next((i for i in rivals if ranking.designs[i].law != ranking.designs[0].law), second)
+    if rival_law != second:
+        apart = "not separated from" if inference.set_of_best[rival_law] else "separated from"
         yield (
-            f"Best of another law: {design_name(ranking.designs[other])}, "
-            f"{difference_text(float(ranking.inference.difference[other]))} "
-            f"m\u00b7s from rank 1, {apart} it."
+            f"Best of another law: {design_name(ranking.designs[rival_law])}, "
+            f"{difference_text(float(inference.difference[rival_law]))} m\u00b7s from rank 1, {apart} it."
         )
-    i = ranking.winner
-    if i is not None and math.isfinite(ranking.fresh.optimism[i]):
-        yield optimism_text(ranking, i, "m\u00b7s")
+    winner = ranking.winner
+    if winner is not None and math.isfinite(ranking.fresh.optimism[winner]):
+        yield optimism_text(ranking, winner, "m\u00b7s")
 
 
 def _two_digits(count: float) -> int:
@@ -98,7 +91,7 @@ def _charts(context: Context) -> Iterator[Chart]:
     level = float(ranking.metrics.S_uncorrected[context.shown])
     near = [level] if level < 2.0 * max((v for v in ends if math.isfinite(v)), default=0.0) else []
     yield dots("intervals", "Mean S with intervals", rows, Axis.around("Mean S [m\u00b7s]", ends, near),
-               at=level if near else None, at_text="no control")  # fmt: skip
+               upright=(level, "no control") if near else None)  # fmt: skip
     if context.scenarios.n > 2:
         shown = sorted(dict.fromkeys((context.shown, *context.best_of_each_law[:3])))
         curves = [(design_name(ranking.designs[i]), context.S(i), context.style(i)) for i in shown]
@@ -118,11 +111,11 @@ def convergence(curves: Sequence[tuple[str, FloatArray, Style]], side: IntArray)
 
 def interleaved(side: IntArray) -> IntArray:
     """An order of the scenarios in which every stretch holds left and right ones in their overall proportion."""
-    place = np.empty(side.size)
+    position = np.empty(side.size)
     for value in np.unique(side):
         rows = np.flatnonzero(side == value)
-        place[rows] = (np.arange(rows.size) + 0.5) / rows.size
-    return np.lexsort((np.arange(side.size), place))
+        position[rows] = (np.arange(rows.size) + 0.5) / rows.size
+    return np.lexsort((np.arange(side.size), position))
 
 
 def running_mean(values: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:

@@ -17,7 +17,7 @@ from ..results import status_among
 from ..text import compact, number, percent, plural
 from .charts import RECORDED, Axis, Chart, Style, ecdf, legend
 from .context import MOST_CURVES, Context, side_rows
-from .replay import STATUS_TEXT, Replay, chosen_designs, picked_departures, replay
+from .replay import STATUS_TEXT, Replay, explorer_departures, explorer_designs, replay
 from .shell import Section, figure, packed, paragraphs, render
 
 RESOLUTION: Final = {"y": 1e-3, "delta": 1e-2, "a_y": 1e-2}
@@ -30,15 +30,15 @@ _SPANS: Final = (0.5, 1.0, 2.0, 4.0, 6.0, 8.0, 10.0, 15.0, 20.0, 30.0, 50.0, 100
 
 def section(context: Context) -> Section:
     """The section on single departures."""
-    designs = chosen_designs(context)
+    designs = explorer_designs(context)
     charts = tuple(_distributions(context))
     every = max(1, round(SHORTEST_STEP / context.report.setup.dt))
     shown = context.best_of_each_law[:MOST_CURVES]
     data: dict[str, object] | None = None
     note = ""
     if designs:
-        picks = picked_departures(context, designs)
-        replayed = replay(context, picks, designs)
+        departures = explorer_departures(context, designs)
+        replayed = replay(context, departures, designs)
         data = _data(context, replayed, every)
         if replayed.mismatch > 1e-3:
             note = (
@@ -65,29 +65,31 @@ def _data(context: Context, replayed: Replay, every: int) -> dict[str, object]:
     for paths in replayed.paths:
         angles = np.degrees(paths.delta)
         for k, t in enumerate(paths.t):
-            known = t[np.isfinite(t)]
-            since = (known - known[:1]) / step
+            times = t[np.isfinite(t)]
+            since = (times - times[:1]) / step
             on_grid = np.flatnonzero(np.abs(since - np.rint(since)) * step < 1e-9)
             count.append(on_grid.size)
-            start.append(float(known[0]) if known.size else 0.0)
+            start.append(float(times[0]) if times.size else 0.0)
             for name, table in (("y", paths.y), ("delta", angles), ("a_y", paths.a_y)):
                 values[name].append(np.nan_to_num(table[k, on_grid]))
     # a requested departure opens first, else one where the first design intervenes
     acts = np.isfinite(replayed.paths[0].t).any(axis=1)
-    opened = int(np.argmax(acts + np.array([2 * ("requested" in pick.roles) for pick in replayed.picks])))
+    opened = int(
+        np.argmax(acts + np.array([2 * ("requested" in departure.roles) for departure in replayed.departures]))
+    )
     joined = {name: np.concatenate([np.empty(0), *arrays]) for name, arrays in values.items()}
     return {
         "step": step,
         "open": opened,
         "resolution": RESOLUTION,
-        "departures": [_departure(replayed, k) for k in range(len(replayed.picks))],
+        "departures": [_departure(replayed, k) for k in range(len(replayed.departures))],
         "duration": packed(replayed.scenarios.T),
         "designs": [
             {
-                "name": design_name(context.ranking.designs[entry.place]),
-                "why": entry.why,
-                "style": context.style(entry.place).name,
-                "dash": context.style(entry.place).dash,
+                "name": design_name(context.ranking.designs[entry.position]),
+                "why": entry.reason,
+                "style": context.style(entry.position).name,
+                "dash": context.style(entry.position).dash,
             }
             for entry in replayed.designs
         ],
@@ -122,9 +124,9 @@ def _around_zero() -> list[dict[str, object]]:
 
 
 def _departure(replayed: Replay, k: int) -> dict[str, str]:
-    scenarios, pick = replayed.scenarios, replayed.picks[k]
+    scenarios, departure = replayed.scenarios, replayed.departures[k]
     side = "left" if scenarios.side[k] == LEFT else "right"
-    roles = f": {', '.join(pick.roles)}" if pick.roles else ""
+    roles = f": {', '.join(departure.roles)}" if departure.roles else ""
     facts = (
         f"T = {number(float(scenarios.T[k]), 1)} s, d_y = {number(float(scenarios.d_y[k]), 2)} m, "
         f"v = {number(float(scenarios.v_mean[k]), 1)} m/s, curvature "
@@ -144,10 +146,10 @@ def _recorded(replayed: Replay, step: float) -> dict[str, FloatArray]:
 
 def _facts(context: Context, replayed: Replay) -> list[list[list[str]]]:
     """Text of S, reduction, deepest crossing, added acceleration and status for every design and departure."""
-    results, rows = context.results, [pick.row for pick in replayed.picks]
+    results, rows = context.results, [departure.row for departure in replayed.departures]
     texts = []
     for entry in replayed.designs:
-        i = int(context.ranking.index[entry.place])
+        i = int(context.ranking.index[entry.position])
         S, S_0 = results.counted[i][rows], results.S_uncorrected[i][rows]
         deepest, a_y = results.metrics.deepest[i][rows], results.metrics.a_y_added_peak[i][rows]
         status = results.status[i][rows]
@@ -179,9 +181,6 @@ def _distributions(context: Context) -> Iterator[Chart]:
         samples: list[tuple[str, FloatArray, Style]] = [("No control", recorded, RECORDED)]
         samples += [(law_title(ranking.designs[i]), context.S(i)[rows], context.style(i)) for i in shown]
         yield _curve(f"S-{name}", f"S, {name} departures", samples, "S [m\u00b7s]", "Share of departures")
-    index = [int(ranking.index[i]) for i in shown]
-    titles = [(law_title(ranking.designs[i]), context.style(i)) for i in shown]
-    held = context.no_control
     for name, title, label, limit in (
         ("deepest", "Deepest crossing", "Edge beyond the line [m]", None),
         ("dtle", "Distance to the lane edge", "Front axle beyond the line [m]", (-DTLE_LIMIT, "Euro NCAP")),
@@ -192,13 +191,13 @@ def _distributions(context: Context) -> Iterator[Chart]:
         samples = []
         if name == "deepest":
             samples.append(("No control", context.scenarios.d_y, RECORDED))
-        elif name == "dtle" and held is not None:
-            samples.append(("No control", sign * table[int(ranking.index[held])], RECORDED))
-        for i, (law, style) in zip(index, titles, strict=True):
-            values = sign * table[i]
+        elif name == "dtle" and context.no_control is not None:
+            samples.append(("No control", sign * table[int(ranking.index[context.no_control])], RECORDED))
+        for i in shown:
+            values, status = sign * table[ranking.index[i]], results.status[ranking.index[i]]
             if "added" in name:
-                values = values[~status_among(results.status[i], (EventStatus.NEVER_TRIGGERED, EventStatus.INVALID))]
-            samples.append((law, values, style))
+                values = values[~status_among(status, (EventStatus.NEVER_TRIGGERED, EventStatus.INVALID))]
+            samples.append((law_title(ranking.designs[i]), values, context.style(i)))
         if any(np.isfinite(values).any() for _, values, _ in samples):
             of = "Share of interventions" if "added" in name else "Share of departures"
             yield _curve(name.replace("_", "-"), title, samples, label, of, limit)

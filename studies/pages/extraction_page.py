@@ -414,11 +414,11 @@ def _parameters(extraction: Extraction, rows: Sequence[SourceRow]) -> Section:
     for name in PARAMETER_NAMES:
         values = np.asarray(getattr(departures, name), dtype=np.float64)
         # edges of bins over nearly all values
-        known = values[np.isfinite(values)]
-        low, high = np.quantile(known, (0.002, 0.998)) if known.size >= 500 else (known.min(), known.max())
+        finite = values[np.isfinite(values)]
+        low, high = np.quantile(finite, (0.002, 0.998)) if finite.size >= 500 else (finite.min(), finite.max())
         if high <= low:
             low, high = low - 0.5, high + 0.5
-        edges = np.linspace(low, high, int(np.clip(3 * np.cbrt(known.size), 8, MOST_BINS)) + 1)
+        edges = np.linspace(low, high, int(np.clip(3 * np.cbrt(finite.size), 8, MOST_BINS)) + 1)
         shares, cells = [], list[float]()
         for side, which in (("left", LEFT), ("right", RIGHT)):
             side_values = values[departures.side == which]
@@ -527,8 +527,8 @@ def _event(event: DrawnEvent, side: str) -> Markup:
     """Samples and fit of one departure."""
     sides = np.array([event.side])
     fit = DepartureParameters(sides, *(event.parameters[i : i + 1] for i in range(len(PARAMETER_NAMES))))
-    known = np.isfinite(event.t) & np.isfinite(event.y) & np.isfinite(event.v) & np.isfinite(event.c)
-    rows = np.flatnonzero(known)
+    finite = np.isfinite(event.t) & np.isfinite(event.y) & np.isfinite(event.v) & np.isfinite(event.c)
+    rows = np.flatnonzero(finite)
     rows = rows[np.linspace(0, rows.size - 1, min(rows.size, MOST_DOTS)).round().astype(np.int64)]
     T = float(fit.T[0])
     t, fine = event.t[rows], np.linspace(0.0, T, 33)

@@ -104,8 +104,8 @@ def _charts(context: Context, position: int) -> list[Chart]:
 
     def spread(axis: SweptAxis) -> float:
         S = best_of_cells(ranking, law, axis)[0]
-        known = S[np.isfinite(S)]
-        return float(np.log(known.max() / known.min())) if known.size > 1 and known.min() > 0 else 0.0
+        finite = S[np.isfinite(S)]
+        return float(np.log(finite.max() / finite.min())) if finite.size > 1 and finite.min() > 0 else 0.0
 
     return [
         landscape(ranking, position, context.style(position), *sorted(grid_axes, key=lambda axis: -spread(axis))[:2])
@@ -119,8 +119,8 @@ def best_of_cells(ranking: Ranking, law: str, x: SweptAxis, y: SweptAxis | None 
     for i in reversed(range(len(ranking))):
         if ranking.designs[i].law == law:
             values = values_of(ranking.designs[i])
-            at = y.values.index(values[y.name]) if y else 0, x.values.index(values[x.name])
-            S[at], met[at] = ranking.metrics.S[i], not ranking.missed[i]
+            cell = y.values.index(values[y.name]) if y else 0, x.values.index(values[x.name])
+            S[cell], met[cell] = ranking.metrics.S[i], not ranking.missed[i]
     return S, met
 
 
@@ -149,14 +149,14 @@ def landscape(ranking: Ranking, position: int, style: Style, x: SweptAxis, y: Sw
 def _sampled(context: Context, position: int, axis: SweptAxis) -> Chart:
     """Designs of a sample as points over one quantity."""
     ranking, design = context.ranking, context.ranking.designs[position]
-    members = [i for i, other in enumerate(ranking.designs) if other.law == design.law]
-    at = np.array([float(values_of(ranking.designs[i])[axis.name]) for i in members])
+    members = [i for i, candidate in enumerate(ranking.designs) if candidate.law == design.law]
+    values = np.array([float(values_of(ranking.designs[i])[axis.name]) for i in members])
     title, S = design.kind.title, ranking.metrics.S[members]
     return Chart(
         f"landscape-{design.law}-{axis.name}".replace("_", "-"), f"{title}: mean S over {axis.name}",
-        Axis.around(f"{title}: {axis.label}", at, log=axis.log and bool((at > 0).all())),
+        Axis.around(f"{title}: {axis.label}", values, log=axis.log and bool((values > 0).all())),
         Axis.around("Mean S [m\u00b7s]", S),
-        [Series(title, at, np.where(S > 0, S, np.nan), context.style(position), kind="points")],
+        [Series(title, values, np.where(S > 0, S, np.nan), context.style(position), kind="points")],
         ring=(float(values_of(design)[axis.name]), float(ranking.metrics.S[position]), ""), height=230,
     )  # fmt: skip
 

@@ -85,7 +85,8 @@ def _side(
         else tuple(n for n in PARAMETER_NAMES if np.ptp(getattr(scenarios, n)) > 0)
     )
     names = tuple(name for name in varies if name not in single)
-    columns, count, effective, reason = _source(side, names, table, fitted, limits)
+    source = _source(side, names, table, fitted, limits)
+    columns, count, effective = ({}, None, 0.0) if isinstance(source, str) else source
     margins = {} if side_model is None else _margins(side_model, limits, key)
     by_chance = [kolmogorov_limit(size, len(names)) if names and size else 1.0
               for size in (scenarios.n, scenarios.n * effective / (scenarios.n + effective))]  # fmt: skip
@@ -93,17 +94,17 @@ def _side(
     for name in names:
         x = np.sort(np.asarray(getattr(scenarios, name), dtype=np.float64))
         to_model = Gap(_to_model(x, margins[name]), by_chance[0]) if name in margins else None
-        known = columns.get(name)
-        to_source = None if known is None else Gap(_to_quantiles(x, *known), by_chance[1])
-        middle = math.nan if known is None else float(np.interp(0.5, known[1], known[0]))
+        quantiles = columns.get(name)
+        to_source = None if quantiles is None else Gap(_to_quantiles(x, *quantiles), by_chance[1])
+        middle = math.nan if quantiles is None else float(np.interp(0.5, quantiles[1], quantiles[0]))
         rows.append(ParameterMatch(name, float(np.median(x)), middle, to_model, to_source))
-    return SideMatch(key, scenarios.n, count, reason, tuple(rows))
+    return SideMatch(key, scenarios.n, count, source if isinstance(source, str) else "", tuple(rows))
 
 
 def _source(
     side: int, names: tuple[str, ...], table: Departures | None, fitted: SideSummary | None,
     limits: tuple[Condition, ...],
-) -> tuple[dict[str, tuple[FloatArray, FloatArray]], int | None, float, str]:  # fmt: skip
+) -> tuple[dict[str, tuple[FloatArray, FloatArray]], int, float] | str:  # fmt: skip
     """Quantiles of each parameter with shares, nominal and effective number of departures, or why there are none."""
     if table is not None:
         rows = table.take(table.side == side)
@@ -114,31 +115,21 @@ def _source(
         rows = rows.take(keep)
         if rows.n < LEAST:
             under = " that meet the study\u2019s conditions" if limits else ""
-            return (
-                {},
-                None,
-                0.0,
-                f"The departures table holds {rows.n} departures of this side{under}; {LEAST} are needed.",
-            )
+            return f"The departures table holds {rows.n} departures of this side{under}; {LEAST} are needed."
         share = np.arange(1, rows.n + 1) / rows.n
         columns = {name: (np.sort(np.asarray(getattr(rows, name), dtype=np.float64)), share) for name in names}
-        return columns, rows.n, float(rows.n), ""
+        return columns, rows.n, float(rows.n)
     summary = None if fitted is None else fitted.source_summary
     if summary is None:
-        return {}, None, 0.0, "Source departures are not known: the model\u2019s file holds no summary of them."
+        return "Source departures are not known: the model\u2019s file holds no summary of them."
     if limits:
-        return (
-            {},
-            None,
-            0.0,
-            "The model\u2019s file sums up all of its source departures, not those under the conditions.",
-        )
+        return "The model\u2019s file sums up all of its source departures, not those under the conditions."
     columns = {
         name: (np.array(summary.quantiles[summary.names.index(name)]), np.asarray(summary.probabilities))
         for name in names
         if name in summary.names
     }
-    return columns, summary.departures, float(summary.effective), ""
+    return columns, summary.departures, float(summary.effective)
 
 
 def _margins(side_model: SideModel, limits: tuple[Condition, ...], key: str) -> dict[str, ModelMarginal]:
@@ -162,9 +153,9 @@ def _to_model(x: FloatArray, model: ModelMarginal) -> float:
     return float(max((step[1:] - u).max(), (u - step[:-1]).max(), 0.0))
 
 
-def _to_quantiles(x: FloatArray, at: FloatArray, share: FloatArray) -> float:
-    """Kolmogorov distance of ordered values from quantiles with their shares, at these quantiles."""
-    return float(np.abs(np.searchsorted(x, at, side="right") / x.size - share).max())
+def _to_quantiles(x: FloatArray, quantiles: FloatArray, share: FloatArray) -> float:
+    """Kolmogorov distance of ordered values from quantiles with their shares, taken at these quantiles."""
+    return float(np.abs(np.searchsorted(x, quantiles, side="right") / x.size - share).max())
 
 
 # ------------------------------------------------------------------------------------------------ the section

@@ -40,8 +40,8 @@ def section(context: Context) -> Section:
     """The section."""
     ranking = context.ranking
     named = [position for position in (ranking.winner, ranking.baseline) if position is not None]
-    kept = {*named, *context.best_of_each_law, *np.flatnonzero(ranking.pareto)[:100].tolist()}
-    positions = [i for i in range(len(ranking)) if i < MOST_ROWS or i in kept]
+    marked = {*named, *context.best_of_each_law, *np.flatnonzero(ranking.pareto)[:100].tolist()}
+    positions = [i for i in range(len(ranking)) if i < MOST_ROWS or i in marked]
     table = ranking_table(ranking, positions)
     rows = []
     for position, row in zip(positions, table.rows, strict=True):

@@ -3,11 +3,11 @@
 import dataclasses
 import hashlib
 from collections.abc import Sequence
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
-from ldctoolkit.arrays import FloatArray, IntArray
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.control import Controller, EventStatus
 from ldctoolkit.departures import LEFT, RIGHT
 from ldctoolkit.errors import InputError
@@ -55,22 +55,22 @@ def rows_of_numbers(scenarios: Scenarios, numbers: Sequence[int]) -> tuple[int, 
 
 
 @dataclasses.dataclass(frozen=True)
-class Chosen:
+class ExplorerDesign:
     """A design of the explorer: its position in the ranking, and the reason for its selection."""
 
-    place: int
-    why: str
+    position: int
+    reason: str
 
 
 @dataclasses.dataclass(frozen=True)
-class Pick:
+class ExplorerDeparture:
     """A departure of the explorer: its row, and its roles; those that are spread over S have none."""
 
     row: int
     roles: tuple[str, ...]
 
 
-def chosen_designs(context: Context) -> tuple[Chosen, ...]:
+def explorer_designs(context: Context) -> tuple[ExplorerDesign, ...]:
     """The shown design, those requested, the baseline, the best of each law, Table I, the second of the ranking."""
     ranking = context.ranking
     requested = named_designs(ranking.designs, context.report.shown_designs)
@@ -84,16 +84,18 @@ def chosen_designs(context: Context) -> tuple[Chosen, ...]:
         ("Table I of the paper", paper),
         ("second of the ranking", [1] if len(ranking) > 1 else []),
     )
-    selection: dict[int, Chosen] = {}
-    for why, positions in reasons:
+    selection: dict[int, ExplorerDesign] = {}
+    for reason, positions in reasons:
         for position in positions:
             passive = ranking.designs[position].is_baseline and position != context.shown
-            if not passive and (why == "requested" or len(selection) < MOST_DESIGNS):
-                selection.setdefault(position, Chosen(position, why))
+            if not passive and (reason == "requested" or len(selection) < MOST_DESIGNS):
+                selection.setdefault(position, ExplorerDesign(position, reason))
     return tuple(selection.values())
 
 
-def picked_departures(context: Context, designs: Sequence[Chosen], count: int = COUNT) -> tuple[Pick, ...]:
+def explorer_departures(
+    context: Context, designs: Sequence[ExplorerDesign], count: int = COUNT
+) -> tuple[ExplorerDeparture, ...]:
     """The requested departures, then those with a role, then others evenly over the ranks of S."""
     n = context.scenarios.n
     roles: dict[int, list[str]] = {}
@@ -101,27 +103,27 @@ def picked_departures(context: Context, designs: Sequence[Chosen], count: int = 
         roles[row] = ["requested"]
     for row, role in _named(context, designs):
         roles.setdefault(row, []).append(role)
-    S = context.S(designs[0].place)
+    S = context.S(designs[0].position)
     order, room = np.argsort(S, kind="stable"), max(count - len(roles), 0)
     ranks = np.arange(n) if n <= count else np.unique(np.rint(np.linspace(0, n - 1, room)).astype(np.int64))
     ranks = ranks[np.argsort((np.arange(ranks.size) * _GOLDEN) % 1.0, kind="stable")]
     for row in order[ranks].tolist():
         roles.setdefault(row, [])
-    return tuple(Pick(row, tuple(names)) for row, names in roles.items())
+    return tuple(ExplorerDeparture(row, tuple(names)) for row, names in roles.items())
 
 
-def _named(context: Context, designs: Sequence[Chosen]) -> list[tuple[int, str]]:
+def _named(context: Context, designs: Sequence[ExplorerDesign]) -> list[tuple[int, str]]:
     """Rows and roles: failures of all designs, then extreme and median departures of the first design on each side."""
-    results, position = context.results, designs[0].place
+    results, position = context.results, designs[0].position
     index, S = int(context.ranking.index[position]), context.S(position)
     deepest, a_y = results.metrics.deepest[index], results.metrics.a_y_added_peak[index]
     acted = results.status[index] != EventStatus.NEVER_TRIGGERED
     named = []
     for entry in designs:
-        status = results.status[int(context.ranking.index[entry.place])]
+        status = results.status[int(context.ranking.index[entry.position])]
         rows = np.flatnonzero(np.isin(status, FAILED_STATUSES))
         if rows.size:
-            design = context.ranking.designs[entry.place]
+            design = context.ranking.designs[entry.position]
             named.append((int(rows[0]), f"{STATUS_TEXT[EventStatus(int(status[rows[0]]))]} ({design.law})"))
     for side, name in ((LEFT, "left"), (RIGHT, "right")):
         side_rows = np.flatnonzero(context.scenarios.side == side)
@@ -139,8 +141,7 @@ def _named(context: Context, designs: Sequence[Chosen]) -> list[tuple[int, str]]
 # ------------------------------------------------------------------------------------------------ driven again
 
 
-@dataclasses.dataclass(frozen=True)
-class DesignPaths:
+class DesignPaths(NamedTuple):
     """A design on the p picked departures; arrays (p, k), NaN after the end and where there is no path."""
 
     t: FloatArray  # [s] Time since the crossing: the controller's samples from the trigger on, T, and the end
@@ -153,48 +154,43 @@ class DesignPaths:
 class Replay:
     """Simulated departures; `mismatch` is the largest relative difference between a new and a stored score."""
 
-    picks: tuple[Pick, ...]
-    designs: tuple[Chosen, ...]
+    departures: tuple[ExplorerDeparture, ...]
+    designs: tuple[ExplorerDesign, ...]
     scenarios: Scenarios
     recorded: UncorrectedPath
     paths: tuple[DesignPaths, ...]
     mismatch: float
 
 
-def replay(context: Context, picks: tuple[Pick, ...], designs: tuple[Chosen, ...]) -> Replay:
+def replay(context: Context, departures: tuple[ExplorerDeparture, ...], designs: tuple[ExplorerDesign, ...]) -> Replay:
     """Paths of designs with vehicle, plant, seed and clock of the study: simulated once, then read from its folder."""
-    scenarios = context.scenarios.take([pick.row for pick in picks])
-    setup, names = context.report.setup, [field.name for field in dataclasses.fields(DesignPaths)]
-    ids = [context.ranking.designs[entry.place].id for entry in designs]
+    scenarios = context.scenarios.take([departure.row for departure in departures])
+    setup, ids = context.report.setup, [context.ranking.designs[entry.position].id for entry in designs]
 
     def drive_all() -> dict[str, FloatArray]:
-        arrays: dict[str, FloatArray] = {}
-        off = [0.0]
-        for id, entry in zip(ids, designs, strict=True):
-            paths, mismatch = _driven(context, picks, scenarios, entry)
-            arrays |= {f"{id} {name}": getattr(paths, name) for name in names}
-            off.append(mismatch)
-        return arrays | {"mismatch": np.array(max(off))}
+        driven = [_driven(context, departures, scenarios, entry) for entry in designs]
+        arrays = {id: np.stack(paths) for id, (paths, _) in zip(ids, driven, strict=True)}
+        return arrays | {"mismatch": np.array(max((mismatch for _, mismatch in driven), default=0.0))}
 
     content = hashlib.sha256(b"".join(array.tobytes() for array in scenarios.arrays())).hexdigest()
-    key = [ids, content, dataclasses.asdict(setup), context.results.window]
+    key = [ids, content, dataclasses.asdict(setup), context.results.window, DesignPaths._fields]
     arrays = remembered(context.report.folder, "paths", key, drive_all)
-    paths = tuple(DesignPaths(*(arrays[f"{id} {name}"] for name in names)) for id in ids)
+    paths = tuple(DesignPaths(*arrays[id]) for id in ids)
     recorded = UncorrectedPath.of(scenarios, setup.options.residuals, setup.seed)
-    return Replay(picks, designs, scenarios, recorded, paths, float(arrays["mismatch"]))
+    return Replay(departures, designs, scenarios, recorded, paths, float(arrays["mismatch"]))
 
 
 def _driven(
-    context: Context, picks: tuple[Pick, ...], scenarios: Scenarios, entry: Chosen
+    context: Context, departures: tuple[ExplorerDeparture, ...], scenarios: Scenarios, entry: ExplorerDesign
 ) -> tuple[DesignPaths, float]:
-    setup, results, design = context.report.setup, context.results, context.ranking.designs[entry.place]
-    index = int(context.ranking.index[entry.place])
-    rows = np.array([pick.row for pick in picks], dtype=np.int64)
+    setup, results, design = context.report.setup, context.results, context.ranking.designs[entry.position]
+    index = int(context.ranking.index[entry.position])
+    rows = np.array([departure.row for departure in departures], dtype=np.int64)
     to_drive = ~np.isin(results.status[index][rows], _NOT_AGAIN)
     if design.batch < Controller.batch:  # slow laws declare a small batch
         to_drive[design.batch :] = False
     driven_rows = np.flatnonzero(to_drive)
-    no_paths = DesignPaths(*(np.full((len(picks), 0), np.nan) for _ in range(4)))
+    no_paths = DesignPaths(*(np.full((len(departures), 0), np.nan) for _ in range(4)))
     if not driven_rows.size:
         return no_paths, 0.0
     over = Takeover.build(scenarios.take(driven_rows), setup, y_s=design.y_s)
@@ -204,38 +200,8 @@ def _driven(
     paths = outcome.trajectories
     if paths is None:  # the law never intervenes
         return no_paths, off
-    t, y, delta, a_y = (np.full((len(picks), paths.t.shape[1]), np.nan) for _ in range(4))
+    t, y, delta, a_y = (np.full((len(departures), paths.t.shape[1]), np.nan) for _ in range(4))
     t[driven_rows], delta[driven_rows] = paths.t, paths.delta
     y[driven_rows] = paths.x[:, :, 0] - setup.vehicle.edge_offset
-    a_y[driven_rows[over.rows]] = path_acceleration(
-        over, np.arange(over.m), paths.t[over.rows], paths.x[over.rows], paths.delta[over.rows]
-    )
+    a_y[driven_rows] = paths.a_y
     return DesignPaths(t, y, delta, a_y), off
-
-
-def path_acceleration(over: Takeover, rows: IntArray, t: FloatArray, x: FloatArray, delta: FloatArray) -> FloatArray:
-    """Lateral acceleration just after each sample of driven paths: axle forces over the mass of the true vehicles."""
-    # after the trigger the loop follows fitted speed and curvature, even where the path is recorded
-    path, cars = dataclasses.replace(over.driven.take(rows), recorded=None), over.vehicles
-    known = np.isfinite(t)
-    times = np.where(known, t, 0.0)
-    zero = 0.0 * times
-    v = path.speed(times) if over.setup.options.speed == "profile" else over.plant.v[rows][:, None] + zero
-    lane = v * path.curvature(times)
-    m, I_z, C_af, C_ar, mu = (getattr(cars, name)[rows][:, None] + zero for name in ("m", "I_z", "C_af", "C_ar", "mu"))
-    rate, heading, turning = x[..., 1], x[..., 2], x[..., 3]
-    if over.setup.options.tyres.ideal:
-        v_y, omega = rate - v * heading, turning + lane
-        front = 2.0 * C_af * (delta - (v_y + cars.l_f * omega) / v)
-        rear = -2.0 * C_ar * (v_y - cars.l_r * omega) / v
-        printed = 4.0 * C_ar * cars.l_r / m if over.setup.convention == "as_printed" else 0.0
-        a_y = (front + rear) / m - printed * turning / v
-    else:
-        from ldctoolkit.vehicle._nonlinear_compiled import nonlinear_rhs
-
-        every = np.vectorize(nonlinear_rhs, otypes=[np.float64] * 3)
-        a_y = every(
-            *(np.where(known, part, 0.0) for part in (rate, heading, turning, delta)), lane, v, zero,
-            C_af, C_ar, cars.l_f + zero, cars.l_r + zero, m, I_z, mu, over.setup.options.tyres.shape + zero,
-        )[2]  # fmt: skip
-    return np.where(known, a_y, np.nan)

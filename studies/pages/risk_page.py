@@ -66,19 +66,12 @@ def probabilities(risk: Risk, design: Design) -> Table:
     rows = []
     for event in risk.events:
         event_risk, without = risk.event(design, event), risk.event(risk.designs[0], event)
-        shares: list[Cell | Value] = [
-            without.probability,
-            event_risk.probability,
-            (event_risk.low, event_risk.high),
-            event_risk.count,
-        ]
-        compared: list[Cell | Value] = [
-            event_risk.design_only,
-            event_risk.no_control_only,
-            Cell(event_risk.text, bad=event_risk.sign > 0, good=event_risk.sign < 0),
-        ]
-        per = [rate * event_risk.probability for rate in rates.values()]
-        rows.append(Row([event, *shares, *per, *([None, None, None] if design.is_baseline else compared)]))
+        P = event_risk.probability
+        cells: list[Cell | Value] = [event, without.probability, P, (event_risk.low, event_risk.high), event_risk.count]
+        cells += [rate * P for rate in rates.values()]
+        verdict = Cell(event_risk.text, bad=event_risk.sign > 0, good=event_risk.sign < 0)
+        compared = [event_risk.design_only, event_risk.no_control_only, verdict]
+        rows.append(Row([*cells, *([None, None, None] if design.is_baseline else compared)]))
     return Table(f"{_name(design)}, {risk.n:,} departures of either side", columns, rows)
 
 
@@ -93,17 +86,11 @@ def _probabilities(risk: Risk) -> Section:
 
 
 def _curve(risk: Risk) -> Section:
-    series, styles = [], law_styles(NO_CONTROL if design.is_baseline else design.id for design in risk.designs)
-    for design in risk.designs:
+    names = [NO_CONTROL if design.is_baseline else design.id for design in risk.designs]
+    styles, series = law_styles(names), []
+    for design, name in zip(risk.designs, names, strict=True):
         x, share = risk.exceedance(design)
-        series.append(
-            Series(
-                _name(design),
-                x,
-                np.where(share > 0.0, share, np.nan),
-                styles[NO_CONTROL if design.is_baseline else design.id],
-            )
-        )
+        series.append(Series(_name(design), x, np.where(share > 0.0, share, np.nan), styles[name]))
     y = Axis("P(depth beyond)", 0.5 / max(risk.n, 1), 1.0, log=True)
     chart = Chart("exceedance", "Probability that a departure gets deeper", Axis("Depth [m]", 0.0, 3.0), y, series)
     text = (

@@ -25,13 +25,10 @@ def section(context: Context) -> Section:
             "Designs were not driven on other plants for this report: leave --no-robustness out to have them here."
         )
         return Section("robustness", "Other plants", body)
-    charts = tuple(_margins(context, robustness))
-    shown = [i for i, _ in _shown(context, robustness)]
-    body = (
-        paragraphs(*_sentences(context, robustness))
-        + to_html(_table(context, robustness, shown))
-        + bullets(_left_out(robustness))
-    )
+    shown = tuple(_shown(context, robustness))
+    charts = tuple(_margins(context, robustness, shown))
+    body = paragraphs(*_sentences(context, robustness)) + to_html(_table(context, robustness, shown))
+    body += bullets(_left_out(robustness))
     if charts:
         body += details(
             "Margins of the loop over speed",
@@ -44,8 +41,11 @@ def section(context: Context) -> Section:
     return Section("robustness", "Other plants", body, charts)
 
 
+Shown = tuple[tuple[int, int], ...]  # of each design: its position among those of the robustness, and in the ranking
+
+
 def _shown(context: Context, robustness: Robustness) -> Iterator[tuple[int, int]]:
-    """Position among the robustness designs and place in the ranking: the reference, then the best of each law."""
+    """The reference, then the best design of each law."""
     positions = {design.id: i for i, design in enumerate(context.ranking.designs)}
     laws: set[str] = set()
     for i, id in enumerate(robustness.designs):
@@ -60,8 +60,8 @@ def _shown(context: Context, robustness: Robustness) -> Iterator[tuple[int, int]
 
 def _sentences(context: Context, robustness: Robustness) -> Iterator[str]:
     """What happens to the reference, most serious first."""
-    place_of = {design.id: design for design in context.ranking.designs}
-    name = design_name(place_of[robustness.designs[0]]) if robustness.designs[0] in place_of else "The first design"
+    reference = [design for design in context.ranking.designs if design.id == robustness.designs[0]]
+    name = design_name(reference[0]) if reference else "The first design"
     plants = [p for p, adds in enumerate(robustness.adds) if adds]
     yield (
         f"{name} on {plural(len(robustness.plants) - 1, 'other plant')}, {robustness.n:,} of the study scenarios each "
@@ -87,11 +87,10 @@ def _sentences(context: Context, robustness: Robustness) -> Iterator[str]:
         yield f"Another of the designs compared is better with: {', '.join(behind)}."
 
 
-def _table(context: Context, robustness: Robustness, shown: list[int]) -> Table:
-    by_id = {design.id: design for design in context.ranking.designs}
+def _table(context: Context, robustness: Robustness, shown: Shown) -> Table:
     columns = [Column("Plant", text=True), Column("Differs in", text=True)]
-    for i in shown:
-        title = law_title(by_id[robustness.designs[i]])
+    for _, position in shown:
+        title = law_title(context.ranking.designs[position])
         columns += [
             Column(f"{title}: S", "m\u00b7s", ".3f"),
             Column("Change", "%", "+.0f"),
@@ -100,7 +99,7 @@ def _table(context: Context, robustness: Robustness, shown: list[int]) -> Table:
     rows = []
     for p, what in enumerate(zip(robustness.titles, robustness.differences, strict=True)):
         cells: list[Cell | Value] = [*what]
-        for i in shown:
+        for i, _ in shown:
             S, unchanged, lost = float(robustness.S[p, i]), float(robustness.S[0, i]), int(robustness.diverged[p, i])
             change = 100.0 * (S / unchanged - 1.0) if unchanged > 0 else math.nan
             cells += [Cell(S, bad=bool(robustness.excess[p, i] > 0)), change if p else None, Cell(lost, bad=bool(lost))]
@@ -119,26 +118,17 @@ def _left_out(robustness: Robustness) -> Iterator[str]:
         yield f"{robustness.titles[plant]}: design {robustness.designs[design]}: {reason}"
 
 
-def _margins(context: Context, robustness: Robustness) -> Iterator[Chart]:
+def _margins(context: Context, robustness: Robustness, shown: Shown) -> Iterator[Chart]:
     """Gain and phase margin over speed."""
-    for name, title, factor, level in (
-        ("gain", "Gain margin", 1.0, 2.0),
-        ("phase", "Phase margin [\u00b0]", math.degrees(1.0), 30.0),
+    for name, title, margins, largest, level in (
+        ("gain", "Gain margin", robustness.gain, 20.0, 2.0),
+        ("phase", "Phase margin [\u00b0]", np.degrees(robustness.phase), 180.0, 30.0),
     ):
         series = []
-        for i, position in _shown(context, robustness):
-            values = factor * getattr(robustness, name)[i]
-            if not np.isnan(values).all():
-                known = np.minimum(values, 20.0 if name == "gain" else 180.0)
-                series.append(
-                    Series(
-                        law_title(context.ranking.designs[position]),
-                        robustness.v,
-                        known,
-                        context.style(position),
-                        kind="marked",
-                    )
-                )
+        for i, position in shown:
+            if not np.isnan(margins[i]).all():
+                law, drawn = law_title(context.ranking.designs[position]), np.minimum(margins[i], largest)
+                series.append(Series(law, robustness.v, drawn, context.style(position), kind="marked"))
         if series and robustness.v.size > 1:
             y = Axis.around(title, *(curve.y for curve in series), [level], zero=True)
             x = Axis.around("Speed [m/s]", robustness.v)

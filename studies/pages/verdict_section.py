@@ -105,8 +105,8 @@ def scatter_of_metrics(
     """Two metrics of all designs, or of `most`, against each other, with the Pareto front of the two."""
     of_x, of_y = metric(across), metric(up)
     x, y = (of.scale * metric_values(of.name, ranking) for of in (of_x, of_y))
-    known = np.isfinite(x) & np.isfinite(y)
-    positions = np.flatnonzero(known)
+    finite = np.isfinite(x) & np.isfinite(y)
+    positions = np.flatnonzero(finite)
     if most is not None and positions.size > most:
         rest = positions[most // 2 :]
         positions = np.concatenate([positions[: most // 2], rest[:: max(1, rest.size // (most // 2))]])
@@ -124,18 +124,18 @@ def scatter_of_metrics(
             title = law_title(ranking.designs[rows[0]])
             clouds.append(Series(title, x[rows], y[rows], style, kind="points", filled=admissible[rows], tips=tips))
     signs = np.array([1.0 if of.better == "less" else -1.0 for of in (of_x, of_y)])
-    contenders = np.flatnonzero(known & (admissible if (known & admissible).any() else known))
+    contenders = np.flatnonzero(finite & (admissible if (finite & admissible).any() else finite))
     costs = np.stack([x, y], axis=1) * signs
     front = contenders[pareto_front(costs[contenders])]
     front = front[np.lexsort(costs[front].T[::-1])]
     # far points would squeeze the rest: beyond the limit a logarithm
-    wide = known.any() and float(x[known].max()) > 8.0 * max(float(np.median(x[known])), 1e-12)
-    log = bool(wide and (x[known] > 0).all())
+    wide = finite.any() and float(x[finite].max()) > 8.0 * max(float(np.median(x[finite])), 1e-12)
+    log = bool(wide and (x[finite] > 0).all())
     ends = x if limit is None else np.append(x, limit * of_x.scale)
     return Chart(
         "trade-off", f"{of_y.title} against {of_x.title}, one point a design",
         Axis.around(f"{of_x.label}, {of_x.better} is better", ends[np.isfinite(ends)], log=log, zero=not log),
-        Axis.around(f"{of_y.label}, {of_y.better} is better", y[known]), clouds, height=290.0,
+        Axis.around(f"{of_y.label}, {of_y.better} is better", y[finite]), clouds, height=290.0,
         limit=None if limit is None else (limit * of_x.scale, "limit"), front=(x[front], y[front]),
         ring=None if marked is None else (float(x[marked]), float(y[marked]), "winner"),
     )  # fmt: skip

@@ -9,7 +9,7 @@ import os
 import re
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Final, Self
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -85,8 +85,8 @@ def release_metrics(results: StudyResults, *, D_y: float) -> Values:
 
     def of(group: Sequence[Metric], names: Sequence[str]) -> Callable[..., Values]:
         def values(acted: BoolArray, *columns: FloatArray) -> Values:
-            by, there = Interventions(acted, d_y, D_y), dict(zip(names, columns, strict=True))
-            return {metric.name: _taken(metric, by, *(there[name] for name in metric.of)) for metric in group}
+            by, values_of = Interventions(acted, d_y, D_y), dict(zip(names, columns, strict=True))
+            return {metric.name: _aggregated(metric, by, *(values_of[name] for name in metric.of)) for metric in group}
 
         return values
 
@@ -165,8 +165,8 @@ def sampling_intervals(
             n = _acted(results)[:, driven].sum(axis=1)
             row[1:] = np.array(binomial_interval(row[0] * n, n, level)) + 0.0 * row[0]
         elif columns is not None:
-            taken = _by_blocks(functools.partial(ends, definition), _acted(results), columns)
-            row[1:] = taken["low"], taken["high"]
+            intervals_of = _by_blocks(functools.partial(ends, definition), _acted(results), columns)
+            row[1:] = intervals_of["low"], intervals_of["high"]
     return intervals
 
 
@@ -187,7 +187,7 @@ def _groups() -> list[list[Metric]]:
     return groups
 
 
-def _taken(metric: Metric, by: Interventions, *values: FloatArray) -> FloatArray:
+def _aggregated(metric: Metric, by: Interventions, *values: FloatArray) -> FloatArray:
     """Values of a metric of designs, over all departures or the interventions."""
     if metric.share is not None:
         return np.asarray(metric.share(by, *values))
@@ -320,29 +320,14 @@ class DesignMetrics:
         return DesignMetrics(**{name: column[order] for name, column in values.items()}, beside=beside)
 
 
-@dataclasses.dataclass(frozen=True)
-class DrivableResults:
-    """Results on the scenarios that can be driven under every design."""
-
-    results: StudyResults
-    status: npt.NDArray[np.int8]  # (d, m) Of all scenarios, those that cannot be driven included
-
-    @classmethod
-    def of(cls, results: StudyResults) -> Self:
-        """Leave out the scenarios that cannot be driven under every design."""
-        drivable = results.on_drivable()
-        if not drivable.scenarios.n:
-            raise InputError(
-                "results", "no scenario could be driven under every design", hint="there is nothing to rank"
-            )
-        if not np.isfinite(drivable.counted).all():
-            raise InputError("results", "S is not finite in some scenario", hint="a mean would drop or hide it")
-        return cls(drivable, results.status)
-
-    @property
-    def left_out(self) -> int:
-        """Number of scenarios that are left out."""
-        return int(self.status.shape[1]) - len(self.results.scenarios)
+def drivable_results(results: StudyResults) -> StudyResults:
+    """The results on the scenarios that can be driven under every design; raises `InputError` if there are none."""
+    drivable = results.on_drivable()
+    if not drivable.scenarios.n:
+        raise InputError("results", "no scenario could be driven under every design", hint="there is nothing to rank")
+    if not np.isfinite(drivable.counted).all():
+        raise InputError("results", "S is not finite in some scenario", hint="a mean would drop or hide it")
+    return drivable
 
 
 _MARGINS: Final = ("gain_margin", "phase_margin")
@@ -370,24 +355,27 @@ def measures_of(results: StudyResults, vehicles: Sequence[str], standards: Seque
 
 
 def design_metrics(
-    drivable: DrivableResults, D_y: float, measures: Values, setup: Setup | None = None
+    every_run: StudyResults, results: StudyResults, D_y: float, measures: Values, setup: Setup | None = None
 ) -> DesignMetrics:
-    """Metrics of the designs, in the order of the results. Without `setup`, friction allows every recorded path."""
-    results = drivable.results
+    """Metrics of the designs, in the order of the results.
+
+    Statuses are counted in `every_run`, all else is taken over the drivable `results`. Without `setup`, friction allows
+    every recorded path.
+    """
     scenarios, counted = results.scenarios, results.counted
     every = np.ones(len(scenarios), dtype=np.bool_)
     rows = (every, scenarios.side == LEFT, scenarios.side == RIGHT)
     S, S_left, S_right = (_mean(counted, side) for side in rows)
     before, before_left, before_right = (_mean(results.S_uncorrected, side) for side in rows)
     S_p95, S_cvar95 = tail_metrics(counted)
-    taken = release_metrics(results, D_y=D_y)
-    taken["within_dtle_gain"] = taken["within_dtle"] - share_within_dtle(_recorded_dtle(results, setup))
+    derived = release_metrics(results, D_y=D_y)
+    derived["within_dtle_gain"] = derived["within_dtle"] - share_within_dtle(_recorded_dtle(results, setup))
     allowed = np.ones(len(scenarios), dtype=np.bool_) if setup is None else ~beyond_friction(scenarios, setup)
-    taken["lost"] = ((results.status == EventStatus.DIVERGED) & allowed).sum(axis=1).astype(np.float64)
-    taken |= dict.fromkeys((*_MARGINS, *_OF_VEHICLES), np.full(len(results.designs), np.nan))
+    derived["lost"] = ((results.status == EventStatus.DIVERGED) & allowed).sum(axis=1).astype(np.float64)
+    derived |= dict.fromkeys((*_MARGINS, *_OF_VEHICLES), np.full(len(results.designs), np.nan))
 
     def count(status: EventStatus) -> IntArray:
-        result: IntArray = (drivable.status == status).sum(axis=1).astype(np.int64)
+        result: IntArray = (every_run.status == status).sum(axis=1).astype(np.int64)
         return result
 
     return DesignMetrics(
@@ -401,7 +389,7 @@ def design_metrics(
         reduction_left=mean_reduction(S_left, before_left),
         reduction_right=mean_reduction(S_right, before_right),
         triggered=(results.status != EventStatus.NEVER_TRIGGERED).mean(axis=1),
-        deeper=taken.pop("deeper"),
+        deeper=derived.pop("deeper"),
         solver_failed=count(EventStatus.SOLVER_FAILED),
         diverged=count(EventStatus.DIVERGED),
         timed_out=count(EventStatus.TIMED_OUT),
@@ -409,7 +397,7 @@ def design_metrics(
         beyond_delta_max=count(EventStatus.BEYOND_DELTA_MAX),
         invalid=count(EventStatus.INVALID),
         failed_solves=results.failed_solves.sum(axis=1).astype(np.int64),
-        beside=taken | measures,
+        beside=derived | measures,
     )
 
 

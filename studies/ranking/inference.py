@@ -422,25 +422,14 @@ class Inference:
     may_be_best: int
 
 
-def infer(
-    scores: FloatArray,
-    side: IntArray,
-    *,
-    ranked: int,
-    baseline: int | None,
-    seed: int,
-    samples: int,
-    confidence: float,
-    rows: IntArray | None = None,
-) -> Inference:
+def infer(resampled: Resampled, *, ranked: int, baseline: int | None, confidence: float) -> Inference:
     """Compare designs, the first `ranked` of them as candidates for the best; none where that is 0."""
-    resampled = Resampled.of(scores, side, seed=seed, samples=samples, rows=rows)
     d = resampled.mean.size
     contenders = ranked or d
     means = simultaneous_interval(resampled, confidence)
     best = compare_with_best(resampled, confidence, contenders)
     among = np.arange(d) < ranked
-    nothing = np.full(d, np.nan)
+    undefined = np.full(d, np.nan)
     to_baseline = None if baseline is None else simultaneous_interval(resampled, confidence, baseline)
     return Inference(
         S_low=means.low,
@@ -448,9 +437,9 @@ def infer(
         difference=best.difference,
         difference_low=best.low_of_all,
         difference_high=best.high_of_all,
-        baseline_difference=nothing if to_baseline is None else to_baseline.centre,
-        baseline_difference_low=nothing if to_baseline is None else to_baseline.low,
-        baseline_difference_high=nothing if to_baseline is None else to_baseline.high,
+        baseline_difference=undefined if to_baseline is None else to_baseline.centre,
+        baseline_difference_low=undefined if to_baseline is None else to_baseline.low,
+        baseline_difference_high=undefined if to_baseline is None else to_baseline.high,
         set_of_best=~best.clear & among,
         best_frequency=np.where(among, best_frequency(resampled, contenders), 0.0),
         references=best.references,

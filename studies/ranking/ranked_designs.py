@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.simulation import Window
@@ -13,8 +12,8 @@ from ldctoolkit.vehicle import Convention
 
 from ..design import Design
 from ..requirements import Estimate, Miss, Requirement
-from ..results import FailedDesign, score_label
-from .design_metrics import DesignMetrics, DrivableResults, mean_reduction
+from ..results import FailedDesign, StudyResults, score_label
+from .design_metrics import DesignMetrics, mean_reduction
 from .inference import SAME, Inference, Interval, Resampled, critical_value, simultaneous_interval, skewed_widths
 
 
@@ -75,10 +74,10 @@ class FreshScores:
 
 def no_fresh_scores(d: int, ranked: int) -> FreshScores:
     """`FreshScores` of a study without fresh scenarios."""
-    nothing = np.full(d, np.nan)
-    unknown = (nothing, nothing, nothing)
+    undefined = np.full(d, np.nan)
+    unknown = (undefined, undefined, undefined)
     unmet: tuple[tuple[str, ...], ...] = ((),) * d
-    return FreshScores(*unknown, *unknown, *unknown, nothing, unmet, *unknown, False, 0, None, 0 if ranked else None)
+    return FreshScores(*unknown, *unknown, *unknown, undefined, unmet, *unknown, False, 0, None, 0 if ranked else None)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -93,43 +92,38 @@ class ReplayedScores:
     departures: int  # Number of recorded departures; 0 without any
 
 
-@dataclasses.dataclass(frozen=True)
-class SearchScores:
-    """Results on the search's scenarios, d designs by position in the ranking."""
-
-    scores: FloatArray  # (d, n) [m s] Counted S, in the study's order
-    order: IntArray  # (d,) Rows of `scores`, in the order of the ranking
-    side: npt.NDArray[np.signedinteger]  # (n,)
-    set_of_best: BoolArray  # (d,)
-    ranked: int  # Number of ranked designs, which are the first ones
-    baseline: int | None  # Position of the design that all are compared with
-    paired: bool  # Whether the baseline is a law: a difference to it cancels most of the effect of the draw
-
-
 def fresh_scores(
-    drivable: DrivableResults,
+    results: StudyResults,
     positions: IntArray,
-    search: SearchScores,
+    study_scores: Resampled,
+    inference: Inference,
     unmet: Sequence[tuple[str, ...]],
     *,
-    first_failed: bool = False,
+    ranked: int,
+    baseline: int | None,
+    paired: bool,
+    first_failed: bool,
     seed: int,
     samples: int,
     confidence: float,
 ) -> FreshScores:
-    """Score the finalists on fresh scenarios."""
-    d = len(search.scores)
+    """Score the finalists on fresh scenarios, whose drivable ones the results hold.
+
+    `positions` are those of the finalists in the ranking, whose first `ranked` designs are ranked; `study_scores` and
+    `inference` are those of its d designs on the study scenarios. `paired` says whether the baseline is a law: a
+    difference to it cancels most of the effect of the draw.
+    """
+    d = study_scores.mean.size
     order = np.argsort(positions, kind="stable")
     positions, unmet = positions[order], [unmet[i] for i in order.tolist()]
-    results = drivable.results
-    every = Resampled.of(
+    scored = Resampled.of(
         results.counted, results.scenarios.side, seed=seed, samples=samples, stream=_STREAM, rows=order
     )
     rows = np.flatnonzero(
-        (positions < search.ranked)
-        & (search.set_of_best[positions] | (positions != (-1 if search.baseline is None else search.baseline)))
+        (positions < ranked)
+        & (inference.set_of_best[positions] | (positions != (-1 if baseline is None else baseline)))
     )
-    finalists, resampled = positions[rows], every.take(rows)
+    finalists, resampled = positions[rows], scored.take(rows)
 
     def spread(values: FloatArray, among: IntArray) -> FloatArray:
         result = np.full(d, np.nan)
@@ -139,39 +133,38 @@ def fresh_scores(
     def ends(interval: Interval, among: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         return spread(interval.centre, among), spread(interval.low, among), spread(interval.high, among)
 
-    nothing = (np.full(d, np.nan),) * 3
-    S = spread(every.mean, positions)
-    to_first = to_baseline = optimism = nothing
-    reduction = nothing[0]
+    undefined = (np.full(d, np.nan),) * 3
+    S = spread(scored.mean, positions)
+    to_first = to_baseline = optimism = undefined
+    reduction = undefined[0]
     if finalists.size and (finalists[0] == 0 or first_failed):
         to_first = ends(simultaneous_interval(resampled, confidence, 0), finalists)
-    there = search.baseline is not None and search.baseline in positions
-    if search.baseline is not None and there and finalists.size:
-        among = np.unique([*finalists, search.baseline])
-        taken = every.take(np.searchsorted(positions, among))
-        reference = int(np.searchsorted(among, search.baseline))
-        to_baseline = ends(simultaneous_interval(taken, confidence, reference), among)
-        without = np.full_like(taken.mean, taken.mean[reference])
-        reduction = spread(mean_reduction(taken.mean, without), among)
-    paired = search.paired and there
+    baseline_is_scored = baseline is not None and baseline in positions
+    if baseline is not None and baseline_is_scored and finalists.size:
+        among = np.unique([*finalists, baseline])
+        compared = scored.take(np.searchsorted(positions, among))
+        reference = int(np.searchsorted(among, baseline))
+        to_baseline = ends(simultaneous_interval(compared, confidence, reference), among)
+        without = np.full_like(compared.mean, compared.mean[reference])
+        reduction = spread(mean_reduction(compared.mean, without), among)
+    paired = paired and baseline_is_scored
     if finalists.size:
-        among = np.array([*finalists, *([search.baseline] if paired else [])], dtype=np.int64)
-        fresh = every.take(np.searchsorted(positions, among))
-        before = Resampled.of(search.scores, search.side, seed=seed, samples=samples, rows=search.order[among])
-        interval = lost(before, fresh, confidence, among.size - 1 if paired else None)
+        among = np.array([*finalists, *([baseline] if paired else [])], dtype=np.int64)
+        fresh = scored.take(np.searchsorted(positions, among))
+        interval = lost(study_scores.take(among), fresh, confidence, among.size - 1 if paired else None)
         optimism = ends(interval, among)
         if paired:  # the baseline's own difference is 0 by definition
             for values in optimism:
-                values[search.baseline] = np.nan
-    winner: int | None = 0 if search.ranked else None
+                values[baseline] = np.nan
+    winner: int | None = 0 if ranked else None
     if finalists.size and (finalists[0] == 0 or first_failed):
         meets = np.array([not unmet[i] for i in rows.tolist()], dtype=np.bool_)
-        winning_row = choose_winner(resampled, search.set_of_best[finalists], meets, confidence)
+        winning_row = choose_winner(resampled, inference.set_of_best[finalists], meets, confidence)
         winner = None if winning_row is None else int(finalists[winning_row])
     texts = dict(zip(finalists.tolist(), (unmet[i] for i in rows.tolist()), strict=True))
     return FreshScores(
         S,
-        *ends(simultaneous_interval(every, confidence), positions)[1:],
+        *ends(simultaneous_interval(scored, confidence), positions)[1:],
         *to_first,
         *to_baseline,
         reduction,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -21,27 +22,20 @@ from ..requirements import SETS, metric, missed_by, requirements_of
 from ..results import StudyResults
 from ..standards import standard_names
 from ..storage.files import write_text
+from ..storage.parts import differences
 from ..study_file import Study
 from ..tables import Table, to_csv, to_polars
 from .design_metrics import (
-    DrivableResults,
     design_metrics,
+    drivable_results,
     find_baseline,
     measures_of,
     pareto_costs,
     pareto_front,
     sampling_intervals,
 )
-from .inference import Inference, infer, spread_is_known, tail_text
-from .ranked_designs import (
-    FreshScores,
-    RankedDesigns,
-    ReplayedScores,
-    SearchScores,
-    best_of_laws,
-    fresh_scores,
-    no_fresh_scores,
-)
+from .inference import Inference, Resampled, infer, spread_is_known, tail_text
+from .ranked_designs import FreshScores, RankedDesigns, ReplayedScores, best_of_laws, fresh_scores, no_fresh_scores
 from .verdict import depths, ranking_html
 
 if TYPE_CHECKING:
@@ -84,15 +78,15 @@ _OFTEN = 0.1  # share of a design's interventions with a failed solve that cause
 _NAMED = 3  # designs that a warning names
 
 
-def _warnings_of_runs(drivable: DrivableResults) -> Iterator[str]:
+def _warnings_of_runs(every_run: StudyResults, results: StudyResults) -> Iterator[str]:
     """Warnings of scenarios that cannot be driven, of scores that are not comparable, and of failed solves.
 
     A failed solve of a law without a solver, which has no fallback, is always reported, that of others if frequent.
     """
-    results = drivable.results
-    if drivable.left_out:
+    total = len(every_run.scenarios)
+    if left_out := total - len(results.scenarios):
         yield (
-            f"{drivable.left_out} of {drivable.status.shape[1]} scenarios cannot be driven (a parameter is not finite "
+            f"{left_out} of {total} scenarios cannot be driven (a parameter is not finite "
             "or has the wrong sign, or the speed leaves 1 to 90 m/s); no metric of any design counts them."
         )
     if results.window == "control" and len({design.y_s for design in results.designs}) > 1:
@@ -180,58 +174,55 @@ class Ranking(RankedDesigns, Frame):
         limits = requirements_of((*require, *(name for name in SETS if name != "lane-edge")), options)
         pareto_metrics = tuple(metric(name).name for name in pareto)
         reference = find_baseline(baseline, results)
-        drivable = DrivableResults.of(results)
+        drivable = drivable_results(results)
         named = (*standards, *pareto_metrics, *(requirement.metric.name for requirement in requirements))
         measures = measures_of(results, vehicles, [name for name in named if name in standard_names()])
-        metrics = design_metrics(drivable, D_y, measures, setup)
-        counted, side = drivable.results.counted, drivable.results.scenarios.side
+        metrics = design_metrics(results, drivable, D_y, measures, setup)
+        counted, side = drivable.counted, drivable.scenarios.side
         missed = missed_by(requirements, metrics)
         order = np.lexsort((metrics.S, np.array([bool(misses) for misses in missed]))).astype(np.int64)
         ranked = sum(not misses for misses in missed)
         in_order = metrics.take(order)
-        resampling: dict[str, Any] = {"seed": seed, "samples": bootstrap, "confidence": confidence}
         position = None if reference is None else int(np.flatnonzero(order == reference)[0])
-        inference = infer(counted, side, ranked=ranked, baseline=position, rows=order, **resampling)
+        resampled = Resampled.of(counted, side, seed=seed, samples=bootstrap, rows=order)
+        inference = infer(resampled, ranked=ranked, baseline=position, confidence=confidence)
         names = [requirement.metric.name for requirement in limits]
-        limited = sampling_intervals(drivable.results, metrics, names, D_y, confidence, setup)[:, :, order]
+        limited = sampling_intervals(drivable, metrics, names, D_y, confidence, setup)[:, :, order]
         mean_S = [name == "S" for name in names]
         limited[mean_S, 1:] = inference.S_low, inference.S_high
         fresh_limited, fresh_saved = np.full_like(limited, np.nan), np.full(len(order), np.nan)
-        warnings = list(_warnings_of_runs(drivable))
+        warnings = list(_warnings_of_runs(results, drivable))
         designs = tuple(results.designs[i] for i in order)
         fresh = no_fresh_scores(len(order), ranked)
         if results.fresh is not None and results.fresh.designs:
             position_of = {design.id: k for k, design in enumerate(designs)}
             positions = np.array([position_of[design.id] for design in results.fresh.designs], dtype=np.int64)
-            again = DrivableResults.of(results.fresh)
-            at = {design.id: i for i, design in enumerate(results.designs)}
-            rows = [at[design.id] for design in results.fresh.designs]
+            fresh_results = drivable_results(results.fresh)
+            row_of = {design.id: i for i, design in enumerate(results.designs)}
+            rows = [row_of[design.id] for design in results.fresh.designs]
             of_finalists = {name: values[rows] for name, values in measures.items()}
-            there = design_metrics(again, D_y, of_finalists, setup)
-            search = SearchScores(
-                counted,
-                order,
-                side,
-                inference.set_of_best,
-                ranked,
-                position,
-                paired=position is not None and not designs[position].is_baseline,
-            )
+            fresh_metrics = design_metrics(results.fresh, fresh_results, D_y, of_finalists, setup)
             fresh = fresh_scores(
-                again,
+                fresh_results,
                 positions,
-                search,
-                [tuple(miss.requirement.text for miss in misses) for misses in missed_by(requirements, there)],
+                resampled,
+                inference,
+                [tuple(miss.requirement.text for miss in misses) for misses in missed_by(requirements, fresh_metrics)],
                 first_failed=designs[0] in [failure.design for failure in results.fresh.failed],
-                **resampling,
+                ranked=ranked,
+                baseline=position,
+                paired=position is not None and not designs[position].is_baseline,
+                seed=seed,
+                samples=bootstrap,
+                confidence=confidence,
             )
             warnings += _about_finalists(fresh, ranked)
-            intervals = sampling_intervals(again.results, there, names, D_y, confidence, setup)
+            intervals = sampling_intervals(fresh_results, fresh_metrics, names, D_y, confidence, setup)
             worst = [name == "comfortable_worst" for name in names]  # driven on the study's departures only
             intervals[worst] = limited[worst][:, :, positions]
             fresh_limited[:, :, positions] = intervals
             fresh_limited[mean_S, 1:] = fresh.low, fresh.high
-            fresh_saved[positions] = there.reduction
+            fresh_saved[positions] = fresh_metrics.reduction
         acting = [i for i, design in enumerate(designs) if not design.is_baseline]
         if requirements and acting and not any(i < ranked for i in acting):
             fresh = dataclasses.replace(fresh, winner=None)  # no control is not a design to choose
@@ -249,7 +240,15 @@ class Ranking(RankedDesigns, Frame):
             metrics=in_order,
             inference=inference,
             fresh=fresh,
-            replayed=_replayed(results, designs, **resampling, D_y=D_y, baseline=baseline),
+            replayed=_replayed(
+                results.replayed,
+                designs,
+                seed=seed,
+                bootstrap=bootstrap,
+                confidence=confidence,
+                D_y=D_y,
+                baseline=baseline,
+            ),
             window=results.window,
             convention=results.convention,
             designs=designs,
@@ -273,24 +272,23 @@ class Ranking(RankedDesigns, Frame):
         )
 
 
-def _replayed(results: StudyResults, designs: Sequence[Design], **settings: Any) -> ReplayedScores:
+def _replayed(results: StudyResults | None, designs: Sequence[Design], **settings: Any) -> ReplayedScores:
     """Scores of the finalists on recorded departures."""
     columns = np.full((4, len(designs)), np.nan)
-    there = results.replayed
-    if there is not None and there.designs:
-        settings["bootstrap"] = settings.pop("samples")
-        ranking = Ranking.of(there, **settings)
+    if results is not None and results.designs:
+        ranking = Ranking.of(results, **settings)
         position_of = {design.id: i for i, design in enumerate(designs)}
         numbers = (ranking.metrics.S, ranking.inference.S_low, ranking.inference.S_high, ranking.metrics.reduction)
         columns[:, [position_of[design.id] for design in ranking.designs]] = numbers
     S, low, high, reduction = columns
-    return ReplayedScores(S, low, high, reduction, 0 if there is None else int(there.drivable.sum()))
+    return ReplayedScores(S, low, high, reduction, 0 if results is None else int(results.drivable.sum()))
 
 
 def rank_study(results: StudyResults, study: Study) -> Ranking:
     """Rank the designs of a study with the study's own settings.
 
-    Raises `StudyError` if the results hold none of the study's designs; `InputError` for an argument of a wrong type.
+    Raises `StudyError` if the results hold none of the study's designs, or are of another vehicle, plant or simulation;
+    `InputError` for an argument of a wrong type.
 
     Parameters
     ----------
@@ -317,6 +315,7 @@ def rank_study(results: StudyResults, study: Study) -> Ranking:
         raise StudyError(
             "study", "has none of the designs of the results", value=study.name, allowed="the one that was run"
         )
+    _check_setup(results, study)
     settings = study.ranking
     return Ranking.of(
         results,
@@ -327,10 +326,26 @@ def rank_study(results: StudyResults, study: Study) -> Ranking:
         baseline=settings.baseline,
         require=settings.require,
         pareto=settings.pareto,
-        setup=study.setup(),
+        setup=results.setup or study.setup(),
         vehicles=study.vehicles,
         standards=study.standards,
     )
+
+
+def _check_setup(results: StudyResults, study: Study) -> None:
+    """Raise `StudyError` if the runs, and what was measured beside them, are of another vehicle, plant or simulation.
+
+    Another seed is allowed: it decides the bootstrap. Where departures are replayed, a run takes the widths of vehicle
+    and lane from their recordings.
+    """
+    if results.setup is None:
+        return
+    run, now = (dataclasses.asdict(setup) for setup in (results.setup, study.setup()))
+    of_the_run = {"seed", *(() if study.scenarios.model else ("vehicle.w_v", "vehicle.w_l"))}
+    for key, was, value in differences(run, now):
+        if key not in of_the_run:
+            path = re.sub("^options", "plant", key) if "." in key else f"simulation.{key}"
+            raise StudyError(f"study {study.name}: {path}", value=value, allowed=f"{was!r}, as in the run")
 
 
 def _about_finalists(fresh: FreshScores, ranked: int) -> Iterator[str]:

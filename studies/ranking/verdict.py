@@ -8,7 +8,6 @@ from typing import Final, Literal
 import numpy as np
 
 from ldctoolkit.arrays import FloatArray, IntArray
-from ldctoolkit.declared import GainValue
 from ldctoolkit.metrics import METRICS
 from ldctoolkit.paths.uncorrected import UncorrectedPath
 from ldctoolkit.scenario_model import ScenarioModel
@@ -19,6 +18,7 @@ from ..design import Design
 from ..requirements import G, metric_values
 from ..results import StudyResults
 from ..tables import Cell, Column, Row, Table, Value, notebook_html
+from ..text import compact
 from .design_metrics import beyond_friction
 from .inference import tail_text
 from .ranked_designs import RankedDesigns
@@ -120,17 +120,12 @@ def law_title(design: Design) -> str:
 
 def gains_text(design: Design, between: str = " = ") -> str:
     """Gains that differ from their defaults."""
-    return ", ".join(f"{name}{between}{value_text(value)}" for name, value in design.changed)
+    return ", ".join(f"{name}{between}{compact(value)}" for name, value in design.changed)
 
 
 def design_name(design: Design) -> str:
     """A design in a sentence: law, threshold, gains that differ from their defaults."""
     return ", ".join(filter(None, (law_title(design), f"y_s = {design.y_s:g} m", gains_text(design))))
-
-
-def value_text(value: GainValue) -> str:
-    """A gain in a sentence."""
-    return f"{value:g}" if isinstance(value, float) else str(value).lower() if isinstance(value, bool) else str(value)
 
 
 def _list(parts: list[str]) -> str:

@@ -18,15 +18,14 @@ from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.control import EventStatus
 from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT
 from ldctoolkit.errors import LdcError
-from ldctoolkit.law_checks import raised
 from ldctoolkit.scenario_model import Given, ScenarioModel
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
-from ldctoolkit.simulation import Run, Takeover, drive_many
+from ldctoolkit.simulation import Run, Takeover
 from ldctoolkit.version import versions
 
 from ..design import Design
-from .tasks import learn
+from .tasks import drive_each, learn
 from .work import Work
 
 BIN, BINS = 0.05, 60  # [m] of the histogram of depths, and how many; one more is for what is deeper
@@ -49,7 +48,7 @@ class Tally:
     worst: FloatArray  # (d, _WORST, 3 + 8): depth [m], index, side, parameters; deepest first; or `_NONE`
 
     def plus(self, other: Self) -> Self:
-        """Of both."""
+        """The tally of both."""
         both = np.concatenate([self.worst, other.worst], axis=1)
         added = {name: getattr(self, name) + getattr(other, name) for name in vars(self) if name != "worst"}
         return dataclasses.replace(self, **added, worst=np.stack([rows[_deepest(*rows.T[:2])] for rows in both]))
@@ -61,7 +60,7 @@ class Tally:
 
 
 def _deepest(depth: FloatArray, index: FloatArray | IntArray) -> IntArray:
-    """Places of the deepest; of equal ones, those with the smallest number."""
+    """Positions of the deepest departures, deepest first; of equal depths the smallest index first."""
     return np.lexsort((index, -depth))[:_WORST]
 
 
@@ -124,22 +123,13 @@ class ChunkJob:
             tally.invalid[j] = (~valid & (drawn.side == side)).sum()
         without = self._count(tally, 0, over[self.designs[0].y_s], None, valid, None)
         for y_s, takeover in over.items():
-            places = [i for i, design in enumerate(self.designs) if i and design.y_s == y_s]
-            for i, run in zip(places, self._runs(places, takeover), strict=True):
+            rows = [i for i, design in enumerate(self.designs) if i and design.y_s == y_s]
+            runs = drive_each([self.designs[i] for i in rows], takeover, self.setup.convention)
+            for i, run in zip(rows, runs, strict=True):
+                if isinstance(run, str):
+                    raise LdcError(self.designs[i].label, run)
                 self._count(tally, i, takeover, run, valid, without)
         return tally
-
-    def _runs(self, places: list[int], takeover: Takeover) -> list[Run]:
-        try:
-            controllers = [self.designs[i].controller(self.setup.convention) for i in places]
-            return list(drive_many(controllers, takeover, threads=1))
-        except (KeyboardInterrupt, GeneratorExit):
-            raise
-        except BaseException as error:  # a controller may be third-party code
-            if len(places) == 1:
-                raise LdcError(self.designs[places[0]].label, raised(error)) from None
-            # one after the other, the one that raises is named
-            return [run for i in places for run in self._runs([i], takeover)]
 
     def _count(
         self, tally: Tally, i: int, over: Takeover, run: Run | None, valid: BoolArray, without: BoolArray | None
@@ -184,7 +174,7 @@ class ChunkTask(Work):
             cache["risk"] = self.job.token
 
     def run(self, cache: dict[str, Any]) -> tuple[Tally | LdcError, float]:  # noqa: ARG002
-        """Counts, or why there are none; seconds."""
+        """The counts, or the error in their place, and the seconds that the drives took."""
         started = time.perf_counter()
         try:
             return self.job.measure(self.chunk), time.perf_counter() - started

@@ -76,7 +76,7 @@ class SerialExecutor:
 
     @property
     def workers(self) -> int:
-        """One."""
+        """Always 1."""
         return 1
 
     def start(self, work: Work) -> None:
@@ -114,12 +114,12 @@ def worker_versions(packages: tuple[str, ...]) -> Versions:
 
 def check(sender: Versions, worker: Versions, named: str) -> None:
     """Compare two processes."""
-    there = dict(worker)
+    versions_of_worker = dict(worker)
     for name, version in sender:
-        if there.get(name) != version:
+        if versions_of_worker.get(name) != version:
             raise InputError(
                 "dask",
-                f"{named} has {name} {there.get(name)}, the process that sends the work {version}",
+                f"{named} has {name} {versions_of_worker.get(name)}, the process that sends the work {version}",
                 allowed="the same version everywhere, or numbers would depend on where they were computed",
             )
 
@@ -407,12 +407,12 @@ class DaskExecutor:
         with self._asking():
             request = functools.partial(worker_versions, tuple(name for name, _ in self._versions))
             answers = self._client.run(request, on_error="return")
-        for worker, there in answers.items():
-            if isinstance(there, OSError):
+        for worker, answer in answers.items():
+            if isinstance(answer, OSError):
                 continue  # it has gone
-            if isinstance(there, Exception):
-                raise _unable(f"worker {worker}", there)
-            check(self._versions, there, f"worker {worker}")
+            if isinstance(answer, Exception):
+                raise _unable(f"worker {worker}", answer)
+            check(self._versions, answer, f"worker {worker}")
 
     @contextlib.contextmanager
     def _asking(self) -> Iterator[None]:

@@ -8,7 +8,7 @@ import itertools
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -24,6 +24,7 @@ from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
 from ldctoolkit.simulation import Run, Takeover, Window, drive, drive_many
 from ldctoolkit.simulation.loop import recorded_run
+from ldctoolkit.vehicle import Convention
 
 from ..design import NO_CONTROL, Design
 from ..results import FailedRun, TaskResult
@@ -85,7 +86,15 @@ class Simulator:
         for first, last in itertools.pairwise([0, *ends, len(task.designs)]):
             # what this raises is no fault of a law
             takeover = self.takeover(task.designs[first].y_s, task.scenarios)
-            self._drive(room, takeover, range(first, last), reasons)
+            runs = drive_each(task.designs[first:last], takeover, self.job.setup.convention)
+            for i, run in zip(range(first, last), runs, strict=True):
+                if isinstance(run, str):
+                    reasons[i] = run
+                    continue
+                try:
+                    room.put(i, run)
+                except LdcError as error:
+                    reasons[i] = raised(error)
         ran = [i for i in range(len(task.designs)) if i not in reasons]
         failed = tuple(FailedRun(task.designs[i].id, task.batch, why) for i, why in reasons.items())
         result = room.result() if not reasons else room.result().take(ran) if ran else None
@@ -100,21 +109,18 @@ class Simulator:
             room.status[i, takeover.rows] = status
         return room.result()
 
-    def _drive(self, room: _Room, takeover: Takeover, designs: range, reasons: dict[int, str]) -> None:
-        """Designs of one threshold in one go over the scenarios, as far as their laws allow."""
-        try:
-            controllers = [room.task.designs[i].controller(self.job.setup.convention) for i in designs]
-            # all of them before any is stored: an exception of one leaves the others as they were
-            for i, run in zip(designs, list(drive_many(controllers, takeover, threads=1)), strict=True):
-                room.put(i, run)
-        except (KeyboardInterrupt, GeneratorExit):  # end a study even where a law raises them
-            raise
-        except BaseException as error:  # a controller may be third-party code
-            if len(designs) == 1:
-                reasons[designs[0]] = raised(error)
-            else:  # one after the other, which names the design that raises
-                for i in designs:
-                    self._drive(room, takeover, range(i, i + 1), reasons)
+
+def drive_each(designs: Sequence[Design], takeover: Takeover, convention: Convention) -> list[Run | str]:
+    """Drive designs of one threshold in one go over the scenarios; in place of a run the error that its law raised."""
+    try:
+        return list(drive_many([design.controller(convention) for design in designs], takeover, threads=1))
+    except (KeyboardInterrupt, GeneratorExit):  # end a study even where a law raises them
+        raise
+    except BaseException as error:  # a controller may be third-party code
+        if len(designs) == 1:
+            return [raised(error)]
+        # one after the other, which tells the design that raises
+        return [run for design in designs for run in drive_each([design], takeover, convention)]
 
 
 class _Room:
@@ -157,7 +163,7 @@ class _Room:
         self.commands[i] = self._commands
 
     def result(self) -> TaskResult:
-        """All of it."""
+        """The results of all designs."""
         ids, rows = tuple(design.id for design in self.task.designs), self.task.rows
         return TaskResult(ids, rows, self.values, self.status, self.failed_solves, self.law_seconds, self.commands)
 
@@ -180,7 +186,7 @@ class Task(Work):
 
     @property
     def time_limit(self) -> float:
-        """Of the job [s]."""
+        """The limit of the job [s]."""
         return self.job.time_limit
 
     def make_ready(self, cache: dict[str, Any]) -> None:
@@ -208,8 +214,8 @@ class Task(Work):
             middle = len(self.designs) // 2
             return self._piece(designs=self.designs[:middle]), self._piece(designs=self.designs[middle:])
         if self.rows.size > 1:
-            places = np.array_split(np.arange(self.rows.size), 2)
-            return tuple(self._piece(rows=self.rows[at], scenarios=self.scenarios.take(at)) for at in places)
+            halves = np.array_split(np.arange(self.rows.size), 2)
+            return tuple(self._piece(rows=self.rows[half], scenarios=self.scenarios.take(half)) for half in halves)
         return ()
 
     def harmless(self) -> Task:

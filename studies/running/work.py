@@ -21,7 +21,7 @@ new_number = itertools.count().__next__
 class Work:
     """Something to be done in one go, anywhere: plain data that can be sent, and how it is done.
 
-    Itself it does nothing, which shows whether a worker lives at all.
+    The base class does nothing, which shows whether a worker lives at all.
     """
 
     number: int = dataclasses.field(default_factory=new_number, kw_only=True)  # in the sending process
@@ -122,12 +122,12 @@ def run_works(
     still_needed : callable
         What is left of a work when it is about to start; None for nothing.
     """
-    coming = iter(works)
-    following = next(coming, None)
-    again: deque[W] = deque()
+    remaining = iter(works)
+    next_work = next(remaining, None)
+    to_repeat: deque[W] = deque()
     alone: deque[W] = deque()
     ends: Counter[int] = Counter()
-    under_way, lost, workers_live, lonely = 0, 0, False, False
+    under_way, lost_in_a_row, workers_live, suspect_runs = 0, 0, False, False
 
     def start(work: W) -> int:
         left = still_needed(work)
@@ -136,37 +136,37 @@ def run_works(
         executor.start(left)
         return 1
 
-    while following or again or alone or under_way:
+    while next_work or to_repeat or alone or under_way:
         most = 1 if executor.workers == 1 else _PREFETCH * executor.workers
-        lonely = lonely and under_way > 0
+        suspect_runs = suspect_runs and under_way > 0
         while alone and not under_way:
             under_way += start(alone.popleft())
-            lonely = under_way > 0
-        while not (alone or lonely) and under_way < most and (again or following):
-            if again:
-                under_way += start(again.popleft())
-            elif following:
-                under_way += start(following)
-                following = next(coming, None)
+            suspect_runs = under_way > 0
+        while not (alone or suspect_runs) and under_way < most and (to_repeat or next_work):
+            if to_repeat:
+                under_way += start(to_repeat.popleft())
+            elif next_work:
+                under_way += start(next_work)
+                next_work = next(remaining, None)
         if not under_way:
             continue
-        came = executor.wait()
+        ended_works = executor.wait()
         # once, however many a broken pool held
-        if any(ended.result is None and ended.fault is None for ended in came):
-            lost += 1
-            if lost >= _MOST_LOST:
+        if any(ended.result is None and ended.fault is None for ended in ended_works):
+            lost_in_a_row += 1
+            if lost_in_a_row >= _MOST_LOST:
                 raise LdcError(
                     problem="worker processes end before they have done anything (out of memory, or killed)",
                     hint="what was stored is kept: run it again, with fewer workers if memory was short",
                 )
-        for ended in came:
+        for ended in ended_works:
             under_way -= 1
             work: W = ended.work
             if ended.result is not None:
-                lost, workers_live = 0, True
+                lost_in_a_row, workers_live = 0, True
                 yield work, ended.result
             elif ended.fault is None:
-                again.append(work)
+                to_repeat.append(work)
             else:
                 ends[work.number] += 1
                 if not ended.certain or (ended.fault == "died" and ends[work.number] < _MOST_ENDS):
@@ -185,9 +185,9 @@ def run_works(
 def _check_workers(executor: Executor, harmless: Work) -> None:
     """Raise `LdcError` if no worker lives; nothing else may be under way."""
     executor.start(harmless)
-    while not (came := executor.wait()):
+    while not (ended_works := executor.wait()):
         pass
-    if came[0].result is None:
+    if ended_works[0].result is None:
         raise LdcError(problem="worker processes end whatever they run", hint="what was stored is kept")
 
 

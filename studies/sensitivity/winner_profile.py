@@ -170,6 +170,9 @@ def winner_profile(
     if winner not in results.designs:
         raise InputError("winner", "is not among the results", value=winner.id)
     checked_whole("points", points, lower=0)
+    if points and winner in results.unsafe:
+        problem = "ended or held up its process in the study, and is not driven in this one"
+        raise InputError("winner", problem, value=winner.label, hint="points = 0 drives nothing")
     row = {design: i for i, design in enumerate(results.designs)}
     along = list(profile_points(results, study, winner, points))
     missing = tuple(dict.fromkeys(point.design for point in along if point.design not in row))

@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePath
 from typing import Annotated, Any, Final, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from ldctoolkit.errors import StoreError
 from ldctoolkit.registry import with_content
@@ -68,28 +68,28 @@ def read_designs(path: Path) -> tuple[Design, ...]:
 FAILURES = "failures.json"
 TIMING_FILE = "timing.json"
 
-Kind = TypeVar("Kind", bound=BaseModel)
+Value = TypeVar("Value")
+
+_HINTS: Final = {
+    FAILURES: "it holds which designs failed, and why",
+    TIMING_FILE: "it holds how long the laws took and nothing else: remove it to go on without",
+}
 
 
-def _read_json(path: Path, kind: type[Kind], hint: str) -> Kind | None:
-    """A small file of a folder; None where it is missing."""
+def _read_designs_of(path: Path, kind: TypeAdapter[dict[str, Value]]) -> dict[str, Value]:
+    """What a small file of a folder holds of each design, as values of a type; empty where it is missing."""
     if not path.exists():
-        return None
+        return {}
     data = read_bytes(path)
     try:
-        return kind.model_validate(without_checksum(parse_json(data)))
-    except (ValueError, TypeError, AttributeError):
-        raise StoreError(path, "broken", hint=hint) from None
-
-
-class _Failures(BaseModel):
-    designs: dict[str, str]
+        return kind.validate_python(without_checksum(parse_json(data))["designs"])
+    except (ValueError, TypeError, AttributeError, KeyError):
+        raise StoreError(path, "broken", hint=_HINTS[path.name]) from None
 
 
 def read_failures(folder: Path) -> dict[str, str]:
     """Why designs failed, of those that did; none where the file is missing."""
-    content = _read_json(folder / FAILURES, _Failures, "it holds which designs failed, and why")
-    return content.designs if content else {}
+    return _read_designs_of(folder / FAILURES, TypeAdapter(dict[str, str]))
 
 
 def write_failures(folder: Path, failures: Mapping[str, str]) -> None:
@@ -114,7 +114,7 @@ class LawTime:
         return self.seconds / self.commands if self.commands else 0.0
 
     def __add__(self, other: LawTime) -> LawTime:
-        """Of two parts of a run together."""
+        """The times of two parts of a run, added."""
         return LawTime(self.seconds + other.seconds, self.commands + other.commands)
 
 
@@ -123,16 +123,10 @@ class _Time(BaseModel):
     commands: Annotated[int, Field(ge=0)]
 
 
-class _Times(BaseModel):
-    designs: dict[str, _Time]
-
-
 def read_times(folder: Path) -> dict[str, LawTime]:
     """Times of the laws, of the designs for which they are known; none where the file is missing."""
-    hint = "it holds how long the laws took and nothing else: remove it to go on without"
-    content = _read_json(folder / TIMING_FILE, _Times, hint)
-    designs = content.designs if content else {}
-    return {design: LawTime(entry.law_seconds, entry.commands) for design, entry in designs.items()}
+    entries = _read_designs_of(folder / TIMING_FILE, TypeAdapter(dict[str, _Time]))
+    return {design: LawTime(entry.law_seconds, entry.commands) for design, entry in entries.items()}
 
 
 def write_times(folder: Path, times: Mapping[str, LawTime]) -> None:
@@ -259,8 +253,8 @@ class Manifest(BaseModel):
 
     def other_versions(self) -> str:
         """Packages that decide numbers and had other versions then; empty for none."""
-        there = ((name, self.versions.get(name, "not installed"), now) for name, now in versions())
-        return ", ".join(f"{name} {was} (now {now})" for name, was, now in there if was != now)
+        compared = ((name, self.versions.get(name, "not installed"), now) for name, now in versions())
+        return ", ".join(f"{name} {was} (now {now})" for name, was, now in compared if was != now)
 
     def read_study(self, *, current: bool = True) -> Study:
         """The study that was run, with the classes of its laws.
@@ -344,20 +338,18 @@ def read_manifest(folder: str | Path) -> Manifest:
     path = Path(folder) / "manifest.json"
     if not os.path.exists(path):  # noqa: PTH110 - this one raises nothing, whatever the path
         raise StoreError(folder, "holds no study (no manifest.json)")
+    hint = "run the study into another folder"
     try:
         content = parse_json(read_regular(path, StoreError))
         version = content["format_version"]
         if version != FORMAT_VERSION:
-            hint = "run the study into another folder"
             raise StoreError(path, "of another format", value=version, allowed=str(FORMAT_VERSION), hint=hint)
-        manifest = Manifest.model_validate(without_checksum(content))
+        return Manifest.model_validate(without_checksum(content))
+    except ValidationError as error:
+        problem = "; ".join(f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}" for fault in error.errors())
     except (ValueError, KeyError, TypeError) as error:
-        if isinstance(error, ValidationError):
-            error = ValueError(
-                "; ".join(f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}" for fault in error.errors())
-            )
-        raise StoreError(path, f"broken: {error}", hint="run the study into another folder") from None
-    return manifest
+        problem = str(error)
+    raise StoreError(path, f"broken: {problem}", hint=hint)
 
 
 def write_manifest(folder: Path, manifest: Manifest) -> None:

@@ -20,7 +20,7 @@ from ..design import Design
 from .files import read_parquet, write_parquet
 
 MEASURES: Final = "measures.parquet"
-"""One row a measure and design."""
+"""File with a row for each measure and design."""
 
 
 def _schema() -> dict[str, Any]:
@@ -59,12 +59,12 @@ class MeasureTable:
             write_parquet(self.folder / MEASURES, pl.DataFrame(rows, schema=_schema(), orient="row"))
 
     def without(self, name: str, designs: Sequence[Design]) -> list[Design]:
-        """Those of some designs that a measure is not there of."""
-        known = self.values.get(name, {})
-        return [design for design in designs if design.id not in known]
+        """The designs for which a measure is missing."""
+        measured = self.values.get(name, {})
+        return [design for design in designs if design.id not in measured]
 
     def of(self, designs: Sequence[Design]) -> dict[str, FloatArray]:
-        """Every measure that all of some designs have, (d,)."""
+        """Every measure that all d designs have, (d,)."""
         return {
             name: np.array([values[design.id] for design in designs])
             for name, values in self.values.items()

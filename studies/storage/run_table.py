@@ -113,10 +113,10 @@ def parse_part(path: Path, data: bytes, window: Window, numbers: IntArray) -> It
 
     order = np.argsort(numbers, kind="stable")
     table = parse_parquet(path, data, schema(window), finite=False)
-    place = np.searchsorted(numbers[order], table["scenario"].to_numpy()).clip(0, numbers.size - 1)
-    known = numbers[order[place]] == table["scenario"].to_numpy()
-    if not known.all():  # of a run on more scenarios
-        table, place = table.filter(pl.Series(known)), place[known]
+    position = np.searchsorted(numbers[order], table["scenario"].to_numpy()).clip(0, numbers.size - 1)
+    is_known = numbers[order[position]] == table["scenario"].to_numpy()
+    if not is_known.all():  # of a run on more scenarios
+        table, position = table.filter(pl.Series(is_known)), position[is_known]
     status, failed = table["status"].to_numpy(), table["failed_solves"].to_numpy()
     columns = float_columns(window)
     for column in columns:
@@ -124,7 +124,7 @@ def parse_part(path: Path, data: bytes, window: Window, numbers: IntArray) -> It
         if not good.all() and not good.to_numpy()[status != EventStatus.INVALID].all():
             raise StoreError(path, f"broken: column {column} holds a value that is not finite")
     floats = np.stack([table[column].to_numpy() for column in columns])
-    rows = order[place]
+    rows = order[position]
     ids = table["design"]
     other = ids.ne_missing(ids.shift(1)).to_numpy()
     ends = np.flatnonzero(other[1:] | (np.diff(rows) <= 0)) + 1
@@ -151,20 +151,20 @@ class SharedRows:
         self._known = np.zeros(n, dtype=np.bool_)
         self._table: FloatArray | None = None
 
-    def put(self, place: int, columns: Any, values: FloatArray) -> None:
+    def put(self, row: int, columns: Any, values: FloatArray) -> None:
         """Set some numbers of a row; `columns` is a slice or an array of int."""
         if self._table is None:
-            known = self._known[columns]
+            is_known = self._known[columns]
             # bits: NaN stands for a scenario that cannot be driven
             same = self._row[columns].view(np.int64) == np.ascontiguousarray(values).view(np.int64)
-            if (same | ~known).all():
-                if not known.all():
+            if (same | ~is_known).all():
+                if not is_known.all():
                     self._row[columns] = values
                     self._known[columns] = True
                 return
             self._table = np.empty((self._size, self._row.size))
             self._table[:] = self._row
-        self._table[place, columns] = values
+        self._table[row, columns] = values
 
     def grow(self, size: int) -> None:
         """Make room for more rows."""
@@ -228,7 +228,7 @@ class RunTable:
         self.n = n
         self._mapped = mapped
         self._uncorrected = SharedRows(0, n)
-        self._place: dict[str, int] = {}
+        self._row_of: dict[str, int] = {}
         self._waiting: dict[str, list[TaskResult]] | None = {} if keep else None
         self.designs: list[Design] = []
         self._make_room(len(designs))
@@ -253,11 +253,11 @@ class RunTable:
 
     def add_designs(self, designs: Sequence[Design]) -> None:
         """Make room for designs; those that are there already keep theirs."""
-        new = [design for design in designs if design.id not in self._place]
+        new = [design for design in designs if design.id not in self._row_of]
         if len(self.designs) + len(new) > self._status.shape[0]:
             self._make_room(int(_GROWS * (len(self.designs) + len(new))))
         for design in new:
-            self._place[design.id] = len(self.designs)
+            self._row_of[design.id] = len(self.designs)
             self.designs.append(design)
             for result in (self._waiting or {}).pop(design.id, ()):
                 self.put(result)
@@ -273,43 +273,43 @@ class RunTable:
         release(self._metrics)
 
     def __contains__(self, design: str) -> bool:
-        return design in self._place
+        return design in self._row_of
 
     def has(self, id: str, rows: IntArray) -> bool:
         """Whether a design's results in some scenarios are there."""
-        return bool(self._there[self._place[id], rows].all())
+        return bool(self._there[self._row_of[id], rows].all())
 
     def missing(self, id: str) -> int:
-        """Number of scenarios that a design's results are not there of."""
-        return self.n - int(np.count_nonzero(self._there[self._place[id]]))
+        """Number of scenarios for which the results of a design are missing."""
+        return self.n - int(np.count_nonzero(self._there[self._row_of[id]]))
 
     def rows_with(self, id: str, status: EventStatus) -> IntArray:
         """Row numbers of the scenarios that are there and have a status."""
-        at = self._place[id]
-        return np.flatnonzero(self._there[at] & (self._status[at] == status))
+        row = self._row_of[id]
+        return np.flatnonzero(self._there[row] & (self._status[row] == status))
 
     def put(self, result: TaskResult) -> None:
-        """Add results; those of designs that have no room here are kept for later, or left out."""
-        places = [i for i, id in enumerate(result.ids) if id in self._place]
+        """Add results; results of designs without room wait until they have it, or are left out."""
+        positions = [i for i, id in enumerate(result.ids) if id in self._row_of]
         if self._waiting is not None:
-            for i in set(range(len(result.ids))) - set(places):
+            for i in set(range(len(result.ids))) - set(positions):
                 self._waiting.setdefault(result.ids[i], []).append(result.take([i]))
-        if len(places) < len(result.ids):
-            result = result.take(places)
-        if not places:
+        if len(positions) < len(result.ids):
+            result = result.take(positions)
+        if not positions:
             return
-        rows: Any = result.rows
-        if rows[-1] - rows[0] + 1 == rows.size:
-            rows = slice(int(rows[0]), int(rows[-1]) + 1)  # a stretch, as nearly always: several times faster
+        columns: Any = result.rows
+        if columns[-1] - columns[0] + 1 == columns.size:
+            columns = slice(int(columns[0]), int(columns[-1]) + 1)  # a stretch, as nearly always: several times faster
         for i, id in enumerate(result.ids):
-            at, values = self._place[id], result.values[:, i]
-            self._S[at, rows] = values[0]
-            self._uncorrected.put(at, rows, values[1])
-            self._metrics[:, at, rows] = values[2:]
-            self._status[at, rows] = result.status[i]
-            if self._there[at, rows].any() or result.failed_solves[i].any():
-                self._failed_solves[at, rows] = result.failed_solves[i]
-            self._there[at, rows] = True
+            row, values = self._row_of[id], result.values[:, i]
+            self._S[row, columns] = values[0]
+            self._uncorrected.put(row, columns, values[1])
+            self._metrics[:, row, columns] = values[2:]
+            self._status[row, columns] = result.status[i]
+            if self._there[row, columns].any() or result.failed_solves[i].any():
+                self._failed_solves[row, columns] = result.failed_solves[i]
+            self._there[row, columns] = True
 
     def results(
         self,
@@ -322,14 +322,14 @@ class RunTable:
     ) -> StudyResults:
         """Everything of the designs requested; the arrays are this table's, copies only if something is left out."""
         designs = self.designs if designs is None else designs
-        at = np.array([self._place[design.id] for design in designs], dtype=np.int64)
-        there: BoolArray = np.all(self._there[at], axis=1)
-        missing = [design for design, complete in zip(designs, there, strict=True) if not complete]
+        rows = np.array([self._row_of[design.id] for design in designs], dtype=np.int64)
+        is_complete: BoolArray = np.all(self._there[rows], axis=1)
+        missing = [design for design, complete in zip(designs, is_complete, strict=True) if not complete]
         failed = tuple(FailedDesign(design, failures[design.id]) for design in missing if design.id in failures)
         if waiting := len(missing) - len(failed):
             # rounded down: all of it would be no reason to complain
-            share = 100 * int(np.count_nonzero(self._there[at])) // self._there[at].size
-            what = f"{waiting} of {len(at)} design{'' if len(at) == 1 else 's'} {'is' if waiting == 1 else 'are'} "
+            share = 100 * int(np.count_nonzero(self._there[rows])) // self._there[rows].size
+            what = f"{waiting} of {len(rows)} design{'' if len(rows) == 1 else 's'} {'is' if waiting == 1 else 'are'} "
             what += f"not complete ({share} % of the scenario runs are there)"
             raise StoreError(source, what, hint="run the study again")
         if designs and len(failed) == len(designs):
@@ -337,12 +337,12 @@ class RunTable:
             raise AllFailedError(
                 source, "every design failed", hint=f"the first, {first}; all of them are in failures.json"
             )
-        ran = tuple(design for design, complete in zip(designs, there, strict=True) if complete)
-        at = at[there]
-        whole = np.array_equal(at, np.arange(self._status.shape[0]))
+        ran = tuple(design for design, complete in zip(designs, is_complete, strict=True) if complete)
+        rows = rows[is_complete]
+        whole = np.array_equal(rows, np.arange(self._status.shape[0]))
 
         def of_designs(array: Any) -> Any:
-            return array if whole else array[at]
+            return array if whole else array[rows]
 
         known = [times.get(design.id) for design in ran]
         simulation = self._study.simulation
@@ -352,10 +352,11 @@ class RunTable:
             window=simulation.window,
             convention=simulation.convention,
             S=of_designs(self._S),
-            S_uncorrected=self._uncorrected.take(None if whole else at),
+            S_uncorrected=self._uncorrected.take(None if whole else rows),
             status=of_designs(self._status),
             metrics=MetricValues(*(of_designs(values) for values in self._metrics)),
             failed_solves=of_designs(self._failed_solves),
             law_time=np.array([np.nan if time is None else time.per_command for time in known]),
             failed=failed,
+            setup=self._study.setup(),
         )

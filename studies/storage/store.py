@@ -123,7 +123,7 @@ class Store:
 
     @functools.cached_property
     def scenarios(self) -> Scenarios:
-        """Those that every design was run on."""
+        """The scenarios that every design was run on."""
         return read_scenarios(self.folder / SCENARIOS)
 
     def write_manifest(self, manifest: Manifest) -> None:
@@ -212,8 +212,8 @@ class Store:
         if not self.study.ranking.finalists or len(results.designs) < 2 or not (folder / "manifest.json").exists():
             return None
         store = Store.open(folder, current=False)  # the same code and versions as here, or it is not taken
-        there = (store.manifest.part_of, store.manifest.versions)
-        if not store.manifest.finished or there != (self.manifest.ranked_as, self.manifest.versions):
+        identity = (store.manifest.part_of, store.manifest.versions)
+        if not store.manifest.finished or identity != (self.manifest.ranked_as, self.manifest.versions):
             _log.warning("%s: no %s of this ranking yet; run the study again to have them", self.folder, SCORES[name])
             return None
         try:

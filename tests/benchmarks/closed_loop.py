@@ -335,7 +335,7 @@ def main() -> None:
             flush=True,
         )
     for name, plant in (("ideal plant", PlantOptions()), ("all options", REAL)):
-        cost = seconds(lambda plant=plant: Takeover.build(many, Setup(options=plant), y_s=0.1).tables, 2)
+        cost = seconds(lambda plant=plant: Takeover.build(many, Setup(options=plant), y_s=0.1).scene, 2)
         print(f"| takeover, once for all designs: {name} | {1e3 * cost:.1f} | {cost / ideal:.1f} |")
 
     answer = subprocess.run([sys.executable, __file__, "--memory"], capture_output=True, text=True, check=True)

@@ -77,9 +77,9 @@ def open_page(browser: Any) -> Iterator[Callable[..., Any]]:
             if request.url.split("#")[0] != address:
                 heard.append(f"request: {request.url[:200]}")
 
-        def dialog(one: Any) -> None:
-            heard.append(f"dialog: {one.message}")
-            one.dismiss()
+        def dialog(opened: Any) -> None:
+            heard.append(f"dialog: {opened.message}")
+            opened.dismiss()
 
         page = context.new_page()
         context.on("request", asked)
@@ -97,8 +97,8 @@ def open_page(browser: Any) -> Iterator[Callable[..., Any]]:
 
 
 @pytest.fixture(scope="session")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
-    """Pages by name, each made when it is first asked for."""
+def built(tmp_path_factory: pytest.TempPathFactory) -> Made:
+    """Pages by name, each built when it is first asked for."""
     base = tmp_path_factory.getbasetemp()
     root = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "pages"
     root.mkdir(exist_ok=True)

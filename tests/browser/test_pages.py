@@ -23,10 +23,10 @@ PAGES = (
 
 @pytest.mark.parametrize("name", PAGES)
 @pytest.mark.parametrize("script", [True, False], ids=["script", "no-script"])
-def test_opens_in_silence(open_page: Callable[..., Any], made: Any, name: str, script: bool) -> None:
-    page = open_page(made(name).path, script=script)
+def test_opens_in_silence(open_page: Callable[..., Any], built: Any, name: str, script: bool) -> None:
+    page = open_page(built(name).path, script=script)
     seen = [section.get_attribute("id") for section in page.locator("main > section").all()]
-    assert [one for one in seen if one in SECTIONS] == list(SECTIONS)
+    assert [id for id in seen if id in SECTIONS] == list(SECTIONS)
     for section in page.locator("main > section").all():
         assert section.locator("h2").first.is_visible()
         assert len(section.inner_text().split()) > 5
@@ -41,19 +41,21 @@ def test_opens_in_silence(open_page: Callable[..., Any], made: Any, name: str, s
     else:
         assert visible == 0
         # nothing that does nothing
-        assert [one.inner_text() for one in page.locator("button:visible, select:visible, input:visible").all()] == []
+        assert [
+            control.inner_text() for control in page.locator("button:visible, select:visible, input:visible").all()
+        ] == []
         assert page.locator("table:visible").count() >= 2
     words = page.locator("main").inner_text()
     for never in ("undefined", "[object", "NaN", "None of None", "Infinity"):
         assert never not in words
 
 
-def test_no_script_runs_but_the_pages_own(browser: Any, made: Any, tmp_path: Path) -> None:
-    text = made("one-design").path.read_text(encoding="utf-8")
-    planted = text.replace("</main>", '<script>document.title = "planted"</script></main>', 1)
+def test_no_script_runs_but_the_pages_own(browser: Any, built: Any, tmp_path: Path) -> None:
+    original = built("one-design").path.read_text(encoding="utf-8")
+    planted = original.replace("</main>", '<script>document.title = "planted"</script></main>', 1)
     titles = []
-    for one in (planted, planted.replace("Content-Security-Policy", "other")):
-        (tmp_path / "page.html").write_text(one, encoding="utf-8")
+    for text in (planted, planted.replace("Content-Security-Policy", "other")):
+        (tmp_path / "page.html").write_text(text, encoding="utf-8")
         page = browser.new_page()
         page.goto((tmp_path / "page.html").as_uri())
         titles.append(page.title())
@@ -63,8 +65,8 @@ def test_no_script_runs_but_the_pages_own(browser: Any, made: Any, tmp_path: Pat
     assert titles[1] == "planted"
 
 
-def test_one_address_leads_to_a_section(open_page: Callable[..., Any], made: Any) -> None:
-    page = open_page(made("ordinary").path)
+def test_one_address_leads_to_a_section(open_page: Callable[..., Any], built: Any) -> None:
+    page = open_page(built("ordinary").path)
     page.get_by_role("navigation", name="Sections").get_by_role("link", name="Confidence").press("Enter")
     heading = page.locator("#confidence h2").bounding_box()
     bar = page.get_by_role("navigation", name="Sections").bounding_box()
@@ -72,14 +74,14 @@ def test_one_address_leads_to_a_section(open_page: Callable[..., Any], made: Any
 
 
 @pytest.mark.parametrize("name", ["ordinary", "hostile", "all-failures", "thousand"])
-def test_prints(open_page: Callable[..., Any], made: Any, tmp_path: Path, name: str) -> None:
-    page = open_page(made(name).path, dark=True)
+def test_prints(open_page: Callable[..., Any], built: Any, tmp_path: Path, name: str) -> None:
+    page = open_page(built(name).path, dark=True)
     paper = page.pdf(format="A4", prefer_css_page_size=True)
     assert paper.startswith(b"%PDF")
     assert 1 <= len(re.findall(rb"/Type\s*/Page\b", paper)) <= 6
     page.emulate_media(media="print")
     baseline = page.locator("#designs tbody tr.baseline")
-    assert [one.is_visible() for one in baseline.all()] == [True] * baseline.count()
+    assert [row.is_visible() for row in baseline.all()] == [True] * baseline.count()
     assert page.locator("#designs tbody tr:visible").count() <= 22
     assert page.locator("#verdict .verdict").is_visible()
     assert page.locator("#limits table").first.is_visible()
@@ -102,29 +104,29 @@ PAGES_LAYOUT = (
 
 @pytest.mark.parametrize("name", PAGES_LAYOUT)
 @SIZES
-def test_nothing_overlaps(open_page: Callable[..., Any], made: Any, name: str, width: int, height: int) -> None:
-    page = open_page(made(name).path, width=width, height=height)
+def test_nothing_overlaps(open_page: Callable[..., Any], built: Any, name: str, width: int, height: int) -> None:
+    page = open_page(built(name).path, width=width, height=height)
     assert faults_of_layout(page) == []
 
 
 @SIZES
-def test_nor_without_script(open_page: Callable[..., Any], made: Any, width: int, height: int) -> None:
-    page = open_page(made("ordinary").path, width=width, height=height, script=False)
+def test_nor_without_script(open_page: Callable[..., Any], built: Any, width: int, height: int) -> None:
+    page = open_page(built("ordinary").path, width=width, height=height, script=False)
     assert faults_of_layout(page) == []
 
 
 @SIZES
 def test_nor_in_the_dark_with_everything_open(
-    open_page: Callable[..., Any], made: Any, width: int, height: int
+    open_page: Callable[..., Any], built: Any, width: int, height: int
 ) -> None:
-    page = open_page(made("ordinary").path, width=width, height=height, dark=True)
-    page.evaluate("document.querySelectorAll('main details').forEach((one) => { one.open = true; })")
+    page = open_page(built("ordinary").path, width=width, height=height, dark=True)
+    page.evaluate("document.querySelectorAll('main details').forEach((element) => { element.open = true; })")
     assert faults_of_layout(page) == []
 
 
-def test_a_picture_of_the_first_screen_is_no_blank(open_page: Callable[..., Any], made: Any) -> None:
-    light = open_page(made("ordinary").path).screenshot()
-    dark = open_page(made("ordinary").path, dark=True).screenshot()
+def test_a_picture_of_the_first_screen_is_no_blank(open_page: Callable[..., Any], built: Any) -> None:
+    light = open_page(built("ordinary").path).screenshot()
+    dark = open_page(built("ordinary").path, dark=True).screenshot()
     assert min(len(light), len(dark)) > 20_000
     assert light != dark
 
@@ -136,32 +138,32 @@ PAGES_ACCESSIBILITY = (
 
 
 @pytest.mark.parametrize("name", PAGES_ACCESSIBILITY)
-def test_no_serious_violation(open_page: Callable[..., Any], made: Any, axe: str, name: str) -> None:
-    assert faults_of_access(open_page(made(name).path), axe) == []
+def test_no_serious_violation(open_page: Callable[..., Any], built: Any, axe: str, name: str) -> None:
+    assert faults_of_access(open_page(built(name).path), axe) == []
 
 
 @pytest.mark.parametrize(("width", "dark"), [(1366, False), (390, True)], ids=["light-desk", "dark-hand"])
-def test_nor_with_everything_open(open_page: Callable[..., Any], made: Any, axe: str, width: int, dark: bool) -> None:
-    page = open_page(made("ordinary").path, width=width, dark=dark)
-    page.evaluate("document.querySelectorAll('main details').forEach((one) => { one.open = true; })")
+def test_nor_with_everything_open(open_page: Callable[..., Any], built: Any, axe: str, width: int, dark: bool) -> None:
+    page = open_page(built("ordinary").path, width=width, dark=dark)
+    page.evaluate("document.querySelectorAll('main details').forEach((element) => { element.open = true; })")
     assert faults_of_access(page, axe) == []
 
 
-def test_axe_finds_what_is_wrong(open_page: Callable[..., Any], made: Any, axe: str) -> None:
+def test_axe_finds_what_is_wrong(open_page: Callable[..., Any], built: Any, axe: str) -> None:
     """The check itself: grey on grey, and a field without a name."""
-    page = open_page(made("one-design").path)
+    page = open_page(built("one-design").path)
     page.evaluate(
         """() => { document.querySelector("main p").style.cssText = "color:#999;background:#aaa";
         document.querySelector("main").appendChild(document.createElement("input")); }"""
     )
-    found = faults_of_access(page, axe)
-    assert any(one.startswith("color-contrast") for one in found)
-    assert any(one.startswith("label") for one in found)
+    faults = faults_of_access(page, axe)
+    assert any(fault.startswith("color-contrast") for fault in faults)
+    assert any(fault.startswith("label") for fault in faults)
 
 
-def test_a_keyboard_sees_where_it_is(open_page: Callable[..., Any], made: Any) -> None:
+def test_a_keyboard_sees_where_it_is(open_page: Callable[..., Any], built: Any) -> None:
     """Tab goes through the page; whatever has the focus is in view and marked."""
-    page = open_page(made("ordinary").path)
+    page = open_page(built("ordinary").path)
     seen = set()
     for _ in range(60):
         page.keyboard.press("Tab")
@@ -186,39 +188,41 @@ PAGES_OTHER_PAGES = pytest.mark.parametrize("name", ["compare", "fit"])
 @PAGES_OTHER_PAGES
 @SIZES
 def test_nothing_overlaps_other_pages(
-    open_page: Callable[..., Any], made: Any, name: str, width: int, height: int
+    open_page: Callable[..., Any], built: Any, name: str, width: int, height: int
 ) -> None:
-    assert faults_of_layout(open_page(made(name).path, width=width, height=height)) == []
+    assert faults_of_layout(open_page(built(name).path, width=width, height=height)) == []
 
 
 @PAGES_OTHER_PAGES
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
 def test_no_serious_violation_other_pages(
-    open_page: Callable[..., Any], made: Any, axe: str, name: str, dark: bool
+    open_page: Callable[..., Any], built: Any, axe: str, name: str, dark: bool
 ) -> None:
-    page = open_page(made(name).path, dark=dark)
-    page.evaluate("document.querySelectorAll('main details').forEach((one) => { one.open = true; })")
+    page = open_page(built(name).path, dark=dark)
+    page.evaluate("document.querySelectorAll('main details').forEach((element) => { element.open = true; })")
     assert faults_of_access(page, axe) == []
 
 
 @PAGES_OTHER_PAGES
-def test_reads_without_script(open_page: Callable[..., Any], made: Any, name: str) -> None:
-    page = open_page(made(name).path, script=False)
+def test_reads_without_script(open_page: Callable[..., Any], built: Any, name: str) -> None:
+    page = open_page(built(name).path, script=False)
     assert page.locator("table:visible").count() >= 1
-    assert [one.inner_text() for one in page.locator("button:visible, select:visible, input:visible").all()] == []
+    assert [
+        control.inner_text() for control in page.locator("button:visible, select:visible, input:visible").all()
+    ] == []
     assert faults_of_layout(page) == []
 
 
 @PAGES_OTHER_PAGES
-def test_prints_other_pages(open_page: Callable[..., Any], made: Any, name: str) -> None:
-    page = open_page(made(name).path)
+def test_prints_other_pages(open_page: Callable[..., Any], built: Any, name: str) -> None:
+    page = open_page(built(name).path)
     paper = page.pdf(format="A4")
     assert paper.startswith(b"%PDF")
     assert 1 <= len(re.findall(rb"/Type\s*/Page\b", paper)) <= 6
 
 
-def test_verdicts_are_sorted_and_searched(open_page: Callable[..., Any], made: Any) -> None:
-    page = open_page(made("compare").path)
+def test_verdicts_are_sorted_and_searched(open_page: Callable[..., Any], built: Any) -> None:
+    page = open_page(built("compare").path)
     every = page.locator("#designs-1 tbody tr").count()
     page.locator("#designs [data-table=designs-1] input").fill("difference>0")
     shown = page.locator("#designs-1 tbody tr:visible").evaluate_all(
@@ -229,14 +233,14 @@ def test_verdicts_are_sorted_and_searched(open_page: Callable[..., Any], made: A
     assert "lag" in page.locator("#differences").inner_text()
 
 
-def test_a_thousand_designs_weigh_less_than_3_MB(made: Any) -> None:
-    page: Path = made("thousand").path
+def test_a_thousand_designs_weigh_less_than_3_MB(built: Any) -> None:
+    page: Path = built("thousand").path
     assert page.stat().st_size < 3_000_000
     assert page.stat().st_size > 400_000  # all of them are in it
 
 
-def test_same_bytes_whatever_the_hash_salt(made: Any) -> None:
-    folder: Path = made("ordinary").folder
+def test_same_bytes_whatever_the_hash_salt(built: Any) -> None:
+    folder: Path = built("ordinary").folder
     pages = []
     for salt in ("1", "2"):
         environment = os.environ | {"PYTHONHASHSEED": salt, "OPENBLAS_NUM_THREADS": "1"}

@@ -31,9 +31,9 @@ def shown(page: Any) -> list[list[str]]:
 
 @pytest.mark.parametrize(("width", "height"), [(1366, 768), (390, 844)], ids=["desk", "hand"])
 def test_the_first_screen_has_the_verdict_and_the_lights(
-    open_page: Callable[..., Any], made: Any, width: int, height: int
+    open_page: Callable[..., Any], built: Any, width: int, height: int
 ) -> None:
-    page = open_page(made("ordinary").path, width=width, height=height)
+    page = open_page(built("ordinary").path, width=width, height=height)
     for part in ("#verdict .verdict", "#verdict .lights li:nth-child(1)", "#verdict .lights li:nth-child(3)"):
         box = page.locator(part).bounding_box()
         assert box["y"] >= 0
@@ -43,9 +43,9 @@ def test_the_first_screen_has_the_verdict_and_the_lights(
         assert chart["y"] + 0.9 * chart["height"] <= height
 
 
-def test_text_in_charts_is_large_enough_on_a_phone(open_page: Callable[..., Any], made: Any) -> None:
+def test_text_in_charts_is_large_enough_on_a_phone(open_page: Callable[..., Any], built: Any) -> None:
     """It was 5.6 px high."""
-    page = open_page(made("ordinary").path, width=390, height=844)
+    page = open_page(built("ordinary").path, width=390, height=844)
     sizes = page.evaluate(
         """() => [...document.querySelectorAll("svg.chart")].filter((svg) => svg.clientWidth).map((svg) =>
         parseFloat(getComputedStyle(svg).fontSize) * svg.clientWidth / svg.viewBox.baseVal.width)"""
@@ -53,8 +53,8 @@ def test_text_in_charts_is_large_enough_on_a_phone(open_page: Callable[..., Any]
     assert min(sizes) >= 9.5
 
 
-def test_charts_are_dark_in_the_dark(open_page: Callable[..., Any], made: Any) -> None:
-    page = open_page(made("ordinary").path, dark=True)
+def test_charts_are_dark_in_the_dark(open_page: Callable[..., Any], built: Any) -> None:
+    page = open_page(built("ordinary").path, dark=True)
     colours = page.evaluate(
         """() => [getComputedStyle(document.documentElement).backgroundColor,
         getComputedStyle(document.querySelector("#verdict svg.chart text")).fill]"""
@@ -65,8 +65,8 @@ def test_charts_are_dark_in_the_dark(open_page: Callable[..., Any], made: Any) -
     assert page.locator("svg.chart rect[fill='#fff']").count() == 0
 
 
-def test_the_first_link_skips_to_the_content(open_page: Callable[..., Any], made: Any) -> None:
-    page = open_page(made("ordinary").path)
+def test_the_first_link_skips_to_the_content(open_page: Callable[..., Any], built: Any) -> None:
+    page = open_page(built("ordinary").path)
     page.keyboard.press("Tab")
     assert page.evaluate("document.activeElement.textContent") == "Skip to the content"
     page.keyboard.press("Enter")
@@ -76,11 +76,11 @@ def test_the_first_link_skips_to_the_content(open_page: Callable[..., Any], made
 # ------------------------------------------------------------------------------------------------ the table
 
 
-def test_a_heading_sorts(open_page: Callable[..., Any], made: Any) -> None:
-    page = open_page(made("ordinary").path)
+def test_a_heading_sorts(open_page: Callable[..., Any], built: Any) -> None:
+    page = open_page(built("ordinary").path)
     page.get_by_role("button", name="Show all").click()
     every = len(shown(page))
-    assert every == len(made("ordinary").rows())
+    assert every == len(built("ordinary").rows())
     for title, column in (("Mean S", 4), ("ay p95", 7)):
         head = page.locator("#designs thead th", has_text=title).nth(0)
         for order in ("ascending", "descending"):
@@ -93,9 +93,9 @@ def test_a_heading_sorts(open_page: Callable[..., Any], made: Any) -> None:
     assert len(shown(page)) == every
 
 
-def test_the_search_takes_text_and_comparisons(open_page: Callable[..., Any], made: Any) -> None:
-    page = open_page(made("ordinary").path)
-    rows = made("ordinary").rows()
+def test_the_search_takes_text_and_comparisons(open_page: Callable[..., Any], built: Any) -> None:
+    page = open_page(built("ordinary").path)
+    rows = built("ordinary").rows()
     search, hint = page.get_by_role("searchbox", name="Search designs"), page.locator("#ranking .hint")
     first = len(shown(page))
     search.fill("lqr")
@@ -113,8 +113,8 @@ def test_the_search_takes_text_and_comparisons(open_page: Callable[..., Any], ma
     assert len(shown(page)) == first
 
 
-def test_a_thousand_designs_are_asked_for(open_page: Callable[..., Any], made: Any) -> None:
-    page = open_page(made("thousand").path)
+def test_a_thousand_designs_are_asked_for(open_page: Callable[..., Any], built: Any) -> None:
+    page = open_page(built("thousand").path)
     assert len(shown(page)) < 25
     assert any("baseline" in row[-1] for row in shown(page))
     more = page.get_by_role("button", name="Show all 1,000")
@@ -123,15 +123,15 @@ def test_a_thousand_designs_are_asked_for(open_page: Callable[..., Any], made: A
     assert len(shown(page)) == 1000
 
 
-def test_no_button_shows_all_where_all_are_shown(open_page: Callable[..., Any], made: Any) -> None:
-    assert open_page(made("left-only").path).get_by_role("button", name="Show all").count() == 0
+def test_no_button_shows_all_where_all_are_shown(open_page: Callable[..., Any], built: Any) -> None:
+    assert open_page(built("left-only").path).get_by_role("button", name="Show all").count() == 0
 
 
 # ------------------------------------------------------------------------------------------------ the explorer
 
 
-def test_departures_are_drawn_and_chosen(open_page: Callable[..., Any], made: Any) -> None:
-    page = open_page(made("ordinary").path)
+def test_departures_are_drawn_and_chosen(open_page: Callable[..., Any], built: Any) -> None:
+    page = open_page(built("ordinary").path)
     choice = page.get_by_role("combobox", name="Departure")
     assert page.locator("#paths svg").count() == 3
     before = page.locator("#paths").inner_html()
@@ -148,14 +148,14 @@ def test_departures_are_drawn_and_chosen(open_page: Callable[..., Any], made: An
     assert page.evaluate("document.activeElement.type") == "checkbox"
 
 
-def test_paths_lie_inside_their_charts(open_page: Callable[..., Any], made: Any) -> None:
+def test_paths_lie_inside_their_charts(open_page: Callable[..., Any], built: Any) -> None:
     """The default axis cut the winner's acceleration."""
-    page = open_page(made("ordinary").path)
+    page = open_page(built("ordinary").path)
     for k in range(0, page.locator("#departure option").count(), 7):
         page.get_by_role("combobox", name="Departure").select_option(str(k))
         beyond = page.evaluate(
             """() => [...document.querySelectorAll("#paths svg")].flatMap((svg) => [...svg.querySelectorAll(".curve")]
-            .map((one) => one.getBBox()).filter((box) => box.y < 7 || box.y + box.height > 179 || box.x < 51))"""
+            .map((path) => path.getBBox()).filter((box) => box.y < 7 || box.y + box.height > 179 || box.x < 51))"""
         )
         assert beyond == []
 
@@ -164,8 +164,8 @@ def test_paths_lie_inside_their_charts(open_page: Callable[..., Any], made: Any)
 
 
 @pytest.mark.parametrize("script", [True, False], ids=["script", "no-script"])
-def test_names_are_text(open_page: Callable[..., Any], made: Any, script: bool) -> None:
-    page = open_page(made("hostile").path, script=script)
+def test_names_are_text(open_page: Callable[..., Any], built: Any, script: bool) -> None:
+    page = open_page(built("hostile").path, script=script)
     assert page.locator("script").count() == 2
     assert EVIL in page.get_by_role("heading", level=1).inner_text()
     assert page.title().startswith(f"</script>{EVIL} & \"quoted\" 'x'")
@@ -190,7 +190,7 @@ WARNINGS = (
 
 @pytest.fixture(scope="module")
 def pages(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
-    """Pages by name, each made when it is first asked for."""
+    """Pages by name, each built when it is first asked for."""
     root = tmp_path_factory.mktemp("extraction_pages")
     makers = {
         "one": lambda: make_extraction(1, (300, 200), problems=PROBLEMS, warnings=WARNINGS),
@@ -209,7 +209,7 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
 
 
 def opened(page: Any) -> Any:
-    page.evaluate("document.querySelectorAll('main details').forEach((one) => { one.open = true; })")
+    page.evaluate("document.querySelectorAll('main details').forEach((element) => { element.open = true; })")
     return page
 
 

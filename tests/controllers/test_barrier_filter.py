@@ -146,7 +146,7 @@ def test_the_closed_form_is_the_solution_of_the_qp(gamma_1: float, gamma_2: floa
     plant, x, r, prev = situations(150, seed=1, size=0.8)
     delta = command(design, plant, x, r, prev)
     law = LQR(r_delta=100.0).prepare(plant)
-    wanted = (law.F * x).sum(axis=1) + law.G_yaw_rate[:, 0] * r[:, 0]
+    expected = (law.F * x).sum(axis=1) + law.G_yaw_rate[:, 0] * r[:, 0]
     step, e = plant.step, design.e_y_max
     compared = moved = 0
     for i in range(plant.n):
@@ -161,7 +161,7 @@ def test_the_closed_form_is_the_solution_of_the_qp(gamma_1: float, gamma_2: floa
         G, h = np.array(G) / abs(G[0]), np.array(h) / abs(G[0])
         box = delta_max * np.ones(1)
         problem = qpsolvers.Problem(
-            sp.csc_matrix([[2.0]]), np.array([-2.0 * wanted[i]]), sp.csc_matrix(G[:, None]), h, lb=-box, ub=box
+            sp.csc_matrix([[2.0]]), np.array([-2.0 * expected[i]]), sp.csc_matrix(G[:, None]), h, lb=-box, ub=box
         )
         least, most = -h[1], h[0]
         assert least < most  # both sides at once can always be met
@@ -172,7 +172,7 @@ def test_the_closed_form_is_the_solution_of_the_qp(gamma_1: float, gamma_2: floa
         assert best.found
         assert delta[i] == pytest.approx(best.x[0], abs=1e-6)
         compared += 1
-        moved += abs(delta[i] - wanted[i]) > 1e-3
+        moved += abs(delta[i] - expected[i]) > 1e-3
     assert compared > 60
     assert moved > 10
 

@@ -265,7 +265,7 @@ def test_the_penalty_is_exact() -> None:
     [
         (0.0, 0.0),
         (0.1, 0.12),
-        *(pytest.param(*one, marks=pytest.mark.slow) for one in ((0.1, 0.0), (0.0, 0.1), (0.0, 0.03))),
+        *(pytest.param(*actuator, marks=pytest.mark.slow) for actuator in ((0.1, 0.0), (0.0, 0.1), (0.0, 0.03))),
     ],
 )
 def test_behind_an_actuator_it_plans_on_what_is_on_its_way(lag: float, delay: float) -> None:
@@ -352,8 +352,12 @@ class Driven:
         self.case.prev = self.case.start[4] = held
         self.case.sent = (held,) * len(self.case.sent)
         wheel = delta if actuator.lag else np.append(held, delta[:-1])
-        self.before = np.array([self.case.a(np.append(*one[:2]), one[2]) for one in zip(x, wheel, r, strict=False)])
-        self.after = np.array([self.case.a(np.append(*one[:2]), one[2]) for one in zip(x, delta, r, strict=False)])
+        self.before = np.array(
+            [self.case.a(np.append(*sample[:2]), sample[2]) for sample in zip(x, wheel, r, strict=False)]
+        )
+        self.after = np.array(
+            [self.case.a(np.append(*sample[:2]), sample[2]) for sample in zip(x, delta, r, strict=False)]
+        )
 
     def jerk(self) -> float:
         """The largest mean over half a second; a was constant before the trigger."""
@@ -367,7 +371,7 @@ class Driven:
         free = case.outputs(np.zeros(N))[1]
         rows = [np.column_stack([case.outputs(unit, affine=False)[1][name] for unit in np.eye(N)]) for name in _LIMITED]
         most = [jerk, case.design.rate_max * DT]
-        A = np.concatenate([sign * one for one in rows for sign in (1, -1)])
+        A = np.concatenate([sign * row for row in rows for sign in (1, -1)])
         b = np.concatenate([m - sign * free[n] for n, m in zip(_LIMITED, most, strict=True) for sign in (1, -1)])
         size = case.design.delta_max
         return linprog(np.zeros(N), A_ub=A, b_ub=b, bounds=(-size, size), method="highs").status == 0
@@ -395,7 +399,7 @@ def test_acceleration_and_jerk_stay_within_their_limits(solver: str, actuator: A
 
 @pytest.mark.parametrize(
     ("n", "lag", "delay"),
-    [(30, 0.1, 0.1), *(pytest.param(1000, *one, marks=pytest.mark.slow) for one in ((0.1, 0.1), (0.0, 0.0)))],
+    [(30, 0.1, 0.1), *(pytest.param(1000, *actuator, marks=pytest.mark.slow) for actuator in ((0.1, 0.1), (0.0, 0.0)))],
 )
 def test_jerk_of_reference_departures_stays_within_its_limit(n: int, lag: float, delay: float) -> None:
     """Wherever a linear program finds commands that keep it, whatever the takeover does to a_y; 1 % for the kink at T.
@@ -407,9 +411,9 @@ def test_jerk_of_reference_departures_stays_within_its_limit(n: int, lag: float,
     out = simulate(LinearMPC(a_y_max=3.0, jerk_max=5.0, r_delta=100.0), scenarios, trajectories=True, **given)
     assert not out.failed_solves.any()
     driven = [Driven(scenarios, out, i, options) for i in np.flatnonzero(out.triggered)]
-    beyond = [one for one in driven if one.jerk() > 5.05]
+    beyond = [plan for plan in driven if plan.jerk() > 5.05]
     assert len(beyond) < 0.01 * len(driven)
-    assert not any(one.commands_exist(5.0) for one in beyond)
+    assert not any(plan.commands_exist(5.0) for plan in beyond)
 
 
 def test_a_corridor_that_is_left_already_is_no_failure() -> None:

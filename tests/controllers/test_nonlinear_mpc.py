@@ -14,7 +14,6 @@ import scipy.integrate
 import scipy.linalg
 
 import ldctoolkit.controllers._nmpc_solver as solver_module
-from helpers.cli import tool
 from helpers.closed_loop import DT, grid
 from helpers.closed_loop import mpc_situations as situations
 from helpers.errors import refused
@@ -26,7 +25,6 @@ from ldctoolkit.controllers.riccati import regulator
 from ldctoolkit.plant_options import PlantOptions, Tyres
 
 VEHICLE = VehicleParameters()
-DYNAMICS = tool("nonlinear_plant").nonlinear_dynamics()
 HORIZON = 8  # of nearly all plans here: each horizon is compiled, with soft limits once more
 
 
@@ -44,16 +42,22 @@ def first(
     return law.step(np.zeros(plant.n), x, preview, prev, law.init(plant.n))
 
 
-def vehicle_inputs(mu: float) -> dict[str, float]:
-    names = ("C_af", "C_ar", "l_f", "l_r", "m", "I_z")
-    return {name: getattr(VEHICLE, name) for name in names} | {"mu": mu, "shape": SHAPE, "dv": 0.0}
-
-
 def right_hand_side(x: Any, delta: Any, r: Any, v: float, mu: float) -> Any:
-    """The toolkit's nonlinear plant as a CasADi expression."""
-    rates = {"e_y_rate": x[1], "e_psi": x[2], "e_psi_rate": x[3], "delta": delta, "r": r, "v": v}
-    out = DYNAMICS(**rates, **vehicle_inputs(mu))
-    return ca.vertcat(x[1], out["e_y_acceleration"], x[3], out["e_psi_acceleration"]), out["a_y"]
+    """Rates of the state and a_y of the nonlinear bicycle: Rajamani, section 2.3, with Pacejka's Magic Formula."""
+    p = VEHICLE
+
+    def axle_force(alpha: Any, C_alpha: float, arm: float) -> Any:
+        D = mu * p.m * 9.81 * arm / (p.l_f + p.l_r)
+        return D * ca.sin(SHAPE * ca.atan(2.0 * C_alpha * alpha / (SHAPE * D)))
+
+    omega, v_y = x[3] + r, (x[1] - v * ca.sin(x[2])) / ca.cos(x[2])
+    front = axle_force(delta - ca.atan((v_y + p.l_f * omega) / v), p.C_af, p.l_r) * ca.cos(delta)
+    rear = axle_force(-ca.atan((v_y - p.l_r * omega) / v), p.C_ar, p.l_f)
+    a_y = (front + rear) / p.m
+    v_y_rate = a_y - v * omega
+    # the time derivative of e_y' = v sin e_psi + v_y cos e_psi
+    e_y_acceleration = (v * ca.cos(x[2]) - v_y * ca.sin(x[2])) * x[3] + v_y_rate * ca.cos(x[2])
+    return ca.vertcat(x[1], e_y_acceleration, x[3], (p.l_f * front - p.l_r * rear) / p.I_z), a_y
 
 
 def ipopt(
@@ -80,8 +84,11 @@ def ipopt(
     X, U = opti.variable(4, N), opti.variable(N)
     q = np.diag([design.q_y, design.q_y_rate, design.q_psi, design.q_psi_rate])
     _, P, _ = control.dlqr(step.A[i], step.B[i][:, None], q, np.array([[design.r_delta]]))
-    one = dataclasses.replace(plant, v=plant.v[i : i + 1])
-    nodes, between = steady_cornering(one, mu, r[None]), steady_cornering(one, mu, 0.5 * (r[None, 1:] + r[None, :-1]))
+    single = dataclasses.replace(plant, v=plant.v[i : i + 1])
+    nodes, between = (
+        steady_cornering(single, mu, r[None]),
+        steady_cornering(single, mu, 0.5 * (r[None, 1:] + r[None, :-1])),
+    )
     cost: Any = 0
     y, w = [], 1e3 * (design.q_y + 1e-2 * design.q_psi + 1e-2 * design.r_delta)
     rate = design.rate_max * DT
@@ -262,7 +269,7 @@ def test_corridor_and_jerk_bind_in_the_plan(soft: dict[str, float], size: float,
     def worst(design: NonlinearMPC) -> float:
         _, state, status = first(design, plant, x, still, np.zeros(2))
         assert (status == EventStatus.OK).all()
-        found = 0.0
+        largest = 0.0
         for i in range(2):
             follow, path = sampled(columns(design, plant)[i]), x[i]
             before = float(right_hand_side(ca.DM(path), 0.0, 0.0, plant.v[i], 1.0)[1])
@@ -270,8 +277,10 @@ def test_corridor_and_jerk_bind_in_the_plan(soft: dict[str, float], size: float,
                 after = path, follow(path, u, 0.0, 0.0)
                 path = after[1]
                 a_y = [float(right_hand_side(ca.DM(at), u, 0.0, plant.v[i], 1.0)[1]) for at in after]
-                found = max(found, abs(path[0]) if "e_y_max" in soft else np.abs(np.subtract(a_y, before)).max() / 0.5)
-        return found
+                largest = max(
+                    largest, abs(path[0]) if "e_y_max" in soft else np.abs(np.subtract(a_y, before)).max() / 0.5
+                )
+        return largest
 
     assert worst(NonlinearMPC(horizon=HORIZON, r_delta=r_delta)) > 1.01 * size
     assert worst(NonlinearMPC(horizon=HORIZON, r_delta=r_delta, **soft)) < size * (1 + 1e-6)
@@ -300,9 +309,9 @@ def test_where_nothing_converges_the_lqr_steers_inside_the_limits(monkeypatch: p
     K = regulator(plant, (1.0, 0.0, 1.0, 0.0), 100.0).K
     r = preview.yaw_rate
     e_psi = steady_cornering(plant, 1.0, r[:, :1]).e_psi[:, 0]
-    wanted = steady_cornering(plant, 1.0, 0.5 * (r[:, :1] + r[:, 1:2])).delta[:, 0]
-    wanted = wanted - (K * (x - np.outer(e_psi, [0, 0, 1, 0]))).sum(axis=1)
-    expected = prev + np.clip(np.clip(wanted, -0.04, 0.04) - prev, -0.01, 0.01)
+    expected = steady_cornering(plant, 1.0, 0.5 * (r[:, :1] + r[:, 1:2])).delta[:, 0]
+    expected = expected - (K * (x - np.outer(e_psi, [0, 0, 1, 0]))).sum(axis=1)
+    expected = prev + np.clip(np.clip(expected, -0.04, 0.04) - prev, -0.01, 0.01)
     np.testing.assert_allclose(delta, expected, atol=1e-12)
 
 
@@ -329,10 +338,10 @@ def test_a_switch_takes_the_virtual_machine_and_commands_stay(monkeypatch: pytes
         NonlinearMPC(horizon=HORIZON, a_y_max=2.0, jerk_max=20.0, r_delta=100.0),
     )
     usual = [first(design, plant, x, preview, prev)[0] for design in designs]
-    kept = solver_module._functions
+    functions = solver_module._functions
     monkeypatch.setenv(solver_module.CODE, "vm")
     monkeypatch.setattr(solver_module.subprocess, "run", lambda *_, **__: pytest.fail("compiled"))
-    monkeypatch.setattr(solver_module, "_functions", kept.__wrapped__)
+    monkeypatch.setattr(solver_module, "_functions", functions.__wrapped__)
     monkeypatch.setattr(solver_module, "_LOCAL", threading.local())
     for design, expected in zip(designs, usual, strict=True):
         np.testing.assert_allclose(first(design, plant, x, preview, prev)[0], expected, atol=1e-10)

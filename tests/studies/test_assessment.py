@@ -53,32 +53,32 @@ def test_a_tenth_of_a_meter_is_the_limit() -> None:
     """The trigger for a DTLE just inside, and for 1 cm more, by bisection of the simulation."""
     for wanted, passes in ((-0.0999, True), (-0.1001, False), (-0.11, False)):
         y_s = brentq(lambda y: dtle(y) - wanted, -0.4, 0.2, xtol=1e-10)  # noqa: B023
-        found = stated(LQR(), ROAD_EDGE, y_s=y_s)
-        assert found.values[0, 0, CELL] == pytest.approx(wanted, abs=1e-5)
-        assert bool(found.passed[CELL]) is passes
-        assert found.lights[CELL] == ("green" if passes else "red")
-        assert 0.3 < found.score < 1.0
-    assert found.cells.name(CELL) == "60 km/h, 0.5 m/s"
-    assert found.reason(CELL) == "DTLE \u22120.11 m, limit \u22120.10 m"
-    assert found.reason(0) == ""
+        assessment = stated(LQR(), ROAD_EDGE, y_s=y_s)
+        assert assessment.values[0, 0, CELL] == pytest.approx(wanted, abs=1e-5)
+        assert bool(assessment.passed[CELL]) is passes
+        assert assessment.lights[CELL] == ("green" if passes else "red")
+        assert 0.3 < assessment.score < 1.0
+    assert assessment.cells.name(CELL) == "60 km/h, 0.5 m/s"
+    assert assessment.reason(CELL) == "DTLE \u22120.11 m, limit \u22120.10 m"
+    assert assessment.reason(0) == ""
 
 
 @pytest.mark.parametrize("name", ["ideal", "built"])
 def test_dtle_is_that_of_the_simulation(name: str, built: Setup) -> None:
     """To 1e-4 m, of a law that brings the vehicle back at once."""
     setup = Setup() if name == "ideal" else quiet(built)
-    found = stated(LQR(), ROAD_EDGE, setup, y_s=-0.3)
+    assessment = stated(LQR(), ROAD_EDGE, setup, y_s=-0.3)
     driven = simulate(LQR(), load_standard(ROAD_EDGE).scenarios(CELLS, HALF), y_s=-0.3, setup=setup)
-    ALL(found.values[0, 0], driven.metrics.dtle, atol=1e-4)
+    ALL(assessment.values[0, 0], driven.metrics.dtle, atol=1e-4)
 
 
 def test_a_test_goes_on_two_seconds_after_its_limit_was_broken() -> None:
     """Without control the edge is then 0.1 m + 2 s times the lateral velocity beyond the line."""
-    found = stated(NoControl(), ROAD_EDGE, y_s=0.2)
-    ALL(found.values[0, 0], -0.1 - 2.0 * CELLS.second, atol=1e-6)
-    assert found.reason(0) == "DTLE \u22120.50 m, limit \u22120.10 m"
-    assert found.score == found.robust_score == found.extended_score == 0.0
-    ALL(stated(NoControl(), ROAD_EDGE, y_s=9.9).values, found.values, atol=1e-6)  # never triggered
+    assessment = stated(NoControl(), ROAD_EDGE, y_s=0.2)
+    ALL(assessment.values[0, 0], -0.1 - 2.0 * CELLS.second, atol=1e-6)
+    assert assessment.reason(0) == "DTLE \u22120.50 m, limit \u22120.10 m"
+    assert assessment.score == assessment.robust_score == assessment.extended_score == 0.0
+    ALL(stated(NoControl(), ROAD_EDGE, y_s=9.9).values, assessment.values, atol=1e-6)  # never triggered
     later = stated(NoControl(), "euroncap-2025-elk", y_s=0.2)
     ALL(later.values[0, 0], -0.3 - 2.0 * later.cells.second, atol=1e-6)
     late = stated(LQR(), ROAD_EDGE, y_s=0.55)  # at 0.2 m/s the test is over before the law takes over
@@ -87,10 +87,10 @@ def test_a_test_goes_on_two_seconds_after_its_limit_was_broken() -> None:
 
 def test_a_corner_may_keep_the_lateral_velocity_that_it_departs_with() -> None:
     """Without control the velocity stays: 0.65 m/s at the corner of the cell with 0.6 m/s."""
-    found = assess(NoControl(), DRIVEABILITY)
-    assert found.robust_score == 1.0
-    assert found.limits[:, 1, :5].max(axis=0).tolist() == pytest.approx([0.3, 0.35, 0.45, 0.55, 0.65])
-    assert found.limits[0, 1, :5].tolist() == [0.3, 0.3, 0.4, 0.5, 0.6]
+    assessment = assess(NoControl(), DRIVEABILITY)
+    assert assessment.robust_score == 1.0
+    assert assessment.limits[:, 1, :5].max(axis=0).tolist() == pytest.approx([0.3, 0.35, 0.45, 0.55, 0.65])
+    assert assessment.limits[0, 1, :5].tolist() == [0.3, 0.3, 0.4, 0.5, 0.6]
 
 
 def test_in_a_bend_the_rear_tyres_count(built: Setup) -> None:
@@ -101,8 +101,8 @@ def test_in_a_bend_the_rear_tyres_count(built: Setup) -> None:
     assert driven is not None
     e_y, e_psi = driven.x[:, :, 0] - HALF, driven.x[:, :, 2]
     front, rear = np.nanmax(e_y + 1.43 * e_psi, axis=1), np.nanmax(e_y - 1.47 * e_psi, axis=1)
-    found = stated(LQR(r_delta=60000.0), "un-r79-b1", built, y_s=-0.44).values[0, 0]
-    ALL(found, -np.maximum(front, rear), atol=1e-3)
+    assessment = stated(LQR(r_delta=60000.0), "un-r79-b1", built, y_s=-0.44).values[0, 0]
+    ALL(assessment, -np.maximum(front, rear), atol=1e-3)
     assert ((rear > 0.005) & (front < 0.0)).any()
 
 
@@ -110,21 +110,21 @@ def test_each_cell_ends_by_its_own_limit() -> None:
     """With 0.1 m allowed at 0.2 m/s and 0.9 m at 0.5 m/s, the edge gets two seconds farther than each."""
     text = load_standard(ROAD_EDGE).model_dump()
     text["condition"] = ({"quantity": "dtle", "limit": (-0.1, -0.1, -0.1, -0.9, -0.1, -0.1)},)
-    found = stated(NoControl(), Standard.model_validate(text), y_s=0.2)
-    ALL(found.values[0, 0, [0, 3]], [-0.5, -1.9], atol=1e-6)
+    assessment = stated(NoControl(), Standard.model_validate(text), y_s=0.2)
+    ALL(assessment.values[0, 0, [0, 3]], [-0.5, -1.9], atol=1e-6)
 
 
 def test_a_command_that_acts_at_once_turns_the_wheel_from_where_it_stood() -> None:
     """Without lag the first command is a step; filtered at 10 Hz it is a rate of 20 times its height."""
     scenarios = load_standard(DRIVEABILITY).scenarios(load_standard(DRIVEABILITY).every_cell, HALF)
     takeover = Takeover.build(scenarios, Setup(), y_s=-0.4)
-    found = stated(LQR(r_delta=500.0), DRIVEABILITY, y_s=-0.4)
+    assessment = stated(LQR(r_delta=500.0), DRIVEABILITY, y_s=-0.4)
     kept = simulate(LQR(r_delta=500.0), scenarios, y_s=-0.4, trajectories=True).trajectories
     assert kept is not None
     step = np.abs(kept.delta[takeover.rows, 0] - takeover.delta_0) * np.degrees(15.0)
-    fast = np.isfinite(found.values[0, 0, takeover.rows])
+    fast = np.isfinite(assessment.values[0, 0, takeover.rows])
     assert fast.sum() == 20
-    assert (found.values[0, 0, takeover.rows][fast] > 15.0 * step[fast]).all()
+    assert (assessment.values[0, 0, takeover.rows][fast] > 15.0 * step[fast]).all()
 
 
 def pulse(first: int) -> Stepped:
@@ -162,15 +162,15 @@ def signals(kept: Any, i: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, floa
 
 def test_the_steering_wheels_rate_is_filtered_without_phase(runs: Any) -> None:
     """By scipy's transfer function form, on an own grid of 1 kHz: to 2 %."""
-    kept, found, same = runs
+    kept, assessment, same = runs
     for i, row in enumerate(same):
         t, _, delta, deepest = signals(kept, i)
         times = np.arange(-1.0, t[-1], 1e-3)
         rate = np.gradient(np.interp(times, t, 15.0 * np.degrees(delta)), times)
         filtered = filtfilt(*butter(6, 10.0, fs=1000.0), rate)
         inside = (times >= 0) & (times <= deepest + 2.0)
-        assert found.values[0, 0, row] == pytest.approx(np.abs(filtered[inside]).max(), rel=0.02)
-        assert found.values[0, 0, row] > 20.0
+        assert assessment.values[0, 0, row] == pytest.approx(np.abs(filtered[inside]).max(), rel=0.02)
+        assert assessment.values[0, 0, row] > 20.0
 
 
 def test_the_ratio_of_the_steering_scales_its_rate(built: Setup) -> None:
@@ -186,15 +186,15 @@ def test_the_ratio_of_the_steering_scales_its_rate(built: Setup) -> None:
 
 def test_the_lateral_velocity_is_that_of_two_seconds_after(runs: Any) -> None:
     """After the largest sample of the front tyre's edge: to 0.01 m/s."""
-    kept, found, same = runs
+    kept, assessment, same = runs
     for i, row in enumerate(same):
         t, x, _, deepest = signals(kept, i)
-        assert found.values[0, 1, row] == pytest.approx(abs(np.interp(deepest + 2.0, t, x[:, 1])), abs=0.01)
+        assert assessment.values[0, 1, row] == pytest.approx(abs(np.interp(deepest + 2.0, t, x[:, 1])), abs=0.01)
 
 
 def test_the_extremum_itself_counts_and_not_the_sample_after_it(built: Setup) -> None:
     """At 80 km/h and 0.5 m/s, against scipy's cubics through the samples: to 1e-6."""
-    found, cells = stated(LQR(), DRIVEABILITY, built, y_s=-0.4), load_standard(DRIVEABILITY).every_cell
+    assessment, cells = stated(LQR(), DRIVEABILITY, built, y_s=-0.4), load_standard(DRIVEABILITY).every_cell
     row = [i for i in range(cells.n) if cells.name(i) == "80 km/h, 0.5 m/s"]
     scenarios = load_standard(DRIVEABILITY).scenarios(cells, HALF).take(row)
     kept = simulate(LQR(), scenarios, y_s=-0.4, setup=quiet(built), trajectories=True).trajectories
@@ -204,7 +204,7 @@ def test_the_extremum_itself_counts_and_not_the_sample_after_it(built: Setup) ->
     peaks = front.derivative().roots(extrapolate=False)
     after = peaks[np.argmax(front(peaks))] + 2.0
     wanted = abs(CubicHermiteSpline(t, x[:, 0], x[:, 1])(after, 1))
-    ALL(found.values[0, 1, row], wanted, atol=1e-6)
+    ALL(assessment.values[0, 1, row], wanted, atol=1e-6)
     ALL(wanted, 0.2254, atol=5e-5)
 
 
@@ -213,7 +213,7 @@ def test_the_jerk_of_r79_is_that_of_the_filtered_acceleration(built: Setup) -> N
     setup, standard = quiet(built), load_standard("un-r79-b1")
     scenarios = standard.scenarios(standard.every_cell, HALF).take([2, 9])
     kept = simulate(LQR(), scenarios, y_s=-0.2, setup=setup, trajectories=True).trajectories
-    found = stated(LQR(), "un-r79-b1", setup, y_s=-0.2).values[0, 2]
+    assessment = stated(LQR(), "un-r79-b1", setup, y_s=-0.2).values[0, 2]
     for i, row in enumerate((2, 9)):
         t, x, _, deepest = signals(kept, i)
         times = np.arange(-6.0, t[-1], 1e-3)
@@ -222,13 +222,13 @@ def test_the_jerk_of_r79_is_that_of_the_filtered_acceleration(built: Setup) -> N
         filtered = lfilter(*butter(4, 0.5, fs=1000.0), a_y)
         jerk = np.abs(filtered[500:] - filtered[:-500]) / 0.5
         inside = (times[500:] >= 0) & (times[500:] <= deepest + 2.0)
-        assert found[row] == pytest.approx(jerk[inside].max(), rel=0.05)
+        assert assessment[row] == pytest.approx(jerk[inside].max(), rel=0.05)
 
 
 def test_one_design_passes_every_standard(built: Setup) -> None:
     for name in standard_names():
-        found = stated(LQR(r_delta=60_000.0), name, built, y_s=-0.6)
-        assert (name, found.score, set(found.lights)) == (name, 1.0, {"green"})
+        assessment = stated(LQR(r_delta=60_000.0), name, built, y_s=-0.6)
+        assert (name, assessment.score, set(assessment.lights)) == (name, 1.0, {"green"})
 
 
 def test_every_standard_has_a_design_that_fails(built: Setup) -> None:
@@ -242,21 +242,21 @@ def test_every_standard_has_a_design_that_fails(built: Setup) -> None:
 
 def test_the_default_passes_at_every_corner(built: Setup) -> None:
     """Five vehicles at four corners with three seeds of noise."""
-    found = assess(LQR(), ROAD_EDGE, built, y_s=-0.4)
-    assert found.robust.all()
-    assert (found.score, found.robust_score, found.extended_score) == (1.0, 1.0, 1.0)
-    assert len(found.variants) == 61
-    assert found.variants[:2] == ("", "nominal vehicle, -1 km/h, -0.05 m/s")
+    assessment = assess(LQR(), ROAD_EDGE, built, y_s=-0.4)
+    assert assessment.robust.all()
+    assert (assessment.score, assessment.robust_score, assessment.extended_score) == (1.0, 1.0, 1.0)
+    assert len(assessment.variants) == 61
+    assert assessment.variants[:2] == ("", "nominal vehicle, -1 km/h, -0.05 m/s")
     corners = [f"{speed} km/h, {rate} m/s" for speed in ("-1", "+1") for rate in ("-0.05", "+0.05")]
     vehicles = ("nominal", "light", "heavy", "soft", "stiff")
     expected = [f"{one} vehicle, {corner}" for one in vehicles for _ in range(3) for corner in corners]
-    assert sorted(found.variants[1:]) == sorted(expected)
-    seeds = found.values[[i for i, one in enumerate(found.variants) if one == found.variants[1]], 0, 0]
+    assert sorted(assessment.variants[1:]) == sorted(expected)
+    seeds = assessment.values[[i for i, one in enumerate(assessment.variants) if one == assessment.variants[1]], 0, 0]
     assert np.unique(seeds).size == 3
-    value, which = found.worst(0)
-    np.testing.assert_array_equal(value, found.values[:, 0].min(axis=0))
-    np.testing.assert_array_equal(found.values[which, 0, np.arange(36)], value)
-    assert_same_bits(assess(LQR(), ROAD_EDGE, built, y_s=-0.4), found)
+    value, which = assessment.worst(0)
+    np.testing.assert_array_equal(value, assessment.values[:, 0].min(axis=0))
+    np.testing.assert_array_equal(assessment.values[which, 0, np.arange(36)], value)
+    assert_same_bits(assess(LQR(), ROAD_EDGE, built, y_s=-0.4), assessment)
 
 
 def test_without_noise_seeds_are_no_variants() -> None:
@@ -266,12 +266,12 @@ def test_without_noise_seeds_are_no_variants() -> None:
 
 
 def test_a_cell_that_fails_at_a_corner_is_amber(built: Setup) -> None:
-    found = assess(LQR(r_delta=2000.0), ROAD_EDGE, built, y_s=0.05, seeds=1)
-    assert [found.lights.count(light) for light in ("green", "amber", "red")] == [5, 4, 27]
-    amber = found.lights.index("amber")
-    assert found.reason(amber).startswith("DTLE \u22120.1")
-    assert found.reason(amber).endswith(", limit \u22120.10 m (heavy vehicle, \u22121 km/h, +0.05 m/s)")
-    assert found.robust_score < found.score
+    assessment = assess(LQR(r_delta=2000.0), ROAD_EDGE, built, y_s=0.05, seeds=1)
+    assert [assessment.lights.count(light) for light in ("green", "amber", "red")] == [5, 4, 27]
+    amber = assessment.lights.index("amber")
+    assert assessment.reason(amber).startswith("DTLE \u22120.1")
+    assert assessment.reason(amber).endswith(", limit \u22120.10 m (heavy vehicle, \u22121 km/h, +0.05 m/s)")
+    assert assessment.robust_score < assessment.score
 
 
 @pytest.mark.parametrize(
@@ -280,23 +280,23 @@ def test_a_cell_that_fails_at_a_corner_is_amber(built: Setup) -> None:
 )
 def test_the_points_of_the_extended_range(standard: int, extended: int, points: float) -> None:
     """Half of them from half of its cells on, three quarters from three quarters, all of all; from 25 % on."""
-    found = stated(LQR(), ROAD_EDGE, y_s=-0.4)
-    met = np.zeros_like(found.met)
+    assessment = stated(LQR(), ROAD_EDGE, y_s=-0.4)
+    met = np.zeros_like(assessment.met)
     met[0, 0, np.flatnonzero(~CELLS.extended)[:standard]] = True
     met[0, 0, np.flatnonzero(CELLS.extended)[:extended]] = True
-    changed = dataclasses.replace(found, met=met)
+    changed = dataclasses.replace(assessment, met=met)
     assert (changed.score, changed.extended_score) == (standard / 30, points)
     assert np.isnan(stated(LQR(), "euroncap-2025-elk", y_s=-0.4).extended_score)
     # from exactly so many on
-    at = dataclasses.replace(changed, standard=found.standard.model_copy(update={"extended_from": standard / 30}))
+    at = dataclasses.replace(changed, standard=assessment.standard.model_copy(update={"extended_from": standard / 30}))
     assert at.extended_score == {0: 0.0, 2: 0.0, 3: 0.5, 4: 0.5, 5: 0.75, 6: 1.0}[extended]
 
 
 def test_a_vehicle_that_leaves_the_road_meets_nothing() -> None:
-    found = stated(Constant(F=(0.5, 0.0, 0.0, 0.0)), ROAD_EDGE, y_s=-0.4)
-    assert found.diverged.any()
-    i = int(np.argmax(found.diverged[0]))
-    assert (found.lights[i], found.reason(i)) == ("red", "diverged, limit \u22120.10 m")
+    assessment = stated(Constant(F=(0.5, 0.0, 0.0, 0.0)), ROAD_EDGE, y_s=-0.4)
+    assert assessment.diverged.any()
+    i = int(np.argmax(assessment.diverged[0]))
+    assert (assessment.lights[i], assessment.reason(i)) == ("red", "diverged, limit \u22120.10 m")
     calm = stated(Constant(F=(0.5, 0.0, 0.0, 0.0)), DRIVEABILITY, y_s=-0.4)  # at 50 km/h the wheel is not assessed
     assert not calm.met[0, 0, calm.diverged[0]].any()
 

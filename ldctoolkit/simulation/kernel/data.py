@@ -55,7 +55,7 @@ GAIN, MODEL_A, MODEL_B, MODEL_E_0, MODEL_E_1, MODEL_OLD, MODEL_WHEEL, FIRST, FIL
 
 SCORES: Final = 1 + len(SCENARIO_METRICS)  # the area, then the metrics of a scenario in the order of their table
 
-P_TIME, P_X, P_DELTA, PATH = 0, 1, 5, 6  # columns of a path's entry
+P_TIME, P_X, P_DELTA, P_A_Y, PATH = 0, 1, 5, 6, 7  # columns of a path's entry
 
 # columns of a linear law, then pairs of weights of yaw rate and heading for every lookahead time, then of past commands
 LAW_F, LAW_U, LAW_I, LAW_WHEEL, LAW = 0, 4, 5, 6, 7
@@ -65,9 +65,10 @@ EX_B, EX_E_0, EX_E_1, EX_X, EX_DELTA, EX_R_0, EX_R_1, EXACT = 12, 16, 20, 24, 28
 
 # ------------------------------------------------------------------------------------------------ the table of a block
 #
-# Eight scenarios stand side by side: a row holds one quantity of all of them, `LANES` numbers one after the other, and
-# row + l is that of lane l. All rows lie in one array, at fixed distances, in the order in which they are named here:
-# so the compiler sees that they do not overlap, and works on the lanes of a row together.
+# Eight scenarios stand side by side: a row holds one quantity of all of them, `LANES` numbers one after the other. In
+# the loops `w` is this table, `l` the number of a lane, and w[row + l] the quantity of that lane. All rows lie in one
+# array, at fixed distances, in the order in which they are named here: so the compiler sees that they do not overlap,
+# and works on the lanes of a row together.
 
 _rows = itertools.count(0, LANES)
 
@@ -93,10 +94,10 @@ SINGLE = next(_rows)  # 1 where a step was driven by itself
 LANE_RATE, V_C_0, V_DC = _next(3)  # [rad/s] the lane's yaw rate at the last sample; v c_0 and v dc
 # up to here is what an exact run changes
 
-# [m/s^2] a_y at the start and the end of a sample, the same without the lane's part v^2 c; what they were a jerk window
-# earlier; y'' of the recorded path at the start and the end, now and then
-A_Y_START, A_Y_END, A_Y_OWN_START, A_Y_OWN_END = _next(4)
-A_Y_START_PAST, A_Y_END_PAST, A_Y_OWN_START_PAST, A_Y_OWN_END_PAST = _next(4)
+# [m/s^2] a_y at the start and the end of a sample, the same relative to the road, without v^2 c; what they were a jerk
+# window earlier; y'' of the recorded path at the start and the end, of this sample and a jerk window earlier
+A_Y_START, A_Y_END, A_Y_RELATIVE_START, A_Y_RELATIVE_END = _next(4)
+A_Y_START_PAST, A_Y_END_PAST, A_Y_RELATIVE_START_PAST, A_Y_RELATIVE_END_PAST = _next(4)
 BEND_START, BEND_END, BEND_START_PAST, BEND_END_PAST = _next(4)
 
 # the scenario
@@ -191,7 +192,7 @@ def setting_row(setup: Setup, plant: Plant, *, modes: int, bound: float, window:
     actuator, sensors, dt = setup.options.actuator, setup.options.sensors, setup.dt
     whole = math.floor(actuator.delay / dt + 1e-9)
     part = actuator.delay - whole * dt
-    known = math.floor(plant.delay / dt + 1e-9)
+    known_delay = math.floor(plant.delay / dt + 1e-9)
     period, late = sensors.period or dt, sensors.delay
     values = {
         DT: dt,
@@ -222,10 +223,10 @@ def setting_row(setup: Setup, plant: Plant, *, modes: int, bound: float, window:
         SEED_LOW: setup.seed & 0xFFFFFFFF,
         SEED_HIGH: setup.seed >> 32,
         FILTERED: sensors.kalman is not None,
-        KNOWN_DELAY: known,  # whole samples of delay that a design knows
+        KNOWN_DELAY: known_delay,  # whole samples of delay that a design knows
         KNOWN_AGE: plant.age,  # [s] of the camera's
         # length of the rings of commands and of wheel angles
-        COMMAND_RING: max(whole, known, math.ceil(plant.age / dt)) + 3,
+        COMMAND_RING: max(whole, known_delay, math.ceil(plant.age / dt)) + 3,
         FRAME_RING: 0 if sensors.ideal else math.ceil((late + period) / dt) + 2,  # length of the ring of frames
         # length of the ring of lateral accelerations, a power of two
         A_Y_RING: 2 ** math.ceil(math.log2(math.ceil(window / dt) + 3)),

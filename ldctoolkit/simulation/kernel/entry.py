@@ -27,16 +27,16 @@ def _entries(version: int) -> Any:
     """The entries; each closes over the version of its sources, and uses it."""
 
     @numba.njit(cache=True, **OPTIONS)
-    def begin(scene, exact, setting, state, paths, chosen):
+    def begin(scene, exact, setting, state, paths, path_rows):
         """Start of all scenarios, the tables of their blocks in the rows of `state`."""
         if version < 0:
             return
         scene, exact, setting, state = uncounted(scene), uncounted(exact), uncounted(setting), uncounted(state)
-        paths, chosen = uncounted(paths), uncounted(chosen)
+        paths, path_rows = uncounted(paths), uncounted(path_rows)
         for block in range(state.shape[0]):
-            rk4_lanes.start(scene, setting, block, state[block], paths, chosen)
+            rk4_lanes.start(scene, setting, block, state[block], paths, path_rows)
             if exact.shape[1]:
-                exact_lanes.start(scene, exact, setting, block, state[block], paths, chosen)
+                exact_lanes.start(scene, exact, setting, block, state[block], paths, path_rows)
 
     @numba.njit(cache=True, **OPTIONS)
     def look(setting, state, k, blocks, times, seen, yaw_rate, heading, wheel):
@@ -46,12 +46,12 @@ def _entries(version: int) -> Any:
         setting, state, blocks = uncounted(setting), uncounted(state), uncounted(blocks)
         times, seen, yaw_rate, heading = uncounted(times), uncounted(seen), uncounted(yaw_rate), uncounted(heading)
         wheel = uncounted(wheel)
-        ahead, noise = np.zeros((1 + 2 * times.shape[0]) * LANES), np.zeros(2 * LANES)
+        preview, noise = np.zeros((1 + 2 * times.shape[0]) * LANES), np.zeros(2 * LANES)
         for block in blocks:
             w = state[block]
-            sight.look_ahead(setting, k, w, times, ahead, 0)
+            sight.preview_lane(setting, k, w, times, preview, 0)
             sight.noise_of(setting, k, w, noise, 0)
-            sight.see(setting, w, k, ahead, 0, noise, 0)
+            sight.see(setting, w, k, preview, 0, noise, 0)
             for l in range(min(LANES, seen.shape[0] - block * LANES)):
                 i = block * LANES + l
                 if w[ALIVE + l] > 0.0:
@@ -59,8 +59,8 @@ def _entries(version: int) -> Any:
                         seen[i, n] = w[SEEN_E_Y + n * LANES + l]
                     wheel[i] = w[WHEEL_SEEN + l]
                     for j in range(times.shape[0]):
-                        yaw_rate[i, j] = ahead[(1 + 2 * j) * LANES + l]
-                        heading[i, j] = ahead[(2 + 2 * j) * LANES + l]
+                        yaw_rate[i, j] = preview[(1 + 2 * j) * LANES + l]
+                        heading[i, j] = preview[(2 + 2 * j) * LANES + l]
 
     @numba.njit(cache=True, **OPTIONS)
     def go_on(exact, setting, state, recorded, paths, k, blocks, command):
@@ -86,23 +86,23 @@ def _entries(version: int) -> Any:
                 rk4_lanes.advance(setting, w, k, parts, road, 0, end, bend, 0, paths)
 
     @numba.njit(cache=True, **OPTIONS)
-    def drive_any(scene, setting, law, times, recorded, paths, chosen, blocks, score, diverged, failed):
+    def drive_any(scene, setting, law, times, recorded, paths, path_rows, blocks, score, diverged, failed):
         """Linear laws (d, m, ...) on some blocks of any plant; scores into (d, columns, m)."""
         if version < 0:
             return
         scene, setting, law, times = uncounted(scene), uncounted(setting), uncounted(law), uncounted(times)
         recorded = uncounted(recorded)
-        paths, chosen, blocks = uncounted(paths), uncounted(chosen), uncounted(blocks)
+        paths, path_rows, blocks = uncounted(paths), uncounted(path_rows), uncounted(blocks)
         score, diverged, failed = uncounted(score), uncounted(diverged), uncounted(failed)
         for block in blocks:
             rk4_lanes.drive_block_any(
-                scene, setting, law, times, recorded, paths, chosen, block, score, diverged, failed
+                scene, setting, law, times, recorded, paths, path_rows, block, score, diverged, failed
             )
 
     @numba.njit(cache=True, **OPTIONS)
     def drive_lanes(
-        scene, exact, setting, law, times, recorded, paths, chosen, first, last, score, diverged, failed,
-        work, g, bend, begun,
+        scene, exact, setting, law, times, recorded, paths, path_rows, first, last, score, diverged, failed,
+        work, lane_weights, bend, initial,
     ):  # fmt: skip
         """Linear laws (d, m, ...) on blocks first to last of the ideal plant."""
         if version < 0:
@@ -111,11 +111,11 @@ def _entries(version: int) -> Any:
         times = uncounted(times)
         recorded, score, diverged = uncounted(recorded), uncounted(score), uncounted(diverged)
         failed = uncounted(failed)
-        paths, chosen = uncounted(paths), uncounted(chosen)
-        tables = (uncounted(work), uncounted(g), uncounted(bend), uncounted(begun))
+        paths, path_rows = uncounted(paths), uncounted(path_rows)
+        tables = (uncounted(work), uncounted(lane_weights), uncounted(bend), uncounted(initial))
         for block in range(first, last):
             exact_lanes.drive_block(
-                scene, exact, setting, law, times, recorded, paths, chosen, block,
+                scene, exact, setting, law, times, recorded, paths, path_rows, block,
                 score, diverged, failed, tables,
             )  # fmt: skip
 

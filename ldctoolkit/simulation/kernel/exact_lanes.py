@@ -3,7 +3,7 @@
 Neighbours in the takeover's order last about equally long. Each whole step is a product with the exactly discretised
 plant, the same arithmetic in every lane, so that a scenario's numbers do not depend on its neighbours. What happens
 rarely is looked at one lane at a time: events within a step, steps that T cuts, and last ones that are not whole, which
-are driven with their own exact matrices.
+are driven with exact matrices of their length.
 """
 
 # mypy: disable-error-code="untyped-decorator, no-untyped-def, no-untyped-call"
@@ -15,46 +15,45 @@ import numba
 
 from ldctoolkit.lane_functions import touches
 from ldctoolkit.numba_internals import LARGEST_FLOAT, OPTIONS, copy, fma, larger
-from ldctoolkit.simulation.kernel import data as at
-from ldctoolkit.simulation.kernel import lanes
+from ldctoolkit.simulation.kernel import data, lanes
 from ldctoolkit.simulation.kernel.lanes import L, length_of
 
-_CHANGED: Final = at.A_Y_START // L  # Rows that a run changes, but for those of the law
+_CHANGED: Final = data.A_Y_START // L  # Rows that a run changes, but for those of the law
 _NOT_FINITE: Final = 2.0  # Event of a command that is not finite
 
 
 @numba.njit(**OPTIONS)
-def start(scene, exact, setting, block, w, paths, chosen):
+def start(scene, exact, setting, block, w, paths, path_rows):
     """Plant of a block, and everything before its first sample."""
-    lanes.begin(scene, setting, block, w, paths, chosen)
-    w[at.NEXT_CUT] = 0.0
+    lanes.begin(scene, setting, block, w, paths, path_rows)
+    w[data.NEXT_CUT] = 0.0
     for l in range(L):
         i = min(block * L + l, scene.shape[0] - 1)
-        w[at.V + l], w[at.PER_T + l] = scene[i, at.SPEED], 1.0 / scene[i, at.T_END]
-        for n in range(at.EXACT):
-            w[at.STEP + n * L + l] = exact[0, i, n]
+        w[data.V + l], w[data.PER_T + l] = scene[i, data.SPEED], 1.0 / scene[i, data.T_END]
+        for n in range(data.EXACT):
+            w[data.STEP + n * L + l] = exact[0, i, n]
         for n in range(5):
-            w[at.DDE_E_Y_RATE + n * L + l] = scene[i, at.A_11 + n]
-        v = w[at.V + l] * w[at.ALIVE + l]
-        w[at.V_C_0 + l], w[at.V_DC + l] = v * scene[i, at.C_0], v * scene[i, at.DC]
-        w[at.LANE_RATE + l] = _lane_rate(w, l, w[at.T_0 + l])
-        w[at.SINGLE + l] = 0.0
-        a_y = (w[at.DDE_LANE + l] + v) * w[at.LANE_RATE + l] + w[at.DDE_DELTA + l] * w[at.LAST_COMMAND + l]
+            w[data.DDE_E_Y_RATE + n * L + l] = scene[i, data.A_11 + n]
+        v = w[data.V + l] * w[data.ALIVE + l]
+        w[data.V_C_0 + l], w[data.V_DC + l] = v * scene[i, data.C_0], v * scene[i, data.DC]
+        w[data.LANE_RATE + l] = _lane_rate(w, l, w[data.T_0 + l])
+        w[data.SINGLE + l] = 0.0
+        a_y = (w[data.DDE_LANE + l] + v) * w[data.LANE_RATE + l] + w[data.DDE_DELTA + l] * w[data.LAST_COMMAND + l]
         for n in range(3):
-            a_y += w[at.DDE_E_Y_RATE + n * L + l] * w[at.E_Y + (n + 1) * L + l]
-        w[at.A_Y_BEFORE + l] = a_y
+            a_y += w[data.DDE_E_Y_RATE + n * L + l] * w[data.E_Y + (n + 1) * L + l]
+        w[data.A_Y_BEFORE + l] = a_y
 
 
 @numba.njit(**OPTIONS)
 def _leave(setting, w, l):
     """Empty a lane that has ended: everything but its scores stays as it is from here on."""
     for n in range(4):
-        w[at.E_Y + n * L + l] = w[at.NEXT_E_Y + n * L + l] = setting[at.OFFSET] if n == 0 else 0.0
-    for n in range(at.LAW):
-        w[at.F_E_Y + n * L + l] = 0.0
-    w[at.G_YAW_RATE + l] = w[at.G_HEADING + l] = 0.0
-    w[at.LAST_COMMAND + l] = w[at.COMMAND + l] = w[at.E_Y_INTEGRAL + l] = 0.0
-    w[at.V_C_0 + l] = w[at.V_DC + l] = w[at.LANE_RATE + l] = w[at.BEFORE_T + l] = w[at.ALIVE + l] = 0.0
+        w[data.E_Y + n * L + l] = w[data.NEXT_E_Y + n * L + l] = setting[data.OFFSET] if n == 0 else 0.0
+    for n in range(data.LAW):
+        w[data.F_E_Y + n * L + l] = 0.0
+    w[data.G_YAW_RATE + l] = w[data.G_HEADING + l] = 0.0
+    w[data.LAST_COMMAND + l] = w[data.COMMAND + l] = w[data.E_Y_INTEGRAL + l] = 0.0
+    w[data.V_C_0 + l] = w[data.V_DC + l] = w[data.LANE_RATE + l] = w[data.BEFORE_T + l] = w[data.ALIVE + l] = 0.0
 
 
 # ------------------------------------------------------------------------------------------------ a step of every lane
@@ -62,28 +61,30 @@ def _leave(setting, w, l):
 
 @numba.njit(inline="always", **OPTIONS)
 def _lane_rate(w, l, t):
-    return fma(w[at.V_DC + l], min(t * w[at.PER_T + l], 1.0), w[at.V_C_0 + l])
+    return fma(w[data.V_DC + l], min(t * w[data.PER_T + l], 1.0), w[data.V_C_0 + l])
 
 
 @numba.njit(inline="always", **OPTIONS)
-def _ahead(T, per_T, t, ahead):
-    """Factors of v dc in the lane's yaw rate at t + ahead, min(t + ahead, T)/T, and in its turn until then."""
-    t_1 = t + ahead
+def _lane_factors(T, per_T, t, lookahead):
+    """Factors of v dc in the lane's yaw rate at t + lookahead, min(t + lookahead, T)/T, and in its turn until then."""
+    t_1 = t + lookahead
     in_0, in_1 = min(t, T), min(t_1, T)
     within = 0.5 * (in_1 - in_0) * (in_1 + in_0)
     return in_1 * per_T, fma(within, per_T, (t_1 - in_1) - (t - in_0))
 
 
 @numba.njit(**OPTIONS)
-def _look_ahead(setting, times, design, k, w, g):
-    """Feedforward of a law with several lookahead times, into `COMMAND`."""
+def _add_preview(setting, times, design, k, w, lane_weights):
+    """Add the feedforward of a law with several lookahead times to `COMMAND`."""
     for j in range(times.shape[1]):
-        ahead = times[design, j]
-        for l in range(int(setting[at.WIDTH])):
-            rate, turn = _ahead(w[at.T + l], w[at.PER_T + l], w[at.T_0 + l] + k * setting[at.DT], ahead)
-            c_0, dc = w[at.V_C_0 + l], w[at.V_DC + l]
-            d = fma(g[2 * j * L + l], fma(dc, rate, c_0), w[at.COMMAND + l])
-            w[at.COMMAND + l] = fma(g[(2 * j + 1) * L + l], fma(dc, turn, c_0 * ahead), d)
+        lookahead = times[design, j]
+        for l in range(int(setting[data.WIDTH])):
+            rate, turn = _lane_factors(
+                w[data.T + l], w[data.PER_T + l], w[data.T_0 + l] + k * setting[data.DT], lookahead
+            )
+            c_0, dc = w[data.V_C_0 + l], w[data.V_DC + l]
+            d = fma(lane_weights[2 * j * L + l], fma(dc, rate, c_0), w[data.COMMAND + l])
+            w[data.COMMAND + l] = fma(lane_weights[(2 * j + 1) * L + l], fma(dc, turn, c_0 * lookahead), d)
 
 
 @numba.njit(inline="always", **OPTIONS)
@@ -93,71 +94,77 @@ def _three(w, row, l, x, y, z):
 
 
 @numba.njit(inline="always", **OPTIONS)
-def _step(setting, k, ahead, w):
+def _step(setting, k, lookahead, w):
     """Command and one whole step of every lane; True if an event happens in one.
 
     With the lane's yaw rate r = v (c_0 + dc min(t, T)/T), and the command u of the sample before,
 
         z     <- z + dt e_y,
-        delta  = F x + f_u u + f_i z + G_yaw_rate r(t + t_ahead) + G_heading (turn of the lane until then),
+        delta  = F x + f_u u + f_i z + G_yaw_rate r(t + t_lookahead) + G_heading (turn of the lane until then),
         x(k+1) = A x + B delta + E_0 r(k) + E_1 r(k+1),
         area   = a_x x + a_delta delta + a_0 r(k) + a_1 r(k+1), the integral of e_y over the step,
         a_y    = e_y'' + v r = (row of A) x + B_1 delta + E_1 r + v r, at both ends.
     """
-    dt, offset, bound, l_f = setting[at.DT], setting[at.OFFSET], setting[at.BOUND], setting[at.L_FRONT]
+    dt, offset, bound, l_f = setting[data.DT], setting[data.OFFSET], setting[data.BOUND], setting[data.L_FRONT]
     rare = False
     for l in range(L):
-        t = w[at.T_0 + l] + k * dt
-        x_0, x_1, x_2, x_3 = w[at.E_Y + l], w[at.E_Y_RATE + l], w[at.E_PSI + l], w[at.E_PSI_RATE + l]
-        u, z, c_0, dc = w[at.LAST_COMMAND + l], w[at.E_Y_INTEGRAL + l], w[at.V_C_0 + l], w[at.V_DC + l]
-        share = (w[at.T_0 + l] + (k + 1) * dt) * w[at.PER_T + l]
-        r_0, r_1 = w[at.LANE_RATE + l], fma(dc, min(share, 1.0), c_0)
-        w[at.LANE_RATE + l] = r_1
-        rate, turn = _ahead(w[at.T + l], w[at.PER_T + l], t, ahead)
-        d = fma(w[at.G_YAW_RATE + l], fma(dc, rate, c_0), w[at.COMMAND + l])
-        d = fma(w[at.G_HEADING + l], fma(dc, turn, c_0 * ahead), d)
-        d = fma(w[at.F_I + l], z, fma(w[at.F_U + l], u, d))
-        d += fma(w[at.F_E_Y + l], x_0, _three(w, at.F_E_Y_RATE, l, x_1, x_2, x_3))
-        w[at.E_Y_INTEGRAL + l] = fma(dt, x_0, z)
+        t = w[data.T_0 + l] + k * dt
+        x_0, x_1, x_2, x_3 = w[data.E_Y + l], w[data.E_Y_RATE + l], w[data.E_PSI + l], w[data.E_PSI_RATE + l]
+        u, z, c_0, dc = w[data.LAST_COMMAND + l], w[data.E_Y_INTEGRAL + l], w[data.V_C_0 + l], w[data.V_DC + l]
+        share = (w[data.T_0 + l] + (k + 1) * dt) * w[data.PER_T + l]
+        r_0, r_1 = w[data.LANE_RATE + l], fma(dc, min(share, 1.0), c_0)
+        w[data.LANE_RATE + l] = r_1
+        rate, turn = _lane_factors(w[data.T + l], w[data.PER_T + l], t, lookahead)
+        d = fma(w[data.G_YAW_RATE + l], fma(dc, rate, c_0), w[data.COMMAND + l])
+        d = fma(w[data.G_HEADING + l], fma(dc, turn, c_0 * lookahead), d)
+        d = fma(w[data.F_I + l], z, fma(w[data.F_U + l], u, d))
+        d += fma(w[data.F_E_Y + l], x_0, _three(w, data.F_E_Y_RATE, l, x_1, x_2, x_3))
+        w[data.E_Y_INTEGRAL + l] = fma(dt, x_0, z)
         wrong = not abs(d) < LARGEST_FLOAT
         d = u if wrong else d
-        w[at.COMMAND + l] = d
+        w[data.COMMAND + l] = d
         # e_y feeds back into nothing: the first column of A is (1, 0, 0, 0)
-        n_0 = x_0 + _three(w, at.STEP_E_Y, l, x_1, x_2, x_3)
-        n_1 = _three(w, at.STEP_E_Y_RATE, l, x_1, x_2, x_3)
-        n_2 = _three(w, at.STEP_E_PSI, l, x_1, x_2, x_3)
-        n_3 = _three(w, at.STEP_E_PSI_RATE, l, x_1, x_2, x_3)
-        n_0 = fma(w[at.STEP_B + l], d, fma(w[at.STEP_E_0 + l], r_0, fma(w[at.STEP_E_1 + l], r_1, n_0)))
-        n_1 = fma(w[at.STEP_B + L + l], d, fma(w[at.STEP_E_0 + L + l], r_0, fma(w[at.STEP_E_1 + L + l], r_1, n_1)))
+        n_0 = x_0 + _three(w, data.STEP_E_Y, l, x_1, x_2, x_3)
+        n_1 = _three(w, data.STEP_E_Y_RATE, l, x_1, x_2, x_3)
+        n_2 = _three(w, data.STEP_E_PSI, l, x_1, x_2, x_3)
+        n_3 = _three(w, data.STEP_E_PSI_RATE, l, x_1, x_2, x_3)
+        n_0 = fma(w[data.STEP_B + l], d, fma(w[data.STEP_E_0 + l], r_0, fma(w[data.STEP_E_1 + l], r_1, n_0)))
+        n_1 = fma(
+            w[data.STEP_B + L + l], d, fma(w[data.STEP_E_0 + L + l], r_0, fma(w[data.STEP_E_1 + L + l], r_1, n_1))
+        )
         n_2 = fma(
-            w[at.STEP_B + 2 * L + l], d, fma(w[at.STEP_E_0 + 2 * L + l], r_0, fma(w[at.STEP_E_1 + 2 * L + l], r_1, n_2))
+            w[data.STEP_B + 2 * L + l],
+            d,
+            fma(w[data.STEP_E_0 + 2 * L + l], r_0, fma(w[data.STEP_E_1 + 2 * L + l], r_1, n_2)),
         )
         n_3 = fma(
-            w[at.STEP_B + 3 * L + l], d, fma(w[at.STEP_E_0 + 3 * L + l], r_0, fma(w[at.STEP_E_1 + 3 * L + l], r_1, n_3))
+            w[data.STEP_B + 3 * L + l],
+            d,
+            fma(w[data.STEP_E_0 + 3 * L + l], r_0, fma(w[data.STEP_E_1 + 3 * L + l], r_1, n_3)),
         )
-        area = fma(w[at.STEP_AREA_X + l], x_0, _three(w, at.STEP_AREA_X + L, l, x_1, x_2, x_3))
-        area = fma(w[at.STEP_AREA_DELTA + l], d, area)
-        area = fma(w[at.STEP_AREA_R_0 + l], r_0, fma(w[at.STEP_AREA_R_1 + l], r_1, area))
-        w[at.NEXT_E_Y + l], w[at.NEXT_E_Y_RATE + l] = n_0, n_1
-        w[at.NEXT_E_PSI + l], w[at.NEXT_E_PSI_RATE + l] = n_2, n_3
-        w[at.PIECE_AREA + l] = area
-        counted = w[at.BEFORE_T + l] > 0.0
+        area = fma(w[data.STEP_AREA_X + l], x_0, _three(w, data.STEP_AREA_X + L, l, x_1, x_2, x_3))
+        area = fma(w[data.STEP_AREA_DELTA + l], d, area)
+        area = fma(w[data.STEP_AREA_R_0 + l], r_0, fma(w[data.STEP_AREA_R_1 + l], r_1, area))
+        w[data.NEXT_E_Y + l], w[data.NEXT_E_Y_RATE + l] = n_0, n_1
+        w[data.NEXT_E_PSI + l], w[data.NEXT_E_PSI_RATE + l] = n_2, n_3
+        w[data.PIECE_AREA + l] = area
+        counted = w[data.BEFORE_T + l] > 0.0
         event = not abs(n_0) <= bound  # also true for NaN
         event |= counted & ((x_0 * n_0 < 0.0) | touches(x_0, x_1, n_0, n_1, dt))
-        v, q_d, q_r = w[at.V + l], w[at.DDE_DELTA + l] * d, w[at.DDE_LANE + l]
-        right = fma(q_r, r_0, _three(w, at.DDE_E_Y_RATE, l, x_1, x_2, x_3) + q_d)
-        left = fma(q_r, r_1, _three(w, at.DDE_E_Y_RATE, l, n_1, n_2, n_3) + q_d)
-        w[at.A_Y_START + l], w[at.A_Y_END + l] = fma(v, r_0, right), fma(v, r_1, left)
-        w[at.A_Y_OWN_START + l], w[at.A_Y_OWN_END + l] = right, left
-        event |= (w[at.T_BACK + l] == math.inf) & (n_0 < offset)
+        v, q_d, q_r = w[data.V + l], w[data.DDE_DELTA + l] * d, w[data.DDE_LANE + l]
+        relative_start = fma(q_r, r_0, _three(w, data.DDE_E_Y_RATE, l, x_1, x_2, x_3) + q_d)
+        relative_end = fma(q_r, r_1, _three(w, data.DDE_E_Y_RATE, l, n_1, n_2, n_3) + q_d)
+        w[data.A_Y_START + l], w[data.A_Y_END + l] = fma(v, r_0, relative_start), fma(v, r_1, relative_end)
+        w[data.A_Y_RELATIVE_START + l], w[data.A_Y_RELATIVE_END + l] = relative_start, relative_end
+        event |= (w[data.T_BACK + l] == math.inf) & (n_0 < offset)
         # an extreme between the samples that may be a new one
         f_0, f_1 = fma(l_f, x_3, x_1), fma(l_f, n_3, n_1)
         front = fma(dt, f_0 - f_1, max(fma(l_f, x_2, x_0), fma(l_f, n_2, n_0)))
         deep, over = fma(dt, x_1 - n_1, max(x_0, n_0)), fma(dt, n_1 - x_1, -min(x_0, n_0))
-        event |= counted & (x_1 > 0.0) & (n_1 < 0.0) & (deep > w[at.DEEPEST + l])
-        event |= counted & (f_0 > 0.0) & (f_1 < 0.0) & (front > w[at.FRONT_DEEPEST + l])
-        event |= (x_1 < 0.0) & (n_1 > 0.0) & (over > max(w[at.OPPOSITE + l], offset))
-        w[at.EVENT + l] = _NOT_FINITE if wrong else (1.0 if event else 0.0)
+        event |= counted & (x_1 > 0.0) & (n_1 < 0.0) & (deep > w[data.DEEPEST + l])
+        event |= counted & (f_0 > 0.0) & (f_1 < 0.0) & (front > w[data.FRONT_DEEPEST + l])
+        event |= (x_1 < 0.0) & (n_1 > 0.0) & (over > max(w[data.OPPOSITE + l], offset))
+        w[data.EVENT + l] = _NOT_FINITE if wrong else (1.0 if event else 0.0)
         rare |= event | wrong
     return rare
 
@@ -165,25 +172,25 @@ def _step(setting, k, ahead, w):
 @numba.njit(inline="always", **OPTIONS)
 def _score(setting, w):
     """Scores of a step in every lane but acceleration and jerk; `single` lanes have theirs but for the rate."""
-    dt, l_f = setting[at.DT], setting[at.L_FRONT]
+    dt, l_f = setting[data.DT], setting[data.L_FRONT]
     per_step = 1.0 / dt
     for l in range(L):
-        in_step = 1.0 - w[at.SINGLE + l]
-        n_0, n_2, d, u = w[at.NEXT_E_Y + l], w[at.NEXT_E_PSI + l], w[at.COMMAND + l], w[at.LAST_COMMAND + l]
-        counted, alive = w[at.BEFORE_T + l] * in_step, w[at.ALIVE + l] * in_step
-        w[at.AREA + l] = fma(abs(w[at.PIECE_AREA + l]), counted, w[at.AREA + l])
+        in_step = 1.0 - w[data.SINGLE + l]
+        n_0, n_2, d, u = w[data.NEXT_E_Y + l], w[data.NEXT_E_PSI + l], w[data.COMMAND + l], w[data.LAST_COMMAND + l]
+        counted, alive = w[data.BEFORE_T + l] * in_step, w[data.ALIVE + l] * in_step
+        w[data.AREA + l] = fma(abs(w[data.PIECE_AREA + l]), counted, w[data.AREA + l])
         front = fma(l_f, n_2, n_0)
-        w[at.DEEPEST + l] = larger(w[at.DEEPEST + l], n_0 if counted > 0.0 else -math.inf)
-        w[at.FRONT_DEEPEST + l] = larger(w[at.FRONT_DEEPEST + l], front if counted > 0.0 else -math.inf)
-        w[at.OPPOSITE + l] = larger(w[at.OPPOSITE + l], -n_0 if alive > 0.0 else -math.inf)
+        w[data.DEEPEST + l] = larger(w[data.DEEPEST + l], n_0 if counted > 0.0 else -math.inf)
+        w[data.FRONT_DEEPEST + l] = larger(w[data.FRONT_DEEPEST + l], front if counted > 0.0 else -math.inf)
+        w[data.OPPOSITE + l] = larger(w[data.OPPOSITE + l], -n_0 if alive > 0.0 else -math.inf)
         change = abs(d - u)
-        w[at.EFFORT + l] = fma(alive, dt * (d * d), w[at.EFFORT + l])
-        w[at.TRAVEL + l] = fma(alive, change, w[at.TRAVEL + l])
-        w[at.DELTA_PEAK + l] = larger(w[at.DELTA_PEAK + l], abs(d))
-        w[at.DELTA_RATE_PEAK + l] = larger(w[at.DELTA_RATE_PEAK + l], change * per_step)
-        w[at.LAST_COMMAND + l], w[at.COMMAND + l] = d, 0.0
-        w[at.E_Y + l], w[at.E_Y_RATE + l] = n_0, w[at.NEXT_E_Y_RATE + l]
-        w[at.E_PSI + l], w[at.E_PSI_RATE + l] = n_2, w[at.NEXT_E_PSI_RATE + l]
+        w[data.EFFORT + l] = fma(alive, dt * (d * d), w[data.EFFORT + l])
+        w[data.TRAVEL + l] = fma(alive, change, w[data.TRAVEL + l])
+        w[data.DELTA_PEAK + l] = larger(w[data.DELTA_PEAK + l], abs(d))
+        w[data.DELTA_RATE_PEAK + l] = larger(w[data.DELTA_RATE_PEAK + l], change * per_step)
+        w[data.LAST_COMMAND + l], w[data.COMMAND + l] = d, 0.0
+        w[data.E_Y + l], w[data.E_Y_RATE + l] = n_0, w[data.NEXT_E_Y_RATE + l]
+        w[data.E_PSI + l], w[data.E_PSI_RATE + l] = n_2, w[data.NEXT_E_PSI_RATE + l]
 
 
 # ------------------------------------------------------------------------------------------------ a step that is cut
@@ -193,41 +200,43 @@ def _score(setting, w):
 def _cut(exact, setting, w, i, l, k, paths):
     """Step k of a lane in which it is cut by T or shorter than dt, with its scores; False if it diverged."""
     h, until = length_of(setting, w, l, k)
-    rest, d, t = w[at.REST_OF_T + l], w[at.COMMAND + l], w[at.T_0 + l] + k * setting[at.DT]
+    rest, d, t = w[data.REST_OF_T + l], w[data.COMMAND + l], w[data.T_0 + l] + k * setting[data.DT]
     for part in range(1, 2 if h == rest else 3):
         span, counted = (rest, until > 0.0) if part == 1 else (h - rest, False)
         r_0, r_1 = _lane_rate(w, l, t), _lane_rate(w, l, t + span)
         if part == 2:
             for n in range(4):
-                w[at.E_Y + n * L + l] = w[at.NEXT_E_Y + n * L + l]
-        area = exact[part, i, at.EX_X] * w[at.E_Y + l]
-        area += exact[part, i, at.EX_DELTA] * d + exact[part, i, at.EX_R_0] * r_0 + exact[part, i, at.EX_R_1] * r_1
+                w[data.E_Y + n * L + l] = w[data.NEXT_E_Y + n * L + l]
+        area = exact[part, i, data.EX_X] * w[data.E_Y + l]
+        area += (
+            exact[part, i, data.EX_DELTA] * d + exact[part, i, data.EX_R_0] * r_0 + exact[part, i, data.EX_R_1] * r_1
+        )
         for n in range(4):
-            value = exact[part, i, at.EX_B + n] * d + exact[part, i, at.EX_E_0 + n] * r_0
-            value += exact[part, i, at.EX_E_1 + n] * r_1 + (w[at.E_Y + l] if n == 0 else 0.0)
+            value = exact[part, i, data.EX_B + n] * d + exact[part, i, data.EX_E_0 + n] * r_0
+            value += exact[part, i, data.EX_E_1 + n] * r_1 + (w[data.E_Y + l] if n == 0 else 0.0)
             for j in range(3):
-                value += exact[part, i, 3 * n + j] * w[at.E_Y + (j + 1) * L + l]
-            w[at.NEXT_E_Y + n * L + l] = value
-            area += exact[part, i, at.EX_X + n] * w[at.E_Y + n * L + l] if n else 0.0
-        w[at.PIECE_AREA + l] = area
-        if not abs(w[at.NEXT_E_Y + l]) <= setting[at.BOUND]:
+                value += exact[part, i, 3 * n + j] * w[data.E_Y + (j + 1) * L + l]
+            w[data.NEXT_E_Y + n * L + l] = value
+            area += exact[part, i, data.EX_X + n] * w[data.E_Y + n * L + l] if n else 0.0
+        w[data.PIECE_AREA + l] = area
+        if not abs(w[data.NEXT_E_Y + l]) <= setting[data.BOUND]:
             lanes.diverge(setting, w, l, t, counted)
             return False
         lanes.look_closer(setting, w, l, t, span, counted)
         if counted:
-            w[at.AREA + l] += abs(w[at.PIECE_AREA + l])
+            w[data.AREA + l] += abs(w[data.PIECE_AREA + l])
         t += span
-        if part == 1 and h != rest and paths.shape[0] and w[at.PATH_ROW + l] >= 0.0:
-            lanes.record(paths, w, l, w[at.T + l])
-        own = w[at.DDE_DELTA + l] * d + w[at.DDE_LANE + l] * r_1
+        relative = w[data.DDE_DELTA + l] * d + w[data.DDE_LANE + l] * r_1
         for n in range(3):
-            own += w[at.DDE_E_Y_RATE + n * L + l] * w[at.NEXT_E_Y + (n + 1) * L + l]
-        w[at.A_Y_END + l], w[at.A_Y_OWN_END + l] = own + w[at.V + l] * r_1, own
+            relative += w[data.DDE_E_Y_RATE + n * L + l] * w[data.NEXT_E_Y + (n + 1) * L + l]
+        w[data.A_Y_END + l], w[data.A_Y_RELATIVE_END + l] = relative + w[data.V + l] * r_1, relative
+        if part == 1 and h != rest and paths.shape[0] and w[data.PATH_ROW + l] >= 0.0:
+            lanes.record(paths, w, l, w[data.T + l], w[data.A_Y_END + l])
         if counted and h != rest:  # just after T nothing is recorded any more
-            w[at.A_Y_ADDED_PEAK + l] = max(w[at.A_Y_ADDED_PEAK + l], abs(own))
-        w[at.EFFORT + l] += span * (d * d)
-        w[at.DELTA_PEAK + l] = max(w[at.DELTA_PEAK + l], abs(d))
-        w[at.TRAVEL + l] += abs(d - w[at.LAST_COMMAND + l]) if part == 1 else 0.0
+            w[data.A_Y_ADDED_PEAK + l] = max(w[data.A_Y_ADDED_PEAK + l], abs(relative))
+        w[data.EFFORT + l] += span * (d * d)
+        w[data.DELTA_PEAK + l] = max(w[data.DELTA_PEAK + l], abs(d))
+        w[data.TRAVEL + l] += abs(d - w[data.LAST_COMMAND + l]) if part == 1 else 0.0
     return True
 
 
@@ -235,80 +244,84 @@ def _cut(exact, setting, w, i, l, k, paths):
 
 
 @numba.njit(forceinline=True, **OPTIONS)
-def advance(exact, setting, w, k, ahead, first, bend, bend_at, paths):
+def advance(exact, setting, w, k, lookahead, first, bend, bend_offset, paths):
     """Sample k with the law in the rows of a block, or with the command in `COMMAND` where its weights are 0."""
-    quiet = k < w[at.NEXT_CUT]
+    quiet = k < w[data.NEXT_CUT]
     if not quiet:  # a lane passes its T or comes to its last step
         next_cut = math.inf
         for l in range(L):
             _, counted = length_of(setting, w, l, k)
-            w[at.BEFORE_T + l] = w[at.ALIVE + l] if counted > 0.0 else 0.0
-            full, end = w[at.WHOLE_STEPS + l], w[at.ALL_STEPS + l] - 1.0
-            if k < end and w[at.ALIVE + l] > 0.0:
+            w[data.BEFORE_T + l] = w[data.ALIVE + l] if counted > 0.0 else 0.0
+            full, end = w[data.WHOLE_STEPS + l], w[data.ALL_STEPS + l] - 1.0
+            if k < end and w[data.ALIVE + l] > 0.0:
                 next_cut = min(next_cut, min(full, end) if k < full else (k + 1.0 if k == full else end))
-        w[at.NEXT_CUT] = next_cut
-    rare = _step(setting, k, ahead, w)
+        w[data.NEXT_CUT] = next_cut
+    rare = _step(setting, k, lookahead, w)
     if paths.shape[0]:
         for l in range(L):
-            w[at.WHEEL + l] = w[at.COMMAND + l]
-            if w[at.ALIVE + l] > 0.0 and w[at.PATH_ROW + l] >= 0.0:
-                paths[int(w[at.PATH_ROW + l]), int(w[at.PATH_ENTRIES + l]) - 1, at.P_DELTA] = w[at.COMMAND + l]
+            w[data.WHEEL + l] = w[data.COMMAND + l]
+            if w[data.ALIVE + l] > 0.0 and w[data.PATH_ROW + l] >= 0.0:
+                lanes.correct_record(paths, w, l, w[data.COMMAND + l], w[data.A_Y_START + l])
     if rare or not quiet:
         for l in range(L):
-            if w[at.ALIVE + l] > 0.0:
-                t, counted, inside = w[at.T_0 + l] + k * setting[at.DT], w[at.BEFORE_T + l] > 0.0, True
+            if w[data.ALIVE + l] > 0.0:
+                t, counted, inside = w[data.T_0 + l] + k * setting[data.DT], w[data.BEFORE_T + l] > 0.0, True
                 h, until = length_of(setting, w, l, k)
-                w[at.FAILED + l] += 1.0 if w[at.EVENT + l] == _NOT_FINITE else 0.0  # the command before it was driven
-                if h < setting[at.DT] or 0.0 < until < h:
-                    w[at.SINGLE + l] = 1.0
+                w[data.FAILED + l] += (
+                    1.0 if w[data.EVENT + l] == _NOT_FINITE else 0.0
+                )  # the command before it was driven
+                if h < setting[data.DT] or 0.0 < until < h:
+                    w[data.SINGLE + l] = 1.0
                     inside = _cut(exact, setting, w, first + l, l, k, paths)
-                elif not abs(w[at.NEXT_E_Y + l]) <= setting[at.BOUND]:
+                elif not abs(w[data.NEXT_E_Y + l]) <= setting[data.BOUND]:
                     lanes.diverge(setting, w, l, t, counted)
                     inside = False
-                elif w[at.EVENT + l] > 0.0:
+                elif w[data.EVENT + l] > 0.0:
                     lanes.look_closer(setting, w, l, t, h, counted)
                 if not inside:
-                    w[at.DIVERGED + l] = 1.0
+                    w[data.DIVERGED + l] = 1.0
                     _leave(setting, w, l)
-    copy(w, at.BEND_START, bend, bend_at, 4)
+    copy(w, data.BEND_START, bend, bend_offset, 4)
     lanes.look_back(setting, w, k)
     if not quiet:
         for l in range(L):
-            if w[at.SINGLE + l] * w[at.ALIVE + l] > 0.0 and k + 1 == w[at.ALL_STEPS + l]:
+            if w[data.SINGLE + l] * w[data.ALIVE + l] > 0.0 and k + 1 == w[data.ALL_STEPS + l]:
                 lanes.look_back_from_end(setting, w, l, k)
     lanes.score_limits(setting, w)
     _score(setting, w)
     if rare or not quiet or paths.shape[0]:
         lanes.end_sample(setting, w, k, paths)
         for l in range(L):
-            w[at.SINGLE + l] = 0.0
-            if w[at.ALIVE + l] == 0.0:
+            w[data.SINGLE + l] = 0.0
+            if w[data.ALIVE + l] == 0.0:
                 _leave(setting, w, l)
 
 
 @numba.njit(**OPTIONS)
-def drive_block(scene, exact, setting, law, times, recorded, paths, chosen, block, score, diverged, failed, tables):
+def drive_block(scene, exact, setting, law, times, recorded, paths, path_rows, block, score, diverged, failed, tables):
     """Every design of a law on one block of scenarios; scores into (d, SCORES, m)."""
-    w, g, bend, begun = tables
+    w, lane_weights, bend, initial = tables
     several, most = times.shape[1] != 1, 0
-    start(scene, exact, setting, block, w, paths, chosen)
-    copy(begun, 0, w, 0, _CHANGED)
+    start(scene, exact, setting, block, w, paths, path_rows)
+    copy(initial, 0, w, 0, _CHANGED)
     for l in range(L):
-        most = max(most, int(w[at.ALL_STEPS + l]))
+        most = max(most, int(w[data.ALL_STEPS + l]))
     for k in range(most):
         lanes.lay_bend(setting, recorded, block, k, w, bend, 4 * k * L)
     for design in range(law.shape[0]):
-        copy(w, 0, begun, 0, _CHANGED)
+        copy(w, 0, initial, 0, _CHANGED)
         for l in range(L):
-            i, alive = min(block * L + l, scene.shape[0] - 1), w[at.ALIVE + l]
-            for n in range(at.LAW):
-                w[at.F_E_Y + n * L + l] = law[design, i, n] * alive
+            i, alive = min(block * L + l, scene.shape[0] - 1), w[data.ALIVE + l]
+            for n in range(data.LAW):
+                w[data.F_E_Y + n * L + l] = law[design, i, n] * alive
             for j in range(2 * times.shape[1]):
-                g[j * L + l] = law[design, i, at.LAW + j] * alive
-            w[at.G_YAW_RATE + l], w[at.G_HEADING + l] = (0.0, 0.0) if several else (g[l], g[L + l])
-        ahead = 0.0 if several else times[design, 0]
+                lane_weights[j * L + l] = law[design, i, data.LAW + j] * alive
+            w[data.G_YAW_RATE + l], w[data.G_HEADING + l] = (
+                (0.0, 0.0) if several else (lane_weights[l], lane_weights[L + l])
+            )
+        lookahead = 0.0 if several else times[design, 0]
         for k in range(most):
             if several:
-                _look_ahead(setting, times, design, k, w, g)
-            advance(exact, setting, w, k, ahead, block * L, bend, 4 * k * L, paths)
-        lanes.hand_over(w, design, block, score, diverged, failed)
+                _add_preview(setting, times, design, k, w, lane_weights)
+            advance(exact, setting, w, k, lookahead, block * L, bend, 4 * k * L, paths)
+        lanes.store_scores(w, design, block, score, diverged, failed)

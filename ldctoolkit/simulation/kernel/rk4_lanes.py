@@ -21,8 +21,7 @@ import numpy as np
 
 from ldctoolkit.lane_functions import arctan, cosine, decay, moments, sine, touches
 from ldctoolkit.numba_internals import OPTIONS, copy, fma, larger
-from ldctoolkit.simulation.kernel import data as at
-from ldctoolkit.simulation.kernel import lanes, sight
+from ldctoolkit.simulation.kernel import data, lanes, sight
 from ldctoolkit.simulation.kernel.lanes import L, rings
 from ldctoolkit.simulation.kernel.sight import HEADER, POINT_SIZE
 from ldctoolkit.vehicle.bicycle import GRAVITY
@@ -36,7 +35,7 @@ _SPUN: Final = 1.5
 
 @numba.njit(forceinline=True, **OPTIONS)
 def _linear(w, l, p, psi, turn, v, dv, per_v, lane, delta, shape):  # noqa: ARG001
-    """e_y'' and e_psi'' on linear tyres, and the part of a_y that is not the lane's.
+    """e_y'' and e_psi'' on linear tyres, and a_y relative to the lane, without v r.
 
     With w = de_y/dt - v e_psi and omega = de_psi/dt + r (Rajamani's eq. 2.45; dv/dt e_psi where the speed changes),
 
@@ -46,15 +45,15 @@ def _linear(w, l, p, psi, turn, v, dv, per_v, lane, delta, shape):  # noqa: ARG0
     the printed matrix takes `PRINTED_TERM` de_psi/dt/v from e_y''.
     """
     across, omega = fma(-v, psi, p), turn + lane
-    front = w[at.STIFFNESS_F + l] * fma(-per_v, fma(w[at.AXLE_F + l], omega, across), delta)
-    rear = w[at.STIFFNESS_R + l] * (per_v * fma(w[at.AXLE_R + l], omega, -across))
-    own = fma(-v, lane, fma(-w[at.PRINTED_TERM + l] * turn, per_v, front + rear))
-    return fma(dv, psi, own), fma(w[at.ARM_F + l], front, -w[at.ARM_R + l] * rear), own
+    front = w[data.STIFFNESS_F + l] * fma(-per_v, fma(w[data.AXLE_F + l], omega, across), delta)
+    rear = w[data.STIFFNESS_R + l] * (per_v * fma(w[data.AXLE_R + l], omega, -across))
+    relative = fma(-v, lane, fma(-w[data.PRINTED_TERM + l] * turn, per_v, front + rear))
+    return fma(dv, psi, relative), fma(w[data.ARM_F + l], front, -w[data.ARM_R + l] * rear), relative
 
 
 @numba.njit(forceinline=True, **OPTIONS)
 def _saturating(w, l, p, psi, turn, v, dv, per_v, lane, delta, shape):
-    """The same on tyres that saturate, `ldctoolkit.vehicle._nonlinear_compiled` term by term.
+    """The same on tyres that saturate (Pacejka's Magic Formula), for large angles.
 
     With v_y = (de_y/dt - v sin e_psi)/cos e_psi and the slips a_f = delta - atan((v_y + l_f omega)/v), a_r =
     atan((l_r omega - v_y)/v),
@@ -64,13 +63,13 @@ def _saturating(w, l, p, psi, turn, v, dv, per_v, lane, delta, shape):
     """
     sin_psi, cos_psi, omega = sine(psi), cosine(psi), turn + lane
     across = fma(-v, sin_psi, p) / cos_psi
-    slip_front = delta - arctan(fma(w[at.AXLE_F + l], omega, across) * per_v)
-    slip_rear = arctan(fma(w[at.AXLE_R + l], omega, -across) * per_v)
-    front = w[at.GRIP_F + l] * sine(shape * arctan(w[at.STIFFNESS_F + l] * slip_front)) * cosine(delta)
-    rear = w[at.GRIP_R + l] * sine(shape * arctan(w[at.STIFFNESS_R + l] * slip_rear))
+    slip_front = delta - arctan(fma(w[data.AXLE_F + l], omega, across) * per_v)
+    slip_rear = arctan(fma(w[data.AXLE_R + l], omega, -across) * per_v)
+    front = w[data.GRIP_F + l] * sine(shape * arctan(w[data.STIFFNESS_F + l] * slip_front)) * cosine(delta)
+    rear = w[data.GRIP_R + l] * sine(shape * arctan(w[data.STIFFNESS_R + l] * slip_rear))
     a_y = front + rear
     lateral = fma(dv, sin_psi, turn * fma(v, cos_psi, -across * sin_psi)) + fma(-v, omega, a_y) * cos_psi
-    return lateral, fma(w[at.ARM_F + l], front, -w[at.ARM_R + l] * rear), fma(-v, lane, a_y)
+    return lateral, fma(w[data.ARM_F + l], front, -w[data.ARM_R + l] * rear), fma(-v, lane, a_y)
 
 
 def _with_tyres(slopes):
@@ -87,47 +86,47 @@ def _with_tyres(slopes):
         k_1 = f(t, x), k_2 = f(t + h/2, x + h/2 k_1), k_3 = f(t + h/2, x + h/2 k_2), k_4 = f(t + h, x + h k_3),
         x+ = x + h/6 (k_1 + 2 k_2 + 2 k_3 + k_4).
         """
-        copy(w, at.V_START, road, point, 12)
+        copy(w, data.V_START, road, point, 12)
         for l in range(L):
-            h = w[at.H + l]
+            h = w[data.H + l]
             half, sixth = 0.5 * h, h * (1.0 / 6.0)
-            y, p, psi = w[at.NEXT_E_Y + l], w[at.NEXT_E_Y_RATE + l], w[at.NEXT_E_PSI + l]
-            turn = w[at.NEXT_E_PSI_RATE + l]
-            v, dv, per_v = w[at.V_START + l], w[at.DV_START + l], w[at.PER_V_START + l]
-            lane, delta = w[at.LANE_START + l], w[at.DELTA_START + l]
+            y, p, psi = w[data.NEXT_E_Y + l], w[data.NEXT_E_Y_RATE + l], w[data.NEXT_E_PSI + l]
+            turn = w[data.NEXT_E_PSI_RATE + l]
+            v, dv, per_v = w[data.V_START + l], w[data.DV_START + l], w[data.PER_V_START + l]
+            lane, delta = w[data.LANE_START + l], w[data.DELTA_START + l]
             a_1, b_1, _ = slopes(w, l, p, psi, turn, v, dv, per_v, lane, delta, shape)
-            v, dv, per_v = w[at.V_MID + l], w[at.DV_MID + l], w[at.PER_V_MID + l]
-            lane, delta = w[at.LANE_MID + l], w[at.DELTA_MID + l]
+            v, dv, per_v = w[data.V_MID + l], w[data.DV_MID + l], w[data.PER_V_MID + l]
+            lane, delta = w[data.LANE_MID + l], w[data.DELTA_MID + l]
             p_2, psi_2, turn_2 = fma(half, a_1, p), fma(half, turn, psi), fma(half, b_1, turn)
             a_2, b_2, _ = slopes(w, l, p_2, psi_2, turn_2, v, dv, per_v, lane, delta, shape)
             p_3, psi_3, turn_3 = fma(half, a_2, p), fma(half, turn_2, psi), fma(half, b_2, turn)
             a_3, b_3, _ = slopes(w, l, p_3, psi_3, turn_3, v, dv, per_v, lane, delta, shape)
-            v, dv, per_v = w[at.V_END + l], w[at.DV_END + l], w[at.PER_V_END + l]
-            lane, delta = w[at.LANE_END + l], w[at.DELTA_END + l]
+            v, dv, per_v = w[data.V_END + l], w[data.DV_END + l], w[data.PER_V_END + l]
+            lane, delta = w[data.LANE_END + l], w[data.DELTA_END + l]
             p_4, psi_4, turn_4 = fma(h, a_3, p), fma(h, turn_3, psi), fma(h, b_3, turn)
             a_4, b_4, _ = slopes(w, l, p_4, psi_4, turn_4, v, dv, per_v, lane, delta, shape)
             # e_y feeds back into nothing: its values at the stages follow from its rates there
-            w[at.PIECE_AREA + l] = fma(h, fma(sixth, p + p_2 + p_3, y), w[at.PIECE_AREA + l])
-            w[at.NEXT_E_Y + l] = fma(sixth, fma(2.0, p_2 + p_3, p + p_4), y)
-            w[at.NEXT_E_Y_RATE + l] = fma(sixth, fma(2.0, a_2 + a_3, a_1 + a_4), p)
-            w[at.NEXT_E_PSI + l] = fma(sixth, fma(2.0, turn_2 + turn_3, turn + turn_4), psi)
-            w[at.NEXT_E_PSI_RATE + l] = fma(sixth, fma(2.0, b_2 + b_3, b_1 + b_4), turn)
-            w[at.PIECE_TIME + l] += h
+            w[data.PIECE_AREA + l] = fma(h, fma(sixth, p + p_2 + p_3, y), w[data.PIECE_AREA + l])
+            w[data.NEXT_E_Y + l] = fma(sixth, fma(2.0, p_2 + p_3, p + p_4), y)
+            w[data.NEXT_E_Y_RATE + l] = fma(sixth, fma(2.0, a_2 + a_3, a_1 + a_4), p)
+            w[data.NEXT_E_PSI + l] = fma(sixth, fma(2.0, turn_2 + turn_3, turn + turn_4), psi)
+            w[data.NEXT_E_PSI_RATE + l] = fma(sixth, fma(2.0, b_2 + b_3, b_1 + b_4), turn)
+            w[data.PIECE_TIME + l] += h
 
     @numba.njit(forceinline=True, **OPTIONS)
     def accelerations(w, road, point, delta, to, shape, width):
-        """a_y at a point of the road with the steering angle in row `delta`, and its own part two rows further."""
-        copy(w, at.V_START, road, point, 4)
-        copy(w, at.WORK_0, w, delta, 1)
+        """a_y at a point of the road with the steering angle in row `delta`; relative to the road two rows further."""
+        copy(w, data.V_START, road, point, 4)
+        copy(w, data.WORK_0, w, delta, 1)
         for l in range(width):
-            p, psi, turn = w[at.NEXT_E_Y_RATE + l], w[at.NEXT_E_PSI + l], w[at.NEXT_E_PSI_RATE + l]
+            p, psi, turn = w[data.NEXT_E_Y_RATE + l], w[data.NEXT_E_PSI + l], w[data.NEXT_E_PSI_RATE + l]
             v, dv, per_v, lane = (
-                w[at.V_START + l], w[at.DV_START + l], w[at.PER_V_START + l], w[at.LANE_START + l],
+                w[data.V_START + l], w[data.DV_START + l], w[data.PER_V_START + l], w[data.LANE_START + l],
             )  # fmt: skip
-            _, _, own = slopes(w, l, p, psi, turn, v, dv, per_v, lane, w[at.WORK_0 + l], shape)
-            w[at.WORK_1 + l], w[at.WORK_2 + l] = fma(v, lane, own), own
-        copy(w, to, w, at.WORK_1, 1)
-        copy(w, to + 2 * L, w, at.WORK_2, 1)
+            _, _, relative = slopes(w, l, p, psi, turn, v, dv, per_v, lane, w[data.WORK_0 + l], shape)
+            w[data.WORK_1 + l], w[data.WORK_2 + l] = fma(v, lane, relative), relative
+        copy(w, to, w, data.WORK_1, 1)
+        copy(w, to + 2 * L, w, data.WORK_2, 1)
 
     return substep, accelerations
 
@@ -138,10 +137,10 @@ _saturating_substep, _saturating_accelerations = _with_tyres(_saturating)
 
 @numba.njit(**OPTIONS)
 def _accelerations(setting, w, road, point, delta, to):
-    if setting[at.SATURATING] > 0.0:
-        _saturating_accelerations(w, road, point, delta, to, setting[at.SHAPE], int(setting[at.WIDTH]))
+    if setting[data.SATURATING] > 0.0:
+        _saturating_accelerations(w, road, point, delta, to, setting[data.SHAPE], int(setting[data.WIDTH]))
     else:
-        _linear_accelerations(w, road, point, delta, to, 0.0, int(setting[at.WIDTH]))
+        _linear_accelerations(w, road, point, delta, to, 0.0, int(setting[data.WIDTH]))
 
 
 # ------------------------------------------------------------------------------------------------ the steering angle
@@ -153,33 +152,38 @@ def _steer(setting, w):
 
         d delta/dt = (u - delta)/lag, at most `RATE_MAX` in size:
 
-    a ramp until u is within rate times lag, then delta = u - left exp(-s/lag). Without a lag the ramp ends at u.
+    a ramp until u is within rate times lag, then delta = u - remaining exp(-s/lag). Without a lag the ramp ends at u.
     """
-    lag, rate = setting[at.LAG], setting[at.RATE_MAX]
+    lag, rate = setting[data.LAG], setting[data.RATE_MAX]
     per_lag = 1.0 / lag if lag > 0.0 else 1.0
-    at_once = lag == 0.0 and rate == math.inf
+    immediate = lag == 0.0 and rate == math.inf
     limited, ramps = rate < math.inf, False
     for l in range(L):
-        u, start, length = w[at.COMMAND + l], w[at.WHEEL + l], w[at.SEGMENT_LENGTH + l]
+        u, start, length = w[data.COMMAND + l], w[data.WHEEL + l], w[data.SEGMENT_LENGTH + l]
         distance = u - start
         slope = math.copysign(rate, distance) if limited else 0.0
         # the rate is at its limit until u is within rate times lag
         ramp = min(max((abs(distance) - rate * lag) / rate, 0.0), length) if limited else 0.0
         corner = fma(slope, ramp, start)
         rest = length - ramp
-        left = u - corner if lag > 0.0 else 0.0  # after the ramp the angle is u - left exp(-s/lag)
-        fallen = decay(-rest * per_lag) if ramp > 0.0 else w[at.LAG_SEGMENT + l]
-        end = fma(-left, fallen, u) if lag > 0.0 else (corner if limited and ramp == length else u)
+        remaining = u - corner if lag > 0.0 else 0.0  # after the ramp the angle is u - remaining exp(-s/lag)
+        fallen = decay(-rest * per_lag) if ramp > 0.0 else w[data.LAG_SEGMENT + l]
+        end = fma(-remaining, fallen, u) if lag > 0.0 else (corner if limited and ramp == length else u)
         end = end if length > 0.0 else start
-        w[at.RAMP_RATE + l], w[at.RAMP_TIME + l], w[at.RAMP_START + l], w[at.WHEEL + l] = slope, ramp, start, end
-        w[at.TO_COMMAND + l] = left
+        w[data.RAMP_RATE + l], w[data.RAMP_TIME + l], w[data.RAMP_START + l], w[data.WHEEL + l] = (
+            slope,
+            ramp,
+            start,
+            end,
+        )
+        w[data.TO_COMMAND + l] = remaining
         effort = ramp * fma(start, start, ramp * fma(start, slope, ramp * slope * slope * (1.0 / 3.0)))
         effort += u * u * rest
-        effort += fma(0.5 * left, fma(-fallen, fallen, 1.0), -2.0 * u * (1.0 - fallen)) * left * lag
-        w[at.EFFORT + l] += effort if length > 0.0 else 0.0
-        w[at.TRAVEL + l] += abs(corner - start) + abs(end - corner)
-        peak = abs(end) if at_once else max(max(abs(start), abs(corner)), abs(end))
-        w[at.DELTA_PEAK + l] = max(w[at.DELTA_PEAK + l], peak if length > 0.0 else 0.0)
+        effort += fma(0.5 * remaining, fma(-fallen, fallen, 1.0), -2.0 * u * (1.0 - fallen)) * remaining * lag
+        w[data.EFFORT + l] += effort if length > 0.0 else 0.0
+        w[data.TRAVEL + l] += abs(corner - start) + abs(end - corner)
+        peak = abs(end) if immediate else max(max(abs(start), abs(corner)), abs(end))
+        w[data.DELTA_PEAK + l] = max(w[data.DELTA_PEAK + l], peak if length > 0.0 else 0.0)
         ramps |= ramp > 0.0
     return ramps
 
@@ -187,48 +191,47 @@ def _steer(setting, w):
 @numba.njit(forceinline=True, **OPTIONS)
 def _decayed(w, l):
     """The parabola of a substep without a ramp, and what then remains to the command."""
-    u, left = w[at.COMMAND + l], w[at.TO_COMMAND + l]
-    w[at.TO_COMMAND + l] = left * w[at.LAG_SUBSTEP + l]
+    u, remaining = w[data.COMMAND + l], w[data.TO_COMMAND + l]
+    w[data.TO_COMMAND + l] = remaining * w[data.LAG_SUBSTEP + l]
     return (
-        fma(-left, w[at.LAG_START + l], u), fma(-left, w[at.LAG_MID + l], u),
-        fma(-left, w[at.LAG_END + l], u),
+        fma(-remaining, w[data.LAG_START + l], u), fma(-remaining, w[data.LAG_MID + l], u),
+        fma(-remaining, w[data.LAG_END + l], u),
     )  # fmt: skip
 
 
 @numba.njit(**OPTIONS)
 def _along_decay(setting, w):
     """The parabola that has the steering angle's mean, first and second moment over a substep, where none ramps."""
-    for l in range(int(setting[at.WIDTH])):
+    for l in range(int(setting[data.WIDTH])):
         a, b, c = _decayed(w, l)
-        w[at.DELTA_START + l], w[at.DELTA_MID + l], w[at.DELTA_END + l] = a, b, c
+        w[data.DELTA_START + l], w[data.DELTA_MID + l], w[data.DELTA_END + l] = a, b, c
 
 
 @numba.njit(**OPTIONS)
 def _along_ramp(setting, w, j):
     """The same in substep j where one ramps, or did."""
-    lag = setting[at.LAG]
+    lag = setting[data.LAG]
     per_lag = 1.0 / lag if lag > 0.0 else 1.0
     for l in range(L):
         a_0, a_1, a_2 = _decayed(w, l)
-        u, slope, ramp, start, h = (
-            w[at.COMMAND + l], w[at.RAMP_RATE + l], w[at.RAMP_TIME + l], w[at.RAMP_START + l], w[at.SUBSTEP_LENGTH + l],
-        )  # fmt: skip
+        u, slope, ramp = w[data.COMMAND + l], w[data.RAMP_RATE + l], w[data.RAMP_TIME + l]
+        start, h = w[data.RAMP_START + l], w[data.SUBSTEP_LENGTH + l]
         a = j * h
         # in parts of the substep: a ramp from 0 to q, then a decay
         q = min(max((ramp - a) / max(h, 1e-300), 0.0), 1.0)
         b, c = fma(slope, a, start), slope * h
         rest = 1.0 - q
-        left = u - fma(slope, ramp, start) if lag > 0.0 else 0.0
-        left *= decay(-max(a - ramp, 0.0) * per_lag)
+        remaining = u - fma(slope, ramp, start) if lag > 0.0 else 0.0
+        remaining *= decay(-max(a - ramp, 0.0) * per_lag)
         i_0, i_1, i_2 = moments(h * per_lag * rest, rest)
-        m_0 = q * fma(0.5 * c, q, b) + fma(u, rest, -left * i_0)
-        m_1 = q * q * fma(c, q * (1.0 / 3.0), 0.5 * b) + fma(0.5 * u, fma(-q, q, 1.0), -left * fma(q, i_0, i_1))
+        m_0 = q * fma(0.5 * c, q, b) + fma(u, rest, -remaining * i_0)
+        m_1 = q * q * fma(c, q * (1.0 / 3.0), 0.5 * b) + fma(0.5 * u, fma(-q, q, 1.0), -remaining * fma(q, i_0, i_1))
         m_2 = q * q * q * fma(0.25 * c, q, b * (1.0 / 3.0)) + u * fma(-q * q, q, 1.0) * (1.0 / 3.0)
-        m_2 -= left * fma(q, fma(q, i_0, 2.0 * i_1), i_2)
+        m_2 -= remaining * fma(q, fma(q, i_0, 2.0 * i_1), i_2)
         b_0, b_1, b_2 = sight.parabola(m_0, m_1, m_2)
-        w[at.DELTA_START + l] = b_0 if ramp > 0.0 else a_0
-        w[at.DELTA_MID + l] = b_1 if ramp > 0.0 else a_1
-        w[at.DELTA_END + l] = b_2 if ramp > 0.0 else a_2
+        w[data.DELTA_START + l] = b_0 if ramp > 0.0 else a_0
+        w[data.DELTA_MID + l] = b_1 if ramp > 0.0 else a_1
+        w[data.DELTA_END + l] = b_2 if ramp > 0.0 else a_2
 
 
 # ------------------------------------------------------------------------------------------------ scores
@@ -237,45 +240,45 @@ def _along_ramp(setting, w, j):
 @numba.njit(**OPTIONS)
 def _score(setting, w):
     """Scores of pieces that end here, and which hold an event; True if one does."""
-    l_f, offset = setting[at.L_FRONT], setting[at.OFFSET]
+    l_f, offset = setting[data.L_FRONT], setting[data.OFFSET]
     rare = False
     for l in range(L):
-        h, due = w[at.PIECE_TIME + l], w[at.PIECE_ENDS + l] > 0.0
-        counted = due & (w[at.BEFORE_T + l] > 0.0)
-        x_0, x_1, n_0, n_1 = w[at.E_Y + l], w[at.E_Y_RATE + l], w[at.NEXT_E_Y + l], w[at.NEXT_E_Y_RATE + l]
-        g_0, f_0 = fma(l_f, w[at.E_PSI + l], x_0), fma(l_f, w[at.E_PSI_RATE + l], x_1)
-        g_1, f_1 = fma(l_f, w[at.NEXT_E_PSI + l], n_0), fma(l_f, w[at.NEXT_E_PSI_RATE + l], n_1)
-        deep, front = w[at.DEEPEST + l], w[at.FRONT_DEEPEST + l]
-        over = w[at.OPPOSITE + l]
+        h, due = w[data.PIECE_TIME + l], w[data.PIECE_ENDS + l] > 0.0
+        counted = due & (w[data.BEFORE_T + l] > 0.0)
+        x_0, x_1, n_0, n_1 = w[data.E_Y + l], w[data.E_Y_RATE + l], w[data.NEXT_E_Y + l], w[data.NEXT_E_Y_RATE + l]
+        g_0, f_0 = fma(l_f, w[data.E_PSI + l], x_0), fma(l_f, w[data.E_PSI_RATE + l], x_1)
+        g_1, f_1 = fma(l_f, w[data.NEXT_E_PSI + l], n_0), fma(l_f, w[data.NEXT_E_PSI_RATE + l], n_1)
+        deep, front = w[data.DEEPEST + l], w[data.FRONT_DEEPEST + l]
+        over = w[data.OPPOSITE + l]
         event = counted & ((x_0 * n_0 < 0.0) | touches(x_0, x_1, n_0, n_1, h))
-        event |= (w[at.T_BACK + l] == math.inf) & (x_0 >= offset) & (n_0 < offset)
+        event |= (w[data.T_BACK + l] == math.inf) & (x_0 >= offset) & (n_0 < offset)
         # an extreme within the piece that may be a new one
         event |= counted & (x_1 > 0.0) & (n_1 < 0.0) & (fma(h, x_1 - n_1, max(x_0, n_0)) > deep)
         event |= counted & (f_0 > 0.0) & (f_1 < 0.0) & (fma(h, f_0 - f_1, max(g_0, g_1)) > front)
         event |= (x_1 < 0.0) & (n_1 > 0.0) & (fma(h, n_1 - x_1, -min(x_0, n_0)) > max(over, offset))
         event &= due & (h > 0.0)
-        w[at.EVENT + l] = 1.0 if event else 0.0
+        w[data.EVENT + l] = 1.0 if event else 0.0
         rare |= event
-        w[at.DEEPEST + l] = larger(deep, n_0 if counted else deep)
-        w[at.FRONT_DEEPEST + l] = larger(front, g_1 if counted else front)
-        w[at.OPPOSITE + l] = larger(over, -n_0 if due else over)
+        w[data.DEEPEST + l] = larger(deep, n_0 if counted else deep)
+        w[data.FRONT_DEEPEST + l] = larger(front, g_1 if counted else front)
+        w[data.OPPOSITE + l] = larger(over, -n_0 if due else over)
     return rare
 
 
 @numba.njit(**OPTIONS)
 def _next_piece(setting, w):
     """S of the pieces that end here; the next ones begin."""
-    for l in range(int(setting[at.WIDTH])):
-        due, area = w[at.PIECE_ENDS + l] > 0.0, abs(w[at.PIECE_AREA + l]) * w[at.BEFORE_T + l]
-        now = w[at.PIECE_TIME + l]
-        w[at.AREA + l] += area if due else 0.0
-        w[at.PIECE_START + l] += now if due else 0.0
-        signed, x_0, x_1, x_2 = w[at.PIECE_AREA + l], w[at.E_Y + l], w[at.E_Y_RATE + l], w[at.E_PSI + l]
-        x_3, n_0, n_1 = w[at.E_PSI_RATE + l], w[at.NEXT_E_Y + l], w[at.NEXT_E_Y_RATE + l]
-        n_2, n_3 = w[at.NEXT_E_PSI + l], w[at.NEXT_E_PSI_RATE + l]
-        w[at.PIECE_AREA + l], w[at.PIECE_TIME + l] = 0.0 if due else signed, 0.0 if due else now
-        w[at.E_Y + l], w[at.E_Y_RATE + l] = n_0 if due else x_0, n_1 if due else x_1
-        w[at.E_PSI + l], w[at.E_PSI_RATE + l] = n_2 if due else x_2, n_3 if due else x_3
+    for l in range(int(setting[data.WIDTH])):
+        due, area = w[data.PIECE_ENDS + l] > 0.0, abs(w[data.PIECE_AREA + l]) * w[data.BEFORE_T + l]
+        now = w[data.PIECE_TIME + l]
+        w[data.AREA + l] += area if due else 0.0
+        w[data.PIECE_START + l] += now if due else 0.0
+        signed, x_0, x_1, x_2 = w[data.PIECE_AREA + l], w[data.E_Y + l], w[data.E_Y_RATE + l], w[data.E_PSI + l]
+        x_3, n_0, n_1 = w[data.E_PSI_RATE + l], w[data.NEXT_E_Y + l], w[data.NEXT_E_Y_RATE + l]
+        n_2, n_3 = w[data.NEXT_E_PSI + l], w[data.NEXT_E_PSI_RATE + l]
+        w[data.PIECE_AREA + l], w[data.PIECE_TIME + l] = 0.0 if due else signed, 0.0 if due else now
+        w[data.E_Y + l], w[data.E_Y_RATE + l] = n_0 if due else x_0, n_1 if due else x_1
+        w[data.E_PSI + l], w[data.E_PSI_RATE + l] = n_2 if due else x_2, n_3 if due else x_3
 
 
 # ------------------------------------------------------------------------------------------------ one sample
@@ -284,108 +287,107 @@ def _next_piece(setting, w):
 @numba.njit(**OPTIONS)
 def _drive_segment(setting, w, k, parts, road, segment):
     """All lanes over a segment; True if one of them has left the bound."""
-    width = int(setting[at.WIDTH])
-    copy(w, at.SEGMENT_LENGTH, road, segment, 9)
-    copy(w, at.SEGMENT_START, w, at.PIECE_START, 1)
+    width = int(setting[data.WIDTH])
+    copy(w, data.SEGMENT_LENGTH, road, segment, 9)
+    copy(w, data.SEGMENT_START, w, data.PIECE_START, 1)
     for l in range(width):
-        alive, young, old = w[at.ALIVE + l], w[at.YOUNG_COMMAND + l], w[at.OLD_COMMAND + l]
-        u = young if w[at.SEGMENT_AFTER_DELAY + l] > 0.0 else old
-        w[at.SEGMENT_LENGTH + l] *= alive
-        w[at.SUBSTEP_LENGTH + l] *= alive
-        w[at.BEFORE_T + l] = w[at.SEGMENT_IN_T + l] * alive
-        w[at.COMMAND + l] = w[at.DELTA_START + l] = w[at.DELTA_MID + l] = w[at.DELTA_END + l] = u
-    for n in range(at.SCORES * L):
-        w[at.SAVED + n] = w[at.SCORE + n]
+        alive, young, old = w[data.ALIVE + l], w[data.YOUNG_COMMAND + l], w[data.OLD_COMMAND + l]
+        u = young if w[data.SEGMENT_AFTER_DELAY + l] > 0.0 else old
+        w[data.SEGMENT_LENGTH + l] *= alive
+        w[data.SUBSTEP_LENGTH + l] *= alive
+        w[data.BEFORE_T + l] = w[data.SEGMENT_IN_T + l] * alive
+        w[data.COMMAND + l] = w[data.DELTA_START + l] = w[data.DELTA_MID + l] = w[data.DELTA_END + l] = u
+    for n in range(data.SCORES * L):
+        w[data.SAVED + n] = w[data.SCORE + n]
     ramps = _steer(setting, w)
-    moves, least = setting[at.LAG] > 0.0 or setting[at.RATE_MAX] < math.inf, parts
+    moves, least = setting[data.LAG] > 0.0 or setting[data.RATE_MAX] < math.inf, parts
     for l in range(L):
-        least = min(least, int(w[at.N_SUBSTEPS + l]))
+        least = min(least, int(w[data.N_SUBSTEPS + l]))
     for j in range(parts):
-        ends = j + 1 >= least or (j + 1) % at.PIECE == 0
-        whole = (j + 1) % at.PIECE == 0
+        ends = j + 1 >= least or (j + 1) % data.PIECE == 0
+        whole = (j + 1) % data.PIECE == 0
         for l in range(width):
-            going = j < w[at.N_SUBSTEPS + l]
-            w[at.H + l] = w[at.SUBSTEP_LENGTH + l] if going else 0.0
-            w[at.PIECE_ENDS + l] = 1.0 if (j + 1 == w[at.N_SUBSTEPS + l]) | (going & whole) else 0.0
+            going = j < w[data.N_SUBSTEPS + l]
+            w[data.H + l] = w[data.SUBSTEP_LENGTH + l] if going else 0.0
+            w[data.PIECE_ENDS + l] = 1.0 if (j + 1 == w[data.N_SUBSTEPS + l]) | (going & whole) else 0.0
         if moves and ramps:
             _along_ramp(setting, w, j)
         elif moves:
             _along_decay(setting, w)
-        if setting[at.SATURATING] > 0.0:
-            _saturating_substep(w, road, segment + HEADER + 2 * j * POINT_SIZE, setting[at.SHAPE])
+        if setting[data.SATURATING] > 0.0:
+            _saturating_substep(w, road, segment + HEADER + 2 * j * POINT_SIZE, setting[data.SHAPE])
         else:
             _linear_substep(w, road, segment + HEADER + 2 * j * POINT_SIZE, 0.0)
         if ends:
-            if setting[at.CAMERA] > 0.0:
+            if setting[data.CAMERA] > 0.0:
                 sight.take_between(setting, k, w)
             if _score(setting, w):
                 for l in range(L):
-                    if w[at.EVENT + l] > 0.0:
+                    if w[data.EVENT + l] > 0.0:
                         lanes.look_closer(
-                            setting, w, l, w[at.PIECE_START + l], w[at.PIECE_TIME + l], w[at.BEFORE_T + l] > 0.0
+                            setting, w, l, w[data.PIECE_START + l], w[data.PIECE_TIME + l], w[data.BEFORE_T + l] > 0.0
                         )
             _next_piece(setting, w)
-    spun = _SPUN if setting[at.SATURATING] > 0.0 else math.inf
+    spun = _SPUN if setting[data.SATURATING] > 0.0 else math.inf
     lost = False
     for l in range(L):
-        inside = (abs(w[at.NEXT_E_Y + l]) <= setting[at.BOUND]) & (abs(w[at.NEXT_E_PSI + l]) < spun)
-        w[at.EVENT + l] = w[at.ALIVE + l] if not inside else 0.0
-        lost |= w[at.EVENT + l] > 0.0
+        inside = (abs(w[data.NEXT_E_Y + l]) <= setting[data.BOUND]) & (abs(w[data.NEXT_E_PSI + l]) < spun)
+        w[data.EVENT + l] = w[data.ALIVE + l] if not inside else 0.0
+        lost |= w[data.EVENT + l] > 0.0
     return lost
 
 
 @numba.njit(**OPTIONS)
-def advance(setting, w, k, parts, road, segment, end, bend, bend_at, paths):
+def advance(setting, w, k, parts, road, segment, end, bend, bend_offset, paths):
     """Sample k with the command in `COMMAND`: segments of the road from `segment` to `end`. Lanes that go on after."""
-    ring, whole, size = int(setting[at.COMMAND_RING]), k - int(setting[at.DELAY_SAMPLES]), sight.segment_size(parts)
-    newest = at.RINGS + (k % ring) * L
-    fresh, stale = at.RINGS + (whole % ring) * L, at.RINGS + ((whole - 1) % ring) * L
+    ring, whole, size = int(setting[data.COMMAND_RING]), k - int(setting[data.DELAY_SAMPLES]), sight.segment_size(parts)
+    newest = data.RINGS + (k % ring) * L
+    fresh, stale = data.RINGS + (whole % ring) * L, data.RINGS + ((whole - 1) % ring) * L
     # the steering angle at the trigger is not limited
-    most = setting[at.DELTA_MAX] if whole >= 0 else math.inf
-    most_stale = setting[at.DELTA_MAX] if whole >= 1 else math.inf
-    at_once = setting[at.LAG] == 0.0 and setting[at.RATE_MAX] == math.inf
-    width, split = int(setting[at.WIDTH]), setting[at.DELAY_PART] > 0.0
-    copy(w, newest, w, at.COMMAND, 1)
-    copy(w, at.LAST_COMMAND, w, at.COMMAND, 1)
-    copy(w, at.YOUNG_COMMAND, w, fresh, 1)
-    copy(w, at.OLD_COMMAND, w, stale, 1)
-    copy(w, at.WHEEL_START, w, at.WHEEL, 1)
+    most = setting[data.DELTA_MAX] if whole >= 0 else math.inf
+    most_stale = setting[data.DELTA_MAX] if whole >= 1 else math.inf
+    immediate = setting[data.LAG] == 0.0 and setting[data.RATE_MAX] == math.inf
+    width, split = int(setting[data.WIDTH]), setting[data.DELAY_PART] > 0.0
+    copy(w, newest, w, data.COMMAND, 1)
+    copy(w, data.LAST_COMMAND, w, data.COMMAND, 1)
+    copy(w, data.YOUNG_COMMAND, w, fresh, 1)
+    copy(w, data.OLD_COMMAND, w, stale, 1)
+    copy(w, data.WHEEL_START, w, data.WHEEL, 1)
     for l in range(width):
-        w[at.PIECE_START + l] = w[at.T_0 + l] + k * setting[at.DT]
-        young = min(max(w[at.YOUNG_COMMAND + l], -most), most)
-        old = min(max(w[at.OLD_COMMAND + l], -most_stale), most_stale)
-        w[at.YOUNG_COMMAND + l], w[at.OLD_COMMAND + l] = young, old
-        w[at.DELTA_START + l] = (old if split else young) if at_once else w[at.WHEEL + l]
-    _accelerations(setting, w, road, segment + HEADER, at.DELTA_START, at.A_Y_START)
+        w[data.PIECE_START + l] = w[data.T_0 + l] + k * setting[data.DT]
+        young = min(max(w[data.YOUNG_COMMAND + l], -most), most)
+        old = min(max(w[data.OLD_COMMAND + l], -most_stale), most_stale)
+        w[data.YOUNG_COMMAND + l], w[data.OLD_COMMAND + l] = young, old
+        w[data.DELTA_START + l] = (old if split else young) if immediate else w[data.WHEEL + l]
+    _accelerations(setting, w, road, segment + HEADER, data.DELTA_START, data.A_Y_START)
     if paths.shape[0]:
         for l in range(L):
-            c = int(w[at.PATH_ROW + l])
-            if w[at.ALIVE + l] > 0.0 and c >= 0:
-                paths[c, int(w[at.PATH_ENTRIES + l]) - 1, at.P_DELTA] = w[at.DELTA_START + l]
+            if w[data.ALIVE + l] > 0.0 and w[data.PATH_ROW + l] >= 0.0:
+                lanes.correct_record(paths, w, l, w[data.DELTA_START + l], w[data.A_Y_START + l])
     while segment < end:
         if _drive_segment(setting, w, k, parts, road, segment):
             for l in range(L):
-                if w[at.EVENT + l] > 0.0:
-                    for n in range(at.SCORES):
-                        w[at.SCORE + n * L + l] = w[at.SAVED + n * L + l]
-                    lanes.diverge(setting, w, l, w[at.SEGMENT_START + l], w[at.BEFORE_T + l] > 0.0)
-                    w[at.DIVERGED + l], w[at.ALIVE + l] = 1.0, 0.0
+                if w[data.EVENT + l] > 0.0:
+                    for n in range(data.SCORES):
+                        w[data.SCORE + n * L + l] = w[data.SAVED + n * L + l]
+                    lanes.diverge(setting, w, l, w[data.SEGMENT_START + l], w[data.BEFORE_T + l] > 0.0)
+                    w[data.DIVERGED + l], w[data.ALIVE + l] = 1.0, 0.0
         if segment + size < end:
             _at_T(setting, w, road, segment + size, paths)
         segment += size
     for l in range(width):  # a lane that has ended stays finite
-        alive = w[at.ALIVE + l] > 0.0
-        w[at.E_Y + l] = w[at.NEXT_E_Y + l] = w[at.NEXT_E_Y + l] if alive else 0.0
-        w[at.E_Y_RATE + l] = w[at.NEXT_E_Y_RATE + l] = w[at.NEXT_E_Y_RATE + l] if alive else 0.0
-        w[at.E_PSI + l] = w[at.NEXT_E_PSI + l] = w[at.NEXT_E_PSI + l] if alive else 0.0
-        w[at.E_PSI_RATE + l] = w[at.NEXT_E_PSI_RATE + l] = w[at.NEXT_E_PSI_RATE + l] if alive else 0.0
-        rate = abs(w[at.WHEEL + l] - w[at.WHEEL_START + l]) / setting[at.DT]
-        w[at.DELTA_RATE_PEAK + l] = larger(w[at.DELTA_RATE_PEAK + l], rate if alive else 0.0)
-    _accelerations(setting, w, road, end - POINT_SIZE, at.WHEEL, at.A_Y_END)
-    copy(w, at.BEND_START, bend, bend_at, 4)
+        alive = w[data.ALIVE + l] > 0.0
+        w[data.E_Y + l] = w[data.NEXT_E_Y + l] = w[data.NEXT_E_Y + l] if alive else 0.0
+        w[data.E_Y_RATE + l] = w[data.NEXT_E_Y_RATE + l] = w[data.NEXT_E_Y_RATE + l] if alive else 0.0
+        w[data.E_PSI + l] = w[data.NEXT_E_PSI + l] = w[data.NEXT_E_PSI + l] if alive else 0.0
+        w[data.E_PSI_RATE + l] = w[data.NEXT_E_PSI_RATE + l] = w[data.NEXT_E_PSI_RATE + l] if alive else 0.0
+        rate = abs(w[data.WHEEL + l] - w[data.WHEEL_START + l]) / setting[data.DT]
+        w[data.DELTA_RATE_PEAK + l] = larger(w[data.DELTA_RATE_PEAK + l], rate if alive else 0.0)
+    _accelerations(setting, w, road, end - POINT_SIZE, data.WHEEL, data.A_Y_END)
+    copy(w, data.BEND_START, bend, bend_offset, 4)
     lanes.look_back(setting, w, k)
     for l in range(L):
-        if w[at.ALIVE + l] > 0.0 and k + 1 == w[at.ALL_STEPS + l]:
+        if w[data.ALIVE + l] > 0.0 and k + 1 == w[data.ALL_STEPS + l]:
             lanes.look_back_from_end(setting, w, l, k)
     lanes.score_limits(setting, w)
     return lanes.end_sample(setting, w, k, paths)
@@ -394,82 +396,92 @@ def advance(setting, w, k, parts, road, segment, end, bend, bend_at, paths):
 @numba.njit(**OPTIONS)
 def _at_T(setting, w, road, segment, paths):
     """Lanes whose T is where the segment from `segment` on begins: just after it nothing is recorded any more."""
-    _accelerations(setting, w, road, segment + HEADER, at.WHEEL, at.A_Y_START_PAST)
+    _accelerations(setting, w, road, segment + HEADER, data.WHEEL, data.A_Y_START_PAST)
     for l in range(L):
-        if w[at.BEFORE_T + l] * w[at.ALIVE + l] > 0.0 and road[segment + L + l] == 0.0 and road[segment + l] > 0.0:
-            peak = abs(w[at.A_Y_OWN_START_PAST + l])
-            w[at.A_Y_ADDED_PEAK + l] = max(w[at.A_Y_ADDED_PEAK + l], peak)
-            if paths.shape[0] and w[at.PATH_ROW + l] >= 0.0:
-                lanes.record(paths, w, l, w[at.T + l])
+        if w[data.BEFORE_T + l] * w[data.ALIVE + l] > 0.0 and road[segment + L + l] == 0.0 and road[segment + l] > 0.0:
+            peak = abs(w[data.A_Y_RELATIVE_START_PAST + l])
+            w[data.A_Y_ADDED_PEAK + l] = max(w[data.A_Y_ADDED_PEAK + l], peak)
+            if paths.shape[0] and w[data.PATH_ROW + l] >= 0.0:
+                lanes.record(paths, w, l, w[data.T + l], w[data.A_Y_START_PAST + l])
 
 
 # ------------------------------------------------------------------------------------------------ a whole run
 
 
 @numba.njit(**OPTIONS)
-def start(scene, setting, block, w, paths, chosen):
+def start(scene, setting, block, w, paths, path_rows):
     """Everything before the first sample of a block."""
     w[:] = 0.0
-    lanes.begin(scene, setting, block, w, paths, chosen)
-    size, count, modes = int(setting[at.FRAME_RING]), int(setting[at.MODES]), rings(setting)[2]
+    lanes.begin(scene, setting, block, w, paths, path_rows)
+    size, count, modes = int(setting[data.FRAME_RING]), int(setting[data.MODES]), rings(setting)[2]
     for l in range(L):
         i = min(block * L + l, scene.shape[0] - 1)
-        w[at.OUTWARD + l], w[at.N_SUBSTEPS + l] = scene[i, at.SIDE], scene[i, at.SUBSTEPS]
-        w[at.SCENARIO + l], w[at.CURVE_BIAS + l] = scene[i, at.INDEX], scene[i, at.CURVATURE_BIAS]
-        T, v, a = scene[i, at.T_END], scene[i, at.SPEED], 0.0
-        if setting[at.PROFILE] > 0.0:
-            v, a = scene[i, at.V_MEAN] - 0.5 * scene[i, at.A_MEAN] * T, scene[i, at.A_MEAN]
-        road = (v, a, scene[i, at.C_0], scene[i, at.DC] / T, math.pi / T)
+        w[data.OUTWARD + l], w[data.N_SUBSTEPS + l] = scene[i, data.SIDE], scene[i, data.SUBSTEPS]
+        w[data.SCENARIO + l], w[data.CURVE_BIAS + l] = scene[i, data.INDEX], scene[i, data.CURVATURE_BIAS]
+        T, v, a = scene[i, data.T_END], scene[i, data.SPEED], 0.0
+        if setting[data.PROFILE] > 0.0:
+            v, a = scene[i, data.V_MEAN] - 0.5 * scene[i, data.A_MEAN] * T, scene[i, data.A_MEAN]
+        road = (v, a, scene[i, data.C_0], scene[i, data.DC] / T, math.pi / T)
         for n in range(5):
-            w[at.V_0 + n * L + l] = road[n]
+            w[data.V_0 + n * L + l] = road[n]
         for j in range(count):
-            w[modes + j * L + l] = scene[i, at.SCENE + j]
-            if setting[at.PROFILE] > 0.0 and scene[i, at.SCENE + j] != 0.0:
-                w[at.MODES_USED] = max(w[at.MODES_USED], j + 1.0)
-        mass, I_z, l_f, l_r = scene[i, at.MASS], scene[i, at.I_Z], scene[i, at.L_F], scene[i, at.L_R]
+            w[modes + j * L + l] = scene[i, data.SCENE + j]
+            if setting[data.PROFILE] > 0.0 and scene[i, data.SCENE + j] != 0.0:
+                w[data.MODES_USED] = max(w[data.MODES_USED], j + 1.0)
+        mass, I_z, l_f, l_r = scene[i, data.MASS], scene[i, data.I_Z], scene[i, data.L_F], scene[i, data.L_R]
         # forces over the mass: of an axle per slip angle, or its largest; lever arms over the yaw inertia, times mass
-        front, rear = 2.0 * scene[i, at.C_AF] / mass, 2.0 * scene[i, at.C_AR] / mass
-        grip = scene[i, at.MU] * GRAVITY / (l_f + l_r)
-        if setting[at.SATURATING] > 0.0:
-            front, rear = front / (setting[at.SHAPE] * grip * l_r), rear / (setting[at.SHAPE] * grip * l_f)
-        car = (front, rear, l_f, l_r, l_f * mass / I_z, l_r * mass / I_z, scene[i, at.PRINTED], grip * l_r, grip * l_f)
+        front, rear = 2.0 * scene[i, data.C_AF] / mass, 2.0 * scene[i, data.C_AR] / mass
+        grip = scene[i, data.MU] * GRAVITY / (l_f + l_r)
+        if setting[data.SATURATING] > 0.0:
+            front, rear = front / (setting[data.SHAPE] * grip * l_r), rear / (setting[data.SHAPE] * grip * l_f)
+        car = (
+            front,
+            rear,
+            l_f,
+            l_r,
+            l_f * mass / I_z,
+            l_r * mass / I_z,
+            scene[i, data.PRINTED],
+            grip * l_r,
+            grip * l_f,
+        )
         for n in range(9):
-            w[at.STIFFNESS_F + n * L + l] = car[n]
-        for n in range(2 * int(setting[at.COMMAND_RING])):
-            w[at.RINGS + n * L + l] = scene[i, at.DELTA_0]
-        w[at.WHEEL_SEEN + l] = w[at.LAST_COMMAND + l]
-        if setting[at.FILTERED] > 0.0:
-            model = at.SCENE + count + 2 * int(setting[at.EARLIER_FRAMES])
-            for n in range(at.FILTER):
-                w[at.FILTER_ROWS + n * L + l] = scene[i, model + n]
+            w[data.STIFFNESS_F + n * L + l] = car[n]
+        for n in range(2 * int(setting[data.COMMAND_RING])):
+            w[data.RINGS + n * L + l] = scene[i, data.DELTA_0]
+        w[data.WHEEL_SEEN + l] = w[data.LAST_COMMAND + l]
+        if setting[data.FILTERED] > 0.0:
+            model = data.SCENE + count + 2 * int(setting[data.EARLIER_FRAMES])
+            for n in range(data.FILTER):
+                w[data.FILTER_ROWS + n * L + l] = scene[i, model + n]
             for n in range(4):
-                w[at.ESTIMATE + n * L + l] = scene[i, model + at.FIRST + n] * w[at.ALIVE + l]
-        if setting[at.CAMERA] > 0.0:
+                w[data.ESTIMATE + n * L + l] = scene[i, model + data.FIRST + n] * w[data.ALIVE + l]
+        if setting[data.CAMERA] > 0.0:
             k = 0
             while sight.frame_of(setting, k) < 0:
                 frame = rings(setting)[0] + 2 * (k % size) * L + l
                 for n in range(2):
-                    w[frame + n * L] = scene[i, at.SCENE + count + 2 * (-sight.frame_of(setting, k) - 1) + n]
+                    w[frame + n * L] = scene[i, data.SCENE + count + 2 * (-sight.frame_of(setting, k) - 1) + n]
                 k += 1
-        w[at.SEGMENT_START + l] = w[at.T_0 + l]
+        w[data.SEGMENT_START + l] = w[data.T_0 + l]
     sight.lay_point(setting, w, 0.0)
-    _accelerations(setting, w, w, at.V_START, at.WHEEL, at.A_Y_START)
-    copy(w, at.A_Y_BEFORE, w, at.A_Y_START, 1)
+    _accelerations(setting, w, w, data.V_START, data.WHEEL, data.A_Y_START)
+    copy(w, data.A_Y_BEFORE, w, data.A_Y_START, 1)
 
 
 @numba.njit(**OPTIONS)
-def drive_block_any(scene, setting, law, times, recorded, paths, chosen, block, score, diverged, failed):
+def drive_block_any(scene, setting, law, times, recorded, paths, path_rows, block, score, diverged, failed):
     """Every design of a law on one block of scenarios; what designs share is worked out once."""
-    m, lookaheads, columns = scene.shape[0], times.shape[1], law.shape[2] - at.LAW
+    m, lookaheads, columns = scene.shape[0], times.shape[1], law.shape[2] - data.LAW
     _, _, _, size = rings(setting)
     w = np.empty(size)
-    start(scene, setting, block, w, paths[:0], chosen)
-    parts, most, segments = sight.substeps_of(w), 0, 2 if setting[at.DELAY_PART] > 0.0 else 1
+    start(scene, setting, block, w, paths[:0], path_rows)
+    parts, most, segments = sight.substeps_of(w), 0, 2 if setting[data.DELAY_PART] > 0.0 else 1
     for l in range(L):
-        most = max(most, int(w[at.ALL_STEPS + l]))
-    g, bend, wide = np.empty(columns * L), np.empty(4 * most * L), (1 + 2 * lookaheads) * L
+        most = max(most, int(w[data.ALL_STEPS + l]))
+    lane_weights, bend, wide = np.empty(columns * L), np.empty(4 * most * L), (1 + 2 * lookaheads) * L
     road, ends = np.empty((segments * most + 2 * L) * sight.segment_size(parts)), np.zeros(most + 1, dtype=np.int64)
-    ahead, noise = np.empty(most * wide), np.empty(most * 2 * L)
+    preview, noise = np.empty(most * wide), np.empty(most * 2 * L)
     for k in range(most):
         ends[k + 1] = sight.lay_road(setting, k, w, parts, road, ends[k])
         lanes.lay_bend(setting, recorded, block, k, w, bend, 4 * k * L)
@@ -480,17 +492,17 @@ def drive_block_any(scene, setting, law, times, recorded, paths, chosen, block, 
             same &= times[design, j] == times[design - 1, j]
         if not same:
             for k in range(most):
-                sight.look_ahead(setting, k, w, times[design], ahead, k * wide)
-        start(scene, setting, block, w, paths, chosen)
+                sight.preview_lane(setting, k, w, times[design], preview, k * wide)
+        start(scene, setting, block, w, paths, path_rows)
         for l in range(L):
             i = min(block * L + l, m - 1)
-            for n in range(at.LAW):
-                w[at.F_E_Y + n * L + l] = law[design, i, n]
+            for n in range(data.LAW):
+                w[data.F_E_Y + n * L + l] = law[design, i, n]
             for j in range(columns):
-                g[j * L + l] = law[design, i, at.LAW + j]
+                lane_weights[j * L + l] = law[design, i, data.LAW + j]
         for k in range(most):
-            sight.see(setting, w, k, ahead, k * wide, noise, k * 2 * L)
-            sight.command(setting, w, k, g, ahead, k * wide, lookaheads, columns - 2 * lookaheads)
+            sight.see(setting, w, k, preview, k * wide, noise, k * 2 * L)
+            sight.command(setting, w, k, lane_weights, preview, k * wide, lookaheads, columns - 2 * lookaheads)
             if not advance(setting, w, k, parts, road, ends[k], ends[k + 1], bend, 4 * k * L, paths):
                 break
-        lanes.hand_over(w, design, block, score, diverged, failed)
+        lanes.store_scores(w, design, block, score, diverged, failed)

@@ -11,7 +11,7 @@ import numpy as np
 from ldctoolkit.lane_functions import cosine, decay, moments, sine
 from ldctoolkit.numba_internals import LARGEST_FLOAT, OPTIONS, copy, fma
 from ldctoolkit.paths.kernels import normal_pair
-from ldctoolkit.simulation.kernel import data as at
+from ldctoolkit.simulation.kernel import data
 from ldctoolkit.simulation.kernel.lanes import SAME, L, length_of, rings
 
 # a segment of the road: its length, whether it is before T and after the delay, the length of a substep, what a lag
@@ -29,68 +29,70 @@ def along(setting, w, turns):
 
     v = v_0 + a t + sum b_j cos(j pi t/T), the way is its integral, and the turn that of v c, c = c_0 + (dc/T) t.
     """
-    width = int(setting[at.WIDTH])
+    width = int(setting[data.WIDTH])
     for l in range(width):
-        s, v_0, a = min(w[at.TIME + l], w[at.T + l]), w[at.V_0 + l], w[at.A_0 + l]
+        s, v_0, a = min(w[data.TIME + l], w[data.T + l]), w[data.V_0 + l], w[data.A_0 + l]
         way = s * fma(0.5 * a, s, v_0)
-        turn = w[at.CURVATURE_RATE + l] * s * s * fma(a * (1.0 / 3.0), s, 0.5 * v_0)
-        w[at.MOTION_V + l], w[at.MOTION_DV + l] = fma(a, s, v_0), a
-        w[at.MOTION_WAY + l], w[at.MOTION_TURN + l] = way, fma(w[at.CURVATURE_0 + l], way, turn)
-    if w[at.MODES_USED] > 0.0:
+        turn = w[data.CURVATURE_RATE + l] * s * s * fma(a * (1.0 / 3.0), s, 0.5 * v_0)
+        w[data.MOTION_V + l], w[data.MOTION_DV + l] = fma(a, s, v_0), a
+        w[data.MOTION_WAY + l], w[data.MOTION_TURN + l] = way, fma(w[data.CURVATURE_0 + l], way, turn)
+    if w[data.MODES_USED] > 0.0:
         _, _, modes, _ = rings(setting)
         for l in range(width):
-            angle = w[at.PI_PER_T + l] * min(w[at.TIME + l], w[at.T + l])
-            w[at.COS_1 + l], w[at.SIN_1 + l] = cosine(angle), sine(angle)
-            w[at.COS_J + l], w[at.SIN_J + l] = 1.0, 0.0
-        for j in range(int(w[at.MODES_USED])):
-            copy(w, at.AMPLITUDE, w, modes + j * L, 1)
+            angle = w[data.PI_PER_T + l] * min(w[data.TIME + l], w[data.T + l])
+            w[data.COS_1 + l], w[data.SIN_1 + l] = cosine(angle), sine(angle)
+            w[data.COS_J + l], w[data.SIN_J + l] = 1.0, 0.0
+        for j in range(int(w[data.MODES_USED])):
+            copy(w, data.AMPLITUDE, w, modes + j * L, 1)
             _add_mode(w, j + 1.0, width)
             if turns:
                 _add_turn(w, 1.0 / (math.pi * (j + 1.0)), width)
     if turns:
         for l in range(width):
-            after = max(w[at.TIME + l] - w[at.T + l], 0.0) * w[at.MOTION_V + l]
-            w[at.MOTION_WAY + l] += after
-            curve = fma(w[at.CURVATURE_RATE + l], w[at.T + l], w[at.CURVATURE_0 + l])
-            w[at.MOTION_TURN + l] = fma(after, curve, w[at.MOTION_TURN + l])
+            after = max(w[data.TIME + l] - w[data.T + l], 0.0) * w[data.MOTION_V + l]
+            w[data.MOTION_WAY + l] += after
+            curve = fma(w[data.CURVATURE_RATE + l], w[data.T + l], w[data.CURVATURE_0 + l])
+            w[data.MOTION_TURN + l] = fma(after, curve, w[data.MOTION_TURN + l])
 
 
 @numba.njit(**OPTIONS)
 def _add_mode(w, number, width):
     """Add the mode b cos(j pi t/T) to the speed, and its derivative to the rate."""
     for l in range(width):
-        cos_1, sin_1, c, d = w[at.COS_1 + l], w[at.SIN_1 + l], w[at.COS_J + l], w[at.SIN_J + l]
-        c, d, b = fma(c, cos_1, -d * sin_1), fma(d, cos_1, c * sin_1), w[at.AMPLITUDE + l]
-        w[at.COS_J + l], w[at.SIN_J + l] = c, d
-        w[at.MOTION_V + l] = fma(b, c, w[at.MOTION_V + l])
-        w[at.MOTION_DV + l] = fma(-b * number * w[at.PI_PER_T + l], d, w[at.MOTION_DV + l])
+        cos_1, sin_1, c, d = w[data.COS_1 + l], w[data.SIN_1 + l], w[data.COS_J + l], w[data.SIN_J + l]
+        c, d, b = fma(c, cos_1, -d * sin_1), fma(d, cos_1, c * sin_1), w[data.AMPLITUDE + l]
+        w[data.COS_J + l], w[data.SIN_J + l] = c, d
+        w[data.MOTION_V + l] = fma(b, c, w[data.MOTION_V + l])
+        w[data.MOTION_DV + l] = fma(-b * number * w[data.PI_PER_T + l], d, w[data.MOTION_DV + l])
 
 
 @numba.njit(**OPTIONS)
 def _add_turn(w, per_angle, width):
     """Add its integral to the way, and the integral of c times it to the turn."""
     for l in range(width):
-        T, slope, per_rate = w[at.T + l], w[at.CURVATURE_RATE + l], per_angle * w[at.T + l]
-        curve = fma(slope, min(w[at.TIME + l], T), w[at.CURVATURE_0 + l])
-        part = w[at.AMPLITUDE + l] * per_rate
-        way = part * w[at.SIN_J + l]
-        w[at.MOTION_WAY + l] += way
-        turn = fma(way, curve, part * per_rate * slope * (w[at.COS_J + l] - 1.0))
-        w[at.MOTION_TURN + l] += turn
+        T, slope, per_rate = w[data.T + l], w[data.CURVATURE_RATE + l], per_angle * w[data.T + l]
+        curve = fma(slope, min(w[data.TIME + l], T), w[data.CURVATURE_0 + l])
+        part = w[data.AMPLITUDE + l] * per_rate
+        way = part * w[data.SIN_J + l]
+        w[data.MOTION_WAY + l] += way
+        turn = fma(way, curve, part * per_rate * slope * (w[data.COS_J + l] - 1.0))
+        w[data.MOTION_TURN + l] += turn
 
 
 @numba.njit(**OPTIONS)
 def lay_point(setting, w, substep):
     """The road after so many substeps of a segment, into the rows from `V_START` on."""
-    width = int(setting[at.WIDTH])
+    width = int(setting[data.WIDTH])
     for l in range(width):
-        w[at.TIME + l] = w[at.SEGMENT_START + l] + min(substep * w[at.SUBSTEP_LENGTH + l], w[at.SEGMENT_LENGTH + l])
+        w[data.TIME + l] = w[data.SEGMENT_START + l] + min(
+            substep * w[data.SUBSTEP_LENGTH + l], w[data.SEGMENT_LENGTH + l]
+        )
     along(setting, w, False)
     for l in range(width):
-        v, s = w[at.MOTION_V + l], min(w[at.TIME + l], w[at.T + l])
-        dv = w[at.MOTION_DV + l] * w[at.SEGMENT_IN_T + l]  # beyond T the speed stays
-        w[at.V_START + l], w[at.DV_START + l], w[at.PER_V_START + l] = v, dv, 1.0 / v
-        w[at.LANE_START + l] = v * fma(w[at.CURVATURE_RATE + l], s, w[at.CURVATURE_0 + l])
+        v, s = w[data.MOTION_V + l], min(w[data.TIME + l], w[data.T + l])
+        dv = w[data.MOTION_DV + l] * w[data.SEGMENT_IN_T + l]  # beyond T the speed stays
+        w[data.V_START + l], w[data.DV_START + l], w[data.PER_V_START + l] = v, dv, 1.0 / v
+        w[data.LANE_START + l] = v * fma(w[data.CURVATURE_RATE + l], s, w[data.CURVATURE_0 + l])
 
 
 @numba.njit(**OPTIONS)
@@ -98,7 +100,7 @@ def substeps_of(w):
     """Most substeps that a scenario of a block needs for a segment."""
     most = 1
     for l in range(L):
-        most = max(most, int(w[at.N_SUBSTEPS + l]))
+        most = max(most, int(w[data.N_SUBSTEPS + l]))
     return most
 
 
@@ -111,7 +113,7 @@ def segment_size(parts):
 @numba.njit(**OPTIONS)
 def lay_road(setting, k, w, parts, road, to):
     """Segments of sample k and the road along their substeps, from `to` on; where they end."""
-    dt, switch, lag, cut = setting[at.DT], setting[at.DELAY_PART], setting[at.LAG], False
+    dt, switch, lag, cut = setting[data.DT], setting[data.DELAY_PART], setting[data.LAG], False
     for l in range(L):
         h, until = length_of(setting, w, l, k)
         cut |= 0.0 < until < h
@@ -125,16 +127,19 @@ def lay_road(setting, k, w, parts, road, to):
                 low = switch
             first = 0.0 if n == 0 else min(low if n == 1 else high, h)
             last = h if n + 1 == segments else min(low if n == 0 else high, h)
-            w[at.SEGMENT_LENGTH + l], w[at.SUBSTEP_LENGTH + l] = last - first, (last - first) / w[at.N_SUBSTEPS + l]
-            w[at.SEGMENT_IN_T + l] = 1.0 if last <= until and until > 0.0 else 0.0
-            w[at.SEGMENT_AFTER_DELAY + l] = 1.0 if first >= switch else 0.0
-            w[at.SEGMENT_START + l] = w[at.T_0 + l] + k * dt + first
+            w[data.SEGMENT_LENGTH + l], w[data.SUBSTEP_LENGTH + l] = (
+                last - first,
+                (last - first) / w[data.N_SUBSTEPS + l],
+            )
+            w[data.SEGMENT_IN_T + l] = 1.0 if last <= until and until > 0.0 else 0.0
+            w[data.SEGMENT_AFTER_DELAY + l] = 1.0 if first >= switch else 0.0
+            w[data.SEGMENT_START + l] = w[data.T_0 + l] + k * dt + first
         if lag > 0.0:
             _lay_lag(w, 1.0 / lag)
-        copy(road, to, w, at.SEGMENT_LENGTH, 9)
+        copy(road, to, w, data.SEGMENT_LENGTH, 9)
         for j in range(2 * parts + 1):
             lay_point(setting, w, 0.5 * j)
-            copy(road, to + HEADER + j * POINT_SIZE, w, at.V_START, 4)
+            copy(road, to + HEADER + j * POINT_SIZE, w, data.V_START, 4)
         to += segment_size(parts)
     return to
 
@@ -143,11 +148,11 @@ def lay_road(setting, k, w, parts, road, to):
 def _lay_lag(w, per_lag):
     """Decay exp(-s/lag) over a segment and over a substep, and its parabola over a substep."""
     for l in range(L):
-        z = w[at.SUBSTEP_LENGTH + l] * per_lag
+        z = w[data.SUBSTEP_LENGTH + l] * per_lag
         m_0, m_1, m_2 = moments(z, 1.0)
         a, b, c = parabola(m_0, m_1, m_2)
-        w[at.LAG_SEGMENT + l], w[at.LAG_SUBSTEP + l] = decay(-w[at.SEGMENT_LENGTH + l] * per_lag), decay(-z)
-        w[at.LAG_START + l], w[at.LAG_MID + l], w[at.LAG_END + l] = a, b, c
+        w[data.LAG_SEGMENT + l], w[data.LAG_SUBSTEP + l] = decay(-w[data.SEGMENT_LENGTH + l] * per_lag), decay(-z)
+        w[data.LAG_START + l], w[data.LAG_MID + l], w[data.LAG_END + l] = a, b, c
 
 
 @numba.njit(forceinline=True, **OPTIONS)
@@ -160,62 +165,62 @@ def parabola(m_0, m_1, m_2):
 @numba.njit(**OPTIONS)
 def frame_of(setting, k):
     """The latest frame that has arrived at sample k; frame 0 is that of the trigger."""
-    return math.floor((k * setting[at.DT] - setting[at.CAMERA_DELAY]) / setting[at.PERIOD] + SAME)
+    return math.floor((k * setting[data.DT] - setting[data.CAMERA_DELAY]) / setting[data.PERIOD] + SAME)
 
 
 @numba.njit(**OPTIONS)
-def look_ahead(setting, k, w, times, ahead, to):
+def preview_lane(setting, k, w, times, preview, to):
     """The lane at sample k, from `to` on: yaw rate at the filter's time; it and turn at each lookahead time."""
-    gain, width = 1.0 + setting[at.CURVATURE_GAIN], int(setting[at.WIDTH])
-    for j in range(0 if setting[at.FILTERED] > 0.0 else 1, times.shape[0] + 2):
+    gain, width = 1.0 + setting[data.CURVATURE_GAIN], int(setting[data.WIDTH])
+    for j in range(0 if setting[data.FILTERED] > 0.0 else 1, times.shape[0] + 2):
         # the time of the filter's state, now, and then the lookahead times
-        late = -setting[at.KNOWN_AGE] if j == 0 else (times[j - 2] if j > 1 else 0.0)
+        late = -setting[data.KNOWN_AGE] if j == 0 else (times[j - 2] if j > 1 else 0.0)
         for l in range(width):
-            w[at.TIME + l] = w[at.T_0 + l] + k * setting[at.DT] + late
+            w[data.TIME + l] = w[data.T_0 + l] + k * setting[data.DT] + late
         along(setting, w, True)
         if j == 1:
-            copy(w, at.WAY_NOW, w, at.MOTION_WAY, 2)
+            copy(w, data.WAY_NOW, w, data.MOTION_WAY, 2)
             continue
         for l in range(width):
-            curve = fma(w[at.CURVATURE_RATE + l], min(w[at.TIME + l], w[at.T + l]), w[at.CURVATURE_0 + l])
-            way, turn = w[at.MOTION_WAY + l] - w[at.WAY_NOW + l], w[at.MOTION_TURN + l] - w[at.TURN_NOW + l]
-            w[at.MOTION_V + l] *= fma(gain, curve, w[at.CURVE_BIAS + l])
-            w[at.MOTION_DV + l] = fma(gain, turn, w[at.CURVE_BIAS + l] * way)
+            curve = fma(w[data.CURVATURE_RATE + l], min(w[data.TIME + l], w[data.T + l]), w[data.CURVATURE_0 + l])
+            way, turn = w[data.MOTION_WAY + l] - w[data.WAY_NOW + l], w[data.MOTION_TURN + l] - w[data.TURN_NOW + l]
+            w[data.MOTION_V + l] *= fma(gain, curve, w[data.CURVE_BIAS + l])
+            w[data.MOTION_DV + l] = fma(gain, turn, w[data.CURVE_BIAS + l] * way)
         if j == 0:
-            copy(ahead, to, w, at.MOTION_V, 1)
+            copy(preview, to, w, data.MOTION_V, 1)
         else:
-            copy(ahead, to + (2 * j - 3) * L, w, at.MOTION_V, 2)
+            copy(preview, to + (2 * j - 3) * L, w, data.MOTION_V, 2)
 
 
 @numba.njit(**OPTIONS)
 def noise_of(setting, k, w, noise, to):
     """Standard normal numbers of the frame that the law sees at sample k, from `to` on."""
-    if setting[at.NOISE_Y] + setting[at.NOISE_PSI] > 0.0:
-        seed = (np.uint64(setting[at.SEED_HIGH]) << np.uint64(32)) | np.uint64(setting[at.SEED_LOW])
+    if setting[data.NOISE_Y] + setting[data.NOISE_PSI] > 0.0:
+        seed = (np.uint64(setting[data.SEED_HIGH]) << np.uint64(32)) | np.uint64(setting[data.SEED_LOW])
         frame = np.uint64(_FRAME_ZERO + frame_of(setting, k))
         for l in range(L):
-            noise[to + l], noise[to + L + l] = normal_pair(seed, np.uint64(w[at.SCENARIO + l]), _CAMERA, frame)
+            noise[to + l], noise[to + L + l] = normal_pair(seed, np.uint64(w[data.SCENARIO + l]), _CAMERA, frame)
 
 
 @numba.njit(**OPTIONS)
 def _first_after(setting, k):
     """First sample that may see a frame taken at sample k or after."""
-    return k + math.floor(setting[at.CAMERA_DELAY] / setting[at.DT] + SAME)
+    return k + math.floor(setting[data.CAMERA_DELAY] / setting[data.DT] + SAME)
 
 
 @numba.njit(**OPTIONS)
 def _take_frames(setting, k, w):
     """Frames that are taken at sample k itself: e_y and e_psi."""
     frames, _, _, _ = rings(setting)
-    size, j = int(setting[at.FRAME_RING]), _first_after(setting, k)
+    size, j = int(setting[data.FRAME_RING]), _first_after(setting, k)
     while True:
-        late = frame_of(setting, j) * setting[at.PERIOD] / setting[at.DT] - k
+        late = frame_of(setting, j) * setting[data.PERIOD] / setting[data.DT] - k
         if late > SAME:
             return
         if late >= -SAME:
             frame = frames + 2 * (j % size) * L
             for l in range(L):
-                w[frame + l], w[frame + L + l] = w[at.E_Y + l], w[at.E_PSI + l]
+                w[frame + l], w[frame + L + l] = w[data.E_Y + l], w[data.E_PSI + l]
         j += 1
 
 
@@ -223,22 +228,22 @@ def _take_frames(setting, k, w):
 def take_between(setting, k, w):
     """Frames that are taken within a piece: on the cubics through its ends."""
     frames, _, _, _ = rings(setting)
-    size, j = int(setting[at.FRAME_RING]), _first_after(setting, k)
+    size, j = int(setting[data.FRAME_RING]), _first_after(setting, k)
     while True:
-        late = frame_of(setting, j) * setting[at.PERIOD] - k * setting[at.DT]
-        if late >= setting[at.DT] * (1.0 - SAME):
+        late = frame_of(setting, j) * setting[data.PERIOD] - k * setting[data.DT]
+        if late >= setting[data.DT] * (1.0 - SAME):
             return
-        if late > setting[at.DT] * SAME:
+        if late > setting[data.DT] * SAME:
             for l in range(L):
-                h = w[at.PIECE_TIME + l]
-                s = w[at.T_0 + l] + k * setting[at.DT] + late - w[at.PIECE_START + l]
-                if 0.0 <= s <= h and w[at.PIECE_ENDS + l] > 0.0:
+                h = w[data.PIECE_TIME + l]
+                s = w[data.T_0 + l] + k * setting[data.DT] + late - w[data.PIECE_START + l]
+                if 0.0 <= s <= h and w[data.PIECE_ENDS + l] > 0.0:
                     u, frame = s / h, frames + 2 * (j % size) * L + l
                     a, b = u * u * (3.0 - 2.0 * u), h * u * (1.0 - u)
                     for n in range(2):
                         row = 2 * n * L + l
-                        x, m = w[at.E_Y + row], (1.0 - u) * w[at.E_Y_RATE + row] - u * w[at.NEXT_E_Y_RATE + row]
-                        w[frame + n * L] = x + a * (w[at.NEXT_E_Y + row] - x) + b * m
+                        x, m = w[data.E_Y + row], (1.0 - u) * w[data.E_Y_RATE + row] - u * w[data.NEXT_E_Y_RATE + row]
+                        w[frame + n * L] = x + a * (w[data.NEXT_E_Y + row] - x) + b * m
         j += 1
 
 
@@ -248,113 +253,121 @@ def _predict(w, n, width):
 
     x and r+ stand in the rows from `POINTS` on, both commands in `WORK_2` and `WORK_3`.
     """
-    row, from_state = at.FILTER_ROWS + n * L, at.FILTER_ROWS + (at.MODEL_A + 4 * n) * L
+    row, from_state = data.FILTER_ROWS + n * L, data.FILTER_ROWS + (data.MODEL_A + 4 * n) * L
     for l in range(width):
-        value = w[row + at.MODEL_B * L + l] * w[at.WORK_2 + l]
-        value = fma(w[row + at.MODEL_E_0 * L + l], w[at.LANE_RATE_SEEN + l], value)
-        value = fma(w[row + at.MODEL_OLD * L + l], w[at.WORK_3 + l], value)
-        value = fma(w[row + at.MODEL_WHEEL * L + l], w[at.WHEEL_SEEN_BEFORE + l], value)
-        value = fma(w[row + at.MODEL_E_1 * L + l], w[at.POINTS + l], value)
-        z_0, z_1 = w[at.POINTS + L + l], w[at.POINTS + 2 * L + l]
+        value = w[row + data.MODEL_B * L + l] * w[data.WORK_2 + l]
+        value = fma(w[row + data.MODEL_E_0 * L + l], w[data.LANE_RATE_SEEN + l], value)
+        value = fma(w[row + data.MODEL_OLD * L + l], w[data.WORK_3 + l], value)
+        value = fma(w[row + data.MODEL_WHEEL * L + l], w[data.WHEEL_SEEN_BEFORE + l], value)
+        value = fma(w[row + data.MODEL_E_1 * L + l], w[data.POINTS + l], value)
+        z_0, z_1 = w[data.POINTS + L + l], w[data.POINTS + 2 * L + l]
         value = fma(w[from_state + l], z_0, fma(w[from_state + L + l], z_1, value))
-        z_2, z_3 = w[at.POINTS + 3 * L + l], w[at.POINTS + 4 * L + l]
-        w[at.ESTIMATE + n * L + l] = fma(w[from_state + 2 * L + l], z_2, fma(w[from_state + 3 * L + l], z_3, value))
+        z_2, z_3 = w[data.POINTS + 3 * L + l], w[data.POINTS + 4 * L + l]
+        w[data.ESTIMATE + n * L + l] = fma(w[from_state + 2 * L + l], z_2, fma(w[from_state + 3 * L + l], z_3, value))
 
 
 @numba.njit(forceinline=True, **OPTIONS)
 def _correct(w, n, width):
     """Correct it by K times the innovations of e_y and e_psi, in `WORK_0` and `WORK_1`."""
-    row = at.FILTER_ROWS + (at.GAIN + 2 * n) * L
+    row = data.FILTER_ROWS + (data.GAIN + 2 * n) * L
     for l in range(width):
-        value = w[row + l] * w[at.WORK_0 + l] + w[row + L + l] * w[at.WORK_1 + l]
-        w[at.ESTIMATE + n * L + l] += value
+        value = w[row + l] * w[data.WORK_0 + l] + w[row + L + l] * w[data.WORK_1 + l]
+        w[data.ESTIMATE + n * L + l] += value
 
 
 @numba.njit(**OPTIONS)
-def see(setting, w, k, ahead, ahead_at, noise, noise_at):
+def see(setting, w, k, preview, preview_offset, noise, noise_offset):
     """The state as the law sees it at sample k; each sample once and in order.
 
     The camera gives e_y and e_psi of the latest frame that has arrived, q round((y + bias + noise)/q) each; the filter
     predicts with every sample and corrects with every new frame.
     """
-    ring, age, width = int(setting[at.COMMAND_RING]), setting[at.KNOWN_AGE] / setting[at.DT], int(setting[at.WIDTH])
-    wheels, newer = at.RINGS + ring * L, k - math.floor(age + SAME)
+    ring, age, width = (
+        int(setting[data.COMMAND_RING]),
+        setting[data.KNOWN_AGE] / setting[data.DT],
+        int(setting[data.WIDTH]),
+    )
+    wheels, newer = data.RINGS + ring * L, k - math.floor(age + SAME)
     share = max(age - math.floor(age + SAME), 0.0)
-    copy(w, wheels + (k % ring) * L, w, at.WHEEL, 1)
-    copy(w, at.WHEEL_SEEN_BEFORE, w, at.WHEEL_SEEN, 1)
-    copy(w, at.WORK_0, w, wheels + (newer % ring) * L, 1)
-    copy(w, at.WORK_1, w, wheels + ((newer - 1) % ring) * L, 1)
+    copy(w, wheels + (k % ring) * L, w, data.WHEEL, 1)
+    copy(w, data.WHEEL_SEEN_BEFORE, w, data.WHEEL_SEEN, 1)
+    copy(w, data.WORK_0, w, wheels + (newer % ring) * L, 1)
+    copy(w, data.WORK_1, w, wheels + ((newer - 1) % ring) * L, 1)
     for l in range(width):
-        w[at.WHEEL_SEEN + l] = w[at.WORK_0 + l] + share * (w[at.WORK_1 + l] - w[at.WORK_0 + l])
-    copy(w, at.SEEN_E_Y, w, at.E_Y, 4)
-    if setting[at.CAMERA] == 0.0:
+        w[data.WHEEL_SEEN + l] = w[data.WORK_0 + l] + share * (w[data.WORK_1 + l] - w[data.WORK_0 + l])
+    copy(w, data.SEEN_E_Y, w, data.E_Y, 4)
+    if setting[data.CAMERA] == 0.0:
         return
     _take_frames(setting, k, w)
     frames, _, _, _ = rings(setting)
-    draws, lane = at.WORK_2, at.POINTS  # what is worked on together lies in one array
-    copy(w, at.WORK_0, w, frames + 2 * (k % int(setting[at.FRAME_RING])) * L, 2)
-    if setting[at.NOISE_Y] + setting[at.NOISE_PSI] > 0.0:
-        copy(w, draws, noise, noise_at, 2)
+    draws, lane = data.WORK_2, data.POINTS  # what is worked on together lies in one array
+    copy(w, data.WORK_0, w, frames + 2 * (k % int(setting[data.FRAME_RING])) * L, 2)
+    if setting[data.NOISE_Y] + setting[data.NOISE_PSI] > 0.0:
+        copy(w, draws, noise, noise_offset, 2)
     else:
         for n in range(2 * L):
             w[draws + n] = 0.0
     for n in range(2):
-        spread, bias, step = setting[at.NOISE_Y + n], setting[at.BIAS_Y + n], setting[at.STEP_Y + n]
+        spread, bias, step = setting[data.NOISE_Y + n], setting[data.BIAS_Y + n], setting[data.STEP_Y + n]
         for l in range(width):
-            w[at.WORK_0 + l] += fma(w[at.OUTWARD + l], bias, spread * w[draws + l])
+            w[data.WORK_0 + l] += fma(w[data.OUTWARD + l], bias, spread * w[draws + l])
         if step > 0.0:
             for l in range(L):
-                w[at.WORK_0 + l] = step * np.rint(w[at.WORK_0 + l] / step)
-        copy(w, at.SEEN_E_Y + 2 * n * L, w, at.WORK_0, 1)
-        copy(w, at.WORK_0, w, at.WORK_1, 1)
+                w[data.WORK_0 + l] = step * np.rint(w[data.WORK_0 + l] / step)
+        copy(w, data.SEEN_E_Y + 2 * n * L, w, data.WORK_0, 1)
+        copy(w, data.WORK_0, w, data.WORK_1, 1)
         copy(w, draws, w, draws + L, 1)
-    if setting[at.FILTERED] == 0.0:
+    if setting[data.FILTERED] == 0.0:
         return
-    young = at.RINGS + ((k - 1 - int(setting[at.KNOWN_DELAY])) % ring) * L
-    old = at.RINGS + ((k - 2 - int(setting[at.KNOWN_DELAY])) % ring) * L
-    copy(w, lane, ahead, ahead_at, 1)
+    young = data.RINGS + ((k - 1 - int(setting[data.KNOWN_DELAY])) % ring) * L
+    old = data.RINGS + ((k - 2 - int(setting[data.KNOWN_DELAY])) % ring) * L
+    copy(w, lane, preview, preview_offset, 1)
     if k > 0:
         copy(w, draws, w, young, 1)
         copy(w, draws + L, w, old, 1)
-        copy(w, at.POINTS + L, w, at.ESTIMATE, 4)
+        copy(w, data.POINTS + L, w, data.ESTIMATE, 4)
         _predict(w, 0, width)
         _predict(w, 1, width)
         _predict(w, 2, width)
         _predict(w, 3, width)
     if k == 0 or frame_of(setting, k) != frame_of(setting, k - 1):
         for l in range(width):
-            w[at.WORK_0 + l] = w[at.SEEN_E_Y + l] - w[at.ESTIMATE + l]
-            w[at.WORK_1 + l] = w[at.SEEN_E_PSI + l] - w[at.ESTIMATE + 2 * L + l]
+            w[data.WORK_0 + l] = w[data.SEEN_E_Y + l] - w[data.ESTIMATE + l]
+            w[data.WORK_1 + l] = w[data.SEEN_E_PSI + l] - w[data.ESTIMATE + 2 * L + l]
         _correct(w, 0, width)
         _correct(w, 1, width)
         _correct(w, 2, width)
         _correct(w, 3, width)
-    copy(w, at.LANE_RATE_SEEN, w, lane, 1)
-    copy(w, at.SEEN_E_Y, w, at.ESTIMATE, 4)
+    copy(w, data.LANE_RATE_SEEN, w, lane, 1)
+    copy(w, data.SEEN_E_Y, w, data.ESTIMATE, 4)
 
 
 @numba.njit(**OPTIONS)
-def command(setting, w, k, g, ahead, ahead_at, lookaheads, past):
+def command(setting, w, k, lane_weights, preview, preview_offset, lookaheads, past):
     """Command of a linear law, as in `exact_lanes`, into `COMMAND`; once a sample, since it integrates e_y."""
-    width = int(setting[at.WIDTH])
+    width = int(setting[data.WIDTH])
     for l in range(width):
-        w[at.COMMAND + l] = w[at.F_I + l] * w[at.E_Y_INTEGRAL + l]
-        w[at.E_Y_INTEGRAL + l] = fma(setting[at.DT], w[at.SEEN_E_Y + l], w[at.E_Y_INTEGRAL + l])
+        w[data.COMMAND + l] = w[data.F_I + l] * w[data.E_Y_INTEGRAL + l]
+        w[data.E_Y_INTEGRAL + l] = fma(setting[data.DT], w[data.SEEN_E_Y + l], w[data.E_Y_INTEGRAL + l])
     for j in range(2 * lookaheads + past):
-        copy(w, at.WORK_0, g, j * L, 1)
+        copy(w, data.WORK_0, lane_weights, j * L, 1)
         if j < 2 * lookaheads:
-            copy(w, at.WORK_1, ahead, ahead_at + (1 + j) * L, 1)
+            copy(w, data.WORK_1, preview, preview_offset + (1 + j) * L, 1)
         else:
-            copy(w, at.WORK_1, w, at.RINGS + ((k - 2 - j + 2 * lookaheads) % int(setting[at.COMMAND_RING])) * L, 1)
+            copy(
+                w, data.WORK_1, w, data.RINGS + ((k - 2 - j + 2 * lookaheads) % int(setting[data.COMMAND_RING])) * L, 1
+            )
         for l in range(width):
-            w[at.COMMAND + l] = fma(w[at.WORK_0 + l], w[at.WORK_1 + l], w[at.COMMAND + l])
+            w[data.COMMAND + l] = fma(w[data.WORK_0 + l], w[data.WORK_1 + l], w[data.COMMAND + l])
     for l in range(width):
-        value = fma(w[at.F_U + l], w[at.LAST_COMMAND + l], w[at.COMMAND + l])
-        value = fma(w[at.F_E_Y + l], w[at.SEEN_E_Y + l], fma(w[at.F_E_Y_RATE + l], w[at.SEEN_E_Y_RATE + l], value))
-        value = fma(w[at.F_E_PSI + l], w[at.SEEN_E_PSI + l], value)
-        value = fma(w[at.F_E_PSI_RATE + l], w[at.SEEN_E_PSI_RATE + l], value)
-        value = fma(w[at.F_WHEEL + l], w[at.WHEEL_SEEN + l], value)
+        value = fma(w[data.F_U + l], w[data.LAST_COMMAND + l], w[data.COMMAND + l])
+        value = fma(
+            w[data.F_E_Y + l], w[data.SEEN_E_Y + l], fma(w[data.F_E_Y_RATE + l], w[data.SEEN_E_Y_RATE + l], value)
+        )
+        value = fma(w[data.F_E_PSI + l], w[data.SEEN_E_PSI + l], value)
+        value = fma(w[data.F_E_PSI_RATE + l], w[data.SEEN_E_PSI_RATE + l], value)
+        value = fma(w[data.F_WHEEL + l], w[data.WHEEL_SEEN + l], value)
         wrong = not abs(value) < LARGEST_FLOAT
-        alive, last = w[at.ALIVE + l], w[at.LAST_COMMAND + l]
-        w[at.FAILED + l] += alive if wrong else 0.0
-        w[at.COMMAND + l] = last if wrong else value
+        alive, last = w[data.ALIVE + l], w[data.LAST_COMMAND + l]
+        w[data.FAILED + l] += alive if wrong else 0.0
+        w[data.COMMAND + l] = last if wrong else value

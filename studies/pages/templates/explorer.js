@@ -10,7 +10,7 @@
   const shown = E.designs.map((_, i) => i < 3);
   const select = document.getElementById("departure"), area = document.getElementById("paths");
   const body = document.querySelector("#departure-table tbody");
-  E.departures.forEach((one, k) => select.append(LDC.element("option", {value: k}, one.name)));
+  E.departures.forEach((departure, k) => select.append(LDC.element("option", {value: k}, departure.name)));
   const W = 420, H = 220, L = 52, R = 10, T = 8, B = 42;
 
   function curves(name, k) {
@@ -35,10 +35,10 @@
     return found;
   }
   // the first scale that holds everything drawn
-  const scale = (scales, low, high) => scales.find((one) => one.low <= low && high <= one.high) || scales[scales.length - 1];
+  const scale = (scales, low, high) => scales.find((candidate) => candidate.low <= low && high <= candidate.high) || scales[scales.length - 1];
 
   function panel(name, title, k, end) {
-    const found = curves(name, k), all = found.flatMap((one) => one.v);
+    const drawn = curves(name, k), all = drawn.flatMap((curve) => curve.v);
     const x = scale(E.scales.t, 0, end);
     const y = scale(E.scales[name], Math.min(0, ...all), Math.max(0, ...all));
     const px = (t) => L + (W - L - R) * (t - x.low) / (x.high - x.low);
@@ -58,10 +58,10 @@
     svg.append(LDC.element("path", {class: "grid", "stroke-dasharray": "3 3", d: `M${px(duration[k])} ${T}V${H - B}`}));
     svg.append(LDC.element("text", {class: "soft", x: (L + W - R) / 2, y: H - 6, "text-anchor": "middle"}, "Time since the crossing [s]"));
     svg.append(LDC.element("text", {class: "soft", transform: `translate(12 ${(T + H - B) / 2}) rotate(-90)`, "text-anchor": "middle"}, title));
-    for (const one of found) {
-      const d = one.t.map((t, j) => `${j ? "L" : "M"}${px(t).toFixed(1)} ${py(one.v[j]).toFixed(1)}`).join("");
-      const path = LDC.element("path", {class: `curve ${one.style}`, d, "stroke-dasharray": one.dash || "none"});
-      path.append(LDC.element("title", {}, one.name));
+    for (const curve of drawn) {
+      const d = curve.t.map((t, j) => `${j ? "L" : "M"}${px(t).toFixed(1)} ${py(curve.v[j]).toFixed(1)}`).join("");
+      const path = LDC.element("path", {class: `curve ${curve.style}`, d, "stroke-dasharray": curve.dash || "none"});
+      path.append(LDC.element("title", {}, curve.name));
       svg.append(path);
     }
     const box = LDC.element("div", {class: "panel"});
@@ -76,14 +76,14 @@
     for (let i = 0; i < c; i++) if (shown[i] && count[i * p + k]) end = Math.max(end, start[i * p + k] + (count[i * p + k] - 1) * E.step);
     area.replaceChildren(panel("y", "Edge beyond the line [m]", k, end), panel("a_y", "Lateral acceleration [m/s²]", k, end),
       panel("delta", "Steering angle [°]", k, end));
-    body.replaceChildren(...E.designs.map((one, i) => {
+    body.replaceChildren(...E.designs.map((design, i) => {
       const row = LDC.element("tr"), head = LDC.element("th", {scope: "row"}), label = LDC.element("label");
       const box = LDC.element("input", {type: "checkbox"});
       box.checked = shown[i];
       box.addEventListener("change", () => { shown[i] = box.checked; draw(); body.rows[i].querySelector("input").focus(); });
       const key = LDC.element("svg", {width: 26, height: 12, class: "key", "aria-hidden": "true"});
-      key.append(LDC.element("path", {class: `curve ${one.style}`, d: "M0 6H26", "stroke-dasharray": one.dash || "none"}));
-      label.append(box, key, `${one.name} (${one.why})`);
+      key.append(LDC.element("path", {class: `curve ${design.style}`, d: "M0 6H26", "stroke-dasharray": design.dash || "none"}));
+      label.append(box, key, `${design.name} (${design.why})`);
       head.append(label);
       row.append(head);
       E.facts[i][k].forEach((text, j) => row.append(LDC.element("td", j < 4 ? {class: "n"} : {}, text)));

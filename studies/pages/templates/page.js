@@ -3,10 +3,10 @@ const LDC = {
   data: JSON.parse(document.getElementById("data").textContent),
   types: {f4: Float32Array, i4: Int32Array, i2: Int16Array, u2: Uint16Array, i1: Int8Array, u1: Uint8Array},
   svg: (document.querySelector("svg") || document.body).namespaceURI,
-  numbers(one) {
-    const raw = atob(one.data), bytes = new Uint8Array(raw.length);
+  numbers(packed) {
+    const raw = atob(packed.data), bytes = new Uint8Array(raw.length);
     for (let i = 0; i < raw.length; i++) bytes[i] = raw.charCodeAt(i);
-    return new LDC.types[one.type](bytes.buffer);
+    return new LDC.types[packed.type](bytes.buffer);
   },
   element(name, attributes, text) {
     const svg = ["svg", "path", "text", "circle", "g", "title"].includes(name);

@@ -12,7 +12,7 @@ for (const table of document.querySelectorAll("table[data-sortable]")) {
     button.addEventListener("click", () => {
       const down = head.getAttribute("aria-sort") === "ascending";
       const numeric = rows.some((row) => !isNaN(value(row, j)));
-      heads.forEach((one) => one.removeAttribute("aria-sort"));
+      heads.forEach((head) => head.removeAttribute("aria-sort"));
       head.setAttribute("aria-sort", down ? "descending" : "ascending");
       const sign = down ? -1 : 1;
       const order = [...rows].sort((a, b) => {

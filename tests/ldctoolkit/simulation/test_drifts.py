@@ -49,27 +49,29 @@ def motion(v: float, rate: float, radius: float, distance: float, t: np.ndarray)
 def test_without_control_it_is_an_arc_and_a_straight_line(row: int) -> None:
     """By integration of the heading: position to 1e-6 m, rate to 1e-6 m/s, acceleration to 1e-6 m/s^2."""
     t, path = np.linspace(0.0, T, 2001), path_of(drifts([row]))
-    found = [curve(t[None, :])[0] for curve in (path.lateral, path.lateral_rate, path.lateral_acceleration)]
-    np.testing.assert_allclose(found, motion(*ALL[row], t), atol=1e-6, rtol=0)
+    values = [curve(t[None, :])[0] for curve in (path.lateral, path.lateral_rate, path.lateral_acceleration)]
+    np.testing.assert_allclose(values, motion(*ALL[row], t), atol=1e-6, rtol=0)
     np.testing.assert_array_equal(path.lateral(np.array([[-1.0]])), [[-ALL[row, 3]]])  # straight along the lane before
 
 
 def test_the_score_is_the_integral_of_the_distance_to_the_middle() -> None:
     """By a trapezoid rule of 300,001 points, to 1e-7; what is before the trigger to 1e-6 m s."""
     t, out = np.linspace(0.0, T, 300_001), simulate(NoControl(), drifts(), y_s=-0.3)
-    e_y = np.array([motion(*one, t)[0] for one in ALL]) + EDGE
+    e_y = np.array([motion(*drift, t)[0] for drift in ALL]) + EDGE
     np.testing.assert_allclose(out.S, np.trapezoid(np.abs(e_y), t), rtol=1e-7)
     np.testing.assert_allclose(out.S_uncorrected, out.S, rtol=1e-12)
     law = [simulate(LQR(), drifts(), y_s=-0.3, window=window) for window in ("departure", "control")]
     grids = np.linspace(0.0, law[0].t_s, 300_001).T
-    before = [np.trapezoid(np.abs(motion(*one, grid)[0] + EDGE), grid) for one, grid in zip(ALL, grids, strict=True)]
+    before = [
+        np.trapezoid(np.abs(motion(*drift, grid)[0] + EDGE), grid) for drift, grid in zip(ALL, grids, strict=True)
+    ]
     np.testing.assert_allclose(law[0].S - law[1].S, before, atol=1e-6)
 
 
 def test_without_control_it_is_deepest_at_the_end_and_never_back() -> None:
     """The front tyre is l_f times the heading further out: the small angle of a vehicle that goes straight on."""
     out = simulate(NoControl(), drifts(), y_s=9.0)
-    deepest = np.array([motion(*one, np.array([T]))[0][0] for one in ALL])
+    deepest = np.array([motion(*drift, np.array([T]))[0][0] for drift in ALL])
     np.testing.assert_allclose(out.metrics.deepest, deepest, atol=1e-6)
     np.testing.assert_allclose(drifts().d_y, deepest, atol=1e-6)
     np.testing.assert_allclose(-out.metrics.dtle, deepest + 1.43 * ALL[:, 1] / ALL[:, 0], atol=1e-6)
@@ -121,7 +123,7 @@ def test_parabolas_trigger_by_the_time_to_line_crossing(y_s: float, ahead: float
     """To 1e-9 s; a departure begins at the line, so a trigger before it is at once."""
     duration, d_y, v, a = np.array([3.0, 5.0, 2.0]), np.array([0.3, 0.5, 0.25]), 22.0, np.array([0.0, 0.8, -1.0])
     given = Scenarios.from_arrays(T=duration, d_y=d_y, v_mean=v, a_mean=a)
-    found = simulate(LQR(), given, y_s=y_s, setup=setup_of(ahead)).t_s
+    t_s = simulate(LQR(), given, y_s=y_s, setup=setup_of(ahead)).t_s
     for i in range(3):
 
         def value(t: float) -> float:
@@ -130,7 +132,7 @@ def test_parabolas_trigger_by_the_time_to_line_crossing(y_s: float, ahead: float
             return 4 * d_y[i] * (s * (1 - s) + ahead * rate * (1 - 2 * s))  # noqa: B023
 
         expected = first(value, y_s, duration[i])
-        assert found[i] == pytest.approx(expected, abs=1e-9)
+        assert t_s[i] == pytest.approx(expected, abs=1e-9)
         assert y_s > 0 or expected == 0.0
 
 
@@ -139,16 +141,16 @@ def test_parabolas_with_residuals_trigger_by_the_time_to_line_crossing() -> None
     given = Scenarios.from_arrays(T=[4.0, 6.0], d_y=[0.35, 0.5], v_mean=25.0, sigma_y=[0.04, 0.03], sigma_v=0.2)
     residuals = Residuals(y=True, v=True)
     setup = setup_of(0.6, options=PlantOptions(residuals=residuals), seed=3)
-    found = simulate(LQR(), given, y_s=0.4, setup=setup).t_s
+    t_s = simulate(LQR(), given, y_s=0.4, setup=setup).t_s
     for i in range(2):
-        one = path_of(given, residuals).take([i])
+        single = path_of(given, residuals).take([i])
 
         def value(t: float) -> float:
-            y = one.lateral(t + np.array([[-1e-6, 0.0, 1e-6]]))[0]  # noqa: B023
+            y = single.lateral(t + np.array([[-1e-6, 0.0, 1e-6]]))[0]  # noqa: B023
             return y[1] + 0.6 * (y[2] - y[0]) / 2e-6
 
-        assert found[i] == pytest.approx(first(value, 0.4, given.T[i]), abs=1e-7)
-    assert (found > 0.05).all()
+        assert t_s[i] == pytest.approx(first(value, 0.4, given.T[i]), abs=1e-7)
+    assert (t_s > 0.05).all()
 
 
 def test_recorded_signals_trigger_on_the_smooth_path_nearest_to_them() -> None:

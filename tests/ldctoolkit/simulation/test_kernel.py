@@ -21,8 +21,10 @@ from helpers.errors import refused
 from ldctoolkit import Controller, EventStatus, Scenarios, simulate
 from ldctoolkit.controllers import LQR, LinearMPC, NoControl, PreviewProportional
 from ldctoolkit.errors import NOT_GIVEN
-from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Sensors
+from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
+from ldctoolkit.setup import Setup
 from ldctoolkit.simulation import Takeover, drive, drive_many
+from ldctoolkit.vehicle import Convention
 
 ONE_BY_ONE = PlantOptions(actuator=Actuator(delta_max=1e9))  # the ideal plant in effect, driven by the Runge-Kutta loop
 
@@ -74,11 +76,11 @@ def test_dropping_ended_scenarios_changes_no_bit() -> None:
     scenarios = make_scenarios(100, seed=7)
     camera = PlantOptions(sensors=Sensors(delay=0.1, kalman=KalmanFilter()))
     for options, inner in ((camera, CLOSED["preview"]), (PlantOptions(), CLOSED["unstable"])):
-        kept, dropped = (
+        whole, dropped = (
             simulate(Stepped(inner, drops=drops), scenarios, y_s=0.05, settle=0.4, options=options)
             for drops in (False, True)
         )
-        assert_same_rows(dropped, kept)
+        assert_same_rows(dropped, whole)
 
 
 # the same bits
@@ -106,9 +108,9 @@ def test_threads_change_no_bit(options: str, design: str) -> None:
     """More scenarios than a thread takes at a time, and a last stretch that is shorter."""
     over = takeover(with_residuals(make_scenarios(1210, seed=3)), OPTIONS[options], settle=0.1)
     assert over.m > 1100
-    one, *others = (drive(DESIGNS[design], over, threads=threads) for threads in (1, 2, 3))
-    for other in others:
-        assert_same_rows(other, one)
+    single_threaded, *several_threads = (drive(DESIGNS[design], over, threads=threads) for threads in (1, 2, 3))
+    for run in several_threads:
+        assert_same_rows(run, single_threaded)
 
 
 @pytest.mark.parametrize(
@@ -240,14 +242,14 @@ def test_chosen_trajectories_are_rows_of_all(options: str, design: str) -> None:
     never = np.flatnonzero(np.isinf(over.t_s))
     assert never.size > 2
     started = np.flatnonzero(np.isfinite(over.t_s))
-    chosen = np.array([started[20], never[1], started[3], started[-1], never[0], started[0]])
-    for rows in (chosen, chosen.tolist(), chosen[:1], [], chosen.astype(np.uint8), never):
+    mixed_rows = np.array([started[20], never[1], started[3], started[-1], never[0], started[0]])
+    for rows in (mixed_rows, mixed_rows.tolist(), mixed_rows[:1], [], mixed_rows.astype(np.uint8), never):
         run = drive(DESIGNS[design], over, trajectories=rows, threads=2)
         assert_same_rows(run, bare)
         paths = run.trajectories
         np.testing.assert_array_equal(paths.rows, rows)
         length = paths.t.shape[1]
-        for name in ("t", "x", "delta"):
+        for name in ("t", "x", "delta", "a_y"):
             ours, theirs = getattr(paths, name), getattr(every.trajectories, name)[paths.rows]
             np.testing.assert_array_equal(ours, theirs[:, :length])
             assert np.isnan(theirs[:, length:]).all()
@@ -257,8 +259,8 @@ def test_chosen_trajectories_are_rows_of_all(options: str, design: str) -> None:
             np.testing.assert_array_equal(missing, np.isnan(paths.t))
         first = np.where(np.isin(paths.rows, never), np.nan, over.t_s[paths.rows])
         np.testing.assert_array_equal(paths.t[:, 0], first)
-    one = drive(DESIGNS[design], over, trajectories=4).trajectories
-    np.testing.assert_array_equal(one.rows, [4])
+    single = drive(DESIGNS[design], over, trajectories=4).trajectories
+    np.testing.assert_array_equal(single.rows, [4])
 
 
 @pytest.mark.parametrize(
@@ -285,6 +287,61 @@ def test_the_end_of_the_departure_is_an_entry_once() -> None:
                 samples = np.arange(t.size) * 0.05
                 expected = np.unique(np.round(np.append(samples[samples < T + settle - 1e-9], [T, T + settle]), 9))
                 np.testing.assert_allclose(t, expected, rtol=0, atol=1e-9)
+
+
+PLANTS = {
+    "ideal": PlantOptions(),
+    "profile": PlantOptions(speed="profile", residuals=Residuals(y=True, v=True)),
+    "lag": PlantOptions(actuator=Actuator(lag=0.1, rate_max=0.5)),
+    "whole delay": PlantOptions(actuator=Actuator(delay=0.1)),
+    "part of a delay": PlantOptions(actuator=Actuator(delay=0.07)),
+    "different vehicles": PlantOptions(mismatch=Mismatch(m=(0.8, 1.3), C_af=(0.7, 1.2))),
+    "tyres": PlantOptions(
+        tyres=Tyres(model="magic_formula", mu=0.5), speed="profile", mismatch=Mismatch(mu=(0.6, 1.0))
+    ),
+}
+
+
+def driven(controller: Controller, options: PlantOptions, convention: Convention = "consistent") -> Any:
+    scenarios = with_residuals(make_scenarios(30, seed=12))
+    over = Takeover.build(scenarios, Setup(convention=convention, options=options, seed=3), y_s=0.05)
+    run = drive(controller, over, trajectories=True)
+    paths = run.trajectories
+    assert paths is not None
+    return over, run, *(values[over.rows] for values in (paths.t, paths.x, paths.delta, paths.a_y))
+
+
+@pytest.mark.parametrize("plant", PLANTS)
+@pytest.mark.parametrize("controller", [LQR(r_delta=100.0), LinearMPC(r_delta=100.0)], ids=["linear", "steps"])
+def test_the_largest_acceleration_of_a_path_is_the_stored_peak(plant: str, controller: Controller) -> None:
+    over, run, t, _, _, a_y = driven(controller, PLANTS[plant])
+    assert over.m > 8
+    # T between two samples is no sample of the closed loop: its peak leaves it out
+    since = (t - t[:, :1]) / over.setup.dt
+    last = t == np.nanmax(t, axis=1, keepdims=True)
+    sample = (np.abs(since - np.rint(since)) < 1e-7) | last
+    peak = np.nanmax(np.where(sample, np.abs(a_y), np.nan), axis=1)
+    stored = run.metrics.a_y_peak
+    # where the wheel jumps at a sample, the loop sees both sides
+    assert (peak <= stored).all()
+    if plant in ("lag", "part of a delay"):
+        assert peak == pytest.approx(stored, rel=1e-9, abs=1e-9)
+    assert np.array_equal(np.isnan(a_y), np.isnan(t))
+
+
+@pytest.mark.parametrize("options", [PlantOptions(), ONE_BY_ONE], ids=["exact", "Runge-Kutta"])
+@pytest.mark.parametrize("convention", ["consistent", "as_printed"])
+def test_acceleration_of_a_path_is_that_of_the_linear_model(options: PlantOptions, convention: Convention) -> None:
+    over, _, t, x, delta, a_y = driven(PreviewProportional(), options, convention)
+    v = over.plant.v
+    lane = v[:, None] * over.driven.curvature(np.where(np.isnan(t), 0.0, t))
+    A, B, E = over.setup.model.matrices(v)
+    # Rajamani, eq. 2.45, the row of d2e_y/dt2; a_y = d2e_y/dt2 + v dpsi_l/dt
+    free = np.sum(A[:, None, 1] * np.nan_to_num(x), axis=-1) + (E[:, 1] + v)[:, None] * lane
+    wheel = np.column_stack([delta[:, 0], delta])
+    held = np.where(np.isnan(delta), wheel[:, :-1], delta)
+    finite = np.isfinite(t)
+    assert a_y[finite] == pytest.approx((free + B[:, 1:2] * held)[finite], abs=1e-9)
 
 
 @pytest.mark.parametrize("threads", [0, 2.5, "2", True])

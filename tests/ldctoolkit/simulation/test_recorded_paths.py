@@ -38,8 +38,8 @@ def curvature(t: np.ndarray) -> np.ndarray:
 def recording(side: int) -> Recording:
     """Of a vehicle that leaves its lane to a side, in a bend to that side at first."""
     offset = depth(T) + 0.5 * (LANE - WIDTH)
-    one = np.ones(T.size)
-    return Recording("ab"[side < 0], T, side * offset, LANE * one, speed(T), one > 0, curvature=side * curvature(T))
+    ones = np.ones(T.size)
+    return Recording("ab"[side < 0], T, side * offset, LANE * ones, speed(T), ones > 0, curvature=side * curvature(T))
 
 
 @pytest.fixture(scope="module")
@@ -94,10 +94,10 @@ def test_control_starts_where_the_recorded_path_crosses_the_threshold(departures
         return
     b = beyond[0]
     t_s = t[b - 1] + (y_s - y[b - 1]) / (y[b] - y[b - 1]) * (t[b] - t[b - 1])
-    kept = outcome.trajectories
-    assert kept is not None
-    np.testing.assert_allclose(kept.t[:, 0], t_s, atol=1e-9)
-    np.testing.assert_allclose(kept.x[:, 0, 0], y_s + 0.5 * (LANE - WIDTH), atol=1e-9)
+    paths = outcome.trajectories
+    assert paths is not None
+    np.testing.assert_allclose(paths.t[:, 0], t_s, atol=1e-9)
+    np.testing.assert_allclose(paths.x[:, 0, 0], y_s + 0.5 * (LANE - WIDTH), atol=1e-9)
     np.testing.assert_allclose(outcome.S[0], outcome.S[1], rtol=1e-9)  # the mirror image
     before = np.trapezoid(np.append(y[:b], y_s) + 0.5 * (LANE - WIDTH), np.append(t[:b], t_s))
     control = simulate(LQR(), scenarios, setup=SETUP, y_s=y_s, window="control")
@@ -113,8 +113,8 @@ def test_slopes_come_from_a_smooth_fit(departures: Departures) -> None:
     assert signals is not None
     noisy = dataclasses.replace(signals, y=signals.y + 0.01 * np.random.default_rng(1).standard_normal(signals.y.size))
     rates = []
-    for one in (signals, noisy):
-        scenarios = Scenarios.from_departures(dataclasses.replace(departures, signals=one), path="recorded")
+    for recorded in (signals, noisy):
+        scenarios = Scenarios.from_departures(dataclasses.replace(departures, signals=recorded), path="recorded")
         path = UncorrectedPath.of(scenarios, Residuals(), seed=0)
         t = np.tile(np.linspace(0.5, 3.5, 31), (2, 1))
         rates.append((path.lateral_rate(t), path.lateral_acceleration(t)))

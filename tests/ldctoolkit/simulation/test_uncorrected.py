@@ -258,9 +258,9 @@ def test_crossing_equals_brute_force(residuals: Residuals, y_s: float) -> None:
         outwards = path.lateral_rate(np.zeros(path.n)) > 0.0
         np.testing.assert_array_equal(crossing == 0.0, outwards)
     # there y = y_s, to 1e-13 s of its slope and rounding
-    found = path.take(rows)
-    slope = np.abs(found.lateral_rate(crossing[rows]))
-    assert np.all(np.abs(found.lateral(crossing[rows]) - y_s) <= 1e-13 * slope + 1e-15)
+    crossed = path.take(rows)
+    slope = np.abs(crossed.lateral_rate(crossing[rows]))
+    assert np.all(np.abs(crossed.lateral(crossing[rows]) - y_s) <= 1e-13 * slope + 1e-15)
 
 
 def test_a_peak_inside_one_cell_is_a_crossing() -> None:

@@ -167,8 +167,8 @@ def test_matrices_and_steady_cornering_equal_one_model_each(convention: Conventi
     A, B, E = true.matrices(v, convention)
     steady = true.steady_state(v, convention)
     for i in range(40):
-        own = {name: float(getattr(true, name)[i]) for name in NAMES[:4]}
-        model = BicycleModel(VehicleParameters(**own, l_f=NOMINAL.l_f, l_r=NOMINAL.l_r), convention)
+        values = {name: float(getattr(true, name)[i]) for name in NAMES[:4]}
+        model = BicycleModel(VehicleParameters(**values, l_f=NOMINAL.l_f, l_r=NOMINAL.l_r), convention)
         for ours, theirs in zip((A[i], B[i], E[i]), model.matrices(v[i]), strict=True):
             np.testing.assert_array_equal(ours, theirs[0])
         assert steady.delta[i] == model.steady_state(v[i]).delta[0]

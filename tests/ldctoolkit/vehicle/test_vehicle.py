@@ -1,7 +1,6 @@
 """The vehicle: linear bicycle, saturating tyres, speeds."""
 
 import dataclasses
-import inspect
 import math
 from collections.abc import Callable
 from typing import Any
@@ -17,12 +16,12 @@ from scipy.integrate import quad, solve_ivp
 from vehiclemodels.vehicle_dynamics_st import vehicle_dynamics_st
 from vehiclemodels.vehicle_parameters import setup_vehicle_parameters
 
-from helpers.cli import tool
 from helpers.closed_loop import grid
 from helpers.errors import refused
 from ldctoolkit import BicycleModel, VehicleParameters
+from ldctoolkit.controllers._nmpc_solver import accelerations
 from ldctoolkit.errors import LdcError
-from ldctoolkit.vehicle import _nonlinear_compiled, discretize
+from ldctoolkit.vehicle import discretize
 from ldctoolkit.vehicle.bicycle import GRAVITY
 from ldctoolkit.vehicle.discretization import expm
 from ldctoolkit.vehicle.speed_schedule import SPEED_RANGE, scheduled
@@ -144,15 +143,10 @@ def test_defaults_are_table_i() -> None:
     assert dataclasses.asdict(VehicleParameters()) == table | {"steering_ratio": 15}
 
 
-INPUTS, PARAMETERS = tool("nonlinear_plant").INPUTS, tool("nonlinear_plant").PARAMETERS
-DYNAMICS = tool("nonlinear_plant").nonlinear_dynamics()
-SYMBOLS = [casadi.SX.sym(name) for name in DYNAMICS.name_in()]
-JACOBIAN = casadi.Function(
-    "J", SYMBOLS, [casadi.jacobian(casadi.vertcat(*DYNAMICS(*SYMBOLS)), casadi.vertcat(*SYMBOLS[:5]))]
-)
-
-nonlinear_rhs = _nonlinear_compiled.nonlinear_rhs.py_func
-"""The generated lines as Python evaluates them; compiled they are tested in the closed loop."""
+MOTION, V, VEHICLE = casadi.SX.sym("motion", 5), casadi.SX.sym("v"), casadi.SX.sym("vehicle", 8)
+ACCELERATIONS = casadi.vertcat(*accelerations(casadi.vertcat(0.0, MOTION[:3]), MOTION[3], MOTION[4], V, VEHICLE))
+PLANT = casadi.Function("plant", [MOTION, V, VEHICLE], [ACCELERATIONS])
+JACOBIAN = casadi.Function("J", [MOTION, V, VEHICLE], [casadi.jacobian(ACCELERATIONS, MOTION)])
 
 MU, SHAPE = 0.9, 1.3
 
@@ -168,9 +162,14 @@ def grip(p: VehicleParameters, mu: float) -> npt.NDArray[np.float64]:
     return mu * p.m * 9.81 * np.array([p.l_r, p.l_f]) / length
 
 
+def nonlinear(motion: Any, v: float, p: VehicleParameters, mu: float = MU, shape: float = SHAPE) -> np.ndarray:
+    """e_y'', e_psi'' and a_y of the nonlinear bicycle in a motion (e_y', e_psi, e_psi', delta, r)."""
+    return PLANT(motion, v, numbers(p, mu, shape)).full().ravel()
+
+
 def axle_forces(motion: Any, v: float, p: VehicleParameters, mu: float, shape: float = SHAPE) -> np.ndarray:
     """Front force along the wheel's axis and rear force, from the accelerations that they cause."""
-    _, yaw, a_y = nonlinear_rhs(*motion, v, 0.0, *numbers(p, mu, shape))
+    _, yaw, a_y = nonlinear(motion, v, p, mu, shape)
     front, rear = p.m * a_y * p.l_r + p.I_z * yaw, p.m * a_y * p.l_f - p.I_z * yaw
     return np.array([front / math.cos(motion[3]), rear]) / (p.l_f + p.l_r)
 
@@ -184,45 +183,27 @@ motions = st.tuples(*(st.floats(-size, size) for size in (5.0, 0.5, 1.0, 0.6, 0.
 speeds, friction, shapes = st.floats(2.0, 60.0), st.floats(0.05, 1.5), st.floats(1.0, 2.0)
 
 
-def test_the_compiled_function_has_the_order_of_casadis() -> None:
-    assert list(inspect.signature(nonlinear_rhs).parameters) == [*INPUTS, *PARAMETERS]
-    assert list(DYNAMICS.name_in()) == [*INPUTS, *PARAMETERS]
-
-
-@given(motion=motions, v=speeds, dv=st.floats(-5.0, 5.0), p=vehicles, mu=friction, shape=shapes)
-def test_compiled_is_casadis(motion: Any, v: float, dv: float, p: VehicleParameters, mu: float, shape: float) -> None:
-    arguments = (*motion, v, dv, *numbers(p, mu, shape))
-    ours, theirs = np.array(nonlinear_rhs(*arguments)), np.array(DYNAMICS(*arguments)).ravel()
-    # relative to the terms that are added up: where they cancel, nothing is left to be relative to
-    front, rear = grip(p, mu)
-    force = (front + rear) / p.m
-    size = np.array([force + v * (abs(motion[2]) + abs(motion[4])), (p.l_f * front + p.l_r * rear) / p.I_z, force])
-    assert np.all(np.abs(ours - theirs) <= 1e-13 * (np.abs(theirs) + size))
-
-
 @pytest.mark.parametrize("p", [VehicleParameters(), OTHER])
 @pytest.mark.parametrize("v", [3.0, 13.7, 28.0, 60.0])
 @pytest.mark.parametrize(("mu", "shape"), [(0.9, 1.3), (0.3, 1.9)])
 def test_straight_driving_has_rajamanis_matrices(p: VehicleParameters, v: float, mu: float, shape: float) -> None:
-    dv = -0.7
-    J = np.array(JACOBIAN(0.0, 0.0, 0.0, 0.0, 0.0, v, dv, *numbers(p, mu, shape)))
+    J = np.array(JACOBIAN(np.zeros(5), v, numbers(p, mu, shape)))
     A, B, E = (matrix[0] for matrix in BicycleModel(p).matrices(v))
     force = np.array([1 / v, 1.0, (p.l_f + p.l_r) / v, 1.0, (p.l_f + p.l_r) / v]) * 2 * (p.C_af + p.C_ar)
     for row, ours, terms in ((1, J[0], force / p.m + v), (3, J[1], force * (p.l_f + p.l_r) / p.I_z)):
         expected = np.array([*A[row, 1:], B[row], E[row]])
-        if row == 1:
-            expected[1] += dv  # the heading error turns the speed's rate into the lane's frame
         # to rounding of the axles' terms, which nearly cancel in a neutral vehicle
         assert np.all(np.abs(ours - expected) <= 1e-15 * terms)
-    # a_y is what is left of e_y'' when the frame's own motion is taken out: v r, and dv turned by e_psi
-    np.testing.assert_allclose(J[2], J[0] + [0.0, -dv, 0.0, 0.0, v], rtol=1e-12, atol=1e-11)
+    # e_y'' is relative to the lane's frame, which turns with r
+    np.testing.assert_allclose(J[2], J[0] + [0.0, 0.0, 0.0, 0.0, v], rtol=1e-12, atol=1e-11)
 
 
-@given(motion=motions, v=speeds, dv=st.floats(-5.0, 5.0), p=vehicles, mu=friction, shape=shapes)
-def test_mirrored_motions(motion: Any, v: float, dv: float, p: VehicleParameters, mu: float, shape: float) -> None:
-    ours = np.array(nonlinear_rhs(*motion, v, dv, *numbers(p, mu, shape)))
-    mirrored = np.array(nonlinear_rhs(*(-value for value in motion), v, dv, *numbers(p, mu, shape)))
-    np.testing.assert_array_equal(mirrored, -ours)  # sine, arctangent and every sum are odd to the bit
+@given(motion=motions, v=speeds, p=vehicles, mu=friction, shape=shapes)
+def test_mirrored_motions(motion: Any, v: float, p: VehicleParameters, mu: float, shape: float) -> None:
+    mirrored = nonlinear([-value for value in motion], v, p, mu, shape)
+    np.testing.assert_array_equal(
+        mirrored, -nonlinear(motion, v, p, mu, shape)
+    )  # sine, arctangent and every sum are odd to the bit
 
 
 @given(motion=motions, v=speeds, p=vehicles, mu=friction, shape=shapes)
@@ -231,8 +212,8 @@ def test_no_axle_exceeds_its_grip(motion: Any, v: float, p: VehicleParameters, m
     assert np.all(np.abs(axle_forces(motion, v, p, mu, shape)) <= grip(p, mu) + 1e-12 * grip(p, mu).sum())
 
 
-@given(motion=motions, v=speeds, dv=st.floats(-5.0, 5.0), p=vehicles, mu=friction, shape=shapes)
-def test_large_angles_by_hand(motion: Any, v: float, dv: float, p: VehicleParameters, mu: float, shape: float) -> None:
+@given(motion=motions, v=speeds, p=vehicles, mu=friction, shape=shapes)
+def test_large_angles_by_hand(motion: Any, v: float, p: VehicleParameters, mu: float, shape: float) -> None:
     """Forces along the wheels' axes, moments as cross products, de_y/dt differentiated by a complex step."""
     e_y_rate, e_psi, e_psi_rate, delta, r = motion
     omega = e_psi_rate + r
@@ -245,10 +226,10 @@ def test_large_angles_by_hand(motion: Any, v: float, dv: float, p: VehicleParame
         total += force
         moment += (x * force).imag
     v_y_rate, h = total.imag / p.m - v * omega, 1e-30j
-    moved = (v + dv * h) * np.sin(e_psi + e_psi_rate * h) + (v_y + v_y_rate * h) * np.cos(e_psi + e_psi_rate * h)
+    moved = v * np.sin(e_psi + e_psi_rate * h) + (v_y + v_y_rate * h) * np.cos(e_psi + e_psi_rate * h)
     expected = np.array([moved.imag / h.imag, moment / p.I_z, total.imag / p.m])
     size = np.abs([v * omega, 0.0, 0.0]) + np.array([1 / p.m, 3.0 / p.I_z, 1 / p.m]) * sum(grip(p, mu))
-    ours = np.array(nonlinear_rhs(*motion, v, dv, *numbers(p, mu, shape)))
+    ours = nonlinear(motion, v, p, mu, shape)
     # the force's argument carries the rounding of the slip angles, times the slope of the force
     slope = 2 * (p.C_af + p.C_ar) * np.array([1 / p.m, 3.0 / p.I_z, 1 / p.m])
     assert np.all(np.abs(ours - expected) <= 1e-14 * (size + slope + abs(v) + abs(v_y)))
@@ -280,7 +261,7 @@ def drive(p: VehicleParameters, v: float, delta: Any, end: float, mu: float, tim
     """The nonlinear plant on a straight lane at constant speed, from straight driving: (e_y, e_y', e_psi, e_psi')."""
 
     def rate(t: float, x: npt.NDArray[np.float64]) -> list[float]:
-        e_y_acceleration, e_psi_acceleration, _ = nonlinear_rhs(*x[1:], delta(t), 0.0, v, 0.0, *numbers(p, mu))
+        e_y_acceleration, e_psi_acceleration, _ = nonlinear([*x[1:], delta(t), 0.0], v, p, mu)
         return [x[1], e_y_acceleration, x[3], e_psi_acceleration]
 
     return solve_ivp(rate, (0.0, end), np.zeros(4), "DOP853", t_eval=times, rtol=1e-12, atol=1e-15)
@@ -384,9 +365,9 @@ def test_equal_functions_share_one_interpolant_and_others_do_not() -> None:
 
 def test_a_speed_has_the_same_bits_in_any_set() -> None:
     v = np.random.default_rng(1).uniform(*SPEED_RANGE, 70)
-    together = scheduled(_Smooth(1.0), v, "values")
+    whole = scheduled(_Smooth(1.0), v, "values")
     alone = np.concatenate([scheduled(_Smooth(1.0), v[i : i + 1], "values") for i in range(v.size)])
-    np.testing.assert_array_equal(together, alone)
+    np.testing.assert_array_equal(whole, alone)
 
 
 def test_some_columns_have_the_bits_of_all() -> None:

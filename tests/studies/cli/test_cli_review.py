@@ -9,6 +9,8 @@ import pytest
 from helpers.cli import bad, good, ldc, printed_rows
 from ldctoolkit import LinearLaw, Plant
 from ldctoolkit.controllers import LQR
+from ldctoolkit.studies import Study, run_study
+from ldctoolkit.studies.cli import main
 
 STUDY = """
 name = "tiny"
@@ -222,3 +224,14 @@ def test_the_listing_of_laws_says_everything(tmp_path: Path) -> None:
     row = next(line for line in out.splitlines() if "r_delta" in line)
     cells = [cell.strip() for cell in re.split("[│┃]", row)][1:-1]
     assert cells == ["r_delta", "1/rad^2", "20000.0", "0.001 .. 1e+06", "log", "weight on delta^2"]
+
+
+def test_a_design_of_a_search_is_reviewed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Such a study has no designs of its own: those of its results are reviewed."""
+    pytest.importorskip("optuna")
+    block = {"law": "lqr", "y_s": 0.1, "gains": {"r_delta": {"from": 50, "to": 5000, "count": 9}}}
+    study = {"name": "s", "scenarios": {"left": 6, "right": 6}, "search": {"trials": 2, "batch": 2}, "design": [block]}
+    results = run_study(Study.from_dict(study | {"ranking": {"finalists": 0}}), tmp_path / "s", workers=1)
+    label = results.designs[1].label
+    assert main(["review", str(tmp_path / "s"), "--design", label]) in (0, 3)
+    assert label in capsys.readouterr().out

@@ -560,9 +560,9 @@ def test_fmu_in_a_co_simulation(folder: Path) -> None:
     table["time"] = np.arange(k.size) * 0.05
     for name, size, _ in code.inputs:
         table[f"{name}[1]" if size else name] = recording.inputs[name][k, 0].reshape(-1)
-    found = fmpy.simulate_fmu(
+    simulated = fmpy.simulate_fmu(
         str(folder / "ldc_controller.fmu"), stop_time=k.size * 0.05, step_size=0.05, output_interval=0.05,
         input=table, output=["delta", "phase"],
     )  # fmt: skip
-    np.testing.assert_allclose(found["delta"][1 : k.size], recording.delta[k[:-1], 0], rtol=0, atol=1e-9)
-    np.testing.assert_array_equal(found["phase"][1 : k.size], recording.phase[k[:-1], 0])
+    np.testing.assert_allclose(simulated["delta"][1 : k.size], recording.delta[k[:-1], 0], rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(simulated["phase"][1 : k.size], recording.phase[k[:-1], 0])

@@ -216,20 +216,20 @@ def test_the_departure_on_a_clock_of_its_own() -> None:
     over, code = takeover(make_scenarios(200), y_s=0.1, dt=0.01), Code.of(LQR(), Setup(dt=0.01), 0.1)
     compiled = Compiled(code, ["cc"])
     path, side, state = over.driven, over.triggered.side.astype(float), compiled.begin(over.m)
-    row, taken = np.zeros(over.m, dtype=struct(code.inputs)), np.full(over.m, -1)
+    row, engaged_at = np.zeros(over.m, dtype=struct(code.inputs)), np.full(over.m, -1)
     row["v"], row["engage"] = over.plant.v, 1
     for k in range(int(over.triggered.T.max() / 0.01) + 1):
         y = path.lateral(np.full(over.m, k * 0.01))
         row["line_left"], row["line_right"] = np.where(side > 0, y, -1.0), np.where(side > 0, -1.0, y)
         out = compiled.step(row, state)
-        taken = np.where((taken < 0) & (out["phase"] > 0), k, taken)
-        steering = (taken >= 0) & (out["status"] == 0)  # far behind its end, a path is an unusable input
+        engaged_at = np.where((engaged_at < 0) & (out["phase"] > 0), k, engaged_at)
+        steering = (engaged_at >= 0) & (out["status"] == 0)  # far behind its end, a path is an unusable input
         assert (out["side"][steering] == side[steering]).all()
     expected = np.ceil(over.start / 0.01).astype(int)
     # an edge that is back below y_s before the next sample is no departure to a sampled controller
     seen = path.lateral(expected * 0.01) > 0.1
     assert seen.sum() > 150
-    np.testing.assert_array_equal(taken[seen], expected[seen])
+    np.testing.assert_array_equal(engaged_at[seen], expected[seen])
 
 
 def test_the_edge_is_back_when_the_loop_has_it_back() -> None:

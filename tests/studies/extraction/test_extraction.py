@@ -150,8 +150,8 @@ def times(source: OpenedRecordings) -> list[int]:
     return [part.times for part in source.source.parts]  # type: ignore[attr-defined]
 
 
-def texts(found: Any) -> list[str]:
-    return [str(problem) for problem in found.problems]
+def texts(extraction: Any) -> list[str]:
+    return [str(problem) for problem in extraction.problems]
 
 
 GOOD = ("good",) * 5
@@ -159,22 +159,22 @@ GOOD = ("good",) * 5
 
 def test_parts_in_this_process_are_as_the_library_extracts_them(made: Made, content: Content) -> None:
     source = made(*GOOD)
-    found = run_extraction(source, workers=1)
-    assert (content(found), len(found.departures)) == (content(extract_departures(source)), 30)
-    assert found.recordings == 15
-    assert texts(found) == ["file 9: is empty", *(f"part {i}, line 7: is left out" for i in range(5))]
-    assert found.provenance.criteria.vehicle_width == 1.8
-    assert found.provenance.preparation == Preparation(step=0.1)
+    extraction = run_extraction(source, workers=1)
+    assert (content(extraction), len(extraction.departures)) == (content(extract_departures(source)), 30)
+    assert extraction.recordings == 15
+    assert texts(extraction) == ["file 9: is empty", *(f"part {i}, line 7: is left out" for i in range(5))]
+    assert extraction.provenance.criteria.vehicle_width == 1.8
+    assert extraction.provenance.preparation == Preparation(step=0.1)
 
 
 @pytest.mark.slow
 def test_two_processes_give_the_same_bits(made: Made, content: Content, tmp_path: Path) -> None:
     output = tmp_path / "d.parquet"
-    found = run_extraction(made(*GOOD), workers=2, output=output)
-    assert content(found) == content(extract_departures(made(*GOOD)))
+    extraction = run_extraction(made(*GOOD), workers=2, output=output)
+    assert content(extraction) == content(extract_departures(made(*GOOD)))
     departures, provenance = read_departures(output)
-    assert (departures.T == found.departures.T).all()
-    assert provenance == found.provenance
+    assert (departures.T == extraction.departures.T).all()
+    assert provenance == extraction.provenance
     run_extraction(made(*GOOD), workers=1, output=tmp_path / "e.parquet")
     assert (tmp_path / "e.parquet").read_bytes() == output.read_bytes()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["d.parquet", "e.parquet", "notes"]
@@ -184,24 +184,26 @@ def test_two_processes_give_the_same_bits(made: Made, content: Content, tmp_path
 def test_a_part_that_ends_its_worker_is_left_out_and_told(made: Made, content: Content, tmp_path: Path) -> None:
     how = ["good", "good", "dies", "good", "dies once", "good"]
     source = made(*how)
-    found = run_extraction(source, workers=2, output=tmp_path / "d.parquet")
-    assert [text for text in texts(found) if "worker" in text] == [
+    extraction = run_extraction(source, workers=2, output=tmp_path / "d.parquet")
+    assert [text for text in texts(extraction) if "worker" in text] == [
         "part 2: ended its worker process each time it was read (out of memory?); it is left out"
     ]
     assert times(source)[2] >= 2
     whole = extract_departures(made(*["good"] * 6))
     others = [not name.startswith("drive 2") or name == "drive 2" for name in whole.departures.recording.tolist()]
     others[:6] = [True] * 6  # drives 0 to 2 are of the first part
-    assert found.departures.recording.tolist() == whole.departures.take(others).recording.tolist()
-    assert found.departures.d_y.tolist() == whole.departures.take(others).d_y.tolist()
+    assert extraction.departures.recording.tolist() == whole.departures.take(others).recording.tolist()
+    assert extraction.departures.d_y.tolist() == whole.departures.take(others).d_y.tolist()
     assert not (tmp_path / "d.parquet.parts").exists()
 
 
 @pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_what_a_part_raises_is_a_problem_of_that_part(made: Made, tmp_path: Path, workers: int) -> None:
-    found = run_extraction(made("good", "raises", "refused", "good"), workers=workers, output=tmp_path / "d.parquet")
-    assert found.recordings == 6
-    told = [text for text in texts(found) if "line 7" not in text]
+    extraction = run_extraction(
+        made("good", "raises", "refused", "good"), workers=workers, output=tmp_path / "d.parquet"
+    )
+    assert extraction.recordings == 6
+    told = [text for text in texts(extraction) if "line 7" not in text]
     assert (told[0], told[1]) == ("file 9: is empty", "part 1: ZeroDivisionError: a reader's own fault")
     assert told[2].startswith("part 2: ")
     assert "nothing here can be used" in told[2]
@@ -224,16 +226,16 @@ def test_what_cannot_be_right_is_read_once_and_written_if_forced(made: Made, tmp
         with pytest.raises(RecordingError, match=r"^the recordings cannot be right: column 'speed': 67% of"):
             run_extraction(source, workers=1, output=output)
         assert not output.exists()
-    found = run_extraction(source, workers=1, output=output, force=True)
-    assert found.warnings[0].startswith("column 'speed': 67% of the samples are above 60 m/s")
-    assert (times(source), found.recordings) == ([1, 1, 1], 9)
-    assert read_departures(output)[1] == found.provenance
+    extraction = run_extraction(source, workers=1, output=output, force=True)
+    assert extraction.warnings[0].startswith("column 'speed': 67% of the samples are above 60 m/s")
+    assert (times(source), extraction.recordings) == ([1, 1, 1], 9)
+    assert read_departures(output)[1] == extraction.provenance
     assert sorted(path.name for path in tmp_path.iterdir()) == ["d.parquet", "notes"]
 
 
 def test_a_part_is_told_by_the_name_that_users_know(made: Made, shown_part: type) -> None:
-    found = run_extraction(made("good", "raises", kind=shown_part), workers=1)
-    assert "1.made: ZeroDivisionError: a reader's own fault" in texts(found)
+    extraction = run_extraction(made("good", "raises", kind=shown_part), workers=1)
+    assert "1.made: ZeroDivisionError: a reader's own fault" in texts(extraction)
 
 
 def test_a_stopped_extraction_goes_on_with_what_is_missing(made: Made, content: Content, tmp_path: Path) -> None:
@@ -244,9 +246,9 @@ def test_a_stopped_extraction_goes_on_with_what_is_missing(made: Made, content: 
     assert not output.exists()
     told: list[tuple[int, int]] = []
     source = made(*how)
-    found = run_extraction(source, workers=1, output=output, progress=lambda *at: told.append(at))
+    extraction = run_extraction(source, workers=1, output=output, progress=lambda *at: told.append(at))
     assert (times(source), told) == ([1, 1, 2, 1], [(200, 400), (300, 400), (400, 400)])
-    assert content(found) == content(extract_departures(made("good", "good", "good", "good")))
+    assert content(extraction) == content(extract_departures(made("good", "good", "good", "good")))
     assert sorted(path.name for path in tmp_path.iterdir()) == ["d.parquet", "notes"]
 
 
@@ -256,8 +258,8 @@ def test_what_is_made_of_the_result_comes_before_the_parts_go(made: Made, tmp_pa
     source = made("good", "good")
     seen: list[tuple[int, bool, int]] = []
 
-    def look(found: Extraction) -> None:
-        seen.append((found.recordings, output.exists(), len(list(folder.glob("part-*")))))
+    def look(extraction: Extraction) -> None:
+        seen.append((extraction.recordings, output.exists(), len(list(folder.glob("part-*")))))
         if len(seen) == 1:
             raise KeyboardInterrupt
         if len(seen) == 2:
@@ -324,11 +326,11 @@ def test_damage_is_told(
     }  # fmt: skip
     part.write_bytes(contents[damage])
     source = made("good", "good", "interrupted")
-    found = run_extraction(source, workers=1, output=output)
+    extraction = run_extraction(source, workers=1, output=output)
     assert times(source) == [1, 2, 2]
     assert "part-000001" in caplog.text
     assert "broken" in caplog.text
-    assert content(found) == content(extract_departures(made("good", "good", "good")))
+    assert content(extraction) == content(extract_departures(made("good", "good", "good")))
 
 
 @pytest.mark.parametrize("change", ["files", "preparation", "parts", "manifest", "program", "versions"])
@@ -348,7 +350,7 @@ def test_parts_of_another_extraction_are_never_used(
         monkeypatch.setattr("ldctoolkit.studies.extraction._program", lambda *_: "another")
     if change == "versions":
         monkeypatch.setattr("ldctoolkit.studies.extraction.versions", lambda names: dict.fromkeys(names, "0.1"))
-    found = run_extraction(source, preparation=preparation, workers=1, output=output)
+    extraction = run_extraction(source, preparation=preparation, workers=1, output=output)
     assert times(source)[:3] == [2, 2, 2]
     monkeypatch.undo()
     words = {
@@ -362,7 +364,7 @@ def test_parts_of_another_extraction_are_never_used(
         "'0.1' now; and 1 more",
     }
     assert f"its parts are of another plan ({words[change]}) and are removed" in caplog.text
-    assert content(found) == content(extract_departures(source, preparation=preparation))
+    assert content(extraction) == content(extract_departures(source, preparation=preparation))
     assert not folder.exists()
 
 
@@ -404,16 +406,16 @@ def on(executor: DyingWorkers, monkeypatch: pytest.MonkeyPatch) -> Iterator[None
 def test_parts_at_fault_are_found_beside_others(made: Made, monkeypatch: pytest.MonkeyPatch, deadly: set[int]) -> None:
     source = made(*GOOD, "good")
     with on(DyingWorkers(lambda task: getattr(task, "index", -1) in deadly), monkeypatch):
-        found = run_extraction(source)
-    told = [text.partition(":")[0] for text in texts(found) if "ended its worker" in text]
-    assert (told, found.recordings) == ([f"part {i}" for i in sorted(deadly)], 3 * (6 - len(deadly)))
+        extraction = run_extraction(source)
+    told = [text.partition(":")[0] for text in texts(extraction) if "ended its worker" in text]
+    assert (told, extraction.recordings) == ([f"part {i}" for i in sorted(deadly)], 3 * (6 - len(deadly)))
 
 
 def test_one_death_among_many_is_no_end(made: Made, monkeypatch: pytest.MonkeyPatch) -> None:
     """A pool that breaks gives up all that it held, here more parts than may be lost one after the other."""
     with on(DyingWorkers(lambda task: getattr(task, "index", -1) == 0, workers=30), monkeypatch):
-        found = run_extraction(made(*["good"] * 70))
-    assert found.recordings == 3 * 69
+        extraction = run_extraction(made(*["good"] * 70))
+    assert extraction.recordings == 3 * 69
 
 
 def test_workers_that_cannot_live_are_told_from_parts_that_kill(made: Made, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -35,7 +35,7 @@ from ldctoolkit.studies.pages.charts import (
 )
 from ldctoolkit.studies.pages.compare_page import compare_page, write_compare_page
 from ldctoolkit.studies.pages.context import Context, ReportInput
-from ldctoolkit.studies.pages.replay import chosen_designs, picked_departures, replay, rows_of_numbers
+from ldctoolkit.studies.pages.replay import explorer_departures, explorer_designs, replay, rows_of_numbers
 from ldctoolkit.studies.pages.shell import details, packed, script_json
 from ldctoolkit.studies.results import FailedDesign, StudyResults
 from ldctoolkit.studies.text import number, symbols
@@ -183,8 +183,8 @@ def test_no_design_in_both_and_no_winner() -> None:
 
 
 def test_charts_hold_the_changes(page: Page) -> None:
-    assert any("differences of mean S" in one for one in page.images)
-    assert any("old against new" in one for one in page.images)
+    assert any("differences of mean S" in image for image in page.images)
+    assert any("old against new" in image for image in page.images)
 
 
 def test_the_same_bytes(tmp_path: Path) -> None:
@@ -226,15 +226,15 @@ def test_an_axis_around_nothing_is_an_axis() -> None:
 def test_log_axes_have_tens() -> None:
     axis = Axis.around("n", [2.0, 5000.0], log=True)
     assert [text for _, text in axis.ticks(300.0)] == ["10", "100", "1000"]
-    assert axis.at([axis.low, axis.high]).tolist() == [0.0, 1.0]
+    assert axis.fraction([axis.low, axis.high]).tolist() == [0.0, 1.0]
 
 
 def test_points_are_where_the_numbers_are() -> None:
     x, y = np.array([0.0, 5.0, 10.0]), np.array([1.0, 3.0, 2.0])
     cloud = Series("", x, y, BLUE, kind="points", tips=("a", "b", "c"))
-    found = points(Chart("s", "title", Axis("x", 0.0, 10.0), Axis("y", 0.0, 4.0), [cloud]).body)
-    assert [a for a, _ in found] == pytest.approx([58.0, 234.0, 410.0], abs=0.1)
-    assert found[0][1] > found[2][1] > found[1][1]
+    centres = points(Chart("s", "title", Axis("x", 0.0, 10.0), Axis("y", 0.0, 4.0), [cloud]).body)
+    assert [a for a, _ in centres] == pytest.approx([58.0, 234.0, 410.0], abs=0.1)
+    assert centres[0][1] > centres[2][1] > centres[1][1]
 
 
 def test_a_missing_number_is_no_point() -> None:
@@ -244,9 +244,9 @@ def test_a_missing_number_is_no_point() -> None:
 
 def test_curves_bands_limits_and_rings() -> None:
     x = np.linspace(0.0, 1.0, 5)
-    one = Series("a <b>", x, x, BLUE, low=x - 0.1, high=x + 0.1, kind="marked")
+    curve = Series("a <b>", x, x, BLUE, low=x - 0.1, high=x + 0.1, kind="marked")
     body = Chart(
-        "l", "t", Axis("x", 0, 1), Axis("y", 0, 1), [one], limit=(0.5, "limit"), level=0.3, ring=(1.0, 1.0, "")
+        "l", "t", Axis("x", 0, 1), Axis("y", 0, 1), [curve], limit=(0.5, "limit"), level=0.3, ring=(1.0, 1.0, "")
     ).body
     assert body.count('class="mark c0"') == 5
     assert body.count('class="band c0"') == 1
@@ -258,14 +258,14 @@ def test_a_distribution_rises_to_one() -> None:
     body = ecdf("e", "t", [("a", np.array([1.0, 2.0, 3.0]), BLUE)], Axis("x", 0, 4), "share").body
     path = re.search(r'class="curve c0" d="([^"]+)"', body)
     assert path is not None
-    heights = [float(one) for one in re.findall(r"V([\d.]+)", path[1])]
+    heights = [float(height) for height in re.findall(r"V([\d.]+)", path[1])]
     assert heights == sorted(heights, reverse=True)
     assert heights[-1] == pytest.approx(10.0)  # the top of the frame
 
 
 def test_intervals_without_ends_have_none() -> None:
     rows = [[Dot("a", 1.0, 0.5, 1.5, BLUE)], [Dot("b", 1.0, np.nan, np.nan, BLUE, open=True)]]
-    body = dots("d", "t", rows, Axis("x", 0, 2), at=1.0, at_text="here").body
+    body = dots("d", "t", rows, Axis("x", 0, 2), upright=(1.0, "here")).body
     assert body.count('class="curve c0"') == 1
     assert body.count('class="mark c0 open"') == 1
 
@@ -304,44 +304,44 @@ def test_text_of_numbers_and_symbols() -> None:
 
 
 def data_of(report: ReportInput) -> dict[str, Any]:
-    one, _ = section_of(explorer.section, report)
-    assert one.data is not None
-    return dict(one.data)
+    section, _ = section_of(explorer.section, report)
+    assert section.data is not None
+    return dict(section.data)
 
 
 def test_departures_are_named_by_the_shown_designs_scores(report: ReportInput) -> None:
     context = Context.of(report)
-    picks = picked_departures(context, chosen_designs(context))
-    roles = {role: pick.row for pick in picks for role in pick.roles}
+    departures = explorer_departures(context, explorer_designs(context))
+    roles = {role: departure.row for departure in departures for role in departure.roles}
     S, side = context.S(context.shown), context.scenarios.side
     for which, name in ((1, "left"), (-1, "right")):
         rows = np.flatnonzero(side == which)
         assert roles[f"largest S, {name}"] == rows[S[rows].argmax()]
         order = rows[np.argsort(S[rows], kind="stable")]
         assert roles[f"median S, {name}"] == order[(rows.size - 1) // 2]
-    assert len({pick.row for pick in picks}) == len(picks)
+    assert len({departure.row for departure in departures}) == len(departures)
 
 
 def test_designs_are_the_shown_one_the_best_of_each_law_and_table_1(report: ReportInput) -> None:
     context = Context.of(report)
-    chosen = chosen_designs(context)
-    assert chosen[0].place == context.shown
-    laws = [context.ranking.designs[one.place].law for one in chosen]
+    shown = explorer_designs(context)
+    assert shown[0].position == context.shown
+    laws = [context.ranking.designs[design.position].law for design in shown]
     assert {"lqr", "preview_proportional"} <= set(laws)
     assert "none" not in laws
-    assert "Table I of the paper" in [one.why for one in chosen] or any(
-        one.why == "best of its law" and context.ranking.designs[one.place].law == "preview_proportional"
-        for one in chosen
+    assert "Table I of the paper" in [design.reason for design in shown] or any(
+        design.reason == "best of its law" and context.ranking.designs[design.position].law == "preview_proportional"
+        for design in shown
     )
 
 
 def test_what_a_user_asks_for_is_there(report: ReportInput) -> None:
-    wanted = report.results.designs[-1]
-    given = dataclasses.replace(report, departures=(7, 93), shown_designs=(wanted.id[:8],))
+    requested = report.results.designs[-1]
+    given = dataclasses.replace(report, departures=(7, 93), shown_designs=(requested.id[:8],))
     data = data_of(given)
-    assert [one["number"] for one in data["departures"][:2]] == ["7", "93"]
+    assert [entry["number"] for entry in data["departures"][:2]] == ["7", "93"]
     assert "requested" in data["departures"][0]["name"]
-    assert "requested" in [one["why"] for one in data["designs"]]
+    assert "requested" in [entry["why"] for entry in data["designs"]]
 
 
 def test_asked_for_but_not_there(results: StudyResults) -> None:
@@ -356,15 +356,15 @@ def test_asked_for_but_not_there(results: StudyResults) -> None:
 
 def test_the_script_draws_what_was_driven(report: ReportInput) -> None:
     context = Context.of(report)
-    designs = chosen_designs(context)
-    picks = picked_departures(context, designs)
-    again, data = replay(context, picks, designs), data_of(report)
+    designs = explorer_designs(context)
+    departures = explorer_departures(context, designs)
+    again, data = replay(context, departures, designs), data_of(report)
     assert again.mismatch < 1e-9
     count, start = unpacked(data["count"]), unpacked(data["start"])
     y, a_y = (unpacked(data["paths"][name]) * data["resolution"][name] for name in ("y", "a_y"))
     first = np.concatenate([[0], np.cumsum(count)])
-    for i, k in ((0, 0), (1, 5), (len(designs) - 1, len(picks) - 1)):
-        at, paths = i * len(picks) + k, again.paths[i]
+    for i, k in ((0, 0), (1, 5), (len(designs) - 1, len(departures) - 1)):
+        at, paths = i * len(departures) + k, again.paths[i]
         t = start[at] + data["step"] * np.arange(count[at])
         known = np.isfinite(paths.t[k])
         for name, drawn in (("y", y), ("a_y", a_y)):
@@ -378,17 +378,17 @@ def test_no_axis_cuts_what_is_drawn(report: ReportInput) -> None:
     for name in ("y", "delta", "a_y"):
         values = unpacked(data["paths"][name]) * data["resolution"][name]
         low, high = min(0.0, values.min()), max(0.0, values.max())
-        assert any(one["low"] <= low and high <= one["high"] for one in data["scales"][name])
-        for one in data["scales"][name]:
-            assert all(one["low"] <= value <= one["high"] for value, _ in one["ticks"])
-            assert 2 <= len(one["ticks"]) <= 12
+        assert any(scale["low"] <= low and high <= scale["high"] for scale in data["scales"][name])
+        for scale in data["scales"][name]:
+            assert all(scale["low"] <= value <= scale["high"] for value, _ in scale["ticks"])
+            assert 2 <= len(scale["ticks"]) <= 12
 
 
 def test_facts_are_the_stored_ones(report: ReportInput) -> None:
     context, data = Context.of(report), data_of(report)
-    designs = chosen_designs(context)
-    picks = picked_departures(context, designs)
-    S = context.S(designs[0].place)[picks[3].row]
+    designs = explorer_designs(context)
+    departures = explorer_departures(context, designs)
+    S = context.S(designs[0].position)[departures[3].row]
     assert data["facts"][0][3][0] == f"{S:.3f}"
     assert re.fullmatch(r"[\d.−–]+", data["facts"][0][3][3])
 
@@ -406,8 +406,8 @@ def test_recorded_acceleration_is_that_of_the_lane_and_of_the_path() -> None:
     """y'' of the parabola, outward, and v^2 c, both from the parameters."""
     T, d_y, v, c_0, dc = np.array([4.0, 5.0]), np.array([0.5, 0.7]), 22.0, 0.003, -0.002
     scenarios = Scenarios.from_arrays(T=T, d_y=d_y, v_mean=v, c_0=c_0, dc=dc, side=[1, -1])
-    one, _ = section_of(explorer.section, only(Design.of(LQR(), 0.1), scenarios=scenarios))
-    data = one.data
+    section, _ = section_of(explorer.section, only(Design.of(LQR(), 0.1), scenarios=scenarios))
+    data = section.data
     assert data is not None
     count = unpacked(data["recorded"]["count"])
     a_y = np.split(unpacked(data["recorded"]["a_y"]) * data["resolution"]["a_y"], np.cumsum(count)[:-1])
@@ -442,8 +442,8 @@ def test_the_explorer_opens_where_the_winner_acts() -> None:
 
 
 def test_a_study_of_no_control_has_no_explorer() -> None:
-    one, page = section_of(explorer.section, only(Design.of(NoControl(), 0.2)))
-    assert one.data is not None or "No design intervenes" in page.words()
+    section, page = section_of(explorer.section, only(Design.of(NoControl(), 0.2)))
+    assert section.data is not None or "No design intervenes" in page.words()
 
 
 def test_another_machines_scores_are_reported(results: StudyResults) -> None:
@@ -453,14 +453,14 @@ def test_another_machines_scores_are_reported(results: StudyResults) -> None:
 
 
 def test_distributions_hold_every_value(report: ReportInput) -> None:
-    one, _ = section_of(explorer.section, report)
-    names = [chart.name for chart in one.charts]
+    section, _ = section_of(explorer.section, report)
+    names = [chart.name for chart in section.charts]
     assert names == [
         "distribution-S-left", "distribution-S-right", "distribution-deepest", "distribution-dtle",
         "distribution-a-y-added-peak", "distribution-jerk-added-peak",
     ]  # fmt: skip
-    assert "ISO 11270" in one.charts[4].body
-    assert "Euro NCAP" in one.charts[3].body
+    assert "ISO 11270" in section.charts[4].body
+    assert "Euro NCAP" in section.charts[3].body
 
 
 def test_the_worst_part_of_S() -> None:

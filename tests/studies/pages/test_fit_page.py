@@ -42,21 +42,21 @@ def departures(model: ScenarioModel) -> Departures:
 
 
 @pytest.fixture(scope="module")
-def found(model: ScenarioModel, departures: Departures) -> ModelDiagnostics:
+def diagnostics(model: ScenarioModel, departures: Departures) -> ModelDiagnostics:
     return diagnose_model(model, departures, seed=3)
 
 
 @pytest.fixture(scope="module")
-def page(model: ScenarioModel, found: ModelDiagnostics) -> Page:
-    return Page(fit_page(model, found, seed=3))
+def page(model: ScenarioModel, diagnostics: ModelDiagnostics) -> Page:
+    return Page(fit_page(model, diagnostics, seed=3))
 
 
-def with_left(found: ModelDiagnostics, **changes: object) -> ModelDiagnostics:
-    return dataclasses.replace(found, left=dataclasses.replace(found.left, **changes))  # type: ignore[arg-type]
+def with_left(diagnostics: ModelDiagnostics, **changes: object) -> ModelDiagnostics:
+    return dataclasses.replace(diagnostics, left=dataclasses.replace(diagnostics.left, **changes))  # type: ignore[arg-type]
 
 
-def verdicts(model: ScenarioModel, found: ModelDiagnostics) -> str:
-    return Page(fit_page(model, found, seed=3)).words("verdict")
+def verdicts(model: ScenarioModel, diagnostics: ModelDiagnostics) -> str:
+    return Page(fit_page(model, diagnostics, seed=3)).words("verdict")
 
 
 def test_self_contained_and_well_formed(page: Page) -> None:
@@ -66,19 +66,19 @@ def test_self_contained_and_well_formed(page: Page) -> None:
     assert len(page.images) == 2 * 4 + 2 * 2 + 1  # margins, joint densities, BIC
 
 
-def test_the_verdict_says_what_it_is_good_enough_for(model: ScenarioModel, found: ModelDiagnostics) -> None:
-    words = verdicts(model, found)
+def test_the_verdict_says_what_it_is_good_enough_for(model: ScenarioModel, diagnostics: ModelDiagnostics) -> None:
+    words = verdicts(model, diagnostics)
     assert words.startswith(
         "Verdict Left: Good enough for comparing mean S of designs; too few departures (400) for rare"
     )
-    first, *others = found.left.calibrations
+    first, *others = diagnostics.left.calibrations
     off = (dataclasses.replace(first, distance=0.3, limit=0.1), *others)
     for changes, text in (
         ({"effective_events": 80.0}, "Left: too few departures for a model (80; 150 at least): rank designs on"),
         ({"effective_events": 5000.0}, "Left: Good enough for comparing designs, in their mean S and in the worst 5 %"),
         ({"calibrations": off}, "Left: Misfit in T: good enough for designs that do not depend on it"),
     ):
-        assert text in verdicts(model, with_left(found, **changes))
+        assert text in verdicts(model, with_left(diagnostics, **changes))
 
 
 def test_says_what_it_is_about(page: Page, model: ScenarioModel) -> None:
@@ -92,11 +92,11 @@ def test_says_what_it_is_about(page: Page, model: ScenarioModel) -> None:
     assert rows["c0 [1/m]: initial curvature, outward"] == ["constant", "", "", "constant", "", ""]
 
 
-def test_numbers_are_those_of_the_diagnosis(model: ScenarioModel, found: ModelDiagnostics) -> None:
+def test_numbers_are_those_of_the_diagnosis(model: ScenarioModel, diagnostics: ModelDiagnostics) -> None:
     """Numbers that no other could be taken for, in the place of what the diagnosis found."""
-    every = found.left.calibrations
+    every = diagnostics.left.calibrations
     far = dataclasses.replace(every[1], distance=0.4321, limit=0.1234)
-    changed = with_left(found, events=123, calibrations=(every[0], far, *every[2:]))
+    changed = with_left(diagnostics, events=123, calibrations=(every[0], far, *every[2:]))
     page = Page(fit_page(model, changed, seed=3))
     rows = {row[0]: row[1:] for row in page.filled("margins")[0]}
     assert rows["dy [m]: peak lateral departure"][:2] == ["43.21", "12.34"]
@@ -109,29 +109,29 @@ def test_the_chosen_k_and_its_neighbours(page: Page) -> None:
     assert left[-2:] == [["2", "−950.5", "0.0", "1.2000"], ["3", "−930.0", "20.5", "1.2500"]]
 
 
-def test_warnings_of_the_model_stand_beside_those_of_the_diagnosis(found: ModelDiagnostics) -> None:
+def test_warnings_of_the_model_stand_beside_those_of_the_diagnosis(diagnostics: ModelDiagnostics) -> None:
     """Of components the diagnosis says nothing; that a fit did not converge it says itself."""
     words = verdicts(
-        make_model(warnings=("left: Component 0 (1 events): few.", "left: Not converged in 9 passes.")), found
+        make_model(warnings=("left: Component 0 (1 events): few.", "left: Not converged in 9 passes.")), diagnostics
     )
     assert "left: Component 0 (1 events): few." in words
     assert "in 9 passes" not in words
 
 
-def test_warnings_are_merged_by_cause(model: ScenarioModel, found: ModelDiagnostics) -> None:
+def test_warnings_are_merged_by_cause(model: ScenarioModel, diagnostics: ModelDiagnostics) -> None:
     for warnings, text in (
         (("the fit stopped before it had converged",), "left and right: the fit stopped before it had converged"),
         ((), "No warnings: all checks passed."),
     ):
-        right = dataclasses.replace(found.right, warnings=warnings)
-        words = verdicts(model, dataclasses.replace(with_left(found, warnings=warnings), right=right))
+        right = dataclasses.replace(diagnostics.right, warnings=warnings)
+        words = verdicts(model, dataclasses.replace(with_left(diagnostics, warnings=warnings), right=right))
         assert words.count(text) == 1
         assert words.count("stopped before") == len(warnings)
 
 
-def test_users_text_stays_text(found: ModelDiagnostics) -> None:
+def test_users_text_stays_text(diagnostics: ModelDiagnostics) -> None:
     evil = make_model(source={"description": EVIL}, warnings=(EVIL,), software=EVIL)
-    page = Page(fit_page(evil, found, seed=3))
+    page = Page(fit_page(evil, diagnostics, seed=3))
     assert "<script>alert(1)" not in page.html
     assert "alert(1)" in page.words("verdict")
     assert "\u202e" not in page.html
@@ -209,8 +209,8 @@ def test_the_first_numbers_are_those_of_all_accounts(three: Extraction, page_ext
 
 def test_reasons_are_counted_by_source_and_side() -> None:
     extraction = make_extraction(2)
-    found = parsed(extraction)
-    table = found.captioned(f"{extraction.refused.total} of {extraction.candidates} candidates refused, by reason")
+    page = parsed(extraction)
+    table = page.captioned(f"{extraction.refused.total} of {extraction.candidates} candidates refused, by reason")
     by_reason = {row[0].replace(" ", "_"): row[2:] for row in table[1:]}
     assert list(by_reason) == [reason for reason, count in extraction.refused.items() if count]
     for reason, (left, right, share) in by_reason.items():
@@ -220,9 +220,9 @@ def test_reasons_are_counted_by_source_and_side() -> None:
 
 
 def test_nothing_refused_and_nothing_read() -> None:
-    one = make_extraction(1)
-    nothing = dataclasses.replace(one.accounts[0], refused=np.zeros_like(one.accounts[0].refused))
-    assert "No candidate was refused" in parsed(dataclasses.replace(one, accounts=(nothing,))).text["refusals"]
+    extraction = make_extraction(1)
+    nothing = dataclasses.replace(extraction.accounts[0], refused=np.zeros_like(extraction.accounts[0].refused))
+    assert "No candidate was refused" in parsed(dataclasses.replace(extraction, accounts=(nothing,))).text["refusals"]
     assert "Nothing was read from these recordings." in parsed(extract_departures([])).words("sides")
 
 
@@ -230,8 +230,8 @@ def test_groups_by_label() -> None:
     """Six drivers, three behaviours; one more source without labels."""
     extraction = make_extraction(6, (30, 20), labels=True)
     bare = dataclasses.replace(extraction.accounts[0], origin=Origin("D9"))
-    found = parsed(dataclasses.replace(extraction, accounts=(*extraction.accounts, bare)))
-    rows = found.captioned("By behaviour")[1:]
+    page = parsed(dataclasses.replace(extraction, accounts=(*extraction.accounts, bare)))
+    rows = page.captioned("By behaviour")[1:]
     assert [row[0] for row in rows] == ["aggressive", "drowsy", "normal", "not known"]
     assert [row[4] for row in rows] == ["60", "60", "60", "30"]
 
@@ -258,25 +258,27 @@ def test_a_curvature_of_zero_everywhere_is_no_curvature(three: Extraction) -> No
 
 
 def test_problems_and_warnings_are_counted_and_text() -> None:
-    one = make_extraction(1)
+    extraction = make_extraction(1)
     problems = tuple(Problem(f"f{i}.csv", f"line {i}", EVIL) for i in range(400))
-    many = dataclasses.replace(one.provenance, warnings=tuple(f"{EVIL} {i}" for i in range(70)))
-    found = parsed(dataclasses.replace(one, problems=problems, provenance=many))
-    assert "the first 300 of 400" in found.words("verdict")
-    assert "and 10 more warnings" in found.words("verdict")
-    assert "<script>alert(1)" not in found.html
-    assert "No problems: every file was read whole." in parsed(dataclasses.replace(one, problems=())).words("verdict")
+    many = dataclasses.replace(extraction.provenance, warnings=tuple(f"{EVIL} {i}" for i in range(70)))
+    page = parsed(dataclasses.replace(extraction, problems=problems, provenance=many))
+    assert "the first 300 of 400" in page.words("verdict")
+    assert "and 10 more warnings" in page.words("verdict")
+    assert "<script>alert(1)" not in page.html
+    assert "No problems: every file was read whole." in parsed(dataclasses.replace(extraction, problems=())).words(
+        "verdict"
+    )
 
 
 def test_files_are_listed() -> None:
-    one = make_extraction(1)
+    extraction = make_extraction(1)
     files = tuple(SourceFile(f"a{i}.csv", 1500 * (i + 1), f"{i:064d}") for i in range(3))
-    given = dataclasses.replace(one, provenance=dataclasses.replace(one.provenance, sources=files))
+    given = dataclasses.replace(extraction, provenance=dataclasses.replace(extraction.provenance, sources=files))
     assert ["a1.csv", "3.0 kB", "000000000000"] in parsed(given).filled("read")[0]
 
 
 def test_single_departures_are_drawn(page_extraction_page: Page) -> None:
-    assert sum("samples and fit" in one for one in page_extraction_page.images) == 2 * 2 * 4 * 3
+    assert sum("samples and fit" in image for image in page_extraction_page.images) == 2 * 2 * 4 * 3
     assert "d_y" not in page_extraction_page.words("deepest")
     assert "dy = " in page_extraction_page.words("deepest")
 

@@ -54,14 +54,14 @@ def test_the_verdict_stands_first(page: Page, report: ReportInput) -> None:
 
 def test_none_meets_the_limits_is_the_first_answer(results: StudyResults) -> None:
     """What a study of the ideal plant must say, and not the name of a winner."""
-    made = page_of(report_input(results, require=["comfort"]))
+    page = page_of(report_input(results, require=["comfort"]))
     acting = sum(not design.is_baseline for design in results.designs)
-    words = made.words("verdict")
+    words = page.words("verdict")
     assert words.startswith(f"Verdict None of {acting} designs meets the limits Nearest: ")
     assert "limit 5.00 m/s³" in words
     assert "What to try:" in words
-    assert lights(made)["Limits"] == "bad"
-    (table,) = made.headed("Rank", "Law", "Verdict")
+    assert lights(page)["Limits"] == "bad"
+    (table,) = page.headed("Rank", "Law", "Verdict")
     assert not any("winner" in row[-1] for row in table)
 
 
@@ -70,9 +70,9 @@ def test_an_unstable_design_has_a_red_light(results: StudyResults) -> None:
     best = int(results.S.mean(axis=1).argmin())
     status[best, :2] = EventStatus.DIVERGED
     changed = dataclasses.replace(results, status=status)
-    made = page_of(report_input(changed))
-    assert lights(made)["Stable"] == "bad"
-    words = made.words("verdict")
+    page = page_of(report_input(changed))
+    assert lights(page)["Stable"] == "bad"
+    words = page.words("verdict")
     assert "It diverges in 2 of 100 departures." in words
     assert "Smallest S, but not usable" in words
 
@@ -83,15 +83,15 @@ def test_acceleration_beyond_friction_is_named(results: StudyResults) -> None:
     peak[best, 0] = 85.0
     metrics = dataclasses.replace(results.metrics, a_y_peak=peak)
     changed = dataclasses.replace(results, metrics=metrics)
-    made = page_of(report_input(changed))
-    assert "85 m/s² (8.7 g) is physically impossible" in made.words("verdict")
-    assert lights(made)["Limits"] == "bad"
+    page = page_of(report_input(changed))
+    assert "85 m/s² (8.7 g) is physically impossible" in page.words("verdict")
+    assert lights(page)["Limits"] == "bad"
 
 
 def test_the_best_that_meets_the_limits_is_filled_and_ringed(results: StudyResults) -> None:
-    made = report_input(results, require=["a_y_added_peak_p95 <= 8"])
-    page = page_of(made)
-    ranking = made.ranking
+    report = report_input(results, require=["a_y_added_peak_p95 <= 8"])
+    page = page_of(report)
+    ranking = report.ranking
     assert ranking.ranked not in (0, len(ranking))
     assert page.words("verdict").startswith("Verdict Best design that meets the limits: ")
     chart = page.html[page.html.index('<figure><svg class="chart"') :].split("</svg>")[0]
@@ -111,8 +111,8 @@ def test_a_large_increase_is_a_multiple() -> None:
 
 
 def test_warnings_come_once(results: StudyResults) -> None:
-    made = report_input(results)
-    words = page_of(made).words("verdict")
+    report = report_input(results)
+    words = page_of(report).words("verdict")
     assert words.count("Speed looks like km/h.") == 1
     assert words.count("fitted to invented driving") == 1
 
@@ -122,24 +122,24 @@ def test_the_head_counts_what_is_left_out(results: StudyResults) -> None:
     status, S, S_0 = results.status.copy(), results.S.copy(), results.S_uncorrected.copy()
     status[:, :3], S[:, :3], S_0[:, :3] = EventStatus.INVALID, np.nan, np.nan
     failed = FailedDesign(Design.of(LQR(r_delta=77.0), 0.1), "ValueError: no")
-    made = page_of(report_input(dataclasses.replace(results, status=status, S=S, S_uncorrected=S_0, failed=(failed,))))
-    assert f"{len(results.designs) + 1} designs" in made.words()
-    assert "100 departures" in made.words()
-    assert "97 study scenarios (57 left, 40 right), 3 more cannot be driven" in made.words("verdict")
+    page = page_of(report_input(dataclasses.replace(results, status=status, S=S, S_uncorrected=S_0, failed=(failed,))))
+    assert f"{len(results.designs) + 1} designs" in page.words()
+    assert "100 departures" in page.words()
+    assert "97 study scenarios (57 left, 40 right), 3 more cannot be driven" in page.words("verdict")
 
 
 # ------------------------------------------------------------------------------------------------ numbers
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
+def built(tmp_path_factory: pytest.TempPathFactory) -> Made:
     root = tmp_path_factory.mktemp("pages")
     return Made(root)
 
 
-def test_each_number_is_that_of_ranking_csv(made: Made) -> None:
-    one = made("ordinary")
-    page, rows = Page(one.path.read_text(encoding="utf-8")), one.rows()
+def test_each_number_is_that_of_ranking_csv(built: Made) -> None:
+    study = built("ordinary")
+    page, rows = Page(study.path.read_text(encoding="utf-8")), study.rows()
     (table,) = page.headed("Rank", "Law", "Verdict")
     head, *cells = table
     assert len(cells) == len(rows)
@@ -152,8 +152,8 @@ def test_each_number_is_that_of_ranking_csv(made: Made) -> None:
         assert row[0] == (given["rank"] or "–")
         for title, (column, factor, digits) in columns.items():
             shown = row[head.index(title)]
-            wanted = f"{factor * float(given[column]):.{digits}f}".replace("-", "−") if given[column] else "–"
-            assert shown == wanted.replace("−0.0", "0.0"), (title, given["design"])
+            expected = f"{factor * float(given[column]):.{digits}f}".replace("-", "−") if given[column] else "–"
+            assert shown == expected.replace("−0.0", "0.0"), (title, given["design"])
         low, high = (f"{float(given[f'S_{end}_m_s']):.3f}" for end in ("low", "high"))
         assert row[5] == f"{low} to {high}"
         assert bool(given["unmet"]) == ("breaks" in row[-1])
@@ -172,9 +172,9 @@ def test_the_same_number_is_the_same_text_everywhere(page: Page, report: ReportI
 
 
 def test_limits_say_how_many_designs_meet_them(results: StudyResults) -> None:
-    made = report_input(results, require=["comfort", "S <= 0.6"])
-    ranking = made.ranking
-    rows = {row[0]: row for row in page_of(made).captioned("Limits")[1:]}
+    report = report_input(results, require=["comfort", "S <= 0.6"])
+    ranking = report.ranking
+    rows = {row[0]: row for row in page_of(report).captioned("Limits")[1:]}
     met = int((ranking.metrics.S <= 0.6).sum())
     assert rows["Mean S"][1:3] == ["≤ 0.6 m·s", "own"]
     assert rows["Mean S"][5] == str(met)
@@ -210,8 +210,8 @@ def test_what_is_printed(page: Page) -> None:
     assert printed == ["verdict", "ranking", "limits"]
 
 
-def test_the_printed_rows_are_the_first_twenty_and_the_baseline(made: Made) -> None:
-    html = made("thousand").path.read_text(encoding="utf-8")
+def test_the_printed_rows_are_the_first_twenty_and_the_baseline(built: Made) -> None:
+    html = built("thousand").path.read_text(encoding="utf-8")
     body = html[html.index('<table id="designs"') :].split("</table>")[0]
     rows = re.findall(r"<tr(?: class=\"([^\"]*)\")?><td", body)
     near = [kinds for kinds in rows if "far" not in kinds.split()]
@@ -233,22 +233,22 @@ def test_trade_offs_list_the_front(results: StudyResults) -> None:
     from ldctoolkit.studies.ranking.ranking import Ranking
 
     ranking = Ranking.of(results, bootstrap=200, pareto=["S", "effort_mean"])
-    made = dataclasses.replace(report_input(results), ranking=ranking)
-    words = said_in(verdict_section.trade_offs, made)
+    report = dataclasses.replace(report_input(results), ranking=ranking)
+    words = said_in(verdict_section.trade_offs, report)
     count = int(ranking.pareto.sum())
     assert f"Pareto front over Mean S, Steering effort, mean: {count} designs" in words
 
 
 def test_the_landscape_has_the_least_S_of_each_cell(report: ReportInput) -> None:
-    one = landscape_section.section(Context.of(report))
+    landscape = landscape_section.section(Context.of(report))
     ranking = report.ranking
-    (chart,) = [chart for chart in one.charts if chart.name == "landscape-lqr"]
+    (chart,) = [chart for chart in landscape.charts if chart.name == "landscape-lqr"]
     shown = {float(text) for text in re.findall(r"<title>([\d.]+)</title>", chart.body)}
-    own = [
+    least_S = [
         float(f"{S:.3f}") for S, design in zip(ranking.metrics.S, ranking.designs, strict=True) if design.law == "lqr"
     ]
-    assert shown == set(own)
-    assert min(own) in shown
+    assert shown == set(least_S)
+    assert min(least_S) in shown
 
 
 def test_a_law_without_a_sweep_has_no_landscape() -> None:
@@ -270,12 +270,12 @@ def test_two_equal_designs_are_not_separated() -> None:
     given = report_input(scored([S, S + noise], 2 * S, designs))
     words = said_in(confidence_section.section, given)
     assert "the scenarios do not separate the two" in words
-    found = re.search(r"about ([\d,]+) scenarios separate them with even chances", words)
+    match = re.search(r"about ([\d,]+) scenarios separate them with even chances", words)
     ranking = given.ranking
     half = 0.5 * (ranking.inference.difference_high[1] - ranking.inference.difference_low[1])
-    assert found is not None
+    assert match is not None
     # an interval is as wide as the root of one over the number of scenarios
-    assert float(found[1].replace(",", "")) == pytest.approx(
+    assert float(match[1].replace(",", "")) == pytest.approx(
         40 * (half / ranking.inference.difference[1]) ** 2, rel=0.06
     )
 
@@ -318,28 +318,28 @@ def test_all_departures_failed(with_failures: StudyResults) -> None:
     assert "diverged in 50 departures" in page.words("settings")
 
 
-def test_users_text_stays_text(made: Made) -> None:
+def test_users_text_stays_text(built: Made) -> None:
     assert HOSTILE
     assert ORDINARY
-    page = Page(made("hostile").path.read_text(encoding="utf-8"))
+    page = Page(built("hostile").path.read_text(encoding="utf-8"))
     assert "<script>alert(1)" not in page.html
     assert page.counts["script"] == 2
     assert "alert(1)" in page.all_words
     assert "\u202e" not in page.html
 
 
-def test_a_thousand_designs_are_light(made: Made) -> None:
-    one = made("thousand")
-    page = Page(one.path.read_text(encoding="utf-8"))
+def test_a_thousand_designs_are_light(built: Made) -> None:
+    study = built("thousand")
+    page = Page(study.path.read_text(encoding="utf-8"))
     (table,) = page.headed("Rank", "Law", "Verdict")
     assert len(table) - 1 >= 1000
-    assert one.path.stat().st_size < 3_000_000
+    assert study.path.stat().st_size < 3_000_000
 
 
 def test_the_same_input_gives_the_same_page(report: ReportInput) -> None:
-    one, other = (report_page(report) for _ in range(2))
-    assert one[0] == other[0]
-    assert [chart.document for chart in one[1]] == [chart.document for chart in other[1]]
+    first, second = (report_page(report) for _ in range(2))
+    assert first[0] == second[0]
+    assert [chart.document for chart in first[1]] == [chart.document for chart in second[1]]
 
 
 def test_nothing_to_report_on_is_refused(results: StudyResults, report: ReportInput) -> None:
@@ -371,10 +371,10 @@ def test_a_skip_link_leads_to_the_content(page: Page) -> None:
 
 
 def test_a_legend_has_no_entry_without_a_point(report: ReportInput) -> None:
-    made = verdict_section.cloud_legend(Context.of(report))
+    legend = verdict_section.cloud_legend(Context.of(report))
     chart = verdict_section.trade_off(Context.of(report), "a_y_added_peak_p95", "x")
     drawn = set(re.findall(r'class="mark (c\d|recorded)', chart.body))
-    assert set(re.findall(r'class="mark (c\d|recorded)', str(made))) == drawn
+    assert set(re.findall(r'class="mark (c\d|recorded)', str(legend))) == drawn
 
 
 def test_rows_beyond_a_thousand_are_in_the_csv_only(report: ReportInput, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -383,8 +383,8 @@ def test_rows_beyond_a_thousand_are_in_the_csv_only(report: ReportInput, monkeyp
     assert f"of {len(report.ranking)} designs; all of them are in ranking.csv" in words
 
 
-def test_csv_of_the_ordinary_study_has_margins(made: Made) -> None:
-    with (made("ordinary").folder / "ranking.csv").open(encoding="utf-8", newline="") as stream:
+def test_csv_of_the_ordinary_study_has_margins(built: Made) -> None:
+    with (built("ordinary").folder / "ranking.csv").open(encoding="utf-8", newline="") as stream:
         rows = list(csv.DictReader(stream))
     for row in rows:
         assert bool(row["gain_margin"]) == (row["law"] in ("lqr", "preview_proportional"))

@@ -15,7 +15,7 @@ from ldctoolkit.controllers import (
     SlidingMode,
     Stanley,
 )
-from ldctoolkit.studies.ranking.inference import infer
+from ldctoolkit.studies.ranking.inference import Resampled, infer
 
 DESIGNS = (
     NoControl(), LQR(r_delta=100.0), LQR(q_psi=5.0, r_delta=116.0), PreviewLQR(q_y=1.74, q_psi=0.55, r_delta=312.0),
@@ -45,8 +45,8 @@ def coverage(scores: np.ndarray, n: int, repetitions: int) -> tuple[float, float
         generator = np.random.default_rng([n, repetition])
         drawn = [first + generator.choice(half, n // 2, replace=False) for first in (0, half)]
         some = scores[:, np.concatenate(drawn)]
-        one = infer(some, np.repeat([1, -1], n // 2), ranked=len(some), baseline=0, seed=repetition, samples=500,
-                    confidence=0.95)  # fmt: skip
+        resampled = Resampled.of(some, np.repeat([1, -1], n // 2), seed=repetition, samples=500)
+        one = infer(resampled, ranked=len(some), baseline=0, confidence=0.95)
         chosen = int(some.mean(axis=1).argmin())
         for family, (value, low, high) in enumerate((
             (truth, one.S_low, one.S_high),

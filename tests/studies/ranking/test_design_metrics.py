@@ -28,7 +28,14 @@ from ldctoolkit.studies.ranking.design_metrics import (
     pareto_front,
     tail_metrics,
 )
-from ldctoolkit.studies.ranking.inference import Inference, bootstrap_deviations, infer, row_blocks, row_means
+from ldctoolkit.studies.ranking.inference import (
+    Inference,
+    Resampled,
+    bootstrap_deviations,
+    infer,
+    row_blocks,
+    row_means,
+)
 from ldctoolkit.studies.ranking.ranking import warnings_of_sample, write_csv
 from ldctoolkit.studies.requirements import metric, metric_values, parse_requirement
 from ldctoolkit.studies.results import FailedDesign
@@ -235,7 +242,8 @@ def test_one_row_of_scores_without_control_stays_one() -> None:
 @pytest.fixture
 def inference() -> Inference:
     S = np.random.default_rng(1).gamma(2.0, 1.0, (3, 20))
-    return infer(S, np.repeat([1, -1], 10), ranked=3, baseline=None, seed=0, samples=50, confidence=0.95)
+    resampled = Resampled.of(S, np.repeat([1, -1], 10), seed=0, samples=50)
+    return infer(resampled, ranked=3, baseline=None, confidence=0.95)
 
 
 @pytest.mark.parametrize(

@@ -40,7 +40,7 @@ def ranked(results: StudyResults, *require: str, fresh: StudyResults | None = No
 
 def estimate(ranking: Ranking, name: str) -> Estimate:
     i = next(k for k, design in enumerate(ranking.designs) if not design.is_baseline)
-    return next(one for one in ranking.estimates(i) if one.requirement.metric.name == name)
+    return next(limited for limited in ranking.estimates(i) if limited.requirement.metric.name == name)
 
 
 def ends_by_hand(values: np.ndarray, share: float, n: int) -> tuple[float, float]:
@@ -60,13 +60,13 @@ def test_ends_of_a_quantile_are_order_statistics(n: int) -> None:
     status = np.zeros((2, n + 30), dtype=int)
     status[1, :30] = int(EventStatus.NEVER_TRIGGERED)
     ranking = ranked(study(scenarios_of(n + 30), status, jerk_added_peak=values), "t_back_median <= 3", "S_p95 <= 2")
-    found, stored = estimate(ranking, JERK), values[30:].astype(np.float32)
-    assert (found.low, found.high) == ends_by_hand(stored, 0.95, n)
-    assert found.value == pytest.approx(np.quantile(stored.astype(float), 0.95))
-    assert np.isinf(found.high) == (n < 72)
+    limited, stored = estimate(ranking, JERK), values[30:].astype(np.float32)
+    assert (limited.low, limited.high) == ends_by_hand(stored, 0.95, n)
+    assert limited.value == pytest.approx(np.quantile(stored.astype(float), 0.95))
+    assert np.isinf(limited.high) == (n < 72)
     # S is that of all departures
-    found = estimate(ranking, "S_p95")
-    assert (found.low, found.high) == ends_by_hand(np.linspace(0.9, 1.1, n + 30), 0.95, n + 30)
+    limited = estimate(ranking, "S_p95")
+    assert (limited.low, limited.high) == ends_by_hand(np.linspace(0.9, 1.1, n + 30), 0.95, n + 30)
 
 
 def test_ends_of_a_share_are_those_of_clopper_and_pearson() -> None:
@@ -79,9 +79,9 @@ def test_ends_of_a_share_are_those_of_clopper_and_pearson() -> None:
     ranking = ranked(results, "within_dtle >= 0.8", "back_inside >= 0.7", "triggered <= 0.9", "needless <= 1")
     counts = {"within_dtle": (210, n), "back_inside": (150, 200), "triggered": (200, n), "needless": (200, n)}
     for name, (count, of) in counts.items():
-        exact, found = scipy.stats.binomtest(count, of).proportion_ci(0.95, "exact"), estimate(ranking, name)
-        assert (found.low, found.high) == pytest.approx((exact.low, exact.high), rel=1e-9)
-        assert found.value == pytest.approx(count / of)
+        exact, limited = scipy.stats.binomtest(count, of).proportion_ci(0.95, "exact"), estimate(ranking, name)
+        assert (limited.low, limited.high) == pytest.approx((exact.low, exact.high), rel=1e-9)
+        assert limited.value == pytest.approx(count / of)
 
 
 def test_the_gain_of_a_share_is_paired() -> None:
@@ -89,10 +89,10 @@ def test_the_gain_of_a_share_is_paired() -> None:
     k, n = np.arange(400), 400
     columns = {"dtle": np.stack([np.where((k < 40) | (k >= 100), 0.0, -1.0), np.where(k >= 20, 0.0, -1.0)])}
     results = results_of(np.ones((2, n)), DESIGNS, metrics=columns)
-    found = estimate(ranked(results, "within_dtle_gain >= 0"), "within_dtle_gain")
+    limited = estimate(ranked(results, "within_dtle_gain >= 0"), "within_dtle_gain")
     more, less = (scipy.stats.binomtest(count, n).proportion_ci(0.975, "exact") for count in (60, 20))
-    assert (found.low, found.high) == pytest.approx((more.low - less.high, more.high - less.low), rel=1e-9)
-    assert found.value == pytest.approx(0.1)
+    assert (limited.low, limited.high) == pytest.approx((more.low - less.high, more.high - less.low), rel=1e-9)
+    assert limited.value == pytest.approx(0.1)
 
 
 def test_repeated_departures_count_as_kishs_number() -> None:
@@ -103,22 +103,22 @@ def test_repeated_departures_count_as_kishs_number() -> None:
     scenarios = dataclasses.replace(scenarios_of(120).take(rows), index=np.arange(240))
     ranking = ranked(study(scenarios, jerk_added_peak=values[rows], dtle=np.where(rows < 90, -1.0, 0.0)),
                      "within_dtle >= 0.5")  # fmt: skip
-    found = estimate(ranking, JERK)
-    assert (found.low, found.high) == ends_by_hand(values[rows].astype(np.float32), 0.95, 96)
-    exact, found = scipy.stats.binomtest(36, 96).proportion_ci(0.95, "exact"), estimate(ranking, "within_dtle")
-    assert (found.value, found.low, found.high) == pytest.approx((0.375, exact.low, exact.high), rel=1e-9)
+    limited = estimate(ranking, JERK)
+    assert (limited.low, limited.high) == ends_by_hand(values[rows].astype(np.float32), 0.95, 96)
+    exact, limited = scipy.stats.binomtest(36, 96).proportion_ci(0.95, "exact"), estimate(ranking, "within_dtle")
+    assert (limited.value, limited.low, limited.high) == pytest.approx((0.375, exact.low, exact.high), rel=1e-9)
 
 
 def test_what_is_no_quantile_and_no_share_has_no_interval() -> None:
     """But mean S, which has that of the ranking."""
     ranking = ranked(study(scenarios_of(200)), "a_y_peak_max <= 5", "gain_margin >= 0", "S <= 2", setup=Setup())
     for name in ("a_y_peak_max", "gain_margin", "lost", "phase_margin"):
-        found = estimate(ranking, name)
-        assert np.isnan([found.low, found.high]).all()
-        assert not found.uncertain
-    found = estimate(ranking, "S")
+        limited = estimate(ranking, name)
+        assert np.isnan([limited.low, limited.high]).all()
+        assert not limited.uncertain
+    limited = estimate(ranking, "S")
     i = next(k for k, design in enumerate(ranking.designs) if not design.is_baseline)
-    assert (found.low, found.high) == (ranking.inference.S_low[i], ranking.inference.S_high[i])
+    assert (limited.low, limited.high) == (ranking.inference.S_low[i], ranking.inference.S_high[i])
     # a design that never intervened has no peaks
     never = np.full((2, 200), int(EventStatus.NEVER_TRIGGERED))
     assert np.isnan(estimate(ranked(study(scenarios_of(200), never)), JERK).low)
@@ -136,8 +136,8 @@ def test_intervals_hold_as_often_as_they_say(times: np.ndarray) -> None:
         results = study(scenarios, jerk_added_peak=values[rows], dtle=np.where(within[rows], 0.0, -1.0))
         ranking = ranked(results, "within_dtle >= 0.9")
         for row, (name, truth) in enumerate(((JERK, jerk), ("within_dtle", kept))):
-            found = estimate(ranking, name)
-            inside[row, k] = found.low <= truth <= found.high
+            limited = estimate(ranking, name)
+            inside[row, k] = limited.low <= truth <= limited.high
     assert (inside.mean(axis=1) >= 0.94).all()
     assert (inside.mean(axis=1) <= 0.985).all()
 
@@ -181,15 +181,15 @@ def jerks(p95: float, n: int = 400) -> np.ndarray:
 def test_the_light_is_amber_where_the_limit_lies_inside(p95: float, state: str) -> None:
     results = study(scenarios_of(400), jerk_added_peak=jerks(p95), a_y_added_peak=1.0)
     ranking = ranked(results, "comfort")
-    found = estimate(ranking, JERK)
-    assert found.value == pytest.approx(p95, rel=1e-6)
-    assert found.uncertain == (4.9 < p95 < 5.1)
+    limited = estimate(ranking, JERK)
+    assert limited.value == pytest.approx(p95, rel=1e-6)
+    assert limited.uncertain == (4.9 < p95 < 5.1)
     one = light(ranking, results)
     assert one.state == state
     if state == "warning":
         assert one.text == (
             "Met on the 400 study scenarios, but not with certainty: Peak added jerk, 95 % quantile 4.95 m/s³, limit "
-            f"5.00 m/s³, 95 % interval {found.low:.2f} to {found.high:.2f} m/s³."
+            f"5.00 m/s³, 95 % interval {limited.low:.2f} to {limited.high:.2f} m/s³."
         )
         assert judged(ranking, 0) == "winner, meets all, not with certainty"
     elif state == "good":
@@ -216,9 +216,9 @@ def test_verdict_and_lights_are_of_the_fresh_scenarios() -> None:
     assert "), 88.9 % less than without control; control adds 1.00 m/s² of lateral acceleration and 4.0" in alone
     fresh = fresh_of(S=0.5, jerk_added_peak=jerks(4.9, 300), a_y_added_peak=2.0)
     ranking = ranked(results, "comfort", fresh=fresh)
-    found = verdict(ranking, results)
-    assert found.sentences[0].startswith("Mean S 0.500 m s on 300 fresh scenarios (95 % interval 0.4")
-    assert found.sentences[0].endswith(
+    judgement = verdict(ranking, results)
+    assert judgement.sentences[0].startswith("Mean S 0.500 m s on 300 fresh scenarios (95 % interval 0.4")
+    assert judgement.sentences[0].endswith(
         "), 94.4 % less than without control; control adds 2.00 m/s² of lateral acceleration and 4.90 m/s³ of jerk "
         "(95 % quantiles)."
     )
@@ -269,20 +269,20 @@ def on_plants(S: list[float], adds: list[bool], diverged: list[int] | None = Non
     results = study(scenarios_of(100))
     ranking, count = ranked(results), len(S)
     names = ("own", "lag", "soft", "easy", "wet")[:count]
-    found = OtherPlants(
+    plants = OtherPlants(
         (DESIGNS[1].id,), names, tuple(name.capitalize() for name in names), tuple(adds), np.array(S)[:, None],
         np.array(diverged or [0] * count)[:, None], np.array(S)[:, None] - 9.0,
     )  # fmt: skip
-    (one,) = [one for one in verdict(ranking, results, robustness=found).lights if one.name == "Other plants"]
-    return one
+    (light,) = [light for light in verdict(ranking, results, robustness=plants).lights if light.name == "Other plants"]
+    return light
 
 
 def test_the_light_of_other_plants_names_the_worst_that_adds_a_difficulty() -> None:
     harder = [False, True, True, False, True]
-    found = on_plants([1.0, 1.2, 1.4, 3.0, 1.3], harder)
-    assert (found.state, "plant: soft" in found.text, "40 % more S" in found.text) == ("good", True, True)
-    found = on_plants([1.0, 1.2, 1.4, 3.0, 2.5], harder)
-    assert (found.state, "plant: wet" in found.text, "2.5 times its S" in found.text) == ("warning", True, True)
+    light = on_plants([1.0, 1.2, 1.4, 3.0, 1.3], harder)
+    assert (light.state, "plant: soft" in light.text, "40 % more S" in light.text) == ("good", True, True)
+    light = on_plants([1.0, 1.2, 1.4, 3.0, 2.5], harder)
+    assert (light.state, "plant: wet" in light.text, "2.5 times its S" in light.text) == ("warning", True, True)
     assert on_plants([1.0, 0.9, float("nan"), 3.0, 0.8], harder).text == "S rises on none of them."
     # what takes a difficulty away is not what it is about
     assert on_plants([1.0, 1.2, 1.4, 9.5, 1.1], harder, [0, 0, 0, 7, 0]).state == "good"

@@ -45,8 +45,8 @@ def ranked(results: StudyResults, *require: str, setup: Setup | None = None) -> 
     return ranking, verdict(ranking, results, setup)
 
 
-def light(found: Verdict, name: str) -> tuple[str, str]:
-    (one,) = [light for light in found.lights if light.name == name]
+def light(judgement: Verdict, name: str) -> tuple[str, str]:
+    (one,) = [light for light in judgement.lights if light.name == name]
     return one.state, one.text
 
 
@@ -90,10 +90,10 @@ def test_misses_are_told_with_their_size() -> None:
 
 def test_designs_that_meet_all_come_first_by_S() -> None:
     results = results_of([9.0, 1.0, 2.0, 3.0], a_y_added_peak=[0, 4.0, 2.0, 1.0], jerk_added_peak=[0, 9.0, 4.0, 2.0])
-    ranking, found = ranked(results, "comfort")
+    ranking, judgement = ranked(results, "comfort")
     assert [design.label for design in ranking.designs] == [DESIGNS[i].label for i in (2, 3, 0, 1)]
     assert (ranking.rank.tolist(), [len(some) for some in ranking.missed]) == ([1, 2, 3, 0], [0, 0, 0, 2])
-    assert found.title == "Best design that meets the limits: LQR, y_s = 0.1 m, r_delta = 1000"
+    assert judgement.title == "Best design that meets the limits: LQR, y_s = 0.1 m, r_delta = 1000"
     assert judged(ranking, 3) == "breaks comfort +80%"
 
 
@@ -150,18 +150,18 @@ def test_margins_rank_designs(tmp_path: Path) -> None:
 # ------------------------------------------------------------------------------------------------ the verdict
 def test_no_control_alone_is_no_winner() -> None:
     results = results_of([9.0, 1.0, 2.0, 3.0], jerk_added_peak=[0, 9.0, 8.0, 7.0])
-    ranking, found = ranked(results, "comfort")
+    ranking, judgement = ranked(results, "comfort")
     assert ranking.winner is None
-    assert (found.title, found.nearest[0]) == ("None of 3 designs meets the limits", 3)
-    assert "misses Peak added jerk, 95 % quantile 7.00 m/s³, limit 5.00 m/s³ (1.4 times)." in found.sentences[0]
-    assert found.try_next == ("The nearest design stands at an end of its sweep: try r_delta above 10000.",)
-    assert not found.usable
+    assert (judgement.title, judgement.nearest[0]) == ("None of 3 designs meets the limits", 3)
+    assert "misses Peak added jerk, 95 % quantile 7.00 m/s³, limit 5.00 m/s³ (1.4 times)." in judgement.sentences[0]
+    assert judgement.try_next == ("The nearest design stands at an end of its sweep: try r_delta above 10000.",)
+    assert not judgement.usable
 
 
 def test_the_nearest_is_the_one_with_the_smallest_largest_excess() -> None:
     results = results_of([9.0, 1.0, 2.0, 3.0], jerk_added_peak=[0, 6.0, 5.5, 50.0], a_y_added_peak=[0, 3.3, 6.0, 1.0])
-    ranking, found = ranked(results, "comfort")
-    assert ranking.designs[found.place].label == DESIGNS[1].label
+    ranking, judgement = ranked(results, "comfort")
+    assert ranking.designs[judgement.place].label == DESIGNS[1].label
 
 
 def test_divergence_is_red_and_never_silent() -> None:
@@ -170,11 +170,11 @@ def test_divergence_is_red_and_never_silent() -> None:
     from ldctoolkit import EventStatus
 
     status[1, 3] = int(EventStatus.DIVERGED)
-    _, found = ranked(results_of([9.0, 1.0, 2.0, 3.0], status=status))
-    assert found.title.startswith("Smallest S, but not usable: LQR")
-    assert found.sentences[1] == "It is not usable as it is: it diverges in 1 departure."
-    assert light(found, "Stable") == ("bad", "It diverges in 1 of 20 departures.")
-    assert any("diverges in 1" in line for line in verdict_lines(found))
+    _, judgement = ranked(results_of([9.0, 1.0, 2.0, 3.0], status=status))
+    assert judgement.title.startswith("Smallest S, but not usable: LQR")
+    assert judgement.sentences[1] == "It is not usable as it is: it diverges in 1 departure."
+    assert light(judgement, "Stable") == ("bad", "It diverges in 1 of 20 departures.")
+    assert any("diverges in 1" in line for line in verdict_lines(judgement))
 
 
 def test_divergence_where_no_tyre_could_follow_is_no_fault_of_the_design() -> None:
@@ -188,34 +188,36 @@ def test_divergence_where_no_tyre_could_follow_is_no_fault_of_the_design() -> No
     T[0], d_y[0] = 0.7, 0.9
     hard = Scenarios.from_arrays(T=T, d_y=d_y, v_mean=29.0, side=results.scenarios.side)
     results = dataclasses.replace(results, scenarios=hard)
-    ranking, found = ranked(results, "stable", setup=Setup())
+    ranking, judgement = ranked(results, "stable", setup=Setup())
     assert ranking.winner is not None
-    assert found.recorded == pytest.approx(0.05)
-    assert "Diverges only in 1 of 20 departures, whose recorded path is beyond friction" in light(found, "Stable")[1]
+    assert judgement.recorded == pytest.approx(0.05)
+    assert (
+        "Diverges only in 1 of 20 departures, whose recorded path is beyond friction" in light(judgement, "Stable")[1]
+    )
 
 
 def test_physics_is_a_limit_even_where_nothing_is_required() -> None:
-    _, found = ranked(results_of([9.0, 1.0, 2.0, 3.0], a_y_peak=[1.0, 85.0, 3.0, 3.0]))
-    assert light(found, "Limits") == ("bad", "A lateral acceleration of 85 m/s² (8.7 g) is physically impossible.")
-    assert "8.7 g" in found.sentences[1]
+    _, judgement = ranked(results_of([9.0, 1.0, 2.0, 3.0], a_y_peak=[1.0, 85.0, 3.0, 3.0]))
+    assert light(judgement, "Limits") == ("bad", "A lateral acceleration of 85 m/s² (8.7 g) is physically impossible.")
+    assert "8.7 g" in judgement.sentences[1]
 
 
 def test_lights_of_a_good_design() -> None:
     results = results_of([9.0, 1.0, 2.0, 3.0], n=100, a_y_added_peak=[0, 1.0, 1.0, 1.0])
-    _, found = ranked(results, "stable", "comfort", setup=Setup())
-    assert [one.state for one in found.lights] == ["good", "good", "good", "unknown"]
-    assert light(found, "Limits")[1] == "Meets stable and comfort."
-    assert light(found, "Other plants")[1] == "Not tested on other plants."
+    _, judgement = ranked(results, "stable", "comfort", setup=Setup())
+    assert [one.state for one in judgement.lights] == ["good", "good", "good", "unknown"]
+    assert light(judgement, "Limits")[1] == "Meets stable and comfort."
+    assert light(judgement, "Other plants")[1] == "Not tested on other plants."
 
 
 def test_a_design_no_better_than_none_is_red() -> None:
-    _, found = ranked(results_of([9.0, 9.5, 10.0, 11.0]))
-    assert light(found, "Score")[0] == "bad"
+    _, judgement = ranked(results_of([9.0, 9.5, 10.0, 11.0]))
+    assert light(judgement, "Score")[0] == "bad"
 
 
 def test_nothing_but_no_control() -> None:
-    _, found = ranked(given_results(np.ones((1, 20)), DESIGNS[:1]))
-    assert found.title == "Smallest S: No control, y_s = 0.2 m"
+    _, judgement = ranked(given_results(np.ones((1, 20)), DESIGNS[:1]))
+    assert judgement.title == "Smallest S: No control, y_s = 0.2 m"
 
 
 CONTENT: dict[str, Any] = {
@@ -358,8 +360,8 @@ def test_the_command_line_and_the_search_take_the_worst(tmp_path: Path, capsys: 
     content = CONTENT | {"search": {"objectives": ["S_worst", "needless"], "trials": 4, "batch": 2}}
     content["design"] = [{"law": "lqr", "y_s": [0.1, 0.2, 0.3], "gains": {"r_delta": [3000.0, 20000.0, 40000.0]}}]
     searched = Study.from_dict(content)
-    found = run_study(searched, directory=tmp_path / "run")
-    ranking = rank_study(found, searched)
+    results = run_study(searched, directory=tmp_path / "run")
+    ranking = rank_study(results, searched)
     assert np.isfinite(ranking.metrics.beside["S_worst"]).all()
     assert main(["rank", str(tmp_path / "run"), "--require", "S_worst <= 0.01"]) == 0
     assert "Mean S, worst of the named vehicles" in capsys.readouterr().out

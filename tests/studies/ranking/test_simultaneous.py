@@ -76,19 +76,21 @@ class Coverage:
 
 
 def coverage(truth: Truth, n: int, repetitions: int, samples: int, first: int = 0) -> Coverage:
-    found = Coverage()
+    held = Coverage()
     mean, baseline, best = truth.mean, 0, int(truth.mean.argmin())
     for repetition in range(first, first + repetitions):
         scores, side = truth.draw(n, [n, repetition])
-        one = infer(scores, side, ranked=len(mean), baseline=baseline, seed=repetition, samples=samples,
-                    confidence=CONFIDENCE)  # fmt: skip
-        found.S += all_in(mean, one.S_low, one.S_high)
-        found.baseline += all_in(mean - mean[baseline], one.baseline_difference_low, one.baseline_difference_high)
+        resampled = Resampled.of(scores, side, seed=repetition, samples=samples)
+        inference = infer(resampled, ranked=len(mean), baseline=baseline, confidence=CONFIDENCE)
+        held.S += all_in(mean, inference.S_low, inference.S_high)
+        held.baseline += all_in(
+            mean - mean[baseline], inference.baseline_difference_low, inference.baseline_difference_high
+        )
         chosen = int(scores.mean(axis=1).argmin())
-        found.best += all_in(mean - mean[chosen], one.difference_low, one.difference_high)
-        found.set_of_best += bool(one.set_of_best[best])
-        found.size += one.set_of_best.mean()
-    return Coverage(*(value / repetitions for value in dataclasses.astuple(found)))
+        held.best += all_in(mean - mean[chosen], inference.difference_low, inference.difference_high)
+        held.set_of_best += bool(inference.set_of_best[best])
+        held.size += inference.set_of_best.mean()
+    return Coverage(*(value / repetitions for value in dataclasses.astuple(held)))
 
 
 def all_in(truth: np.ndarray, low: np.ndarray, high: np.ndarray) -> bool:
@@ -100,21 +102,21 @@ def all_in(truth: np.ndarray, low: np.ndarray, high: np.ndarray) -> bool:
 def test_coverage_at_1000_scenarios() -> None:
     """300 repetitions see a coverage of 0.95 with a standard error of 0.013, from 500 resamples each.
     docs/explanation/statistics.md has the figures of some thousand repetitions."""
-    found = coverage(Truth.of(DESIGNS, 0.03), 1_000, repetitions=300, samples=500)
-    assert 0.93 <= found.S <= 0.97
-    assert 0.93 <= found.baseline <= 0.97
-    assert found.best >= 0.93
-    assert found.set_of_best >= 0.95
-    assert found.size < 0.6  # a set of everything would hold the best too
+    held = coverage(Truth.of(DESIGNS, 0.03), 1_000, repetitions=300, samples=500)
+    assert 0.93 <= held.S <= 0.97
+    assert 0.93 <= held.baseline <= 0.97
+    assert held.best >= 0.93
+    assert held.set_of_best >= 0.95
+    assert held.size < 0.6  # a set of everything would hold the best too
 
 
 @pytest.mark.slow
 def test_coverage_at_200_scenarios() -> None:
-    found = coverage(Truth.of(DESIGNS, 0.03), 200, repetitions=150, samples=500)
-    assert found.S >= 0.90
-    assert found.baseline >= 0.90
-    assert found.best >= 0.93
-    assert found.set_of_best >= 0.95
+    held = coverage(Truth.of(DESIGNS, 0.03), 200, repetitions=150, samples=500)
+    assert held.S >= 0.90
+    assert held.baseline >= 0.90
+    assert held.best >= 0.93
+    assert held.set_of_best >= 0.95
 
 
 @pytest.fixture
@@ -170,7 +172,7 @@ def test_the_set_of_best_is_hsus_by_hand(scores: tuple[np.ndarray, np.ndarray]) 
     """Every pair, every resample; no design is so bad here that it could not be the best."""
     values, side = scores
     B, d = 199, len(values)
-    found = separable(values, side, seed=4, confidence=0.95, samples=B)
+    separation = separable(values, side, seed=4, confidence=0.95, samples=B)
     single = np.zeros((d, B))
     either = np.zeros(B)
     pairs = {}
@@ -183,18 +185,19 @@ def test_the_set_of_best_is_hsus_by_hand(scores: tuple[np.ndarray, np.ndarray]) 
             pairs[r, j] = mean[0], error[0]
     critical = max(with_tails_of_t(np.sort(row)[189], 298) for row in single)
     of_all = with_tails_of_t(np.sort(either)[189], 298)
-    low = [max([pairs[i, r][0] - critical * pairs[i, r][1] for r in range(d) if r != i] + [0.0] * (i == found.best))
+    best = separation.best
+    low = [max([pairs[i, r][0] - critical * pairs[i, r][1] for r in range(d) if r != i] + [0.0] * (i == best))
            for i in range(d)]  # fmt: skip
-    assert found.best == values.mean(axis=1).argmin()
-    np.testing.assert_allclose(found.critical, critical, rtol=1e-9)
-    np.testing.assert_allclose(found.critical_of_all, of_all, rtol=1e-9)
-    np.testing.assert_allclose(found.low, low, rtol=1e-8, atol=1e-14)
-    others = np.arange(d) != found.best
-    reach = [reach_by_hand(values[i] - values[found.best], side, pairs[i, found.best][1], of_all)
-             for i in range(d) if i != found.best]  # fmt: skip
+    assert separation.best == values.mean(axis=1).argmin()
+    np.testing.assert_allclose(separation.critical, critical, rtol=1e-9)
+    np.testing.assert_allclose(separation.critical_of_all, of_all, rtol=1e-9)
+    np.testing.assert_allclose(separation.low, low, rtol=1e-8, atol=1e-14)
+    others = np.arange(d) != separation.best
+    reach = [reach_by_hand(values[i] - values[separation.best], side, pairs[i, separation.best][1], of_all)
+             for i in range(d) if i != separation.best]  # fmt: skip
     below, above = np.array(reach).T
-    np.testing.assert_allclose(found.high_of_all[others] - found.difference[others], above, rtol=1e-9)
-    np.testing.assert_allclose(found.difference[others] - found.low_of_all[others], below, rtol=1e-9)
+    np.testing.assert_allclose(separation.high_of_all[others] - separation.difference[others], above, rtol=1e-9)
+    np.testing.assert_allclose(separation.difference[others] - separation.low_of_all[others], below, rtol=1e-9)
 
 
 def test_a_design_beside_others_keeps_every_bit(scores: tuple[np.ndarray, np.ndarray]) -> None:
@@ -241,23 +244,23 @@ def test_few_references_stand_for_many() -> None:
 def test_solver_tolerance_is_no_difference() -> None:
     S = np.random.default_rng(0).gamma(2.0, 1.0, 60)
     side = np.repeat([1, -1], 30)
-    found = separable(np.stack([S + 5e-6, S, S + 5e-7, S]), side, seed=1, confidence=0.95, samples=200)
-    assert (found.clear.tolist(), found.difference[3]) == ([True, False, False, False], 0.0)
-    assert found.low[3] == found.high_of_all[3] == 0.0
+    separation = separable(np.stack([S + 5e-6, S, S + 5e-7, S]), side, seed=1, confidence=0.95, samples=200)
+    assert (separation.clear.tolist(), separation.difference[3]) == ([True, False, False, False], 0.0)
+    assert separation.low[3] == separation.high_of_all[3] == 0.0
 
 
 def test_who_cannot_be_the_best_does_not_decide_who_is(scores: tuple[np.ndarray, np.ndarray]) -> None:
     """Designs behind the contenders: compared, but neither best nor a reason to leave the set."""
     values, side = scores
     resampled = Resampled.of(np.concatenate([values, 0.5 * values[:, ::-1] - 0.2]), side, seed=1, samples=200)
-    found = compare_with_best(resampled, 0.95, contenders=6)
+    separation = compare_with_best(resampled, 0.95, contenders=6)
     alone = compare_with_best(Resampled.of(values, side, seed=1, samples=200), 0.95)
-    assert (found.best, found.critical) == (alone.best, alone.critical)
-    assert found.critical_of_all > alone.critical_of_all  # one more interval that has to hold
-    np.testing.assert_array_equal(found.low[:6], alone.low)
-    assert (found.difference[6:] < -0.1).all()
-    assert (found.low_of_all < found.difference)[6:].all()
-    assert (found.high_of_all[6:] < 0).all()
+    assert (separation.best, separation.critical) == (alone.best, alone.critical)
+    assert separation.critical_of_all > alone.critical_of_all  # one more interval that has to hold
+    np.testing.assert_array_equal(separation.low[:6], alone.low)
+    assert (separation.difference[6:] < -0.1).all()
+    assert (separation.low_of_all < separation.difference)[6:].all()
+    assert (separation.high_of_all[6:] < 0).all()
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 40])
@@ -265,35 +268,36 @@ def test_a_side_of_one_scenario_has_no_interval_and_tells_nothing_apart(n: int) 
     values = np.arange(4.0 * n).reshape(4, n) ** 2
     values[3] = values[1]
     side = np.where(np.arange(n) < 1, 1, -1)
-    found = infer(values, side, ranked=4, baseline=1, seed=0, samples=100, confidence=0.95)
-    assert found.set_of_best.all()
-    assert (found.S_low == -np.inf).all()
-    assert (found.S_high == np.inf).all()
-    assert found.difference_low.tolist() == [0.0, *[-np.inf] * 3]
-    assert found.difference_high.tolist() == [0.0, *[np.inf] * 3]
+    inference = infer(Resampled.of(values, side, seed=0, samples=100), ranked=4, baseline=1, confidence=0.95)
+    assert inference.set_of_best.all()
+    assert (inference.S_low == -np.inf).all()
+    assert (inference.S_high == np.inf).all()
+    assert inference.difference_low.tolist() == [0.0, *[-np.inf] * 3]
+    assert inference.difference_high.tolist() == [0.0, *[np.inf] * 3]
     # the difference of equal scores is known
-    assert found.baseline_difference_low.tolist() == [-np.inf, 0.0, -np.inf, 0.0]
-    assert found.baseline_difference_high.tolist() == [np.inf, 0.0, np.inf, 0.0]
+    assert inference.baseline_difference_low.tolist() == [-np.inf, 0.0, -np.inf, 0.0]
+    assert inference.baseline_difference_high.tolist() == [np.inf, 0.0, np.inf, 0.0]
 
 
 def test_two_scenarios_of_each_side_have_intervals() -> None:
     values = np.arange(12.0).reshape(3, 4) ** 2
-    found = infer(values, np.array([1, 1, -1, -1]), ranked=3, baseline=1, seed=0, samples=100, confidence=0.95)
-    for field in dataclasses.fields(found):
-        assert np.isfinite(getattr(found, field.name)).all(), field.name
-    assert found.set_of_best[0]
+    resampled = Resampled.of(values, np.array([1, 1, -1, -1]), seed=0, samples=100)
+    inference = infer(resampled, ranked=3, baseline=1, confidence=0.95)
+    for field in dataclasses.fields(inference):
+        assert np.isfinite(getattr(inference, field.name)).all(), field.name
+    assert inference.set_of_best[0]
 
 
 def test_frequencies_are_shared_by_equals_and_sum_to_one() -> None:
     S = np.random.default_rng(0).gamma(2.0, 1.0, (2, 80))
     side = np.repeat([1, -1], 40)
     values = np.stack([S[0], S[0], S[1], S[0], S[1] + 9.0])
-    found = infer(values, side, ranked=5, baseline=None, seed=0, samples=300, confidence=0.95)
+    inference = infer(Resampled.of(values, side, seed=0, samples=300), ranked=5, baseline=None, confidence=0.95)
     means = np.concatenate(list(weight_blocks(side, samples=300, seed=0))) @ S.T
     first = (means[:, 0] < means[:, 1]).mean()
-    np.testing.assert_allclose(found.best_frequency, [first / 3, first / 3, 1 - first, first / 3, 0.0], atol=1e-12)
+    np.testing.assert_allclose(inference.best_frequency, [first / 3, first / 3, 1 - first, first / 3, 0.0], atol=1e-12)
     assert 0 < first < 1
-    assert np.isnan(found.baseline_difference).all()
+    assert np.isnan(inference.baseline_difference).all()
 
 
 @pytest.mark.parametrize("confidence", [0.0, 1.0, -0.1, 1.1, float("nan")])

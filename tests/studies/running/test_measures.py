@@ -1,5 +1,6 @@
 """What a run measures beside its scenario runs: driven once, stored, and judged without another drive."""
 
+import dataclasses
 import shutil
 from pathlib import Path
 from typing import Any
@@ -8,10 +9,14 @@ import numpy as np
 import pytest
 
 import ldctoolkit.studies.measures as measures
-from ldctoolkit.errors import InputError, StoreError
+from ldctoolkit.control import EventStatus
+from ldctoolkit.controllers import LQR
+from ldctoolkit.errors import InputError, StoreError, StudyError
 from ldctoolkit.studies import Study, rank_study, read_results, run_study
 from ldctoolkit.studies.cli import main
+from ldctoolkit.studies.sensitivity.winner_profile import winner_profile
 from ldctoolkit.studies.storage.manifest import read_manifest
+from ldctoolkit.studies.storage.measure_table import MeasureTable
 from ldctoolkit.studies.study_file import toml_text
 
 STANDARD = "euroncap-2026-elk-road-edge"
@@ -103,6 +108,51 @@ def test_a_run_measures_what_is_missing_and_nothing_else(
     driven.clear()
     run_study(both, tmp_path / "copy", workers=1)
     assert driven == []
+
+
+@pytest.mark.parametrize("status", [EventStatus.CRASHED, EventStatus.TIMED_OUT])
+def test_a_design_that_ended_or_held_up_its_process_is_not_driven_again(
+    folder: Path, status: EventStatus, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    results, study = read_results(folder), read_manifest(folder).read_study()
+    statuses = results.status.copy()
+    statuses[1, 3] = status
+    faulty = dataclasses.replace(results, status=statuses)
+    prepared: list[float] = []
+    prepare = LQR.prepare
+
+    def noted(law: LQR, plant: Any) -> Any:
+        prepared.append(law.r_delta)
+        return prepare(law, plant)
+
+    monkeypatch.setattr(LQR, "prepare", noted)
+    measured = measures.measured(faulty, MeasureTable(), study.setup(), ["heavy"], [STANDARD]).measures
+    assert set(prepared) == {1000.0}
+    for name, values in results.measures.items():
+        np.testing.assert_array_equal(np.delete(measured[name], 1), np.delete(values, 1))
+        assert np.isnan(measured[name][1])
+    with pytest.raises(InputError) as caught:
+        winner_profile(faulty, study, faulty.designs[1])
+    assert (caught.value.path, caught.value.value) == ("winner", faulty.designs[1].label)
+
+
+@pytest.mark.parametrize(
+    ("changes", "key"),
+    [
+        ({"vehicle": {"m": 1400.0}}, "vehicle.m"),
+        ({"vehicle": {"steering_ratio": 20.0}}, "vehicle.steering_ratio"),  # it decides the scores in standards alone
+        ({"plant": {"speed": "profile"}}, "plant.speed"),
+        ({"simulation": {"dt": 0.02}}, "simulation.dt"),
+    ],
+)
+def test_a_ranking_for_another_vehicle_than_that_of_the_run_is_refused(
+    folder: Path, changes: dict[str, Any], key: str
+) -> None:
+    results, study = read_results(folder), read_manifest(folder).read_study()
+    with pytest.raises(StudyError) as caught:
+        rank_study(results, study.changed(**changes))
+    table, _, name = key.partition(".")
+    assert (caught.value.path, caught.value.value) == (f"study measured: {key}", changes[table][name])
 
 
 def test_another_steering_ratio_is_measured_again(tmp_path: Path) -> None:

@@ -143,34 +143,34 @@ def test_samples_that_do_not_fit_are_refused() -> None:
 
 
 # --- blocks of a study ------------------------------------------------------------------------------------------------
-def only(found: tuple[BlockSensitivity, ...]) -> BlockSensitivity:
-    assert len(found) == 1
-    return found[0]
+def only(blocks: tuple[BlockSensitivity, ...]) -> BlockSensitivity:
+    assert len(blocks) == 1
+    return blocks[0]
 
 
 def test_a_full_grid_gives_the_indices_of_a_linear_function() -> None:
     """S = 3 a + 2 b + y_s: no interactions; the shares go with the squared slopes times the variances."""
     a, b, y_s = [-1.0, 0.0, 0.5, 2.0], [0.0, 3.0], [0.1, 0.2, 0.5]
     study = study_of({"law": "waves", "y_s": y_s, "gains": {"b": b, "a": a, "c": 1.0}})
-    found = only(
+    result = only(
         sensitivity(results_of(study, lambda d: 3 * gain_value(d, "a") + 2 * gain_value(d, "b") + d.y_s), study)
     )
     parts = np.array([np.var(y_s), 4 * np.var(b), 9 * np.var(a)])
-    assert (found.names, found.method, found.designs) == (("y_s", "b", "a"), "factorial", 24)
+    assert (result.names, result.method, result.designs) == (("y_s", "b", "a"), "factorial", 24)
     for index in ("first", "first_low", "first_high", "total", "total_low", "total_high"):
         # scores do not depend on the scenario: nor do the indices, whatever is drawn. 100 m s are added to all:
         # 14 of 16 digits are left, and the resampled means keep about twelve
-        np.testing.assert_allclose(getattr(found.indices, index), parts / parts.sum(), rtol=1e-8)
-    assert "exact for the grid" in found.note
-    assert found.interval_over == "scenarios"
+        np.testing.assert_allclose(getattr(result.indices, index), parts / parts.sum(), rtol=1e-8)
+    assert "exact for the grid" in result.note
+    assert result.interval_over == "scenarios"
 
 
 def test_a_grid_in_which_only_the_product_counts_is_all_interaction() -> None:
     study = study_of({"law": "waves", "gains": {"a": [-1.0, 1.0], "b": [-2.0, 2.0], "on": [True, False]}})
-    found = only(sensitivity(results_of(study, lambda d: gain_value(d, "a") * gain_value(d, "b")), study))
+    result = only(sensitivity(results_of(study, lambda d: gain_value(d, "a") * gain_value(d, "b")), study))
     for end in ("", "_low", "_high"):
-        np.testing.assert_allclose(getattr(found.indices, f"first{end}"), [0, 0, 0], atol=1e-9)
-        np.testing.assert_allclose(getattr(found.indices, f"total{end}"), [1, 1, 0], atol=1e-9)
+        np.testing.assert_allclose(getattr(result.indices, f"first{end}"), [0, 0, 0], atol=1e-9)
+        np.testing.assert_allclose(getattr(result.indices, f"total{end}"), [1, 1, 0], atol=1e-9)
 
 
 def test_the_interval_of_an_index_is_that_of_resampled_scenarios() -> None:
@@ -179,13 +179,13 @@ def test_the_interval_of_an_index_is_that_of_resampled_scenarios() -> None:
     study = study_of({"law": "waves", "gains": {"a": a, "b": a}})
     slopes = np.random.default_rng(1).normal([[2.0], [1.0]], 1.0, (2, 200))
     scores = results_of(study, lambda d: gain_value(d, "a") * slopes[0] + gain_value(d, "b") * slopes[1], n=200)
-    found = only(sensitivity(scores, study)).indices
+    result = only(sensitivity(scores, study)).indices
     means = bootstrap_means(slopes, scores.scenarios.side, samples=200, seed=5)
     index = means**2 / (means**2).sum(axis=1, keepdims=True)
     low, high = np.quantile(index, [0.025, 0.975], axis=0)
     for name in ("first", "total"):
-        np.testing.assert_allclose(getattr(found, f"{name}_low"), low, rtol=1e-6)
-        np.testing.assert_allclose(getattr(found, f"{name}_high"), high, rtol=1e-6)
+        np.testing.assert_allclose(getattr(result, f"{name}_low"), low, rtol=1e-6)
+        np.testing.assert_allclose(getattr(result, f"{name}_high"), high, rtol=1e-6)
 
 
 def test_scores_count_as_in_the_ranking() -> None:
@@ -196,37 +196,37 @@ def test_scores_count_as_in_the_ranking() -> None:
     S[:, 3], status[0, 3] = np.nan, EventStatus.INVALID
     S[1, 0], before[1, 0], status[1, 0] = 0.0, 112.0, EventStatus.SOLVER_FAILED  # a = 0, b = 1
     changed = dataclasses.replace(plain, S=S, status=status, S_uncorrected=before)
-    found = only(sensitivity(changed, study)).indices
+    result = only(sensitivity(changed, study)).indices
     first, total = factorial_shares(np.array([[[0.0, 4.0], [1.0, 1.0]]]))
-    np.testing.assert_allclose(found.first, first[0], rtol=1e-9)
-    np.testing.assert_allclose(found.total, total[0], rtol=1e-9)
+    np.testing.assert_allclose(result.first, first[0], rtol=1e-9)
+    np.testing.assert_allclose(result.total, total[0], rtol=1e-9)
 
 
 @pytest.mark.parametrize(("count", "error"), [(128, 0.12), pytest.param(1024, 0.05, marks=pytest.mark.slow)])
 def test_a_saltelli_sample_gives_the_known_indices_of_ishigami(count: int, error: float) -> None:
     """SALib's intervals hold the known values; of 1,024 base points they are +-0.08 at most."""
     study = study_of({"law": "waves", "gains": CUBE, "sample": {"method": "saltelli", "count": count, "seed": 1}})
-    found = only(sensitivity(results_of(study, ishigami), study))
-    assert (found.names, found.method, found.designs) == (("a", "b", "c"), "saltelli", 5 * count)
-    one = found.indices
+    result = only(sensitivity(results_of(study, ishigami), study))
+    assert (result.names, result.method, result.designs) == (("a", "b", "c"), "saltelli", 5 * count)
+    one = result.indices
     np.testing.assert_allclose(one.first, ISHIGAMI_FIRST, atol=error)
     np.testing.assert_allclose(one.total, ISHIGAMI_TOTAL, atol=error)
     for index, wanted in (("first", ISHIGAMI_FIRST), ("total", ISHIGAMI_TOTAL)):
         low, high = getattr(one, f"{index}_low"), getattr(one, f"{index}_high")
         assert ((low <= wanted) & (wanted <= high)).all()
         assert (high - low < 4 * error).all()
-    assert found.interval_over == "designs"
+    assert result.interval_over == "designs"
 
 
 @pytest.mark.parametrize("method", ["sobol", pytest.param("latin_hypercube", marks=pytest.mark.slow)])
 def test_an_even_sample_gives_the_first_order_indices_of_ishigami(method: str) -> None:
     """512 designs: the error of RBD-FAST has a standard deviation of 0.03 here."""
     study = study_of({"law": "waves", "gains": CUBE, "sample": {"method": method, "count": 512, "seed": 3}})
-    found = only(sensitivity(results_of(study, ishigami), study))
-    assert (found.method, found.designs) == ("rbd_fast", 512)
-    np.testing.assert_allclose(found.indices.first, ISHIGAMI_FIRST, atol=0.1)
-    assert np.isnan(found.indices.total).all()
-    assert "total indices need a full grid" in found.note
+    result = only(sensitivity(results_of(study, ishigami), study))
+    assert (result.method, result.designs) == ("rbd_fast", 512)
+    np.testing.assert_allclose(result.indices.first, ISHIGAMI_FIRST, atol=0.1)
+    assert np.isnan(result.indices.total).all()
+    assert "total indices need a full grid" in result.note
 
 
 def test_numbers_depend_on_the_study_only() -> None:
@@ -246,8 +246,8 @@ def test_every_law_of_every_table_has_its_own_indices() -> None:
         {"law": "none"},
         {"law": ["waves", "lqr"], "y_s": [0.1, 0.2], "gains": {"a": [0.0, 1.0], "r_delta": [10.0, 20.0, 30.0]}},
     )
-    found = sensitivity(results_of(study, lambda d: d.y_s), study)
-    assert [(one.block, one.law, one.names, one.designs) for one in found] == [
+    blocks = sensitivity(results_of(study, lambda d: d.y_s), study)
+    assert [(block.block, block.law, block.names, block.designs) for block in blocks] == [
         (1, "waves", ("y_s", "a"), 4),
         (1, "lqr", ("y_s", "r_delta"), 6),
     ]
@@ -278,11 +278,11 @@ def test_a_few_failed_designs_of_an_even_sample_are_left_out_and_counted() -> No
     bad = study.designs[7]
     results = results_of(study, ishigami, designs=(*study.designs[:7], *study.designs[8:]),
                          failed=(FailedDesign(bad, "raised"),))  # fmt: skip
-    found = only(sensitivity(results, study))
-    assert found.designs == 199
-    assert "1 failed designs are left out" in found.note
+    result = only(sensitivity(results, study))
+    assert result.designs == 199
+    assert "1 failed designs are left out" in result.note
     # the others keep their places: 200 designs know an index to about 0.05
-    np.testing.assert_allclose(found.indices.first, ISHIGAMI_FIRST, atol=0.2)
+    np.testing.assert_allclose(result.indices.first, ISHIGAMI_FIRST, atol=0.2)
 
 
 # --- the profile ------------------------------------------------------------------------------------------------------
@@ -327,14 +327,14 @@ def test_a_profile_is_what_simulate_gives(window: str) -> None:
     results = driven(study, n=30)
     winner = Design.from_gains("waves", 0.1, {"a": 2.0, "N": 8})
     counts: list[tuple[int, int]] = []
-    found = by_name(winner_profile(results, study, winner, points=5, advance=lambda *c: counts.append(c)))
-    assert (list(found), found["y_s"].values) == (["y_s", "a", "N"], (0.1, 0.15, 0.2, 0.25, 0.3))
-    assert found["a"].values == (0.5, 0.875, 1.25, 1.625, 2.0)
+    profiles = by_name(winner_profile(results, study, winner, points=5, advance=lambda *c: counts.append(c)))
+    assert (list(profiles), profiles["y_s"].values) == (["y_s", "a", "N"], (0.1, 0.15, 0.2, 0.25, 0.3))
+    assert profiles["a"].values == (0.5, 0.875, 1.25, 1.625, 2.0)
     # whole, and even on a logarithmic scale
-    assert found["N"].values == (2, 3, 4, 6, 8)
+    assert profiles["N"].values == (2, 3, 4, 6, 8)
     at_winner = _outcome(study, winner, results.scenarios).S
     critical: list[float] = []
-    for profile in found.values():
+    for profile in profiles.values():
         assert profile.values[profile.at] == gain_value(winner, profile.name)
         assert profile.stored.tolist() == [True, False, False, False, True]
         rows = [_outcome(study, design, results.scenarios).S for design in profile.designs]
@@ -360,18 +360,18 @@ def test_a_profile_is_what_simulate_gives(window: str) -> None:
     assert 0.95 * scipy.stats.t.ppf(0.975, df) < critical[0] < 1.1 * scipy.stats.t.ppf(1 - 0.025 / len(critical), df)
     # nine designs and the winner, which is driven once more to see that nothing has changed
     assert counts == [(i, 10) for i in range(1, 11)]
-    assert (found["a"].unit, found["y_s"].unit) == ("1", "m")
+    assert (profiles["a"].unit, profiles["y_s"].unit) == ("1", "m")
 
 
 def test_driven_designs_count_as_stored_ones_do() -> None:
     """A law that steers well and says that it failed counts as if it had not steered."""
     study = study_of({"law": "giving_up", "gains": {"K": [0.0, 1.0, 2.0]}}, simulation={"dt": 0.1})
     results = driven(study, study.designs[:2])
-    found = winner_profile(results, study, study.designs[0], points=3)[0]
-    assert found.stored.tolist() == [True, True, False]
+    profile = winner_profile(results, study, study.designs[0], points=3)[0]
+    assert profile.stored.tolist() == [True, True, False]
     whole = driven(study)
     assert (whole.counted[2] > whole.S[2]).any()
-    np.testing.assert_allclose(found.S, whole.counted.mean(axis=1), rtol=1e-12)
+    np.testing.assert_allclose(profile.S, whole.counted.mean(axis=1), rtol=1e-12)
 
 
 def test_no_points_take_what_the_study_holds() -> None:
@@ -380,13 +380,13 @@ def test_no_points_take_what_the_study_holds() -> None:
     blocks = [{"law": "waves", "y_s": y_s, "gains": {"a": a}} for y_s, a in designs]
     study = study_of(*blocks)
     results = results_of(study, lambda d: (gain_value(d, "a") - 1.2) ** 2)
-    found = winner_profile(results, study, study.designs[1], points=0)
-    assert [(one.name, one.values) for one in found] == [("a", (0.5, 1.0, 2.0))]
-    np.testing.assert_allclose(found[0].difference, [0.45, 0.0, 0.6], rtol=1e-9)
-    assert found[0].stored.all()
-    assert found[0].spread == pytest.approx(0.6)
-    assert found[0].best == found[0].at == 1
-    assert found[0].beyond is None
+    profiles = winner_profile(results, study, study.designs[1], points=0)
+    assert [(profile.name, profile.values) for profile in profiles] == [("a", (0.5, 1.0, 2.0))]
+    np.testing.assert_allclose(profiles[0].difference, [0.45, 0.0, 0.6], rtol=1e-9)
+    assert profiles[0].stored.all()
+    assert profiles[0].spread == pytest.approx(0.6)
+    assert profiles[0].best == profiles[0].at == 1
+    assert profiles[0].beyond is None
 
 
 def test_switches_are_all_tried_and_a_law_that_fails_is_named() -> None:
@@ -396,11 +396,11 @@ def test_switches_are_all_tried_and_a_law_that_fails_is_named() -> None:
         simulation={"dt": 0.1},
     )
     results = driven(study, study.designs[:2])
-    found = by_name(winner_profile(results, study, study.designs[0], points=3))
-    assert (found["on"].values, found["on"].stored.tolist()) == ((True, False), [True, False])
-    assert np.isfinite(found["on"].S).all()
+    profiles = by_name(winner_profile(results, study, study.designs[0], points=3))
+    assert (profiles["on"].values, profiles["on"].stored.tolist()) == ((True, False), [True, False])
+    assert np.isfinite(profiles["on"].S).all()
     # 1.6 is the middle of the range; the end is there although 2.9 is in the study and close to it
-    assert found["c"].values == (0.0, 1.6, 2.9, 3.2)
+    assert profiles["c"].values == (0.0, 1.6, 2.9, 3.2)
     wide = by_name(winner_profile(results, study, study.designs[0], points=41))["c"]
     assert wide.values[-1] == 3.2
     assert "ZeroDivisionError: c is too large" in wide.failures[-1]
@@ -424,9 +424,9 @@ def test_the_end_of_a_range_is_told_where_s_falls(a: list[float], S: Callable[[f
     study = study_of({"law": "waves", "gains": {"a": a, "on": [False, True]}})
     results = results_of(study, lambda d: S(float(gain_value(d, "a"))))
     best = min(study.designs, key=lambda d: float(np.mean(S(float(gain_value(d, "a"))))))
-    found = by_name(winner_profile(results, study, best, points=0))
-    assert found["a"].beyond == end
-    assert found["on"].beyond is None
+    profiles = by_name(winner_profile(results, study, best, points=0))
+    assert profiles["a"].beyond == end
+    assert profiles["on"].beyond is None
 
 
 def test_the_end_is_told_where_only_the_profile_gets_there() -> None:
@@ -454,14 +454,14 @@ def test_a_range_ends_where_the_study_file_says(more: dict[str, Any]) -> None:
     assert 0.05 < middle.y_s < 0.09
     held = by_name(winner_profile(results, study, middle, points=0))
     assert "y_s" not in held
-    found = by_name(winner_profile(results, study, middle, points=4))
-    assert list(found) == ["y_s", "a", "N", "on"]
-    assert (found["y_s"].values[0], found["y_s"].values[-1]) == (0.05, 0.3)
-    assert found["y_s"].at == 1
-    assert (found["a"].values[0], found["a"].values[-1]) == (-1.0, 1.0)
-    assert (found["N"].values[0], found["N"].values[-1]) == (2, 9)
-    assert ({type(value) for value in found["N"].values}, set(found["on"].values)) == ({int}, {True, False})
-    assert len(set(found["y_s"].values)) == len(found["y_s"].values)
+    profiles = by_name(winner_profile(results, study, middle, points=4))
+    assert list(profiles) == ["y_s", "a", "N", "on"]
+    assert (profiles["y_s"].values[0], profiles["y_s"].values[-1]) == (0.05, 0.3)
+    assert profiles["y_s"].at == 1
+    assert (profiles["a"].values[0], profiles["a"].values[-1]) == (-1.0, 1.0)
+    assert (profiles["N"].values[0], profiles["N"].values[-1]) == (2, 9)
+    assert ({type(value) for value in profiles["N"].values}, set(profiles["on"].values)) == ({int}, {True, False})
+    assert len(set(profiles["y_s"].values)) == len(profiles["y_s"].values)
 
 
 def test_a_study_that_cannot_be_reproduced_gets_no_driven_designs() -> None:
