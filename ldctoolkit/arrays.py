@@ -1,4 +1,4 @@
-"""Types of arrays, whose shapes are given where they are used, frozen dataclasses of arrays, and how they are shown."""
+"""Types of arrays, whose shapes are given where they are used, frozen dataclasses of arrays, and tables of facts."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import abc
 import dataclasses
 import html
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -40,6 +40,33 @@ class ReadOnly:
                 array = unmasked(array).view()
                 array.flags.writeable = False
                 object.__setattr__(self, field.name, array)
+
+
+class Rows(ReadOnly):
+    """A frozen dataclass of columns with one row for each departure: arrays, or what has such rows itself."""
+
+    def take(self, rows: npt.ArrayLike | slice) -> Self:
+        """The chosen rows of every column: an index array, a mask or a slice."""
+        index = row_index(rows)
+        names = [field.name for field in dataclasses.fields(self)]  # type: ignore[arg-type]
+        columns = {name: _rows_of(getattr(self, name), index) for name in names}
+        return dataclasses.replace(self, **columns)  # type: ignore[type-var]
+
+
+def row_index(rows: npt.ArrayLike | slice) -> IntArray | BoolArray | slice:
+    """Rows to take: an index array, a mask or a slice; an empty list takes none."""
+    index = rows if isinstance(rows, slice) else np.asarray(rows)
+    if not isinstance(index, slice) and index.size == 0:
+        return index.astype(np.int64)  # an empty list would be an array of floats
+    return index
+
+
+def _rows_of(column: Any, index: IntArray | BoolArray | slice) -> Any:
+    if isinstance(column, tuple):
+        return tuple(part.take(index) for part in column)
+    if isinstance(column, Rows):
+        return column.take(index)
+    return column[index] if isinstance(column, np.ndarray) else column
 
 
 class Frame(ReadOnly, abc.ABC):

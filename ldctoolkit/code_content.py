@@ -69,7 +69,7 @@ class _Visitor:
             self.digest.update(b"%d:" % len(data) + data)
 
     def add(self, value: Any, names: Iterable[str] = ()) -> None:
-        """One object; of a module only what has one of the names."""
+        """Add one object to the digest; of a module only the attributes in `names`."""
         if value is None or isinstance(value, bool | int | float | complex | str | types.EllipsisType):
             self.put(type(value).__name__, repr(value))
         elif isinstance(value, bytes | bytearray):
@@ -136,13 +136,13 @@ class _Visitor:
 
     def _apart(self, value: Any, add: Any = add) -> bytes:
         """The digest of an object by itself."""
-        other = _Visitor(self.package)
-        add(other, value)
-        self.modules |= other.modules
-        return other.digest.digest()
+        visitor = _Visitor(self.package)
+        add(visitor, value)
+        self.modules |= visitor.modules
+        return visitor.digest.digest()
 
     def _state(self, value: Any) -> None:
-        """What an object holds."""
+        """Add the state of an object to the digest: its type and what it holds."""
         self.put("object")
         self.add(type(value))
         if isinstance(value, set):
@@ -180,8 +180,8 @@ class _Visitor:
         spec = getattr(loaded, "__spec__", None) if loaded else importlib.util.find_spec(top) if top else None
         if top == self.package or spec is None:
             return None
-        places = [Path(place) for place in spec.submodule_search_locations or (spec.origin or "",)]
-        installed = any(_INSTALLED.intersection(place.parts) for place in places)
+        folders = [Path(folder) for folder in spec.submodule_search_locations or (spec.origin or "",)]
+        installed = any(_INSTALLED.intersection(folder.parts) for folder in folders)
         return f"{top} {getattr(loaded, '__version__', '')}" if installed else None
 
     def _module(self, module: types.ModuleType, names: Iterable[str]) -> None:
@@ -230,8 +230,8 @@ class _Visitor:
         for name, value in sorted(vars(kind).items()):
             written = isinstance(value, types.FunctionType | staticmethod | classmethod)
             # what `dataclass` made follows from the fields, what a class statement made from the rest
-            made = name == "_abc_impl" or (name.startswith("__") and not written and name != "__dataclass_fields__")
-            if not made and (name not in _GENERATED or value.__code__.co_filename != "<string>"):
+            derived = name == "_abc_impl" or (name.startswith("__") and not written and name != "__dataclass_fields__")
+            if not derived and (name not in _GENERATED or value.__code__.co_filename != "<string>"):
                 self.put(name)
                 self.add(value)
 
@@ -262,11 +262,11 @@ def _codes(code: types.CodeType) -> Iterator[types.CodeType]:
 
 def _imports(code: types.CodeType) -> set[tuple[str, int]]:
     """Names and levels of the imports inside a function."""
-    found: set[tuple[str, int]] = set()
+    imports: set[tuple[str, int]] = set()
     for inner in _codes(code):
         before: list[Any] = [0, 0]
         for step in dis.get_instructions(inner):
             if step.opname == "IMPORT_NAME":
-                found.add((str(step.argval), before[0]))
+                imports.add((str(step.argval), before[0]))
             before = [before[1], step.argval]
-    return found
+    return imports

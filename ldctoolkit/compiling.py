@@ -19,7 +19,7 @@ Display = Callable[[str], AbstractContextManager[object]]  # shows a text while 
 
 @functools.cache
 def line(text: str) -> AbstractContextManager[object]:
-    """One line on stderr, in each process the first time."""
+    """Print a line on stderr, once in each process."""
     with contextlib.suppress(OSError, ValueError):  # stderr may be closed
         print(text, file=sys.stderr, flush=True)
     return contextlib.nullcontext()
@@ -30,7 +30,7 @@ _displays: list[Display] = [line]
 
 @contextlib.contextmanager
 def shown_by(display: Display) -> Iterator[None]:
-    """Use another display meanwhile."""
+    """Show compilations with another display inside the block."""
     _displays.append(display)
     try:
         yield

@@ -68,8 +68,8 @@ class Preview:
     Examples
     --------
     >>> import numpy as np
-    >>> ahead = Preview(yaw_rate=np.array([[0.0, 0.02]]), heading=np.array([[0.0, 0.01]]))
-    >>> ahead.yaw_rate.shape
+    >>> preview = Preview(yaw_rate=np.array([[0.0, 0.02]]), heading=np.array([[0.0, 0.01]]))
+    >>> preview.yaw_rate.shape
     (1, 2)
     """
 
@@ -94,7 +94,7 @@ class LinearLaw(CheckedArguments):
     """
 
     F: FloatArray  # (n, 4) [rad per unit of state] Feedback on (e_y, de_y/dt, e_psi, de_psi/dt)
-    # What is not given from here on has no weight
+    # A field that is left out from here on has no weight
     # (p,) [s] Lookahead times, 0 is now
     preview_times: FloatArray = dataclasses.field(default_factory=partial(np.zeros, 0))
     # (n, p) [rad per rad/s] Weights of the lane's yaw rate there
@@ -114,8 +114,8 @@ class LinearLaw(CheckedArguments):
     f_wheel: FloatArray | None = None
 
     def __post_init__(self) -> None:
-        ahead = np.shape(self.preview_times)
-        for name, shape in (("G_yaw_rate", ahead), ("G_heading", ahead), ("f_u", ())):
+        lookahead = np.shape(self.preview_times)
+        for name, shape in (("G_yaw_rate", lookahead), ("G_heading", lookahead), ("f_u", ())):
             if np.size(getattr(self, name)) == 0:
                 object.__setattr__(self, name, np.zeros((*np.shape(self.F)[:1], *shape)))
 
@@ -144,7 +144,7 @@ class SolverCalls:
     dual_residual: FloatArray  # (k,) In the law's own units; NaN where the solver does not tell
 
     def of(self, places: IntArray) -> SolverCalls:
-        """Only those of some places in the batch."""
+        """The calls of the scenarios at `places` in the batch."""
         rows = np.isin(self.place, places)
         return SolverCalls(**{field.name: getattr(self, field.name)[rows] for field in dataclasses.fields(self)})
 
@@ -173,7 +173,7 @@ class SolverLog:
         return cls(*(np.concatenate(parts, dtype=parts[0].dtype, casting="unsafe") for parts in columns))._in_order()
 
     def renamed(self, rows: IntArray) -> SolverLog:
-        """The same with the scenarios' numbers from `rows`."""
+        """The log with each scenario's number replaced by its entry of `rows`."""
         return dataclasses.replace(self, row=rows[self.row])._in_order()
 
     def _in_order(self) -> SolverLog:
@@ -322,7 +322,7 @@ class Controller(CheckedArguments, abc.ABC):
     @classmethod
     def gains(cls) -> tuple[Gain, ...]:
         """Declared gains and options, in field order."""
-        return declared_gains(cls)
+        return tuple(declared_gains(cls).values())
 
     @abc.abstractmethod
     def prepare(self, plant: Plant) -> Law:
@@ -378,14 +378,14 @@ class LinearSteps(SteeringLaw):
 
     law: LinearLaw
     dt: float  # [s]
-    kept: int  # c
+    held: int  # c, number of earlier commands in the state
     whole: int  # [samples] Age of the younger command that moves the wheel within a sample
     wheel: FloatArray  # (n, 3) Weights of the wheel angle, that command and the older one in the angle a sample later
     measured: bool = False  # The wheel angle is that of the preview, as in the compiled loops
 
     @classmethod
     def of(cls, law: LinearLaw, plant: Plant) -> LinearSteps:
-        """A law that was prepared with a plant."""
+        """The steps of a linear law that was prepared with a plant."""
         wheel, past, whole = np.tile([0.0, 1.0, 0.0], (plant.n, 1)), 0, 0
         if law.f_wheel is not None:
             step = plant.augmented
@@ -398,7 +398,7 @@ class LinearSteps(SteeringLaw):
 
     @property
     def preview_times(self) -> FloatArray:
-        """Those of the linear law."""
+        """Lookahead times of the linear law."""
         return self.law.preview_times
 
     def init(self, n: int) -> State:
@@ -413,13 +413,13 @@ class LinearSteps(SteeringLaw):
         delta_prev: FloatArray,
         state: State,
     ) -> tuple[FloatArray, State, StatusArray]:
-        """The weighted sum, and the state for the next sample."""
+        """The command as the weighted sum, and the state for the next sample."""
         law, (z, past, angle) = self.law, state
         if past is None:
-            past, angle = np.repeat(delta_prev[:, None], self.kept, axis=1), delta_prev
+            past, angle = np.repeat(delta_prev[:, None], self.held, axis=1), delta_prev
         elif law.f_wheel is not None and not self.measured:
-            young, old = delta_prev if self.whole == 0 else past[:, self.whole - 1], past[:, self.whole]
-            angle = self.wheel[:, 0] * angle + self.wheel[:, 1] * young + self.wheel[:, 2] * old
+            younger, older = delta_prev if self.whole == 0 else past[:, self.whole - 1], past[:, self.whole]
+            angle = self.wheel[:, 0] * angle + self.wheel[:, 1] * younger + self.wheel[:, 2] * older
         if self.measured and preview.wheel is not None:
             angle = preview.wheel
         delta = law.f_u * delta_prev
@@ -434,14 +434,14 @@ class LinearSteps(SteeringLaw):
         if law.f_past is not None:
             for j in range(law.f_past.shape[1]):
                 delta += law.f_past[:, j] * past[:, j]
-        if self.kept:
+        if self.held:
             past = np.column_stack([delta_prev, past[:, :-1]])
         return delta, (z + self.dt * x[:, 0], past, angle), np.full(delta.size, EventStatus.OK, dtype=np.int8)
 
     def take(self, rows: IntArray, state: State) -> tuple[LinearSteps, State]:
-        """Only some scenarios."""
+        """The law and its state for the scenarios `rows`."""
         law, (z, past, angle) = self.law, state
         arrays = {name: value for name, value in vars(law).items() if name != "preview_times" and value is not None}
-        kept = dataclasses.replace(law, **{name: value[rows] for name, value in arrays.items()})
-        left = z[rows], None if past is None else past[rows], angle[rows]
-        return dataclasses.replace(self, law=kept, wheel=self.wheel[rows]), left
+        law_of_rows = dataclasses.replace(law, **{name: value[rows] for name, value in arrays.items()})
+        state_of_rows = z[rows], None if past is None else past[rows], angle[rows]
+        return dataclasses.replace(self, law=law_of_rows, wheel=self.wheel[rows]), state_of_rows

@@ -18,6 +18,8 @@ import warnings
 from collections.abc import Collection, Mapping
 from typing import Any, Final, Literal
 
+import numpy as np
+
 from ldctoolkit.errors import InputError, UnknownNameError, plain
 
 _KEY: Final = "ldctoolkit.declaration"
@@ -75,7 +77,7 @@ def checked_seed(seed: object, path: str = "seed") -> int:
 
 
 def checked_choice(path: str, value: object, choices: Collection[str]) -> str:
-    """One of some words; raises `InputError` at `path` for anything else, with the nearest word."""
+    """A word of `choices`; raises `InputError` at `path` for anything else, with the nearest word."""
     value = plain(value)
     if not isinstance(value, str) or value not in choices:
         raise InputError(path, value=value, allowed=choices)
@@ -112,7 +114,7 @@ class Declaration:
 
     @property
     def switch(self) -> bool:
-        """Whether it is true or false."""
+        """Whether the declared value is a truth value."""
         return isinstance(self.default, bool)
 
     @property
@@ -156,15 +158,15 @@ class Declaration:
         if self.text or self.switch:
             return value
         if self.pair:
-            ends = tuple(map(plain, value)) if isinstance(value, tuple | list) else value
+            numbers = tuple(map(plain, value)) if isinstance(value, tuple | list | np.ndarray) else ()
             try:
-                first, second = (dataclasses.replace(self, pair="").check(end) for end in ends)
-            except (InputError, TypeError, ValueError):
-                first, second = 0.0, math.nan
-            if not (first <= second if self.pair == "ascending" else first >= second):
-                limits = limits_text(self.above, self.lower, self.upper, self.unit)
-                raise InputError(path, value=ends, allowed=f"two {self.pair} numbers {limits}".rstrip())
-            return first, second
+                first, second = (dataclasses.replace(self, pair="").check(number) for number in numbers)
+                if first <= second if self.pair == "ascending" else first >= second:
+                    return first, second
+            except (InputError, ValueError):
+                pass
+            limits = limits_text(self.above, self.lower, self.upper, self.unit)
+            raise InputError(path, value=numbers or value, allowed=f"two {self.pair} numbers {limits}".rstrip())
         if self.whole:
             number = int(value) if isinstance(value, float) and value.is_integer() else value
             return checked_whole(path, number, lower=self.lower, upper=self.upper, unit=self.unit)
@@ -186,7 +188,7 @@ class Gain(Declaration):
     scale: Scale = "linear"  # How a sweep should space its values
 
     def parsed(self, text: str) -> Any:
-        """What a text stands for; what it cannot be is left to `check`."""
+        """The value that a text stands for; a text that stands for none is returned for `check` to refuse."""
         if isinstance(self.default, str):
             return text
         if self.switch:
@@ -345,20 +347,20 @@ def check_declared(owner: Any, table: str = "") -> None:
         object.__setattr__(owner, name, declaration.check(getattr(owner, name), table))
 
 
-def declared_gains(owner: type) -> tuple[Gain, ...]:
-    """The gains declared on a dataclass, in the order of its fields."""
-    return tuple(declaration for declaration in declarations(owner).values() if isinstance(declaration, Gain))
+def declared_gains(owner: type) -> dict[str, Gain]:
+    """The gains declared on a dataclass by their names, in the order of its fields."""
+    return {name: gain for name, gain in declarations(owner).items() if isinstance(gain, Gain)}
 
 
 def undeclared_fields(owner: type) -> tuple[str, ...]:
     """Fields of a dataclass that a caller sets but that are made with neither `gain` nor `option`."""
-    gains = {gain.name for gain in declared_gains(owner)}
+    gains = declared_gains(owner)
     return tuple(field.name for field in dataclasses.fields(owner) if field.init and field.name not in gains)
 
 
 def find_gain(law: Any, name: str) -> Gain:
     """The declared gain of that name of a law's class."""
-    gains = {gain.name: gain for gain in declared_gains(law)}
+    gains = declared_gains(law)
     if name not in gains:
         raise UnknownNameError(f"{law.name}.{name}", "no such gain", allowed=gains)
     return gains[name]
@@ -366,10 +368,10 @@ def find_gain(law: Any, name: str) -> Gain:
 
 def check_declarations(owner: type) -> None:
     """Raise if a gain or option of a dataclass contradicts itself."""
-    kinds = {field.name: _kind(field) for field in dataclasses.fields(owner)}
-    for declaration in declared_gains(owner):
-        if wrong := declaration.contradiction(kinds[declaration.name]):
-            raise wrong.within(f"{owner.__name__}.{declaration.name}")
+    gains = declared_gains(owner)
+    for field in dataclasses.fields(owner):
+        if field.name in gains and (error := gains[field.name].contradiction(_kind(field))):
+            raise error.within(f"{owner.__name__}.{field.name}")
 
 
 def document_gains(owner: type) -> None:
@@ -377,7 +379,7 @@ def document_gains(owner: type) -> None:
     rows = [
         f"    {gain.name} : {type(gain.default).__name__}{'' if gain.unit == '1' else f' [{gain.unit}]'}\n"
         f"        {gain.description[:1].upper()}{gain.description[1:]}."
-        for gain in declared_gains(owner)
+        for gain in declared_gains(owner).values()
     ]
     text = owner.__doc__ or ""
     if rows and "\n    Parameters\n" not in text:

@@ -8,13 +8,13 @@ its mirror image. Source: Zhao, Wang, LeBlanc (2017), section III.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.arrays import BoolArray, FloatArray, Frame, IntArray, ReadOnly, unmasked
+from ldctoolkit.arrays import BoolArray, FloatArray, Frame, IntArray, Rows, row_index, unmasked
 from ldctoolkit.declared import checked_number
 from ldctoolkit.errors import CheckedArguments, InputError
 
@@ -23,20 +23,17 @@ if TYPE_CHECKING:
 
 
 @dataclasses.dataclass(frozen=True)
-class ExtraColumn(ReadOnly):
-    """One more column of n departures."""
+class ExtraColumn(Rows):
+    """A column of the source table that travels along with n departures."""
 
     name: str  # of the column in a departures table; a number's name ends with its unit
     # (n,) text, empty where it is not known, or numbers, NaN where they are not
     values: npt.NDArray[np.str_] | FloatArray
 
-    def take(self, rows: IntArray | BoolArray | slice) -> ExtraColumn:
-        """The same column of chosen departures."""
-        return ExtraColumn(self.name, self.values[rows])
-
 
 LEFT: Final = 1
 RIGHT: Final = -1
+SIDES: Final = {"left": LEFT, "right": RIGHT}
 
 PARAMETER_NAMES: Final = ("T", "d_y", "sigma_y", "v_mean", "a_mean", "sigma_v", "c_0", "dc")
 """The eight parameters, in the order of the paper's vector xi."""
@@ -50,16 +47,15 @@ PARAMETER_COLUMNS: Final = {
 """Parameter -> its column in a stored table, the unit at the end: ``v_mean_m_s``."""
 
 
-def row_index(rows: npt.ArrayLike | slice) -> IntArray | BoolArray | slice:
-    """Rows to take: an index array, a mask or a slice; an empty list takes none."""
-    index = rows if isinstance(rows, slice) else np.asarray(rows)
-    if not isinstance(index, slice) and index.size == 0:
-        return index.astype(np.int64)  # an empty list would be an array of floats
-    return index
+def check_parameters(path: str, names: Iterable[str]) -> None:
+    """Raise `InputError` at `path` for a name that is none of the eight parameters."""
+    for name in names:
+        if name not in PARAMETER_NAMES:
+            raise InputError(path, "is no parameter", value=name, allowed=PARAMETER_NAMES)
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
-class DepartureParameters(Frame):
+class DepartureParameters(Rows, Frame):
     """The eight parameters of n departures and the side each went to.
 
     Examples
@@ -105,20 +101,6 @@ class DepartureParameters(Frame):
         left = int((self.side == LEFT).sum())
         return f"<{type(self).__name__}: {left:,} left, {self.n - left:,} right>"
 
-    def take(self, rows: npt.ArrayLike | slice) -> Self:
-        """The chosen departures: an index array, a mask or a slice, applied to every column."""
-        index = row_index(rows)
-        return dataclasses.replace(
-            self, **{f.name: _rows_of(getattr(self, f.name), index) for f in dataclasses.fields(self)}
-        )
-
-
-def _rows_of(column: Any, index: IntArray | BoolArray | slice) -> Any:
-    """Chosen rows of what a departure has: an array, several columns, signals, or nothing."""
-    if isinstance(column, np.ndarray):
-        return column[index]
-    return tuple(part.take(index) for part in column) if isinstance(column, tuple) else column and column.take(index)
-
 
 @dataclasses.dataclass(frozen=True, repr=False)
 class Departures(DepartureParameters):
@@ -130,8 +112,8 @@ class Departures(DepartureParameters):
     >>> import ldctoolkit as ldc
     >>> from ldctoolkit.recordings import Recording
     >>> t = np.arange(0, 10, 0.1)
-    >>> beyond, one = np.clip(0.3 - 0.3 * (t - 5) ** 2, -0.5, None), np.ones(t.size)
-    >>> drive = Recording("a", t, beyond + 0.85, 3.6 * one, 25.0 * one, one > 0, curvature=0.0 * one)
+    >>> beyond, ones = np.clip(0.3 - 0.3 * (t - 5) ** 2, -0.5, None), np.ones(t.size)
+    >>> drive = Recording("a", t, beyond + 0.85, 3.6 * ones, 25.0 * ones, ones > 0, curvature=0.0 * ones)
     >>> ldc.extract_departures([drive]).departures.recording
     array(['a'], dtype='<U1')
     """
@@ -139,12 +121,12 @@ class Departures(DepartureParameters):
     recording: npt.NDArray[np.str_]  # (n,) Identifier of the recording
     start_time: FloatArray  # (n,) [s] Interpolated time of the crossing outwards, on the recording's own clock
     samples: IntArray  # (n,) Recorded samples inside the event (the two interpolated crossings are not counted)
-    extra: tuple[ExtraColumn, ...] = ()  # Columns of the source's own, such as driver or road; they travel along
+    extra: tuple[ExtraColumn, ...] = ()  # Further columns of the source, such as driver or road
     signals: DepartureSignals | None = None  # y(t), v(t) and c(t) of each, where they were kept
 
 
 @dataclasses.dataclass(frozen=True)
-class DepartureSignals(ReadOnly):
+class DepartureSignals(Rows):
     """Signals of n departures, one after the other in flat arrays (events differ in length).
 
     Examples
@@ -173,13 +155,13 @@ class DepartureSignals(ReadOnly):
         """Samples between the two crossings, (n,)."""
         return np.diff(self.offsets) - 2
 
-    def take(self, rows: npt.ArrayLike | slice) -> DepartureSignals:
+    def take(self, rows: npt.ArrayLike | slice) -> Self:
         """The signals of chosen departures: an index array, a mask or a slice."""
-        chosen = np.arange(self.n)[row_index(rows)]
-        length = np.diff(self.offsets)[chosen]
+        events = np.arange(self.n)[row_index(rows)]
+        length = np.diff(self.offsets)[events]
         offsets = np.concatenate([[0], np.cumsum(length)])
-        at = np.arange(offsets[-1]) + np.repeat(self.offsets[chosen] - offsets[:-1], length)
-        return DepartureSignals(offsets, self.t[at], self.y[at], self.v[at], self.c[at])
+        samples = np.arange(offsets[-1]) + np.repeat(self.offsets[events] - offsets[:-1], length)
+        return type(self)(offsets, self.t[samples], self.y[samples], self.v[samples], self.c[samples])
 
     def integral(self, values: FloatArray) -> FloatArray:
         """Integral over time of values (m,) since each event's start, (m,), by the trapezoid rule."""
@@ -228,9 +210,9 @@ def reduce_signals(signals: DepartureSignals, side: npt.ArrayLike) -> DepartureP
     --------
     >>> import numpy as np
     >>> from ldctoolkit.scenarios import Scenarios
-    >>> one = Scenarios.from_arrays(T=[2.0], d_y=[0.3], v_mean=[20.0], a_mean=[0.1], c_0=[1e-3], dc=[5e-4])
-    >>> back = reduce_signals(rebuild_signals(one, dt=0.01), one.side)
-    >>> bool(abs(back.d_y[0] - 0.3) < 1e-6)
+    >>> scenario = Scenarios.from_arrays(T=[2.0], d_y=[0.3], v_mean=[20.0], a_mean=[0.1], c_0=[1e-3], dc=[5e-4])
+    >>> reduced = reduce_signals(rebuild_signals(scenario, dt=0.01), scenario.side)
+    >>> bool(abs(reduced.d_y[0] - 0.3) < 1e-6)
     True
     """
     starts, last = signals.offsets[:-1], signals.offsets[1:] - 1
@@ -261,7 +243,7 @@ def reduce_signals(signals: DepartureSignals, side: npt.ArrayLike) -> DepartureP
     tau = signals.t - 0.5 * duration[event]
 
     def total(values: FloatArray) -> FloatArray:
-        """Sums per event."""
+        """Sums of values (m,) over each event, (n,)."""
         return np.add.reduceat(values, starts)
 
     def line(values: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -401,9 +383,9 @@ class Plausibility(CheckedArguments):
             inner = np.stack([half / (3.0 * k_3), k_1 / half])
         t = np.stack([np.zeros(p.n), p.T, *np.clip(np.nan_to_num(inner), 0.0, p.T)])
         a_y = np.abs(k_0 + t * (k_1 + t * (k_2 + t * k_3))).max(axis=0)
-        asked = zip((4.0 * p.d_y / p.T, np.abs(ends).max(axis=0), a_y), dataclasses.astuple(self), strict=True)
-        kept = [value <= most for value, most in asked if most is not None]
-        return np.asarray(np.logical_and.reduce([p.T > 0.0, *kept]))
+        demands = zip((4.0 * p.d_y / p.T, np.abs(ends).max(axis=0), a_y), dataclasses.astuple(self), strict=True)
+        within = [value <= most for value, most in demands if most is not None]
+        return np.asarray(np.logical_and.reduce([p.T > 0.0, *within]))
 
 
 def rebuild_signals(p: DepartureParameters, dt: float) -> DepartureSignals:
@@ -433,14 +415,14 @@ def rebuild_signals(p: DepartureParameters, dt: float) -> DepartureSignals:
     count = np.maximum(np.ceil(p.T / dt - 1e-9).astype(np.int64), 1) + 1
     offsets = np.concatenate([[0], np.cumsum(count)])
     event = np.repeat(np.arange(p.n), count)
-    every = p.take(event)
-    t = np.minimum((np.arange(event.size) - offsets[:-1][event]) * dt, every.T)
+    repeated = p.take(event)
+    t = np.minimum((np.arange(event.size) - offsets[:-1][event]) * dt, repeated.T)
     t[offsets[1:] - 1] = p.T
-    return DepartureSignals(offsets, t, lateral(every, t), speed(every, t), curvature(every, t))
+    return DepartureSignals(offsets, t, lateral(repeated, t), speed(repeated, t), curvature(repeated, t))
 
 
 def no_departures() -> Departures:
-    """A table without rows."""
+    """A departures table without rows."""
     whole = np.empty(0, dtype=np.int64)
     numbers: dict[str, Any] = dict.fromkeys((*PARAMETER_NAMES, "start_time"), np.empty(0))
     return Departures(side=whole, recording=np.empty(0, dtype=np.str_), samples=whole, **numbers)

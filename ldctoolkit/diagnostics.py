@@ -1,7 +1,7 @@
 """How well a fitted mixture describes events: marginal distributions and their calibration, as numbers and warnings."""
 
 import dataclasses
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Final
 
 import numpy as np
@@ -10,11 +10,12 @@ from scipy.special import kolmogi
 
 from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.declared import checked_seed, checked_whole
-from ldctoolkit.departures import LEFT, RIGHT, Departures
+from ldctoolkit.departures import SIDES, Departures
 from ldctoolkit.errors import InputError
 from ldctoolkit.mixture import BoundedGaussianMixture, Distribution, TruncatedNormal
 from ldctoolkit.mixture._separation import Restricted
 from ldctoolkit.mixture.checks import Events, check_matrix, check_weights, inside_bounds
+from ldctoolkit.mixture.selection import Progress
 from ldctoolkit.scenario_model import ScenarioModel, SideModel, SideSummary
 
 N_MODEL: Final = 200_000  # events drawn from the model
@@ -28,8 +29,6 @@ _KNOT_POINTS: Final = 1021  # lattice points of a knot: its share to about 1e-5,
 _TAIL: Final = 0.003  # share of events and draws that a histogram may leave out at each end
 _LEVEL: Final = 0.95  # of the Kolmogorov limit
 _GRID: Final = 201
-
-Progress = Callable[[str, int, int], None]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -87,7 +86,7 @@ class SideDiagnostics:
 
 @dataclasses.dataclass(frozen=True)
 class ModelDiagnostics:
-    """Both sides of a scenario model."""
+    """How well a scenario model describes events, on both sides."""
 
     left: SideDiagnostics
     right: SideDiagnostics
@@ -217,10 +216,9 @@ def diagnose_model(
     report = progress or (lambda *_: None)
     weight = None if weights is None else check_weights(weights, departures.n, "weights", "departure")
     sides: dict[str, SideDiagnostics] = {}
-    for label, side, half, summary in (
-        ("left", LEFT, model.left_side, model.provenance.left),
-        ("right", RIGHT, model.right_side, model.provenance.right),
-    ):
+    summaries = dict(model.provenance.sides)
+    for label, side in SIDES.items():
+        half, summary = model.side(side), summaries.get(label)
         report(label, len(sides), 2)
         mask = departures.side == side
         rows = departures.take(mask)
@@ -245,12 +243,12 @@ def _varying_constants(half: SideModel, rows: Departures) -> Iterator[str]:
 
 
 def _names(model: SideModel | BoundedGaussianMixture, names: Sequence[str] | None, dimension: int) -> tuple[str, ...]:
-    given = names if names is not None else model.names
-    if given is None:
+    labels = names if names is not None else model.names
+    if labels is None:
         return tuple(f"x{j}" for j in range(dimension))
-    if len(given) != dimension:
-        raise InputError("names", f"{len(given)} names", allowed=f"{dimension}, one a column")
-    return tuple(str(name) for name in given)
+    if len(labels) != dimension:
+        raise InputError("names", f"{len(labels)} names", allowed=f"{dimension}, one a column")
+    return tuple(str(name) for name in labels)
 
 
 def _events(
@@ -300,14 +298,14 @@ class ModelMarginal:
     def cdf(self, x: FloatArray) -> FloatArray:
         """F(x) for every value of x."""
         n = self.ordered.size
-        at = np.searchsorted(self.ordered, x, side="right").astype(float)
+        position = np.searchsorted(self.ordered, x, side="right").astype(float)
         # between two draws F grows linearly: no steps, so no ties
-        inner = np.clip(at.astype(np.int64), 1, n - 1)
+        inner = np.clip(position.astype(np.int64), 1, n - 1)
         low, high = self.ordered[inner - 1], self.ordered[inner]
         with np.errstate(divide="ignore", invalid="ignore"):
             part = np.where(high > low, (x - low) / (high - low), 0.0)
-        at = np.where((at > 0) & (at < n), at + np.clip(part, 0.0, 1.0), at)
-        out: FloatArray = np.interp(at, self.rank.astype(float), self.share)
+        position = np.where((position > 0) & (position < n), position + np.clip(part, 0.0, 1.0), position)
+        out: FloatArray = np.interp(position, self.rank.astype(float), self.share)
         return out
 
 
@@ -351,7 +349,7 @@ def _marginal(name: str, column: FloatArray, share: FloatArray, model: ModelMarg
 def _joint_density(
     distribution: Distribution, names: tuple[str, ...], x: FloatArray, share: FloatArray, drawn: FloatArray
 ) -> PairDensity | None:
-    """T against d_y; None where one of them does not vary."""
+    """Joint histogram of T and d_y; None where one of them does not vary."""
     if "T" not in names or "d_y" not in names:
         return None
     pair = [names.index("T"), names.index("d_y")]
@@ -404,7 +402,7 @@ def calibrate(name: str, column: FloatArray, weight: FloatArray, model: ModelMar
 def _warnings(
     diagnostics: SideDiagnostics, mixture: BoundedGaussianMixture, summary: SideSummary | None
 ) -> Iterator[str]:
-    """Sentences, the most serious first."""
+    """Warnings of a side as sentences, the most serious first."""
     converged = summary.converged if summary is not None else getattr(mixture, "converged_", True)
     if not converged:
         yield "the fit stopped before it had converged"

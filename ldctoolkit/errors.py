@@ -90,13 +90,13 @@ class LdcError(Exception):
     @property
     def without_path(self) -> str:
         """The sentence behind its path: for a list whose rows name the path themselves."""
-        given = "" if self.value is NOT_GIVEN else short(self.value)
+        value = "" if self.value is NOT_GIVEN else short(self.value)
         if isinstance(self.allowed, str):
             allowed = self.allowed and f"allowed: {self.allowed}"
         else:  # a mistyped name is the value, or the end of the path
             name = re.split("[. ]", self.path)[-1] if self.value is NOT_GIVEN else str(self.value)
             allowed = nearest(name, self.allowed, self.listing)
-        problem = " ".join(filter(None, (given, self.problem)))
+        problem = " ".join(filter(None, (value, self.problem)))
         return "; ".join(filter(None, (problem, allowed, self.hint)))
 
     def within(self, outer: str, separator: str = ".") -> Self:
@@ -105,11 +105,11 @@ class LdcError(Exception):
         return self.at(joined if outer else self.path)
 
     def at(self, path: str) -> Self:
-        """The same error, at another path."""
+        """The same error with another path."""
         return self._changed(path=path)
 
     def hinted(self, hint: str) -> Self:
-        """The same error, with what else to do about it."""
+        """The same error with a further hint."""
         return self._changed(hint="; ".join(filter(None, (self.hint, hint))))
 
     def _changed(self, **fields: str) -> Self:
@@ -117,7 +117,7 @@ class LdcError(Exception):
 
     @classmethod
     def of(cls, error: "LdcError") -> Self:
-        """The same problem as an error of this class."""
+        """An error of this class with the fields of another error."""
         return cls()._changed(**error.__dict__)
 
 
@@ -138,7 +138,7 @@ class _Repr(str):
 
 
 def short(value: object) -> str:
-    """A value for a message."""
+    """The text of a value in a message, at most 80 characters."""
     text = repr(plain(value))
     return text if len(text) <= 80 else text[:77] + "..."
 
@@ -183,16 +183,17 @@ class CheckedArguments:
         def __new__(cls, *_, **given):
             """Raise `UnknownArgumentError` for a name that `__init__` does not know."""
             for name in given:
-                if name not in (known := _arguments(cls) or given):
-                    raise UnknownArgumentError(cls.__name__, "is no argument", value=name, allowed=tuple(known))
+                if name not in (names := _arguments(cls) or given):
+                    raise UnknownArgumentError(cls.__name__, "is no argument", value=name, allowed=tuple(names))
             return super().__new__(cls)
 
 
 @functools.cache
 def _arguments(kind: type) -> tuple[str, ...]:
-    """Names that an `__init__` takes; none where it takes any."""
-    _, *known = inspect.signature(kind.__init__).parameters.values()  # type: ignore[misc]
-    return () if any(given.kind is given.VAR_KEYWORD for given in known) else tuple(given.name for given in known)
+    """Names of the arguments of an `__init__`; empty where it takes any name."""
+    _, *parameters = inspect.signature(kind.__init__).parameters.values()  # type: ignore[misc]
+    takes_any = any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters)
+    return () if takes_any else tuple(parameter.name for parameter in parameters)
 
 
 def nearest(name: str, allowed: Iterable[str], listing: str = "") -> str:
@@ -205,13 +206,13 @@ def nearest(name: str, allowed: Iterable[str], listing: str = "") -> str:
     """
     names = sorted(allowed)
     listing = f"allowed: {listing or ', '.join(names)}"
-    lower = {known.lower(): known for known in reversed(names)}
+    lower = {word.lower(): word for word in reversed(names)}
     close = difflib.get_close_matches(name.lower(), lower, n=1, cutoff=0.5)
     return f"did you mean '{lower[close[0]]}'? ({listing})" if close else listing
 
 
 def first_line(error: BaseException) -> str:
-    """What another library's error says, without the rest."""
+    """The first line of another library's error message."""
     text = str(error)
     return text.partition("\n")[0].strip() or type(error).__name__
 
@@ -219,11 +220,11 @@ def first_line(error: BaseException) -> str:
 def expect(name: str, value: object, kind: type | UnionType) -> None:
     """Raise `InputError` for an argument of a wrong type."""
     if not isinstance(value, kind):
-        given = (
+        description = (
             f"the class {value.__name__}" if isinstance(value, type) else f"an object of type {type(value).__name__}"
         )
         kinds = " or ".join("None" if t is NoneType else t.__name__ for t in get_args(kind) or (kind,))
-        raise InputError(name, given, allowed=kinds)
+        raise InputError(name, description, allowed=kinds)
 
 
 def plain(value: Any) -> Any:

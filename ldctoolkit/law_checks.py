@@ -111,7 +111,7 @@ def check_step(result: object, n: int, name: str) -> tuple[FloatArray, Any, Stat
     for field, array in (("delta", delta), ("status", status)):
         _check_array(array, f"{where}: {field}", (n,))
     if status.any() and not np.isin(status, _STATUS_OF_A_STEP).all():
-        allowed = ", ".join(f"EventStatus.{known.name} ({known:d})" for known in _STATUS_OF_A_STEP)
+        allowed = ", ".join(f"EventStatus.{code.name} ({code:d})" for code in _STATUS_OF_A_STEP)
         unknown = status[~np.isin(status, _STATUS_OF_A_STEP)][0]
         raise InputError(f"{where}: status", value=unknown, allowed=allowed)
     return np.array(delta, dtype=np.float64), result[1], status.astype(np.int8)
@@ -138,10 +138,12 @@ def check_calls(calls: object, n: int, name: str) -> None:
     _check_array(calls.place, f"{where}: place", ("k",))
     for field in ("status", "iterations", "primal_residual", "dual_residual"):
         _check_array(getattr(calls, field), f"{where}: {field}", (calls.place.size,))
+    allowed = f"whole numbers 0 to {n - 1}"
+    if calls.place.dtype.kind not in "iu":
+        raise InputError(f"{where}: place", _described(calls.place), allowed=allowed)
     outside = (calls.place < 0) | (calls.place >= n)
-    if calls.place.dtype.kind not in "iu" or outside.any():
-        allowed = f"whole numbers 0 to {n - 1}"
-        raise InputError(f"{where}: place", f"holds {calls.place[outside][:1]}", allowed=allowed)
+    if outside.any():
+        raise InputError(f"{where}: place", value=calls.place[outside][0], allowed=allowed)
 
 
 def _check_array(value: Any, where: str, shape: tuple[int | str, ...]) -> None:
@@ -149,7 +151,7 @@ def _check_array(value: Any, where: str, shape: tuple[int | str, ...]) -> None:
     allowed = f"an array of shape ({', '.join(map(str, shape))}{',' if len(shape) == 1 else ''})"
     if not isinstance(value, np.ndarray):
         raise InputError(where, _described(value), allowed=allowed)
-    same = (isinstance(length, str) or length == given for length, given in zip(shape, value.shape, strict=False))
+    same = (isinstance(length, str) or length == actual for length, actual in zip(shape, value.shape, strict=False))
     if value.ndim != len(shape) or not all(same):
         raise InputError(where, f"shape {value.shape}", allowed=allowed)
     if np.ma.is_masked(value):
@@ -169,7 +171,7 @@ def _reals(value: Any, where: str) -> npt.NDArray[Any]:
 
 
 def _described(value: object) -> str:
-    """A few words for whatever was given."""
+    """A short description of any object, for an error message."""
     if isinstance(value, type):
         return f"the class {value.__name__}"
     if isinstance(value, np.ndarray):

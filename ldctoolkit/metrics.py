@@ -62,8 +62,8 @@ def _column(name: str, unit: str) -> str:
     return f"{name}_{unit.replace('/', '_').replace('^', '').replace(' ', '_')}"
 
 
-def _row(*entries: Any, **more: Any) -> dict[str, ScenarioMetric]:
-    return {"row": ScenarioMetric(*entries, **more)}
+def _row(*entries: Any, **options: Any) -> dict[str, ScenarioMetric]:
+    return {"row": ScenarioMetric(*entries, **options)}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -117,13 +117,13 @@ class MetricValues:
 
 
 SCENARIO_METRICS: Final[Mapping[str, ScenarioMetric]] = {
-    one.name: one.metadata["row"] for one in dataclasses.fields(MetricValues)
+    column.name: column.metadata["row"] for column in dataclasses.fields(MetricValues)
 }
 """Every metric of a scenario beside S by its name."""
 
-METRIC_UNITS: Final = {name: one.unit for name, one in SCENARIO_METRICS.items()}  # metric of a scenario -> its unit
+METRIC_UNITS: Final = {name: row.unit for name, row in SCENARIO_METRICS.items()}  # metric of a scenario -> its unit
 
-METRIC_COLUMNS: Final = {name: _column(name, one.unit) for name, one in SCENARIO_METRICS.items()}
+METRIC_COLUMNS: Final = {name: _column(name, row.unit) for name, row in SCENARIO_METRICS.items()}
 """Metric of a scenario -> its column in a stored table, the unit at the end: ``a_y_peak_m_s2``."""
 
 
@@ -191,12 +191,12 @@ class Metric:
 
     @property
     def scale(self) -> float:
-        """What a page shows is the number times this."""
+        """Factor from the SI number to the number that a page shows."""
         return _SHOWN_UNITS.get(self.unit, (1.0, self.unit))[0]
 
     @property
     def shown_unit(self) -> str:
-        """The unit on a page: per cent, degrees."""
+        """The unit that a page shows, such as per cent or degrees."""
         return _SHOWN_UNITS.get(self.unit, (1.0, self.unit))[1]
 
     @property
@@ -206,21 +206,21 @@ class Metric:
 
 
 def _of(name: str, *aggregates: str, title: str = "", alias: str = "") -> Iterator[Metric]:
-    """Aggregates of a metric of a scenario."""
-    one = SCENARIO_METRICS[name]
+    """The rows of a design's table that are aggregates of a scenario's metric."""
+    row = SCENARIO_METRICS[name]
     for aggregate in aggregates:
         full, end = f"{name}_{aggregate}", _AGGREGATES.get(aggregate, f"{aggregate[1:]} % quantile")
-        aliases = tuple(text for text in (alias, one.short and f"{one.short}_{aggregate}") if text)
-        shown, column = title or f"{one.title}, {end}", _column(full, one.unit)
-        yield Metric(full, one.unit, one.better, column, shown, one.group, one.digits, aliases, (name,), aggregate)
+        aliases = tuple(text for text in (alias, row.short and f"{row.short}_{aggregate}") if text)
+        label, column = title or f"{row.title}, {end}", _column(full, row.unit)
+        yield Metric(full, row.unit, row.better, column, label, row.group, row.digits, aliases, (name,), aggregate)
 
 
 def _share(
-    name: str, title: str, group: str, of: tuple[str, ...] = (), share: Callable[..., Any] | None = None, **other: Any
+    name: str, title: str, group: str, of: tuple[str, ...] = (), share: Callable[..., Any] | None = None, **options: Any
 ) -> Metric:
-    """A share of the departures, or of the interventions."""
-    usual: dict[str, Any] = {"better": "less", "column": f"{name.removesuffix('_share')}_share", "digits": 1}
-    return Metric(name=name, unit="share", title=title, group=group, of=of, share=share, **(usual | other))
+    """The row of a share of the departures, or of the interventions."""
+    defaults: dict[str, Any] = {"better": "less", "column": f"{name.removesuffix('_share')}_share", "digits": 1}
+    return Metric(name=name, unit="share", title=title, group=group, of=of, share=share, **(defaults | options))
 
 
 def _score(name: str, title: str, *alias: str) -> Metric:

@@ -227,7 +227,7 @@ class Residuals(_Options):
 
 @dataclasses.dataclass(frozen=True, kw_only=True, repr=False)
 class PlantOptions(_Options):
-    """Everything that may differ from the ideal plant.
+    """All options of the plant, each of which may differ from the ideal plant.
 
     Raises `InputError` for a value outside what is allowed.
 
@@ -254,7 +254,7 @@ class PlantOptions(_Options):
             raise InputError("mismatch.mu", value=self.mismatch.mu, hint=hint)
 
     def sampled(self, dt: float) -> "PlantOptions":
-        """The same; times that are multiples of the sample time dt [s] but for rounding are made so."""
+        """These options, with times rounded where they are multiples of the sample time dt [s] but for rounding."""
         actuator, sensors = self.actuator, self.sensors
         delay, late, period = (whole_multiple(t, dt) for t in (actuator.delay, sensors.delay, sensors.period))
         if (delay, late, period) == (actuator.delay, sensors.delay, sensors.period):

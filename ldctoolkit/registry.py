@@ -44,9 +44,9 @@ def register(controller: type[Controller]) -> type[Controller]:
     if not (isinstance(controller, type) and issubclass(controller, Controller)):
         raise InputError("controller", value=controller, allowed="a subclass of Controller")
     _check(controller)
-    name, known, point = controller.name, _registered.get(controller.name), _installed().get(controller.name)
-    if known is not None:
-        same = (known.__module__, known.__qualname__) == (controller.__module__, controller.__qualname__)
+    name, present, point = controller.name, _registered.get(controller.name), _installed().get(controller.name)
+    if present is not None:
+        same = (present.__module__, present.__qualname__) == (controller.__module__, controller.__qualname__)
     else:
         # the entry point may name the class in its own module, or in a package above that hands it on
         same = point is None or (
@@ -126,15 +126,10 @@ def learn(classes: Keyed) -> None:
         _by_code[key] = kind
 
 
-def is_known(name: str, code: str) -> bool:
-    """Whether the class that a design was made with, or one of the same code, is known."""
-    return (name, code) in _by_code or content_of(controller_class(name)) in ("", code)
-
-
 def bound_class(name: str, code: str, *, same: bool = False) -> type[Controller]:
     """The class that a design was made with, or else the present one of its name; with `same` only of the same code."""
     kind = _by_code.get((name, code)) or controller_class(name)
-    if same and not is_known(name, code):
+    if same and (name, code) not in _by_code and content_of(kind) not in ("", code):
         raise LdcError("law", "does not have the code of the design", value=name, hint="run the study again")
     return kind
 

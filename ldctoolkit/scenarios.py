@@ -10,9 +10,9 @@ from typing import Any, Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.arrays import BoolArray, FloatArray, IntArray, ReadOnly, unmasked
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray, Rows, unmasked
 from ldctoolkit.declared import UnitWarning, unit_slip
-from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, DepartureParameters, DepartureSignals
+from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, SIDES, DepartureParameters, DepartureSignals
 from ldctoolkit.errors import InputError
 
 SPEED_FLOOR = 1.0  # lowest speed [m/s] at which a scenario can be replayed: the vehicle model divides by the speed
@@ -31,16 +31,12 @@ _LIMITS: Final = (
 
 
 @dataclasses.dataclass(frozen=True)
-class Drifts(ReadOnly):
+class Drifts(Rows):
     """n departures that do not return: straight along the lane, an arc towards the line, straight on from there."""
 
     lateral_velocity: FloatArray  # (n,) [m/s] At the end of the arc, and from then on
     radius: FloatArray  # (n,) [m] Of the arc, relative to the lane
     distance: FloatArray  # (n,) [m] From the edge to the line where the arc begins, at t = 0
-
-    def take(self, rows: IntArray | BoolArray | slice) -> Drifts:
-        """Those of chosen departures."""
-        return Drifts(self.lateral_velocity[rows], self.radius[rows], self.distance[rows])
 
     def arc(self, v: FloatArray) -> tuple[FloatArray, FloatArray]:
         """How long the arc takes at speeds v (n,) [s], and the lateral distance that it covers [m]."""
@@ -205,8 +201,8 @@ class Scenarios(DepartureParameters):
 
         Examples
         --------
-        >>> one = Scenarios.from_drifts(v=20.0, lateral_velocity=0.5, radius=1200.0, distance=1.1, T=8.0)
-        >>> one.drift.arc(one.v_mean)[1].round(3)
+        >>> drift = Scenarios.from_drifts(v=20.0, lateral_velocity=0.5, radius=1200.0, distance=1.1, T=8.0)
+        >>> drift.drift.arc(drift.v_mean)[1].round(3)
         array([0.375])
         """
         path = {"lateral_velocity": lateral_velocity, "radius": radius, "distance": distance}
@@ -222,7 +218,7 @@ class Scenarios(DepartureParameters):
         return dataclasses.replace(scenarios, d_y=np.maximum(deepest, 0.0), drift=drift)
 
     def arrays(self) -> Iterator[npt.NDArray[Any]]:
-        """All numbers, always in the same order."""
+        """All arrays that describe the scenarios, always in the same order."""
         for part in (self, self.signals, self.drift):
             fields = () if part is None else dataclasses.fields(part)
             yield from (array for field in fields if isinstance(array := getattr(part, field.name), np.ndarray))
@@ -245,7 +241,7 @@ class Scenarios(DepartureParameters):
 
 
 def _columns(given: Mapping[str, npt.ArrayLike]) -> dict[str, FloatArray]:
-    """Arrays of one length (n,); sides may be words."""
+    """The columns as arrays of one length (n,); sides may be words."""
     arrays = [np.atleast_1d(_numbers(name, value)) for name, value in given.items()]
     try:
         columns = np.broadcast_arrays(*arrays)
@@ -257,29 +253,28 @@ def _columns(given: Mapping[str, npt.ArrayLike]) -> dict[str, FloatArray]:
 
 
 def _numbers(name: str, value: npt.ArrayLike) -> FloatArray:
-    """A column as floats."""
+    """One column as floats, sides as +1 and -1; raises `InputError` for anything else."""
     path = f"scenarios.{name}"
     try:
-        given = np.asarray(unmasked(value))
+        array = np.asarray(unmasked(value))
     except ValueError:
         raise InputError(path, "rows of different lengths", allowed="one number a row") from None
-    sides = {"left": LEFT, "right": RIGHT}
-    if name == "side" and given.dtype.kind in "UO":
-        for i, word in enumerate(given.ravel().tolist()):
-            if word not in sides:
-                raise InputError(f"{path}[{i}]", value=word, allowed=sides)
-        given = np.where(given == "left", LEFT, RIGHT)
-    if given.dtype.kind not in "iuf":
-        for i, entry in enumerate(given.ravel().tolist()):
+    if name == "side" and array.dtype.kind in "UO":
+        for i, word in enumerate(array.ravel().tolist()):
+            if word not in SIDES:
+                raise InputError(f"{path}[{i}]", value=word, allowed=SIDES)
+        array = np.where(array == "left", LEFT, RIGHT)
+    if array.dtype.kind not in "iuf":
+        for i, entry in enumerate(array.ravel().tolist()):
             if isinstance(entry, bool) or not isinstance(entry, int | float):
                 raise InputError(f"{path}[{i}]", value=entry, allowed="a number")
-    return given.astype(np.float64)
+    return array.astype(np.float64)
 
 
 def _refuse(bad: BoolArray, name: str, values: npt.NDArray[Any], allowed: str) -> None:
     if bad.any():
-        row, more = int(np.argmax(bad)), f"{int(bad.sum())} rows in all" if bad.sum() > 1 else ""
-        raise InputError(f"scenarios.{name}[{row}]", value=float(values[row]), allowed=allowed, hint=more)
+        row, hint = int(np.argmax(bad)), f"{int(bad.sum())} rows in all" if bad.sum() > 1 else ""
+        raise InputError(f"scenarios.{name}[{row}]", value=float(values[row]), allowed=allowed, hint=hint)
 
 
 def slowest_speed(v_mean: npt.ArrayLike, a_mean: npt.ArrayLike, T: npt.ArrayLike) -> FloatArray:

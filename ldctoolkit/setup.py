@@ -115,22 +115,15 @@ class Setup(CheckedArguments):
         return BicycleModel(self.vehicle, self.convention)
 
     def plant(self, v: npt.ArrayLike) -> Plant:
-        """What a design may know, at speeds v (n,) [m/s]."""
-        return known_plant(self.model, v, self.dt, self.options, self.plant_knowledge)
+        """The plant as far as a design may know it, at speeds v (n,) [m/s]."""
+        if self.plant_knowledge == "ideal":
+            return Plant.build(self.model, v, self.dt)
+        actuator, age = self.options.actuator, self.options.sensors.age(self.dt)
+        return Plant.build(self.model, v, self.dt, lag=actuator.lag, delay=actuator.delay + age, age=age)
 
     def on(self, options: PlantOptions) -> Setup:
-        """The same on another plant."""
+        """The setup with other plant options."""
         return dataclasses.replace(self, options=options)
-
-
-def known_plant(
-    model: BicycleModel, v: npt.ArrayLike, dt: float, options: PlantOptions, plant_knowledge: PlantKnowledge
-) -> Plant:
-    """What a design may know, at speeds v (n,) [m/s]."""
-    if plant_knowledge == "ideal":
-        return Plant.build(model, v, dt)
-    age = options.sensors.age(dt)
-    return Plant.build(model, v, dt, lag=options.actuator.lag, delay=options.actuator.delay + age, age=age)
 
 
 def simulation_options() -> Iterator[Declaration]:

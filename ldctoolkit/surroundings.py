@@ -54,11 +54,11 @@ def sweep() -> None:
     """Remove temporary folders of this user's processes that have ended; once."""
     name = re.compile(rf"ldc-(?:{re.escape(platform.node())}-)?(\d{{1,9}})-\w+")
     for path in Path(tempfile.gettempdir()).iterdir():
-        found = name.fullmatch(path.name)
+        match = name.fullmatch(path.name)
         with contextlib.suppress(OSError, AttributeError):  # another user's process, or a system without users
-            if found and stat.S_ISDIR(path.lstat().st_mode) and path.lstat().st_uid == os.geteuid():
+            if match and stat.S_ISDIR(path.lstat().st_mode) and path.lstat().st_uid == os.geteuid():
                 try:
-                    os.kill(int(found[1]), 0)
+                    os.kill(int(match[1]), 0)
                 except ProcessLookupError:
                     shutil.rmtree(path, ignore_errors=True)
 
@@ -75,8 +75,8 @@ def free_memory() -> float:
     """Bytes of memory that are free; infinite where the system does not say."""
     free = math.inf
     with contextlib.suppress(OSError):
-        found = re.search(r"MemAvailable: *(\d+)", Path("/proc/meminfo").read_text(encoding="ascii"))
-        free = 1024.0 * int(found[1]) if found else free
+        match = re.search(r"MemAvailable: *(\d+)", Path("/proc/meminfo").read_text(encoding="ascii"))
+        free = 1024.0 * int(match[1]) if match else free
     with contextlib.suppress(OSError, ValueError):  # in a container; "max" where there is no limit
         free = min(free, int(Path("/sys/fs/cgroup/memory.max").read_text(encoding="ascii")))
     return free

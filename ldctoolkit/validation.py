@@ -40,11 +40,8 @@ def first_problem(error: ValidationError, content: Any, model: type[BaseModel], 
     problems = error.errors(include_url=False)
     # a wrong key often causes a missing one; the key that was written is what the author can look up
     problems.sort(key=lambda problem: problem["type"] == "missing")
-    first, others = _problem(problems[0], content, model), len(problems) - 1
-    if others:
-        more = f"{others} more problem{'s' if others > 1 else ''} in this {whole}"
-        first.hint = f"{first.hint}; {more}" if first.hint else more
-    return first
+    first, further = _problem(problems[0], content, model), len(problems) - 1
+    return first.hinted(f"{further} more problem{'s' if further > 1 else ''} in this {whole}") if further else first
 
 
 def _problem(problem: Any, content: Any, model: type[BaseModel]) -> InputError:

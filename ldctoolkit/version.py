@@ -14,7 +14,7 @@ Versions = tuple[tuple[str, str], ...]  # names of packages and their versions; 
 
 @functools.cache
 def versions(packages: tuple[str, ...] = DECISIVE) -> Versions:
-    """What this process has of some packages."""
+    """Versions of packages as this process has them installed."""
     return tuple((name, _version(name)) for name in packages)
 
 

@@ -71,11 +71,11 @@ def parquet_bytes(table: "pl.DataFrame", metadata: Mapping[str, str] | None = No
 
 def check_parquet(data: bytes, *, needed: bool = True) -> None:
     """Raise `ValueError` where a Parquet file is not what was written."""
-    at = data.rfind(_MARK)
-    if at < 0 and not needed and PARQUET_CHECKSUM.encode() not in data:
+    start = data.rfind(_MARK)
+    if start < 0 and not needed and PARQUET_CHECKSUM.encode() not in data:
         return
-    end = at + len(_EMPTY)
-    if at < 0 or data[at:end] != _sealed(data[:at] + _EMPTY + data[end:]):
+    end = start + len(_EMPTY)
+    if start < 0 or data[start:end] != _sealed(data[:start] + _EMPTY + data[end:]):
         raise ValueError(NOT_AS_WRITTEN)
 
 

@@ -372,7 +372,7 @@ class DesignBlock(Part):
         """The space of each law, in the order written."""
         spaces = []
         for kind in self.kinds:
-            names = {gain.name for gain in declared_gains(kind)}
+            names = set(declared_gains(kind))
             gains = tuple((name, _dimension(entry)) for name, entry in self.gains.items() if name in names)
             conditions = tuple(
                 Condition(name, on, values)
@@ -460,9 +460,9 @@ def _read_gain(kinds: Kinds, name: str, entry: Any) -> tuple[Any, ...] | Span:
 
 
 def _declaring(kinds: Kinds, name: str, table: str) -> Kinds:
-    declaring = [kind for kind in kinds if any(gain.name == name for gain in declared_gains(kind))]
+    declaring = [kind for kind in kinds if name in declared_gains(kind)]
     if not declaring:
-        every = {gain.name for kind in kinds for gain in declared_gains(kind)}
+        every = {name for kind in kinds for name in declared_gains(kind)}
         raise InputError(f"{table}.{name}", "no such gain", allowed=every)
     return declaring
 
@@ -515,7 +515,7 @@ def _condition(kinds: Kinds, name: str, on: str, entry: Any, known: tuple[Any, .
     if isinstance(known, Span):
         raise InputError(path, f"gains.{on} is a range without a count", allowed="a gain with a list of values")
     for kind in _declaring(kinds, name, "when"):
-        if all(gain.name != on for gain in declared_gains(kind)):
+        if on not in declared_gains(kind):
             raise InputError(path, f"no gain of {kind.name!r}, which has {name!r}", allowed="a gain of the same law")
     try:
         values = expand(entry)

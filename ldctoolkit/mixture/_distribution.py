@@ -23,7 +23,7 @@ _BY_ENDS: Final[tuple[Kind, ...]] = ("none", "log", "logit")  # what "auto" take
 
 @dataclasses.dataclass(frozen=True)
 class Transform:
-    """One monotone, increasing map a dimension."""
+    """A monotone, increasing map for each column."""
 
     kinds: tuple[Kind, ...]
     lower: FloatArray  # (d,): the box in the data's units
@@ -40,11 +40,11 @@ class Transform:
         """One kind for all columns or one each, checked against the bounds."""
         d = lower.size
         transform = "none" if transform is None else transform
-        given = [transform] * d if isinstance(transform, str) else list(transform)
-        if len(given) != d:
-            raise InputError("transform", f"{len(given)} names", allowed=f"one name, or {d}, one per column")
+        words = [transform] * d if isinstance(transform, str) else list(transform)
+        if len(words) != d:
+            raise InputError("transform", f"{len(words)} names", allowed=f"one name, or {d}, one per column")
         kinds: list[Kind] = []
-        for j, (name, ends) in enumerate(zip(given, np.isfinite(lower).astype(int) + np.isfinite(upper), strict=True)):
+        for j, (name, ends) in enumerate(zip(words, np.isfinite(lower).astype(int) + np.isfinite(upper), strict=True)):
             path = f"transform[{j if names is None else names[j]!r}]"
             if name not in KINDS:
                 raise InputError("transform" if name is transform else path, value=name, allowed=KINDS)
@@ -57,11 +57,11 @@ class Transform:
 
     @property
     def identity(self) -> bool:
-        """Whether nothing is mapped."""
+        """Whether no column is mapped."""
         return all(kind == "none" for kind in self.kinds)
 
     def part(self, columns: IntArray) -> Transform:
-        """The maps of some columns."""
+        """The transform of these columns alone."""
         return Transform(tuple(self.kinds[j] for j in columns), self.lower[columns], self.upper[columns])
 
     def box(self) -> tuple[FloatArray, FloatArray]:
@@ -93,8 +93,8 @@ class Transform:
                 low, high = self.lower[j], self.upper[j]
                 if kind == "logit":
                     share = 1.0 / (1.0 + np.exp(-np.abs(y[:, j])))
-                    near = (high - low) * (1.0 - share)
-                    out[:, j] = np.where(y[:, j] < 0.0, low + near, high - near)
+                    distance = (high - low) * (1.0 - share)
+                    out[:, j] = np.where(y[:, j] < 0.0, low + distance, high - distance)
                 elif kind == "log":
                     out[:, j] = low + np.exp(y[:, j]) if np.isfinite(low) else high - np.exp(-y[:, j])
         return np.asarray(np.clip(out, np.nextafter(self.lower, np.inf), np.nextafter(self.upper, -np.inf)))
@@ -341,7 +341,7 @@ class Distribution:
             raise error.at(f"component {k}") from None
 
     def _all_columns(self, x: FloatArray) -> FloatArray:
-        """Rows of the distribution from drawn ones."""
+        """Rows with all columns of the distribution, from drawn rows."""
         return x
 
     def sample(self, n: int, seed: int) -> tuple[FloatArray, IntArray]:

@@ -51,8 +51,8 @@ def kmeans_labels(x: FloatArray, weight: FloatArray | None, K: int, rng: np.rand
             members = label == k
             centres[k] = w[members] @ x[members] / counts[k]
         for k in [int(i) for i in np.flatnonzero(~(counts > 0))]:
-            far = int(np.argmax(w * np.sum((x - centres[label]) ** 2, axis=1)))
-            centres[k], label[far] = x[far], k
+            farthest = int(np.argmax(w * np.sum((x - centres[label]) ** 2, axis=1)))
+            centres[k], label[farthest] = x[farthest], k
     return label
 
 
@@ -110,7 +110,7 @@ Run = Callable[[FloatArray, FloatArray, Components], tuple[Components, float]]
 
 @dataclasses.dataclass(frozen=True)
 class Move:
-    """One candidate."""
+    """One candidate for an escape: a component is split, two others are merged."""
 
     split: int  # the component that is split
     merged: tuple[int, int]  # the two that are merged
@@ -208,11 +208,11 @@ def _mergers(
     for _ in range(_MERGER_STEPS):
         t, _ = maximise(merged, prior, t, points)
     plain = Prior(0.0, stats.scatter)
-    alone = objective(stats, plain, now) + _x_log_x(stats.counts)
+    separate = objective(stats, plain, now) + _x_log_x(stats.counts)
     joined = objective(merged, Prior(0.0, target), t) + _x_log_x(n)
-    each = weight @ _x_log_x(shares_now)
-    both = np.array([weight @ _x_log_x(shares_now[:, p] + shares_now[:, q]) for p, q in zip(i, j, strict=True)])
-    gain = joined - alone[i] - alone[j] + each[i] + each[j] - both
+    entropy = weight @ _x_log_x(shares_now)
+    joint = np.array([weight @ _x_log_x(shares_now[:, p] + shares_now[:, q]) for p, q in zip(i, j, strict=True)])
+    gain = joined - separate[i] - separate[j] + entropy[i] + entropy[j] - joint
     return [(int(p), int(q)) for p, q in zip(i, j, strict=True)], t.mu, t.Sigma, t.log_probability, gain
 
 
@@ -254,7 +254,7 @@ Progress = Callable[[str], None]
 
 @dataclasses.dataclass(frozen=True)
 class EMSettings:
-    """What `fit_components` needs."""
+    """Settings of `fit_components`."""
 
     lower: FloatArray  # (d,) bounds in the data's standardised units
     upper: FloatArray
@@ -306,16 +306,16 @@ def fit_components(events: Events, profile: Profile, s: EMSettings, report: Prog
     """
     data = _Standardised(events, profile.mean, profile.scale, profile.events)
     bounded = int(np.sum(np.isfinite(s.lower) | np.isfinite(s.upper)))
-    passes, many = 0, bounded > _FEW_DIMENSIONS and data.events > _FEW_EVENTS
+    passes, needs_many_points = 0, bounded > _FEW_DIMENSIONS and data.events > _FEW_EVENTS
     try:
         c = _best_start(data, s, report)
-        if many:
+        if needs_many_points:
             # most of the way on few points: many take longer than the pass over the events
-            near = _run(data, c, _local_prior(data, c, s), s, s.max_iter, _SHORT_POINTS, report, "nearing")
-            c, passes = near.components, near.passes
-        points = moment_points(bounded) if many else _SHORT_POINTS
-        last = _run(data, c, _local_prior(data, c, s), s, max(s.max_iter - passes, 1), points, report)
-        return dataclasses.replace(last, passes=passes + last.passes)
+            first_run = _run(data, c, _local_prior(data, c, s), s, s.max_iter, _SHORT_POINTS, report, "nearing")
+            c, passes = first_run.components, first_run.passes
+        points = moment_points(bounded) if needs_many_points else _SHORT_POINTS
+        final_run = _run(data, c, _local_prior(data, c, s), s, max(s.max_iter - passes, 1), points, report)
+        return dataclasses.replace(final_run, passes=passes + final_run.passes)
     except np.linalg.LinAlgError:
         raise InputError(
             "X",
@@ -425,9 +425,9 @@ def _run(
     t = TruncatedNormal(start.mu, start.Sigma, s.lower, s.upper, points=points)
     now = Point(start.weights / start.weights.sum(), t)
 
-    def evaluate(at: Point) -> tuple[Statistics, float]:
-        stats = data.evaluate(_components(at))
-        return stats, (stats.log_likelihood + float(prior.value(at.truncated.Sigma).sum())) / n
+    def evaluate(point: Point) -> tuple[Statistics, float]:
+        stats = data.evaluate(_components(point))
+        return stats, (stats.log_likelihood + float(prior.value(point.truncated.Sigma).sum())) / n
 
     stats, value = evaluate(now)
     history, trail, longest = [value], [now], _FIRST_LEAP
@@ -446,10 +446,11 @@ def _run(
             beyond = leap(*trail, longest=longest, points=points) if go else None
             trail = []
         if beyond is not None:
-            stats, value = evaluate(beyond.point)
+            point, length = beyond
+            stats, value = evaluate(point)
             if value >= history[-1]:
-                now = beyond.point
-                longest *= _LONGER if beyond.length >= 0.99 * longest else 1.0
+                now = point
+                longest *= _LONGER if length >= 0.99 * longest else 1.0
             else:
                 longest, beyond = max(_SHORTEST_LEAP, 0.5 * longest), None
         if beyond is None:
@@ -469,9 +470,9 @@ def _run(
     return EMResult(_components(now), np.array(history), reason, len(history) - 1)
 
 
-def _components(at: Point) -> Components:
-    t = at.truncated
-    return Components(at.weights, t.mu, t.Sigma, t.log_probability)
+def _components(point: Point) -> Components:
+    t = point.truncated
+    return Components(point.weights, t.mu, t.Sigma, t.log_probability)
 
 
 _SHORTEST: Final = 1.01
@@ -486,16 +487,8 @@ class Point:
     truncated: TruncatedNormal
 
 
-@dataclasses.dataclass(frozen=True)
-class Leap:
-    """Where a leap ended, and its length s."""
-
-    point: Point
-    length: float
-
-
-def leap(first: Point, second: Point, third: Point, *, longest: float, points: int) -> Leap | None:
-    """A point beyond the third of three successive ones."""
+def leap(first: Point, second: Point, third: Point, *, longest: float, points: int) -> tuple[Point, float] | None:
+    """A point beyond the third of three successive ones, and the length s of the leap."""
     G = np.linalg.cholesky(second.truncated.Sigma)
     centre = second.truncated.mean
     a, b, c = (_whitened(p, G, centre, second.weights) for p in (first, second, third))
@@ -506,7 +499,7 @@ def leap(first: Point, second: Point, third: Point, *, longest: float, points: i
     while s > _SHORTEST:
         end = _unwhitened(a + 2.0 * s * (b - a) + s**2 * (c - 2.0 * b + a), G, centre, second.truncated, points)
         if end is not None:
-            return Leap(end, s)
+            return end, s
         s = 1.0 + 0.5 * (s - 1.0)
     return None
 
@@ -522,19 +515,21 @@ def _whitened(p: Point, G: FloatArray, centre: FloatArray, typical: FloatArray) 
     return np.concatenate([log_weight[:, None], (G.transpose(0, 2, 1) @ slope)[:, :, 0], np.sqrt(0.5) * flat], axis=1)
 
 
-def _unwhitened(at: FloatArray, G: FloatArray, centre: FloatArray, like: TruncatedNormal, points: int) -> Point | None:
+def _unwhitened(
+    coordinates: FloatArray, G: FloatArray, centre: FloatArray, like: TruncatedNormal, points: int
+) -> Point | None:
     K, d = centre.shape
-    precision = np.sqrt(2.0) * at[:, 1 + d :].reshape(K, d, d)
+    precision = np.sqrt(2.0) * coordinates[:, 1 + d :].reshape(K, d, d)
     precision = 0.5 * (precision + precision.transpose(0, 2, 1))
-    if not np.isfinite(at).all() or np.linalg.eigvalsh(precision)[:, 0].min() < _LEAST_PRECISION:
+    if not np.isfinite(coordinates).all() or np.linalg.eigvalsh(precision)[:, 0].min() < _LEAST_PRECISION:
         return None
-    white = np.linalg.inv(precision)
-    mu = centre + (G @ white @ at[:, 1 : 1 + d, None])[:, :, 0]
-    Sigma = G @ white @ G.transpose(0, 2, 1)
+    covariance = np.linalg.inv(precision)
+    mu = centre + (G @ covariance @ coordinates[:, 1 : 1 + d, None])[:, :, 0]
+    Sigma = G @ covariance @ G.transpose(0, 2, 1)
     Sigma = 0.5 * (Sigma + Sigma.transpose(0, 2, 1))
     order = None if like.box is None else like.box.order
     t = TruncatedNormal(mu, Sigma, like.lower, like.upper, points=points, order=order)
     if t.log_probability.min() < LEAST_LOG_PROBABILITY or (t.box is not None and not np.isfinite(t.box.log_peak).all()):
         return None
-    weights = np.exp(at[:, 0] - at[:, 0].max())
+    weights = np.exp(coordinates[:, 0] - coordinates[:, 0].max())
     return Point(weights / weights.sum(), t)

@@ -38,7 +38,7 @@ less and less: at -1e5 a component is an exponential to 1 part in 1e5, and it ca
 
 @dataclasses.dataclass(frozen=True)
 class Statistics:
-    """Sums of an E-step."""
+    """Weighted moments of the events of each component, from an E-step."""
 
     log_likelihood: float  # sum of ln f over the events
     counts: FloatArray  # (K,): expected events N_k
@@ -59,7 +59,7 @@ class Statistics:
 
 @dataclasses.dataclass(frozen=True)
 class Prior:
-    """Pseudo-events per component."""
+    """Prior of the covariances: pseudo-events of each component."""
 
     strength: float  # n0, their number
     covariance: FloatArray  # (K, d, d): S0
@@ -79,7 +79,7 @@ Step = Callable[[Statistics, Prior, TruncatedNormal], tuple[FloatArray, Path]]
 
 
 def objective(stats: Statistics, prior: Prior, t: TruncatedNormal) -> FloatArray:
-    """Q per component, (K,)."""
+    """Objective Q of the M-step for each component, (K,)."""
     gap = stats.mean - t.mu
     with np.errstate(over="ignore", invalid="ignore"):  # far off: not finite, and the step is refused
         scatter = stats.scatter + gap[:, :, None] * gap[:, None, :]
@@ -222,8 +222,8 @@ def _newton_direction(
     excess -= w.second - w.mean[:, :, None] * w.mean[:, None, :]
     n = stats.counts[:, None]
     gradient = n * np.concatenate([v, half * excess[:, i, j]], axis=1)
-    at = w.points - w.mean[:, :, None]
-    features = np.concatenate([at, half[:, None] * at[:, i] * at[:, j]], axis=1)
+    deviation = w.points - w.mean[:, :, None]
+    features = np.concatenate([deviation, half[:, None] * deviation[:, i] * deviation[:, j]], axis=1)
     centre = np.einsum("kfn,kn->kf", features, w.weights)
     features = features - centre[:, :, None]
     fisher = (features * w.weights[:, None, :]) @ features.transpose(0, 2, 1)
@@ -240,13 +240,13 @@ def _newton_direction(
         room = np.clip(LEAST_LOG_PROBABILITY / np.minimum(now.log_probability, -1.0), 1.0, 1.0 / _LEAST_PRECISION)
         values, vectors = np.linalg.eigh(M)
         M = (vectors * np.minimum(values, 1.0 - 1.0 / room[:, None])[:, None, :]) @ vectors.transpose(0, 2, 1)
-        left = gradient[:, :p] - (hessian[:, :p, p:] @ M[:, i, j, None])[:, :, 0]
-        direction = _solve(hessian[:, :p, :p], left)
+        remainder = gradient[:, :p] - (hessian[:, :p, p:] @ M[:, i, j, None])[:, :, 0]
+        direction = _solve(hessian[:, :p, :p], remainder)
     return G, direction[:, :p] - (M @ w.mean[:, :, None])[:, :, 0], M
 
 
 def _solve(hessian: FloatArray, gradient: FloatArray) -> FloatArray:
-    """Solution of hessian x = gradient with a unit diagonal, (K, m), safe where the hessian is nearly singular."""
+    """Solution (K, m) of hessian x = gradient, scaled to a unit diagonal and safe for a nearly singular hessian."""
     scale = 1.0 / np.sqrt(np.maximum(np.diagonal(hessian, axis1=1, axis2=2), 1e-300))
     scaled = hessian * scale[:, :, None] * scale[:, None, :] + 1e-12 * np.eye(hessian.shape[1])
     return np.asarray(scale * np.linalg.solve(scaled, (gradient * scale)[:, :, None])[:, :, 0])

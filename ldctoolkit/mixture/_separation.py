@@ -178,11 +178,11 @@ def minimax_tilt(strict: FloatArray, a: FloatArray, b: FloatArray) -> tuple[Floa
     norm = np.linalg.norm(gradient[:, free], axis=1)
     # not below the rounding of the terms themselves, which grow with the distance to the box
     scale = 1.0 + np.abs(x).max(axis=1)
-    open_ = norm > _TOLERANCE * scale
+    unsolved = norm > _TOLERANCE * scale
     for _ in range(_STEPS):
-        if not open_.any():
+        if not unsolved.any():
             break
-        k = np.flatnonzero(open_)
+        k = np.flatnonzero(unsolved)
         J = np.zeros((k.size, 2 * m, 2 * m))
         s, d = strict[k], variance[k] - 1.0
         J[:, :m, :m] = np.einsum("kia,ki,kib->kab", s[:, :, :m], d, s[:, :, :m])
@@ -212,8 +212,8 @@ def minimax_tilt(strict: FloatArray, a: FloatArray, b: FloatArray) -> tuple[Floa
             if waiting.size == 0:
                 break
         scale = 1.0 + np.abs(x).max(axis=1)
-        open_[k] = norm[k] > _TOLERANCE * scale[k]
-        open_[k[waiting]] = False  # no further descent: judged below
+        unsolved[k] = norm[k] > _TOLERANCE * scale[k]
+        unsolved[k[waiting]] = False  # no further descent: judged below
     failed = ~(norm <= _ACCEPTED * scale)
     for k_failed in np.flatnonzero(failed):
         k = np.array([k_failed])
@@ -321,19 +321,19 @@ def integration_order(covariance: FloatArray, lower: FloatArray, upper: FloatArr
     S = covariance.copy()  # conditional covariance given the variables chosen so far
     shift = np.zeros((K, p))  # conditional mean, the chosen ones at their truncated mean
     order = np.empty((K, p), dtype=np.int64)
-    left = np.ones((K, p), dtype=bool)
+    remaining = np.ones((K, p), dtype=bool)
     rows = np.arange(K)
     for step in range(p):
         deviation = np.sqrt(np.maximum(np.diagonal(S, axis1=1, axis2=2), 1e-300))
         a, b = (lower - shift) / deviation, (upper - shift) / deviation
         mass = Restricted.of(a, b).log_mass
-        pick = np.argmin(np.where(left, mass, np.inf), axis=1)
-        order[:, step], left[rows, pick] = pick, False
-        at = (rows, pick)
-        mean, _ = Restricted.of(a[at], b[at]).moments()
+        pick = np.argmin(np.where(remaining, mass, np.inf), axis=1)
+        order[:, step], remaining[rows, pick] = pick, False
+        picked = (rows, pick)
+        mean, _ = Restricted.of(a[picked], b[picked]).moments()
         column = S[rows, :, pick]
-        shift = shift + column * (mean / deviation[at])[:, None]
-        S = S - column[:, :, None] * column[:, None, :] / (deviation[at] ** 2)[:, None, None]
+        shift = shift + column * (mean / deviation[picked])[:, None]
+        S = S - column[:, :, None] * column[:, None, :] / (deviation[picked] ** 2)[:, None, None]
     return order
 
 
@@ -452,7 +452,7 @@ class Lattice:
 
 @functools.lru_cache(maxsize=32)
 def lattice(n: int, dimension: int) -> Lattice:
-    """The n points for `dimension` variables."""
+    """The rank-1 lattice of n points for `dimension` variables."""
     if n not in _GENERATORS or dimension > len(_GENERATORS[n]):
         most = max(map(len, _GENERATORS.values()))
         problem = f"{n} points in {dimension} bounded dimensions"

@@ -132,7 +132,7 @@ def _column_warnings(profile: Profile, correlation: FloatArray, names: Sequence[
 
 
 def _components(mask: BoolArray) -> str:
-    """``Component 2``, or ``Components 2, 5``."""
+    """The marked components as text: ``Component 2``, or ``Components 2, 5``."""
     return f"Component{'s' if mask.sum() > 1 else ''} {_listed([str(k) for k in np.flatnonzero(mask)])}"
 
 
@@ -423,8 +423,6 @@ class BoundedGaussianMixture(CheckedArguments):
             of range; the message names the column, the row and the count. Also without a prior, where the likelihood
             has no maximum.
         """
-        if self.n_jobs is not None:
-            checked_whole("n_jobs", self.n_jobs, lower=1)
         return self.fit_events(Events.of(X, sample_weight, self.n_jobs))
 
     def fit_events(self, events: Events) -> Self:

@@ -32,7 +32,9 @@ class Events:
 
     @classmethod
     def of(cls, X: npt.ArrayLike, sample_weight: npt.ArrayLike | None, threads: int | None) -> Events:
-        """What a caller gave, neither rows nor columns none."""
+        """Events from the arguments of a fit, which must hold rows and columns; `threads` is called n_jobs there."""
+        if threads is not None:
+            checked_whole("n_jobs", threads, lower=1)
         x = as_matrix(X)
         if x.size == 0:
             raise InputError("X", "no columns" if x.shape[0] else "no rows")
@@ -94,7 +96,7 @@ class Profile:
 
     @classmethod
     def of_block(cls, x: FloatArray, weight: FloatArray | None) -> Profile:
-        """Of at least one row."""
+        """The profile of a block of at least one row."""
         w = np.ones(x.shape[0]) if weight is None else weight
         events, used = float(w.sum()), int(np.count_nonzero(w))
         # here, since a caller's settings do not reach other threads: what overflows is refused by its size
@@ -147,7 +149,7 @@ LARGEST: Final = 1e100
 
 
 def column_name(j: int, names: Sequence[str] | None) -> str:
-    """The column's name, or its number."""
+    """The column as messages call it: by its name, or by its number."""
     return f"column {j}" if names is None else f"column {names[j]!r}"
 
 
@@ -179,10 +181,10 @@ def _refuse(x: FloatArray, bad: BoolArray, allowed: str, names: Sequence[str] | 
         return
     j, *others = columns
     row = int(np.argmax(bad[:, j]))
-    also = f", also in {', '.join(column_name(k, names) for k in others)}" if others else ""
+    also_in = f", also in {', '.join(column_name(k, names) for k in others)}" if others else ""
     raise InputError(
         f"X: {column_name(j, names)}, row {row}",
-        f"({int(bad[:, j].sum())} of {x.shape[0]} rows{also})",
+        f"({int(bad[:, j].sum())} of {x.shape[0]} rows{also_in})",
         value=float(x[row, j]),
         allowed=allowed,
     )
@@ -222,8 +224,8 @@ def check_weights(weights: npt.ArrayLike, rows: int, name: str, row: str = "row"
         raise InputError(name, f"shape {weight.shape}", allowed=f"({rows},), one number a {row}")
     bad = ~(np.isfinite(weight) & (weight >= 0.0))
     if bad.any():
-        at = int(np.argmax(bad))
-        raise InputError(f"{name}: {row} {at}", value=float(weight[at]), allowed="finite numbers >= 0")
+        index = int(np.argmax(bad))
+        raise InputError(f"{name}: {row} {index}", value=float(weight[index]), allowed="finite numbers >= 0")
     return weight
 
 
@@ -251,7 +253,7 @@ def check_bound_array(value: npt.ArrayLike | None, name: str, fill: float, dimen
 
 
 def check_components(components: Iterable[int]) -> list[int]:
-    """The K to try, each once, ascending."""
+    """The numbers of components K to try, each once, in ascending order."""
     if isinstance(components, str) or not isinstance(components, Iterable):
         raise InputError("components", value=components, allowed="a whole number >= 1, or several of them")
     tried = sorted({checked_whole("components", K, lower=1) for K in components})
@@ -287,7 +289,6 @@ def inside_bounds(
     upper: FloatArray,
     names: Sequence[str] | None = None,
     *,
-    profile: Profile | None = None,
     keep_constant: bool = False,
 ) -> InsideBounds:
     """Leave constant columns out, and move values exactly on a bound inside.
@@ -296,7 +297,7 @@ def inside_bounds(
     Values outside a bound or not finite stay as they are: a fit names them.
     """
     with np.errstate(over="ignore", invalid="ignore"):
-        profile = profile_of(events) if profile is None else profile
+        profile = profile_of(events)
         size = np.maximum(np.abs(profile.least), np.abs(profile.most))
         varies = ~(profile.most - profile.least <= _FLAT * size)  # NaN varies: the fit is to name it
         scale = profile.scale
@@ -321,9 +322,9 @@ def inside_bounds(
 def _move_inside(column: FloatArray, bound: float, inwards: float, most: float) -> int:
     """Move the values of a column that lie on a bound, in place, by at most `most`; how many these were."""
     distance = inwards * (column - bound)
-    on = distance == 0.0
-    if on.any():
-        near = float(np.min(distance[distance > 0.0], initial=np.inf))
-        moved = bound + inwards * min(0.5 * near, most)
-        column[on] = moved if inwards * (moved - bound) > 0.0 else np.nextafter(bound, inwards * np.inf)
-    return int(on.sum())
+    on_bound = distance == 0.0
+    if on_bound.any():
+        nearest = float(np.min(distance[distance > 0.0], initial=np.inf))
+        moved = bound + inwards * min(0.5 * nearest, most)
+        column[on_bound] = moved if inwards * (moved - bound) > 0.0 else np.nextafter(bound, inwards * np.inf)
+    return int(on_bound.sum())

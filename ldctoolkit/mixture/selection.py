@@ -12,7 +12,6 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import FloatArray, IntArray
-from ldctoolkit.declared import checked_whole
 from ldctoolkit.errors import InputError
 from ldctoolkit.mixture.bounded_gaussian_mixture import BoundedGaussianMixture
 from ldctoolkit.mixture.checks import Events, RandomState, check_components, seed_of
@@ -23,7 +22,7 @@ ALLOWANCE: Final = 10.0
 
 @dataclasses.dataclass(frozen=True)
 class Failure:
-    """A K that could not be fitted."""
+    """A number of components that could not be fitted, and the error."""
 
     n_components: int  # K
     error: InputError  # Why not
@@ -31,14 +30,14 @@ class Failure:
 
 @dataclasses.dataclass(frozen=True)
 class Trial:
-    """A fit of one K."""
+    """A fitted model with K components and its likelihood."""
 
     model: BoundedGaussianMixture
     log_likelihood: float  # Sum of ln f over the events
 
     @property
     def n_components(self) -> int:
-        """K."""
+        """Number of components K of the model."""
         return self.model.n_components
 
 
@@ -153,8 +152,6 @@ def select_components(
     'K = 2, the smallest whose BIC lies within 10 of the best'
     """
     tried = check_components(components)
-    if n_jobs is not None:
-        checked_whole("n_jobs", n_jobs, lower=1)
     seed = seed_of(random_state)
     # built here, so that a wrong setting is refused before anything starts
     models = [BoundedGaussianMixture(K, random_state=seed, **settings) for K in tried]

@@ -144,7 +144,7 @@ def _put(target: object, source: object, names: Iterable[str], rows: IntArray, w
 
 
 def check_bounds(lower: FloatArray, upper: FloatArray) -> None:
-    """Refuse bounds that are NaN or not in order."""
+    """Raise `InputError` for bounds that are NaN or not in ascending order."""
     bad = ~(lower < upper)
     if bad.any():
         j = int(np.argmax(bad))

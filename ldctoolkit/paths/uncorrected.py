@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 import ldctoolkit.departures as dep
-from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray, row_index
 from ldctoolkit.declared import checked_seed
 from ldctoolkit.departures import PARAMETER_NAMES, DepartureParameters, DepartureSignals
 from ldctoolkit.errors import InputError
@@ -251,7 +251,7 @@ class UncorrectedPath:
 
     def take(self, rows: npt.ArrayLike | slice) -> Self:
         """The chosen paths: an index array, a mask or a slice."""
-        index = dep.row_index(rows)
+        index = row_index(rows)
         return dataclasses.replace(
             self,
             scenarios=self.scenarios.take(index),

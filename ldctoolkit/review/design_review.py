@@ -16,7 +16,7 @@ from ldctoolkit.law_checks import check_controller
 from ldctoolkit.plant_options import Actuator, PlantOptions
 from ldctoolkit.review.law_model import LARGER, PULSE, LinearView, linear_view
 from ldctoolkit.review.loop_numbers import BEND_ERROR, MISMATCH, LoopNumbers, loop_numbers
-from ldctoolkit.setup import PlantKnowledge, known_plant
+from ldctoolkit.setup import PlantKnowledge, Setup
 from ldctoolkit.vehicle import BicycleModel, Plant
 from ldctoolkit.vehicle.bicycle import checked_speeds
 from ldctoolkit.vehicle.speed_schedule import SPEED_RANGE
@@ -95,7 +95,7 @@ class Thresholds:
 def _at(
     severity: Severity, name: str, v: FloatArray, i: int, text: str, value: float = math.nan, allowed: float = math.nan
 ) -> Finding:
-    """A finding at the i-th speed."""
+    """A finding about the i-th of the speeds v."""
     return Finding(severity, name, f"At {v[i]:.3g} m/s {text}", float(value), allowed, float(v[i]))
 
 
@@ -373,7 +373,7 @@ def review_plant(
 ) -> Plant:
     """The nominal vehicle of a review at its speeds.
 
-    Raises `InputError` for a sample time or speeds outside what is allowed, or a delay of too many samples.
+    Raises `InputError` for a setup or speeds outside what is allowed, or a delay of too many samples.
 
     Parameters
     ----------
@@ -389,16 +389,19 @@ def review_plant(
     >>> review_plant(BicycleModel(), 0.05, PlantOptions(), [20.0, 30.0]).n
     2
     """
-    dt, v = checked_number("dt", dt, above=0.0, unit="s"), checked_speeds(speeds)
-    outside = v[(v < SPEED_RANGE[0]) | (v > SPEED_RANGE[1])]
-    if v.size == 0 or outside.size:
-        allowed = f"one or more from {SPEED_RANGE[0]:g} to {SPEED_RANGE[1]:g} m/s"
-        raise InputError("speeds", value=outside.tolist()[0] if outside.size else [], allowed=allowed)
+    setup = Setup(
+        vehicle=model.parameters, convention=model.convention, dt=dt, options=options, plant_knowledge=plant_knowledge
+    )
+    v = checked_speeds(speeds)
+    if v.size == 0:
+        raise InputError("speeds", value=[], allowed="one or more")
+    for i, speed in enumerate(v.tolist()):
+        checked_number(f"speeds[{i}]", speed, lower=SPEED_RANGE[0], upper=SPEED_RANGE[1], unit="m/s")
     for name, delay in (("actuator", options.actuator.delay), ("sensors", options.sensors.delay)):
-        if delay > LONGEST * dt * (1 + 1e-9):
-            problem = f"s is {delay / dt:.6g} samples of {dt:g} s"
+        if delay > LONGEST * setup.dt * (1 + 1e-9):
+            problem = f"s is {delay / setup.dt:.6g} samples of {setup.dt:g} s"
             raise InputError(f"{name}.delay", problem, value=delay, allowed=f"at most {LONGEST} samples")
-    return known_plant(model, v, dt, options.sampled(dt), plant_knowledge)
+    return setup.plant(v)
 
 
 SPEEDS = tuple(float(v) for v in np.linspace(10.0, 40.0, 13))  # Default speeds [m/s]

@@ -137,7 +137,7 @@ class Loop:
 
     @classmethod
     def of(cls, vehicle: System, controller: System) -> Loop:
-        """Join both sides."""
+        """The loop of a vehicle and the controller side."""
         k, c = vehicle.A.shape[0], controller.A.shape[0]
         A = np.zeros((k + c, k + c))
         A[:k, :k], A[k:, k:] = vehicle.A, controller.A
@@ -220,7 +220,7 @@ def _prepared(controller: Controller, plant: Plant) -> LinearLaw | SteeringLaw |
 
 
 def exact_view(law: LinearLaw, plant: Plant) -> LinearView:
-    """A linear law as linear systems."""
+    """A linear law as linear systems at the plant's n speeds, without error."""
     n = plant.n
     bend = law.G_yaw_rate.sum(axis=1) + law.G_heading @ law.preview_times
     D = np.column_stack([law.F, law.f_u, bend, np.zeros(n) if law.f_wheel is None else law.f_wheel])

@@ -35,7 +35,7 @@ _BEYOND: Final = 100.0  # Nyquist frequencies up to which the bandwidth is searc
 
 
 class Poles(NamedTuple):
-    """The closed loop's poles in short."""
+    """Summary of the closed loop's poles."""
 
     stable: bool  # All decay
     radius: float  # Largest |z|
@@ -218,14 +218,14 @@ class LoopNumbers:
 def loop_numbers(
     controller: Controller, view: LinearView, plant: Plant, options: PlantOptions, bend: FloatArray
 ) -> LoopNumbers:
-    """Every number at every speed of a plant."""
+    """The numbers of the loop at every speed of a plant."""
     dt, actuator = plant.dt, options.actuator
     A, B, E = plant.model.matrices(plant.v)
     cameras = _cameras(plant, options)
     p = plant.model.parameters
     low, high = 1.0 - MISMATCH, 1.0 + MISMATCH
     tyres = [dataclasses.replace(p, C_af=p.C_af * f, C_ar=p.C_ar * r) for f in (low, high) for r in (low, high)]
-    others = [BicycleModel(other, plant.model.convention).matrices(plant.v) for other in tyres]
+    mismatched = [BicycleModel(parameters, plant.model.convention).matrices(plant.v) for parameters in tyres]
     rows = []
     inputs = np.zeros((2, plant.n, 6))  # in the bend: of the nominal vehicle, of the worst other one
     for i, law in enumerate(view.models):
@@ -234,7 +234,7 @@ def loop_numbers(
         z, m, offsets = poles(loop.closed_A, dt), Margins(*[math.nan] * 6), [math.nan] * 2
         if z.stable:
             m = margins(loop.open, dt)
-            worst = _worst([(a[i], b[i], e[i]) for a, b, e in others], side, dt, options)
+            worst = _worst([(a[i], b[i], e[i]) for a, b, e in mismatched], side, dt, options)
             inputs[0, i] = loop.steady() * bend[i]
             inputs[1, i] = 0.0 if worst is None else worst * bend[i]
             offsets = [inputs[0, i, 0], math.inf if worst is None else inputs[1, i, 0]]

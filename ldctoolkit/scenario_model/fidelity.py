@@ -100,12 +100,12 @@ class SideFidelity:
 
     @property
     def passed(self) -> bool:
-        """All answers lie within."""
+        """Whether all generated answers lie within their intervals."""
         return bool(self.within.all())
 
     @property
     def designs(self) -> tuple[str, ...]:
-        """Names of the rows."""
+        """Names of the rows: a probe and its threshold each."""
         return tuple(f"{name}, y_s = {y_s:.2f} m" for name in NAMES for y_s in self.thresholds)
 
     @property

@@ -13,12 +13,21 @@ import numpy.typing as npt
 import threadpoolctl
 
 from ldctoolkit.arrays import BoolArray, FloatArray
-from ldctoolkit.declared import checked_seed
-from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, DepartureParameters, Departures, Plausibility
+from ldctoolkit.declared import checked_choice, checked_seed, checked_whole
+from ldctoolkit.departures import (
+    LEFT,
+    PARAMETER_NAMES,
+    RIGHT,
+    SIDES,
+    DepartureParameters,
+    Departures,
+    Plausibility,
+    check_parameters,
+)
 from ldctoolkit.errors import InputError, ModelError, plain
 from ldctoolkit.mixture import BoundedGaussianMixture, Selection, select_components
 from ldctoolkit.mixture._distribution import Transform
-from ldctoolkit.mixture.checks import Events, InsideBounds, check_components, check_weights, inside_bounds, profile_of
+from ldctoolkit.mixture.checks import Events, check_components, check_weights, inside_bounds
 from ldctoolkit.mixture.selection import FitEach, Progress
 from ldctoolkit.recordings import Criteria
 from ldctoolkit.scenario_model.fidelity import Replay, SideFidelity
@@ -56,7 +65,7 @@ class Box:
 
 
 def box_of(bounds: Bounds | None, criteria: Criteria | None) -> Box:
-    """Given bounds, else those of the extraction and of physics."""
+    """The box from given bounds, and otherwise from the extraction criteria and from physics."""
     ends = {name: (*pair, "physical", "physical") for name, pair in PHYSICAL_BOUNDS.items()}
     if criteria is not None:  # an event outside them would not have been extracted
         origin = "extraction criteria"
@@ -64,9 +73,8 @@ def box_of(bounds: Bounds | None, criteria: Criteria | None) -> Box:
         ends["v_mean"] = (criteria.min_speed, np.inf, origin, "physical")
     if bounds is not None and not isinstance(bounds, Mapping):
         raise InputError("bounds", value=bounds, allowed="a mapping of parameters")
+    check_parameters("bounds", bounds or ())
     for name, entry in (bounds or {}).items():
-        if name not in ends:
-            raise InputError("bounds", "is no parameter", value=name, allowed=PARAMETER_NAMES)
         least = LEAST_LOWER.get(name, -np.inf)  # open as far as can be driven
         try:
             low, high = entry
@@ -96,15 +104,14 @@ class SideSettings:
 
 def transforms(transform: str | Mapping[str, str] | None, box: Box) -> dict[str, str]:
     """The transform of each parameter, allowed by its bounds."""
-    if transform is None or isinstance(transform, str):
-        kinds = dict.fromkeys(PARAMETER_NAMES, transform or "none")
-    else:
-        for name in transform:
-            if name not in PARAMETER_NAMES:
-                raise InputError("transform", "is no parameter", value=name, allowed=PARAMETER_NAMES)
-        kinds = dict.fromkeys(PARAMETER_NAMES, "none") | dict(transform)
-    Transform.of(tuple(kinds.values()), box.lower, box.upper, PARAMETER_NAMES)
-    return kinds
+    if not isinstance(transform, str | Mapping | None):
+        raise InputError("transform", value=transform, allowed="one word, or a mapping of parameters")
+    words: Any = transform
+    if isinstance(transform, Mapping):
+        check_parameters("transform", transform)
+        words = [transform.get(name, "none") for name in PARAMETER_NAMES]
+    kinds = Transform.of(words, box.lower, box.upper, PARAMETER_NAMES).kinds
+    return dict(zip(PARAMETER_NAMES, kinds, strict=True))
 
 
 LEAST_EVENTS: Final = 30  # departures a side needs
@@ -214,8 +221,8 @@ def fit_scenario_model(
     seed = checked_seed(seed)
     if seed >= _SEED_END:
         raise InputError("seed", value=seed, allowed="below 10^18, the longest whole number of a model file")
-    if kind not in get_args(Kind):
-        raise InputError("kind", value=kind, allowed=get_args(Kind))
+    checked_choice("kind", kind, get_args(Kind))
+    workers = None if workers is None else checked_whole("workers", workers, lower=1)
     K = plain(components)
     if K is not None:
         K = check_components([K])[0] if isinstance(K, int) else tuple(check_components(K))
@@ -248,17 +255,17 @@ def fit_scenario_model(
         created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         software=f"ldctoolkit {__version__}",
         seed=seed,
-        warnings=tuple(note for side in sides.values() for note in side.warnings),
+        warnings=tuple(note for *_, notes in sides.values() for note in notes),
         versions=software_versions(),
         settings=fit,
         **driven(source),
     )
-    model = ScenarioModel(sides["left"].side, sides["right"].side, provenance, limits)
-    left, right = (
-        dataclasses.replace(sides[label].summary, redrawn_share=model.redrawn_share(side))
-        for label, side in (("left", LEFT), ("right", RIGHT))
-    )
-    return dataclasses.replace(model, provenance=dataclasses.replace(provenance, left=left, right=right))
+    model = ScenarioModel(sides["left"][0], sides["right"][0], provenance, limits)
+    summaries: dict[str, Any] = {
+        label: dataclasses.replace(sides[label][1], redrawn_share=model.redrawn_share(side))
+        for label, side in SIDES.items()
+    }
+    return dataclasses.replace(model, provenance=dataclasses.replace(provenance, **summaries))
 
 
 def _events(departures: Departures, weights: npt.ArrayLike | None, settings: SideSettings) -> dict[str, SideEvents]:
@@ -268,7 +275,7 @@ def _events(departures: Departures, weights: npt.ArrayLike | None, settings: Sid
         counts = settings.plausibility.holds(departures) | ~np.isfinite(departures.matrix()).all(axis=1)
     implausible = int((~counts).sum())
     counts &= True if weight is None else weight > 0.0
-    rows = {label: counts & (departures.side == side) for label, side in (("left", LEFT), ("right", RIGHT))}
+    rows = {label: counts & (departures.side == side) for label, side in SIDES.items()}
     beside = f", beside {implausible} that are not plausible" if implausible else ""
     check_enough(rows["left"], rows["right"], beside)
     events = Events(departures.matrix(), weight, settings.selection["n_jobs"])
@@ -284,23 +291,17 @@ def check_enough(left: BoolArray, right: BoolArray, beside: str = "") -> None:
 
 EVENTS_PER_PARAMETER: Final = 0.5  # a range of K is cut where fewer would stand behind each free parameter
 
-_SETTINGS: Final = {"n_jobs", *(field.name for field in dataclasses.fields(FitSettings))}  # not of the departures
-
-
-@dataclasses.dataclass(frozen=True)
-class SideFit:
-    """A fitted side, how it was fitted, and what a user should know."""
-
-    side: SideModel
-    summary: SideSummary
-    warnings: tuple[str, ...]
+_SETTINGS: Final = {field.name for field in dataclasses.fields(FitSettings)}  # not of the departures
 
 
 def fit_side(
     events: SideEvents, tried: tuple[int, ...], cut: tuple[str, ...], settings: SideSettings, progress: Progress | None
-) -> SideFit:
-    """Fit the departures of one side, with the K that they carry; `cut` says which they do not."""
-    label, n = events.label, events.rows
+) -> tuple[SideModel, SideSummary, tuple[str, ...]]:
+    """Fit the departures of one side, with the K that they carry; `cut` says which they do not.
+
+    Gives the model, how it was fitted, and what a user should know.
+    """
+    label, n = events.label, events.data.rows
     notes = [
         f"{label}: {name} is {value:g} in every event and is kept as a constant" for name, value in events.constants
     ]
@@ -341,12 +342,12 @@ def fit_side(
         passes=mixture.n_iter_ if choice.kind == "mixture" else None,
         stop_reason=mixture.stop_reason_ if choice.kind == "mixture" else "",
         weight=events.weight,
-        bounds_from=events.box.origins,
-        source_summary=summarize_events(events.events, events.names),
+        bounds_from=settings.box.origins,
+        source_summary=summarize_events(events.data, events.names),
         kind=choice.kind,
         fidelity=choice.fidelity,
     )
-    return SideFit(SideModel(mixture, events.names, events.constants), summary, tuple(notes))
+    return SideModel(mixture, events.names, events.constants), summary, tuple(notes)
 
 
 _ENOUGH: Final = 0.93  # share of answers within their own 95 % intervals to be chosen: the verdict's are wider
@@ -364,21 +365,21 @@ class _Checked:
 
     @property
     def passed(self) -> bool:
-        """Gives the recordings' answer."""
+        """Whether it gives the recordings' answer."""
         return self.fidelity is not None and self.fidelity.passed
 
     @property
     def agrees(self) -> bool:
-        """Good enough for other designs too, on few departures."""
+        """Whether it agrees well enough for designs beyond the tested ones, on few departures."""
         return self.passed and self.alone >= _ENOUGH
 
     @property
     def merit(self) -> tuple[float, float]:
-        """The larger, the better it agrees."""
+        """Share of the answers within their intervals, simultaneous and for each by itself; larger is better."""
         return (0.0 if self.fidelity is None else float(self.fidelity.within.mean())), self.alone
 
     def order(self) -> tuple[bool, float, float]:
-        """Of those compared the largest is taken."""
+        """Sorting key: the largest is preferred."""
         return (self.agrees, *self.merit)
 
 
@@ -389,28 +390,28 @@ class _Judge:
     events: SideEvents
     settings: SideSettings
     replay: Replay
-    known: dict[BoundedGaussianMixture, _Checked] = dataclasses.field(default_factory=dict)
+    results: dict[BoundedGaussianMixture, _Checked] = dataclasses.field(default_factory=dict)
 
     @classmethod
     def of(cls, events: SideEvents, settings: SideSettings) -> Self:
-        """With the answer of the recorded departures."""
-        columns = {name: np.full(events.rows, value) for name, value in events.constants}
-        columns |= dict(zip(events.names, events.events.x.T, strict=True))
-        recorded = DepartureParameters(np.full(events.rows, events.side), **columns)
-        return cls(events, settings, Replay.of(recorded, events.events.weight, settings.vehicle_width))
+        """The judge of a side, with the answer of its recorded departures."""
+        columns = {name: np.full(events.data.rows, value) for name, value in events.constants}
+        columns |= dict(zip(events.names, events.data.x.T, strict=True))
+        recorded = DepartureParameters(np.full(events.data.rows, SIDES[events.label]), **columns)
+        return cls(events, settings, Replay.of(recorded, events.data.weight, settings.vehicle_width))
 
     def checked(self, mixture: BoundedGaussianMixture, kind: Literal["mixture", "smoothed"] = "mixture") -> _Checked:
         """A mixture beside the recorded departures; each is driven once."""
-        if mixture not in self.known:
+        if mixture not in self.results:
             half = SideModel(mixture, self.events.names, self.events.constants)
             model = ScenarioModel(half, half, ModelProvenance({}), self.settings.plausibility)
-            count = (self.replay.generated, 0) if self.events.side == LEFT else (0, self.replay.generated)
+            count = (self.replay.generated, 0) if self.events.label == "left" else (0, self.replay.generated)
             compared: tuple[SideFidelity | None, float] = None, 0.0
             with contextlib.suppress(InputError, ModelError):
                 check_usable(mixture)
                 compared = self.replay.compared(model.sample(*count, seed=self.settings.seed))
-            self.known[mixture] = _Checked(mixture, kind, *compared)
-        return self.known[mixture]
+            self.results[mixture] = _Checked(mixture, kind, *compared)
+        return self.results[mixture]
 
     def enough(self, fits: Selection) -> bool:
         """Whether larger K need not be tried: BIC has risen, or the last two give the recordings' answer."""
@@ -418,7 +419,7 @@ class _Judge:
 
     def choice(self, fits: Selection) -> _Checked:
         """The first that gives the recordings' answer: the K of BIC, larger ones, the smoothed departures."""
-        rows, kind = self.events.rows, self.settings.kind
+        rows, kind = self.events.data.rows, self.settings.kind
         if kind == "smoothed":
             if rows > MOST_SMOOTHED:
                 problem = f"with {rows} {self.events.label} departures"
@@ -455,12 +456,10 @@ BANDWIDTHS: Final = (0.25, 0.125)
 
 def smoothed(events: SideEvents, width: float) -> BoundedGaussianMixture:
     """The departures themselves with a Gaussian kernel in mapped coordinates; mean and covariance are kept there."""
-    x, varies = events.events.x, events.inside.varies
-    lower, upper = events.box.lower[varies], events.box.upper[varies]
-    transform = Transform.of("auto", lower, upper)
-    y = transform.forward(x)
+    transform, weight = Transform.of("auto", events.lower, events.upper), events.data.weight
+    y = transform.forward(events.data.x)
     n, d = y.shape
-    share = np.full(n, 1.0 / n) if events.events.weight is None else events.events.weight / events.events.weight.sum()
+    share = np.full(n, 1.0 / n) if weight is None else weight / weight.sum()
     effective = 1.0 / float(share @ share)
     h = width * (4.0 / (d + 2)) ** (1.0 / (d + 4)) * effective ** (-1.0 / (d + 4))
     mean, covariance = share @ y, np.cov(y.T, aweights=share).reshape(d, d)
@@ -470,8 +469,8 @@ def smoothed(events: SideEvents, width: float) -> BoundedGaussianMixture:
         share,
         mean + (y - mean) / np.sqrt(1.0 + h**2),
         np.tile(kernel, (n, 1, 1)),
-        lower=lower,
-        upper=upper,
+        lower=events.lower,
+        upper=events.upper,
         transform=transform.kinds,
         names=events.names,
     )
@@ -527,7 +526,7 @@ def carried_components(
     components: int | tuple[int, ...] | None, events: SideEvents
 ) -> tuple[tuple[int, ...], tuple[str, ...]]:
     """The K that the events of a side carry, and a note if these are not all."""
-    n, d, label = events.rows, len(events.names), events.label
+    n, d, label = events.data.rows, len(events.names), events.label
     if isinstance(components, int):
         return (components,), ()
     components = components or tuple(range(1, 5 if n <= FEW else 11))
@@ -545,81 +544,49 @@ def _select(
     events: SideEvents, tried: tuple[int, ...], settings: SideSettings, progress: Progress | None, judge: _Judge
 ) -> tuple[Selection, tuple[tuple[int, str], ...]]:
     """The fits, and the K that gave no usable one; an error where none did."""
-    label, varies = events.label, events.inside.varies
+    label = events.label
     arguments: dict[str, Any] = settings.selection | {
         "random_state": settings.seed,
-        "split_merge": events.rows > FEW,
+        "split_merge": events.data.rows > FEW,
         "progress": None if progress is None else lambda text, done, total: progress(f"{label}: {text}", done, total),
-        "sample_weight": events.events.weight,
-        "lower": events.box.lower[varies],
-        "upper": events.box.upper[varies],
+        "sample_weight": events.data.weight,
+        "lower": events.lower,
+        "upper": events.upper,
         "transform": [settings.transform[name] for name in events.names],
         "names": events.names,
-        "enough": judge.enough if events.rows <= FEW else None,
+        "enough": judge.enough if events.data.rows <= FEW else None,
     }
     failed: list[tuple[int, str]] = []
     while True:
         try:
-            selection = select_components(events.events.x, tried, **arguments)
+            selection = select_components(events.data.x, tried, **arguments)
         except InputError as error:
             raise error if error.path in _SETTINGS else error.within(f"departures ({label})", ": ") from None
         failed += [(failure.n_components, str(failure.error)) for failure in selection.failures]
-        taken = selection.best.n_components
+        best_K = selection.best.n_components
         try:
             check_usable(selection.best)
         except ModelError as error:
-            tried = tuple(K for K in selection.n_components.tolist() if taken != K)
+            tried = tuple(K for K in selection.n_components.tolist() if best_K != K)
             if not tried:
                 raise error.within(f"departures ({label})", ": ") from None
-            failed.append((taken, str(error)))
+            failed.append((best_K, str(error)))
         else:
             return selection, tuple(sorted(failed))
 
 
 @dataclasses.dataclass(frozen=True)
 class SideEvents:
-    """What the mixture of a side is fitted to."""
+    """What the mixture of a side is fitted to: the parameters that vary, with no value on a bound."""
 
     label: str  # ``"left"`` or ``"right"``
-    inside: InsideBounds  # the parameters that vary, none on a bound
-    box: Box  # of all eight parameters
-
-    @property
-    def side(self) -> int:
-        """`LEFT` or `RIGHT`."""
-        return LEFT if self.label == "left" else RIGHT
-
-    @property
-    def events(self) -> Events:
-        """Rows of the parameters that vary, with their weights if any."""
-        return self.inside.events
-
-    @property
-    def rows(self) -> int:
-        """Departures, each counted once whatever its weight."""
-        return self.inside.profile.rows
-
-    @property
-    def weight(self) -> float | None:
-        """Sum of the weights, if there are any."""
-        return None if self.events.weight is None else self.inside.profile.events
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Parameters that vary."""
-        return tuple(PARAMETER_NAMES[j] for j in np.flatnonzero(self.inside.varies))
-
-    @property
-    def constants(self) -> tuple[tuple[str, float], ...]:
-        """The others with their value."""
-        least = self.inside.profile.least
-        return tuple((PARAMETER_NAMES[j], float(least[j])) for j in np.flatnonzero(~self.inside.varies))
-
-    @property
-    def moved(self) -> tuple[tuple[str, int], ...]:
-        """Events that lay on a bound, per parameter."""
-        moved = self.inside.moved
-        return tuple((PARAMETER_NAMES[j], int(moved[j])) for j in np.flatnonzero(moved))
+    data: Events  # A row a departure, a column for each of `names`
+    names: tuple[str, ...]  # Parameters that vary
+    lower: FloatArray  # (d,) Bounds of `names`
+    upper: FloatArray  # (d,)
+    constants: tuple[tuple[str, float], ...]  # The other parameters with their value
+    moved: tuple[tuple[str, int], ...]  # Events that lay on a bound, per parameter
+    weight: float | None  # Sum of the weights, if there are any
 
 
 def side_events(events: Events, label: str, settings: SideSettings) -> SideEvents:
@@ -631,13 +598,21 @@ def side_events(events: Events, label: str, settings: SideSettings) -> SideEvent
         _check(x, j, (x[:, j] >= low) & (x[:, j] <= high), f"{low:g} to {high:g}", label)
         if name in ("T", "v_mean"):  # as in a departures table
             _check(x, j, x[:, j] > 0.0, "above 0", label)
-    with np.errstate(over="ignore", invalid="ignore"):
-        profile = profile_of(events)
-    inside = inside_bounds(events, box.lower, box.upper, PARAMETER_NAMES, profile=profile)
-    if not inside.varies.any():
-        problem = f"all {profile.rows} events are equal"
+    inside = inside_bounds(events, box.lower, box.upper, PARAMETER_NAMES)
+    varies, least, moved = inside.varies, inside.profile.least, inside.moved
+    if not varies.any():
+        problem = f"all {events.rows} events are equal"
         raise InputError(f"departures ({label})", problem, hint="there is nothing to fit")
-    return SideEvents(label, inside, box)
+    return SideEvents(
+        label,
+        inside.events,
+        tuple(PARAMETER_NAMES[j] for j in np.flatnonzero(varies)),
+        box.lower[varies],
+        box.upper[varies],
+        tuple((PARAMETER_NAMES[j], float(least[j])) for j in np.flatnonzero(~varies)),
+        tuple((PARAMETER_NAMES[j], int(moved[j])) for j in np.flatnonzero(moved)),
+        None if events.weight is None else inside.profile.events,
+    )
 
 
 def _check(x: FloatArray, j: int, good: BoolArray, allowed: str, label: str) -> None:

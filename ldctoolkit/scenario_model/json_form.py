@@ -6,7 +6,7 @@ import dataclasses
 import hashlib
 import json
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -14,7 +14,7 @@ from pydantic import Field, ValidationError
 
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.declared import checked_number
-from ldctoolkit.departures import PARAMETER_NAMES, PARAMETER_UNITS, Plausibility
+from ldctoolkit.departures import PARAMETER_NAMES, PARAMETER_UNITS, Plausibility, check_parameters
 from ldctoolkit.errors import InputError, ModelError
 from ldctoolkit.mixture import BoundedGaussianMixture
 from ldctoolkit.scenario_model.provenance import (
@@ -93,7 +93,7 @@ def content_hash(left: SideModel, right: SideModel, plausibility: Plausibility |
 
 
 def _parse(text: str | bytes, file: str) -> Any:
-    """JSON with finite numbers only."""
+    """The JSON values of a file, with finite numbers only."""
     try:
         content = text if isinstance(text, str) else text_of(text)
         return parse_json(content, parse_constant=_finite, parse_int=_whole, parse_float=_finite)
@@ -199,7 +199,7 @@ class _Limits(Part):
 
 
 class _File(Part):
-    """The whole file."""
+    """The content of a model file."""
 
     format: str
     version: int
@@ -217,8 +217,8 @@ def _check_units(units: dict[str, str]) -> None:
 
 def _check_side(path: str, side: _Side) -> None:
     K, d = len(side.weights), len(side.parameters)
-    _check_names(f"{path}.parameters", side.parameters)
-    _check_names(f"{path}.constants", side.constants)
+    check_parameters(f"{path}.parameters", side.parameters)
+    check_parameters(f"{path}.constants", side.constants)
     if sorted((*side.parameters, *side.constants)) != sorted(PARAMETER_NAMES) or not d:
         allowed = f"each of {', '.join(PARAMETER_NAMES)} once, here or among the constants"
         raise InputError(f"{path}.parameters", value=side.parameters, allowed=allowed)
@@ -244,12 +244,6 @@ def _check_side(path: str, side: _Side) -> None:
             raise InputError(f"{path}.covariances[{k}]", "not positive definite")
 
 
-def _check_names(path: str, names: Iterable[str]) -> None:
-    for name in names:
-        if name not in PARAMETER_NAMES:
-            raise InputError(path, value=name, allowed=PARAMETER_NAMES)
-
-
 def _check_shape(path: str, value: Any, shape: tuple[int, ...]) -> None:
     try:
         actual = np.array(value, dtype=object).shape
@@ -270,7 +264,7 @@ def _check_provenance(provenance: ModelProvenance) -> None:
             if count != tried and (count or key != "n_parameters"):
                 raise InputError(f"{path}.{key}", f"shape ({count},)", allowed=f"({tried},)")
         for key in ("moved_inside", "bounds_from"):
-            _check_names(f"{path}.{key}", (parameter for parameter, *_ in getattr(side, key)))
+            check_parameters(f"{path}.{key}", (parameter for parameter, *_ in getattr(side, key)))
         if side.source_summary is not None:
             _check_summary(f"{path}.source_summary", side.source_summary)
 
@@ -278,7 +272,7 @@ def _check_provenance(provenance: ModelProvenance) -> None:
 def _check_summary(path: str, summary: SourceSummary) -> None:
     d, m = len(summary.names), len(summary.quantiles[0]) if summary.quantiles else 0
     pairs = d * (d - 1) // 2
-    _check_names(f"{path}.names", summary.names)
+    check_parameters(f"{path}.names", summary.names)
     if not d or len(set(summary.names)) < d:
         raise InputError(f"{path}.names", value=summary.names, allowed="each parameter once, at least one")
     checked_number(f"{path}.departures", summary.departures, above=0.0)

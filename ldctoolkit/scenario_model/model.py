@@ -9,15 +9,23 @@ import os
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.declared import UnitWarning, checked_seed, checked_whole, unit_slip
-from ldctoolkit.departures import LEFT, PARAMETER_NAMES, PARAMETER_UNITS, RIGHT, DepartureParameters, Plausibility
+from ldctoolkit.departures import (
+    LEFT,
+    PARAMETER_NAMES,
+    PARAMETER_UNITS,
+    RIGHT,
+    DepartureParameters,
+    Plausibility,
+    check_parameters,
+)
 from ldctoolkit.errors import InputError, ModelError, UnknownNameError
-from ldctoolkit.mixture import SAMPLE_BLOCK, BoundedGaussianMixture
+from ldctoolkit.mixture import SAMPLE_BLOCK, BoundedGaussianMixture, Distribution
 from ldctoolkit.mixture._distribution import interval_of
 from ldctoolkit.scenario_model.provenance import ModelProvenance, SideModel
 from ldctoolkit.scenarios import SPEED_FLOOR, Scenarios, slowest_speed
@@ -64,9 +72,8 @@ def conditions(given: Given | None) -> tuple[Condition, ...]:
     if given is not None and not isinstance(given, Mapping):
         raise InputError("given", value=given, allowed="a mapping of parameters")
     by_name = {}
+    check_parameters("given", given or ())
     for name, value in (given or {}).items():
-        if name not in PARAMETER_NAMES:
-            raise InputError("given", "is no parameter", value=name, allowed=PARAMETER_NAMES)
         low, high = interval_of(f"given[{name!r}]", value)
         slip = unit_slip(name, low) or unit_slip(name, high if math.isfinite(high) else 0.0)
         if slip:
@@ -137,21 +144,14 @@ _SPARE_BLOCKS: Final = 50
 _DENSITY_EVENTS: Final = 1_048_576  # behind the probability that a density is divided by
 
 
-class _Drawn(Protocol):
-    """A distribution, or one under conditions."""
-
-    def sample_block(self, seed: int, key: tuple[int, ...]) -> tuple[FloatArray, IntArray]:
-        """Events from the random stream named by (seed, key), and their components."""
-
-
 @dataclasses.dataclass(frozen=True)
 class _Point:
-    """All parameters are given: nothing is left to chance."""
+    """The distribution of a side with values given for all its parameters: every event is the same."""
 
     values: FloatArray
 
     def sample_block(self, seed: int, key: tuple[int, ...]) -> tuple[FloatArray, IntArray]:
-        """The same event every time, whatever the stream."""
+        """`SAMPLE_BLOCK` equal events, whatever the stream, and their components."""
         del seed, key
         return np.tile(self.values, (SAMPLE_BLOCK, 1)), np.zeros(SAMPLE_BLOCK, dtype=np.int64)
 
@@ -286,7 +286,7 @@ class ScenarioModel:
         # even numbers to the left, odd ones to the right: the same however many there are
         return dataclasses.replace(drawn, index=np.concatenate([2 * np.arange(n_left), 2 * np.arange(n_right) + 1]))
 
-    def _distribution(self, side: int, given: tuple[Condition, ...] = ()) -> _Drawn:
+    def _distribution(self, side: int, given: tuple[Condition, ...] = ()) -> Distribution | _Point:
         """What the events of a side are drawn from."""
         half = self.side(side)
         columns = mixture_conditions(given, half, _LABEL[side])
@@ -295,7 +295,7 @@ class ScenarioModel:
             return _Point(np.array([values[j] for j in range(len(half.names))]))
         return half.mixture.distribution.condition(columns) if columns else half.mixture.distribution
 
-    def _block(self, side: int, distribution: _Drawn, block: int, seed: int) -> DepartureParameters:
+    def _block(self, side: int, distribution: Distribution | _Point, block: int, seed: int) -> DepartureParameters:
         """The events of one block that can happen and be replayed."""
         x, _ = distribution.sample_block(seed, (_STREAM[side], block))
         drawn = self.parameters(side, x)
@@ -326,8 +326,8 @@ class ScenarioModel:
     def redrawn_share(self, side: int, seed: int = 0, events: int = 16_384) -> float:
         """Share of the mixture's events of a side that are not possible and are drawn again, from so many draws."""
         blocks = -(-events // SAMPLE_BLOCK)
-        kept = sum(self._block(side, self._distribution(side), block, seed).n for block in range(blocks))
-        return 1.0 - kept / (blocks * SAMPLE_BLOCK)
+        possible = sum(self._block(side, self._distribution(side), block, seed).n for block in range(blocks))
+        return 1.0 - possible / (blocks * SAMPLE_BLOCK)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write one JSON file, whole or not at all.

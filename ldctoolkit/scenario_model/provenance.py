@@ -1,7 +1,6 @@
 """Where a scenario model comes from: its sides, summaries of the departures, and the settings of the fit."""
 
 import dataclasses
-import importlib.metadata
 import math
 import platform
 from collections.abc import Mapping
@@ -15,7 +14,7 @@ from ldctoolkit.errors import ModelError
 from ldctoolkit.mixture import BoundedGaussianMixture
 from ldctoolkit.mixture.checks import Events
 from ldctoolkit.scenario_model.fidelity import SideFidelity
-from ldctoolkit.version import __version__
+from ldctoolkit.version import __version__, versions
 
 PHYSICAL_BOUNDS: Final[Mapping[str, tuple[float, float]]] = {
     "T": (0.5, 10.0),  # s, the extraction criteria
@@ -93,8 +92,8 @@ class SourceSummary:
     Examples
     --------
     >>> x = np.random.default_rng(0).normal(size=(4000, 2)) @ [[1.0, 0.8], [0.0, 0.6]]
-    >>> found = summarize(x, names=("T", "d_y"))
-    >>> abs(float(found.at(0.5)[0])) < 0.1, 0.7 < found.rank_correlations[0] < 0.85
+    >>> summary = summarize(x, names=("T", "d_y"))
+    >>> abs(float(summary.at(0.5)[0])) < 0.1, 0.7 < summary.rank_correlations[0] < 0.85
     (True, True)
     """
 
@@ -109,7 +108,7 @@ class SourceSummary:
 
     @property
     def probabilities(self) -> FloatArray:
-        """Of the quantiles, (m,)."""
+        """Probabilities of the quantiles, (m,)."""
         m = len(self.quantiles[0])
         return np.asarray((np.arange(m) + 0.5) / m)
 
@@ -176,10 +175,10 @@ def summarize_events(events: Events, names: tuple[str, ...]) -> SourceSummary | 
 
 
 def weighted_ranks(column: FloatArray, share: FloatArray) -> FloatArray:
-    """Share below each value and half of that at it, (n,)."""
+    """Weighted ranks (n,): the share below each value and half of the share at it."""
     _, value = np.unique(column, return_inverse=True)
-    at = np.bincount(value, share)
-    return np.asarray((np.cumsum(at) - 0.5 * at)[value])
+    mass = np.bincount(value, share)
+    return np.asarray((np.cumsum(mass) - 0.5 * mass)[value])
 
 
 def rank_correlation(first: FloatArray, second: FloatArray, share: FloatArray) -> float:
@@ -190,7 +189,7 @@ def rank_correlation(first: FloatArray, second: FloatArray, share: FloatArray) -
 
 
 def cell_numbers(column: FloatArray, edges: FloatArray) -> IntArray:
-    """Cell of each value, -1 outside."""
+    """Number of the cell that holds each value (n,), -1 outside all cells."""
     number = np.searchsorted(edges, column, side="right") - 1
     number[(number >= edges.size - 1) | (number < 0)] = -1
     return number.astype(np.int64)
@@ -282,12 +281,12 @@ class ModelProvenance:
 
 
 def driven(source: Mapping[str, Any]) -> dict[str, Any]:
-    """Hours [h] and distance [m] that the data's description tells; None for what is no number above 0."""
-    known = {key: source.get(key) for key in ("hours", "distance")}
-    return {key: float(x) if isinstance(x, int | float) and 0.0 < x < math.inf else None for key, x in known.items()}
+    """Hours [h] and distance [m] that the data's description states; None where it states no number above 0."""
+    stated = {key: source.get(key) for key in ("hours", "distance")}
+    return {key: float(x) if isinstance(x, int | float) and 0.0 < x < math.inf else None for key, x in stated.items()}
 
 
 def software_versions() -> dict[str, str]:
     """Versions of what a fit's numbers come from."""
-    packages = {name: importlib.metadata.version(name) for name in ("numpy", "scipy", "numba")}
+    packages = dict(versions(("numpy", "scipy", "numba")))
     return {"ldctoolkit": __version__, "python": platform.python_version()} | packages

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.control import Controller, EventStatus, LinearLaw, RecordedPath, check_class
-from ldctoolkit.declared import Gain, GainValue, undeclared_fields
+from ldctoolkit.declared import Gain, GainValue, checked_choice, undeclared_fields
 from ldctoolkit.errors import InputError, LdcError, expect
 from ldctoolkit.law_checks import check_controller, check_law, check_step, raised
 from ldctoolkit.scenarios import Scenarios
@@ -38,20 +38,47 @@ from ldctoolkit.testing.subject import (
 
 Check = Callable[[Subject], Iterator[str]]  # Yields one sentence for each fault
 
+
+class ControllerContract:
+    """The contract as tests: subclass it under pytest, in a class whose name starts with ``Test``.
+
+    Examples
+    --------
+    >>> from ldctoolkit import LQR
+    >>> class TestLQR(ControllerContract):
+    ...     controller = LQR
+    ...     designs = (LQR(r_delta=20.0),)
+    >>> TestLQR().test_mirrored_input_gives_the_mirrored_command()
+    """
+
+    controller: ClassVar[type[Controller] | Controller]  # The law under test
+    designs: ClassVar[Sequence[Controller]] = ()  # More designs of it than the one with all defaults
+    settings: ClassVar[ContractSettings] = ContractSettings()  # Size and tolerances
+
+
 CHECKS: Final[dict[str, Check]] = {}
 """Name -> check; the first line of a check's documentation states what it requires."""
 
-_TESTS: Final[dict[str, str]] = {}  # Name of a check -> its test in a `ControllerContract`, behind ``test_``
-_STEERING: Final[set[str]] = set()  # Checks that a law passes that leaves the departure alone
+_STEERING: Final[set[str]] = set()  # Checks that do not apply to a law that leaves the departure alone
 
 
-def _check(test: str, *, steering: bool = False) -> Callable[[Check], Check]:
-    """Add a check to the contract; with `steering`, for laws that steer only."""
+def _check(test_name: str, *, steering: bool = False) -> Callable[[Check], Check]:
+    """Add a check to the contract and a test to `ControllerContract`; with `steering`, for laws that steer only."""
 
     def added(check: Check) -> Check:
-        CHECKS[check.__name__], _TESTS[check.__name__] = check, test
+        name = check.__name__
+
+        def test(self: ControllerContract) -> None:
+            controller = getattr(self, "controller", None)
+            if controller is None:
+                raise InputError(f"{type(self).__name__}.controller", "missing", allowed="controller = MyLaw")
+            check_controller_contract(controller, self.designs, checks=name, settings=self.settings)
+
+        test.__doc__ = f"Check `{name}`."
+        setattr(ControllerContract, f"test_{test_name}", test)
+        CHECKS[name] = check
         if steering:
-            _STEERING.add(check.__name__)
+            _STEERING.add(name)
         return check
 
     return added
@@ -107,8 +134,8 @@ def picklable(subject: Subject) -> Iterator[str]:
         return
     if pickle.loads(sent) != design:
         yield "comes back from pickle as another design"
-    given = pickle.dumps([word or str(Path.cwd()) for word in sys.path]) + pickle.dumps(sent)
-    done = subprocess.run([sys.executable, "-P", "-c", _LOAD], input=given, capture_output=True, check=False)
+    message = pickle.dumps([word or str(Path.cwd()) for word in sys.path]) + pickle.dumps(sent)
+    done = subprocess.run([sys.executable, "-P", "-c", _LOAD], input=message, capture_output=True, check=False)
     if done.returncode:
         last = (done.stderr.decode(errors="replace").strip().splitlines() or ["no message"])[-1]
         yield f"cannot be loaded in a fresh process: {last}; allowed: a class in a module that can be imported"
@@ -174,7 +201,7 @@ def interface(subject: Subject) -> Iterator[str]:
         plant.steady_state()
         before = copy.deepcopy(plant)
         law = check_law(subject.design.prepare(plant), n, subject.name)
-        arrays = [(*arrays_in(each), *arrays_in(each.steady_state())) for each in (plant, before)]
+        arrays = [(*arrays_in(state), *arrays_in(state.steady_state())) for state in (plant, before)]
         if not all(map(_same, *arrays)):
             yield "prepare changes the arrays of the plant in place; allowed: new arrays"
         if isinstance(law, LinearLaw | RecordedPath) or n == 0:
@@ -283,11 +310,11 @@ def inputs(subject: Subject) -> Iterator[str]:
     walk = subject.walk(road)
     reported: set[str] = set()
     for k in range(road.samples):
-        t, x, preview, delta_prev = given = walk.seen()
+        t, x, preview, delta_prev = arguments = walk.seen()
         arrays = [("t", t), ("x", x), ("preview.yaw_rate", preview.yaw_rate), ("preview.heading", preview.heading),
                   ("delta_prev", delta_prev), *(("state", array) for array in arrays_in(walk.state))]  # fmt: skip
         copies = [array.copy() for _, array in arrays]
-        walk.go_on(given)
+        walk.go_on(arguments)
         for (name, array), copied in zip(arrays, copies, strict=True):
             if name not in reported and not _same(array, copied):
                 reported.add(name)
@@ -299,14 +326,14 @@ def state(subject: Subject) -> Iterator[str]:
     """Two runs of one law share nothing: in turns, sample by sample, their commands are those of separate runs."""
     road = subject.bends()
     mirrored = road.mirrored()
-    other = dataclasses.replace(mirrored, x=mirrored.x[:, ::-1])
-    separate = subject.commands(road), subject.commands(other)
+    reversed_road = dataclasses.replace(mirrored, x=mirrored.x[:, ::-1])
+    expected = subject.commands(road), subject.commands(reversed_road)
     law = subject.law(road)
-    walks = [subject.walk(each, law) for each in (road, other)]
+    walks = [subject.walk(path, law) for path in (road, reversed_road)]
     for _ in range(road.samples):
         for walk in walks:
             walk.go_on()
-    for alone, walk in zip(separate, walks, strict=True):
+    for alone, walk in zip(expected, walks, strict=True):
         yield from difference(alone, walk.to_the_end(), "two runs in turns, against one after the other")
 
 
@@ -315,14 +342,14 @@ def batch(subject: Subject) -> Iterator[str]:
     """A scenario's commands do not depend on its place, on its neighbours, or on how many there are."""
     road = subject.bends()
     whole = subject.commands(road)
-    every = np.arange(road.n)
-    for rows, what in (
-        (every[::-1], "the scenarios in reverse order"),
-        (every[::2], "every other scenario alone"),
-        (every[: road.n // 2], "the first half of the scenarios alone"),
-        (every[-1:], "the last scenario alone"),
+    all_rows = np.arange(road.n)
+    for rows, comparison in (
+        (all_rows[::-1], "the scenarios in reverse order"),
+        (all_rows[::2], "every other scenario alone"),
+        (all_rows[: road.n // 2], "the first half of the scenarios alone"),
+        (all_rows[-1:], "the last scenario alone"),
     ):
-        yield from difference(whole.take(rows), subject.commands(road.take(rows)), what)
+        yield from difference(whole.take(rows), subject.commands(road.take(rows)), comparison)
 
 
 @_check("take_changes_no_command", steering=True)
@@ -471,16 +498,15 @@ def contract_faults(
     >>> contract_faults(LQR(r_delta=50.0), checks=["mirror", "quiet", "finite"])
     ()
     """
-    given = (checks,) if isinstance(checks, str) else CHECKS if checks is None else checks
-    expect("checks", given, Iterable)
-    names = tuple(given)
-    for name in names:
-        if not isinstance(name, str) or name not in CHECKS:
-            raise InputError("checks", value=name, allowed=CHECKS)
+    several = isinstance(checks, Iterable) and not isinstance(checks, str)
+    requested: Any = CHECKS if checks is None else checks if several else (checks,)
+    names = tuple(checked_choice("checks", name, CHECKS) for name in requested)
     expect("settings", settings, ContractSettings | None)
     first = controller() if isinstance(controller, type) and issubclass(controller, Controller) else controller
-    every = dict.fromkeys(check_controller(design) for design in (first, *designs))
-    return tuple(fault for d in every for fault in _faults(Subject(d, settings or ContractSettings()), names))
+    all_designs = dict.fromkeys(check_controller(design) for design in (first, *designs))
+    return tuple(
+        fault for design in all_designs for fault in _faults(Subject(design, settings or ContractSettings()), names)
+    )
 
 
 def check_controller_contract(
@@ -516,35 +542,3 @@ def _faults(subject: Subject, checks: Iterable[str]) -> Iterator[Fault]:
             raise
         except BaseException as error:  # a controller may be third-party code, and may call sys.exit
             yield Fault(label, name, raised(error))
-
-
-class ControllerContract:
-    """The contract as tests: subclass it under pytest, in a class whose name starts with ``Test``.
-
-    Examples
-    --------
-    >>> from ldctoolkit import LQR
-    >>> class TestLQR(ControllerContract):
-    ...     controller = LQR
-    ...     designs = (LQR(r_delta=20.0),)
-    >>> TestLQR().test_mirrored_input_gives_the_mirrored_command()
-    """
-
-    controller: ClassVar[type[Controller] | Controller]  # The law under test
-    designs: ClassVar[Sequence[Controller]] = ()  # More designs of it than the one with all defaults
-    settings: ClassVar[ContractSettings] = ContractSettings()  # Size and tolerances
-
-
-def _test(check: str) -> Callable[[ControllerContract], None]:
-    def test(self: ControllerContract) -> None:
-        given = getattr(self, "controller", None)
-        if given is None:
-            raise InputError(f"{type(self).__name__}.controller", "missing", allowed="controller = MyLaw")
-        check_controller_contract(given, self.designs, checks=(check,), settings=self.settings)
-
-    test.__doc__ = f"Check `{check}`."
-    return test
-
-
-for _name, _test_name in _TESTS.items():
-    setattr(ControllerContract, f"test_{_test_name}", _test(_name))

@@ -26,7 +26,7 @@ _FARTHEST = (BOUND, 15.0, 1.5, 3.0)
 
 @dataclasses.dataclass(frozen=True)
 class Road:
-    """What n scenarios look like over k samples."""
+    """States and lane of n scenarios over k samples, as a law is shown them."""
 
     v: FloatArray  # (n,) [m/s]
     x: FloatArray  # (k, n, 4) State
@@ -51,18 +51,18 @@ class Road:
         return Preview(now + change * times, now * times + 0.5 * change * times**2)
 
     def take(self, rows: IntArray) -> Road:
-        """Some of the scenarios."""
+        """The road of the scenarios `rows`."""
         arrays = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         return Road(**{name: a[rows] if a.ndim == 1 else a[:, rows] for name, a in arrays.items()})
 
     def mirrored(self) -> Road:
-        """Left for right."""
+        """The mirror image of the road: left and right exchanged."""
         return dataclasses.replace(
             self, x=-self.x, yaw_rate=-self.yaw_rate, yaw_change=-self.yaw_change, delta_0=-self.delta_0
         )
 
     def ended(self, rows: IntArray) -> Road:
-        """The same with some scenarios over: from the second sample on they are zeros."""
+        """The road with scenarios `rows` ended: from the second sample on they are zeros."""
         values = {name: getattr(self, name).copy() for name in ("x", "yaw_rate", "yaw_change")}
         for value in values.values():
             value[1:, rows] = 0.0
@@ -86,7 +86,7 @@ def bends(n: int, samples: int, seed: int = 1) -> Road:
 
 
 def straight(n: int, samples: int) -> Road:
-    """In the lane's centre, the wheels straight."""
+    """A straight road, driven in the lane's centre with straight wheels."""
     zeros, v = np.zeros((samples, n)), np.linspace(*SPEED_RANGE, n)
     return Road(v, np.zeros((samples, n, 4)), zeros, zeros, np.zeros(n), np.zeros(n))
 
@@ -110,7 +110,7 @@ class Commands:
     status: npt.NDArray[np.int8]  # (k, n)
 
     def take(self, rows: IntArray) -> Commands:
-        """Of some of the scenarios."""
+        """The commands of the scenarios `rows`."""
         return Commands(self.delta[:, rows], self.status[:, rows])
 
 
@@ -136,7 +136,7 @@ class Walk:
         return road.start + k * self.dt, road.x[k].copy(), road.preview(k, self.times), self.previous.copy()
 
     def go_on(self, seen: tuple[FloatArray, FloatArray, Preview, FloatArray] | None = None) -> None:
-        """Take one sample."""
+        """Take the step of one sample."""
         result = self.law.step(*(self.seen() if seen is None else seen), self.state)
         delta, self.state, status = check_step(result, self.road.n, self.name)
         self.sent.append((delta.copy(), status))
@@ -144,22 +144,22 @@ class Walk:
         self.k += 1
 
     def take(self, rows: IntArray) -> bool:
-        """Go on with some of the scenarios; False where the law cannot be cut down."""
-        taken = check_taken(self.law.take(rows, self.state), rows.size, self.name, self.times)
-        if taken is None:
+        """Continue with the scenarios `rows` only; False where the law does not support it."""
+        continued = check_taken(self.law.take(rows, self.state), rows.size, self.name, self.times)
+        if continued is None:
             return False
-        self.law, self.state = taken
+        self.law, self.state = continued
         self.road, self.previous = self.road.take(rows), self.previous[rows]
         return True
 
     def to_the_end(self) -> Commands:
-        """Take all samples that are left."""
+        """Take all remaining samples, and give the commands of the whole run."""
         while self.k < self.road.samples:
             self.go_on()
         return self.commands()
 
     def commands(self) -> Commands:
-        """Commands so far."""
+        """The commands of all samples so far."""
         return Commands(np.array([delta for delta, _ in self.sent]), np.array([status for _, status in self.sent]))
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.declared import checked_number, checked_whole
 from ldctoolkit.errors import InputError, LdcError, UnknownNameError
+from ldctoolkit.scenarios import SPEED_CEILING, SPEED_FLOOR
 
 from ..tables import Column, Row, Table
 from ._console import (
@@ -285,8 +286,9 @@ def add_parser(commands: Subparsers) -> None:
 def _speed_range(text: str) -> tuple[float, float]:
     """``LOW:HIGH`` or one speed."""
     low, high = interval(text, text) if ":" in text else (number(text),) * 2
-    if low is None or high is None or not 0 < low <= high < math.inf:
-        raise argparse.ArgumentTypeError(f"{text!r}; allowed: LOW:HIGH, or one speed, 0 < LOW <= HIGH [m/s]")
+    if low is None or high is None or not SPEED_FLOOR <= low <= high <= SPEED_CEILING:
+        limits = f"{SPEED_FLOOR:g} <= LOW <= HIGH <= {SPEED_CEILING:g} [m/s]"
+        raise argparse.ArgumentTypeError(f"{text!r}; allowed: LOW:HIGH, or one speed, {limits}")
     return low, high
 
 

@@ -143,7 +143,7 @@ def _finalists(ranking: Ranking) -> Table:
     if ranking.replayed.departures:
         title += f", and on {plural(ranking.replayed.departures, 'replayed departure')}"
         columns += [Column("Replayed S", "m\u00b7s", ".3f"), Column(interval, "m\u00b7s", ".3f"),
-                    Column("Less", "%", ".1f")]  # fmt: skip
+                    Column("Reduction", "%", ".1f")]  # fmt: skip
     numbers = np.stack([
         ranking.metrics.S, ranking.fresh.S, ranking.fresh.low, ranking.fresh.high, ranking.fresh.difference,
         ranking.replayed.S, ranking.replayed.low, ranking.replayed.high, 100.0 * ranking.replayed.reduction,

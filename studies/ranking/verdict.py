@@ -343,7 +343,7 @@ RANKING_METRICS: Final = ("reduction", "a_y_added_peak_p95", "jerk_added_peak_p9
 """Metrics beside S of every table that shows a ranking."""
 
 COLUMNS_TEXT: Final = (
-    "Less: reduction of mean S against no control. p95: 95 % quantile of what control adds to the recorded path. "
+    "Reduction: of mean S against no control. p95: 95 % quantile of what control adds to the recorded path. "
     "Needless: share of departures with an intervention that stay within 0.3 m by themselves."
 )
 """Explanation of the short headings."""
@@ -351,7 +351,7 @@ COLUMNS_TEXT: Final = (
 
 def ranking_table(ranking: RankedDesigns, positions: Sequence[int]) -> Table:
     """Table of the designs at the given positions, for terminal, Markdown and notebook."""
-    heads = (("Less", "reduction"), ("a_y p95", "a_y"), ("Jerk p95", "jerk"), ("Needless", "needless"))
+    heads = (("Reduction", "reduction"), ("a_y p95", "a_y"), ("Jerk p95", "jerk"), ("Needless", "needless"))
     level = f"{100 * ranking.confidence:g} % interval"
     columns = [
         Column("Rank", key="rank"),

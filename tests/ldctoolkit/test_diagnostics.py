@@ -56,18 +56,18 @@ def test_a_right_model_has_no_warning() -> None:
         [0.4, 0.6], [[1.0, 0.0], [3.0, 2.0]], [np.eye(2), np.eye(2)], lower=[0.0, -INF]
     )
     x, _ = model.sample(4000, 8)
-    found = diagnose(model, x, n_model=20_000)
-    assert found.warnings == ()
+    diagnostics = diagnose(model, x, n_model=20_000)
+    assert diagnostics.warnings == ()
 
 
 def test_same_seed_same_numbers_whatever_the_order() -> None:
     model = BoundedGaussianMixture.from_parameters([1.0], [[0.0]], [[[1.0]]])
     x, _ = model.sample(500, 1)
-    one, two = (diagnose(model, rows, seed=4, n_model=5000) for rows in (x, x))
-    assert one.calibrations[0].distance == two.calibrations[0].distance
-    np.testing.assert_array_equal(one.marginals[0].model, two.marginals[0].model)
+    first, second = (diagnose(model, rows, seed=4, n_model=5000) for rows in (x, x))
+    assert first.calibrations[0].distance == second.calibrations[0].distance
+    np.testing.assert_array_equal(first.marginals[0].model, second.marginals[0].model)
     turned = diagnose(model, x[::-1], seed=4, n_model=5000)
-    assert turned.calibrations[0].distance == pytest.approx(one.calibrations[0].distance, abs=1e-12)
+    assert turned.calibrations[0].distance == pytest.approx(first.calibrations[0].distance, abs=1e-12)
 
 
 def test_weights_and_repeated_rows_agree() -> None:
@@ -109,9 +109,9 @@ def test_each_warning_about_the_fit(share: float, advice: str) -> None:
 def test_events_outside_are_left_out_and_counted() -> None:
     model = BoundedGaussianMixture.from_parameters([1.0], [[0.5]], [[[1.0]]], lower=0.0)
     x, _ = model.sample(100, 1)
-    found = diagnose(model, np.vstack([x, [[-1.0]], [[-2.0]], [[0.0]]]), names=["T"], n_model=5000)
-    assert (found.events, found.outside) == (101, (("T", 2),))
-    assert any("left out (T 2)" in line for line in found.warnings)
+    diagnostics = diagnose(model, np.vstack([x, [[-1.0]], [[-2.0]], [[0.0]]]), names=["T"], n_model=5000)
+    assert (diagnostics.events, diagnostics.outside) == (101, (("T", 2),))
+    assert any("left out (T 2)" in line for line in diagnostics.warnings)
 
 
 ONE = BoundedGaussianMixture.from_parameters([1.0], [[0.5]], [[[1.0]]], lower=0.0)
@@ -157,10 +157,10 @@ def two_parameter_model() -> ScenarioModel:
 def test_both_sides_and_progress() -> None:
     model = two_parameter_model()
     steps: list[tuple[str, int, int]] = []
-    found = diagnose_model(model, departures_of(model, 300), n_model=5000, progress=lambda *a: steps.append(a))
-    assert (found.left.label, found.right.label) == ("left", "right")
-    assert found.left.names == ("T", "d_y")
-    assert found.left.joint is not None
+    diagnostics = diagnose_model(model, departures_of(model, 300), n_model=5000, progress=lambda *a: steps.append(a))
+    assert (diagnostics.left.label, diagnostics.right.label) == ("left", "right")
+    assert diagnostics.left.names == ("T", "d_y")
+    assert diagnostics.left.joint is not None
     assert steps == [("left", 0, 2), ("right", 1, 2), ("done", 2, 2)]
 
 
@@ -183,9 +183,9 @@ def test_too_few_departures_name_the_side() -> None:
 def test_the_reference_model_describes_its_own_events() -> None:
     model = load_model("reference")
     rows = departures_of(model, 6000).matrix()[:6000]
-    found = diagnose(model.left_side, rows, n_model=50_000)
-    assert (found.warnings, found.events) == ((), 6000)
-    assert found.joint is not None
+    diagnostics = diagnose(model.left_side, rows, n_model=50_000)
+    assert (diagnostics.warnings, diagnostics.events) == ((), 6000)
+    assert diagnostics.joint is not None
 
 
 def independent(transform: str | None = None) -> BoundedGaussianMixture:
@@ -224,19 +224,19 @@ def test_box_share_is_the_univariate_one() -> None:
 def test_box_share_with_correlation_against_scipys_cdf() -> None:
     model = correlated()
     lower, upper = np.array([0.0, 0.4]), np.array([0.9, 1.7])
-    want = 0.0
+    expected = 0.0
     for eta, mu, sigma in zip(model.weights, model.truncated.mu, model.truncated.Sigma, strict=True):
         normal = stats.multivariate_normal(mu, sigma)
         part = normal.cdf(upper, lower_limit=lower)
-        want += eta * part / normal.cdf(np.array([50.0, 3.0]), lower_limit=np.array([0.0, 0.0]))
-    assert box_share(model, lower, upper) == pytest.approx(want, abs=1e-5)  # scipy's own error in two dimensions
+        expected += eta * part / normal.cdf(np.array([50.0, 3.0]), lower_limit=np.array([0.0, 0.0]))
+    assert box_share(model, lower, upper) == pytest.approx(expected, abs=1e-5)  # scipy's own error in two dimensions
 
 
 def test_box_share_of_a_transformed_mixture() -> None:
     """exp of a normal: the share below a value is the normal's at its logarithm."""
     model = BoundedGaussianMixture.from_parameters([1.0], [[0.3]], [[[0.49]]], lower=0.0, transform="log")
-    got = box_share(model.distribution, np.array([0.0]), np.array([2.0]))
-    assert got == pytest.approx(stats.lognorm(0.7, scale=np.exp(0.3)).cdf(2.0), abs=1e-7)
+    actual = box_share(model.distribution, np.array([0.0]), np.array([2.0]))
+    assert actual == pytest.approx(stats.lognorm(0.7, scale=np.exp(0.3)).cdf(2.0), abs=1e-7)
     whole = box_share(model.distribution, np.array([0.0]), np.array([INF]))
     assert whole == pytest.approx(1.0, abs=1e-12)
 
@@ -263,9 +263,10 @@ def exact_marginal(n: int = 400_000) -> ModelMarginal:
 def test_kolmogorov_distance_is_scipys(n: int, seed: int, ties: bool) -> None:
     x = np.random.default_rng(seed).random(n)
     x = np.round(x, 1) if ties else x
-    found = calibrate("T", x, np.full(n, 1.0 / n), exact_marginal(), 0.1)
-    assert found.distance == pytest.approx(stats.kstest(x, "uniform").statistic, abs=5e-6)  # half a step of the grid
-    assert np.abs(found.difference).max() <= found.distance + 1e-9
+    calibration = calibrate("T", x, np.full(n, 1.0 / n), exact_marginal(), 0.1)
+    expected = stats.kstest(x, "uniform").statistic
+    assert calibration.distance == pytest.approx(expected, abs=5e-6)  # half a step of the grid
+    assert np.abs(calibration.difference).max() <= calibration.distance + 1e-9
 
 
 def test_weights_count_as_repetitions() -> None:
@@ -303,7 +304,7 @@ def test_kolmogorov_limit_is_close_to_the_exact_quantile(parameters: int) -> Non
 def test_kolmogorov_limit_falls_with_the_effective_number() -> None:
     limits = [kolmogorov_limit(n, 8) for n in (0.0, 1.0, 9.0, 149.25, 149.9, 150.0, 150.5, 2000.0, 1e6)]
     assert limits[0] == limits[1] == 1.0
-    assert all(one > other for one, other in itertools.pairwise(limits[1:]))
+    assert all(first > second for first, second in itertools.pairwise(limits[1:]))
 
 
 def test_the_joint_density_is_numpys_histogram() -> None:
@@ -320,25 +321,27 @@ def test_the_joint_density_is_numpys_histogram() -> None:
 
 def test_bins_end_at_a_bound_that_is_close() -> None:
     x = np.random.default_rng(1).exponential(size=(5000, 1))
-    at_zero, far = (
+    at_zero, remote = (
         BoundedGaussianMixture.from_parameters([1.0], [[1.0]], [[[1.0]]], lower=low).distribution for low in (0.0, -50)
     )
     edges = bin_edges(at_zero, x, x, 0, 40)
     assert (edges[0], edges[-1]) == (0.0, pytest.approx(np.quantile(x, 0.997)))
-    assert bin_edges(far, x, x, 0, 40)[0] == pytest.approx(np.quantile(x, 0.003))
-    at = np.array([-0.1, 0.0, edges[-1], edges[-1] + 1.0])  # the last bin holds its right edge
+    assert bin_edges(remote, x, x, 0, 40)[0] == pytest.approx(np.quantile(x, 0.003))
+    values = np.array([-0.1, 0.0, edges[-1], edges[-1] + 1.0])  # the last bin holds its right edge
     line = ModelMarginal(np.sort(x[:, 0]), np.array([0, x.size]), np.array([0.0, 1.0]))
-    shown = _marginal("T", at, np.array([0.1, 0.2, 0.3, 0.4]), line, edges)
-    assert (shown.data[0], shown.data[39], shown.data.sum(), shown.data_beyond) == (0.2, 0.3, 0.5, 0.5)
+    marginal = _marginal("T", values, np.array([0.1, 0.2, 0.3, 0.4]), line, edges)
+    assert (marginal.data[0], marginal.data[39], marginal.data.sum(), marginal.data_beyond) == (0.2, 0.3, 0.5, 0.5)
 
 
 def test_histogram_and_what_lies_beyond_add_up() -> None:
     model = independent()
     x, _ = model.sample(3000, 4)
-    found = diagnose(model, x, n_model=20_000)
-    for j, one in enumerate(found.marginals):
-        assert one.data.sum() + one.data_beyond == pytest.approx(1.0)
-        assert one.model.sum() + one.model_beyond == pytest.approx(1.0)
-        np.testing.assert_allclose(one.data, np.histogram(x[:, j], one.edges)[0] / 3000, atol=1e-12)
-        np.testing.assert_allclose(one.model, np.diff(margin_cdf(one.edges, j)), atol=0.003)  # sample of 20,000
-    assert found.log_likelihood == pytest.approx(model.score(x))
+    diagnostics = diagnose(model, x, n_model=20_000)
+    for j, marginal in enumerate(diagnostics.marginals):
+        assert marginal.data.sum() + marginal.data_beyond == pytest.approx(1.0)
+        assert marginal.model.sum() + marginal.model_beyond == pytest.approx(1.0)
+        np.testing.assert_allclose(marginal.data, np.histogram(x[:, j], marginal.edges)[0] / 3000, atol=1e-12)
+        np.testing.assert_allclose(
+            marginal.model, np.diff(margin_cdf(marginal.edges, j)), atol=0.003
+        )  # sample of 20,000
+    assert diagnostics.log_likelihood == pytest.approx(model.score(x))

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from helpers.errors import assert_fields
+from helpers.errors import refused
 from ldctoolkit import Scenarios, Setup, metrics, simulate
 from ldctoolkit.controllers import LQR
 from ldctoolkit.errors import InputError
@@ -116,9 +116,8 @@ Z3 = np.zeros(3)
     ],
 )
 def test_bad_input(call: Callable[[], object], path: str, value: Any) -> None:
-    with pytest.raises(InputError) as caught:
+    with refused(path, value=value):
         call()
-    assert_fields(caught.value, path, value)
 
 
 @pytest.mark.parametrize(
@@ -134,6 +133,7 @@ def test_bad_input(call: Callable[[], object], path: str, value: Any) -> None:
         (Mismatch, {"m": (1.2, 0.8)}, "mismatch.m", (1.2, 0.8), "two ascending numbers > 0"),
         (Mismatch, {"I_z": 1.0}, "mismatch.I_z", 1.0, ""),
         (Mismatch, {"mu": (0.0, 1.0)}, "mismatch.mu", (0.0, 1.0), ""),
+        (Mismatch, {"mu": {0.5: "low", 0.6: "high"}}, "mismatch.mu", {0.5: "low", 0.6: "high"}, ""),
         (Mismatch, {"mu": (0.5, 0.6, 0.7)}, "mismatch.mu", (0.5, 0.6, 0.7), ""),
         (Mismatch, {"C_af": (np.float64(2), 1)}, "mismatch.C_af", (2.0, 1), ""),
         (Tyres, {"model": "magic"}, "tyres.model", "magic", {"magic_formula"}),
@@ -154,9 +154,8 @@ def test_bad_input(call: Callable[[], object], path: str, value: Any) -> None:
     ],
 )
 def test_a_wrong_value_is_named(kind: Any, given: dict[str, Any], path: str, value: Any, allowed: Any) -> None:
-    with pytest.raises(InputError) as caught:
+    with refused(path, value=value, allowed=allowed):
         kind(**given)
-    assert_fields(caught.value, path, value, allowed)
 
 
 def test_an_error_seen_from_outside_holds_the_same_value() -> None:
@@ -223,9 +222,8 @@ def test_every_option_takes_the_ideal_away() -> None:
 )
 def test_wrong_arguments_of_simulate_are_named(name: str, value: Any, allowed: str) -> None:
     scenarios = Scenarios.from_arrays(T=2.0, d_y=0.4, v_mean=20.0)
-    with pytest.raises(InputError) as caught:
+    with refused(name, value=value, allowed=allowed):
         simulate(LQR(r_delta=100.0), scenarios, **{name: value})
-    assert_fields(caught.value, name, value, allowed)
 
 
 def test_numpy_arguments_of_simulate_are_numbers() -> None:

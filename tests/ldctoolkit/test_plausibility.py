@@ -26,7 +26,7 @@ TIGHT = {"y_rate": 0.6, "y_acceleration": 0.6, "a_y": 2.0}
 
 def asked(p: DepartureParameters, times: int) -> dict[str, np.ndarray]:
     """The lateral speed at the line, the largest |y''| and |v^2 c + y''| of y(x(t)), and the least v, at many times."""
-    found: list[list[np.ndarray]] = []
+    result: list[list[np.ndarray]] = []
     rows = 1_000_000 // times
     for first in range(0, len(p), rows):
         part = p.take(slice(first, first + rows))
@@ -36,8 +36,8 @@ def asked(p: DepartureParameters, times: int) -> dict[str, np.ndarray]:
         # y = 4 d_y x (d_x - x)/d_x^2, differentiated twice by the chain rule
         bend = 4.0 * part.d_y / d_x**2 * ((d_x - 2.0 * x) * part.a_mean - 2.0 * v**2)
         total = v**2 * (part.c_0 + part.dc * share) + bend
-        found.append([4.0 * part.d_y / part.T, np.abs(bend).max(axis=0), np.abs(total).max(axis=0), v.min(axis=0)])
-    return dict(zip((*LIMITS, "v"), map(np.concatenate, zip(*found, strict=True)), strict=True))
+        result.append([4.0 * part.d_y / part.T, np.abs(bend).max(axis=0), np.abs(total).max(axis=0), v.min(axis=0)])
+    return dict(zip((*LIMITS, "v"), map(np.concatenate, zip(*result, strict=True)), strict=True))
 
 
 def within(p: DepartureParameters, limits: dict[str, float], times: int = 61) -> np.ndarray:
@@ -195,14 +195,14 @@ def test_a_fit_leaves_out_what_is_implausible_and_records_the_limits(tmp_path: P
     same = fit_scenario_model(table.take(kept), extraction=Criteria(), plausibility=own, **settings)
     assert (model.plausibility, model.content_hash) == (own, same.content_hash)
     assert model.provenance.left.events + model.provenance.right.events == kept.sum()
-    other = [Plausibility(**one) for one in (LIMITS, TIGHT, NONE | {"a_y": 5.0})]
-    models = [dataclasses.replace(model, plausibility=one) for one in other]
-    assert len({one.content_hash for one in models}) == 3
-    for one in models:
-        one.save(tmp_path / "m.json")
+    second = [Plausibility(**first) for first in (LIMITS, TIGHT, NONE | {"a_y": 5.0})]
+    models = [dataclasses.replace(model, plausibility=first) for first in second]
+    assert len({first.content_hash for first in models}) == 3
+    for first in models:
+        first.save(tmp_path / "m.json")
         back = ScenarioModel.load(tmp_path / "m.json")
-        assert (back.plausibility, back.content_hash) == (one.plausibility, one.content_hash)
-        np.testing.assert_array_equal(back.sample(50, 0, seed=1).matrix(), one.sample(50, 0, seed=1).matrix())
+        assert (back.plausibility, back.content_hash) == (first.plausibility, first.content_hash)
+        np.testing.assert_array_equal(back.sample(50, 0, seed=1).matrix(), first.sample(50, 0, seed=1).matrix())
     with refused("departures", problem="0 left and 0 right, beside 120 that are not plausible"):
         fit_scenario_model(table, plausibility=Plausibility(y_rate=1e-6), **settings)
 

@@ -63,12 +63,12 @@ def test_planted_an_unstable_gain() -> None:
 
 def test_planted_an_initial_angle_beyond_the_limits() -> None:
     """At 10 m/s a bend of 2 m/s^2 takes delta = 2.9 m/(50 m) + ..., far beyond 0.02 + 0.1 0.05 rad."""
-    found = review(LinearMPC(delta_max=0.02, rate_max=0.1, r_delta=100.0), speeds=[10.0, 20.0])
-    fault = named(found, "initial_angle")
+    reviewed = review(LinearMPC(delta_max=0.02, rate_max=0.1, r_delta=100.0), speeds=[10.0, 20.0])
+    fault = named(reviewed, "initial_angle")
     needed = float(BicycleModel().steady_state([10.0]).delta[0]) * 0.2
     assert (fault.severity, fault.value) == ("fault", pytest.approx(needed, rel=1e-12))
     assert f"for {math.ceil((needed - 0.02) / 0.005)} samples (its horizon is 20 samples)" in fault.sentence
-    assert named(found, "angle_in_bend").severity == "fault"
+    assert named(reviewed, "angle_in_bend").severity == "fault"
     assert not names(review(LinearMPC(r_delta=100.0), speeds=[10.0, 20.0]))
 
 
@@ -76,8 +76,8 @@ def test_an_initial_angle_that_is_given() -> None:
     """|delta_prev| = 0.11 and delta_max = 0.1: within reach of one sample at 0.2 rad/s, not at 0.19."""
     design = LinearMPC(rate_max=0.2, r_delta=100.0)
     assert not names(review(design, delta_prev=(0.11, 22.0), speeds=[20.0]))
-    found = review(LinearMPC(rate_max=0.19, r_delta=100.0), delta_prev=(0.11, 22.0), speeds=[20.0])
-    assert named(found, "initial_angle").v == 22.0
+    reviewed = review(LinearMPC(rate_max=0.19, r_delta=100.0), delta_prev=(0.11, 22.0), speeds=[20.0])
+    assert named(reviewed, "initial_angle").v == 22.0
     # one departure of 200 is rare, two are not
     angles = np.zeros(200)
     angles[7] = -0.3
@@ -190,8 +190,8 @@ class Soft(NoFeedforward):
 
 def test_soft_limits_that_contradict() -> None:
     assert not {"corridor", "acceleration_limit"} & {f.name for f in review(Soft(), speeds=[20.0]).findings}
-    found = review(Soft(e_y_max=1.0), y_s=0.2, speeds=[20.0])
-    assert named(found, "corridor").allowed == pytest.approx(0.85 + 0.2)
+    reviewed = review(Soft(e_y_max=1.0), y_s=0.2, speeds=[20.0])
+    assert named(reviewed, "corridor").allowed == pytest.approx(0.85 + 0.2)
     assert "corridor" not in names(review(Soft(e_y_max=1.1), y_s=0.2, speeds=[20.0]))
     assert "corridor" in names(review(Soft(e_y_max=BicycleModel().parameters.edge_offset), speeds=[20.0]))
     # delta_max = 0.1 rad at 10 m/s reaches 0.1/delta_ss v = 3.4 m/s^2
@@ -354,22 +354,22 @@ def test_a_limit_of_zero_is_off_only_where_zero_says_so() -> None:
     design = Soft(delta_max=0.0, rate_max=0.0)
     limits = {name: limit_of(design, name) for name in ("delta_max", "rate_max", "e_y_max", "a_y_max", "jerk_max")}
     assert limits == {"delta_max": 0.0, "rate_max": 0.0, "e_y_max": None, "a_y_max": None, "jerk_max": None}
-    found = review(design, speeds=[20.0])
-    assert named(found, "angle_in_bend").allowed == 0.0
-    assert "for all samples" in named(found, "initial_angle").sentence
+    reviewed = review(design, speeds=[20.0])
+    assert named(reviewed, "angle_in_bend").allowed == 0.0
+    assert "for all samples" in named(reviewed, "initial_angle").sentence
     assert limit_of(Soft(e_y_max=1.0), "e_y_max") == 1.0
 
 
 def test_a_bound_on_the_offset_is_no_offset_in_a_bend() -> None:
     """The filter keeps |e_y| below 1.35 m: the linear loop's several metres are left out, and both are told."""
     inner = review(PreviewProportional(T_lp=0.5), speeds=[10.0])
-    found = review(BarrierFilter(inner_gains="T_lp=0.5"), speeds=[10.0])
+    reviewed = review(BarrierFilter(inner_gains="T_lp=0.5"), speeds=[10.0])
     assert (np.abs(inner.loop.e_y_bend) > 1.35).all()
-    assert np.isnan(found.loop.e_y_bend).all()
-    assert np.isnan(found.loop.e_y_bend_mismatched).all()
-    assert named(found, "bend_not_linear").value == found.loop.bend_error.max() > 0.05
-    assert "|e_y| <= e_y_max = 1.35 m" in named(found, "bound").sentence
-    assert "bend" not in {finding.name for finding in found.findings}
+    assert np.isnan(reviewed.loop.e_y_bend).all()
+    assert np.isnan(reviewed.loop.e_y_bend_mismatched).all()
+    assert named(reviewed, "bend_not_linear").value == reviewed.loop.bend_error.max() > 0.05
+    assert "|e_y| <= e_y_max = 1.35 m" in named(reviewed, "bound").sentence
+    assert "bend" not in {finding.name for finding in reviewed.findings}
     # where the bound is far, the number is that of the law inside
     wide = review(BarrierFilter(inner="lqr", e_y_max=10.0), speeds=[30.0]).loop
     alone = review(LQR(), speeds=[30.0]).loop
@@ -382,8 +382,8 @@ def test_a_response_of_many_states_is_worked_out_in_blocks() -> None:
     rng = np.random.default_rng(1)
     a, b, c = rng.uniform(-0.9, 0.9, 900), rng.normal(size=900), rng.normal(size=900)
     z = np.exp(1j * np.linspace(0.1, 3.0, 7))
-    found = System(np.diag(a), b[:, None], c[None, :], np.full((1, 1), 0.5)).response(z)
-    np.testing.assert_allclose(found[:, 0, 0], 0.5 + (b * c / (z[:, None] - a)).sum(axis=1), rtol=1e-9)
+    result = System(np.diag(a), b[:, None], c[None, :], np.full((1, 1), 0.5)).response(z)
+    np.testing.assert_allclose(result[:, 0, 0], 0.5 + (b * c / (z[:, None] - a)).sum(axis=1), rtol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -391,10 +391,11 @@ def test_a_response_of_many_states_is_worked_out_in_blocks() -> None:
     [
         ({"dt": 0.0}, "dt", 0.0),
         ({"a_y": -1.0}, "a_y", -1.0),
-        ({"speeds": [0.5, 20.0]}, "speeds", 0.5),
+        ({"plant_knowledge": "all"}, "plant_knowledge", "all"),
+        ({"speeds": [0.5, 20.0]}, "speeds[0]", 0.5),
         ({"y_s": -0.1}, "y_s", -0.1),
         ({"speeds": [0.0]}, "v[0]", 0.0),
-        ({"speeds": [20.0, 100.0]}, "speeds", 100.0),
+        ({"speeds": [20.0, 100.0]}, "speeds[1]", 100.0),
         ({"speeds": []}, "speeds", []),
         ({"delta_prev": ([0.1, 0.2], [20.0])}, "delta_prev", ...),
         ({"dt": 1e-6, "options": PlantOptions(actuator=Actuator(delay=0.05))}, "actuator.delay", 0.05),

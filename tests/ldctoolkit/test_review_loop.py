@@ -113,23 +113,23 @@ def test_margins_of_an_integrator_with_a_delay(k: float) -> None:
     """By hand: |L| = k h/(2 sin(w h/2)), arg L = -90 deg - 3 w h/2; so GM = 1/(k h), PM = 90 deg - 3 w_c h/2.
     Tolerance: the grid of frequencies is a spline's, 1 % apart."""
     h = 0.1
-    found = margins(integrator(k, h), h)
+    result = margins(integrator(k, h), h)
     w_c = 2.0 / h * math.asin(k * h / 2.0)
     PM = math.pi / 2.0 - 1.5 * w_c * h
-    assert found.gain == pytest.approx(20 * math.log10(1.0 / (k * h)), rel=1e-5)
-    assert (found.gain_reduction, found.crossover) == (math.inf, pytest.approx(w_c, rel=1e-6))
-    assert (found.phase, found.delay) == (pytest.approx(PM, rel=1e-6), pytest.approx(PM / w_c, rel=1e-6))
+    assert result.gain == pytest.approx(20 * math.log10(1.0 / (k * h)), rel=1e-5)
+    assert (result.gain_reduction, result.crossover) == (math.inf, pytest.approx(w_c, rel=1e-6))
+    assert (result.phase, result.delay) == (pytest.approx(PM, rel=1e-6), pytest.approx(PM / w_c, rel=1e-6))
     # disk margin: 1/max |S - 1/2| = 2 min |1 + L|/|1 - L|, on a fine grid of its own
     z = np.exp(1j * np.linspace(1e-3, math.pi, 200001))
     L = k * h / (z * (z - 1.0))
-    assert found.disk == pytest.approx(float((2.0 * np.abs(1 + L) / np.abs(1 - L)).min()), rel=1e-3)
+    assert result.disk == pytest.approx(float((2.0 * np.abs(1 + L) / np.abs(1 - L)).min()), rel=1e-3)
 
 
 def test_a_crossing_at_the_nyquist_frequency_counts() -> None:
     """L = k h/(z - 1) gets real and negative only there: GM = 2/(k h)."""
     h, k = 0.1, 5.0
-    found = margins(System(np.eye(1), np.array([[k * h]]), np.eye(1), np.zeros((1, 1))), h)
-    assert found.gain == pytest.approx(20 * math.log10(2.0 / (k * h)), rel=1e-9)
+    result = margins(System(np.eye(1), np.array([[k * h]]), np.eye(1), np.zeros((1, 1))), h)
+    assert result.gain == pytest.approx(20 * math.log10(2.0 / (k * h)), rel=1e-9)
 
 
 def test_a_conditionally_stable_loop_has_a_reduction_margin() -> None:
@@ -137,9 +137,9 @@ def test_a_conditionally_stable_loop_has_a_reduction_margin() -> None:
     Characteristic polynomial z^2 + (g - 1 - a) z + a - g b: Jury asks a - g b < 1 and 2 + 2 a > g (1 + b)."""
     a, b, g = 1.2, 0.9, 1.0
     A = np.array([[1.0 + a, -a], [1.0, 0.0]])
-    found = margins(System(A, np.array([[1.0], [0.0]]), g * np.array([[1.0, -b]]), np.zeros((1, 1))), 0.1)
-    assert found.gain_reduction == pytest.approx(20 * math.log10(g / ((a - 1) / b)), abs=1e-3)
-    assert found.gain == pytest.approx(20 * math.log10((2 + 2 * a) / (1 + b) / g), abs=1e-3)
+    result = margins(System(A, np.array([[1.0], [0.0]]), g * np.array([[1.0, -b]]), np.zeros((1, 1))), 0.1)
+    assert result.gain_reduction == pytest.approx(20 * math.log10(g / ((a - 1) / b)), abs=1e-3)
+    assert result.gain == pytest.approx(20 * math.log10((2 + 2 * a) / (1 + b) / g), abs=1e-3)
 
 
 @pytest.mark.parametrize(("radius", "angle", "g"), [(0.95, 0.8, -0.1), (0.98, 0.5, -0.05), (0.97, 0.6, -0.2)])
@@ -148,26 +148,26 @@ def test_a_delay_margin_is_the_delay_that_makes_the_loop_unstable(radius: float,
     to turn it nearly once around. Delays of whole samples, by the roots of z^d (z^2 - 2 a z + b) + g."""
     h, denominator = 0.1, [1.0, -2.0 * radius * math.cos(angle), radius**2]
     A = np.array([[-denominator[1], -denominator[2]], [1.0, 0.0]])
-    found = margins(System(A, np.array([[1.0], [0.0]]), np.array([[0.0, g]]), np.zeros((1, 1))), h)
+    result = margins(System(A, np.array([[1.0], [0.0]]), np.array([[0.0, g]]), np.zeros((1, 1))), h)
     d = 0
     while np.abs(np.roots(np.polyadd(denominator + [0.0] * d, [g]))).max() < 1.0:
         d += 1
-    assert (d - 1) * h < found.delay < d * h
+    assert (d - 1) * h < result.delay < d * h
 
 
 def test_no_loop_has_no_bounds() -> None:
-    found = margins(System(np.eye(1), np.zeros((1, 1)), np.eye(1), np.zeros((1, 1))), 0.1)
-    assert (found.gain, found.phase, found.delay) == (math.inf,) * 3
+    result = margins(System(np.eye(1), np.zeros((1, 1)), np.eye(1), np.zeros((1, 1))), 0.1)
+    assert (result.gain, result.phase, result.delay) == (math.inf,) * 3
 
 
 def test_poles_are_those_that_the_continuous_ones_sample() -> None:
     dt, s = 0.05, complex(-0.8, 3.0)
     angle = s.imag * dt
     closed = math.exp(s.real * dt) * np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
-    found = poles(closed, dt)
-    assert found.stable
-    assert found.damping == pytest.approx(-s.real / abs(s), rel=1e-12)
-    assert found.slowest == pytest.approx(1 / 0.8, rel=1e-9)
+    result = poles(closed, dt)
+    assert result.stable
+    assert result.damping == pytest.approx(-s.real / abs(s), rel=1e-12)
+    assert result.slowest == pytest.approx(1 / 0.8, rel=1e-9)
     assert not poles(np.diag([1.0, 0.5]), dt).stable
     assert not poles(np.diag([-1.01, 0.5]), dt).stable
     assert poles(np.zeros((2, 2)), dt).slowest == 0.0
@@ -210,11 +210,11 @@ def settled(design: Controller, options: PlantOptions) -> float:
 def test_bends_are_those_of_the_closed_loop(design: Controller) -> None:
     """Nominal, and the worst of four simulated vehicles; tolerance: the rest of the transient, e^-20 and less."""
     actuator = Actuator(lag=0.05, delay=0.03)
-    found = review(design, options=PlantOptions(actuator=actuator), speeds=[V]).loop
-    assert found.e_y_bend[0] == pytest.approx(settled(design, PlantOptions(actuator=actuator)), abs=1e-7)
+    reviewed = review(design, options=PlantOptions(actuator=actuator), speeds=[V]).loop
+    assert reviewed.e_y_bend[0] == pytest.approx(settled(design, PlantOptions(actuator=actuator)), abs=1e-7)
     corners = [
         settled(design, PlantOptions(actuator=actuator, mismatch=Mismatch(C_af=(f, f), C_ar=(r, r))))
         for f in (0.8, 1.2)
         for r in (0.8, 1.2)
     ]
-    assert found.e_y_bend_mismatched[0] == pytest.approx(max(corners, key=abs), abs=1e-7)
+    assert reviewed.e_y_bend_mismatched[0] == pytest.approx(max(corners, key=abs), abs=1e-7)

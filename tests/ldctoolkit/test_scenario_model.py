@@ -235,12 +235,12 @@ def test_real_departures_fit(ngsim_recordings):
     """About 250 departures without curvature: few components, constants, replayable scenarios."""
     from ldctoolkit.recordings import extract_departures, read_recordings
 
-    found = extract_departures(read_recordings(ngsim_recordings), vehicle_width=1.8).departures
-    fitted = fit_scenario_model(found, seed=0)
+    recorded = extract_departures(read_recordings(ngsim_recordings), vehicle_width=1.8).departures
+    fitted = fit_scenario_model(recorded, seed=0)
     s = fitted.sample(500, 500, 1)
     assert np.all(s.c_0 == 0.0)
     for side in (LEFT, RIGHT):
-        real, drawn = found.take(found.side == side), s.take(s.side == side)
+        real, drawn = recorded.take(recorded.side == side), s.take(s.side == side)
         # one or two Gaussians for skewed data: the middle is right to a third
         assert abs(np.median(drawn.d_y) / np.median(real.d_y) - 1.0) < 0.35
         assert abs(np.median(drawn.v_mean) / np.median(real.v_mean) - 1.0) < 0.15
@@ -248,7 +248,7 @@ def test_real_departures_fit(ngsim_recordings):
         # a fit at a maximum keeps the means; the prior pulls the spread before truncation towards that of the events,
         # so columns that pile up at a bound (T, d_y) come out up to a third too narrow
         for name, most in (("T", 0.4), ("d_y", 0.4), ("a_mean", 0.25)):
-            one, two = getattr(real, name), getattr(drawn, name)
-            assert abs(two.mean() - one.mean()) < 0.2 * one.std()  # standard error 0.045
-            assert abs(two.std() / one.std() - 1.0) < most
+            first, second = getattr(real, name), getattr(drawn, name)
+            assert abs(second.mean() - first.mean()) < 0.2 * first.std()  # standard error 0.045
+            assert abs(second.std() / first.std() - 1.0) < most
         assert np.abs(drawn.a_mean).max() < 9.81

@@ -337,7 +337,7 @@ def test_the_lane_that_laws_are_shown_is_one_lane() -> None:
     [
         (lambda: contract_faults(LQR, checks=["miror"]), "checks", "miror"),
         (lambda: contract_faults(LQR, checks=[["mirror"]]), "checks", ["mirror"]),  # type: ignore[list-item]
-        (lambda: contract_faults(LQR, checks=5), "checks", ...),  # type: ignore[arg-type]
+        (lambda: contract_faults(LQR, checks=5), "checks", 5),  # type: ignore[arg-type]
         (lambda: contract_faults(LQR, settings=5), "settings", ...),  # type: ignore[arg-type]
         (lambda: contract_faults("lqr"), "controller", ...),  # type: ignore[arg-type]
         *((lambda name=name, value=value: ContractSettings(**{name: value}), name, value) for name, value in (

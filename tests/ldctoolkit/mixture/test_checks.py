@@ -25,14 +25,14 @@ def rows(n=ROWS, d=3, seed=0):
 def test_profile_against_numpy():
     x, w = rows()
     w[:17_000] = 0.0  # two whole blocks without an event
-    found = profile_of(Events(x, w))
+    profile = profile_of(Events(x, w))
     mean = np.average(x, axis=0, weights=w)
-    assert (found.rows, found.used, found.events) == (ROWS, np.count_nonzero(w), w.sum())
+    assert (profile.rows, profile.used, profile.events) == (ROWS, np.count_nonzero(w), w.sum())
     # sums of 24,653 terms in another order: their rounding is about 1e-13
-    assert found.mean == pytest.approx(mean, rel=1e-12)
-    assert found.scale == pytest.approx(np.sqrt(np.average((x - mean) ** 2, axis=0, weights=w)), rel=1e-12)
-    assert np.array_equal(found.least, x.min(axis=0))
-    assert np.array_equal(found.most, x.max(axis=0))
+    assert profile.mean == pytest.approx(mean, rel=1e-12)
+    assert profile.scale == pytest.approx(np.sqrt(np.average((x - mean) ** 2, axis=0, weights=w)), rel=1e-12)
+    assert np.array_equal(profile.least, x.min(axis=0))
+    assert np.array_equal(profile.most, x.max(axis=0))
 
 
 def test_a_profile_keeps_small_spreads_beside_large_means():
@@ -46,10 +46,10 @@ def test_numbers_depend_on_neither_threads_nor_order_in_memory(weighted):
     x, w = rows()
     w = w if weighted else None
     theta = np.random.default_rng(1).normal(size=(3, 10)) * 0.1
-    one, *others = (Events(x, w, 1), Events(x, w, 3), Events(x, w), Events(np.asfortranarray(x), w, 2))
-    for other in others:
-        assert_same_bits(profile_of(one), profile_of(other))
-        a, b = (sums_of(events, np.full(3, 2.0), np.full(3, 1.5), theta) for events in (one, other))
+    first, *others = (Events(x, w, 1), Events(x, w, 3), Events(x, w), Events(np.asfortranarray(x), w, 2))
+    for second in others:
+        assert_same_bits(profile_of(first), profile_of(second))
+        a, b = (sums_of(events, np.full(3, 2.0), np.full(3, 1.5), theta) for events in (first, second))
         assert_same_bits(a, b)
 
 
@@ -67,10 +67,10 @@ def test_values_on_a_bound_move_inside():
     x[[1, 9001], 0] = 0.0
     x[9, 1], x[10, 1] = 30.0, 0.0
     before = x.copy()
-    found = inside_bounds(Events(x, w), lower, upper)
-    assert (found.varies.tolist(), found.moved.tolist()) == ([True, True, True, False], [2, 2, 0, 0])
-    assert found.events.weight is w
-    y = found.events.x
+    inside = inside_bounds(Events(x, w), lower, upper)
+    assert (inside.varies.tolist(), inside.moved.tolist()) == ([True, True, True, False], [2, 2, 0, 0])
+    assert inside.events.weight is w
+    y = inside.events.x
     off = (x[:, :3] != lower[:3]) & (x[:, :3] != upper[:3])
     assert np.array_equal(y[off], x[:, :3][off])
     assert np.array_equal(x, before)
@@ -90,31 +90,31 @@ def test_values_on_a_bound_move_inside():
 
 def test_nothing_on_a_bound_changes_nothing():
     events = Events(rows()[0])
-    found = inside_bounds(events, np.zeros(3), np.full(3, INF))
-    assert found.events is events
-    assert found.moved.tolist() == [0, 0, 0]
+    inside = inside_bounds(events, np.zeros(3), np.full(3, INF))
+    assert inside.events is events
+    assert inside.moved.tolist() == [0, 0, 0]
 
 
 @given(arrays(float, (12, 2), elements=st.sampled_from([0.0, 1.0, 1e-300, 5e-324, 0.5, np.nextafter(1.0, 0.0), 0.25])))
 @examples(200)
 def test_moved_values_are_strictly_inside(x):
-    found = inside_bounds(Events(x), np.zeros(2), np.ones(2))
-    y = found.events.x
+    inside = inside_bounds(Events(x), np.zeros(2), np.ones(2))
+    y = inside.events.x
     assert np.all((y > 0.0) & (y < 1.0))
-    assert y.shape[1] == found.varies.sum()
-    assert np.array_equal(found.moved, np.where(found.varies, ((x == 0.0) | (x == 1.0)).sum(axis=0), 0))
+    assert y.shape[1] == inside.varies.sum()
+    assert np.array_equal(inside.moved, np.where(inside.varies, ((x == 0.0) | (x == 1.0)).sum(axis=0), 0))
 
 
 def test_what_is_outside_or_not_finite_is_left_to_the_fit():
     x, _ = rows()
     x[5, 0], x[6, 1], x[7, 2] = -1.0, np.nan, 0.0
-    found = inside_bounds(Events(x), np.zeros(3), np.full(3, INF))
-    assert found.varies.all()
-    assert found.events.x[5, 0] == -1.0
-    assert np.isnan(found.events.x[6, 1])
-    assert found.events.x[7, 2] > 0.0
+    inside = inside_bounds(Events(x), np.zeros(3), np.full(3, INF))
+    assert inside.varies.all()
+    assert inside.events.x[5, 0] == -1.0
+    assert np.isnan(inside.events.x[6, 1])
+    assert inside.events.x[7, 2] > 0.0
     with refused("X: column 1, row 6"):
-        BoundedGaussianMixture(1, lower=0.0).fit(found.events.x)
+        BoundedGaussianMixture(1, lower=0.0).fit(inside.events.x)
 
 
 def test_a_constant_outside_its_bounds():

@@ -67,8 +67,8 @@ def test_statistics_equal_those_of_numpy(K, d, n, weighted):
     largest = max(float(np.abs(theta).sum(axis=1).max()), 1.0)
     assert abs(got_value - float(value)) <= 1e-13 * np.abs(density).sum() * max(weight.max() if weighted else 1.0, 1.0)
     assert np.max(np.abs(got_sums - sums.astype(float)) / size.astype(float)) <= 1e-15 * largest
-    got = log_density_of_rows(x, location, scale, theta)
-    np.testing.assert_allclose(got, density.astype(float), rtol=1e-13, atol=1e-15 * largest)
+    actual = log_density_of_rows(x, location, scale, theta)
+    np.testing.assert_allclose(actual, density.astype(float), rtol=1e-13, atol=1e-15 * largest)
 
 
 def test_far_apart_components_share_nothing_but_the_floor():
@@ -154,28 +154,28 @@ END = (
 def test_a_geometric_sequence_ends_at_its_limit(rate):
     """Errors that shrink by one factor a pass: s = 1/(1 - rate), and the leap is the limit."""
     three = [at(1.0 - rate**k, START, END) for k in range(3)]
-    end = leap(*three, longest=1e6, points=POINTS)
+    end, length = leap(*three, longest=1e6, points=POINTS)
     limit = at(1.0, START, END)
     # differences of 1e-4 for the rate of 0.99 keep 12 digits, and are multiplied by 1e4
-    np.testing.assert_allclose(end.length, 1.0 / (1.0 - rate), rtol=1e-7)
-    np.testing.assert_allclose(end.point.weights, limit.weights, rtol=1e-7)
-    np.testing.assert_allclose(end.point.truncated.mu, limit.truncated.mu, rtol=1e-6)
-    np.testing.assert_allclose(end.point.truncated.Sigma, limit.truncated.Sigma, rtol=1e-6, atol=1e-7)
-    np.testing.assert_allclose(end.point.truncated.log_probability, limit.truncated.log_probability, rtol=1e-6)
+    np.testing.assert_allclose(length, 1.0 / (1.0 - rate), rtol=1e-7)
+    np.testing.assert_allclose(end.weights, limit.weights, rtol=1e-7)
+    np.testing.assert_allclose(end.truncated.mu, limit.truncated.mu, rtol=1e-6)
+    np.testing.assert_allclose(end.truncated.Sigma, limit.truncated.Sigma, rtol=1e-6, atol=1e-7)
+    np.testing.assert_allclose(end.truncated.log_probability, limit.truncated.log_probability, rtol=1e-6)
 
 
 def test_a_leap_is_no_longer_than_it_is_trusted():
     three = [at(1.0 - 0.99**k, START, END) for k in range(3)]
-    assert leap(*three, longest=4.0, points=POINTS).length == 4.0
+    assert leap(*three, longest=4.0, points=POINTS)[1] == 4.0
 
 
 def test_a_leap_out_of_the_covariances_is_shortened():
     """Towards a precision of nought and beyond: the leap keeps a tenth of the present one."""
     wide = (END[0], END[1], np.tile(np.diag([1e3, 1.0]), (2, 1, 1)))
     three = [at(0.2 * k, START, wide) for k in range(3)]  # a straight, even way: without a bound s would be infinite
-    end = leap(*three, longest=1e3, points=POINTS)
-    assert 1.0 < end.length < 10.0
-    assert np.linalg.eigvalsh(end.point.truncated.Sigma).min() > 0.0
+    end, length = leap(*three, longest=1e3, points=POINTS)
+    assert 1.0 < length < 10.0
+    assert np.linalg.eigvalsh(end.truncated.Sigma).min() > 0.0
 
 
 def test_where_nothing_moves_any_more_or_the_steps_shrink_at_once_there_is_no_leap():
@@ -222,15 +222,15 @@ def test_a_move_gains_at_least_its_bound(seed: int) -> None:
         end = Components(two.weights / two.weights.sum(), pair.mu, pair.Sigma, pair.log_probability)
         return end, float(w @ np.logaddexp.reduce(log_terms(x, end), axis=1))
 
-    found = best_moves(
+    moves = best_moves(
         z, np.ones(z.shape[0]), stats, t, shares(log_terms(z, now)), strength=0.0, points=POINTS, run=run,
         rng=np.random.default_rng(0),
     )  # fmt: skip
-    assert len(found) >= 5
-    gains = [move.gain for move in found]
+    assert len(moves) >= 5
+    gains = [move.gain for move in moves]
     assert gains == sorted(gains, reverse=True)
     before = log_likelihood(z, now, t)
-    for move in found:
+    for move in moves:
         after = TruncatedNormal(move.start.mu, move.start.Sigma, low, high, points=POINTS)
         assert move.start.weights.sum() == pytest.approx(1.0)
         np.testing.assert_allclose(move.start.log_p, after.log_probability, atol=1e-9)
@@ -357,10 +357,10 @@ def margin(name, shape, seed=1):
 
 def fitted(X, K, *, lower=0.0, upper=INF, **kwargs):
     """A fit with every numpy warning an error."""
-    wanted = {"random_state": 0, "n_init": 2, "split_merge": False} | kwargs
+    expected = {"random_state": 0, "n_init": 2, "split_merge": False} | kwargs
     with warnings.catch_warnings(), np.errstate(all="warn", under="ignore"):
         warnings.simplefilter("error")
-        return BoundedGaussianMixture(K, lower=lower, upper=upper, **wanted).fit(X)
+        return BoundedGaussianMixture(K, lower=lower, upper=upper, **expected).fit(X)
 
 
 def check_sound(model, X):

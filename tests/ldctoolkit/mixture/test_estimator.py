@@ -66,12 +66,12 @@ def test_single_precision_is_widened():
 def test_the_data_are_not_changed(transform):
     X = events()
     weight = np.random.default_rng(0).uniform(size=X.shape[0])
-    kept, kept_weight = X.copy(), weight.copy()
+    before, weight_before = X.copy(), weight.copy()
     model = BoundedGaussianMixture(2, transform=transform, **FEW).fit(X, sample_weight=weight)
-    for ask in (model.score_samples, model.score, model.bic):
-        ask(X)
-    np.testing.assert_array_equal(X, kept)
-    np.testing.assert_array_equal(weight, kept_weight)
+    for method in (model.score_samples, model.score, model.bic):
+        method(X)
+    np.testing.assert_array_equal(X, before)
+    np.testing.assert_array_equal(weight, weight_before)
 
 
 # one component: no start is drawn, so fits to other rows take the same way
@@ -99,9 +99,9 @@ def test_rows_without_weight_are_absent_from_the_starts_too():
 def test_without_a_prior_the_scale_of_the_weights_does_not_matter():
     X = events(600)
     weight = np.random.default_rng(2).uniform(0.1, 3.0, size=600)
-    one = BoundedGaussianMixture(1, prior_strength=0.0, **ONE).fit(X, sample_weight=weight)
-    other = BoundedGaussianMixture(1, prior_strength=0.0, **ONE).fit(X, sample_weight=1e-3 * weight)
-    assert_equal_fits(one, other, 1e-7)
+    first = BoundedGaussianMixture(1, prior_strength=0.0, **ONE).fit(X, sample_weight=weight)
+    second = BoundedGaussianMixture(1, prior_strength=0.0, **ONE).fit(X, sample_weight=1e-3 * weight)
+    assert_equal_fits(first, second, 1e-7)
 
 
 @pytest.mark.parametrize(
@@ -199,10 +199,10 @@ def test_units_do_not_matter():
     """Scaling a column scales the fit: everything is standardised inside."""
     X = events(800)
     scale = np.array([1e-4, 1e3])
-    one = BoundedGaussianMixture(2, lower=[0.0, -INF], random_state=0, n_init=2, max_iter=30).fit(X)
-    two = BoundedGaussianMixture(2, lower=[0.0, -INF], random_state=0, n_init=2, max_iter=30).fit(X * scale)
-    np.testing.assert_allclose(two.means_, one.means_ * scale, rtol=1e-6)
-    np.testing.assert_allclose(two.score(X * scale), one.score(X) - np.log(scale).sum(), rtol=1e-8)
+    first = BoundedGaussianMixture(2, lower=[0.0, -INF], random_state=0, n_init=2, max_iter=30).fit(X)
+    second = BoundedGaussianMixture(2, lower=[0.0, -INF], random_state=0, n_init=2, max_iter=30).fit(X * scale)
+    np.testing.assert_allclose(second.means_, first.means_ * scale, rtol=1e-6)
+    np.testing.assert_allclose(second.score(X * scale), first.score(X) - np.log(scale).sum(), rtol=1e-8)
 
 
 def mean_residual(model, X):

@@ -60,19 +60,19 @@ def test_bic_finds_the_true_k():
     for seed, (K, _) in TRUTHS.items():
         true = separated(seed)
         assert np.exp(true.log_probabilities_.min()) < 0.75
-        found = select_components(
+        selection = select_components(
             true.sample(1500, seed)[0], range(K - 1, K + 2),
             lower=true.lower, upper=true.upper, random_state=seed, n_init=3, n_jobs=2,
         )  # fmt: skip
-        assert found.best.n_components == K, seed
+        assert selection.best.n_components == K, seed
 
 
 # ---- the criterion
 @pytest.mark.parametrize("transform", [None, ["log", "none"]])
 def test_bic_equals_a_brute_force_computation(transform):
     X = two_groups()
-    found = select_components(X, [1, 3], lower=[0.0, -INF], transform=transform, **QUICK)
-    for i, model in enumerate(found.models):
+    selection = select_components(X, [1, 3], lower=[0.0, -INF], transform=transform, **QUICK)
+    for i, model in enumerate(selection.models):
         K, d = model.means_.shape
         Y = X.copy()
         if transform is not None:
@@ -91,11 +91,11 @@ def test_bic_equals_a_brute_force_computation(transform):
         density = np.exp(log_terms).sum(axis=1)
         L = np.log(density).sum() - (0.0 if transform is None else Y[:, 0].sum())
         p = K * d + K * d * (d + 1) // 2 + K - 1
-        assert found.n_parameters[i] == p
+        assert selection.n_parameters[i] == p
         # 600 terms of size 1 to 10, each to about 1e-13
-        np.testing.assert_allclose(found.log_likelihood[i], L / 600, rtol=1e-10)
-        np.testing.assert_allclose(found.bic[i], -2 * L + p * np.log(600), rtol=1e-10)
-        np.testing.assert_allclose(found.bic[i], model.bic(X), rtol=1e-10)
+        np.testing.assert_allclose(selection.log_likelihood[i], L / 600, rtol=1e-10)
+        np.testing.assert_allclose(selection.bic[i], -2 * L + p * np.log(600), rtol=1e-10)
+        np.testing.assert_allclose(selection.bic[i], model.bic(X), rtol=1e-10)
 
 
 def test_weights_count_as_repeated_rows():
@@ -109,8 +109,8 @@ def test_weights_count_as_repeated_rows():
         # the stopping point of the fits differs by rounding
         np.testing.assert_allclose(getattr(weighted, name), getattr(repeated, name), rtol=1e-8)
     # two: the weighted fit, seen on the repeated rows
-    found = select_components(X, [2], sample_weight=times, **options)
-    np.testing.assert_allclose(found.bic[0], found.best.bic(np.repeat(X, times, axis=0)), rtol=1e-10)
+    selection = select_components(X, [2], sample_weight=times, **options)
+    np.testing.assert_allclose(selection.bic[0], selection.best.bic(np.repeat(X, times, axis=0)), rtol=1e-10)
 
 
 # ---- the rule
@@ -150,8 +150,8 @@ def test_the_reason_names_k_rule_and_limits():
 def test_larger_k_are_not_tried_once_bic_has_risen(n, tried):
     """One group: each further component costs three parameters, 12.3 units of BIC at n = 60, 9 or less at n = 20."""
     X = np.random.default_rng(0).standard_t(4, (n, 1))
-    found = select_components(X, [1, 2, 3], enough=lambda fits: fits.risen, **QUICK)
-    assert found.n_components.tolist() == tried
+    selection = select_components(X, [1, 2, 3], enough=lambda fits: fits.risen, **QUICK)
+    assert selection.n_components.tolist() == tried
 
 
 # ---- in parallel
@@ -201,12 +201,12 @@ def test_a_seed_may_be_a_generator():
 
 # ---- what cannot be fitted
 def test_a_k_that_cannot_be_fitted_is_reported_and_left_out():
-    found = select_components(two_groups(40), [1, 2, 14], lower=0.0, **QUICK)
-    assert found.n_components.tolist() == [1, 2]
-    assert len(found.models) == found.bic.size == 2
-    assert [f.n_components for f in found.failures] == [14]
-    assert (found.failures[0].error.path, found.failures[0].error.problem) == ("X", "40 rows")
-    assert found.reason.endswith("; K = 14 could not be fitted")
+    selection = select_components(two_groups(40), [1, 2, 14], lower=0.0, **QUICK)
+    assert selection.n_components.tolist() == [1, 2]
+    assert len(selection.models) == selection.bic.size == 2
+    assert [f.n_components for f in selection.failures] == [14]
+    assert (selection.failures[0].error.path, selection.failures[0].error.problem) == ("X", "40 rows")
+    assert selection.reason.endswith("; K = 14 could not be fitted")
 
 
 @pytest.mark.parametrize("fit_each", [map, reverse_map])

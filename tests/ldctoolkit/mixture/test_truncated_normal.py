@@ -42,8 +42,8 @@ def test_events_have_the_shares_and_moments(n):
     assert t.log_probability.min() < -10.0  # both ways of drawing are at work
     assert t.log_probability.max() > np.log(0.25)
     # 10 shares, 80 means and 360 covariances within four standard errors: for a fresh seed a false alarm in 36
-    found = np.bincount(label, minlength=10) / n
-    assert np.all(np.abs(found - eta) < 4.0 * np.sqrt(eta * (1.0 - eta) / n))
+    share = np.bincount(label, minlength=10) / n
+    assert np.all(np.abs(share - eta) < 4.0 * np.sqrt(eta * (1.0 - eta) / n))
     for k in range(10):
         y = x[label == k]
         m = y.shape[0]
@@ -308,9 +308,9 @@ def errors(t, Sigma, expected):
 
 def check(name, mu, Sigma, lower, upper, expected, points):
     t = TruncatedNormal([mu], [Sigma], lower, upper, points=points)
-    found = errors(t, Sigma, expected)
+    result = errors(t, Sigma, expected)
     # ln P to 1e-4, whitened mean to 2e-4, whitened covariance to 1e-3: what a fit needs to keep its 1e-6 a pass honest
-    assert all(np.array(found) <= (1e-4, 2e-4, 1e-3)), f"{name}, {points} points: {found}"
+    assert all(np.array(result) <= (1e-4, 2e-4, 1e-3)), f"{name}, {points} points: {result}"
     return t
 
 
@@ -436,11 +436,11 @@ def test_calls_repeat_and_leave_their_inputs_alone():
     Sigma = np.array([covariance_of(equal(2, 0.5)), covariance_of(equal(2, -0.8))])
     lower, upper = np.array([0.0, 0.0]), np.array([1.0, INF])
     given = [a.copy() for a in (mu, Sigma, lower, upper)]
-    one, two = TruncatedNormal(mu, Sigma, lower, upper), TruncatedNormal(mu, Sigma, lower, upper)
+    normal, same = TruncatedNormal(mu, Sigma, lower, upper), TruncatedNormal(mu, Sigma, lower, upper)
     for name in ("log_probability", "mean", "covariance"):
-        assert np.array_equal(getattr(one, name), getattr(two, name))
-    first = [draw(one, 100, 4, k) for k in (0, 1)]
-    again = [draw(one, 100, 4, k) for k in (0, 1)]
+        assert np.array_equal(getattr(normal, name), getattr(same, name))
+    first = [draw(normal, 100, 4, k) for k in (0, 1)]
+    again = [draw(normal, 100, 4, k) for k in (0, 1)]
     assert all(np.array_equal(a, b) for a, b in zip(first, again, strict=True))
     assert all(np.array_equal(a, b) for a, b in zip(given, (mu, Sigma, lower, upper), strict=True))
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from helpers.cli import good, ldc
+from helpers.errors import refused
 from ldctoolkit import Scenarios, Setup, VehicleParameters, check_fidelity, fit_scenario_model, load_model, simulate
 from ldctoolkit.controllers import PreviewProportional
 from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, DepartureParameters, Departures, Plausibility
-from ldctoolkit.errors import InputError
 from ldctoolkit.recordings import Criteria, Provenance, extract_departures, open_recordings, write_departures
 from ldctoolkit.scenario_model import ScenarioModel
 from ldctoolkit.scenario_model.fidelity import SideFidelity
@@ -53,11 +53,11 @@ def fine() -> ScenarioModel:
 
 def test_the_answers_are_those_of_simulate(fine: ScenarioModel) -> None:
     """Probe 1 is the paper's law: reduction and shares of a replay by another route, with an interval about them."""
-    found = two_kinds(150)
+    recorded = two_kinds(150)
     fidelity = fine.provenance.left.fidelity
     assert fidelity.departures == 150
-    np.testing.assert_allclose(fidelity.thresholds, np.quantile(found.d_y[:150], [0.05, 0.25, 0.5, 0.75]), atol=5e-4)
-    scenarios = Scenarios.from_departures(found.take(found.side == LEFT))
+    np.testing.assert_allclose(fidelity.thresholds, np.quantile(recorded.d_y[:150], [0.05, 0.25, 0.5, 0.75]), atol=5e-4)
+    scenarios = Scenarios.from_departures(recorded.take(recorded.side == LEFT))
     law, setup = PreviewProportional(K_y=-0.005, K_psi=-0.2, T_lp=2.0), Setup(vehicle=VehicleParameters(w_v=1.8))
     rng = np.random.default_rng(3)
     for i, y_s in enumerate(fidelity.thresholds):
@@ -97,7 +97,7 @@ def test_the_check_of_other_departures(bad: ScenarioModel, fine: ScenarioModel) 
     again = two_kinds(1500, seed=5)
     assert [side.passed for side in check_fidelity(bad, again)] == [False, False]
     assert [side.passed for side in check_fidelity(load_model("reference"), as_departures(2000))] == [True, True]
-    with pytest.raises(InputError, match="departures: 0 left and 1500 right; allowed: at least 30 a side"):
+    with refused("departures", problem="0 left and 1500 right", allowed="at least 30 a side"):
         check_fidelity(fine, again.take(again.side == RIGHT))
 
 
@@ -108,15 +108,15 @@ def as_departures(n: int) -> DepartureParameters:
 
 def test_weights_count(bad: ScenarioModel) -> None:
     """With all weight on the quick ones, the model of both answers wrong."""
-    found = two_kinds(400, seed=2)
-    quick = (found.T < 2.5).astype(float)
-    alone = check_fidelity(bad, found.take(quick > 0))
-    weighted = check_fidelity(bad, found, weights=quick)
+    recorded = two_kinds(400, seed=2)
+    quick = (recorded.T < 2.5).astype(float)
+    alone = check_fidelity(bad, recorded.take(quick > 0))
+    weighted = check_fidelity(bad, recorded, weights=quick)
     np.testing.assert_allclose(weighted[0].replayed, alone[0].replayed, rtol=1e-9)
     # of weights 1 and 3, with the paper's law as it is driven by another route
     weight = np.where(quick > 0, 3.0, 1.0)
-    found = found.take(found.side == LEFT)
-    scenarios, setup = Scenarios.from_departures(found), Setup(vehicle=VehicleParameters(w_v=1.8))
+    recorded = recorded.take(recorded.side == LEFT)
+    scenarios, setup = Scenarios.from_departures(recorded), Setup(vehicle=VehicleParameters(w_v=1.8))
     (fidelity, _) = check_fidelity(bad, two_kinds(400, seed=2), weights=weight)
     law, w = PreviewProportional(K_y=-0.005, K_psi=-0.2, T_lp=2.0), weight[:400]
     for i, y_s in enumerate(fidelity.thresholds):
@@ -185,27 +185,27 @@ def test_a_condition_outside_the_data_is_warned_of_with_their_range(fine: Scenar
     study = '[scenarios]\nmodel = "m.json"\nleft = 8\nright = 8\ngiven = {v_mean = [24.0, 40.0]}\n'
     (tmp_path / "s.toml").write_text(f'name = "s"\n{study}[[design]]\nlaw = "none"\n')
     run = ldc("run", "s.toml", "-o", "out", "--no-robustness", cwd=tmp_path)
-    found = re.search(
+    match = re.search(
         r"given v_mean from 24 to 40 m/s: outside the fitted departures \(left\), of which 93 % lie from ([\d.]+) to "
         r"([\d.]+); "
         r"about (\d+) of 150 recorded ones meet it",
         run.stderr,
     )
-    assert found, run.stderr
+    assert match, run.stderr
     v = two_kinds(150).v_mean[:150]
-    np.testing.assert_allclose([float(found[1]), float(found[2])], np.quantile(v, [1 / 30, 29 / 30]), rtol=4e-2)
-    assert abs(int(found[3]) - int((v > 24.0).sum())) <= 2
+    np.testing.assert_allclose([float(match[1]), float(match[2])], np.quantile(v, [1 / 30, 29 / 30]), rtol=4e-2)
+    assert abs(int(match[3]) - int((v > 24.0).sum())) <= 2
 
 
 def test_real_recordings(ngsim_recordings: Path) -> None:
     """K = 1 misleads on both sides; the default gives the recordings' answer (NGSIM US-101)."""
-    found = extract_departures(open_recordings(ngsim_recordings), vehicle_width=1.8)
-    given = {"extraction": found.provenance.criteria}
-    forced = fit_scenario_model(found.departures, components=1, **given).provenance
+    recorded = extract_departures(open_recordings(ngsim_recordings), vehicle_width=1.8)
+    given = {"extraction": recorded.provenance.criteria}
+    forced = fit_scenario_model(recorded.departures, components=1, **given).provenance
     assert forced.left.fidelity.text.startswith("the model understates the effect of control by 1")
     assert forced.right.fidelity.text.startswith("the model understates the effect of control by 1")
-    default = fit_scenario_model(found.departures, **given).provenance
-    smoothed = fit_scenario_model(found.departures, kind="smoothed", **given).provenance
+    default = fit_scenario_model(recorded.departures, **given).provenance
+    smoothed = fit_scenario_model(recorded.departures, kind="smoothed", **given).provenance
     for side in (default.left, default.right, smoothed.left, smoothed.right):
         assert side.fidelity.passed
     assert (smoothed.left.kind, smoothed.left.reason) == ("smoothed", "smoothed departures, as requested")
@@ -213,10 +213,10 @@ def test_real_recordings(ngsim_recordings: Path) -> None:
 
 def test_smoothed_departures_keep_mean_and_covariance() -> None:
     """In the logarithm of what is positive: of the mixture by the law of total covariance. No draw is a copy."""
-    found = two_kinds(300)
+    recorded = two_kinds(300)
     bounds = dict.fromkeys(("T", "v_mean"), (0.0, None)) | {"a_mean": (None, None)}
-    model = fit_scenario_model(found, kind="smoothed", bounds=bounds)
-    own, mixture = found.take(found.side == LEFT), model.left
+    model = fit_scenario_model(recorded, kind="smoothed", bounds=bounds)
+    own, mixture = recorded.take(recorded.side == LEFT), model.left
     assert mixture.weights_.size == 300
     open_ones = ("a_mean", "c_0", "dc")
     columns = [getattr(own, name) if name in open_ones else np.log(getattr(own, name)) for name in PARAMETER_NAMES]
@@ -229,7 +229,7 @@ def test_smoothed_departures_keep_mean_and_covariance() -> None:
     assert not np.isin(drawn.T, own.T).any()
     # the bandwidth of weights 1 and 3 is that of 240 departures, Kish's number of these 300
     weights = np.tile([1.0, 3.0], 300)
-    mixture = fit_scenario_model(found, kind="smoothed", bounds=bounds, weights=weights).left
+    mixture = fit_scenario_model(recorded, kind="smoothed", bounds=bounds, weights=weights).left
     spread = np.average(
         (mapped - np.average(mapped, axis=0, weights=weights[:300])) ** 2, axis=0, weights=weights[:300]
     )

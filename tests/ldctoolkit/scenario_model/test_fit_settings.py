@@ -33,8 +33,8 @@ def box(model):
 
 
 def test_bounds_default_to_physics_then_to_the_extraction(departures):
-    found = box(fit_scenario_model(departures(40), components=1))
-    assert found == {
+    bounds = box(fit_scenario_model(departures(40), components=1))
+    assert bounds == {
         "T": (0.5, 10.0, "physical", "physical"),
         "d_y": (0.0, INF, "physical", "physical"),
         "v_mean": (5.0, INF, "physical", "physical"),
@@ -67,10 +67,10 @@ def test_the_model_keeps_the_hours_and_the_distance_of_its_recordings(departures
 def test_one_end_can_be_open(departures):
     d = departures(300, seed=1, a_mean=np.random.default_rng(0).normal(0.0, 0.3, 600))
     given = {"a_mean": (None, 3.0), "d_y": (None, 2.0), "T": (0.25, None)}
-    found = box(fit_scenario_model(d, components=1, bounds=given))
-    assert found["a_mean"] == (-INF, 3.0, "given", "given")
-    assert found["d_y"] == (0.0, 2.0, "physical", "given")  # no departure below 0 can be driven
-    assert found["T"] == (0.25, INF, "given", "given")
+    bounds = box(fit_scenario_model(d, components=1, bounds=given))
+    assert bounds["a_mean"] == (-INF, 3.0, "given", "given")
+    assert bounds["d_y"] == (0.0, 2.0, "physical", "given")  # no departure below 0 can be driven
+    assert bounds["T"] == (0.25, INF, "given", "given")
     opened = box(fit_scenario_model(d, components=1, bounds={"a_mean": (-INF, INF)}))
     assert opened["a_mean"] == (-INF, INF, "given", "given")
 
@@ -151,8 +151,8 @@ def test_the_card_tells_how_the_model_was_made(departures, tmp_path):
 
 
 def test_one_number_of_components_is_not_called_a_choice(departures):
-    asked = fit_scenario_model(departures(40), components=1).provenance.left
-    assert asked.reason == "K = 1, as requested"
+    requested = fit_scenario_model(departures(40), components=1).provenance.left
+    assert requested.reason == "K = 1, as requested"
     few = fit_scenario_model(departures(32), components=range(6, 9), kind="mixture", plausibility=ANYTHING).provenance
     assert few.left.n_components == (6,)
     assert few.left.reason == "K = 6, the only one of the range that the events carry"
@@ -163,8 +163,9 @@ def test_one_number_of_components_is_not_called_a_choice(departures):
     ("setting", "path"),
     [
         ({"prior_strength": -1.0}, "prior_strength"), ({"tol": np.nan}, "tol"), ({"n_init": 0}, "n_init"),
-        ({"max_iter": 1.5}, "max_iter"), ({"workers": 0}, "n_jobs"), ({"kind": "smooth"}, "kind"),
+        ({"max_iter": 1.5}, "max_iter"), ({"workers": 0}, "workers"), ({"kind": "smooth"}, "kind"),
         ({"transform": {"d_y": "lgo"}}, "transform['d_y']"), ({"transform": {"dy": "log"}}, "transform"),
+        ({"transform": ""}, "transform"), ({"transform": 5}, "transform"),
     ],
 )  # fmt: skip
 def test_wrong_settings(departures, setting, path):
@@ -224,10 +225,10 @@ def test_a_K_that_cannot_be_sampled_gives_way_to_another(departures, monkeypatch
 
 @pytest.mark.slow
 def test_neither_workers_nor_verbosity_change_a_number(departures, capfd):
-    one = fit_scenario_model(departures(60), components=[1, 2], workers=1)
+    first = fit_scenario_model(departures(60), components=[1, 2], workers=1)
     assert capfd.readouterr().err == ""
-    two = fit_scenario_model(departures(60), components=[1, 2], workers=2, verbose=True)
-    assert two.content_hash == one.content_hash
+    second = fit_scenario_model(departures(60), components=[1, 2], workers=2, verbose=True)
+    assert second.content_hash == first.content_hash
     assert "K = 2: " in capfd.readouterr().err
 
 
@@ -242,15 +243,15 @@ def x():
 
 
 def test_quantiles_ranks_and_cells_agree_with_other_programs(x):
-    found = summarize(x, names=NAMES)
-    assert (found.departures, found.effective) == (6000, 6000.0)
-    wanted = np.quantile(x, found.probabilities, axis=0, method="hazen").T
+    summary = summarize(x, names=NAMES)
+    assert (summary.departures, summary.effective) == (6000, 6000.0)
+    expected = np.quantile(x, summary.probabilities, axis=0, method="hazen").T
     # windows of 10 in 6000 are narrow
-    np.testing.assert_allclose(np.array(found.quantiles), wanted, rtol=5e-3)
+    np.testing.assert_allclose(np.array(summary.quantiles), expected, rtol=5e-3)
     ranks = stats.spearmanr(x).statistic
-    np.testing.assert_allclose(found.rank_correlations, [ranks[0, 1], ranks[0, 2], ranks[1, 2]], atol=6e-5)
-    edges = [cell_edges(np.array(row), 12) for row in found.quantiles]
-    for (i, j), cells in zip(((0, 1), (0, 2), (1, 2)), found.cells, strict=True):
+    np.testing.assert_allclose(summary.rank_correlations, [ranks[0, 1], ranks[0, 2], ranks[1, 2]], atol=6e-5)
+    edges = [cell_edges(np.array(row), 12) for row in summary.quantiles]
+    for (i, j), cells in zip(((0, 1), (0, 2), (1, 2)), summary.cells, strict=True):
         counts, _, _ = np.histogram2d(x[:, i], x[:, j], bins=(edges[i], edges[j]))
         counts[counts < 5] = 0
         np.testing.assert_allclose(np.array(cells) / UNIT, counts.ravel() / 6000, atol=1.01 / UNIT)
@@ -272,17 +273,17 @@ def test_a_weight_is_as_many_equal_departures(x):
 @pytest.mark.parametrize("n", [30, 57, 200, 430])
 def test_no_departure_stands_in_it(n, x):
     """Every quantile differs from every departure, and moves little with any of them."""
-    found = summarize(x[:n], names=NAMES)
-    m = found.probabilities.size
+    summary = summarize(x[:n], names=NAMES)
+    m = summary.probabilities.size
     assert m <= n // 10
     held = np.array([[float(f"{value:.6g}") for value in column] for column in x[:n].T])
-    for row, column in zip(found.quantiles, held, strict=True):
+    for row, column in zip(summary.quantiles, held, strict=True):
         assert not np.isin(row, column).any()
     # ten departures or more behind each quantile: moving the largest one away moves the last by a tenth of that
     moved = x[:n].copy()
     moved[np.argmax(moved[:, 2]), 2] += 100.0
-    assert abs(summarize(moved, names=NAMES).quantiles[2][-1] - found.quantiles[2][-1]) <= 10.0 + 1e-3
-    cells = np.array(found.cells)
+    assert abs(summarize(moved, names=NAMES).quantiles[2][-1] - summary.quantiles[2][-1]) <= 10.0 + 1e-3
+    cells = np.array(summary.cells)
     assert cells[cells > 0].min() >= int(UNIT * 5 / n)
 
 
@@ -295,9 +296,9 @@ def test_too_few_departures_behind_the_weights_leave_it_out(x):
 
 def test_equal_values_and_one_parameter(x):
     column = np.where(np.arange(400) < 390, 0.0, 1.0)
-    found = summarize(np.column_stack([column, x[:400, 0]]), names=("c_0", "T"))
-    assert np.all(np.diff(cell_edges(np.array(found.quantiles[0]), 4)) > 0)
-    assert found.at(0.5)[0] == 0.0
+    summary = summarize(np.column_stack([column, x[:400, 0]]), names=("c_0", "T"))
+    assert np.all(np.diff(cell_edges(np.array(summary.quantiles[0]), 4)) > 0)
+    assert summary.at(0.5)[0] == 0.0
     alone = summarize(x[:400, :1], names=("T",))
     assert (alone.cells, alone.rank_correlations) == ((), ())
 
@@ -320,10 +321,10 @@ def test_fits_keep_it(departures, tmp_path):
 
 def test_of_many_departures_evenly_spread_ones_are_looked_at():
     ramp = np.arange(120_000.0)[:, None] + 0.5
-    found = summarize_events(Events(ramp, np.linspace(1.0, 1.1, 120_000)), ("T",))
-    assert found.departures == 50_000
+    summary = summarize_events(Events(ramp, np.linspace(1.0, 1.1, 120_000)), ("T",))
+    assert summary.departures == 50_000
     # 10 % more weight at the end than at the begin lift the median by 1.2 %
-    np.testing.assert_allclose(found.quantiles[0], 120_000 * found.probabilities, atol=0.0125 * 120_000)
+    np.testing.assert_allclose(summary.quantiles[0], 120_000 * summary.probabilities, atol=0.0125 * 120_000)
     assert summarize_events(Events(ramp[:50_001]), ("T",)).departures == 50_000
     assert summarize_events(Events(ramp[:50_000]), ("T",)) == summarize(ramp[:50_000], names=("T",))
 

@@ -365,13 +365,15 @@ def test_the_log_does_not_depend_on_the_order_of_scenarios() -> None:
 
 
 @pytest.mark.parametrize(
-    ("wrong", "field", "allowed"),
+    ("wrong", "field", "problem", "value", "allowed"),
     [
-        ([1, 2], "", "SolverCalls or None"),
-        (SolverCalls(np.array([0]), *(np.zeros(2),) * 4), ": status", "an array of shape (1,)"),
-        (SolverCalls(np.array([99]), *(np.zeros(1),) * 4), ": place", "whole numbers 0 to 3"),
+        ([1, 2], "", "returned an object of type list", ..., "SolverCalls or None"),
+        (SolverCalls(np.array([0]), *(np.zeros(2),) * 4), ": status", "shape (2,)", ..., "an array of shape (1,)"),
+        (SolverCalls(np.array([99]), *(np.zeros(1),) * 4), ": place", "", np.int64(99), "whole numbers 0 to 3"),
+        (SolverCalls(*(np.zeros(0),) * 5), ": place", "an array of shape (0,) and dtype float64", ...,
+         "whole numbers 0 to 3"),
     ],
-)
-def test_what_is_no_record_is_named(wrong: Any, field: str, allowed: str) -> None:
-    with refused(f"controller 'prepared': solver_calls{field}", allowed=allowed):
+)  # fmt: skip
+def test_what_is_no_record_is_named(wrong: Any, field: str, problem: str, value: Any, allowed: str) -> None:
+    with refused(f"controller 'prepared': solver_calls{field}", problem=problem, value=value, allowed=allowed):
         simulate(counting(wrong), SCENARIOS, y_s=0.1)

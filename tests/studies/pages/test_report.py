@@ -144,7 +144,7 @@ def test_each_number_is_that_of_ranking_csv(built: Made) -> None:
     head, *cells = table
     assert len(cells) == len(rows)
     columns = {
-        "Mean S [m·s]": ("S_m_s", 1.0, 3), "Less [%]": ("reduction", 100.0, 1),
+        "Mean S [m·s]": ("S_m_s", 1.0, 3), "Reduction [%]": ("reduction", 100.0, 1),
         "ay p95 [m/s²]": ("a_y_added_peak_p95_m_s2", 1.0, 2), "Jerk p95 [m/s³]": ("jerk_added_peak_p95_m_s3", 1.0, 2),
         "Needless [%]": ("needless_share", 100.0, 1), "Fresh S [m·s]": ("fresh_S_m_s", 1.0, 3),
     }  # fmt: skip
