@@ -21,7 +21,6 @@ from .design import FOLLOWS_STUDY, Design
 from .measures import measured
 from .ranking.design_metrics import find_baseline
 from .ranking.ranking import Ranking, rank_study
-from .replayed import ReplayedDepartures, read_replayed
 from .results import StudyResults
 from .running.campaign import Campaign
 from .running.dispatch import Executor, Progress, closing, displayed
@@ -30,8 +29,17 @@ from .search import run_search
 from .storage.checked_parts import locked, remove_unfinished
 from .storage.manifest import Manifest, write_designs
 from .storage.run_table import AllFailedError, check_room
+from .storage.scenario_source import (
+    ReplayedDepartures,
+    Source,
+    model_notes,
+    model_warnings,
+    read_replayed,
+    with_counts,
+    with_recorded_widths,
+    write_model,
+)
 from .storage.store import FINALISTS, REPLAYED, SCORES, Store, make_folder
-from .storage.stored_model import Source, model_notes, model_warnings, with_counts, with_recorded_widths, write_model
 from .study_file import Study
 
 _log = logging.getLogger("studies")

@@ -11,11 +11,11 @@ import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
 from ldctoolkit.arrays import BoolArray, FloatArray
+from ldctoolkit.checked_files import read_toml
 from ldctoolkit.departures import RIGHT
 from ldctoolkit.errors import InputError, StudyError, UnknownNameError
 from ldctoolkit.scenarios import Drifts, Scenarios
 from ldctoolkit.validation import Part, as_tuples, first_problem
-from ldctoolkit.whole_file import read_toml
 
 FOLDER: Final = Path(__file__).parent / "catalog" / "standards"
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self, get_args
 
 from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, ValidationError, create_model, model_validator
 
+from ldctoolkit.checked_files import read_toml
 from ldctoolkit.code_content import content_of
 from ldctoolkit.control import Controller
 from ldctoolkit.declared import declarations
@@ -26,7 +27,6 @@ from ldctoolkit.simulation import Window
 from ldctoolkit.validation import Part, as_tuples, first_problem
 from ldctoolkit.vehicle import Convention
 from ldctoolkit.vehicle.bicycle import VehicleParameters
-from ldctoolkit.whole_file import read_toml
 
 from .design import Design
 from .design_space import DesignBlock, check_blocks

@@ -9,11 +9,11 @@ from typing import Any, Final, Literal, get_args, get_origin, get_type_hints
 
 from pydantic import TypeAdapter
 
+from ldctoolkit.checked_files import read_toml
 from ldctoolkit.declared import Gain, declarations
 from ldctoolkit.errors import StudyError
 from ldctoolkit.registry import controller_class
 from ldctoolkit.setup import Setup
-from ldctoolkit.whole_file import read_toml
 
 from .design_space import rounded
 from .study_file import SimulationSettings, Study

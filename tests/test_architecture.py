@@ -26,11 +26,11 @@ LEVELS = (
         "ldctoolkit.code_content",
         "ldctoolkit.compiling",
         "ldctoolkit.errors",
-        "ldctoolkit.lane_functions",
+        "ldctoolkit.vector_math",
         "ldctoolkit.numba_internals",
         "ldctoolkit.surroundings",
         "ldctoolkit.version",
-        "ldctoolkit.whole_file",
+        "ldctoolkit.checked_files",
     ),
     ("ldctoolkit.declared", "ldctoolkit.validation"),
     ("ldctoolkit.departures", "ldctoolkit.plant_options"),
@@ -59,7 +59,6 @@ LEVELS = (
     ("studies.design", "studies.results"),
     ("studies.study_file", "studies.design_space"),
     ("studies.study_template",),
-    ("studies.replayed",),
     ("studies.storage",),
     ("studies.running",),
     ("studies.assessment", "studies.extraction"),
@@ -214,7 +213,7 @@ def test_files_are_written_in_one_place() -> None:
     """But for the lock of a folder, the notes of a worker and what a compiler reads, which no one reads afterwards."""
     found = {path.relative_to(ROOT).as_posix() for path in modules(ROOT).values() if writes(path)}
     assert found == {
-        "ldctoolkit/whole_file.py", "studies/storage/checked_parts.py", "studies/running/executors.py",
+        "ldctoolkit/checked_files.py", "studies/storage/checked_parts.py", "studies/running/executors.py",
         "controllers/_nmpc_solver.py",
     }  # fmt: skip
 

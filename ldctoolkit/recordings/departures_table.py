@@ -14,6 +14,14 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from ldctoolkit.arrays import FloatArray
+from ldctoolkit.checked_files import (
+    PARQUET_CHECKSUM,
+    check_parquet,
+    parquet_bytes,
+    parse_json,
+    read_regular,
+    write_whole,
+)
 from ldctoolkit.departures import (
     LEFT,
     PARAMETER_COLUMNS,
@@ -36,7 +44,6 @@ from ldctoolkit.recordings.quality import (
     combined_statistics,
 )
 from ldctoolkit.recordings.recording import Problem, SourceFile, missing_column
-from ldctoolkit.whole_file import PARQUET_CHECKSUM, check_parquet, parquet_bytes, parse_json, read_regular, write_whole
 
 if TYPE_CHECKING:
     import polars as pl

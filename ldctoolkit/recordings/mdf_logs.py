@@ -23,6 +23,7 @@ import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
 from ldctoolkit.arrays import FloatArray, IntArray
+from ldctoolkit.checked_files import read_toml
 from ldctoolkit.errors import InputError, LdcError, RecordingError, short
 from ldctoolkit.recordings.preparation import LIMITS, LONGEST_GAP, MAX_GAP, clock_stretches, cut_at, joins_of, values_at
 from ldctoolkit.recordings.recording import (
@@ -36,7 +37,6 @@ from ldctoolkit.recordings.recording import (
     source_file,
 )
 from ldctoolkit.validation import Part, as_tuples, first_problem
-from ldctoolkit.whole_file import read_toml
 
 _NAMES: Final = re.compile(r"\.(mf4|mdf|dat)$", re.IGNORECASE)
 

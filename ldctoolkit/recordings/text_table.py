@@ -17,9 +17,9 @@ import numpy.typing as npt
 import polars as pl
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.checked_files import text_of
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.recording import Problem
-from ldctoolkit.whole_file import text_of
 
 MISSING: Final = ("", "null", "nan", "na", "n/a", "none", "-nan", "#n/a")
 """Words for a missing number, in lower case, without blanks around them."""

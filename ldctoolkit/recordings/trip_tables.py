@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 
 from ldctoolkit.arrays import FloatArray, IntArray
+from ldctoolkit.checked_files import text_of
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings.preparation import middle_two, rows_in_order
 from ldctoolkit.recordings.recording import (
@@ -33,7 +34,6 @@ from ldctoolkit.recordings.text_table import (
     grouped_problems,
     read_numbers,
 )
-from ldctoolkit.whole_file import text_of
 
 LONGEST_HEADER: Final = 1 << 16
 _DELIMITERS: Final = {";": "semicolons", "\t": "tabs", "|": "vertical bars", " ": "blanks"}

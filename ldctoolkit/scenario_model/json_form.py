@@ -13,6 +13,7 @@ import numpy as np
 from pydantic import Field, ValidationError
 
 from ldctoolkit.arrays import FloatArray
+from ldctoolkit.checked_files import CHECKSUM, NOT_AS_WRITTEN, digest, parse_json, text_of
 from ldctoolkit.declared import checked_number
 from ldctoolkit.departures import PARAMETER_NAMES, PARAMETER_UNITS, Plausibility, check_parameters
 from ldctoolkit.errors import InputError, ModelError
@@ -26,7 +27,6 @@ from ldctoolkit.scenario_model.provenance import (
     check_usable,
 )
 from ldctoolkit.validation import Part, first_problem
-from ldctoolkit.whole_file import CHECKSUM, NOT_AS_WRITTEN, digest, parse_json, text_of
 
 FORMAT: Final = "ldctoolkit-scenario-model"
 VERSION: Final = 4

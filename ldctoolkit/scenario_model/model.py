@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.checked_files import json_text, read_regular, write_whole
 from ldctoolkit.declared import UnitWarning, checked_seed, checked_whole, unit_slip
 from ldctoolkit.departures import (
     LEFT,
@@ -29,7 +30,6 @@ from ldctoolkit.mixture import SAMPLE_BLOCK, BoundedGaussianMixture, Distributio
 from ldctoolkit.mixture._distribution import interval_of
 from ldctoolkit.scenario_model.provenance import ModelProvenance, SideModel
 from ldctoolkit.scenarios import SPEED_FLOOR, Scenarios, slowest_speed
-from ldctoolkit.whole_file import json_text, read_regular, write_whole
 
 Given = Mapping[str, float | tuple[float | None, float | None]]
 """Parameter -> its value, or (lower, upper) between which it lies; None is open. SI units."""

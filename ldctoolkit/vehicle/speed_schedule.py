@@ -118,7 +118,7 @@ def scheduled(
         allowed = f"{low:g} to {high:g} m/s for scheduled gains"
         raise InputError("speed at the trigger", "m/s", value=float(v[i]), allowed=allowed)
     z = 2.0 * np.log(v / low) / math.log(high / low) - 1.0
-    from ldctoolkit.lane_functions import clenshaw
+    from ldctoolkit.vector_math import clenshaw
 
     coefficients, smooth = chebyshev(solve)
     if not smooth.all():

@@ -94,7 +94,7 @@ def describe_models(args: argparse.Namespace) -> None:
     """Carry ``ldc models`` out."""
     from ldctoolkit.scenario_model import bundled_models, load_model
 
-    from ..storage.stored_model import model_notes, model_warnings
+    from ..storage.scenario_source import model_notes, model_warnings
 
     for name in args.model or bundled_models():
         model = load_model(name)

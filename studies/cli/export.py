@@ -90,7 +90,7 @@ def run(args: argparse.Namespace) -> int:
 def _scenarios(judged: Judged) -> Scenarios:
     """The scenarios of the study, or more of the same model where they are few."""
     from ..export import DEPARTURES
-    from ..storage.stored_model import read_model
+    from ..storage.scenario_source import read_model
 
     scenarios = judged.results.scenarios
     model = (

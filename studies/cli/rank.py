@@ -64,8 +64,8 @@ def run(args: argparse.Namespace) -> None:
     """Carry the command out."""
     from ..pages.ranking_section import write_markdown
     from ..ranking.ranking import write_csv
+    from ..storage.scenario_source import read_model
     from ..storage.store import Store
-    from ..storage.stored_model import read_model
     from ._results import Judged, print_ranking, rank_summary, write_ranking
 
     target = None if args.output is None else output_file(args.output, ".csv", ".md")

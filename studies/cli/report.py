@@ -44,8 +44,8 @@ def run(args: argparse.Namespace) -> None:
     """Carry the command out."""
     from ..design import named_designs
     from ..pages.replay import rows_of_numbers
+    from ..storage.scenario_source import read_model
     from ..storage.store import Store
-    from ..storage.stored_model import read_model
     from ._results import Judged, source_departures, write_ranking, write_study_report
 
     source = source_departures(args.source)

@@ -158,7 +158,7 @@ def _of_study(study: Study, designs: Sequence[Design], args: argparse.Namespace)
 
     from ..measures import trigger_speeds
     from ..runner import study_source
-    from ..storage.stored_model import with_counts
+    from ..storage.scenario_source import with_counts
 
     source = study_source(study)
     settings = with_counts(study, source).scenarios

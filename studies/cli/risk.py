@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> None:
     from ..risk import DEPTHS, estimate_risk
     from ..runner import study_source
     from ..storage.folder_files import write_text
-    from ..storage.stored_model import read_model, with_recorded_widths
+    from ..storage.scenario_source import read_model, with_recorded_widths
     from ..tables import Table, to_csv
     from ._results import study_of
 

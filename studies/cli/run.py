@@ -124,7 +124,7 @@ def _run(args: argparse.Namespace, progress: Progress | None) -> int:
 
     from ..runner import TIME_LIMIT, run_study, study_source
     from ..storage.manifest import read_manifest
-    from ..storage.stored_model import with_counts, with_recorded_widths
+    from ..storage.scenario_source import with_counts, with_recorded_widths
     from ..study_file import load_study
     from ._results import Judged, json_summary, print_ranking, source_departures, write_ranking, write_study_report
 

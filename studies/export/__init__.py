@@ -11,13 +11,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
+from ldctoolkit.checked_files import write_whole
 from ldctoolkit.control import Controller
 from ldctoolkit.errors import InputError, StoreError, expect
 from ldctoolkit.scenario_model.model import load_model
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
 from ldctoolkit.surroundings import temporary_folder
-from ldctoolkit.whole_file import write_whole
 
 from .c_code import HEADER, SOURCE, Code, Origin, changed_files, is_stale, parameters, render, write_folder
 from .loop_check import Check, check, compile_c, compiler, record, vectors

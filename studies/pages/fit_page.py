@@ -17,7 +17,7 @@ from ldctoolkit.scenario_model.fidelity import QUANTITIES, UNITS
 from ldctoolkit.version import __version__
 
 from ..storage.folder_files import write_text
-from ..storage.stored_model import model_notes
+from ..storage.scenario_source import model_notes
 from ..tables import Cell, Column, Row, Table, Value, to_html
 from ..text import PARAMETER_MEANINGS, compact, number, parameter_label, plural, symbols
 from .charts import Axis, Chart, Series, Style, bars, heat_map, legend

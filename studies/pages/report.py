@@ -16,7 +16,7 @@ from ldctoolkit.version import __version__
 
 from ..sensitivity.sensitivity import sensitivity
 from ..storage.folder_files import write_text
-from ..storage.stored_model import read_model
+from ..storage.scenario_source import read_model
 from ..study_file import toml_text
 from ..text import plural, printable
 from . import (

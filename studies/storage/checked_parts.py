@@ -19,8 +19,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from ldctoolkit.checked_files import write_whole
 from ldctoolkit.errors import StoreError, plain
-from ldctoolkit.whole_file import write_whole
 
 from .folder_files import read_bytes, read_json, write_json
 
@@ -79,7 +79,7 @@ def locked(folder: Path) -> Iterator[None]:
 
 def remove_unfinished(folder: Path, name: str = "") -> None:
     """Remove what killed processes had not finished writing, of all files or of one; call it while no other writes."""
-    # as `whole_file` names it, after the process
+    # as `checked_files` names it, after the process
     pattern = re.compile(rf"\.{re.escape(name) or '.+'}\.\d+\.part")
     with contextlib.suppress(OSError):
         for path in list(folder.iterdir()):

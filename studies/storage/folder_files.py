@@ -9,11 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from ldctoolkit.departures import LEFT, PARAMETER_COLUMNS, RIGHT
-from ldctoolkit.errors import LdcError, StoreError, first_line
-from ldctoolkit.recordings.departures_table import read_signals, signals_path, signals_table
-from ldctoolkit.scenarios import Drifts, Scenarios
-from ldctoolkit.whole_file import (
+from ldctoolkit.checked_files import (
     check_parquet,
     json_text,
     parquet_bytes,
@@ -22,6 +18,10 @@ from ldctoolkit.whole_file import (
     without_checksum,
     write_whole,
 )
+from ldctoolkit.departures import LEFT, PARAMETER_COLUMNS, RIGHT
+from ldctoolkit.errors import LdcError, StoreError, first_line
+from ldctoolkit.recordings.departures_table import read_signals, signals_path, signals_table
+from ldctoolkit.scenarios import Drifts, Scenarios
 
 if TYPE_CHECKING:
     import polars as pl

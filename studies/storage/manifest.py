@@ -15,10 +15,10 @@ from typing import Annotated, Any, Final, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
+from ldctoolkit.checked_files import parse_json, read_regular, without_checksum
 from ldctoolkit.errors import StoreError
 from ldctoolkit.registry import with_content
 from ldctoolkit.version import DECISIVE, versions
-from ldctoolkit.whole_file import parse_json, read_regular, without_checksum
 
 from ..design import Design
 from ..study_file import Study

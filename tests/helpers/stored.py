@@ -5,7 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from ldctoolkit.whole_file import json_text
+from ldctoolkit.checked_files import json_text
 
 
 def rewrite_json(path: Path, change: Callable[[dict[str, Any]], object]) -> dict[str, Any]:

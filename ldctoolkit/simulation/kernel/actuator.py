@@ -9,10 +9,10 @@ import math
 
 import numba
 
-from ldctoolkit.lane_functions import decay, moments
 from ldctoolkit.numba_internals import OPTIONS, fma
 from ldctoolkit.simulation.kernel import data
 from ldctoolkit.simulation.kernel.scoring import L
+from ldctoolkit.vector_math import decay, moments
 
 
 @numba.njit(**OPTIONS)

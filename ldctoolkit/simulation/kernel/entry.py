@@ -11,8 +11,8 @@ from typing import Any
 import numba
 import numpy as np
 
-import ldctoolkit.lane_functions as lane_functions
 import ldctoolkit.numba_internals as numba_internals
+import ldctoolkit.vector_math as vector_math
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.metrics import SCENARIO_METRICS
 from ldctoolkit.numba_internals import OPTIONS, source_version, uncounted
@@ -21,7 +21,7 @@ from ldctoolkit.simulation.kernel import actuator, data, exact_loop, rk4_loop, r
 from ldctoolkit.simulation.kernel.data import ALIVE, COMMAND, LANES, SEEN_E_Y, WHEEL_SEEN
 from ldctoolkit.simulation.kernel.road import lay_road, segment_size, substeps_of
 
-_SOURCES = (numba_internals, lane_functions, data, scoring, exact_loop, actuator, road, sight, rk4_loop, kernels)
+_SOURCES = (numba_internals, vector_math, data, scoring, exact_loop, actuator, road, sight, rk4_loop, kernels)
 
 
 def _entries(version: int) -> Any:

@@ -13,10 +13,10 @@ from typing import Final
 
 import numba
 
-from ldctoolkit.lane_functions import touches
 from ldctoolkit.numba_internals import LARGEST_FLOAT, OPTIONS, copy, fma, larger
 from ldctoolkit.simulation.kernel import data, scoring
 from ldctoolkit.simulation.kernel.scoring import L, length_of
+from ldctoolkit.vector_math import touches
 
 _CHANGED: Final = data.A_Y_START // L  # Rows that a run changes, but for those of the law
 _NOT_FINITE: Final = 2.0  # Event of a command that is not finite

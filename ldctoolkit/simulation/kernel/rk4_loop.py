@@ -19,11 +19,11 @@ from typing import Final
 import numba
 import numpy as np
 
-from ldctoolkit.lane_functions import arctan, cosine, sine, touches
 from ldctoolkit.numba_internals import OPTIONS, copy, fma, larger
 from ldctoolkit.simulation.kernel import actuator, data, scoring, sight
 from ldctoolkit.simulation.kernel.road import HEADER, POINT_SIZE, lay_point, lay_road, segment_size, substeps_of
 from ldctoolkit.simulation.kernel.scoring import L, rings
+from ldctoolkit.vector_math import arctan, cosine, sine, touches
 from ldctoolkit.vehicle.bicycle import GRAVITY
 
 _SPUN: Final = 1.5

@@ -7,11 +7,11 @@ from typing import Final
 
 import numba
 
-from ldctoolkit.lane_functions import cosine, sine
 from ldctoolkit.numba_internals import OPTIONS, copy, fma
 from ldctoolkit.simulation.kernel import data
 from ldctoolkit.simulation.kernel.actuator import lay_lag
 from ldctoolkit.simulation.kernel.scoring import L, length_of, rings
+from ldctoolkit.vector_math import cosine, sine
 
 # a segment of the road: its length, whether it is before T and after the delay, the length of a substep, what a lag
 # leaves of a distance over both lengths, and the parabola of that over a substep; then two points a substep and one

@@ -11,9 +11,9 @@ from typing import Final
 
 import numba
 
-from ldctoolkit.lane_functions import absolute_area, hermite_peak, quartic_root, touches
 from ldctoolkit.numba_internals import OPTIONS, copy, fma, larger
 from ldctoolkit.simulation.kernel import data
+from ldctoolkit.vector_math import absolute_area, hermite_peak, quartic_root, touches
 
 L: Final = data.LANES
 

@@ -15,7 +15,7 @@ from helpers.closed_loop import Constant, Stepped, grid, some
 from helpers.errors import refused
 from helpers.reference_loop import Vehicle
 from ldctoolkit import BicycleModel, Controller, Plant, Scenarios, VehicleParameters, simulate
-from ldctoolkit import lane_functions as lanes
+from ldctoolkit import vector_math as lanes
 from ldctoolkit.errors import LdcError
 from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Tyres
 from ldctoolkit.simulation.takeover import true_vehicles

@@ -20,8 +20,8 @@ from ldctoolkit.scenario_model import load_model
 from ldctoolkit.studies import Study, StudyResults, rank_study, read_manifest, read_results, run_study
 from ldctoolkit.studies.risk import estimate_risk
 from ldctoolkit.studies.robustness import RobustnessTask, robustness_of, stored_of
+from ldctoolkit.studies.storage.scenario_source import read_model
 from ldctoolkit.studies.storage.store import Store
-from ldctoolkit.studies.storage.stored_model import read_model
 
 DAMAGES = 600 if LONG else 60
 

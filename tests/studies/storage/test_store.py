@@ -31,7 +31,7 @@ from ldctoolkit.studies.storage.checked_parts import read_part
 from ldctoolkit.studies.storage.folder_files import read_scenarios, write_scenarios
 from ldctoolkit.studies.storage.manifest import read_manifest
 from ldctoolkit.studies.storage.run_table import SharedRows, parse_part
-from ldctoolkit.studies.storage.stored_model import MODEL, read_model
+from ldctoolkit.studies.storage.scenario_source import MODEL, read_model
 
 N = 12
 
