@@ -33,7 +33,9 @@ def invented(d: int, n: int) -> StudyResults:
     S = (0.3 + 0.02 * generator.random(d))[:, None] * depth + 0.05 * generator.gamma(0.5, 2.0, (d, n))
     metrics = {field.name: generator.gamma(2.0, 1.0, (d, n)).astype(np.float32)
                   for field in dataclasses.fields(MetricValues)}  # fmt: skip
-    designs = tuple(Design("lqr" if i else "none", 0.1 + 1e-5 * i, ()) for i in range(d))
+    lqr = Design.from_gains("lqr", 0.1, {})
+    rest = (dataclasses.replace(lqr, y_s=0.1 + 1e-5 * i) for i in range(1, d))
+    designs = (Design.from_gains("none", 0.1, {}), *rest)
     scenarios = Scenarios.from_arrays(
         T=2.0, d_y=generator.gamma(2.0, 0.3, n), v_mean=20.0, side=np.where(np.arange(n) < 0.6 * n, 1, -1)
     )
