@@ -34,6 +34,7 @@ LEVELS = (
     ),
     ("ldctoolkit.declared", "ldctoolkit.validation"),
     ("ldctoolkit.departures", "ldctoolkit.plant_options"),
+    ("ldctoolkit.clusters",),
     ("ldctoolkit.recordings",),
     ("ldctoolkit.mixture",),
     ("ldctoolkit.scenarios",),

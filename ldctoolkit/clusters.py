@@ -1,0 +1,190 @@
+"""Clusters of recorded departures: those of one trip or driver are alike, and tell less than as many independent ones.
+
+Standard errors come from sums of residuals over whole clusters, corrected for few clusters of unequal size (CR2, with
+the degrees of freedom of Satterthwaite; Bell and McCaffrey, *Survey Methodology* 28, 2002; Imbens and Kolesar, *Review
+of Economics and Statistics* 98, 2016). The working model is a random effect of each cluster, with the intraclass
+correlation that the departures show. What this covers is measured in `tests/ldctoolkit/test_clusters.py`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from typing import Final, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from ldctoolkit.arrays import FloatArray, IntArray, ReadOnly
+from ldctoolkit.departures import DepartureParameters
+
+FEWEST_DRIVERS: Final = 10
+"""With so many drivers, whole drivers are resampled; with fewer, their trips."""
+
+FEWEST_CLUSTERS: Final = 10
+"""With fewer clusters an interval cannot be trusted, and says so."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Clusters(ReadOnly):
+    """Which of n recorded departures belong together.
+
+    Examples
+    --------
+    >>> import ldctoolkit as ldc
+    >>> clusters = Clusters.of(ldc.load_model("reference").sample(2, 1, seed=0))  # not recorded: nothing is known
+    >>> clusters.kind, clusters.count
+    ('departures', 3)
+    """
+
+    kind: Literal["drivers", "trips", "departures"]  # What a cluster is; departures where nothing is known of them
+    index: IntArray  # (n,) Number of each departure's cluster, from 0 on
+    trips: int = 0  # Number of trips, 0 where they are not known
+    drivers: int = 0  # Number of drivers, 0 where they are not known
+    largest_trip: float = 0.0  # Share of the departures in the trip that has most of them
+
+    @classmethod
+    def of(cls, departures: DepartureParameters) -> Clusters:
+        """The drivers of n departures where there are at least 10, or else their trips, or else each by itself.
+
+        A trip is a recording (stretches of one whose clock starts again, ``"a (2)"``, are of one trip); a driver is an
+        entry of the column ``driver``, which counts if it is known of all departures.
+        """
+        recording = getattr(departures, "recording", None)
+        if recording is None or departures.n == 0:
+            return cls("departures", np.arange(departures.n))
+        names = [re.sub(r" \(\d+\)$", "", name) for name in recording.tolist()]
+        trip, trips = _numbered(np.array(names))
+        largest = float(np.bincount(trip).max()) / departures.n
+        column = next((c.values for c in getattr(departures, "extra", ()) if c.name == "driver"), None)
+        driver, drivers = trip, 0
+        if column is not None and (column != "").all():
+            driver, drivers = _numbered(column.astype(np.str_))
+        known = {"trips": trips, "drivers": drivers, "largest_trip": largest}
+        if drivers >= FEWEST_DRIVERS:
+            return cls("drivers", driver, **known)
+        if trips < 2:  # what differs between trips cannot be seen
+            return cls("departures", np.arange(departures.n), **known)
+        return cls("trips", trip, **known)
+
+    @property
+    def count(self) -> int:
+        """Number of clusters."""
+        return int(np.max(self.index, initial=-1)) + 1
+
+    @property
+    def trusted(self) -> bool:
+        """Whether there are enough clusters for an interval."""
+        return self.count >= FEWEST_CLUSTERS and not (self.kind == "departures" and self.trips == 1)
+
+    @property
+    def text(self) -> str:
+        """What the departures come from, and what is resampled; one phrase."""
+        n = self.index.size
+        if not self.trips:
+            return f"{n:,} departures whose trips are not known, taken as independent"
+        by = f" of {self.drivers:,} driver{'s' * (self.drivers > 1)}" if self.drivers else ""
+        share = f", {100.0 * self.largest_trip:.0f} % of them in one trip" if self.trips > 1 else ""
+        text = f"{n:,} departures of {self.trips:,} trip{'s' * (self.trips > 1)}{by}{share}"
+        if self.kind == "departures":
+            return f"{text}; what differs between trips cannot be seen, and intervals cannot be trusted"
+        few = "" if self.trusted else f"; with fewer than {FEWEST_CLUSTERS} {self.kind}, intervals cannot be trusted"
+        return f"{text}{few}"
+
+    def take(self, rows: npt.ArrayLike) -> Clusters:
+        """The clusters of chosen departures, numbered anew; what is known of all of them stays."""
+        index, _ = _numbered(self.index[np.asarray(rows)])
+        return dataclasses.replace(self, index=index)
+
+
+def _numbered(labels: npt.NDArray[np.generic]) -> tuple[IntArray, int]:
+    """Each label as a number in the order of the first occurrences, and how many there are."""
+    _, first, inverse = np.unique(labels, return_index=True, return_inverse=True)
+    order = np.argsort(np.argsort(first))
+    return order[inverse.ravel()].astype(np.int64), first.size
+
+
+@dataclasses.dataclass(frozen=True)
+class ClusterError:
+    """How uncertain k estimates from n clustered departures are."""
+
+    error: FloatArray  # (k,) Standard error
+    df: FloatArray  # (k,) Degrees of freedom of Student's t
+
+
+def cluster_sums(values: FloatArray, index: IntArray) -> FloatArray:
+    """Sums (k, G) of values (k, n) over the departures of each cluster."""
+    order = np.argsort(index, kind="stable")
+    starts = np.searchsorted(index[order], np.arange(int(index.max()) + 1))
+    result: FloatArray = np.add.reduceat(values[:, order], starts, axis=1)
+    return result
+
+
+def cluster_error(influence: FloatArray, index: IntArray, weights: FloatArray | None = None) -> ClusterError:
+    """Standard errors of k weighted means, or of what is one to first order, such as a ratio.
+
+    Parameters
+    ----------
+    influence : (k, n)
+        How far each departure pulls each estimate: y - mean for a mean, (a - R b)/mean(b) for a ratio R of sums of a
+        and b. Their weighted means are 0.
+    index : (n,)
+        Clusters, as those of `Clusters`.
+    weights : (n,), optional
+        Events that each departure stands for.
+
+    Returns
+    -------
+    ClusterError
+        Infinite where there is one cluster only.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> y = np.array([[1.0, 1.2, 3.0, 2.9, 2.0, 2.2]])
+    >>> alone, pairs = (cluster_error(y - y.mean(), i) for i in (np.arange(6), np.array([0, 0, 1, 1, 2, 2])))
+    >>> bool(pairs.error[0] > 1.3 * alone.error[0])
+    True
+    """
+    k, n = influence.shape
+    w = np.full(n, 1.0 / n) if weights is None else weights / weights.sum()
+    H, q = (cluster_sums(row[None], index)[0] for row in (w, w * w))  # share of each cluster, and of squares
+    if H.size < 2 or H.max() >= 1.0:
+        return ClusterError(np.full(k, np.inf), np.ones(k))
+    c = 1.0 / np.sqrt(1.0 - H)
+    sums = cluster_sums(influence * w, index)
+    error = np.sqrt(((sums * c) ** 2).sum(axis=1))
+    rho = _intraclass_correlation(influence, index)[:, None]
+    # covariance of the corrected sums of a working model with variance 1 and this correlation within a cluster:
+    # M_gh = c_g c_h (delta_gh u_g - u_g H_h - H_g u_h + U H_g H_h); df = trace(M)^2 / sum M_gh^2
+    u = (1.0 - rho) * q + rho * H**2
+    U = u.sum(axis=1, keepdims=True)
+    diagonal, cross, share = c**2 * u, c * u, c * H
+    off = -2.0 * cross * share + U * share**2
+    xx, yy, xy = (cross**2).sum(axis=1), float(share @ share), cross @ share
+    squares = (diagonal**2).sum(axis=1) + 2.0 * (diagonal * off).sum(axis=1)
+    squares += 2.0 * (xx * yy + xy**2) + U[:, 0] ** 2 * yy**2 - 4.0 * U[:, 0] * xy * yy
+    trace = (diagonal + off).sum(axis=1)
+    return ClusterError(error, np.maximum(trace**2 / squares, 1.0))
+
+
+def _intraclass_correlation(values: FloatArray, index: IntArray) -> FloatArray:
+    """Share of the variance between clusters, (k,), by analysis of variance; 0 where no cluster has two departures."""
+    k, n = values.shape
+    size = np.bincount(index).astype(np.float64)
+    G = size.size
+    if n == G:
+        return np.zeros(k)
+    means = cluster_sums(values, index) / size
+    between = (size * (means - values.mean(axis=1, keepdims=True)) ** 2).sum(axis=1) / (G - 1)
+    within = ((values - means[:, index]) ** 2).sum(axis=1) / (n - G)
+    typical = (n - float(size @ size) / n) / (G - 1)
+    total = between + (typical - 1.0) * within
+    return np.clip(np.divide(between - within, total, out=np.zeros(k), where=total > 0.0), 0.0, 0.99)
+
+
+def with_tails_of_t(critical: npt.ArrayLike, df: npt.ArrayLike) -> FloatArray:
+    """Critical value of Student's t with the same tail as a critical value of the standard normal distribution."""
+    from scipy.special import ndtr, stdtrit
+
+    return np.asarray(-stdtrit(df, ndtr(-np.asarray(critical, dtype=np.float64))))
