@@ -60,12 +60,12 @@ class Clusters(ReadOnly):
         driver, drivers = trip, 0
         if column is not None and (column != "").all():
             driver, drivers = _numbered(column.astype(np.str_))
-        known = {"trips": trips, "drivers": drivers, "largest_trip": largest}
+        known = (trips, drivers, largest)
         if drivers >= FEWEST_DRIVERS:
-            return cls("drivers", driver, **known)
+            return cls("drivers", driver, *known)
         if trips < 2:  # what differs between trips cannot be seen
-            return cls("departures", np.arange(departures.n), **known)
-        return cls("trips", trip, **known)
+            return cls("departures", np.arange(departures.n), *known)
+        return cls("trips", trip, *known)
 
     @property
     def count(self) -> int:
@@ -180,7 +180,8 @@ def _intraclass_correlation(values: FloatArray, index: IntArray) -> FloatArray:
     within = ((values - means[:, index]) ** 2).sum(axis=1) / (n - G)
     typical = (n - float(size @ size) / n) / (G - 1)
     total = between + (typical - 1.0) * within
-    return np.clip(np.divide(between - within, total, out=np.zeros(k), where=total > 0.0), 0.0, 0.99)
+    result: FloatArray = np.clip(np.divide(between - within, total, out=np.zeros(k), where=total > 0.0), 0.0, 0.99)
+    return result
 
 
 def with_tails_of_t(critical: npt.ArrayLike, df: npt.ArrayLike) -> FloatArray:
