@@ -228,6 +228,7 @@ class ReportSettings(Part):
     """``[report]``."""
 
     D_y: float = Field(default=0.5, gt=0)  # [m] The report counts departures deeper than this (paper, Table I)
+    paper: bool = False  # Whether the source paper's figures are written beside it
 
 
 def _vehicle(entry: Any) -> Any:

@@ -6,7 +6,7 @@ import dataclasses
 import json
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -105,11 +105,12 @@ def source_departures(paths: Sequence[str] | None) -> Departures | None:
 def write_study_report(
     judged: Judged, *, source: Departures | None, figures: bool, departures: Sequence[int] = (),
     designs: Sequence[str] = (),
-) -> Path:  # fmt: skip
-    """Write DIR/report.html and DIR/figures/.
+) -> dict[str, Path]:  # fmt: skip
+    """Write DIR/report.html, DIR/figures/ and, where the study asks for it, DIR/paper.html; returns pages by name.
 
     `departures` are scenario numbers and `designs` starts of ids, for the explorer.
     """
+    from ..pages.paper_page import write_paper_page
     from ..pages.report import report_input, write_report
 
     report = report_input(
@@ -117,7 +118,17 @@ def write_study_report(
         departures=departures, shown_designs=designs, robustness=judged.robustness,
     )  # fmt: skip
     folder = judged.folder
-    return write_report(report, folder / "report.html", figures=folder / "figures" if figures else None)
+    pages = {"report": write_report(report, folder / "report.html", figures=folder / "figures" if figures else None)}
+    if judged.study.report.paper:
+        return pages | {"paper": write_paper_page(report, folder / "paper.html")}
+    (folder / "paper.html").unlink(missing_ok=True)  # of an earlier run
+    return pages
+
+
+def print_pages(pages: Mapping[str, Path]) -> None:
+    """Where the pages are."""
+    for name, path in pages.items():
+        print(f"{name + ':':8} {path}")
 
 
 _MOST_FAILED = 20
@@ -159,7 +170,7 @@ def write_ranking(judged: Judged) -> Path:
     return path
 
 
-def json_summary(judged: Judged, ranking_csv: Path, report: Path) -> str:
+def json_summary(judged: Judged, ranking_csv: Path, pages: Mapping[str, Path]) -> str:
     """The last line of ``ldc run --json``."""
     manifest = judged.manifest
     content = {"event": "done"} | _summary(judged)
@@ -168,8 +179,7 @@ def json_summary(judged: Judged, ranking_csv: Path, report: Path) -> str:
         "executor": manifest.executor,
         "workers": manifest.workers,
         "ranking": str(ranking_csv),
-        "report": str(report),
-    }
+    } | {name: str(path) for name, path in pages.items()}
     return json.dumps(content)
 
 

@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> None:
     from ..pages.replay import rows_of_numbers
     from ..storage.scenario_source import read_model
     from ..storage.store import Store
-    from ._results import Judged, source_departures, write_ranking, write_study_report
+    from ._results import Judged, print_pages, source_departures, write_ranking, write_study_report
 
     source = source_departures(args.source)
     folder = _folder(args.study)
@@ -58,10 +58,10 @@ def run(args: argparse.Namespace) -> None:
     judged = Judged.of(folder, store.manifest, study, results, model=model, drive_plants=not args.no_robustness)
     print(f"ranking: {write_ranking(judged)}")
     with progress_bar("writing the report"):
-        path = write_study_report(
+        pages = write_study_report(
             judged, source=source, figures=not args.no_figures, departures=args.departure, designs=args.design
         )
-    print(f"report:  {path}")
+    print_pages(pages)
 
 
 def _folder(name: str) -> Path:

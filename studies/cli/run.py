@@ -126,7 +126,15 @@ def _run(args: argparse.Namespace, progress: Progress | None) -> int:
     from ..storage.manifest import read_manifest
     from ..storage.scenario_source import with_counts, with_recorded_widths
     from ..study_file import load_study
-    from ._results import Judged, json_summary, print_ranking, source_departures, write_ranking, write_study_report
+    from ._results import (
+        Judged,
+        json_summary,
+        print_pages,
+        print_ranking,
+        source_departures,
+        write_ranking,
+        write_study_report,
+    )
 
     study = load_study(args.study)
     if args.departures is not None:
@@ -164,11 +172,11 @@ def _run(args: argparse.Namespace, progress: Progress | None) -> int:
     # files last: what they are called is the last thing on the screen
     with progress_bar("writing ranking and report", show=not silent):
         ranking_path = write_ranking(judged)
-        report_path = write_study_report(judged, source=report_source, figures=not args.no_figures)
+        pages = write_study_report(judged, source=report_source, figures=not args.no_figures)
     if args.json:
-        print(json_summary(judged, ranking_path, report_path))
+        print(json_summary(judged, ranking_path, pages))
     else:
         print(f"ranking: {ranking_path}")
-        print(f"report:  {report_path}")
+        print_pages(pages)
     fresh_failed = results.fresh is not None and results.fresh.failed
     return SOME_FAILED if results.failed or fresh_failed else 0

@@ -129,8 +129,8 @@ def nice_step(span: float, most: int) -> float:
     return next(m * ten for m in (1.0, 2.0, 5.0, 10.0) if m * ten >= rough * (1 - 1e-9))
 
 
-Kind = Literal["line", "steps", "marked", "started", "points", "bars", "outline"]
-"""A line, with steps, with all points or the first one marked; points alone; a histogram, filled or as a line."""
+Kind = Literal["line", "thin", "steps", "marked", "started", "points", "bars", "outline"]
+"""A line, one of many, with steps, all points or the first one marked; points alone; a filled histogram or its line."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -277,7 +277,7 @@ FILE_STYLE: Final = (
     ".chart{font:12px sans-serif;--ink:#222;--soft:#666;--grid:#ddd;--paper:#fff;--bad:#b3261e;--shade:#f3d9d6}"
     ".recorded{--c:#595959}text{fill:var(--ink)}.soft{fill:var(--soft)}.grid{stroke:var(--grid);fill:none}"
     ".axis{stroke:var(--soft);fill:none}.curve{stroke:var(--c);fill:none;stroke-width:1.8}"
-    ".band{fill:var(--c);opacity:.16}.mark{stroke:var(--c);fill:var(--c)}.open{fill:var(--paper)}"
+    ".thin{stroke:var(--c);fill:none;stroke-width:.7;opacity:.45}.band{fill:var(--c);opacity:.16}.mark{stroke:var(--c);fill:var(--c)}.open{fill:var(--paper)}"
     ".bar{fill:var(--c);opacity:.45}.limit{stroke:var(--bad);fill:none;stroke-dasharray:8 3 2 3}"
     ".on-dark{fill:#fff}.on-light{fill:#000}.shade{fill:var(--shade);opacity:.6}.front{stroke:var(--soft);fill:none}.ring{stroke:var(--ink);fill:none}"
 )
@@ -385,7 +385,7 @@ def _curves(chart: Chart, frame: _Frame) -> _Frame:
             frame.draw("bar" if filled else "curve", around, series.style, dashed=not filled)
         elif series.kind != "points":
             path = frame.path(series.x, series.y, steps=series.kind == "steps")
-            frame.draw("curve", path, series.style, series.label)
+            frame.draw("thin" if series.kind == "thin" else "curve", path, series.style, series.label)
             if series.kind in ("marked", "started"):
                 points = list(_places(frame, series))
                 shown = points if series.kind == "marked" else points[:1]

@@ -1,7 +1,7 @@
 """The page of a fit: whether a scenario model describes its departures, and what it is good enough for."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -11,7 +11,7 @@ from markupsafe import Markup
 
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.departures import PARAMETER_NAMES, Departures
-from ldctoolkit.diagnostics import N_MODEL, Calibration, ModelDiagnostics, PairDensity, SideDiagnostics, diagnose_model
+from ldctoolkit.diagnostics import N_MODEL, Calibration, ModelDiagnostics, SideDiagnostics, diagnose_model
 from ldctoolkit.scenario_model import ScenarioModel, SideModel, SideSummary
 from ldctoolkit.scenario_model.fidelity import QUANTITIES, UNITS
 from ldctoolkit.version import __version__
@@ -260,7 +260,7 @@ def _joint(sides: tuple[Side, ...]) -> Section:
     for side in sides:
         pair = side.diagnostics.joint
         if pair is not None:
-            charts = [_density(side.key, pair, values, what)
+            charts = [density(side.key, (pair.first_edges, pair.second_edges), values, what)
                       for what, values in (("events", pair.data), ("model", pair.model))]  # fmt: skip
             body += figure(
                 charts, f"{side.title}: events, and the model, on one scale of the square root of the density."
@@ -268,12 +268,13 @@ def _joint(sides: tuple[Side, ...]) -> Section:
     return Section("joint", "T and d_y", body or paragraphs("T or d_y does not vary."))
 
 
-def _density(key: str, pair: PairDensity, values: FloatArray, what: str) -> Chart:
+def density(key: str, pair: Sequence[FloatArray], values: FloatArray, what: str) -> Chart:
+    """Joint density of T and d_y between their edges, as a heat map of its square root."""
     cells = np.sqrt(values.T)
     cells[cells == 0.0] = np.nan
     labels = [
         [compact(float(f"{edge:.3g}")) if i % max(1, (edges.size - 1) // 5) == 0 else "" for i, edge in enumerate(low)]
-        for edges, low in ((edges, edges[:-1].tolist()) for edges in (pair.first_edges, pair.second_edges))
+        for edges, low in ((edges, edges[:-1].tolist()) for edges in pair)
     ]
     title, empty = f"{key}: density of T and d_y, {what}", [[""] * cells.shape[1]] * cells.shape[0]
     x, y = (f"T [s], {what}", labels[0]), ("d_y [m]", labels[1])
@@ -281,7 +282,7 @@ def _density(key: str, pair: PairDensity, values: FloatArray, what: str) -> Char
 
 
 def _selection(sides: tuple[Side, ...]) -> Section:
-    body, series = Markup(), []
+    body = Markup()
     for side in sides:
         summary = side.summary
         if summary is None or not summary.bic:
@@ -289,10 +290,7 @@ def _selection(sides: tuple[Side, ...]) -> Section:
             continue
         if summary.reason:
             body += paragraphs(f"{side.title}: {summary.reason}.")
-        K, bic = np.array(summary.n_components, dtype=float), np.array(summary.bic)
-        above = bic - bic.min()
-        if K.size > 1:
-            series.append(Series(side.key, K, above, SIDE[side.key]))
+        above = np.array(summary.bic) - min(summary.bic)
         columns = [Column("K"), Column("BIC"), Column("Above the least"), Column("Log-likelihood", "nats an event")]
         rows = [
             Row(
@@ -302,12 +300,22 @@ def _selection(sides: tuple[Side, ...]) -> Section:
             for i, k in enumerate(summary.n_components)
         ]
         body += to_html(Table(f"{side.title}: choice of K; the chosen one is set in bold", columns, rows))
-    if series:
-        x = Axis("K", min(curve.x[0] for curve in series), max(curve.x[-1] for curve in series))
-        y = Axis.around("BIC above the least", *(curve.y for curve in series), [0.0])
-        key = legend([(curve.label, curve.style) for curve in series])
-        body += figure([Chart("bic", "BIC", x, y, series)], "BIC above its least value, by K.", key)
-    return Section("selection", "Choice of K", body)
+    return Section("selection", "Choice of K", body + bic_figure([(side.key, side.summary) for side in sides]))
+
+
+def bic_figure(sides: Sequence[tuple[str, SideSummary | None]]) -> Markup:
+    """BIC over K of the sides for which several K were fitted; nothing without one."""
+    series = [
+        Series(key, np.array(side.n_components, dtype=float), np.array(side.bic) - min(side.bic), SIDE[key])
+        for key, side in sides
+        if side is not None and len(side.bic) > 1
+    ]
+    if not series:
+        return Markup()
+    x = Axis("K", min(curve.x[0] for curve in series), max(curve.x[-1] for curve in series))
+    y = Axis.around("BIC above the least", *(curve.y for curve in series), [0.0])
+    key = legend([(curve.label, curve.style) for curve in series])
+    return figure([Chart("bic", "BIC", x, y, series)], "BIC above its least value, by K.", key)
 
 
 def _settings(model: ScenarioModel, sides: tuple[Side, ...], seed: int) -> Section:

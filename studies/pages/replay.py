@@ -18,6 +18,7 @@ from ldctoolkit.simulation import Takeover, drive
 from ..design import PAPER_LAW, is_paper_design, named_designs
 from ..results import FAILED_STATUSES
 from ..storage.measure_table import remembered
+from ..text import percent
 from .context import Context
 
 MOST_DESIGNS: Final = 8
@@ -161,9 +162,26 @@ class Replay:
     paths: tuple[DesignPaths, ...]
     mismatch: float
 
+    @property
+    def note(self) -> str:
+        """The warning of scores that are not the stored ones; empty where they are."""
+        if self.mismatch <= 1e-3:
+            return ""
+        return (
+            f"Paths were driven again for this page and differ from the stored scores by up to "
+            f"{percent(self.mismatch)}: the results are of another version or machine."
+        )
 
-def replay(context: Context, departures: tuple[ExplorerDeparture, ...], designs: tuple[ExplorerDesign, ...]) -> Replay:
-    """Paths of designs with vehicle, plant, seed and clock of the study: simulated once, then read from its folder."""
+
+def replay(
+    context: Context,
+    departures: tuple[ExplorerDeparture, ...],
+    designs: tuple[ExplorerDesign, ...],
+    name: str = "paths",
+) -> Replay:
+    """Paths of designs with vehicle, plant, seed and clock of the study: simulated once, then read from its folder,
+    where they are in a file of that name.
+    """
     scenarios = context.scenarios.take([departure.row for departure in departures])
     setup, ids = context.report.setup, [context.ranking.designs[entry.position].id for entry in designs]
 
@@ -174,7 +192,7 @@ def replay(context: Context, departures: tuple[ExplorerDeparture, ...], designs:
 
     content = hashlib.sha256(b"".join(array.tobytes() for array in scenarios.arrays())).hexdigest()
     key = [ids, content, dataclasses.asdict(setup), context.results.window, DesignPaths._fields]
-    arrays = remembered(context.report.folder, "paths", key, drive_all)
+    arrays = remembered(context.report.folder, name, key, drive_all)
     paths = tuple(DesignPaths(*arrays[id]) for id in ids)
     recorded = UncorrectedPath.of(scenarios, setup.options.residuals, setup.seed)
     return Replay(departures, designs, scenarios, recorded, paths, float(arrays["mismatch"]))
