@@ -102,13 +102,13 @@ def source_departures(paths: Sequence[str] | None) -> Departures | None:
     return read_all_departures(paths)[0]
 
 
-def write_study_report(
+def write_files(
     judged: Judged, *, source: Departures | None, figures: bool, departures: Sequence[int] = (),
     designs: Sequence[str] = (),
 ) -> dict[str, Path]:  # fmt: skip
-    """Write DIR/report.html, DIR/figures/ and, where the study asks for it, DIR/paper.html; returns pages by name.
+    """Write the ranking, DIR/report.html, DIR/figures/ and, where the study asks for it, DIR/paper.html.
 
-    `departures` are scenario numbers and `designs` starts of ids, for the explorer.
+    `departures` are scenario numbers and `designs` starts of ids, for the explorer. Returns the main files by name.
     """
     from ..pages.paper_page import write_paper_page
     from ..pages.report import report_input, write_report
@@ -117,18 +117,12 @@ def write_study_report(
         judged.folder, judged.study, judged.manifest, judged.results, judged.ranking, source=source,
         departures=departures, shown_designs=designs, robustness=judged.robustness,
     )  # fmt: skip
-    folder = judged.folder
-    pages = {"report": write_report(report, folder / "report.html", figures=folder / "figures" if figures else None)}
+    folder, files = judged.folder, {"ranking": write_ranking(judged)}
+    files["report"] = write_report(report, folder / "report.html", figures=folder / "figures" if figures else None)
     if judged.study.report.paper:
-        return pages | {"paper": write_paper_page(report, folder / "paper.html")}
+        return files | {"paper": write_paper_page(report, folder / "paper.html")}
     (folder / "paper.html").unlink(missing_ok=True)  # of an earlier run
-    return pages
-
-
-def print_pages(pages: Mapping[str, Path]) -> None:
-    """Where the pages are."""
-    for name, path in pages.items():
-        print(f"{name + ':':8} {path}")
+    return files
 
 
 _MOST_FAILED = 20
@@ -170,7 +164,7 @@ def write_ranking(judged: Judged) -> Path:
     return path
 
 
-def json_summary(judged: Judged, ranking_csv: Path, pages: Mapping[str, Path]) -> str:
+def json_summary(judged: Judged, files: Mapping[str, Path]) -> str:
     """The last line of ``ldc run --json``."""
     manifest = judged.manifest
     content = {"event": "done"} | _summary(judged)
@@ -178,8 +172,7 @@ def json_summary(judged: Judged, ranking_csv: Path, pages: Mapping[str, Path]) -
         "wall_time_s": round(manifest.wall_time_s, 3),
         "executor": manifest.executor,
         "workers": manifest.workers,
-        "ranking": str(ranking_csv),
-    } | {name: str(path) for name, path in pages.items()}
+    } | {name: str(path) for name, path in files.items()}
     return json.dumps(content)
 
 

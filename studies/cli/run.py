@@ -126,15 +126,7 @@ def _run(args: argparse.Namespace, progress: Progress | None) -> int:
     from ..storage.manifest import read_manifest
     from ..storage.scenario_source import with_counts, with_recorded_widths
     from ..study_file import load_study
-    from ._results import (
-        Judged,
-        json_summary,
-        print_pages,
-        print_ranking,
-        source_departures,
-        write_ranking,
-        write_study_report,
-    )
+    from ._results import Judged, json_summary, print_ranking, source_departures, write_files
 
     study = load_study(args.study)
     if args.departures is not None:
@@ -171,12 +163,10 @@ def _run(args: argparse.Namespace, progress: Progress | None) -> int:
         )
     # files last: what they are called is the last thing on the screen
     with progress_bar("writing ranking and report", show=not silent):
-        ranking_path = write_ranking(judged)
-        pages = write_study_report(judged, source=report_source, figures=not args.no_figures)
+        files = write_files(judged, source=report_source, figures=not args.no_figures)
     if args.json:
-        print(json_summary(judged, ranking_path, pages))
+        print(json_summary(judged, files))
     else:
-        print(f"ranking: {ranking_path}")
-        print_pages(pages)
+        print("\n".join(f"{name + ':':8} {path}" for name, path in files.items()))
     fresh_failed = results.fresh is not None and results.fresh.failed
     return SOME_FAILED if results.failed or fresh_failed else 0

@@ -385,7 +385,8 @@ def _curves(chart: Chart, frame: _Frame) -> _Frame:
             frame.draw("bar" if filled else "curve", around, series.style, dashed=not filled)
         elif series.kind != "points":
             path = frame.path(series.x, series.y, steps=series.kind == "steps")
-            frame.draw("thin" if series.kind == "thin" else "curve", path, series.style, series.label)
+            many = series.kind == "thin"
+            frame.draw("thin" if many else "curve", path, series.style, series.label, dashed=not many)
             if series.kind in ("marked", "started"):
                 points = list(_places(frame, series))
                 shown = points if series.kind == "marked" else points[:1]

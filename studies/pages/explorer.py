@@ -40,7 +40,11 @@ def section(context: Context) -> Section:
         departures = explorer_departures(context, designs)
         replayed = replay(context, departures, designs)
         data = _data(context, replayed, every)
-        note = replayed.note
+        if replayed.mismatch > 1e-3:
+            note = (
+                f"Paths were driven again for this page and differ from the stored scores by up to "
+                f"{percent(replayed.mismatch)}: the results are of another version or machine."
+            )
     body = render("explorer.html", explorer=data is not None, note=note)
     entries = [("No control", RECORDED), *((law_title(context.ranking.designs[i]), context.style(i)) for i in shown)]
     body += Markup("<h3>Distributions</h3>") + figure(

@@ -18,7 +18,6 @@ from ldctoolkit.simulation import Takeover, drive
 from ..design import PAPER_LAW, is_paper_design, named_designs
 from ..results import FAILED_STATUSES
 from ..storage.measure_table import remembered
-from ..text import percent
 from .context import Context
 
 MOST_DESIGNS: Final = 8
@@ -162,26 +161,11 @@ class Replay:
     paths: tuple[DesignPaths, ...]
     mismatch: float
 
-    @property
-    def note(self) -> str:
-        """The warning of scores that are not the stored ones; empty where they are."""
-        if self.mismatch <= 1e-3:
-            return ""
-        return (
-            f"Paths were driven again for this page and differ from the stored scores by up to "
-            f"{percent(self.mismatch)}: the results are of another version or machine."
-        )
-
 
 def replay(
-    context: Context,
-    departures: tuple[ExplorerDeparture, ...],
-    designs: tuple[ExplorerDesign, ...],
-    name: str = "paths",
+    context: Context, departures: Sequence[ExplorerDeparture], designs: tuple[ExplorerDesign, ...], name: str = "paths"
 ) -> Replay:
-    """Paths of designs with vehicle, plant, seed and clock of the study: simulated once, then read from its folder,
-    where they are in a file of that name.
-    """
+    """Paths of designs with vehicle, plant, seed and clock of the study: simulated once, then read from DIR/NAME."""
     scenarios = context.scenarios.take([departure.row for departure in departures])
     setup, ids = context.report.setup, [context.ranking.designs[entry.position].id for entry in designs]
 
@@ -195,11 +179,11 @@ def replay(
     arrays = remembered(context.report.folder, name, key, drive_all)
     paths = tuple(DesignPaths(*arrays[id]) for id in ids)
     recorded = UncorrectedPath.of(scenarios, setup.options.residuals, setup.seed)
-    return Replay(departures, designs, scenarios, recorded, paths, float(arrays["mismatch"]))
+    return Replay(tuple(departures), designs, scenarios, recorded, paths, float(arrays["mismatch"]))
 
 
 def _driven(
-    context: Context, departures: tuple[ExplorerDeparture, ...], scenarios: Scenarios, entry: ExplorerDesign
+    context: Context, departures: Sequence[ExplorerDeparture], scenarios: Scenarios, entry: ExplorerDesign
 ) -> tuple[DesignPaths, float]:
     setup, results, design = context.report.setup, context.results, context.ranking.designs[entry.position]
     index = int(context.ranking.index[entry.position])
