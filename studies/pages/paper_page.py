@@ -38,7 +38,6 @@ REDUCTION: Final = {"left": 26.47, "right": 34.24}  # [%] of mean S, from the tr
 MOST_PATHS: Final = 200  # of a side; as many as in the paper
 
 _DRAWN: Final = 20_000  # departures of a side that show the model
-_BINS: Final = 24
 _STEP: Final = 0.2  # [s] between the drawn points of a path
 _LINE: Final = Style(-1, "", "o")
 _CENTRE: Final = Style(-1, "9 3 2 3", "o")
@@ -163,7 +162,8 @@ def _model(context: Context) -> Section:
             values = [*samples, *(known[name][:1] if name in known else [])]
             ends = np.array([np.quantile(column, (0.003, 0.997)) for column in values])
             if ends.size and np.ptp(ends) > 0.0:
-                edges = np.linspace(ends.min(), ends.max(), _BINS + 1)
+                bins = int(np.clip(3.0 * np.cbrt(_DRAWN if isinstance(source, str) else source[1]), 8, 24))
+                edges = np.linspace(ends.min(), ends.max(), bins + 1)
                 shares = [(kind, 100.0 * np.diff(np.interp(edges, *known[name])), SIDE[side])] if name in known else []
                 lines = [("model", 100.0 * np.histogram(x, edges)[0] / x.size, MODEL) for x in samples]
                 title = f"{side}: {name}, {PARAMETER_MEANINGS[name]}"
@@ -189,7 +189,8 @@ def _joint(
     """Densities of T and d_y: of recorded departures, or what a model's file keeps of them, and of the model."""
     tables = {what: (table.T, table.d_y) for what, table in departures.items() if table}
     ends = [np.quantile(np.concatenate(values), (0.0, 0.995)) for values in zip(*tables.values(), strict=True)]
-    edges, cells = [np.linspace(low, high, _BINS + 1) for low, high in ends], {}
+    b = int(np.clip(math.isqrt(min((table[0].size for table in tables.values()), default=0) // 4), 5, 12))
+    edges, cells = [np.linspace(low, high, b + 1) for low, high in ends], {}
     if kept is not None and kept.names[:2] == ("T", "d_y"):  # the first pair of the summary
         b = math.isqrt(len(kept.cells[0]))
         edges = [cell_edges(np.array(values), b) for values in kept.quantiles[:2]]
@@ -243,16 +244,16 @@ def _scores(scores: Sequence[Score], level: float) -> Section:
     rows, spread, curves = list[Row](), list[list[Dot]](), list[Chart]()
     S_columns = ("Without control", "Std. dev.", "With control", "Std. dev.")
     columns = [
-        Column("S counts", text=True), Column("Side", text=True), Column("Departures"),
+        Column("Side", text=True), Column("S from", text=True), Column("Departures"),
         *(Column(title, "m\u00b7s", ".3f") for title in S_columns), Column("Reduction", "%", ".2f"),
         Column(f"{percent(level, 0)} interval", "%", ".1f"), Column("Paper", "%", ".2f"),
     ]  # fmt: skip
     for score in scores:
         pairs = (("without control", score.S_0, RECORDED), ("with control", score.S, SIDE[score.side]))
         moments = [(float(S.mean()), float(S.std(ddof=1)) if S.size > 1 else math.nan) for _, S, _ in pairs]
-        paper, counts = None, "whole departure"
+        paper, start = None, "the crossing"
         if score.window == "control":
-            paper, counts = REDUCTION[score.side], "from the trigger"
+            paper, start = REDUCTION[score.side], "the trigger"
             spread.append([
                 Dot(score.side, mean, mean - sigma, mean + sigma, style, tip=what)
                 for (mean, sigma), (what, _, style) in zip(moments, pairs, strict=True)
@@ -261,7 +262,7 @@ def _scores(scores: Sequence[Score], level: float) -> Section:
             x = dataclasses.replace(chart.x, label=f"Number of departures, {score.side}")
             curves.append(dataclasses.replace(chart, x=x, title=f"Mean S, {score.side}"))
         reduction, low, high = score.reduction
-        rows.append(Row([counts, score.side, score.S.size, *moments[0], *moments[1], reduction, (low, high), paper]))
+        rows.append(Row([score.side, start, score.S.size, *moments[0], *moments[1], reduction, (low, high), paper]))
     x = Axis.around("S [m\u00b7s]", [end for row in spread for dot in row for end in (dot.low, dot.high)])
     caption = (
         "S from the trigger on. First: mean, and one standard deviation of the departures to both sides. Then: mean S "
