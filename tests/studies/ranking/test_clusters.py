@@ -67,11 +67,11 @@ def test_values_of_clusters_keep_mean_and_error() -> None:
 
 
 def recorded(trips: int, drivers: int = 0) -> Departures:
-    """Departures of trips in turn, which differ in their depth."""
+    """Departures of trips in turn, which differ in their duration."""
     drawn = load_model("reference").sample(90, 90, seed=5)
     number = np.random.default_rng(2).integers(trips, size=drawn.n)
     columns = {name: getattr(drawn, name) for name in PARAMETER_NAMES}
-    columns["d_y"] = drawn.d_y * (0.2 + 1.8 * (number % 3 == 0))
+    columns["T"] = drawn.T * (0.6 + 1.8 * (number % 3 == 0))
     extra = (ExtraColumn("driver", np.char.add("D", (number % drivers).astype(str))),) if drivers else ()
     return Departures(
         drawn.side, **columns, recording=np.char.add("trip ", number.astype(str)), extra=extra,
