@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Iterable, Iterator
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.clusters import cluster_error, cluster_values, with_tails_of_t
 from ldctoolkit.declared import checked_number
 from ldctoolkit.errors import InputError
 from ldctoolkit.metrics import TAIL
@@ -198,7 +200,7 @@ def half_widths(critical: float | FloatArray, errors: FloatArray) -> FloatArray:
     return result
 
 
-def skewed_widths(critical: float, errors: FloatArray, cubes: FloatArray) -> tuple[FloatArray, FloatArray]:
+def skewed_widths(critical: float | FloatArray, errors: FloatArray, cubes: FloatArray) -> tuple[FloatArray, FloatArray]:
     """How far intervals of skewed scores reach below and above their estimates.
 
     With g = cubes / errors^3, the skewness of an estimate, the Edgeworth expansion of Student's t (Hall 1992,
@@ -219,13 +221,6 @@ def degrees_of_freedom(side: IntArray) -> int:
     return max(1, side.size - np.unique(side).size)
 
 
-def with_tails_of_t(critical: float, df: int) -> float:
-    """Critical value of Student's t with the same tail as a critical value of the standard normal distribution."""
-    from scipy.special import ndtr, stdtrit
-
-    return float(-stdtrit(df, ndtr(-critical)))
-
-
 _RESAMPLED_ENTRIES = 32_000  # resampled differences held at once; they stay in the cache
 _STORED_PARTS = 20_000_000  # error parts that are stored (160 MB); more are computed again for each reference
 
@@ -244,6 +239,8 @@ class Resampled:
     parts: FloatArray | None
     df: int  # Degrees of freedom of a standard error
     known: bool = True  # Whether there is a standard error: `spread_is_known`
+    # Of recorded departures: scores (D, n) of every departure and their clusters (n,); the table has a value a cluster
+    departures: tuple[FloatArray, IntArray] | None = None
 
     @classmethod
     def of(
@@ -255,20 +252,41 @@ class Resampled:
         samples: int,
         stream: int = 0,
         rows: IntArray | None = None,
+        cluster: IntArray | None = None,
     ) -> Resampled:
-        """Resample scenarios within each side."""
+        """Resample scenarios within each side; with clusters (n,) whole clusters, whatever their sides."""
         rows = np.arange(len(scores)) if rows is None else rows
+        departures = None
+        if cluster is not None:
+            departures = scores, np.unique(cluster, return_inverse=True)[1].ravel()
+            scores = cluster_values(*departures)
+            side = np.zeros(scores.shape[1], dtype=np.int64)
         few = rows.size * side.size <= _STORED_PARTS
+        deviations = bootstrap_deviations(scores, side, samples=samples, seed=seed, stream=stream, rows=rows)
+        if cluster is not None:  # resamples of G values vary by (G - 1)/G of the squared standard error
+            deviations *= math.sqrt(side.size / max(side.size - 1, 1))
         return cls(
             table=scores,
             rows=rows,
             side=side,
             mean=row_means(scores, rows),
-            deviations=bootstrap_deviations(scores, side, samples=samples, seed=seed, stream=stream, rows=rows),
+            deviations=deviations,
             parts=error_parts(scores[rows], side) if few else None,
             df=degrees_of_freedom(side),
             known=spread_is_known(side),
+            departures=departures,
         )
+
+    def degrees(self, reference: int | None = None) -> FloatArray | int:
+        """Degrees of freedom of every mean, or of its paired difference to the reference: (d,) for clusters."""
+        if self.departures is None:
+            return self.df
+        scores, cluster = self.departures
+        df = np.empty(self.mean.size)
+        for positions, block in row_blocks(scores, self.rows):
+            change = block if reference is None else block - scores[self.rows[reference]]
+            df[positions] = cluster_error(change - row_means(change)[:, None], cluster).df
+        return df
 
     def take(self, rows: IntArray) -> Resampled:
         """The given designs on the same resamples."""
@@ -317,6 +335,8 @@ class Resampled:
     def cubes(self, reference: int | None = None) -> FloatArray:
         """Third moment of every mean, or of its paired difference to the reference, (d,) [m s^3]."""
         result = np.zeros(self.mean.size)
+        if self.departures is not None:  # intervals of few clusters are wide enough: their coverage was measured
+            return result
         other = np.zeros(self.side.size) if reference is None else self._parts_of(reference)
         for positions, parts in self._part_blocks():
             result[positions] = paired_cubes(parts, other)
@@ -358,12 +378,13 @@ def _largest(scores: FloatArray) -> float:
     return float(np.abs(scores).max(initial=0.0))
 
 
-def critical_value(largest: FloatArray, confidence: float, df: int) -> float:
-    """Number of standard errors that the largest studentised deviation stays below with the confidence.
+def critical_value(largest: FloatArray, confidence: float, df: FloatArray | float) -> Any:
+    """Number of standard errors that the largest studentised deviation stays below with the confidence; as `df` (d,).
 
     With the tails of Student's t: resamples are divided by a known standard error, the real one is estimated.
     """
-    return with_tails_of_t(float(np.quantile(largest, confidence, method="weibull")), df)
+    critical = with_tails_of_t(float(np.quantile(largest, confidence, method="weibull")), df)
+    return critical if critical.ndim else float(critical)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -385,10 +406,10 @@ def simultaneous_interval(resampled: Resampled, confidence: float, reference: in
     """
     check_confidence(confidence)
     errors = resampled.errors(reference)
-    critical = critical_value(resampled.extremes(errors, reference)[1], confidence, resampled.df)
+    critical = critical_value(resampled.extremes(errors, reference)[1], confidence, resampled.degrees(reference))
     centre = resampled.mean if reference is None else resampled.differences(reference)
     below, above = skewed_widths(critical, errors, resampled.cubes(reference))
-    return Interval(centre, errors, centre - below, centre + above, critical)
+    return Interval(centre, errors, centre - below, centre + above, float(np.max(critical)))
 
 
 _REFERENCE_ENTRIES = 500_000  # resampled means in a block (4 MB)
@@ -513,7 +534,8 @@ def compare_with_best(resampled: Resampled, confidence: float, contenders: int |
     k = resampled.mean.size if contenders is None else contenders
     best = int(np.argmin(resampled.mean[:k]))
     difference, error = resampled.differences(best), resampled.errors(best)
-    candidates = _may_be_best(difference[:k], error[:k], resampled.df, confidence)
+    df = float(np.min(resampled.degrees(best)))
+    candidates = _may_be_best(difference[:k], error[:k], df, confidence)
     may_be_best = candidates.size
     most = max(
         2, min(_MOST_TERMS // resampled.deviations.size, _MOST_SCORES // (resampled.mean.size * resampled.side.size))
@@ -527,9 +549,9 @@ def compare_with_best(resampled: Resampled, confidence: float, contenders: int |
         row[:] = resampled.errors(r)
         # as the best, r is compared with the other contenders; for intervals, with all designs
         contending, largest = resampled.extremes(row, r, k)
-        critical = max(critical, critical_value(contending, confidence, resampled.df))
+        critical = max(critical, critical_value(contending, confidence, df))
         np.maximum(of_every, largest, out=of_every)
-    of_all = critical_value(of_every, confidence, resampled.df)
+    of_all = critical_value(of_every, confidence, df)
     low = np.full(error.size, -np.inf)
     for r, row in zip(candidates.tolist(), errors, strict=True):
         others = np.arange(error.size) != r
@@ -551,7 +573,7 @@ def compare_with_best(resampled: Resampled, confidence: float, contenders: int |
     )
 
 
-def _may_be_best(difference: FloatArray, error: FloatArray, df: int, confidence: float) -> IntArray:
+def _may_be_best(difference: FloatArray, error: FloatArray, df: float, confidence: float) -> IntArray:
     """Designs that even Bonferroni's bound does not separate from the best, by rank; the best is the first."""
     from scipy.special import stdtrit
 
