@@ -85,13 +85,14 @@ def _scores_of(context: Context, position: int) -> list[Score]:
 
     scores, pair = list[Score](), (context.S(position), context.S_uncorrected(position))
     y_s, critical = context.ranking.designs[position].y_s, ndtri(0.5 + 0.5 * context.ranking.confidence)
+    cluster = np.arange(context.scenarios.n) if context.scenarios.cluster is None else context.scenarios.cluster
     before = Takeover.build(context.scenarios, context.report.setup, y_s=y_s).S_before
     for window, (side, rows) in itertools.product(get_args(Window)[::-1], side_rows(context)):
         shift = before[rows] * (0.0 if window == context.results.window else -1.0 if window == "control" else 1.0)
         S, S_0 = (values[rows] + shift for values in pair)
         mean = float(S_0.mean()) or math.nan
         ratio = float(S.mean()) / mean
-        spread = cluster_error((S - ratio * S_0)[None] / mean, np.arange(rows.size))
+        spread = cluster_error((S - ratio * S_0)[None] / mean, np.unique(cluster[rows], return_inverse=True)[1])
         half = float((with_tails_of_t(critical, spread.df) * spread.error)[0])
         reduction = (100.0 * (1.0 - ratio), 100.0 * (1.0 - ratio - half), 100.0 * (1.0 - ratio + half))
         scores.append(Score(window, side, S, S_0, reduction))
@@ -102,9 +103,7 @@ def _result(context: Context, position: int, scores: Sequence[Score]) -> Iterato
     """The reductions beside the paper's, and why they differ; the procedure and Table I."""
     report, design = context.report, context.ranking.designs[position]
     study = {"T_s": report.setup.dt, "y_s": design.y_s, "D_y": context.ranking.D_y}
-    here = (
-        dict.fromkeys(("K_y", "K_psi", "T_lp")) | dict(design.gains) | dataclasses.asdict(report.setup.vehicle) | study
-    )
+    here = dict(design.gains) | dataclasses.asdict(report.setup.vehicle) | study
     shared: dict[str, Any] = {"report": report, "scores": scores, "here": here, "law": shorten(law_title(design), 12)}
     shared |= {"level": percent(context.ranking.confidence, 0), "about": context.model_sentence}
     shared |= {"convention": context.results.convention, "not_ideal": [*not_ideal(report.setup.options)]}
@@ -155,21 +154,10 @@ def _model(context: Context) -> Section:
         drawn, summary = None if sample is None else sample.take(sample.side == which), summaries.get(side)
         names = PARAMETER_NAMES if model is None else model.side(which).names
         source = source_quantiles(which, names, table, summary, limits)
-        known, about = ({}, source) if isinstance(source, str) else (source[0], f"{source[1]:,} {kind} departures.")
-        charts = []
-        for name in names:
-            samples = [] if drawn is None else [getattr(drawn, name)]
-            values = [*samples, *(known[name][:1] if name in known else [])]
-            ends = np.array([np.quantile(column, (0.003, 0.997)) for column in values])
-            if ends.size and np.ptp(ends) > 0.0:
-                bins = int(np.clip(3.0 * np.cbrt(_DRAWN if isinstance(source, str) else source[1]), 8, 24))
-                edges = np.linspace(ends.min(), ends.max(), bins + 1)
-                shares = [(kind, 100.0 * np.diff(np.interp(edges, *known[name])), SIDE[side])] if name in known else []
-                lines = [("model", 100.0 * np.histogram(x, edges)[0] / x.size, MODEL) for x in samples]
-                title = f"{side}: {name}, {PARAMETER_MEANINGS[name]}"
-                charts.append(bars(f"margin-{name}", title, edges, shares, parameter_label(name), "Share per bin [%]",
-                                   outlines=lines, height=150.0))  # fmt: skip
+        known, count = ({}, _DRAWN) if isinstance(source, str) else source[:2]
+        charts = tuple(_margins(side, {name: known.get(name) for name in names}, drawn, kind, count))
         key = legend([(kind, SIDE[side])] * bool(known) + [("model", MODEL)] * (drawn is not None))
+        about = source if isinstance(source, str) else f"{count:,} {kind} departures."
         caption = f"{side.capitalize()}: share of departures per bin. {about}"
         body += figure(charts, caption, key) or paragraphs(caption)
         rows = None if table is None else source_rows(which, table, limits)
@@ -177,10 +165,26 @@ def _model(context: Context) -> Section:
         joint = tuple(_joint(side, {kind: rows, "model": drawn}, kept))
         body += figure(joint, f"{side.capitalize()}: T and d_y together, by the square root of the density.")
         texts += [f"{side.capitalize()}: {summary.reason}."] if summary is not None and summary.reason else []
-    body += (
-        Markup("<h3>Number of components</h3>" * bool(texts)) + paragraphs(*texts) + bic_figure(list(summaries.items()))
-    )
-    return Section("model", "Departures and model", body, printed=True)
+    body += Markup("<h3>Number of components K</h3>") * bool(summaries) + paragraphs(*texts)
+    return Section("model", "Departures and model", body + bic_figure([*summaries.items()]), printed=True)
+
+
+def _margins(
+    side: str, known: Mapping[str, tuple[FloatArray, FloatArray] | None], drawn: DepartureParameters | None, kind: str,
+    count: int,
+) -> Iterator[Chart]:  # fmt: skip
+    """Shares of each parameter in bins: of departures from their quantiles and shares, and of the model."""
+    bins = int(np.clip(3.0 * np.cbrt(count), 8, 24))
+    for name, quantiles in known.items():
+        samples = [] if drawn is None else [getattr(drawn, name)]
+        columns = [*samples, *([] if quantiles is None else quantiles[:1])]
+        ends = np.array([np.quantile(values, (0.003, 0.997)) for values in columns])
+        if ends.size and np.ptp(ends) > 0.0:
+            edges = np.linspace(ends.min(), ends.max(), bins + 1)
+            shares = [] if quantiles is None else [(kind, 100.0 * np.diff(np.interp(edges, *quantiles)), SIDE[side])]
+            lines = [("model", 100.0 * np.histogram(x, edges)[0] / x.size, MODEL) for x in samples]
+            title, label = f"{side}: {name}, {PARAMETER_MEANINGS[name]}", parameter_label(name)
+            yield bars("margin", title, edges, shares, label, "Share per bin [%]", outlines=lines, height=150.0)
 
 
 def _joint(
@@ -228,14 +232,10 @@ def _control(context: Context, position: int) -> Section:
             series += [Series("lane centre", end, 0.0 * end - setup.vehicle.edge_offset, _CENTRE)]
             title, label = f"Departures to the {side}: {of}", f"Time since the {start} [s], {side}"
             charts.append(_chart(title, label, "Edge beyond the line [m]", series, 300.0))
-    if not examples:
-        body = paragraphs("Control acts in none of these departures.")
-    else:
-        key = legend([*_KEY, ("lane line", _LINE), ("edge with the vehicle in the lane\u2019s centre", _CENTRE)])
-        body = figure(examples, "One departure of each side, at the median of d_y. The mark is the trigger.", key)
-        body += figure(
-            bundles, f"All paths with control, from the trigger until {setup.settle:g} s after the departure."
-        )
+    key = legend([*_KEY, ("lane line", _LINE), ("edge with the vehicle in the lane\u2019s centre", _CENTRE)])
+    body = figure(examples, "One departure of each side, at the median of d_y. The mark is the trigger.", key)
+    body += figure(bundles, f"All paths with control, from the trigger until {setup.settle:g} s after the departure.")
+    body = body or paragraphs("Control acts in none of these departures.")
     return Section("control", "With and without control", body, printed=True)
 
 

@@ -143,6 +143,7 @@ class Made:
             "nothing-ranked": self._nothing_ranked,
             "compare": self._compare,
             "fit": self._fit,
+            "paper": self._paper,
         }
 
     def __call__(self, name: str) -> OnePage:
@@ -211,6 +212,11 @@ class Made:
         with contextlib.redirect_stdout(io.StringIO()):
             assert main(["compare", str(self("ordinary").folder), str(folder), "-o", str(page)]) == 0
         return page
+
+    def _paper(self, folder: Path) -> Path:
+        with contextlib.redirect_stdout(io.StringIO()):
+            assert main(["run", "paper", "-o", str(folder), "--workers", "1", "--quiet", "--no-figures"]) == 0
+        return folder / "paper.html"
 
     def _fit(self, folder: Path) -> Path:
         folder.mkdir()
