@@ -22,7 +22,7 @@ def add_parser(commands: Subparsers) -> None:
         "run",
         help="run a study: rank designs, write the report",
         description="Run every design of a study on the same scenarios. Writes report.html, figures/, ranking.csv and "
-        "ranking.md into DIR; running again into the same DIR computes only what is missing. Exit code 3: done, but "
+        "ranking.md into DIR, and paper.html where the study asks for it; running again into the same DIR computes only what is missing. Exit code 3: done, but "
         "the law of some design failed; the ranking and the report name it.",
     )
     about = "name in the catalog (ideal, paper, reality, road-edge, trigger-and-gains, zoo, zoo-sweep) or a TOML file"

@@ -192,9 +192,9 @@ def _joint(
 ) -> Iterator[Chart]:
     """Densities of T and d_y: of recorded departures, or what a model's file keeps of them, and of the model."""
     tables = {what: (table.T, table.d_y) for what, table in departures.items() if table}
-    ends = [np.quantile(np.concatenate(values), (0.0, 0.995)) for values in zip(*tables.values(), strict=True)]
-    b = int(np.clip(math.isqrt(min((table[0].size for table in tables.values()), default=0) // 4), 5, 12))
-    edges, cells = [np.linspace(low, high, b + 1) for low, high in ends], {}
+    ends = [np.quantile(np.concatenate(values), 0.995) for values in zip(*tables.values(), strict=True)]
+    b = int(np.clip(math.isqrt(min((table[0].size for table in tables.values()), default=0)), 6, 12))
+    edges, cells = [np.linspace(0.0, end, b + 1) for end in ends], {}
     if kept is not None and kept.names[:2] == ("T", "d_y"):  # the first pair of the summary
         b = math.isqrt(len(kept.cells[0]))
         edges = [cell_edges(np.array(values), b) for values in kept.quantiles[:2]]
