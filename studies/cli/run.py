@@ -21,9 +21,10 @@ def add_parser(commands: Subparsers) -> None:
     parser = commands.add_parser(
         "run",
         help="run a study: rank designs, write the report",
-        description="Run every design of a study on the same scenarios. Writes report.html, figures/, ranking.csv and "
-        "ranking.md into DIR, and paper.html where the study asks for it; running again into the same DIR computes only what is missing. Exit code 3: done, but "
-        "the law of some design failed; the ranking and the report name it.",
+        description="Run every design of a study on the same scenarios. Writes report.html, figures/, ranking.csv, "
+        "ranking.md and, where the study asks for it, paper.html into DIR; running again into the same DIR computes "
+        "only what is missing. Exit code 3: done, but the law of some design failed; the ranking and the report name "
+        "it.",
     )
     about = "name in the catalog (ideal, paper, reality, road-edge, trigger-and-gains, zoo, zoo-sweep) or a TOML file"
     parser.add_argument("study", nargs="?", metavar="STUDY", help=about)
