@@ -87,6 +87,7 @@ def test_every_figure_of_the_paper_is_there(page: Page, scenarios: Scenarios) ->
         assert sum(re.match(label, image) is not None for image in page.images) == count, label
     assert "K = 10 left, 10 right" in page.drawn
     assert "30,000 left, 30,000 right" in page.drawn
+    assert "acts in none" not in page.words("control")
     assert len(page.html) < 400_000
 
 
@@ -105,6 +106,44 @@ def test_a_path_for_each_departure_that_triggers(page: Page, scenarios: Scenario
     stored = np.array(table.row(0)[3]).reshape(table.row(0)[2])
     np.testing.assert_allclose(stored[0], paths.t, atol=1e-12)
     np.testing.assert_allclose(stored[1], paths.x[:, :, 0] - 0.85, atol=1e-9)
+
+
+def drawing(page: Page, label: str) -> str:
+    """The chart whose label begins like this."""
+    found = re.search(rf'<svg class="chart" role="img" [^>]*aria-label="{label}.*?</svg>', page.html, re.DOTALL)
+    assert found is not None, label
+    return found[0]
+
+
+def heights(svg: str, kind: str) -> list[np.ndarray]:
+    """Vertical positions of the corners of each path of a class [units, downward]."""
+    paths = re.findall(rf'<path class="{kind}"[^>]* d="M([^"]*)"', svg)
+    return [np.array([float(pair.split()[1]) for pair in path.strip("Z").split("L")]) for path in paths]
+
+
+def test_drawings_show_departures_model_and_control(page: Page) -> None:
+    """The reference model is close to its departures: bars beside its line, cells beside its cells."""
+    for name in ("T", "d_y", "v_mean"):
+        svg = drawing(page, f"right: {name}, ")
+        (bar,), (line,) = heights(svg, "bar c1"), heights(svg, "curve recorded")
+        assert np.ptp(bar) > 80.0
+        assert np.abs(bar - line).max() < 10.0
+    fills = [
+        re.findall(
+            r'<rect x="([\d.]+)" y="([\d.]+)" [^>]*fill="(#\w+)"', drawing(page, f"left: density of T and d_y, {side}")
+        )
+        for side in ("left, invented", "left, model")
+    ]
+    common = {cell[:2]: cell[2] for cell in fills[0]}
+    same = [common[cell[:2]] == cell[2] for cell in fills[1] if cell[:2] in common]
+    assert len(same) > 60
+    assert np.mean(same) > 0.7
+    for label in ("Departures to the left: no", r"Departures to the right: \d+ paths"):
+        line, centre = heights(drawing(page, label), "curve recorded")[-2:]
+        assert np.ptp(line) == np.ptp(centre) == 0.0
+        assert centre[0] > line[0] + 40.0
+    (without,), (control,) = (heights(drawing(page, "Mean S, right"), f"curve {style}") for style in ("recorded", "c1"))
+    assert control[-1] > without[-1] + 10.0  # further down: less
 
 
 def test_numbers_are_those_of_the_ranking_and_of_simulate(
