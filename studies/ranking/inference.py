@@ -200,19 +200,23 @@ def half_widths(critical: float | FloatArray, errors: FloatArray) -> FloatArray:
     return result
 
 
-def skewed_widths(critical: float | FloatArray, errors: FloatArray, cubes: FloatArray) -> tuple[FloatArray, FloatArray]:
+def skewed_widths(
+    critical: float | FloatArray, errors: FloatArray, cubes: FloatArray, normal: float | None = None
+) -> tuple[FloatArray, FloatArray]:
     """How far intervals of skewed scores reach below and above their estimates.
 
     With g = cubes / errors^3, the skewness of an estimate, the Edgeworth expansion of Student's t (Hall 1992,
     Johnson 1978) takes g (1 + 2 c^2) / 6 standard errors more on the side of the longer tail, and for g^2 (c^5 +
     2 c^3 - 3 c) / 18 on both, limited to c. The expansion's gain on the side of the shorter tail is not taken: g
-    is itself an estimate.
+    is itself an estimate. For clusters c of the first term is the `normal` critical value, and the second is left out:
+    t with few degrees of freedom has wide tails already.
     """
     skewness = np.zeros(errors.shape)
     usable = np.isfinite(errors) & (errors**3 > 0)
     np.divide(cubes, errors**3, out=skewness, where=usable)
-    both = critical + np.clip(skewness**2 * (critical**5 + 2 * critical**3 - 3 * critical) / 18, 0.0, critical)
-    shift = skewness * (1 + 2 * critical**2) / 6
+    c = critical if normal is None else normal
+    both = critical + (np.clip(skewness**2 * (c**5 + 2 * c**3 - 3 * c) / 18, 0.0, c) if normal is None else 0.0)
+    shift = skewness * (1 + 2 * c**2) / 6
     return half_widths(both + np.maximum(-shift, 0.0), errors), half_widths(both + np.maximum(shift, 0.0), errors)
 
 
@@ -335,8 +339,6 @@ class Resampled:
     def cubes(self, reference: int | None = None) -> FloatArray:
         """Third moment of every mean, or of its paired difference to the reference, (d,) [m s^3]."""
         result = np.zeros(self.mean.size)
-        if self.departures is not None:  # intervals of few clusters are wide enough: their coverage was measured
-            return result
         other = np.zeros(self.side.size) if reference is None else self._parts_of(reference)
         for positions, parts in self._part_blocks():
             result[positions] = paired_cubes(parts, other)
@@ -406,9 +408,11 @@ def simultaneous_interval(resampled: Resampled, confidence: float, reference: in
     """
     check_confidence(confidence)
     errors = resampled.errors(reference)
-    critical = critical_value(resampled.extremes(errors, reference)[1], confidence, resampled.degrees(reference))
+    extremes = resampled.extremes(errors, reference)[1]
+    critical = critical_value(extremes, confidence, resampled.degrees(reference))
+    normal = None if resampled.departures is None else critical_value(extremes, confidence, np.inf)
     centre = resampled.mean if reference is None else resampled.differences(reference)
-    below, above = skewed_widths(critical, errors, resampled.cubes(reference))
+    below, above = skewed_widths(critical, errors, resampled.cubes(reference), normal)
     return Interval(centre, errors, centre - below, centre + above, float(np.max(critical)))
 
 
@@ -556,7 +560,8 @@ def compare_with_best(resampled: Resampled, confidence: float, contenders: int |
     for r, row in zip(candidates.tolist(), errors, strict=True):
         others = np.arange(error.size) != r
         np.maximum(low, resampled.mean - resampled.mean[r] - half_widths(critical, row), out=low, where=others)
-    below, above = skewed_widths(of_all, error, resampled.cubes(best))
+    normal = None if resampled.departures is None else critical_value(of_every, confidence, np.inf)
+    below, above = skewed_widths(of_all, error, resampled.cubes(best), normal)
     low = np.where(error == 0, difference, low)  # exactly 0 for the best itself
     return Separation(
         mean=resampled.mean,
