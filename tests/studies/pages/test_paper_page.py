@@ -225,9 +225,15 @@ def test_reasons_follow_the_study(page: Page, scenarios: Scenarios, tmp_path: Pa
     assert "fitted to invented, not to recorded driving" in words
     assert "Here both are consistent" in words
     assert "includes side slip" in words
+    assert "Speed looks like km/h." in words  # a warning of the study
     results = run((NO_CONTROL, TABLE_1), scenarios, convention="as_printed")
-    given = report_input(results, synthetic=False, model=load_model("reference"), model_name=EVIL)
-    words = written(given, tmp_path).words("result")
+    given = report_input(
+        results, synthetic=False, model=load_model("reference"), model_name=EVIL, title=EVIL, warnings=(EVIL,)
+    )
+    evil = written(given, tmp_path)
+    assert "<script>alert(1)" not in evil.html
+    words = evil.words("result")
+    assert words.count("alert(1)") == 2
     assert "Signs: as printed" in words
     assert "fitted to other recordings" in words
 
