@@ -92,6 +92,9 @@ STAND_INS: dict[str, Callable[[Path], object]] = {
 FEWER = {"1e6": "2e4", "1e7": "2e4"}
 """Departures of `ldc risk`: minutes become seconds."""
 
+CORRECTED = ("map.toml",)
+"""What a page tells to correct by hand before the next command."""
+
 NOT_RUN = ("--dask",)
 """What needs a cluster; tests/studies/running/test_executors.py has one."""
 
@@ -149,3 +152,5 @@ def _run_command(line: str, folder: Path) -> None:
     assert done.returncode in (0, 3), (line, done.stderr[-2000:])  # 3: done, and something is to be looked at
     if target:
         (folder / target).write_text(done.stdout, encoding="utf-8")
+        if target in CORRECTED:
+            STAND_INS[target](folder / target)
