@@ -10,7 +10,7 @@ import pytest
 from scipy import linalg, stats
 
 from ldctoolkit import load_model
-from ldctoolkit.clusters import ClusterError, Clusters, cluster_error, with_tails_of_t
+from ldctoolkit.clusters import ClusterError, Clusters, cluster_error, cluster_values, design_effect, with_tails_of_t
 from ldctoolkit.departures import PARAMETER_NAMES, Departures, ExtraColumn
 
 # ------------------------------------------------------------------------------------------------ against matrices
@@ -81,6 +81,33 @@ def test_one_cluster_tells_nothing(weights: list[float] | None) -> None:
 def test_critical_values_of_t_have_the_normal_ones_tail() -> None:
     # two-sided 5 % of Student's t, as tables print it
     assert with_tails_of_t(1.959964, [4.0, 10.0, 1e9]) == pytest.approx([2.776445, 2.228139, 1.959964], rel=1e-6)
+
+
+def test_values_of_clusters_have_their_mean_and_error() -> None:
+    rng = np.random.default_rng(11)
+    index = rng.permutation(np.repeat(np.arange(6), (1, 4, 2, 9, 3, 5)))
+    y = rng.standard_normal((3, 6))[:, index] + rng.standard_normal((3, 24)) + 4.0
+    values = cluster_values(y, index)
+    np.testing.assert_allclose(values.mean(axis=1), y.mean(axis=1), rtol=1e-12)
+    error = values.std(axis=1, ddof=1) / math.sqrt(6.0)
+    share = np.bincount(index) / 24.0
+    sums = np.array([[(row - row.mean())[index == g].sum() / 24.0 for g in range(6)] for row in y])
+    shift = (sums / np.sqrt(1.0 - share)).mean(axis=1)  # what the values' own mean takes off
+    np.testing.assert_allclose(error**2 + 6.0 * shift**2, cluster_error(y - y.mean(axis=1)[:, None], index).error ** 2)
+
+
+def test_design_effect() -> None:
+    y = np.random.default_rng(2).standard_normal((1, 400))
+    copies = np.repeat(y, 3, axis=1)
+    thrice = np.repeat(np.arange(400), 3)
+    alone = design_effect(y - y.mean(), np.arange(400))[0]
+    assert alone == pytest.approx(400 / 399 * (1.965927 / 1.959964) ** 2, rel=1e-5)  # t with 399 degrees of freedom
+    np.testing.assert_allclose(design_effect(copies - y.mean(), thrice), 3.0 * alone, rtol=1e-9)
+    # what never varies counts clusters: 12 departures in clusters of 1, 2, 3 and 6 are 12^2/(1 + 4 + 9 + 36) of them
+    sizes = np.repeat(np.arange(4), (1, 2, 3, 6))
+    np.testing.assert_allclose(design_effect(np.zeros((1, 12)), sizes), 12.0 / (144.0 / 50.0))
+    within = np.tile([1.0, -1.0], 200)[None]  # opposite within each pair: fewer than 1 is never said
+    assert design_effect(within, np.repeat(np.arange(200), 2)).tolist() == [1.0]
 
 
 # ------------------------------------------------------------------------------------------------ what is a cluster
