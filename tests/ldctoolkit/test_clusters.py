@@ -10,7 +10,7 @@ import pytest
 from scipy import linalg, stats
 
 from ldctoolkit import load_model
-from ldctoolkit.clusters import ClusterError, Clusters, cluster_error, cluster_values, design_effect, with_tails_of_t
+from ldctoolkit.clusters import StandardErrors, Clusters, cluster_error, cluster_values, design_effect, with_tails_of_t
 from ldctoolkit.departures import PARAMETER_NAMES, Departures, ExtraColumn
 
 # ------------------------------------------------------------------------------------------------ against matrices
@@ -199,7 +199,7 @@ def coverage(G: int, correlation: float, sets: int, draws: int) -> Coverage:
         trip, own = rng.standard_normal((draws, G))[:, index], rng.standard_normal((draws, index.size))
         return spread * (math.sqrt(correlation) * trip + math.sqrt(1.0 - correlation) * own)
 
-    def covered(error: ClusterError) -> Any:
+    def covered(error: StandardErrors) -> Any:
         half = with_tails_of_t(1.959964, error.df) * error.error
         return np.count_nonzero((np.abs(estimate - truth) <= half).reshape(2, draws), axis=1)
 
