@@ -13,6 +13,7 @@ from ldctoolkit.arrays import FloatArray
 from ldctoolkit.code_content import content_of
 from ldctoolkit.control import Controller
 from ldctoolkit.declared import (
+    Gain,
     GainValue,
     Scale,
     checked_choice,
@@ -28,6 +29,7 @@ from ldctoolkit.validation import Part
 from .design import CONVENTION_GAIN, Design
 
 THRESHOLD: Final = "y_s"  # name of the trigger threshold among the dimensions
+Y_S: Final = Gain(name=THRESHOLD, unit="m", default=0.2, lower=-10.0)
 
 RANGE_KEYS: Final = ("count", "from", "scale", "to")
 _WRITTEN: Final = "a range is written {from = ..., to = ..., count = ...}"
@@ -85,6 +87,12 @@ class Span:
             return int(min(max(round(_between(low, high, share, self.scale)), self.low), self.high))
         return min(max(rounded(_between(a, b, share, self.scale)), self.low), self.high)
 
+    def share(self, value: float) -> float:
+        """Share of the way from the first end to the last at which a value lies; the inverse of `at`."""
+        if self.scale == "log":
+            return float(np.log(value / self.first) / np.log(self.last / self.first))
+        return (value - self.first) / (self.last - self.first)
+
 
 Dimension = Choices | Span
 
@@ -92,6 +100,27 @@ Dimension = Choices | Span
 def rounded(value: float) -> float:
     """A number with twelve significant digits: 0.3 and not 0.30000000000000004 in names and identities."""
     return float(f"{value:.12g}") + 0.0
+
+
+def next_value(values: Sequence[float], gain: Gain, *, upper: bool) -> GainValue | None:
+    """The value beyond an end of a list of two numbers or more; None where the declaration of the gain allows none.
+
+    The list's own spacing goes on: ratio or difference where one of them is constant, else the last step at that end,
+    in the scale of the gain. A gain keeps its sign, and its last step before a limit ends at it.
+    """
+    ordered = sorted(values, reverse=not upper)
+    before, last = ordered[-2:]
+    steps = np.diff(ordered)
+    signed = ordered[0] * ordered[-1] > 0
+    ratios = np.divide(ordered[1:], ordered[:-1]) if signed else steps
+    even, geometric = (len(ordered) > 2 and np.allclose(x, x[0], rtol=1e-3, atol=0.0) for x in (steps, ratios))
+    value = last + (last - before)
+    if signed and (geometric or (gain.scale == "log" and not even) or (gain.name != THRESHOLD and value * last <= 0)):
+        value = last * (last / before)
+    if gain.whole:
+        value = round(value) if round(value) != last else last + (1 if upper else -1)
+    value = min(max(rounded(value), gain.lower), gain.upper)
+    return None if value == last else round(value) if gain.whole else value
 
 
 def _between(a: float, b: float, share: float, scale: Scale) -> float:
@@ -445,7 +474,7 @@ def _read_thresholds(entry: Any) -> tuple[float, ...] | Span:
 
 
 def _threshold(value: Any) -> float:
-    return checked_number("y_s", value, lower=-10.0, unit="m, below 0 before the line") + 0.0
+    return checked_number("y_s", value, lower=Y_S.lower, unit="m, below 0 before the line") + 0.0
 
 
 def _read_gain(kinds: Kinds, name: str, entry: Any) -> tuple[Any, ...] | Span:

@@ -4,9 +4,9 @@ import contextlib
 import dataclasses
 import logging
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 
@@ -18,9 +18,11 @@ from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.surroundings import temporary_folder
 
 from .design import FOLLOWS_STUDY, Design
+from .design_space import THRESHOLD, Y_S, DesignBlock, next_value
 from .measures import measured
 from .ranking.design_metrics import find_baseline
 from .ranking.ranking import Ranking, rank_study
+from .ranking.verdict import sweep_ends
 from .results import StudyResults
 from .running.campaign import Campaign
 from .running.dispatch import Executor, Progress, closing, displayed
@@ -40,10 +42,12 @@ from .storage.scenario_source import (
     write_model,
 )
 from .storage.store import FINALISTS, REPLAYED, SCORES, Store, make_folder
-from .study_file import Study
+from .study_file import MOST_DESIGNS, Study
+from .text import compact
 
 _log = logging.getLogger("studies")
 
+EXTEND: Final = 6  # values beyond the end of a sweep where it is requested, and the study says no number
 TIME_LIMIT = 600.0  # seconds that a task may take: a thousand times what it is made for
 _LIMITS = (0.1, 1e7)  # seconds that a limit may be
 _STREAM: Final = 0x66696E61  # keeps the finalists' scenarios apart from those that they were chosen on
@@ -64,6 +68,7 @@ def run_study(
     progress: bool | Progress | None = None,
     block_size: int | None = None,
     time_limit: float = TIME_LIMIT,
+    extend: bool | None = None,
 ) -> StudyResults:
     """Run every design of a study on the same scenarios and store the results; resumes where a run was stopped.
 
@@ -97,6 +102,9 @@ def run_study(
     time_limit : float [s]
         A task that takes longer ends its worker, and the scenario at fault is found; 0 for no limit. Not in this
         process, which could not go on.
+    extend : bool, optional
+        Whether to add designs beyond the end of a sweep while the winner lies there: `ranking.extend` values at most,
+        or 6 if the study has 0; as the study says by default. The study in the folder is the one with these designs.
 
     Returns
     -------
@@ -113,6 +121,7 @@ def run_study(
     """
     expect("study", study, Study)
     expect("scenarios", scenarios, Scenarios | None)
+    expect("extend", extend, bool | None)
     block_size = None if block_size is None else checked_whole("block_size", block_size, lower=1)
     if time_limit is False or time_limit != 0:
         least, most = _LIMITS
@@ -121,7 +130,7 @@ def run_study(
         with temporary_folder() as folder:
             return run_study(
                 study, folder, model=model, scenarios=scenarios, workers=workers, executor=executor, dask=dask,
-                progress=progress, block_size=block_size, time_limit=time_limit,
+                progress=progress, block_size=block_size, time_limit=time_limit, extend=extend,
             )  # fmt: skip
     if scenarios is not None:
         if model is not None:
@@ -129,6 +138,8 @@ def run_study(
         left = int((scenarios.side == LEFT).sum())
         model = ReplayedDepartures("given", dataclasses.replace(scenarios, index=np.arange(scenarios.n)))
         study = study.changed(scenarios={"left": left, "right": scenarios.n - left})
+    if extend is not None:
+        study = study.changed(ranking={"extend": (study.ranking.extend or EXTEND) if extend else 0})
     if study.laws():
         study = study.changed()  # its designs are those of the code as it is now
     source = study_source(study, model)
@@ -173,28 +184,38 @@ class _Run:
     block_size: int | None
 
     def whole(self, study: Study, folder: Path) -> StudyResults:
-        """All stages: the study itself, and its finalists on fresh scenarios."""
+        """All stages; once more, with what was added, while the winner lies at the end of a sweep that may go on."""
         check_room(study, sum(study.scenarios.counts))  # before anything is made
         make_folder(folder)
         with locked(folder):
-            results = self.study(study, folder)
-            if not study.ranking.finalists or len(results.designs) < 2 or isinstance(self.source, ReplayedDepartures):
-                return results
-            self.progress.phase("choosing the finalists")
-            best = _finalists(rank_study(results, study), study.ranking.finalists)
-            if not best:
-                return results  # nothing meets the requirements
-            reference = find_baseline(study.ranking.baseline, results)
-            if reference is not None and results.designs[reference] not in best:
-                best = (*best, results.designs[reference])  # so that the gain is known there too
-            again = _finalist_study(study, best)
-            results = dataclasses.replace(results, fresh=self.again(study, again, folder / FINALISTS))
-            if not study.scenarios.replayed:
-                return results
-            table = read_replayed(study)
-            again = again.changed(scenarios={"model": "", "left": None, "right": None})
-            run = dataclasses.replace(self, source=table, name=table.name)
-            return dataclasses.replace(results, replayed=run.again(study, with_counts(again, table), folder / REPLAYED))
+            first, results = study, self.stages(study, folder)
+            while study.ranking.extend and (longer := extended(study, rank_study(results, study), first)) is not study:
+                study, added = longer, tuple(_added(first, longer))
+                self.progress.phase(f"beyond the ends of sweeps: {'; '.join(added)}")
+                check_room(study, sum(study.scenarios.counts))
+                results = self.stages(study, folder, added)
+            return results
+
+    def stages(self, study: Study, folder: Path, added: tuple[str, ...] = ()) -> StudyResults:
+        """The study itself, and its finalists on fresh scenarios."""
+        results = self.study(study, folder, extended=added)
+        if not study.ranking.finalists or len(results.designs) < 2 or isinstance(self.source, ReplayedDepartures):
+            return results
+        self.progress.phase("choosing the finalists")
+        best = _finalists(rank_study(results, study), study.ranking.finalists)
+        if not best:
+            return results  # nothing meets the requirements
+        reference = find_baseline(study.ranking.baseline, results)
+        if reference is not None and results.designs[reference] not in best:
+            best = (*best, results.designs[reference])  # so that the gain is known there too
+        again = _finalist_study(study, best)
+        results = dataclasses.replace(results, fresh=self.again(study, again, folder / FINALISTS))
+        if not study.scenarios.replayed:
+            return results
+        table = read_replayed(study)
+        again = again.changed(scenarios={"model": "", "left": None, "right": None})
+        run = dataclasses.replace(self, source=table, name=table.name)
+        return dataclasses.replace(results, replayed=run.again(study, with_counts(again, table), folder / REPLAYED))
 
     def again(self, study: Study, again: Study, folder: Path) -> StudyResults | None:
         """The finalists on other scenarios; None if all of them fail there."""
@@ -205,7 +226,9 @@ class _Run:
             _log.warning("no %s: %s", SCORES[folder.name], error)
             return None
 
-    def study(self, study: Study, folder: Path, stage: str = "designs", part_of: str = "") -> StudyResults:
+    def study(
+        self, study: Study, folder: Path, stage: str = "designs", part_of: str = "", extended: tuple[str, ...] = ()
+    ) -> StudyResults:
         """One study into one folder."""
         started = time.monotonic()
         source = self.source
@@ -218,6 +241,7 @@ class _Run:
             model_warnings=tuple(model_warnings(source, study.vehicle, study.scenarios.given)),
             model_synthetic=isinstance(source, ScenarioModel) and source.provenance.synthetic,
             part_of=part_of,
+            extended=extended,
         )
         store = Store.create(folder, manifest, scenarios, study)
         if not part_of and isinstance(source, ScenarioModel):  # finalists are drawn from the same model
@@ -287,5 +311,51 @@ def _finalist_study(study: Study, designs: Sequence[Design]) -> Study:
             for d in designs
         ],
     }
-    content["ranking"] |= {"finalists": 0, "require": [], "baseline": ""}
+    content["ranking"] |= {"finalists": 0, "require": [], "baseline": "", "extend": 0}
     return study.with_content(content)
+
+
+def extended(study: Study, ranking: Ranking, first: Study) -> Study:
+    """The study with one more value beyond each end of a list at which the winner lies; itself where none is added.
+
+    Within what the laws allow, `Study.ranking.extend` values more than the `first` study and twice its designs. It
+    follows from study and results alone, so that a run that is resumed adds the same.
+    """
+    if ranking.winner is None or 2 * len(first.designs) > MOST_DESIGNS:
+        return study
+    winner = ranking.designs[ranking.winner]
+    for i, block in enumerate(study.design):
+        if block.sample is not None or winner not in block.designs():
+            continue
+        for end in sweep_ends(ranking, ranking.winner):
+            before, now = (_lists(of.design[i]).get(end.name, ()) for of in (first, study))
+            if end.value not in (min(now, default=None), max(now, default=None)) or len(now) < 2:
+                continue
+            if len(now) - len(before) >= study.ranking.extend:
+                continue
+            of_laws = [Y_S] if end.name == THRESHOLD else [g for kind in block.kinds for g in kind.gains()]
+            limits = [gain for gain in of_laws if gain.name == end.name]
+            lower, upper = max(gain.lower for gain in limits), min(gain.upper for gain in limits)
+            value = next_value(now, dataclasses.replace(limits[0], lower=lower, upper=upper), upper=end.upper)
+            if value is None:
+                continue
+            content = study.content()
+            table = content["design"][i]
+            (table if end.name == THRESHOLD else table["gains"])[end.name] = [*now, value]
+            longer = study.with_content(content)
+            study = longer if len(longer.designs) <= 2 * len(first.designs) else study
+        break
+    return study
+
+
+def _lists(block: DesignBlock) -> dict[str, tuple[Any, ...]]:
+    """The values of threshold and gains of a table of a grid."""
+    return {name: values for name, values in {THRESHOLD: block.y_s, **block.gains}.items() if isinstance(values, tuple)}
+
+
+def _added(first: Study, study: Study) -> Iterator[str]:
+    """What a study has more than the first, for readers."""
+    for before, block in zip(first.design, study.design, strict=True):
+        for name, values in _lists(block).items():
+            if more := values[len(_lists(before)[name]) :]:
+                yield f"{', '.join(block.laws)}: {name} = {', '.join(map(compact, more))}"

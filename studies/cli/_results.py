@@ -132,6 +132,8 @@ def print_ranking(judged: Judged, top: int) -> None:
     out.print(title, style=style, markup=False, emoji=False, highlight=False)
     for line in (*others, *more_lines(ranking)):
         out.print(line, markup=False, emoji=False, highlight=False)
+    if judged.manifest.extended:
+        say(out, f"Added beyond the ends of sweeps: {'; '.join(judged.manifest.extended)}.")
     for warning in ranking.warnings:
         out.print(f"Warning: {warning}", style="yellow", markup=False, emoji=False, highlight=False)
     out.print()
@@ -204,6 +206,13 @@ def _summary(judged: Judged) -> dict[str, Any]:
         "verdict": judgement.title,
         "usable": judgement.usable,
         "lights": {light.name: light.state for light in judgement.lights},
+        "binding": [
+            {"limit": of.requirement.text, "text": of.of_limit}
+            | {name: _number(getattr(of, name)) for name in ("value", "low", "high")}
+            for of in judgement.binding
+        ],
+        "sweep_ends": [dataclasses.asdict(end) | {"text": end.text} for end in judgement.ends],
+        "extended": list(judged.manifest.extended),
     }
 
 

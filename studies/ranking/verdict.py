@@ -8,6 +8,7 @@ from typing import Final, Literal
 import numpy as np
 
 from ldctoolkit.arrays import FloatArray, IntArray
+from ldctoolkit.declared import declared_gains
 from ldctoolkit.metrics import METRICS
 from ldctoolkit.paths.uncorrected import UncorrectedPath
 from ldctoolkit.scenario_model import ScenarioModel
@@ -15,7 +16,8 @@ from ldctoolkit.scenario_model.model import misleading
 from ldctoolkit.setup import Setup
 
 from ..design import Design
-from ..requirements import G, metric_values
+from ..design_space import THRESHOLD, Y_S, Choices, Span
+from ..requirements import Estimate, G, metric_values
 from ..results import StudyResults
 from ..tables import Cell, Column, Row, Table, Value, notebook_html
 from ..text import compact
@@ -52,6 +54,26 @@ class Light:
 
 
 @dataclasses.dataclass(frozen=True)
+class SweepEnd:
+    """A gain or threshold of a design that lies at an end of the values that were tried."""
+
+    name: str  # ``"y_s"`` or a gain
+    value: float
+    end: float  # The same, but for a range without a list of values: there close to it is enough
+    upper: bool  # Whether it is the largest
+    open: bool  # Whether the law allows values beyond
+
+    @property
+    def text(self) -> str:
+        """For a reader: ``"r_delta = 5000 is the end of its sweep: extend it"``."""
+        shown = f"{self.name} = {compact(self.value)}{' m' if self.name == THRESHOLD else ''}"
+        if not self.open:
+            return f"{shown} is the {'largest' if self.upper else 'smallest'} allowed"
+        near = "" if self.value == self.end else f" beside {compact(self.end)},"
+        return f"{shown} is{near} the end of its sweep: extend it"
+
+
+@dataclasses.dataclass(frozen=True)
 class Verdict:
     """The conclusion of a study; requirements come first."""
 
@@ -63,11 +85,21 @@ class Verdict:
     nearest: tuple[int, ...] = ()
     try_next: tuple[str, ...] = ()  # If no design meets the requirements: what to try
     recorded: float = 0.0  # Share of departures whose recorded path alone needs more than the friction
+    # What holds the named design back, if it meets the requirements: those that bind, and ends of sweeps
+    binding: tuple[Estimate, ...] = ()
+    ends: tuple[SweepEnd, ...] = ()
 
     @property
     def usable(self) -> bool:
         """Whether no light is red."""
         return not any(light.state == "bad" for light in self.lights)
+
+    @property
+    def held_back(self) -> tuple[str, ...]:
+        """Sentences on what binds, and on the ends of sweeps."""
+        binding = "; ".join(estimate.of_limit for estimate in self.binding)
+        ends = (f"{end.text}." for end in self.ends)
+        return (*([f"Requirements that bind: {binding}."] if binding else []), *ends)
 
 
 def verdict(
@@ -83,6 +115,8 @@ def verdict(
     try_next: tuple[str, ...] = ()
     drivable = results.on_drivable().scenarios
     recorded = float(beyond_friction(drivable, setup).mean()) if drivable.n else 0.0
+    binding: tuple[Estimate, ...] = ()
+    ends: tuple[SweepEnd, ...] = ()
     acting = [i for i, design in enumerate(ranking.designs) if not design.is_baseline]
     meeting = [i for i in range(ranking.ranked) if not ranking.designs[i].is_baseline]
     if meeting or not acting:
@@ -92,6 +126,8 @@ def verdict(
         broken = _broken(ranking, position)
         if broken:
             sentences.append(f"It is not usable as it is: {_list(broken)}.")
+        binding = tuple(limit for limit in ranking.estimates(position) if limit.required and limit.binds)
+        ends = sweep_ends(ranking, position)
     else:
         nearest = _nearest(ranking)
         position = nearest[0]
@@ -110,7 +146,7 @@ def verdict(
         *_tail_light(ranking, results, setup, position),
         *_scenarios_light(model),
     )
-    return Verdict(title, tuple(sentences), lights, position, nearest, try_next, recorded)
+    return Verdict(title, tuple(sentences), lights, position, nearest, try_next, recorded, binding, ends)
 
 
 def law_title(design: Design) -> str:
@@ -322,19 +358,45 @@ def _nearest(ranking: RankedDesigns) -> tuple[int, ...]:
 def _try_next(ranking: RankedDesigns, position: int) -> Iterator[str]:
     """Advice from the position of the nearest design in its sweep."""
     design = ranking.designs[position]
-    sweep = [other for other in ranking.designs if other.law == design.law]
-    values = {"y_s": design.y_s, **dict(design.gains)}
-    ends = []
-    for name, value in values.items():
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            continue
-        swept = sorted({float({"y_s": other.y_s, **dict(other.gains)}[name]) for other in sweep})
-        if len(swept) > 1 and value in (swept[0], swept[-1]):
-            ends.append(f"{name} {'below' if value == swept[0] else 'above'} {value:g}")
+    ends = [
+        f"{end.name} {'above' if end.upper else 'below'} {end.end:g}"
+        for end in sweep_ends(ranking, position)
+        if end.open
+    ]
     if ends:
         yield f"The nearest design stands at an end of its sweep: try {_list(ends)}."
     else:
         yield f"{law_title(design)} comes closest; sweep its gains around the nearest design."
+
+
+_AT_END: Final = 0.02  # of a range: what lies closer to its end lies at it
+
+
+def sweep_ends(ranking: RankedDesigns, position: int) -> tuple[SweepEnd, ...]:
+    """Gains and threshold of a design that lie at an end of the values beside which it was tried.
+
+    In a grid these are the designs, failed ones too, that differ from it in nothing else.
+    """
+    design = ranking.designs[position]
+    values = {THRESHOLD: design.y_s, **dict(design.gains)}
+    tried = [
+        {THRESHOLD: other.y_s, **dict(other.gains)}
+        for other in (*ranking.designs, *(failure.design for failure in ranking.failed))
+        if other.law == design.law
+    ]
+    declared, ends = {THRESHOLD: Y_S, **declared_gains(design.kind)}, []
+    for name, value in values.items():
+        ranges = [of for law, swept, of in ranking.ranges if (law, swept) == (design.law, name)]
+        spans = [of for of in ranges if isinstance(of, Span)]
+        beside = {other[name] for other in tried if other | {name: value} == values}
+        beside.update(end for of in ranges for end in (of.values if isinstance(of, Choices) else (of.low, of.high)))
+        numbers = [float(number) for number in beside if not isinstance(number, str | bool)]
+        if design.is_baseline or len(numbers) < 2 or isinstance(value, str | bool):
+            continue
+        for end, limit in ((min(numbers), declared[name].lower), (max(numbers), declared[name].upper)):
+            if value == end or any(abs(span.share(value) - span.share(end)) <= _AT_END for span in spans):
+                ends.append(SweepEnd(name, value, end, end == max(numbers), end != limit))
+    return tuple(ends)
 
 
 TOP: Final = 20  # rows of a notebook; the winner and the baseline follow where they are further down
@@ -439,9 +501,9 @@ def listed_places(ranking: RankedDesigns, most: int) -> list[int]:
 
 
 def verdict_lines(verdict: Verdict) -> list[str]:
-    """Title and sentences of a verdict, its red and yellow lights, and what to try."""
+    """Title and sentences of a verdict, what holds the design back, red and yellow lights, and what to try."""
     lights = [f"{light.name}: {light.text}" for light in verdict.lights if light.state in ("bad", "warning")]
-    return [f"{verdict.title}.", *verdict.sentences, *lights, *verdict.try_next]
+    return [f"{verdict.title}.", *verdict.sentences, *verdict.held_back, *lights, *verdict.try_next]
 
 
 def set_of_best_line(ranking: RankedDesigns) -> str:
