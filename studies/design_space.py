@@ -103,24 +103,24 @@ def rounded(value: float) -> float:
 
 
 def next_value(values: Sequence[float], gain: Gain, *, upper: bool) -> GainValue | None:
-    """The value beyond an end of a list of two numbers or more; None where the declaration of the gain allows none.
+    """The value beyond an end of a list of two numbers or more; None where the gain's declaration allows none.
 
-    The list's own spacing goes on: ratio or difference where one of them is constant, else the last step at that end,
-    in the scale of the gain. A gain keeps its sign, and its last step before a limit ends at it.
+    The list's own ratio or difference goes on, where one of them is constant, else the last step at that end, in the
+    gain's scale. A gain keeps its sign, and the last step before a limit ends at it.
     """
     ordered = sorted(values, reverse=not upper)
     before, last = ordered[-2:]
-    steps = np.diff(ordered)
     signed = ordered[0] * ordered[-1] > 0
-    ratios = np.divide(ordered[1:], ordered[:-1]) if signed else steps
-    even, geometric = (len(ordered) > 2 and np.allclose(x, x[0], rtol=1e-3, atol=0.0) for x in (steps, ratios))
+    spacings = np.diff(ordered), np.diff(np.log(np.abs(ordered))) if signed else np.arange(2.0)
+    even, geometric = (
+        len(ordered) > 2 and np.allclose(spacing, spacing[0], rtol=1e-3, atol=0.0) for spacing in spacings
+    )
     value = last + (last - before)
     if signed and (geometric or (gain.scale == "log" and not even) or (gain.name != THRESHOLD and value * last <= 0)):
         value = last * (last / before)
-    if gain.whole:
-        value = round(value) if round(value) != last else last + (1 if upper else -1)
     value = min(max(rounded(value), gain.lower), gain.upper)
-    return None if value == last else round(value) if gain.whole else value
+    value = round(value) if gain.whole else value
+    return None if value == last else value
 
 
 def _between(a: float, b: float, share: float, scale: Scale) -> float:

@@ -110,7 +110,7 @@ class Requirement:
         return f"{self.metric.name} {self.operator} {self.limit!r}".removesuffix(".0")
 
 
-CLOSE: Final = 0.05  # a value within this share of its limit is close to it
+_CLOSE: Final = 0.05  # share of a limit within which a value is close to it
 _MISSED: Final = 1e-9  # least excess of a requirement that is missed: `"S < 0.5"` at exactly 0.5
 
 
@@ -158,13 +158,10 @@ class Estimate(Miss):
 
     @property
     def binds(self) -> bool:
-        """Whether the value lies within 5 % of the limit, or its interval reaches the limit.
-
-        A count of 0 that may not be larger, or a share that is full and has to be, is no value close to its limit.
-        """
+        """Whether its interval reaches the limit, or the value lies within 5 % of it, unless it cannot be better."""
         of, limit = self.requirement.metric, self.requirement.limit
-        ends = {"share": (0.0, 1.0), "count": (0.0,)}.get(of.unit, ())
-        return self.low <= limit <= self.high or (limit not in ends and abs(self.value - limit) <= CLOSE * abs(limit))
+        best = limit in {"share": (0.0, 1.0), "count": (0.0,)}.get(of.unit, ())
+        return self.low <= limit <= self.high or (not best and abs(self.value - limit) <= _CLOSE * abs(limit))
 
     @property
     def of_limit(self) -> str:

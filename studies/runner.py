@@ -4,21 +4,21 @@ import contextlib
 import dataclasses
 import logging
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
 
 from ldctoolkit.declared import checked_number, checked_whole
 from ldctoolkit.departures import LEFT
-from ldctoolkit.errors import InputError, StoreError, expect
+from ldctoolkit.errors import InputError, LdcError, StoreError, expect
 from ldctoolkit.scenario_model import ScenarioModel, load_model
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.surroundings import temporary_folder
 
 from .design import FOLLOWS_STUDY, Design
-from .design_space import THRESHOLD, Y_S, DesignBlock, next_value
+from .design_space import THRESHOLD, next_value
 from .measures import measured
 from .ranking.design_metrics import find_baseline
 from .ranking.ranking import Ranking, rank_study
@@ -42,7 +42,7 @@ from .storage.scenario_source import (
     write_model,
 )
 from .storage.store import FINALISTS, REPLAYED, SCORES, Store, make_folder
-from .study_file import MOST_DESIGNS, Study
+from .study_file import Study
 from .text import compact
 
 _log = logging.getLogger("studies")
@@ -188,11 +188,14 @@ class _Run:
         check_room(study, sum(study.scenarios.counts))  # before anything is made
         make_folder(folder)
         with locked(folder):
+            added: tuple[str, ...] = ()
             first, results = study, self.stages(study, folder)
-            while study.ranking.extend and (longer := extended(study, rank_study(results, study), first)) is not study:
-                study, added = longer, tuple(_added(first, longer))
-                self.progress.phase(f"beyond the ends of sweeps: {'; '.join(added)}")
-                check_room(study, sum(study.scenarios.counts))
+            while study.ranking.extend:
+                study, more = extended(study, rank_study(results, study), first)
+                if not more:
+                    break
+                self.progress.phase(f"beyond the ends of sweeps: {'; '.join(more)}")
+                added = (*added, *more)
                 results = self.stages(study, folder, added)
             return results
 
@@ -315,47 +318,28 @@ def _finalist_study(study: Study, designs: Sequence[Design]) -> Study:
     return study.with_content(content)
 
 
-def extended(study: Study, ranking: Ranking, first: Study) -> Study:
-    """The study with one more value beyond each end of a list at which the winner lies; itself where none is added.
+def extended(study: Study, ranking: Ranking, first: Study) -> tuple[Study, tuple[str, ...]]:
+    """The study with one more value beyond each end of a list at which the winner lies, and what was added.
 
-    Within what the laws allow, `Study.ranking.extend` values more than the `first` study and twice its designs. It
-    follows from study and results alone, so that a run that is resumed adds the same.
+    At most `extend` values a list more than the `first` study has, and twice its designs; none that the laws or the
+    memory forbid. It follows from study and results alone: a run that is resumed adds the same.
     """
-    if ranking.winner is None or 2 * len(first.designs) > MOST_DESIGNS:
-        return study
+    added: tuple[str, ...] = ()
+    if ranking.winner is None:
+        return study, added
     winner = ranking.designs[ranking.winner]
-    for i, block in enumerate(study.design):
-        if block.sample is not None or winner not in block.designs():
+    i = next((i for i, block in enumerate(study.design) if not block.sample and winner in block.designs()), None)
+    for end in sweep_ends(ranking, ranking.winner) if i is not None else ():
+        name, content = end.gain.name, study.content()
+        tables = (of["design"][i] for of in (content, first.content()))
+        now, before = ((table if name == THRESHOLD else table["gains"]).get(name, []) for table in tables)
+        if not 2 <= len(now) < len(before) + study.ranking.extend or end.value not in (min(now), max(now)):
             continue
-        for end in sweep_ends(ranking, ranking.winner):
-            before, now = (_lists(of.design[i]).get(end.name, ()) for of in (first, study))
-            if end.value not in (min(now, default=None), max(now, default=None)) or len(now) < 2:
-                continue
-            if len(now) - len(before) >= study.ranking.extend:
-                continue
-            of_laws = [Y_S] if end.name == THRESHOLD else [g for kind in block.kinds for g in kind.gains()]
-            limits = [gain for gain in of_laws if gain.name == end.name]
-            lower, upper = max(gain.lower for gain in limits), min(gain.upper for gain in limits)
-            value = next_value(now, dataclasses.replace(limits[0], lower=lower, upper=upper), upper=end.upper)
-            if value is None:
-                continue
-            content = study.content()
-            table = content["design"][i]
-            (table if end.name == THRESHOLD else table["gains"])[end.name] = [*now, value]
-            longer = study.with_content(content)
-            study = longer if len(longer.designs) <= 2 * len(first.designs) else study
-        break
-    return study
-
-
-def _lists(block: DesignBlock) -> dict[str, tuple[Any, ...]]:
-    """The values of threshold and gains of a table of a grid."""
-    return {name: values for name, values in {THRESHOLD: block.y_s, **block.gains}.items() if isinstance(values, tuple)}
-
-
-def _added(first: Study, study: Study) -> Iterator[str]:
-    """What a study has more than the first, for readers."""
-    for before, block in zip(first.design, study.design, strict=True):
-        for name, values in _lists(block).items():
-            if more := values[len(_lists(before)[name]) :]:
-                yield f"{', '.join(block.laws)}: {name} = {', '.join(map(compact, more))}"
+        if (value := next_value(now, end.gain, upper=end.upper)) is not None:
+            now.append(value)
+            with contextlib.suppress(LdcError):  # another law of the table allows less
+                longer = study.with_content(content)
+                check_room(longer, sum(longer.scenarios.counts))
+                if len(longer.designs) <= 2 * len(first.designs):
+                    study, added = longer, (*added, f"{winner.law}: {name} = {compact(value)}")
+    return study, added

@@ -294,8 +294,7 @@ class Study(Part):
             raise InputError("design", "no designs", allowed="one [[design]] table or more")
         check_blocks(self.design, searched=self.search is not None)
         if self.search and self.ranking.extend:
-            hint = "widen the ranges of its designs"
-            raise InputError("ranking.extend", "with [search]", value=self.ranking.extend, allowed="0", hint=hint)
+            raise InputError("ranking.extend", "with [search]", value=self.ranking.extend, allowed="0")
         size = 0 if self.search else sum(block.size for block in self.design)
         if size > MOST_DESIGNS:
             raise InputError("design", f"the grids make {size} designs", allowed=f"at most {MOST_DESIGNS}")

@@ -206,12 +206,8 @@ def _summary(judged: Judged) -> dict[str, Any]:
         "verdict": judgement.title,
         "usable": judgement.usable,
         "lights": {light.name: light.state for light in judgement.lights},
-        "binding": [
-            {"limit": of.requirement.text, "text": of.of_limit}
-            | {name: _number(getattr(of, name)) for name in ("value", "low", "high")}
-            for of in judgement.binding
-        ],
-        "sweep_ends": [dataclasses.asdict(end) | {"text": end.text} for end in judgement.ends],
+        "binding": [limit.requirement.text for limit in judgement.binding],
+        "sweep_ends": [{"name": end.gain.name, "value": end.value, "text": end.text} for end in judgement.ends],
         "extended": list(judged.manifest.extended),
     }
 

@@ -202,9 +202,9 @@ def _fidelity(sides: tuple[Side, ...]) -> Section:
         body += Markup("<h3>{}</h3>").format(side.title) + figure(charts, f"{title}. A row: design and y_s.", key)
         tables += to_html(Table(title, columns, [Row(tuple(cells)) for cells in rows]))
     note = (
-        "Each test design is driven on the recorded departures and on generated ones. Lines, and brackets in the table: "
+        "Each test design is driven on the recorded departures and on generated ones. Lines (brackets in the table): "
         "95 % bootstrap interval of the replay, for all test designs at once, and no narrower than what a designer "
-        "would act on (3 points of a share, 5 % of a peak). A cross, highlighted in the table: outside. A model "
+        "would act on (3 points of a share, 5 % of a peak). A cross (highlighted in the table): outside. A model "
         "passes where no answer is."
     )
     body += paragraphs(note) + (details("The same as a table", tables) if tables else "")

@@ -241,8 +241,7 @@ class RankedDesigns:
     confidence: float  # Of every family of intervals, and of the set of best
     warnings: tuple[str, ...]  # What a reader must know before comparing designs
     failed: tuple[FailedDesign, ...] = ()  # Designs whose law failed: they have no rank and no metrics
-    # Law, gain or threshold, and what a sample or a search takes its values from; a grid shows them itself
-    ranges: tuple[tuple[str, str, Dimension], ...] = ()
+    ranges: tuple[tuple[str, str, Dimension], ...] = ()  # Of samples and searches: law, gain or threshold, its values
 
     def __len__(self) -> int:
         return len(self.designs)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -18,7 +18,6 @@ from ldctoolkit.errors import StudyError, expect
 from ldctoolkit.metrics import METRICS, RELEASE_METRICS
 
 from ..design import Design
-from ..design_space import Dimension
 from ..requirements import SETS, metric, missed_by, requirements_of
 from ..results import StudyResults
 from ..standards import standard_names
@@ -160,7 +159,6 @@ class Ranking(RankedDesigns, Frame):
         setup: Setup | None = None,
         vehicles: Sequence[str] = (),
         standards: Sequence[str] = (),
-        ranges: Iterable[tuple[str, str, Dimension]] = (),
     ) -> Ranking:
         """Rank the designs of a study.
 
@@ -170,7 +168,6 @@ class Ranking(RankedDesigns, Frame):
         The settings are those of ``[ranking]`` in a study file, D_y [m] is the depth that counts as deep. The `setup`
         of the runs gives the limit of friction. The worst of the named `vehicles` and the shares of the named or
         required `standards` are taken from the measures of the run, with an `InputError` for a measure that is missing.
-        The `ranges` are those of a sample or a search, see `RankedDesigns`.
         """
         options = None if setup is None else setup.options
         requirements = requirements_of(require, options)
@@ -272,7 +269,6 @@ class Ranking(RankedDesigns, Frame):
             confidence=confidence,
             warnings=tuple(warnings),
             failed=results.failed,
-            ranges=tuple(ranges),
         )
 
 
@@ -321,7 +317,7 @@ def rank_study(results: StudyResults, study: Study) -> Ranking:
         )
     _check_setup(results, study)
     settings = study.ranking
-    return Ranking.of(
+    ranking = Ranking.of(
         results,
         seed=study.seed,
         bootstrap=settings.bootstrap,
@@ -333,14 +329,10 @@ def rank_study(results: StudyResults, study: Study) -> Ranking:
         setup=results.setup or study.setup(),
         vehicles=study.vehicles,
         standards=study.standards,
-        ranges=(
-            (space.law, *dimension)
-            for block in study.design
-            if study.search or block.sample
-            for space in block.space()
-            for dimension in space.dimensions
-        ),
     )
+    sampled = [space for block in study.design if study.search or block.sample for space in block.space()]
+    ranges = tuple((space.law, name, values) for space in sampled for name, values in space.dimensions)
+    return dataclasses.replace(ranking, ranges=ranges)
 
 
 def _check_setup(results: StudyResults, study: Study) -> None:

@@ -3,12 +3,12 @@
 import dataclasses
 import math
 from collections.abc import Iterator, Sequence
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 
 from ldctoolkit.arrays import FloatArray, IntArray
-from ldctoolkit.declared import declared_gains
+from ldctoolkit.declared import Gain
 from ldctoolkit.metrics import METRICS
 from ldctoolkit.paths.uncorrected import UncorrectedPath
 from ldctoolkit.scenario_model import ScenarioModel
@@ -57,16 +57,20 @@ class Light:
 class SweepEnd:
     """A gain or threshold of a design that lies at an end of the values that were tried."""
 
-    name: str  # ``"y_s"`` or a gain
+    gain: Gain
     value: float
-    end: float  # The same, but for a range without a list of values: there close to it is enough
+    end: float  # The same; of a range without a list of values, its end close by
     upper: bool  # Whether it is the largest
-    open: bool  # Whether the law allows values beyond
+
+    @property
+    def open(self) -> bool:
+        """Whether the law allows values beyond."""
+        return self.end != (self.gain.upper if self.upper else self.gain.lower)
 
     @property
     def text(self) -> str:
         """For a reader: ``"r_delta = 5000 is the end of its sweep: extend it"``."""
-        shown = f"{self.name} = {compact(self.value)}{' m' if self.name == THRESHOLD else ''}"
+        shown = f"{self.gain.name} = {compact(self.value)}{' m' if self.gain is Y_S else ''}"
         if not self.open:
             return f"{shown} is the {'largest' if self.upper else 'smallest'} allowed"
         near = "" if self.value == self.end else f" beside {compact(self.end)},"
@@ -115,8 +119,6 @@ def verdict(
     try_next: tuple[str, ...] = ()
     drivable = results.on_drivable().scenarios
     recorded = float(beyond_friction(drivable, setup).mean()) if drivable.n else 0.0
-    binding: tuple[Estimate, ...] = ()
-    ends: tuple[SweepEnd, ...] = ()
     acting = [i for i, design in enumerate(ranking.designs) if not design.is_baseline]
     meeting = [i for i in range(ranking.ranked) if not ranking.designs[i].is_baseline]
     if meeting or not acting:
@@ -126,8 +128,6 @@ def verdict(
         broken = _broken(ranking, position)
         if broken:
             sentences.append(f"It is not usable as it is: {_list(broken)}.")
-        binding = tuple(limit for limit in ranking.estimates(position) if limit.required and limit.binds)
-        ends = sweep_ends(ranking, position)
     else:
         nearest = _nearest(ranking)
         position = nearest[0]
@@ -146,6 +146,8 @@ def verdict(
         *_tail_light(ranking, results, setup, position),
         *_scenarios_light(model),
     )
+    binding = tuple(limit for limit in ranking.estimates(position) if limit.required and limit.binds and not nearest)
+    ends = () if nearest else sweep_ends(ranking, position)
     return Verdict(title, tuple(sentences), lights, position, nearest, try_next, recorded, binding, ends)
 
 
@@ -359,7 +361,7 @@ def _try_next(ranking: RankedDesigns, position: int) -> Iterator[str]:
     """Advice from the position of the nearest design in its sweep."""
     design = ranking.designs[position]
     ends = [
-        f"{end.name} {'above' if end.upper else 'below'} {end.end:g}"
+        f"{end.gain.name} {'above' if end.upper else 'below'} {end.end:g}"
         for end in sweep_ends(ranking, position)
         if end.open
     ]
@@ -377,25 +379,21 @@ def sweep_ends(ranking: RankedDesigns, position: int) -> tuple[SweepEnd, ...]:
 
     In a grid these are the designs, failed ones too, that differ from it in nothing else.
     """
-    design = ranking.designs[position]
+    design, ends = ranking.designs[position], []
+    every = (*ranking.designs, *(failure.design for failure in ranking.failed))
+    tried = [{THRESHOLD: other.y_s, **dict(other.gains)} for other in every if other.law == design.law]
     values = {THRESHOLD: design.y_s, **dict(design.gains)}
-    tried = [
-        {THRESHOLD: other.y_s, **dict(other.gains)}
-        for other in (*ranking.designs, *(failure.design for failure in ranking.failed))
-        if other.law == design.law
-    ]
-    declared, ends = {THRESHOLD: Y_S, **declared_gains(design.kind)}, []
-    for name, value in values.items():
-        ranges = [of for law, swept, of in ranking.ranges if (law, swept) == (design.law, name)]
-        spans = [of for of in ranges if isinstance(of, Span)]
-        beside = {other[name] for other in tried if other | {name: value} == values}
-        beside.update(end for of in ranges for end in (of.values if isinstance(of, Choices) else (of.low, of.high)))
-        numbers = [float(number) for number in beside if not isinstance(number, str | bool)]
-        if design.is_baseline or len(numbers) < 2 or isinstance(value, str | bool):
+    for gain in () if design.is_baseline else (Y_S, *design.kind.gains()):
+        value: Any = values[gain.name]
+        ranges = [of for *what, of in ranking.ranges if what == [design.law, gain.name]]
+        numbers: set[Any] = {other[gain.name] for other in tried if other | {gain.name: value} == values}
+        numbers |= {end for of in ranges for end in (of.values if isinstance(of, Choices) else (of.low, of.high))}
+        if isinstance(value, str | bool) or len(numbers) < 2:
             continue
-        for end, limit in ((min(numbers), declared[name].lower), (max(numbers), declared[name].upper)):
-            if value == end or any(abs(span.share(value) - span.share(end)) <= _AT_END for span in spans):
-                ends.append(SweepEnd(name, value, end, end == max(numbers), end != limit))
+        for upper, end in enumerate((min(numbers), max(numbers))):
+            close = (abs(of.share(value) - of.share(end)) <= _AT_END for of in ranges if isinstance(of, Span))
+            if value == end or any(close):
+                ends.append(SweepEnd(gain, value, end, bool(upper)))
     return tuple(ends)
 
 
