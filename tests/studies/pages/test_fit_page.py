@@ -18,6 +18,7 @@ from ldctoolkit.recordings.find_departures import REASONS
 from ldctoolkit.recordings.quality import Origin
 from ldctoolkit.recordings.recording import Problem
 from ldctoolkit.scenario_model import ScenarioModel
+from ldctoolkit.scenario_model.fidelity import SideFidelity
 from ldctoolkit.studies.pages.extraction_page import (
     extraction_page,
     extraction_verdict,
@@ -64,6 +65,40 @@ def test_self_contained_and_well_formed(page: Page) -> None:
     assert [section for section in page.text if section] == SECTIONS
     assert len(page.html) < 1_000_000
     assert len(page.images) == 2 * 4 + 2 * 2 + 1  # margins, joint densities, BIC
+
+
+def test_the_recordings_answer_is_drawn_and_its_table_folded(
+    model: ScenarioModel, diagnostics: ModelDiagnostics
+) -> None:
+    """Five charts a side, twelve rows each; one answer outside is crossed, and said under the pointer."""
+    replayed = tuple((0.3, 0.9, 0.4, 2.0, 0.5) for _ in range(12))
+    low, high = (tuple(tuple(factor * x for x in row) for row in replayed) for factor in (0.9, 1.1))
+    outside = (replayed[0], (0.3, 0.9, 0.46, 2.0, 0.5), *replayed[2:])
+    sides = {
+        name: dataclasses.replace(side, fidelity=SideFidelity(86, (0.02, 0.06, 0.17, 0.23), replayed, low, high, made))
+        for name, made in (("left", outside), ("right", replayed))
+        if (side := getattr(model.provenance, name))
+    }
+    provenance = dataclasses.replace(model.provenance, **sides)
+    html = fit_page(ScenarioModel(model.left_side, model.right_side, provenance), diagnostics, seed=3)
+    page = Page(html)
+    whole(page)
+    drawn = [name for name in page.images if "test designs" in name]
+    assert drawn == [
+        f"{side}: {quantity} of the test designs, replayed and generated"
+        for side in ("left", "right")
+        for quantity in ("reduction", "trigger share", "needless", "added a_y p95", "depth p95")
+    ]
+    section = html[html.index('id="fidelity"') : html.index('id="margins"')]
+    assert section.count(">feedback 1 rad/s, 0.23 m</text>") == 10
+    tip = "Preview P, y_s = 0.06 m: model 46.0, replayed 40.0 (36.0 to 44.0)"
+    assert section.count(f"<title>{tip}</title>") == 2  # of the interval, and of the model's cross
+    assert section.count("m0 -8l-8 8") == 2  # the cross in the chart and in the left legend
+    assert "model, outside" in section[: section.index("<h3>Right</h3>")]
+    assert "model, outside" not in section[section.index("<h3>Right</h3>") :]
+    folded = section[section.index("<details>") :]
+    assert (section.count("<table"), folded.count("<table"), folded.count("<tr")) == (2, 2, 2 * 13)
+    assert folded.count('class="n bad"') == 1
 
 
 def test_the_verdict_says_what_it_is_good_enough_for(model: ScenarioModel, diagnostics: ModelDiagnostics) -> None:
