@@ -404,6 +404,8 @@ def test_a_sweep_is_what_differs_from_the_winner_in_nothing_else() -> None:
     assert held_back(Ranking.of(inner, bootstrap=100), inner) == (
         "y_s = 0.1 m is the end of its sweep: extend it.", "r_delta = 1e+06 is the largest allowed."
     )  # fmt: skip
+    passive = given_results(np.outer([1.0, 2.0], np.ones(20)), [Design.of(NoControl(), y_s) for y_s in (0.1, 0.2)])
+    assert held_back(Ranking.of(passive, bootstrap=100), passive) == ()
     failed = (FailedDesign(Design.of(LQR(r_delta=1e6), 0.15), "raised"),)
     inner = given_results(S, designs, parts={"failed": failed})
     assert held_back(Ranking.of(inner, bootstrap=100), inner) == ("r_delta = 1e+06 is the largest allowed.",)

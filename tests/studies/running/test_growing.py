@@ -164,6 +164,7 @@ def test_an_extension_is_the_same_in_processes(tmp_path: Path) -> None:
         # the last step ends at the largest weight that the law allows, where there is nothing beyond
         (swept(r_delta=[3e5, 6e5], require="S >= 0", extend=5), [3e5, 6e5, 1.5e5, 7.5e4, 3.75e4]),
         (swept(r_delta=[20_000.0], extend=5), [20_000.0]),
+        (swept(SOFT_FIRST | {"gains": {"r_delta": 10_000.0}}, r_delta=[20_000.0], extend=5), [20_000.0, 10_000.0]),
         (swept(r_delta=[5000.0, 40_000.0, 20_000.0, 10_000.0], require="S > 1e3", extend=5), [5e3, 4e4, 2e4, 1e4]),
     ],
 )
@@ -201,7 +202,7 @@ def test_commands_see_what_was_added(
     assert line in (tmp_path / "out/ranking.md").read_text(encoding="utf-8").replace("\\_", "_")
     page = Page((tmp_path / "out/report.html").read_text(encoding="utf-8"))
     assert "r δ = 10000 is the end of its sweep: extend it." in page.words("verdict").replace("rδ", "r δ")
-    assert "added beyond the ends of sweepslqr: r δ = 10000" in page.words("settings").replace("rδ", "r δ")
+    assert "designs4added beyond the ends of sweepslqr: r δ = 10000" in page.words("settings").replace("rδ", "r δ")
     for command, designs, value, added in (
         (["rank", "out"], 4, 10_000.0, ["lqr: r_delta = 10000"]),
         (["run", "s.toml", "--extend", *plain], 4, 10_000.0, ["lqr: r_delta = 10000"]),
