@@ -113,7 +113,7 @@ def _numbered(labels: npt.NDArray[np.generic]) -> tuple[IntArray, int]:
 
 
 @dataclasses.dataclass(frozen=True)
-class ClusterError:
+class StandardErrors:
     """How uncertain k estimates from n clustered departures are."""
 
     error: FloatArray  # (k,) Standard error
@@ -128,7 +128,7 @@ def cluster_sums(values: FloatArray, index: IntArray) -> FloatArray:
     return result
 
 
-def cluster_error(influence: FloatArray, index: IntArray, weights: FloatArray | None = None) -> ClusterError:
+def cluster_error(influence: FloatArray, index: IntArray, weights: FloatArray | None = None) -> StandardErrors:
     """Standard errors of k weighted means, or of what is one to first order, such as a ratio.
 
     Parameters
@@ -143,7 +143,7 @@ def cluster_error(influence: FloatArray, index: IntArray, weights: FloatArray | 
 
     Returns
     -------
-    ClusterError
+    StandardErrors
         Infinite where there is one cluster only.
 
     Examples
@@ -158,7 +158,7 @@ def cluster_error(influence: FloatArray, index: IntArray, weights: FloatArray | 
     w = np.full(n, 1.0 / n) if weights is None else weights / weights.sum()
     H, q = (cluster_sums(row[None], index)[0] for row in (w, w * w))  # share of each cluster, and of squares
     if H.size < 2 or H.max() >= 1.0:
-        return ClusterError(np.full(k, np.inf), np.ones(k))
+        return StandardErrors(np.full(k, np.inf), np.ones(k))
     c = 1.0 / np.sqrt(1.0 - H)
     sums = cluster_sums(influence * w, index)
     error = np.sqrt(((sums * c) ** 2).sum(axis=1))
@@ -173,7 +173,7 @@ def cluster_error(influence: FloatArray, index: IntArray, weights: FloatArray | 
     squares = (diagonal**2).sum(axis=1) + 2.0 * (diagonal * off).sum(axis=1)
     squares += 2.0 * (xx * yy + xy**2) + U[:, 0] ** 2 * yy**2 - 4.0 * U[:, 0] * xy * yy
     trace = (diagonal + off).sum(axis=1)
-    return ClusterError(error, np.maximum(trace**2 / squares, 1.0))
+    return StandardErrors(error, np.maximum(trace**2 / squares, 1.0))
 
 
 def _intraclass_correlation(values: FloatArray, index: IntArray) -> FloatArray:

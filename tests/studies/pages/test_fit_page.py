@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from helpers.models import make_departures, make_model, skewed
+from helpers.models import checked_model, make_departures, make_model, skewed
 from helpers.pages import EVIL, Page, whole
 from helpers.recordings import drive, make_extraction
 from ldctoolkit.departures import Departures
@@ -18,7 +18,6 @@ from ldctoolkit.recordings.find_departures import REASONS
 from ldctoolkit.recordings.quality import Origin
 from ldctoolkit.recordings.recording import Problem
 from ldctoolkit.scenario_model import ScenarioModel
-from ldctoolkit.scenario_model.fidelity import SideFidelity
 from ldctoolkit.studies.pages.extraction_page import (
     extraction_page,
     extraction_verdict,
@@ -67,20 +66,9 @@ def test_self_contained_and_well_formed(page: Page) -> None:
     assert len(page.images) == 2 * 4 + 2 * 2 + 1  # margins, joint densities, BIC
 
 
-def test_the_recordings_answer_is_drawn_and_its_table_folded(
-    model: ScenarioModel, diagnostics: ModelDiagnostics
-) -> None:
+def test_the_recordings_answer_is_drawn_and_its_table_folded(diagnostics: ModelDiagnostics) -> None:
     """Five charts a side, twelve rows each; one answer outside is crossed, and said under the pointer."""
-    replayed = tuple((0.3, 0.9, 0.4, 2.0, 0.5) for _ in range(12))
-    low, high = (tuple(tuple(factor * x for x in row) for row in replayed) for factor in (0.9, 1.1))
-    outside = (replayed[0], (0.3, 0.9, 0.46, 2.0, 0.5), *replayed[2:])
-    sides = {
-        name: dataclasses.replace(side, fidelity=SideFidelity(86, (0.02, 0.06, 0.17, 0.23), replayed, low, high, made))
-        for name, made in (("left", outside), ("right", replayed))
-        if (side := getattr(model.provenance, name))
-    }
-    provenance = dataclasses.replace(model.provenance, **sides)
-    html = fit_page(ScenarioModel(model.left_side, model.right_side, provenance), diagnostics, seed=3)
+    html = fit_page(checked_model(), diagnostics, seed=3)
     page = Page(html)
     whole(page)
     drawn = [name for name in page.images if "test designs" in name]
