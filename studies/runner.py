@@ -12,15 +12,17 @@ import numpy as np
 
 from ldctoolkit.declared import checked_number, checked_whole
 from ldctoolkit.departures import LEFT
-from ldctoolkit.errors import InputError, StoreError, expect
+from ldctoolkit.errors import InputError, LdcError, StoreError, expect
 from ldctoolkit.scenario_model import ScenarioModel, load_model
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.surroundings import temporary_folder
 
 from .design import FOLLOWS_STUDY, Design
+from .design_space import THRESHOLD, next_value
 from .measures import measured
 from .ranking.design_metrics import find_baseline
 from .ranking.ranking import Ranking, rank_study
+from .ranking.verdict import sweep_ends
 from .results import StudyResults
 from .running.campaign import Campaign
 from .running.dispatch import Executor, Progress, closing, displayed
@@ -41,9 +43,11 @@ from .storage.scenario_source import (
 )
 from .storage.store import FINALISTS, REPLAYED, SCORES, Store, make_folder
 from .study_file import Study
+from .text import compact
 
 _log = logging.getLogger("studies")
 
+EXTEND: Final = 6  # values beyond the end of a sweep where it is requested, and the study says no number
 TIME_LIMIT = 600.0  # seconds that a task may take: a thousand times what it is made for
 _LIMITS = (0.1, 1e7)  # seconds that a limit may be
 _STREAM: Final = 0x66696E61  # keeps the finalists' scenarios apart from those that they were chosen on
@@ -64,6 +68,7 @@ def run_study(
     progress: bool | Progress | None = None,
     block_size: int | None = None,
     time_limit: float = TIME_LIMIT,
+    extend: bool | None = None,
 ) -> StudyResults:
     """Run every design of a study on the same scenarios and store the results; resumes where a run was stopped.
 
@@ -97,6 +102,9 @@ def run_study(
     time_limit : float [s]
         A task that takes longer ends its worker, and the scenario at fault is found; 0 for no limit. Not in this
         process, which could not go on.
+    extend : bool, optional
+        Whether to add designs beyond the end of a sweep while the winner lies there: `ranking.extend` values at most,
+        or 6 if the study has 0; as the study says by default. The study in the folder is the one with these designs.
 
     Returns
     -------
@@ -113,6 +121,7 @@ def run_study(
     """
     expect("study", study, Study)
     expect("scenarios", scenarios, Scenarios | None)
+    expect("extend", extend, bool | None)
     block_size = None if block_size is None else checked_whole("block_size", block_size, lower=1)
     if time_limit is False or time_limit != 0:
         least, most = _LIMITS
@@ -121,7 +130,7 @@ def run_study(
         with temporary_folder() as folder:
             return run_study(
                 study, folder, model=model, scenarios=scenarios, workers=workers, executor=executor, dask=dask,
-                progress=progress, block_size=block_size, time_limit=time_limit,
+                progress=progress, block_size=block_size, time_limit=time_limit, extend=extend,
             )  # fmt: skip
     if scenarios is not None:
         if model is not None:
@@ -129,6 +138,8 @@ def run_study(
         left = int((scenarios.side == LEFT).sum())
         model = ReplayedDepartures("given", dataclasses.replace(scenarios, index=np.arange(scenarios.n)))
         study = study.changed(scenarios={"left": left, "right": scenarios.n - left})
+    if extend is not None:
+        study = study.changed(ranking={"extend": (study.ranking.extend or EXTEND) if extend else 0})
     if study.laws():
         study = study.changed()  # its designs are those of the code as it is now
     source = study_source(study, model)
@@ -173,28 +184,41 @@ class _Run:
     block_size: int | None
 
     def whole(self, study: Study, folder: Path) -> StudyResults:
-        """All stages: the study itself, and its finalists on fresh scenarios."""
+        """All stages; once more, with what was added, while the winner lies at the end of a sweep that may go on."""
         check_room(study, sum(study.scenarios.counts))  # before anything is made
         make_folder(folder)
         with locked(folder):
-            results = self.study(study, folder)
-            if not study.ranking.finalists or len(results.designs) < 2 or isinstance(self.source, ReplayedDepartures):
-                return results
-            self.progress.phase("choosing the finalists")
-            best = _finalists(rank_study(results, study), study.ranking.finalists)
-            if not best:
-                return results  # nothing meets the requirements
-            reference = find_baseline(study.ranking.baseline, results)
-            if reference is not None and results.designs[reference] not in best:
-                best = (*best, results.designs[reference])  # so that the gain is known there too
-            again = _finalist_study(study, best)
-            results = dataclasses.replace(results, fresh=self.again(study, again, folder / FINALISTS))
-            if not study.scenarios.replayed:
-                return results
-            table = read_replayed(study)
-            again = again.changed(scenarios={"model": "", "left": None, "right": None})
-            run = dataclasses.replace(self, source=table, name=table.name)
-            return dataclasses.replace(results, replayed=run.again(study, with_counts(again, table), folder / REPLAYED))
+            added: tuple[str, ...] = ()
+            first, results = study, self.stages(study, folder)
+            while study.ranking.extend:
+                study, more = extended(study, rank_study(results, study), first)
+                if not more:
+                    break
+                self.progress.phase(f"beyond the ends of sweeps: {'; '.join(more)}")
+                added = (*added, *more)
+                results = self.stages(study, folder, added)
+            return results
+
+    def stages(self, study: Study, folder: Path, added: tuple[str, ...] = ()) -> StudyResults:
+        """The study itself, and its finalists on fresh scenarios."""
+        results = self.study(study, folder, extended=added)
+        if not study.ranking.finalists or len(results.designs) < 2 or isinstance(self.source, ReplayedDepartures):
+            return results
+        self.progress.phase("choosing the finalists")
+        best = _finalists(rank_study(results, study), study.ranking.finalists)
+        if not best:
+            return results  # nothing meets the requirements
+        reference = find_baseline(study.ranking.baseline, results)
+        if reference is not None and results.designs[reference] not in best:
+            best = (*best, results.designs[reference])  # so that the gain is known there too
+        again = _finalist_study(study, best)
+        results = dataclasses.replace(results, fresh=self.again(study, again, folder / FINALISTS))
+        if not study.scenarios.replayed:
+            return results
+        table = read_replayed(study)
+        again = again.changed(scenarios={"model": "", "left": None, "right": None})
+        run = dataclasses.replace(self, source=table, name=table.name)
+        return dataclasses.replace(results, replayed=run.again(study, with_counts(again, table), folder / REPLAYED))
 
     def again(self, study: Study, again: Study, folder: Path) -> StudyResults | None:
         """The finalists on other scenarios; None if all of them fail there."""
@@ -205,7 +229,9 @@ class _Run:
             _log.warning("no %s: %s", SCORES[folder.name], error)
             return None
 
-    def study(self, study: Study, folder: Path, stage: str = "designs", part_of: str = "") -> StudyResults:
+    def study(
+        self, study: Study, folder: Path, stage: str = "designs", part_of: str = "", extended: tuple[str, ...] = ()
+    ) -> StudyResults:
         """One study into one folder."""
         started = time.monotonic()
         source = self.source
@@ -218,6 +244,7 @@ class _Run:
             model_warnings=tuple(model_warnings(source, study.vehicle, study.scenarios.given)),
             model_synthetic=isinstance(source, ScenarioModel) and source.provenance.synthetic,
             part_of=part_of,
+            extended=extended,
         )
         store = Store.create(folder, manifest, scenarios, study)
         if not part_of and isinstance(source, ScenarioModel):  # finalists are drawn from the same model
@@ -287,5 +314,32 @@ def _finalist_study(study: Study, designs: Sequence[Design]) -> Study:
             for d in designs
         ],
     }
-    content["ranking"] |= {"finalists": 0, "require": [], "baseline": ""}
+    content["ranking"] |= {"finalists": 0, "require": [], "baseline": "", "extend": 0}
     return study.with_content(content)
+
+
+def extended(study: Study, ranking: Ranking, first: Study) -> tuple[Study, tuple[str, ...]]:
+    """The study with one more value beyond each end of a list at which the winner lies, and what was added.
+
+    At most `extend` values a list more than the `first` study has, and twice its designs; none that the laws or the
+    memory forbid. It follows from study and results alone: a run that is resumed adds the same.
+    """
+    added: tuple[str, ...] = ()
+    if ranking.winner is None:
+        return study, added
+    winner = ranking.designs[ranking.winner]
+    i = next((i for i, block in enumerate(study.design) if not block.sample and winner in block.designs()), None)
+    for end in sweep_ends(ranking, ranking.winner) if i is not None else ():
+        name, content = end.gain.name, study.content()
+        tables = (of["design"][i] for of in (content, first.content()))
+        now, before = ((table if name == THRESHOLD else table["gains"]).get(name, []) for table in tables)
+        if not 2 <= len(now) < len(before) + study.ranking.extend or end.value not in (min(now), max(now)):
+            continue
+        if (value := next_value(now, end.gain, upper=end.upper)) is not None:
+            now.append(value)
+            with contextlib.suppress(LdcError):  # another law of the table allows less
+                longer = study.with_content(content)
+                check_room(longer, sum(longer.scenarios.counts))
+                if len(longer.designs) <= 2 * len(first.designs):
+                    study, added = longer, (*added, f"{winner.law}: {name} = {compact(value)}")
+    return study, added

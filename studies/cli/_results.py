@@ -137,6 +137,8 @@ def print_ranking(judged: Judged, top: int) -> None:
     out.print(title, style=style, markup=False, emoji=False, highlight=False)
     for line in (*others, *more_lines(ranking)):
         out.print(line, markup=False, emoji=False, highlight=False)
+    if judged.manifest.extended:
+        say(out, f"Added beyond the ends of sweeps: {'; '.join(judged.manifest.extended)}.")
     for warning in ranking.warnings:
         out.print(f"Warning: {warning}", style="yellow", markup=False, emoji=False, highlight=False)
     out.print()
@@ -207,6 +209,9 @@ def _summary(judged: Judged) -> dict[str, Any]:
         "verdict": judgement.title,
         "usable": judgement.usable,
         "lights": {light.name: light.state for light in judgement.lights},
+        "binding": [limit.requirement.text for limit in judgement.binding],
+        "sweep_ends": [{"name": end.gain.name, "value": end.value, "text": end.text} for end in judgement.ends],
+        "extended": list(judged.manifest.extended),
     }
 
 

@@ -40,6 +40,8 @@ def add_parser(commands: Subparsers) -> None:
     about = "seconds after which a task is given up and the scenario at fault is found (default: 600; 0: none)"
     parser.add_argument("--time-limit", type=number, metavar="S", help=about)
     parser.add_argument("--top", type=positive_number, default=10, metavar="N", help="rows to print (default: 10)")
+    about = "add designs beyond the end of a sweep while the winner lies there (default: as the study says)"
+    parser.add_argument("--extend", action=argparse.BooleanOptionalAction, help=about)
     add_report_options(parser)
     parser.add_argument("--quiet", action="store_true", help="no progress bar and no table")
     about = "one JSON object a line on stdout: progress, then the result; no bar and no table"
@@ -150,8 +152,10 @@ def _run(args: argparse.Namespace, progress: Progress | None) -> int:
         dask=args.dask,
         progress=progress,
         time_limit=TIME_LIMIT if args.time_limit is None else args.time_limit,
+        extend=args.extend,
     )
     manifest, silent = read_manifest(folder), args.quiet or args.json
+    study = study.with_content(study.content() | {key: manifest.study[key] for key in ("design", "ranking")})
     judged = Judged.of(
         folder, manifest, study, results, model=model, drive_plants=not args.no_robustness, show=not silent
     )

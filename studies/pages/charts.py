@@ -159,6 +159,7 @@ class Dot:
     style: Style
     open: bool = False
     tip: str = ""
+    beside: tuple[float, Style] | None = None  # another value on the same line
 
 
 @dataclasses.dataclass(frozen=True)
@@ -439,6 +440,8 @@ def _intervals(chart: Chart) -> _Frame:
             if math.isfinite(dot.value):
                 x, tip = float(frame.px(dot.value)), dot.tip or dot.label
                 frame.parts.append(marker(dot.style, x, middle, filled=not dot.open, tip=tip))
+            if dot.beside is not None:
+                frame.parts.append(marker(dot.beside[1], float(frame.px(dot.beside[0])), middle, tip=dot.tip))
             y += _ROW
         y += _BETWEEN_ROWS
     return frame

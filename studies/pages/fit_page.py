@@ -13,20 +13,21 @@ from ldctoolkit.arrays import FloatArray
 from ldctoolkit.departures import PARAMETER_NAMES, Departures
 from ldctoolkit.diagnostics import N_MODEL, Calibration, ModelDiagnostics, SideDiagnostics, diagnose_model
 from ldctoolkit.scenario_model import ScenarioModel, SideModel, SideSummary
-from ldctoolkit.scenario_model.fidelity import QUANTITIES, UNITS
+from ldctoolkit.scenario_model.fidelity import QUANTITIES, UNITS, SideFidelity
 from ldctoolkit.version import __version__
 
 from ..storage.folder_files import write_text
 from ..storage.scenario_source import model_notes
 from ..tables import Cell, Column, Row, Table, Value, to_html
 from ..text import PARAMETER_MEANINGS, compact, number, parameter_label, plural, symbols
-from .charts import Axis, Chart, Series, Style, bars, heat_map, legend
-from .shell import Section, bullets, figure, make_page, pairs, paragraphs
+from .charts import Axis, Chart, Dot, Series, Style, bars, dots, heat_map, legend
+from .shell import Section, bullets, details, figure, make_page, pairs, paragraphs
 
 Progress = Callable[[str, int, int], None]
 
 SIDE: Final = {"left": Style(0, "", "o"), "right": Style(1, "7 3", "s")}
 MODEL: Final = Style(-1, "", "|")
+OUTSIDE: Final = Style(-1, "", "x")
 
 FEW: Final = 150  # departures of a side below which a fitted model can contradict its recordings
 ENOUGH: Final = 1000  # departures of a side from which on rare ones are known, too
@@ -184,34 +185,47 @@ def _source_line(model: ScenarioModel) -> str:
 
 def _fidelity(sides: tuple[Side, ...]) -> Section:
     """The answers of test designs on recorded and on generated departures."""
-    scale = [100.0 if not unit else 1.0 for unit in UNITS]
+    body, tables = Markup(), Markup()
     columns = [Column("Design", text=True)]
     for name, unit in zip(QUANTITIES, UNITS, strict=True):
         columns += [Column(name.capitalize(), unit.replace("^2", "\u00b2") or "%"), Column("Replay", text=True)]
-    body = Markup()
     for side in sides:
         fidelity = None if side.summary is None else side.summary.fidelity
         if fidelity is None:
             body += paragraphs(f"{side.title}: the model was not checked when it was fitted.")
             continue
-        rows = []
-        for i, design in enumerate(fidelity.designs):
-            cells: list[Cell | Value] = [design]
-            for j, factor in enumerate(scale):
-                replayed, low, high, generated = (
-                    number(factor * values[i][j], 1 if factor > 1.0 else 2)
-                    for values in (fidelity.replayed, fidelity.low, fidelity.high, fidelity.generated)
-                )
-                cells += [Cell(generated, bad=not fidelity.within[i, j]), f"{replayed} ({low} to {high})"]
-            rows.append(Row(tuple(cells)))
+        rows: list[list[Cell | Value]] = [[design] for design in fidelity.designs]
+        charts = [_answers(side.key, fidelity, j, rows) for j in range(len(QUANTITIES))]
+        styles = [(f"replayed, {side.key}", SIDE[side.key]), ("model", MODEL), ("model, outside", OUTSIDE)]
+        key = legend(styles if not fidelity.passed else styles[:2], points=True)
         title = f"{side.title}: generated departures, and {fidelity.departures:,} replayed ones"
-        body += to_html(Table(title, columns, rows))
+        body += Markup("<h3>{}</h3>").format(side.title) + figure(charts, f"{title}. A row: design and y_s.", key)
+        tables += to_html(Table(title, columns, [Row(tuple(cells)) for cells in rows]))
     note = (
-        "Each test design is driven on the recorded departures and on generated ones. In brackets: 95 % bootstrap "
-        "interval of the replay, for all test designs at once, and no narrower than what a designer would act on (3 "
-        "points of a share, 5 % of a peak). Highlighted: outside. A model passes where no answer is."
+        "Each test design is driven on the recorded departures and on generated ones. Lines (brackets in the table): "
+        "95 % bootstrap interval of the replay, for all test designs at once, and no narrower than what a designer "
+        "would act on (3 points of a share, 5 % of a peak). A cross (highlighted in the table): outside. A model "
+        "passes where no answer is."
     )
-    return Section("fidelity", "The recordings' answer", body + paragraphs(note))
+    body += paragraphs(note) + (details("The same as a table", tables) if tables else "")
+    return Section("fidelity", "The recordings' answer", body)
+
+
+def _answers(key: str, fidelity: SideFidelity, j: int, rows: Sequence[list[Cell | Value]]) -> Chart:
+    """One quantity of all test designs as a chart, and as two more cells of each row of the table."""
+    factor, digits = (1.0, 2) if UNITS[j] else (100.0, 1)
+    columns = fidelity.replayed, fidelity.low, fidelity.high, fidelity.generated
+    numbers, drawn = factor * np.array(columns)[:, :, j], []
+    for design, cells, within, values in zip(fidelity.designs, rows, fidelity.within[:, j], numbers.T, strict=True):
+        at, low, high, generated = values.tolist()
+        replayed = "{} ({} to {})".format(*(number(value, digits) for value in (at, low, high)))
+        cells += [Cell(number(generated, digits), bad=not within), replayed]
+        tip, model = f"{design}: model {number(generated, digits)}, replayed {replayed}", MODEL if within else OUTSIDE
+        label = design.replace("y_s = ", "")
+        drawn.append([Dot(label, at, low, high, SIDE[key], open=True, tip=tip, beside=(generated, model))])
+    name, unit = QUANTITIES[j], UNITS[j].replace("^2", "\u00b2") or "%"
+    axis = Axis.around(f"{name.capitalize()} [{unit}]", numbers)
+    return dots(f"answer-{key}-{j}", f"{key}: {name} of the test designs, replayed and generated", drawn, axis)
 
 
 def _margins(sides: tuple[Side, ...]) -> Section:

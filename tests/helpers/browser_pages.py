@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from helpers.models import make_departures, make_model, skewed
+from helpers.models import checked_model, make_departures, skewed
 from helpers.results import grid, invented_scenarios, report_input, run
 from ldctoolkit import Controller, EventStatus, RecordedPath, option, register
 from ldctoolkit.controllers import LQR, NoControl, PreviewProportional
@@ -220,6 +220,6 @@ class Made:
 
     def _fit(self, folder: Path) -> Path:
         folder.mkdir()
-        model, page = make_model(), folder / "fit.html"
+        model, page = checked_model(), folder / "fit.html"
         write_fit_page(page, model, skewed(make_departures(model)))
         return page
