@@ -35,7 +35,7 @@ CONFIDENCE: Final = 0.95
 # tested by itself, the other four share the error
 _LEVELS: Final = np.array([CONFIDENCE, *[1.0 - (1.0 - CONFIDENCE) / 4.0] * 4])
 
-_ALONE, _AT_ONCE = 1.96, 3.3  # critical values of the normal distribution, of one answer and of the 48 with most
+_NORMAL: Final = (1.96, 3.3)  # critical values of one answer, and of the 48 that share an error
 
 _RESAMPLES: Final = 400
 _WIDEST: Final = 1e6  # an interval in a file is finite
@@ -165,7 +165,8 @@ class _Answer:
     def of(cls, driven: FloatArray, share: FloatArray, index: IntArray, seed: int = 0) -> _Answer:
         """The answer of columns (designs, 6, n) under weights (n,), with clusters (n,)."""
         G = int(index.max()) + 1
-        weights = share * np.random.default_rng(seed).multinomial(G, np.full(G, 1.0 / G), size=_RESAMPLES)[:, index]
+        counts = np.random.default_rng(seed).multinomial(G, np.full(G, 1.0 / G), size=_RESAMPLES)
+        weights = share * np.take(counts, index, axis=1)
         answer = np.stack([_answers(columns, share[None])[0] for columns in driven])
         resampled = np.stack([_answers(columns, weights) for columns in driven], axis=1)
         influence = np.concatenate([_influence(*row, share) for row in zip(driven, answer, strict=True)])
@@ -188,7 +189,8 @@ class Replay:
     answer: FloatArray  # (designs, quantities)
     low: FloatArray
     high: FloatArray
-    point_low: FloatArray  # of each value by itself
+    # Of each value by itself, of these very departures: how near to them a model is to be chosen
+    point_low: FloatArray
     point_high: FloatArray
 
     @property
@@ -217,16 +219,15 @@ class Replay:
         setup = Setup(vehicle=usual)
         driven = np.stack(list(_driven(scenarios, setup, thresholds)))
         found = _Answer.of(driven, share, np.arange(rows.size))
-        answer, tails = found.answer, (0.5 * (1.0 - CONFIDENCE), 0.5 * (1.0 + CONFIDENCE))
-        point_low, point_high = np.quantile(found.resampled, tails, axis=0)
+        answer, tail = found.answer, 0.5 * (1.0 - CONFIDENCE)
+        point_low, point_high = np.quantile(found.resampled, (tail, 1.0 - tail), axis=0)
         error = found.resampled.std(axis=0)
-        critical = _critical(found.resampled - answer, error)
-        if clusters.kind != "departures":
-            # of all designs at once as before: 400 resamples tell tails worse than how designs go together
-            found = _Answer.of(driven, share, clusters.take(rows).index)
-            alone, error = found.factor * _tails_of_t(_ALONE, found.df), found.resampled.std(axis=0)
-            point_low, point_high = answer + alone * (np.quantile(found.resampled, tails, axis=0) - answer)
-            critical = critical * found.factor * _tails_of_t(critical, found.df)
+        critical, index = _critical(found.resampled - answer, error), clusters.take(rows).index
+        if clusters.kind != "departures" and index.any():
+            # how designs go together, and tails, are seen in more departures than there are clusters
+            found = _Answer.of(driven, share, index)
+            critical = critical * _tails_of_t(critical, found.df)
+            error = found.factor * found.resampled.std(axis=0)
         ends = _ends(answer, critical * error)
         return cls(setup, thresholds, rows, driven, share, clusters, answer, *ends, point_low, point_high)
 
@@ -275,7 +276,7 @@ def _critical(scatter: FloatArray, error: FloatArray) -> FloatArray:
 
 def _tails_of_t(critical: npt.ArrayLike, df: FloatArray) -> FloatArray:
     """How much further out the tail of Student's t begins than that of the normal distribution, for 12 designs."""
-    normal = np.clip(critical, _ALONE, _AT_ONCE)
+    normal = np.clip(critical, *_NORMAL)
     return np.asarray(with_tails_of_t(normal, df) / normal)
 
 
