@@ -115,6 +115,12 @@ class SideFidelity:
         return tuple(f"{name}, y_s = {y_s:.2f} m" for name in NAMES for y_s in self.thresholds)
 
     @property
+    def counted(self) -> str:
+        """How many answers agree, and with what; one phrase."""
+        within = self.within
+        return f"{within.sum()} of {within.size} answers agree with those of {self.resampled}"
+
+    @property
     def unseen(self) -> str:
         """Which deviations the intervals cannot show, since they reach the end of what there can be; may be empty."""
         ends = (np.array(self.low) <= _LEAST, "too low"), (np.array(self.high) >= _MOST, "too high")
@@ -252,7 +258,7 @@ class Replay:
         critical = _critical(scatter, error)
         ends = _ends(other.answer, critical * _tails_of_t(critical, df) * error)
         departures, n = int((~mask).sum()), int(mask.sum())
-        text = f"{departures:,} departures, none of the {n:,} that the model was fitted to"
+        text = f"the {departures:,} departures that a model of the other {n:,} has not seen"
         return self._fidelity(other.answer, *ends, self._generated(generated), text, departures)
 
     def _fidelity(

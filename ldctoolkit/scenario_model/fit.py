@@ -434,8 +434,8 @@ class _Judge:
         order = np.random.default_rng(self.settings.seed).permutation(clusters.count)
         reached = np.cumsum(np.bincount(clusters.index)[order])[1:-2]  # two clusters at least in each
         first = np.isin(clusters.index, order[: 2 + int(np.abs(reached - 0.5 * events.data.rows).argmin())])
-        quick = self.settings.selection | {"n_init": 1, "tol": max(self.settings.selection["tol"], _ROUGH)}
-        settings = dataclasses.replace(self.settings, selection=quick)
+        quick = {"n_init": 1, "short_iter": 5, "tol": max(self.settings.selection["tol"], _ROUGH)}
+        settings = dataclasses.replace(self.settings, selection=self.settings.selection | quick)
         with contextlib.suppress(InputError, ModelError):  # too few for this K
             for half in (first, ~first):
                 part = dataclasses.replace(events, data=events.data.take(half))
@@ -506,7 +506,7 @@ class _Judge:
         return dataclasses.replace(max(checked, key=_Checked.order), reason=text)
 
 
-_ROUGH: Final = 1e-4  # nats an event and pass, of fits that are compared and not kept
+_ROUGH: Final = 1e-3  # nats an event and pass, of fits that are compared and not kept
 
 LEAST_IN_COMPONENT: Final = 10
 """Effective departures that a component rests on at least."""

@@ -54,6 +54,11 @@ class Side:
         return int(self.model.mixture.weights_.size)
 
     @property
+    def generated_from(self) -> str:
+        """K, or that departures are smoothed."""
+        return f"K = {self.K}" if self.summary is None or self.summary.kind == "mixture" else "smoothed"
+
+    @property
     def misfits(self) -> list[str]:
         """Parameters whose distribution is clearly not that of the events."""
         return [c.name for c in self.diagnostics.calibrations if c.distance > max(c.limit, CLEAR)]
@@ -86,7 +91,7 @@ def fit_page(model: ScenarioModel, diagnostics: ModelDiagnostics, *, seed: int) 
         title=f"Scenario model {model.content_hash[:12]}: how well it fits",
         heading="How well the model fits",
         facts=[
-            *(f"{side.key}: {plural(side.diagnostics.events, 'departure')}, K = {side.K}" for side in sides),
+            *(f"{side.key}: {plural(side.diagnostics.events, 'departure')}, {side.generated_from}" for side in sides),
             f"model {model.content_hash[:12]}",
             *([source] if source else []),
         ],
@@ -206,12 +211,31 @@ def _fidelity(sides: tuple[Side, ...]) -> Section:
             rows.append(Row(tuple(cells)))
         title = f"{side.title}: generated departures, and {fidelity.departures:,} replayed ones"
         body += to_html(Table(title, columns, rows))
+        if fidelity.unseen:
+            body += paragraphs(f"{side.title}: the intervals cannot show {fidelity.unseen}.")
+    body += _held_out(sides)
     note = (
         "Each test design is driven on the recorded departures and on generated ones. In brackets: 95 % bootstrap "
         "interval of the replay, for all test designs at once, and no narrower than what a designer would act on (3 "
         "points of a share, 5 % of a peak). Highlighted: outside. A model passes where no answer is."
     )
     return Section("fidelity", "The recordings' answer", body + paragraphs(note))
+
+
+def _held_out(sides: tuple[Side, ...]) -> Markup:
+    """Models of half of the departures beside the other half: how many answers agree, and the worst reduction."""
+    rows = []
+    for side in sides:
+        for half in side.summary.held_out if side.summary is not None else ():
+            gap = np.abs(np.array(half.generated) - np.array(half.replayed))[:, 0]
+            answers = (half.replayed, half.low, half.high, half.generated)
+            replayed, low, high, drawn = (number(100.0 * values[int(gap.argmax())][0], 1) for values in answers)
+            agree = f"{half.within.sum()} of {half.within.size}"
+            rows.append(Row((side.title, half.resampled, agree, drawn, f"{replayed} ({low} to {high})")))
+    columns = [Column(name, text=True) for name in ("Side", "Replayed", "Answers that agree")]
+    columns += [Column("Reduction, farthest off", "%"), Column("Replay", text=True)]
+    title = "Held out: models of half of the departures, and the other half; intervals of the difference"
+    return to_html(Table(title, columns, rows)) if rows else Markup()
 
 
 def _margins(sides: tuple[Side, ...]) -> Section:
