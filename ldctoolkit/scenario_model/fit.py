@@ -29,7 +29,7 @@ from ldctoolkit.errors import InputError, ModelError, plain
 from ldctoolkit.mixture import BoundedGaussianMixture, Selection, select_components
 from ldctoolkit.mixture._distribution import Transform
 from ldctoolkit.mixture.checks import Events, check_components, check_weights, inside_bounds
-from ldctoolkit.mixture.selection import FitEach, Progress, choose, reason_of
+from ldctoolkit.mixture.selection import ALLOWANCE, FitEach, Progress, choose
 from ldctoolkit.recordings import Criteria
 from ldctoolkit.scenario_model.fidelity import Replay, SideFidelity
 from ldctoolkit.scenario_model.model import ScenarioModel
@@ -489,8 +489,9 @@ class _Judge:
             return fits
         K, bic = fits.n_components[keep], fits.bic[keep]
         chosen, dropped = choose(bic), ", ".join(map(str, np.setdiff1d(fits.n_components, K)))
+        rule = f"the smallest whose BIC lies within {ALLOWANCE:g} of the best"
         reason = (
-            f"{reason_of(K, bic, chosen)}; K = {dropped}: a component of fewer than {LEAST_IN_COMPONENT} departures"
+            f"K = {K[chosen]}, {rule} without a component of fewer than {LEAST_IN_COMPONENT} departures (K = {dropped})"
         )
         models = tuple(fits.models[i] for i in keep)
         return dataclasses.replace(fits, n_components=K, bic=bic, models=models, chosen=chosen, reason=reason)
@@ -517,11 +518,12 @@ BANDWIDTHS: Final = (0.5, 0.25, 0.125)
 
 def smoothed(events: SideEvents, width: float) -> BoundedGaussianMixture:
     """The departures themselves with a Gaussian kernel in mapped coordinates; mean and covariance are kept there."""
-    transform, weight = Transform.of("auto", events.lower, events.upper), events.data.weight
-    y = transform.forward(events.data.x)
+    data = events.data.take(np.lexsort(events.data.x.T))  # draws do not depend on the order of the departures
+    transform, weight = Transform.of("auto", events.lower, events.upper), data.weight
+    y = transform.forward(data.x)
     n, d = y.shape
     share = np.full(n, 1.0 / n) if weight is None else weight / weight.sum()
-    h = width * (4.0 / (d + 2)) ** (1.0 / (d + 4)) * effective_number(events.data) ** (-1.0 / (d + 4))
+    h = width * (4.0 / (d + 2)) ** (1.0 / (d + 4)) * effective_number(data) ** (-1.0 / (d + 4))
     mean, covariance = share @ y, np.cov(y.T, aweights=share).reshape(d, d)
     covariance += 1e-6 * np.diag(np.diag(covariance))  # columns that depend on each other
     kernel = covariance * h**2 / (1.0 + h**2)
