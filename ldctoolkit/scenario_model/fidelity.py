@@ -1,7 +1,7 @@
 """Whether generated departures give the answer of recorded ones: test designs are driven on both and compared.
 
-The answer of the recordings is uncertain: how much follows from resampling them. A model that differs by more than
-that misleads whoever ranks designs on it, however well its density fits.
+The answer of the recordings is uncertain: how much follows from resampling them, whole trips or drivers where these are
+known. A model that differs by more than that misleads whoever ranks designs on it, however well its density fits.
 """
 
 from __future__ import annotations
@@ -11,8 +11,10 @@ from collections.abc import Iterator
 from typing import ClassVar, Final, final
 
 import numpy as np
+import numpy.typing as npt
 
-from ldctoolkit.arrays import BoolArray, FloatArray
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.clusters import Clusters, cluster_error, cluster_sums, with_tails_of_t
 from ldctoolkit.control import Controller, LinearLaw
 from ldctoolkit.declared import gain
 from ldctoolkit.departures import PARAMETER_NAMES, DepartureParameters
@@ -33,7 +35,10 @@ CONFIDENCE: Final = 0.95
 # tested by itself, the other four share the error
 _LEVELS: Final = np.array([CONFIDENCE, *[1.0 - (1.0 - CONFIDENCE) / 4.0] * 4])
 
+_NORMAL: Final = (1.96, 3.3)  # critical values of one answer, and of the 48 that share an error
+
 _RESAMPLES: Final = 400
+_WIDEST: Final = 1e6  # an interval in a file is finite
 _TAIL: Final = 0.95
 # a difference that no designer would act on: absolute in shares, relative otherwise
 _NEGLIGIBLE: Final = np.array([0.03, 0.03, 0.03, 0.05, 0.05])
@@ -91,6 +96,7 @@ class SideFidelity:
     low: tuple[tuple[float, ...], ...]
     high: tuple[tuple[float, ...], ...]
     generated: tuple[tuple[float, ...], ...]
+    resampled: str = ""  # What the departures come from and what was resampled, see `Clusters.text`
 
     @property
     def within(self) -> BoolArray:
@@ -109,13 +115,27 @@ class SideFidelity:
         return tuple(f"{name}, y_s = {y_s:.2f} m" for name in NAMES for y_s in self.thresholds)
 
     @property
+    def counted(self) -> str:
+        """How many answers agree, and with what; one phrase."""
+        within = self.within
+        return f"{within.sum()} of {within.size} answers agree with those of {self.resampled}"
+
+    @property
+    def unseen(self) -> str:
+        """Which deviations the intervals cannot show, since they reach the end of what there can be; may be empty."""
+        ends = (np.array(self.low) <= _LEAST, "too low"), (np.array(self.high) >= _MOST, "too high")
+        counts = [(end.sum(axis=0)[j], name, word) for end, word in ends for j, name in enumerate(QUANTITIES)]
+        return ", ".join(f"{name} {word} ({n} of {len(self.low)} test designs)" for n, name, word in counts if n)
+
+    @property
     def text(self) -> str:
         """The verdict, one sentence."""
         within = self.within
+        replay = self.resampled or f"{self.departures:,} departures"
         if self.passed:
             return (
                 f"the model gives the recordings' answer (all {within.shape[0]} test designs lie within the 95 % "
-                f"intervals of {self.departures:,} replayed departures)"
+                f"intervals of the replay: {replay})"
             )
         replayed, generated = np.array(self.replayed), np.array(self.generated)
         half = 0.5 * (np.array(self.high) - np.array(self.low))
@@ -124,7 +144,7 @@ class SideFidelity:
         j = 0 if gap[:, 0].any() else int(gap.max(axis=0).argmax())
         i = int((np.abs(generated - replayed) * (gap > 0.0))[:, j].argmax())
         recorded, drawn = float(replayed[i, j]), float(generated[i, j])
-        where = f"({self.designs[i]}: {_value(j, recorded)} replayed, {_value(j, drawn)} generated)"
+        where = f"({self.designs[i]}: {_value(j, recorded)} replayed, {_value(j, drawn)} generated; {replay})"
         if j == 0:
             word = "understates" if drawn < recorded else "overstates"
             points = f"{100.0 * abs(drawn - recorded):.0f} points"
@@ -138,26 +158,59 @@ def _value(j: int, value: float) -> str:
 
 
 @dataclasses.dataclass(frozen=True)
+class _Answer:
+    """The answer of driven departures, and what it is when their clusters are resampled."""
+
+    answer: FloatArray  # (designs, quantities)
+    resampled: FloatArray  # (resamples, designs, quantities)
+    # (designs, quantities) Factor of the standard error for few clusters of unequal size, and degrees of freedom
+    factor: FloatArray
+    df: FloatArray
+
+    @classmethod
+    def of(cls, driven: FloatArray, share: FloatArray, index: IntArray, seed: int = 0) -> _Answer:
+        """The answer of columns (designs, 6, n) under weights (n,), with clusters (n,)."""
+        G = int(index.max()) + 1
+        counts = np.random.default_rng(seed).multinomial(G, np.full(G, 1.0 / G), size=_RESAMPLES)
+        weights = share * np.take(counts, index, axis=1)
+        answer = np.stack([_answers(columns, share[None])[0] for columns in driven])
+        resampled = np.stack([_answers(columns, weights) for columns in driven], axis=1)
+        influence = np.concatenate([_influence(*row, share) for row in zip(driven, answer, strict=True)])
+        corrected = cluster_error(influence, index, share)
+        plain = np.sqrt((cluster_sums(influence * (share / share.sum()), index) ** 2).sum(axis=1))
+        factor = np.divide(corrected.error, plain, out=np.ones_like(plain), where=plain > 0.0)
+        return cls(answer, resampled, factor.reshape(answer.shape), corrected.df.reshape(answer.shape))
+
+
+@dataclasses.dataclass(frozen=True)
 class Replay:
     """The recordings' answer on one side, which any number of models can be compared with."""
 
     setup: Setup
     thresholds: tuple[float, ...]
-    departures: int
+    rows: IntArray  # (m,) Departures that were driven
+    driven: FloatArray  # (designs, 6, m), see `_driven`
+    share: FloatArray  # (m,) Events that each stands for
+    clusters: Clusters  # Of all departures
     answer: FloatArray  # (designs, quantities)
     low: FloatArray
     high: FloatArray
-    point_low: FloatArray  # of each value by itself
+    # Of each value by itself, of these very departures: how near to them a model is to be chosen
+    point_low: FloatArray
     point_high: FloatArray
 
     @property
     def generated(self) -> int:
         """Departures to generate: so many that their own error widens that of the replay by a tenth at most."""
-        return min(max(5 * self.departures, FEWEST_GENERATED), MOST_GENERATED)
+        return min(max(5 * self.rows.size, FEWEST_GENERATED), MOST_GENERATED)
 
     @classmethod
     def of(
-        cls, departures: DepartureParameters, weight: FloatArray | None = None, vehicle_width: float | None = None
+        cls,
+        departures: DepartureParameters,
+        clusters: Clusters,
+        weight: FloatArray | None = None,
+        vehicle_width: float | None = None,
     ) -> Replay:
         """Drive the departures of one side (n,), each of which stands for `weight` events."""
         n = departures.n
@@ -170,32 +223,73 @@ class Replay:
         if vehicle_width is not None and vehicle_width < usual.w_l:
             usual = dataclasses.replace(usual, w_v=vehicle_width)
         setup = Setup(vehicle=usual)
-        rng = np.random.default_rng(0)
-        weights = share * rng.multinomial(rows.size, np.full(rows.size, 1.0 / rows.size), size=_RESAMPLES)
-        driven = list(_driven(scenarios, setup, thresholds))
-        answer = np.stack([_answers(columns, share[None])[0] for columns in driven])
-        resampled = np.stack([_answers(columns, weights) for columns in driven], axis=1)  # (resamples, designs, 5)
-        tail = 0.5 * (1.0 - CONFIDENCE)
-        point_low, point_high = np.quantile(resampled, (tail, 1.0 - tail), axis=0)
-        error = resampled.std(axis=0)
-        scaled = np.divide(resampled - answer, error, out=np.zeros_like(resampled), where=error > 0.0)
-        largest = np.abs(scaled).max(axis=1)  # (resamples, 5)
-        critical = [np.quantile(largest[:, j], level) for j, level in enumerate(_LEVELS)]
-        half = np.maximum(critical * error, _NEGLIGIBLE * np.where(_ABSOLUTE, 1.0, np.abs(answer)))
-        low, high = np.maximum(answer - half, _LEAST), np.minimum(answer + half, _MOST)
-        return cls(setup, thresholds, rows.size, answer, low, high, point_low, point_high)
+        driven = np.stack(list(_driven(scenarios, setup, thresholds)))
+        found = _Answer.of(driven, share, np.arange(rows.size))
+        answer, tail = found.answer, 0.5 * (1.0 - CONFIDENCE)
+        point_low, point_high = np.quantile(found.resampled, (tail, 1.0 - tail), axis=0)
+        error = found.resampled.std(axis=0)
+        critical, index = _critical(found.resampled - answer, error), clusters.take(rows).index
+        if clusters.kind != "departures" and index.any():
+            # how designs go together, and tails, are seen in more departures than there are clusters
+            found = _Answer.of(driven, share, index)
+            critical = critical * _tails_of_t(critical, found.df)
+            error = found.factor * found.resampled.std(axis=0)
+        ends = _ends(answer, critical * error)
+        return cls(setup, thresholds, rows, driven, share, clusters, answer, *ends, point_low, point_high)
 
     def compared(self, generated: DepartureParameters) -> tuple[SideFidelity, float]:
         """The answers of generated departures, and the share within intervals that hold for each value by itself."""
-        scenarios, _ = _drivable(generated)
-        equal = np.ones((1, scenarios.n))
-        driven = _driven(scenarios, self.setup, self.thresholds)
-        answer = np.stack([_answers(columns, equal)[0] for columns in driven])
-        fidelity = SideFidelity(
-            self.departures, self.thresholds, *map(_rounded, (self.answer, self.low, self.high, answer))
-        )
+        answer = self._generated(generated)
         alone = (answer >= self.point_low) & (answer <= self.point_high)
-        return fidelity, float(alone.mean())
+        return self._fidelity(self.answer, self.low, self.high, answer, self.clusters.text), float(alone.mean())
+
+    def held_out(self, fitted: BoolArray, generated: DepartureParameters) -> SideFidelity:
+        """Departures generated from the `fitted` ones (n,) beside the replay of the others; both are uncertain."""
+        mask, clusters = fitted[self.rows], self.clusters.take(self.rows)
+        one, other = (
+            _Answer.of(self.driven[:, :, rows], self.share[rows], clusters.take(rows).index, seed)
+            for seed, rows in enumerate((mask, ~mask), 1)
+        )
+        drawn = np.sqrt(1.0 + mask.sum() / generated.n)  # generated departures have an error of their own
+        parts = drawn * one.factor * (one.resampled - one.answer), other.factor * (other.resampled - other.answer)
+        scatter, (first, second) = parts[0] - parts[1], (part.var(axis=0) for part in parts)
+        error, spread = scatter.std(axis=0), first**2 / one.df + second**2 / other.df
+        df = np.divide((first + second) ** 2, spread, out=np.ones_like(error), where=spread > 0.0)
+        critical = _critical(scatter, error)
+        ends = _ends(other.answer, critical * _tails_of_t(critical, df) * error)
+        departures, n = int((~mask).sum()), int(mask.sum())
+        text = f"the {departures:,} departures that a model of the other {n:,} has not seen"
+        return self._fidelity(other.answer, *ends, self._generated(generated), text, departures)
+
+    def _fidelity(
+        self, answer: FloatArray, low: FloatArray, high: FloatArray, drawn: FloatArray, text: str, n: int | None = None
+    ) -> SideFidelity:
+        ends = _rounded(low), _rounded(high)
+        return SideFidelity(n or self.rows.size, self.thresholds, _rounded(answer), *ends, _rounded(drawn), text)
+
+    def _generated(self, departures: DepartureParameters) -> FloatArray:
+        """The answers of generated departures."""
+        scenarios, _ = _drivable(departures)
+        equal = np.ones((1, scenarios.n))
+        return np.stack([_answers(row, equal)[0] for row in _driven(scenarios, self.setup, self.thresholds)])
+
+
+def _critical(scatter: FloatArray, error: FloatArray) -> FloatArray:
+    """Critical values (5,) of all designs at once, from scatter (resamples, designs, 5) with its error (designs, 5)."""
+    largest = np.abs(np.divide(scatter, error, out=np.zeros_like(scatter), where=error > 0.0)).max(axis=1)
+    return np.array([np.quantile(largest[:, j], level) for j, level in enumerate(_LEVELS)])
+
+
+def _tails_of_t(critical: npt.ArrayLike, df: FloatArray) -> FloatArray:
+    """How much further out the tail of Student's t begins than that of the normal distribution, for 12 designs."""
+    normal = np.clip(critical, *_NORMAL)
+    return np.asarray(with_tails_of_t(normal, df) / normal)
+
+
+def _ends(answer: FloatArray, half: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Ends of an interval of this half width, no narrower than what matters, within what there can be."""
+    half = np.clip(half, _NEGLIGIBLE * np.where(_ABSOLUTE, 1.0, np.abs(answer)), _WIDEST)
+    return np.maximum(answer - half, _LEAST), np.minimum(answer + half, _MOST)
 
 
 def _drivable(p: DepartureParameters) -> tuple[Scenarios, BoolArray]:
@@ -225,6 +319,18 @@ def _answers(columns: FloatArray, weights: FloatArray) -> FloatArray:
     reduction = np.divide(uncorrected - weights @ S, uncorrected, out=np.zeros_like(total), where=uncorrected > 0.0)
     shares = weights @ triggered / total, weights @ without_need / total
     return np.stack([reduction, *shares, _tail(a_y, weights * triggered), _tail(depth, weights)], axis=1)
+
+
+def _influence(columns: FloatArray, answer: FloatArray, share: FloatArray) -> FloatArray:
+    """How far each departure pulls each answer (5, n), up to a factor: of a quantile whether it lies above it."""
+    S, S_uncorrected, triggered, without_need, a_y, depth = columns
+    above = triggered * (a_y > answer[3]), depth > answer[4]
+    pull = np.stack([S - (1.0 - answer[0]) * S_uncorrected, triggered, without_need, *above])
+    among = np.ones_like(pull)
+    among[3] = triggered
+    total = among @ share
+    mean = np.divide(pull @ share, total, out=np.zeros_like(total), where=total > 0.0)
+    return np.asarray(pull - mean[:, None] * among)
 
 
 def _tail(values: FloatArray, weights: FloatArray) -> FloatArray:

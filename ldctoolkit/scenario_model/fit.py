@@ -13,6 +13,7 @@ import numpy.typing as npt
 import threadpoolctl
 
 from ldctoolkit.arrays import BoolArray, FloatArray
+from ldctoolkit.clusters import Clusters
 from ldctoolkit.declared import checked_choice, checked_seed, checked_whole
 from ldctoolkit.departures import (
     LEFT,
@@ -28,7 +29,7 @@ from ldctoolkit.errors import InputError, ModelError, plain
 from ldctoolkit.mixture import BoundedGaussianMixture, Selection, select_components
 from ldctoolkit.mixture._distribution import Transform
 from ldctoolkit.mixture.checks import Events, check_components, check_weights, inside_bounds
-from ldctoolkit.mixture.selection import FitEach, Progress
+from ldctoolkit.mixture.selection import ALLOWANCE, FitEach, Progress, choose
 from ldctoolkit.recordings import Criteria
 from ldctoolkit.scenario_model.fidelity import Replay, SideFidelity
 from ldctoolkit.scenario_model.model import ScenarioModel
@@ -156,7 +157,8 @@ def fit_scenario_model(
         (see `check_fidelity`). ``"smoothed"`` are the departures themselves, resampled with a kernel: a component each.
         ``"auto"`` takes those where no such mixture gives the answer; one K as requested stays.
     seed : int
-        Seed of the fits.
+        Seed of fits to more than 2,000 departures, and of the halves that are held out. Fits to fewer depend on neither
+        the seed nor the order of the departures.
     bounds : mapping, optional
         Parameter -> (lower, upper) in SI units, None for open. The others end at the criteria of the extraction if
         given and at ``PHYSICAL_BOUNDS`` otherwise.
@@ -279,7 +281,8 @@ def _events(departures: Departures, weights: npt.ArrayLike | None, settings: Sid
     beside = f", beside {implausible} that are not plausible" if implausible else ""
     check_enough(rows["left"], rows["right"], beside)
     events = Events(departures.matrix(), weight, settings.selection["n_jobs"])
-    return {label: side_events(events.take(mask), label, settings) for label, mask in rows.items()}
+    clusters = {label: Clusters.of(departures.take(mask)) for label, mask in rows.items()}
+    return {label: side_events(events.take(mask), clusters[label], label, settings) for label, mask in rows.items()}
 
 
 def check_enough(left: BoolArray, right: BoolArray, beside: str = "") -> None:
@@ -346,6 +349,7 @@ def fit_side(
         source_summary=summarize_events(events.data, events.names),
         kind=choice.kind,
         fidelity=choice.fidelity,
+        held_out=judge.held_out(choice),
     )
     return SideModel(mixture, events.names, events.constants), summary, tuple(notes)
 
@@ -361,6 +365,7 @@ class _Checked:
     kind: Literal["mixture", "smoothed"]
     fidelity: SideFidelity | None  # None where hardly any departure can be drawn or driven
     alone: float  # share of the answers within intervals that hold for each by itself
+    width: float = 0.0  # of the kernel of smoothed departures, see `BANDWIDTHS`
     reason: str = ""  # why not the mixture that BIC chose
 
     @property
@@ -398,24 +403,54 @@ class _Judge:
         columns = {name: np.full(events.data.rows, value) for name, value in events.constants}
         columns |= dict(zip(events.names, events.data.x.T, strict=True))
         recorded = DepartureParameters(np.full(events.data.rows, SIDES[events.label]), **columns)
-        return cls(events, settings, Replay.of(recorded, events.data.weight, settings.vehicle_width))
+        replay = Replay.of(recorded, events.clusters, events.data.weight, settings.vehicle_width)
+        return cls(events, settings, replay)
 
-    def checked(self, mixture: BoundedGaussianMixture, kind: Literal["mixture", "smoothed"] = "mixture") -> _Checked:
+    def checked(self, mixture: BoundedGaussianMixture, width: float = 0.0) -> _Checked:
         """A mixture beside the recorded departures; each is driven once."""
         if mixture not in self.results:
-            half = SideModel(mixture, self.events.names, self.events.constants)
-            model = ScenarioModel(half, half, ModelProvenance({}), self.settings.plausibility)
-            count = (self.replay.generated, 0) if self.events.label == "left" else (0, self.replay.generated)
             compared: tuple[SideFidelity | None, float] = None, 0.0
             with contextlib.suppress(InputError, ModelError):
-                check_usable(mixture)
-                compared = self.replay.compared(model.sample(*count, seed=self.settings.seed))
-            self.results[mixture] = _Checked(mixture, kind, *compared)
+                compared = self.replay.compared(self._drawn(mixture, self.replay.generated))
+            self.results[mixture] = _Checked(mixture, "smoothed" if width else "mixture", *compared, width)
         return self.results[mixture]
+
+    def _drawn(self, mixture: BoundedGaussianMixture, count: int) -> DepartureParameters:
+        """Departures of a mixture from the same random numbers for all, so that chance does not choose."""
+        check_usable(mixture)
+        side = SideModel(mixture, self.events.names, self.events.constants)
+        model = ScenarioModel(side, side, ModelProvenance({}), self.settings.plausibility)
+        return model.sample(*((count, 0) if self.events.label == "left" else (0, count)))
+
+    def supported(self, mixture: BoundedGaussianMixture) -> bool:
+        """Whether enough departures stand behind each of its components."""
+        return float(mixture.weights_.min()) * effective_number(self.events.data) >= LEAST_IN_COMPONENT
+
+    def held_out(self, choice: _Checked) -> tuple[SideFidelity, ...]:
+        """Models of this kind and K of a random half of the clusters, beside the replay of the other; both ways."""
+        events, clusters, out = self.events, self.events.clusters, []
+        if events.data.rows > FEW or clusters.count < 4:
+            return ()
+        order = np.random.default_rng(self.settings.seed).permutation(clusters.count)
+        reached = np.cumsum(np.bincount(clusters.index)[order])[1:-2]  # two clusters at least in each
+        first = np.isin(clusters.index, order[: 2 + int(np.abs(reached - 0.5 * events.data.rows).argmin())])
+        quick = {"n_init": 1, "short_iter": 5, "tol": max(self.settings.selection["tol"], _ROUGH)}
+        settings = dataclasses.replace(self.settings, selection=self.settings.selection | quick)
+        with contextlib.suppress(InputError, ModelError):  # too few for this K
+            for half in (first, ~first):
+                part = dataclasses.replace(events, data=events.data.take(half))
+                if choice.kind == "smoothed":
+                    mixture = smoothed(part, choice.width)
+                else:
+                    mixture = _select(part, (choice.mixture.n_components,), settings, None, self)[0].best
+                out.append(self.replay.held_out(half, self._drawn(mixture, max(5 * int(half.sum()), 500))))
+        return tuple(out)
 
     def enough(self, fits: Selection) -> bool:
         """Whether larger K need not be tried: BIC has risen, or the last two give the recordings' answer."""
-        return fits.risen or (len(fits.models) > 1 and all(self.checked(fit).agrees for fit in fits.models[-2:]))
+        return fits.risen or (
+            len(fits.models) > 1 and all(self.supported(fit) and self.checked(fit).agrees for fit in fits.models[-2:])
+        )
 
     def choice(self, fits: Selection) -> _Checked:
         """The first that gives the recordings' answer: the K of BIC, larger ones, the smoothed departures."""
@@ -424,44 +459,71 @@ class _Judge:
             if rows > MOST_SMOOTHED:
                 problem = f"with {rows} {self.events.label} departures"
                 raise InputError("kind", problem, value=kind, allowed=f"up to {MOST_SMOOTHED}")
-            return dataclasses.replace(self._smoothed(), reason="smoothed departures, as requested")
+            smooth = self._smoothed()
+            return dataclasses.replace(smooth, reason=f"{smooth.reason}, as requested")
+        if isinstance(self.settings.components, int):
+            return self.checked(fits.best)
+        whole, fits = fits, self._supported(fits)
         first = best = self.checked(fits.best)
-        if rows > MOST_SMOOTHED or isinstance(self.settings.components, int):
-            return best
         last = fits.chosen
         while rows <= FEW and not best.agrees and last + 1 < len(fits.models):
             last += 1
             best = max(best, self.checked(fits.models[last]), key=_Checked.order)
         K, most = (int(fits.n_components[i]) for i in (fits.chosen, last))
-        if kind == "auto" and not best.agrees:
+        if kind == "auto" and rows <= MOST_SMOOTHED and not best.agrees:
             smooth = self._smoothed()
             if smooth.merit > best.merit:
                 tried = f"K = {K}" if most == K else f"K = {K} to {most}"
-                text = f"smoothed departures: no mixture with {tried} agrees with them"
-                return dataclasses.replace(smooth, reason=text)
+                return dataclasses.replace(smooth, reason=f"{smooth.reason}: no mixture with {tried} agrees with them")
         if best is not first:
             text = f"K = {best.mixture.n_components}, which agrees with the recordings better than K = {K}"
             best = dataclasses.replace(best, reason=f"{text} ({fits.reason})")
+        elif fits is not whole:
+            best = dataclasses.replace(best, reason=fits.reason)
         return best
 
+    def _supported(self, fits: Selection) -> Selection:
+        """The fits without those that have a component of hardly any departures, unless all have one."""
+        keep = [i for i, fit in enumerate(fits.models) if self.supported(fit)]
+        if len(keep) in (0, len(fits.models)):
+            return fits
+        K, bic = fits.n_components[keep], fits.bic[keep]
+        chosen, dropped = choose(bic), ", ".join(map(str, np.setdiff1d(fits.n_components, K)))
+        rule = f"the smallest whose BIC lies within {ALLOWANCE:g} of the best"
+        reason = (
+            f"K = {K[chosen]}, {rule} without a component of fewer than {LEAST_IN_COMPONENT} departures (K = {dropped})"
+        )
+        models = tuple(fits.models[i] for i in keep)
+        return dataclasses.replace(fits, n_components=K, bic=bic, models=models, chosen=chosen, reason=reason)
+
     def _smoothed(self) -> _Checked:
-        """The smoothed departures: the wider kernel that agrees with them, else the better one."""
-        wide, narrow = (self.checked(smoothed(self.events, width), "smoothed") for width in BANDWIDTHS)
-        return wide if wide.agrees else max(wide, narrow, key=_Checked.order)
+        """The smoothed departures: the widest kernel that agrees with them, else the best one."""
+        checked: list[_Checked] = []
+        for width in BANDWIDTHS:
+            checked.append(self.checked(smoothed(self.events, width), width))
+            if checked[-1].agrees:
+                break
+        text = f"smoothed departures, near copies of the {self.events.data.rows:,} recorded ones"
+        return dataclasses.replace(max(checked, key=_Checked.order), reason=text)
 
 
-BANDWIDTHS: Final = (0.25, 0.125)
+_ROUGH: Final = 1e-3  # nats an event and pass, of fits that are compared and not kept
+
+LEAST_IN_COMPONENT: Final = 10
+"""Effective departures that a component rests on at least."""
+
+BANDWIDTHS: Final = (0.5, 0.25, 0.125)
 """Of Silverman's rule, which oversmooths what has several modes and a boundary: docs/explanation/decisions.md, 0037."""
 
 
 def smoothed(events: SideEvents, width: float) -> BoundedGaussianMixture:
     """The departures themselves with a Gaussian kernel in mapped coordinates; mean and covariance are kept there."""
-    transform, weight = Transform.of("auto", events.lower, events.upper), events.data.weight
-    y = transform.forward(events.data.x)
+    data = events.data.take(np.lexsort(events.data.x.T))  # draws do not depend on the order of the departures
+    transform, weight = Transform.of("auto", events.lower, events.upper), data.weight
+    y = transform.forward(data.x)
     n, d = y.shape
     share = np.full(n, 1.0 / n) if weight is None else weight / weight.sum()
-    effective = 1.0 / float(share @ share)
-    h = width * (4.0 / (d + 2)) ** (1.0 / (d + 4)) * effective ** (-1.0 / (d + 4))
+    h = width * (4.0 / (d + 2)) ** (1.0 / (d + 4)) * effective_number(data) ** (-1.0 / (d + 4))
     mean, covariance = share @ y, np.cov(y.T, aweights=share).reshape(d, d)
     covariance += 1e-6 * np.diag(np.diag(covariance))  # columns that depend on each other
     kernel = covariance * h**2 / (1.0 + h**2)
@@ -474,6 +536,11 @@ def smoothed(events: SideEvents, width: float) -> BoundedGaussianMixture:
         transform=transform.kinds,
         names=events.names,
     )
+
+
+def effective_number(events: Events) -> float:
+    """Kish's effective number of weighted events."""
+    return float(events.rows if events.weight is None else events.weight.sum() ** 2 / (events.weight @ events.weight))
 
 
 def check_fidelity(
@@ -516,7 +583,8 @@ def check_fidelity(
 
     verdicts = []
     for side, rows in ((LEFT, left), (RIGHT, right)):
-        replay = Replay.of(departures.take(rows), None if weight is None else weight[rows], width)
+        recorded = departures.take(rows)
+        replay = Replay.of(recorded, Clusters.of(recorded), None if weight is None else weight[rows], width)
         n = replay.generated
         verdicts.append(replay.compared(model.sample(n, 0) if side == LEFT else model.sample(0, n))[0])
     return verdicts[0], verdicts[1]
@@ -544,22 +612,24 @@ def _select(
     events: SideEvents, tried: tuple[int, ...], settings: SideSettings, progress: Progress | None, judge: _Judge
 ) -> tuple[Selection, tuple[tuple[int, str], ...]]:
     """The fits, and the K that gave no usable one; an error where none did."""
-    label = events.label
+    label, data, seed = events.label, events.data, settings.seed
+    if data.rows <= FEW:  # neither the seed nor the order of the departures chooses among local optima
+        data, seed = data.take(np.lexsort(data.x.T)), 0
     arguments: dict[str, Any] = settings.selection | {
-        "random_state": settings.seed,
-        "split_merge": events.data.rows > FEW,
+        "random_state": seed,
+        "split_merge": data.rows > FEW,
         "progress": None if progress is None else lambda text, done, total: progress(f"{label}: {text}", done, total),
-        "sample_weight": events.data.weight,
+        "sample_weight": data.weight,
         "lower": events.lower,
         "upper": events.upper,
         "transform": [settings.transform[name] for name in events.names],
         "names": events.names,
-        "enough": judge.enough if events.data.rows <= FEW else None,
+        "enough": judge.enough if data.rows <= FEW else None,
     }
     failed: list[tuple[int, str]] = []
     while True:
         try:
-            selection = select_components(events.data.x, tried, **arguments)
+            selection = select_components(data.x, tried, **arguments)
         except InputError as error:
             raise error if error.path in _SETTINGS else error.within(f"departures ({label})", ": ") from None
         failed += [(failure.n_components, str(failure.error)) for failure in selection.failures]
@@ -581,6 +651,7 @@ class SideEvents:
 
     label: str  # ``"left"`` or ``"right"``
     data: Events  # A row a departure, a column for each of `names`
+    clusters: Clusters  # Of the departures
     names: tuple[str, ...]  # Parameters that vary
     lower: FloatArray  # (d,) Bounds of `names`
     upper: FloatArray  # (d,)
@@ -589,7 +660,7 @@ class SideEvents:
     weight: float | None  # Sum of the weights, if there are any
 
 
-def side_events(events: Events, label: str, settings: SideSettings) -> SideEvents:
+def side_events(events: Events, clusters: Clusters, label: str, settings: SideSettings) -> SideEvents:
     """Check the departures of a side (columns as `PARAMETER_NAMES`), and put those on a bound inside."""
     x, box = events.x, settings.box
     for j in range(x.shape[1]):
@@ -606,6 +677,7 @@ def side_events(events: Events, label: str, settings: SideSettings) -> SideEvent
     return SideEvents(
         label,
         inside.events,
+        clusters,
         tuple(PARAMETER_NAMES[j] for j in np.flatnonzero(varies)),
         box.lower[varies],
         box.upper[varies],

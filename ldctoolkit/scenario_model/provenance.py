@@ -242,6 +242,7 @@ class SideSummary:
     kind: Literal["mixture", "smoothed"] = "mixture"  # What departures are generated from
     # How designs do on generated departures against recorded ones; None in a model of an earlier version
     fidelity: SideFidelity | None = None
+    held_out: tuple[SideFidelity, ...] = ()  # Models of half of few departures beside the other half, both ways
 
 
 @dataclasses.dataclass(frozen=True)

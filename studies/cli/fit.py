@@ -147,6 +147,10 @@ def run(args: argparse.Namespace) -> None:
             out.print(f"{label}: {summary.reason}")
             if summary.fidelity is not None and summary.fidelity.passed:
                 out.print(f"{label}: {summary.fidelity.text}")
+            if summary.fidelity is not None and summary.fidelity.unseen:
+                out.print(f"{label}: the intervals cannot show {summary.fidelity.unseen}")
+            for half in summary.held_out:
+                out.print(f"{label}, held out: {half.counted}")
     print(f"scenario model written to {target} (content {model.content_hash[:12]})")
     if args.page:
         _write_page(page, model, departures, args.seed)

@@ -55,6 +55,11 @@ class Side:
         return int(self.model.mixture.weights_.size)
 
     @property
+    def generated_from(self) -> str:
+        """K, or that departures are smoothed."""
+        return f"K = {self.K}" if self.summary is None or self.summary.kind == "mixture" else "smoothed"
+
+    @property
     def misfits(self) -> list[str]:
         """Parameters whose distribution is clearly not that of the events."""
         return [c.name for c in self.diagnostics.calibrations if c.distance > max(c.limit, CLEAR)]
@@ -87,7 +92,7 @@ def fit_page(model: ScenarioModel, diagnostics: ModelDiagnostics, *, seed: int) 
         title=f"Scenario model {model.content_hash[:12]}: how well it fits",
         heading="How well the model fits",
         facts=[
-            *(f"{side.key}: {plural(side.diagnostics.events, 'departure')}, K = {side.K}" for side in sides),
+            *(f"{side.key}: {plural(side.diagnostics.events, 'departure')}, {side.generated_from}" for side in sides),
             f"model {model.content_hash[:12]}",
             *([source] if source else []),
         ],
@@ -201,6 +206,9 @@ def _fidelity(sides: tuple[Side, ...]) -> Section:
         title = f"{side.title}: generated departures, and {fidelity.departures:,} replayed ones"
         body += Markup("<h3>{}</h3>").format(side.title) + figure(charts, f"{title}. A row: design and y_s.", key)
         tables += to_html(Table(title, columns, [Row(tuple(cells)) for cells in rows]))
+        if fidelity.unseen:
+            body += paragraphs(f"{side.title}: the intervals cannot show {fidelity.unseen}.")
+    body += _held_out(sides)
     note = (
         "Each test design is driven on the recorded departures and on generated ones. Lines (brackets in the table): "
         "95 % bootstrap interval of the replay, for all test designs at once, and no narrower than what a designer "
@@ -226,6 +234,22 @@ def _answers(key: str, fidelity: SideFidelity, j: int, rows: Sequence[list[Cell 
     name, unit = QUANTITIES[j], UNITS[j].replace("^2", "\u00b2") or "%"
     axis = Axis.around(f"{name.capitalize()} [{unit}]", numbers)
     return dots(f"answer-{key}-{j}", f"{key}: {name} of the test designs, replayed and generated", drawn, axis)
+
+
+def _held_out(sides: tuple[Side, ...]) -> Markup:
+    """Models of half of the departures beside the other half: how many answers agree, and the worst reduction."""
+    rows = []
+    for side in sides:
+        for half in side.summary.held_out if side.summary is not None else ():
+            gap = np.abs(np.array(half.generated) - np.array(half.replayed))[:, 0]
+            answers = (half.replayed, half.low, half.high, half.generated)
+            replayed, low, high, drawn = (number(100.0 * values[int(gap.argmax())][0], 1) for values in answers)
+            agree = f"{half.within.sum()} of {half.within.size}"
+            rows.append(Row((side.title, half.resampled, agree, drawn, f"{replayed} ({low} to {high})")))
+    columns = [Column(name, text=True) for name in ("Side", "Replayed", "Answers that agree")]
+    columns += [Column("Reduction, farthest off", "%"), Column("Replay", text=True)]
+    title = "Held out: models of half of the departures, and the other half; intervals of the difference"
+    return to_html(Table(title, columns, rows)) if rows else Markup()
 
 
 def _margins(sides: tuple[Side, ...]) -> Section:

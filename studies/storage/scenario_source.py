@@ -270,8 +270,9 @@ def _notes(model: ScenarioModel) -> Iterator[str]:
         if value not in ("", None):
             yield text if len(text) <= _LONGEST else f"{text[:_LONGEST]} ..."
     for name, side, summary in (("left", model.left_side, origin.left), ("right", model.right_side, origin.right)):
-        count = len(side.mixture.weights_)
-        yield f"{name}: {count} component{'s' if count > 1 else ''}{_fitted(summary)}"
+        K, smoothed = side.mixture.n_components, summary is not None and summary.kind == "smoothed"
+        kind = "smoothed departures" if smoothed else f"{K} component{'s' * (K > 1)}"
+        yield f"{name}: {kind}{_fitted(summary)}"
         yield from (f"{name}: {text}" for text in (_box(side, summary), _mapped(side)) if text)
     if origin.software:
         yield f"fitted with {origin.software}, seed {origin.seed}, {origin.created}".rstrip(", ")
@@ -284,9 +285,7 @@ def _fitted(summary: SideSummary | None) -> str:
         return ""
     weight = "" if summary.weight is None else f" that stand for {summary.weight:,.6g}"
     text = f" from {summary.events:,} departures{weight}"
-    if len(summary.n_components) > 1:
-        text += f", chosen by BIC among K = {_numbers(summary.n_components)}"
-    return text
+    return f"{text}: {summary.reason}" if summary.reason else text
 
 
 def _box(side: SideModel, summary: SideSummary | None) -> str:
@@ -305,12 +304,6 @@ def _box(side: SideModel, summary: SideSummary | None) -> str:
 def _mapped(side: SideModel) -> str:
     mapped = [f"{name} by {kind}" for name, kind in zip(side.names, side.transform(), strict=True) if kind != "none"]
     return f"fitted after a map of {', '.join(mapped)}" if mapped else ""
-
-
-def _numbers(values: tuple[int, ...]) -> str:
-    if values == tuple(range(values[0], values[-1] + 1)):
-        return f"{values[0]} to {values[-1]}"
-    return ", ".join(map(str, values))
 
 
 def _flat(source: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:

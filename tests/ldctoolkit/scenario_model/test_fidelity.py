@@ -81,14 +81,15 @@ def test_a_bad_model_is_called_bad(bad: ScenarioModel, fine: ScenarioModel) -> N
         assert not side.fidelity.passed
         assert re.fullmatch(
             r"the model (under|over)states the effect of control by \d+ points \([^()]+, y_s = [\d.]+ m: "
-            r"-?[\d.]+ % replayed, -?[\d.]+ % generated\): do not use it",
+            r"-?[\d.]+ % replayed, -?[\d.]+ % generated; 150 departures of 1 trip; what differs between trips cannot "
+            r"be seen, and intervals cannot be trusted\): do not use it",
             side.fidelity.text,
         )
     assert f"left: {bad.provenance.left.fidelity.text}" in bad.provenance.warnings
     for side in (fine.provenance.left, fine.provenance.right):
         assert side.fidelity.text == (
-            "the model gives the recordings' answer (all 12 test designs lie within the 95 % intervals of 150 "
-            "replayed departures)"
+            "the model gives the recordings' answer (all 12 test designs lie within the 95 % intervals of the replay: "
+            "150 departures of 1 trip; what differs between trips cannot be seen, and intervals cannot be trusted)"
         )
 
 
@@ -133,7 +134,7 @@ def test_a_smaller_effect_is_understated(other: float, word: str) -> None:
                             generated=((other, 0.2, 0.1, 1.0, 0.3),) * 3)  # fmt: skip
     assert fidelity.text == (
         f"the model {word} the effect of control by 19 points (Preview P, y_s = 0.20 m: 50.0 % replayed, "
-        f"{100 * other:.1f} % generated): do not use it"
+        f"{100 * other:.1f} % generated; 50 departures): do not use it"
     )
 
 
@@ -204,11 +205,20 @@ def test_real_recordings(ngsim_recordings: Path) -> None:
     forced = fit_scenario_model(recorded.departures, components=1, **given).provenance
     assert forced.left.fidelity.text.startswith("the model understates the effect of control by 1")
     assert forced.right.fidelity.text.startswith("the model understates the effect of control by 1")
-    default = fit_scenario_model(recorded.departures, **given).provenance
+    model = fit_scenario_model(recorded.departures, **given)
+    default = model.provenance
     smoothed = fit_scenario_model(recorded.departures, kind="smoothed", **given).provenance
     for side in (default.left, default.right, smoothed.left, smoothed.right):
         assert side.fidelity.passed
-    assert (smoothed.left.kind, smoothed.left.reason) == ("smoothed", "smoothed departures, as requested")
+    assert (smoothed.left.kind, smoothed.left.reason) == (
+        "smoothed", "smoothed departures, near copies of the 86 recorded ones, as requested"
+    )  # fmt: skip
+    # 1.4 departures a vehicle: whole vehicles tell much the same as departures by themselves
+    unknown = dataclasses.replace(recorded.departures, recording=np.full(recorded.departures.n, "r"))
+    for side, alone in zip((default.left, default.right), check_fidelity(model, unknown), strict=True):
+        by_vehicle, independent = (np.array(f.high) - np.array(f.low) for f in (side.fidelity, alone))
+        assert np.median(by_vehicle / independent) == pytest.approx(1.05, abs=0.05)
+        assert [half.within.mean() > 0.9 for half in side.held_out] == [True, True]
 
 
 def test_smoothed_departures_keep_mean_and_covariance() -> None:
@@ -233,6 +243,106 @@ def test_smoothed_departures_keep_mean_and_covariance() -> None:
     spread = np.average(
         (mapped - np.average(mapped, axis=0, weights=weights[:300])) ** 2, axis=0, weights=weights[:300]
     )
-    h = np.array([0.25, 0.125]) * (4 / 10) ** (1 / 12) * 240 ** (-1 / 12)
+    h = np.array([0.5, 0.25, 0.125]) * (4 / 10) ** (1 / 12) * 240 ** (-1 / 12)
     shares = mixture.covariances_[0].diagonal() / spread
     assert np.abs(shares[:, None] / (h**2 / (1 + h**2)) - 1).max(axis=0).min() < 5e-3
+
+
+def in_trips(n: int, seed: int, per_trip: int) -> Departures:
+    """Departures of `two_kinds` in trips of the quick ones and trips of the long ones; each trip to one side."""
+    made = two_kinds(n, seed)
+    made = made.take(np.lexsort((made.T, -made.side)))
+    number = np.arange(2 * n) // per_trip
+    return dataclasses.replace(made, recording=np.array([f"trip {i} ({j % 2})" for j, i in enumerate(number)]))
+
+
+def test_whole_trips_are_resampled(bad: ScenarioModel) -> None:
+    """Share of triggered ones: the standard error is that of the trips' means, with Student's t."""
+    made = in_trips(160, seed=4, per_trip=8)  # 20 trips a side
+    by_trip, alone = (
+        check_fidelity(bad, departures)[0]
+        for departures in (made, dataclasses.replace(made, recording=np.full(320, "r")))
+    )
+    assert by_trip.replayed == alone.replayed
+    assert "the 95 % intervals of the replay: 160 departures of 20 trips, 5 % of them in one trip" in by_trip.text or (
+        "; 160 departures of 20 trips, 5 % of them in one trip): do not use it" in by_trip.text
+    )
+    trips, clustered = np.arange(160) // 8, []
+    for i, y_s in enumerate(by_trip.thresholds):
+        triggered = (made.d_y[:160] > y_s).astype(float)
+        share, means = triggered.mean(), np.bincount(trips, triggered) / 8
+        assert by_trip.replayed[i][1] == pytest.approx(share, abs=1e-4)
+        # equal trips: CR2 is the usual standard error of 20 means
+        expected = means.std(ddof=1) / np.sqrt(20) / np.sqrt(share * (1 - share) / 160)
+        wide, narrow = (max(share - fidelity.low[i][1], fidelity.high[i][1] - share) for fidelity in (by_trip, alone))
+        if expected > 1.0 and 0.2 < share < 0.8:
+            # t of 19 degrees of freedom where the normal critical value is 2.5 to 3.3: 1.11 to 1.22
+            assert 1.02 * expected < wide / narrow < 1.32 * expected
+            clustered.append(expected)
+    assert max(clustered) > 2.0
+
+
+def test_few_trips_cannot_be_trusted(bad: ScenarioModel) -> None:
+    made = in_trips(150, seed=4, per_trip=30)
+    left, right = check_fidelity(bad, made)
+    for side in (left, right):
+        assert "150 departures of 5 trips, 20 % of them in one trip; with fewer than 10 trips, intervals cannot be" in (
+            side.text
+        )
+
+
+def test_what_intervals_cannot_show() -> None:
+    rows = {"replayed": (0.5, 0.9, 0.1, 1.0, 0.3), "low": (-0.1, 0.8, 0.0, 0.9, 0.0), "high": (0.6, 1.0, 0.2, 1.1, 0.4)}
+    fidelity = SideFidelity(50, (0.2,), **{name: (row,) * 3 for name, row in rows.items()},
+                            generated=((0.5, 0.9, 0.1, 1.0, 0.3),) * 3)  # fmt: skip
+    assert fidelity.unseen == (
+        "needless too low (3 of 3 test designs), depth p95 too low (3 of 3 test designs), "
+        "trigger share too high (3 of 3 test designs)"
+    )
+    inside = dataclasses.replace(
+        fidelity, low=((-0.1, 0.8, 0.01, 0.9, 0.01),) * 3, high=((1.0, 0.99, 0.2, 1.1, 0.4),) * 3
+    )
+    assert inside.unseen == "reduction too high (3 of 3 test designs)"
+
+
+def test_held_out_halves(bad: ScenarioModel, fine: ScenarioModel) -> None:
+    """Both ways; halves of whole trips; intervals wider than those of the replay, for both halves are uncertain."""
+    for side in (fine.provenance.left, fine.provenance.right):
+        first, second = side.held_out
+        assert first.departures + second.departures == 150
+        assert (first.passed, second.passed) == (True, True)
+        whole, half = (
+            np.median(np.array(fidelity.high)[:, 0] - np.array(fidelity.low)[:, 0])
+            for fidelity in (side.fidelity, first)
+        )
+        assert 1.5 < half / whole < 2.8  # twice, by halves
+    assert (
+        first.counted
+        == "60 of 60 answers agree with those of the 75 departures that a model of the other 75 has not seen"
+    )
+    made = in_trips(150, seed=4, per_trip=30)  # five trips a side
+    halves = fit_scenario_model(made, components=1, extraction=CRITERIA).provenance.left.held_out
+    assert sorted(half.departures for half in halves) == [60, 90]
+    made = in_trips(150, seed=4, per_trip=50)
+    assert fit_scenario_model(made, components=1, extraction=CRITERIA).provenance.left.held_out == ()
+
+
+def test_neither_seed_nor_order_chooses(fine: ScenarioModel) -> None:
+    """Of few departures: the same model whatever the seed and the order of the rows."""
+    made = two_kinds(150)
+    again = fit_scenario_model(made.take(np.random.default_rng(1).permutation(300)), extraction=CRITERIA, seed=7)
+    for name in ("left", "right"):
+        one, other = getattr(fine, name), getattr(again, name)
+        assert getattr(again.provenance, name).kind == getattr(fine.provenance, name).kind
+        np.testing.assert_allclose(np.sort(other.means_, axis=0), np.sort(one.means_, axis=0), rtol=1e-9, atol=1e-12)
+        given, found = (np.array(getattr(m.provenance, name).fidelity.generated)[:, :3] for m in (fine, again))
+        np.testing.assert_allclose(found, given, atol=0.02)
+
+
+def test_a_component_of_hardly_any_departures_is_not_taken() -> None:
+    """Five far off the others make a component of a mixture, which BIC prefers."""
+    made = two_kinds(150)
+    far = np.isin(np.arange(300) % 150, np.arange(5))
+    made = dataclasses.replace(made, v_mean=np.where(far, 60.0 + 0.1 * np.arange(300) % 1.0, made.v_mean))
+    side = fit_scenario_model(made, components=(1, 2, 3), kind="mixture", extraction=CRITERIA).left
+    assert side.weights_.min() * 150 >= 10

@@ -64,7 +64,7 @@ def test_the_fit_tells_its_choice_and_writes_its_card(folder: Path) -> None:
     assert card["settings"] == {"prior_strength": 20.0, "tol": 1e-4, "n_init": 1, "max_iter": 500}
     assert ["v_mean", "extraction criteria", "physical"] in card["left"]["bounds_from"]
     told = good("models", "m.json", cwd=folder)
-    assert "chosen by BIC among K = 1 to 2" in told
+    assert re.search(r"left: \d components? from 150 departures: K = \d, ", told)
     assert "v_mean 4 to open (extraction criteria, physical)" in told
     assert "numba " in told
     assert "refused: lane_change 0, invalid 0, gap 3" in told
