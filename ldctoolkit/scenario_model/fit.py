@@ -13,6 +13,7 @@ import numpy.typing as npt
 import threadpoolctl
 
 from ldctoolkit.arrays import BoolArray, FloatArray
+from ldctoolkit.clusters import Clusters
 from ldctoolkit.declared import checked_choice, checked_seed, checked_whole
 from ldctoolkit.departures import (
     LEFT,
@@ -34,9 +35,11 @@ from ldctoolkit.scenario_model.fidelity import Replay, SideFidelity
 from ldctoolkit.scenario_model.model import ScenarioModel
 from ldctoolkit.scenario_model.provenance import (
     LEAST_LOWER,
+    MOST_RECORDED,
     PHYSICAL_BOUNDS,
     FitSettings,
     ModelProvenance,
+    RecordedDepartures,
     SideModel,
     SideSummary,
     check_usable,
@@ -240,7 +243,7 @@ def fit_scenario_model(
         plausibility=limits,
         vehicle_width=None if extraction is None else extraction.vehicle_width,
     )
-    events = _events(departures, weights, settings)
+    events, recorded = _events(departures, weights, settings)
     carried = {label: carried_components(settings.components, side) for label, side in events.items()}
     with threadpoolctl.threadpool_limits(1, "blas"):  # small matrices: more threads only wait for each other
         sides = {label: fit_side(side, *carried[label], settings, progress) for label, side in events.items()}
@@ -260,7 +263,7 @@ def fit_scenario_model(
         settings=fit,
         **driven(source),
     )
-    model = ScenarioModel(sides["left"][0], sides["right"][0], provenance, limits)
+    model = ScenarioModel(sides["left"][0], sides["right"][0], provenance, limits, recorded)
     summaries: dict[str, Any] = {
         label: dataclasses.replace(sides[label][1], redrawn_share=model.redrawn_share(side))
         for label, side in SIDES.items()
@@ -268,8 +271,10 @@ def fit_scenario_model(
     return dataclasses.replace(model, provenance=dataclasses.replace(provenance, **summaries))
 
 
-def _events(departures: Departures, weights: npt.ArrayLike | None, settings: SideSettings) -> dict[str, SideEvents]:
-    """The departures of each side, ready for the fit."""
+def _events(
+    departures: Departures, weights: npt.ArrayLike | None, settings: SideSettings
+) -> tuple[dict[str, SideEvents], RecordedDepartures | None]:
+    """The departures of each side, ready for the fit, and what a model keeps of them."""
     weight = None if weights is None else check_weights(weights, departures.n, "weights", "departure")
     with np.errstate(all="ignore"):  # what is not finite is refused later
         counts = settings.plausibility.holds(departures) | ~np.isfinite(departures.matrix()).all(axis=1)
@@ -279,7 +284,14 @@ def _events(departures: Departures, weights: npt.ArrayLike | None, settings: Sid
     beside = f", beside {implausible} that are not plausible" if implausible else ""
     check_enough(rows["left"], rows["right"], beside)
     events = Events(departures.matrix(), weight, settings.selection["n_jobs"])
-    return {label: side_events(events.take(mask), label, settings) for label, mask in rows.items()}
+    sides = {label: side_events(events.take(mask), label, settings) for label, mask in rows.items()}
+    if max(side.data.rows for side in sides.values()) > MOST_RECORDED:
+        return sides, None
+    order = np.concatenate([np.flatnonzero(mask) for mask in rows.values()])
+    parameters = np.concatenate([side.departures.matrix() for side in sides.values()])
+    fitted = DepartureParameters(departures.side[order], *parameters.T)
+    clusters = Clusters.of(departures).take(order)
+    return sides, RecordedDepartures(fitted, clusters, None if weight is None else weight[order])
 
 
 def check_enough(left: BoolArray, right: BoolArray, beside: str = "") -> None:
@@ -395,10 +407,7 @@ class _Judge:
     @classmethod
     def of(cls, events: SideEvents, settings: SideSettings) -> Self:
         """The judge of a side, with the answer of its recorded departures."""
-        columns = {name: np.full(events.data.rows, value) for name, value in events.constants}
-        columns |= dict(zip(events.names, events.data.x.T, strict=True))
-        recorded = DepartureParameters(np.full(events.data.rows, SIDES[events.label]), **columns)
-        return cls(events, settings, Replay.of(recorded, events.data.weight, settings.vehicle_width))
+        return cls(events, settings, Replay.of(events.departures, events.data.weight, settings.vehicle_width))
 
     def checked(self, mixture: BoundedGaussianMixture, kind: Literal["mixture", "smoothed"] = "mixture") -> _Checked:
         """A mixture beside the recorded departures; each is driven once."""
@@ -587,6 +596,13 @@ class SideEvents:
     constants: tuple[tuple[str, float], ...]  # The other parameters with their value
     moved: tuple[tuple[str, int], ...]  # Events that lay on a bound, per parameter
     weight: float | None  # Sum of the weights, if there are any
+
+    @property
+    def departures(self) -> DepartureParameters:
+        """All eight parameters, and the side."""
+        columns = {name: np.full(self.data.rows, value) for name, value in self.constants}
+        columns |= dict(zip(self.names, self.data.x.T, strict=True))
+        return DepartureParameters(np.full(self.data.rows, SIDES[self.label]), **columns)
 
 
 def side_events(events: Events, label: str, settings: SideSettings) -> SideEvents:

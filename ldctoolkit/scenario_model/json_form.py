@@ -7,7 +7,7 @@ import hashlib
 import json
 import math
 from collections.abc import Iterator
-from typing import Any, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 from pydantic import Field, ValidationError
@@ -15,13 +15,22 @@ from pydantic import Field, ValidationError
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.checked_files import CHECKSUM, NOT_AS_WRITTEN, digest, parse_json, text_of
 from ldctoolkit.declared import checked_number
-from ldctoolkit.departures import PARAMETER_NAMES, PARAMETER_UNITS, Plausibility, check_parameters
+from ldctoolkit.clusters import Clusters
+from ldctoolkit.departures import (
+    PARAMETER_NAMES,
+    PARAMETER_UNITS,
+    SIDES,
+    DepartureParameters,
+    Plausibility,
+    check_parameters,
+)
 from ldctoolkit.errors import InputError, ModelError
 from ldctoolkit.mixture import BoundedGaussianMixture
 from ldctoolkit.scenario_model.provenance import (
     LEAST_LOWER,
     UNIT,
     ModelProvenance,
+    RecordedDepartures,
     SideModel,
     SourceSummary,
     check_usable,
@@ -29,8 +38,8 @@ from ldctoolkit.scenario_model.provenance import (
 from ldctoolkit.validation import Part, first_problem
 
 FORMAT: Final = "ldctoolkit-scenario-model"
-VERSION: Final = 4
-_READABLE: Final = (3, VERSION)
+VERSION: Final = 5
+_READABLE: Final = (3, 4, VERSION)
 _RETIRED: Final = {"aic", "criterion", "slack", "indifference"}  # keys of version 3 that say nothing of the model
 
 _HASHED_VERSION: Final = 1  # stands in the hashed content and never changes: studies resume by the hash
@@ -55,7 +64,11 @@ def side_to_json(side: SideModel) -> dict[str, Any]:
 
 
 def model_to_json(
-    left: SideModel, right: SideModel, provenance: ModelProvenance, plausibility: Plausibility | None
+    left: SideModel,
+    right: SideModel,
+    provenance: ModelProvenance,
+    plausibility: Plausibility | None,
+    recorded: RecordedDepartures | None,
 ) -> dict[str, Any]:
     """The whole file as JSON values; the cells of a pair are one string, a tenth of the size of a list."""
     content = dataclasses.asdict(provenance)
@@ -68,6 +81,15 @@ def model_to_json(
         "units": dict(zip(PARAMETER_NAMES, PARAMETER_UNITS, strict=True)),
         "sides": {"left": side_to_json(left), "right": side_to_json(right)},
         "plausibility": plausibility and dataclasses.asdict(plausibility),
+        "recorded": recorded and {
+            "side": [label for label in SIDES for _ in range(int(recorded.of_side(label).sum()))],
+            **{name: getattr(recorded.departures, name).tolist() for name in PARAMETER_NAMES},
+            "weight": None if recorded.weight is None else recorded.weight.tolist(),
+            "clusters": {
+                name: value.tolist() if isinstance(value, np.ndarray) else value
+                for name, value in vars(recorded.clusters).items()
+            },
+        },
         "provenance": content,
     }
 
@@ -118,8 +140,10 @@ def _whole(token: str) -> int:
     return int(token)
 
 
-def model_from_json(text: str | bytes, file: str) -> tuple[SideModel, SideModel, ModelProvenance, Plausibility | None]:
-    """Check and build both sides, the provenance and the limits."""
+def model_from_json(
+    text: str | bytes, file: str
+) -> tuple[SideModel, SideModel, ModelProvenance, Plausibility | None, RecordedDepartures | None]:
+    """Check and build both sides, the provenance, the limits and the recorded departures."""
     data = _parse(text, file)
     if not isinstance(data, dict):
         raise ModelError(file, "not a scenario model", hint="the file must hold a JSON object")
@@ -137,7 +161,7 @@ def model_from_json(text: str | bytes, file: str) -> tuple[SideModel, SideModel,
         summary = side.get("source_summary")
         if isinstance(summary, dict) and isinstance(cells := summary.get("cells"), list):
             summary["cells"] = [_shares(text) for text in cells]
-    if version < VERSION and isinstance(provenance, dict):
+    if version < 4 and isinstance(provenance, dict):
         settings = provenance.get("settings")
         for table in (*_fitted(provenance), *([settings] if isinstance(settings, dict) else [])):
             for key in _RETIRED:
@@ -153,12 +177,13 @@ def model_from_json(text: str | bytes, file: str) -> tuple[SideModel, SideModel,
             _check_side(f"sides.{name}", getattr(parsed.sides, name))
         _check_provenance(parsed.provenance)
         left, right = (_built(getattr(parsed.sides, name), f"sides.{name}") for name in ("left", "right"))
+        recorded = parsed.recorded and _recorded(parsed.recorded, {"left": left, "right": right})
     except (InputError, ModelError) as error:
         raise ModelError.of(error.within(file, ": ")) from None
     limits = None if parsed.plausibility is None else Plausibility(**dict(parsed.plausibility))
     if written not in (None, content):  # last: of what was changed by hand, a value that is not allowed says more
         raise ModelError(file, NOT_AS_WRITTEN, hint=f"if it was changed on purpose, remove the key '{CHECKSUM}'")
-    return left, right, parsed.provenance, limits
+    return left, right, parsed.provenance, limits, recorded
 
 
 def _shares(text: Any) -> Any:
@@ -198,6 +223,30 @@ class _Limits(Part):
     a_y: float | None = Field(gt=0.0)
 
 
+class _Clusters(Part):
+    kind: Literal["drivers", "trips", "departures"]
+    index: tuple[int, ...]
+    trips: int = Field(ge=0)
+    drivers: int = Field(ge=0)
+    largest_trip: float = Field(ge=0.0, le=1.0)
+
+
+class _Recorded(Part):
+    """Recorded departures, the columns of all parameters."""
+
+    side: tuple[Literal["left", "right"], ...] = Field(min_length=1)
+    T: tuple[float, ...]
+    d_y: tuple[float, ...]
+    sigma_y: tuple[float, ...]
+    v_mean: tuple[float, ...]
+    a_mean: tuple[float, ...]
+    sigma_v: tuple[float, ...]
+    c_0: tuple[float, ...]
+    dc: tuple[float, ...]
+    weight: tuple[Annotated[float, Field(gt=0.0)], ...] | None
+    clusters: _Clusters
+
+
 class _File(Part):
     """The content of a model file."""
 
@@ -206,6 +255,7 @@ class _File(Part):
     units: dict[str, str]
     sides: _Sides
     plausibility: _Limits | None = None
+    recorded: _Recorded | None = None
     provenance: ModelProvenance
 
 
@@ -293,6 +343,31 @@ def _check_summary(path: str, summary: SourceSummary) -> None:
         square = shares and math.isqrt(len(shares)) ** 2 == len(shares) == len(summary.cells[0])
         if not square or min(shares) < 0 or sum(shares) > UNIT:
             raise InputError(f"{path}.cells[{i}]", value=" ".join(map(str, shares)), allowed=allowed)
+
+
+def _recorded(table: _Recorded, sides: dict[str, SideModel]) -> RecordedDepartures:
+    """The recorded departures, each inside the box of its side, and their clusters."""
+    n, path = len(table.side), "recorded"
+    columns = {name: np.array(getattr(table, name)) for name in PARAMETER_NAMES}
+    index = np.array(table.clusters.index, dtype=np.int64)
+    weight = None if table.weight is None else np.array(table.weight)
+    for name, column in {**columns, "clusters.index": index, "weight": weight}.items():
+        if column is not None:
+            _check_shape(f"{path}.{name}", column, (n,))
+    if list(table.side) != sorted(table.side):
+        raise InputError(f"{path}.side", "not in order", allowed="left departures, then right ones")
+    if set(index.tolist()) != set(range(int(index.max()) + 1)):
+        raise InputError(f"{path}.clusters.index", "leaves a number out", allowed="each number from 0 on")
+    side = np.array([SIDES[label] for label in table.side])
+    for label, half in sides.items():
+        rows = side == SIDES[label]
+        for name, low, high in zip(half.names, *half.bounds(), strict=True):
+            outside = ~((columns[name][rows] > low) & (columns[name][rows] < high))
+            if outside.any():
+                value = float(columns[name][rows][outside][0])
+                raise InputError(f"{path}.{name}", value=value, allowed=f"between {low:g} and {high:g} ({label})")
+    clusters = Clusters(**{**dict(table.clusters), "index": index})
+    return RecordedDepartures(DepartureParameters(side, **columns), clusters, weight)
 
 
 def _built(side: _Side, path: str) -> SideModel:

@@ -1,6 +1,7 @@
 """Where a scenario model comes from: its sides, summaries of the departures, and the settings of the fit."""
 
 import dataclasses
+import hashlib
 import math
 import platform
 from collections.abc import Mapping
@@ -8,8 +9,9 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from ldctoolkit.arrays import FloatArray, IntArray
-from ldctoolkit.departures import PARAMETER_NAMES
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray, ReadOnly
+from ldctoolkit.clusters import Clusters
+from ldctoolkit.departures import PARAMETER_NAMES, SIDES, DepartureParameters
 from ldctoolkit.errors import ModelError
 from ldctoolkit.mixture import BoundedGaussianMixture
 from ldctoolkit.mixture.checks import Events
@@ -278,6 +280,35 @@ class ModelProvenance:
     def sides(self) -> list[tuple[str, SideSummary]]:
         """``"left"`` and ``"right"`` with how they were fitted, where that is known."""
         return [(name, side) for name, side in (("left", self.left), ("right", self.right)) if side is not None]
+
+
+MOST_RECORDED: Final = 2_000
+"""Departures of a side that a model keeps; more leave little open, and would make its file large."""
+
+
+@dataclasses.dataclass(frozen=True)
+class RecordedDepartures(ReadOnly):
+    """The n departures that a model was fitted to, left ones first, none of them on a bound."""
+
+    departures: DepartureParameters
+    clusters: Clusters  # Which of them belong together
+    weight: FloatArray | None = None  # (n,) Events that each stands for
+
+    @property
+    def share(self) -> FloatArray:
+        """Share of the events that each stands for, (n,)."""
+        weight = np.ones(self.departures.n) if self.weight is None else self.weight
+        return np.asarray(weight / weight.sum())
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of all of it."""
+        columns = (self.departures.side, self.departures.matrix(), self.clusters.index, self.share)
+        return hashlib.sha256(b"".join(np.ascontiguousarray(column).tobytes() for column in columns)).hexdigest()
+
+    def of_side(self, label: str) -> BoolArray:
+        """Which of them are of a side (n,)."""
+        return np.asarray(self.departures.side == SIDES[label])
 
 
 def driven(source: Mapping[str, Any]) -> dict[str, Any]:
