@@ -14,6 +14,7 @@ from ldctoolkit.declared import checked_number, checked_whole
 from ldctoolkit.departures import LEFT
 from ldctoolkit.errors import InputError, StoreError, expect
 from ldctoolkit.scenario_model import ScenarioModel, load_model
+from ldctoolkit.scenario_model.refit import REFITS
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.surroundings import temporary_folder
 
@@ -21,10 +22,11 @@ from .design import FOLLOWS_STUDY, Design
 from .measures import measured
 from .ranking.design_metrics import find_baseline
 from .ranking.ranking import Ranking, rank_study
-from .results import StudyResults
+from .results import FEWEST_REFITS, StudyResults
 from .running.campaign import Campaign
 from .running.dispatch import Executor, Progress, closing, displayed
 from .running.executors import make_executor
+from .running.refits import scores_of_refits
 from .search import run_search
 from .storage.checked_parts import locked, remove_unfinished
 from .storage.manifest import Manifest, write_designs
@@ -39,7 +41,7 @@ from .storage.scenario_source import (
     with_recorded_widths,
     write_model,
 )
-from .storage.store import FINALISTS, REPLAYED, SCORES, Store, make_folder
+from .storage.store import FINALISTS, REFITS_FILE, REPLAYED, SCORES, Store, make_folder
 from .study_file import Study
 
 _log = logging.getLogger("studies")
@@ -64,6 +66,7 @@ def run_study(
     progress: bool | Progress | None = None,
     block_size: int | None = None,
     time_limit: float = TIME_LIMIT,
+    refits: int = REFITS,
 ) -> StudyResults:
     """Run every design of a study on the same scenarios and store the results; resumes where a run was stopped.
 
@@ -97,6 +100,9 @@ def run_study(
     time_limit : float [s]
         A task that takes longer ends its worker, and the scenario at fault is found; 0 for no limit. Not in this
         process, which could not go on.
+    refits : int
+        Models refitted to resampled clusters of the recorded departures, on which winner and baseline are driven too,
+        for the interval of the recordings; at least 5, 0 for none.
 
     Returns
     -------
@@ -114,6 +120,9 @@ def run_study(
     expect("study", study, Study)
     expect("scenarios", scenarios, Scenarios | None)
     block_size = None if block_size is None else checked_whole("block_size", block_size, lower=1)
+    refits = checked_whole("refits", refits, lower=0, upper=1000)
+    if 0 < refits < FEWEST_REFITS:
+        raise InputError("refits", value=refits, allowed=f"0, or {FEWEST_REFITS} and more")
     if time_limit is False or time_limit != 0:
         least, most = _LIMITS
         checked_number("time_limit", time_limit, lower=least, upper=most, unit="s (0 for none)")
@@ -121,7 +130,7 @@ def run_study(
         with temporary_folder() as folder:
             return run_study(
                 study, folder, model=model, scenarios=scenarios, workers=workers, executor=executor, dask=dask,
-                progress=progress, block_size=block_size, time_limit=time_limit,
+                progress=progress, block_size=block_size, time_limit=time_limit, refits=refits,
             )  # fmt: skip
     if scenarios is not None:
         if model is not None:
@@ -140,7 +149,7 @@ def run_study(
         named = source.name
     runs_on = make_executor(executor, workers, dask)
     with displayed(progress) as shown, closing(runs_on):
-        results = _Run(source, named, runs_on, shown, time_limit, block_size).whole(study, Path(directory))
+        results = _Run(source, named, runs_on, shown, time_limit, block_size).whole(study, Path(directory), refits)
     if results.failed:
         share, first = f"{len(results.failed)} of {len(results.failed) + len(results.designs)}", results.failed[0]
         _log.warning("failed and not ranked: %s designs; the first, %s", share, first.sentence)
@@ -172,29 +181,47 @@ class _Run:
     time_limit: float
     block_size: int | None
 
-    def whole(self, study: Study, folder: Path) -> StudyResults:
-        """All stages: the study itself, and its finalists on fresh scenarios."""
+    def whole(self, study: Study, folder: Path, refits: int) -> StudyResults:
+        """All stages: the study itself, its finalists on fresh scenarios, and its winner on refitted models."""
         check_room(study, sum(study.scenarios.counts))  # before anything is made
         make_folder(folder)
         with locked(folder):
-            results = self.study(study, folder)
-            if not study.ranking.finalists or len(results.designs) < 2 or isinstance(self.source, ReplayedDepartures):
+            results = self.finalists(study, folder, self.study(study, folder))
+            if not refits:
+                (folder / REFITS_FILE).unlink(missing_ok=True)
+            if not refits or not isinstance(self.source, ScenarioModel) or not results.drivable.any():
                 return results
-            self.progress.phase("choosing the finalists")
-            best = _finalists(rank_study(results, study), study.ranking.finalists)
-            if not best:
-                return results  # nothing meets the requirements
-            reference = find_baseline(study.ranking.baseline, results)
-            if reference is not None and results.designs[reference] not in best:
-                best = (*best, results.designs[reference])  # so that the gain is known there too
-            again = _finalist_study(study, best)
-            results = dataclasses.replace(results, fresh=self.again(study, again, folder / FINALISTS))
-            if not study.scenarios.replayed:
+            self.progress.phase("choosing the winner")
+            ranking = rank_study(results, study)
+            places = dict.fromkeys(i for i in (ranking.winner, ranking.baseline) if i is not None)
+            designs = [ranking.designs[i] for i in places]
+            if ranking.winner is None or any(design in results.unsafe for design in designs):
                 return results
-            table = read_replayed(study)
-            again = again.changed(scenarios={"model": "", "left": None, "right": None})
-            run = dataclasses.replace(self, source=table, name=table.name)
-            return dataclasses.replace(results, replayed=run.again(study, with_counts(again, table), folder / REPLAYED))
+            scores = scores_of_refits(
+                study, designs, self.source, folder, self.executor, self.progress, refits=refits,
+                time_limit=self.time_limit,
+            )  # fmt: skip
+            return dataclasses.replace(results, refits=scores)
+
+    def finalists(self, study: Study, folder: Path, results: StudyResults) -> StudyResults:
+        """The results with those of the finalists on fresh scenarios, and on recorded departures."""
+        if not study.ranking.finalists or len(results.designs) < 2 or isinstance(self.source, ReplayedDepartures):
+            return results
+        self.progress.phase("choosing the finalists")
+        best = _finalists(rank_study(results, study), study.ranking.finalists)
+        if not best:
+            return results  # nothing meets the requirements
+        reference = find_baseline(study.ranking.baseline, results)
+        if reference is not None and results.designs[reference] not in best:
+            best = (*best, results.designs[reference])  # so that the gain is known there too
+        again = _finalist_study(study, best)
+        results = dataclasses.replace(results, fresh=self.again(study, again, folder / FINALISTS))
+        if not study.scenarios.replayed:
+            return results
+        table = read_replayed(study)
+        again = again.changed(scenarios={"model": "", "left": None, "right": None})
+        run = dataclasses.replace(self, source=table, name=table.name)
+        return dataclasses.replace(results, replayed=run.again(study, with_counts(again, table), folder / REPLAYED))
 
     def again(self, study: Study, again: Study, folder: Path) -> StudyResults | None:
         """The finalists on other scenarios; None if all of them fail there."""

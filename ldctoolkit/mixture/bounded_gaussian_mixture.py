@@ -447,11 +447,15 @@ class BoundedGaussianMixture(CheckedArguments):
             prior_strength=prior_strength,
             **counts,
         )
-        first = start and Components(
-            start.weights_,
-            (start.means_ - location) / scale,
-            start.covariances_ / (scale[:, None] * scale),
-            start.log_probabilities_,
+        first = (
+            None
+            if start is None
+            else Components(
+                start.weights_,
+                (start.means_ - location) / scale,
+                start.covariances_ / (scale[:, None] * scale),
+                start.log_probabilities_,
+            )
         )
         result = fit_components(events, profile, settings, self._report, first)
         c = result.components

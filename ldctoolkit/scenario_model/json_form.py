@@ -14,8 +14,8 @@ from pydantic import Field, ValidationError
 
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.checked_files import CHECKSUM, NOT_AS_WRITTEN, digest, parse_json, text_of
-from ldctoolkit.declared import checked_number
 from ldctoolkit.clusters import Clusters
+from ldctoolkit.declared import checked_number
 from ldctoolkit.departures import (
     PARAMETER_NAMES,
     PARAMETER_UNITS,
@@ -81,9 +81,10 @@ def model_to_json(
         "units": dict(zip(PARAMETER_NAMES, PARAMETER_UNITS, strict=True)),
         "sides": {"left": side_to_json(left), "right": side_to_json(right)},
         "plausibility": plausibility and dataclasses.asdict(plausibility),
-        "recorded": recorded and {
+        "recorded": recorded
+        and {
             "side": [label for label in SIDES for _ in range(int(recorded.of_side(label).sum()))],
-            **{name: getattr(recorded.departures, name).tolist() for name in PARAMETER_NAMES},
+            "columns": {name: getattr(recorded.departures, name).tolist() for name in PARAMETER_NAMES},
             "weight": None if recorded.weight is None else recorded.weight.tolist(),
             "clusters": {
                 name: value.tolist() if isinstance(value, np.ndarray) else value
@@ -177,7 +178,7 @@ def model_from_json(
             _check_side(f"sides.{name}", getattr(parsed.sides, name))
         _check_provenance(parsed.provenance)
         left, right = (_built(getattr(parsed.sides, name), f"sides.{name}") for name in ("left", "right"))
-        recorded = parsed.recorded and _recorded(parsed.recorded, {"left": left, "right": right})
+        recorded = None if parsed.recorded is None else _recorded(parsed.recorded, left, right)
     except (InputError, ModelError) as error:
         raise ModelError.of(error.within(file, ": ")) from None
     limits = None if parsed.plausibility is None else Plausibility(**dict(parsed.plausibility))
@@ -232,17 +233,10 @@ class _Clusters(Part):
 
 
 class _Recorded(Part):
-    """Recorded departures, the columns of all parameters."""
+    """Recorded departures, a column for each parameter."""
 
     side: tuple[Literal["left", "right"], ...] = Field(min_length=1)
-    T: tuple[float, ...]
-    d_y: tuple[float, ...]
-    sigma_y: tuple[float, ...]
-    v_mean: tuple[float, ...]
-    a_mean: tuple[float, ...]
-    sigma_v: tuple[float, ...]
-    c_0: tuple[float, ...]
-    dc: tuple[float, ...]
+    columns: dict[str, tuple[float, ...]]
     weight: tuple[Annotated[float, Field(gt=0.0)], ...] | None
     clusters: _Clusters
 
@@ -345,27 +339,30 @@ def _check_summary(path: str, summary: SourceSummary) -> None:
             raise InputError(f"{path}.cells[{i}]", value=" ".join(map(str, shares)), allowed=allowed)
 
 
-def _recorded(table: _Recorded, sides: dict[str, SideModel]) -> RecordedDepartures:
+def _recorded(table: _Recorded, left: SideModel, right: SideModel) -> RecordedDepartures:
     """The recorded departures, each inside the box of its side, and their clusters."""
     n, path = len(table.side), "recorded"
-    columns = {name: np.array(getattr(table, name)) for name in PARAMETER_NAMES}
+    columns = {name: np.array(table.columns.get(name, ())) for name in PARAMETER_NAMES}
     index = np.array(table.clusters.index, dtype=np.int64)
     weight = None if table.weight is None else np.array(table.weight)
-    for name, column in {**columns, "clusters.index": index, "weight": weight}.items():
-        if column is not None:
-            _check_shape(f"{path}.{name}", column, (n,))
+    of_rows = {f"columns.{name}": column for name, column in columns.items()} | {"clusters.index": index}
+    for name, column in (of_rows if weight is None else of_rows | {"weight": weight}).items():
+        _check_shape(f"{path}.{name}", column, (n,))
+    check_parameters(f"{path}.columns", table.columns)
     if list(table.side) != sorted(table.side):
         raise InputError(f"{path}.side", "not in order", allowed="left departures, then right ones")
     if set(index.tolist()) != set(range(int(index.max()) + 1)):
         raise InputError(f"{path}.clusters.index", "leaves a number out", allowed="each number from 0 on")
     side = np.array([SIDES[label] for label in table.side])
-    for label, half in sides.items():
+    for label, half in (("left", left), ("right", right)):
         rows = side == SIDES[label]
         for name, low, high in zip(half.names, *half.bounds(), strict=True):
             outside = ~((columns[name][rows] > low) & (columns[name][rows] < high))
             if outside.any():
                 value = float(columns[name][rows][outside][0])
-                raise InputError(f"{path}.{name}", value=value, allowed=f"between {low:g} and {high:g} ({label})")
+                raise InputError(
+                    f"{path}.columns.{name}", value=value, allowed=f"between {low:g} and {high:g} ({label})"
+                )
     clusters = Clusters(**{**dict(table.clusters), "index": index})
     return RecordedDepartures(DepartureParameters(side, **columns), clusters, weight)
 

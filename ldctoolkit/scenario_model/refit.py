@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import threadpoolctl
@@ -57,7 +57,7 @@ def refit(model: ScenarioModel, number: int, seed: int = 0) -> ScenarioModel:
     rng = np.random.default_rng([_STREAM, seed, number])
     clusters = recorded.clusters
     weight = recorded.share * recorded.departures.n * rng.exponential(size=clusters.count)[clusters.index]
-    sides = {}
+    sides: dict[str, Any] = {}
     with threadpoolctl.threadpool_limits(1, "blas"):  # as in a fit
         for label, summary in model.provenance.sides:
             rows, side = recorded.of_side(label), model.side(SIDES[label])
