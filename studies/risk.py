@@ -9,6 +9,7 @@ import contextlib
 import dataclasses
 import functools
 import itertools
+import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -16,18 +17,21 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from ldctoolkit.arrays import FloatArray
+from ldctoolkit.arrays import FloatArray, IntArray
+from ldctoolkit.clusters import with_tails_of_t
 from ldctoolkit.control import EventStatus
 from ldctoolkit.declared import checked_whole
 from ldctoolkit.departures import LEFT, PARAMETER_COLUMNS, PARAMETER_NAMES, PARAMETER_UNITS, RIGHT, DepartureParameters
 from ldctoolkit.errors import InputError, LdcError, StoreError
 from ldctoolkit.scenario_model import ScenarioModel
+from ldctoolkit.scenario_model.refit import NOT_KEPT, REFITS, Uncertainty
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
 
 from .design import NO_CONTROL, Design
 from .ranking.inference import exact_interval, paired_sign
 from .ranking.verdict import Light, State
+from .results import FEWEST_REFITS
 from .runner import study_source
 from .running.campaign import laws_to_send
 from .running.chunks import BIN, BINS, ChunkJob, ChunkTask, Tally
@@ -38,6 +42,7 @@ from .storage.checked_parts import Parts, planned_parts, remove_unfinished
 from .storage.folder_files import output_folder, write_json
 from .study_file import Study
 
+BY_MODEL: Final = "by the model"
 DEPTHS: Final = (0.3, 0.5, 0.8, 1.0, 1.75)  # [m] beyond the line
 DTLE_LIMITS: Final = (-0.1, -0.3)  # [m]
 MOST: Final = 10**9  # departures
@@ -77,11 +82,37 @@ class Event:
     design_only: int  # departures with the event under the design alone
     no_control_only: int
     sign: int  # 1: the design has it more often than no control, -1: less often, 0: not separable at 5 %
+    outside: int  # departures with the event that lie beyond the recorded depths, durations or speeds
+    recorded: int  # recorded departures with the event
+    recorded_n: int  # recorded departures; 0 where they are not known
+    # Interval of what refits to resampled recordings say; NaN where the model holds no recorded departures
+    refits_low: float
+    refits_high: float
 
     @property
     def probability(self) -> float:
         """The share; 0 of no departure."""
         return self.count / max(self.n, 1)
+
+    @property
+    def by_model(self) -> bool:
+        """Whether it is rarer than the recordings can show: below 3/(number of recorded departures)."""
+        return self.recorded_n > 0 and self.probability * self.recorded_n < 3.0
+
+    @property
+    def recorded_high(self) -> float:
+        """Exact upper limit of the recorded share, of a 95 % interval; departures are taken as independent."""
+        return exact_interval(self.recorded, self.recorded_n)[1]
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """The exact interval; that of refits where the model decides."""
+        return (self.refits_low, self.refits_high) if self.by_model else (self.low, self.high)
+
+    @property
+    def probability_text(self) -> str:
+        """The share, unless the model alone decides it."""
+        return BY_MODEL if self.by_model else f"{self.probability:.3g}"
 
     @property
     def text(self) -> str:
@@ -150,7 +181,23 @@ class Risk:
         count, n = int(self.tally.counts[i, j, sides].sum()), int(self.tally.n[sides].sum())
         only = int(self.tally.only[i, j, sides].sum())
         others = int(self.tally.counts[0, j, sides].sum()) - count + only
-        return Event(count, n, *exact_interval(count, n), only, others, paired_sign(only, others))
+        outside, recorded = (int(x[i, j, sides].sum()) for x in (self.tally.outside, self.tally.recorded_counts))
+        known = int(self.tally.recorded_n[sides].sum())
+        if self.job.model.recorded is None and not self.job.model.provenance.synthetic:
+            known = sum(origin.events for name, origin in self.job.model.provenance.sides if side in (None, name))
+        refits = _refits_interval(
+            self.tally.refit_counts[:, i, j, sides].sum(axis=1),
+            self.tally.refit_n[:, sides].sum(axis=1),
+            self.uncertainty,
+        )
+        sign = paired_sign(only, others)
+        return Event(count, n, *exact_interval(count, n), only, others, sign, outside, recorded, known, *refits)
+
+    @functools.cached_property
+    def uncertainty(self) -> Uncertainty | None:
+        """What turns the spread over refits into that of the recordings."""
+        recorded = self.job.model.recorded
+        return None if recorded is None else Uncertainty.of(recorded, int(self.tally.refit_n.any(axis=1).sum()))
 
     def light(self, design: Design) -> Light:
         """Whether the tail is better than without control; red where it is worse in depth or DTLE, or diverges more."""
@@ -158,7 +205,9 @@ class Risk:
         for event in self.events:
             pair, without = self.event(design, event), self.event(self.designs[0], event)
             if pair.design_only or pair.no_control_only:
-                by_sign[pair.sign].append(f"{event} ({pair.probability:.3g} against {without.probability:.3g})")
+                both = pair.by_model and without.by_model
+                against = f"{pair.probability_text} against {without.probability_text}"
+                by_sign[pair.sign].append(f"{event} ({f'both {BY_MODEL}' if both else against})")
         titles = {"worse than no control": by_sign[1], "better": by_sign[-1], "not separable": by_sign[0]}
         text = "; ".join(f"{title}: {', '.join(events)}" for title, events in titles.items() if events)
         red = any(not event.startswith("opposite") for event in by_sign[1])
@@ -186,6 +235,23 @@ class Risk:
         tally, (left, right) = self.tally, self.tally.n
         source = f"scenario model {self.job.model.content_hash[:12]}, seed {self.setup.seed}"
         yield f"{self.n:,} departures ({left:,} left, {right:,} right), {source}: {resolution(self.n)}."
+        recorded = self.job.model.recorded
+        if recorded is not None:
+            known = int(tally.recorded_n.sum())
+            limits = (
+                f"{count:,} of {known:,} {event} (95 % upper limit {exact_interval(count, known)[1]:.2g})"
+                for event, count in zip(self.events, tally.recorded_counts[0].sum(axis=1).tolist(), strict=True)
+                if event.startswith("depth")
+            )
+            yield f"The model rests on {recorded.clusters.text}. Of these, without control: {', '.join(limits)}."
+        elif not self.job.model.provenance.synthetic:
+            yield f"Which of these lie where departures were recorded is not known: {NOT_KEPT}."
+        if any(self.event(design, event).by_model for design in self.designs for event in self.events):
+            n = self.event(self.designs[0], self.events[0]).recorded_n
+            yield (
+                f"{BY_MODEL.capitalize()}: below 3/{n:,} = {3.0 / n:.2g} a probability is decided by the model, not by "
+                "the recordings; its interval is that of models refitted to resampled recordings."
+            )
         if tally.invalid.any():
             yield f"{tally.invalid.sum():,} more cannot be driven and are in no number."
         for design, status, solves in zip(self.designs, tally.status, tally.failed_solves, strict=True):
@@ -234,13 +300,37 @@ class Risk:
         for design, event, side in itertools.product(self.designs, self.events, _SIDES):
             counted, row = self.event(design, event, side), {"design": design.id, "label": design.label}
             row |= {"y_s_m": design.y_s, "event": event, "side": side or "both", "count": counted.count, "n": counted.n}
-            shares = {"": counted.probability, "_low": counted.low, "_high": counted.high}
+            if counted.recorded_n:
+                row["decided_by"] = "model" if counted.by_model else "recordings"
+            if self.job.model.recorded is not None:
+                row |= {"recorded_count": counted.recorded, "recorded_n": counted.recorded_n}
+                row |= {"recorded_high": counted.recorded_high, "outside": counted.outside}
+            shares = dict(zip(("", "_low", "_high"), (counted.probability, *counted.interval), strict=True))
+            if counted.by_model:
+                shares[""] = math.nan
             for name, rate in {"probability": 1.0, **self.departure_rates(side)}.items():
-                row |= {f"{name}{end}": rate * share for end, share in shares.items()}
+                row |= {f"{name}{end}": rate * x if math.isfinite(x) else None for end, x in shares.items()}
             if not design.is_baseline:
                 row |= {"design_only": counted.design_only, "no_control_only": counted.no_control_only}
                 row |= {"against_no_control": counted.text}
             yield row
+
+
+def _refits_interval(count: IntArray, n: IntArray, uncertainty: Uncertainty | None) -> tuple[float, float]:
+    """95 % interval of a probability from counts among the n departures of each refit (r,), on a log scale.
+
+    The variance over refits without that of counting, and that of the mean's own counting.
+    """
+    count, n = count[n > 0], n[n > 0]
+    if uncertainty is None or n.size < FEWEST_REFITS:
+        return math.nan, math.nan
+    if not count.any():
+        return 0.0, exact_interval(0, int(n.sum()))[1]
+    mean = float(count.sum() / n.sum())
+    spread = max(float((count / n).var(ddof=1)) - mean * float((1.0 / n).mean()), 0.0) * uncertainty.factor**2
+    sigma = math.sqrt(math.log1p(spread / mean**2 + 1.0 / float(count.sum())))
+    wide = math.exp(float(with_tails_of_t(1.96, uncertainty.df)) * sigma)
+    return mean / wide, min(mean * wide, 1.0)
 
 
 def resolution(n: int) -> str:
@@ -363,6 +453,7 @@ def estimate_risk(
         share=_recorded(source) or (1, 1),
         depths=tuple(sorted({float(x) for x in depths})),
         dtle_limits=tuple(sorted({float(x) for x in dtle_limits}, reverse=True)),
+        refits=0 if source.recorded is None else REFITS,
         laws=laws_to_send(design.kind for design in active) if runs_on.isolated else b"",
         token=time.time_ns(),
     )
@@ -389,7 +480,9 @@ def _counted(
     for number in parts.finished:
         chunks, counted = parts.read(number)
         tally, done = tally.plus(counted), done | set(chunks)
-    tasks = [ChunkTask(job, chunk) for chunk in range(-(-job.n // job.chunk)) if chunk not in done]
+    own, of_refit, recorded = job.sizes
+    chunks = range(own + job.refits * of_refit + recorded)
+    tasks = [ChunkTask(job, chunk) for chunk in chunks if chunk not in done]
     if tasks:
         y_s = min(design.y_s for design in job.designs)
         load_loops({design.law for design in job.designs}, job.scenarios(0), job.setup, y_s)
