@@ -19,6 +19,7 @@ from ldctoolkit.clusters import with_tails_of_t
 from ldctoolkit.control import EventStatus
 from ldctoolkit.departures import LEFT
 from ldctoolkit.metrics import METRIC_COLUMNS, MetricValues
+from ldctoolkit.scenario_model.refit import FEWEST
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
 from ldctoolkit.simulation import Window
@@ -138,14 +139,11 @@ class RefitScores:
         The two draws show their own error, which is taken off.
         """
         r = len(values)
-        if r <= self.failed or r < FEWEST_REFITS:
+        if r <= self.failed or r < FEWEST:
             return math.nan
         variance = values.mean(axis=1).var(ddof=1) - 0.25 * (values[:, 0] - values[:, 1]).var(ddof=1)
         z = statistics.NormalDist().inv_cdf(0.5 * (1.0 + confidence))
         return float(with_tails_of_t(z, self.df)) * self.factor * math.sqrt(max(variance, 0.0))
-
-
-FEWEST_REFITS: Final = 5
 
 
 @dataclasses.dataclass(frozen=True, repr=False)

@@ -17,21 +17,28 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from ldctoolkit.arrays import FloatArray, IntArray
+from ldctoolkit.arrays import FloatArray
 from ldctoolkit.clusters import with_tails_of_t
 from ldctoolkit.control import EventStatus
 from ldctoolkit.declared import checked_whole
-from ldctoolkit.departures import LEFT, PARAMETER_COLUMNS, PARAMETER_NAMES, PARAMETER_UNITS, RIGHT, DepartureParameters
+from ldctoolkit.departures import (
+    LEFT,
+    PARAMETER_COLUMNS,
+    PARAMETER_NAMES,
+    PARAMETER_UNITS,
+    RIGHT,
+    SIDES,
+    DepartureParameters,
+)
 from ldctoolkit.errors import InputError, LdcError, StoreError
-from ldctoolkit.scenario_model import ScenarioModel
-from ldctoolkit.scenario_model.refit import NOT_KEPT, REFITS, Uncertainty
+from ldctoolkit.scenario_model import ScenarioModel, conditions
+from ldctoolkit.scenario_model.refit import FEWEST, NOT_KEPT, REFITS, uncertainty
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
 
 from .design import NO_CONTROL, Design
 from .ranking.inference import exact_interval, paired_sign
 from .ranking.verdict import Light, State
-from .results import FEWEST_REFITS
 from .runner import study_source
 from .running.campaign import laws_to_send
 from .running.chunks import BIN, BINS, ChunkJob, ChunkTask, Tally
@@ -83,11 +90,8 @@ class Event:
     no_control_only: int
     sign: int  # 1: the design has it more often than no control, -1: less often, 0: not separable at 5 %
     outside: int  # departures with the event that lie beyond the recorded depths, durations or speeds
-    recorded: int  # recorded departures with the event
-    recorded_n: int  # recorded departures; 0 where they are not known
-    # Interval of what refits to resampled recordings say; NaN where the model holds no recorded departures
-    refits_low: float
-    refits_high: float
+    recorded: int  # departures that the model was fitted to; 0 where they are not known, or none are
+    refits: tuple[float, float]  # interval of what refits to resampled recordings say; NaN without such recordings
 
     @property
     def probability(self) -> float:
@@ -97,22 +101,12 @@ class Event:
     @property
     def by_model(self) -> bool:
         """Whether it is rarer than the recordings can show: below 3/(number of recorded departures)."""
-        return self.recorded_n > 0 and self.probability * self.recorded_n < 3.0
-
-    @property
-    def recorded_high(self) -> float:
-        """Exact upper limit of the recorded share, of a 95 % interval; departures are taken as independent."""
-        return exact_interval(self.recorded, self.recorded_n)[1]
+        return self.recorded > 0 and self.probability * self.recorded < 3.0
 
     @property
     def interval(self) -> tuple[float, float]:
         """The exact interval; that of refits where the model decides."""
-        return (self.refits_low, self.refits_high) if self.by_model else (self.low, self.high)
-
-    @property
-    def probability_text(self) -> str:
-        """The share, unless the model alone decides it."""
-        return BY_MODEL if self.by_model else f"{self.probability:.3g}"
+        return self.refits if self.by_model else (self.low, self.high)
 
     @property
     def text(self) -> str:
@@ -181,23 +175,37 @@ class Risk:
         count, n = int(self.tally.counts[i, j, sides].sum()), int(self.tally.n[sides].sum())
         only = int(self.tally.only[i, j, sides].sum())
         others = int(self.tally.counts[0, j, sides].sum()) - count + only
-        outside, recorded = (int(x[i, j, sides].sum()) for x in (self.tally.outside, self.tally.recorded_counts))
-        known = int(self.tally.recorded_n[sides].sum())
-        if self.job.model.recorded is None and not self.job.model.provenance.synthetic:
-            known = sum(origin.events for name, origin in self.job.model.provenance.sides if side in (None, name))
-        refits = _refits_interval(
-            self.tally.refit_counts[:, i, j, sides].sum(axis=1),
-            self.tally.refit_n[:, sides].sum(axis=1),
-            self.uncertainty,
-        )
+        refits = self._of_refits(i, j, sides)
+        outside, recorded = int(self.tally.outside[i, j, sides].sum()), self.recorded(side)
         sign = paired_sign(only, others)
-        return Event(count, n, *exact_interval(count, n), only, others, sign, outside, recorded, known, *refits)
+        return Event(count, n, *exact_interval(count, n), only, others, sign, outside, recorded, refits)
 
-    @functools.cached_property
-    def uncertainty(self) -> Uncertainty | None:
-        """What turns the spread over refits into that of the recordings."""
-        recorded = self.job.model.recorded
-        return None if recorded is None else Uncertainty.of(recorded, int(self.tally.refit_n.any(axis=1).sum()))
+    def _of_refits(self, i: int, j: int, sides: slice) -> tuple[float, float]:
+        """95 % interval of a probability from what refits differ by, beyond what counting explains; on a log scale."""
+        n, count = self.tally.refit_n[:, sides].sum(axis=1), self.tally.refit_counts[:, i, j, sides].sum(axis=1)
+        n, count = n[n > 0], count[n > 0]
+        recorded = self.job.model.provenance.recorded
+        if recorded is None or n.size < FEWEST:
+            return math.nan, math.nan
+        if not count.any():
+            return 0.0, exact_interval(0, int(n.sum()))[1]
+        factor, df = uncertainty(recorded, n.size)
+        mean = float(count.sum() / n.sum())
+        variance = max(float((count / n).var(ddof=1)) - mean * float((1.0 / n).mean()), 0.0) * factor**2
+        sigma = math.sqrt(math.log1p(variance / mean**2 + 1.0 / float(count.sum())))
+        wide = math.exp(float(with_tails_of_t(1.96, df)) * sigma)
+        return mean / wide, min(mean * wide, 1.0)
+
+    def recorded(self, side: Side | None = None, deeper: float = -math.inf) -> int:
+        """Departures that the model was fitted to, with depths beyond a limit [m]; 0 of a model that was not."""
+        origin = self.job.model.provenance
+        if (known := origin.recorded) is None:
+            return 0 if origin.synthetic else sum(fit.events for name, fit in origin.sides if side in (None, name))
+        meets = known.departures.d_y > deeper
+        for condition in conditions(self.job.given):
+            x = getattr(known.departures, condition.name)
+            meets &= (x >= condition.low) & (x <= condition.high)
+        return int((meets & (True if side is None else known.departures.side == SIDES[side])).sum())
 
     def light(self, design: Design) -> Light:
         """Whether the tail is better than without control; red where it is worse in depth or DTLE, or diverges more."""
@@ -205,9 +213,8 @@ class Risk:
         for event in self.events:
             pair, without = self.event(design, event), self.event(self.designs[0], event)
             if pair.design_only or pair.no_control_only:
-                both = pair.by_model and without.by_model
-                against = f"{pair.probability_text} against {without.probability_text}"
-                by_sign[pair.sign].append(f"{event} ({f'both {BY_MODEL}' if both else against})")
+                shown = (BY_MODEL if x.by_model else f"{x.probability:.3g}" for x in (pair, without))
+                by_sign[pair.sign].append(f"{event} ({' against '.join(dict.fromkeys(shown))})")
         titles = {"worse than no control": by_sign[1], "better": by_sign[-1], "not separable": by_sign[0]}
         text = "; ".join(f"{title}: {', '.join(events)}" for title, events in titles.items() if events)
         red = any(not event.startswith("opposite") for event in by_sign[1])
@@ -235,19 +242,14 @@ class Risk:
         tally, (left, right) = self.tally, self.tally.n
         source = f"scenario model {self.job.model.content_hash[:12]}, seed {self.setup.seed}"
         yield f"{self.n:,} departures ({left:,} left, {right:,} right), {source}: {resolution(self.n)}."
-        recorded = self.job.model.recorded
-        if recorded is not None:
-            known = int(tally.recorded_n.sum())
-            limits = (
-                f"{count:,} of {known:,} {event} (95 % upper limit {exact_interval(count, known)[1]:.2g})"
-                for event, count in zip(self.events, tally.recorded_counts[0].sum(axis=1).tolist(), strict=True)
-                if event.startswith("depth")
-            )
-            yield f"The model rests on {recorded.clusters.text}. Of these, without control: {', '.join(limits)}."
+        if (recorded := self.job.model.provenance.recorded) is not None:
+            n, deeper = self.recorded(), ((x, self.recorded(deeper=x)) for x in self.job.depths)
+            limits = (f"{k:,} beyond {x:g} m (upper limit {exact_interval(k, n)[1]:.2g})" for x, k in deeper)
+            yield f"The model rests on {recorded.clusters.text}. Of {n:,} recorded departures, {', '.join(limits)}."
         elif not self.job.model.provenance.synthetic:
-            yield f"Which of these lie where departures were recorded is not known: {NOT_KEPT}."
+            yield f"What the recordings know of these is not known: {NOT_KEPT}."
         if any(self.event(design, event).by_model for design in self.designs for event in self.events):
-            n = self.event(self.designs[0], self.events[0]).recorded_n
+            n = self.recorded()
             yield (
                 f"{BY_MODEL.capitalize()}: below 3/{n:,} = {3.0 / n:.2g} a probability is decided by the model, not by "
                 "the recordings; its interval is that of models refitted to resampled recordings."
@@ -300,11 +302,8 @@ class Risk:
         for design, event, side in itertools.product(self.designs, self.events, _SIDES):
             counted, row = self.event(design, event, side), {"design": design.id, "label": design.label}
             row |= {"y_s_m": design.y_s, "event": event, "side": side or "both", "count": counted.count, "n": counted.n}
-            if counted.recorded_n:
-                row["decided_by"] = "model" if counted.by_model else "recordings"
-            if self.job.model.recorded is not None:
-                row |= {"recorded_count": counted.recorded, "recorded_n": counted.recorded_n}
-                row |= {"recorded_high": counted.recorded_high, "outside": counted.outside}
+            if counted.recorded:
+                row |= {"decided_by": "model" if counted.by_model else "recordings", "outside": counted.outside}
             shares = dict(zip(("", "_low", "_high"), (counted.probability, *counted.interval), strict=True))
             if counted.by_model:
                 shares[""] = math.nan
@@ -314,23 +313,6 @@ class Risk:
                 row |= {"design_only": counted.design_only, "no_control_only": counted.no_control_only}
                 row |= {"against_no_control": counted.text}
             yield row
-
-
-def _refits_interval(count: IntArray, n: IntArray, uncertainty: Uncertainty | None) -> tuple[float, float]:
-    """95 % interval of a probability from counts among the n departures of each refit (r,), on a log scale.
-
-    The variance over refits without that of counting, and that of the mean's own counting.
-    """
-    count, n = count[n > 0], n[n > 0]
-    if uncertainty is None or n.size < FEWEST_REFITS:
-        return math.nan, math.nan
-    if not count.any():
-        return 0.0, exact_interval(0, int(n.sum()))[1]
-    mean = float(count.sum() / n.sum())
-    spread = max(float((count / n).var(ddof=1)) - mean * float((1.0 / n).mean()), 0.0) * uncertainty.factor**2
-    sigma = math.sqrt(math.log1p(spread / mean**2 + 1.0 / float(count.sum())))
-    wide = math.exp(float(with_tails_of_t(1.96, uncertainty.df)) * sigma)
-    return mean / wide, min(mean * wide, 1.0)
 
 
 def resolution(n: int) -> str:
@@ -453,7 +435,7 @@ def estimate_risk(
         share=_recorded(source) or (1, 1),
         depths=tuple(sorted({float(x) for x in depths})),
         dtle_limits=tuple(sorted({float(x) for x in dtle_limits}, reverse=True)),
-        refits=0 if source.recorded is None else REFITS,
+        refits=0 if source.provenance.recorded is None else REFITS,
         laws=laws_to_send(design.kind for design in active) if runs_on.isolated else b"",
         token=time.time_ns(),
     )
@@ -480,9 +462,8 @@ def _counted(
     for number in parts.finished:
         chunks, counted = parts.read(number)
         tally, done = tally.plus(counted), done | set(chunks)
-    own, of_refit, recorded = job.sizes
-    chunks = range(own + job.refits * of_refit + recorded)
-    tasks = [ChunkTask(job, chunk) for chunk in chunks if chunk not in done]
+    own, each = job.sizes
+    tasks = [ChunkTask(job, chunk) for chunk in range(own + job.refits * each) if chunk not in done]
     if tasks:
         y_s = min(design.y_s for design in job.designs)
         load_loops({design.law for design in job.designs}, job.scenarios(0), job.setup, y_s)

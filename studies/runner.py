@@ -14,7 +14,7 @@ from ldctoolkit.declared import checked_number, checked_whole
 from ldctoolkit.departures import LEFT
 from ldctoolkit.errors import InputError, StoreError, expect
 from ldctoolkit.scenario_model import ScenarioModel, load_model
-from ldctoolkit.scenario_model.refit import REFITS
+from ldctoolkit.scenario_model.refit import FEWEST, REFITS
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.surroundings import temporary_folder
 
@@ -22,7 +22,7 @@ from .design import FOLLOWS_STUDY, Design
 from .measures import measured
 from .ranking.design_metrics import find_baseline
 from .ranking.ranking import Ranking, rank_study
-from .results import FEWEST_REFITS, StudyResults
+from .results import StudyResults
 from .running.campaign import Campaign
 from .running.dispatch import Executor, Progress, closing, displayed
 from .running.executors import make_executor
@@ -121,8 +121,8 @@ def run_study(
     expect("scenarios", scenarios, Scenarios | None)
     block_size = None if block_size is None else checked_whole("block_size", block_size, lower=1)
     refits = checked_whole("refits", refits, lower=0, upper=1000)
-    if 0 < refits < FEWEST_REFITS:
-        raise InputError("refits", value=refits, allowed=f"0, or {FEWEST_REFITS} and more")
+    if 0 < refits < FEWEST:
+        raise InputError("refits", value=refits, allowed=f"0, or {FEWEST} and more")
     if time_limit is False or time_limit != 0:
         least, most = _LIMITS
         checked_number("time_limit", time_limit, lower=least, upper=most, unit="s (0 for none)")

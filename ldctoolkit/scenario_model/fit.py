@@ -262,8 +262,9 @@ def fit_scenario_model(
         versions=software_versions(),
         settings=fit,
         **driven(source),
+        recorded=recorded,
     )
-    model = ScenarioModel(sides["left"][0], sides["right"][0], provenance, limits, recorded)
+    model = ScenarioModel(sides["left"][0], sides["right"][0], provenance, limits)
     summaries: dict[str, Any] = {
         label: dataclasses.replace(sides[label][1], redrawn_share=model.redrawn_share(side))
         for label, side in SIDES.items()
@@ -288,10 +289,16 @@ def _events(
     if max(side.data.rows for side in sides.values()) > MOST_RECORDED:
         return sides, None
     order = np.concatenate([np.flatnonzero(mask) for mask in rows.values()])
-    parameters = np.concatenate([side.departures.matrix() for side in sides.values()])
-    fitted = DepartureParameters(departures.side[order], *parameters.T)
+    columns = np.concatenate([side.departures.matrix() for side in sides.values()]).T.tolist()
     clusters = Clusters.of(departures).take(order)
-    return sides, RecordedDepartures(fitted, clusters, None if weight is None else weight[order])
+    recorded = RecordedDepartures(
+        tuple(departures.side[order].tolist()),
+        dict(zip(PARAMETER_NAMES, map(tuple, columns), strict=True)),
+        (1.0,) * order.size if weight is None else tuple(weight[order].tolist()),
+        tuple(clusters.index.tolist()),
+        *(clusters.kind, clusters.trips, clusters.drivers, clusters.largest_trip),
+    )
+    return sides, recorded
 
 
 def check_enough(left: BoolArray, right: BoolArray, beside: str = "") -> None:

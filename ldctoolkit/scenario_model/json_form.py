@@ -7,23 +7,15 @@ import hashlib
 import json
 import math
 from collections.abc import Iterator
-from typing import Annotated, Any, Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 from pydantic import Field, ValidationError
 
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.checked_files import CHECKSUM, NOT_AS_WRITTEN, digest, parse_json, text_of
-from ldctoolkit.clusters import Clusters
 from ldctoolkit.declared import checked_number
-from ldctoolkit.departures import (
-    PARAMETER_NAMES,
-    PARAMETER_UNITS,
-    SIDES,
-    DepartureParameters,
-    Plausibility,
-    check_parameters,
-)
+from ldctoolkit.departures import LEFT, PARAMETER_NAMES, PARAMETER_UNITS, RIGHT, Plausibility, check_parameters
 from ldctoolkit.errors import InputError, ModelError
 from ldctoolkit.mixture import BoundedGaussianMixture
 from ldctoolkit.scenario_model.provenance import (
@@ -64,11 +56,7 @@ def side_to_json(side: SideModel) -> dict[str, Any]:
 
 
 def model_to_json(
-    left: SideModel,
-    right: SideModel,
-    provenance: ModelProvenance,
-    plausibility: Plausibility | None,
-    recorded: RecordedDepartures | None,
+    left: SideModel, right: SideModel, provenance: ModelProvenance, plausibility: Plausibility | None
 ) -> dict[str, Any]:
     """The whole file as JSON values; the cells of a pair are one string, a tenth of the size of a list."""
     content = dataclasses.asdict(provenance)
@@ -81,16 +69,6 @@ def model_to_json(
         "units": dict(zip(PARAMETER_NAMES, PARAMETER_UNITS, strict=True)),
         "sides": {"left": side_to_json(left), "right": side_to_json(right)},
         "plausibility": plausibility and dataclasses.asdict(plausibility),
-        "recorded": recorded
-        and {
-            "side": [label for label in SIDES for _ in range(int(recorded.of_side(label).sum()))],
-            "columns": {name: getattr(recorded.departures, name).tolist() for name in PARAMETER_NAMES},
-            "weight": None if recorded.weight is None else recorded.weight.tolist(),
-            "clusters": {
-                name: value.tolist() if isinstance(value, np.ndarray) else value
-                for name, value in vars(recorded.clusters).items()
-            },
-        },
         "provenance": content,
     }
 
@@ -141,10 +119,8 @@ def _whole(token: str) -> int:
     return int(token)
 
 
-def model_from_json(
-    text: str | bytes, file: str
-) -> tuple[SideModel, SideModel, ModelProvenance, Plausibility | None, RecordedDepartures | None]:
-    """Check and build both sides, the provenance, the limits and the recorded departures."""
+def model_from_json(text: str | bytes, file: str) -> tuple[SideModel, SideModel, ModelProvenance, Plausibility | None]:
+    """Check and build both sides, the provenance and the limits."""
     data = _parse(text, file)
     if not isinstance(data, dict):
         raise ModelError(file, "not a scenario model", hint="the file must hold a JSON object")
@@ -178,13 +154,12 @@ def model_from_json(
             _check_side(f"sides.{name}", getattr(parsed.sides, name))
         _check_provenance(parsed.provenance)
         left, right = (_built(getattr(parsed.sides, name), f"sides.{name}") for name in ("left", "right"))
-        recorded = None if parsed.recorded is None else _recorded(parsed.recorded, left, right)
     except (InputError, ModelError) as error:
         raise ModelError.of(error.within(file, ": ")) from None
     limits = None if parsed.plausibility is None else Plausibility(**dict(parsed.plausibility))
     if written not in (None, content):  # last: of what was changed by hand, a value that is not allowed says more
         raise ModelError(file, NOT_AS_WRITTEN, hint=f"if it was changed on purpose, remove the key '{CHECKSUM}'")
-    return left, right, parsed.provenance, limits, recorded
+    return left, right, parsed.provenance, limits
 
 
 def _shares(text: Any) -> Any:
@@ -224,23 +199,6 @@ class _Limits(Part):
     a_y: float | None = Field(gt=0.0)
 
 
-class _Clusters(Part):
-    kind: Literal["drivers", "trips", "departures"]
-    index: tuple[int, ...]
-    trips: int = Field(ge=0)
-    drivers: int = Field(ge=0)
-    largest_trip: float = Field(ge=0.0, le=1.0)
-
-
-class _Recorded(Part):
-    """Recorded departures, a column for each parameter."""
-
-    side: tuple[Literal["left", "right"], ...] = Field(min_length=1)
-    columns: dict[str, tuple[float, ...]]
-    weight: tuple[Annotated[float, Field(gt=0.0)], ...] | None
-    clusters: _Clusters
-
-
 class _File(Part):
     """The content of a model file."""
 
@@ -249,7 +207,6 @@ class _File(Part):
     units: dict[str, str]
     sides: _Sides
     plausibility: _Limits | None = None
-    recorded: _Recorded | None = None
     provenance: ModelProvenance
 
 
@@ -301,6 +258,8 @@ def _check_provenance(provenance: ModelProvenance) -> None:
     for key, value in (("hours", provenance.hours), ("distance", provenance.distance)):
         if value is not None:
             checked_number(f"provenance.{key}", value, above=0.0)
+    if provenance.recorded is not None:
+        _check_recorded("provenance.recorded", provenance.recorded)
     for name, side in provenance.sides:
         path, tried = f"provenance.{name}", len(side.n_components)
         for key in ("bic", "log_likelihood", "n_parameters"):
@@ -311,6 +270,22 @@ def _check_provenance(provenance: ModelProvenance) -> None:
             check_parameters(f"{path}.{key}", (parameter for parameter, *_ in getattr(side, key)))
         if side.source_summary is not None:
             _check_summary(f"{path}.source_summary", side.source_summary)
+
+
+def _check_recorded(path: str, recorded: RecordedDepartures) -> None:
+    n, clusters = len(recorded.side), set(recorded.cluster)
+    if sorted(recorded.columns) != sorted(PARAMETER_NAMES):
+        raise InputError(f"{path}.columns", value=tuple(recorded.columns), allowed=PARAMETER_NAMES)
+    for key in ("side", "weight", "cluster"):
+        _check_shape(f"{path}.{key}", getattr(recorded, key), (n,))
+    for name, column in recorded.columns.items():
+        _check_shape(f"{path}.columns.{name}", column, (n,))
+    if set(recorded.side) != {LEFT, RIGHT}:
+        raise InputError(f"{path}.side", allowed=f"{LEFT} and {RIGHT}, both of them")
+    if not min(recorded.weight) > 0.0:
+        raise InputError(f"{path}.weight", value=min(recorded.weight), allowed="above 0")
+    if clusters != set(range(len(clusters))):
+        raise InputError(f"{path}.cluster", "leaves out a number", allowed="each from 0 on")
 
 
 def _check_summary(path: str, summary: SourceSummary) -> None:
@@ -337,34 +312,6 @@ def _check_summary(path: str, summary: SourceSummary) -> None:
         square = shares and math.isqrt(len(shares)) ** 2 == len(shares) == len(summary.cells[0])
         if not square or min(shares) < 0 or sum(shares) > UNIT:
             raise InputError(f"{path}.cells[{i}]", value=" ".join(map(str, shares)), allowed=allowed)
-
-
-def _recorded(table: _Recorded, left: SideModel, right: SideModel) -> RecordedDepartures:
-    """The recorded departures, each inside the box of its side, and their clusters."""
-    n, path = len(table.side), "recorded"
-    columns = {name: np.array(table.columns.get(name, ())) for name in PARAMETER_NAMES}
-    index = np.array(table.clusters.index, dtype=np.int64)
-    weight = None if table.weight is None else np.array(table.weight)
-    of_rows = {f"columns.{name}": column for name, column in columns.items()} | {"clusters.index": index}
-    for name, column in (of_rows if weight is None else of_rows | {"weight": weight}).items():
-        _check_shape(f"{path}.{name}", column, (n,))
-    check_parameters(f"{path}.columns", table.columns)
-    if list(table.side) != sorted(table.side):
-        raise InputError(f"{path}.side", "not in order", allowed="left departures, then right ones")
-    if set(index.tolist()) != set(range(int(index.max()) + 1)):
-        raise InputError(f"{path}.clusters.index", "leaves a number out", allowed="each number from 0 on")
-    side = np.array([SIDES[label] for label in table.side])
-    for label, half in (("left", left), ("right", right)):
-        rows = side == SIDES[label]
-        for name, low, high in zip(half.names, *half.bounds(), strict=True):
-            outside = ~((columns[name][rows] > low) & (columns[name][rows] < high))
-            if outside.any():
-                value = float(columns[name][rows][outside][0])
-                raise InputError(
-                    f"{path}.columns.{name}", value=value, allowed=f"between {low:g} and {high:g} ({label})"
-                )
-    clusters = Clusters(**{**dict(table.clusters), "index": index})
-    return RecordedDepartures(DepartureParameters(side, **columns), clusters, weight)
 
 
 def _built(side: _Side, path: str) -> SideModel:

@@ -28,7 +28,7 @@ from ldctoolkit.departures import (
 from ldctoolkit.errors import InputError, ModelError, UnknownNameError
 from ldctoolkit.mixture import SAMPLE_BLOCK, BoundedGaussianMixture, Distribution
 from ldctoolkit.mixture._distribution import interval_of
-from ldctoolkit.scenario_model.provenance import ModelProvenance, RecordedDepartures, SideModel
+from ldctoolkit.scenario_model.provenance import ModelProvenance, SideModel
 from ldctoolkit.scenarios import SPEED_FLOOR, Scenarios, slowest_speed
 
 Given = Mapping[str, float | tuple[float | None, float | None]]
@@ -178,8 +178,6 @@ class ScenarioModel:
     provenance: ModelProvenance  # Where the model comes from
     # Departures beyond it have no density and are not drawn; None in a model of an earlier version, for no limits
     plausibility: Plausibility | None = None
-    # What it was fitted to; None where a side had more than 2,000, in a bundled model and in one of an earlier version
-    recorded: RecordedDepartures | None = dataclasses.field(default=None, compare=False)
     _excluded: dict[int, float] = dataclasses.field(default_factory=dict, init=False, repr=False, compare=False)
 
     def __repr__(self) -> str:
@@ -346,9 +344,7 @@ class ScenarioModel:
 
         target = Path(path)
         try:
-            data = json_form.model_to_json(
-                self.left_side, self.right_side, self.provenance, self.plausibility, self.recorded
-            )
+            data = json_form.model_to_json(self.left_side, self.right_side, self.provenance, self.plausibility)
             text = json_text(data)
         except (TypeError, ValueError) as error:
             raise ModelError(target.name, f"the model cannot be written as JSON ({error})") from None

@@ -1,7 +1,7 @@
 """Where a scenario model comes from: its sides, summaries of the departures, and the settings of the fit."""
 
 import dataclasses
-import hashlib
+import functools
 import math
 import platform
 from collections.abc import Mapping
@@ -9,9 +9,9 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from ldctoolkit.arrays import BoolArray, FloatArray, IntArray, ReadOnly
+from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.clusters import Clusters
-from ldctoolkit.departures import PARAMETER_NAMES, SIDES, DepartureParameters
+from ldctoolkit.departures import PARAMETER_NAMES, DepartureParameters
 from ldctoolkit.errors import ModelError
 from ldctoolkit.mixture import BoundedGaussianMixture
 from ldctoolkit.mixture.checks import Events
@@ -256,6 +256,33 @@ class FitSettings:
     max_iter: int  # Most passes
 
 
+MOST_RECORDED: Final = 2_000  # departures of a side that a model keeps
+
+
+@dataclasses.dataclass(frozen=True)
+class RecordedDepartures:
+    """The n departures that a model was fitted to, none of them on a bound, and which of them belong together."""
+
+    side: tuple[int, ...]  # (n,) As in `DepartureParameters`
+    columns: Mapping[str, tuple[float, ...]]  # Parameter -> (n,), SI units
+    weight: tuple[float, ...]  # (n,) Events that each stands for
+    cluster: tuple[int, ...]  # (n,) As `Clusters.index`; what follows are its other facts
+    kind: Literal["drivers", "trips", "departures"]
+    trips: int
+    drivers: int
+    largest_trip: float
+
+    @functools.cached_property
+    def departures(self) -> DepartureParameters:
+        """The parameters."""
+        return DepartureParameters(np.array(self.side), **{name: np.array(x) for name, x in self.columns.items()})
+
+    @functools.cached_property
+    def clusters(self) -> Clusters:
+        """The clusters."""
+        return Clusters(self.kind, np.array(self.cluster), self.trips, self.drivers, self.largest_trip)
+
+
 @dataclasses.dataclass(frozen=True)
 class ModelProvenance:
     """Where a scenario model comes from."""
@@ -275,40 +302,13 @@ class ModelProvenance:
     # [h] and [m] Driven in the recordings; None: not known, as in a synthetic model or one of an earlier version
     hours: float | None = None
     distance: float | None = None
+    # What it was fitted to; None with more than 2,000 on a side, in a bundled model and one of an earlier version
+    recorded: RecordedDepartures | None = None
 
     @property
     def sides(self) -> list[tuple[str, SideSummary]]:
         """``"left"`` and ``"right"`` with how they were fitted, where that is known."""
         return [(name, side) for name, side in (("left", self.left), ("right", self.right)) if side is not None]
-
-
-MOST_RECORDED: Final = 2_000
-"""Departures of a side that a model keeps; more leave little open, and would make its file large."""
-
-
-@dataclasses.dataclass(frozen=True)
-class RecordedDepartures(ReadOnly):
-    """The n departures that a model was fitted to, left ones first, none of them on a bound."""
-
-    departures: DepartureParameters
-    clusters: Clusters  # Which of them belong together
-    weight: FloatArray | None = None  # (n,) Events that each stands for
-
-    @property
-    def share(self) -> FloatArray:
-        """Share of the events that each stands for, (n,)."""
-        weight = np.ones(self.departures.n) if self.weight is None else self.weight
-        return np.asarray(weight / weight.sum())
-
-    @property
-    def digest(self) -> str:
-        """SHA-256 of all of it."""
-        columns = (self.departures.side, self.departures.matrix(), self.clusters.index, self.share)
-        return hashlib.sha256(b"".join(np.ascontiguousarray(column).tobytes() for column in columns)).hexdigest()
-
-    def of_side(self, label: str) -> BoolArray:
-        """Which of them are of a side (n,)."""
-        return np.asarray(self.departures.side == SIDES[label])
 
 
 def driven(source: Mapping[str, Any]) -> dict[str, Any]:

@@ -17,11 +17,10 @@ import numpy as np
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.control import EventStatus
-from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, SIDES
-from ldctoolkit.errors import InputError, LdcError
-from ldctoolkit.scenario_model import Given, ScenarioModel, conditions
-from ldctoolkit.scenario_model.provenance import RecordedDepartures
-from ldctoolkit.scenario_model.refit import NOT_KEPT, refit
+from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT
+from ldctoolkit.errors import InputError, LdcError, ModelError
+from ldctoolkit.scenario_model import Given, ScenarioModel
+from ldctoolkit.scenario_model.refit import refit
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
 from ldctoolkit.simulation import Run, Takeover
@@ -48,8 +47,6 @@ class Tally:
     outside: IntArray  # (d, e, 2): those with the event where no recorded departure is
     refit_n: IntArray  # (r, 2): departures of each refit
     refit_counts: IntArray  # (r, d, e, 2): those with the event
-    recorded_n: IntArray  # (2,): recorded departures that were driven
-    recorded_counts: IntArray  # (d, e, 2): those with the event
     histogram: IntArray  # (d, BINS + 1): depths
     status: IntArray  # (d, number of `EventStatus`)
     failed_solves: IntArray  # (d,)
@@ -85,7 +82,7 @@ class ChunkJob:
     share: tuple[int, ...]  # left and right departures in proportion
     depths: tuple[float, ...]
     dtle_limits: tuple[float, ...]
-    refits: int = 0  # of the model, on which half as many departures are driven in all
+    refits: int = 0  # of the model; on all of them half as many departures are driven
     laws: bytes = b""  # controllers that no installed package offers
     token: int = 0  # of the run in its process
 
@@ -98,20 +95,11 @@ class ChunkJob:
     @property
     def empty(self) -> Tally:
         """A tally of no departure."""
-        d, e = len(self.designs), len(self.events)
-        shapes: dict[str, tuple[int, ...]] = {
-            "n": (2,),
-            "invalid": (2,),
-            **dict.fromkeys(("counts", "only", "outside", "recorded_counts"), (d, e, 2)),
-            "refit_n": (self.refits, 2),
-            "refit_counts": (self.refits, d, e, 2),
-            "recorded_n": (2,),
-            "histogram": (d, BINS + 1),
-            "status": (d, len(EventStatus)),
-            "failed_solves": (d,),
-        }
-        zeros: dict[str, Any] = {name: np.zeros(shape, dtype=np.int64) for name, shape in shapes.items()}
-        return Tally(**zeros, worst=np.full((d, _WORST, 3 + len(PARAMETER_NAMES)), _NONE))
+        d, e, r = len(self.designs), len(self.events), self.refits
+        each, worst = (d, e, 2), np.full((d, _WORST, 3 + len(PARAMETER_NAMES)), _NONE)
+        shapes = (2,), (2,), each, each, each, (r, 2), (r, *each), (d, BINS + 1), (d, len(EventStatus)), (d,)
+        arrays: list[Any] = [*(np.zeros(shape, dtype=np.int64) for shape in shapes), worst]
+        return Tally(*arrays)
 
     def identity(self) -> dict[str, Any]:
         """What decides the numbers."""
@@ -119,8 +107,9 @@ class ChunkJob:
         designs = [design.id for design in self.designs]
         same = {"versions": dict(versions()), "designs": designs, "setup": setup, "n": self.n}
         same |= {"model": self.model.content_hash, "given": self.given, "seed": self.setup.seed, "chunk": self.chunk}
-        same |= {"refits": self.refits, "recorded": self.model.recorded and self.model.recorded.digest}
-        return dict(json.loads(json.dumps(same | {"left_right": self.share, "events": self.events})))
+        recorded = hashlib.sha256(repr(self.model.provenance.recorded).encode()).hexdigest()[:16]
+        same |= {"left_right": self.share, "events": self.events, "refits": self.refits, "recorded": recorded}
+        return dict(json.loads(json.dumps(same)))
 
     def scenarios(self, k: int) -> Scenarios:
         """The departures of chunk k."""
@@ -133,45 +122,29 @@ class ChunkJob:
         return dataclasses.replace(drawn, index=np.arange(first, last))
 
     @property
-    def sizes(self) -> tuple[int, int, int]:
-        """Chunks of the model, of each refit, and of the recorded departures; they are numbered in this order."""
-        recorded = 0 if self.model.recorded is None else self.model.recorded.departures.n
-        of_refit = -(-self.n // (2 * max(self.refits, 1)))
-        return -(-self.n // self.chunk), -(-of_refit // self.chunk), -(-recorded // self.chunk)
+    def sizes(self) -> tuple[int, int]:
+        """Chunks of the model, and of each refit; they are numbered in this order."""
+        return -(-self.n // self.chunk), -(-self._of_refit // self.chunk)
+
+    @property
+    def _of_refit(self) -> int:
+        return -(-self.n // (2 * max(self.refits, 1)))
 
     def measure(self, k: int) -> Tally:
         """Drive all designs on a chunk; `LdcError` names a design whose law raises."""
-        own, each, _ = self.sizes
-        number, j = divmod(k - own, each)
+        own, each = self.sizes
         if k < own:
-            return self._driven(self.scenarios(k))
-        if number >= self.refits:
-            first = (k - own - self.refits * each) * self.chunk
-            counted = self._driven(_as_scenarios(self.model.recorded, self.given, slice(first, first + self.chunk)))
-            return dataclasses.replace(self.empty, recorded_n=counted.n, recorded_counts=counted.counts)
-        tally = self.empty
-        with contextlib.suppress(LdcError, np.linalg.LinAlgError):  # a refit without departures counts as failed
+            return self._counted(self.scenarios(k))
+        tally, (number, j) = self.empty, divmod(k - own, each)
+        with contextlib.suppress(InputError, ModelError, np.linalg.LinAlgError):  # one without departures has failed
             seed = np.random.SeedSequence([self.setup.seed, _STREAM, number, 1]).generate_state(1, np.uint64)[0]
             setup = dataclasses.replace(self.setup, seed=int(seed >> 1))
-            n = -(-self.n // (2 * self.refits))
-            part = dataclasses.replace(self, model=refit(self.model, number), setup=setup, n=n, refits=0)
-            counted = part._driven(part.scenarios(j))
+            again = dataclasses.replace(self, model=refit(self.model, number), setup=setup, n=self._of_refit, refits=0)
+            counted = again._counted(again.scenarios(j))
             tally.refit_n[number], tally.refit_counts[number] = counted.n, counted.counts
         return tally
 
-    def _outside(self, drawn: Scenarios) -> BoolArray:
-        """Which departures (n,) lie beyond the recorded ones of their side in depth, duration or speed."""
-        outside, recorded = np.zeros(drawn.n, dtype=np.bool_), self.model.recorded
-        if recorded is None:
-            return outside
-        for label, side in SIDES.items():
-            p = recorded.departures.take(recorded.of_side(label))
-            for name in ("d_y", "T", "v_mean") if p.n else ():
-                x, known = getattr(drawn, name), getattr(p, name)
-                outside |= (drawn.side == side) & ((x < known.min()) | (x > known.max()))
-        return outside
-
-    def _driven(self, drawn: Scenarios) -> Tally:
+    def _counted(self, drawn: Scenarios) -> Tally:
         tally = self.empty
         over = {y_s: Takeover.build(drawn, self.setup, y_s=y_s) for y_s in {design.y_s for design in self.designs}}
         valid = np.logical_and.reduce([takeover.valid for takeover in over.values()])
@@ -187,6 +160,18 @@ class ChunkJob:
                     raise LdcError(self.designs[i].label, run)
                 self._count(tally, i, takeover, run, valid, without)
         return tally
+
+    def _outside(self, drawn: Scenarios) -> BoolArray:
+        """Which departures (n,) lie beyond the recorded ones of their side in depth, duration or speed."""
+        outside = np.zeros(drawn.n, dtype=np.bool_)
+        if (recorded := self.model.provenance.recorded) is None:
+            return outside
+        for side in (LEFT, RIGHT):
+            known = recorded.departures.take(recorded.departures.side == side)
+            for name in ("d_y", "T", "v_mean"):
+                x, ends = getattr(drawn, name), getattr(known, name)
+                outside |= (drawn.side == side) & ((x < ends.min()) | (x > ends.max()))
+        return outside
 
     def _count(
         self, tally: Tally, i: int, over: Takeover, run: Run | None, valid: BoolArray, without: BoolArray | None
@@ -217,19 +202,6 @@ class ChunkJob:
         columns = [depth, drawn.index, drawn.side, *(getattr(drawn, name) for name in PARAMETER_NAMES)]
         tally.worst[i, : rows.size] = np.column_stack(columns)[rows]
         return events
-
-
-def _as_scenarios(recorded: RecordedDepartures | None, given: Given | None, rows: slice) -> Scenarios:
-    """Some of the recorded departures, those of them that meet the conditions."""
-    if recorded is None:
-        raise InputError("model", NOT_KEPT)
-    p, index = recorded.departures.take(rows), np.arange(recorded.departures.n)[rows]
-    meets = np.ones(p.n, dtype=np.bool_)
-    for condition in conditions(given):
-        x = getattr(p, condition.name)
-        meets &= (x >= condition.low) & (x <= condition.high)
-    drawn = Scenarios.drawn(side=p.side, **{name: getattr(p, name) for name in PARAMETER_NAMES})
-    return dataclasses.replace(drawn, index=index).take(meets)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,8 +13,8 @@ import numpy as np
 
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.errors import LdcError
-from ldctoolkit.scenario_model import Given, ScenarioModel
-from ldctoolkit.scenario_model.refit import NOT_KEPT, Uncertainty, refit
+from ldctoolkit.scenario_model import ScenarioModel
+from ldctoolkit.scenario_model.refit import NOT_KEPT, refit, uncertainty
 from ldctoolkit.version import versions
 
 from ..design import Design
@@ -38,8 +39,8 @@ class RefitTask(Work):
     job: Job
     designs: tuple[Design, ...]
     model: ScenarioModel
-    counts: tuple[int, int]  # left and right departures of a half
-    given: Given | None
+    study: Study
+    half: int  # departures of a draw
     refit: int
 
     @property
@@ -47,84 +48,74 @@ class RefitTask(Work):
         """The limit of the job [s]."""
         return self.job.time_limit
 
-    def make_ready(self, cache: dict[str, Any]) -> None:
-        """Make the controllers of the job known, once."""
-        if cache.get("refits") != self.job.token:
-            learn(self.job.laws)
-            cache["refits"] = self.job.token
+    def make_ready(self, cache: dict[str, Any]) -> None:  # noqa: ARG002
+        """Make the controllers of the job known."""
+        learn(self.job.laws)
 
-    def run(self, cache: dict[str, Any]) -> tuple[FloatArray]:  # noqa: ARG002
-        """Mean S of each design and then without control, of both halves: (designs + 1, 2); NaN where it failed."""
+    def run(self, cache: dict[str, Any]) -> FloatArray:  # noqa: ARG002
+        """Mean S of each design and then without control, of both draws: (designs + 1, 2); NaN where it failed."""
         means = np.full((len(self.designs) + 1, 2), np.nan)
         try:
             again = refit(self.model, self.refit)
-            for half in range(2):
-                seed = np.random.SeedSequence([self.job.setup.seed, _STREAM, half]).generate_state(1, np.uint64)[0]
-                drawn = again.sample(*self.counts, seed=int(seed >> 1), given=self.given)
-                rows = np.arange(drawn.n)
-                drawn = dataclasses.replace(drawn, index=rows + half * drawn.n)
-                scores = []
-                for design in self.designs:
-                    task = Task(self.job, (design,), rows, drawn, 0, drawn.n)
-                    result = Simulator(self.job).run(task).result
-                    if result is None:
-                        return (means,)
-                    S, without = result.values[0, 0], result.values[1, 0]
-                    failed = status_among(result.status[0], FAILED_STATUSES)
-                    scores.append(np.where(failed, np.maximum(S, without), S))
-                columns = np.stack([*scores, without])
-                means[:, half] = columns[:, np.isfinite(columns).all(axis=0)].mean(axis=1)
-        except (LdcError, np.linalg.LinAlgError, FloatingPointError):
-            means[:] = np.nan  # it is counted as failed
-        return (means,)
+            for draw in range(2):
+                means[:, draw] = self._means(again, draw)
+        except (LdcError, np.linalg.LinAlgError):
+            means[:] = np.nan  # counted as failed
+        return means
+
+    def _means(self, model: ScenarioModel, draw: int) -> FloatArray:
+        counts = self.study.scenarios.counts
+        left, right = (math.ceil(self.half * count / sum(counts)) for count in counts)
+        seed = int(np.random.SeedSequence([self.study.seed, _STREAM, draw]).generate_state(1, np.uint64)[0] >> 1)
+        drawn = model.sample(left, right, seed=seed, given=self.study.scenarios.given or None)
+        rows, columns = np.arange(drawn.n), []
+        drawn = dataclasses.replace(drawn, index=rows + draw * drawn.n)
+        for design in self.designs:
+            done = Simulator(self.job).run(Task(self.job, (design,), rows, drawn, 0, drawn.n))
+            if done.result is None:
+                raise LdcError(design.label, done.failed[0].reason)
+            (S, without), failed = done.result.values[:2, 0], status_among(done.result.status[0], FAILED_STATUSES)
+            columns += [np.where(failed, np.maximum(S, without), S)]
+        scores = np.stack([*columns, without])
+        return np.asarray(scores[:, np.isfinite(scores).all(axis=0)].mean(axis=1))
 
 
 def scores_of_refits(
-    study: Study,
-    designs: Sequence[Design],
-    model: ScenarioModel,
-    folder: Path,
-    executor: Executor,
-    progress: Progress,
-    *,
-    refits: int,
-    time_limit: float,
-) -> RefitScores:
+    study: Study, designs: Sequence[Design], model: ScenarioModel, folder: Path, executor: Executor,
+    progress: Progress, *, refits: int, time_limit: float,
+) -> RefitScores:  # fmt: skip
     """Mean S of some designs on so many refits: what DIR/refits.json holds of just these, else driven and stored."""
-    ids, recorded = tuple(design.id for design in designs), model.recorded
-    key = [study.ranked_as, model.content_hash, recorded and recorded.digest, list(ids), refits, dict(versions())]
-    stored = read_refits(folder, key)
-    if stored is not None:
+    ids, recorded, isolated = tuple(design.id for design in designs), model.provenance.recorded, executor.isolated
+    identity = hashlib.sha256(repr(recorded).encode()).hexdigest()
+    key = [study.ranked_as, model.content_hash, identity, list(ids), refits, dict(versions())]
+    if (stored := read_refits(folder, key)) is not None:
         return stored
     (folder / REFITS_FILE).unlink(missing_ok=True)  # of another winner, model or version
-    means, uncertainty, text = np.empty((0, len(ids) + 1, 2)), Uncertainty(math.nan, math.nan), NOT_KEPT
-    slow = [design.label for design in designs if design.batch < _SLOW_BATCH]
-    if recorded is not None and slow:
-        text = f"not driven on refits of the model, {slow[0]} takes too long"
+    means, factor, df, text = np.empty((0, len(ids) + 1, 2)), math.nan, math.nan, NOT_KEPT
+    smallest = min(designs, key=lambda design: design.batch)
+    if recorded is not None and smallest.batch < _SLOW_BATCH:
+        text = f"{smallest.label} takes too long to be driven on refits of the model"
     elif recorded is not None:
-        counts, isolated = study.scenarios.counts, executor.isolated
-        usual = min(design.batch for design in designs) >= _USUAL_BATCH
-        half = min(max(_LEAST, recorded.departures.n), _MOST) if usual else _OF_SLOW
-        left, right = (math.ceil(half * count / sum(counts)) for count in counts)
+        usual = smallest.batch >= _USUAL_BATCH
         job = Job(
-            token=study.ranked_as,
-            setup=study.setup(),
-            window=study.simulation.window,
-            laws=laws_to_send(study.classes.values()) if isolated else b"",
-            time_limit=time_limit if isolated else 0.0,
+            study.ranked_as,
+            study.setup(),
+            study.simulation.window,
+            laws_to_send(study.classes.values()) if isolated else b"",
+            time_limit if isolated else 0.0,
         )
-        given = study.scenarios.given or None
-        tasks = [RefitTask(job, tuple(designs), model, (left, right), given, i) for i in range(refits)]
+        half = min(max(_LEAST, len(recorded.side)), _MOST) if usual else _OF_SLOW
+        tasks = [RefitTask(job, tuple(designs), model, study, half, i) for i in range(refits)]
         progress.stage("refits of the model", refits)
         results = {}
         for task, result in run_works(executor, tasks):
             progress.advance(1)
-            if not isinstance(result, Lost):
-                results[task.refit] = result[0]
-        means = np.array([results[i] for i in sorted(results) if np.isfinite(results[i]).all()])
-        means = means.reshape(-1, len(ids) + 1, 2)
-        uncertainty, text = Uncertainty.of(recorded, len(means)), recorded.clusters.text
-    scores = RefitScores(ids, means, refits - len(means), uncertainty.factor, uncertainty.df, text)
-    content = vars(scores) | {"S": means.tolist(), "factor": str(scores.factor), "df": str(scores.df)}
-    write_json(folder / REFITS_FILE, {"key": key, "scores": content}, indent=None)
+            if not isinstance(result, Lost) and np.isfinite(result).all():
+                results[task.refit] = result
+        means = np.array([results[i] for i in sorted(results)]).reshape(-1, *means.shape[1:])
+        factor, df = uncertainty(recorded, len(means))
+        text = recorded.clusters.text
+    scores = RefitScores(ids, means, refits - len(means), factor, df, text)
+    numbers = {"S": means.tolist(), "factor": str(factor), "df": str(df)}  # JSON has no word for what is not a number
+    write_json(folder / REFITS_FILE, {"key": key, "scores": vars(scores) | numbers}, indent=None)
     return scores
