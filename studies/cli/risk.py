@@ -87,7 +87,19 @@ def run(args: argparse.Namespace) -> None:
     with progress_bar("writing the page"):
         write_risk_page(risk, target / "risk.html", title=study.title or study.name)
     if args.json:
-        print(json.dumps({"event": "risk", "n": risk.n, "notes": list(risk.notes()), "rows": list(risk.rows())}))
+        known = source.provenance.recorded
+        recorded = None if known is None else known.clusters.text
+        print(
+            json.dumps(
+                {
+                    "event": "risk",
+                    "n": risk.n,
+                    "recorded": recorded,
+                    "notes": list(risk.notes()),
+                    "rows": list(risk.rows()),
+                }
+            )
+        )
         return
     for design in risk.designs[1:] or risk.designs:
         _print_design(risk, design)

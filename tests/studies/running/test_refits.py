@@ -250,7 +250,7 @@ def test_the_first_screen_says_what_is_open(smooth: ScenarioModel, tmp_path: Pat
         "6",
         cwd=tmp_path,
     )
-    words = " ".join(run.stdout.split())
+    words = " ".join(run.split())
     assert re.search(r"\d+ % either way from the scenarios, \d+ % from the recordings", words)
     assert "240 departures of 30 trips" in words
     page = " ".join((tmp_path / "out" / "report.html").read_text(encoding="utf-8").split())
