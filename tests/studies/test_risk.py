@@ -454,15 +454,19 @@ def test_a_study_that_replays_a_table_is_refused(tmp_path: Path) -> None:
 # ------------------------------------------------------------------------------------------------ what recordings know
 
 
-@pytest.fixture(scope="module")
-def few() -> ScenarioModel:
+def planted(**settings: Any) -> ScenarioModel:
     """125 departures a side of 25 trips; 7 of one trip are beyond 0.5 m, 2 of these beyond 0.8 m."""
     recorded = varied_departures(125, seed=3)
     depth = np.minimum(recorded.d_y, 0.45)
     depth[:7] = [0.55, 0.6, 0.65, 0.7, 0.75, 0.85, 0.9]
     trip = np.r_[np.zeros(7, dtype=int), np.arange(243) % 25].astype(np.str_)
-    model = fit_scenario_model(dataclasses.replace(recorded, d_y=depth, T=2.0 + 0.5 * recorded.T, recording=trip), components=1)
+    model = fit_scenario_model(dataclasses.replace(recorded, d_y=depth, T=2.0 + 0.5 * recorded.T, recording=trip), **settings)
     return dataclasses.replace(model, provenance=dataclasses.replace(model.provenance, hours=2.0))
+
+
+@pytest.fixture(scope="module")
+def few() -> ScenarioModel:
+    return planted(components=1)
 
 
 @pytest.fixture(scope="module")
@@ -528,14 +532,15 @@ def test_what_lies_outside_of_the_recordings_and_on_refits_is_counted_as_driven_
     assert shares.mean() == pytest.approx(np.mean(direct), rel=0.1)
 
 
-def test_a_large_trip_makes_the_interval_of_refits_wide(few: ScenarioModel) -> None:
-    """The seven deep departures of one trip: as many independent ones would say more."""
-    origin = few.provenance
+def test_a_trip_with_all_deep_departures_makes_the_interval_of_refits_wide() -> None:
+    """Seven deep departures of one trip: as many independent ones would say more."""
+    smooth = planted(kind="smoothed")
+    origin = smooth.provenance
     assert origin.recorded is not None
     alone = dataclasses.replace(origin.recorded, cluster=tuple(range(250)), kind="departures")
-    apart = dataclasses.replace(few, provenance=dataclasses.replace(origin, recorded=alone))
+    apart = dataclasses.replace(smooth, provenance=dataclasses.replace(origin, recorded=alone))
     width = []
-    for model in (few, apart):
+    for model in (smooth, apart):
         found = estimate_risk([TABLE_I], PAPER, n=100_000, model=model, workers=2).event(TABLE_I, "depth > 0.5 m")
         width.append(np.log(found.refits[1] / found.refits[0]))
     assert width[0] > 1.2 * width[1]
