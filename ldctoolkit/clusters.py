@@ -25,6 +25,9 @@ FEWEST_CLUSTERS: Final = 10
 """With fewer clusters an interval cannot be trusted, and says so."""
 
 
+_Z: Final = 1.959963984540054  # 97.5 % quantile of the standard normal distribution
+
+
 @dataclasses.dataclass(frozen=True)
 class Clusters(ReadOnly):
     """Which of n recorded departures belong together.
@@ -50,21 +53,26 @@ class Clusters(ReadOnly):
         A trip is a recording (stretches of one whose clock starts again, ``"a (2)"``, are of one trip); a driver is an
         entry of the column ``driver``, which counts if it is known of all departures.
         """
-        recording = getattr(departures, "recording", None)
-        if recording is None or departures.n == 0:
-            return cls("departures", np.arange(departures.n))
-        names = [re.sub(r" \(\d+\)$", "", name) for name in recording.tolist()]
-        trip, trips = _numbered(np.array(names))
-        largest = float(np.bincount(trip).max()) / departures.n
-        column = next((c.values for c in getattr(departures, "extra", ()) if c.name == "driver"), None)
-        driver, drivers = trip, 0
-        if column is not None and (column != "").all():
-            driver, drivers = _numbered(column.astype(np.str_))
+        driver = next((c.values for c in getattr(departures, "extra", ()) if c.name == "driver"), None)
+        return cls.of_names(departures.n, getattr(departures, "recording", None), driver)
+
+    @classmethod
+    def of_names(
+        cls, n: int, recording: npt.NDArray[np.str_] | None, driver: npt.NDArray[np.generic] | None = None
+    ) -> Clusters:
+        """The same of n departures whose recordings and drivers have these names (n,)."""
+        if recording is None or n == 0:
+            return cls("departures", np.arange(n))
+        trip, trips = _numbered(np.array([re.sub(r" \(\d+\)$", "", name) for name in recording.tolist()]))
+        largest = float(np.bincount(trip).max()) / n
+        by_driver, drivers = trip, 0
+        if driver is not None and (driver.astype(np.str_) != "").all():
+            by_driver, drivers = _numbered(driver.astype(np.str_))
         known = (trips, drivers, largest)
         if drivers >= FEWEST_DRIVERS:
-            return cls("drivers", driver, *known)
+            return cls("drivers", by_driver, *known)
         if trips < 2:  # what differs between trips cannot be seen
-            return cls("departures", np.arange(departures.n), *known)
+            return cls("departures", np.arange(n), *known)
         return cls("trips", trip, *known)
 
     @property
@@ -105,7 +113,7 @@ def _numbered(labels: npt.NDArray[np.generic]) -> tuple[IntArray, int]:
 
 
 @dataclasses.dataclass(frozen=True)
-class ClusterError:
+class StandardErrors:
     """How uncertain k estimates from n clustered departures are."""
 
     error: FloatArray  # (k,) Standard error
@@ -120,7 +128,7 @@ def cluster_sums(values: FloatArray, index: IntArray) -> FloatArray:
     return result
 
 
-def cluster_error(influence: FloatArray, index: IntArray, weights: FloatArray | None = None) -> ClusterError:
+def cluster_error(influence: FloatArray, index: IntArray, weights: FloatArray | None = None) -> StandardErrors:
     """Standard errors of k weighted means, or of what is one to first order, such as a ratio.
 
     Parameters
@@ -135,7 +143,7 @@ def cluster_error(influence: FloatArray, index: IntArray, weights: FloatArray | 
 
     Returns
     -------
-    ClusterError
+    StandardErrors
         Infinite where there is one cluster only.
 
     Examples
@@ -150,7 +158,7 @@ def cluster_error(influence: FloatArray, index: IntArray, weights: FloatArray | 
     w = np.full(n, 1.0 / n) if weights is None else weights / weights.sum()
     H, q = (cluster_sums(row[None], index)[0] for row in (w, w * w))  # share of each cluster, and of squares
     if H.size < 2 or H.max() >= 1.0:
-        return ClusterError(np.full(k, np.inf), np.ones(k))
+        return StandardErrors(np.full(k, np.inf), np.ones(k))
     c = 1.0 / np.sqrt(1.0 - H)
     sums = cluster_sums(influence * w, index)
     error = np.sqrt(((sums * c) ** 2).sum(axis=1))
@@ -165,7 +173,7 @@ def cluster_error(influence: FloatArray, index: IntArray, weights: FloatArray | 
     squares = (diagonal**2).sum(axis=1) + 2.0 * (diagonal * off).sum(axis=1)
     squares += 2.0 * (xx * yy + xy**2) + U[:, 0] ** 2 * yy**2 - 4.0 * U[:, 0] * xy * yy
     trace = (diagonal + off).sum(axis=1)
-    return ClusterError(error, np.maximum(trace**2 / squares, 1.0))
+    return StandardErrors(error, np.maximum(trace**2 / squares, 1.0))
 
 
 def _intraclass_correlation(values: FloatArray, index: IntArray) -> FloatArray:
@@ -181,6 +189,35 @@ def _intraclass_correlation(values: FloatArray, index: IntArray) -> FloatArray:
     typical = (n - float(size @ size) / n) / (G - 1)
     total = between + (typical - 1.0) * within
     result: FloatArray = np.clip(np.divide(between - within, total, out=np.zeros(k), where=total > 0.0), 0.0, 0.99)
+    return result
+
+
+def cluster_values(values: FloatArray, index: IntArray) -> FloatArray:
+    """One value (k, G) for each cluster of values (k, n), whose mean is the same, and whose error that of clusters.
+
+    Taken as independent, the values of a row have its mean, and a standard error that is `cluster_error`'s but for the
+    shift of their own mean, which is of second order.
+    """
+    n, mean = values.shape[1], values.mean(axis=1, keepdims=True)
+    share = np.bincount(index) / n
+    G = share.size
+    parts = cluster_sums(values - mean, index) / n / np.sqrt(np.maximum(1.0 - share, 1e-12)) * np.sqrt(G * (G - 1.0))
+    result: FloatArray = parts - parts.mean(axis=1, keepdims=True) + mean
+    return result
+
+
+def design_effect(influence: FloatArray, index: IntArray) -> FloatArray:
+    """How many clustered departures tell as much as one independent one, (k,), at least 1.
+
+    The square of the ratio of half widths of 95 % intervals. An estimate that does not vary (an event that never came)
+    shows no correlation; it counts clusters, as if all departures of one were the same.
+    """
+    n, clustered = influence.shape[1], cluster_error(influence, index)
+    alone = np.sqrt((influence**2).sum(axis=1)) / n
+    wider = clustered.error * with_tails_of_t(_Z, clustered.df) / _Z
+    same = n * float(((np.bincount(index) / n) ** 2).sum())
+    effect = np.divide(wider, alone, out=np.full(alone.size, np.sqrt(same)), where=alone > 0.0) ** 2
+    result: FloatArray = np.maximum(effect, 1.0)
     return result
 
 

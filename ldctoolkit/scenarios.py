@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray, Rows, unmasked
+from ldctoolkit.clusters import Clusters
 from ldctoolkit.declared import UnitWarning, unit_slip
 from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, SIDES, DepartureParameters, DepartureSignals
 from ldctoolkit.errors import InputError
@@ -72,6 +73,8 @@ class Scenarios(DepartureParameters):
     index: IntArray
     signals: DepartureSignals | None = None  # Recorded paths, driven in place of the parabolas
     drift: Drifts | None = None  # Paths that do not return, driven in place of the parabolas
+    # (n,) Number of the trip or driver of each recorded departure; those of one are alike, and are resampled together
+    cluster: IntArray | None = None
 
     @classmethod
     def from_arrays(
@@ -154,6 +157,9 @@ class Scenarios(DepartureParameters):
         """
         columns = {name: getattr(departures, name) for name in PARAMETER_NAMES}
         scenarios = cls.from_arrays(side=departures.side, **columns)
+        clusters = Clusters.of(departures)
+        if clusters.kind != "departures":
+            scenarios = dataclasses.replace(scenarios, cluster=clusters.index)
         if path == "parabola":
             return scenarios
         if path != "recorded":

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.clusters import cluster_error, with_tails_of_t
 from ldctoolkit.control import EventStatus
 from ldctoolkit.departures import LEFT
 from ldctoolkit.errors import StoreError
@@ -29,16 +30,7 @@ from ldctoolkit.version import versions
 from .design import Design, is_paper_design
 from .measures import drive_on_plants, first_of_each_side, trigger_speeds
 from .ranking.design_metrics import beyond_friction
-from .ranking.inference import (
-    SAME,
-    degrees_of_freedom,
-    error_parts,
-    half_widths,
-    lengths,
-    row_means,
-    spread_is_known,
-    with_tails_of_t,
-)
+from .ranking.inference import SAME, degrees_of_freedom, error_parts, half_widths, lengths, row_means, spread_is_known
 from .ranking.verdict import OtherPlants
 from .standards import VEHICLES
 from .storage.folder_files import read_json, write_json
@@ -232,7 +224,9 @@ def chosen_designs(ranking: Ranking) -> ChosenDesigns:
     )
 
 
-def lower_ends(old: FloatArray, new: FloatArray, side: IntArray, confidence: float) -> FloatArray:
+def lower_ends(
+    old: FloatArray, new: FloatArray, side: IntArray, confidence: float, cluster: IntArray | None = None
+) -> FloatArray:
     """Lower ends of the intervals of new minus old means, of k rows on the same n scenarios, (k,) [m s].
 
     NaN where so few scenarios changed that equal signs may come about by chance, or a side shows no spread.
@@ -240,8 +234,12 @@ def lower_ends(old: FloatArray, new: FloatArray, side: IntArray, confidence: flo
     change = new - old
     changed = (np.abs(change) > SAME).sum(axis=1)
     z = statistics.NormalDist().inv_cdf(0.5 * (1.0 + confidence))
-    critical = with_tails_of_t(z, degrees_of_freedom(side))
-    half = half_widths(critical, lengths(error_parts(change, side)))
+    df: FloatArray | int = degrees_of_freedom(side)
+    error = lengths(error_parts(change, side))
+    if cluster is not None:
+        clustered = cluster_error(change - row_means(change)[:, None], np.unique(cluster, return_inverse=True)[1])
+        df, error = clustered.df, clustered.error
+    half = half_widths(with_tails_of_t(z, df), error)
     fewest = 1.0 + math.log2(1.0 / (1.0 - confidence))
     unknown = (changed > 0) & ((changed < fewest) | (not spread_is_known(side)))
     return np.asarray(row_means(change) - np.where(changed == 0, 0.0, np.where(unknown, np.nan, half)))
@@ -369,7 +367,7 @@ def work_out(task: RobustnessTask) -> Robustness:
         S=mean,
         diverged=((status == EventStatus.DIVERGED) & allowed[:, None, rows]).sum(axis=2, dtype=np.int64),
         excess=_means(S - S_uncorrected),
-        behind=_behind(S, mean, contends, side),
+        behind=_behind(S, mean, contends, task.scenarios.take(rows)),
         raised=drives.raised,
         v=v,
         gain=gain,
@@ -384,7 +382,7 @@ def _means(values: FloatArray) -> FloatArray:
     return row_means(values.reshape(-1, values.shape[2])).reshape(values.shape[:2])
 
 
-def _behind(S: FloatArray, mean: FloatArray, contends: BoolArray, side: IntArray) -> FloatArray:
+def _behind(S: FloatArray, mean: FloatArray, contends: BoolArray, scenarios: Scenarios) -> FloatArray:
     """`Robustness.behind` from scores (p, d, n) and their means (p, d)."""
     low = np.full(len(S), np.nan)
     others = np.where(contends[None, 1:] & ~np.isnan(mean[:, 1:]), mean[:, 1:], np.inf)
@@ -393,7 +391,7 @@ def _behind(S: FloatArray, mean: FloatArray, contends: BoolArray, side: IntArray
     )
     if comparable.any():
         rival = S[comparable, 1 + others[comparable].argmin(axis=1)]
-        low[comparable] = lower_ends(rival, S[comparable, 0], side, CONFIDENCE)
+        low[comparable] = lower_ends(rival, S[comparable, 0], scenarios.side, CONFIDENCE, scenarios.cluster)
     return low
 
 

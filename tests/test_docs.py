@@ -13,14 +13,13 @@ import types
 from collections.abc import Iterator
 from pathlib import Path
 
-import matplotlib
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
 import ldctoolkit
 from helpers.cli import ROOT, blocks, python, run_python
 from helpers.closed_loop import Stepped
+from helpers.pasted import commands, run_page
 from ldctoolkit import Scenarios, controller_class, controllers, register, registry, simulate, studies
 from ldctoolkit.metrics import METRIC_UNITS, METRICS
 from ldctoolkit.plant_options import KalmanFilter, PlantOptions
@@ -41,6 +40,8 @@ PAGES = sorted(
     if not path.parts[-2].endswith("generated")
 )
 WITH_PYTHON = [page for page in PAGES if blocks(page, "python")]  # make docs executes the tutorial and the gallery
+# the laws of a guide are a package: tests/test_third_party.py installs and runs it
+WITH_COMMANDS = [page for page in ("README.md", *PAGES) if page != "docs/how-to/my-law.md" and commands(page)]
 LONG = ("docs/gallery/", "docs/how-to/reading", "docs/explanation/risk", "docs/explanation/mpc")
 PRINTED = {
     "docs/explanation/closed-loop.md": 7,
@@ -60,17 +61,20 @@ def test_the_site_stays_small() -> None:
 def test_a_pages_python_runs_by_itself(
     page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """All blocks of a page in one go, in an empty folder, in a module of their own (dataclasses look theirs up)."""
-    matplotlib.use("agg")
     monkeypatch.chdir(tmp_path)
-    module = types.ModuleType("page")
-    monkeypatch.setitem(sys.modules, "page", module)
-    run_python(page, module.__dict__)
-    plt.close("all")
+    run_page(page, tmp_path, only_python=True)
     if page in PRINTED:
         printed = capsys.readouterr().out
         assert len(printed.splitlines()) == PRINTED[page]
         assert "nan" not in printed
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", WITH_COMMANDS)
+def test_a_page_runs_as_a_user_pastes_it(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Python and commands in the order of the page, each with the files that those before it left."""
+    monkeypatch.chdir(tmp_path)
+    run_page(page, tmp_path)
 
 
 @pytest.mark.parametrize("page", ["README.md", *PAGES])
@@ -79,10 +83,9 @@ def test_commands_and_study_files_of_a_page_are_read(page: str) -> None:
         table = tomllib.loads(text)
         if "project" not in table and "offset" not in text:  # a package, and a study with the guide's own law
             Study.from_dict({"name": "page", "design": [{"law": "none"}]} | table)
-    for line in "\n".join(blocks(page, "") + blocks(page, "console")).splitlines():
-        if line.startswith("ldc "):
-            words = shlex.split(line.partition(" > ")[0], comments=True)
-            parser().parse_args(words[1:])
+    for line in commands(page):
+        words = shlex.split(line.partition(" > ")[0], comments=True)
+        parser().parse_args(words[1:])
 
 
 def anchors(page: Path) -> set[str]:
@@ -114,6 +117,14 @@ def test_paths_of_pages_in_code_exist() -> None:
         if file.suffix in (".py", ".md", ".toml", ".html", ".js", ".c", ".h", "") and file.is_file():
             for page in re.findall(r"\bdocs/[\w/-]+\.md", file.read_text(encoding="utf-8")):
                 assert (ROOT / page).exists(), (file, page)
+
+
+def test_public_sources_are_the_same_on_the_page_and_at_the_command_line() -> None:
+    page = (ROOT / "docs/how-to/public-recordings.md").read_text(encoding="utf-8").replace("`", "")
+    rows = [[re.sub(r"\[|\].*", "", cell).strip() for cell in row.split("|")] for row in page.splitlines()]
+    for source in tomllib.loads((ROOT / "studies/cli/public_sources.toml").read_text(encoding="utf-8"))["source"]:
+        (row,) = (row for row in rows if source["source"] in row[1:2])
+        assert row[2:6] == [source[key] for key in ("licence", "format", "departures", "trips")]
 
 
 def test_every_public_name_is_in_the_reference() -> None:

@@ -4,7 +4,7 @@
 
 Downloads files, unpacks their tables, extracts departures and fits a model; a stopped run goes on. The addresses of the
 files may change, therefore they are arguments. No published checksum of them is known to us.
-See docs/how-to/spmd-model.md.
+See docs/how-to/public-recordings.md.
 """
 
 from __future__ import annotations

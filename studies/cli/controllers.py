@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import argparse
 import math
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..tables import Column, Row, Table
-from ._console import Subparsers, console, print_table, warn
+from ._console import Subparsers, console, print_table, say, warn
 
 if TYPE_CHECKING:
     from ldctoolkit.control import Controller
@@ -28,7 +29,7 @@ def add_parser(commands: Subparsers) -> None:
         "models",
         help="describe scenario models",
         description="Describe the bundled scenario models, or the given ones: where they come from and how they were "
-        "fitted.",
+        "fitted. Without MODEL, also how to make one of public recordings, and what came out when it was tried.",
     )
     parser.add_argument("model", nargs="*", metavar="MODEL", help="bundled model or JSON file (default: all bundled)")
     parser.set_defaults(run=describe_models)
@@ -101,3 +102,17 @@ def describe_models(args: argparse.Namespace) -> None:
         print(f"{name} (content {model.content_hash[:12]})")
         for note in (*model_notes(model), *(f"warning: {text}" for text in model_warnings(model))):
             print(f"  {note}")
+    if not args.model:
+        _describe_public_sources()
+
+
+def _describe_public_sources() -> None:
+    from ldctoolkit.checked_files import read_toml
+    from ldctoolkit.errors import InputError
+
+    tried = read_toml(Path(__file__).with_name("public_sources.toml"), InputError)
+    columns = [Column(heading, text=True) for heading in tried["source"][0]]
+    out = console()
+    out.print()
+    print_table(Table(tried["title"], columns, [Row(list(source.values())) for source in tried["source"]]), out)
+    say(out, tried["note"].strip())

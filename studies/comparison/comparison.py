@@ -287,6 +287,7 @@ def compare(
             before.results.counted[at_old][:, shared.old],
             after.results.counted[at_new][:, shared.new],
             shared.side,
+            cluster=shared.cluster,
             seed=after.study.seed,
             **chance,
         ),

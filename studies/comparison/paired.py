@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.clusters import cluster_values
 from ldctoolkit.departures import LEFT, RIGHT
 from ldctoolkit.errors import InputError, StoreError
 from ldctoolkit.paths.uncorrected import RandomStream
@@ -37,6 +38,7 @@ class SharedScenarios:
     old: IntArray
     new: IntArray
     side: IntArray  # (n,) ``LEFT`` (+1) or ``RIGHT`` (-1)
+    cluster: IntArray | None = None  # (n,) As `Scenarios.cluster`
     # Scenarios whose departure is in both sets, but with different random draws; they are not shared
     other_draws: int = 0
 
@@ -57,7 +59,8 @@ class SharedScenarios:
 
     def take(self, rows: BoolArray) -> SharedScenarios:
         """The shared scenarios in these rows."""
-        return dataclasses.replace(self, old=self.old[rows], new=self.new[rows], side=self.side[rows])
+        cluster = None if self.cluster is None else self.cluster[rows]
+        return dataclasses.replace(self, old=self.old[rows], new=self.new[rows], side=self.side[rows], cluster=cluster)
 
 
 def drawn_streams(options: PlantOptions) -> frozenset[RandomStream]:
@@ -85,7 +88,8 @@ def share_scenarios(
         old_at, new_at = _pairs(drawn[: old.n], drawn[old.n :])
         if not same_seed:
             old_at, new_at = old_at[:0], new_at[:0]
-    return SharedScenarios(old_at, new_at, new.side[new_at], every - new_at.size)
+    cluster = None if new.cluster is None else new.cluster[new_at]
+    return SharedScenarios(old_at, new_at, new.side[new_at], cluster, every - new_at.size)
 
 
 def _rows(scenarios: Scenarios) -> FloatArray:
@@ -151,9 +155,16 @@ class PairedDifferences:
 
 
 def paired_differences(
-    old: FloatArray, new: FloatArray, side: IntArray, *, seed: int, bootstrap: int = 2000, confidence: float = 0.95
+    old: FloatArray,
+    new: FloatArray,
+    side: IntArray,
+    *,
+    seed: int,
+    cluster: IntArray | None = None,
+    bootstrap: int = 2000,
+    confidence: float = 0.95,
 ) -> PairedDifferences:
-    """Compare k rows pair by pair, with simultaneous intervals.
+    """Compare k rows pair by pair, with simultaneous intervals; recorded departures by whole clusters (n,).
 
     The intervals are those of the studentised bootstrap (Efron and Tibshirani, An Introduction to the Bootstrap,
     1993, section 12.5), symmetric, with the largest |t| over all rows in place of that of each row (max-t; Romano and
@@ -178,7 +189,11 @@ def paired_differences(
     low[too_few] = high[too_few] = np.nan
     rows = np.flatnonzero(changed >= fewest)
     if rows.size:
-        half = _half_widths(change[rows], side, bootstrap, seed, confidence)
+        values, strata = change[rows], side
+        if cluster is not None:
+            values = cluster_values(values, np.unique(cluster, return_inverse=True)[1].ravel())
+            strata = np.zeros(values.shape[1], dtype=np.int64)
+        half = _half_widths(values, strata, bootstrap, seed, confidence)
         low[rows] -= half
         high[rows] += half
     return PairedDifferences(
@@ -355,6 +370,7 @@ def compare_winners(
         np.repeat(scores_old, len(scores_new), axis=0),
         np.tile(scores_new, (len(scores_old), 1)),
         shared.side,
+        cluster=shared.cluster,
         seed=after.study.seed,
         bootstrap=bootstrap,
         confidence=confidence,

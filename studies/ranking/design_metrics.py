@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.clusters import design_effect
 from ldctoolkit.control import EventStatus
 from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT
 from ldctoolkit.errors import InputError
@@ -126,6 +127,8 @@ def sampling_intervals(
     _, inverse, copies = np.unique(departures, axis=0, return_inverse=True, return_counts=True)
     order, starts = np.argsort(inverse, kind="stable"), np.cumsum(copies) - copies
     without = _recorded_dtle(results, setup)
+    cluster = results.scenarios.cluster
+    cluster = None if cluster is None else np.unique(cluster, return_inverse=True)[1].ravel()
 
     def ends(metric: Metric, acted: BoolArray, *columns: FloatArray) -> Values:
         if metric.share is not None:  # 0 or 1 for a single departure, or NaN if the share does not count it
@@ -138,6 +141,8 @@ def sampling_intervals(
         times = known if starts.size == order.size else np.add.reduceat(known[:, order], starts, axis=1, dtype=np.int64)
         count, squares = times.sum(axis=1), (times * times).sum(axis=1)
         n = np.divide(count**2, squares, out=np.zeros(len(count)), where=squares > 0)
+        if cluster is not None:
+            n = count / _design_effect(values, _quantile_of(metric), cluster)
         if p := _quantile_of(metric):
             first, last = order_statistics(np.floor(n), p, level)
             ordered, rows, each = np.sort(values, axis=1), np.arange(len(count)), count / np.maximum(np.floor(n), 1.0)
@@ -168,6 +173,16 @@ def sampling_intervals(
             intervals_of = _by_blocks(functools.partial(ends, definition), _acted(results), columns)
             row[1:] = intervals_of["low"], intervals_of["high"]
     return intervals
+
+
+def _design_effect(values: FloatArray, p: float, cluster: IntArray) -> FloatArray:
+    """How many recorded departures of one trip tell as much as one independent one, of a share or the p-quantile."""
+    known = ~np.isnan(values)
+    if p:
+        rank = np.maximum(np.ceil(p * known.sum(axis=1)) - 1, 0).astype(np.int64)[:, None]
+        values = np.where(known, values > np.take_along_axis(np.sort(values, axis=1), rank, axis=1), np.nan)
+    share = np.nansum(values, axis=1) / np.maximum(known.sum(axis=1), 1)
+    return design_effect(np.where(known, values - share[:, None], 0.0), cluster)
 
 
 def _quantile_of(metric: Metric) -> float:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Iterable, Iterator
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.clusters import cluster_error, cluster_values, with_tails_of_t
 from ldctoolkit.declared import checked_number
 from ldctoolkit.errors import InputError
 from ldctoolkit.metrics import TAIL
@@ -198,32 +200,29 @@ def half_widths(critical: float | FloatArray, errors: FloatArray) -> FloatArray:
     return result
 
 
-def skewed_widths(critical: float, errors: FloatArray, cubes: FloatArray) -> tuple[FloatArray, FloatArray]:
+def skewed_widths(
+    critical: float | FloatArray, errors: FloatArray, cubes: FloatArray, normal: float | None = None
+) -> tuple[FloatArray, FloatArray]:
     """How far intervals of skewed scores reach below and above their estimates.
 
     With g = cubes / errors^3, the skewness of an estimate, the Edgeworth expansion of Student's t (Hall 1992,
     Johnson 1978) takes g (1 + 2 c^2) / 6 standard errors more on the side of the longer tail, and for g^2 (c^5 +
     2 c^3 - 3 c) / 18 on both, limited to c. The expansion's gain on the side of the shorter tail is not taken: g
-    is itself an estimate.
+    is itself an estimate. For clusters c of the first term is the `normal` critical value, and the second is left out:
+    t with few degrees of freedom has wide tails already.
     """
     skewness = np.zeros(errors.shape)
     usable = np.isfinite(errors) & (errors**3 > 0)
     np.divide(cubes, errors**3, out=skewness, where=usable)
-    both = critical + np.clip(skewness**2 * (critical**5 + 2 * critical**3 - 3 * critical) / 18, 0.0, critical)
-    shift = skewness * (1 + 2 * critical**2) / 6
+    c = critical if normal is None else normal
+    both = critical + (np.clip(skewness**2 * (c**5 + 2 * c**3 - 3 * c) / 18, 0.0, c) if normal is None else 0.0)
+    shift = skewness * (1 + 2 * c**2) / 6
     return half_widths(both + np.maximum(-shift, 0.0), errors), half_widths(both + np.maximum(shift, 0.0), errors)
 
 
 def degrees_of_freedom(side: IntArray) -> int:
     """Scenarios minus the means that are estimated, one for each side; at least 1."""
     return max(1, side.size - np.unique(side).size)
-
-
-def with_tails_of_t(critical: float, df: int) -> float:
-    """Critical value of Student's t with the same tail as a critical value of the standard normal distribution."""
-    from scipy.special import ndtr, stdtrit
-
-    return float(-stdtrit(df, ndtr(-critical)))
 
 
 _RESAMPLED_ENTRIES = 32_000  # resampled differences held at once; they stay in the cache
@@ -244,6 +243,8 @@ class Resampled:
     parts: FloatArray | None
     df: int  # Degrees of freedom of a standard error
     known: bool = True  # Whether there is a standard error: `spread_is_known`
+    # Of recorded departures: scores (D, n) of every departure and their clusters (n,); the table has a value a cluster
+    departures: tuple[FloatArray, IntArray] | None = None
 
     @classmethod
     def of(
@@ -255,20 +256,41 @@ class Resampled:
         samples: int,
         stream: int = 0,
         rows: IntArray | None = None,
+        cluster: IntArray | None = None,
     ) -> Resampled:
-        """Resample scenarios within each side."""
+        """Resample scenarios within each side; with clusters (n,) whole clusters, whatever their sides."""
         rows = np.arange(len(scores)) if rows is None else rows
+        departures = None
+        if cluster is not None:
+            departures = scores, np.unique(cluster, return_inverse=True)[1].ravel()
+            scores = cluster_values(*departures)
+            side = np.zeros(scores.shape[1], dtype=np.int64)
         few = rows.size * side.size <= _STORED_PARTS
+        deviations = bootstrap_deviations(scores, side, samples=samples, seed=seed, stream=stream, rows=rows)
+        if cluster is not None:  # resamples of G values vary by (G - 1)/G of the squared standard error
+            deviations *= math.sqrt(side.size / max(side.size - 1, 1))
         return cls(
             table=scores,
             rows=rows,
             side=side,
             mean=row_means(scores, rows),
-            deviations=bootstrap_deviations(scores, side, samples=samples, seed=seed, stream=stream, rows=rows),
+            deviations=deviations,
             parts=error_parts(scores[rows], side) if few else None,
             df=degrees_of_freedom(side),
             known=spread_is_known(side),
+            departures=departures,
         )
+
+    def degrees(self, reference: int | None = None) -> FloatArray | int:
+        """Degrees of freedom of every mean, or of its paired difference to the reference: (d,) for clusters."""
+        if self.departures is None:
+            return self.df
+        scores, cluster = self.departures
+        df = np.empty(self.mean.size)
+        for positions, block in row_blocks(scores, self.rows):
+            change = block if reference is None else block - scores[self.rows[reference]]
+            df[positions] = cluster_error(change - row_means(change)[:, None], cluster).df
+        return df
 
     def take(self, rows: IntArray) -> Resampled:
         """The given designs on the same resamples."""
@@ -358,12 +380,13 @@ def _largest(scores: FloatArray) -> float:
     return float(np.abs(scores).max(initial=0.0))
 
 
-def critical_value(largest: FloatArray, confidence: float, df: int) -> float:
-    """Number of standard errors that the largest studentised deviation stays below with the confidence.
+def critical_value(largest: FloatArray, confidence: float, df: FloatArray | float) -> Any:
+    """Number of standard errors that the largest studentised deviation stays below with the confidence; as `df` (d,).
 
     With the tails of Student's t: resamples are divided by a known standard error, the real one is estimated.
     """
-    return with_tails_of_t(float(np.quantile(largest, confidence, method="weibull")), df)
+    critical = with_tails_of_t(float(np.quantile(largest, confidence, method="weibull")), df)
+    return critical if critical.ndim else float(critical)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -385,10 +408,12 @@ def simultaneous_interval(resampled: Resampled, confidence: float, reference: in
     """
     check_confidence(confidence)
     errors = resampled.errors(reference)
-    critical = critical_value(resampled.extremes(errors, reference)[1], confidence, resampled.df)
+    extremes = resampled.extremes(errors, reference)[1]
+    critical = critical_value(extremes, confidence, resampled.degrees(reference))
+    normal = None if resampled.departures is None else critical_value(extremes, confidence, np.inf)
     centre = resampled.mean if reference is None else resampled.differences(reference)
-    below, above = skewed_widths(critical, errors, resampled.cubes(reference))
-    return Interval(centre, errors, centre - below, centre + above, critical)
+    below, above = skewed_widths(critical, errors, resampled.cubes(reference), normal)
+    return Interval(centre, errors, centre - below, centre + above, float(np.max(critical)))
 
 
 _REFERENCE_ENTRIES = 500_000  # resampled means in a block (4 MB)
@@ -513,7 +538,8 @@ def compare_with_best(resampled: Resampled, confidence: float, contenders: int |
     k = resampled.mean.size if contenders is None else contenders
     best = int(np.argmin(resampled.mean[:k]))
     difference, error = resampled.differences(best), resampled.errors(best)
-    candidates = _may_be_best(difference[:k], error[:k], resampled.df, confidence)
+    df = float(np.min(resampled.degrees(best)))
+    candidates = _may_be_best(difference[:k], error[:k], df, confidence)
     may_be_best = candidates.size
     most = max(
         2, min(_MOST_TERMS // resampled.deviations.size, _MOST_SCORES // (resampled.mean.size * resampled.side.size))
@@ -527,14 +553,15 @@ def compare_with_best(resampled: Resampled, confidence: float, contenders: int |
         row[:] = resampled.errors(r)
         # as the best, r is compared with the other contenders; for intervals, with all designs
         contending, largest = resampled.extremes(row, r, k)
-        critical = max(critical, critical_value(contending, confidence, resampled.df))
+        critical = max(critical, critical_value(contending, confidence, df))
         np.maximum(of_every, largest, out=of_every)
-    of_all = critical_value(of_every, confidence, resampled.df)
+    of_all = critical_value(of_every, confidence, df)
     low = np.full(error.size, -np.inf)
     for r, row in zip(candidates.tolist(), errors, strict=True):
         others = np.arange(error.size) != r
         np.maximum(low, resampled.mean - resampled.mean[r] - half_widths(critical, row), out=low, where=others)
-    below, above = skewed_widths(of_all, error, resampled.cubes(best))
+    normal = None if resampled.departures is None else critical_value(of_every, confidence, np.inf)
+    below, above = skewed_widths(of_all, error, resampled.cubes(best), normal)
     low = np.where(error == 0, difference, low)  # exactly 0 for the best itself
     return Separation(
         mean=resampled.mean,
@@ -551,7 +578,7 @@ def compare_with_best(resampled: Resampled, confidence: float, contenders: int |
     )
 
 
-def _may_be_best(difference: FloatArray, error: FloatArray, df: int, confidence: float) -> IntArray:
+def _may_be_best(difference: FloatArray, error: FloatArray, df: float, confidence: float) -> IntArray:
     """Designs that even Bonferroni's bound does not separate from the best, by rank; the best is the first."""
     from scipy.special import stdtrit
 

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from ldctoolkit.arrays import Frame
+from ldctoolkit.arrays import Frame, IntArray
+from ldctoolkit.clusters import FEWEST_CLUSTERS
 from ldctoolkit.control import EventStatus
 from ldctoolkit.departures import LEFT
 from ldctoolkit.errors import StudyError, expect
@@ -57,14 +58,22 @@ FEW = 50  # scenarios below which intervals are clearly too short, see docs/expl
 FEW_OF_A_SIDE = 10
 
 
-def warnings_of_sample(side: npt.NDArray[np.signedinteger], inference: Inference) -> Iterator[str]:
+def warnings_of_sample(
+    side: npt.NDArray[np.signedinteger], inference: Inference, cluster: IntArray | None = None
+) -> Iterator[str]:
     """Sentences on a sample that is too small, and on references that were left out."""
     sides, counts = np.unique(side, return_counts=True)
     numbers = " and ".join(
         f"{count} {'left' if which == LEFT else 'right'}"
         for which, count in zip(sides[::-1], counts[::-1], strict=True)
     )
-    if not spread_is_known(side):
+    if cluster is not None:
+        if (count := np.unique(cluster).size) < FEWEST_CLUSTERS:
+            yield (
+                f"The departures are of {count} trips or drivers only: with fewer than {FEWEST_CLUSTERS}, intervals "
+                "cannot be trusted."
+            )
+    elif not spread_is_known(side):
         yield (
             f"There is no interval and no designs are separated: a side has one scenario only ({numbers}), "
             "which shows no spread."
@@ -192,7 +201,8 @@ class Ranking(RankedDesigns, Frame):
         ranked = sum(not misses for misses in missed)
         in_order = metrics.take(order)
         position = None if reference is None else int(np.flatnonzero(order == reference)[0])
-        resampled = Resampled.of(counted, side, seed=seed, samples=bootstrap, rows=order)
+        cluster = drivable.scenarios.cluster
+        resampled = Resampled.of(counted, side, seed=seed, samples=bootstrap, rows=order, cluster=cluster)
         inference = infer(resampled, ranked=ranked, baseline=position, confidence=confidence)
         names = [requirement.metric.name for requirement in limits]
         limited = sampling_intervals(drivable, metrics, names, D_y, confidence, setup)[:, :, order]
@@ -234,7 +244,7 @@ class Ranking(RankedDesigns, Frame):
         acting = [i for i, design in enumerate(designs) if not design.is_baseline]
         if requirements and acting and not any(i < ranked for i in acting):
             fresh = dataclasses.replace(fresh, winner=None)  # no control is not a design to choose
-        warnings += warnings_of_sample(side, inference)
+        warnings += warnings_of_sample(side, inference, cluster)
         for i in best_of_laws(designs):
             if not designs[i].is_baseline and (text := tail_text(*depths(results, int(order[i]), setup))):
                 warnings.append(f"{designs[i].label} is {text}.")

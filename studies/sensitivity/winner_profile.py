@@ -206,7 +206,9 @@ def _profiles(
         raise InputError("results", "no scenario could be driven under every design", hint="there is no profile")
     S = S[:, columns]
     side, settings = results.scenarios.side[columns], study.ranking
-    resampled = Resampled.of(S, side, seed=study.seed, samples=settings.bootstrap)
+    cluster = results.scenarios.cluster
+    cluster = None if cluster is None else cluster[columns]
+    resampled = Resampled.of(S, side, seed=study.seed, samples=settings.bootstrap, cluster=cluster)
     interval = simultaneous_interval(resampled, settings.confidence, reference=0)
     numbers = np.stack([resampled.mean, interval.centre, interval.low, interval.high])
     numbers = np.append(numbers, np.full((4, 1), np.nan), axis=1)  # the last column serves all laws that failed

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -31,6 +31,8 @@ SCENARIOS = "scenarios.parquet"
 
 _DRIFT: Final = {"lateral_velocity": "drift_rate_m_s", "radius": "drift_radius_m", "distance": "drift_distance_m"}
 """Of paths that do not return: attribute -> column."""
+
+_CLUSTER: Final = "cluster"  # trip or driver of a recorded departure
 
 
 def output_folder(folder: Path) -> Path:
@@ -71,10 +73,10 @@ def read_bytes(path: Path) -> bytes:
 
 
 def read_parquet(
-    path: Path, schema: dict[str, Any], *, finite: bool = True, optional: dict[str, Any] | None = None
+    path: Path, schema: dict[str, Any], *, finite: bool = True, optional: Sequence[dict[str, Any]] = ()
 ) -> pl.DataFrame:
-    """Read a Parquet file that `write_parquet` wrote, and check it as `parse_parquet` does; all or none of the optional
-    columns are there.
+    """Read a Parquet file that `write_parquet` wrote, and check it as `parse_parquet` does; it may have the columns of
+    one of the optional sets.
     """
     data = read_bytes(path)
     try:
@@ -87,7 +89,7 @@ def read_parquet(
 
 
 def parse_parquet(
-    path: Path, data: bytes, schema: dict[str, Any], *, finite: bool = True, optional: dict[str, Any] | None = None
+    path: Path, data: bytes, schema: dict[str, Any], *, finite: bool = True, optional: Sequence[dict[str, Any]] = ()
 ) -> pl.DataFrame:
     """A table from the bytes of a Parquet file, checked: columns, types, nothing missing, with `finite` all finite."""
     import polars as pl
@@ -96,7 +98,7 @@ def parse_parquet(
         table = pl.read_parquet(data)
     except pl.exceptions.PolarsError as error:
         raise StoreError(path, f"broken: {first_line(error)}") from None
-    if dict(table.schema) not in (schema, schema | (optional or {})):
+    if dict(table.schema) not in (schema, *(schema | columns for columns in optional)):
         raise StoreError(
             path, f"broken: its columns are {', '.join(table.columns)}", hint=f"needed: {', '.join(schema)}"
         )
@@ -110,13 +112,14 @@ def scenario_table(scenarios: Scenarios) -> pl.DataFrame:
     """Scenarios as a table: number, side, eight parameters with their units in the names, and drifts."""
     import polars as pl
 
-    drift = scenarios.drift
+    drift, cluster = scenarios.drift, scenarios.cluster
     return pl.DataFrame(
         {
             "scenario": scenarios.index.astype(np.uint32),
             "side": np.where(scenarios.side == LEFT, "left", "right").tolist(),
             **{column: getattr(scenarios, name) for name, column in PARAMETER_COLUMNS.items()},
             **({column: getattr(drift, name) for name, column in _DRIFT.items()} if drift is not None else {}),
+            **({} if cluster is None else {_CLUSTER: cluster.astype(np.uint32)}),
         }
     )
 
@@ -133,7 +136,7 @@ def read_scenarios(path: Path) -> Scenarios:
     import polars as pl
 
     schema = {"scenario": pl.UInt32(), "side": pl.String(), **dict.fromkeys(PARAMETER_COLUMNS.values(), pl.Float64())}
-    table = read_parquet(path, schema, optional=dict.fromkeys(_DRIFT.values(), pl.Float64()))
+    table = read_parquet(path, schema, optional=(dict.fromkeys(_DRIFT.values(), pl.Float64()), {_CLUSTER: pl.UInt32()}))
     columns = {name: table[column].to_numpy() for name, column in PARAMETER_COLUMNS.items()}
     try:
         scenarios = Scenarios.drawn(side=np.where((table["side"] == "left").to_numpy(), LEFT, RIGHT), **columns)
@@ -141,6 +144,8 @@ def read_scenarios(path: Path) -> Scenarios:
         if "drift_radius_m" in table.columns:
             drift = Drifts(**{name: table[column].to_numpy() for name, column in _DRIFT.items()})
             scenarios = dataclasses.replace(scenarios, drift=drift)
+        if _CLUSTER in table.columns:
+            scenarios = dataclasses.replace(scenarios, cluster=table[_CLUSTER].to_numpy().astype(np.int64))
         if signals_path(path).exists():
             scenarios = dataclasses.replace(
                 scenarios, signals=read_signals(signals_path(path), scenarios.T, checksum=True)

@@ -13,6 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from ldctoolkit.arrays import FloatArray, IntArray
+from ldctoolkit.clusters import Clusters
 from ldctoolkit.departures import LEFT, PARAMETER_COLUMNS, RIGHT
 from ldctoolkit.errors import InputError, LdcError, ModelError, RecordingError, StoreError
 from ldctoolkit.recordings import read_departures
@@ -118,7 +119,9 @@ def read_replayed(study: Study) -> ReplayedDepartures:
             "criteria": dataclasses.asdict(provenance.criteria),
             "nominal_lane_width": provenance.preparation.nominal_lane_width,
         }
-        scenarios = _checked(name, lambda: Scenarios.from_departures(departures.take(drivable), path=settings.path))
+        departures = departures.take(drivable)
+        scenarios = _checked(name, lambda: Scenarios.from_departures(departures, path=settings.path))
+        clusters = Clusters.of(departures)
         weights = None if weights is None else weights[drivable]
     else:
         table, _ = read_table(path, "a table of departures")
@@ -128,6 +131,14 @@ def read_replayed(study: Study) -> ReplayedDepartures:
         weights = column_of(name, table, settings.weights) if settings.weights else None
         scenarios = _checked(name, lambda: Scenarios.from_arrays(side=table["side"].to_list(), **columns))
         notes = [f"{scenarios.n:,} departures of {name}."]
+        recording, driver = (
+            table[key].cast(str).fill_null("").to_numpy() if key in table.columns else None
+            for key in ("recording", "driver")
+        )
+        clusters = Clusters.of_names(scenarios.n, recording, driver)
+        if clusters.kind != "departures":
+            scenarios = dataclasses.replace(scenarios, cluster=clusters.index)
+    notes.append(f"Intervals are of {clusters.text}.")
     if weights is not None and not ((weights >= 0.0) & np.isfinite(weights)).all():
         raise RecordingError(name, f"column {settings.weights!r} holds {weights.min():g}", allowed="finite, at least 0")
     return ReplayedDepartures(name, scenarios, weights, tuple(notes), warnings, source)

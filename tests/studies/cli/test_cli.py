@@ -164,7 +164,10 @@ def test_lists_and_version(tmp_path: Path) -> None:
     out = good("controllers", cwd=tmp_path)
     for word in ("preview_proportional", "K_psi", "rad/rad", "-5 .. 0", "lqr", "r_delta", "linear_mpc", "horizon"):
         assert word in out
-    assert "reference" in good("models", cwd=tmp_path)
+    models = good("models", cwd=tmp_path)
+    for word in ("SYNTHETIC", "NGSIM US-101", "247 (86 left, 161 right)", "UAH-DriveSet", "not tried", "OpenLKA"):
+        assert word in models
+    assert "NGSIM" not in good("models", "reference", cwd=tmp_path)  # of a model that was asked for, the model alone
     assert re.fullmatch(r"ldc \d+\.\d+\.\d+\S*\n", good("--version", cwd=tmp_path))
     for command in ("extract", "fit", "sample", "run", "rank", "report", "controllers", "models"):
         assert command in good("--help", cwd=tmp_path)
