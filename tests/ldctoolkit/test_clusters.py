@@ -10,7 +10,7 @@ import pytest
 from scipy import linalg, stats
 
 from ldctoolkit import load_model
-from ldctoolkit.clusters import StandardErrors, Clusters, cluster_error, cluster_values, design_effect, with_tails_of_t
+from ldctoolkit.clusters import Clusters, StandardErrors, cluster_error, cluster_values, design_effect, with_tails_of_t
 from ldctoolkit.departures import PARAMETER_NAMES, Departures, ExtraColumn
 
 # ------------------------------------------------------------------------------------------------ against matrices
