@@ -191,12 +191,14 @@ class _Run:
                 (folder / REFITS_FILE).unlink(missing_ok=True)
             if not refits or not isinstance(self.source, ScenarioModel) or not results.drivable.any():
                 return results
-            self.progress.phase("choosing the winner")
-            ranking = rank_study(results, study)
-            places = dict.fromkeys(i for i in (ranking.winner, ranking.baseline) if i is not None)
-            designs = [ranking.designs[i] for i in places]
-            if ranking.winner is None or any(design in results.unsafe for design in designs):
-                return results
+            designs: list[Design] = []
+            if self.source.provenance.recorded is not None:
+                self.progress.phase("choosing the winner")
+                ranking = rank_study(results, study)
+                places = dict.fromkeys(i for i in (ranking.winner, ranking.baseline) if i is not None)
+                designs = [ranking.designs[i] for i in places]
+                if ranking.winner is None or any(design in results.unsafe for design in designs):
+                    return results
             scores = scores_of_refits(
                 study, designs, self.source, folder, self.executor, self.progress, refits=refits,
                 time_limit=self.time_limit,

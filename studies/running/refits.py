@@ -92,11 +92,10 @@ def scores_of_refits(
         return stored
     (folder / REFITS_FILE).unlink(missing_ok=True)  # of another winner, model or version
     means, factor, df, text = np.empty((0, len(ids) + 1, 2)), math.nan, math.nan, NOT_KEPT
-    smallest = min(designs, key=lambda design: design.batch)
-    if recorded is not None and smallest.batch < _SLOW_BATCH:
-        text = f"{smallest.label} takes too long to be driven on refits of the model"
+    batch = min((design.batch for design in designs), default=0)
+    if recorded is not None and batch < _SLOW_BATCH:
+        text = "its law takes too long to be driven on refits of the model"
     elif recorded is not None:
-        usual = smallest.batch >= _USUAL_BATCH
         job = Job(
             study.ranked_as,
             study.setup(),
@@ -104,7 +103,7 @@ def scores_of_refits(
             laws_to_send(study.classes.values()) if isolated else b"",
             time_limit if isolated else 0.0,
         )
-        half = min(max(_LEAST, len(recorded.side)), _MOST) if usual else _OF_SLOW
+        half = min(max(_LEAST, len(recorded.side)), _MOST) if batch >= _USUAL_BATCH else _OF_SLOW
         tasks = [RefitTask(job, tuple(designs), model, study, half, i) for i in range(refits)]
         progress.stage("refits of the model", refits)
         results = {}
