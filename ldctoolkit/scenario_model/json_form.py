@@ -130,7 +130,7 @@ def model_from_json(text: str | bytes, file: str) -> tuple[SideModel, SideModel,
     if type(version) is not int or version not in _READABLE:
         newer = isinstance(version, int) and version > VERSION
         hint = "the file is newer, update ldctoolkit" if newer else ""
-        allowed = f"version {' or '.join(map(str, _READABLE))}, which this program reads"
+        allowed = f"version {_READABLE[0]} to {VERSION}, which this program reads"
         raise ModelError(f"{file}: version", value=version, allowed=allowed, hint=hint)
     written, content = data.pop(CHECKSUM, None), digest(data)
     provenance = data.get("provenance")
