@@ -13,7 +13,7 @@ import numpy as np
 
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.errors import LdcError
-from ldctoolkit.scenario_model import ScenarioModel
+from ldctoolkit.scenario_model import Given, ScenarioModel
 from ldctoolkit.scenario_model.refit import NOT_KEPT, refit, uncertainty
 from ldctoolkit.version import versions
 
@@ -39,8 +39,8 @@ class RefitTask(Work):
     job: Job
     designs: tuple[Design, ...]
     model: ScenarioModel
-    study: Study
-    half: int  # departures of a draw
+    counts: tuple[int, int]  # left and right departures of a draw
+    given: Given | None
     refit: int
 
     @property
@@ -64,10 +64,8 @@ class RefitTask(Work):
         return means
 
     def _means(self, model: ScenarioModel, draw: int) -> FloatArray:
-        counts = self.study.scenarios.counts
-        left, right = (math.ceil(self.half * count / sum(counts)) for count in counts)
-        seed = int(np.random.SeedSequence([self.study.seed, _STREAM, draw]).generate_state(1, np.uint64)[0] >> 1)
-        drawn = model.sample(left, right, seed=seed, given=self.study.scenarios.given or None)
+        seed = int(np.random.SeedSequence([self.job.setup.seed, _STREAM, draw]).generate_state(1, np.uint64)[0] >> 1)
+        drawn = model.sample(*self.counts, seed=seed, given=self.given)
         rows, columns = np.arange(drawn.n), []
         drawn = dataclasses.replace(drawn, index=rows + draw * drawn.n)
         for design in self.designs:
@@ -104,7 +102,9 @@ def scores_of_refits(
             time_limit if isolated else 0.0,
         )
         half = min(max(_LEAST, len(recorded.side)), _MOST) if batch >= _USUAL_BATCH else _OF_SLOW
-        tasks = [RefitTask(job, tuple(designs), model, study, half, i) for i in range(refits)]
+        left, right = (math.ceil(half * count / sum(study.scenarios.counts)) for count in study.scenarios.counts)
+        given = study.scenarios.given or None
+        tasks = [RefitTask(job, tuple(designs), model, (left, right), given, i) for i in range(refits)]
         progress.stage("refits of the model", refits)
         results = {}
         for task, result in run_works(executor, tasks):

@@ -216,7 +216,7 @@ def test_a_broken_file_is_one_clear_message(text, tmp_path, expected, case):
     assert error.path == (f"{file}: {path}" if path else str(file))
     names = (error.allowed,) if isinstance(error.allowed, str) else error.allowed
     assert expected in (error.problem, *names)
-    assert key != "version" or error.hint == ("the file is newer, update ldctoolkit" if value == 5 else "")
+    assert key != "version" or error.hint == ("the file is newer, update ldctoolkit" if value == 6 else "")
 
 
 @pytest.mark.parametrize("sum_of_weights", [1.0 - 0.9e-9, 1.0 + 0.9e-9])
