@@ -13,6 +13,7 @@ from ldctoolkit.arrays import FloatArray
 from ldctoolkit.code_content import content_of
 from ldctoolkit.control import Controller
 from ldctoolkit.declared import (
+    Gain,
     GainValue,
     Scale,
     checked_choice,
@@ -28,6 +29,7 @@ from ldctoolkit.validation import Part
 from .design import CONVENTION_GAIN, Design
 
 THRESHOLD: Final = "y_s"  # name of the trigger threshold among the dimensions
+Y_S: Final = Gain(name=THRESHOLD, unit="m", default=0.2, lower=-10.0)
 
 RANGE_KEYS: Final = ("count", "from", "scale", "to")
 _WRITTEN: Final = "a range is written {from = ..., to = ..., count = ...}"
@@ -85,6 +87,12 @@ class Span:
             return int(min(max(round(_between(low, high, share, self.scale)), self.low), self.high))
         return min(max(rounded(_between(a, b, share, self.scale)), self.low), self.high)
 
+    def share(self, value: float) -> float:
+        """Share of the way from the first end to the last at which a value lies; the inverse of `at`."""
+        if self.scale == "log":
+            return float(np.log(value / self.first) / np.log(self.last / self.first))
+        return (value - self.first) / (self.last - self.first)
+
 
 Dimension = Choices | Span
 
@@ -92,6 +100,27 @@ Dimension = Choices | Span
 def rounded(value: float) -> float:
     """A number with twelve significant digits: 0.3 and not 0.30000000000000004 in names and identities."""
     return float(f"{value:.12g}") + 0.0
+
+
+def next_value(values: Sequence[float], gain: Gain, *, upper: bool) -> GainValue | None:
+    """The value beyond an end of a list of two numbers or more; None where the gain's declaration allows none.
+
+    The list's own ratio or difference goes on, where one of them is constant, else the last step at that end, in the
+    gain's scale. A gain keeps its sign, and the last step before a limit ends at it.
+    """
+    ordered = sorted(values, reverse=not upper)
+    before, last = ordered[-2:]
+    signed = ordered[0] * ordered[-1] > 0
+    spacings = np.diff(ordered), np.diff(np.log(np.abs(ordered))) if signed else np.arange(2.0)
+    even, geometric = (
+        len(ordered) > 2 and np.allclose(spacing, spacing[0], rtol=1e-3, atol=0.0) for spacing in spacings
+    )
+    value = last + (last - before)
+    if signed and (geometric or (gain.scale == "log" and not even) or (gain.name != THRESHOLD and value * last <= 0)):
+        value = last * (last / before)
+    value = min(max(rounded(value), gain.lower), gain.upper)
+    value = round(value) if gain.whole else value
+    return None if value == last else value
 
 
 def _between(a: float, b: float, share: float, scale: Scale) -> float:
@@ -445,7 +474,7 @@ def _read_thresholds(entry: Any) -> tuple[float, ...] | Span:
 
 
 def _threshold(value: Any) -> float:
-    return checked_number("y_s", value, lower=-10.0, unit="m, below 0 before the line") + 0.0
+    return checked_number("y_s", value, lower=Y_S.lower, unit="m, below 0 before the line") + 0.0
 
 
 def _read_gain(kinds: Kinds, name: str, entry: Any) -> tuple[Any, ...] | Span:

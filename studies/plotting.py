@@ -72,7 +72,8 @@ def draw(chart: Chart, ax: Axes | None = None, *, legend: bool = True) -> Axes:
     for y_position, dot in enumerate(dot for row in chart.rows for dot in row):
         if math.isfinite(dot.low + dot.high):
             ax.hlines(y_position, dot.low, dot.high, color=dot.style.hex, linewidth=1.6)
-        ax.plot(dot.value, y_position, markersize=6, **_points(dot.style, filled=not dot.open))
+        for value, style in ((dot.value, dot.style), *([dot.beside] if dot.beside else [])):
+            ax.plot(value, y_position, markersize=6, **_points(style, filled=not dot.open))
     if chart.ring is not None and math.isfinite(sum(chart.ring[:2])):
         x, y, label = chart.ring
         look: dict[str, Any] = (

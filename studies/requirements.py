@@ -110,6 +110,7 @@ class Requirement:
         return f"{self.metric.name} {self.operator} {self.limit!r}".removesuffix(".0")
 
 
+_CLOSE: Final = 0.05  # share of a limit within which a value is close to it
 _MISSED: Final = 1e-9  # least excess of a requirement that is missed: `"S < 0.5"` at exactly 0.5
 
 
@@ -154,6 +155,20 @@ class Estimate(Miss):
         """Whether the limit lies inside the interval."""
         low, high = self.requirement.met([self.low, self.high]).tolist()
         return low != high and not math.isnan(self.low)
+
+    @property
+    def binds(self) -> bool:
+        """Whether its interval reaches the limit, or the value lies within 5 % of it, unless it cannot be better."""
+        of, limit = self.requirement.metric, self.requirement.limit
+        best = limit in {"share": (0.0, 1.0), "count": (0.0,)}.get(of.unit, ())
+        return self.low <= limit <= self.high or (not best and abs(self.value - limit) <= _CLOSE * abs(limit))
+
+    @property
+    def of_limit(self) -> str:
+        """The value beside its limit: ``"Needless interventions 48.2 of 50 %"``."""
+        of, least = self.requirement.metric, "at least " if self.requirement.operator in (">=", ">") else ""
+        limit = f"{of.scale * self.requirement.limit:g} {of.shown_unit}".rstrip().replace("-", "\u2212")
+        return f"{of.title} {_shown(of, self.value).partition(' ')[0]} of {least}{limit}"
 
     def with_interval(self, level: str) -> str:
         """The text with the interval, where there is one."""

@@ -12,16 +12,18 @@ import numpy as np
 
 from ldctoolkit.declared import checked_number, checked_whole
 from ldctoolkit.departures import LEFT
-from ldctoolkit.errors import InputError, StoreError, expect
+from ldctoolkit.errors import InputError, LdcError, StoreError, expect
 from ldctoolkit.scenario_model import ScenarioModel, load_model
 from ldctoolkit.scenario_model.refit import FEWEST, REFITS
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.surroundings import temporary_folder
 
 from .design import FOLLOWS_STUDY, Design
+from .design_space import THRESHOLD, next_value
 from .measures import measured
 from .ranking.design_metrics import find_baseline
 from .ranking.ranking import Ranking, rank_study
+from .ranking.verdict import sweep_ends
 from .results import StudyResults
 from .running.campaign import Campaign
 from .running.dispatch import Executor, Progress, closing, displayed
@@ -43,9 +45,11 @@ from .storage.scenario_source import (
 )
 from .storage.store import FINALISTS, REFITS_FILE, REPLAYED, SCORES, Store, make_folder
 from .study_file import Study
+from .text import compact
 
 _log = logging.getLogger("studies")
 
+EXTEND: Final = 6  # values beyond the end of a sweep where it is requested, and the study says no number
 TIME_LIMIT = 600.0  # seconds that a task may take: a thousand times what it is made for
 _LIMITS = (0.1, 1e7)  # seconds that a limit may be
 _STREAM: Final = 0x66696E61  # keeps the finalists' scenarios apart from those that they were chosen on
@@ -67,6 +71,7 @@ def run_study(
     block_size: int | None = None,
     time_limit: float = TIME_LIMIT,
     refits: int = REFITS,
+    extend: bool | None = None,
 ) -> StudyResults:
     """Run every design of a study on the same scenarios and store the results; resumes where a run was stopped.
 
@@ -103,6 +108,9 @@ def run_study(
     refits : int
         Models refitted to resampled clusters of the recorded departures, on which winner and baseline are driven too,
         for the interval of the recordings; at least 5, 0 for none.
+    extend : bool, optional
+        Whether to add designs beyond the end of a sweep while the winner lies there: `ranking.extend` values at most,
+        or 6 if the study has 0; as the study says by default. The study in the folder is the one with these designs.
 
     Returns
     -------
@@ -119,6 +127,7 @@ def run_study(
     """
     expect("study", study, Study)
     expect("scenarios", scenarios, Scenarios | None)
+    expect("extend", extend, bool | None)
     block_size = None if block_size is None else checked_whole("block_size", block_size, lower=1)
     refits = checked_whole("refits", refits, lower=0, upper=1000)
     if 0 < refits < FEWEST:
@@ -130,7 +139,7 @@ def run_study(
         with temporary_folder() as folder:
             return run_study(
                 study, folder, model=model, scenarios=scenarios, workers=workers, executor=executor, dask=dask,
-                progress=progress, block_size=block_size, time_limit=time_limit, refits=refits,
+                progress=progress, block_size=block_size, time_limit=time_limit, refits=refits, extend=extend,
             )  # fmt: skip
     if scenarios is not None:
         if model is not None:
@@ -138,6 +147,8 @@ def run_study(
         left = int((scenarios.side == LEFT).sum())
         model = ReplayedDepartures("given", dataclasses.replace(scenarios, index=np.arange(scenarios.n)))
         study = study.changed(scenarios={"left": left, "right": scenarios.n - left})
+    if extend is not None:
+        study = study.changed(ranking={"extend": (study.ranking.extend or EXTEND) if extend else 0})
     if study.laws():
         study = study.changed()  # its designs are those of the code as it is now
     source = study_source(study, model)
@@ -182,11 +193,19 @@ class _Run:
     block_size: int | None
 
     def whole(self, study: Study, folder: Path, refits: int) -> StudyResults:
-        """All stages: the study itself, its finalists on fresh scenarios, and its winner on refitted models."""
+        """All stages; once more, with what was added, while the winner lies at the end of a sweep that may go on."""
         check_room(study, sum(study.scenarios.counts))  # before anything is made
         make_folder(folder)
         with locked(folder):
-            results = self.finalists(study, folder, self.study(study, folder))
+            added: tuple[str, ...] = ()
+            first, results = study, self.stages(study, folder)
+            while study.ranking.extend:
+                study, more = extended(study, rank_study(results, study), first)
+                if not more:
+                    break
+                self.progress.phase(f"beyond the ends of sweeps: {'; '.join(more)}")
+                added = (*added, *more)
+                results = self.stages(study, folder, added)
             if not refits:
                 (folder / REFITS_FILE).unlink(missing_ok=True)
             if not refits or not isinstance(self.source, ScenarioModel) or not results.drivable.any():
@@ -205,8 +224,9 @@ class _Run:
             )  # fmt: skip
             return dataclasses.replace(results, refits=scores)
 
-    def finalists(self, study: Study, folder: Path, results: StudyResults) -> StudyResults:
-        """The results with those of the finalists on fresh scenarios, and on recorded departures."""
+    def stages(self, study: Study, folder: Path, added: tuple[str, ...] = ()) -> StudyResults:
+        """The study itself, and its finalists on fresh scenarios."""
+        results = self.study(study, folder, extended=added)
         if not study.ranking.finalists or len(results.designs) < 2 or isinstance(self.source, ReplayedDepartures):
             return results
         self.progress.phase("choosing the finalists")
@@ -234,7 +254,9 @@ class _Run:
             _log.warning("no %s: %s", SCORES[folder.name], error)
             return None
 
-    def study(self, study: Study, folder: Path, stage: str = "designs", part_of: str = "") -> StudyResults:
+    def study(
+        self, study: Study, folder: Path, stage: str = "designs", part_of: str = "", extended: tuple[str, ...] = ()
+    ) -> StudyResults:
         """One study into one folder."""
         started = time.monotonic()
         source = self.source
@@ -247,6 +269,7 @@ class _Run:
             model_warnings=tuple(model_warnings(source, study.vehicle, study.scenarios.given)),
             model_synthetic=isinstance(source, ScenarioModel) and source.provenance.synthetic,
             part_of=part_of,
+            extended=extended,
         )
         store = Store.create(folder, manifest, scenarios, study)
         if not part_of and isinstance(source, ScenarioModel):  # finalists are drawn from the same model
@@ -316,5 +339,32 @@ def _finalist_study(study: Study, designs: Sequence[Design]) -> Study:
             for d in designs
         ],
     }
-    content["ranking"] |= {"finalists": 0, "require": [], "baseline": ""}
+    content["ranking"] |= {"finalists": 0, "require": [], "baseline": "", "extend": 0}
     return study.with_content(content)
+
+
+def extended(study: Study, ranking: Ranking, first: Study) -> tuple[Study, tuple[str, ...]]:
+    """The study with one more value beyond each end of a list at which the winner lies, and what was added.
+
+    At most `extend` values a list more than the `first` study has, and twice its designs; none that the laws or the
+    memory forbid. It follows from study and results alone: a run that is resumed adds the same.
+    """
+    added: tuple[str, ...] = ()
+    if ranking.winner is None:
+        return study, added
+    winner = ranking.designs[ranking.winner]
+    i = next((i for i, block in enumerate(study.design) if not block.sample and winner in block.designs()), None)
+    for end in sweep_ends(ranking, ranking.winner) if i is not None else ():
+        name, content = end.gain.name, study.content()
+        tables = (of["design"][i] for of in (content, first.content()))
+        now, before = ((table if name == THRESHOLD else table["gains"]).get(name, []) for table in tables)
+        if not 2 <= len(now) < len(before) + study.ranking.extend or end.value not in (min(now), max(now)):
+            continue
+        if (value := next_value(now, end.gain, upper=end.upper)) is not None:
+            now.append(value)
+            with contextlib.suppress(LdcError):  # another law of the table allows less
+                longer = study.with_content(content)
+                check_room(longer, sum(longer.scenarios.counts))
+                if len(longer.designs) <= 2 * len(first.designs):
+                    study, added = longer, (*added, f"{winner.law}: {name} = {compact(value)}")
+    return study, added

@@ -99,6 +99,9 @@ class RankingSettings(Part):
     vehicles: Annotated[tuple[VehicleName, ...], BeforeValidator(_names)] = ()
     # At most so many of the best designs are scored again on fresh scenarios; 0 for none
     finalists: int = Field(default=10, ge=0, le=1000)
+    # At most so many values are added to a list of gains or thresholds, beyond the end at which the winner lies, and in
+    # all at most as many designs as the study has; 0 for none
+    extend: int = Field(default=0, ge=0, le=100)
 
 
 class SearchSettings(Part):
@@ -228,6 +231,7 @@ class ReportSettings(Part):
     """``[report]``."""
 
     D_y: float = Field(default=0.5, gt=0)  # [m] The report counts departures deeper than this (paper, Table I)
+    paper: bool = False  # Whether the source paper's figures are written beside it
 
 
 def _vehicle(entry: Any) -> Any:
@@ -290,6 +294,8 @@ class Study(Part):
         if not self.design:
             raise InputError("design", "no designs", allowed="one [[design]] table or more")
         check_blocks(self.design, searched=self.search is not None)
+        if self.search and self.ranking.extend:
+            raise InputError("ranking.extend", "with [search]", value=self.ranking.extend, allowed="0")
         size = 0 if self.search else sum(block.size for block in self.design)
         if size > MOST_DESIGNS:
             raise InputError("design", f"the grids make {size} designs", allowed=f"at most {MOST_DESIGNS}")

@@ -6,7 +6,7 @@ import dataclasses
 import json
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -104,22 +104,27 @@ def source_departures(paths: Sequence[str] | None) -> Departures | None:
     return read_all_departures(paths)[0]
 
 
-def write_study_report(
+def write_files(
     judged: Judged, *, source: Departures | None, figures: bool, departures: Sequence[int] = (),
     designs: Sequence[str] = (),
-) -> Path:  # fmt: skip
-    """Write DIR/report.html and DIR/figures/.
+) -> dict[str, Path]:  # fmt: skip
+    """Write the ranking, DIR/report.html, DIR/figures/ and, where the study asks for it, DIR/paper.html.
 
-    `departures` are scenario numbers and `designs` starts of ids, for the explorer.
+    `departures` are scenario numbers and `designs` starts of ids, for the explorer. Returns the main files by name.
     """
+    from ..pages.paper_page import write_paper_page
     from ..pages.report import report_input, write_report
 
     report = report_input(
         judged.folder, judged.study, judged.manifest, judged.results, judged.ranking, source=source,
         departures=departures, shown_designs=designs, robustness=judged.robustness,
     )  # fmt: skip
-    folder = judged.folder
-    return write_report(report, folder / "report.html", figures=folder / "figures" if figures else None)
+    folder, files = judged.folder, {"ranking": write_ranking(judged)}
+    files["report"] = write_report(report, folder / "report.html", figures=folder / "figures" if figures else None)
+    if judged.study.report.paper:
+        return files | {"paper": write_paper_page(report, folder / "paper.html")}
+    (folder / "paper.html").unlink(missing_ok=True)  # of an earlier run
+    return files
 
 
 _MOST_FAILED = 20
@@ -134,6 +139,8 @@ def print_ranking(judged: Judged, top: int) -> None:
     out.print(title, style=style, markup=False, emoji=False, highlight=False)
     for line in (*others, *more_lines(ranking)):
         out.print(line, markup=False, emoji=False, highlight=False)
+    if judged.manifest.extended:
+        say(out, f"Added beyond the ends of sweeps: {'; '.join(judged.manifest.extended)}.")
     for warning in ranking.warnings:
         out.print(f"Warning: {warning}", style="yellow", markup=False, emoji=False, highlight=False)
     out.print()
@@ -161,7 +168,7 @@ def write_ranking(judged: Judged) -> Path:
     return path
 
 
-def json_summary(judged: Judged, ranking_csv: Path, report: Path) -> str:
+def json_summary(judged: Judged, files: Mapping[str, Path]) -> str:
     """The last line of ``ldc run --json``."""
     manifest = judged.manifest
     content = {"event": "done"} | _summary(judged)
@@ -169,9 +176,7 @@ def json_summary(judged: Judged, ranking_csv: Path, report: Path) -> str:
         "wall_time_s": round(manifest.wall_time_s, 3),
         "executor": manifest.executor,
         "workers": manifest.workers,
-        "ranking": str(ranking_csv),
-        "report": str(report),
-    }
+    } | {name: str(path) for name, path in files.items()}
     return json.dumps(content)
 
 
@@ -206,6 +211,9 @@ def _summary(judged: Judged) -> dict[str, Any]:
         "verdict": judgement.title,
         "usable": judgement.usable,
         "lights": {light.name: light.state for light in judgement.lights},
+        "binding": [limit.requirement.text for limit in judgement.binding],
+        "sweep_ends": [{"name": end.gain.name, "value": end.value, "text": end.text} for end in judgement.ends],
+        "extended": list(judged.manifest.extended),
     }
 
 

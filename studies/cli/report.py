@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> None:
     from ..pages.replay import rows_of_numbers
     from ..storage.scenario_source import read_model
     from ..storage.store import Store
-    from ._results import Judged, source_departures, write_ranking, write_study_report
+    from ._results import Judged, source_departures, write_files
 
     source = source_departures(args.source)
     folder = _folder(args.study)
@@ -56,12 +56,11 @@ def run(args: argparse.Namespace) -> None:
     named_designs(results.designs, args.design)
     model = read_model(folder, store.manifest)
     judged = Judged.of(folder, store.manifest, study, results, model=model, drive_plants=not args.no_robustness)
-    print(f"ranking: {write_ranking(judged)}")
-    with progress_bar("writing the report"):
-        path = write_study_report(
+    with progress_bar("writing ranking and report"):
+        files = write_files(
             judged, source=source, figures=not args.no_figures, departures=args.departure, designs=args.design
         )
-    print(f"report:  {path}")
+    print("\n".join(f"{name + ':':8} {path}" for name, path in files.items()))
 
 
 def _folder(name: str) -> Path:

@@ -21,9 +21,10 @@ def add_parser(commands: Subparsers) -> None:
     parser = commands.add_parser(
         "run",
         help="run a study: rank designs, write the report",
-        description="Run every design of a study on the same scenarios. Writes report.html, figures/, ranking.csv and "
-        "ranking.md into DIR; running again into the same DIR computes only what is missing. Exit code 3: done, but "
-        "the law of some design failed; the ranking and the report name it.",
+        description="Run every design of a study on the same scenarios. Writes report.html, figures/, ranking.csv, "
+        "ranking.md and, where the study asks for it, paper.html into DIR; running again into the same DIR computes "
+        "only what is missing. Exit code 3: done, but the law of some design failed; the ranking and the report name "
+        "it.",
     )
     about = "name in the catalog (ideal, paper, reality, road-edge, trigger-and-gains, zoo, zoo-sweep) or a TOML file"
     parser.add_argument("study", nargs="?", metavar="STUDY", help=about)
@@ -41,6 +42,8 @@ def add_parser(commands: Subparsers) -> None:
     about = "models refitted to resampled recordings, for what these leave open (default: %(default)s; 0: none)"
     parser.add_argument("--refits", type=whole_number, default=20, metavar="N", help=about)
     parser.add_argument("--top", type=positive_number, default=10, metavar="N", help="rows to print (default: 10)")
+    about = "add designs beyond the end of a sweep while the winner lies there (default: as the study says)"
+    parser.add_argument("--extend", action=argparse.BooleanOptionalAction, help=about)
     add_report_options(parser)
     parser.add_argument("--quiet", action="store_true", help="no progress bar and no table")
     about = "one JSON object a line on stdout: progress, then the result; no bar and no table"
@@ -128,7 +131,7 @@ def _run(args: argparse.Namespace, progress: Progress | None) -> int:
     from ..storage.manifest import read_manifest
     from ..storage.scenario_source import with_counts, with_recorded_widths
     from ..study_file import load_study
-    from ._results import Judged, json_summary, print_ranking, source_departures, write_ranking, write_study_report
+    from ._results import Judged, json_summary, print_ranking, source_departures, write_files
 
     study = load_study(args.study)
     if args.departures is not None:
@@ -152,8 +155,10 @@ def _run(args: argparse.Namespace, progress: Progress | None) -> int:
         progress=progress,
         time_limit=TIME_LIMIT if args.time_limit is None else args.time_limit,
         refits=args.refits,
+        extend=args.extend,
     )
     manifest, silent = read_manifest(folder), args.quiet or args.json
+    study = study.with_content(study.content() | {key: manifest.study[key] for key in ("design", "ranking")})
     judged = Judged.of(
         folder, manifest, study, results, model=model, drive_plants=not args.no_robustness, show=not silent
     )
@@ -166,12 +171,10 @@ def _run(args: argparse.Namespace, progress: Progress | None) -> int:
         )
     # files last: what they are called is the last thing on the screen
     with progress_bar("writing ranking and report", show=not silent):
-        ranking_path = write_ranking(judged)
-        report_path = write_study_report(judged, source=report_source, figures=not args.no_figures)
+        files = write_files(judged, source=report_source, figures=not args.no_figures)
     if args.json:
-        print(json_summary(judged, ranking_path, report_path))
+        print(json_summary(judged, files))
     else:
-        print(f"ranking: {ranking_path}")
-        print(f"report:  {report_path}")
+        print("\n".join(f"{name + ':':8} {path}" for name, path in files.items()))
     fresh_failed = results.fresh is not None and results.fresh.failed
     return SOME_FAILED if results.failed or fresh_failed else 0

@@ -129,8 +129,8 @@ def nice_step(span: float, most: int) -> float:
     return next(m * ten for m in (1.0, 2.0, 5.0, 10.0) if m * ten >= rough * (1 - 1e-9))
 
 
-Kind = Literal["line", "steps", "marked", "started", "points", "bars", "outline"]
-"""A line, with steps, with all points or the first one marked; points alone; a histogram, filled or as a line."""
+Kind = Literal["line", "thin", "steps", "marked", "started", "points", "bars", "outline"]
+"""A line, one of many, with steps, all points or the first one marked; points alone; a filled histogram or its line."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -159,6 +159,7 @@ class Dot:
     style: Style
     open: bool = False
     tip: str = ""
+    beside: tuple[float, Style] | None = None  # another value on the same line
 
 
 @dataclasses.dataclass(frozen=True)
@@ -277,7 +278,7 @@ FILE_STYLE: Final = (
     ".chart{font:12px sans-serif;--ink:#222;--soft:#666;--grid:#ddd;--paper:#fff;--bad:#b3261e;--shade:#f3d9d6}"
     ".recorded{--c:#595959}text{fill:var(--ink)}.soft{fill:var(--soft)}.grid{stroke:var(--grid);fill:none}"
     ".axis{stroke:var(--soft);fill:none}.curve{stroke:var(--c);fill:none;stroke-width:1.8}"
-    ".band{fill:var(--c);opacity:.16}.mark{stroke:var(--c);fill:var(--c)}.open{fill:var(--paper)}"
+    ".thin{stroke:var(--c);fill:none;stroke-width:.7;opacity:.45}.band{fill:var(--c);opacity:.16}.mark{stroke:var(--c);fill:var(--c)}.open{fill:var(--paper)}"
     ".bar{fill:var(--c);opacity:.45}.limit{stroke:var(--bad);fill:none;stroke-dasharray:8 3 2 3}"
     ".on-dark{fill:#fff}.on-light{fill:#000}.shade{fill:var(--shade);opacity:.6}.front{stroke:var(--soft);fill:none}.ring{stroke:var(--ink);fill:none}"
 )
@@ -385,7 +386,8 @@ def _curves(chart: Chart, frame: _Frame) -> _Frame:
             frame.draw("bar" if filled else "curve", around, series.style, dashed=not filled)
         elif series.kind != "points":
             path = frame.path(series.x, series.y, steps=series.kind == "steps")
-            frame.draw("curve", path, series.style, series.label)
+            many = series.kind == "thin"
+            frame.draw("thin" if many else "curve", path, series.style, series.label, dashed=not many)
             if series.kind in ("marked", "started"):
                 points = list(_places(frame, series))
                 shown = points if series.kind == "marked" else points[:1]
@@ -438,6 +440,8 @@ def _intervals(chart: Chart) -> _Frame:
             if math.isfinite(dot.value):
                 x, tip = float(frame.px(dot.value)), dot.tip or dot.label
                 frame.parts.append(marker(dot.style, x, middle, filled=not dot.open, tip=tip))
+            if dot.beside is not None:
+                frame.parts.append(marker(dot.beside[1], float(frame.px(dot.beside[0])), middle, tip=dot.tip))
             y += _ROW
         y += _BETWEEN_ROWS
     return frame

@@ -101,12 +101,14 @@ def _charts(context: Context) -> Iterator[Chart]:
 def convergence(curves: Sequence[tuple[str, FloatArray, Style]], side: IntArray) -> Chart:
     """Mean of values (n,) over the first scenarios, left and right ones interleaved, with 1.96 standard errors."""
     order, series = interleaved(side), []
+    least = max(1, min(10, order.size // 2))  # means of fewer are far away
     for name, values, style in curves:
         count, mean, error = running_mean(values[order])
-        series.append(Series(name, count.astype(np.float64), mean, style, mean - error, mean + error))
-    x = Axis("Number of scenarios", 2.0, float(max(order.size, 3)), log=True)
-    y = Axis.around("Mean S [m\u00b7s]", *(curve.y[curve.x >= min(20, order.size)] for curve in series))
-    return Chart("convergence", "Mean S over the first scenarios", x, y, series)
+        x, mean, error = (column[count >= least].astype(np.float64) for column in (count, mean, error))
+        series.append(Series(name, x, mean, style, mean - error, mean + error))
+    axis = Axis("Number of scenarios", float(least), max(order.size, 2.0), log=True)
+    y = Axis.around("Mean S [m\u00b7s]", *(curve.y for curve in series))
+    return Chart("convergence", "Mean S over the first scenarios", axis, y, series)
 
 
 def interleaved(side: IntArray) -> IntArray:

@@ -1,7 +1,7 @@
 """The page of a fit: whether a scenario model describes its departures, and what it is good enough for."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -11,22 +11,23 @@ from markupsafe import Markup
 
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.departures import PARAMETER_NAMES, Departures
-from ldctoolkit.diagnostics import N_MODEL, Calibration, ModelDiagnostics, PairDensity, SideDiagnostics, diagnose_model
+from ldctoolkit.diagnostics import N_MODEL, Calibration, ModelDiagnostics, SideDiagnostics, diagnose_model
 from ldctoolkit.scenario_model import ScenarioModel, SideModel, SideSummary
-from ldctoolkit.scenario_model.fidelity import QUANTITIES, UNITS
+from ldctoolkit.scenario_model.fidelity import QUANTITIES, UNITS, SideFidelity
 from ldctoolkit.version import __version__
 
 from ..storage.folder_files import write_text
 from ..storage.scenario_source import model_notes
 from ..tables import Cell, Column, Row, Table, Value, to_html
 from ..text import PARAMETER_MEANINGS, compact, number, parameter_label, plural, symbols
-from .charts import Axis, Chart, Series, Style, bars, heat_map, legend
-from .shell import Section, bullets, figure, make_page, pairs, paragraphs
+from .charts import Axis, Chart, Dot, Series, Style, bars, dots, heat_map, legend
+from .shell import Section, bullets, details, figure, make_page, pairs, paragraphs
 
 Progress = Callable[[str, int, int], None]
 
 SIDE: Final = {"left": Style(0, "", "o"), "right": Style(1, "7 3", "s")}
 MODEL: Final = Style(-1, "", "|")
+OUTSIDE: Final = Style(-1, "", "x")
 
 FEW: Final = 150  # departures of a side below which a fitted model can contradict its recordings
 ENOUGH: Final = 1000  # departures of a side from which on rare ones are known, too
@@ -184,34 +185,47 @@ def _source_line(model: ScenarioModel) -> str:
 
 def _fidelity(sides: tuple[Side, ...]) -> Section:
     """The answers of test designs on recorded and on generated departures."""
-    scale = [100.0 if not unit else 1.0 for unit in UNITS]
+    body, tables = Markup(), Markup()
     columns = [Column("Design", text=True)]
     for name, unit in zip(QUANTITIES, UNITS, strict=True):
         columns += [Column(name.capitalize(), unit.replace("^2", "\u00b2") or "%"), Column("Replay", text=True)]
-    body = Markup()
     for side in sides:
         fidelity = None if side.summary is None else side.summary.fidelity
         if fidelity is None:
             body += paragraphs(f"{side.title}: the model was not checked when it was fitted.")
             continue
-        rows = []
-        for i, design in enumerate(fidelity.designs):
-            cells: list[Cell | Value] = [design]
-            for j, factor in enumerate(scale):
-                replayed, low, high, generated = (
-                    number(factor * values[i][j], 1 if factor > 1.0 else 2)
-                    for values in (fidelity.replayed, fidelity.low, fidelity.high, fidelity.generated)
-                )
-                cells += [Cell(generated, bad=not fidelity.within[i, j]), f"{replayed} ({low} to {high})"]
-            rows.append(Row(tuple(cells)))
+        rows: list[list[Cell | Value]] = [[design] for design in fidelity.designs]
+        charts = [_answers(side.key, fidelity, j, rows) for j in range(len(QUANTITIES))]
+        styles = [(f"replayed, {side.key}", SIDE[side.key]), ("model", MODEL), ("model, outside", OUTSIDE)]
+        key = legend(styles if not fidelity.passed else styles[:2], points=True)
         title = f"{side.title}: generated departures, and {fidelity.departures:,} replayed ones"
-        body += to_html(Table(title, columns, rows))
+        body += Markup("<h3>{}</h3>").format(side.title) + figure(charts, f"{title}. A row: design and y_s.", key)
+        tables += to_html(Table(title, columns, [Row(tuple(cells)) for cells in rows]))
     note = (
-        "Each test design is driven on the recorded departures and on generated ones. In brackets: 95 % bootstrap "
-        "interval of the replay, for all test designs at once, and no narrower than what a designer would act on (3 "
-        "points of a share, 5 % of a peak). Highlighted: outside. A model passes where no answer is."
+        "Each test design is driven on the recorded departures and on generated ones. Lines (brackets in the table): "
+        "95 % bootstrap interval of the replay, for all test designs at once, and no narrower than what a designer "
+        "would act on (3 points of a share, 5 % of a peak). A cross (highlighted in the table): outside. A model "
+        "passes where no answer is."
     )
-    return Section("fidelity", "The recordings' answer", body + paragraphs(note))
+    body += paragraphs(note) + (details("The same as a table", tables) if tables else "")
+    return Section("fidelity", "The recordings' answer", body)
+
+
+def _answers(key: str, fidelity: SideFidelity, j: int, rows: Sequence[list[Cell | Value]]) -> Chart:
+    """One quantity of all test designs as a chart, and as two more cells of each row of the table."""
+    factor, digits = (1.0, 2) if UNITS[j] else (100.0, 1)
+    columns = fidelity.replayed, fidelity.low, fidelity.high, fidelity.generated
+    numbers, drawn = factor * np.array(columns)[:, :, j], []
+    for design, cells, within, values in zip(fidelity.designs, rows, fidelity.within[:, j], numbers.T, strict=True):
+        at, low, high, generated = values.tolist()
+        replayed = "{} ({} to {})".format(*(number(value, digits) for value in (at, low, high)))
+        cells += [Cell(number(generated, digits), bad=not within), replayed]
+        tip, model = f"{design}: model {number(generated, digits)}, replayed {replayed}", MODEL if within else OUTSIDE
+        label = design.replace("y_s = ", "")
+        drawn.append([Dot(label, at, low, high, SIDE[key], open=True, tip=tip, beside=(generated, model))])
+    name, unit = QUANTITIES[j], UNITS[j].replace("^2", "\u00b2") or "%"
+    axis = Axis.around(f"{name.capitalize()} [{unit}]", numbers)
+    return dots(f"answer-{key}-{j}", f"{key}: {name} of the test designs, replayed and generated", drawn, axis)
 
 
 def _margins(sides: tuple[Side, ...]) -> Section:
@@ -260,7 +274,7 @@ def _joint(sides: tuple[Side, ...]) -> Section:
     for side in sides:
         pair = side.diagnostics.joint
         if pair is not None:
-            charts = [_density(side.key, pair, values, what)
+            charts = [density(side.key, (pair.first_edges, pair.second_edges), values, what)
                       for what, values in (("events", pair.data), ("model", pair.model))]  # fmt: skip
             body += figure(
                 charts, f"{side.title}: events, and the model, on one scale of the square root of the density."
@@ -268,12 +282,13 @@ def _joint(sides: tuple[Side, ...]) -> Section:
     return Section("joint", "T and d_y", body or paragraphs("T or d_y does not vary."))
 
 
-def _density(key: str, pair: PairDensity, values: FloatArray, what: str) -> Chart:
+def density(key: str, pair: Sequence[FloatArray], values: FloatArray, what: str) -> Chart:
+    """Joint density of T and d_y between their edges, as a heat map of its square root."""
     cells = np.sqrt(values.T)
     cells[cells == 0.0] = np.nan
     labels = [
         [compact(float(f"{edge:.3g}")) if i % max(1, (edges.size - 1) // 5) == 0 else "" for i, edge in enumerate(low)]
-        for edges, low in ((edges, edges[:-1].tolist()) for edges in (pair.first_edges, pair.second_edges))
+        for edges, low in ((edges, edges[:-1].tolist()) for edges in pair)
     ]
     title, empty = f"{key}: density of T and d_y, {what}", [[""] * cells.shape[1]] * cells.shape[0]
     x, y = (f"T [s], {what}", labels[0]), ("d_y [m]", labels[1])
@@ -281,7 +296,7 @@ def _density(key: str, pair: PairDensity, values: FloatArray, what: str) -> Char
 
 
 def _selection(sides: tuple[Side, ...]) -> Section:
-    body, series = Markup(), []
+    body = Markup()
     for side in sides:
         summary = side.summary
         if summary is None or not summary.bic:
@@ -289,10 +304,7 @@ def _selection(sides: tuple[Side, ...]) -> Section:
             continue
         if summary.reason:
             body += paragraphs(f"{side.title}: {summary.reason}.")
-        K, bic = np.array(summary.n_components, dtype=float), np.array(summary.bic)
-        above = bic - bic.min()
-        if K.size > 1:
-            series.append(Series(side.key, K, above, SIDE[side.key]))
+        above = np.array(summary.bic) - min(summary.bic)
         columns = [Column("K"), Column("BIC"), Column("Above the least"), Column("Log-likelihood", "nats an event")]
         rows = [
             Row(
@@ -302,12 +314,22 @@ def _selection(sides: tuple[Side, ...]) -> Section:
             for i, k in enumerate(summary.n_components)
         ]
         body += to_html(Table(f"{side.title}: choice of K; the chosen one is set in bold", columns, rows))
-    if series:
-        x = Axis("K", min(curve.x[0] for curve in series), max(curve.x[-1] for curve in series))
-        y = Axis.around("BIC above the least", *(curve.y for curve in series), [0.0])
-        key = legend([(curve.label, curve.style) for curve in series])
-        body += figure([Chart("bic", "BIC", x, y, series)], "BIC above its least value, by K.", key)
-    return Section("selection", "Choice of K", body)
+    return Section("selection", "Choice of K", body + bic_figure([(side.key, side.summary) for side in sides]))
+
+
+def bic_figure(sides: Sequence[tuple[str, SideSummary | None]]) -> Markup:
+    """BIC over K of the sides for which several K were fitted; nothing without one."""
+    series = [
+        Series(key, np.array(side.n_components, dtype=float), np.array(side.bic) - min(side.bic), SIDE[key])
+        for key, side in sides
+        if side is not None and len(side.bic) > 1
+    ]
+    if not series:
+        return Markup()
+    x = Axis("K", min(curve.x[0] for curve in series), max(curve.x[-1] for curve in series))
+    y = Axis.around("BIC above the least", *(curve.y for curve in series), [0.0])
+    key = legend([(curve.label, curve.style) for curve in series])
+    return figure([Chart("bic", "BIC", x, y, series)], "BIC above its least value, by K.", key)
 
 
 def _settings(model: ScenarioModel, sides: tuple[Side, ...], seed: int) -> Section:

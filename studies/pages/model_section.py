@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from ldctoolkit.arrays import FloatArray
-from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, Departures
+from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, DepartureParameters, Departures
 from ldctoolkit.diagnostics import ModelMarginal, kolmogorov_limit, model_marginal
 from ldctoolkit.scenario_model import Given, ScenarioModel, SideModel, SideSummary, conditions
 from ldctoolkit.scenario_model.model import Condition, mixture_conditions
@@ -85,7 +85,7 @@ def _side(
         else tuple(n for n in PARAMETER_NAMES if np.ptp(getattr(scenarios, n)) > 0)
     )
     names = tuple(name for name in varies if name not in single)
-    source = _source(side, names, table, fitted, limits)
+    source = source_quantiles(side, names, table, fitted, limits)
     columns, count, effective = ({}, None, 0.0) if isinstance(source, str) else source
     margins = {} if side_model is None else _margins(side_model, limits, key)
     by_chance = [kolmogorov_limit(size, len(names)) if names and size else 1.0
@@ -101,18 +101,23 @@ def _side(
     return SideMatch(key, scenarios.n, count, source if isinstance(source, str) else "", tuple(rows))
 
 
-def _source(
-    side: int, names: tuple[str, ...], table: Departures | None, fitted: SideSummary | None,
+def source_rows(side: int, table: DepartureParameters, limits: tuple[Condition, ...]) -> DepartureParameters:
+    """The source departures of a side that meet the conditions."""
+    rows = table.take(table.side == side)
+    keep = np.ones(rows.n, dtype=np.bool_)
+    for condition in limits:
+        column = getattr(rows, condition.name)
+        keep &= (column >= condition.low) & (column <= condition.high)
+    return rows.take(keep)
+
+
+def source_quantiles(
+    side: int, names: tuple[str, ...], table: DepartureParameters | None, fitted: SideSummary | None,
     limits: tuple[Condition, ...],
 ) -> tuple[dict[str, tuple[FloatArray, FloatArray]], int, float] | str:  # fmt: skip
     """Quantiles of each parameter with shares, nominal and effective number of departures, or why there are none."""
     if table is not None:
-        rows = table.take(table.side == side)
-        keep = np.ones(rows.n, dtype=np.bool_)
-        for condition in limits:
-            column = getattr(rows, condition.name)
-            keep &= (column >= condition.low) & (column <= condition.high)
-        rows = rows.take(keep)
+        rows = source_rows(side, table, limits)
         if rows.n < LEAST:
             under = " that meet the study\u2019s conditions" if limits else ""
             return f"The departures table holds {rows.n} departures of this side{under}; {LEAST} are needed."

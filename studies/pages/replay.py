@@ -162,8 +162,10 @@ class Replay:
     mismatch: float
 
 
-def replay(context: Context, departures: tuple[ExplorerDeparture, ...], designs: tuple[ExplorerDesign, ...]) -> Replay:
-    """Paths of designs with vehicle, plant, seed and clock of the study: simulated once, then read from its folder."""
+def replay(
+    context: Context, departures: Sequence[ExplorerDeparture], designs: tuple[ExplorerDesign, ...], name: str = "paths"
+) -> Replay:
+    """Paths of designs with vehicle, plant, seed and clock of the study: simulated once, then read from DIR/NAME."""
     scenarios = context.scenarios.take([departure.row for departure in departures])
     setup, ids = context.report.setup, [context.ranking.designs[entry.position].id for entry in designs]
 
@@ -174,14 +176,14 @@ def replay(context: Context, departures: tuple[ExplorerDeparture, ...], designs:
 
     content = hashlib.sha256(b"".join(array.tobytes() for array in scenarios.arrays())).hexdigest()
     key = [ids, content, dataclasses.asdict(setup), context.results.window, DesignPaths._fields]
-    arrays = remembered(context.report.folder, "paths", key, drive_all)
+    arrays = remembered(context.report.folder, name, key, drive_all)
     paths = tuple(DesignPaths(*arrays[id]) for id in ids)
     recorded = UncorrectedPath.of(scenarios, setup.options.residuals, setup.seed)
-    return Replay(departures, designs, scenarios, recorded, paths, float(arrays["mismatch"]))
+    return Replay(tuple(departures), designs, scenarios, recorded, paths, float(arrays["mismatch"]))
 
 
 def _driven(
-    context: Context, departures: tuple[ExplorerDeparture, ...], scenarios: Scenarios, entry: ExplorerDesign
+    context: Context, departures: Sequence[ExplorerDeparture], scenarios: Scenarios, entry: ExplorerDesign
 ) -> tuple[DesignPaths, float]:
     setup, results, design = context.report.setup, context.results, context.ranking.designs[entry.position]
     index = int(context.ranking.index[entry.position])

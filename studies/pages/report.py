@@ -172,6 +172,7 @@ def _settings(study: Study, manifest: Manifest) -> Iterator[tuple[str, str]]:
     yield "scenarios", "{} left, {} right".format(*study.scenarios.counts)
     yield "seed", str(study.seed)
     yield "designs", str(len(study.designs))
+    yield "added beyond the ends of sweeps", "; ".join(manifest.extended) or "none"
     yield "window of S", study.simulation.window
     yield "convention", study.simulation.convention.replace("_", " ")
     yield from simulation_settings(study.setup())

@@ -17,7 +17,7 @@ from markupsafe import Markup
 
 from ldctoolkit.errors import InputError
 
-from ..text import printable, symbols
+from ..text import number, printable, symbols, symbols_svg
 from .charts import COLORS, Chart
 
 if TYPE_CHECKING:
@@ -104,7 +104,7 @@ def _environment() -> Environment:
     environment = Environment(
         loader=PackageLoader(_PACKAGE), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    environment.filters |= {"symbols": symbols, "printable": printable}
+    environment.filters |= {"symbols": symbols, "symbols_svg": symbols_svg, "printable": printable, "number": number}
     # of its own style and script, so that a browser uses no other
     environment.filters["sha256"] = lambda text: base64.b64encode(sha256(text.encode()).digest()).decode()
     return environment

@@ -11,6 +11,7 @@ from ldctoolkit.simulation import Window
 from ldctoolkit.vehicle import Convention
 
 from ..design import Design
+from ..design_space import Dimension
 from ..requirements import Estimate, Miss, Requirement
 from ..results import FailedDesign, RefitScores, StudyResults, score_label
 from .design_metrics import DesignMetrics, mean_reduction
@@ -281,6 +282,7 @@ class RankedDesigns:
     confidence: float  # Of every family of intervals, and of the set of best
     warnings: tuple[str, ...]  # What a reader must know before comparing designs
     failed: tuple[FailedDesign, ...] = ()  # Designs whose law failed: they have no rank and no metrics
+    ranges: tuple[tuple[str, str, Dimension], ...] = ()  # Of samples and searches: law, gain or threshold, its values
 
     def __len__(self) -> int:
         return len(self.designs)

@@ -341,7 +341,7 @@ def rank_study(results: StudyResults, study: Study) -> Ranking:
         )
     _check_setup(results, study)
     settings = study.ranking
-    return Ranking.of(
+    ranking = Ranking.of(
         results,
         seed=study.seed,
         bootstrap=settings.bootstrap,
@@ -354,6 +354,9 @@ def rank_study(results: StudyResults, study: Study) -> Ranking:
         vehicles=study.vehicles,
         standards=study.standards,
     )
+    sampled = [space for block in study.design if study.search or block.sample for space in block.space()]
+    ranges = tuple((space.law, name, values) for space in sampled for name, values in space.dimensions)
+    return dataclasses.replace(ranking, ranges=ranges)
 
 
 def _check_setup(results: StudyResults, study: Study) -> None:

@@ -3,11 +3,12 @@
 import dataclasses
 import math
 from collections.abc import Iterator, Sequence
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 
 from ldctoolkit.arrays import FloatArray, IntArray
+from ldctoolkit.declared import Gain
 from ldctoolkit.metrics import METRICS
 from ldctoolkit.paths.uncorrected import UncorrectedPath
 from ldctoolkit.scenario_model import ScenarioModel
@@ -15,7 +16,8 @@ from ldctoolkit.scenario_model.model import misleading
 from ldctoolkit.setup import Setup
 
 from ..design import Design
-from ..requirements import G, metric_values
+from ..design_space import THRESHOLD, Y_S, Choices, Span
+from ..requirements import Estimate, G, metric_values
 from ..results import StudyResults
 from ..tables import Cell, Column, Row, Table, Value, notebook_html
 from ..text import compact
@@ -52,6 +54,30 @@ class Light:
 
 
 @dataclasses.dataclass(frozen=True)
+class SweepEnd:
+    """A gain or threshold of a design that lies at an end of the values that were tried."""
+
+    gain: Gain
+    value: float
+    end: float  # The same; of a range without a list of values, its end close by
+    upper: bool  # Whether it is the largest
+
+    @property
+    def open(self) -> bool:
+        """Whether the law allows values beyond."""
+        return self.end != (self.gain.upper if self.upper else self.gain.lower)
+
+    @property
+    def text(self) -> str:
+        """For a reader: ``"r_delta = 5000 is the end of its sweep: extend it"``."""
+        shown = f"{self.gain.name} = {compact(self.value)}{' m' if self.gain is Y_S else ''}"
+        if not self.open:
+            return f"{shown} is the {'largest' if self.upper else 'smallest'} allowed"
+        near = "" if self.value == self.end else f" beside {compact(self.end)},"
+        return f"{shown} is{near} the end of its sweep: extend it"
+
+
+@dataclasses.dataclass(frozen=True)
 class Verdict:
     """The conclusion of a study; requirements come first."""
 
@@ -63,11 +89,21 @@ class Verdict:
     nearest: tuple[int, ...] = ()
     try_next: tuple[str, ...] = ()  # If no design meets the requirements: what to try
     recorded: float = 0.0  # Share of departures whose recorded path alone needs more than the friction
+    # What holds the named design back, if it meets the requirements: those that bind, and ends of sweeps
+    binding: tuple[Estimate, ...] = ()
+    ends: tuple[SweepEnd, ...] = ()
 
     @property
     def usable(self) -> bool:
         """Whether no light is red."""
         return not any(light.state == "bad" for light in self.lights)
+
+    @property
+    def held_back(self) -> tuple[str, ...]:
+        """Sentences on what binds, and on the ends of sweeps."""
+        binding = "; ".join(estimate.of_limit for estimate in self.binding)
+        ends = (f"{end.text}." for end in self.ends)
+        return (*([f"Requirements that bind: {binding}."] if binding else []), *ends)
 
 
 def verdict(
@@ -110,7 +146,9 @@ def verdict(
         *_tail_light(ranking, results, setup, position),
         *_scenarios_light(model),
     )
-    return Verdict(title, tuple(sentences), lights, position, nearest, try_next, recorded)
+    binding = tuple(limit for limit in ranking.estimates(position) if limit.required and limit.binds and not nearest)
+    ends = () if nearest else sweep_ends(ranking, position)
+    return Verdict(title, tuple(sentences), lights, position, nearest, try_next, recorded, binding, ends)
 
 
 def law_title(design: Design) -> str:
@@ -330,19 +368,41 @@ def _nearest(ranking: RankedDesigns) -> tuple[int, ...]:
 def _try_next(ranking: RankedDesigns, position: int) -> Iterator[str]:
     """Advice from the position of the nearest design in its sweep."""
     design = ranking.designs[position]
-    sweep = [other for other in ranking.designs if other.law == design.law]
-    values = {"y_s": design.y_s, **dict(design.gains)}
-    ends = []
-    for name, value in values.items():
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            continue
-        swept = sorted({float({"y_s": other.y_s, **dict(other.gains)}[name]) for other in sweep})
-        if len(swept) > 1 and value in (swept[0], swept[-1]):
-            ends.append(f"{name} {'below' if value == swept[0] else 'above'} {value:g}")
+    ends = [
+        f"{end.gain.name} {'above' if end.upper else 'below'} {end.end:g}"
+        for end in sweep_ends(ranking, position)
+        if end.open
+    ]
     if ends:
         yield f"The nearest design stands at an end of its sweep: try {_list(ends)}."
     else:
         yield f"{law_title(design)} comes closest; sweep its gains around the nearest design."
+
+
+_AT_END: Final = 0.02  # of a range: what lies closer to its end lies at it
+
+
+def sweep_ends(ranking: RankedDesigns, position: int) -> tuple[SweepEnd, ...]:
+    """Gains and threshold of a design that lie at an end of the values beside which it was tried.
+
+    In a grid these are the designs, failed ones too, that differ from it in nothing else.
+    """
+    design, ends = ranking.designs[position], []
+    every = (*ranking.designs, *(failure.design for failure in ranking.failed))
+    tried = [{THRESHOLD: other.y_s, **dict(other.gains)} for other in every if other.law == design.law]
+    values = {THRESHOLD: design.y_s, **dict(design.gains)}
+    for gain in () if design.is_baseline else (Y_S, *design.kind.gains()):
+        value: Any = values[gain.name]
+        ranges = [of for *what, of in ranking.ranges if what == [design.law, gain.name]]
+        numbers: set[Any] = {other[gain.name] for other in tried if other | {gain.name: value} == values}
+        numbers |= {end for of in ranges for end in (of.values if isinstance(of, Choices) else (of.low, of.high))}
+        if isinstance(value, str | bool) or len(numbers) < 2:
+            continue
+        for upper, end in enumerate((min(numbers), max(numbers))):
+            close = (abs(of.share(value) - of.share(end)) <= _AT_END for of in ranges if isinstance(of, Span))
+            if value == end or any(close):
+                ends.append(SweepEnd(gain, value, end, bool(upper)))
+    return tuple(ends)
 
 
 TOP: Final = 20  # rows of a notebook; the winner and the baseline follow where they are further down
@@ -447,9 +507,9 @@ def listed_places(ranking: RankedDesigns, most: int) -> list[int]:
 
 
 def verdict_lines(verdict: Verdict) -> list[str]:
-    """Title and sentences of a verdict, its red and yellow lights, and what to try."""
+    """Title and sentences of a verdict, what holds the design back, red and yellow lights, and what to try."""
     lights = [f"{light.name}: {light.text}" for light in verdict.lights if light.state in ("bad", "warning")]
-    return [f"{verdict.title}.", *verdict.sentences, *lights, *verdict.try_next]
+    return [f"{verdict.title}.", *verdict.sentences, *verdict.held_back, *lights, *verdict.try_next]
 
 
 def set_of_best_line(ranking: RankedDesigns) -> str:

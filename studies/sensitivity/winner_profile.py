@@ -301,20 +301,13 @@ def _between(used: Sequence[float], have: Sequence[float], points: int, *, log: 
     added: list[GainValue] = [round(end) if whole else end for end in (low, high) if end not in have]
     if len(have) >= points:
         return added
-    held_shares = [_share(span, value) for value in have]
+    held_shares = [span.share(value) for value in have]
     for share in np.linspace(0.0, 1.0, points)[1:-1].tolist():
         if min(abs(share - other) for other in held_shares) > 0.5 / (points - 1):
             value = round(float(span.at(share))) if whole else span.at(share)
             if value not in added and value not in have:
                 added.append(value)
     return added
-
-
-def _share(span: Span, value: float) -> float:
-    """Position of a value between the ends of a range, from 0 to 1."""
-    if span.scale == "log":
-        return float(np.log(value / span.first) / np.log(span.last / span.first))
-    return (value - span.first) / (span.last - span.first)
 
 
 def moved(winner: Design, name: str, value: GainValue) -> Design:

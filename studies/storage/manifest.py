@@ -193,6 +193,7 @@ class Manifest(BaseModel):
     wall_time_s: float = 0.0  # Summed over all runs into the folder
     executor: str = "serial"  # Where the last run's tasks ran: ``"serial"``, ``"processes"`` or ``"dask"``
     workers: int = 1  # Of the last run
+    extended: tuple[str, ...] = ()  # Values that the run added to the study beyond ends of sweeps, for readers
     part_of: str = ""  # Of finalists: which ranking they are the finalists of (`Study.ranked_as`); empty otherwise
     command: str = ""  # Command line of the last run, absolute paths reduced to file names
 
@@ -207,6 +208,7 @@ class Manifest(BaseModel):
         model_synthetic: bool,
         model_warnings: tuple[str, ...] = (),
         part_of: str = "",
+        extended: tuple[str, ...] = (),
     ) -> Manifest:
         """The manifest of a study that starts now."""
         content = study.content()
@@ -222,6 +224,7 @@ class Manifest(BaseModel):
             model_warnings=model_warnings,
             model_synthetic=model_synthetic,
             part_of=part_of,
+            extended=extended,
             inputs=study.inputs(),
             seed=study.seed,
             laws=study.laws(),

@@ -182,7 +182,7 @@ def test_a_keyboard_sees_where_it_is(open_page: Callable[..., Any], built: Any) 
     assert len(seen) >= 15
 
 
-PAGES_OTHER_PAGES = pytest.mark.parametrize("name", ["compare", "fit"])
+PAGES_OTHER_PAGES = pytest.mark.parametrize("name", ["compare", "fit", "paper"])
 
 
 @PAGES_OTHER_PAGES

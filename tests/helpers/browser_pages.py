@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from helpers.models import make_departures, make_model, skewed
+from helpers.models import checked_model, make_departures, skewed
 from helpers.results import grid, invented_scenarios, report_input, run
 from ldctoolkit import Controller, EventStatus, RecordedPath, option, register
 from ldctoolkit.controllers import LQR, NoControl, PreviewProportional
@@ -143,6 +143,7 @@ class Made:
             "nothing-ranked": self._nothing_ranked,
             "compare": self._compare,
             "fit": self._fit,
+            "paper": self._paper,
         }
 
     def __call__(self, name: str) -> OnePage:
@@ -212,8 +213,13 @@ class Made:
             assert main(["compare", str(self("ordinary").folder), str(folder), "-o", str(page)]) == 0
         return page
 
+    def _paper(self, folder: Path) -> Path:
+        with contextlib.redirect_stdout(io.StringIO()):
+            assert main(["run", "paper", "-o", str(folder), "--workers", "1", "--quiet", "--no-figures"]) == 0
+        return folder / "paper.html"
+
     def _fit(self, folder: Path) -> Path:
         folder.mkdir()
-        model, page = make_model(), folder / "fit.html"
+        model, page = checked_model(), folder / "fit.html"
         write_fit_page(page, model, skewed(make_departures(model)))
         return page

@@ -14,6 +14,7 @@ from ldctoolkit.scenario_model import (
     SideModel,
     SideSummary,
 )
+from ldctoolkit.scenario_model.fidelity import SideFidelity
 
 
 def one_component_model() -> ScenarioModel:
@@ -54,6 +55,20 @@ def make_model(**provenance: object) -> ScenarioModel:
         "left": summary, "right": summary, "hours": 1.5, "distance": 72_400.0,
     }  # fmt: skip
     return ScenarioModel(side, side, ModelProvenance(**(settings | provenance)))  # type: ignore[arg-type]
+
+
+def checked_model() -> ScenarioModel:
+    """The same with the check of its fit: one answer to the left lies outside, 46 for 36 to 44 % needless."""
+    replayed = ((0.3, 0.9, 0.4, 2.0, 0.5),) * 12
+    low, high = (tuple(tuple(factor * x for x in row) for row in replayed) for factor in (0.9, 1.1))
+    outside = (replayed[0], (0.3, 0.9, 0.46, 2.0, 0.5), *replayed[2:])
+    left, right = (
+        SideFidelity(86, (0.02, 0.06, 0.17, 0.23), replayed, low, high, made) for made in (outside, replayed)
+    )
+    summary = make_model().provenance.left
+    assert summary is not None
+    sides = {name: dataclasses.replace(summary, fidelity=side) for name, side in (("left", left), ("right", right))}
+    return make_model(**sides)
 
 
 def make_departures(model: ScenarioModel, n: int = 400, seed: int = 1) -> Departures:

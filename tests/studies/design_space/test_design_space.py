@@ -21,9 +21,11 @@ from scipy.stats import qmc
 
 from helpers.errors import assert_fields
 from ldctoolkit import Controller, Plant, controller_class, gain, register, registry
+from ldctoolkit.declared import find_gain
 from ldctoolkit.errors import InputError, StudyError
 from ldctoolkit.studies import Design, Study
 from ldctoolkit.studies.design_space import (
+    Y_S,
     Choices,
     Condition,
     DesignBlock,
@@ -32,6 +34,7 @@ from ldctoolkit.studies.design_space import (
     Span,
     check_blocks,
     expand,
+    next_value,
     read_entry,
     unit_points,
 )
@@ -383,3 +386,35 @@ def test_the_pages_examples_are_read() -> None:
     found = [Study.from_dict({"name": "a"} | tomllib.loads(example)) for example in examples]
     assert [len(study.designs) for study in found if study.search is None] == [10 + 30, 4, 64]
     assert [len(study.design) for study in found if study.search] == [2]
+
+
+R_DELTA = find_gain(controller_class("lqr"), "r_delta")  # 1e-3 to 1e6, logarithmic
+K_Y = find_gain(controller_class("preview_proportional"), "K_y")  # at most 0
+HORIZON = find_gain(controller_class("linear_mpc"), "horizon")  # whole
+
+
+@pytest.mark.parametrize(
+    ("values", "of", "below", "above"),
+    [
+        ([5000.0, 10_000.0, 20_000.0], R_DELTA, 2500.0, 40_000.0),
+        ([20_000.0, 5000.0], R_DELTA, 1250.0, 80_000.0),
+        ([1000.0, 2000.0, 3000.0], R_DELTA, 500.0, 4000.0),  # a difference, which would make the lower one 0
+        ([2000.0, 3000.0, 4000.0], R_DELTA, 1000.0, 5000.0),
+        ([1000.0, 2000.0, 3000.0, 6000.0], R_DELTA, 500.0, 12_000.0),  # neither: the last step, as the gain is spaced
+        ([0.002, 1.0, 500_000.0], R_DELTA, 0.001, 1e6),  # ends at the limits
+        ([0.001, 1e6], R_DELTA, None, None),
+        ([0.05, 0.1, 0.15, 0.2, 0.3], Y_S, 0.0, 0.4),
+        ([0.0, 0.05, 0.1], Y_S, -0.05, 0.15),
+        ([0.05, 0.1, 0.2, 0.4], Y_S, 0.025, 0.8),
+        ([-9.9, -9.0], Y_S, -10.0, -8.1),
+        ([-0.005, -0.002], K_Y, -0.008, -0.0008),  # a difference would change the sign
+        ([5, 10, 15], HORIZON, 2, 20),
+        ([4, 6, 8], HORIZON, 2, 10),
+    ],
+)
+def test_the_value_beyond_an_end_goes_on_as_the_list(
+    values: list[float], of: Any, below: float | None, above: float | None
+) -> None:
+    for order in (values, values[::-1]):
+        assert (next_value(order, of, upper=False), next_value(order, of, upper=True)) == (below, above)
+    assert type(next_value([5, 10, 15], HORIZON, upper=False)) is int

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from helpers.models import make_departures, make_model, skewed
+from helpers.models import checked_model, make_departures, make_model, skewed
 from helpers.pages import EVIL, Page, whole
 from helpers.recordings import drive, make_extraction
 from ldctoolkit.departures import Departures
@@ -64,6 +64,29 @@ def test_self_contained_and_well_formed(page: Page) -> None:
     assert [section for section in page.text if section] == SECTIONS
     assert len(page.html) < 1_000_000
     assert len(page.images) == 2 * 4 + 2 * 2 + 1  # margins, joint densities, BIC
+
+
+def test_the_recordings_answer_is_drawn_and_its_table_folded(diagnostics: ModelDiagnostics) -> None:
+    """Five charts a side, twelve rows each; one answer outside is crossed, and said under the pointer."""
+    html = fit_page(checked_model(), diagnostics, seed=3)
+    page = Page(html)
+    whole(page)
+    drawn = [name for name in page.images if "test designs" in name]
+    assert drawn == [
+        f"{side}: {quantity} of the test designs, replayed and generated"
+        for side in ("left", "right")
+        for quantity in ("reduction", "trigger share", "needless", "added a_y p95", "depth p95")
+    ]
+    section = html[html.index('id="fidelity"') : html.index('id="margins"')]
+    assert section.count(">feedback 1 rad/s, 0.23 m</text>") == 10
+    tip = "Preview P, y_s = 0.06 m: model 46.0, replayed 40.0 (36.0 to 44.0)"
+    assert section.count(f"<title>{tip}</title>") == 2  # of the interval, and of the model's cross
+    assert section.count("m0 -8l-8 8") == 2  # the cross in the chart and in the left legend
+    assert "model, outside" in section[: section.index("<h3>Right</h3>")]
+    assert "model, outside" not in section[section.index("<h3>Right</h3>") :]
+    folded = section[section.index("<details>") :]
+    assert (section.count("<table"), folded.count("<table"), folded.count("<tr")) == (2, 2, 2 * 13)
+    assert folded.count('class="n bad"') == 1
 
 
 def test_the_verdict_says_what_it_is_good_enough_for(model: ScenarioModel, diagnostics: ModelDiagnostics) -> None:

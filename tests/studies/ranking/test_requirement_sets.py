@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
+import ldctoolkit as ldc
 import ldctoolkit.studies.measures as measures
 from helpers.results import results_of as given_results
 from ldctoolkit import EventStatus, Scenarios, Setup, simulate
@@ -23,8 +24,8 @@ from ldctoolkit.studies.design import Design
 from ldctoolkit.studies.measures import drive_on_plants, measured
 from ldctoolkit.studies.ranking.ranking import Ranking
 from ldctoolkit.studies.ranking.verdict import Verdict, judged, verdict, verdict_lines
-from ldctoolkit.studies.requirements import Miss, friction, parse_requirement, requirements_of
-from ldctoolkit.studies.results import StudyResults
+from ldctoolkit.studies.requirements import Estimate, Miss, friction, parse_requirement, requirements_of
+from ldctoolkit.studies.results import FailedDesign, StudyResults
 from ldctoolkit.studies.storage.measure_table import MeasureTable
 
 NAN = math.nan
@@ -365,3 +366,92 @@ def test_the_command_line_and_the_search_take_the_worst(tmp_path: Path, capsys: 
     assert np.isfinite(ranking.metrics.beside["S_worst"]).all()
     assert main(["rank", str(tmp_path / "run"), "--require", "S_worst <= 0.01"]) == 0
     assert "Mean S, worst of the named vehicles" in capsys.readouterr().out
+
+
+# ------------------------------------------------------------------------------------------------ what holds it back
+def held_back(ranking: Ranking, results: StudyResults) -> tuple[str, ...]:
+    return verdict(ranking, results).held_back
+
+
+@pytest.mark.parametrize(
+    ("S", "ends"),
+    [
+        ([9.0, 1.0, 2.0, 3.0], ("r_delta = 100 is the end of its sweep: extend it.",)),
+        ([9.0, 2.0, 1.0, 3.0], ()),
+        ([9.0, 3.0, 2.0, 1.0], ("r_delta = 10000 is the end of its sweep: extend it.",)),
+        ([1.0, 3.0, 2.0, 4.0], ()),  # no control has no sweep
+    ],
+)
+def test_the_end_of_a_sweep_is_named(S: list[float], ends: tuple[str, ...]) -> None:
+    results = results_of(S)
+    ranking, judgement = ranked(results)
+    assert judgement.held_back == ends
+    assert all(end in verdict_lines(judgement) for end in ends)
+    assert [(end.gain.name, end.value, end.upper) for end in judgement.ends] == (
+        [("r_delta", dict(ranking.designs[0].gains)["r_delta"], S[3] == 1.0)] if ends else []
+    )
+
+
+def test_a_sweep_is_what_differs_from_the_winner_in_nothing_else() -> None:
+    """Threshold and gain; values of other designs of the law, and single ones, make no sweep; failed designs do."""
+    corners = [(0.05, 1e6), (0.1, 1e6), (0.1, 1e5), (0.2, 5e5)]
+    designs = [Design.of(NoControl(), 0.2), *(Design.of(LQR(r_delta=r), y_s) for y_s, r in corners)]
+    results = given_results(np.outer([9.0, 1.0, 2.0, 3.0, 4.0], np.linspace(0.9, 1.1, 20)), designs)
+    ranking = Ranking.of(results, bootstrap=100)
+    assert held_back(ranking, results) == ("y_s = 0.05 m is the end of its sweep: extend it.",)
+    S = np.outer([9.0, 3.0, 1.0, 2.0, 4.0], np.linspace(0.9, 1.1, 20))
+    inner = given_results(S, designs)
+    assert held_back(Ranking.of(inner, bootstrap=100), inner) == (
+        "y_s = 0.1 m is the end of its sweep: extend it.", "r_delta = 1e+06 is the largest allowed."
+    )  # fmt: skip
+    passive = given_results(np.outer([1.0, 2.0], np.ones(20)), [Design.of(NoControl(), y_s) for y_s in (0.1, 0.2)])
+    assert held_back(Ranking.of(passive, bootstrap=100), passive) == ()
+    failed = (FailedDesign(Design.of(LQR(r_delta=1e6), 0.15), "raised"),)
+    inner = given_results(S, designs, parts={"failed": failed})
+    assert held_back(Ranking.of(inner, bootstrap=100), inner) == ("r_delta = 1e+06 is the largest allowed.",)
+
+
+@pytest.mark.parametrize(
+    ("r_delta", "said"),
+    [
+        (1010.0, ("r_delta = 1010 is beside 1000, the end of its sweep: extend it.",)),
+        (1100.0, ()),  # 2 % of the range is a factor of 1.096
+        (1e5, ("r_delta = 100000 is the end of its sweep: extend it.",)),
+    ],
+)
+def test_ends_of_a_search_are_those_of_its_ranges(r_delta: float, said: tuple[str, ...]) -> None:
+    block = {"law": "lqr", "y_s": 0.1, "gains": {"r_delta": {"from": 1e3, "to": 1e5}, "q_psi": [1.0]}}
+    study = ldc.study(block, search={"trials": 2}, ranking={"bootstrap": 100})
+    designs = [Design.of(LQR(r_delta=r, q_psi=1.0), 0.1) for r in (r_delta, 3e3)]
+    results = given_results(np.outer([1.0, 2.0], np.linspace(0.9, 1.1, 20)), designs)
+    results = measured(results, MeasureTable(), study.setup())
+    assert held_back(rank_study(results, study), results) == said
+
+
+@pytest.mark.parametrize(
+    ("require", "metrics", "said"),
+    [
+        ("a_y_peak_p95 <= 3", {"a_y_peak": 2.86}, "Peak a_y, 95 % quantile 2.86 of 3 m/s²"),
+        ("a_y_peak_p95 <= 3", {"a_y_peak": 2.84}, ""),
+        ("a_y_peak_p95 >= 2", {"a_y_peak": 2.09}, "Peak a_y, 95 % quantile 2.09 of at least 2 m/s²"),
+        ("lost <= 0", {}, ""),
+        ("S <= 1.2", {}, ""),
+        ("S <= 1.01", {}, "Mean S 1.000 of 1.01 m·s"),
+    ],
+)
+def test_requirements_bind_close_to_their_limits(require: str, metrics: dict[str, float], said: str) -> None:
+    results = results_of([9.0, 2.0, 1.0, 3.0], n=400, **{name: [value] * 4 for name, value in metrics.items()})
+    _, judgement = ranked(results, require)
+    assert judgement.held_back == ((f"Requirements that bind: {said}.",) if said else ())
+    assert [limit.requirement.text for limit in judgement.binding] == ([require] if said else [])
+
+
+def test_requirements_bind_where_their_interval_reaches_the_limit() -> None:
+    """212 of 500: 42.4 %, from 38.0 to 46.9 % by Clopper and Pearson."""
+    scenarios = np.arange(500) < 212
+    for limit, binds in ((0.47, False), (0.46, True)):
+        estimate = Estimate(parse_requirement(f"needless <= {limit}"), scenarios.mean(), 0.380, 0.469, True, False)
+        assert estimate.binds == binds
+    assert estimate.of_limit == "Needless interventions 42.4 of 46 %"
+    none = parse_requirement("needless <= 0")
+    assert [Estimate(none, 0.0, low, 0.01, True, False).binds for low in (0.0, NAN)] == [True, False]

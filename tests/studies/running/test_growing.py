@@ -1,5 +1,6 @@
 """A study that grows: more scenarios in the same folder; scenarios that keep their numbers and their paths."""
 
+import json
 import logging
 from collections.abc import Callable
 from pathlib import Path
@@ -9,8 +10,11 @@ import numpy as np
 import pytest
 
 import ldctoolkit as ldc
+from helpers.pages import Page
 from helpers.results import assert_same_results
+from ldctoolkit.studies.cli import main
 from ldctoolkit.studies.running import tasks
+from ldctoolkit.studies.study_file import toml_text
 
 NOISY = {
     "actuator": {"lag": 0.1, "delay": 0.07},
@@ -107,3 +111,112 @@ def test_given_scenarios_are_read_back(tmp_path: Path, how: str, make_study: Cal
         again = ldc.simulate(design.controller(), back.scenarios, design.y_s, setup=noisy(1, 1).setup())
         np.testing.assert_array_equal(again.S, S)
     assert (back.scenarios.drift is None) == (how == "drawn")
+
+
+# ------------------------------------------------------------------------------------------------ beyond a sweep's end
+SOFT_FIRST = {"law": "lqr", "y_s": 0.1, "gains": {"r_delta": [40_000.0, 20_000.0]}}
+
+
+def swept(*designs: Any, r_delta: list[float] | None = None, extend: int = 0, require: Any = ()) -> ldc.Study:
+    """LQR whose S falls with r_delta."""
+    block = SOFT_FIRST if r_delta is None else SOFT_FIRST | {"gains": {"r_delta": r_delta}}
+    ranking = {"finalists": 2, "bootstrap": 100, "extend": extend, "require": require}
+    return ldc.study(ldc.NoControl, block, *designs, name="swept", left=15, right=15, ranking=ranking)
+
+
+def test_a_run_goes_on_beyond_the_end_of_a_sweep(tmp_path: Path, driven: list[int]) -> None:
+    """The same as the study that has these values from the start, in one run, resumed, or with another block size."""
+    longer = [40_000.0, 20_000.0, 10_000.0, 5000.0]
+    whole = ldc.run_study(swept(r_delta=longer), tmp_path / "whole", workers=1)
+    results = ldc.run_study(swept(extend=2), tmp_path / "out", workers=1)
+    assert_same_results(results, whole)
+    assert results.fresh is not None
+    assert whole.fresh is not None
+    assert_same_results(results.fresh, whole.fresh)
+    stored = ldc.read_results(tmp_path / "out")
+    assert_same_results(stored, whole)
+    assert_same_results(stored.fresh or whole, whole.fresh)
+    manifest = ldc.studies.read_manifest(tmp_path / "out")
+    assert manifest.extended == ("lqr: r_delta = 10000", "lqr: r_delta = 5000")
+    assert manifest.read_study().designs == whole.designs
+    driven.clear()
+    assert_same_results(ldc.run_study(swept(extend=2), tmp_path / "out", workers=1, block_size=1), whole)
+    assert driven == []
+    # a run without is another study in the same folder, and one that stops in between is resumed
+    short = ldc.run_study(swept(extend=2), tmp_path / "out", workers=1, extend=False)
+    assert [dict(design.gains).get("r_delta") for design in short.designs] == [None, 40_000.0, 20_000.0]
+    assert ldc.studies.read_manifest(tmp_path / "out").extended == ()
+    assert_same_results(ldc.run_study(swept(extend=2), tmp_path / "out", workers=1), whole)
+    assert driven == []
+
+
+def test_an_extension_is_the_same_in_processes(tmp_path: Path) -> None:
+    alone = ldc.run_study(swept(extend=2), workers=1)
+    assert_same_results(ldc.run_study(swept(extend=2), tmp_path / "out", workers=2, block_size=1), alone)
+
+
+@pytest.mark.parametrize(
+    ("study", "values"),
+    [
+        # three designs: at most three more, whatever `extend` says
+        (swept(), [40_000.0, 20_000.0, 10_000.0, 5000.0, 2500.0]),
+        (swept(extend=1), [40_000.0, 20_000.0, 10_000.0]),
+        # the last step ends at the largest weight that the law allows, where there is nothing beyond
+        (swept(r_delta=[3e5, 6e5], require="S >= 0", extend=5), [3e5, 6e5, 1.5e5, 7.5e4, 3.75e4]),
+        (swept(r_delta=[20_000.0], extend=5), [20_000.0]),
+        (swept(SOFT_FIRST | {"gains": {"r_delta": 10_000.0}}, r_delta=[20_000.0], extend=5), [20_000.0, 10_000.0]),
+        (swept(r_delta=[5000.0, 40_000.0, 20_000.0, 10_000.0], require="S > 1e3", extend=5), [5e3, 4e4, 2e4, 1e4]),
+    ],
+)
+def test_extensions_are_bounded(study: ldc.Study, values: list[float]) -> None:
+    results = ldc.run_study(study, workers=1, extend=True)
+    assert [dict(design.gains)["r_delta"] for design in results.designs[1:]] == values
+
+
+def test_a_requirement_ends_an_extension() -> None:
+    """The value that breaks it is tried and not ranked; the winner then lies inside."""
+    free = ldc.rank_study(results := ldc.run_study(swept(extend=3), workers=1), swept())
+    peaks = dict(zip((d.y_s and dict(d.gains).get("r_delta") for d in free.designs),
+                     free.metrics.beside["a_y_added_peak_p95"].tolist(), strict=True))  # fmt: skip
+    assert len(results.designs) == 6
+    study = swept(require=f"a_y_added_peak_p95 <= {0.5 * (peaks[10_000.0] + peaks[5000.0])}", extend=3)
+    results = ldc.run_study(study, workers=1)
+    ranking = ldc.rank_study(results, study)
+    assert [dict(design.gains).get("r_delta") for design in results.designs[-2:]] == [10_000.0, 5000.0]
+    assert dict(ranking.designs[ranking.winner or 0].gains)["r_delta"] == 10_000.0
+
+
+def test_commands_see_what_was_added(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Terminal, one line of JSON, report and Markdown; `ldc rank` reads the same from the folder."""
+    (tmp_path / "s.toml").write_text(toml_text(swept(extend=1)), encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    plain = ["--workers", "1", "--no-figures", "--no-robustness", "-o", "out"]
+    line = "r_delta = 10000 is the end of its sweep: extend it."
+    for command in (["run", "s.toml", *plain], ["rank", "out"]):
+        assert main(command) == 0
+        out = capsys.readouterr().out
+        assert line in out.splitlines()
+        assert "Added beyond the ends of sweeps: lqr: r_delta = 10000." in out.splitlines()
+    assert line in (tmp_path / "out/ranking.md").read_text(encoding="utf-8").replace("\\_", "_")
+    page = Page((tmp_path / "out/report.html").read_text(encoding="utf-8"))
+    assert "r δ = 10000 is the end of its sweep: extend it." in page.words("verdict").replace("rδ", "r δ")
+    assert "designs4added beyond the ends of sweepslqr: r δ = 10000" in page.words("settings").replace("rδ", "r δ")
+    for command, designs, value, added in (
+        (["rank", "out"], 4, 10_000.0, ["lqr: r_delta = 10000"]),
+        (["run", "s.toml", "--extend", *plain], 4, 10_000.0, ["lqr: r_delta = 10000"]),
+        (["run", "s.toml", "--no-extend", *plain], 3, 20_000.0, []),
+    ):
+        assert main([*command, "--json"]) == 0
+        done = json.loads(capsys.readouterr().out.splitlines()[-1])
+        ends = [{"name": "r_delta", "value": value, "text": f"r_delta = {value:g} is the end of its sweep: extend it"}]
+        assert (done["designs"], done["sweep_ends"], done["extended"]) == (designs, ends, added)
+        assert done["binding"] == []
+
+
+def test_a_search_has_no_list_to_extend() -> None:
+    tables = {"search": {"trials": 2}, "ranking": {"extend": 1}}
+    with pytest.raises(ldc.errors.StudyError) as raised:
+        ldc.study({"law": "lqr", "gains": {"r_delta": {"from": 1e3, "to": 1e4}}}, **tables)
+    assert (raised.value.path.split(": ")[-1], raised.value.allowed) == ("ranking.extend", "0")

@@ -228,7 +228,12 @@ def test_a_study_file_as_in_the_reference(tmp_path: Path) -> None:
 
 def test_identity_follows_numbers_and_not_words(make_study: Callable[..., Study]) -> None:
     study = make_study()
-    for same in ({"title": "other"}, {"report": {"D_y": 0.3}}, {"ranking": {"bootstrap": 300}}, {"name": "other"}):
+    for same in (
+        {"title": "other"},
+        {"report": {"D_y": 0.3, "paper": True}},
+        {"ranking": {"bootstrap": 300}},
+        {"name": "other"},
+    ):
         assert make_study(**same).hash == study.hash
     for other in ({"seed": 4}, {"vehicle": {"m": 999.0}}, {"scenarios": {"left": 7, "right": 6}}):
         assert make_study(**other).hash != study.hash
