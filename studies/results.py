@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
+import statistics
 import warnings
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -13,9 +15,11 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, Frame, IntArray, facts_html
+from ldctoolkit.clusters import with_tails_of_t
 from ldctoolkit.control import EventStatus
 from ldctoolkit.departures import LEFT
 from ldctoolkit.metrics import METRIC_COLUMNS, MetricValues
+from ldctoolkit.scenario_model.refit import FEWEST
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
 from ldctoolkit.simulation import Window
@@ -118,6 +122,30 @@ class FailedDesign:
         return f"design {self.design.id} ({self.design.label}): {self.reason}"
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class RefitScores:
+    """Mean S of d designs, the winner and the baseline, on departures of r models refitted to resampled clusters."""
+
+    designs: tuple[str, ...]  # (d,) Identifiers
+    S: FloatArray  # (r, d + 1, 2) [m s] Two independent draws of each; without control last
+    failed: int  # Refits that could not be made, or driven
+    factor: float  # Of standard deviations over refits, for few and unequal clusters
+    df: float  # Degrees of freedom
+    text: str  # What the recorded departures come from; without refits why there are none
+
+    def half_width(self, values: FloatArray, confidence: float) -> float:
+        """Half the width of the interval of what has the values (r, 2); NaN with few refits.
+
+        The two draws show their own error, which is taken off.
+        """
+        r = len(values)
+        if r <= self.failed or r < FEWEST:
+            return math.nan
+        variance = values.mean(axis=1).var(ddof=1) - 0.25 * (values[:, 0] - values[:, 1]).var(ddof=1)
+        z = statistics.NormalDist().inv_cdf(0.5 * (1.0 + confidence))
+        return float(with_tails_of_t(z, self.df)) * self.factor * math.sqrt(max(variance, 0.0))
+
+
 @dataclasses.dataclass(frozen=True, repr=False)
 class StudyResults(Frame):
     """The results of a finished study: all d designs on all n scenarios.
@@ -150,6 +178,7 @@ class StudyResults(Frame):
     measures: Mapping[str, FloatArray] = dataclasses.field(default_factory=dict)
     fresh: StudyResults | None = None  # The finalists, some of the designs, on scenarios that no design was chosen on
     replayed: StudyResults | None = None  # The finalists on recorded departures
+    refits: RefitScores | None = None  # The winner and the baseline on refitted models; None where left out
     setup: Setup | None = None  # Of the runs; None where it is not known
 
     def _repr_html_(self) -> str:

@@ -9,6 +9,7 @@ import contextlib
 import dataclasses
 import functools
 import itertools
+import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -17,11 +18,21 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from ldctoolkit.arrays import FloatArray
+from ldctoolkit.clusters import with_tails_of_t
 from ldctoolkit.control import EventStatus
 from ldctoolkit.declared import checked_whole
-from ldctoolkit.departures import LEFT, PARAMETER_COLUMNS, PARAMETER_NAMES, PARAMETER_UNITS, RIGHT, DepartureParameters
+from ldctoolkit.departures import (
+    LEFT,
+    PARAMETER_COLUMNS,
+    PARAMETER_NAMES,
+    PARAMETER_UNITS,
+    RIGHT,
+    SIDES,
+    DepartureParameters,
+)
 from ldctoolkit.errors import InputError, LdcError, StoreError
-from ldctoolkit.scenario_model import ScenarioModel
+from ldctoolkit.scenario_model import ScenarioModel, conditions
+from ldctoolkit.scenario_model.refit import FEWEST, NOT_KEPT, REFITS, uncertainty
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
 
@@ -38,6 +49,7 @@ from .storage.checked_parts import Parts, planned_parts, remove_unfinished
 from .storage.folder_files import output_folder, write_json
 from .study_file import Study
 
+BY_MODEL: Final = "by the model"
 DEPTHS: Final = (0.3, 0.5, 0.8, 1.0, 1.75)  # [m] beyond the line
 DTLE_LIMITS: Final = (-0.1, -0.3)  # [m]
 MOST: Final = 10**9  # departures
@@ -77,11 +89,24 @@ class Event:
     design_only: int  # departures with the event under the design alone
     no_control_only: int
     sign: int  # 1: the design has it more often than no control, -1: less often, 0: not separable at 5 %
+    outside: int  # departures with the event that lie beyond the recorded depths, durations or speeds
+    recorded: int  # departures that the model was fitted to; 0 where they are not known, or none are
+    refits: tuple[float, float]  # interval of what refits to resampled recordings say; NaN without such recordings
 
     @property
     def probability(self) -> float:
         """The share; 0 of no departure."""
         return self.count / max(self.n, 1)
+
+    @property
+    def by_model(self) -> bool:
+        """Whether it is rarer than the recordings can show: below 3/(number of recorded departures)."""
+        return self.recorded > 0 and self.probability * self.recorded < 3.0
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """The exact interval; that of refits where the model decides."""
+        return self.refits if self.by_model else (self.low, self.high)
 
     @property
     def text(self) -> str:
@@ -150,7 +175,37 @@ class Risk:
         count, n = int(self.tally.counts[i, j, sides].sum()), int(self.tally.n[sides].sum())
         only = int(self.tally.only[i, j, sides].sum())
         others = int(self.tally.counts[0, j, sides].sum()) - count + only
-        return Event(count, n, *exact_interval(count, n), only, others, paired_sign(only, others))
+        refits = self._of_refits(i, j, sides)
+        outside, recorded = int(self.tally.outside[i, j, sides].sum()), self.recorded(side)
+        sign = paired_sign(only, others)
+        return Event(count, n, *exact_interval(count, n), only, others, sign, outside, recorded, refits)
+
+    def _of_refits(self, i: int, j: int, sides: slice) -> tuple[float, float]:
+        """95 % interval of a probability from what refits differ by, beyond what counting explains; on a log scale."""
+        n, count = self.tally.refit_n[:, sides].sum(axis=1), self.tally.refit_counts[:, i, j, sides].sum(axis=1)
+        n, count = n[n > 0], count[n > 0]
+        recorded = self.job.model.provenance.recorded
+        if recorded is None or n.size < FEWEST:
+            return math.nan, math.nan
+        if not count.any():
+            return 0.0, exact_interval(0, int(n.sum()))[1]
+        factor, df = uncertainty(recorded, n.size)
+        mean = float(count.sum() / n.sum())
+        variance = max(float((count / n).var(ddof=1)) - mean * float((1.0 / n).mean()), 0.0) * factor**2
+        sigma = math.sqrt(math.log1p(variance / mean**2 + 1.0 / float(count.sum())))
+        wide = math.exp(float(with_tails_of_t(1.96, df)) * sigma)
+        return mean / wide, min(mean * wide, 1.0)
+
+    def recorded(self, side: Side | None = None, deeper: float = -math.inf) -> int:
+        """Departures that the model was fitted to, with depths beyond a limit [m]; 0 of a model that was not."""
+        origin = self.job.model.provenance
+        if (known := origin.recorded) is None:
+            return 0 if origin.synthetic else sum(fit.events for name, fit in origin.sides if side in (None, name))
+        meets = known.departures.d_y > deeper
+        for condition in conditions(self.job.given):
+            x = getattr(known.departures, condition.name)
+            meets &= (x >= condition.low) & (x <= condition.high)
+        return int((meets & (True if side is None else known.departures.side == SIDES[side])).sum())
 
     def light(self, design: Design) -> Light:
         """Whether the tail is better than without control; red where it is worse in depth or DTLE, or diverges more."""
@@ -158,7 +213,8 @@ class Risk:
         for event in self.events:
             pair, without = self.event(design, event), self.event(self.designs[0], event)
             if pair.design_only or pair.no_control_only:
-                by_sign[pair.sign].append(f"{event} ({pair.probability:.3g} against {without.probability:.3g})")
+                shown = (BY_MODEL if x.by_model else f"{x.probability:.3g}" for x in (pair, without))
+                by_sign[pair.sign].append(f"{event} ({' against '.join(dict.fromkeys(shown))})")
         titles = {"worse than no control": by_sign[1], "better": by_sign[-1], "not separable": by_sign[0]}
         text = "; ".join(f"{title}: {', '.join(events)}" for title, events in titles.items() if events)
         red = any(not event.startswith("opposite") for event in by_sign[1])
@@ -186,6 +242,18 @@ class Risk:
         tally, (left, right) = self.tally, self.tally.n
         source = f"scenario model {self.job.model.content_hash[:12]}, seed {self.setup.seed}"
         yield f"{self.n:,} departures ({left:,} left, {right:,} right), {source}: {resolution(self.n)}."
+        if (recorded := self.job.model.provenance.recorded) is not None:
+            n, deeper = self.recorded(), ((x, self.recorded(deeper=x)) for x in self.job.depths)
+            limits = (f"{k:,} beyond {x:g} m (upper limit {exact_interval(k, n)[1]:.2g})" for x, k in deeper)
+            yield f"The model rests on {recorded.clusters.text}. Of {n:,} recorded departures, {', '.join(limits)}."
+        elif not self.job.model.provenance.synthetic:
+            yield f"What the recordings know of these is not known: {NOT_KEPT}."
+        if any(self.event(design, event).by_model for design in self.designs for event in self.events):
+            n = self.recorded()
+            yield (
+                f"{BY_MODEL.capitalize()}: below 3/{n:,} = {3.0 / n:.2g} a probability is decided by the model, not by "
+                "the recordings; its interval is that of models refitted to resampled recordings."
+            )
         if tally.invalid.any():
             yield f"{tally.invalid.sum():,} more cannot be driven and are in no number."
         for design, status, solves in zip(self.designs, tally.status, tally.failed_solves, strict=True):
@@ -234,9 +302,13 @@ class Risk:
         for design, event, side in itertools.product(self.designs, self.events, _SIDES):
             counted, row = self.event(design, event, side), {"design": design.id, "label": design.label}
             row |= {"y_s_m": design.y_s, "event": event, "side": side or "both", "count": counted.count, "n": counted.n}
-            shares = {"": counted.probability, "_low": counted.low, "_high": counted.high}
+            if counted.recorded:
+                row |= {"decided_by": "model" if counted.by_model else "recordings", "outside": counted.outside}
+            shares = dict(zip(("", "_low", "_high"), (counted.probability, *counted.interval), strict=True))
+            if counted.by_model:
+                shares[""] = math.nan
             for name, rate in {"probability": 1.0, **self.departure_rates(side)}.items():
-                row |= {f"{name}{end}": rate * share for end, share in shares.items()}
+                row |= {f"{name}{end}": rate * x if math.isfinite(x) else None for end, x in shares.items()}
             if not design.is_baseline:
                 row |= {"design_only": counted.design_only, "no_control_only": counted.no_control_only}
                 row |= {"against_no_control": counted.text}
@@ -363,6 +435,7 @@ def estimate_risk(
         share=_recorded(source) or (1, 1),
         depths=tuple(sorted({float(x) for x in depths})),
         dtle_limits=tuple(sorted({float(x) for x in dtle_limits}, reverse=True)),
+        refits=0 if source.provenance.recorded is None else REFITS,
         laws=laws_to_send(design.kind for design in active) if runs_on.isolated else b"",
         token=time.time_ns(),
     )
@@ -389,7 +462,8 @@ def _counted(
     for number in parts.finished:
         chunks, counted = parts.read(number)
         tally, done = tally.plus(counted), done | set(chunks)
-    tasks = [ChunkTask(job, chunk) for chunk in range(-(-job.n // job.chunk)) if chunk not in done]
+    own, each = job.sizes
+    tasks = [ChunkTask(job, chunk) for chunk in range(own + job.refits * each) if chunk not in done]
     if tasks:
         y_s = min(design.y_s for design in job.designs)
         load_loops({design.law for design in job.designs}, job.scenarios(0), job.setup, y_s)

@@ -14,6 +14,7 @@ from ldctoolkit.declared import checked_number, checked_whole
 from ldctoolkit.departures import LEFT
 from ldctoolkit.errors import InputError, LdcError, StoreError, expect
 from ldctoolkit.scenario_model import ScenarioModel, load_model
+from ldctoolkit.scenario_model.refit import FEWEST, REFITS
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.surroundings import temporary_folder
 
@@ -27,6 +28,7 @@ from .results import StudyResults
 from .running.campaign import Campaign
 from .running.dispatch import Executor, Progress, closing, displayed
 from .running.executors import make_executor
+from .running.refits import scores_of_refits
 from .search import run_search
 from .storage.checked_parts import locked, remove_unfinished
 from .storage.manifest import Manifest, write_designs
@@ -41,7 +43,7 @@ from .storage.scenario_source import (
     with_recorded_widths,
     write_model,
 )
-from .storage.store import FINALISTS, REPLAYED, SCORES, Store, make_folder
+from .storage.store import FINALISTS, REFITS_FILE, REPLAYED, SCORES, Store, make_folder
 from .study_file import Study
 from .text import compact
 
@@ -68,6 +70,7 @@ def run_study(
     progress: bool | Progress | None = None,
     block_size: int | None = None,
     time_limit: float = TIME_LIMIT,
+    refits: int = REFITS,
     extend: bool | None = None,
 ) -> StudyResults:
     """Run every design of a study on the same scenarios and store the results; resumes where a run was stopped.
@@ -102,6 +105,9 @@ def run_study(
     time_limit : float [s]
         A task that takes longer ends its worker, and the scenario at fault is found; 0 for no limit. Not in this
         process, which could not go on.
+    refits : int
+        Models refitted to resampled clusters of the recorded departures, on which winner and baseline are driven too,
+        for the interval of the recordings; at least 5, 0 for none.
     extend : bool, optional
         Whether to add designs beyond the end of a sweep while the winner lies there: `ranking.extend` values at most,
         or 6 if the study has 0; as the study says by default. The study in the folder is the one with these designs.
@@ -123,6 +129,9 @@ def run_study(
     expect("scenarios", scenarios, Scenarios | None)
     expect("extend", extend, bool | None)
     block_size = None if block_size is None else checked_whole("block_size", block_size, lower=1)
+    refits = checked_whole("refits", refits, lower=0, upper=1000)
+    if 0 < refits < FEWEST:
+        raise InputError("refits", value=refits, allowed=f"0, or {FEWEST} and more")
     if time_limit is False or time_limit != 0:
         least, most = _LIMITS
         checked_number("time_limit", time_limit, lower=least, upper=most, unit="s (0 for none)")
@@ -130,7 +139,7 @@ def run_study(
         with temporary_folder() as folder:
             return run_study(
                 study, folder, model=model, scenarios=scenarios, workers=workers, executor=executor, dask=dask,
-                progress=progress, block_size=block_size, time_limit=time_limit, extend=extend,
+                progress=progress, block_size=block_size, time_limit=time_limit, refits=refits, extend=extend,
             )  # fmt: skip
     if scenarios is not None:
         if model is not None:
@@ -151,7 +160,7 @@ def run_study(
         named = source.name
     runs_on = make_executor(executor, workers, dask)
     with displayed(progress) as shown, closing(runs_on):
-        results = _Run(source, named, runs_on, shown, time_limit, block_size).whole(study, Path(directory))
+        results = _Run(source, named, runs_on, shown, time_limit, block_size).whole(study, Path(directory), refits)
     if results.failed:
         share, first = f"{len(results.failed)} of {len(results.failed) + len(results.designs)}", results.failed[0]
         _log.warning("failed and not ranked: %s designs; the first, %s", share, first.sentence)
@@ -183,7 +192,7 @@ class _Run:
     time_limit: float
     block_size: int | None
 
-    def whole(self, study: Study, folder: Path) -> StudyResults:
+    def whole(self, study: Study, folder: Path, refits: int) -> StudyResults:
         """All stages; once more, with what was added, while the winner lies at the end of a sweep that may go on."""
         check_room(study, sum(study.scenarios.counts))  # before anything is made
         make_folder(folder)
@@ -197,7 +206,23 @@ class _Run:
                 self.progress.phase(f"beyond the ends of sweeps: {'; '.join(more)}")
                 added = (*added, *more)
                 results = self.stages(study, folder, added)
-            return results
+            if not refits:
+                (folder / REFITS_FILE).unlink(missing_ok=True)
+            if not refits or not isinstance(self.source, ScenarioModel) or not results.drivable.any():
+                return results
+            designs: list[Design] = []
+            if self.source.provenance.recorded is not None:
+                self.progress.phase("choosing the winner")
+                ranking = rank_study(results, study)
+                places = dict.fromkeys(i for i in (ranking.winner, ranking.baseline) if i is not None)
+                designs = [ranking.designs[i] for i in places]
+                if ranking.winner is None or any(design in results.unsafe for design in designs):
+                    return results
+            scores = scores_of_refits(
+                study, designs, self.source, folder, self.executor, self.progress, refits=refits,
+                time_limit=self.time_limit,
+            )  # fmt: skip
+            return dataclasses.replace(results, refits=scores)
 
     def stages(self, study: Study, folder: Path, added: tuple[str, ...] = ()) -> StudyResults:
         """The study itself, and its finalists on fresh scenarios."""

@@ -297,7 +297,9 @@ class _Standardised:
         return Statistics.of(value, sums, self.rows.dimension)
 
 
-def fit_components(events: Events, profile: Profile, s: EMSettings, report: Progress) -> EMResult:
+def fit_components(
+    events: Events, profile: Profile, s: EMSettings, report: Progress, start: Components | None = None
+) -> EMResult:
     """Fit K components to events strictly inside the box; components are in units of the profile's mean and scale.
 
     The points and the order of integration are frozen during a run, so the likelihood is one smooth function. The
@@ -308,7 +310,7 @@ def fit_components(events: Events, profile: Profile, s: EMSettings, report: Prog
     bounded = int(np.sum(np.isfinite(s.lower) | np.isfinite(s.upper)))
     passes, needs_many_points = 0, bounded > _FEW_DIMENSIONS and data.events > _FEW_EVENTS
     try:
-        c = _best_start(data, s, report)
+        c = start or _best_start(data, s, report)
         if needs_many_points:
             # most of the way on few points: many take longer than the pass over the events
             first_run = _run(data, c, _local_prior(data, c, s), s, s.max_iter, _SHORT_POINTS, report, "nearing")

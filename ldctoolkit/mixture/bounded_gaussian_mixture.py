@@ -15,7 +15,7 @@ import numpy.typing as npt
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray, unmasked
 from ldctoolkit.declared import checked_number, checked_whole
 from ldctoolkit.errors import CheckedArguments, InputError
-from ldctoolkit.mixture._distribution import Conditions, Distribution, Transform
+from ldctoolkit.mixture._distribution import Components, Conditions, Distribution, Transform
 from ldctoolkit.mixture._em import EMSettings, StopReason, fit_components
 from ldctoolkit.mixture.checks import (
     Events,
@@ -425,8 +425,8 @@ class BoundedGaussianMixture(CheckedArguments):
         """
         return self.fit_events(Events.of(X, sample_weight, self.n_jobs))
 
-    def fit_events(self, events: Events) -> Self:
-        """Fit to rows that have weights already, on the threads that they name."""
+    def fit_events(self, events: Events, start: BoundedGaussianMixture | None = None) -> Self:
+        """Fit to rows that have weights already, on the threads that they name; without starts where one is given."""
         counts = {name: checked_whole(name, getattr(self, name), lower=1) for name in _COUNTS}
         tol = checked_number("tol", self.tol, lower=0.0)
         prior_strength = checked_number("prior_strength", self.prior_strength, lower=0.0)
@@ -447,7 +447,17 @@ class BoundedGaussianMixture(CheckedArguments):
             prior_strength=prior_strength,
             **counts,
         )
-        result = fit_components(events, profile, settings, self._report)
+        first = (
+            None
+            if start is None
+            else Components(
+                start.weights_,
+                (start.means_ - location) / scale,
+                start.covariances_ / (scale[:, None] * scale),
+                start.log_probabilities_,
+            )
+        )
+        result = fit_components(events, profile, settings, self._report, first)
         c = result.components
         self._store(c.weights, location + scale * c.mu, c.Sigma * scale[:, None] * scale, transform)
         self.stop_reason_, self.converged_ = result.stop_reason, result.stop_reason == "converged"

@@ -35,9 +35,11 @@ from ldctoolkit.scenario_model.fidelity import Replay, SideFidelity
 from ldctoolkit.scenario_model.model import ScenarioModel
 from ldctoolkit.scenario_model.provenance import (
     LEAST_LOWER,
+    MOST_RECORDED,
     PHYSICAL_BOUNDS,
     FitSettings,
     ModelProvenance,
+    RecordedDepartures,
     SideModel,
     SideSummary,
     check_usable,
@@ -45,6 +47,7 @@ from ldctoolkit.scenario_model.provenance import (
     software_versions,
     summarize_events,
 )
+from ldctoolkit.scenario_model.refit import BANDWIDTHS, effective_number, smoothed
 from ldctoolkit.version import __version__
 
 Kind = Literal["auto", "mixture", "smoothed"]
@@ -242,7 +245,7 @@ def fit_scenario_model(
         plausibility=limits,
         vehicle_width=None if extraction is None else extraction.vehicle_width,
     )
-    events = _events(departures, weights, settings)
+    events, recorded = _events(departures, weights, settings)
     carried = {label: carried_components(settings.components, side) for label, side in events.items()}
     with threadpoolctl.threadpool_limits(1, "blas"):  # small matrices: more threads only wait for each other
         sides = {label: fit_side(side, *carried[label], settings, progress) for label, side in events.items()}
@@ -261,6 +264,7 @@ def fit_scenario_model(
         versions=software_versions(),
         settings=fit,
         **driven(source),
+        recorded=recorded,
     )
     model = ScenarioModel(sides["left"][0], sides["right"][0], provenance, limits)
     summaries: dict[str, Any] = {
@@ -270,8 +274,10 @@ def fit_scenario_model(
     return dataclasses.replace(model, provenance=dataclasses.replace(provenance, **summaries))
 
 
-def _events(departures: Departures, weights: npt.ArrayLike | None, settings: SideSettings) -> dict[str, SideEvents]:
-    """The departures of each side, ready for the fit."""
+def _events(
+    departures: Departures, weights: npt.ArrayLike | None, settings: SideSettings
+) -> tuple[dict[str, SideEvents], RecordedDepartures | None]:
+    """The departures of each side, ready for the fit, and what a model keeps of them."""
     weight = None if weights is None else check_weights(weights, departures.n, "weights", "departure")
     with np.errstate(all="ignore"):  # what is not finite is refused later
         counts = settings.plausibility.holds(departures) | ~np.isfinite(departures.matrix()).all(axis=1)
@@ -281,8 +287,21 @@ def _events(departures: Departures, weights: npt.ArrayLike | None, settings: Sid
     beside = f", beside {implausible} that are not plausible" if implausible else ""
     check_enough(rows["left"], rows["right"], beside)
     events = Events(departures.matrix(), weight, settings.selection["n_jobs"])
-    clusters = {label: Clusters.of(departures.take(mask)) for label, mask in rows.items()}
-    return {label: side_events(events.take(mask), clusters[label], label, settings) for label, mask in rows.items()}
+    by_side = {label: Clusters.of(departures.take(mask)) for label, mask in rows.items()}
+    sides = {label: side_events(events.take(mask), by_side[label], label, settings) for label, mask in rows.items()}
+    if max(side.data.rows for side in sides.values()) > MOST_RECORDED:
+        return sides, None
+    order = np.concatenate([np.flatnonzero(mask) for mask in rows.values()])
+    columns = np.concatenate([side.departures.matrix() for side in sides.values()]).T.tolist()
+    clusters = Clusters.of(departures).take(order)
+    recorded = RecordedDepartures(
+        tuple(departures.side[order].tolist()),
+        dict(zip(PARAMETER_NAMES, map(tuple, columns), strict=True)),
+        (1.0,) * order.size if weight is None else tuple(weight[order].tolist()),
+        tuple(clusters.index.tolist()),
+        *(clusters.kind, clusters.trips, clusters.drivers, clusters.largest_trip),
+    )
+    return sides, recorded
 
 
 def check_enough(left: BoolArray, right: BoolArray, beside: str = "") -> None:
@@ -400,10 +419,7 @@ class _Judge:
     @classmethod
     def of(cls, events: SideEvents, settings: SideSettings) -> Self:
         """The judge of a side, with the answer of its recorded departures."""
-        columns = {name: np.full(events.data.rows, value) for name, value in events.constants}
-        columns |= dict(zip(events.names, events.data.x.T, strict=True))
-        recorded = DepartureParameters(np.full(events.data.rows, SIDES[events.label]), **columns)
-        replay = Replay.of(recorded, events.clusters, events.data.weight, settings.vehicle_width)
+        replay = Replay.of(events.departures, events.clusters, events.data.weight, settings.vehicle_width)
         return cls(events, settings, replay)
 
     def checked(self, mixture: BoundedGaussianMixture, width: float = 0.0) -> _Checked:
@@ -440,7 +456,7 @@ class _Judge:
             for half in (first, ~first):
                 part = dataclasses.replace(events, data=events.data.take(half))
                 if choice.kind == "smoothed":
-                    mixture = smoothed(part, choice.width)
+                    mixture = smoothed(part.data, part.lower, part.upper, part.names, choice.width)
                 else:
                     mixture = _select(part, (choice.mixture.n_components,), settings, None, self)[0].best
                 out.append(self.replay.held_out(half, self._drawn(mixture, max(5 * int(half.sum()), 500))))
@@ -499,8 +515,9 @@ class _Judge:
     def _smoothed(self) -> _Checked:
         """The smoothed departures: the widest kernel that agrees with them, else the best one."""
         checked: list[_Checked] = []
+        side = self.events
         for width in BANDWIDTHS:
-            checked.append(self.checked(smoothed(self.events, width), width))
+            checked.append(self.checked(smoothed(side.data, side.lower, side.upper, side.names, width), width))
             if checked[-1].agrees:
                 break
         text = f"smoothed departures, near copies of the {self.events.data.rows:,} recorded ones"
@@ -511,36 +528,6 @@ _ROUGH: Final = 1e-3  # nats an event and pass, of fits that are compared and no
 
 LEAST_IN_COMPONENT: Final = 10
 """Effective departures that a component rests on at least."""
-
-BANDWIDTHS: Final = (0.5, 0.25, 0.125)
-"""Of Silverman's rule, which oversmooths what has several modes and a boundary: docs/explanation/decisions.md, 0037."""
-
-
-def smoothed(events: SideEvents, width: float) -> BoundedGaussianMixture:
-    """The departures themselves with a Gaussian kernel in mapped coordinates; mean and covariance are kept there."""
-    data = events.data.take(np.lexsort(events.data.x.T))  # draws do not depend on the order of the departures
-    transform, weight = Transform.of("auto", events.lower, events.upper), data.weight
-    y = transform.forward(data.x)
-    n, d = y.shape
-    share = np.full(n, 1.0 / n) if weight is None else weight / weight.sum()
-    h = width * (4.0 / (d + 2)) ** (1.0 / (d + 4)) * effective_number(data) ** (-1.0 / (d + 4))
-    mean, covariance = share @ y, np.cov(y.T, aweights=share).reshape(d, d)
-    covariance += 1e-6 * np.diag(np.diag(covariance))  # columns that depend on each other
-    kernel = covariance * h**2 / (1.0 + h**2)
-    return BoundedGaussianMixture.from_parameters(
-        share,
-        mean + (y - mean) / np.sqrt(1.0 + h**2),
-        np.tile(kernel, (n, 1, 1)),
-        lower=events.lower,
-        upper=events.upper,
-        transform=transform.kinds,
-        names=events.names,
-    )
-
-
-def effective_number(events: Events) -> float:
-    """Kish's effective number of weighted events."""
-    return float(events.rows if events.weight is None else events.weight.sum() ** 2 / (events.weight @ events.weight))
 
 
 def check_fidelity(
@@ -658,6 +645,13 @@ class SideEvents:
     constants: tuple[tuple[str, float], ...]  # The other parameters with their value
     moved: tuple[tuple[str, int], ...]  # Events that lay on a bound, per parameter
     weight: float | None  # Sum of the weights, if there are any
+
+    @property
+    def departures(self) -> DepartureParameters:
+        """All eight parameters, and the side."""
+        columns = {name: np.full(self.data.rows, value) for name, value in self.constants}
+        columns |= dict(zip(self.names, self.data.x.T, strict=True))
+        return DepartureParameters(np.full(self.data.rows, SIDES[self.label]), **columns)
 
 
 def side_events(events: Events, clusters: Clusters, label: str, settings: SideSettings) -> SideEvents:

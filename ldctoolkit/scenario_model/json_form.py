@@ -15,13 +15,14 @@ from pydantic import Field, ValidationError
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.checked_files import CHECKSUM, NOT_AS_WRITTEN, digest, parse_json, text_of
 from ldctoolkit.declared import checked_number
-from ldctoolkit.departures import PARAMETER_NAMES, PARAMETER_UNITS, Plausibility, check_parameters
+from ldctoolkit.departures import LEFT, PARAMETER_NAMES, PARAMETER_UNITS, RIGHT, Plausibility, check_parameters
 from ldctoolkit.errors import InputError, ModelError
 from ldctoolkit.mixture import BoundedGaussianMixture
 from ldctoolkit.scenario_model.provenance import (
     LEAST_LOWER,
     UNIT,
     ModelProvenance,
+    RecordedDepartures,
     SideModel,
     SourceSummary,
     check_usable,
@@ -29,8 +30,8 @@ from ldctoolkit.scenario_model.provenance import (
 from ldctoolkit.validation import Part, first_problem
 
 FORMAT: Final = "ldctoolkit-scenario-model"
-VERSION: Final = 4
-_READABLE: Final = (3, VERSION)
+VERSION: Final = 5
+_READABLE: Final = (3, 4, VERSION)
 _RETIRED: Final = {"aic", "criterion", "slack", "indifference"}  # keys of version 3 that say nothing of the model
 
 _HASHED_VERSION: Final = 1  # stands in the hashed content and never changes: studies resume by the hash
@@ -129,7 +130,7 @@ def model_from_json(text: str | bytes, file: str) -> tuple[SideModel, SideModel,
     if type(version) is not int or version not in _READABLE:
         newer = isinstance(version, int) and version > VERSION
         hint = "the file is newer, update ldctoolkit" if newer else ""
-        allowed = f"version {' or '.join(map(str, _READABLE))}, which this program reads"
+        allowed = f"version {_READABLE[0]} to {VERSION}, which this program reads"
         raise ModelError(f"{file}: version", value=version, allowed=allowed, hint=hint)
     written, content = data.pop(CHECKSUM, None), digest(data)
     provenance = data.get("provenance")
@@ -137,7 +138,7 @@ def model_from_json(text: str | bytes, file: str) -> tuple[SideModel, SideModel,
         summary = side.get("source_summary")
         if isinstance(summary, dict) and isinstance(cells := summary.get("cells"), list):
             summary["cells"] = [_shares(text) for text in cells]
-    if version < VERSION and isinstance(provenance, dict):
+    if version < 4 and isinstance(provenance, dict):
         settings = provenance.get("settings")
         for table in (*_fitted(provenance), *([settings] if isinstance(settings, dict) else [])):
             for key in _RETIRED:
@@ -257,6 +258,8 @@ def _check_provenance(provenance: ModelProvenance) -> None:
     for key, value in (("hours", provenance.hours), ("distance", provenance.distance)):
         if value is not None:
             checked_number(f"provenance.{key}", value, above=0.0)
+    if provenance.recorded is not None:
+        _check_recorded("provenance.recorded", provenance.recorded)
     for name, side in provenance.sides:
         path, tried = f"provenance.{name}", len(side.n_components)
         for key in ("bic", "log_likelihood", "n_parameters"):
@@ -267,6 +270,22 @@ def _check_provenance(provenance: ModelProvenance) -> None:
             check_parameters(f"{path}.{key}", (parameter for parameter, *_ in getattr(side, key)))
         if side.source_summary is not None:
             _check_summary(f"{path}.source_summary", side.source_summary)
+
+
+def _check_recorded(path: str, recorded: RecordedDepartures) -> None:
+    n, clusters = len(recorded.side), set(recorded.cluster)
+    if sorted(recorded.columns) != sorted(PARAMETER_NAMES):
+        raise InputError(f"{path}.columns", value=tuple(recorded.columns), allowed=PARAMETER_NAMES)
+    for key in ("side", "weight", "cluster"):
+        _check_shape(f"{path}.{key}", getattr(recorded, key), (n,))
+    for name, column in recorded.columns.items():
+        _check_shape(f"{path}.columns.{name}", column, (n,))
+    if set(recorded.side) != {LEFT, RIGHT}:
+        raise InputError(f"{path}.side", allowed=f"{LEFT} and {RIGHT}, both of them")
+    if not min(recorded.weight) > 0.0:
+        raise InputError(f"{path}.weight", value=min(recorded.weight), allowed="above 0")
+    if clusters != set(range(len(clusters))):
+        raise InputError(f"{path}.cluster", "leaves out a number", allowed="each from 0 on")
 
 
 def _check_summary(path: str, summary: SourceSummary) -> None:

@@ -1,6 +1,7 @@
 """Where a scenario model comes from: its sides, summaries of the departures, and the settings of the fit."""
 
 import dataclasses
+import functools
 import math
 import platform
 from collections.abc import Mapping
@@ -9,7 +10,8 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from ldctoolkit.arrays import FloatArray, IntArray
-from ldctoolkit.departures import PARAMETER_NAMES
+from ldctoolkit.clusters import Clusters
+from ldctoolkit.departures import PARAMETER_NAMES, DepartureParameters
 from ldctoolkit.errors import ModelError
 from ldctoolkit.mixture import BoundedGaussianMixture
 from ldctoolkit.mixture.checks import Events
@@ -255,6 +257,33 @@ class FitSettings:
     max_iter: int  # Most passes
 
 
+MOST_RECORDED: Final = 2_000  # departures of a side that a model keeps
+
+
+@dataclasses.dataclass(frozen=True)
+class RecordedDepartures:
+    """The n departures that a model was fitted to, none of them on a bound, and which of them belong together."""
+
+    side: tuple[int, ...]  # (n,) As in `DepartureParameters`
+    columns: Mapping[str, tuple[float, ...]]  # Parameter -> (n,), SI units
+    weight: tuple[float, ...]  # (n,) Events that each stands for
+    cluster: tuple[int, ...]  # (n,) As `Clusters.index`; what follows are its other facts
+    kind: Literal["drivers", "trips", "departures"]
+    trips: int
+    drivers: int
+    largest_trip: float
+
+    @functools.cached_property
+    def departures(self) -> DepartureParameters:
+        """The parameters."""
+        return DepartureParameters(np.array(self.side), **{name: np.array(x) for name, x in self.columns.items()})
+
+    @functools.cached_property
+    def clusters(self) -> Clusters:
+        """The clusters."""
+        return Clusters(self.kind, np.array(self.cluster), self.trips, self.drivers, self.largest_trip)
+
+
 @dataclasses.dataclass(frozen=True)
 class ModelProvenance:
     """Where a scenario model comes from."""
@@ -274,6 +303,8 @@ class ModelProvenance:
     # [h] and [m] Driven in the recordings; None: not known, as in a synthetic model or one of an earlier version
     hours: float | None = None
     distance: float | None = None
+    # What it was fitted to; None with more than 2,000 on a side, in a bundled model and one of an earlier version
+    recorded: RecordedDepartures | None = None
 
     @property
     def sides(self) -> list[tuple[str, SideSummary]]:

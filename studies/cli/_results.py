@@ -10,6 +10,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
+import numpy as np
+
 from ldctoolkit.errors import InputError
 
 from ..design import Design, named_designs
@@ -219,12 +221,15 @@ def _design(ranking: Ranking, i: int) -> dict[str, Any]:
     design = ranking.designs[i]
     S_low, S_high = ranking.inference.S_low[i], ranking.inference.S_high[i]
     scores = {"S": ranking.metrics.S[i], "S_low": S_low, "S_high": S_high, "S_fresh": ranking.fresh.S[i]}
+    recordings = {name: _number(values[i]) for name, values in vars(ranking.recordings).items()
+                  if isinstance(values, np.ndarray)}  # fmt: skip
     return {
         "design": design.id,
         "law": design.law,
         "y_s_m": design.y_s,
         "gains": dict(design.gains),
         **{f"{name}_m_s": _number(value) for name, value in scores.items()},
+        "recordings": recordings | {"from": ranking.recordings.text, "refits": ranking.recordings.refits},
         "limits": [
             {
                 "limit": estimate.requirement.text,

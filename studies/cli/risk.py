@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -40,6 +41,7 @@ def add_parser(commands: _console.Subparsers) -> None:
     about = "depth beyond the line in m; repeatable (default: 0.3 0.5 0.8 1 1.75)"
     parser.add_argument("--depth", type=number, action="append", metavar="X", help=about)
     parser.add_argument("-o", "--output", metavar="DIR", help="folder of the results (default: out/<study name>)")
+    parser.add_argument("--json", action="store_true", help="one JSON object on stdout, no table")
     parser.set_defaults(run=run)
 
 
@@ -77,13 +79,28 @@ def run(args: argparse.Namespace) -> None:
         workers=args.workers,
         dask=args.dask,
         depths=args.depth or DEPTHS,
-        notice=lambda line: say(out, line),
+        notice=None if args.json else lambda line: say(out, line),
     )
     for name, rows in (("risk.csv", list(risk.rows())), ("worst.csv", list(risk.worst_rows()))):
         # no control comes first and is compared with nothing: the last row has all columns
         write_text(target / name, to_csv(Table.of(rows[-1], rows)))
     with progress_bar("writing the page"):
         write_risk_page(risk, target / "risk.html", title=study.title or study.name)
+    if args.json:
+        known = source.provenance.recorded
+        recorded = None if known is None else known.clusters.text
+        print(
+            json.dumps(
+                {
+                    "event": "risk",
+                    "n": risk.n,
+                    "recorded": recorded,
+                    "notes": list(risk.notes()),
+                    "rows": list(risk.rows()),
+                }
+            )
+        )
+        return
     for design in risk.designs[1:] or risk.designs:
         _print_design(risk, design)
     say(out, *risk.notes())

@@ -13,7 +13,7 @@ from typing import Any, Final, TextIO
 from ldctoolkit.errors import InputError
 
 from ..running.dispatch import Progress
-from ._console import Subparsers, add_report_options, number, positive_number, progress_bar, warn
+from ._console import Subparsers, add_report_options, number, positive_number, progress_bar, warn, whole_number
 
 
 def add_parser(commands: Subparsers) -> None:
@@ -39,6 +39,8 @@ def add_parser(commands: Subparsers) -> None:
     parser.add_argument("--dask", metavar="ADDRESS", help=about)
     about = "seconds after which a task is given up and the scenario at fault is found (default: 600; 0: none)"
     parser.add_argument("--time-limit", type=number, metavar="S", help=about)
+    about = "models refitted to resampled recordings, for what these leave open (default: %(default)s; 0: none)"
+    parser.add_argument("--refits", type=whole_number, default=20, metavar="N", help=about)
     parser.add_argument("--top", type=positive_number, default=10, metavar="N", help="rows to print (default: 10)")
     about = "add designs beyond the end of a sweep while the winner lies there (default: as the study says)"
     parser.add_argument("--extend", action=argparse.BooleanOptionalAction, help=about)
@@ -152,6 +154,7 @@ def _run(args: argparse.Namespace, progress: Progress | None) -> int:
         dask=args.dask,
         progress=progress,
         time_limit=TIME_LIMIT if args.time_limit is None else args.time_limit,
+        refits=args.refits,
         extend=args.extend,
     )
     manifest, silent = read_manifest(folder), args.quiet or args.json

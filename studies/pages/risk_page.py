@@ -12,7 +12,7 @@ from ldctoolkit.departures import PARAMETER_NAMES
 from ldctoolkit.version import __version__
 
 from ..design import NO_CONTROL, Design
-from ..risk import Risk
+from ..risk import BY_MODEL, Risk
 from ..storage.folder_files import write_text
 from ..tables import Cell, Column, Row, Table, Value, to_html
 from ..text import figure as digits
@@ -56,19 +56,23 @@ def _verdict(risk: Risk) -> Section:
 
 def probabilities(risk: Risk, design: Design) -> Table:
     """How often each event happens with a design, and against no control."""
-    rates = risk.departure_rates()
+    rates, recorded = risk.departure_rates(), risk.job.model.provenance.recorded is not None
     columns = [
         Column("Event", text=True), Column("No control", form=digits), Column("P", form=digits),
         Column("95 % interval", form=digits), Column("Departures"),
+        *([Column("Outside", "%", ".0f")] if recorded else []),
         *(Column(_RATES[name], form=digits) for name in rates),
         Column("Only with design"), Column("Only with no control"), Column("Design is", text=True),
     ]  # fmt: skip
     rows = []
     for event in risk.events:
         event_risk, without = risk.event(design, event), risk.event(risk.designs[0], event)
-        P = event_risk.probability
-        cells: list[Cell | Value] = [event, without.probability, P, (event_risk.low, event_risk.high), event_risk.count]
-        cells += [rate * P for rate in rates.values()]
+        cells: list[Cell | Value] = [event, *(BY_MODEL if x.by_model else x.probability for x in (without, event_risk))]
+        cells += [event_risk.interval, event_risk.count]
+        outside = 100.0 * event_risk.outside / event_risk.count if event_risk.count else None
+        cells += [outside] if recorded else []
+        low, high = event_risk.interval
+        cells += [(r * low, r * high) if event_risk.by_model else r * event_risk.probability for r in rates.values()]
         verdict = Cell(event_risk.text, bad=event_risk.sign > 0, good=event_risk.sign < 0)
         compared = [event_risk.design_only, event_risk.no_control_only, verdict]
         rows.append(Row([*cells, *([None, None, None] if design.is_baseline else compared)]))
@@ -82,6 +86,11 @@ def _probabilities(risk: Risk) -> Section:
         "driven on the same departures: better and worse are exact two-sided tests at 5 % of those departures in "
         "which only one of the two has the event."
     )
+    if risk.job.model.provenance.recorded is not None:
+        note += (
+            " Outside: share of the departures with the event that lie where none was recorded, beyond the recorded "
+            "depths d_y, durations T or speeds of their side."
+        )
     return Section("probabilities", "Probabilities", body + paragraphs(note), printed=True)
 
 
@@ -96,6 +105,8 @@ def _curve(risk: Risk) -> Section:
     text = (
         f"Share of departures that get deeper, on a log scale; below {digits(3.0 / max(risk.n, 1), 2)} chance decides."
     )
+    if known := risk.recorded():
+        text += f" Below 3/{known:,} = {digits(3.0 / known, 2)} the curves are the model's, not the recordings'."
     key = legend([(curve.label, curve.style) for curve in series])
     return Section("exceedance", "Exceedance", figure([chart], text, key), (chart,), printed=True)
 

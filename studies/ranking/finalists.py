@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Final
+from typing import Final, Self
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from ldctoolkit.vehicle import Convention
 from ..design import Design
 from ..design_space import Dimension
 from ..requirements import Estimate, Miss, Requirement
-from ..results import FailedDesign, StudyResults, score_label
+from ..results import FailedDesign, RefitScores, StudyResults, score_label
 from .design_metrics import DesignMetrics, mean_reduction
 from .inference import SAME, Inference, Interval, Resampled, critical_value, simultaneous_interval, skewed_widths
 
@@ -91,6 +91,46 @@ class ReplayedScores:
     high: FloatArray
     reduction: FloatArray  # (d,)
     departures: int  # Number of recorded departures; 0 without any
+
+
+@dataclasses.dataclass(frozen=True)
+class RecordingScores:
+    """Intervals of what the recordings leave open, arrays of d: of the winner, NaN for other designs."""
+
+    # (d,) [m s] Of mean S, and of its difference to the baseline
+    low: FloatArray
+    high: FloatArray
+    baseline_difference_low: FloatArray
+    baseline_difference_high: FloatArray
+    reduction_low: FloatArray
+    reduction_high: FloatArray
+    text: str  # What the recorded departures come from, or why there are no intervals; empty where nobody asked
+    refits: int  # Number of refits behind them
+    failed: int  # Refits that failed
+
+    @classmethod
+    def of(
+        cls, refits: RefitScores | None, ids: Sequence[str], centres: FloatArray, winner: int | None,
+        baseline: int | None, confidence: float,
+    ) -> Self:  # fmt: skip
+        """About the centres (3, d): mean S, its difference to the baseline, and the reduction."""
+        ends = np.full((6, len(ids)), np.nan)
+        text, count, failed = "", 0, 0
+        if refits is not None:
+            text, count, failed = refits.text, len(refits.S), refits.failed
+        if refits is not None and winner is not None and count:
+            named = [ids[i] for i in dict.fromkeys(i for i in (winner, baseline) if i is not None)]
+            if set(named) <= set(refits.designs):
+                S, without = refits.S[:, refits.designs.index(ids[winner])], refits.S[:, -1]
+                values = [S, S - refits.S[:, refits.designs.index(named[-1])], 1.0 - S / without]
+                half = np.array([refits.half_width(value, confidence) for value in values])
+                half[1] = np.nan if len(named) == 1 else half[1]
+                ends[::2, winner], ends[1::2, winner] = centres[:, winner] - half, centres[:, winner] + half
+                ends[0] = np.maximum(ends[0], 0.0)
+                ends[5] = np.minimum(ends[5], 1.0)
+            else:
+                text = "not known for this winner: run the study with these settings"
+        return cls(ends[0], ends[1], ends[2], ends[3], ends[4], ends[5], text, count, failed)
 
 
 def fresh_scores(
@@ -212,6 +252,7 @@ class RankedDesigns:
     inference: Inference  # Intervals, and the set of best
     fresh: FreshScores  # The finalists on fresh scenarios, and the winner
     replayed: ReplayedScores  # The finalists on recorded departures
+    recordings: RecordingScores  # What the recordings behind the model leave open of the winner
     window: Window  # Of S
     convention: Convention  # Reading of the paper
     # d designs: those that meet all requirements, smallest mean S first, equal designs in the study's order; then the

@@ -35,7 +35,15 @@ from .design_metrics import (
     pareto_front,
     sampling_intervals,
 )
-from .finalists import FreshScores, RankedDesigns, ReplayedScores, best_of_laws, fresh_scores, no_fresh_scores
+from .finalists import (
+    FreshScores,
+    RankedDesigns,
+    RecordingScores,
+    ReplayedScores,
+    best_of_laws,
+    fresh_scores,
+    no_fresh_scores,
+)
 from .inference import Inference, Resampled, infer, spread_is_known, tail_text
 from .verdict import depths, ranking_html
 
@@ -240,6 +248,11 @@ class Ranking(RankedDesigns, Frame):
         for i in best_of_laws(designs):
             if not designs[i].is_baseline and (text := tail_text(*depths(results, int(order[i]), setup))):
                 warnings.append(f"{designs[i].label} is {text}.")
+        known = np.isfinite(fresh.S), np.isfinite(fresh.baseline_difference), np.isfinite(fresh_saved)
+        at_fresh = fresh.S, fresh.baseline_difference, fresh_saved
+        elsewhere = in_order.S, inference.baseline_difference, in_order.reduction
+        centres = np.stack([np.where(*columns) for columns in zip(known, at_fresh, elsewhere, strict=True)])
+        ids = [design.id for design in designs]
         front = np.zeros(len(order), dtype=np.bool_)
         if pareto_metrics and ranked:
             front[:ranked] = pareto_front(pareto_costs(pareto_metrics, metrics)[order[:ranked]])
@@ -259,6 +272,7 @@ class Ranking(RankedDesigns, Frame):
                 D_y=D_y,
                 baseline=baseline,
             ),
+            recordings=RecordingScores.of(results.refits, ids, centres, fresh.winner, position, confidence),
             window=results.window,
             convention=results.convention,
             designs=designs,
@@ -387,6 +401,11 @@ _SCORES: Final = (
     ("inference", "", f"{_PAIRED} set_of_best best_frequency"),
     ("fresh", "fresh_", f"S low high {_PAIRED} reduction optimism optimism_low optimism_high"),
     ("replayed", "replayed_", "S low high reduction"),
+    (
+        "recordings",
+        "recordings_",
+        "low high baseline_difference_low baseline_difference_high reduction_low reduction_high",
+    ),
 )
 """Tables of a ranking, the prefix of their columns, and the attributes that have one: scores with their intervals."""
 

@@ -189,6 +189,10 @@ def _score(ranking: RankedDesigns, i: int) -> str:
     values = {estimate.requirement.metric.name: estimate.value for estimate in ranking.estimates(i)}
     level = f"{100 * ranking.confidence:g} % interval"
     between = f" ({level} {low:.3f} to {high:.3f})" if math.isfinite(low + high) else ""
+    # from above: an interval of S ends at 0 below
+    either_way = [_percent((end - S) / S) if S > 0.0 else "" for end in (high, float(ranking.recordings.high[i]))]
+    if math.isfinite(ranking.recordings.high[i]) and between:
+        between += f", {either_way[0]} either way from the scenarios, {either_way[1]} from the recordings"
     if ranking.designs[i].is_baseline or not math.isfinite(saved):
         change = ""
     elif saved <= -1.0:
@@ -202,6 +206,10 @@ def _score(ranking: RankedDesigns, i: int) -> str:
     ]
     costs = f"; control adds {_list(added)} (95 % quantiles)" if added else ""
     return f"Mean S {S:.3f} m s on {ranking.sample(i)}{between}{change}{costs}."
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.{0 if share >= 0.0095 else 1}f} %"
 
 
 def _broken(ranking: RankedDesigns, position: int) -> list[str]:
@@ -547,6 +555,24 @@ def more_lines(ranking: RankedDesigns) -> Iterator[str]:
         finalists = np.where(np.isfinite(ranking.fresh.S) & (ranking.rank > 0), ranking.replayed.S, np.inf)
         if (best := int(np.nanargmin(finalists))) != i:
             yield f"The first finalist there is {design_name(ranking.designs[best])}."
+    if i is not None and (recordings := ranking.recordings).text:
+        if math.isfinite(low := float(recordings.low[i])):
+            level, unit = f"{100 * ranking.confidence:g} %", " m s"
+            parts = [f"mean S {low:.3f} .. {recordings.high[i]:.3f}{unit}"]
+            parts += [
+                f"reduction {100 * recordings.reduction_low[i]:.1f} .. {100 * recordings.reduction_high[i]:.1f} %"
+            ]
+            if math.isfinite(end := float(recordings.baseline_difference_low[i])):
+                parts += [
+                    f"difference to the baseline {end:+.4f} .. {recordings.baseline_difference_high[i]:+.4f}{unit}"
+                ]
+            failed = f" ({recordings.failed} more failed)" if recordings.failed else ""
+            yield (
+                f"What the recordings leave open ({level} intervals, {recordings.refits} refits{failed}): "
+                f"{', '.join(parts)}; {recordings.text}."
+            )
+        else:
+            yield f"What the recordings leave open is not known: {recordings.text}."
     limits = () if i is None else ranking.estimates(i)
     if i is not None and (required := [limit for limit in limits if limit.required and limit.interval]):
         texts = (limit.with_interval(f"{100 * ranking.confidence:g} %") for limit in required)

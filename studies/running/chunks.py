@@ -6,6 +6,7 @@ add up in any order: no number depends on workers, or on where a run was stopped
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import hashlib
 import json
@@ -17,8 +18,9 @@ import numpy as np
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.control import EventStatus
 from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT
-from ldctoolkit.errors import LdcError
+from ldctoolkit.errors import InputError, LdcError, ModelError
 from ldctoolkit.scenario_model import Given, ScenarioModel
+from ldctoolkit.scenario_model.refit import refit
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
 from ldctoolkit.simulation import Run, Takeover
@@ -42,6 +44,9 @@ class Tally:
     invalid: IntArray  # (2,): departures that cannot be driven, which are in no other number
     counts: IntArray  # (d, e, 2): departures with the event
     only: IntArray  # (d, e, 2): those of them that do not have it without control
+    outside: IntArray  # (d, e, 2): those with the event where no recorded departure is
+    refit_n: IntArray  # (r, 2): departures of each refit
+    refit_counts: IntArray  # (r, d, e, 2): those with the event
     histogram: IntArray  # (d, BINS + 1): depths
     status: IntArray  # (d, number of `EventStatus`)
     failed_solves: IntArray  # (d,)
@@ -77,6 +82,7 @@ class ChunkJob:
     share: tuple[int, ...]  # left and right departures in proportion
     depths: tuple[float, ...]
     dtle_limits: tuple[float, ...]
+    refits: int = 0  # of the model; on all of them half as many departures are driven
     laws: bytes = b""  # controllers that no installed package offers
     token: int = 0  # of the run in its process
 
@@ -89,11 +95,11 @@ class ChunkJob:
     @property
     def empty(self) -> Tally:
         """A tally of no departure."""
-        d, e = len(self.designs), len(self.events)
-        shapes = (2,), (2,), (d, e, 2), (d, e, 2), (d, BINS + 1), (d, len(EventStatus)), (d,)
-        worst = np.full((d, _WORST, 3 + len(PARAMETER_NAMES)), _NONE)
-        n, invalid, counts, only, depths, status, solves = (np.zeros(shape, dtype=np.int64) for shape in shapes)
-        return Tally(n, invalid, counts, only, depths, status, solves, worst)
+        d, e, r = len(self.designs), len(self.events), self.refits
+        each, worst = (d, e, 2), np.full((d, _WORST, 3 + len(PARAMETER_NAMES)), _NONE)
+        shapes = (2,), (2,), each, each, each, (r, 2), (r, *each), (d, BINS + 1), (d, len(EventStatus)), (d,)
+        arrays: list[Any] = [*(np.zeros(shape, dtype=np.int64) for shape in shapes), worst]
+        return Tally(*arrays)
 
     def identity(self) -> dict[str, Any]:
         """What decides the numbers."""
@@ -101,7 +107,9 @@ class ChunkJob:
         designs = [design.id for design in self.designs]
         same = {"versions": dict(versions()), "designs": designs, "setup": setup, "n": self.n}
         same |= {"model": self.model.content_hash, "given": self.given, "seed": self.setup.seed, "chunk": self.chunk}
-        return dict(json.loads(json.dumps(same | {"left_right": self.share, "events": self.events})))
+        recorded = hashlib.sha256(repr(self.model.provenance.recorded).encode()).hexdigest()[:16]
+        same |= {"left_right": self.share, "events": self.events, "refits": self.refits, "recorded": recorded}
+        return dict(json.loads(json.dumps(same)))
 
     def scenarios(self, k: int) -> Scenarios:
         """The departures of chunk k."""
@@ -113,9 +121,31 @@ class ChunkJob:
         # mismatch and camera noise follow from the setup's seed and this number
         return dataclasses.replace(drawn, index=np.arange(first, last))
 
+    @property
+    def sizes(self) -> tuple[int, int]:
+        """Chunks of the model, and of each refit; they are numbered in this order."""
+        return -(-self.n // self.chunk), -(-self._of_refit // self.chunk)
+
+    @property
+    def _of_refit(self) -> int:
+        return -(-self.n // (2 * max(self.refits, 1)))
+
     def measure(self, k: int) -> Tally:
         """Drive all designs on a chunk; `LdcError` names a design whose law raises."""
-        drawn, tally = self.scenarios(k), self.empty
+        own, each = self.sizes
+        if k < own:
+            return self._counted(self.scenarios(k))
+        tally, (number, j) = self.empty, divmod(k - own, each)
+        with contextlib.suppress(InputError, ModelError, np.linalg.LinAlgError):  # one without departures has failed
+            seed = np.random.SeedSequence([self.setup.seed, _STREAM, number, 1]).generate_state(1, np.uint64)[0]
+            setup = dataclasses.replace(self.setup, seed=int(seed >> 1))
+            again = dataclasses.replace(self, model=refit(self.model, number), setup=setup, n=self._of_refit, refits=0)
+            counted = again._counted(again.scenarios(j))
+            tally.refit_n[number], tally.refit_counts[number] = counted.n, counted.counts
+        return tally
+
+    def _counted(self, drawn: Scenarios) -> Tally:
+        tally = self.empty
         over = {y_s: Takeover.build(drawn, self.setup, y_s=y_s) for y_s in {design.y_s for design in self.designs}}
         valid = np.logical_and.reduce([takeover.valid for takeover in over.values()])
         for j, side in enumerate((LEFT, RIGHT)):
@@ -130,6 +160,18 @@ class ChunkJob:
                     raise LdcError(self.designs[i].label, run)
                 self._count(tally, i, takeover, run, valid, without)
         return tally
+
+    def _outside(self, drawn: Scenarios) -> BoolArray:
+        """Which departures (n,) lie beyond the recorded ones of their side in depth, duration or speed."""
+        outside = np.zeros(drawn.n, dtype=np.bool_)
+        if (recorded := self.model.provenance.recorded) is None:
+            return outside
+        for side in (LEFT, RIGHT):
+            known = recorded.departures.take(recorded.departures.side == side)
+            for name in ("d_y", "T", "v_mean"):
+                x, ends = getattr(drawn, name), getattr(known, name)
+                outside |= (drawn.side == side) & ((x < ends.min()) | (x > ends.max()))
+        return outside
 
     def _count(
         self, tally: Tally, i: int, over: Takeover, run: Run | None, valid: BoolArray, without: BoolArray | None
@@ -147,8 +189,10 @@ class ChunkJob:
             raise LdcError(self.designs[i].label, "a depth is not a number")
         beyond = [*(depth > x for x in self.depths), *(dtle < x for x in self.dtle_limits)]
         events = np.stack([*beyond, opposite > 0.0, status == EventStatus.DIVERGED]) & valid
+        outside = self._outside(drawn)
         for j, side in enumerate((LEFT, RIGHT)):
             tally.counts[i, :, j] = (events & (drawn.side == side)).sum(axis=1)
+            tally.outside[i, :, j] = (events & outside & (drawn.side == side)).sum(axis=1)
             if without is not None:
                 tally.only[i, :, j] = (events & ~without & (drawn.side == side)).sum(axis=1)
         tally.histogram[i] = np.bincount(np.clip(depth[valid] / BIN, 0, BINS).astype(int), minlength=BINS + 1)

@@ -11,19 +11,23 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import json
 import logging
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ldctoolkit.errors import LdcError, StoreError
 from ldctoolkit.scenarios import Scenarios
+from ldctoolkit.version import versions
 
 from ..design import Design
-from ..results import FailedRun, StudyResults, TaskResult
+from ..results import FailedRun, RefitScores, StudyResults, TaskResult
 from ..study_file import Study
 from .checked_parts import read_part
-from .folder_files import SCENARIOS, output_folder, read_scenarios, write_scenarios
+from .folder_files import SCENARIOS, output_folder, read_json, read_scenarios, write_scenarios
 from .manifest import (
     DESIGNS,
     FAILURES,
@@ -44,6 +48,7 @@ from .run_table import PATTERN, AllFailedError, RunTable, parse_part, prefetched
 
 _log = logging.getLogger("studies")
 
+REFITS_FILE = "refits.json"
 FINALISTS = "finalists"
 REPLAYED = "replayed"
 SCORES = {FINALISTS: "fresh scores", REPLAYED: "scores on the replayed departures"}
@@ -204,7 +209,9 @@ class Store:
         if "gain_margin" not in measures and not self.manifest.part_of:
             _log.warning("%s: no loop margins of these designs yet; run the study again to have them", self.folder)
         fresh, replayed = (self._again(name, results) for name in (FINALISTS, REPLAYED))
-        return dataclasses.replace(results, measures=measures, fresh=fresh, replayed=replayed)
+        known = [self.manifest.ranked_as, self.manifest.model_hash]
+        refits = None if self.manifest.part_of else read_refits(self.folder, known)
+        return dataclasses.replace(results, measures=measures, fresh=fresh, replayed=replayed, refits=refits)
 
     def _again(self, name: str, results: StudyResults) -> StudyResults | None:
         """The finalists on other scenarios; None where there are none, or not all yet, or of other results."""
@@ -222,6 +229,20 @@ class Store:
             return None
         # a design that failed in this run and not in an earlier one
         return again if {design.id for design in again.designs} <= {design.id for design in results.designs} else None
+
+
+def read_refits(folder: Path, key: list[Any]) -> RefitScores | None:
+    """What a folder holds of refits; None where its key does not begin as this one, or it cannot be read."""
+    try:
+        content = read_json(folder / REFITS_FILE)
+        if content["key"][: len(key)] != json.loads(json.dumps(key)) or content["key"][-1] != dict(versions()):
+            return None
+        fields = content["scores"]
+        S = np.array(fields["S"], dtype=np.float64).reshape(-1, len(fields["designs"]) + 1, 2)
+        numbers = {"S": S, "factor": float(fields["factor"]), "df": float(fields["df"])}
+        return RefitScores(**fields | numbers | {"designs": tuple(fields["designs"])})
+    except (StoreError, ValueError, TypeError, KeyError, IndexError):
+        return None  # the next run makes it anew
 
 
 def read_results(folder: str | Path) -> StudyResults:

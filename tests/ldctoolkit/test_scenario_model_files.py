@@ -142,7 +142,7 @@ def changed(data, path, value):
 
 BROKEN = {  # what the error says of it: a key of the file, and what is written there
     "'ldctoolkit-scenario-model'": [("format", "other")],
-    "version 3 or 4, which this program reads": [("version", odd) for odd in (5, 2, "4", True, 4.0, KeyError)],
+    "version 3 to 5, which this program reads": [("version", odd) for odd in (6, 2, "4", True, 4.0, KeyError)],
     "missing, and has no default": [
         ("sides", KeyError), ("units", KeyError), ("sides.left.transform", KeyError), ("sides.left.weights", KeyError),
         ("provenance.left.bounds_from", [["T", "auto"]], "provenance.left.bounds_from[0][2]"),
@@ -216,7 +216,7 @@ def test_a_broken_file_is_one_clear_message(text, tmp_path, expected, case):
     assert error.path == (f"{file}: {path}" if path else str(file))
     names = (error.allowed,) if isinstance(error.allowed, str) else error.allowed
     assert expected in (error.problem, *names)
-    assert key != "version" or error.hint == ("the file is newer, update ldctoolkit" if value == 5 else "")
+    assert key != "version" or error.hint == ("the file is newer, update ldctoolkit" if value == 6 else "")
 
 
 @pytest.mark.parametrize("sum_of_weights", [1.0 - 0.9e-9, 1.0 + 0.9e-9])

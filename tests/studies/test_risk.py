@@ -5,6 +5,7 @@ import csv
 import dataclasses
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -22,11 +23,14 @@ from helpers.cli import bad, good, ldc
 from helpers.closed_loop import known
 from helpers.errors import refused
 from helpers.kills import killing
+from helpers.models import varied_departures
 from ldctoolkit import Controller, LinearLaw, Plant, Scenarios, gain, load_model, simulate
 from ldctoolkit.departures import PARAMETER_NAMES
 from ldctoolkit.errors import InputError, LdcError, StoreError
-from ldctoolkit.scenario_model import ScenarioModel
+from ldctoolkit.scenario_model import ScenarioModel, fit_scenario_model
+from ldctoolkit.scenario_model.refit import refit
 from ldctoolkit.studies import Design, Study
+from ldctoolkit.studies.pages.risk_page import probabilities
 from ldctoolkit.studies.ranking.inference import exact_interval, paired_sign
 from ldctoolkit.studies.risk import Risk, estimate_risk
 from ldctoolkit.studies.study_file import load_study
@@ -445,3 +449,121 @@ def test_a_study_that_replays_a_table_is_refused(tmp_path: Path) -> None:
     study = Study.from_toml(tmp_path / "s.toml")
     with pytest.raises(InputError, match="study s: recorded departures, which have no tail beyond themselves"):
         estimate_risk(study.designs, study, n=100)
+
+
+# ------------------------------------------------------------------------------------------------ what recordings know
+
+
+def planted(**settings: Any) -> ScenarioModel:
+    """125 departures a side of 25 trips; 7 of one trip are beyond 0.5 m, 2 of these beyond 0.8 m."""
+    recorded = varied_departures(125, seed=3)
+    depth = np.minimum(recorded.d_y, 0.45)
+    depth[:7] = [0.55, 0.6, 0.65, 0.7, 0.75, 0.85, 0.9]
+    trip = np.r_[np.zeros(7, dtype=int), np.arange(243) % 25].astype(np.str_)
+    model = fit_scenario_model(
+        dataclasses.replace(recorded, d_y=depth, T=2.0 + 0.5 * recorded.T, recording=trip), **settings
+    )
+    return dataclasses.replace(model, provenance=dataclasses.replace(model.provenance, hours=2.0))
+
+
+@pytest.fixture(scope="module")
+def few() -> ScenarioModel:
+    return planted(components=1)
+
+
+@pytest.fixture(scope="module")
+def of_few(few: ScenarioModel) -> Risk:
+    return estimate_risk([TABLE_I], PAPER, n=4000, chunk=1000, model=few, workers=1)
+
+
+def test_recorded_departures_beyond_each_depth_are_stated_with_their_exact_limit(of_few: Risk) -> None:
+    assert [of_few.recorded(deeper=x) for x in (-1.0, 0.5, 0.8, 1.0)] == [250, 7, 2, 0]
+    assert [of_few.recorded("left", deeper=x) for x in (-1.0, 0.5)] == [125, 7]
+    assert of_few.recorded("right", deeper=0.5) == 0
+    notes = " ".join(of_few.notes())
+    assert "250 departures of 25 trips" in notes
+    assert "2 beyond 0.8 m (upper limit 0.029), 0 beyond 1 m (upper limit 0.015)" in notes
+    assert "below 3/250 = 0.012 a probability is decided by the model, not by the recordings" in notes
+
+
+def test_no_probability_below_three_of_the_recorded_departures_is_shown(of_few: Risk) -> None:
+    hidden = 0
+    for design in of_few.designs:
+        table = probabilities(of_few, design)
+        titles = [column.title for column in table.columns]
+        for row, event in zip(table.rows, EVENTS, strict=True):
+            found, texts = of_few.event(design, event), dict(zip(titles, table.texts(row), strict=True))
+            rare = found.count < 4000 * 3 / 250
+            hidden += rare
+            assert (texts["P"] == "by the model") == rare
+            assert (".." in texts["Per hour"]) == rare
+            assert texts["No control"] == "by the model" or float(texts["No control"]) >= 0.012
+            assert found.interval == (found.refits if rare else (found.low, found.high))
+            assert 0.0 <= found.interval[0] < found.interval[1] <= 1.0
+        numbers = [float(x) for x in re.findall(r"[(t] (\d[\d.e-]*)", of_few.light(design).text)]
+        assert all(x >= 0.012 for x in numbers)
+    assert hidden >= 4
+    for row in of_few.rows():
+        shown = row["probability"], row["per_hour"]
+        rare = row["count"] * (250 if row["side"] == "both" else 125) < 3 * row["n"]
+        assert (row["decided_by"], shown == (None, None)) == ("model" if rare else "recordings", rare)
+
+
+def test_what_lies_outside_of_the_recordings_and_on_refits_is_counted_as_driven_directly(
+    few: ScenarioModel, of_few: Risk
+) -> None:
+    known = few.provenance.recorded
+    assert known is not None
+    outside = np.zeros(2, dtype=int)
+    for drawn in departures(few, PAPER.seed, 1000, [(500, 500)] * 4):
+        happened = events_of(TABLE_I, drawn, PAPER)[0]
+        for j, side in enumerate((1, -1)):
+            mine = known.departures.take(known.departures.side == side)
+            beyond = np.zeros(drawn.n, dtype=bool)
+            for name in ("d_y", "T", "v_mean"):
+                x, ends = getattr(drawn, name), getattr(mine, name)
+                beyond |= (x < ends.min()) | (x > ends.max())
+            outside[j] += (beyond & happened & (drawn.side == side)).sum()
+    assert of_few.event(TABLE_I, EVENTS[0]).outside == outside.sum() > 0
+    assert of_few.event(TABLE_I, EVENTS[0], "left").outside == outside[0]
+    assert of_few.tally.refit_n.tolist() == [[50, 50]] * 20
+    many = estimate_risk([TABLE_I], PAPER, n=40_000, model=few, workers=2)
+    shares = many.tally.refit_counts[:, 0, 0].sum(axis=1) / many.tally.refit_n.sum(axis=1)
+    direct = [(refit(few, i).sample(2000, 2000, seed=8).d_y > 0.3).mean() for i in range(20)]
+    assert np.corrcoef(shares, direct)[0, 1] > 0.6
+    assert shares.mean() == pytest.approx(np.mean(direct), rel=0.1)
+
+
+def test_a_trip_with_all_deep_departures_makes_the_interval_of_refits_wide() -> None:
+    """Seven deep departures of one trip: as many independent ones would say more."""
+    smooth = planted(kind="smoothed")
+    origin = smooth.provenance
+    assert origin.recorded is not None
+    alone = dataclasses.replace(origin.recorded, cluster=tuple(range(250)), kind="departures")
+    apart = dataclasses.replace(smooth, provenance=dataclasses.replace(origin, recorded=alone))
+    width = []
+    for model in (smooth, apart):
+        risk = estimate_risk([], PAPER, n=100_000, model=model, workers=2)
+        found = risk.event(risk.designs[0], "depth > 0.5 m")
+        width.append(np.log(found.refits[1] / found.refits[0]))
+    assert width[0] > 1.5 * width[1]
+
+
+def test_of_a_model_that_keeps_no_departures_nothing_is_computed_and_it_says_so(few: ScenarioModel) -> None:
+    origin = dataclasses.replace(few.provenance, recorded=None)
+    risk = estimate_risk([TABLE_I], PAPER, n=1000, model=dataclasses.replace(few, provenance=origin), workers=1)
+    assert risk.tally.refit_n.shape == (0, 2)
+    found = risk.event(TABLE_I, "diverged")
+    assert found.by_model
+    assert np.isnan(found.refits).all()
+    assert any("holds no recorded departures" in note for note in risk.notes())
+
+
+def test_the_command_prints_one_json_object(few: ScenarioModel, tmp_path: Path) -> None:
+    few.save(tmp_path / "few.json")
+    content = json.loads(good("risk", "paper", "--model", "few.json", "-n", 2000, "--json", cwd=tmp_path))
+    assert content["n"] == 2000
+    assert content["recorded"] == "250 departures of 25 trips, 7 % of them in one trip"
+    rare = [row for row in content["rows"] if row["decided_by"] == "model"]
+    assert rare
+    assert all(row["probability"] is None and row["probability_high"] > 0.0 for row in rare)

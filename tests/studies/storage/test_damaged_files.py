@@ -132,7 +132,8 @@ def test_damage_is_one_sentence_or_changes_no_number(room: Path, capfd: pytest.C
     kinds = {path.name[: 5 if path.name.startswith("part-") else None] for path in read}
     assert kinds == {
         "d.parquet", "d.signals.parquet", "model.json", "manifest.json", "designs.parquet", "measures.parquet",
-        "scenarios.parquet", "scenarios.signals.parquet", "part-", "timing.json", "failures.json", "robustness.json",
+        "scenarios.parquet", "scenarios.signals.parquet", "part-", "timing.json", "failures.json", "refits.json",
+        "robustness.json",
     }  # fmt: skip
     rng = np.random.default_rng(20)
     files = list(read)
