@@ -160,8 +160,8 @@ def fit_scenario_model(
         (see `check_fidelity`). ``"smoothed"`` are the departures themselves, resampled with a kernel: a component each.
         ``"auto"`` takes those where no such mixture gives the answer; one K as requested stays.
     seed : int
-        Seed of fits to more than 2,000 departures, and of the halves that are held out. Fits to fewer depend on neither
-        the seed nor the order of the departures.
+        Seed of fits to more than 2,000 departures, and of the halves that are held out. The model of fewer does not
+        depend on it.
     bounds : mapping, optional
         Parameter -> (lower, upper) in SI units, None for open. The others end at the criteria of the extraction if
         given and at ``PHYSICAL_BOUNDS`` otherwise.

@@ -346,3 +346,18 @@ def test_a_component_of_hardly_any_departures_is_not_taken() -> None:
     made = dataclasses.replace(made, v_mean=np.where(far, 60.0 + 0.1 * np.arange(300) % 1.0, made.v_mean))
     side = fit_scenario_model(made, components=(1, 2, 3), kind="mixture", extraction=CRITERIA).left
     assert side.weights_.min() * 150 >= 10
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("n", [150, 400])
+@pytest.mark.parametrize("population", ["reference", "two kinds"])
+def test_kind_and_number_of_components_are_stable(population: str, n: int) -> None:
+    """Known populations, other seeds: the same kind, K within 1, answers within 2 points."""
+    made = two_kinds(n, seed=n) if population == "two kinds" else load_model("reference").sample(n, n, seed=n)
+    models = [fit_scenario_model(made, seed=seed, extraction=CRITERIA) for seed in range(4)]
+    for name in ("left", "right"):
+        sides = [getattr(model.provenance, name) for model in models]
+        assert len({side.kind for side in sides}) == 1
+        assert np.ptp([getattr(model, name).weights_.size for model in models]) <= 1
+        answers = np.array([side.fidelity.generated for side in sides])[:, :, :3]
+        assert np.ptp(answers, axis=0).max() < 0.02
