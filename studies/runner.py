@@ -272,8 +272,9 @@ class _Run:
             extended=extended,
         )
         store = Store.create(folder, manifest, scenarios, study)
-        if not part_of and isinstance(source, ScenarioModel):  # finalists are drawn from the same model
-            write_model(folder, source)
+        # finalists are drawn from the same model; another file may have other recordings behind it
+        if not part_of and isinstance(source, ScenarioModel) and not write_model(folder, source):
+            (folder / REFITS_FILE).unlink(missing_ok=True)
         for room in (folder, folder / "results"):
             remove_unfinished(room)
         table = store.load(study.designs, repair=True)

@@ -154,16 +154,20 @@ def _checked(name: str, make: Callable[[], Scenarios]) -> Scenarios:
 MODEL: Final = "model.json"
 
 
-def write_model(folder: Path, model: ScenarioModel) -> None:
-    """Write or replace a folder's model, whole or not at all.
+def write_model(folder: Path, model: ScenarioModel) -> bool:
+    """Write or replace a folder's model, whole or not at all; whether the same file was there before.
 
     A model in memory may hold what JSON does not know. Its scores are no worse for that: what is lost is a part of the
     report, and a warning says so.
     """
+    path = folder / MODEL
+    before = path.read_bytes() if path.is_file() else b""
     try:
-        model.save(folder / MODEL)
+        model.save(path)
     except ModelError as error:
         _log.warning("%s: the report will not show the scenario model (%s)", folder, error)
+        return False
+    return path.read_bytes() == before
 
 
 def read_model(folder: str | Path, manifest: Manifest) -> ScenarioModel | None:

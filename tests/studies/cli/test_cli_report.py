@@ -35,8 +35,8 @@ def test_what_lies_in_a_folder_and_how_it_is_written_again(folder: Path) -> None
     good("report", "plain", cwd=folder)
     assert sorted(path.name for path in out.iterdir()) == [
         ".lock", "designs.parquet", "figures", "finalists", "manifest.json", "measures.parquet", "model.json",
-        "paths.parquet", "ranking.csv", "ranking.md", "refits.json", "report.html", "results", "robustness.json", "scenarios.parquet",
-        "timing.json",
+        "paths.parquet", "ranking.csv", "ranking.md", "refits.json", "report.html", "results", "robustness.json",
+        "scenarios.parquet", "timing.json",
     ]  # fmt: skip
     written = {path: path.read_bytes() for path in (page, plants, ranking)}
     ranking.unlink()

@@ -201,6 +201,11 @@ def test_a_run_that_goes_on_drives_no_refit_again_and_another_model_meets_none(
     assert kept is not None
     other = dataclasses.replace(kept, cluster=tuple(range(240)), kind="departures")
     changed = dataclasses.replace(smooth, provenance=dataclasses.replace(smooth.provenance, recorded=other))
+    with monkeypatch.context() as patch:  # a run that ends before its refits leaves none of other recordings
+        patch.setattr("ldctoolkit.studies.runner.scores_of_refits", never)
+        with pytest.raises(AssertionError):
+            ldc.run_study(STUDY, folder, model=changed, workers=1, refits=12)
+    assert read_results(folder).refits is None
     alone = ldc.run_study(STUDY, folder, model=changed, workers=1, refits=12)
     assert not np.array_equal(refits_of(before).S, refits_of(alone).S)
     assert ldc.run_study(STUDY, folder, model=smooth, workers=1, refits=0).refits is None
