@@ -190,7 +190,7 @@ def test_a_run_that_goes_on_drives_no_refit_again_and_another_model_meets_none(
 ) -> None:
     before = read_results(folder)
 
-    def never(*_: object) -> None:
+    def never(*_: object, **__: object) -> None:
         raise AssertionError
 
     with monkeypatch.context() as patch:
