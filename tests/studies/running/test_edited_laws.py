@@ -350,7 +350,7 @@ def test_a_killed_run_is_resumed_with_edited_code(folder: Folder, tmp_path: Path
         "name='edited', ranking={'finalists': 0, 'bootstrap': 100}, left=8, right=6); "
         "ldc.run_study(study, 'out', workers=1, block_size=1)"
     )
-    for step in (24, 18, 20):  # of making, writing and renaming files of the folder
+    for step in (27, 20, 22):  # of making, writing and renaming files of the folder
         words = [sys.executable, "-B", "-c", killing(tmp_path / "out", step) + program]
         done = subprocess.run(words, cwd=tmp_path, env=os.environ | {"PYTHONPATH": "."}, check=False, timeout=600)
         assert done.returncode == -signal.SIGKILL
