@@ -123,7 +123,8 @@ def run_page(page: str, folder: Path, only_python: bool = False) -> None:
     try:
         for kind, text in steps(page):
             if kind == "python":
-                named = re.findall(r'"([\w.-]+\.(?:parquet|json))"', text) if "write_" not in text else []
+                made = re.findall(r'(?:write_\w+|save)\(\s*"([\w.-]+)"', text)
+                named = [name for name in re.findall(r'"([\w.-]+\.(?:parquet|json))"', text) if name not in made]
                 _stand_in(folder, named)
                 exec(compile(text, page, "exec"), module.__dict__)
                 plt.close("all")
