@@ -104,7 +104,7 @@ class RecordingScores:
     baseline_difference_high: FloatArray
     reduction_low: FloatArray
     reduction_high: FloatArray
-    text: str  # What the recorded departures come from, or why there are no intervals; empty where nobody asked
+    text: str  # Origin of the recorded departures, or why there are no intervals; empty if no refits were requested
     refits: int  # Number of refits behind them
     failed: int  # Refits that failed
 
