@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
-from ldctoolkit.clusters import cluster_error, with_tails_of_t
+from ldctoolkit.clusters import cluster_error, several, with_tails_of_t
 from ldctoolkit.control import EventStatus
 from ldctoolkit.departures import LEFT
 from ldctoolkit.errors import StoreError
@@ -236,8 +236,8 @@ def lower_ends(
     z = statistics.NormalDist().inv_cdf(0.5 * (1.0 + confidence))
     df: FloatArray | int = degrees_of_freedom(side)
     error = lengths(error_parts(change, side))
-    if cluster is not None:
-        clustered = cluster_error(change - row_means(change)[:, None], np.unique(cluster, return_inverse=True)[1])
+    if (cluster := several(cluster)) is not None:
+        clustered = cluster_error(change - row_means(change)[:, None], cluster)
         df, error = clustered.df, clustered.error
     half = half_widths(with_tails_of_t(z, df), error)
     fewest = 1.0 + math.log2(1.0 / (1.0 - confidence))

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
-from ldctoolkit.clusters import cluster_error, cluster_values, with_tails_of_t
+from ldctoolkit.clusters import cluster_error, cluster_values, several, with_tails_of_t
 from ldctoolkit.declared import checked_number
 from ldctoolkit.errors import InputError
 from ldctoolkit.metrics import TAIL
@@ -260,10 +260,10 @@ class Resampled:
     ) -> Resampled:
         """Resample scenarios within each side; with clusters (n,) whole clusters, whatever their sides."""
         rows = np.arange(len(scores)) if rows is None else rows
-        departures = None
+        cluster, departures = several(cluster), None
         if cluster is not None:
-            departures = scores, np.unique(cluster, return_inverse=True)[1].ravel()
-            scores = cluster_values(*departures)
+            departures = scores, cluster
+            scores = cluster_values(scores, cluster)
             side = np.zeros(scores.shape[1], dtype=np.int64)
         few = rows.size * side.size <= _STORED_PARTS
         deviations = bootstrap_deviations(scores, side, samples=samples, seed=seed, stream=stream, rows=rows)

@@ -123,8 +123,9 @@ class Verdict:
     def held_back(self) -> tuple[str, ...]:
         """Sentences on what binds, on the ends of sweeps, and on better values that break a requirement."""
         binding = "; ".join(estimate.of_limit for estimate in self.binding)
-        sweeps = (f"{found.text}." for found in (*self.ends, *self.blocked))
-        return (*([f"Requirements that bind: {binding}."] if binding else []), *sweeps)
+        texts = [f"Requirements that bind: {binding}"] if binding else []
+        texts += [end.text for end in self.ends] + [value.text for value in self.blocked]
+        return tuple(f"{text}." for text in texts)
 
 
 def verdict(
@@ -416,7 +417,8 @@ def _sweeps(ranking: RankedDesigns, position: int) -> Iterator[tuple[Gain, float
     for gain in () if design.is_baseline else (Y_S, *design.kind.gains()):
         value: Any = values[gain.name]
         if not isinstance(value, str | bool):
-            yield gain, value, {of[gain.name]: i for i, of in tried.items() if of | {gain.name: value} == values}
+            beside: Any = {of[gain.name]: i for i, of in tried.items() if of | {gain.name: value} == values}
+            yield gain, value, beside
 
 
 def sweep_ends(ranking: RankedDesigns, position: int) -> tuple[SweepEnd, ...]:
@@ -600,24 +602,8 @@ def more_lines(ranking: RankedDesigns) -> Iterator[str]:
         finalists = np.where(np.isfinite(ranking.fresh.S) & (ranking.rank > 0), ranking.replayed.S, np.inf)
         if (best := int(np.nanargmin(finalists))) != i:
             yield f"The first finalist there is {design_name(ranking.designs[best])}."
-    if i is not None and (recordings := ranking.recordings).text:
-        if math.isfinite(low := float(recordings.low[i])):
-            level, unit = f"{100 * ranking.confidence:g} %", " m s"
-            parts = [f"mean S {low:.3f} .. {recordings.high[i]:.3f}{unit}"]
-            parts += [
-                f"reduction {100 * recordings.reduction_low[i]:.1f} .. {100 * recordings.reduction_high[i]:.1f} %"
-            ]
-            if math.isfinite(end := float(recordings.baseline_difference_low[i])):
-                parts += [
-                    f"difference to the baseline {end:+.4f} .. {recordings.baseline_difference_high[i]:+.4f}{unit}"
-                ]
-            failed = f" ({recordings.failed} more failed)" if recordings.failed else ""
-            yield (
-                f"What the recordings leave open ({level} intervals, {recordings.refits} refits{failed}): "
-                f"{', '.join(parts)}; {recordings.text}."
-            )
-        else:
-            yield f"What the recordings leave open is not known: {recordings.text}."
+    if recordings := recordings_text(ranking):
+        yield recordings
     limits = () if i is None else ranking.estimates(i)
     if i is not None and (required := [limit for limit in limits if limit.required and limit.interval]):
         texts = (limit.with_interval(f"{100 * ranking.confidence:g} %") for limit in required)
@@ -632,6 +618,27 @@ def more_lines(ranking: RankedDesigns) -> Iterator[str]:
         )
     if ranking.failed:
         yield f"{len(ranking.failed):,} design{'' if len(ranking.failed) == 1 else 's'} failed, without metrics."
+
+
+def recordings_text(ranking: RankedDesigns, unit: str = "m s") -> str:
+    """Sentence on what the recordings behind the model leave open of the winner; may be empty."""
+    i, recordings, level = ranking.winner, ranking.recordings, f"{100 * ranking.confidence:g} %"
+    if i is None or not recordings.text:
+        return ""
+    if not math.isfinite(low := float(recordings.low[i])):
+        return f"What the recordings leave open is not known: {recordings.text}."
+    parts = [
+        f"mean S {low:.3f} .. {recordings.high[i]:.3f} {unit}",
+        f"reduction {100 * recordings.reduction_low[i]:.1f} .. {100 * recordings.reduction_high[i]:.1f} %",
+    ]
+    if math.isfinite(end := float(recordings.baseline_difference_low[i])):
+        high = recordings.baseline_difference_high[i]
+        parts.append(f"difference to the baseline {end:+.4f} .. {high:+.4f} {unit}")
+    failed = f" ({recordings.failed} more failed)" if recordings.failed else ""
+    return (
+        f"What the recordings leave open ({level} intervals, {recordings.refits} refits{failed}): "
+        f"{', '.join(parts)}; {recordings.text}."
+    )
 
 
 def ranking_html(ranking: RankedDesigns, top: int = TOP) -> str:

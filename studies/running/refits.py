@@ -89,7 +89,7 @@ def scores_of_refits(
     if (stored := read_refits(folder, key)) is not None:
         return stored
     (folder / REFITS_FILE).unlink(missing_ok=True)  # of another winner, model or version
-    means, factor, df, text = np.empty((0, len(ids) + 1, 2)), math.nan, math.nan, NOT_KEPT
+    means, factor, df, text, doubt = np.empty((0, len(ids) + 1, 2)), math.nan, math.nan, NOT_KEPT, ""
     batch = min((design.batch for design in designs), default=0)
     if recorded is not None and batch < _SLOW_BATCH:
         text = "its law takes too long to be driven on refits of the model"
@@ -113,8 +113,8 @@ def scores_of_refits(
                 results[task.refit] = result
         means = np.array([results[i] for i in sorted(results)]).reshape(-1, *means.shape[1:])
         factor, df = uncertainty(recorded, len(means))
-        text = recorded.clusters.text
-    scores = RefitScores(ids, means, refits - len(means), factor, df, text)
+        text, doubt = recorded.clusters.text, recorded.clusters.doubt
+    scores = RefitScores(ids, means, refits - len(means), factor, df, text, doubt)
     numbers = {"S": means.tolist(), "factor": str(factor), "df": str(df)}  # JSON has no word for what is not a number
     write_json(folder / REFITS_FILE, {"key": key, "scores": vars(scores) | numbers}, indent=None)
     return scores

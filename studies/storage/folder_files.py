@@ -119,7 +119,7 @@ def scenario_table(scenarios: Scenarios) -> pl.DataFrame:
             "side": np.where(scenarios.side == LEFT, "left", "right").tolist(),
             **{column: getattr(scenarios, name) for name, column in PARAMETER_COLUMNS.items()},
             **({column: getattr(drift, name) for name, column in _DRIFT.items()} if drift is not None else {}),
-            **({} if cluster is None else {_CLUSTER: cluster.astype(np.uint32)}),
+            **({} if cluster is None else {_CLUSTER: cluster.astype(np.int32)}),
         }
     )
 
@@ -136,7 +136,7 @@ def read_scenarios(path: Path) -> Scenarios:
     import polars as pl
 
     schema = {"scenario": pl.UInt32(), "side": pl.String(), **dict.fromkeys(PARAMETER_COLUMNS.values(), pl.Float64())}
-    table = read_parquet(path, schema, optional=(dict.fromkeys(_DRIFT.values(), pl.Float64()), {_CLUSTER: pl.UInt32()}))
+    table = read_parquet(path, schema, optional=(dict.fromkeys(_DRIFT.values(), pl.Float64()), {_CLUSTER: pl.Int32()}))
     columns = {name: table[column].to_numpy() for name, column in PARAMETER_COLUMNS.items()}
     try:
         scenarios = Scenarios.drawn(side=np.where((table["side"] == "left").to_numpy(), LEFT, RIGHT), **columns)

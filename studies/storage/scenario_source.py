@@ -136,8 +136,7 @@ def read_replayed(study: Study) -> ReplayedDepartures:
             for key in ("recording", "driver")
         )
         clusters = Clusters.of_names(scenarios.n, recording, driver)
-        if clusters.kind != "departures":
-            scenarios = dataclasses.replace(scenarios, cluster=clusters.index)
+        scenarios = dataclasses.replace(scenarios, cluster=clusters.numbers)
     notes.append(f"Intervals are of {clusters.text}.")
     if weights is not None and not ((weights >= 0.0) & np.isfinite(weights)).all():
         raise RecordingError(name, f"column {settings.weights!r} holds {weights.min():g}", allowed="finite, at least 0")
