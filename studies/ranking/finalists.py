@@ -15,7 +15,16 @@ from ..design_space import Dimension
 from ..requirements import Estimate, Miss, Requirement
 from ..results import FailedDesign, RefitScores, StudyResults, score_label
 from .design_metrics import DesignMetrics, mean_reduction
-from .inference import SAME, Inference, Interval, Resampled, critical_value, simultaneous_interval, skewed_widths
+from .inference import (
+    SAME,
+    Differences,
+    Inference,
+    Interval,
+    Resampled,
+    critical_value,
+    simultaneous_interval,
+    skewed_widths,
+)
 
 
 def choose_winner(resampled: Resampled, set_of_best: BoolArray, meets: BoolArray, confidence: float) -> int | None:
@@ -40,23 +49,16 @@ _STREAM = 1  # of the resamples; the search uses stream 0
 
 
 @dataclasses.dataclass(frozen=True)
-class FreshScores:
+class FreshScores(Differences):
     """Scores of the finalists on scenarios that no design was chosen on, arrays of d; NaN for other designs.
-    The baseline is scored there too. It is a finalist only where it is in the set of best.
+    The reference is the search's first. The baseline is scored there too. It is a finalist only where it is in the set
+    of best.
     """
 
     # (d,) [m s] Mean S and its interval, for all finalists and the baseline at once
     S: FloatArray
     low: FloatArray
     high: FloatArray
-    # (d,) [m s] Mean S minus that of the search's first, paired, with its interval, for all finalists at once
-    difference: FloatArray
-    difference_low: FloatArray
-    difference_high: FloatArray
-    # (d,) [m s] The same to the baseline
-    baseline_difference: FloatArray
-    baseline_difference_low: FloatArray
-    baseline_difference_high: FloatArray
     reduction: FloatArray  # (d,) 1 - mean S / mean S of the baseline
     unmet: tuple[tuple[str, ...], ...]  # Requirements that a finalist misses on the fresh scenarios
     # (d,) [m s] How much better the search's score was than the fresh one, and its interval, for all finalists at
@@ -204,10 +206,10 @@ def fresh_scores(
         winner = None if winning_row is None else int(finalists[winning_row])
     texts = dict(zip(finalists.tolist(), (unmet[i] for i in rows.tolist()), strict=True))
     return FreshScores(
-        S,
-        *ends(simultaneous_interval(scored, confidence), positions)[1:],
         *to_first,
         *to_baseline,
+        S,
+        *ends(simultaneous_interval(scored, confidence), positions)[1:],
         reduction,
         tuple(texts.get(i, ()) for i in range(d)),
         *optimism,

@@ -319,8 +319,8 @@ def test_held_out_halves(bad: ScenarioModel, fine: ScenarioModel) -> None:
         )
         assert 1.5 < half / whole < 2.8  # twice, by halves
     assert first.counted == (
-        "60 of 60 answers agree with those of the 75 departures that a model of the other 75 has not seen; what differs "
-        "between trips cannot be seen in a single one, and intervals cannot be trusted"
+        "60 of 60 answers agree with those of the 75 departures that a model of the other 75 has not seen; what "
+        "differs between trips cannot be seen in a single one, and intervals cannot be trusted"
     )
     made = in_trips(150, seed=4, per_trip=30)  # five trips a side
     halves = fit_scenario_model(made, components=1, extraction=CRITERIA).provenance.left.held_out
