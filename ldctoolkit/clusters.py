@@ -135,6 +135,7 @@ class StandardErrors:
 
     error: FloatArray  # (k,) Standard error
     df: FloatArray  # (k,) Degrees of freedom of Student's t
+    factor: FloatArray  # (k,) Of the plain sum over clusters, which resampling whole clusters shows; 1 without spread
 
 
 def cluster_sums(values: FloatArray, index: IntArray) -> FloatArray:
@@ -175,10 +176,11 @@ def cluster_error(influence: FloatArray, index: IntArray, weights: FloatArray | 
     w = np.full(n, 1.0 / n) if weights is None else weights / weights.sum()
     H, q = (cluster_sums(row[None], index)[0] for row in (w, w * w))  # share of each cluster, and of squares
     if H.size < 2 or H.max() >= 1.0:
-        return StandardErrors(np.full(k, np.inf), np.ones(k))
+        return StandardErrors(np.full(k, np.inf), np.ones(k), np.ones(k))
     c = 1.0 / np.sqrt(1.0 - H)
     sums = cluster_sums(influence * w, index)
-    error = np.sqrt(((sums * c) ** 2).sum(axis=1))
+    error, plain = (np.sqrt((part**2).sum(axis=1)) for part in (sums * c, sums))
+    factor = np.divide(error, plain, out=np.ones(k), where=plain > 0.0)
     rho = _intraclass_correlation(influence, index)[:, None]
     # covariance of the corrected sums of a working model with variance 1 and this correlation within a cluster:
     # M_gh = c_g c_h (delta_gh u_g - u_g H_h - H_g u_h + U H_g H_h); df = trace(M)^2 / sum M_gh^2
@@ -190,7 +192,7 @@ def cluster_error(influence: FloatArray, index: IntArray, weights: FloatArray | 
     squares = (diagonal**2).sum(axis=1) + 2.0 * (diagonal * off).sum(axis=1)
     squares += 2.0 * (xx * yy + xy**2) + U[:, 0] ** 2 * yy**2 - 4.0 * U[:, 0] * xy * yy
     trace = (diagonal + off).sum(axis=1)
-    return StandardErrors(error, np.maximum(trace**2 / squares, 1.0))
+    return StandardErrors(error, np.maximum(trace**2 / squares, 1.0), factor)
 
 
 def _intraclass_correlation(values: FloatArray, index: IntArray) -> FloatArray:

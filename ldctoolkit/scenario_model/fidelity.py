@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
-from ldctoolkit.clusters import Clusters, cluster_error, cluster_sums, several, with_tails_of_t
+from ldctoolkit.clusters import Clusters, cluster_error, several, with_tails_of_t
 from ldctoolkit.control import Controller, LinearLaw
 from ldctoolkit.declared import gain
 from ldctoolkit.departures import PARAMETER_NAMES, DepartureParameters
@@ -177,9 +177,7 @@ class _Answer:
         resampled = np.stack([_answers(columns, weights) for columns in driven], axis=1)
         influence = np.concatenate([_influence(*row, share) for row in zip(driven, answer, strict=True)])
         corrected = cluster_error(influence, index, share)
-        plain = np.sqrt((cluster_sums(influence * (share / share.sum()), index) ** 2).sum(axis=1))
-        factor = np.divide(corrected.error, plain, out=np.ones_like(plain), where=plain > 0.0)
-        return cls(answer, resampled, factor.reshape(answer.shape), corrected.df.reshape(answer.shape))
+        return cls(answer, resampled, *(x.reshape(answer.shape) for x in (corrected.factor, corrected.df)))
 
 
 @dataclasses.dataclass(frozen=True)

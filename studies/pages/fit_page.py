@@ -335,8 +335,8 @@ def _selection(sides: tuple[Side, ...]) -> Section:
 def curve(summary: SideSummary, taken: int, title: str = "") -> Table:
     """Every K that was fitted; the one that was taken has a star."""
     columns = [
-        Column("K"), Column("p", about="Free parameters"), Column("log-likelihood an event", form=".4f"),
-        Column("BIC", form=".1f"), Column("above the least", form=".1f"),
+        Column("K"), Column("p", about="Free parameters"), Column("Log-likelihood", "nats an event", ".4f"),
+        Column("BIC", form=".1f"), Column("Above the least", form=".1f"),
     ]  # fmt: skip
     parameters = summary.n_parameters or (None,) * len(summary.bic)  # of an earlier version
     numbers = zip(summary.n_components, parameters, summary.log_likelihood, summary.bic, strict=True)

@@ -99,6 +99,9 @@ class ReplayedScores:
 class RecordingScores:
     """Intervals of what the recordings leave open, arrays of d: of the winner, NaN for other designs."""
 
+    text: str  # Origin of the recorded departures, or why there are no intervals; empty if no refits were requested
+    refits: int  # Number of refits behind them
+    failed: int  # Refits that failed
     # (d,) [m s] Of mean S, and of its difference to the baseline
     low: FloatArray
     high: FloatArray
@@ -106,9 +109,6 @@ class RecordingScores:
     baseline_difference_high: FloatArray
     reduction_low: FloatArray
     reduction_high: FloatArray
-    text: str  # Origin of the recorded departures, or why there are no intervals; empty if no refits were requested
-    refits: int  # Number of refits behind them
-    failed: int  # Refits that failed
 
     @classmethod
     def of(
@@ -116,23 +116,20 @@ class RecordingScores:
         baseline: int | None, confidence: float,
     ) -> Self:  # fmt: skip
         """About the centres (3, d): mean S, its difference to the baseline, and the reduction."""
-        ends = np.full((6, len(ids)), np.nan)
-        text, count, failed = "", 0, 0
-        if refits is not None:
-            text, count, failed = refits.text, len(refits.S), refits.failed
-        if refits is not None and winner is not None and count:
-            named = [ids[i] for i in dict.fromkeys(i for i in (winner, baseline) if i is not None)]
+        ends = np.full((3, 2, len(ids)), np.nan)
+        if refits is None:
+            return cls("", 0, 0, *ends.reshape(6, -1))
+        text, named = refits.text, [ids[i] for i in dict.fromkeys((winner, baseline)) if i is not None]
+        if winner is not None and len(refits.S):
             if set(named) <= set(refits.designs):
-                S, without = refits.S[:, refits.designs.index(ids[winner])], refits.S[:, -1]
-                values = [S, S - refits.S[:, refits.designs.index(named[-1])], 1.0 - S / without]
-                half = np.array([refits.half_width(value, confidence) for value in values])
-                half[1] = np.nan if len(named) == 1 else half[1]
-                ends[::2, winner], ends[1::2, winner] = centres[:, winner] - half, centres[:, winner] + half
-                ends[0] = np.maximum(ends[0], 0.0)
-                ends[5] = np.minimum(ends[5], 1.0)
+                S, other = (refits.S[:, refits.designs.index(name)] for name in (named[0], named[-1]))
+                values = (S, S - other if len(named) > 1 else np.full_like(S, np.nan), 1.0 - S / refits.S[:, -1])
+                half = [refits.half_width(value, confidence) for value in values]
+                ends[:, :, winner] = centres[:, winner, None] + np.outer(half, (-1.0, 1.0))
+                ends[0], ends[2] = np.maximum(ends[0], 0.0), np.minimum(ends[2], 1.0)
             else:
                 text = "not known for this winner: run the study with these settings"
-        return cls(ends[0], ends[1], ends[2], ends[3], ends[4], ends[5], text, count, failed)
+        return cls(text, len(refits.S), refits.failed, *ends.reshape(6, -1))
 
 
 def fresh_scores(
