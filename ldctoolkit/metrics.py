@@ -4,8 +4,8 @@ A metric of a scenario is a field of `MetricValues`, a row with its unit, title,
 is a row of `METRICS`: most are aggregates of a metric of its scenarios, and take their unit and title from it. Columns
 of the store and of ``ranking.csv``, names in requirements, axes and texts on pages follow from these rows.
 
-S and the metrics of a scenario are computed in `simulation.kernel` (`exact_loop`, `rk4_loop`, `scoring`), aggregates
-and shares here. Arrays of n scenarios, or of (d, n) for d designs: everything is taken along the last axis.
+S and the metrics of a scenario are computed in `simulation.kernel` (`exact_loop`, `rk4_loop`, `block_table`),
+aggregates and shares here. Arrays of n scenarios, or of (d, n) for d designs: everything is taken along the last axis.
 """
 
 import dataclasses

@@ -22,9 +22,9 @@ from ldctoolkit.departures import Departures, DepartureSignals, ExtraColumn
 from ldctoolkit.errors import LdcError, RecordingError
 from ldctoolkit.recordings.departures_table import Extraction, PartResult, write_departures
 from ldctoolkit.recordings.extract import extract_part, merge_results
+from ldctoolkit.recordings.extraction_statistics import Account, Drawn, DrawnEvent, Origin, QualityStatistics
 from ldctoolkit.recordings.find_departures import Criteria
 from ldctoolkit.recordings.preparation import Preparation
-from ldctoolkit.recordings.quality import Account, Drawn, DrawnEvent, Origin, QualityStatistics
 from ldctoolkit.recordings.recording import (
     GROUP,
     CombinedReader,

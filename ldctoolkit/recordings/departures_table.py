@@ -33,9 +33,7 @@ from ldctoolkit.departures import (
     no_departures,
 )
 from ldctoolkit.errors import RecordingError, first_line
-from ldctoolkit.recordings.find_departures import Criteria, Refused
-from ldctoolkit.recordings.preparation import Preparation
-from ldctoolkit.recordings.quality import (
+from ldctoolkit.recordings.extraction_statistics import (
     Account,
     Drawn,
     QualityStatistics,
@@ -43,6 +41,8 @@ from ldctoolkit.recordings.quality import (
     combined_examples,
     combined_statistics,
 )
+from ldctoolkit.recordings.find_departures import Criteria, Refused
+from ldctoolkit.recordings.preparation import Preparation
 from ldctoolkit.recordings.recording import Problem, SourceFile, missing_column
 
 if TYPE_CHECKING:

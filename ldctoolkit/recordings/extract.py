@@ -10,9 +10,7 @@ from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.departures import PARAMETER_COLUMNS, PARAMETER_NAMES, Departures, ExtraColumn, Plausibility
 from ldctoolkit.errors import InputError, LdcError, RecordingError
 from ldctoolkit.recordings.departures_table import Extraction, PartResult, Provenance, combined_results
-from ldctoolkit.recordings.find_departures import REASONS, Criteria, Refused, find_departures
-from ldctoolkit.recordings.preparation import MAX_JUMP, Preparation, corrected, on_own_clocks, prepare, stretches
-from ldctoolkit.recordings.quality import (
+from ldctoolkit.recordings.extraction_statistics import (
     OFFSET_BINS,
     OFFSET_STEP,
     RELATIONS,
@@ -24,6 +22,8 @@ from ldctoolkit.recordings.quality import (
     quality_statistics,
     unit_warnings,
 )
+from ldctoolkit.recordings.find_departures import REASONS, Criteria, Refused, find_departures
+from ldctoolkit.recordings.preparation import MAX_JUMP, Preparation, corrected, on_own_clocks, prepare, stretches
 from ldctoolkit.recordings.recording import (
     MAX_LANE_WIDTH,
     MIN_LANE_WIDTH,

@@ -561,12 +561,12 @@ class _Stretch:
         path_row: IntArray,
         threads: int | None,
     ) -> None:
-        from ldctoolkit.simulation.kernel import entry, scoring
+        from ldctoolkit.simulation.kernel import block_table, entry
 
         self.entry, self.setting, self.exact, self.paths = entry, takeover.setting, exact, paths
         self.rows, self.recorded, self.threads = rows, takeover.recorded_bend[rows], threads
         self.blocks = np.arange(-(-(rows.stop - rows.start) // data.LANES))
-        self.state = np.zeros((self.blocks.size, scoring.rings(self.setting)[-1]))
+        self.state = np.zeros((self.blocks.size, block_table.rings(self.setting)[-1]))
         entry.begin(takeover.scene[rows], exact, self.setting, self.state, paths, path_row[rows])
 
     def look(self, k: int, times: FloatArray, *shown: FloatArray) -> None:

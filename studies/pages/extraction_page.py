@@ -17,8 +17,8 @@ from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, DepartureParamet
 from ldctoolkit.errors import LdcError
 from ldctoolkit.recordings import Extraction, RecordingReader, recording_reader
 from ldctoolkit.recordings.extract import SCALE, SOURCE
+from ldctoolkit.recordings.extraction_statistics import Account, Origin, combined_accounts, share_of_widths
 from ldctoolkit.recordings.find_departures import REASONS
-from ldctoolkit.recordings.quality import Account, Origin, combined_accounts, share_of_widths
 from ldctoolkit.recordings.recording import CombinedReader
 from ldctoolkit.version import __version__
 
@@ -29,7 +29,7 @@ from .charts import Axis, Chart, Series, Style, bars, legend
 from .shell import Section, bullets, details, figure, make_page, pairs, paragraphs
 
 if TYPE_CHECKING:
-    from ldctoolkit.recordings.quality import DrawnEvent
+    from ldctoolkit.recordings.extraction_statistics import DrawnEvent
 
 SIDE: Final = {"left": Style(0, "", "o"), "right": Style(1, "7 3", "s")}
 FIT: Final = Style(-1, "", "|")
