@@ -235,11 +235,11 @@ def _count(name: str, title: str) -> Metric:
     return Metric(name, "count", "less", name, title, "failures", 0)
 
 
-def _table(*rows: Metric) -> dict[str, Metric]:
+def _metrics_by_name(*rows: Metric) -> dict[str, Metric]:
     return {row.name: row for row in rows}
 
 
-_RANKED: Final = _table(
+_RANKED: Final = _metrics_by_name(
     _score("S", "Mean S", "mean_S"),
     _score("S_left", "Mean S, left"),
     _score("S_right", "Mean S, right"),
@@ -259,7 +259,7 @@ _RANKED: Final = _table(
     _count("failed_solves", "Failed solves [commands]"),
 )  # fmt: skip
 
-RELEASE_METRICS: Final[Mapping[str, Metric]] = _table(
+RELEASE_METRICS: Final[Mapping[str, Metric]] = _metrics_by_name(
     *_of("deepest", "mean", "p95"),
     *_of("dtle", "mean", "p5"),
     *_of("dtle", "min", title="DTLE at its worst"),

@@ -305,8 +305,8 @@ class UncorrectedPath:
             return dep.lateral_integral(self._shaped(t), t)
         from ldctoolkit.paths.kernels import areas
 
-        out = np.empty(_table(t).shape)
-        areas(self.columns(), _table(t), out)
+        out = np.empty(_time_table(t).shape)
+        areas(self.columns(), _time_table(t), out)
         return out.reshape(t.shape)
 
     def score(self, t: FloatArray, offset: float) -> FloatArray:
@@ -437,8 +437,8 @@ class UncorrectedPath:
             return plain(self._shaped(t), t)
         from ldctoolkit.paths import kernels
 
-        out = np.empty(_table(t).shape)
-        kernels.values(self.columns(), getattr(kernels, what), _table(t), out)
+        out = np.empty(_time_table(t).shape)
+        kernels.values(self.columns(), getattr(kernels, what), _time_table(t), out)
         return out.reshape(t.shape)
 
 
@@ -519,7 +519,7 @@ def _like(column: FloatArray, t: FloatArray) -> FloatArray:
     return column if t.ndim == 1 else column[:, None]
 
 
-def _table(t: FloatArray) -> FloatArray:
+def _time_table(t: FloatArray) -> FloatArray:
     return np.ascontiguousarray(t if t.ndim == 2 else t[:, None], dtype=np.float64)
 
 

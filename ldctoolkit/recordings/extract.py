@@ -370,8 +370,8 @@ def quality_warnings(
     if evidence.bends[0] > 1000 and evidence.bends[1] < 0.001 * evidence.bends[0] and evidence.kinds != ("none",):
         texts.append("the lane is straight in nearly all samples: c_0 and dc tell nothing")
     if nominal_lane_width is None and scaled:
-        texts += _scale(evidence)
-    texts += _twins(evidence)
+        texts += _scale_warnings(evidence)
+    texts += _repeat_warnings(evidence)
     total = np.unique(evidence.names).size
     texts += [f"{note}: {count} of {total} recordings" for note, count in evidence.notes]
     return tuple(texts)
@@ -493,7 +493,7 @@ def _swaying(sway: FloatArray) -> list[str]:
     return []
 
 
-def _scale(evidence: QualityStatistics) -> list[str]:
+def _scale_warnings(evidence: QualityStatistics) -> list[str]:
     widths = evidence.median_widths[np.isfinite(evidence.median_widths)]
     if widths.size == 0:
         return []
@@ -511,7 +511,7 @@ def _scale(evidence: QualityStatistics) -> list[str]:
     ]
 
 
-def _twins(evidence: QualityStatistics) -> list[str]:
+def _repeat_warnings(evidence: QualityStatistics) -> list[str]:
     long = np.flatnonzero(evidence.fingerprints != "")
     _, inverse, count = np.unique(evidence.fingerprints[long], return_inverse=True, return_counts=True)
     groups = [long[inverse == i] for i in np.flatnonzero(count > 1)]
