@@ -63,6 +63,7 @@ def _column(name: str, unit: str) -> str:
 
 
 def _row(*entries: Any, **options: Any) -> dict[str, ScenarioMetric]:
+    """Metadata of a field of `MetricValues`: how its metric is called and shown."""
     return {"row": ScenarioMetric(*entries, **options)}
 
 
@@ -224,6 +225,7 @@ def _share(
 
 
 def _score(name: str, title: str, *alias: str) -> Metric:
+    """Row of a score in m s."""
     return Metric(name, "m s", "less", f"{name}_m_s", title, "score", 3, alias)
 
 
@@ -232,6 +234,7 @@ def _reduction(name: str, title: str) -> Metric:
 
 
 def _count(name: str, title: str) -> Metric:
+    """Row of a number of failures."""
     return Metric(name, "count", "less", name, title, "failures", 0)
 
 

@@ -124,6 +124,7 @@ def next_value(values: Sequence[float], gain: Gain, *, upper: bool) -> GainValue
 
 
 def _interpolated(a: float, b: float, share: float, scale: Scale) -> float:
+    """The point at a share of the way from a to b, on a linear or logarithmic scale."""
     if scale == "linear":
         return a * (1 - share) + b * share
     logarithm = math.log(abs(a)) * (1 - share) + math.log(abs(b)) * share
@@ -489,6 +490,7 @@ def _read_gain(kinds: Kinds, name: str, entry: Any) -> tuple[Any, ...] | Span:
 
 
 def _declaring(kinds: Kinds, name: str, table: str) -> Kinds:
+    """The laws that have a gain of this name; raises `InputError` where none has."""
     declaring = [kind for kind in kinds if name in declared_gains(kind)]
     if not declaring:
         every = {name for kind in kinds for name in declared_gains(kind)}

@@ -197,6 +197,7 @@ def to_csv(table: Table) -> str:
 
 
 def _csv_field(value: Value) -> Value:
+    """A field of a CSV file: on one line, and no formula to a spreadsheet."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):

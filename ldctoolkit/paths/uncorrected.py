@@ -50,6 +50,7 @@ def normals(seed: int, index: npt.ArrayLike, stream: int, count: int) -> FloatAr
 
 
 def _drawn(seed: int, index: npt.ArrayLike, stream: int, count: int, *, normal: bool) -> FloatArray:
+    """Random numbers of scenarios, (n, count), that depend on seed, scenario and stream alone."""
     from ldctoolkit.paths.kernels import fill_pairs
 
     numbers = np.asarray(index)
@@ -516,10 +517,12 @@ def _used(modes: FloatArray) -> IntArray:
 
 
 def _like(column: FloatArray, t: FloatArray) -> FloatArray:
+    """A column of n scenarios to combine with times of (n,) or (n, k)."""
     return column if t.ndim == 1 else column[:, None]
 
 
 def _time_table(t: FloatArray) -> FloatArray:
+    """Times of (n,) or (n, k) as a contiguous table, (n, k)."""
     return np.ascontiguousarray(t if t.ndim == 2 else t[:, None], dtype=np.float64)
 
 

@@ -129,6 +129,7 @@ def _present(recordings: Iterable[Recording]) -> list[bool]:
 
 
 def _of_batch(batch: list[Pair], criteria: Criteria, preparation: Preparation, keep_signals: bool) -> PartResult:
+    """Departures, accounts and evidence of recordings that are searched together."""
     raw, recordings = [pair[0] for pair in batch], [pair[1] for pair in batch]
     table, step = RecordingTable.of(recordings), preparation.step
     limit = None if step is None else max(GAP_STEPS * step, criteria.max_gap or 0.0)

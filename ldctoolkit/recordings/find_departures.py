@@ -106,6 +106,7 @@ def median_steps(table: RecordingTable) -> FloatArray:
 
 
 def _median_steps(step: FloatArray, owner: IntArray, recordings: int) -> FloatArray:
+    """Median time step of each recording, (r,) [s]; NaN for none."""
     count = np.bincount(owner, minlength=recordings)
     below, above = middle_two(step, owner, count)
     result = np.full(recordings, np.nan)
@@ -389,6 +390,7 @@ def find_departures(table: RecordingTable, criteria: Criteria, gap_limit: float 
 
 
 def _gap_limit(median_step: FloatArray, criteria: Criteria, gap_limit: float | None) -> FloatArray:
+    """Longest time [s] between neighbours of a recording that is no gap, (r,)."""
     if gap_limit is not None:  # resampled; a lane signal with a longer clock of its own is not
         return np.fmax(gap_limit, 1.5 * median_step)
     if criteria.max_gap is not None:

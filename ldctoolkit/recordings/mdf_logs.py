@@ -246,6 +246,7 @@ _LOCK: Final = threading.Lock()
 
 @functools.cache
 def _process(owner: int) -> subprocess.Popen[bytes]:  # noqa: ARG001 - one for each process, also where they are forked
+    """The process that parses logs for this one, ready to answer."""
     code = f"import sys; sys.path[:] = {sys.path!r}; from ldctoolkit.recordings.mdf_logs import serve; serve()"
     pipe = subprocess.PIPE
     process = subprocess.Popen([sys.executable, "-P", "-c", code], stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL)
@@ -529,6 +530,7 @@ def _in_si(log: Any, group: int, index: int, entry: Channel, quantity: str) -> F
 
 
 def _sample_text(sample: object) -> str:
+    """A sample of a text or number channel, as text."""
     if isinstance(sample, bytes):
         try:
             text = sample.decode("utf-8")

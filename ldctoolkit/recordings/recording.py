@@ -429,6 +429,7 @@ def real_path(path: Path) -> str:
 
 
 def _walk(folder: Path, depth: int) -> Iterator[Path]:
+    """Files in a folder and so many levels of folders below it, by name; hidden ones are left out."""
     try:
         inside = sorted(folder.iterdir(), key=lambda entry: entry.name)
     except OSError:
@@ -655,6 +656,7 @@ def read_recordings(
 
 
 def _sound(opened: OpenedRecordings) -> Iterator[Recording]:
+    """The recordings of a source; raises at its first problem."""
     source = opened.source
     for item in itertools.chain(source.problems, *(part.read() for part in source.parts)):
         if isinstance(item, Problem):

@@ -255,6 +255,7 @@ def _folders(paths: Sequence[Path], problems: list[Problem]) -> Iterator[tuple[P
 
 
 def _walk(folder: Path, depth: int, problems: list[Problem]) -> Iterator[tuple[Path, dict[str, str]]]:
+    """Folders of trips below a folder, and how their files are spelled there."""
     try:
         inside = sorted(folder.iterdir())
     except OSError as error:

@@ -236,6 +236,7 @@ def exact_view(law: LinearLaw, plant: Plant) -> LinearView:
 
 
 def _identified(controller: Controller, plant: Plant) -> LinearView:
+    """Linear models that explain a law's answers to pulses, where it states none."""
     n = plant.n
     # one row a speed for each pulse: quiet, then (six inputs) x (up, down) x (small, larger)
     signs = np.concatenate([np.eye(6), -np.eye(6)])

@@ -93,6 +93,7 @@ def share_scenarios(
 
 
 def _parameter_rows(scenarios: Scenarios) -> FloatArray:
+    """Side and parameters of each scenario, (n, 9): equal rows are equal departures."""
     return np.column_stack([scenarios.side.astype(np.float64), scenarios.matrix()]) + 0.0  # -0.0 is 0.0
 
 
@@ -292,6 +293,7 @@ def input_differences(old: FinishedStudy, new: FinishedStudy) -> Iterator[str]:
 
 
 def _changes(old: dict[str, Any], new: dict[str, Any]) -> Iterator[str]:
+    """One line a difference between two groups of settings."""
     for key, *values in differences(old, new):
         was, now = ("not set" if value is None else str(value) for value in values)
         yield f"{key}: {was} -> {now}"

@@ -136,6 +136,7 @@ def _departure(replayed: Replay, k: int) -> dict[str, str]:
 
 
 def _recorded(replayed: Replay, step: float) -> dict[str, FloatArray]:
+    """Recorded paths in steps of time: samples of each, and y and a_y of one path after the other."""
     scenarios, path = replayed.scenarios, replayed.recorded
     count = np.ceil(scenarios.T / step - 1e-9).astype(np.int64) + 1
     t = np.minimum(np.arange(int(count.max())) * step, scenarios.T[:, None])

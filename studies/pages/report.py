@@ -227,6 +227,7 @@ def plant_settings(options: PlantOptions) -> Iterator[tuple[str, str]]:
 
 
 def _shown_options(part: Any, path: str) -> Iterator[tuple[str, str]]:
+    """Options that are not at their default, or always shown, with their keys."""
     for declaration in declarations(part.__class__).values():
         value, key = getattr(part, declaration.name), f"{path}.{declaration.name}"
         if declaration.kind and value is not None:

@@ -145,6 +145,7 @@ def read_replayed(study: Study) -> ReplayedDepartures:
 
 
 def _checked(name: str, make: Callable[[], Scenarios]) -> Scenarios:
+    """Scenarios that `make` gives; its error names the source."""
     try:
         return make()
     except LdcError as error:
@@ -311,6 +312,7 @@ def _map_text(side: SideModel) -> str:
 
 
 def _flat(source: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Entries of a model's source, a table's on one line."""
     for key, value in source.items():
         if isinstance(value, Mapping):
             yield key, ", ".join(f"{name} {_plain(item)}" for name, item in value.items() if item not in ("", None))
