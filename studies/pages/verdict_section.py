@@ -37,7 +37,7 @@ def section(context: Context) -> Section:
         states=STATES,
         chart=chart.svg,
         key=cloud_legend(context),
-        warnings=bullets(_warnings(context), "warnings"),
+        warnings=bullets(_report_warnings(context), "warnings"),
         scenarios=context.scenario_text(),
         fresh=context.ranking.fresh.scenarios,
         model=context.model_sentence,
@@ -45,7 +45,7 @@ def section(context: Context) -> Section:
     return Section("verdict", "Verdict", body, (chart,), printed=True)
 
 
-def _warnings(context: Context) -> Iterator[str]:
+def _report_warnings(context: Context) -> Iterator[str]:
     report = context.report
     if report.synthetic:
         yield "The scenario model is synthetic: it was fitted to invented driving, not to recordings."
