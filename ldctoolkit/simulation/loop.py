@@ -525,7 +525,7 @@ def _drive_general(law: SteeringLaw, takeover: Takeover, name: str, rows: IntArr
         if solved is not None:
             check_calls(solved, t.size, name)
             solved = solved.of(active)
-            calls.append((np.arange(m)[batch][solved.place], sample, solved))
+            calls.append((np.arange(m)[batch][solved.position], sample, solved))
         wrong = ~np.isfinite(delta)
         if wrong.any() or status.any():
             delta[wrong] = previous[wrong]

@@ -340,7 +340,7 @@ def state(subject: Subject) -> Iterator[str]:
 
 @_check("scenarios_do_not_depend_on_each_other", steering=True)
 def batch(subject: Subject) -> Iterator[str]:
-    """A scenario's commands do not depend on its place, on its neighbours, or on how many there are."""
+    """A scenario's commands do not depend on its position, on its neighbours, or on how many there are."""
     road = subject.bends()
     whole = subject.commands(road)
     all_rows = np.arange(road.n)

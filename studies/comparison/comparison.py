@@ -8,6 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from ldctoolkit.clusters import doubt_of
 from ldctoolkit.errors import InputError
 from ldctoolkit.simulation import Window
 
@@ -368,6 +369,8 @@ def _comparison_warnings(comparison: Comparison, left_out: int) -> Iterator[str]
             f"Departures in both studies with other noise, mismatch or residuals, because the seed or the scenario's "
             f"number differs: {shared.other_draws}; they are not shared."
         )
+    if text := doubt_of(shared.cluster):
+        yield f"{text[0].upper()}{text[1:]}."
     if shared.n < _FEW:
         yield f"Only {shared.n} shared scenario{'' if shared.n == 1 else 's'}: the intervals are rough."
     winners = comparison.winners

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
-from ldctoolkit.clusters import cluster_values
+from ldctoolkit.clusters import cluster_values, several
 from ldctoolkit.departures import LEFT, RIGHT
 from ldctoolkit.errors import InputError, StoreError
 from ldctoolkit.paths.uncorrected import RandomStream
@@ -191,8 +191,8 @@ def paired_differences(
     rows = np.flatnonzero(changed >= fewest)
     if rows.size:
         values, strata = change[rows], side
-        if cluster is not None:
-            values = cluster_values(values, np.unique(cluster, return_inverse=True)[1].ravel())
+        if (cluster := several(cluster)) is not None:
+            values = cluster_values(values, cluster)
             strata = np.zeros(values.shape[1], dtype=np.int64)
         half = _half_widths(values, strata, bootstrap, seed, confidence)
         low[rows] -= half

@@ -9,7 +9,7 @@ import numpy as np
 from ldctoolkit.arrays import FloatArray, IntArray
 
 from ..ranking.ranking import Ranking
-from ..ranking.verdict import design_name, optimism_text
+from ..ranking.verdict import design_name, optimism_text, recordings_text
 from ..tables import Cell, Column, Row, Table, to_html
 from ..text import DASH, difference_text, percent, plural
 from .charts import Axis, Chart, Dot, Series, Style, dots
@@ -38,6 +38,8 @@ def _confidence_sentences(context: Context) -> Iterator[str]:
     ranking = context.ranking
     level = percent(ranking.confidence, 0)
     yield context.model_sentence
+    if recordings := recordings_text(ranking, "m\u00b7s"):
+        yield recordings
     rivals = [i for i in range(1, ranking.ranked) if math.isfinite(ranking.inference.difference[i])]
     if not rivals:
         return

@@ -328,17 +328,23 @@ def _selection_section(sides: tuple[Side, ...]) -> Section:
             continue
         if summary.reason:
             body += paragraphs(f"{side.title}: {summary.reason}.")
-        above = np.array(summary.bic) - min(summary.bic)
-        columns = [Column("K"), Column("BIC"), Column("Above the least"), Column("Log-likelihood", "nats an event")]
-        rows = [
-            Row(
-                (str(k), number(summary.bic[i], 1), number(above[i], 1), number(summary.log_likelihood[i], 4)),
-                "winner" if k == side.K else "",
-            )
-            for i, k in enumerate(summary.n_components)
-        ]
-        body += to_html(Table(f"{side.title}: choice of K; the chosen one is set in bold", columns, rows))
+        body += to_html(curve(summary, side.K, f"{side.title}: choice of K; the chosen one has a star"))
     return Section("selection", "Choice of K", body + bic_figure([(side.key, side.summary) for side in sides]))
+
+
+def curve(summary: SideSummary, taken: int, title: str = "") -> Table:
+    """Every K that was fitted; the one that was taken has a star."""
+    columns = [
+        Column("K"), Column("p", about="Free parameters"), Column("Log-likelihood", "nats an event", ".4f"),
+        Column("BIC", form=".1f"), Column("Above the least", form=".1f"),
+    ]  # fmt: skip
+    parameters = summary.n_parameters or (None,) * len(summary.bic)  # of an earlier version
+    numbers = zip(summary.n_components, parameters, summary.log_likelihood, summary.bic, strict=True)
+    rows = [
+        Row([f"{K}{' *' if taken == K else '  '}", p, fit, bic, bic - min(summary.bic)], "winner" if taken == K else "")
+        for K, p, fit, bic in numbers
+    ]
+    return Table(title, columns, rows)
 
 
 def bic_figure(sides: Sequence[tuple[str, SideSummary | None]]) -> Markup:

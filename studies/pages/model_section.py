@@ -11,7 +11,7 @@ from ldctoolkit.arrays import FloatArray
 from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, DepartureParameters, Departures
 from ldctoolkit.diagnostics import ModelMarginal, kolmogorov_limit, model_marginal
 from ldctoolkit.scenario_model import Given, ScenarioModel, SideModel, SideSummary, conditions
-from ldctoolkit.scenario_model.model import Condition, mixture_conditions
+from ldctoolkit.scenario_model.model import Condition, meeting, mixture_conditions
 from ldctoolkit.scenarios import Scenarios
 
 from ..tables import Cell, Column, Row, Table, to_html
@@ -76,8 +76,8 @@ def _side_match(
     key: str, side: int, scenarios: Scenarios, model: ScenarioModel | None, table: Departures | None,
     limits: tuple[Condition, ...],
 ) -> SideMatch:  # fmt: skip
-    side_model = None if model is None else (model.left_side if side == LEFT else model.right_side)
-    fitted = None if model is None else (model.provenance.left if side == LEFT else model.provenance.right)
+    side_model = None if model is None else model.side(side)
+    fitted = None if model is None else dict(model.provenance.sides).get(key)
     single = {condition.name for condition in limits if condition.low == condition.high}
     varies = (
         side_model.names
@@ -103,12 +103,7 @@ def _side_match(
 
 def source_rows(side: int, table: DepartureParameters, limits: tuple[Condition, ...]) -> DepartureParameters:
     """The source departures of a side that meet the conditions."""
-    rows = table.take(table.side == side)
-    keep = np.ones(rows.n, dtype=np.bool_)
-    for condition in limits:
-        column = getattr(rows, condition.name)
-        keep &= (column >= condition.low) & (column <= condition.high)
-    return rows.take(keep)
+    return table.take((table.side == side) & meeting(table, limits))
 
 
 def source_quantiles(

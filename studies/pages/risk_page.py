@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import Final
 
@@ -19,7 +20,7 @@ from ..text import figure as digits
 from ..text import parameter_label, plural, symbols
 from .charts import Axis, Chart, Series, law_styles, legend
 from .shell import Section, bullets, details, figure, make_page, paragraphs
-from .verdict_section import STATES, SYMBOLS
+from .verdict_section import lights_list
 
 _RATES: Final = {"per_1000_km": "Per 1,000 km", "per_hour": "Per hour"}
 
@@ -42,16 +43,9 @@ def _name(design: Design) -> str:
 
 
 def _verdict_section(risk: Risk) -> Section:
-    items = Markup()
-    for design in risk.designs[1:]:
-        light = risk.light(design)
-        items += Markup(
-            '<li class="{0}"><span class="light {0}" role="img" aria-label="{1}">{2}</span><b>{3}</b>'
-            "<span>{4}</span></li>"
-        ).format(light.state, STATES[light.state], SYMBOLS[light.state], light.name,
-                 symbols(f"{design.label}: {light.text}"))  # fmt: skip
-    body = Markup('<ul class="lights" aria-label="Lights">{}</ul>').format(items) if items else Markup()
-    return Section("verdict", "Verdict", body + paragraphs(*risk.notes()), printed=True)
+    lights = [(design, risk.light(design)) for design in risk.designs[1:]]
+    named = [dataclasses.replace(light, text=f"{design.label}: {light.text}") for design, light in lights]
+    return Section("verdict", "Verdict", lights_list(named) + paragraphs(*risk.notes()), printed=True)
 
 
 def probabilities(risk: Risk, design: Design) -> Table:

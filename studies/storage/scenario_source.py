@@ -19,7 +19,7 @@ from ldctoolkit.errors import InputError, LdcError, ModelError, RecordingError, 
 from ldctoolkit.recordings import read_departures
 from ldctoolkit.recordings.departures_table import column_of, read_table
 from ldctoolkit.scenario_model import Given, ScenarioModel, SideModel, SideSummary, conditions
-from ldctoolkit.scenario_model.model import outside_fit
+from ldctoolkit.scenario_model.model import meeting, outside_fit
 from ldctoolkit.scenarios import SPEED_FLOOR, Scenarios, slowest_speed
 from ldctoolkit.vehicle.bicycle import VehicleParameters
 
@@ -85,11 +85,7 @@ class ReplayedDepartures:
         return dataclasses.replace(self.scenarios.take(rows), index=index)
 
     def _rows(self, side: int, given: Given | None) -> IntArray:
-        keep = self.scenarios.side == side
-        for condition in conditions(given):
-            column = getattr(self.scenarios, condition.name)
-            keep &= (column >= condition.low) & (column <= condition.high)
-        return np.flatnonzero(keep)
+        return np.flatnonzero((self.scenarios.side == side) & meeting(self.scenarios, conditions(given)))
 
 
 def read_replayed(study: Study) -> ReplayedDepartures:
@@ -136,8 +132,7 @@ def read_replayed(study: Study) -> ReplayedDepartures:
             for key in ("recording", "driver")
         )
         clusters = Clusters.of_names(scenarios.n, recording, driver)
-        if clusters.kind != "departures":
-            scenarios = dataclasses.replace(scenarios, cluster=clusters.index)
+        scenarios = dataclasses.replace(scenarios, cluster=clusters.numbers)
     notes.append(f"Intervals are of {clusters.text}.")
     if weights is not None and not ((weights >= 0.0) & np.isfinite(weights)).all():
         raise RecordingError(name, f"column {settings.weights!r} holds {weights.min():g}", allowed="finite, at least 0")
