@@ -230,6 +230,7 @@ def diagnose_model(
 
 
 def _varying_constants(half: SideModel, rows: Departures) -> Iterator[str]:
+    """Warnings of parameters that the model holds constant and the departures do not."""
     for name, value in half.constants:
         column = getattr(rows, name)
         if not np.allclose(column, value, rtol=1e-9, atol=1e-12):
@@ -238,6 +239,7 @@ def _varying_constants(half: SideModel, rows: Departures) -> Iterator[str]:
 
 
 def _names(model: SideModel | BoundedGaussianMixture, names: Sequence[str] | None, dimension: int) -> tuple[str, ...]:
+    """Names of the columns: those given, the model's, or x0, x1, ..."""
     labels = names if names is not None else model.names
     if labels is None:
         return tuple(f"x{j}" for j in range(dimension))

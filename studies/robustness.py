@@ -95,6 +95,7 @@ _ERRORS: Final = [f.name for f in dataclasses.fields(Sensors) if f.name not in (
 
 
 def _harder(options: PlantOptions) -> Iterator[_Row]:
+    """Rows of plants that are harder than the study's."""
     actuator, real = options.actuator, REAL.actuator
 
     def with_changes(**changes: float | None) -> dict[str, Any]:
@@ -166,6 +167,7 @@ def _worse_camera(sensors: Sensors) -> Iterator[_Row]:
 
 
 def _easier(options: PlantOptions) -> Iterator[_Row]:
+    """Rows of plants that lack one of the study's difficulties each."""
     sensors = options.sensors
     exact = dataclasses.replace(sensors, **{name: getattr(Sensors(), name) for name in _ERRORS})
     prompt, no_filter = dataclasses.replace(sensors, delay=0.0, period=0.0), dataclasses.replace(sensors, kalman=None)

@@ -154,6 +154,7 @@ class SideFidelity:
 
 
 def _value(j: int, value: float) -> str:
+    """Quantity j with its unit, as text."""
     return f"{100.0 * value:.1f} %" if UNITS[j] == "" else f"{value:.2f} {UNITS[j]}"
 
 

@@ -354,7 +354,7 @@ class ScenarioModel:
 
         target = Path(path)
         try:
-            data = json_form.model_to_json(self.left_side, self.right_side, self.provenance, self.plausibility)
+            data = json_form.parts_to_json(self.left_side, self.right_side, self.provenance, self.plausibility)
             text = json_text(data)
         except (TypeError, ValueError) as error:
             raise ModelError(target.name, f"the model cannot be written as JSON ({error})") from None
@@ -387,7 +387,7 @@ class ScenarioModel:
     def _parse(cls, text: str | bytes, file: str) -> ScenarioModel:
         from ldctoolkit.scenario_model import json_form
 
-        return cls(*json_form.model_from_json(text, file))
+        return cls(*json_form.parts_from_json(text, file))
 
 
 def bundled_models() -> tuple[str, ...]:

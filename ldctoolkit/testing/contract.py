@@ -176,6 +176,7 @@ def toml(subject: Subject) -> Iterator[str]:
 
 
 def _outside(gain: Gain) -> Iterator[Any]:
+    """Values that a gain must refuse."""
     if gain.choices:
         yield "".join(gain.choices) + "x"
     elif gain.text or isinstance(gain.default, bool):

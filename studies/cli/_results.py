@@ -206,7 +206,7 @@ def _summary(judged: Judged) -> dict[str, Any]:
         "designs": len(results.designs),
         "scenarios": len(results.scenarios),
         "failed_designs": len(results.failed),
-        "winner": None if ranking.winner is None else _design(ranking, ranking.winner),
+        "winner": None if ranking.winner is None else _design_json(ranking, ranking.winner),
         "set_of_best": [ranking.designs[i].id for i in range(len(ranking)) if ranking.inference.set_of_best[i]],
         "verdict": judgement.title,
         "usable": judgement.usable,
@@ -220,7 +220,7 @@ def _summary(judged: Judged) -> dict[str, Any]:
     }
 
 
-def _design(ranking: Ranking, i: int) -> dict[str, Any]:
+def _design_json(ranking: Ranking, i: int) -> dict[str, Any]:
     design = ranking.designs[i]
     S_low, S_high = ranking.inference.S_low[i], ranking.inference.S_high[i]
     scores = {"S": ranking.metrics.S[i], "S_low": S_low, "S_high": S_high, "S_fresh": ranking.fresh.S[i]}

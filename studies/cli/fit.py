@@ -233,6 +233,7 @@ def sample(args: argparse.Namespace) -> None:
 
 
 def _numbers(args: argparse.Namespace) -> tuple[int, int]:
+    """Departures to the left and to the right that the arguments ask for."""
     if args.n is None:
         left, right = args.left or 0, args.right or 0
     elif args.left is None and args.right is None:

@@ -21,8 +21,8 @@ MOST: Final = 12
 
 def section(context: Context) -> Section:
     """The section."""
-    charts = tuple(_charts(context))
-    body = paragraphs(*_sentences(context))
+    charts = tuple(_interval_charts(context))
+    body = paragraphs(*_confidence_sentences(context))
     body += figure(
         charts,
         f"Left: mean S with its {percent(context.ranking.confidence, 0)} interval, for all designs at once"
@@ -34,7 +34,7 @@ def section(context: Context) -> Section:
     return Section("confidence", "Confidence", body, charts)
 
 
-def _sentences(context: Context) -> Iterator[str]:
+def _confidence_sentences(context: Context) -> Iterator[str]:
     ranking = context.ranking
     level = percent(ranking.confidence, 0)
     yield context.model_sentence
@@ -77,7 +77,7 @@ def _two_digits(count: float) -> int:
     return math.ceil(count / step) * step
 
 
-def _charts(context: Context) -> Iterator[Chart]:
+def _interval_charts(context: Context) -> Iterator[Chart]:
     ranking = context.ranking
     shown = list(dict.fromkeys((context.shown, *range(min(6, len(ranking))), *context.best_of_each_law)))[:MOST]
     rows = []

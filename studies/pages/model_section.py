@@ -66,13 +66,13 @@ def match(
     """Compare generated departures with the model and with its source departures."""
     limits = conditions(given)
     return tuple(
-        _side(key, side, scenarios.take(np.flatnonzero(scenarios.side == side)), model, source, limits)
+        _side_match(key, side, scenarios.take(np.flatnonzero(scenarios.side == side)), model, source, limits)
         for side, key in ((LEFT, "left"), (RIGHT, "right"))
         if (scenarios.side == side).any()
     )
 
 
-def _side(
+def _side_match(
     key: str, side: int, scenarios: Scenarios, model: ScenarioModel | None, table: Departures | None,
     limits: tuple[Condition, ...],
 ) -> SideMatch:  # fmt: skip
@@ -165,13 +165,14 @@ def section(context: Context) -> Section:
     """The section on the scenario model."""
     report = context.report
     matches = match(context.scenarios, report.model, source=report.source_departures, given=report.given)
-    body = paragraphs(*_sentences(context, matches)) + details("Parameter by parameter", to_html(_table(matches)))
+    table = details("Parameter by parameter", to_html(_match_table(matches)))
+    body = paragraphs(*_match_sentences(context, matches)) + table
     if report.model_notes:
         body += details("Where the departures come from", bullets(report.model_notes))
     return Section("model", "Scenario model", body)
 
 
-def _sentences(context: Context, matches: tuple[SideMatch, ...]) -> Iterator[str]:
+def _match_sentences(context: Context, matches: tuple[SideMatch, ...]) -> Iterator[str]:
     report = context.report
     if report.model is not None:
         yield (
@@ -179,7 +180,8 @@ def _sentences(context: Context, matches: tuple[SideMatch, ...]) -> Iterator[str
             "that model fits."
         )
     if report.given:
-        yield f"Under the conditions: {', '.join(f'{name} {_range(value)}' for name, value in report.given.items())}."
+        conditions = (f"{name} {_condition_text(value)}" for name, value in report.given.items())
+        yield f"Under the conditions: {', '.join(conditions)}."
     for side in matches:
         for what, gaps in (
             ("the model", {row.name: row.to_model for row in side.parameters if row.to_model}),
@@ -198,14 +200,14 @@ def _sentences(context: Context, matches: tuple[SideMatch, ...]) -> Iterator[str
             yield f"{side.key.capitalize()}: {side.reason}"
 
 
-def _range(value: object) -> str:
+def _condition_text(value: object) -> str:
     if isinstance(value, tuple | list):
         low, high = (("" if end is None else compact(float(end))) for end in value)
         return f"{low} to {high}"
     return str(value)
 
 
-def _table(matches: tuple[SideMatch, ...]) -> Table:
+def _match_table(matches: tuple[SideMatch, ...]) -> Table:
     columns = [
         Column("Parameter", text=True), Column("Side", text=True), Column("Median", form=figure),
         Column("Source median", form=figure), Column("Gap to the model", "%", ".1f"),

@@ -32,7 +32,7 @@ def write_risk_page(risk: Risk, path: str | Path, *, title: str) -> None:
         title=f"{title}: the tail",
         heading=f"{title}: how often departures end deep beyond the line",
         facts=[f"{risk.n:,} departures", f"{plural(len(risk.designs) - 1, 'design')} and no control"],
-        sections=[_verdict(risk), _probabilities(risk), _curve(risk), _worst(risk)],
+        sections=[_verdict_section(risk), _probabilities_section(risk), _curve_section(risk), _worst_section(risk)],
         footer=f"ldctoolkit {__version__}. Intervals after Clopper and Pearson (1934), 95 %.",
     )
     write_text(Path(path), html)
@@ -42,7 +42,7 @@ def _name(design: Design) -> str:
     return "no control" if design.is_baseline else design.label
 
 
-def _verdict(risk: Risk) -> Section:
+def _verdict_section(risk: Risk) -> Section:
     lights = [(design, risk.light(design)) for design in risk.designs[1:]]
     named = [dataclasses.replace(light, text=f"{design.label}: {light.text}") for design, light in lights]
     return Section("verdict", "Verdict", lights_list(named) + paragraphs(*risk.notes()), printed=True)
@@ -73,7 +73,7 @@ def probabilities(risk: Risk, design: Design) -> Table:
     return Table(f"{_name(design)}, {risk.n:,} departures of either side", columns, rows)
 
 
-def _probabilities(risk: Risk) -> Section:
+def _probabilities_section(risk: Risk) -> Section:
     body = Markup().join(to_html(probabilities(risk, design)) for design in risk.designs)
     note = (
         "P is a probability per departure, with the ends of its exact 95 % interval. Design and no control are "
@@ -88,7 +88,7 @@ def _probabilities(risk: Risk) -> Section:
     return Section("probabilities", "Probabilities", body + paragraphs(note), printed=True)
 
 
-def _curve(risk: Risk) -> Section:
+def _curve_section(risk: Risk) -> Section:
     names = [NO_CONTROL if design.is_baseline else design.id for design in risk.designs]
     styles, series = law_styles(names), []
     for design, name in zip(risk.designs, names, strict=True):
@@ -105,7 +105,7 @@ def _curve(risk: Risk) -> Section:
     return Section("exceedance", "Exceedance", figure([chart], text, key), (chart,), printed=True)
 
 
-def _worst(risk: Risk) -> Section:
+def _worst_section(risk: Risk) -> Section:
     columns = [Column("Depth", "m", ".2f"), Column("Scenario", form="d"), Column("Side", text=True)]
     columns += [Column(parameter_label(name), form=digits) for name in PARAMETER_NAMES]
     body = Markup()

@@ -36,7 +36,7 @@ def section(context: Context) -> Section:
         lights=lights_list(context.verdict.lights),
         chart=chart.svg,
         key=cloud_legend(context),
-        warnings=bullets(_warnings(context), "warnings"),
+        warnings=bullets(_report_warnings(context), "warnings"),
         scenarios=context.scenario_text(),
         fresh=context.ranking.fresh.scenarios,
         model=context.model_sentence,
@@ -49,7 +49,7 @@ def lights_list(lights: Sequence[Light]) -> Markup:
     return render("lights.html", lights=lights, symbols_of=SYMBOLS, states=STATES) if lights else Markup()
 
 
-def _warnings(context: Context) -> Iterator[str]:
+def _report_warnings(context: Context) -> Iterator[str]:
     report = context.report
     if report.synthetic:
         yield "The scenario model is synthetic: it was fitted to invented driving, not to recordings."

@@ -14,8 +14,8 @@ from ldctoolkit.departures import Departures
 from ldctoolkit.diagnostics import ModelDiagnostics, diagnose_model
 from ldctoolkit.errors import InputError, StoreError
 from ldctoolkit.recordings import Extraction, SourceFile, extract_departures
+from ldctoolkit.recordings.extraction_statistics import Origin
 from ldctoolkit.recordings.find_departures import REASONS
-from ldctoolkit.recordings.quality import Origin
 from ldctoolkit.recordings.recording import Problem
 from ldctoolkit.scenario_model import ScenarioModel
 from ldctoolkit.studies.pages.extraction_page import (
