@@ -25,6 +25,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from ldctoolkit.errors import InputError, UnknownNameError
+from ldctoolkit.law_checks import raised
 
 from ._prediction_model import PREVIOUS, STATES, VEHICLE, Layout, Names, Vehicle, base_layout
 
@@ -111,7 +112,7 @@ def _called(path: str, function: Callable[..., Any], *arguments: Any) -> Any:
         return function(*arguments)
     except (TypeError, NotImplementedError, RuntimeError, ValueError) as error:
         hint = "gains, states and lane are CasADi symbols here: ca.if_else and ca.sqrt take them, if and math do not"
-        raise InputError(path, f"{type(error).__name__}: {str(error).strip().splitlines()[0]}", hint=hint) from error
+        raise InputError(path, raised(error), hint=hint) from error
 
 
 @functools.lru_cache(maxsize=32)
@@ -257,7 +258,7 @@ class _Builder:
             raise InputError(path, f"holds the symbol {free[0]!r}", allowed=allowed)
         return ca.densify(expression)
 
-    def _dynamics(self) -> tuple[Any, Any]:
+    def _dynamics(self) -> Any:
         """dx/dt, and the lateral acceleration beyond the lane's."""
         ca, path = self.ca, f"{self.name}.dynamics"
         x, u, lane = self._names(of_stage=False)
@@ -273,7 +274,8 @@ class _Builder:
         # without an a_y of its own: d^2 e_y/dt^2 is that beyond the lane's, for small heading errors
         both: Any = ca.vertcat(*(values[name] for name in names), values.get("a_y", values["e_y_rate"]))
         both = ca.substitute(both, self.change, self.u - self.prev)
-        return ca.vertsplit(both, [0, self.nx, self.nx + 1])  # type: ignore[no-any-return]
+        a_y: Any = both[-1]
+        return both[:-1], a_y
 
     def _stage(self) -> tuple[Any, tuple[Any, ...], list[tuple[Any, ...]]]:
         """Cost; bounds of delta and its change; rows (value, low, high, weights of v and v^2/2, whether of jerk)."""
