@@ -304,8 +304,8 @@ class _Builder:
             rest = _replaced(value, [(self.u, ca.DM(0)), (self.change, ca.DM(0))])
             ends = (low - rest) / slope, (high - rest) / slope
             k = 2 * held[0]
-            bounds[k] = ca.fmax(bounds[k], ca.fmin(*ends))
-            bounds[k + 1] = ca.fmin(bounds[k + 1], ca.fmax(*ends))
+            bounds[k] = ca.fmax(bounds[k], ends[float(slope) < 0])
+            bounds[k + 1] = ca.fmin(bounds[k + 1], ends[float(slope) > 0])
         return (
             cost,
             tuple(bounds),
@@ -387,7 +387,7 @@ class _Builder:
         x, prev, r_0, r_1 = z[:nx], z[nx] if self.previous else u, p[0], p[1]
         r_h, refs = 0.5 * (r_0 + r_1), (p[LANE : LANE + nx], p[LANE + self.nz : LANE + self.nz + nx])
 
-        def rates(x: Any, r: Any, share: float) -> tuple[Any, Any]:
+        def rates(x: Any, r: Any, share: float) -> Any:
             ref = (1.0 - share) * refs[0] + share * refs[1]
             return self.rate(x, u, prev, r, p[3], ref, base)
 
