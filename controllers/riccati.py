@@ -160,8 +160,9 @@ class _Riccati:
         full[:, k:, 0], full[:, k:, k:] = self.dt, 1.0
         full[:, :k, :k], inputs[:, :k] = A, B
         with np.errstate(all="ignore"):  # what does not converge is named below
-            K = _gain(full, inputs, _doubled(full, inputs, q, self.r), self.r)
-            P, K = _newton(full, inputs, q, self.r, K)
+            r = np.full(m, self.r)
+            K = _gain(full, inputs, _doubled(full, inputs, np.diag(q), r), r)
+            P, K = _newton(full, inputs, np.diag(q), r, K)
         poor: BoolArray = ~np.isfinite(np.concatenate([P, K[:, None]], axis=1)).all(axis=(1, 2))
         closed = full - inputs[:, :, None] * np.where(poor[:, None], 0.0, K)[:, None, :]
         poor |= ~(np.abs(np.linalg.eigvals(closed)).max(axis=1) < 1.0)
@@ -170,19 +171,35 @@ class _Riccati:
         return K if self.q_i is not None else np.concatenate([K, P.reshape(m, -1)], axis=1)
 
 
+def stabilising(
+    A: FloatArray, B: FloatArray, Q: FloatArray, S: FloatArray, r: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """K (m, k) and P (m, k, k) of the cost x'Qx + 2 x'S u + r u^2 of m plants; raises `LdcError` if there are none."""
+    with np.errstate(all="ignore"):  # what does not converge is named below
+        shift = S / r[:, None]
+        A, Q = A - B[:, :, None] * shift[:, None, :], Q - S[:, :, None] * shift[:, None, :]
+        P, K = _newton(A, B, Q, r, _gain(A, B, _doubled(A, B, Q, r), r))
+    good = (r > 0) & np.isfinite(P).all(axis=(1, 2)) & np.isfinite(K).all(axis=1)
+    closed = A - B[:, :, None] * K[:, None, :]
+    if not good.all() or (np.abs(np.linalg.eigvals(closed)).max(axis=1) >= 1.0).any():
+        raise LdcError("", "no stabilising solution of the Riccati equation")
+    return K + shift, P
+
+
 _DOUBLINGS = 50  # a loop with a time constant of 10^14 samples is steady after so many
 
 
-def _doubled(A: FloatArray, B: FloatArray, q: FloatArray, r: float) -> FloatArray:
-    """Costs P (m, k, k) of m plants with one input each."""
-    G, P = B[:, :, None] * B[:, None, :] / r, np.broadcast_to(np.diag(q), A.shape)
-    unit = np.eye(q.size)
+def _doubled(A: FloatArray, B: FloatArray, Q: FloatArray, r: FloatArray) -> FloatArray:
+    """Costs P (m, k, k) of m plants with one input each; Q (m, k, k) or (k, k), r (m,)."""
+    k = A.shape[1]
+    G, P = B[:, :, None] * B[:, None, :] / r[:, None, None], np.broadcast_to(Q, A.shape)
+    unit = np.eye(k)
     for _ in range(_DOUBLINGS):
         try:
             both = np.linalg.solve(unit + G @ P, np.concatenate([A, G], axis=2))
         except np.linalg.LinAlgError:  # singular by rounding: what has been found shows whether it will do
             break
-        A_next, G_next = both[:, :, : q.size], both[:, :, q.size :]
+        A_next, G_next = both[:, :, :k], both[:, :, k:]
         change = A.mT @ P @ A_next
         G, P, A = G + A @ G_next @ A.mT, P + 0.5 * (change + change.mT), A @ A_next
         if not (np.abs(change) > 1e-17 * np.abs(P).max(axis=(1, 2), keepdims=True)).any():
@@ -190,17 +207,17 @@ def _doubled(A: FloatArray, B: FloatArray, q: FloatArray, r: float) -> FloatArra
     return P
 
 
-def _gain(A: FloatArray, B: FloatArray, P: FloatArray, r: float) -> FloatArray:
+def _gain(A: FloatArray, B: FloatArray, P: FloatArray, r: FloatArray) -> FloatArray:
     PB = (P @ B[:, :, None])[:, :, 0]
     K: FloatArray = (PB[:, None, :] @ A)[:, 0] / (r + np.sum(B * PB, axis=1))[:, None]
     return K
 
 
-def _newton(A: FloatArray, B: FloatArray, q: FloatArray, r: float, K: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _newton(A: FloatArray, B: FloatArray, Q: FloatArray, r: FloatArray, K: FloatArray) -> tuple[FloatArray, FloatArray]:
     """P and K after two steps of Newton's method; the second is below rounding where the gain is nearly right."""
     P = np.empty_like(A)
     for _ in range(2):
-        F, P = A - B[:, :, None] * K[:, None, :], np.diag(q) + r * K[:, :, None] * K[:, None, :]
+        F, P = A - B[:, :, None] * K[:, None, :], Q + r[:, None, None] * K[:, :, None] * K[:, None, :]
         for _ in range(_DOUBLINGS):  # the sum of F'^j Q F^j
             change = F.mT @ P @ F
             P, F = P + 0.5 * (change + change.mT), F @ F
