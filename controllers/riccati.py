@@ -64,7 +64,7 @@ class Regulator:
 
 def regulator(plant: Plant, q: Weights, r: float, *, actuator: bool = False) -> Regulator:
     """LQR gain and cost at every scenario's speed."""
-    lag, part = _known(plant) if actuator else (0.0, 0.0)
+    lag, part = _lag_and_split(plant) if actuator else (0.0, 0.0)
     values = _scheduled(plant, _Riccati(plant.model, plant.dt, q, r, lag=lag, part=part), slice(None))
     k = int(math.sqrt(values.shape[1]))
     return Regulator(K=values[:, :k].copy(), P=values[:, k:].reshape(-1, k, k).copy())
@@ -76,7 +76,7 @@ def feedback(plant: Plant, q: Weights, r: float, q_i: float | None = None) -> Fl
     With a weight `q_i` > 0 [1/(m s)^2] on z^2 the last state is z, the running integral of e_y: z_(k+1) = z_k +
     dt e_y(k). Without a weight z would not be seen by the cost, and the equation would have no stabilising solution.
     """
-    lag, part = _known(plant)
+    lag, part = _lag_and_split(plant)
     solve = _Riccati(plant.model, plant.dt, q, r, q_i=q_i, lag=lag, part=part)
     return _scheduled(plant, solve, slice(4 + (lag > 0) + (part > 0) + (q_i is not None)))
 
@@ -124,8 +124,8 @@ def linear_law(plant: Plant, K: FloatArray, *, integral: bool = False) -> Linear
     )
 
 
-def _known(plant: Plant) -> tuple[float, float]:
-    """Lag, and the part of a sample in the delay."""
+def _lag_and_split(plant: Plant) -> tuple[float, float]:
+    """What a law knows of its actuator: the lag, and the part of a sample in the delay."""
     step = plant.augmented
     return plant.lag, plant.delay - step.whole * plant.dt if step.split else 0.0
 

@@ -289,7 +289,7 @@ def _ask(path: str, size: int, shown: str, channels: ChannelMap | None) -> Any:
 
 
 def serve() -> None:
-    """Answer requests from standard input until it ends."""
+    """In the child process of the MDF reader: answer requests from standard input until it ends."""
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what the library prints
     import asammdf  # takes seconds, which are not the first log's

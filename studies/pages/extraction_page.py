@@ -74,7 +74,7 @@ def extraction_page(extraction: Extraction) -> str:
     """The page as an HTML document; the same extraction gives the same text."""
     accounts, n = extraction.accounts, extraction.departures.n
     rows, whole = by_source(accounts), total(accounts)
-    left, right = side_counts(extraction)
+    left, right = _side_counts(extraction)
     return make_page(
         kind="Lane departure correction: departures of recordings",
         title=f"{plural(n, 'departure')} in {plural(extraction.recordings, 'recording')}",
@@ -175,7 +175,7 @@ def _rows(accounts: Sequence[Account], most: int) -> tuple[SourceRow, ...]:
     return tuple(rows)
 
 
-def side_counts(extraction: Extraction) -> tuple[int, int]:
+def _side_counts(extraction: Extraction) -> tuple[int, int]:
     """Departures left and right."""
     left = int(np.sum(extraction.departures.side == LEFT))
     return left, extraction.departures.n - left
@@ -227,7 +227,7 @@ def extraction_verdict(left: int, right: int) -> str:
 
 
 def _verdict_section(extraction: Extraction, whole: SourceRow | None) -> Section:
-    body = Markup('<p class="verdict">{}</p>').format(symbols(extraction_verdict(*side_counts(extraction))))
+    body = Markup('<p class="verdict">{}</p>').format(symbols(extraction_verdict(*_side_counts(extraction))))
     if whole is not None:
         account = whole.account
         share = f" ({percent(account.hours_valid / account.hours_read, 0)})" if account.hours_read > 0 else ""
@@ -429,7 +429,7 @@ def _parameters_section(extraction: Extraction, rows: Sequence[SourceRow]) -> Se
         title = f"{name}, {PARAMETER_MEANINGS[name]}"
         charts.append(bars(f"parameter-{name}", title, edges, shares, parameter_label(name), "Share per bin [%]"))
         lines.append(Row([f"{parameter_label(name)}: {PARAMETER_MEANINGS[name]}", *cells]))
-    left, right = side_counts(extraction)
+    left, right = _side_counts(extraction)
     key = legend(
         [(f"left, {plural(left, 'departure')}", SIDE["left"]), (f"right, {plural(right, 'departure')}", SIDE["right"])]
     )

@@ -451,7 +451,7 @@ def write_csv(ranking: Ranking, path: str | Path) -> None:
 def _table(ranking: Ranking) -> Table:
     """The numbers of every design, in SI units."""
     laws = {design.law: design for design in _all_designs(ranking)}
-    gains = list(dict.fromkeys(column for _, design in sorted(laws.items()) for column in _columns_of(design)))
+    gains = list(dict.fromkeys(column for _, design in sorted(laws.items()) for column in _gain_columns(design)))
     rows = list(_rows(ranking, gains))
     return Table.of(rows[0], rows, text=("design", "label", "unmet", "fresh_unmet", "failure"))
 
@@ -461,7 +461,7 @@ def _all_designs(ranking: Ranking) -> Iterator[Design]:
     yield from (failure.design for failure in ranking.failed)
 
 
-def _columns_of(design: Design) -> list[str]:
+def _gain_columns(design: Design) -> list[str]:
     """Column of every gain of a law; a gain of one name and unit shares its column between laws."""
     units = {"1": "", "samples": ""}
     return [
@@ -482,7 +482,7 @@ def _rows(ranking: Ranking, gains: Sequence[str]) -> Iterator[dict[str, Any]]:
     optimism_of = "baseline_difference" if ranking.fresh.optimism_paired else "S"
     for i, (design, reason) in enumerate(zip(_all_designs(ranking), reasons, strict=True)):
         here = i < len(ranking)
-        gain_values = dict(zip(_columns_of(design), (value for _, value in design.gains), strict=True))
+        gain_values = dict(zip(_gain_columns(design), (value for _, value in design.gains), strict=True))
         yield {
             "window": ranking.window,
             "convention": ranking.convention,
