@@ -72,6 +72,8 @@ class Program(NamedTuple):
     # the Lagrangian, gradient g, change J_t of the cost by t alone, largest multiplier; T is (N, nz N). Of the outputs
     # their sensitivity Y (N, no N) and change y (no, N) by t; M (no, N) are their multipliers
     linearise: Any
+    # (Z, U, z_0, P, c) -> gradient (1, N) of the cost on the commands, where there are no gaps
+    gradient: Any
     # (P, c) -> bounds of delta and of its change (1, N); bounds, weights of v and of v^2/2 of the soft rows (ns, N)
     limits: Any
 
@@ -85,6 +87,7 @@ class Formulation:
     previous: bool  # The command before is a state
     nonlinear_rows: tuple[int, ...]  # Rates that are not linear in x, u and r
     quadratic: bool  # Linear dynamics, a quadratic cost and linear limits: one quadratic program is the whole problem
+    affine: bool  # And what the lane does to it is affine: neither Hessian nor limits depend on the lane
     riccati: bool  # The terminal cost is that of the Riccati equation
     layout: Layout
     outputs: int
@@ -208,18 +211,23 @@ class _Builder:
 
         zu = ca.vertcat(z, u)
         H, g = ca.hessian(cost, zu)
+        slope = ca.gradient(final, z)
         bent = ca.vertcat(
             *(ca.vec(part) for part in (ca.jacobian(f, zu), H, ca.jacobian(o, zu), ca.hessian(final, z)[0]))
         )
         finite = ca.vertcat(
-            *(
-                ca.vec(part)
-                for part in (g, H, f, ca.jacobian(f, zu), o, ca.jacobian(o, zu), final, ca.gradient(final, z))
-            )
+            *(ca.vec(part) for part in (g, H, f, ca.jacobian(f, zu), o, ca.jacobian(o, zu), final, slope))
         )
+        quadratic = not ca.depends_on(bent, zu)
+        affine = quadratic and not self.rows
+        if affine:
+            of_lane = ca.vertcat(p[:2], p[3:])
+            first = ca.jacobian(ca.vertcat(g, f, a_0, a_1, o, slope), ca.vertcat(zu, of_lane))
+            bounds = _replaced(ca.vertcat(*hard), start)
+            affine = not ca.depends_on(ca.vertcat(ca.vec(first), bounds, *columns), ca.vertcat(zu, of_lane))
         return Formulation(
             structure=self.structure, own=self.own, previous=self.previous, nonlinear_rows=self.rows,
-            quadratic=not ca.depends_on(bent, zu), riccati=terminal is None, layout=self.layout, outputs=len(outputs),
+            quadratic=quadratic, affine=affine, riccati=terminal is None, layout=self.layout, outputs=len(outputs),
             soft=tuple(row for row, _ in rows), linear_part=ca.Function("linear_part", [self.c_base], straight),
             hessian=ca.Function("hessian", [z, u, p, c], [ca.densify(H)]),
             check=ca.Function("check", [z, u, p, c], [ca.densify(finite)]), limit=limit,
@@ -458,8 +466,9 @@ def build(
     limits = ca.Function(
         "limits", [P, c_all], [ca.densify(v) for v in limit.map("limit_all", "serial", N, [1], [])(P, c_all)]
     )
-    value, linearise = _plan(ca, N, z, u, p, c, f, cost, final, o, exact)
-    return Program(predict, _roll(ca, N, z, u, p, c, f, layout), value, linearise, limits)
+    return Program(
+        predict, _roll(ca, N, z, u, p, c, f, layout), *_plan(ca, N, z, u, p, c, f, cost, final, o, exact), limits
+    )
 
 
 def _roll(ca: Any, N: int, z: Any, u: Any, p: Any, c: Any, f: Any, layout: Layout) -> Any:
@@ -489,7 +498,7 @@ def _roll(ca: Any, N: int, z: Any, u: Any, p: Any, c: Any, f: Any, layout: Layou
 
 def _plan(
     ca: Any, N: int, z: Any, u: Any, p: Any, c: Any, f: Any, cost: Any, final: Any, o: Any, exact: bool
-) -> tuple[Any, Any]:
+) -> tuple[Any, Any, Any]:
     nz, no = z.numel(), o.numel()
     zu = ca.vertcat(z, u)
     after = ca.SX.sym("after", nz)
@@ -571,4 +580,8 @@ def _plan(
         "linearise", [*problem, M], [ca.densify(v) for v in outputs],
         [*names, "M"], ["H", "g", "T", "t", "J_t", "slope", "Y", "y"],
     )  # fmt: skip
-    return value, linearise
+    plain = (
+        ca.substitute(push + ca.sum1(B * multipliers), M, ca.MX.zeros(no, N)) if no else push + ca.sum1(B * multipliers)
+    )
+    gradient = ca.Function("gradient", problem, [ca.densify(plain)], names, ["g"])
+    return value, linearise, gradient

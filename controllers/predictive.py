@@ -25,9 +25,10 @@ from ldctoolkit.vehicle.bicycle import BicycleModel, Plant
 from ldctoolkit.vehicle.discretization import discretize
 from ldctoolkit.vehicle.speed_schedule import scheduled
 
+from ._affine_plans import AffinePlans, affine_plans
 from ._mpc_condensing import WINDOW, block_starts, jerk_window, lane, lookahead
 from ._nmpc_model import LANE, Formulation, Structure, formulation
-from ._nmpc_solver import SoftLimits, Workspace, workspace
+from ._nmpc_solver import SoftLimits, Workspace, reachable, workspace
 from ._prediction_model import STATES, base_columns, forced, steady_cornering
 from .riccati import stabilising
 
@@ -191,7 +192,12 @@ class PredictiveController(Controller):
         steady = (np.linalg.pinv(system) @ right[:, :, None])[:, :, 0]
         lagging = plant.lag if "wheel" not in form.own else 0.0
         delay = round((plant.delay + lagging) / plant.dt)
-        return PredictiveLaw(self, plant, form, columns, steady, N, delay, _soft_rows(form, N, window, share))
+        rows = _soft_rows(form, N, window, share)
+        law = PredictiveLaw(self, plant, form, columns, steady, N, delay, rows)
+        if not form.affine:
+            return law
+        weights = (rows.rows, rows.before) if rows else (np.zeros((0, 0)), np.zeros((0, 2 * window + 1)))
+        return dataclasses.replace(law, affine=affine_plans(law.workspace, columns, law.samples, delay, *weights))
 
 
 def _structure(design: PredictiveController) -> Structure:
@@ -366,6 +372,7 @@ class PredictiveLaw(SteeringLaw):
     horizon: int
     delay: int  # Samples until a command steers
     rows: _SoftRows | None
+    affine: AffinePlans | None = None  # Of a formulation that is linear-quadratic
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _prepared, (self.design, self.plant)
@@ -394,7 +401,10 @@ class PredictiveLaw(SteeringLaw):
         """Only some scenarios, each with its last plan."""
         plant = dataclasses.replace(self.plant, v=self.plant.v[rows])
         part = PredictiveState(*(getattr(state, f.name)[rows] for f in dataclasses.fields(state)))
-        law = dataclasses.replace(self, plant=plant, columns=self.columns[rows], steady=self.steady[rows])
+        affine = self.affine and self.affine.take(rows)
+        law = dataclasses.replace(
+            self, plant=plant, columns=self.columns[rows], steady=self.steady[rows], affine=affine
+        )
         return law, part
 
     def solver_calls(self, state: PredictiveState) -> SolverCalls:
@@ -403,6 +413,12 @@ class PredictiveLaw(SteeringLaw):
         return SolverCalls(
             np.arange(n), state.rung.astype(np.int64), state.iterations, np.full(n, np.nan), state.residual
         )
+
+    @property
+    def workspace(self) -> Workspace:
+        """Where the calling thread solves."""
+        blocks = self.design.move_blocks
+        return workspace(self.form, self.horizon, block_starts(self.horizon, blocks) if blocks else None)
 
     def samples(self, r: FloatArray) -> FloatArray:
         """Columns p (n, k, np) of the samples between lane yaw rates r (n, k + 1), of which the last N are planned."""
@@ -433,11 +449,18 @@ class PredictiveLaw(SteeringLaw):
         after.sent[:] = np.column_stack([state.sent[:, 1:], delta_prev])
         after.sent[:] = np.where(np.isnan(after.sent), delta_prev[:, None], after.sent)
         self._see_own(after.own, x, preview, delta_prev)
-        samples = self.samples(lane(preview.yaw_rate, self.plant.dt, self.plant.age))
-        blocks = self.design.move_blocks
-        work = workspace(self.form, self.horizon, block_starts(self.horizon, blocks) if blocks else None)
-        for i in range(n):
-            delta[i] = self._command(work, x[i], samples[i], float(delta_prev[i]), state, after, i)
+        r, left = lane(preview.yaw_rate, self.plant.dt, self.plant.age), np.arange(n)
+        if self.affine is not None:
+            s = np.concatenate([x, after.own, after.sent, r], axis=1)
+            plans = self.affine.solve(s, after.past, delta_prev)
+            done, left = plans.done, np.flatnonzero(~plans.done)
+            delta[:], after.has_plan[:], after.rung[:] = plans.delta, True, 1
+            after.residual[done], after.cost[done], after.iterations[:] = 0.0, np.nan, plans.iterations
+            after.U[done], after.past[done], after.own[done] = plans.U[done], plans.past[done], plans.own[done]
+        if left.size:
+            work, samples = self.workspace, self.samples(r)
+            for i in left.tolist():
+                delta[i] = self._command(work, x[i], samples[i], float(delta_prev[i]), state, after, i)
         status = np.array([EventStatus.OK, EventStatus.OK, EventStatus.BEYOND_DELTA_MAX, EventStatus.SOLVER_FAILED])
         return delta, after, status[after.rung].astype(np.int8)
 
@@ -467,9 +490,8 @@ class PredictiveLaw(SteeringLaw):
         work.P[:] = samples[self.delay :]
         low, high, low_change, high_change, *soft = work.limits()
         # where the command before is so far out that no command meets both limits: what the rate can reach
-        reach_low, reach_high = delta_prev + np.cumsum(low_change), delta_prev + np.cumsum(high_change)
-        relaxed = high[0] < reach_low[0] or low[0] > reach_high[0]
-        work.low[:], work.high[:] = np.minimum(low, reach_high), np.maximum(high, reach_low)
+        low, high, relaxed = reachable(low[None], high[None], low_change[None], high_change[None], work.delta_prev)
+        work.low[:], work.high[:] = low[0], high[0]
         work.low_change[:], work.high_change[:] = low_change, high_change
         work.soft = None
         if self.rows is not None:
@@ -481,7 +503,7 @@ class PredictiveLaw(SteeringLaw):
         after.has_plan[i] = solution.solved
         if solution.solved:
             after.U[i] = solution.U
-            after.rung[i] = 2 if relaxed else 1
+            after.rung[i] = 2 if relaxed[0] else 1
         else:
             after.rung[i] = 3
             K, p = self.form.layout.unpack(self.columns[i])["K"], work.P[0]
