@@ -80,7 +80,7 @@ class AffinePlans:
         low, high = self.low.copy(), self.high.copy()
         changes = low[:, N : 2 * N], high[:, N : 2 * N]
         low[:, :N], high[:, :N], beyond = reachable(low[:, :N], high[:, :N], *changes, delta_prev)
-        outside: BoolArray = ((values < low - _INSIDE) | (values > high + _INSIDE)).any(axis=1)
+        outside: BoolArray = np.any((values < low - _INSIDE) | (values > high + _INSIDE), axis=1)
         done: BoolArray = np.isfinite(out).all(axis=1) & np.isfinite(self.H[:, 0, 0]) & ~(outside & beyond)
         rows = np.flatnonzero(outside & done)
         bounds = []

@@ -24,7 +24,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from ldctoolkit.errors import InputError, UnknownNameError
+from ldctoolkit.errors import InputError, LdcError, UnknownNameError
 from ldctoolkit.law_checks import raised
 
 from ._prediction_model import PREVIOUS, STATES, VEHICLE, Layout, Names, Vehicle, base_layout
@@ -109,12 +109,21 @@ class Formulation:
         return LANE + 2 * self.size
 
 
-def _called(path: str, function: Callable[..., Any], *arguments: Any) -> Any:
-    """What a designer's method returns; what it raises because it met symbols is one sentence."""
+_SYMBOLS: Final = "gains, states and lane are CasADi symbols: ca.if_else and ca.sqrt take them, if and math do not"
+
+
+def called(path: str, function: Callable[..., Any], *arguments: Any, hint: str = _SYMBOLS) -> Any:
+    """What a designer's method returns; what it raises, because it met symbols or not, is one sentence."""
     try:
         return function(*arguments)
-    except (TypeError, NotImplementedError, RuntimeError, ValueError) as error:
-        hint = "gains, states and lane are CasADi symbols here: ca.if_else and ca.sqrt take them, if and math do not"
+    except LdcError:
+        raise
+    except Exception as error:
+        design = getattr(function, "__self__", None)
+        if isinstance(error, AttributeError) and error.obj is design is not None:
+            names = [field.name for field in dataclasses.fields(design)]
+            raise UnknownNameError(f"{design.name}.{error.name}", "no such gain", allowed=names) from error
+        error.__traceback__ = error.__traceback__ and error.__traceback__.tb_next  # from the designer's line on
         raise InputError(path, raised(error), hint=hint) from error
 
 
@@ -264,13 +273,18 @@ class _Builder:
         known = {hash(symbol) for symbol in ca.symvar(self.given if given else ca.vertcat(self.moving, self.given))}
         if free := [symbol.name() for symbol in ca.symvar(expression) if hash(symbol) not in known]:
             raise InputError(path, f"holds the symbol {free[0]!r}", allowed=allowed)
+        steps = ca.Function("steps", ca.symvar(expression), [expression])
+        constants = (k for k in range(steps.n_instructions()) if steps.instruction_id(k) == ca.OP_CONST)
+        if any(np.isnan(steps.instruction_constant(k)) for k in constants):
+            hint = "float() and functions of math make that of a symbol: use those of casadi or numpy"
+            raise InputError(path, "holds NaN", hint=hint)
         return ca.densify(expression)
 
     def _dynamics(self) -> Any:
         """dx/dt, and the lateral acceleration beyond the lane's."""
         ca, path = self.ca, f"{self.name}.dynamics"
         x, u, lane = self._names(of_stage=False)
-        given = _called(path, self.design.dynamics, x, u, lane, self.vehicle)
+        given = called(path, self.design.dynamics, x, u, lane, self.vehicle)
         names = (*STATES, *self.own)
         if not isinstance(given, Mapping):
             raise InputError(path, f"returned {type(given).__name__}", allowed="a dictionary of rates by state")
@@ -288,9 +302,12 @@ class _Builder:
     def _stage(self) -> tuple[Any, tuple[Any, ...], list[tuple[Any, ...]]]:
         """Cost; bounds of delta and its change; rows (value, low, high, weights of v and v^2/2, whether of jerk)."""
         ca, path = self.ca, f"{self.name}.stage"
-        stage = _called(path, self.design.stage, *self._names(of_stage=True), self.k)
+        stage = called(path, self.design.stage, *self._names(of_stage=True), self.k)
         if not all(hasattr(stage, name) for name in ("cost", "hard", "soft")):
             raise InputError(path, f"returned {type(stage).__name__}", allowed="a Stage")
+        for name in ("hard", "soft"):
+            if not isinstance(rows := getattr(stage, name), list | tuple):
+                raise InputError(f"{path}.{name}", f"of type {type(rows).__name__}", allowed="a list")
         cost = self._expression(f"{path}.cost", stage.cost)
         if ca.depends_on(cost, self.jerk):
             hint = "weigh x.a_y or u.change; limit jerk with Soft"
@@ -354,7 +371,7 @@ class _Builder:
         """The designer's terminal cost; None for that of the Riccati equation."""
         x, _, lane = self._names(of_stage=False)
         path = f"{self.name}.terminal"
-        value = _called(path, self.design.terminal, x, lane)
+        value = called(path, self.design.terminal, x, lane)
         if value is None:
             return None
         value = self._expression(path, value)

@@ -27,6 +27,7 @@ from typing import Any, Final
 import numpy as np
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.compiling import line
 from ldctoolkit.errors import InputError
 from ldctoolkit.surroundings import cache_folder, private
 
@@ -45,6 +46,11 @@ def compiled(functions: tuple[Any, ...], name: str) -> tuple[Any, ...]:
         raise InputError(CODE, value=choice, allowed=("auto", "vm"))
     library = _library(functions, name) if choice == "auto" else None
     if library is None:
+        if choice == "auto":
+            line(
+                "predictive controllers run in CasADi's virtual machine, three to four times slower than compiled: "
+                "no C compiler (cc, gcc, clang), or no folder of one's own for its code"
+            )
         return functions
     try:
         return tuple(ca.external(function.name(), str(library)) for function in functions)

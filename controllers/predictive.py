@@ -19,15 +19,15 @@ import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.code_content import content_of
-from ldctoolkit.control import Controller, EventStatus, Preview, SolverCalls, SteeringLaw
-from ldctoolkit.errors import InputError, LdcError
+from ldctoolkit.control import Controller, EventStatus, Preview, SolverCalls, SteeringLaw, check_class
+from ldctoolkit.errors import InputError, LdcError, plain
 from ldctoolkit.vehicle.bicycle import BicycleModel, Plant
 from ldctoolkit.vehicle.discretization import discretize
 from ldctoolkit.vehicle.speed_schedule import scheduled
 
 from ._affine_plans import AffinePlans, affine_plans
 from ._mpc_condensing import WINDOW, block_starts, jerk_window, lane, lookahead
-from ._nmpc_model import LANE, Formulation, Structure, formulation
+from ._nmpc_model import LANE, Formulation, Structure, called, formulation
 from ._nmpc_solver import SoftLimits, Workspace, reachable, workspace
 from ._prediction_model import STATES, base_columns, forced, steady_cornering
 from .riccati import stabilising
@@ -172,6 +172,7 @@ class PredictiveController(Controller):
         N, (window, share) = _horizon(self, form), jerk_window(plant.dt)
         base = base_columns(plant, getattr(self, "mu", 1.0), _gains(self, form))
         A, B, E = _linear_part(form, base)
+        _check(self, form, base, N)
         parts = dict(zip(("vehicle", "linear", "gains"), np.split(base, [10, 20], axis=1), strict=True))
         step, half = discretize(A, B, E, plant.dt), discretize(A, B, E, 0.5 * plant.dt)
         responses = forced(A, form.nonlinear_rows, plant.dt)
@@ -183,7 +184,6 @@ class PredictiveController(Controller):
         }  # fmt: skip
         K, P = _regulator(self, plant, form)
         columns = form.layout.pack(**parts, P=P, K=K)
-        _check(self, form, columns, N)
         nx = A.shape[1]
         # e_y = 0 and no change at a lane yaw rate of 1
         system = np.zeros((plant.n, nx + 1, nx + 1))
@@ -203,6 +203,7 @@ class PredictiveController(Controller):
 def _structure(design: PredictiveController) -> Structure:
     """What decides the form of a design's expressions."""
     kind = type(design)
+    check_class(kind)
     gains, zeros, fixed = [], [], []
     for field in dataclasses.fields(design):  # type: ignore[arg-type]
         value = getattr(design, field.name)
@@ -226,10 +227,10 @@ def _horizon(design: PredictiveController, form: Formulation) -> int:
     """N, checked with the memory that it takes; also the other whole numbers of a class."""
     limits = {"horizon": 1, "move_blocks": 0, "iterations": 0}
     for name, least in limits.items():
-        value = getattr(design, name, None)
+        value = plain(getattr(design, name, None))
         if isinstance(value, bool) or not isinstance(value, int) or value < least:
             raise InputError(f"{design.name}.{name}", value=value, allowed=f"a whole number >= {least}")
-    N: int = design.horizon  # type: ignore[attr-defined]
+    N = int(design.horizon)  # type: ignore[attr-defined]
     size = 8.0 * N * N * (4 * form.size + 3 * form.outputs + 4)
     if size > _MOST_BYTES:
         most = int(N * (_MOST_BYTES / size) ** 0.5)
@@ -246,25 +247,29 @@ def _linear_part(form: Formulation, base: FloatArray) -> tuple[FloatArray, Float
     return A.reshape(nx, -1, nx).transpose(1, 0, 2)[:n], B.T[:n].copy(), E.T[:n].copy()
 
 
-def _check(design: PredictiveController, form: Formulation, columns: FloatArray, N: int) -> None:
+def _check(design: PredictiveController, form: Formulation, base: FloatArray, N: int) -> None:
     """Raise for derivatives at straight driving that are not finite, and for limits that nothing can meet."""
-    if not columns.shape[0]:
+    if not base.shape[0]:
         return
-    straight = np.zeros(form.size), 0.0, np.zeros(form.samples), columns[0]
-    if not np.isfinite(np.asarray(form.check(*straight))).all():
-        hint = "a root, a quotient or an absolute value at 0 has none: add a small number to it"
-        raise InputError(f"{design.name}.stage", "has a derivative at straight driving that is not finite", hint=hint)
-    for k in (0, N - 1):
+    # with a plant that stays where it is, and no terminal cost of the Riccati equation
+    column = np.append(base[0], np.zeros(form.layout.size - base.shape[1]))
+    values = form.check(np.zeros(form.size), 0.0, np.zeros(form.samples), column)
+    parts = form.linear_part(base[0])
+    for path, numbers in (("dynamics", parts), ("stage", (values,))):
+        if not all(np.isfinite(np.asarray(part)).all() for part in numbers):
+            hint = "a root, a quotient or an absolute value at 0 has none: add a small number to it"
+            raise InputError(f"{design.name}.{path}", "has no finite derivative at straight driving", hint=hint)
+    for k in range(N):
         p = np.zeros(form.samples)
         p[2] = k
-        bounds = [np.asarray(part).ravel() for part in form.limit(p, columns[0])]
+        bounds = [np.asarray(part).ravel() for part in form.limit(p, column)]
         for kind, i in (("u.delta", 0), ("u.change", 2)):
             if not bounds[i] <= bounds[i + 1]:
                 value = f"{bounds[i][0]:g} to {bounds[i + 1][0]:g} rad at k = {k}"
                 raise InputError(f"{design.name}.stage.hard", value=value, allowed=f"limits of {kind}, low <= high")
         low, high, linear, _ = bounds[4:]
         if not (np.isfinite(linear).all() and (linear > 0).all() and (low <= high).all()):
-            raise InputError(f"{design.name}.stage.soft", allowed="lower <= upper, and weights > 0")
+            raise InputError(f"{design.name}.stage.soft", f"at k = {k}", allowed="lower <= upper, and weights > 0")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -288,7 +293,7 @@ class _Riccati:
         W = np.empty((m, nz + 1, nz + 1))
         for i in range(m):
             W[i] = form.hessian(np.zeros(nz), 0.0, np.zeros(form.samples), columns[i])
-        K, P = stabilising(A, B, W[:, :nz, :nz], W[:, :nz, nz], W[:, nz, nz])
+        K, P = stabilising(A, B, W[:, :nz, :nz], W[:, :nz, nz], W[:, nz, nz], slice(len(STATES), nx))
         return np.concatenate([K, P.reshape(m, -1)], axis=1)
 
 
@@ -303,7 +308,8 @@ def _regulator(design: PredictiveController, plant: Plant, form: Formulation) ->
             raise
         if form.riccati:
             hint = "let the cost weigh x.e_y and u.delta or u.change near straight driving, or define terminal()"
-            raise InputError(f"{design.name}.stage", "no stabilising terminal cost for this cost", hint=hint) from error
+            problem = f"has no terminal cost: {error.problem}"
+            raise InputError(f"{design.name}.stage", problem, hint=hint) from error
         values = np.zeros((plant.n, nz + nz * nz))
     return values[:, :nz].copy(), values[:, nz:].reshape(-1, nz, nz).copy()
 
@@ -471,13 +477,18 @@ class PredictiveLaw(SteeringLaw):
             return
         new = np.isnan(own).any(axis=1)
         if new.any():
-            given = self.design.initial(x, delta_prev)
             path = f"{self.design.name}.initial"
+            given = called(path, self.design.initial, x, delta_prev, hint="")
             if not isinstance(given, Mapping) or any(name not in names for name in given):
                 raise InputError(path, value=given, allowed=f"a dictionary with keys of {', '.join(names)}")
             for j, name in enumerate(names):
                 value = given.get(name, delta_prev if name == "wheel" else 0.0)
-                own[new, j] = np.broadcast_to(np.asarray(value, dtype=float), (len(own),))[new]
+                try:
+                    own[new, j] = np.broadcast_to(np.asarray(value, dtype=float), (len(own),))[new]
+                except (TypeError, ValueError):
+                    raise InputError(f"{path}[{name!r}]", value=value, allowed="a number, or an array (n,)") from None
+                if not np.isfinite(own[new & np.isfinite(x).all(axis=1), j]).all():
+                    raise InputError(f"{path}[{name!r}]", value=value, allowed="finite numbers")
         if "wheel" in names and preview.wheel is not None:
             own[:, names.index("wheel")] = preview.wheel
 
