@@ -172,20 +172,29 @@ class _Riccati:
 
 
 def stabilising(
-    A: FloatArray, B: FloatArray, Q: FloatArray, S: FloatArray, r: FloatArray
+    A: FloatArray, B: FloatArray, Q: FloatArray, S: FloatArray, r: FloatArray, own: slice
 ) -> tuple[FloatArray, FloatArray]:
-    """K (m, k) and P (m, k, k) of the cost x'Qx + 2 x'S u + r u^2 of m plants; raises `LdcError` if there are none."""
+    """K (m, k) and P (m, k, k) of the cost x'Qx + 2 x'S u + r u^2 of m plants; raises `LdcError` if there are none.
+
+    States of `own` that the cost does not see, not even through others, have no part in K and P, and may drift.
+    """
     with np.errstate(all="ignore"):  # what does not converge is named below
         shift = S / r[:, None]
         A, Q = A - B[:, :, None] * shift[:, None, :], Q - S[:, :, None] * shift[:, None, :]
         P, K = _newton(A, B, Q, r, _gain(A, B, _doubled(A, B, Q, r), r))
     good = (r > 0) & np.isfinite(P).all(axis=(1, 2)) & np.isfinite(K).all(axis=1)
-    closed = A - B[:, :, None] * K[:, None, :]
+    weights = np.where(good[:, None], np.diagonal(P, axis1=1, axis2=2), 0.0)
+    seen = np.ones_like(weights, dtype=np.bool_)
+    seen[:, own] = (weights > _UNSEEN * weights.max(axis=1, keepdims=True))[:, own]
+    both = seen[:, :, None] & seen[:, None, :]
+    K, P = np.where(seen, K, 0.0), np.where(both, P, 0.0)
+    closed = np.where(both, A - B[:, :, None] * K[:, None, :], 0.0)
     if not good.all() or (np.abs(np.linalg.eigvals(closed)).max(axis=1) >= 1.0).any():
         raise LdcError("", "no stabilising solution of the Riccati equation")
     return K + shift, P
 
 
+_UNSEEN = 1e-24  # a share of the largest weight of a state that is below its rounding
 _DOUBLINGS = 50  # a loop with a time constant of 10^14 samples is steady after so many
 
 

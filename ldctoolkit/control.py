@@ -352,6 +352,9 @@ def check_class(controller: type[Controller]) -> None:
             raise InputError(path, "a field of the dataclass", hint=f"write {attribute}: ClassVar[str] = ...")
         if not isinstance(value, str) or not value:
             raise InputError(path, value=value, allowed="a non-empty string, ClassVar[str]")
+    for field in dataclasses.fields(controller):
+        if any(inspect.isroutine(vars(base).get(field.name)) for base in controller.__mro__[1:]):
+            raise InputError(f"{called}.{field.name}", "is a method", hint="give the gain another name")
     if inspect.isabstract(controller):
         raise InputError(called, f"no {', '.join(sorted(controller.__abstractmethods__))}", hint="define it")
     check_declarations(controller)
