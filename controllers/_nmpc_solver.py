@@ -208,6 +208,12 @@ class Workspace:
         out = self._limits.outputs
         return [*out[:4], *(part.reshape(self.N, -1).T for part in out[4:])]
 
+    def first_move(self) -> float:
+        """First command near straight driving, where no limit is active: from dU = -H^-1 g of the plan that is zero."""
+        self.U[:], self.Z[:], self.M[:] = 0.0, 0.0, 0.0
+        self._linearise.run()
+        return -float(np.linalg.solve(self._held.T @ self.H @ self._held, self._held.T @ self.g)[0])
+
     def solve(self, warm: FloatArray | None, most: int = 0) -> Solution:
         """Solve the problem in the input arrays, to convergence or in `most` iterations."""
         self.M[:], self._active[:] = 0.0, False

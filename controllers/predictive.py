@@ -19,13 +19,13 @@ import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.code_content import content_of
-from ldctoolkit.control import Controller, EventStatus, Preview, SolverCalls, SteeringLaw
+from ldctoolkit.control import Controller, EventStatus, LawModel, Preview, SolverCalls, SteeringLaw
 from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.vehicle.bicycle import BicycleModel, Plant
 from ldctoolkit.vehicle.discretization import discretize
 from ldctoolkit.vehicle.speed_schedule import scheduled
 
-from ._mpc_condensing import WINDOW, block_starts, jerk_window, lane, lookahead
+from ._mpc_condensing import WINDOW, block_starts, jerk_window, lane, linear_models, lookahead
 from ._nmpc_model import LANE, Formulation, Structure, formulation
 from ._nmpc_solver import SoftLimits, Workspace, workspace
 from ._prediction_model import STATES, base_columns, forced, steady_cornering
@@ -434,12 +434,35 @@ class PredictiveLaw(SteeringLaw):
         after.sent[:] = np.where(np.isnan(after.sent), delta_prev[:, None], after.sent)
         self._see_own(after.own, x, preview, delta_prev)
         samples = self.samples(lane(preview.yaw_rate, self.plant.dt, self.plant.age))
-        blocks = self.design.move_blocks
-        work = workspace(self.form, self.horizon, block_starts(self.horizon, blocks) if blocks else None)
+        work = self._workspace()
         for i in range(n):
             delta[i] = self._command(work, x[i], samples[i], float(delta_prev[i]), state, after, i)
         status = np.array([EventStatus.OK, EventStatus.OK, EventStatus.BEYOND_DELTA_MAX, EventStatus.SOLVER_FAILED])
         return delta, after, status[after.rung].astype(np.int8)
+
+    def _workspace(self) -> Workspace:
+        blocks = self.design.move_blocks
+        return workspace(self.form, self.horizon, block_starts(self.horizon, blocks) if blocks else None)
+
+    def linearised(self) -> list[LawModel]:
+        """The sensitivity of the first command (that of the plan's KKT system), where no limit is active."""
+        return linear_models(self._small_signal, self.plant.n, len(self.form.own), self.delay)
+
+    def _small_signal(self, u: FloatArray, own: FloatArray, sent: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """First command, and own states a sample later, for inputs of a `LawModel`, own states and earlier commands."""
+        n, work = u.shape[0], self._workspace()
+        after = dataclasses.replace(self.init(n), own=own, sent=np.column_stack([sent, u[:, 4]]))
+        self._see_own(own, u[:, :4], Preview(u[:, 5:6], u[:, 5:6], u[:, 6]), u[:, 4])
+        samples = self.samples(np.tile(u[:, 5:6], self.delay + self.horizon + 1))
+        delta, following = np.empty(n), np.empty_like(own)
+        for i in range(n):
+            work.c[:] = self.columns[i]
+            following[i] = self._begin(work, u[i, :4], samples[i], after, i)[0]
+            work.P[:] = samples[i, self.delay :]
+            delta[i] = work.first_move()
+            if not self.delay:
+                following[i] = work.predict(delta[i], samples[i, 0])[0][len(STATES) : len(STATES) + own.shape[1]]
+        return delta, following
 
     def _see_own(self, own: FloatArray, x: FloatArray, preview: Preview, delta_prev: FloatArray) -> None:
         """Values of the class's states at the first sample; the wheels' angle wherever it is measured."""

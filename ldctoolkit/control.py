@@ -181,6 +181,20 @@ class SolverLog:
         return SolverLog(**{f.name: getattr(self, f.name)[order] for f in dataclasses.fields(self)})
 
 
+@dataclasses.dataclass(frozen=True)
+class LawModel:
+    """A law as a linear system at one speed: at each sample delta = C s + D u, then s+ = A s + B u.
+
+    u = (e_y, de_y/dt, e_psi, de_psi/dt, delta_prev, r, wheel): the state that is seen, the command before, the yaw
+    rate of the lane in a bend that goes on, and the measured steering angle of the wheels.
+    """
+
+    A: FloatArray  # (k, k)
+    B: FloatArray  # (k, 7)
+    C: FloatArray  # (k,)
+    D: FloatArray  # (7,)
+
+
 class SteeringLaw(abc.ABC):
     """Any law, as one call per time step for all n scenarios. Implementations are frozen: state is passed, not kept.
 
@@ -258,6 +272,16 @@ class SteeringLaw(abc.ABC):
         -------
         SolverCalls or None
             None, as here, for a law without a solver.
+        """
+        return None
+
+    def linearised(self) -> Sequence[LawModel] | None:
+        """Each scenario's law around straight, centred driving, for margins and reviews.
+
+        Returns
+        -------
+        sequence of n LawModel, or None
+            None, as here: a review then probes the law with pulses. They check the models, too.
         """
         return None
 
