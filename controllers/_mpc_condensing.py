@@ -7,13 +7,11 @@ horizon for the feedforward, forwards for the state), not as a matrix: that is l
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from ldctoolkit.arrays import FloatArray, IntArray
-from ldctoolkit.control import LawModel
 from ldctoolkit.declared import gain
 from ldctoolkit.vehicle.bicycle import Plant
 
@@ -271,34 +269,3 @@ def lane(r: FloatArray, dt: float, age: float) -> FloatArray:
     behind = np.minimum(np.arange(r.shape[1] - 2) - age / dt, 0.0)
     result: FloatArray = r[:, 2:] + behind * (r[:, 1:2] - r[:, :1])
     return result
-
-
-_SMALL: Final = 1e-6  # [m, m/s, rad, rad/s] of central differences: rounding and curvature stay below 1e-9 of the gain
-
-
-def linear_models(
-    step: Callable[[FloatArray, FloatArray, FloatArray], tuple[FloatArray, FloatArray]], n: int, own: int, delay: int
-) -> list[LawModel]:
-    """Models of n laws at straight driving, by central differences.
-
-    `step` takes inputs (n, 7), states of the law (n, own) and the commands (n, delay) before the last, the oldest
-    first; it returns commands (n,) and the states a sample later.
-    """
-    size = 7 + own + delay
-    J = np.empty((n, 1 + own, size))
-    for j in range(size):
-        ends = []
-        for sign in (1.0, -1.0):
-            values = np.zeros((n, size))
-            values[:, j] = sign * _SMALL
-            delta, following = step(*(part.copy() for part in np.split(values, [7, 7 + own], axis=1)))
-            ends.append(np.column_stack([delta, following]))
-        J[:, :, j] = (ends[0] - ends[1]) / (2.0 * _SMALL)
-    models = []
-    for slopes in J:
-        A, B = np.eye(own + delay, k=1), np.zeros((own + delay, 7))
-        A[:own], B[:own] = slopes[1:, 7:], slopes[1:, :7]
-        if delay:  # earlier commands, each the one after it a sample later
-            B[-1, 4] = 1.0
-        models.append(LawModel(A, B, slopes[0, 7:], slopes[0, :7]))
-    return models

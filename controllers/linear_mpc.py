@@ -22,22 +22,13 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import FloatArray, IntArray
-from ldctoolkit.control import EventStatus, LawModel, Preview, SolverCalls, SteeringLaw
+from ldctoolkit.control import EventStatus, Preview, SolverCalls, SteeringLaw
 from ldctoolkit.declared import gain, option
 from ldctoolkit.errors import InputError
 from ldctoolkit.vehicle.bicycle import Plant
 
-from ._mpc_condensing import (
-    Condensed,
-    InitialState,
-    Limits,
-    MPCDesign,
-    condense,
-    lane,
-    limits,
-    linear_models,
-    lookahead,
-)
+from ._mpc_condensing import Condensed, InitialState, Limits, MPCDesign, condense, lane, limits, lookahead
+from .riccati import linear_models
 
 
 @final
@@ -413,13 +404,13 @@ class MPCLaw(SteeringLaw):
         state = MPCState(multipliers, slack, rung, _calls(calls), workspaces, *self._after(initial, delta, state))
         return delta, state, _STATUS[rung]
 
-    def linearised(self) -> list[LawModel]:
+    def linearised(self) -> list[tuple[FloatArray, ...]]:
         """By differences of the step, which is linear where no limit is active."""
         free = dataclasses.replace(self, always_solve=False)
         return linear_models(free._small_signal, self.condensed.B.shape[0], int(self.lagging), self.limits.delay)
 
     def _small_signal(self, u: FloatArray, wheel: FloatArray, sent: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Command, and predicted wheel angle a sample later, for inputs of a `LawModel` and earlier commands."""
+        """Command, and predicted wheel angle a sample later, for inputs u (n, 7) and earlier commands."""
         state = self.init(u.shape[0])
         state.sent[:, 1:], state.wheel[:], state.past[:] = sent, wheel[:, 0] if self.lagging else 0.0, 0.0
         yaw_rate = np.tile(u[:, 5:6], self.preview_times.size)

@@ -19,17 +19,17 @@ import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.code_content import content_of
-from ldctoolkit.control import Controller, EventStatus, LawModel, Preview, SolverCalls, SteeringLaw
+from ldctoolkit.control import Controller, EventStatus, Preview, SolverCalls, SteeringLaw
 from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.vehicle.bicycle import BicycleModel, Plant
 from ldctoolkit.vehicle.discretization import discretize
 from ldctoolkit.vehicle.speed_schedule import scheduled
 
-from ._mpc_condensing import WINDOW, block_starts, jerk_window, lane, linear_models, lookahead
+from ._mpc_condensing import WINDOW, block_starts, jerk_window, lane, lookahead
 from ._nmpc_model import LANE, Formulation, Structure, formulation
 from ._nmpc_solver import SoftLimits, Workspace, workspace
 from ._prediction_model import STATES, base_columns, forced, steady_cornering
-from .riccati import stabilising
+from .riccati import linear_models, stabilising
 
 _MOST_BYTES: Final = 2.0**30  # of one horizon's matrices
 
@@ -404,6 +404,12 @@ class PredictiveLaw(SteeringLaw):
             np.arange(n), state.rung.astype(np.int64), state.iterations, np.full(n, np.nan), state.residual
         )
 
+    @property
+    def workspace(self) -> Workspace:
+        """Where the calling thread solves."""
+        blocks = self.design.move_blocks
+        return workspace(self.form, self.horizon, block_starts(self.horizon, blocks) if blocks else None)
+
     def samples(self, r: FloatArray) -> FloatArray:
         """Columns p (n, k, np) of the samples between lane yaw rates r (n, k + 1), of which the last N are planned."""
         nx, nz = len(STATES) + len(self.form.own), self.form.size
@@ -434,23 +440,35 @@ class PredictiveLaw(SteeringLaw):
         after.sent[:] = np.where(np.isnan(after.sent), delta_prev[:, None], after.sent)
         self._see_own(after.own, x, preview, delta_prev)
         samples = self.samples(lane(preview.yaw_rate, self.plant.dt, self.plant.age))
-        work = self._workspace()
+        work = self.workspace
         for i in range(n):
             delta[i] = self._command(work, x[i], samples[i], float(delta_prev[i]), state, after, i)
         status = np.array([EventStatus.OK, EventStatus.OK, EventStatus.BEYOND_DELTA_MAX, EventStatus.SOLVER_FAILED])
         return delta, after, status[after.rung].astype(np.int8)
 
-    def _workspace(self) -> Workspace:
-        blocks = self.design.move_blocks
-        return workspace(self.form, self.horizon, block_starts(self.horizon, blocks) if blocks else None)
+    def plan(self, seen: tuple[Any, ...], after: PredictiveState) -> tuple[FloatArray, ...]:
+        """Commands, and the states that the model drives through with them from where the first one steers."""
+        (x, preview, delta_prev, state), work, N, dt = seen, self.workspace, self.horizon, self.plant.dt
+        now = dataclasses.replace(after, own=state.own.copy(), past=state.past.copy())
+        self._see_own(now.own, x, preview, delta_prev)
+        samples = self.samples(lane(preview.yaw_rate, dt, self.plant.age))
+        path, delta = np.full((len(x), N + 1, len(STATES)), np.nan), np.where(after.has_plan[:, None], after.U, np.nan)
+        for i in np.flatnonzero(after.has_plan).tolist():
+            work.c[:] = self.columns[i]
+            self._begin(work, x[i], samples[i], now, i)
+            path[i, 0] = work.z_0[: len(STATES)]
+            for k in range(N):
+                work.z_0[:] = work.predict(delta[i, k], samples[i, self.delay + k])[0]
+                path[i, k + 1] = work.z_0[: len(STATES)]
+        return np.asarray((self.delay + np.arange(N + 1)) * dt - self.plant.age), path, delta
 
-    def linearised(self) -> list[LawModel]:
+    def linearised(self) -> list[tuple[FloatArray, ...]]:
         """The sensitivity of the first command (that of the plan's KKT system), where no limit is active."""
         return linear_models(self._small_signal, self.plant.n, len(self.form.own), self.delay)
 
     def _small_signal(self, u: FloatArray, own: FloatArray, sent: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """First command, and own states a sample later, for inputs of a `LawModel`, own states and earlier commands."""
-        n, work = u.shape[0], self._workspace()
+        """First command, and own states a sample later, for inputs u (n, 7), own states and earlier commands."""
+        n, work = u.shape[0], self.workspace
         after = dataclasses.replace(self.init(n), own=own, sent=np.column_stack([sent, u[:, 4]]))
         self._see_own(own, u[:, :4], Preview(u[:, 5:6], u[:, 5:6], u[:, 6]), u[:, 4])
         samples = self.samples(np.tile(u[:, 5:6], self.delay + self.horizon + 1))

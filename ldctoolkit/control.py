@@ -181,20 +181,6 @@ class SolverLog:
         return SolverLog(**{f.name: getattr(self, f.name)[order] for f in dataclasses.fields(self)})
 
 
-@dataclasses.dataclass(frozen=True)
-class LawModel:
-    """A law as a linear system at one speed: at each sample delta = C s + D u, then s+ = A s + B u.
-
-    u = (e_y, de_y/dt, e_psi, de_psi/dt, delta_prev, r, wheel): the state that is seen, the command before, the yaw
-    rate of the lane in a bend that goes on, and the measured steering angle of the wheels.
-    """
-
-    A: FloatArray  # (k, k)
-    B: FloatArray  # (k, 7)
-    C: FloatArray  # (k,)
-    D: FloatArray  # (7,)
-
-
 class SteeringLaw(abc.ABC):
     """Any law, as one call per time step for all n scenarios. Implementations are frozen: state is passed, not kept.
 
@@ -275,13 +261,25 @@ class SteeringLaw(abc.ABC):
         """
         return None
 
-    def linearised(self) -> Sequence[LawModel] | None:
-        """Each scenario's law around straight, centred driving, for margins and reviews.
+    def plan(self, seen: tuple[Any, ...], after: Any) -> tuple[FloatArray, ...] | None:  # noqa: ARG002
+        """Plans behind the commands of a step, `seen` its (x, preview, delta_prev, state), for `ldctoolkit.plans`.
 
         Returns
         -------
-        sequence of n LawModel, or None
-            None, as here: a review then probes the law with pulses. They check the models, too.
+        (t, x, delta) or None
+            Times (N + 1,) [s] since the sample, of which the first command acts at the first; predicted states
+            (n, N + 1, 4); commands (n, N) [rad]. NaN without a plan. None, as here, for a law that plans nothing.
+        """
+        return None
+
+    def linearised(self) -> Sequence[tuple[FloatArray, ...]] | None:
+        """The law around straight, centred driving, for margins and reviews, which check it with pulses.
+
+        Returns
+        -------
+        sequence of n (A, B, C, D), or None
+            delta = C s + D u, then s+ = A s + B u, u = (e_y, de_y/dt, e_psi, de_psi/dt, delta_prev, lane yaw rate of a
+            bend that goes on, measured steering angle of the wheels). None, as here: the review probes the law.
         """
         return None
 

@@ -121,13 +121,10 @@ def law_findings(controller: Controller, view: LinearView, v: FloatArray) -> Ite
         yield _at("fault", "quiet", v, int(np.argmin(view.quiet)), text)
     if view.finite.all() and not view.exact:
         memory = f"a memory of order {view.order}" if view.order else "no memory"
-        source = (
-            f"the sensitivity of its command to what it sees around straight driving, with {memory}"
-            if view.given
-            else f"its answers to pulses of {PULSE[0]:g} m, {PULSE[1]:g} m/s and {PULSE[2]:g} rad around straight "
-            f"driving, which show {memory}"
+        text = (
+            "The law is not linear by its type: poles and margins are those of small deviations from straight driving "
+            f"(pulses of {PULSE[0]:g} m, {PULSE[1]:g} m/s and {PULSE[2]:g} rad or less), with {memory}."
         )
-        text = f"The law is not linear by its type: poles and margins are those of {source}."
         yield Finding("note", "linearised", text)
         i = int(np.argmax(view.kink))
         if view.kink[i] > KINK:

@@ -1,6 +1,8 @@
-"""A law as a linear system (`LawModel`) at straight, centred driving: exactly for linear laws, else numerically.
+"""A law as a linear system at straight, centred driving: exactly for linear laws, numerically for all others.
 
-In a bend that goes on every previewed yaw rate is r, every heading change r times its lookahead time.
+Inputs u = (e_y, de_y/dt, e_psi, de_psi/dt, delta_prev, r, wheel), where r is the lane's yaw rate in a bend of constant
+curvature that goes on: every previewed yaw rate is r, every heading change r times its lookahead time. At each sample
+delta = C s + D u and s+ = A s + B u.
 
 A `SteeringLaw` is probed with small pulses, up and down, at the second sample of a run that is quiet otherwise: at its
 first, a law takes what it sees for what has always been. Half the difference is its pulse response. The first answer
@@ -14,14 +16,14 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray
-from ldctoolkit.control import Controller, LawModel, LinearLaw, Preview, RecordedPath, SteeringLaw
+from ldctoolkit.control import Controller, LinearLaw, Preview, RecordedPath, SteeringLaw
 from ldctoolkit.errors import LdcError
 from ldctoolkit.law_checks import check_law, check_step, raised
 from ldctoolkit.plant_options import Actuator
@@ -177,12 +179,21 @@ KINK: Final = 0.02  # Part of the largest answer that an answer to a small pulse
 
 
 @dataclasses.dataclass(frozen=True)
+class LawModel:
+    """A law as a linear system at one speed."""
+
+    A: FloatArray  # (k, k)
+    B: FloatArray  # (k, 7)
+    C: FloatArray  # (k,)
+    D: FloatArray  # (7,)
+
+
+@dataclasses.dataclass(frozen=True)
 class LinearView:
     """A law at n speeds as linear systems, and the error of that."""
 
     models: tuple[LawModel, ...]  # n
     exact: bool  # The law is linear by its type
-    given: bool  # The law gives its models
     quiet: BoolArray  # (n,) Its command at straight, centred driving is zero
     finite: BoolArray  # (n,) All its answers are numbers
     nonlinearity: FloatArray  # (n,) Largest relative difference between answers to small pulses and to `LARGER` ones
@@ -195,31 +206,21 @@ class LinearView:
         return max(len(model.A) for model in self.models)
 
 
-def linear_view(controller: Controller, plant: Plant) -> LinearView | None:
-    """A design as linear systems at the plant's n speeds."""
+def linear_view(controller: Controller, plant: Plant, *, probe: bool = True) -> LinearView | None:
+    """A design as linear systems at the plant's n speeds; None for one that leaves the recorded path alone.
+
+    Without `probe` also for a law that neither is linear nor gives its models, and pulses only check its first answer.
+    """
     law = _prepared(controller, plant)
     if isinstance(law, RecordedPath):
         return None
     if isinstance(law, LinearLaw):
         return exact_view(law, plant)
-    return _probed(controller, plant, _given(controller, law))
-
-
-def _given(controller: Controller, law: SteeringLaw) -> Sequence[LawModel] | None:
     with guarded(controller.name, "linearised"):
-        return law.linearised()
-
-
-def small_signal_models(controller: Controller, plant: Plant) -> Sequence[LawModel] | None:
-    """Models of a linear law, and of one that gives them and has no kink at straight driving; None for others."""
-    law = _prepared(controller, plant)
-    if isinstance(law, LinearLaw):
-        return exact_view(law, plant).models
-    models = None if isinstance(law, RecordedPath) else _given(controller, law)
-    if models is None:
-        return None
-    ends = [models[0], models[-1]]  # what is a kink at one speed is one at all
-    return models if (_probed(controller, plant.at(plant.v[[0, -1]]), ends, 1).kink <= KINK).all() else None
+        given = law.linearised()
+    if given is not None:
+        return _probed(controller, plant, tuple(LawModel(*model) for model in given), _SAMPLES if probe else 1)
+    return _probed(controller, plant, None, _SAMPLES) if probe else None
 
 
 def _prepared(controller: Controller, plant: Plant) -> LinearLaw | SteeringLaw | RecordedPath:
@@ -242,12 +243,10 @@ def exact_view(law: LinearLaw, plant: Plant) -> LinearView:
     A[:z, :z], A[z : z + 1, :z], B[:z, 0], B[z : z + 1, 4] = 1.0, 0.0, plant.dt, 1.0
     models = tuple(LawModel(A, B, C[i], D[i]) for i in range(n))
     finite = np.isfinite(D).all(axis=1) & np.isfinite(C).all(axis=1)
-    return LinearView(models, True, True, np.ones(n, dtype=np.bool_), finite, *np.zeros((3, n)))
+    return LinearView(models, True, np.ones(n, dtype=np.bool_), finite, *np.zeros((3, n)))
 
 
-def _probed(
-    controller: Controller, plant: Plant, given: Sequence[LawModel] | None, samples: int = _SAMPLES
-) -> LinearView:
+def _probed(controller: Controller, plant: Plant, given: tuple[LawModel, ...] | None, samples: int) -> LinearView:
     """The models that a law gives, or those of its pulse responses, and what the pulses say of them."""
     n = plant.n
     # one row a speed for each pulse: quiet, then (seven inputs) x (up, down) x (small, larger)
@@ -262,13 +261,12 @@ def _probed(
     small, large = (0.5 * (answers[:, i : i + 7] - answers[:, i + 7 : i + 14]) / size for i in (1, 15))
     largest = np.maximum(np.abs(small).max(axis=(0, 1)), 1e-300)
     nonlinearity = np.abs(large / LARGER - small).max(axis=(0, 1)) / largest
-    models = tuple(_with_memory(small[:, :, i]) for i in range(n)) if given is None else tuple(given)
+    models = given or tuple(_with_memory(small[:, :, i]) for i in range(n))
     predicted = np.stack([_pulse_response(model, samples) for model in models], axis=2)
     up, down = ((answers[0, i : i + 7] - answers[0, 0]) / size for i in (1, 8))
     return LinearView(
         models=models,
         exact=False,
-        given=given is not None,
         quiet=np.asarray(np.abs(answers[:, 0]).max(axis=0) <= 1e-9),
         finite=np.asarray(finite, dtype=np.bool_),
         nonlinearity=np.asarray(nonlinearity, dtype=np.float64),

@@ -14,14 +14,15 @@ from ldctoolkit.control import Controller
 from ldctoolkit.errors import LdcError
 from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.review.law_model import (
+    KINK,
     Camera,
     LinearView,
     Loop,
     System,
     controller_side,
+    linear_view,
     pulse_answers,
     sampled_vehicle,
-    small_signal_models,
 )
 from ldctoolkit.setup import Setup
 from ldctoolkit.vehicle import BicycleModel, Plant
@@ -319,8 +320,8 @@ def design_margins(controllers: Sequence[Controller], setup: Setup, v: npt.Array
     gain, phase = np.full((2, len(controllers), plant.n), np.nan)
     for row, controller in enumerate(controllers):
         with contextlib.suppress(Exception):  # a controller may be third-party code; to run it shows what is wrong
-            models = small_signal_models(controller, plant)
-            if models is not None:
-                sides = map(controller_side, models, cameras)
+            view = linear_view(controller, plant, probe=False)
+            if view is not None and (view.kink <= KINK).all():
+                sides = map(controller_side, view.models, cameras)
                 gain[row], phase[row] = quick_margins(list(map(Loop.of, vehicles, sides)), plant.dt)
     return gain, phase
