@@ -45,7 +45,7 @@
       const row = plan.values.subarray((place * samples + j) * width, (place * samples + j + 1) * width);
       if (Number.isNaN(row[0]) || Number.isNaN(row[1])) return;
       const v = Array.from(row.subarray(1)), begin = start[i * p + k] + j * E.plan_step + row[0];
-      found.push({t: v.map((_, n) => begin + n * E.dt), v, style: E.designs[i].style, dash: "1.5 3", name: `${E.designs[i].name}, planned`});
+      found.push({t: v.map((_, n) => begin + n * E.dt), v, style: `${E.designs[i].style} planned`, name: `${E.designs[i].name}, planned`});
     });
     return found;
   }
