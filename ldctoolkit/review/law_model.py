@@ -211,19 +211,20 @@ def linear_view(controller: Controller, plant: Plant, *, probe: bool = True) -> 
 
     Without `probe` also for a law that neither is linear nor gives its models, and pulses only check its first answer.
     """
-    law = _prepared(controller, plant)
+    law = _checked_law(controller, plant)
     if isinstance(law, RecordedPath):
         return None
     if isinstance(law, LinearLaw):
         return exact_view(law, plant)
     with guarded(controller.name, "linearised"):
         given = law.linearised()
-    if given is not None:
-        return _probed(controller, plant, tuple(LawModel(*model) for model in given), _SAMPLES if probe else 1)
-    return _probed(controller, plant, None, _SAMPLES) if probe else None
+    if given is None and not probe:
+        return None
+    models = None if given is None else tuple(LawModel(*model) for model in given)
+    return _probed(controller, plant, models, _SAMPLES if probe else 1)
 
 
-def _prepared(controller: Controller, plant: Plant) -> LinearLaw | SteeringLaw | RecordedPath:
+def _checked_law(controller: Controller, plant: Plant) -> LinearLaw | SteeringLaw | RecordedPath:
     with guarded(controller.name, "prepare"):
         law = controller.prepare(plant)
     with guarded(controller.name, "preview_times"):
@@ -287,7 +288,7 @@ def _pulse_response(model: LawModel, samples: int) -> FloatArray:
 def pulse_answers(controller: Controller, plant: Plant, inputs: FloatArray, samples: int) -> FloatArray:
     """Commands (samples, q, n) of a `SteeringLaw`: of a sample with inputs (q, n, 7), and of later ones with zeros."""
     q, n, name = inputs.shape[0], plant.n, controller.name
-    law = _prepared(controller, plant.at(np.tile(plant.v, q)))
+    law = _checked_law(controller, plant.at(np.tile(plant.v, q)))
     if not isinstance(law, SteeringLaw):
         raise LdcError(f"controller {name!r}", "prepare gives laws of different kinds for other speeds")
     pulse = inputs.reshape(q * n, 7)

@@ -14,7 +14,7 @@ import numpy as np
 import threadpoolctl
 
 from ldctoolkit.arrays import FloatArray
-from ldctoolkit.clusters import cluster_error, cluster_sums
+from ldctoolkit.clusters import cluster_error
 from ldctoolkit.departures import SIDES
 from ldctoolkit.errors import InputError, ModelError
 from ldctoolkit.mixture import BoundedGaussianMixture
@@ -121,7 +121,6 @@ def uncertainty(recorded: RecordedDepartures, refits: int) -> tuple[float, float
     share = weight / weight.sum()
     influence = (x - (x @ share)[:, None])[np.ptp(x, axis=1) > 0.0]
     exact = cluster_error(influence, index, share)
-    plain = np.sqrt((cluster_sums(influence * share, index) ** 2).sum(axis=1))
     exponential = math.sqrt(1.0 + 1.0 / recorded.clusters.count)  # whose sum is not fixed
     df = 1.0 / (1.0 / float(np.median(exact.df)) + 1.0 / max(refits - 1, 1))
-    return float(np.median(exact.error / plain)) * exponential, df
+    return float(np.median(exact.factor)) * exponential, df

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import Frame, IntArray
-from ldctoolkit.clusters import FEWEST_CLUSTERS
+from ldctoolkit.clusters import doubt_of, several
 from ldctoolkit.control import EventStatus
 from ldctoolkit.departures import LEFT
 from ldctoolkit.errors import StudyError, expect
@@ -67,18 +67,15 @@ def warnings_of_sample(
         f"{count} {'left' if which == LEFT else 'right'}"
         for which, count in zip(sides[::-1], counts[::-1], strict=True)
     )
-    if cluster is not None:
-        if (count := np.unique(cluster).size) < FEWEST_CLUSTERS:
-            yield (
-                f"The departures are of {count} trips or drivers only: with fewer than {FEWEST_CLUSTERS}, intervals "
-                "cannot be trusted."
-            )
-    elif not spread_is_known(side):
+    if text := doubt_of(cluster):
+        yield f"{text[0].upper()}{text[1:]}."
+    independent = several(cluster) is None
+    if independent and not spread_is_known(side):
         yield (
             f"There is no interval and no designs are separated: a side has one scenario only ({numbers}), "
             "which shows no spread."
         )
-    elif side.size < FEW or counts.min() < FEW_OF_A_SIDE:
+    elif independent and (side.size < FEW or counts.min() < FEW_OF_A_SIDE):
         yield (
             f"Intervals are too short with so few scenarios ({numbers}): below {FEW}, or {FEW_OF_A_SIDE} of a side, "
             "they hold less often than they say. None of them counts the sampling error of the scenario model itself."
@@ -245,6 +242,12 @@ class Ranking(RankedDesigns, Frame):
         if requirements and acting and not any(i < ranked for i in acting):
             fresh = dataclasses.replace(fresh, winner=None)  # no control is not a design to choose
         warnings += warnings_of_sample(side, inference, cluster)
+        replayed, refits = results.replayed, results.refits
+        for what, text in (
+            ("replayed departures", "" if replayed is None else doubt_of(replayed.scenarios.cluster)),
+            ("recordings behind the model", "" if refits is None else refits.doubt),
+        ):
+            warnings += [f"Of the {what}: {text}."] if text else []
         for i in best_of_laws(designs):
             if not designs[i].is_baseline and (text := tail_text(*depths(results, int(order[i]), setup))):
                 warnings.append(f"{designs[i].label} is {text}.")

@@ -82,14 +82,15 @@ def test_a_bad_model_is_called_bad(bad: ScenarioModel, fine: ScenarioModel) -> N
         assert re.fullmatch(
             r"the model (under|over)states the effect of control by \d+ points \([^()]+, y_s = [\d.]+ m: "
             r"-?[\d.]+ % replayed, -?[\d.]+ % generated; 150 departures of 1 trip; what differs between trips cannot "
-            r"be seen, and intervals cannot be trusted\): do not use it",
+            r"be seen in a single one, and intervals cannot be trusted\): do not use it",
             side.fidelity.text,
         )
     assert f"left: {bad.provenance.left.fidelity.text}" in bad.provenance.warnings
     for side in (fine.provenance.left, fine.provenance.right):
         assert side.fidelity.text == (
             "the model gives the recordings' answer (all 12 test designs lie within the 95 % intervals of the replay: "
-            "150 departures of 1 trip; what differs between trips cannot be seen, and intervals cannot be trusted)"
+            "150 departures of 1 trip; what differs between trips cannot be seen in a single one, and intervals cannot "
+            "be trusted)"
         )
 
 
@@ -286,8 +287,9 @@ def test_few_trips_cannot_be_trusted(bad: ScenarioModel) -> None:
     made = in_trips(150, seed=4, per_trip=30)
     left, right = check_fidelity(bad, made)
     for side in (left, right):
-        assert "150 departures of 5 trips, 20 % of them in one trip; with fewer than 10 trips, intervals cannot be" in (
-            side.text
+        assert (
+            "150 departures of 5 trips, 20 % of them in one trip; with 5 trips or drivers only, intervals cannot be"
+            in side.text
         )
 
 
@@ -316,9 +318,9 @@ def test_held_out_halves(bad: ScenarioModel, fine: ScenarioModel) -> None:
             for fidelity in (side.fidelity, first)
         )
         assert 1.5 < half / whole < 2.8  # twice, by halves
-    assert (
-        first.counted
-        == "60 of 60 answers agree with those of the 75 departures that a model of the other 75 has not seen"
+    assert first.counted == (
+        "60 of 60 answers agree with those of the 75 departures that a model of the other 75 has not seen; what "
+        "differs between trips cannot be seen in a single one, and intervals cannot be trusted"
     )
     made = in_trips(150, seed=4, per_trip=30)  # five trips a side
     halves = fit_scenario_model(made, components=1, extraction=CRITERIA).provenance.left.held_out

@@ -154,7 +154,7 @@ def test_the_error_of_the_draws_is_taken_off() -> None:
     """Variance 4 of what refits differ by, 9 of each draw."""
     rng = np.random.default_rng(0)
     values = 100.0 + 2.0 * rng.normal(size=(4000, 1)) + 3.0 * rng.normal(size=(4000, 2))
-    scores = RefitScores(("a",), np.stack([values, values], axis=1), 0, 1.5, 12.0, "")
+    scores = RefitScores(("a",), np.stack([values, values], axis=1), 0, 1.5, 12.0, (), "", "")
     assert scores.half_width(values, 0.9) == pytest.approx(student.ppf(0.95, 12.0) * 1.5 * 2.0, rel=0.06)
     assert np.isnan(scores.half_width(values[:4], 0.9))
     assert np.isnan(dataclasses.replace(scores, failed=6).half_width(values[:6], 0.9))
