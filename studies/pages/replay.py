@@ -179,14 +179,14 @@ def replay(
 
     def drive_all() -> dict[str, FloatArray]:
         driven = [_driven(context, departures, scenarios, entry) for entry in designs]
-        arrays = {f"{id} {name}": table for id, (paths, _) in zip(ids, driven, strict=True)
-                  for name, table in paths._asdict().items()}  # fmt: skip
+        arrays = {id: np.stack(paths[:4]) for id, (paths, _) in zip(ids, driven, strict=True)}
+        arrays |= {f"{id} plan": paths.plan for id, (paths, _) in zip(ids, driven, strict=True)}
         return arrays | {"mismatch": np.array(max((mismatch for _, mismatch in driven), default=0.0))}
 
     content = hashlib.sha256(b"".join(array.tobytes() for array in scenarios.arrays())).hexdigest()
     key = [ids, content, dataclasses.asdict(setup), context.results.window, DesignPaths._fields]
     arrays = remembered(context.report.folder, name, key, drive_all)
-    paths = tuple(DesignPaths(*(arrays[f"{id} {name}"] for name in DesignPaths._fields)) for id in ids)
+    paths = tuple(DesignPaths(*arrays[id], arrays[f"{id} plan"]) for id in ids)
     recorded = UncorrectedPath.of(scenarios, setup.options.residuals, setup.seed)
     return Replay(tuple(departures), designs, scenarios, recorded, paths, float(arrays["mismatch"]))
 
