@@ -224,10 +224,6 @@ class Outcome(Frame):
         return int(np.sum(self.status == status))
 
 
-# scenarios by row number, sample from the trigger on, and their plans as of `SteeringLaw.plan`
-Planned = tuple[IntArray, int, FloatArray, FloatArray, FloatArray]
-
-
 @dataclasses.dataclass(frozen=True)
 class Run:
     """One design driven from the trigger on: m triggered scenarios in the takeover's order."""
@@ -241,7 +237,8 @@ class Run:
     law_seconds: float
     trajectories: Trajectories | None
     solver_log: SolverLog = dataclasses.field(default_factory=lambda: SolverLog.of([]))
-    planned: Sequence[Planned] = ()  # On request
+    # On request, for each sample: row numbers of the scenarios that go on, and their plans as of `SteeringLaw.plan`
+    planned: Sequence[tuple[IntArray, FloatArray, FloatArray, FloatArray]] = ()
 
     def columns(self, windows: Sequence[Window]) -> FloatArray:
         """S and S_uncorrected of each of w windows, then the c metrics, of the recorded paths, (2 w + c, n)."""
@@ -521,7 +518,7 @@ def _drive_general(
     state = law.init(m)
     law_seconds, sample = 0.0, 0
     calls: list[tuple[IntArray, int, SolverCalls]] = []
-    planned: list[Planned] = []
+    planned: list[tuple[IntArray, FloatArray, FloatArray, FloatArray]] = []
     while active.size:
         shown = np.zeros((m, 4)), np.zeros((m, times.size)), np.zeros((m, times.size)), np.zeros(m)
         for plant in plants:
@@ -534,8 +531,7 @@ def _drive_general(
         law_seconds += time.perf_counter() - started
         delta, after, status = check_step(result, t.size, name)
         if plans and (plan := law.plan((x, preview, previous, state), after)) is not None:
-            t_plan, x_plan, delta_plan = plan
-            planned.append((takeover.rows[batch][active], sample, t_plan, x_plan[active], delta_plan[active]))
+            planned.append((takeover.rows[batch][active], plan[0], plan[1][active], plan[2][active]))
         state = after
         solved = law.solver_calls(state)
         if solved is not None:

@@ -73,9 +73,9 @@ def plans(controller: Controller, scenarios: Scenarios, y_s: float = 0.2, *, set
         raise InputError("controller", "does not tell plans", value=controller.name, allowed="a PredictiveController")
     start = np.full(scenarios.n, np.nan)
     start[over.rows] = over.start
-    nothing = np.zeros(0, dtype=np.int64), 0, np.zeros(1), np.zeros((0, 1, 4)), np.zeros((0, 0))
-    rows, samples, times, *plan = zip(*(run.planned or [nothing]), strict=True)
-    row, sample = np.concatenate(rows), np.repeat(samples, [part.size for part in rows])
+    nothing = np.zeros(0, dtype=np.int64), np.zeros(1), np.zeros((0, 1, 4)), np.zeros((0, 0))
+    rows, times, *plan = zip(*(run.planned or [nothing]), strict=True)
+    row, sample = np.concatenate(rows), np.repeat(np.arange(len(rows)), [part.size for part in rows])
     order = np.lexsort((sample, row))
     row, sample, x, delta = (values[order] for values in (row, sample, *map(np.concatenate, plan)))
     t = (start[row] + sample * setup.dt)[:, None] + times[0]

@@ -145,12 +145,12 @@ def _named(context: Context, designs: Sequence[ExplorerDesign]) -> list[tuple[in
 class DesignPaths(NamedTuple):
     """A design on the p picked departures; arrays (p, k), NaN after the end and where there is no path."""
 
+    # (p, s, N + 2) of every `plan_stride`-th sample: seconds from it to its plan's begin, and y along it; NaN: no plan
+    plan: FloatArray
     t: FloatArray  # [s] Time since the crossing: the controller's samples from the trigger on, T, and the end
     y: FloatArray  # [m] Edge beyond the line, outward
     delta: FloatArray  # [rad] Steering angle of the wheel just after that time
     a_y: FloatArray  # [m/s^2] Lateral acceleration just after it
-    # (p, s, N + 2) of every `plan_stride`-th sample: seconds from it to its plan's begin, and y along it; NaN: no plan
-    plan: FloatArray
 
 
 def plan_stride(dt: float) -> int:
@@ -179,14 +179,14 @@ def replay(
 
     def drive_all() -> dict[str, FloatArray]:
         driven = [_driven(context, departures, scenarios, entry) for entry in designs]
-        arrays = {id: np.stack(paths[:4]) for id, (paths, _) in zip(ids, driven, strict=True)}
+        arrays = {id: np.stack(paths[1:]) for id, (paths, _) in zip(ids, driven, strict=True)}
         arrays |= {f"{id} plan": paths.plan for id, (paths, _) in zip(ids, driven, strict=True)}
         return arrays | {"mismatch": np.array(max((mismatch for _, mismatch in driven), default=0.0))}
 
     content = hashlib.sha256(b"".join(array.tobytes() for array in scenarios.arrays())).hexdigest()
     key = [ids, content, dataclasses.asdict(setup), context.results.window, DesignPaths._fields]
     arrays = remembered(context.report.folder, name, key, drive_all)
-    paths = tuple(DesignPaths(*arrays[id], arrays[f"{id} plan"]) for id in ids)
+    paths = tuple(DesignPaths(arrays[f"{id} plan"], *arrays[id]) for id in ids)
     recorded = UncorrectedPath.of(scenarios, setup.options.residuals, setup.seed)
     return Replay(tuple(departures), designs, scenarios, recorded, paths, float(arrays["mismatch"]))
 
@@ -203,7 +203,7 @@ def _driven(
         to_drive[design.batch :] = False
     driven_rows = np.flatnonzero(to_drive)
     none = np.zeros((len(departures), 0))
-    no_paths = DesignPaths(none, none, none, none, none[:, :, None])
+    no_paths = DesignPaths(none[:, :, None], *([none] * 4))
     if not driven_rows.size:
         return no_paths, 0.0
     over = Takeover.build(scenarios.take(driven_rows), setup, y_s=design.y_s)
@@ -215,15 +215,15 @@ def _driven(
     if paths is None:  # the law never intervenes
         return no_paths, off
     shown = run.planned[:: plan_stride(setup.dt)]
-    plan = np.full((len(departures), len(shown), shown[0][2].size + 1 if shown else 1), np.nan)
-    for j, (planned, _, times, states, _) in enumerate(shown):
+    plan = np.full((len(departures), len(shown), shown[0][1].size + 1 if shown else 1), np.nan)
+    for j, (planned, times, states, _) in enumerate(shown):
         plan[driven_rows[planned], j, 0] = times[0]
         plan[driven_rows[planned], j, 1:] = states[:, :, 0] - setup.vehicle.edge_offset
     t, y, delta, a_y = (np.full((len(departures), paths.t.shape[1]), np.nan) for _ in range(4))
     t[driven_rows], delta[driven_rows] = paths.t, paths.delta
     y[driven_rows] = paths.x[:, :, 0] - setup.vehicle.edge_offset
     a_y[driven_rows] = paths.a_y
-    return DesignPaths(t, y, delta, a_y, plan), off
+    return DesignPaths(plan, t, y, delta, a_y), off
 
 
 def plan_chart(plans: Plans, i: int) -> Chart:
