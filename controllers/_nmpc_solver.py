@@ -195,6 +195,12 @@ class Workspace:
         self._sense = np.zeros(2 * moves, dtype=np.int32)
         self._active = np.zeros(2 * moves, dtype=np.bool_)
 
+    def first_move(self) -> float:
+        """First command near straight driving, where no limit is active: from dU = -H^-1 g of the plan that is zero."""
+        self.U[:], self.Z[:], self.M[:] = 0.0, 0.0, 0.0
+        self._linearise.run()
+        return -float(np.linalg.solve(self._held.T @ self.H @ self._held, self._held.T @ self.g)[0])
+
     def predict(self, u: float, p: FloatArray) -> tuple[FloatArray, float, float]:
         """Z after a sample with the command u; a_y just after it and at the end."""
         self._sample[0][0], self._sample[1][:] = u, p
@@ -207,12 +213,6 @@ class Workspace:
         self._limits.run()
         out = self._limits.outputs
         return [*out[:4], *(part.reshape(self.N, -1).T for part in out[4:])]
-
-    def first_move(self) -> float:
-        """First command near straight driving, where no limit is active: from dU = -H^-1 g of the plan that is zero."""
-        self.U[:], self.Z[:], self.M[:] = 0.0, 0.0, 0.0
-        self._linearise.run()
-        return -float(np.linalg.solve(self._held.T @ self.H @ self._held, self._held.T @ self.g)[0])
 
     def solve(self, warm: FloatArray | None, most: int = 0) -> Solution:
         """Solve the problem in the input arrays, to convergence or in `most` iterations."""
