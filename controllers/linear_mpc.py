@@ -28,6 +28,7 @@ from ldctoolkit.errors import InputError
 from ldctoolkit.vehicle.bicycle import Plant
 
 from ._mpc_condensing import Condensed, InitialState, Limits, MPCDesign, condense, lane, limits, lookahead
+from .riccati import linear_models
 
 
 @final
@@ -402,6 +403,19 @@ class MPCLaw(SteeringLaw):
         slack = np.maximum(w[:, M:], 0.0)
         state = MPCState(multipliers, slack, rung, _calls(calls), workspaces, *self._after(initial, delta, state))
         return delta, state, _STATUS[rung]
+
+    def linearised(self) -> list[tuple[FloatArray, ...]]:
+        """By differences of the step, which is linear where no limit is active."""
+        free = dataclasses.replace(self, always_solve=False)
+        return linear_models(free._small_signal, self.condensed.B.shape[0], int(self.lagging), self.limits.delay)
+
+    def _small_signal(self, u: FloatArray, wheel: FloatArray, sent: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Command, and predicted wheel angle a sample later, for inputs u (n, 7) and earlier commands."""
+        state = self.init(u.shape[0])
+        state.sent[:, 1:], state.wheel[:], state.past[:] = sent, wheel[:, 0] if self.lagging else 0.0, 0.0
+        yaw_rate = np.tile(u[:, 5:6], self.preview_times.size)
+        delta, after, _ = self.step(np.zeros(len(u)), u[:, :4], Preview(yaw_rate, yaw_rate), u[:, 4], state)
+        return delta, after.wheel[:, None] if self.lagging else wheel
 
     def _initial_state(self, x: FloatArray, r: FloatArray, delta_prev: FloatArray, state: MPCState) -> InitialState:
         """What the QPs start from; before the first sample the command was what it is at the trigger."""

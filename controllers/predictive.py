@@ -30,7 +30,7 @@ from ._mpc_condensing import WINDOW, block_starts, jerk_window, lane, lookahead
 from ._nmpc_model import LANE, Formulation, Structure, called, formulation
 from ._nmpc_solver import SoftLimits, Workspace, reachable, workspace
 from ._prediction_model import STATES, base_columns, forced, steady_cornering
-from .riccati import stabilising
+from .riccati import linear_models, stabilising
 
 _MOST_BYTES: Final = 2.0**30  # of one horizon's matrices
 
@@ -469,6 +469,42 @@ class PredictiveLaw(SteeringLaw):
                 delta[i] = self._command(work, x[i], samples[i], float(delta_prev[i]), state, after, i)
         status = np.array([EventStatus.OK, EventStatus.OK, EventStatus.BEYOND_DELTA_MAX, EventStatus.SOLVER_FAILED])
         return delta, after, status[after.rung].astype(np.int8)
+
+    def plan(self, seen: tuple[Any, ...], after: PredictiveState) -> tuple[FloatArray, ...]:
+        """Commands, and the states that the model drives through with them from where the first one steers."""
+        (x, preview, delta_prev, state), work, N, dt = seen, self.workspace, self.horizon, self.plant.dt
+        now = dataclasses.replace(after, own=state.own.copy(), past=state.past.copy())
+        self._see_own(now.own, x, preview, delta_prev)
+        samples = self.samples(lane(preview.yaw_rate, dt, self.plant.age))
+        path, delta = np.full((len(x), N + 1, len(STATES)), np.nan), np.where(after.has_plan[:, None], after.U, np.nan)
+        for i in np.flatnonzero(after.has_plan).tolist():
+            work.c[:] = self.columns[i]
+            self._begin(work, x[i], samples[i], now, i)
+            path[i, 0] = work.z_0[: len(STATES)]
+            for k in range(N):
+                work.z_0[:] = work.predict(delta[i, k], samples[i, self.delay + k])[0]
+                path[i, k + 1] = work.z_0[: len(STATES)]
+        return np.asarray((self.delay + np.arange(N + 1)) * dt - self.plant.age), path, delta
+
+    def linearised(self) -> list[tuple[FloatArray, ...]]:
+        """The sensitivity of the first command (that of the plan's KKT system), where no limit is active."""
+        return linear_models(self._small_signal, self.plant.n, len(self.form.own), self.delay)
+
+    def _small_signal(self, u: FloatArray, own: FloatArray, sent: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """First command, and own states a sample later, for inputs u (n, 7), own states and earlier commands."""
+        n, work = u.shape[0], self.workspace
+        after = dataclasses.replace(self.init(n), own=own, sent=np.column_stack([sent, u[:, 4]]))
+        self._see_own(own, u[:, :4], Preview(u[:, 5:6], u[:, 5:6], u[:, 6]), u[:, 4])
+        samples = self.samples(np.tile(u[:, 5:6], self.delay + self.horizon + 1))
+        delta, following = np.empty(n), np.empty_like(own)
+        for i in range(n):
+            work.c[:] = self.columns[i]
+            following[i] = self._begin(work, u[i, :4], samples[i], after, i)[0]
+            work.P[:] = samples[i, self.delay :]
+            delta[i] = work.first_move()
+            if not self.delay:
+                following[i] = work.predict(delta[i], samples[i, 0])[0][len(STATES) : len(STATES) + own.shape[1]]
+        return delta, following
 
     def _see_own(self, own: FloatArray, x: FloatArray, preview: Preview, delta_prev: FloatArray) -> None:
         """Values of the class's states at the first sample; the wheels' angle wherever it is measured."""

@@ -12,6 +12,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
+from typing import Final
 
 import numpy as np
 
@@ -122,6 +124,37 @@ def linear_law(plant: Plant, K: FloatArray, *, integral: bool = False) -> Linear
         f_past=past[:, 1:] if step.past > 1 else None,
         f_wheel=f_wheel,
     )
+
+
+_SMALL: Final = 1e-6  # [m, m/s, rad, rad/s] of central differences: rounding and curvature stay below 1e-9 of the gain
+
+
+def linear_models(
+    step: Callable[[FloatArray, FloatArray, FloatArray], tuple[FloatArray, FloatArray]], n: int, own: int, delay: int
+) -> list[tuple[FloatArray, ...]]:
+    """(A, B, C, D) of `SteeringLaw.linearised` for n laws, by central differences.
+
+    `step` takes inputs (n, 7), states of the law (n, own) and the commands (n, delay) before the last, the oldest
+    first; it returns commands (n,) and the states a sample later.
+    """
+    size = 7 + own + delay
+    J = np.empty((n, 1 + own, size))
+    for j in range(size):
+        ends = []
+        for sign in (1.0, -1.0):
+            values = np.zeros((n, size))
+            values[:, j] = sign * _SMALL
+            delta, following = step(*(part.copy() for part in np.split(values, [7, 7 + own], axis=1)))
+            ends.append(np.column_stack([delta, following]))
+        J[:, :, j] = (ends[0] - ends[1]) / (2.0 * _SMALL)
+    models: list[tuple[FloatArray, ...]] = []
+    for slopes in J:
+        A, B = np.eye(own + delay, k=1), np.zeros((own + delay, 7))
+        A[:own], B[:own] = slopes[1:, 7:], slopes[1:, :7]
+        if delay:  # earlier commands, each the one after it a sample later
+            B[-1, 4] = 1.0
+        models.append((A, B, slopes[0, 7:], slopes[0, :7]))
+    return models
 
 
 def _lag_and_split(plant: Plant) -> tuple[float, float]:

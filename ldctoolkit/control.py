@@ -261,6 +261,28 @@ class SteeringLaw(abc.ABC):
         """
         return None
 
+    def plan(self, seen: tuple[Any, ...], after: Any) -> tuple[FloatArray, ...] | None:  # noqa: ARG002
+        """Plans behind the commands of a step, `seen` its (x, preview, delta_prev, state), for `ldctoolkit.plans`.
+
+        Returns
+        -------
+        (t, x, delta) or None
+            Times (N + 1,) [s] since the sample, of which the first command acts at the first; predicted states
+            (n, N + 1, 4); commands (n, N) [rad]. NaN without a plan. None, as here, for a law that plans nothing.
+        """
+        return None
+
+    def linearised(self) -> Sequence[tuple[FloatArray, ...]] | None:
+        """The law around straight, centred driving, for margins and reviews, which check it with pulses.
+
+        Returns
+        -------
+        sequence of n (A, B, C, D), or None
+            delta = C s + D u, then s+ = A s + B u, u = (e_y, de_y/dt, e_psi, de_psi/dt, delta_prev, lane yaw rate of a
+            bend that goes on, measured steering angle of the wheels). None, as here: the review probes the law.
+        """
+        return None
+
 
 @final
 @dataclasses.dataclass(frozen=True)

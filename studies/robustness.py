@@ -274,7 +274,7 @@ class Robustness(OtherPlants):
     behind: FloatArray
     raised: tuple[tuple[int, int, str], ...]  # Positions of plant and design, and the error, of laws that raised
     v: FloatArray  # (k,) [m/s] Speeds of the margins
-    # (d, k) Gain margin on the study's plant as a factor: 0 where the loop is unstable, NaN where the law is nonlinear
+    # (d, k) Gain margin on the study's plant as a factor: 0 where the loop is unstable, NaN where there is none
     gain: FloatArray
     phase: FloatArray  # (d, k) [rad] Phase margin, with the same exceptions
 

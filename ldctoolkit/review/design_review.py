@@ -14,7 +14,7 @@ from ldctoolkit.declared import GainValue, check_declared, checked_number, decla
 from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.law_checks import check_controller
 from ldctoolkit.plant_options import Actuator, PlantOptions
-from ldctoolkit.review.law_model import LARGER, PULSE, LinearView, linear_view
+from ldctoolkit.review.law_model import KINK, LARGER, PULSE, LinearView, linear_view
 from ldctoolkit.review.loop_numbers import BEND_ERROR, MISMATCH, LoopNumbers, loop_numbers
 from ldctoolkit.setup import PlantKnowledge, Setup
 from ldctoolkit.vehicle import BicycleModel, Plant
@@ -122,10 +122,19 @@ def law_findings(controller: Controller, view: LinearView, v: FloatArray) -> Ite
     if view.finite.all() and not view.exact:
         memory = f"a memory of order {view.order}" if view.order else "no memory"
         text = (
-            "The law is not linear by its type: poles and margins are those of its answers to pulses of "
-            f"{PULSE[0]:g} m, {PULSE[1]:g} m/s and {PULSE[2]:g} rad around straight driving, which show {memory}."
+            "The law is not linear by its type: poles and margins are those of small deviations from straight driving "
+            f"(pulses of {PULSE[0]:g} m, {PULSE[1]:g} m/s and {PULSE[2]:g} rad or less), with {memory}."
         )
         yield Finding("note", "linearised", text)
+        i = int(np.argmax(view.kink))
+        if view.kink[i] > KINK:
+            text = (
+                f"the law is not linear around straight driving: answers to small pulses differ by "
+                f"{100 * view.kink[i]:.3g} % of the largest from those of its linear part, as where a limit is active "
+                "or the cost has a kink. It has no poles and margins."
+            )
+            yield _at("warning", "kink", v, i, text, view.kink[i], KINK)
+            return
         i = int(np.argmax(view.nonlinearity))
         if view.nonlinearity[i] > _NONLINEAR:
             text = (
@@ -417,7 +426,8 @@ class Review:
     title: str
     gains: tuple[tuple[str, GainValue], ...]  # Every gain of the design
     dt: float  # [s] Sample time
-    loop: LoopNumbers | None  # None for a design that leaves the recorded path alone
+    # None for a design that leaves the recorded path alone, or has a law without a linear part at straight driving
+    loop: LoopNumbers | None
     findings: tuple[Finding, ...]  # Faults first
 
     @property
@@ -490,7 +500,7 @@ def review(
     findings = list(law_findings(controller, view, v))
     bend = np.minimum(a_y / v, v / TIGHTEST)
     numbers = None
-    if view.finite.all():
+    if view.finite.all() and not (view.kink > KINK).any():
         numbers = loop_numbers(controller, view, plant, options, bend)
         findings += loop_findings(numbers, controller, dt, thresholds)
     steady = plant.steady_state().delta * bend

@@ -1,13 +1,14 @@
 """A law as a linear system at straight, centred driving: exactly for linear laws, numerically for all others.
 
 Inputs u = (e_y, de_y/dt, e_psi, de_psi/dt, delta_prev, r, wheel), where r is the lane's yaw rate in a bend of constant
-curvature that goes on: every previewed yaw rate is r, every heading change r times its lookahead time; the wheels'
-steering angle is for linear laws only. At each sample delta = C s + D u and s+ = A s + B u.
+curvature that goes on: every previewed yaw rate is r, every heading change r times its lookahead time. At each sample
+delta = C s + D u and s+ = A s + B u.
 
-A `SteeringLaw` is probed with small pulses, up and down, at one sample of a run that is quiet otherwise;
-half the difference is its pulse response. The first answer gives D. Where later ones are not zero the law has a memory,
-and A, B, C are the smallest system with that response (J.-N. Juang, R. S. Pappa, *An eigensystem realization algorithm
-for modal parameter identification and model reduction*, 1985).
+A `SteeringLaw` is probed with small pulses, up and down, at the second sample of a run that is quiet otherwise: at its
+first, a law takes what it sees for what has always been. Half the difference is its pulse response. The first answer
+gives D. Where later ones are not zero the law has a memory, and A, B, C are the smallest system with that response
+(J.-N. Juang, R. S. Pappa, *An eigensystem realization algorithm for modal parameter identification and model
+reduction*, 1985). A law that gives its models (`SteeringLaw.linearised`) is checked with the same pulses.
 """
 
 from __future__ import annotations
@@ -149,10 +150,10 @@ class Loop:
         return cls(open_loop, A + np.outer(B, delta), E)
 
     def steady(self) -> FloatArray:
-        """State, command and lane yaw rate in a bend once it has settled, per lane yaw rate of 1 rad/s, (6,)."""
+        """Inputs of the law in a bend once it has settled, per lane yaw rate of 1 rad/s, (7,)."""
         k = self.closed_A.shape[0]
         settled = np.linalg.solve(np.eye(k) - self.closed_A, self.closed_E)
-        return np.array([*settled[:4], settled[-1], 1.0])  # the last state is an earlier command
+        return np.array([*settled[:4], settled[-1], 1.0, settled[-1]])  # the last state is an earlier command
 
 
 @contextlib.contextmanager
@@ -166,13 +167,15 @@ def guarded(name: str, call: str) -> Iterator[None]:
         raise LdcError(f"controller {name!r}", f"{call} raised {raised(error)}") from error
 
 
-PULSE: Final = np.array([1e-3, 1e-3, 1e-4, 1e-4, 1e-4, 1e-4])
-"""Size of the pulses in m, m/s, rad, rad/s, rad, rad/s: small enough for limits not to bind."""
+PULSE: Final = np.array([1e-3, 1e-3, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4])
+"""Size of the pulses in m, m/s, rad, rad/s, rad, rad/s, rad: small enough for limits not to bind."""
 
 LARGER: Final = 30.0  # A law is linear if its answers to pulses so many times larger are
 _SAMPLES: Final = 17  # Samples of a pulse response
 _MEMORY: Final = 1e-4  # Part of the first answer below which a later one is rounding
 _ORDER: Final = 1e-3  # Part of the largest singular value below which another one is no state
+_ANSWER: Final = 1e-4  # [rad] Largest answer of a law that gives its models to a small pulse
+KINK: Final = 0.02  # Part of the largest answer that an answer to a small pulse may differ by from a linear law's
 
 
 @dataclasses.dataclass(frozen=True)
@@ -195,6 +198,7 @@ class LinearView:
     finite: BoolArray  # (n,) All its answers are numbers
     nonlinearity: FloatArray  # (n,) Largest relative difference between answers to small pulses and to `LARGER` ones
     unexplained: FloatArray  # (n,) Error of the model's pulse response, relative to the response's largest value
+    kink: FloatArray  # (n,) Largest difference of an answer to a small pulse from the model's, relative to the largest
 
     @property
     def order(self) -> int:
@@ -202,14 +206,22 @@ class LinearView:
         return max(len(model.A) for model in self.models)
 
 
-def linear_view(controller: Controller, plant: Plant) -> LinearView | None:
-    """A design as linear systems at the plant's n speeds."""
+def linear_view(controller: Controller, plant: Plant, *, probe: bool = True) -> LinearView | None:
+    """A design as linear systems at the plant's n speeds; None for one that leaves the recorded path alone.
+
+    Without `probe` also for a law that neither is linear nor gives its models, and pulses only check its first answer.
+    """
     law = _checked_law(controller, plant)
     if isinstance(law, RecordedPath):
         return None
     if isinstance(law, LinearLaw):
         return exact_view(law, plant)
-    return _identified(controller, plant)
+    with guarded(controller.name, "linearised"):
+        given = law.linearised()
+    if given is None and not probe:
+        return None
+    models = None if given is None else tuple(LawModel(*model) for model in given)
+    return _probed(controller, plant, models, _SAMPLES if probe else 1)
 
 
 def _checked_law(controller: Controller, plant: Plant) -> LinearLaw | SteeringLaw | RecordedPath:
@@ -232,60 +244,74 @@ def exact_view(law: LinearLaw, plant: Plant) -> LinearView:
     A[:z, :z], A[z : z + 1, :z], B[:z, 0], B[z : z + 1, 4] = 1.0, 0.0, plant.dt, 1.0
     models = tuple(LawModel(A, B, C[i], D[i]) for i in range(n))
     finite = np.isfinite(D).all(axis=1) & np.isfinite(C).all(axis=1)
-    return LinearView(models, True, np.ones(n, dtype=np.bool_), finite, np.zeros(n), np.zeros(n))
+    return LinearView(models, True, np.ones(n, dtype=np.bool_), finite, *np.zeros((3, n)))
 
 
-def _identified(controller: Controller, plant: Plant) -> LinearView:
-    """Linear models that explain a law's answers to pulses, where it states none."""
+def _probed(controller: Controller, plant: Plant, given: tuple[LawModel, ...] | None, samples: int) -> LinearView:
+    """The models that a law gives, or those of its pulse responses, and what the pulses say of them."""
     n = plant.n
-    # one row a speed for each pulse: quiet, then (six inputs) x (up, down) x (small, larger)
-    signs = np.concatenate([np.eye(6), -np.eye(6)])
-    pulses = np.concatenate([np.zeros((1, 6)), signs * PULSE, LARGER * signs * PULSE])
-    answers = pulse_answers(controller, plant, np.repeat(pulses[:, None], plant.n, axis=1), _SAMPLES)
+    # one row a speed for each pulse: quiet, then (seven inputs) x (up, down) x (small, larger)
+    signs = np.concatenate([np.eye(7), -np.eye(7)])
+    pulses = np.concatenate([np.zeros((1, 7)), signs * PULSE, LARGER * signs * PULSE])
+    size = np.ones(n)
+    if given is not None:  # no limit that is far for smaller signals counts
+        size = np.minimum(1.0, _ANSWER / np.maximum([np.abs(model.D * PULSE).max() for model in given], 1e-300))
+    answers = pulse_answers(controller, plant, pulses[:, None] * size[:, None], samples)
     finite = np.isfinite(answers).all(axis=(0, 1))
     answers = np.where(finite, answers, 0.0)
-    small, large = (0.5 * (answers[:, i : i + 6] - answers[:, i + 6 : i + 12]) for i in (1, 13))
+    small, large = (0.5 * (answers[:, i : i + 7] - answers[:, i + 7 : i + 14]) / size for i in (1, 15))
     largest = np.maximum(np.abs(small).max(axis=(0, 1)), 1e-300)
     nonlinearity = np.abs(large / LARGER - small).max(axis=(0, 1)) / largest
-    fits = [_with_memory(small[:, :, i]) for i in range(n)]
+    models = given or tuple(_with_memory(small[:, :, i]) for i in range(n))
+    predicted = np.stack([_pulse_response(model, samples) for model in models], axis=2)
+    up, down = ((answers[0, i : i + 7] - answers[0, 0]) / size for i in (1, 8))
     return LinearView(
-        models=tuple(model for model, _ in fits),
+        models=models,
         exact=False,
         quiet=np.asarray(np.abs(answers[:, 0]).max(axis=0) <= 1e-9),
         finite=np.asarray(finite, dtype=np.bool_),
         nonlinearity=np.asarray(nonlinearity, dtype=np.float64),
-        unexplained=np.array([rest for _, rest in fits]),
+        unexplained=np.asarray(np.abs(predicted - small).max(axis=(0, 1)) / largest),
+        kink=np.maximum(np.abs(up - predicted[0]), np.abs(down + predicted[0])).max(axis=0) / largest,
     )
 
 
+def _pulse_response(model: LawModel, samples: int) -> FloatArray:
+    """Commands (samples, 7) of a model after pulses of the size `PULSE`."""
+    response, state = [model.D * PULSE], model.B * PULSE
+    for _ in range(samples - 1):
+        response.append(model.C @ state)
+        state = model.A @ state
+    return np.array(response)
+
+
 def pulse_answers(controller: Controller, plant: Plant, inputs: FloatArray, samples: int) -> FloatArray:
-    """Commands (samples, q, n) of a `SteeringLaw` for the inputs (q, n, 6) at the first sample, and zeros later."""
+    """Commands (samples, q, n) of a `SteeringLaw`: of a sample with inputs (q, n, 7), and of later ones with zeros."""
     q, n, name = inputs.shape[0], plant.n, controller.name
     law = _checked_law(controller, plant.at(np.tile(plant.v, q)))
     if not isinstance(law, SteeringLaw):
         raise LdcError(f"controller {name!r}", "prepare gives laws of different kinds for other speeds")
-    first = inputs.reshape(q * n, 6)
+    pulse = inputs.reshape(q * n, 7)
     with guarded(name, "preview_times"):
         times = np.asarray(law.preview_times, dtype=np.float64)
     with guarded(name, "init"):
         state = law.init(q * n)
-    answers = np.zeros((samples, q, n))
-    for k in range(samples):
-        u = first if k == 0 else np.zeros_like(first)
-        preview = Preview(np.tile(u[:, 5:], (1, times.size)), u[:, 5:] * times)
+    answers = np.zeros((samples + 1, q, n))
+    for k in range(samples + 1):  # the first is quiet
+        u = pulse.copy() if k == 1 else np.zeros_like(pulse)
+        preview = Preview(np.tile(u[:, 5:6], (1, times.size)), u[:, 5:6] * times, u[:, 6])
         with guarded(name, "step"):
             result = law.step(np.full(q * n, k * plant.dt), u[:, :4].copy(), preview, u[:, 4].copy(), state)
         delta, state, _ = check_step(result, q * n, name)
         answers[k] = delta.reshape(q, n)
-    return answers
+    return answers[1:]
 
 
-def _with_memory(response: FloatArray) -> tuple[LawModel, float]:
-    """The smallest system with a pulse response (samples, 6) to pulses of the size `PULSE`, and its relative error."""
-    D, later = np.append(response[0] / PULSE, 0.0), response[1:]
-    scale = np.abs(response).max()
-    if not np.abs(later).max() > _MEMORY * scale:
-        return LawModel(np.zeros((0, 0)), np.zeros((0, 7)), np.zeros(0), D), 0.0
+def _with_memory(response: FloatArray) -> LawModel:
+    """The smallest system with a pulse response (samples, 7) to pulses of the size `PULSE`."""
+    D, later = response[0] / PULSE, response[1:]
+    if not np.abs(later).max() > _MEMORY * np.abs(response).max():
+        return LawModel(np.zeros((0, 0)), np.zeros((0, 7)), np.zeros(0), D)
     half = later.shape[0] // 2
     hankel = np.array([later[i : i + half].ravel() for i in range(half)])
     shifted = np.array([later[i + 1 : i + 1 + half].ravel() for i in range(half)])
@@ -293,10 +319,4 @@ def _with_memory(response: FloatArray) -> tuple[LawModel, float]:
     k = int((s > _ORDER * s[0]).sum())
     root = np.sqrt(s[:k])
     A = (U[:, :k] / root).T @ shifted @ (Vt[:k] / root[:, None]).T
-    B, C = root[:, None] * Vt[:k, :6], U[0, :k] * root
-    predicted, state = np.zeros_like(later), B
-    for i in range(later.shape[0]):
-        predicted[i] = C @ state
-        state = A @ state
-    model = LawModel(A, np.append(B / PULSE, np.zeros((k, 1)), axis=1), C, D)
-    return model, float(np.abs(predicted - later).max() / scale)
+    return LawModel(A, root[:, None] * Vt[:k, :7] / PULSE, U[0, :k] * root, D)

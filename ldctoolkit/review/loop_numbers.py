@@ -10,16 +10,17 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray
-from ldctoolkit.control import Controller, LinearLaw
+from ldctoolkit.control import Controller
 from ldctoolkit.errors import LdcError
 from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.review.law_model import (
+    KINK,
     Camera,
     LinearView,
     Loop,
     System,
     controller_side,
-    exact_view,
+    linear_view,
     pulse_answers,
     sampled_vehicle,
 )
@@ -228,7 +229,7 @@ def loop_numbers(
     tyres = [dataclasses.replace(p, C_af=p.C_af * f, C_ar=p.C_ar * r) for f in (low, high) for r in (low, high)]
     mismatched = [BicycleModel(parameters, plant.model.convention).matrices(plant.v) for parameters in tyres]
     rows = []
-    inputs = np.zeros((2, plant.n, 6))  # in the bend: of the nominal vehicle, of the worst other one
+    inputs = np.zeros((2, plant.n, 7))  # in the bend: of the nominal vehicle, of the worst other one
     for i, law in enumerate(view.models):
         side = controller_side(law, cameras[i])
         loop = Loop.of(sampled_vehicle(A[i], B[i], E[i], dt, actuator), side)
@@ -262,11 +263,11 @@ def _worst(
 
 
 def _errors(controller: Controller, view: LinearView, plant: Plant, inputs: FloatArray) -> FloatArray:
-    """Relative errors (q, n) of a law's linear commands at inputs (q, n, 6); 0 where it has a memory."""
+    """Relative errors (q, n) of a law's linear commands at inputs (q, n, 7); 0 where it has a memory."""
     without = np.array([not model.A.size for model in view.models])
     if view.exact or not without.any():
         return np.zeros(inputs.shape[:2])
-    terms = inputs * np.array([model.D[:6] for model in view.models])
+    terms = inputs * np.array([model.D for model in view.models])
     error = np.abs(pulse_answers(controller, plant, inputs, 1)[0] - terms.sum(axis=2))
     error = np.where(np.isnan(error), math.inf, error)
     return np.where(without, error / np.maximum(np.abs(terms).max(axis=2), 1e-9), 0.0)
@@ -301,8 +302,8 @@ def design_margins(controllers: Sequence[Controller], setup: Setup, v: npt.Array
     Returns
     -------
     gain : (d, k)
-        Factor by which the gain may grow; 0 where the loop is unstable. NaN for a law that is not linear, leaves the
-        recorded path alone, or raises.
+        Factor by which the gain may grow; 0 where the loop is unstable. NaN for a law that neither is linear nor gives
+        its linear part at straight driving, has a kink there, leaves the recorded path alone, or raises.
     phase : (d, k) [rad]
         The same.
 
@@ -320,8 +321,8 @@ def design_margins(controllers: Sequence[Controller], setup: Setup, v: npt.Array
     gain, phase = np.full((2, len(controllers), plant.n), np.nan)
     for row, controller in enumerate(controllers):
         with contextlib.suppress(Exception):  # a controller may be third-party code; to run it shows what is wrong
-            law = controller.prepare(plant)
-            if isinstance(law, LinearLaw):
-                sides = map(controller_side, exact_view(law, plant).models, cameras)
+            view = linear_view(controller, plant, probe=False)
+            if view is not None and (view.kink <= KINK).all():
+                sides = map(controller_side, view.models, cameras)
                 gain[row], phase[row] = quick_margins(list(map(Loop.of, vehicles, sides)), plant.dt)
     return gain, phase

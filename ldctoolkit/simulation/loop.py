@@ -237,6 +237,8 @@ class Run:
     law_seconds: float
     trajectories: Trajectories | None
     solver_log: SolverLog = dataclasses.field(default_factory=lambda: SolverLog.of([]))
+    # On request, for each sample: row numbers of the scenarios that go on, and their plans as of `SteeringLaw.plan`
+    planned: Sequence[tuple[IntArray, FloatArray, FloatArray, FloatArray]] = ()
 
     def columns(self, windows: Sequence[Window]) -> FloatArray:
         """S and S_uncorrected of each of w windows, then the c metrics, of the recorded paths, (2 w + c, n)."""
@@ -382,8 +384,9 @@ def simulate(
 
 
 def drive(
-    controller: Controller, takeover: Takeover, *, trajectories: PathChoice = False, threads: int | None = None
-) -> Run:
+    controller: Controller, takeover: Takeover, *, trajectories: PathChoice = False, threads: int | None = None,
+    plans: bool = False,
+) -> Run:  # fmt: skip
     """Drive one design from the trigger to the end of every departure and of the settling horizon.
 
     Raises `InputError` if the design, its law or the result of a step is not what the interface promises.
@@ -394,11 +397,13 @@ def drive(
         As in `simulate`.
     takeover : Takeover
         Scenarios at their triggers.
+    plans : bool
+        Keep the plans of a law that tells them.
     """
     rows = _path_rows(trajectories, takeover.scenarios.n)
     law = _checked_law(controller, takeover)
     if isinstance(law, SteeringLaw):
-        return _drive_general(law, takeover, controller.name, rows, threads)
+        return _drive_general(law, takeover, controller.name, rows, threads, plans=plans)
     if isinstance(law, RecordedPath):
         return recorded_run(takeover)
     return _drive_linear([law], takeover, rows, threads)[0]
@@ -495,7 +500,9 @@ def _drive_linear(laws: list[LinearLaw], takeover: Takeover, rows: IntArray | No
 # ---------------------------------------------------------------------- a law that is called sample by sample
 
 
-def _drive_general(law: SteeringLaw, takeover: Takeover, name: str, rows: IntArray | None, threads: int | None) -> Run:
+def _drive_general(
+    law: SteeringLaw, takeover: Takeover, name: str, rows: IntArray | None, threads: int | None, *, plans: bool = False
+) -> Run:
     """Drive a law, solved for the m triggered scenarios: one call a sample for all that still go on, in this thread."""
     m, stiff = takeover.m, takeover.stiff
     paths, path_row, triggered = takeover.empty_paths(rows)
@@ -511,16 +518,21 @@ def _drive_general(law: SteeringLaw, takeover: Takeover, name: str, rows: IntArr
     state = law.init(m)
     law_seconds, sample = 0.0, 0
     calls: list[tuple[IntArray, int, SolverCalls]] = []
+    planned: list[tuple[IntArray, FloatArray, FloatArray, FloatArray]] = []
     while active.size:
         shown = np.zeros((m, 4)), np.zeros((m, times.size)), np.zeros((m, times.size)), np.zeros(m)
         for plant in plants:
             plant.look(sample, times, *shown)
         x, yaw_rate, heading, wheel = (values[batch] for values in shown)
         t, previous = takeover.start[batch] + sample * takeover.setup.dt, np.where(alive, last, 0.0)[batch]
+        preview = Preview(yaw_rate, heading, wheel)
         started = time.perf_counter()
-        result = law.step(t, x, Preview(yaw_rate, heading, wheel), previous.copy(), state)
+        result = law.step(t, x, preview, previous.copy(), state)
         law_seconds += time.perf_counter() - started
-        delta, state, status = check_step(result, t.size, name)
+        delta, after, status = check_step(result, t.size, name)
+        if plans and (plan := law.plan((x, preview, previous, state), after)) is not None:
+            planned.append((takeover.rows[batch][active], plan[0], plan[1][active], plan[2][active]))
+        state = after
         solved = law.solver_calls(state)
         if solved is not None:
             check_calls(solved, t.size, name)
@@ -546,7 +558,7 @@ def _drive_general(law: SteeringLaw, takeover: Takeover, name: str, rows: IntArr
     trajectories = _trajectories(takeover, paths, rows, triggered)
     run = _run_of_scores(takeover, score, diverged, failed, law_seconds, trajectories)
     status = np.where(beyond & (run.status == EventStatus.OK), np.int8(EventStatus.BEYOND_DELTA_MAX), run.status)
-    return dataclasses.replace(run, status=status, solver_log=SolverLog.of(calls))
+    return dataclasses.replace(run, status=status, solver_log=SolverLog.of(calls), planned=planned)
 
 
 class _Stretch:

@@ -185,6 +185,22 @@ def _study_subjects(study: Study, designs: Sequence[Design], args: argparse.Name
         yield Subject(name, tuple(d.id for d in same), same[0].controller(setup.convention), arguments)
 
 
+def _plan(subject: Subject) -> str:
+    """The chart of what a design plans, on a straight departure."""
+    from ldctoolkit.scenarios import Scenarios
+    from ldctoolkit.setup import Setup
+    from ldctoolkit.simulation import plans
+
+    from ..pages.replay import plan_chart
+
+    given = dict(subject.arguments)
+    if "model" in given:
+        given |= {"vehicle": given["model"].parameters, "convention": given["model"].convention}
+    setup = Setup(**{name: value for name, value in given.items() if name in Setup.__dataclass_fields__})
+    straight = Scenarios.from_arrays(T=4.0, d_y=0.8, v_mean=25.0)
+    return plan_chart(plans(subject.controller, straight, given.get("y_s", 0.2), setup=setup), 0).document
+
+
 def _angles(triggers: list[Takeover]) -> tuple[np.ndarray, np.ndarray] | None:
     """Steering angles at the triggers and the speeds there."""
     angles = np.concatenate([takeover.delta_0 for takeover in triggers])
@@ -279,6 +295,8 @@ def add_parser(commands: Subparsers) -> None:
         ("delta-max", "limit of its angle in rad"),
     ):
         parser.add_argument(f"--{name}", type=number, metavar="X", help=f"{meaning} (default: none, or the study's)")
+    about = "draw what one predictive design plans at the trigger of a departure to the left, and what comes of it"
+    parser.add_argument("--plan", metavar="FILE.svg", help=about)
     parser.add_argument("--json", metavar="FILE.json", help="write numbers and findings for machines")
     parser.set_defaults(run=run)
 
@@ -297,7 +315,12 @@ def run(args: argparse.Namespace) -> int:
     from ..storage.folder_files import write_text
 
     target = None if args.json is None else output_file(args.json, ".json", option="--json")
+    drawing = None if args.plan is None else output_file(args.plan, ".svg", option="--plan")
     designs = subjects(args)
+    if drawing is not None:
+        if len(designs) > 1:
+            raise InputError("--plan", f"of {len(designs)} designs", allowed="one", hint="choose it with --design")
+        write_text(drawing, _plan(designs[0]))
     reviewed: Reviewed = []
     with progress_bar("reviewing") as advance:
         for done, subject in enumerate(designs):
@@ -320,7 +343,8 @@ def run(args: argparse.Namespace) -> int:
             print("no findings")
     if target is not None:
         write_text(target, to_json(reviewed))
-        print(f"written to {target}")
+    for path in filter(None, (drawing, target)):
+        print(f"written to {path}")
     return FAULT if any(review.faults for _, _, review in reviewed) else 0
 
 

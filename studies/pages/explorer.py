@@ -17,7 +17,7 @@ from ..results import status_among
 from ..text import compact, number, percent, plural
 from .charts import RECORDED, Axis, Chart, Style, ecdf, legend
 from .context import MOST_CURVES, Context, side_rows
-from .replay import STATUS_TEXT, Replay, explorer_departures, explorer_designs, replay
+from .replay import STATUS_TEXT, Replay, explorer_departures, explorer_designs, plan_stride, replay
 from .shell import Section, figure, packed, paragraphs, render
 
 RESOLUTION: Final = {"y": 1e-3, "delta": 1e-2, "a_y": 1e-2}
@@ -98,6 +98,9 @@ def _data(context: Context, replayed: Replay, every: int) -> dict[str, object]:
         "count": packed(count, "i4"),
         "start": packed(start),
         "paths": {name: _whole(arrays, name) for name, arrays in joined.items()},
+        "plans": [_plans(paths.plan) for paths in replayed.paths],
+        "plan_step": plan_stride(context.report.setup.dt) * context.report.setup.dt,
+        "dt": context.report.setup.dt,
         "facts": _facts(context, replayed),
         "scales": {
             "t": [_axis_scale(0.0, span) for span in (5.0, 10.0, 20.0, 40.0, 80.0)],
@@ -106,6 +109,12 @@ def _data(context: Context, replayed: Replay, every: int) -> dict[str, object]:
             "a_y": _around_zero(),
         },
     }
+
+
+def _plans(plan: FloatArray) -> dict[str, object]:
+    """Departures with plans, their shape, and their numbers."""
+    rows = np.flatnonzero(np.isfinite(plan).any(axis=(1, 2)))
+    return {"departures": rows.tolist(), "shape": plan.shape[1:], "values": packed(plan[rows])}
 
 
 def _whole(values: FloatArray, name: str) -> dict[str, str]:

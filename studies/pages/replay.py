@@ -13,11 +13,12 @@ from ldctoolkit.departures import LEFT, RIGHT
 from ldctoolkit.errors import InputError
 from ldctoolkit.paths.uncorrected import UncorrectedPath
 from ldctoolkit.scenarios import Scenarios
-from ldctoolkit.simulation import Takeover, drive
+from ldctoolkit.simulation import Plans, Takeover, drive
 
 from ..design import PAPER_LAW, is_paper_design, named_designs
 from ..results import FAILED_STATUSES
 from ..storage.measure_table import remembered
+from .charts import Axis, Chart, Series, law_styles
 from .context import Context
 
 MOST_DESIGNS: Final = 8
@@ -144,10 +145,17 @@ def _named(context: Context, designs: Sequence[ExplorerDesign]) -> list[tuple[in
 class DesignPaths(NamedTuple):
     """A design on the p picked departures; arrays (p, k), NaN after the end and where there is no path."""
 
+    # (p, s, N + 2) of every `plan_stride`-th sample: seconds from it to its plan's begin, and y along it; NaN: no plan
+    plan: FloatArray
     t: FloatArray  # [s] Time since the crossing: the controller's samples from the trigger on, T, and the end
     y: FloatArray  # [m] Edge beyond the line, outward
     delta: FloatArray  # [rad] Steering angle of the wheel just after that time
     a_y: FloatArray  # [m/s^2] Lateral acceleration just after it
+
+
+def plan_stride(dt: float) -> int:
+    """Samples between two plans that are shown: a quarter of a second."""
+    return max(1, round(0.25 / dt))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -171,13 +179,14 @@ def replay(
 
     def drive_all() -> dict[str, FloatArray]:
         driven = [_driven(context, departures, scenarios, entry) for entry in designs]
-        arrays = {id: np.stack(paths) for id, (paths, _) in zip(ids, driven, strict=True)}
+        arrays = {id: np.stack(paths[1:]) for id, (paths, _) in zip(ids, driven, strict=True)}
+        arrays |= {f"{id} plan": paths.plan for id, (paths, _) in zip(ids, driven, strict=True)}
         return arrays | {"mismatch": np.array(max((mismatch for _, mismatch in driven), default=0.0))}
 
     content = hashlib.sha256(b"".join(array.tobytes() for array in scenarios.arrays())).hexdigest()
     key = [ids, content, dataclasses.asdict(setup), context.results.window, DesignPaths._fields]
     arrays = remembered(context.report.folder, name, key, drive_all)
-    paths = tuple(DesignPaths(*arrays[id]) for id in ids)
+    paths = tuple(DesignPaths(arrays[f"{id} plan"], *arrays[id]) for id in ids)
     recorded = UncorrectedPath.of(scenarios, setup.options.residuals, setup.seed)
     return Replay(tuple(departures), designs, scenarios, recorded, paths, float(arrays["mismatch"]))
 
@@ -193,18 +202,40 @@ def _driven(
     if design.batch < Controller.batch:  # slow laws declare a small batch
         to_drive[design.batch :] = False
     driven_rows = np.flatnonzero(to_drive)
-    no_paths = DesignPaths(*(np.full((len(departures), 0), np.nan) for _ in range(4)))
+    none = np.zeros((len(departures), 0))
+    no_paths = DesignPaths(none[:, :, None], *([none] * 4))
     if not driven_rows.size:
         return no_paths, 0.0
     over = Takeover.build(scenarios.take(driven_rows), setup, y_s=design.y_s)
-    outcome = drive(design.controller(setup.convention), over, trajectories=True).outcome(results.window)
+    run = drive(design.controller(setup.convention), over, trajectories=True, plans=True)
+    outcome = run.outcome(results.window)
     stored = results.S[index][rows[driven_rows]]
     off = float(np.max(np.abs(outcome.S - stored) / np.maximum(np.abs(stored), 1e-9)))
     paths = outcome.trajectories
     if paths is None:  # the law never intervenes
         return no_paths, off
+    shown = run.planned[:: plan_stride(setup.dt)]
+    plan = np.full((len(departures), len(shown), shown[0][1].size + 1 if shown else 1), np.nan)
+    for j, (planned, times, states, _) in enumerate(shown):
+        plan[driven_rows[planned], j, 0] = times[0]
+        plan[driven_rows[planned], j, 1:] = states[:, :, 0] - setup.vehicle.edge_offset
     t, y, delta, a_y = (np.full((len(departures), paths.t.shape[1]), np.nan) for _ in range(4))
     t[driven_rows], delta[driven_rows] = paths.t, paths.delta
     y[driven_rows] = paths.x[:, :, 0] - setup.vehicle.edge_offset
     a_y[driven_rows] = paths.a_y
-    return DesignPaths(t, y, delta, a_y), off
+    return DesignPaths(plan, t, y, delta, a_y), off
+
+
+def plan_chart(plans: Plans, i: int) -> Chart:
+    """The plan of the trigger of scenario i, and thin those of later samples, over what came of them."""
+    rows, paths, edge = np.flatnonzero(plans.row == i), plans.outcome.trajectories, plans.setup.vehicle.edge_offset
+    if not rows.size or paths is None:
+        raise InputError("i", "has no plans", value=i, allowed="a scenario that triggers")
+    driven, planned = law_styles(["driven", "planned"]).values()
+    t, y = plans.t[rows], plans.x[rows, :, 0] - edge
+    later = [Series("", t[k], y[k], planned, kind="thin") for k in range(0, rows.size, plan_stride(plans.setup.dt))]
+    came = Series("driven", paths.t[i], paths.x[i, :, 0] - edge, driven)
+    series = [came, *later, Series("planned at the trigger", t[0], y[0], planned, kind="started")]
+    x_axis = Axis.around("Time since the crossing [s]", t, came.x)
+    y_axis = Axis.around("Edge beyond the line [m]", y, came.y)
+    return Chart("plan", "Plans and what came of them", x_axis, y_axis, series, level=0.0)

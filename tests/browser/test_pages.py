@@ -17,7 +17,7 @@ pytestmark = [pytest.mark.browser, pytest.mark.slow]
 
 PAGES = (
     "ordinary", "hostile", "thousand", "zero-triggered", "one-design", "only-no-control", "left-only", "right-only",
-    "one-scenario", "all-failures", "nothing-ranked",
+    "one-scenario", "all-failures", "nothing-ranked", "planning",
 )  # fmt: skip
 
 
@@ -97,8 +97,8 @@ def test_prints(open_page: Callable[..., Any], built: Any, tmp_path: Path, name:
 
 SIZES = pytest.mark.parametrize(("width", "height"), [(1366, 768), (390, 844)], ids=["desk", "hand"])
 PAGES_LAYOUT = (
-    "ordinary", "hostile", "thousand", "zero-triggered", "one-design", "only-no-control", "left-only", "one-scenario",
-    "all-failures", "nothing-ranked",
+    "ordinary", "hostile", "thousand", "zero-triggered", "one-design", "planning", "only-no-control", "left-only",
+    "one-scenario", "all-failures", "nothing-ranked",
 )  # fmt: skip
 
 
@@ -132,8 +132,8 @@ def test_a_picture_of_the_first_screen_is_no_blank(open_page: Callable[..., Any]
 
 
 PAGES_ACCESSIBILITY = (
-    "ordinary", "hostile", "zero-triggered", "one-design", "only-no-control", "left-only", "right-only", "one-scenario",
-    "all-failures", "nothing-ranked",
+    "ordinary", "hostile", "zero-triggered", "one-design", "planning", "only-no-control", "left-only", "right-only",
+    "one-scenario", "all-failures", "nothing-ranked",
 )  # fmt: skip
 
 

@@ -148,6 +148,21 @@ def test_departures_are_drawn_and_chosen(open_page: Callable[..., Any], built: A
     assert page.evaluate("document.activeElement.type") == "checkbox"
 
 
+def test_a_plan_is_chosen_by_its_sample(open_page: Callable[..., Any], built: Any) -> None:
+    """Wide, over what was driven, of ticked designs that plan; without any there is nothing to choose."""
+    page = open_page(built("planning").path)
+    slider, wide = page.get_by_role("slider", name="Plans at"), page.locator("#paths .curve.planned")
+    assert (slider.is_visible(), wide.count()) == (True, 1)
+    first = wide.get_attribute("d")
+    slider.fill("2")
+    assert page.locator("#plan-time").inner_text() == "0.50 s after the trigger"
+    assert wide.get_attribute("d") != first
+    row = page.locator("#departure-table tr").filter(has_text="Nonlinear MPC")
+    row.locator("input").uncheck()
+    assert (slider.is_visible(), wide.count()) == (False, 0)
+    assert not open_page(built("ordinary").path).locator("#plan").is_visible()
+
+
 def test_paths_lie_inside_their_charts(open_page: Callable[..., Any], built: Any) -> None:
     """The default axis cut the winner's acceleration."""
     page = open_page(built("ordinary").path)

@@ -14,7 +14,7 @@ import numpy as np
 from helpers.models import checked_model, make_departures, skewed
 from helpers.results import grid, invented_scenarios, report_input, run
 from ldctoolkit import Controller, EventStatus, RecordedPath, option, register
-from ldctoolkit.controllers import LQR, NoControl, PreviewProportional
+from ldctoolkit.controllers import LQR, NoControl, NonlinearMPC, PreviewProportional
 from ldctoolkit.studies.cli import main
 from ldctoolkit.studies.design import Design
 from ldctoolkit.studies.pages.fit_page import write_fit_page
@@ -135,6 +135,9 @@ class Made:
                 Design.of(NoControl(), 5.0),
             ),
             "one-design": lambda folder: self._designs(folder, Design.of(PreviewProportional(), 0.2)),
+            "planning": lambda folder: self._designs(
+                folder, Design.of(NonlinearMPC(horizon=8, mu=0.3), 0.1), Design.of(LQR(), 0.1)
+            ),
             "only-no-control": lambda folder: self._designs(folder, Design.of(NoControl(), 0.2)),
             "left-only": lambda folder: self._designs(folder, *grid()[:6], sides=(14, 0)),
             "right-only": lambda folder: self._designs(folder, *grid()[:6], sides=(0, 14)),

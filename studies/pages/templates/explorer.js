@@ -11,6 +11,9 @@
   const select = document.getElementById("departure"), area = document.getElementById("paths");
   const body = document.querySelector("#departure-table tbody");
   E.departures.forEach((departure, k) => select.append(LDC.element("option", {value: k}, departure.name)));
+  // what each design planned: numbers of `departures` by sample, of which the first is when the plan begins
+  const plans = E.plans.map((plan) => ({...plan, values: LDC.numbers(plan.values)}));
+  const slider = document.getElementById("plan"), planTime = document.getElementById("plan-time");
   const W = 420, H = 220, L = 52, R = 10, T = 8, B = 42;
 
   function curves(name, k) {
@@ -34,11 +37,23 @@
     }
     return found;
   }
+  function planned(k) {
+    const found = [];
+    plans.forEach((plan, i) => {
+      const place = plan.departures.indexOf(k), [samples, width] = plan.shape, j = Number(slider.value);
+      if (!shown[i] || place < 0 || j >= samples) return;
+      const row = plan.values.subarray((place * samples + j) * width, (place * samples + j + 1) * width);
+      if (Number.isNaN(row[0]) || Number.isNaN(row[1])) return;
+      const v = Array.from(row.subarray(1)), begin = start[i * p + k] + j * E.plan_step + row[0];
+      found.push({t: v.map((_, n) => begin + n * E.dt), v, style: `${E.designs[i].style} planned`, name: `${E.designs[i].name}, planned`});
+    });
+    return found;
+  }
   // the first scale that holds everything drawn
   const scale = (scales, low, high) => scales.find((candidate) => candidate.low <= low && high <= candidate.high) || scales[scales.length - 1];
 
   function panel(name, title, k, end) {
-    const drawn = curves(name, k), all = drawn.flatMap((curve) => curve.v);
+    const drawn = name === "y" ? [...curves(name, k), ...planned(k)] : curves(name, k), all = drawn.flatMap((curve) => curve.v);
     const x = scale(E.scales.t, 0, end);
     const y = scale(E.scales[name], Math.min(0, ...all), Math.max(0, ...all));
     const px = (t) => L + (W - L - R) * (t - x.low) / (x.high - x.low);
@@ -72,6 +87,15 @@
   function draw() {
     const k = Number(select.value);
     document.getElementById("departure-facts").textContent = E.departures[k].facts;
+    const last = Math.max(-1, ...plans.map((plan, i) => {
+      const place = shown[i] ? plan.departures.indexOf(k) : -1, [samples, width] = plan.shape;
+      let j = place < 0 ? -1 : samples - 1;
+      while (j >= 0 && Number.isNaN(plan.values[(place * samples + j) * width])) j--;
+      return j;
+    }));
+    document.getElementById("plan-tools").hidden = last < 0;
+    slider.max = Math.max(last, 0);
+    planTime.textContent = `${(Number(slider.value) * E.plan_step).toFixed(2)} s after the trigger`;
     let end = duration[k];
     for (let i = 0; i < c; i++) if (shown[i] && count[i * p + k]) end = Math.max(end, start[i * p + k] + (count[i * p + k] - 1) * E.step);
     area.replaceChildren(panel("y", "Edge beyond the line [m]", k, end), panel("a_y", "Lateral acceleration [m/s²]", k, end),
@@ -94,6 +118,7 @@
   document.getElementById("previous").addEventListener("click", () => move(-1));
   document.getElementById("next").addEventListener("click", () => move(1));
   select.addEventListener("change", draw);
+  slider.addEventListener("input", draw);
   select.value = E.open;
   draw();
 }

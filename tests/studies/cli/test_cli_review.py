@@ -235,3 +235,15 @@ def test_a_design_of_a_search_is_reviewed(tmp_path: Path, capsys: pytest.Capture
     label = results.designs[1].label
     assert main(["review", str(tmp_path / "s"), "--design", label]) in (0, 3)
     assert label in capsys.readouterr().out
+
+
+def test_a_plan_is_drawn(folder: Path) -> None:
+    """Of one predictive design, over what came of it; others are named before any work is done."""
+    out = reviewed(0, "nonlinear_mpc", "--gain", "horizon=8", "--speed", "20", "--plan", "plan.svg", cwd=folder)
+    assert out.endswith("written to plan.svg\n")
+    drawing = (folder / "plan.svg").read_text(encoding="utf-8")
+    assert drawing.startswith("<svg")
+    assert all(text in drawing for text in ("planned at the trigger", "driven", "Edge beyond the line"))
+    assert "lqr" in bad("review", "lqr", "--plan", "other.svg", cwd=folder)
+    assert "--design" in bad("review", "s.toml", "--plan", "other.svg", cwd=folder)
+    assert not (folder / "other.svg").exists()

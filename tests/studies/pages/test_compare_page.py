@@ -11,10 +11,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import ldctoolkit as ldc
 from helpers.pages import EVIL, Page, unpacked, whole
 from helpers.results import invented_scenarios, only, report_input, section_of
 from ldctoolkit import Scenarios
-from ldctoolkit.controllers import LQR, NoControl, PreviewProportional
+from ldctoolkit.controllers import LQR, NoControl, NonlinearMPC, PreviewProportional
 from ldctoolkit.errors import InputError, UnknownNameError
 from ldctoolkit.studies import Comparison
 from ldctoolkit.studies.comparison.paired import PairedDifferences, SharedScenarios, Verdict, Winners
@@ -370,6 +371,29 @@ def test_the_script_draws_what_was_driven(report: ReportInput) -> None:
         for name, drawn in (("y", y), ("a_y", a_y)):
             exact = np.interp(t, paths.t[k][known], getattr(paths, name)[k][known])
             assert drawn[first[at] : first[at + 1]] == pytest.approx(exact, abs=data["resolution"][name])
+
+
+def test_the_script_draws_what_was_planned() -> None:
+    """The plans of every fifth sample, from when their first commands act, against `ldctoolkit.plans`."""
+    design, scenarios = NonlinearMPC(horizon=6), Scenarios.from_arrays(T=[3.0, 4.0], d_y=[0.5, 0.8], v_mean=25.0)
+    section, page = section_of(
+        explorer.section, only(Design.of(LQR(), 0.1), Design.of(design, 0.1), scenarios=scenarios)
+    )
+    data = section.data
+    assert data is not None
+    drawn = {entry["name"].partition(",")[0]: plan for entry, plan in zip(data["designs"], data["plans"], strict=True)}
+    assert drawn["LQR"]["departures"] == []
+    plan = drawn["Nonlinear MPC"]
+    assert (sorted(plan["departures"]), data["plan_step"], data["dt"]) == ([0, 1], 0.25, 0.05)
+    numbers = unpacked(plan["values"]).reshape(-1, *plan["shape"])
+    found = ldc.plans(design, scenarios, 0.1)
+    for place, k in enumerate(plan["departures"]):
+        row = int(data["departures"][k]["number"])
+        rows = np.flatnonzero((found.row == row) & (found.sample % 5 == 0))
+        np.testing.assert_allclose(numbers[place, : rows.size, 1:], found.x[rows, :, 0] - 0.85, atol=1e-6)
+        np.testing.assert_array_equal(numbers[place, : rows.size, 0], 0.0)
+        assert np.isnan(numbers[place, rows.size :]).all()
+    assert "Plans at" in page.words()
 
 
 def test_no_axis_cuts_what_is_drawn(report: ReportInput) -> None:

@@ -13,7 +13,7 @@ import ldctoolkit as ldc
 import ldctoolkit.studies.measures as measures
 from helpers.results import results_of as given_results
 from ldctoolkit import EventStatus, Scenarios, Setup, simulate
-from ldctoolkit.controllers import LQR, LinearMPC, NoControl, PreviewProportional
+from ldctoolkit.controllers import LQR, PID, LinearMPC, NoControl, PreviewProportional
 from ldctoolkit.errors import StudyError, UnknownNameError
 from ldctoolkit.metrics import comfortable_share
 from ldctoolkit.plant_options import Actuator, Mismatch, PlantOptions, Tyres
@@ -130,9 +130,21 @@ def test_margins_are_those_of_the_review(name: str, controller: Any) -> None:
 
 
 def test_laws_without_a_linear_loop_have_none() -> None:
-    gain, phase = design_margins([NoControl(), LinearMPC(r_delta=100.0)], Setup(), [20.0])
+    gain, phase = design_margins([NoControl(), PID()], Setup(), [20.0])
     assert np.isnan(gain).all()
     assert np.isnan(phase).all()
+
+
+@pytest.mark.parametrize("name", SETUPS)
+def test_margins_of_an_mpc_are_those_of_its_review(name: str) -> None:
+    setup, v = SETUPS[name], [10.0, 40.0]
+    gain, phase = design_margins([LinearMPC(r_delta=1e4), LQR(r_delta=1e4), LinearMPC(r_delta=100.0)], setup, v)
+    loop = review(LinearMPC(r_delta=1e4), options=setup.options, speeds=v).loop
+    np.testing.assert_allclose(20 * np.log10(gain[0]), loop.gain_margin, atol=0.1)
+    np.testing.assert_allclose(phase[0], loop.phase_margin, rtol=0.01)
+    assert (gain[2] < gain[0]).all()
+    if name == "ideal":
+        np.testing.assert_allclose([gain[0], phase[0]], [gain[1], phase[1]], rtol=1e-9)
 
 
 def test_margins_rank_designs(tmp_path: Path) -> None:
