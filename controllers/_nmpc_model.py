@@ -119,7 +119,7 @@ def called(path: str, function: Callable[..., Any], *arguments: Any, hint: str =
     except LdcError:
         raise
     except Exception as error:
-        design = getattr(function, "__self__", None)
+        design: Any = getattr(function, "__self__", None)
         if isinstance(error, AttributeError) and error.obj is design is not None:
             names = [field.name for field in dataclasses.fields(design)]
             raise UnknownNameError(f"{design.name}.{error.name}", "no such gain", allowed=names) from error

@@ -203,7 +203,7 @@ class Workspace:
         """First command near straight driving, where no limit is active: from dU = -H^-1 g of the plan that is zero."""
         self.U[:], self.Z[:], self.M[:] = 0.0, 0.0, 0.0
         self._linearise.run()
-        return -float(np.linalg.solve(self._held.T @ self.H @ self._held, self._held.T @ self.g)[0])
+        return -float(np.linalg.solve(self.held.T @ self.H @ self.held, self.held.T @ self.g)[0])
 
     def predict(self, u: float, p: FloatArray) -> tuple[FloatArray, float, float]:
         """Z after a sample with the command u; a_y just after it and at the end."""
