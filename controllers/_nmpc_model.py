@@ -24,7 +24,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from ldctoolkit.errors import InputError, UnknownNameError
+from ldctoolkit.errors import InputError, LdcError, UnknownNameError
 from ldctoolkit.law_checks import raised
 
 from ._prediction_model import PREVIOUS, STATES, VEHICLE, Layout, Names, Vehicle, base_layout
@@ -106,10 +106,12 @@ class Formulation:
         return LANE + 2 * self.size
 
 
-def _called(path: str, function: Callable[..., Any], *arguments: Any) -> Any:
+def called(path: str, function: Callable[..., Any], *arguments: Any) -> Any:
     """What a designer's method returns; what it raises because it met symbols is one sentence."""
     try:
         return function(*arguments)
+    except LdcError:
+        raise
     except (TypeError, NotImplementedError, RuntimeError, ValueError) as error:
         hint = "gains, states and lane are CasADi symbols here: ca.if_else and ca.sqrt take them, if and math do not"
         raise InputError(path, raised(error), hint=hint) from error
@@ -262,7 +264,7 @@ class _Builder:
         """dx/dt, and the lateral acceleration beyond the lane's."""
         ca, path = self.ca, f"{self.name}.dynamics"
         x, u, lane = self._names(of_stage=False)
-        given = _called(path, self.design.dynamics, x, u, lane, self.vehicle)
+        given = called(path, self.design.dynamics, x, u, lane, self.vehicle)
         names = (*STATES, *self.own)
         if not isinstance(given, Mapping):
             raise InputError(path, f"returned {type(given).__name__}", allowed="a dictionary of rates by state")
@@ -280,7 +282,7 @@ class _Builder:
     def _stage(self) -> tuple[Any, tuple[Any, ...], list[tuple[Any, ...]]]:
         """Cost; bounds of delta and its change; rows (value, low, high, weights of v and v^2/2, whether of jerk)."""
         ca, path = self.ca, f"{self.name}.stage"
-        stage = _called(path, self.design.stage, *self._names(of_stage=True), self.k)
+        stage = called(path, self.design.stage, *self._names(of_stage=True), self.k)
         if not all(hasattr(stage, name) for name in ("cost", "hard", "soft")):
             raise InputError(path, f"returned {type(stage).__name__}", allowed="a Stage")
         cost = self._expression(f"{path}.cost", stage.cost)
@@ -346,7 +348,7 @@ class _Builder:
         """The designer's terminal cost; None for that of the Riccati equation."""
         x, _, lane = self._names(of_stage=False)
         path = f"{self.name}.terminal"
-        value = _called(path, self.design.terminal, x, lane)
+        value = called(path, self.design.terminal, x, lane)
         if value is None:
             return None
         value = self._expression(path, value)
