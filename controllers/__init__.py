@@ -6,6 +6,7 @@ if __name__ == "controllers":  # in a checkout, whose root is on Python's path
 from ldctoolkit.control import check_class
 
 from .barrier_filter import BarrierFilter
+from .from_opti import from_opti
 from .linear_mpc import LinearMPC
 from .lqi import LQI
 from .lqr import LQR
@@ -35,7 +36,8 @@ __all__ = [
     "Soft",
     "Stage",
     "Stanley",
+    "from_opti",
 ]
 
-for _name in {*__all__} - {"PredictiveController", "Soft", "Stage"}:
+for _name in {*__all__} - {"PredictiveController", "Soft", "Stage", "from_opti"}:
     check_class(globals()[_name])  # their documentation then lists their gains

@@ -40,10 +40,10 @@ class Names:
 class Vehicle(Names):
     """The vehicle that a law believes in, as `dynamics` gets it."""
 
-    def nonlinear(self, x: Any, delta: Any, lane: Any) -> dict[str, Any]:
+    def nonlinear(self, x: Any, delta: Any, lane: Any, shape: Any = SHAPE) -> dict[str, Any]:
         """Rates of the states of the bicycle on saturating tyres with the wheels at delta, and a_y.
 
-        Rajamani, *Vehicle Dynamics and Control*, section 2.3, with the Magic Formula (Pacejka) at friction mu.
+        Rajamani, *Vehicle Dynamics and Control*, section 2.3, with the Magic Formula (Pacejka) at friction mu; `shape` is its C.
         """
         import casadi as ca
 
@@ -54,7 +54,7 @@ class Vehicle(Names):
         load = self.m * GRAVITY / (2.0 * (self.l_f + self.l_r))
 
         def force(alpha: Any, C_alpha: Any, F_z: Any) -> Any:
-            return 2.0 * self.mu * F_z * ca.sin(SHAPE * ca.atan(C_alpha * alpha / (SHAPE * self.mu * F_z)))
+            return 2.0 * self.mu * F_z * ca.sin(shape * ca.atan(C_alpha * alpha / (shape * self.mu * F_z)))
 
         front = force(delta - ca.atan((v_y + self.l_f * omega) / v), self.C_af, load * self.l_r) * ca.cos(delta)
         rear = force(-ca.atan((v_y - self.l_r * omega) / v), self.C_ar, load * self.l_f)

@@ -28,7 +28,7 @@ from ldctoolkit.vehicle.speed_schedule import scheduled
 from ._affine_plans import AffinePlans, affine_plans
 from ._mpc_condensing import WINDOW, block_starts, jerk_window, lane, lookahead
 from ._nmpc_model import LANE, Formulation, Structure, called, formulation
-from ._nmpc_solver import SoftLimits, Workspace, reachable, workspace
+from ._nmpc_solver import SoftLimits, Solution, Workspace, reachable, workspace
 from ._prediction_model import STATES, base_columns, forced, steady_cornering
 from .riccati import linear_models, stabilising
 
@@ -365,20 +365,30 @@ class PredictiveState:
     own: FloatArray  # (n, number of the class's states) At the moment that is seen
 
 
-@final
 @dataclasses.dataclass(frozen=True)
-class PredictiveLaw(SteeringLaw):
-    """A predictive controller of n scenarios."""
+class PlanningLaw(SteeringLaw):
+    """A law of n scenarios that plans the next N commands from where they steer, and sends the first."""
 
-    design: PredictiveController
+    design: Any
     plant: Plant
     form: Formulation
     columns: FloatArray  # (n, nc) Each scenario's numbers
     steady: FloatArray  # (n, nx + 1) Steady cornering of the linear part per unit of lane yaw rate: states, delta
     horizon: int
     delay: int  # Samples until a command steers
-    rows: _SoftRows | None
-    affine: AffinePlans | None = None  # Of a formulation that is linear-quadratic
+    # Of a formulation that is linear-quadratic
+    affine: AffinePlans | None = dataclasses.field(default=None, kw_only=True)
+
+    @property
+    def limited(self) -> bool:
+        """Whether limits of the workspace hold for every command, not for the fallback alone."""
+        return True
+
+    @abc.abstractmethod
+    def _solve(
+        self, work: Workspace, history: FloatArray, soft: list[FloatArray], state: Any, after: Any, i: int
+    ) -> Solution:
+        """The plan of scenario i for the problem in the workspace."""
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _prepared, (self.design, self.plant)
@@ -403,10 +413,10 @@ class PredictiveLaw(SteeringLaw):
             own=np.full((n, len(self.form.own)), np.nan),
         )
 
-    def take(self, rows: IntArray, state: PredictiveState) -> tuple[PredictiveLaw, PredictiveState]:
+    def take(self, rows: IntArray, state: PredictiveState) -> tuple[PlanningLaw, PredictiveState]:
         """Only some scenarios, each with its last plan."""
         plant = dataclasses.replace(self.plant, v=self.plant.v[rows])
-        part = PredictiveState(*(getattr(state, f.name)[rows] for f in dataclasses.fields(state)))
+        part = type(state)(*(getattr(state, f.name)[rows] for f in dataclasses.fields(state)))
         affine = self.affine and self.affine.take(rows)
         law = dataclasses.replace(
             self, plant=plant, columns=self.columns[rows], steady=self.steady[rows], affine=affine
@@ -450,7 +460,7 @@ class PredictiveLaw(SteeringLaw):
     ) -> tuple[FloatArray, PredictiveState, npt.NDArray[np.int8]]:
         """First command of the optimal plan, for every scenario."""
         n = delta_prev.size
-        after = PredictiveState(*(getattr(state, f.name).copy() for f in dataclasses.fields(state)))
+        after = type(state)(*(getattr(state, f.name).copy() for f in dataclasses.fields(state)))
         delta = np.empty(n)
         after.sent[:] = np.column_stack([state.sent[:, 1:], delta_prev])
         after.sent[:] = np.where(np.isnan(after.sent), delta_prev[:, None], after.sent)
@@ -540,26 +550,22 @@ class PredictiveLaw(SteeringLaw):
         low, high, relaxed = reachable(low[None], high[None], low_change[None], high_change[None], work.delta_prev)
         work.low[:], work.high[:] = low[0], high[0]
         work.low_change[:], work.high_change[:] = low_change, high_change
-        work.soft = None
-        if self.rows is not None:
-            bounds = (np.ascontiguousarray(part).ravel() for part in soft)
-            work.soft = SoftLimits(self.rows.rows, self.rows.before @ history, *bounds)
-        warm = np.append(state.U[i, 1:], state.U[i, -1]) if state.has_plan[i] else None
-        solution = work.solve(warm, self.design.iterations)
+        solution = self._solve(work, history, soft, state, after, i)
         command = float(solution.U[0])
         after.has_plan[i] = solution.solved
         if solution.solved:
             after.U[i] = solution.U
-            after.rung[i] = 2 if relaxed[0] else 1
+            after.rung[i] = 2 if relaxed[0] and self.limited else 1
         else:
             after.rung[i] = 3
             K, p = self.form.layout.unpack(self.columns[i])["K"], work.P[0]
             command = float(p[3] - K @ (work.z_0 - p[LANE : LANE + self.form.size]))
             command = command if np.isfinite(command) else 0.0
         after.iterations[i], after.residual[i], after.cost[i] = solution.iterations, solution.step, solution.cost
-        command = min(max(command, work.low[0]), work.high[0])
-        # a sum with 0 turns -0 into 0
-        command = float(min(max(command, delta_prev + low_change[0]), delta_prev + high_change[0]) + 0.0)
+        if self.limited or not solution.solved:
+            command = min(max(command, work.low[0]), work.high[0])
+            command = min(max(command, delta_prev + low_change[0]), delta_prev + high_change[0])
+        command = float(command + 0.0)  # a sum with 0 turns -0 into 0
         if not self.delay:
             z, a_0, _ = work.predict(command, samples[0])
             after.past[i, 1, -1] = a_0
@@ -593,5 +599,24 @@ class PredictiveLaw(SteeringLaw):
         return own, np.array(before[k:] + after_command[k:])
 
 
-def _prepared(design: PredictiveController, plant: Plant) -> PredictiveLaw:
+@final
+@dataclasses.dataclass(frozen=True)
+class PredictiveLaw(PlanningLaw):
+    """A predictive controller of n scenarios."""
+
+    rows: _SoftRows | None
+
+    def _solve(
+        self, work: Workspace, history: FloatArray, soft: list[FloatArray], state: Any, after: Any, i: int
+    ) -> Solution:  # fmt: skip
+        """By sequential quadratic programming, warm started from the last plan a sample later."""
+        work.soft = None
+        if self.rows is not None:
+            bounds = (np.ascontiguousarray(part).ravel() for part in soft)
+            work.soft = SoftLimits(self.rows.rows, self.rows.before @ history, *bounds)
+        warm = np.append(state.U[i, 1:], state.U[i, -1]) if state.has_plan[i] else None
+        return work.solve(warm, self.design.iterations)
+
+
+def _prepared(design: Controller, plant: Plant) -> Any:
     return design.prepare(plant)

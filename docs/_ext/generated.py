@@ -11,8 +11,8 @@ import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from ldctoolkit import controllers
 from ldctoolkit.metrics import GROUPS, METRICS, SCENARIO_METRICS
+from ldctoolkit.registry import controller_class, controller_names
 from ldctoolkit.studies import study_file
 from ldctoolkit.studies.cli import parser
 from ldctoolkit.studies.cli.controllers import _interval
@@ -102,7 +102,7 @@ def metrics() -> Iterator[tuple[str, str]]:
 
 def laws() -> Iterator[tuple[str, str]]:
     """The declared gains of every law of the toolkit."""
-    for kind in (getattr(controllers, name) for name in controllers.__all__):
+    for kind in map(controller_class, controller_names()):
         rows = []
         for g in kind.gains():
             words = ("true", "false") if isinstance(g.default, bool) else g.choices

@@ -219,7 +219,7 @@ def test_real_recordings(ngsim_recordings: Path) -> None:
     unknown = dataclasses.replace(recorded.departures, recording=np.full(recorded.departures.n, "r"))
     for side, alone in zip((default.left, default.right), check_fidelity(model, unknown), strict=True):
         by_vehicle, independent = (np.array(f.high) - np.array(f.low) for f in (side.fidelity, alone))
-        assert np.median(by_vehicle / independent) == pytest.approx(1.05, abs=0.05)
+        assert np.median(by_vehicle / independent) == pytest.approx(1.0, abs=0.1)
         assert [half.within.mean() > 0.9 for half in side.held_out] == [True, True]
 
 

@@ -19,7 +19,7 @@ from vehiclemodels.vehicle_parameters import setup_vehicle_parameters
 from helpers.closed_loop import grid
 from helpers.errors import refused
 from ldctoolkit import BicycleModel, VehicleParameters
-from ldctoolkit.controllers._nmpc_solver import accelerations
+from ldctoolkit.controllers._prediction_model import STATES, Names, Vehicle
 from ldctoolkit.errors import LdcError
 from ldctoolkit.vehicle import discretize
 from ldctoolkit.vehicle.bicycle import GRAVITY
@@ -144,7 +144,12 @@ def test_defaults_are_table_i() -> None:
 
 
 MOTION, V, VEHICLE = casadi.SX.sym("motion", 5), casadi.SX.sym("v"), casadi.SX.sym("vehicle", 8)
-ACCELERATIONS = casadi.vertcat(*accelerations(casadi.vertcat(0.0, MOTION[:3]), MOTION[3], MOTION[4], V, VEHICLE))
+PARAMETERS = ("C_af", "C_ar", "l_f", "l_r", "m", "I_z", "mu")
+RATES = Vehicle("vehicle", v=V, **dict(zip(PARAMETERS, casadi.vertsplit(VEHICLE[:7]), strict=True))).nonlinear(
+    Names("x", **dict(zip(STATES, casadi.vertsplit(casadi.vertcat(0.0, MOTION[:3])), strict=True))),
+    MOTION[3], Names("lane", yaw_rate=MOTION[4]), shape=VEHICLE[7],
+)  # fmt: skip
+ACCELERATIONS = casadi.vertcat(RATES["e_y_rate"], RATES["e_psi_rate"], RATES["a_y"] + V * MOTION[4])
 PLANT = casadi.Function("plant", [MOTION, V, VEHICLE], [ACCELERATIONS])
 JACOBIAN = casadi.Function("J", [MOTION, V, VEHICLE], [casadi.jacobian(ACCELERATIONS, MOTION)])
 
