@@ -43,7 +43,7 @@ class Vehicle(Names):
     def nonlinear(self, x: Any, delta: Any, lane: Any, shape: Any = SHAPE) -> dict[str, Any]:
         """Rates of the states of the bicycle on saturating tyres with the wheels at delta, and a_y.
 
-        Rajamani, *Vehicle Dynamics and Control*, section 2.3, with the Magic Formula (Pacejka) at friction mu; `shape` is its C.
+        Rajamani, *Vehicle Dynamics and Control*, section 2.3, with the Magic Formula (Pacejka) of C = `shape`.
         """
         import casadi as ca
 
