@@ -119,8 +119,8 @@ def called(path: str, function: Callable[..., Any], *arguments: Any, hint: str =
     except LdcError:
         raise
     except Exception as error:
-        design = getattr(function, "__self__", None)
-        if isinstance(error, AttributeError) and error.obj is design is not None:
+        design: Any = getattr(function, "__self__", None)
+        if isinstance(error, AttributeError) and id(error.obj) == id(design):
             names = [field.name for field in dataclasses.fields(design)]
             raise UnknownNameError(f"{design.name}.{error.name}", "no such gain", allowed=names) from error
         error.__traceback__ = error.__traceback__ and error.__traceback__.tb_next  # from the designer's line on
