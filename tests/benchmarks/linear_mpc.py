@@ -14,7 +14,18 @@ import osqp
 import scipy.sparse as sp
 from closed_loop import machine, scenarios, seconds
 
-from ldctoolkit import Controller, EventStatus, Setup, SteeringLaw
+from ldctoolkit import (
+    BicycleModel,
+    Controller,
+    EventStatus,
+    Plant,
+    PredictiveController,
+    Preview,
+    Setup,
+    Stage,
+    SteeringLaw,
+    gain,
+)
 from ldctoolkit.controllers import LinearMPC
 from ldctoolkit.controllers.linear_mpc import MPCLaw, Rung
 from ldctoolkit.controllers.riccati import regulator
@@ -133,6 +144,53 @@ class WatchedLaw(SteeringLaw):
         return WatchedLaw(law, self.rungs, self.ended), state
 
 
+@dataclasses.dataclass(frozen=True)
+class Formulated(PredictiveController):
+    """The same problem as a formulation."""
+
+    name, title, horizon = "formulated", "Formulated", DESIGN.horizon
+    r_delta: float = gain(DESIGN.r_delta, unit="1/rad^2", lower=1e-6, upper=1e6, description="weight")
+    delta_max: float = gain(DESIGN.delta_max, unit="rad", lower=1e-6, upper=1e6, description="limit")
+    rate_max: float = gain(DESIGN.rate_max, unit="rad/s", lower=1e-6, upper=1e6, description="limit")
+
+    def dynamics(self, x, u, lane, vehicle):
+        return vehicle.linear(x, u.delta, lane)
+
+    def stage(self, x, u, lane, k):
+        cost = x.e_y**2 + (x.e_psi - lane.steady_e_psi) ** 2 + self.r_delta * (u.delta - lane.steady_delta) ** 2
+        step = self.rate_max * lane.dt
+        return Stage(cost, hard=[(u.delta, -self.delta_max, self.delta_max), (u.change, -step, step)])
+
+
+def formulated() -> None:
+    """One step of 400 situations: the formulation against the law, processor time."""
+    n, steps = 400, 50
+    rng = np.random.default_rng(3)
+    plant = Plant.build(BicycleModel(), rng.uniform(7, 36, n), 0.05)
+    spread = rng.normal(size=(n, 4)) * [0.8, 0.4, 0.03, 0.1]
+    print("| 400 situations | QPs | most difference, rad | linear_mpc, us | formulation, us | ratio |")
+    print("| --- | ---: | ---: | ---: | ---: | ---: |")
+    for size in (0.05, 0.3, 1.0):
+        r = size * rng.normal(0, 0.05, (n, 1)) * np.ones(DESIGN.horizon + 1)
+        given = np.zeros(n), size * spread, Preview(r, 0.0 * r), size * rng.uniform(-0.05, 0.05, n)
+        found, times = [], []
+        for design in (DESIGN, Formulated()):
+            law = design.prepare(plant)
+            state = law.init(n)
+            delta, after, _ = law.step(*given, state)
+            start = time.process_time()
+            for _ in range(steps):
+                law.step(*given, state)
+            times.append(1e6 * (time.process_time() - start) / (steps * n))
+            found.append((delta, after))
+        (theirs, _), (ours, after) = found
+        active = 100 * np.mean(after.iterations > 0)
+        most = np.abs(ours - theirs).max()
+        ratio = times[1] / times[0]
+        print(f"| {size:g} | {active:.0f} % | {most:.1e} | {times[0]:.1f} | {times[1]:.1f} | {ratio:.1f} |", flush=True)
+    print()
+
+
 def takeover(rows: slice | np.ndarray = slice(None)) -> Takeover:
     """Of scenarios that trigger, with a steering angle at the trigger that the limits can reach."""
     many, setup = scenarios(3_000), Setup(settle=0.0)
@@ -151,6 +209,7 @@ def score(design: Controller, over: Takeover) -> np.ndarray:
 def main() -> None:
     print(machine("numpy", "numba", "osqp", "daqp", "scipy"))
     print()
+    formulated()
     print("| case | us a scenario-step | ratio |")
     print("| --- | ---: | ---: |")
     over, few = takeover(), takeover(slice(0, None, EVERY))
