@@ -154,7 +154,10 @@ class Workspace(abc.ABC):
 
 
 class Workspaces(dict[int, tuple[QP, Workspace]]):
-    """QPs, whose matrices no sample changes, and their workspaces, by place in the batch. A copy or a pickle is empty: they are made again where they are needed."""
+    """QPs, whose matrices no sample changes, and their workspaces, by place in the batch.
+
+    A copy or a pickle is empty: they are made again where they are needed.
+    """
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Workspaces:
         return Workspaces()

@@ -4,8 +4,8 @@ The reference, written here in full, takes the scenarios one by one: the unconde
 1e-6, updated and warm started at every sample; it drives the plant itself and keeps no score. Its commands are then
 replayed by the toolkit's closed loop, so that S is compared and not the way S is worked out. It runs on every tenth
 scenario; what counts is the time of one scenario-step. The law's time holds all of it: Riccati equation, condensing,
-set-up of solvers, plant and score. Soft limits are a table of their own: processor time of the law's steps, on the plant of a
-catalog study."""
+set-up of solvers, plant and score. Soft limits are a table of their own: processor time of the law's steps alone, on
+the plant of a catalog study."""
 
 import dataclasses
 import time
