@@ -156,9 +156,8 @@ def score(design: Controller, over: Takeover) -> np.ndarray:
 def soft_limits() -> None:
     """Steps with and without a soft limit on the plant of a catalog study, by each solver."""
     over = Takeover.build(load_model("reference").sample(250, 250, seed=1), load_study(STUDY).setup(), y_s=0.15)
-    print(
-        f"| linear_mpc, r_delta = 2500, rate_max = 0.33, {STUDY}, y_s = 0.15 m | us a scenario-step | left to the solver | mean S |"
-    )
+    print(f"{STUDY}, y_s = 0.15 m, linear_mpc, r_delta = 2500, rate_max = 0.33\n")
+    print("| case | us a scenario-step | left to the solver | mean S |")
     print("| --- | ---: | ---: | ---: |")
     for jerk_max in (0.0, 4.5, 3.5, 2.5):
         for solver in ("osqp", "daqp") if jerk_max else ("daqp",):

@@ -214,7 +214,7 @@ def test_wrong_settings_get_one_message(arguments: list[str], message: str, fold
 
 
 def test_the_time_of_a_step_is_shown_and_is_no_result(tmp_path: Path) -> None:
-    """Of the laws that are stepped, in the table, the JSON and the page; ranking.csv and ranking.md stay as they are."""
+    """Of laws that are stepped, in the table, the JSON and the page; no file of the folder changes."""
     content = {
         "name": "timed",
         "scenarios": {"left": 12, "right": 8},
