@@ -24,7 +24,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from ldctoolkit.errors import InputError, UnknownNameError
+from ldctoolkit.errors import InputError, LdcError, UnknownNameError
 from ldctoolkit.law_checks import raised
 
 from ._prediction_model import PREVIOUS, STATES, VEHICLE, Layout, Names, Vehicle, base_layout
@@ -72,6 +72,8 @@ class Program(NamedTuple):
     # the Lagrangian, gradient g, change J_t of the cost by t alone, largest multiplier; T is (N, nz N). Of the outputs
     # their sensitivity Y (N, no N) and change y (no, N) by t; M (no, N) are their multipliers
     linearise: Any
+    # (Z, U, z_0, P, c) -> gradient (1, N) of the cost on the commands, where there are no gaps
+    gradient: Any
     # (P, c) -> bounds of delta and of its change (1, N); bounds, weights of v and of v^2/2 of the soft rows (ns, N)
     limits: Any
 
@@ -85,6 +87,7 @@ class Formulation:
     previous: bool  # The command before is a state
     nonlinear_rows: tuple[int, ...]  # Rates that are not linear in x, u and r
     quadratic: bool  # Linear dynamics, a quadratic cost and linear limits: one quadratic program is the whole problem
+    affine: bool  # And what the lane does to it is affine: neither Hessian nor limits depend on the lane
     riccati: bool  # The terminal cost is that of the Riccati equation
     layout: Layout
     outputs: int
@@ -106,12 +109,21 @@ class Formulation:
         return LANE + 2 * self.size
 
 
-def _called(path: str, function: Callable[..., Any], *arguments: Any) -> Any:
-    """What a designer's method returns; what it raises because it met symbols is one sentence."""
+_SYMBOLS: Final = "gains, states and lane are CasADi symbols: ca.if_else and ca.sqrt take them, if and math do not"
+
+
+def called(path: str, function: Callable[..., Any], *arguments: Any, hint: str = _SYMBOLS) -> Any:
+    """What a designer's method returns; what it raises, because it met symbols or not, is one sentence."""
     try:
         return function(*arguments)
-    except (TypeError, NotImplementedError, RuntimeError, ValueError) as error:
-        hint = "gains, states and lane are CasADi symbols here: ca.if_else and ca.sqrt take them, if and math do not"
+    except LdcError:
+        raise
+    except Exception as error:
+        design = getattr(function, "__self__", None)
+        if isinstance(error, AttributeError) and error.obj is design is not None:
+            names = [field.name for field in dataclasses.fields(design)]
+            raise UnknownNameError(f"{design.name}.{error.name}", "no such gain", allowed=names) from error
+        error.__traceback__ = error.__traceback__ and error.__traceback__.tb_next  # from the designer's line on
         raise InputError(path, raised(error), hint=hint) from error
 
 
@@ -208,18 +220,23 @@ class _Builder:
 
         zu = ca.vertcat(z, u)
         H, g = ca.hessian(cost, zu)
+        slope = ca.gradient(final, z)
         bent = ca.vertcat(
             *(ca.vec(part) for part in (ca.jacobian(f, zu), H, ca.jacobian(o, zu), ca.hessian(final, z)[0]))
         )
         finite = ca.vertcat(
-            *(
-                ca.vec(part)
-                for part in (g, H, f, ca.jacobian(f, zu), o, ca.jacobian(o, zu), final, ca.gradient(final, z))
-            )
+            *(ca.vec(part) for part in (g, H, f, ca.jacobian(f, zu), o, ca.jacobian(o, zu), final, slope))
         )
+        quadratic = not ca.depends_on(bent, zu)
+        affine = quadratic and not self.rows
+        if affine:
+            of_lane = ca.vertcat(p[:2], p[3:])
+            first = ca.jacobian(ca.vertcat(g, f, a_0, a_1, o, slope), ca.vertcat(zu, of_lane))
+            bounds = _replaced(ca.vertcat(*hard), start)
+            affine = not ca.depends_on(ca.vertcat(ca.vec(first), bounds, *columns), ca.vertcat(zu, of_lane))
         return Formulation(
             structure=self.structure, own=self.own, previous=self.previous, nonlinear_rows=self.rows,
-            quadratic=not ca.depends_on(bent, zu), riccati=terminal is None, layout=self.layout, outputs=len(outputs),
+            quadratic=quadratic, affine=affine, riccati=terminal is None, layout=self.layout, outputs=len(outputs),
             soft=tuple(row for row, _ in rows), linear_part=ca.Function("linear_part", [self.c_base], straight),
             hessian=ca.Function("hessian", [z, u, p, c], [ca.densify(H)]),
             check=ca.Function("check", [z, u, p, c], [ca.densify(finite)]), limit=limit,
@@ -256,13 +273,18 @@ class _Builder:
         known = {hash(symbol) for symbol in ca.symvar(self.given if given else ca.vertcat(self.moving, self.given))}
         if free := [symbol.name() for symbol in ca.symvar(expression) if hash(symbol) not in known]:
             raise InputError(path, f"holds the symbol {free[0]!r}", allowed=allowed)
+        steps = ca.Function("steps", ca.symvar(expression), [expression])
+        constants = (k for k in range(steps.n_instructions()) if steps.instruction_id(k) == ca.OP_CONST)
+        if any(np.isnan(steps.instruction_constant(k)) for k in constants):
+            hint = "float() and functions of math make that of a symbol: use those of casadi or numpy"
+            raise InputError(path, "holds NaN", hint=hint)
         return ca.densify(expression)
 
     def _dynamics(self) -> Any:
         """dx/dt, and the lateral acceleration beyond the lane's."""
         ca, path = self.ca, f"{self.name}.dynamics"
         x, u, lane = self._names(of_stage=False)
-        given = _called(path, self.design.dynamics, x, u, lane, self.vehicle)
+        given = called(path, self.design.dynamics, x, u, lane, self.vehicle)
         names = (*STATES, *self.own)
         if not isinstance(given, Mapping):
             raise InputError(path, f"returned {type(given).__name__}", allowed="a dictionary of rates by state")
@@ -280,9 +302,12 @@ class _Builder:
     def _stage(self) -> tuple[Any, tuple[Any, ...], list[tuple[Any, ...]]]:
         """Cost; bounds of delta and its change; rows (value, low, high, weights of v and v^2/2, whether of jerk)."""
         ca, path = self.ca, f"{self.name}.stage"
-        stage = _called(path, self.design.stage, *self._names(of_stage=True), self.k)
+        stage = called(path, self.design.stage, *self._names(of_stage=True), self.k)
         if not all(hasattr(stage, name) for name in ("cost", "hard", "soft")):
             raise InputError(path, f"returned {type(stage).__name__}", allowed="a Stage")
+        for name in ("hard", "soft"):
+            if not isinstance(rows := getattr(stage, name), list | tuple):
+                raise InputError(f"{path}.{name}", f"of type {type(rows).__name__}", allowed="a list")
         cost = self._expression(f"{path}.cost", stage.cost)
         if ca.depends_on(cost, self.jerk):
             hint = "weigh x.a_y or u.change; limit jerk with Soft"
@@ -346,7 +371,7 @@ class _Builder:
         """The designer's terminal cost; None for that of the Riccati equation."""
         x, _, lane = self._names(of_stage=False)
         path = f"{self.name}.terminal"
-        value = _called(path, self.design.terminal, x, lane)
+        value = called(path, self.design.terminal, x, lane)
         if value is None:
             return None
         value = self._expression(path, value)
@@ -458,8 +483,9 @@ def build(
     limits = ca.Function(
         "limits", [P, c_all], [ca.densify(v) for v in limit.map("limit_all", "serial", N, [1], [])(P, c_all)]
     )
-    value, linearise = _plan(ca, N, z, u, p, c, f, cost, final, o, exact)
-    return Program(predict, _roll(ca, N, z, u, p, c, f, layout), value, linearise, limits)
+    return Program(
+        predict, _roll(ca, N, z, u, p, c, f, layout), *_plan(ca, N, z, u, p, c, f, cost, final, o, exact), limits
+    )
 
 
 def _roll(ca: Any, N: int, z: Any, u: Any, p: Any, c: Any, f: Any, layout: Layout) -> Any:
@@ -489,7 +515,7 @@ def _roll(ca: Any, N: int, z: Any, u: Any, p: Any, c: Any, f: Any, layout: Layou
 
 def _plan(
     ca: Any, N: int, z: Any, u: Any, p: Any, c: Any, f: Any, cost: Any, final: Any, o: Any, exact: bool
-) -> tuple[Any, Any]:
+) -> tuple[Any, Any, Any]:
     nz, no = z.numel(), o.numel()
     zu = ca.vertcat(z, u)
     after = ca.SX.sym("after", nz)
@@ -571,4 +597,8 @@ def _plan(
         "linearise", [*problem, M], [ca.densify(v) for v in outputs],
         [*names, "M"], ["H", "g", "T", "t", "J_t", "slope", "Y", "y"],
     )  # fmt: skip
-    return value, linearise
+    plain = (
+        ca.substitute(push + ca.sum1(B * multipliers), M, ca.MX.zeros(no, N)) if no else push + ca.sum1(B * multipliers)
+    )
+    gradient = ca.Function("gradient", problem, [ca.densify(plain)], names, ["g"])
+    return value, linearise, gradient

@@ -27,6 +27,7 @@ from typing import Any, Final
 import numpy as np
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
+from ldctoolkit.compiling import line
 from ldctoolkit.errors import InputError
 from ldctoolkit.surroundings import cache_folder, private
 
@@ -45,6 +46,11 @@ def compiled(functions: tuple[Any, ...], name: str) -> tuple[Any, ...]:
         raise InputError(CODE, value=choice, allowed=("auto", "vm"))
     library = _library(functions, name) if choice == "auto" else None
     if library is None:
+        if choice == "auto":
+            line(
+                "predictive controllers run in CasADi's virtual machine, three to four times slower than compiled: "
+                "no C compiler (cc, gcc, clang), or no folder of one's own for its code"
+            )
         return functions
     try:
         return tuple(ca.external(function.name(), str(library)) for function in functions)
@@ -172,27 +178,25 @@ class Workspace:
         self.M = np.zeros((N, no))
         self.soft: SoftLimits | None = None
         problem = [self.z_0, self.P, self.c]
-        predict, roll, value, linearise, limits = _functions(form, N)
+        predict, roll, value, linearise, gradient, limits = _functions(form, N)
         self._predict = _Call(predict, [self.z_0, *self._sample, self.c])
         bounds = [self.low, self.high, self.low_change, self.high_change]
         self._roll = _Call(roll, [self.z_0, self.guess, self.share, self.delta_prev, self.P, *bounds, self.c])
         self._value = _Call(value, [self.Z_try, self.U_try, *problem])
         self._linearise = _Call(linearise, [self.Z, self.U, *problem, self.M])
+        self._gradient = _Call(gradient, [self.Z_try, self.U_try, *problem])
         self._limits = _Call(limits, [self.P, self.c])
         out = self._linearise.outputs
         self.H, self.T = out[0].reshape(N, N), out[2].reshape(nz * N, N)
         self.g, self.t, self.J_t, self.slope = out[1], out[3], out[4], out[5]
         self.Y, self.y_t = out[6].reshape(no * N, N) if no else np.zeros((0, N)), out[7]
-        # free moves: the commands are `self._held` times them
+        # free moves: the commands are `self.held` times them
         self._starts = None if starts is None or starts.size == N else starts
-        at = np.arange(N) if self._starts is None else np.searchsorted(self._starts, np.arange(N), side="right") - 1
-        self._held = np.eye(at[-1] + 1)[at]
-        moves = self._held.shape[1]
-        first = np.arange(N) if self._starts is None else self._starts
-        self._firsts = np.concatenate([first, N + first])  # rows of the hard limits
+        self.first = np.arange(N) if self._starts is None else self._starts
+        self.held = np.eye(self.first.size)[np.searchsorted(self.first, np.arange(N), side="right") - 1]
+        moves = self.first.size
         self._change = np.diff(np.eye(moves), axis=0, prepend=0.0)
         self._hard = np.vstack([np.eye(moves), self._change])
-        self._sense = np.zeros(2 * moves, dtype=np.int32)
         self._active = np.zeros(2 * moves, dtype=np.bool_)
 
     def predict(self, u: float, p: FloatArray) -> tuple[FloatArray, float, float]:
@@ -207,6 +211,21 @@ class Workspace:
         self._limits.run()
         out = self._limits.outputs
         return [*out[:4], *(part.reshape(self.N, -1).T for part in out[4:])]
+
+    def unsteered(self) -> tuple[FloatArray, FloatArray]:
+        """Gradient of the cost on the commands, and outputs (no N,), at commands of 0."""
+        self.share[0], self.guess[:] = 0.0, 0.0
+        self.low[:], self.high[:], self.low_change[:], self.high_change[:] = -np.inf, np.inf, -np.inf, np.inf
+        self._drive()
+        self._gradient.run()
+        self._value.run()
+        return self._gradient.outputs[0], self._value.outputs[2].reshape(self.N, -1).T.ravel()
+
+    def curvature(self) -> tuple[FloatArray, FloatArray]:
+        """Hessian (N, N) of the cost on the commands, and slopes (no N, N) of the outputs, at commands of 0."""
+        self.U[:], self.Z[:], self.M[:] = 0.0, 0.0, 0.0
+        self._linearise.run()
+        return self.H, self.Y
 
     def solve(self, warm: FloatArray | None, most: int = 0) -> Solution:
         """Solve the problem in the input arrays, to convergence or in `most` iterations."""
@@ -327,7 +346,7 @@ class Workspace:
         self._linearise.run()
         if not (np.isfinite(self.g).all() and np.isfinite(self.H).all()):
             return None
-        H = self.H if self._starts is None else self._held.T @ self.H @ self._held
+        H = self.H if self._starts is None else self.held.T @ self.H @ self.held
         dU, change, active = self._qp(H, rows)
         if dU is not None:
             self._active = active
@@ -350,41 +369,68 @@ class Workspace:
     def _bounds(self) -> tuple[FloatArray, FloatArray]:
         """How far each angle and each change may go down and up."""
         turn = np.diff(self.U, prepend=self.delta_prev)
-        low = np.concatenate([self.low - self.U, self.low_change - turn])
-        high = np.concatenate([self.high - self.U, self.high_change - turn])
-        return low[self._firsts], high[self._firsts]
+        first = self.first
+        low = np.maximum.reduceat(self.low - self.U, first), (self.low_change - turn)[first]
+        high = np.minimum.reduceat(self.high - self.U, first), (self.high_change - turn)[first]
+        return np.concatenate(low), np.concatenate(high)
 
     def _qp(self, H: FloatArray, rows: FloatArray | None) -> tuple[FloatArray | None, FloatArray | None, BoolArray]:
-        import daqp
-
-        soft, C, sense = self.soft, self._change, self._sense
-        hard = sense.size
+        soft = self.soft
+        g = self.g if self._starts is None else self.held.T @ self.g
         low, high = self._bounds()
-        g = self.g if self._starts is None else self._held.T @ self.g
-        if soft is not None and rows is not None:
+        if soft is None or rows is None:
+            moves, multipliers = quadratic_program(H, g, self._change, low, high)
+        else:
             S = soft.rows @ self.Y
             now = rows + soft.rows @ self.y_t
-            C = np.concatenate([C, S if self._starts is None else S @ self._held])
-            sense = np.concatenate([sense, np.full(now.size, 8, dtype=np.int32)])
+            C = np.concatenate([self._change, S if self._starts is None else S @ self.held])
             low, high = np.concatenate([low, soft.low - now]), np.concatenate([high, soft.high - now])
-            model = daqp.Model()
-            model.settings = {"primal_tol": _PRIMAL, "eps_prox": 0.0}
-            if model.setup(H, g, C, high, low, sense)[0] < 0:
-                return None, None, self._active
-            linear, curve = np.ones(hard), np.ones(hard)
-            linear, curve = np.concatenate([linear, soft.linear]), np.concatenate([curve, 1.0 / soft.quadratic])
-            model.soft_weights(rho_l=curve, rho_u=curve, w_l=linear, w_u=linear)
-            moves, _, flag, info = model.solve()
-        else:
-            moves, _, flag, info = daqp.solve(H, g, C, high, low, sense, primal_tol=_PRIMAL, eps_prox=0.0)
-        if flag < 1 or not np.isfinite(moves).all():
+            moves, multipliers = quadratic_program(H, g, C, low, high, np.stack([soft.linear, soft.quadratic]))
+        if moves is None:
             return None, None, self._active
-        dU = moves if self._starts is None else self._held @ moves
-        active = info["lam"][:hard] != 0.0
+        dU = moves if self._starts is None else self.held @ moves
+        hard = self._active.size
+        active = multipliers[:hard] != 0.0
         if soft is None or rows is None:
             return dU, None, active
-        self.M[:] = (info["lam"][hard:] @ soft.rows).reshape(-1, self.N).T
+        self.M[:] = (multipliers[hard:] @ soft.rows).reshape(-1, self.N).T
         return dU, now - rows + S @ dU, active
+
+
+def quadratic_program(
+    H: FloatArray, g: FloatArray, C: FloatArray, low: FloatArray, high: FloatArray, weights: FloatArray | None = None
+) -> tuple[FloatArray | None, FloatArray]:
+    """Minimiser of d'H d/2 + g'd for low <= (d, C d) <= high, None if unsolved, and multipliers.
+
+    With weights (2, R) of v and v^2/2 the last R rows are soft.
+    """
+    import daqp
+
+    if weights is None:
+        sense = np.zeros(high.size, dtype=np.int32)
+        moves, _, flag, info = daqp.solve(H, g, C, high, low, sense, primal_tol=_PRIMAL, eps_prox=0.0)
+    else:
+        hard = high.size - weights.shape[1]
+        sense = np.repeat(np.array([0, 8], dtype=np.int32), [hard, weights.shape[1]])
+        model = daqp.Model()
+        model.settings = {"primal_tol": _PRIMAL, "eps_prox": 0.0}
+        if model.setup(H, g, C, high, low, sense)[0] < 0:
+            return None, g
+        linear, curve = np.ones(high.size), np.ones(high.size)
+        linear[hard:], curve[hard:] = weights[0], 1.0 / weights[1]
+        model.soft_weights(rho_l=curve, rho_u=curve, w_l=linear, w_u=linear)
+        moves, _, flag, info = model.solve()
+    return (moves if flag >= 1 and np.isfinite(moves).all() else None), info["lam"]
+
+
+def reachable(
+    low: FloatArray, high: FloatArray, low_change: FloatArray, high_change: FloatArray, delta_prev: FloatArray
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Limits (n, N) widened to what the rate can reach from a command before; whether the first had to be."""
+    reach_low = delta_prev[:, None] + np.cumsum(low_change, axis=-1)
+    reach_high = delta_prev[:, None] + np.cumsum(high_change, axis=-1)
+    beyond = (high[:, 0] < reach_low[:, 0]) | (low[:, 0] > reach_high[:, 0])
+    return np.minimum(low, reach_high), np.maximum(high, reach_low), beyond
 
 
 @functools.lru_cache(maxsize=32)

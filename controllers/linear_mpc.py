@@ -501,7 +501,7 @@ class _Call(NamedTuple):
 
 
 def _call(place: int, qp: QP, low: FloatArray, high: FloatArray, answer: Answer) -> _Call:
-    """The record of an answer."""
+    """What is recorded of one call of the solver: status, iterations, residuals."""
     if not answer.solved:
         return _Call(place, False, answer.iterations, np.nan, np.nan)
     value = qp.A @ answer.w

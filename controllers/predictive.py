@@ -19,15 +19,16 @@ import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.code_content import content_of
-from ldctoolkit.control import Controller, EventStatus, Preview, SolverCalls, SteeringLaw
-from ldctoolkit.errors import InputError, LdcError
+from ldctoolkit.control import Controller, EventStatus, Preview, SolverCalls, SteeringLaw, check_class
+from ldctoolkit.errors import InputError, LdcError, plain
 from ldctoolkit.vehicle.bicycle import BicycleModel, Plant
 from ldctoolkit.vehicle.discretization import discretize
 from ldctoolkit.vehicle.speed_schedule import scheduled
 
+from ._affine_plans import AffinePlans, affine_plans
 from ._mpc_condensing import WINDOW, block_starts, jerk_window, lane, lookahead
-from ._nmpc_model import LANE, Formulation, Structure, formulation
-from ._nmpc_solver import SoftLimits, Workspace, workspace
+from ._nmpc_model import LANE, Formulation, Structure, called, formulation
+from ._nmpc_solver import SoftLimits, Workspace, reachable, workspace
 from ._prediction_model import STATES, base_columns, forced, steady_cornering
 from .riccati import stabilising
 
@@ -171,6 +172,7 @@ class PredictiveController(Controller):
         N, (window, share) = _horizon(self, form), jerk_window(plant.dt)
         base = base_columns(plant, getattr(self, "mu", 1.0), _gains(self, form))
         A, B, E = _linear_part(form, base)
+        _check(self, form, base, N)
         parts = dict(zip(("vehicle", "linear", "gains"), np.split(base, [10, 20], axis=1), strict=True))
         step, half = discretize(A, B, E, plant.dt), discretize(A, B, E, 0.5 * plant.dt)
         responses = forced(A, form.nonlinear_rows, plant.dt)
@@ -182,7 +184,6 @@ class PredictiveController(Controller):
         }  # fmt: skip
         K, P = _regulator(self, plant, form)
         columns = form.layout.pack(**parts, P=P, K=K)
-        _check(self, form, columns, N)
         nx = A.shape[1]
         # e_y = 0 and no change at a lane yaw rate of 1
         system = np.zeros((plant.n, nx + 1, nx + 1))
@@ -191,12 +192,18 @@ class PredictiveController(Controller):
         steady = (np.linalg.pinv(system) @ right[:, :, None])[:, :, 0]
         lagging = plant.lag if "wheel" not in form.own else 0.0
         delay = round((plant.delay + lagging) / plant.dt)
-        return PredictiveLaw(self, plant, form, columns, steady, N, delay, _soft_rows(form, N, window, share))
+        rows = _soft_rows(form, N, window, share)
+        law = PredictiveLaw(self, plant, form, columns, steady, N, delay, rows)
+        if not form.affine:
+            return law
+        weights = (rows.rows, rows.before) if rows else (np.zeros((0, 0)), np.zeros((0, 2 * window + 1)))
+        return dataclasses.replace(law, affine=affine_plans(law.workspace, columns, law.samples, delay, *weights))
 
 
 def _structure(design: PredictiveController) -> Structure:
     """What decides the form of a design's expressions."""
     kind = type(design)
+    check_class(kind)
     gains, zeros, fixed = [], [], []
     for field in dataclasses.fields(design):  # type: ignore[arg-type]
         value = getattr(design, field.name)
@@ -220,10 +227,10 @@ def _horizon(design: PredictiveController, form: Formulation) -> int:
     """N, checked with the memory that it takes; also the other whole numbers of a class."""
     limits = {"horizon": 1, "move_blocks": 0, "iterations": 0}
     for name, least in limits.items():
-        value = getattr(design, name, None)
+        value = plain(getattr(design, name, None))
         if isinstance(value, bool) or not isinstance(value, int) or value < least:
             raise InputError(f"{design.name}.{name}", value=value, allowed=f"a whole number >= {least}")
-    N: int = design.horizon  # type: ignore[attr-defined]
+    N = int(design.horizon)  # type: ignore[attr-defined]
     size = 8.0 * N * N * (4 * form.size + 3 * form.outputs + 4)
     if size > _MOST_BYTES:
         most = int(N * (_MOST_BYTES / size) ** 0.5)
@@ -240,25 +247,29 @@ def _linear_part(form: Formulation, base: FloatArray) -> tuple[FloatArray, Float
     return A.reshape(nx, -1, nx).transpose(1, 0, 2)[:n], B.T[:n].copy(), E.T[:n].copy()
 
 
-def _check(design: PredictiveController, form: Formulation, columns: FloatArray, N: int) -> None:
+def _check(design: PredictiveController, form: Formulation, base: FloatArray, N: int) -> None:
     """Raise for derivatives at straight driving that are not finite, and for limits that nothing can meet."""
-    if not columns.shape[0]:
+    if not base.shape[0]:
         return
-    straight = np.zeros(form.size), 0.0, np.zeros(form.samples), columns[0]
-    if not np.isfinite(np.asarray(form.check(*straight))).all():
-        hint = "a root, a quotient or an absolute value at 0 has none: add a small number to it"
-        raise InputError(f"{design.name}.stage", "has a derivative at straight driving that is not finite", hint=hint)
-    for k in (0, N - 1):
+    # with a plant that stays where it is, and no terminal cost of the Riccati equation
+    column = np.append(base[0], np.zeros(form.layout.size - base.shape[1]))
+    values = form.check(np.zeros(form.size), 0.0, np.zeros(form.samples), column)
+    parts = form.linear_part(base[0])
+    for path, numbers in (("dynamics", parts), ("stage", (values,))):
+        if not all(np.isfinite(np.asarray(part)).all() for part in numbers):
+            hint = "a root, a quotient or an absolute value at 0 has none: add a small number to it"
+            raise InputError(f"{design.name}.{path}", "has no finite derivative at straight driving", hint=hint)
+    for k in range(N):
         p = np.zeros(form.samples)
         p[2] = k
-        bounds = [np.asarray(part).ravel() for part in form.limit(p, columns[0])]
+        bounds = [np.asarray(part).ravel() for part in form.limit(p, column)]
         for kind, i in (("u.delta", 0), ("u.change", 2)):
             if not bounds[i] <= bounds[i + 1]:
                 value = f"{bounds[i][0]:g} to {bounds[i + 1][0]:g} rad at k = {k}"
                 raise InputError(f"{design.name}.stage.hard", value=value, allowed=f"limits of {kind}, low <= high")
         low, high, linear, _ = bounds[4:]
         if not (np.isfinite(linear).all() and (linear > 0).all() and (low <= high).all()):
-            raise InputError(f"{design.name}.stage.soft", allowed="lower <= upper, and weights > 0")
+            raise InputError(f"{design.name}.stage.soft", f"at k = {k}", allowed="lower <= upper, and weights > 0")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -282,7 +293,7 @@ class _Riccati:
         W = np.empty((m, nz + 1, nz + 1))
         for i in range(m):
             W[i] = form.hessian(np.zeros(nz), 0.0, np.zeros(form.samples), columns[i])
-        K, P = stabilising(A, B, W[:, :nz, :nz], W[:, :nz, nz], W[:, nz, nz])
+        K, P = stabilising(A, B, W[:, :nz, :nz], W[:, :nz, nz], W[:, nz, nz], slice(len(STATES), nx))
         return np.concatenate([K, P.reshape(m, -1)], axis=1)
 
 
@@ -297,7 +308,8 @@ def _regulator(design: PredictiveController, plant: Plant, form: Formulation) ->
             raise
         if form.riccati:
             hint = "let the cost weigh x.e_y and u.delta or u.change near straight driving, or define terminal()"
-            raise InputError(f"{design.name}.stage", "no stabilising terminal cost for this cost", hint=hint) from error
+            problem = f"has no terminal cost: {error.problem}"
+            raise InputError(f"{design.name}.stage", problem, hint=hint) from error
         values = np.zeros((plant.n, nz + nz * nz))
     return values[:, :nz].copy(), values[:, nz:].reshape(-1, nz, nz).copy()
 
@@ -366,6 +378,7 @@ class PredictiveLaw(SteeringLaw):
     horizon: int
     delay: int  # Samples until a command steers
     rows: _SoftRows | None
+    affine: AffinePlans | None = None  # Of a formulation that is linear-quadratic
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _prepared, (self.design, self.plant)
@@ -394,7 +407,10 @@ class PredictiveLaw(SteeringLaw):
         """Only some scenarios, each with its last plan."""
         plant = dataclasses.replace(self.plant, v=self.plant.v[rows])
         part = PredictiveState(*(getattr(state, f.name)[rows] for f in dataclasses.fields(state)))
-        law = dataclasses.replace(self, plant=plant, columns=self.columns[rows], steady=self.steady[rows])
+        affine = self.affine and self.affine.take(rows)
+        law = dataclasses.replace(
+            self, plant=plant, columns=self.columns[rows], steady=self.steady[rows], affine=affine
+        )
         return law, part
 
     def solver_calls(self, state: PredictiveState) -> SolverCalls:
@@ -403,6 +419,12 @@ class PredictiveLaw(SteeringLaw):
         return SolverCalls(
             np.arange(n), state.rung.astype(np.int64), state.iterations, np.full(n, np.nan), state.residual
         )
+
+    @property
+    def workspace(self) -> Workspace:
+        """Where the calling thread solves."""
+        blocks = self.design.move_blocks
+        return workspace(self.form, self.horizon, block_starts(self.horizon, blocks) if blocks else None)
 
     def samples(self, r: FloatArray) -> FloatArray:
         """Columns p (n, k, np) of the samples between lane yaw rates r (n, k + 1), of which the last N are planned."""
@@ -433,11 +455,18 @@ class PredictiveLaw(SteeringLaw):
         after.sent[:] = np.column_stack([state.sent[:, 1:], delta_prev])
         after.sent[:] = np.where(np.isnan(after.sent), delta_prev[:, None], after.sent)
         self._see_own(after.own, x, preview, delta_prev)
-        samples = self.samples(lane(preview.yaw_rate, self.plant.dt, self.plant.age))
-        blocks = self.design.move_blocks
-        work = workspace(self.form, self.horizon, block_starts(self.horizon, blocks) if blocks else None)
-        for i in range(n):
-            delta[i] = self._command(work, x[i], samples[i], float(delta_prev[i]), state, after, i)
+        r, left = lane(preview.yaw_rate, self.plant.dt, self.plant.age), np.arange(n)
+        if self.affine is not None:
+            s = np.concatenate([x, after.own, after.sent, r], axis=1)
+            plans = self.affine.solve(s, after.past, delta_prev)
+            done, left = plans.done, np.flatnonzero(~plans.done)
+            delta[:], after.has_plan[:], after.rung[:] = plans.delta, True, 1
+            after.residual[done], after.cost[done], after.iterations[:] = 0.0, np.nan, plans.iterations
+            after.U[done], after.past[done], after.own[done] = plans.U[done], plans.past[done], plans.own[done]
+        if left.size:
+            work, samples = self.workspace, self.samples(r)
+            for i in left.tolist():
+                delta[i] = self._command(work, x[i], samples[i], float(delta_prev[i]), state, after, i)
         status = np.array([EventStatus.OK, EventStatus.OK, EventStatus.BEYOND_DELTA_MAX, EventStatus.SOLVER_FAILED])
         return delta, after, status[after.rung].astype(np.int8)
 
@@ -448,13 +477,18 @@ class PredictiveLaw(SteeringLaw):
             return
         new = np.isnan(own).any(axis=1)
         if new.any():
-            given = self.design.initial(x, delta_prev)
             path = f"{self.design.name}.initial"
+            given = called(path, self.design.initial, x, delta_prev, hint="")
             if not isinstance(given, Mapping) or any(name not in names for name in given):
                 raise InputError(path, value=given, allowed=f"a dictionary with keys of {', '.join(names)}")
             for j, name in enumerate(names):
                 value = given.get(name, delta_prev if name == "wheel" else 0.0)
-                own[new, j] = np.broadcast_to(np.asarray(value, dtype=float), (len(own),))[new]
+                try:
+                    own[new, j] = np.broadcast_to(np.asarray(value, dtype=float), (len(own),))[new]
+                except (TypeError, ValueError):
+                    raise InputError(f"{path}[{name!r}]", value=value, allowed="a number, or an array (n,)") from None
+                if not np.isfinite(own[new & np.isfinite(x).all(axis=1), j]).all():
+                    raise InputError(f"{path}[{name!r}]", value=value, allowed="finite numbers")
         if "wheel" in names and preview.wheel is not None:
             own[:, names.index("wheel")] = preview.wheel
 
@@ -467,9 +501,8 @@ class PredictiveLaw(SteeringLaw):
         work.P[:] = samples[self.delay :]
         low, high, low_change, high_change, *soft = work.limits()
         # where the command before is so far out that no command meets both limits: what the rate can reach
-        reach_low, reach_high = delta_prev + np.cumsum(low_change), delta_prev + np.cumsum(high_change)
-        relaxed = high[0] < reach_low[0] or low[0] > reach_high[0]
-        work.low[:], work.high[:] = np.minimum(low, reach_high), np.maximum(high, reach_low)
+        low, high, relaxed = reachable(low[None], high[None], low_change[None], high_change[None], work.delta_prev)
+        work.low[:], work.high[:] = low[0], high[0]
         work.low_change[:], work.high_change[:] = low_change, high_change
         work.soft = None
         if self.rows is not None:
@@ -481,7 +514,7 @@ class PredictiveLaw(SteeringLaw):
         after.has_plan[i] = solution.solved
         if solution.solved:
             after.U[i] = solution.U
-            after.rung[i] = 2 if relaxed else 1
+            after.rung[i] = 2 if relaxed[0] else 1
         else:
             after.rung[i] = 3
             K, p = self.form.layout.unpack(self.columns[i])["K"], work.P[0]

@@ -64,7 +64,7 @@ class Regulator:
 
 def regulator(plant: Plant, q: Weights, r: float, *, actuator: bool = False) -> Regulator:
     """LQR gain and cost at every scenario's speed."""
-    lag, part = _known(plant) if actuator else (0.0, 0.0)
+    lag, part = _lag_and_split(plant) if actuator else (0.0, 0.0)
     values = _scheduled(plant, _Riccati(plant.model, plant.dt, q, r, lag=lag, part=part), slice(None))
     k = int(math.sqrt(values.shape[1]))
     return Regulator(K=values[:, :k].copy(), P=values[:, k:].reshape(-1, k, k).copy())
@@ -76,7 +76,7 @@ def feedback(plant: Plant, q: Weights, r: float, q_i: float | None = None) -> Fl
     With a weight `q_i` > 0 [1/(m s)^2] on z^2 the last state is z, the running integral of e_y: z_(k+1) = z_k +
     dt e_y(k). Without a weight z would not be seen by the cost, and the equation would have no stabilising solution.
     """
-    lag, part = _known(plant)
+    lag, part = _lag_and_split(plant)
     solve = _Riccati(plant.model, plant.dt, q, r, q_i=q_i, lag=lag, part=part)
     return _scheduled(plant, solve, slice(4 + (lag > 0) + (part > 0) + (q_i is not None)))
 
@@ -124,8 +124,8 @@ def linear_law(plant: Plant, K: FloatArray, *, integral: bool = False) -> Linear
     )
 
 
-def _known(plant: Plant) -> tuple[float, float]:
-    """Lag, and the part of a sample in the delay."""
+def _lag_and_split(plant: Plant) -> tuple[float, float]:
+    """What a law knows of its actuator: the lag, and the part of a sample in the delay."""
     step = plant.augmented
     return plant.lag, plant.delay - step.whole * plant.dt if step.split else 0.0
 
@@ -172,20 +172,29 @@ class _Riccati:
 
 
 def stabilising(
-    A: FloatArray, B: FloatArray, Q: FloatArray, S: FloatArray, r: FloatArray
+    A: FloatArray, B: FloatArray, Q: FloatArray, S: FloatArray, r: FloatArray, own: slice
 ) -> tuple[FloatArray, FloatArray]:
-    """K (m, k) and P (m, k, k) of the cost x'Qx + 2 x'S u + r u^2 of m plants; raises `LdcError` if there are none."""
+    """K (m, k) and P (m, k, k) of the cost x'Qx + 2 x'S u + r u^2 of m plants; raises `LdcError` if there are none.
+
+    States of `own` that the cost does not see, not even through others, have no part in K and P, and may drift.
+    """
     with np.errstate(all="ignore"):  # what does not converge is named below
         shift = S / r[:, None]
         A, Q = A - B[:, :, None] * shift[:, None, :], Q - S[:, :, None] * shift[:, None, :]
         P, K = _newton(A, B, Q, r, _gain(A, B, _doubled(A, B, Q, r), r))
     good = (r > 0) & np.isfinite(P).all(axis=(1, 2)) & np.isfinite(K).all(axis=1)
-    closed = A - B[:, :, None] * K[:, None, :]
+    weights = np.where(good[:, None], np.diagonal(P, axis1=1, axis2=2), 0.0)
+    seen = np.ones_like(weights, dtype=np.bool_)
+    seen[:, own] = (weights > _UNSEEN * weights.max(axis=1, keepdims=True))[:, own]
+    both = seen[:, :, None] & seen[:, None, :]
+    K, P = np.where(seen, K, 0.0), np.where(both, P, 0.0)
+    closed = np.where(both, A - B[:, :, None] * K[:, None, :], 0.0)
     if not good.all() or (np.abs(np.linalg.eigvals(closed)).max(axis=1) >= 1.0).any():
         raise LdcError("", "no stabilising solution of the Riccati equation")
     return K + shift, P
 
 
+_UNSEEN = 1e-24  # a share of the largest weight of a state that is below its rounding
 _DOUBLINGS = 50  # a loop with a time constant of 10^14 samples is steady after so many
 
 

@@ -62,6 +62,7 @@ def row_index(rows: npt.ArrayLike | slice) -> IntArray | BoolArray | slice:
 
 
 def _rows_of(column: Any, index: IntArray | BoolArray | slice) -> Any:
+    """Some rows of a column of any kind; what has no rows stays."""
     if isinstance(column, tuple):
         return tuple(part.take(index) for part in column)
     if isinstance(column, Rows):

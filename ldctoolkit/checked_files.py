@@ -80,6 +80,7 @@ def check_parquet(data: bytes, *, needed: bool = True) -> None:
 
 
 def _sealed(data: bytes) -> bytes:
+    """The end of a file of these bytes: mark and checksum."""
     return _MARK + hashlib.sha256(data).hexdigest().encode()
 
 
@@ -122,6 +123,7 @@ def parse_json(text: str | bytes, **hooks: Any) -> Any:
 
 
 def _parsed(parse: Callable[[], Any]) -> Any:
+    """Parsed content, which must be neither nested too deeply nor hold whole numbers beyond 64 bits."""
     try:
         content = parse()
     except RecursionError:

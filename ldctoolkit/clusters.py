@@ -51,7 +51,7 @@ class Clusters(ReadOnly):
         """The drivers of n departures where there are at least 10, or else their trips, or else each by itself.
 
         A trip is a recording (stretches of one whose clock starts again, ``"a (2)"``, are of one trip); a driver is an
-        entry of the column ``driver``, which counts if it is known of all departures.
+        entry of the column ``driver``. Either counts if it is known of all departures.
         """
         driver = next((c.values for c in getattr(departures, "extra", ()) if c.name == "driver"), None)
         return cls.of_names(departures.n, getattr(departures, "recording", None), driver)
@@ -61,7 +61,7 @@ class Clusters(ReadOnly):
         cls, n: int, recording: npt.NDArray[np.str_] | None, driver: npt.NDArray[np.generic] | None = None
     ) -> Clusters:
         """The same of n departures whose recordings and drivers have these names (n,)."""
-        if recording is None or n == 0:
+        if recording is None or n == 0 or (recording == "").any():
             return cls("departures", np.arange(n))
         trip, trips = _numbered(np.array([re.sub(r" \(\d+\)$", "", name) for name in recording.tolist()]))
         largest = float(np.bincount(trip).max()) / n
@@ -81,28 +81,45 @@ class Clusters(ReadOnly):
         return int(np.max(self.index, initial=-1)) + 1
 
     @property
-    def trusted(self) -> bool:
-        """Whether there are enough clusters for an interval."""
-        return self.count >= FEWEST_CLUSTERS and not (self.kind == "departures" and self.trips == 1)
+    def numbers(self) -> IntArray:
+        """As `Scenarios.cluster`, (n,): those of drivers or trips; all 0 of a single trip, -1 of unknown ones."""
+        return self.index if self.kind != "departures" else np.full(self.index.size, min(self.trips, 1) - 1)
+
+    @property
+    def doubt(self) -> str:
+        """Why intervals of these departures cannot be trusted; empty where they can."""
+        return doubt_of(self.numbers)
 
     @property
     def text(self) -> str:
         """What the departures come from, and what is resampled; one phrase."""
-        n = self.index.size
-        if not self.trips:
-            return f"{n:,} departures whose trips are not known, taken as independent"
+        of = f" of {self.trips:,} trip{'s' * (self.trips > 1)}" if self.trips else ""
         by = f" of {self.drivers:,} driver{'s' * (self.drivers > 1)}" if self.drivers else ""
         share = f", {100.0 * self.largest_trip:.0f} % of them in one trip" if self.trips > 1 else ""
-        text = f"{n:,} departures of {self.trips:,} trip{'s' * (self.trips > 1)}{by}{share}"
-        if self.kind == "departures":
-            return f"{text}; what differs between trips cannot be seen, and intervals cannot be trusted"
-        few = "" if self.trusted else f"; with fewer than {FEWEST_CLUSTERS} {self.kind}, intervals cannot be trusted"
-        return f"{text}{few}"
+        return "; ".join(filter(None, (f"{self.index.size:,} departures{of}{by}{share}", self.doubt)))
 
     def take(self, rows: npt.ArrayLike) -> Clusters:
         """The clusters of chosen departures, numbered anew; what is known of all of them stays."""
         index, _ = _numbered(self.index[np.asarray(rows)])
         return dataclasses.replace(self, index=index)
+
+
+def doubt_of(cluster: IntArray | None) -> str:
+    """Why intervals of recorded departures with these `Clusters.numbers` cannot be trusted; may be empty."""
+    count = np.unique([] if cluster is None else cluster).size
+    if not 0 < count < FEWEST_CLUSTERS or cluster is None:
+        return ""
+    if cluster[0] < 0:
+        return "trips are not known: departures count as independent, and intervals cannot be trusted"
+    if count == 1:
+        return "what differs between trips cannot be seen in a single one, and intervals cannot be trusted"
+    return f"with {count} trips or drivers only, intervals cannot be trusted"
+
+
+def several(cluster: IntArray | None) -> IntArray | None:
+    """The clusters (n,) numbered from 0 on; None where there are not two: departures count as independent."""
+    index = None if cluster is None else np.unique(cluster, return_inverse=True)[1].ravel()
+    return index if index is not None and index.any() else None
 
 
 def _numbered(labels: npt.NDArray[np.generic]) -> tuple[IntArray, int]:
@@ -118,6 +135,7 @@ class StandardErrors:
 
     error: FloatArray  # (k,) Standard error
     df: FloatArray  # (k,) Degrees of freedom of Student's t
+    factor: FloatArray  # (k,) Of the plain sum over clusters, which resampling whole clusters shows; 1 without spread
 
 
 def cluster_sums(values: FloatArray, index: IntArray) -> FloatArray:
@@ -158,10 +176,11 @@ def cluster_error(influence: FloatArray, index: IntArray, weights: FloatArray | 
     w = np.full(n, 1.0 / n) if weights is None else weights / weights.sum()
     H, q = (cluster_sums(row[None], index)[0] for row in (w, w * w))  # share of each cluster, and of squares
     if H.size < 2 or H.max() >= 1.0:
-        return StandardErrors(np.full(k, np.inf), np.ones(k))
+        return StandardErrors(np.full(k, np.inf), np.ones(k), np.ones(k))
     c = 1.0 / np.sqrt(1.0 - H)
     sums = cluster_sums(influence * w, index)
-    error = np.sqrt(((sums * c) ** 2).sum(axis=1))
+    error, plain = (np.sqrt((part**2).sum(axis=1)) for part in (sums * c, sums))
+    factor = np.divide(error, plain, out=np.ones(k), where=plain > 0.0)
     rho = _intraclass_correlation(influence, index)[:, None]
     # covariance of the corrected sums of a working model with variance 1 and this correlation within a cluster:
     # M_gh = c_g c_h (delta_gh u_g - u_g H_h - H_g u_h + U H_g H_h); df = trace(M)^2 / sum M_gh^2
@@ -173,7 +192,7 @@ def cluster_error(influence: FloatArray, index: IntArray, weights: FloatArray | 
     squares = (diagonal**2).sum(axis=1) + 2.0 * (diagonal * off).sum(axis=1)
     squares += 2.0 * (xx * yy + xy**2) + U[:, 0] ** 2 * yy**2 - 4.0 * U[:, 0] * xy * yy
     trace = (diagonal + off).sum(axis=1)
-    return StandardErrors(error, np.maximum(trace**2 / squares, 1.0))
+    return StandardErrors(error, np.maximum(trace**2 / squares, 1.0), factor)
 
 
 def _intraclass_correlation(values: FloatArray, index: IntArray) -> FloatArray:

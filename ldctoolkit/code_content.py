@@ -48,6 +48,7 @@ def _top(module: str | None) -> str:
 
 
 def _hashed(kind: object) -> tuple[str, set[str]]:
+    """Digest of a class or function with all it uses, and the modules that it uses."""
     visitor = _Visitor(_top(getattr(kind, "__module__", None)))
     visitor.add(kind)
     return visitor.digest.hexdigest()[:16], visitor.modules

@@ -137,15 +137,15 @@ class SolverCalls:
     array([7])
     """
 
-    place: IntArray  # (k,) The scenario, by its place in the batch
+    position: IntArray  # (k,) Of the scenario in the batch
     status: IntArray  # (k,) How the call ended, in the law's own numbers
     iterations: IntArray  # (k,)
     primal_residual: FloatArray  # (k,) In the law's own units; NaN where the solver does not tell
     dual_residual: FloatArray  # (k,) In the law's own units; NaN where the solver does not tell
 
-    def of(self, places: IntArray) -> SolverCalls:
-        """The calls of the scenarios at `places` in the batch."""
-        rows = np.isin(self.place, places)
+    def of(self, positions: IntArray) -> SolverCalls:
+        """The calls of the scenarios at `positions` in the batch."""
+        rows = np.isin(self.position, positions)
         return SolverCalls(**{field.name: getattr(self, field.name)[rows] for field in dataclasses.fields(self)})
 
 
@@ -153,7 +153,7 @@ class SolverCalls:
 class SolverLog:
     """The solver calls of a run, by scenario and then by sample; no rows for a law without a solver."""
 
-    row: IntArray  # (k,) The scenario: in a run its place among the triggered ones, in an outcome its row number
+    row: IntArray  # (k,) The scenario: in a run its position among the triggered ones, in an outcome its row number
     sample: IntArray  # (k,) 0 is the trigger
     # (k,) As in `SolverCalls`
     status: IntArray
@@ -235,7 +235,7 @@ class SteeringLaw(abc.ABC):
         Parameters
         ----------
         rows : (k,) int
-            Scenarios that go on, ascending, by their place in the present batch.
+            Scenarios that go on, ascending, by their position in the present batch.
         state : object
             What `step` returned last.
 
@@ -352,6 +352,9 @@ def check_class(controller: type[Controller]) -> None:
             raise InputError(path, "a field of the dataclass", hint=f"write {attribute}: ClassVar[str] = ...")
         if not isinstance(value, str) or not value:
             raise InputError(path, value=value, allowed="a non-empty string, ClassVar[str]")
+    for field in dataclasses.fields(controller):
+        if any(inspect.isroutine(vars(base).get(field.name)) for base in controller.__mro__[1:]):
+            raise InputError(f"{called}.{field.name}", "is a method", hint="give the gain another name")
     if inspect.isabstract(controller):
         raise InputError(called, f"no {', '.join(sorted(controller.__abstractmethods__))}", hint="define it")
     check_declarations(controller)

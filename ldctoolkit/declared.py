@@ -310,6 +310,7 @@ def option(default: str, *, choices: tuple[str, ...] | None, description: str) -
 
 
 def _gain(declaration: Gain) -> Any:
+    """The dataclass field of a declaration."""
     default = declaration.default
     if type(default).__hash__ is None:  # a list or an array, for which dataclasses would suggest a factory
         raise InputError("default", value=default, allowed="one number, truth value or word")

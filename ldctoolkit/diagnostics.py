@@ -28,7 +28,6 @@ KNOTS: Final = 8
 _KNOT_POINTS: Final = 1021  # lattice points of a knot: its share to about 1e-5, well below any limit
 _TAIL: Final = 0.003  # share of events and draws that a histogram may leave out at each end
 _LEVEL: Final = 0.95  # of the Kolmogorov limit
-_GRID: Final = 201
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,8 +38,6 @@ class Marginal:
     edges: FloatArray  # (m + 1,) [SI units of the parameter] Edges of the bins; they may leave out the outermost tails
     data: FloatArray  # (m,) Share of the events in each bin
     model: FloatArray  # (m,) Share of the model in each bin
-    data_beyond: float  # Share of the events outside all bins
-    model_beyond: float  # Share of the model outside all bins
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,8 +45,6 @@ class Calibration:
     """Probability integral transform of one parameter: u = F(x), uniform where the model is right."""
 
     name: str  # The parameter
-    u: FloatArray  # (m,) Grid from 0 to 1
-    difference: FloatArray  # (m,) Share of events with F(x) <= u, minus u
     distance: float  # Kolmogorov distance, the greatest absolute difference over all events
     limit: float  # For as many events drawn from this very model, no parameter exceeds it in 95 % of cases
     position: float  # [SI units of the parameter] Where the distance is reached
@@ -235,6 +230,7 @@ def diagnose_model(
 
 
 def _varying_constants(half: SideModel, rows: Departures) -> Iterator[str]:
+    """Warnings of parameters that the model holds constant and the departures do not."""
     for name, value in half.constants:
         column = getattr(rows, name)
         if not np.allclose(column, value, rtol=1e-9, atol=1e-12):
@@ -243,6 +239,7 @@ def _varying_constants(half: SideModel, rows: Departures) -> Iterator[str]:
 
 
 def _names(model: SideModel | BoundedGaussianMixture, names: Sequence[str] | None, dimension: int) -> tuple[str, ...]:
+    """Names of the columns: those given, the model's, or x0, x1, ..."""
     labels = names if names is not None else model.names
     if labels is None:
         return tuple(f"x{j}" for j in range(dimension))
@@ -341,9 +338,7 @@ def bin_edges(distribution: Distribution, x: FloatArray, drawn: FloatArray, j: i
 
 def _marginal(name: str, column: FloatArray, share: FloatArray, model: ModelMarginal, edges: FloatArray) -> Marginal:
     data, _ = np.histogramdd(column[:, None], [edges], weights=share)
-    beyond = float(share[(column < edges[0]) | (column > edges[-1])].sum())
-    expected = np.diff(model.cdf(edges))
-    return Marginal(name, edges, data, expected, beyond, float(max(0.0, 1.0 - expected.sum())))
+    return Marginal(name, edges, data, np.diff(model.cdf(edges)))
 
 
 def _joint_density(
@@ -387,16 +382,7 @@ def calibrate(name: str, column: FloatArray, weight: FloatArray, model: ModelMar
     gaps = above - u, u - below  # among equal values the greatest are those of the whole step
     best = [int(np.argmax(gap)) for gap in gaps]
     which = 0 if gaps[0][best[0]] >= gaps[1][best[1]] else 1
-    grid = np.linspace(0.0, 1.0, _GRID)
-    reached = np.concatenate([[0.0], above])[np.searchsorted(u, grid, side="right")]
-    return Calibration(
-        name=name,
-        u=grid,
-        difference=reached - grid,
-        distance=float(max(gaps[which][best[which]], 0.0)),
-        limit=limit,
-        position=float(ordered[best[which]]),
-    )
+    return Calibration(name, float(max(gaps[which][best[which]], 0.0)), limit, float(ordered[best[which]]))
 
 
 def _warnings(

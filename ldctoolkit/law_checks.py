@@ -135,15 +135,15 @@ def check_calls(calls: object, n: int, name: str) -> None:
     where = f"controller {name!r}: solver_calls"
     if not isinstance(calls, SolverCalls):
         raise InputError(where, f"returned {_described(calls)}", allowed="SolverCalls or None")
-    _check_array(calls.place, f"{where}: place", ("k",))
+    _check_array(calls.position, f"{where}: position", ("k",))
     for field in ("status", "iterations", "primal_residual", "dual_residual"):
-        _check_array(getattr(calls, field), f"{where}: {field}", (calls.place.size,))
+        _check_array(getattr(calls, field), f"{where}: {field}", (calls.position.size,))
     allowed = f"whole numbers 0 to {n - 1}"
-    if calls.place.dtype.kind not in "iu":
-        raise InputError(f"{where}: place", _described(calls.place), allowed=allowed)
-    outside = (calls.place < 0) | (calls.place >= n)
+    if calls.position.dtype.kind not in "iu":
+        raise InputError(f"{where}: position", _described(calls.position), allowed=allowed)
+    outside = (calls.position < 0) | (calls.position >= n)
     if outside.any():
-        raise InputError(f"{where}: place", value=calls.place[outside][0], allowed=allowed)
+        raise InputError(f"{where}: position", value=calls.position[outside][0], allowed=allowed)
 
 
 def _check_array(value: Any, where: str, shape: tuple[int | str, ...]) -> None:

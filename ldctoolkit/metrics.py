@@ -4,8 +4,8 @@ A metric of a scenario is a field of `MetricValues`, a row with its unit, title,
 is a row of `METRICS`: most are aggregates of a metric of its scenarios, and take their unit and title from it. Columns
 of the store and of ``ranking.csv``, names in requirements, axes and texts on pages follow from these rows.
 
-S and the metrics of a scenario are computed in `simulation.kernel` (`exact_loop`, `rk4_loop`, `scoring`), aggregates
-and shares here. Arrays of n scenarios, or of (d, n) for d designs: everything is taken along the last axis.
+S and the metrics of a scenario are computed in `simulation.kernel` (`exact_loop`, `rk4_loop`, `block_table`),
+aggregates and shares here. Arrays of n scenarios, or of (d, n) for d designs: everything is taken along the last axis.
 """
 
 import dataclasses
@@ -63,6 +63,7 @@ def _column(name: str, unit: str) -> str:
 
 
 def _row(*entries: Any, **options: Any) -> dict[str, ScenarioMetric]:
+    """Metadata of a field of `MetricValues`: how its metric is called and shown."""
     return {"row": ScenarioMetric(*entries, **options)}
 
 
@@ -224,6 +225,7 @@ def _share(
 
 
 def _score(name: str, title: str, *alias: str) -> Metric:
+    """Row of a score in m s."""
     return Metric(name, "m s", "less", f"{name}_m_s", title, "score", 3, alias)
 
 
@@ -232,14 +234,15 @@ def _reduction(name: str, title: str) -> Metric:
 
 
 def _count(name: str, title: str) -> Metric:
+    """Row of a number of failures."""
     return Metric(name, "count", "less", name, title, "failures", 0)
 
 
-def _table(*rows: Metric) -> dict[str, Metric]:
+def _metrics_by_name(*rows: Metric) -> dict[str, Metric]:
     return {row.name: row for row in rows}
 
 
-_RANKED: Final = _table(
+_RANKED: Final = _metrics_by_name(
     _score("S", "Mean S", "mean_S"),
     _score("S_left", "Mean S, left"),
     _score("S_right", "Mean S, right"),
@@ -259,7 +262,7 @@ _RANKED: Final = _table(
     _count("failed_solves", "Failed solves [commands]"),
 )  # fmt: skip
 
-RELEASE_METRICS: Final[Mapping[str, Metric]] = _table(
+RELEASE_METRICS: Final[Mapping[str, Metric]] = _metrics_by_name(
     *_of("deepest", "mean", "p95"),
     *_of("dtle", "mean", "p5"),
     *_of("dtle", "min", title="DTLE at its worst"),

@@ -2,14 +2,15 @@
 
 import functools
 import hashlib
-import importlib.metadata
 from collections.abc import Iterable, Mapping
+from importlib.metadata import EntryPoint
 from typing import Any
 
 from ldctoolkit.code_content import content_of
 from ldctoolkit.control import Controller, check_class
 from ldctoolkit.declared import undeclared_fields
 from ldctoolkit.errors import InputError, LdcError, UnknownNameError
+from ldctoolkit.version import entry_points
 
 GROUP = "ldctoolkit.controllers"
 
@@ -44,7 +45,7 @@ def register(controller: type[Controller]) -> type[Controller]:
     if not (isinstance(controller, type) and issubclass(controller, Controller)):
         raise InputError("controller", value=controller, allowed="a subclass of Controller")
     _check(controller)
-    name, present, point = controller.name, _registered.get(controller.name), _installed().get(controller.name)
+    name, present, point = controller.name, _registered.get(controller.name), entry_points(GROUP).get(controller.name)
     if present is not None:
         same = (present.__module__, present.__qualname__) == (controller.__module__, controller.__qualname__)
     else:
@@ -77,11 +78,6 @@ def _check(controller: type[Controller]) -> None:
         raise InputError(f"{controller.__name__}.{field}", "a plain field", allowed="one made with gain() or option()")
 
 
-@functools.cache
-def _installed() -> dict[str, importlib.metadata.EntryPoint]:
-    return {point.name: point for point in importlib.metadata.entry_points(group=GROUP)}
-
-
 def controller_names() -> tuple[str, ...]:
     """Names of all known controllers, sorted.
 
@@ -91,7 +87,7 @@ def controller_names() -> tuple[str, ...]:
     >>> "lqr" in ldc.controller_names()
     True
     """
-    return tuple(sorted({*_registered, *_installed()}))
+    return tuple(sorted({*_registered, *entry_points(GROUP)}))
 
 
 def laws_inside(kind: type[Controller], gains: Mapping[str, Any]) -> Iterable[type[Controller]]:
@@ -159,14 +155,14 @@ def controller_class(name: str) -> type[Controller]:
     """
     if name in _registered:
         return _registered[name]
-    point = _installed().get(name)
+    point = entry_points(GROUP).get(name)
     if point is None:
         raise UnknownNameError("law", "is no controller", value=name, allowed=controller_names())
     return _load(name, point)
 
 
 @functools.cache
-def _load(name: str, point: importlib.metadata.EntryPoint) -> type[Controller]:
+def _load(name: str, point: EntryPoint) -> type[Controller]:
     where = f"controller {name!r} ({point.value})"
     try:
         loaded = point.load()

@@ -73,7 +73,8 @@ class Scenarios(DepartureParameters):
     index: IntArray
     signals: DepartureSignals | None = None  # Recorded paths, driven in place of the parabolas
     drift: Drifts | None = None  # Paths that do not return, driven in place of the parabolas
-    # (n,) Number of the trip or driver of each recorded departure; those of one are alike, and are resampled together
+    # (n,) Number of the trip or driver of each recorded departure; those of one are alike, and are resampled together.
+    # -1 where trips are not known
     cluster: IntArray | None = None
 
     @classmethod
@@ -157,9 +158,7 @@ class Scenarios(DepartureParameters):
         """
         columns = {name: getattr(departures, name) for name in PARAMETER_NAMES}
         scenarios = cls.from_arrays(side=departures.side, **columns)
-        clusters = Clusters.of(departures)
-        if clusters.kind != "departures":
-            scenarios = dataclasses.replace(scenarios, cluster=clusters.index)
+        scenarios = dataclasses.replace(scenarios, cluster=Clusters.of(departures).numbers)
         if path == "parabola":
             return scenarios
         if path != "recorded":

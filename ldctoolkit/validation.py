@@ -77,6 +77,7 @@ def _path(location: list[Any]) -> str:
 
 
 def _look_up(content: Any, location: list[Any]) -> Any:
+    """What stands at a location of the content; as far as it leads."""
     for part in location:
         if not isinstance(content, dict | list | tuple):
             break  # a scalar stands where a list is allowed too

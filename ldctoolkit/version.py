@@ -1,4 +1,4 @@
-"""The installed version, read from the package's metadata so that it stands in one place, and those of packages."""
+"""What is installed: the version, read from the package's metadata so that it stands in one place, and packages."""
 
 import functools
 import importlib.metadata
@@ -23,3 +23,9 @@ def _version(name: str) -> str:
         return importlib.metadata.version(name)
     except importlib.metadata.PackageNotFoundError:
         return "not installed"
+
+
+@functools.cache
+def entry_points(group: str) -> dict[str, importlib.metadata.EntryPoint]:
+    """Entry points of a group, by name, in all installed packages."""
+    return {point.name: point for point in importlib.metadata.entry_points(group=group)}

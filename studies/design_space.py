@@ -84,8 +84,8 @@ class Span:
         if self.whole:
             # half a number beyond each end: the ends get as much room as the others
             low, high = (a - 0.5, b + 0.5) if a < b else (a + 0.5, b - 0.5)
-            return int(min(max(round(_between(low, high, share, self.scale)), self.low), self.high))
-        return min(max(rounded(_between(a, b, share, self.scale)), self.low), self.high)
+            return int(min(max(round(_interpolated(low, high, share, self.scale)), self.low), self.high))
+        return min(max(rounded(_interpolated(a, b, share, self.scale)), self.low), self.high)
 
     def share(self, value: float) -> float:
         """Share of the way from the first end to the last at which a value lies; the inverse of `at`."""
@@ -123,7 +123,8 @@ def next_value(values: Sequence[float], gain: Gain, *, upper: bool) -> GainValue
     return None if value == last else value
 
 
-def _between(a: float, b: float, share: float, scale: Scale) -> float:
+def _interpolated(a: float, b: float, share: float, scale: Scale) -> float:
+    """The point at a share of the way from a to b, on a linear or logarithmic scale."""
     if scale == "linear":
         return a * (1 - share) + b * share
     logarithm = math.log(abs(a)) * (1 - share) + math.log(abs(b)) * share
@@ -489,6 +490,7 @@ def _read_gain(kinds: Kinds, name: str, entry: Any) -> tuple[Any, ...] | Span:
 
 
 def _declaring(kinds: Kinds, name: str, table: str) -> Kinds:
+    """The laws that have a gain of this name; raises `InputError` where none has."""
     declaring = [kind for kind in kinds if name in declared_gains(kind)]
     if not declaring:
         every = {name for kind in kinds for name in declared_gains(kind)}

@@ -2,7 +2,6 @@
 
 import dataclasses
 import hashlib
-import importlib.metadata
 import itertools
 import json
 import os
@@ -22,9 +21,9 @@ from ldctoolkit.departures import Departures, DepartureSignals, ExtraColumn
 from ldctoolkit.errors import LdcError, RecordingError
 from ldctoolkit.recordings.departures_table import Extraction, PartResult, write_departures
 from ldctoolkit.recordings.extract import extract_part, merge_results
+from ldctoolkit.recordings.extraction_statistics import Account, Drawn, DrawnEvent, Origin, QualityStatistics
 from ldctoolkit.recordings.find_departures import Criteria
 from ldctoolkit.recordings.preparation import Preparation
-from ldctoolkit.recordings.quality import Account, Drawn, DrawnEvent, Origin, QualityStatistics
 from ldctoolkit.recordings.recording import (
     GROUP,
     CombinedReader,
@@ -36,7 +35,7 @@ from ldctoolkit.recordings.recording import (
     RecordingSource,
     part_name,
 )
-from ldctoolkit.version import versions
+from ldctoolkit.version import entry_points, versions
 
 from .running.dispatch import Lost, Work, closing, run_works
 from .running.executors import make_executor
@@ -87,7 +86,7 @@ def plan_of(
     keys = json.dumps([part.key for part in source.parts])
     # the package that a reader comes with, and its version; of each, where several work together
     names = reader.name.split(" + ")
-    points = [point for point in importlib.metadata.entry_points(group=GROUP) if point.name in names]
+    points = [point for name, point in entry_points(GROUP).items() if name in names]
     return {
         "reader": reader.name,
         "program": _program(home),

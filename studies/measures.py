@@ -58,12 +58,13 @@ def measured(
         on = functools.partial(_on_vehicle, vehicle=vehicle, scenarios=departures, setup=setup, window=results.window)
         groups.append((vehicle_measures(vehicle, results.scenarios), on))
     groups += [((name,), functools.partial(_scores, standard=name, setup=setup)) for name in standards]
+    unsafe = frozenset(results.unsafe)
     for names, measure in groups:
         missing = table.without(names[-1], results.designs)
-        if driven := [design for design in missing if design not in results.unsafe]:
+        if driven := [design for design in missing if design not in unsafe]:
             table.add(dict(zip(names, measure(driven), strict=True)), driven)
-        if unsafe := [design for design in missing if design in results.unsafe]:
-            table.add(dict.fromkeys(names, np.full(len(unsafe), np.nan)), unsafe)
+        if left_out := [design for design in missing if design in unsafe]:
+            table.add(dict.fromkeys(names, np.full(len(left_out), np.nan)), left_out)
     return dataclasses.replace(results, measures=table.of(results.designs))
 
 

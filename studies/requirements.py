@@ -135,6 +135,13 @@ class Miss:
         times = f" ({self.value / limit:.1f} times)" if limit > 0 and self.value > 1.05 * limit else ""
         return f"{of.title} {_shown(of, self.value)}, limit {_shown(of, limit)}{times}"
 
+    @property
+    def broken(self) -> str:
+        """The requirement in the unit that readers see, and the value: ``"needless <= 50 % (52.1 %)"``."""
+        of = self.requirement.metric
+        value = "not known" if math.isnan(self.value) else _shown(of, self.value)
+        return f"{of.name} {self.requirement.operator} {_limit(self.requirement)} ({value})"
+
 
 @dataclasses.dataclass(frozen=True)
 class Estimate(Miss):
@@ -167,8 +174,7 @@ class Estimate(Miss):
     def of_limit(self) -> str:
         """The value beside its limit: ``"Needless interventions 48.2 of 50 %"``."""
         of, least = self.requirement.metric, "at least " if self.requirement.operator in (">=", ">") else ""
-        limit = f"{of.scale * self.requirement.limit:g} {of.shown_unit}".rstrip().replace("-", "\u2212")
-        return f"{of.title} {_shown(of, self.value).partition(' ')[0]} of {least}{limit}"
+        return f"{of.title} {_shown(of, self.value).partition(' ')[0]} of {least}{_limit(self.requirement)}"
 
     def with_interval(self, level: str) -> str:
         """The text with the interval, where there is one."""
@@ -183,6 +189,11 @@ class Estimate(Miss):
         if math.isinf(self.low):
             return "not known" if math.isinf(self.high) else f"at most {high}"
         return f"at least {low}" if math.isinf(self.high) else f"{low.partition(' ')[0]} to {high}"
+
+
+def _limit(of: Requirement) -> str:
+    """A limit in the unit that readers see, with the digits that it has."""
+    return f"{of.metric.scale * of.limit:g} {of.metric.shown_unit}".rstrip().replace("-", "\u2212")
 
 
 def _shown(of: Metric, value: float) -> str:

@@ -131,7 +131,9 @@ class RefitScores:
     failed: int  # Refits that could not be made, or driven
     factor: float  # Of standard deviations over refits, for few and unequal clusters
     df: float  # Degrees of freedom
+    key: tuple[str, ...]  # What they follow from, see `refits_key`
     text: str  # What the recorded departures come from; without refits why there are none
+    doubt: str  # Why their interval cannot be trusted; may be empty
 
     def half_width(self, values: FloatArray, confidence: float) -> float:
         """Half the width of the interval of what has the values (r, 2); NaN with few refits.

@@ -21,17 +21,10 @@ from ldctoolkit.arrays import FloatArray
 from ldctoolkit.clusters import with_tails_of_t
 from ldctoolkit.control import EventStatus
 from ldctoolkit.declared import checked_whole
-from ldctoolkit.departures import (
-    LEFT,
-    PARAMETER_COLUMNS,
-    PARAMETER_NAMES,
-    PARAMETER_UNITS,
-    RIGHT,
-    SIDES,
-    DepartureParameters,
-)
+from ldctoolkit.departures import LEFT, PARAMETER_COLUMNS, PARAMETER_NAMES, PARAMETER_UNITS, SIDES, DepartureParameters
 from ldctoolkit.errors import InputError, LdcError, StoreError
 from ldctoolkit.scenario_model import ScenarioModel, conditions
+from ldctoolkit.scenario_model.model import meeting
 from ldctoolkit.scenario_model.refit import FEWEST, NOT_KEPT, REFITS, uncertainty
 from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
@@ -201,10 +194,7 @@ class Risk:
         origin = self.job.model.provenance
         if (known := origin.recorded) is None:
             return 0 if origin.synthetic else sum(fit.events for name, fit in origin.sides if side in (None, name))
-        meets = known.departures.d_y > deeper
-        for condition in conditions(self.job.given):
-            x = getattr(known.departures, condition.name)
-            meets &= (x >= condition.low) & (x <= condition.high)
+        meets = meeting(known.departures, conditions(self.job.given)) & (known.departures.d_y > deeper)
         return int((meets & (True if side is None else known.departures.side == SIDES[side])).sum())
 
     def light(self, design: Design) -> Light:
@@ -322,16 +312,16 @@ def resolution(n: int) -> str:
 
 def _recorded(model: ScenarioModel) -> tuple[int, ...] | None:
     """Recorded departures of the left and right side that a model knows of, or those that they stand for."""
-    sides = [side for side in (model.provenance.left, model.provenance.right) if side is not None]
-    counts = tuple(round(side.weight or side.events) for side in sides)
+    counts = tuple(round(side.weight or side.events) for _, side in model.provenance.sides)
     return counts if len(counts) == 2 and any(counts) else None
 
 
 def _at_the_ends(model: ScenarioModel, worst: Scenarios) -> Iterator[str]:
     """Where many of the worst departures lie at the model's bounds, or beyond what was recorded."""
     near, beyond = dict.fromkeys(PARAMETER_NAMES, 0), dict.fromkeys(PARAMETER_NAMES, 0)
-    for key, origin in ((LEFT, model.provenance.left), (RIGHT, model.provenance.right)):
-        side, departures = model.side(key), worst.take(np.flatnonzero(worst.side == key))
+    summaries = dict(model.provenance.sides)
+    for label, key in SIDES.items():
+        side, departures, origin = model.side(key), worst.take(worst.side == key), summaries.get(label)
         for name, low, high in zip(side.names, *side.bounds(), strict=True):
             values, margin = getattr(departures, name), 0.01 * (high - low)
             if np.isfinite(margin):

@@ -9,16 +9,14 @@ import math
 import statistics
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, get_type_hints
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
-from ldctoolkit.clusters import cluster_error, with_tails_of_t
+from ldctoolkit.clusters import cluster_error, several, with_tails_of_t
 from ldctoolkit.control import EventStatus
 from ldctoolkit.departures import LEFT
-from ldctoolkit.errors import StoreError
 from ldctoolkit.plant_options import Actuator, KalmanFilter, Mismatch, PlantOptions, Residuals, Sensors, Tyres
 from ldctoolkit.review import SPEEDS, design_margins
 from ldctoolkit.scenarios import Scenarios
@@ -33,7 +31,7 @@ from .ranking.design_metrics import beyond_friction
 from .ranking.inference import SAME, degrees_of_freedom, error_parts, half_widths, lengths, row_means, spread_is_known
 from .ranking.verdict import OtherPlants
 from .standards import VEHICLES
-from .storage.folder_files import read_json, write_json
+from .storage.folder_files import read_fields, write_fields
 
 if TYPE_CHECKING:
     from .ranking.ranking import Ranking
@@ -97,6 +95,7 @@ _ERRORS: Final = [f.name for f in dataclasses.fields(Sensors) if f.name not in (
 
 
 def _harder(options: PlantOptions) -> Iterator[_Row]:
+    """Rows of plants that are harder than the study's."""
     actuator, real = options.actuator, REAL.actuator
 
     def with_changes(**changes: float | None) -> dict[str, Any]:
@@ -168,6 +167,7 @@ def _worse_camera(sensors: Sensors) -> Iterator[_Row]:
 
 
 def _easier(options: PlantOptions) -> Iterator[_Row]:
+    """Rows of plants that lack one of the study's difficulties each."""
     sensors = options.sensors
     exact = dataclasses.replace(sensors, **{name: getattr(Sensors(), name) for name in _ERRORS})
     prompt, no_filter = dataclasses.replace(sensors, delay=0.0, period=0.0), dataclasses.replace(sensors, kalman=None)
@@ -236,8 +236,8 @@ def lower_ends(
     z = statistics.NormalDist().inv_cdf(0.5 * (1.0 + confidence))
     df: FloatArray | int = degrees_of_freedom(side)
     error = lengths(error_parts(change, side))
-    if cluster is not None:
-        clustered = cluster_error(change - row_means(change)[:, None], np.unique(cluster, return_inverse=True)[1])
+    if (cluster := several(cluster)) is not None:
+        clustered = cluster_error(change - row_means(change)[:, None], cluster)
         df, error = clustered.df, clustered.error
     half = half_widths(with_tails_of_t(z, df), error)
     fewest = 1.0 + math.log2(1.0 / (1.0 - confidence))
@@ -397,8 +397,6 @@ def _behind(S: FloatArray, mean: FloatArray, contends: BoolArray, scenarios: Sce
 
 NAME: Final = "robustness.json"
 
-_KINDS: Final[dict[Any, Any]] = {FloatArray: np.float64, IntArray: np.int64, BoolArray: np.bool_}
-
 
 def robustness_of(folder: Path, task: RobustnessTask) -> Robustness:
     """The numbers of a task: read from the study's folder if they are stored there, else computed and stored."""
@@ -406,38 +404,11 @@ def robustness_of(folder: Path, task: RobustnessTask) -> Robustness:
     if stored is not None:
         return stored
     robustness = work_out(task)
-    content = {
-        name: _plain(value) if isinstance(value, np.ndarray) else value for name, value in vars(robustness).items()
-    }
-    write_json(folder / NAME, content, indent=None)
+    write_fields(folder / NAME, robustness)
     return robustness
 
 
 def stored_of(folder: Path, task: RobustnessTask) -> Robustness | None:
     """The numbers of a task in a study's folder; None if there are none, or if they belong to another task."""
-    stored = read(folder / NAME)
+    stored = read_fields(folder / NAME, Robustness)
     return stored if stored is not None and stored.key == task.key else None
-
-
-def read(path: Path) -> Robustness | None:
-    """Read the file of a study's folder; None if it is missing, damaged or of another format."""
-    kinds = {name: _KINDS.get(hint) for name, hint in get_type_hints(Robustness).items()}
-    try:
-        values: dict[str, Any] = {
-            name: _tuples(value) if kinds[name] is None else np.array(value, dtype=kinds[name])
-            for name, value in read_json(path).items()
-        }
-        return Robustness(**values)
-    except (StoreError, ValueError, TypeError, KeyError, AttributeError):
-        return None  # the file is a cache: what cannot be read is computed again
-
-
-def _plain(values: npt.NDArray[Any]) -> Any:
-    """Nested lists of numbers; NaN and infinity, which JSON lacks, as text."""
-    plain = values.astype(object)
-    plain[~np.isfinite(values)] = values[~np.isfinite(values)].astype(str)
-    return plain.tolist()
-
-
-def _tuples(value: Any) -> Any:
-    return tuple(_tuples(item) for item in value) if isinstance(value, list) else value

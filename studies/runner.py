@@ -4,9 +4,9 @@ import contextlib
 import dataclasses
 import logging
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 
@@ -31,7 +31,7 @@ from .running.executors import make_executor
 from .running.refits import scores_of_refits
 from .search import run_search
 from .storage.checked_parts import locked, remove_unfinished
-from .storage.manifest import Manifest, write_designs
+from .storage.manifest import Manifest, read_manifest, write_designs
 from .storage.run_table import AllFailedError, check_room
 from .storage.scenario_source import (
     ReplayedDepartures,
@@ -197,15 +197,16 @@ class _Run:
         check_room(study, sum(study.scenarios.counts))  # before anything is made
         make_folder(folder)
         with locked(folder):
-            added: tuple[str, ...] = ()
-            first, results = study, self.stages(study, folder)
+            extension = _extension_in(folder, study)
+            first = study.with_content(study.content() | {"design": extension["extended_from"]})
+            results = self.stages(study, folder, extension)
             while study.ranking.extend:
                 study, more = extended(study, rank_study(results, study), first)
                 if not more:
                     break
                 self.progress.phase(f"beyond the ends of sweeps: {'; '.join(more)}")
-                added = (*added, *more)
-                results = self.stages(study, folder, added)
+                extension["extended"] += more
+                results = self.stages(study, folder, extension)
             if not refits:
                 (folder / REFITS_FILE).unlink(missing_ok=True)
             if not refits or not isinstance(self.source, ScenarioModel) or not results.drivable.any():
@@ -214,8 +215,8 @@ class _Run:
             if self.source.provenance.recorded is not None:
                 self.progress.phase("choosing the winner")
                 ranking = rank_study(results, study)
-                places = dict.fromkeys(i for i in (ranking.winner, ranking.baseline) if i is not None)
-                designs = [ranking.designs[i] for i in places]
+                positions = dict.fromkeys(i for i in (ranking.winner, ranking.baseline) if i is not None)
+                designs = [ranking.designs[i] for i in positions]
                 if ranking.winner is None or any(design in results.unsafe for design in designs):
                     return results
             scores = scores_of_refits(
@@ -224,9 +225,9 @@ class _Run:
             )  # fmt: skip
             return dataclasses.replace(results, refits=scores)
 
-    def stages(self, study: Study, folder: Path, added: tuple[str, ...] = ()) -> StudyResults:
+    def stages(self, study: Study, folder: Path, extension: Mapping[str, Any]) -> StudyResults:
         """The study itself, and its finalists on fresh scenarios."""
-        results = self.study(study, folder, extended=added)
+        results = self.study(study, folder, extension=extension)
         if not study.ranking.finalists or len(results.designs) < 2 or isinstance(self.source, ReplayedDepartures):
             return results
         self.progress.phase("choosing the finalists")
@@ -255,8 +256,9 @@ class _Run:
             return None
 
     def study(
-        self, study: Study, folder: Path, stage: str = "designs", part_of: str = "", extended: tuple[str, ...] = ()
-    ) -> StudyResults:
+        self, study: Study, folder: Path, *, stage: str = "designs", part_of: str = "",
+        extension: Mapping[str, Any] | None = None,
+    ) -> StudyResults:  # fmt: skip
         """One study into one folder."""
         started = time.monotonic()
         source = self.source
@@ -269,7 +271,7 @@ class _Run:
             model_warnings=tuple(model_warnings(source, study.vehicle, study.scenarios.given)),
             model_synthetic=isinstance(source, ScenarioModel) and source.provenance.synthetic,
             part_of=part_of,
-            extended=extended,
+            **(extension or {}),
         )
         store = Store.create(folder, manifest, scenarios, study)
         # finalists are drawn from the same model; another file may have other recordings behind it
@@ -342,6 +344,16 @@ def _finalist_study(study: Study, designs: Sequence[Design]) -> Study:
     }
     content["ranking"] |= {"finalists": 0, "require": [], "baseline": "", "extend": 0}
     return study.with_content(content)
+
+
+def _extension_in(folder: Path, study: Study) -> dict[str, Any]:
+    """What was added to a study beyond ends of sweeps, and to which tables, as the manifest of its folder has it."""
+    tables = study.content()["design"]
+    with contextlib.suppress(StoreError):  # none yet
+        stored = read_manifest(folder)
+        if stored.extended_from and stored.study["design"] == tables:
+            return {"extended": stored.extended, "extended_from": stored.extended_from}
+    return {"extended": (), "extended_from": tables}
 
 
 def extended(study: Study, ranking: Ranking, first: Study) -> tuple[Study, tuple[str, ...]]:

@@ -37,6 +37,7 @@ VehicleName = Literal["light", "heavy", "soft", "stiff"]
 
 
 def _names(entry: Any) -> Any:
+    """One name or several, each once, as a tuple; what is neither stays for the check to refuse."""
     values = (entry,) if isinstance(entry, str) else entry
     if isinstance(values, list | tuple) and len(set(map(str, values))) != len(values):
         raise InputError(value=entry, allowed="each once")

@@ -87,16 +87,16 @@ class Table:
 
     def texts(self, row: Row, between: str = "..") -> list[str]:
         """What the cells of a row show; `between` stands between the ends of an interval."""
-        return [cell.text or _shown(cell.value, column.form, between) for column, cell in self.cells(row)]
+        return [cell.text or _cell_text(cell.value, column.form, between) for column, cell in self.cells(row)]
 
 
-def _shown(value: Value, form: str | Callable[[float], str], between: str) -> str:
+def _cell_text(value: Value, form: str | Callable[[float], str], between: str) -> str:
     if value is None:
         return ""
     if isinstance(value, str):
         return value
     if isinstance(value, tuple):
-        ends = [_shown(end, form, between) for end in value]
+        ends = [_cell_text(end, form, between) for end in value]
         return between.join(ends) if math.isfinite(sum(value)) else DASH
     if callable(form):
         return form(value)
@@ -192,11 +192,12 @@ def to_csv(table: Table) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow([column.title for column in table.columns])
-    writer.writerows([_field(cell.value) for _, cell in table.cells(row)] for row in table.rows)
+    writer.writerows([_csv_field(cell.value) for _, cell in table.cells(row)] for row in table.rows)
     return text.getvalue()
 
 
-def _field(value: Value) -> Value:
+def _csv_field(value: Value) -> Value:
+    """A field of a CSV file: on one line, and no formula to a spreadsheet."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):

@@ -224,6 +224,22 @@ def test_imports_point_down_and_in_no_circles() -> None:
     assert circles(file_graph(ROOT)) == circles(room_graph(ROOT)) == set()
 
 
+def test_contributors_are_told_the_order() -> None:
+    """The rooms as `LEVELS` has them, and in the table of files none that imports one to its right."""
+    text = (ROOT / "docs/contributing.md").read_text(encoding="utf-8")
+    rooms = [level for block in re.findall(r"^```\n([^`]*<[^`]*)```", text, flags=re.M) for level in block.split("<")]
+    named = [{name.partition(".")[2] for name in names} - {"", "__main__"} for names in LEVELS]
+    assert [set(re.findall(r"[\w.]+", level)) for level in rooms] == [names for names in named if names]
+    graph = file_graph(ROOT)
+    folders = re.findall(r"^\| `([\w/]+)` \| (.* < .*) \|$", text, flags=re.M)
+    assert len(folders) == 7
+    for folder, row in folders:
+        files = [[f"{folder}/{name}".replace("/", ".") for name in re.findall(r"`(\w+)\.py`", cell)]
+                 for cell in row.split("<")]  # fmt: skip
+        for lower, higher in itertools.combinations(files, 2):
+            assert not set().union(*(graph[name] for name in lower)) & {*higher}, f"{lower} import of {higher}"
+
+
 def test_the_short_names_are_not_imported() -> None:
     """They may be folders of the user's: relative imports, or the long names."""
     paths = [*modules(ROOT).values(), *(ROOT / "tools").rglob("*.py"), *(ROOT / "tests").rglob("*.py")]

@@ -130,6 +130,7 @@ def best_moves(
     run: Run,
     rng: np.random.Generator,
 ) -> list[Move]:
+    """Splits with mergers, by the least gain of log-likelihood that their bounds promise, best first."""
     pairs, mu_m, Sigma_m, log_p_m, merger_gain = _mergers(weight, stats, now, shares_now, strength, points)
     out = []
     largest = np.argsort(-stats.counts, kind="stable")[:_SPLITS]
@@ -423,6 +424,7 @@ def _run(
     *,
     leaps: bool = True,
 ) -> EMResult:
+    """EM from given components until it converges, is stuck or falls, or has no passes left."""
     n = data.events
     t = TruncatedNormal(start.mu, start.Sigma, s.lower, s.upper, points=points)
     now = Point(start.weights / start.weights.sum(), t)
@@ -520,6 +522,7 @@ def _whitened(p: Point, G: FloatArray, centre: FloatArray, typical: FloatArray) 
 def _unwhitened(
     coordinates: FloatArray, G: FloatArray, centre: FloatArray, like: TruncatedNormal, points: int
 ) -> Point | None:
+    """The point at whitened natural coordinates; None where a precision is not positive definite."""
     K, d = centre.shape
     precision = np.sqrt(2.0) * coordinates[:, 1 + d :].reshape(K, d, d)
     precision = 0.5 * (precision + precision.transpose(0, 2, 1))

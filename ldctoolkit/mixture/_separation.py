@@ -338,6 +338,7 @@ def integration_order(covariance: FloatArray, lower: FloatArray, upper: FloatArr
 
 
 def separate(covariance: FloatArray, lower: FloatArray, upper: FloatArray, order: IntArray | None = None) -> Separation:
+    """Separation of K boxes of p dimensions; raises `InputError` for a covariance that is not positive definite."""
     K, p = lower.shape
     order = integration_order(covariance, lower, upper) if order is None else order
     rows = np.arange(K)[:, None]
@@ -382,6 +383,7 @@ def component_rows(box: Separation, rows: slice) -> Separation:
 
 
 def _integrate(box: Separation, grid: Lattice) -> WhitenedMoments:
+    """Moments of the whitened variables by the lattice."""
     K, p = box.lower.shape
     z = np.empty((K, p, grid.weight.size))
     expected, variance = np.empty_like(z), np.empty_like(z)

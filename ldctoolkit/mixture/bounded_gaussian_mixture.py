@@ -137,6 +137,7 @@ def _components(mask: BoolArray) -> str:
 
 
 def _values(mask: BoolArray, values: FloatArray) -> str:
+    """The values of some components, to list."""
     return _listed([f"{value:.3g}" for value in values[mask].tolist()])
 
 

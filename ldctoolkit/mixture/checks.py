@@ -66,7 +66,7 @@ class Events:
             return list(pool.map(block, firsts))
 
     def take(self, rows: BoolArray | IntArray) -> Events:
-        """The chosen rows, by a mask or by ascending numbers."""
+        """The chosen rows, by a mask or by their numbers."""
         x = np.ascontiguousarray(self.x[rows])
         return dataclasses.replace(self, x=x, weight=None if self.weight is None else self.weight[rows])
 

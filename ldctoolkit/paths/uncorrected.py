@@ -50,6 +50,7 @@ def normals(seed: int, index: npt.ArrayLike, stream: int, count: int) -> FloatAr
 
 
 def _drawn(seed: int, index: npt.ArrayLike, stream: int, count: int, *, normal: bool) -> FloatArray:
+    """Random numbers of scenarios, (n, count), that depend on seed, scenario and stream alone."""
     from ldctoolkit.paths.kernels import fill_pairs
 
     numbers = np.asarray(index)
@@ -305,8 +306,8 @@ class UncorrectedPath:
             return dep.lateral_integral(self._shaped(t), t)
         from ldctoolkit.paths.kernels import areas
 
-        out = np.empty(_table(t).shape)
-        areas(self.columns(), _table(t), out)
+        out = np.empty(_time_table(t).shape)
+        areas(self.columns(), _time_table(t), out)
         return out.reshape(t.shape)
 
     def score(self, t: FloatArray, offset: float) -> FloatArray:
@@ -437,8 +438,8 @@ class UncorrectedPath:
             return plain(self._shaped(t), t)
         from ldctoolkit.paths import kernels
 
-        out = np.empty(_table(t).shape)
-        kernels.values(self.columns(), getattr(kernels, what), _table(t), out)
+        out = np.empty(_time_table(t).shape)
+        kernels.values(self.columns(), getattr(kernels, what), _time_table(t), out)
         return out.reshape(t.shape)
 
 
@@ -516,10 +517,12 @@ def _used(modes: FloatArray) -> IntArray:
 
 
 def _like(column: FloatArray, t: FloatArray) -> FloatArray:
+    """A column of n scenarios to combine with times of (n,) or (n, k)."""
     return column if t.ndim == 1 else column[:, None]
 
 
-def _table(t: FloatArray) -> FloatArray:
+def _time_table(t: FloatArray) -> FloatArray:
+    """Times of (n,) or (n, k) as a contiguous table, (n, k)."""
     return np.ascontiguousarray(t if t.ndim == 2 else t[:, None], dtype=np.float64)
 
 

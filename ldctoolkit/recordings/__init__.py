@@ -15,9 +15,9 @@ from ldctoolkit.recordings.departures_table import (
     write_departures,
 )
 from ldctoolkit.recordings.extract import extract_departures, extract_part, merge_results
+from ldctoolkit.recordings.extraction_statistics import Account, Drawn, DrawnEvent, Origin
 from ldctoolkit.recordings.find_departures import Criteria, Refused
 from ldctoolkit.recordings.preparation import Preparation
-from ldctoolkit.recordings.quality import Account, Drawn, DrawnEvent, Origin
 from ldctoolkit.recordings.recording import (
     Label,
     OpenedRecordings,

@@ -33,9 +33,7 @@ from ldctoolkit.departures import (
     no_departures,
 )
 from ldctoolkit.errors import RecordingError, first_line
-from ldctoolkit.recordings.find_departures import Criteria, Refused
-from ldctoolkit.recordings.preparation import Preparation
-from ldctoolkit.recordings.quality import (
+from ldctoolkit.recordings.extraction_statistics import (
     Account,
     Drawn,
     QualityStatistics,
@@ -43,6 +41,8 @@ from ldctoolkit.recordings.quality import (
     combined_examples,
     combined_statistics,
 )
+from ldctoolkit.recordings.find_departures import Criteria, Refused
+from ldctoolkit.recordings.preparation import Preparation
 from ldctoolkit.recordings.recording import Problem, SourceFile, missing_column
 
 if TYPE_CHECKING:
@@ -194,7 +194,7 @@ def write_departures(path: str | os.PathLike[str], departures: Departures, prove
             ),
         ]
     )
-    _check(target.name, table)
+    _check_values(target.name, table)
     content = {"format_version": FORMAT_VERSION, "ldctoolkit": __version__} | dataclasses.asdict(provenance)
     metadata = {METADATA_KEY: json.dumps(content, ensure_ascii=False, allow_nan=False)}
     write_whole(target, parquet_bytes(table, metadata), RecordingError)
@@ -263,7 +263,7 @@ def column_of(name: str, table: pl.DataFrame, column: str) -> FloatArray:
     """A column of finite numbers; `name` is the file, for messages."""
     import polars as pl
 
-    _need(name, table, column)
+    _require_column(name, table, column)
     values = table[column]
     if not values.dtype.is_numeric():
         raise RecordingError(name, f"column '{column}' is of type {values.dtype}", allowed="numbers")
@@ -276,7 +276,7 @@ def column_of(name: str, table: pl.DataFrame, column: str) -> FloatArray:
     return numbers.copy()
 
 
-def _need(name: str, table: pl.DataFrame, column: str) -> None:
+def _require_column(name: str, table: pl.DataFrame, column: str) -> None:
     if column not in table.columns:
         raise missing_column(column, [title for title in table.columns if title not in COLUMNS]).within(name)
 
@@ -298,13 +298,13 @@ def read_departures(path: str | os.PathLike[str], *, signals: bool = False) -> t
     source = Path(path)
     table, metadata = read_table(source, "a departures table")
     for column in COLUMNS:
-        _need(source.name, table, column)
+        _require_column(source.name, table, column)
     if METADATA_KEY not in metadata:
         raise RecordingError(
             source.name, f"no metadata '{METADATA_KEY}': not a departures table", hint="write it with write_departures"
         )
     provenance = provenance_from_json(source.name, metadata[METADATA_KEY])
-    _check(source.name, table)
+    _check_values(source.name, table)
     numbers: dict[str, Any] = {
         field: table[column].cast(pl.Int64 if field == "samples" else pl.Float64).to_numpy().copy()
         for column, field in COLUMNS.items()
@@ -332,7 +332,7 @@ _LEAST: Final = {"T_s": ">", "v_mean_m_s": ">", "d_y_m": ">=", "sigma_y_m": ">="
 """Columns that are above zero, or not below."""
 
 
-def _check(name: str, table: pl.DataFrame) -> None:
+def _check_values(name: str, table: pl.DataFrame) -> None:
     import polars as pl
 
     bad: list[tuple[str, pl.Series, str]] = []  # column, rows at fault, what is allowed

@@ -10,9 +10,7 @@ from ldctoolkit.arrays import FloatArray, IntArray
 from ldctoolkit.departures import PARAMETER_COLUMNS, PARAMETER_NAMES, Departures, ExtraColumn, Plausibility
 from ldctoolkit.errors import InputError, LdcError, RecordingError
 from ldctoolkit.recordings.departures_table import Extraction, PartResult, Provenance, combined_results
-from ldctoolkit.recordings.find_departures import REASONS, Criteria, Refused, find_departures
-from ldctoolkit.recordings.preparation import MAX_JUMP, Preparation, corrected, on_own_clocks, prepare, stretches
-from ldctoolkit.recordings.quality import (
+from ldctoolkit.recordings.extraction_statistics import (
     OFFSET_BINS,
     OFFSET_STEP,
     RELATIONS,
@@ -24,6 +22,8 @@ from ldctoolkit.recordings.quality import (
     quality_statistics,
     unit_warnings,
 )
+from ldctoolkit.recordings.find_departures import REASONS, Criteria, Refused, find_departures
+from ldctoolkit.recordings.preparation import MAX_JUMP, Preparation, corrected, on_own_clocks, prepare, stretches
 from ldctoolkit.recordings.recording import (
     MAX_LANE_WIDTH,
     MIN_LANE_WIDTH,
@@ -129,6 +129,7 @@ def _present(recordings: Iterable[Recording]) -> list[bool]:
 
 
 def _of_batch(batch: list[Pair], criteria: Criteria, preparation: Preparation, keep_signals: bool) -> PartResult:
+    """Departures, accounts and evidence of recordings that are searched together."""
     raw, recordings = [pair[0] for pair in batch], [pair[1] for pair in batch]
     table, step = RecordingTable.of(recordings), preparation.step
     limit = None if step is None else max(GAP_STEPS * step, criteria.max_gap or 0.0)
@@ -370,8 +371,8 @@ def quality_warnings(
     if evidence.bends[0] > 1000 and evidence.bends[1] < 0.001 * evidence.bends[0] and evidence.kinds != ("none",):
         texts.append("the lane is straight in nearly all samples: c_0 and dc tell nothing")
     if nominal_lane_width is None and scaled:
-        texts += _scale(evidence)
-    texts += _twins(evidence)
+        texts += _scale_warnings(evidence)
+    texts += _repeat_warnings(evidence)
     total = np.unique(evidence.names).size
     texts += [f"{note}: {count} of {total} recordings" for note, count in evidence.notes]
     return tuple(texts)
@@ -493,7 +494,7 @@ def _swaying(sway: FloatArray) -> list[str]:
     return []
 
 
-def _scale(evidence: QualityStatistics) -> list[str]:
+def _scale_warnings(evidence: QualityStatistics) -> list[str]:
     widths = evidence.median_widths[np.isfinite(evidence.median_widths)]
     if widths.size == 0:
         return []
@@ -511,7 +512,7 @@ def _scale(evidence: QualityStatistics) -> list[str]:
     ]
 
 
-def _twins(evidence: QualityStatistics) -> list[str]:
+def _repeat_warnings(evidence: QualityStatistics) -> list[str]:
     long = np.flatnonzero(evidence.fingerprints != "")
     _, inverse, count = np.unique(evidence.fingerprints[long], return_inverse=True, return_counts=True)
     groups = [long[inverse == i] for i in np.flatnonzero(count > 1)]

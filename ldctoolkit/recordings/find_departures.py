@@ -95,17 +95,18 @@ def median_steps(table: RecordingTable) -> FloatArray:
     recording = table.recording_index
     within = recording[1:] == recording[:-1]
     step, owner = np.diff(table.t)[within], recording[1:][within]
-    result = _medians(step, owner, table.names.size)
+    result = _median_steps(step, owner, table.names.size)
     count, time = (np.bincount(owner, x, table.names.size) for x in (None, step))
     bursts = time > 2.0 * result * count
     if bursts.any():  # the steps between them; a gap counts little
         mean = np.bincount(owner, np.minimum(step, 0.5), table.names.size) / np.maximum(count, 1)
         long = step > 0.5 * mean[owner]
-        result = np.where(bursts, _medians(step[long], owner[long], table.names.size), result)
+        result = np.where(bursts, _median_steps(step[long], owner[long], table.names.size), result)
     return result
 
 
-def _medians(step: FloatArray, owner: IntArray, recordings: int) -> FloatArray:
+def _median_steps(step: FloatArray, owner: IntArray, recordings: int) -> FloatArray:
+    """Median time step of each recording, (r,) [s]; NaN for none."""
     count = np.bincount(owner, minlength=recordings)
     below, above = middle_two(step, owner, count)
     result = np.full(recordings, np.nan)
@@ -148,7 +149,7 @@ def breaks(
     return same, cause, name
 
 
-def _spread(marked: BoolArray, t: FloatArray, barred: BoolArray, reach: float) -> BoolArray:
+def _samples_around(marked: BoolArray, t: FloatArray, barred: BoolArray, reach: float) -> BoolArray:
     """Samples, (k,), within the time `reach` of marked samples, and their neighbours; not across a barred joint."""
     first, last = (np.flatnonzero(marked & ~beside) for beside in (np.roll(marked, 1), np.roll(marked, -1)))
     if marked[:1].any() and marked[-1]:  # the ends are no neighbours
@@ -173,7 +174,7 @@ def _jumps(
     samples, one inside the other, the closer pair tells where the movement is; half a window to either side belongs to
     it, for one that was smoothed begins earlier and ends later than noise lets be seen.
     """
-    rows = np.flatnonzero(_spread(beyond, t, barred, JUMP_WINDOW))
+    rows = np.flatnonzero(_samples_around(beyond, t, barred, JUMP_WINDOW))
     time, offset, width = t[rows], offset[rows], width[rows]
     closed = np.append(barred, True)[rows[:-1]] | (np.diff(rows) > 1)
     jumps = np.zeros(closed.size, dtype=bool)
@@ -196,7 +197,7 @@ def _jumps(
         closed |= jumps
     moving = np.zeros(t.size, dtype=bool)
     moving[rows[:-1][jumps]] = moving[rows[1:][jumps]] = True
-    moving = _spread(moving, t, barred, 0.5 * JUMP_WINDOW)
+    moving = _samples_around(moving, t, barred, 0.5 * JUMP_WINDOW)
     return moving[:-1] & moving[1:] & ~barred
 
 
@@ -389,6 +390,7 @@ def find_departures(table: RecordingTable, criteria: Criteria, gap_limit: float 
 
 
 def _gap_limit(median_step: FloatArray, criteria: Criteria, gap_limit: float | None) -> FloatArray:
+    """Longest time [s] between neighbours of a recording that is no gap, (r,)."""
     if gap_limit is not None:  # resampled; a lane signal with a longer clock of its own is not
         return np.fmax(gap_limit, 1.5 * median_step)
     if criteria.max_gap is not None:

@@ -246,6 +246,7 @@ _LOCK: Final = threading.Lock()
 
 @functools.cache
 def _process(owner: int) -> subprocess.Popen[bytes]:  # noqa: ARG001 - one for each process, also where they are forked
+    """The process that parses logs for this one, ready to answer."""
     code = f"import sys; sys.path[:] = {sys.path!r}; from ldctoolkit.recordings.mdf_logs import serve; serve()"
     pipe = subprocess.PIPE
     process = subprocess.Popen([sys.executable, "-P", "-c", code], stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL)
@@ -288,7 +289,7 @@ def _ask(path: str, size: int, shown: str, channels: ChannelMap | None) -> Any:
 
 
 def serve() -> None:
-    """Answer requests from standard input until it ends."""
+    """In the child process of the MDF reader: answer requests from standard input until it ends."""
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what the library prints
     import asammdf  # takes seconds, which are not the first log's
@@ -511,11 +512,11 @@ def _in_si(log: Any, group: int, index: int, entry: Channel, quantity: str) -> F
         raise RecordingError("", what, allowed="a number or text at a time")
     if entry.values is not None:
         table = entry.values
-        numbers = np.array([table.get(_text(sample), np.nan) for sample in samples.tolist()], dtype=np.float64)
+        numbers = np.array([table.get(_sample_text(sample), np.nan) for sample in samples.tolist()], dtype=np.float64)
     elif samples.dtype.kind in "biuf":
         numbers = samples.astype(np.float64)
     else:
-        texts = ", ".join(map(short, list(dict.fromkeys(map(_text, samples.tolist())))[:3]))
+        texts = ", ".join(map(short, list(dict.fromkeys(map(_sample_text, samples.tolist())))[:3]))
         raise RecordingError("", f"{name} holds texts ({texts})", allowed="numbers, or `values` for them in the map")
     if getattr(log.groups[group].channels[index], "flags", 0) & 1:  # of MDF 4: all are invalid, with or without bits
         numbers[:] = np.nan
@@ -528,7 +529,8 @@ def _in_si(log: Any, group: int, index: int, entry: Channel, quantity: str) -> F
     return numbers * factor * entry.scale + entry.offset
 
 
-def _text(sample: object) -> str:
+def _sample_text(sample: object) -> str:
+    """A sample of a text or number channel, as text."""
     if isinstance(sample, bytes):
         try:
             text = sample.decode("utf-8")

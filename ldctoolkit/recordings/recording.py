@@ -6,7 +6,6 @@ import dataclasses
 import difflib
 import functools
 import hashlib
-import importlib.metadata
 import itertools
 import os
 import re
@@ -22,6 +21,7 @@ import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray, ReadOnly
 from ldctoolkit.errors import InputError, LdcError, RecordingError, UnknownNameError
+from ldctoolkit.version import entry_points
 
 
 @dataclasses.dataclass(frozen=True)
@@ -368,14 +368,9 @@ class RecordingReader(Protocol):
         """
 
 
-@functools.cache
-def _installed() -> dict[str, importlib.metadata.EntryPoint]:
-    return {point.name: point for point in importlib.metadata.entry_points(group=GROUP)}
-
-
 def reader_names() -> tuple[str, ...]:
     """Names of all installed readers, sorted."""
-    return tuple(sorted(_installed()))
+    return tuple(sorted(entry_points(GROUP)))
 
 
 @functools.cache
@@ -390,21 +385,22 @@ def recording_reader(name: str) -> RecordingReader:
     >>> recording_reader("uah-driveset").step
     0.1
     """
-    point = _installed().get(name)
+    point = entry_points(GROUP).get(name)
     if point is None:
         raise UnknownNameError("format", "is no reader", value=name, allowed=(AUTO, *reader_names()))
+    where = f"format {name!r} ({point.value})"
     try:
         reader = point.load()
         if isinstance(reader, type):
             reader = reader()
     except Exception as error:  # the file may be third-party code: whatever it raises must name the reader
         kind = "" if isinstance(error, LdcError | ImportError) else f"{type(error).__name__}: "
-        raise LdcError(f"format {name!r} ({point.value})", f"cannot be loaded: {kind}{error}") from error
+        raise LdcError(where, f"cannot be loaded: {kind}{error}") from error
     if not isinstance(reader, RecordingReader):
         members = "name, title, vehicle_width, step, recognise, open"
-        raise LdcError(f"format {name!r} ({point.value})", "no reader of recordings", allowed=members)
+        raise LdcError(where, "no reader of recordings", allowed=members)
     if reader.name != name:
-        raise LdcError(f"format {name!r} ({point.value})", f"its name is {reader.name!r}", allowed="the same as here")
+        raise LdcError(where, f"its name is {reader.name!r}", allowed="the same as here")
     return reader
 
 
@@ -433,6 +429,7 @@ def real_path(path: Path) -> str:
 
 
 def _walk(folder: Path, depth: int) -> Iterator[Path]:
+    """Files in a folder and so many levels of folders below it, by name; hidden ones are left out."""
     try:
         inside = sorted(folder.iterdir(), key=lambda entry: entry.name)
     except OSError:
@@ -659,6 +656,7 @@ def read_recordings(
 
 
 def _sound(opened: OpenedRecordings) -> Iterator[Recording]:
+    """The recordings of a source; raises at its first problem."""
     source = opened.source
     for item in itertools.chain(source.problems, *(part.read() for part in source.parts)):
         if isinstance(item, Problem):

@@ -159,6 +159,7 @@ def _named(path: Path) -> str:
 
 
 def _kind(path: Path) -> str:
+    """The kind of a file's table, and whether a header is missing; empty for another file."""
     layout = _layout_of(path)
     return f"{layout.kind} without a header" if layout.kind and layout.line == 1 else layout.kind
 

@@ -207,6 +207,7 @@ def _first_other(text: ByteArray, starts: IntArray, row: int, key: ByteArray) ->
 
 
 def _no_key(line: bytes) -> str:
+    """What is wrong with a line that names no trip."""
     cells = line[:_KEY_BYTES].strip(b"\r\n").split(b",")[:2]
     shown = ",".join(cell.decode("utf-8", "replace").strip() for cell in cells)
     what = "NUL bytes" if "\0" in shown else repr(shown[:40])

@@ -161,8 +161,8 @@ class UahDriveset:
         if not trips:
             return ""
         drivers = {match["driver"].upper() for trip in trips if (match := _TRIP.fullmatch(trip.name))}
-        by = f" of {_count(len(drivers), 'driver')}" if drivers else ""
-        return f"{_count(len(trips), 'trip')}{by}"
+        by = f" of {_plural(len(drivers), 'driver')}" if drivers else ""
+        return f"{_plural(len(trips), 'trip')}{by}"
 
     def open(self, paths: Sequence[Path]) -> FoundParts[TripFolder]:
         """Look through folders for trips."""
@@ -255,6 +255,7 @@ def _folders(paths: Sequence[Path], problems: list[Problem]) -> Iterator[tuple[P
 
 
 def _walk(folder: Path, depth: int, problems: list[Problem]) -> Iterator[tuple[Path, dict[str, str]]]:
+    """Folders of trips below a folder, and how their files are spelled there."""
     try:
         inside = sorted(folder.iterdir())
     except OSError as error:
@@ -280,7 +281,7 @@ def _walk(folder: Path, depth: int, problems: list[Problem]) -> Iterator[tuple[P
 _is_folder: Final = os.path.isdir  # this one raises nothing, whatever the path
 
 
-def _count(number: int, word: str) -> str:
+def _plural(number: int, word: str) -> str:
     return f"{number} {word}{'s' * (number != 1)}"
 
 

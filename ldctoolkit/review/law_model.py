@@ -204,7 +204,7 @@ class LinearView:
 
 def linear_view(controller: Controller, plant: Plant) -> LinearView | None:
     """A design as linear systems at the plant's n speeds."""
-    law = _prepared(controller, plant)
+    law = _checked_law(controller, plant)
     if isinstance(law, RecordedPath):
         return None
     if isinstance(law, LinearLaw):
@@ -212,7 +212,7 @@ def linear_view(controller: Controller, plant: Plant) -> LinearView | None:
     return _identified(controller, plant)
 
 
-def _prepared(controller: Controller, plant: Plant) -> LinearLaw | SteeringLaw | RecordedPath:
+def _checked_law(controller: Controller, plant: Plant) -> LinearLaw | SteeringLaw | RecordedPath:
     with guarded(controller.name, "prepare"):
         law = controller.prepare(plant)
     with guarded(controller.name, "preview_times"):
@@ -236,6 +236,7 @@ def exact_view(law: LinearLaw, plant: Plant) -> LinearView:
 
 
 def _identified(controller: Controller, plant: Plant) -> LinearView:
+    """Linear models that explain a law's answers to pulses, where it states none."""
     n = plant.n
     # one row a speed for each pulse: quiet, then (six inputs) x (up, down) x (small, larger)
     signs = np.concatenate([np.eye(6), -np.eye(6)])
@@ -260,7 +261,7 @@ def _identified(controller: Controller, plant: Plant) -> LinearView:
 def pulse_answers(controller: Controller, plant: Plant, inputs: FloatArray, samples: int) -> FloatArray:
     """Commands (samples, q, n) of a `SteeringLaw` for the inputs (q, n, 6) at the first sample, and zeros later."""
     q, n, name = inputs.shape[0], plant.n, controller.name
-    law = _prepared(controller, plant.at(np.tile(plant.v, q)))
+    law = _checked_law(controller, plant.at(np.tile(plant.v, q)))
     if not isinstance(law, SteeringLaw):
         raise LdcError(f"controller {name!r}", "prepare gives laws of different kinds for other speeds")
     first = inputs.reshape(q * n, 6)

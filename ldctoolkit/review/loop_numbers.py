@@ -165,6 +165,7 @@ def hessian_condition(controller: Controller, plant: Plant) -> FloatArray:
 
 
 def _condition(A: FloatArray, B: FloatArray, Q: FloatArray, r: float, horizon: int) -> float:
+    """Condition number of the condensed Hessian of an MPC with these weights."""
     import control
 
     try:

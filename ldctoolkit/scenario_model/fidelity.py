@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
-from ldctoolkit.clusters import Clusters, cluster_error, cluster_sums, with_tails_of_t
+from ldctoolkit.clusters import Clusters, cluster_error, several, with_tails_of_t
 from ldctoolkit.control import Controller, LinearLaw
 from ldctoolkit.declared import gain
 from ldctoolkit.departures import PARAMETER_NAMES, DepartureParameters
@@ -154,6 +154,7 @@ class SideFidelity:
 
 
 def _value(j: int, value: float) -> str:
+    """Quantity j with its unit, as text."""
     return f"{100.0 * value:.1f} %" if UNITS[j] == "" else f"{value:.2f} {UNITS[j]}"
 
 
@@ -177,9 +178,7 @@ class _Answer:
         resampled = np.stack([_answers(columns, weights) for columns in driven], axis=1)
         influence = np.concatenate([_influence(*row, share) for row in zip(driven, answer, strict=True)])
         corrected = cluster_error(influence, index, share)
-        plain = np.sqrt((cluster_sums(influence * (share / share.sum()), index) ** 2).sum(axis=1))
-        factor = np.divide(corrected.error, plain, out=np.ones_like(plain), where=plain > 0.0)
-        return cls(answer, resampled, factor.reshape(answer.shape), corrected.df.reshape(answer.shape))
+        return cls(answer, resampled, *(x.reshape(answer.shape) for x in (corrected.factor, corrected.df)))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -228,8 +227,8 @@ class Replay:
         answer, tail = found.answer, 0.5 * (1.0 - CONFIDENCE)
         point_low, point_high = np.quantile(found.resampled, (tail, 1.0 - tail), axis=0)
         error = found.resampled.std(axis=0)
-        critical, index = _critical(found.resampled - answer, error), clusters.take(rows).index
-        if clusters.kind != "departures" and index.any():
+        critical, index = _critical(found.resampled - answer, error), several(clusters.take(rows).numbers)
+        if index is not None:
             # how designs go together, and tails, are seen in more departures than there are clusters
             found = _Answer.of(driven, share, index)
             critical = critical * _tails_of_t(critical, found.df)
@@ -259,6 +258,7 @@ class Replay:
         ends = _ends(other.answer, critical * _tails_of_t(critical, df) * error)
         departures, n = int((~mask).sum()), int(mask.sum())
         text = f"the {departures:,} departures that a model of the other {n:,} has not seen"
+        text = "; ".join(filter(None, (text, clusters.take(~mask).doubt)))
         return self._fidelity(other.answer, *ends, self._generated(generated), text, departures)
 
     def _fidelity(

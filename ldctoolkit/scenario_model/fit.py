@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import threadpoolctl
 
-from ldctoolkit.arrays import BoolArray, FloatArray
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.clusters import Clusters
 from ldctoolkit.declared import checked_choice, checked_seed, checked_whole
 from ldctoolkit.departures import (
@@ -160,8 +160,7 @@ def fit_scenario_model(
         (see `check_fidelity`). ``"smoothed"`` are the departures themselves, resampled with a kernel: a component each.
         ``"auto"`` takes those where no such mixture gives the answer; one K as requested stays.
     seed : int
-        Seed of fits to more than 2,000 departures, and of the halves that are held out. The model of fewer does not
-        depend on it.
+        Seed of fits to more than 2,000 departures. With fewer, neither the model nor its check depends on it.
     bounds : mapping, optional
         Parameter -> (lower, upper) in SI units, None for open. The others end at the criteria of the extraction if
         given and at ``PHYSICAL_BOUNDS`` otherwise.
@@ -283,15 +282,16 @@ def _events(
         counts = settings.plausibility.holds(departures) | ~np.isfinite(departures.matrix()).all(axis=1)
     implausible = int((~counts).sum())
     counts &= True if weight is None else weight > 0.0
-    rows = {label: counts & (departures.side == side) for label, side in SIDES.items()}
+    order = canonical_order(departures, weight)
+    rows = {label: order[(counts & (departures.side == side))[order]] for label, side in SIDES.items()}
     beside = f", beside {implausible} that are not plausible" if implausible else ""
-    check_enough(rows["left"], rows["right"], beside)
+    check_enough(rows["left"].size, rows["right"].size, beside)
     events = Events(departures.matrix(), weight, settings.selection["n_jobs"])
-    by_side = {label: Clusters.of(departures.take(mask)) for label, mask in rows.items()}
-    sides = {label: side_events(events.take(mask), by_side[label], label, settings) for label, mask in rows.items()}
+    by_side = {label: Clusters.of(departures.take(own)) for label, own in rows.items()}
+    sides = {label: side_events(events, own, by_side[label], label, settings) for label, own in rows.items()}
     if max(side.data.rows for side in sides.values()) > MOST_RECORDED:
         return sides, None
-    order = np.concatenate([np.flatnonzero(mask) for mask in rows.values()])
+    order = np.concatenate(list(rows.values()))
     columns = np.concatenate([side.departures.matrix() for side in sides.values()]).T.tolist()
     clusters = Clusters.of(departures).take(order)
     recorded = RecordedDepartures(
@@ -304,10 +304,17 @@ def _events(
     return sides, recorded
 
 
-def check_enough(left: BoolArray, right: BoolArray, beside: str = "") -> None:
+def canonical_order(departures: DepartureParameters, weight: FloatArray | None) -> IntArray:
+    """Departures in an order of their values: that of the rows of a table changes no bit of what is made of them."""
+    recording = getattr(departures, "recording", departures.side)  # of equal departures
+    keys = (recording, departures.side if weight is None else weight, *departures.matrix().T)
+    return np.lexsort(keys).astype(np.int64)
+
+
+def check_enough(left: int, right: int, beside: str = "") -> None:
     """Refuse fewer than 30 departures on a side."""
-    if min(left.sum(), right.sum()) < LEAST_EVENTS:
-        problem = f"{left.sum()} left and {right.sum()} right{beside}"
+    if min(left, right) < LEAST_EVENTS:
+        problem = f"{left} left and {right} right{beside}"
         raise InputError("departures", problem, allowed=f"at least {LEAST_EVENTS} a side")
 
 
@@ -447,7 +454,7 @@ class _Judge:
         events, clusters, out = self.events, self.events.clusters, []
         if events.data.rows > FEW or clusters.count < 4:
             return ()
-        order = np.random.default_rng(self.settings.seed).permutation(clusters.count)
+        order = np.random.default_rng(0).permutation(clusters.count)  # a seed of the user would choose the verdict
         reached = np.cumsum(np.bincount(clusters.index)[order])[1:-2]  # two clusters at least in each
         first = np.isin(clusters.index, order[: 2 + int(np.abs(reached - 0.5 * events.data.rows).argmin())])
         quick = {"n_init": 1, "short_iter": 5, "tol": max(self.settings.selection["tol"], _ROUGH)}
@@ -563,8 +570,9 @@ def check_fidelity(
     """
     weight = None if weights is None else check_weights(weights, departures.n, "weights", "departure")
     possible = model.possible(departures) & (True if weight is None else weight > 0.0)
-    left, right = (possible & (departures.side == side) for side in (LEFT, RIGHT))
-    check_enough(left, right)
+    order = canonical_order(departures, weight)
+    left, right = (order[(possible & (departures.side == side))[order]] for side in (LEFT, RIGHT))
+    check_enough(left.size, right.size)
     criteria = model.provenance.source.get("criteria")
     width = criteria.get("vehicle_width") if isinstance(criteria, Mapping) else None
 
@@ -599,11 +607,9 @@ def _select(
     events: SideEvents, tried: tuple[int, ...], settings: SideSettings, progress: Progress | None, judge: _Judge
 ) -> tuple[Selection, tuple[tuple[int, str], ...]]:
     """The fits, and the K that gave no usable one; an error where none did."""
-    label, data, seed = events.label, events.data, settings.seed
-    if data.rows <= FEW:  # neither the seed nor the order of the departures chooses among local optima
-        data, seed = data.take(np.lexsort(data.x.T)), 0
+    label, data = events.label, events.data
     arguments: dict[str, Any] = settings.selection | {
-        "random_state": seed,
+        "random_state": 0 if data.rows <= FEW else settings.seed,  # which would choose among local optima
         "split_merge": data.rows > FEW,
         "progress": None if progress is None else lambda text, done, total: progress(f"{label}: {text}", done, total),
         "sample_weight": data.weight,
@@ -654,15 +660,16 @@ class SideEvents:
         return DepartureParameters(np.full(self.data.rows, SIDES[self.label]), **columns)
 
 
-def side_events(events: Events, clusters: Clusters, label: str, settings: SideSettings) -> SideEvents:
-    """Check the departures of a side (columns as `PARAMETER_NAMES`), and put those on a bound inside."""
-    x, box = events.x, settings.box
+def side_events(events: Events, rows: IntArray, clusters: Clusters, label: str, settings: SideSettings) -> SideEvents:
+    """Check the departures of a side, rows of all (columns as `PARAMETER_NAMES`), and put those on a bound inside."""
+    events, box = events.take(rows), settings.box
+    x = events.x
     for j in range(x.shape[1]):
-        _check(x, j, np.isfinite(x[:, j]), "finite numbers", label)
+        _check(x, rows, j, np.isfinite(x[:, j]), "finite numbers", label)
     for j, (name, low, high) in enumerate(zip(PARAMETER_NAMES, box.lower, box.upper, strict=True)):
-        _check(x, j, (x[:, j] >= low) & (x[:, j] <= high), f"{low:g} to {high:g}", label)
+        _check(x, rows, j, (x[:, j] >= low) & (x[:, j] <= high), f"{low:g} to {high:g}", label)
         if name in ("T", "v_mean"):  # as in a departures table
-            _check(x, j, x[:, j] > 0.0, "above 0", label)
+            _check(x, rows, j, x[:, j] > 0.0, "above 0", label)
     inside = inside_bounds(events, box.lower, box.upper, PARAMETER_NAMES)
     varies, least, moved = inside.varies, inside.profile.least, inside.moved
     if not varies.any():
@@ -681,13 +688,13 @@ def side_events(events: Events, clusters: Clusters, label: str, settings: SideSe
     )
 
 
-def _check(x: FloatArray, j: int, good: BoolArray, allowed: str, label: str) -> None:
-    """Refuse a column with a bad value: the first one and how many there are."""
+def _check(x: FloatArray, rows: IntArray, j: int, good: BoolArray, allowed: str, label: str) -> None:
+    """Refuse a column with a bad value: the first one of the table and how many there are."""
     if not good.all():
-        event = int(np.argmin(good))
+        first = int(np.argmin(np.where(good, rows.max() + 1, rows)))
         raise InputError(
             f"departures ({label}): {PARAMETER_NAMES[j]}",
-            f"in event {event} ({int((~good).sum())} of {good.size} events)",
-            value=float(x[event, j]),
+            f"in departure {rows[first]} ({int((~good).sum())} of {good.size} departures)",
+            value=float(x[first, j]),
             allowed=allowed,
         )

@@ -55,7 +55,7 @@ def side_to_json(side: SideModel) -> dict[str, Any]:
     }
 
 
-def model_to_json(
+def parts_to_json(
     left: SideModel, right: SideModel, provenance: ModelProvenance, plausibility: Plausibility | None
 ) -> dict[str, Any]:
     """The whole file as JSON values; the cells of a pair are one string, a tenth of the size of a list."""
@@ -119,7 +119,7 @@ def _whole(token: str) -> int:
     return int(token)
 
 
-def model_from_json(text: str | bytes, file: str) -> tuple[SideModel, SideModel, ModelProvenance, Plausibility | None]:
+def parts_from_json(text: str | bytes, file: str) -> tuple[SideModel, SideModel, ModelProvenance, Plausibility | None]:
     """Check and build both sides, the provenance and the limits."""
     data = _parse(text, file)
     if not isinstance(data, dict):

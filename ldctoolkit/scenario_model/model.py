@@ -21,6 +21,7 @@ from ldctoolkit.departures import (
     PARAMETER_NAMES,
     PARAMETER_UNITS,
     RIGHT,
+    SIDES,
     DepartureParameters,
     Plausibility,
     check_parameters,
@@ -83,6 +84,15 @@ def conditions(given: Given | None) -> tuple[Condition, ...]:
     return tuple(by_name[name] for name in PARAMETER_NAMES if name in by_name)
 
 
+def meeting(departures: DepartureParameters, limits: tuple[Condition, ...]) -> BoolArray:
+    """Which departures (n,) meet all conditions."""
+    meets = np.ones(departures.n, dtype=np.bool_)
+    for condition in limits:
+        column = getattr(departures, condition.name)
+        meets &= (column >= condition.low) & (column <= condition.high)
+    return meets
+
+
 def misleading(model: ScenarioModel) -> list[str]:
     """What a model gets wrong against its recordings, one sentence a side; none where the check passed."""
     checked = [(key, side.fidelity) for key, side in model.provenance.sides if side.fidelity is not None]
@@ -137,7 +147,7 @@ def mixture_conditions(
 
 
 _STREAM: Final = {LEFT: 0, RIGHT: 1}
-_LABEL: Final = {LEFT: "left", RIGHT: "right"}
+_LABEL: Final = {side: label for label, side in SIDES.items()}
 _SPARE_BLOCKS: Final = 50
 """Blocks drawn per block needed before sampling is given up: one event in fifty must stay above the speed floor."""
 
@@ -344,7 +354,7 @@ class ScenarioModel:
 
         target = Path(path)
         try:
-            data = json_form.model_to_json(self.left_side, self.right_side, self.provenance, self.plausibility)
+            data = json_form.parts_to_json(self.left_side, self.right_side, self.provenance, self.plausibility)
             text = json_text(data)
         except (TypeError, ValueError) as error:
             raise ModelError(target.name, f"the model cannot be written as JSON ({error})") from None
@@ -377,7 +387,7 @@ class ScenarioModel:
     def _parse(cls, text: str | bytes, file: str) -> ScenarioModel:
         from ldctoolkit.scenario_model import json_form
 
-        return cls(*json_form.model_from_json(text, file))
+        return cls(*json_form.parts_from_json(text, file))
 
 
 def bundled_models() -> tuple[str, ...]:

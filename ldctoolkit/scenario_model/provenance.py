@@ -209,6 +209,7 @@ def _quantiles(column: FloatArray, share: FloatArray, m: int, half: float) -> Fl
 
 
 def _cells(first: IntArray, second: IntArray, share: FloatArray, b: int) -> tuple[int, ...]:
+    """Shares of a pair's b x b cells in 1/`UNIT`, rounded down; 0 where few departures are."""
     inside = (first >= 0) & (second >= 0)
     number = first[inside] * b + second[inside]
     shares = np.bincount(number, share[inside], b * b)

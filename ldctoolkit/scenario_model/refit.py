@@ -14,7 +14,7 @@ import numpy as np
 import threadpoolctl
 
 from ldctoolkit.arrays import FloatArray
-from ldctoolkit.clusters import cluster_error, cluster_sums
+from ldctoolkit.clusters import cluster_error
 from ldctoolkit.departures import SIDES
 from ldctoolkit.errors import InputError, ModelError
 from ldctoolkit.mixture import BoundedGaussianMixture
@@ -47,9 +47,8 @@ def refit(model: ScenarioModel, number: int) -> ScenarioModel:
             side, rows = model.side(SIDES[label]), recorded.departures.side == SIDES[label]
             x = np.column_stack([getattr(recorded.departures, name)[rows] for name in side.names])
             share = weight[rows] * rows.sum() / weight[rows].sum()
-            order = np.lexsort(x.T)  # that of the kernels of `smoothed`
             fit = _smoothed if summary.kind == "smoothed" else _mixture
-            mixture = fit(side, Events(x[order], share[order], 1))
+            mixture = fit(side, Events(x, share, 1))
             check_usable(mixture)
             sides[f"{label}_side"] = dataclasses.replace(side, mixture=mixture)
     return dataclasses.replace(model, **sides)
@@ -87,12 +86,11 @@ def smoothed(
     events: Events, lower: FloatArray, upper: FloatArray, names: tuple[str, ...], width: float
 ) -> BoundedGaussianMixture:
     """The departures themselves with a Gaussian kernel in mapped coordinates; mean and covariance are kept there."""
-    data = events.take(np.lexsort(events.x.T))  # draws do not depend on the order of the departures
-    transform, weight = Transform.of("auto", lower, upper), data.weight
-    y = transform.forward(data.x)
+    transform, weight = Transform.of("auto", lower, upper), events.weight
+    y = transform.forward(events.x)
     n, d = y.shape
     share = np.full(n, 1.0 / n) if weight is None else weight / weight.sum()
-    h = width * (4.0 / (d + 2)) ** (1.0 / (d + 4)) * effective_number(data) ** (-1.0 / (d + 4))
+    h = width * (4.0 / (d + 2)) ** (1.0 / (d + 4)) * effective_number(events) ** (-1.0 / (d + 4))
     mean, covariance = share @ y, np.cov(y.T, aweights=share).reshape(d, d)
     covariance += 1e-6 * np.diag(np.diag(covariance))  # columns that depend on each other
     kernel = covariance * h**2 / (1.0 + h**2)
@@ -121,7 +119,6 @@ def uncertainty(recorded: RecordedDepartures, refits: int) -> tuple[float, float
     share = weight / weight.sum()
     influence = (x - (x @ share)[:, None])[np.ptp(x, axis=1) > 0.0]
     exact = cluster_error(influence, index, share)
-    plain = np.sqrt((cluster_sums(influence * share, index) ** 2).sum(axis=1))
     exponential = math.sqrt(1.0 + 1.0 / recorded.clusters.count)  # whose sum is not fixed
     df = 1.0 / (1.0 / float(np.median(exact.df)) + 1.0 / max(refits - 1, 1))
-    return float(np.median(exact.error / plain)) * exponential, df
+    return float(np.median(exact.factor)) * exponential, df

@@ -401,7 +401,7 @@ def drive(
         Scenarios at their triggers.
     """
     rows = _path_rows(trajectories, takeover.scenarios.n)
-    law = _prepared(controller, takeover)
+    law = _checked_law(controller, takeover)
     if isinstance(law, SteeringLaw):
         return _drive_general(law, takeover, controller.name, rows, threads)
     if isinstance(law, RecordedPath):
@@ -426,7 +426,7 @@ def drive_many(controllers: Iterable[Controller], takeover: Takeover, *, threads
     most = max(1, _MOST_SCORES // max(1, takeover.m * data.SCORES))
     waiting: list[LinearLaw] = []
     for controller in controllers:
-        law = _prepared(controller, takeover)
+        law = _checked_law(controller, takeover)
         if waiting and not (
             isinstance(law, LinearLaw)
             and len(waiting) < most
@@ -445,7 +445,7 @@ def drive_many(controllers: Iterable[Controller], takeover: Takeover, *, threads
         yield from _drive_linear(waiting, takeover, None, threads)
 
 
-def _prepared(controller: Controller, takeover: Takeover) -> Law:
+def _checked_law(controller: Controller, takeover: Takeover) -> Law:
     check_controller(controller)
     return check_law(controller.prepare(takeover.plant), takeover.m, controller.name)
 
@@ -531,7 +531,7 @@ def _drive_general(law: SteeringLaw, takeover: Takeover, name: str, rows: IntArr
         if solved is not None:
             check_calls(solved, t.size, name)
             solved = solved.of(active)
-            calls.append((np.arange(m)[batch][solved.place], sample, solved))
+            calls.append((np.arange(m)[batch][solved.position], sample, solved))
         wrong = ~np.isfinite(delta)
         if wrong.any() or status.any():
             delta[wrong] = previous[wrong]
@@ -567,12 +567,12 @@ class _Stretch:
         path_row: IntArray,
         threads: int | None,
     ) -> None:
-        from ldctoolkit.simulation.kernel import entry, scoring
+        from ldctoolkit.simulation.kernel import block_table, entry
 
         self.entry, self.setting, self.exact, self.paths = entry, takeover.setting, exact, paths
         self.rows, self.recorded, self.threads = rows, takeover.recorded_bend[rows], threads
         self.blocks = np.arange(-(-(rows.stop - rows.start) // data.LANES))
-        self.state = np.zeros((self.blocks.size, scoring.rings(self.setting)[-1]))
+        self.state = np.zeros((self.blocks.size, block_table.rings(self.setting)[-1]))
         entry.begin(takeover.scene[rows], exact, self.setting, self.state, paths, path_row[rows])
 
     def look(self, k: int, times: FloatArray, *shown: FloatArray) -> None:

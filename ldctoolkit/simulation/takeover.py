@@ -358,6 +358,7 @@ def _substeps(setup: Setup, v: FloatArray) -> FloatArray:
 
 
 def _scene(over: Takeover) -> FloatArray:
+    """What the compiled loops read of each scenario, a row of (m, k)."""
     p, setup, car, v, m = over.triggered, over.setup, over.vehicles, over.plant.v, over.m
     l_f, l_r = setup.vehicle.l_f, setup.vehicle.l_r
     A, B, E = car.matrices(v, setup.convention)

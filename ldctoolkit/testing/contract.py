@@ -176,6 +176,7 @@ def toml(subject: Subject) -> Iterator[str]:
 
 
 def _outside(gain: Gain) -> Iterator[Any]:
+    """Values that a gain must refuse."""
     if gain.choices:
         yield "".join(gain.choices) + "x"
     elif gain.text or isinstance(gain.default, bool):
@@ -339,7 +340,7 @@ def state(subject: Subject) -> Iterator[str]:
 
 @_check("scenarios_do_not_depend_on_each_other", steering=True)
 def batch(subject: Subject) -> Iterator[str]:
-    """A scenario's commands do not depend on its place, on its neighbours, or on how many there are."""
+    """A scenario's commands do not depend on its position, on its neighbours, or on how many there are."""
     road = subject.bends()
     whole = subject.commands(road)
     all_rows = np.arange(road.n)

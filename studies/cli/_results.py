@@ -21,7 +21,7 @@ from ..ranking.verdict import (
     STEP_TEXT,
     StepTimes,
     Verdict,
-    listed_places,
+    listed_positions,
     more_lines,
     ranking_table,
     verdict,
@@ -81,7 +81,7 @@ class Judged:
 
     def named(self, labels: Sequence[str] | None) -> list[Design]:
         """The designs of these labels or starts of ids; without any the one that the verdict names."""
-        return named_designs(self.ranking.designs, labels) if labels else [self.ranking.designs[self.verdict.place]]
+        return named_designs(self.ranking.designs, labels) if labels else [self.ranking.designs[self.verdict.position]]
 
 
 def study_of(name: str, labels: Sequence[str] | None) -> tuple[Study, list[Design], Judged | None]:
@@ -142,7 +142,7 @@ _MOST_FAILED = 20
 def print_ranking(judged: Judged, top: int, times: StepTimes | None = None) -> None:
     """The table, with the times of steps that are given, the verdict, and what else a reader should know."""
     out, ranking = console(), judged.ranking
-    print_table(ranking_table(ranking, listed_places(ranking, top), times), narrow=True)
+    print_table(ranking_table(ranking, listed_positions(ranking, top), times), narrow=True)
     if times:
         say(out, STEP_TEXT)
     title, *others = verdict_lines(judged.verdict)
@@ -219,18 +219,21 @@ def _summary(judged: Judged) -> dict[str, Any]:
         "designs": len(results.designs),
         "scenarios": len(results.scenarios),
         "failed_designs": len(results.failed),
-        "winner": None if ranking.winner is None else _design(ranking, ranking.winner),
+        "winner": None if ranking.winner is None else _design_json(ranking, ranking.winner),
         "set_of_best": [ranking.designs[i].id for i in range(len(ranking)) if ranking.inference.set_of_best[i]],
         "verdict": judgement.title,
         "usable": judgement.usable,
         "lights": {light.name: light.state for light in judgement.lights},
         "binding": [limit.requirement.text for limit in judgement.binding],
-        "sweep_ends": [{"name": end.gain.name, "value": end.value, "text": end.text} for end in judgement.ends],
+        **{
+            name: [{"name": found.gain.name, "value": found.value, "text": found.text} for found in of_sweeps]
+            for name, of_sweeps in (("sweep_ends", judgement.ends), ("blocked", judgement.blocked))
+        },
         "extended": list(judged.manifest.extended),
     }
 
 
-def _design(ranking: Ranking, i: int) -> dict[str, Any]:
+def _design_json(ranking: Ranking, i: int) -> dict[str, Any]:
     design = ranking.designs[i]
     S_low, S_high = ranking.inference.S_low[i], ranking.inference.S_high[i]
     scores = {"S": ranking.metrics.S[i], "S_low": S_low, "S_high": S_high, "S_fresh": ranking.fresh.S[i]}

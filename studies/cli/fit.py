@@ -11,13 +11,12 @@ from typing import TYPE_CHECKING, Any, Final
 
 from ldctoolkit.errors import InputError, LdcError
 
-from ..tables import Column, Row, Table
 from . import _console
 
 if TYPE_CHECKING:
     from ldctoolkit.departures import Departures
     from ldctoolkit.recordings import Provenance
-    from ldctoolkit.scenario_model import ScenarioModel, SideSummary
+    from ldctoolkit.scenario_model import ScenarioModel
 
 
 def add_parser(commands: _console.Subparsers) -> None:
@@ -94,11 +93,12 @@ _MOST_AT_ONCE: Final = 10  # fits: as many as there are K by default
 
 def run(args: argparse.Namespace) -> None:
     """Carry the command out."""
-    from ldctoolkit.departures import PARAMETER_NAMES
+    from ldctoolkit.departures import PARAMETER_NAMES, SIDES
     from ldctoolkit.recordings import read_all_departures
     from ldctoolkit.scenario_model import fit_scenario_model
     from ldctoolkit.surroundings import usable_cores
 
+    from ..pages.fit_page import curve
     from ..running.dispatch import closing, map_on
     from ..running.executors import make_executor
 
@@ -137,20 +137,16 @@ def run(args: argparse.Namespace) -> None:
     for warning in model.provenance.warnings:
         _console.warn(warning)
     out = _console.console()
-    for label, side, summary in (
-        ("left", model.left_side, model.provenance.left),
-        ("right", model.right_side, model.provenance.right),
-    ):
-        if summary is not None:
-            out.print(f"{label}: {summary.events} departures")
-            _print_curve(summary, side.mixture.weights_.size)
-            out.print(f"{label}: {summary.reason}")
-            if summary.fidelity is not None and summary.fidelity.passed:
-                out.print(f"{label}: {summary.fidelity.text}")
-            if summary.fidelity is not None and summary.fidelity.unseen:
-                out.print(f"{label}: the intervals cannot show {summary.fidelity.unseen}")
-            for half in summary.held_out:
-                out.print(f"{label}, held out: {half.counted}")
+    for label, summary in model.provenance.sides:
+        out.print(f"{label}: {summary.events} departures")
+        _console.print_table(curve(summary, model.side(SIDES[label]).mixture.n_components))
+        out.print(f"{label}: {summary.reason}")
+        if summary.fidelity is not None and summary.fidelity.passed:
+            out.print(f"{label}: {summary.fidelity.text}")
+        if summary.fidelity is not None and summary.fidelity.unseen:
+            out.print(f"{label}: the intervals cannot show {summary.fidelity.unseen}")
+        for half in summary.held_out:
+            out.print(f"{label}, held out: {half.counted}")
     print(f"scenario model written to {target} (content {model.content_hash[:12]})")
     if args.page:
         _write_page(page, model, departures, args.seed)
@@ -186,17 +182,6 @@ def _write_page(page: Path, model: ScenarioModel, departures: Departures, seed: 
         _console.warn(f"no page about the fit: {error}")
     else:
         print(f"page about the fit written to {page}")
-
-
-def _print_curve(summary: SideSummary, taken: int) -> None:
-    """Every K with its BIC; the one that was taken has a star."""
-    columns = [Column("K"), Column("p"), Column("log-likelihood an event", form=".4f"), Column("BIC", form=".1f")]
-    numbers = summary.n_components, summary.n_parameters, summary.log_likelihood, summary.bic
-    rows = [
-        Row([f"{K}{' *' if taken == K else '  '}", *row], "winner" if taken == K else "")
-        for K, *row in zip(*numbers, strict=True)
-    ]
-    _console.print_table(Table("", columns, rows))
 
 
 _MOST = 10_000_000  # departures to one side that fit in memory; the same bound as in a study file
@@ -248,6 +233,7 @@ def sample(args: argparse.Namespace) -> None:
 
 
 def _numbers(args: argparse.Namespace) -> tuple[int, int]:
+    """Departures to the left and to the right that the arguments ask for."""
     if args.n is None:
         left, right = args.left or 0, args.right or 0
     elif args.left is None and args.right is None:

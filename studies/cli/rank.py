@@ -66,7 +66,7 @@ def run(args: argparse.Namespace) -> None:
     """Carry the command out."""
     from ..pages.ranking_section import write_markdown
     from ..ranking.ranking import write_csv
-    from ..ranking.verdict import listed_places
+    from ..ranking.verdict import listed_positions
     from ..storage.scenario_source import read_model
     from ..storage.store import Store
     from ._results import Judged, print_ranking, rank_summary, write_ranking
@@ -93,7 +93,7 @@ def run(args: argparse.Namespace) -> None:
     if args.timing:
         from ..step_time import step_times
 
-        listed = [judged.ranking.designs[i] for i in listed_places(judged.ranking, args.top)]
+        listed = [judged.ranking.designs[i] for i in listed_positions(judged.ranking, args.top)]
         with progress_bar("timing steps"):
             times = step_times(results, study.setup(), listed)
     if not (args.quiet or args.json):

@@ -66,7 +66,7 @@ def subjects(args: argparse.Namespace) -> list[Subject]:
     if args.design in controller_names():
         if args.only:
             raise InputError("--design", "goes with a study", hint="a law's gains are given with --gain")
-        return [_law(args)]
+        return [_law_subject(args)]
     if os.path.isfile(f"{args.design}/manifest.json"):  # noqa: PTH113 - raises nothing, whatever the name
         return list(_of_folder(args))
     known = args.design in catalog_names() or args.design.endswith(".toml")
@@ -77,7 +77,7 @@ def subjects(args: argparse.Namespace) -> list[Subject]:
         raise InputError("--gain", "goes with the name of a law", hint="a study has its own gains")
     study = load_study(args.design)
     designs = study.designs if args.only is None else named_designs(study.designs, [args.only])
-    return list(_of_study(study, designs, args))
+    return list(_study_subjects(study, designs, args))
 
 
 def reviewed_design(subject: Subject) -> Review:
@@ -107,7 +107,7 @@ def _of_folder(args: argparse.Namespace) -> Iterator[Subject]:
 
     judged = Judged.read(args.design)
     ranking = judged.ranking
-    for subject in _of_study(judged.study, judged.named(args.only and [args.only]), args):
+    for subject in _study_subjects(judged.study, judged.named(args.only and [args.only]), args):
         findings = []
         for position, design in enumerate(ranking.designs):
             if design.id not in subject.ids:
@@ -125,7 +125,7 @@ def _of_folder(args: argparse.Namespace) -> Iterator[Subject]:
         yield dataclasses.replace(subject, stored=tuple(findings))
 
 
-def _law(args: argparse.Namespace) -> Subject:
+def _law_subject(args: argparse.Namespace) -> Subject:
     from ldctoolkit.plant_options import PlantOptions
     from ldctoolkit.review import SPEEDS
 
@@ -153,7 +153,7 @@ def _speeds(args: argparse.Namespace, default: tuple[float, float] | None) -> np
     return np.linspace(low, high, args.points if high > low else 1)
 
 
-def _of_study(study: Study, designs: Sequence[Design], args: argparse.Namespace) -> Iterator[Subject]:
+def _study_subjects(study: Study, designs: Sequence[Design], args: argparse.Namespace) -> Iterator[Subject]:
     from ldctoolkit.simulation import Takeover
 
     from ..measures import trigger_speeds
@@ -225,14 +225,14 @@ def to_json(reviews: Sequence[tuple[str, tuple[str, ...], Review]]) -> str:
         }
         for label, ids, review in reviews
     ]
-    return json.dumps(_plain(content), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    return json.dumps(_finite_json(content), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
-def _plain(value: Any) -> Any:
+def _finite_json(value: Any) -> Any:
     if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
+        return {key: _finite_json(item) for key, item in value.items()}
     if isinstance(value, list):
-        return [_plain(item) for item in value]
+        return [_finite_json(item) for item in value]
     if isinstance(value, float) and not math.isfinite(value):
         return None if math.isnan(value) else str(value)
     return value
@@ -359,7 +359,7 @@ def _of_designs(reviewed: Reviewed) -> Table:
     for label, _, review in reviewed:
         loop, cells = review.loop, [math.nan] * len(_WORST)
         if loop is not None and loop.stable.all():
-            cells = [_COLUMNS[name][1] * _worst(getattr(loop, name), name) for name in _WORST]
+            cells = [_COLUMNS[name][1] * _worst_value(getattr(loop, name), name) for name in _WORST]
         unstable = loop is not None and not loop.stable.all()
         warnings = sum(finding.severity == "warning" for finding in review.findings)
         first = "unstable" if unstable else cells[0]
@@ -367,7 +367,7 @@ def _of_designs(reviewed: Reviewed) -> Table:
     return Table("worst of all speeds", columns, rows)
 
 
-def _worst(values: FloatArray, name: str) -> float:
+def _worst_value(values: FloatArray, name: str) -> float:
     known = values[~np.isnan(values)]
     if not known.size:
         return math.nan

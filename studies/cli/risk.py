@@ -87,19 +87,8 @@ def run(args: argparse.Namespace) -> None:
     with progress_bar("writing the page"):
         write_risk_page(risk, target / "risk.html", title=study.title or study.name)
     if args.json:
-        known = source.provenance.recorded
-        recorded = None if known is None else known.clusters.text
-        print(
-            json.dumps(
-                {
-                    "event": "risk",
-                    "n": risk.n,
-                    "recorded": recorded,
-                    "notes": list(risk.notes()),
-                    "rows": list(risk.rows()),
-                }
-            )
-        )
+        known, told = source.provenance.recorded, {"notes": list(risk.notes()), "rows": list(risk.rows())}
+        print(json.dumps({"event": "risk", "n": risk.n, "recorded": known and known.clusters.text} | told))
         return
     for design in risk.designs[1:] or risk.designs:
         _print_design(risk, design)

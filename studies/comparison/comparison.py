@@ -8,6 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from ldctoolkit.clusters import doubt_of
 from ldctoolkit.errors import InputError
 from ldctoolkit.simulation import Window
 
@@ -301,7 +302,7 @@ def compare(
         failed_in_both=_failed(after.results, failed=before.results),
         **chance,
     )
-    return dataclasses.replace(comparison, warnings=tuple(_warnings(comparison, every.n - shared.n)))
+    return dataclasses.replace(comparison, warnings=tuple(_comparison_warnings(comparison, every.n - shared.n)))
 
 
 def _shared_scenarios(before: FinishedStudy, after: FinishedStudy, differences: Sequence[str]) -> SharedScenarios:
@@ -356,7 +357,7 @@ def _failed(
     return tuple(failure for failure in results.failed if failure.design.key in keys)
 
 
-def _warnings(comparison: Comparison, left_out: int) -> Iterator[str]:
+def _comparison_warnings(comparison: Comparison, left_out: int) -> Iterator[str]:
     shared = comparison.shared
     if left_out:
         yield (
@@ -368,6 +369,8 @@ def _warnings(comparison: Comparison, left_out: int) -> Iterator[str]:
             f"Departures in both studies with other noise, mismatch or residuals, because the seed or the scenario's "
             f"number differs: {shared.other_draws}; they are not shared."
         )
+    if text := doubt_of(shared.cluster):
+        yield f"{text[0].upper()}{text[1:]}."
     if shared.n < _FEW:
         yield f"Only {shared.n} shared scenario{'' if shared.n == 1 else 's'}: the intervals are rough."
     winners = comparison.winners
@@ -390,7 +393,7 @@ COLUMNS = (*_NAMES.split(), *_SCORES.split(), *_CHANGED.split(), "failure")
 def comparison_rows(comparison: Comparison) -> Iterator[dict[str, Any]]:
     """Rows of the CSV file: each design, the winners if there are any, and each failed design."""
     for i in comparison.order:
-        yield {"compared": "design"} | _design(comparison, i)
+        yield {"compared": "design"} | _design_json(comparison, i)
     if (winners := comparison.winners) is not None:
         scores = (winners.S_old, winners.S_new, winners.difference)
         ends = (winners.low, winners.high)
@@ -417,7 +420,7 @@ def _row_of(
     return dict(zip(names, (verdict, old.id, new.id, old.label, new.label, *numbers, scenarios), strict=True))
 
 
-def _design(comparison: Comparison, i: int) -> dict[str, Any]:
+def _design_json(comparison: Comparison, i: int) -> dict[str, Any]:
     design, S = comparison.designs[i], comparison.S
     scores, changed = (S.S_old[i], S.S_new[i], S.difference[i]), int(S.changed[i])
     return _row_of(str(S.verdict[i]), design, design, scores, (S.low[i], S.high[i]), comparison.shared.n) | {

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
-from ldctoolkit.clusters import cluster_values
+from ldctoolkit.clusters import cluster_values, several
 from ldctoolkit.departures import LEFT, RIGHT
 from ldctoolkit.errors import InputError, StoreError
 from ldctoolkit.paths.uncorrected import RandomStream
@@ -80,7 +80,7 @@ def share_scenarios(
     old: Scenarios, new: Scenarios, *, both_draw: bool = False, same_seed: bool = True
 ) -> SharedScenarios:
     """The scenarios that two sets share, compared by content."""
-    group = _same_rows(np.concatenate([_rows(old), _rows(new)]))
+    group = _same_rows(np.concatenate([_parameter_rows(old), _parameter_rows(new)]))
     old_at, new_at = _pairs(group[: old.n], group[old.n :])
     every = new_at.size
     if both_draw:
@@ -92,7 +92,8 @@ def share_scenarios(
     return SharedScenarios(old_at, new_at, new.side[new_at], cluster, every - new_at.size)
 
 
-def _rows(scenarios: Scenarios) -> FloatArray:
+def _parameter_rows(scenarios: Scenarios) -> FloatArray:
+    """Side and parameters of each scenario, (n, 9): equal rows are equal departures."""
     return np.column_stack([scenarios.side.astype(np.float64), scenarios.matrix()]) + 0.0  # -0.0 is 0.0
 
 
@@ -190,8 +191,8 @@ def paired_differences(
     rows = np.flatnonzero(changed >= fewest)
     if rows.size:
         values, strata = change[rows], side
-        if cluster is not None:
-            values = cluster_values(values, np.unique(cluster, return_inverse=True)[1].ravel())
+        if (cluster := several(cluster)) is not None:
+            values = cluster_values(values, cluster)
             strata = np.zeros(values.shape[1], dtype=np.int64)
         half = _half_widths(values, strata, bootstrap, seed, confidence)
         low[rows] -= half
@@ -205,11 +206,11 @@ def paired_differences(
         changed=changed.astype(np.int64),
         largest=np.where(changed > 0, change[np.arange(k), largest_at], 0.0),
         largest_at=largest_at.astype(np.int64),
-        verdict=tuple(map(_verdict, changed > 0, low, high)),
+        verdict=tuple(map(_interval_verdict, changed > 0, low, high)),
     )
 
 
-def _verdict(any_changed: bool, low: float, high: float) -> Verdict:
+def _interval_verdict(any_changed: bool, low: float, high: float) -> Verdict:
     if not any_changed or (low >= -SAME and high <= SAME):
         return Verdict.SAME
     if high < -SAME:
@@ -292,6 +293,7 @@ def input_differences(old: FinishedStudy, new: FinishedStudy) -> Iterator[str]:
 
 
 def _changes(old: dict[str, Any], new: dict[str, Any]) -> Iterator[str]:
+    """One line a difference between two groups of settings."""
     for key, *values in differences(old, new):
         was, now = ("not set" if value is None else str(value) for value in values)
         yield f"{key}: {was} -> {now}"

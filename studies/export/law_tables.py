@@ -125,6 +125,7 @@ def _mpc_form(law: linear_mpc.MPCLaw) -> LawForm:
 
 
 def _wide(values: FloatArray) -> FloatArray:
+    """Values of one column as (n, 1)."""
     return values if values.ndim == 2 else values[:, None]
 
 
@@ -183,6 +184,7 @@ def _fitted(gains: Gains, kinked: IntArray, low: FloatArray, high: FloatArray) -
 
 
 def _value(series: FloatArray, low: float, high: float, v: FloatArray) -> FloatArray:
+    """Values of Chebyshev series over [low, high] at speeds v."""
     z = 2.0 * (v - low) / max(high - low, 1e-300) - 1.0
     return np.asarray(np.polynomial.chebyshev.chebval(z, series).T)
 

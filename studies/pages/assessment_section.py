@@ -59,7 +59,7 @@ def assessed(assessment: Assessment) -> Markup:
     """One design in one test."""
     standard = assessment.standard
     return (
-        paragraphs(*_sentences(assessment))
+        paragraphs(*_assessment_sentences(assessment))
         + Markup("").join(_grids(assessment))
         + bullets(_reasons(assessment))
         + bullets(f"Not assessable: {part.what}. Why: {part.why}." for part in standard.not_assessable)
@@ -76,7 +76,7 @@ def score_text(assessment: Assessment) -> str:
     return f"{percent(assessment.score, 0)} of the standard cells pass as stated{robust}{points}"
 
 
-def _sentences(assessment: Assessment) -> Iterator[str]:
+def _assessment_sentences(assessment: Assessment) -> Iterator[str]:
     yield f"{score_text(assessment)}."
     if len(assessment.variants) > 1:
         yield (

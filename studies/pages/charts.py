@@ -389,7 +389,7 @@ def _curves(chart: Chart, frame: _Frame) -> _Frame:
             many = series.kind == "thin"
             frame.draw("thin" if many else "curve", path, series.style, series.label, dashed=not many)
             if series.kind in ("marked", "started"):
-                points = list(_places(frame, series))
+                points = list(_positions(frame, series))
                 shown = points if series.kind == "marked" else points[:1]
                 frame.parts += [marker(series.style, a, b, 3.0) for a, b, _, _ in shown]
     for above in (False, True):  # filled points lie above hollow ones
@@ -397,7 +397,7 @@ def _curves(chart: Chart, frame: _Frame) -> _Frame:
             marker(series.style, a, b, 3.6, filled=filled, tip=tip)
             for series in chart.series
             if series.kind == "points"
-            for a, b, filled, tip in _places(frame, series)
+            for a, b, filled, tip in _positions(frame, series)
             if filled == above
         ]
     if chart.ring is not None and math.isfinite(sum(chart.ring[:2])):
@@ -406,7 +406,7 @@ def _curves(chart: Chart, frame: _Frame) -> _Frame:
     return frame
 
 
-def _places(frame: _Frame, series: Series) -> Iterator[tuple[float, float, bool, str]]:
+def _positions(frame: _Frame, series: Series) -> Iterator[tuple[float, float, bool, str]]:
     """Where the finite points of a series are, whether each is filled, and its tip."""
     n = series.x.size
     filled = [True] * n if series.filled is None else series.filled.tolist()

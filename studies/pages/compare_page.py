@@ -53,12 +53,12 @@ def compare_page(comparison: Comparison) -> str:
             _title(comparison.label),
         ],
         sections=[
-            _verdict(comparison),
-            _differences(comparison),
-            _designs(comparison),
-            _changes(comparison),
-            _only_one(comparison),
-            _settings(comparison),
+            _verdict_section(comparison),
+            _differences_section(comparison),
+            _designs_section(comparison),
+            _changes_section(comparison),
+            _only_one_section(comparison),
+            _settings_section(comparison),
         ],
         footer=f"ldctoolkit {__version__}. Old: {comparison.old}. New: {comparison.new}.",
     )
@@ -67,7 +67,7 @@ def compare_page(comparison: Comparison) -> str:
 # ------------------------------------------------------------------------------------------------ the verdict
 
 
-def _verdict(comparison: Comparison) -> Section:
+def _verdict_section(comparison: Comparison) -> Section:
     winners = comparison.winners
     body = Markup('<p class="verdict">{}</p>').format(symbols(winners_sentence(winners)))
     if winners:
@@ -105,7 +105,7 @@ def _verdict(comparison: Comparison) -> Section:
 # ------------------------------------------------------------------------------------------------ sections
 
 
-def _differences(comparison: Comparison) -> Section:
+def _differences_section(comparison: Comparison) -> Section:
     body = bullets(text.replace(" -> ", " \u2192 ") for text in comparison.differences) or paragraphs(
         "The inputs are the same: what differs below is in the code of a law, or in the machine."
     )
@@ -116,7 +116,7 @@ def _title(label: str) -> str:
     return label.replace(" -> ", " \u2192 ")
 
 
-def _designs(comparison: Comparison) -> Section:
+def _designs_section(comparison: Comparison) -> Section:
     table = design_table(comparison, comparison.order[:MOST_ROWS])
     rows = [dataclasses.replace(row, later=k >= FIRST_ROWS) for k, row in enumerate(table.rows)]
     html = to_html(dataclasses.replace(table, rows=rows), id="designs-1", sortable=True)
@@ -129,8 +129,8 @@ def _designs(comparison: Comparison) -> Section:
     return Section("designs", "Designs", body, scripts=("table.js",))
 
 
-def _changes(comparison: Comparison) -> Section:
-    charts = list(_charts(comparison))
+def _changes_section(comparison: Comparison) -> Section:
+    charts = list(_difference_charts(comparison))
     body = figure(
         charts,
         "Left: the largest differences of mean S, new minus old, with their intervals. Right: mean S in the old study "
@@ -139,7 +139,7 @@ def _changes(comparison: Comparison) -> Section:
     return Section("changes", "Largest changes", body or paragraphs("No design is in both studies."), tuple(charts))
 
 
-def _charts(comparison: Comparison) -> Iterator[Chart]:
+def _difference_charts(comparison: Comparison) -> Iterator[Chart]:
     S = comparison.S
     if not len(comparison):
         return
@@ -165,7 +165,7 @@ def _charts(comparison: Comparison) -> Iterator[Chart]:
     yield Chart("scatter", title, x, y, clouds, diagonal=True, height=290.0)
 
 
-def _only_one(comparison: Comparison) -> Section:
+def _only_one_section(comparison: Comparison) -> Section:
     body = Markup()
     for title, designs in (("old", comparison.only_old), ("new", comparison.only_new)):
         if designs:
@@ -184,7 +184,7 @@ def _only_one(comparison: Comparison) -> Section:
     )
 
 
-def _settings(comparison: Comparison) -> Section:
+def _settings_section(comparison: Comparison) -> Section:
     return Section(
         "settings",
         "How it was compared",

@@ -9,7 +9,7 @@ import numpy as np
 from ldctoolkit.arrays import FloatArray, IntArray
 
 from ..ranking.ranking import Ranking
-from ..ranking.verdict import design_name, optimism_text
+from ..ranking.verdict import design_name, optimism_text, recordings_text
 from ..tables import Cell, Column, Row, Table, to_html
 from ..text import DASH, difference_text, percent, plural
 from .charts import Axis, Chart, Dot, Series, Style, dots
@@ -21,8 +21,8 @@ MOST: Final = 12
 
 def section(context: Context) -> Section:
     """The section."""
-    charts = tuple(_charts(context))
-    body = paragraphs(*_sentences(context))
+    charts = tuple(_interval_charts(context))
+    body = paragraphs(*_confidence_sentences(context))
     body += figure(
         charts,
         f"Left: mean S with its {percent(context.ranking.confidence, 0)} interval, for all designs at once"
@@ -34,10 +34,12 @@ def section(context: Context) -> Section:
     return Section("confidence", "Confidence", body, charts)
 
 
-def _sentences(context: Context) -> Iterator[str]:
+def _confidence_sentences(context: Context) -> Iterator[str]:
     ranking = context.ranking
     level = percent(ranking.confidence, 0)
     yield context.model_sentence
+    if recordings := recordings_text(ranking, "m\u00b7s"):
+        yield recordings
     rivals = [i for i in range(1, ranking.ranked) if math.isfinite(ranking.inference.difference[i])]
     if not rivals:
         return
@@ -75,7 +77,7 @@ def _two_digits(count: float) -> int:
     return math.ceil(count / step) * step
 
 
-def _charts(context: Context) -> Iterator[Chart]:
+def _interval_charts(context: Context) -> Iterator[Chart]:
     ranking = context.ranking
     shown = list(dict.fromkeys((context.shown, *range(min(6, len(ranking))), *context.best_of_each_law)))[:MOST]
     rows = []

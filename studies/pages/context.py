@@ -110,7 +110,7 @@ class Context:
     @property
     def shown(self) -> int:
         """Position of the design that the page discusses: the winner, else the design that the verdict names."""
-        return self.verdict.place
+        return self.verdict.position
 
     @property
     def shown_name(self) -> str:

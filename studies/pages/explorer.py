@@ -100,7 +100,7 @@ def _data(context: Context, replayed: Replay, every: int) -> dict[str, object]:
         "paths": {name: _whole(arrays, name) for name, arrays in joined.items()},
         "facts": _facts(context, replayed),
         "scales": {
-            "t": [_scale(0.0, span) for span in (5.0, 10.0, 20.0, 40.0, 80.0)],
+            "t": [_axis_scale(0.0, span) for span in (5.0, 10.0, 20.0, 40.0, 80.0)],
             "y": _around_zero(),
             "delta": _around_zero(),
             "a_y": _around_zero(),
@@ -113,14 +113,14 @@ def _whole(values: FloatArray, name: str) -> dict[str, str]:
     return packed(steps, "i2" if steps.size == 0 or np.abs(steps).max() < 2**15 else "i4")
 
 
-def _scale(low: float, high: float) -> dict[str, object]:
+def _axis_scale(low: float, high: float) -> dict[str, object]:
     return {"low": low, "high": high, "ticks": [[value, text] for value, text in Axis("", low, high).ticks(260.0)]}
 
 
 def _around_zero() -> list[dict[str, object]]:
     """Scales that contain zero, the tightest first: the script takes the first that contains all its values."""
     ends = [(low, high) for low in (0.0, *_SPANS) for high in (0.0, *_SPANS) if 0.2 * max(low, high) <= min(low, high)]
-    return [_scale(-low, high) for low, high in sorted(ends, key=lambda pair: pair[0] + pair[1]) if low + high]
+    return [_axis_scale(-low, high) for low, high in sorted(ends, key=lambda pair: pair[0] + pair[1]) if low + high]
 
 
 def _departure(replayed: Replay, k: int) -> dict[str, str]:
@@ -136,6 +136,7 @@ def _departure(replayed: Replay, k: int) -> dict[str, str]:
 
 
 def _recorded(replayed: Replay, step: float) -> dict[str, FloatArray]:
+    """Recorded paths in steps of time: samples of each, and y and a_y of one path after the other."""
     scenarios, path = replayed.scenarios, replayed.recorded
     count = np.ceil(scenarios.T / step - 1e-9).astype(np.int64) + 1
     t = np.minimum(np.arange(int(count.max())) * step, scenarios.T[:, None])
@@ -180,7 +181,7 @@ def _distributions(context: Context) -> Iterator[Chart]:
         recorded = context.S_uncorrected(context.shown)[rows]
         samples: list[tuple[str, FloatArray, Style]] = [("No control", recorded, RECORDED)]
         samples += [(law_title(ranking.designs[i]), context.S(i)[rows], context.style(i)) for i in shown]
-        yield _curve(f"S-{name}", f"S, {name} departures", samples, "S [m\u00b7s]", "Share of departures")
+        yield _distribution_chart(f"S-{name}", f"S, {name} departures", samples, "S [m\u00b7s]", "Share of departures")
     for name, title, label, limit in (
         ("deepest", "Deepest crossing", "Edge beyond the line [m]", None),
         ("dtle", "Distance to the lane edge", "Front axle beyond the line [m]", (-DTLE_LIMIT, "Euro NCAP")),
@@ -200,10 +201,10 @@ def _distributions(context: Context) -> Iterator[Chart]:
             samples.append((law_title(ranking.designs[i]), values, context.style(i)))
         if any(np.isfinite(values).any() for _, values, _ in samples):
             of = "Share of interventions" if "added" in name else "Share of departures"
-            yield _curve(name.replace("_", "-"), title, samples, label, of, limit)
+            yield _distribution_chart(name.replace("_", "-"), title, samples, label, of, limit)
 
 
-def _curve(
+def _distribution_chart(
     name: str, title: str, samples: list[tuple[str, FloatArray, Style]], label: str, of: str,
     limit: tuple[float, str] | None = None,
 ) -> Chart:  # fmt: skip

@@ -17,8 +17,8 @@ from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, DepartureParamet
 from ldctoolkit.errors import LdcError
 from ldctoolkit.recordings import Extraction, RecordingReader, recording_reader
 from ldctoolkit.recordings.extract import SCALE, SOURCE
+from ldctoolkit.recordings.extraction_statistics import Account, Origin, combined_accounts, share_of_widths
 from ldctoolkit.recordings.find_departures import REASONS
-from ldctoolkit.recordings.quality import Account, Origin, combined_accounts, share_of_widths
 from ldctoolkit.recordings.recording import CombinedReader
 from ldctoolkit.version import __version__
 
@@ -29,7 +29,7 @@ from .charts import Axis, Chart, Series, Style, bars, legend
 from .shell import Section, bullets, details, figure, make_page, pairs, paragraphs
 
 if TYPE_CHECKING:
-    from ldctoolkit.recordings.quality import DrawnEvent
+    from ldctoolkit.recordings.extraction_statistics import DrawnEvent
 
 SIDE: Final = {"left": Style(0, "", "o"), "right": Style(1, "7 3", "s")}
 FIT: Final = Style(-1, "", "|")
@@ -74,7 +74,7 @@ def extraction_page(extraction: Extraction) -> str:
     """The page as an HTML document; the same extraction gives the same text."""
     accounts, n = extraction.accounts, extraction.departures.n
     rows, whole = by_source(accounts), total(accounts)
-    left, right = side_counts(extraction)
+    left, right = _side_counts(extraction)
     return make_page(
         kind="Lane departure correction: departures of recordings",
         title=f"{plural(n, 'departure')} in {plural(extraction.recordings, 'recording')}",
@@ -86,16 +86,16 @@ def extraction_page(extraction: Extraction) -> str:
             f"format {extraction.provenance.reader}",
         ],
         sections=[
-            _verdict(extraction, whole),
-            _read(extraction),
+            _verdict_section(extraction, whole),
+            _read_section(extraction),
             _amounts_section(extraction, whole, rows),
             _refusals_section(whole, rows),
-            _parameters(extraction, rows),
-            _widths(extraction, whole, rows),
-            _events("deepest", "Deepest", extraction.drawn.deepest, lambda event: event.depth, "Those with the largest "
-                "d_y of each side"),
-            _events("random", "At random", extraction.drawn.by_lot, lambda event: (event.lot, *event.depth),
-                    "Every departure of a side had the same chance; the choice is the same in every run"),
+            _parameters_section(extraction, rows),
+            _widths_section(extraction, whole, rows),
+            _events_section("deepest", "Deepest", extraction.drawn.deepest, lambda event: event.depth,
+                            "Those with the largest d_y of each side"),
+            _events_section("random", "At random", extraction.drawn.by_lot, lambda event: (event.lot, *event.depth),
+                            "Every departure of a side had the same chance; the choice is the same in every run"),
         ],
         footer=(f"ldctoolkit {__version__}. What counts as a departure, and the eight parameters, follow Zhao, "
             "Wang and LeBlanc (2017)."),
@@ -158,6 +158,7 @@ def _natural(text: str) -> list[tuple[int, int, str]]:
 
 
 def _rows(accounts: Sequence[Account], most: int) -> tuple[SourceRow, ...]:
+    """One row an origin, in their order; beyond `most` rows the shortest are joined in the last."""
     joined = combined_accounts(accounts)
     longest = set(range(len(joined)))
     if len(joined) > most:
@@ -174,7 +175,7 @@ def _rows(accounts: Sequence[Account], most: int) -> tuple[SourceRow, ...]:
     return tuple(rows)
 
 
-def side_counts(extraction: Extraction) -> tuple[int, int]:
+def _side_counts(extraction: Extraction) -> tuple[int, int]:
     """Departures left and right."""
     left = int(np.sum(extraction.departures.side == LEFT))
     return left, extraction.departures.n - left
@@ -225,8 +226,8 @@ def extraction_verdict(left: int, right: int) -> str:
     return f"Good enough for a scenario model, and for the worst 5 % of departures ({counted})."
 
 
-def _verdict(extraction: Extraction, whole: SourceRow | None) -> Section:
-    body = Markup('<p class="verdict">{}</p>').format(symbols(extraction_verdict(*side_counts(extraction))))
+def _verdict_section(extraction: Extraction, whole: SourceRow | None) -> Section:
+    body = Markup('<p class="verdict">{}</p>').format(symbols(extraction_verdict(*_side_counts(extraction))))
     if whole is not None:
         account = whole.account
         share = f" ({percent(account.hours_valid / account.hours_read, 0)})" if account.hours_read > 0 else ""
@@ -258,7 +259,7 @@ def _verdict(extraction: Extraction, whole: SourceRow | None) -> Section:
     return Section("verdict", "Verdict", body, printed=True)
 
 
-def _read(extraction: Extraction) -> Section:
+def _read_section(extraction: Extraction) -> Section:
     sources = extraction.provenance.sources
     body = pairs(facts(extraction))
     if sources:
@@ -406,7 +407,7 @@ def _refusals_section(whole: SourceRow | None, rows: Sequence[SourceRow]) -> Sec
     return Section("refusals", "Refused", body)
 
 
-def _parameters(extraction: Extraction, rows: Sequence[SourceRow]) -> Section:
+def _parameters_section(extraction: Extraction, rows: Sequence[SourceRow]) -> Section:
     departures = extraction.departures
     if not departures.n:
         return Section("parameters", "Parameters", paragraphs("No departures were found."))
@@ -428,7 +429,7 @@ def _parameters(extraction: Extraction, rows: Sequence[SourceRow]) -> Section:
         title = f"{name}, {PARAMETER_MEANINGS[name]}"
         charts.append(bars(f"parameter-{name}", title, edges, shares, parameter_label(name), "Share per bin [%]"))
         lines.append(Row([f"{parameter_label(name)}: {PARAMETER_MEANINGS[name]}", *cells]))
-    left, right = side_counts(extraction)
+    left, right = _side_counts(extraction)
     key = legend(
         [(f"left, {plural(left, 'departure')}", SIDE["left"]), (f"right, {plural(right, 'departure')}", SIDE["right"])]
     )
@@ -462,7 +463,7 @@ def _medians(extraction: Extraction, rows: Sequence[SourceRow]) -> Markup:
     return to_html(Table("Medians of both sides", columns, out))
 
 
-def _widths(extraction: Extraction, whole: SourceRow | None, rows: Sequence[SourceRow]) -> Section:
+def _widths_section(extraction: Extraction, whole: SourceRow | None, rows: Sequence[SourceRow]) -> Section:
     if whole is None or not whole.account.widths.any():
         return Section("widths", "Lane width", paragraphs("No valid samples."))
     edges, share = share_of_widths(whole.account.widths)
@@ -503,7 +504,7 @@ def _median_width(row: SourceRow) -> float:
 # ------------------------------------------------------------------------------------------------ single departures
 
 
-def _events(
+def _events_section(
     id: str, title: str, events: Sequence[DrawnEvent], order: Callable[[DrawnEvent], tuple[object, ...]], about: str
 ) -> Section:
     if not events:

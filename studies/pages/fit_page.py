@@ -97,12 +97,12 @@ def fit_page(model: ScenarioModel, diagnostics: ModelDiagnostics, *, seed: int) 
             *([source] if source else []),
         ],
         sections=[
-            _verdict(model, sides),
+            _verdict_section(model, sides),
             _fidelity(sides),
-            _margins(sides),
-            _joint(sides),
-            _selection(sides),
-            _settings(model, sides, seed),
+            _margins_section(sides),
+            _joint_section(sides),
+            _selection_section(sides),
+            _settings_section(model, sides, seed),
         ],
         footer=f"ldctoolkit {__version__}. The bounded Gaussian mixture and the choice of K follow Zhao, Wang and "
         "LeBlanc (2017); its fit follows Lee and Scott (2012).",
@@ -135,7 +135,7 @@ def side_verdict(side: Side) -> str:
     return f"{name} Good enough for comparing designs, in their mean S and in the worst 5 % of departures."
 
 
-def _verdict(model: ScenarioModel, sides: tuple[Side, ...]) -> Section:
+def _verdict_section(model: ScenarioModel, sides: tuple[Side, ...]) -> Section:
     body = Markup("").join(Markup('<p class="verdict">{}</p>').format(symbols(side_verdict(side))) for side in sides)
     body += bullets(fit_warnings(model, sides), "warnings") or paragraphs("No warnings: all checks passed.")
     body += paragraphs(
@@ -252,7 +252,7 @@ def _held_out(sides: tuple[Side, ...]) -> Markup:
     return to_html(Table(title, columns, rows)) if rows else Markup()
 
 
-def _margins(sides: tuple[Side, ...]) -> Section:
+def _margins_section(sides: tuple[Side, ...]) -> Section:
     body = legend([("events, left", SIDE["left"]), ("events, right", SIDE["right"]), ("model", MODEL)])
     for side in sides:
         charts = [
@@ -293,7 +293,7 @@ def _calibration_cells(calibration: Calibration | None) -> tuple[Cell | Value, .
     return distance, number(100 * calibration.limit, 2), compact(float(f"{calibration.position:.3g}"))
 
 
-def _joint(sides: tuple[Side, ...]) -> Section:
+def _joint_section(sides: tuple[Side, ...]) -> Section:
     body = Markup()
     for side in sides:
         pair = side.diagnostics.joint
@@ -319,7 +319,7 @@ def density(key: str, pair: Sequence[FloatArray], values: FloatArray, what: str)
     return heat_map(f"joint-{key}-{what}", title, cells, empty, x, y)
 
 
-def _selection(sides: tuple[Side, ...]) -> Section:
+def _selection_section(sides: tuple[Side, ...]) -> Section:
     body = Markup()
     for side in sides:
         summary = side.summary
@@ -328,17 +328,23 @@ def _selection(sides: tuple[Side, ...]) -> Section:
             continue
         if summary.reason:
             body += paragraphs(f"{side.title}: {summary.reason}.")
-        above = np.array(summary.bic) - min(summary.bic)
-        columns = [Column("K"), Column("BIC"), Column("Above the least"), Column("Log-likelihood", "nats an event")]
-        rows = [
-            Row(
-                (str(k), number(summary.bic[i], 1), number(above[i], 1), number(summary.log_likelihood[i], 4)),
-                "winner" if k == side.K else "",
-            )
-            for i, k in enumerate(summary.n_components)
-        ]
-        body += to_html(Table(f"{side.title}: choice of K; the chosen one is set in bold", columns, rows))
+        body += to_html(curve(summary, side.K, f"{side.title}: choice of K; the chosen one has a star"))
     return Section("selection", "Choice of K", body + bic_figure([(side.key, side.summary) for side in sides]))
+
+
+def curve(summary: SideSummary, taken: int, title: str = "") -> Table:
+    """Every K that was fitted; the one that was taken has a star."""
+    columns = [
+        Column("K"), Column("p", about="Free parameters"), Column("Log-likelihood", "nats an event", ".4f"),
+        Column("BIC", form=".1f"), Column("Above the least", form=".1f"),
+    ]  # fmt: skip
+    parameters = summary.n_parameters or (None,) * len(summary.bic)  # of an earlier version
+    numbers = zip(summary.n_components, parameters, summary.log_likelihood, summary.bic, strict=True)
+    rows = [
+        Row([f"{K}{' *' if taken == K else '  '}", p, fit, bic, bic - min(summary.bic)], "winner" if taken == K else "")
+        for K, p, fit, bic in numbers
+    ]
+    return Table(title, columns, rows)
 
 
 def bic_figure(sides: Sequence[tuple[str, SideSummary | None]]) -> Markup:
@@ -356,7 +362,7 @@ def bic_figure(sides: Sequence[tuple[str, SideSummary | None]]) -> Markup:
     return figure([Chart("bic", "BIC", x, y, series)], "BIC above its least value, by K.", key)
 
 
-def _settings(model: ScenarioModel, sides: tuple[Side, ...], seed: int) -> Section:
+def _settings_section(model: ScenarioModel, sides: tuple[Side, ...], seed: int) -> Section:
     facts = [
         ("Model content", model.content_hash),
         *((f"Log-likelihood, {s.key}", f"{number(s.diagnostics.log_likelihood, 4)} nats an event") for s in sides),

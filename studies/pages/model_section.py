@@ -11,7 +11,7 @@ from ldctoolkit.arrays import FloatArray
 from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT, DepartureParameters, Departures
 from ldctoolkit.diagnostics import ModelMarginal, kolmogorov_limit, model_marginal
 from ldctoolkit.scenario_model import Given, ScenarioModel, SideModel, SideSummary, conditions
-from ldctoolkit.scenario_model.model import Condition, mixture_conditions
+from ldctoolkit.scenario_model.model import Condition, meeting, mixture_conditions
 from ldctoolkit.scenarios import Scenarios
 
 from ..tables import Cell, Column, Row, Table, to_html
@@ -66,18 +66,18 @@ def match(
     """Compare generated departures with the model and with its source departures."""
     limits = conditions(given)
     return tuple(
-        _side(key, side, scenarios.take(np.flatnonzero(scenarios.side == side)), model, source, limits)
+        _side_match(key, side, scenarios.take(np.flatnonzero(scenarios.side == side)), model, source, limits)
         for side, key in ((LEFT, "left"), (RIGHT, "right"))
         if (scenarios.side == side).any()
     )
 
 
-def _side(
+def _side_match(
     key: str, side: int, scenarios: Scenarios, model: ScenarioModel | None, table: Departures | None,
     limits: tuple[Condition, ...],
 ) -> SideMatch:  # fmt: skip
-    side_model = None if model is None else (model.left_side if side == LEFT else model.right_side)
-    fitted = None if model is None else (model.provenance.left if side == LEFT else model.provenance.right)
+    side_model = None if model is None else model.side(side)
+    fitted = None if model is None else dict(model.provenance.sides).get(key)
     single = {condition.name for condition in limits if condition.low == condition.high}
     varies = (
         side_model.names
@@ -103,12 +103,7 @@ def _side(
 
 def source_rows(side: int, table: DepartureParameters, limits: tuple[Condition, ...]) -> DepartureParameters:
     """The source departures of a side that meet the conditions."""
-    rows = table.take(table.side == side)
-    keep = np.ones(rows.n, dtype=np.bool_)
-    for condition in limits:
-        column = getattr(rows, condition.name)
-        keep &= (column >= condition.low) & (column <= condition.high)
-    return rows.take(keep)
+    return table.take((table.side == side) & meeting(table, limits))
 
 
 def source_quantiles(
@@ -170,13 +165,14 @@ def section(context: Context) -> Section:
     """The section on the scenario model."""
     report = context.report
     matches = match(context.scenarios, report.model, source=report.source_departures, given=report.given)
-    body = paragraphs(*_sentences(context, matches)) + details("Parameter by parameter", to_html(_table(matches)))
+    table = details("Parameter by parameter", to_html(_match_table(matches)))
+    body = paragraphs(*_match_sentences(context, matches)) + table
     if report.model_notes:
         body += details("Where the departures come from", bullets(report.model_notes))
     return Section("model", "Scenario model", body)
 
 
-def _sentences(context: Context, matches: tuple[SideMatch, ...]) -> Iterator[str]:
+def _match_sentences(context: Context, matches: tuple[SideMatch, ...]) -> Iterator[str]:
     report = context.report
     if report.model is not None:
         yield (
@@ -184,7 +180,8 @@ def _sentences(context: Context, matches: tuple[SideMatch, ...]) -> Iterator[str
             "that model fits."
         )
     if report.given:
-        yield f"Under the conditions: {', '.join(f'{name} {_range(value)}' for name, value in report.given.items())}."
+        conditions = (f"{name} {_condition_text(value)}" for name, value in report.given.items())
+        yield f"Under the conditions: {', '.join(conditions)}."
     for side in matches:
         for what, gaps in (
             ("the model", {row.name: row.to_model for row in side.parameters if row.to_model}),
@@ -203,14 +200,14 @@ def _sentences(context: Context, matches: tuple[SideMatch, ...]) -> Iterator[str
             yield f"{side.key.capitalize()}: {side.reason}"
 
 
-def _range(value: object) -> str:
+def _condition_text(value: object) -> str:
     if isinstance(value, tuple | list):
         low, high = (("" if end is None else compact(float(end))) for end in value)
         return f"{low} to {high}"
     return str(value)
 
 
-def _table(matches: tuple[SideMatch, ...]) -> Table:
+def _match_table(matches: tuple[SideMatch, ...]) -> Table:
     columns = [
         Column("Parameter", text=True), Column("Side", text=True), Column("Median", form=figure),
         Column("Source median", form=figure), Column("Gap to the model", "%", ".1f"),

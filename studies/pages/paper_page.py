@@ -13,7 +13,7 @@ import numpy as np
 from markupsafe import Markup
 
 from ldctoolkit.arrays import FloatArray
-from ldctoolkit.clusters import cluster_error, with_tails_of_t
+from ldctoolkit.clusters import cluster_error, several, with_tails_of_t
 from ldctoolkit.departures import PARAMETER_NAMES, SIDES, DepartureParameters, DepartureSignals, rebuild_signals
 from ldctoolkit.scenario_model import conditions
 from ldctoolkit.scenario_model.provenance import UNIT, SourceSummary, cell_edges
@@ -85,7 +85,8 @@ def _scores_of(context: Context, position: int) -> list[Score]:
 
     scores, pair = list[Score](), (context.S(position), context.S_uncorrected(position))
     y_s, critical = context.ranking.designs[position].y_s, ndtri(0.5 + 0.5 * context.ranking.confidence)
-    cluster = np.arange(context.scenarios.n) if context.scenarios.cluster is None else context.scenarios.cluster
+    cluster = several(context.scenarios.cluster)
+    cluster = np.arange(context.scenarios.n) if cluster is None else cluster
     before = Takeover.build(context.scenarios, context.report.setup, y_s=y_s).S_before
     for window, (side, rows) in itertools.product(get_args(Window)[::-1], side_rows(context)):
         shift = before[rows] * (0.0 if window == context.results.window else -1.0 if window == "control" else 1.0)

@@ -18,7 +18,7 @@ from ..ranking.verdict import (
     STEP_TEXT,
     Verdict,
     limit_line,
-    listed_places,
+    listed_positions,
     more_lines,
     ranking_table,
     set_of_best_line,
@@ -168,7 +168,7 @@ def _blocks(ranking: Ranking, study: Study, manifest: Manifest, verdict: Verdict
     yield "".join(f"- {markdown_text(line)}\n" for line in (*others, *more_lines(ranking)))
     for warning in ranking.warnings:
         yield f"> **Warning:** {markdown_text(warning)}\n"
-    positions = listed_places(ranking, MOST_MARKDOWN_ROWS)
+    positions = listed_positions(ranking, MOST_MARKDOWN_ROWS)
     yield to_markdown(ranking_table(ranking, positions))
     if len(positions) < len(ranking):
         yield f"{len(positions):,} of {len(ranking):,} designs; all of them are in `ranking.csv`.\n"

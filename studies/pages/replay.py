@@ -185,6 +185,7 @@ def replay(
 def _driven(
     context: Context, departures: Sequence[ExplorerDeparture], scenarios: Scenarios, entry: ExplorerDesign
 ) -> tuple[DesignPaths, float]:
+    """Driven paths of a design, and the largest relative deviation of S from the stored one."""
     setup, results, design = context.report.setup, context.results, context.ranking.designs[entry.position]
     index = int(context.ranking.index[entry.position])
     rows = np.array([departure.row for departure in departures], dtype=np.int64)

@@ -14,7 +14,7 @@ from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.setup import Setup, simulation_options
 from ldctoolkit.version import __version__
 
-from ..ranking.verdict import listed_places
+from ..ranking.verdict import listed_positions
 from ..sensitivity.sensitivity import sensitivity
 from ..step_time import step_times
 from ..storage.folder_files import write_text
@@ -144,7 +144,7 @@ def report_input(
     robustness: Robustness | None = None,
 ) -> ReportInput:
     """Gather what a report shows of a study that was run."""
-    timed = [ranking.designs[i] for i in sorted({*listed_places(ranking, TIMED), *ranking.best_of_each_law()})]
+    timed = [ranking.designs[i] for i in sorted({*listed_positions(ranking, TIMED), *ranking.best_of_each_law()})]
     warnings = "; ".join(manifest.model_warnings)
     fit_warnings = (f"Of the scenario model: {warnings}.",) if warnings else ()
     return ReportInput(
@@ -153,7 +153,7 @@ def report_input(
         results=results,
         ranking=ranking,
         setup=study.setup(),
-        settings=tuple(_settings(study, manifest)),
+        settings=tuple(_study_settings(study, manifest)),
         versions=tuple(_versions(manifest)),
         model_notes=manifest.model_notes,
         warnings=tuple(dict.fromkeys((*fit_warnings, *ranking.warnings))),
@@ -173,7 +173,7 @@ def report_input(
     )
 
 
-def _settings(study: Study, manifest: Manifest) -> Iterator[tuple[str, str]]:
+def _study_settings(study: Study, manifest: Manifest) -> Iterator[tuple[str, str]]:
     yield "study", f"{study.name} (content {manifest.study_hash})"
     yield study.scenarios.source.lower(), f"{manifest.model} (content {manifest.model_hash[:16]})"
     yield "scenarios", "{} left, {} right".format(*study.scenarios.counts)
@@ -220,7 +220,7 @@ def not_ideal(options: PlantOptions) -> Iterator[Declaration]:
 def simulation_settings(setup: Setup) -> Iterator[tuple[str, str]]:
     """What each option of the simulation is, and its value with its unit."""
     for declaration in simulation_options():
-        yield declaration.description, _text(getattr(setup, declaration.name), declaration)
+        yield declaration.description, _option_text(getattr(setup, declaration.name), declaration)
 
 
 def plant_settings(options: PlantOptions) -> Iterator[tuple[str, str]]:
@@ -228,21 +228,22 @@ def plant_settings(options: PlantOptions) -> Iterator[tuple[str, str]]:
     for declaration in not_ideal(options):
         value = getattr(options, declaration.name)
         if declaration.kind:
-            yield from _shown(value, declaration.name)
+            yield from _shown_options(value, declaration.name)
         else:
-            yield declaration.name, _text(value, declaration)
+            yield declaration.name, _option_text(value, declaration)
 
 
-def _shown(part: Any, path: str) -> Iterator[tuple[str, str]]:
+def _shown_options(part: Any, path: str) -> Iterator[tuple[str, str]]:
+    """Options that are not at their default, or always shown, with their keys."""
     for declaration in declarations(part.__class__).values():
         value, key = getattr(part, declaration.name), f"{path}.{declaration.name}"
         if declaration.kind and value is not None:
-            yield from _shown(value, key)
+            yield from _shown_options(value, key)
         elif value is not None and (path in _ALWAYS_SHOWN or value != declaration.default):
-            yield key, _text(value, declaration)
+            yield key, _option_text(value, declaration)
 
 
-def _text(value: Any, declaration: Declaration) -> str:
+def _option_text(value: Any, declaration: Declaration) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, tuple):

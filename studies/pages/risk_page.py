@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import Final
 
@@ -19,7 +20,7 @@ from ..text import figure as digits
 from ..text import parameter_label, plural, symbols
 from .charts import Axis, Chart, Series, law_styles, legend
 from .shell import Section, bullets, details, figure, make_page, paragraphs
-from .verdict_section import STATES, SYMBOLS
+from .verdict_section import lights_list
 
 _RATES: Final = {"per_1000_km": "Per 1,000 km", "per_hour": "Per hour"}
 
@@ -31,7 +32,7 @@ def write_risk_page(risk: Risk, path: str | Path, *, title: str) -> None:
         title=f"{title}: the tail",
         heading=f"{title}: how often departures end deep beyond the line",
         facts=[f"{risk.n:,} departures", f"{plural(len(risk.designs) - 1, 'design')} and no control"],
-        sections=[_verdict(risk), _probabilities(risk), _curve(risk), _worst(risk)],
+        sections=[_verdict_section(risk), _probabilities_section(risk), _curve_section(risk), _worst_section(risk)],
         footer=f"ldctoolkit {__version__}. Intervals after Clopper and Pearson (1934), 95 %.",
     )
     write_text(Path(path), html)
@@ -41,17 +42,10 @@ def _name(design: Design) -> str:
     return "no control" if design.is_baseline else design.label
 
 
-def _verdict(risk: Risk) -> Section:
-    items = Markup()
-    for design in risk.designs[1:]:
-        light = risk.light(design)
-        items += Markup(
-            '<li class="{0}"><span class="light {0}" role="img" aria-label="{1}">{2}</span><b>{3}</b>'
-            "<span>{4}</span></li>"
-        ).format(light.state, STATES[light.state], SYMBOLS[light.state], light.name,
-                 symbols(f"{design.label}: {light.text}"))  # fmt: skip
-    body = Markup('<ul class="lights" aria-label="Lights">{}</ul>').format(items) if items else Markup()
-    return Section("verdict", "Verdict", body + paragraphs(*risk.notes()), printed=True)
+def _verdict_section(risk: Risk) -> Section:
+    lights = [(design, risk.light(design)) for design in risk.designs[1:]]
+    named = [dataclasses.replace(light, text=f"{design.label}: {light.text}") for design, light in lights]
+    return Section("verdict", "Verdict", lights_list(named) + paragraphs(*risk.notes()), printed=True)
 
 
 def probabilities(risk: Risk, design: Design) -> Table:
@@ -79,7 +73,7 @@ def probabilities(risk: Risk, design: Design) -> Table:
     return Table(f"{_name(design)}, {risk.n:,} departures of either side", columns, rows)
 
 
-def _probabilities(risk: Risk) -> Section:
+def _probabilities_section(risk: Risk) -> Section:
     body = Markup().join(to_html(probabilities(risk, design)) for design in risk.designs)
     note = (
         "P is a probability per departure, with the ends of its exact 95 % interval. Design and no control are "
@@ -94,7 +88,7 @@ def _probabilities(risk: Risk) -> Section:
     return Section("probabilities", "Probabilities", body + paragraphs(note), printed=True)
 
 
-def _curve(risk: Risk) -> Section:
+def _curve_section(risk: Risk) -> Section:
     names = [NO_CONTROL if design.is_baseline else design.id for design in risk.designs]
     styles, series = law_styles(names), []
     for design, name in zip(risk.designs, names, strict=True):
@@ -111,7 +105,7 @@ def _curve(risk: Risk) -> Section:
     return Section("exceedance", "Exceedance", figure([chart], text, key), (chart,), printed=True)
 
 
-def _worst(risk: Risk) -> Section:
+def _worst_section(risk: Risk) -> Section:
     columns = [Column("Depth", "m", ".2f"), Column("Scenario", form="d"), Column("Side", text=True)]
     columns += [Column(parameter_label(name), form=digits) for name in PARAMETER_NAMES]
     body = Markup()

@@ -27,7 +27,7 @@ def section(context: Context) -> Section:
         return Section("robustness", "Other plants", body)
     shown = tuple(_shown(context, robustness))
     charts = tuple(_margins(context, robustness, shown))
-    body = paragraphs(*_sentences(context, robustness)) + to_html(_table(context, robustness, shown))
+    body = paragraphs(*_sentences(context, robustness)) + to_html(_plants_table(context, robustness, shown))
     body += bullets(_left_out(robustness))
     if charts:
         body += details(
@@ -87,7 +87,7 @@ def _sentences(context: Context, robustness: Robustness) -> Iterator[str]:
         yield f"Another of the designs compared is better with: {', '.join(behind)}."
 
 
-def _table(context: Context, robustness: Robustness, shown: Shown) -> Table:
+def _plants_table(context: Context, robustness: Robustness, shown: Shown) -> Table:
     columns = [Column("Plant", text=True), Column("Differs in", text=True)]
     for _, position in shown:
         title = law_title(context.ranking.designs[position])

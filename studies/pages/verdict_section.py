@@ -1,7 +1,7 @@
 """The first screen, verdict and lights; and the trade-offs: what a small score is paid for with."""
 
 import dataclasses
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -11,7 +11,7 @@ from ldctoolkit.metrics import A_Y_LIMIT
 
 from ..ranking.design_metrics import pareto_front
 from ..ranking.ranking import Ranking
-from ..ranking.verdict import design_name, law_title
+from ..ranking.verdict import Light, design_name, law_title
 from ..requirements import metric, metric_values
 from ..tables import Column, Row, Table, to_html
 from ..text import plural
@@ -33,11 +33,10 @@ def section(context: Context) -> Section:
     body = render(
         "verdict.html",
         verdict=context.verdict,
-        symbols_of=SYMBOLS,
-        states=STATES,
+        lights=lights_list(context.verdict.lights),
         chart=chart.svg,
         key=cloud_legend(context),
-        warnings=bullets(_warnings(context), "warnings"),
+        warnings=bullets(_report_warnings(context), "warnings"),
         scenarios=context.scenario_text(),
         fresh=context.ranking.fresh.scenarios,
         model=context.model_sentence,
@@ -45,7 +44,12 @@ def section(context: Context) -> Section:
     return Section("verdict", "Verdict", body, (chart,), printed=True)
 
 
-def _warnings(context: Context) -> Iterator[str]:
+def lights_list(lights: Sequence[Light]) -> Markup:
+    """Lights with their reasons; nothing without one."""
+    return render("lights.html", lights=lights, symbols_of=SYMBOLS, states=STATES) if lights else Markup()
+
+
+def _report_warnings(context: Context) -> Iterator[str]:
     report = context.report
     if report.synthetic:
         yield "The scenario model is synthetic: it was fitted to invented driving, not to recordings."

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
-from ldctoolkit.clusters import design_effect
+from ldctoolkit.clusters import design_effect, several
 from ldctoolkit.control import EventStatus
 from ldctoolkit.departures import LEFT, PARAMETER_NAMES, RIGHT
 from ldctoolkit.errors import InputError
@@ -127,8 +127,7 @@ def sampling_intervals(
     _, inverse, copies = np.unique(departures, axis=0, return_inverse=True, return_counts=True)
     order, starts = np.argsort(inverse, kind="stable"), np.cumsum(copies) - copies
     without = _recorded_dtle(results, setup)
-    cluster = results.scenarios.cluster
-    cluster = None if cluster is None else np.unique(cluster, return_inverse=True)[1].ravel()
+    cluster = several(results.scenarios.cluster)
 
     def ends(metric: Metric, acted: BoolArray, *columns: FloatArray) -> Values:
         if metric.share is not None:  # 0 or 1 for a single departure, or NaN if the share does not count it

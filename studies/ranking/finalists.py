@@ -15,7 +15,16 @@ from ..design_space import Dimension
 from ..requirements import Estimate, Miss, Requirement
 from ..results import FailedDesign, RefitScores, StudyResults, score_label
 from .design_metrics import DesignMetrics, mean_reduction
-from .inference import SAME, Inference, Interval, Resampled, critical_value, simultaneous_interval, skewed_widths
+from .inference import (
+    SAME,
+    Differences,
+    Inference,
+    Interval,
+    Resampled,
+    critical_value,
+    simultaneous_interval,
+    skewed_widths,
+)
 
 
 def choose_winner(resampled: Resampled, set_of_best: BoolArray, meets: BoolArray, confidence: float) -> int | None:
@@ -40,23 +49,16 @@ _STREAM = 1  # of the resamples; the search uses stream 0
 
 
 @dataclasses.dataclass(frozen=True)
-class FreshScores:
+class FreshScores(Differences):
     """Scores of the finalists on scenarios that no design was chosen on, arrays of d; NaN for other designs.
-    The baseline is scored there too. It is a finalist only where it is in the set of best.
+    The reference is the search's first. The baseline is scored there too. It is a finalist only where it is in the set
+    of best.
     """
 
     # (d,) [m s] Mean S and its interval, for all finalists and the baseline at once
     S: FloatArray
     low: FloatArray
     high: FloatArray
-    # (d,) [m s] Mean S minus that of the search's first, paired, with its interval, for all finalists at once
-    difference: FloatArray
-    difference_low: FloatArray
-    difference_high: FloatArray
-    # (d,) [m s] The same to the baseline
-    baseline_difference: FloatArray
-    baseline_difference_low: FloatArray
-    baseline_difference_high: FloatArray
     reduction: FloatArray  # (d,) 1 - mean S / mean S of the baseline
     unmet: tuple[tuple[str, ...], ...]  # Requirements that a finalist misses on the fresh scenarios
     # (d,) [m s] How much better the search's score was than the fresh one, and its interval, for all finalists at
@@ -97,6 +99,9 @@ class ReplayedScores:
 class RecordingScores:
     """Intervals of what the recordings leave open, arrays of d: of the winner, NaN for other designs."""
 
+    text: str  # Origin of the recorded departures, or why there are no intervals; empty if no refits were requested
+    refits: int  # Number of refits behind them
+    failed: int  # Refits that failed
     # (d,) [m s] Of mean S, and of its difference to the baseline
     low: FloatArray
     high: FloatArray
@@ -104,9 +109,6 @@ class RecordingScores:
     baseline_difference_high: FloatArray
     reduction_low: FloatArray
     reduction_high: FloatArray
-    text: str  # Origin of the recorded departures, or why there are no intervals; empty if no refits were requested
-    refits: int  # Number of refits behind them
-    failed: int  # Refits that failed
 
     @classmethod
     def of(
@@ -114,23 +116,20 @@ class RecordingScores:
         baseline: int | None, confidence: float,
     ) -> Self:  # fmt: skip
         """About the centres (3, d): mean S, its difference to the baseline, and the reduction."""
-        ends = np.full((6, len(ids)), np.nan)
-        text, count, failed = "", 0, 0
-        if refits is not None:
-            text, count, failed = refits.text, len(refits.S), refits.failed
-        if refits is not None and winner is not None and count:
-            named = [ids[i] for i in dict.fromkeys(i for i in (winner, baseline) if i is not None)]
+        ends = np.full((3, 2, len(ids)), np.nan)
+        if refits is None:
+            return cls("", 0, 0, *ends.reshape(6, -1))
+        text, named = refits.text, [ids[i] for i in dict.fromkeys((winner, baseline)) if i is not None]
+        if winner is not None and len(refits.S):
             if set(named) <= set(refits.designs):
-                S, without = refits.S[:, refits.designs.index(ids[winner])], refits.S[:, -1]
-                values = [S, S - refits.S[:, refits.designs.index(named[-1])], 1.0 - S / without]
-                half = np.array([refits.half_width(value, confidence) for value in values])
-                half[1] = np.nan if len(named) == 1 else half[1]
-                ends[::2, winner], ends[1::2, winner] = centres[:, winner] - half, centres[:, winner] + half
-                ends[0] = np.maximum(ends[0], 0.0)
-                ends[5] = np.minimum(ends[5], 1.0)
+                S, other = (refits.S[:, refits.designs.index(name)] for name in (named[0], named[-1]))
+                values = (S, S - other if len(named) > 1 else np.full_like(S, np.nan), 1.0 - S / refits.S[:, -1])
+                half = [refits.half_width(value, confidence) for value in values]
+                ends[:, :, winner] = centres[:, winner, None] + np.outer(half, (-1.0, 1.0))
+                ends[0], ends[2] = np.maximum(ends[0], 0.0), np.minimum(ends[2], 1.0)
             else:
                 text = "not known for this winner: run the study with these settings"
-        return cls(ends[0], ends[1], ends[2], ends[3], ends[4], ends[5], text, count, failed)
+        return cls(text, len(refits.S), refits.failed, *ends.reshape(6, -1))
 
 
 def fresh_scores(
@@ -204,10 +203,10 @@ def fresh_scores(
         winner = None if winning_row is None else int(finalists[winning_row])
     texts = dict(zip(finalists.tolist(), (unmet[i] for i in rows.tolist()), strict=True))
     return FreshScores(
-        S,
-        *ends(simultaneous_interval(scored, confidence), positions)[1:],
         *to_first,
         *to_baseline,
+        S,
+        *ends(simultaneous_interval(scored, confidence), positions)[1:],
         reduction,
         tuple(texts.get(i, ()) for i in range(d)),
         *optimism,

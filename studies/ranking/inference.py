@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
-from ldctoolkit.clusters import cluster_error, cluster_values, with_tails_of_t
+from ldctoolkit.clusters import cluster_error, cluster_values, several, with_tails_of_t
 from ldctoolkit.declared import checked_number
 from ldctoolkit.errors import InputError
 from ldctoolkit.metrics import TAIL
@@ -260,10 +260,10 @@ class Resampled:
     ) -> Resampled:
         """Resample scenarios within each side; with clusters (n,) whole clusters, whatever their sides."""
         rows = np.arange(len(scores)) if rows is None else rows
-        departures = None
+        cluster, departures = several(cluster), None
         if cluster is not None:
-            departures = scores, np.unique(cluster, return_inverse=True)[1].ravel()
-            scores = cluster_values(*departures)
+            departures = scores, cluster
+            scores = cluster_values(scores, cluster)
             side = np.zeros(scores.shape[1], dtype=np.int64)
         few = rows.size * side.size <= _STORED_PARTS
         deviations = bootstrap_deviations(scores, side, samples=samples, seed=seed, stream=stream, rows=rows)
@@ -420,21 +420,29 @@ _REFERENCE_ENTRIES = 500_000  # resampled means in a block (4 MB)
 
 
 @dataclasses.dataclass(frozen=True)
-class Inference:
-    """Simultaneous intervals of d designs, arrays of d: each family holds for all its designs at once."""
+class Differences:
+    """Differences of d designs to one of them and to the baseline, arrays of d; NaN where they are not known."""
+
+    # (d,) [m s] Mean S minus that of the reference, paired on the scenarios, and its interval, for all designs at once
+    difference: FloatArray
+    difference_low: FloatArray
+    difference_high: FloatArray
+    # (d,) [m s] The same to the baseline
+    baseline_difference: FloatArray
+    baseline_difference_low: FloatArray
+    baseline_difference_high: FloatArray
+
+
+@dataclasses.dataclass(frozen=True)
+class Inference(Differences):
+    """Simultaneous intervals of d designs, arrays of d: each family holds for all its designs at once.
+
+    The reference is the best design; the intervals hold whichever design came out best.
+    """
 
     # (d,) [m s] Interval of the mean S
     S_low: FloatArray
     S_high: FloatArray
-    # (d,) [m s] Mean S minus that of the best design, paired on the scenarios, and its interval, which holds whichever
-    # design came out best
-    difference: FloatArray
-    difference_low: FloatArray
-    difference_high: FloatArray
-    # (d,) [m s] The same to the baseline; NaN without one
-    baseline_difference: FloatArray
-    baseline_difference_low: FloatArray
-    baseline_difference_high: FloatArray
     # (d,) The truly best of the ranked designs is in this set with the confidence at least. A design within 1e-6 m s of
     # the best, the accuracy of an iterative solver, always is
     set_of_best: BoolArray

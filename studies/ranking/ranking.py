@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ldctoolkit.arrays import Frame, IntArray
-from ldctoolkit.clusters import FEWEST_CLUSTERS
+from ldctoolkit.clusters import doubt_of, several
 from ldctoolkit.control import EventStatus
 from ldctoolkit.departures import LEFT
 from ldctoolkit.errors import StudyError, expect
@@ -67,18 +67,15 @@ def warnings_of_sample(
         f"{count} {'left' if which == LEFT else 'right'}"
         for which, count in zip(sides[::-1], counts[::-1], strict=True)
     )
-    if cluster is not None:
-        if (count := np.unique(cluster).size) < FEWEST_CLUSTERS:
-            yield (
-                f"The departures are of {count} trips or drivers only: with fewer than {FEWEST_CLUSTERS}, intervals "
-                "cannot be trusted."
-            )
-    elif not spread_is_known(side):
+    if text := doubt_of(cluster):
+        yield f"{text[0].upper()}{text[1:]}."
+    independent = several(cluster) is None
+    if independent and not spread_is_known(side):
         yield (
             f"There is no interval and no designs are separated: a side has one scenario only ({numbers}), "
             "which shows no spread."
         )
-    elif side.size < FEW or counts.min() < FEW_OF_A_SIDE:
+    elif independent and (side.size < FEW or counts.min() < FEW_OF_A_SIDE):
         yield (
             f"Intervals are too short with so few scenarios ({numbers}): below {FEW}, or {FEW_OF_A_SIDE} of a side, "
             "they hold less often than they say. None of them counts the sampling error of the scenario model itself."
@@ -245,6 +242,12 @@ class Ranking(RankedDesigns, Frame):
         if requirements and acting and not any(i < ranked for i in acting):
             fresh = dataclasses.replace(fresh, winner=None)  # no control is not a design to choose
         warnings += warnings_of_sample(side, inference, cluster)
+        replayed, refits = results.replayed, results.refits
+        for what, text in (
+            ("replayed departures", "" if replayed is None else doubt_of(replayed.scenarios.cluster)),
+            ("recordings behind the model", "" if refits is None else refits.doubt),
+        ):
+            warnings += [f"Of the {what}: {text}."] if text else []
         for i in best_of_laws(designs):
             if not designs[i].is_baseline and (text := tail_text(*depths(results, int(order[i]), setup))):
                 warnings.append(f"{designs[i].label} is {text}.")
@@ -448,7 +451,7 @@ def write_csv(ranking: Ranking, path: str | Path) -> None:
 def _table(ranking: Ranking) -> Table:
     """The numbers of every design, in SI units."""
     laws = {design.law: design for design in _all_designs(ranking)}
-    gains = list(dict.fromkeys(column for _, design in sorted(laws.items()) for column in _columns_of(design)))
+    gains = list(dict.fromkeys(column for _, design in sorted(laws.items()) for column in _gain_columns(design)))
     rows = list(_rows(ranking, gains))
     return Table.of(rows[0], rows, text=("design", "label", "unmet", "fresh_unmet", "failure"))
 
@@ -458,7 +461,7 @@ def _all_designs(ranking: Ranking) -> Iterator[Design]:
     yield from (failure.design for failure in ranking.failed)
 
 
-def _columns_of(design: Design) -> list[str]:
+def _gain_columns(design: Design) -> list[str]:
     """Column of every gain of a law; a gain of one name and unit shares its column between laws."""
     units = {"1": "", "samples": ""}
     return [
@@ -479,7 +482,7 @@ def _rows(ranking: Ranking, gains: Sequence[str]) -> Iterator[dict[str, Any]]:
     optimism_of = "baseline_difference" if ranking.fresh.optimism_paired else "S"
     for i, (design, reason) in enumerate(zip(_all_designs(ranking), reasons, strict=True)):
         here = i < len(ranking)
-        gain_values = dict(zip(_columns_of(design), (value for _, value in design.gains), strict=True))
+        gain_values = dict(zip(_gain_columns(design), (value for _, value in design.gains), strict=True))
         yield {
             "window": ranking.window,
             "convention": ranking.convention,

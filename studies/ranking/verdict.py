@@ -17,7 +17,7 @@ from ldctoolkit.setup import Setup
 
 from ..design import Design
 from ..design_space import THRESHOLD, Y_S, Choices, Span
-from ..requirements import Estimate, G, metric_values
+from ..requirements import Estimate, G, Miss, metric_values
 from ..results import StudyResults
 from ..tables import Cell, Column, Row, Table, Value, notebook_html
 from ..text import compact
@@ -70,11 +70,30 @@ class SweepEnd:
     @property
     def text(self) -> str:
         """For a reader: ``"r_delta = 5000 is the end of its sweep: extend it"``."""
-        shown = f"{self.gain.name} = {compact(self.value)}{' m' if self.gain is Y_S else ''}"
+        shown = _setting(self.gain, self.value)
         if not self.open:
             return f"{shown} is the {'largest' if self.upper else 'smallest'} allowed"
         near = "" if self.value == self.end else f" beside {compact(self.end)},"
         return f"{shown} is{near} the end of its sweep: extend it"
+
+
+@dataclasses.dataclass(frozen=True)
+class BlockedValue:
+    """The next value of a gain or threshold in its sweep, where S is less but a requirement is not met."""
+
+    gain: Gain
+    value: float
+    missed: tuple[Miss, ...]
+
+    @property
+    def text(self) -> str:
+        """For a reader: ``"r_delta = 2500 would be better, but breaks needless <= 50 % (52.1 %)"``."""
+        broken = _list([miss.broken for miss in self.missed])
+        return f"{_setting(self.gain, self.value)} would be better, but breaks {broken}"
+
+
+def _setting(gain: Gain, value: float) -> str:
+    return f"{gain.name} = {compact(value)}{' m' if gain is Y_S else ''}"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -84,14 +103,16 @@ class Verdict:
     title: str  # One line
     sentences: tuple[str, ...]  # At most two: the score of the named design, and what it violates or misses
     lights: tuple[Light, ...]  # Of the named design: score, stable, limits, other plants, tail; then scenarios
-    place: int  # Position of the named design in the ranking
+    position: int  # Of the named design in the ranking
     # If no design meets the requirements: positions of those whose largest excess is smallest
     nearest: tuple[int, ...] = ()
     try_next: tuple[str, ...] = ()  # If no design meets the requirements: what to try
     recorded: float = 0.0  # Share of departures whose recorded path alone needs more than the friction
-    # What holds the named design back, if it meets the requirements: those that bind, and ends of sweeps
+    # What holds the named design back, if it meets the requirements: those that bind, ends of sweeps, and values beside
+    # its own that break a requirement
     binding: tuple[Estimate, ...] = ()
     ends: tuple[SweepEnd, ...] = ()
+    blocked: tuple[BlockedValue, ...] = ()
 
     @property
     def usable(self) -> bool:
@@ -100,10 +121,11 @@ class Verdict:
 
     @property
     def held_back(self) -> tuple[str, ...]:
-        """Sentences on what binds, and on the ends of sweeps."""
+        """Sentences on what binds, on the ends of sweeps, and on better values that break a requirement."""
         binding = "; ".join(estimate.of_limit for estimate in self.binding)
-        ends = (f"{end.text}." for end in self.ends)
-        return (*([f"Requirements that bind: {binding}."] if binding else []), *ends)
+        texts = [f"Requirements that bind: {binding}"] if binding else []
+        texts += [end.text for end in self.ends] + [value.text for value in self.blocked]
+        return tuple(f"{text}." for text in texts)
 
 
 def verdict(
@@ -147,8 +169,8 @@ def verdict(
         *_scenarios_light(model),
     )
     binding = tuple(limit for limit in ranking.estimates(position) if limit.required and limit.binds and not nearest)
-    ends = () if nearest else sweep_ends(ranking, position)
-    return Verdict(title, tuple(sentences), lights, position, nearest, try_next, recorded, binding, ends)
+    ends, blocked = ((), ()) if nearest else (sweep_ends(ranking, position), blocked_values(ranking, position))
+    return Verdict(title, tuple(sentences), lights, position, nearest, try_next, recorded, binding, ends, blocked)
 
 
 def law_title(design: Design) -> str:
@@ -382,27 +404,52 @@ def _try_next(ranking: RankedDesigns, position: int) -> Iterator[str]:
 _AT_END: Final = 0.02  # of a range: what lies closer to its end lies at it
 
 
-def sweep_ends(ranking: RankedDesigns, position: int) -> tuple[SweepEnd, ...]:
-    """Gains and threshold of a design that lie at an end of the values beside which it was tried.
+def _sweeps(ranking: RankedDesigns, position: int) -> Iterator[tuple[Gain, float, dict[float, int]]]:
+    """Yield each numeric gain and the threshold of a design, and the values beside which it was tried.
 
-    In a grid these are the designs, failed ones too, that differ from it in nothing else.
+    In a grid these are of the designs that differ from it in nothing else, whose positions they have; failed designs
+    come after all others.
     """
-    design, ends = ranking.designs[position], []
-    every = (*ranking.designs, *(failure.design for failure in ranking.failed))
-    tried = [{THRESHOLD: other.y_s, **dict(other.gains)} for other in every if other.law == design.law]
-    values = {THRESHOLD: design.y_s, **dict(design.gains)}
+    design = ranking.designs[position]
+    every = enumerate((*ranking.designs, *(failure.design for failure in ranking.failed)))
+    tried = {i: {THRESHOLD: other.y_s, **dict(other.gains)} for i, other in every if other.law == design.law}
+    values = tried[position]
     for gain in () if design.is_baseline else (Y_S, *design.kind.gains()):
         value: Any = values[gain.name]
-        ranges = [of for *what, of in ranking.ranges if what == [design.law, gain.name]]
-        numbers: set[Any] = {other[gain.name] for other in tried if other | {gain.name: value} == values}
+        if not isinstance(value, str | bool):
+            beside: Any = {of[gain.name]: i for i, of in tried.items() if of | {gain.name: value} == values}
+            yield gain, value, beside
+
+
+def sweep_ends(ranking: RankedDesigns, position: int) -> tuple[SweepEnd, ...]:
+    """Gains and threshold of a design that lie at an end of the values beside which it was tried."""
+    law, ends = ranking.designs[position].law, []
+    for gain, value, beside in _sweeps(ranking, position):
+        ranges = [of for *what, of in ranking.ranges if what == [law, gain.name]]
+        numbers: set[Any] = set(beside)
         numbers |= {end for of in ranges for end in (of.values if isinstance(of, Choices) else (of.low, of.high))}
-        if isinstance(value, str | bool) or len(numbers) < 2:
-            continue
-        for upper, end in enumerate((min(numbers), max(numbers))):
+        for upper, end in enumerate((min(numbers), max(numbers)) if len(numbers) > 1 else ()):
             close = (abs(of.share(value) - of.share(end)) <= _AT_END for of in ranges if isinstance(of, Span))
             if value == end or any(close):
                 ends.append(SweepEnd(gain, value, end, bool(upper)))
     return tuple(ends)
+
+
+def blocked_values(ranking: RankedDesigns, position: int) -> tuple[BlockedValue, ...]:
+    """Next values of a design's gains and threshold, in both directions, with less S but a requirement not met."""
+    blocked = []
+    for gain, value, beside in _sweeps(ranking, position):
+        tried = sorted(beside)
+        at = tried.index(value)
+        for x in (*tried[:at][-1:], *tried[at + 1 :][:1]):
+            if (i := beside[x]) >= len(ranking):
+                continue
+            fresh = np.isfinite(ranking.fresh.S[[i, position]]).all()
+            S = ranking.fresh.S if fresh else ranking.metrics.S
+            missed = ranking.missed[i] or tuple(of for of in ranking.estimates(i) if of.required and not of.met)
+            if missed and S[i] < S[position]:
+                blocked.append(BlockedValue(gain, x, missed))
+    return tuple(blocked)
 
 
 TOP: Final = 20  # rows of a notebook; the winner and the baseline follow where they are further down
@@ -513,7 +560,7 @@ def failures(ranking: RankedDesigns, position: int) -> int:
     return sum(int(count[position]) for count in counts)
 
 
-def listed_places(ranking: RankedDesigns, most: int) -> list[int]:
+def listed_positions(ranking: RankedDesigns, most: int) -> list[int]:
     """Positions of the first designs, the winner, the baseline and the best design of each law."""
     named = {position for position in (ranking.winner, ranking.baseline) if position is not None}
     return sorted({*range(min(most, len(ranking))), *named, *ranking.best_of_each_law()[:most]})
@@ -601,24 +648,8 @@ def more_lines(ranking: RankedDesigns) -> Iterator[str]:
         finalists = np.where(np.isfinite(ranking.fresh.S) & (ranking.rank > 0), ranking.replayed.S, np.inf)
         if (best := int(np.nanargmin(finalists))) != i:
             yield f"The first finalist there is {design_name(ranking.designs[best])}."
-    if i is not None and (recordings := ranking.recordings).text:
-        if math.isfinite(low := float(recordings.low[i])):
-            level, unit = f"{100 * ranking.confidence:g} %", " m s"
-            parts = [f"mean S {low:.3f} .. {recordings.high[i]:.3f}{unit}"]
-            parts += [
-                f"reduction {100 * recordings.reduction_low[i]:.1f} .. {100 * recordings.reduction_high[i]:.1f} %"
-            ]
-            if math.isfinite(end := float(recordings.baseline_difference_low[i])):
-                parts += [
-                    f"difference to the baseline {end:+.4f} .. {recordings.baseline_difference_high[i]:+.4f}{unit}"
-                ]
-            failed = f" ({recordings.failed} more failed)" if recordings.failed else ""
-            yield (
-                f"What the recordings leave open ({level} intervals, {recordings.refits} refits{failed}): "
-                f"{', '.join(parts)}; {recordings.text}."
-            )
-        else:
-            yield f"What the recordings leave open is not known: {recordings.text}."
+    if recordings := recordings_text(ranking):
+        yield recordings
     limits = () if i is None else ranking.estimates(i)
     if i is not None and (required := [limit for limit in limits if limit.required and limit.interval]):
         texts = (limit.with_interval(f"{100 * ranking.confidence:g} %") for limit in required)
@@ -635,9 +666,30 @@ def more_lines(ranking: RankedDesigns) -> Iterator[str]:
         yield f"{len(ranking.failed):,} design{'' if len(ranking.failed) == 1 else 's'} failed, without metrics."
 
 
+def recordings_text(ranking: RankedDesigns, unit: str = "m s") -> str:
+    """Sentence on what the recordings behind the model leave open of the winner; may be empty."""
+    i, recordings, level = ranking.winner, ranking.recordings, f"{100 * ranking.confidence:g} %"
+    if i is None or not recordings.text:
+        return ""
+    if not math.isfinite(low := float(recordings.low[i])):
+        return f"What the recordings leave open is not known: {recordings.text}."
+    parts = [
+        f"mean S {low:.3f} .. {recordings.high[i]:.3f} {unit}",
+        f"reduction {100 * recordings.reduction_low[i]:.1f} .. {100 * recordings.reduction_high[i]:.1f} %",
+    ]
+    if math.isfinite(end := float(recordings.baseline_difference_low[i])):
+        high = recordings.baseline_difference_high[i]
+        parts.append(f"difference to the baseline {end:+.4f} .. {high:+.4f} {unit}")
+    failed = f" ({recordings.failed} more failed)" if recordings.failed else ""
+    return (
+        f"What the recordings leave open ({level} intervals, {recordings.refits} refits{failed}): "
+        f"{', '.join(parts)}; {recordings.text}."
+    )
+
+
 def ranking_html(ranking: RankedDesigns, top: int = TOP) -> str:
     """HTML of a ranking for a notebook."""
-    table = ranking_table(ranking, listed_places(ranking, top))
+    table = ranking_table(ranking, listed_positions(ranking, top))
     if ranking.winner is not None:
         best = f"Winner: {design_name(ranking.designs[ranking.winner])}."
     else:

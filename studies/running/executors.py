@@ -188,6 +188,7 @@ def _limited(seconds: float) -> Iterator[None]:
 
 
 def _watch(thread: int, deadline: float | None) -> None:
+    """Set or lift a thread's deadline; at the nearest of all the process ends, with a note."""
     with _lock:
         if deadline is None:
             _deadlines.pop(thread, None)

@@ -212,6 +212,7 @@ def rbd_fast_indices(x: FloatArray, S: FloatArray, *, confidence: float, seed: i
 
 
 def _around(index: Any, half: Any) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Index, and the ends of its interval."""
     middle, width = np.asarray(index, dtype=np.float64), np.asarray(half, dtype=np.float64)
     return middle, middle - width, middle + width
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+import functools
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, TypeVar, get_type_hints
 
 import numpy as np
 
+from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.checked_files import (
     check_parquet,
     json_text,
@@ -26,6 +28,8 @@ from ldctoolkit.scenarios import Drifts, Scenarios
 if TYPE_CHECKING:
     import polars as pl
 
+
+T = TypeVar("T")
 
 SCENARIOS = "scenarios.parquet"
 
@@ -60,6 +64,40 @@ def read_json(path: Path) -> dict[str, Any]:
         return without_checksum(parse_json(read_regular(path, StoreError)))
     except (ValueError, TypeError, AttributeError) as error:
         raise StoreError(path, f"broken: {error}") from None
+
+
+_KINDS: Final[dict[Any, Callable[[Any], Any]]] = {
+    kind: functools.partial(np.array, dtype=dtype)
+    for kind, dtype in ((FloatArray, np.float64), (IntArray, np.int64), (BoolArray, np.bool_))
+} | {float: float}
+
+
+def write_fields(path: Path, value: Any) -> None:
+    """Write the fields of a dataclass as JSON: arrays, numbers, texts, and tuples of these."""
+    write_json(path, {name: _plain(field) for name, field in vars(value).items()}, indent=None)
+
+
+def read_fields(path: Path, kind: type[T]) -> T | None:
+    """What `write_fields` wrote; None if it is missing, damaged or of other fields: it is a cache."""
+    try:
+        kinds, content = get_type_hints(kind), read_json(path)
+        return kind(**{name: _KINDS.get(kinds[name], _tuples)(value) for name, value in content.items()})
+    except (StoreError, ValueError, TypeError, KeyError, AttributeError):
+        return None
+
+
+def _plain(field: Any) -> Any:
+    """Nested lists of an array; NaN and infinity, which JSON lacks, as text."""
+    if not isinstance(field, float | np.ndarray):
+        return field
+    plain = np.array(field, dtype=object)
+    unknown = ~np.isfinite(field)
+    plain[unknown] = np.asarray(field)[unknown].astype(str)
+    return plain.tolist()
+
+
+def _tuples(value: Any) -> Any:
+    return tuple(_tuples(item) for item in value) if isinstance(value, list) else value
 
 
 def write_parquet(path: Path, table: pl.DataFrame) -> None:
@@ -119,7 +157,7 @@ def scenario_table(scenarios: Scenarios) -> pl.DataFrame:
             "side": np.where(scenarios.side == LEFT, "left", "right").tolist(),
             **{column: getattr(scenarios, name) for name, column in PARAMETER_COLUMNS.items()},
             **({column: getattr(drift, name) for name, column in _DRIFT.items()} if drift is not None else {}),
-            **({} if cluster is None else {_CLUSTER: cluster.astype(np.uint32)}),
+            **({} if cluster is None else {_CLUSTER: cluster.astype(np.int32)}),
         }
     )
 
@@ -136,7 +174,7 @@ def read_scenarios(path: Path) -> Scenarios:
     import polars as pl
 
     schema = {"scenario": pl.UInt32(), "side": pl.String(), **dict.fromkeys(PARAMETER_COLUMNS.values(), pl.Float64())}
-    table = read_parquet(path, schema, optional=(dict.fromkeys(_DRIFT.values(), pl.Float64()), {_CLUSTER: pl.UInt32()}))
+    table = read_parquet(path, schema, optional=(dict.fromkeys(_DRIFT.values(), pl.Float64()), {_CLUSTER: pl.Int32()}))
     columns = {name: table[column].to_numpy() for name, column in PARAMETER_COLUMNS.items()}
     try:
         scenarios = Scenarios.drawn(side=np.where((table["side"] == "left").to_numpy(), LEFT, RIGHT), **columns)

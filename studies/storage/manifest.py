@@ -193,7 +193,8 @@ class Manifest(BaseModel):
     wall_time_s: float = 0.0  # Summed over all runs into the folder
     executor: str = "serial"  # Where the last run's tasks ran: ``"serial"``, ``"processes"`` or ``"dask"``
     workers: int = 1  # Of the last run
-    extended: tuple[str, ...] = ()  # Values that the run added to the study beyond ends of sweeps, for readers
+    extended: tuple[str, ...] = ()  # Values that were added to the study beyond ends of sweeps, for readers
+    extended_from: tuple[dict[str, Any], ...] = ()  # Its design tables without these values; none if none was added
     part_of: str = ""  # Of finalists: which ranking they are the finalists of (`Study.ranked_as`); empty otherwise
     command: str = ""  # Command line of the last run, absolute paths reduced to file names
 
@@ -209,6 +210,7 @@ class Manifest(BaseModel):
         model_warnings: tuple[str, ...] = (),
         part_of: str = "",
         extended: tuple[str, ...] = (),
+        extended_from: Sequence[dict[str, Any]] = (),
     ) -> Manifest:
         """The manifest of a study that starts now."""
         content = study.content()
@@ -225,6 +227,7 @@ class Manifest(BaseModel):
             model_synthetic=model_synthetic,
             part_of=part_of,
             extended=extended,
+            extended_from=tuple(extended_from) if extended else (),
             inputs=study.inputs(),
             seed=study.seed,
             laws=study.laws(),

@@ -83,12 +83,12 @@ def write_results(folder: Path, results: Sequence[TaskResult], window: Window, n
     """
     content = io.BytesIO()
     # nearly all columns are noise to a compressor: a fast one loses little
-    _table(results, window, numbers).write_parquet(content, compression="lz4", statistics=False)
+    _results_frame(results, window, numbers).write_parquet(content, compression="lz4", statistics=False)
     what = json.dumps([[result.ids, numbers[result.rows[[0, -1]]].tolist()] for result in results])
     return write_part(folder, hashlib.sha256(what.encode()).hexdigest()[:_DIGITS], content.getvalue(), "parquet")
 
 
-def _table(results: Sequence[TaskResult], window: Window, numbers: IntArray) -> pl.DataFrame:
+def _results_frame(results: Sequence[TaskResult], window: Window, numbers: IntArray) -> pl.DataFrame:
     import polars as pl
 
     ids = pl.Series("design", [id for result in results for id in result.ids], dtype=pl.String())

@@ -19,7 +19,7 @@ from ldctoolkit.errors import InputError, LdcError, ModelError, RecordingError, 
 from ldctoolkit.recordings import read_departures
 from ldctoolkit.recordings.departures_table import column_of, read_table
 from ldctoolkit.scenario_model import Given, ScenarioModel, SideModel, SideSummary, conditions
-from ldctoolkit.scenario_model.model import outside_fit
+from ldctoolkit.scenario_model.model import meeting, outside_fit
 from ldctoolkit.scenarios import SPEED_FLOOR, Scenarios, slowest_speed
 from ldctoolkit.vehicle.bicycle import VehicleParameters
 
@@ -85,11 +85,7 @@ class ReplayedDepartures:
         return dataclasses.replace(self.scenarios.take(rows), index=index)
 
     def _rows(self, side: int, given: Given | None) -> IntArray:
-        keep = self.scenarios.side == side
-        for condition in conditions(given):
-            column = getattr(self.scenarios, condition.name)
-            keep &= (column >= condition.low) & (column <= condition.high)
-        return np.flatnonzero(keep)
+        return np.flatnonzero((self.scenarios.side == side) & meeting(self.scenarios, conditions(given)))
 
 
 def read_replayed(study: Study) -> ReplayedDepartures:
@@ -136,8 +132,7 @@ def read_replayed(study: Study) -> ReplayedDepartures:
             for key in ("recording", "driver")
         )
         clusters = Clusters.of_names(scenarios.n, recording, driver)
-        if clusters.kind != "departures":
-            scenarios = dataclasses.replace(scenarios, cluster=clusters.index)
+        scenarios = dataclasses.replace(scenarios, cluster=clusters.numbers)
     notes.append(f"Intervals are of {clusters.text}.")
     if weights is not None and not ((weights >= 0.0) & np.isfinite(weights)).all():
         raise RecordingError(name, f"column {settings.weights!r} holds {weights.min():g}", allowed="finite, at least 0")
@@ -145,6 +140,7 @@ def read_replayed(study: Study) -> ReplayedDepartures:
 
 
 def _checked(name: str, make: Callable[[], Scenarios]) -> Scenarios:
+    """Scenarios that `make` gives; its error names the source."""
     try:
         return make()
     except LdcError as error:
@@ -276,15 +272,15 @@ def _notes(model: ScenarioModel) -> Iterator[str]:
     for name, side, summary in (("left", model.left_side, origin.left), ("right", model.right_side, origin.right)):
         K, smoothed = side.mixture.n_components, summary is not None and summary.kind == "smoothed"
         kind = "smoothed departures" if smoothed else f"{K} component{'s' * (K > 1)}"
-        yield f"{name}: {kind}{_fitted(summary)}"
-        yield from (f"{name}: {text}" for text in (_box(side, summary), _mapped(side)) if text)
+        yield f"{name}: {kind}{_fit_text(summary)}"
+        yield from (f"{name}: {text}" for text in (_box(side, summary), _map_text(side)) if text)
     if origin.software:
         yield f"fitted with {origin.software}, seed {origin.seed}, {origin.created}".rstrip(", ")
     if origin.versions:
         yield ", ".join(f"{name} {version}" for name, version in origin.versions.items())
 
 
-def _fitted(summary: SideSummary | None) -> str:
+def _fit_text(summary: SideSummary | None) -> str:
     if summary is None:
         return ""
     weight = "" if summary.weight is None else f" that stand for {summary.weight:,.6g}"
@@ -305,12 +301,13 @@ def _box(side: SideModel, summary: SideSummary | None) -> str:
     return f"bounds {'; '.join(texts)}"
 
 
-def _mapped(side: SideModel) -> str:
+def _map_text(side: SideModel) -> str:
     mapped = [f"{name} by {kind}" for name, kind in zip(side.names, side.transform(), strict=True) if kind != "none"]
     return f"fitted after a map of {', '.join(mapped)}" if mapped else ""
 
 
 def _flat(source: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Entries of a model's source, a table's on one line."""
     for key, value in source.items():
         if isinstance(value, Mapping):
             yield key, ", ".join(f"{name} {_plain(item)}" for name, item in value.items() if item not in ("", None))
@@ -319,6 +316,7 @@ def _flat(source: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
 
 
 def _plain(value: Any) -> Any:
+    """A value of a model's source on one line."""
     if isinstance(value, Mapping):
         return " ".join(f"{name} {_plain(item)}" for name, item in value.items())
     if isinstance(value, list | tuple):

@@ -11,13 +11,10 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import json
 import logging
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from ldctoolkit.errors import LdcError, StoreError
 from ldctoolkit.scenarios import Scenarios
@@ -27,7 +24,7 @@ from ..design import Design
 from ..results import FailedRun, RefitScores, StudyResults, TaskResult
 from ..study_file import Study
 from .checked_parts import read_part
-from .folder_files import SCENARIOS, output_folder, read_json, read_scenarios, write_scenarios
+from .folder_files import SCENARIOS, output_folder, read_fields, read_scenarios, write_scenarios
 from .manifest import (
     DESIGNS,
     FAILURES,
@@ -209,8 +206,8 @@ class Store:
         if "gain_margin" not in measures and not self.manifest.part_of:
             _log.warning("%s: no loop margins of these designs yet; run the study again to have them", self.folder)
         fresh, replayed = (self._again(name, results) for name in (FINALISTS, REPLAYED))
-        known = [self.manifest.ranked_as, self.manifest.model_hash]
-        refits = None if self.manifest.part_of else read_refits(self.folder, known)
+        known = self.manifest.ranked_as, self.manifest.model_hash
+        refits = None if self.manifest.part_of else read_refits(self.folder, *known)
         return dataclasses.replace(results, measures=measures, fresh=fresh, replayed=replayed, refits=refits)
 
     def _again(self, name: str, results: StudyResults) -> StudyResults | None:
@@ -231,18 +228,15 @@ class Store:
         return again if {design.id for design in again.designs} <= {design.id for design in results.designs} else None
 
 
-def read_refits(folder: Path, key: list[Any]) -> RefitScores | None:
-    """What a folder holds of refits; None where its key does not begin as this one, or it cannot be read."""
-    try:
-        content = read_json(folder / REFITS_FILE)
-        if content["key"][: len(key)] != json.loads(json.dumps(key)) or content["key"][-1] != dict(versions()):
-            return None
-        fields = content["scores"]
-        S = np.array(fields["S"], dtype=np.float64).reshape(-1, len(fields["designs"]) + 1, 2)
-        numbers = {"S": S, "factor": float(fields["factor"]), "df": float(fields["df"])}
-        return RefitScores(**fields | numbers | {"designs": tuple(fields["designs"])})
-    except (StoreError, ValueError, TypeError, KeyError, IndexError):
-        return None  # the next run makes it anew
+def read_refits(folder: Path, *key: str) -> RefitScores | None:
+    """What a folder holds of refits of these versions, whose key begins so; None where there is nothing."""
+    stored, key = read_fields(folder / REFITS_FILE, RefitScores), refits_key(*key)
+    return stored if stored is not None and stored.key[: len(key)] == key else None
+
+
+def refits_key(*parts: str) -> tuple[str, ...]:
+    """What `RefitScores` follow from: ranking, model, recordings and number, beside the versions of packages."""
+    return str(versions()), *parts
 
 
 def read_results(folder: str | Path) -> StudyResults:

@@ -147,14 +147,14 @@ def test_the_record_of_solver_calls(solver: str) -> None:
     tolerance = {"osqp": 2e-6, "daqp": 1e-9, "clarabel": 1e-6}[solver]
     np.testing.assert_allclose(delta, proved, rtol=0, atol=10 * tolerance)
     calls = law.solver_calls(state)
-    assert calls.place.tolist() == list(range(12))
+    assert calls.position.tolist() == list(range(12))
     assert (calls.status == 1).all()
     np.testing.assert_array_equal(state.rung, Rung.SOLVED)
     assert calls.primal_residual.max() <= tolerance
     assert calls.dual_residual.max() <= tolerance
     assert solver == "clarabel" or (calls.iterations > 0).all()
     assert set(guessed.rung.tolist()) <= {Rung.FREE, Rung.HELD}
-    assert guessed.calls.place.size == 0
+    assert guessed.calls.position.size == 0
 
 
 @pytest.mark.parametrize("solver", ["dapq", "mosek"])

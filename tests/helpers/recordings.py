@@ -11,9 +11,9 @@ import polars as pl
 from helpers.bits import assert_same_bits
 from ldctoolkit.departures import LEFT, RIGHT, Departures, ExtraColumn, rebuild_signals
 from ldctoolkit.recordings import Criteria, Extraction, Provenance, Recording, Refused, SourceFile
+from ldctoolkit.recordings.extraction_statistics import WIDTH_BINS, Account, Drawn, Origin, example_events
 from ldctoolkit.recordings.find_departures import REASONS
 from ldctoolkit.recordings.preparation import Preparation
-from ldctoolkit.recordings.quality import WIDTH_BINS, Account, Drawn, Origin, example_events
 from ldctoolkit.recordings.recording import Label, Problem, RecordingSource
 
 T = np.arange(100) * 0.1

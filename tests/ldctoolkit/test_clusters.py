@@ -132,7 +132,8 @@ def test_trips_are_clusters_and_stretches_of_one_belong_together() -> None:
     clusters = Clusters.of(recorded(["b", "a", "a (2)", "b", "a (13)", "c (x)"]))
     assert known(clusters) == ("trips", [0, 1, 1, 0, 1, 2], 3, 3, 0)
     assert clusters.largest_trip == 0.5
-    assert not clusters.trusted
+    assert clusters.doubt == "with 3 trips or drivers only, intervals cannot be trusted"
+    assert clusters.numbers is clusters.index
     taken = clusters.take([5, 0, 3])
     assert known(taken) == ("trips", [0, 1, 1], 2, 3, 0)
     assert taken.largest_trip == 0.5
@@ -143,7 +144,7 @@ def test_drivers_are_clusters_from_10_on(drivers: int, kind: str, count: int) ->
     trips = [f"t{i}" for i in range(40) for _ in range(1 + i % 3)]
     clusters = Clusters.of(recorded(trips, [f"d{int(name[1:]) % drivers}" for name in trips]))
     assert (clusters.kind, clusters.count, clusters.trips, clusters.drivers) == (kind, count, 40, drivers)
-    assert clusters.trusted
+    assert clusters.doubt == ""
     assert (len(set(clusters.index)), clusters.index.max()) == (count, count - 1)
     assert f"40 trips of {drivers} drivers" in clusters.text
 
@@ -156,24 +157,31 @@ def test_a_driver_that_is_missing_somewhere_leaves_the_trips() -> None:
 
 def test_one_trip_cannot_tell_what_differs_between_trips() -> None:
     clusters = Clusters.of(recorded(["a", "a (2)", "a"] * 6))
-    assert (clusters.kind, clusters.count, clusters.trips, clusters.trusted) == ("departures", 18, 1, False)
-    assert "18 departures of 1 trip;" in clusters.text
+    assert (clusters.kind, clusters.count, clusters.trips, clusters.numbers.tolist()) == ("departures", 18, 1, [0] * 18)
+    assert clusters.text == (
+        "18 departures of 1 trip; what differs between trips cannot be seen in a single one, and intervals cannot be "
+        "trusted"
+    )
 
 
 def test_departures_of_which_nothing_is_known_are_independent() -> None:
     drawn = load_model("reference").sample(7, 5, seed=0)
-    clusters = Clusters.of(drawn)
-    assert known(clusters) == ("departures", list(range(12)), 12, 0, 0)
-    assert clusters.trusted
-    assert "trips are not known" in clusters.text
-    assert Clusters.of(drawn.take([0, 1, 2])).trusted is False  # too few of anything
+    for clusters in (Clusters.of(drawn), Clusters.of(recorded(["a"] * 11 + [""]))):
+        assert known(clusters) == ("departures", list(range(12)), 12, 0, 0)
+        assert clusters.numbers.tolist() == [-1] * 12
+        assert clusters.text == (
+            "12 departures; trips are not known: departures count as independent, and intervals cannot be trusted"
+        )
+    assert Clusters.of(drawn.take([])).doubt == ""
 
 
-@pytest.mark.parametrize(("trips", "trusted"), [(9, False), (10, True)])
-def test_below_10_clusters_no_interval_is_trusted(trips: int, trusted: bool) -> None:
+@pytest.mark.parametrize(
+    ("trips", "doubt"), [(9, "with 9 trips or drivers only, intervals cannot be trusted"), (10, "")]
+)
+def test_below_10_clusters_no_interval_is_trusted(trips: int, doubt: str) -> None:
     clusters = Clusters.of(recorded([f"t{i}" for i in range(trips)] * 2))
-    assert (clusters.count, clusters.trusted) == (trips, trusted)
-    assert ("cannot be trusted" in clusters.text) is not trusted
+    assert (clusters.count, clusters.doubt) == (trips, doubt)
+    assert ("cannot be trusted" in clusters.text) is bool(doubt)
 
 
 # ------------------------------------------------------------------------------------------------ coverage

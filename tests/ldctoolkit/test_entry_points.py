@@ -36,7 +36,7 @@ def listed(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
 
     def install(value: str) -> None:
         point = importlib.metadata.EntryPoint("listed", value, registry.GROUP)
-        monkeypatch.setattr(registry, "_installed", lambda: {"listed": point})
+        monkeypatch.setattr(registry, "entry_points", lambda group: {"listed": point})
 
     return install
 

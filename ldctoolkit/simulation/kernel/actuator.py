@@ -11,7 +11,7 @@ import numba
 
 from ldctoolkit.numba_internals import OPTIONS, fma
 from ldctoolkit.simulation.kernel import data
-from ldctoolkit.simulation.kernel.scoring import L
+from ldctoolkit.simulation.kernel.block_table import L
 from ldctoolkit.vector_math import decay, moments
 
 

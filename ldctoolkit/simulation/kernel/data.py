@@ -154,7 +154,7 @@ LANE_RATE_SEEN, OUTWARD = _next(2)
 # the axles [m], the same times m/I_z, what the printed matrix adds, largest force of each axle over the mass
 STIFFNESS_F, STIFFNESS_R, AXLE_F, AXLE_R, ARM_F, ARM_R, PRINTED_TERM, GRIP_F, GRIP_R = _next(9)
 FILTER_ROWS, *_ = _next(FILTER)
-RINGS = next(_rows)  # then come the rings, of a length that the run decides; see `kernel.scoring.rings`
+RINGS = next(_rows)  # then come the rings, of a length that the run decides; see `kernel.block_table.rings`
 
 
 def _score(metric: str) -> int:

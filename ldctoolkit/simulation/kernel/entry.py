@@ -17,11 +17,11 @@ from ldctoolkit.arrays import FloatArray
 from ldctoolkit.metrics import SCENARIO_METRICS
 from ldctoolkit.numba_internals import OPTIONS, source_version, uncounted
 from ldctoolkit.paths import kernels
-from ldctoolkit.simulation.kernel import actuator, data, exact_loop, rk4_loop, road, scoring, sight
+from ldctoolkit.simulation.kernel import actuator, block_table, data, exact_loop, rk4_loop, road, sight
 from ldctoolkit.simulation.kernel.data import ALIVE, COMMAND, LANES, SEEN_E_Y, WHEEL_SEEN
 from ldctoolkit.simulation.kernel.road import lay_road, segment_size, substeps_of
 
-_SOURCES = (numba_internals, vector_math, data, scoring, exact_loop, actuator, road, sight, rk4_loop, kernels)
+_SOURCES = (numba_internals, vector_math, data, block_table, exact_loop, actuator, road, sight, rk4_loop, kernels)
 
 
 def _entries(version: int) -> Any:
@@ -78,7 +78,7 @@ def _entries(version: int) -> Any:
             w = state[block]
             for l in range(min(LANES, command.shape[0] - block * LANES)):
                 w[COMMAND + l] = command[block * LANES + l] if w[ALIVE + l] > 0.0 else 0.0
-            scoring.lay_bend(setting, recorded, block, k, w, bend, 0)
+            block_table.lay_bend(setting, recorded, block, k, w, bend, 0)
             if exact.shape[1]:
                 exact_loop.advance(exact, setting, w, k, 0.0, block * LANES, bend, 0, paths)
             else:
@@ -132,5 +132,5 @@ def scratch(setting: FloatArray, lookaheads: int, most: int) -> tuple[FloatArray
     The caller keeps it: what a compiled function makes is freed after its last use there, uncounted arrays are no use.
     """
     sizes = 2 * lookaheads * LANES, 4 * most * LANES, data.A_Y_START
-    ends = scoring.rings.py_func(setting)  # plain Python: compiling it for one call would take a second
+    ends = block_table.rings.py_func(setting)  # plain Python: compiling it for one call would take a second
     return np.zeros(ends[-1]), *(np.empty(size) for size in sizes)  # type: ignore[return-value]

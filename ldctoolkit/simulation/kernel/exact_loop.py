@@ -14,8 +14,8 @@ from typing import Final
 import numba
 
 from ldctoolkit.numba_internals import LARGEST_FLOAT, OPTIONS, copy, fma, larger
-from ldctoolkit.simulation.kernel import data, scoring
-from ldctoolkit.simulation.kernel.scoring import L, length_of
+from ldctoolkit.simulation.kernel import block_table, data
+from ldctoolkit.simulation.kernel.block_table import L, length_of
 from ldctoolkit.vector_math import touches
 
 _CHANGED: Final = data.A_Y_START // L  # Rows that a run changes, but for those of the law
@@ -25,7 +25,7 @@ _NOT_FINITE: Final = 2.0  # Event of a command that is not finite
 @numba.njit(**OPTIONS)
 def start(scene, exact, setting, block, w, paths, path_rows):
     """Plant of a block, and everything before its first sample."""
-    scoring.begin(scene, setting, block, w, paths, path_rows)
+    block_table.begin(scene, setting, block, w, paths, path_rows)
     w[data.NEXT_CUT] = 0.0
     for l in range(L):
         i = min(block * L + l, scene.shape[0] - 1)
@@ -220,9 +220,9 @@ def _cut(exact, setting, w, i, l, k, paths):
             area += exact[part, i, data.EX_X + n] * w[data.E_Y + n * L + l] if n else 0.0
         w[data.PIECE_AREA + l] = area
         if not abs(w[data.NEXT_E_Y + l]) <= setting[data.BOUND]:
-            scoring.diverge(setting, w, l, t, counted)
+            block_table.diverge(setting, w, l, t, counted)
             return False
-        scoring.look_closer(setting, w, l, t, span, counted)
+        block_table.look_closer(setting, w, l, t, span, counted)
         if counted:
             w[data.AREA + l] += abs(w[data.PIECE_AREA + l])
         t += span
@@ -231,7 +231,7 @@ def _cut(exact, setting, w, i, l, k, paths):
             relative += w[data.DDE_E_Y_RATE + n * L + l] * w[data.NEXT_E_Y + (n + 1) * L + l]
         w[data.A_Y_END + l], w[data.A_Y_RELATIVE_END + l] = relative + w[data.V + l] * r_1, relative
         if part == 1 and h != rest and paths.shape[0] and w[data.PATH_ROW + l] >= 0.0:
-            scoring.record(paths, w, l, w[data.T + l], w[data.A_Y_END + l])
+            block_table.record(paths, w, l, w[data.T + l], w[data.A_Y_END + l])
         if counted and h != rest:  # just after T nothing is recorded any more
             w[data.A_Y_ADDED_PEAK + l] = max(w[data.A_Y_ADDED_PEAK + l], abs(relative))
         w[data.EFFORT + l] += span * (d * d)
@@ -261,7 +261,7 @@ def advance(exact, setting, w, k, lookahead, first, bend, bend_offset, paths):
         for l in range(L):
             w[data.WHEEL + l] = w[data.COMMAND + l]
             if w[data.ALIVE + l] > 0.0 and w[data.PATH_ROW + l] >= 0.0:
-                scoring.correct_record(paths, w, l, w[data.COMMAND + l], w[data.A_Y_START + l])
+                block_table.correct_record(paths, w, l, w[data.COMMAND + l], w[data.A_Y_START + l])
     if rare or not quiet:
         for l in range(L):
             if w[data.ALIVE + l] > 0.0:
@@ -274,23 +274,23 @@ def advance(exact, setting, w, k, lookahead, first, bend, bend_offset, paths):
                     w[data.SINGLE + l] = 1.0
                     inside = _cut(exact, setting, w, first + l, l, k, paths)
                 elif not abs(w[data.NEXT_E_Y + l]) <= setting[data.BOUND]:
-                    scoring.diverge(setting, w, l, t, counted)
+                    block_table.diverge(setting, w, l, t, counted)
                     inside = False
                 elif w[data.EVENT + l] > 0.0:
-                    scoring.look_closer(setting, w, l, t, h, counted)
+                    block_table.look_closer(setting, w, l, t, h, counted)
                 if not inside:
                     w[data.DIVERGED + l] = 1.0
                     _leave(setting, w, l)
     copy(w, data.BEND_START, bend, bend_offset, 4)
-    scoring.look_back(setting, w, k)
+    block_table.look_back(setting, w, k)
     if not quiet:
         for l in range(L):
             if w[data.SINGLE + l] * w[data.ALIVE + l] > 0.0 and k + 1 == w[data.ALL_STEPS + l]:
-                scoring.look_back_from_end(setting, w, l, k)
-    scoring.score_limits(setting, w)
+                block_table.look_back_from_end(setting, w, l, k)
+    block_table.score_limits(setting, w)
     _score(setting, w)
     if rare or not quiet or paths.shape[0]:
-        scoring.end_sample(setting, w, k, paths)
+        block_table.end_sample(setting, w, k, paths)
         for l in range(L):
             w[data.SINGLE + l] = 0.0
             if w[data.ALIVE + l] == 0.0:
@@ -307,7 +307,7 @@ def drive_block(scene, exact, setting, law, times, recorded, paths, path_rows, b
     for l in range(L):
         most = max(most, int(w[data.ALL_STEPS + l]))
     for k in range(most):
-        scoring.lay_bend(setting, recorded, block, k, w, bend, 4 * k * L)
+        block_table.lay_bend(setting, recorded, block, k, w, bend, 4 * k * L)
     for design in range(law.shape[0]):
         copy(w, 0, initial, 0, _CHANGED)
         for l in range(L):
@@ -324,4 +324,4 @@ def drive_block(scene, exact, setting, law, times, recorded, paths, path_rows, b
             if several:
                 _add_preview(setting, times, design, k, w, lane_weights)
             advance(exact, setting, w, k, lookahead, block * L, bend, 4 * k * L, paths)
-        scoring.store_scores(w, design, block, score, diverged, failed)
+        block_table.store_scores(w, design, block, score, diverged, failed)

@@ -20,9 +20,9 @@ import numba
 import numpy as np
 
 from ldctoolkit.numba_internals import OPTIONS, copy, fma, larger
-from ldctoolkit.simulation.kernel import actuator, data, scoring, sight
+from ldctoolkit.simulation.kernel import actuator, block_table, data, sight
+from ldctoolkit.simulation.kernel.block_table import L, rings
 from ldctoolkit.simulation.kernel.road import HEADER, POINT_SIZE, lay_point, lay_road, segment_size, substeps_of
-from ldctoolkit.simulation.kernel.scoring import L, rings
 from ldctoolkit.vector_math import arctan, cosine, sine, touches
 from ldctoolkit.vehicle.bicycle import GRAVITY
 
@@ -233,7 +233,7 @@ def _drive_segment(setting, w, k, parts, road, segment):
             if _score(setting, w):
                 for l in range(L):
                     if w[data.EVENT + l] > 0.0:
-                        scoring.look_closer(
+                        block_table.look_closer(
                             setting, w, l, w[data.PIECE_START + l], w[data.PIECE_TIME + l], w[data.BEFORE_T + l] > 0.0
                         )
             _next_piece(setting, w)
@@ -272,14 +272,14 @@ def advance(setting, w, k, parts, road, segment, end, bend, bend_offset, paths):
     if paths.shape[0]:
         for l in range(L):
             if w[data.ALIVE + l] > 0.0 and w[data.PATH_ROW + l] >= 0.0:
-                scoring.correct_record(paths, w, l, w[data.DELTA_START + l], w[data.A_Y_START + l])
+                block_table.correct_record(paths, w, l, w[data.DELTA_START + l], w[data.A_Y_START + l])
     while segment < end:
         if _drive_segment(setting, w, k, parts, road, segment):
             for l in range(L):
                 if w[data.EVENT + l] > 0.0:
                     for n in range(data.SCORES):
                         w[data.SCORE + n * L + l] = w[data.SAVED + n * L + l]
-                    scoring.diverge(setting, w, l, w[data.SEGMENT_START + l], w[data.BEFORE_T + l] > 0.0)
+                    block_table.diverge(setting, w, l, w[data.SEGMENT_START + l], w[data.BEFORE_T + l] > 0.0)
                     w[data.DIVERGED + l], w[data.ALIVE + l] = 1.0, 0.0
         if segment + size < end:
             _at_T(setting, w, road, segment + size, paths)
@@ -294,12 +294,12 @@ def advance(setting, w, k, parts, road, segment, end, bend, bend_offset, paths):
         w[data.DELTA_RATE_PEAK + l] = larger(w[data.DELTA_RATE_PEAK + l], rate if alive else 0.0)
     _accelerations(setting, w, road, end - POINT_SIZE, data.WHEEL, data.A_Y_END)
     copy(w, data.BEND_START, bend, bend_offset, 4)
-    scoring.look_back(setting, w, k)
+    block_table.look_back(setting, w, k)
     for l in range(L):
         if w[data.ALIVE + l] > 0.0 and k + 1 == w[data.ALL_STEPS + l]:
-            scoring.look_back_from_end(setting, w, l, k)
-    scoring.score_limits(setting, w)
-    return scoring.end_sample(setting, w, k, paths)
+            block_table.look_back_from_end(setting, w, l, k)
+    block_table.score_limits(setting, w)
+    return block_table.end_sample(setting, w, k, paths)
 
 
 @numba.njit(**OPTIONS)
@@ -311,7 +311,7 @@ def _at_T(setting, w, road, segment, paths):
             peak = abs(w[data.A_Y_RELATIVE_START_PAST + l])
             w[data.A_Y_ADDED_PEAK + l] = max(w[data.A_Y_ADDED_PEAK + l], peak)
             if paths.shape[0] and w[data.PATH_ROW + l] >= 0.0:
-                scoring.record(paths, w, l, w[data.T + l], w[data.A_Y_START_PAST + l])
+                block_table.record(paths, w, l, w[data.T + l], w[data.A_Y_START_PAST + l])
 
 
 # ------------------------------------------------------------------------------------------------ a whole run
@@ -321,7 +321,7 @@ def _at_T(setting, w, road, segment, paths):
 def start(scene, setting, block, w, paths, path_rows):
     """Everything before the first sample of a block."""
     w[:] = 0.0
-    scoring.begin(scene, setting, block, w, paths, path_rows)
+    block_table.begin(scene, setting, block, w, paths, path_rows)
     size, count, modes = int(setting[data.FRAME_RING]), int(setting[data.MODES]), rings(setting)[2]
     for l in range(L):
         i = min(block * L + l, scene.shape[0] - 1)
@@ -393,7 +393,7 @@ def drive_block_any(scene, setting, law, times, recorded, paths, path_rows, bloc
     preview, noise = np.empty(most * wide), np.empty(most * 2 * L)
     for k in range(most):
         ends[k + 1] = lay_road(setting, k, w, parts, road, ends[k])
-        scoring.lay_bend(setting, recorded, block, k, w, bend, 4 * k * L)
+        block_table.lay_bend(setting, recorded, block, k, w, bend, 4 * k * L)
         sight.noise_of(setting, k, w, noise, k * 2 * L)
     for design in range(law.shape[0]):
         same = design > 0
@@ -414,4 +414,4 @@ def drive_block_any(scene, setting, law, times, recorded, paths, path_rows, bloc
             sight.command(setting, w, k, lane_weights, preview, k * wide, lookaheads, columns - 2 * lookaheads)
             if not advance(setting, w, k, parts, road, ends[k], ends[k + 1], bend, 4 * k * L, paths):
                 break
-        scoring.store_scores(w, design, block, score, diverged, failed)
+        block_table.store_scores(w, design, block, score, diverged, failed)

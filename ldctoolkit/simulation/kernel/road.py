@@ -10,7 +10,7 @@ import numba
 from ldctoolkit.numba_internals import OPTIONS, copy, fma
 from ldctoolkit.simulation.kernel import data
 from ldctoolkit.simulation.kernel.actuator import lay_lag
-from ldctoolkit.simulation.kernel.scoring import L, length_of, rings
+from ldctoolkit.simulation.kernel.block_table import L, length_of, rings
 from ldctoolkit.vector_math import cosine, sine
 
 # a segment of the road: its length, whether it is before T and after the delay, the length of a substep, what a lag

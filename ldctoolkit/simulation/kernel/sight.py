@@ -11,8 +11,8 @@ import numpy as np
 from ldctoolkit.numba_internals import LARGEST_FLOAT, OPTIONS, copy, fma
 from ldctoolkit.paths.kernels import normal_pair
 from ldctoolkit.simulation.kernel import data
+from ldctoolkit.simulation.kernel.block_table import SAME, L, rings
 from ldctoolkit.simulation.kernel.road import along
-from ldctoolkit.simulation.kernel.scoring import SAME, L, rings
 
 _CAMERA: Final = 4  # stream of random numbers; see `ldctoolkit.paths.uncorrected`
 _FRAME_ZERO: Final = 1 << 20  # counter of the frame at the trigger: earlier ones have numbers too

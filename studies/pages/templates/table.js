@@ -1,6 +1,6 @@
 for (const table of document.querySelectorAll("table[data-sortable]")) {
   const body = table.tBodies[0], rows = [...body.rows], heads = [...table.tHead.rows[0].cells];
-  rows.forEach((row, i) => { row.place = i; });
+  rows.forEach((row, i) => { row.position = i; });
   const value = (row, j) => {
     const v = row.cells[j].dataset.v;
     return v === undefined ? NaN : Number(v);
@@ -16,10 +16,10 @@ for (const table of document.querySelectorAll("table[data-sortable]")) {
       head.setAttribute("aria-sort", down ? "descending" : "ascending");
       const sign = down ? -1 : 1;
       const order = [...rows].sort((a, b) => {
-        if (!numeric) return sign * a.cells[j].textContent.localeCompare(b.cells[j].textContent) || a.place - b.place;
+        if (!numeric) return sign * a.cells[j].textContent.localeCompare(b.cells[j].textContent) || a.position - b.position;
         const p = value(a, j), q = value(b, j);
-        if (isNaN(p) || isNaN(q)) return isNaN(p) - isNaN(q) || a.place - b.place; // without a number: last
-        return sign * (p - q) || a.place - b.place;
+        if (isNaN(p) || isNaN(q)) return isNaN(p) - isNaN(q) || a.position - b.position; // without a number: last
+        return sign * (p - q) || a.position - b.position;
       });
       body.append(...order);
       show();

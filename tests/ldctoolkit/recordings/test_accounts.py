@@ -16,8 +16,8 @@ from ldctoolkit.departures import LEFT, RIGHT, DepartureSignals, ExtraColumn, re
 from ldctoolkit.recordings import Criteria, Drawn, Label, PartResult, Preparation, Recording, Refused
 from ldctoolkit.recordings.departures_table import combined_results
 from ldctoolkit.recordings.extract import extract_departures, extract_items, merge_results
+from ldctoolkit.recordings.extraction_statistics import EXAMPLES, WIDTH_BINS, share_of_widths
 from ldctoolkit.recordings.find_departures import REASONS, find_departures
-from ldctoolkit.recordings.quality import EXAMPLES, WIDTH_BINS, share_of_widths
 from ldctoolkit.recordings.recording import RecordingTable
 
 MODULE = sys.modules["ldctoolkit.recordings.extract"]

@@ -91,10 +91,10 @@ def guide(tmp_path, monkeypatch):
     (project / "lane_logs" / "reader.py").write_text(blocks("docs/how-to/my-reader.md", "python")[0], encoding="utf-8")
     install(project, site)
     monkeypatch.syspath_prepend(site)
-    for cache in (readers._installed, readers.recording_reader):
+    for cache in (readers.entry_points, readers.recording_reader):
         cache.cache_clear()
     yield tmp_path
-    for cache in (readers._installed, readers.recording_reader):
+    for cache in (readers.entry_points, readers.recording_reader):
         cache.cache_clear()
     for name in ("lane_logs.reader", "lane_logs"):
         sys.modules.pop(name, None)

@@ -31,10 +31,10 @@ INSTALLED = importlib.metadata.entry_points
 @pytest.fixture(autouse=True)
 def _fresh() -> Iterator[None]:
     """Nothing that a test installs outlives it."""
-    recording._installed.cache_clear()
+    recording.entry_points.cache_clear()
     recording.recording_reader.cache_clear()
     yield
-    recording._installed.cache_clear()
+    recording.entry_points.cache_clear()
     recording.recording_reader.cache_clear()
 
 
@@ -87,7 +87,7 @@ def install(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
             return points
 
         monkeypatch.setattr(importlib.metadata, "entry_points", entry_points)
-        recording._installed.cache_clear()
+        recording.entry_points.cache_clear()
         recording.recording_reader.cache_clear()
 
     return add

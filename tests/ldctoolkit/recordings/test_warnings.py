@@ -12,8 +12,14 @@ from helpers.recordings import OFFSET, T, drive
 from ldctoolkit.errors import RecordingError
 from ldctoolkit.recordings import Criteria, Preparation, Recording, extract_departures
 from ldctoolkit.recordings.extract import extract_items, few_usable, merge_results, quality_doubts, quality_warnings
+from ldctoolkit.recordings.extraction_statistics import (
+    OFFSET_BINS,
+    RELATIONS,
+    QualityStatistics,
+    unit_counts,
+    unit_warnings,
+)
 from ldctoolkit.recordings.preparation import FILLED
-from ldctoolkit.recordings.quality import OFFSET_BINS, RELATIONS, QualityStatistics, unit_counts, unit_warnings
 from ldctoolkit.recordings.recording import RecordingTable, usable_samples
 
 N = 6000

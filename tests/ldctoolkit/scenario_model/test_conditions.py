@@ -28,7 +28,7 @@ from ldctoolkit.scenario_model import (
     conditions,
     load_model,
 )
-from ldctoolkit.scenario_model.json_form import VERSION, model_to_json
+from ldctoolkit.scenario_model.json_form import VERSION, parts_to_json
 from ldctoolkit.scenarios import SPEED_FLOOR, slowest_speed
 
 
@@ -211,7 +211,7 @@ def test_every_key_of_a_file_is_described():
     section = PAGE[PAGE.index("## File") : PAGE.index("## The bundled model")]
     described = set(re.findall(r"`\.?([a-z_]+)`", section))
     model = load_model("reference")
-    content = model_to_json(model.left_side, model.right_side, model.provenance, model.plausibility)
+    content = parts_to_json(model.left_side, model.right_side, model.provenance, model.plausibility)
     keys = {*content, *content["sides"]["left"]} - {"sides"}
     for kind in (ModelProvenance, SideSummary, SideFidelity, FitSettings, Plausibility):
         keys |= {field.name for field in dataclasses.fields(kind)}

@@ -3,6 +3,7 @@
 import dataclasses
 import re
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -82,14 +83,15 @@ def test_a_bad_model_is_called_bad(bad: ScenarioModel, fine: ScenarioModel) -> N
         assert re.fullmatch(
             r"the model (under|over)states the effect of control by \d+ points \([^()]+, y_s = [\d.]+ m: "
             r"-?[\d.]+ % replayed, -?[\d.]+ % generated; 150 departures of 1 trip; what differs between trips cannot "
-            r"be seen, and intervals cannot be trusted\): do not use it",
+            r"be seen in a single one, and intervals cannot be trusted\): do not use it",
             side.fidelity.text,
         )
     assert f"left: {bad.provenance.left.fidelity.text}" in bad.provenance.warnings
     for side in (fine.provenance.left, fine.provenance.right):
         assert side.fidelity.text == (
             "the model gives the recordings' answer (all 12 test designs lie within the 95 % intervals of the replay: "
-            "150 departures of 1 trip; what differs between trips cannot be seen, and intervals cannot be trusted)"
+            "150 departures of 1 trip; what differs between trips cannot be seen in a single one, and intervals cannot "
+            "be trusted)"
         )
 
 
@@ -286,8 +288,9 @@ def test_few_trips_cannot_be_trusted(bad: ScenarioModel) -> None:
     made = in_trips(150, seed=4, per_trip=30)
     left, right = check_fidelity(bad, made)
     for side in (left, right):
-        assert "150 departures of 5 trips, 20 % of them in one trip; with fewer than 10 trips, intervals cannot be" in (
-            side.text
+        assert (
+            "150 departures of 5 trips, 20 % of them in one trip; with 5 trips or drivers only, intervals cannot be"
+            in side.text
         )
 
 
@@ -310,15 +313,15 @@ def test_held_out_halves(bad: ScenarioModel, fine: ScenarioModel) -> None:
     for side in (fine.provenance.left, fine.provenance.right):
         first, second = side.held_out
         assert first.departures + second.departures == 150
-        assert (first.passed, second.passed) == (True, True)
+        assert min(first.within.mean(), second.within.mean()) > 0.95  # one half in ten misses some answer by chance
         whole, half = (
             np.median(np.array(fidelity.high)[:, 0] - np.array(fidelity.low)[:, 0])
             for fidelity in (side.fidelity, first)
         )
         assert 1.5 < half / whole < 2.8  # twice, by halves
-    assert (
-        first.counted
-        == "60 of 60 answers agree with those of the 75 departures that a model of the other 75 has not seen"
+    assert first.counted == (
+        "60 of 60 answers agree with those of the 75 departures that a model of the other 75 has not seen; what "
+        "differs between trips cannot be seen in a single one, and intervals cannot be trusted"
     )
     made = in_trips(150, seed=4, per_trip=30)  # five trips a side
     halves = fit_scenario_model(made, components=1, extraction=CRITERIA).provenance.left.held_out
@@ -327,16 +330,27 @@ def test_held_out_halves(bad: ScenarioModel, fine: ScenarioModel) -> None:
     assert fit_scenario_model(made, components=1, extraction=CRITERIA).provenance.left.held_out == ()
 
 
-def test_neither_seed_nor_order_chooses(fine: ScenarioModel) -> None:
-    """Of few departures: the same model whatever the seed and the order of the rows."""
-    made = two_kinds(150)
-    again = fit_scenario_model(made.take(np.random.default_rng(1).permutation(300)), extraction=CRITERIA, seed=7)
-    for name in ("left", "right"):
-        one, other = getattr(fine, name), getattr(again, name)
-        assert getattr(again.provenance, name).kind == getattr(fine.provenance, name).kind
-        np.testing.assert_allclose(np.sort(other.means_, axis=0), np.sort(one.means_, axis=0), rtol=1e-9, atol=1e-12)
-        given, found = (np.array(getattr(m.provenance, name).fidelity.generated)[:, :3] for m in (fine, again))
-        np.testing.assert_allclose(found, given, atol=0.02)
+@pytest.mark.parametrize("kind", ["mixture", "smoothed"])
+def test_neither_seed_nor_order_chooses(kind: Literal["mixture", "smoothed"]) -> None:
+    """Of few departures: the same bits of model and check whatever the seed and the order of the rows."""
+    made, weight = in_trips(100, seed=4, per_trip=9), 1.0 + 2.0 * (np.arange(200) % 3 == 0)
+    twice = [*range(200), 5, 150]  # equal departures, of other trips and with other weights
+    made = dataclasses.replace(made.take(twice), recording=np.r_[made.recording, made.recording[[170, 20]]])
+    weight = np.r_[weight, 4.0 - weight[[5, 150]]]
+    order = np.random.default_rng(1).permutation(202)
+    one, other = (
+        fit_scenario_model(
+            made.take(rows), weights=weight[rows], components=(1, 2), kind=kind, extraction=CRITERIA, seed=seed
+        )
+        for rows, seed in ((np.arange(202), 0), (order, 7))
+    )
+    assert other.content_hash == one.content_hash
+    assert one.provenance.left.held_out
+    assert one.provenance.recorded.kind == "trips"
+    unlike = {"seed": 0, "created": ""}
+    assert dataclasses.replace(other.provenance, **unlike) == dataclasses.replace(one.provenance, **unlike)
+    checks = [check_fidelity(one, made.take(rows), weights=weight[rows]) for rows in (np.arange(202), order)]
+    assert checks[0] == checks[1]
 
 
 def test_a_component_of_hardly_any_departures_is_not_taken() -> None:
@@ -349,15 +363,41 @@ def test_a_component_of_hardly_any_departures_is_not_taken() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("n", [150, 400])
-@pytest.mark.parametrize("population", ["reference", "two kinds"])
+@pytest.mark.parametrize("n", [60, 120, 200])
+@pytest.mark.parametrize("population", ["reference", "two kinds", "two kinds in trips", "three kinds"])
 def test_kind_and_number_of_components_are_stable(population: str, n: int) -> None:
-    """Known populations, other seeds: the same kind, K within 1, answers within 2 points."""
-    made = two_kinds(n, seed=n) if population == "two kinds" else load_model("reference").sample(n, n, seed=n)
-    models = [fit_scenario_model(made, seed=seed, extraction=CRITERIA) for seed in range(4)]
+    """Known populations, other seeds and orders: the same kind, K within 1, answers within 2 points."""
+    stable(
+        in_trips(n, seed=n, per_trip=7) if population == "two kinds in trips"
+        else two_kinds(n, seed=n) if population == "two kinds"
+        else three_kinds(n, seed=n) if population == "three kinds"
+        else load_model("reference").sample(n, n, seed=n)
+    )  # fmt: skip
+
+
+@pytest.mark.slow
+def test_the_model_of_real_recordings_is_stable(ngsim_recordings: Path) -> None:
+    stable(extract_departures(open_recordings(ngsim_recordings), vehicle_width=1.8).departures)
+
+
+def three_kinds(n: int, seed: int) -> Departures:
+    """`two_kinds`, of which every other one is slower and brakes."""
+    made = two_kinds(n, seed)
+    slow = np.arange(2 * n) % 2 == 0
+    return dataclasses.replace(
+        made, v_mean=np.where(slow, made.v_mean - 8.0, made.v_mean), a_mean=made.a_mean - 0.6 * slow
+    )
+
+
+def stable(made: DepartureParameters) -> None:
+    orders = [np.random.default_rng(seed).permutation(made.n) for seed in range(10)]
+    models = [fit_scenario_model(made.take(rows), seed=seed, extraction=CRITERIA) for seed, rows in enumerate(orders)]
     for name in ("left", "right"):
         sides = [getattr(model.provenance, name) for model in models]
+        K = [getattr(model, name).n_components for model in models]
         assert len({side.kind for side in sides}) == 1
-        assert np.ptp([getattr(model, name).weights_.size for model in models]) <= 1
-        answers = np.array([side.fidelity.generated for side in sides])[:, :, :3]
-        assert np.ptp(answers, axis=0).max() < 0.02
+        assert np.ptp(K) <= 1
+        checks = [(side.fidelity, *side.held_out) for side in sides]
+        for field in ("replayed", "low", "high", "generated"):
+            answers = np.array([[getattr(check, field) for check in of_model] for of_model in checks])
+            assert np.ptp(answers[..., :3], axis=0).max() < 0.02

@@ -369,8 +369,8 @@ def test_the_log_does_not_depend_on_the_order_of_scenarios() -> None:
     [
         ([1, 2], "", "returned an object of type list", ..., "SolverCalls or None"),
         (SolverCalls(np.array([0]), *(np.zeros(2),) * 4), ": status", "shape (2,)", ..., "an array of shape (1,)"),
-        (SolverCalls(np.array([99]), *(np.zeros(1),) * 4), ": place", "", np.int64(99), "whole numbers 0 to 3"),
-        (SolverCalls(*(np.zeros(0),) * 5), ": place", "an array of shape (0,) and dtype float64", ...,
+        (SolverCalls(np.array([99]), *(np.zeros(1),) * 4), ": position", "", np.int64(99), "whole numbers 0 to 3"),
+        (SolverCalls(*(np.zeros(0),) * 5), ": position", "an array of shape (0,) and dtype float64", ...,
          "whole numbers 0 to 3"),
     ],
 )  # fmt: skip

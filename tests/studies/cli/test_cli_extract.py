@@ -202,14 +202,14 @@ class MadeReader:
 @pytest.fixture
 def third_party(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None]]:
     """Install readers for the length of a test."""
-    there = dict(recording._installed())
+    there = dict(recording.entry_points(recording.GROUP))
 
     def install(*readers: MadeReader) -> None:
         for reader in readers:
             there[reader.name] = types.SimpleNamespace(load=lambda reader=reader: reader, value="made:READER")  # type: ignore[assignment]
 
     with monkeypatch.context() as patch:
-        patch.setattr(recording, "_installed", lambda: there)
+        patch.setattr(recording, "entry_points", lambda group: there)
         recording.recording_reader.cache_clear()
         yield install
     recording.recording_reader.cache_clear()

@@ -53,7 +53,7 @@ def test_the_fit_tells_its_choice_and_writes_its_card(folder: Path) -> None:
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert re.search(r"left: K = \d, .*the smallest whose BIC lies within 10 of the best", done.stdout)
-    assert re.search(r"┃ +K ┃ +p ┃ +log-likelihood an event ┃ +BIC ┃", done.stdout)
+    assert re.search(r"┃ +K ┃ +p ┃ +\[nats an event\] ┃ +BIC ┃ Above the least ┃", done.stdout)
     assert re.search(r"│ +\d \* │", done.stdout)
     assert re.search(r"scenario model written to m\.json \(content [0-9a-f]{12}\)\n$", done.stdout)
     assert "ldc: warning: left: c_0 is 0 in every event" in done.stderr

@@ -8,8 +8,14 @@ import pytest
 from helpers.pages import Page
 from helpers.results import grid, invented_scenarios, page_of, report_input, run
 from ldctoolkit import EventStatus
+from ldctoolkit.scenario_model import ScenarioModel, load_model
 from ldctoolkit.studies.pages.context import ReportInput
 from ldctoolkit.studies.results import StudyResults
+
+
+@pytest.fixture(scope="session")
+def model() -> ScenarioModel:
+    return load_model("reference")
 
 
 @pytest.fixture(scope="session")

@@ -14,8 +14,8 @@ from ldctoolkit.departures import Departures
 from ldctoolkit.diagnostics import ModelDiagnostics, diagnose_model
 from ldctoolkit.errors import InputError, StoreError
 from ldctoolkit.recordings import Extraction, SourceFile, extract_departures
+from ldctoolkit.recordings.extraction_statistics import Origin
 from ldctoolkit.recordings.find_departures import REASONS
-from ldctoolkit.recordings.quality import Origin
 from ldctoolkit.recordings.recording import Problem
 from ldctoolkit.scenario_model import ScenarioModel
 from ldctoolkit.studies.pages.extraction_page import (
@@ -129,7 +129,7 @@ def test_numbers_are_those_of_the_diagnosis(model: ScenarioModel, diagnostics: M
 def test_the_chosen_k_and_its_neighbours(page: Page) -> None:
     left, right = page.filled("selection")
     assert left == right
-    assert left[-2:] == [["2", "−950.5", "0.0", "1.2000"], ["3", "−930.0", "20.5", "1.2500"]]
+    assert left[-2:] == [["2 *", "", "1.2000", "−950.5", "0.0"], ["3", "", "1.2500", "−930.0", "20.5"]]
 
 
 def test_warnings_of_the_model_stand_beside_those_of_the_diagnosis(diagnostics: ModelDiagnostics) -> None:

@@ -29,11 +29,6 @@ def recorded(scenarios: Scenarios) -> Departures:
 
 
 @pytest.fixture(scope="module")
-def model() -> ScenarioModel:
-    return load_model("reference")
-
-
-@pytest.fixture(scope="module")
 def generated(model: ScenarioModel) -> Scenarios:
     return model.sample(300, 200, seed=5)
 

@@ -28,11 +28,6 @@ NO_CONTROL, TABLE_1 = Design.of(NoControl(), 0.2), Design.of(PreviewProportional
 
 
 @pytest.fixture(scope="module")
-def model() -> ScenarioModel:
-    return load_model("reference")
-
-
-@pytest.fixture(scope="module")
 def scenarios(model: ScenarioModel) -> Scenarios:
     return model.sample(60, 40, seed=1)
 

@@ -1,13 +1,17 @@
 """Recorded departures of one trip are alike: rankings, comparisons and limits resample whole trips."""
 
 import dataclasses
+import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
 import pytest
 
 from helpers.bits import assert_same_bits
+from helpers.cli import good
+from helpers.pages import Page
 from helpers.results import results_of
 from ldctoolkit import load_model
 from ldctoolkit.clusters import cluster_error, cluster_values, design_effect
@@ -18,6 +22,7 @@ from ldctoolkit.studies import Design, Ranking, Study, read_results, run_study
 from ldctoolkit.studies.comparison.paired import paired_differences
 from ldctoolkit.studies.ranking.inference import Resampled, exact_interval, simultaneous_interval
 from ldctoolkit.studies.ranking.ranking import rank_study
+from ldctoolkit.studies.study_file import toml_text
 
 DESIGNS = [Design.of(NoControl(), 0.2), Design.of(LQR(), 0.1)]
 
@@ -105,8 +110,40 @@ def test_a_replay_resamples_trips_or_drivers(tmp_path: Path) -> None:
     assert widths[0] > 1.3 * widths[1]
     assert widths[2] == widths[0] != widths[3]
     assert not any("cannot be trusted" in text for text in by_trip.warnings)
-    few = ranked(tmp_path / "nine", recorded(trips=9))
-    assert any("9 trips or drivers only" in text and "cannot be trusted" in text for text in few.warnings)
+
+
+DOUBTS = {
+    1: "What differs between trips cannot be seen in a single one, and intervals cannot be trusted.",
+    5: "With 5 trips or drivers only, intervals cannot be trusted.",
+    12: "",
+    0: "Trips are not known: departures count as independent, and intervals cannot be trusted.",
+}
+
+
+@pytest.mark.parametrize("trips", [1, 5, 12, 0])
+def test_a_replay_says_where_intervals_cannot_be_trusted(trips: int, tmp_path: Path) -> None:
+    """Terminal, Markdown, report and comparison; of finalists too."""
+    departures, doubt = recorded(trips or 1), DOUBTS[trips]
+    columns: dict[str, Any] = {column: getattr(departures, name) for name, column in PARAMETER_COLUMNS.items()}
+    columns |= {"side": np.where(departures.side > 0, "left", "right")}
+    columns |= {"recording": departures.recording} if trips else {}
+    pl.DataFrame(columns).write_parquet(tmp_path / "d.parquet")
+    (tmp_path / "s.toml").write_text(toml_text(study_on(tmp_path, "table")), encoding="utf-8")
+    plain = ("--workers", "1", "--no-robustness", "--no-figures")
+    said = [good("run", "s.toml", "-o", "a", *plain, cwd=tmp_path), good("rank", "a", cwd=tmp_path)]
+    shutil.copytree(tmp_path / "a", tmp_path / "b")
+    said += [good("compare", "a", "b", cwd=tmp_path), (tmp_path / "a/ranking.md").read_text(encoding="utf-8")]
+    said += [Page((tmp_path / "a/report.html").read_text(encoding="utf-8")).words("verdict")]
+    for text in said:
+        words = " ".join(text.split())
+        assert doubt in words
+        assert ("cannot be trusted" in words) is bool(doubt)
+    with_model = study_on(tmp_path, "table").changed(
+        scenarios={"model": "reference", "left": 20, "right": 20}, ranking={"bootstrap": 100, "finalists": 3}
+    )
+    ranking = rank_study(run_study(with_model, workers=1, refits=0), with_model)
+    of_finalists = [text for text in ranking.warnings if "cannot be trusted" in text]
+    assert of_finalists == ([f"Of the replayed departures: {doubt[0].lower()}{doubt[1:]}"] if doubt else [])
 
 
 def test_a_plain_table_with_recordings_has_trips_too(tmp_path: Path) -> None:

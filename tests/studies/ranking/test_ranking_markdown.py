@@ -14,7 +14,7 @@ from ldctoolkit.studies.design import Design
 from ldctoolkit.studies.pages.ranking_section import MOST_MARKDOWN_ROWS as MOST_ROWS
 from ldctoolkit.studies.pages.ranking_section import ranking_markdown, write_markdown
 from ldctoolkit.studies.ranking.ranking import Ranking
-from ldctoolkit.studies.ranking.verdict import Verdict, listed_places, more_lines, verdict
+from ldctoolkit.studies.ranking.verdict import Verdict, listed_positions, more_lines, verdict
 from ldctoolkit.studies.results import FailedDesign
 from ldctoolkit.studies.storage.manifest import Manifest
 from ldctoolkit.studies.study_file import Study
@@ -90,9 +90,9 @@ def test_the_verdict_stands_above_the_table() -> None:
 def test_the_first_designs_and_those_named_are_listed() -> None:
     d = MOST_ROWS + 30
     ranking, found = ranked(scores(d), baseline="")
-    assert listed_places(ranking, MOST_ROWS) == list(range(MOST_ROWS))
+    assert listed_positions(ranking, MOST_ROWS) == list(range(MOST_ROWS))
     last = dataclasses.replace(ranking, baseline=d - 1)
-    assert listed_places(last, MOST_ROWS) == [*range(MOST_ROWS), d - 1]
+    assert listed_positions(last, MOST_ROWS) == [*range(MOST_ROWS), d - 1]
     text = ranking_markdown(last, STUDY, MANIFEST, found)
     assert f"{MOST_ROWS + 1} of {d} designs" in text
     assert table(text)[-1][-1].startswith("baseline")

@@ -13,6 +13,7 @@ import ldctoolkit as ldc
 from helpers.pages import Page
 from helpers.results import assert_same_results
 from ldctoolkit.studies.cli import main
+from ldctoolkit.studies.ranking.verdict import verdict
 from ldctoolkit.studies.running import tasks
 from ldctoolkit.studies.study_file import toml_text
 
@@ -150,6 +151,25 @@ def test_a_run_goes_on_beyond_the_end_of_a_sweep(tmp_path: Path, driven: list[in
     assert driven == []
 
 
+def test_bounds_are_those_of_the_first_study_in_the_folder(tmp_path: Path, driven: list[int]) -> None:
+    """The study that a folder holds, with the lists that it has made longer, is not the start of another extension."""
+    longest = [40_000.0, 20_000.0, 10_000.0, 5000.0, 2500.0]
+    for extend, values in ((2, longest[:4]), (2, longest[:4]), (9, longest), (9, longest)):
+        again = ldc.studies.read_manifest(tmp_path).read_study() if driven else swept()
+        driven.clear()
+        results = ldc.run_study(again.changed(ranking={"extend": extend}), tmp_path, workers=1)
+        assert [dict(design.gains)["r_delta"] for design in results.designs[1:]] == values
+        manifest = ldc.studies.read_manifest(tmp_path)
+        assert manifest.extended == tuple(f"lqr: r_delta = {value:g}" for value in values[2:])
+    results = ldc.run_study(manifest.read_study(), tmp_path, workers=1, extend=False)
+    assert len(results.designs) == 6
+    assert ldc.studies.read_manifest(tmp_path).extended == manifest.extended
+    # other lists are another study's
+    results = ldc.run_study(swept(extend=1, r_delta=longest[1:]), tmp_path, workers=1)
+    assert [dict(design.gains)["r_delta"] for design in results.designs[1:]] == [*longest[1:], 1250.0]
+    assert ldc.studies.read_manifest(tmp_path).extended == ("lqr: r_delta = 1250",)
+
+
 def test_an_extension_is_the_same_in_processes(tmp_path: Path) -> None:
     alone = ldc.run_study(swept(extend=2), workers=1)
     assert_same_results(ldc.run_study(swept(extend=2), tmp_path / "out", workers=2, block_size=1), alone)
@@ -184,6 +204,8 @@ def test_a_requirement_ends_an_extension() -> None:
     ranking = ldc.rank_study(results, study)
     assert [dict(design.gains).get("r_delta") for design in results.designs[-2:]] == [10_000.0, 5000.0]
     assert dict(ranking.designs[ranking.winner or 0].gains)["r_delta"] == 10_000.0
+    (blocked,) = verdict(ranking, results).blocked
+    assert (blocked.gain.name, blocked.value) == ("r_delta", 5000.0)
 
 
 def test_commands_see_what_was_added(
@@ -212,7 +234,7 @@ def test_commands_see_what_was_added(
         done = json.loads(capsys.readouterr().out.splitlines()[-1])
         ends = [{"name": "r_delta", "value": value, "text": f"r_delta = {value:g} is the end of its sweep: extend it"}]
         assert (done["designs"], done["sweep_ends"], done["extended"]) == (designs, ends, added)
-        assert done["binding"] == []
+        assert done["binding"] == done["blocked"] == []
 
 
 def test_a_search_has_no_list_to_extend() -> None:

@@ -15,7 +15,7 @@ from scipy.stats import t as student
 import ldctoolkit as ldc
 from helpers.cli import good
 from helpers.errors import refused
-from ldctoolkit.clusters import Clusters, cluster_error
+from ldctoolkit.clusters import cluster_error
 from ldctoolkit.departures import Departures
 from ldctoolkit.errors import InputError, ModelError
 from ldctoolkit.scenario_model import ScenarioModel, fit_scenario_model, load_model
@@ -69,8 +69,11 @@ def test_a_model_keeps_its_departures_and_its_identity_is_that_of_what_it_genera
 ) -> None:
     kept = smooth.provenance.recorded
     assert kept is not None
-    assert np.array_equal(kept.departures.matrix(), RECORDED.matrix())
-    assert kept.clusters.index.tolist() == Clusters.of(RECORDED).index.tolist()
+    by_trip, given = (
+        sorted(sorted(np.column_stack([d.side, d.matrix()])[trip == one].tolist()) for one in np.unique(trip))
+        for d, trip in ((kept.departures, kept.clusters.index), (RECORDED, RECORDED.recording))
+    )
+    assert by_trip == given
     assert (kept.kind, kept.trips, kept.drivers) == ("trips", 30, 0)
     smooth.save(tmp_path / "m.json")
     assert ScenarioModel.load(tmp_path / "m.json").provenance.recorded == kept
@@ -83,7 +86,7 @@ def test_weights_are_kept_and_departures_of_no_weight_are_not() -> None:
     kept = fit_scenario_model(RECORDED, kind="smoothed", weights=weights).provenance.recorded
     assert kept is not None
     assert kept.weight == (3.0,) * 100 + (1.0,) * 120
-    assert np.array_equal(kept.departures.d_y, RECORDED.d_y[20:])
+    assert sorted(kept.departures.d_y.tolist()) == sorted(RECORDED.d_y[20:].tolist())
 
 
 @pytest.mark.slow
@@ -154,7 +157,7 @@ def test_the_error_of_the_draws_is_taken_off() -> None:
     """Variance 4 of what refits differ by, 9 of each draw."""
     rng = np.random.default_rng(0)
     values = 100.0 + 2.0 * rng.normal(size=(4000, 1)) + 3.0 * rng.normal(size=(4000, 2))
-    scores = RefitScores(("a",), np.stack([values, values], axis=1), 0, 1.5, 12.0, "")
+    scores = RefitScores(("a",), np.stack([values, values], axis=1), 0, 1.5, 12.0, (), "", "")
     assert scores.half_width(values, 0.9) == pytest.approx(student.ppf(0.95, 12.0) * 1.5 * 2.0, rel=0.06)
     assert np.isnan(scores.half_width(values[:4], 0.9))
     assert np.isnan(dataclasses.replace(scores, failed=6).half_width(values[:6], 0.9))

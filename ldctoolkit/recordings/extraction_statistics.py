@@ -409,6 +409,7 @@ def _turns(recording: Recording, lag: int, reference: Swept, compared: Swept) ->
 
 
 def _sums(h: FloatArray, r: FloatArray) -> FloatArray:
+    """Windows, and the rounded sums of h^2, h r and r^2 over them, (4,)."""
     squares = np.array([np.sum(h * h), np.sum(h * r), np.sum(r * r)])
     return np.concatenate([[float(h.size)], np.rint(squares / GRAIN) * GRAIN])
 
