@@ -239,7 +239,7 @@ def prove(
     C, y, low, high = rows
     R, M = C.shape
     held = np.empty(M + 3, dtype=np.int64)
-    entered, corrected = np.zeros(R, dtype=np.int64), np.empty(R)
+    entered = np.zeros(R, dtype=np.int64)
     for _ in range(3 * M + _MORE_CORRECTIONS):
         count = 0
         for row in range(R):
@@ -289,9 +289,10 @@ def prove(
                 proved = False
         worst, worst_row, worst_side = tolerance, -1, 0
         wrong, wrong_row = -tolerance, -1
-        _corrected(C, y, w, corrected)
         for row in range(R):
-            value = corrected[row]
+            value = y[row]
+            for k in range(M):
+                value += C[row, k] * w[k]
             slack = w[M + limits.group[row]] if limits.group[row] >= 0 else 0.0
             above, below = value - high[row] - slack, low[row] - slack - value
             if side[row] == 0:
@@ -313,21 +314,6 @@ def prove(
         elif proved:
             return True
     return False
-
-
-@numba.njit(**OPTIONS)
-def _corrected(C: FloatArray, y: FloatArray, w: FloatArray, out: FloatArray) -> None:
-    """Values y + C w of the rows, four side by side, since the terms of one wait for each other."""
-    R, M = C.shape
-    for row in range(0, R, 4):
-        first, second, third, fourth = row, min(row + 1, R - 1), min(row + 2, R - 1), min(row + 3, R - 1)
-        a, b, c, d = y[first], y[second], y[third], y[fourth]
-        for k in range(M):
-            a += C[first, k] * w[k]
-            b += C[second, k] * w[k]
-            c += C[third, k] * w[k]
-            d += C[fourth, k] * w[k]
-        out[first], out[second], out[third], out[fourth] = a, b, c, d
 
 
 @numba.njit(**OPTIONS)

@@ -587,32 +587,29 @@ _LIMITED: Final = {"jerk_max": "jerk_added_peak_p95", "a_y_max": "a_y_added_peak
 
 
 def limit_line(ranking: RankedDesigns) -> str:
-    """Sentence on what a limit of comfort inside the law buys: the best ranked design with one, and the best without;
-    empty where one of the two is missing.
-    """
+    """What a limit of comfort inside the law buys: the best ranked designs with and without, where there are both."""
     limited = [[name for name in _LIMITED if dict(design.gains).get(name)] for design in ranking.designs]
     acting = [i for i in range(ranking.ranked) if not ranking.designs[i].is_baseline]
     within, without = (next((i for i in acting if bool(limited[i]) is has), None) for has in (True, False))
     if within is None or without is None:
         return ""
-    names = [_LIMITED[name] for name in limited[within]]
 
     def parts(i: int, less: str) -> str:
         saved = float(ranking.metrics.reduction[i])
-        change = f"{100 * abs(saved):.1f} % {'less' if saved >= 0 else 'more'}{less}"
         values = (
-            f"{METRICS[name].scale * metric_values(name, ranking)[i]:.{METRICS[name].digits}f} "
-            f"{METRICS[name].shown_unit} of {'jerk' if name.startswith('jerk') else 'lateral acceleration'}"
-            for name in names
+            f"{METRICS[_LIMITED[name]].scale * metric_values(_LIMITED[name], ranking)[i]:.2f} "
+            f"{METRICS[_LIMITED[name]].shown_unit} of {'jerk' if name == 'jerk_max' else 'lateral acceleration'}"
+            for name in limited[within]
         )
+        change = f"{100 * abs(saved):.1f} % {'less' if saved >= 0 else 'more'}{less}"
         return f"{design_name(ranking.designs[i])}, S {change} at {_list(list(values))}"
 
-    first, second = sorted((within, without))
+    second = max(within, without)
     low, high = (float(getattr(ranking.inference, f"difference_{end}")[second]) for end in ("low", "high"))
     apart = f" Between them: {ranking.inference.difference[second]:.4f} m s ({low:.4f} .. {high:.4f})."
     return (
-        f"With a limit of comfort in the law: {parts(within, ' than without control')} (95 % quantile); "
-        f"the best without: {parts(without, '')}.{apart if first == 0 and math.isfinite(low + high) else ''}"
+        f"With a limit of comfort in the law: {parts(within, ' than without control')} (95 % quantile); the best "
+        f"without: {parts(without, '')}.{'' if min(within, without) or math.isnan(low + high) else apart}"
     )
 
 
