@@ -67,6 +67,7 @@ def run(args: argparse.Namespace) -> None:
     from ..pages.ranking_section import write_markdown
     from ..ranking.ranking import write_csv
     from ..ranking.verdict import listed_positions
+    from ..step_time import step_times
     from ..storage.scenario_source import read_model
     from ..storage.store import Store
     from ._results import Judged, print_ranking, rank_summary, write_ranking
@@ -91,8 +92,6 @@ def run(args: argparse.Namespace) -> None:
         )
     times = None
     if args.timing:
-        from ..step_time import step_times
-
         listed = [judged.ranking.designs[i] for i in listed_positions(judged.ranking, args.top)]
         with progress_bar("timing steps"):
             times = step_times(results, study.setup(), listed)

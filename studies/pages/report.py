@@ -128,9 +128,6 @@ def write_report(report: ReportInput, path: str | Path, *, figures: str | Path |
     return Path(path)
 
 
-TIMED: Final = 3  # designs whose steps are timed, beside winner, baseline and the best of each law
-
-
 def report_input(
     folder: Path,
     study: Study,
@@ -144,7 +141,7 @@ def report_input(
     robustness: Robustness | None = None,
 ) -> ReportInput:
     """Gather what a report shows of a study that was run."""
-    timed = [ranking.designs[i] for i in sorted({*listed_positions(ranking, TIMED), *ranking.best_of_each_law()})]
+    timed = [ranking.designs[i] for i in sorted({*listed_positions(ranking, 3), *ranking.best_of_each_law()})]
     warnings = "; ".join(manifest.model_warnings)
     fit_warnings = (f"Of the scenario model: {warnings}.",) if warnings else ()
     return ReportInput(
