@@ -195,6 +195,16 @@ def matrix(mpc: Condensed, limits: Limits, i: int, C: FloatArray, G: FloatArray,
 def _respond(response: FloatArray, scale: float, G: FloatArray, out: FloatArray) -> None:
     """Rows of an output that answers to a command k steps before by response[k]."""
     N, M = G.shape
+    if M == N:  # G holds an impulse response, and so does the product
+        for j in range(N):
+            total = 0.0
+            for m in range(j + 1):
+                total += scale * response[j - m] * G[m, 0]
+            for k in range(N - j):
+                out[j + k, k] = total
+            for k in range(j + 1, M):
+                out[j, k] = 0.0
+        return
     for j in range(N):
         for k in range(M):
             out[j, k] = 0.0
@@ -229,6 +239,7 @@ def prove(
     C, y, low, high = rows
     R, M = C.shape
     held = np.empty(M + 3, dtype=np.int64)
+    entered = np.zeros(R, dtype=np.int64)
     for _ in range(3 * M + _MORE_CORRECTIONS):
         count = 0
         for row in range(R):
@@ -297,6 +308,9 @@ def prove(
             side[wrong_row] = 0
         elif worst_row >= 0:
             side[worst_row] = worst_side
+            entered[worst_row] += 1
+            if entered[worst_row] > 2:
+                return False  # the corrections go in circles
         elif proved:
             return True
     return False

@@ -51,7 +51,7 @@ class LinearMPC(MPCDesign):
         1e3, unit="rad^2", lower=1e-3, upper=1e6, scale="log", description="weight of going beyond a soft limit"
     )
     blocks: int = gain(0, unit="1", lower=0, upper=100, description="number of free moves; 0 for one a sample")
-    solver: str = option("osqp", choices=None, description="QP solver: osqp, daqp, or another of qpsolvers")
+    solver: str = option("daqp", choices=None, description="QP solver: daqp, osqp, or another of qpsolvers")
     always_solve: bool = gain(False, unit="1", description="call the solver also where the solution is known without")
 
     def __post_init__(self) -> None:
@@ -154,8 +154,11 @@ class Workspace(abc.ABC):
         """Solve for these bounds."""
 
 
-class Workspaces(dict[int, Workspace]):
-    """Workspaces by place in the batch. A copy or a pickle is empty: they are made again where they are needed."""
+class Workspaces(dict[int, tuple[QP, Workspace]]):
+    """QPs, whose matrices no sample changes, and their workspaces, by place in the batch.
+
+    A copy or a pickle is empty: they are made again where they are needed.
+    """
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Workspaces:
         return Workspaces()
@@ -476,10 +479,11 @@ class MPCLaw(SteeringLaw):
         starts = form.split(multipliers[rows])
         calls = []
         for k, i in enumerate(rows.tolist()):
-            qp = form.qp(C[k])
             if i not in workspaces:
-                workspaces[i] = make(self.solver, qp)
-            answer = workspaces[i].solve(lower[k], upper[k], starts[k])
+                qp = form.qp(C[k])
+                workspaces[i] = qp, make(self.solver, qp)
+            qp, workspace = workspaces[i]
+            answer = workspace.solve(lower[k], upper[k], starts[k])
             calls.append(_call(i, qp, lower[k], upper[k], answer))
             rung[i] = Rung.SOLVED
             if not calls[-1].usable:

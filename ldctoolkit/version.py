@@ -6,7 +6,7 @@ from typing import Final
 
 __version__ = importlib.metadata.version("ldctoolkit")
 
-DECISIVE: Final = ("ldctoolkit", "numpy", "scipy", "numba", "casadi", "osqp", "qpsolvers", "control")
+DECISIVE: Final = ("ldctoolkit", "numpy", "scipy", "numba", "casadi", "daqp", "osqp", "qpsolvers", "control")
 """Packages whose versions decide a number's last bits: the same on every worker, and wherever a study is resumed."""
 
 Versions = tuple[tuple[str, str], ...]  # names of packages and their versions; `"not installed"` where there is none

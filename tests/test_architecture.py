@@ -65,7 +65,7 @@ LEVELS = (
     ("studies.assessment", "studies.extraction"),
     ("studies.measures",),
     ("studies.ranking",),
-    ("studies.search", "studies.robustness"),
+    ("studies.search", "studies.robustness", "studies.step_time"),
     ("studies.runner",),
     ("studies.comparison", "studies.risk", "studies.export", "studies.sensitivity"),
     ("studies.pages",),

@@ -234,11 +234,16 @@ class Run:
     status: npt.NDArray[np.int8]
     failed_solves: IntArray
     metrics: MetricValues
-    law_seconds: float
+    step_seconds: FloatArray  # (k,) [s] Wall time of each call of the law's step; empty for a linear law
     trajectories: Trajectories | None
     solver_log: SolverLog = dataclasses.field(default_factory=lambda: SolverLog.of([]))
     # On request, for each sample: row numbers of the scenarios that go on, and their plans as of `SteeringLaw.plan`
     planned: Sequence[tuple[IntArray, FloatArray, FloatArray, FloatArray]] = ()
+
+    @property
+    def law_seconds(self) -> float:
+        """Wall time of all steps together [s]."""
+        return float(self.step_seconds.sum())
 
     def columns(self, windows: Sequence[Window]) -> FloatArray:
         """S and S_uncorrected of each of w windows, then the c metrics, of the recorded paths, (2 w + c, n)."""
@@ -494,7 +499,7 @@ def _drive_linear(laws: list[LinearLaw], takeover: Takeover, rows: IntArray | No
             score[:, :, stiff], diverged[:, stiff] = stiff_score[:, :, stiff], stiff_diverged[:, stiff]
             failed[:, stiff] = stiff_failed[:, stiff]
     trajectories = _trajectories(takeover, paths, rows, triggered)
-    return [_run_of_scores(takeover, score[i], diverged[i], failed[i], 0.0, trajectories) for i in range(d)]
+    return [_run_of_scores(takeover, score[i], diverged[i], failed[i], np.zeros(0), trajectories) for i in range(d)]
 
 
 # ---------------------------------------------------------------------- a law that is called sample by sample
@@ -516,7 +521,8 @@ def _drive_general(
     batch: IntArray | slice = slice(None)  # The scenarios that the law still holds
     active = np.arange(m)  # Rows of the batch that go on
     state = law.init(m)
-    law_seconds, sample = 0.0, 0
+    step_seconds: list[float] = []
+    sample = 0
     calls: list[tuple[IntArray, int, SolverCalls]] = []
     planned: list[tuple[IntArray, FloatArray, FloatArray, FloatArray]] = []
     while active.size:
@@ -528,7 +534,7 @@ def _drive_general(
         preview = Preview(yaw_rate, heading, wheel)
         started = time.perf_counter()
         result = law.step(t, x, preview, previous.copy(), state)
-        law_seconds += time.perf_counter() - started
+        step_seconds.append(time.perf_counter() - started)
         delta, after, status = check_step(result, t.size, name)
         if plans and (plan := law.plan((x, preview, previous, state), after)) is not None:
             planned.append((takeover.rows[batch][active], plan[0], plan[1][active], plan[2][active]))
@@ -556,7 +562,7 @@ def _drive_general(
     results = [plant.scores() for plant in plants]
     score, diverged = (np.concatenate(values, axis=-1) for values in zip(*results, strict=True))
     trajectories = _trajectories(takeover, paths, rows, triggered)
-    run = _run_of_scores(takeover, score, diverged, failed, law_seconds, trajectories)
+    run = _run_of_scores(takeover, score, diverged, failed, np.array(step_seconds), trajectories)
     status = np.where(beyond & (run.status == EventStatus.OK), np.int8(EventStatus.BEYOND_DELTA_MAX), run.status)
     return dataclasses.replace(run, status=status, solver_log=SolverLog.of(calls), planned=planned)
 
@@ -644,7 +650,7 @@ def recorded_run(takeover: Takeover) -> Run:
     rows, recorded = takeover.rows, takeover.recorded
     metrics = MetricValues(**{name: getattr(recorded, name)[rows] for name in METRIC_UNITS})
     zeros = np.zeros(takeover.m, dtype=np.int64)
-    return Run(takeover, None, zeros.astype(np.int8), zeros, metrics, 0.0, None)
+    return Run(takeover, None, zeros.astype(np.int8), zeros, metrics, np.zeros(0), None)
 
 
 def _run_of_scores(
@@ -652,7 +658,7 @@ def _run_of_scores(
     score: FloatArray,
     diverged: BoolArray,
     failed: IntArray,
-    law_seconds: float,
+    step_seconds: FloatArray,
     trajectories: Trajectories | None,
 ) -> Run:
     """A run from scores (SCORES, m), which scenarios diverged (m,), and failed commands (m,)."""
@@ -668,7 +674,7 @@ def _run_of_scores(
     inside = (takeover.x_0[:, 0] < edge) & (values["deepest"] <= 0.0)
     values["t_back"] = np.where(inside, takeover.start, values["t_back"])
     metrics = MetricValues(**values)
-    return Run(takeover, area, status, failed, metrics, law_seconds, trajectories)
+    return Run(takeover, area, status, failed, metrics, step_seconds, trajectories)
 
 
 def _trajectories(over: Takeover, paths: FloatArray, rows: IntArray | None, triggered: IntArray) -> Trajectories | None:

@@ -17,7 +17,16 @@ from ldctoolkit.errors import InputError
 from ..design import Design, named_designs
 from ..pages.ranking_section import write_markdown
 from ..ranking.ranking import Ranking, rank_study, write_csv
-from ..ranking.verdict import Verdict, listed_positions, more_lines, ranking_table, verdict, verdict_lines
+from ..ranking.verdict import (
+    STEP_TEXT,
+    StepTimes,
+    Verdict,
+    listed_positions,
+    more_lines,
+    ranking_table,
+    verdict,
+    verdict_lines,
+)
 from ..results import StudyResults
 from ..storage.manifest import Manifest
 from ..storage.store import Store
@@ -130,10 +139,12 @@ def write_files(
 _MOST_FAILED = 20
 
 
-def print_ranking(judged: Judged, top: int) -> None:
-    """The table, the verdict, and what else a reader should know."""
+def print_ranking(judged: Judged, top: int, times: StepTimes | None = None) -> None:
+    """The table, with the times of steps that are given, the verdict, and what else a reader should know."""
     out, ranking = console(), judged.ranking
-    print_table(ranking_table(ranking, listed_positions(ranking, top)), narrow=True)
+    print_table(ranking_table(ranking, listed_positions(ranking, top), times), narrow=True)
+    if times:
+        say(out, STEP_TEXT)
     title, *others = verdict_lines(judged.verdict)
     style = "bold green" if judged.verdict.usable and ranking.winner is not None else "bold red"
     out.print(title, style=style, markup=False, emoji=False, highlight=False)
@@ -180,8 +191,8 @@ def json_summary(judged: Judged, files: Mapping[str, Path]) -> str:
     return json.dumps(content)
 
 
-def rank_summary(judged: Judged, ranking_csv: Path | None) -> str:
-    """The one line of ``ldc rank --json``: the result, and the settings that it was ranked with."""
+def rank_summary(judged: Judged, ranking_csv: Path | None, times: StepTimes | None = None) -> str:
+    """The one line of ``ldc rank --json``: the result, the settings that it was ranked with, and times of steps."""
     ranking, content = judged.ranking, {"event": "ranked"} | _summary(judged)
     baseline, winner = ranking.baseline, ranking.winner
     content |= {
@@ -195,6 +206,8 @@ def rank_summary(judged: Judged, ranking_csv: Path | None) -> str:
         "warnings": list(ranking.warnings),
         "ranking": None if ranking_csv is None else str(ranking_csv),
     }  # fmt: skip
+    if times is not None:
+        content["step_time_s"] = {id: {"median": median, "p99": p99} for id, (median, p99) in times.items()}
     return json.dumps(content)
 
 

@@ -38,8 +38,8 @@ def add_parser(commands: Subparsers) -> None:
         "rank",
         help="print the ranking of a study that was run",
         description="Rank the stored results of a study, print the table and write DIR/ranking.csv and "
-        "DIR/ranking.md again. Nothing is driven. With settings other than the study's own, these stay as they are; -o "
-        "writes the other ranking.",
+        "DIR/ranking.md again. Nothing is driven, except with --timing. With settings other than the study's own, "
+        "these stay as they are; -o writes the other ranking.",
     )
     parser.add_argument("folder", metavar="DIR", help="folder that ldc run wrote")
     parser.add_argument(
@@ -54,6 +54,8 @@ def add_parser(commands: Subparsers) -> None:
     parser.add_argument("--confidence", type=number, metavar="P", help="of the intervals, between 0 and 1")
     parser.add_argument("-o", "--output", metavar="FILE", help="write the ranking here, as .csv or .md, not to DIR")
     parser.add_argument("--top", type=positive_number, default=10, metavar="N", help="rows to print (default: 10)")
+    about = "time the steps of the listed laws here and now, one departure at a time: median and 99 %% quantile"
+    parser.add_argument("--timing", action="store_true", help=about)
     parser.add_argument("--quiet", action="store_true", help="no table")
     parser.add_argument("--json", action="store_true", help="one JSON object on stdout, and no table")
     parser.set_defaults(run=run)
@@ -64,6 +66,8 @@ def run(args: argparse.Namespace) -> None:
     """Carry the command out."""
     from ..pages.ranking_section import write_markdown
     from ..ranking.ranking import write_csv
+    from ..ranking.verdict import listed_positions
+    from ..step_time import step_times
     from ..storage.scenario_source import read_model
     from ..storage.store import Store
     from ._results import Judged, print_ranking, rank_summary, write_ranking
@@ -86,8 +90,13 @@ def run(args: argparse.Namespace) -> None:
             "it failed, and has no results to compare with",
             allowed="a design with metrics in ranking.csv",
         )
+    times = None
+    if args.timing:
+        listed = [judged.ranking.designs[i] for i in listed_positions(judged.ranking, args.top)]
+        with progress_bar("timing steps"):
+            times = step_times(results, study.setup(), listed)
     if not (args.quiet or args.json):
-        print_ranking(judged, args.top)
+        print_ranking(judged, args.top, times)
     if target is not None and target.suffix.lower() == ".md":
         write_markdown(judged.ranking, target, study, store.manifest, judged.verdict)
     elif target is not None:
@@ -95,7 +104,7 @@ def run(args: argparse.Namespace) -> None:
     elif study.ranking == stored.ranking:
         target = write_ranking(judged)
     if args.json:
-        print(rank_summary(judged, target))
+        print(rank_summary(judged, target, times))
     elif target is not None:
         print(f"ranking: {target}")
 

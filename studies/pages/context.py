@@ -18,7 +18,7 @@ from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
 
 from ..ranking.ranking import Ranking
-from ..ranking.verdict import Verdict, verdict
+from ..ranking.verdict import StepTimes, Verdict, verdict
 from ..requirements import metric, metric_values
 from ..results import StudyResults
 from ..text import number
@@ -57,6 +57,8 @@ class ReportInput:
     shown_designs: tuple[str, ...] = ()  # Identifiers, or their beginnings, of designs that it shows in addition
     sensitivity: tuple[BlockSensitivity, ...] = ()  # Sensitivity of S to gains; empty leaves that part out
     robustness: Robustness | None = None  # Designs on other plants; None if they were not simulated
+    # Median and 99 % quantile of the time of a law's step [s], by identifier, of the designs that were timed
+    step_times: StepTimes = dataclasses.field(default_factory=dict)
     model: ScenarioModel | None = None  # The model that generated the scenarios
     model_name: str = ""  # Its name; empty where no model generated them
     given: Given = dataclasses.field(default_factory=dict)  # Conditions that they were drawn under

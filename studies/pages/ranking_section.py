@@ -15,7 +15,9 @@ from ..ranking.finalists import SCORE
 from ..ranking.ranking import Ranking
 from ..ranking.verdict import (
     COLUMNS_TEXT,
+    STEP_TEXT,
     Verdict,
+    limit_line,
     listed_positions,
     more_lines,
     ranking_table,
@@ -42,7 +44,8 @@ def section(context: Context) -> Section:
     named = [position for position in (ranking.winner, ranking.baseline) if position is not None]
     marked = {*named, *context.best_of_each_law, *np.flatnonzero(ranking.pareto)[:100].tolist()}
     positions = [i for i in range(len(ranking)) if i < MOST_ROWS or i in marked]
-    table = ranking_table(ranking, positions)
+    times = context.report.step_times
+    table = ranking_table(ranking, positions, times)
     rows = []
     for position, row in zip(positions, table.rows, strict=True):
         first = position in named or position < FIRST_ROWS
@@ -56,6 +59,8 @@ def section(context: Context) -> Section:
         listed=len(positions),
         later=sum(row.later for row in rows),
         set_of_best=set_of_best_line(ranking),
+        limit=limit_line(ranking),
+        timed=STEP_TEXT if times else "",
     )
     return Section("ranking", "Ranking", body, scripts=("table.js",), printed=True)
 

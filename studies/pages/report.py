@@ -14,7 +14,9 @@ from ldctoolkit.plant_options import PlantOptions
 from ldctoolkit.setup import Setup, simulation_options
 from ldctoolkit.version import __version__
 
+from ..ranking.verdict import listed_positions
 from ..sensitivity.sensitivity import sensitivity
+from ..step_time import step_times
 from ..storage.folder_files import write_text
 from ..storage.scenario_source import read_model
 from ..study_file import toml_text
@@ -139,6 +141,7 @@ def report_input(
     robustness: Robustness | None = None,
 ) -> ReportInput:
     """Gather what a report shows of a study that was run."""
+    timed = [ranking.designs[i] for i in sorted({*listed_positions(ranking, 3), *ranking.best_of_each_law()})]
     warnings = "; ".join(manifest.model_warnings)
     fit_warnings = (f"Of the scenario model: {warnings}.",) if warnings else ()
     return ReportInput(
@@ -155,6 +158,7 @@ def report_input(
         command=manifest.command,
         sensitivity=sensitivity(results, study),
         robustness=robustness,
+        step_times=step_times(results, study.setup(), timed, folder),
         study_file=toml_text(study),
         model=read_model(folder, manifest),
         model_name=f"the model {manifest.model}" if study.scenarios.model else f"{manifest.model}, replayed",

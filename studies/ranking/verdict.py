@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -464,7 +464,17 @@ COLUMNS_TEXT: Final = (
 """Explanation of the short headings."""
 
 
-def ranking_table(ranking: RankedDesigns, positions: Sequence[int]) -> Table:
+STEP_TEXT: Final = (
+    "Step: time of the law's step for one vehicle, median and 99 % quantile, measured on this machine, in Python. It "
+    "is no result, and differs from run to run. Linear laws have no step."
+)
+_STEP_COLUMNS: Final = (("Step", "step", "Median"), ("Step 99 %", "step_p99", "99 % quantile"))
+
+StepTimes = Mapping[str, tuple[float, float]]
+"""Median and 99 % quantile of the time of a law's step [s], by the identifier of a design."""
+
+
+def ranking_table(ranking: RankedDesigns, positions: Sequence[int], times: StepTimes | None = None) -> Table:
     """Table of the designs at the given positions, for terminal, Markdown and notebook."""
     heads = (("Reduction", "reduction"), ("a_y p95", "a_y"), ("Jerk p95", "jerk"), ("Needless", "needless"))
     level = f"{100 * ranking.confidence:g} % interval"
@@ -481,6 +491,8 @@ def ranking_table(ranking: RankedDesigns, positions: Sequence[int]) -> Table:
         ),
         *([Column("Fresh S", "m\u00b7s", ".3f", key="fresh", about="Mean S on the fresh scenarios")]
           if ranking.fresh.scenarios else []),
+        *(Column(head, "\u00b5s", ".0f", key=key, about=f"{what} of the law's step, measured on this machine")
+          for head, key, what in _STEP_COLUMNS if times),
         Column("Verdict", text=True),
     ]  # fmt: skip
     metrics = {name: METRICS[name].scale * metric_values(name, ranking) for name in RANKING_METRICS}
@@ -501,6 +513,7 @@ def ranking_table(ranking: RankedDesigns, positions: Sequence[int]) -> Table:
             int(rank) or math.nan, law_title(design), design.y_s, gains_text(design, "="), S, (low, high),
             *(Cell(float(values[i]), bad=name in missed) for name, values in metrics.items()),
             *([fresh] if ranking.fresh.scenarios else []),
+            *(1e6 * value for value in (times.get(design.id, (math.nan,) * 2) if times else ())),
             Cell(judged(ranking, i), bad=bool(missed)),
         ]  # fmt: skip
         kind = "winner" if i == ranking.winner else "baseline" if i == ranking.baseline else ""
@@ -569,10 +582,40 @@ def set_of_best_line(ranking: RankedDesigns) -> str:
     return f"Set of best: {size:,} designs that these scenarios do not separate; with {level} the best is among them."
 
 
+_LIMITED: Final = {"jerk_max": "jerk_added_peak_p95", "a_y_max": "a_y_added_peak_p95"}
+"""Gains by which a law itself limits comfort (0: no limit), and what they are to limit."""
+
+
+def limit_line(ranking: RankedDesigns) -> str:
+    """What a limit of comfort inside the law buys: the best ranked designs with and without, where there are both."""
+    limited = [[name for name in _LIMITED if dict(design.gains).get(name)] for design in ranking.designs]
+    acting = [i for i in range(ranking.ranked) if not ranking.designs[i].is_baseline]
+    within, without = (next((i for i in acting if bool(limited[i]) is has), None) for has in (True, False))
+    if within is None or without is None:
+        return ""
+
+    def parts(i: int, less: str) -> str:
+        saved = float(ranking.metrics.reduction[i])
+        values = (
+            f"{METRICS[_LIMITED[name]].scale * metric_values(_LIMITED[name], ranking)[i]:.2f} "
+            f"{METRICS[_LIMITED[name]].shown_unit} of {'jerk' if name == 'jerk_max' else 'lateral acceleration'}"
+            for name in limited[within]
+        )
+        change = f"{100 * abs(saved):.1f} % {'less' if saved >= 0 else 'more'}{less}"
+        return f"{design_name(ranking.designs[i])}, S {change} at {_list(list(values))}"
+
+    second = max(within, without)
+    low, high = (float(getattr(ranking.inference, f"difference_{end}")[second]) for end in ("low", "high"))
+    apart = f" Between them: {ranking.inference.difference[second]:.4f} m s ({low:.4f} .. {high:.4f})."
+    return (
+        f"With a limit of comfort in the law: {parts(within, ' than without control')} (95 % quantile); the best "
+        f"without: {parts(without, '')}.{'' if min(within, without) or math.isnan(low + high) else apart}"
+    )
+
+
 def more_lines(ranking: RankedDesigns) -> Iterator[str]:
-    """Further sentences on a ranking: the set of best, fresh scenarios, failures."""
-    if set_of_best := set_of_best_line(ranking):
-        yield set_of_best
+    """Further sentences on a ranking: the set of best, limits inside laws, fresh scenarios, failures."""
+    yield from filter(None, (set_of_best_line(ranking), limit_line(ranking)))
     i, b = ranking.winner, ranking.baseline
     if i is not None and b is not None and b != i:
         fresh = bool(np.isfinite(ranking.fresh.baseline_difference[i]))

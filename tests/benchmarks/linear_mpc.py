@@ -4,7 +4,8 @@ The reference, written here in full, takes the scenarios one by one: the unconde
 1e-6, updated and warm started at every sample; it drives the plant itself and keeps no score. Its commands are then
 replayed by the toolkit's closed loop, so that S is compared and not the way S is worked out. It runs on every tenth
 scenario; what counts is the time of one scenario-step. The law's time holds all of it: Riccati equation, condensing,
-set-up of solvers, plant and score."""
+set-up of solvers, plant and score. Soft limits are a table of their own: processor time of the law's steps alone, on
+the plant of a catalog study."""
 
 import dataclasses
 import time
@@ -26,12 +27,13 @@ from ldctoolkit import (
     SteeringLaw,
     gain,
 )
+from ldctoolkit import Controller, EventStatus, Setup, SteeringLaw, load_model, load_study
 from ldctoolkit.controllers import LinearMPC
 from ldctoolkit.controllers.linear_mpc import MPCLaw, Rung
 from ldctoolkit.controllers.riccati import regulator
 from ldctoolkit.simulation import Takeover, drive
 
-SCENARIOS, EVERY = 2_000, 10
+SCENARIOS, EVERY, STUDY = 2_000, 10, "trigger-and-gains"
 DESIGN = LinearMPC(horizon=20, delta_max=0.15, rate_max=0.3, r_delta=100.0)
 
 
@@ -112,11 +114,12 @@ class Watched(Controller):
     inner: LinearMPC
     rungs: np.ndarray
     ended: list
+    spent: list = dataclasses.field(default_factory=lambda: [0.0, 0])
     name = "watched"
     title = "Watched"
 
     def prepare(self, plant):
-        return WatchedLaw(self.inner.prepare(plant), self.rungs, self.ended)
+        return WatchedLaw(self.inner.prepare(plant), self.rungs, self.ended, self.spent)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -124,6 +127,7 @@ class WatchedLaw(SteeringLaw):
     law: MPCLaw
     rungs: np.ndarray
     ended: list
+    spent: list  # processor time [s] of the steps, and their number, over scenarios
 
     @property
     def preview_times(self):
@@ -133,7 +137,9 @@ class WatchedLaw(SteeringLaw):
         return self.law.init(n)
 
     def step(self, t, x, preview, delta_prev, state):
+        start = time.process_time()
         delta, state, status = self.law.step(t, x, preview, delta_prev, state)
+        self.spent[:] = [self.spent[0] + time.process_time() - start, self.spent[1] + t.size]
         going = np.any(x != 0, axis=1)
         self.rungs[:] += np.bincount(state.rung[going], minlength=len(Rung))
         self.ended[:] = [state]
@@ -141,7 +147,7 @@ class WatchedLaw(SteeringLaw):
 
     def take(self, rows, state):
         law, state = self.law.take(rows, state)
-        return WatchedLaw(law, self.rungs, self.ended), state
+        return WatchedLaw(law, self.rungs, self.ended, self.spent), state
 
 
 @dataclasses.dataclass(frozen=True)
@@ -206,6 +212,24 @@ def score(design: Controller, over: Takeover) -> np.ndarray:
     return drive(design, over).outcome("control").S
 
 
+def soft_limits() -> None:
+    """Steps with and without a soft limit on the plant of a catalog study, by each solver."""
+    over = Takeover.build(load_model("reference").sample(250, 250, seed=1), load_study(STUDY).setup(), y_s=0.15)
+    print(f"{STUDY}, y_s = 0.15 m, linear_mpc, r_delta = 2500, rate_max = 0.33\n")
+    print("| case | us a scenario-step | left to the solver | mean S |")
+    print("| --- | ---: | ---: | ---: |")
+    for jerk_max in (0.0, 4.5, 3.5, 2.5):
+        for solver in ("osqp", "daqp") if jerk_max else ("daqp",):
+            design, best = LinearMPC(r_delta=2500.0, rate_max=0.33, jerk_max=jerk_max, solver=solver), np.inf
+            for _ in range(5):
+                watched = Watched(design, np.zeros(len(Rung), dtype=int), [])
+                S = drive(watched, over).outcome("departure").S.mean()
+                best = min(best, watched.spent[0] / watched.spent[1])
+            share = 100 * watched.rungs[Rung.SOLVED :].sum() / watched.rungs.sum()
+            name = f"jerk_max = {jerk_max:g}, solver = {solver!r}" if jerk_max else "without soft limits"
+            print(f"| {name} | {1e6 * best:.1f} | {share:.1f} % | {S:.9f} |", flush=True)
+
+
 def main() -> None:
     print(machine("numpy", "numba", "osqp", "daqp", "scipy"))
     print()
@@ -254,6 +278,8 @@ def main() -> None:
             f"{solver}: limits active in {100 * (1 - rungs[Rung.FREE] / rungs.sum()):.1f} % of {rungs.sum():,} steps; "
             f"{counts}; the same bits in another order: {same}."
         )
+    print()
+    soft_limits()
 
 
 def reordered(over: Takeover, rows: np.ndarray) -> Takeover:

@@ -244,6 +244,18 @@ def test_soft_limits_equal_another_solver(number: int, solver: str) -> None:
     assert (slacks.max(axis=1) < 1e-6).sum() > 3, "some can"
 
 
+def test_the_default_solver_gives_the_score_of_the_other() -> None:
+    """DAQP against OSQP where soft limits bind: answers are made exact, so the scores differ by rounding."""
+    design, options = LinearMPC(r_delta=100.0, jerk_max=5.0), PlantOptions(actuator=Actuator(lag=0.1, delay=0.1))
+    given = {"y_s": 0.2, "options": options, "start": "steady"}
+    assert design.solver == "daqp"
+    by_default, by_osqp = (
+        simulate(one, HARSH, **given) for one in (design, dataclasses.replace(design, solver="osqp"))
+    )
+    assert by_default.solver_log.sample.size > 0
+    np.testing.assert_allclose(by_default.S, by_osqp.S, rtol=1e-12)
+
+
 def test_the_penalty_is_exact() -> None:
     """Where the soft limits can be met, they are: the command of the QP in which they are hard."""
     design = LinearMPC(horizon=10, r_delta=20.0, a_y_max=2.0, jerk_max=12.0, e_y_max=1.5)

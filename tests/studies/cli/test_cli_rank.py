@@ -13,7 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from helpers.cli import Terminal, bad, ldc
+from helpers.cli import Terminal, bad, good, ldc
+from ldctoolkit.studies import Study, run_study
 from ldctoolkit.studies.cli import main
 
 
@@ -210,3 +211,35 @@ def test_json(folder: Path, rank: Rank) -> None:
 )
 def test_wrong_settings_get_one_message(arguments: list[str], message: str, folder: Path) -> None:
     assert message in bad("rank", *arguments, cwd=folder)
+
+
+def test_the_time_of_a_step_is_shown_and_is_no_result(tmp_path: Path) -> None:
+    """Of laws that are stepped, in the table, the JSON and the page; no file of the folder changes."""
+    content = {
+        "name": "timed",
+        "scenarios": {"left": 12, "right": 8},
+        "ranking": {"bootstrap": 200, "finalists": 0},
+        "design": [{"law": "none"}, {"law": "lqr", "y_s": 0.05}, {"law": "pid", "y_s": 0.05}],
+    }
+    study = Study.from_dict(content)
+    run_study(study, directory=tmp_path / "timed", workers=1, progress=False)
+    good("report", "timed", "--no-robustness", "--no-figures", cwd=tmp_path)
+    page = (tmp_path / "timed" / "report.html").read_text()
+    assert page.count("Step 99 %") == 1
+    assert "measured on this machine" in page
+    before = stored(tmp_path / "timed")
+    out = good("rank", "timed", "--timing", cwd=tmp_path)
+    assert "measured on this machine" in out
+    results = json.loads(good("rank", "timed", "--timing", "--json", cwd=tmp_path))["step_time_s"]
+    assert "step_time_s" not in json.loads(good("rank", "timed", "--json", cwd=tmp_path))
+    (pid,) = (design for design in study.designs if design.law == "pid")
+    assert list(results) == [pid.id]
+    assert 0.0 < results[pid.id]["median"] <= results[pid.id]["p99"] < 1.0
+    (row,) = [line for line in out.splitlines() if re.match(r"\s*\d+ PID ", line)]
+    (linear,) = [line for line in out.splitlines() if re.match(r"\s*\d+ LQR ", line)]
+    assert linear.count("\u2013") == row.count("\u2013") + 2
+    assert "Step" not in good("rank", "timed", cwd=tmp_path)
+    assert stored(tmp_path / "timed") == before
+    # the page is the same from the stored times
+    good("report", "timed", "--no-robustness", "--no-figures", cwd=tmp_path)
+    assert (tmp_path / "timed" / "report.html").read_text() == page

@@ -14,7 +14,7 @@ from ldctoolkit.studies.design import Design
 from ldctoolkit.studies.pages.ranking_section import MOST_MARKDOWN_ROWS as MOST_ROWS
 from ldctoolkit.studies.pages.ranking_section import ranking_markdown, write_markdown
 from ldctoolkit.studies.ranking.ranking import Ranking
-from ldctoolkit.studies.ranking.verdict import Verdict, listed_positions, verdict
+from ldctoolkit.studies.ranking.verdict import Verdict, listed_positions, more_lines, verdict
 from ldctoolkit.studies.results import FailedDesign
 from ldctoolkit.studies.storage.manifest import Manifest
 from ldctoolkit.studies.study_file import Study
@@ -124,3 +124,35 @@ def test_the_file_holds_the_text_which_is_the_same_each_time(tmp_path: Path) -> 
     assert "S: control window, as printed" in text
     assert text == ranking_markdown(other, STUDY, MANIFEST, found)
     assert len(table(text)) == 4
+
+
+def test_what_a_limit_inside_the_law_buys() -> None:
+    """The best ranked design with one beside the best without: a limit of 0, or of a design not ranked, is none."""
+    gains: list[tuple[str, dict[str, Any]]] = [
+        ("linear_mpc", {"r_delta": 2500.0, "jerk_max": 4.0}),
+        ("linear_mpc", {"r_delta": 1000.0, "jerk_max": 4.5}),
+        ("linear_mpc", {"r_delta": 3000.0, "jerk_max": 0.0}),
+        ("lqi", {"r_delta": 10000.0}),
+        ("none", {}),
+    ]
+    designs = [Design.from_gains(law, 0.15, given) for law, given in gains]
+    n, S = 50, np.array([1.6, 1.5, 1.9, 1.75, 2.5])
+    jerk = np.array([4.5, 5.5, 4.0, 4.75, np.nan])
+    S = S[:, None] + 0.01 * np.random.default_rng(1).random((5, n)) * np.arange(1, 6)[:, None]
+    means = {"jerk_added_peak": np.tile(jerk[:, None], n), "a_y_added_peak": np.full((5, n), 2.0)}
+    results = results_of(S, designs, uncorrected=2.5, metrics=means)
+    ranking = Ranking.of(results, bootstrap=200, require=["jerk_added_peak_p95 <= 5"])
+    (line,) = [line for line in more_lines(ranking) if "limit of comfort" in line]
+    saved = [100 * (1 - S[i].mean() / 2.5) for i in (0, 3)]
+    assert line.startswith(
+        "With a limit of comfort in the law: Linear MPC, y_s = 0.15 m, r_delta = 2500, jerk_max = 4, "
+        f"S {saved[0]:.1f} % less than without control at 4.50 m/s\u00b3 of jerk (95 % quantile); the best without: "
+        f"LQI, y_s = 0.15 m, r_delta = 10000, S {saved[1]:.1f} % less at 4.75 m/s\u00b3 of jerk. Between them: "
+    )
+    assert f" {S[3].mean() - S[0].mean():.4f} m s (" in line
+    # with nothing to set beside it there is no sentence
+    for kept in ([0, 1, 4], [2, 3, 4]):
+        fewer = results_of(
+            S[kept], [designs[i] for i in kept], uncorrected=2.5, metrics={k: v[kept] for k, v in means.items()}
+        )
+        assert not any("limit of comfort" in line for line in more_lines(Ranking.of(fewer, bootstrap=200)))

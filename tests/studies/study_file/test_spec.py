@@ -470,6 +470,10 @@ def test_the_catalog_loads() -> None:
         study = load_study(name)
         assert not study.plant.ideal
         assert {"stable", "comfort"} <= set(study.ranking.require)
+        # beside laws that know no limit of comfort are those that do
+        knows = {design.law for design in study.designs if 0.0 < dict(design.gains).get("jerk_max", 0.0) < 5.0}
+        assert "linear_mpc" in knows
+        assert not {design.law for design in study.designs if "mpc" in design.law} - knows
 
 
 @pytest.mark.parametrize(
