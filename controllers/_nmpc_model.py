@@ -222,7 +222,8 @@ class _Builder:
         H, g = ca.hessian(cost, zu)
         slope = ca.gradient(final, z)
         bent = ca.vertcat(
-            *(ca.vec(part) for part in (ca.jacobian(f, zu), H, ca.jacobian(o, zu), ca.hessian(final, z)[0]))
+            *(ca.vec(part) for part in (ca.jacobian(f, zu), H, ca.jacobian(o, zu), ca.hessian(final, z)[0])),
+            *([zu] if _kinked(ca.Function("parts", [z, u, p, c], [cost, f, o, final])) else []),
         )
         finite = ca.vertcat(
             *(ca.vec(part) for part in (g, H, f, ca.jacobian(f, zu), o, ca.jacobian(o, zu), final, slope))
@@ -447,6 +448,15 @@ class _Builder:
                 after += ca.mtimes(G_3, 4 * (g_0 - 2 * g_a + g_b))
         a_1 = rates(after, r_1, 1.0)[1]
         return ca.vertcat(after, u) if self.previous else after, a_0, a_1
+
+
+def _kinked(function: Any) -> bool:
+    """Whether a function has steps or kinks, which second derivatives do not show."""
+    import casadi as ca
+
+    kinks = (ca.OP_FABS, ca.OP_SIGN, ca.OP_FMIN, ca.OP_FMAX, ca.OP_FLOOR, ca.OP_CEIL, ca.OP_LT, ca.OP_LE, ca.OP_EQ,
+             ca.OP_NE, ca.OP_IF_ELSE_ZERO)  # fmt: skip
+    return any(function.instruction_id(k) in kinks for k in range(function.n_instructions()))
 
 
 def _replaced(expression: Any, values: list[tuple[Any, Any]]) -> Any:

@@ -9,7 +9,7 @@ import pytest
 
 import ldctoolkit as ldc
 from helpers.closed_loop import Prepared
-from ldctoolkit import BicycleModel, LinearSteps, Plant, PredictiveController, Soft, Stage, gain
+from ldctoolkit import BicycleModel, LinearSteps, Plant, PredictiveController, Preview, Soft, Stage, gain
 from ldctoolkit.controllers import LQR, PID, LinearMPC, NonlinearMPC
 from ldctoolkit.plant_options import Actuator, PlantOptions, Sensors
 from ldctoolkit.review import design_margins, review
@@ -85,7 +85,7 @@ class Kinked(Quadratic):
         if self.kind == "absolute":
             cost += 0.05 * ca.fabs(x.e_y)
         hard = [(u.delta, 0.0 if self.kind == "hard" else -0.1, 0.1)]
-        return Stage(cost, hard, [Soft(x.e_y, upper=0.0 if self.kind == "soft" else 2.0)])
+        return Stage(cost, hard, [Soft(x.e_y, upper=0.0)] if self.kind == "soft" else [])
 
     def terminal(self, x: Any, lane: Any) -> Any:
         return 100.0 * x.e_y**2 + 100.0 * x.e_psi**2
@@ -170,3 +170,16 @@ def test_margins_of_a_formulation_for_rankings() -> None:
     np.testing.assert_allclose([gain[0], phase[0]], [gain[1], phase[1]], rtol=1e-6)
     assert (gain[0] > 1.0).all()
     assert np.isnan([gain[2], phase[2]]).all()
+
+
+@pytest.mark.parametrize(("kind", "one"), [("none", True), ("absolute", False)])
+def test_a_cost_with_a_kink_is_no_quadratic_program(kind: str, one: bool) -> None:
+    """Its second derivatives are constant, but where the plan crosses e_y = 0 one QP is not all; a quadratic cost needs
+    no second one."""
+    law = Kinked(kind=kind).prepare(Plant.build(BicycleModel(), [25.0], 0.05))
+    lane = np.zeros((1, law.preview_times.size))
+    x = np.array([[0.1, -1.0, 0.0, 0.0]])
+    _, state, _ = law.step(np.zeros(1), x, Preview(lane, lane, np.zeros(1)), np.zeros(1), law.init(1))
+    calls = law.solver_calls(state)
+    assert calls is not None
+    assert bool(calls.iterations[0] == 1) == one
