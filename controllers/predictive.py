@@ -432,7 +432,7 @@ class PredictiveLaw(SteeringLaw):
         delta = np.empty(n)
         after.sent[:] = np.column_stack([state.sent[:, 1:], delta_prev])
         after.sent[:] = np.where(np.isnan(after.sent), delta_prev[:, None], after.sent)
-        self._see_own(after.own, x, preview, delta_prev)
+        self.see_own(after.own, x, preview, delta_prev)
         samples = self.samples(lane(preview.yaw_rate, self.plant.dt, self.plant.age))
         blocks = self.design.move_blocks
         work = workspace(self.form, self.horizon, block_starts(self.horizon, blocks) if blocks else None)
@@ -441,7 +441,7 @@ class PredictiveLaw(SteeringLaw):
         status = np.array([EventStatus.OK, EventStatus.OK, EventStatus.BEYOND_DELTA_MAX, EventStatus.SOLVER_FAILED])
         return delta, after, status[after.rung].astype(np.int8)
 
-    def _see_own(self, own: FloatArray, x: FloatArray, preview: Preview, delta_prev: FloatArray) -> None:
+    def see_own(self, own: FloatArray, x: FloatArray, preview: Preview, delta_prev: FloatArray) -> None:
         """Values of the class's states at the first sample; the wheels' angle wherever it is measured."""
         names = self.form.own
         if not names:
