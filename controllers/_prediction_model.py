@@ -15,8 +15,8 @@ from ldctoolkit.vehicle.discretization import expm
 SHAPE: Final = 1.3  # Pacejka's C of the tyres that a law believes in
 
 GRAVITY: Final = 9.81
-_SATURATED: Final = 0.95  # steady cornering is held up to this share of the tyres' peak force
-_TURNED: Final = 0.97  # and the front tyres, turned by delta, up to this
+SATURATED: Final = 0.95  # steady cornering is held up to this share of the tyres' peak force
+TURNED: Final = 0.97  # and the front tyres, turned by delta, up to this
 
 STATES: Final = ("e_y", "e_y_rate", "e_psi", "e_psi_rate")
 PREVIOUS: Final = "previous"  # the last state of z, where it is used: the command of the sample before
@@ -98,12 +98,12 @@ def steady_cornering(plant: Plant, mu: float, r: FloatArray) -> Cornering:
         return np.asarray(softness * np.tan(np.arcsin(share) / SHAPE), dtype=np.float64)
 
     # both axles carry the same share of their peak, a_y/(mu g)
-    share = np.clip(v * r / (mu * GRAVITY), -_SATURATED, _SATURATED)
+    share = np.clip(v * r / (mu * GRAVITY), -SATURATED, SATURATED)
     v_y = p.l_r * r - v * np.tan(slip(share, p.C_ar, p.l_f))
     direction = np.arctan((v_y + p.l_f * r) / v)
     delta = direction + slip(share, p.C_af, p.l_r)
     for _ in range(6):  # the front force is turned by delta; each round gains two digits or more
-        turned = np.clip(share / np.cos(delta), -_TURNED, _TURNED)
+        turned = np.clip(share / np.cos(delta), -TURNED, TURNED)
         delta = direction + slip(turned, p.C_af, p.l_r)
     return Cornering(e_psi=np.asarray(-np.arctan(v_y / v), dtype=np.float64), delta=delta)
 

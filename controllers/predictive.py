@@ -464,7 +464,7 @@ class PlanningLaw(SteeringLaw):
         delta = np.empty(n)
         after.sent[:] = np.column_stack([state.sent[:, 1:], delta_prev])
         after.sent[:] = np.where(np.isnan(after.sent), delta_prev[:, None], after.sent)
-        self._see_own(after.own, x, preview, delta_prev)
+        self.see_own(after.own, x, preview, delta_prev)
         r, left = lane(preview.yaw_rate, self.plant.dt, self.plant.age), np.arange(n)
         if self.affine is not None:
             s = np.concatenate([x, after.own, after.sent, r], axis=1)
@@ -484,7 +484,7 @@ class PlanningLaw(SteeringLaw):
         """Commands, and the states that the model drives through with them from where the first one steers."""
         (x, preview, delta_prev, state), work, N, dt = seen, self.workspace, self.horizon, self.plant.dt
         now = dataclasses.replace(after, own=state.own.copy(), past=state.past.copy())
-        self._see_own(now.own, x, preview, delta_prev)
+        self.see_own(now.own, x, preview, delta_prev)
         samples = self.samples(lane(preview.yaw_rate, dt, self.plant.age))
         path, delta = np.full((len(x), N + 1, len(STATES)), np.nan), np.where(after.has_plan[:, None], after.U, np.nan)
         for i in np.flatnonzero(after.has_plan).tolist():
@@ -504,7 +504,7 @@ class PlanningLaw(SteeringLaw):
         """First command, and own states a sample later, for inputs u (n, 7), own states and earlier commands."""
         n, work = u.shape[0], self.workspace
         after = dataclasses.replace(self.init(n), own=own, sent=np.column_stack([sent, u[:, 4]]))
-        self._see_own(own, u[:, :4], Preview(u[:, 5:6], u[:, 5:6], u[:, 6]), u[:, 4])
+        self.see_own(own, u[:, :4], Preview(u[:, 5:6], u[:, 5:6], u[:, 6]), u[:, 4])
         samples = self.samples(np.tile(u[:, 5:6], self.delay + self.horizon + 1))
         delta, following = np.empty(n), np.empty_like(own)
         for i in range(n):
@@ -516,7 +516,7 @@ class PlanningLaw(SteeringLaw):
                 following[i] = work.predict(delta[i], samples[i, 0])[0][len(STATES) : len(STATES) + own.shape[1]]
         return delta, following
 
-    def _see_own(self, own: FloatArray, x: FloatArray, preview: Preview, delta_prev: FloatArray) -> None:
+    def see_own(self, own: FloatArray, x: FloatArray, preview: Preview, delta_prev: FloatArray) -> None:
         """Values of the class's states at the first sample; the wheels' angle wherever it is measured."""
         names = self.form.own
         if not names:

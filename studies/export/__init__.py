@@ -19,7 +19,7 @@ from ldctoolkit.scenarios import Scenarios
 from ldctoolkit.setup import Setup
 from ldctoolkit.surroundings import temporary_folder
 
-from .c_code import HEADER, SOURCE, Code, Origin, changed_files, is_stale, parameters, render, write_folder
+from .c_code import HEADER, SOURCE, Code, Origin, changed_files, is_stale, parameters, render, sources_of, write_folder
 from .loop_check import Check, check, compile_c, compiler, record, vectors
 
 __all__ = ["Check", "Code", "Export", "Origin", "changed_files", "export_c", "is_stale", "parameters"]
@@ -49,7 +49,7 @@ def export_c(
 ) -> Export:
     """Write a design as C99 code with a test bench, and drive that code in the closed loop.
 
-    Raises `InputError` for a law that has no C code, as nonlinear MPC, and for a folder whose files were changed by
+    Raises `InputError` for a law that has no C code, and for a folder whose files were changed by
     hand; `LdcError` if the compiler refuses the code.
 
     Parameters
@@ -113,7 +113,9 @@ _PLATFORMS: Final = {"Linux": ("linux64", ".so"), "Darwin": ("darwin64", ".dylib
 def _write_fmu(code: Code, texts: dict[str, str], folder: Path, command: Sequence[str] | None) -> Path:
     """An FMU of FMI 2.0; without a compiler there is no binary, and the importer compiles the sources."""
     sizes = [(name, size) for name, size, kind in code.inputs if kind == "ldc_real"]
+    sources = sources_of(texts)
     values = {
+        "sources": sources,
         "guid": f"{{{uuid.uuid5(uuid.NAMESPACE_OID, texts[SOURCE] + texts[HEADER])}}}",
         "reals": [f"{name}[{i + 1}]" if size else name for name, size in sizes for i in range(max(size, 1))],
         "whole": [name for name, _, kind in code.inputs if kind == "int32_t"], "fields": code.inputs,
@@ -122,7 +124,7 @@ def _write_fmu(code: Code, texts: dict[str, str], folder: Path, command: Sequenc
     files = {
         "modelDescription.xml": render("modelDescription.xml", **values).encode(),
         "sources/fmu.c": render("fmu.c", **values).encode(),
-        **{f"sources/{name}": texts[name].encode() for name in (HEADER, SOURCE)},
+        **{f"sources/{name}": texts[name].encode() for name in (HEADER, *sources)},
         "documentation/README.md": texts["README.md"].encode(),
     }
     if command is not None:
@@ -131,9 +133,10 @@ def _write_fmu(code: Code, texts: dict[str, str], folder: Path, command: Sequenc
         system, suffix = _PLATFORMS[platform.system()]
         library = f"ldc_controller{suffix}"
         with temporary_folder() as room:
-            for name in ("fmu.c", SOURCE, HEADER):
+            for name in ("fmu.c", *sources, HEADER):
                 write_whole(Path(room) / name, files[f"sources/{name}"], StoreError)
-            compile_c(command, Path(room), "-std=c99", "-O2", "-fPIC", "-shared", "fmu.c", SOURCE, "-o", library, "-lm")
+            options = ("-std=c99", "-O2", "-fPIC", "-shared")
+            compile_c(command, Path(room), *options, "fmu.c", *sources, "-o", library, "-lm")
             files[f"binaries/{system}/{library}"] = (Path(room) / library).read_bytes()
     path = folder / "ldc_controller.fmu"
     stream = io.BytesIO()

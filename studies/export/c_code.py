@@ -24,10 +24,11 @@ from ldctoolkit.version import __version__
 
 from ..design import Design
 from ..storage.folder_files import output_folder, read_bytes, write_text
-from .law_tables import UNITS, Gains, Schedule, c_number, reals
+from .law_tables import UNITS, Gains, Schedule, c_number, generated, reals
 
 HEADER: Final = "ldc_controller.h"
 SOURCE: Final = "ldc_controller.c"
+PREDICTIONS: Final = "ldc_predictions.c"
 VECTORS: Final = "test_vectors.csv"
 
 BOUND: Final = 1e-9  # [rad] Largest difference of a command in double precision, and of S in m s
@@ -94,7 +95,7 @@ class Code:
     @property
     def bounds(self) -> tuple[float, float]:
         """Largest difference of a command in double and in single precision [rad]."""
-        return (MPC_BOUND, MPC_FLOAT_BOUND) if self.schedule.form.law == "mpc" else (BOUND, FLOAT_BOUND)
+        return (MPC_BOUND, MPC_FLOAT_BOUND) if self.schedule.form.law in ("mpc", "predictive") else (BOUND, FLOAT_BOUND)
 
     @property
     def age(self) -> float:
@@ -157,6 +158,9 @@ class Code:
         yield f"largest difference of a command to the toolkit's: {double:g} rad, in single precision {single:g} rad"
         if form.mpc:
             yield f"solver: at most {form.mpc['iterations']} iterations a step, by the bound of its loop"
+        if form.sqp:
+            programs, iterations = form.sqp["programs"], form.sqp["iterations"]
+            yield f"solver: at most {programs} quadratic programs a step, {iterations} iterations each"
         yield ""
         for name, value in digests.items():
             yield f"sha256 {value} {name}"
@@ -170,7 +174,7 @@ class Code:
         values: dict[str, Any] = {
             "title": _plain(self.label), "version": __version__, "id": self.design.id, "fields": self.inputs,
             "origin": list(map(_plain, self.origin.lines)) if self.origin else [],
-            "law": form.law, "mpc": form.mpc, "heading": form.heading, "times": form.times,
+            "law": form.law, "mpc": form.mpc, "sqp": form.sqp, "heading": form.heading, "times": form.times,
             "times_text": times_text,
             "points": form.times.size - (2 if form.barrier else 0), "has": dict.fromkeys(UNITS, 0) | sizes,
             "c": {name: c_number(x) if isinstance(x, float) else x for name, x in form.constants.items()},
@@ -188,16 +192,24 @@ class Code:
             "barrier": c_number(form.barrier) if form.barrier else "", "ahead": c_number(ahead) if ahead else "",
             "filter": {"known": known} if self.filtered else None,
             "sent": max(form.sent, known + 2 if self.filtered else 1),
+            "sources": " ".join([SOURCE, *[PREDICTIONS] * bool(form.functions)]),
             "clips": form.law != "linear" or form.barrier > 0.0,
             "dots": form.law not in ("pid", "stanley") or form.barrier > 0.0 or self.filtered,
             "dt": c_number(self.setup.dt), "y_s": c_number(self.y_s), "v_min": c_number(SPEED_RANGE[0]),
             "v_max": c_number(SPEED_RANGE[1]), "bound": f"{self.bounds[0]:g}", "float_bound": f"{self.bounds[1]:g}",
         }  # fmt: skip
         files = {name: render(name, **values) for name in (SOURCE, "main.c", "README.md")}
+        if form.functions:
+            files[PREDICTIONS] = render(PREDICTIONS, code=generated(form.functions), **values)
         files |= {VECTORS: vectors} if vectors else {}
         digests = {name: digest(text.encode()) for name, text in files.items()}
         header = render(HEADER, banner=map(_plain, self._banner(digests | {HEADER: _NONE})), **values)
         return {HEADER: header.replace(_NONE, digest(header.encode())), **files}
+
+
+def sources_of(texts: dict[str, str]) -> list[str]:
+    """Names of the files that have to be compiled."""
+    return [name for name in (SOURCE, PREDICTIONS) if name in texts]
 
 
 _NONE: Final = "0" * 64
@@ -264,7 +276,8 @@ def changed_files(folder: Path) -> list[str]:
 
 def is_stale(code: Code, folder: Path) -> bool:
     """Whether a folder holds the code of another design, study or version than this."""
-    present, fresh = {name: read_bytes(folder / name) for name in (HEADER, SOURCE)}, code.texts("none")
+    fresh = code.texts("none")
+    present = {name: read_bytes(folder / name) for name in (HEADER, *sources_of(fresh)) if (folder / name).is_file()}
     return any(_LINE.sub("", text.decode(errors="replace")) != _LINE.sub("", fresh[n]) for n, text in present.items())
 
 

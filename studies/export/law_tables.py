@@ -3,14 +3,27 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 
 from ldctoolkit.arrays import FloatArray, IntArray
-from ldctoolkit.control import Controller, LinearLaw, LinearSteps, RecordedPath
-from ldctoolkit.controllers import _mpc_condensing, barrier_filter, linear_mpc, pid, pure_pursuit, sliding_mode, stanley
+from ldctoolkit.control import Controller, LinearLaw, LinearSteps, Preview, RecordedPath
+from ldctoolkit.controllers import (
+    _mpc_condensing,
+    _nmpc_solver,
+    _prediction_model,
+    barrier_filter,
+    linear_mpc,
+    pid,
+    predictive,
+    pure_pursuit,
+    sliding_mode,
+    stanley,
+)
 from ldctoolkit.errors import InputError, LdcError
 from ldctoolkit.law_checks import check_controller, check_law
 from ldctoolkit.setup import Setup
@@ -33,7 +46,8 @@ UNITS: Final = {
     "a_y": "lateral acceleration from state, command, yaw rate", "response": "of a_y (twice) and e_y to a command",
     "gain": "Kalman gain, row by row", "model_A": "as A, of the filter", "model_B": "for the younger command",
     "model_E_0": "for the yaw rate before", "model_E_1": "for the yaw rate now", "model_B_old": "for the older command",
-    "model_wheel": "for the angle of the wheels",
+    "model_wheel": "for the angle of the wheels", "columns": "numbers of the prediction, in the order of its layout",
+    "steady": "steady cornering for a unit of yaw rate: states, steering angle",
 }  # fmt: skip
 """Units and meaning of the gains that are scheduled over speed."""
 
@@ -50,6 +64,8 @@ class LawForm:
     heading: bool = False  # It sees the heading of the lane ahead
     barrier: float = 0.0  # [rad] Limit of the barrier filter around it; 0 for no filter
     mpc: dict[str, Any] | None = None  # Sizes of a linear MPC
+    sqp: dict[str, Any] | None = None  # Sizes and tables of another predictive controller
+    functions: tuple[Any, ...] = ()  # Its CasADi functions
 
 
 def law_form(law: object, dt: float, name: str) -> LawForm:
@@ -74,6 +90,8 @@ def law_form(law: object, dt: float, name: str) -> LawForm:
         return dataclasses.replace(inner, gains=gains, times=law.preview_times, barrier=law.delta_max)
     if isinstance(law, linear_mpc.MPCLaw):
         return _mpc_form(law)
+    if isinstance(law, predictive.PredictiveLaw):
+        return _predictive_form(law, name)
     if isinstance(law, pid.PIDLaw | stanley.StanleyLaw | sliding_mode.SlidingModeLaw | pure_pursuit.PurePursuitLaw):
         constants: dict[str, Any] = {gain.name: getattr(law.design, gain.name) for gain in law.design.gains()}
         if isinstance(law, pid.PIDLaw):
@@ -89,9 +107,7 @@ def law_form(law: object, dt: float, name: str) -> LawForm:
         gains = {key: _wide(getattr(law, key)) for key in names}
         return LawForm(section, gains, law.preview_times, constants, sent=2, heading=section == "pure_pursuit")
     what = "never steers" if isinstance(law, RecordedPath) else f"prepares a {type(law).__name__}, which has no C code"
-    if name == "nonlinear_mpc":
-        what = "solves a nonlinear program at every sample, in no time that could be stated beforehand"
-    allowed = "a law that prepares a LinearLaw, pid, stanley, pure_pursuit, sliding_mode, barrier_filter, linear_mpc"
+    allowed = "a law that prepares a LinearLaw, pid, stanley, pure_pursuit, sliding_mode, barrier_filter, an MPC"
     raise InputError("law", f"cannot be exported, it {what}", value=name, allowed=allowed)
 
 
@@ -122,6 +138,91 @@ def _mpc_form(law: linear_mpc.MPCLaw) -> LawForm:
     constants |= {f"{kind}_scale": limits.scale[k] for k, kind in enumerate(_mpc_condensing.SOFT)}
     wide = {key: value.reshape(n, -1) for key, value in gains.items()}
     return LawForm("mpc", wide, law.preview_times, constants, sent=limits.delay + 1, mpc=sizes)
+
+
+def _predictive_form(law: predictive.PredictiveLaw, name: str) -> LawForm:
+    form, N, moves = law.form, law.horizon, _mpc_condensing.block_starts(law.horizon, law.design.move_blocks)
+    nx, window, functions = law.steady.shape[1] - 1, _mpc_condensing.jerk_window(law.plant.dt)[0], _functions(form, N)
+    angles = [4 + i for i, own in enumerate(form.own) if own == "wheel"]
+    sqp: dict[str, Any] = {
+        "N": N, "M": moves.size, "nz": form.size, "nx": nx, "nc": form.layout.size, "own": len(form.own),
+        "delay": law.delay, "window": window, "outputs": form.outputs, "kinds": len(form.soft),
+        "most": law.design.iterations, "programs": law.design.iterations or _nmpc_solver.MAX_ITERATIONS,
+        "iterations": 4 * (3 * moves.size + N * len(form.soft)), "quadratic": form.quadratic and not form.soft,
+        "nonlinear": bool(form.nonlinear_rows), "wheel": sum(angles), "angles": [*angles, *[nx] * form.previous],
+        "age": c_number(law.plant.age / law.plant.dt) if law.plant.age else "", "blocks": moves.size < N,
+        "first": moves.tolist(), "move_of": (np.searchsorted(moves, np.arange(N), side="right") - 1).tolist(),
+        "initial": _initial(law, name),
+        **{key.lower(): getattr(_prediction_model, key) for key in ("SHAPE", "GRAVITY", "SATURATED", "TURNED")},
+        "functions": [function.name() for function in functions], "work": max(f.sz_w() for f in functions),
+        "terms": 1, "output_of": "", "share_of": "",
+    }  # fmt: skip
+    if law.rows is not None:
+        weights, past = law.rows.rows.reshape(-1, form.outputs, N), law.rows.before
+        # the outputs of a sample are side by side
+        weights = np.concatenate([weights.transpose(0, 2, 1).reshape(len(past), -1), past], axis=1)
+        terms = int((weights != 0.0).sum(axis=1).max())
+        places = np.argsort(weights == 0.0, axis=1, kind="stable")[:, :terms]
+        shares = np.take_along_axis(weights, places, axis=1)
+        sqp |= {"terms": terms, "output_of": _rows(places), "share_of": _rows(shares)}
+    parts = form.layout.unpack(law.columns.T).values()
+    columns = np.concatenate([_without_rounding(part, 1e-15) for part in parts])
+    gains = {"columns": columns.T, "steady": _without_rounding(law.steady.T, 1e-12).T}
+    return LawForm("predictive", gains, law.preview_times, sent=law.delay + 1, sqp=sqp, functions=functions)
+
+
+def _rows(values: npt.NDArray[Any]) -> str:
+    """Rows of a table of C, each with a comma behind it."""
+    lines = (", ".join(c_number(x) if isinstance(x, float) else str(x) for x in row) for row in values.tolist())
+    return "".join(f"{{ {line} }},\n    " for line in lines)
+
+
+def _without_rounding(part: FloatArray, share: float) -> FloatArray:
+    """Columns (k, n) without what is 0 but for rounding, which follows no series."""
+    return np.where(np.abs(part) < share * np.abs(part).max(axis=0, initial=0.0), 0.0, part)
+
+
+@functools.lru_cache(maxsize=8)
+def _functions(form: Any, N: int) -> tuple[Any, ...]:
+    """Functions of one sample, dense."""
+    import casadi as ca
+
+    program = form.program(N)
+    functions = [program.predict, form.limit]
+    for parent, name in (
+        (program.roll, "roll_one"), (program.value, "value_one"), (program.value, "end"),
+        (program.linearise, "slopes_one"), (program.linearise, "bend_one"),
+    ):  # fmt: skip
+        functions.append(parent.find_function(name))
+    result = []
+    for function in functions:
+        inputs = function.sx_in()
+        outputs = [ca.densify(value) for value in function.call(inputs)]
+        result.append(ca.Function(f"ldc_{function.name()}", inputs, outputs))
+    return tuple(result)
+
+
+def generated(functions: tuple[Any, ...]) -> str:
+    """CasADi's C code of functions."""
+    import casadi as ca
+
+    generator = ca.CodeGenerator(
+        "ldc_predictions", {"with_export": False, "casadi_int": "int", "casadi_real": "double"}
+    )
+    for function in functions:
+        generator.add(function)
+    return str(generator.dump())
+
+
+def _initial(law: predictive.PredictiveLaw, name: str) -> str:
+    """States of the class at the departure: rows of a constant, and weights of state and steering angle."""
+    probes = np.concatenate([np.zeros((1, 5)), np.eye(5), np.sin(np.arange(1.0, 16.0)).reshape(3, 5)])
+    own = np.full((len(probes), len(law.form.own)), np.nan)
+    law.see_own(own, probes[:, :4], Preview(np.zeros((len(probes), 0)), np.zeros((len(probes), 0))), probes[:, 4])
+    rows = np.concatenate([own[:1], own[1:6] - own[0]])
+    if not np.allclose(own[6:], rows[0] + probes[6:] @ rows[1:], rtol=1e-9, atol=1e-12):
+        raise InputError("law", "cannot be exported, its initial() is not linear in x and delta", value=name)
+    return _rows(rows.T)
 
 
 def _wide(values: FloatArray) -> FloatArray:

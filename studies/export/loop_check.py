@@ -24,7 +24,7 @@ from ldctoolkit.surroundings import temporary_folder
 from ldctoolkit.vehicle.bicycle import Plant
 
 from ..storage.folder_files import write_text
-from .c_code import FLOAT_S, HEADER, SOURCE, Code, render
+from .c_code import FLOAT_S, Code, render, sources_of
 
 WARNINGS: Final = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-pedantic", "-Werror")
 
@@ -126,12 +126,13 @@ class Compiled:
         options = [*WARNINGS, "-D_POSIX_C_SOURCE=199309L", *(["-DLDC_USE_FLOAT"] if single else [])]
         with temporary_folder() as name:
             folder = Path(name)
-            for file, text in {HEADER: texts[HEADER], SOURCE: texts[SOURCE], "check.c": render("check.c")}.items():
+            for file, text in (texts | {"check.c": render("check.c")}).items():
                 write_text(folder / file, text)
+            sources = sources_of(texts)
             if not single:
-                compile_c(command, folder, *options, "-Os", "-c", "-fstack-usage", SOURCE)
+                compile_c(command, folder, *options, "-Os", "-c", "-fstack-usage", *sources)
                 self.size, self.stack = _sizes(folder)
-            compile_c(command, folder, *options, "-O2", "-fPIC", "-shared", SOURCE, "check.c", "-o", "ldc.so", "-lm")
+            compile_c(command, folder, *options, "-O2", "-fPIC", "-shared", *sources, "check.c", "-o", "ldc.so", "-lm")
             self.library: Any = self.ffi.dlopen(str(folder / "ldc.so"))
         self.state = int(self.library.ldc_size(1))
 
@@ -152,11 +153,11 @@ def _sizes(folder: Path) -> tuple[int, int]:
     """Bytes of code and constants in the object file, and the sum of all stack frames."""
     usage = "".join(path.read_text() for path in folder.glob("*.su"))
     stack = sum(int(line.split("\t")[1]) for line in usage.splitlines())
-    compiled = (folder / SOURCE).with_suffix(".o")
+    compiled = sorted(folder.glob("*.o"))
     if not shutil.which("size"):
-        return compiled.stat().st_size, stack
-    shown = subprocess.run(["size", str(compiled)], capture_output=True, text=True, check=True).stdout
-    return sum(map(int, shown.splitlines()[1].split()[:2])), stack
+        return sum(path.stat().st_size for path in compiled), stack
+    shown = subprocess.run(["size", *map(str, compiled)], capture_output=True, text=True, check=True).stdout
+    return sum(int(number) for line in shown.splitlines()[1:] for number in line.split()[:2]), stack
 
 
 # ------------------------------------------------------------------------------------------------ in the loop

@@ -89,8 +89,42 @@ static ldc_work dot(const ldc_work *a, const ldc_work *b, int32_t n)
 }
 
 {% endif %}
+/* Whether a magnitude is at most a limit; by bits, as a compiler may assume that there is nothing but numbers
+   (-ffast-math): in the order of IEEE 754 infinity and NaN are beyond every limit. */
+static int32_t within(ldc_work value, ldc_work limit)
+{
+    const double number[2] = {(double)value, (double)limit};
+    uint64_t bits[2];
+    (void)memcpy(bits, number, sizeof(bits));
+    return ((bits[0] & (UINT64_MAX >> 1)) <= bits[1]) ? 1 : 0;
+}
+
+{% if mpc or sqp %}
+#define ROUNDING 1.0e-12
+
+/* Solve (A A') part = part in place, A the n held normals, which are independent, by Cholesky's factors. */
+static void gram(ldc_state *s, int32_t n, ldc_work part[LDC_VARIABLES])
+{
+    for (int32_t i = 0; i < n; i++) {
+        for (int32_t j = 0; j <= i; j++) {
+            const ldc_work both = dot(s->held[i], s->held[j], LDC_VARIABLES);
+            const ldc_work inner = both - dot(s->factor[i], s->factor[j], j);
+            const ldc_work least = ROUNDING * both;
+            s->factor[i][j] = (j < i) ? (inner / s->factor[j][j]) : ROOT((inner > least) ? inner : least);
+        }
+        part[i] = (part[i] - dot(s->factor[i], part, i)) / s->factor[i][i];
+    }
+    for (int32_t i = n - 1; i >= 0; i--) {
+        for (int32_t j = i + 1; j < n; j++) { part[i] -= s->factor[j][i] * part[j]; }
+        part[i] /= s->factor[i][i];
+    }
+}
+
+{% endif %}
 {% if law == "mpc" %}
 {% include "ldc_mpc.c" %}
+{% elif sqp %}
+{% include "ldc_predictive.c" %}
 {% elif law == "pure_pursuit" %}
 /* Weights of heading and yaw rate of the lane ahead in the lateral position of the goal point: cubics every 0.1 s. */
 static void begin_pursuit(ldc_state *s)
@@ -117,7 +151,7 @@ static void begin_pursuit(ldc_state *s)
 /* The command for state x, yaw rates r and headings h of the lane ahead; outward. */
 static ldc_work law(ldc_state *s, const ldc_work x[4], const ldc_work r[], const ldc_work h[], uint32_t *status)
 {
-{% if law != "pure_pursuit" %}
+{% if law != "pure_pursuit" and not sqp %}
     const ldc_work *g = s->gain;
 {% endif %}
 {% if law == "linear" %}
@@ -177,6 +211,8 @@ static ldc_work law(ldc_state *s, const ldc_work x[4], const ldc_work r[], const
     s->memory += clip(LDC_W(0.5) * ((((delta - hold) * g[AT_CB]) / LDC_DT) - s->memory), -most, most);
 {% elif law == "mpc" %}
     const ldc_work delta = first_move(s, g, x, r, status);
+{% elif sqp %}
+    const ldc_work delta = first_move(s, x, r, status);
 {% endif %}
     (void)h;
     (void)status;
@@ -203,16 +239,6 @@ static void estimate(ldc_state *s, const ldc_inputs *in, ldc_work side, ldc_work
 }
 
 {% endif %}
-/* Whether a magnitude is at most a limit; by bits, as a compiler may assume that there is nothing but numbers
-   (-ffast-math): in the order of IEEE 754 infinity and NaN are beyond every limit. */
-static int32_t within(ldc_work value, ldc_work limit)
-{
-    const double number[2] = {(double)value, (double)limit};
-    uint64_t bits[2];
-    (void)memcpy(bits, number, sizeof(bits));
-    return ((bits[0] & (UINT64_MAX >> 1)) <= bits[1]) ? 1 : 0;
-}
-
 /* Whether every input is finite and in range. */
 static int32_t usable(const ldc_inputs *in)
 {
@@ -315,7 +341,7 @@ uint32_t ldc_step(const ldc_inputs *in, ldc_state *state, ldc_outputs *out)
         if (s->phase != LDC_ARMED) {
             const ldc_work line = (s->side > 0) ? in->line_left : in->line_right;
             s->output = (ldc_work)s->side * steer(s, in, &status);
-{% if mpc %}
+{% if mpc or sqp %}
             iterations = s->iterations;
 {% endif %}
             if (line >= LDC_W(0.0)) { s->outside = 1; }

@@ -19,7 +19,7 @@ typedef float ldc_real;
 #else
 typedef double ldc_real;
 #endif
-{% if mpc %}
+{% if mpc or sqp %}
 /* inside, double in any case: in single precision the solver fails where in double it does not */
 typedef double ldc_work;
 #define LDC_W(x) (x)
@@ -77,6 +77,33 @@ typedef struct {
 #define LDC_ITERATIONS {{ mpc.iterations }} /* bound: a step that needs more steers by the fallback */
 
 {% endif %}
+{% if sqp %}
+#define LDC_N {{ sqp.N }} /* horizon */
+#define LDC_M {{ sqp.M }} /* free moves */
+#define LDC_Z {{ sqp.nz }} /* states of the prediction */
+#define LDC_OWN {{ sqp.own }} /* states that the design adds */
+#define LDC_DELAY {{ sqp.delay }} /* samples until a command arrives */
+#define LDC_WINDOW {{ sqp.window }} /* samples over which jerk is averaged */
+#define LDC_OUT {{ sqp.outputs }} /* numbers of a sample that soft limits look at */
+#define LDC_OUTPUTS ((LDC_N * LDC_OUT) + (2 * LDC_WINDOW) + 1) /* and accelerations before */
+#define LDC_KINDS {{ sqp.kinds }} /* soft limits of a sample */
+#define LDC_SOFT (LDC_N * LDC_KINDS)
+#define LDC_ROWS ((2 * LDC_M) + LDC_SOFT) /* limits of a quadratic program */
+#define LDC_VARIABLES LDC_M
+#define LDC_SQP_ITERATIONS {{ sqp.programs }} /* bound: quadratic programs of a step, */
+#define LDC_QP_ITERATIONS {{ sqp.iterations }} /* iterations of each; a step that needs more steers by the fallback */
+#define LDC_ITERATIONS (LDC_SQP_ITERATIONS * LDC_QP_ITERATIONS)
+
+/* A plan: commands, states, soft rows, cost with penalties, sum of the gaps. */
+typedef struct {
+    double U[LDC_N];
+    double Z[LDC_N + 1][LDC_Z];
+    double row[LDC_SOFT + 1];
+    double merit;
+    double gap;
+} ldc_plan;
+
+{% endif %}
 /* One instance for each controller; set by ldc_init, then only by ldc_step. */
 typedef struct {
     int32_t phase;
@@ -116,6 +143,50 @@ typedef struct {
     ldc_work held[LDC_VARIABLES][LDC_VARIABLES];
     ldc_work factor[LDC_VARIABLES][LDC_VARIABLES];
     ldc_work right[LDC_VARIABLES];
+{% endif %}
+{% if sqp %}
+    int32_t iterations;
+    int32_t has_plan;
+    double plan[LDC_N];
+    double past[2][LDC_WINDOW]; /* [m/s^2] accelerations before and after each sample */
+    double own[LDC_OWN + 1];
+    double p[LDC_DELAY + LDC_N][4 + (2 * LDC_Z)]; /* from here on room to work in */
+    double bound[4][LDC_N];
+    double soft[4][LDC_SOFT + 1];
+    double guess[LDC_N];
+    ldc_plan now;
+    ldc_plan trial;
+    double gap[LDC_N][LDC_Z];
+    double A[LDC_N][LDC_Z * LDC_Z];
+    double B[LDC_N][LDC_Z];
+    double pull[LDC_N][LDC_Z];
+    double push[LDC_N];
+    double of_z[LDC_N][(LDC_Z * LDC_OUT) + 1];
+    double of_u[LDC_N][LDC_OUT + 1];
+    double l[LDC_N + 1][LDC_Z];
+    double slope;
+    double T[LDC_M][LDC_Z];
+    double t[LDC_Z];
+    double H[LDC_M][LDC_M];
+    double stiff[LDC_M][LDC_M];
+    double g[LDC_M];
+    double J_t;
+    double Y[(LDC_N * LDC_OUT) + 1][LDC_M];
+    double y[LDC_OUTPUTS];
+    double m[LDC_OUTPUTS];
+    double out[LDC_OUTPUTS];
+    double turn[LDC_OUTPUTS];
+    double limit[4][LDC_ROWS];
+    double value[LDC_ROWS];
+    double rate[LDC_ROWS];
+    double press[LDC_ROWS];
+    int32_t holds[LDC_ROWS]; /* 1 or -1: at a bound, 2 or -2: yielding */
+    int32_t which[LDC_M + 1];
+    double right[LDC_M + 1];
+    double held[LDC_M][LDC_M];
+    double factor[LDC_M][LDC_M];
+    double L[LDC_M][LDC_M];
+    double w[{{ sqp.work }}];
 {% endif %}
 } ldc_state;
 

@@ -1,5 +1,4 @@
 #define TOLERANCE 1.0e-12 /* [rad, or share of a limit] */
-#define ROUNDING 1.0e-12
 #define PER_MULTIPLIER 1.0e-16
 #define STEP LDC_W({{ c.rate_step }}) /* [rad] largest change of the command in a sample */
 
@@ -180,24 +179,6 @@ static ldc_work violation(const ldc_state *s, int32_t bound, const ldc_work of[L
         /* a slack is at least 0 */
     }
     return result;
-}
-
-/* Solve (A A') part = part in place, A the n held normals, which are independent, by Cholesky's factors. */
-static void gram(ldc_state *s, int32_t n, ldc_work part[LDC_VARIABLES])
-{
-    for (int32_t i = 0; i < n; i++) {
-        for (int32_t j = 0; j <= i; j++) {
-            const ldc_work both = dot(s->held[i], s->held[j], LDC_VARIABLES);
-            const ldc_work inner = both - dot(s->factor[i], s->factor[j], j);
-            const ldc_work least = ROUNDING * both;
-            s->factor[i][j] = (j < i) ? (inner / s->factor[j][j]) : ROOT((inner > least) ? inner : least);
-        }
-        part[i] = (part[i] - dot(s->factor[i], part, i)) / s->factor[i][i];
-    }
-    for (int32_t i = n - 1; i >= 0; i--) {
-        for (int32_t j = i + 1; j < n; j++) { part[i] -= s->factor[j][i] * part[j]; }
-        part[i] /= s->factor[i][i];
-    }
 }
 
 /* The bound that w violates most by more than is rounding; the number of all bounds if there is none. */

@@ -1,4 +1,4 @@
-/* Repeats the check without Python: cc -std=c99 main.c ldc_controller.c -lm && ./a.out < test_vectors.csv */
+/* Repeats the check without Python: cc -std=c99 main.c {{ sources }} -lm && ./a.out < test_vectors.csv */
 #include "ldc_controller.h"
 
 #include <math.h>
