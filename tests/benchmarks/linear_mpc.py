@@ -26,8 +26,9 @@ from ldctoolkit import (
     Stage,
     SteeringLaw,
     gain,
+    load_model,
+    load_study,
 )
-from ldctoolkit import Controller, EventStatus, Setup, SteeringLaw, load_model, load_study
 from ldctoolkit.controllers import LinearMPC
 from ldctoolkit.controllers.linear_mpc import MPCLaw, Rung
 from ldctoolkit.controllers.riccati import regulator
