@@ -16,9 +16,10 @@ import numpy as np
 import pytest
 
 from helpers.closed_loop import Constant, Table, make_scenarios
+from helpers.predictive import Held, Slow
 from ldctoolkit import Controller, Preview, Setup, load_model
 from ldctoolkit.control import EventStatus
-from ldctoolkit.controllers import LQR, PID, BarrierFilter, LinearMPC, PurePursuit, SlidingMode, Stanley
+from ldctoolkit.controllers import LQR, PID, BarrierFilter, LinearMPC, NonlinearMPC, PurePursuit, SlidingMode, Stanley
 from ldctoolkit.plant_options import Actuator, PlantOptions
 from ldctoolkit.studies.export import export_c
 from ldctoolkit.studies.export.c_code import Code
@@ -39,6 +40,10 @@ LAWS: dict[str, Controller] = {
     "mpc": LinearMPC(),
     "mpc, soft": SOFT,
     "mpc, blocks": LinearMPC(horizon=30, blocks=8, e_y_max=0.5),
+    "nonlinear": NonlinearMPC(horizon=8),
+    "nonlinear, soft": NonlinearMPC(horizon=8, a_y_max=2.0, jerk_max=3.0, e_y_max=1.2),
+    "slow": Slow(horizon=8),
+    "held": Held(horizon=12),
 }
 
 
@@ -51,6 +56,10 @@ def run(*command: object, cwd: Path, text: str | None = None) -> subprocess.Comp
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     return tmp_path / "made"
+
+
+def sources(folder: Path) -> list[str]:
+    return [name for name in ("ldc_controller.c", "ldc_predictions.c") if (folder / name).exists()]
 
 
 def exported(controller: Controller, folder: Path, setup: Setup = REALISTIC, *, fmu: bool = False) -> Code:
@@ -70,7 +79,7 @@ def exported(controller: Controller, folder: Path, setup: Setup = REALISTIC, *, 
 def test_bench_repeats_the_check_without_warnings(name: str, single: bool, folder: Path) -> None:
     exported(LAWS[name], folder)
     precision = ["-DLDC_USE_FLOAT"] if single else []
-    built = run("cc", *STRICT, *precision, "-O2", "main.c", "ldc_controller.c", "-lm", "-o", "bench", cwd=folder)
+    built = run("cc", *STRICT, *precision, "-O2", "main.c", *sources(folder), "-lm", "-o", "bench", cwd=folder)
     assert built.returncode == 0, built.stderr
     vectors = (folder / "test_vectors.csv").read_text()
     done = run("./bench", cwd=folder, text=vectors)
@@ -92,7 +101,7 @@ def test_the_bench_ends_at_the_end_of_its_input(folder: Path) -> None:
     lines = vectors.splitlines()
     nan = ",".join(["0", "nan", *lines[2].split(",")[2:]])
     for options in (("-O0",), ("-O3", "-ffast-math")):
-        built = run("cc", *STRICT, *options, "main.c", "ldc_controller.c", "-lm", "-o", "bench", cwd=folder)
+        built = run("cc", *STRICT, *options, "main.c", *sources(folder), "-lm", "-o", "bench", cwd=folder)
         assert built.returncode == 0, built.stderr
         for text, code, steps, unread in (
             (vectors, 0, len(lines) - 1, 0),
@@ -233,7 +242,8 @@ def test_sanitizers_are_quiet_on_wild_inputs(name: str, folder: Path) -> None:
         fill.append(
             f"for (int i = 0; i < {size}; i++) {{ in.{field}[i] = {value}; }}" if size else f"in.{field} = {value};"
         )
-    bound = (code.schedule.form.mpc or {"iterations": 0})["iterations"]
+    form = code.schedule.form
+    bound = (form.sqp or form.mpc or {"iterations": 0})["iterations"] * (form.sqp or {"programs": 1})["programs"]
     (folder / "fuzz.c").write_text(HARNESS.format(steps=100_000, fill="\n".join(fill), bound=bound))
     sanitizers = ("-g", "-O1", "-fsanitize=undefined,address,float-cast-overflow", "-fno-sanitize-recover=all")
     for checks, precision, fast in (
@@ -242,7 +252,10 @@ def test_sanitizers_are_quiet_on_wild_inputs(name: str, folder: Path) -> None:
         ((), (), ("-O3", "-ffast-math")),
         ((), ("-DLDC_USE_FLOAT",), ("-O3", "-ffast-math")),
     ):
-        for arguments in ([*fast, "-c", "ldc_controller.c"], ["fuzz.c", "ldc_controller.o", "-lm", "-o", "fuzz"]):
+        for arguments in (
+            [*fast, "-c", *sources(folder)],
+            ["fuzz.c", *(name.replace(".c", ".o") for name in sources(folder)), "-lm", "-o", "fuzz"],
+        ):
             built = run("cc", "-std=c99", *checks, *precision, *arguments, cwd=folder)
             assert built.returncode == 0, built.stderr
         done = run("./fuzz", cwd=folder)
