@@ -59,7 +59,7 @@ BEHIND = ldc.PlantOptions(actuator=ldc.Actuator(lag=0.05, delay=0.08), sensors=l
     ("solver", "options", "weights"),
     [
         ("ipopt", ldc.PlantOptions(), (2e3, 50.0)),
-        ("sqpmethod", BEHIND, (2e3,)),
+        ("sqpmethod", BEHIND, (2e4,)),
         pytest.param("ipopt", BEHIND, (2e3, 200.0), marks=pytest.mark.slow),
         pytest.param("fatrop", BEHIND, (2e3, 200.0), marks=pytest.mark.slow),
     ],
