@@ -129,7 +129,10 @@ class Layout(dict[str, int]):
 
     def pack(self, **parts: FloatArray) -> FloatArray:
         """Rows (n, size) from named parts, matrices in CasADi's order."""
-        flat = (parts[name] if parts[name].ndim == 2 else parts[name].mT.reshape(len(parts[name]), -1) for name in self)
+        flat = (
+            parts[name] if parts[name].ndim == 2 else parts[name].mT.reshape(len(parts[name]), self[name])
+            for name in self
+        )
         return np.ascontiguousarray(np.concatenate([*flat], axis=1), dtype=np.float64)
 
 
