@@ -5,14 +5,15 @@ Each function gives Markdown by file name; `write` puts the files where pages of
 
 import argparse
 import ast
+import dataclasses
 import inspect
 import math
 import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
+from ldctoolkit import Controller, controllers
 from ldctoolkit.metrics import GROUPS, METRICS, SCENARIO_METRICS
-from ldctoolkit.registry import controller_class, controller_names
 from ldctoolkit.studies import study_file
 from ldctoolkit.studies.cli import parser
 from ldctoolkit.studies.cli.controllers import _interval
@@ -102,7 +103,10 @@ def metrics() -> Iterator[tuple[str, str]]:
 
 def laws() -> Iterator[tuple[str, str]]:
     """The declared gains of every law of the toolkit."""
-    for kind in map(controller_class, controller_names()):
+    for name in controllers.__all__:
+        kind = getattr(controllers, name)
+        if not dataclasses.is_dataclass(kind) or not issubclass(kind, Controller):
+            continue
         rows = []
         for g in kind.gains():
             words = ("true", "false") if isinstance(g.default, bool) else g.choices

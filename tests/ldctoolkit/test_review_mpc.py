@@ -182,4 +182,4 @@ def test_a_cost_with_a_kink_is_no_quadratic_program(kind: str, one: bool) -> Non
     _, state, _ = law.step(np.zeros(1), x, Preview(lane, lane, np.zeros(1)), np.zeros(1), law.init(1))
     calls = law.solver_calls(state)
     assert calls is not None
-    assert bool(calls.iterations[0] == 1) == one
+    assert bool(calls.iterations[0] <= 1) == one  # none where no limit is broken
