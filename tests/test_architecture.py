@@ -314,16 +314,8 @@ def test_the_zoo_uses_public_names_only() -> None:
             if not module.startswith("controllers.") or not isinstance(node, ast.ImportFrom) or node.level:
                 continue
             home = node.module or ""
-            shared = {
-                "arrays",
-                "code_content",
-                "compiling",
-                "discretization",
-                "errors",
-                "law_checks",
-                "numba_internals",
-                "surroundings",
-            }
+            helpers = "arrays code_content compiling discretization errors law_checks numba_internals surroundings"
+            shared = set(helpers.split())
             if home.startswith("ldctoolkit.") and home.rpartition(".")[2] not in shared:
                 assert {alias.name for alias in node.names} <= {*ldctoolkit.__all__}, f"{module} imports of {home}"
 
