@@ -19,8 +19,9 @@ import numpy.typing as npt
 
 from ldctoolkit.arrays import BoolArray, FloatArray, IntArray
 from ldctoolkit.code_content import content_of
-from ldctoolkit.control import Controller, EventStatus, Preview, SolverCalls, SteeringLaw, check_class
+from ldctoolkit.control import Controller, EventStatus, Preview, SolverCalls, SteeringLaw
 from ldctoolkit.errors import InputError, LdcError, plain
+from ldctoolkit.law_checks import check_controller
 from ldctoolkit.vehicle.bicycle import BicycleModel, Plant
 from ldctoolkit.vehicle.discretization import discretize
 from ldctoolkit.vehicle.speed_schedule import scheduled
@@ -203,7 +204,7 @@ class PredictiveController(Controller):
 def _structure(design: PredictiveController) -> Structure:
     """What decides the form of a design's expressions."""
     kind = type(design)
-    check_class(kind)
+    check_controller(design)
     gains, zeros, fixed = [], [], []
     for field in dataclasses.fields(design):  # type: ignore[arg-type]
         value = getattr(design, field.name)
