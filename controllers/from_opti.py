@@ -32,7 +32,7 @@ _GIVEN: Final = ("opti", "x", "lane", "delta_prev", "vehicle")
 _SHARED: Final = ("horizon", "delta_max", "rate_max", "mu")
 _ONE_SOLVE: Final = threading.Lock()  # with its statistics
 _SILENT: Final[dict[str, dict[str, Any]]] = {
-    "ipopt": {"ipopt.print_level": 0, "ipopt.sb": "yes"},
+    "ipopt": {"ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.max_iter": 200},  # 3000 where nothing can be found
     "fatrop": {"fatrop.print_level": 0},
     # QRQP keeps nothing of the solve before, other than the usual qpOASES
     "sqpmethod": dict.fromkeys(("print_header", "print_iteration", "print_status"), False)
