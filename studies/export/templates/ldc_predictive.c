@@ -319,6 +319,7 @@ static int32_t solve(ldc_state *s, double H[LDC_M][LDC_M], double w[LDC_M])
         double full;
         int32_t lets_go = -1; /* the held normal that comes first to 0, or to its linear weight */
         int32_t back = -1; /* the yielding row that is held again */
+        int32_t yields = 0; /* the new row does, rather than be held: then there need not be room for one more */
         s->iterations++;
         if (row == LDC_ROWS) {
             double worst = PRIMAL;
@@ -360,6 +361,7 @@ static int32_t solve(ldc_state *s, double H[LDC_M][LDC_M], double w[LDC_M])
         if ((multiplier + step) > s->limit[2][row]) { /* it yields on the way */
             const double give = 1.0 / s->limit[3][row];
             step = (excess(s, row, side) + (give * (s->limit[2][row] - multiplier))) / (full + give);
+            yields = 1;
         }
         for (int32_t i = 0; i < n; i++) {
             const double ahead = (part[i] > 0.0) ? s->right[i] : (s->limit[2][s->which[i]] - s->right[i]);
@@ -396,10 +398,12 @@ static int32_t solve(ldc_state *s, double H[LDC_M][LDC_M], double w[LDC_M])
                 s->which[i] = s->which[i + 1];
             }
         } else {
-            s->holds[row] = (multiplier > s->limit[2][row]) ? (2 * side) : side;
-            s->right[n] = multiplier;
-            s->which[n] = row;
-            n += (s->holds[row] == side) ? 1 : 0;
+            s->holds[row] = (yields != 0) ? (2 * side) : side;
+            if (yields == 0) {
+                s->right[n] = multiplier;
+                s->which[n] = row;
+                n++;
+            }
             row = LDC_ROWS;
         }
         if (factorise(s, H, n) == 0) { return -1; }

@@ -282,8 +282,6 @@ PREDICTIVE: dict[str, Controller] = {
     ],
 )
 def test_predictive_controllers(name: str, setup: str, n: int) -> None:
-    if name == "slow":
-        pytest.skip("the code of formulations with own states writes beyond an array of eight, and can crash")
     code = Code.of(PREDICTIVE[name], REALISTIC if setup == "realistic" else SETUPS[setup], 0.1)
     result, sizes = check(record(code, make_scenarios(n, 5)), ["cc"]), code.schedule.form.sqp or {}
     assert result.passed
@@ -298,8 +296,6 @@ def test_predictive_controllers(name: str, setup: str, n: int) -> None:
     "name", [pytest.param(x, marks=() if x == "nonlinear" else SLOW_TIER) for x in PREDICTIVE if x != "three"]
 )
 def test_predictive_controllers_from_wild_states(name: str) -> None:
-    if name == "slow":
-        pytest.skip("the code of formulations with own states writes beyond an array of eight, and can crash")
     """One step, in which many limits are active at once; commands where both are solutions."""
     setup = Setup(options=PlantOptions(actuator=Actuator(lag=0.1, delay=0.06)))
     code, rng, n = Code.of(PREDICTIVE[name], setup, 0.1), np.random.default_rng(4), 400
