@@ -384,6 +384,7 @@ class _Builder:
         """Rates that are not the linear part alone."""
         ca = self.ca
         inputs = ca.vertcat(self.x, self.u, self.r)
+        symbols, numbers = [symbol for symbol, _ in zeros], [(self.c_base, ca.DM.ones(self.base.size))]
         rows = []
         for i in range(self.nx):
             slopes = ca.jacobian(rates[i], inputs)
@@ -391,6 +392,7 @@ class _Builder:
             if (
                 ca.depends_on(rates[i], ca.vertcat(self.prev, self.steady, self.ref))
                 or ca.depends_on(slopes, inputs)
+                or _kinked(ca.Function("rate", symbols, [_replaced(rates[i], numbers)]))  # a step has slopes of 0
                 or float(constant(np.ones(self.base.size))) != 0.0
             ):
                 rows.append(i)
@@ -455,7 +457,7 @@ def _kinked(function: Any) -> bool:
     import casadi as ca
 
     kinks = (ca.OP_FABS, ca.OP_SIGN, ca.OP_FMIN, ca.OP_FMAX, ca.OP_FLOOR, ca.OP_CEIL, ca.OP_LT, ca.OP_LE, ca.OP_EQ,
-             ca.OP_NE, ca.OP_IF_ELSE_ZERO)  # fmt: skip
+             ca.OP_NE, ca.OP_IF_ELSE_ZERO, ca.OP_FMOD, ca.OP_REMAINDER, ca.OP_COPYSIGN)  # fmt: skip
     return any(function.instruction_id(k) in kinks for k in range(function.n_instructions()))
 
 

@@ -539,6 +539,22 @@ def test_ipopt_finds_the_same_plan_with_states_of_its_own() -> None:
     assert bound >= 2
 
 
+@pytest.mark.parametrize("integrator", ["exponential", "rk4"])
+def test_a_rate_that_is_a_step_moves_its_state(integrator: str) -> None:
+    """0.25 m left of the lane's middle: its slopes are 0 everywhere, the rate is not."""
+
+    def counting(self: Any, x: Any, u: Any, lane: Any, vehicle: Any) -> dict[str, Any]:
+        rates = vehicle.linear(x, u.delta, lane)
+        return rates | {"outside": ca.if_else(x.e_y > 0.1, 3.0, 0.0), "side": ca.sign(x.e_y), "way": x.e_y}
+
+    members = {"name": "counting", "states": ("outside", "side", "way"), "integrator": integrator}
+    law = variant(Quadratic, dynamics=counting, **members)().prepare(plant_of(1))
+    x, r = np.array([[0.25, 0.0, 0.0, 0.0]]), np.zeros((1, HORIZON + 1))
+    _, state, _ = law.step(np.zeros(1), x, Preview(r, r), np.zeros(1), law.init(1))
+    np.testing.assert_allclose(state.own[0, :2], [3.0 * DT, DT], rtol=1e-12)
+    np.testing.assert_allclose(state.own[0, 2], 0.25 * DT, rtol=1e-2)
+
+
 @pytest.mark.parametrize(("integrator", "order", "most"), [("exponential", 3, 2e-4), ("rk4", 4, 2e-3)])
 def test_a_sample_follows_the_differential_equation(integrator: str, order: int, most: float) -> None:
     """`solve_ivp` at 1e-11; halving the sample divides its error by 2^(order + 1), three quarters of that is asked."""
