@@ -215,9 +215,9 @@ class OptiLaw(PlanningLaw):
     gains: FloatArray
 
     @property
-    def limited(self) -> bool:
-        """Whether the design has limits of its own."""
-        return hasattr(self.design, "delta_max") and hasattr(self.design, "rate_max")
+    def limited(self) -> tuple[bool, bool]:
+        """Those that are gains of the design."""
+        return hasattr(self.design, "delta_max"), hasattr(self.design, "rate_max")
 
     def init(self, n: int) -> OptiState:
         """No plan yet."""

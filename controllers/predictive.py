@@ -381,9 +381,9 @@ class PlanningLaw(SteeringLaw):
     affine: AffinePlans | None = dataclasses.field(default=None, kw_only=True)
 
     @property
-    def limited(self) -> bool:
-        """Whether limits of the workspace hold for every command, not for the fallback alone."""
-        return True
+    def limited(self) -> tuple[bool, bool]:
+        """Whether limits of angle and of change hold for every command, not for the fallback alone."""
+        return True, True
 
     @abc.abstractmethod
     def _solve(
@@ -554,17 +554,19 @@ class PlanningLaw(SteeringLaw):
         solution = self._solve(work, history, soft, state, after, i)
         command = float(solution.U[0])
         after.has_plan[i] = solution.solved
+        of_angle, of_change = self.limited if solution.solved else (True, True)
         if solution.solved:
             after.U[i] = solution.U
-            after.rung[i] = 2 if relaxed[0] and self.limited else 1
+            after.rung[i] = 2 if relaxed[0] and of_angle else 1
         else:
             after.rung[i] = 3
             K, p = self.form.layout.unpack(self.columns[i])["K"], work.P[0]
             command = float(p[3] - K @ (work.z_0 - p[LANE : LANE + self.form.size]))
             command = command if np.isfinite(command) else 0.0
         after.iterations[i], after.residual[i], after.cost[i] = solution.iterations, solution.step, solution.cost
-        if self.limited or not solution.solved:
+        if of_angle:
             command = min(max(command, work.low[0]), work.high[0])
+        if of_change:
             command = min(max(command, delta_prev + low_change[0]), delta_prev + high_change[0])
         command = float(command + 0.0)  # a sum with 0 turns -0 into 0
         if not self.delay:

@@ -173,6 +173,24 @@ def test_limits_that_are_no_gains_hold_for_the_fallback_alone() -> None:
             assert (status == EventStatus.SOLVER_FAILED).all()
 
 
+def test_a_limit_that_is_a_gain_holds_without_the_other() -> None:
+    """The problem wants 0.3 rad at once, from 0.02 rad."""
+
+    def angle(opti: Any, horizon: int = 4, delta_max: float = 0.05) -> Any:
+        U = opti.variable(horizon)
+        opti.minimize(ca.sumsqr(U - 0.3))
+        return U
+
+    def rate(opti: Any, horizon: int = 4, rate_max: float = 0.6) -> Any:
+        return angle(opti, horizon)
+
+    for build, expected in ((angle, 0.05), (rate, 0.02 + 0.6 * 0.05)):
+        kind: Any = ldc.from_opti(build)
+        delta, _, status, *_ = first(kind(), 2, prev=np.full(2, 0.02))
+        np.testing.assert_allclose(delta, expected, rtol=1e-12)
+        assert (status == EventStatus.OK).all()
+
+
 def test_states_that_no_vehicle_has_give_finite_commands() -> None:
     kind: Any = plain_mpc
     design = kind(horizon=6, solver="sqpmethod")
