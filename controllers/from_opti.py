@@ -17,7 +17,7 @@ import numpy as np
 
 from ldctoolkit.arrays import FloatArray
 from ldctoolkit.control import Controller
-from ldctoolkit.declared import gain, option
+from ldctoolkit.declared import declared_gains, gain, option
 from ldctoolkit.errors import InputError, UnknownNameError
 from ldctoolkit.vehicle.bicycle import Plant
 
@@ -58,8 +58,9 @@ def from_opti(
         ``vehicle`` with C_af, C_ar, l_f, l_r, m, I_z, mu, v, dt, ``sample(x, delta, k)``, the state after sample k,
         ``a_y(x, delta, k)``, lateral acceleration beyond the lane's at its start, and ``riccati(q, r)``, the cost
         (4, 4) of the LQR with weights q (4) on x and r on delta. Arguments with defaults are gains: numbers, or what
-        `gain` and `option` declare. Floats are parameters of the problem, others values. `delta_max` and `rate_max`
-        also limit what is sent; `mu` is that of `vehicle`.
+        `gain` and `option` declare. Floats are parameters of the problem, others values. `horizon`, `delta_max`,
+        `rate_max` and `mu` have the ranges of those of `NonlinearMPC`; `delta_max` and `rate_max` also limit what is
+        sent, `mu` is that of `vehicle`.
     solver : str
         NLP solver of CasADi, the default of the option of this name.
     options : mapping, optional
@@ -79,21 +80,30 @@ def from_opti(
     >>> smooth(r=1e3).solver
     'ipopt'
     """
-    name, chosen = build.__name__, option(solver, choices=None, description="NLP solver of CasADi")
-    fields: list[tuple[str, Any, Any]] = [("solver", str, chosen)]
-    for key, default in ((p.name, p.default) for p in inspect.signature(build).parameters.values()):
-        if isinstance(default, dataclasses.Field):
-            field = dataclasses.field(default=default.default, metadata=default.metadata)
-            fields.append((key, type(default.default), field))
-        elif default is not inspect.Parameter.empty:
-            fields.append((key, type(default), gain(default, unit="1", description=f"argument of {name}")))
-        elif key not in _GIVEN:
-            raise UnknownNameError(f"{name}.{key}", "no such argument", allowed=_GIVEN, hint="a gain has a default")
-    if "horizon" not in (key for key, *_ in fields):
-        raise InputError(f"{name}.horizon", "no such argument", hint="add horizon=20 to those of the function")
+    name, shared = build.__name__, declared_gains(NonlinearMPC)
     attributes = {"name": name, "title": name.replace("_", " ").capitalize(), "build": staticmethod(build)}
     attributes |= {"options": {solver: dict(options or {})}, "__doc__": build.__doc__ or f"{name}."}
     attributes |= {"__module__": build.__module__, "__qualname__": build.__qualname__}
+    chosen = option(solver, choices=None, description="NLP solver of CasADi")
+    fields: list[tuple[str, Any, Any]] = [("solver", str, chosen)]
+    for key, default in ((p.name, p.default) for p in inspect.signature(build).parameters.values()):
+        if key in _GIVEN:
+            continue
+        if default is inspect.Parameter.empty:
+            raise UnknownNameError(f"{name}.{key}", "no such argument", allowed=_GIVEN, hint="a gain has a default")
+        if key == "solver" or key in attributes or hasattr(OptiController, key):
+            raise InputError(f"{name}.{key}", "reserved for the controller class", hint="rename the argument")
+        if isinstance(default, dataclasses.Field):
+            field = dataclasses.field(default=default.default, metadata=default.metadata)
+            fields.append((key, type(default.default), field))
+        elif key in _SHARED:
+            same = shared[key]
+            field = gain(default, unit=same.unit, lower=same.lower, upper=same.upper, description=same.description)
+            fields.append((key, type(same.default), field))
+        else:
+            fields.append((key, type(default), gain(default, unit="1", description=f"argument of {name}")))
+    if "horizon" not in (key for key, *_ in fields):
+        raise InputError(f"{name}.horizon", "no such argument", hint="add horizon=20 to those of the function")
     return dataclasses.make_dataclass(name, fields, bases=(OptiController,), namespace=attributes, frozen=True)
 
 

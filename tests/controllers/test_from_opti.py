@@ -1,4 +1,4 @@
-"""Controllers from `casadi.Opti` problems: the same numbers as the class, whoever solves them, and faults in words."""
+"""Controllers from `casadi.Opti` problems: the same numbers as the class, whoever solves them, and named faults."""
 
 from __future__ import annotations
 
@@ -277,6 +277,22 @@ def test_faults_are_named() -> None:
         prepared(misspelt)
     with refused("commands.build"):
         prepared(commands, options={"ipopt.no_such_option": 1})
+
+    def fractional(opti: Any, horizon: float = 4.5) -> Any: ...
+    def long(opti: Any, horizon: int = 101) -> Any: ...
+    def slippery(opti: Any, horizon: int = 3, mu: float = 0.0) -> Any: ...
+
+    for build, gain in ((fractional, "horizon"), (long, "horizon"), (slippery, "mu")):
+        with refused(f"{build.__name__}.{gain}.default"):
+            prepared(build)
+
+    def solving(opti: Any, horizon: int = 3, solver: str = "ipopt") -> Any: ...
+    def titled(opti: Any, horizon: int = 3, title: float = 1.0) -> Any: ...
+    def building(opti: Any, horizon: int = 3, build: float = 1.0) -> Any: ...
+
+    for build, taken in ((solving, "solver"), (titled, "title"), (building, "build")):
+        with refused(f"{build.__name__}.{taken}"):
+            ldc.from_opti(build)
 
     def unknown(opti: Any, lanes: Any, horizon: int = 3) -> Any: ...
     def endless(opti: Any) -> Any: ...
