@@ -140,8 +140,8 @@ class SolverCalls:
     position: IntArray  # (k,) Of the scenario in the batch
     status: IntArray  # (k,) How the call ended, in the law's own numbers
     iterations: IntArray  # (k,)
-    primal_residual: FloatArray  # (k,) In the law's own units; NaN where the solver does not tell
-    dual_residual: FloatArray  # (k,) In the law's own units; NaN where the solver does not tell
+    primal_residual: FloatArray  # (k,) In the law's own units; NaN where the solver does not report it
+    dual_residual: FloatArray  # (k,) In the law's own units; NaN where the solver does not report it
 
     def of(self, positions: IntArray) -> SolverCalls:
         """The calls of the scenarios at `positions` in the batch."""

@@ -403,7 +403,7 @@ def drive(
     takeover : Takeover
         Scenarios at their triggers.
     plans : bool
-        Keep the plans of a law that tells them.
+        Keep the plans of a law that defines `plan`.
     """
     rows = _path_rows(trajectories, takeover.scenarios.n)
     law = _checked_law(controller, takeover)

@@ -44,7 +44,7 @@ def plans(controller: Controller, scenarios: Scenarios, y_s: float = 0.2, *, set
     Parameters
     ----------
     controller : Controller
-        A `PredictiveController`, or another one whose law tells its plans.
+        A `PredictiveController`, or another controller whose law defines `plan`.
     scenarios : Scenarios
     y_s : float [m]
         Trigger threshold, >= 0.
@@ -54,7 +54,7 @@ def plans(controller: Controller, scenarios: Scenarios, y_s: float = 0.2, *, set
     Returns
     -------
     Plans
-        None of scenarios that do not trigger.
+        No rows for scenarios that do not trigger.
 
     Examples
     --------
@@ -70,7 +70,7 @@ def plans(controller: Controller, scenarios: Scenarios, y_s: float = 0.2, *, set
     run = drive(controller, over, trajectories=True, plans=True)
     law = controller.prepare(over.plant)
     if not isinstance(law, SteeringLaw) or type(law).plan is SteeringLaw.plan:
-        raise InputError("controller", "does not tell plans", value=controller.name, allowed="a PredictiveController")
+        raise InputError("controller", "has no plans", value=controller.name, allowed="a PredictiveController")
     start = np.full(scenarios.n, np.nan)
     start[over.rows] = over.start
     nothing = np.zeros(0, dtype=np.int64), np.zeros(1), np.zeros((0, 1, 4)), np.zeros((0, 0))
