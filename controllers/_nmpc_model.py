@@ -358,15 +358,11 @@ class _Builder:
             return [(self.jerk, ca.fmin(*ends), ca.fmax(*ends), weight * ca.fabs(slope), weight * slope**2, True)]
         if not ca.depends_on(ca.vertcat(low, high), self.moving):
             return [(value, low, high, weight, weight, False)]
-        rows = [
-            (value - low, ca.SX(0), ca.SX(np.inf), soft.lower),
-            (value - high, ca.SX(-np.inf), ca.SX(0), soft.upper),
-        ]
-        return [
-            (value, a, b, weight, weight, False)
-            for value, a, b, end in rows
-            if not (isinstance(end, float) and np.isinf(end))
-        ]
+        none = ca.SX(np.inf)
+        below = (value - low, ca.SX(0), none) if ca.depends_on(low, self.moving) else (value, low, none)
+        above = (value - high, -none, ca.SX(0)) if ca.depends_on(high, self.moving) else (value, -none, high)
+        rows = (below, soft.lower), (above, soft.upper)
+        return [(*row, weight, weight, False) for row, end in rows if not (isinstance(end, float) and np.isinf(end))]
 
     def _terminal(self) -> Any:
         """The designer's terminal cost; None for that of the Riccati equation."""
@@ -384,7 +380,7 @@ class _Builder:
         """Rates that are not the linear part alone."""
         ca = self.ca
         inputs = ca.vertcat(self.x, self.u, self.r)
-        symbols, numbers = [symbol for symbol, _ in zeros], [(self.c_base, ca.DM.ones(self.base.size))]
+        symbols = [*(symbol for symbol, _ in zeros), self.c_base]
         rows = []
         for i in range(self.nx):
             slopes = ca.jacobian(rates[i], inputs)
@@ -392,7 +388,7 @@ class _Builder:
             if (
                 ca.depends_on(rates[i], ca.vertcat(self.prev, self.steady, self.ref))
                 or ca.depends_on(slopes, inputs)
-                or _kinked(ca.Function("rate", symbols, [_replaced(rates[i], numbers)]))  # a step has slopes of 0
+                or _kinked(ca.Function("rate", symbols, [rates[i]]))  # a step has slopes of 0
                 or float(constant(np.ones(self.base.size))) != 0.0
             ):
                 rows.append(i)
@@ -453,12 +449,21 @@ class _Builder:
 
 
 def _kinked(function: Any) -> bool:
-    """Whether a function has steps or kinks, which second derivatives do not show."""
+    """Whether a function has steps or kinks, which derivatives do not show, in other inputs than its last."""
     import casadi as ca
 
     kinks = (ca.OP_FABS, ca.OP_SIGN, ca.OP_FMIN, ca.OP_FMAX, ca.OP_FLOOR, ca.OP_CEIL, ca.OP_LT, ca.OP_LE, ca.OP_EQ,
              ca.OP_NE, ca.OP_IF_ELSE_ZERO, ca.OP_FMOD, ca.OP_REMAINDER, ca.OP_COPYSIGN)  # fmt: skip
-    return any(function.instruction_id(k) in kinks for k in range(function.n_instructions()))
+    moves: dict[int, bool] = {}  # Whether a result depends on them
+    for k in range(function.n_instructions()):
+        operation, inputs = function.instruction_id(k), function.instruction_input(k)
+        if operation == ca.OP_OUTPUT:
+            continue
+        here = inputs[0] < function.n_in() - 1 if operation == ca.OP_INPUT else any(moves[i] for i in inputs)
+        if here and operation in kinks:
+            return True
+        moves[function.instruction_output(k)[0]] = here
+    return False
 
 
 def _replaced(expression: Any, values: list[tuple[Any, Any]]) -> Any:

@@ -441,6 +441,37 @@ def test_plans_for_all_scenarios_are_those_of_the_iteration(
         np.testing.assert_array_equal(state.sent.shape, other.sent.shape)
 
 
+def test_a_kink_in_gains_alone_changes_no_problem() -> None:
+    """With them the formulation stays one quadratic program, planned for all scenarios at once; not with one of a state
+    that a gain switches on."""
+
+    def scaled(factor: Callable[[Any, Any], Any]) -> Any:
+        def stage(self: Any, x: Any, u: Any, lane: Any, k: Any) -> Stage:
+            given = Quadratic.stage(self, x, u, lane, k)
+            return dataclasses.replace(given, cost=given.cost + factor(self, x))
+
+        def dynamics(self: Any, x: Any, u: Any, lane: Any, vehicle: Any) -> dict[str, Any]:
+            given = vehicle.linear(x, u.delta, lane)
+            return given | {"e_psi": given["e_psi"] * ca.fmin(self.r, 1.0)}
+
+        return variant(Quadratic, name="scaled", stage=stage, dynamics=dynamics)().prepare(plant_of(2))
+
+    assert scaled(lambda design, x: ca.fmax(design.r, 1e3) * x.e_psi**2).affine is not None
+    assert scaled(lambda design, x: ca.if_else(design.r > 1e3, ca.fabs(x.e_y), 0.0)).affine is None
+
+
+def test_ends_of_a_soft_limit_may_depend_on_the_state_or_be_infinite() -> None:
+    """An end that is infinite by an expression limits nothing, whatever the other end is."""
+    plans = []
+    for lower in (-np.inf, ca.SX(-np.inf), lambda k: ca.if_else(k < 99, -np.inf, 0.0)):
+        members = soft(lambda x, u, lane, k, low=lower: [Soft(x.e_y, low(k) if callable(low) else low, 0.1 + x.e_psi)])
+        law = variant(PredictiveController, name="ends", title="T", horizon=4, **members)()
+        ((delta, status, _),) = walk(law.prepare(plant_of(3)), 3, steps=1)
+        assert (status == EventStatus.OK).all()
+        plans.append(delta)
+    np.testing.assert_allclose(plans[1:], [plans[0]] * 2, rtol=0.0, atol=1e-9)
+
+
 def test_a_situation_that_is_no_number_leaves_the_others_alone() -> None:
     law, n = Quadratic().prepare(plant_of(4)), 4
     x, r = np.tile([0.3, 0.1, 0.0, 0.0], (n, 1)), np.zeros((n, HORIZON + 1))
