@@ -64,7 +64,7 @@ class Judged:
         with progress_bar("ranking", show=show):
             ranking = rank_study(results, study)
         robustness = None
-        if results.designs and results.on_drivable().scenarios.n:
+        if results.designs and results.drivable.any():
             from ..robustness import RobustnessTask, robustness_of, stored_of
 
             with progress_bar("driving the best on other plants", show=show and drive_plants):
