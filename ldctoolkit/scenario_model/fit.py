@@ -287,8 +287,8 @@ def _events(
     beside = f", beside {implausible} that are not plausible" if implausible else ""
     check_enough(rows["left"].size, rows["right"].size, beside)
     events = Events(departures.matrix(), weight, settings.selection["n_jobs"])
-    by_side = {label: Clusters.of(departures.take(own)) for label, own in rows.items()}
-    sides = {label: side_events(events, own, by_side[label], label, settings) for label, own in rows.items()}
+    by_side = {label: Clusters.of(departures.take(chosen)) for label, chosen in rows.items()}
+    sides = {label: side_events(events, rows[label], by_side[label], label, settings) for label in rows}
     if max(side.data.rows for side in sides.values()) > MOST_RECORDED:
         return sides, None
     order = np.concatenate(list(rows.values()))

@@ -226,8 +226,8 @@ def _summary(judged: Judged) -> dict[str, Any]:
         "lights": {light.name: light.state for light in judgement.lights},
         "binding": [limit.requirement.text for limit in judgement.binding],
         **{
-            name: [{"name": found.gain.name, "value": found.value, "text": found.text} for found in of_sweeps]
-            for name, of_sweeps in (("sweep_ends", judgement.ends), ("blocked", judgement.blocked))
+            name: [{"name": item.gain.name, "value": item.value, "text": item.text} for item in items]
+            for name, items in (("sweep_ends", judgement.ends), ("blocked", judgement.blocked))
         },
         "extended": list(judged.manifest.extended),
     }
