@@ -513,9 +513,8 @@ class _Judge:
         K, bic = fits.n_components[keep], fits.bic[keep]
         chosen, dropped = choose(bic), ", ".join(map(str, np.setdiff1d(fits.n_components, K)))
         rule = f"the smallest whose BIC lies within {ALLOWANCE:g} of the best"
-        reason = (
-            f"K = {K[chosen]}, {rule} without a component of fewer than {LEAST_IN_COMPONENT} departures (K = {dropped})"
-        )
+        left_out = f"K = {dropped} left out: a component of fewer than {LEAST_IN_COMPONENT} departures"
+        reason = f"K = {K[chosen]}, {rule}; {left_out}"
         models = tuple(fits.models[i] for i in keep)
         return dataclasses.replace(fits, n_components=K, bic=bic, models=models, chosen=chosen, reason=reason)
 
